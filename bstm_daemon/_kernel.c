@@ -1,0 +1,714 @@
+/* The compiled step of a thermal network (see thermal/reference.py, which
+ * does the same operations in the same order, and thermal/program.py, which
+ * lays out `ints` and `floats`).
+ *
+ * Knows nodes, links, sources, memories; knows nothing of brakes. Members of
+ * a batch are marched in blocks of LANES side by side, or one by one; both
+ * give the same bits (no contraction, no reassociation).
+ */
+#define PY_SSIZE_T_CLEAN
+#include <Python.h>
+
+#include <math.h>
+#include <stdint.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "_kernel.h"
+
+#define LAYOUT_VERSION 1
+#define LANES 8
+#define INLINE static inline __attribute__((always_inline))
+
+enum {
+    COUNT_LAYOUT, COUNT_NODES, COUNT_MEMORIES, COUNT_INPUTS, COUNT_LINKS,
+    COUNT_SOURCES, COUNT_FACTORS, COUNT_TABLES, COUNT_USES, COUNT_ENTRIES,
+    COUNT_OPERATIONS, COUNT_PIVOTS, COUNT_FLOATS, COUNTS
+};
+
+enum {
+    NODE_TABLE, NODE_INPUT, NODE_FREE, LINK_A, LINK_B, LINK_ENTRY,
+    SOURCE_NODE, MEMORY_KIND, USE_START, USE_FACTOR, FACTOR_KIND, FACTOR_A,
+    FACTOR_B, FACTOR_TABLE, FACTOR_STEADY, TABLE_POINTS, TABLE_OFFSET,
+    PIVOT_NODE, PIVOT_ENTRY_START, PIVOT_OPERATION_START, ENTRY_ROW,
+    OPERATION_LEFT, OPERATION_RIGHT, OPERATION_TARGET, SECTIONS
+};
+
+typedef struct {
+    int count[COUNTS];
+    const int32_t *section[SECTIONS];
+} Structure;
+
+/* ------------------------------------------------------------ structure */
+
+static int within(const int32_t *values, int n, int low, int high)
+{
+    for (int i = 0; i < n; i++)
+        if (values[i] < low || values[i] >= high) return 0;
+    return 1;
+}
+
+static int rising(const int32_t *values, int n, int last)
+{
+    if (values[0] != 0 || values[n - 1] != last) return 0;
+    for (int i = 1; i < n; i++)
+        if (values[i] < values[i - 1]) return 0;
+    return 1;
+}
+
+/* Parse and check `ints`, so that no array can make the step read outside.
+ * Returns NULL or what is wrong. */
+static const char *parse(Structure *s, const int32_t *ints, Py_ssize_t length)
+{
+    if (length < COUNTS) return "ints is shorter than its header";
+    for (int i = 0; i < COUNTS; i++) {
+        s->count[i] = ints[i];
+        if (ints[i] < 0) return "a count is negative";
+    }
+    if (s->count[COUNT_LAYOUT] != LAYOUT_VERSION)
+        return "ints has another layout version";
+    const int n = s->count[COUNT_NODES], nm = s->count[COUNT_MEMORIES];
+    const int nl = s->count[COUNT_LINKS], ns = s->count[COUNT_SOURCES];
+    const int nf = s->count[COUNT_FACTORS], nt = s->count[COUNT_TABLES];
+    const int ne = s->count[COUNT_ENTRIES], np = s->count[COUNT_PIVOTS];
+    const int no = s->count[COUNT_OPERATIONS], nu = s->count[COUNT_USES];
+    const int parts = n + nl + ns + nm;
+    const int expected[SECTIONS] = {
+        n, n, n, nl, nl, nl, ns, nm, parts + 1, nu, nf, nf, nf, nf, nf,
+        nt, nt, np, np + 1, np + 1, ne, no, no, no};
+    Py_ssize_t position = COUNTS;
+    for (int i = 0; i < SECTIONS; i++) {
+        if (position >= length || ints[position] != expected[i]
+            || length - position - 1 < expected[i])
+            return "a section has the wrong length";
+        s->section[i] = ints + position + 1;
+        position += 1 + expected[i];
+    }
+    const int32_t *const *sec = s->section;
+    const int slots = n + nm + s->count[COUNT_INPUTS];
+    int good = within(sec[NODE_TABLE], n, -1, nt)
+        && within(sec[NODE_INPUT], n, -1, s->count[COUNT_INPUTS])
+        && within(sec[LINK_A], nl, 0, n) && within(sec[LINK_B], nl, 0, n)
+        && within(sec[LINK_ENTRY], nl, -1, ne)
+        && within(sec[SOURCE_NODE], ns, 0, n)
+        && within(sec[MEMORY_KIND], nm, 0, 2)
+        && rising(sec[USE_START], parts + 1, nu)
+        && within(sec[USE_FACTOR], nu, 0, nf)
+        && within(sec[FACTOR_KIND], nf, 0, 4)
+        && within(sec[FACTOR_A], nf, 0, slots)
+        && within(sec[FACTOR_B], nf, 0, slots)
+        && within(sec[FACTOR_TABLE], nf, -1, nt)
+        && within(sec[PIVOT_NODE], np, 0, n)
+        && rising(sec[PIVOT_ENTRY_START], np + 1, ne)
+        && rising(sec[PIVOT_OPERATION_START], np + 1, no)
+        && within(sec[ENTRY_ROW], ne, 0, n)
+        && within(sec[OPERATION_LEFT], no, 0, ne)
+        && within(sec[OPERATION_RIGHT], no, 0, ne)
+        && within(sec[OPERATION_TARGET], no, -n, ne);
+    if (!good) return "an index is out of range";
+    for (int t = 0; t < nt; t++) {
+        const int points = sec[TABLE_POINTS][t], at = sec[TABLE_OFFSET][t];
+        if (points < 2 || at < 0
+            || (int64_t)at + 2 + points > s->count[COUNT_FLOATS])
+            return "a table is out of range";
+    }
+    if ((int64_t)n + nl + ns + 3 * (int64_t)nm > s->count[COUNT_FLOATS])
+        return "floats is too short";
+    return NULL;
+}
+
+/* ----------------------------------------------------------------- step */
+
+typedef struct {
+    double *floats;               /* [floats][W] */
+    double *slots;                /* [nodes + memories + inputs][W] */
+    double *state;                /* [nodes + memories][W] */
+    double *factor;               /* [factors][W] */
+    double *base, *capacity;      /* [nodes][W] */
+    double *rate, *free_mask;     /* [nodes][W] */
+    double *g, *heat, *heat2;     /* [links], [sources] x W */
+    double *flow, *energy1;       /* [links][W] */
+    double *value1, *value2;      /* [memories][W] */
+    double *diagonal, *off;       /* [nodes], [entries] x W */
+    double *x1, *x2;              /* [nodes][W] */
+    double *ledger;               /* [links + sources][W] */
+} Work;
+
+static size_t work_doubles(const Structure *s)
+{
+    const size_t n = s->count[COUNT_NODES], nm = s->count[COUNT_MEMORIES];
+    const size_t nl = s->count[COUNT_LINKS], ns = s->count[COUNT_SOURCES];
+    return s->count[COUNT_FLOATS] + (n + nm + s->count[COUNT_INPUTS])
+        + (n + nm) + s->count[COUNT_FACTORS] + 7 * n + 3 * nl + 2 * ns
+        + 2 * nm + s->count[COUNT_ENTRIES] + (nl + ns);
+}
+
+static void work_layout(Work *w, const Structure *s, double *at, int W)
+{
+    const size_t n = s->count[COUNT_NODES], nm = s->count[COUNT_MEMORIES];
+    const size_t nl = s->count[COUNT_LINKS], ns = s->count[COUNT_SOURCES];
+#define TAKE(field, size) (w->field = at, at += (size_t)(size) * W)
+    TAKE(floats, s->count[COUNT_FLOATS]);
+    TAKE(slots, n + nm + s->count[COUNT_INPUTS]);
+    TAKE(state, n + nm);
+    TAKE(factor, s->count[COUNT_FACTORS]);
+    TAKE(base, n); TAKE(capacity, n); TAKE(rate, n); TAKE(free_mask, n);
+    TAKE(diagonal, n); TAKE(x1, n); TAKE(x2, n);
+    TAKE(g, nl); TAKE(flow, nl); TAKE(energy1, nl);
+    TAKE(heat, ns); TAKE(heat2, ns);
+    TAKE(value1, nm); TAKE(value2, nm);
+    TAKE(off, s->count[COUNT_ENTRIES]);
+    TAKE(ledger, nl + ns);
+#undef TAKE
+}
+
+INLINE void look_up(const int W, const double *restrict f, int offset,
+                    int points, const double *restrict x, double *restrict y)
+{
+    const double *values = f + (size_t)(offset + 2) * W;
+    for (int l = 0; l < W; l++) {
+        double position =
+            (x[l] - f[(size_t)offset * W + l]) * f[(size_t)(offset + 1) * W + l];
+        if (!(position > 0.0)) position = 0.0;
+        if (position > (double)(points - 1)) position = (double)(points - 1);
+        int index = (int)position;
+        if (index > points - 2) index = points - 2;
+        const double left = values[(size_t)index * W + l];
+        const double right = values[(size_t)(index + 1) * W + l];
+        y[l] = left + (position - (double)index) * (right - left);
+    }
+}
+
+INLINE void evaluate(const int W, const Structure *s, Work *w, int first)
+{
+    const int32_t *const *sec = s->section;
+    double x[LANES];
+    for (int j = 0; j < s->count[COUNT_FACTORS]; j++) {
+        if (!first && sec[FACTOR_STEADY][j]) continue;
+        const double *restrict a = w->slots + (size_t)sec[FACTOR_A][j] * W;
+        const double *restrict b = w->slots + (size_t)sec[FACTOR_B][j] * W;
+        double *restrict y = w->factor + (size_t)j * W;
+        switch (sec[FACTOR_KIND][j]) {
+        case 0: for (int l = 0; l < W; l++) x[l] = a[l]; break;
+        case 1: for (int l = 0; l < W; l++) x[l] = a[l] - b[l]; break;
+        case 2: for (int l = 0; l < W; l++) x[l] = 0.5 * (a[l] + b[l]); break;
+        default:
+            for (int l = 0; l < W; l++)
+                x[l] = (a[l] * a[l] + b[l] * b[l]) * (a[l] + b[l]);
+        }
+        const int table = sec[FACTOR_TABLE][j];
+        if (table < 0)
+            for (int l = 0; l < W; l++) y[l] = x[l];
+        else
+            look_up(W, w->floats, sec[TABLE_OFFSET][table],
+                    sec[TABLE_POINTS][table], x, y);
+    }
+}
+
+INLINE void product(const int W, const Structure *s, const Work *w, int part,
+                    int constant, double *restrict y)
+{
+    const int32_t *start = s->section[USE_START];
+    const double *restrict c = w->floats + (size_t)constant * W;
+    for (int l = 0; l < W; l++) y[l] = c[l];
+    for (int u = start[part]; u < start[part + 1]; u++) {
+        const double *restrict v =
+            w->factor + (size_t)s->section[USE_FACTOR][u] * W;
+        for (int l = 0; l < W; l++) y[l] *= v[l];
+    }
+}
+
+/* Temperature after the heat capacity * rise [J] has entered a node. */
+static double heated(const Structure *s, const double *f, int W, int node,
+                     double t, double base, double capacity, double rise)
+{
+    const int table = s->section[NODE_TABLE][node];
+    if (table < 0) return t + rise;
+    if (!(base > 0.0)) return t;
+    const int last = s->section[TABLE_POINTS][table] - 1;
+    const double *v = f + (size_t)(s->section[TABLE_OFFSET][table] + 2) * W;
+    const double x0 = v[-2 * W], inverse_dx = v[-1 * W];
+    double heat = capacity * rise / base;
+    if (isnan(t + heat)) return t + heat;
+    const double position = (t - x0) * inverse_dx;
+    const int up = heat > 0.0;
+    int cell;
+    if (position <= 0.0) cell = -1;
+    else if (position >= (double)last) cell = last;
+    else {
+        cell = (int)position;
+        if (!up && position == (double)cell) cell -= 1;
+    }
+    for (;;) {
+        if (cell < 0) {
+            const double c = v[0];
+            if (!up || heat <= c * (x0 - t)) return t + heat / c;
+            heat -= c * (x0 - t);
+            t = x0;
+            cell = 0;
+        } else if (cell >= last) {
+            const double c = v[(size_t)last * W];
+            const double edge = x0 + (double)last / inverse_dx;
+            if (up || heat >= c * (edge - t)) return t + heat / c;
+            heat -= c * (edge - t);
+            t = edge;
+            cell = last - 1;
+        } else {
+            const double here = v[(size_t)cell * W];
+            const double slope =
+                (v[(size_t)(cell + 1) * W] - here) * inverse_dx;
+            const double left = x0 + (double)cell / inverse_dx;
+            const double c = here + (t - left) * slope;
+            const double edge =
+                up ? x0 + (double)(cell + 1) / inverse_dx : left;
+            const double to_edge =
+                (c + 0.5 * slope * (edge - t)) * (edge - t);
+            if (up ? heat <= to_edge : heat >= to_edge)
+                return t + 2.0 * heat / (c + sqrt(c * c + 2.0 * slope * heat));
+            heat -= to_edge;
+            t = edge;
+            cell += up ? 1 : -1;
+        }
+    }
+}
+
+INLINE void balance(const int W, const Structure *s, const Work *w,
+                    const double *heat, double *restrict net)
+{
+    const int32_t *const *sec = s->section;
+    memset(net, 0, sizeof(double) * (size_t)s->count[COUNT_NODES] * W);
+    for (int k = 0; k < s->count[COUNT_LINKS]; k++) {
+        const double *restrict q = w->flow + (size_t)k * W;
+        double *a = net + (size_t)sec[LINK_A][k] * W;
+        double *b = net + (size_t)sec[LINK_B][k] * W;
+        for (int l = 0; l < W; l++) a[l] -= q[l];
+        for (int l = 0; l < W; l++) b[l] += q[l];
+    }
+    for (int k = 0; k < s->count[COUNT_SOURCES]; k++) {
+        double *a = net + (size_t)sec[SOURCE_NODE][k] * W;
+        for (int l = 0; l < W; l++) a[l] += heat[(size_t)k * W + l];
+    }
+}
+
+INLINE void factorise(const int W, const Structure *s, Work *w, double gdt)
+{
+    const int32_t *const *sec = s->section;
+    double *restrict d = w->diagonal, *restrict off = w->off;
+    const double *mask = w->free_mask;
+    double inverse[LANES];
+    memcpy(d, w->capacity, sizeof(double) * s->count[COUNT_NODES] * W);
+    memset(off, 0, sizeof(double) * (size_t)s->count[COUNT_ENTRIES] * W);
+    for (int k = 0; k < s->count[COUNT_LINKS]; k++) {
+        const size_t a = (size_t)sec[LINK_A][k] * W;
+        const size_t b = (size_t)sec[LINK_B][k] * W;
+        const double *restrict g = w->g + (size_t)k * W;
+        for (int l = 0; l < W; l++) d[a + l] += gdt * g[l];
+        for (int l = 0; l < W; l++) d[b + l] += gdt * g[l];
+        if (sec[LINK_ENTRY][k] >= 0) {
+            double *e = off + (size_t)sec[LINK_ENTRY][k] * W;
+            for (int l = 0; l < W; l++)
+                e[l] -= gdt * g[l] * (mask[a + l] * mask[b + l]);
+        }
+    }
+    for (size_t i = 0; i < (size_t)s->count[COUNT_NODES] * W; i++)
+        d[i] = mask[i] > 0.0 ? d[i] : 1.0;
+    for (int p = 0; p < s->count[COUNT_PIVOTS]; p++) {
+        double *dp = d + (size_t)sec[PIVOT_NODE][p] * W;
+        for (int l = 0; l < W; l++) inverse[l] = 1.0 / dp[l];
+        for (int o = sec[PIVOT_OPERATION_START][p];
+             o < sec[PIVOT_OPERATION_START][p + 1]; o++) {
+            const double *left = off + (size_t)sec[OPERATION_LEFT][o] * W;
+            const double *right = off + (size_t)sec[OPERATION_RIGHT][o] * W;
+            const int target = sec[OPERATION_TARGET][o];
+            double *y = target >= 0 ? off + (size_t)target * W
+                                    : d + (size_t)(-1 - target) * W;
+            double amount[LANES];
+            for (int l = 0; l < W; l++)
+                amount[l] = left[l] * inverse[l] * right[l];
+            for (int l = 0; l < W; l++) y[l] -= amount[l];
+        }
+        for (int e = sec[PIVOT_ENTRY_START][p];
+             e < sec[PIVOT_ENTRY_START][p + 1]; e++)
+            for (int l = 0; l < W; l++) off[(size_t)e * W + l] *= inverse[l];
+        for (int l = 0; l < W; l++) dp[l] = inverse[l];
+    }
+}
+
+INLINE void solve(const int W, const Structure *s, const Work *w, double gdt,
+                  double sign, double *restrict rhs)
+{
+    const int32_t *const *sec = s->section;
+    const double *mask = w->free_mask, *rate = w->rate;
+    const double *off = w->off;
+    for (int k = 0; k < s->count[COUNT_LINKS]; k++) {
+        const size_t a = (size_t)sec[LINK_A][k] * W;
+        const size_t b = (size_t)sec[LINK_B][k] * W;
+        const double *restrict g = w->g + (size_t)k * W;
+        for (int l = 0; l < W; l++) {
+            const double c = gdt * g[l] * sign;
+            if (!(mask[b + l] > 0.0)) rhs[a + l] += c * rate[b + l];
+            if (!(mask[a + l] > 0.0)) rhs[b + l] += c * rate[a + l];
+        }
+    }
+    for (size_t i = 0; i < (size_t)s->count[COUNT_NODES] * W; i++)
+        if (!(mask[i] > 0.0)) rhs[i] = sign * rate[i];
+    for (int p = 0; p < s->count[COUNT_PIVOTS]; p++) {
+        const double *known = rhs + (size_t)sec[PIVOT_NODE][p] * W;
+        for (int e = sec[PIVOT_ENTRY_START][p];
+             e < sec[PIVOT_ENTRY_START][p + 1]; e++) {
+            double *y = rhs + (size_t)sec[ENTRY_ROW][e] * W;
+            for (int l = 0; l < W; l++)
+                y[l] -= off[(size_t)e * W + l] * known[l];
+        }
+    }
+    for (int p = s->count[COUNT_PIVOTS] - 1; p >= 0; p--) {
+        const size_t node = (size_t)sec[PIVOT_NODE][p] * W;
+        double x[LANES];
+        for (int l = 0; l < W; l++) x[l] = rhs[node + l] * w->diagonal[node + l];
+        for (int e = sec[PIVOT_ENTRY_START][p];
+             e < sec[PIVOT_ENTRY_START][p + 1]; e++) {
+            const double *y = rhs + (size_t)sec[ENTRY_ROW][e] * W;
+            for (int l = 0; l < W; l++) x[l] -= off[(size_t)e * W + l] * y[l];
+        }
+        for (int l = 0; l < W; l++) rhs[node + l] = x[l];
+    }
+}
+
+/* Conductances, sources, memory values and link flows at w->slots. */
+INLINE void flows(const int W, const Structure *s, Work *w, double *g,
+                  double *heat, double *value)
+{
+    const int n = s->count[COUNT_NODES], nl = s->count[COUNT_LINKS];
+    const int ns = s->count[COUNT_SOURCES];
+    for (int k = 0; k < nl; k++) {
+        const double *restrict a =
+            w->slots + (size_t)s->section[LINK_A][k] * W;
+        const double *restrict b =
+            w->slots + (size_t)s->section[LINK_B][k] * W;
+        double conductance[LANES];
+        double *restrict q = w->flow + (size_t)k * W;
+        product(W, s, w, n + k, n + k, conductance);
+        for (int l = 0; l < W; l++) q[l] = conductance[l] * (a[l] - b[l]);
+        if (g != NULL)
+            for (int l = 0; l < W; l++) g[(size_t)k * W + l] = conductance[l];
+    }
+    for (int k = 0; k < ns; k++)
+        product(W, s, w, n + nl + k, n + nl + k, heat + (size_t)k * W);
+    for (int m = 0; m < s->count[COUNT_MEMORIES]; m++)
+        product(W, s, w, n + nl + ns + m, n + nl + ns + 3 * m,
+                value + (size_t)m * W);
+}
+
+INLINE double bounded(const Work *w, int first, int m, int W, int l, double x)
+{
+    const double lower = w->floats[(size_t)(first + 3 * m + 1) * W + l];
+    const double upper = w->floats[(size_t)(first + 3 * m + 2) * W + l];
+    if (x < lower) x = lower;
+    return x > upper ? upper : x;
+}
+
+INLINE void link_energy(const int W, const Structure *s, const Work *w,
+                        double gdt, int k, const double *x, double *restrict y)
+{
+    const double *a = x + (size_t)s->section[LINK_A][k] * W;
+    const double *b = x + (size_t)s->section[LINK_B][k] * W;
+    const double *restrict g = w->g + (size_t)k * W;
+    const double *restrict q = w->flow + (size_t)k * W;
+    for (int l = 0; l < W; l++)
+        y[l] = q[l] + gdt * (g[l] * (a[l] - b[l]));
+}
+
+/* One step of W members; their inputs are already in w->slots. */
+INLINE void step(const int W, const Structure *s, Work *w, double dt)
+{
+    const int n = s->count[COUNT_NODES], nm = s->count[COUNT_MEMORIES];
+    const int nl = s->count[COUNT_LINKS], ns = s->count[COUNT_SOURCES];
+    const int memory_first = n + nl + ns;
+    const double gdt = (1.0 - 1.0 / sqrt(2.0)) * dt, half = 0.5 * dt;
+    const int32_t *const *sec = s->section;
+    double *slots = w->slots, *state = w->state;
+
+    for (int i = 0; i < n; i++) {
+        const int channel = sec[NODE_INPUT][i];
+        for (int l = 0; l < W; l++) {
+            const size_t at = (size_t)i * W + l;
+            const double target =
+                channel < 0 ? NAN : slots[(size_t)(n + nm + channel) * W + l];
+            const int gone = isnan(target);
+            w->free_mask[at] = gone && sec[NODE_FREE][i] ? 1.0 : 0.0;
+            w->rate[at] = gone ? 0.0 : (target - state[at]) / dt;
+        }
+    }
+
+    memcpy(slots, state, sizeof(double) * (size_t)(n + nm) * W);
+    evaluate(W, s, w, 1);
+    for (int i = 0; i < n; i++) {
+        const size_t at = (size_t)i * W;
+        product(W, s, w, i, i, w->base + at);
+        const int table = sec[NODE_TABLE][i];
+        double own[LANES];
+        if (table < 0)
+            for (int l = 0; l < W; l++) own[l] = 1.0;
+        else
+            look_up(W, w->floats, sec[TABLE_OFFSET][table],
+                    sec[TABLE_POINTS][table], state + at, own);
+        for (int l = 0; l < W; l++)
+            w->capacity[at + l] = w->base[at + l] * own[l];
+    }
+    flows(W, s, w, w->g, w->heat, w->value1);
+    balance(W, s, w, w->heat, w->x1);
+    factorise(W, s, w, gdt);
+    solve(W, s, w, gdt, 1.0, w->x1);
+    for (int k = 0; k < nl; k++)
+        link_energy(W, s, w, gdt, k, w->x1, w->energy1 + (size_t)k * W);
+    for (int i = 0; i < n; i++)
+        for (int l = 0; l < W; l++) {
+            const size_t at = (size_t)i * W + l;
+            slots[at] = w->free_mask[at] > 0.0
+                ? heated(s, w->floats + l, W, i, state[at], w->base[at],
+                         w->capacity[at], dt * w->x1[at])
+                : state[at] + dt * w->rate[at];
+        }
+    for (int m = 0; m < nm; m++)
+        for (int l = 0; l < W; l++) {
+            const size_t at = (size_t)(n + m) * W + l;
+            const double old = state[at], v = w->value1[(size_t)m * W + l];
+            const double x = sec[MEMORY_KIND][m] == 0 ? old + dt * v
+                                                      : (v > old ? v : old);
+            slots[at] = bounded(w, memory_first, m, W, l, x);
+        }
+
+    evaluate(W, s, w, 0);
+    flows(W, s, w, NULL, w->heat2, w->value2);
+    balance(W, s, w, w->heat2, w->x2);
+    for (size_t i = 0; i < (size_t)n * W; i++)
+        w->x2[i] -= 2.0 * (w->capacity[i] * w->x1[i]);
+    solve(W, s, w, gdt, -1.0, w->x2);
+    for (int k = 0; k < nl; k++) {
+        double energy2[LANES];
+        link_energy(W, s, w, gdt, k, w->x2, energy2);
+        for (int l = 0; l < W; l++)
+            w->ledger[(size_t)k * W + l] +=
+                half * (w->energy1[(size_t)k * W + l] + energy2[l]);
+    }
+    for (size_t i = 0; i < (size_t)ns * W; i++)
+        w->ledger[(size_t)nl * W + i] += half * (w->heat[i] + w->heat2[i]);
+    for (int i = 0; i < n; i++)
+        for (int l = 0; l < W; l++) {
+            const size_t at = (size_t)i * W + l;
+            state[at] = w->free_mask[at] > 0.0
+                ? heated(s, w->floats + l, W, i, state[at], w->base[at],
+                         w->capacity[at],
+                         dt * (1.5 * w->x1[at] + 0.5 * w->x2[at]))
+                : slots[at];
+        }
+    for (int m = 0; m < nm; m++)
+        for (int l = 0; l < W; l++) {
+            const size_t at = (size_t)(n + m) * W + l;
+            const double old = state[at], v = w->value2[(size_t)m * W + l];
+            const double x = sec[MEMORY_KIND][m] == 0
+                ? old + half * (w->value1[(size_t)m * W + l] + v)
+                : (v > old ? v : old);
+            state[at] = bounded(w, memory_first, m, W, l, x);
+        }
+}
+
+/* ---------------------------------------------------------------- march */
+
+typedef struct {
+    const Structure *s;
+    const double *floats;     /* [members][floats] */
+    double *state;            /* [members][nodes + memories] */
+    const double *inputs;     /* [steps][sets][inputs] */
+    const int32_t *set_of;    /* [members] */
+    double *ledger;           /* [members][links + sources] */
+    double *outputs;          /* [outputs][members][state + sources] */
+    Py_ssize_t members, sets, steps;
+    double dt;
+    int every, phase;
+} March;
+
+INLINE void gather(const int W, double *to, const double *from, size_t n)
+{
+    for (size_t i = 0; i < n; i++)
+        for (int l = 0; l < W; l++) to[i * W + l] = from[l * n + i];
+}
+
+INLINE void scatter(const int W, double *to, const double *from, size_t n)
+{
+    for (size_t i = 0; i < n; i++)
+        for (int l = 0; l < W; l++) to[l * n + i] = from[i * W + l];
+}
+
+INLINE void march_block(const int W, const March *m, Work *w, size_t first)
+{
+    const Structure *s = m->s;
+    const size_t ni = s->count[COUNT_INPUTS], ns = s->count[COUNT_SOURCES];
+    const size_t states = s->count[COUNT_NODES] + s->count[COUNT_MEMORIES];
+    const size_t nl = s->count[COUNT_LINKS], width = states + ns;
+    const size_t floats = s->count[COUNT_FLOATS];
+    gather(W, w->floats, m->floats + first * floats, floats);
+    gather(W, w->state, m->state + first * states, states);
+    gather(W, w->ledger, m->ledger + first * (nl + ns), nl + ns);
+    double *out = m->outputs;
+    int due = m->phase;
+    for (Py_ssize_t t = 0; t < m->steps; t++) {
+        const double *row = m->inputs + (size_t)t * m->sets * ni;
+        for (int l = 0; l < W; l++) {
+            const double *channels = row + (size_t)m->set_of[first + l] * ni;
+            for (size_t c = 0; c < ni; c++)
+                w->slots[(states + c) * W + l] = channels[c];
+        }
+        step(W, s, w, m->dt);
+        if (--due == 0) {
+            for (int l = 0; l < W; l++) {
+                double *to = out + (first + l) * width;
+                for (size_t i = 0; i < states; i++)
+                    to[i] = w->state[i * W + l];
+                for (size_t i = 0; i < ns; i++)
+                    to[states + i] = w->ledger[(nl + i) * W + l];
+            }
+            out += (size_t)m->members * width;
+            due = m->every;
+        }
+    }
+    scatter(W, m->state + first * states, w->state, states);
+    scatter(W, m->ledger + first * (nl + ns), w->ledger, nl + ns);
+}
+
+static void march_one(const March *m, Work *w, size_t first)
+{
+    march_block(1, m, w, first);
+}
+
+static void march_lanes(const March *m, Work *w, size_t first)
+{
+    march_block(LANES, m, w, first);
+}
+
+static int march_all(const March *m)
+{
+    double *memory = malloc(sizeof(double) * work_doubles(m->s) * LANES);
+    if (memory == NULL) return -1;
+    Work w;
+    size_t first = 0;
+    if (m->members >= LANES) {
+        work_layout(&w, m->s, memory, LANES);
+        for (; first + LANES <= (size_t)m->members; first += LANES)
+            march_lanes(m, &w, first);
+    }
+    work_layout(&w, m->s, memory, 1);
+    for (; first < (size_t)m->members; first++) march_one(m, &w, first);
+    free(memory);
+    return 0;
+}
+
+/* --------------------------------------------------------------- Python */
+
+PyDoc_STRVAR(march_doc,
+"march(ints, floats, state, inputs, set_of_member, ledger, outputs, members,\n"
+"      sets, steps, dt_s, output_every, output_phase)\n\n"
+"March members through steps; buffers of int32 and float64, contiguous.\n"
+"floats [members, floats]; state [members, nodes + memories], in place;\n"
+"inputs [steps, sets, inputs]; set_of_member [members];\n"
+"ledger [members, links + sources], added to; outputs [outputs, members,\n"
+"nodes + memories + sources], filled. ValueError where sizes do not fit.");
+
+static PyObject *py_march(PyObject *Py_UNUSED(self), PyObject *args)
+{
+    PyObject *object[7];
+    March m;
+    Py_ssize_t every, phase;
+    if (!PyArg_ParseTuple(args, "OOOOOOOnnndnn", &object[0], &object[1],
+                          &object[2], &object[3], &object[4], &object[5],
+                          &object[6], &m.members, &m.sets, &m.steps, &m.dt,
+                          &every, &phase))
+        return NULL;
+    static const int writable[7] = {0, 0, 1, 0, 0, 1, 1};
+    static const int wide[7] = {4, 8, 8, 8, 4, 8, 8};
+    Py_buffer view[7];
+    if (bstm_buffers(7, object, writable, wide, view) < 0) return NULL;
+    Structure s;
+    const char *wrong = parse(&s, view[0].buf, view[0].len / 4);
+    if (wrong == NULL) {
+        const Py_ssize_t states =
+            s.count[COUNT_NODES] + s.count[COUNT_MEMORIES];
+        const Py_ssize_t ns = s.count[COUNT_SOURCES];
+        const Py_ssize_t limit = PY_SSIZE_T_MAX / 64;
+        if (m.members < 0 || m.sets < 1 || m.steps < 0 || every < 1
+            || phase < 1 || every > limit || phase > limit || !(m.dt > 0.0)
+            || every > INT32_MAX || phase > INT32_MAX)
+            wrong = "a count or the step is out of range";
+        else {
+            const Py_ssize_t outputs =
+                m.steps < phase ? 0 : 1 + (m.steps - phase) / every;
+            if (view[1].len / 8 != m.members * s.count[COUNT_FLOATS]
+                || view[2].len / 8 != m.members * states
+                || view[3].len / 8 != m.steps * m.sets * s.count[COUNT_INPUTS]
+                || view[4].len / 4 != m.members
+                || view[5].len / 8
+                    != m.members * (s.count[COUNT_LINKS] + ns)
+                || view[6].len / 8 < outputs * m.members * (states + ns))
+                wrong = "a buffer has the wrong size";
+            else if (!within(view[4].buf, (int)m.members, 0, (int)m.sets))
+                wrong = "a member has no input set";
+        }
+    }
+    int failed = 0;
+    if (wrong == NULL) {
+        m.s = &s;
+        m.floats = view[1].buf;
+        m.state = view[2].buf;
+        m.inputs = view[3].buf;
+        m.set_of = view[4].buf;
+        m.ledger = view[5].buf;
+        m.outputs = view[6].buf;
+        m.every = (int)every;
+        m.phase = (int)phase;
+        Py_BEGIN_ALLOW_THREADS
+        failed = march_all(&m);
+        Py_END_ALLOW_THREADS
+    }
+    for (int i = 0; i < 7; i++) PyBuffer_Release(&view[i]);
+    if (wrong != NULL) {
+        PyErr_SetString(PyExc_ValueError, wrong);
+        return NULL;
+    }
+    if (failed) return PyErr_NoMemory();
+    Py_RETURN_NONE;
+}
+
+int bstm_buffers(int n, PyObject **object, const int *writable,
+                 const int *wide, Py_buffer *view)
+{
+    for (int i = 0; i < n; i++) {
+        const int flags = writable[i] ? PyBUF_CONTIG : PyBUF_CONTIG_RO;
+        int bad = PyObject_GetBuffer(object[i], &view[i], flags) < 0;
+        if (!bad && view[i].itemsize != wide[i]) {
+            PyErr_Format(PyExc_ValueError,
+                         "buffer %d holds items of %zd bytes, not %d", i,
+                         view[i].itemsize, wide[i]);
+            PyBuffer_Release(&view[i]);
+            bad = 1;
+        }
+        if (bad) {
+            while (i-- > 0) PyBuffer_Release(&view[i]);
+            return -1;
+        }
+    }
+    return 0;
+}
+
+static PyMethodDef methods[] = {
+    {"march", py_march, METH_VARARGS, march_doc},
+    {"sample_pass", bstm_sample_pass, METH_VARARGS, bstm_sample_pass_doc},
+    {NULL, NULL, 0, NULL},
+};
+
+static struct PyModuleDef module = {
+    PyModuleDef_HEAD_INIT, "_kernel",
+    "Compiled step of a thermal network and compiled pass over samples.", -1,
+    methods, NULL, NULL, NULL, NULL,
+};
+
+PyMODINIT_FUNC PyInit__kernel(void) { return PyModule_Create(&module); }

@@ -1,0 +1,358 @@
+"""Candump lines of one layout, parsed as columns.
+
+Nearly all lines of a log look alike: stamps of the same width, a handful of
+interfaces, ids of 3 or 8 digits. Such a *layout* has every character of the
+line's header at a fixed place, so that NumPy reads all its lines at once,
+8 characters in a 64-bit word. What a layout does not settle is left for
+:mod:`~bstm_daemon.bus.candump_line`, whose verdict is the same for every
+line that is settled here.
+"""
+
+from collections.abc import Collection
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from bstm_daemon.bus.candump_line import (
+    EXTENDED_MAX,
+    STANDARD_MAX,
+    Header,
+)
+from bstm_daemon.bus.extraction import FD_LENGTHS
+from bstm_daemon.bus.frame_chunk import FrameChunk
+
+Integers = npt.NDArray[np.int64]
+Words = npt.NDArray[np.uint64]
+Flags = npt.NDArray[np.bool_]
+
+PADDING: Final = 512
+"""Bytes that must follow the text, so that records may reach beyond it."""
+
+_INVALID: Final = 0x80
+_HEX: Final = bytes(
+    int(chr(c), 16) if chr(c) in "0123456789abcdefABCDEF" else _INVALID
+    for c in range(256)
+)
+_INVALID_WORD: Final = np.uint64(0x8080808080808080)
+_LONGEST_HEADER: Final = 128
+_IS_FD_LENGTH: Final = np.isin(np.arange(65), FD_LENGTHS)
+
+
+def _words(values: npt.NDArray[Any]) -> Words:
+    """Return byte values as words of 8, the first byte lowest."""
+    return values.astype(np.uint8).view("<u8")
+
+
+def _prefix_masks(words: int) -> Words:
+    """Return masks (8 * words + 1, words): row k keeps the first k bytes."""
+    size = 8 * words
+    kept = np.arange(size) < np.arange(size + 1)[:, np.newaxis]
+    return _words(np.where(kept, 0xFF, 0))
+
+
+_PREFIX: Final = {words: _prefix_masks(words) for words in (2, 16)}
+
+
+@dataclass(frozen=True, slots=True)
+class Text:
+    """Whole lines: ``starts`` and ``ends`` (at the newline) in ``buffer``."""
+
+    buffer: npt.NDArray[np.uint8]
+    starts: Integers
+    ends: Integers
+    first_line: int
+    has_returns: bool
+
+    def line(self, index: int) -> bytes:
+        """Return line *index* without its newline."""
+        return self.buffer[self.starts[index] : self.ends[index]].tobytes()
+
+    def records(self, at: Integers, size: int) -> Words:
+        """Return *size* (a multiple of 8) bytes from each *at* on, as words.
+
+        Shape (n, size / 8). One copy of a record is as fast as one of a word.
+        """
+        windows: npt.NDArray[np.void] = np.ndarray(
+            (len(self.buffer) - size + 1,),
+            np.dtype((np.void, size)),
+            self.buffer.data,
+            0,
+            (1,),
+        )
+        return windows[at].view("<u8").reshape(len(at), size // 8)
+
+    def ends_without_return(self, lines: Integers) -> Integers:
+        """Return where *lines* end, a ``\\r`` before the newline left out."""
+        ends = self.ends[lines]
+        if self.has_returns:
+            ends -= self.buffer[ends - 1] == ord("\r")
+        return ends
+
+
+class Channel:
+    """An interface of a log and the ids wanted from it.
+
+    ``wanted`` is a collection of (id, extended), or ``None`` where the
+    interface stands for no bus; ``everything`` overrides it.
+    """
+
+    def __init__(
+        self,
+        number: int,
+        wanted: Collection[tuple[int, bool]] | None,
+        *,
+        everything: bool = False,
+    ) -> None:
+        self.number = number
+        self.known = everything or wanted is not None
+        self._everything = everything
+        self._wanted = frozenset(wanted or ())
+        standard = [key[0] for key in self._wanted if not key[1]]
+        self._standard = np.zeros(STANDARD_MAX + 1, np.bool_)
+        self._standard[standard] = True
+        self._extended = np.array(
+            sorted(key[0] for key in self._wanted if key[1]), np.int64
+        )
+
+    def wants(self, can_id: int, extended: bool) -> bool:  # noqa: FBT001
+        """Whether frames of (*can_id*, *extended*) are wanted."""
+        return self._everything or (can_id, extended) in self._wanted
+
+    def wants_each(self, ids: Integers, *, extended: bool) -> Flags:
+        """Return for each of *ids* whether it is wanted."""
+        if self._everything:
+            return np.ones(len(ids), np.bool_)
+        if not extended:
+            return self._standard[ids & STANDARD_MAX]
+        if not self._extended.size:
+            return np.zeros(len(ids), np.bool_)
+        place = np.searchsorted(self._extended, ids)
+        place[place == len(self._extended)] = 0
+        return np.equal(self._extended[place], ids)
+
+
+@dataclass(frozen=True, slots=True)
+class Scan:
+    """What a layout made of some lines.
+
+    ``pending`` are the lines it does not settle. ``ids`` and ``counts`` tell
+    of all settled lines, ``refused`` of them were not wanted; ``parts`` are
+    the frames of the others.
+    """
+
+    pending: Integers
+    ids: Integers
+    counts: Integers
+    refused: int
+    parts: list[FrameChunk]
+
+
+class Layout:
+    """All lines with the header of an example, but other digits.
+
+    Frames are read from lines that do or do not have a direction flag at
+    their end, as the example.
+    """
+
+    def __init__(
+        self, header: Header, channel: Channel, *, flagged: bool
+    ) -> None:
+        """Take the places of the digits from *header*."""
+        self.channel = channel
+        self._flagged = flagged
+        self.extended = len(header.id_digits) == 8
+        self._seconds = len(header.seconds)
+        self._fraction = len(header.fraction)
+        self._id_at = header.end - len(header.id_digits) - 1
+        self._end = header.end
+        stamp = (
+            b"(" + b"0" * self._seconds + b"." + b"0" * self._fraction + b")"
+        )
+        text = stamp + header.gap + b"\0" * len(header.id_digits) + b"#"
+        # any field of up to 8 bytes can be read within a record
+        self._size = -(-(len(text) + 8) // 8) * 8
+        expected = np.frombuffer(text.ljust(self._size, b"\0"), np.uint8)
+        fixed = expected != 0
+        digit = (expected == ord("0")) & (np.arange(self._size) < len(stamp))
+        # of byte ^ expected: 0x80 is reached by what is no digit, or differs
+        carry = np.where(digit, 0x80 - 10, np.where(fixed, 0x80 - 1, 0))
+        self._expected = _words(expected)
+        self._carry = _words(carry)
+        self._mask = _words(np.where(fixed, 0x80, 0))
+
+    @staticmethod
+    def covers(header: Header) -> bool:
+        """Whether lines with *header* can be read as columns."""
+        return len(header.id_digits) != 5 and header.end <= _LONGEST_HEADER
+
+    def scan(self, text: Text, lines: Integers) -> Scan:
+        """Settle those of *lines* that have this layout."""
+        heads = text.records(text.starts[lines], self._size)
+        ids, settled = self._ids(heads)
+        settled &= self._matches(heads)
+        parts = []
+        refused = np.count_nonzero(settled)
+        if self.channel.known:
+            wanted = self.channel.wants_each(ids, extended=self.extended)
+            rows = np.flatnonzero(settled & wanted)
+            refused -= len(rows)
+            is_fd = _field(heads, self._end, "u1")[rows] == ord("#")
+            for fd, group in ((False, rows[~is_fd]), (True, rows[is_fd])):
+                if group.size:
+                    part, bad = self._frames(
+                        text, lines[group], _rows(heads, group), ids[group], fd=fd
+                    )
+                    settled[group[bad]] = False
+                    parts.append(part)
+        if settled.all():
+            pending = lines[:0]
+        else:
+            pending, ids = lines[~settled], ids[settled]
+        return Scan(pending, *self._tally(ids), int(refused), parts)
+
+    def _matches(self, heads: Words) -> Flags:
+        """Whether every character of the header but the id is right.
+
+        Eight characters at once; a carry out of a byte comes only from one
+        that is wrong already.
+        """
+        wrong = np.zeros(len(heads), np.uint64)
+        for word, mask in enumerate(self._mask):
+            if mask:
+                differs = heads[:, word] ^ self._expected[word]
+                carried = differs + self._carry[word]
+                carried |= differs
+                if mask != _INVALID_WORD:
+                    carried &= mask
+                wrong |= carried
+        wrong &= _INVALID_WORD
+        return np.equal(wrong, 0)
+
+    def _ids(self, heads: Words) -> tuple[Integers, Flags]:
+        """Return the ids and whether each is one."""
+        if self.extended:
+            nibbles = _from_hex(_field(heads, self._id_at, "<u8"))
+            valid = np.equal(nibbles & _INVALID_WORD, 0)
+            ids = (nibbles << 4 | nibbles >> 8) & 0x00FF00FF00FF00FF
+            ids = (ids << 8 | ids >> 16) & 0x0000FFFF0000FFFF
+            ids = (ids << 16 | ids >> 32) & 0xFFFFFFFF
+            return ids.astype(np.int64), valid & (ids <= EXTENDED_MAX)
+        nibbles = _from_hex(_field(heads, self._id_at, "<u4"))
+        valid = np.equal(nibbles & 0x808080, 0)
+        ids = (nibbles & 0xF) << 8 | nibbles >> 4 & 0xF0 | nibbles >> 16 & 0xF
+        return ids.astype(np.int64), valid & (ids <= STANDARD_MAX)
+
+    def _frames(
+        self,
+        text: Text,
+        lines: Integers,
+        heads: Words,
+        ids: Integers,
+        *,
+        fd: bool,
+    ) -> tuple[FrameChunk, Flags]:
+        """Return the frames in *lines* and which lines are not one."""
+        at = text.starts[lines] + (self._end + 2 if fd else self._end)
+        ends = text.ends_without_return(lines)
+        words = 16 if fd else 2
+        bad = np.zeros(len(lines), np.bool_)
+        if self._flagged:
+            letter = text.buffer[ends - 1] & ~np.uint8(0x20)
+            bad |= (letter != ord("R")) & (letter != ord("T"))
+            bad |= text.buffer[ends - 2] != ord(" ")
+            ends -= 2
+        size = ends - at
+        bad |= (size < 0) | (size > 8 * words) | (size & 1).astype(np.bool_)
+        size[bad] = 0
+        length = size >> 1
+        if fd:
+            flag = text.buffer[at - 1].tobytes().translate(_HEX)
+            bad |= np.frombuffer(flag, np.uint8) == _INVALID
+            bad |= ~_IS_FD_LENGTH[length]
+        nibbles = _from_hex(text.records(at, 8 * words))
+        if size.min() < 8 * words:
+            nibbles = nibbles & _PREFIX[words][size]
+        bad |= np.not_equal(_any_bit(nibbles) & _INVALID_WORD, 0)
+        if bad.any():
+            good = ~bad
+            lines, heads, ids = lines[good], heads[good], ids[good]
+            length, nibbles = length[good], nibbles[good]
+        width = 8 if length.max(initial=0) <= 8 else 64
+        part = FrameChunk(
+            time_us=self._time_us(heads),
+            line=lines + text.first_line,
+            channel=np.full(len(lines), self.channel.number, np.int16),
+            can_id=ids.astype(np.uint32),
+            extended=np.full(len(lines), self.extended),
+            length=length.astype(np.uint8),
+            data=_packed(nibbles)[:, :width],
+        )
+        return part, bad
+
+    def _time_us(self, heads: Words) -> Integers:
+        low = min(self._seconds, 8)
+        high = self._seconds - low
+        seconds = _decimal(heads, 1 + high, low)
+        if high:
+            seconds += _decimal(heads, 1, high) * 10**8
+        digits = min(self._fraction, 6)
+        fraction = _decimal(heads, self._seconds + 2, digits)
+        return seconds * 10**6 + fraction * 10 ** (6 - digits)
+
+    def _tally(self, ids: Integers) -> tuple[Integers, Integers]:
+        if self.extended:
+            found, counts = np.unique(ids, return_counts=True)
+            return found, counts.astype(np.int64)
+        counts = np.bincount(ids).astype(np.int64)
+        found = np.flatnonzero(counts).astype(np.int64)
+        return found, counts[found]
+
+
+def _field(records: Words, at: int, kind: str) -> npt.NDArray[Any]:
+    """Return the number of *kind* that starts at byte *at* of each record."""
+    if not len(records):
+        return np.empty(0, kind)
+    stride = records.shape[1] * 8
+    return np.ndarray((len(records),), kind, records.data, at, (stride,))
+
+
+def _rows(records: Words, rows: Integers) -> Words:
+    """Return *rows* of *records*, each copied as one item."""
+    items = records.view(np.dtype((np.void, records.shape[1] * 8)))[:, 0]
+    return items[rows].view("<u8").reshape(len(rows), records.shape[1])
+
+
+def _any_bit(words: Words) -> Words:
+    """Return the words of each row, or-ed together."""
+    if words.shape[1] == 2:
+        return words[:, 0] | words[:, 1]
+    return np.bitwise_or.reduce(words, axis=1)
+
+
+def _from_hex(words: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Replace each hex digit by its value, any other byte by 0x80."""
+    text = words.tobytes().translate(_HEX)
+    return np.frombuffer(text, words.dtype).reshape(words.shape)
+
+
+def _packed(nibbles: Words) -> npt.NDArray[np.uint8]:
+    """Return the bytes (n, 4 * words) of pairs of nibbles (n, words)."""
+    pairs = (nibbles << 4 | nibbles >> 8) & 0x00FF00FF00FF00FF
+    pairs = (pairs | pairs >> 8) & 0x0000FFFF0000FFFF
+    pairs |= pairs >> 16
+    return pairs.astype("<u4").view(np.uint8)
+
+
+def _decimal(records: Words, at: int, digits: int) -> Integers:
+    """Return the number in the *digits* (1 to 8) digits from byte *at* on.
+
+    All digits of a word at once: pairs, then fours, then eight.
+    """
+    word = _field(records, at, "<u8") << (8 * (8 - digits))
+    word &= 0x0F0F0F0F0F0F0F0F
+    word = ((word * (10 * 2**8 + 1)) >> 8) & 0x00FF00FF00FF00FF
+    word = ((word * (100 * 2**16 + 1)) >> 16) & 0x0000FFFF0000FFFF
+    word = (word * (10000 * 2**32 + 1)) >> 32
+    return word.astype(np.int64)

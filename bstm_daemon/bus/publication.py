@@ -1,0 +1,260 @@
+"""From one snapshot of the estimate to the frames that are due.
+
+Nothing here sends, reads a clock or knows a socket: :class:`Publication`
+turns a :class:`Snapshot` with its grid time into bytes. Its only state are
+the counters of the end-to-end protection, which a restart takes over.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from math import isfinite, nan
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+from bstm_daemon.bus.e2e import COUNTER_COUNT, protect
+from bstm_daemon.bus.output_layout import (
+    LAYOUT_VERSION,
+    RISK_SIGNALS,
+    STATUS_SIGNALS,
+    TEMPERATURES_SIGNALS,
+    Frame,
+    HeatMode,
+    RiskLevel,
+    State,
+    Validity,
+    own_ids,
+    published_frames,
+)
+from bstm_daemon.units import to_celsius
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
+ELEVATED_MARGIN_K: Final = 40.0
+"""The fluid estimate may be off by 30 K over a whole descent (thesis, section
+1.3, reached in section 6) and vapour lock begins some K below the equilibrium
+boiling point: from 40 K on, boiling is no longer excluded."""
+
+HIGH_MARGIN_K: Final = 20.0
+"""Two thermocouples in the same disc differ by up to 20 K (thesis, section
+3.2): nearer than this, even a measurement would not rule boiling out."""
+
+CRITICAL_MARGIN_K: Final = 0.0
+"""The fluid has the temperature at which a wet fluid of its grade boils."""
+
+_STATUS: Final = {signal.name: signal for signal in STATUS_SIGNALS}
+_TEMPERATURES: Final = {signal.name: signal for signal in TEMPERATURES_SIGNALS}
+_RISK: Final = {signal.name: signal for signal in RISK_SIGNALS}
+
+
+class OutputFrame(NamedTuple):
+    """A frame ready to send."""
+
+    can_id: int
+    extended: bool
+    data: bytes
+    name: str
+
+
+@dataclass(frozen=True, slots=True)
+class CornerSnapshot:
+    """One corner: temperatures and boiling point in kelvin, NaN if unknown.
+
+    ``margin_k`` is the wet boiling point minus the fluid temperature.
+    """
+
+    disc_k: float = nan
+    pad_front_k: float = nan
+    pad_back_k: float = nan
+    fluid_k: float = nan
+    margin_k: float = nan
+    wet_boiling_k: float = nan
+    validity: Validity = Validity.NOT_AVAILABLE
+
+
+_NO_CORNER: Final = CornerSnapshot()
+
+
+@dataclass(frozen=True, slots=True)
+class StatusSnapshot:
+    """The daemon itself. Counts are totals since the start.
+
+    A ``*_stale`` flag says that an input of that kind, which the heat mode
+    uses, is older than its time-out.
+    """
+
+    state: State = State.NOT_AVAILABLE
+    heat_mode: HeatMode = HeatMode.NOT_AVAILABLE
+    history_known: bool = False
+    compiled_kernel: bool = False
+    oldest_input_age_s: float = nan
+    rejected_frames: int = 0
+    dropped_frames: int = 0
+    speed_stale: bool = False
+    pressure_stale: bool = False
+    acceleration_stale: bool = False
+    torque_stale: bool = False
+    ambient_stale: bool = False
+    clock_jump: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Snapshot:
+    """Everything published at the grid time ``time_us`` (microseconds)."""
+
+    time_us: int
+    corners: Mapping[str, CornerSnapshot]
+    status: StatusSnapshot = field(default_factory=StatusSnapshot)
+
+
+def risk_level(
+    margin_k: float, validity: Validity, *, history_known: bool
+) -> RiskLevel:
+    """Return the level that belongs to *margin_k*.
+
+    Unknown where the margin is no number, where the estimate is not valid or
+    degraded, and where the history is unknown: a car parked hot would
+    otherwise be reported cold and safe.
+    """
+    usable = validity in (Validity.VALID, Validity.DEGRADED) and history_known
+    if not usable or not isfinite(margin_k):
+        return RiskLevel.UNKNOWN
+    if margin_k <= CRITICAL_MARGIN_K:
+        return RiskLevel.CRITICAL
+    if margin_k <= HIGH_MARGIN_K:
+        return RiskLevel.HIGH
+    if margin_k <= ELEVATED_MARGIN_K:
+        return RiskLevel.ELEVATED
+    return RiskLevel.NORMAL
+
+
+class Publication:
+    """The frames of one car; see ``docs/frames.md``."""
+
+    def __init__(
+        self,
+        corner_names: Iterable[str],
+        id_base: int,
+        counters: Mapping[str, int] | None = None,
+    ) -> None:
+        """Publish *corner_names* from *id_base* on, continuing *counters*.
+
+        *counters* holds the counter of the last frame sent by frame name, as
+        :attr:`counters` gives it; frames it does not name start anew and
+        frames it names that are not ours are forgotten. Raises
+        :class:`~bstm_daemon.errors.ConfigError` where the ids do not fit
+        into 11 bits and :class:`ValueError` for an unknown corner.
+        """
+        self._corners = frozenset(corner_names)
+        self._id_base = id_base
+        self._frames = published_frames(self._corners)
+        self.ids = own_ids(id_base, self._corners)
+        last = counters or {}
+        self._counters = {
+            frame.name: last.get(frame.name, -1) % COUNTER_COUNT
+            for frame in self._frames
+        }
+
+    @property
+    def counters(self) -> dict[str, int]:
+        """The counter (0..15) last sent by frame name, for the state file."""
+        return dict(self._counters)
+
+    def due(self, time_us: int) -> tuple[str, ...]:
+        """Return the names of the frames due at grid time *time_us*."""
+        return tuple(
+            frame.name for frame in self._frames if frame.is_due(time_us)
+        )
+
+    def encode(self, snapshot: Snapshot) -> list[OutputFrame]:
+        """Return the frames due at the time of *snapshot*, lowest id first.
+
+        Never raises for a value: NaN is sent as not available, an infinity
+        as an error, what is out of range as the end of the range. A corner
+        the snapshot does not hold is sent as not available.
+        """
+        return [
+            self._output(frame, self._raw(frame, snapshot))
+            for frame in self._frames
+            if frame.is_due(snapshot.time_us)
+        ]
+
+    def _output(self, frame: Frame, raw: dict[str, int]) -> OutputFrame:
+        counter = (self._counters[frame.name] + 1) % COUNTER_COUNT
+        self._counters[frame.name] = counter
+        return OutputFrame(
+            can_id=self._id_base + frame.id_offset,
+            extended=False,
+            data=protect(frame.pack(raw), counter, frame.data_ids),
+            name=frame.name,
+        )
+
+    def _raw(self, frame: Frame, snapshot: Snapshot) -> dict[str, int]:
+        if frame.corner is None:
+            return self._status(snapshot)
+        corner = snapshot.corners.get(frame.corner, _NO_CORNER)
+        if frame.signals is TEMPERATURES_SIGNALS:
+            return _temperatures(corner)
+        return _risk(corner, history_known=snapshot.status.history_known)
+
+    def _status(self, snapshot: Snapshot) -> dict[str, int]:
+        status = snapshot.status
+        worst = max(
+            (
+                snapshot.corners.get(name, _NO_CORNER).validity
+                for name in self._corners
+            ),
+            default=Validity.NOT_AVAILABLE,
+        )
+        return {
+            "Validity": worst,
+            "LayoutVersion": LAYOUT_VERSION,
+            "State": status.state,
+            "HeatMode": status.heat_mode,
+            "CornersModelled": len(self._corners),
+            "HistoryKnown": status.history_known,
+            "CompiledKernel": status.compiled_kernel,
+            "OldestInputAge": _STATUS["OldestInputAge"].raw(
+                status.oldest_input_age_s
+            ),
+            "SpeedStale": status.speed_stale,
+            "PressureStale": status.pressure_stale,
+            "AccelerationStale": status.acceleration_stale,
+            "TorqueStale": status.torque_stale,
+            "AmbientStale": status.ambient_stale,
+            "ClockJump": status.clock_jump,
+            "RejectedFrames": _STATUS["RejectedFrames"].raw(
+                status.rejected_frames
+            ),
+            "DroppedFrames": _STATUS["DroppedFrames"].raw(
+                status.dropped_frames
+            ),
+        }
+
+
+def _temperatures(corner: CornerSnapshot) -> dict[str, int]:
+    return {
+        "Validity": corner.validity,
+        "Disc": _celsius("Disc", corner.disc_k),
+        "PadFront": _celsius("PadFront", corner.pad_front_k),
+        "PadBack": _celsius("PadBack", corner.pad_back_k),
+        "Fluid": _celsius("Fluid", corner.fluid_k),
+    }
+
+
+def _celsius(name: str, temperature_k: float) -> int:
+    return _TEMPERATURES[name].raw(to_celsius(temperature_k))
+
+
+def _risk(corner: CornerSnapshot, *, history_known: bool) -> dict[str, int]:
+    return {
+        "Validity": corner.validity,
+        "Margin": _RISK["Margin"].raw(corner.margin_k),
+        "WetBoilingPoint": _RISK["WetBoilingPoint"].raw(
+            to_celsius(corner.wet_boiling_k)
+        ),
+        "Probability": _RISK["Probability"].not_available,
+        "Level": risk_level(
+            corner.margin_k, corner.validity, history_known=history_known
+        ),
+    }

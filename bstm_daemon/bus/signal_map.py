@@ -1,0 +1,355 @@
+"""DBC files plus configured roles, compiled into one extraction plan.
+
+:func:`compile_signal_map` is the only place where configuration and DBC
+meet. It reports every problem at once, each as
+``[signals.<role>] key = value: reason, what is allowed``; the caller puts
+the name of the configuration file in front.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from dataclasses import dataclass, field
+from difflib import get_close_matches
+from typing import TYPE_CHECKING, Final
+
+from bstm_daemon.bus.dbc import (
+    UnusableSignalError,
+    load_dbc,
+    multiplexers,
+    raw_signal,
+)
+from bstm_daemon.bus.expression import (
+    Expression,
+    ExpressionError,
+    Name,
+    parse_expression,
+    signal_names,
+)
+from bstm_daemon.bus.extraction import (
+    FD_LENGTHS,
+    Condition,
+    FrameKey,
+    MessagePlan,
+    Output,
+    RawSignal,
+    frame_length,
+)
+from bstm_daemon.errors import ConfigError
+from bstm_daemon.roles import ROLE_INDEX, ROLES, Role
+from bstm_daemon.units import UNITS, Unit
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+    from pathlib import Path
+
+    from cantools.database.can import Database, Message
+
+    from bstm_daemon.config import BusConfig, SignalConfig
+
+_LARGEST: Final = sys.float_info.max
+_LONGEST_LIST: Final = 8
+
+
+@dataclass(frozen=True, slots=True)
+class SignalMap:
+    """The extraction plan of a configuration.
+
+    ``timeouts_us[role]`` is how long a value of a role counts as present.
+    """
+
+    buses: tuple[BusConfig, ...]
+    messages: Mapping[FrameKey, MessagePlan]
+    timeouts_us: tuple[int, ...]
+
+    def wanted(self, bus: int) -> frozenset[tuple[int, bool]]:
+        """Return the (id, extended) that bus number *bus* is read for."""
+        return frozenset(
+            (key.can_id, key.extended)
+            for key in self.messages
+            if key.bus == bus
+        )
+
+    def roles(self) -> frozenset[int]:
+        """Return the numbers of the roles that have a source."""
+        return frozenset(
+            output.role
+            for plan in self.messages.values()
+            for output in plan.outputs
+        )
+
+
+def compile_signal_map(
+    buses: Sequence[BusConfig],
+    signals: Mapping[str, SignalConfig],
+    base: Path,
+    wheel_radius_m: float,
+) -> SignalMap:
+    """Compile *signals* (role name to source) over the DBC files of *buses*.
+
+    DBC paths are relative to *base*; the first bus is the default one. A
+    wheel speed in an angular unit becomes m/s with *wheel_radius_m*. Raises
+    :class:`ConfigError` with all problems.
+    """
+    compiler = _Compiler(buses, base, wheel_radius_m)
+    for role_name, config in signals.items():
+        compiler.add(role_name, config)
+    if compiler.problems:
+        raise ConfigError(compiler.problems)
+    return SignalMap(
+        buses=tuple(buses),
+        messages=compiler.plans(),
+        timeouts_us=tuple(
+            _timeout_us(role, signals.get(role.name)) for role in ROLES
+        ),
+    )
+
+
+@dataclass(slots=True)
+class _Draft:
+    """A message plan that roles are still being added to."""
+
+    message: Message
+    signals: dict[str, RawSignal] = field(default_factory=dict)
+    outputs: list[Output] = field(default_factory=list)
+
+    def index(self, name: str) -> int:
+        """Return the position of the signal *name*, added when new."""
+        if name not in self.signals:
+            self.signals[name] = raw_signal(self.message, name)
+        return list(self.signals).index(name)
+
+    def conditions(self, names: Iterable[str]) -> tuple[Condition, ...]:
+        found = [
+            Condition(self.index(parent), values)
+            for name in names
+            for parent, values in multiplexers(self.message, name)
+        ]
+        return tuple(dict.fromkeys(found))
+
+
+class _Compiler:
+    """Collects message plans and problems, role by role."""
+
+    def __init__(
+        self, buses: Sequence[BusConfig], base: Path, wheel_radius_m: float
+    ) -> None:
+        self.problems: list[str] = []
+        self._buses = buses
+        self._wheel_radius_m = wheel_radius_m
+        self._drafts: dict[FrameKey, _Draft] = {}
+        self._databases: dict[str, Database] = {}
+        if not buses:
+            self.problems.append("[[bus]]: none is declared, one is needed")
+        for bus in buses:
+            if bus.name in self._databases:
+                self.problems.append(
+                    f"[[bus]] name = {bus.name!r}: declared twice"
+                )
+                continue
+            try:
+                self._databases[bus.name] = load_dbc(
+                    base / bus.dbc, strict=bus.strict, encoding=bus.encoding
+                )
+            except ConfigError as error:
+                self.problems += (
+                    f"[[bus]] name = {bus.name!r}: {line}"
+                    for line in error.problems
+                )
+
+    def plans(self) -> dict[FrameKey, MessagePlan]:
+        return {
+            key: MessagePlan(
+                key=key,
+                name=draft.message.name,
+                length=frame_length(draft.message.length),
+                is_fd=draft.message.is_fd,
+                signals=tuple(draft.signals.values()),
+                outputs=tuple(draft.outputs),
+            )
+            for key, draft in self._drafts.items()
+        }
+
+    def add(self, role_name: str, config: SignalConfig) -> None:
+        """Add the role *role_name*, or the problems it has."""
+        problems = _Problems(f"[signals.{role_name}]", self.problems)
+        if role_name not in ROLE_INDEX:
+            hint = _nearest(role_name, ROLE_INDEX)
+            self.problems.append(
+                f"[signals.{role_name}]: no role has this name{hint}"
+            )
+            return
+        role = ROLES[ROLE_INDEX[role_name]]
+        unit = _unit(role, config, problems)
+        _check_numbers(config, problems)
+        expression = _expression(config, problems)
+        draft = self._draft(config, problems)
+        if draft is None or expression is None:
+            return
+        names = signal_names(expression)
+        if _all_known(config, names, draft.message, problems):
+            try:
+                index = min(draft.index(name) for name in names)
+                conditions = draft.conditions(names)
+            except UnusableSignalError as error:
+                problems.add(*_source_key(config), str(error))
+                return
+            if unit is None:
+                return
+            factor = unit.factor
+            if "speed" in role.quantities and unit.quantity == "angular_speed":
+                factor *= self._wheel_radius_m
+            draft.outputs.append(
+                Output(
+                    role=ROLE_INDEX[role_name],
+                    index=index,
+                    expression=(
+                        None if isinstance(expression, Name) else expression
+                    ),
+                    conditions=conditions,
+                    gain=factor * (config.sign * config.scale),
+                    bias=factor * (config.sign * config.offset) + unit.offset,
+                    low=_limit(config.min, factor, unit, -_LARGEST),
+                    high=_limit(config.max, factor, unit, _LARGEST),
+                    flag=unit.quantity == "flag",
+                    timeout_us=_timeout_us(role, config),
+                )
+            )
+
+    def _draft(
+        self, config: SignalConfig, problems: _Problems
+    ) -> _Draft | None:
+        """Return the draft of the configured message, or note why not."""
+        names = [bus.name for bus in self._buses]
+        if not names:
+            return None
+        name = names[0] if config.bus is None else config.bus
+        if name not in names:
+            hint = _nearest(name, names)
+            problems.add("bus", name, f"no [[bus]] has this name{hint}")
+            return None
+        database = self._databases.get(name)
+        if database is None:
+            return None
+        by_name = {message.name: message for message in database.messages}
+        message = by_name.get(config.message or "")
+        if message is None:
+            file = self._buses[names.index(name)].dbc
+            hint = _nearest(config.message or "", by_name)
+            problems.add("message", config.message, f"not in {file!r}{hint}")
+            return None
+        if message.length > FD_LENGTHS[-1]:
+            problems.add(
+                "message",
+                config.message,
+                f"has {message.length} bytes, a frame carries at most 64",
+            )
+            return None
+        key = FrameKey(
+            names.index(name), message.frame_id, message.is_extended_frame
+        )
+        draft = self._drafts.setdefault(key, _Draft(message))
+        if draft.message is not message:
+            problems.add(
+                "message",
+                config.message,
+                f"has the id of {draft.message.name!r}, which another role "
+                "is read from: one of them must be right",
+            )
+            return None
+        return draft
+
+
+@dataclass(frozen=True, slots=True)
+class _Problems:
+    """Where the problems of one role go."""
+
+    section: str
+    lines: list[str]
+
+    def add(self, key: str, value: object, reason: str) -> None:
+        self.lines.append(f"{self.section} {key} = {value!r}: {reason}")
+
+
+def _source_key(config: SignalConfig) -> tuple[str, str | None]:
+    if config.expression is None:
+        return "signal", config.signal
+    return "expression", config.expression
+
+
+def _expression(
+    config: SignalConfig, problems: _Problems
+) -> Expression | None:
+    if config.expression is None:
+        return Name(config.signal or "")
+    try:
+        return parse_expression(config.expression)
+    except ExpressionError as error:
+        problems.add("expression", config.expression, str(error))
+        return None
+
+
+def _all_known(
+    config: SignalConfig,
+    names: Sequence[str],
+    message: Message,
+    problems: _Problems,
+) -> bool:
+    known = [signal.name for signal in message.signals]
+    unknown = [name for name in names if name not in known]
+    for name in unknown:
+        what = "" if config.expression is None else f"{name!r} is "
+        hint = _nearest(name, known)
+        problems.add(
+            *_source_key(config),
+            f"{what}not a signal of message {message.name!r}{hint}",
+        )
+    return not unknown
+
+
+def _unit(
+    role: Role, config: SignalConfig, problems: _Problems
+) -> Unit | None:
+    unit = UNITS.get(config.unit)
+    if unit is not None and unit.quantity in role.quantities:
+        return unit
+    allowed = ", ".join(
+        name
+        for name, known in UNITS.items()
+        if known.quantity in role.quantities
+    )
+    what = "not a known unit" if unit is None else f"a unit of {unit.quantity}"
+    problems.add("unit", config.unit, f"{what}, allowed: {allowed}")
+    return None
+
+
+def _check_numbers(config: SignalConfig, problems: _Problems) -> None:
+    for key in ("scale", "offset", "min", "max"):
+        value = getattr(config, key)
+        if value is not None and not math.isfinite(value):
+            problems.add(key, value, "must be a finite number")
+    if config.scale == 0:
+        problems.add("scale", config.scale, "must not be 0")
+
+
+def _limit(
+    value: float | None, factor: float, unit: Unit, default: float
+) -> float:
+    return default if value is None else factor * value + unit.offset
+
+
+def _timeout_us(role: Role, config: SignalConfig | None) -> int:
+    own = config.timeout_s if config is not None else None
+    return round((own if own is not None else role.timeout_s) * 1e6)
+
+
+def _nearest(name: str, known: Iterable[str]) -> str:
+    """Return a hint for the user: the nearest known name, or a short list."""
+    names = list(known)
+    close = get_close_matches(name, names, n=1)
+    if close:
+        return f", the nearest name is {close[0]!r}"
+    if 0 < len(names) <= _LONGEST_LIST:
+        return f", there are: {', '.join(names)}"
+    return ""

@@ -1,0 +1,68 @@
+"""Arguments that several commands share, declared once.
+
+``-c`` is the configuration in every command; a bus channel has the long form
+``--channel`` only.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+
+def add_config(parser: argparse.ArgumentParser) -> None:
+    """Add the required ``-c/--config FILE``; ``args.config`` is a path."""
+    parser.add_argument(
+        "-c",
+        "--config",
+        type=Path,
+        metavar="FILE",
+        required=True,
+        help="configuration of the vehicle (TOML)",
+    )
+
+
+def add_out(parser: argparse.ArgumentParser, what: str, metavar: str) -> None:
+    """Add ``-o/--out`` for *what* is written; ``args.out`` may be None."""
+    parser.add_argument("-o", "--out", type=Path, metavar=metavar, help=what)
+
+
+def add_json(parser: argparse.ArgumentParser) -> None:
+    """Add ``--json FILE``; ``args.json`` may be None."""
+    parser.add_argument(
+        "--json",
+        type=Path,
+        metavar="FILE",
+        help="write the result as JSON to FILE as well",
+    )
+
+
+def add_report(parser: argparse.ArgumentParser) -> None:
+    """Add ``--report FILE.html``; ``args.report`` may be None."""
+    parser.add_argument(
+        "--report",
+        type=Path,
+        metavar="FILE.html",
+        help="write an HTML report that needs no network",
+    )
+
+
+def add_bus_map(parser: argparse.ArgumentParser) -> None:
+    """Add ``--map IFACE=BUS``; ``args.map`` is a list of name pairs."""
+    parser.add_argument(
+        "--map",
+        type=_interface_and_bus,
+        action="append",
+        default=[],
+        metavar="IFACE=BUS",
+        help="read frames of the log's interface IFACE as those of [[bus]] "
+        "BUS; may be repeated",
+    )
+
+
+def _interface_and_bus(text: str) -> tuple[str, str]:
+    interface, equals, bus = text.partition("=")
+    if not (interface and equals and bus):
+        msg = f"{text!r} is not IFACE=BUS, such as can0=chassis"
+        raise argparse.ArgumentTypeError(msg)
+    return interface, bus

@@ -1,0 +1,236 @@
+"""``bstm check``: every problem of a configuration at once, or its summary."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from bstm_daemon.cli.arguments import add_json
+from bstm_daemon.cli.output import write_json
+from bstm_daemon.config_file import load_config, naming_file, read_draft
+from bstm_daemon.config_rules import usable_signals
+from bstm_daemon.errors import ConfigError, UsageError
+from bstm_daemon.roles import ROLE_INDEX, ROLES
+
+if TYPE_CHECKING:
+    import argparse
+    from collections.abc import Sequence
+
+    from bstm_daemon.config import Config, CornerConfig, SignalConfig
+    from bstm_daemon.config_rules import Draft
+
+_ANY_RADIUS_M = 0.3
+"""Finds DBC problems when [vehicle] has none to give; enters no result."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare ``CONFIG``, ``-c CONFIG`` and ``--json``."""
+    parser.add_argument(
+        "configuration",
+        nargs="?",
+        type=Path,
+        metavar="CONFIG",
+        help="configuration to check (TOML)",
+    )
+    parser.add_argument(
+        "-c", "--config", type=Path, metavar="FILE", help="the same as CONFIG"
+    )
+    add_json(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print the summary; raise ConfigError with all problems, if any."""
+    if (args.configuration is None) == (args.config is None):
+        msg = "check needs one configuration: bstm check CONFIG"
+        raise UsageError(msg)
+    path: Path = args.configuration or args.config
+    problems = problems_of(path)
+    config = None if problems else load_config(path)
+    if args.json:
+        result: dict[str, Any] = {"file": str(path), "problems": problems}
+        if config is not None:
+            result["configuration"] = config.model_dump(mode="json")
+        write_json(args.json, result)
+    if config is None:
+        raise ConfigError(problems)
+    print(summary(config, path))
+    return 0
+
+
+def problems_of(path: Path) -> list[str]:
+    """List every problem of the configuration *path*, one line each.
+
+    The file itself, its DBC files and its effects are all looked at, whatever
+    is wrong with the others; if nothing is, the model is built as well.
+
+    Raises:
+        FileAccessError: The file is missing or unreadable.
+
+    """
+    from bstm_daemon.effects.catalogue import (  # noqa: PLC0415
+        problems_of as problems_of_effects,
+    )
+
+    try:
+        with naming_file(path):
+            draft, problems = read_draft(path)
+    except ConfigError as error:
+        return error.problems
+    problems += _dbc_problems(draft, path.parent)
+    problems += problems_of_effects(draft.effect)
+    lines = [f"{path}: {problem}" for problem in problems]
+    return lines or _model_problems(path)
+
+
+def _dbc_problems(draft: Draft, folder: Path) -> list[str]:
+    from bstm_daemon.bus.signal_map import compile_signal_map  # noqa: PLC0415
+
+    if not draft.bus:
+        return []
+    radius_m = draft.vehicle.wheel_radius_m if draft.vehicle else _ANY_RADIUS_M
+    try:
+        compile_signal_map(draft.bus, usable_signals(draft), folder, radius_m)
+    except ConfigError as error:
+        return error.problems
+    return []
+
+
+def _model_problems(path: Path) -> list[str]:
+    from bstm_daemon.heat.sample_plan import CHANNELS  # noqa: PLC0415
+    from bstm_daemon.thermal.brake_corner import (  # noqa: PLC0415
+        build_corner,
+        corner_spec,
+    )
+
+    config = load_config(path)
+    problems = []
+    for corner in config.disc_corners():
+        try:
+            with naming_file(path):
+                build_corner(corner_spec(config, corner), CHANNELS)
+        except ConfigError as error:
+            problems += error.problems
+    return problems
+
+
+def summary(config: Config, path: Path) -> str:
+    """Word what the valid *config* of the file *path* makes the model do."""
+    vehicle = config.vehicle
+    blocks = [
+        f"{path}: no problems",
+        _aligned(
+            [
+                ("vehicle", f"{vehicle.id}, {vehicle.mass_kg:g} kg"),
+                ("heat", _heat(config)),
+                ("effects", _effects(config)),
+                ("fluid", _fluid(config)),
+                ("publish", _publish(config)),
+            ]
+        ),
+        _aligned(
+            [
+                ("bus", "interface", "channel", "bitrate", "DBC"),
+                *(
+                    (
+                        bus.name,
+                        bus.interface,
+                        bus.channel,
+                        "-" if bus.bitrate is None else str(bus.bitrate),
+                        bus.dbc,
+                    )
+                    for bus in config.bus
+                ),
+            ]
+        ),
+        _aligned(
+            [
+                ("role", "source", "unit", "timeout"),
+                *(
+                    _signal(role, signal, config)
+                    for role, signal in config.signals.items()
+                ),
+            ]
+        ),
+        _aligned(
+            [
+                ("corner", "type", "circuit", "piston", "disc", "pads"),
+                *(_corner(corner) for corner in config.corner),
+            ]
+        ),
+    ]
+    return "\n\n".join(blocks)
+
+
+def _heat(config: Config) -> str:
+    heat = config.heat
+    if heat.mode == "ff":
+        return "ff, from brake pressure and friction"
+    if heat.mode == "measured":
+        return "measured, the disc temperature is given"
+    torque = heat.assume_powertrain_torque_nm
+    if "powertrain_torque" in config.signals or torque is None:
+        assumed = ""
+    else:
+        assumed = f"; ASSUMED: powertrain torque {torque:g} Nm at the wheels"
+    is_flat = (
+        heat.slope == "flat"
+        or "acceleration_longitudinal" not in config.signals
+    )
+    road = "; the road is taken as flat" if is_flat else ""
+    return f"fb, from the vehicle's motion{assumed}{road}"
+
+
+def _effects(config: Config) -> str:
+    names = [f"{one.name} ({one.corner})" for one in config.effect]
+    return ", ".join(names) or f"none, structure {config.thermal.structure}"
+
+
+def _fluid(config: Config) -> str:
+    fluid = config.fluid
+    percent = fluid.water_percent
+    water = "" if percent is None else f", {percent:g} % water"
+    changed = "" if fluid.changed is None else f", changed {fluid.changed}"
+    return f"{fluid.grade}{changed}{water}"
+
+
+def _publish(config: Config) -> str:
+    publish = config.publish
+    if not publish.enabled:
+        return "listen only, nothing is sent"
+    bus = publish.bus or config.bus[0].name
+    return f"on {bus} from id 0x{publish.id_base:X}"
+
+
+def _signal(
+    role: str, signal: SignalConfig, config: Config
+) -> tuple[str, ...]:
+    value = signal.signal or f"({signal.expression})"
+    source = f"{signal.message}.{value}"
+    if len(config.bus) > 1:
+        source = f"{signal.bus or config.bus[0].name}: {source}"
+    timeout_s = signal.timeout_s or ROLES[ROLE_INDEX[role]].timeout_s
+    return role, source, signal.unit, f"{timeout_s:g} s"
+
+
+def _corner(corner: CornerConfig) -> tuple[str, ...]:
+    disc, pad = corner.disc, corner.pad
+    return (
+        corner.name,
+        corner.type,
+        corner.circuit,
+        f"{corner.piston_count} x {corner.piston_area_m2 * 1e4:.1f} cm2",
+        f"{disc.mass_kg:g} kg {disc.material}" if disc else "-",
+        f"{pad.thickness_m * 1e3:g} mm, {pad.slabs} slabs" if pad else "-",
+    )
+
+
+def _aligned(rows: Sequence[tuple[str, ...]]) -> str:
+    widths = [
+        max(len(cell) for cell in column) for column in zip(*rows, strict=True)
+    ]
+    return "\n".join(
+        "  ".join(
+            cell.ljust(width) for cell, width in zip(row, widths, strict=True)
+        ).rstrip()
+        for row in rows
+    )

@@ -1,0 +1,59 @@
+"""A progress line on a terminal, and nothing anywhere else."""
+
+from __future__ import annotations
+
+import sys
+import time
+from typing import TYPE_CHECKING, Final, Self, TextIO
+
+if TYPE_CHECKING:
+    from types import TracebackType
+
+_REDRAW_S: Final = 0.1
+_ERASE_LINE: Final = "\r\x1b[K"
+
+
+class Progress:
+    """A line on stderr such as ``replay 42 %``, erased at the end.
+
+    Use it as a context manager around the work::
+
+        with Progress("replay") as progress:
+            for done, chunk in chunks:
+                progress.show(done / total)
+    """
+
+    def __init__(self, label: str, stream: TextIO | None = None) -> None:
+        """Prepare a line that starts with *label* on *stream* or stderr."""
+        self._label = label
+        self._stream = sys.stderr if stream is None else stream
+        self._is_terminal = self._stream.isatty()
+        self._drawn_at_s = -_REDRAW_S
+
+    def show(self, fraction: float) -> None:
+        """Draw that *fraction* (0 to 1) is done, at most every 0.1 s."""
+        if not self._is_terminal:
+            return
+        now_s = time.monotonic()
+        if now_s - self._drawn_at_s < _REDRAW_S:
+            return
+        self._drawn_at_s = now_s
+        self._write(f"{_ERASE_LINE}{self._label} {fraction:4.0%}")
+
+    def __enter__(self) -> Self:
+        """Return the progress line itself."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Erase the line."""
+        if self._is_terminal:
+            self._write(_ERASE_LINE)
+
+    def _write(self, text: str) -> None:
+        self._stream.write(text)
+        self._stream.flush()

@@ -1,0 +1,77 @@
+"""``bstm simulate``: the CAN log of the simulated car on a drive."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from bstm_daemon.cli.arguments import add_out
+from bstm_daemon.errors import UsageError
+from bstm_daemon.shipped import shipped_file
+from bstm_daemon.simulation import (
+    Drive,
+    drive_names,
+    load_drive,
+    read_drive,
+    simulate,
+)
+from bstm_daemon.simulation.frames import Encoder
+from bstm_daemon.simulation.recorder import write_candump, write_truth
+
+if TYPE_CHECKING:
+    import argparse
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of ``bstm simulate``."""
+    parser.add_argument(
+        "drive",
+        nargs="?",
+        metavar="DRIVE",
+        help=f"{', '.join(drive_names())}, or a TOML file that describes one",
+    )
+    add_out(parser, "candump log to write", "LOG")
+    parser.add_argument(
+        "--preset",
+        default="plain",
+        help="what the simulated car's brakes do (default: plain)",
+    )
+    parser.add_argument(
+        "--truth",
+        type=Path,
+        metavar="FILE.csv",
+        help="write the true temperatures, a row a second, to FILE.csv",
+    )
+    parser.add_argument(
+        "--seed", type=int, default=0, help="of the sensors' noise (default: 0)"
+    )
+    parser.add_argument(
+        "--list", action="store_true", help="list the drives and stop"
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Simulate a drive and write its log."""
+    if args.list:
+        for name in drive_names():
+            print(f"{name:16} {load_drive(name).drive.description}")
+        return 0
+    if args.drive is None or args.out is None:
+        msg = "simulate needs a DRIVE and -o LOG (bstm simulate --list)"
+        raise UsageError(msg)
+    driven = simulate(_drive(args.drive), preset=args.preset, seed=args.seed)
+    encoder = Encoder(shipped_file("dbc/example_vehicle.dbc"))
+    frames = write_candump(args.out, driven, encoder)
+    duration_s = len(driven.time_s) * 0.01
+    print(f"{args.out}: {frames} frames, {duration_s / 60:.1f} min")
+    if args.truth is not None:
+        write_truth(args.truth, driven)
+        print(f"{args.truth}: {len(driven.slow_time_s)} rows of truth")
+    return 0
+
+
+def _drive(name: str) -> Drive:
+    path = Path(name)
+    if path.suffix == ".toml":
+        return read_drive(path)
+    return load_drive(name)

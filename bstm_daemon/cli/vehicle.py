@@ -1,0 +1,36 @@
+"""From a configuration file to what the estimator needs."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from bstm_daemon.bus.signal_map import SignalMap, compile_signal_map
+from bstm_daemon.config_file import load_config, naming_file
+from bstm_daemon.effects.catalogue import problems_of
+from bstm_daemon.errors import ConfigError
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from bstm_daemon.config import Config
+
+
+def load_vehicle(path: Path) -> tuple[Config, SignalMap]:
+    """Load the configuration *path* and compile its extraction plan.
+
+    Raises:
+        ConfigError: with every problem of file, DBC and effects.
+        FileAccessError: the file is missing or unreadable.
+    """
+    config = load_config(path)
+    with naming_file(path):
+        wrong = problems_of(config.effect)
+        if wrong:
+            raise ConfigError(wrong)
+        signal_map = compile_signal_map(
+            config.bus,
+            config.signals,
+            path.parent,
+            config.vehicle.wheel_radius_m,
+        )
+    return config, signal_map

@@ -1,0 +1,384 @@
+"""The configuration file as pydantic models, one vehicle a file.
+
+Every quantity is SI with its unit in the key; temperatures are degC where a
+key ends in ``_c``. :mod:`bstm_daemon.config_file` reads a file into these
+models and words the problems. ``docs/reference.md`` lists every key.
+"""
+
+from __future__ import annotations
+
+import codecs
+import itertools
+from datetime import date  # noqa: TC003  (pydantic resolves it at run time)
+from typing import Annotated, Any, Final, Literal, Self
+
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Discriminator,
+    Field,
+    Tag,
+    model_validator,
+)
+
+Positive = Annotated[float, Field(gt=0)]
+NotNegative = Annotated[float, Field(ge=0)]
+Fraction = Annotated[float, Field(ge=0, le=1)]
+Emissivity = Annotated[float, Field(gt=0, le=1)]
+Text = Annotated[str, Field(min_length=1)]
+CornerName = Literal["FL", "FR", "RL", "RR"]
+
+PUBLISHED_IDS: Final = 20
+"""Ids from ``[publish] id_base`` on that belong to the daemon."""
+
+
+class Section(BaseModel):
+    """Base of all sections.
+
+    Unknown keys are errors, values are final, a text is never read as a
+    number, and neither NaN nor infinity is a number.
+    """
+
+    model_config = ConfigDict(
+        extra="forbid", frozen=True, strict=True, allow_inf_nan=False
+    )
+
+
+def _place(corner_name: str) -> tuple[str, str]:
+    axle = "front" if corner_name[0] == "F" else "rear"
+    return axle, "left" if corner_name[1] == "L" else "right"
+
+
+def _require(condition: bool, message: str) -> None:  # noqa: FBT001
+    if not condition:
+        raise ValueError(message)
+
+
+def _check_curve(
+    x: list[float], y: list[float], x_name: str, y_name: str
+) -> None:
+    _require(
+        len(x) == len(y) and len(x) > 1,
+        f"{x_name!r} and {y_name!r} need the same length, at least 2: "
+        f"{len(x)} and {len(y)} given",
+    )
+    _require(
+        all(a < b for a, b in itertools.pairwise(x)),
+        f"{x_name!r} must rise from point to point",
+    )
+
+
+class Curve(Section):
+    """A material property over temperature, linear between the points."""
+
+    temperature_c: list[float]
+    value: list[Positive]
+
+    @model_validator(mode="after")
+    def _points_fit(self) -> Self:
+        _check_curve(self.temperature_c, self.value, "temperature_c", "value")
+        return self
+
+
+def _form_of_property(value: object) -> str:
+    return "curve" if isinstance(value, dict | Curve) else "number"
+
+
+Property = Annotated[
+    Annotated[Positive, Tag("number")] | Annotated[Curve, Tag("curve")],
+    Discriminator(_form_of_property),
+]
+"""A material property: one number, or a curve over temperature."""
+
+
+class VehicleConfig(Section):
+    """``[vehicle]``: what Feed-Back needs of the car (Eq 4.2, 4.11)."""
+
+    id: Text
+    mass_kg: Positive
+    wheel_radius_m: Positive
+    wheel_inertia_kg_m2: NotNegative = 3.0
+    drag_area_m2: NotNegative = 0.7
+    friction_ns_m: NotNegative = 4.0
+    rolling_resistance: NotNegative = 0.014
+    front_share: Fraction = 0.7
+    ambient_c: Annotated[float, Field(ge=-60, le=70)] = 20.0
+
+
+class BusConfig(Section):
+    """``[[bus]]``: one CAN bus and the DBC that describes it."""
+
+    name: Text
+    dbc: Text
+    interface: Text = "socketcan"
+    channel: Text = "can0"
+    bitrate: Annotated[int, Field(gt=0)] | None = None
+    fd: bool = False
+    strict: bool = True
+    encoding: str = "cp1252"
+
+    @model_validator(mode="after")
+    def _encoding_exists(self) -> Self:
+        try:
+            codecs.lookup(self.encoding)
+        except LookupError as error:
+            msg = f"no text encoding is called 'encoding' = {self.encoding!r}"
+            raise ValueError(msg) from error
+        return self
+
+
+class SignalConfig(Section):
+    """``[signals.<role>]``: where a role comes from.
+
+    ``si = (value * scale + offset) * sign`` in ``unit``, then to SI. ``min``
+    and ``max`` are limits in ``unit``; a value outside is not a sample.
+    """
+
+    message: str | None = None
+    signal: str | None = None
+    expression: str | None = None
+    bus: str | None = None
+    unit: str
+    sign: Literal[1, -1] = 1
+    scale: float = 1.0
+    offset: float = 0.0
+    timeout_s: Positive | None = None
+    min: float | None = None
+    max: float | None = None
+
+    @model_validator(mode="after")
+    def _one_source(self) -> Self:
+        if (self.signal is None) == (self.expression is None):
+            msg = "needs exactly one of 'signal' and 'expression'"
+            raise ValueError(msg)
+        if self.message is None:
+            msg = "needs 'message', the DBC message that carries it"
+            raise ValueError(msg)
+        _require(self.scale != 0, "'scale' must not be 0")
+        if self.min is not None and self.max is not None:
+            _require(self.min < self.max, "'min' must be below 'max'")
+        return self
+
+
+class DiscConfig(Section):
+    """``corner.disc``: geometry and material of the disc.
+
+    ``mass_kg`` is the mass that takes part in heating (the ring),
+    ``swept_area_m2`` both friction faces, ``total_area_m2`` what radiates.
+    """
+
+    model: str = "lumped"
+    mass_kg: Positive
+    swept_area_m2: Positive
+    total_area_m2: Positive
+    material: Literal["grey-iron", "pure-iron", "own"] = "grey-iron"
+    heat_capacity_j_kgk: Curve | None = None
+    conductivity_w_mk: Positive = 50.0
+    density_kg_m3: Positive = 7200.0
+    effusivity_heat_capacity_j_kgk: Positive = 460.0
+
+    @model_validator(mode="after")
+    def _own_needs_curve(self) -> Self:
+        own = self.material == "own"
+        _require(
+            own == (self.heat_capacity_j_kgk is not None),
+            "'heat_capacity_j_kgk' goes with material \"own\" and only there",
+        )
+        return self
+
+
+class PadConfig(Section):
+    """``corner.pad``: one of the two equal pads of a corner."""
+
+    model: str = "slabs"
+    area_m2: Positive
+    thickness_m: Positive
+    slabs: Annotated[int, Field(ge=1, le=60)] = 10
+    surface_cells: Literal["half", "full"] = "half"
+    density_kg_m3: Positive = 2300.0
+    heat_capacity_j_kgk: Property = 1000.0
+    conductivity_w_mk: Property = 1.2
+
+
+class ThermalConfig(Section):
+    """``[thermal]``: Table 4.1 and the switches between forms of an equation.
+
+    Conductances and capacities are those of one corner (both pads).
+    """
+
+    structure: Literal["thesis"] = "thesis"
+    disc_mass_correction_factor: Positive = 1.0
+    heat_partition_correction_factor: NotNegative = 1.0
+    disc_emissivity: Emissivity = 0.55
+    pad_emissivity: Emissivity = 0.85
+    pad_backplate_thermal_resistance_m2k_w: Positive = 4e-3
+    pad_dynamic_convection_ws_m3k: NotNegative = 2.0
+    pad_dynamic_convection_exponent: Annotated[float, Field(ge=0, le=2)] = 1.0
+    pad_static_loss_w_k: NotNegative = 0.0
+    hammerhead_sink: Literal["ambient", "fluid"] = "ambient"
+    backplate_thermal_capacity_j_k: NotNegative = 0.0
+    fluid_model: str = "lump"
+    fluid_static_convection_w_k: NotNegative = 1.5
+    fluid_caliper_thermal_capacity_j_k: Positive = 2600.0
+    fluid_dynamic_convection_ws_mk: NotNegative = 0.15
+    hot_pad_threshold_c: Positive = 400.0
+    hot_pad_factor: Fraction = 0.6
+    hot_pad_width_k: Positive = 20.0
+    direct_air_fraction: Fraction = 0.0
+    gap_conductance_w_m2k: NotNegative = 0.0
+    disc_pad_radiation: Literal["grey-plates", "product"] = "grey-plates"
+
+
+class CoolingConfig(Section):
+    """``[cooling]``: the S-function of Eq 4.12 and the standstill blend."""
+
+    speed_ms: list[NotNegative] = [0.0, 5.0, 10.0, 13.89, 19.44, 25.0, 41.67]
+    s_per_s: list[NotNegative] = [
+        *(4.0e-4, 1.0e-3, 1.6e-3, 2.0e-3, 2.7e-3, 3.4e-3, 5.4e-3)
+    ]
+    standstill_convection_fraction: Fraction = 0.4
+    blend_end_ms: Positive = 5.0
+    form: Literal["rate", "conductance"] = "rate"
+
+    @model_validator(mode="after")
+    def _points_fit(self) -> Self:
+        _check_curve(self.speed_ms, self.s_per_s, "speed_ms", "s_per_s")
+        return self
+
+
+class CornerConfig(Section):
+    """``[[corner]]``: one wheel brake.
+
+    ``piston_area_m2`` is one piston; ``piston_count`` counts the pistons on
+    one side of the disc, so equal clamp gives equal torque for a floating and
+    a fixed caliper (Eq 4.1). ``thermal`` and ``cooling`` override single keys
+    of the sections of that name for this corner.
+    """
+
+    name: CornerName
+    type: Literal["disc", "drum"] = "disc"
+    axle: Literal["front", "rear"] | None = None
+    side: Literal["left", "right"] | None = None
+    circuit: Literal["primary", "secondary"] = "primary"
+    caliper: Literal["floating", "fixed"] = "floating"
+    piston_area_m2: Positive
+    piston_count: Annotated[int, Field(ge=1, le=6)] = 1
+    effective_radius_m: Positive | None = None
+    swept_inner_radius_m: Positive | None = None
+    swept_outer_radius_m: Positive | None = None
+    pressure_distribution: Literal["uniform-wear", "uniform-pressure"] = (
+        "uniform-wear"
+    )
+    friction_coefficient: Positive = 0.38
+    drum_brake_factor: Positive = 2.0
+    efficiency: Annotated[float, Field(gt=0, le=1)] = 1.0
+    pushout_pressure_pa: NotNegative = 0.0
+    disc: DiscConfig | None = None
+    pad: PadConfig | None = None
+    thermal: dict[str, Any] = {}
+    cooling: dict[str, Any] = {}
+
+    @model_validator(mode="after")
+    def _parts_fit(self) -> Self:
+        has = self.disc is not None, self.pad is not None
+        _require(
+            has == ((True, True) if self.type == "disc" else (False, False)),
+            "a disc corner needs 'disc' and 'pad', a drum corner has neither",
+        )
+        radii = (self.swept_inner_radius_m, self.swept_outer_radius_m)
+        if self.effective_radius_m is None:
+            _require(
+                None not in radii,
+                "needs 'effective_radius_m', or 'swept_inner_radius_m' and "
+                "'swept_outer_radius_m'",
+            )
+        if radii[0] is not None and radii[1] is not None:
+            _require(
+                radii[0] < radii[1],
+                "'swept_inner_radius_m' must be below 'swept_outer_radius_m'",
+            )
+        axle, side = _place(self.name)
+        _require(
+            self.axle in (None, axle) and self.side in (None, side),
+            f"corner {self.name} is {axle} {side}: 'axle' or 'side' differ",
+        )
+        return self
+
+
+class HeatConfig(Section):
+    """``[heat]``: which brake power heats the model, and how it is formed."""
+
+    mode: Literal["ff", "fb", "measured"] = "ff"
+    brake_on_pressure_pa: NotNegative = 1.0e5
+    brake_on_force_n: NotNegative = 300.0
+    primary_lag_s: NotNegative = 0.0
+    secondary_lag_s: NotNegative = 0.0
+    derivative_filter_s: Positive = 0.3
+    slope: Literal["accelerometer", "flat"] = "accelerometer"
+    assume_powertrain_torque_nm: float | None = None
+    front_pressure_pa: list[NotNegative] = []
+    rear_pressure_pa: list[NotNegative] = []
+
+    @model_validator(mode="after")
+    def _table_fits(self) -> Self:
+        if self.front_pressure_pa or self.rear_pressure_pa:
+            _check_curve(
+                self.front_pressure_pa,
+                self.rear_pressure_pa,
+                "front_pressure_pa",
+                "rear_pressure_pa",
+            )
+        return self
+
+
+class FluidConfig(Section):
+    """``[fluid]``: the brake fluid's grade and age."""
+
+    grade: Literal["DOT3", "DOT4", "DOT5.1", "CLASS6"] = "DOT4"
+    changed: date | None = None
+    water_percent: Annotated[float, Field(ge=0, le=10)] | None = None
+
+
+class EffectConfig(Section):
+    """``[[effect]]``: one effect of the catalogue, for one corner or all."""
+
+    name: Text
+    corner: Literal["FL", "FR", "RL", "RR", "all"] = "all"
+    parameters: dict[str, float] = {}
+    provenance: dict[str, Any] = {}
+
+
+class PublishConfig(Section):
+    """``[publish]``: frames out; nothing is sent unless ``enabled``."""
+
+    enabled: bool = False
+    bus: str | None = None
+    id_base: Annotated[int, Field(ge=0, le=0x800 - PUBLISHED_IDS)] = 0x5B0
+    requests: bool = False
+
+
+class Config(Section):
+    """A whole configuration file."""
+
+    vehicle: VehicleConfig
+    bus: list[BusConfig]
+    signals: dict[str, SignalConfig]
+    corner: list[CornerConfig]
+    thermal: ThermalConfig = ThermalConfig()
+    cooling: CoolingConfig = CoolingConfig()
+    heat: HeatConfig = HeatConfig()
+    fluid: FluidConfig = FluidConfig()
+    effect: list[EffectConfig] = []
+    publish: PublishConfig = PublishConfig()
+
+    def thermal_of(self, corner: CornerConfig) -> ThermalConfig:
+        """Merge ``[thermal]`` with the overrides of *corner*."""
+        return ThermalConfig(**{**self.thermal.model_dump(), **corner.thermal})
+
+    def cooling_of(self, corner: CornerConfig) -> CoolingConfig:
+        """Merge ``[cooling]`` with the overrides of *corner*."""
+        return CoolingConfig(**{**self.cooling.model_dump(), **corner.cooling})
+
+    def disc_corners(self) -> list[CornerConfig]:
+        """List the corners that have a thermal model."""
+        return [corner for corner in self.corner if corner.type == "disc"]

@@ -1,0 +1,269 @@
+"""The rules between sections: names that must agree, roles that must exist.
+
+A section with a problem of its own is absent from the draft. What it mentions
+still counts, so that one mistake gives one message and hides no other.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from pydantic import ValidationError
+
+from bstm_daemon.config import CoolingConfig, ThermalConfig
+from bstm_daemon.config_errors import (
+    hint,
+    nearest,
+    problems_of_section,
+    toml_text,
+)
+from bstm_daemon.roles import CORNERS, ROLE_INDEX, ROLES
+from bstm_daemon.units import UNITS
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+
+    from bstm_daemon.config import (
+        BusConfig,
+        CornerConfig,
+        EffectConfig,
+        FluidConfig,
+        HeatConfig,
+        PublishConfig,
+        SignalConfig,
+        VehicleConfig,
+    )
+
+Table = dict[str, Any]
+
+
+@dataclass
+class Draft:
+    """A configuration file's valid sections, and all tables as written.
+
+    The ``written_`` tables hold those with problems too, in file order.
+    """
+
+    vehicle: VehicleConfig | None = None
+    bus: list[BusConfig] = field(default_factory=list)
+    signals: dict[str, SignalConfig] = field(default_factory=dict)
+    corner: list[CornerConfig] = field(default_factory=list)
+    thermal: ThermalConfig | None = None
+    cooling: CoolingConfig | None = None
+    heat: HeatConfig | None = None
+    fluid: FluidConfig | None = None
+    effect: list[EffectConfig] = field(default_factory=list)
+    publish: PublishConfig | None = None
+    written_buses: list[Table] = field(default_factory=list)
+    written_corners: list[Table] = field(default_factory=list)
+    written_signals: dict[str, Table] = field(default_factory=dict)
+
+    def bus_names(self) -> list[str]:
+        """List the names of the buses; the first is the default bus."""
+        return _names(self.written_buses)
+
+    def corner_names(self) -> list[str]:
+        """List the names of the corners."""
+        return _names(self.written_corners)
+
+
+def problems_between(draft: Draft) -> list[str]:
+    """List what is wrong between the sections of *draft*."""
+    return [
+        *_bus_problems(draft.bus),
+        *(
+            problem
+            for role in draft.written_signals
+            for problem in _signal_problems(role, draft)
+        ),
+        *_corner_problems(draft),
+        *_heat_problems(draft),
+        *_effect_problems(draft),
+        *_publish_problems(draft),
+    ]
+
+
+def usable_signals(draft: Draft) -> dict[str, SignalConfig]:
+    """Return the signals without a problem whose bus has none either."""
+    buses = {bus.name for bus in draft.bus}
+    default = next(iter(draft.bus_names()), None)
+    return {
+        role: signal
+        for role, signal in draft.signals.items()
+        if (signal.bus or default) in buses
+        and not _signal_problems(role, draft)
+    }
+
+
+def _signal_problems(role: str, draft: Draft) -> list[str]:
+    where = f"[signals.{role}]"
+    table = draft.written_signals[role]
+    bus, unit = table.get("bus"), table.get("unit")
+    names = draft.bus_names()
+    problems = []
+    if isinstance(bus, str) and bus not in names:
+        problems.append(
+            f"{where} bus = {toml_text(bus)}: no such [[bus]], "
+            f"{hint(bus, names)}"
+        )
+    if role not in ROLE_INDEX:
+        problems.append(f"{where}: unknown role, {hint(role, ROLE_INDEX)}")
+    elif isinstance(unit, str):
+        quantities = ROLES[ROLE_INDEX[role]].quantities
+        if unit not in UNITS:
+            reason = f"unknown unit, {hint(unit, UNITS)}"
+        elif UNITS[unit].quantity not in quantities:
+            reason = f"is a unit of {_words(UNITS[unit].quantity)}"
+        else:
+            return problems
+        kinds = " or ".join(_words(quantity) for quantity in quantities)
+        fitting = ", ".join(
+            name
+            for name, candidate in UNITS.items()
+            if candidate.quantity in quantities
+        )
+        problems.append(
+            f"{where} unit = {toml_text(unit)}: {reason}; {role} needs a unit "
+            f"of {kinds}: {fitting}"
+        )
+    return problems
+
+
+def _names(tables: list[Table]) -> list[str]:
+    return [
+        table["name"]
+        for table in tables
+        if isinstance(table.get("name"), str) and table["name"]
+    ]
+
+
+def _words(quantity: str) -> str:
+    return quantity.replace("_", " ")
+
+
+def _twice(names: Iterable[str]) -> Iterator[str]:
+    seen: set[str] = set()
+    for name in names:
+        if name in seen:
+            yield name
+        seen.add(name)
+
+
+def _bus_problems(buses: list[BusConfig]) -> Iterator[str]:
+    for name in _twice(bus.name for bus in buses):
+        yield f"[[bus]] {name} name: given twice, names must differ"
+    owners: dict[tuple[str, str], str] = {}
+    for bus in buses:
+        owner = owners.setdefault((bus.interface, bus.channel), bus.name)
+        if owner != bus.name:
+            yield (
+                f"[[bus]] {bus.name} channel = {toml_text(bus.channel)}: "
+                f"is the channel of [[bus]] {owner} already"
+            )
+
+
+def _corner_problems(draft: Draft) -> Iterator[str]:
+    for name in _twice(corner.name for corner in draft.corner):
+        yield f"[[corner]] {name} name: given twice, one section a wheel brake"
+    all_valid = len(draft.corner) == len(draft.written_corners) > 0
+    if all_valid and all(one.type == "drum" for one in draft.corner):
+        yield '[[corner]]: all are drums, at least one must be a "disc"'
+    thermal = draft.thermal or ThermalConfig()
+    cooling = draft.cooling or CoolingConfig()
+    for corner in draft.written_corners:
+        yield from _override_problems(corner, "thermal", thermal)
+        yield from _override_problems(corner, "cooling", cooling)
+
+
+def _override_problems(
+    corner: Table, section: str, base: ThermalConfig | CoolingConfig
+) -> list[str]:
+    model = type(base)
+    override = corner.get(section)
+    if not isinstance(override, dict):
+        return []
+    try:
+        model(**{**base.model_dump(), **override})
+    except ValidationError as error:
+        problems = problems_of_section(error, model, "")
+        where = f"[[corner]] {corner.get('name')} {section}"
+        return [
+            where + (problem if problem[0] == ":" else "." + problem.lstrip())
+            for problem in problems
+        ]
+    return []
+
+
+def _heat_problems(draft: Draft) -> Iterator[str]:
+    if draft.heat is None or not draft.written_corners:
+        return
+    # a misspelt role has its own message already
+    roles = {
+        role if role in ROLE_INDEX else nearest(role, ROLE_INDEX)
+        for role in draft.written_signals
+    }
+    where = f'[heat] mode = "{draft.heat.mode}":'
+    if draft.heat.mode == "measured":
+        temperatures = [
+            f"temp_{name.lower()}_disc"
+            for name in CORNERS
+            if name in draft.corner_names()
+        ]
+        if roles.isdisjoint(temperatures):
+            yield (
+                f"{where} needs a disc temperature, configure one of "
+                f"{_sections(temperatures)}"
+            )
+        return
+    speeds = ["vehicle_speed", *(f"wheel_speed_{c.lower()}" for c in CORNERS)]
+    if roles.isdisjoint(speeds):
+        yield f"{where} needs a speed, configure one of {_sections(speeds)}"
+    if draft.heat.mode == "ff":
+        for corner in draft.corner:
+            pressures = _pressure_roles(corner)
+            if corner.type == "disc" and roles.isdisjoint(pressures):
+                yield (
+                    f"{where} needs a pressure for corner {corner.name}, "
+                    f"configure one of {_sections(pressures)}"
+                )
+    elif (
+        "powertrain_torque" not in roles
+        and draft.heat.assume_powertrain_torque_nm is None
+    ):
+        yield (
+            f"{where} needs the torque at the wheels, configure "
+            "[signals.powertrain_torque] or declare "
+            "assume_powertrain_torque_nm (0.0 = coasting while braking)"
+        )
+
+
+def _pressure_roles(corner: CornerConfig) -> list[str]:
+    roles = ["primary_pressure", f"wheel_pressure_{corner.name.lower()}"]
+    if corner.circuit == "secondary":
+        roles.insert(1, "secondary_pressure")
+    return roles
+
+
+def _sections(roles: Iterable[str]) -> str:
+    return ", ".join(f"[signals.{role}]" for role in roles)
+
+
+def _effect_problems(draft: Draft) -> Iterator[str]:
+    for effect in draft.effect:
+        if effect.corner not in {"all", *draft.corner_names()}:
+            yield (
+                f'[[effect]] {effect.name} corner = "{effect.corner}": '
+                f"no such [[corner]], {hint('', draft.corner_names())}"
+            )
+
+
+def _publish_problems(draft: Draft) -> Iterator[str]:
+    publish = draft.publish
+    if publish is None or publish.bus is None:
+        return
+    if publish.bus not in draft.bus_names():
+        yield (
+            f"[publish] bus = {toml_text(publish.bus)}: no such [[bus]], "
+            f"{hint(publish.bus, draft.bus_names())}"
+        )

@@ -1,0 +1,1 @@
+"""Physical effects beyond the baseline, each a named edit of the model."""

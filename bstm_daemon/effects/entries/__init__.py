@@ -1,0 +1,1 @@
+"""The catalogue's entries: one effect a file, the file named as the effect."""

@@ -1,0 +1,346 @@
+"""Samples in, estimates out: the one path for live, replay and matching.
+
+:meth:`Estimator.advance` is called with one row live and with whole columns
+in replay; chunking never changes the numbers, because the pass over samples
+and the march of the network are sequential and keep their whole memory in
+this object.
+"""
+
+from __future__ import annotations
+
+from array import array
+from dataclasses import dataclass
+from itertools import groupby
+from typing import TYPE_CHECKING, Final
+
+from bstm_daemon.effects.catalogue import apply_effects
+from bstm_daemon.effects.effect import CornerModel
+from bstm_daemon.heat import sample_pass as reference_pass
+from bstm_daemon.heat.sample_pass import SETTLE, SampleState
+from bstm_daemon.heat.sample_plan import (
+    CHANNELS,
+    FLAGS,
+    VEHICLE_CHANNELS,
+    plan_samples,
+)
+from bstm_daemon.errors import ConfigError
+from bstm_daemon.native import load_kernel
+from bstm_daemon.roles import ROLE_INDEX
+from bstm_daemon.thermal.brake_corner import build_corner, corner_spec
+from bstm_daemon.thermal.kernel import Batch
+from bstm_daemon.thermal.program import Program, compile_network
+from bstm_daemon.units import KELVIN_OFFSET
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from bstm_daemon.config import Config, CornerConfig
+
+STEP_US: Final = 50_000
+"""The grid: whole multiples of this in the frames' own time."""
+
+PUBLISH_US: Final = 100_000
+"""Publication on whole multiples of this."""
+
+ROWS: Final = 4096
+"""Steps marched at a time; bounds memory, changes no number."""
+
+SETTLING_S: Final = 7200.0
+"""Data time after which an unknown start no longer shows: four time
+constants of fluid and caliper (2.6 kJ/K over 1.5 W/K)."""
+
+LOWEST_K: Final = 200.0
+HIGHEST_K: Final = 1800.0
+"""An estimate outside can not be true: below any ambient, above iron's
+melting point."""
+
+VALID: Final = 0
+DEGRADED: Final = 1
+INVALID: Final = 2
+
+MANDATORY: Final = {
+    "ff": FLAGS["speed_missing"] | FLAGS["pressure_missing"],
+    "fb": FLAGS["speed_missing"],
+    "measured": 0,
+}
+"""Missing inputs that degrade an estimate, by heat mode; Feed-Back also
+needs torque and acceleration where they are mapped."""
+
+
+@dataclass(frozen=True, slots=True)
+class Group:
+    """Corners marched together: their names and the names of a state."""
+
+    corners: tuple[str, ...]
+    state_names: tuple[str, ...]
+    nodes: int
+    size: int
+
+
+@dataclass(frozen=True, slots=True)
+class Block:
+    """Contiguous estimates at the publications of one stretch of samples.
+
+    With n publications: ``times_us`` [n]; ``rows`` [n, corners, CHANNELS]
+    and ``vehicle`` [n, VEHICLE_CHANNELS], the step that ends at each;
+    ``outputs`` per group [n, corners of the group, size]: node temperatures
+    [K] and memories, then the running energy of each heat source [J];
+    ``flags`` [n], the bits of all steps since the last publication;
+    ``validity`` per corner of a thermal model [n]. All flat.
+    """
+
+    times_us: array[int]
+    rows: array[float]
+    vehicle: array[float]
+    outputs: tuple[array[float], ...]
+    flags: array[int]
+    validity: dict[str, array[int]]
+
+
+class Estimator:
+    """Brake temperatures of one car."""
+
+    def __init__(
+        self,
+        config: Config,
+        present: Mapping[int, int],
+        *,
+        history_known: bool = False,
+        initial_k: float | None = None,
+    ) -> None:
+        """Build the model of *config*.
+
+        Args:
+            config: the vehicle.
+            present: role number to timeout [us] of each mapped role.
+            history_known: whether the brakes are known to have been at
+                *initial_k* before the first sample.
+            initial_k: starting temperature [K]; default: the configured
+                ambient.
+
+        Raises:
+            ConfigError: the configuration asks for a part, effect or share
+                that does not exist.
+            UsageError: ``BSTM_KERNEL`` asks for a kernel that is not there.
+        """
+        self.config = config
+        self._kernel = load_kernel()
+        self.plan = plan_samples(config, present, STEP_US)
+        self._samples = SampleState.new(self.plan)
+        start_k = initial_k or config.vehicle.ambient_c + KELVIN_OFFSET
+        self.programs = {
+            corner.name: compile_corner(config, corner)
+            for corner in config.disc_corners()
+        }
+        self._groups = self._batches(start_k)
+        self._history_left_s = 0.0 if history_known else SETTLING_S
+        self._mandatory = _mandatory_flags(config, present)
+        corners = len(self.plan.corners)
+        self._rows = array("d", bytes(8 * ROWS * corners * len(CHANNELS)))
+        self._vehicle = array("d", bytes(8 * ROWS * len(VEHICLE_CHANNELS)))
+        self._times = array("q", bytes(8 * ROWS))
+        self._open_flags = 0
+
+    @property
+    def compiled(self) -> bool:
+        """Whether the compiled kernel runs."""
+        return self._kernel is not None
+
+    @property
+    def history_known(self) -> bool:
+        """Whether the start no longer matters."""
+        return self._history_left_s <= 0.0
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Samples that came late, were dropped as outliers; clock jumps."""
+        return dict(
+            zip(("late", "dropped", "jumps"), self._samples.times[3:6], strict=True)
+        )
+
+    @property
+    def groups(self) -> tuple[Group, ...]:
+        """The groups of :attr:`Block.outputs`, in its order."""
+        return tuple(
+            Group(
+                tuple(names),
+                batch.programs[0].state_names,
+                len(batch.programs[0].network.nodes),
+                batch.width + batch.sources,
+            )
+            for batch, names in self._groups
+        )
+
+    def state(self, corner: str) -> dict[str, float]:
+        """Nodes [K] and memories of *corner* now, by name.
+
+        Raises:
+            KeyError: *corner* has no thermal model.
+        """
+        for batch, names in self._groups:
+            if corner in names:
+                first = names.index(corner) * batch.width
+                state = batch.state[first : first + batch.width]
+                names_ = self.programs[corner].state_names
+                return dict(zip(names_, state, strict=True))
+        raise KeyError(corner)
+
+    def advance(
+        self,
+        times_us: Sequence[int],
+        roles: Sequence[int],
+        values: Sequence[float],
+    ) -> list[Block]:
+        """Consume samples and march to the last one's time.
+
+        Args:
+            times_us: stamps [us], a buffer of int64 [n].
+            roles: role numbers, a buffer of int32 [n]; TICK moves time only.
+            values: SI values, a buffer of float64 [n].
+
+        Returns:
+            One block per contiguous stretch that holds a publication.
+        """
+        blocks = []
+        index, count = 0, len(times_us)
+        while index < count:
+            index, steps, code = self._pass(times_us, roles, values, index)
+            if steps:
+                block = self._march(steps)
+                if len(block.times_us):
+                    blocks.append(block)
+            if code == SETTLE:
+                self._settle()
+        return blocks
+
+    def _pass(
+        self,
+        times_us: Sequence[int],
+        roles: Sequence[int],
+        values: Sequence[float],
+        first: int,
+    ) -> tuple[int, int, int]:
+        state = self._samples
+        if self._kernel is None:
+            return reference_pass.sample_pass(
+                self.plan, state, times_us, roles, values, first,
+                self._rows, self._vehicle, self._times,
+            )  # fmt: skip
+        return self._kernel.sample_pass(
+            self.plan.ints, self.plan.floats, state.times, state.numbers,
+            state.flags, times_us, roles, values, self._rows, self._vehicle,
+            self._times, first,
+        )  # fmt: skip
+
+    def _batches(self, start_k: float) -> list[tuple[Batch, list[str]]]:
+        """Group the corners by structure; each group is one batch."""
+        order = list(self.plan.corners)
+        by_structure = sorted(
+            self.programs, key=lambda name: self.programs[name].ints.tobytes()
+        )
+        groups = []
+        for _, members in groupby(
+            by_structure, lambda name: self.programs[name].ints.tobytes()
+        ):
+            names = sorted(members, key=order.index)
+            batch = Batch(
+                [self.programs[name] for name in names],
+                start_k,
+                [order.index(name) for name in names],
+                self._kernel,
+                len(order),
+            )
+            groups.append((batch, names))
+        return groups
+
+    def _march(self, steps: int) -> Block:
+        """March *steps* rows and keep what their publications need."""
+        every = PUBLISH_US // STEP_US
+        phase = (-(self._times[0] // STEP_US)) % every + 1
+        row = len(self.plan.corners) * len(CHANNELS)
+        inputs = memoryview(self._rows)[: steps * row]
+        outputs = tuple(
+            batch.march(inputs, steps, STEP_US * 1e-6, every, phase)
+            for batch, _ in self._groups
+        )
+        wide = len(VEHICLE_CHANNELS)
+        times, rows, vehicle = array("q"), array("d"), array("d")
+        flags = array("i")
+        for step in range(steps):
+            first = step * wide
+            self._open_flags |= int(self._vehicle[first + wide - 1])
+            if (step + 1 - phase) % every == 0:
+                times.append(self._times[step])
+                rows.extend(self._rows[step * row : (step + 1) * row])
+                vehicle.extend(self._vehicle[first : first + wide])
+                flags.append(self._open_flags)
+                self._open_flags = 0
+        self._history_left_s -= steps * STEP_US * 1e-6
+        block = Block(times, rows, vehicle, outputs, flags, {})
+        for group, output in zip(self.groups, outputs, strict=True):
+            self._judge(group, output, block)
+        return block
+
+    def _judge(self, group: Group, output: array[float], block: Block) -> None:
+        """Add the validity of a group's corners to *block*."""
+        known = self.history_known
+        usual = array(
+            "b",
+            [
+                VALID if known and not flags & self._mandatory else DEGRADED
+                for flags in block.flags
+            ],
+        )
+        members = len(group.corners)
+        for member, name in enumerate(group.corners):
+            validity = usual[:]
+            for node in range(group.nodes):
+                series = output[member * group.size + node :: members * group.size]
+                # nan fails every comparison, also inside min and max
+                if sum(series) - sum(series) == 0.0 and (
+                    not series
+                    or (min(series) > LOWEST_K and max(series) < HIGHEST_K)
+                ):
+                    continue
+                for i, temperature in enumerate(series):
+                    if not LOWEST_K < temperature < HIGHEST_K:
+                        validity[i] = INVALID
+            block.validity[name] = validity
+
+    def _settle(self) -> None:
+        ambient = self.config.vehicle.ambient_c + KELVIN_OFFSET
+        for batch, names in self._groups:
+            for member in range(len(names)):
+                batch.settle(ambient, member)
+        self._history_left_s = 0.0
+
+
+def compile_corner(config: Config, corner: CornerConfig) -> Program:
+    """Network of *corner* with its effects, compiled.
+
+    Raises:
+        ConfigError: a part, share or effect that does not exist or fit.
+    """
+    spec = corner_spec(config, corner)
+    net = build_corner(
+        spec, CHANNELS, force_measured=config.heat.mode == "measured"
+    )
+    model = CornerModel(spec, net, config.heat.mode == "ff")
+    try:
+        model = apply_effects(model, config.effect)
+        return compile_network(model.network)
+    except (KeyError, ValueError) as error:
+        msg = f"[[corner]] {corner.name} with its effects: {error}"
+        raise ConfigError([msg]) from error
+
+
+def _mandatory_flags(config: Config, present: Mapping[int, int]) -> int:
+    flags = MANDATORY[config.heat.mode]
+    if config.heat.mode == "fb":
+        for role, flag in (
+            ("acceleration_longitudinal", "acceleration_missing"),
+            ("powertrain_torque", "torque_missing"),
+        ):
+            if ROLE_INDEX[role] in present:
+                flags |= FLAGS[flag]
+    return flags

@@ -1,0 +1,63 @@
+"""Result files that are whole or absent, never half-written."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from bstm_daemon.errors import FileAccessError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """Give a temporary file beside *path*; on success it becomes *path*.
+
+    On any exception, Ctrl-C included, *path* stays as it was and the
+    temporary file goes.
+
+    Raises:
+        FileAccessError: the folder is missing or not writable.
+    """
+    temporary = None
+    try:
+        handle, name = tempfile.mkstemp(
+            dir=path.parent, prefix=f".{path.name}."
+        )
+        os.close(handle)
+        temporary = Path(name)
+        temporary.chmod(0o666 & ~_umask())
+        yield temporary
+        temporary.replace(path)
+    except BaseException as error:
+        if temporary is not None:
+            with suppress(OSError):
+                temporary.unlink()
+        if isinstance(error, OSError):
+            msg = f"{path}: cannot be written: {error.strerror or error}"
+            raise FileAccessError(msg) from error
+        raise
+
+
+def make_folder(path: Path) -> None:
+    """Create the folder *path* where it is missing.
+
+    Raises:
+        FileAccessError: it can not be created.
+    """
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        msg = f"{path}: cannot be created: {error.strerror or error}"
+        raise FileAccessError(msg) from error
+
+
+def _umask() -> int:
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask

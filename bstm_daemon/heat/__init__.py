@@ -1,0 +1,1 @@
+"""Samples into brake power: Feed-Forward and Feed-Back, per corner."""

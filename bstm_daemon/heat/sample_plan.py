@@ -1,0 +1,178 @@
+"""The configuration flattened into the arrays of the per-sample pass.
+
+``ints`` and ``floats`` are read in the order written here by
+:mod:`bstm_daemon.heat.sample_pass` and by ``_samples.c``.
+"""
+
+from __future__ import annotations
+
+from array import array
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+from bstm_daemon.heat.feed_back import Vehicle
+from bstm_daemon.heat.feed_forward import PressureTorque
+from bstm_daemon.roles import CORNERS, MEASURED_NODES, ROLE_INDEX, ROLES
+from bstm_daemon.units import KELVIN_OFFSET
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from bstm_daemon.config import Config, CornerConfig
+
+PLAN_LAYOUT: Final = 1
+MODES: Final = {"ff": 0, "fb": 1, "measured": 2}
+SLOPES: Final = {"accelerometer": 0, "flat": 1}
+
+CHANNELS: Final = (
+    "speed_ms",
+    "pressure_pa",
+    "brake_on",
+    "wetness",
+    "ambient_k",
+    "brake_power_w",
+    "brake_energy_ff_j",
+    "brake_energy_fb_j",
+    *(f"measured_{node}_k" for node in MEASURED_NODES),
+)
+"""A corner's columns of a step row: means over the step, but for the running
+energies since the start and ``measured_*`` (held, nan where not present)."""
+
+VEHICLE_CHANNELS: Final = (
+    "speed_ms",
+    "distance_m",
+    "brake_force_n",
+    "input_age_s",
+    "flags",
+)
+"""The vehicle's columns of a step row; distance counts from the start, the
+age is that of the mandatory input that is silent longest."""
+
+FLAGS: Final = {
+    "speed_missing": 1,
+    "pressure_missing": 2,
+    "acceleration_missing": 4,
+    "torque_missing": 8,
+    "ambient_missing": 16,
+    "clock_jump": 32,
+    "settled": 64,
+}
+"""Bits of a step's ``flags``."""
+
+VEHICLE_ROLES: Final = (
+    "vehicle_speed",
+    "primary_pressure",
+    "secondary_pressure",
+    "acceleration_longitudinal",
+    "powertrain_torque",
+    "external_force",
+    "ambient_temperature",
+    "rain",
+)
+"""Roles of the vehicle that the pass reads, in plan order."""
+
+
+
+@dataclass(frozen=True, slots=True)
+class SamplePlan:
+    """The arrays of the pass and what they were made for."""
+
+    ints: array[int]
+    floats: array[float]
+    corners: tuple[str, ...]
+    step_us: int
+
+
+def plan_samples(
+    config: Config,
+    present: Mapping[int, int],
+    step_us: int,
+) -> SamplePlan:
+    """Flatten *config*.
+
+    Args:
+        config: the configuration.
+        present: role number to timeout [us], for each role that is mapped.
+        step_us: the estimator's step [us].
+    """
+    vehicle = Vehicle.of_config(config.vehicle)
+    heat = config.heat
+    table = list(zip(heat.front_pressure_pa, heat.rear_pressure_pa, strict=True))
+    ints = [
+        PLAN_LAYOUT,
+        len(ROLES),
+        len(config.corner),
+        MODES[heat.mode],
+        SLOPES[heat.slope],
+        len(table),
+        int(_has_pressure(present)),
+    ]
+    ints += [_number(role, present) for role in VEHICLE_ROLES]
+    floats = [
+        float(step_us),
+        vehicle.mass_kg,
+        vehicle.rotating_mass_kg,
+        vehicle.wheel_radius_m,
+        vehicle.quadratic,
+        vehicle.linear,
+        vehicle.constant,
+        config.vehicle.ambient_c + KELVIN_OFFSET,
+        heat.assume_powertrain_torque_nm or 0.0,
+        heat.brake_on_pressure_pa,
+        heat.brake_on_force_n,
+        heat.derivative_filter_s,
+    ]
+    for corner in config.corner:
+        ints += _corner_ints(corner, present)
+        torque = PressureTorque.of_corner(corner)
+        lag = (
+            heat.primary_lag_s
+            if corner.circuit == "primary"
+            else heat.secondary_lag_s
+        )
+        floats += [
+            torque.torque_per_pressure_nm_pa,
+            torque.pushout_pressure_pa,
+            lag,
+            _force_share(config, corner),
+        ]
+    floats += [front for front, _ in table] + [rear for _, rear in table]
+    floats += [float(present.get(i, 0)) for i in range(len(ROLES))]
+    return SamplePlan(
+        array("i", ints),
+        array("d", floats),
+        tuple(corner.name for corner in config.corner),
+        step_us,
+    )
+
+
+def _has_pressure(present: Mapping[int, int]) -> bool:
+    names = (
+        "primary_pressure",
+        "secondary_pressure",
+        *(f"wheel_pressure_{c.lower()}" for c in CORNERS),
+    )
+    return any(ROLE_INDEX[name] in present for name in names)
+
+
+def _number(role: str, present: Mapping[int, int]) -> int:
+    index = ROLE_INDEX[role]
+    return index if index in present else -1
+
+
+def _corner_ints(corner: CornerConfig, present: Mapping[int, int]) -> list[int]:
+    name = corner.name.lower()
+    return [
+        _number(f"wheel_speed_{name}", present),
+        _number(f"wheel_pressure_{name}", present),
+        int(corner.circuit == "secondary"),
+        int(corner.name[0] == "R"),
+        *(_number(f"temp_{name}_{node}", present) for node in MEASURED_NODES),
+    ]
+
+
+def _force_share(config: Config, corner: CornerConfig) -> float:
+    """Share of the vehicle's brake force: the axle's, halved (Eq 4.10)."""
+    front = corner.name[0] == "F"
+    share = config.vehicle.front_share
+    return 0.5 * (share if front else 1.0 - share)

@@ -1,0 +1,1 @@
+"""Boiling of the brake fluid: limits, margin and what follows from it."""

@@ -1,0 +1,63 @@
+"""Boiling points that a brake fluid grade guarantees.
+
+The values are the minima of the equilibrium reflux boiling point (ERBP) that
+a fluid of the grade must reach in the laboratory: dry as delivered, wet after
+humidification to about 3.7 % water. They hold at ambient pressure, which is
+the right condition here: vapour forms when the pedal is released or the car
+is parked, not under brake pressure.
+"""
+
+from __future__ import annotations
+
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+from bstm_daemon.errors import ConfigError
+from bstm_daemon.units import KELVIN_OFFSET
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+FMVSS_116: Final = "49 CFR 571.116 (FMVSS 116), S5.1.1 dry, S5.1.2 wet"
+ISO_4925: Final = "ISO 4925, class 6: ERBP and wet ERBP"
+
+
+class BoilingPoints(NamedTuple):
+    """Guaranteed boiling points of a grade, in kelvin, and their source."""
+
+    dry_k: float
+    wet_k: float
+    source: str
+
+
+BOILING_POINTS: Final[Mapping[str, BoilingPoints]] = MappingProxyType(
+    {
+        "DOT3": BoilingPoints(
+            205 + KELVIN_OFFSET, 140 + KELVIN_OFFSET, FMVSS_116
+        ),
+        "DOT4": BoilingPoints(
+            230 + KELVIN_OFFSET, 155 + KELVIN_OFFSET, FMVSS_116
+        ),
+        "DOT5.1": BoilingPoints(
+            260 + KELVIN_OFFSET, 180 + KELVIN_OFFSET, FMVSS_116
+        ),
+        "CLASS6": BoilingPoints(
+            250 + KELVIN_OFFSET, 165 + KELVIN_OFFSET, ISO_4925
+        ),
+    }
+)
+"""Minima of every grade that ``[fluid] grade`` may name."""
+
+
+def wet_boiling_point_k(grade: str) -> float:
+    """Return the wet boiling point in kelvin that *grade* guarantees.
+
+    Raises :class:`~bstm_daemon.errors.ConfigError` for an unknown grade.
+    """
+    points = BOILING_POINTS.get(grade)
+    if points is None:
+        known = ", ".join(BOILING_POINTS)
+        raise ConfigError(
+            [f'[fluid] grade = "{grade}": unknown grade, use one of {known}']
+        )
+    return points.wet_k

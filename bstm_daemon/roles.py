@@ -1,0 +1,88 @@
+"""The roles a CAN signal can play, and which quantity each one is.
+
+A role is what the model needs, whatever a car's DBC calls it. The index of a
+role in :data:`ROLES` is its number in sample streams and in the compiled
+per-sample pass, so the order below is part of the interface with it.
+"""
+
+from dataclasses import dataclass
+from typing import Final
+
+CORNERS: Final = ("FL", "FR", "RL", "RR")
+"""Corner names, front axle first, left before right."""
+
+MEASURED_NODES: Final = (
+    "disc",
+    "disc_2",
+    "pad_front",
+    "pad_back",
+    "fluid",
+    "caliper",
+)
+"""Nodes of a corner that a thermocouple may measure."""
+
+
+@dataclass(frozen=True, slots=True)
+class Role:
+    """A role: its name, quantities it may be given in, and default ageing.
+
+    ``timeout_s`` is how long a value counts as present after its frame.
+    """
+
+    name: str
+    quantities: tuple[str, ...]
+    timeout_s: float = 0.5
+
+
+def _corner_roles(prefix: str, *quantities: str) -> list[Role]:
+    return [Role(f"{prefix}_{name.lower()}", quantities) for name in CORNERS]
+
+
+ROLES: Final[tuple[Role, ...]] = (
+    # a wheel speed may be angular: the configured wheel radius converts it
+    *_corner_roles("wheel_speed", "speed", "angular_speed"),
+    Role("vehicle_speed", ("speed",)),
+    Role("primary_pressure", ("pressure",)),
+    Role("secondary_pressure", ("pressure",)),
+    *_corner_roles("wheel_pressure", "pressure"),
+    Role("acceleration_longitudinal", ("acceleration",)),
+    Role("acceleration_lateral", ("acceleration",)),
+    Role("yaw_rate", ("angular_speed",)),
+    Role("pitch", ("angle",)),
+    Role("powertrain_torque", ("torque",)),
+    Role("engine_torque", ("torque",)),
+    Role("engine_speed", ("angular_speed",)),
+    Role("gear", ("count",)),
+    Role("clutch_open", ("flag", "fraction")),
+    Role("motor_torque", ("torque",)),
+    Role("brake_torque", ("torque",)),
+    Role("external_force", ("force",)),
+    Role("altitude", ("length",), 5.0),
+    Role("gnss_speed", ("speed",), 2.0),
+    Role("ambient_temperature", ("temperature",), 60.0),
+    Role("rain", ("fraction", "flag"), 60.0),
+    Role("brake_switch", ("flag",)),
+    Role("brake_pedal_travel", ("length", "fraction")),
+    Role("park_brake", ("flag",), 5.0),
+    Role("abs_active", ("flag",)),
+    Role("esc_active", ("flag",)),
+    Role("tc_active", ("flag",)),
+    Role("ignition", ("flag", "count"), 5.0),
+    Role("pads_new", ("flag",), 60.0),
+    Role("pad_worn_1mm", ("flag",), 60.0),
+    Role("pad_2mm_left", ("flag",), 60.0),
+    Role("fluid_changed", ("flag",), 60.0),
+    Role("fluid_water_percent", ("fraction", "count"), 3600.0),
+    Role("trailer_connected", ("flag",), 60.0),
+    *(
+        Role(f"temp_{corner.lower()}_{node}", ("temperature",), 5.0)
+        for corner in CORNERS
+        for node in MEASURED_NODES
+    ),
+)
+"""All roles; a role's number is its index here."""
+
+ROLE_INDEX: Final[dict[str, int]] = {
+    role.name: index for index, role in enumerate(ROLES)
+}
+"""Role name to role number."""

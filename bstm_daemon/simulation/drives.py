@@ -1,0 +1,232 @@
+"""Drives as data: what the car is made to do, read from TOML.
+
+A drive is a table ``[drive]`` and a list ``[[segment]]``. A segment is one of
+
+* *driven*: ``speed_kmh`` is reached at ``rate_ms2`` and then held until
+  ``duration_s`` or ``distance_m`` is used up; with neither, the segment ends
+  when the speed is reached;
+* *free*: ``until_speed_kmh``; the forces decide (coasting, or braking with a
+  given pressure or force) and the segment ends at that speed;
+* *parked*: ``parked = true`` for ``duration_s``.
+
+``repeat`` with inner ``[[segment.segment]]`` repeats a block. A value set in a
+segment holds for that segment only. ``docs/reference.md`` lists the keys.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from importlib import resources
+from typing import TYPE_CHECKING, Annotated, Literal, Self
+
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    ValidationError,
+    model_validator,
+)
+
+from bstm_daemon.errors import ConfigError, FileAccessError, UsageError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from importlib.resources.abc import Traversable
+    from pathlib import Path
+
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Segment(_Table):
+    """One ``[[segment]]``; see the module for the three kinds.
+
+    ``grade_percent`` is positive uphill, ``external_force_n`` positive
+    forward, ``bend_radius_m`` positive to the left, ``gear`` 0 neutral.
+    ``brake_pressure_bar`` or ``brake_force_n`` (all wheels) press the brake
+    whatever the speed needs; the drive's propulsion balances it.
+    ``assist`` brakes without primary pressure. ``active`` lists the
+    interventions that report themselves, ``regeneration`` is the share of the
+    brake force that a motor takes.
+    """
+
+    label: str = ""
+    speed_kmh: NotNegative | None = None
+    until_speed_kmh: NotNegative | None = None
+    rate_ms2: Positive = 1.0
+    duration_s: Positive | None = None
+    distance_m: Positive | None = None
+    parked: bool = False
+    grade_percent: Annotated[float, Field(ge=-30, le=30)] = 0.0
+    external_force_n: Finite = 0.0
+    brake_pressure_bar: NotNegative | None = None
+    brake_force_n: NotNegative | None = None
+    gear: Annotated[int, Field(ge=0, le=6)] = 0
+    bend_radius_m: Finite = 0.0
+    rain: Annotated[float, Field(ge=0, le=1)] = 0.0
+    ambient_c: Annotated[float, Field(ge=-40, le=60)] | None = None
+    ignition: bool = True
+    assist: bool = False
+    active: list[Literal["abs", "esc", "tc"]] = []
+    regeneration: Annotated[float, Field(ge=0, le=1)] = 0.0
+    repeat: Annotated[int, Field(ge=1, le=10_000)] = 1
+    segment: list[Segment] = []
+
+    @model_validator(mode="after")
+    def _one_kind(self) -> Self:
+        kinds = [
+            bool(self.segment),
+            self.parked,
+            self.speed_kmh is not None,
+            self.until_speed_kmh is not None,
+        ]
+        if sum(kinds) != 1:
+            msg = (
+                "needs exactly one of 'speed_kmh', 'until_speed_kmh', "
+                "'parked' and an inner 'segment'"
+            )
+            raise ValueError(msg)
+        if self.repeat > 1 and not self.segment:
+            msg = "'repeat' needs an inner 'segment'"
+            raise ValueError(msg)
+        if self.duration_s is not None and self.distance_m is not None:
+            msg = "'duration_s' and 'distance_m' exclude each other"
+            raise ValueError(msg)
+        if self.parked and self.duration_s is None:
+            msg = "'parked' needs 'duration_s'"
+            raise ValueError(msg)
+        if self.until_speed_kmh is not None and self.distance_m is not None:
+            msg = "'until_speed_kmh' and 'distance_m' exclude each other"
+            raise ValueError(msg)
+        if (
+            self.brake_pressure_bar is not None
+            and self.brake_force_n is not None
+        ):
+            msg = "'brake_pressure_bar' and 'brake_force_n' exclude each other"
+            raise ValueError(msg)
+        return self
+
+
+class DriveHead(_Table):
+    """``[drive]``: name, surroundings, and what moves the car.
+
+    ``propulsion`` ``"push"``: a pusher or belt supplies positive force, the
+    drive line is idle. ``thermocouple_logger``: the measuring system keeps
+    recording temperatures while the ignition is off.
+    """
+
+    name: str
+    description: str
+    ambient_c: Annotated[float, Field(ge=-40, le=60)] = 20.0
+    start_c: Annotated[float, Field(ge=-40, le=600)] | None = None
+    mass_kg: Positive | None = None
+    propulsion: Literal["engine", "push"] = "engine"
+    thermocouple_logger: bool = False
+
+
+class Drive(_Table):
+    """A whole drive file."""
+
+    drive: DriveHead
+    segment: Annotated[list[Segment], Field(min_length=1)]
+
+    @property
+    def name(self) -> str:
+        """Name of the drive."""
+        return self.drive.name
+
+    def flat(self) -> Iterator[tuple[str, Segment]]:
+        """Yield (place in the file, segment) with repeats unrolled."""
+        yield from _flatten(self.segment, "segment")
+
+
+def _flatten(
+    segments: list[Segment], place: str
+) -> Iterator[tuple[str, Segment]]:
+    for index, segment in enumerate(segments, start=1):
+        here = f"{place}[{index}]"
+        if not segment.segment:
+            yield here, segment
+            continue
+        for _ in range(segment.repeat):
+            yield from _flatten(segment.segment, f"{here}.segment")
+
+
+def _folder() -> Traversable:
+    return resources.files("bstm_daemon.simulation") / "_data" / "drives"
+
+
+def drive_names() -> list[str]:
+    """Return the names of the drives that come with the package, sorted."""
+    return sorted(
+        entry.name.removesuffix(".toml")
+        for entry in _folder().iterdir()
+        if entry.name.endswith(".toml")
+    )
+
+
+def load_drive(name: str) -> Drive:
+    """Return the packaged drive *name*.
+
+    Raises :class:`~bstm_daemon.errors.UsageError` for an unknown name.
+    """
+    if name not in drive_names():
+        msg = f"no drive {name!r}: one of {', '.join(drive_names())}"
+        raise UsageError(msg)
+    source = _folder() / f"{name}.toml"
+    return parse_drive(source.read_text(encoding="utf-8"), f"{name}.toml")
+
+
+def read_drive(path: Path) -> Drive:
+    """Return the drive of the TOML file *path*.
+
+    Raises :class:`~bstm_daemon.errors.FileAccessError` if it cannot be read
+    and :class:`~bstm_daemon.errors.ConfigError` if it is not a drive.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+    except OSError as error:
+        msg = f"{path}: cannot read the drive: {error.strerror}"
+        raise FileAccessError(msg) from error
+    except UnicodeDecodeError as error:
+        raise ConfigError([f"{path}: not a UTF-8 text file"]) from error
+    return parse_drive(text, str(path))
+
+
+def parse_drive(text: str, file: str) -> Drive:
+    """Return the drive written in *text*; *file* names it in messages.
+
+    Raises :class:`~bstm_daemon.errors.ConfigError`, one line a problem.
+    """
+    try:
+        return Drive.model_validate(tomllib.loads(text))
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError([f"{file}: not TOML: {error}"]) from error
+    except ValidationError as error:
+        problems = [
+            f"{file}: {_place(problem['loc'])}: {_words(problem['msg'])}"
+            for problem in error.errors()
+        ]
+        raise ConfigError(problems) from error
+
+
+def _place(location: tuple[int | str, ...]) -> str:
+    place = ""
+    for part in location:
+        if isinstance(part, int):
+            place += f"[{part + 1}]"
+        else:
+            place += f".{part}" if place else part
+    return place or "drive"
+
+
+def _words(message: str) -> str:
+    words = message.removeprefix("Value error, ")
+    if words == "Extra inputs are not permitted":
+        return "unknown key; see the keys of a drive in docs/reference.md"
+    return words

@@ -1,0 +1,276 @@
+"""Brake corners side by side: parameters, masses and state as arrays.
+
+The last axis of every array is the lane, one brake corner each. A corner is
+two *chains*, one a side of the disc, and nine *lumps* that both share::
+
+    backplate | lining, back to front | cheek, surface to inside | centre
+    j = 0       1 ... pad_nodes         then cheek nodes
+
+    chain arrays (j, side, lane)        side 0 = piston, 1 = finger
+    lump arrays  (lump, lane)
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from bstm_daemon.simulation import materials
+from bstm_daemon.simulation.parameters import (
+    EFFECT_NAMES,
+    CornerParameters,
+    Effects,
+    Mesh,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from bstm_daemon.simulation.materials import Array
+
+LUMPS: Final = (
+    "centre",
+    "hat",
+    "hub",
+    "piston",
+    "fluid",
+    "body",
+    "finger",
+    "bracket",
+    "air",
+)
+"""Lumps of a corner: vent region of the disc, hat, hub, caliper, air."""
+
+CENTRE, HAT, HUB, PISTON, FLUID, BODY, FINGER, BRACKET, AIR = range(len(LUMPS))
+
+PARAMETER_NAMES: Final = (
+    *(field.name for field in fields(CornerParameters)),
+    *EFFECT_NAMES,
+)
+"""Rows of the parameter table, in order."""
+
+STEEL_DENSITY_KG_M3: Final = 7850.0
+STEEL_HEAT_CAPACITY_J_KGK: Final = 480.0
+
+# a fully worn disc has lost about a tenth of each cheek, a worn pad 4.5 mm
+_DISC_WEAR_FRACTION: Final = 0.08
+_PAD_WEAR_M: Final = 0.0045
+
+# boiling as a smeared latent heat: a few ml of vapour in a 30 ml gallery
+BOILING_K: Final = 428.15
+BOILING_WIDTH_K: Final = 6.0
+BOILING_J: Final = 8.0e3
+
+
+class Rows:
+    """Parameters by name, each an array (lanes,)."""
+
+    def __init__(self, table: Array) -> None:
+        """Name the rows of *table*, shape (len(PARAMETER_NAMES), lanes)."""
+        self._rows = dict(zip(PARAMETER_NAMES, table, strict=True))
+
+    def __getattr__(self, name: str) -> Array:
+        """Return the row *name*."""
+        rows: dict[str, Array] = self.__dict__["_rows"]
+        try:
+            return rows[name]
+        except KeyError:
+            raise AttributeError(name) from None
+
+
+class Lanes:
+    """Constant data of a batch of corners."""
+
+    def __init__(
+        self,
+        corners: Sequence[CornerParameters],
+        effects: Sequence[Effects],
+        mesh: Mesh,
+    ) -> None:
+        """Tabulate *corners* and *effects*, one of each a lane."""
+        self.table = np.array(
+            [
+                [getattr(corner, f.name) for corner in corners]
+                for f in fields(CornerParameters)
+            ]
+            + [
+                [getattr(effect, name) for effect in effects]
+                for name in EFFECT_NAMES
+            ]
+        )
+        self.mesh = mesh
+        self.count = len(corners)
+        self.p = p = Rows(self.table)
+        self.pad = slice(1, 1 + mesh.pad_nodes)
+        self.cheek = slice(
+            self.pad.stop, self.pad.stop + len(mesh.cheek_depths)
+        )
+        self.surface = self.pad.stop
+        self.chain_nodes = self.cheek.stop
+        self.ports = [0, self.surface, self.chain_nodes - 1]
+
+        pad_weight = np.full(mesh.pad_nodes, 1.0 / (mesh.pad_nodes - 1))
+        pad_weight[[0, -1]] /= 2
+        self.pad_weight = pad_weight[:, None, None]
+        self.new_pad_m = p.pad_thickness_m - _PAD_WEAR_M * p.pad_wear
+
+        depths = np.array([*mesh.cheek_depths, 1.0])
+        edges = np.concatenate(
+            ([0.0], (depths[:-2] + depths[1:-1]) / 2, [1.0])
+        )
+        worn = 1.0 - _DISC_WEAR_FRACTION * p.disc_wear
+        thickness = p.cheek_thickness_m * worn
+        cheek_kg = p.iron_density_kg_m3 * p.face_area_m2 * thickness
+        self.cheek_kg = np.diff(edges)[:, None, None] * cheek_kg
+        # the last gap ends at the vent: half of it is bridged by the vanes
+        self.cheek_gap_m = np.diff(depths)[:, None, None] * thickness
+        fresh_kg = p.iron_density_kg_m3 * p.face_area_m2 * p.cheek_thickness_m
+        self.centre_kg = p.ring_mass_kg - 2 * fresh_kg
+        self.backplate_j_k = (
+            STEEL_DENSITY_KG_M3
+            * STEEL_HEAT_CAPACITY_J_KGK
+            * p.backplate_area_m2
+            * p.backplate_thickness_m
+        )
+        self.lump_j_k = np.array(
+            [
+                np.zeros(self.count),
+                p.hat_capacity_j_k,
+                p.hub_capacity_j_k,
+                p.piston_capacity_j_k,
+                p.fluid_capacity_j_k,
+                p.body_capacity_j_k,
+                p.finger_capacity_j_k,
+                p.bracket_capacity_j_k,
+                p.air_capacity_j_k,
+            ]
+        )
+        self.variable_pad = bool(np.any(p.pad_capacity))
+        self.wears = bool(np.any(p.pad_wear))
+        self.chars = bool(np.any(p.pad_pyrolysis))
+        self.gaps = bool(np.any(p.gap_conduction))
+        self.wets = bool(np.any(p.wet_disc))
+        # materials skip the transition's peak altogether for a plain 0
+        self.bump: Array | float = 0.0
+        if np.any(p.disc_capacity_hot):
+            self.bump = p.disc_capacity_hot
+        self.boils = bool(np.any(p.fluid_latent_heat))
+
+    def pad_kg(self, state: State) -> Array:
+        """Return the mass of every lining node [kg], (nodes, 2, lanes)."""
+        p = self.p
+        column = p.pad_density_kg_m3 * p.pad_area_m2 * state.pad_m
+        return self.pad_weight * column
+
+    def chain_capacity(self, state: State) -> Array:
+        """Return the heat capacity of every chain node [J/K]."""
+        p = self.p
+        capacity = np.empty_like(state.chain_k)
+        capacity[0] = self.backplate_j_k
+        specific: Array = p.pad_heat_capacity_j_kgk
+        if self.variable_pad:
+            specific = materials.lining_heat_capacity(
+                state.chain_k[self.pad],
+                p.pad_heat_capacity_j_kgk,
+                p.pad_capacity,
+            )
+        capacity[self.pad] = self.pad_kg(state) * specific
+        capacity[self.cheek] = self.cheek_kg * materials.iron_heat_capacity(
+            state.chain_k[self.cheek], self.bump
+        )
+        return capacity
+
+    def lump_capacity(self, state: State) -> Array:
+        """Return the heat capacity of every lump [J/K], (lumps, lanes)."""
+        capacity = self.lump_j_k.copy()
+        capacity[CENTRE] = self.centre_kg * materials.iron_heat_capacity(
+            state.lump_k[CENTRE], self.bump
+        )
+        if self.boils:
+            x = (state.lump_k[FLUID] - BOILING_K) / BOILING_WIDTH_K
+            capacity[FLUID] += (
+                self.p.fluid_latent_heat
+                * (BOILING_J / (2 * BOILING_WIDTH_K))
+                * (1.0 - np.tanh(x) ** 2)
+            )
+        return capacity
+
+    def fluid_temperature(self, energy_j: Array, near_k: Array) -> Array:
+        """Return the temperature [K] of boiling fluid of this energy."""
+        latent = self.p.fluid_latent_heat * (BOILING_J / 2)
+        sensible = self.lump_j_k[FLUID]
+        t = near_k
+        for _ in range(2 * materials.NEWTON_STEPS):
+            x = np.tanh((t - BOILING_K) / BOILING_WIDTH_K)
+            stored = sensible * (t - materials.REFERENCE_K) + latent * (1 + x)
+            slope = sensible + latent / BOILING_WIDTH_K * (1 - x * x)
+            t = t + (energy_j - stored) / slope
+        return t
+
+    def energies(self, state: State) -> tuple[Array, Array]:
+        """Return the energy of chain and lump nodes [J], 0 at 20 degC."""
+        p = self.p
+        chain = np.empty_like(state.chain_k)
+        above = state.chain_k - materials.REFERENCE_K
+        chain[0] = self.backplate_j_k * above[0]
+        if self.variable_pad:
+            specific = materials.lining_enthalpy(
+                state.chain_k[self.pad],
+                p.pad_heat_capacity_j_kgk,
+                p.pad_capacity,
+            )
+        else:
+            specific = p.pad_heat_capacity_j_kgk * above[self.pad]
+        chain[self.pad] = self.pad_kg(state) * specific
+        chain[self.cheek] = self.cheek_kg * materials.iron_enthalpy(
+            state.chain_k[self.cheek], self.bump
+        )
+        lumps = self.lump_j_k * (state.lump_k - materials.REFERENCE_K)
+        lumps[CENTRE] = self.centre_kg * materials.iron_enthalpy(
+            state.lump_k[CENTRE], self.bump
+        )
+        if self.boils:
+            x = (state.lump_k[FLUID] - BOILING_K) / BOILING_WIDTH_K
+            lumps[FLUID] += (
+                p.fluid_latent_heat * (BOILING_J / 2) * (1.0 + np.tanh(x))
+            )
+        return chain, lumps
+
+
+@dataclass(slots=True)
+class State:
+    """Everything of a batch that changes in time.
+
+    ``chain_k``/``lump_k`` follow from the energies; ``pad_m`` (2, lanes) is
+    the lining thickness, ``char`` the pyrolysed fraction of every lining node
+    and ``friction_j`` (lanes,) the friction energy since the start.
+    """
+
+    chain_k: Array
+    lump_k: Array
+    chain_j: Array
+    lump_j: Array
+    pad_m: Array
+    char: Array
+    friction_j: Array
+
+
+def start_state(lanes: Lanes, temperature_k: Array) -> State:
+    """Return a state with every node of a lane at *temperature_k* (lanes,)."""
+    chain = np.broadcast_to(
+        temperature_k, (lanes.chain_nodes, 2, lanes.count)
+    ).copy()
+    lumps = np.broadcast_to(temperature_k, (len(LUMPS), lanes.count)).copy()
+    state = State(
+        chain,
+        lumps,
+        chain,
+        lumps,
+        np.broadcast_to(lanes.new_pad_m, (2, lanes.count)).copy(),
+        np.zeros((lanes.mesh.pad_nodes, 2, lanes.count)),
+        np.zeros(lanes.count),
+    )
+    state.chain_j, state.lump_j = lanes.energies(state)
+    return state

@@ -1,0 +1,339 @@
+"""Heat paths of a brake corner: conductances and sources at one instant.
+
+Every path is written as a symmetric conductance times a temperature
+difference (radiation as ``sigma eps A (T1^2 + T2^2)(T1 + T2)``), so what
+leaves one node enters the other exactly. Friction heat is released at the
+interface and divided by the effusivities of the two surfaces at their present
+temperatures, pad area against swept ring; contact under pressure adds
+conduction across the interface.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from bstm_daemon.simulation import materials
+from bstm_daemon.simulation.lanes import (
+    AIR,
+    BODY,
+    BRACKET,
+    CENTRE,
+    FINGER,
+    FLUID,
+    HAT,
+    HUB,
+    LUMPS,
+    PISTON,
+    Lanes,
+    State,
+)
+from bstm_daemon.units import STEFAN_BOLTZMANN_W_M2K4
+
+if TYPE_CHECKING:
+    from bstm_daemon.simulation.materials import Array
+
+_STEEL_CONDUCTIVITY_W_MK = 48.0
+_VENT_HALF_GAP_M = 0.004
+_TIGHT_W_K = 80.0
+_OPEN_AIR_W_K = 1e5
+
+# typical strength of the paths that effects switch on
+_CONTACT_W_M2K = 2000.0
+_GAP_M = 2.0e-4
+_HAT_W_K = 5.0
+_HUB_W_K = 1.0
+_HAT_AIR_M2 = 0.05
+_BACKPLATE_LOSS_W_K = 0.12
+_BRACKET_W_K = 0.35
+_BYPASS_W_K = 0.25
+_SHIM_PRESSED = 0.6
+_VIEW_OF_DISC_M2 = 0.006
+_CALIPER_AREA_M2 = np.array([[0.030], [0.020]])
+_LINE_W_K = 0.05
+_PUMPING_W_S_K_PA = 4.0e-7
+_SPRAY_KG_S_PER_MS = 1.2e-5
+_SPRAY_STILL_KG_S = 5.0e-5
+_EVAPORATION_J_KG = 2.4e6
+_DRAG_TORQUE_NM = 3.0
+_TYRE_RADIUS_M = 0.3418
+
+
+@dataclass(slots=True)
+class Inputs:
+    """What acts on the corners during one step, each (lanes,) or (1,).
+
+    ``power_w`` is friction power, ``contact`` the fraction of the step with
+    pressed pads, ``pumping_pa_s`` the mean of the absolute pressure rate.
+    """
+
+    speed_ms: Array
+    power_w: Array
+    pressure_pa: Array
+    contact: Array
+    ambient_k: Array
+    wetness: Array
+    pumping_pa_s: Array
+
+
+@dataclass(slots=True)
+class Paths:
+    """Conductances [W/K] and sources [W] at one instant.
+
+    Shapes: ``link`` (n - 1, 2, lanes); ``coupling`` (lanes, 6, lumps), port
+    to lump, ports ordered side by side; ``between`` (lanes, lumps, lumps)
+    Laplacian of the lumps; ``surface_out`` (2, lanes) and ``lump_out``
+    (lumps, lanes) to the ambient; sources and capacities [J/K] by node.
+    """
+
+    link: Array
+    coupling: Array
+    between: Array
+    surface_out: Array
+    lump_out: Array
+    chain_source: Array
+    heat_in_w: Array
+    chain_capacity: Array
+    lump_capacity: Array
+
+
+def _radiation(a_k: Array, b_k: Array, exchange_m2: Array | float) -> Array:
+    sigma = STEFAN_BOLTZMANN_W_M2K4
+    return sigma * exchange_m2 * (a_k * a_k + b_k * b_k) * (a_k + b_k)
+
+
+def mixed(natural: Array | float, forced: Array) -> Array:
+    """Return the mixed convection ``(natural^3 + forced^3)^(1/3)``."""
+    total: Array = np.cbrt(natural**3 + forced**3)
+    return total
+
+
+def radiating_share(speed_ms: Array, driving: Array) -> Array:
+    """Return the share of disc radiation that counts at *speed_ms*.
+
+    1 at rest, fading around walking pace to *driving* (0: none).
+    """
+    rest = 1.0 / (1.0 + (speed_ms / 2.2) ** 4)
+    return rest + (1.0 - rest) * np.minimum(driving, 1.0)
+
+
+def paths(lanes: Lanes, state: State, inputs: Inputs) -> Paths:
+    """Return all conductances and sources of *state* under *inputs*."""
+    p = lanes.p
+    t_surface = state.chain_k[lanes.surface]
+    t_front = state.chain_k[lanes.surface - 1]
+    link = _chain_links(lanes, state, inputs, t_front, t_surface)
+    v = inputs.speed_ms
+    cooling = _cooling(lanes, state, v)
+    coupling = _couplings(lanes, state, inputs, cooling[0])
+    between = _lump_links(lanes, v, cooling[1])
+    radiates = radiating_share(v, p.disc_radiation_driving)
+    surface_out = _radiation(
+        t_surface,
+        inputs.ambient_k,
+        p.face_emissivity * p.face_air_area_m2 * radiates,
+    )
+    lump_out = _ambient_links(lanes, state, inputs, radiates)
+    chain_source, heat_in = _sources(lanes, state, inputs)
+    return Paths(
+        link,
+        coupling,
+        between,
+        surface_out,
+        lump_out,
+        chain_source,
+        heat_in,
+        lanes.chain_capacity(state),
+        lanes.lump_capacity(state),
+    )
+
+
+def _cooling(lanes: Lanes, state: State, v: Array) -> tuple[Array, Array]:
+    """Convection of the cheeks' faces (2, lanes) and the vent (lanes,)."""
+    p = lanes.p
+    n = p.forced_exponent + 0.15 * p.convection_exponent
+    # the exponents agree at 36 km/h, where the levels are given
+    forced = 10.0**p.forced_exponent * (v / 10.0) ** n
+    t_surface = state.chain_k[lanes.surface]
+    excess = np.abs(t_surface - state.lump_k[AIR])
+    buoyancy = np.sqrt(np.sqrt(np.maximum(excess, 1.0) / 200.0))
+    natural = p.natural_convection_w_m2k * buoyancy
+    # per unit of v^n: forced_*_w_m2k is the coefficient at 1 m/s
+    faces = p.face_air_area_m2 * mixed(natural, p.forced_face_w_m2k * forced)
+    vent = p.vent_area_m2 * mixed(
+        p.parked_vent_fraction * natural.mean(axis=0),
+        p.forced_vent_w_m2k * forced,
+    )
+    return faces, vent
+
+
+def _chain_links(
+    lanes: Lanes,
+    state: State,
+    inputs: Inputs,
+    t_front: Array,
+    t_surface: Array,
+) -> Array:
+    p = lanes.p
+    nodes = lanes.chain_nodes
+    link = np.empty((nodes - 1, 2, lanes.count))
+    link[0] = p.backplate_area_m2 / (
+        p.backplate_thickness_m / (2 * _STEEL_CONDUCTIVITY_W_MK)
+    )
+    gap_m = state.pad_m / (lanes.mesh.pad_nodes - 1)
+    pad_k = state.chain_k[lanes.pad]
+    conductivity = materials.lining_conductivity(
+        (pad_k[1:] + pad_k[:-1]) / 2,
+        p.pad_conductivity_w_mk,
+        p.pad_conductivity,
+    )
+    link[1 : lanes.surface - 1] = conductivity * (p.pad_area_m2 / gap_m)
+    cheek_k = state.chain_k[lanes.cheek]
+    link[lanes.surface :] = materials.iron_conductivity(
+        (cheek_k[1:] + cheek_k[:-1]) / 2
+    ) * (p.face_area_m2 / lanes.cheek_gap_m[:-1])
+    grey = 1.0 / (1.0 / p.face_emissivity + 1.0 / p.pad_emissivity - 1.0)
+    interface = _radiation(t_front, t_surface, grey * p.pad_area_m2)
+    if lanes.gaps:
+        air = materials.air_conductivity((t_front + t_surface) / 2)
+        released = p.gap_conduction * (1.0 - inputs.contact)
+        interface += released * p.pad_area_m2 * air / _GAP_M
+    pressed = p.contact_conductance * inputs.contact
+    interface += (
+        pressed
+        * p.pad_area_m2
+        * _CONTACT_W_M2K
+        * (inputs.pressure_pa / 1e6) ** 0.95
+    )
+    link[lanes.surface - 1] = interface
+    return link
+
+
+def _couplings(
+    lanes: Lanes, state: State, inputs: Inputs, faces: Array
+) -> Array:
+    p = lanes.p
+    coupling = np.zeros((lanes.count, 6, len(LUMPS)))
+    shim = p.pad_area_m2 / p.shim_resistance_m2k_w
+    press = inputs.pressure_pa / (inputs.pressure_pa + 1.0e6)
+    shim = shim * (1.0 + _SHIM_PRESSED * p.shim_contact * press)
+    loss = (
+        p.hammerhead_forced_w_k * inputs.speed_ms**0.8
+        + _BACKPLATE_LOSS_W_K * p.backplate_loss
+    )
+    cheek_k = state.chain_k[-1]
+    to_vanes_per_m = (
+        lanes.cheek_gap_m[-1] / p.face_area_m2
+        + _VENT_HALF_GAP_M / p.vent_bridge_area_m2
+    )
+    bridge = materials.iron_conductivity(cheek_k) / to_vanes_per_m
+    t_surface = state.chain_k[lanes.surface]
+    for side, behind, bypass in ((0, PISTON, BODY), (1, FINGER, FINGER)):
+        back, surface, last = 3 * side, 3 * side + 1, 3 * side + 2
+        coupling[:, back, behind] = shim
+        coupling[:, back, bypass] += _BYPASS_W_K * p.caliper_bypass
+        coupling[:, back, BRACKET] = _BRACKET_W_K * p.bracket_conduction
+        coupling[:, back, AIR] = loss
+        coupling[:, surface, AIR] = faces[side]
+        coupling[:, surface, bypass] = _radiation(
+            t_surface[side],
+            state.lump_k[bypass],
+            p.face_emissivity * _VIEW_OF_DISC_M2 * p.disc_caliper_radiation,
+        )
+        coupling[:, last, CENTRE] = bridge[side]
+    return coupling
+
+
+def _lump_links(lanes: Lanes, v: Array, vent: Array) -> Array:
+    p = lanes.p
+    split = p.caliper_fluid_split
+    caliper = mixed(p.caliper_natural_w_k, p.caliper_forced_w_k * v**0.7)
+    pairs = (
+        (CENTRE, AIR, vent),
+        (CENTRE, HAT, _HAT_W_K * p.disc_hat),
+        (CENTRE, HUB, _HUB_W_K * p.hub_conduction),
+        (HAT, AIR, _HAT_AIR_M2 * vent / p.vent_area_m2),
+        (PISTON, FLUID, 1.0 / (1.0 / _TIGHT_W_K + split / 6.0)),
+        (FLUID, BODY, 1.0 / (1.0 / _TIGHT_W_K + split / 5.0)),
+        (BODY, FINGER, 1.0 / (1.0 / _TIGHT_W_K + split / 2.5)),
+        (BODY, AIR, 0.6 * caliper),
+        (FINGER, AIR, 0.4 * caliper),
+    )
+    matrix = np.zeros((lanes.count, len(LUMPS), len(LUMPS)))
+    for a, b, conductance in pairs:
+        matrix[:, a, b] -= conductance
+        matrix[:, b, a] -= conductance
+        matrix[:, a, a] += conductance
+        matrix[:, b, b] += conductance
+    return matrix
+
+
+def _ambient_links(
+    lanes: Lanes, state: State, inputs: Inputs, radiates: Array
+) -> Array:
+    p = lanes.p
+    v = inputs.speed_ms
+    out = np.zeros((len(LUMPS), lanes.count))
+    ambient = inputs.ambient_k
+    out[CENTRE] = _radiation(
+        state.lump_k[CENTRE],
+        ambient,
+        p.vent_emissivity * p.vent_opening_area_m2 * radiates,
+    )
+    out[AIR] = 1.0 / (1.0 / _OPEN_AIR_W_K + p.local_air / (12.0 + 25.0 * v))
+    out[HUB] = 1.2 + 0.1 * v**0.8
+    out[BRACKET] = 1.0 + 0.12 * v**0.8
+    calipers = state.lump_k[BODY : FINGER + 1]
+    out[BODY : FINGER + 1] = _radiation(
+        calipers, ambient, 0.9 * _CALIPER_AREA_M2 * p.caliper_radiation
+    )
+    out[FLUID] = p.fluid_exchange * (
+        _LINE_W_K + _PUMPING_W_S_K_PA * inputs.pumping_pa_s
+    )
+    return out
+
+
+def _sources(
+    lanes: Lanes, state: State, inputs: Inputs
+) -> tuple[Array, Array]:
+    """Friction heat and its division, less what spray carries off."""
+    p = lanes.p
+    front = lanes.surface - 1
+    t_front, t_surface = state.chain_k[front], state.chain_k[front + 1]
+    pad = p.pad_area_m2 * np.sqrt(
+        materials.lining_conductivity(
+            t_front, p.pad_conductivity_w_mk, p.pad_conductivity
+        )
+        * p.pad_density_kg_m3
+        * materials.lining_heat_capacity(
+            t_front, p.pad_heat_capacity_j_kgk, p.pad_capacity
+        )
+    )
+    ring = p.face_area_m2 * np.sqrt(
+        materials.iron_conductivity(t_surface)
+        * p.iron_density_kg_m3
+        * materials.iron_heat_capacity(t_surface, lanes.bump)
+    )
+    released = (1.0 - inputs.contact) * p.residual_drag
+    heat_in = inputs.power_w + (
+        released * _DRAG_TORQUE_NM * inputs.speed_ms / _TYRE_RADIUS_M
+    )
+    half = heat_in / 2
+    to_pad = pad / (pad + ring)
+    source = np.zeros_like(state.chain_k)
+    source[front] = to_pad * half
+    source[lanes.surface] = (1.0 - to_pad) * half
+    if lanes.wets and inputs.wetness.any():
+        spray = _SPRAY_STILL_KG_S + _SPRAY_KG_S_PER_MS * inputs.speed_ms
+        above = np.maximum(t_surface - inputs.ambient_k, 0.0)
+        source[lanes.surface] -= (
+            p.wet_disc
+            * inputs.wetness
+            * spray
+            * _EVAPORATION_J_KG
+            * -np.expm1(-above / 70.0)
+            / 2
+        )
+    return source, heat_in

@@ -1,0 +1,225 @@
+"""What the reality's brake corner is made of, and which effects it has.
+
+Figures of the nominal car: thesis vehicle 1 where the thesis gives them, and
+otherwise the middle of the ranges for a 2.2 t car's front corner. The rear
+corner is the same construction, smaller.
+
+========================  =======  =======================================
+quantity                  front    source
+========================  =======  =======================================
+ring mass                 7.5 kg   316 to 336 mm ventilated disc of 10 kg
+swept area, one face      0.0425   both faces 0.085 m2
+cheek thickness           10 mm    28 to 30 mm disc less 9 mm vent
+effective radius          0.130 m  268 mm effective diameter, 330 mm disc
+piston                    60 mm    thesis; rear 42 mm, floating, one piston
+friction coefficient      0.38     410 Pa/N at the wheels (thesis 400)
+lining rho, cp, k         2600,    low-metallic lining inside 2000 to 2900,
+                          1050,    800 to 1300, 0.5 to 3; its effusivity
+                          2.4      gives the pads 3 % of the friction heat
+shim resistance           4.5e-3   rubber and steel layers, 1e-3 to 5e-3
+fluid and caliper         2.6 kJ/K iron caliper 5.2 kg, 30 ml fluid
+face, vent convection     c v^0.8  turbulent exponent (Limpert); the level
+                                   gives a cooling rate S near 2e-3 1/s at
+                                   36 km/h (1.2e-3 to 2.4e-3 on vehicles)
+natural convection        4.2      3 to 5 W/(m2 K), Topouris et al. 2020
+emissivity of faces,      0.70,    oxidised iron, lining, rusty vent
+pad, vent                 0.90,
+                          0.80
+========================  =======  =======================================
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from itertools import pairwise
+from math import pi
+from typing import Final
+
+from bstm_daemon.errors import UsageError
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CornerParameters:
+    """One brake corner, SI units as the names say; defaults are the front.
+
+    Areas of pad, backplate and shim are those of one pad; convection
+    conductances are written ``(natural^3 + (forced * v^n)^3)^(1/3)`` with v in
+    m/s.
+    """
+
+    # hydraulics and friction
+    piston_area_m2: float = pi * 0.060**2 / 4
+    piston_count: float = 1.0
+    efficiency: float = 1.0
+    friction_coefficient: float = 0.38
+    effective_radius_m: float = 0.130
+    # disc
+    ring_mass_kg: float = 7.5
+    face_area_m2: float = 0.0425
+    cheek_thickness_m: float = 0.010
+    iron_density_kg_m3: float = 7200.0
+    face_air_area_m2: float = 0.036
+    vent_area_m2: float = 0.150
+    vent_bridge_area_m2: float = 0.019
+    face_emissivity: float = 0.70
+    vent_emissivity: float = 0.80
+    vent_opening_area_m2: float = 0.020
+    natural_convection_w_m2k: float = 4.2
+    parked_vent_fraction: float = 0.25
+    forced_face_w_m2k: float = 6.0
+    forced_vent_w_m2k: float = 6.0
+    forced_exponent: float = 0.8
+    # pads
+    pad_area_m2: float = 6.5e-3
+    pad_thickness_m: float = 0.011
+    pad_density_kg_m3: float = 2600.0
+    pad_heat_capacity_j_kgk: float = 1050.0
+    pad_conductivity_w_mk: float = 2.4
+    pad_emissivity: float = 0.90
+    backplate_area_m2: float = 7.5e-3
+    backplate_thickness_m: float = 0.006
+    shim_resistance_m2k_w: float = 4.5e-3
+    hammerhead_forced_w_k: float = 0.015
+    # caliper and what carries it
+    piston_capacity_j_k: float = 170.0
+    fluid_capacity_j_k: float = 72.0
+    body_capacity_j_k: float = 1430.0
+    finger_capacity_j_k: float = 930.0
+    bracket_capacity_j_k: float = 1150.0
+    hat_capacity_j_k: float = 1200.0
+    hub_capacity_j_k: float = 2800.0
+    air_capacity_j_k: float = 60.0
+    caliper_natural_w_k: float = 1.0
+    caliper_forced_w_k: float = 0.25
+
+
+FRONT: Final = CornerParameters()
+"""Front corner of the nominal car."""
+
+REAR: Final = CornerParameters(
+    piston_area_m2=pi * 0.042**2 / 4,
+    # 15 % of the brake force a corner against 35 % in front
+    effective_radius_m=0.130 * (0.060 / 0.042) ** 2 * 15 / 35,
+    ring_mass_kg=5.0,
+    face_area_m2=0.036,
+    cheek_thickness_m=0.0085,
+    face_air_area_m2=0.031,
+    vent_area_m2=0.055,
+    vent_bridge_area_m2=0.034,
+    vent_opening_area_m2=0.020,
+    parked_vent_fraction=0.8,
+    pad_area_m2=4.2e-3,
+    pad_thickness_m=0.010,
+    backplate_area_m2=4.8e-3,
+    hammerhead_forced_w_k=0.010,
+    piston_capacity_j_k=90.0,
+    fluid_capacity_j_k=40.0,
+    body_capacity_j_k=950.0,
+    finger_capacity_j_k=650.0,
+    bracket_capacity_j_k=800.0,
+    hat_capacity_j_k=700.0,
+    hub_capacity_j_k=2300.0,
+    caliper_natural_w_k=0.7,
+    caliper_forced_w_k=0.18,
+)
+"""Rear corner of the nominal car: solid disc, 42 mm piston."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Effects:
+    """Strength of every effect; 0 is off and 1 is typical.
+
+    Numbers 1 to 30 of the effect table act in the brake corner, 31 to 37 in
+    the car and its sensors.
+    """
+
+    friction_fade: float = 0.0
+    friction_speed: float = 0.0
+    friction_pressure: float = 0.0
+    friction_history: float = 0.0
+    pushout_pressure: float = 0.0
+    hydraulic_lag: float = 0.0
+    residual_drag: float = 0.0
+    contact_conductance: float = 0.0
+    gap_conduction: float = 0.0
+    disc_capacity_hot: float = 0.0
+    disc_radiation_driving: float = 0.0
+    convection_exponent: float = 0.0
+    local_air: float = 0.0
+    hub_conduction: float = 0.0
+    wet_disc: float = 0.0
+    disc_wear: float = 0.0
+    disc_hat: float = 0.0
+    pad_conductivity: float = 0.0
+    pad_capacity: float = 0.0
+    pad_pyrolysis: float = 0.0
+    pad_wear: float = 0.0
+    backplate_loss: float = 0.0
+    bracket_conduction: float = 0.0
+    caliper_bypass: float = 0.0
+    shim_contact: float = 0.0
+    disc_caliper_radiation: float = 0.0
+    caliper_fluid_split: float = 0.0
+    caliper_radiation: float = 0.0
+    fluid_exchange: float = 0.0
+    fluid_latent_heat: float = 0.0
+    thermocouple_offset: float = 0.0
+    thermocouple_lag: float = 0.0
+    accelerometer_bias: float = 0.0
+    mass_error: float = 0.0
+    brake_share: float = 0.0
+    powertrain_torque_error: float = 0.0
+    ambient_heat_soak: float = 0.0
+
+    def with_strength(self, name: str, strength: float) -> Effects:
+        """Return a copy with the effect *name* at *strength*.
+
+        Raises :class:`~bstm_daemon.errors.UsageError` for an unknown name.
+        """
+        if name not in EFFECT_NAMES:
+            msg = f"no effect {name!r}: one of {', '.join(EFFECT_NAMES)}"
+            raise UsageError(msg)
+        return replace(self, **{name: strength})
+
+
+EFFECT_NAMES: Final = tuple(field.name for field in fields(Effects))
+"""The effects in the order of their numbers, 1 to 37."""
+
+PRESETS: Final[dict[str, Effects]] = {"plain": Effects()}
+"""Preset name to strengths; ``plain`` has every effect off."""
+
+
+def preset_effects(name: str) -> Effects:
+    """Return the strengths of the preset *name*.
+
+    Raises :class:`~bstm_daemon.errors.UsageError` for an unknown name.
+    """
+    try:
+        return PRESETS[name]
+    except KeyError:
+        msg = f"no preset {name!r}: one of {', '.join(PRESETS)}"
+        raise UsageError(msg) from None
+
+
+@dataclass(frozen=True, slots=True)
+class Mesh:
+    """Cells of one side of the corner.
+
+    ``pad_nodes`` counts the nodes of a lining with a half cell at each
+    surface; ``cheek_depths`` are the nodes of a cheek as fractions of its
+    thickness from the friction surface, rising from 0.
+    """
+
+    pad_nodes: int = 25
+    cheek_depths: tuple[float, ...] = (0.0, 0.05, 0.15, 0.35, 0.70)
+
+    def doubled(self) -> Mesh:
+        """Return the mesh with every cell halved."""
+        ends = (*self.cheek_depths, 1.0)
+        middles = [(a + b) / 2 for a, b in pairwise(ends)]
+        depths = sorted({*self.cheek_depths, *middles})
+        return Mesh(2 * self.pad_nodes - 1, tuple(depths))
+
+
+DEFAULT_MESH: Final = Mesh()
+"""The reality's usual cells."""

@@ -1,0 +1,168 @@
+"""From a drive to its course: speed, grade and settings at 100 Hz.
+
+Driven segments give the speed as straight pieces; free segments are
+integrated with the car's forces. Corners of the speed are rounded over half a
+second, as a driver and the chassis do, so that acceleration is finite.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from bstm_daemon.errors import ConfigError
+
+if TYPE_CHECKING:
+    from bstm_daemon.simulation.car import CarParameters
+    from bstm_daemon.simulation.drives import Drive, Segment
+    from bstm_daemon.simulation.materials import Array
+
+SAMPLE_S: Final = 0.01
+"""Time between samples of a course."""
+
+_BLOCK_S = 2.0
+_ROUNDING_SAMPLES = 51
+_GRADE_SAMPLES = 301
+_FREE_STEP_S = 0.05
+_FREE_LIMIT_S = 1800.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Course:
+    """A drive sampled at 100 Hz; arrays (n,), SI.
+
+    ``segment`` is the index into ``segments``, the unrolled list; per-segment
+    settings are looked up with :meth:`level`.
+    """
+
+    time_s: Array
+    speed_ms: Array
+    acceleration_ms2: Array
+    slope_rad: Array
+    segment: np.ndarray[tuple[int, ...], np.dtype[np.intp]]
+    segments: list[Segment]
+
+    def level(self, values: list[float]) -> Array:
+        """Return *values*, one a segment, as samples."""
+        return np.array(values, dtype=np.float64)[self.segment]
+
+
+def plan_course(drive: Drive, car: CarParameters) -> Course:
+    """Return the course of *drive* for *car*.
+
+    Raises :class:`~bstm_daemon.errors.ConfigError` naming the segment that
+    cannot be driven.
+    """
+    times, speeds, ends, segments = [0.0], [0.0], [], []
+    for place, segment in drive.flat():
+        t, v = _run(segment, speeds[-1], car, f"{drive.name}: {place}")
+        times.extend((times[-1] + t).tolist())
+        speeds.extend(v.tolist())
+        ends.append(times[-1])
+        segments.append(segment)
+    total_s = np.ceil(times[-1] / _BLOCK_S) * _BLOCK_S
+    count = round(total_s / SAMPLE_S)
+    time_s = np.arange(count) * SAMPLE_S
+    speed = _rounded(np.interp(time_s, times, speeds), _ROUNDING_SAMPLES)
+    speed[speed < 1e-9] = 0.0
+    index = np.minimum(
+        np.searchsorted(ends, time_s, side="right"), len(segments) - 1
+    )
+    grades = np.array([segment.grade_percent / 100 for segment in segments])
+    slope = _rounded(np.arctan(grades)[index], _GRADE_SAMPLES)
+    return Course(
+        time_s,
+        speed,
+        np.gradient(speed, SAMPLE_S),
+        slope,
+        index,
+        segments,
+    )
+
+
+def _rounded(values: Array, samples: int) -> Array:
+    """Return the centred moving average, ends extended."""
+    half = samples // 2
+    padded = np.concatenate(
+        (np.full(half, values[0]), values, np.full(half, values[-1]))
+    )
+    sums = np.concatenate(([0.0], np.cumsum(padded)))
+    mean: Array = (sums[samples:] - sums[:-samples]) / samples
+    return mean
+
+
+def _run(
+    segment: Segment, v0: float, car: CarParameters, place: str
+) -> tuple[Array, Array]:
+    """Return the segment's knots: times from its start and speeds."""
+    if segment.parked:
+        if v0 > 0:
+            raise ConfigError(
+                [f"{place}: parked at {v0 * 3.6:.0f} km/h: stop first"]
+            )
+        return np.array([segment.duration_s]), np.zeros(1)
+    if segment.until_speed_kmh is not None:
+        return _free(segment, v0, car, place)
+    v1 = (segment.speed_kmh or 0.0) / 3.6
+    ramp_s = abs(v1 - v0) / segment.rate_ms2
+    hold_s = _hold(segment, ramp_s, (v0 + v1) / 2 * ramp_s, v1, place)
+    return np.array([ramp_s, ramp_s + hold_s]), np.array([v1, v1])
+
+
+def _hold(
+    segment: Segment, ramp_s: float, ramp_m: float, v1: float, place: str
+) -> float:
+    if segment.duration_s is not None:
+        if segment.duration_s < ramp_s:
+            problem = (
+                f"{place}: duration_s: {segment.speed_kmh:g} km/h takes "
+                f"{ramp_s:.1f} s at rate_ms2 = {segment.rate_ms2:g}"
+            )
+            raise ConfigError([problem])
+        return segment.duration_s - ramp_s
+    if segment.distance_m is None:
+        return 0.0
+    if segment.distance_m < ramp_m or v1 == 0:
+        problem = (
+            f"{place}: distance_m: {segment.speed_kmh:g} km/h takes "
+            f"{ramp_m:.0f} m, the rest needs a speed above 0"
+        )
+        raise ConfigError([problem])
+    return (segment.distance_m - ramp_m) / v1
+
+
+def _free(
+    segment: Segment, v0: float, car: CarParameters, place: str
+) -> tuple[Array, Array]:
+    v1 = (segment.until_speed_kmh or 0.0) / 3.6
+    limit_s = segment.duration_s or _FREE_LIMIT_S
+    slope = np.arctan(np.array([segment.grade_percent / 100]))
+    braking = segment.brake_force_n or 0.0
+    if segment.brake_pressure_bar is not None:
+        braking = car.brake_force(segment.brake_pressure_bar * 1e5)
+    t, v = 0.0, v0
+    times, speeds = [], []
+    falling = v1 < v0
+    while (v > v1) if falling else (v < v1):
+        at = np.array([v])
+        drag = car.engine_drag(at, np.array([segment.gear]))
+        force = (
+            segment.external_force_n
+            - braking
+            + float((drag / car.wheel_radius_m - car.resistance(at, slope))[0])
+        )
+        v = max(v + force / car.effective_mass_kg * _FREE_STEP_S, 0.0)
+        t += _FREE_STEP_S
+        times.append(t)
+        speeds.append(v)
+        if t > limit_s:
+            if segment.duration_s is not None:
+                break
+            problem = (
+                f"{place}: until_speed_kmh: not reached within "
+                f"{_FREE_LIMIT_S:.0f} s; still at {v * 3.6:.1f} km/h"
+            )
+            raise ConfigError([problem])
+    return np.array(times), np.array(speeds)

@@ -1,0 +1,113 @@
+"""The files that a simulated drive leaves: a candump log and the truth."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from bstm_daemon.errors import FileAccessError
+from bstm_daemon.roles import CORNERS
+from bstm_daemon.simulation.frames import START_STAMP_S, Encoder, in_order
+from bstm_daemon.simulation.profile import SAMPLE_S
+from bstm_daemon.units import KELVIN_OFFSET
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from typing import TextIO
+
+    from bstm_daemon.simulation.simulate import SimulatedDrive
+
+_LINES_A_WRITE: Final = 50_000
+
+
+def write_candump(
+    path: Path,
+    drive: SimulatedDrive,
+    encoder: Encoder,
+    *,
+    channel: str = "can0",
+    start_stamp_s: float = START_STAMP_S,
+) -> int:
+    """Write *drive* as a candump log to *path*; returns the frames written.
+
+    The file appears whole or not at all. Raises
+    :class:`~bstm_daemon.errors.FileAccessError` if it cannot be written.
+    """
+    streams = encoder.streams(drive)
+    heads = [f" {channel} {s.frame_id:03X}#" for s in streams]
+    digits = [2 * s.length for s in streams]
+    start_us = round(start_stamp_s * 1e6)
+    count = 0
+    with _whole_file(path) as file:
+        lines: list[str] = []
+        for which, stamp_us, data in in_order(streams):
+            seconds, micros = divmod(start_us + stamp_us, 1_000_000)
+            text = data.hex().upper()[: digits[which]]
+            lines.append(f"({seconds}.{micros:06d}){heads[which]}{text}\n")
+            count += 1
+            if len(lines) == _LINES_A_WRITE:
+                file.writelines(lines)
+                lines.clear()
+        file.writelines(lines)
+    return count
+
+
+def write_truth(path: Path, drive: SimulatedDrive) -> None:
+    """Write the truth of *drive* to the CSV file *path*, a row a second.
+
+    Columns: ``time_s``, ``speed_ms``, ``slope_rad``, and for each corner
+    ``<corner>.<node>_c`` and ``<corner>.brake_energy_j``.
+    Raises :class:`~bstm_daemon.errors.FileAccessError`.
+    """
+    rows = np.minimum(
+        np.rint(drive.slow_time_s / SAMPLE_S).astype(int),
+        len(drive.time_s) - 1,
+    )
+    columns = {
+        "time_s": drive.slow_time_s,
+        "speed_ms": drive.course.speed_ms[rows],
+        "slope_rad": drive.course.slope_rad[rows],
+    }
+    for lane, corner in enumerate(CORNERS):
+        energy = drive.brake_energy_j[:, lane]
+        columns[f"{corner}.brake_energy_j"] = energy
+    for node, series in drive.truth.items():
+        columns[f"{node}_c"] = series - KELVIN_OFFSET
+    table = np.column_stack(list(columns.values()))
+    with _whole_file(path) as file:
+        file.write(",".join(columns) + "\n")
+        for row in table.tolist():
+            file.write(",".join(f"{value:.9g}" for value in row) + "\n")
+
+
+@contextmanager
+def _whole_file(path: Path) -> Iterator[TextIO]:
+    """Open a neighbour of *path* that replaces it when all is written."""
+    try:
+        handle, name = tempfile.mkstemp(
+            prefix=f".{path.name}.", suffix=".part", dir=path.parent
+        )
+    except OSError as error:
+        raise _unwritable(path, error) from error
+    part = Path(name)
+    try:
+        with os.fdopen(handle, "w", encoding="ascii", newline="\n") as file:
+            yield file
+        # mkstemp keeps others out; a log is an ordinary file
+        part.chmod(0o644)
+        part.replace(path)
+    except OSError as error:
+        part.unlink(missing_ok=True)
+        raise _unwritable(path, error) from error
+    except BaseException:
+        part.unlink(missing_ok=True)
+        raise
+
+
+def _unwritable(path: Path, error: OSError) -> FileAccessError:
+    return FileAccessError(f"{path}: cannot write: {error.strerror}")

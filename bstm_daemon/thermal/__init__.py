@@ -1,0 +1,1 @@
+"""Power into temperatures: the thermal network and the brake corner on it."""

@@ -1,0 +1,370 @@
+"""Reading candump logs: the grammar line by line, and as columns."""
+
+import gzip
+import re
+import string
+from dataclasses import fields
+from pathlib import Path
+
+import numpy as np
+import pytest
+from bstm_daemon.bus.candump import CandumpReader, Wanted
+from bstm_daemon.bus.candump_line import LINE_LIMIT, Frame, parse_line
+from bstm_daemon.bus.extraction import FD_LENGTHS
+from bstm_daemon.bus.frame_chunk import FrameChunk, join_in_file_order
+from bstm_daemon.bus.refusal import Refusal
+from bstm_daemon.errors import FileAccessError, LogError
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+
+def accept_all(_interface: bytes, _can_id: int, _extended: bool) -> None:  # noqa: FBT001
+    """Judge that wants every frame."""
+
+
+def parsed(line: bytes) -> Frame | Refusal:
+    return parse_line(line, accept_all)
+
+
+def read(path: Path, wanted: Wanted | None = None, **options) -> tuple:
+    reader = CandumpReader(path, wanted, **options)
+    chunks = list(reader.chunks())
+    return reader, join_in_file_order(chunks) if chunks else None
+
+
+def write(directory: Path, content: bytes, name: str = "a.log") -> Path:
+    path = directory / name
+    path.write_bytes(content)
+    return path
+
+
+FRAMES = [
+    (b"(1.000000) can0 123#", 1_000_000, 0x123, False, b""),
+    (b"(1.5) can0 123#1122", 1_500_000, 0x123, False, b"\x11\x22"),
+    (b"(0.264000) can0 08030C02#58", 264_000, 0x08030C02, True, b"\x58"),
+    (b"(1631416514.717133) can0 0D2#0000FFFF10000000", 1631416514717133,
+     0x0D2, False, bytes.fromhex("0000FFFF10000000")),
+    (b"(1400000000.123456789) can0 001#aB", 1400000000123456, 1, False,
+     b"\xab"),
+    (b"(1.000001999) can0 001#", 1_000_001, 1, False, b""),
+    (b"(2.000000)   vcan-long_name.7     7FF#00", 2_000_000, 0x7FF, False,
+     b"\0"),
+    (b"(2.000000)\tcan0\t7FF#00\tR", 2_000_000, 0x7FF, False, b"\0"),
+    (b"(2.000000) can0 100#00 R", 2_000_000, 0x100, False, b"\0"),
+    (b"(2.000000) can0 100#00 T\r", 2_000_000, 0x100, False, b"\0"),
+    (b"(2.000000) can0 00000100#00 T  ", 2_000_000, 0x100, True, b"\0"),
+    (b"(2.000000) can0 100#11.22.33", 2_000_000, 0x100, False,
+     b"\x11\x22\x33"),
+    (b"(2.000000) can0 100#.1122.33", 2_000_000, 0x100, False,
+     b"\x11\x22\x33"),
+    (b"(2.000000) can0 100#0102030405060708_E", 2_000_000, 0x100, False,
+     bytes(range(1, 9))),
+    (b"(2.000000) can0 100##1", 2_000_000, 0x100, False, b""),
+    (b"(2.000000) can0 100##A.11.22", 2_000_000, 0x100, False, b"\x11\x22"),
+    (b"(2.000000) can0 100##5" + b"5A" * 64, 2_000_000, 0x100, False,
+     b"\x5a" * 64),
+    (b"(2.000000) can0 1FFFFFFF##0" + b"12" * 12, 2_000_000, 0x1FFFFFFF,
+     True, b"\x12" * 12),
+]  # fmt: skip
+
+REFUSED = [
+    (b"", Refusal.NOT_A_FRAME),
+    (b"   \r", Refusal.NOT_A_FRAME),
+    (b"# a comment", Refusal.NOT_A_FRAME),
+    (b"; a comment", Refusal.NOT_A_FRAME),
+    (b"DROPCOUNT: dropped 3 CAN frames on 'can0' socket (total drops 3)",
+     Refusal.NOT_A_FRAME),
+    (b"(1.0) can0 20000100#0000000000000000", Refusal.ERROR_FRAME),
+    (b"(1.0) can0 20000004#0004000000000000 R", Refusal.ERROR_FRAME),
+    (b"(1.0) can0 20000040#0000000000000000", Refusal.ERROR_FRAME),
+    (b"(1.0) can0 200000A8#", Refusal.ERROR_FRAME),
+    (b"(1.0) can0 123#R", Refusal.REMOTE_FRAME),
+    (b"(1.0) can0 123#r", Refusal.REMOTE_FRAME),
+    (b"(1.0) can0 123#R8", Refusal.REMOTE_FRAME),
+    (b"(1.0) can0 00000123#R8_9", Refusal.REMOTE_FRAME),
+    (b"(1.0) can0 123#R R", Refusal.REMOTE_FRAME),
+    (b"(1.0) can0 123#R9", Refusal.MALFORMED),
+    (b"(1.0) can0 45123#81:00:12345678#11223344.556677", Refusal.XL_FRAME),
+    (b"(1.0) can0 45123#81:00:12345678#" + b"00" * 2048, Refusal.XL_FRAME),
+    (b"(1.0) can0 45123#11223344", Refusal.MALFORMED),
+    (b"(1.0) can0 123#112", Refusal.MALFORMED),
+    (b"(1.0) can0 123#112233445566778899", Refusal.MALFORMED),
+    (b"(1.0) can0 123#1122_9", Refusal.MALFORMED),
+    (b"(1.0) can0 123##A112", Refusal.MALFORMED),
+    (b"(1.0) can0 123##G11", Refusal.MALFORMED),
+    (b"(1.0) can0 123##" , Refusal.MALFORMED),
+    (b"(1.0) can0 123##0" + b"00" * 9, Refusal.MALFORMED),
+    (b"(1.0) can0 123#GG", Refusal.MALFORMED),
+    (b"(1.0) can0 800#00", Refusal.MALFORMED),
+    (b"(1.0) can0 80000100#00", Refusal.MALFORMED),
+    (b"(1.0) can0 1234#00", Refusal.MALFORMED),
+    (b"(1.0) can0 123 [2] 11 22", Refusal.MALFORMED),
+    (b"(1.0) can0 123#11 X", Refusal.MALFORMED),
+    (b"(1.0) can0 123#11 R R", Refusal.MALFORMED),
+    (b"(1) can0 123#11", Refusal.MALFORMED),
+    (b"(-1.0) can0 123#11", Refusal.MALFORMED),
+    (b"(1.0)can0 123#11", Refusal.MALFORMED),
+    (b"(1.0) 123#11", Refusal.MALFORMED),
+    (b"(1631416514.71", Refusal.MALFORMED),
+    (b"1.0) can0 123#11", Refusal.MALFORMED),
+    (b"\xff\x00\xfe", Refusal.MALFORMED),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("line", "time_us", "can_id", "extended", "data"),
+                         FRAMES)  # fmt: skip
+def test_a_data_frame_is_read(line, time_us, can_id, extended, data):
+    interface = re.split(rb"\s+", line)[1]
+
+    assert parsed(line) == Frame(time_us, interface, can_id, extended, data)
+
+
+@pytest.mark.parametrize(("line", "reason"), REFUSED)
+def test_any_other_line_has_a_named_reason(line, reason):
+    assert parsed(line) is reason
+
+
+@pytest.mark.parametrize("columns", [True, False])
+def test_every_line_of_the_grammar_in_one_log(tmp_path, columns):
+    lines = [row[0] for row in FRAMES + REFUSED]
+    path = write(tmp_path, b"\n".join(lines))
+
+    reader, chunk = read(path, columns=columns)
+
+    assert chunk.time_us.tolist() == [row[1] for row in FRAMES]
+    assert chunk.can_id.tolist() == [row[2] for row in FRAMES]
+    assert chunk.extended.tolist() == [row[3] for row in FRAMES]
+    assert [
+        row[:n].tobytes()
+        for row, n in zip(chunk.data, chunk.length, strict=True)
+    ] == [row[4] for row in FRAMES]
+    assert reader.lines == len(lines)
+    assert sum(reader.refused.values()) == len(REFUSED)
+    first_bad = reader.first_refused[Refusal.NOT_A_FRAME][0]
+    assert first_bad == len(FRAMES) + 1
+
+
+def test_an_unwanted_id_is_not_read_further(tmp_path):
+    content = b"(1.0) can0 100#XX\n(1.0) can0 200#XX\n(1.0) can1 200#00\n"
+    wanted = {"can0": {(0x200, False)}, "can1": None}
+
+    for columns in (True, False):
+        reader, chunk = read(
+            write(tmp_path, content), wanted.get, columns=columns
+        )
+
+        assert len(chunk) == 0
+        assert reader.refused == {
+            Refusal.UNKNOWN_ID: 1,
+            Refusal.MALFORMED: 1,
+            Refusal.UNKNOWN_INTERFACE: 1,
+        }
+        assert reader.seen == {
+            (0, 0x100, False): 1,
+            (0, 0x200, False): 1,
+            (1, 0x200, False): 1,
+        }
+
+
+def test_a_standard_and_an_extended_id_are_two(tmp_path):
+    content = b"(1.0) can0 100#01\n(2.0) can0 00000100#02\n"
+    path = write(tmp_path, content)
+
+    _, standard = read(path, lambda _: {(0x100, False)})
+    _, extended = read(path, lambda _: {(0x100, True)})
+
+    assert standard.data[:, 0].tolist() == [1]
+    assert extended.data[:, 0].tolist() == [2]
+
+
+def test_stamps_may_run_backwards(tmp_path):
+    path = write(
+        tmp_path, b"(5.0) a 100#\n(9999999999.999999) a 100#\n(0.1) a 100#\n"
+    )
+
+    _, chunk = read(path)
+
+    assert chunk.time_us.tolist() == [5_000_000, 9999999999999999, 100_000]
+
+
+def test_gzip_gives_the_same(tmp_path):
+    content = b"".join(row[0] + b"\n" for row in FRAMES) * 50
+    _, plain = read(write(tmp_path, content))
+
+    _, packed = read(write(tmp_path, gzip.compress(content), "a.log.gz"))
+
+    assert_same_chunk(plain, packed)
+
+
+def test_a_gzip_log_cut_short_gives_what_is_there(tmp_path):
+    rng = np.random.default_rng(1)
+    content = b"".join(
+        b"(%d.5) can0 123#%s\n" % (i, rng.bytes(8).hex().encode())
+        for i in range(20_000)
+    )
+    packed = gzip.compress(content)[:-60_000]
+
+    reader, chunk = read(write(tmp_path, packed, "a.log.gz"))
+
+    assert reader.truncated
+    assert 1000 < len(chunk) < 20_000
+    assert chunk.time_us.tolist() == [
+        i * 1_000_000 + 500_000 for i in range(len(chunk))
+    ]
+
+
+def test_a_damaged_gzip_log_is_an_error(tmp_path):
+    packed = bytearray(gzip.compress(b"(1.0) can0 123#11\n" * 1000))
+    packed[12:20] = b"\xff" * 8
+
+    with pytest.raises(LogError, match=r"a\.log\.gz: damaged"):
+        read(write(tmp_path, bytes(packed), "a.log.gz"))
+
+
+def test_a_missing_log_is_an_error(tmp_path):
+    with pytest.raises(FileAccessError, match="none.log"):
+        read(tmp_path / "none.log")
+
+
+def test_a_line_without_end_does_not_take_the_log_with_it(tmp_path):
+    good = b"(1.0) can0 123#11\n"
+    endless = b"x" * (5 * LINE_LIMIT) + b"\n"
+    path = write(tmp_path, good + endless + good)
+
+    reader, chunk = read(path, chunk_bytes=1024)
+
+    assert chunk.line.tolist() == [1, 3]
+    assert reader.refused == {Refusal.MALFORMED: 1}
+
+
+def test_lines_are_settled_as_columns(tmp_path, monkeypatch):
+    """The fast path is taken: no line is parsed on its own."""
+    layouts = [
+        b"(%d.123456) can0 1A0#0011223344556677\n",
+        b"(%d.123456)  can1 18FF0102#00\n",
+        b"(%d.123456) can0 1A0#0011 R\n",
+        b"(%d.123456789) can0 1A0##5%s\n" % (12345, b"00" * 48),
+        b"(%d.123456) can0 1A0#0011 T\r\n",
+    ]
+    content = b"".join(
+        line % (10_000 + i) if b"%d" in line else line
+        for i in range(300)
+        for line in layouts
+    )
+    path = write(tmp_path, content)
+    monkeypatch.setattr(
+        "bstm_daemon.bus.candump.parse_line",
+        lambda *_: pytest.fail("a line was parsed on its own"),
+    )
+
+    reader, chunk = read(path)
+
+    assert len(chunk) == reader.lines == 1500
+
+
+HEX = st.sampled_from("0123456789abcdefABCDEF")
+
+
+def hex_text(digits: int) -> st.SearchStrategy[str]:
+    return st.text(HEX, min_size=digits, max_size=digits)
+
+
+IDS = st.one_of(
+    st.sampled_from(["100", "1a0", "1A0", "7FF", "00000100", "18FF0102"]),
+    st.sampled_from(["800", "20000100", "9FFFFFFF", "45123"]),
+    hex_text(3),
+    hex_text(8),
+)
+STAMPS = st.one_of(
+    st.tuples(
+        st.integers(1_600_000_000, 1_600_000_099),
+        st.integers(0, 999_999).map("{:06d}".format),
+    ),
+    st.tuples(
+        st.integers(0, 10**12 - 1),
+        st.text(string.digits, min_size=1, max_size=9),
+    ),
+).map(lambda pair: f"({pair[0]}.{pair[1]})")
+CLASSIC = st.integers(0, 8).flatmap(lambda n: hex_text(2 * n))
+FD = st.sampled_from(FD_LENGTHS).flatmap(
+    lambda n: st.tuples(HEX, hex_text(2 * n)).map(lambda p: f"#{p[0]}{p[1]}")
+)
+PAYLOADS = st.one_of(
+    CLASSIC,
+    hex_text(16),
+    FD,
+    st.sampled_from(["R", "r8", "R8_9", "11.22", "1122334455667788_A", "112"]),
+)
+GOOD = st.tuples(
+    STAMPS,
+    st.sampled_from([" ", "  ", " \t"]),
+    st.sampled_from(["can0", "can1", "vcan10", "a)"]),
+    st.sampled_from([" ", "   "]),
+    IDS,
+    st.just("#"),
+    PAYLOADS,
+    st.sampled_from(["", "", "", " R", " T", " t", "  R", " X", "\r", " R\r"]),
+).map(lambda parts: "".join(parts).encode())
+JUNK = st.one_of(
+    st.binary(max_size=60).map(lambda raw: raw.replace(b"\n", b"")),
+    st.sampled_from([row[0] for row in FRAMES + REFUSED]),
+)
+
+
+@st.composite
+def mutated(draw) -> bytes:
+    line = bytearray(draw(GOOD))
+    for _ in range(draw(st.integers(1, 3))):
+        at = draw(st.integers(0, len(line) - 1))
+        line[at] = draw(
+            st.one_of(st.integers(0, 255), st.sampled_from(b"0:9/@AFGafg).# "))
+        )
+    return bytes(line).replace(b"\n", b"")
+
+
+LOGS = st.tuples(
+    st.lists(st.one_of(GOOD, GOOD, GOOD, mutated(), JUNK), max_size=40),
+    st.booleans(),
+).map(lambda pair: b"\n".join(pair[0]) + b"\n" * pair[1])
+WANTED = st.one_of(
+    st.none(),
+    st.fixed_dictionaries(
+        {
+            "can0": st.just({(0x100, False), (0x100, True), (0x1A0, False)}),
+            "can1": st.sampled_from([None, set(), {(0x18FF0102, True)}]),
+        }
+    ).map(lambda table: table.get),
+)
+
+
+def assert_same_chunk(first: FrameChunk, second: FrameChunk) -> None:
+    for field in fields(FrameChunk):
+        one, two = getattr(first, field.name), getattr(second, field.name)
+        assert one.dtype == two.dtype, field.name
+        np.testing.assert_array_equal(one, two, err_msg=field.name)
+
+
+@settings(max_examples=250, deadline=None)
+@given(content=LOGS, wanted=WANTED, chunk_bytes=st.sampled_from([97, 1 << 20]))
+def test_columns_and_lines_give_the_same(
+    tmp_path_factory, content, wanted, chunk_bytes
+):
+    path = write(tmp_path_factory.getbasetemp(), content)
+
+    fast, fast_chunk = read(path, wanted, chunk_bytes=chunk_bytes)
+    slow, slow_chunk = read(path, wanted, columns=False)
+
+    assert (fast_chunk is None) == (slow_chunk is None)
+    if slow_chunk is not None:
+        assert_same_chunk(slow_chunk, fast_chunk)
+    for name in (
+        "interfaces",
+        "lines",
+        "frames",
+        "refused",
+        "first_refused",
+        "seen",
+    ):
+        assert getattr(slow, name) == getattr(fast, name), name
+    assert fast.lines == fast.frames + sum(fast.refused.values())
+    assert fast.lines == content.count(b"\n") + (content[-1:] not in b"\n")

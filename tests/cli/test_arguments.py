@@ -1,0 +1,58 @@
+"""Arguments that commands share."""
+
+from argparse import ArgumentParser
+from pathlib import Path
+
+import pytest
+
+from bstm_daemon.cli import arguments
+
+
+def test_paths() -> None:
+    """Files arrive as paths under the contract's names."""
+    parser = ArgumentParser()
+    arguments.add_config(parser)
+    arguments.add_out(parser, "folder of results", "DIR")
+    arguments.add_json(parser)
+    arguments.add_report(parser)
+
+    short = parser.parse_args(["-c", "a.toml", "-o", "out"])
+    long = parser.parse_args(
+        ["--config", "a.toml", "--json", "r.json", "--report", "r.html"]
+    )
+
+    assert (short.config, short.out) == (Path("a.toml"), Path("out"))
+    assert (short.json, short.report) == (None, None)
+    assert (long.json, long.report) == (Path("r.json"), Path("r.html"))
+
+
+def test_config_is_required() -> None:
+    """A command without a configuration ends with the usage."""
+    parser = ArgumentParser()
+    arguments.add_config(parser)
+
+    with pytest.raises(SystemExit):
+        parser.parse_args([])
+
+
+def test_bus_map() -> None:
+    """Each --map is one pair, in order."""
+    parser = ArgumentParser()
+    arguments.add_bus_map(parser)
+
+    args = parser.parse_args(["--map", "can0=chassis", "--map", "vcan1=body"])
+
+    assert args.map == [("can0", "chassis"), ("vcan1", "body")]
+    assert parser.parse_args([]).map == []
+
+
+@pytest.mark.parametrize("text", ["can0", "=chassis", "can0="])
+def test_bad_bus_map(text: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """A pair that is none is shown with an example."""
+    parser = ArgumentParser()
+    arguments.add_bus_map(parser)
+
+    with pytest.raises(SystemExit):
+        parser.parse_args(["--map", text])
+
+    assert "such as can0=chassis" in capsys.readouterr().err

@@ -1,0 +1,63 @@
+"""The progress line: on a terminal only, and gone at the end."""
+
+import io
+
+import pytest
+
+from bstm_daemon.cli.progress import Progress
+
+
+class Terminal(io.StringIO):
+    """A text stream that says it is a terminal."""
+
+    def isatty(self) -> bool:
+        """Say so."""
+        return True
+
+
+def test_nothing_where_no_terminal_is() -> None:
+    """A log file or a pipe gets no progress."""
+    stream = io.StringIO()
+
+    with Progress("replay", stream) as progress:
+        progress.show(0.5)
+
+    assert stream.getvalue() == ""
+
+
+def test_terminal_sees_label_and_share() -> None:
+    """The line is drawn in place and erased at the end."""
+    stream = Terminal()
+
+    with Progress("replay", stream) as progress:
+        progress.show(0.42)
+        drawn = stream.getvalue()
+
+    assert drawn == "\r\x1b[Kreplay  42%"
+    assert stream.getvalue() == drawn + "\r\x1b[K"
+
+
+def test_redraws_are_rare() -> None:
+    """Many calls in a row draw once."""
+    stream = Terminal()
+
+    with Progress("replay", stream) as progress:
+        for _ in range(100):
+            progress.show(0.1)
+
+    assert stream.getvalue().count("replay") == 1
+
+
+def test_line_is_erased_after_a_failure() -> None:
+    """An error message starts on a clean line."""
+    stream = Terminal()
+
+    def fail() -> None:
+        with Progress("replay", stream) as progress:
+            progress.show(0.1)
+            raise KeyError
+
+    with pytest.raises(KeyError):
+        fail()
+
+    assert stream.getvalue().endswith("\r\x1b[K")

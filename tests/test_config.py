@@ -1,0 +1,260 @@
+"""The configuration models: rules of one section, and their documentation."""
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+from pydantic import ValidationError
+
+from bstm_daemon import config
+from bstm_daemon.bus.output_layout import BLOCK_IDS
+from bstm_daemon.config_errors import allowed
+
+REFERENCE = Path(__file__).parents[1] / "docs" / "reference.md"
+
+SECTIONS: dict[str, type[config.Section]] = {
+    "`[vehicle]`": config.VehicleConfig,
+    "`[[bus]]`": config.BusConfig,
+    "`[signals.<role>]`": config.SignalConfig,
+    "`[[corner]]`": config.CornerConfig,
+    "`[[corner]]` `disc`": config.DiscConfig,
+    "`[[corner]]` `pad`": config.PadConfig,
+    "`[thermal]`": config.ThermalConfig,
+    "`[cooling]`": config.CoolingConfig,
+    "`[heat]`": config.HeatConfig,
+    "`[fluid]`": config.FluidConfig,
+    "`[[effect]]`": config.EffectConfig,
+    "`[publish]`": config.PublishConfig,
+}
+
+DISC = {"mass_kg": 7.5, "swept_area_m2": 0.085, "total_area_m2": 0.14}
+PAD = {"area_m2": 6.5e-3, "thickness_m": 0.011}
+CORNER = {
+    "name": "FL",
+    "piston_area_m2": 2.8e-3,
+    "effective_radius_m": 0.13,
+    "disc": DISC,
+    "pad": PAD,
+}
+
+
+def corner(**changes: Any) -> dict[str, Any]:
+    """Return a valid corner with *changes*; None removes a key."""
+    table = {**CORNER, **changes}
+    return {key: value for key, value in table.items() if value is not None}
+
+
+def documented(heading: str) -> dict[str, tuple[str, str]]:
+    """Return key to (allowed, default) of one table of the reference."""
+    text = REFERENCE.read_text(encoding="utf-8")
+    body = text.partition(f"### {heading}\n")[2].partition("\n## ")[0]
+    rows = re.findall(
+        r"^\| `(\w+)` \| [^|]+ \| ([^|]+) \| ([^|]+) \| [^|]+ \|$",
+        body.partition("\n### ")[0],
+        re.MULTILINE,
+    )
+    return {key: (kind, default) for key, kind, default in rows}
+
+
+def written(default: object) -> object:
+    """Return a documented default as a value."""
+    text = str(default).strip("`")
+    return None if text == "none" else json.loads(text)
+
+
+def test_reference_has_every_section() -> None:
+    """Each section of Config is among those compared below."""
+    models = set(SECTIONS.values())
+    annotations = str(
+        {
+            name: field.annotation
+            for name, field in config.Config.model_fields.items()
+        }
+    )
+
+    assert all(
+        model.__name__ in annotations
+        for model in models - {config.DiscConfig, config.PadConfig}
+    )
+    assert len(SECTIONS) == len(config.Config.model_fields) + 2
+
+
+@pytest.mark.parametrize("heading", SECTIONS)
+def test_reference_lists_every_key(heading: str) -> None:
+    """Keys and allowed values in the reference are those of the model."""
+    model = SECTIONS[heading]
+    expected = {key: allowed(model, key) for key in model.model_fields}
+    found = {key: kind for key, (kind, _) in documented(heading).items()}
+
+    assert expected == found
+
+
+@pytest.mark.parametrize("heading", SECTIONS)
+def test_reference_gives_every_default(heading: str) -> None:
+    """Defaults in the reference are those of the model."""
+    model = SECTIONS[heading]
+    expected = {
+        key: "required" if field.is_required() else field.get_default()
+        for key, field in model.model_fields.items()
+    }
+    found = {
+        key: default if default == "required" else written(default)
+        for key, (_, default) in documented(heading).items()
+    }
+
+    assert expected == found
+
+
+def test_published_ids_are_those_of_the_frames() -> None:
+    """The room that id_base keeps free is what the frame table needs."""
+    assert config.PUBLISHED_IDS == BLOCK_IDS
+
+
+def test_values_are_final() -> None:
+    """A configuration cannot change behind the back of its users."""
+    heat = config.HeatConfig()
+
+    with pytest.raises(ValidationError):
+        setattr(heat, "mode", "fb")  # noqa: B010  (mypy would see it)
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf"), "7", True])
+@pytest.mark.parametrize(
+    ("model", "key"),
+    [
+        (config.SignalConfig, "scale"),
+        (config.SignalConfig, "max"),
+        (config.HeatConfig, "assume_powertrain_torque_nm"),
+        (config.ThermalConfig, "hot_pad_factor"),
+        (config.FluidConfig, "water_percent"),
+    ],
+)
+def test_not_a_number_is_refused(
+    model: type[config.Section], key: str, value: object
+) -> None:
+    """NaN, infinity, text and booleans are no numbers."""
+    needed = {"message": "M", "signal": "S", "unit": "bar"}
+    table = needed if model is config.SignalConfig else {}
+
+    with pytest.raises(ValidationError):
+        model.model_validate({**table, key: value})
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"disc": None}, "needs 'disc' and 'pad'"),
+        ({"type": "drum"}, "a drum corner has neither"),
+        ({"type": "drum", "pad": None}, "a drum corner has neither"),
+        ({"effective_radius_m": None}, "needs 'effective_radius_m'"),
+        (
+            {"swept_inner_radius_m": 0.16, "swept_outer_radius_m": 0.10},
+            "must be below 'swept_outer_radius_m'",
+        ),
+        ({"axle": "rear"}, "corner FL is front left"),
+        ({"side": "right"}, "corner FL is front left"),
+        ({"disc": {**DISC, "material": "own"}}, 'material "own"'),
+    ],
+)
+def test_corner_rules(changes: dict[str, Any], reason: str) -> None:
+    """Parts of a corner that contradict each other are refused."""
+    with pytest.raises(ValidationError, match=re.escape(reason)):
+        config.CornerConfig.model_validate(corner(**changes))
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {},
+        {"type": "drum", "disc": None, "pad": None},
+        {
+            "effective_radius_m": None,
+            "swept_inner_radius_m": 0.10,
+            "swept_outer_radius_m": 0.16,
+        },
+        {"axle": "front", "side": "left"},
+    ],
+)
+def test_corner_forms(changes: dict[str, Any]) -> None:
+    """Each way to describe a corner is accepted."""
+    assert config.CornerConfig.model_validate(corner(**changes)).name == "FL"
+
+
+def test_property_is_a_number_or_a_curve() -> None:
+    """A pad's heat capacity may depend on temperature."""
+    curve = {"temperature_c": [20.0, 400.0], "value": [1000.0, 1342.0]}
+    pad = config.PadConfig.model_validate(
+        {**PAD, "heat_capacity_j_kgk": curve}
+    )
+
+    assert isinstance(pad.heat_capacity_j_kgk, config.Curve)
+    assert pad.conductivity_w_mk == 1.2
+
+
+@pytest.mark.parametrize(
+    ("model", "table"),
+    [
+        (config.CoolingConfig, {"speed_ms": [0.0, 5.0], "s_per_s": [1e-3]}),
+        (
+            config.CoolingConfig,
+            {"speed_ms": [5.0, 5.0], "s_per_s": [1e-3, 1e-3]},
+        ),
+        (config.HeatConfig, {"front_pressure_pa": [0.0, 1e6]}),
+        (config.Curve, {"temperature_c": [400.0, 20.0], "value": [1.0, 2.0]}),
+    ],
+)
+def test_curves_need_rising_points_and_one_value_each(
+    model: type[config.Section], table: dict[str, Any]
+) -> None:
+    """A table that cannot be looked up is refused."""
+    with pytest.raises(ValidationError):
+        model.model_validate(table)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"expression": "S * 2"},
+        {"signal": None},
+        {"message": None},
+        {"scale": 0.0},
+        {"min": 5.0, "max": 5.0},
+        {"sign": 2},
+    ],
+)
+def test_signal_rules(changes: dict[str, Any]) -> None:
+    """A signal with no, two or an impossible source is refused."""
+    table = {"message": "M", "signal": "S", "unit": "bar", **changes}
+
+    with pytest.raises(ValidationError):
+        config.SignalConfig.model_validate(table)
+
+
+def test_corner_overrides_single_keys() -> None:
+    """A corner's override changes its key and leaves the others."""
+    front = config.CornerConfig.model_validate(
+        corner(
+            thermal={"disc_emissivity": 0.7},
+            cooling={"standstill_convection_fraction": 0.3},
+        )
+    )
+    whole = config.Config.model_validate(
+        {
+            "vehicle": {"id": "car", "mass_kg": 2000, "wheel_radius_m": 0.3},
+            "bus": [{"name": "b", "dbc": "b.dbc"}],
+            "signals": {},
+            "corner": [
+                front,
+                corner(name="RR", type="drum", disc=None, pad=None),
+            ],
+            "thermal": {"pad_emissivity": 0.9},
+        }
+    )
+
+    thermal = whole.thermal_of(front)
+
+    assert (thermal.disc_emissivity, thermal.pad_emissivity) == (0.7, 0.9)
+    assert whole.cooling_of(front).standstill_convection_fraction == 0.3
+    assert whole.disc_corners() == [front]

@@ -1,0 +1,657 @@
+"""Configuration files: what is accepted, and the words for what is not."""
+
+import math
+from datetime import date
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from bstm_daemon.config import Config
+from bstm_daemon.config_errors import toml_text
+from bstm_daemon.config_file import (
+    draft_of,
+    load_config,
+    naming_file,
+    read_draft,
+)
+from bstm_daemon.config_rules import usable_signals
+from bstm_daemon.errors import ConfigError, FileAccessError
+
+SHIPPED = sorted((Path(__file__).parents[1] / "config").glob("*.toml"))
+
+BASE = """\
+[vehicle]
+id = "car"
+mass_kg = 2194.0
+wheel_radius_m = 0.3418
+
+[[bus]]
+name = "chassis"
+dbc = "car.dbc"
+
+[signals.vehicle_speed]
+message = "WheelSpeeds"
+signal = "Speed"
+unit = "km/h"
+
+[signals.primary_pressure]
+message = "Brake"
+signal = "Pressure"
+unit = "bar"
+
+[[corner]]
+name = "FL"
+piston_area_m2 = 2.827e-3
+effective_radius_m = 0.13
+disc = {mass_kg = 7.5, swept_area_m2 = 0.085, total_area_m2 = 0.14}
+pad = {area_m2 = 6.5e-3, thickness_m = 0.011}
+"""
+
+REAR = """
+[[corner]]
+name = "RR"
+circuit = "secondary"
+piston_area_m2 = 1.385e-3
+effective_radius_m = 0.12
+disc = {mass_kg = 5.0, swept_area_m2 = 0.07, total_area_m2 = 0.10}
+pad = {area_m2 = 4.2e-3, thickness_m = 0.010}
+"""
+
+SPEED = """\
+[signals.vehicle_speed]
+message = "WheelSpeeds"
+signal = "Speed"
+unit = "km/h"
+"""
+PRESSURE = """\
+[signals.primary_pressure]
+message = "Brake"
+signal = "Pressure"
+unit = "bar"
+"""
+
+
+def write(folder: Path, text: str) -> Path:
+    """Write *text* as a configuration file and return its path."""
+    path = folder / "car.toml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def problems(folder: Path, text: str) -> list[str]:
+    """Return the problems of *text* without the file's name."""
+    path = write(folder, text)
+    with pytest.raises(ConfigError) as caught:
+        load_config(path)
+    assert caught.value.exit_code == 78
+    prefix = f"{path}: "
+    assert all(line.startswith(prefix) for line in caught.value.problems)
+    return [line.removeprefix(prefix) for line in caught.value.problems]
+
+
+@pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
+def test_shipped_files_load(path: Path) -> None:
+    """Every file under config/ is valid and has four disc corners."""
+    assert len(load_config(path).disc_corners()) == 4
+
+
+def test_smallest_file(tmp_path: Path) -> None:
+    """The mandatory keys are enough; the rest has defaults."""
+    config = load_config(write(tmp_path, BASE))
+
+    assert config.vehicle.mass_kg == 2194.0
+    assert config.heat.mode == "ff"
+    assert config.signals["primary_pressure"].unit == "bar"
+    assert not config.publish.enabled
+
+
+def test_all_sections_arrive(tmp_path: Path) -> None:
+    """Each optional section of the file reaches the configuration."""
+    text = f"""{BASE}{REAR}
+[thermal]
+disc_emissivity = 0.7
+[cooling]
+blend_end_ms = 4
+[heat]
+slope = "flat"
+[fluid]
+grade = "DOT3"
+changed = 2024-05-31
+[[effect]]
+name = "disc_wear"
+parameters = {{strength = 1}}
+[publish]
+id_base = 0x400
+"""
+
+    config = load_config(write(tmp_path, text))
+
+    assert config.thermal.disc_emissivity == 0.7
+    assert config.cooling.blend_end_ms == 4.0
+    assert config.heat.slope == "flat"
+    assert config.fluid.changed == date(2024, 5, 31)
+    assert config.effect[0].parameters == {"strength": 1.0}
+    assert config.publish.id_base == 0x400
+    assert [corner.name for corner in config.corner] == ["FL", "RR"]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "line"),
+    [
+        ("mass_kg = 2194.0", "mass_kg = -3", "must be greater than 0"),
+        (
+            "mass_kg = 2194.0",
+            'mass_kg = "heavy"',
+            "must be a number greater than 0",
+        ),
+        (
+            "mass_kg = 2194.0",
+            "mass_kg = nan",
+            "must be finite and greater than 0",
+        ),
+        (
+            "mass_kg = 2194.0",
+            "mass_kg = inf",
+            "must be finite and greater than 0",
+        ),
+    ],
+)
+def test_bad_value(tmp_path: Path, old: str, new: str, line: str) -> None:
+    """A bad value is shown with its section, key and allowed range."""
+    expected = [f"[vehicle] {new}: {line}"]
+
+    assert expected == problems(tmp_path, BASE.replace(old, new))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "line"),
+    [
+        (
+            "mass_kg = 2194.0\n",
+            "",
+            "[vehicle] mass_kg: missing, must be a number greater than 0",
+        ),
+        (
+            "mass_kg = 2194.0",
+            "mass_kg = 2194.0\nfront_share = 1.2",
+            "[vehicle] front_share = 1.2: must be from 0 to 1",
+        ),
+        (
+            'id = "car"',
+            'id = "car"\nmas_kg = 3',
+            "[vehicle] mas_kg = 3: unknown key, did you mean 'mass_kg'?",
+        ),
+        (
+            "mass_kg = 7.5",
+            "mass_kg = 0",
+            "[[corner]] FL disc.mass_kg = 0: must be greater than 0",
+        ),
+        (
+            "thickness_m = 0.011",
+            "thickness = 0.011",
+            (
+                "[[corner]] FL pad.thickness_m: missing, must be a number "
+                "greater than 0"
+            ),
+        ),
+        (
+            "thickness_m = 0.011",
+            "thickness_m = 0.011, slabs = 61",
+            "[[corner]] FL pad.slabs = 61: must be from 1 to 60",
+        ),
+        (
+            "thickness_m = 0.011",
+            (
+                "thickness_m = 0.011, conductivity_w_mk = {temperature_c = "
+                "[20, 400], value = [1.2, 0]}"
+            ),
+            (
+                "[[corner]] FL pad.conductivity_w_mk.value[1] = 0: must be "
+                "greater than 0"
+            ),
+        ),
+        (
+            'name = "FL"',
+            'name = "LF"',
+            '[[corner]] LF name = "LF": must be "FL", "FR", "RL" or "RR"',
+        ),
+        (
+            'name = "FL"\n',
+            "",
+            (
+                '[[corner]] number 1 name: missing, must be "FL", "FR", "RL" '
+                'or "RR"'
+            ),
+        ),
+        (
+            'name = "FL"',
+            'name = "FL"\nthermal.disc_emissivity = 1.5',
+            (
+                "[[corner]] FL thermal.disc_emissivity = 1.5: must be "
+                "greater than 0 and at most 1"
+            ),
+        ),
+        (
+            'name = "FL"',
+            'name = "FL"\nthermal.disc_emisivity = 0.5',
+            (
+                "[[corner]] FL thermal.disc_emisivity = 0.5: unknown key, "
+                "did you mean 'disc_emissivity'?"
+            ),
+        ),
+        (
+            'name = "FL"',
+            'name = "FL"\ncooling.speed_ms = [0, 10]',
+            (
+                "[[corner]] FL cooling: 'speed_ms' and 's_per_s' need the "
+                "same length, at least 2: 2 and 7 given"
+            ),
+        ),
+        (
+            'dbc = "car.dbc"',
+            'dbc = "car.dbc"\nbitrate = 0',
+            "[[bus]] chassis bitrate = 0: must be greater than 0",
+        ),
+        (
+            'dbc = "car.dbc"',
+            'dbc = "car.dbc"\nencoding = "klingon"',
+            (
+                "[[bus]] chassis: no text encoding is called 'encoding' = "
+                "'klingon'"
+            ),
+        ),
+        (
+            'signal = "Pressure"',
+            'signal = "Pressure"\nexpression = "Pressure * 2"',
+            (
+                "[signals.primary_pressure]: needs exactly one of 'signal' "
+                "and 'expression'"
+            ),
+        ),
+        (
+            'unit = "bar"',
+            'unit = "km/h"',
+            (
+                '[signals.primary_pressure] unit = "km/h": is a unit of '
+                "speed; primary_pressure needs a unit of pressure: Pa, kPa, "
+                "MPa, bar, psi"
+            ),
+        ),
+        (
+            'unit = "bar"',
+            'unit = "barr"',
+            (
+                '[signals.primary_pressure] unit = "barr": unknown unit, did '
+                "you mean 'bar'?; primary_pressure needs a unit of pressure: "
+                "Pa, kPa, MPa, bar, psi"
+            ),
+        ),
+        (
+            "[signals.primary_pressure]",
+            "[signals.primary_presure]",
+            (
+                "[signals.primary_presure]: unknown role, did you mean "
+                "'primary_pressure'?"
+            ),
+        ),
+        (
+            'unit = "bar"',
+            'unit = "bar"\nbus = "chasis"',
+            (
+                '[signals.primary_pressure] bus = "chasis": no such [[bus]], '
+                "did you mean 'chassis'?"
+            ),
+        ),
+        (
+            PRESSURE,
+            "",
+            (
+                '[heat] mode = "ff": needs a pressure for corner FL, '
+                "configure one of [signals.primary_pressure], "
+                "[signals.wheel_pressure_fl]"
+            ),
+        ),
+        (
+            SPEED,
+            "",
+            (
+                '[heat] mode = "ff": needs a speed, configure one of '
+                "[signals.vehicle_speed], [signals.wheel_speed_fl], "
+                "[signals.wheel_speed_fr], [signals.wheel_speed_rl], "
+                "[signals.wheel_speed_rr]"
+            ),
+        ),
+    ],
+)
+def test_one_mistake_gives_one_line(
+    tmp_path: Path, old: str, new: str, line: str
+) -> None:
+    """Each kind of mistake is worded with place, value and remedy."""
+    found = problems(tmp_path, BASE.replace(old, new, 1))
+
+    assert line in found
+    # a misspelt key is missing under its right name as well
+    assert len(found) == (2 if "thickness =" in new else 1)
+
+
+@pytest.mark.parametrize(
+    ("addition", "line"),
+    [
+        (
+            "[thermla]",
+            "[thermla]: unknown section, did you mean 'thermal'?",
+        ),
+        (
+            "[[wheel]]",
+            (
+                "[[wheel]]: unknown section, known are bus, cooling, corner, "
+                "effect, fluid, heat, publish, signals, thermal, vehicle"
+            ),
+        ),
+        ("[[heat]]", "heat: must be one section, written [heat]"),
+        (
+            "[effect]",
+            "[effect]: must be written [[effect]], one each",
+        ),
+        (
+            '[heat]\nmode = "fused"',
+            '[heat] mode = "fused": must be "ff", "fb" or "measured"',
+        ),
+        (
+            '[heat]\nmode = "fb"',
+            (
+                '[heat] mode = "fb": needs the torque at the wheels, '
+                "configure [signals.powertrain_torque] or declare "
+                "assume_powertrain_torque_nm (0.0 = coasting while braking)"
+            ),
+        ),
+        (
+            '[heat]\nmode = "measured"',
+            (
+                '[heat] mode = "measured": needs a disc temperature, '
+                "configure one of [signals.temp_fl_disc]"
+            ),
+        ),
+        (
+            "[publish]\nid_base = 0x7FF",
+            "[publish] id_base = 2047: must be from 0 to 2028",
+        ),
+        (
+            '[publish]\nbus = "body"',
+            '[publish] bus = "body": no such [[bus]], known are chassis',
+        ),
+        (
+            '[fluid]\nchanged = "May"',
+            '[fluid] changed = "May": must be a date such as 2024-05-31',
+        ),
+        (
+            '[[effect]]\nname = "disc_wear"\ncorner = "RR"',
+            (
+                '[[effect]] disc_wear corner = "RR": no such [[corner]], '
+                "known are FL"
+            ),
+        ),
+        (
+            '[[effect]]\nname = "disc_wear"\nparameters = {strength = "big"}',
+            (
+                '[[effect]] disc_wear parameters.strength = "big": must be a '
+                "number"
+            ),
+        ),
+        (
+            '[[bus]]\nname = "chassis"\ndbc = "b.dbc"\nchannel = "can1"',
+            "[[bus]] chassis name: given twice, names must differ",
+        ),
+        (
+            '[[bus]]\nname = "body"\ndbc = "b.dbc"',
+            (
+                '[[bus]] body channel = "can0": is the channel of [[bus]] '
+                "chassis already"
+            ),
+        ),
+        (
+            "[cooling]\nspeed_ms = [0, 5, 5]\ns_per_s = [1e-3, 2e-3, 3e-3]",
+            "[cooling]: 'speed_ms' must rise from point to point",
+        ),
+    ],
+)
+def test_bad_section(tmp_path: Path, addition: str, line: str) -> None:
+    """A section too many, misplaced or at odds with another is one line."""
+    assert [line] == problems(tmp_path, f"{BASE}\n{addition}\n")
+
+
+def test_key_before_any_section(tmp_path: Path) -> None:
+    """A key above the first section is pointed out as such."""
+    found = problems(tmp_path, f"mass_kg = 3\n{BASE}")
+
+    assert len(found) == 1
+    assert found[0].startswith("mass_kg = 3: stands before any section")
+
+
+def test_empty_file_names_what_is_needed(tmp_path: Path) -> None:
+    """An empty file is told all mandatory sections."""
+    expected = [
+        f"{section}: missing, every file needs it"
+        for section in (
+            "[vehicle]",
+            "[[bus]]",
+            "[signals.<role>]",
+            "[[corner]]",
+        )
+    ]
+
+    assert expected == problems(tmp_path, "")
+
+
+def test_same_corner_twice(tmp_path: Path) -> None:
+    """Two sections for one wheel brake are refused."""
+    text = BASE + BASE[BASE.index("[[corner]]") :]
+
+    assert problems(tmp_path, text) == [
+        "[[corner]] FL name: given twice, one section a wheel brake"
+    ]
+
+
+def test_drums_alone(tmp_path: Path) -> None:
+    """Without any disc there is nothing to estimate."""
+    drum = (
+        '[[corner]]\nname = "RR"\ntype = "drum"\npiston_area_m2 = '
+        "3e-4\neffective_radius_m = 0.11\n"
+    )
+
+    found = problems(tmp_path, BASE[: BASE.index("[[corner]]")] + drum)
+
+    assert found == [
+        '[[corner]]: all are drums, at least one must be a "disc"'
+    ]
+
+
+def test_every_section_is_reported_at_once(tmp_path: Path) -> None:
+    """Mistakes in five sections give five lines from one reading."""
+    text = (
+        BASE.replace("mass_kg = 2194.0", "mass_kg = -3")
+        .replace('dbc = "car.dbc"', "")
+        .replace('unit = "km/h"', 'unit = "bar"')
+        .replace("mass_kg = 7.5", "mass_kg = 0")
+        .replace('name = "FL"', 'name = "FL"\nthermal.pad_emissivity = 2')
+    )
+
+    sections = [line.split(" ")[0] for line in problems(tmp_path, text)]
+
+    assert sections == [
+        "[vehicle]",
+        "[[bus]]",
+        "[[corner]]",
+        "[signals.vehicle_speed]",
+        "[[corner]]",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("heat", "roles"),
+    [
+        ('mode = "ff"', {"wheel_speed_rl": "rpm", "wheel_pressure_fl": "bar"}),
+        ('mode = "fb"', {"vehicle_speed": "m/s", "powertrain_torque": "Nm"}),
+        (
+            'mode = "fb"\nassume_powertrain_torque_nm = 0.0',
+            {"vehicle_speed": "m/s"},
+        ),
+        ('mode = "measured"', {"temp_fl_disc": "degC"}),
+    ],
+)
+def test_enough_roles_for_the_heat_mode(
+    tmp_path: Path, heat: str, roles: dict[str, str]
+) -> None:
+    """Each mode is content with its mandatory roles."""
+    signals = "".join(
+        f'[signals.{role}]\nmessage = "M"\nsignal = "S"\nunit = "{unit}"\n'
+        for role, unit in roles.items()
+    )
+    text = BASE.replace(SPEED, signals).replace(PRESSURE, "")
+
+    config = load_config(write(tmp_path, f"{text}\n[heat]\n{heat}\n"))
+
+    assert set(config.signals) == set(roles)
+
+
+def test_secondary_pressure_serves_its_circuit_only(tmp_path: Path) -> None:
+    """A corner of the primary circuit still needs its own pressure."""
+    text = BASE.replace("primary_pressure", "secondary_pressure") + REAR
+
+    assert problems(tmp_path, text) == [
+        (
+            '[heat] mode = "ff": needs a pressure for corner FL, configure '
+            "one of [signals.primary_pressure], [signals.wheel_pressure_fl]"
+        )
+    ]
+
+
+def test_toml_syntax_error_has_line_and_column(tmp_path: Path) -> None:
+    """A syntax error names file, line and column."""
+    text = BASE.replace("mass_kg = 2194.0", "mass_kg 2194.0")
+
+    (line,) = problems(tmp_path, text)
+
+    assert line.startswith("line 3, column 9: ")
+
+
+def test_syntax_error_at_the_end(tmp_path: Path) -> None:
+    """An unfinished file says so."""
+    (line,) = problems(tmp_path, BASE + 'x = "')
+
+    assert "column" in line or line.startswith("end of document: ")
+
+
+def test_not_utf8(tmp_path: Path) -> None:
+    """A file in another encoding names the byte."""
+    path = tmp_path / "car.toml"
+    path.write_bytes(b'[vehicle]\nid = "S\xe4"\n')
+
+    with pytest.raises(ConfigError, match="byte 17: is not UTF-8"):
+        load_config(path)
+
+
+@pytest.mark.parametrize("name", ["none.toml", "."])
+def test_file_that_cannot_be_read(tmp_path: Path, name: str) -> None:
+    """A missing file or a folder is an access error with its reason."""
+    path = tmp_path / name
+
+    with pytest.raises(FileAccessError, match="give a readable") as caught:
+        load_config(path)
+
+    assert str(path) in str(caught.value)
+
+
+def test_naming_file_leaves_other_errors_alone() -> None:
+    """Only configuration problems get the file's name."""
+    lost = FileAccessError("gone")
+
+    with pytest.raises(FileAccessError) as caught, naming_file(Path("a.toml")):
+        raise lost
+
+    assert caught.value is lost
+
+
+def test_usable_signals_leave_out_the_broken(tmp_path: Path) -> None:
+    """DBC checks run on the signals that are right as far as known."""
+    text = BASE.replace('unit = "bar"', 'unit = "m"') + (
+        '[signals.yaw_rate]\nmessage = "M"\nsignal = "S"\nunit = '
+        '"rad/s"\nbus = "body"\n'
+    )
+
+    draft, found = read_draft(write(tmp_path, text))
+
+    assert len(found) == 2
+    assert list(usable_signals(draft)) == ["vehicle_speed"]
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        ("a", '"a"'),
+        (True, "true"),
+        (math.nan, "nan"),
+        (3, "3"),
+        ([1, 2], "[1, 2]"),
+        ({"day": date(2024, 5, 31)}, '{"day": "2024-05-31"}'),
+    ],
+)
+def test_values_are_shown_as_written(value: object, text: str) -> None:
+    """A message quotes a value the way the file has it."""
+    assert text == toml_text(value)
+
+
+def test_long_values_are_shortened() -> None:
+    """A message stays one readable line."""
+    assert len(toml_text(list(range(100)))) == 60
+
+
+scalars = st.one_of(
+    st.none().map(lambda _: date(2024, 5, 31)),
+    st.booleans(),
+    st.integers(-5, 5),
+    st.floats(),
+    st.sampled_from(["FL", "disc", "bar", "all", "chassis", "", "x"]),
+)
+values = st.recursive(
+    scalars,
+    lambda inner: (
+        st.lists(inner, max_size=2)
+        | st.dictionaries(
+            st.sampled_from(["name", "temperature_c", "value", "mass_kg"]),
+            inner,
+            max_size=2,
+        )
+    ),
+    max_leaves=4,
+)
+
+
+@st.composite
+def documents(draw: st.DrawFn) -> dict[str, Any]:
+    """Draw a document with known section and key names but any values."""
+    document: dict[str, Any] = {}
+    for name in draw(st.sets(st.sampled_from(sorted(Config.model_fields)))):
+        keys = ["name", "unit", "bus", "thermal", "pad", "mode", "speed_ms"]
+        table = st.dictionaries(st.sampled_from(keys), values, max_size=3)
+        role = st.sampled_from(["yaw_rate", "pitch", "x"])
+        document[name] = draw(
+            table
+            | st.lists(table, max_size=2)
+            | st.dictionaries(role, table, max_size=2)
+            | values
+        )
+    return document
+
+
+@settings(max_examples=50, deadline=None)
+@given(documents())
+def test_any_document_gets_worded_problems(document: dict[str, Any]) -> None:
+    """Whatever the values are, the answer is a list of lines."""
+    _, found = draft_of(document)
+
+    assert found
+    assert all(line and "\n" not in line for line in found)
