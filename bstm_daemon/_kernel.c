@@ -223,8 +223,7 @@ static double heated(const Structure *s, const double *f, int W, int node,
                      double t, double base, double capacity, double rise)
 {
     const int table = s->section[NODE_TABLE][node];
-    if (table < 0) return t + rise;
-    if (!(base > 0.0)) return t;
+    if (table < 0 || !(base > 0.0)) return t + rise;
     const int last = s->section[TABLE_POINTS][table] - 1;
     const double *v = f + (size_t)(s->section[TABLE_OFFSET][table] + 2) * W;
     const double x0 = v[-2 * W], inverse_dx = v[-1 * W];
@@ -314,7 +313,8 @@ INLINE void factorise(const int W, const Structure *s, Work *w, double gdt)
         d[i] = mask[i] > 0.0 ? d[i] : 1.0;
     for (int p = 0; p < s->count[COUNT_PIVOTS]; p++) {
         double *dp = d + (size_t)sec[PIVOT_NODE][p] * W;
-        for (int l = 0; l < W; l++) inverse[l] = 1.0 / dp[l];
+        for (int l = 0; l < W; l++)
+            inverse[l] = dp[l] == 0.0 ? 0.0 : 1.0 / dp[l];
         for (int o = sec[PIVOT_OPERATION_START][p];
              o < sec[PIVOT_OPERATION_START][p + 1]; o++) {
             const double *left = off + (size_t)sec[OPERATION_LEFT][o] * W;
@@ -605,6 +605,13 @@ static int march_all(const March *m)
 
 /* --------------------------------------------------------------- Python */
 
+/* Whether `have` is rows * width, which may not fit into a Py_ssize_t. */
+static int fits(Py_ssize_t have, Py_ssize_t rows, Py_ssize_t width)
+{
+    if (width == 0) return have == 0;
+    return have % width == 0 && have / width == rows;
+}
+
 PyDoc_STRVAR(march_doc,
 "march(ints, floats, state, inputs, set_of_member, ledger, outputs, members,\n"
 "      sets, steps, dt_s, output_every, output_phase)\n\n"
@@ -634,21 +641,23 @@ static PyObject *py_march(PyObject *Py_UNUSED(self), PyObject *args)
         const Py_ssize_t states =
             s.count[COUNT_NODES] + s.count[COUNT_MEMORIES];
         const Py_ssize_t ns = s.count[COUNT_SOURCES];
-        const Py_ssize_t limit = PY_SSIZE_T_MAX / 64;
-        if (m.members < 0 || m.sets < 1 || m.steps < 0 || every < 1
-            || phase < 1 || every > limit || phase > limit || !(m.dt > 0.0)
-            || every > INT32_MAX || phase > INT32_MAX)
+        if (m.members < 0 || m.members > INT32_MAX || m.sets < 1
+            || m.sets > INT32_MAX || m.steps < 0 || every < 1
+            || every > INT32_MAX || phase < 1 || phase > INT32_MAX
+            || !(m.dt > 0.0))
             wrong = "a count or the step is out of range";
         else {
             const Py_ssize_t outputs =
                 m.steps < phase ? 0 : 1 + (m.steps - phase) / every;
-            if (view[1].len / 8 != m.members * s.count[COUNT_FLOATS]
-                || view[2].len / 8 != m.members * states
-                || view[3].len / 8 != m.steps * m.sets * s.count[COUNT_INPUTS]
-                || view[4].len / 4 != m.members
-                || view[5].len / 8
-                    != m.members * (s.count[COUNT_LINKS] + ns)
-                || view[6].len / 8 < outputs * m.members * (states + ns))
+            const Py_ssize_t row = m.members * (states + ns);
+            if (view[4].len / 4 != m.members
+                || !fits(view[1].len / 8, m.members, s.count[COUNT_FLOATS])
+                || !fits(view[2].len / 8, m.members, states)
+                || !fits(view[3].len / 8, m.steps,
+                         m.sets * s.count[COUNT_INPUTS])
+                || !fits(view[5].len / 8, m.members,
+                         s.count[COUNT_LINKS] + ns)
+                || (row > 0 && view[6].len / 8 / row < outputs))
                 wrong = "a buffer has the wrong size";
             else if (!within(view[4].buf, (int)m.members, 0, (int)m.sets))
                 wrong = "a member has no input set";

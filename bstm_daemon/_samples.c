@@ -12,6 +12,7 @@
 
 #define PLAN_LAYOUT 1
 #define NEVER INT64_MIN
+#define UNKNOWN (-1.0)
 #define LATE_US INT64_C(1000000)
 #define AHEAD_US INT64_C(3600000000)
 #define SETTLED_US (12 * INT64_C(3600000000))
@@ -56,7 +57,7 @@ typedef struct {
     double *rows, *vehicle_rows;
     int64_t *row_times;
     Py_ssize_t room, steps;
-    int stale;
+    int stale, speed_known;
     double speed, wheel[MAX_CORNERS], target[MAX_CORNERS];
 } Pass;
 
@@ -105,6 +106,7 @@ static void refresh(Pass *p)
     }
     if (valid(p, p->role[R_SPEED])) p->speed = fabs(vehicle(p, R_SPEED, 0.0));
     else p->speed = count ? total / (double)count : 0.0;
+    p->speed_known = count > 0 || valid(p, p->role[R_SPEED]);
     for (int c = 0; c < p->corners; c++) {
         const int32_t *corner = p->corner + c * PER_CORNER_INTS;
         const int role = corner[C_WHEEL];
@@ -168,9 +170,14 @@ static void integrate(Pass *p, int64_t time_us)
         if (pressure > p->f[F_ON_PRESSURE]) p->on_time[c] += h;
         if (pressure > highest) highest = pressure;
     }
-    const double before = p->n[N_FILTERED];
-    p->n[N_FILTERED] = v + (before - v) * exp(-h / p->f[F_FILTER]);
-    const double gained = p->n[N_FILTERED] - before;
+    double gained = 0.0;
+    if (!p->speed_known) p->n[N_FILTERED] = UNKNOWN;
+    else if (p->n[N_FILTERED] < 0.0) p->n[N_FILTERED] = v;
+    else {
+        const double before = p->n[N_FILTERED];
+        p->n[N_FILTERED] = v + (before - v) * exp(-h / p->f[F_FILTER]);
+        gained = p->n[N_FILTERED] - before;
+    }
     const double force_s = force_impulse(p, h, v, gained);
     const int braking = pressure_known(p) ? highest > p->f[F_ON_PRESSURE]
                                           : force_s > p->f[F_ON_FORCE] * h;
@@ -339,12 +346,13 @@ static Py_ssize_t consume(Pass *p, const int64_t *times, const int32_t *roles,
         *code = move_to(p, times[index]);
         if (*code == FULL) return index;
         const int role = roles[index];
-        if (*code != DROP && role >= 0 && role < p->roles) {
+        if (*code != DROP && role >= 0 && role < p->roles
+            && isfinite(values[index])) {
             p->value[role] = values[index];
             p->stamp[role] =
                 times[index] > p->t[S_NOW] ? times[index] : p->t[S_NOW];
-            p->stale = 1;
         }
+        p->stale = 1;
         if (*code == SETTLE || *code == JUMP) return index + 1;
     }
     *code = DONE;
@@ -411,6 +419,7 @@ static const char *bind(Pass *p, Py_buffer *view)
     p->row_times = view[10].buf;
     p->steps = 0;
     p->stale = 1;
+    p->speed_known = 0;
     return NULL;
 }
 

@@ -1,8 +1,8 @@
 """Frames in, frames out: the whole monitor without a bus, clock or file.
 
-:meth:`Engine.frame` takes a frame with the time it carries, :meth:`Engine.tick`
-says how late it is now and returns what is due. The live service, replay and
-tests are thin shells around these two.
+:meth:`Engine.frame` takes a frame with the time it carries,
+:meth:`Engine.tick` says how late it is now and returns what is due. The live
+service, replay and tests are thin shells around these two.
 """
 
 from __future__ import annotations
@@ -136,9 +136,7 @@ class Engine:
             name: self._corner(block, i, name, place)
             for name, place in self._places.items()
         }
-        return Snapshot(
-            block.times_us[i], corners, self._status(block, i)
-        )
+        return Snapshot(block.times_us[i], corners, self._status(block, i))
 
     def _corner(
         self, block: Block, i: int, name: str, place: tuple[int, int]

@@ -11,10 +11,11 @@ from __future__ import annotations
 from array import array
 from dataclasses import dataclass
 from itertools import groupby
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from bstm_daemon.effects.catalogue import apply_effects
 from bstm_daemon.effects.effect import CornerModel
+from bstm_daemon.errors import ConfigError
 from bstm_daemon.heat import sample_pass as reference_pass
 from bstm_daemon.heat.sample_pass import SETTLE, SampleState
 from bstm_daemon.heat.sample_plan import (
@@ -23,7 +24,6 @@ from bstm_daemon.heat.sample_plan import (
     VEHICLE_CHANNELS,
     plan_samples,
 )
-from bstm_daemon.errors import ConfigError
 from bstm_daemon.native import load_kernel
 from bstm_daemon.roles import ROLE_INDEX
 from bstm_daemon.thermal.brake_corner import build_corner, corner_spec
@@ -32,9 +32,14 @@ from bstm_daemon.thermal.program import Program, compile_network
 from bstm_daemon.units import KELVIN_OFFSET
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Mapping
+
+    import numpy.typing as npt
 
     from bstm_daemon.config import Config, CornerConfig
+
+    Ints = Sequence[int] | npt.NDArray[Any]
+    Floats = Sequence[float] | npt.NDArray[Any]
 
 STEP_US: Final = 50_000
 """The grid: whole multiples of this in the frames' own time."""
@@ -128,7 +133,7 @@ class Estimator:
         self.plan = plan_samples(config, present, STEP_US)
         self._samples = SampleState.new(self.plan)
         start_k = initial_k or config.vehicle.ambient_c + KELVIN_OFFSET
-        self.programs = {
+        self.programs: dict[str, Program] = {
             corner.name: compile_corner(config, corner)
             for corner in config.disc_corners()
         }
@@ -155,7 +160,11 @@ class Estimator:
     def counts(self) -> dict[str, int]:
         """Samples that came late, were dropped as outliers; clock jumps."""
         return dict(
-            zip(("late", "dropped", "jumps"), self._samples.times[3:6], strict=True)
+            zip(
+                ("late", "dropped", "jumps"),
+                self._samples.times[3:6],
+                strict=True,
+            )
         )
 
     @property
@@ -187,9 +196,9 @@ class Estimator:
 
     def advance(
         self,
-        times_us: Sequence[int],
-        roles: Sequence[int],
-        values: Sequence[float],
+        times_us: Ints,
+        roles: Ints,
+        values: Floats,
     ) -> list[Block]:
         """Consume samples and march to the last one's time.
 
@@ -203,6 +212,9 @@ class Estimator:
         """
         blocks = []
         index, count = 0, len(times_us)
+        if self._kernel is None:
+            times_us, roles = _plain(times_us), _plain(roles)
+            values = _plain(values)
         while index < count:
             index, steps, code = self._pass(times_us, roles, values, index)
             if steps:
@@ -215,9 +227,9 @@ class Estimator:
 
     def _pass(
         self,
-        times_us: Sequence[int],
-        roles: Sequence[int],
-        values: Sequence[float],
+        times_us: Any,
+        roles: Any,
+        values: Any,
         first: int,
     ) -> tuple[int, int, int]:
         state = self._samples
@@ -242,7 +254,7 @@ class Estimator:
         for _, members in groupby(
             by_structure, lambda name: self.programs[name].ints.tobytes()
         ):
-            names = sorted(members, key=order.index)
+            names: list[str] = sorted(members, key=order.index)
             batch = Batch(
                 [self.programs[name] for name in names],
                 start_k,
@@ -295,7 +307,9 @@ class Estimator:
         for member, name in enumerate(group.corners):
             validity = usual[:]
             for node in range(group.nodes):
-                series = output[member * group.size + node :: members * group.size]
+                series = output[
+                    member * group.size + node :: members * group.size
+                ]
                 # nan fails every comparison, also inside min and max
                 if sum(series) - sum(series) == 0.0 and (
                     not series
@@ -313,6 +327,11 @@ class Estimator:
             for member in range(len(names)):
                 batch.settle(ambient, member)
         self._history_left_s = 0.0
+
+
+def _plain(column: Any) -> Any:
+    """Numbers of their own: reading an array one by one makes each anew."""
+    return column.tolist() if hasattr(column, "tolist") else column
 
 
 def compile_corner(config: Config, corner: CornerConfig) -> Program:

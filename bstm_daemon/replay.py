@@ -47,7 +47,7 @@ class Replay:
     compiled: bool
 
 
-def replay_log(  # noqa: PLR0913
+def replay_log(
     config: Config,
     signal_map: SignalMap,
     path: Path,
@@ -148,8 +148,10 @@ def publish_log(
 def _write(file: TextIO, channel: str, published: list[Published]) -> int:
     for time_us, frame in published:
         seconds, micros = divmod(time_us, 1_000_000)
-        identifier = f"{frame.can_id:08X}" if frame.extended else (
-            f"{frame.can_id:03X}"
+        identifier = (
+            f"{frame.can_id:08X}"
+            if frame.extended
+            else (f"{frame.can_id:03X}")
         )
         file.write(
             f"({seconds}.{micros:06d}) {channel} "
@@ -168,6 +170,4 @@ def _publish_channel(config: Config) -> str:
 
 def present_roles(signal_map: SignalMap) -> dict[int, int]:
     """Role number to timeout [us] of each mapped role."""
-    return {
-        role: signal_map.timeouts_us[role] for role in signal_map.roles()
-    }
+    return {role: signal_map.timeouts_us[role] for role in signal_map.roles()}

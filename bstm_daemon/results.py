@@ -50,7 +50,9 @@ class Results:
 class ResultsBuilder:
     """Collects an estimator's blocks and makes columns of them."""
 
-    def __init__(self, estimator: Estimator, every_us: int = PUBLISH_US) -> None:
+    def __init__(
+        self, estimator: Estimator, every_us: int = PUBLISH_US
+    ) -> None:
         """Collect from *estimator*, keeping a row every *every_us*."""
         self._estimator = estimator
         self._every_us = every_us
@@ -96,8 +98,8 @@ class ResultsBuilder:
         interval_s = np.diff(times_us, prepend=times_us[:1]) * 1e-6
         interval_s[interval_s <= 0.0] = self._every_us * 1e-6
         corners = self._estimator.plan.corners
-        columns = {
-            "time_s": times_us * 1e-6,
+        columns: dict[str, Column] = {
+            "time_s": times_us.astype(np.float64) * 1e-6,
             "speed_ms": vehicle[:, 0],
             "distance_m": vehicle[:, 1],
             "brake_force_fb_n": vehicle[:, 2],
@@ -184,7 +186,9 @@ def write_parquet(path: Path, results: Results) -> None:
         FileAccessError: *path* can not be written.
     """
     if not has_parquet():
-        raise MissingExtraError("pyarrow", "parquet", "--format parquet")
+        raise MissingExtraError(
+            package="pyarrow", extra="parquet", purpose="--format parquet"
+        )
     import pyarrow as pa  # noqa: PLC0415  (an extra, loaded when needed)
     from pyarrow import parquet  # noqa: PLC0415
 

@@ -174,13 +174,13 @@ class Layout:
         # any field of up to 8 bytes can be read within a record
         self._size = -(-(len(text) + 8) // 8) * 8
         expected = np.frombuffer(text.ljust(self._size, b"\0"), np.uint8)
-        fixed = expected != 0
-        digit = (expected == ord("0")) & (np.arange(self._size) < len(stamp))
+        place = np.arange(self._size)
+        digit = (expected == ord("0")) & (place < len(stamp))
+        fixed = (place < self._id_at) | (place == self._end - 1)
         # of byte ^ expected: 0x80 is reached by what is no digit, or differs
         carry = np.where(digit, 0x80 - 10, np.where(fixed, 0x80 - 1, 0))
         self._expected = _words(expected)
         self._carry = _words(carry)
-        self._mask = _words(np.where(fixed, 0x80, 0))
 
     @staticmethod
     def covers(header: Header) -> bool:
@@ -219,14 +219,12 @@ class Layout:
         that is wrong already.
         """
         wrong = np.zeros(len(heads), np.uint64)
-        for word, mask in enumerate(self._mask):
-            if mask:
+        for word, carry in enumerate(self._carry):
+            if carry:
                 differs = heads[:, word] ^ self._expected[word]
-                carried = differs + self._carry[word]
-                carried |= differs
-                if mask != _INVALID_WORD:
-                    carried &= mask
-                wrong |= carried
+                wrong |= differs
+                differs += carry
+                wrong |= differs
         wrong &= _INVALID_WORD
         return np.equal(wrong, 0)
 

@@ -236,7 +236,7 @@ def _bits(signal: RawSignal, windows: _Windows) -> npt.NDArray[np.uint64]:
         if signal.big_endian:
             bits = window << beyond | behind >> (8 - beyond)
         else:
-            bits = window >> shift | behind << (_WINDOW_BITS - shift)
+            bits = window >> shift
     bits &= np.uint64((1 << signal.length) - 1)
     return bits
 

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bstm_daemon.cli.arguments import add_json
-from bstm_daemon.cli.output import write_json
 from bstm_daemon.config_file import load_config, naming_file, read_draft
 from bstm_daemon.config_rules import usable_signals
 from bstm_daemon.errors import ConfigError, UsageError
+from bstm_daemon.files import replacing
 from bstm_daemon.roles import ROLE_INDEX, ROLES
 
 if TYPE_CHECKING:
@@ -50,7 +51,8 @@ def run(args: argparse.Namespace) -> int:
         result: dict[str, Any] = {"file": str(path), "problems": problems}
         if config is not None:
             result["configuration"] = config.model_dump(mode="json")
-        write_json(args.json, result)
+        with replacing(args.json) as file:
+            file.write_text(json.dumps(result, indent=2) + "\n", "utf-8")
     if config is None:
         raise ConfigError(problems)
     print(summary(config, path))

@@ -7,7 +7,6 @@ what was published. The display knows only ``dbc/bstm.dbc``.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -30,6 +29,7 @@ from bstm_daemon.simulation.frames import START_STAMP_S, Encoder, frames
 
 if TYPE_CHECKING:
     import argparse
+    from collections.abc import Iterator
 
 CHANNEL = "bstm-demo"
 DRIVE = "alpine-descent"
@@ -79,7 +79,9 @@ def run(args: argparse.Namespace) -> int:
     config, signal_map = load_vehicle(config_path)
     print(f"simulated drive: {load_drive(DRIVE).drive.description}")
     driven = simulate(load_drive(DRIVE))
-    display = Display(cantools.database.load_file(shipped_file("dbc/bstm.dbc")))
+    display = Display(
+        cantools.database.load_file(shipped_file("dbc/bstm.dbc"))
+    )
     # the simulated car stood overnight: its brakes are as cold as the air
     engine = Engine(config, signal_map, history_known=True)
     builder = ResultsBuilder(engine.estimator)

@@ -159,7 +159,9 @@ def _formats(asked: str | None) -> tuple[str, ...]:
         print("CSV only: Parquet needs pip install 'bstm-daemon[parquet]'")
         return ("csv",)
     if not has_parquet():
-        raise MissingExtraError("pyarrow", "parquet", f"--format {asked}")
+        raise MissingExtraError(
+            package="pyarrow", extra="parquet", purpose=f"--format {asked}"
+        )
     return ("parquet",) if asked == "parquet" else ("csv", "parquet")
 
 

@@ -43,7 +43,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="write the true temperatures, a row a second, to FILE.csv",
     )
     parser.add_argument(
-        "--seed", type=int, default=0, help="of the sensors' noise (default: 0)"
+        "--seed",
+        type=int,
+        default=0,
+        help="of the sensors' noise (default: 0)",
     )
     parser.add_argument(
         "--list", action="store_true", help="list the drives and stop"

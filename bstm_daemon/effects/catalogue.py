@@ -19,7 +19,9 @@ if TYPE_CHECKING:
 
 def effect_names() -> tuple[str, ...]:
     """Names of all effects, in alphabetical order."""
-    return tuple(sorted(module.name for module in iter_modules(entries.__path__)))
+    return tuple(
+        sorted(module.name for module in iter_modules(entries.__path__))
+    )
 
 
 def effect_class(name: str) -> type[Effect]:
@@ -58,9 +60,13 @@ def problems_of(effects: Sequence[EffectConfig]) -> list[str]:
                 f"known effects: {', '.join(effect_names())}"
             )
             continue
-        found += [f"{where} {text}" for text in cls.problems(effect.parameters)]
-        for corner in (effect.corner, "all"):
-            if (effect.name, corner) in seen:
+        found += [
+            f"{where} {text}" for text in cls.problems(effect.parameters)
+        ]
+        for name, corner in sorted(seen):
+            if name == effect.name and (
+                "all" in (corner, effect.corner) or corner == effect.corner
+            ):
                 found.append(f"{where}: given twice for corner {corner}")
                 break
         seen.add((effect.name, effect.corner))

@@ -42,9 +42,7 @@ class Parameter:
     meaning: str
 
 
-STRENGTH = Parameter(
-    "strength", "1", 0.0, 5.0, 1.0, "0 = absent, 1 = typical"
-)
+STRENGTH = Parameter("strength", "1", 0.0, 5.0, 1.0, "0 = absent, 1 = typical")
 
 
 class Effect(ABC):

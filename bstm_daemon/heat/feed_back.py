@@ -47,7 +47,7 @@ class Vehicle:
 
     @property
     def effective_mass_kg(self) -> float:
-        """m + J / R^2: what resists a change of speed."""
+        """M + J / R^2: what resists a change of speed."""
         return self.mass_kg + self.rotating_mass_kg
 
     def resistance_n(self, speed_ms: float) -> float:

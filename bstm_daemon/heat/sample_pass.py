@@ -18,7 +18,7 @@ from __future__ import annotations
 
 from array import array
 from dataclasses import dataclass, field
-from math import exp
+from math import exp, isfinite
 from typing import TYPE_CHECKING, Final
 
 from bstm_daemon.heat.sample_plan import (
@@ -40,6 +40,8 @@ CLOCK_SET_US: Final = 30 * 24 * 3_600_000_000
 CONFIRM_US: Final = 10_000_000
 LIMIT_US: Final = 2**60
 NEVER: Final = -(2**63)
+UNKNOWN: Final = -1.0
+"""The filtered speed while no speed is known."""
 
 TICK: Final = -1
 """The role number of a tick: time passes, nothing is sampled."""
@@ -89,10 +91,12 @@ class SampleState:
         for name in ("late", "dropped", "jumps"):
             times[TIMES.index(name)] = 0
         size = len(NUMBERS) + PER_CORNER_SUMS * len(plan.corners) + len(ROLES)
-        return cls(array("q", times), array("d", [0.0] * size))
+        numbers = array("d", [0.0] * size)
+        numbers[NUMBERS.index("filtered_speed")] = UNKNOWN
+        return cls(array("q", times), numbers)
 
 
-def sample_pass(  # noqa: PLR0913  (the signature of the compiled pass)
+def sample_pass(  # noqa: PLR0913, PLR0917  (the signature of the compiled pass)
     plan: SamplePlan,
     state: SampleState,
     times_us: Sequence[int],
@@ -129,8 +133,10 @@ def sample_pass(  # noqa: PLR0913  (the signature of the compiled pass)
         if code == FULL:
             run.store()
             return index, run.steps, FULL
-        if code != _DROP and roles[index] >= 0:
+        if code != _DROP and 0 <= roles[index] < len(run.value):
             run.take(times_us[index], roles[index], values[index])
+        # values age at every sample, wherever the stream is cut into calls
+        run.stale = True
         index += 1
         if code in (SETTLE, JUMP):
             run.store()
@@ -164,7 +170,9 @@ class _Pass:
         )
         first = HEADER + len(VEHICLE_ROLES)
         self.corner_ints = [
-            ints[first + c * PER_CORNER_INTS : first + (c + 1) * PER_CORNER_INTS]
+            ints[
+                first + c * PER_CORNER_INTS : first + (c + 1) * PER_CORNER_INTS
+            ]
             for c in range(self.corners)
         ]
         self.step_us = int(floats[0])
@@ -183,7 +191,9 @@ class _Pass:
         ) = floats[1:VEHICLE_FLOATS]
         at = VEHICLE_FLOATS
         self.corner_floats = [
-            floats[at + c * PER_CORNER_FLOATS : at + (c + 1) * PER_CORNER_FLOATS]
+            floats[
+                at + c * PER_CORNER_FLOATS : at + (c + 1) * PER_CORNER_FLOATS
+            ]
             for c in range(self.corners)
         ]
         at += self.corners * PER_CORNER_FLOATS
@@ -207,6 +217,7 @@ class _Pass:
         self.flags = state.flags[0]
         self.stale = True
         self.speed = 0.0
+        self.speed_known = False
         self.wheel = [0.0] * k
         self.target = [0.0] * k
 
@@ -214,19 +225,24 @@ class _Pass:
         """Write the state back."""
         self.state.times[:] = array(
             "q",
-            [self.now, self.grid, self.pending, self.late, self.dropped]
-            + [self.jumps, *self.stamp],
+            [
+                *(self.now, self.grid, self.pending),
+                *(self.late, self.dropped, self.jumps),
+                *self.stamp,
+            ],
         )
         self.state.numbers[:] = array(
             "d",
-            [self.filtered, self.speed_sum, self.distance, self.force_sum]
-            + [self.energy_fb, self.total_fb, *self.lagged, *self.energy_ff]
-            + [*self.pressure_sum, *self.on_time, *self.total_ff]
-            + [*self.value],
+            [
+                *(self.filtered, self.speed_sum, self.distance),
+                *(self.force_sum, self.energy_fb, self.total_fb),
+                *(*self.lagged, *self.energy_ff, *self.pressure_sum),
+                *(*self.on_time, *self.total_ff, *self.value),
+            ],
         )
         self.state.flags[0] = self.flags
 
-    def move_to(self, time_us: int) -> int:
+    def move_to(self, time_us: int) -> int:  # noqa: PLR0911
         """Integrate and close steps up to *time_us*.
 
         Returns:
@@ -281,10 +297,10 @@ class _Pass:
         return DONE
 
     def take(self, time_us: int, role: int, value: float) -> None:
-        """Let *role* have *value* from now on."""
-        self.value[role] = value
-        self.stamp[role] = max(time_us, self.now)
-        self.stale = True
+        """Let *role* have *value* from now on; only a number is a sample."""
+        if isfinite(value):
+            self.value[role] = value
+            self.stamp[role] = max(time_us, self.now)
 
     def _valid(self, role: int) -> bool:
         return (
@@ -308,11 +324,17 @@ class _Pass:
             self.speed = abs(self._vehicle("vehicle_speed", 0.0))
         else:
             self.speed = total / count if count else 0.0
+        self.speed_known = count > 0 or self._valid(
+            self.vehicle_role["vehicle_speed"]
+        )
         for c, ints in enumerate(self.corner_ints):
             self.wheel[c] = (
-                abs(self.value[ints[0]]) if self._valid(ints[0]) else self.speed
+                abs(self.value[ints[0]])
+                if self._valid(ints[0])
+                else self.speed
             )
-            self.target[c] = max(self._pressure(ints), 0.0)
+            pressure = self._pressure(ints)
+            self.target[c] = max(0.0, pressure)
         self.stale = False
 
     def _pressure(self, ints: Sequence[int]) -> float:
@@ -344,6 +366,24 @@ class _Pass:
             self._refresh()
         h = (time_us - self.now) * 1e-6
         v = self.speed
+        highest = self._integrate_corners(h)
+        before = self.filtered
+        self.filtered = v + (before - v) * exp(-h / self.filter_s)
+        gained = self.filtered - before
+        force_s = self._force_impulse(h, v, gained)
+        if self._pressure_known():
+            braking = highest > self.on_pressure
+        else:
+            braking = force_s > self.on_force * h
+        if braking:
+            self.force_sum += force_s
+            self.energy_fb += force_s * v
+        self.speed_sum += v * h
+        self.distance += v * h
+        self.now = time_us
+
+    def _integrate_corners(self, h: float) -> float:
+        """Add up each corner's Feed-Forward; the highest mean pressure."""
         highest = 0.0
         for c, (per_pa, pushout, lag_s, _) in enumerate(self.corner_floats):
             target = self.target[c]
@@ -363,20 +403,7 @@ class _Pass:
             if p > self.on_pressure:
                 self.on_time[c] += h
             highest = max(highest, p)
-        before = self.filtered
-        self.filtered = v + (before - v) * exp(-h / self.filter_s)
-        gained = self.filtered - before
-        force_s = self._force_impulse(h, v, gained)
-        if self._pressure_known():
-            braking = highest > self.on_pressure
-        else:
-            braking = force_s > self.on_force * h
-        if braking:
-            self.force_sum += force_s
-            self.energy_fb += force_s * v
-        self.speed_sum += v * h
-        self.distance += v * h
-        self.now = time_us
+        return highest
 
     def _force_impulse(self, h: float, v: float, gained: float) -> float:
         """Brake force times time (Eq 4.11) over *h* seconds [N s]."""

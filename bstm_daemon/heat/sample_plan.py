@@ -72,7 +72,6 @@ VEHICLE_ROLES: Final = (
 """Roles of the vehicle that the pass reads, in plan order."""
 
 
-
 @dataclass(frozen=True, slots=True)
 class SamplePlan:
     """The arrays of the pass and what they were made for."""
@@ -97,7 +96,9 @@ def plan_samples(
     """
     vehicle = Vehicle.of_config(config.vehicle)
     heat = config.heat
-    table = list(zip(heat.front_pressure_pa, heat.rear_pressure_pa, strict=True))
+    table = list(
+        zip(heat.front_pressure_pa, heat.rear_pressure_pa, strict=True)
+    )
     ints = [
         PLAN_LAYOUT,
         len(ROLES),
@@ -160,7 +161,9 @@ def _number(role: str, present: Mapping[int, int]) -> int:
     return index if index in present else -1
 
 
-def _corner_ints(corner: CornerConfig, present: Mapping[int, int]) -> list[int]:
+def _corner_ints(
+    corner: CornerConfig, present: Mapping[int, int]
+) -> list[int]:
     name = corner.name.lower()
     return [
         _number(f"wheel_speed_{name}", present),

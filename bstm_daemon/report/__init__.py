@@ -1,0 +1,1 @@
+"""What a replay gave, for people: a table on screen and an HTML page."""

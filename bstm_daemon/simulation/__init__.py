@@ -5,6 +5,7 @@ agreement between the two is earned. Entry points: :func:`load_drive`,
 :func:`simulate`, :func:`march_lanes` and the recorder.
 """
 
+from bstm_daemon.simulation.batch import march_lanes
 from bstm_daemon.simulation.car import NOMINAL, CarParameters
 from bstm_daemon.simulation.drives import (
     Drive,
@@ -13,16 +14,12 @@ from bstm_daemon.simulation.drives import (
     parse_drive,
     read_drive,
 )
+from bstm_daemon.simulation.march import LaneInputs, LaneResult
 from bstm_daemon.simulation.parameters import (
     EFFECT_NAMES,
     CornerParameters,
     Effects,
     Mesh,
-)
-from bstm_daemon.simulation.reality import (
-    LaneInputs,
-    LaneResult,
-    march_lanes,
 )
 from bstm_daemon.simulation.simulate import SimulatedDrive, simulate
 

@@ -150,6 +150,12 @@ class Lanes:
         self.variable_pad = bool(np.any(p.pad_capacity))
         self.wears = bool(np.any(p.pad_wear))
         self.chars = bool(np.any(p.pad_pyrolysis))
+        self.friction_varies = bool(
+            np.any(p.friction_fade)
+            or np.any(p.friction_speed)
+            or np.any(p.friction_pressure)
+            or np.any(p.friction_history)
+        )
         self.gaps = bool(np.any(p.gap_conduction))
         self.wets = bool(np.any(p.wet_disc))
         # materials skip the transition's peak altogether for a plain 0

@@ -9,7 +9,7 @@ closes to rounding whatever the step.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,145 +17,46 @@ import numpy as np
 from bstm_daemon.simulation import materials, wear
 from bstm_daemon.simulation.friction import friction_factor
 from bstm_daemon.simulation.lanes import (
-    AIR,
-    BODY,
     CENTRE,
     FLUID,
     HAT,
     LUMPS,
     Lanes,
     State,
-    start_state,
 )
+from bstm_daemon.simulation.march import LaneInputs, March, empty_march
 from bstm_daemon.simulation.network import Inputs, Paths, paths
-from bstm_daemon.simulation.parameters import (
-    DEFAULT_MESH,
-    CornerParameters,
-    Effects,
-    Mesh,
-)
 from bstm_daemon.simulation.solver import Arrow, solve_arrow
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
 
     from bstm_daemon.simulation.materials import Array
 
-# the measured layer of a cheek: thermocouples sit 1.5 mm under the surface
-_MEASURED_DEPTH = 0.15
 
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class LaneInputs:
-    """What acts on a batch, constant over each of n steps.
-
-    Shapes: ``step_s`` (n,), ``keep`` (n,) bool, the rest (n, lanes) or
-    (n, 1). ``power_w`` is the friction power at nominal mu. With
-    ``corners_per_car`` k > 0 the lanes come in cars of k and each car's total
-    power is what its driver demands: where mu falls the pressure rises and
-    the corners share anew. With 0 the pressure is given and power follows mu.
-    """
-
-    step_s: Array
-    keep: np.ndarray[tuple[int, ...], np.dtype[np.bool_]]
-    speed_ms: Array
-    power_w: Array
-    pressure_pa: Array
-    contact: Array
-    ambient_k: Array
-    wetness: Array
-    pumping_pa_s: Array
-    corners_per_car: int = 0
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class LaneResult:
-    """Outcome of a march.
-
-    ``time_s`` (m,) are the ends of the kept steps; ``nodes`` name to
-    temperature [K] (m, lanes); ``power_w`` and ``friction`` (n, lanes) the
-    friction power and mu over nominal of every step. ``stored_j``,
-    ``heat_in_j``, ``heat_out_j`` (lanes,) over the whole march.
-    """
-
-    time_s: Array
-    nodes: Mapping[str, Array]
-    power_w: Array
-    friction: Array
-    stored_j: Array
-    heat_in_j: Array
-    heat_out_j: Array
-    state: State
-
-    @property
-    def balance_residual(self) -> Array:
-        """Energy not accounted for over energy put in, (lanes,)."""
-        missing = self.heat_in_j - self.heat_out_j - self.stored_j
-        scale = np.maximum(np.abs(self.heat_in_j), np.abs(self.stored_j))
-        return missing / np.maximum(scale, 1.0)
-
-
-def march_lanes(
-    corners: Sequence[CornerParameters],
-    effects: Sequence[Effects],
-    inputs: LaneInputs,
-    *,
-    start_k: Array,
-    mesh: Mesh = DEFAULT_MESH,
-) -> LaneResult:
-    """March *corners*, one a lane, under *inputs* from *start_k* (lanes,)."""
-    lanes = Lanes(corners, effects, mesh)
-    state = start_state(lanes, start_k)
-    before = _total(state)
-    steps = len(inputs.step_s)
-    kept = int(inputs.keep.sum())
-    record = _Record(lanes, kept)
-    power = np.empty((steps, lanes.count))
-    friction = np.empty((steps, lanes.count))
-    heat_in = np.zeros(lanes.count)
-    heat_out = np.zeros(lanes.count)
-    ones = np.ones(lanes.count)
-    varies = _friction_varies(effects)
+def march_numpy(lanes: Lanes, state: State, inputs: LaneInputs) -> March:
+    """March *lanes* from *state* under *inputs* with whole-array steps."""
+    march = empty_march(lanes, state, inputs)
+    varies = lanes.friction_varies
+    row_kept = 0
     for i, dt in enumerate(inputs.step_s.tolist()):
         row = _row(inputs, i)
-        factor = ones
+        factor = np.ones(lanes.count)
         if varies:
             factor = friction_factor(
                 lanes, state, row.speed_ms, row.pressure_pa
             )
             row = _with_friction(row, factor, inputs.corners_per_car)
-        friction[i] = factor
-        power[i] = row.power_w
+        march.friction[i] = factor
+        march.power_w[i] = row.power_w
         state, gained, lost = _step(lanes, state, row, dt)
-        heat_in += gained
-        heat_out += lost
+        march.heat_in_j += gained
+        march.heat_out_j += lost
         if inputs.keep[i]:
-            record.add(state)
-    return LaneResult(
-        np.cumsum(inputs.step_s)[inputs.keep],
-        record.nodes(),
-        power,
-        friction,
-        _total(state) - before,
-        heat_in,
-        heat_out,
-        state,
-    )
-
-
-def _friction_varies(effects: Sequence[Effects]) -> bool:
-    return any(
-        e.friction_fade
-        or e.friction_speed
-        or e.friction_pressure
-        or e.friction_history
-        for e in effects
-    )
-
-
-def _total(state: State) -> Array:
-    total: Array = state.chain_j.sum(axis=(0, 1)) + state.lump_j.sum(axis=0)
-    return total
+            march.chain_k[row_kept] = state.chain_k
+            march.lump_k[row_kept] = state.lump_k
+            row_kept += 1
+    march.state = state
+    return march
 
 
 def _row(inputs: LaneInputs, i: int) -> Inputs:
@@ -305,45 +206,3 @@ def _settle(lanes: Lanes, near: State, chain_j: Array, lump_j: Array) -> State:
     return replace(
         near, chain_k=chain_k, lump_k=lump_k, chain_j=chain_j, lump_j=lump_j
     )
-
-
-class _Record:
-    """Kept temperatures of a march."""
-
-    def __init__(self, lanes: Lanes, kept: int) -> None:
-        self._lanes = lanes
-        self._chain = np.empty((kept, lanes.chain_nodes, 2, lanes.count))
-        self._lumps = np.empty((kept, len(LUMPS), lanes.count))
-        self._row = 0
-
-    def add(self, state: State) -> None:
-        self._chain[self._row] = state.chain_k
-        self._lumps[self._row] = state.lump_k
-        self._row += 1
-
-    def nodes(self) -> dict[str, Array]:
-        lanes = self._lanes
-        cheek = self._chain[:, lanes.cheek]
-        ring_kg = lanes.cheek_kg.sum(axis=0) * 2 + lanes.centre_kg
-        mean = (cheek * lanes.cheek_kg).sum(axis=(1, 2))
-        mean += self._lumps[:, CENTRE] * lanes.centre_kg
-        depths = np.array(lanes.mesh.cheek_depths)
-        layer = int(np.argmin(np.abs(depths - _MEASURED_DEPTH)))
-        nodes = {
-            "disc": cheek[:, layer, 1],
-            "disc_2": cheek[:, layer, 0],
-            "disc_mean": mean / ring_kg,
-            "disc_surface": cheek[:, 0, 1],
-            "pad_front": self._chain[:, lanes.surface - 1, 0],
-            "pad_back": self._chain[:, 1, 0],
-            "pad_front_outer": self._chain[:, lanes.surface - 1, 1],
-            "pad_back_outer": self._chain[:, 1, 1],
-            "backplate": self._chain[:, 0, 0],
-            "fluid": self._lumps[:, FLUID],
-            "caliper": self._lumps[:, BODY],
-        }
-        for index, name in enumerate(LUMPS):
-            if index not in (FLUID, BODY, AIR):
-                nodes[name] = self._lumps[:, index]
-        nodes["air"] = self._lumps[:, AIR]
-        return nodes

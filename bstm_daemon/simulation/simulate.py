@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from bstm_daemon.roles import CORNERS
+from bstm_daemon.simulation.batch import march_lanes
 from bstm_daemon.simulation.car import (
     NOMINAL,
     CarParameters,
@@ -16,17 +17,13 @@ from bstm_daemon.simulation.car import (
     move,
     real_car,
 )
+from bstm_daemon.simulation.march import LaneInputs, LaneResult
 from bstm_daemon.simulation.parameters import (
     DEFAULT_MESH,
     Mesh,
     preset_effects,
 )
 from bstm_daemon.simulation.profile import SAMPLE_S, Course, plan_course
-from bstm_daemon.simulation.reality import (
-    LaneInputs,
-    LaneResult,
-    march_lanes,
-)
 from bstm_daemon.simulation.sensors import (
     SensorSuite,
     measured_roles,

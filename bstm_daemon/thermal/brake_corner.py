@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from importlib import import_module
+from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
 from bstm_daemon.errors import ConfigError
@@ -29,7 +30,7 @@ from bstm_daemon.thermal.table import Table
 from bstm_daemon.units import KELVIN_OFFSET, STEFAN_BOLTZMANN_W_M2K4
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from bstm_daemon.config import (
         Config,
@@ -98,7 +99,6 @@ class CornerSpec:
         )
 
 
-
 def corner_spec(config: Config, corner: CornerConfig) -> CornerSpec:
     """Gather what *corner*, a disc corner of *config*, is built from.
 
@@ -144,11 +144,11 @@ def build_corner(
         where = f"[[corner]] {spec.name} {part}"
         net = _builder(model, builders, where)(net, spec)
     net = _disc_pad_exchange(net, spec)
-    if force_measured:
-        net = net.edit_node(
-            "disc", lambda n: replace(n, boundary_input="measured_disc_k")
-        )
     try:
+        if force_measured:
+            net = net.edit_node(
+                "disc", lambda n: replace(n, boundary_input="measured_disc_k")
+            )
         return _heat_sources(net, spec)
     except ValueError as error:
         msg = f"[[corner]] {spec.name}: {error}"
@@ -181,7 +181,9 @@ def lumped_disc(net: Network, spec: CornerSpec) -> Network:
         conductance *= capacity(REFERENCE_K)
     free_area = spec.disc.total_area_m2 - spec.pads_area_m2
     return net.with_node(Node("disc", spec.disc_mass_kg, capacity)).with_link(
-        Link("disc_convection", "disc", "ambient", conductance, (*convection,)),
+        Link(
+            "disc_convection", "disc", "ambient", conductance, (*convection,)
+        ),
         Link(
             "disc_radiation",
             "disc",
@@ -207,7 +209,11 @@ def slab_pads(net: Network, spec: CornerSpec) -> Network:
     count = pad.slabs + 2
     full = pad.surface_cells == "full"
     dz = pad.thickness_m / (count if full else count - 1)
-    names = ("pad_front", *(f"pad_{i + 1}" for i in range(pad.slabs)), "pad_back")
+    names = (
+        "pad_front",
+        *(f"pad_{i + 1}" for i in range(pad.slabs)),
+        "pad_back",
+    )
     lump = pad.density_kg_m3 * spec.pads_area_m2 * dz
     cp_j_kgk, cp_table = _constant_and_table(pad.heat_capacity_j_kgk)
     k_w_mk, k_table = _constant_and_table(pad.conductivity_w_mk)
@@ -216,15 +222,14 @@ def slab_pads(net: Network, spec: CornerSpec) -> Network:
         size = lump * cp_j_kgk * (0.5 if surface else 1.0)
         net = net.with_node(Node(name, size, cp_table))
     slab = k_w_mk * spec.pads_area_m2 / dz
-    for a, b in zip(names, names[1:], strict=False):
+    for a, b in pairwise(names):
         factors = () if k_table is None else (mean(a, b, k_table),)
         net = net.with_link(Link(f"{a}-{b}", a, b, slab, factors))
     resistance = thermal.pad_backplate_thermal_resistance_m2k_w
     to_plate = spec.pads_area_m2 / (resistance * PLATE_RESISTANCE_SHARE)
-    net = net.with_node(
+    return net.with_node(
         Node("backplate", thermal.backplate_thermal_capacity_j_k)
     ).with_link(Link("pad_back-backplate", "pad_back", "backplate", to_plate))
-    return net
 
 
 def lumped_fluid(net: Network, spec: CornerSpec) -> Network:
@@ -250,7 +255,9 @@ def lumped_fluid(net: Network, spec: CornerSpec) -> Network:
             thermal.pad_dynamic_convection_ws_m3k * spec.pads_area_m2,
             (_speed_power(thermal.pad_dynamic_convection_exponent),),
         ),
-        Link("hammerhead_static", "pad_back", sink, thermal.pad_static_loss_w_k),
+        Link(
+            "hammerhead_static", "pad_back", sink, thermal.pad_static_loss_w_k
+        ),
         Link(
             "fluid_static",
             "fluid",
@@ -309,8 +316,9 @@ def _heat_sources(net: Network, spec: CornerSpec) -> Network:
     pads = pad_share(spec.disc_share, thermal.heat_partition_correction_factor)
     air = thermal.direct_air_fraction
     threshold_k = thermal.hot_pad_threshold_c + KELVIN_OFFSET
-    start_k, width_k = threshold_k - 0.5 * thermal.hot_pad_width_k, (
-        thermal.hot_pad_width_k
+    start_k, width_k = (
+        threshold_k - 0.5 * thermal.hot_pad_width_k,
+        (thermal.hot_pad_width_k),
     )
     factor = thermal.hot_pad_factor
     kept = value("pad_front", Table(start_k, width_k, (1.0, factor)))
@@ -332,7 +340,7 @@ FLUID_MODELS: Final = {"lump": lumped_fluid}
 
 def _builder(
     model: str,
-    builders: dict[str, Callable[[Network, CornerSpec], Network]],
+    builders: Mapping[str, Callable[[Network, CornerSpec], Network]],
     where: str,
 ) -> Callable[[Network, CornerSpec], Network]:
     """Return a shipped builder by name, or ``module:function``."""
@@ -343,14 +351,17 @@ def _builder(
         builder: Callable[[Network, CornerSpec], Network] = getattr(
             import_module(module_name), function_name
         )
-    except (ImportError, AttributeError, ValueError) as error:
-        known = ", ".join(sorted(builders))
-        msg = (
-            f"{where} = {model!r}: not a model; allowed: {known}, or "
-            f"'module:function' ({error})"
-        )
-        raise ConfigError([msg]) from error
-    return builder
+        if callable(builder):
+            return builder
+        reason = f"{function_name} is no function"
+    except (ImportError, AttributeError, TypeError, ValueError) as error:
+        reason = str(error)
+    known = ", ".join(sorted(builders))
+    msg = (
+        f"{where} = {model!r}: not a model; allowed: {known}, or "
+        f"'module:function' ({reason})"
+    )
+    raise ConfigError([msg])
 
 
 def _speed_power(exponent: float) -> Factor:

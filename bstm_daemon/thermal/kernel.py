@@ -106,6 +106,16 @@ class Batch:
             if steps < output_phase
             else 1 + (steps - output_phase) // output_every
         )
+        if (
+            min(output_every, output_phase) < 1
+            or not dt_s > 0.0
+            or len(inputs) != steps * self.sets * self.channels
+        ):
+            msg = (
+                f"{len(inputs)} inputs for {steps} steps of {self.sets} sets "
+                f"of {self.channels} channels, step {dt_s} s"
+            )
+            raise ValueError(msg)
         row = members * (self.width + self.sources)
         out = array("d", bytes(8 * row * outputs))
         if self.kernel is not None:
@@ -131,7 +141,7 @@ class Batch:
             )
         return out
 
-    def _march_reference(  # noqa: PLR0913
+    def _march_reference(  # noqa: PLR0913, PLR0917
         self,
         member: int,
         inputs: array[float] | memoryview,
@@ -142,11 +152,11 @@ class Batch:
         out: array[float],
     ) -> None:
         channels, sets = self.channels, self.sets
-        at = self.input_set[member] * channels
-        rows = [
-            inputs[start : start + channels]
-            for start in range(at, at + steps * sets * channels, sets * channels)
+        first_set = self.input_set[member]
+        starts = [
+            (step * sets + first_set) * channels for step in range(steps)
         ]
+        rows = [inputs[start : start + channels] for start in starts]
         width, wide = self.width, self.ledger_width
         members = len(self.programs)
         floats = self.programs[member].floats

@@ -188,10 +188,12 @@ class Network:
     def without_link(self, name: str) -> Network:
         """Remove the link *name*."""
         old = self.link(name)
-        return replace(self, links=tuple(k for k in self.links if k is not old))
+        return replace(
+            self, links=tuple(k for k in self.links if k is not old)
+        )
 
     def with_extra_heat(self, node: str) -> Network:
-        """Let *node* take an extra heat flow [W] from the input ``extra_<node>``."""
+        """Let *node* take the extra heat flow of ``extra_<node>_w`` [W]."""
         channel = f"extra_{node}_w"
         return self.with_input(channel).with_source(
             Source(f"extra_{node}", node, 1.0, (value(channel),))

@@ -42,15 +42,15 @@ def pad_share(share_of_disc: float, correction_factor: float) -> float:
     share = (1.0 - share_of_disc) * correction_factor
     if share > 1.0:
         msg = (
-            f"heat_partition_correction_factor = {correction_factor} gives the "
-            f"pads {share:.2f} of the heat; at most "
+            f"heat_partition_correction_factor = {correction_factor} gives "
+            f"the pads {share:.2f} of the heat; at most "
             f"{1.0 / (1.0 - share_of_disc):.1f} is possible"
         )
         raise ValueError(msg)
     return share
 
 
-def pad_flux_w_m2(  # noqa: PLR0913  (Eq 4.13 has these quantities)
+def pad_flux_w_m2(  # noqa: PLR0913, PLR0917  (what Eq 4.13 has)
     pressure_pa: float,
     slide_speed_ms: float,
     piston_area_m2: float,

@@ -26,7 +26,7 @@ from bstm_daemon.thermal.network import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Sequence
 
     from bstm_daemon.thermal.table import Table
 
@@ -98,13 +98,15 @@ class Program:
     def state_names(self) -> tuple[str, ...]:
         """Names of the state in order: nodes, then memories."""
         net = self.network
-        return tuple(p.name for p in (*net.nodes, *net.memories))
+        nodes = tuple(node.name for node in net.nodes)
+        return nodes + tuple(memory.name for memory in net.memories)
 
     @property
     def ledger_names(self) -> tuple[str, ...]:
         """Names of the ledger in order: links, then sources."""
         net = self.network
-        return tuple(p.name for p in (*net.links, *net.sources))
+        links = tuple(link.name for link in net.links)
+        return links + tuple(source.name for source in net.sources)
 
     def initial_state(self, temperature_k: float) -> array[float]:
         """Every node at *temperature_k*, memories at their initial value."""
@@ -122,8 +124,8 @@ def compile_network(network: Network) -> Program:
     Raises:
         NetworkError: a name used twice or nowhere defined, a constant that
             is not finite or has the wrong sign, a table that could make a
-            conductance or capacity negative, or an algebraic node with no
-            link.
+            conductance negative or a capacity 0, or an algebraic node with
+            no link.
     """
     return _Compiler(network).program()
 
@@ -150,10 +152,23 @@ class _Compiler:
 
     def program(self) -> Program:
         net = self.net
-        for part in (*net.nodes, *net.links, *net.sources):
-            _check_part(part)
+        for node in net.nodes:
+            _check_constant(node.name, "capacity", node.capacity_j_k)
+            tables = (f.table for f in node.factors)
+            _check_tables(node.name, "capacity", node.capacity_table, *tables)
+        for link in net.links:
+            _check_constant(link.name, "conductance", link.conductance_w_k)
+            tables = (f.table for f in link.factors)
+            _check_tables(link.name, "conductance", *tables)
+        for source in net.sources:
+            if not isfinite(source.gain):
+                msg = f"{source.name!r}: gain {source.gain} is not finite"
+                raise NetworkError(msg)
         for memory in net.memories:
             _check_memory(memory)
+        _check_names("link", net.links)
+        _check_names("source", net.sources)
+        _check_algebraic(net)
         self.floats.extend(n.capacity_j_k for n in net.nodes)
         self.floats.extend(k.conductance_w_k for k in net.links)
         self.floats.extend(s.gain for s in net.sources)
@@ -205,8 +220,14 @@ class _Compiler:
         inputs = len(net.nodes) + len(net.memories)
         uses: list[int] = []
         starts = [0]
-        for part in (*net.nodes, *net.links, *net.sources, *net.memories):
-            uses.extend(self._factor(f, part.name) for f in part.factors)
+        products = [
+            *((n.name, n.factors) for n in net.nodes),
+            *((k.name, k.factors) for k in net.links),
+            *((s.name, s.factors) for s in net.sources),
+            *((m.name, m.factors) for m in net.memories),
+        ]
+        for name, factors in products:
+            uses.extend(self._factor(factor, name) for factor in factors)
             starts.append(len(uses))
         return {
             "node_table": [self._table(n.capacity_table) for n in net.nodes],
@@ -349,8 +370,9 @@ def _is_unknown(node: Node) -> bool:
 
 def _slots(net: Network) -> dict[str, int]:
     slots: dict[str, int] = {}
-    names: Iterable[str] = (
-        *(part.name for part in (*net.nodes, *net.memories)),
+    names = (
+        *(node.name for node in net.nodes),
+        *(memory.name for memory in net.memories),
         *net.inputs,
     )
     for name in names:
@@ -361,25 +383,35 @@ def _slots(net: Network) -> dict[str, int]:
     return slots
 
 
-def _check_part(part: Node | Link | Source) -> None:
-    """Refuse constants and tables that make a conductance negative."""
-    if isinstance(part, Source):
-        if not isfinite(part.gain):
-            msg = f"source {part.name!r}: gain {part.gain} is not finite"
-            raise NetworkError(msg)
-        return
-    is_node = isinstance(part, Node)
-    constant = part.capacity_j_k if is_node else part.conductance_w_k
-    what = "capacity" if is_node else "conductance"
+def _check_constant(name: str, what: str, constant: float) -> None:
     if not (isfinite(constant) and constant >= 0):
-        msg = f"{part.name!r}: {what} {constant} must be finite and at least 0"
+        msg = f"{name!r}: {what} {constant} must be finite and at least 0"
         raise NetworkError(msg)
-    tables = [factor.table for factor in part.factors]
-    if is_node:
-        tables.append(part.capacity_table)
+
+
+def _check_tables(name: str, what: str, *tables: Table | None) -> None:
     for table in tables:
         if table is not None and min(table.values) < 0:
-            msg = f"{part.name!r}: a table makes its {what} negative"
+            msg = f"{name!r}: a table makes its {what} negative"
+            raise NetworkError(msg)
+
+
+def _check_names(what: str, parts: Sequence[Link | Source]) -> None:
+    seen: set[str] = set()
+    for part in parts:
+        if part.name in seen:
+            msg = f"the {what} name {part.name!r} is used twice in the network"
+            raise NetworkError(msg)
+        seen.add(part.name)
+
+
+def _check_algebraic(net: Network) -> None:
+    """Refuse a node without capacity that nothing holds at a temperature."""
+    linked = {name for k in net.links for name in (k.a, k.b)}
+    for node in net.nodes:
+        held = node.boundary_input is not None or node.name in linked
+        if node.capacity_j_k == 0 and not held:
+            msg = f"node {node.name!r} has neither capacity nor link"
             raise NetworkError(msg)
 
 

@@ -17,6 +17,7 @@ The order of operations is that of ``_kernel.c``, line by line.
 
 from __future__ import annotations
 
+from itertools import pairwise
 from math import isnan, sqrt
 from typing import TYPE_CHECKING, Final
 
@@ -42,12 +43,10 @@ class Structure:
             position += 1 + length
         self.section = section
         starts, uses = section["use_start"], section["use_factor"]
-        self.uses = [
-            uses[a:b] for a, b in zip(starts, starts[1:], strict=False)
-        ]
+        self.uses = [uses[a:b] for a, b in pairwise(starts)]
 
 
-def march(  # noqa: PLR0913  (the signature of the compiled kernel)
+def march(  # noqa: PLR0913, PLR0917  (the signature of the compiled kernel)
     structure: Structure,
     floats: Sequence[float],
     state: MutableSequence[float],
@@ -121,9 +120,7 @@ class _Step:
         # stage 1
         self._evaluate([*state, *row], first=True)
         base = [self._product(i, self.f[i]) for i in range(n)]
-        capacity = [
-            base[i] * self._own_table(i, state[i]) for i in range(n)
-        ]
+        capacity = [base[i] * self._own_table(i, state[i]) for i in range(n)]
         g = self._conductances()
         heat = self._sources()
         value1 = self._memory_values()
@@ -143,7 +140,9 @@ class _Step:
             predicted[i] = (
                 state[i] + dt * rate[i]
                 if fixed[i]
-                else self._heated(i, state[i], base[i], capacity[i], dt * x1[i])
+                else self._heated(
+                    i, state[i], base[i], capacity[i], dt * x1[i]
+                )
             )
         for m, kind in enumerate(memory_kind):
             old = state[n + m]
@@ -165,9 +164,7 @@ class _Step:
         x2 = self._solve(rhs, g, sign=-1.0)
         half = 0.5 * dt
         for k in range(self.links):
-            energy2 = flow2[k] + gdt * (
-                g[k] * (x2[link_a[k]] - x2[link_b[k]])
-            )
+            energy2 = flow2[k] + gdt * (g[k] * (x2[link_a[k]] - x2[link_b[k]]))
             ledger[k] += half * (energy1[k] + energy2)
         for k, (first, second) in enumerate(zip(heat, heat2, strict=True)):
             ledger[self.links + k] += half * (first + second)
@@ -244,9 +241,7 @@ class _Step:
 
     def _conductances(self) -> list[float]:
         n = self.nodes
-        return [
-            self._product(n + k, self.f[n + k]) for k in range(self.links)
-        ]
+        return [self._product(n + k, self.f[n + k]) for k in range(self.links)]
 
     def _sources(self) -> list[float]:
         first = self.nodes + self.links
@@ -302,7 +297,8 @@ class _Step:
         operation = section["pivot_operation_start"]
         start = section["pivot_entry_start"]
         for p, node in enumerate(section["pivot_node"]):
-            inverse = 1.0 / d[node]
+            # an algebraic node that nothing touches now stays as it is
+            inverse = 0.0 if d[node] == 0.0 else 1.0 / d[node]
             for o in range(operation[p], operation[p + 1]):
                 amount = (
                     off[section["operation_left"][o]]
@@ -347,7 +343,7 @@ class _Step:
             rhs[node] = x
         return rhs
 
-    def _heated(
+    def _heated(  # noqa: C901, PLR0912  (one walk, line by line as in C)
         self, node: int, t: float, base: float, capacity: float, rise: float
     ) -> float:
         """Temperature after the heat ``capacity * rise`` [J] has entered.
@@ -356,10 +352,8 @@ class _Step:
         capacity is linear in temperature and the heat has a closed form.
         """
         table = self.s.section["node_table"][node]
-        if table < 0:
+        if table < 0 or not base > 0.0:
             return t + rise
-        if not base > 0.0:
-            return t
         f = self.f
         offset = self.s.section["table_offset"][table] + 2
         last = self.s.section["table_points"][table] - 1
@@ -401,7 +395,9 @@ class _Step:
                 to_edge = (c + 0.5 * slope * (edge - t)) * (edge - t)
                 inside = heat <= to_edge if up else heat >= to_edge
                 if inside:
-                    return t + 2.0 * heat / (c + sqrt(c * c + 2.0 * slope * heat))
+                    return t + 2.0 * heat / (
+                        c + sqrt(c * c + 2.0 * slope * heat)
+                    )
                 heat -= to_edge
                 t = edge
                 cell += 1 if up else -1

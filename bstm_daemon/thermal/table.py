@@ -8,6 +8,7 @@ a table keeps its end value.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from math import isfinite
 from typing import TYPE_CHECKING
 
@@ -75,9 +76,11 @@ class Table:
         :data:`RESAMPLED_POINTS`.
         """
         if len(x) != len(y) or len(x) < 2:
-            msg = f"{len(x)} x and {len(y)} y values: need the same, at least 2"
+            msg = (
+                f"{len(x)} x and {len(y)} y values: need the same, at least 2"
+            )
             raise ValueError(msg)
-        if any(b <= a for a, b in zip(x, x[1:], strict=False)):
+        if any(b <= a for a, b in pairwise(x)):
             msg = "x values must rise"
             raise ValueError(msg)
         span = x[-1] - x[0]
@@ -127,7 +130,9 @@ class Table:
         x0, x1 = min(self.x0, other.x0), max(self.x1, other.x1)
         cells = round((x1 - x0) / min(self.dx, other.dx))
         points = min(max(cells, 1), GRID_LIMIT - 1) + 1
-        return Table.from_function(lambda x: self(x) * other(x), x0, x1, points)
+        return Table.from_function(
+            lambda x: self(x) * other(x), x0, x1, points
+        )
 
     def scaled(self, factor: float) -> Table:
         """Every value multiplied by *factor*."""

@@ -311,21 +311,30 @@ JUNK = st.one_of(
 )
 
 
+TEMPLATES = [
+    b"(1600000000.123456) can0 1A0#0011223344556677",
+    b"(1600000000.123456) can0 100#001122 R",
+    b"(1600000000.123456) can0 00000100#0011223344556677",
+    b"(1600000000.123456) can1 18FF0102##500112233445566778899AABB",
+    b"(0.123456789) can0 1A0#0011223344556677",
+]
+EDGES = st.sampled_from(b"0/:@G`gAaFf9#.)( RT\r\xb0\xb9\xba\xc1\xff\x80")
+
+
 @st.composite
 def mutated(draw) -> bytes:
-    line = bytearray(draw(GOOD))
-    for _ in range(draw(st.integers(1, 3))):
-        at = draw(st.integers(0, len(line) - 1))
-        line[at] = draw(
-            st.one_of(st.integers(0, 255), st.sampled_from(b"0:9/@AFGafg).# "))
-        )
-    return bytes(line).replace(b"\n", b"")
+    """A line of a layout that the log has, with a few bytes changed."""
+    line = bytearray(draw(st.sampled_from(TEMPLATES)))
+    for _ in range(draw(st.integers(0, 3))):
+        line[draw(st.integers(0, len(line) - 1))] = draw(EDGES)
+    return bytes(line)
 
 
 LOGS = st.tuples(
-    st.lists(st.one_of(GOOD, GOOD, GOOD, mutated(), JUNK), max_size=40),
+    st.lists(st.sampled_from(TEMPLATES)),
+    st.lists(st.one_of(GOOD, mutated(), mutated(), JUNK), max_size=40),
     st.booleans(),
-).map(lambda pair: b"\n".join(pair[0]) + b"\n" * pair[1])
+).map(lambda parts: b"\n".join(parts[0] + parts[1]) + b"\n" * parts[2])
 WANTED = st.one_of(
     st.none(),
     st.fixed_dictionaries(
@@ -344,14 +353,8 @@ def assert_same_chunk(first: FrameChunk, second: FrameChunk) -> None:
         np.testing.assert_array_equal(one, two, err_msg=field.name)
 
 
-@settings(max_examples=250, deadline=None)
-@given(content=LOGS, wanted=WANTED, chunk_bytes=st.sampled_from([97, 1 << 20]))
-def test_columns_and_lines_give_the_same(
-    tmp_path_factory, content, wanted, chunk_bytes
-):
-    path = write(tmp_path_factory.getbasetemp(), content)
-
-    fast, fast_chunk = read(path, wanted, chunk_bytes=chunk_bytes)
+def assert_same_reading(path: Path, wanted: Wanted | None, **options) -> None:
+    fast, fast_chunk = read(path, wanted, **options)
     slow, slow_chunk = read(path, wanted, columns=False)
 
     assert (fast_chunk is None) == (slow_chunk is None)
@@ -367,4 +370,29 @@ def test_columns_and_lines_give_the_same(
     ):
         assert getattr(slow, name) == getattr(fast, name), name
     assert fast.lines == fast.frames + sum(fast.refused.values())
-    assert fast.lines == content.count(b"\n") + (content[-1:] not in b"\n")
+
+
+@pytest.mark.parametrize("template", TEMPLATES)
+@pytest.mark.parametrize("wanted", [None, {"can0": set()}.get])
+def test_any_one_byte_changed_gives_the_same(tmp_path, template, wanted):
+    changed = (
+        template[:at] + bytes([byte]) + template[at + 1 :]
+        for at in range(len(template))
+        for byte in range(256)
+        if byte != ord("\n")
+    )
+    path = write(tmp_path, b"\n".join((template, *changed)))
+
+    assert_same_reading(path, wanted)
+
+
+@settings(max_examples=150, deadline=None)
+@given(content=LOGS, wanted=WANTED, chunk_bytes=st.sampled_from([97, 1 << 20]))
+def test_any_log_gives_the_same(
+    tmp_path_factory, content, wanted, chunk_bytes
+):
+    path = write(tmp_path_factory.getbasetemp(), content)
+
+    assert_same_reading(path, wanted, chunk_bytes=chunk_bytes)
+    reader, _ = read(path)
+    assert reader.lines == content.count(b"\n") + (content[-1:] not in b"\n")

@@ -24,7 +24,9 @@ class CaliperFluidSplit(Effect):
         "difference of fluid and caliper."
     )
     own_parameters: ClassVar = (
-        Parameter("fluid_capacity_j_k", "J/K", 20.0, 500.0, 90.0, "fluid only"),
+        Parameter(
+            "fluid_capacity_j_k", "J/K", 20.0, 500.0, 90.0, "fluid only"
+        ),
         Parameter("coupling_w_k", "W/K", 2.0, 500.0, 25.0, "at strength 1"),
     )
 

@@ -1,0 +1,148 @@
+"""The summary of a drive as plain text, at most 100 columns wide."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+from bstm_daemon.report.summary import (
+    SUMMARY_NODES,
+    VALIDITY_NAMES,
+    CornerSummary,
+    DriveSummary,
+    summarize,
+)
+from bstm_daemon.report.timescale import HOUR_S, clock, duration
+
+if TYPE_CHECKING:
+    from bstm_daemon.results import Results
+
+VALIDITY_MARKS: Final = (" ", "~", "!")
+"""Behind a peak whose estimate is valid, degraded, invalid."""
+
+HEADINGS: Final = (
+    "corner",
+    "disc",
+    "pad front",
+    "pad back",
+    "fluid",
+    "after stop",
+    "margin",
+    "MJ",
+    "FF",
+    "FB",
+)
+
+
+def summary_table(results: Results) -> str:
+    """Return the summary of *results* as lines of text.
+
+    Per corner the peak temperature [degC] of each node and when it was, how
+    long after the stop the fluid peaked, the least margin to the wet boiling
+    point [K], and the brake energy [MJ]: as it heated the model, by
+    Feed-Forward, by Feed-Back.
+    """
+    summary = summarize(results)
+    with_hours = summary.duration_s >= HOUR_S
+    rows = [HEADINGS]
+    rows += [_cells(corner, with_hours) for corner in summary.corners]
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    lines = [
+        _drive_line(summary),
+        f"peak temperatures in degC at {'h:' * with_hours}min:s; "
+        "margin to the wet boiling point; brake energy in MJ",
+    ]
+    for row in rows:
+        first, *others = row
+        cells = [first.ljust(widths[0])]
+        cells += [
+            cell.rjust(width)
+            for cell, width in zip(others, widths[1:], strict=True)
+        ]
+        lines.append("  ".join(cells).rstrip())
+    lines += _validity_lines(summary)
+    return "\n".join(lines)
+
+
+def _drive_line(summary: DriveSummary) -> str:
+    parts = [duration(summary.duration_s)]
+    if summary.distance_m is not None:
+        parts.append(f"{summary.distance_m / 1000:.1f} km")
+    if summary.top_speed_ms is not None:
+        parts.append(f"at most {summary.top_speed_ms * 3.6:.0f} km/h")
+    if summary.standing_s is not None:
+        parts.append(f"{duration(summary.standing_s)} standing")
+    return ", ".join(parts)
+
+
+def _cells(corner: CornerSummary, with_hours: bool) -> tuple[str, ...]:  # noqa: FBT001
+    peaks = []
+    for node in SUMMARY_NODES:
+        peak = corner.peaks.get(node)
+        if peak is None:
+            peaks.append("-")
+            continue
+        mark = VALIDITY_MARKS[peak.validity]
+        at = clock(peak.time_s, with_hours=with_hours)
+        peaks.append(f"{peak.temperature_c:.0f}{mark}{at:>7}")
+    fluid = corner.peaks.get("fluid")
+    after_s = None if fluid is None else fluid.after_stop_s
+    return (
+        corner.corner,
+        *peaks,
+        "-" if after_s is None else clock(after_s),
+        "-" if corner.margin_k is None else f"{corner.margin_k:.0f} K",
+        _megajoule(corner.energy_j),
+        _megajoule(corner.energy_ff_j),
+        _megajoule(corner.energy_fb_j),
+    )
+
+
+def _megajoule(energy_j: float | None) -> str:
+    if energy_j is None:
+        return "-"
+    energy_mj = energy_j / 1e6
+    # three figures are more than the heat models are worth
+    decimals = 2 if abs(energy_mj) < 9.995 else 1  # noqa: PLR2004
+    return f"{energy_mj:.{decimals}f}"
+
+
+def _validity_lines(summary: DriveSummary) -> list[str]:
+    """What was valid; corners that agree share a line."""
+    said: dict[str, list[str]] = {}
+    for corner in summary.corners:
+        if not corner.modelled:
+            text = "no temperatures: not modelled"
+        elif corner.validity_shares is None:
+            text = "validity not recorded"
+        else:
+            text = ", ".join(
+                f"{percent(share)} {name}"
+                for name, share in zip(
+                    VALIDITY_NAMES, corner.validity_shares, strict=True
+                )
+                if share > 0.0
+            )
+        said.setdefault(text, []).append(corner.corner)
+    lines = [f"{' '.join(names)}: {text}" for text, names in said.items()]
+    marked = {
+        peak.validity
+        for corner in summary.corners
+        for peak in corner.peaks.values()
+    } - {0}
+    if marked:
+        meaning = ", ".join(
+            f"{VALIDITY_MARKS[code]} {VALIDITY_NAMES[code]}"
+            for code in sorted(marked)
+        )
+        lines.append(f"peak marks: {meaning}")
+    return lines
+
+
+def percent(share: float) -> str:
+    """Return *share* in per cent; never 0 or 100 % unless it is."""
+    if 0.0 < share < 0.001:  # noqa: PLR2004
+        return "< 0.1 %"
+    if 0.999 < share < 1.0:  # noqa: PLR2004
+        return "> 99.9 %"
+    text = f"{100 * share:.1f}".removesuffix(".0")
+    return f"{text} %"

@@ -1,0 +1,94 @@
+"""Fixtures shared by all tests: both forms of the kernel, a car."""
+
+import os
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from bstm_daemon.config import Config, CornerConfig, VehicleConfig
+from bstm_daemon.errors import UsageError
+from bstm_daemon.native import VARIABLE, Kernel, load_kernel
+from bstm_daemon.thermal.brake_corner import CornerSpec, corner_spec
+
+
+@pytest.fixture(scope="session")
+def compiled() -> Kernel:
+    """Return the compiled kernel; skip where it is not installed."""
+    try:
+        kernel = load_kernel("compiled")
+    except UsageError as error:
+        if os.environ.get(VARIABLE) == "compiled":
+            raise
+        pytest.skip(str(error))
+    assert kernel is not None
+    return kernel
+
+
+@pytest.fixture(scope="session", params=["reference", "compiled"])
+def kernel(request: pytest.FixtureRequest) -> Kernel | None:
+    """Return None for the pure-Python form, then the compiled kernel."""
+    if request.param == "reference":
+        return None
+    found: Kernel = request.getfixturevalue("compiled")
+    return found
+
+
+def corner_config(name: str = "FL", **changes: Any) -> CornerConfig:
+    """Return a front corner of a 2.2 t car with *changes*."""
+    table: dict[str, Any] = {
+        "name": name,
+        "piston_area_m2": 2.83e-3,
+        "effective_radius_m": 0.13,
+        "disc": {
+            "mass_kg": 7.5,
+            "swept_area_m2": 0.085,
+            "total_area_m2": 0.2,
+        },
+        "pad": {"area_m2": 6.5e-3, "thickness_m": 0.011},
+        **changes,
+    }
+    return CornerConfig(**table)
+
+
+def car_config(*corners: CornerConfig, **sections: Any) -> Config:
+    """Return a car with *corners*; *sections* are sections as tables."""
+    vehicle = {
+        "id": "test",
+        "mass_kg": 2194.0,
+        "wheel_radius_m": 0.3418,
+        "wheel_inertia_kg_m2": 3.0809,
+        **sections.pop("vehicle", {}),
+    }
+    return Config(
+        vehicle=VehicleConfig(**vehicle),
+        bus=[],
+        signals={},
+        corner=list(corners or (corner_config(),)),
+        **sections,
+    )
+
+
+@pytest.fixture(scope="session")
+def make_corner() -> Callable[..., CornerConfig]:
+    """Return the maker of corners."""
+    return corner_config
+
+
+@pytest.fixture(scope="session")
+def make_car() -> Callable[..., Config]:
+    """Return the maker of cars."""
+    return car_config
+
+
+@pytest.fixture(scope="session")
+def make_spec() -> Callable[..., CornerSpec]:
+    """Return what makes the spec of a corner with [thermal], [cooling]."""
+
+    def make(
+        corner: dict[str, Any] | None = None, **sections: Any
+    ) -> CornerSpec:
+        car = car_config(corner_config(**(corner or {})), **sections)
+        return corner_spec(car, car.corner[0])
+
+    return make
