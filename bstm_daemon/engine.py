@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from array import array
 from math import nan
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 from bstm_daemon.bus.decoder import Decoder
 from bstm_daemon.bus.output_layout import HeatMode, State, Validity
@@ -20,6 +20,7 @@ from bstm_daemon.bus.publication import (
     Snapshot,
     StatusSnapshot,
 )
+from bstm_daemon.bus.refusal import Refusal
 from bstm_daemon.estimator import Estimator
 from bstm_daemon.heat.sample_pass import TICK
 from bstm_daemon.heat.sample_plan import FLAGS, VEHICLE_CHANNELS
@@ -30,7 +31,14 @@ if TYPE_CHECKING:
     from bstm_daemon.config import Config
     from bstm_daemon.estimator import Block
 
-_SILENT = FLAGS["speed_missing"]
+REJECTED: Final = (
+    Refusal.ERROR_FRAME,
+    Refusal.REMOTE_FRAME,
+    Refusal.WRONG_LENGTH,
+)
+"""Frames of a wanted id that were refused whole."""
+
+_SILENT: Final = FLAGS["speed_missing"]
 
 
 class Published(NamedTuple):
@@ -185,7 +193,7 @@ class Engine:
             history_known=known,
             compiled_kernel=self.estimator.compiled,
             oldest_input_age_s=vehicle["input_age_s"],
-            rejected_frames=sum(self.decoder.counts.values()),
+            rejected_frames=sum(self.decoder.counts[r] for r in REJECTED),
             dropped_frames=self.estimator.counts["dropped"],
             speed_stale=bool(flags & FLAGS["speed_missing"]),
             pressure_stale=bool(flags & FLAGS["pressure_missing"]),

@@ -36,7 +36,8 @@ class Replay:
     """What a replay of one log gave.
 
     ``refused`` counts lines, frames and samples by reason; ``counts`` has
-    the estimator's own: late and dropped samples, clock jumps.
+    the estimator's own: late and dropped samples, clock jumps. ``truncated``
+    tells of a gzip file without its end.
     """
 
     results: Results
@@ -45,6 +46,7 @@ class Replay:
     refused: Counter[str]
     counts: dict[str, int]
     compiled: bool
+    truncated: bool
 
 
 def replay_log(
@@ -94,6 +96,7 @@ def replay_log(
         refused,
         estimator.counts,
         estimator.compiled,
+        log.reader.truncated,
     )
 
 

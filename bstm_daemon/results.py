@@ -193,7 +193,13 @@ def write_parquet(path: Path, results: Results) -> None:
     from pyarrow import parquet  # noqa: PLC0415
 
     with replacing(path) as temporary:
-        parquet.write_table(pa.table(results.columns), temporary)
+        parquet.write_table(
+            pa.table(results.columns),
+            temporary,
+            compression="zstd",
+            use_dictionary=False,
+            use_byte_stream_split=True,
+        )
 
 
 def has_parquet() -> bool:

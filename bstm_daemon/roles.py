@@ -72,7 +72,7 @@ ROLES: Final[tuple[Role, ...]] = (
     Role("pad_worn_1mm", ("flag",), 60.0),
     Role("pad_2mm_left", ("flag",), 60.0),
     Role("fluid_changed", ("flag",), 60.0),
-    Role("fluid_water_percent", ("fraction", "count"), 3600.0),
+    Role("fluid_water_percent", ("fraction",), 3600.0),
     Role("trailer_connected", ("flag",), 60.0),
     *(
         Role(f"temp_{corner.lower()}_{node}", ("temperature",), 5.0)

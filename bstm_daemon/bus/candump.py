@@ -20,12 +20,13 @@ from bstm_daemon.bus.candump_layout import (
     Channel,
     Integers,
     Layout,
+    LayoutKey,
     Text,
+    layout_key,
 )
 from bstm_daemon.bus.candump_line import (
     LINE_LIMIT,
     Frame,
-    ends_with_flag,
     parse_line,
     read_header,
 )
@@ -87,7 +88,7 @@ class CandumpReader:
         self._chunk_bytes = chunk_bytes
         self._columns = columns
         self._channels: dict[bytes, Channel] = {}
-        self._layouts: dict[tuple[int, int, bytes, int, bool], Layout] = {}
+        self._layouts: dict[LayoutKey, Layout] = {}
 
     def chunks(self) -> Iterator[FrameChunk]:
         """Yield the wanted data frames in file order.
@@ -209,22 +210,15 @@ class CandumpReader:
         if header is None:
             return None
         channel = self._channel(header.interface)
-        flagged = ends_with_flag(line)
-        key = (
-            len(header.seconds),
-            len(header.fraction),
-            header.gap,
-            len(header.id_digits),
-            flagged,
-        )
+        key = layout_key(line, header)
         if (
             not self._columns
+            or key is None
             or key in self._layouts
             or len(self._layouts) >= _LAYOUT_LIMIT
-            or not Layout.covers(header)
         ):
             return None
-        self._layouts[key] = Layout(header, channel, flagged=flagged)
+        self._layouts[key] = Layout(key, channel)
         return self._layouts[key]
 
     def _channel(self, interface: bytes) -> Channel:

@@ -10,7 +10,7 @@ line that is settled here.
 
 from collections.abc import Collection
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -19,6 +19,7 @@ from bstm_daemon.bus.candump_line import (
     EXTENDED_MAX,
     STANDARD_MAX,
     Header,
+    ends_with_flag,
 )
 from bstm_daemon.bus.extraction import FD_LENGTHS
 from bstm_daemon.bus.frame_chunk import FrameChunk
@@ -84,7 +85,7 @@ class Text:
         return windows[at].view("<u8").reshape(len(at), size // 8)
 
     def ends_without_return(self, lines: Integers) -> Integers:
-        """Return where *lines* end, a ``\\r`` before the newline left out."""
+        """Return where *lines* end, without a carriage return."""
         ends = self.ends[lines]
         if self.has_returns:
             ends -= self.buffer[ends - 1] == ord("\r")
@@ -105,6 +106,7 @@ class Channel:
         *,
         everything: bool = False,
     ) -> None:
+        """Prepare the look-up of *wanted* for interface *number*."""
         self.number = number
         self.known = everything or wanted is not None
         self._everything = everything
@@ -125,12 +127,14 @@ class Channel:
         if self._everything:
             return np.ones(len(ids), np.bool_)
         if not extended:
-            return self._standard[ids & STANDARD_MAX]
+            named: Flags = self._standard[ids & STANDARD_MAX]
+            return named
         if not self._extended.size:
             return np.zeros(len(ids), np.bool_)
         place = np.searchsorted(self._extended, ids)
         place[place == len(self._extended)] = 0
-        return np.equal(self._extended[place], ids)
+        found: Flags = self._extended[place] == ids
+        return found
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,28 +153,47 @@ class Scan:
     parts: list[FrameChunk]
 
 
-class Layout:
-    """All lines with the header of an example, but other digits.
+class LayoutKey(NamedTuple):
+    """What the lines of a layout have in common."""
 
-    Frames are read from lines that do or do not have a direction flag at
-    their end, as the example.
+    seconds: int
+    fraction: int
+    gap: bytes
+    id_digits: int
+    is_fd: bool
+    has_flag: bool
+
+
+def layout_key(line: bytes, header: Header) -> LayoutKey | None:
+    """Return the key of *line*, if its layout can be read as columns."""
+    if len(header.id_digits) == 5 or header.end > _LONGEST_HEADER:
+        return None
+    return LayoutKey(
+        len(header.seconds),
+        len(header.fraction),
+        header.gap,
+        len(header.id_digits),
+        line.startswith(b"#", header.end),
+        ends_with_flag(line),
+    )
+
+
+class Layout:
+    """All lines with one header but for its digits.
+
+    A frame is read from a line that is CAN FD, and that ends in a direction
+    flag, as its key says; of other ids a line is settled by its header.
     """
 
-    def __init__(
-        self, header: Header, channel: Channel, *, flagged: bool
-    ) -> None:
-        """Take the places of the digits from *header*."""
+    def __init__(self, key: LayoutKey, channel: Channel) -> None:
+        """Take the places of the digits from *key*."""
         self.channel = channel
-        self._flagged = flagged
-        self.extended = len(header.id_digits) == 8
-        self._seconds = len(header.seconds)
-        self._fraction = len(header.fraction)
-        self._id_at = header.end - len(header.id_digits) - 1
-        self._end = header.end
-        stamp = (
-            b"(" + b"0" * self._seconds + b"." + b"0" * self._fraction + b")"
-        )
-        text = stamp + header.gap + b"\0" * len(header.id_digits) + b"#"
+        self.extended = key.id_digits == 8
+        self._key = key
+        stamp = b"(" + b"0" * key.seconds + b"." + b"0" * key.fraction + b")"
+        self._id_at = len(stamp) + len(key.gap)
+        self._end = self._id_at + key.id_digits + 1
+        text = stamp + key.gap + b"\0" * key.id_digits + b"#"
         # any field of up to 8 bytes can be read within a record
         self._size = -(-(len(text) + 8) // 8) * 8
         expected = np.frombuffer(text.ljust(self._size, b"\0"), np.uint8)
@@ -181,11 +204,6 @@ class Layout:
         carry = np.where(digit, 0x80 - 10, np.where(fixed, 0x80 - 1, 0))
         self._expected = _words(expected)
         self._carry = _words(carry)
-
-    @staticmethod
-    def covers(header: Header) -> bool:
-        """Whether lines with *header* can be read as columns."""
-        return len(header.id_digits) != 5 and header.end <= _LONGEST_HEADER
 
     def scan(self, text: Text, lines: Integers) -> Scan:
         """Settle those of *lines* that have this layout."""
@@ -198,14 +216,12 @@ class Layout:
             wanted = self.channel.wants_each(ids, extended=self.extended)
             rows = np.flatnonzero(settled & wanted)
             refused -= len(rows)
-            is_fd = _field(heads, self._end, "u1")[rows] == ord("#")
-            for fd, group in ((False, rows[~is_fd]), (True, rows[is_fd])):
-                if group.size:
-                    part, bad = self._frames(
-                        text, lines[group], _rows(heads, group), ids[group], fd=fd
-                    )
-                    settled[group[bad]] = False
-                    parts.append(part)
+            if rows.size:
+                part, bad = self._frames(
+                    text, lines[rows], _rows(heads, rows), ids[rows]
+                )
+                settled[rows[bad]] = False
+                parts.append(part)
         if settled.all():
             pending = lines[:0]
         else:
@@ -243,20 +259,15 @@ class Layout:
         return ids.astype(np.int64), valid & (ids <= STANDARD_MAX)
 
     def _frames(
-        self,
-        text: Text,
-        lines: Integers,
-        heads: Words,
-        ids: Integers,
-        *,
-        fd: bool,
+        self, text: Text, lines: Integers, heads: Words, ids: Integers
     ) -> tuple[FrameChunk, Flags]:
         """Return the frames in *lines* and which lines are not one."""
-        at = text.starts[lines] + (self._end + 2 if fd else self._end)
+        is_fd = self._key.is_fd
+        words = 16 if is_fd else 2
+        at = text.starts[lines] + (self._end + 2 if is_fd else self._end)
         ends = text.ends_without_return(lines)
-        words = 16 if fd else 2
         bad = np.zeros(len(lines), np.bool_)
-        if self._flagged:
+        if self._key.has_flag:
             letter = text.buffer[ends - 1] & ~np.uint8(0x20)
             bad |= (letter != ord("R")) & (letter != ord("T"))
             bad |= text.buffer[ends - 2] != ord(" ")
@@ -265,9 +276,10 @@ class Layout:
         bad |= (size < 0) | (size > 8 * words) | (size & 1).astype(np.bool_)
         size[bad] = 0
         length = size >> 1
-        if fd:
-            flag = text.buffer[at - 1].tobytes().translate(_HEX)
-            bad |= np.frombuffer(flag, np.uint8) == _INVALID
+        if is_fd:
+            marks = text.buffer[at - 2] == ord("#")
+            digit = text.buffer[at - 1].tobytes().translate(_HEX)
+            bad |= ~marks | (np.frombuffer(digit, np.uint8) == _INVALID)
             bad |= ~_IS_FD_LENGTH[length]
         nibbles = _from_hex(text.records(at, 8 * words))
         if size.min() < 8 * words:
@@ -290,14 +302,15 @@ class Layout:
         return part, bad
 
     def _time_us(self, heads: Words) -> Integers:
-        low = min(self._seconds, 8)
-        high = self._seconds - low
+        low = min(self._key.seconds, 8)
+        high = self._key.seconds - low
         seconds = _decimal(heads, 1 + high, low)
         if high:
             seconds += _decimal(heads, 1, high) * 10**8
-        digits = min(self._fraction, 6)
-        fraction = _decimal(heads, self._seconds + 2, digits)
-        return seconds * 10**6 + fraction * 10 ** (6 - digits)
+        digits = min(self._key.fraction, 6)
+        fraction = _decimal(heads, self._key.seconds + 2, digits)
+        time_us: Integers = seconds * 10**6 + fraction * 10 ** (6 - digits)
+        return time_us
 
     def _tally(self, ids: Integers) -> tuple[Integers, Integers]:
         if self.extended:
@@ -326,7 +339,8 @@ def _any_bit(words: Words) -> Words:
     """Return the words of each row, or-ed together."""
     if words.shape[1] == 2:
         return words[:, 0] | words[:, 1]
-    return np.bitwise_or.reduce(words, axis=1)
+    together: Words = np.bitwise_or.reduce(words, axis=1)
+    return together
 
 
 def _from_hex(words: npt.NDArray[Any]) -> npt.NDArray[Any]:

@@ -110,6 +110,21 @@ def parse_line(line: bytes, judge: Judge) -> Frame | Refusal:
     if header is None:
         blank = _NOT_A_FRAME.match(line)
         return Refusal.NOT_A_FRAME if blank else Refusal.MALFORMED
+    key = _identify(line, header)
+    if isinstance(key, Refusal):
+        return key
+    refusal = judge(header.interface, *key)
+    data = refusal or _payload(line, header.end)
+    if isinstance(data, Refusal):
+        return data
+    time_us = int(header.seconds) * 1_000_000 + int(
+        header.fraction[:6].ljust(6, b"0")
+    )
+    return Frame(time_us, header.interface, *key, data)
+
+
+def _identify(line: bytes, header: Header) -> tuple[int, bool] | Refusal:
+    """Return (id, extended) of what may be a data frame."""
     digits = len(header.id_digits)
     if digits == _XL_DIGITS:
         is_xl = _XL.fullmatch(line, header.end)
@@ -120,16 +135,7 @@ def parse_line(line: bytes, judge: Judge) -> Frame | Refusal:
         return Refusal.ERROR_FRAME
     if can_id > (EXTENDED_MAX if extended else STANDARD_MAX):
         return Refusal.MALFORMED
-    refusal = judge(header.interface, can_id, extended)
-    if refusal is not None:
-        return refusal
-    data = _payload(line, header.end)
-    if isinstance(data, Refusal):
-        return data
-    time_us = int(header.seconds) * 1_000_000 + int(
-        header.fraction[:6].ljust(6, b"0")
-    )
-    return Frame(time_us, header.interface, can_id, extended, data)
+    return can_id, extended
 
 
 def _payload(line: bytes, start: int) -> bytes | Refusal:

@@ -52,9 +52,9 @@ def decode_chunk(
     """
     counts: Counter[Refusal] = Counter()
     plans, plan_of_frame = _plan_of_frames(signal_map, chunk, bus_of_channel)
-    known = np.asarray(bus_of_channel, np.int64)[chunk.channel] >= 0
-    _count(counts, Refusal.UNKNOWN_INTERFACE, ~known)
-    _count(counts, Refusal.UNKNOWN_ID, known & (plan_of_frame < 0))
+    unread = np.isin(chunk.channel, np.flatnonzero(np.less(bus_of_channel, 0)))
+    _count(counts, Refusal.UNKNOWN_INTERFACE, unread)
+    _count(counts, Refusal.UNKNOWN_ID, ~unread & (plan_of_frame < 0))
     lengths = np.array([plan.length for plan in plans] + [0])
     wrong = (plan_of_frame >= 0) & (chunk.length != lengths[plan_of_frame])
     _count(counts, Refusal.WRONG_LENGTH, wrong)
@@ -96,19 +96,20 @@ def _plan_of_frames(
     """Return the plans and each frame's position among them, or -1."""
     plans = list(signal_map.messages.values())
     buses = len(signal_map.buses)
-    # the row behind the last bus stands for interfaces that are not read
+    # a row a bus; the last one stands for an interface that is not read: -1
     table = np.full((buses + 1, _STANDARD_IDS), -1, np.int64)
     for number, plan in enumerate(plans):
         if not plan.key.extended:
             table[plan.key.bus, plan.key.can_id] = number
-    bus = np.array([*bus_of_channel, buses], np.int64)[chunk.channel]
-    found = table[bus, chunk.can_id & (_STANDARD_IDS - 1)]
+    bus = np.array([*bus_of_channel, -1], np.int64)
+    row = (bus * _STANDARD_IDS)[chunk.channel]
+    found = table.ravel()[row + (chunk.can_id & (_STANDARD_IDS - 1))]
     if chunk.extended.any():
         found[chunk.extended] = -1
         for number, plan in enumerate(plans):
             if plan.key.extended:
                 hit = chunk.extended & (chunk.can_id == plan.key.can_id)
-                found[hit & (bus == plan.key.bus)] = number
+                found[hit & (bus[chunk.channel] == plan.key.bus)] = number
     return plans, found
 
 
@@ -130,7 +131,7 @@ def _decode(
             column = physical[output.index]
         else:
             by_name = dict(zip(names, physical, strict=True))
-            column = evaluate(output.expression, by_name, _OPERATIONS)
+            column = evaluate(output.expression, by_name, OPERATIONS)
         value = output.gain * column
         value += output.bias
         present = _present(output, physical)
@@ -138,7 +139,7 @@ def _decode(
         # false for a nan, too
         if not (value.min() >= output.low and value.max() <= output.high):
             good = (output.low <= value) & (value <= output.high)
-            here = np.bool_(True) if present is None else present  # noqa: FBT003
+            here = np.bool_(True) if present is None else present
             unreal = np.isnan(value)
             _count(counts, Refusal.NOT_A_NUMBER, here & unreal)
             _count(counts, Refusal.OUT_OF_RANGE, here & ~unreal & ~good)
@@ -159,7 +160,8 @@ def _present(
         np.isin(np.trunc(physical[signal]), list(allowed))
         for signal, allowed in output.conditions
     ]
-    return np.logical_and.reduce(held)
+    together: npt.NDArray[np.bool_] = np.logical_and.reduce(held)
+    return together
 
 
 class _Windows:
@@ -201,9 +203,7 @@ def _physical(signal: RawSignal, windows: _Windows) -> Column:
         whole = raw.astype(np.int64) * scale
     else:
         whole = raw.astype(object) * scale
-    if isinstance(offset, int):
-        return (whole + offset).astype(np.float64)
-    return whole.astype(np.float64) + offset
+    return (whole + offset).astype(np.float64)
 
 
 def _raw(signal: RawSignal, windows: _Windows) -> npt.NDArray[Any]:
@@ -230,13 +230,15 @@ def _bits(signal: RawSignal, windows: _Windows) -> npt.NDArray[np.uint64]:
     window = windows.read(base, ">u8" if signal.big_endian else "<u8")
     shift = -beyond if signal.big_endian else signal.start - 8 * base
     if beyond <= 0:
-        bits = window >> shift
+        bits = window >> np.uint64(shift)
     else:
         behind = windows.data[:, base + 8].astype(np.uint64)
         if signal.big_endian:
-            bits = window << beyond | behind >> (8 - beyond)
+            bits = window << np.uint64(beyond)
+            bits |= behind >> np.uint64(8 - beyond)
         else:
-            bits = window >> shift
+            bits = window >> np.uint64(shift)
+            bits |= behind << np.uint64(_WINDOW_BITS - shift)
     bits &= np.uint64((1 << signal.length) - 1)
     return bits
 
@@ -272,7 +274,7 @@ def _greatest(first: Column, *others: Column) -> Column:
     return first
 
 
-_OPERATIONS: Final[Mapping[str, Callable[..., Any]]] = {
+OPERATIONS: Final[Mapping[str, Callable[..., Any]]] = {
     "+": np.add,
     "-": np.subtract,
     "*": np.multiply,

@@ -96,7 +96,7 @@ def multiplexers(
 
 def _parse(text: str, *, strict: bool) -> Database:
     database = cantools.database.load_string(text, "dbc", strict=strict)
-    assert isinstance(database, Database)  # noqa: S101  (the format is given)
+    assert isinstance(database, Database)  # noqa: S101
     return database
 
 

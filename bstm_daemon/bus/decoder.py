@@ -11,13 +11,12 @@ from typing import Final
 
 from bstm_daemon.bus.expression import (
     SCALAR_OPERATIONS,
+    Expression,
     evaluate,
 )
 from bstm_daemon.bus.extraction import (
     Condition,
-    FrameKey,
     MessagePlan,
-    Output,
     RawSignal,
 )
 from bstm_daemon.bus.refusal import Refusal
@@ -39,7 +38,8 @@ class Decoder:
 
     def __init__(self, signal_map: SignalMap) -> None:
         """Resolve every message of *signal_map*."""
-        self._messages = {
+        # looked up with plain tuples, which equal the keys and cost less
+        self._messages: dict[tuple[int, int, bool], _MessageDecoder] = {
             key: _MessageDecoder(plan)
             for key, plan in signal_map.messages.items()
         }
@@ -49,7 +49,7 @@ class Decoder:
         self,
         bus: int,
         can_id: int,
-        extended: bool,  # noqa: FBT001  (the third part of a frame's key)
+        extended: bool,  # noqa: FBT001  (part of a frame's key)
         data: Payload,
         *,
         is_error: bool = False,
@@ -64,7 +64,7 @@ class Decoder:
             reason = Refusal.ERROR_FRAME if is_error else Refusal.REMOTE_FRAME
             self.counts[reason] += 1
             return ()
-        message = self._messages.get(FrameKey(bus, can_id, extended))
+        message = self._messages.get((bus, can_id, extended))
         if message is None:
             self.counts[Refusal.UNKNOWN_ID] += 1
             return ()
@@ -75,92 +75,95 @@ class Decoder:
 
 
 class _MessageDecoder:
-    """A message plan with its readers resolved."""
+    """A message plan taken apart, so that a frame costs few look-ups."""
 
-    __slots__ = ("_names", "_outputs", "_readers", "length")
+    __slots__ = ("_names", "_outputs", "_signals", "length")
 
     def __init__(self, plan: MessagePlan) -> None:
         self.length = plan.length
         self._names = [signal.name for signal in plan.signals]
-        self._readers = [
-            _physical_reader(signal, 8 * plan.length)
+        self._signals = [
+            (
+                signal.big_endian,
+                _shift(signal, 8 * plan.length),
+                (1 << signal.length) - 1,
+                1 << (signal.length - 1) if signal.signed else 0,
+                _float_reader(signal) if signal.floating else None,
+                None if signal.identity else signal.scale,
+                signal.offset,
+            )
             for signal in plan.signals
         ]
-        self._outputs = plan.outputs
+        self._outputs = [
+            (
+                (output.role, output.flag),
+                output.index,
+                output.expression,
+                output.conditions,
+                (output.gain, output.bias),
+                (output.low, output.high),
+            )
+            for output in plan.outputs
+        ]
 
     def decode(
         self, data: Payload, counts: Counter[Refusal]
     ) -> Sequence[Sample]:
-        little = int.from_bytes(data, "little")
-        big = int.from_bytes(data, "big")
-        values = [read(little, big) for read in self._readers]
+        values = self._physical(data)
         samples = []
-        for output in self._outputs:
-            if output.conditions and not _holds(output.conditions, values):
+        for target, index, tree, conditions, line, limits in self._outputs:
+            if conditions and not _holds(conditions, values):
                 continue
-            if output.expression is None:
-                physical = values[output.index]
+            physical = (
+                values[index] if tree is None else self._run(tree, values)
+            )
+            gain, bias = line
+            low, high = limits
+            value = gain * physical + bias
+            if low <= value <= high:
+                role, flag = target
+                samples.append((role, float(value != 0) if flag else value))
+            elif math.isnan(value):
+                counts[Refusal.NOT_A_NUMBER] += 1
             else:
-                physical = evaluate(
-                    output.expression,
-                    dict(zip(self._names, map(float, values), strict=True)),
-                    SCALAR_OPERATIONS,
-                )
-            value = output.gain * physical + output.bias
-            if output.low <= value <= output.high:
-                samples.append((output.role, _flagged(output, value)))
-            else:
-                unreal = math.isnan(value)
-                counts[
-                    Refusal.NOT_A_NUMBER if unreal else Refusal.OUT_OF_RANGE
-                ] += 1
+                counts[Refusal.OUT_OF_RANGE] += 1
         return samples
 
+    def _physical(self, data: Payload) -> list[float]:
+        """Return the physical value of each signal, as cantools has it."""
+        little = int.from_bytes(data, "little")
+        big = int.from_bytes(data, "big")
+        values: list[float] = []
+        for is_big, shift, mask, sign, real, scale, offset in self._signals:
+            bits = ((big if is_big else little) >> shift) & mask
+            raw: float = bits
+            if real is not None:
+                raw = real(bits)
+            elif sign:
+                raw = (bits ^ sign) - sign
+            values.append(raw if scale is None else raw * scale + offset)
+        return values
 
-def _flagged(output: Output, value: float) -> float:
-    return float(value != 0) if output.flag else value
+    def _run(self, tree: Expression, values: Sequence[float]) -> float:
+        named = zip(self._names, map(float, values), strict=True)
+        value: float = evaluate(tree, dict(named), SCALAR_OPERATIONS)
+        return value
 
 
 def _holds(conditions: Sequence[Condition], values: Sequence[float]) -> bool:
     return all(
-        math.isfinite(values[index]) and int(values[index]) in allowed
-        for index, allowed in conditions
+        math.isfinite(values[signal]) and int(values[signal]) in allowed
+        for signal, allowed in conditions
     )
 
 
-def _physical_reader(
-    signal: RawSignal, frame_bits: int
-) -> Callable[[int, int], float]:
-    """Return the function of (payload as little, as big endian number)."""
-    read_raw = _raw_reader(signal, frame_bits)
-    if signal.identity:
-        return read_raw
-    scale, offset = signal.scale, signal.offset
-    return lambda little, big: read_raw(little, big) * scale + offset
-
-
-def _raw_reader(
-    signal: RawSignal, frame_bits: int
-) -> Callable[[int, int], float]:
-    bits = _bits_reader(signal, frame_bits)
-    if signal.floating:
-        unpack = struct.Struct(_FLOAT_CODES[signal.length]).unpack
-        size = signal.length // 8
-        return lambda little, big: float(
-            unpack(bits(little, big).to_bytes(size, "little"))[0]
-        )
-    if signal.signed:
-        sign = 1 << (signal.length - 1)
-        return lambda little, big: (bits(little, big) ^ sign) - sign
-    return bits
-
-
-def _bits_reader(
-    signal: RawSignal, frame_bits: int
-) -> Callable[[int, int], int]:
-    mask = (1 << signal.length) - 1
+def _shift(signal: RawSignal, frame_bits: int) -> int:
     if signal.big_endian:
-        shift = frame_bits - signal.start - signal.length
-        return lambda _little, big: (big >> shift) & mask
-    shift = signal.start
-    return lambda little, _big: (little >> shift) & mask
+        return frame_bits - signal.start - signal.length
+    return signal.start
+
+
+def _float_reader(signal: RawSignal) -> Callable[[int], float]:
+    unpack = struct.Struct(_FLOAT_CODES[signal.length]).unpack
+    size = signal.length // 8
+    return lambda bits: float(unpack(bits.to_bytes(size, "little"))[0])

@@ -1,4 +1,4 @@
-"""Arithmetic over the signals of one frame, parsed and never evaluated as code.
+"""Arithmetic over the signals of one frame: parsed, never run as code.
 
 Grammar (blanks between tokens are free)::
 
@@ -106,7 +106,7 @@ def _least(first: float, *others: float) -> float:
         if math.isnan(first) or math.isnan(other):
             return math.nan
         # not min(): the columns must pick the same of 0.0 and -0.0
-        first = other if other < first else first  # noqa: FURB136, PLR1730
+        first = other if other < first else first  # noqa: FURB136
     return first
 
 
@@ -114,7 +114,7 @@ def _greatest(first: float, *others: float) -> float:
     for other in others:
         if math.isnan(first) or math.isnan(other):
             return math.nan
-        first = other if other > first else first  # noqa: FURB136, PLR1730
+        first = other if other > first else first  # noqa: FURB136
     return first
 
 

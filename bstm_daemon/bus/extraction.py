@@ -15,7 +15,7 @@ from typing import Final, NamedTuple
 
 from bstm_daemon.bus.expression import Expression
 
-FD_LENGTHS: Final = (*range(9), 12, 16, 20, 24, 32, 48, 64)
+FD_LENGTHS: Final[tuple[int, ...]] = (*range(9), 12, 16, 20, 24, 32, 48, 64)
 """Payload lengths in bytes that a CAN FD frame can have."""
 
 
@@ -107,4 +107,5 @@ def frame_length(message_length: int) -> int:
 
     CAN FD pads to its next length code (ISO 11898-1).
     """
-    return min(length for length in FD_LENGTHS if length >= message_length)
+    fitting = [length for length in FD_LENGTHS if length >= message_length]
+    return fitting[0]

@@ -23,7 +23,10 @@ _FORMATS: Final = (
     "candump -l text logs, plain or with the ending .gz, are read"
 )
 _OTHER_ENDINGS: Final = frozenset(
-    ".asc .blf .csv .db .mat .mdf .mf4 .parquet .pcap .pcapng .trc".split()
+    {
+        *(".asc", ".blf", ".csv", ".db", ".mat", ".mdf", ".mf4"),
+        *(".parquet", ".pcap", ".pcapng", ".trc"),
+    }
 )
 _GZIP_MAGIC: Final = b"\x1f\x8b"
 _HEAD_BYTES: Final = 4096
@@ -164,13 +167,13 @@ class EventLog:
         reader = self.reader
         if not reader.seen:
             return (
-                f"no CAN frame in {reader.lines} lines "
+                f"no data frame in {reader.lines} lines "
                 f"({_listed(reader.refused)}): {_FORMATS}"
             )
         if not reader.frames:
             return (
                 f"none of the wanted ids: {self._expected()} expected, "
-                f"{self._seen()} seen"
+                f"{self._seen()} seen ({_listed(reader.refused)})"
             )
         return (
             f"no sample in {reader.frames} wanted frames "

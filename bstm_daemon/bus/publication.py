@@ -112,11 +112,12 @@ def risk_level(
 ) -> RiskLevel:
     """Return the level that belongs to *margin_k*.
 
-    Unknown where the margin is no number, where the estimate is not valid or
-    degraded, and where the history is unknown: a car parked hot would
-    otherwise be reported cold and safe.
+    Unknown where the margin is no number and where the estimate is not valid
+    or degraded. With an unknown history it is never normal: a car parked hot
+    would be reported cold and safe, while a level that is raised all the same
+    still holds, because an assumed cold start only underestimates.
     """
-    usable = validity in (Validity.VALID, Validity.DEGRADED) and history_known
+    usable = validity in (Validity.VALID, Validity.DEGRADED)
     if not usable or not isfinite(margin_k):
         return RiskLevel.UNKNOWN
     if margin_k <= CRITICAL_MARGIN_K:
@@ -125,7 +126,7 @@ def risk_level(
         return RiskLevel.HIGH
     if margin_k <= ELEVATED_MARGIN_K:
         return RiskLevel.ELEVATED
-    return RiskLevel.NORMAL
+    return RiskLevel.NORMAL if history_known else RiskLevel.UNKNOWN
 
 
 class Publication:

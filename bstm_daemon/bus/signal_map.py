@@ -8,7 +8,6 @@ the name of the configuration file in front.
 
 from __future__ import annotations
 
-import math
 import sys
 from dataclasses import dataclass, field
 from difflib import get_close_matches
@@ -182,7 +181,6 @@ class _Compiler:
             return
         role = ROLES[ROLE_INDEX[role_name]]
         unit = _unit(role, config, problems)
-        _check_numbers(config, problems)
         expression = _expression(config, problems)
         draft = self._draft(config, problems)
         if draft is None or expression is None:
@@ -221,34 +219,22 @@ class _Compiler:
         self, config: SignalConfig, problems: _Problems
     ) -> _Draft | None:
         """Return the draft of the configured message, or note why not."""
+        name = config.bus
         names = [bus.name for bus in self._buses]
-        if not names:
-            return None
-        name = names[0] if config.bus is None else config.bus
-        if name not in names:
+        if name is None and names:
+            name = names[0]
+        if name is not None and name not in names:
             hint = _nearest(name, names)
             problems.add("bus", name, f"no [[bus]] has this name{hint}")
+        if name is None or name not in self._databases:
             return None
-        database = self._databases.get(name)
-        if database is None:
-            return None
-        by_name = {message.name: message for message in database.messages}
-        message = by_name.get(config.message or "")
-        if message is None:
-            file = self._buses[names.index(name)].dbc
-            hint = _nearest(config.message or "", by_name)
-            problems.add("message", config.message, f"not in {file!r}{hint}")
-            return None
-        if message.length > FD_LENGTHS[-1]:
-            problems.add(
-                "message",
-                config.message,
-                f"has {message.length} bytes, a frame carries at most 64",
-            )
-            return None
-        key = FrameKey(
-            names.index(name), message.frame_id, message.is_extended_frame
+        number = names.index(name)
+        message = _message(
+            self._databases[name], self._buses[number].dbc, config, problems
         )
+        if message is None:
+            return None
+        key = FrameKey(number, message.frame_id, message.is_extended_frame)
         draft = self._drafts.setdefault(key, _Draft(message))
         if draft.message is not message:
             problems.add(
@@ -270,6 +256,21 @@ class _Problems:
 
     def add(self, key: str, value: object, reason: str) -> None:
         self.lines.append(f"{self.section} {key} = {value!r}: {reason}")
+
+
+def _message(
+    database: Database, file: str, config: SignalConfig, problems: _Problems
+) -> Message | None:
+    by_name = {message.name: message for message in database.messages}
+    message = by_name.get(config.message or "")
+    if message is None:
+        hint = _nearest(config.message or "", by_name)
+        problems.add("message", config.message, f"not in {file!r}{hint}")
+    elif message.length > FD_LENGTHS[-1]:
+        reason = f"has {message.length} bytes, a frame carries at most 64"
+        problems.add("message", config.message, reason)
+        return None
+    return message
 
 
 def _source_key(config: SignalConfig) -> tuple[str, str | None]:
@@ -322,15 +323,6 @@ def _unit(
     what = "not a known unit" if unit is None else f"a unit of {unit.quantity}"
     problems.add("unit", config.unit, f"{what}, allowed: {allowed}")
     return None
-
-
-def _check_numbers(config: SignalConfig, problems: _Problems) -> None:
-    for key in ("scale", "offset", "min", "max"):
-        value = getattr(config, key)
-        if value is not None and not math.isfinite(value):
-            problems.add(key, value, "must be a finite number")
-    if config.scale == 0:
-        problems.add("scale", config.scale, "must not be 0")
 
 
 def _limit(

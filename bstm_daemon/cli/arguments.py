@@ -56,13 +56,13 @@ def add_bus_map(parser: argparse.ArgumentParser) -> None:
         default=[],
         metavar="IFACE=BUS",
         help="read frames of the log's interface IFACE as those of [[bus]] "
-        "BUS; may be repeated",
+        "BUS, with an empty BUS not at all; may be repeated",
     )
 
 
 def _interface_and_bus(text: str) -> tuple[str, str]:
     interface, equals, bus = text.partition("=")
-    if not (interface and equals and bus):
-        msg = f"{text!r} is not IFACE=BUS, such as can0=chassis"
+    if not (interface and equals):
+        msg = f"{text!r} is not IFACE=BUS, such as can0=chassis, or can1= to leave it out"
         raise argparse.ArgumentTypeError(msg)
     return interface, bus

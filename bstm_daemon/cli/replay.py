@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from bstm_daemon import __version__
+from bstm_daemon.bus.refusal import Refusal
 from bstm_daemon.cli.arguments import (
     add_bus_map,
     add_config,
@@ -133,19 +134,22 @@ def _write_report(
 def _remarks(replay: Replay) -> list[str]:
     """What the reader of a result has to know of its input."""
     remarks = []
-    if replay.refused:
-        listed = ", ".join(
-            f"{count} {reason.replace('_', ' ')}"
-            for reason, count in replay.refused.most_common()
-        )
+    if replay.truncated:
+        remarks.append("the log is cut short: its end is missing")
+    listed = ", ".join(
+        f"{count} {reason.replace('_', ' ')}"
+        for reason, count in replay.refused.most_common()
+        if reason != Refusal.UNKNOWN_ID
+    )
+    if listed:
         remarks.append(f"refused: {listed}")
     said = {
         "late": "samples out of order, counted from when they came",
-        "dropped": "samples dropped: a stamp far from its neighbours",
+        "dropped": "samples dropped, their stamps far from their neighbours'",
         "jumps": "jumps of the clock",
     }
     remarks += [
-        f"{replay.counts[key]} {text}"
+        f"{text}: {replay.counts[key]}"
         for key, text in said.items()
         if replay.counts[key]
     ]

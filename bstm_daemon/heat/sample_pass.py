@@ -367,9 +367,16 @@ class _Pass:
         h = (time_us - self.now) * 1e-6
         v = self.speed
         highest = self._integrate_corners(h)
-        before = self.filtered
-        self.filtered = v + (before - v) * exp(-h / self.filter_s)
-        gained = self.filtered - before
+        gained = 0.0
+        if not self.speed_known:
+            self.filtered = UNKNOWN
+        elif self.filtered < 0.0:
+            # a speed that appears is not an acceleration
+            self.filtered = v
+        else:
+            before = self.filtered
+            self.filtered = v + (before - v) * exp(-h / self.filter_s)
+            gained = self.filtered - before
         force_s = self._force_impulse(h, v, gained)
         if self._pressure_known():
             braking = highest > self.on_pressure

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 VALIDITY_MARKS: Final = (" ", "~", "!")
 """Behind a peak whose estimate is valid, degraded, invalid."""
 
+WIDTH: Final = 100
+
 HEADINGS: Final = (
     "corner",
     "disc",
@@ -43,14 +45,18 @@ def summary_table(results: Results) -> str:
     """
     summary = summarize(results)
     with_hours = summary.duration_s >= HOUR_S
-    rows = [HEADINGS]
+    rows: list[tuple[str, ...]] = [HEADINGS]
     rows += [_cells(corner, with_hours) for corner in summary.corners]
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    lines = [
-        _drive_line(summary),
-        f"peak temperatures in degC at {'h:' * with_hours}min:s; "
-        "margin to the wet boiling point; brake energy in MJ",
-    ]
+    form = "h:min:s" if with_hours else "min:s"
+    caption = (
+        f"peak temperatures in degC at {form}; "
+        "margin to the wet boiling point; brake energy in MJ"
+    )
+    lines = [_drive_line(summary), caption]
+    gap = "  "
+    if sum(widths) + len(gap) * (len(widths) - 1) > WIDTH:
+        gap = " "
     for row in rows:
         first, *others = row
         cells = [first.ljust(widths[0])]
@@ -58,7 +64,7 @@ def summary_table(results: Results) -> str:
             cell.rjust(width)
             for cell, width in zip(others, widths[1:], strict=True)
         ]
-        lines.append("  ".join(cells).rstrip())
+        lines.append(gap.join(cells).rstrip())
     lines += _validity_lines(summary)
     return "\n".join(lines)
 
@@ -102,12 +108,12 @@ def _megajoule(energy_j: float | None) -> str:
         return "-"
     energy_mj = energy_j / 1e6
     # three figures are more than the heat models are worth
-    decimals = 2 if abs(energy_mj) < 9.995 else 1  # noqa: PLR2004
+    decimals = 2 if abs(energy_mj) < 9.995 else 1
     return f"{energy_mj:.{decimals}f}"
 
 
 def _validity_lines(summary: DriveSummary) -> list[str]:
-    """What was valid; corners that agree share a line."""
+    """Say what was valid; corners that agree share a line."""
     said: dict[str, list[str]] = {}
     for corner in summary.corners:
         if not corner.modelled:
@@ -124,6 +130,15 @@ def _validity_lines(summary: DriveSummary) -> list[str]:
             )
         said.setdefault(text, []).append(corner.corner)
     lines = [f"{' '.join(names)}: {text}" for text, names in said.items()]
+    rising = [
+        corner.corner
+        for corner in summary.corners
+        if "fluid" in corner.peaks and corner.peaks["fluid"].at_end
+    ]
+    if rising:
+        lines.append(
+            f"{' '.join(rising)}: fluid still rising at the end of the log"
+        )
     marked = {
         peak.validity
         for corner in summary.corners
@@ -140,9 +155,9 @@ def _validity_lines(summary: DriveSummary) -> list[str]:
 
 def percent(share: float) -> str:
     """Return *share* in per cent; never 0 or 100 % unless it is."""
-    if 0.0 < share < 0.001:  # noqa: PLR2004
+    if 0.0 < share < 0.001:
         return "< 0.1 %"
-    if 0.999 < share < 1.0:  # noqa: PLR2004
+    if 0.999 < share < 1.0:
         return "> 99.9 %"
     text = f"{100 * share:.1f}".removesuffix(".0")
     return f"{text} %"

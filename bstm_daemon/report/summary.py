@@ -41,13 +41,15 @@ class Peak:
 
     ``after_stop_s`` counts from the last stop before the peak; where none
     came before, from the first one after it, negative. None without a stop.
-    ``validity`` is the code of the estimate at the peak.
+    ``validity`` is the code of the estimate at the peak. ``at_end``: it is
+    the last row, so the real peak comes after the log.
     """
 
     temperature_c: float
     time_s: float
     after_stop_s: float | None
     validity: int
+    at_end: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -186,6 +188,7 @@ def _corner(
             time_s=time_s,
             after_stop_s=_after_stop(time_s, stops_s),
             validity=_code(validity, row),
+            at_end=0 < row == len(values) - 1,
         )
     margin_k = column("margin_k")
     least = _extreme_row(margin_k, largest=False)

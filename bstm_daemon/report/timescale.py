@@ -72,9 +72,7 @@ def time_axis(duration_s: float) -> TimeAxis:
     if duration_s < HOUR_S:
         return TimeAxis("time [min:s]", "%-M:%S", "%-M:%S", "%-M:%S.%1f")
     if duration_s < DAY_S:
-        return TimeAxis(
-            "time [h:min]", "%-H:%M", "%-H:%M:%S", "%-H:%M:%S.%1f"
-        )
+        return TimeAxis("time [h:min]", "%-H:%M", "%-H:%M:%S", "%-H:%M:%S.%1f")
     return TimeAxis(
         "time [day, h:min]",
         "%-j, %-H:%M",

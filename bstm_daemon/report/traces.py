@@ -29,7 +29,6 @@ NODE_LABELS: Final = {
 
 # Okabe & Ito 2008, told apart with any of the common colour deficiencies
 ORANGE: Final = "#e69f00"
-SKY: Final = "#56b4e9"
 GREEN: Final = "#009e73"
 BLUE: Final = "#0072b2"
 VERMILION: Final = "#d55e00"
@@ -188,12 +187,12 @@ def _power_traces(
         (
             "brake_power_ff_w",
             "Feed-Forward",
-            {"line": {"color": BLUE, "width": 1.3}},
+            {"line": {"color": BLUE, "width": 1.2}},
         ),
         (
             "brake_power_fb_w",
             "Feed-Back",
-            {"line": {"color": PURPLE, "width": 1.3, "dash": "5px,3px"}},
+            {"line": {"color": PURPLE, "width": 1.2}},
         ),
     )
     return [

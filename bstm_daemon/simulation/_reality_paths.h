@@ -385,7 +385,7 @@ static void find_paths(const Corner *c, const State *s, const double *in,
         face[AIR] = faces[side];
         face[bypass] = radiation(
             s->t[side][surface], s->lump_t[bypass],
-            p->face_emissivity * 0.006 * p->disc_caliper_radiation);
+            p->face_emissivity * 0.003 * p->disc_caliper_radiation);
         h->coupling[PORTS * side + 2][CENTRE] =
             iron_k(s->t[side][last]) / to_vanes;
     }

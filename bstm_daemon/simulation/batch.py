@@ -37,5 +37,9 @@ def march_lanes(
     lanes = Lanes(corners, effects, mesh)
     state = start_state(lanes, start_k)
     before_j = total_energy(state)
-    march = compiled.march_compiled if compiled.available() else march_numpy
-    return lane_result(lanes, march(lanes, state, inputs), inputs, before_j)
+    reality = compiled.extension()
+    if reality is None:
+        march = march_numpy(lanes, state, inputs)
+    else:
+        march = compiled.march_compiled(reality, lanes, state, inputs)
+    return lane_result(lanes, march, inputs, before_j)

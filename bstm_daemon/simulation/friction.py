@@ -1,8 +1,7 @@
 """Friction of the reality: how far mu departs from its nominal value.
 
-The forms are an S-shaped fade (Dieterich-like recovery is left out), a power
-law in speed and pressure (Rhee 1974) and a bedding that saturates with the
-friction energy.
+The forms are an S-shaped fade with temperature, a power law in speed and
+pressure (Rhee 1974) and a bedding that saturates with the friction energy.
 """
 
 from __future__ import annotations

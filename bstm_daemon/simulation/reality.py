@@ -29,7 +29,6 @@ from bstm_daemon.simulation.network import Inputs, Paths, paths
 from bstm_daemon.simulation.solver import Arrow, solve_arrow
 
 if TYPE_CHECKING:
-
     from bstm_daemon.simulation.materials import Array
 
 

@@ -34,6 +34,7 @@ def pyrolyse(lanes: Lanes, state: State, dt: float) -> Array:
         -_PYROLYSIS_ACTIVATION_K / state.chain_k[pad]
     )
     reacted = -(1.0 - state.char) * np.expm1(-rate * dt)
+    reacted = np.where(lanes.p.pad_pyrolysis > 0, reacted, 0.0)
     taken = (
         lanes.p.pad_pyrolysis * _PYROLYSIS_J_KG * lanes.pad_kg(state) * reacted
     )

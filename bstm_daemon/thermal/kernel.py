@@ -100,12 +100,6 @@ class Batch:
         Raises:
             ValueError: a size does not fit.
         """
-        members = len(self.programs)
-        outputs = (
-            0
-            if steps < output_phase
-            else 1 + (steps - output_phase) // output_every
-        )
         if (
             min(output_every, output_phase) < 1
             or not dt_s > 0.0
@@ -116,6 +110,12 @@ class Batch:
                 f"of {self.channels} channels, step {dt_s} s"
             )
             raise ValueError(msg)
+        members = len(self.programs)
+        outputs = (
+            0
+            if steps < output_phase
+            else 1 + (steps - output_phase) // output_every
+        )
         row = members * (self.width + self.sources)
         out = array("d", bytes(8 * row * outputs))
         if self.kernel is not None:

@@ -5,17 +5,19 @@ import re
 import string
 from dataclasses import fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
 from bstm_daemon.bus.candump import CandumpReader, Wanted
 from bstm_daemon.bus.candump_line import LINE_LIMIT, Frame, parse_line
 from bstm_daemon.bus.extraction import FD_LENGTHS
 from bstm_daemon.bus.frame_chunk import FrameChunk, join_in_file_order
 from bstm_daemon.bus.refusal import Refusal
 from bstm_daemon.errors import FileAccessError, LogError
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 
 def accept_all(_interface: bytes, _can_id: int, _extended: bool) -> None:  # noqa: FBT001
@@ -26,7 +28,7 @@ def parsed(line: bytes) -> Frame | Refusal:
     return parse_line(line, accept_all)
 
 
-def read(path: Path, wanted: Wanted | None = None, **options) -> tuple:
+def read(path: Path, wanted: Wanted | None = None, **options: Any) -> tuple:
     reader = CandumpReader(path, wanted, **options)
     chunks = list(reader.chunks())
     return reader, join_in_file_order(chunks) if chunks else None
@@ -113,19 +115,25 @@ REFUSED = [
 
 @pytest.mark.parametrize(("line", "time_us", "can_id", "extended", "data"),
                          FRAMES)  # fmt: skip
-def test_a_data_frame_is_read(line, time_us, can_id, extended, data):
+def test_a_data_frame_is_read(
+    *, line: bytes, time_us: int, can_id: int, extended: bool, data: bytes
+) -> None:
     interface = re.split(rb"\s+", line)[1]
 
     assert parsed(line) == Frame(time_us, interface, can_id, extended, data)
 
 
 @pytest.mark.parametrize(("line", "reason"), REFUSED)
-def test_any_other_line_has_a_named_reason(line, reason):
+def test_any_other_line_has_a_named_reason(
+    line: bytes, reason: Refusal
+) -> None:
     assert parsed(line) is reason
 
 
 @pytest.mark.parametrize("columns", [True, False])
-def test_every_line_of_the_grammar_in_one_log(tmp_path, columns):
+def test_every_line_of_the_grammar_in_one_log(
+    tmp_path: Path, *, columns: bool
+) -> None:
     lines = [row[0] for row in FRAMES + REFUSED]
     path = write(tmp_path, b"\n".join(lines))
 
@@ -144,7 +152,7 @@ def test_every_line_of_the_grammar_in_one_log(tmp_path, columns):
     assert first_bad == len(FRAMES) + 1
 
 
-def test_an_unwanted_id_is_not_read_further(tmp_path):
+def test_an_unwanted_id_is_not_read_further(tmp_path: Path) -> None:
     content = b"(1.0) can0 100#XX\n(1.0) can0 200#XX\n(1.0) can1 200#00\n"
     wanted = {"can0": {(0x200, False)}, "can1": None}
 
@@ -166,7 +174,7 @@ def test_an_unwanted_id_is_not_read_further(tmp_path):
         }
 
 
-def test_a_standard_and_an_extended_id_are_two(tmp_path):
+def test_a_standard_and_an_extended_id_are_two(tmp_path: Path) -> None:
     content = b"(1.0) can0 100#01\n(2.0) can0 00000100#02\n"
     path = write(tmp_path, content)
 
@@ -177,7 +185,7 @@ def test_a_standard_and_an_extended_id_are_two(tmp_path):
     assert extended.data[:, 0].tolist() == [2]
 
 
-def test_stamps_may_run_backwards(tmp_path):
+def test_stamps_may_run_backwards(tmp_path: Path) -> None:
     path = write(
         tmp_path, b"(5.0) a 100#\n(9999999999.999999) a 100#\n(0.1) a 100#\n"
     )
@@ -187,7 +195,7 @@ def test_stamps_may_run_backwards(tmp_path):
     assert chunk.time_us.tolist() == [5_000_000, 9999999999999999, 100_000]
 
 
-def test_gzip_gives_the_same(tmp_path):
+def test_gzip_gives_the_same(tmp_path: Path) -> None:
     content = b"".join(row[0] + b"\n" for row in FRAMES) * 50
     _, plain = read(write(tmp_path, content))
 
@@ -196,7 +204,7 @@ def test_gzip_gives_the_same(tmp_path):
     assert_same_chunk(plain, packed)
 
 
-def test_a_gzip_log_cut_short_gives_what_is_there(tmp_path):
+def test_a_gzip_log_cut_short_gives_what_is_there(tmp_path: Path) -> None:
     rng = np.random.default_rng(1)
     content = b"".join(
         b"(%d.5) can0 123#%s\n" % (i, rng.bytes(8).hex().encode())
@@ -213,7 +221,7 @@ def test_a_gzip_log_cut_short_gives_what_is_there(tmp_path):
     ]
 
 
-def test_a_damaged_gzip_log_is_an_error(tmp_path):
+def test_a_damaged_gzip_log_is_an_error(tmp_path: Path) -> None:
     packed = bytearray(gzip.compress(b"(1.0) can0 123#11\n" * 1000))
     packed[12:20] = b"\xff" * 8
 
@@ -221,12 +229,14 @@ def test_a_damaged_gzip_log_is_an_error(tmp_path):
         read(write(tmp_path, bytes(packed), "a.log.gz"))
 
 
-def test_a_missing_log_is_an_error(tmp_path):
-    with pytest.raises(FileAccessError, match="none.log"):
+def test_a_missing_log_is_an_error(tmp_path: Path) -> None:
+    with pytest.raises(FileAccessError, match=r"none\.log"):
         read(tmp_path / "none.log")
 
 
-def test_a_line_without_end_does_not_take_the_log_with_it(tmp_path):
+def test_a_line_without_end_does_not_take_the_log_with_it(
+    tmp_path: Path,
+) -> None:
     good = b"(1.0) can0 123#11\n"
     endless = b"x" * (5 * LINE_LIMIT) + b"\n"
     path = write(tmp_path, good + endless + good)
@@ -237,7 +247,9 @@ def test_a_line_without_end_does_not_take_the_log_with_it(tmp_path):
     assert reader.refused == {Refusal.MALFORMED: 1}
 
 
-def test_lines_are_settled_as_columns(tmp_path, monkeypatch):
+def test_lines_are_settled_as_columns(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The fast path is taken: no line is parsed on its own."""
     layouts = [
         b"(%d.123456) can0 1A0#0011223344556677\n",
@@ -322,7 +334,7 @@ EDGES = st.sampled_from(b"0/:@G`gAaFf9#.)( RT\r\xb0\xb9\xba\xc1\xff\x80")
 
 
 @st.composite
-def mutated(draw) -> bytes:
+def mutated(draw: st.DrawFn) -> bytes:
     """A line of a layout that the log has, with a few bytes changed."""
     line = bytearray(draw(st.sampled_from(TEMPLATES)))
     for _ in range(draw(st.integers(0, 3))):
@@ -353,7 +365,9 @@ def assert_same_chunk(first: FrameChunk, second: FrameChunk) -> None:
         np.testing.assert_array_equal(one, two, err_msg=field.name)
 
 
-def assert_same_reading(path: Path, wanted: Wanted | None, **options) -> None:
+def assert_same_reading(
+    path: Path, wanted: Wanted | None, **options: Any
+) -> None:
     fast, fast_chunk = read(path, wanted, **options)
     slow, slow_chunk = read(path, wanted, columns=False)
 
@@ -374,7 +388,9 @@ def assert_same_reading(path: Path, wanted: Wanted | None, **options) -> None:
 
 @pytest.mark.parametrize("template", TEMPLATES)
 @pytest.mark.parametrize("wanted", [None, {"can0": set()}.get])
-def test_any_one_byte_changed_gives_the_same(tmp_path, template, wanted):
+def test_any_one_byte_changed_gives_the_same(
+    tmp_path: Path, template: bytes, wanted: Wanted | None
+) -> None:
     changed = (
         template[:at] + bytes([byte]) + template[at + 1 :]
         for at in range(len(template))
@@ -389,8 +405,11 @@ def test_any_one_byte_changed_gives_the_same(tmp_path, template, wanted):
 @settings(max_examples=150, deadline=None)
 @given(content=LOGS, wanted=WANTED, chunk_bytes=st.sampled_from([97, 1 << 20]))
 def test_any_log_gives_the_same(
-    tmp_path_factory, content, wanted, chunk_bytes
-):
+    tmp_path_factory: pytest.TempPathFactory,
+    content: bytes,
+    wanted: Wanted | None,
+    chunk_bytes: int,
+) -> None:
     path = write(tmp_path_factory.getbasetemp(), content)
 
     assert_same_reading(path, wanted, chunk_bytes=chunk_bytes)

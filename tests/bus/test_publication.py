@@ -366,8 +366,10 @@ def test_own_ids_are_those_sent() -> None:
 )
 def test_level_of_a_margin(margin_k: float, level: RiskLevel) -> None:
     """The bounds belong to the worse level; degraded still has a level."""
+    unsure = RiskLevel.UNKNOWN if level is RiskLevel.NORMAL else level
     for validity in (Validity.VALID, Validity.DEGRADED):
         assert risk_level(margin_k, validity, history_known=True) is level
+        assert risk_level(margin_k, validity, history_known=False) is unsure
 
 
 @given(
@@ -381,13 +383,15 @@ def test_level_is_unknown_without_a_usable_estimate(
     """Never 'normal' on a guess."""
     level = risk_level(margin_k, validity, history_known=history_known)
 
-    if validity > Validity.DEGRADED or not history_known:
+    if validity > Validity.DEGRADED:
         assert level is RiskLevel.UNKNOWN
+    if not history_known:
+        assert level is not RiskLevel.NORMAL
 
 
 @pytest.mark.parametrize(
     ("margin_k", "known", "level"),
-    [(100.0, True, "normal"), (10.0, True, "high"), (10.0, False, "unknown")],
+    [(100.0, True, "normal"), (10.0, False, "high"), (100.0, False, "unknown")],
 )
 def test_level_is_sent_in_the_risk_frame(
     *, margin_k: float, known: bool, level: str

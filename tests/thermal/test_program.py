@@ -124,7 +124,7 @@ def test_edits_return_new_networks() -> None:
     assert extra.inputs == ("x", "extra_b_w", "forced_a_k")
     assert extra.source("extra_b").node == "b"
     for look_up in (net.node, net.link, net.source, net.without_link):
-        with pytest.raises(NetworkError, match="no .* 'zz' in the network"):
+        with pytest.raises(NetworkError, match=r"no .* 'zz' in the network"):
             look_up("zz")
 
 
@@ -142,9 +142,7 @@ def test_structure_does_not_depend_on_numbers(
     )
     # as the emissivities agree, two links have equal constants
     equal = program(thermal={"disc_emissivity": 0.7, "pad_emissivity": 0.7})
-    finer = program(
-        pad={"area_m2": 6.5e-3, "thickness_m": 0.011, "slabs": 11}
-    )
+    finer = program(pad={"area_m2": 6.5e-3, "thickness_m": 0.011, "slabs": 11})
     assert same_structure([plain, heavier, equal])
     assert not same_structure([plain, finer])
     with pytest.raises(NetworkError, match="one structure"):
@@ -172,7 +170,9 @@ def cases(draw: st.DrawFn) -> Case:
     capacity = draw(st.lists(st.floats(1.0, 1e4), min_size=n, max_size=n))
     links = draw(
         st.lists(
-            st.tuples(index, index, conductance).filter(lambda k: k[0] != k[1]),
+            st.tuples(index, index, conductance).filter(
+                lambda k: k[0] != k[1]
+            ),
             max_size=3 * n,
         )
     )
@@ -244,8 +244,7 @@ def test_elimination_solves_the_dense_system(
             for j, (a, b, g) in enumerate(case.links)
         ),
         tuple(
-            Source(f"q{i}", names[i], heat)
-            for i, heat in enumerate(case.heat)
+            Source(f"q{i}", names[i], heat) for i, heat in enumerate(case.heat)
         ),
     )
     batch = Batch([compile_network(net)], 0.0, kernel=kernel, sets=1)

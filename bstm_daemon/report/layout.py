@@ -1,0 +1,361 @@
+"""Where the panels of a view lie, and what is written and shaded in them.
+
+Panels are stacked; the vehicle's (speed, pressure) span the width, a
+corner's stand in the column of its side: 1 left, 2 right, 0 the vehicle's.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import datetime, timedelta
+from html import escape
+from typing import TYPE_CHECKING, Any, Final
+
+from bstm_daemon.report.spans import validity_spans
+from bstm_daemon.report.timescale import clock, time_axis
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from bstm_daemon.report.summary import CornerSummary, DriveSummary
+    from bstm_daemon.report.traces import Trace
+    from bstm_daemon.results import Results
+
+EPOCH: Final = datetime(2000, 1, 1)  # noqa: DTZ001
+"""Elapsed time 0 on the date axes, which alone have 1-5-10-15-30 ticks."""
+
+PANELS: Final = {
+    "speed": ("speed [km/h]", 90),
+    "pressure": ("brake pressure [bar]", 90),
+    "power": ("brake power [kW]", 140),
+    "temperature": ("temperature [°C]", 320),
+    "fluid": ("brake fluid temperature [°C]", 240),
+}
+"""Title and height [px] of each panel, from the top."""
+
+VEHICLE_PANELS: Final = ("speed", "pressure")
+CORNER_PANELS: Final = ("power", "temperature", "fluid")
+LEFT: Final = 1
+RIGHT: Final = 2
+RIGHT_CORNERS: Final = ("FR", "RR")
+
+MARGIN_PX: Final = {"l": 52, "r": 190, "t": 28, "b": 46}
+PANEL_GAP_PX: Final = 34
+TIME_LABELS_PX: Final = 20
+"""More gap where the vehicle's time axis has its figures."""
+
+COLUMN_GAP: Final = 0.05
+"""Between left and right, as a share of the width."""
+
+HEADROOM: Final = 0.05
+"""Above the highest point, as a share of the axis."""
+
+MINUTE_TICKS_MS: Final = 60_000
+SECOND_TICKS_MS: Final = 1000
+
+GRID_COLOUR: Final = "#e6e8eb"
+AXIS_COLOUR: Final = "#8c959f"
+TEXT_COLOUR: Final = "#1f2328"
+VALIDITY_COLOURS: Final = {
+    1: "rgba(240,200,40,0.28)",
+    2: "rgba(90,90,90,0.30)",
+}
+"""Shades behind degraded and invalid stretches."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Grid:
+    """The places of a view: rows and columns as shares of the plot."""
+
+    rows: dict[str, tuple[float, float]]
+    columns: dict[int, tuple[float, float]]
+    filled: dict[tuple[str, int], tuple[float, float]]
+    height_px: int
+    duration_s: float
+
+
+def column_of(corner: str | None) -> int:
+    """Return 0 for the vehicle, 1 for the left, 2 for the right side."""
+    if corner is None:
+        return 0
+    return RIGHT if corner in RIGHT_CORNERS else LEFT
+
+
+def x_axis(column: int) -> str:
+    """Return plotly's name of the time axis of *column*."""
+    return "x" if column == 0 else f"x{column + 1}"
+
+
+def y_axis(panel: str, column: int) -> str:
+    """Return plotly's name of the value axis of *panel* in *column*."""
+    number = list(PANELS).index(panel) + 1
+    if column == RIGHT:
+        number += len(CORNER_PANELS)
+    return "y" if number == 1 else f"y{number}"
+
+
+def legend_of(panel: str) -> str:
+    """Return plotly's name of the legend beside *panel*."""
+    number = list(PANELS).index(panel) + 1
+    return "legend" if number == 1 else f"legend{number}"
+
+
+def stamp(elapsed_s: float) -> str:
+    """Return *elapsed_s* as a plotly date."""
+    return (EPOCH + timedelta(seconds=elapsed_s)).isoformat(
+        sep=" ", timespec="milliseconds"
+    )
+
+
+def view_layout(
+    corners: tuple[str, ...],
+    seen: Sequence[Trace],
+    results: Results,
+    summary: DriveSummary,
+) -> dict[str, Any]:
+    """Return the plotly layout of a view on *corners* with traces *seen*."""
+    grid = _grid(corners, seen, summary.duration_s)
+    layout: dict[str, Any] = {
+        "height": grid.height_px,
+        "margin": MARGIN_PX,
+        "font": {
+            "family": "system-ui, 'Segoe UI', Roboto, Arial, sans-serif",
+            "size": 12,
+            "color": TEXT_COLOUR,
+        },
+        "paper_bgcolor": "#ffffff",
+        "plot_bgcolor": "#ffffff",
+        "hovermode": "x unified",
+        "hoversubplots": "axis",
+        "hoverlabel": {"bgcolor": "rgba(255,255,255,0.94)"},
+        "annotations": [],
+        "shapes": [],
+    }
+    shown = [None, *(c for c in summary.corners if c.corner in corners)]
+    for corner in shown:
+        layout["annotations"] += _titles(corner, grid)
+        if corner is not None:
+            layout["annotations"] += _fluid_peak(corner, grid)
+            layout["shapes"] += _shades(results, corner.corner, grid)
+    for column in (0, LEFT, RIGHT):
+        layout |= _axes(column, grid)
+    for panel, (_, top) in grid.rows.items():
+        layout[legend_of(panel)] = {
+            "x": 1.01,
+            "xanchor": "left",
+            "y": top,
+            "yanchor": "top",
+            "tracegroupgap": 0,
+            "font": {"size": 11.5},
+            "bgcolor": "rgba(255,255,255,0)",
+        }
+    return layout
+
+
+def _grid(
+    corners: tuple[str, ...], seen: Sequence[Trace], duration_s: float
+) -> _Grid:
+    """Stack the panels that have a curve, side by side where it takes two."""
+    extents: dict[tuple[str, int], tuple[float, float]] = {}
+    for trace in seen:
+        place = (trace.panel, column_of(trace.corner))
+        values = [value for value in trace.y if value is not None]
+        low, high = extents.get(place, (0.0, 0.0))
+        extents[place] = (min(low, *values), max(high, *values))
+    present = [
+        name for name in PANELS if any(panel == name for panel, _ in extents)
+    ]
+    tops_px: dict[str, int] = {}
+    used_px = 0
+    for i, name in enumerate(present):
+        if i:
+            used_px += PANEL_GAP_PX
+            if present[i - 1] in VEHICLE_PANELS and name in CORNER_PANELS:
+                used_px += TIME_LABELS_PX
+        tops_px[name] = used_px
+        used_px += PANELS[name][1]
+    rows = {
+        name: (
+            round(1 - (top_px + PANELS[name][1]) / used_px, 5),
+            round(1 - top_px / used_px, 5),
+        )
+        for name, top_px in tops_px.items()
+    }
+    sides = sorted({column_of(corner) for corner in corners})
+    columns = dict.fromkeys([0, *sides], (0.0, 1.0))
+    if sides == [LEFT, RIGHT]:
+        half = (1 - COLUMN_GAP) / 2
+        columns |= {LEFT: (0.0, half), RIGHT: (1 - half, 1.0)}
+    height_px = used_px + MARGIN_PX["t"] + MARGIN_PX["b"]
+    return _Grid(rows, columns, extents, height_px, duration_s)
+
+
+def _axes(column: int, grid: _Grid) -> dict[str, Any]:
+    """Return the axes of *column* that have a curve.
+
+    An axis that is declared but has none spoils the clipping of others.
+    """
+    panels = VEHICLE_PANELS if column == 0 else CORNER_PANELS
+    filled = [panel for panel in panels if (panel, column) in grid.filled]
+    axes = {
+        y_axis(panel, column): _value_axis(panel, column, grid)
+        for panel in filled
+    }
+    if filled:
+        axes[x_axis(column)] = _time_axis(column, filled[-1], grid)
+    return {f"{name[0]}axis{name[1:]}": axis for name, axis in axes.items()}
+
+
+def _value_axis(panel: str, column: int, grid: _Grid) -> dict[str, Any]:
+    axis: dict[str, Any] = {
+        "anchor": x_axis(column),
+        "domain": grid.rows[panel],
+        "rangemode": "tozero",
+        "showline": True,
+        "linecolor": AXIS_COLOUR,
+        "gridcolor": GRID_COLOUR,
+        "zerolinecolor": GRID_COLOUR,
+        "nticks": max(5, PANELS[panel][1] // 35),
+    }
+    sides = [side for side in (LEFT, RIGHT) if (panel, side) in grid.filled]
+    if column and sides == [LEFT, RIGHT]:
+        # one scale: what is hotter looks hotter
+        low = min(grid.filled[panel, side][0] for side in sides)
+        high = max(grid.filled[panel, side][1] for side in sides)
+        space = HEADROOM * (high - low or 1.0)
+        axis["range"] = [low - space if low < 0.0 else 0.0, high + space]
+        if column == RIGHT:
+            axis["matches"] = y_axis(panel, LEFT)
+    return axis
+
+
+def _time_axis(column: int, lowest_panel: str, grid: _Grid) -> dict[str, Any]:
+    labels = time_axis(grid.duration_s)
+    stops = (
+        (None, SECOND_TICKS_MS - 1, labels.finest),
+        (SECOND_TICKS_MS, MINUTE_TICKS_MS - 1, labels.fine),
+        (MINUTE_TICKS_MS, None, labels.coarse),
+    )
+    axis: dict[str, Any] = {
+        "type": "date",
+        "domain": grid.columns[column],
+        "anchor": y_axis(lowest_panel, column),
+        "range": [stamp(0.0), stamp(max(grid.duration_s, 1.0))],
+        "showline": True,
+        "linecolor": AXIS_COLOUR,
+        "gridcolor": GRID_COLOUR,
+        "ticks": "outside",
+        "tickcolor": AXIS_COLOUR,
+        "hoverformat": labels.fine,
+        "nticks": 12 if grid.columns[column] == (0.0, 1.0) else 8,
+        "tickformatstops": [
+            {"dtickrange": [shortest, longest], "value": form}
+            for shortest, longest, form in stops
+        ],
+    }
+    columns = sorted({side for _, side in grid.filled})
+    if column != columns[0]:
+        axis["matches"] = x_axis(columns[0])
+    if column or columns == [0]:
+        axis["title"] = {"text": labels.title, "standoff": 6}
+    return axis
+
+
+def _titles(corner: CornerSummary | None, grid: _Grid) -> list[dict[str, Any]]:
+    """Return the headings of a column's panels, or why one is empty."""
+    column = column_of(corner.corner if corner else None)
+    titles = []
+    for panel in CORNER_PANELS if corner else VEHICLE_PANELS:
+        if panel not in grid.rows:
+            continue
+        text = PANELS[panel][0]
+        if corner is not None:
+            text = f"<b>{escape(corner.corner)}</b>  {text}"
+        if (panel, column) not in grid.filled:
+            text += ": none"
+            if corner is not None and not corner.modelled:
+                text += ", corner not modelled"
+        titles.append(
+            {
+                "text": text,
+                "x": grid.columns[column][0],
+                "xref": "paper",
+                "xanchor": "left",
+                "y": grid.rows[panel][1],
+                "yref": "paper",
+                "yanchor": "bottom",
+                "yshift": 3,
+                "showarrow": False,
+                "font": {"size": 12.5},
+            }
+        )
+    return titles
+
+
+def _fluid_peak(corner: CornerSummary, grid: _Grid) -> list[dict[str, Any]]:
+    """Return the label of the fluid's peak: how hot, how long after."""
+    column = column_of(corner.corner)
+    peak = corner.peaks.get("fluid")
+    if peak is None or ("fluid", column) not in grid.filled:
+        return []
+    text = f"{peak.temperature_c:.0f} °C"
+    if peak.after_stop_s is not None and peak.after_stop_s > 0.0:
+        text += f"<br>{clock(peak.after_stop_s)} after the stop"
+    if peak.at_end:
+        text += "<br>still rising"
+    return [
+        {
+            "text": text,
+            "x": stamp(peak.time_s),
+            "xref": x_axis(column),
+            "y": peak.temperature_c,
+            "yref": y_axis("fluid", column),
+            # below the peak: above may lie the boiling point
+            "ax": 0,
+            "ay": 62,
+            "xanchor": _inward(peak.time_s, grid.duration_s),
+            "arrowhead": 2,
+            "arrowsize": 0.9,
+            "arrowwidth": 1,
+            "arrowcolor": AXIS_COLOUR,
+            "bgcolor": "rgba(255,255,255,0.6)",
+            "font": {"size": 12},
+        }
+    ]
+
+
+def _inward(time_s: float, duration_s: float) -> str:
+    """Return the text anchor that keeps a label inside its panel."""
+    edge = 0.15 * duration_s
+    if time_s < edge:
+        return "left"
+    return "right" if time_s > duration_s - edge else "center"
+
+
+def _shades(
+    results: Results, corner: str, grid: _Grid
+) -> list[dict[str, Any]]:
+    validity = results.columns.get(f"{corner}.validity")
+    if validity is None or not len(validity):
+        return []
+    column = column_of(corner)
+    time_s = results.columns["time_s"]
+    return [
+        {
+            "type": "rect",
+            "xref": x_axis(column),
+            "yref": "paper",
+            "x0": stamp(start_s),
+            "x1": stamp(end_s),
+            "y0": grid.rows[panel][0],
+            "y1": grid.rows[panel][1],
+            "line": {"width": 0},
+            "fillcolor": VALIDITY_COLOURS[code],
+            "layer": "below",
+        }
+        for code, start_s, end_s in validity_spans(
+            time_s - time_s[0], validity
+        )
+        for panel in ("temperature", "fluid")
+        if (panel, column) in grid.filled
+    ]

@@ -1,0 +1,79 @@
+"""Thinning for a plot keeps every extreme and every gap."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from bstm_daemon.report.decimation import kept_rows
+
+SERIES = st.lists(
+    st.one_of(
+        st.floats(-1e6, 1e6, allow_nan=False),
+        st.just(float("nan")),
+    ),
+    max_size=400,
+).map(np.array)
+
+
+def test_a_short_series_stays_whole() -> None:
+    values = np.arange(50.0)
+
+    assert kept_rows(values, 50).tolist() == list(range(50))
+
+
+@pytest.mark.parametrize("row", [0, 1, 17_777, 35_998, 35_999])
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_peak_of_one_row_survives_in_an_hour(row: int, sign: float) -> None:
+    values = np.sin(np.arange(36_000) / 500)
+    values[row] = sign * 50.0
+
+    rows = kept_rows(values, 4000)
+
+    assert row in rows
+    assert len(rows) <= 4000
+
+
+@settings(deadline=None)
+@given(SERIES, st.integers(8, 120))
+def test_kept_rows_rise_and_hold_extremes_and_ends(
+    values: np.ndarray, limit: int
+) -> None:
+    rows = kept_rows(values, limit)
+
+    assert len(rows) <= max(limit, 0)
+    assert (np.diff(rows) > 0).all()
+    if len(values):
+        assert rows[0] == 0
+        assert rows[-1] == len(values) - 1
+    known = values[~np.isnan(values)]
+    if len(known):
+        assert np.nanmax(values[rows]) == known.max()
+        assert np.nanmin(values[rows]) == known.min()
+
+
+def test_a_gap_breaks_the_line_where_it_did() -> None:
+    """Also one of a single row, which a bucket could swallow."""
+    values = np.sin(np.arange(36_000) / 500)
+    values[12_345] = np.nan
+    values[20_000:25_000] = np.nan
+
+    rows = kept_rows(values, 300)
+
+    assert 12_345 in rows
+    assert ((rows >= 20_000) & (rows < 25_000)).any()
+    drawn = rows[~np.isnan(values[rows])]
+    assert not ((drawn >= 20_000) & (drawn < 25_000)).any()
+
+
+def test_extremes_of_every_bucket_are_kept() -> None:
+    """The drawn band of a noisy signal is as wide as the signal's."""
+    values = np.random.default_rng(3).normal(size=40_000)
+
+    rows = kept_rows(values, 402)
+
+    for bucket in range(200):
+        part = np.arange(bucket * 200, (bucket + 1) * 200)
+        kept = np.intersect1d(rows, part)
+        assert values[kept].max() == values[part].max()
+        assert values[kept].min() == values[part].min()

@@ -1,0 +1,93 @@
+"""The table on screen."""
+
+import numpy as np
+import pytest
+
+from bstm_daemon.report.screen import percent, summary_table
+from bstm_daemon.results import Results
+
+
+def test_table_of_the_descent(descent: Results) -> None:
+    lines = summary_table(descent).splitlines()
+    left = next(line for line in lines if line.startswith("FL "))
+    rear = next(line for line in lines if line.startswith("RL "))
+
+    assert lines[0] == ("1 h 25 min, 15.0 km, at most 36 km/h, 1 h standing")
+    assert left.split() == [
+        "FL",
+        "607",
+        "0:25:00",
+        "524",
+        "0:25:00",
+        "221",
+        "0:25:00",
+        "129",
+        "0:35:29",
+        "10:29",
+        "26",
+        "K",
+        "9.15",
+        "9.15",
+        "7.77",
+    ]
+    assert rear.split()[1:7] == ["-"] * 6
+    assert "FL FR: 97.8 % valid, 1.6 % degraded, 0.6 % invalid" in lines
+    assert "RL RR: no temperatures: not modelled" in lines
+
+
+def test_table_is_ascii_aligned_and_narrow(descent: Results) -> None:
+    text = summary_table(descent)
+    lines = text.splitlines()
+    table = [line for line in lines if line[:2] in {"co", "FL", "FR"}]
+
+    assert text.isascii()
+    assert max(map(len, lines)) <= 100
+    assert len({len(line) for line in table[:3]}) == 1
+
+
+def test_hot_long_and_doubtful_drive_still_fits() -> None:
+    """Ten hours, 1000 degC, a margin below zero, hundreds of MJ."""
+    elapsed_s = np.arange(0, 40_000, 10.0)
+    columns = {"time_s": elapsed_s, "speed_ms": np.full(4000, 60.0)}
+    for corner in ("FL", "FR"):
+        for node in ("disc", "pad_front", "pad_back", "fluid"):
+            columns[f"{corner}.{node}_c"] = 1000 * np.sin(elapsed_s / 24_000)
+        columns[f"{corner}.margin_k"] = 155 - columns[f"{corner}.fluid_c"]
+        for kind in ("", "_ff", "_fb"):
+            columns[f"{corner}.brake_power{kind}_w"] = np.full(4000, 2e4)
+        columns[f"{corner}.validity"] = np.full(4000, 2.0)
+
+    text = summary_table(Results(columns, ("FL", "FR"), ("FL", "FR")))
+
+    assert max(map(len, text.splitlines())) <= 100
+    assert "1000!10:28:20" in text
+    assert "-845 K" in text
+    assert "FL FR: 100 % invalid" in text
+    assert "peak marks: ! invalid" in text
+
+
+def test_short_drive_that_ends_too_early() -> None:
+    elapsed_s = np.arange(90.0)
+    columns = {"time_s": elapsed_s, "FL.fluid_c": 20 + elapsed_s}
+
+    text = summary_table(Results(columns, ("FL",), ("FL",)))
+
+    assert "109" in text
+    assert "1:29" in text
+    assert "FL: validity not recorded" in text
+    assert "FL: fluid still rising at the end of the log" in text
+
+
+@pytest.mark.parametrize(
+    ("share", "text"),
+    [
+        (0.0, "0 %"),
+        (1.0, "100 %"),
+        (0.978, "97.8 %"),
+        (0.5, "50 %"),
+        (1e-6, "< 0.1 %"),
+        (1 - 1e-6, "> 99.9 %"),
+    ],
+)
+def test_percent_hides_no_rest(share: float, text: str) -> None:
+    assert percent(share) == text

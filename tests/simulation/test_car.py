@@ -1,0 +1,130 @@
+"""The car: the forces balance at every sample."""
+
+import numpy as np
+import pytest
+
+from bstm_daemon.simulation import (
+    NOMINAL,
+    Effects,
+    drive_names,
+    load_drive,
+    parse_drive,
+)
+from bstm_daemon.simulation.car import line_pressure, move, real_car
+from bstm_daemon.simulation.profile import plan_course
+
+HEAD = '[drive]\nname = "d"\ndescription = "x"\n'
+
+
+@pytest.mark.parametrize("name", drive_names())
+def test_forces_balance_on_every_drive(name: str) -> None:
+    drive = load_drive(name)
+    course = plan_course(drive, NOMINAL)
+    motion = move(course, NOMINAL, pushed=drive.drive.propulsion == "push")
+    v = course.speed_ms
+    driving = v > 0
+
+    accelerating = (
+        (motion.powertrain_torque_nm + motion.motor_torque_nm)
+        / NOMINAL.wheel_radius_m
+        + motion.external_force_n
+        - motion.brake_force_n
+        - NOMINAL.resistance(v, course.slope_rad)
+    )
+
+    np.testing.assert_allclose(
+        accelerating[driving],
+        NOMINAL.effective_mass_kg * course.acceleration_ms2[driving],
+        atol=1e-6,
+    )
+    assert motion.brake_force_n.min() >= 0.0
+    assert not motion.brake_force_n[~driving].any()
+
+
+def test_thesis_vehicle_needs_its_pressure() -> None:
+    # 410 Pa/N from the pistons of thesis vehicle 1; front corner 35 %
+    gains = NOMINAL.gains
+
+    assert 1 / gains.sum() == pytest.approx(428.0, abs=2.0)
+    np.testing.assert_allclose(
+        gains / gains.sum(), [0.35, 0.35, 0.15, 0.15], atol=1e-9
+    )
+
+
+def test_wheels_add_a_hundredth_to_the_mass() -> None:
+    assert NOMINAL.effective_mass_kg == pytest.approx(2194.0 + 26.4, abs=0.1)
+
+
+def test_engine_drags_in_gear_and_drives_uphill() -> None:
+    drive = parse_drive(
+        HEAD + "[[segment]]\nspeed_kmh = 50.0\ngear = 4\nduration_s = 60.0\n"
+        "[[segment]]\nspeed_kmh = 50.0\ngear = 4\nduration_s = 60.0\n"
+        "grade_percent = 5.0\n"
+        "[[segment]]\nspeed_kmh = 50.0\ngear = 4\nduration_s = 60.0\n"
+        "grade_percent = -8.0\n",
+        "f.toml",
+    )
+    course = plan_course(drive, NOMINAL)
+    motion = move(course, NOMINAL, pushed=False)
+
+    assert motion.powertrain_torque_nm[9000] > 300.0
+    assert motion.brake_force_n[9000] == 0.0
+    assert motion.powertrain_torque_nm[15000] < -50.0
+    assert motion.brake_force_n[15000] > 500.0
+    assert motion.engine_speed_rad_s[15000] > 100.0
+
+
+def test_given_pressure_is_pressed_and_balanced() -> None:
+    drive = parse_drive(
+        HEAD + "[[segment]]\nspeed_kmh = 50.0\nduration_s = 60.0\n"
+        "brake_pressure_bar = 10.0\n"
+        "[[segment]]\nspeed_kmh = 0.0\n"
+        "[[segment]]\nparked = true\nduration_s = 9.0\n"
+        "brake_pressure_bar = 20.0\n",
+        "f.toml",
+    )
+    course = plan_course(drive, NOMINAL)
+    motion = move(course, NOMINAL, pushed=True)
+
+    assert motion.pressure_pa[4000] == pytest.approx(1e6)
+    assert motion.external_force_n[4000] > motion.brake_force_n[4000] > 2e3
+    assert motion.pressure_pa[-1] == pytest.approx(2e6)
+    assert motion.brake_force_n[-1] == 0.0
+
+
+def test_motor_takes_its_share() -> None:
+    drive = parse_drive(
+        HEAD + "[[segment]]\nspeed_kmh = 80.0\nrate_ms2 = 3.0\n"
+        "[[segment]]\nspeed_kmh = 10.0\nrate_ms2 = 3.0\nregeneration = 0.6\n",
+        "f.toml",
+    )
+    course = plan_course(drive, NOMINAL)
+    motion = move(course, NOMINAL, pushed=False)
+    at = np.flatnonzero(course.segment == 1)[200]
+
+    recovered = -motion.motor_torque_nm[at] / NOMINAL.wheel_radius_m
+    assert recovered == pytest.approx(1.5 * motion.brake_force_n[at])
+    assert recovered > 2000.0
+
+
+def test_share_error_keeps_the_sum() -> None:
+    car = real_car(NOMINAL, Effects(brake_share=1.0, mass_error=1.0))
+
+    assert car.gains.sum() == pytest.approx(NOMINAL.gains.sum())
+    assert car.gains[0] == pytest.approx(1.10 * NOMINAL.gains[0])
+    assert car.mass_kg == pytest.approx(1.06 * 2194.0)
+    assert real_car(NOMINAL, Effects()) == NOMINAL
+
+
+def test_line_leads_the_clamp() -> None:
+    clamp = np.concatenate((np.zeros(50), np.linspace(0, 2e6, 100)))
+
+    plain = line_pressure(clamp, Effects(), 0.01)
+    lagging = line_pressure(clamp, Effects(hydraulic_lag=1.0), 0.01)
+    pushed = line_pressure(clamp, Effects(pushout_pressure=1.0), 0.01)
+
+    np.testing.assert_array_equal(plain, clamp)
+    # 2 MPa a second, 0.15 s ahead
+    assert lagging[100] - clamp[100] == pytest.approx(3.03e5, rel=0.01)
+    assert pushed[100] - clamp[100] == pytest.approx(1e5)
+    assert pushed[10] == 0.0
