@@ -32,14 +32,15 @@ from bstm_daemon.thermal.program import Program, compile_network
 from bstm_daemon.units import KELVIN_OFFSET
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
+    from typing import TypeAlias
 
     import numpy.typing as npt
 
     from bstm_daemon.config import Config, CornerConfig
 
-    Ints = Sequence[int] | npt.NDArray[Any]
-    Floats = Sequence[float] | npt.NDArray[Any]
+    Ints: TypeAlias = Sequence[int] | npt.NDArray[Any]
+    Floats: TypeAlias = Sequence[float] | npt.NDArray[Any]
 
 STEP_US: Final = 50_000
 """The grid: whole multiples of this in the frames' own time."""

@@ -58,26 +58,40 @@ def modules() -> dict[str, Path]:
 
 
 def imports_of(source: str) -> set[str]:
-    """Modules of the package that *source* imports, also for types only."""
+    """Modules of the package that *source* imports, also for types only.
+
+    ``from a import b`` is an import of ``a.b`` where that is a module, and of
+    ``a`` otherwise; compiled modules import nothing and do not count.
+    """
+    known = set(modules()) - {""}
+    compiled = {
+        ".".join(path.relative_to(PACKAGE).with_suffix("").parts)
+        for path in PACKAGE.rglob("*.c")
+    }
     found = set()
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.Import):
-            names = [alias.name for alias in node.names]
+            pairs = [("", alias.name) for alias in node.names]
         elif isinstance(node, ast.ImportFrom) and node.module:
             assert node.level == 0, "relative import"
-            names = [f"{node.module}.{alias.name}" for alias in node.names]
-            names.append(node.module)
+            pairs = [
+                (node.module, f"{node.module}.{alias.name}")
+                for alias in node.names
+            ]
         else:
             continue
-        for name in names:
-            if name.startswith("bstm_daemon."):
-                found.add(name.removeprefix("bstm_daemon."))
-    known = set(modules())
-    return {name for name in found if name in known and name}
+        for origin, name in pairs:
+            inner = name.removeprefix("bstm_daemon.")
+            outer = origin.removeprefix("bstm_daemon.")
+            if inner in known | compiled:
+                found.add(inner)
+            elif outer in known:
+                found.add(outer)
+    return found & known
 
 
 def room(module: str) -> str:
-    return module.split(".")[0]
+    return module.split(".", maxsplit=1)[0]
 
 
 MODULES = {name: path for name, path in modules().items() if name}

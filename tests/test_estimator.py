@@ -62,7 +62,9 @@ def feed(
 def joined(blocks: list[Block]) -> tuple[Any, ...]:
     """Return all that the blocks publish, as one."""
     times, rows, vehicle = array("q"), array("d"), array("d")
-    flags, outputs, validity = array("i"), {}, {}
+    flags = array("i")
+    outputs: dict[int, array[float]] = {}
+    validity: dict[str, array[int]] = {}
     for block in blocks:
         times.extend(block.times_us)
         rows.extend(block.rows)

@@ -63,6 +63,9 @@ def add_bus_map(parser: argparse.ArgumentParser) -> None:
 def _interface_and_bus(text: str) -> tuple[str, str]:
     interface, equals, bus = text.partition("=")
     if not (interface and equals):
-        msg = f"{text!r} is not IFACE=BUS, such as can0=chassis, or can1= to leave it out"
+        msg = (
+            f"{text!r} is not IFACE=BUS, such as can0=chassis, or can1= to "
+            f"leave it out"
+        )
         raise argparse.ArgumentTypeError(msg)
     return interface, bus

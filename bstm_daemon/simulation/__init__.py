@@ -6,7 +6,6 @@ agreement between the two is earned. Entry points: :func:`load_drive`,
 """
 
 from bstm_daemon.simulation.batch import march_lanes
-from bstm_daemon.simulation.car import NOMINAL, CarParameters
 from bstm_daemon.simulation.drives import (
     Drive,
     drive_names,
@@ -22,6 +21,7 @@ from bstm_daemon.simulation.parameters import (
     Mesh,
 )
 from bstm_daemon.simulation.simulate import SimulatedDrive, simulate
+from bstm_daemon.simulation.vehicle import NOMINAL, CarParameters
 
 __all__ = [
     "EFFECT_NAMES",

@@ -6,146 +6,28 @@ Inverse longitudinal dynamics along the given speed, all samples at once::
     F_res = m g (sin + f_r cos) + 1/2 rho CdA v^2 + C v
 
 The driver brakes with what is left after engine drag, the engine or the
-pusher supplies what is missing. Brake torque of a corner is
-``2 (p - p0) A n eta mu r_eff``.
+pusher supplies what is missing.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Final
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from bstm_daemon.simulation.parameters import (
-    FRONT,
-    REAR,
-    CornerParameters,
-    Effects,
-)
-from bstm_daemon.units import AIR_DENSITY_KG_M3, GRAVITY_MS2
-
 if TYPE_CHECKING:
-    import numpy.typing as npt
-
     from bstm_daemon.simulation.materials import Array
+    from bstm_daemon.simulation.parameters import Effects
     from bstm_daemon.simulation.profile import Course
-
-    Gears = npt.NDArray[np.intp]
-
-# engine speed over wheel speed, neutral first: gearbox times final drive
-_TOTAL_RATIO = np.array([0.0, 13.0, 7.6, 5.0, 3.8, 3.0, 2.5])
-_ENGINE_DRAG_NM = 16.0
-_ENGINE_DRAG_NM_S = 0.06
-_IDLE_RAD_S = 75.0
+    from bstm_daemon.simulation.vehicle import CarParameters
 
 # a driver does not touch the pedal for less
 _LEAST_BRAKE_N = 20.0
 
 # typical size of the effects that act on the car
-_MASS_ERROR = 0.06
-_SHARE_SHIFT = 0.10
 _PUSHOUT_PA = 1.0e5
 _LAG_S = 0.15
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CarParameters:
-    """The car, SI; defaults are the thesis's vehicle 1."""
-
-    mass_kg: float = 2194.0
-    wheel_inertia_kg_m2: float = 3.0809
-    wheel_radius_m: float = 0.3418
-    rolling_resistance: float = 0.014
-    friction_ns_m: float = 4.0
-    drag_area_m2: float = 0.70
-    front: CornerParameters = FRONT
-    rear: CornerParameters = REAR
-
-    @property
-    def corners(self) -> tuple[CornerParameters, ...]:
-        """The four corners: FL, FR, RL, RR."""
-        return (self.front, self.front, self.rear, self.rear)
-
-    @property
-    def effective_mass_kg(self) -> float:
-        """Mass with the wheels' rotational inertia."""
-        rotating = self.wheel_inertia_kg_m2 / self.wheel_radius_m**2
-        return self.mass_kg + rotating
-
-    @property
-    def gains(self) -> Array:
-        """Brake force at the road over pressure [N/Pa] of the corners."""
-        return np.array(
-            [
-                2
-                * corner.piston_area_m2
-                * corner.piston_count
-                * corner.efficiency
-                * corner.friction_coefficient
-                * corner.effective_radius_m
-                / self.wheel_radius_m
-                for corner in self.corners
-            ]
-        )
-
-    def with_mass(self, mass_kg: float) -> CarParameters:
-        """Return the car at another mass."""
-        return replace(self, mass_kg=mass_kg)
-
-    def brake_force(self, pressure_pa: float) -> float:
-        """Return the brake force of all wheels [N] at nominal mu."""
-        return float(self.gains.sum()) * pressure_pa
-
-    def resistance(self, speed_ms: Array, slope_rad: Array) -> Array:
-        """Return rolling, air and friction resistance plus grade [N]."""
-        weight = self.mass_kg * GRAVITY_MS2
-        air = 0.5 * AIR_DENSITY_KG_M3 * self.drag_area_m2
-        total: Array = (
-            weight * np.sin(slope_rad)
-            + weight * self.rolling_resistance * np.cos(slope_rad)
-            + (air * speed_ms + self.friction_ns_m) * speed_ms
-        )
-        return total
-
-    def engine_speed(self, speed_ms: Array, gear: Gears) -> Array:
-        """Return the engine speed [rad/s]; it idles with an open clutch."""
-        turned = speed_ms / self.wheel_radius_m * _TOTAL_RATIO[gear]
-        clutched: Array = np.maximum(turned, _IDLE_RAD_S)
-        return clutched
-
-    def engine_drag(self, speed_ms: Array, gear: Gears) -> Array:
-        """Return the dragging engine's torque at the wheels [Nm], <= 0."""
-        ratio = _TOTAL_RATIO[gear]
-        turned = speed_ms / self.wheel_radius_m * ratio
-        drag = ratio * (_ENGINE_DRAG_NM + _ENGINE_DRAG_NM_S * turned)
-        # the clutch opens below idle
-        return np.where(turned > _IDLE_RAD_S, -drag, 0.0)
-
-
-NOMINAL: Final = CarParameters()
-"""The nominal car."""
-
-
-def real_car(car: CarParameters, effects: Effects) -> CarParameters:
-    """Return the car that really drives: what *effects* change in *car*.
-
-    The mass is above its nominal value, brake force shifts to the front axle.
-    """
-    shift = _SHARE_SHIFT * effects.brake_share
-    front, _, rear, _ = car.gains
-    rear_scale = 1.0 - shift * front / rear
-    return replace(
-        car,
-        mass_kg=car.mass_kg * (1.0 + _MASS_ERROR * effects.mass_error),
-        front=_scaled(car.front, 1.0 + shift),
-        rear=_scaled(car.rear, rear_scale),
-    )
-
-
-def _scaled(corner: CornerParameters, factor: float) -> CornerParameters:
-    mu = corner.friction_coefficient * factor
-    return replace(corner, friction_coefficient=mu)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

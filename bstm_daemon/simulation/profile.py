@@ -15,9 +15,9 @@ import numpy as np
 from bstm_daemon.errors import ConfigError
 
 if TYPE_CHECKING:
-    from bstm_daemon.simulation.car import CarParameters
     from bstm_daemon.simulation.drives import Drive, Segment
     from bstm_daemon.simulation.materials import Array
+    from bstm_daemon.simulation.vehicle import CarParameters
 
 SAMPLE_S: Final = 0.01
 """Time between samples of a course."""

@@ -9,14 +9,7 @@ import numpy as np
 
 from bstm_daemon.roles import CORNERS
 from bstm_daemon.simulation.batch import march_lanes
-from bstm_daemon.simulation.car import (
-    NOMINAL,
-    CarParameters,
-    Motion,
-    line_pressure,
-    move,
-    real_car,
-)
+from bstm_daemon.simulation.car import Motion, line_pressure, move
 from bstm_daemon.simulation.march import LaneInputs, LaneResult
 from bstm_daemon.simulation.parameters import (
     DEFAULT_MESH,
@@ -29,6 +22,7 @@ from bstm_daemon.simulation.sensors import (
     measured_roles,
     measured_temperatures,
 )
+from bstm_daemon.simulation.vehicle import NOMINAL, CarParameters, real_car
 from bstm_daemon.units import KELVIN_OFFSET
 
 if TYPE_CHECKING:

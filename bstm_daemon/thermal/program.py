@@ -155,7 +155,8 @@ class _Compiler:
         for node in net.nodes:
             _check_constant(node.name, "capacity", node.capacity_j_k)
             tables = (f.table for f in node.factors)
-            _check_tables(node.name, "capacity", node.capacity_table, *tables)
+            _check_tables(node.name, "capacity", *tables)
+            _check_own_table(node)
         for link in net.links:
             _check_constant(link.name, "conductance", link.conductance_w_k)
             tables = (f.table for f in link.factors)
@@ -394,6 +395,14 @@ def _check_tables(name: str, what: str, *tables: Table | None) -> None:
         if table is not None and min(table.values) < 0:
             msg = f"{name!r}: a table makes its {what} negative"
             raise NetworkError(msg)
+
+
+def _check_own_table(node: Node) -> None:
+    """Refuse a capacity whose temperature could not follow its heat."""
+    own = node.capacity_table
+    if own is not None and min(own.values) <= 0:
+        msg = f"{node.name!r}: its capacity table must stay above 0"
+        raise NetworkError(msg)
 
 
 def _check_names(what: str, parts: Sequence[Link | Source]) -> None:

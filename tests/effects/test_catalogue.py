@@ -20,6 +20,7 @@ from bstm_daemon.effects.catalogue import (
 )
 from bstm_daemon.effects.effect import CornerModel
 from bstm_daemon.thermal.brake_corner import CornerSpec, build_corner
+from bstm_daemon.thermal.program import compile_network
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -84,9 +85,7 @@ def test_any_allowed_values_build(
     }
     spec = make_spec()
     model = CornerModel(spec, build_corner(spec, INPUTS), True)
-    bstm_daemon.thermal.program.compile_network(
-        cls(values).apply(model).network
-    )
+    compile_network(cls(values).apply(model).network)
 
 
 def entry(name: str, corner: Any = "all", **parameters: float) -> EffectConfig:

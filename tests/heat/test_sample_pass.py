@@ -225,10 +225,15 @@ def test_a_log_that_begins_while_driving_has_no_jolt(
         make_car(heat={**FB, "slope": "flat"}), kernel,
         "vehicle_speed", "powertrain_torque", "primary_pressure",
     )  # fmt: skip
-    push = {"powertrain_torque": 1000.0, "primary_pressure": 1e6}
-    run.feed([*held(1.0, vehicle_speed=30.0, **push)])
-    run.feed([*held(3.0, start_us=1_010_000, **push)])
-    run.feed([*held(1.0, start_us=4_020_000, vehicle_speed=30.0, **push)])
+    for first, seconds, speed in (
+        (0, 1, 30.0),
+        (1.01, 3, None),
+        (4.02, 1, 30.0),
+    ):
+        held_values = {"powertrain_torque": 1000.0, "primary_pressure": 1e6}
+        if speed is not None:
+            held_values["vehicle_speed"] = speed
+        run.feed([*held(seconds, 10_000, round(first * 1e6), **held_values)])
     drag = (0.35 * 1.2041 * 30.0 + 4.0) * 30.0 + 2194.0 * 9.80665 * 0.014
     force = 1000.0 / RADIUS - drag
     found = run.of_car("brake_force_n")

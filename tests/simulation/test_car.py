@@ -10,7 +10,8 @@ from bstm_daemon.simulation import (
     load_drive,
     parse_drive,
 )
-from bstm_daemon.simulation.car import line_pressure, move, real_car
+from bstm_daemon.simulation.car import line_pressure, move
+from bstm_daemon.simulation.vehicle import real_car
 from bstm_daemon.simulation.profile import plan_course
 
 HEAD = '[drive]\nname = "d"\ndescription = "x"\n'

@@ -6,6 +6,7 @@ from array import array
 from collections.abc import Callable
 from itertools import pairwise
 from math import cos, log, sin, sqrt
+from typing import TYPE_CHECKING
 
 import pytest
 
@@ -18,7 +19,6 @@ from bstm_daemon.thermal.ledger import read_ledger
 from bstm_daemon.thermal.network import Link, Network, Node, radiation
 from bstm_daemon.thermal.program import Program, compile_network
 from bstm_daemon.thermal.table import Table
-from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from bstm_daemon.native import Kernel

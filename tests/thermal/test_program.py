@@ -68,7 +68,7 @@ NEGATIVE = value("a", Table(0.0, 1.0, (1.0, -1.0)))
         (bar(replace(A, boundary_input="y")), "a: no slot 'y'"),
         (bar(Node("a", -1.0)), "'a': capacity -1.0"),
         (bar(Node("a", float("nan"))), "'a': capacity nan"),
-        (bar(Node("a", 0.0)), "'a': without capacity it needs a link"),
+        (bar(Node("a", 0.0)), "'a' has neither capacity nor link"),
         (
             bar(Node("a", 1.0, Table(0.0, 1.0, (0.0, 1.0)))),
             "'a': its capacity table",
@@ -81,13 +81,13 @@ NEGATIVE = value("a", Table(0.0, 1.0, (1.0, -1.0)))
         ),
         (
             bar(A, B, links=(Link("k", "a", "b", 1.0),) * 2),
-            "the link 'k' is there twice",
+            "the link name 'k' is used twice",
         ),
         (
             bar(A, sources=(Source("q", "a", 1.0),) * 2),
-            "the source 'q' is there twice",
+            "the source name 'q' is used twice",
         ),
-        (bar(A, sources=(Source("q", "a", float("inf")),)), "source 'q'"),
+        (bar(A, sources=(Source("q", "a", float("inf")),)), "'q': gain inf"),
         (
             bar(A, memories=(Memory("m", "latch", 1.0, (), initial=2.0),)),
             "memory 'm'",
