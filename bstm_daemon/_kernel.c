@@ -20,6 +20,17 @@
 #define LANES 8
 #define INLINE static inline __attribute__((always_inline))
 
+/* Sets `to` to `value`, an expression in the lane l, in all W lanes. Every
+ * lane is read before one is written: without that the compiler must assume
+ * that they overlap, and does them one by one. */
+#define SET(to, value)                                          \
+    do {                                                        \
+        double lane_[LANES];                                    \
+        double *const to_ = (to);                               \
+        for (int l = 0; l < W; l++) lane_[l] = (value);         \
+        for (int l = 0; l < W; l++) to_[l] = lane_[l];          \
+    } while (0)
+
 enum {
     COUNT_LAYOUT, COUNT_NODES, COUNT_MEMORIES, COUNT_INPUTS, COUNT_LINKS,
     COUNT_SOURCES, COUNT_FACTORS, COUNT_TABLES, COUNT_USES, COUNT_ENTRIES,
@@ -132,6 +143,7 @@ typedef struct {
     double *diagonal, *off;       /* [nodes], [entries] x W */
     double *x1, *x2;              /* [nodes][W] */
     double *ledger;               /* [links + sources][W] */
+    int *fixed;                   /* [nodes]: whether it is in any lane */
 } Work;
 
 static size_t work_doubles(const Structure *s)
@@ -140,7 +152,7 @@ static size_t work_doubles(const Structure *s)
     const size_t nl = s->count[COUNT_LINKS], ns = s->count[COUNT_SOURCES];
     return s->count[COUNT_FLOATS] + (n + nm + s->count[COUNT_INPUTS])
         + (n + nm) + s->count[COUNT_FACTORS] + 7 * n + 3 * nl + 2 * ns
-        + 2 * nm + s->count[COUNT_ENTRIES] + (nl + ns);
+        + 2 * nm + s->count[COUNT_ENTRIES] + (nl + ns) + n;
 }
 
 static void work_layout(Work *w, const Structure *s, double *at, int W)
@@ -159,6 +171,7 @@ static void work_layout(Work *w, const Structure *s, double *at, int W)
     TAKE(value1, nm); TAKE(value2, nm);
     TAKE(off, s->count[COUNT_ENTRIES]);
     TAKE(ledger, nl + ns);
+    w->fixed = (int *)at;
 #undef TAKE
 }
 
@@ -189,16 +202,14 @@ INLINE void evaluate(const int W, const Structure *s, Work *w, int first)
         const double *restrict b = w->slots + (size_t)sec[FACTOR_B][j] * W;
         double *restrict y = w->factor + (size_t)j * W;
         switch (sec[FACTOR_KIND][j]) {
-        case 0: for (int l = 0; l < W; l++) x[l] = a[l]; break;
-        case 1: for (int l = 0; l < W; l++) x[l] = a[l] - b[l]; break;
-        case 2: for (int l = 0; l < W; l++) x[l] = 0.5 * (a[l] + b[l]); break;
-        default:
-            for (int l = 0; l < W; l++)
-                x[l] = (a[l] * a[l] + b[l] * b[l]) * (a[l] + b[l]);
+        case 0: SET(x, a[l]); break;
+        case 1: SET(x, a[l] - b[l]); break;
+        case 2: SET(x, 0.5 * (a[l] + b[l])); break;
+        default: SET(x, (a[l] * a[l] + b[l] * b[l]) * (a[l] + b[l]));
         }
         const int table = sec[FACTOR_TABLE][j];
         if (table < 0)
-            for (int l = 0; l < W; l++) y[l] = x[l];
+            SET(y, x[l]);
         else
             look_up(W, w->floats, sec[TABLE_OFFSET][table],
                     sec[TABLE_POINTS][table], x, y);
@@ -210,12 +221,14 @@ INLINE void product(const int W, const Structure *s, const Work *w, int part,
 {
     const int32_t *start = s->section[USE_START];
     const double *restrict c = w->floats + (size_t)constant * W;
-    for (int l = 0; l < W; l++) y[l] = c[l];
+    double x[LANES];
+    SET(x, c[l]);
     for (int u = start[part]; u < start[part + 1]; u++) {
         const double *restrict v =
             w->factor + (size_t)s->section[USE_FACTOR][u] * W;
-        for (int l = 0; l < W; l++) y[l] *= v[l];
+        SET(x, x[l] * v[l]);
     }
+    SET(y, x[l]);
 }
 
 /* Temperature after the heat capacity * rise [J] has entered a node. */
@@ -280,12 +293,12 @@ INLINE void balance(const int W, const Structure *s, const Work *w,
         const double *restrict q = w->flow + (size_t)k * W;
         double *a = net + (size_t)sec[LINK_A][k] * W;
         double *b = net + (size_t)sec[LINK_B][k] * W;
-        for (int l = 0; l < W; l++) a[l] -= q[l];
-        for (int l = 0; l < W; l++) b[l] += q[l];
+        SET(a, a[l] - q[l]);
+        SET(b, b[l] + q[l]);
     }
     for (int k = 0; k < s->count[COUNT_SOURCES]; k++) {
         double *a = net + (size_t)sec[SOURCE_NODE][k] * W;
-        for (int l = 0; l < W; l++) a[l] += heat[(size_t)k * W + l];
+        SET(a, a[l] + heat[(size_t)k * W + l]);
     }
 }
 
@@ -301,20 +314,23 @@ INLINE void factorise(const int W, const Structure *s, Work *w, double gdt)
         const size_t a = (size_t)sec[LINK_A][k] * W;
         const size_t b = (size_t)sec[LINK_B][k] * W;
         const double *restrict g = w->g + (size_t)k * W;
-        for (int l = 0; l < W; l++) d[a + l] += gdt * g[l];
-        for (int l = 0; l < W; l++) d[b + l] += gdt * g[l];
+        SET(d + a, d[a + l] + gdt * g[l]);
+        SET(d + b, d[b + l] + gdt * g[l]);
         if (sec[LINK_ENTRY][k] >= 0) {
             double *e = off + (size_t)sec[LINK_ENTRY][k] * W;
-            for (int l = 0; l < W; l++)
-                e[l] -= gdt * g[l] * (mask[a + l] * mask[b + l]);
+            SET(e, e[l] - gdt * g[l] * (mask[a + l] * mask[b + l]));
         }
     }
-    for (size_t i = 0; i < (size_t)s->count[COUNT_NODES] * W; i++)
-        d[i] = mask[i] > 0.0 ? d[i] : 1.0;
+    for (int i = 0; i < s->count[COUNT_NODES]; i++) {
+        if (!w->fixed[i]) continue;
+        for (size_t at = (size_t)i * W; at < (size_t)(i + 1) * W; at++)
+            d[at] = mask[at] > 0.0 ? d[at] : 1.0;
+    }
     for (int p = 0; p < s->count[COUNT_PIVOTS]; p++) {
         double *dp = d + (size_t)sec[PIVOT_NODE][p] * W;
-        for (int l = 0; l < W; l++)
-            inverse[l] = dp[l] == 0.0 ? 0.0 : 1.0 / dp[l];
+        /* no lane divides by 0, so that all may divide at once */
+        SET(inverse, 1.0 / (dp[l] == 0.0 ? 1.0 : dp[l]));
+        SET(inverse, dp[l] == 0.0 ? 0.0 : inverse[l]);
         for (int o = sec[PIVOT_OPERATION_START][p];
              o < sec[PIVOT_OPERATION_START][p + 1]; o++) {
             const double *left = off + (size_t)sec[OPERATION_LEFT][o] * W;
@@ -322,15 +338,12 @@ INLINE void factorise(const int W, const Structure *s, Work *w, double gdt)
             const int target = sec[OPERATION_TARGET][o];
             double *y = target >= 0 ? off + (size_t)target * W
                                     : d + (size_t)(-1 - target) * W;
-            double amount[LANES];
-            for (int l = 0; l < W; l++)
-                amount[l] = left[l] * inverse[l] * right[l];
-            for (int l = 0; l < W; l++) y[l] -= amount[l];
+            SET(y, y[l] - left[l] * inverse[l] * right[l]);
         }
         for (int e = sec[PIVOT_ENTRY_START][p];
              e < sec[PIVOT_ENTRY_START][p + 1]; e++)
-            for (int l = 0; l < W; l++) off[(size_t)e * W + l] *= inverse[l];
-        for (int l = 0; l < W; l++) dp[l] = inverse[l];
+            SET(off + (size_t)e * W, off[(size_t)e * W + l] * inverse[l]);
+        SET(dp, inverse[l]);
     }
 }
 
@@ -341,6 +354,7 @@ INLINE void solve(const int W, const Structure *s, const Work *w, double gdt,
     const double *mask = w->free_mask, *rate = w->rate;
     const double *off = w->off;
     for (int k = 0; k < s->count[COUNT_LINKS]; k++) {
+        if (!w->fixed[sec[LINK_A][k]] && !w->fixed[sec[LINK_B][k]]) continue;
         const size_t a = (size_t)sec[LINK_A][k] * W;
         const size_t b = (size_t)sec[LINK_B][k] * W;
         const double *restrict g = w->g + (size_t)k * W;
@@ -350,27 +364,29 @@ INLINE void solve(const int W, const Structure *s, const Work *w, double gdt,
             if (!(mask[a + l] > 0.0)) rhs[b + l] += c * rate[a + l];
         }
     }
-    for (size_t i = 0; i < (size_t)s->count[COUNT_NODES] * W; i++)
-        if (!(mask[i] > 0.0)) rhs[i] = sign * rate[i];
+    for (int i = 0; i < s->count[COUNT_NODES]; i++) {
+        if (!w->fixed[i]) continue;
+        for (size_t at = (size_t)i * W; at < (size_t)(i + 1) * W; at++)
+            if (!(mask[at] > 0.0)) rhs[at] = sign * rate[at];
+    }
     for (int p = 0; p < s->count[COUNT_PIVOTS]; p++) {
         const double *known = rhs + (size_t)sec[PIVOT_NODE][p] * W;
         for (int e = sec[PIVOT_ENTRY_START][p];
              e < sec[PIVOT_ENTRY_START][p + 1]; e++) {
             double *y = rhs + (size_t)sec[ENTRY_ROW][e] * W;
-            for (int l = 0; l < W; l++)
-                y[l] -= off[(size_t)e * W + l] * known[l];
+            SET(y, y[l] - off[(size_t)e * W + l] * known[l]);
         }
     }
     for (int p = s->count[COUNT_PIVOTS] - 1; p >= 0; p--) {
         const size_t node = (size_t)sec[PIVOT_NODE][p] * W;
         double x[LANES];
-        for (int l = 0; l < W; l++) x[l] = rhs[node + l] * w->diagonal[node + l];
+        SET(x, rhs[node + l] * w->diagonal[node + l]);
         for (int e = sec[PIVOT_ENTRY_START][p];
              e < sec[PIVOT_ENTRY_START][p + 1]; e++) {
             const double *y = rhs + (size_t)sec[ENTRY_ROW][e] * W;
-            for (int l = 0; l < W; l++) x[l] -= off[(size_t)e * W + l] * y[l];
+            SET(x, x[l] - off[(size_t)e * W + l] * y[l]);
         }
-        for (int l = 0; l < W; l++) rhs[node + l] = x[l];
+        SET(rhs + node, x[l]);
     }
 }
 
@@ -388,9 +404,8 @@ INLINE void flows(const int W, const Structure *s, Work *w, double *g,
         double conductance[LANES];
         double *restrict q = w->flow + (size_t)k * W;
         product(W, s, w, n + k, n + k, conductance);
-        for (int l = 0; l < W; l++) q[l] = conductance[l] * (a[l] - b[l]);
-        if (g != NULL)
-            for (int l = 0; l < W; l++) g[(size_t)k * W + l] = conductance[l];
+        SET(q, conductance[l] * (a[l] - b[l]));
+        if (g != NULL) SET(g + (size_t)k * W, conductance[l]);
     }
     for (int k = 0; k < ns; k++)
         product(W, s, w, n + nl + k, n + nl + k, heat + (size_t)k * W);
@@ -414,8 +429,7 @@ INLINE void link_energy(const int W, const Structure *s, const Work *w,
     const double *b = x + (size_t)s->section[LINK_B][k] * W;
     const double *restrict g = w->g + (size_t)k * W;
     const double *restrict q = w->flow + (size_t)k * W;
-    for (int l = 0; l < W; l++)
-        y[l] = q[l] + gdt * (g[l] * (a[l] - b[l]));
+    SET(y, q[l] + gdt * (g[l] * (a[l] - b[l])));
 }
 
 /* One step of W members; their inputs are already in w->slots. */
@@ -430,6 +444,7 @@ INLINE void step(const int W, const Structure *s, Work *w, double dt)
 
     for (int i = 0; i < n; i++) {
         const int channel = sec[NODE_INPUT][i];
+        w->fixed[i] = 0;
         for (int l = 0; l < W; l++) {
             const size_t at = (size_t)i * W + l;
             const double target =
@@ -437,6 +452,7 @@ INLINE void step(const int W, const Structure *s, Work *w, double dt)
             const int gone = isnan(target);
             w->free_mask[at] = gone && sec[NODE_FREE][i] ? 1.0 : 0.0;
             w->rate[at] = gone ? 0.0 : (target - state[at]) / dt;
+            if (!(gone && sec[NODE_FREE][i])) w->fixed[i] = 1;
         }
     }
 
@@ -448,12 +464,11 @@ INLINE void step(const int W, const Structure *s, Work *w, double dt)
         const int table = sec[NODE_TABLE][i];
         double own[LANES];
         if (table < 0)
-            for (int l = 0; l < W; l++) own[l] = 1.0;
+            SET(own, 1.0);
         else
             look_up(W, w->floats, sec[TABLE_OFFSET][table],
                     sec[TABLE_POINTS][table], state + at, own);
-        for (int l = 0; l < W; l++)
-            w->capacity[at + l] = w->base[at + l] * own[l];
+        SET(w->capacity + at, w->base[at + l] * own[l]);
     }
     flows(W, s, w, w->g, w->heat, w->value1);
     balance(W, s, w, w->heat, w->x1);
@@ -461,14 +476,22 @@ INLINE void step(const int W, const Structure *s, Work *w, double dt)
     solve(W, s, w, gdt, 1.0, w->x1);
     for (int k = 0; k < nl; k++)
         link_energy(W, s, w, gdt, k, w->x1, w->energy1 + (size_t)k * W);
-    for (int i = 0; i < n; i++)
+    for (int i = 0; i < n; i++) {
+        const size_t first = (size_t)i * W;
+        double rise[LANES];
+        SET(rise, dt * w->x1[first + l]);
+        if (!w->fixed[i] && sec[NODE_TABLE][i] < 0) {
+            SET(slots + first, state[first + l] + rise[l]);
+            continue;
+        }
         for (int l = 0; l < W; l++) {
-            const size_t at = (size_t)i * W + l;
+            const size_t at = first + l;
             slots[at] = w->free_mask[at] > 0.0
                 ? heated(s, w->floats + l, W, i, state[at], w->base[at],
-                         w->capacity[at], dt * w->x1[at])
+                         w->capacity[at], rise[l])
                 : state[at] + dt * w->rate[at];
         }
+    }
     for (int m = 0; m < nm; m++)
         for (int l = 0; l < W; l++) {
             const size_t at = (size_t)(n + m) * W + l;
@@ -481,27 +504,39 @@ INLINE void step(const int W, const Structure *s, Work *w, double dt)
     evaluate(W, s, w, 0);
     flows(W, s, w, NULL, w->heat2, w->value2);
     balance(W, s, w, w->heat2, w->x2);
-    for (size_t i = 0; i < (size_t)n * W; i++)
-        w->x2[i] -= 2.0 * (w->capacity[i] * w->x1[i]);
+    for (size_t at = 0; at < (size_t)n * W; at += W)
+        SET(w->x2 + at,
+            w->x2[at + l] - 2.0 * (w->capacity[at + l] * w->x1[at + l]));
     solve(W, s, w, gdt, -1.0, w->x2);
     for (int k = 0; k < nl; k++) {
+        const size_t at = (size_t)k * W;
         double energy2[LANES];
         link_energy(W, s, w, gdt, k, w->x2, energy2);
-        for (int l = 0; l < W; l++)
-            w->ledger[(size_t)k * W + l] +=
-                half * (w->energy1[(size_t)k * W + l] + energy2[l]);
+        SET(w->ledger + at, w->ledger[at + l]
+            + half * (w->energy1[at + l] + energy2[l]));
     }
-    for (size_t i = 0; i < (size_t)ns * W; i++)
-        w->ledger[(size_t)nl * W + i] += half * (w->heat[i] + w->heat2[i]);
-    for (int i = 0; i < n; i++)
+    for (int k = 0; k < ns; k++) {
+        const size_t at = (size_t)k * W;
+        double *energy = w->ledger + (size_t)nl * W + at;
+        SET(energy,
+            energy[l] + half * (w->heat[at + l] + w->heat2[at + l]));
+    }
+    for (int i = 0; i < n; i++) {
+        const size_t first = (size_t)i * W;
+        double rise[LANES];
+        SET(rise, dt * (1.5 * w->x1[first + l] + 0.5 * w->x2[first + l]));
+        if (!w->fixed[i] && sec[NODE_TABLE][i] < 0) {
+            SET(state + first, state[first + l] + rise[l]);
+            continue;
+        }
         for (int l = 0; l < W; l++) {
-            const size_t at = (size_t)i * W + l;
+            const size_t at = first + l;
             state[at] = w->free_mask[at] > 0.0
                 ? heated(s, w->floats + l, W, i, state[at], w->base[at],
-                         w->capacity[at],
-                         dt * (1.5 * w->x1[at] + 0.5 * w->x2[at]))
+                         w->capacity[at], rise[l])
                 : slots[at];
         }
+    }
     for (int m = 0; m < nm; m++)
         for (int l = 0; l < W; l++) {
             const size_t at = (size_t)(n + m) * W + l;

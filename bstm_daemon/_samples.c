@@ -12,6 +12,7 @@
 
 #define PLAN_LAYOUT 1
 #define NEVER INT64_MIN
+#define TAIL 4.0 /* filter times that Feed-Back runs on after release */
 #define UNKNOWN (-1.0)
 #define LATE_US INT64_C(1000000)
 #define AHEAD_US INT64_C(3600000000)
@@ -42,7 +43,8 @@ enum {
 enum { T_PER_PA, T_PUSHOUT, T_LAG, T_SHARE, PER_CORNER_FLOATS };
 enum { S_NOW, S_GRID, S_PENDING, S_LATE, S_DROPPED, S_JUMPS, TIMES };
 enum {
-    N_FILTERED, N_SPEED, N_DISTANCE, N_FORCE, N_ENERGY_FB, N_TOTAL_FB, NUMBERS
+    N_FILTERED, N_SPEED, N_DISTANCE, N_FORCE, N_ENERGY_FB, N_TOTAL_FB, N_TAIL,
+    NUMBERS
 };
 enum { PER_CORNER_SUMS = 5, CHANNELS = 8 + MEASURED, VEHICLE_CHANNELS = 5 };
 enum { MAX_CORNERS = 64 };
@@ -125,7 +127,10 @@ static int pressure_known(const Pass *p)
     return valid(p, p->role[R_PRIMARY]);
 }
 
-static double force_impulse(const Pass *p, double h, double v, double gained)
+/* All of Eq 4.11 but the change of speed, times h; that change acts on
+ * *inertia_kg. */
+static double outer_impulse(const Pass *p, double h, double v,
+                            double *inertia_kg)
 {
     const double *f = p->f;
     const double drag = v > 0.0
@@ -134,10 +139,31 @@ static double force_impulse(const Pass *p, double h, double v, double gained)
     const double external = vehicle(p, R_EXTERNAL, 0.0);
     const double impulse = (torque / f[F_RADIUS] + external - drag) * h;
     const int acceleration = p->role[R_ACCELERATION];
-    if (p->ints[I_SLOPE] == 0 && valid(p, acceleration))
-        return impulse - f[F_MASS] * p->value[acceleration] * h
-            - f[F_ROTATING] * gained;
-    return impulse - (f[F_MASS] + f[F_ROTATING]) * gained;
+    if (p->ints[I_SLOPE] == 0 && valid(p, acceleration)) {
+        const double felt = f[F_MASS] * p->value[acceleration] * h;
+        *inertia_kg = f[F_ROTATING];
+        return impulse - felt;
+    }
+    *inertia_kg = f[F_MASS] + f[F_ROTATING];
+    return impulse;
+}
+
+/* Change of the filtered speed over h; its mean is left in *middle. */
+static double filter_speed(Pass *p, double h, double v, double *middle)
+{
+    *middle = v;
+    if (!p->speed_known) {
+        p->n[N_FILTERED] = UNKNOWN;
+        return 0.0;
+    }
+    if (p->n[N_FILTERED] < 0.0) {
+        p->n[N_FILTERED] = v;
+        return 0.0;
+    }
+    const double before = p->n[N_FILTERED];
+    p->n[N_FILTERED] = v + (before - v) * exp(-h / p->f[F_FILTER]);
+    *middle = 0.5 * (before + p->n[N_FILTERED]);
+    return p->n[N_FILTERED] - before;
 }
 
 static void integrate(Pass *p, int64_t time_us)
@@ -170,20 +196,22 @@ static void integrate(Pass *p, int64_t time_us)
         if (pressure > p->f[F_ON_PRESSURE]) p->on_time[c] += h;
         if (pressure > highest) highest = pressure;
     }
-    double gained = 0.0;
-    if (!p->speed_known) p->n[N_FILTERED] = UNKNOWN;
-    else if (p->n[N_FILTERED] < 0.0) p->n[N_FILTERED] = v;
-    else {
-        const double before = p->n[N_FILTERED];
-        p->n[N_FILTERED] = v + (before - v) * exp(-h / p->f[F_FILTER]);
-        gained = p->n[N_FILTERED] - before;
-    }
-    const double force_s = force_impulse(p, h, v, gained);
-    const int braking = pressure_known(p) ? highest > p->f[F_ON_PRESSURE]
+    double middle, inertia_kg;
+    const double gained = filter_speed(p, h, v, &middle);
+    const double impulse = outer_impulse(p, h, v, &inertia_kg);
+    const double force_s = impulse - inertia_kg * gained;
+    const int pressed = pressure_known(p) ? highest > p->f[F_ON_PRESSURE]
                                           : force_s > p->f[F_ON_FORCE] * h;
-    if (braking) {
+    if (pressed)
+        p->n[N_TAIL] = inertia_kg > p->f[F_ROTATING] ? TAIL * p->f[F_FILTER]
+                                                     : 0.0;
+    if (pressed || p->n[N_TAIL] > 0.0) {
         p->n[N_FORCE] += force_s;
-        p->n[N_ENERGY_FB] += force_s * v;
+        p->n[N_ENERGY_FB] += impulse * v - inertia_kg * (gained * middle);
+    }
+    if (!pressed) {
+        const double left = p->n[N_TAIL] - h;
+        p->n[N_TAIL] = left > 0.0 ? left : 0.0;
     }
     p->n[N_SPEED] += v * h;
     p->n[N_DISTANCE] += v * h;
@@ -253,9 +281,7 @@ static void close_step(Pass *p)
         row[2] = p->on_time[c] / dt_s;
         row[3] = wetness;
         row[4] = ambient;
-        row[5] = p->ints[I_MODE] == 0 ? power_ff
-            : p->ints[I_MODE] == 1    ? share * power_fb
-                                      : 0.0;
+        row[5] = p->ints[I_MODE] == 1 ? share * power_fb : power_ff;
         row[6] = p->total_ff[c];
         row[7] = share * p->n[N_TOTAL_FB];
         const int32_t *measured =
@@ -278,13 +304,15 @@ static void close_step(Pass *p)
     p->stale = 1;
 }
 
-static void start_grid(Pass *p, int64_t time_us)
+static void start_axis(Pass *p, int64_t time_us)
 {
     const int64_t step = (int64_t)p->f[F_STEP];
     int64_t whole = time_us / step;
     if (time_us % step < 0) whole--;
     p->t[S_NOW] = time_us;
     p->t[S_GRID] = (whole + 1) * step;
+    clear(p);
+    p->stale = 1;
 }
 
 static int march_to(Pass *p, int64_t time_us)
@@ -307,7 +335,7 @@ static int move_to(Pass *p, int64_t time_us)
         return DROP;
     }
     if (t[S_NOW] == NEVER) {
-        start_grid(p, time_us);
+        start_axis(p, time_us);
         return DONE;
     }
     const int64_t ahead = time_us - t[S_NOW];
@@ -332,9 +360,7 @@ static int move_to(Pass *p, int64_t time_us)
     *p->flags |= settled ? FLAG_SETTLED : FLAG_JUMP;
     for (int r = 0; r < p->roles && !settled; r++)
         if (p->stamp[r] != NEVER) p->stamp[r] += ahead;
-    start_grid(p, time_us);
-    clear(p);
-    p->stale = 1;
+    start_axis(p, time_us);
     return settled ? SETTLE : JUMP;
 }
 

@@ -21,7 +21,7 @@ from bstm_daemon.bus.publication import (
     StatusSnapshot,
 )
 from bstm_daemon.bus.refusal import Refusal
-from bstm_daemon.estimator import Estimator
+from bstm_daemon.estimator import STEP_US, Estimator
 from bstm_daemon.heat.sample_pass import TICK
 from bstm_daemon.heat.sample_plan import FLAGS, VEHICLE_CHANNELS
 from bstm_daemon.risk.boiling import wet_boiling_point_k
@@ -88,6 +88,7 @@ class Engine:
         self._times = array("q")
         self._roles = array("i")
         self._values = array("d")
+        self._line_us: int | None = None
         self._places = {
             name: (number, member)
             for number, group in enumerate(self.estimator.groups)
@@ -124,9 +125,7 @@ class Engine:
         The time must be on the axis that the frames' stamps are on. Frames
         stamped later than *time_us* are kept as they are: they move time.
         """
-        self._times.append(time_us)
-        self._roles.append(TICK)
-        self._values.append(0.0)
+        self._pass_grid_line(time_us)
         blocks = self.estimator.advance(self._times, self._roles, self._values)
         self.blocks = blocks
         self._times = array("q")
@@ -138,6 +137,23 @@ class Engine:
             for i in range(len(block.times_us))
             for frame in self.publication.encode(self._snapshot(block, i))
         ]
+
+    def _pass_grid_line(self, time_us: int) -> None:
+        """Let time pass up to the last grid line before *time_us*.
+
+        Steps end on the grid only, so a tick between two lines has nothing
+        to add, and how often one ticks changes no number. Neither has one
+        whose line the frames have passed already.
+        """
+        line_us = time_us // STEP_US * STEP_US
+        if line_us == self._line_us:
+            return
+        self._line_us = line_us
+        if self._times and 0 <= self._times[-1] - line_us < STEP_US:
+            return
+        self._times.append(line_us)
+        self._roles.append(TICK)
+        self._values.append(0.0)
 
     def _snapshot(self, block: Block, i: int) -> Snapshot:
         corners = {

@@ -11,19 +11,21 @@ from __future__ import annotations
 from array import array
 from dataclasses import dataclass
 from itertools import groupby
+from math import isfinite
 from typing import TYPE_CHECKING, Any, Final
 
 from bstm_daemon.effects.catalogue import apply_effects
 from bstm_daemon.effects.effect import CornerModel
 from bstm_daemon.errors import ConfigError
 from bstm_daemon.heat import sample_pass as reference_pass
-from bstm_daemon.heat.sample_pass import SETTLE, SampleState
+from bstm_daemon.heat.sample_pass import SETTLE
 from bstm_daemon.heat.sample_plan import (
     CHANNELS,
     FLAGS,
     VEHICLE_CHANNELS,
     plan_samples,
 )
+from bstm_daemon.heat.sample_state import SampleState
 from bstm_daemon.native import load_kernel
 from bstm_daemon.roles import ROLE_INDEX
 from bstm_daemon.thermal.brake_corner import build_corner, corner_spec
@@ -51,8 +53,8 @@ PUBLISH_US: Final = 100_000
 ROWS: Final = 4096
 """Steps marched at a time; bounds memory, changes no number."""
 
-SETTLING_S: Final = 7200.0
-"""Data time after which an unknown start no longer shows: four time
+SETTLING_STEPS: Final = 7200 * 1_000_000 // STEP_US
+"""Two hours of steps, after which an unknown start no longer shows: four time
 constants of fluid and caliper (2.6 kJ/K over 1.5 W/K)."""
 
 LOWEST_K: Final = 200.0
@@ -139,7 +141,7 @@ class Estimator:
             for corner in config.disc_corners()
         }
         self._groups = self._batches(start_k)
-        self._history_left_s = 0.0 if history_known else SETTLING_S
+        self._history_left = 0 if history_known else SETTLING_STEPS
         self._mandatory = _mandatory_flags(config, present)
         corners = len(self.plan.corners)
         self._rows = array("d", bytes(8 * ROWS * corners * len(CHANNELS)))
@@ -155,7 +157,7 @@ class Estimator:
     @property
     def history_known(self) -> bool:
         """Whether the start no longer matters."""
-        return self._history_left_s <= 0.0
+        return self._history_left <= 0
 
     @property
     def counts(self) -> dict[str, int]:
@@ -288,46 +290,57 @@ class Estimator:
                 vehicle.extend(self._vehicle[first : first + wide])
                 flags.append(self._open_flags)
                 self._open_flags = 0
-        self._history_left_s -= steps * STEP_US * 1e-6
         block = Block(times, rows, vehicle, outputs, flags, {})
+        usual = self._usual_validity(flags, phase, every)
+        self._history_left -= steps
         for group, output in zip(self.groups, outputs, strict=True):
-            self._judge(group, output, block)
+            _judge(group, output, usual, block)
         return block
 
-    def _judge(self, group: Group, output: array[float], block: Block) -> None:
-        """Add the validity of a group's corners to *block*."""
-        known = self.history_known
-        usual = array(
+    def _usual_validity(
+        self, flags: array[int], phase: int, every: int
+    ) -> array[int]:
+        """Validity per publication as inputs and history have it."""
+        first_known = self._history_left - phase
+        return array(
             "b",
             [
-                VALID if known and not flags & self._mandatory else DEGRADED
-                for flags in block.flags
+                VALID
+                if i * every >= first_known and not bits & self._mandatory
+                else DEGRADED
+                for i, bits in enumerate(flags)
             ],
         )
-        members = len(group.corners)
-        for member, name in enumerate(group.corners):
-            validity = usual[:]
-            for node in range(group.nodes):
-                series = output[
-                    member * group.size + node :: members * group.size
-                ]
-                # nan fails every comparison, also inside min and max
-                if sum(series) - sum(series) == 0.0 and (
-                    not series
-                    or (min(series) > LOWEST_K and max(series) < HIGHEST_K)
-                ):
-                    continue
-                for i, temperature in enumerate(series):
-                    if not LOWEST_K < temperature < HIGHEST_K:
-                        validity[i] = INVALID
-            block.validity[name] = validity
 
     def _settle(self) -> None:
-        ambient = self.config.vehicle.ambient_c + KELVIN_OFFSET
+        ambient = self._samples.last_value(ROLE_INDEX["ambient_temperature"])
+        if ambient is None:
+            ambient = self.config.vehicle.ambient_c + KELVIN_OFFSET
         for batch, names in self._groups:
             for member in range(len(names)):
                 batch.settle(ambient, member)
-        self._history_left_s = 0.0
+        self._history_left = 0
+
+
+def _judge(
+    group: Group, output: array[float], usual: array[int], block: Block
+) -> None:
+    """Add the validity of a group's corners to *block*."""
+    members = len(group.corners)
+    for member, name in enumerate(group.corners):
+        validity = usual[:]
+        first = member * group.size
+        for i in range(len(validity)):
+            nodes = output[first : first + group.nodes]
+            # nan fails every comparison, but min and max may pass it over
+            if not (
+                isfinite(sum(nodes))
+                and min(nodes) > LOWEST_K
+                and max(nodes) < HIGHEST_K
+            ):
+                validity[i] = INVALID
+            first += members * group.size
+        block.validity[name] = validity
 
 
 def _plain(column: Any) -> Any:
@@ -342,11 +355,10 @@ def compile_corner(config: Config, corner: CornerConfig) -> Program:
         ConfigError: a part, share or effect that does not exist or fit.
     """
     spec = corner_spec(config, corner)
-    net = build_corner(
-        spec, CHANNELS, force_measured=config.heat.mode == "measured"
-    )
-    model = CornerModel(spec, net, config.heat.mode == "ff")
+    mode = config.heat.mode
     try:
+        net = build_corner(spec, CHANNELS, force_measured=mode == "measured")
+        model = CornerModel(spec, net, mode == "ff")
         model = apply_effects(model, config.effect)
         return compile_network(model.network)
     except (KeyError, ValueError) as error:

@@ -120,7 +120,7 @@ def publish_log(
     channel = _publish_channel(config)
     reader = open_log(path, None)
     written = 0
-    tick_us: int | None = None
+    last_us: int | None = None
     with replacing(out) as temporary, temporary.open("w") as file:
         for chunk in reader.chunks():
             buses = resolve_interfaces(
@@ -135,16 +135,20 @@ def publish_log(
                 chunk.data,
                 strict=True,
             ):
-                now_us = time_us // TICK_US * TICK_US
-                if tick_us is not None and now_us != tick_us:
-                    written += _write(file, channel, engine.tick(now_us))
-                tick_us = now_us
+                # at the stamp of the frame before: a tick ahead of a frame
+                # with a stray stamp would bear that stamp out
+                if (
+                    last_us is not None
+                    and last_us // TICK_US != time_us // TICK_US
+                ):
+                    written += _write(file, channel, engine.tick(last_us))
+                last_us = time_us
                 payload = data[:length].tobytes()
                 engine.frame(buses[place], can_id, extended, payload, time_us)
-        if tick_us is None:
+        if last_us is None:
             msg = f"{path}: no CAN frame"
             raise LogError(msg)
-        written += _write(file, channel, engine.tick(tick_us + TICK_US))
+        written += _write(file, channel, engine.tick(last_us))
     return written
 
 

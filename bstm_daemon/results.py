@@ -91,7 +91,10 @@ class ResultsBuilder:
                 self._validity[name].append(codes.astype(float))
 
     def finish(self) -> Results:
-        """Return the columns of all blocks so far; at least one is needed."""
+        """Return the columns of all blocks so far; at least one is needed.
+
+        The first publication is left out: no whole interval lies before it.
+        """
         times_us = np.concatenate(self._times)
         rows = np.concatenate(self._rows)
         vehicle = np.concatenate(self._vehicle)
@@ -128,6 +131,8 @@ class ResultsBuilder:
                 if not np.isnan(measured).all():
                     part[f"{node}_measured_c"] = measured - KELVIN_OFFSET
             columns |= {f"{name}.{key}": part[key] for key in part}
+        if len(times_us) > 1:
+            columns = {key: column[1:] for key, column in columns.items()}
         return Results(columns, corners, tuple(self._validity))
 
     def _corner(

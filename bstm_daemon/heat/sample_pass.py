@@ -17,7 +17,6 @@ clock was set; the axis is moved and nothing cools.
 from __future__ import annotations
 
 from array import array
-from dataclasses import dataclass, field
 from math import exp, isfinite
 from typing import TYPE_CHECKING, Final
 
@@ -25,10 +24,14 @@ from bstm_daemon.heat.sample_plan import (
     CHANNELS,
     FLAGS,
     VEHICLE_CHANNELS,
-    VEHICLE_ROLES,
     SamplePlan,
 )
-from bstm_daemon.roles import MEASURED_NODES, ROLES
+from bstm_daemon.heat.sample_state import (
+    NEVER,
+    UNKNOWN,
+    SampleMemory,
+    SampleState,
+)
 
 if TYPE_CHECKING:
     from collections.abc import MutableSequence, Sequence
@@ -39,9 +42,9 @@ SETTLED_US: Final = 12 * 3_600_000_000
 CLOCK_SET_US: Final = 30 * 24 * 3_600_000_000
 CONFIRM_US: Final = 10_000_000
 LIMIT_US: Final = 2**60
-NEVER: Final = -(2**63)
-UNKNOWN: Final = -1.0
-"""The filtered speed while no speed is known."""
+
+TAIL: Final = 4.0
+"""Time constants of the speed filter that Feed-Back runs on after release."""
 
 TICK: Final = -1
 """The role number of a tick: time passes, nothing is sampled."""
@@ -51,49 +54,6 @@ FULL: Final = 1
 SETTLE: Final = 2
 JUMP: Final = 3
 _DROP: Final = 4
-
-HEADER: Final = 7
-PER_CORNER_INTS: Final = 4 + len(MEASURED_NODES)
-VEHICLE_FLOATS: Final = 12
-PER_CORNER_FLOATS: Final = 4
-PER_CORNER_SUMS: Final = 5
-# lagged pressure; of the step: energy, pressure, brake-on time; all energy
-
-TIMES: Final = ("now", "grid", "pending", "late", "dropped", "jumps")
-"""``times`` of the state, followed by the stamp of each role [us]."""
-
-NUMBERS: Final = (
-    "filtered_speed",
-    "speed",
-    "distance",
-    "force",
-    "energy_fb",
-    "total_fb",
-)
-"""``numbers`` of the state, then corner sums, then a value per role."""
-
-
-@dataclass(slots=True)
-class SampleState:
-    """All that the pass remembers; two flat arrays that both forms share.
-
-    ``flags`` are pending bits for the next row (clock jump, settled).
-    """
-
-    times: array[int]
-    numbers: array[float]
-    flags: array[int] = field(default_factory=lambda: array("i", [0]))
-
-    @classmethod
-    def new(cls, plan: SamplePlan) -> SampleState:
-        """Return the state before the first sample."""
-        times = [NEVER] * (len(TIMES) + len(ROLES))
-        for name in ("late", "dropped", "jumps"):
-            times[TIMES.index(name)] = 0
-        size = len(NUMBERS) + PER_CORNER_SUMS * len(plan.corners) + len(ROLES)
-        numbers = array("d", [0.0] * size)
-        numbers[NUMBERS.index("filtered_speed")] = UNKNOWN
-        return cls(array("q", times), numbers)
 
 
 def sample_pass(  # noqa: PLR0913, PLR0917  (the signature of the compiled pass)
@@ -145,102 +105,8 @@ def sample_pass(  # noqa: PLR0913, PLR0917  (the signature of the compiled pass)
     return index, run.steps, DONE
 
 
-class _Pass:
-    """The pass with its arrays unpacked; :meth:`store` packs them again."""
-
-    def __init__(
-        self,
-        plan: SamplePlan,
-        state: SampleState,
-        rows: MutableSequence[float],
-        vehicle_rows: MutableSequence[float],
-        row_times_us: MutableSequence[int],
-    ) -> None:
-        ints, floats = plan.ints, plan.floats
-        self.state = state
-        self.rows, self.vehicle_rows = rows, vehicle_rows
-        self.row_times = row_times_us
-        self.steps = 0
-        self.room = len(row_times_us)
-        self.corners = len(plan.corners)
-        self.mode, self.slope, self.points = ints[3], ints[4], ints[5]
-        self.pressure_mapped = ints[6] != 0
-        self.vehicle_role = dict(
-            zip(VEHICLE_ROLES, ints[HEADER:], strict=False)
-        )
-        first = HEADER + len(VEHICLE_ROLES)
-        self.corner_ints = [
-            ints[
-                first + c * PER_CORNER_INTS : first + (c + 1) * PER_CORNER_INTS
-            ]
-            for c in range(self.corners)
-        ]
-        self.step_us = int(floats[0])
-        (
-            self.mass,
-            self.rotating_mass,
-            self.radius,
-            self.quadratic,
-            self.linear,
-            self.constant,
-            self.ambient_k,
-            self.assumed_torque,
-            self.on_pressure,
-            self.on_force,
-            self.filter_s,
-        ) = floats[1:VEHICLE_FLOATS]
-        at = VEHICLE_FLOATS
-        self.corner_floats = [
-            floats[
-                at + c * PER_CORNER_FLOATS : at + (c + 1) * PER_CORNER_FLOATS
-            ]
-            for c in range(self.corners)
-        ]
-        at += self.corners * PER_CORNER_FLOATS
-        self.table_front = floats[at : at + self.points]
-        self.table_rear = floats[at + self.points : at + 2 * self.points]
-        self.timeout = floats[at + 2 * self.points :]
-        self.now, self.grid, self.pending = state.times[:3]
-        self.late, self.dropped, self.jumps = state.times[3:6]
-        self.stamp = state.times[len(TIMES) :]
-        numbers = state.numbers
-        self.filtered, self.speed_sum, self.distance = numbers[:3]
-        self.force_sum, self.energy_fb, self.total_fb = numbers[3:6]
-        at = len(NUMBERS)
-        k = self.corners
-        self.lagged = numbers[at : at + k]
-        self.energy_ff = numbers[at + k : at + 2 * k]
-        self.pressure_sum = numbers[at + 2 * k : at + 3 * k]
-        self.on_time = numbers[at + 3 * k : at + 4 * k]
-        self.total_ff = numbers[at + 4 * k : at + 5 * k]
-        self.value = numbers[at + 5 * k :]
-        self.flags = state.flags[0]
-        self.stale = True
-        self.speed = 0.0
-        self.speed_known = False
-        self.wheel = [0.0] * k
-        self.target = [0.0] * k
-
-    def store(self) -> None:
-        """Write the state back."""
-        self.state.times[:] = array(
-            "q",
-            [
-                *(self.now, self.grid, self.pending),
-                *(self.late, self.dropped, self.jumps),
-                *self.stamp,
-            ],
-        )
-        self.state.numbers[:] = array(
-            "d",
-            [
-                *(self.filtered, self.speed_sum, self.distance),
-                *(self.force_sum, self.energy_fb, self.total_fb),
-                *(*self.lagged, *self.energy_ff, *self.pressure_sum),
-                *(*self.on_time, *self.total_ff, *self.value),
-            ],
-        )
-        self.state.flags[0] = self.flags
+class _Pass(SampleMemory):
+    """The pass itself."""
 
     def move_to(self, time_us: int) -> int:  # noqa: PLR0911
         """Integrate and close steps up to *time_us*.
@@ -253,8 +119,7 @@ class _Pass:
             self.dropped += 1
             return _DROP
         if self.now == NEVER:
-            self.now = time_us
-            self.grid = (time_us // self.step_us + 1) * self.step_us
+            self._start_axis(time_us)
             return DONE
         ahead = time_us - self.now
         if -LATE_US <= ahead <= AHEAD_US:
@@ -279,12 +144,15 @@ class _Pass:
         for role, stamp in enumerate(self.stamp):
             if stamp != NEVER and not settled:
                 self.stamp[role] = stamp + ahead
-        # the open step starts anew on the new axis
+        self._start_axis(time_us)
+        return SETTLE if settled else JUMP
+
+    def _start_axis(self, time_us: int) -> None:
+        """Let the open step start anew at *time_us*."""
         self.now = time_us
         self.grid = (time_us // self.step_us + 1) * self.step_us
-        self._clear()
+        self.clear()
         self.stale = True
-        return SETTLE if settled else JUMP
 
     def _march_to(self, time_us: int) -> int:
         while self.grid <= time_us:
@@ -302,47 +170,34 @@ class _Pass:
             self.value[role] = value
             self.stamp[role] = max(time_us, self.now)
 
-    def _valid(self, role: int) -> bool:
-        return (
-            role >= 0
-            and self.stamp[role] != NEVER
-            and self.now - self.stamp[role] <= self.timeout[role]
-        )
-
-    def _vehicle(self, name: str, default: float) -> float:
-        role = self.vehicle_role[name]
-        return self.value[role] if self._valid(role) else default
-
     def _refresh(self) -> None:
         """Form speeds and pressures from the values that count now."""
         total, count = 0.0, 0
         for ints in self.corner_ints:
-            if self._valid(ints[0]):
+            if self.valid(ints[0]):
                 total += abs(self.value[ints[0]])
                 count += 1
-        if self._valid(self.vehicle_role["vehicle_speed"]):
-            self.speed = abs(self._vehicle("vehicle_speed", 0.0))
+        if self.valid(self.vehicle_role["vehicle_speed"]):
+            self.speed = abs(self.vehicle("vehicle_speed", 0.0))
         else:
             self.speed = total / count if count else 0.0
-        self.speed_known = count > 0 or self._valid(
+        self.speed_known = count > 0 or self.valid(
             self.vehicle_role["vehicle_speed"]
         )
         for c, ints in enumerate(self.corner_ints):
             self.wheel[c] = (
-                abs(self.value[ints[0]])
-                if self._valid(ints[0])
-                else self.speed
+                abs(self.value[ints[0]]) if self.valid(ints[0]) else self.speed
             )
             pressure = self._pressure(ints)
             self.target[c] = max(0.0, pressure)
         self.stale = False
 
     def _pressure(self, ints: Sequence[int]) -> float:
-        if self._valid(ints[1]):
+        if self.valid(ints[1]):
             return self.value[ints[1]]
-        pressure = self._vehicle("primary_pressure", 0.0)
+        pressure = self.vehicle("primary_pressure", 0.0)
         if ints[2]:
-            pressure = self._vehicle("secondary_pressure", pressure)
+            pressure = self.vehicle("secondary_pressure", pressure)
         if ints[3] and self.points:
             return self._rear(pressure)
         return pressure
@@ -367,24 +222,22 @@ class _Pass:
         h = (time_us - self.now) * 1e-6
         v = self.speed
         highest = self._integrate_corners(h)
-        gained = 0.0
-        if not self.speed_known:
-            self.filtered = UNKNOWN
-        elif self.filtered < 0.0:
-            # a speed that appears is not an acceleration
-            self.filtered = v
+        gained, middle = self._filter_speed(h, v)
+        impulse, inertia_kg = self._outer_impulse(h, v)
+        force_s = impulse - inertia_kg * gained
+        if self.pressure_known():
+            pressed = highest > self.on_pressure
         else:
-            before = self.filtered
-            self.filtered = v + (before - v) * exp(-h / self.filter_s)
-            gained = self.filtered - before
-        force_s = self._force_impulse(h, v, gained)
-        if self._pressure_known():
-            braking = highest > self.on_pressure
-        else:
-            braking = force_s > self.on_force * h
-        if braking:
+            pressed = force_s > self.on_force * h
+        if pressed:
+            # the filtered speed still falls when the brake has let go
+            whole = inertia_kg > self.rotating_mass
+            self.tail_s = TAIL * self.filter_s if whole else 0.0
+        if pressed or self.tail_s > 0.0:
             self.force_sum += force_s
-            self.energy_fb += force_s * v
+            self.energy_fb += impulse * v - inertia_kg * (gained * middle)
+        if not pressed:
+            self.tail_s = max(self.tail_s - h, 0.0)
         self.speed_sum += v * h
         self.distance += v * h
         self.now = time_us
@@ -412,37 +265,47 @@ class _Pass:
             highest = max(highest, p)
         return highest
 
-    def _force_impulse(self, h: float, v: float, gained: float) -> float:
-        """Brake force times time (Eq 4.11) over *h* seconds [N s]."""
+    def _filter_speed(self, h: float, v: float) -> tuple[float, float]:
+        """Change and mean of the filtered speed over *h* seconds."""
+        if not self.speed_known:
+            self.filtered = UNKNOWN
+            return 0.0, v
+        if self.filtered < 0.0:
+            # a speed that appears is not an acceleration
+            self.filtered = v
+            return 0.0, v
+        before = self.filtered
+        self.filtered = v + (before - v) * exp(-h / self.filter_s)
+        return self.filtered - before, 0.5 * (before + self.filtered)
+
+    def _outer_impulse(self, h: float, v: float) -> tuple[float, float]:
+        """All of Eq 4.11 but the change of speed, times *h* [N s].
+
+        The accelerometer feels the change of the car's own speed and the
+        slope; then only the wheels' inertia is left to the filtered speed.
+
+        Returns:
+            (impulse, mass that the filtered speed's change acts on [kg]).
+        """
         drag = (
             (self.quadratic * v + self.linear) * v + self.constant
             if v > 0.0
             else 0.0
         )
-        torque = self._vehicle("powertrain_torque", self.assumed_torque)
-        external = self._vehicle("external_force", 0.0)
+        torque = self.vehicle("powertrain_torque", self.assumed_torque)
+        external = self.vehicle("external_force", 0.0)
         impulse = (torque / self.radius + external - drag) * h
         acceleration = self.vehicle_role["acceleration_longitudinal"]
-        if self.slope == 0 and self._valid(acceleration):
-            return (
-                impulse
-                - self.mass * self.value[acceleration] * h
-                - self.rotating_mass * gained
-            )
-        return impulse - (self.mass + self.rotating_mass) * gained
-
-    def _pressure_known(self) -> bool:
-        if not self.pressure_mapped:
-            return False
-        return any(
-            self._valid(ints[1]) for ints in self.corner_ints
-        ) or self._valid(self.vehicle_role["primary_pressure"])
+        if self.slope == 0 and self.valid(acceleration):
+            felt = self.mass * self.value[acceleration] * h
+            return impulse - felt, self.rotating_mass
+        return impulse, self.mass + self.rotating_mass
 
     def _close(self) -> None:
         """Write the row of the step that ends now and start the next."""
         dt_s = self.step_us * 1e-6
-        ambient = self._vehicle("ambient_temperature", self.ambient_k)
-        wetness = min(max(self._vehicle("rain", 0.0), 0.0), 1.0)
+        ambient = self.vehicle("ambient_temperature", self.ambient_k)
+        wetness = min(max(self.vehicle("rain", 0.0), 0.0), 1.0)
         power_fb = max(self.energy_fb, 0.0) / dt_s
         speed = self.speed_sum / dt_s
         self.total_fb += max(self.energy_fb, 0.0)
@@ -450,7 +313,7 @@ class _Pass:
         for c, ints in enumerate(self.corner_ints):
             power_ff = self.energy_ff[c] / dt_s
             share = self.corner_floats[c][3]
-            chosen = (power_ff, share * power_fb, 0.0)[self.mode]
+            chosen = share * power_fb if self.mode == 1 else power_ff
             self.total_ff[c] += self.energy_ff[c]
             self.rows[at : at + 8] = array(
                 "d",
@@ -467,61 +330,19 @@ class _Pass:
             )
             for i, role in enumerate(ints[4:]):
                 self.rows[at + 8 + i] = (
-                    self.value[role] if self._valid(role) else float("nan")
+                    self.value[role] if self.valid(role) else float("nan")
                 )
             at += len(CHANNELS)
         at = self.steps * len(VEHICLE_CHANNELS)
         self.vehicle_rows[at] = speed
         self.vehicle_rows[at + 1] = self.distance
         self.vehicle_rows[at + 2] = max(self.force_sum, 0.0) / dt_s
-        self.vehicle_rows[at + 3] = self._input_age_s()
-        self.vehicle_rows[at + 4] = float(self.flags | self._missing())
+        self.vehicle_rows[at + 3] = self.input_age_s()
+        self.vehicle_rows[at + 4] = float(self.flags | self.missing())
         self.row_times[self.steps] = self.grid
         self.steps += 1
         self.flags = 0
         self.grid += self.step_us
-        self._clear()
+        self.clear()
         # a value may have aged out: speeds and pressures are formed anew
         self.stale = True
-
-    def _input_age_s(self) -> float:
-        """Age of the mandatory input that is silent longest; nan before it."""
-        roles = self.vehicle_role
-        speed = max(
-            self._stamp(roles["vehicle_speed"]),
-            *(self._stamp(ints[0]) for ints in self.corner_ints),
-        )
-        pressure = max(
-            self._stamp(roles["primary_pressure"]),
-            *(self._stamp(ints[1]) for ints in self.corner_ints),
-        )
-        oldest = min(speed, pressure) if self.pressure_mapped else speed
-        if oldest == NEVER:
-            return float("nan")
-        return (self.now - oldest) * 1e-6
-
-    def _stamp(self, role: int) -> int:
-        return self.stamp[role] if role >= 0 else NEVER
-
-    def _missing(self) -> int:
-        flags = 0
-        roles = self.vehicle_role
-        wheels = any(self._valid(ints[0]) for ints in self.corner_ints)
-        if not (wheels or self._valid(roles["vehicle_speed"])):
-            flags |= FLAGS["speed_missing"]
-        if not self._pressure_known():
-            flags |= FLAGS["pressure_missing"]
-        if not self._valid(roles["acceleration_longitudinal"]):
-            flags |= FLAGS["acceleration_missing"]
-        if not self._valid(roles["powertrain_torque"]):
-            flags |= FLAGS["torque_missing"]
-        if not self._valid(roles["ambient_temperature"]):
-            flags |= FLAGS["ambient_missing"]
-        return flags
-
-    def _clear(self) -> None:
-        self.speed_sum = self.force_sum = self.energy_fb = 0.0
-        for c in range(self.corners):
-            self.energy_ff[c] = 0.0
-            self.pressure_sum[c] = 0.0
-            self.on_time[c] = 0.0

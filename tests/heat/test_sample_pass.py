@@ -144,13 +144,13 @@ FB = {"mode": "fb", "assume_powertrain_torque_nm": 0.0}
 
 
 def stop(slowing: float, **others: float) -> list[tuple[int, str, float]]:
-    """Return 2 s at 30 m/s, then a stop of constant deceleration to 2 m/s."""
+    """Return 2 s at 30 m/s, a stop of constant deceleration, 3 s at 2 m/s."""
     samples: list[tuple[int, str, float]] = []
     speed = 30.0
-    for at in range(0, 60_000_000, 10_000):
-        if speed < 2.0:
-            break
-        rate = 0.0 if at < 2_000_000 else -slowing
+    end = 5_000_000 + round((30.0 - 2.0) / slowing * 1e6)
+    for at in range(0, end, 10_000):
+        slowed = at < 2_000_000 or speed < 2.0 + 1e-9
+        rate = 0.0 if slowed else -slowing
         samples.append((at, "vehicle_speed", speed))
         pressed = 0.0 if rate == 0.0 else 2e6
         samples.append((at, "primary_pressure", pressed))
@@ -165,7 +165,12 @@ def stop(slowing: float, **others: float) -> list[tuple[int, str, float]]:
 def test_feed_back_energy_of_a_stop(
     kernel: Kernel | None, start: Callable[..., Run], make_car: Any, form: str
 ) -> None:
-    """Kinetic energy less drag work, split 70 : 30 over the axles."""
+    """Kinetic energy less drag work, split 70 : 30 over the axles.
+
+    Without an accelerometer the filtered speed follows late, but with the
+    same kinetic energy: the brake lets go, and its tail is counted too. In
+    the tail, 1.2 s at 2 m/s, drag is taken off that the brake did not do.
+    """
     car = make_car(heat={**FB, "slope": form})
     roles = ["vehicle_speed", "primary_pressure"]
     others = {}
@@ -182,11 +187,8 @@ def test_feed_back_energy_of_a_stop(
     )
     expected = 0.35 * (kinetic - drag * 0.01)
     found = run.column("brake_energy_fb_j")[-1]
-    if form == "flat":
-        # the derivative follows as 1 - exp(-t / tau), so its start is missed
-        tau = 0.3
-        expected -= 0.35 * mass * 4.0 * (30.0 * tau - 4.0 * tau**2)
-    assert found == pytest.approx(expected, rel=0.001)
+    # speed is held for 10 ms, so 5 ms late: 0.12 % at this deceleration
+    assert found == pytest.approx(expected, rel=0.002)
     assert sum(run.column("brake_power_w")) * 0.05 == pytest.approx(found)
 
 
