@@ -40,6 +40,20 @@ REJECTED: Final = (
 
 _SILENT: Final = FLAGS["speed_missing"]
 
+_USED: Final = {
+    "ff": ("speed", "pressure", "ambient"),
+    "fb": ("speed", "pressure", "acceleration", "torque", "ambient"),
+    "measured": ("speed", "ambient"),
+}
+"""Inputs by heat mode: only these are reported stale."""
+
+_ROLES: Final = {
+    "acceleration": "acceleration_longitudinal",
+    "torque": "powertrain_torque",
+    "ambient": "ambient_temperature",
+}
+"""Inputs that may be left out: one that nothing is mapped to is not stale."""
+
 
 class Published(NamedTuple):
     """A frame and the grid time it belongs to [us]."""
@@ -89,6 +103,7 @@ class Engine:
         self._roles = array("i")
         self._values = array("d")
         self._line_us: int | None = None
+        self._stale = _stale_flags(config.heat.mode, roles)
         self._places = {
             name: (number, member)
             for number, group in enumerate(self.estimator.groups)
@@ -211,10 +226,21 @@ class Engine:
             oldest_input_age_s=vehicle["input_age_s"],
             rejected_frames=sum(self.decoder.counts[r] for r in REJECTED),
             dropped_frames=self.estimator.counts["dropped"],
-            speed_stale=bool(flags & FLAGS["speed_missing"]),
-            pressure_stale=bool(flags & FLAGS["pressure_missing"]),
-            acceleration_stale=bool(flags & FLAGS["acceleration_missing"]),
-            torque_stale=bool(flags & FLAGS["torque_missing"]),
-            ambient_stale=bool(flags & FLAGS["ambient_missing"]),
             clock_jump=bool(flags & FLAGS["clock_jump"]),
+            **{
+                f"{name}_stale": bool(flags & bit)
+                for name, bit in self._stale.items()
+            },
         )
+
+
+def _stale_flags(mode: str, roles: Collection[int]) -> dict[str, int]:
+    """Bit of each input that counts as stale when it is missing."""
+    names = [
+        name
+        for name in _USED[mode]
+        if name not in _ROLES or ROLE_INDEX[_ROLES[name]] in roles
+    ]
+    if not any(ROLE_INDEX[role] in roles for role in PRESSURE_ROLES):
+        names = [name for name in names if name != "pressure"]
+    return {name: FLAGS[f"{name}_missing"] for name in names}

@@ -69,21 +69,20 @@ def replay_log(
 
     Raises:
         LogError: the log is unusable, holds none of the wanted ids, or is
-            shorter than one publication.
+            too short for a single row.
         FileAccessError: it can not be read.
     """
     log = EventLog(path, signal_map, overrides)
     estimator = Estimator(config, present_roles(signal_map))
     builder = ResultsBuilder(estimator, every_us)
-    published = 0
     for events in log.events():
-        blocks = estimator.advance(events.time_us, events.role, events.value)
-        builder.add(blocks)
-        published += len(blocks)
+        builder.add(
+            estimator.advance(events.time_us, events.role, events.value)
+        )
         if progress is not None:
             progress(log.reader.lines)
-    if not published:
-        msg = f"{path}: shorter than one publication (0.1 s)"
+    if not builder.rows:
+        msg = f"{path}: too short for a row every {every_us * 1e-6:g} s"
         raise LogError(msg)
     refused = Counter(
         {str(reason): count for reason, count in log.reader.refused.items()}

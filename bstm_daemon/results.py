@@ -64,6 +64,11 @@ class ResultsBuilder:
             name: [] for group in estimator.groups for name in group.corners
         }
 
+    @property
+    def rows(self) -> int:
+        """Number of rows so far."""
+        return sum(map(len, self._times))
+
     def add(self, blocks: Iterable[Block]) -> None:
         """Append *blocks*."""
         corners = len(self._estimator.plan.corners)
@@ -232,6 +237,6 @@ def _floats(flat: object, *shape: int) -> Column:
 
 
 def _rate(running: Column, interval_s: Column) -> Column:
-    """Mean power [W] from a running energy [J]; 0 in the first row."""
-    rate: Column = np.diff(running, prepend=running[:1]) / interval_s
+    """Mean power [W] from an energy [J] that ran from 0 at the start."""
+    rate: Column = np.diff(running, prepend=0.0) / interval_s
     return rate

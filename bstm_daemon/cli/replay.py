@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from math import isclose
+from argparse import ArgumentTypeError
+from math import inf, isclose, nan
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -70,6 +71,12 @@ def run(args: argparse.Namespace) -> int:
     if args.out is not None and len(set(stems)) < len(stems):
         msg = f"two logs would write the same files in {args.out}: {stems}"
         raise UsageError(msg)
+    for target in (args.publish, args.report):
+        if target is not None and target.exists() and (
+            target.samefile(args.logs[0])
+        ):
+            msg = f"{target}: would overwrite the log"
+            raise UsageError(msg)
     formats = _formats(args.format) if args.out is not None else ()
     config, signal_map = load_vehicle(args.config)
     overrides = dict(args.map)
@@ -183,8 +190,14 @@ def _share_of(path: Path, progress: Progress) -> Callable[[int], None]:
 
 
 def _every_s(text: str) -> float:
-    seconds = float(text)
+    try:
+        seconds = float(text)
+    except ValueError:
+        seconds = nan
     tenths = seconds / PUBLICATION_S
-    if seconds <= 0 or not isclose(tenths, round(tenths), abs_tol=1e-6):
-        raise ValueError(text)
+    if not (
+        0 < seconds < inf and isclose(tenths, round(tenths), abs_tol=1e-6)
+    ):
+        msg = f"{text!r} is not a positive multiple of {PUBLICATION_S} s"
+        raise ArgumentTypeError(msg)
     return seconds

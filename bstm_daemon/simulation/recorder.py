@@ -2,23 +2,18 @@
 
 from __future__ import annotations
 
-import os
-import tempfile
-from contextlib import contextmanager
-from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from bstm_daemon.errors import FileAccessError
+from bstm_daemon.files import replacing
 from bstm_daemon.roles import CORNERS
 from bstm_daemon.simulation.frames import START_STAMP_S, Encoder, in_order
 from bstm_daemon.simulation.profile import SAMPLE_S
 from bstm_daemon.units import KELVIN_OFFSET
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from typing import TextIO
+    from pathlib import Path
 
     from bstm_daemon.simulation.simulate import SimulatedDrive
 
@@ -43,7 +38,7 @@ def write_candump(
     digits = [2 * s.length for s in streams]
     start_us = round(start_stamp_s * 1e6)
     count = 0
-    with _whole_file(path) as file:
+    with replacing(path) as part, part.open("w", encoding="ascii") as file:
         lines: list[str] = []
         for which, stamp_us, data in in_order(streams):
             seconds, micros = divmod(start_us + stamp_us, 1_000_000)
@@ -79,35 +74,7 @@ def write_truth(path: Path, drive: SimulatedDrive) -> None:
     for node, series in drive.truth.items():
         columns[f"{node}_c"] = series - KELVIN_OFFSET
     table = np.column_stack(list(columns.values()))
-    with _whole_file(path) as file:
+    with replacing(path) as part, part.open("w", encoding="ascii") as file:
         file.write(",".join(columns) + "\n")
         for row in table.tolist():
             file.write(",".join(f"{value:.9g}" for value in row) + "\n")
-
-
-@contextmanager
-def _whole_file(path: Path) -> Iterator[TextIO]:
-    """Open a neighbour of *path* that replaces it when all is written."""
-    try:
-        handle, name = tempfile.mkstemp(
-            prefix=f".{path.name}.", suffix=".part", dir=path.parent
-        )
-    except OSError as error:
-        raise _unwritable(path, error) from error
-    part = Path(name)
-    try:
-        with os.fdopen(handle, "w", encoding="ascii", newline="\n") as file:
-            yield file
-        # mkstemp keeps others out; a log is an ordinary file
-        part.chmod(0o644)
-        part.replace(path)
-    except OSError as error:
-        part.unlink(missing_ok=True)
-        raise _unwritable(path, error) from error
-    except BaseException:
-        part.unlink(missing_ok=True)
-        raise
-
-
-def _unwritable(path: Path, error: OSError) -> FileAccessError:
-    return FileAccessError(f"{path}: cannot write: {error.strerror}")
