@@ -1,4 +1,4 @@
-/* What the two sources of the extension module share. */
+/* What the sources of the extension module share of Python. */
 #ifndef BSTM_KERNEL_H
 #define BSTM_KERNEL_H
 

@@ -25,8 +25,11 @@ from bstm_daemon.estimator import STEP_US, Estimator
 from bstm_daemon.heat.sample_pass import TICK
 from bstm_daemon.heat.sample_plan import FLAGS, VEHICLE_CHANNELS
 from bstm_daemon.risk.boiling import wet_boiling_point_k
+from bstm_daemon.roles import CORNERS, ROLE_INDEX
 
 if TYPE_CHECKING:
+    from collections.abc import Collection
+
     from bstm_daemon.bus.signal_map import SignalMap
     from bstm_daemon.config import Config
     from bstm_daemon.estimator import Block
@@ -48,9 +51,13 @@ _USED: Final = {
 """Inputs by heat mode: only these are reported stale."""
 
 _ROLES: Final = {
-    "acceleration": "acceleration_longitudinal",
-    "torque": "powertrain_torque",
-    "ambient": "ambient_temperature",
+    "pressure": (
+        "primary_pressure",
+        *(f"wheel_pressure_{name.lower()}" for name in CORNERS),
+    ),
+    "acceleration": ("acceleration_longitudinal",),
+    "torque": ("powertrain_torque",),
+    "ambient": ("ambient_temperature",),
 }
 """Inputs that may be left out: one that nothing is mapped to is not stale."""
 
@@ -236,11 +243,9 @@ class Engine:
 
 def _stale_flags(mode: str, roles: Collection[int]) -> dict[str, int]:
     """Bit of each input that counts as stale when it is missing."""
-    names = [
-        name
+    return {
+        name: FLAGS[f"{name}_missing"]
         for name in _USED[mode]
-        if name not in _ROLES or ROLE_INDEX[_ROLES[name]] in roles
-    ]
-    if not any(ROLE_INDEX[role] in roles for role in PRESSURE_ROLES):
-        names = [name for name in names if name != "pressure"]
-    return {name: FLAGS[f"{name}_missing"] for name in names}
+        if name not in _ROLES
+        or any(ROLE_INDEX[role] in roles for role in _ROLES[name])
+    }

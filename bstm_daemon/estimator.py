@@ -279,23 +279,33 @@ class Estimator:
             for batch, _ in self._groups
         )
         wide = len(VEHICLE_CHANNELS)
-        times, rows, vehicle = array("q"), array("d"), array("d")
-        flags = array("i")
-        for step in range(steps):
-            first = step * wide
-            self._open_flags |= int(self._vehicle[first + wide - 1])
-            if (step + 1 - phase) % every == 0:
-                times.append(self._times[step])
-                rows.extend(self._rows[step * row : (step + 1) * row])
-                vehicle.extend(self._vehicle[first : first + wide])
-                flags.append(self._open_flags)
-                self._open_flags = 0
+        times = self._times[phase - 1 : steps : every]
+        rows, vehicle = array("d"), array("d")
+        for step in range(phase - 1, steps, every):
+            rows.extend(self._rows[step * row : (step + 1) * row])
+            vehicle.extend(self._vehicle[step * wide : (step + 1) * wide])
+        flags = self._published_flags(steps, phase, every)
         block = Block(times, rows, vehicle, outputs, flags, {})
         usual = self._usual_validity(flags, phase, every)
         self._history_left -= steps
         for group, output in zip(self.groups, outputs, strict=True):
             _judge(group, output, usual, block)
         return block
+
+    def _published_flags(
+        self, steps: int, phase: int, every: int
+    ) -> array[int]:
+        """Bits of all steps up to each publication since the last one."""
+        wide = len(VEHICLE_CHANNELS)
+        flags = array("i")
+        for step, bits in enumerate(
+            self._vehicle[wide - 1 : steps * wide : wide]
+        ):
+            self._open_flags |= int(bits)
+            if (step + 1 - phase) % every == 0:
+                flags.append(self._open_flags)
+                self._open_flags = 0
+        return flags
 
     def _usual_validity(
         self, flags: array[int], phase: int, every: int

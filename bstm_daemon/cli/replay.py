@@ -64,19 +64,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Replay every log and write what was asked for."""
-    if len(args.logs) > 1 and (args.publish or args.report):
-        msg = "--publish and --report take one LOG at a time"
-        raise UsageError(msg)
     stems = [_stem(path) for path in args.logs]
-    if args.out is not None and len(set(stems)) < len(stems):
-        msg = f"two logs would write the same files in {args.out}: {stems}"
-        raise UsageError(msg)
-    for target in (args.publish, args.report):
-        if target is not None and target.exists() and (
-            target.samefile(args.logs[0])
-        ):
-            msg = f"{target}: would overwrite the log"
-            raise UsageError(msg)
+    _check_targets(args, stems)
     formats = _formats(args.format) if args.out is not None else ()
     config, signal_map = load_vehicle(args.config)
     overrides = dict(args.map)
@@ -110,6 +99,26 @@ def run(args: argparse.Namespace) -> int:
             )
             print(f"{args.publish}: {count} frames")
     return 0
+
+
+def _check_targets(args: argparse.Namespace, stems: list[str]) -> None:
+    """Refuse targets that would overwrite each other or the log."""
+    if len(args.logs) > 1 and (args.publish or args.report):
+        msg = "--publish and --report take one LOG at a time"
+        raise UsageError(msg)
+    if args.out is not None and len(set(stems)) < len(stems):
+        msg = f"two logs would write the same files in {args.out}: {stems}"
+        raise UsageError(msg)
+    log = args.logs[0]
+    for target in (args.publish, args.report):
+        if (
+            target
+            and target.exists()
+            and log.exists()
+            and (target.samefile(log))
+        ):
+            msg = f"{target}: would overwrite the log"
+            raise UsageError(msg)
 
 
 def _write_report(

@@ -4,7 +4,7 @@
 multiplies, and the symmetric factorisation as a flat list of operations
 computed here once (elimination order by least degree, fill-in included).
 ``floats`` holds every number a member of a batch may have for itself. The
-layout is written once, by :class:`_Writer`, and read by ``_kernel.c`` and
+layout is written once, by :class:`_Compiler`, and read by ``_march.c`` and
 :mod:`bstm_daemon.thermal.reference` in the order of :data:`SECTIONS`.
 """
 

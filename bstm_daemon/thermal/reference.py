@@ -12,7 +12,7 @@ Heat, not temperature, is what a stage adds, and T(H) is inverted exactly on
 the capacity tables, so energy is conserved to rounding whatever the tables.
 A fixed node (boundary or forced) ramps to its input over the step.
 
-The order of operations is that of ``_kernel.c``, line by line.
+The order of operations is that of ``_march.c``, line by line.
 """
 
 from __future__ import annotations

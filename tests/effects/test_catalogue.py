@@ -140,7 +140,7 @@ def test_applied_to_its_corner_only(
 def test_effects_are_plain_edits() -> None:
     """Neither the kernel nor its reference knows an effect by name."""
     root = Path(bstm_daemon.__file__).parent
-    for file in ("_kernel.c", "thermal/reference.py", "thermal/program.py"):
+    for file in ("_march.c", "thermal/reference.py", "thermal/program.py"):
         text = (root / file).read_text("utf-8")
         for name in effect_names():
             assert name not in text

@@ -207,14 +207,14 @@ def test_both_forms_agree_with_everything_on(
 def test_lanes_equal_single_members(
     compiled: Kernel, make_spec: MakeSpec
 ) -> None:
-    """Nineteen members (two blocks of eight and three) bit for bit."""
+    """Blocks of eight, eight and four, then three by one, bit for bit."""
     spec = rough_spec(make_spec)
     programs = [
-        everything(spec, wet_disc=0.1 * i, friction_history=2.0 - 0.1 * i)
-        for i in range(19)
+        everything(spec, wet_disc=0.1 * i, friction_history=2.3 - 0.1 * i)
+        for i in range(23)
     ]
     rows, steps = drive(600), 600
-    together = Batch(programs, 283.15, [0] * 19, compiled, sets=1)
+    together = Batch(programs, 283.15, [0] * 23, compiled, sets=1)
     out = together.march(rows, steps, 0.25, 7, 3)
     size = together.width + together.sources
     for i, program in enumerate(programs):
@@ -222,7 +222,7 @@ def test_lanes_equal_single_members(
         mine = alone.march(rows, steps, 0.25, 7, 3)
         theirs = array("d")
         for k in range(len(mine) // size):
-            first = (k * 19 + i) * size
+            first = (k * 23 + i) * size
             theirs.extend(out[first : first + size])
         assert mine.tobytes() == theirs.tobytes()
         width = together.ledger_width

@@ -1,0 +1,91 @@
+"""Write the figures of ``run.py --json`` files as a Markdown document.
+
+``measurements.py OUT.md FILE.json ...``: one section a benchmark, in the
+order of the files, each with its date, commit and machine.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+HEAD = (
+    "# Measurements\n\n"
+    "Written by `.ci/full`; do not edit. Each section tells its date, its "
+    "commit (with + where sources had changes that were not committed) and "
+    "its machine. Times are CPU time of one process, medians of rounds in "
+    "which everything that is compared takes its turn (`tests/benchmarks/`). "
+    "Absolute times move by up to a factor of two with the load of a machine; "
+    "the ratios hold, and goals are set on ratios. A goal's tolerance is the "
+    "part that may be missing before `.ci/run` fails.\n"
+)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Write the document."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("out", type=Path, metavar="OUT.md")
+    parser.add_argument("files", nargs="+", type=Path, metavar="FILE.json")
+    args = parser.parse_args(arguments)
+    found = [
+        outcome
+        for path in args.files
+        for outcome in json.loads(path.read_text("utf-8")).values()
+    ]
+    text = "\n".join([HEAD, *(section(outcome) for outcome in found)])
+    args.out.write_text(text, "utf-8")
+    return 0
+
+
+def verdict(goal: dict[str, Any]) -> str:
+    """Return whether *goal* is reached, within its tolerance or missed."""
+    if goal["ratio"] >= goal["at_least"]:
+        return "yes"
+    least = goal["at_least"] * (1.0 - goal["tolerance"])
+    return "within tolerance" if goal["ratio"] >= least else "no"
+
+
+def section(outcome: dict[str, Any]) -> str:
+    """Return one benchmark as Markdown."""
+    taken = outcome["conditions"]
+    lines = [
+        f"## {outcome['title']}",
+        "",
+        outcome["about"],
+        "",
+        f"{taken['date']}, commit {taken['commit']}; {taken['machine']}.",
+        "",
+    ]
+    for table in outcome["tables"]:
+        lines += [f"{table['title']}:", "", *markdown(table), ""]
+    if outcome["goals"]:
+        goals = [
+            (
+                goal["name"],
+                f"{goal['ratio']:.3g}"
+                if goal["ratio"] < 1e3
+                else f"{goal['ratio']:.0f}",
+                f"{goal['at_least']:g} less {goal['tolerance']:.0%}",
+                verdict(goal),
+            )
+            for goal in outcome["goals"]
+        ]
+        header = ("ratio", "measured", "goal", "reached")
+        lines += [*markdown({"header": header, "rows": goals}), ""]
+    return "\n".join(lines)
+
+
+def markdown(table: dict[str, Any]) -> list[str]:
+    """Return the lines of *table*; all columns but the first to the right."""
+    rule = ["---", *["---:"] * (len(table["header"]) - 1)]
+    return [
+        f"| {' | '.join(row)} |"
+        for row in (table["header"], rule, *table["rows"])
+    ]
+
+
+if __name__ == "__main__":
+    sys.exit(main())
