@@ -56,6 +56,7 @@ class ResultsBuilder:
         """Collect from *estimator*, keeping a row every *every_us*."""
         self._estimator = estimator
         self._every_us = every_us
+        self._first_us: int | None = None
         self._times: list[npt.NDArray[np.int64]] = []
         self._rows: list[Column] = []
         self._vehicle: list[Column] = []
@@ -73,6 +74,8 @@ class ResultsBuilder:
         """Append *blocks*."""
         corners = len(self._estimator.plan.corners)
         for block in blocks:
+            if self._first_us is None:
+                self._first_us = block.times_us[0]
             times = np.frombuffer(block.times_us, np.int64)
             keep = times % self._every_us == 0
             n = len(times)
@@ -98,7 +101,8 @@ class ResultsBuilder:
     def finish(self) -> Results:
         """Return the columns of all blocks so far; at least one is needed.
 
-        The first publication is left out: no whole interval lies before it.
+        The estimator's first publication is left out: no whole interval lies
+        before it, so it has no mean speed.
         """
         times_us = np.concatenate(self._times)
         rows = np.concatenate(self._rows)
@@ -136,7 +140,7 @@ class ResultsBuilder:
                 if not np.isnan(measured).all():
                     part[f"{node}_measured_c"] = measured - KELVIN_OFFSET
             columns |= {f"{name}.{key}": part[key] for key in part}
-        if len(times_us) > 1:
+        if len(times_us) > 1 and times_us[0] == self._first_us:
             columns = {key: column[1:] for key, column in columns.items()}
         return Results(columns, corners, tuple(self._validity))
 

@@ -37,7 +37,7 @@ def _autosar_message(data_ids: list[int]) -> Message:
     properties.data_ids = data_ids
     properties.payload_length = 8
     specifics = message_specifics.AutosarMessageSpecifics()
-    specifics._e2e = properties  # noqa: SLF001  (only an ARXML sets it)
+    specifics._e2e = properties
     return Message(0x5B0, "M", 8, [], autosar_specifics=specifics)
 
 

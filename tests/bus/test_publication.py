@@ -391,7 +391,11 @@ def test_level_is_unknown_without_a_usable_estimate(
 
 @pytest.mark.parametrize(
     ("margin_k", "known", "level"),
-    [(100.0, True, "normal"), (10.0, False, "high"), (100.0, False, "unknown")],
+    [
+        (100.0, True, "normal"),
+        (10.0, False, "high"),
+        (100.0, False, "unknown"),
+    ],
 )
 def test_level_is_sent_in_the_risk_frame(
     *, margin_k: float, known: bool, level: str
