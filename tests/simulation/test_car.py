@@ -11,8 +11,8 @@ from bstm_daemon.simulation import (
     parse_drive,
 )
 from bstm_daemon.simulation.car import line_pressure, move
-from bstm_daemon.simulation.vehicle import real_car
 from bstm_daemon.simulation.profile import plan_course
+from bstm_daemon.simulation.vehicle import real_car
 
 HEAD = '[drive]\nname = "d"\ndescription = "x"\n'
 
