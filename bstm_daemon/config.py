@@ -232,9 +232,7 @@ class ThermalConfig(Section):
 class CoolingConfig(Section):
     """``[cooling]``: the S-function of Eq 4.12 and the standstill blend."""
 
-    speed_ms: list[NotNegative] = [
-        kmh / 3.6 for kmh in (0, 18, 36, 50, 70, 90, 150)
-    ]
+    speed_ms: list[NotNegative] = [0.0, 5.0, 10.0, 13.89, 19.44, 25.0, 41.67]
     s_per_s: list[NotNegative] = [
         *(4.0e-4, 1.0e-3, 1.6e-3, 2.0e-3, 2.7e-3, 3.4e-3, 5.4e-3)
     ]

@@ -5,11 +5,17 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
+from hypothesis import settings
 
 from bstm_daemon.config import Config, CornerConfig, VehicleConfig
 from bstm_daemon.errors import UsageError
 from bstm_daemon.native import VARIABLE, Kernel, load_kernel
 from bstm_daemon.thermal.brake_corner import CornerSpec, corner_spec
+
+# CI runs the same examples every time; a developer looks for new ones
+settings.register_profile("ci", derandomize=True, deadline=None)
+if os.environ.get("CI"):
+    settings.load_profile("ci")
 
 
 @pytest.fixture(scope="session")

@@ -132,9 +132,17 @@ def test_a_gzip_log_is_read(signal_map: SignalMap, write: Write) -> None:
         ("drive.log", b"", "the log is empty"),
         ("drive.blf", b"LOGG\0", r"\.blf files are not read: candump"),
         ("drive.MF4", b"MDF     ", r"\.mf4 files are not read"),
-        ("drive.asc.gz", gzip.compress(b"x", mtime=0), r"\.asc files are not read"),
+        (
+            "drive.asc.gz",
+            gzip.compress(b"x", mtime=0),
+            r"\.asc files are not read",
+        ),
         ("drive.log", b"\x00\x01\x02", "not a text log"),
-        ("drive.log", gzip.compress(b"x", mtime=0), r"without the ending \.gz"),
+        (
+            "drive.log",
+            gzip.compress(b"x", mtime=0),
+            r"without the ending \.gz",
+        ),
         ("drive.log.gz", b"(1.0) can0", "but is no gzip file"),
     ],
 )

@@ -8,6 +8,9 @@ from typing import ClassVar
 from bstm_daemon.effects.effect import CornerModel, Effect, Parameter
 from bstm_daemon.thermal.network import Link, Node
 
+NEGLIGIBLE = 1e-6
+"""Below this strength the two are one lump to within a microkelvin."""
+
 
 class CaliperFluidSplit(Effect):
     """The lump of section 4.7 becomes two nodes.
@@ -32,7 +35,7 @@ class CaliperFluidSplit(Effect):
 
     def apply(self, model: CornerModel) -> CornerModel:
         """Split ``fluid`` and let every loss start at ``caliper``."""
-        if self.strength == 0.0:
+        if self.strength < NEGLIGIBLE:
             return model
         net = model.network
         whole = net.node("fluid").capacity_j_k
