@@ -77,7 +77,7 @@ def run(*, full: bool) -> Outcome:
             "columns against python-can with cantools",
             timings.ratio("cantools", "columns"),
             at_least=40.0,
-            tolerance=0.2,
+            tolerance=0.5,
         )
     ]
     outcome.tables = [

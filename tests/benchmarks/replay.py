@@ -89,7 +89,7 @@ def run(*, full: bool) -> Outcome:
             "replay to Parquet against python-can with cantools decoding",
             others_s / to_parquet,
             at_least=10.0,
-            tolerance=0.2,
+            tolerance=0.5,
         )
     ]
     outcome.tables = [
