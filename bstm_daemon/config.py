@@ -130,6 +130,7 @@ class BusConfig(Section):
 class SignalConfig(Section):
     """``[signals.<role>]``: where a role comes from.
 
+    A signal or an expression of a message, or a column of a table.
     ``si = (value * scale + offset) * sign`` in ``unit``, then to SI. ``min``
     and ``max`` are limits in ``unit``; a value outside is not a sample.
     """
@@ -137,6 +138,7 @@ class SignalConfig(Section):
     message: str | None = None
     signal: str | None = None
     expression: str | None = None
+    column: Text | None = None
     bus: str | None = None
     unit: str
     sign: Literal[1, -1] = 1
@@ -148,15 +150,66 @@ class SignalConfig(Section):
 
     @model_validator(mode="after")
     def _one_source(self) -> Self:
-        if (self.signal is None) == (self.expression is None):
-            msg = "needs exactly one of 'signal' and 'expression'"
-            raise ValueError(msg)
-        if self.message is None:
-            msg = "needs 'message', the DBC message that carries it"
-            raise ValueError(msg)
+        if self.column is not None:
+            of_a_frame = (self.message, self.signal, self.expression, self.bus)
+            _require(
+                of_a_frame == (None,) * 4,
+                "with 'column', a column of a table, there is no 'message', "
+                "'signal', 'expression' or 'bus'",
+            )
+        else:
+            _require(
+                (self.signal is None) != (self.expression is None),
+                "needs exactly one of 'signal' and 'expression'"
+                + ("" if self.signal else ", or the 'column' of a table"),
+            )
+            _require(
+                self.message is not None,
+                "needs 'message', the DBC message that carries it",
+            )
         _require(self.scale != 0, "'scale' must not be 0")
         if self.min is not None and self.max is not None:
             _require(self.min < self.max, "'min' must be below 'max'")
+        return self
+
+
+class TableConfig(Section):
+    """``[table]``: where a signal table (CSV, Parquet, HDF5) has its time.
+
+    A table in the long format has one value a row: ``name`` is the column
+    with the name of the signal, ``value`` the one with its value.
+    """
+
+    time: Text | None = None
+    time_unit: Literal["s", "ms", "us", "iso8601"] | None = None
+    rate_hz: Positive | None = None
+    delimiter: Text | None = None
+    name: Text | None = None
+    value: Text | None = None
+
+    @model_validator(mode="after")
+    def _keys_fit(self) -> Self:
+        _require(
+            (self.time is None) != (self.rate_hz is None),
+            "needs either 'time', the column with the time, or 'rate_hz', "
+            "the rows a second of a table without one",
+        )
+        _require(
+            self.time_unit is None or self.time is not None,
+            "'time_unit' goes with 'time'",
+        )
+        _require(
+            (self.name is None) == (self.value is None),
+            "'name' and 'value' go together: one value a row",
+        )
+        _require(
+            self.name is None or self.rate_hz is None,
+            "'name' and 'value' need a column 'time', not 'rate_hz'",
+        )
+        _require(
+            self.delimiter is None or len(self.delimiter) == 1,
+            f"'delimiter' = {self.delimiter!r} must be one character",
+        )
         return self
 
 
@@ -361,8 +414,9 @@ class Config(Section):
     """A whole configuration file."""
 
     vehicle: VehicleConfig
-    bus: list[BusConfig]
+    bus: list[BusConfig] = []
     signals: dict[str, SignalConfig]
+    table: TableConfig | None = None
     corner: list[CornerConfig]
     thermal: ThermalConfig = ThermalConfig()
     cooling: CoolingConfig = CoolingConfig()

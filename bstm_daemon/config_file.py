@@ -24,6 +24,7 @@ from bstm_daemon.config import (
     PublishConfig,
     Section,
     SignalConfig,
+    TableConfig,
     ThermalConfig,
     VehicleConfig,
 )
@@ -39,6 +40,7 @@ S = TypeVar("S", bound=Section)
 
 _TABLES: Final[dict[str, type[Section]]] = {
     "vehicle": VehicleConfig,
+    "table": TableConfig,
     "thermal": ThermalConfig,
     "cooling": CoolingConfig,
     "heat": HeatConfig,
@@ -51,6 +53,7 @@ _ARRAYS: Final[dict[str, type[Section]]] = {
     "effect": EffectConfig,
 }
 _REQUIRED: Final = ("vehicle", "bus", "signals", "corner")
+_WITHOUT_DEFAULTS: Final = ("vehicle", "table")
 _POSITION: Final = re.compile(r"(.*) \(at (.*)\)$", re.DOTALL)
 
 
@@ -97,6 +100,7 @@ def draft_of(document: dict[str, Any]) -> tuple[Draft, list[str]]:
     for name, model in _ARRAYS.items():
         setattr(draft, name, _array(document, name, model, problems))
     draft.signals = _signals(document, problems)
+    draft.written_table = bool(document.get("table"))
     draft.written_buses = _tables(document.get("bus"))
     draft.written_corners = _tables(document.get("corner"))
     signals = document.get("signals")
@@ -150,8 +154,17 @@ def _section_names(document: dict[str, Any]) -> Iterator[str]:
             problem = f"{name} = {toml_text(value)}: stands before any section"
         yield f"{problem}, {hint(name, known)}"
     for name in _REQUIRED:
-        if not document.get(name):
+        needless = name == "bus" and _only_columns(document.get("signals"))
+        if not (document.get(name) or needless):
             yield f"{_heading(name)}: missing, every file needs it"
+
+
+def _only_columns(signals: object) -> bool:
+    """Whether all roles come from a table, so that no bus is needed."""
+    tables = list(signals.values()) if isinstance(signals, dict) else []
+    return bool(tables) and all(
+        isinstance(table, dict) and "column" in table for table in tables
+    )
 
 
 def _heading(name: str) -> str:
@@ -170,7 +183,7 @@ def _table(
     if not isinstance(table, dict):
         problems.append(f"{name}: must be one section, written [{name}]")
         return None
-    if name in _REQUIRED and not table:
+    if name in _WITHOUT_DEFAULTS and not table:
         return None
     return _validated(table, model, f"[{name}]", problems)
 

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
         HeatConfig,
         PublishConfig,
         SignalConfig,
+        TableConfig,
         VehicleConfig,
     )
 
@@ -48,6 +49,7 @@ class Draft:
     vehicle: VehicleConfig | None = None
     bus: list[BusConfig] = field(default_factory=list)
     signals: dict[str, SignalConfig] = field(default_factory=dict)
+    table: TableConfig | None = None
     corner: list[CornerConfig] = field(default_factory=list)
     thermal: ThermalConfig | None = None
     cooling: CoolingConfig | None = None
@@ -58,6 +60,7 @@ class Draft:
     written_buses: list[Table] = field(default_factory=list)
     written_corners: list[Table] = field(default_factory=list)
     written_signals: dict[str, Table] = field(default_factory=dict)
+    written_table: bool = False
 
     def bus_names(self) -> list[str]:
         """List the names of the buses; the first is the default bus."""
@@ -77,6 +80,7 @@ def problems_between(draft: Draft) -> list[str]:
             for role in draft.written_signals
             for problem in _signal_problems(role, draft)
         ),
+        *_table_problems(draft),
         *_corner_problems(draft),
         *_heat_problems(draft),
         *_effect_problems(draft),
@@ -85,13 +89,14 @@ def problems_between(draft: Draft) -> list[str]:
 
 
 def usable_signals(draft: Draft) -> dict[str, SignalConfig]:
-    """Return the signals without a problem whose bus has none either."""
+    """Return the signals of frames without a problem, nor their bus."""
     buses = {bus.name for bus in draft.bus}
     default = next(iter(draft.bus_names()), None)
     return {
         role: signal
         for role, signal in draft.signals.items()
-        if (signal.bus or default) in buses
+        if signal.column is None
+        and (signal.bus or default) in buses
         and not _signal_problems(role, draft)
     }
 
@@ -161,6 +166,25 @@ def _bus_problems(buses: list[BusConfig]) -> Iterator[str]:
                 f"[[bus]] {bus.name} channel = {toml_text(bus.channel)}: "
                 f"is the channel of [[bus]] {owner} already"
             )
+
+
+def _table_problems(draft: Draft) -> Iterator[str]:
+    tables = draft.written_signals
+    columns = [role for role, table in tables.items() if "column" in table]
+    frames = [role for role in tables if role not in columns]
+    if columns and frames:
+        yield (
+            f"[signals.{columns[0]}] column: stands beside roles of frames "
+            f"([signals.{frames[0]}]), use one file for a bus and one for a "
+            "table"
+        )
+    if columns and not draft.written_table:
+        yield (
+            f"[table]: missing, [signals.{columns[0]}] is a column: give "
+            "'time', the column with the time, or 'rate_hz'"
+        )
+    if draft.written_table and tables and not columns:
+        yield "[table]: no role comes from a table, give a role its 'column'"
 
 
 def _corner_problems(draft: Draft) -> Iterator[str]:
@@ -260,7 +284,11 @@ def _effect_problems(draft: Draft) -> Iterator[str]:
 
 def _publish_problems(draft: Draft) -> Iterator[str]:
     publish = draft.publish
-    if publish is None or publish.bus is None:
+    if publish is None:
+        return
+    if publish.enabled and draft.written_signals and not draft.written_buses:
+        yield "[publish] enabled = true: needs a [[bus]] to send on"
+    if publish.bus is None:
         return
     if publish.bus not in draft.bus_names():
         yield (

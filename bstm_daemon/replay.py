@@ -55,7 +55,7 @@ def replay_log(
     path: Path,
     overrides: Mapping[str, str] | None = None,
     every_us: int = PUBLISH_US,
-    progress: Callable[[int], None] | None = None,
+    progress: Callable[[int, float | None], None] | None = None,
 ) -> Replay:
     """Run the estimator over the log *path*.
 
@@ -65,7 +65,8 @@ def replay_log(
         path: a log.
         overrides: log interface name to bus name.
         every_us: time between two rows [us], a multiple of 100 000.
-        progress: called with the number of lines read so far.
+        progress: called with the number of lines read so far and the share
+            of the file, None where it is not known.
 
     Raises:
         LogError: the log is unusable, holds none of the wanted ids, or is
@@ -80,7 +81,7 @@ def replay_log(
             estimator.advance(events.time_us, events.role, events.value)
         )
         if progress is not None:
-            progress(log.reader.lines)
+            progress(log.reader.lines, log.share)
     if not builder.rows:
         msg = f"{path}: too short for a row every {every_us * 1e-6:g} s"
         raise LogError(msg)

@@ -18,6 +18,7 @@ SECTIONS: dict[str, type[config.Section]] = {
     "`[vehicle]`": config.VehicleConfig,
     "`[[bus]]`": config.BusConfig,
     "`[signals.<role>]`": config.SignalConfig,
+    "`[table]`": config.TableConfig,
     "`[[corner]]`": config.CornerConfig,
     "`[[corner]]` `disc`": config.DiscConfig,
     "`[[corner]]` `pad`": config.PadConfig,
@@ -230,6 +231,33 @@ def test_signal_rules(changes: dict[str, Any]) -> None:
 
     with pytest.raises(ValidationError):
         config.SignalConfig.model_validate(table)
+
+
+@pytest.mark.parametrize("key", ["message", "signal", "expression", "bus"])
+def test_a_column_stands_alone(key: str) -> None:
+    """A role of a table names no frame."""
+    table = {"column": "speed", "unit": "km/h"}
+
+    assert config.SignalConfig.model_validate(table).column == "speed"
+    with pytest.raises(ValidationError, match="with 'column'"):
+        config.SignalConfig.model_validate({**table, key: "x"})
+
+
+@pytest.mark.parametrize(
+    ("table", "reason"),
+    [
+        ({}, "needs either 'time'"),
+        ({"time": "t", "rate_hz": 50}, "needs either 'time'"),
+        ({"rate_hz": 50, "time_unit": "s"}, "'time_unit' goes with 'time'"),
+        ({"time": "t", "name": "n"}, "'name' and 'value' go together"),
+        ({"rate_hz": 5, "name": "n", "value": "v"}, "need a column 'time'"),
+        ({"time": "t", "delimiter": ", "}, "must be one character"),
+    ],
+)
+def test_table_rules(table: dict[str, Any], reason: str) -> None:
+    """Keys of a table that contradict each other are refused."""
+    with pytest.raises(ValidationError, match=reason):
+        config.TableConfig.model_validate(table)
 
 
 def test_corner_overrides_single_keys() -> None:

@@ -142,6 +142,40 @@ id_base = 0x400
     assert [corner.name for corner in config.corner] == ["FL", "RR"]
 
 
+def table_only() -> str:
+    """Return BASE with the roles as columns and without a bus."""
+    return (
+        BASE.replace('[[bus]]\nname = "chassis"\ndbc = "car.dbc"\n', "")
+        .replace('message = "WheelSpeeds"\nsignal = "Speed"', 'column = "v"')
+        .replace('message = "Brake"\nsignal = "Pressure"', 'column = "p"')
+    )
+
+
+def test_a_table_needs_no_bus(tmp_path: Path) -> None:
+    """Roles that are columns make a configuration without a bus."""
+    text = table_only() + '[table]\ntime = "t"\n'
+
+    config = load_config(write(tmp_path, text))
+
+    assert config.bus == []
+    assert config.table is not None
+    assert config.table.time == "t"
+    assert config.signals["vehicle_speed"].column == "v"
+
+
+def test_a_table_cannot_publish(tmp_path: Path) -> None:
+    """Frames need a bus to be sent on, columns need a table."""
+    text = table_only() + "[publish]\nenabled = true\n"
+
+    assert problems(tmp_path, text) == [
+        (
+            "[table]: missing, [signals.vehicle_speed] is a column: give "
+            "'time', the column with the time, or 'rate_hz'"
+        ),
+        "[publish] enabled = true: needs a [[bus]] to send on",
+    ]
+
+
 @pytest.mark.parametrize(
     "mistake", MISTAKES, ids=lambda mistake: mistake["say"][0]
 )

@@ -1,44 +1,102 @@
 """Logs as samples: opening, interfaces, and errors worded for the user.
 
-This version reads the text logs of ``candump -l`` and ``-L``, also
-compressed with gzip.
+The ending of a file says what it is: a log of CAN frames in one of the
+formats of :data:`FORMATS`, or a signal table. Either way :class:`EventLog`
+gives its samples.
 """
 
-from collections import Counter
-from collections.abc import Collection, Iterator, Mapping, Sequence
-from pathlib import Path
-from typing import Final
+from __future__ import annotations
 
-from bstm_daemon.bus.candump import CandumpReader, Wanted
-from bstm_daemon.bus.columns import Events, decode_chunk
-from bstm_daemon.bus.refusal import Refusal
-from bstm_daemon.bus.signal_map import SignalMap
-from bstm_daemon.config import BusConfig
+import gzip
+import zlib
+from collections import Counter
+from typing import TYPE_CHECKING, Final
+
+from bstm_daemon.bus.candump import CandumpReader
+from bstm_daemon.bus.columns import decode_chunk
+from bstm_daemon.bus.table_plan import TableMap
 from bstm_daemon.errors import FileAccessError, LogError, UsageError
+
+if TYPE_CHECKING:
+    from collections.abc import (
+        Callable,
+        Collection,
+        Iterator,
+        Mapping,
+        Sequence,
+    )
+    from pathlib import Path
+
+    from bstm_daemon.bus.candump import Wanted
+    from bstm_daemon.bus.columns import Events
+    from bstm_daemon.bus.log_reader import FrameReader
+    from bstm_daemon.bus.refusal import Refusal
+    from bstm_daemon.bus.signal_map import SignalMap
+    from bstm_daemon.bus.table_log import TableReader
+    from bstm_daemon.config import BusConfig
 
 NOT_READ: Final = -1
 """Bus number of an interface that ``--map IFACE=`` leaves out."""
 
-_FORMATS: Final = (
-    "candump -l text logs, plain or with the ending .gz, are read"
+FORMATS: Final = (
+    "read are candump -l text logs (.log, any other ending), .asc, .blf, "
+    ".trc and python-can's .csv, each also with .gz behind, .mf4, and signal "
+    "tables (.csv, .tsv, .parquet, .h5, .hdf5)"
 )
+"""What can be read, for messages."""
+
+_MAGIC: Final = {
+    ".blf": (b"LOGG",),
+    ".mf4": (b"MDF     ", b"UnFinMF "),
+    ".parquet": (b"PAR1",),
+    ".h5": (b"\x89HDF\r\n\x1a\n",),
+    ".hdf5": (b"\x89HDF\r\n\x1a\n",),
+}
+"""How a binary file begins, by its ending."""
+_TEXTS: Final = (".asc", ".trc", ".csv", ".tsv")
+_PACKED: Final = (".blf", *_TEXTS)
+"""Endings that may have ``.gz`` behind, besides candump's."""
+_MESSAGES: Final = (".asc", ".blf", ".trc")
 _OTHER_ENDINGS: Final = frozenset(
     {
-        *(".asc", ".blf", ".csv", ".db", ".mat", ".mdf", ".mf4"),
-        *(".parquet", ".pcap", ".pcapng", ".trc"),
+        *(".mat", ".mdf", ".dat", ".db", ".xlsx", ".xls", ".json", ".zip"),
+        *(".pcap", ".pcapng", ".xz", ".bz2", ".zst", ".feather", ".bin"),
     }
 )
 _GZIP_MAGIC: Final = b"\x1f\x8b"
+_CANDUMP: Final = "candump"
+_TABLE: Final = "table"
 _HEAD_BYTES: Final = 4096
 _IDS_SHOWN: Final = 12
 
 
-def open_log(path: Path, wanted: Wanted | None = None) -> CandumpReader:
-    """Return the reader of the log *path*, for *wanted* ids or all.
+def open_log(path: Path, wanted: Wanted | None = None) -> FrameReader:
+    """Return the reader of the CAN log *path*, for *wanted* ids or all.
 
     Raises :class:`FileAccessError` where the file cannot be read and
-    :class:`LogError` where it is empty or in a format that is not read.
+    :class:`LogError` where it is empty, in a format that is not read or a
+    signal table.
     """
+    kind = _kind_of(path)
+    if kind == _TABLE:
+        msg = (
+            f"{path}: a signal table has no CAN frames; of roles with "
+            "'column' in the configuration it gives the samples"
+        )
+        raise LogError(msg)
+    if kind == _CANDUMP:
+        return CandumpReader(path, wanted)
+    if kind == ".mf4":
+        from bstm_daemon.bus.log_mf4 import Mf4Reader  # noqa: PLC0415
+
+        return Mf4Reader(path, wanted)
+    from bstm_daemon.bus.log_messages import MessageReader  # noqa: PLC0415
+
+    return MessageReader(path, wanted)
+
+
+def _kind_of(path: Path) -> str:
+    """Return the kind of log that *path* is, by ending and beginning."""
     try:
         with path.open("rb") as stream:
             head = stream.read(_HEAD_BYTES)
@@ -50,21 +108,52 @@ def open_log(path: Path, wanted: Wanted | None = None) -> CandumpReader:
         raise LogError(msg)
     is_gzip = head.startswith(_GZIP_MAGIC)
     endings = [ending.lower() for ending in path.suffixes]
-    other = _OTHER_ENDINGS.intersection(
-        endings[-2:] if is_gzip else endings[-1:]
-    )
-    binary = not is_gzip and b"\0" in head
-    if other or binary or is_gzip != (path.suffix == ".gz"):
-        what = (
-            f"{min(other)} files are not read" if other else "not a text log"
-        )
-        if not other and is_gzip:
-            what = "a gzip file without the ending .gz"
-        elif not other and path.suffix == ".gz":
-            what = "has the ending .gz but is no gzip file"
-        msg = f"{path}: {what}: {_FORMATS}"
+    has_gz = endings[-1:] == [".gz"]
+    ending = "".join(endings[-2:-1] if has_gz else endings[-1:])
+    wrong = _wrong(head, ending, is_gzip=is_gzip, has_gz=has_gz)
+    if wrong:
+        msg = f"{path}: {wrong}: {FORMATS}"
         raise LogError(msg)
-    return CandumpReader(path, wanted)
+    if ending == ".csv":
+        return ending if _has_frames(path, is_gzip=is_gzip) else _TABLE
+    if ending in _MESSAGES or ending == ".mf4":
+        return ending
+    is_table = ending in (".tsv", ".parquet", ".h5", ".hdf5")
+    return _TABLE if is_table else _CANDUMP
+
+
+def _wrong(head: bytes, ending: str, *, is_gzip: bool, has_gz: bool) -> str:
+    """Return why a file that begins so is not read, or nothing."""
+    begins = _MAGIC.get(ending, ())
+    reason = ""
+    if ending in _OTHER_ENDINGS:
+        reason = f"{ending} files are not read"
+    elif is_gzip != has_gz:
+        reason = (
+            "a gzip file without the ending .gz"
+            if is_gzip
+            else "has the ending .gz but is no gzip file"
+        )
+    elif is_gzip and begins and ending not in _PACKED:
+        reason = f"{ending} files packed with gzip are not read"
+    elif begins and not is_gzip and not head.startswith(begins):
+        reason = f"has the ending {ending} but does not begin like one"
+    elif not begins and not is_gzip and b"\0" in head:
+        reason = "not a text log"
+    return reason
+
+
+def _has_frames(path: Path, *, is_gzip: bool) -> bool:
+    """Whether a CSV file is python-can's log of frames, by its header."""
+    from bstm_daemon.bus.log_text_guards import is_frame_csv  # noqa: PLC0415
+
+    try:
+        with gzip.open(path) if is_gzip else path.open("rb") as stream:
+            line = stream.readline(_HEAD_BYTES)
+    except (EOFError, gzip.BadGzipFile, zlib.error) as error:
+        msg = f"{path}: damaged in its first line: {error}"
+        raise LogError(msg) from error
+    return is_frame_csv(line.decode("utf-8", "replace"))
 
 
 def resolve_interfaces(
@@ -111,6 +200,28 @@ def resolve_interfaces(
     ]
 
 
+def _open_frames(path: Path, wanted: Wanted) -> FrameReader:
+    if _kind_of(path) == _TABLE:
+        msg = (
+            f"{path}: is a signal table, but no role of the configuration "
+            "is a 'column'"
+        )
+        raise LogError(msg)
+    return open_log(path, wanted)
+
+
+def _open_table(path: Path, table_map: TableMap) -> TableReader:
+    from bstm_daemon.bus.table_log import TableReader  # noqa: PLC0415
+
+    if _kind_of(path) != _TABLE:
+        msg = (
+            f"{path}: is a log of CAN frames, but the roles of the "
+            "configuration are columns of a table"
+        )
+        raise LogError(msg)
+    return TableReader(path, table_map)
+
+
 class EventLog:
     """The samples of one log, in file order.
 
@@ -124,26 +235,46 @@ class EventLog:
         signal_map: SignalMap,
         overrides: Mapping[str, str] | None = None,
     ) -> None:
-        """Open *path*; raises what :func:`open_log` raises."""
-        self.reader = open_log(path, self._wanted)
+        """Open *path*: frames, or a signal table where roles are columns.
+
+        Raises what :func:`open_log` raises, and :class:`LogError` for frames
+        or a table where the configuration expects the other.
+        """
         self.counts: Counter[Refusal] = Counter()
         self._signal_map = signal_map
         self._overrides = dict(overrides or {})
         self._bus_of_channel: list[int] = []
+        self.reader: FrameReader | TableReader
+        if isinstance(signal_map, TableMap):
+            self.reader = table = _open_table(path, signal_map)
+            self._source: Callable[[], Iterator[Events]] = table.events
+        else:
+            self._frames = self.reader = _open_frames(path, self._wanted)
+            self._source = self._decoded
+
+    @property
+    def share(self) -> float | None:
+        """How much of the file is read, from 0 to 1; ``None``: unknown."""
+        share: float | None = getattr(self.reader, "share", None)
+        return share
 
     def events(self) -> Iterator[Events]:
         """Yield the samples chunk by chunk; memory stays flat.
 
-        Raises :class:`LogError` for an interface that no bus stands for, and
-        at the end for a log without frames, without wanted ids or without a
-        single sample.
+        Raises :class:`LogError` for an interface that no bus stands for or a
+        column that is not there, and at the end for a log without frames,
+        without wanted ids or without a single sample.
         """
+        for events in self._source():
+            self.counts.update(events.counts)
+            yield events
+
+    def _decoded(self) -> Iterator[Events]:
         samples = 0
-        for chunk in self.reader.chunks():
+        for chunk in self._frames.chunks():
             events = decode_chunk(
                 self._signal_map, chunk, self._bus_of_channel
             )
-            self.counts.update(events.counts)
             samples += len(events)
             yield events
         if not samples:
@@ -153,22 +284,22 @@ class EventLog:
     def _wanted(self, interface: str) -> Collection[tuple[int, bool]] | None:
         try:
             self._bus_of_channel = resolve_interfaces(
-                self.reader.interfaces,
+                self._frames.interfaces,
                 self._signal_map.buses,
                 self._overrides,
             )
         except LogError as error:
-            msg = f"{self.reader.path}: {error}"
+            msg = f"{self._frames.path}: {error}"
             raise LogError(msg) from error
-        bus = self._bus_of_channel[self.reader.interfaces.index(interface)]
+        bus = self._bus_of_channel[self._frames.interfaces.index(interface)]
         return None if bus == NOT_READ else self._signal_map.wanted(bus)
 
     def _why_empty(self) -> str:
-        reader = self.reader
+        reader = self._frames
         if not reader.seen:
             return (
                 f"no data frame in {reader.lines} lines "
-                f"({_listed(reader.refused)}): {_FORMATS}"
+                f"({_listed(reader.refused)}): {FORMATS}"
             )
         if not reader.frames:
             return (
@@ -188,9 +319,9 @@ class EventLog:
         )
 
     def _seen(self) -> str:
-        keys = sorted(self.reader.seen)
+        keys = sorted(self._frames.seen)
         shown = ", ".join(
-            f"{self.reader.interfaces[channel]} "
+            f"{self._frames.interfaces[channel]} "
             f"{id_text(can_id, extended=extended)}"
             for channel, can_id, extended in keys[:_IDS_SHOWN]
         )

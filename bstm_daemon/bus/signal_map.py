@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING, Final
 
 from bstm_daemon.bus.dbc import (
     UnusableSignalError,
-    load_dbc,
     multiplexers,
     raw_signal,
+    read_dbc,
 )
 from bstm_daemon.bus.expression import (
     Expression,
@@ -45,6 +45,7 @@ if TYPE_CHECKING:
 
     from cantools.database.can import Database, Message
 
+    from bstm_daemon.bus.dbc_text import DbcDefect
     from bstm_daemon.config import BusConfig, SignalConfig
 
 _LARGEST: Final = sys.float_info.max
@@ -55,12 +56,14 @@ _LONGEST_LIST: Final = 8
 class SignalMap:
     """The extraction plan of a configuration.
 
-    ``timeouts_us[role]`` is how long a value of a role counts as present.
+    ``timeouts_us[role]`` is how long a value of a role counts as present,
+    ``warnings[bus]`` what had to be overlooked to load the bus's DBC.
     """
 
     buses: tuple[BusConfig, ...]
     messages: Mapping[FrameKey, MessagePlan]
     timeouts_us: tuple[int, ...]
+    warnings: Mapping[str, tuple[DbcDefect, ...]] = field(default_factory=dict)
 
     def wanted(self, bus: int) -> frozenset[tuple[int, bool]]:
         """Return the (id, extended) that bus number *bus* is read for."""
@@ -102,6 +105,7 @@ def compile_signal_map(
         timeouts_us=tuple(
             _timeout_us(role, signals.get(role.name)) for role in ROLES
         ),
+        warnings=compiler.warnings,
     )
 
 
@@ -135,6 +139,7 @@ class _Compiler:
         self, buses: Sequence[BusConfig], base: Path, wheel_radius_m: float
     ) -> None:
         self.problems: list[str] = []
+        self.warnings: dict[str, tuple[DbcDefect, ...]] = {}
         self._buses = buses
         self._wheel_radius_m = wheel_radius_m
         self._drafts: dict[FrameKey, _Draft] = {}
@@ -148,7 +153,7 @@ class _Compiler:
                 )
                 continue
             try:
-                self._databases[bus.name] = load_dbc(
+                loaded = read_dbc(
                     base / bus.dbc, strict=bus.strict, encoding=bus.encoding
                 )
             except ConfigError as error:
@@ -156,6 +161,10 @@ class _Compiler:
                     f"[[bus]] name = {bus.name!r}: {line}"
                     for line in error.problems
                 )
+                continue
+            self._databases[bus.name] = loaded.database
+            if loaded.warnings:
+                self.warnings[bus.name] = loaded.warnings
 
     def plans(self) -> dict[FrameKey, MessagePlan]:
         return {

@@ -1,4 +1,8 @@
-"""``bstm check``: every problem of a configuration at once, or its summary."""
+"""``bstm check``: every problem of a configuration at once, or its summary.
+
+With ``--log`` the signals of a recording are judged as well, see
+:mod:`bstm_daemon.cli.check_log`.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +10,8 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bstm_daemon.cli.arguments import add_json
+from bstm_daemon.cli.arguments import add_bus_map, add_json, add_report
+from bstm_daemon.cli.check_log import check_logs
 from bstm_daemon.config_file import load_config, naming_file, read_draft
 from bstm_daemon.config_rules import usable_signals
 from bstm_daemon.errors import ConfigError, UsageError
@@ -25,7 +30,7 @@ _ANY_RADIUS_M = 0.3
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare ``CONFIG``, ``-c CONFIG`` and ``--json``."""
+    """Declare ``CONFIG``, the logs and where results go."""
     parser.add_argument(
         "configuration",
         nargs="?",
@@ -36,27 +41,53 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "-c", "--config", type=Path, metavar="FILE", help="the same as CONFIG"
     )
+    parser.add_argument(
+        "--log",
+        type=Path,
+        action="append",
+        default=[],
+        metavar="LOG",
+        help="judge the signals of this log as well; may be repeated for the "
+        "parts of one recording",
+    )
+    add_bus_map(parser)
     add_json(parser)
+    add_report(parser)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print the summary; raise ConfigError with all problems, if any."""
+    """Print the summary; raise ConfigError with all problems, if any.
+
+    With logs the result is 1 where one is not usable.
+    """
     if (args.configuration is None) == (args.config is None):
         msg = "check needs one configuration: bstm check CONFIG"
+        raise UsageError(msg)
+    if (args.report or args.map) and not args.log:
+        msg = "--report and --map go with --log LOG"
         raise UsageError(msg)
     path: Path = args.configuration or args.config
     problems = problems_of(path)
     config = None if problems else load_config(path)
+    warnings = dbc_warnings(config, path.parent) if config else []
+    checked = None
+    if config is not None and args.log:
+        checked = check_logs(args, path)
     if args.json:
         result: dict[str, Any] = {"file": str(path), "problems": problems}
         if config is not None:
+            result["warnings"] = warnings
             result["configuration"] = config.model_dump(mode="json")
+        if checked is not None:
+            result["log"] = checked.data
         with replacing(args.json) as file:
             file.write_text(json.dumps(result, indent=2) + "\n", "utf-8")
     if config is None:
         raise ConfigError(problems)
-    print(summary(config, path))
-    return 0
+    print(summary(config, path) if checked is None else checked.text)
+    for number, warning in enumerate(warnings):
+        print(f"{'' if number else chr(10)}warning: {warning}")
+    return 0 if checked is None or checked.usable else 1
 
 
 def problems_of(path: Path) -> list[str]:
@@ -95,6 +126,22 @@ def _dbc_problems(draft: Draft, folder: Path) -> list[str]:
     except ConfigError as error:
         return error.problems
     return []
+
+
+def dbc_warnings(config: Config, folder: Path) -> list[str]:
+    """List what is overlooked in the DBC files of *config*, a line each.
+
+    DBC paths are relative to *folder*.
+    """
+    from bstm_daemon.bus.dbc import read_dbc  # noqa: PLC0415
+
+    return [
+        f"[[bus]] {bus.name} {bus.dbc}: {defect}"
+        for bus in config.bus
+        for defect in read_dbc(
+            folder / bus.dbc, strict=bus.strict, encoding=bus.encoding
+        ).warnings
+    ]
 
 
 def _model_problems(path: Path) -> list[str]:
@@ -206,9 +253,12 @@ def _publish(config: Config) -> str:
 def _signal(
     role: str, signal: SignalConfig, config: Config
 ) -> tuple[str, ...]:
-    value = signal.signal or f"({signal.expression})"
-    source = f"{signal.message}.{value}"
-    if len(config.bus) > 1:
+    if signal.column is not None:
+        source = f"column {signal.column}"
+    else:
+        value = signal.signal or f"({signal.expression})"
+        source = f"{signal.message}.{value}"
+    if len(config.bus) > 1 and signal.column is None:
         source = f"{signal.bus or config.bus[0].name}: {source}"
     timeout_s = signal.timeout_s or ROLES[ROLE_INDEX[role]].timeout_s
     return role, source, signal.unit, f"{timeout_s:g} s"

@@ -42,6 +42,10 @@ COMMANDS: Final[dict[str, Command]] = {
         "bstm_daemon.cli.demo",
         "simulate a descent, estimate it from CAN alone, write a report",
     ),
+    "init": Command(
+        "bstm_daemon.cli.init",
+        "propose a configuration from a DBC and recorded logs",
+    ),
     "check": Command(
         "bstm_daemon.cli.check",
         "check a configuration and its DBC files, list every problem",
@@ -179,7 +183,7 @@ def _set_up_log(verbosity: int) -> None:
             if is_terminal
             else structlog.processors.JSONRenderer(),
         ],
-        logger_factory=structlog.WriteLoggerFactory(sys.stderr),
+        logger_factory=lambda *_: structlog.WriteLogger(sys.stderr),
         cache_logger_on_first_use=False,
     )
 

@@ -190,12 +190,16 @@ def _stem(path: Path) -> str:
     return Path(name).stem
 
 
-def _share_of(path: Path, progress: Progress) -> Callable[[int], None]:
+def _share_of(
+    path: Path, progress: Progress
+) -> Callable[[int, float | None], None]:
     try:
         size = max(path.stat().st_size, 1)
     except OSError:  # the replay itself reports a missing file
         size = 1
-    return lambda lines: progress.show(min(lines * BYTES_PER_LINE / size, 1.0))
+    return lambda lines, share: progress.show(
+        min(lines * BYTES_PER_LINE / size, 1.0) if share is None else share
+    )
 
 
 def _every_s(text: str) -> float:

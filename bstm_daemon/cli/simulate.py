@@ -9,11 +9,16 @@ from bstm_daemon.cli.arguments import add_out
 from bstm_daemon.errors import UsageError
 from bstm_daemon.shipped import shipped_file
 from bstm_daemon.simulation import (
+    SENSOR_PRESETS,
     Drive,
+    Effects,
     drive_names,
     load_drive,
+    load_vehicle,
+    preset_effects,
     read_drive,
     simulate,
+    vehicle_names,
 )
 from bstm_daemon.simulation.frames import Encoder
 from bstm_daemon.simulation.recorder import write_candump, write_truth
@@ -28,13 +33,33 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "drive",
         nargs="?",
         metavar="DRIVE",
-        help=f"{', '.join(drive_names())}, or a TOML file that describes one",
+        help="a drive of --list, or a TOML file that describes one",
     )
     add_out(parser, "candump log to write", "LOG")
     parser.add_argument(
         "--preset",
         default="plain",
-        help="what the simulated car's brakes do (default: plain)",
+        help="what the simulated car's brakes do: plain or road "
+        "(default: plain)",
+    )
+    parser.add_argument(
+        "--effect",
+        action="append",
+        default=[],
+        metavar="NAME=STRENGTH",
+        help="switch one effect besides the preset's; 0 is off, 1 typical; "
+        "may be repeated",
+    )
+    parser.add_argument(
+        "--sensors",
+        default="none",
+        choices=tuple(SENSOR_PRESETS),
+        help="errors of the sensors, n1 good to n4 poor (default: none)",
+    )
+    parser.add_argument(
+        "--vehicle",
+        choices=tuple(vehicle_names()),
+        help="the car that drives (default: the drive's own, mostly nominal)",
     )
     parser.add_argument(
         "--truth",
@@ -62,7 +87,13 @@ def run(args: argparse.Namespace) -> int:
     if args.drive is None or args.out is None:
         msg = "simulate needs a DRIVE and -o LOG (bstm simulate --list)"
         raise UsageError(msg)
-    driven = simulate(_drive(args.drive), preset=args.preset, seed=args.seed)
+    driven = simulate(
+        _drive(args.drive),
+        load_vehicle(args.vehicle) if args.vehicle else None,
+        preset=_effects(args.preset, args.effect),
+        sensors=args.sensors,
+        seed=args.seed,
+    )
     encoder = Encoder(shipped_file("dbc/example_vehicle.dbc"))
     frames = write_candump(args.out, driven, encoder)
     duration_s = len(driven.time_s) * 0.01
@@ -71,6 +102,19 @@ def run(args: argparse.Namespace) -> int:
         write_truth(args.truth, driven)
         print(f"{args.truth}: {len(driven.slow_time_s)} rows of truth")
     return 0
+
+
+def _effects(preset: str, switched: list[str]) -> Effects:
+    effects = preset_effects(preset)
+    for text in switched:
+        name, _, value = text.partition("=")
+        try:
+            strength = float(value)
+        except ValueError:
+            msg = f"--effect {text}: give NAME=STRENGTH, as in disc_hat=1.0"
+            raise UsageError(msg) from None
+        effects = effects.with_strength(name, strength)
+    return effects
 
 
 def _drive(name: str) -> Drive:

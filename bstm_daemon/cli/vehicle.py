@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from bstm_daemon.bus.signal_map import SignalMap, compile_signal_map
+import structlog
+
+from bstm_daemon.bus.table_plan import compile_sources
 from bstm_daemon.config_file import load_config, naming_file
 from bstm_daemon.effects.catalogue import problems_of
 from bstm_daemon.errors import ConfigError
@@ -12,7 +14,10 @@ from bstm_daemon.errors import ConfigError
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from bstm_daemon.bus.signal_map import SignalMap
     from bstm_daemon.config import Config
+
+_LOG = structlog.get_logger()
 
 
 def load_vehicle(path: Path) -> tuple[Config, SignalMap]:
@@ -27,10 +32,15 @@ def load_vehicle(path: Path) -> tuple[Config, SignalMap]:
         wrong = problems_of(config.effect)
         if wrong:
             raise ConfigError(wrong)
-        signal_map = compile_signal_map(
+        signal_map = compile_sources(
             config.bus,
             config.signals,
+            config.table,
             path.parent,
             config.vehicle.wheel_radius_m,
         )
+    for bus, defects in signal_map.warnings.items():
+        for defect in defects:
+            if not defect.harmless:
+                _LOG.info("dbc_defect", bus=bus, defect=str(defect))
     return config, signal_map

@@ -85,13 +85,13 @@ def replay_page(results: Results, facts: ReportFacts) -> str:
     Raises:
         MissingExtraError: plotly is not installed.
     """
-    library = _plotly_js()
+    library = plotly_js()
     summary = summarize(results)
     figure = replay_figure(results, summary)
     policy = (
         "default-src 'none'; style-src 'unsafe-inline'; "
         "img-src data: blob:; script-src "
-        + " ".join(_hash_source(script) for script in (library, SCRIPT))
+        + " ".join(hash_source(script) for script in (library, SCRIPT))
     )
     buttons = "".join(
         f'<button type="button" aria-pressed="false">{view.name}</button>'
@@ -156,7 +156,8 @@ def script_safe_json(value: object) -> str:
     return text
 
 
-def _plotly_js() -> str:
+def plotly_js() -> str:
+    """Source of plotly.js; raises MissingExtraError without plotly."""
     try:
         from plotly.offline import get_plotlyjs  # noqa: PLC0415
     except ImportError as error:
@@ -167,7 +168,8 @@ def _plotly_js() -> str:
     return library.replace("</script", r"<\/script")
 
 
-def _hash_source(script: str) -> str:
+def hash_source(script: str) -> str:
+    """Source expression of a content security policy for *script*."""
     digest = hashlib.sha256(script.encode()).digest()
     return f"'sha256-{base64.b64encode(digest).decode()}'"
 

@@ -13,31 +13,41 @@ from bstm_daemon.simulation.drives import (
     parse_drive,
     read_drive,
 )
+from bstm_daemon.simulation.energy import EnergyLedger, energy_ledger
 from bstm_daemon.simulation.march import LaneInputs, LaneResult
 from bstm_daemon.simulation.parameters import (
     EFFECT_NAMES,
     CornerParameters,
     Effects,
     Mesh,
+    preset_effects,
 )
+from bstm_daemon.simulation.sensor_presets import SENSOR_PRESETS
 from bstm_daemon.simulation.simulate import SimulatedDrive, simulate
 from bstm_daemon.simulation.vehicle import NOMINAL, CarParameters
+from bstm_daemon.simulation.vehicles import load_vehicle, vehicle_names
 
 __all__ = [
     "EFFECT_NAMES",
     "NOMINAL",
+    "SENSOR_PRESETS",
     "CarParameters",
     "CornerParameters",
     "Drive",
     "Effects",
+    "EnergyLedger",
     "LaneInputs",
     "LaneResult",
     "Mesh",
     "SimulatedDrive",
     "drive_names",
+    "energy_ledger",
     "load_drive",
+    "load_vehicle",
     "march_lanes",
     "parse_drive",
+    "preset_effects",
     "read_drive",
     "simulate",
+    "vehicle_names",
 ]

@@ -1,52 +1,19 @@
-/* Materials and heat paths of a brake corner: the maths of materials.py,
- * lanes.py and network.py. Part of _reality.c. */
+/* Heat paths of a brake corner: the maths of lanes.py and network.py. Part of
+ * _reality.c. */
 #ifndef BSTM_REALITY_PATHS_H
 #define BSTM_REALITY_PATHS_H
-#include <math.h>
 #include <string.h>
+
+#include "_reality_materials.h"
 
 #define MAX_NODES 128
 #define SIDES 2
 #define PORTS 3
 
-/* rows of the parameter table: must be lanes.PARAMETER_NAMES */
-#define PARAMETERS(X) \
-    X(piston_area_m2) X(piston_count) X(efficiency) \
-    X(friction_coefficient) X(effective_radius_m) X(ring_mass_kg) \
-    X(face_area_m2) X(cheek_thickness_m) X(iron_density_kg_m3) \
-    X(face_air_area_m2) X(vent_area_m2) X(vent_bridge_area_m2) \
-    X(face_emissivity) X(vent_emissivity) X(vent_opening_area_m2) \
-    X(natural_convection_w_m2k) X(parked_vent_fraction) \
-    X(forced_face_w_m2k) X(forced_vent_w_m2k) X(forced_exponent) \
-    X(pad_area_m2) X(pad_thickness_m) X(pad_density_kg_m3) \
-    X(pad_heat_capacity_j_kgk) X(pad_conductivity_w_mk) \
-    X(pad_emissivity) X(backplate_area_m2) X(backplate_thickness_m) \
-    X(shim_resistance_m2k_w) X(hammerhead_forced_w_k) \
-    X(piston_capacity_j_k) X(fluid_capacity_j_k) X(body_capacity_j_k) \
-    X(finger_capacity_j_k) X(bracket_capacity_j_k) X(hat_capacity_j_k) \
-    X(hub_capacity_j_k) X(air_capacity_j_k) X(caliper_natural_w_k) \
-    X(caliper_forced_w_k) \
-    X(friction_fade) X(friction_speed) X(friction_pressure) \
-    X(friction_history) X(pushout_pressure) X(hydraulic_lag) \
-    X(residual_drag) X(contact_conductance) X(gap_conduction) \
-    X(disc_capacity_hot) X(disc_radiation_driving) X(convection_exponent) \
-    X(local_air) X(hub_conduction) X(wet_disc) X(disc_wear) X(disc_hat) \
-    X(pad_conductivity) X(pad_capacity) X(pad_pyrolysis) X(pad_wear) \
-    X(backplate_loss) X(bracket_conduction) X(caliper_bypass) \
-    X(shim_contact) X(disc_caliper_radiation) X(caliper_fluid_split) \
-    X(caliper_radiation) X(fluid_exchange) X(fluid_latent_heat) \
-    X(thermocouple_offset) X(thermocouple_lag) X(accelerometer_bias) \
-    X(mass_error) X(brake_share) X(powertrain_torque_error) \
-    X(ambient_heat_soak)
-
-#define MEMBER(name) double name;
-typedef struct { PARAMETERS(MEMBER) } Parameters;
-
 enum { CENTRE, HAT, HUB, PISTON, FLUID, BODY, FINGER, BRACKET, AIR, LUMPS };
 /* inputs of a step, the order of the rows */
 enum { SPEED, POWER, PRESSURE, CONTACT, AMBIENT, WETNESS, PUMPING, INPUTS };
 
-static const double ZERO_K = 293.15;
 static const double SIGMA = 5.670374419e-8;
 
 typedef struct {
@@ -72,92 +39,9 @@ typedef struct {
     double heat_in;
 } Paths;
 
-/* -- materials ---------------------------------------------------------- */
-
-static const double A = 354.96, B = 535.518, C = -592.287, D = 511.852,
-                    E = -1.20346;
-static const double CURIE_K = 1030.0, CURIE_WIDTH_K = 42.0,
-                    CURIE_PEAK = 480.0;
-static const double RISE = 420.0, SCALE_K = 250.0;
-
-static double iron_cp(double k, double bump)
-{
-    double t = k * 1e-3;
-    double cp = A + t * (B + t * (C + t * D)) + E / (t * t);
-    if (bump != 0.0) {
-        double x = tanh((k - CURIE_K) / CURIE_WIDTH_K);
-        cp += bump * CURIE_PEAK * (1.0 - x * x);
-    }
-    return cp;
-}
-
-static double shomate(double k)
-{
-    double t = k * 1e-3;
-    return 1e3 * (t * (A + t * (B / 2 + t * (C / 3 + t * (D / 4)))) - E / t);
-}
-
-static double iron_h(double k, double bump)
-{
-    double h = shomate(k) - shomate(ZERO_K);
-    if (bump != 0.0)
-        h += bump * (CURIE_PEAK * CURIE_WIDTH_K)
-             * (tanh((k - CURIE_K) / CURIE_WIDTH_K)
-                - tanh((ZERO_K - CURIE_K) / CURIE_WIDTH_K));
-    return h;
-}
-
-static double iron_t(double h, double t, double bump)
-{
-    for (int i = 0; i < 2; i++)
-        t += (h - iron_h(t, bump)) / iron_cp(t, bump);
-    return t;
-}
-
-static double iron_k(double k)
-{
-    double c = fmin(fmax(k - 273.15, 0.0), 700.0);
-    return 53.2454 + c * (-1.16611e-2 + c * (-6.89066e-5 + c * 6.74969e-8));
-}
-
-static double lining_k(const Parameters *p, double k)
-{
-    if (p->pad_conductivity == 0.0)
-        return p->pad_conductivity_w_mk;
-    return p->pad_conductivity_w_mk
-           * (1.0 + 0.25 * p->pad_conductivity * tanh((k - 500.0) / 150.0));
-}
-
-static double lining_cp(const Parameters *p, double k)
-{
-    if (p->pad_capacity == 0.0)
-        return p->pad_heat_capacity_j_kgk;
-    return p->pad_heat_capacity_j_kgk
-           - p->pad_capacity * RISE * expm1(-(k - ZERO_K) / SCALE_K);
-}
-
-static double lining_t(const Parameters *p, double h, double t)
-{
-    if (p->pad_capacity == 0.0)
-        return ZERO_K + h / p->pad_heat_capacity_j_kgk;
-    for (int i = 0; i < 2; i++) {
-        double dt = t - ZERO_K;
-        double now = p->pad_heat_capacity_j_kgk * dt
-                     + p->pad_capacity * RISE
-                           * (dt + SCALE_K * expm1(-dt / SCALE_K));
-        t += (h - now) / lining_cp(p, t);
-    }
-    return t;
-}
-
-static double air_k(double k)
-{
-    return 2.64638e-3 * pow(k, 1.5) / (k + 245.4 * pow(10.0, -12.0 / k));
-}
-
 /* -- a corner ----------------------------------------------------------- */
 
-static const double BOILING_K = 428.15, BOILING_WIDTH_K = 6.0,
+static const double BOILING_K = 410.15, BOILING_WIDTH_K = 7.0,
                     BOILING_J = 8.0e3;
 
 static double pad_weight(const Corner *c, int i)
@@ -287,7 +171,7 @@ static void chain_links(const Corner *c, const State *s, const double *in,
     double contact = 0.0;
     if (p->contact_conductance != 0.0)
         contact = p->contact_conductance * in[CONTACT] * p->pad_area_m2
-                  * 2000.0 * pow(in[PRESSURE] / 1e6, 0.95);
+                  * 360.0 * in[PRESSURE] / (in[PRESSURE] + 2.0e6);
     for (int side = 0; side < SIDES; side++) {
         const double *t = s->t[side];
         double *link = h->link[side];
@@ -306,7 +190,7 @@ static void chain_links(const Corner *c, const State *s, const double *in,
         if (p->gap_conduction != 0.0)
             across += p->gap_conduction * (1.0 - in[CONTACT])
                       * p->pad_area_m2 * air_k((front + surface) / 2)
-                      / 2.0e-4;
+                      / 3.0e-4;
         link[c->surface - 1] = across + contact;
     }
 }
@@ -317,9 +201,11 @@ static void sources(const Corner *c, const State *s, const double *in,
     const Parameters *p = &c->p;
     int surface = c->surface, front = surface - 1;
     memset(h->source, 0, sizeof h->source);
+    double warm = fmax((s->t[0][0] + s->t[1][0]) / 2 - ZERO_K, 0.0);
+    double drag_nm = 1.5 - 3.5 * expm1(-warm / 80.0);
     h->heat_in = in[POWER]
-                 + (1.0 - in[CONTACT]) * p->residual_drag * 3.0 * in[SPEED]
-                       / 0.3418;
+                 + (1.0 - in[CONTACT]) * p->residual_drag * drag_nm
+                       * in[SPEED] / 0.3418;
     for (int side = 0; side < SIDES; side++) {
         double tf = s->t[side][front], ts = s->t[side][surface];
         double pad = p->pad_area_m2
@@ -329,8 +215,10 @@ static void sources(const Corner *c, const State *s, const double *in,
                       * sqrt(iron_k(ts) * p->iron_density_kg_m3
                              * iron_cp(ts, p->disc_capacity_hot));
         double to_pad = pad / (pad + ring);
-        h->source[side][front] = to_pad * h->heat_in / 2;
-        h->source[side][surface] = (1.0 - to_pad) * h->heat_in / 2;
+        double heat = h->heat_in * (side ? 1.0 - p->piston_side_share
+                                         : p->piston_side_share);
+        h->source[side][front] = to_pad * heat;
+        h->source[side][surface] = (1.0 - to_pad) * heat;
         if (p->wet_disc != 0.0 && in[WETNESS] != 0.0) {
             double spray = 5.0e-5 + 1.2e-5 * in[SPEED];
             double above = fmax(ts - in[AMBIENT], 0.0);
@@ -351,8 +239,8 @@ static void find_paths(const Corner *c, const State *s, const double *in,
     sources(c, s, in, h);
     capacities(c, s, h);
 
-    double n = p->forced_exponent + 0.15 * p->convection_exponent;
-    double forced = pow(10.0, p->forced_exponent) * pow(v / 10.0, n);
+    double steeper = 0.45 * p->convection_exponent * (v - 10.0) / (v + 20.0);
+    double forced = pow(v, p->forced_exponent) * fmax(1.0 + steeper, 0.2);
     double natural[SIDES], faces[SIDES];
     for (int side = 0; side < SIDES; side++) {
         double excess = fabs(s->t[side][surface] - s->lump_t[AIR]);
@@ -367,25 +255,26 @@ static void find_paths(const Corner *c, const State *s, const double *in,
                           p->forced_vent_w_m2k * forced);
 
     memset(h->coupling, 0, sizeof h->coupling);
+    double loose = 0.35 * p->shim_contact * exp(-in[PRESSURE] / 2.0e5);
     double shim = p->pad_area_m2 / p->shim_resistance_m2k_w
-                  * (1.0
-                     + 0.6 * p->shim_contact * in[PRESSURE]
-                           / (in[PRESSURE] + 1.0e6));
-    double loss = p->hammerhead_forced_w_k * v08 + 0.12 * p->backplate_loss;
+                  * fmax(1.0 - loose, 0.05);
     double to_vanes = c->gap_m[c->cheeks - 1] / p->face_area_m2
                       + 0.004 / p->vent_bridge_area_m2;
     for (int side = 0; side < SIDES; side++) {
         int behind = side ? FINGER : PISTON, bypass = side ? FINGER : BODY;
         double *back = h->coupling[PORTS * side];
         double *face = h->coupling[PORTS * side + 1];
+        double t_back = s->t[side][0];
+        double above = fmax(fabs(t_back - s->lump_t[AIR]), 1.0);
         back[behind] = shim;
-        back[bypass] += 0.25 * p->caliper_bypass;
-        back[BRACKET] = 0.35 * p->bracket_conduction;
-        back[AIR] = loss;
+        back[bypass] += 0.25 * p->caliper_bypass * t_back / 400.0;
+        back[BRACKET] = p->bracket_conduction * (0.18 + 0.14 * in[CONTACT]);
+        back[AIR] = p->hammerhead_forced_w_k * v08
+                    + 0.12 * p->backplate_loss * sqrt(sqrt(above / 100.0));
         face[AIR] = faces[side];
         face[bypass] = radiation(
             s->t[side][surface], s->lump_t[bypass],
-            p->face_emissivity * 0.003 * p->disc_caliper_radiation);
+            p->face_emissivity * 0.0015 * p->disc_caliper_radiation);
         h->coupling[PORTS * side + 2][CENTRE] =
             iron_k(s->t[side][last]) / to_vanes;
     }
@@ -399,7 +288,7 @@ static void find_paths(const Corner *c, const State *s, const double *in,
     join(h->between, CENTRE, HUB, 1.0 * p->hub_conduction);
     join(h->between, HAT, AIR, 0.05 * vent / p->vent_area_m2);
     join(h->between, PISTON, FLUID, 1.0 / (1.0 / 80.0 + split / 6.0));
-    join(h->between, FLUID, BODY, 1.0 / (1.0 / 80.0 + split / 5.0));
+    join(h->between, FLUID, BODY, 1.0 / (1.0 / 80.0 + split / 20.0));
     join(h->between, BODY, FINGER, 1.0 / (1.0 / 80.0 + split / 2.5));
     join(h->between, BODY, AIR, 0.6 * caliper);
     join(h->between, FINGER, AIR, 0.4 * caliper);
@@ -424,7 +313,8 @@ static void find_paths(const Corner *c, const State *s, const double *in,
                           0.9 * 0.030 * p->caliper_radiation);
     out[FINGER] = radiation(s->lump_t[FINGER], ambient,
                             0.9 * 0.020 * p->caliper_radiation);
-    out[FLUID] = p->fluid_exchange * (0.05 + 4.0e-7 * in[PUMPING]);
+    out[FLUID] = p->fluid_exchange
+                 * (0.05 + 1.5 * in[PUMPING] / (in[PUMPING] + 3.0e6));
 }
 
 #endif

@@ -174,6 +174,7 @@ static double wear(const Corner *c, State *s, double friction_j)
         double above = fmax(s->t[side][c->surface - 1] - 593.15, 0.0);
         double loss_m = p->pad_wear * (1e-3 / 6.0e7) * friction_j
                         * exp(fmin(above, 400.0) / 120.0);
+        loss_m = fmin(loss_m, fmax(s->pad_m[side] - 1.0e-3, 0.0));
         double kg = p->pad_density_kg_m3 * p->pad_area_m2 * loss_m;
         double brought = 0.0;
         double old[MAX_NODES];
@@ -204,12 +205,13 @@ static double friction_factor(const Corner *c, const State *s, double v,
     double fade = 1.0
                   - 0.30 * p->friction_fade
                         / (1.0 + exp((703.15 - t) / 45.0));
-    double speed = fmax(v, 0.5) / 10.0;
-    double press = fmax(pressure, 5e4) / 1.0e6;
-    double bedded = -expm1(-s->friction_j / 6.0e6);
-    return fade * pow(speed, -0.08 * p->friction_speed)
-           * pow(press, -0.06 * p->friction_pressure)
-           * (1.0 + 0.15 * p->friction_history * bedded);
+    double speed = (v - 10.0) / (v + 10.0);
+    double press = (pressure - 1.0e6) / (pressure + 2.0e6);
+    double bedded = s->friction_j / (s->friction_j + 4.0e6);
+    return fmax(fade * (1.0 - 0.18 * p->friction_speed * speed)
+                    * (1.0 - 0.15 * p->friction_pressure * press)
+                    * (1.0 - 0.25 * p->friction_history * bedded),
+                0.05);
 }
 
 static int friction_varies(const Parameters *p)

@@ -10,7 +10,7 @@ A drive is a table ``[drive]`` and a list ``[[segment]]``. A segment is one of
 * *parked*: ``parked = true`` for ``duration_s``.
 
 ``repeat`` with inner ``[[segment.segment]]`` repeats a block. A value set in a
-segment holds for that segment only. ``docs/reference.md`` lists the keys.
+segment holds for that segment only. ``docs/reality.md`` lists the keys.
 """
 
 from __future__ import annotations
@@ -37,6 +37,8 @@ if TYPE_CHECKING:
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
+Corners = Annotated[list[Finite], Field(min_length=4, max_length=4)]
+Factors = dict[str, Positive]
 
 
 class _Table(BaseModel):
@@ -49,10 +51,16 @@ class Segment(_Table):
     ``grade_percent`` is positive uphill, ``external_force_n`` positive
     forward, ``bend_radius_m`` positive to the left, ``gear`` 0 neutral.
     ``brake_pressure_bar`` or ``brake_force_n`` (all wheels) press the brake
-    whatever the speed needs; the drive's propulsion balances it.
+    whatever the speed needs; the drive's propulsion balances it; on a free
+    segment ``pressure_rise_bar_s`` lets the pressure rise.
     ``assist`` brakes without primary pressure. ``active`` lists the
     interventions that report themselves, ``regeneration`` is the share of the
     brake force that a motor takes.
+
+    Interventions at FL, FR, RL, RR: ``corner_pressure_bar`` presses single
+    brakes beyond the driver's demand, ``slip`` is the share by which a wheel
+    turns too slowly (negative: it spins), ``modulation`` the share by which
+    the anti-lock system moves pressure between left and right.
     """
 
     label: str = ""
@@ -65,7 +73,11 @@ class Segment(_Table):
     grade_percent: Annotated[float, Field(ge=-30, le=30)] = 0.0
     external_force_n: Finite = 0.0
     brake_pressure_bar: NotNegative | None = None
+    pressure_rise_bar_s: Finite = 0.0
     brake_force_n: NotNegative | None = None
+    corner_pressure_bar: Corners = [0.0, 0.0, 0.0, 0.0]
+    slip: Corners = [0.0, 0.0, 0.0, 0.0]
+    modulation: Annotated[float, Field(ge=0, lt=1)] = 0.0
     gear: Annotated[int, Field(ge=0, le=6)] = 0
     bend_radius_m: Finite = 0.0
     rain: Annotated[float, Field(ge=0, le=1)] = 0.0
@@ -111,13 +123,36 @@ class Segment(_Table):
             raise ValueError(msg)
         return self
 
+    @model_validator(mode="after")
+    def _interventions(self) -> Self:
+        if not all(-1.0 < slip < 1.0 for slip in self.slip):
+            msg = "'slip' needs four shares between -1 and 1"
+            raise ValueError(msg)
+        if min(self.corner_pressure_bar) < 0:
+            msg = "'corner_pressure_bar' needs four values of 0 or more"
+            raise ValueError(msg)
+        if any(self.corner_pressure_bar) and self.speed_kmh is None:
+            msg = "'corner_pressure_bar' needs 'speed_kmh'"
+            raise ValueError(msg)
+        if self.pressure_rise_bar_s != 0 and (
+            self.until_speed_kmh is None or self.brake_pressure_bar is None
+        ):
+            msg = (
+                "'pressure_rise_bar_s' needs 'until_speed_kmh' and "
+                "'brake_pressure_bar'"
+            )
+            raise ValueError(msg)
+        return self
+
 
 class DriveHead(_Table):
     """``[drive]``: name, surroundings, and what moves the car.
 
     ``propulsion`` ``"push"``: a pusher or belt supplies positive force, the
     drive line is idle. ``thermocouple_logger``: the measuring system keeps
-    recording temperatures while the ignition is off.
+    recording temperatures while the ignition is off. ``vehicle`` is the
+    packaged car that drives unless another is asked for; ``scale`` multiplies
+    parameters of its front and rear corners (other rims, other air).
     """
 
     name: str
@@ -126,6 +161,8 @@ class DriveHead(_Table):
     start_c: Annotated[float, Field(ge=-40, le=600)] | None = None
     mass_kg: Positive | None = None
     propulsion: Literal["engine", "push"] = "engine"
+    vehicle: str = "nominal"
+    scale: dict[Literal["front", "rear"], Factors] = {}
     thermocouple_logger: bool = False
 
 
@@ -228,5 +265,5 @@ def _place(location: tuple[int | str, ...]) -> str:
 def _words(message: str) -> str:
     words = message.removeprefix("Value error, ")
     if words == "Extra inputs are not permitted":
-        return "unknown key; see the keys of a drive in docs/reference.md"
+        return "unknown key; see the keys of a drive in docs/reality.md"
     return words

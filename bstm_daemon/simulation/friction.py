@@ -1,7 +1,8 @@
 """Friction of the reality: how far mu departs from its nominal value.
 
-The forms are an S-shaped fade with temperature, a power law in speed and
-pressure (Rhee 1974) and a bedding that saturates with the friction energy.
+The forms are an S-shaped fade with temperature, falls with speed and pressure
+that level off, and a bedding that runs out hyperbolically with the friction
+energy.
 """
 
 from __future__ import annotations
@@ -18,12 +19,13 @@ if TYPE_CHECKING:
 _FADE_DEPTH = 0.30
 _FADE_CENTRE_K = 703.15
 _FADE_WIDTH_K = 45.0
-_SPEED_EXPONENT = -0.08
-_PRESSURE_EXPONENT = -0.06
+_SPEED_FALL = 0.18
+_PRESSURE_FALL = 0.15
 _REFERENCE_SPEED_MS = 10.0
 _REFERENCE_PRESSURE_PA = 1.0e6
-_BEDDING_GAIN = 0.15
-_BEDDING_J = 6.0e6
+_BEDDING_FALL = 0.25
+_BEDDING_J = 4.0e6
+_LEAST_FACTOR = 0.05
 
 
 def friction_factor(
@@ -36,13 +38,16 @@ def friction_factor(
     fade = 1.0 - _FADE_DEPTH * p.friction_fade / (
         1.0 + np.exp((_FADE_CENTRE_K - t) / _FADE_WIDTH_K)
     )
-    v = np.maximum(speed_ms, 0.5) / _REFERENCE_SPEED_MS
-    pressure = np.maximum(pressure_pa, 5e4) / _REFERENCE_PRESSURE_PA
-    bedded = -np.expm1(-state.friction_j / _BEDDING_J)
-    factor: Array = (
-        fade
-        * v ** (_SPEED_EXPONENT * p.friction_speed)
-        * pressure ** (_PRESSURE_EXPONENT * p.friction_pressure)
-        * (1.0 + _BEDDING_GAIN * p.friction_history * bedded)
+    v = (speed_ms - _REFERENCE_SPEED_MS) / (speed_ms + _REFERENCE_SPEED_MS)
+    pressure = (pressure_pa - _REFERENCE_PRESSURE_PA) / (
+        pressure_pa + 2 * _REFERENCE_PRESSURE_PA
     )
-    return factor
+    bedded = state.friction_j / (state.friction_j + _BEDDING_J)
+    factor = (
+        fade
+        * (1.0 - _SPEED_FALL * p.friction_speed * v)
+        * (1.0 - _PRESSURE_FALL * p.friction_pressure * pressure)
+        * (1.0 - _BEDDING_FALL * p.friction_history * bedded)
+    )
+    least: Array = np.maximum(factor, _LEAST_FACTOR)
+    return least

@@ -57,10 +57,12 @@ STEEL_HEAT_CAPACITY_J_KGK: Final = 480.0
 # a fully worn disc has lost about a tenth of each cheek, a worn pad 4.5 mm
 _DISC_WEAR_FRACTION: Final = 0.08
 _PAD_WEAR_M: Final = 0.0045
+_WORN_OUT_M: Final = 0.002
 
-# boiling as a smeared latent heat: a few ml of vapour in a 30 ml gallery
-BOILING_K: Final = 428.15
-BOILING_WIDTH_K: Final = 6.0
+# boiling as a smeared latent heat: a few ml of vapour in a 30 ml gallery; the
+# film on the piston is some 15 K hotter than the bulk and boils at 150 degC
+BOILING_K: Final = 410.15
+BOILING_WIDTH_K: Final = 7.0
 BOILING_J: Final = 8.0e3
 
 
@@ -114,7 +116,10 @@ class Lanes:
         pad_weight = np.full(mesh.pad_nodes, 1.0 / (mesh.pad_nodes - 1))
         pad_weight[[0, -1]] /= 2
         self.pad_weight = pad_weight[:, None, None]
-        self.new_pad_m = p.pad_thickness_m - _PAD_WEAR_M * p.pad_wear
+        worn_pad_m = p.pad_thickness_m - _PAD_WEAR_M * p.pad_wear
+        self.new_pad_m = np.maximum(
+            worn_pad_m, np.minimum(p.pad_thickness_m, _WORN_OUT_M)
+        )
 
         depths = np.array([*mesh.cheek_depths, 1.0])
         edges = np.concatenate(

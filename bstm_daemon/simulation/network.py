@@ -41,23 +41,30 @@ _TIGHT_W_K = 80.0
 _OPEN_AIR_W_K = 1e5
 
 # typical strength of the paths that effects switch on
-_CONTACT_W_M2K = 2000.0
-_GAP_M = 2.0e-4
+_CONTACT_W_M2K = 360.0
+_CONTACT_PA = 2.0e6
+_GAP_M = 3.0e-4
 _HAT_W_K = 5.0
 _HUB_W_K = 1.0
 _HAT_AIR_M2 = 0.05
+_EXPONENT_RISE = 0.45
 _BACKPLATE_LOSS_W_K = 0.12
-_BRACKET_W_K = 0.35
+_BRACKET_W_K = 0.18
+_BRACKET_BRAKING_W_K = 0.14
 _BYPASS_W_K = 0.25
-_SHIM_PRESSED = 0.6
-_VIEW_OF_DISC_M2 = 0.003
+_SHIM_LOOSE = 0.35
+_SHIM_PA = 2.0e5
+_VIEW_OF_DISC_M2 = 0.0015
 _CALIPER_AREA_M2 = np.array([[0.030], [0.020]])
 _LINE_W_K = 0.05
-_PUMPING_W_S_K_PA = 4.0e-7
+_PUMPING_W_K = 1.5
+_PUMPING_PA_S = 3.0e6
 _SPRAY_KG_S_PER_MS = 1.2e-5
 _SPRAY_STILL_KG_S = 5.0e-5
 _EVAPORATION_J_KG = 2.4e6
-_DRAG_TORQUE_NM = 3.0
+_DRAG_COLD_NM = 1.5
+_DRAG_HOT_NM = 3.5
+_DRAG_K = 80.0
 _TYRE_RADIUS_M = 0.3418
 
 
@@ -153,9 +160,9 @@ def paths(lanes: Lanes, state: State, inputs: Inputs) -> Paths:
 def _cooling(lanes: Lanes, state: State, v: Array) -> tuple[Array, Array]:
     """Convection of the cheeks' faces (2, lanes) and the vent (lanes,)."""
     p = lanes.p
-    n = p.forced_exponent + 0.15 * p.convection_exponent
-    # the exponents agree at 36 km/h, where the levels are given
-    forced = 10.0**p.forced_exponent * (v / 10.0) ** n
+    # a steeper rise with speed leaves 36 km/h, where the levels are given
+    steeper = _EXPONENT_RISE * p.convection_exponent * (v - 10.0) / (v + 20.0)
+    forced = v**p.forced_exponent * np.maximum(1.0 + steeper, 0.2)
     t_surface = state.chain_k[lanes.surface]
     excess = np.abs(t_surface - state.lump_k[AIR])
     buoyancy = np.sqrt(np.sqrt(np.maximum(excess, 1.0) / 200.0))
@@ -205,7 +212,8 @@ def _chain_links(
         pressed
         * p.pad_area_m2
         * _CONTACT_W_M2K
-        * (inputs.pressure_pa / 1e6) ** 0.95
+        * inputs.pressure_pa
+        / (inputs.pressure_pa + _CONTACT_PA)
     )
     link[lanes.surface - 1] = interface
     return link
@@ -217,12 +225,23 @@ def _couplings(
     p = lanes.p
     coupling = np.zeros((lanes.count, 6, len(LUMPS)))
     shim = p.pad_area_m2 / p.shim_resistance_m2k_w
-    press = inputs.pressure_pa / (inputs.pressure_pa + 1.0e6)
-    shim = shim * (1.0 + _SHIM_PRESSED * p.shim_contact * press)
-    loss = (
-        p.hammerhead_forced_w_k * inputs.speed_ms**0.8
-        + _BACKPLATE_LOSS_W_K * p.backplate_loss
+    loose = (
+        _SHIM_LOOSE * p.shim_contact * np.exp(-inputs.pressure_pa / _SHIM_PA)
     )
+    shim = shim * np.maximum(1.0 - loose, 0.05)
+    t_back = state.chain_k[0]
+    excess = np.maximum(np.abs(t_back - state.lump_k[AIR]), 1.0)
+    loss = (
+        p.hammerhead_forced_w_k * inputs.speed_ms** 0.8
+        + _BACKPLATE_LOSS_W_K
+        * p.backplate_loss
+        * np.sqrt(np.sqrt(excess / 100.0))
+    )
+    # friction presses the hammerheads against the bracket
+    bracket = p.bracket_conduction * (
+        _BRACKET_W_K + _BRACKET_BRAKING_W_K * inputs.contact
+    )
+    across = _BYPASS_W_K * p.caliper_bypass * t_back / 400.0
     cheek_k = state.chain_k[-1]
     to_vanes_per_m = (
         lanes.cheek_gap_m[-1] / p.face_area_m2
@@ -233,9 +252,9 @@ def _couplings(
     for side, behind, bypass in ((0, PISTON, BODY), (1, FINGER, FINGER)):
         back, surface, last = 3 * side, 3 * side + 1, 3 * side + 2
         coupling[:, back, behind] = shim
-        coupling[:, back, bypass] += _BYPASS_W_K * p.caliper_bypass
-        coupling[:, back, BRACKET] = _BRACKET_W_K * p.bracket_conduction
-        coupling[:, back, AIR] = loss
+        coupling[:, back, bypass] += across[side]
+        coupling[:, back, BRACKET] = bracket
+        coupling[:, back, AIR] = loss[side]
         coupling[:, surface, AIR] = faces[side]
         coupling[:, surface, bypass] = _radiation(
             t_surface[side],
@@ -256,7 +275,7 @@ def _lump_links(lanes: Lanes, v: Array, vent: Array) -> Array:
         (CENTRE, HUB, _HUB_W_K * p.hub_conduction),
         (HAT, AIR, _HAT_AIR_M2 * vent / p.vent_area_m2),
         (PISTON, FLUID, 1.0 / (1.0 / _TIGHT_W_K + split / 6.0)),
-        (FLUID, BODY, 1.0 / (1.0 / _TIGHT_W_K + split / 5.0)),
+        (FLUID, BODY, 1.0 / (1.0 / _TIGHT_W_K + split / 20.0)),
         (BODY, FINGER, 1.0 / (1.0 / _TIGHT_W_K + split / 2.5)),
         (BODY, AIR, 0.6 * caliper),
         (FINGER, AIR, 0.4 * caliper),
@@ -290,7 +309,10 @@ def _ambient_links(
         calipers, ambient, 0.9 * _CALIPER_AREA_M2 * p.caliper_radiation
     )
     out[FLUID] = p.fluid_exchange * (
-        _LINE_W_K + _PUMPING_W_S_K_PA * inputs.pumping_pa_s
+        _LINE_W_K
+        + _PUMPING_W_K
+        * inputs.pumping_pa_s
+        / (inputs.pumping_pa_s + _PUMPING_PA_S)
     )
     return out
 
@@ -317,14 +339,18 @@ def _sources(
         * materials.iron_heat_capacity(t_surface, lanes.bump)
     )
     released = (1.0 - inputs.contact) * p.residual_drag
+    # a hot seal and expanded pads draw the piston back less
+    warm = np.maximum(state.chain_k[0].mean(axis=0) - 293.15, 0.0)
+    drag_nm = _DRAG_COLD_NM - _DRAG_HOT_NM * np.expm1(-warm / _DRAG_K)
     heat_in = inputs.power_w + (
-        released * _DRAG_TORQUE_NM * inputs.speed_ms / _TYRE_RADIUS_M
+        released * drag_nm * inputs.speed_ms / _TYRE_RADIUS_M
     )
-    half = heat_in / 2
+    piston = p.piston_side_share
+    heat = heat_in * np.array([piston, 1.0 - piston])
     to_pad = pad / (pad + ring)
     source = np.zeros_like(state.chain_k)
-    source[front] = to_pad * half
-    source[lanes.surface] = (1.0 - to_pad) * half
+    source[front] = to_pad * heat
+    source[lanes.surface] = (1.0 - to_pad) * heat
     if lanes.wets and inputs.wetness.any():
         spray = _SPRAY_STILL_KG_S + _SPRAY_KG_S_PER_MS * inputs.speed_ms
         above = np.maximum(t_surface - inputs.ambient_k, 0.0)

@@ -53,6 +53,7 @@ class CornerParameters:
     efficiency: float = 1.0
     friction_coefficient: float = 0.38
     effective_radius_m: float = 0.130
+    piston_side_share: float = 0.5
     # disc
     ring_mass_kg: float = 7.5
     face_area_m2: float = 0.0425
@@ -125,6 +126,10 @@ REAR: Final = CornerParameters(
 """Rear corner of the nominal car: solid disc, 42 mm piston."""
 
 
+STRONGEST: Final = 3.0
+"""Beyond this multiple of its typical size no effect is physical."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Effects:
     """Strength of every effect; 0 is off and 1 is typical.
@@ -174,10 +179,17 @@ class Effects:
     def with_strength(self, name: str, strength: float) -> Effects:
         """Return a copy with the effect *name* at *strength*.
 
-        Raises :class:`~bstm_daemon.errors.UsageError` for an unknown name.
+        Raises :class:`~bstm_daemon.errors.UsageError` for an unknown name or
+        a strength outside 0 to :data:`STRONGEST`.
         """
         if name not in EFFECT_NAMES:
             msg = f"no effect {name!r}: one of {', '.join(EFFECT_NAMES)}"
+            raise UsageError(msg)
+        if not 0.0 <= strength <= STRONGEST:
+            msg = (
+                f"effect {name}: strength {strength:g} is not "
+                f"0 to {STRONGEST:g}"
+            )
             raise UsageError(msg)
         return replace(self, **{name: strength})
 
@@ -185,7 +197,24 @@ class Effects:
 EFFECT_NAMES: Final = tuple(field.name for field in fields(Effects))
 """The effects in the order of their numbers, 1 to 37."""
 
-PRESETS: Final[dict[str, Effects]] = {"plain": Effects()}
+ROAD_EFFECTS: Final = (
+    "friction_fade",
+    "friction_speed",
+    "friction_pressure",
+    "gap_conduction",
+    "disc_radiation_driving",
+    "local_air",
+    "disc_hat",
+    "bracket_conduction",
+    "disc_caliper_radiation",
+    "caliper_fluid_split",
+)
+"""Effects of the preset ``road``: those a usual brake plainly has."""
+
+PRESETS: Final[dict[str, Effects]] = {
+    "plain": Effects(),
+    "road": Effects(**dict.fromkeys(ROAD_EFFECTS, 1.0)),
+}
 """Preset name to strengths; ``plain`` has every effect off."""
 
 

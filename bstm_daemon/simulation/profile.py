@@ -43,6 +43,7 @@ class Course:
     slope_rad: Array
     segment: np.ndarray[tuple[int, ...], np.dtype[np.intp]]
     segments: list[Segment]
+    starts_s: list[float]
 
     def level(self, values: list[float]) -> Array:
         """Return *values*, one a segment, as samples."""
@@ -55,7 +56,7 @@ def plan_course(drive: Drive, car: CarParameters) -> Course:
     Raises :class:`~bstm_daemon.errors.ConfigError` naming the segment that
     cannot be driven.
     """
-    times, speeds, ends, segments = [0.0], [0.0], [], []
+    times, speeds, ends, segments = [0.0], [0.0], [0.0], []
     for place, segment in drive.flat():
         t, v = _run(segment, speeds[-1], car, f"{drive.name}: {place}")
         times.extend((times[-1] + t).tolist())
@@ -65,13 +66,13 @@ def plan_course(drive: Drive, car: CarParameters) -> Course:
     total_s = np.ceil(times[-1] / _BLOCK_S) * _BLOCK_S
     count = round(total_s / SAMPLE_S)
     time_s = np.arange(count) * SAMPLE_S
-    speed = _rounded(np.interp(time_s, times, speeds), _ROUNDING_SAMPLES)
+    speed = rounded(np.interp(time_s, times, speeds))
     speed[speed < 1e-9] = 0.0
     index = np.minimum(
-        np.searchsorted(ends, time_s, side="right"), len(segments) - 1
+        np.searchsorted(ends[1:], time_s, side="right"), len(segments) - 1
     )
     grades = np.array([segment.grade_percent / 100 for segment in segments])
-    slope = _rounded(np.arctan(grades)[index], _GRADE_SAMPLES)
+    slope = rounded(np.arctan(grades)[index], _GRADE_SAMPLES)
     return Course(
         time_s,
         speed,
@@ -79,11 +80,15 @@ def plan_course(drive: Drive, car: CarParameters) -> Course:
         slope,
         index,
         segments,
+        ends[:-1],
     )
 
 
-def _rounded(values: Array, samples: int) -> Array:
-    """Return the centred moving average, ends extended."""
+def rounded(values: Array, samples: int = _ROUNDING_SAMPLES) -> Array:
+    """Return the centred moving average of *values*, ends extended.
+
+    Without *samples* over as long as the corners of the speed are rounded.
+    """
     half = samples // 2
     padded = np.concatenate(
         (np.full(half, values[0]), values, np.full(half, values[-1]))
@@ -133,24 +138,35 @@ def _hold(
     return (segment.distance_m - ramp_m) / v1
 
 
+def prescribed_force(
+    segment: Segment, elapsed_s: Array, car: CarParameters
+) -> Array:
+    """Return the brake force [N] that *segment* prescribes, else 0.
+
+    *elapsed_s* counts from the segment's start.
+    """
+    if segment.brake_pressure_bar is None:
+        return np.full(len(elapsed_s), segment.brake_force_n or 0.0)
+    bar = segment.brake_pressure_bar + segment.pressure_rise_bar_s * elapsed_s
+    return car.brake_force(1e5) * np.maximum(bar, 0.0)
+
+
 def _free(
     segment: Segment, v0: float, car: CarParameters, place: str
 ) -> tuple[Array, Array]:
     v1 = (segment.until_speed_kmh or 0.0) / 3.6
     limit_s = segment.duration_s or _FREE_LIMIT_S
     slope = np.arctan(np.array([segment.grade_percent / 100]))
-    braking = segment.brake_force_n or 0.0
-    if segment.brake_pressure_bar is not None:
-        braking = car.brake_force(segment.brake_pressure_bar * 1e5)
     t, v = 0.0, v0
     times, speeds = [], []
     falling = v1 < v0
     while (v > v1) if falling else (v < v1):
         at = np.array([v])
+        braking = prescribed_force(segment, np.array([t]), car)
         drag = car.engine_drag(at, np.array([segment.gear]))
         force = (
             segment.external_force_n
-            - braking
+            - float(braking[0])
             + float((drag / car.wheel_radius_m - car.resistance(at, slope))[0])
         )
         v = max(v + force / car.effective_mass_kg * _FREE_STEP_S, 0.0)

@@ -1,9 +1,9 @@
 """What the car's sensors say of the truth.
 
-A :class:`SensorSuite` holds the errors of every channel: bias, lag, white
-noise and quantum, with one seeded random stream a channel, so that adding a
-channel leaves the others' noise as it was. Without errors the signals are the
-truth and only the DBC's resolution limits them.
+A :class:`SensorSuite` holds the errors of every channel, with one seeded
+random stream a channel, so that adding a channel leaves the others' noise as
+it was. Without errors the signals are the truth and only the DBC's resolution
+limits them.
 """
 
 from __future__ import annotations
@@ -15,8 +15,9 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from bstm_daemon.roles import CORNERS, MEASURED_NODES
+from bstm_daemon.simulation.hydraulics import SECONDARY
 from bstm_daemon.simulation.profile import SAMPLE_S
-from bstm_daemon.units import GRAVITY_MS2
+from bstm_daemon.units import GRAVITY_MS2, KELVIN_OFFSET
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -29,24 +30,41 @@ if TYPE_CHECKING:
 INSTRUMENTED: Final = ("FL", "FR")
 """Corners with thermocouples."""
 
-_THERMOCOUPLE_OFFSET_K = 15.0
-_THERMOCOUPLE_LAG_S = 15.0
+DRIFT_S: Final = 300.0
+"""Correlation time of a drifting channel (AR(1))."""
+
+# typical size of the effects that act in sensors
+_THERMOCOUPLE_OFFSET_K = 9.0
+_THERMOCOUPLE_GAIN = 0.02
+_THERMOCOUPLE_LAG_S = 7.5
 _ACCELEROMETER_BIAS_MS2 = 0.1
+_BIAS_WARM_S = 600.0
 _TORQUE_ERROR = -0.08
+_TORQUE_OFFSET_NM = 12.0
 _AMBIENT_SOAK_K = 8.0
 _AMBIENT_LAG_S = 400.0
 _BRAKE_TORQUE_SHARE = 0.6
 _PEDAL_TRAVEL_PER_PA = 1.0 / 12e6
+_BLOCK = 64
 
 
 @dataclass(frozen=True, slots=True)
 class Channel:
-    """Errors of one channel, in the channel's SI unit."""
+    """Errors of one channel, in the channel's SI unit.
 
-    bias: float = 0.0
-    gain: float = 1.0
+    ``bias_sd`` is the spread of a constant drawn for each drive, ``offset``
+    the size of one of either sign, ``drift`` the spread of an AR(1) process
+    of :data:`DRIFT_S`, ``relative_noise`` white noise as a share of the
+    reading; below ``dead_below`` the channel reads 0.
+    """
+
+    bias_sd: float = 0.0
+    offset: float = 0.0
     lag_s: float = 0.0
+    drift: float = 0.0
     noise: float = 0.0
+    relative_noise: float = 0.0
+    dead_below: float = 0.0
     quantum: float = 0.0
 
 
@@ -58,74 +76,153 @@ class SensorSuite:
         effects: Effects,
         seed: int,
         channels: Mapping[str, Channel] | None = None,
+        pitch_rad_per_g: float = 0.0,
     ) -> None:
-        """Take *channels* by role, clean where absent, plus *effects*."""
+        """Take *channels* by role, clean where absent, plus *effects*.
+
+        A key ``temp`` holds for all thermocouples. *pitch_rad_per_g* is how
+        far the body pitches under the car's own acceleration.
+        """
         self.effects = effects
+        self.pitch_rad_per_g = pitch_rad_per_g
         self._seed = seed
         self._channels = dict(channels or {})
 
     def read(self, role: str, truth: Array, sample_s: float) -> Array:
         """Return what *role* reads where the truth is *truth*, (n,)."""
-        channel = self._channel(role)
-        reading = truth * channel.gain + channel.bias
-        if channel.lag_s > 0:
-            reading = lagged(reading, channel.lag_s, sample_s)
-        if channel.noise > 0:
-            stream = np.random.default_rng(
-                [self._seed, zlib.crc32(role.encode())]
-            )
-            reading = reading + stream.normal(0, channel.noise, len(truth))
-        if channel.quantum > 0:
-            reading = np.round(reading / channel.quantum) * channel.quantum
+        temperature = role.startswith("temp_")
+        kind = "temp" if temperature else role
+        channel = self._channels.get(role, self._channels.get(kind))
+        reading = self._with_effects(role, truth, sample_s)
+        if channel is None:
+            return reading
+        stream = np.random.default_rng([self._seed, zlib.crc32(role.encode())])
+        return _erring(reading, channel, stream, sample_s)
+
+    def _with_effects(self, role: str, truth: Array, sample_s: float) -> Array:
+        """Return *truth* with the effects that sit in this channel."""
+        e = self.effects
+        reading: Array = truth
+        if role.startswith("temp_"):
+            if e.thermocouple_offset > 0:
+                excess = truth - (KELVIN_OFFSET + 20.0)
+                reading = truth + e.thermocouple_offset * (
+                    _THERMOCOUPLE_OFFSET_K + _THERMOCOUPLE_GAIN * excess
+                )
+            if e.thermocouple_lag > 0:
+                # junction and cement, one behind the other
+                lag_s = _THERMOCOUPLE_LAG_S * e.thermocouple_lag
+                reading = lagged(reading, lag_s, sample_s)
+                reading = lagged(reading, lag_s, sample_s)
+        elif role == "acceleration_longitudinal" and e.accelerometer_bias > 0:
+            at_s = sample_s * np.arange(len(truth))
+            warm = 1.0 - 0.3 * np.exp(-at_s / _BIAS_WARM_S)
+            bias = _ACCELEROMETER_BIAS_MS2 * e.accelerometer_bias
+            reading = truth + bias * warm
+        elif role == "powertrain_torque" and e.powertrain_torque_error > 0:
+            gain = 1.0 + _TORQUE_ERROR * e.powertrain_torque_error
+            offset = _TORQUE_OFFSET_NM * e.powertrain_torque_error
+            reading = truth * gain + offset * (truth != 0)
         return reading
 
-    def _channel(self, role: str) -> Channel:
-        channel = self._channels.get(role, Channel())
-        e = self.effects
-        bias, gain, lag_s = channel.bias, channel.gain, channel.lag_s
-        if role.startswith("temp_"):
-            bias += _THERMOCOUPLE_OFFSET_K * e.thermocouple_offset
-            lag_s += _THERMOCOUPLE_LAG_S * e.thermocouple_lag
-        elif role == "acceleration_longitudinal":
-            bias += _ACCELEROMETER_BIAS_MS2 * e.accelerometer_bias
-        elif role == "powertrain_torque":
-            gain *= 1.0 + _TORQUE_ERROR * e.powertrain_torque_error
-        return Channel(bias, gain, lag_s, channel.noise, channel.quantum)
+
+def _erring(
+    reading: Array,
+    channel: Channel,
+    stream: np.random.Generator,
+    sample_s: float,
+) -> Array:
+    # drawn in any case, so that each error keeps its numbers
+    bias, sign = stream.normal(), stream.choice((-1.0, 1.0))
+    if channel.lag_s > 0:
+        reading = lagged(reading, channel.lag_s, sample_s)
+    if channel.relative_noise > 0:
+        share = stream.normal(0, channel.relative_noise, len(reading))
+        reading = reading * (1.0 + share)
+    reading = reading + channel.bias_sd * bias + channel.offset * sign
+    if channel.drift > 0:
+        reading = reading + channel.drift * drifting(
+            stream, len(reading), sample_s
+        )
+    if channel.noise > 0:
+        reading = reading + stream.normal(0, channel.noise, len(reading))
+    if channel.quantum > 0:
+        reading = np.round(reading / channel.quantum) * channel.quantum
+    if channel.dead_below > 0:
+        reading = np.where(reading < channel.dead_below, 0.0, reading)
+    return reading
 
 
-def lagged(values: Array, lag_s: float, sample_s: float) -> Array:
-    """Return *values* behind a first-order lag, starting settled."""
-    decay = np.exp(-sample_s / lag_s)
-    out = np.empty_like(values)
-    last = float(values[0])
-    for index, value in enumerate(values.tolist()):
-        last = value + (last - value) * decay
+def drifting(
+    stream: np.random.Generator, count: int, sample_s: float
+) -> Array:
+    """Return a stationary AR(1) series of unit spread, (count,)."""
+    keep = float(np.exp(-sample_s / DRIFT_S))
+    steps = stream.normal(0, np.sqrt(1.0 - keep * keep), count)
+    out = np.empty(count)
+    last = stream.normal()
+    for index, step in enumerate(steps.tolist()):
+        last = last * keep + step
         out[index] = last
     return out
 
 
+def lagged(values: Array, lag_s: float, sample_s: float) -> Array:
+    """Return *values* behind a first-order lag, starting settled."""
+    decay = float(np.exp(-sample_s / lag_s))
+    blocks = -(-len(values) // _BLOCK)
+    padded = np.full(blocks * _BLOCK, values[-1], dtype=np.float64)
+    padded[: len(values)] = values
+    ages = np.subtract.outer(np.arange(_BLOCK), np.arange(_BLOCK))
+    weights = np.where(ages >= 0, (1.0 - decay) * decay ** np.abs(ages), 0.0)
+    # a block's answer to its own samples, then to what was before it
+    out: Array = padded.reshape(blocks, _BLOCK) @ weights.T
+    fading = decay ** np.arange(1, _BLOCK + 1)
+    last = float(values[0])
+    for index in range(blocks):
+        out[index] += fading * last
+        last = float(out[index, -1])
+    return out.ravel()[: len(values)]
+
+
 def measured_roles(
     course: Course,
-    motion: Motion,
+    *,
     line_pa: Array,
+    wheel_pa: Array,
+    motion: Motion,
     ambient_k: Array,
     suite: SensorSuite,
 ) -> dict[str, Array]:
-    """Return the vehicle roles as the sensors read them, (n,) each, SI."""
+    """Return the vehicle roles as the sensors read them, (n,) each, SI.
+
+    *line_pa* (n,) is the pressure in front of the wheels, *wheel_pa* (n, 4)
+    at them.
+    """
     v = course.speed_ms
     segments = course.segments
     radius = course.level([s.bend_radius_m for s in segments])
     yaw = np.divide(v, radius, out=np.zeros_like(v), where=radius != 0)
     assist = course.level([float(s.assist) for s in segments]) > 0
     primary = np.where(assist, 0.0, line_pa)
+    # behind the valves, where the stability system may press without the pedal
+    secondary = np.maximum(line_pa, wheel_pa[:, SECONDARY].mean(axis=1))
     parked = course.level([float(s.parked) for s in segments])
+    pitch_rad = suite.pitch_rad_per_g * course.acceleration_ms2 / GRAVITY_MS2
     truth = {
-        **{f"wheel_speed_{c.lower()}": v for c in CORNERS},
+        **{
+            f"wheel_speed_{c.lower()}": v * (1.0 - motion.slip[:, lane])
+            for lane, c in enumerate(CORNERS)
+        },
+        **{
+            f"wheel_pressure_{c.lower()}": wheel_pa[:, lane]
+            for lane, c in enumerate(CORNERS)
+        },
         "vehicle_speed": v,
         "primary_pressure": primary,
-        "secondary_pressure": line_pa,
+        "secondary_pressure": secondary,
         "acceleration_longitudinal": course.acceleration_ms2
-        + GRAVITY_MS2 * np.sin(course.slope_rad),
+        + GRAVITY_MS2 * np.sin(course.slope_rad + pitch_rad),
         "acceleration_lateral": v * yaw,
         "yaw_rate": yaw,
         "powertrain_torque": motion.powertrain_torque_nm,

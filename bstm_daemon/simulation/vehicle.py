@@ -39,7 +39,12 @@ _SHARE_SHIFT = 0.10
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CarParameters:
-    """The car, SI; defaults are the thesis's vehicle 1."""
+    """The car, SI; defaults are the thesis's vehicle 1.
+
+    ``left_bias`` is by how much the left pads' mu lies above, and the right
+    pads' below, the corner's value; ``left_shelter`` by how much less air the
+    left calipers and parked discs get, and the right ones more.
+    """
 
     mass_kg: float = 2194.0
     wheel_inertia_kg_m2: float = 3.0809
@@ -47,13 +52,31 @@ class CarParameters:
     rolling_resistance: float = 0.014
     friction_ns_m: float = 4.0
     drag_area_m2: float = 0.70
+    left_bias: float = 0.0
+    left_shelter: float = 0.0
     front: CornerParameters = FRONT
     rear: CornerParameters = REAR
 
     @property
     def corners(self) -> tuple[CornerParameters, ...]:
         """The four corners: FL, FR, RL, RR."""
-        return (self.front, self.front, self.rear, self.rear)
+        return (
+            self._on_side(self.front, 1.0),
+            self._on_side(self.front, -1.0),
+            self._on_side(self.rear, 1.0),
+            self._on_side(self.rear, -1.0),
+        )
+
+    def _on_side(
+        self, corner: CornerParameters, left: float
+    ) -> CornerParameters:
+        air = 1.0 - left * self.left_shelter
+        return replace(
+            _scaled(corner, 1.0 + left * self.left_bias),
+            caliper_natural_w_k=corner.caliper_natural_w_k * air,
+            caliper_forced_w_k=corner.caliper_forced_w_k * air,
+            natural_convection_w_m2k=corner.natural_convection_w_m2k * air,
+        )
 
     @property
     def effective_mass_kg(self) -> float:

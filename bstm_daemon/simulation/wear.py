@@ -19,6 +19,8 @@ _PYROLYSIS_J_KG = 2.0e5
 _PYROLYSIS_RATE_S = 2.0e5
 _PYROLYSIS_ACTIVATION_K = 1.15e4
 
+# what the rivets and the warning plate leave
+_LAST_M = 1.0e-3
 _WEAR_M_PER_J = 1e-3 / 6.0e7
 _WEAR_RISE_K = 120.0
 _WEAR_RISE_FROM_K = 593.15
@@ -59,7 +61,10 @@ def wear_pads(lanes: Lanes, state: State, friction_j: Array) -> Array:
         np.minimum(np.maximum(front_k - _WEAR_RISE_FROM_K, 0.0), 400.0)
         / _WEAR_RISE_K
     )
-    loss_m = p.pad_wear * _WEAR_M_PER_J * friction_j * hot
+    loss_m = np.minimum(
+        p.pad_wear * _WEAR_M_PER_J * friction_j * hot,
+        np.maximum(state.pad_m - _LAST_M, 0.0),
+    )
     kg_per_m = p.pad_density_kg_m3 * p.pad_area_m2
     faces = np.arange(lanes.mesh.pad_nodes) + 0.5
     faces[-1] = lanes.mesh.pad_nodes - 1

@@ -11,8 +11,13 @@ from bstm_daemon.bus.dbc import (
     load_dbc,
     multiplexers,
     raw_signal,
+    read_dbc,
 )
+from bstm_daemon.bus.decoder import Decoder
+from bstm_daemon.bus.signal_map import compile_signal_map
+from bstm_daemon.config import BusConfig, SignalConfig
 from bstm_daemon.errors import ConfigError
+from bstm_daemon.roles import ROLE_INDEX
 
 HEAD = 'VERSION ""\nBU_: X\n'
 OVERLAP = (
@@ -45,34 +50,100 @@ def test_strict_lists_every_message_at_fault(dbc: Path) -> None:
 
     assert str(dbc) in first
     assert "message 'ONE'" in first
-    assert "signals b and a are overlapping" in first
+    assert "line 4: " in first
+    assert "signals overlap: a and b" in first
     assert "strict = false" in first
-    assert "message 'TWO'" in second
-    assert "c does not fit" in second
+    assert "line 7: message 'TWO'" in second
+    assert "signals do not fit in its 1 bytes: c" in second
 
 
 def test_lenient_loads_the_same_file(dbc: Path) -> None:
     dbc.write_text(OVERLAP)
 
-    database = load_dbc(dbc, strict=False, encoding="cp1252")
+    loaded = read_dbc(dbc, strict=False, encoding="cp1252")
 
-    assert [message.name for message in database.messages] == [
+    assert [message.name for message in loaded.database.messages] == [
         "ONE",
         "TWO",
         "FINE",
     ]
+    assert [
+        (one.line, one.message, one.signals) for one in loaded.warnings
+    ] == [(4, "ONE", ("a", "b")), (7, "TWO", ("c",))]
+
+
+def test_overlapping_signals_are_each_read_as_defined(dbc: Path) -> None:
+    """A message's own codec in cantools gives other values here."""
+    dbc.write_text(OVERLAP)
+    message = load_dbc(dbc, strict=False, encoding="cp1252").messages[0]
+
+    a, b = raw_signal(message, "a"), raw_signal(message, "b")
+
+    assert (a.start, a.length, b.start, b.length) == (0, 16, 8, 16)
+
+
+def test_overlapping_signals_decode_as_defined(dbc: Path) -> None:
+    dbc.write_text(OVERLAP)
+    signals = {
+        role: SignalConfig(message="ONE", signal=name, unit="bar")
+        for role, name in [
+            ("primary_pressure", "a"),
+            ("secondary_pressure", "b"),
+        ]
+    }
+    bus = BusConfig(name="car", dbc=dbc.name, strict=False)
+    signal_map = compile_signal_map([bus], signals, dbc.parent, 0.3)
+    samples = dict(
+        Decoder(signal_map).decode(
+            0, 100, False, bytes.fromhex("010203") + bytes(5)
+        )
+    )
+
+    assert [one.message for one in signal_map.warnings["car"]] == [
+        "ONE",
+        "TWO",
+    ]
+    assert samples == {
+        ROLE_INDEX["primary_pressure"]: pytest.approx(0x0201 * 1e5),
+        ROLE_INDEX["secondary_pressure"]: pytest.approx(0x0302 * 1e5),
+    }
+
+
+def test_signals_of_different_multiplexer_values_do_not_overlap(
+    dbc: Path,
+) -> None:
+    dbc.write_text(
+        HEAD
+        + "BO_ 100 ONE: 8 X\n"
+        + ' SG_ m M : 0|8@1+ (1,0) [0|0] "" X\n'
+        + ' SG_ a m0 : 8|16@1+ (1,0) [0|0] "" X\n'
+        + ' SG_ b m1 : 16|16@1+ (1,0) [0|0] "" X\n'
+        + ' SG_ c m1 : 55|16@0+ (1,0) [0|0] "" X\n'
+        + ' SG_ d m1 : 57|2@0+ (1,0) [0|0] "" X\n'
+    )
+
+    (problem,) = problems_of(dbc)
+
+    assert "signals overlap: c and d" in problem
+
+
+def test_a_syntax_error_names_line_and_message(dbc: Path) -> None:
+    dbc.write_text(HEAD + "BO_ 100 ONE: 8 X\n SG_ a : 0|16@1+ (1,0 [0|0]\n")
+
+    (problem,) = problems_of(dbc, strict=True)
+
+    assert problem.startswith(f"{dbc}: line 4: message 'ONE': cannot be read")
+    assert "SG_ a : 0|16@1+ (1,0 [0|0]" in problem
 
 
 @pytest.mark.parametrize("strict", [True, False])
-def test_a_syntax_error_has_line_and_column(
-    dbc: Path, *, strict: bool
+@pytest.mark.parametrize("text", ["", "a letter", "BO_ x\n"])
+def test_what_has_no_message_is_no_dbc(
+    dbc: Path, text: str, *, strict: bool
 ) -> None:
-    dbc.write_text(HEAD + "BO_ 100 ONE: 8 X\n SG_ a : 0|16@1+ (1,0 [0|0]\n")
+    dbc.write_text(text)
 
-    (problem,) = problems_of(dbc, strict=strict)
-
-    assert str(dbc) in problem
-    assert "line 4, column 23" in problem
+    assert problems_of(dbc, strict=strict)[0].startswith(f"{dbc}: not a DBC")
 
 
 def test_a_missing_file_is_a_problem(dbc: Path) -> None:
@@ -140,3 +211,37 @@ def test_multiplexers_are_followed_to_the_root() -> None:
         ("middle", frozenset({3, 4})),
         ("top", frozenset({1})),
     ]
+
+
+def test_a_multiplexer_is_found_by_its_short_name() -> None:
+    """Long names replace a signal's own name, not what it hangs on."""
+    long = "Multiplexer_with_a_name_beyond_32_characters"
+    text = (
+        HEAD
+        + "BO_ 100 A: 8 X\n"
+        + f' SG_ {long[:32]} M : 0|4@1+ (1,0) [0|0] "" X\n'
+        + ' SG_ leaf m3 : 8|8@1+ (1,0) [0|0] "" X\n'
+        + 'BA_DEF_ SG_ "SystemSignalLongSymbol" STRING ;\n'
+        + 'BA_DEF_DEF_ "SystemSignalLongSymbol" "";\n'
+        + f'BA_ "SystemSignalLongSymbol" SG_ 100 {long[:32]} "{long}";\n'
+    )
+    message = cantools.database.load_string(text, "dbc").messages[0]
+
+    assert multiplexers(message, "leaf") == [(long, frozenset({3}))]
+
+
+def test_a_circle_of_multiplexers_ends() -> None:
+    text = (
+        HEAD
+        + "BO_ 100 A: 8 X\n"
+        + ' SG_ a m1M : 0|4@1+ (1,0) [0|0] "" X\n'
+        + ' SG_ b m1M : 4|4@1+ (1,0) [0|0] "" X\n'
+        + "SG_MUL_VAL_ 100 a b 1-1;\n"
+        + "SG_MUL_VAL_ 100 b a 1-1;\n"
+    )
+    message = cantools.database.load_string(
+        text, "dbc", strict=False
+    ).messages[0]
+
+    with pytest.raises(UnusableSignalError, match="circle"):
+        multiplexers(message, "a")

@@ -4,6 +4,7 @@ import gzip
 from collections.abc import Callable
 from pathlib import Path
 
+import can
 import pytest
 
 from bstm_daemon.bus.decoder import Decoder
@@ -130,13 +131,14 @@ def test_a_gzip_log_is_read(signal_map: SignalMap, write: Write) -> None:
     ("name", "content", "message"),
     [
         ("drive.log", b"", "the log is empty"),
-        ("drive.blf", b"LOGG\0", r"\.blf files are not read: candump"),
-        ("drive.MF4", b"MDF     ", r"\.mf4 files are not read"),
-        (
-            "drive.asc.gz",
-            gzip.compress(b"x", mtime=0),
-            r"\.asc files are not read",
-        ),
+        ("drive.blf", b"junk", r"ending \.blf but does not begin like one"),
+        ("drive.MF4", b"junk", r"ending \.mf4 but does not begin like one"),
+        ("drive.h5", b"junk", r"ending \.h5 but does not begin like one"),
+        ("drive.mf4.gz", b"\x1f\x8bx", r"\.mf4 files packed with gzip are"),
+        ("drive.pcap", b"junk", r"\.pcap files are not read: read are cand"),
+        ("drive.mat.gz", b"\x1f\x8bx", r"\.mat files are not read"),
+        ("drive.csv", b"time,speed\n", "signal table has no CAN frames"),
+        ("drive.csv.gz", b"\x1f\x8bx", r"csv\.gz: damaged in its first line"),
         ("drive.log", b"\x00\x01\x02", "not a text log"),
         (
             "drive.log",
@@ -154,6 +156,40 @@ def test_what_is_not_read_is_named(
     with pytest.raises(LogError, match=message) as caught:
         open_log(path)
     assert str(path) in str(caught.value)
+
+
+def test_a_table_is_named_where_frames_are_expected(
+    signal_map: SignalMap, write: Write
+) -> None:
+    path = write("time,speed\n0,1\n", "drive.csv")
+
+    with pytest.raises(LogError, match="is a signal table, but no role"):
+        EventLog(path, signal_map)
+
+
+def test_a_blf_log_gives_what_a_candump_log_gives(
+    signal_map: SignalMap, tmp_path: Path
+) -> None:
+    samples = []
+    for ending in (".log", ".blf", ".asc"):
+        path = tmp_path / f"a{ending}"
+        with can.Logger(path) as writer:
+            for number in range(100):
+                writer.on_message_received(
+                    can.Message(
+                        timestamp=1_700_000_000 + number / 100,
+                        arbitration_id=256,
+                        is_extended_id=False,
+                        channel=number % 2,
+                        data=bytes([0, number]),
+                    )
+                )
+        log = EventLog(path, signal_map)
+        (events,) = [one for one in log.events() if len(one)]
+        samples.append((events.role.tolist(), events.value.tolist()))
+        assert log.share == (None if ending == ".log" else 1.0)
+
+    assert samples[0] == samples[1] == samples[2]
 
 
 def test_a_missing_log_and_a_folder_are_file_errors(tmp_path: Path) -> None:

@@ -10,18 +10,30 @@ from bstm_daemon.simulation import (
     load_drive,
     parse_drive,
 )
-from bstm_daemon.simulation.car import line_pressure, move
+from bstm_daemon.simulation.car import move
 from bstm_daemon.simulation.profile import plan_course
+from bstm_daemon.simulation.steps import nominal_power
 from bstm_daemon.simulation.vehicle import real_car
 
 HEAD = '[drive]\nname = "d"\ndescription = "x"\n'
 
 
-@pytest.mark.parametrize("name", drive_names())
+QUICK = {"alpine-descent", "ams", "assist", "idiada-pulse", "slippery"}
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(n, marks=[] if n in QUICK else pytest.mark.slow)
+        for n in drive_names()
+    ],
+)
 def test_forces_balance_on_every_drive(name: str) -> None:
     drive = load_drive(name)
     course = plan_course(drive, NOMINAL)
-    motion = move(course, NOMINAL, pushed=drive.drive.propulsion == "push")
+    motion = move(
+        course, NOMINAL, Effects(), pushed=drive.drive.propulsion == "push"
+    )
     v = course.speed_ms
     driving = v > 0
 
@@ -66,7 +78,7 @@ def test_engine_drags_in_gear_and_drives_uphill() -> None:
         "f.toml",
     )
     course = plan_course(drive, NOMINAL)
-    motion = move(course, NOMINAL, pushed=False)
+    motion = move(course, NOMINAL, Effects(), pushed=False)
 
     assert motion.powertrain_torque_nm[9000] > 300.0
     assert motion.brake_force_n[9000] == 0.0
@@ -85,7 +97,7 @@ def test_given_pressure_is_pressed_and_balanced() -> None:
         "f.toml",
     )
     course = plan_course(drive, NOMINAL)
-    motion = move(course, NOMINAL, pushed=True)
+    motion = move(course, NOMINAL, Effects(), pushed=True)
 
     assert motion.pressure_pa[4000] == pytest.approx(1e6)
     assert motion.external_force_n[4000] > motion.brake_force_n[4000] > 2e3
@@ -100,7 +112,7 @@ def test_motor_takes_its_share() -> None:
         "f.toml",
     )
     course = plan_course(drive, NOMINAL)
-    motion = move(course, NOMINAL, pushed=False)
+    motion = move(course, NOMINAL, Effects(), pushed=False)
     at = np.flatnonzero(course.segment == 1)[200]
 
     recovered = -motion.motor_torque_nm[at] / NOMINAL.wheel_radius_m
@@ -117,15 +129,50 @@ def test_share_error_keeps_the_sum() -> None:
     assert real_car(NOMINAL, Effects()) == NOMINAL
 
 
-def test_line_leads_the_clamp() -> None:
-    clamp = np.concatenate((np.zeros(50), np.linspace(0, 2e6, 100)))
+INTERVENING = """
+[[segment]]
+speed_kmh = 60.0
+gear = 3
+duration_s = 30.0
+[[segment]]
+speed_kmh = 60.0
+gear = 3
+duration_s = 10.0
+corner_pressure_bar = [0.0, 30.0, 0.0, 0.0]
+[[segment]]
+speed_kmh = 0.0
+rate_ms2 = 3.0
+modulation = 0.4
+slip = [0.1, 0.2, 0.0, 0.0]
+"""
 
-    plain = line_pressure(clamp, Effects(), 0.01)
-    lagging = line_pressure(clamp, Effects(hydraulic_lag=1.0), 0.01)
-    pushed = line_pressure(clamp, Effects(pushout_pressure=1.0), 0.01)
 
-    np.testing.assert_array_equal(plain, clamp)
-    # 2 MPa a second, 0.15 s ahead
-    assert lagging[100] - clamp[100] == pytest.approx(3.03e5, rel=0.01)
-    assert pushed[100] - clamp[100] == pytest.approx(1e5)
-    assert pushed[10] == 0.0
+def test_single_brake_is_balanced_by_the_engine() -> None:
+    course = plan_course(parse_drive(HEAD + INTERVENING, "f.toml"), NOMINAL)
+    motion = move(course, NOMINAL, Effects(), pushed=False)
+
+    alone = motion.corner_force_n[3500]
+    assert alone[1] == pytest.approx(30e5 * NOMINAL.gains[1])
+    assert not alone[[0, 2, 3]].any()
+    assert motion.brake_force_n[3500] == pytest.approx(alone.sum())
+    more = (
+        motion.powertrain_torque_nm[3500] - motion.powertrain_torque_nm[2500]
+    )
+    assert more / NOMINAL.wheel_radius_m == pytest.approx(alone.sum())
+    # the driver's foot is elsewhere
+    assert motion.pressure_pa[3500] == 0.0
+
+
+def test_anti_lock_keeps_the_sum_and_slipping_wheels_their_power() -> None:
+    course = plan_course(parse_drive(HEAD + INTERVENING, "f.toml"), NOMINAL)
+    motion = move(course, NOMINAL, Effects(), pushed=False)
+    stop = (course.segment == 2) & (course.speed_ms > 1)
+    force = motion.corner_force_n[stop]
+
+    np.testing.assert_allclose(force.sum(1), motion.brake_force_n[stop])
+    assert np.ptp(force[:, 0] / force.sum(1)) > 0.2
+    power = nominal_power(course, motion)[stop]
+    np.testing.assert_allclose(
+        power / (force * course.speed_ms[stop, None]),
+        np.broadcast_to([0.9, 0.8, 1.0, 1.0], force.shape),
+    )

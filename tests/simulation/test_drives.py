@@ -95,6 +95,30 @@ def test_binary_file_is_refused(tmp_path: Path) -> None:
             r"f.toml: segment\[1\]: 'brake_pressure_bar' and",
         ),
         (
+            HEAD + "[[segment]]\nspeed_kmh = 3.0\nslip = [0.1, 0.1]\n",
+            r"f.toml: segment\[1\].slip: ",
+        ),
+        (
+            HEAD + "[[segment]]\nspeed_kmh = 3.0\nslip = [1.1, 0, 0, 0]\n",
+            r"f.toml: segment\[1\]: 'slip' needs four shares",
+        ),
+        (
+            HEAD
+            + "[[segment]]\nspeed_kmh = 3.0\n"
+            + "corner_pressure_bar = [-1, 0, 0, 0]\n",
+            r"f.toml: segment\[1\]: 'corner_pressure_bar' needs four",
+        ),
+        (
+            HEAD
+            + "[[segment]]\nparked = true\nduration_s = 3.0\n"
+            + "corner_pressure_bar = [1, 0, 0, 0]\n",
+            r"f.toml: segment\[1\]: 'corner_pressure_bar' needs 'speed",
+        ),
+        (
+            HEAD + "[[segment]]\nspeed_kmh = 3.0\npressure_rise_bar_s = 1\n",
+            r"f.toml: segment\[1\]: 'pressure_rise_bar_s' needs",
+        ),
+        (
             HEAD
             + "[[segment]]\nrepeat = 2\n[[segment.segment]]\n"
             + "speed_kmh = nan\n",

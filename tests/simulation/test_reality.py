@@ -1,6 +1,7 @@
 """The brake corner: conservation, convergence, cooling, every effect."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -84,7 +85,9 @@ def test_compiled_march_is_the_same(lane_inputs: Inputs) -> None:
         pytest.skip("the compiled reality is not installed")
     effects = each_effect()
     inputs = rich_inputs(lane_inputs, len(effects))
-    lanes = Lanes([FRONT] * len(effects), effects, Mesh())
+    uneven = replace(FRONT, piston_side_share=0.55)
+    corners = [FRONT] * (len(effects) - 1) + [uneven]
+    lanes = Lanes(corners, effects, Mesh())
     start = np.full(len(effects), 320.0)
 
     slow = march_numpy(lanes, start_state(lanes, start), inputs)

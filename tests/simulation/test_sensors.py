@@ -6,8 +6,10 @@ import pytest
 from bstm_daemon.roles import ROLE_INDEX
 from bstm_daemon.simulation import Effects, SimulatedDrive
 from bstm_daemon.simulation.sensors import (
+    DRIFT_S,
     Channel,
     SensorSuite,
+    drifting,
     lagged,
     measured_temperatures,
 )
@@ -41,14 +43,54 @@ def test_noise_depends_on_seed_and_channel_only() -> None:
     assert abs(first - speed).max() > 0.1
 
 
-def test_bias_gain_lag_and_quantum() -> None:
-    channel = Channel(bias=1.0, gain=2.0, quantum=0.25)
+def test_quantum_offset_and_dead_zone() -> None:
+    channel = Channel(offset=1.0, quantum=0.25, dead_below=2.0)
     suite = SensorSuite(Effects(), 0, {"yaw_rate": channel})
 
     reading = suite.read("yaw_rate", TRUTH, 0.01)
 
-    np.testing.assert_allclose(reading, 2 * TRUTH + 1, atol=0.1251)
+    offset = reading[-1] - TRUTH[-1]
+    assert abs(offset) == 1.0
+    expected = np.where(reading > 0, TRUTH + offset, 0.0)
+    np.testing.assert_allclose(reading, expected, atol=0.1251)
     np.testing.assert_array_equal(reading * 4, np.rint(reading * 4))
+    assert reading[reading > 0].min() == 2.0
+
+
+def test_bias_is_drawn_once_a_drive() -> None:
+    channels = {"yaw_rate": Channel(bias_sd=0.5)}
+    biases = []
+    for seed in range(400):
+        suite = SensorSuite(Effects(), seed, channels)
+        error = suite.read("yaw_rate", TRUTH[:3], 0.01) - TRUTH[:3]
+        assert np.ptp(error) < 1e-12
+        biases.append(error[0])
+
+    assert np.std(biases) == pytest.approx(0.5, rel=0.1)
+    assert abs(np.mean(biases)) < 0.1
+
+
+def test_relative_noise_grows_with_the_reading() -> None:
+    suite = SensorSuite(
+        Effects(), 0, {"yaw_rate": Channel(relative_noise=0.04)}
+    )
+    low, high = np.full(4000, 10.0), np.full(4000, 100.0)
+
+    assert suite.read("yaw_rate", low, 0.01).std() == pytest.approx(
+        0.4, rel=0.1
+    )
+    assert suite.read("yaw_rate", high, 0.01).std() == pytest.approx(
+        4.0, rel=0.1
+    )
+
+
+def test_drift_is_stationary_with_its_time() -> None:
+    series = drifting(np.random.default_rng(1), 400_000, 1.0)
+    later = int(DRIFT_S)
+
+    assert series.std() == pytest.approx(1.0, rel=0.05)
+    correlation = np.mean(series[:-later] * series[later:]) / series.var()
+    assert correlation == pytest.approx(np.exp(-1.0), abs=0.06)
 
 
 def test_lag_follows_a_ramp_at_its_distance() -> None:
@@ -57,6 +99,12 @@ def test_lag_follows_a_ramp_at_its_distance() -> None:
     # a ramp of 1/s, 0.5 s behind
     assert TRUTH[-1] - out[-1] == pytest.approx(0.495, abs=0.005)
     assert out[0] == TRUTH[0]
+    # whatever the blocks: the recursion itself
+    decay, last, expected = np.exp(-0.01 / 0.5), TRUTH[0], []
+    for value in TRUTH:
+        last = value + (last - value) * decay
+        expected.append(last)
+    np.testing.assert_allclose(out, expected, atol=1e-12)
 
 
 def test_sensor_effects_act_on_their_channels() -> None:
@@ -83,9 +131,22 @@ def test_sensor_effects_act_on_their_channels() -> None:
     force = suite.read("acceleration_longitudinal", TRUTH, 0.01)
     temperatures = measured_temperatures(truth, suite)
 
-    np.testing.assert_allclose(torque, 0.92 * TRUTH)
-    np.testing.assert_allclose(force, TRUTH + 0.1)
-    np.testing.assert_allclose(temperatures["temp_fl_fluid"], TRUTH + 15.0)
+    np.testing.assert_allclose(torque[1:], 0.92 * TRUTH[1:] + 12.0)
+    assert torque[0] == 0.0
+    # a cold sensor's bias grows while it warms up
+    np.testing.assert_allclose(force - TRUTH, 0.07, atol=0.001)
+    fluid = temperatures["temp_fl_fluid"]
+    np.testing.assert_allclose(
+        fluid - TRUTH, 9.0 + 0.02 * (TRUTH - 293.15), atol=1e-9
+    )
+
+
+def test_thermocouple_lag_is_two_in_a_row() -> None:
+    suite = SensorSuite(Effects(thermocouple_lag=1.0), 0)
+
+    reading = suite.read("temp_fl_disc", np.arange(300.0), 1.0)
+
+    assert 299.0 - reading[-1] == pytest.approx(14.0, abs=0.5)
 
 
 def test_every_role_is_a_role(short: SimulatedDrive) -> None:

@@ -5,14 +5,20 @@ import pytest
 
 from bstm_daemon.errors import UsageError
 from bstm_daemon.simulation import (
+    EFFECT_NAMES,
+    Effects,
     Mesh,
     SimulatedDrive,
+    compiled,
     load_drive,
+    load_vehicle,
     parse_drive,
+    preset_effects,
     simulate,
 )
+from bstm_daemon.simulation.parameters import STRONGEST
 from bstm_daemon.simulation.profile import SAMPLE_S
-from bstm_daemon.simulation.simulate import Resolution
+from bstm_daemon.simulation.steps import Resolution
 
 
 def celsius(drive: SimulatedDrive, node: str) -> np.ndarray:
@@ -154,3 +160,66 @@ def test_drive_sets_mass_and_start() -> None:
 def test_unknown_preset_lists_the_known() -> None:
     with pytest.raises(UsageError, match="plain"):
         simulate(load_drive("simalp"), preset="rosy")
+
+
+def test_road_has_exactly_the_effects_of_the_extended_structure() -> None:
+    # those marked E in the table of effects, all at strength 1
+    road = preset_effects("road")
+    on = {name for name in EFFECT_NAMES if getattr(road, name) != 0.0}
+
+    assert on == {
+        "friction_fade",
+        "friction_speed",
+        "friction_pressure",
+        "gap_conduction",
+        "disc_radiation_driving",
+        "local_air",
+        "disc_hat",
+        "bracket_conduction",
+        "disc_caliper_radiation",
+        "caliper_fluid_split",
+    }
+    assert {getattr(road, name) for name in on} == {1.0}
+
+
+def test_effects_can_be_given_themselves(short: SimulatedDrive) -> None:
+    hot = simulate(short.drive, preset=Effects(brake_share=1.0))
+
+    assert hot.brake_energy_j[-1, 0] == pytest.approx(
+        1.1 * short.brake_energy_j[-1, 0]
+    )
+
+
+@pytest.mark.parametrize("strength", [-0.1, 3.1, float("nan")])
+def test_strength_beyond_its_range_is_refused(strength: float) -> None:
+    with pytest.raises(UsageError, match="disc_hat"):
+        Effects().with_strength("disc_hat", strength)
+
+
+def test_car_is_the_same_compiled_and_not(
+    short: SimulatedDrive, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if compiled.extension() is None:
+        pytest.skip("the compiled reality is not installed")
+    everything = Effects(**dict.fromkeys(EFFECT_NAMES, 1.0))
+    second = load_vehicle("second")
+    fast = simulate(short.drive, second, preset=everything)
+    monkeypatch.setenv("BSTM_KERNEL", "reference")
+    slow = simulate(short.drive, second, preset=everything)
+
+    for node, values in slow.truth.items():
+        np.testing.assert_allclose(fast.truth[node], values, atol=1e-7)
+    np.testing.assert_allclose(
+        fast.brake_power_w, slow.brake_power_w, rtol=1e-9
+    )
+
+
+def test_strongest_effects_stay_physical(short: SimulatedDrive) -> None:
+    everything = Effects(**dict.fromkeys(EFFECT_NAMES, STRONGEST))
+
+    driven = simulate(short.drive, preset=everything)
+
+    assert np.abs(driven.balance_residual).max() < 1e-10
+    for series in driven.truth.values():
+        assert series.min() > 250.0
+        assert series.max() < 600.0

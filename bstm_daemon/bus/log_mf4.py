@@ -1,0 +1,314 @@
+"""MF4 logs (ASAM MDF 4, bus logging) through asammdf.
+
+Read are the raw frames, the channel groups with ``CAN_DataFrame``. The
+interface is ``can`` and the bus channel as the file numbers it. Stamps are
+absolute: the start of the recording plus the stamp of the frame.
+"""
+
+from __future__ import annotations
+
+import gc
+import logging
+import sys
+from contextlib import contextmanager
+from dataclasses import fields, replace
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from bstm_daemon.bus.candump_line import EXTENDED_MAX, STANDARD_MAX
+from bstm_daemon.bus.frame_chunk import (
+    FrameChunk,
+    empty_chunk,
+    join_in_file_order,
+)
+from bstm_daemon.bus.log_reader import FrameLedger
+from bstm_daemon.bus.refusal import Refusal
+from bstm_daemon.errors import FileAccessError, LogError, MissingExtraError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+    import numpy.typing as npt
+
+    from bstm_daemon.bus.candump import Wanted
+
+CHUNK_FRAMES: Final = 100_000
+
+_FRAME: Final = "CAN_DataFrame"
+_NEEDED: Final = ("ID", "DataLength", "DataBytes")
+_REFUSED: Final = {
+    "CAN_ErrorFrame": Refusal.ERROR_FRAME,
+    "CAN_RemoteFrame": Refusal.REMOTE_FRAME,
+    "CAN_OverloadFrame": Refusal.ERROR_FRAME,
+}
+_EXTENDED_BIT: Final = 1 << 31
+
+
+class Mf4Reader(FrameLedger):
+    """A :class:`~bstm_daemon.bus.log_reader.FrameReader` of an MF4 log.
+
+    Several groups of data frames are merged by their stamps; within a group
+    frames keep the order of the file. ``lines`` counts records.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        wanted: Wanted | None = None,
+        *,
+        chunk_frames: int = CHUNK_FRAMES,
+    ) -> None:
+        """Prepare to read *path*, every id of every interface by default."""
+        super().__init__(path, wanted)
+        self._chunk_frames = chunk_frames
+
+    def chunks(self) -> Iterator[FrameChunk]:
+        """Yield the wanted data frames in file order.
+
+        Raises :class:`FileAccessError`, :class:`MissingExtraError` without
+        asammdf and :class:`LogError` for a damaged log or one without bus
+        logging.
+        """
+        mdf = self._open()
+        try:
+            yield from self._merged(mdf)
+        finally:
+            mdf.close()
+
+    def _open(self) -> Any:
+        try:
+            from asammdf import MDF  # noqa: PLC0415  (an extra, and slow)
+        except ImportError as error:
+            raise MissingExtraError(
+                package="asammdf",
+                extra="mf4",
+                purpose=f"{self.path}: an MF4 log",
+            ) from error
+        try:
+            self.path.open("rb").close()
+        except OSError as error:
+            msg = f"{self.path}: cannot be read: {error.strerror or error}"
+            raise FileAccessError(msg) from error
+        with _quiet():
+            try:
+                return MDF(self.path)
+            except Exception as error:  # noqa: BLE001  (raises anything)
+                problem = _worded(error)
+            gc.collect()
+        msg = f"{self.path}: damaged: {problem}"
+        raise LogError(msg)
+
+    def _merged(self, mdf: Any) -> Iterator[FrameChunk]:
+        with self._naming_damage():
+            groups = self._groups(mdf)
+        if not groups:
+            msg = (
+                f"{self.path}: no bus logging in this MF4 file (channel "
+                f"group {_FRAME}): only raw CAN frames are read"
+            )
+            raise LogError(msg)
+        total = max(sum(group.count for group in groups), 1)
+        done = 0
+        while True:
+            for group in groups:
+                self._fill(group)
+            # no group has an earlier frame to come than this
+            ahead = [int(g.chunk.time_us.max()) for g in groups if g.has_more]
+            parts = [group.take(min(ahead, default=None)) for group in groups]
+            merged = _merge(parts, self.lines + 1)
+            self.lines += len(merged)
+            done += len(merged)
+            self.share = done / total
+            yield self.settle(merged)
+            if not ahead:
+                return
+
+    def _groups(self, mdf: Any) -> list[_Group]:
+        start_us = round(mdf.header.start_time.timestamp() * 1e6)
+        found = []
+        for number, group in enumerate(mdf.groups):
+            names = {channel.name for channel in group.channels}
+            count = int(group.channel_group.cycles_nr)
+            for name, reason in _REFUSED.items():
+                if name in names and count:
+                    self.lines += count
+                    self.refused[reason] += count
+            if {f"{_FRAME}.{name}" for name in _NEEDED} <= names:
+                found.append(_Group(mdf, number, names, count, start_us))
+        return found
+
+    def _fill(self, group: _Group) -> None:
+        if len(group.chunk):
+            return
+        with self._naming_damage():
+            columns = group.read(self._chunk_frames)
+        buses = columns.pop("bus")
+        channel = np.zeros(len(buses), np.int16)
+        for bus in dict.fromkeys(buses.tolist()):
+            channel[buses == bus] = self.channel(f"can{bus}")
+        group.chunk = FrameChunk(channel=channel, **columns)
+
+    @contextmanager
+    def _naming_damage(self) -> Iterator[None]:
+        try:
+            yield
+        except Exception as error:  # asammdf raises anything on damage
+            msg = (
+                f"{self.path}: damaged after record {self.lines}: "
+                f"{_worded(error)}"
+            )
+            raise LogError(msg) from error
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Keep what asammdf has to say of a damaged file off the terminal.
+
+    Where it gives up, a half-built object is left whose end raises as well.
+    """
+    hook = sys.unraisablehook
+    logging.getLogger("asammdf").setLevel(logging.CRITICAL)
+    sys.unraisablehook = lambda _: None
+    try:
+        yield
+    finally:
+        sys.unraisablehook = hook
+
+
+def _worded(error: Exception) -> str:
+    return f"{type(error).__name__}: {error}".rstrip(": ")
+
+
+class _Group:
+    """One channel group of data frames, read record by record.
+
+    ``chunk`` has the records read and not taken yet.
+    """
+
+    def __init__(
+        self, mdf: Any, number: int, names: set[str], count: int, start_us: int
+    ) -> None:
+        self.count = count
+        self.chunk = empty_chunk()
+        self._mdf = mdf
+        self._number = number
+        self._names = names
+        self._start_us = start_us
+        self._read = 0
+
+    @property
+    def has_more(self) -> bool:
+        """Whether records are left behind those in ``chunk``."""
+        return self._read < self.count
+
+    def read(self, limit: int) -> dict[str, Any]:
+        """Return the columns of the next records, *limit* at most."""
+        count = min(limit, self.count - self._read)
+        if not count:
+            return {"bus": np.empty(0, np.int64), **_columns_of(empty_chunk())}
+        seconds, ids = self._column("ID", count)
+        ids = ids.astype(np.int64)
+        _, sizes = self._column("DataLength", count)
+        _, raw = self._column("DataBytes", count)
+        if not len(ids) == len(sizes) == len(raw) == count:
+            msg = f"{len(ids)} of {count} records are there"
+            raise ValueError(msg)
+        self._read += count
+        extended = (ids & _EXTENDED_BIT) != 0
+        if f"{_FRAME}.IDE" in self._names:
+            extended |= self._column("IDE", count, self._read - count)[1] != 0
+        else:
+            extended |= (ids & EXTENDED_MAX) > STANDARD_MAX
+        buses = np.zeros(count, np.int64)
+        if f"{_FRAME}.BusChannel" in self._names:
+            buses = self._column("BusChannel", count, self._read - count)[1]
+        lengths, data = _payloads(raw, sizes)
+        return {
+            "bus": buses,
+            "time_us": self._start_us + np.round(seconds * 1e6).astype("i8"),
+            "line": np.zeros(count, np.int64),
+            "can_id": (ids & EXTENDED_MAX).astype(np.uint32),
+            "extended": extended,
+            "length": lengths,
+            "data": data,
+        }
+
+    def take(self, until_us: int | None) -> FrameChunk:
+        """Return what is read, up to the stamp *until_us* where given."""
+        whole = self.chunk
+        if until_us is None or not len(whole):
+            cut = len(whole)
+        else:
+            # a stamp that runs backwards stays behind its predecessors
+            so_far = np.maximum.accumulate(whole.time_us)
+            cut = int(np.searchsorted(so_far, until_us, side="right"))
+        self.chunk = _slice(whole, slice(cut, None))
+        return _slice(whole, slice(cut))
+
+    def _column(
+        self, name: str, count: int, first: int | None = None
+    ) -> tuple[npt.NDArray[np.float64], npt.NDArray[Any]]:
+        signal = self._mdf.get(
+            f"{_FRAME}.{name}",
+            group=self._number,
+            raw=True,
+            record_offset=self._read if first is None else first,
+            record_count=count,
+        )
+        return signal.timestamps, signal.samples
+
+
+def _payloads(
+    raw: npt.NDArray[Any], sizes: npt.NDArray[Any]
+) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.uint8]]:
+    """Return lengths and payloads, 8 or 64 wide and zero behind the length.
+
+    A length that the bytes do not cover becomes 255, which no frame has.
+    """
+    rows = raw.view(np.uint8).reshape(len(raw), -1)
+    sizes = sizes.astype(np.int64)
+    width = 8 if sizes.max() <= 8 else 64
+    data = np.zeros((len(rows), width), np.uint8)
+    common = min(width, rows.shape[1])
+    data[:, :common] = rows[:, :common]
+    data[np.arange(width) >= sizes[:, None]] = 0
+    lengths = np.where(sizes > rows.shape[1], 255, sizes.clip(0, 255))
+    return lengths.astype(np.uint8), data
+
+
+def _merge(parts: list[FrameChunk], first_line: int) -> FrameChunk:
+    """Return all frames by stamp, those of one part in their order."""
+    parts = [part for part in parts if len(part)] or parts[:1]
+    ranks = np.argsort(
+        np.argsort(
+            np.concatenate(
+                [np.maximum.accumulate(part.time_us) for part in parts]
+            ),
+            kind="stable",
+        )
+    )
+    ends = np.cumsum([len(part) for part in parts])
+    numbered = [
+        replace(part, line=ranks[end - len(part) : end] + first_line)
+        for part, end in zip(parts, ends.tolist(), strict=True)
+    ]
+    return join_in_file_order(numbered)
+
+
+def _columns_of(chunk: FrameChunk) -> dict[str, Any]:
+    return {
+        field.name: getattr(chunk, field.name)
+        for field in fields(chunk)
+        if field.name != "channel"
+    }
+
+
+def _slice(chunk: FrameChunk, which: slice) -> FrameChunk:
+    return FrameChunk(
+        **{
+            field.name: getattr(chunk, field.name)[which]
+            for field in fields(chunk)
+        }
+    )

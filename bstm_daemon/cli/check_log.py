@@ -1,0 +1,75 @@
+"""``bstm check --log``: how far the signals of a recording can be trusted."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from bstm_daemon import __version__
+from bstm_daemon.cli.progress import Progress
+from bstm_daemon.cli.vehicle import load_vehicle
+
+if TYPE_CHECKING:
+    import argparse
+    from pathlib import Path
+
+BYTES_PER_LINE = 44
+"""A candump line of eight bytes; only the progress line depends on it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Checked:
+    """The judgement of the logs: as text, as plain data, and in short."""
+
+    text: str
+    data: dict[str, Any]
+    usable: bool
+
+
+def check_logs(args: argparse.Namespace, path: Path) -> Checked:
+    """Judge ``args.log`` for the configuration *path*.
+
+    Writes ``args.report`` where it is given.
+
+    Raises:
+        LogError: a log cannot be used, or holds none of the wanted ids.
+        FileAccessError: a log cannot be read, the report not be written.
+        MissingExtraError: a report without plotly.
+    """
+    from bstm_daemon.quality.judge import judge  # noqa: PLC0415
+    from bstm_daemon.quality.recording import read_recording  # noqa: PLC0415
+    from bstm_daemon.report.quality_screen import (  # noqa: PLC0415
+        quality_table,
+    )
+    from bstm_daemon.report.quality_words import quality_json  # noqa: PLC0415
+
+    config, signal_map = load_vehicle(path)
+    with Progress("check") as progress:
+
+        def show(log: Path, lines: int) -> None:
+            size = max(log.stat().st_size, 1)
+            progress.show(min(lines * BYTES_PER_LINE / size, 1.0))
+
+        recording = read_recording(args.log, signal_map, dict(args.map), show)
+    quality = judge(recording, config, signal_map)
+    names = ", ".join(log.name for log in args.log)
+    if args.report:
+        from bstm_daemon.report.quality_page import (  # noqa: PLC0415
+            write_quality_report,
+        )
+
+        write_quality_report(
+            args.report,
+            quality,
+            title=f"Signal quality: {names}",
+            subtitle=f"{config.vehicle.id} · {path.name}",
+            version=__version__,
+        )
+    lines = [f"{names}  ({config.vehicle.id}, {path})", quality_table(quality)]
+    lines += [
+        f"{log}: cut short, its end is missing" for log in recording.truncated
+    ]
+    if args.report:
+        lines.append(str(args.report))
+    data = {"files": [str(log) for log in args.log], **quality_json(quality)}
+    return Checked("\n".join(lines), data, quality.usable)

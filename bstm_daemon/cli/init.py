@@ -1,0 +1,108 @@
+"""``bstm init``: a first configuration from a DBC and, if there are, logs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from bstm_daemon.bus.dbc import read_dbc
+from bstm_daemon.bus.dbc_text import guess_encoding
+from bstm_daemon.cli.arguments import add_out
+from bstm_daemon.errors import FileAccessError, UsageError
+from bstm_daemon.files import replacing
+from bstm_daemon.setup.clues import clues_of
+from bstm_daemon.setup.proposal import propose
+from bstm_daemon.setup.recording import read_recording
+from bstm_daemon.setup.writing import configuration_text, notes_of
+
+if TYPE_CHECKING:
+    import argparse
+
+    from bstm_daemon.setup.proposal import Candidate
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare ``--dbc``, ``--log``, ``-o`` and ``--force``."""
+    parser.add_argument(
+        "--dbc",
+        type=Path,
+        required=True,
+        metavar="CAR.dbc",
+        help="what the car's frames mean",
+    )
+    parser.add_argument(
+        "--log",
+        type=Path,
+        action="append",
+        default=[],
+        metavar="LOG",
+        help="recorded drive that confirms or refutes what names suggest, "
+        "with some braking in it; may be repeated",
+    )
+    add_out(parser, "configuration to write", "CAR.toml")
+    parser.add_argument(
+        "--force", action="store_true", help="replace CAR.toml if it exists"
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Write the proposed configuration and say what is in it."""
+    if args.out is None:
+        msg = "init needs -o CAR.toml, the configuration to write"
+        raise UsageError(msg)
+    out: Path = args.out
+    if out.exists() and not args.force:
+        msg = f"{out}: exists already, give --force to replace it"
+        raise UsageError(msg)
+    encoding = _encoding(args.dbc)
+    loaded = read_dbc(args.dbc, strict=False, encoding=encoding)
+    database = loaded.database
+    recording = (
+        read_recording(args.log, database, clues_of(database))
+        if args.log
+        else None
+    )
+    proposal = propose(database, recording)
+    text = configuration_text(
+        proposal,
+        recording,
+        dbc=args.dbc.resolve(),
+        folder=out.resolve().parent,
+        strict=all(one.harmless for one in loaded.warnings),
+        encoding=encoding,
+    )
+    with replacing(out) as file:
+        file.write_text(text, "utf-8")
+    for warning in loaded.warnings:
+        print(f"{args.dbc}: {warning}")
+    for note in notes_of(recording) if recording else ():
+        print(note)
+    print(
+        f"{out}: {len(proposal.sure)} roles, {len(proposal.unsure)} unsure "
+        f"ones as comments{'' if recording else ', by name and unit only'}"
+    )
+    for one in proposal.sure:
+        print(f"  {one.role:26} {_worded(one)}")
+    for one in proposal.unsure:
+        print(f"? {one.role:26} {_worded(one)}")
+    print(
+        "Every value marked 'typical, replace' stands for one of your car; "
+        f"bstm check {out} accepts the file as it is."
+    )
+    return 0
+
+
+def _encoding(path: Path) -> str:
+    try:
+        return guess_encoding(path.read_bytes())
+    except OSError as error:
+        msg = f"{path}: cannot be read: {error.strerror or error}"
+        raise FileAccessError(msg) from error
+
+
+def _worded(one: Candidate) -> str:
+    source = f"{one.clue.message.name}.{one.clue.signal.name}"
+    factor = one.sign * one.scale
+    corrected = f" x {factor:g}" if factor != 1 else ""
+    unread = f" [NOT READ: {one.unread}]" if one.unread else ""
+    return f"{source} {one.unit}{corrected}: {one.reason}{unread}"
