@@ -24,7 +24,8 @@
 enum { DONE, FULL, SETTLE, JUMP, DROP };
 enum {
     FLAG_SPEED = 1, FLAG_PRESSURE = 2, FLAG_ACCELERATION = 4,
-    FLAG_TORQUE = 8, FLAG_AMBIENT = 16, FLAG_JUMP = 32, FLAG_SETTLED = 64
+    FLAG_TORQUE = 8, FLAG_AMBIENT = 16, FLAG_JUMP = 32, FLAG_SETTLED = 64,
+    FLAG_CORNER_PRESSURE = 128
 };
 enum {
     I_LAYOUT, I_ROLES, I_CORNERS, I_MODE, I_SLOPE, I_POINTS, I_PRESSURE,
@@ -47,7 +48,7 @@ enum {
     NUMBERS
 };
 enum { PER_CORNER_SUMS = 5, CHANNELS = 8 + MEASURED, VEHICLE_CHANNELS = 5 };
-enum { MAX_CORNERS = 64 };
+enum { MAX_CORNERS = 16 }; /* each has a bit of its own in flags */
 
 typedef struct {
     const int32_t *ints, *role, *corner;  /* role: the vehicle's roles */
@@ -60,7 +61,7 @@ typedef struct {
     int64_t *row_times;
     Py_ssize_t room, steps;
     int stale, speed_known;
-    double speed, wheel[MAX_CORNERS], target[MAX_CORNERS];
+    double speed, heading, wheel[MAX_CORNERS], target[MAX_CORNERS];
 } Pass;
 
 static int valid(const Pass *p, int role)
@@ -97,17 +98,21 @@ static double pressure_of(const Pass *p, const int32_t *corner)
 
 static void refresh(Pass *p)
 {
-    double total = 0.0;
+    double total = 0.0, along = 0.0;
     int count = 0;
     for (int c = 0; c < p->corners; c++) {
         const int role = p->corner[c * PER_CORNER_INTS + C_WHEEL];
         if (valid(p, role)) {
             total += fabs(p->value[role]);
+            along += p->value[role];
             count++;
         }
     }
-    if (valid(p, p->role[R_SPEED])) p->speed = fabs(vehicle(p, R_SPEED, 0.0));
-    else p->speed = count ? total / (double)count : 0.0;
+    if (valid(p, p->role[R_SPEED])) {
+        along = vehicle(p, R_SPEED, 0.0);
+        p->speed = fabs(along);
+    } else p->speed = count ? total / (double)count : 0.0;
+    p->heading = along < 0.0 ? -1.0 : 1.0;
     p->speed_known = count > 0 || valid(p, p->role[R_SPEED]);
     for (int c = 0; c < p->corners; c++) {
         const int32_t *corner = p->corner + c * PER_CORNER_INTS;
@@ -119,12 +124,18 @@ static void refresh(Pass *p)
     p->stale = 0;
 }
 
+static int corner_known(const Pass *p, int c)
+{
+    const int32_t *corner = p->corner + c * PER_CORNER_INTS;
+    return valid(p, corner[C_PRESSURE]) || valid(p, p->role[R_PRIMARY])
+        || (corner[C_SECONDARY] && valid(p, p->role[R_SECONDARY]));
+}
+
 static int pressure_known(const Pass *p)
 {
-    if (!p->ints[I_PRESSURE]) return 0;
     for (int c = 0; c < p->corners; c++)
-        if (valid(p, p->corner[c * PER_CORNER_INTS + C_PRESSURE])) return 1;
-    return valid(p, p->role[R_PRIMARY]);
+        if (corner_known(p, c)) return 1;
+    return 0;
 }
 
 /* All of Eq 4.11 but the change of speed, times h; that change acts on
@@ -137,10 +148,12 @@ static double outer_impulse(const Pass *p, double h, double v,
         ? (f[F_QUADRATIC] * v + f[F_LINEAR]) * v + f[F_CONSTANT] : 0.0;
     const double torque = vehicle(p, R_TORQUE, f[F_TORQUE]);
     const double external = vehicle(p, R_EXTERNAL, 0.0);
-    const double impulse = (torque / f[F_RADIUS] + external - drag) * h;
+    const double driving = p->heading * (torque / f[F_RADIUS] + external);
+    const double impulse = (driving - drag) * h;
     const int acceleration = p->role[R_ACCELERATION];
     if (p->ints[I_SLOPE] == 0 && valid(p, acceleration)) {
-        const double felt = f[F_MASS] * p->value[acceleration] * h;
+        const double felt =
+            f[F_MASS] * (p->heading * p->value[acceleration]) * h;
         *inertia_kg = f[F_ROTATING];
         return impulse - felt;
     }
@@ -177,7 +190,9 @@ static void integrate(Pass *p, int64_t time_us)
         const double *k = p->corner_f + c * PER_CORNER_FLOATS;
         const double target = p->target[c];
         double pressure;
-        if (k[T_LAG] > 0.0) {
+        /* a pressure measured at the wheel has the lag in it */
+        if (k[T_LAG] > 0.0
+            && !valid(p, p->corner[c * PER_CORNER_INTS + C_PRESSURE])) {
             const double decay = exp(-h / k[T_LAG]);
             const double apart = p->lagged[c] - target;
             pressure = target + apart * (k[T_LAG] * (1.0 - decay) / h);
@@ -187,13 +202,14 @@ static void integrate(Pass *p, int64_t time_us)
             p->lagged[c] = target;
         }
         const double pushing = pressure - k[T_PUSHOUT];
-        if (pushing > 0.0) {
+        const int pressed = pressure > p->f[F_ON_PRESSURE];
+        if (pressed && pushing > 0.0) {
             const double power =
                 k[T_PER_PA] * pushing * (p->wheel[c] / p->f[F_RADIUS]);
             p->energy_ff[c] += power * h;
         }
         p->pressure_sum[c] += pressure * h;
-        if (pressure > p->f[F_ON_PRESSURE]) p->on_time[c] += h;
+        if (pressed) p->on_time[c] += h;
         if (pressure > highest) highest = pressure;
     }
     double middle, inertia_kg;
@@ -231,7 +247,9 @@ static int missing(const Pass *p)
     for (int c = 0; c < p->corners && !speed; c++)
         speed = valid(p, p->corner[c * PER_CORNER_INTS + C_WHEEL]);
     if (!speed) flags |= FLAG_SPEED;
-    if (!pressure_known(p)) flags |= FLAG_PRESSURE;
+    for (int c = 0; c < p->corners; c++)
+        if (!corner_known(p, c))
+            flags |= FLAG_PRESSURE | FLAG_CORNER_PRESSURE << c;
     if (!valid(p, p->role[R_ACCELERATION])) flags |= FLAG_ACCELERATION;
     if (!valid(p, p->role[R_TORQUE])) flags |= FLAG_TORQUE;
     if (!valid(p, p->role[R_AMBIENT])) flags |= FLAG_AMBIENT;
@@ -249,6 +267,7 @@ static double input_age_s(const Pass *p)
     int64_t speed = NEVER, pressure = NEVER;
     newest(p, p->role[R_SPEED], &speed);
     newest(p, p->role[R_PRIMARY], &pressure);
+    newest(p, p->role[R_SECONDARY], &pressure);
     for (int c = 0; c < p->corners; c++) {
         const int32_t *corner = p->corner + c * PER_CORNER_INTS;
         newest(p, corner[C_WHEEL], &speed);

@@ -25,6 +25,13 @@ Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
 Fraction = Annotated[float, Field(ge=0, le=1)]
 Emissivity = Annotated[float, Field(gt=0, le=1)]
+# upper bounds beyond any road vehicle: they find mm, cm2 and mm2 in an SI key
+Radius = Annotated[float, Field(gt=0, le=0.5)]
+PistonArea = Annotated[float, Field(gt=0, le=0.02)]
+DiscArea = Annotated[float, Field(gt=0, le=1)]
+DiscMass = Annotated[float, Field(gt=0, le=100)]
+PadArea = Annotated[float, Field(gt=0, le=0.05)]
+PadThickness = Annotated[float, Field(gt=0, le=0.05)]
 Text = Annotated[str, Field(min_length=1)]
 CornerName = Literal["FL", "FR", "RL", "RR"]
 
@@ -95,8 +102,8 @@ class VehicleConfig(Section):
     """``[vehicle]``: what Feed-Back needs of the car (Eq 4.2, 4.11)."""
 
     id: Text
-    mass_kg: Positive
-    wheel_radius_m: Positive
+    mass_kg: Annotated[float, Field(ge=100, le=60_000)]
+    wheel_radius_m: Annotated[float, Field(ge=0.1, le=1)]
     wheel_inertia_kg_m2: NotNegative = 3.0
     drag_area_m2: NotNegative = 0.7
     friction_ns_m: NotNegative = 4.0
@@ -221,9 +228,9 @@ class DiscConfig(Section):
     """
 
     model: str = "lumped"
-    mass_kg: Positive
-    swept_area_m2: Positive
-    total_area_m2: Positive
+    mass_kg: DiscMass
+    swept_area_m2: DiscArea
+    total_area_m2: DiscArea
     material: Literal["grey-iron", "pure-iron", "own"] = "grey-iron"
     heat_capacity_j_kgk: Curve | None = None
     conductivity_w_mk: Positive = 50.0
@@ -239,13 +246,22 @@ class DiscConfig(Section):
         )
         return self
 
+    @model_validator(mode="after")
+    def _swept_is_a_part(self) -> Self:
+        _require(
+            self.swept_area_m2 <= self.total_area_m2,
+            f"'swept_area_m2' = {self.swept_area_m2:g} must be at most "
+            f"'total_area_m2' = {self.total_area_m2:g}, which it is a part of",
+        )
+        return self
+
 
 class PadConfig(Section):
     """``corner.pad``: one of the two equal pads of a corner."""
 
     model: str = "slabs"
-    area_m2: Positive
-    thickness_m: Positive
+    area_m2: PadArea
+    thickness_m: PadThickness
     slabs: Annotated[int, Field(ge=1, le=60)] = 10
     surface_cells: Literal["half", "full"] = "half"
     density_kg_m3: Positive = 2300.0
@@ -314,11 +330,11 @@ class CornerConfig(Section):
     side: Literal["left", "right"] | None = None
     circuit: Literal["primary", "secondary"] = "primary"
     caliper: Literal["floating", "fixed"] = "floating"
-    piston_area_m2: Positive
+    piston_area_m2: PistonArea
     piston_count: Annotated[int, Field(ge=1, le=6)] = 1
-    effective_radius_m: Positive | None = None
-    swept_inner_radius_m: Positive | None = None
-    swept_outer_radius_m: Positive | None = None
+    effective_radius_m: Radius | None = None
+    swept_inner_radius_m: Radius | None = None
+    swept_outer_radius_m: Radius | None = None
     pressure_distribution: Literal["uniform-wear", "uniform-pressure"] = (
         "uniform-wear"
     )
@@ -355,6 +371,18 @@ class CornerConfig(Section):
             self.axle in (None, axle) and self.side in (None, side),
             f"corner {self.name} is {axle} {side}: 'axle' or 'side' differ",
         )
+        return self
+
+    @model_validator(mode="after")
+    def _pads_fit_on_disc(self) -> Self:
+        if self.disc is not None and self.pad is not None:
+            pad_m2, swept_m2 = self.pad.area_m2, self.disc.swept_area_m2
+            _require(
+                2.0 * pad_m2 <= swept_m2,
+                f"both pads, 2 x 'pad.area_m2' = {2.0 * pad_m2:g}, must be "
+                f"at most 'disc.swept_area_m2' = {swept_m2:g}, both faces "
+                "together",
+            )
         return self
 
 

@@ -53,6 +53,7 @@ _USED: Final = {
 _ROLES: Final = {
     "pressure": (
         "primary_pressure",
+        "secondary_pressure",
         *(f"wheel_pressure_{name.lower()}" for name in CORNERS),
     ),
     "acceleration": ("acceleration_longitudinal",),
@@ -99,8 +100,9 @@ class Engine:
             history_known=history_known,
         )
         self.publication = Publication(
-            [corner.name for corner in config.disc_corners()],
+            [corner.name for corner in config.corner],
             config.publish.id_base,
+            modelled=[corner.name for corner in config.disc_corners()],
         )
         self._boiling_k = wet_boiling_point_k(config.fluid.grade)
         self._heat_mode = HeatMode[config.heat.mode.upper()]

@@ -11,7 +11,7 @@ from __future__ import annotations
 from array import array
 from dataclasses import dataclass
 from itertools import groupby
-from math import isfinite
+from math import isfinite, isnan, nan
 from typing import TYPE_CHECKING, Any, Final
 
 from bstm_daemon.effects.catalogue import apply_effects
@@ -21,13 +21,14 @@ from bstm_daemon.heat import sample_pass as reference_pass
 from bstm_daemon.heat.sample_pass import SETTLE
 from bstm_daemon.heat.sample_plan import (
     CHANNELS,
+    CORNER_PRESSURE,
     FLAGS,
     VEHICLE_CHANNELS,
     plan_samples,
 )
 from bstm_daemon.heat.sample_state import SampleState
 from bstm_daemon.native import load_kernel
-from bstm_daemon.roles import ROLE_INDEX
+from bstm_daemon.roles import MEASURED_NODES, ROLE_INDEX
 from bstm_daemon.thermal.brake_corner import build_corner, corner_spec
 from bstm_daemon.thermal.kernel import Batch
 from bstm_daemon.thermal.program import Program, compile_network
@@ -53,9 +54,15 @@ PUBLISH_US: Final = 100_000
 ROWS: Final = 4096
 """Steps marched at a time; bounds memory, changes no number."""
 
-SETTLING_STEPS: Final = 7200 * 1_000_000 // STEP_US
-"""Two hours of steps, after which an unknown start no longer shows: four time
-constants of fluid and caliper (2.6 kJ/K over 1.5 W/K)."""
+HOT_START_K: Final = 150.0
+SETTLED_K: Final = 5.0
+"""An unknown start no longer shows once a parked brake that began
+``HOT_START_K`` above the air would be within ``SETTLED_K`` of it."""
+
+SETTLING_STEP_S: Final = 60.0
+LONGEST_SETTLING_S: Final = 24 * 3600.0
+"""The settling is marched in coarse steps (the scheme damps any step) and
+not beyond a day."""
 
 LOWEST_K: Final = 200.0
 HIGHEST_K: Final = 1800.0
@@ -65,14 +72,6 @@ melting point."""
 VALID: Final = 0
 DEGRADED: Final = 1
 INVALID: Final = 2
-
-MANDATORY: Final = {
-    "ff": FLAGS["speed_missing"] | FLAGS["pressure_missing"],
-    "fb": FLAGS["speed_missing"],
-    "measured": 0,
-}
-"""Missing inputs that degrade an estimate, by heat mode; Feed-Back also
-needs torque and acceleration where they are mapped."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,7 +140,8 @@ class Estimator:
             for corner in config.disc_corners()
         }
         self._groups = self._batches(start_k)
-        self._history_left = 0 if history_known else SETTLING_STEPS
+        self.settling_s = 0.0 if history_known else self._settling_time_s()
+        self._history_left = round(self.settling_s * 1e6) // STEP_US
         self._mandatory = _mandatory_flags(config, present)
         corners = len(self.plan.corners)
         self._rows = array("d", bytes(8 * ROWS * corners * len(CHANNELS)))
@@ -286,10 +286,12 @@ class Estimator:
             vehicle.extend(self._vehicle[step * wide : (step + 1) * wide])
         flags = self._published_flags(steps, phase, every)
         block = Block(times, rows, vehicle, outputs, flags, {})
-        usual = self._usual_validity(flags, phase, every)
+        known_from = self._known_from(phase, every)
         self._history_left -= steps
         for group, output in zip(self.groups, outputs, strict=True):
-            _judge(group, output, usual, block)
+            _judge(group, output, self._mandatory, known_from, block)
+        if self.config.heat.mode == "measured":
+            _judge_measured(self.plan.corners, block)
         return block
 
     def _published_flags(
@@ -307,20 +309,31 @@ class Estimator:
                 self._open_flags = 0
         return flags
 
-    def _usual_validity(
-        self, flags: array[int], phase: int, every: int
-    ) -> array[int]:
-        """Validity per publication as inputs and history have it."""
-        first_known = self._history_left - phase
-        return array(
-            "b",
-            [
-                VALID
-                if i * every >= first_known and not bits & self._mandatory
-                else DEGRADED
-                for i, bits in enumerate(flags)
-            ],
-        )
+    def _known_from(self, phase: int, every: int) -> int:
+        """Index of the first publication whose start no longer matters."""
+        return max(-(-(self._history_left - phase) // every), 0)
+
+    def _settling_time_s(self) -> float:
+        """How long the slowest brake of this car remembers a hot start."""
+        channels = dict.fromkeys(CHANNELS, 0.0)
+        air_k = self.config.vehicle.ambient_c + KELVIN_OFFSET
+        channels["ambient_k"] = air_k
+        for node in MEASURED_NODES:
+            channels[f"measured_{node}_k"] = nan
+        row = array("d", channels.values())
+        longest = 0.0
+        for program in self.programs.values():
+            hot = air_k + HOT_START_K
+            batch = Batch([program], hot, [0], self._kernel, 1)
+            nodes = len(program.network.nodes)
+            elapsed = 0.0
+            while elapsed < LONGEST_SETTLING_S:
+                batch.march(row, 1, SETTLING_STEP_S)
+                elapsed += SETTLING_STEP_S
+                if max(batch.state[:nodes]) < air_k + SETTLED_K:
+                    break
+            longest = max(longest, elapsed)
+        return longest
 
     def _settle(self) -> None:
         ambient = self._samples.last_value(ROLE_INDEX["ambient_temperature"])
@@ -333,14 +346,23 @@ class Estimator:
 
 
 def _judge(
-    group: Group, output: array[float], usual: array[int], block: Block
+    group: Group,
+    output: array[float],
+    mandatory: Mapping[str, int],
+    known_from: int,
+    block: Block,
 ) -> None:
-    """Add the validity of a group's corners to *block*."""
+    """Add the validity of a group's corners to *block*.
+
+    *mandatory*: bits of missing inputs that degrade a corner; *known_from*:
+    the first publication at which the history is known.
+    """
     members = len(group.corners)
     for member, name in enumerate(group.corners):
-        validity = usual[:]
+        bits = mandatory[name]
+        validity = array("b")
         first = member * group.size
-        for i in range(len(validity)):
+        for i, flags in enumerate(block.flags):
             nodes = output[first : first + group.nodes]
             # nan fails every comparison, but min and max may pass it over
             if not (
@@ -348,9 +370,23 @@ def _judge(
                 and min(nodes) > LOWEST_K
                 and max(nodes) < HIGHEST_K
             ):
-                validity[i] = INVALID
+                validity.append(INVALID)
+            elif flags & bits or i < known_from:
+                validity.append(DEGRADED)
+            else:
+                validity.append(VALID)
             first += members * group.size
         block.validity[name] = validity
+
+
+def _judge_measured(corners: Sequence[str], block: Block) -> None:
+    """Degrade corners whose disc should be measured and is not now."""
+    wide = len(CHANNELS)
+    for name, validity in block.validity.items():
+        first = corners.index(name) * wide + CHANNELS.index("measured_disc_k")
+        for i, disc_k in enumerate(block.rows[first :: len(corners) * wide]):
+            if isnan(disc_k):
+                validity[i] = max(validity[i], DEGRADED)
 
 
 def _plain(column: Any) -> Any:
@@ -368,7 +404,7 @@ def compile_corner(config: Config, corner: CornerConfig) -> Program:
     mode = config.heat.mode
     try:
         net = build_corner(spec, CHANNELS, force_measured=mode == "measured")
-        model = CornerModel(spec, net, mode == "ff")
+        model = CornerModel(spec, net, mode != "fb")
         model = apply_effects(model, config.effect)
         return compile_network(model.network)
     except (KeyError, ValueError) as error:
@@ -376,13 +412,21 @@ def compile_corner(config: Config, corner: CornerConfig) -> Program:
         raise ConfigError([msg]) from error
 
 
-def _mandatory_flags(config: Config, present: Mapping[int, int]) -> int:
-    flags = MANDATORY[config.heat.mode]
-    if config.heat.mode == "fb":
-        for role, flag in (
-            ("acceleration_longitudinal", "acceleration_missing"),
-            ("powertrain_torque", "torque_missing"),
-        ):
-            if ROLE_INDEX[role] in present:
-                flags |= FLAGS[flag]
-    return flags
+def _mandatory_flags(
+    config: Config, present: Mapping[int, int]
+) -> dict[str, int]:
+    """Bits of missing inputs that degrade each corner."""
+    needed: dict[str, int] = {}
+    for place, corner in enumerate(config.corner):
+        flags = FLAGS["speed_missing"]
+        if config.heat.mode != "fb":
+            flags |= CORNER_PRESSURE << place
+        else:
+            for role, flag in (
+                ("acceleration_longitudinal", "acceleration_missing"),
+                ("powertrain_torque", "torque_missing"),
+            ):
+                if ROLE_INDEX[role] in present:
+                    flags |= FLAGS[flag]
+        needed[corner.name] = flags
+    return needed

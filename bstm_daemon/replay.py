@@ -37,7 +37,8 @@ class Replay:
 
     ``refused`` counts lines, frames and samples by reason; ``counts`` has
     the estimator's own: late and dropped samples, clock jumps. ``truncated``
-    tells of a gzip file without its end.
+    tells of a gzip file without its end. ``settling_s`` is how long the
+    unknown start is felt.
     """
 
     results: Results
@@ -47,6 +48,7 @@ class Replay:
     counts: dict[str, int]
     compiled: bool
     truncated: bool
+    settling_s: float
 
 
 def replay_log(
@@ -97,6 +99,7 @@ def replay_log(
         estimator.counts,
         estimator.compiled,
         log.reader.truncated,
+        estimator.settling_s,
     )
 
 

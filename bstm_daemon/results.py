@@ -42,6 +42,15 @@ class Results:
     corners: tuple[str, ...]
     modelled: tuple[str, ...]
 
+    @property
+    def elapsed_s(self) -> Column:
+        """Time since the first row; a clock set back does not count."""
+        time_s = self.columns["time_s"]
+        elapsed: Column = np.cumsum(
+            np.maximum(np.diff(time_s, prepend=time_s[:1]), 0.0)
+        )
+        return elapsed
+
     def __len__(self) -> int:
         """Return the number of rows."""
         return len(self.columns["time_s"])
@@ -60,6 +69,7 @@ class ResultsBuilder:
         self._times: list[npt.NDArray[np.int64]] = []
         self._rows: list[Column] = []
         self._vehicle: list[Column] = []
+        self._flags: list[Column] = []
         self._outputs: list[list[Column]] = [[] for _ in estimator.groups]
         self._validity: dict[str, list[Column]] = {
             name: [] for group in estimator.groups for name in group.corners
@@ -86,6 +96,8 @@ class ResultsBuilder:
             self._vehicle.append(
                 _floats(block.vehicle, n, len(VEHICLE_CHANNELS))[keep]
             )
+            flags = np.frombuffer(block.flags, np.int32)[keep]
+            self._flags.append(flags.astype(float))
             for group, output, kept in zip(
                 self._estimator.groups,
                 block.outputs,
@@ -102,19 +114,22 @@ class ResultsBuilder:
         """Return the columns of all blocks so far; at least one is needed.
 
         The estimator's first publication is left out: no whole interval lies
-        before it, so it has no mean speed.
+        before it, so it has no mean power.
         """
         times_us = np.concatenate(self._times)
         rows = np.concatenate(self._rows)
         vehicle = np.concatenate(self._vehicle)
-        interval_s = np.diff(times_us, prepend=times_us[:1]) * 1e-6
-        interval_s[interval_s <= 0.0] = self._every_us * 1e-6
+        start_us = times_us[0] - self._every_us
+        interval_s = np.diff(times_us, prepend=start_us) * 1e-6
+        # over a clock set back there is no interval and so no mean
+        interval_s[interval_s <= 0.0] = np.nan
         corners = self._estimator.plan.corners
         columns: dict[str, Column] = {
             "time_s": times_us.astype(np.float64) * 1e-6,
             "speed_ms": vehicle[:, 0],
             "distance_m": vehicle[:, 1],
             "brake_force_fb_n": vehicle[:, 2],
+            "flags": np.concatenate(self._flags),
         }
         parts: dict[str, dict[str, Column]] = {name: {} for name in corners}
         for group, outputs in zip(
@@ -226,7 +241,7 @@ def has_parquet() -> bool:
 def _format(name: str) -> str:
     if name == "time_s":
         return "%.6f"
-    if name.endswith(("validity",)):
+    if name.endswith(("validity", "flags")):
         return "%.0f"
     if name.endswith(("_c", "_k", "_ms", "_m")):
         return "%.3f"

@@ -1,16 +1,18 @@
 """The configuration models: rules of one section, and their documentation."""
 
 import json
+import math
 import re
 from pathlib import Path
 from typing import Any
 
 import pytest
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 
 from bstm_daemon import config
 from bstm_daemon.bus.output_layout import BLOCK_IDS
 from bstm_daemon.config_errors import allowed
+from bstm_daemon.simulation.drives import DriveHead, Segment
 
 REFERENCE = Path(__file__).parents[1] / "docs" / "reference.md"
 
@@ -32,6 +34,7 @@ SECTIONS: dict[str, type[config.Section]] = {
 
 DISC = {"mass_kg": 7.5, "swept_area_m2": 0.085, "total_area_m2": 0.14}
 PAD = {"area_m2": 6.5e-3, "thickness_m": 0.011}
+VEHICLE = {"id": "car", "mass_kg": 2000.0, "wheel_radius_m": 0.3}
 CORNER = {
     "name": "FL",
     "piston_area_m2": 2.8e-3,
@@ -108,6 +111,26 @@ def test_reference_gives_every_default(heading: str) -> None:
     assert expected == found
 
 
+@pytest.mark.parametrize(
+    ("heading", "model"),
+    [("`[drive]`", DriveHead), ("`[[segment]]`", Segment)],
+)
+def test_reference_lists_every_key_of_a_drive(
+    heading: str, model: type[BaseModel]
+) -> None:
+    """Keys and defaults of a drive in the reference are the model's."""
+    expected = {
+        key: "required" if field.is_required() else field.get_default()
+        for key, field in model.model_fields.items()
+    }
+    found = {
+        key: default if default == "required" else written(default)
+        for key, (_, default) in documented(heading).items()
+    }
+
+    assert expected == found
+
+
 def test_published_ids_are_those_of_the_frames() -> None:
     """The room that id_base keeps free is what the frame table needs."""
     assert config.PUBLISHED_IDS == BLOCK_IDS
@@ -157,6 +180,8 @@ def test_not_a_number_is_refused(
         ({"axle": "rear"}, "corner FL is front left"),
         ({"side": "right"}, "corner FL is front left"),
         ({"disc": {**DISC, "material": "own"}}, 'material "own"'),
+        ({"disc": {**DISC, "total_area_m2": 0.08}}, "'total_area_m2' = 0.08"),
+        ({"pad": {**PAD, "area_m2": 0.0426}}, "'pad.area_m2' = 0.0852"),
     ],
 )
 def test_corner_rules(changes: dict[str, Any], reason: str) -> None:
@@ -176,11 +201,38 @@ def test_corner_rules(changes: dict[str, Any], reason: str) -> None:
             "swept_outer_radius_m": 0.16,
         },
         {"axle": "front", "side": "left"},
+        {"disc": {**DISC, "total_area_m2": 0.085}},
+        {"pad": {**PAD, "area_m2": 0.0425}},
     ],
 )
 def test_corner_forms(changes: dict[str, Any]) -> None:
     """Each way to describe a corner is accepted."""
     assert config.CornerConfig.model_validate(corner(**changes)).name == "FL"
+
+
+@pytest.mark.parametrize(
+    ("model", "table", "key", "bound"),
+    [
+        (config.CornerConfig, CORNER, "effective_radius_m", 0.5),
+        (config.CornerConfig, CORNER, "swept_inner_radius_m", 0.5),
+        (config.CornerConfig, CORNER, "swept_outer_radius_m", 0.5),
+        (config.CornerConfig, CORNER, "piston_area_m2", 0.02),
+        (config.DiscConfig, DISC, "mass_kg", 100.0),
+        (config.DiscConfig, DISC, "total_area_m2", 1.0),
+        (config.PadConfig, PAD, "area_m2", 0.05),
+        (config.PadConfig, PAD, "thickness_m", 0.05),
+        (config.VehicleConfig, VEHICLE, "mass_kg", 60_000.0),
+        (config.VehicleConfig, VEHICLE, "wheel_radius_m", 1.0),
+    ],
+)
+def test_units_of_a_drawing_are_refused(
+    model: type[config.Section], table: dict[str, Any], key: str, bound: float
+) -> None:
+    """The largest value is taken, one in mm, cm2, mm2 or g is not."""
+    assert getattr(model.model_validate({**table, key: bound}), key) == bound
+    for wrong in (math.nextafter(bound, math.inf), 1000.0 * bound):
+        with pytest.raises(ValidationError, match="less than or equal"):
+            model.model_validate({**table, key: wrong})
 
 
 def test_property_is_a_number_or_a_curve() -> None:

@@ -14,8 +14,6 @@ from bstm_daemon.errors import ConfigError, UsageError
 from bstm_daemon.estimator import (
     DEGRADED,
     INVALID,
-    SETTLING_STEPS,
-    STEP_US,
     VALID,
     Block,
     Estimator,
@@ -163,7 +161,7 @@ def test_more_steps_than_one_march_holds(fast: Kernel, car: Any) -> None:
 def test_history_is_known_from_its_moment_on(fast: Kernel, car: Any) -> None:
     """Validity does not depend on how the stream is cut either."""
     assert fast is not None
-    end = SETTLING_STEPS * STEP_US + 60 * SECOND
+    end = round(Estimator(car, PRESENT).settling_s) * SECOND + 60 * SECOND
     stream: Samples = [
         sample
         for at in range(0, end, 400_000)

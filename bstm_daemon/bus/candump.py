@@ -1,8 +1,10 @@
 """Candump logs (``candump -l`` and ``-L``) as chunks of columns.
 
-Time and memory do not depend on the length of the log. Lines that look like
-most others are read as columns (:mod:`~bstm_daemon.bus.candump_layout`), all
-others one by one (:mod:`~bstm_daemon.bus.candump_line`).
+Time per line and memory do not depend on the length of the log. Plain lines
+are read by the compiled scan (:mod:`~bstm_daemon.bus.candump_scan`) where it
+is there, lines that look like most others as columns
+(:mod:`~bstm_daemon.bus.candump_layout`), all others one by one
+(:mod:`~bstm_daemon.bus.candump_line`).
 """
 
 import gzip
@@ -30,6 +32,8 @@ from bstm_daemon.bus.candump_line import (
     parse_line,
     read_header,
 )
+from bstm_daemon.bus.candump_scan import CandumpScan, Key
+from bstm_daemon.bus.compiled import extension
 from bstm_daemon.bus.frame_chunk import (
     FrameChunk,
     empty_chunk,
@@ -73,8 +77,8 @@ class CandumpReader:
     ) -> None:
         """Prepare to read *path*, every id of every interface by default.
 
-        Without *columns* every line is parsed on its own: the same result,
-        slowly, for tests.
+        The compiled scan is taken where it is there. Without *columns* every
+        line is parsed on its own: the same result, slowly, for tests.
         """
         self.path = path
         self.interfaces: list[str] = []
@@ -89,6 +93,14 @@ class CandumpReader:
         self._columns = columns
         self._channels: dict[bytes, Channel] = {}
         self._layouts: dict[LayoutKey, Layout] = {}
+        compiled = extension() if columns else None
+        self._compiled = (
+            None
+            if compiled is None
+            else CandumpScan(
+                compiled, self._channels, self._channel, chunk_bytes
+            )
+        )
 
     def chunks(self) -> Iterator[FrameChunk]:
         """Yield the wanted data frames in file order.
@@ -98,8 +110,8 @@ class CandumpReader:
         """
         try:
             with self._open() as stream:
-                for text in self._texts(stream):
-                    yield self._parse(text)
+                for store, end in self._texts(stream):
+                    yield self._parse(store, end)
         except (gzip.BadGzipFile, zlib.error) as error:
             msg = f"{self.path}: damaged after line {self.lines}: {error}"
             raise LogError(msg) from error
@@ -112,8 +124,12 @@ class CandumpReader:
             return cast("BufferedIOBase", gzip.open(self.path))
         return self.path.open("rb")
 
-    def _texts(self, stream: BufferedIOBase) -> Iterator[Text]:
-        """Yield runs of whole lines; a last line may lack its newline.
+    def _texts(
+        self, stream: BufferedIOBase
+    ) -> Iterator[tuple[bytearray, int]]:
+        """Yield runs of whole lines, each with its end.
+
+        A newline ends them, added where the last line of a log lacks it.
 
         Of a line without end, its first ``LINE_LIMIT`` bytes are kept: the
         verdict on any line rests on those.
@@ -126,12 +142,12 @@ class CandumpReader:
             end = kept + count
             cut = store.rfind(b"\n", kept, end) + 1
             if cut:
-                yield self._text(store, cut)
+                yield store, cut
             kept = min(end - cut, LINE_LIMIT + 1)
             store[:kept] = store[cut : cut + kept]
         if kept:
             store[kept] = _NEWLINE
-            yield self._text(store, kept + 1)
+            yield store, kept + 1
 
     def _fill(self, stream: BufferedIOBase, room: memoryview) -> int:
         filled = 0
@@ -151,19 +167,38 @@ class CandumpReader:
         newlines = np.flatnonzero(buffer[:end] == _NEWLINE)
         starts = np.zeros_like(newlines)
         starts[1:] = newlines[:-1] + 1
-        text = Text(
+        return Text(
             buffer,
             starts,
             np.minimum(newlines, starts + LINE_LIMIT),
-            self.lines + 1,
+            np.arange(self.lines + 1, self.lines + len(newlines) + 1),
             store.find(b"\r", 0, end) >= 0,
         )
-        self.lines += len(newlines)
-        return text
 
-    def _parse(self, text: Text) -> FrameChunk:
-        pending: Integers = np.arange(len(text.ends))
+    def _parse(self, store: bytearray, end: int) -> FrameChunk:
         parts: list[FrameChunk] = []
+        if self._compiled is None:
+            text = self._text(store, end)
+            self.lines += len(text.ends)
+        else:
+            scanned = self._compiled.read(store, end, self.lines + 1)
+            text, parts = scanned.pending, scanned.parts
+            self.lines += scanned.lines
+            for key, count in scanned.settled:
+                self._tally(key, count)
+        self._parse_text(text, parts)
+        chunk = join_in_file_order(parts) if parts else empty_chunk()
+        self.frames += len(chunk)
+        return chunk
+
+    def _tally(self, key: Key, count: int) -> None:
+        self.seen[key.channel.number, key.can_id, key.extended] += count
+        if not key.wanted:
+            self.refused[_unwanted(key.channel)] += count
+
+    def _parse_text(self, text: Text, parts: list[FrameChunk]) -> None:
+        """Add the frames of all lines of *text* to *parts*."""
+        pending: Integers = np.arange(len(text.ends))
         for layout in list(self._layouts.values()):
             if not pending.size:
                 break
@@ -179,9 +214,6 @@ class CandumpReader:
                 pending = self._scan(layout_found, text, pending, parts)
         if singles:
             parts.append(self._parse_singles(text, singles))
-        chunk = join_in_file_order(parts) if parts else empty_chunk()
-        self.frames += len(chunk)
-        return chunk
 
     def _scan(
         self,
@@ -192,11 +224,8 @@ class CandumpReader:
     ) -> Integers:
         scan = layout.scan(text, pending)
         channel = layout.channel
-        reason = (
-            Refusal.UNKNOWN_ID if channel.known else Refusal.UNKNOWN_INTERFACE
-        )
         if scan.refused:
-            self.refused[reason] += scan.refused
+            self.refused[_unwanted(channel)] += scan.refused
         for can_id, count in zip(
             scan.ids.tolist(), scan.counts.tolist(), strict=True
         ):
@@ -238,7 +267,7 @@ class CandumpReader:
         frames: list[Frame] = []
         lines = []
         for index in indices:
-            line = text.first_line + index
+            line = int(text.numbers[index])
             found = parse_line(text.line(index), self._judge)
             if isinstance(found, Refusal):
                 self._refuse(found, line)
@@ -267,10 +296,8 @@ class CandumpReader:
     ) -> Refusal | None:
         channel = self._channel(interface)
         self.seen[channel.number, can_id, extended] += 1
-        if not channel.known:
-            return Refusal.UNKNOWN_INTERFACE
-        wanted = channel.wants(can_id, extended)
-        return None if wanted else Refusal.UNKNOWN_ID
+        wanted = channel.known and channel.wants(can_id, extended)
+        return None if wanted else _unwanted(channel)
 
     def _refuse(self, reason: Refusal, line: int) -> None:
         self.refused[reason] += 1
@@ -279,3 +306,8 @@ class CandumpReader:
         first = self.first_refused.setdefault(reason, [])
         if len(first) < _LINES_KEPT:
             first.append(line)
+
+
+def _unwanted(channel: Channel) -> Refusal:
+    """Why a frame of *channel* is not read."""
+    return Refusal.UNKNOWN_ID if channel.known else Refusal.UNKNOWN_INTERFACE

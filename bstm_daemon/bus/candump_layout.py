@@ -58,12 +58,15 @@ _PREFIX: Final = {words: _prefix_masks(words) for words in (2, 16)}
 
 @dataclass(frozen=True, slots=True)
 class Text:
-    """Whole lines: ``starts`` and ``ends`` (at the newline) in ``buffer``."""
+    """Whole lines: ``starts`` and ``ends`` (at the newline) in ``buffer``.
+
+    ``numbers`` are those of the lines in the log, rising.
+    """
 
     buffer: npt.NDArray[np.uint8]
     starts: Integers
     ends: Integers
-    first_line: int
+    numbers: Integers
     has_returns: bool
 
     def line(self, index: int) -> bytes:
@@ -292,7 +295,7 @@ class Layout:
         width = 8 if length.max(initial=0) <= 8 else 64
         part = FrameChunk(
             time_us=self._time_us(heads),
-            line=lines + text.first_line,
+            line=text.numbers[lines],
             channel=np.full(len(lines), self.channel.number, np.int16),
             can_id=ids.astype(np.uint32),
             extended=np.full(len(lines), self.extended),

@@ -13,6 +13,13 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from bstm_daemon.bus.column_plan import (
+    INT64_REACH,
+    Slots,
+    column_plan,
+    extract,
+)
+from bstm_daemon.bus.compiled import extension
 from bstm_daemon.bus.expression import evaluate
 from bstm_daemon.bus.extraction import MessagePlan, Output, RawSignal
 from bstm_daemon.bus.frame_chunk import FrameChunk
@@ -23,7 +30,6 @@ Column = npt.NDArray[np.float64]
 
 _FLOAT_TYPES: Final = {16: "<f2", 32: "<f4", 64: "<f8"}
 _WINDOW_BITS: Final = 64
-_INT64_REACH: Final = 1 << 63
 _STANDARD_IDS: Final = 1 << 11
 
 
@@ -67,10 +73,19 @@ def decode_chunk(
     slots = int(ends[-1]) if len(ends) else 0
     values = np.empty(slots, np.float64)
     roles = np.empty(slots, np.int32)
-    dropped = []
+    kept = np.ones(slots, np.bool_)
+    done = _extract_compiled(
+        plans,
+        (plan_of_frame, ends - per_frame),
+        chunk,
+        Slots(values, roles, kept),
+        counts,
+    )
     # one payload as one item: rows are then copied whole
     payloads = chunk.data.view(np.dtype((np.void, chunk.data.shape[1])))[:, 0]
     for number, plan in enumerate(plans):
+        if number in done:
+            continue
         frames = np.flatnonzero(plan_of_frame == number)
         if not frames.size:
             continue
@@ -81,13 +96,36 @@ def decode_chunk(
             values[first + position] = value
             roles[first + position] = output.role
             if good is not None:
-                dropped.append((first + position)[~good])
+                kept[(first + position)[~good]] = False
     times = np.repeat(chunk.time_us, per_frame)
-    if dropped:
-        kept = np.ones(slots, np.bool_)
-        kept[np.concatenate(dropped)] = False
+    if not kept.all():
         times, roles, values = times[kept], roles[kept], values[kept]
     return Events(times, roles, values, counts)
+
+
+def _extract_compiled(
+    plans: Sequence[MessagePlan],
+    frames: tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]],
+    chunk: FrameChunk,
+    slots: Slots,
+    counts: Counter[Refusal],
+) -> frozenset[int]:
+    """Write what the compiled pass knows; returns the plans it has done.
+
+    *frames* are the plan and the first slot of each frame.
+    """
+    compiled = extension()
+    if compiled is None or not len(slots.values):
+        return frozenset()
+    plan = column_plan(plans)
+    unreal, outside = extract(compiled, plan, frames, chunk.data, slots)
+    for reason, number in (
+        (Refusal.NOT_A_NUMBER, unreal),
+        (Refusal.OUT_OF_RANGE, outside),
+    ):
+        if number:
+            counts[reason] += number
+    return plan.taken
 
 
 def _plan_of_frames(
@@ -199,7 +237,7 @@ def _physical(signal: RawSignal, windows: _Windows) -> Column:
     # whole numbers: exact up to the one rounding at the end
     farthest = max(map(abs, signal.raw_limits))
     whole: npt.NDArray[Any]
-    if farthest * max(abs(scale), 1) + abs(offset) < _INT64_REACH:
+    if farthest * max(abs(scale), 1) + abs(offset) < INT64_REACH:
         whole = raw.astype(np.int64) * scale
     else:
         whole = raw.astype(object) * scale

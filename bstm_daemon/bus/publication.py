@@ -137,9 +137,12 @@ class Publication:
         corner_names: Iterable[str],
         id_base: int,
         counters: Mapping[str, int] | None = None,
+        modelled: Iterable[str] | None = None,
     ) -> None:
         """Publish *corner_names* from *id_base* on, continuing *counters*.
 
+        *modelled* are those with a thermal model, by default all; a corner
+        without one is sent as not available and says nothing of the status.
         *counters* holds the counter of the last frame sent by frame name, as
         :attr:`counters` gives it; frames it does not name start anew and
         frames it names that are not ours are forgotten. Raises
@@ -147,6 +150,9 @@ class Publication:
         into 11 bits and :class:`ValueError` for an unknown corner.
         """
         self._corners = frozenset(corner_names)
+        self._modelled = self._corners & frozenset(
+            self._corners if modelled is None else modelled
+        )
         self._id_base = id_base
         self._frames = published_frames(self._corners)
         self.ids = own_ids(id_base, self._corners)
@@ -203,7 +209,7 @@ class Publication:
         worst = max(
             (
                 snapshot.corners.get(name, _NO_CORNER).validity
-                for name in self._corners
+                for name in self._modelled
             ),
             default=Validity.NOT_AVAILABLE,
         )
@@ -212,7 +218,7 @@ class Publication:
             "LayoutVersion": LAYOUT_VERSION,
             "State": status.state,
             "HeatMode": status.heat_mode,
-            "CornersModelled": len(self._corners),
+            "CornersModelled": len(self._modelled),
             "HistoryKnown": status.history_known,
             "CompiledKernel": status.compiled_kernel,
             "OldestInputAge": _STATUS["OldestInputAge"].raw(

@@ -20,7 +20,7 @@ _NUMBER: Final = re.compile(
     re.ASCII | re.IGNORECASE,
 )
 _WORDS: Final = {"true": 1.0, "false": 0.0}
-_EMPTY: Final = ("", "nan")
+_EMPTY: Final = ("", "nan", "+nan", "-nan")
 
 
 @dataclass(frozen=True, slots=True)

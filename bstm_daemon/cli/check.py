@@ -145,18 +145,18 @@ def dbc_warnings(config: Config, folder: Path) -> list[str]:
 
 
 def _model_problems(path: Path) -> list[str]:
-    from bstm_daemon.heat.sample_plan import CHANNELS  # noqa: PLC0415
-    from bstm_daemon.thermal.brake_corner import (  # noqa: PLC0415
-        build_corner,
-        corner_spec,
-    )
+    from bstm_daemon.cli.vehicle import load_vehicle  # noqa: PLC0415
+    from bstm_daemon.estimator import compile_corner  # noqa: PLC0415
 
-    config = load_config(path)
+    try:
+        config, _ = load_vehicle(path)
+    except ConfigError as error:
+        return error.problems
     problems = []
     for corner in config.disc_corners():
         try:
             with naming_file(path):
-                build_corner(corner_spec(config, corner), CHANNELS)
+                compile_corner(config, corner)
         except ConfigError as error:
             problems += error.problems
     return problems

@@ -20,6 +20,7 @@ from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.errors import MissingExtraError, UsageError
 from bstm_daemon.files import make_folder
 from bstm_daemon.replay import Replay, publish_log, replay_log
+from bstm_daemon.report.gaps import input_gaps
 from bstm_daemon.report.screen import summary_table
 from bstm_daemon.results import has_parquet, write_csv, write_parquet
 
@@ -83,7 +84,7 @@ def run(args: argparse.Namespace) -> int:
             )
         print(f"{path}  ({config.vehicle.id}, {args.config})")
         print(summary_table(replay.results))
-        for line in _remarks(replay):
+        for line in _remarks(replay, config.heat.mode):
             print(line)
         for form in formats:
             target = args.out / f"{stem}.estimates.{form}"
@@ -108,6 +109,17 @@ def _check_targets(args: argparse.Namespace, stems: list[str]) -> None:
         raise UsageError(msg)
     if args.out is not None and len(set(stems)) < len(stems):
         msg = f"two logs would write the same files in {args.out}: {stems}"
+        raise UsageError(msg)
+    targets = [path for path in (args.publish, args.report) if path]
+    if args.out is not None:
+        targets += [
+            args.out / f"{stem}.estimates.{form}"
+            for stem in stems
+            for form in ("csv", "parquet")
+        ]
+    places = [target.resolve() for target in targets]
+    if len(set(places)) < len(places):
+        msg = "two results would be written to one file"
         raise UsageError(msg)
     log = args.logs[0]
     for target in (args.publish, args.report):
@@ -141,15 +153,26 @@ def _write_report(
         counts=replay.counts,
         kernel="compiled" if replay.compiled else "pure Python",
         version=__version__,
-        warnings=tuple(_remarks(replay)),
+        warnings=tuple(_remarks(replay, config.heat.mode)),
     )
     write_replay_report(args.report, replay.results, facts)
     print(args.report)
 
 
-def _remarks(replay: Replay) -> list[str]:
+def _remarks(replay: Replay, heat_mode: str) -> list[str]:
     """What the reader of a result has to know of its input."""
-    remarks = []
+    hours = replay.settling_s / 3600
+    start = (
+        f"the brakes' temperatures before the log are unknown: degraded for "
+        f"its first {hours:.1f} h"
+    )
+    remarks = [start]
+    remarks += [
+        f"{gap.name} missing for {gap.total_s:.0f} s, longest "
+        f"{gap.longest_s:.0f} s from {gap.longest_from_s:.0f} s on: taken as "
+        f"0, marked degraded"
+        for gap in input_gaps(replay.results, heat_mode)
+    ]
     if replay.truncated:
         remarks.append("the log is cut short: its end is missing")
     listed = ", ".join(

@@ -21,7 +21,11 @@ from bstm_daemon.simulation import (
     vehicle_names,
 )
 from bstm_daemon.simulation.frames import Encoder
-from bstm_daemon.simulation.recorder import write_candump, write_truth
+from bstm_daemon.simulation.recorder import (
+    write_candump,
+    write_samples,
+    write_truth,
+)
 
 if TYPE_CHECKING:
     import argparse
@@ -62,6 +66,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="the car that drives (default: the drive's own, mostly nominal)",
     )
     parser.add_argument(
+        "--samples",
+        type=Path,
+        metavar="FILE.npz",
+        help="write the sensors' samples at 100 Hz, without frames",
+    )
+    parser.add_argument(
         "--truth",
         type=Path,
         metavar="FILE.csv",
@@ -84,8 +94,15 @@ def run(args: argparse.Namespace) -> int:
         for name in drive_names():
             print(f"{name:16} {load_drive(name).drive.description}")
         return 0
-    if args.drive is None or args.out is None:
-        msg = "simulate needs a DRIVE and -o LOG (bstm simulate --list)"
+    targets = [t for t in (args.out, args.samples, args.truth) if t]
+    if args.drive is None or not (args.out or args.samples):
+        msg = (
+            "simulate needs a DRIVE and -o LOG or --samples FILE "
+            "(bstm simulate --list)"
+        )
+        raise UsageError(msg)
+    if len({target.resolve() for target in targets}) < len(targets):
+        msg = "-o, --samples and --truth must name different files"
         raise UsageError(msg)
     driven = simulate(
         _drive(args.drive),
@@ -94,10 +111,14 @@ def run(args: argparse.Namespace) -> int:
         sensors=args.sensors,
         seed=args.seed,
     )
-    encoder = Encoder(shipped_file("dbc/example_vehicle.dbc"))
-    frames = write_candump(args.out, driven, encoder)
-    duration_s = len(driven.time_s) * 0.01
-    print(f"{args.out}: {frames} frames, {duration_s / 60:.1f} min")
+    minutes = float(driven.time_s[-1]) / 60.0
+    if args.out is not None:
+        encoder = Encoder(shipped_file("dbc/example_vehicle.dbc"))
+        frames = write_candump(args.out, driven, encoder)
+        print(f"{args.out}: {frames} frames, {minutes:.1f} min")
+    if args.samples is not None:
+        write_samples(args.samples, driven)
+        print(f"{args.samples}: {len(driven.time_s)} samples a role")
     if args.truth is not None:
         write_truth(args.truth, driven)
         print(f"{args.truth}: {len(driven.slow_time_s)} rows of truth")

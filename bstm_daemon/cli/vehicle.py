@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import structlog
 
+from bstm_daemon.bus.output_layout import BLOCK_IDS
 from bstm_daemon.bus.table_plan import compile_sources
 from bstm_daemon.config_file import load_config, naming_file
 from bstm_daemon.effects.catalogue import problems_of
@@ -39,8 +40,31 @@ def load_vehicle(path: Path) -> tuple[Config, SignalMap]:
             path.parent,
             config.vehicle.wheel_radius_m,
         )
+        collisions = _own_ids_on_the_bus(config, signal_map)
+        if collisions:
+            raise ConfigError(collisions)
     for bus, defects in signal_map.warnings.items():
         for defect in defects:
             if not defect.harmless:
                 _LOG.info("dbc_defect", bus=bus, defect=str(defect))
     return config, signal_map
+
+
+def _own_ids_on_the_bus(config: Config, signal_map: SignalMap) -> list[str]:
+    """Say which wanted ids of the publishing bus would be our own."""
+    if not config.publish.enabled:
+        return []
+    names = [bus.name for bus in config.bus]
+    bus = names.index(config.publish.bus or names[0])
+    base = config.publish.id_base
+    own = range(base, base + BLOCK_IDS)
+    taken = sorted(
+        can_id
+        for can_id, extended in signal_map.wanted(bus)
+        if can_id in own and not extended
+    )
+    return [
+        f"[publish] id_base = 0x{base:X}: the id "
+        f"0x{can_id:X} would be ours, but this configuration reads it"
+        for can_id in taken
+    ]

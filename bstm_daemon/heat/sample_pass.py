@@ -172,15 +172,19 @@ class _Pass(SampleMemory):
 
     def _refresh(self) -> None:
         """Form speeds and pressures from the values that count now."""
-        total, count = 0.0, 0
+        total, signed, count = 0.0, 0.0, 0
         for ints in self.corner_ints:
             if self.valid(ints[0]):
                 total += abs(self.value[ints[0]])
+                signed += self.value[ints[0]]
                 count += 1
         if self.valid(self.vehicle_role["vehicle_speed"]):
-            self.speed = abs(self.vehicle("vehicle_speed", 0.0))
+            signed = self.vehicle("vehicle_speed", 0.0)
+            self.speed = abs(signed)
         else:
             self.speed = total / count if count else 0.0
+        # in reverse what points forward pushes against the motion
+        self.heading = -1.0 if signed < 0.0 else 1.0
         self.speed_known = count > 0 or self.valid(
             self.vehicle_role["vehicle_speed"]
         )
@@ -247,7 +251,8 @@ class _Pass(SampleMemory):
         highest = 0.0
         for c, (per_pa, pushout, lag_s, _) in enumerate(self.corner_floats):
             target = self.target[c]
-            if lag_s > 0.0:
+            # a pressure measured at the wheel has the lag in it
+            if lag_s > 0.0 and not self.valid(self.corner_ints[c][1]):
                 decay = exp(-h / lag_s)
                 apart = self.lagged[c] - target
                 p = target + apart * (lag_s * (1.0 - decay) / h)
@@ -256,11 +261,12 @@ class _Pass(SampleMemory):
                 p = target
                 self.lagged[c] = target
             pushing = p - pushout
-            if pushing > 0.0:
+            pressed = p > self.on_pressure
+            if pressed and pushing > 0.0:
                 power = per_pa * pushing * (self.wheel[c] / self.radius)
                 self.energy_ff[c] += power * h
             self.pressure_sum[c] += p * h
-            if p > self.on_pressure:
+            if pressed:
                 self.on_time[c] += h
             highest = max(highest, p)
         return highest
@@ -294,10 +300,11 @@ class _Pass(SampleMemory):
         )
         torque = self.vehicle("powertrain_torque", self.assumed_torque)
         external = self.vehicle("external_force", 0.0)
-        impulse = (torque / self.radius + external - drag) * h
+        driving = self.heading * (torque / self.radius + external)
+        impulse = (driving - drag) * h
         acceleration = self.vehicle_role["acceleration_longitudinal"]
         if self.slope == 0 and self.valid(acceleration):
-            felt = self.mass * self.value[acceleration] * h
+            felt = self.mass * (self.heading * self.value[acceleration]) * h
             return impulse - felt, self.rotating_mass
         return impulse, self.mass + self.rotating_mass
 

@@ -57,7 +57,10 @@ FLAGS: Final = {
     "clock_jump": 32,
     "settled": 64,
 }
-"""Bits of a step's ``flags``."""
+"""Bits of a step's ``flags``; ``pressure_missing`` is for any corner."""
+
+CORNER_PRESSURE: Final = 128
+"""Shifted by the corner's place: the pressure of that corner is missing."""
 
 VEHICLE_ROLES: Final = (
     "vehicle_speed",

@@ -10,11 +10,16 @@ from array import array
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
 
-from bstm_daemon.heat.sample_plan import FLAGS, VEHICLE_ROLES, SamplePlan
+from bstm_daemon.heat.sample_plan import (
+    CORNER_PRESSURE,
+    FLAGS,
+    VEHICLE_ROLES,
+    SamplePlan,
+)
 from bstm_daemon.roles import MEASURED_NODES, ROLES
 
 if TYPE_CHECKING:
-    from collections.abc import MutableSequence
+    from collections.abc import MutableSequence, Sequence
 
 NEVER: Final = -(2**63)
 UNKNOWN: Final = -1.0
@@ -146,6 +151,7 @@ class SampleMemory:
         self.stale = True
         self.speed = 0.0
         self.speed_known = False
+        self.heading = 1.0
         self.wheel = [0.0] * k
         self.target = [0.0] * k
 
@@ -185,12 +191,19 @@ class SampleMemory:
         return self.value[role] if self.valid(role) else default
 
     def pressure_known(self) -> bool:
-        """Whether a pressure that heats a brake is present."""
-        if not self.pressure_mapped:
-            return False
-        return any(
-            self.valid(ints[1]) for ints in self.corner_ints
-        ) or self.valid(self.vehicle_role["primary_pressure"])
+        """Whether any brake's pressure is present."""
+        return any(self.corner_known(ints) for ints in self.corner_ints)
+
+    def corner_known(self, ints: Sequence[int]) -> bool:
+        """Whether the pressure of the corner with *ints* is present."""
+        return (
+            self.valid(ints[1])
+            or self.valid(self.vehicle_role["primary_pressure"])
+            or (
+                ints[2] != 0
+                and self.valid(self.vehicle_role["secondary_pressure"])
+            )
+        )
 
     def input_age_s(self) -> float:
         """Age of the mandatory input that is silent longest; nan before it."""
@@ -201,6 +214,7 @@ class SampleMemory:
         )
         pressure = max(
             self._stamp(roles["primary_pressure"]),
+            self._stamp(roles["secondary_pressure"]),
             *(self._stamp(ints[1]) for ints in self.corner_ints),
         )
         oldest = min(speed, pressure) if self.pressure_mapped else speed
@@ -218,8 +232,9 @@ class SampleMemory:
         wheels = any(self.valid(ints[0]) for ints in self.corner_ints)
         if not (wheels or self.valid(roles["vehicle_speed"])):
             flags |= FLAGS["speed_missing"]
-        if not self.pressure_known():
-            flags |= FLAGS["pressure_missing"]
+        for c, ints in enumerate(self.corner_ints):
+            if not self.corner_known(ints):
+                flags |= FLAGS["pressure_missing"] | CORNER_PRESSURE << c
         if not self.valid(roles["acceleration_longitudinal"]):
             flags |= FLAGS["acceleration_missing"]
         if not self.valid(roles["powertrain_torque"]):

@@ -339,7 +339,6 @@ def _shades(
     if validity is None or not len(validity):
         return []
     column = column_of(corner)
-    time_s = results.columns["time_s"]
     return [
         {
             "type": "rect",
@@ -353,9 +352,7 @@ def _shades(
             "fillcolor": VALIDITY_COLOURS[code],
             "layer": "below",
         }
-        for code, start_s, end_s in validity_spans(
-            time_s - time_s[0], validity
-        )
+        for code, start_s, end_s in validity_spans(results.elapsed_s, validity)
         for panel in ("temperature", "fluid")
         if (panel, column) in grid.filled
     ]

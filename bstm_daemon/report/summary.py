@@ -90,7 +90,7 @@ def summarize(results: Results) -> DriveSummary:
     """Return the summary of *results*; columns may be missing or NaN."""
     time_s = results.columns["time_s"]
     start_s = float(time_s[0]) if len(time_s) else 0.0
-    elapsed_s = time_s - start_s
+    elapsed_s = results.elapsed_s
     speed_ms = results.columns.get("speed_ms")
     stops_s: tuple[float, ...] = ()
     standing_s = None

@@ -73,8 +73,7 @@ def drive_traces(results: Results) -> list[Trace]:
     Panels are ``speed`` [km/h], ``pressure`` [bar], ``power`` [kW],
     ``temperature`` and ``fluid`` [degC].
     """
-    time_s = results.columns["time_s"]
-    elapsed_s = time_s - time_s[0] if len(time_s) else time_s
+    elapsed_s = results.elapsed_s
     traces: list[Trace | None] = [
         _trace(
             "speed",

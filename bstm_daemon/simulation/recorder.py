@@ -52,6 +52,24 @@ def write_candump(
     return count
 
 
+def write_samples(path: Path, drive: SimulatedDrive) -> None:
+    """Write the sensors' samples of *drive*, without frames, to *path*.
+
+    A NumPy archive: ``time_s`` (n,) with an array (n,) per vehicle role, and
+    ``slow_time_s`` (m,) with one (m,) per measured temperature; SI.
+    Raises :class:`~bstm_daemon.errors.FileAccessError`.
+    """
+    with replacing(path) as part, part.open("wb") as file:
+        np.savez_compressed(
+            file,
+            allow_pickle=False,
+            time_s=drive.time_s,
+            slow_time_s=drive.slow_time_s,
+            **drive.roles,
+            **drive.temperatures,
+        )
+
+
 def write_truth(path: Path, drive: SimulatedDrive) -> None:
     """Write the truth of *drive* to the CSV file *path*, a row a second.
 

@@ -142,7 +142,7 @@ def build_corner(
         ("thermal.fluid_model", spec.thermal.fluid_model, FLUID_MODELS),
     ):
         where = f"[[corner]] {spec.name} {part}"
-        net = _builder(model, builders, where)(net, spec)
+        net = _built(_builder(model, builders, where), net, spec, where)
     net = _disc_pad_exchange(net, spec)
     try:
         if force_measured:
@@ -354,13 +354,32 @@ def _builder(
         if callable(builder):
             return builder
         reason = f"{function_name} is no function"
-    except (ImportError, AttributeError, TypeError, ValueError) as error:
+    except Exception as error:  # noqa: BLE001  (importing runs foreign code)
         reason = str(error)
     known = ", ".join(sorted(builders))
     msg = (
         f"{where} = {model!r}: not a model; allowed: {known}, or "
         f"'module:function' ({reason})"
     )
+    raise ConfigError([msg])
+
+
+def _built(
+    builder: Callable[[Network, CornerSpec], Network],
+    net: Network,
+    spec: CornerSpec,
+    where: str,
+) -> Network:
+    """Run a builder, which may be the user's; whatever it does is reported."""
+    try:
+        built: object = builder(net, spec)
+    except Exception as error:  # noqa: BLE001  (foreign code may raise any)
+        reason = f"failed with {type(error).__name__}: {error}"
+    else:
+        if isinstance(built, Network):
+            return built
+        reason = f"returned {type(built).__name__}, not a Network"
+    msg = f"{where}: the builder {reason}"
     raise ConfigError([msg])
 
 

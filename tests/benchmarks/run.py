@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from side_by_side import Goal, Outcome, Table
 
 BENCHMARKS = ("kernel", "sample_pass", "reality", "log_decode", "replay")
-ACCURACY = ("physics", "accuracy")
+OTHERS = ("physics", "accuracy", "radau", "memory")
 """Figures without a comparison in time; run when named."""
 
 
@@ -31,14 +31,13 @@ def main(arguments: list[str] | None = None) -> int:
         "names",
         nargs="*",
         metavar="NAME",
-        help=f"{', '.join(BENCHMARKS)} (default: these), "
-        f"{', '.join(ACCURACY)}",
+        help=f"{', '.join(BENCHMARKS)} (default: these), {', '.join(OTHERS)}",
     )
     parser.add_argument("--full", action="store_true", help="longer, for docs")
     parser.add_argument("--json", type=Path, metavar="FILE")
     args = parser.parse_args(arguments)
     names = args.names or list(BENCHMARKS)
-    unknown = sorted(set(names).difference(BENCHMARKS, ACCURACY))
+    unknown = sorted(set(names).difference(BENCHMARKS, OTHERS))
     if unknown:
         parser.error(f"no benchmark {', '.join(unknown)}")
     found = {}

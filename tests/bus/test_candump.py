@@ -14,10 +14,12 @@ from hypothesis import strategies as st
 
 from bstm_daemon.bus.candump import CandumpReader, Wanted
 from bstm_daemon.bus.candump_line import LINE_LIMIT, Frame, parse_line
+from bstm_daemon.bus.compiled import extension
 from bstm_daemon.bus.extraction import FD_LENGTHS
 from bstm_daemon.bus.frame_chunk import FrameChunk, join_in_file_order
 from bstm_daemon.bus.refusal import Refusal
 from bstm_daemon.errors import FileAccessError, LogError
+from bstm_daemon.native import VARIABLE
 
 
 def accept_all(_interface: bytes, _can_id: int, _extended: bool) -> None:  # noqa: FBT001
@@ -28,8 +30,26 @@ def parsed(line: bytes) -> Frame | Refusal:
     return parse_line(line, accept_all)
 
 
-def read(path: Path, wanted: Wanted | None = None, **options: Any) -> tuple:
-    reader = CandumpReader(path, wanted, **options)
+FORMS = ["lines", "numpy", "compiled"]
+
+
+def read(
+    path: Path,
+    wanted: Wanted | None = None,
+    form: str | None = None,
+    **options: Any,
+) -> tuple:
+    """Read in one of the forms, as the environment says by default."""
+    with pytest.MonkeyPatch.context() as patch:
+        if form == "compiled":
+            patch.delenv(VARIABLE, raising=False)
+            if extension() is None:
+                pytest.skip("the compiled scan is not installed")
+        elif form is not None:
+            patch.setenv(VARIABLE, "reference")
+        reader = CandumpReader(
+            path, wanted, columns=form != "lines", **options
+        )
     chunks = list(reader.chunks())
     return reader, join_in_file_order(chunks) if chunks else None
 
@@ -130,14 +150,14 @@ def test_any_other_line_has_a_named_reason(
     assert parsed(line) is reason
 
 
-@pytest.mark.parametrize("columns", [True, False])
+@pytest.mark.parametrize("form", FORMS)
 def test_every_line_of_the_grammar_in_one_log(
-    tmp_path: Path, *, columns: bool
+    tmp_path: Path, form: str
 ) -> None:
     lines = [row[0] for row in FRAMES + REFUSED]
     path = write(tmp_path, b"\n".join(lines))
 
-    reader, chunk = read(path, columns=columns)
+    reader, chunk = read(path, form=form)
 
     assert chunk.time_us.tolist() == [row[1] for row in FRAMES]
     assert chunk.can_id.tolist() == [row[2] for row in FRAMES]
@@ -152,26 +172,24 @@ def test_every_line_of_the_grammar_in_one_log(
     assert first_bad == len(FRAMES) + 1
 
 
-def test_an_unwanted_id_is_not_read_further(tmp_path: Path) -> None:
+@pytest.mark.parametrize("form", FORMS)
+def test_an_unwanted_id_is_not_read_further(tmp_path: Path, form: str) -> None:
     content = b"(1.0) can0 100#XX\n(1.0) can0 200#XX\n(1.0) can1 200#00\n"
     wanted = {"can0": {(0x200, False)}, "can1": None}
 
-    for columns in (True, False):
-        reader, chunk = read(
-            write(tmp_path, content), wanted.get, columns=columns
-        )
+    reader, chunk = read(write(tmp_path, content), wanted.get, form)
 
-        assert len(chunk) == 0
-        assert reader.refused == {
-            Refusal.UNKNOWN_ID: 1,
-            Refusal.MALFORMED: 1,
-            Refusal.UNKNOWN_INTERFACE: 1,
-        }
-        assert reader.seen == {
-            (0, 0x100, False): 1,
-            (0, 0x200, False): 1,
-            (1, 0x200, False): 1,
-        }
+    assert len(chunk) == 0
+    assert reader.refused == {
+        Refusal.UNKNOWN_ID: 1,
+        Refusal.MALFORMED: 1,
+        Refusal.UNKNOWN_INTERFACE: 1,
+    }
+    assert reader.seen == {
+        (0, 0x100, False): 1,
+        (0, 0x200, False): 1,
+        (1, 0x200, False): 1,
+    }
 
 
 def test_a_standard_and_an_extended_id_are_two(tmp_path: Path) -> None:
@@ -234,21 +252,23 @@ def test_a_missing_log_is_an_error(tmp_path: Path) -> None:
         read(tmp_path / "none.log")
 
 
+@pytest.mark.parametrize("form", FORMS)
 def test_a_line_without_end_does_not_take_the_log_with_it(
-    tmp_path: Path,
+    tmp_path: Path, form: str
 ) -> None:
     good = b"(1.0) can0 123#11\n"
     endless = b"x" * (5 * LINE_LIMIT) + b"\n"
     path = write(tmp_path, good + endless + good)
 
-    reader, chunk = read(path, chunk_bytes=1024)
+    reader, chunk = read(path, form=form, chunk_bytes=1024)
 
     assert chunk.line.tolist() == [1, 3]
     assert reader.refused == {Refusal.MALFORMED: 1}
 
 
+@pytest.mark.parametrize("form", ["numpy", "compiled"])
 def test_lines_are_settled_as_columns(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, form: str
 ) -> None:
     """The fast path is taken: no line is parsed on its own."""
     layouts = [
@@ -269,9 +289,61 @@ def test_lines_are_settled_as_columns(
         lambda *_: pytest.fail("a line was parsed on its own"),
     )
 
-    reader, chunk = read(path)
+    reader, chunk = read(path, form=form)
 
     assert len(chunk) == reader.lines == 1500
+
+
+def test_plain_lines_are_settled_by_the_compiled_scan(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    content = b"".join(
+        b"(%d.5)  can%d %s#%s%s\n" % (i, i % 3, can_id, b"0a" * (i % 9), end)
+        for i in range(300)
+        for can_id in (b"1a0", b"18FF0102")
+        for end in (b"", b" R", b"\tt \r")
+    )
+    path = write(tmp_path, content)
+    monkeypatch.setattr(
+        "bstm_daemon.bus.candump.read_header",
+        lambda *_: pytest.fail("a line was left to NumPy"),
+    )
+
+    reader, chunk = read(path, form="compiled", chunk_bytes=5000)
+
+    assert len(chunk) == reader.lines == 1800
+    assert reader.interfaces == ["can0", "can1", "can2"]
+
+
+def test_more_interfaces_and_ids_than_the_scan_has_room_for(
+    tmp_path: Path,
+) -> None:
+    rng = np.random.default_rng(5)
+    content = b"".join(
+        b"(%d.5) %s%d %s#%02X\n"
+        % (i, name, i % 90, b"%08X" % can_id if i % 7 else b"123", i % 256)
+        for name in (b"can", b"c")
+        for i, can_id in enumerate(rng.integers(0, 1 << 29, 1500).tolist())
+    )
+
+    assert_same_reading(write(tmp_path, content), None, chunk_bytes=9999)
+
+
+def test_lines_at_the_longest_that_is_read(tmp_path: Path) -> None:
+    head = b"(1.5) can0 100#11"
+    long_name = b"(1.5) %s 100#11" % (b"c" * (LINE_LIMIT - 20))
+    content = b"".join(
+        line + b" " * (LINE_LIMIT - len(line) + more) + end
+        for line in (head, long_name)
+        for more in (-1, 0, 1, 7)
+        for end in (b"\n", b"X\n")
+    )
+    late = b"".join(
+        b"(1.5)%scan0 100#11\n" % (b" " * (LINE_LIMIT - 15 + more))
+        for more in range(-4, 5)
+    )
+
+    assert_same_reading(write(tmp_path, late + content), None)
 
 
 HEX = st.sampled_from("0123456789abcdefABCDEF")
@@ -365,25 +437,30 @@ def assert_same_chunk(first: FrameChunk, second: FrameChunk) -> None:
         np.testing.assert_array_equal(one, two, err_msg=field.name)
 
 
+def forms_here() -> list[str]:
+    return FORMS if extension() is not None else FORMS[:2]
+
+
 def assert_same_reading(
     path: Path, wanted: Wanted | None, **options: Any
 ) -> None:
-    fast, fast_chunk = read(path, wanted, **options)
-    slow, slow_chunk = read(path, wanted, columns=False)
+    slow, slow_chunk = read(path, wanted, "lines")
+    for form in forms_here()[1:]:
+        fast, fast_chunk = read(path, wanted, form, **options)
 
-    assert (fast_chunk is None) == (slow_chunk is None)
-    if slow_chunk is not None:
-        assert_same_chunk(slow_chunk, fast_chunk)
-    for name in (
-        "interfaces",
-        "lines",
-        "frames",
-        "refused",
-        "first_refused",
-        "seen",
-    ):
-        assert getattr(slow, name) == getattr(fast, name), name
-    assert fast.lines == fast.frames + sum(fast.refused.values())
+        assert (fast_chunk is None) == (slow_chunk is None), form
+        if slow_chunk is not None:
+            assert_same_chunk(slow_chunk, fast_chunk)
+        for name in (
+            "interfaces",
+            "lines",
+            "frames",
+            "refused",
+            "first_refused",
+            "seen",
+        ):
+            assert getattr(slow, name) == getattr(fast, name), (form, name)
+        assert fast.lines == fast.frames + sum(fast.refused.values())
 
 
 @pytest.mark.parametrize("template", TEMPLATES)

@@ -1,12 +1,22 @@
 """Columns against the live decoder: values, order and counts."""
 
+from collections.abc import Sequence
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bstm_daemon.bus.columns import decode_chunk
+from bstm_daemon.bus.columns import Events, decode_chunk
+from bstm_daemon.bus.compiled import extension
 from bstm_daemon.bus.decoder import Decoder
+from bstm_daemon.bus.extraction import (
+    FrameKey,
+    MessagePlan,
+    Output,
+    RawSignal,
+)
 from bstm_daemon.bus.frame_chunk import (
     FrameChunk,
     empty_chunk,
@@ -15,6 +25,7 @@ from bstm_daemon.bus.frame_chunk import (
 from bstm_daemon.bus.refusal import Refusal
 from bstm_daemon.bus.signal_map import SignalMap, compile_signal_map
 from bstm_daemon.config import BusConfig, SignalConfig
+from bstm_daemon.native import VARIABLE
 
 DBC = """VERSION ""
 BU_: X
@@ -54,6 +65,21 @@ SIGNALS = {
     ),
 }
 BUS_OF_CHANNEL = [1, -1, 0]
+
+
+FORMS = ["reference"] if extension() is None else ["reference", "any"]
+"""What decides between NumPy and the compiled pass."""
+
+
+def decoded(
+    form: str,
+    signal_map: SignalMap,
+    chunk: FrameChunk,
+    bus_of_channel: Sequence[int] = BUS_OF_CHANNEL,
+) -> Events:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv(VARIABLE, form)
+        return decode_chunk(signal_map, chunk, bus_of_channel)
 
 
 @pytest.fixture(scope="module")
@@ -113,17 +139,121 @@ def test_a_chunk_gives_what_its_frames_give(
         decoder.counts[Refusal.UNKNOWN_INTERFACE] = unread
 
     chunk = join_in_file_order(parts) if parts else empty_chunk()
-    events = decode_chunk(signal_map, chunk, BUS_OF_CHANNEL)
+    for form in FORMS:
+        events = decoded(form, signal_map, chunk)
 
-    found = zip(
-        events.time_us.tolist(),
-        events.role.tolist(),
-        events.value.tolist(),
-        strict=True,
+        found = zip(
+            events.time_us.tolist(),
+            events.role.tolist(),
+            events.value.tolist(),
+            strict=True,
+        )
+        assert list(found) == expected
+        assert events.counts == decoder.counts
+        assert len(events) == len(expected)
+
+
+SIGNALS_OF_64 = st.tuples(
+    st.integers(0, 63), st.integers(1, 64), st.booleans(), st.booleans()
+).filter(lambda signal: signal[0] + signal[1] <= 64)
+FACTORS = st.sampled_from([1, 2, -3, 0.1, -0.25, 1e6, (1 << 40) + 1])
+OFFSETS = st.sampled_from([0, 5, -7, 0.5, 1 << 50])
+
+
+@settings(max_examples=200, deadline=None)
+@given(
+    signal=SIGNALS_OF_64,
+    factors=st.tuples(FACTORS, OFFSETS),
+    shift_bytes=st.sampled_from([0, 3, 56]),
+    limits=st.sampled_from([(-1e300, 1e300), (-100.0, 100.0)]),
+    flag=st.booleans(),
+    payload=st.lists(st.binary(min_size=64, max_size=64), max_size=9),
+)
+def test_any_signal_gives_the_same_bits_in_both_forms(
+    signal: tuple[int, int, bool, bool],
+    factors: tuple[float, float],
+    shift_bytes: int,
+    limits: tuple[float, float],
+    *,
+    flag: bool,
+    payload: list[bytes],
+) -> None:
+    start, length, big_endian, signed = signal
+    size = 64 if shift_bytes else 8
+    floating = length in (16, 32, 64) and signed and start % 8 == 0
+    raw = RawSignal(
+        "s",
+        start + 8 * shift_bytes,
+        length,
+        big_endian,
+        signed,
+        floating,
+        *factors,
     )
-    assert list(found) == expected
-    assert events.counts == decoder.counts
-    assert len(events) == len(expected)
+    output = Output(3, 0, None, (), 0.7, 0.1, *limits, flag, 1)
+    key = FrameKey(0, 0x123, extended=False)
+    plan = MessagePlan(key, "M", size, size > 8, (raw,), (output,))
+    signal_map = SignalMap((BUSES[0],), {key: plan}, (1,))
+    parts = [
+        one_frame(number, (0, 0x123, False, data[:size]))
+        for number, data in enumerate(payload)
+    ]
+    chunk = join_in_file_order(parts) if parts else empty_chunk()
+
+    first, *others = (decoded(f, signal_map, chunk, [0]) for f in FORMS)
+
+    for other in others:
+        assert other.time_us.tobytes() == first.time_us.tobytes()
+        assert other.role.tobytes() == first.role.tobytes()
+        assert other.value.tobytes() == first.value.tobytes()
+        assert other.counts == first.counts
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"plan": np.array([2])},
+        {"first": np.array([-1])},
+        {"first": np.array([1])},
+        {"data": np.zeros((1, 7), np.uint8), "width": 7},
+        {"data": np.zeros((2, 8), np.uint8)},
+        {"plans": np.array([0, 2])},
+        {"plans": np.array([0, 2, 1])},
+        {"plans": np.empty(0, np.int64)},
+        {"outputs": np.array([[0, -1, 8, 0, 0, 0, 0, 0, 0]])},
+        {"outputs": np.array([[0, 57, 8, 0, 0, 0, 0, 0, 0]])},
+        {"outputs": np.array([[0, 0, 65, 0, 0, 0, 0, 0, 0]])},
+        {"outputs": np.array([[0, 0, 16, 0, 2, 0, 0, 0, 0]])},
+        {"factors": np.ones((1, 5))},
+        {"roles": np.zeros(2, np.int32)},
+        {"kept": np.ones(2, np.bool_)},
+        {"counts": np.zeros(1, np.int64)},
+        {"values": np.zeros(1, np.float32)},
+    ],
+)
+def test_the_compiled_pass_refuses_what_would_lead_outside(
+    change: dict[str, Any],
+) -> None:
+    compiled = extension()
+    if compiled is None:
+        pytest.skip("the compiled pass is not installed")
+    arguments: dict[str, Any] = {
+        "plan": np.array([0]),
+        "first": np.array([0]),
+        "data": np.zeros((1, 8), np.uint8),
+        "width": 8,
+        "plans": np.array([0, 1]),
+        "outputs": np.array([[0, 56, 8, 0, 0, 0, 0, 0, 0]]),
+        "factors": np.ones((1, 6)),
+        "values": np.zeros(1),
+        "roles": np.zeros(1, np.int32),
+        "kept": np.ones(1, np.bool_),
+        "counts": np.zeros(2, np.int64),
+    }
+    compiled.extract(*arguments.values())
+
+    with pytest.raises(ValueError, match=r"plan|slot|column|sign|items"):
+        compiled.extract(*(arguments | change).values())
 
 
 def test_parts_join_in_the_order_of_their_lines() -> None:

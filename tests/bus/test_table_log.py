@@ -198,7 +198,7 @@ def test_unreadable_cells_are_counted_with_their_lines(
     path = write(
         tmp_path,
         "t,v\n0,36\n1,abc\n2,1_0\n\nx,36\n4,500\n5,inf\n6, 72 \n7,1,1\n8,nan\n"
-        "9\n10,٣\n",
+        "9\n10,٣\n11,-nan\n",
     )
 
     reader, listed = samples(path, plan)

@@ -219,7 +219,7 @@ def test_json_of_a_bad_file(edited: Edited, tmp_path: Path) -> None:
     assert data == {
         "file": str(path),
         "problems": [
-            f"{path}: [vehicle] mass_kg = -3: must be greater than 0"
+            f"{path}: [vehicle] mass_kg = -3: must be from 100 to 60000"
         ],
     }
 
@@ -263,3 +263,22 @@ def test_needs_one_configuration(
     """None or two configurations are a usage error."""
     assert main(["check", *arguments]) == 2
     assert capsys.readouterr().err
+
+
+def test_own_ids_must_not_be_those_that_are_read(edited: Edited) -> None:
+    """Publishing on an id of the car would feed on itself."""
+    path = edited(
+        ("[fluid]", "[publish]\nenabled = true\nid_base = 0xCE\n\n[fluid]")
+    )
+
+    assert any(
+        "0xD1 would be ours" in problem for problem in problems_of(path)
+    )
+
+
+def test_an_effect_that_does_not_fit_the_parts(edited: Edited) -> None:
+    """What a replay would refuse is found by the check."""
+    model = 'fluid_model = "bstm_daemon.thermal.brake_corner:lumped_disc"'
+    path = edited(("[fluid]", f"[thermal]\n{model}\n\n[fluid]"))
+
+    assert problems_of(path)

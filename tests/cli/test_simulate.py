@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 from typing import TYPE_CHECKING
 
+import numpy as np
 import pytest
 
 from bstm_daemon.bus.candump import CandumpReader
@@ -155,3 +156,30 @@ def test_target_that_can_not_be_written(
 
     assert code == 74
     assert str(targets[option]) in capsys.readouterr().err
+
+
+def test_samples_without_frames(drive: Path, tmp_path: Path) -> None:
+    """The sensors' samples at 100 Hz, SI, by role."""
+    target = tmp_path / "samples.npz"
+
+    assert simulate(drive, "--samples", target) == 0
+
+    with np.load(target) as samples:
+        n = len(samples["time_s"])
+        assert samples["vehicle_speed"].shape == (n,)
+        assert samples["time_s"][1] - samples["time_s"][0] == (
+            pytest.approx(0.01)
+        )
+        assert len(samples["temp_fl_fluid"]) == len(samples["slow_time_s"])
+
+
+def test_two_results_in_one_file(
+    drive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The second would replace the first."""
+    target = tmp_path / "x.log"
+
+    assert simulate(drive, "-o", target, "--truth", target) == 2
+
+    assert "different files" in capsys.readouterr().err
+    assert not target.exists()

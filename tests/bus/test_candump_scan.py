@@ -1,0 +1,86 @@
+"""The compiled scan of candump text: when it is taken, what it refuses."""
+
+import sys
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from bstm_daemon.bus.compiled import extension
+from bstm_daemon.native import VARIABLE
+
+NAME = "bstm_daemon.bus._log"
+
+
+def test_the_environment_keeps_to_numpy(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.delenv(VARIABLE, raising=False)
+    monkeypatch.setitem(sys.modules, NAME, SimpleNamespace(LAYOUT=1))
+    assert extension() is sys.modules[NAME]
+
+    monkeypatch.setenv(VARIABLE, "reference")
+
+    assert extension() is None
+
+
+@pytest.mark.parametrize("found", [None, SimpleNamespace(LAYOUT=0)])
+def test_numpy_does_where_the_scan_is_missing_or_of_other_sources(
+    monkeypatch: pytest.MonkeyPatch, found: object
+) -> None:
+    monkeypatch.setitem(sys.modules, NAME, found)
+
+    assert extension() is None
+
+
+def scan_arguments(text: bytes, **changes: Any) -> list[Any]:
+    """Return what the compiled scan takes for *text*."""
+    rows = changes.pop("rows", 4)
+    arguments: dict[str, Any] = {
+        "text": bytearray(text),
+        "end": len(text),
+        "names": b"can0\n",
+        "keys": np.zeros((8, 3), np.int64),
+        "state": np.zeros(8, np.int64),
+        "time_us": np.zeros(rows, np.int64),
+        "line": np.zeros(rows, np.int64),
+        "channel": np.zeros(rows, np.int16),
+        "can_id": np.zeros(rows, np.uint32),
+        "extended": np.zeros(rows, np.bool_),
+        "length": np.zeros(rows, np.uint8),
+        "data": np.zeros((rows, 8), np.uint8),
+        "pending": np.zeros((rows, 3), np.int64),
+    }
+    return list((arguments | changes).values())
+
+
+@pytest.mark.parametrize(
+    ("text", "changes"),
+    [
+        (b"(1.5) can0 100#11", {}),
+        (b"", {}),
+        (b"\n", {"end": 2}),
+        (b"\n", {"end": -1}),
+        (b"\n", {"keys": np.zeros((7, 3), np.int64)}),
+        (b"\n", {"keys": np.zeros((0, 3), np.int64)}),
+        (b"\n", {"keys": np.zeros(25, np.int64)}),
+        (b"\n", {"state": np.zeros(7, np.int64)}),
+        (b"\n", {"state": np.array([-1] + [0] * 7)}),
+        (b"\n", {"state": np.array([2] + [0] * 7)}),
+        (b"\n", {"state": np.array([0, 0, -1] + [0] * 5)}),
+        (b"\n", {"state": np.array([0, 0, 0, -1] + [0] * 4)}),
+        (b"\n", {"line": np.zeros(3, np.int64)}),
+        (b"\n", {"data": np.zeros((4, 7), np.uint8)}),
+        (b"\n", {"channel": np.zeros(4, np.int32)}),
+    ],
+)
+def test_the_compiled_scan_refuses_what_would_lead_outside(
+    text: bytes, changes: dict[str, Any]
+) -> None:
+    compiled = extension()
+    if compiled is None:
+        pytest.skip("the compiled scan is not installed")
+
+    with pytest.raises(ValueError, match=r"length|newline|outside|neg|items"):
+        compiled.scan(*scan_arguments(text, **changes))

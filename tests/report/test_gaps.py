@@ -1,0 +1,50 @@
+"""Stretches of a drive without an input."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from bstm_daemon.heat.sample_plan import FLAGS
+from bstm_daemon.report.gaps import input_gaps
+from bstm_daemon.results import Results
+
+SPEED, PRESSURE = FLAGS["speed_missing"], FLAGS["pressure_missing"]
+
+
+def results_of(flags: list[int], time_s: np.ndarray | None = None) -> Results:
+    """Return ten rows a second with *flags*."""
+    times = 5.0 + 0.1 * np.arange(len(flags)) if time_s is None else time_s
+    columns = {"time_s": times, "flags": np.array(flags, dtype=float)}
+    return Results(columns, (), ())
+
+
+def test_total_and_longest() -> None:
+    """Two gaps of speed, of 2 s and 3 s; the late frame does not count."""
+    flags = [0] * 10 + [SPEED] * 20 + [0] * 10 + [SPEED] * 30
+    flags += [0] * 5 + [SPEED] * 2 + [0] * 5
+
+    (gap,) = input_gaps(results_of(flags), "ff")
+
+    assert gap.name == "speed"
+    assert gap.total_s == pytest.approx(5.0)
+    assert gap.longest_s == pytest.approx(3.0)
+    assert gap.longest_from_s == pytest.approx(3.9)
+
+
+def test_only_what_the_heat_mode_needs() -> None:
+    """Feed-Back goes without a pressure."""
+    results = results_of([PRESSURE] * 40)
+
+    assert [gap.name for gap in input_gaps(results, "ff")] == ["pressure"]
+    assert input_gaps(results, "fb") == ()
+
+
+def test_a_clock_set_back_is_no_negative_gap() -> None:
+    """Only time that passed counts."""
+    times = np.array([10.0, 11.0, 12.0, 2.0, 3.0, 4.0])
+    flags = [0, SPEED, SPEED, SPEED, SPEED, 0]
+
+    (gap,) = input_gaps(results_of(flags, times), "fb")
+
+    assert gap.total_s == pytest.approx(3.0)
