@@ -96,6 +96,7 @@ def read_csv(path: Path) -> dict[str, npt.NDArray[np.float64]]:
 def test_columns(results: Results) -> None:
     """Names and order; measured ones only where something was measured."""
     expected = ["time_s", "speed_ms", "distance_m", "brake_force_fb_n"]
+    expected.append("flags")
     for corner in CORNERS:
         expected += [f"{corner}.{quantity}" for quantity in QUANTITIES]
         if corner[0] == "F":
