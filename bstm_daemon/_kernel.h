@@ -9,7 +9,7 @@
 int bstm_buffers(int n, PyObject **object, const int *writable,
                  const int *wide, Py_buffer *view);
 
-/* The pass over samples (_samples.c). */
+/* The pass over samples (_samples_bind.c). */
 PyObject *bstm_sample_pass(PyObject *self, PyObject *args);
 extern const char bstm_sample_pass_doc[];
 

@@ -2,18 +2,11 @@
  * does the same operations in the same order; heat/sample_plan.py lays out
  * `ints` and `floats`.
  */
-#define PY_SSIZE_T_CLEAN
-#include <Python.h>
+#include "_samples.h"
 
 #include <math.h>
-#include <stdint.h>
 
-#include "_kernel.h"
-
-#define PLAN_LAYOUT 1
-#define NEVER INT64_MIN
 #define TAIL 4.0 /* filter times that Feed-Back runs on after release */
-#define UNKNOWN (-1.0)
 #define LATE_US INT64_C(1000000)
 #define AHEAD_US INT64_C(3600000000)
 #define SETTLED_US (12 * INT64_C(3600000000))
@@ -21,48 +14,12 @@
 #define CONFIRM_US INT64_C(10000000)
 #define LIMIT_US (INT64_C(1) << 60)
 
-enum { DONE, FULL, SETTLE, JUMP, DROP };
 enum {
     FLAG_SPEED = 1, FLAG_PRESSURE = 2, FLAG_ACCELERATION = 4,
     FLAG_TORQUE = 8, FLAG_AMBIENT = 16, FLAG_JUMP = 32, FLAG_SETTLED = 64,
-    FLAG_CORNER_PRESSURE = 128
+    FLAG_CORNER_PRESSURE = 128, FLAG_SUBSTITUTED = 1 << 21
 };
-enum {
-    I_LAYOUT, I_ROLES, I_CORNERS, I_MODE, I_SLOPE, I_POINTS, I_PRESSURE,
-    HEADER
-};
-enum {
-    R_SPEED, R_PRIMARY, R_SECONDARY, R_ACCELERATION, R_TORQUE, R_EXTERNAL,
-    R_AMBIENT, R_RAIN, VEHICLE_ROLES
-};
-enum { C_WHEEL, C_PRESSURE, C_SECONDARY, C_REAR, C_MEASURED };
-enum { MEASURED = 6, PER_CORNER_INTS = C_MEASURED + MEASURED };
-enum {
-    F_STEP, F_MASS, F_ROTATING, F_RADIUS, F_QUADRATIC, F_LINEAR, F_CONSTANT,
-    F_AMBIENT, F_TORQUE, F_ON_PRESSURE, F_ON_FORCE, F_FILTER, VEHICLE_FLOATS
-};
-enum { T_PER_PA, T_PUSHOUT, T_LAG, T_SHARE, PER_CORNER_FLOATS };
-enum { S_NOW, S_GRID, S_PENDING, S_LATE, S_DROPPED, S_JUMPS, TIMES };
-enum {
-    N_FILTERED, N_SPEED, N_DISTANCE, N_FORCE, N_ENERGY_FB, N_TOTAL_FB, N_TAIL,
-    NUMBERS
-};
-enum { PER_CORNER_SUMS = 5, CHANNELS = 8 + MEASURED, VEHICLE_CHANNELS = 5 };
-enum { MAX_CORNERS = 16 }; /* each has a bit of its own in flags */
-
-typedef struct {
-    const int32_t *ints, *role, *corner;  /* role: the vehicle's roles */
-    const double *f, *corner_f, *table_front, *table_rear, *timeout;
-    int roles, corners, points;
-    int64_t *t, *stamp;
-    double *n, *lagged, *energy_ff, *pressure_sum, *on_time, *total_ff, *value;
-    int32_t *flags;
-    double *rows, *vehicle_rows;
-    int64_t *row_times;
-    Py_ssize_t room, steps;
-    int stale, speed_known;
-    double speed, heading, wheel[MAX_CORNERS], target[MAX_CORNERS];
-} Pass;
+enum { OWN, OTHER, NONE }; /* source of a corner's power */
 
 static int valid(const Pass *p, int role)
 {
@@ -96,28 +53,45 @@ static double pressure_of(const Pass *p, const int32_t *corner)
     return pressure;
 }
 
+/* Whether a speed is present that nothing contradicts. */
+static int sound_voice(const Pass *p, int vehicle_present)
+{
+    const double *out = p->checks.left_out;
+    if (!p->checks.any_left_out) return 1;
+    if (vehicle_present && out[p->corners] == 0.0) return 1;
+    for (int c = 0; c < p->corners; c++)
+        if (out[c] == 0.0
+            && valid(p, p->corner[c * PER_CORNER_INTS + C_WHEEL]))
+            return 1;
+    return 0;
+}
+
 static void refresh(Pass *p)
 {
     double total = 0.0, along = 0.0;
-    int count = 0;
+    int count = 0, own[MAX_CORNERS];
+    const double *out = p->checks.left_out;
+    const int vehicle_present = valid(p, p->role[R_SPEED]);
+    const int sound = sound_voice(p, vehicle_present);
     for (int c = 0; c < p->corners; c++) {
         const int role = p->corner[c * PER_CORNER_INTS + C_WHEEL];
-        if (valid(p, role)) {
+        own[c] = valid(p, role) && !(sound && out[c] != 0.0);
+        if (own[c]) {
             total += fabs(p->value[role]);
             along += p->value[role];
             count++;
         }
     }
-    if (valid(p, p->role[R_SPEED])) {
+    if (vehicle_present && !(sound && out[p->corners] != 0.0)) {
         along = vehicle(p, R_SPEED, 0.0);
         p->speed = fabs(along);
     } else p->speed = count ? total / (double)count : 0.0;
     p->heading = along < 0.0 ? -1.0 : 1.0;
-    p->speed_known = count > 0 || valid(p, p->role[R_SPEED]);
+    p->speed_known = count > 0 || vehicle_present;
     for (int c = 0; c < p->corners; c++) {
         const int32_t *corner = p->corner + c * PER_CORNER_INTS;
         const int role = corner[C_WHEEL];
-        p->wheel[c] = valid(p, role) ? fabs(p->value[role]) : p->speed;
+        p->wheel[c] = own[c] ? fabs(p->value[role]) : p->speed;
         const double pressure = pressure_of(p, corner);
         p->target[c] = pressure > 0.0 ? pressure : 0.0;
     }
@@ -279,8 +253,76 @@ static double input_age_s(const Pass *p)
     return (double)(p->t[S_NOW] - oldest) * 1e-6;
 }
 
+/* How each corner's power is known, and whether it may have some. */
+static void heat_answers(const Pass *p, int *answer, int *at_risk)
+{
+    const int torque = valid(p, p->role[R_TORQUE]);
+    const int acceleration = p->role[R_ACCELERATION];
+    const int feed_back =
+        p->speed_known && (torque || p->ints[I_ASSUMED] != 0);
+    const int complete = p->speed_known && (torque || p->role[R_TORQUE] < 0)
+        && (p->ints[I_SLOPE] != 0 || acceleration < 0
+            || valid(p, acceleration));
+    for (int c = 0; c < p->corners; c++) {
+        const int pressure = corner_known(p, c);
+        const int feed_forward = p->speed_known && pressure;
+        int own, other;
+        if (p->ints[I_MODE] == 1) {
+            own = complete || (feed_back && !feed_forward);
+            other = feed_forward;
+        } else {
+            const int disc = p->corner[c * PER_CORNER_INTS + C_MEASURED];
+            own = feed_forward || (p->ints[I_MODE] == 2 && valid(p, disc));
+            other = feed_back;
+        }
+        answer[c] = own ? OWN : other ? OTHER : NONE;
+        if (p->speed_known) at_risk[c] = p->speed > STANDING_MS;
+        else if (pressure) at_risk[c] = p->target[c] > p->f[F_ON_PRESSURE];
+        else at_risk[c] = bstm_last_speed(&p->checks) > PARKING_MS;
+    }
+}
+
+static double reading(const Pass *p, int role)
+{
+    return valid(p, role) ? p->value[role] : (double)NAN;
+}
+
+/* What the checks need of the step that ends now. */
+static void read_all(const Pass *p, Readings *now, const int *answer)
+{
+    const int k = p->corners;
+    now->now = p->t[S_NOW];
+    now->dt_s = (double)(int64_t)p->f[F_STEP] * 1e-6;
+    now->speed = p->speed;
+    now->speed_known = p->speed_known;
+    now->brake_switch = vehicle(p, R_SWITCH, (double)NAN);
+    now->esc_active = vehicle(p, R_ESC, 0.0);
+    now->acceleration = p->heading * vehicle(p, R_ACCELERATION, (double)NAN);
+    now->braking = now->brake_switch > 0.0;
+    now->voice[k] = fabs(reading(p, p->role[R_SPEED]));
+    now->pressure[0] = reading(p, p->role[R_PRIMARY]);
+    now->pressure[1] = reading(p, p->role[R_SECONDARY]);
+    for (int c = 0; c < k; c++) {
+        const int32_t *corner = p->corner + c * PER_CORNER_INTS;
+        if (p->target[c] > p->f[F_ON_PRESSURE]) now->braking = 1;
+        now->voice[c] = fabs(reading(p, corner[C_WHEEL]));
+        now->pressure[2 + c] = reading(p, corner[C_PRESSURE]);
+        now->source[c] = 0;
+        if (valid(p, corner[C_PRESSURE])) now->source[c] = 2 + c;
+        else if (corner[C_SECONDARY] && valid(p, p->role[R_SECONDARY]))
+            now->source[c] = 1;
+        now->heat_known[c] = answer[c] != NONE;
+    }
+}
+
 static void close_step(Pass *p)
 {
+    int answer[MAX_CORNERS];
+    Readings now;
+    heat_answers(p, answer, now.at_risk);
+    read_all(p, &now, answer);
+    int64_t flags = *p->flags | missing(p);
+    flags |= bstm_checks_close(&p->checks, &now);
     const double dt_s = (double)(int64_t)p->f[F_STEP] * 1e-6;
     const double ambient = vehicle(p, R_AMBIENT, p->f[F_AMBIENT]);
     double wetness = vehicle(p, R_RAIN, 0.0);
@@ -300,7 +342,9 @@ static void close_step(Pass *p)
         row[2] = p->on_time[c] / dt_s;
         row[3] = wetness;
         row[4] = ambient;
-        row[5] = p->ints[I_MODE] == 1 ? share * power_fb : power_ff;
+        row[5] = (p->ints[I_MODE] == 1) == (answer[c] != OTHER)
+            ? share * power_fb : power_ff;
+        if (answer[c] == OTHER && now.at_risk[c]) flags |= FLAG_SUBSTITUTED;
         row[6] = p->total_ff[c];
         row[7] = share * p->n[N_TOTAL_FB];
         const int32_t *measured =
@@ -314,7 +358,7 @@ static void close_step(Pass *p)
     whole[1] = p->n[N_DISTANCE];
     whole[2] = (p->n[N_FORCE] > 0.0 ? p->n[N_FORCE] : 0.0) / dt_s;
     whole[3] = input_age_s(p);
-    whole[4] = (double)(*p->flags | missing(p));
+    whole[4] = (double)flags;
     p->row_times[p->steps] = p->t[S_GRID];
     p->steps++;
     *p->flags = 0;
@@ -377,127 +421,43 @@ static int move_to(Pass *p, int64_t time_us)
     t[S_JUMPS]++;
     const int settled = ahead > 0 && ahead <= CLOCK_SET_US;
     *p->flags |= settled ? FLAG_SETTLED : FLAG_JUMP;
-    for (int r = 0; r < p->roles && !settled; r++)
-        if (p->stamp[r] != NEVER) p->stamp[r] += ahead;
+    if (settled) bstm_checks_settle(&p->checks);
+    else {
+        bstm_checks_shift(&p->checks, ahead);
+        for (int r = 0; r < p->roles; r++)
+            if (p->stamp[r] != NEVER) p->stamp[r] += ahead;
+    }
     start_axis(p, time_us);
     return settled ? SETTLE : JUMP;
 }
 
-static Py_ssize_t consume(Pass *p, const int64_t *times, const int32_t *roles,
-                          const double *values, Py_ssize_t index,
-                          Py_ssize_t count, int *code)
+/* Of a late sample nobody knows how fast it came from the one before. */
+static void take(Pass *p, int64_t time_us, int role, double value)
+{
+    const int64_t now = p->t[S_NOW], at = time_us > now ? time_us : now;
+    const int64_t since =
+        at == time_us && valid(p, role) ? p->stamp[role] : NEVER;
+    if (bstm_checks_admit(&p->checks, at, role, value, p->value[role],
+                          since)) {
+        p->value[role] = value;
+        p->stamp[role] = at;
+    }
+}
+
+ptrdiff_t bstm_consume(Pass *p, const int64_t *times, const int32_t *roles,
+                       const double *values, ptrdiff_t index, ptrdiff_t count,
+                       int *code)
 {
     for (; index < count; index++) {
         *code = move_to(p, times[index]);
         if (*code == FULL) return index;
         const int role = roles[index];
         if (*code != DROP && role >= 0 && role < p->roles
-            && isfinite(values[index])) {
-            p->value[role] = values[index];
-            p->stamp[role] =
-                times[index] > p->t[S_NOW] ? times[index] : p->t[S_NOW];
-        }
+            && isfinite(values[index]))
+            take(p, times[index], role, values[index]);
         p->stale = 1;
         if (*code == SETTLE || *code == JUMP) return index + 1;
     }
     *code = DONE;
     return index;
-}
-
-const char bstm_sample_pass_doc[] =
-    "sample_pass(ints, floats, times, numbers, flags, times_us, roles, values,"
-    "\n            rows, vehicle_rows, row_times_us, first)\n\n"
-    "Returns (next sample, steps, code); see heat/sample_pass.py.";
-
-/* Point the pass into its buffers. Returns NULL or what is wrong. */
-static const char *bind(Pass *p, Py_buffer *view)
-{
-    const int32_t *ints = view[0].buf;
-    if (view[0].len / 4 < HEADER + VEHICLE_ROLES
-        || ints[I_LAYOUT] != PLAN_LAYOUT)
-        return "ints has another layout";
-    p->ints = ints;
-    p->roles = ints[I_ROLES];
-    p->corners = ints[I_CORNERS];
-    p->points = ints[I_POINTS];
-    if (p->roles < 1 || p->roles > 4096 || p->corners < 0
-        || p->corners > MAX_CORNERS || p->points < 0 || p->points > 4096)
-        return "a count is out of range";
-    const int k = p->corners;
-    const Py_ssize_t n_ints = HEADER + VEHICLE_ROLES + k * PER_CORNER_INTS;
-    const Py_ssize_t n_floats = VEHICLE_FLOATS + k * PER_CORNER_FLOATS
-        + 2 * p->points + p->roles;
-    const Py_ssize_t n_numbers = NUMBERS + PER_CORNER_SUMS * k + p->roles;
-    p->room = view[10].len / 8;
-    if (view[0].len / 4 != n_ints || view[1].len / 8 != n_floats
-        || view[2].len / 8 != TIMES + p->roles
-        || view[3].len / 8 != n_numbers || view[4].len / 4 != 1
-        || view[6].len / 4 != view[5].len / 8
-        || view[7].len != view[5].len
-        || view[8].len / 8 < p->room * k * CHANNELS
-        || view[9].len / 8 < p->room * VEHICLE_CHANNELS)
-        return "a buffer has the wrong size";
-    p->role = ints + HEADER;
-    p->corner = p->role + VEHICLE_ROLES;
-    for (Py_ssize_t i = HEADER; i < n_ints; i++) {
-        if (ints[i] < -1 || ints[i] >= p->roles)
-            return "a role number is out of range";
-    }
-    p->f = view[1].buf;
-    if (!(p->f[F_STEP] >= 1.0)) return "the step is too short";
-    p->corner_f = p->f + VEHICLE_FLOATS;
-    p->table_front = p->corner_f + k * PER_CORNER_FLOATS;
-    p->table_rear = p->table_front + p->points;
-    p->timeout = p->table_rear + p->points;
-    p->t = view[2].buf;
-    p->stamp = p->t + TIMES;
-    p->n = view[3].buf;
-    p->lagged = p->n + NUMBERS;
-    p->energy_ff = p->lagged + k;
-    p->pressure_sum = p->energy_ff + k;
-    p->on_time = p->pressure_sum + k;
-    p->total_ff = p->on_time + k;
-    p->value = p->total_ff + k;
-    p->flags = view[4].buf;
-    p->rows = view[8].buf;
-    p->vehicle_rows = view[9].buf;
-    p->row_times = view[10].buf;
-    p->steps = 0;
-    p->stale = 1;
-    p->speed_known = 0;
-    return NULL;
-}
-
-PyObject *bstm_sample_pass(PyObject *Py_UNUSED(self), PyObject *args)
-{
-    enum { BUFFERS = 11 };
-    PyObject *object[BUFFERS];
-    Py_ssize_t first;
-    if (!PyArg_ParseTuple(args, "OOOOOOOOOOOn", &object[0], &object[1],
-                          &object[2], &object[3], &object[4], &object[5],
-                          &object[6], &object[7], &object[8], &object[9],
-                          &object[10], &first))
-        return NULL;
-    static const int writable[BUFFERS] = {0, 0, 1, 1, 1, 0, 0, 0, 1, 1, 1};
-    static const int wide[BUFFERS] = {4, 8, 8, 8, 4, 8, 4, 8, 8, 8, 8};
-    Py_buffer view[BUFFERS];
-    if (bstm_buffers(BUFFERS, object, writable, wide, view) < 0) return NULL;
-    Pass p;
-    int code = DONE;
-    const char *wrong = bind(&p, view);
-    const Py_ssize_t count = view[5].len / 8;
-    if (wrong == NULL && (first < 0 || first > count))
-        wrong = "the first sample is out of range";
-    if (wrong == NULL) {
-        Py_BEGIN_ALLOW_THREADS
-        first = consume(&p, view[5].buf, view[6].buf, view[7].buf, first,
-                        count, &code);
-        Py_END_ALLOW_THREADS
-    }
-    for (int i = 0; i < BUFFERS; i++) PyBuffer_Release(&view[i]);
-    if (wrong != NULL) {
-        PyErr_SetString(PyExc_ValueError, wrong);
-        return NULL;
-    }
-    return Py_BuildValue("nni", first, p.steps, code);
 }

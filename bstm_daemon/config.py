@@ -12,18 +12,24 @@ import itertools
 from datetime import date  # noqa: TC003  (pydantic resolves it at run time)
 from typing import Annotated, Any, Final, Literal, Self
 
-from pydantic import (
-    BaseModel,
-    ConfigDict,
-    Discriminator,
-    Field,
-    Tag,
-    model_validator,
+from pydantic import Discriminator, Field, Tag, model_validator
+
+from bstm_daemon.config_section import (
+    Fraction,
+    NotNegative,
+    Positive,
+    Section,
+    Text,
+    require,
+)
+from bstm_daemon.config_service import (
+    DaemonConfig,
+    E2eConfig,
+    MetricsConfig,
+    RecordConfig,
+    StateConfig,
 )
 
-Positive = Annotated[float, Field(gt=0)]
-NotNegative = Annotated[float, Field(ge=0)]
-Fraction = Annotated[float, Field(ge=0, le=1)]
 Emissivity = Annotated[float, Field(gt=0, le=1)]
 # upper bounds beyond any road vehicle: they find mm, cm2 and mm2 in an SI key
 Radius = Annotated[float, Field(gt=0, le=0.5)]
@@ -32,23 +38,10 @@ DiscArea = Annotated[float, Field(gt=0, le=1)]
 DiscMass = Annotated[float, Field(gt=0, le=100)]
 PadArea = Annotated[float, Field(gt=0, le=0.05)]
 PadThickness = Annotated[float, Field(gt=0, le=0.05)]
-Text = Annotated[str, Field(min_length=1)]
 CornerName = Literal["FL", "FR", "RL", "RR"]
 
 PUBLISHED_IDS: Final = 20
 """Ids from ``[publish] id_base`` on that belong to the daemon."""
-
-
-class Section(BaseModel):
-    """Base of all sections.
-
-    Unknown keys are errors, values are final, a text is never read as a
-    number, and neither NaN nor infinity is a number.
-    """
-
-    model_config = ConfigDict(
-        extra="forbid", frozen=True, strict=True, allow_inf_nan=False
-    )
 
 
 def _place(corner_name: str) -> tuple[str, str]:
@@ -56,20 +49,15 @@ def _place(corner_name: str) -> tuple[str, str]:
     return axle, "left" if corner_name[1] == "L" else "right"
 
 
-def _require(condition: bool, message: str) -> None:  # noqa: FBT001
-    if not condition:
-        raise ValueError(message)
-
-
 def _check_curve(
     x: list[float], y: list[float], x_name: str, y_name: str
 ) -> None:
-    _require(
+    require(
         len(x) == len(y) and len(x) > 1,
         f"{x_name!r} and {y_name!r} need the same length, at least 2: "
         f"{len(x)} and {len(y)} given",
     )
-    _require(
+    require(
         all(a < b for a, b in itertools.pairwise(x)),
         f"{x_name!r} must rise from point to point",
     )
@@ -159,24 +147,24 @@ class SignalConfig(Section):
     def _one_source(self) -> Self:
         if self.column is not None:
             of_a_frame = (self.message, self.signal, self.expression, self.bus)
-            _require(
+            require(
                 of_a_frame == (None,) * 4,
                 "with 'column', a column of a table, there is no 'message', "
                 "'signal', 'expression' or 'bus'",
             )
         else:
-            _require(
+            require(
                 (self.signal is None) != (self.expression is None),
                 "needs exactly one of 'signal' and 'expression'"
                 + ("" if self.signal else ", or the 'column' of a table"),
             )
-            _require(
+            require(
                 self.message is not None,
                 "needs 'message', the DBC message that carries it",
             )
-        _require(self.scale != 0, "'scale' must not be 0")
+        require(self.scale != 0, "'scale' must not be 0")
         if self.min is not None and self.max is not None:
-            _require(self.min < self.max, "'min' must be below 'max'")
+            require(self.min < self.max, "'min' must be below 'max'")
         return self
 
 
@@ -196,24 +184,24 @@ class TableConfig(Section):
 
     @model_validator(mode="after")
     def _keys_fit(self) -> Self:
-        _require(
+        require(
             (self.time is None) != (self.rate_hz is None),
             "needs either 'time', the column with the time, or 'rate_hz', "
             "the rows a second of a table without one",
         )
-        _require(
+        require(
             self.time_unit is None or self.time is not None,
             "'time_unit' goes with 'time'",
         )
-        _require(
+        require(
             (self.name is None) == (self.value is None),
             "'name' and 'value' go together: one value a row",
         )
-        _require(
+        require(
             self.name is None or self.rate_hz is None,
             "'name' and 'value' need a column 'time', not 'rate_hz'",
         )
-        _require(
+        require(
             self.delimiter is None or len(self.delimiter) == 1,
             f"'delimiter' = {self.delimiter!r} must be one character",
         )
@@ -240,7 +228,7 @@ class DiscConfig(Section):
     @model_validator(mode="after")
     def _own_needs_curve(self) -> Self:
         own = self.material == "own"
-        _require(
+        require(
             own == (self.heat_capacity_j_kgk is not None),
             "'heat_capacity_j_kgk' goes with material \"own\" and only there",
         )
@@ -248,7 +236,7 @@ class DiscConfig(Section):
 
     @model_validator(mode="after")
     def _swept_is_a_part(self) -> Self:
-        _require(
+        require(
             self.swept_area_m2 <= self.total_area_m2,
             f"'swept_area_m2' = {self.swept_area_m2:g} must be at most "
             f"'total_area_m2' = {self.total_area_m2:g}, which it is a part of",
@@ -350,24 +338,24 @@ class CornerConfig(Section):
     @model_validator(mode="after")
     def _parts_fit(self) -> Self:
         has = self.disc is not None, self.pad is not None
-        _require(
+        require(
             has == ((True, True) if self.type == "disc" else (False, False)),
             "a disc corner needs 'disc' and 'pad', a drum corner has neither",
         )
         radii = (self.swept_inner_radius_m, self.swept_outer_radius_m)
         if self.effective_radius_m is None:
-            _require(
+            require(
                 None not in radii,
                 "needs 'effective_radius_m', or 'swept_inner_radius_m' and "
                 "'swept_outer_radius_m'",
             )
         if radii[0] is not None and radii[1] is not None:
-            _require(
+            require(
                 radii[0] < radii[1],
                 "'swept_inner_radius_m' must be below 'swept_outer_radius_m'",
             )
         axle, side = _place(self.name)
-        _require(
+        require(
             self.axle in (None, axle) and self.side in (None, side),
             f"corner {self.name} is {axle} {side}: 'axle' or 'side' differ",
         )
@@ -377,7 +365,7 @@ class CornerConfig(Section):
     def _pads_fit_on_disc(self) -> Self:
         if self.disc is not None and self.pad is not None:
             pad_m2, swept_m2 = self.pad.area_m2, self.disc.swept_area_m2
-            _require(
+            require(
                 2.0 * pad_m2 <= swept_m2,
                 f"both pads, 2 x 'pad.area_m2' = {2.0 * pad_m2:g}, must be "
                 f"at most 'disc.swept_area_m2' = {swept_m2:g}, both faces "
@@ -452,6 +440,11 @@ class Config(Section):
     fluid: FluidConfig = FluidConfig()
     effect: list[EffectConfig] = []
     publish: PublishConfig = PublishConfig()
+    e2e: list[E2eConfig] = []
+    state: StateConfig = StateConfig()
+    daemon: DaemonConfig = DaemonConfig()
+    record: RecordConfig = RecordConfig()
+    metrics: MetricsConfig = MetricsConfig()
 
     def thermal_of(self, corner: CornerConfig) -> ThermalConfig:
         """Merge ``[thermal]`` with the overrides of *corner*."""

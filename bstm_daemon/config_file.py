@@ -22,7 +22,6 @@ from bstm_daemon.config import (
     FluidConfig,
     HeatConfig,
     PublishConfig,
-    Section,
     SignalConfig,
     TableConfig,
     ThermalConfig,
@@ -30,6 +29,14 @@ from bstm_daemon.config import (
 )
 from bstm_daemon.config_errors import hint, problems_of_section, toml_text
 from bstm_daemon.config_rules import Draft, problems_between
+from bstm_daemon.config_section import Section
+from bstm_daemon.config_service import (
+    DaemonConfig,
+    E2eConfig,
+    MetricsConfig,
+    RecordConfig,
+    StateConfig,
+)
 from bstm_daemon.errors import ConfigError, FileAccessError
 
 if TYPE_CHECKING:
@@ -46,11 +53,16 @@ _TABLES: Final[dict[str, type[Section]]] = {
     "heat": HeatConfig,
     "fluid": FluidConfig,
     "publish": PublishConfig,
+    "state": StateConfig,
+    "daemon": DaemonConfig,
+    "record": RecordConfig,
+    "metrics": MetricsConfig,
 }
 _ARRAYS: Final[dict[str, type[Section]]] = {
     "bus": BusConfig,
     "corner": CornerConfig,
     "effect": EffectConfig,
+    "e2e": E2eConfig,
 }
 _REQUIRED: Final = ("vehicle", "bus", "signals", "corner")
 _WITHOUT_DEFAULTS: Final = ("vehicle", "table")

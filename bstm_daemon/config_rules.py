@@ -35,6 +35,13 @@ if TYPE_CHECKING:
         TableConfig,
         VehicleConfig,
     )
+    from bstm_daemon.config_service import (
+        DaemonConfig,
+        E2eConfig,
+        MetricsConfig,
+        RecordConfig,
+        StateConfig,
+    )
 
 Table = dict[str, Any]
 
@@ -57,6 +64,11 @@ class Draft:
     fluid: FluidConfig | None = None
     effect: list[EffectConfig] = field(default_factory=list)
     publish: PublishConfig | None = None
+    e2e: list[E2eConfig] = field(default_factory=list)
+    state: StateConfig | None = None
+    daemon: DaemonConfig | None = None
+    record: RecordConfig | None = None
+    metrics: MetricsConfig | None = None
     written_buses: list[Table] = field(default_factory=list)
     written_corners: list[Table] = field(default_factory=list)
     written_signals: dict[str, Table] = field(default_factory=dict)
@@ -85,6 +97,12 @@ def problems_between(draft: Draft) -> list[str]:
         *_heat_problems(draft),
         *_effect_problems(draft),
         *_publish_problems(draft),
+        *(
+            problem
+            for e2e in draft.e2e
+            for problem in _e2e_problems(e2e, draft)
+        ),
+        *_e2e_twice(draft),
     ]
 
 
@@ -99,6 +117,20 @@ def usable_signals(draft: Draft) -> dict[str, SignalConfig]:
         and (signal.bus or default) in buses
         and not _signal_problems(role, draft)
     }
+
+
+def usable_e2e(draft: Draft) -> list[E2eConfig]:
+    """Return the protections of messages that usable signals read, once."""
+    read = {
+        (signal.message, _bus_of(signal.bus, draft))
+        for signal in usable_signals(draft).values()
+    }
+    found = {
+        key: e2e
+        for e2e in draft.e2e
+        if (key := (e2e.message, _bus_of(e2e.bus, draft))) in read
+    }
+    return list(found.values())
 
 
 def _signal_problems(role: str, draft: Draft) -> list[str]:
@@ -295,3 +327,37 @@ def _publish_problems(draft: Draft) -> Iterator[str]:
             f"[publish] bus = {toml_text(publish.bus)}: no such [[bus]], "
             f"{hint(publish.bus, draft.bus_names())}"
         )
+
+
+def _bus_of(name: object, draft: Draft) -> object:
+    """Return the bus that *name*, a key ``bus`` as written, stands for."""
+    return next(iter(draft.bus_names()), None) if name is None else name
+
+
+def _e2e_problems(e2e: E2eConfig, draft: Draft) -> Iterator[str]:
+    where = f"[[e2e]] {e2e.message}"
+    names = draft.bus_names()
+    if e2e.bus is not None and e2e.bus not in names:
+        yield (
+            f"{where} bus = {toml_text(e2e.bus)}: no such [[bus]], "
+            f"{hint(e2e.bus, names)}"
+        )
+        return
+    bus = _bus_of(e2e.bus, draft)
+    read = {
+        table["message"]
+        for table in draft.written_signals.values()
+        if isinstance(table.get("message"), str)
+        and _bus_of(table.get("bus"), draft) == bus
+    }
+    if e2e.message not in read:
+        meant = nearest(e2e.message, sorted(read))
+        yield f"{where} message: no role is read from it" + (
+            "" if meant is None else f", did you mean '{meant}'?"
+        )
+
+
+def _e2e_twice(draft: Draft) -> Iterator[str]:
+    keys = [(one.message, _bus_of(one.bus, draft)) for one in draft.e2e]
+    for message in _twice(f"{message} on {bus}" for message, bus in keys):
+        yield f"[[e2e]] {message}: given twice, one section a message"

@@ -12,6 +12,7 @@ from math import nan
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from bstm_daemon.bus.decoder import Decoder
+from bstm_daemon.bus.e2e_guard import E2eGuard
 from bstm_daemon.bus.output_layout import HeatMode, State, Validity
 from bstm_daemon.bus.publication import (
     CornerSnapshot,
@@ -21,6 +22,13 @@ from bstm_daemon.bus.publication import (
     StatusSnapshot,
 )
 from bstm_daemon.bus.refusal import Refusal
+from bstm_daemon.carry_over import (
+    StateError,
+    correct_parked,
+    export_state,
+    park,
+    resume_state,
+)
 from bstm_daemon.estimator import STEP_US, Estimator
 from bstm_daemon.heat.sample_pass import TICK
 from bstm_daemon.heat.sample_plan import FLAGS, VEHICLE_CHANNELS
@@ -28,9 +36,11 @@ from bstm_daemon.risk.boiling import wet_boiling_point_k
 from bstm_daemon.roles import CORNERS, ROLE_INDEX
 
 if TYPE_CHECKING:
-    from collections.abc import Collection
+    from collections.abc import Collection, Mapping
+    from typing import Any
 
     from bstm_daemon.bus.signal_map import SignalMap
+    from bstm_daemon.carry_over import Restored
     from bstm_daemon.config import Config
     from bstm_daemon.estimator import Block
 
@@ -38,8 +48,16 @@ REJECTED: Final = (
     Refusal.ERROR_FRAME,
     Refusal.REMOTE_FRAME,
     Refusal.WRONG_LENGTH,
+    Refusal.WRONG_CRC,
+    Refusal.REPEATED_COUNTER,
+    Refusal.WRONG_SEQUENCE,
 )
 """Frames of a wanted id that were refused whole."""
+
+_STRAY_US: Final = 1_000_000
+"""A rejected frame stamped further ahead than this is counted at once."""
+
+FOREVER_US: Final = 2**63
 
 _SILENT: Final = FLAGS["speed_missing"]
 
@@ -94,6 +112,7 @@ class Engine:
         roles = signal_map.roles()
         timeouts = signal_map.timeouts_us
         self.decoder = Decoder(signal_map)
+        self._guard = E2eGuard(signal_map)
         self.estimator = Estimator(
             config,
             {role: timeouts[role] for role in roles},
@@ -104,14 +123,21 @@ class Engine:
             config.publish.id_base,
             modelled=[corner.name for corner in config.disc_corners()],
         )
+        self.config = config
         self._boiling_k = wet_boiling_point_k(config.fluid.grade)
-        self._heat_mode = HeatMode[config.heat.mode.upper()]
+        self.heat_mode = HeatMode[config.heat.mode.upper()]
+        self.snapshot: Snapshot | None = None
+        """What was published last."""
         self.blocks: list[Block] = []
         """The estimates of the last tick, for whoever tabulates them."""
         self._times = array("q")
         self._roles = array("i")
         self._values = array("d")
         self._line_us: int | None = None
+        self._rejected = 0
+        self._rejected_at: list[int] = []
+        self.dropped_frames = 0
+        """Frames lost before they came here, told by the shell."""
         self._stale = _stale_flags(config.heat.mode, roles)
         self._places = {
             name: (number, member)
@@ -131,6 +157,14 @@ class Engine:
         is_remote: bool = False,
     ) -> None:
         """Take one frame of bus number *bus*, stamped *stamp_us* [us]."""
+        counts = self.decoder.counts
+        before = _rejections(counts)
+        if not (is_error or is_remote):
+            refusal = self._guard.refusal(bus, can_id, extended, data)
+            if refusal is not None:
+                counts[refusal] += 1
+                self._rejected_at.append(stamp_us)
+                return
         for role, value in self.decoder.decode(
             bus,
             can_id,
@@ -142,6 +176,8 @@ class Engine:
             self._times.append(stamp_us)
             self._roles.append(role)
             self._values.append(value)
+        if _rejections(counts) != before:
+            self._rejected_at.append(stamp_us)
 
     def tick(self, time_us: int) -> list[Published]:
         """March to *time_us* [us] and return what became due, oldest first.
@@ -155,12 +191,78 @@ class Engine:
         self._times = array("q")
         self._roles = array("i")
         self._values = array("d")
-        return [
+        published = [
             Published(block.times_us[i], frame)
             for block in blocks
             for i in range(len(block.times_us))
             for frame in self.publication.encode(self._snapshot(block, i))
         ]
+        # what is stamped far ahead has no publication of its own
+        self._count_rejected(time_us, time_us + _STRAY_US)
+        return published
+
+    def farewell(self) -> list[OutputFrame]:
+        """Return the last frames of a service that stops: not available."""
+        return self.publication.stopping(
+            self.heat_mode, compiled=self.estimator.compiled
+        )
+
+    def temperatures_k(self) -> list[float]:
+        """Return the temperature [K] of every node of every corner."""
+        found = []
+        for name, program in self.estimator.programs.items():
+            state = self.estimator.state(name)
+            found += [state[node.name] for node in program.network.nodes]
+        return found
+
+    def export_state(self) -> dict[str, Any]:
+        """Return the memory as plain values, for the state file."""
+        return {
+            "counters": self.publication.counters,
+            **export_state(self.estimator),
+        }
+
+    def resume(
+        self, document: Mapping[str, Any], parked_us: int | None, now_us: int
+    ) -> Restored:
+        """Take over *document* before the first frame and tick.
+
+        Args:
+            document: what :meth:`export_state` gave.
+            parked_us: time since then [us]; None where no clock can tell,
+                then the brakes are as hot as they were.
+            now_us: time now on the axis of the stamps [us].
+
+        Raises:
+            StateError: it is no state of this car; nothing was taken.
+        """
+        counters = document.get("counters")
+        if not isinstance(counters, dict) or not all(
+            isinstance(count, int) for count in counters.values()
+        ):
+            msg = "counters: not a table of numbers"
+            raise StateError(msg)
+        restored = resume_state(self.estimator, document, parked_us, now_us)
+        self.publication.continue_from(counters)
+        return restored
+
+    def correct_parked(
+        self, document: Mapping[str, Any], parked_us: int
+    ) -> None:
+        """Change the parked time that :meth:`resume` was told, once known.
+
+        Needs :func:`~bstm_daemon.carry_over.doubt_parked_time` since. The
+        next publication says so with its clock-jump flag.
+        """
+        correct_parked(self.estimator, document, parked_us * 1e-6)
+        self.estimator.open_flags |= FLAGS["clock_jump"]
+
+    def park(self, parked_us: int) -> None:
+        """Let the brakes stand for *parked_us*: the computer slept.
+
+        The inputs begin anew.
+        """
+        park(self.estimator, parked_us * 1e-6)
 
     def _pass_grid_line(self, time_us: int) -> None:
         """Let time pass up to the last grid line before *time_us*.
@@ -179,12 +281,28 @@ class Engine:
         self._roles.append(TICK)
         self._values.append(0.0)
 
+    def _count_rejected(self, time_us: int, horizon_us: int) -> None:
+        """Count what was rejected up to *time_us*, or beyond *horizon_us*.
+
+        A publication tells of its own time, however far the frames read
+        with it reach.
+        """
+        if not self._rejected_at:
+            return
+        later = [t for t in self._rejected_at if time_us < t <= horizon_us]
+        self._rejected += len(self._rejected_at) - len(later)
+        self._rejected_at = later
+
     def _snapshot(self, block: Block, i: int) -> Snapshot:
+        self._count_rejected(block.times_us[i], FOREVER_US)
         corners = {
             name: self._corner(block, i, name, place)
             for name, place in self._places.items()
         }
-        return Snapshot(block.times_us[i], corners, self._status(block, i))
+        self.snapshot = Snapshot(
+            block.times_us[i], corners, self._status(block, i)
+        )
+        return self.snapshot
 
     def _corner(
         self, block: Block, i: int, name: str, place: tuple[int, int]
@@ -221,7 +339,6 @@ class Engine:
                 strict=True,
             )
         )
-        known = self.estimator.history_known
         worst = max((v[i] for v in block.validity.values()), default=nan)
         if flags & _SILENT:
             state = State.NO_INPUT
@@ -229,18 +346,22 @@ class Engine:
             state = State.RUNNING if worst == 0 else State.DEGRADED
         return StatusSnapshot(
             state=state,
-            heat_mode=self._heat_mode,
-            history_known=known,
+            heat_mode=self.heat_mode,
+            history_known=i >= block.known_from,
             compiled_kernel=self.estimator.compiled,
             oldest_input_age_s=vehicle["input_age_s"],
-            rejected_frames=sum(self.decoder.counts[r] for r in REJECTED),
-            dropped_frames=self.estimator.counts["dropped"],
+            rejected_frames=self._rejected,
+            dropped_frames=self.dropped_frames,
             clock_jump=bool(flags & FLAGS["clock_jump"]),
             **{
                 f"{name}_stale": bool(flags & bit)
                 for name, bit in self._stale.items()
             },
         )
+
+
+def _rejections(counts: Mapping[Refusal, int]) -> int:
+    return sum(counts[reason] for reason in REJECTED)
 
 
 def _stale_flags(mode: str, roles: Collection[int]) -> dict[str, int]:

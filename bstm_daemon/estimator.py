@@ -21,8 +21,6 @@ from bstm_daemon.heat import sample_pass as reference_pass
 from bstm_daemon.heat.sample_pass import SETTLE
 from bstm_daemon.heat.sample_plan import (
     CHANNELS,
-    CORNER_PRESSURE,
-    FLAGS,
     VEHICLE_CHANNELS,
     plan_samples,
 )
@@ -33,6 +31,13 @@ from bstm_daemon.thermal.brake_corner import build_corner, corner_spec
 from bstm_daemon.thermal.kernel import Batch
 from bstm_daemon.thermal.program import Program, compile_network
 from bstm_daemon.units import KELVIN_OFFSET
+from bstm_daemon.validity import (
+    DEGRADED,
+    INVALID,
+    VALID,
+    Needs,
+    needs_of_corners,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -41,6 +46,7 @@ if TYPE_CHECKING:
     import numpy.typing as npt
 
     from bstm_daemon.config import Config, CornerConfig
+    from bstm_daemon.journal import Journal
 
     Ints: TypeAlias = Sequence[int] | npt.NDArray[Any]
     Floats: TypeAlias = Sequence[float] | npt.NDArray[Any]
@@ -68,10 +74,6 @@ LOWEST_K: Final = 200.0
 HIGHEST_K: Final = 1800.0
 """An estimate outside can not be true: below any ambient, above iron's
 melting point."""
-
-VALID: Final = 0
-DEGRADED: Final = 1
-INVALID: Final = 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,6 +104,8 @@ class Block:
     outputs: tuple[array[float], ...]
     flags: array[int]
     validity: dict[str, array[int]]
+    known_from: int
+    """The first publication at which the start no longer matters."""
 
 
 class Estimator:
@@ -132,22 +136,27 @@ class Estimator:
         """
         self.config = config
         self._kernel = load_kernel()
-        self.plan = plan_samples(config, present, STEP_US)
-        self._samples = SampleState.new(self.plan)
         start_k = initial_k or config.vehicle.ambient_c + KELVIN_OFFSET
         self.programs: dict[str, Program] = {
             corner.name: compile_corner(config, corner)
             for corner in config.disc_corners()
         }
-        self._groups = self._batches(start_k)
-        self.settling_s = 0.0 if history_known else self._settling_time_s()
-        self._history_left = round(self.settling_s * 1e6) // STEP_US
-        self._mandatory = _mandatory_flags(config, present)
+        longest_s = self._settling_time_s()
+        self.plan = plan_samples(config, present, STEP_US, longest_s)
+        self.samples = SampleState.new(self.plan)
+        self.batches = self._batches(start_k)
+        self.settling_s = 0.0 if history_known else longest_s
+        self.history_left_steps = round(self.settling_s * 1e6) // STEP_US
+        self._needs = needs_of_corners(config, present)
         corners = len(self.plan.corners)
         self._rows = array("d", bytes(8 * ROWS * corners * len(CHANNELS)))
         self._vehicle = array("d", bytes(8 * ROWS * len(VEHICLE_CHANNELS)))
         self._times = array("q", bytes(8 * ROWS))
-        self._open_flags = 0
+        self.open_flags = 0
+        self.journal: Journal | None = None
+        """Takes the rows of every step, where it is asked for."""
+        self.resets = 0
+        """Corners that had to start anew, since the start."""
 
     @property
     def compiled(self) -> bool:
@@ -157,7 +166,7 @@ class Estimator:
     @property
     def history_known(self) -> bool:
         """Whether the start no longer matters."""
-        return self._history_left <= 0
+        return self.history_left_steps <= 0
 
     @property
     def counts(self) -> dict[str, int]:
@@ -165,7 +174,7 @@ class Estimator:
         return dict(
             zip(
                 ("late", "dropped", "jumps"),
-                self._samples.times[3:6],
+                self.samples.times[3:6],
                 strict=True,
             )
         )
@@ -180,7 +189,7 @@ class Estimator:
                 len(batch.programs[0].network.nodes),
                 batch.width + batch.sources,
             )
-            for batch, names in self._groups
+            for batch, names in self.batches
         )
 
     def state(self, corner: str) -> dict[str, float]:
@@ -189,7 +198,7 @@ class Estimator:
         Raises:
             KeyError: *corner* has no thermal model.
         """
-        for batch, names in self._groups:
+        for batch, names in self.batches:
             if corner in names:
                 first = names.index(corner) * batch.width
                 state = batch.state[first : first + batch.width]
@@ -235,7 +244,7 @@ class Estimator:
         values: Any,
         first: int,
     ) -> tuple[int, int, int]:
-        state = self._samples
+        state = self.samples
         if self._kernel is None:
             return reference_pass.sample_pass(
                 self.plan, state, times_us, roles, values, first,
@@ -276,8 +285,10 @@ class Estimator:
         inputs = memoryview(self._rows)[: steps * row]
         outputs = tuple(
             batch.march(inputs, steps, STEP_US * 1e-6, every, phase)
-            for batch, _ in self._groups
+            for batch, _ in self.batches
         )
+        if self.journal is not None:
+            self.journal.add(inputs, steps)
         wide = len(VEHICLE_CHANNELS)
         times = self._times[phase - 1 : steps : every]
         rows, vehicle = array("d"), array("d")
@@ -285,33 +296,53 @@ class Estimator:
             rows.extend(self._rows[step * row : (step + 1) * row])
             vehicle.extend(self._vehicle[step * wide : (step + 1) * wide])
         flags = self._published_flags(steps, phase, every)
-        block = Block(times, rows, vehicle, outputs, flags, {})
         known_from = self._known_from(phase, every)
-        self._history_left -= steps
+        block = Block(times, rows, vehicle, outputs, flags, {}, known_from)
+        self.history_left_steps -= steps
         for group, output in zip(self.groups, outputs, strict=True):
-            _judge(group, output, self._mandatory, known_from, block)
+            _judge(group, output, self._needs, known_from, block)
         if self.config.heat.mode == "measured":
             _judge_measured(self.plan.corners, block)
+        self._reset_impossible()
         return block
+
+    def _reset_impossible(self) -> None:
+        """Let a corner that no brake can be in start anew, history unknown.
+
+        A node that is no number would stay so for ever.
+        """
+        for batch, names in self.batches:
+            nodes = len(batch.programs[0].network.nodes)
+            for member in range(len(names)):
+                first = member * batch.width
+                state = batch.state[first : first + nodes]
+                if isfinite(sum(state)) and max(state) < HIGHEST_K:
+                    continue
+                air_k = self.config.vehicle.ambient_c + KELVIN_OFFSET
+                fresh = batch.programs[member].initial_state(air_k)
+                batch.state[first : first + batch.width] = fresh
+                settling_s = self.settling_s or self._settling_time_s()
+                self.history_left_steps = round(settling_s * 1e6) // STEP_US
+                self.resets += 1
 
     def _published_flags(
         self, steps: int, phase: int, every: int
     ) -> array[int]:
         """Bits of all steps up to each publication since the last one."""
         wide = len(VEHICLE_CHANNELS)
-        flags = array("i")
+        flags = array("q")
         for step, bits in enumerate(
             self._vehicle[wide - 1 : steps * wide : wide]
         ):
-            self._open_flags |= int(bits)
+            self.open_flags |= int(bits)
             if (step + 1 - phase) % every == 0:
-                flags.append(self._open_flags)
-                self._open_flags = 0
+                flags.append(self.open_flags)
+                self.open_flags = 0
         return flags
 
     def _known_from(self, phase: int, every: int) -> int:
         """Index of the first publication whose start no longer matters."""
-        return max(-(-(self._history_left - phase) // every), 0)
+        return max(-(-(self.history_left_steps - phase) // every), 0)
 
     def _settling_time_s(self) -> float:
         """How long the slowest brake of this car remembers a hot start."""
@@ -336,30 +367,30 @@ class Estimator:
         return longest
 
     def _settle(self) -> None:
-        ambient = self._samples.last_value(ROLE_INDEX["ambient_temperature"])
+        ambient = self.samples.last_value(ROLE_INDEX["ambient_temperature"])
         if ambient is None:
             ambient = self.config.vehicle.ambient_c + KELVIN_OFFSET
-        for batch, names in self._groups:
+        for batch, names in self.batches:
             for member in range(len(names)):
                 batch.settle(ambient, member)
-        self._history_left = 0
+        self.history_left_steps = 0
 
 
 def _judge(
     group: Group,
     output: array[float],
-    mandatory: Mapping[str, int],
+    needs: Mapping[str, Needs],
     known_from: int,
     block: Block,
 ) -> None:
     """Add the validity of a group's corners to *block*.
 
-    *mandatory*: bits of missing inputs that degrade a corner; *known_from*:
+    *needs*: bits that degrade each corner or make it invalid; *known_from*:
     the first publication at which the history is known.
     """
     members = len(group.corners)
     for member, name in enumerate(group.corners):
-        bits = mandatory[name]
+        degrading, invalidating = needs[name]
         validity = array("b")
         first = member * group.size
         for i, flags in enumerate(block.flags):
@@ -369,9 +400,10 @@ def _judge(
                 isfinite(sum(nodes))
                 and min(nodes) > LOWEST_K
                 and max(nodes) < HIGHEST_K
+                and not flags & invalidating
             ):
                 validity.append(INVALID)
-            elif flags & bits or i < known_from:
+            elif flags & degrading or i < known_from:
                 validity.append(DEGRADED)
             else:
                 validity.append(VALID)
@@ -410,23 +442,3 @@ def compile_corner(config: Config, corner: CornerConfig) -> Program:
     except (KeyError, ValueError) as error:
         msg = f"[[corner]] {corner.name} with its effects: {error}"
         raise ConfigError([msg]) from error
-
-
-def _mandatory_flags(
-    config: Config, present: Mapping[int, int]
-) -> dict[str, int]:
-    """Bits of missing inputs that degrade each corner."""
-    needed: dict[str, int] = {}
-    for place, corner in enumerate(config.corner):
-        flags = FLAGS["speed_missing"]
-        if config.heat.mode != "fb":
-            flags |= CORNER_PRESSURE << place
-        else:
-            for role, flag in (
-                ("acceleration_longitudinal", "acceleration_missing"),
-                ("powertrain_torque", "torque_missing"),
-            ):
-                if ROLE_INDEX[role] in present:
-                    flags |= FLAGS[flag]
-        needed[corner.name] = flags
-    return needed

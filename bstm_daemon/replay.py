@@ -1,39 +1,39 @@
-"""A recorded log at full speed: the estimator over columns, or the engine.
+"""A recorded log at full speed: the estimator over columns.
 
-:func:`replay_log` decodes whole chunks with NumPy; :func:`publish_log` feeds
-the same log frame by frame through :class:`~bstm_daemon.engine.Engine` and
-collects the frames that a daemon beside the recorder would have sent.
+:func:`stream_log` decodes whole chunks with NumPy and hands rows of results
+to sinks, :func:`replay_log` keeps them in memory. Frame by frame, as the
+daemon does it, goes :mod:`bstm_daemon.frame_replay`.
 """
 
 from __future__ import annotations
 
 from collections import Counter
+from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
-from bstm_daemon.bus.logs import EventLog, open_log, resolve_interfaces
-from bstm_daemon.engine import Engine
-from bstm_daemon.errors import ConfigError, LogError
-from bstm_daemon.estimator import PUBLISH_US, Estimator
-from bstm_daemon.files import replacing
-from bstm_daemon.results import Results, ResultsBuilder
+from bstm_daemon.bus.logs import EventLog
+from bstm_daemon.carry_over import (
+    StateError,
+    parked_before_us,
+    resume_state,
+)
+from bstm_daemon.errors import LogError, UsageError
+from bstm_daemon.estimator import PUBLISH_US, STEP_US, Estimator
+from bstm_daemon.results import Collector, Results, ResultsBuilder, Sink
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Iterator, Mapping, Sequence
     from pathlib import Path
-    from typing import TextIO
+    from typing import Any
 
     from bstm_daemon.bus.signal_map import SignalMap
     from bstm_daemon.config import Config
-    from bstm_daemon.engine import Published
-
-TICK_US: Final = 10_000
-"""Drain interval of the live service; a replay ticks on the same grid."""
 
 
 @dataclass(frozen=True)
-class Replay:
-    """What a replay of one log gave.
+class Run:
+    """What there is to say of one log's way through the estimator.
 
     ``refused`` counts lines, frames and samples by reason; ``counts`` has
     the estimator's own: late and dropped samples, clock jumps. ``truncated``
@@ -41,7 +41,6 @@ class Replay:
     unknown start is felt.
     """
 
-    results: Results
     lines: int
     frames: int
     refused: Counter[str]
@@ -51,39 +50,84 @@ class Replay:
     settling_s: float
 
 
+@dataclass(frozen=True)
+class Replay(Run):
+    """A run with its results."""
+
+    results: Results
+
+
 def replay_log(
     config: Config,
     signal_map: SignalMap,
     path: Path,
     overrides: Mapping[str, str] | None = None,
     every_us: int = PUBLISH_US,
-    progress: Callable[[int, float | None], None] | None = None,
 ) -> Replay:
-    """Run the estimator over the log *path*.
+    """Return the run over the log *path* with all its rows in memory.
+
+    Args and errors are those of :func:`stream_log`, which needs no more
+    memory for a longer log.
+    """
+    rows = Collector()
+    run = stream_log(
+        config,
+        signal_map,
+        path,
+        [rows],
+        overrides=overrides,
+        every_us=every_us,
+    )
+    return Replay(**vars(run), results=rows.results())
+
+
+def stream_log(  # noqa: PLR0913
+    config: Config,
+    signal_map: SignalMap,
+    path: Path,
+    sinks: Sequence[Sink],
+    *,
+    overrides: Mapping[str, str] | None = None,
+    every_us: int = PUBLISH_US,
+    progress: Callable[[int, float | None], None] | None = None,
+    state: Mapping[str, Any] | None = None,
+) -> Run:
+    """Run the estimator over the log *path*, rows going to *sinks*.
 
     Args:
         config: the vehicle.
         signal_map: its extraction plan.
         path: a log.
+        sinks: each gets every row, in stretches as they come.
         overrides: log interface name to bus name.
         every_us: time between two rows [us], a multiple of 100 000.
         progress: called with the number of lines read so far and the share
             of the file, None where it is not known.
+        state: a state file's document; without it the history is unknown.
 
     Raises:
         LogError: the log is unusable, holds none of the wanted ids, or is
             too short for a single row.
-        FileAccessError: it can not be read.
+        FileAccessError: it can not be read, or a sink can not be written.
+        UsageError: *state* is no state of this car.
     """
     log = EventLog(path, signal_map, overrides)
     estimator = Estimator(config, present_roles(signal_map))
-    builder = ResultsBuilder(estimator, every_us)
+    builder = ResultsBuilder(estimator, sinks, every_us)
+    settling_s = None if state is not None else estimator.settling_s
     for events in log.events():
+        if settling_s is None and state is not None and len(events.time_us):
+            first_us = int(events.time_us[0])
+            parked_us = parked_before_us(state, first_us)
+            with naming_state():
+                resume_state(estimator, state, parked_us, first_us)
+            settling_s = estimator.history_left_steps * STEP_US * 1e-6
         builder.add(
             estimator.advance(events.time_us, events.role, events.value)
         )
         if progress is not None:
             progress(log.reader.lines, log.share)
+    builder.finish()
     if not builder.rows:
         msg = f"{path}: too short for a row every {every_us * 1e-6:g} s"
         raise LogError(msg)
@@ -91,91 +135,29 @@ def replay_log(
         {str(reason): count for reason, count in log.reader.refused.items()}
     )
     refused.update({str(r): count for r, count in log.counts.items()})
-    return Replay(
-        builder.finish(),
+    return Run(
         log.reader.lines,
         log.reader.frames,
         refused,
         estimator.counts,
         estimator.compiled,
         log.reader.truncated,
-        estimator.settling_s,
+        settling_s or 0.0,
     )
 
 
-def publish_log(
-    config: Config,
-    signal_map: SignalMap,
-    path: Path,
-    out: Path,
-    overrides: Mapping[str, str] | None = None,
-) -> int:
-    """Write the frames that the engine publishes over *path* as candump.
-
-    Returns:
-        The number of frames written to *out*.
+@contextmanager
+def naming_state() -> Iterator[None]:
+    """Word for the user why a state file does not fit.
 
     Raises:
-        LogError, FileAccessError: as :func:`replay_log`; *out* is not
-            writable.
+        UsageError: instead of a StateError from inside.
     """
-    engine = Engine(config, signal_map)
-    channel = _publish_channel(config)
-    reader = open_log(path, None)
-    written = 0
-    last_us: int | None = None
-    with replacing(out) as temporary, temporary.open("w") as file:
-        for chunk in reader.chunks():
-            buses = resolve_interfaces(
-                reader.interfaces, signal_map.buses, overrides or {}
-            )
-            for time_us, place, can_id, extended, length, data in zip(
-                chunk.time_us.tolist(),
-                chunk.channel.tolist(),
-                chunk.can_id.tolist(),
-                chunk.extended.tolist(),
-                chunk.length.tolist(),
-                chunk.data,
-                strict=True,
-            ):
-                # at the stamp of the frame before: a tick ahead of a frame
-                # with a stray stamp would bear that stamp out
-                if (
-                    last_us is not None
-                    and last_us // TICK_US != time_us // TICK_US
-                ):
-                    written += _write(file, channel, engine.tick(last_us))
-                last_us = time_us
-                payload = data[:length].tobytes()
-                engine.frame(buses[place], can_id, extended, payload, time_us)
-        if last_us is None:
-            msg = f"{path}: no CAN frame"
-            raise LogError(msg)
-        written += _write(file, channel, engine.tick(last_us))
-    return written
-
-
-def _write(file: TextIO, channel: str, published: list[Published]) -> int:
-    for time_us, frame in published:
-        seconds, micros = divmod(time_us, 1_000_000)
-        identifier = (
-            f"{frame.can_id:08X}"
-            if frame.extended
-            else (f"{frame.can_id:03X}")
-        )
-        file.write(
-            f"({seconds}.{micros:06d}) {channel} "
-            f"{identifier}#{frame.data.hex().upper()}\n"
-        )
-    return len(published)
-
-
-def _publish_channel(config: Config) -> str:
-    for bus in config.bus:
-        if config.publish.bus in (None, bus.name):
-            return bus.channel
-    msg = f"[publish] bus = {config.publish.bus!r}: no such [[bus]]"
-    raise ConfigError([msg])
+    try:
+        yield
+    except StateError as error:
+        msg = f"--state: the state does not fit: {error}"
+        raise UsageError(msg) from error
 
 
 def present_roles(signal_map: SignalMap) -> dict[int, int]:

@@ -30,6 +30,11 @@ SECTIONS: dict[str, type[config.Section]] = {
     "`[fluid]`": config.FluidConfig,
     "`[[effect]]`": config.EffectConfig,
     "`[publish]`": config.PublishConfig,
+    "`[[e2e]]`": config.E2eConfig,
+    "`[state]`": config.StateConfig,
+    "`[daemon]`": config.DaemonConfig,
+    "`[record]`": config.RecordConfig,
+    "`[metrics]`": config.MetricsConfig,
 }
 
 DISC = {"mass_kg": 7.5, "swept_area_m2": 0.085, "total_area_m2": 0.14}

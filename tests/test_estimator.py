@@ -61,7 +61,7 @@ def feed(
 def joined(blocks: list[Block]) -> tuple[Any, ...]:
     """Return all that the blocks publish, as one."""
     times, rows, vehicle = array("q"), array("d"), array("d")
-    flags = array("i")
+    flags = array("q")
     outputs: dict[int, array[float]] = {}
     validity: dict[str, array[int]] = {}
     for block in blocks:

@@ -17,14 +17,14 @@ from bstm_daemon.bus.output_layout import own_ids
 from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.errors import ConfigError, FileAccessError, LogError
 from bstm_daemon.estimator import Estimator
+from bstm_daemon.frame_replay import publish_log
 from bstm_daemon.native import load_kernel
 from bstm_daemon.replay import (
     Replay,
     present_roles,
-    publish_log,
     replay_log,
 )
-from bstm_daemon.results import Results, ResultsBuilder
+from bstm_daemon.results import Collector, Results, ResultsBuilder
 from bstm_daemon.roles import CORNERS
 from bstm_daemon.simulation import parse_drive, simulate
 from bstm_daemon.simulation.frames import Encoder
@@ -270,11 +270,13 @@ def test_chunks_of_the_reader_do_not_matter(
     events = EventLog(log, signal_map)
     events.reader = CandumpReader(log, events._wanted, chunk_bytes=chunk_bytes)
     estimator = Estimator(config, present_roles(signal_map))
-    builder = ResultsBuilder(estimator)
+    rows = Collector()
+    builder = ResultsBuilder(estimator, [rows])
     for part in events.events():
         builder.add(estimator.advance(part.time_us, part.role, part.value))
 
-    assert same(builder.finish(), plain.results)
+    builder.finish()
+    assert same(rows.results(), plain.results)
 
 
 def edited(lines: list[str], how: str) -> list[str]:

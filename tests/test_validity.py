@@ -10,13 +10,16 @@ import pytest
 
 from bstm_daemon.bus.output_layout import Validity
 from bstm_daemon.bus.publication import Publication, Snapshot
-from bstm_daemon.estimator import DEGRADED, VALID, Estimator
+from bstm_daemon.estimator import Estimator
+from bstm_daemon.heat.sample_pass import TICK
 from bstm_daemon.roles import ROLE_INDEX
+from bstm_daemon.validity import DEGRADED, INVALID, VALID
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from bstm_daemon.config import Config, CornerConfig
+    from bstm_daemon.native import Kernel
 
 SECOND = 1_000_000
 TIMEOUT_US = 500_000
@@ -125,6 +128,137 @@ def test_an_unknown_start_is_felt_as_long_as_the_slowest_lump(
     # the pads give their heat to nothing here but the disc
     expected_s = 4000.0 / 0.5 * 3.4012
     assert isclose(estimator.settling_s, expected_s, rel_tol=0.01)
+
+
+PUBLISHED_PER_S = 10
+MOVING = {"vehicle_speed": 20.0, "wheel_pressure_fr": 0.0}
+BOTH = {**MOVING, "wheel_pressure_fl": 2e6}
+Spans = list[tuple[float, dict[str, float]]]
+
+
+def over_spans(
+    config: Config, spans: Spans, **options: Any
+) -> dict[str, list[int]]:
+    """Validity by corner over spans of (seconds, held values)."""
+    names = {name for _, values in spans for name in values}
+    present = {ROLE_INDEX[name]: TIMEOUT_US for name in names}
+    estimator = Estimator(config, present, **options)
+    times, numbers, given = array("q"), array("i"), array("d")
+    at = 0
+    for seconds, values in spans:
+        end = at + round(seconds * SECOND)
+        for stamp in range(at, end, 50_000):
+            held = values or {"": 0.0}
+            for name, value in held.items():
+                times.append(stamp)
+                numbers.append(ROLE_INDEX.get(name, TICK))
+                given.append(value)
+        at = end
+    found: dict[str, list[int]] = {}
+    for block in estimator.advance(times, numbers, given):
+        for name, codes in block.validity.items():
+            found.setdefault(name, []).extend(codes)
+    return found
+
+
+def test_heat_unknown_for_too_long_is_invalid_then_degraded(
+    front: Callable[..., Config], compiled: Kernel
+) -> None:
+    """10 s of driving without this corner's pressure; 30 times as long."""
+    assert compiled is not None
+    spans: Spans = [(3.0, BOTH), (12.5, MOVING), (30.0 * 12.0 + 20.0, BOTH)]
+    found = over_spans(front(), spans, history_known=True)
+
+    codes = found["FL"]
+    lost = codes.index(INVALID)
+    back = codes.index(DEGRADED, lost)
+    # 0.5 s of time-out, 10 s of outage
+    assert lost / PUBLISHED_PER_S == pytest.approx(13.5, abs=0.2)
+    assert set(codes[lost:back]) == {INVALID}
+    assert back / PUBLISHED_PER_S == pytest.approx(15.5, abs=0.2)
+    degraded = codes[back:].count(DEGRADED)
+    assert degraded / PUBLISHED_PER_S == pytest.approx(360.0, abs=2.0)
+    assert codes[-1] == VALID
+    assert set(found["FR"][1:]) == {VALID}
+
+
+def test_an_outage_is_not_felt_beyond_the_settling(
+    front: Callable[..., Config], compiled: Kernel
+) -> None:
+    """A brake that settles in minutes forgets an hour of unknown heat."""
+    assert compiled is not None
+    config = front(cooling={"speed_ms": [0.0, 9.0], "s_per_s": [0.1, 0.1]})
+    settling_s = Estimator(config, {}).settling_s
+    spans: Spans = [(2.0, BOTH), (3600.0, MOVING), (settling_s + 60.0, BOTH)]
+
+    codes = over_spans(config, spans, history_known=True)["FL"]
+
+    end = round(3602.0 * PUBLISHED_PER_S)
+    assert settling_s < 30.0 * 3600.0
+    assert codes[end - 1] == INVALID
+    assert codes[end:].count(DEGRADED) / PUBLISHED_PER_S == pytest.approx(
+        settling_s, abs=2.0
+    )
+    assert codes[-1] == VALID
+
+
+def test_silence_alone_is_never_invalid(front: Callable[..., Config]) -> None:
+    """Ignition off: a car that cools, degraded."""
+    found = over_spans(front(), [(2.0, BOTH), (40.0, {})], history_known=True)
+
+    assert set(found["FL"][30:]) == {DEGRADED}
+
+
+def test_feed_back_that_stands_in_is_degraded(
+    front: Callable[..., Config],
+) -> None:
+    """With a declared torque the heat is known, if not as configured."""
+    config = front(heat={"assume_powertrain_torque_nm": 0.0})
+    found = over_spans(
+        config, [(2.0, BOTH), (20.0, MOVING)], history_known=True
+    )
+
+    assert set(found["FL"][30:]) == {DEGRADED}
+
+
+@pytest.mark.parametrize("mode", ["ff", "fb"])
+@pytest.mark.parametrize("role", ["primary_pressure", "powertrain_torque"])
+def test_a_suspect_input_degrades_where_it_counts(
+    front: Callable[..., Config], mode: str, role: str
+) -> None:
+    """A spike every second: the pressure in ff, the torque in fb."""
+    held = {
+        "vehicle_speed": 20.0,
+        "primary_pressure": 1e5,
+        "powertrain_torque": 0.0,
+        "acceleration_longitudinal": 0.0,
+    }
+    spike = {**held, role: 1.5e5 if role == "powertrain_torque" else 3e7}
+    spans: Spans = [(1.0, held), *[(0.05, spike), (0.95, held)] * 3]
+
+    codes = over_spans(front(heat={"mode": mode}), spans, history_known=True)[
+        "FL"
+    ]
+
+    counts = (role == "primary_pressure") == (mode == "ff")
+    assert set(codes[2:9]) == {VALID}
+    assert set(codes[12:]) == {DEGRADED if counts else VALID}
+
+
+def test_a_wheel_left_out_degrades_its_corner(
+    front: Callable[..., Config],
+) -> None:
+    """Its brake goes by the speed of the others; theirs are sound."""
+    values = {
+        "vehicle_speed": 20.0,
+        "wheel_speed_fl": 0.0,
+        "wheel_speed_fr": 20.0,
+        "primary_pressure": 1e6,
+    }
+    found = over_spans(front(), [(5.0, values)], history_known=True)
+
+    assert set(found["FL"][25:]) == {DEGRADED}
+    assert set(found["FR"][1:]) == {VALID}
 
 
 def test_a_drum_is_published_as_not_available() -> None:

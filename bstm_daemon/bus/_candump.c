@@ -5,7 +5,7 @@
  * The text ends in a newline, and no part of a line matches one, so that no
  * loop over characters leaves the text.
  */
-#include "_log.h"
+#include "_candump_text.h"
 
 #include <string.h>
 
@@ -25,14 +25,6 @@ enum {
 #define STANDARD_MAX 0x7FF
 #define EXTENDED_MAX 0x1FFFFFFF
 
-/* Value of a hex digit plus one; 0: no hex digit. */
-static const uint8_t hex[256] = {
-    ['0'] = 1, ['1'] = 2, ['2'] = 3, ['3'] = 4, ['4'] = 5, ['5'] = 6,
-    ['6'] = 7, ['7'] = 8, ['8'] = 9, ['9'] = 10, ['A'] = 11, ['B'] = 12,
-    ['C'] = 13, ['D'] = 14, ['E'] = 15, ['F'] = 16, ['a'] = 11, ['b'] = 12,
-    ['c'] = 13, ['d'] = 14, ['e'] = 15, ['f'] = 16,
-};
-
 typedef struct {
     const uint8_t *seconds, *fraction, *name, *payload;
     int second_digits, fraction_digits, id_digits;
@@ -40,31 +32,16 @@ typedef struct {
     uint32_t id;
 } Header;
 
-static int is_digit(uint8_t c) { return (uint8_t)(c - '0') < 10; }
+/* A header seen before, but for its digits: nearly all lines of a log begin
+ * like one of a few. `fixed` has the bits that must be as expected, `carry`
+ * what reaches bit 7 of a byte that is not; places are from the start. */
+enum { SHAPES = 8, SHAPE_WORDS = 6 };
 
-/* Behind the digits at `at`, 8 of them at once where that many are in the
- * text, which ends at `end`. */
-static const uint8_t *skip_digits(const uint8_t *at, const uint8_t *end)
-{
-    while (end - at >= 8) {
-        uint64_t word;
-        memcpy(&word, at, 8);
-        /* a carry out of a byte comes only from one that is no digit */
-        const uint64_t above = word + UINT64_C(0x4646464646464646);
-        const uint64_t below = word - UINT64_C(0x3030303030303030);
-        if ((word | above | below) & UINT64_C(0x8080808080808080)) break;
-        at += 8;
-    }
-    while (is_digit(*at)) at++;
-    return at;
-}
-
-static int is_blank(uint8_t c) { return c == ' ' || c == '\t'; }
-
-static int ends_name(uint8_t c)
-{
-    return c == ' ' || (c >= '\t' && c <= '\r') || c == '#';
-}
+typedef struct {
+    uint64_t expected[SHAPE_WORDS], fixed[SHAPE_WORDS], carry[SHAPE_WORDS];
+    int words, channel, fraction_at, id_at;
+    int second_digits, fraction_digits, id_digits;
+} Shape;
 
 /* Read what stands before the payload, in a text up to `end`; 0 where it is no
  * header. */
@@ -136,62 +113,119 @@ static int is_open(const int64_t *entry)
     return entry[K_KEY] == 0 || entry[K_VERDICT] == UNDECIDED;
 }
 
-/* Read up to 8 bytes and the end of the line, whose newline is returned; NULL
- * for any other payload. `data` has been cleared. */
-static const uint8_t *read_payload(const uint8_t *at, uint8_t *data,
-                                   int *bytes)
+static void keep_shape(Shape *shape, const uint8_t *line, const Header *h,
+                       int channel)
 {
-    int length = 0;
-    while (length < 8 && hex[at[0]]) {
-        if (!hex[at[1]]) return NULL;
-        data[length++] = (uint8_t)((hex[at[0]] - 1) << 4 | (hex[at[1]] - 1));
-        at += 2;
+    const int size = (int)(h->payload - line);
+    uint8_t expected[8 * SHAPE_WORDS] = {0}, fixed[8 * SHAPE_WORDS] = {0};
+    uint8_t carry[8 * SHAPE_WORDS] = {0};
+    shape->id_at = size - 1 - h->id_digits;
+    for (int i = 0; i < size; i++) {
+        if (i >= shape->id_at && i < size - 1) continue;
+        const int digit = line + i < h->name && is_digit(line[i]);
+        expected[i] = digit ? '0' : line[i];
+        carry[i] = digit ? 0x80 - 10 : 0x80 - 1;
+        fixed[i] = 0xFF;
     }
+    for (int i = 0; i < SHAPE_WORDS; i++) {
+        shape->expected[i] = bstm_little(expected + 8 * i);
+        shape->fixed[i] = bstm_little(fixed + 8 * i);
+        shape->carry[i] = bstm_little(carry + 8 * i);
+    }
+    shape->words = (size + 7) / 8;
+    shape->channel = channel;
+    shape->fraction_at = (int)(h->fraction - line);
+    shape->second_digits = h->second_digits;
+    shape->fraction_digits = h->fraction_digits;
+    shape->id_digits = h->id_digits;
+}
+
+/* Read the header of a line of this shape; 0 where it has another. */
+static inline int read_shape(const Shape *shape, const uint8_t *line,
+                             const uint8_t *readable, Header *h)
+{
+    if (readable - line < 8 * SHAPE_WORDS) return 0;
+    uint64_t wrong = 0;
+    for (int i = 0; i < shape->words; i++) {
+        /* a carry out of a byte comes only from one that is wrong */
+        const uint64_t differs = (bstm_little(line + 8 * i)
+                                  ^ shape->expected[i]) & shape->fixed[i];
+        wrong |= differs | (differs + shape->carry[i]);
+    }
+    if (wrong & BSTM_EACH(0x80)) return 0;
+    const uint8_t *const digits = line + shape->id_at;
+    h->id = 0;
+    for (int i = 0; i < shape->id_digits; i++) {
+        if (!hex[digits[i]]) return 0;
+        h->id = h->id << 4 | (uint32_t)(hex[digits[i]] - 1);
+    }
+    h->id_digits = shape->id_digits;
+    h->seconds = line + 1;
+    h->second_digits = shape->second_digits;
+    h->fraction = line + shape->fraction_at;
+    h->fraction_digits = shape->fraction_digits;
+    h->payload = digits + shape->id_digits + 1;
+    return 1;
+}
+
+/* Read up to 8 bytes, zeros behind them, and the end of the line, whose
+ * newline is returned; NULL for any other payload. */
+static inline const uint8_t *read_payload(const uint8_t *at,
+                                          const uint8_t *readable,
+                                          uint8_t *data, uint8_t *bytes)
+{
+    uint32_t first, second;
+    uint8_t length = 0;
+    if (readable - at >= 16 && four_bytes(bstm_little(at), &first)
+        && four_bytes(bstm_little(at + 8), &second)) {
+        for (; length < 4; length++) {
+            data[length] = (uint8_t)(first >> 8 * length);
+            data[length + 4] = (uint8_t)(second >> 8 * length);
+        }
+        length = 8;
+        at += 16;
+    } else {
+        memset(data, 0, 8);
+        while (length < 8 && hex[at[0]]) {
+            if (!hex[at[1]]) return NULL;
+            data[length++] =
+                (uint8_t)((hex[at[0]] - 1) << 4 | (hex[at[1]] - 1));
+            at += 2;
+        }
+    }
+    *bytes = length;
+    if (*at == '\n') return at;
     if (is_blank(*at)) {
         while (is_blank(*at)) at++;
         const uint8_t letter = *at & 0xDF;
         if (letter == 'R' || letter == 'T') at++;
     }
     while (is_blank(*at) || *at == '\r') at++;
-    *bytes = length;
     return *at == '\n' ? at : NULL;
 }
 
-/* The number in 8 digits: pairs, then fours, then eight. */
-static int64_t eight_digits(const uint8_t *at)
+static inline int64_t stamp_us(const Header *h)
 {
-    uint64_t word = bstm_little(at) & UINT64_C(0x0F0F0F0F0F0F0F0F);
-    word = (word * (10 * 0x100 + 1) >> 8) & UINT64_C(0x00FF00FF00FF00FF);
-    word = (word * (100 * 0x10000 + 1) >> 16) & UINT64_C(0x0000FFFF0000FFFF);
-    return (int64_t)(word * (10000 * UINT64_C(0x100000000) + 1) >> 32);
-}
-
-static int64_t number(const uint8_t *at, int digits)
-{
-    int64_t value = 0;
-    if (digits >= 8) {
-        value = eight_digits(at);
-        at += 8;
-        digits -= 8;
-    }
-    for (int i = 0; i < digits; i++) value = value * 10 + (at[i] - '0');
-    return value;
-}
-
-static int64_t stamp_us(const Header *h)
-{
+    static const int64_t unit_us[] = {0, 100000, 10000, 1000, 100, 10, 1};
     const int digits = h->fraction_digits < 6 ? h->fraction_digits : 6;
-    int64_t fraction = number(h->fraction, digits);
-    for (int i = digits; i < 6; i++) fraction *= 10;
-    return number(h->seconds, h->second_digits) * 1000000 + fraction;
+    /* the rest of a header makes up 8 bytes with the first digit */
+    const uint64_t fraction = bstm_little(h->fraction) << (64 - 8 * digits);
+    return number(h->seconds, h->second_digits) * 1000000
+        + eight_digits(fraction) * unit_us[digits];
 }
 
 /* Scan to the end of the text or to where Python has to decide. */
 static int scan(const Py_buffer *view, Py_ssize_t end)
 {
-    const uint8_t *const text = view[TEXT].buf;
+    const uint8_t *const text = view[TEXT].buf, *const stop_at = text + end;
+    const uint8_t *const readable = text + view[TEXT].len;
     int64_t *const keys = view[KEYS].buf, *const state = view[STATE].buf;
     int64_t *const pending = view[PENDING].buf;
+    int64_t *const time_us = view[TIME].buf, *const lines = view[LINE].buf;
+    int16_t *const channels = view[CHANNEL].buf;
+    uint32_t *const ids = view[ID].buf;
+    uint8_t *const extendeds = view[EXTENDED].buf;
+    uint8_t *const lengths = view[LENGTH].buf, *const data = view[DATA].buf;
     const Py_ssize_t slots = view[KEYS].len / 8 / KEY_FIELDS;
     const Py_ssize_t room = view[TIME].len / 8;
     const Py_ssize_t pending_room = view[PENDING].len / 8 / PENDING_FIELDS;
@@ -199,68 +233,79 @@ static int scan(const Py_buffer *view, Py_ssize_t end)
     Py_ssize_t left = (Py_ssize_t)state[S_PENDING];
     int64_t line = state[S_LINE];
     const uint8_t *start = text + state[S_POSITION];
+    Shape shapes[SHAPES];
+    int shapes_kept = 0, latest = 0;
     int stop = DONE;
-    while (start < text + end) {
+    while (start < stop_at) {
         if (frames >= room || left >= pending_room) {
             stop = NO_ROOM;
             break;
         }
         Header h;
-        int settled = read_header(start, text + end, &h)
-            && h.payload - start <= LINE_LIMIT;
+        int channel = -1, settled = 0, tried = 0;
+        while (tried < shapes_kept && !settled) {
+            settled = read_shape(shapes + latest, start, readable, &h);
+            if (settled) channel = shapes[latest].channel;
+            else if (++latest >= shapes_kept) latest = 0;
+            tried++;
+        }
         const uint8_t *newline = NULL;
-        if (settled) {
-            const int channel = find_name(view[NAMES].buf, view[NAMES].len,
-                                          &h);
-            const int extended = h.id_digits == 8;
+        if (!settled && read_header(start, stop_at, &h)
+            && h.payload - start <= LINE_LIMIT) {
+            channel = find_name(view[NAMES].buf, view[NAMES].len, &h);
             if (channel < 0 && !state[S_NAMES_FULL]) {
                 stop = NEW_NAME;
                 state[S_A] = h.name - text;
                 state[S_B] = h.name_length;
                 break;
             }
-            settled = channel >= 0 && h.id_digits != 5
-                && h.id <= (extended ? EXTENDED_MAX : STANDARD_MAX);
-            Py_ssize_t slot = -1;
+            settled = channel >= 0 && h.id_digits != 5;
+            if (settled && shapes_kept < SHAPES
+                && h.payload - start <= 8 * SHAPE_WORDS) {
+                latest = shapes_kept++;
+                keep_shape(shapes + latest, start, &h, channel);
+            }
+        }
+        if (settled) {
+            const int extended = h.id_digits == 8;
+            int64_t *entry = NULL;
+            settled = h.id <= (extended ? EXTENDED_MAX : STANDARD_MAX);
             if (settled) {
                 /* never 0, which stands for a free place */
                 const int64_t key = ((int64_t)channel + 1) << 32
                     | (int64_t)extended << 31 | h.id;
-                slot = find_key(keys, slots, key);
-                settled = slot >= 0
-                    && (keys[slot * KEY_FIELDS + K_KEY]
-                        || !state[S_KEYS_FULL]);
-                if (settled && is_open(keys + slot * KEY_FIELDS)) {
-                    keys[slot * KEY_FIELDS + K_KEY] = key;
-                    keys[slot * KEY_FIELDS + K_VERDICT] = UNDECIDED;
+                const Py_ssize_t slot = find_key(keys, slots, key);
+                settled = slot >= 0;
+                if (settled) {
+                    entry = keys + slot * KEY_FIELDS;
+                    settled = entry[K_KEY] || !state[S_KEYS_FULL];
+                }
+                if (settled && is_open(entry)) {
+                    entry[K_KEY] = key;
+                    entry[K_VERDICT] = UNDECIDED;
                     stop = NEW_KEY;
                     state[S_A] = slot;
                     break;
                 }
             }
-            if (settled && keys[slot * KEY_FIELDS + K_VERDICT] != UNWANTED) {
-                uint8_t *const data = (uint8_t *)view[DATA].buf + 8 * frames;
-                memset(data, 0, 8);
-                int length;
-                newline = read_payload(h.payload, data, &length);
+            if (settled && entry[K_VERDICT] != UNWANTED) {
+                newline = read_payload(h.payload, readable,
+                                       data + 8 * frames, lengths + frames);
                 settled = newline != NULL && newline - start <= LINE_LIMIT;
                 if (settled) {
-                    ((int64_t *)view[TIME].buf)[frames] = stamp_us(&h);
-                    ((int64_t *)view[LINE].buf)[frames] = line;
-                    ((int16_t *)view[CHANNEL].buf)[frames] = (int16_t)channel;
-                    ((uint32_t *)view[ID].buf)[frames] = h.id;
-                    ((uint8_t *)view[EXTENDED].buf)[frames] =
-                        (uint8_t)extended;
-                    ((uint8_t *)view[LENGTH].buf)[frames] = (uint8_t)length;
+                    time_us[frames] = stamp_us(&h);
+                    lines[frames] = line;
+                    channels[frames] = (int16_t)channel;
+                    ids[frames] = h.id;
+                    extendeds[frames] = (uint8_t)extended;
                     frames++;
                 }
             }
-            if (settled) keys[slot * KEY_FIELDS + K_COUNT]++;
+            if (settled) entry[K_COUNT]++;
         }
-        if (newline == NULL) {
-            const uint8_t *const from = settled ? h.payload : start;
-            newline = memchr(from, '\n', (size_t)(text + end - from));
-        }
+        if (newline == NULL)
+            newline = find_newline(settled ? h.payload : start, stop_at,
+                                   readable);
         if (!settled) {
             int64_t *const row = pending + left++ * PENDING_FIELDS;
             const Py_ssize_t size = newline - start;
@@ -358,6 +403,7 @@ int bstm_log_buffers(int n, PyObject **object, const int *writable,
 
 static PyMethodDef methods[] = {
     {"scan", py_scan, METH_VARARGS, scan_doc},
+    {"place", bstm_place, METH_VARARGS, bstm_place_doc},
     {"extract", bstm_extract, METH_VARARGS, bstm_extract_doc},
     {NULL, NULL, 0, NULL},
 };
@@ -371,7 +417,7 @@ static struct PyModuleDef module = {
 PyMODINIT_FUNC PyInit__log(void)
 {
     PyObject *const found = PyModule_Create(&module);
-    if (found != NULL && PyModule_AddIntConstant(found, "LAYOUT", 1) < 0) {
+    if (found != NULL && PyModule_AddIntConstant(found, "LAYOUT", 2) < 0) {
         Py_DECREF(found);
         return NULL;
     }

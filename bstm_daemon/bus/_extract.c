@@ -1,5 +1,5 @@
 /* Samples from frames, the same operations in the same order as in
- * columns.py; column_plan.py lays out `outputs` and `factors`.
+ * column_values.py; column_plan.py lays out the tables.
  */
 #include "_log.h"
 
@@ -7,17 +7,23 @@
 #include <string.h>
 
 enum {
-    O_ROLE, O_START, O_LENGTH, O_BIG_ENDIAN, O_RAW, O_SCALING, O_FLAG,
-    O_SCALE, O_OFFSET, OUTPUT_FIELDS
+    O_ROLE, O_BASE, O_SHIFT, O_BEYOND, O_BIG_ENDIAN, O_LENGTH, O_RAW,
+    O_SCALING, O_FLAG, O_SCALE, O_OFFSET, O_GAPS, O_GAPS_END, OUTPUT_FIELDS
 };
 enum { RAW_UNSIGNED, RAW_SIGNED, RAW_FLOATING };
 enum { SCALING_NONE, SCALING_WHOLE, SCALING_REAL };
 enum { F_SCALE, F_OFFSET, F_GAIN, F_BIAS, F_LOW, F_HIGH, FACTORS };
-enum { NOT_A_NUMBER, OUT_OF_RANGE, COUNTS };
+enum { NOT_A_NUMBER, OUT_OF_RANGE, NOT_AVAILABLE, SAMPLE_COUNTS };
+enum { UNKNOWN_INTERFACE, UNKNOWN_ID, WRONG_LENGTH, FRAME_COUNTS };
 enum {
-    PLAN, FIRST, DATA, PLANS, OUTPUTS, FACTOR, VALUES, ROLES, KEPT, COUNT,
-    BUFFERS
+    P_CHANNEL, P_ID, P_EXTENDED, P_LENGTH, P_ROWS, P_STANDARD, P_KEYS,
+    P_MESSAGES, P_LENGTHS, P_SIZES, P_MESSAGE, P_COUNT, PLACE_BUFFERS
 };
+enum {
+    E_MESSAGE, E_TIME, E_DATA, E_SIZES, E_STARTS, E_OUTPUTS, E_FACTORS,
+    E_GAPS, E_TIMES, E_ROLES, E_VALUES, E_KEPT, E_COUNT, EXTRACT_BUFFERS
+};
+enum { STANDARD_IDS = 2048, EXTENDED_BITS = 29 };
 
 static uint64_t big(const uint8_t *at)
 {
@@ -27,29 +33,95 @@ static uint64_t big(const uint8_t *at)
         | (uint64_t)at[0] << 56;
 }
 
-/* The bits of a signal that lies within the payload of `width` bytes, which
- * are at least 8. A window of 8 bytes holds all but those in the one byte
- * behind it. */
-static uint64_t bits_of(const uint8_t *data, int64_t width,
-                        const int64_t *output)
+/* Position of `key` among `n` rising keys, -1 where it is not there. */
+static Py_ssize_t find(const int64_t *keys, Py_ssize_t n, int64_t key)
 {
-    const int64_t start = output[O_START], length = output[O_LENGTH];
-    const int64_t byte = start >> 3; /* the plan has none below 0 */
-    const int64_t base = byte < width - 8 ? byte : width - 8;
-    const int64_t beyond = start + length - 8 * base - 64;
+    Py_ssize_t low = 0, high = n;
+    while (low < high) {
+        const Py_ssize_t middle = low + (high - low) / 2;
+        if (keys[middle] < key) low = middle + 1;
+        else high = middle;
+    }
+    return low < n && keys[low] == key ? low : -1;
+}
+
+/* Write each frame's message, -1 where it has none; returns the number of
+ * samples to come, or -1 with `wrong` set. */
+static Py_ssize_t place(const Py_buffer *view, const char **wrong)
+{
+    const int16_t *const channel = view[P_CHANNEL].buf;
+    const uint32_t *const id = view[P_ID].buf;
+    const uint8_t *const extended = view[P_EXTENDED].buf;
+    const uint8_t *const length = view[P_LENGTH].buf;
+    const int64_t *const rows = view[P_ROWS].buf;
+    const int32_t *const standard = view[P_STANDARD].buf;
+    const int64_t *const keys = view[P_KEYS].buf;
+    const int32_t *const messages = view[P_MESSAGES].buf;
+    const int64_t *const lengths = view[P_LENGTHS].buf;
+    const int64_t *const sizes = view[P_SIZES].buf;
+    int32_t *const message = view[P_MESSAGE].buf;
+    int64_t *const counts = view[P_COUNT].buf;
+    const Py_ssize_t frames = view[P_MESSAGE].len / 4;
+    const Py_ssize_t channels = view[P_ROWS].len / 8;
+    const Py_ssize_t known = view[P_SIZES].len / 8 - 1;
+    const Py_ssize_t key_count = view[P_KEYS].len / 8;
+    const int64_t row_count = view[P_STANDARD].len / 4 / STANDARD_IDS;
+    Py_ssize_t samples = 0;
+    for (Py_ssize_t i = 0; i < frames; i++) {
+        message[i] = -1;
+        if (channel[i] < 0 || channel[i] >= channels) {
+            *wrong = "a channel is out of range";
+            return -1;
+        }
+        const int64_t row = rows[channel[i]];
+        if (row < 0) {
+            counts[UNKNOWN_INTERFACE]++;
+            continue;
+        }
+        if (row >= row_count) {
+            *wrong = "a row is out of range";
+            return -1;
+        }
+        int32_t found = -1;
+        if (!extended[i]) {
+            found = standard[row * STANDARD_IDS + id[i] % STANDARD_IDS];
+        } else if (key_count) {
+            const Py_ssize_t at = find(keys, key_count,
+                                       row << EXTENDED_BITS | id[i]);
+            if (at >= 0) found = messages[at];
+        }
+        if (found < 0) {
+            counts[UNKNOWN_ID]++;
+        } else if (found >= known) {
+            *wrong = "a message is out of range";
+            return -1;
+        } else if (lengths[found] != length[i]) {
+            counts[WRONG_LENGTH]++;
+        } else {
+            message[i] = found;
+            samples += (Py_ssize_t)sizes[found];
+        }
+    }
+    return samples;
+}
+
+/* The bits of a signal within a payload that reaches one byte beyond the
+ * window of 8 bytes where that does not hold them all. */
+static inline uint64_t bits_of(const uint8_t *data, const int64_t *output)
+{
+    const int64_t length = output[O_LENGTH], beyond = output[O_BEYOND];
+    const int64_t shift = output[O_SHIFT];
+    const uint8_t *const at = data + output[O_BASE];
     uint64_t bits;
     if (output[O_BIG_ENDIAN]) {
-        bits = big(data + base);
-        if (beyond > 0)
-            bits = bits << beyond | (uint64_t)(data[base + 8] >> (8 - beyond));
-        else
-            bits >>= -beyond;
+        bits = big(at);
+        if (beyond) bits = bits << beyond | (uint64_t)(at[8] >> (8 - beyond));
+        else bits >>= shift;
     } else {
-        const int64_t shift = start - 8 * base;
-        bits = bstm_little(data + base) >> shift;
-        if (beyond > 0) bits |= (uint64_t)data[base + 8] << (64 - shift);
+        bits = bstm_little(at) >> shift;
+        if (beyond) bits |= (uint64_t)at[8] << (64 - shift);
     }
-    return length == 64 ? bits : bits & ((UINT64_C(1) << length) - 1);
+    return bits & (UINT64_MAX >> (64 - length));
 }
 
 static double real_of(uint64_t bits, int64_t length)
@@ -65,7 +137,8 @@ static double real_of(uint64_t bits, int64_t length)
     return value;
 }
 
-static double physical(uint64_t bits, const int64_t *output, const double *f)
+static inline double physical(uint64_t bits, const int64_t *output,
+                              const double *f)
 {
     const int64_t length = output[O_LENGTH];
     if (output[O_RAW] == RAW_SIGNED) {
@@ -77,105 +150,201 @@ static double physical(uint64_t bits, const int64_t *output, const double *f)
                                  + (uint64_t)output[O_OFFSET]);
     double raw;
     if (output[O_RAW] == RAW_FLOATING) raw = real_of(bits, length);
-    else if (output[O_RAW] == RAW_SIGNED) raw = (double)(int64_t)bits;
+    else if (output[O_RAW] == RAW_SIGNED || length < 64)
+        raw = (double)(int64_t)bits;
     else raw = (double)bits;
     if (output[O_SCALING] == SCALING_NONE) return raw;
     return raw * f[F_SCALE] + f[F_OFFSET];
 }
 
+static inline int is_gap(uint64_t bits, const int64_t *output,
+                         const uint64_t *gaps)
+{
+    for (int64_t i = output[O_GAPS]; i < output[O_GAPS_END]; i++)
+        if (gaps[i] == bits) return 1;
+    return 0;
+}
+
 static const char *extract(const Py_buffer *view, int64_t width)
 {
-    const int64_t *const plan = view[PLAN].buf, *const first = view[FIRST].buf;
-    const int64_t *const plans = view[PLANS].buf;
-    const int64_t *const outputs = view[OUTPUTS].buf;
-    const double *const factors = view[FACTOR].buf;
-    double *const values = view[VALUES].buf;
-    int32_t *const roles = view[ROLES].buf;
-    uint8_t *const kept = view[KEPT].buf;
-    int64_t *const counts = view[COUNT].buf;
-    const int64_t frames = view[PLAN].len / 8, slots = view[VALUES].len / 8;
-    const int64_t plan_count = view[PLANS].len / 8 - 1;
-    for (int64_t i = 0; i < frames; i++) {
-        if (plan[i] < 0) continue;
-        if (plan[i] >= plan_count) return "a frame has no plan";
-        const int64_t low = plans[plan[i]], high = plans[plan[i] + 1];
-        if (low == high) continue;
-        if (first[i] < 0 || first[i] > slots - (high - low))
-            return "a slot is out of range";
-        const uint8_t *const data = (uint8_t *)view[DATA].buf + i * width;
-        for (int64_t o = low; o < high; o++) {
-            const int64_t *const output = outputs + o * OUTPUT_FIELDS;
-            const double *const f = factors + o * FACTORS;
-            const int64_t slot = first[i] + o - low;
-            if (output[O_START] + output[O_LENGTH] > 8 * width)
+    const int32_t *const message = view[E_MESSAGE].buf;
+    const int64_t *const time_us = view[E_TIME].buf;
+    const int64_t *const sizes = view[E_SIZES].buf;
+    const int64_t *const starts = view[E_STARTS].buf;
+    const int64_t *const outputs = view[E_OUTPUTS].buf;
+    const double *const factors = view[E_FACTORS].buf;
+    const uint64_t *const gaps = view[E_GAPS].buf;
+    int64_t *const times = view[E_TIMES].buf;
+    int32_t *const roles = view[E_ROLES].buf;
+    double *const values = view[E_VALUES].buf;
+    uint8_t *const kept = view[E_KEPT].buf;
+    int64_t *const counts = view[E_COUNT].buf;
+    const Py_ssize_t frames = view[E_MESSAGE].len / 4;
+    const int64_t slots = view[E_VALUES].len / 8;
+    const int64_t known = view[E_SIZES].len / 8 - 1;
+    const uint8_t *data = view[E_DATA].buf;
+    int64_t slot = 0;
+    for (Py_ssize_t i = 0; i < frames; i++, data += width) {
+        if (message[i] < 0) continue;
+        if (message[i] >= known) return "a message is out of range";
+        const int64_t size = sizes[message[i]];
+        if (size < 0 || size > slots - slot) return "a slot is out of range";
+        const int64_t first = starts[message[i]];
+        const int foreign = starts[message[i] + 1] == first;
+        if (!foreign && starts[message[i] + 1] - first != size)
+            return "the plan has other sizes";
+        for (int64_t o = 0; o < size; o++, slot++) {
+            times[slot] = time_us[i];
+            kept[slot] = 1;
+            if (foreign) continue;
+            const int64_t *const output = outputs + (first + o)
+                * OUTPUT_FIELDS;
+            const double *const f = factors + (first + o) * FACTORS;
+            if (output[O_BASE] + 8 + (output[O_BEYOND] > 0) > width)
                 return "a signal lies outside the payload";
-            double value = f[F_GAIN]
-                * physical(bits_of(data, width, output), output, f);
+            const uint64_t bits = bits_of(data, output);
+            double value = f[F_GAIN] * physical(bits, output, f);
             value += f[F_BIAS];
-            if (!(value >= f[F_LOW] && value <= f[F_HIGH])) {
+            roles[slot] = (int32_t)output[O_ROLE];
+            values[slot] = output[O_FLAG] ? value != 0.0 : value;
+            if (is_gap(bits, output, gaps)) {
+                kept[slot] = 0;
+                counts[NOT_AVAILABLE]++;
+            } else if (!(value >= f[F_LOW] && value <= f[F_HIGH])) {
                 kept[slot] = 0;
                 counts[isnan(value) ? NOT_A_NUMBER : OUT_OF_RANGE]++;
             }
-            values[slot] = output[O_FLAG] ? value != 0.0 : value;
-            roles[slot] = (int32_t)output[O_ROLE];
         }
+    }
+    return slot == slots ? NULL : "a slot is left over";
+}
+
+static const char *wrong_with_place(const Py_buffer *view)
+{
+    const Py_ssize_t frames = view[P_MESSAGE].len / 4;
+    if (view[P_CHANNEL].len / 2 != frames || view[P_ID].len / 4 != frames
+        || view[P_EXTENDED].len != frames || view[P_LENGTH].len != frames)
+        return "the columns of frames have different lengths";
+    if (view[P_STANDARD].len / 4 % STANDARD_IDS != 0
+        || view[P_KEYS].len / 8 != view[P_MESSAGES].len / 4
+        || view[P_SIZES].len < 8 || view[P_LENGTHS].len != view[P_SIZES].len
+        || view[P_COUNT].len / 8 != FRAME_COUNTS)
+        return "the plan has the wrong length";
+    return NULL;
+}
+
+static const char *wrong_with_output(const int64_t *output, int64_t gaps)
+{
+    const int64_t length = output[O_LENGTH], beyond = output[O_BEYOND];
+    const int64_t shift = output[O_SHIFT];
+    /* what lies beyond a window is behind all its bits from the shift on */
+    if (output[O_BASE] < 0 || output[O_BASE] > 56 || length < 1
+        || length > 64 || shift < 0 || shift > 63 || beyond < 0 || beyond > 7
+        || (beyond && !output[O_BIG_ENDIAN] && shift < 1)
+        || (output[O_RAW] == RAW_FLOATING && length != 32 && length != 64))
+        return "a signal is out of range";
+    if (output[O_GAPS] < 0 || output[O_GAPS_END] < output[O_GAPS]
+        || output[O_GAPS_END] > gaps)
+        return "a signal's gaps are out of range";
+    return NULL;
+}
+
+static const char *wrong_with_extract(const Py_buffer *view,
+                                      Py_ssize_t width)
+{
+    const int64_t *const starts = view[E_STARTS].buf;
+    const int64_t *const outputs = view[E_OUTPUTS].buf;
+    const Py_ssize_t frames = view[E_MESSAGE].len / 4;
+    const Py_ssize_t slots = view[E_VALUES].len / 8;
+    const Py_ssize_t known = view[E_SIZES].len / 8 - 1;
+    const Py_ssize_t total = view[E_OUTPUTS].len / 8 / OUTPUT_FIELDS;
+    if (width < 8 || width > 64 || view[E_TIME].len / 8 != frames
+        || view[E_DATA].len / width != frames || view[E_DATA].len % width)
+        return "the columns of frames have different lengths";
+    if (view[E_TIMES].len / 8 != slots || view[E_ROLES].len / 4 != slots
+        || view[E_KEPT].len != slots
+        || view[E_COUNT].len / 8 != SAMPLE_COUNTS)
+        return "the columns of samples have different lengths";
+    if (known < 0 || view[E_STARTS].len / 8 != known + 1 || starts[0] != 0
+        || starts[known] != total
+        || view[E_OUTPUTS].len / 8 != total * OUTPUT_FIELDS
+        || view[E_FACTORS].len / 8 != total * FACTORS)
+        return "the plan has the wrong length";
+    for (Py_ssize_t m = 0; m < known; m++)
+        if (starts[m + 1] < starts[m]) return "the plan is out of order";
+    for (Py_ssize_t o = 0; o < total; o++) {
+        const char *const wrong = wrong_with_output(
+            outputs + o * OUTPUT_FIELDS, view[E_GAPS].len / 8);
+        if (wrong != NULL) return wrong;
     }
     return NULL;
 }
 
-static const char *wrong_with(const Py_buffer *view, Py_ssize_t width)
+const char bstm_place_doc[] =
+"place(channel, can_id, extended, length, rows, standard, keys, messages,\n"
+"      lengths, sizes, message, counts)\n\n"
+"Write the message of each frame, -1 for none, and return the number of\n"
+"slots of all. rows [channels]: row in standard [rows, 2048] and in the\n"
+"rising keys (row * 2 ** 29 + id) of messages; lengths and sizes [m + 1].\n"
+"counts: of unread interfaces, unknown ids, wrong lengths. ValueError where\n"
+"sizes do not fit.";
+
+PyObject *bstm_place(PyObject *Py_UNUSED(self), PyObject *args)
 {
-    const int64_t *const plans = view[PLANS].buf;
-    const int64_t *const outputs = view[OUTPUTS].buf;
-    const Py_ssize_t frames = view[PLAN].len / 8, slots = view[VALUES].len / 8;
-    const Py_ssize_t plan_count = view[PLANS].len / 8 - 1;
-    const Py_ssize_t total = view[OUTPUTS].len / 8 / OUTPUT_FIELDS;
-    if (width < 8 || width > 64 || view[FIRST].len / 8 != frames
-        || view[DATA].len / width != frames || view[DATA].len % width != 0)
-        return "the columns of frames have different lengths";
-    if (view[ROLES].len / 4 != slots || view[KEPT].len != slots
-        || view[COUNT].len / 8 != COUNTS)
-        return "the columns of samples have different lengths";
-    if (plan_count < 0 || plans[0] != 0 || plans[plan_count] != total
-        || view[OUTPUTS].len / 8 != total * OUTPUT_FIELDS
-        || view[FACTOR].len / 8 != total * FACTORS)
-        return "the plan has the wrong length";
-    for (Py_ssize_t p = 0; p < plan_count; p++)
-        if (plans[p + 1] < plans[p]) return "the plan is out of order";
-    for (Py_ssize_t o = 0; o < total; o++) {
-        const int64_t *const output = outputs + o * OUTPUT_FIELDS;
-        const int64_t start = output[O_START], length = output[O_LENGTH];
-        if (start < 0 || start >= 512 || length < 1 || length > 64
-            || (output[O_RAW] == RAW_FLOATING && length != 32
-                && length != 64))
-            return "a signal is out of range";
+    PyObject *o[PLACE_BUFFERS];
+    if (!PyArg_ParseTuple(args, "OOOOOOOOOOOO", &o[P_CHANNEL], &o[P_ID],
+                          &o[P_EXTENDED], &o[P_LENGTH], &o[P_ROWS],
+                          &o[P_STANDARD], &o[P_KEYS], &o[P_MESSAGES],
+                          &o[P_LENGTHS], &o[P_SIZES], &o[P_MESSAGE],
+                          &o[P_COUNT]))
+        return NULL;
+    static const int writable[PLACE_BUFFERS] = {[P_MESSAGE] = 1,
+                                                [P_COUNT] = 1};
+    static const int wide[PLACE_BUFFERS] = {2, 4, 1, 1, 8, 4, 8, 4, 8, 8, 4,
+                                            8};
+    Py_buffer view[PLACE_BUFFERS];
+    if (bstm_log_buffers(PLACE_BUFFERS, o, writable, wide, view) < 0)
+        return NULL;
+    const char *wrong = wrong_with_place(view);
+    const Py_ssize_t samples = wrong == NULL ? place(view, &wrong) : -1;
+    for (int i = 0; i < PLACE_BUFFERS; i++) PyBuffer_Release(&view[i]);
+    if (wrong != NULL) {
+        PyErr_SetString(PyExc_ValueError, wrong);
+        return NULL;
     }
-    return NULL;
+    return PyLong_FromSsize_t(samples);
 }
 
 const char bstm_extract_doc[] =
-"extract(plan, first, data, width, plans, outputs, factors, values, roles,\n"
-"        kept, counts)\n\n"
-"Write the samples of each frame from slot first on; plan int64 [n], -1:\n"
-"none; data [n, width]; plans [m + 1]: where the outputs of a plan begin.\n"
-"kept is cleared for samples out of range, which counts counts: not a\n"
-"number, out of range. ValueError where sizes do not fit.";
+"extract(message, time_us, data, width, sizes, starts, outputs, factors,\n"
+"        gaps, times, roles, values, kept, counts)\n\n"
+"Write the samples of each frame, one slot an output, frame after frame;\n"
+"data [n, width]; starts [m + 1]: where the outputs of a message begin. Of\n"
+"a message without any, only times and kept are written. kept is 0 for what\n"
+"is no sample, which counts counts: not a number, out of range, not\n"
+"available. ValueError where sizes do not fit.";
 
 PyObject *bstm_extract(PyObject *Py_UNUSED(self), PyObject *args)
 {
-    PyObject *o[BUFFERS];
+    PyObject *o[EXTRACT_BUFFERS];
     Py_ssize_t width;
-    if (!PyArg_ParseTuple(args, "OOOnOOOOOOO", &o[PLAN], &o[FIRST], &o[DATA],
-                          &width, &o[PLANS], &o[OUTPUTS], &o[FACTOR],
-                          &o[VALUES], &o[ROLES], &o[KEPT], &o[COUNT]))
+    if (!PyArg_ParseTuple(args, "OOOnOOOOOOOOOO", &o[E_MESSAGE], &o[E_TIME],
+                          &o[E_DATA], &width, &o[E_SIZES], &o[E_STARTS],
+                          &o[E_OUTPUTS], &o[E_FACTORS], &o[E_GAPS],
+                          &o[E_TIMES], &o[E_ROLES], &o[E_VALUES],
+                          &o[E_KEPT], &o[E_COUNT]))
         return NULL;
-    static const int writable[BUFFERS] = {0, 0, 0, 0, 0, 0, 1, 1, 1, 1};
-    static const int wide[BUFFERS] = {8, 8, 1, 8, 8, 8, 8, 4, 1, 8};
-    Py_buffer view[BUFFERS];
-    if (bstm_log_buffers(BUFFERS, o, writable, wide, view) < 0) return NULL;
-    const char *wrong = wrong_with(view, width);
+    static const int writable[EXTRACT_BUFFERS] = {
+        [E_TIMES] = 1, [E_ROLES] = 1, [E_VALUES] = 1, [E_KEPT] = 1,
+        [E_COUNT] = 1};
+    static const int wide[EXTRACT_BUFFERS] = {4, 8, 1, 8, 8, 8, 8, 8, 8, 4, 8,
+                                              1, 8};
+    Py_buffer view[EXTRACT_BUFFERS];
+    if (bstm_log_buffers(EXTRACT_BUFFERS, o, writable, wide, view) < 0)
+        return NULL;
+    const char *wrong = wrong_with_extract(view, width);
     if (wrong == NULL) wrong = extract(view, width);
-    for (int i = 0; i < BUFFERS; i++) PyBuffer_Release(&view[i]);
+    for (int i = 0; i < EXTRACT_BUFFERS; i++) PyBuffer_Release(&view[i]);
     if (wrong != NULL) {
         PyErr_SetString(PyExc_ValueError, wrong);
         return NULL;

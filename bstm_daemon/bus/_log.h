@@ -22,7 +22,8 @@ static inline uint64_t bstm_little(const uint8_t *at)
 }
 
 /* Frames to samples (_extract.c). */
+PyObject *bstm_place(PyObject *self, PyObject *args);
 PyObject *bstm_extract(PyObject *self, PyObject *args);
-extern const char bstm_extract_doc[];
+extern const char bstm_place_doc[], bstm_extract_doc[];
 
 #endif

@@ -48,7 +48,9 @@ Wanted = Callable[[str], Collection[tuple[int, bool]] | None]
 ``None`` for an interface that is not to be read at all.
 """
 
-CHUNK_BYTES: Final = 2 << 20
+_CHUNK_BYTES: Final = 2 << 20
+_CHUNK_BYTES_NUMPY: Final = 4 << 20
+"""Longer: a message costs some calls of NumPy in each chunk."""
 _LAYOUT_LIMIT: Final = 64
 _LINES_KEPT: Final = 5
 _NOT_KEPT: Final = (Refusal.UNKNOWN_ID, Refusal.UNKNOWN_INTERFACE)
@@ -72,7 +74,7 @@ class CandumpReader:
         path: Path,
         wanted: Wanted | None = None,
         *,
-        chunk_bytes: int = CHUNK_BYTES,
+        chunk_bytes: int | None = None,
         columns: bool = True,
     ) -> None:
         """Prepare to read *path*, every id of every interface by default.
@@ -89,11 +91,13 @@ class CandumpReader:
         self.seen: Counter[tuple[int, int, bool]] = Counter()
         self.truncated = False
         self._wanted = wanted
-        self._chunk_bytes = chunk_bytes
         self._columns = columns
         self._channels: dict[bytes, Channel] = {}
         self._layouts: dict[LayoutKey, Layout] = {}
         compiled = extension() if columns else None
+        if chunk_bytes is None:
+            chunk_bytes = _CHUNK_BYTES if compiled else _CHUNK_BYTES_NUMPY
+        self._chunk_bytes = chunk_bytes
         self._compiled = (
             None
             if compiled is None
@@ -165,15 +169,14 @@ class CandumpReader:
     def _text(self, store: bytearray, end: int) -> Text:
         buffer = np.frombuffer(store, np.uint8)
         newlines = np.flatnonzero(buffer[:end] == _NEWLINE)
-        starts = np.zeros_like(newlines)
-        starts[1:] = newlines[:-1] + 1
-        return Text(
-            buffer,
-            starts,
-            np.minimum(newlines, starts + LINE_LIMIT),
-            np.arange(self.lines + 1, self.lines + len(newlines) + 1),
-            store.find(b"\r", 0, end) >= 0,
-        )
+        starts = np.empty_like(newlines)
+        starts[0] = 0
+        np.add(newlines[:-1], 1, out=starts[1:])
+        ends = newlines
+        if (newlines - starts).max() > LINE_LIMIT:
+            ends = np.minimum(newlines, starts + LINE_LIMIT)
+        numbers = np.arange(self.lines + 1, self.lines + len(newlines) + 1)
+        return Text(buffer, starts, ends, numbers)
 
     def _parse(self, store: bytearray, end: int) -> FrameChunk:
         parts: list[FrameChunk] = []

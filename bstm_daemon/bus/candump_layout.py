@@ -22,7 +22,7 @@ from bstm_daemon.bus.candump_line import (
     ends_with_flag,
 )
 from bstm_daemon.bus.extraction import FD_LENGTHS
-from bstm_daemon.bus.frame_chunk import FrameChunk
+from bstm_daemon.bus.frame_chunk import PREFIX_MASKS, FrameChunk
 
 Integers = npt.NDArray[np.int64]
 Words = npt.NDArray[np.uint64]
@@ -37,6 +37,7 @@ _HEX: Final = bytes(
     for c in range(256)
 )
 _INVALID_WORD: Final = np.uint64(0x8080808080808080)
+_EVERY_BIT: Final = np.uint64(0xFFFFFFFFFFFFFFFF)
 _LONGEST_HEADER: Final = 128
 _IS_FD_LENGTH: Final = np.isin(np.arange(65), FD_LENGTHS)
 
@@ -44,16 +45,6 @@ _IS_FD_LENGTH: Final = np.isin(np.arange(65), FD_LENGTHS)
 def _words(values: npt.NDArray[Any]) -> Words:
     """Return byte values as words of 8, the first byte lowest."""
     return values.astype(np.uint8).view("<u8")
-
-
-def _prefix_masks(words: int) -> Words:
-    """Return masks (8 * words + 1, words): row k keeps the first k bytes."""
-    size = 8 * words
-    kept = np.arange(size) < np.arange(size + 1)[:, np.newaxis]
-    return _words(np.where(kept, 0xFF, 0))
-
-
-_PREFIX: Final = {words: _prefix_masks(words) for words in (2, 16)}
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +58,6 @@ class Text:
     starts: Integers
     ends: Integers
     numbers: Integers
-    has_returns: bool
 
     def line(self, index: int) -> bytes:
         """Return line *index* without its newline."""
@@ -86,13 +76,6 @@ class Text:
             (1,),
         )
         return windows[at].view("<u8").reshape(len(at), size // 8)
-
-    def ends_without_return(self, lines: Integers) -> Integers:
-        """Return where *lines* end, without a carriage return."""
-        ends = self.ends[lines]
-        if self.has_returns:
-            ends -= self.buffer[ends - 1] == ord("\r")
-        return ends
 
 
 class Channel:
@@ -181,6 +164,52 @@ def layout_key(line: bytes, header: Header) -> LayoutKey | None:
     )
 
 
+class _Check(NamedTuple):
+    """How a word of 8 characters of a header has to be.
+
+    Only the bits of ``fixed`` count. Adding ``carry`` to what differs from
+    ``expected`` brings bit 7 of a byte that is no digit; it is ``None``
+    where the word has no digits.
+    """
+
+    word: int
+    expected: np.uint64
+    fixed: np.uint64
+    carry: np.uint64 | None
+
+    def add(self, words: Words, wrong: Words, unlike: Words) -> None:
+        """Set what is wrong with each of *words*.
+
+        That is bit 7 of a byte in *wrong*, or any bit in *unlike*.
+        """
+        differs = words ^ self.expected
+        if self.fixed != _EVERY_BIT:
+            differs &= self.fixed
+        if self.carry is None:
+            unlike |= differs
+        else:
+            # a carry out of a byte comes only from one that is wrong already
+            wrong |= differs
+            differs += self.carry
+            wrong |= differs
+
+
+def _check(
+    word: int,
+    expected: npt.NDArray[np.uint8],
+    digit: npt.NDArray[np.bool_],
+    fixed: npt.NDArray[np.bool_],
+) -> _Check:
+    """Return the check of the 8 characters *expected*, 0 for any digit."""
+    carry = np.where(digit, 0x80 - 10, np.where(fixed, 0x80 - 1, 0))
+    return _Check(
+        word,
+        _words(expected)[0],
+        _words(np.where(fixed, 0xFF, 0))[0],
+        _words(carry)[0] if digit.any() else None,
+    )
+
+
 class Layout:
     """All lines with one header but for its digits.
 
@@ -197,24 +226,30 @@ class Layout:
         self._id_at = len(stamp) + len(key.gap)
         self._end = self._id_at + key.id_digits + 1
         text = stamp + key.gap + b"\0" * key.id_digits + b"#"
-        # any field of up to 8 bytes can be read within a record
-        self._size = -(-(len(text) + 8) // 8) * 8
+        # the id's digits and 8 characters from any of the stamp's are in it
+        needed = max(len(text), len(stamp) + 6)
+        self._size = -(-needed // 8) * 8
         expected = np.frombuffer(text.ljust(self._size, b"\0"), np.uint8)
         place = np.arange(self._size)
         digit = (expected == ord("0")) & (place < len(stamp))
         fixed = (place < self._id_at) | (place == self._end - 1)
-        # of byte ^ expected: 0x80 is reached by what is no digit, or differs
-        carry = np.where(digit, 0x80 - 10, np.where(fixed, 0x80 - 1, 0))
-        self._expected = _words(expected)
-        self._carry = _words(carry)
+        self._checks = [
+            _check(word, expected[at], digit[at], fixed[at])
+            for word, at in enumerate(
+                slice(start, start + 8) for start in range(0, self._size, 8)
+            )
+            if fixed[at].any()
+        ]
 
     def scan(self, text: Text, lines: Integers) -> Scan:
         """Settle those of *lines* that have this layout."""
-        heads = text.records(text.starts[lines], self._size)
+        is_all = len(lines) == len(text.starts)
+        starts = text.starts if is_all else text.starts[lines]
+        heads = text.records(starts, self._size)
         ids, settled = self._ids(heads)
         settled &= self._matches(heads)
         parts = []
-        refused = np.count_nonzero(settled)
+        refused = int(np.count_nonzero(settled))
         if self.channel.known:
             wanted = self.channel.wants_each(ids, extended=self.extended)
             rows = np.flatnonzero(settled & wanted)
@@ -223,28 +258,33 @@ class Layout:
                 part, bad = self._frames(
                     text, lines[rows], _rows(heads, rows), ids[rows]
                 )
-                settled[rows[bad]] = False
                 parts.append(part)
+                if len(part) < len(rows):
+                    settled[rows[bad]] = False
         if settled.all():
             pending = lines[:0]
         else:
             pending, ids = lines[~settled], ids[settled]
-        return Scan(pending, *self._tally(ids), int(refused), parts)
+        return Scan(pending, *self._tally(ids), refused, parts)
 
     def _matches(self, heads: Words) -> Flags:
         """Whether every character of the header but the id is right.
 
-        Eight characters at once; a carry out of a byte comes only from one
-        that is wrong already.
+        Eight characters at once.
         """
-        wrong = np.zeros(len(heads), np.uint64)
-        for word, carry in enumerate(self._carry):
-            if carry:
-                differs = heads[:, word] ^ self._expected[word]
-                wrong |= differs
-                differs += carry
-                wrong |= differs
+        wrong, unlike = np.zeros((2, len(heads)), np.uint64)
+        for check in self._checks:
+            word = heads[:, check.word]
+            # as the first digits of the stamps: one tells of all
+            if _all_alike(word):
+                one = np.zeros((2, 1), np.uint64)
+                check.add(word[:1], *one)
+                if one[1, 0] or one[0, 0] & _INVALID_WORD:
+                    return np.zeros(len(heads), np.bool_)
+            else:
+                check.add(word, wrong, unlike)
         wrong &= _INVALID_WORD
+        wrong |= unlike
         return np.equal(wrong, 0)
 
     def _ids(self, heads: Words) -> tuple[Integers, Flags]:
@@ -258,8 +298,12 @@ class Layout:
             return ids.astype(np.int64), valid & (ids <= EXTENDED_MAX)
         nibbles = _from_hex(_field(heads, self._id_at, "<u4"))
         valid = np.equal(nibbles & 0x808080, 0)
-        ids = (nibbles & 0xF) << 8 | nibbles >> 4 & 0xF0 | nibbles >> 16 & 0xF
-        return ids.astype(np.int64), valid & (ids <= STANDARD_MAX)
+        # the third digit, the second 4 bits above it, the first 8
+        number = nibbles * np.uint32(1 + (1 << 12) + (1 << 24))
+        number >>= 16
+        number &= 0xFFF
+        valid &= number <= STANDARD_MAX
+        return number.astype(np.int64), valid
 
     def _frames(
         self, text: Text, lines: Integers, heads: Words, ids: Integers
@@ -268,8 +312,11 @@ class Layout:
         is_fd = self._key.is_fd
         words = 16 if is_fd else 2
         at = text.starts[lines] + (self._end + 2 if is_fd else self._end)
-        ends = text.ends_without_return(lines)
+        ends = text.ends[lines]
         bad = np.zeros(len(lines), np.bool_)
+        # a payload has an even number of digits
+        if self._key.has_flag or ((ends - at) & 1).any():
+            ends -= text.buffer[ends - 1] == ord("\r")
         if self._key.has_flag:
             letter = text.buffer[ends - 1] & ~np.uint8(0x20)
             bad |= (letter != ord("R")) & (letter != ord("T"))
@@ -284,14 +331,12 @@ class Layout:
             digit = text.buffer[at - 1].tobytes().translate(_HEX)
             bad |= ~marks | (np.frombuffer(digit, np.uint8) == _INVALID)
             bad |= ~_IS_FD_LENGTH[length]
-        nibbles = _from_hex(text.records(at, 8 * words))
-        if size.min() < 8 * words:
-            nibbles = nibbles & _PREFIX[words][size]
-        bad |= np.not_equal(_any_bit(nibbles) & _INVALID_WORD, 0)
+        data, invalid = _payloads(text.records(at, 8 * words), length)
+        bad |= invalid
         if bad.any():
             good = ~bad
             lines, heads, ids = lines[good], heads[good], ids[good]
-            length, nibbles = length[good], nibbles[good]
+            length, data = length[good], data[good]
         width = 8 if length.max(initial=0) <= 8 else 64
         part = FrameChunk(
             time_us=self._time_us(heads),
@@ -300,7 +345,7 @@ class Layout:
             can_id=ids.astype(np.uint32),
             extended=np.full(len(lines), self.extended),
             length=length.astype(np.uint8),
-            data=_packed(nibbles)[:, :width],
+            data=data[:, :width],
         )
         return part, bad
 
@@ -309,7 +354,9 @@ class Layout:
         high = self._key.seconds - low
         seconds = _decimal(heads, 1 + high, low)
         if high:
-            seconds += _decimal(heads, 1, high) * 10**8
+            # in the first word; alike for years
+            some = heads[:1] if _all_alike(heads[:, 0]) else heads
+            seconds += _decimal(some, 1, high) * 10**8
         digits = min(self._key.fraction, 6)
         fraction = _decimal(heads, self._key.seconds + 2, digits)
         time_us: Integers = seconds * 10**6 + fraction * 10 ** (6 - digits)
@@ -324,6 +371,13 @@ class Layout:
         return found, counts[found]
 
 
+def _all_alike(words: Words) -> bool:
+    """Whether all *words* are the same; few have to be looked at if not."""
+    if not len(words) or words[0] != words[-1]:
+        return False
+    return bool(np.equal(words, words[0]).all())
+
+
 def _field(records: Words, at: int, kind: str) -> npt.NDArray[Any]:
     """Return the number of *kind* that starts at byte *at* of each record."""
     if not len(records):
@@ -334,16 +388,10 @@ def _field(records: Words, at: int, kind: str) -> npt.NDArray[Any]:
 
 def _rows(records: Words, rows: Integers) -> Words:
     """Return *rows* of *records*, each copied as one item."""
+    if records.shape[1] == 1:
+        return records.take(rows, axis=0)
     items = records.view(np.dtype((np.void, records.shape[1] * 8)))[:, 0]
     return items[rows].view("<u8").reshape(len(rows), records.shape[1])
-
-
-def _any_bit(words: Words) -> Words:
-    """Return the words of each row, or-ed together."""
-    if words.shape[1] == 2:
-        return words[:, 0] | words[:, 1]
-    together: Words = np.bitwise_or.reduce(words, axis=1)
-    return together
 
 
 def _from_hex(words: npt.NDArray[Any]) -> npt.NDArray[Any]:
@@ -352,12 +400,27 @@ def _from_hex(words: npt.NDArray[Any]) -> npt.NDArray[Any]:
     return np.frombuffer(text, words.dtype).reshape(words.shape)
 
 
-def _packed(nibbles: Words) -> npt.NDArray[np.uint8]:
-    """Return the bytes (n, 4 * words) of pairs of nibbles (n, words)."""
-    pairs = (nibbles << 4 | nibbles >> 8) & 0x00FF00FF00FF00FF
-    pairs = (pairs | pairs >> 8) & 0x0000FFFF0000FFFF
-    pairs |= pairs >> 16
-    return pairs.astype("<u4").view(np.uint8)
+def _payloads(
+    digits: Words, length: Integers
+) -> tuple[npt.NDArray[np.uint8], Flags]:
+    """Return the bytes (n, 4 * words) of pairs of hex *digits* (n, words).
+
+    Bytes beyond *length* (n,) are zero. Also returns in which rows a byte
+    within it is none.
+    """
+    pairs = _from_hex(digits).view("<u2")
+    size = pairs.shape[1]
+    invalid = np.not_equal(pairs & 0x8080, 0).view("<u8")
+    pairs = pairs * np.uint16(1 + (1 << 12))
+    pairs >>= 8
+    data = pairs.astype(np.uint8)
+    if length.min() < size:
+        kept = _rows(PREFIX_MASKS[size], length)
+        data.view("<u8")[:] &= kept
+        invalid &= kept
+    if invalid.shape[1] == 1:
+        return data, np.not_equal(invalid[:, 0], 0)
+    return data, np.bitwise_or.reduce(invalid, axis=1) != 0
 
 
 def _decimal(records: Words, at: int, digits: int) -> Integers:

@@ -121,7 +121,6 @@ class CandumpScan:
                 left_over[:, 0].copy(),
                 left_over[:, 1].copy(),
                 left_over[:, 2].copy(),
-                bool(pending) and store.find(b"\r", 0, end) >= 0,
             ),
         )
 

@@ -6,31 +6,30 @@ gives them live, so time stamps that run backwards stay where they are.
 """
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from bstm_daemon.bus.column_plan import (
-    INT64_REACH,
-    Slots,
-    column_plan,
-    extract,
-)
-from bstm_daemon.bus.compiled import extension
-from bstm_daemon.bus.expression import evaluate
-from bstm_daemon.bus.extraction import MessagePlan, Output, RawSignal
+from bstm_daemon.bus.candump_line import EXTENDED_MAX
+from bstm_daemon.bus.column_plan import STANDARD_IDS, ColumnPlan, column_plan
+from bstm_daemon.bus.compiled import LogExtension, extension
 from bstm_daemon.bus.frame_chunk import FrameChunk
 from bstm_daemon.bus.refusal import Refusal
 from bstm_daemon.bus.signal_map import SignalMap
 
-Column = npt.NDArray[np.float64]
-
-_FLOAT_TYPES: Final = {16: "<f2", 32: "<f4", 64: "<f8"}
-_WINDOW_BITS: Final = 64
-_STANDARD_IDS: Final = 1 << 11
+_FRAME_REASONS = (
+    Refusal.UNKNOWN_INTERFACE,
+    Refusal.UNKNOWN_ID,
+    Refusal.WRONG_LENGTH,
+)
+_SAMPLE_REASONS = (
+    Refusal.NOT_A_NUMBER,
+    Refusal.OUT_OF_RANGE,
+    Refusal.NOT_AVAILABLE,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +38,7 @@ class Events:
 
     time_us: npt.NDArray[np.int64]
     role: npt.NDArray[np.int32]
-    value: Column
+    value: npt.NDArray[np.float64]
     counts: Counter[Refusal]
 
     def __len__(self) -> int:
@@ -56,270 +55,193 @@ def decode_chunk(
     interfaces, -1 for one that is not read. Values, order and counts are
     those of :class:`~bstm_daemon.bus.decoder.Decoder`, frame by frame.
     """
-    counts: Counter[Refusal] = Counter()
-    plans, plan_of_frame = _plan_of_frames(signal_map, chunk, bus_of_channel)
-    unread = np.isin(chunk.channel, np.flatnonzero(np.less(bus_of_channel, 0)))
-    _count(counts, Refusal.UNKNOWN_INTERFACE, unread)
-    _count(counts, Refusal.UNKNOWN_ID, ~unread & (plan_of_frame < 0))
-    lengths = np.array([plan.length for plan in plans] + [0])
-    wrong = (plan_of_frame >= 0) & (chunk.length != lengths[plan_of_frame])
-    _count(counts, Refusal.WRONG_LENGTH, wrong)
-    plan_of_frame[wrong] = -1
-
-    # one slot a frame and output; slots without a sample are dropped at last
-    outputs = np.array([len(plan.outputs) for plan in plans] + [0])
-    per_frame = outputs[plan_of_frame]
-    ends = np.cumsum(per_frame)
-    slots = int(ends[-1]) if len(ends) else 0
-    values = np.empty(slots, np.float64)
-    roles = np.empty(slots, np.int32)
-    kept = np.ones(slots, np.bool_)
-    done = _extract_compiled(
-        plans,
-        (plan_of_frame, ends - per_frame),
-        chunk,
-        Slots(values, roles, kept),
-        counts,
-    )
-    # one payload as one item: rows are then copied whole
-    payloads = chunk.data.view(np.dtype((np.void, chunk.data.shape[1])))[:, 0]
-    for number, plan in enumerate(plans):
-        if number in done:
-            continue
-        frames = np.flatnonzero(plan_of_frame == number)
-        if not frames.size:
-            continue
-        first = ends[frames] - per_frame[frames]
-        with np.errstate(all="ignore"):
-            samples = _decode(plan, payloads[frames], counts)
-        for position, (output, value, good) in enumerate(samples):
-            values[first + position] = value
-            roles[first + position] = output.role
-            if good is not None:
-                kept[(first + position)[~good]] = False
-    times = np.repeat(chunk.time_us, per_frame)
-    if not kept.all():
-        times, roles, values = times[kept], roles[kept], values[kept]
-    return Events(times, roles, values, counts)
-
-
-def _extract_compiled(
-    plans: Sequence[MessagePlan],
-    frames: tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]],
-    chunk: FrameChunk,
-    slots: Slots,
-    counts: Counter[Refusal],
-) -> frozenset[int]:
-    """Write what the compiled pass knows; returns the plans it has done.
-
-    *frames* are the plan and the first slot of each frame.
-    """
+    plan = column_plan(signal_map)
+    rows = plan.rows(bus_of_channel)
     compiled = extension()
-    if compiled is None or not len(slots.values):
-        return frozenset()
-    plan = column_plan(plans)
-    unreal, outside = extract(compiled, plan, frames, chunk.data, slots)
-    for reason, number in (
-        (Refusal.NOT_A_NUMBER, unreal),
-        (Refusal.OUT_OF_RANGE, outside),
-    ):
-        if number:
-            counts[reason] += number
-    return plan.taken
+    if compiled is None:
+        return _with_numpy(plan, chunk, rows)
+    return _with_extension(compiled, plan, chunk, rows)
 
 
-def _plan_of_frames(
-    signal_map: SignalMap, chunk: FrameChunk, bus_of_channel: Sequence[int]
-) -> tuple[list[MessagePlan], npt.NDArray[np.int64]]:
-    """Return the plans and each frame's position among them, or -1."""
-    plans = list(signal_map.messages.values())
-    buses = len(signal_map.buses)
-    # a row a bus; the last one stands for an interface that is not read: -1
-    table = np.full((buses + 1, _STANDARD_IDS), -1, np.int64)
-    for number, plan in enumerate(plans):
-        if not plan.key.extended:
-            table[plan.key.bus, plan.key.can_id] = number
-    bus = np.array([*bus_of_channel, -1], np.int64)
-    row = (bus * _STANDARD_IDS)[chunk.channel]
-    found = table.ravel()[row + (chunk.can_id & (_STANDARD_IDS - 1))]
-    if chunk.extended.any():
-        found[chunk.extended] = -1
-        for number, plan in enumerate(plans):
-            if plan.key.extended:
-                hit = chunk.extended & (chunk.can_id == plan.key.can_id)
-                found[hit & (bus[chunk.channel] == plan.key.bus)] = number
-    return plans, found
+@dataclass(frozen=True, slots=True)
+class _Slots:
+    """Room for samples; those without a sample are dropped at last."""
+
+    times: npt.NDArray[np.int64]
+    roles: npt.NDArray[np.int32]
+    values: npt.NDArray[np.float64]
+    kept: npt.NDArray[np.bool_]
+
+    def events(self, counts: Counter[Refusal], *, all_kept: bool) -> Events:
+        if all_kept:
+            return Events(self.times, self.roles, self.values, counts)
+        kept = self.kept
+        return Events(
+            self.times[kept], self.roles[kept], self.values[kept], counts
+        )
 
 
-def _decode(
-    plan: MessagePlan,
-    payloads: npt.NDArray[np.void],
-    counts: Counter[Refusal],
-) -> list[tuple[Output, Column, npt.NDArray[np.bool_] | None]]:
-    """Return each output's values, one a frame, and which are samples.
-
-    ``None`` stands for: all of them.
-    """
-    windows = _Windows(payloads)
-    physical = [_physical(signal, windows) for signal in plan.signals]
-    names = [signal.name for signal in plan.signals]
-    samples = []
-    for output in plan.outputs:
-        if output.expression is None:
-            column = physical[output.index]
-        else:
-            by_name = dict(zip(names, physical, strict=True))
-            column = evaluate(output.expression, by_name, OPERATIONS)
-        value = output.gain * column
-        value += output.bias
-        present = _present(output, physical)
-        good = present
-        # false for a nan, too
-        if not (value.min() >= output.low and value.max() <= output.high):
-            good = (output.low <= value) & (value <= output.high)
-            here = np.bool_(True) if present is None else present
-            unreal = np.isnan(value)
-            _count(counts, Refusal.NOT_A_NUMBER, here & unreal)
-            _count(counts, Refusal.OUT_OF_RANGE, here & ~unreal & ~good)
-            good &= here
-        if output.flag:
-            value = (value != 0).astype(np.float64)
-        samples.append((output, value, good))
-    return samples
-
-
-def _present(
-    output: Output, physical: Sequence[Column]
-) -> npt.NDArray[np.bool_] | None:
-    """Return in which frames the multiplexers hold; ``None``: in all."""
-    if not output.conditions:
-        return None
-    held = [
-        np.isin(np.trunc(physical[signal]), list(allowed))
-        for signal, allowed in output.conditions
-    ]
-    together: npt.NDArray[np.bool_] = np.logical_and.reduce(held)
-    return together
-
-
-class _Windows:
-    """Runs of 8 bytes of each payload (8 or 64 bytes) as numbers."""
-
-    def __init__(self, payloads: npt.NDArray[np.void]) -> None:
-        width = payloads.dtype.itemsize
-        self.data = payloads.view(np.uint8).reshape(len(payloads), width)
-        self.last = width - 8
-        self._read: dict[tuple[int, str], npt.NDArray[np.uint64]] = {}
-
-    def read(self, base: int, kind: str) -> npt.NDArray[np.uint64]:
-        """Return bytes ``base .. base + 7`` of each row as a number."""
-        if (base, kind) not in self._read:
-            rows: npt.NDArray[np.uint64] = np.ndarray(
-                (len(self.data),),
-                kind,
-                self.data.data,
-                base,
-                (self.data.shape[1],),
+def _with_extension(
+    compiled: LogExtension,
+    plan: ColumnPlan,
+    chunk: FrameChunk,
+    rows: npt.NDArray[np.int64],
+) -> Events:
+    message = np.empty(len(chunk), np.int32)
+    frame_counts = np.zeros(len(_FRAME_REASONS), np.int64)
+    count = compiled.place(
+        *(chunk.channel, chunk.can_id, chunk.extended, chunk.length),
+        *(rows, plan.standard, plan.extended, plan.extended_message),
+        *(plan.lengths, plan.sizes, message, frame_counts),
+    )
+    slots = _Slots(
+        np.empty(count, np.int64),
+        np.empty(count, np.int32),
+        np.empty(count, np.float64),
+        np.empty(count, np.bool_),
+    )
+    sample_counts = np.zeros(len(_SAMPLE_REASONS), np.int64)
+    compiled.extract(
+        *(message, chunk.time_us, np.ascontiguousarray(chunk.data)),
+        *(chunk.data.shape[1], plan.sizes, *plan.compiled),
+        *(slots.times, slots.roles, slots.values, slots.kept, sample_counts),
+    )
+    counts = _named(_FRAME_REASONS, frame_counts)
+    counts += _named(_SAMPLE_REASONS, sample_counts)
+    all_kept = not sample_counts.any()
+    if plan.foreign and count:
+        places = np.cumsum(plan.sizes[message]) - plan.sizes[message]
+        for number in plan.foreign:
+            frames = np.flatnonzero(message == number)
+            all_kept &= _fill(
+                (plan, number),
+                _items(chunk.data)[frames],
+                places[frames],
+                slots,
+                counts,
             )
-            self._read[base, kind] = rows.astype(np.uint64)
-        return self._read[base, kind]
+    return slots.events(counts, all_kept=all_kept)
 
 
-def _physical(signal: RawSignal, windows: _Windows) -> Column:
-    """Return ``raw * scale + offset`` with the rounding of Python numbers."""
-    raw = _raw(signal, windows)
-    if signal.identity:
-        return raw.astype(np.float64)
-    scale, offset = signal.scale, signal.offset
-    if signal.floating or isinstance(scale, float):
-        product = raw.astype(np.float64) * float(scale) + float(offset)
-        return np.asarray(product, np.float64)
-    # whole numbers: exact up to the one rounding at the end
-    farthest = max(map(abs, signal.raw_limits))
-    whole: npt.NDArray[Any]
-    if farthest * max(abs(scale), 1) + abs(offset) < INT64_REACH:
-        whole = raw.astype(np.int64) * scale
-    else:
-        whole = raw.astype(object) * scale
-    return (whole + offset).astype(np.float64)
+def _with_numpy(
+    plan: ColumnPlan, chunk: FrameChunk, rows: npt.NDArray[np.int64]
+) -> Events:
+    counts: Counter[Refusal] = Counter()
+    message = _messages(plan, chunk, rows, counts)
+    sizes = plan.sizes.take(message)
+    ends = np.cumsum(sizes)
+    count = int(ends[-1]) if len(ends) else 0
+    slots = _Slots(
+        np.repeat(chunk.time_us, sizes),
+        np.empty(count, np.int32),
+        np.empty(count, np.float64),
+        np.ones(count, np.bool_),
+    )
+    all_kept = True
+    if count:
+        # frames by message, in file order; the unread ones come first
+        order = np.argsort(message, kind="stable")
+        payloads = _items(chunk.data)[order]
+        places = (ends - sizes).take(order)
+        bounds = np.searchsorted(
+            message.take(order), np.arange(len(plan.messages) + 1)
+        ).tolist()
+        for number in range(len(plan.messages)):
+            group = slice(bounds[number], bounds[number + 1])
+            all_kept &= _fill(
+                (plan, number), payloads[group], places[group], slots, counts
+            )
+    return slots.events(counts, all_kept=all_kept)
 
 
-def _raw(signal: RawSignal, windows: _Windows) -> npt.NDArray[Any]:
-    """Return raw values: float, signed or unsigned 64-bit integers."""
-    bits = _bits(signal, windows)
-    if signal.floating:
-        size = signal.length // 8
-        kind = _FLOAT_TYPES[signal.length]
-        return bits.astype(f"<u{size}").view(kind).astype(np.float64)
-    if signal.signed:
-        sign = np.uint64(1 << (signal.length - 1))
-        return ((bits ^ sign) - sign).view(np.int64)
-    return bits
+def _messages(
+    plan: ColumnPlan,
+    chunk: FrameChunk,
+    rows: npt.NDArray[np.int64],
+    counts: Counter[Refusal],
+) -> npt.NDArray[np.signedinteger]:
+    """Return each frame's position in the plan's messages, or -1."""
+    # of an unread interface: counted from the end, where no message is
+    place = (rows * STANDARD_IDS).take(chunk.channel)
+    place += chunk.can_id & np.uint32(STANDARD_IDS - 1)
+    message = plan.standard.ravel().take(place)
+    if chunk.extended.any():
+        extended = np.flatnonzero(chunk.extended)
+        message[extended] = -1
+        if plan.extended.size:
+            keys = rows[chunk.channel[extended]] * (EXTENDED_MAX + 1)
+            keys += chunk.can_id[extended]
+            found = np.searchsorted(plan.extended, keys)
+            found[found == len(plan.extended)] = 0
+            hit = plan.extended[found] == keys
+            message[extended[hit]] = plan.extended_message[found[hit]]
+    unread = 0
+    if (rows[:-1] < 0).any():
+        unread = int(np.count_nonzero(rows[chunk.channel] < 0))
+    lost = int(np.count_nonzero(message < 0))
+    wrong = chunk.length != plan.lengths.take(message)
+    if lost:
+        wrong &= message >= 0
+    wrong_count = int(np.count_nonzero(wrong))
+    if wrong_count:
+        message[wrong] = -1
+    counts += _named(_FRAME_REASONS, (unread, lost - unread, wrong_count))
+    # sorted much faster than wider numbers; a bus has 2048 ids and then some
+    return message if len(plan.messages) >> 15 else message.astype(np.int16)
 
 
-def _bits(signal: RawSignal, windows: _Windows) -> npt.NDArray[np.uint64]:
-    """Return the bits of *signal* as unsigned numbers.
-
-    A window of 8 bytes holds all of them, or all but those in the one byte
-    behind it.
-    """
-    base = min(signal.start // 8, windows.last)
-    beyond = signal.start + signal.length - 8 * base - _WINDOW_BITS
-    window = windows.read(base, ">u8" if signal.big_endian else "<u8")
-    shift = -beyond if signal.big_endian else signal.start - 8 * base
-    if beyond <= 0:
-        bits = window >> np.uint64(shift)
-    else:
-        behind = windows.data[:, base + 8].astype(np.uint64)
-        if signal.big_endian:
-            bits = window << np.uint64(beyond)
-            bits |= behind >> np.uint64(8 - beyond)
-        else:
-            bits = window >> np.uint64(shift)
-            bits |= behind << np.uint64(_WINDOW_BITS - shift)
-    bits &= np.uint64((1 << signal.length) - 1)
-    return bits
-
-
-def _count(
-    counts: Counter[Refusal], reason: Refusal, which: npt.NDArray[np.bool_]
-) -> None:
-    number = np.count_nonzero(which)
-    if number:
-        counts[reason] += int(number)
+def _fill(
+    message: tuple[ColumnPlan, int],
+    payloads: npt.NDArray[np.void],
+    places: npt.NDArray[np.int64],
+    slots: _Slots,
+    counts: Counter[Refusal],
+) -> bool:
+    """Write the samples of one message's frames; whether all are some."""
+    plan, number = message
+    if not len(payloads) or not plan.sizes[number]:
+        return True
+    columns = plan.messages[number]
+    found = columns.decode(payloads, counts)
+    # a frame's samples stand side by side: all in one item
+    _runs(slots.values, len(columns.roles))[places] = _items(found.values)
+    _runs(slots.roles, len(columns.roles))[places] = _items(
+        columns.roles[np.newaxis]
+    )
+    if found.kept is None:
+        return True
+    _runs(slots.kept, len(columns.roles))[places] = _items(found.kept)
+    return False
 
 
-def _divide(numerator: Column, denominator: Column) -> Column:
-    quotient = np.divide(numerator, denominator)
-    return np.where(np.equal(denominator, 0), np.nan, quotient)
+def _items(rows: npt.NDArray[Any]) -> npt.NDArray[np.void]:
+    """Return the rows of a contiguous table, each as one item."""
+    size = rows.shape[1] * rows.itemsize
+    items: npt.NDArray[np.void] = np.ascontiguousarray(rows).view(
+        np.dtype((np.void, size))
+    )[:, 0]
+    return items
 
 
-def _least(first: Column, *others: Column) -> Column:
-    for other in others:
-        unreal = np.isnan(first) | np.isnan(other)
-        first = np.where(
-            unreal, np.nan, np.where(np.less(other, first), other, first)
-        )
-    return first
+def _runs(column: npt.NDArray[Any], count: int) -> npt.NDArray[np.void]:
+    """Return the *count* entries from each place of *column* as an item."""
+    size = column.itemsize
+    return np.ndarray(
+        (len(column) - count + 1,),
+        np.dtype((np.void, count * size)),
+        column.data,
+        0,
+        (size,),
+    )
 
 
-def _greatest(first: Column, *others: Column) -> Column:
-    for other in others:
-        unreal = np.isnan(first) | np.isnan(other)
-        first = np.where(
-            unreal, np.nan, np.where(np.greater(other, first), other, first)
-        )
-    return first
-
-
-OPERATIONS: Final[Mapping[str, Callable[..., Any]]] = {
-    "+": np.add,
-    "-": np.subtract,
-    "*": np.multiply,
-    "/": _divide,
-    "negate": np.negative,
-    "abs": np.abs,
-    "min": _least,
-    "max": _greatest,
-}
-"""The operations of an expression on columns, in the scalar ones' order."""
+def _named(
+    reasons: Sequence[Refusal], numbers: Sequence[int] | npt.NDArray[np.int64]
+) -> Counter[Refusal]:
+    return Counter(
+        {
+            reason: int(number)
+            for reason, number in zip(reasons, numbers, strict=True)
+            if number
+        }
+    )

@@ -12,13 +12,14 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 _NAME: Final = "bstm_daemon.bus._log"
-_LAYOUT: Final = 1
+_LAYOUT: Final = 2
 
 
 class LogExtension(Protocol):
-    """The functions of the extension module; both take flat buffers."""
+    """The functions of the extension module; all take flat buffers."""
 
     scan: Callable[..., int]
+    place: Callable[..., int]
     extract: Callable[..., None]
 
 

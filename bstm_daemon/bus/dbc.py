@@ -23,6 +23,7 @@ from bstm_daemon.bus.dbc_text import (
     statements_of,
     without,
 )
+from bstm_daemon.bus.dbc_values import unavailable_values
 from bstm_daemon.bus.extraction import RawSignal
 from bstm_daemon.errors import ConfigError
 
@@ -108,6 +109,7 @@ def raw_signal(message: Message, name: str) -> RawSignal:
         floating=conversion.is_float,
         scale=scale,
         offset=offset,
+        unavailable=unavailable_values(signal),
     )
 
 

@@ -13,10 +13,12 @@ from bstm_daemon.bus.expression import (
     SCALAR_OPERATIONS,
     Expression,
     evaluate,
+    signal_names,
 )
 from bstm_daemon.bus.extraction import (
     Condition,
     MessagePlan,
+    Output,
     RawSignal,
 )
 from bstm_daemon.bus.refusal import Refusal
@@ -33,7 +35,7 @@ class Decoder:
     """Decodes frames of a :class:`SignalMap` and counts what it refuses.
 
     ``counts`` holds frames by reason, and samples for the reasons
-    ``not_a_number`` and ``out_of_range``.
+    ``not_a_number``, ``out_of_range`` and ``not_available``.
     """
 
     def __init__(self, signal_map: SignalMap) -> None:
@@ -77,7 +79,7 @@ class Decoder:
 class _MessageDecoder:
     """A message plan taken apart, so that a frame costs few look-ups."""
 
-    __slots__ = ("_names", "_outputs", "_signals", "length")
+    __slots__ = ("_gaps", "_names", "_outputs", "_signals", "length")
 
     def __init__(self, plan: MessagePlan) -> None:
         self.length = plan.length
@@ -94,9 +96,16 @@ class _MessageDecoder:
             )
             for signal in plan.signals
         ]
+        # where a raw value may stand for none, and then which
+        self._gaps = [
+            (index, *self._signals[index][:3], signal.unavailable)
+            for index, signal in enumerate(plan.signals)
+            if signal.unavailable
+        ]
         self._outputs = [
             (
                 (output.role, output.flag),
+                self._sources(output),
                 output.index,
                 output.expression,
                 output.conditions,
@@ -110,9 +119,21 @@ class _MessageDecoder:
         self, data: Payload, counts: Counter[Refusal]
     ) -> Sequence[Sample]:
         values = self._physical(data)
+        missing = self._missing(data) if self._gaps else ()
         samples = []
-        for target, index, tree, conditions, line, limits in self._outputs:
+        for (
+            target,
+            sources,
+            index,
+            tree,
+            conditions,
+            line,
+            limits,
+        ) in self._outputs:
             if conditions and not _holds(conditions, values):
+                continue
+            if missing and not sources.isdisjoint(missing):
+                counts[Refusal.NOT_AVAILABLE] += 1
                 continue
             physical = (
                 values[index] if tree is None else self._run(tree, values)
@@ -128,6 +149,23 @@ class _MessageDecoder:
             else:
                 counts[Refusal.OUT_OF_RANGE] += 1
         return samples
+
+    def _sources(self, output: Output) -> frozenset[int]:
+        """Return the positions of the signals that *output* is made of."""
+        if output.expression is None:
+            return frozenset({output.index})
+        names = signal_names(output.expression)
+        return frozenset(self._names.index(name) for name in names)
+
+    def _missing(self, data: Payload) -> Sequence[int]:
+        """Return the positions of the signals that have no value."""
+        little = int.from_bytes(data, "little")
+        big = int.from_bytes(data, "big")
+        return [
+            index
+            for index, is_big, shift, mask, unavailable in self._gaps
+            if ((big if is_big else little) >> shift) & mask in unavailable
+        ]
 
     def _physical(self, data: Payload) -> list[float]:
         """Return the physical value of each signal, as cantools has it."""

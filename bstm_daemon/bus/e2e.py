@@ -23,10 +23,12 @@ if TYPE_CHECKING:
 COUNTER_COUNT: Final = 16
 """Counter values of Profile 2, and the length of a data-id list."""
 
+PROFILE2_BYTES: Final = 2
+"""CRC and counter."""
+
 _POLYNOMIAL: Final = 0x2F
 _INITIAL: Final = 0xFF
 _FINAL_XOR: Final = 0xFF
-_HEADER_BYTES: Final = 2
 
 
 def _crc_of_byte(byte: int) -> int:
@@ -69,7 +71,7 @@ def protect(
     and *data_ids* has 16 entries of 0..255. Raises :class:`ValueError` for
     less than two bytes or a counter out of range.
     """
-    if len(data) < _HEADER_BYTES:
+    if len(data) < PROFILE2_BYTES:
         msg = f"Profile 2 needs at least 2 bytes, got {len(data)}"
         raise ValueError(msg)
     if not 0 <= counter < COUNTER_COUNT:
@@ -79,6 +81,21 @@ def protect(
     frame[1] = (frame[1] & 0xF0) | counter
     frame[0] = profile2_crc(frame, data_ids[counter])
     return bytes(frame)
+
+
+def sequence_status(
+    last: int | None, counter: int, modulo: int, max_delta: int
+) -> CheckStatus:
+    """Return the verdict on *counter* after *last*, both below *modulo*.
+
+    *last* is that of the last frame with a right CRC, ``None`` before it.
+    """
+    if last is None:
+        return CheckStatus.OK
+    delta = (counter - last) % modulo
+    if delta == 0:
+        return CheckStatus.REPEATED
+    return CheckStatus.OK if delta <= max_delta else CheckStatus.WRONG_SEQUENCE
 
 
 class Profile2Checker:
@@ -118,11 +135,4 @@ class Profile2Checker:
         if data[0] != profile2_crc(data, self._data_ids[counter]):
             return CheckStatus.WRONG_CRC
         last, self._last_counter = self._last_counter, counter
-        if last is None:
-            return CheckStatus.OK
-        delta = (counter - last) % COUNTER_COUNT
-        if delta == 0:
-            return CheckStatus.REPEATED
-        if delta <= self._max_delta:
-            return CheckStatus.OK
-        return CheckStatus.WRONG_SEQUENCE
+        return sequence_status(last, counter, COUNTER_COUNT, self._max_delta)

@@ -18,6 +18,9 @@ from bstm_daemon.bus.expression import Expression
 FD_LENGTHS: Final[tuple[int, ...]] = (*range(9), 12, 16, 20, 24, 32, 48, 64)
 """Payload lengths in bytes that a CAN FD frame can have."""
 
+INT64_REACH: Final = 1 << 63
+"""Whole numbers below it, of either sign, are computed in 64 bits."""
+
 
 class FrameKey(NamedTuple):
     """What tells frames apart: a standard and an extended 0x100 differ."""
@@ -43,6 +46,8 @@ class RawSignal:
     first; for big endian its most significant bit, most significant first.
     ``scale`` and ``offset`` are ``int`` where the DBC's are whole numbers:
     then the physical value is exact before it becomes a float.
+    ``unavailable`` are raw values, as unsigned numbers, that stand for no
+    value at all.
     """
 
     name: str
@@ -53,6 +58,7 @@ class RawSignal:
     floating: bool
     scale: float
     offset: float
+    unavailable: frozenset[int] = frozenset()
 
     @property
     def identity(self) -> bool:

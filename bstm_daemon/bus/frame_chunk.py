@@ -1,9 +1,19 @@
 """Frames of a log as columns."""
 
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
+
+
+def _prefix_masks(size: int) -> npt.NDArray[np.uint64]:
+    kept = np.arange(size) < np.arange(size + 1)[:, np.newaxis]
+    return np.where(kept, 0xFF, 0).astype(np.uint8).view("<u8")
+
+
+PREFIX_MASKS: Final = {size: _prefix_masks(size) for size in (8, 64)}
+"""By the columns of a payload: row k keeps its first k bytes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,6 +37,20 @@ class FrameChunk:
     def __len__(self) -> int:
         """Return the number of frames."""
         return len(self.time_us)
+
+
+def rows_of(chunk: FrameChunk, kept: npt.NDArray[np.bool_]) -> FrameChunk:
+    """Return the frames of *chunk* where *kept*, (n,), is true."""
+    rows = np.flatnonzero(kept)
+    return FrameChunk(
+        time_us=chunk.time_us.take(rows),
+        line=chunk.line.take(rows),
+        channel=chunk.channel.take(rows),
+        can_id=chunk.can_id.take(rows),
+        extended=chunk.extended.take(rows),
+        length=chunk.length.take(rows),
+        data=chunk.data.take(rows, axis=0),
+    )
 
 
 def join_in_file_order(parts: list[FrameChunk]) -> FrameChunk:

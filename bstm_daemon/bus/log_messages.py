@@ -61,6 +61,9 @@ class Guard(Protocol):
     def judge(self, line: str) -> Verdict:
         """Return what is in *line*."""
 
+    def handed_over(self, line: str) -> str:
+        """Return a *line* with a frame, judged last, for python-can."""
+
 
 class MessageReader(FrameLedger):
     """A :class:`~bstm_daemon.bus.log_reader.FrameReader`, by its ending.
@@ -273,6 +276,7 @@ class _GuardedLines:
                 raise LogError(msg) from error
             if verdict is True:
                 self.lines.append(ledger.lines)
+                line = self._guard.handed_over(line)
                 if self._in_header and self._guard.header_end:
                     self._held.append(line)
                     line = self._guard.header_end

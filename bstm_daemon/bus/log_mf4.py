@@ -18,6 +18,7 @@ import numpy as np
 
 from bstm_daemon.bus.candump_line import EXTENDED_MAX, STANDARD_MAX
 from bstm_daemon.bus.frame_chunk import (
+    PREFIX_MASKS,
     FrameChunk,
     empty_chunk,
     join_in_file_order,
@@ -34,10 +35,13 @@ if TYPE_CHECKING:
 
     from bstm_daemon.bus.candump import Wanted
 
-CHUNK_FRAMES: Final = 100_000
+CHUNK_FRAMES: Final = 40_000
 
 _FRAME: Final = "CAN_DataFrame"
 _NEEDED: Final = ("ID", "DataLength", "DataBytes")
+_READ: Final = (*_NEEDED, "IDE", "BusChannel")
+_FIXED_LENGTH: Final = 0
+"""Channel type of a value that lies in the record, all of it."""
 _REFUSED: Final = {
     "CAN_ErrorFrame": Refusal.ERROR_FRAME,
     "CAN_RemoteFrame": Refusal.REMOTE_FRAME,
@@ -93,7 +97,9 @@ class Mf4Reader(FrameLedger):
             raise FileAccessError(msg) from error
         with _quiet():
             try:
-                return MDF(self.path)
+                # the ids of all frames are not needed beforehand
+                options: dict[str, Any] = {"process_bus_logging": False}
+                return MDF(self.path, **options)
             except Exception as error:  # noqa: BLE001  (raises anything)
                 problem = _worded(error)
             gc.collect()
@@ -146,8 +152,12 @@ class Mf4Reader(FrameLedger):
             columns = group.read(self._chunk_frames)
         buses = columns.pop("bus")
         channel = np.zeros(len(buses), np.int16)
-        for bus in dict.fromkeys(buses.tolist()):
-            channel[buses == bus] = self.channel(f"can{bus}")
+        if len(buses) and not np.equal(buses, buses[0]).all():
+            found, first = np.unique(buses, return_index=True)
+            for bus in found[np.argsort(first)].tolist():
+                channel[buses == bus] = self.channel(f"can{bus}")
+        elif len(buses):
+            channel[:] = self.channel(f"can{buses[0]}")
         group.chunk = FrameChunk(channel=channel, **columns)
 
     @contextmanager
@@ -197,6 +207,15 @@ class _Group:
         self._names = names
         self._start_us = start_us
         self._read = 0
+        # then asammdf gives a record as it lies in the file, all at once
+        self._is_plain = _FRAME in names and all(
+            channel.channel_type == _FIXED_LENGTH
+            and channel.conversion is None
+            and not channel.bit_offset
+            and not channel.bit_count % 8
+            for channel in mdf.groups[number].channels
+            if channel.name.startswith(_FRAME)
+        )
 
     @property
     def has_more(self) -> bool:
@@ -208,22 +227,19 @@ class _Group:
         count = min(limit, self.count - self._read)
         if not count:
             return {"bus": np.empty(0, np.int64), **_columns_of(empty_chunk())}
-        seconds, ids = self._column("ID", count)
-        ids = ids.astype(np.int64)
-        _, sizes = self._column("DataLength", count)
-        _, raw = self._column("DataBytes", count)
+        seconds, columns = self._records(count)
+        ids = columns["ID"].astype(np.int64)
+        sizes, raw = columns["DataLength"], columns["DataBytes"]
         if not len(ids) == len(sizes) == len(raw) == count:
             msg = f"{len(ids)} of {count} records are there"
             raise ValueError(msg)
         self._read += count
         extended = (ids & _EXTENDED_BIT) != 0
-        if f"{_FRAME}.IDE" in self._names:
-            extended |= self._column("IDE", count, self._read - count)[1] != 0
+        if "IDE" in columns:
+            extended |= columns["IDE"] != 0
         else:
             extended |= (ids & EXTENDED_MAX) > STANDARD_MAX
-        buses = np.zeros(count, np.int64)
-        if f"{_FRAME}.BusChannel" in self._names:
-            buses = self._column("BusChannel", count, self._read - count)[1]
+        buses = columns.get("BusChannel", np.zeros(count, np.int64))
         lengths, data = _payloads(raw, sizes)
         return {
             "bus": buses,
@@ -247,17 +263,31 @@ class _Group:
         self.chunk = _slice(whole, slice(cut, None))
         return _slice(whole, slice(cut))
 
-    def _column(
-        self, name: str, count: int, first: int | None = None
-    ) -> tuple[npt.NDArray[np.float64], npt.NDArray[Any]]:
-        signal = self._mdf.get(
-            f"{_FRAME}.{name}",
+    def _records(
+        self, count: int
+    ) -> tuple[npt.NDArray[np.float64], dict[str, npt.NDArray[Any]]]:
+        """Return stamps and the columns that are there, of *count* records."""
+        there = [n for n in _READ if f"{_FRAME}.{n}" in self._names]
+        if self._is_plain:
+            whole = self._get(_FRAME, count)
+            return whole.timestamps, {
+                name: whole.samples[f"{_FRAME}.{name}"] for name in there
+            }
+        signals = {
+            name: self._get(f"{_FRAME}.{name}", count) for name in there
+        }
+        return signals["ID"].timestamps, {
+            name: signal.samples for name, signal in signals.items()
+        }
+
+    def _get(self, name: str, count: int) -> Any:
+        return self._mdf.get(
+            name,
             group=self._number,
             raw=True,
-            record_offset=self._read if first is None else first,
+            record_offset=self._read,
             record_count=count,
         )
-        return signal.timestamps, signal.samples
 
 
 def _payloads(
@@ -267,13 +297,14 @@ def _payloads(
 
     A length that the bytes do not cover becomes 255, which no frame has.
     """
-    rows = raw.view(np.uint8).reshape(len(raw), -1)
+    rows = np.ascontiguousarray(raw).view(np.uint8).reshape(len(raw), -1)
     sizes = sizes.astype(np.int64)
     width = 8 if sizes.max() <= 8 else 64
     data = np.zeros((len(rows), width), np.uint8)
     common = min(width, rows.shape[1])
     data[:, :common] = rows[:, :common]
-    data[np.arange(width) >= sizes[:, None]] = 0
+    masks = PREFIX_MASKS[width].take(sizes.clip(0, width), axis=0)
+    data.view("<u8")[:] &= masks
     lengths = np.where(sizes > rows.shape[1], 255, sizes.clip(0, 255))
     return lengths.astype(np.uint8), data
 
@@ -281,6 +312,9 @@ def _payloads(
 def _merge(parts: list[FrameChunk], first_line: int) -> FrameChunk:
     """Return all frames by stamp, those of one part in their order."""
     parts = [part for part in parts if len(part)] or parts[:1]
+    if len(parts) == 1:
+        lines = np.arange(first_line, first_line + len(parts[0]))
+        return replace(parts[0], line=lines)
     ranks = np.argsort(
         np.argsort(
             np.concatenate(

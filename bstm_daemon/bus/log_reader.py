@@ -13,14 +13,12 @@ import numpy as np
 
 from bstm_daemon.bus.candump_line import EXTENDED_MAX, STANDARD_MAX
 from bstm_daemon.bus.extraction import FD_LENGTHS
-from bstm_daemon.bus.frame_chunk import FrameChunk, empty_chunk
+from bstm_daemon.bus.frame_chunk import FrameChunk, empty_chunk, rows_of
 from bstm_daemon.bus.refusal import Refusal
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Sequence
     from pathlib import Path
-
-    import numpy.typing as npt
 
     from bstm_daemon.bus.candump import Wanted
 
@@ -29,6 +27,7 @@ LINES_KEPT: Final = 5
 
 _EXTENDED: Final = 1 << 29
 _CHANNEL: Final = 1 << 30
+_IS_LENGTH: Final = np.isin(np.arange(256), FD_LENGTHS)
 
 
 class FrameReader(Protocol):
@@ -101,29 +100,41 @@ class FrameLedger:
 
         A frame whose id or length no CAN frame can have is malformed.
         """
-        limit = np.where(chunk.extended, EXTENDED_MAX, STANDARD_MAX)
-        sound = (chunk.can_id <= limit) & np.isin(chunk.length, FD_LENGTHS)
+        limits = np.array([STANDARD_MAX, EXTENDED_MAX], np.uint32)
+        sound = chunk.can_id <= limits[chunk.extended.view(np.uint8)]
+        sound &= _IS_LENGTH[chunk.length]
         for line in chunk.line[~sound].tolist():
             self.refuse(Refusal.MALFORMED, line)
-        keys = (
-            chunk.channel.astype(np.int64) * _CHANNEL
-            + chunk.extended.astype(np.int64) * _EXTENDED
-            + chunk.can_id
-        )
-        unique, counts = np.unique(keys[sound], return_counts=True)
+        # without extended ids the keys are few enough to be counted in place
+        few = not chunk.extended.any()
+        keys = chunk.channel.astype(np.int64)
+        keys *= STANDARD_MAX + 1 if few else _CHANNEL
+        keys += chunk.can_id
+        keys[~sound] = 0
+        if few:
+            counts = np.bincount(keys[sound])
+            unique = np.flatnonzero(counts)
+            counts = counts[unique]
+        else:
+            keys[chunk.extended] += _EXTENDED
+            unique, counts = np.unique(keys[sound], return_counts=True)
+        width = STANDARD_MAX + 1 if few else _CHANNEL
         accepted = [
-            key
+            self._judge(*divmod(key, width), count)
             for key, count in zip(
                 unique.tolist(), counts.tolist(), strict=True
             )
-            if self._judge(key, count)
         ]
-        kept = sound & np.isin(keys, accepted)
+        if few:
+            verdict = np.zeros(int(keys.max(initial=0)) + 1, np.bool_)
+            verdict[unique] = accepted
+            kept = sound & verdict[keys]
+        else:
+            kept = sound & np.isin(keys, unique[np.array(accepted, bool)])
         self.frames += int(np.count_nonzero(kept))
-        return chunk if kept.all() else _rows(chunk, kept)
+        return chunk if kept.all() else rows_of(chunk, kept)
 
-    def _judge(self, key: int, count: int) -> bool:
-        channel, rest = divmod(key, _CHANNEL)
+    def _judge(self, channel: int, rest: int, count: int) -> bool:
         extended, can_id = divmod(rest, _EXTENDED)
         self.seen[channel, can_id, bool(extended)] += count
         ids = self._ids[channel]
@@ -159,16 +170,4 @@ def frame_chunk(
         extended=np.array(extended, np.bool_),
         length=np.array([len(one) for one in data], np.uint8),
         data=np.frombuffer(payload, np.uint8).reshape(len(data), width),
-    )
-
-
-def _rows(chunk: FrameChunk, kept: npt.NDArray[np.bool_]) -> FrameChunk:
-    return FrameChunk(
-        time_us=chunk.time_us[kept],
-        line=chunk.line[kept],
-        channel=chunk.channel[kept],
-        can_id=chunk.can_id[kept],
-        extended=chunk.extended[kept],
-        length=chunk.length[kept],
-        data=chunk.data[kept],
     )

@@ -2,7 +2,8 @@
 
 python-can's readers take what looks roughly right, or end with a traceback.
 A guard judges each line first, so that only lines with exactly one sound
-data frame reach them; every other line gets a named reason.
+data frame reach them; every other line gets a named reason. What they would
+take for something else, a guard rewrites.
 """
 
 from __future__ import annotations
@@ -26,6 +27,12 @@ _CLASSIC_BYTES: Final = 8
 _DLC_MAX: Final = 15
 _CODES: Final = (*range(9), 12, 16, 20, 24, 32, 48, 64)
 """Payload bytes of each CAN FD length code (ISO 11898-1)."""
+
+_PS_A_S: Final = 10**12
+"""Stamps have at most twelve decimals; their sum is exact in integers."""
+
+_LONGEST_PS: Final = 10**12 * _PS_A_S
+"""An absolute stamp has no more digits either."""
 
 _STAMP: Final = re.compile(r"\d{1,12}\.\d{1,12}", re.ASCII)
 _NUMBER: Final = re.compile(r"\d{1,12}(\.\d{1,12})?", re.ASCII)
@@ -59,17 +66,18 @@ class AscGuard:
     header for part of it."""
 
     def __init__(self) -> None:
-        """Expect a header; hexadecimal without one."""
+        """Expect a header; hexadecimal and absolute stamps without one."""
         self._base = 16
+        self._is_relative = False
+        self._elapsed_ps = 0
 
     def judge(self, line: str) -> Verdict:
-        """Return what is in *line*.
-
-        Raises :class:`LogError` for stamps relative to the line before.
-        """
+        """Return what is in *line*."""
         tokens = line.split()
         if not tokens or not _STAMP.fullmatch(tokens[0]):
             return self._header(line.strip())
+        if self._is_relative and not self._advance(tokens[0]):
+            return Refusal.MALFORMED
         if len(tokens) < 3:
             return Refusal.MALFORMED
         if _DIGITS.fullmatch(tokens[1]):
@@ -79,14 +87,26 @@ class AscGuard:
         is_xl = tokens[1] == "CANXL"
         return Refusal.XL_FRAME if is_xl else Refusal.NOT_A_FRAME
 
+    def handed_over(self, line: str) -> str:
+        """Return *line* with an absolute stamp: python-can sums none up."""
+        if not self._is_relative:
+            return line
+        seconds, rest_ps = divmod(self._elapsed_ps, _PS_A_S)
+        event = line.split(maxsplit=1)[1]
+        return f"{seconds}.{rest_ps:012d} {event}"
+
+    def _advance(self, stamp: str) -> bool:
+        """Add a relative *stamp*, of any event; False beyond all time."""
+        seconds, _, decimals = stamp.partition(".")
+        step_ps = int(seconds) * _PS_A_S + int(decimals.ljust(12, "0"))
+        if self._elapsed_ps + step_ps >= _LONGEST_PS:
+            return False
+        self._elapsed_ps += step_ps
+        return True
+
     def _header(self, line: str) -> Verdict:
         if base := _ASC_BASE.match(line):
-            if (base[3] or "").lower() == "relative":
-                msg = (
-                    "its time stamps are relative to the line before "
-                    "('timestamps relative'): save it with absolute stamps"
-                )
-                raise LogError(msg)
+            self._is_relative = (base[3] or "").lower() == "relative"
             self._base = 16 if base[1].lower() == "hex" else 10
             return False
         known = _ASC_HEADER.match(line)
@@ -198,6 +218,10 @@ class TrcGuard:
         cells = text.split(maxsplit=len(self._columns) - 1)
         return self._judge(dict(zip(self._columns, cells, strict=False)))
 
+    def handed_over(self, line: str) -> str:
+        """Return *line* as it is."""
+        return line
+
     def _header(self, text: str) -> Verdict:
         found = self._TITLES.match(text)
         if found is None:
@@ -307,6 +331,10 @@ class CsvGuard:
             and size in FD_LENGTHS
         )
         return True if sound else Refusal.MALFORMED
+
+    def handed_over(self, line: str) -> str:
+        """Return *line* as it is."""
+        return line
 
 
 def is_frame_csv(first_line: str) -> bool:

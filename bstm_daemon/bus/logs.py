@@ -14,6 +14,8 @@ from typing import TYPE_CHECKING, Final
 
 from bstm_daemon.bus.candump import CandumpReader
 from bstm_daemon.bus.columns import decode_chunk
+from bstm_daemon.bus.e2e_columns import accepted_frames
+from bstm_daemon.bus.e2e_guard import E2eGuard
 from bstm_daemon.bus.table_plan import TableMap
 from bstm_daemon.errors import FileAccessError, LogError, UsageError
 
@@ -271,9 +273,13 @@ class EventLog:
 
     def _decoded(self) -> Iterator[Events]:
         samples = 0
+        guard = E2eGuard(self._signal_map)
         for chunk in self._frames.chunks():
+            accepted = accepted_frames(
+                guard, chunk, self._bus_of_channel, self.counts
+            )
             events = decode_chunk(
-                self._signal_map, chunk, self._bus_of_channel
+                self._signal_map, accepted, self._bus_of_channel
             )
             samples += len(events)
             yield events

@@ -156,11 +156,35 @@ class Publication:
         self._id_base = id_base
         self._frames = published_frames(self._corners)
         self.ids = own_ids(id_base, self._corners)
-        last = counters or {}
+        self._counters: dict[str, int] = {}
+        self.continue_from(counters or {})
+
+    def continue_from(self, counters: Mapping[str, int]) -> None:
+        """Go on behind *counters*, as :attr:`counters` gave them."""
         self._counters = {
-            frame.name: last.get(frame.name, -1) % COUNTER_COUNT
+            frame.name: counters.get(frame.name, -1) % COUNTER_COUNT
             for frame in self._frames
         }
+
+    def stopping(
+        self, heat_mode: HeatMode, *, compiled: bool
+    ) -> list[OutputFrame]:
+        """Return one last frame of each name: stopping, not available."""
+        snapshot = Snapshot(
+            0,
+            {},
+            StatusSnapshot(
+                state=State.STOPPING,
+                heat_mode=heat_mode,
+                history_known=False,
+                compiled_kernel=compiled,
+                oldest_input_age_s=nan,
+            ),
+        )
+        return [
+            self._output(frame, self._raw(frame, snapshot))
+            for frame in self._frames
+        ]
 
     @property
     def counters(self) -> dict[str, int]:

@@ -6,7 +6,7 @@ from enum import StrEnum
 class Refusal(StrEnum):
     """Named reasons; every counter of this room is keyed by them.
 
-    The last two are counted per sample, all others per line or frame.
+    The last three are counted per sample, all others per line or frame.
     """
 
     NOT_A_FRAME = "not_a_frame"
@@ -25,7 +25,15 @@ class Refusal(StrEnum):
     """No role comes from this id."""
     WRONG_LENGTH = "wrong_length"
     """Not the length that the DBC gives."""
+    WRONG_CRC = "wrong_crc"
+    """The end-to-end protection does not fit the frame."""
+    REPEATED_COUNTER = "repeated_counter"
+    """The protection's counter stands still: not a new frame."""
+    WRONG_SEQUENCE = "wrong_sequence"
+    """The protection's counter has jumped; the next frame is taken."""
     NOT_A_NUMBER = "not_a_number"
     """The value is nan, e.g. after a division by zero."""
     OUT_OF_RANGE = "out_of_range"
     """The value is infinite or outside 'min' and 'max'."""
+    NOT_AVAILABLE = "not_available"
+    """The raw value stands for no value, by the DBC's value table."""

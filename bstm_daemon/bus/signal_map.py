@@ -19,6 +19,8 @@ from bstm_daemon.bus.dbc import (
     raw_signal,
     read_dbc,
 )
+from bstm_daemon.bus.e2e import PROFILE2_BYTES
+from bstm_daemon.bus.e2e_profile5 import PROFILE5_BYTES
 from bstm_daemon.bus.expression import (
     Expression,
     ExpressionError,
@@ -47,6 +49,7 @@ if TYPE_CHECKING:
 
     from bstm_daemon.bus.dbc_text import DbcDefect
     from bstm_daemon.config import BusConfig, SignalConfig
+    from bstm_daemon.config_service import E2eConfig
 
 _LARGEST: Final = sys.float_info.max
 _LONGEST_LIST: Final = 8
@@ -57,13 +60,15 @@ class SignalMap:
     """The extraction plan of a configuration.
 
     ``timeouts_us[role]`` is how long a value of a role counts as present,
-    ``warnings[bus]`` what had to be overlooked to load the bus's DBC.
+    ``warnings[bus]`` what had to be overlooked to load the bus's DBC,
+    ``protected`` the end-to-end protection that messages must carry.
     """
 
     buses: tuple[BusConfig, ...]
     messages: Mapping[FrameKey, MessagePlan]
     timeouts_us: tuple[int, ...]
     warnings: Mapping[str, tuple[DbcDefect, ...]] = field(default_factory=dict)
+    protected: Mapping[FrameKey, E2eConfig] = field(default_factory=dict)
 
     def wanted(self, bus: int) -> frozenset[tuple[int, bool]]:
         """Return the (id, extended) that bus number *bus* is read for."""
@@ -87,26 +92,75 @@ def compile_signal_map(
     signals: Mapping[str, SignalConfig],
     base: Path,
     wheel_radius_m: float,
+    *,
+    e2e: Sequence[E2eConfig] = (),
 ) -> SignalMap:
     """Compile *signals* (role name to source) over the DBC files of *buses*.
 
     DBC paths are relative to *base*; the first bus is the default one. A
-    wheel speed in an angular unit becomes m/s with *wheel_radius_m*. Raises
-    :class:`ConfigError` with all problems.
+    wheel speed in an angular unit becomes m/s with *wheel_radius_m*. *e2e*
+    protects messages that roles are read from. Raises :class:`ConfigError`
+    with all problems.
     """
     compiler = _Compiler(buses, base, wheel_radius_m)
     for role_name, config in signals.items():
         compiler.add(role_name, config)
+    plans = compiler.plans()
+    # a role with a problem may be the one that reads a protected message
+    protected = (
+        {}
+        if compiler.problems
+        else _protected(e2e, plans, buses, compiler.problems)
+    )
     if compiler.problems:
         raise ConfigError(compiler.problems)
     return SignalMap(
         buses=tuple(buses),
-        messages=compiler.plans(),
+        messages=plans,
         timeouts_us=tuple(
             _timeout_us(role, signals.get(role.name)) for role in ROLES
         ),
         warnings=compiler.warnings,
+        protected=protected,
     )
+
+
+def _protected(
+    e2e: Sequence[E2eConfig],
+    plans: Mapping[FrameKey, MessagePlan],
+    buses: Sequence[BusConfig],
+    lines: list[str],
+) -> dict[FrameKey, E2eConfig]:
+    """Return the frames that *e2e* protects; its problems go to *lines*."""
+    problems = _Problems("[[e2e]]", lines)
+    names = [bus.name for bus in buses]
+    protected: dict[FrameKey, E2eConfig] = {}
+    for config in e2e:
+        bus = names[0] if config.bus is None else config.bus
+        plan = next(
+            (
+                plan
+                for plan in plans.values()
+                if plan.name == config.message and names[plan.key.bus] == bus
+            ),
+            None,
+        )
+        if plan is None:
+            reason = f"no role is read from it on the bus {bus!r}"
+            problems.add("message", config.message, reason)
+            continue
+        header = PROFILE2_BYTES if config.profile == 2 else PROFILE5_BYTES
+        needed = config.offset_bytes + header
+        if plan.length < needed:
+            reason = (
+                f"has {plan.length} bytes, CRC and counter of profile "
+                f"{config.profile} need {needed}"
+            )
+            problems.add("message", config.message, reason)
+        elif plan.key in protected:
+            problems.add("message", config.message, "is protected twice")
+        protected[plan.key] = config
+    return protected
 
 
 @dataclass(slots=True)

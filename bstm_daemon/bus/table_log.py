@@ -6,6 +6,7 @@ the row, in the order of the configuration.
 
 from __future__ import annotations
 
+from bisect import insort
 from collections import Counter
 from difflib import get_close_matches
 from itertools import chain
@@ -46,8 +47,9 @@ class TableReader:
     with a time and ``refused`` the other rows by reason, so that they add
     up. ``counts`` has the refused cells: unreadable numbers and values out
     of range. ``first_refused`` keeps the first line numbers (of a binary
-    table the row numbers) of each reason. ``time`` tells unit and laps.
-    ``interfaces`` and ``seen`` are empty: a table has no frames.
+    table the row numbers) of each reason, cells included. ``time`` tells
+    unit and laps. ``interfaces`` and ``seen`` are empty: a table has no
+    frames.
     """
 
     def __init__(self, path: Path, table_map: TableMap) -> None:
@@ -149,11 +151,16 @@ class TableReader:
         rows, roles, values = [], [], []
         for output, picked in self._picked(chunk, timed):
             cells = numbers(_at(chunk, self._column(output), picked))
-            kept, value = _judged(
-                output, cells.value, cells.unreadable, counts
-            )
-            for line in chunk.line[picked][cells.unreadable].tolist():
-                self._keep(Refusal.NOT_A_NUMBER, line)
+            kept, value, outside = _judged(output, cells.value)
+            for reason, which in (
+                (Refusal.NOT_A_NUMBER, cells.unreadable),
+                (Refusal.OUT_OF_RANGE, outside),
+            ):
+                lines = chunk.line[picked][which]
+                if len(lines):
+                    counts[reason] += len(lines)
+                    for line in lines[:LINES_KEPT].tolist():
+                        self._keep(reason, line)
             rows.append(picked[kept])
             roles.append(np.full(len(value), output.role, np.int32))
             values.append(value)
@@ -193,9 +200,12 @@ class TableReader:
         self._keep(reason, line)
 
     def _keep(self, reason: Refusal, line: int) -> None:
+        # rows are split, timed and read column by column, so later lines
+        # may come before earlier ones
         first = self.first_refused.setdefault(reason, [])
-        if len(first) < LINES_KEPT:
-            first.append(line)
+        if line not in first:
+            insort(first, line)
+            del first[LINES_KEPT:]
 
     def _tell(self) -> None:
         """Log what was found out rather than configured."""
@@ -252,25 +262,19 @@ def _at(
 
 
 def _judged(
-    output: ColumnOutput,
-    cells: npt.NDArray[np.float64],
-    unreadable: npt.NDArray[np.bool_],
-    counts: Counter[Refusal],
-) -> tuple[npt.NDArray[np.bool_], npt.NDArray[np.float64]]:
-    """Return which cells are samples, and these in SI."""
+    output: ColumnOutput, cells: npt.NDArray[np.float64]
+) -> tuple[
+    npt.NDArray[np.bool_], npt.NDArray[np.float64], npt.NDArray[np.bool_]
+]:
+    """Return which cells are samples, these in SI, and which are outside."""
     with np.errstate(all="ignore"):
         value = output.gain * cells + output.bias
     there = ~np.isnan(cells)
     good = there & (output.low <= value) & (value <= output.high)
-    for reason, which in (
-        (Refusal.NOT_A_NUMBER, unreadable),
-        (Refusal.OUT_OF_RANGE, there & ~good),
-    ):
-        count = int(np.count_nonzero(which))
-        if count:
-            counts[reason] += count
     value = value[good]
-    return good, (value != 0).astype(np.float64) if output.flag else value
+    if output.flag:
+        value = (value != 0).astype(np.float64)
+    return good, value, there & ~good
 
 
 def _nearest(name: str, names: Sequence[str]) -> str:

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from bstm_daemon.config import BusConfig, SignalConfig, TableConfig
+    from bstm_daemon.config_service import E2eConfig
 
 _LARGEST: Final = sys.float_info.max
 
@@ -59,16 +60,21 @@ def compile_sources(
     table: TableConfig | None,
     base: Path,
     wheel_radius_m: float,
+    *,
+    e2e: Sequence[E2eConfig] = (),
 ) -> SignalMap:
     """Compile *signals*, over the DBC files of *buses* or over *table*.
 
     Where no role is a column this is
-    :func:`~bstm_daemon.bus.signal_map.compile_signal_map`. Raises
+    :func:`~bstm_daemon.bus.signal_map.compile_signal_map`; a table has no
+    frames that *e2e* could protect. Raises
     :class:`ConfigError` with all problems.
     """
     columns = [role for role, one in signals.items() if one.column is not None]
     if not columns:
-        return compile_signal_map(buses, signals, base, wheel_radius_m)
+        return compile_signal_map(
+            buses, signals, base, wheel_radius_m, e2e=e2e
+        )
     problems = [
         f"[signals.{role}] column: all roles are columns of a table, or none"
         for role in signals

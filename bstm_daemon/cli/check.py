@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from bstm_daemon.cli.arguments import add_bus_map, add_json, add_report
 from bstm_daemon.cli.check_log import check_logs
 from bstm_daemon.config_file import load_config, naming_file, read_draft
-from bstm_daemon.config_rules import usable_signals
+from bstm_daemon.config_rules import usable_e2e, usable_signals
 from bstm_daemon.errors import ConfigError, UsageError
 from bstm_daemon.files import replacing
 from bstm_daemon.roles import ROLE_INDEX, ROLES
@@ -122,7 +122,13 @@ def _dbc_problems(draft: Draft, folder: Path) -> list[str]:
         return []
     radius_m = draft.vehicle.wheel_radius_m if draft.vehicle else _ANY_RADIUS_M
     try:
-        compile_signal_map(draft.bus, usable_signals(draft), folder, radius_m)
+        compile_signal_map(
+            draft.bus,
+            usable_signals(draft),
+            folder,
+            radius_m,
+            e2e=usable_e2e(draft),
+        )
     except ConfigError as error:
         return error.problems
     return []

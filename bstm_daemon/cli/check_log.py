@@ -36,6 +36,9 @@ def check_logs(args: argparse.Namespace, path: Path) -> Checked:
         FileAccessError: a log cannot be read, the report not be written.
         MissingExtraError: a report without plotly.
     """
+    from bstm_daemon.quality.collisions import (  # noqa: PLC0415
+        count_own_frames,
+    )
     from bstm_daemon.quality.judge import judge  # noqa: PLC0415
     from bstm_daemon.quality.recording import read_recording  # noqa: PLC0415
     from bstm_daemon.report.quality_screen import (  # noqa: PLC0415
@@ -51,7 +54,10 @@ def check_logs(args: argparse.Namespace, path: Path) -> Checked:
             progress.show(min(lines * BYTES_PER_LINE / size, 1.0))
 
         recording = read_recording(args.log, signal_map, dict(args.map), show)
-    quality = judge(recording, config, signal_map)
+    own_frames = count_own_frames(
+        args.log, recording, config, signal_map, dict(args.map)
+    )
+    quality = judge(recording, config, signal_map, own_frames)
     names = ", ".join(log.name for log in args.log)
     if args.report:
         from bstm_daemon.report.quality_page import (  # noqa: PLC0415

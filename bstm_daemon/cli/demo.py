@@ -22,7 +22,9 @@ from bstm_daemon.engine import Engine
 from bstm_daemon.files import make_folder
 from bstm_daemon.report.page import ReportFacts, write_replay_report
 from bstm_daemon.report.screen import summary_table
-from bstm_daemon.results import Results, ResultsBuilder, write_csv
+from bstm_daemon.report.tally import DriveTally
+from bstm_daemon.report.traces import DriveCurves
+from bstm_daemon.results import Collector, Results, ResultsBuilder, csv_file
 from bstm_daemon.shipped import shipped_file
 from bstm_daemon.simulation import SimulatedDrive, load_drive, simulate
 from bstm_daemon.simulation.frames import START_STAMP_S, Encoder, frames
@@ -95,14 +97,22 @@ def run(args: argparse.Namespace) -> int:
     )
     # the simulated car stood overnight: its brakes are as cold as the air
     engine = Engine(config, signal_map, history_known=True)
-    builder = ResultsBuilder(engine.estimator)
+    rows, tally, curves = Collector(), DriveTally(), DriveCurves()
     print(_heading())
-    with _bus() as car, _bus() as monitor, _bus() as screen:
+    with (
+        csv_file(folder / "estimates.csv") as table,
+        _bus() as car,
+        _bus() as monitor,
+        _bus() as screen,
+    ):
+        builder = ResultsBuilder(
+            engine.estimator, [rows, tally, curves, table]
+        )
         _drive(driven, engine, builder, display, (car, monitor, screen))
-    results = builder.finish()
+        builder.finish()
     print()
-    print(summary_table(results))
-    print(_against_truth(results, driven))
+    print(summary_table(tally.summary()))
+    print(_against_truth(rows.results(), driven))
     facts = ReportFacts(
         title=f"bstm demo: {DRIVE}",
         logs=(f"simulated drive {DRIVE}",),
@@ -117,8 +127,7 @@ def run(args: argparse.Namespace) -> int:
         version=__version__,
         warnings=("Simulated data: no car was driven.",),
     )
-    write_replay_report(folder / "report.html", results, facts)
-    write_csv(folder / "estimates.csv", results)
+    write_replay_report(folder / "report.html", tally.summary(), curves, facts)
     print(f"report: {folder / 'report.html'}")
     print(f"table:  {folder / 'estimates.csv'}")
     return 0

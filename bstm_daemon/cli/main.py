@@ -58,6 +58,14 @@ COMMANDS: Final[dict[str, Command]] = {
         "bstm_daemon.cli.replay",
         "estimate brake temperatures from recorded CAN logs",
     ),
+    "run": Command(
+        "bstm_daemon.cli.run",
+        "monitor a live CAN bus, publish temperatures and risk",
+    ),
+    "watch": Command(
+        "bstm_daemon.cli.watch",
+        "show the published temperatures live in the terminal",
+    ),
 }
 """Every command, in the order of the overview."""
 
@@ -98,7 +106,8 @@ def _run(argv: list[str]) -> int:
     command = COMMANDS.get(called)
     module = None if command is None else _load(command)
     args = _parse(argv, called, module)
-    _set_up_log(args.verbose - args.quiet)
+    offset = getattr(args, "verbosity_offset", 0)
+    _set_up_log(args.verbose - args.quiet + offset)
     code: int = args.run(args)
     return code
 

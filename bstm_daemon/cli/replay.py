@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from argparse import ArgumentTypeError
+from contextlib import ExitStack
 from math import inf, isclose, nan
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -17,16 +18,26 @@ from bstm_daemon.cli.arguments import (
 )
 from bstm_daemon.cli.progress import Progress
 from bstm_daemon.cli.vehicle import load_vehicle
-from bstm_daemon.errors import MissingExtraError, UsageError
+from bstm_daemon.daemon.state_file import read
+from bstm_daemon.errors import (
+    FileAccessError,
+    MissingExtraError,
+    UsageError,
+)
 from bstm_daemon.files import make_folder
-from bstm_daemon.replay import Replay, publish_log, replay_log
-from bstm_daemon.report.gaps import input_gaps
+from bstm_daemon.frame_replay import publish_log
+from bstm_daemon.replay import Run, stream_log
+from bstm_daemon.report.page import ReportFacts, write_replay_report
 from bstm_daemon.report.screen import summary_table
-from bstm_daemon.results import has_parquet, write_csv, write_parquet
+from bstm_daemon.report.tally import DriveTally
+from bstm_daemon.report.traces import DriveCurves
+from bstm_daemon.results import csv_file, has_parquet, parquet_file
+from bstm_daemon.watch.replay_view import DEFAULT_SPEED, watch_log
 
 if TYPE_CHECKING:
     import argparse
     from collections.abc import Callable
+    from typing import Any
 
     from bstm_daemon.config import Config
 
@@ -59,6 +70,26 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="OUT.log",
         help="write the frames that the daemon would send as a candump log",
     )
+    parser.add_argument(
+        "--state",
+        type=Path,
+        metavar="FILE",
+        help="state file of the daemon to start from; it is only read "
+        "(default: the brakes' history is unknown)",
+    )
+    parser.add_argument(
+        "--watch",
+        action="store_true",
+        help="show the published temperatures as they come; q leaves",
+    )
+    parser.add_argument(
+        "--speed",
+        type=_speed,
+        default=DEFAULT_SPEED,
+        metavar="N",
+        help="with --watch: seconds of the log per second, 0 for as fast as "
+        "it goes (default: %(default)g)",
+    )
     add_report(parser)
     add_bus_map(parser)
 
@@ -70,33 +101,56 @@ def run(args: argparse.Namespace) -> int:
     formats = _formats(args.format) if args.out is not None else ()
     config, signal_map = load_vehicle(args.config)
     overrides = dict(args.map)
+    state = None if args.state is None else _state(args.state)
     if args.out is not None:
         make_folder(args.out)
     for path, stem in zip(args.logs, stems, strict=True):
-        with Progress(f"replay {path.name}") as progress:
-            replay = replay_log(
+        if args.watch:
+            watch_log(
                 config,
                 signal_map,
                 path,
                 overrides,
-                round(args.every * 1e6),
-                _share_of(path, progress),
+                speed=args.speed,
+                state=state,
+            )
+        targets = {
+            args.out / f"{stem}.estimates.{form}": form for form in formats
+        }
+        tally, curves = DriveTally(), DriveCurves()
+        # whole tables or none: all are replaced when the last row is written
+        with Progress(f"replay {path.name}") as progress, ExitStack() as files:
+            tables = [
+                files.enter_context(
+                    csv_file(target) if form == "csv" else parquet_file(target)
+                )
+                for target, form in targets.items()
+            ]
+            drawn = [] if args.report is None else [curves]
+            log_run = stream_log(
+                config,
+                signal_map,
+                path,
+                [tally, *drawn, *tables],
+                overrides=overrides,
+                every_us=round(args.every * 1e6),
+                progress=_share_of(path, progress),
+                state=state,
             )
         print(f"{path}  ({config.vehicle.id}, {args.config})")
-        print(summary_table(replay.results))
-        for line in _remarks(replay, config.heat.mode):
+        print(summary_table(tally.summary()))
+        remarks = _remarks(log_run, tally, config.heat.mode)
+        for line in remarks:
             print(line)
-        for form in formats:
-            target = args.out / f"{stem}.estimates.{form}"
-            (write_csv if form == "csv" else write_parquet)(
-                target, replay.results
-            )
-            print(f"{target}: {len(replay.results)} rows")
+        for target in targets:
+            print(f"{target}: {tally.rows} rows")
         if args.report is not None:
-            _write_report(args, config, path, replay)
+            facts = _facts(args.config, config, path, log_run, remarks)
+            write_replay_report(args.report, tally.summary(), curves, facts)
+            print(args.report)
         if args.publish is not None:
             count = publish_log(
-                config, signal_map, path, args.publish, overrides
+                config, signal_map, path, args.publish, overrides, state
             )
             print(f"{args.publish}: {count} frames")
     return 0
@@ -104,8 +158,10 @@ def run(args: argparse.Namespace) -> int:
 
 def _check_targets(args: argparse.Namespace, stems: list[str]) -> None:
     """Refuse targets that would overwrite each other or the log."""
-    if len(args.logs) > 1 and (args.publish or args.report):
-        msg = "--publish and --report take one LOG at a time"
+    if len(args.logs) > 1 and (
+        args.publish or args.report or args.watch or args.state
+    ):
+        msg = "--publish, --report, --state and --watch take one LOG at a time"
         raise UsageError(msg)
     if args.out is not None and len(set(stems)) < len(stems):
         msg = f"two logs would write the same files in {args.out}: {stems}"
@@ -133,51 +189,59 @@ def _check_targets(args: argparse.Namespace, stems: list[str]) -> None:
             raise UsageError(msg)
 
 
-def _write_report(
-    args: argparse.Namespace, config: Config, path: Path, replay: Replay
-) -> None:
-    from bstm_daemon.report.page import (  # noqa: PLC0415
-        ReportFacts,
-        write_replay_report,
-    )
+def _state(path: Path) -> dict[str, Any]:
+    """Read the state file *path* and leave it as it is."""
+    loaded = read(path)
+    if loaded.document is None:
+        problem = loaded.problem or f"{path}: No such file or directory"
+        msg = f"--state {problem}"
+        raise FileAccessError(msg)
+    return loaded.document
 
-    facts = ReportFacts(
+
+def _facts(
+    config_path: Path,
+    config: Config,
+    path: Path,
+    log_run: Run,
+    remarks: list[str],
+) -> ReportFacts:
+    return ReportFacts(
         title=f"Brake temperatures: {path.name}",
         logs=(path.name,),
         vehicle_id=config.vehicle.id,
-        configuration=args.config.name,
+        configuration=config_path.name,
         heat_mode=config.heat.mode,
-        lines=replay.lines,
-        frames=replay.frames,
-        refused=dict(replay.refused),
-        counts=replay.counts,
-        kernel="compiled" if replay.compiled else "pure Python",
+        lines=log_run.lines,
+        frames=log_run.frames,
+        refused=dict(log_run.refused),
+        counts=log_run.counts,
+        kernel="compiled" if log_run.compiled else "pure Python",
         version=__version__,
-        warnings=tuple(_remarks(replay, config.heat.mode)),
+        warnings=tuple(remarks),
     )
-    write_replay_report(args.report, replay.results, facts)
-    print(args.report)
 
 
-def _remarks(replay: Replay, heat_mode: str) -> list[str]:
+def _remarks(log_run: Run, tally: DriveTally, heat_mode: str) -> list[str]:
     """What the reader of a result has to know of its input."""
-    hours = replay.settling_s / 3600
-    start = (
-        f"the brakes' temperatures before the log are unknown: degraded for "
-        f"its first {hours:.1f} h"
-    )
-    remarks = [start]
+    hours = log_run.settling_s / 3600
+    remarks = []
+    if hours > 0:
+        remarks.append(
+            f"the brakes' temperatures before the log are unknown: degraded "
+            f"for its first {hours:.1f} h"
+        )
     remarks += [
         f"{gap.name} missing for {gap.total_s:.0f} s, longest "
         f"{gap.longest_s:.0f} s from {gap.longest_from_s:.0f} s on: taken as "
         f"0, marked degraded"
-        for gap in input_gaps(replay.results, heat_mode)
+        for gap in tally.gaps(heat_mode)
     ]
-    if replay.truncated:
+    if log_run.truncated:
         remarks.append("the log is cut short: its end is missing")
     listed = ", ".join(
         f"{count} {reason.replace('_', ' ')}"
-        for reason, count in replay.refused.most_common()
+        for reason, count in log_run.refused.most_common()
         if reason != Refusal.UNKNOWN_ID
     )
     if listed:
@@ -188,9 +252,9 @@ def _remarks(replay: Replay, heat_mode: str) -> list[str]:
         "jumps": "jumps of the clock",
     }
     remarks += [
-        f"{text}: {replay.counts[key]}"
+        f"{text}: {log_run.counts[key]}"
         for key, text in said.items()
-        if replay.counts[key]
+        if log_run.counts[key]
     ]
     return remarks
 
@@ -223,6 +287,17 @@ def _share_of(
     return lambda lines, share: progress.show(
         min(lines * BYTES_PER_LINE / size, 1.0) if share is None else share
     )
+
+
+def _speed(text: str) -> float:
+    try:
+        speed = float(text)
+    except ValueError:
+        speed = nan
+    if not 0 <= speed < inf:
+        msg = f"{text!r} is not a factor of 0 or more"
+        raise ArgumentTypeError(msg)
+    return speed
 
 
 def _every_s(text: str) -> float:

@@ -39,6 +39,7 @@ def load_vehicle(path: Path) -> tuple[Config, SignalMap]:
             config.table,
             path.parent,
             config.vehicle.wheel_radius_m,
+            e2e=config.e2e,
         )
         collisions = _own_ids_on_the_bus(config, signal_map)
         if collisions:

@@ -17,9 +17,10 @@ clock was set; the axis is moved and nothing cools.
 from __future__ import annotations
 
 from array import array
-from math import exp, isfinite
+from math import exp, isfinite, nan
 from typing import TYPE_CHECKING, Final
 
+from bstm_daemon.heat.check_layout import NEVER, UNKNOWN, Readings
 from bstm_daemon.heat.sample_plan import (
     CHANNELS,
     FLAGS,
@@ -27,8 +28,8 @@ from bstm_daemon.heat.sample_plan import (
     SamplePlan,
 )
 from bstm_daemon.heat.sample_state import (
-    NEVER,
-    UNKNOWN,
+    NONE,
+    OTHER,
     SampleMemory,
     SampleState,
 )
@@ -137,13 +138,20 @@ class _Pass(SampleMemory):
             return _DROP
         if 0 < ahead <= SETTLED_US:
             return self._march_to(time_us)
+        return self._move_axis(time_us, ahead)
+
+    def _move_axis(self, time_us: int, ahead: int) -> int:
         self.pending = NEVER
         self.jumps += 1
         settled = 0 < ahead <= CLOCK_SET_US
         self.flags |= FLAGS["settled" if settled else "clock_jump"]
-        for role, stamp in enumerate(self.stamp):
-            if stamp != NEVER and not settled:
-                self.stamp[role] = stamp + ahead
+        if settled:
+            self.checks.settle()
+        else:
+            self.checks.shift(ahead)
+            for role, stamp in enumerate(self.stamp):
+                if stamp != NEVER:
+                    self.stamp[role] = stamp + ahead
         self._start_axis(time_us)
         return SETTLE if settled else JUMP
 
@@ -165,36 +173,57 @@ class _Pass(SampleMemory):
         return DONE
 
     def take(self, time_us: int, role: int, value: float) -> None:
-        """Let *role* have *value* from now on; only a number is a sample."""
-        if isfinite(value):
+        """Let *role* have *value* from now on, if it is a sample.
+
+        Only a number is one, and only one that the checks admit; of a late
+        one nobody knows how fast it came from the one before.
+        """
+        if not isfinite(value):
+            return
+        at_us = max(time_us, self.now)
+        since = NEVER
+        if at_us == time_us and self.valid(role):
+            since = self.stamp[role]
+        if self.checks.admit(at_us, role, value, self.value[role], since):
             self.value[role] = value
-            self.stamp[role] = max(time_us, self.now)
+            self.stamp[role] = at_us
 
     def _refresh(self) -> None:
         """Form speeds and pressures from the values that count now."""
         total, signed, count = 0.0, 0.0, 0
-        for ints in self.corner_ints:
-            if self.valid(ints[0]):
+        last = self.corners
+        vehicle = self.valid(self.vehicle_role["vehicle_speed"])
+        sound = self._sound_voice(vehicle=vehicle)
+        for c, ints in enumerate(self.corner_ints):
+            if self.valid(ints[0]) and not (sound and self.left_out(c)):
                 total += abs(self.value[ints[0]])
                 signed += self.value[ints[0]]
                 count += 1
-        if self.valid(self.vehicle_role["vehicle_speed"]):
+        if vehicle and not (sound and self.left_out(last)):
             signed = self.vehicle("vehicle_speed", 0.0)
             self.speed = abs(signed)
         else:
             self.speed = total / count if count else 0.0
         # in reverse what points forward pushes against the motion
         self.heading = -1.0 if signed < 0.0 else 1.0
-        self.speed_known = count > 0 or self.valid(
-            self.vehicle_role["vehicle_speed"]
-        )
+        self.speed_known = count > 0 or vehicle
         for c, ints in enumerate(self.corner_ints):
-            self.wheel[c] = (
-                abs(self.value[ints[0]]) if self.valid(ints[0]) else self.speed
-            )
+            own = self.valid(ints[0]) and not (sound and self.left_out(c))
+            self.wheel[c] = abs(self.value[ints[0]]) if own else self.speed
             pressure = self._pressure(ints)
             self.target[c] = max(0.0, pressure)
         self.stale = False
+
+    def left_out(self, voice: int) -> bool:
+        """Whether the others contradict this wheel or vehicle speed."""
+        return self.checks.left_out[voice] != 0.0
+
+    def _sound_voice(self, *, vehicle: bool) -> bool:
+        """Whether a speed is present that nothing contradicts."""
+        return (vehicle and not self.left_out(self.corners)) or any(
+            self.valid(ints[0]) and not self.left_out(c)
+            for c, ints in enumerate(self.corner_ints)
+        )
 
     def _pressure(self, ints: Sequence[int]) -> float:
         if self.valid(ints[1]):
@@ -316,11 +345,18 @@ class _Pass(SampleMemory):
         power_fb = max(self.energy_fb, 0.0) / dt_s
         speed = self.speed_sum / dt_s
         self.total_fb += max(self.energy_fb, 0.0)
+        answers, at_risk = self.heat_answers()
+        flags = self.flags | self.missing()
+        flags |= self.checks.close(self._readings(dt_s, answers, at_risk))
         at = self.steps * self.corners * len(CHANNELS)
         for c, ints in enumerate(self.corner_ints):
             power_ff = self.energy_ff[c] / dt_s
             share = self.corner_floats[c][3]
-            chosen = share * power_fb if self.mode == 1 else power_ff
+            chosen = power_ff
+            if (self.mode == 1) is (answers[c] != OTHER):
+                chosen = share * power_fb
+            if answers[c] == OTHER and at_risk[c]:
+                flags |= FLAGS["heat_substituted"]
             self.total_ff[c] += self.energy_ff[c]
             self.rows[at : at + 8] = array(
                 "d",
@@ -345,7 +381,7 @@ class _Pass(SampleMemory):
         self.vehicle_rows[at + 1] = self.distance
         self.vehicle_rows[at + 2] = max(self.force_sum, 0.0) / dt_s
         self.vehicle_rows[at + 3] = self.input_age_s()
-        self.vehicle_rows[at + 4] = float(self.flags | self.missing())
+        self.vehicle_rows[at + 4] = float(flags)
         self.row_times[self.steps] = self.grid
         self.steps += 1
         self.flags = 0
@@ -353,3 +389,46 @@ class _Pass(SampleMemory):
         self.clear()
         # a value may have aged out: speeds and pressures are formed anew
         self.stale = True
+
+    def _readings(
+        self, dt_s: float, answers: Sequence[int], at_risk: Sequence[bool]
+    ) -> Readings:
+        """What the checks need of the step that ends now."""
+        roles = self.vehicle_role
+        acceleration = self.vehicle("acceleration_longitudinal", nan)
+        brake_switch = self.vehicle("brake_switch", nan)
+        return Readings(
+            now=self.now,
+            dt_s=dt_s,
+            speed=self.speed,
+            speed_known=self.speed_known,
+            braking=brake_switch > 0.0
+            or max(self.target, default=0.0) > self.on_pressure,
+            brake_switch=brake_switch,
+            esc_active=self.vehicle("esc_active", 0.0),
+            acceleration=self.heading * acceleration,
+            voices=[
+                *(abs(self._reading(ints[0])) for ints in self.corner_ints),
+                abs(self._reading(roles["vehicle_speed"])),
+            ],
+            pressures=[
+                self._reading(roles["primary_pressure"]),
+                self._reading(roles["secondary_pressure"]),
+                *(self._reading(ints[1]) for ints in self.corner_ints),
+            ],
+            sources=[self._source(c) for c in range(self.corners)],
+            heat_known=[answer != NONE for answer in answers],
+            at_risk=at_risk,
+        )
+
+    def _reading(self, role: int) -> float:
+        return self.value[role] if self.valid(role) else nan
+
+    def _source(self, corner: int) -> int:
+        """Place among the pressures of the one that the corner goes by."""
+        ints = self.corner_ints[corner]
+        if self.valid(ints[1]):
+            return 2 + corner
+        if ints[2] and self.valid(self.vehicle_role["secondary_pressure"]):
+            return 1
+        return 0

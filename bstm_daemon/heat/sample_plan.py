@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Final
 
 from bstm_daemon.heat.feed_back import Vehicle
 from bstm_daemon.heat.feed_forward import PressureTorque
+from bstm_daemon.heat.limits import LIMITS
 from bstm_daemon.roles import CORNERS, MEASURED_NODES, ROLE_INDEX, ROLES
 from bstm_daemon.units import KELVIN_OFFSET
 
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
 
     from bstm_daemon.config import Config, CornerConfig
 
-PLAN_LAYOUT: Final = 1
+PLAN_LAYOUT: Final = 2
 MODES: Final = {"ff": 0, "fb": 1, "measured": 2}
 SLOPES: Final = {"accelerometer": 0, "flat": 1}
 
@@ -56,11 +57,32 @@ FLAGS: Final = {
     "ambient_missing": 16,
     "clock_jump": 32,
     "settled": 64,
+    "speed_suspect": 1 << 11,
+    "pressure_suspect": 1 << 12,
+    "acceleration_suspect": 1 << 13,
+    "torque_suspect": 1 << 14,
+    "temperature_suspect": 1 << 15,
+    "samples_refused": 1 << 16,
+    "stuck": 1 << 17,
+    "switch_contradicts": 1 << 18,
+    "wheels_contradict": 1 << 19,
+    "acceleration_contradicts": 1 << 20,
+    "heat_substituted": 1 << 21,
+    "heat_unknown": 1 << 22,
+    "silent": 1 << 23,
 }
-"""Bits of a step's ``flags``; ``pressure_missing`` is for any corner."""
+"""Bits of a step's ``flags``; those of pressure and heat are for any corner.
+``docs/validity.md`` says when each is set."""
 
 CORNER_PRESSURE: Final = 128
 """Shifted by the corner's place: the pressure of that corner is missing."""
+
+WHEEL_SUSPECT: Final = 1 << 24
+CORNER_PRESSURE_SUSPECT: Final = 1 << 28
+HEAT_LOST: Final = 1 << 32
+HEAT_DOUBT: Final = 1 << 36
+"""Likewise: the wheel's speed is suspect; the pressure that the corner goes
+by is; its heat is unknown, and has been for too long; it was of late."""
 
 VEHICLE_ROLES: Final = (
     "vehicle_speed",
@@ -71,6 +93,8 @@ VEHICLE_ROLES: Final = (
     "external_force",
     "ambient_temperature",
     "rain",
+    "brake_switch",
+    "esc_active",
 )
 """Roles of the vehicle that the pass reads, in plan order."""
 
@@ -89,6 +113,7 @@ def plan_samples(
     config: Config,
     present: Mapping[int, int],
     step_us: int,
+    settling_s: float = 86_400.0,
 ) -> SamplePlan:
     """Flatten *config*.
 
@@ -96,6 +121,7 @@ def plan_samples(
         config: the configuration.
         present: role number to timeout [us], for each role that is mapped.
         step_us: the estimator's step [us].
+        settling_s: the longest that any past heat is felt [s].
     """
     vehicle = Vehicle.of_config(config.vehicle)
     heat = config.heat
@@ -110,6 +136,7 @@ def plan_samples(
         SLOPES[heat.slope],
         len(table),
         int(_has_pressure(present)),
+        int(heat.assume_powertrain_torque_nm is not None),
     ]
     ints += [_number(role, present) for role in VEHICLE_ROLES]
     floats = [
@@ -125,6 +152,7 @@ def plan_samples(
         heat.brake_on_pressure_pa,
         heat.brake_on_force_n,
         heat.derivative_filter_s,
+        settling_s,
     ]
     for corner in config.corner:
         ints += _corner_ints(corner, present)
@@ -142,6 +170,8 @@ def plan_samples(
         ]
     floats += [front for front, _ in table] + [rear for _, rear in table]
     floats += [float(present.get(i, 0)) for i in range(len(ROLES))]
+    for bound in zip(*LIMITS, strict=True):
+        floats += bound
     return SamplePlan(
         array("i", ints),
         array("d", floats),

@@ -10,6 +10,18 @@ from array import array
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
 
+from bstm_daemon.heat.check_layout import (
+    CHECK_TIMES,
+    NEVER,
+    UNKNOWN,
+    Watched,
+    check_number_names,
+    check_time_names,
+    new_checks,
+)
+from bstm_daemon.heat.checks import Checks
+from bstm_daemon.heat.limits import Limits
+from bstm_daemon.heat.plausibility import PARKING_MS, STANDING_MS
 from bstm_daemon.heat.sample_plan import (
     CORNER_PRESSURE,
     FLAGS,
@@ -21,19 +33,18 @@ from bstm_daemon.roles import MEASURED_NODES, ROLES
 if TYPE_CHECKING:
     from collections.abc import MutableSequence, Sequence
 
-NEVER: Final = -(2**63)
-UNKNOWN: Final = -1.0
-"""The filtered speed while no speed is known."""
-
-HEADER: Final = 7
+HEADER: Final = 8
 PER_CORNER_INTS: Final = 4 + len(MEASURED_NODES)
-VEHICLE_FLOATS: Final = 12
+VEHICLE_FLOATS: Final = 13
 PER_CORNER_FLOATS: Final = 4
-PER_CORNER_SUMS: Final = 5
-# lagged pressure; of the step: energy, pressure, brake-on time; all energy
+
+OWN: Final = 0
+OTHER: Final = 1
+NONE: Final = 2
 
 TIMES: Final = ("now", "grid", "pending", "late", "dropped", "jumps")
-"""``times`` of the state, followed by the stamp of each role [us]."""
+"""``times`` of the state, then the stamp of each role [us]; then the times of
+:mod:`bstm_daemon.heat.checks`."""
 
 NUMBERS: Final = (
     "filtered_speed",
@@ -44,7 +55,17 @@ NUMBERS: Final = (
     "total_fb",
     "tail",
 )
-"""``numbers`` of the state, then corner sums, then a value per role."""
+"""``numbers`` of the state, then a value per role, then corner sums; then
+the numbers of :mod:`bstm_daemon.heat.checks`."""
+
+CORNER_SUMS: Final = (
+    "lagged_pressure",
+    "energy",
+    "pressure",
+    "brake_on",
+    "total_ff",
+)
+"""Per corner; all but the first and the last are sums of the open step."""
 
 
 @dataclass(slots=True)
@@ -64,16 +85,42 @@ class SampleState:
         times = [NEVER] * (len(TIMES) + len(ROLES))
         for name in ("late", "dropped", "jumps"):
             times[TIMES.index(name)] = 0
-        size = len(NUMBERS) + PER_CORNER_SUMS * len(plan.corners) + len(ROLES)
-        numbers = array("d", [0.0] * size)
+        size = len(NUMBERS) + len(CORNER_SUMS) * len(plan.corners) + len(ROLES)
+        check_times, check_numbers = new_checks(len(plan.corners), len(ROLES))
+        numbers = array("d", [0.0] * size + check_numbers)
         numbers[NUMBERS.index("filtered_speed")] = UNKNOWN
-        return cls(array("q", times), numbers)
+        return cls(array("q", times + check_times), numbers)
+
+    def count(self, name: str) -> int:
+        """Return a counter: late, dropped, jumps, or of refused samples.
+
+        Raises :class:`ValueError` for a name that is none of TIMES and
+        CHECK_TIMES.
+        """
+        if name in TIMES:
+            return self.times[TIMES.index(name)]
+        return self.times[len(TIMES) + len(ROLES) + CHECK_TIMES.index(name)]
 
     def last_value(self, role: int) -> float | None:
         """Return the newest value of *role*, however old; None before it."""
         if self.times[len(TIMES) + role] == NEVER:
             return None
-        return self.numbers[len(self.numbers) - len(ROLES) + role]
+        return self.numbers[len(NUMBERS) + role]
+
+
+def time_names() -> list[str]:
+    """Return the name of each entry of :attr:`SampleState.times`."""
+    return [*TIMES, *(f"stamp.{r.name}" for r in ROLES), *check_time_names()]
+
+
+def number_names(corners: Sequence[str]) -> list[str]:
+    """Return the name of each entry of :attr:`SampleState.numbers`."""
+    return [
+        *NUMBERS,
+        *(f"value.{role.name}" for role in ROLES),
+        *(f"{name}.{corner}" for name in CORNER_SUMS for corner in corners),
+        *check_number_names(corners),
+    ]
 
 
 class SampleMemory:
@@ -96,7 +143,7 @@ class SampleMemory:
         self.room = len(row_times_us)
         self.corners = len(plan.corners)
         self.mode, self.slope, self.points = ints[3], ints[4], ints[5]
-        self.pressure_mapped = ints[6] != 0
+        self.pressure_mapped, self.assumed = ints[6] != 0, ints[7] != 0
         self.vehicle_role = dict(
             zip(VEHICLE_ROLES, ints[HEADER:], strict=False)
         )
@@ -120,6 +167,7 @@ class SampleMemory:
             self.on_pressure,
             self.on_force,
             self.filter_s,
+            settling_s,
         ) = floats[1:VEHICLE_FLOATS]
         at = VEHICLE_FLOATS
         self.corner_floats = [
@@ -131,22 +179,36 @@ class SampleMemory:
         at += self.corners * PER_CORNER_FLOATS
         self.table_front = floats[at : at + self.points]
         self.table_rear = floats[at + self.points : at + 2 * self.points]
-        self.timeout = floats[at + 2 * self.points :]
+        at += 2 * self.points
+        self.timeout = floats[at : at + len(ROLES)]
+        at += len(ROLES)
+        limits = [
+            floats[at + i * len(ROLES) : at + (i + 1) * len(ROLES)]
+            for i in range(len(Limits._fields))
+        ]
         self.now, self.grid, self.pending = state.times[:3]
         self.late, self.dropped, self.jumps = state.times[3:6]
-        self.stamp = state.times[len(TIMES) :]
+        self.stamp = state.times[len(TIMES) : len(TIMES) + len(ROLES)]
         numbers = state.numbers
         self.filtered, self.speed_sum, self.distance = numbers[:3]
         self.force_sum, self.energy_fb, self.total_fb = numbers[3:6]
         self.tail_s = numbers[6]
         at = len(NUMBERS)
         k = self.corners
+        self.value = numbers[at : at + len(ROLES)]
+        at += len(ROLES)
         self.lagged = numbers[at : at + k]
         self.energy_ff = numbers[at + k : at + 2 * k]
         self.pressure_sum = numbers[at + 2 * k : at + 3 * k]
         self.on_time = numbers[at + 3 * k : at + 4 * k]
         self.total_ff = numbers[at + 4 * k : at + 5 * k]
-        self.value = numbers[at + 5 * k :]
+        self.checks = Checks(
+            limits,
+            settling_s,
+            self._watched(),
+            state.times[len(TIMES) + len(ROLES) :],
+            numbers[at + 5 * k :],
+        )
         self.flags = state.flags[0]
         self.stale = True
         self.speed = 0.0
@@ -155,14 +217,33 @@ class SampleMemory:
         self.wheel = [0.0] * k
         self.target = [0.0] * k
 
+    def _watched(self) -> Watched:
+        roles = self.vehicle_role
+        return Watched(
+            [*(i[0] for i in self.corner_ints), roles["vehicle_speed"]],
+            [
+                roles["primary_pressure"],
+                roles["secondary_pressure"],
+                *(i[1] for i in self.corner_ints),
+            ],
+            roles["acceleration_longitudinal"],
+            roles["powertrain_torque"],
+            [
+                roles["ambient_temperature"],
+                *(role for i in self.corner_ints for role in i[4:]),
+            ],
+        )
+
     def store(self) -> None:
         """Write the state back."""
+        check_times, check_numbers = self.checks.packed()
         self.state.times[:] = array(
             "q",
             [
                 *(self.now, self.grid, self.pending),
                 *(self.late, self.dropped, self.jumps),
                 *self.stamp,
+                *check_times,
             ],
         )
         self.state.numbers[:] = array(
@@ -170,9 +251,9 @@ class SampleMemory:
             [
                 *(self.filtered, self.speed_sum, self.distance),
                 *(self.force_sum, self.energy_fb, self.total_fb),
-                *(self.tail_s, *self.lagged, *self.energy_ff),
-                *(*self.pressure_sum, *self.on_time, *self.total_ff),
-                *self.value,
+                *(self.tail_s, *self.value),
+                *(*self.lagged, *self.energy_ff, *self.pressure_sum),
+                *(*self.on_time, *self.total_ff, *check_numbers),
             ],
         )
         self.state.flags[0] = self.flags
@@ -224,6 +305,47 @@ class SampleMemory:
 
     def _stamp(self, role: int) -> int:
         return self.stamp[role] if role >= 0 else NEVER
+
+    def heat_answers(self) -> tuple[list[int], list[bool]]:
+        """How each corner's power is known, and whether it may have some.
+
+        The first is OWN, OTHER or NONE: the source of the configured mode,
+        the other one, or neither. A corner may take power while the car
+        moves; where the speed is not known either, while its pressure is
+        above the threshold, or its pressure is unknown too and the car was
+        not about to park when its speed was lost.
+        """
+        roles = self.vehicle_role
+        torque, acceleration = (
+            self.valid(roles["powertrain_torque"]),
+            roles["acceleration_longitudinal"],
+        )
+        feed_back = self.speed_known and (torque or self.assumed)
+        complete = (
+            self.speed_known
+            and (torque or roles["powertrain_torque"] < 0)
+            and (
+                self.slope != 0 or acceleration < 0 or self.valid(acceleration)
+            )
+        )
+        answers, at_risk = [], []
+        for c, ints in enumerate(self.corner_ints):
+            pressure = self.corner_known(ints)
+            feed_forward = self.speed_known and pressure
+            if self.mode == 1:
+                own = complete or (feed_back and not feed_forward)
+                other = feed_forward
+            else:
+                own = feed_forward or (self.mode == 2 and self.valid(ints[4]))
+                other = feed_back
+            answers.append(OWN if own else OTHER if other else NONE)
+            if self.speed_known:
+                at_risk.append(self.speed > STANDING_MS)
+            elif pressure:
+                at_risk.append(self.target[c] > self.on_pressure)
+            else:
+                at_risk.append(self.checks.last_speed > PARKING_MS)
+        return answers, at_risk
 
     def missing(self) -> int:
         """Bits of FLAGS for the inputs that are missing now."""

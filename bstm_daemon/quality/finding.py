@@ -29,6 +29,7 @@ Fault = Literal[
     "axles-disagree",
     "ambiguous",
     "id-collision",
+    "own-frames",
 ]
 
 _VALUES: Final = {"unit", "scale", "offset", "unrelated"}

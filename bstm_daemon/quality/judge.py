@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from bstm_daemon.bus.logs import id_text
-from bstm_daemon.bus.output_layout import own_ids
 from bstm_daemon.quality.accelerations import (
     LONGITUDINAL,
     compare_accelerations,
@@ -15,12 +14,8 @@ from bstm_daemon.quality.accelerations import (
 from bstm_daemon.quality.bends import compare_axles, compare_sides
 from bstm_daemon.quality.braking import compare_braking, compare_switch
 from bstm_daemon.quality.channels import PRESSURES, Channels
-from bstm_daemon.quality.finding import (
-    Finding,
-    Notes,
-    Quality,
-    RoleQuality,
-)
+from bstm_daemon.quality.collisions import note_collisions
+from bstm_daemon.quality.finding import Notes, Quality, RoleQuality
 from bstm_daemon.quality.frozen import find_frozen, find_frozen_speeds
 from bstm_daemon.quality.limits import MISSING_FAILS, MISSING_SHARE
 from bstm_daemon.quality.modes import mode_verdicts
@@ -31,6 +26,8 @@ from bstm_daemon.quality.temperatures import check_temperatures
 from bstm_daemon.roles import ROLE_INDEX
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from bstm_daemon.bus.extraction import FrameKey, MessagePlan
     from bstm_daemon.bus.signal_map import SignalMap
     from bstm_daemon.config import Config
@@ -38,9 +35,16 @@ if TYPE_CHECKING:
 
 
 def judge(
-    recording: Recording, config: Config, signal_map: SignalMap
+    recording: Recording,
+    config: Config,
+    signal_map: SignalMap,
+    own_frames: Mapping[int, int] | None = None,
 ) -> Quality:
     """Judge *recording* for *config*, whose plan *signal_map* is.
+
+    *own_frames* is what
+    :func:`~bstm_daemon.quality.collisions.count_own_frames` found; without
+    it no frame of the recording counts as the daemon's own.
 
     A channel that is found wrong takes no part in the checks after it, so
     that one fault is named once.
@@ -51,7 +55,7 @@ def judge(
     # values beyond sense overflow: the fits then say nothing
     with np.errstate(over="ignore", invalid="ignore"):
         _compare(channels, notes)
-    _collisions(recording, config, signal_map, notes)
+    note_collisions(recording, config, own_frames or {}, notes)
     findings = tuple(dict.fromkeys(notes.findings))
     return Quality(
         recording.duration_s,
@@ -158,36 +162,4 @@ def _why_missing(
     return (
         f"{frames} frames {where} ({plan.name}), none with a value (in this "
         f"log: {refused or 'none refused'}; the DBC says {plan.length} bytes)"
-    )
-
-
-def _collisions(
-    recording: Recording,
-    config: Config,
-    signal_map: SignalMap,
-    notes: Notes,
-) -> None:
-    """Name frames in the log that have an id of our own output."""
-    names = [bus.name for bus in signal_map.buses]
-    if not names:
-        return
-    bus = config.publish.bus
-    number = 0 if bus is None else names.index(bus)
-    corners = [corner.name for corner in config.corner]
-    taken = [
-        can_id
-        for can_id in own_ids(config.publish.id_base, corners)
-        if recording.seen.get((number, can_id, False))
-    ]
-    if not taken:
-        return
-    ids = ", ".join(id_text(can_id, extended=False) for can_id in taken)
-    notes.findings.append(
-        Finding(
-            "id-collision",
-            (),
-            f"ids of our own frames are on {names[number]} already: {ids}; "
-            "set another [publish] id_base",
-            wrong=False,
-        )
     )

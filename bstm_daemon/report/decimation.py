@@ -1,69 +1,126 @@
-"""Fewer points for a plot, with every peak kept.
+"""Fewer points for a plot, with every peak kept, of a series as it grows.
 
 A bucket of neighbouring rows is replaced by its lowest and its highest one
 (the core of M4, Jugel et al. 2014, PVLDB 7(10)): on a screen with fewer
-columns than buckets the line looks the same, and no extreme is lost.
+columns than buckets the line looks the same, and no extreme is lost. Buckets
+double when they get too many. The extremes of a wider bucket are among those
+of its parts, so what was left out before is never missed.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 if TYPE_CHECKING:
     import numpy.typing as npt
 
+    Column = npt.NDArray[np.float64]
+    Rows = npt.NDArray[np.intp]
 
-def kept_rows(
-    values: npt.NDArray[np.float64], limit: int
-) -> npt.NDArray[np.intp]:
-    """Return rows of *values* that draw the same line.
+SPARE: Final = 2
+"""Points held while the series grows, in multiples of those at the end."""
 
-    The first and the last row, and the lowest and the highest of each
-    bucket; a bucket with NaN keeps one, so that a line breaks where it did.
 
-    Args:
-        values: shape (n,), NaN where there is nothing to draw.
-        limit: largest number of rows to return, 8 or more.
+class ThinCurve:
+    """Points of a growing series that draw the same line.
 
-    Returns:
-        Row numbers, rising, at most *limit*.
+    These are the first and the last row, and the lowest and the highest of
+    each bucket; a bucket with NaN keeps one, so that a line breaks where it
+    did. Buckets are cut by row number, not by what is added at a time.
     """
-    count = len(values)
-    if count <= limit:
-        return np.arange(count)
-    missing = np.isnan(values)
-    a_bucket = 3 if missing.any() else 2
-    buckets = (limit - 2) // a_bucket
-    edges = np.linspace(0, count, buckets + 1).astype(np.intp)
-    starts, ends = edges[:-1], edges[1:]
-    rows = [
-        np.array([0, count - 1]),
-        _first_where(values == _spread(np.fmin, values, edges), starts, ends),
-        _first_where(values == _spread(np.fmax, values, edges), starts, ends),
-        _first_where(missing, starts, ends),
-    ]
-    return np.unique(np.concatenate(rows))
+
+    def __init__(self, limit: int) -> None:
+        """Hold enough for *limit* points, 8 or more, at the end."""
+        self._limit = limit
+        self._count = 0
+        self._bucket_rows = 1
+        self._rows: list[Rows] = []
+        self._x: list[Column] = []
+        self._y: list[Column] = []
+        self._last: tuple[float, float] | None = None
+
+    def add(self, x: Column, y: Column) -> None:
+        """Add points, each of shape (n,); *y* is NaN where there is none."""
+        if not len(x):
+            return
+        rows = np.arange(self._count, self._count + len(x))
+        self._count += len(x)
+        self._last = float(x[-1]), float(y[-1])
+        self._keep(rows, x, y)
+        while sum(map(len, self._rows)) > SPARE * self._limit:
+            self._bucket_rows *= 2
+            rows, x, y = self._joined()
+            self._rows, self._x, self._y = [], [], []
+            self._keep(rows, x, y)
+
+    def points(self) -> tuple[Column, Column]:
+        """Return x and y of at most as many points as were asked for."""
+        if self._last is None:
+            return np.empty(0), np.empty(0)
+        rows, x, y = self._joined()
+        if rows[-1] != self._count - 1:
+            rows = np.append(rows, self._count - 1)
+            x, y = (
+                np.append(column, end)
+                for column, end in zip((x, y), self._last, strict=True)
+            )
+        if len(rows) > self._limit:
+            # beside the lowest and the highest one for a gap
+            a_bucket = 3 if np.isnan(y).any() else 2
+            buckets = (self._limit - 2) // a_bucket
+            edges = np.linspace(0, self._count, buckets + 1).astype(np.intp)
+            starts = np.unique(np.searchsorted(rows, edges[:-1]))
+            kept = _kept(y, starts[starts < len(rows)])
+            kept = np.union1d(kept, [0, len(rows) - 1])
+            x, y = x[kept], y[kept]
+        return x, y
+
+    def _joined(self) -> tuple[Rows, Column, Column]:
+        return (
+            np.concatenate(self._rows),
+            np.concatenate(self._x),
+            np.concatenate(self._y),
+        )
+
+    def _keep(self, rows: Rows, x: Column, y: Column) -> None:
+        if self._bucket_rows > 1:
+            bucket = rows // self._bucket_rows
+            starts = np.flatnonzero(np.diff(bucket, prepend=-1))
+            kept = _kept(y, starts)
+            if rows[0] == 0:
+                kept = np.union1d(kept, [0])
+            rows, x, y = rows[kept], x[kept], y[kept]
+        self._rows.append(rows)
+        # copies: a view would hold the whole of what it was cut from
+        self._x.append(x.copy())
+        self._y.append(y.copy())
 
 
-def _spread(
-    extreme: np.ufunc,
-    values: npt.NDArray[np.float64],
-    edges: npt.NDArray[np.intp],
-) -> npt.NDArray[np.float64]:
+def _kept(values: Column, starts: Rows) -> Rows:
+    """Return the first lowest, highest and NaN of each bucket, rising."""
+    edges = np.append(starts, len(values))
+    return np.unique(
+        np.concatenate(
+            [
+                _first_where(values == _spread(np.fmin, values, edges), edges),
+                _first_where(values == _spread(np.fmax, values, edges), edges),
+                _first_where(np.isnan(values), edges),
+            ]
+        )
+    )
+
+
+def _spread(extreme: np.ufunc, values: Column, edges: Rows) -> Column:
     """Return each row's bucket extreme; ``fmin`` and ``fmax`` pass by NaN."""
     of_bucket = extreme.reduceat(values, edges[:-1])
-    spread: npt.NDArray[np.float64] = np.repeat(of_bucket, np.diff(edges))
+    spread: Column = np.repeat(of_bucket, np.diff(edges))
     return spread
 
 
-def _first_where(
-    wanted: npt.NDArray[np.bool_],
-    starts: npt.NDArray[np.intp],
-    ends: npt.NDArray[np.intp],
-) -> npt.NDArray[np.intp]:
+def _first_where(wanted: npt.NDArray[np.bool_], edges: Rows) -> Rows:
     """Return the first wanted row of each bucket that has one."""
     found = np.append(np.flatnonzero(wanted), len(wanted))
-    candidates = found[np.searchsorted(found, starts)]
-    return candidates[candidates < ends]
+    candidates = found[np.searchsorted(found, edges[:-1])]
+    return candidates[candidates < edges[1:]]

@@ -19,12 +19,11 @@ from bstm_daemon.report.layout import (
     y_axis,
 )
 from bstm_daemon.report.summary import DriveSummary, front_first
-from bstm_daemon.report.traces import Trace, drive_traces
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from bstm_daemon.results import Results
+    from bstm_daemon.report.traces import DriveCurves, Trace
 
 AXLES: Final = (
     ("Front axle", ("FL", "FR")),
@@ -54,14 +53,15 @@ class Figure:
     views: list[View]
 
 
-def replay_figure(results: Results, summary: DriveSummary) -> Figure:
-    """Return the figure of *results*; every name in it is HTML-escaped."""
-    traces = drive_traces(results)
+def replay_figure(curves: DriveCurves, summary: DriveSummary) -> Figure:
+    """Return the figure of a drive; every name in it is HTML-escaped."""
+    traces = curves.traces()
+    present = tuple(corner.corner for corner in summary.corners)
     return Figure(
         [_plotly_trace(trace) for trace in traces],
         [
-            _view(name, corners, traces, results, summary)
-            for name, corners in view_corners(results.corners)
+            _view(name, corners, traces, curves, summary)
+            for name, corners in view_corners(present)
         ],
     )
 
@@ -103,7 +103,7 @@ def _view(
     name: str,
     corners: tuple[str, ...],
     traces: Sequence[Trace],
-    results: Results,
+    curves: DriveCurves,
     summary: DriveSummary,
 ) -> View:
     numbers = [
@@ -121,5 +121,5 @@ def _view(
         escape(name),
         numbers,
         list(named.values()),
-        view_layout(corners, seen, results, summary),
+        view_layout(corners, seen, curves, summary),
     )

@@ -11,15 +11,13 @@ from datetime import datetime, timedelta
 from html import escape
 from typing import TYPE_CHECKING, Any, Final
 
-from bstm_daemon.report.spans import validity_spans
 from bstm_daemon.report.timescale import clock, time_axis
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from bstm_daemon.report.summary import CornerSummary, DriveSummary
-    from bstm_daemon.report.traces import Trace
-    from bstm_daemon.results import Results
+    from bstm_daemon.report.traces import DriveCurves, Trace
 
 EPOCH: Final = datetime(2000, 1, 1)  # noqa: DTZ001
 """Elapsed time 0 on the date axes, which alone have 1-5-10-15-30 ticks."""
@@ -110,7 +108,7 @@ def stamp(elapsed_s: float) -> str:
 def view_layout(
     corners: tuple[str, ...],
     seen: Sequence[Trace],
-    results: Results,
+    curves: DriveCurves,
     summary: DriveSummary,
 ) -> dict[str, Any]:
     """Return the plotly layout of a view on *corners* with traces *seen*."""
@@ -136,7 +134,7 @@ def view_layout(
         layout["annotations"] += _titles(corner, grid)
         if corner is not None:
             layout["annotations"] += _fluid_peak(corner, grid)
-            layout["shapes"] += _shades(results, corner.corner, grid)
+            layout["shapes"] += _shades(curves, corner.corner, grid)
     for column in (0, LEFT, RIGHT):
         layout |= _axes(column, grid)
     for panel, (_, top) in grid.rows.items():
@@ -333,11 +331,8 @@ def _inward(time_s: float, duration_s: float) -> str:
 
 
 def _shades(
-    results: Results, corner: str, grid: _Grid
+    curves: DriveCurves, corner: str, grid: _Grid
 ) -> list[dict[str, Any]]:
-    validity = results.columns.get(f"{corner}.validity")
-    if validity is None or not len(validity):
-        return []
     column = column_of(corner)
     return [
         {
@@ -352,7 +347,7 @@ def _shades(
             "fillcolor": VALIDITY_COLOURS[code],
             "layer": "below",
         }
-        for code, start_s, end_s in validity_spans(results.elapsed_s, validity)
+        for code, start_s, end_s in curves.spans(corner)
         for panel in ("temperature", "fluid")
         if (panel, column) in grid.filled
     ]

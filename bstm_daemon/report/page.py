@@ -24,14 +24,14 @@ from bstm_daemon.report.page_tables import (
     facts_list,
     headline_tiles,
 )
-from bstm_daemon.report.summary import DriveSummary, summarize
 from bstm_daemon.report.timescale import duration, start_text
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
-    from bstm_daemon.results import Results
+    from bstm_daemon.report.summary import DriveSummary
+    from bstm_daemon.report.traces import DriveCurves
 
 SAMPLE_COUNTS: Final = {
     "late": "late samples",
@@ -66,28 +66,32 @@ class ReportFacts:
 
 
 def write_replay_report(
-    path: Path, results: Results, facts: ReportFacts
+    path: Path,
+    summary: DriveSummary,
+    curves: DriveCurves,
+    facts: ReportFacts,
 ) -> None:
-    """Write *results* as one HTML page to *path*, whole or not at all.
+    """Write a replay as one HTML page to *path*, whole or not at all.
 
     Raises:
         MissingExtraError: plotly is not installed.
         FileAccessError: *path* can not be written.
     """
-    page = replay_page(results, facts)
+    page = replay_page(summary, curves, facts)
     with replacing(path) as temporary:
         temporary.write_text(page, encoding="utf-8")
 
 
-def replay_page(results: Results, facts: ReportFacts) -> str:
-    """Return the page of *results*.
+def replay_page(
+    summary: DriveSummary, curves: DriveCurves, facts: ReportFacts
+) -> str:
+    """Return the page of a replay.
 
     Raises:
         MissingExtraError: plotly is not installed.
     """
     library = plotly_js()
-    summary = summarize(results)
-    figure = replay_figure(results, summary)
+    figure = replay_figure(curves, summary)
     policy = (
         "default-src 'none'; style-src 'unsafe-inline'; "
         "img-src data: blob:; script-src "

@@ -9,7 +9,7 @@ import numpy as np
 
 from bstm_daemon.quality.grid import shifted
 from bstm_daemon.quality.limits import GRID_S
-from bstm_daemon.report.decimation import kept_rows
+from bstm_daemon.report.decimation import ThinCurve
 from bstm_daemon.report.layout import (
     AXIS_COLOUR,
     GRID_COLOUR,
@@ -74,13 +74,15 @@ def _curve(
         # a point without a value on each side keeps the line's breaks
         first, last = max(known[0] - 1, 0), known[-1] + 2
         time_s, value = time_s[first:last], value[first:last]
-    rows = kept_rows(value, CURVE_POINTS)
+    thin = ThinCurve(CURVE_POINTS)
+    thin.add(time_s, value)
+    x, y = thin.points()
     return {
         "type": "scatter",
         "mode": "lines",
         "name": escape(name),
-        "x": np.round(time_s[rows], 2).tolist(),
-        "y": _numbers(value[rows]),
+        "x": np.round(x, 2).tolist(),
+        "y": _numbers(y),
         "yaxis": axis,
         "line": line,
     }
@@ -119,9 +121,11 @@ def _cloud(
     if fit is not None:
         _, reference_si = comparison.reference_scale
         ends = np.array([x.min(), x.max()])
-        line = (
-            fit.scale * ends * reference_si + fit.offset
-        ) / comparison.unit_si
+        # an absurd channel has an absurd fit; what is no number is not drawn
+        with np.errstate(over="ignore", invalid="ignore"):
+            line = (
+                fit.scale * ends * reference_si + fit.offset
+            ) / comparison.unit_si
         found.append(
             {
                 "type": "scatter",

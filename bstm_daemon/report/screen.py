@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from bstm_daemon.report.summary import (
     SUMMARY_NODES,
     VALIDITY_NAMES,
     CornerSummary,
     DriveSummary,
-    summarize,
 )
 from bstm_daemon.report.timescale import HOUR_S, clock, duration
-
-if TYPE_CHECKING:
-    from bstm_daemon.results import Results
 
 VALIDITY_MARKS: Final = (" ", "~", "!")
 """Behind a peak whose estimate is valid, degraded, invalid."""
@@ -35,15 +31,14 @@ HEADINGS: Final = (
 )
 
 
-def summary_table(results: Results) -> str:
-    """Return the summary of *results* as lines of text.
+def summary_table(summary: DriveSummary) -> str:
+    """Return *summary* as lines of text.
 
     Per corner the peak temperature [degC] of each node and when it was, how
     long after the stop the fluid peaked, the least margin to the wet boiling
     point [K], and the brake energy [MJ]: as it heated the model, by
     Feed-Forward, by Feed-Back.
     """
-    summary = summarize(results)
     with_hours = summary.duration_s >= HOUR_S
     rows: list[tuple[str, ...]] = [HEADINGS]
     rows += [_cells(corner, with_hours) for corner in summary.corners]

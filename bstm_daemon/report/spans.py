@@ -10,12 +10,50 @@ import numpy as np
 if TYPE_CHECKING:
     import numpy.typing as npt
 
+    Column = npt.NDArray[np.float64]
+
 SPANS_DRAWN: Final = 300
 """More stretches than this are merged to what a screen can show."""
 
+BUCKETS: Final = 65_536
+"""Rows that are told apart: ten a second for 1.8 h, then each two together,
+then each four."""
+
+
+class Buckets:
+    """A growing column as a bounded number of buckets of rows.
+
+    What takes as many rows has the same buckets.
+    """
+
+    def __init__(self, of_bucket: np.ufunc) -> None:
+        """Replace the rows of a bucket by *of_bucket*, maximum say."""
+        self.values = np.empty(0)
+        self._of_bucket = of_bucket
+        self._bucket_rows = 1
+        self._count = 0
+
+    def add(self, values: Column) -> None:
+        """Add rows, shape (n,)."""
+        if not len(values):
+            return
+        rows = np.arange(self._count, self._count + len(values))
+        self._count += len(values)
+        bucket = rows // self._bucket_rows
+        starts = np.flatnonzero(np.diff(bucket, prepend=-1))
+        found = self._of_bucket.reduceat(values, starts)
+        if bucket[0] < len(self.values):
+            self.values[-1] = self._of_bucket(self.values[-1], found[0])
+            found = found[1:]
+        self.values = np.append(self.values, found)
+        while len(self.values) > BUCKETS:
+            self._bucket_rows *= 2
+            pairs = np.arange(0, len(self.values), 2)
+            self.values = self._of_bucket.reduceat(self.values, pairs)
+
 
 def validity_spans(
-    elapsed_s: npt.NDArray[np.float64], validity: npt.NDArray[np.float64]
+    elapsed_s: Column, validity: Column
 ) -> list[tuple[int, float, float]]:
     """Return code, start and end [s] of each stretch that is not valid.
 

@@ -1,16 +1,21 @@
-"""The curves of a replay, thinned and rounded for a plot."""
+"""The curves of a replay, thinned and rounded for a plot as rows come."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from itertools import combinations
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from bstm_daemon.report.decimation import kept_rows
+from bstm_daemon.report.decimation import ThinCurve
+from bstm_daemon.report.spans import Buckets, validity_spans
 from bstm_daemon.report.summary import SUMMARY_NODES, front_first
+from bstm_daemon.results import ElapsedTime
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     import numpy.typing as npt
 
     from bstm_daemon.results import Results
@@ -50,6 +55,8 @@ KMH_A_MS: Final = 3.6
 CONSTANT_K: Final = 0.05
 """A limit that moves less than this is drawn with its two ends."""
 
+_BOILING_POINT: Final = "boiling_point_c"
+
 
 @dataclass(frozen=True, slots=True)
 class Trace:
@@ -67,200 +74,265 @@ class Trace:
     look: dict[str, Any] = field(default_factory=dict)
 
 
-def drive_traces(results: Results) -> list[Trace]:
-    """Return every curve that *results* has numbers for.
+@dataclass(frozen=True, slots=True)
+class _Curve:
+    """A curve as it grows: the column times ``factor``.
+
+    A ``sampled`` one is joined over rows without a value: its sensor is
+    slower than the rows, and a gap between two samples is no gap.
+    """
+
+    panel: str
+    corner: str | None
+    label: str
+    column: str
+    decimals: int
+    factor: float = 1.0
+    sampled: bool = False
+    look: dict[str, Any] = field(default_factory=dict)
+    thin: ThinCurve = field(default_factory=lambda: ThinCurve(POINTS_A_TRACE))
+
+    def add(self, elapsed_s: Column, columns: Mapping[str, Column]) -> None:
+        """Add the rows of *columns*, none if the column is not there."""
+        values = columns.get(self.column)
+        if values is None:
+            return
+        if self.sampled:
+            known = np.isfinite(values)
+            elapsed_s, values = elapsed_s[known], values[known]
+        self.thin.add(elapsed_s, values * self.factor)
+
+    def trace(self) -> Trace | None:
+        """Return what is drawn, None if there is no number."""
+        return self.trace_of(*self.thin.points(), self.label, self.look)
+
+    def trace_of(
+        self, x: Column, y: Column, label: str, look: dict[str, Any]
+    ) -> Trace | None:
+        """Return *x* and *y* as a trace of this panel."""
+        if not np.isfinite(y).any():
+            return None
+        # adding 0.0 turns -0.0, which takes a character more, into 0.0
+        rounded = np.round(y, self.decimals) + 0.0
+        return Trace(
+            self.panel,
+            self.corner,
+            label,
+            np.round(x, 2).tolist(),
+            [None if v != v else v for v in rounded.tolist()],  # noqa: PLR0124
+            look,
+        )
+
+
+class DriveCurves:
+    """A sink that keeps what the plots draw; columns may be missing.
 
     Panels are ``speed`` [km/h], ``pressure`` [bar], ``power`` [kW],
     ``temperature`` and ``fluid`` [degC].
     """
-    elapsed_s = results.elapsed_s
-    traces: list[Trace | None] = [
-        _trace(
+
+    def __init__(self) -> None:
+        """Begin without rows."""
+        self._time = ElapsedTime()
+        self._starts_s = Buckets(np.minimum)
+        self._validity: dict[str, Buckets] = {}
+        self._speed = _Curve(
             "speed",
             None,
             "speed",
-            elapsed_s,
-            _scaled(results.columns.get("speed_ms"), KMH_A_MS),
+            "speed_ms",
             decimals=1,
-            line={"color": BLACK, "width": 1.5},
-            hovertemplate="%{y:.0f} km/h",
-        ),
-        *_pressure_traces(results, elapsed_s),
-    ]
-    for corner in front_first(results.corners):
-        traces += _power_traces(results, corner, elapsed_s)
-        for node in SUMMARY_NODES:
-            traces += _node_traces(
-                results, corner, node, "temperature", elapsed_s
-            )
-        traces += _node_traces(results, corner, "fluid", "fluid", elapsed_s)
-        traces.append(_boiling_trace(results, corner, elapsed_s))
-    return [trace for trace in traces if trace is not None]
+            factor=KMH_A_MS,
+            look={
+                "line": {"color": BLACK, "width": 1.5},
+                "hovertemplate": "%{y:.0f} km/h",
+            },
+        )
+        self._pressures: dict[str, _Curve] = {}
+        self._differing: set[tuple[str, str]] = set()
+        self._corners: dict[str, list[_Curve]] = {}
+        self._boiling: dict[str, _Curve] = {}
 
+    def write(self, rows: Results) -> None:
+        """Take *rows*."""
+        if not self._corners:
+            for name in front_first(rows.corners):
+                self._corners[name] = _corner_curves(name)
+                self._pressures[name] = _pressure_curve(name)
+                self._boiling[name] = _boiling_curve(name)
+        for stretch in rows.stretches():
+            self._add(stretch.columns)
 
-def _trace(  # noqa: PLR0913
-    panel: str,
-    corner: str | None,
-    label: str,
-    elapsed_s: Column,
-    values: Column | None,
-    *,
-    decimals: int,
-    sampled: bool = False,
-    **look: Any,
-) -> Trace | None:
-    """Return the thinned curve, None if there is nothing to draw.
+    def traces(self) -> list[Trace]:
+        """Return every curve that there are numbers for."""
+        traces = [self._speed.trace(), *self._pressure_traces()]
+        for name, curves in self._corners.items():
+            traces += [curve.trace() for curve in curves]
+            traces.append(_boiling_trace(self._boiling[name]))
+        return [trace for trace in traces if trace is not None]
 
-    A *sampled* curve is joined over rows without a value: its sensor is
-    slower than the rows, and a gap between two samples is no gap.
-    """
-    if values is None or not np.isfinite(values).any():
-        return None
-    if sampled:
-        known = np.isfinite(values)
-        elapsed_s, values = elapsed_s[known], values[known]
-    rows = kept_rows(values, POINTS_A_TRACE)
-    # adding 0.0 turns -0.0, which takes a character more, into 0.0
-    y = np.round(values[rows], decimals) + 0.0
-    return Trace(
-        panel,
-        corner,
-        label,
-        np.round(elapsed_s[rows], 2).tolist(),
-        [None if value != value else value for value in y.tolist()],  # noqa: PLR0124
-        look,
-    )
+    def spans(self, corner: str) -> list[tuple[int, float, float]]:
+        """Return the stretches in which *corner* is not valid.
 
+        See :func:`~bstm_daemon.report.spans.validity_spans`.
+        """
+        validity = self._validity.get(corner)
+        if validity is None:
+            return []
+        return validity_spans(self._starts_s.values, validity.values)
 
-def _scaled(values: Column | None, factor: float) -> Column | None:
-    return None if values is None else values * factor
+    def _add(self, columns: dict[str, Column]) -> None:
+        elapsed_s = self._time.extend(columns["time_s"])
+        self._starts_s.add(elapsed_s)
+        self._speed.add(elapsed_s, columns)
+        for name, curves in self._corners.items():
+            for curve in (*curves, self._pressures[name]):
+                curve.add(elapsed_s, columns)
+            self._boiling[name].add(elapsed_s, _boiling_point(name, columns))
+            validity = columns.get(f"{name}.validity")
+            if validity is not None and len(validity):
+                track = self._validity.setdefault(name, Buckets(np.maximum))
+                track.add(np.nan_to_num(validity, nan=0.0))
+        self._compare_pressures(columns)
 
+    def _compare_pressures(self, columns: Mapping[str, Column]) -> None:
+        """Note which corners do not share a circuit."""
+        for pair in combinations(self._pressures, 2):
+            one, other = (columns.get(f"{name}.pressure_pa") for name in pair)
+            if pair not in self._differing and not (
+                one is not None
+                and other is not None
+                and np.array_equal(one, other, equal_nan=True)
+            ):
+                self._differing.add(pair)
 
-def _pressure_traces(
-    results: Results, elapsed_s: Column
-) -> list[Trace | None]:
-    """Return one curve a circuit: corners of equal pressure share it."""
-    circuits: list[tuple[Column, list[str]]] = []
-    for corner in front_first(results.corners):
-        pressure_pa = results.columns.get(f"{corner}.pressure_pa")
-        if pressure_pa is None:
-            continue
-        for known, names in circuits:
-            if np.array_equal(known, pressure_pa, equal_nan=True):
-                names.append(corner)
-                break
-        else:
-            circuits.append((pressure_pa, [corner]))
-    return [
-        _trace(
-            "pressure",
-            None,
-            " ".join(names),
-            elapsed_s,
-            pressure_pa / PASCAL_A_BAR,
-            decimals=2,
-            line={
+    def _pressure_traces(self) -> list[Trace | None]:
+        """Return one curve a circuit: corners of equal pressure share it."""
+        circuits: list[list[str]] = []
+        for name, curve in self._pressures.items():
+            if not len(curve.thin.points()[0]):
+                continue
+            for names in circuits:
+                if (names[0], name) not in self._differing:
+                    names.append(name)
+                    break
+            else:
+                circuits.append([name])
+        traces = []
+        for i, names in enumerate(circuits):
+            curve = self._pressures[names[0]]
+            line = {
                 "color": PRESSURE_COLOURS[i % len(PRESSURE_COLOURS)],
                 "dash": CIRCUIT_DASHES[i % len(CIRCUIT_DASHES)],
                 "width": 1.5,
-            },
-            hovertemplate="%{y:.1f} bar",
-        )
-        for i, (pressure_pa, names) in enumerate(circuits)
-    ]
+            }
+            look = {"line": line, "hovertemplate": "%{y:.1f} bar"}
+            x, y = curve.thin.points()
+            traces.append(curve.trace_of(x, y, " ".join(names), look))
+        return traces
 
 
-def _power_traces(
-    results: Results, corner: str, elapsed_s: Column
-) -> list[Trace | None]:
-    looks: tuple[tuple[str, str, dict[str, Any]], ...] = (
-        (
-            "brake_power_w",
-            "used",
-            {
-                "line": {"color": "#8c959f", "width": 0.5},
-                "fill": "tozeroy",
-                "fillcolor": "rgba(140,149,159,0.30)",
-            },
-        ),
-        (
-            "brake_power_ff_w",
-            "Feed-Forward",
-            {"line": {"color": BLUE, "width": 1.2}},
-        ),
-        (
-            "brake_power_fb_w",
-            "Feed-Back",
-            {"line": {"color": PURPLE, "width": 1.2}},
-        ),
-    )
-    return [
-        _trace(
+def _corner_curves(corner: str) -> list[_Curve]:
+    """Return the curves of a corner in the order in which they are drawn."""
+    used = {
+        "line": {"color": "#8c959f", "width": 0.5},
+        "fill": "tozeroy",
+        "fillcolor": "rgba(140,149,159,0.30)",
+    }
+    forward = {"line": {"color": BLUE, "width": 1.2}}
+    back = {"line": {"color": PURPLE, "width": 1.2}}
+    curves = [
+        _Curve(
             "power",
             corner,
             label,
-            elapsed_s,
-            _scaled(results.columns.get(f"{corner}.{key}"), 1e-3),
+            f"{corner}.brake_power{kind}_w",
             decimals=2,
-            hovertemplate="%{y:.2f} kW",
-            **look,
+            factor=1e-3,
+            look={"hovertemplate": "%{y:.2f} kW", **look},
         )
-        for key, label, look in looks
+        for label, kind, look in (
+            ("used", "", used),
+            ("Feed-Forward", "_ff", forward),
+            ("Feed-Back", "_fb", back),
+        )
     ]
+    for node in SUMMARY_NODES:
+        curves += _node_curves(corner, node, "temperature")
+    return [*curves, *_node_curves(corner, "fluid", "fluid")]
 
 
-def _node_traces(
-    results: Results, corner: str, node: str, panel: str, elapsed_s: Column
-) -> list[Trace | None]:
+def _node_curves(corner: str, node: str, panel: str) -> list[_Curve]:
     """Return estimate and measurement of *node*, in one colour."""
     label, colour = NODE_LABELS[node], NODE_COLOURS[node]
     return [
-        _trace(
+        _Curve(
             panel,
             corner,
             label,
-            elapsed_s,
-            results.columns.get(f"{corner}.{node}_c"),
+            f"{corner}.{node}_c",
             decimals=1,
-            line={"color": colour, "width": 1.8},
-            hovertemplate="%{y:.0f} °C",
+            look={
+                "line": {"color": colour, "width": 1.8},
+                "hovertemplate": "%{y:.0f} °C",
+            },
         ),
-        _trace(
+        _Curve(
             panel,
             corner,
             f"{label}, measured",
-            elapsed_s,
-            results.columns.get(f"{corner}.{node}_measured_c"),
+            f"{corner}.{node}_measured_c",
             decimals=1,
             sampled=True,
-            line={"color": colour, "width": 2.4, "dash": "2px,4px"},
-            hovertemplate="%{y:.0f} °C",
+            look={
+                "line": {"color": colour, "width": 2.4, "dash": "2px,4px"},
+                "hovertemplate": "%{y:.0f} °C",
+            },
         ),
     ]
 
 
-def _boiling_trace(
-    results: Results, corner: str, elapsed_s: Column
-) -> Trace | None:
-    fluid_c = results.columns.get(f"{corner}.fluid_c")
-    margin_k = results.columns.get(f"{corner}.margin_k")
-    if fluid_c is None or margin_k is None:
-        return None
-    limit_c = fluid_c + margin_k
-    known = np.flatnonzero(np.isfinite(limit_c))
-    label = "wet boiling point"
-    if len(known) and np.ptp(limit_c[known]) < CONSTANT_K:
-        label += f" {limit_c[known[0]]:.0f} °C"
-        ends = np.array([0, len(limit_c) - 1])
-        elapsed_s = elapsed_s[ends]
-        limit_c = np.repeat(limit_c[known[0]], 2)
-    return _trace(
+def _pressure_curve(corner: str) -> _Curve:
+    return _Curve(
+        "pressure",
+        None,
+        corner,
+        f"{corner}.pressure_pa",
+        decimals=2,
+        factor=1.0 / PASCAL_A_BAR,
+    )
+
+
+def _boiling_curve(corner: str) -> _Curve:
+    return _Curve(
         "fluid",
         corner,
-        label,
-        elapsed_s,
-        limit_c,
+        "wet boiling point",
+        _BOILING_POINT,
         decimals=1,
-        line={"color": BLACK, "width": 1.3, "dash": "8px,4px"},
-        hovertemplate="%{y:.0f} °C",
+        look={
+            "line": {"color": BLACK, "width": 1.3, "dash": "8px,4px"},
+            "hovertemplate": "%{y:.0f} °C",
+        },
     )
+
+
+def _boiling_point(
+    corner: str, columns: Mapping[str, Column]
+) -> dict[str, Column]:
+    fluid_c = columns.get(f"{corner}.fluid_c")
+    margin_k = columns.get(f"{corner}.margin_k")
+    if fluid_c is None or margin_k is None:
+        return {}
+    return {_BOILING_POINT: fluid_c + margin_k}
+
+
+def _boiling_trace(curve: _Curve) -> Trace | None:
+    """Return the limit, a line of two points where it does not move."""
+    x, y = curve.thin.points()
+    label = curve.label
+    known = y[np.isfinite(y)]
+    if len(known) and np.ptp(known) < CONSTANT_K:
+        label += f" {known[0]:.0f} °C"
+        x, y = x[[0, -1]], known[[0, 0]]
+    return curve.trace_of(x, y, label, curve.look)

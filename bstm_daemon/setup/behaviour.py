@@ -61,7 +61,7 @@ class Motion:
         end = max((float(one.max()) for one in stamps), default=0.0)
         step = max(_STEP_S, (end - begin) / _LONGEST_GRID)
         self.grid_s: Series = np.arange(begin, end, step)
-        self._step_s = step
+        self.step_s = step
         columns = [self.on_grid(one) for one in speeds.values()]
         moved = [one for one in columns if one.max(initial=0.0) > _MOVED_MS]
         self.known = bool(moved) and len(self.grid_s) > _SMOOTH_S / step
@@ -78,7 +78,7 @@ class Motion:
     @property
     def moving_s(self) -> float:
         """How long the car moves in the recording."""
-        return float(np.count_nonzero(self.moving)) * self._step_s
+        return float(np.count_nonzero(self.moving)) * self.step_s
 
     def on_grid(self, samples: Samples) -> Series:
         """Return *samples* at the times of the grid."""
@@ -89,7 +89,7 @@ class Motion:
 
     def smooth(self, values: Series) -> Series:
         """Return the moving mean over half a second."""
-        count = max(1, round(_SMOOTH_S / self._step_s))
+        count = max(1, round(_SMOOTH_S / self.step_s))
         padded = np.pad(values, (count // 2, count - 1 - count // 2), "edge")
         return np.convolve(padded, np.full(count, 1 / count), "valid")
 
@@ -168,19 +168,20 @@ class Motion:
         applied = column > rest + 0.05 * (top - rest)
         braking = applied & self.moving
         rolling = ~applied & self.moving
-        braking_s = float(np.count_nonzero(braking)) * self._step_s
+        braking_s = float(np.count_nonzero(braking)) * self.step_s
         share = (
             float(np.mean(applied[self.moving])) if self.moving.any() else 0.0
         )
         standing = applied & ~self.moving
-        standing_s = float(np.count_nonzero(standing)) * self._step_s
+        standing_s = float(np.count_nonzero(standing)) * self.step_s
         reason = (
             f"{rest:g} to {top:g}, applied {100 * share:.0f} % of the time on "
             f"the move and {standing_s:.0f} s below {_MOVING_MS:g} m/s"
         )
         if braking_s < 1.0 or not rolling.any():
             return Verdict(
-                fits=True, reason=f"{reason}; no braking to check it with"
+                fits=True,
+                reason=f"{reason}; too little braking there to check it with",
             )
         while_on = float(np.mean(self.change_ms2[braking]))
         while_off = float(np.mean(self.change_ms2[rolling]))

@@ -19,6 +19,7 @@ from bstm_daemon.setup.behaviour import (
     to_si,
 )
 from bstm_daemon.setup.clues import clues_of
+from bstm_daemon.setup.pressure_unit import assumed_unit
 from bstm_daemon.units import UNITS
 
 if TYPE_CHECKING:
@@ -35,6 +36,8 @@ TYPICAL_RADIUS_M: Final = 0.32
 _SPEEDS: Final = ("wheel_speed_", "vehicle_speed")
 _PRESSURES: Final = ("primary_pressure", "secondary_pressure", "wheel_pres")
 _GUESSED_UNIT: Final = {"primary_pressure": "bar", "secondary_pressure": "bar"}
+_PROVABLE: Final = ("primary_pressure", "wheel_pressure_")
+"""A secondary pressure needs corners that use it, which no log shows."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,11 +162,18 @@ def _judged(
             f"the DBC says {clue.message.length}: refused until the DBC says "
             "the same"
         )
+    sure = not clue.doubt and bool(clue.unit)
+    reasons = [clue.doubt, verdict.reason]
+    if not clue.unit and clue.role.startswith(_PROVABLE):
+        assumed = assumed_unit(motion, found)
+        if assumed is not None:
+            unit, sure = assumed.unit, True
+            reasons.append(assumed.reason)
     return Candidate(
         clue,
         unit,
-        sure=verdict.fits and not clue.doubt and bool(clue.unit),
-        reason=_joined([clue.doubt, verdict.reason]),
+        sure=verdict.fits and sure,
+        reason=_joined(reasons),
         sign=verdict.sign,
         scale=verdict.scale,
         rate_hz=found.rate_hz,
@@ -186,14 +196,15 @@ def _verdict(clue: Clue, samples: Samples, motion: Motion) -> Verdict:
     return spread(samples)
 
 
-def _rank(one: Candidate) -> tuple[bool, bool, bool, bool, float]:
-    """Sure ones first; then readable, not multiplexed, linear, fast."""
+def _rank(one: Candidate) -> tuple[bool, bool, bool, bool, bool, float]:
+    """Sure ones first; then unit, readable, not multiplexed, linear, fast."""
     is_angular = one.role.startswith(_SPEEDS) and (
         one.unit in UNITS and UNITS[one.unit].quantity == "angular_speed"
     )
     is_multiplexed = one.clue.signal.multiplexer_signal is not None
     return (
         not one.sure,
+        not one.clue.unit,
         bool(one.unread),
         is_multiplexed,
         is_angular,

@@ -17,19 +17,27 @@ from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.estimator import Estimator
 from bstm_daemon.native import load_kernel
 from bstm_daemon.replay import present_roles
-from bstm_daemon.results import ResultsBuilder, write_csv, write_parquet
+from bstm_daemon.report.tally import summarize
+from bstm_daemon.results import (
+    Collector,
+    ResultsBuilder,
+    csv_file,
+    parquet_file,
+)
 from bstm_daemon.shipped import shipped_file
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from contextlib import AbstractContextManager
 
     from bstm_daemon.bus.signal_map import SignalMap
     from bstm_daemon.config import Config
     from bstm_daemon.native import Kernel
+    from bstm_daemon.results import Results, Sink
 
 STAGES = (
     *("read and decode", "pass over samples", "march", "publications"),
-    *("columns", "write CSV", "write Parquet"),
+    *("columns", "summary", "write CSV", "write Parquet"),
 )
 """``publications`` is what the estimator does around pass and march."""
 
@@ -132,9 +140,10 @@ def replay_stages(
     timed = TimedKernel(kernel)
     estimator = Estimator(config, present_roles(signal_map))
     estimator._kernel = timed  # type: ignore[assignment]
-    for batch, _ in estimator._groups:
+    for batch, _ in estimator.batches:
         batch.kernel = timed  # type: ignore[assignment]
-    builder = ResultsBuilder(estimator)
+    kept = Collector()
+    builder = ResultsBuilder(estimator, [kept])
     log = iter(EventLog(path, signal_map).events())
     seconds = dict.fromkeys(STAGES, 0.0)
 
@@ -153,15 +162,30 @@ def replay_stages(
         )
         blocks = spend("publications", advance)
         spend("columns", partial(builder.add, blocks))
-    results = spend("columns", builder.finish)
+    spend("columns", builder.finish)
     for stage, spent in timed.seconds.items():
         seconds[stage] += spent
         seconds["publications"] -= spent
+    results = kept.results()
+    summary = spend("summary", lambda: summarize(results))
     out = path.with_suffix(".out")
-    spend("write CSV", lambda: write_csv(out, results))
-    spend("write Parquet", lambda: write_parquet(out, results))
-    hottest = float(results.columns["FL.disc_c"].max())
+    for stage, opened in (
+        ("write CSV", csv_file),
+        ("write Parquet", parquet_file),
+    ):
+        spend(stage, partial(_write, opened, out, results))
+    hottest = summary.corners[0].peaks["disc"].temperature_c
     if not 100.0 < hottest < 900.0:
         msg = f"not a replay: disc at {hottest:.0f} degC"
         raise AssertionError(msg)
     return seconds
+
+
+def _write(
+    opened: Callable[[Path], AbstractContextManager[Sink]],
+    path: Path,
+    results: Results,
+) -> None:
+    with opened(path) as table:
+        for stretch in results.stretches():
+            table.write(stretch)

@@ -19,7 +19,10 @@ from conditions import conditions
 if TYPE_CHECKING:
     from side_by_side import Goal, Outcome, Table
 
-BENCHMARKS = ("kernel", "sample_pass", "reality", "log_decode", "replay")
+BENCHMARKS = (
+    *("kernel", "sample_pass", "reality", "log_decode", "replay"),
+    "live",
+)
 OTHERS = ("physics", "accuracy", "radau", "memory")
 """Figures without a comparison in time; run when named."""
 

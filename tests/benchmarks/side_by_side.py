@@ -77,6 +77,10 @@ class Timings:
         """Return the median CPU seconds per unit of the work *name*."""
         return median(self.seconds[name])
 
+    def best(self, name: str) -> float:
+        """Return the fewest CPU seconds per unit of the work *name*."""
+        return min(self.seconds[name])
+
     def ratio(self, slow: str, fast: str) -> float:
         """Return the median over the rounds of *slow* over *fast*."""
         pairs = zip(self.seconds[slow], self.seconds[fast], strict=True)

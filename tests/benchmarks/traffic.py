@@ -6,6 +6,7 @@ the same bytes.
 
 from __future__ import annotations
 
+from functools import cache
 from typing import TYPE_CHECKING, Final
 
 import cantools
@@ -52,6 +53,7 @@ _CYCLE_S = np.array([0.0, 25.0, 65.0, 75.0, 90.0])
 _CYCLE_MS = np.array([0.0, 27.0, 27.0, 0.0, 0.0])
 
 
+@cache
 def example_database() -> Database:
     """Return the example car's DBC as cantools reads it."""
     path = shipped_file("dbc/example_vehicle.dbc")
@@ -60,7 +62,12 @@ def example_database() -> Database:
     return database
 
 
-def write_traffic(path: Path, seconds: int, config: Config) -> int:
+def write_traffic(
+    path: Path,
+    seconds: int,
+    config: Config,
+    frames_per_s: int = FRAMES_PER_S,
+) -> int:
     """Write *seconds* of traffic to *path*; returns the lines written.
 
     Values stay within the limits of *config*; speed, pressure and
@@ -80,7 +87,7 @@ def write_traffic(path: Path, seconds: int, config: Config) -> int:
                 heads += [f"{message.frame_id:03X}#"] * len(at_s)
                 payloads = _payloads(message, at_s, limits, rng)
                 texts += _hex(payloads, message.length)
-            others = FRAMES_PER_S - sum(RATES_HZ.values())
+            others = frames_per_s - sum(RATES_HZ.values())
             at_s = _times(start_s, others, rng)
             stamps.append(at_s)
             ids = rng.choice(OTHER_IDS, len(at_s)).tolist()

@@ -17,7 +17,7 @@ def test_the_environment_keeps_to_numpy(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.delenv(VARIABLE, raising=False)
-    monkeypatch.setitem(sys.modules, NAME, SimpleNamespace(LAYOUT=1))
+    monkeypatch.setitem(sys.modules, NAME, SimpleNamespace(LAYOUT=2))
     assert extension() is sys.modules[NAME]
 
     monkeypatch.setenv(VARIABLE, "reference")
@@ -25,7 +25,7 @@ def test_the_environment_keeps_to_numpy(
     assert extension() is None
 
 
-@pytest.mark.parametrize("found", [None, SimpleNamespace(LAYOUT=0)])
+@pytest.mark.parametrize("found", [None, SimpleNamespace(LAYOUT=1)])
 def test_numpy_does_where_the_scan_is_missing_or_of_other_sources(
     monkeypatch: pytest.MonkeyPatch, found: object
 ) -> None:

@@ -1,9 +1,11 @@
 """Columns against the live decoder: values, order and counts."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -11,6 +13,7 @@ from hypothesis import strategies as st
 from bstm_daemon.bus.columns import Events, decode_chunk
 from bstm_daemon.bus.compiled import extension
 from bstm_daemon.bus.decoder import Decoder
+from bstm_daemon.bus.expression import parse_expression
 from bstm_daemon.bus.extraction import (
     FrameKey,
     MessagePlan,
@@ -160,6 +163,85 @@ FACTORS = st.sampled_from([1, 2, -3, 0.1, -0.25, 1e6, (1 << 40) + 1])
 OFFSETS = st.sampled_from([0, 5, -7, 0.5, 1 << 50])
 
 
+RAW_SIGNALS = st.builds(
+    lambda place, factors, gaps: RawSignal(
+        "s",
+        place[0],
+        place[1],
+        place[2],
+        place[3],
+        floating=False,
+        scale=factors[0],
+        offset=factors[1],
+        unavailable=frozenset(gap & ((1 << place[1]) - 1) for gap in gaps),
+    ),
+    SIGNALS_OF_64,
+    st.tuples(FACTORS, OFFSETS),
+    st.lists(st.sampled_from([0, 1, 0xFE, (1 << 64) - 1]), max_size=2),
+)
+OUTPUTS_OF_ONE = st.tuples(
+    st.sampled_from([1.0, 0.7, -1 / 3.6]),
+    st.sampled_from([0.0, -40.0]),
+    st.sampled_from([(-1e300, 1e300), (-100.0, 100.0)]),
+    st.booleans(),
+)
+PAYLOADS = st.one_of(
+    st.binary(min_size=8, max_size=8),
+    st.sampled_from([b"\0" * 8, b"\xff" * 8, b"\xfe" * 8]),
+)
+
+
+@settings(max_examples=300, deadline=None)
+@given(
+    signals=st.lists(
+        st.tuples(RAW_SIGNALS, OUTPUTS_OF_ONE), min_size=1, max_size=5
+    ),
+    sum_of_all=st.booleans(),
+    payloads=st.lists(PAYLOADS, min_size=1, max_size=9),
+)
+def test_signals_side_by_side_give_what_single_frames_give(
+    signals: list[tuple[RawSignal, Any]],
+    payloads: list[bytes],
+    *,
+    sum_of_all: bool,
+) -> None:
+    raws = tuple(
+        replace(raw, name=f"s{number}")
+        for number, (raw, _) in enumerate(signals)
+    )
+    outputs = [
+        Output(number, number, None, (), gain, bias, low, high, flag, 1)
+        for number, (_, (gain, bias, (low, high), flag)) in enumerate(signals)
+    ]
+    if sum_of_all:
+        tree = parse_expression(" + ".join(raw.name for raw in raws))
+        first = outputs[0]
+        outputs.append(replace(first, role=77, expression=tree))
+    key = FrameKey(0, 0x123, extended=False)
+    plan = MessagePlan(key, "M", 8, False, raws, tuple(outputs))
+    signal_map = SignalMap((BUSES[0],), {key: plan}, (1,))
+    decoder = Decoder(signal_map)
+    expected = [
+        sample
+        for payload in payloads
+        for sample in decoder.decode(0, 0x123, False, payload)
+    ]
+    chunk = join_in_file_order(
+        [
+            one_frame(number, (0, 0x123, False, payload))
+            for number, payload in enumerate(payloads)
+        ]
+    )
+
+    for form in FORMS:
+        events = decoded(form, signal_map, chunk, [0])
+
+        assert events.role.tolist() == [role for role, _ in expected]
+        values = np.array([value for _, value in expected], np.float64)
+        assert events.value.tobytes() == values.tobytes()
+        assert events.counts == decoder.counts
+
+
 @settings(max_examples=200, deadline=None)
 @given(
     signal=SIGNALS_OF_64,
@@ -209,25 +291,73 @@ def test_any_signal_gives_the_same_bits_in_both_forms(
         assert other.counts == first.counts
 
 
+def arguments_of_extract() -> dict[str, Any]:
+    """Return what the compiled pass takes for one frame and output."""
+    return {
+        "message": np.zeros(1, np.int32),
+        "time_us": np.zeros(1, np.int64),
+        "data": np.zeros((1, 8), np.uint8),
+        "width": 8,
+        "sizes": np.array([1, 0]),
+        "starts": np.array([0, 1]),
+        "outputs": output_row(),
+        "factors": np.ones((1, 6)),
+        "gaps": np.zeros(1, np.uint64),
+        "times": np.zeros(1, np.int64),
+        "roles": np.zeros(1, np.int32),
+        "values": np.zeros(1),
+        "kept": np.zeros(1, np.bool_),
+        "counts": np.zeros(3, np.int64),
+    }
+
+
+def output_row(
+    base: int = 0,
+    shift: int = 56,
+    beyond: int = 0,
+    length: int = 8,
+    raw: int = 0,
+    gaps: tuple[int, int] = (0, 0),
+) -> npt.NDArray[np.int64]:
+    """Return the row of one output for the compiled pass."""
+    return np.array(
+        [[0, base, shift, beyond, 0, length, raw, 0, 0, 0, 0, *gaps]]
+    )
+
+
 @pytest.mark.parametrize(
     "change",
     [
-        {"plan": np.array([2])},
-        {"first": np.array([-1])},
-        {"first": np.array([1])},
+        {"message": np.array([2], np.int32)},
+        {"message": np.array([-1], np.int32)},
+        {"time_us": np.zeros(2, np.int64)},
         {"data": np.zeros((1, 7), np.uint8), "width": 7},
         {"data": np.zeros((2, 8), np.uint8)},
-        {"plans": np.array([0, 2])},
-        {"plans": np.array([0, 2, 1])},
-        {"plans": np.empty(0, np.int64)},
-        {"outputs": np.array([[0, -1, 8, 0, 0, 0, 0, 0, 0]])},
-        {"outputs": np.array([[0, 57, 8, 0, 0, 0, 0, 0, 0]])},
-        {"outputs": np.array([[0, 0, 65, 0, 0, 0, 0, 0, 0]])},
-        {"outputs": np.array([[0, 0, 16, 0, 2, 0, 0, 0, 0]])},
+        {"sizes": np.array([2, 0])},
+        {"sizes": np.array([-1, 0])},
+        {"sizes": np.array([1])},
+        {"sizes": np.empty(0, np.int64)},
+        {"starts": np.array([0, 2])},
+        {"starts": np.array([0, 2, 1]), "sizes": np.array([1, 1, 0])},
+        {"outputs": output_row(base=-1)},
+        {"outputs": output_row(base=1)},
+        {"outputs": output_row(base=57)},
+        {"outputs": output_row(shift=64)},
+        {"outputs": output_row(shift=-1)},
+        {"outputs": output_row(beyond=1)},
+        {"outputs": output_row(beyond=8)},
+        {"outputs": output_row(shift=0, beyond=1)},
+        {"outputs": output_row(length=0)},
+        {"outputs": output_row(length=65)},
+        {"outputs": output_row(length=16, raw=2)},
+        {"outputs": output_row(gaps=(0, 2))},
+        {"outputs": output_row(gaps=(-1, 1))},
+        {"outputs": output_row(gaps=(1, 0))},
         {"factors": np.ones((1, 5))},
+        {"times": np.zeros(2, np.int64)},
         {"roles": np.zeros(2, np.int32)},
         {"kept": np.ones(2, np.bool_)},
-        {"counts": np.zeros(1, np.int64)},
+        {"counts": np.zeros(2, np.int64)},
         {"values": np.zeros(1, np.float32)},
     ],
 )
@@ -237,23 +367,57 @@ def test_the_compiled_pass_refuses_what_would_lead_outside(
     compiled = extension()
     if compiled is None:
         pytest.skip("the compiled pass is not installed")
-    arguments: dict[str, Any] = {
-        "plan": np.array([0]),
-        "first": np.array([0]),
-        "data": np.zeros((1, 8), np.uint8),
-        "width": 8,
-        "plans": np.array([0, 1]),
-        "outputs": np.array([[0, 56, 8, 0, 0, 0, 0, 0, 0]]),
-        "factors": np.ones((1, 6)),
-        "values": np.zeros(1),
-        "roles": np.zeros(1, np.int32),
-        "kept": np.ones(1, np.bool_),
-        "counts": np.zeros(2, np.int64),
-    }
-    compiled.extract(*arguments.values())
+    compiled.extract(*arguments_of_extract().values())
 
-    with pytest.raises(ValueError, match=r"plan|slot|column|sign|items"):
-        compiled.extract(*(arguments | change).values())
+    with pytest.raises(ValueError, match=r"plan|slot|column|sign|items|mess"):
+        compiled.extract(*(arguments_of_extract() | change).values())
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"channel": np.array([1], np.int16)},
+        {"channel": np.array([-1], np.int16)},
+        {"channel": np.zeros(2, np.int16)},
+        {"can_id": np.zeros(1, np.int64)},
+        {"extended": np.zeros(0, np.bool_)},
+        {"length": np.zeros(2, np.uint8)},
+        {"rows": np.array([1])},
+        {"standard": np.ones(2048, np.int32)},
+        {"standard": np.ones(2047, np.int32)},
+        {"keys": np.zeros(1, np.int64)},
+        {"lengths": np.zeros(1, np.int64)},
+        {
+            "lengths": np.empty(0, np.int64),
+            "sizes": np.empty(0, np.int64),
+        },
+        {"counts": np.zeros(2, np.int64)},
+    ],
+)
+def test_the_compiled_look_up_refuses_what_would_lead_outside(
+    change: dict[str, Any],
+) -> None:
+    compiled = extension()
+    if compiled is None:
+        pytest.skip("the compiled pass is not installed")
+    arguments: dict[str, Any] = {
+        "channel": np.zeros(1, np.int16),
+        "can_id": np.zeros(1, np.uint32),
+        "extended": np.zeros(1, np.bool_),
+        "length": np.zeros(1, np.uint8),
+        "rows": np.array([0]),
+        "standard": np.zeros(2048, np.int32),
+        "keys": np.empty(0, np.int64),
+        "messages": np.empty(0, np.int32),
+        "lengths": np.array([0, 0]),
+        "sizes": np.array([3, 0]),
+        "message": np.zeros(1, np.int32),
+        "counts": np.zeros(3, np.int64),
+    }
+    assert compiled.place(*arguments.values()) == 3
+
+    with pytest.raises(ValueError, match=r"channel|row|message|plan|col|item"):
+        compiled.place(*(arguments | change).values())
 
 
 def test_parts_join_in_the_order_of_their_lines() -> None:

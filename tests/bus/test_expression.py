@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bstm_daemon.bus import columns
+from bstm_daemon.bus import column_values
 from bstm_daemon.bus.expression import (
     SCALAR_OPERATIONS,
     Apply,
@@ -137,7 +137,7 @@ def test_columns_give_the_bits_of_single_values(
 
     table = dict(zip(NAMES, np.array(rows).T, strict=True))
     with np.errstate(all="ignore"):
-        column = evaluate(tree, table, columns.OPERATIONS)
+        column = evaluate(tree, table, column_values.OPERATIONS)
 
     assert [
         None if math.isnan(value) else struct.pack("<d", value)

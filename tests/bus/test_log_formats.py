@@ -410,12 +410,69 @@ def test_asc_with_decimal_numbers(tmp_path: Path) -> None:
     assert chunk.time_us.tolist() == [250_000]
 
 
-def test_asc_with_relative_stamps_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "a.asc"
-    path.write_text(ASC.replace("absolute", "relative") + "0.1 1 1 Rx d 0\n")
+@pytest.mark.parametrize("packed", [False, True])
+def test_asc_with_relative_stamps_is_the_absolute_log(
+    tmp_path: Path, *, packed: bool
+) -> None:
+    """Each stamp counts from the line before, whatever event that has."""
+    rng = np.random.default_rng(8)
+    events = [
+        "1 {:X} Rx d 2 0A 0B",
+        "1 {:X}x Rx d 2 0A 0B",
+        "CANFD 2 Rx {:X} 0 0 2 2 0A 0B 0",
+        "1 ErrorFrame",
+        "1 Statistic: D 1 R 0 XD 0 XR 0 E 0 O 0 B 0.0%",
+        "1 100 Rx d 2 0A",
+        "1 {:X} TxRq d 0",
+        "?",
+    ]
+    steps_us = rng.integers(0, 3_000_000, 500).tolist()
+    steps_us[100:400] = [1] * 300
+    absolute, relative = [ASC], [ASC.replace("absolute", "relative")]
+    now_us = 0
+    for number, step_us in enumerate(steps_us):
+        now_us += step_us
+        event = events[number % len(events)].format(number)
+        for lines, at_us in ((absolute, now_us), (relative, step_us)):
+            seconds, micros = divmod(at_us, 1_000_000)
+            lines.append(f"   {seconds}.{micros:06d} {event}\n")
+    ending = ".asc.gz" if packed else ".asc"
+    found_of = []
+    for name, lines in (("absolute", absolute), ("relative", relative)):
+        path = tmp_path / f"{name}{ending}"
+        data = "".join(lines).encode()
+        path.write_bytes(gzip.compress(data) if packed else data)
+        reader, chunk = read(path)
+        found_of.append(
+            (
+                chunk.time_us.tolist(),
+                chunk.line.tolist(),
+                found(reader, chunk),
+                reader.refused,
+                reader.first_refused,
+            )
+        )
 
-    with pytest.raises(LogError, match=r"a\.asc: line 2: .*absolute stamps"):
-        read(path)
+    assert found_of[0] == found_of[1]
+    assert len(found_of[0][0]) == 3 * 63
+    assert found_of[0][0][-1] == sum(steps_us[:499])
+
+
+def test_asc_with_relative_stamps_beyond_all_time(tmp_path: Path) -> None:
+    """A stamp that no clock can have is damage, and time goes on without."""
+    path = tmp_path / "a.asc"
+    path.write_text(
+        ASC.replace("absolute", "relative")
+        + "0.25 1 1 Rx d 0\n"
+        + "999999999999.9 1 2 Rx d 0\n"
+        + "0.000000000001 1 3 Rx d 0\n"
+        + "0.249999999999 1 4 Rx d 0\n"
+    )
+
+    reader, chunk = read(path)
+
+    assert chunk.time_us.tolist() == [250_000, 250_000, 500_000]
+    assert reader.refused[Refusal.MALFORMED] == 1
 
 
 TRC_HEADS = {

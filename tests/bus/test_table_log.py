@@ -215,7 +215,34 @@ def test_unreadable_cells_are_counted_with_their_lines(
     assert reader.first_refused == {
         Refusal.NOT_A_NUMBER: [3, 4, 13],
         Refusal.NOT_A_FRAME: [5],
-        Refusal.MALFORMED: [10, 12, 6],
+        Refusal.MALFORMED: [6, 10, 12],
+        Refusal.OUT_OF_RANGE: [7, 8],
+    }
+
+
+def test_the_first_lines_are_kept_whatever_column_they_are_in(
+    tmp_path: Path,
+) -> None:
+    """Five of each reason, a line with two bad cells once."""
+    rows = [f"{i},1,1,1" for i in range(40)]
+    rows[30:] = [f"{i},x,1e9,1" for i in range(30, 40)]
+    rows[3], rows[5], rows[7] = "3,x,x,x", "5,1,x,1", "7,1,1e9,1"
+    rows[9], rows[11] = "?,1,1,1", "11,1,1,1,1"
+    signals = {**SIGNALS, "primary_pressure": {
+        "column": "p", "unit": "bar", "max": 200.0,
+    }}  # fmt: skip
+    path = write(tmp_path, "t,v,p,b\n" + "\n".join(rows) + "\n")
+
+    reader, _ = samples(path, table_map(signals))
+
+    assert reader.first_refused == {
+        Refusal.NOT_A_NUMBER: [5, 7, 32, 33, 34],
+        Refusal.OUT_OF_RANGE: [9, 32, 33, 34, 35],
+        Refusal.MALFORMED: [11, 13],
+    }
+    assert reader.counts == {
+        Refusal.NOT_A_NUMBER: 14,
+        Refusal.OUT_OF_RANGE: 11,
     }
 
 

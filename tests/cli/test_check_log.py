@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from bstm_daemon.bus.publication import Publication, Snapshot
 from bstm_daemon.cli.main import main
 from bstm_daemon.simulation import parse_drive, simulate
 from bstm_daemon.simulation.frames import Encoder
@@ -194,7 +195,41 @@ def test_own_ids_in_the_log(
     other.write_text(f"{lines}{stamp} can0 5B0#00\n", "ascii")
 
     assert main(["check", str(EXAMPLE), "--log", str(other)]) == 0
-    assert "ids of our own frames are on chassis" in capsys.readouterr().out
+    assert (
+        "the log holds 1 frame with id 0x5B0 on chassis, which [publish] "
+        "id_base = 0x5B0 would send: choose another id_base"
+    ) in " ".join(capsys.readouterr().out.split())
+
+
+def test_frames_of_the_daemon_in_the_log(
+    log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A recorder that hears the daemon is no reason for another id_base."""
+    text = log.read_text(encoding="ascii")
+    stamp = text.split(maxsplit=1)[0]
+    publication = Publication(["FL", "FR", "RL", "RR"], 0x5B0)
+    sent = [
+        f"{stamp} can0 {frame.can_id:03X}#{frame.data.hex()}\n"
+        for tick in range(30)
+        for frame in publication.encode(Snapshot(tick * 100_000, {}))
+    ]
+    both = tmp_path / "both.log"
+    both.write_text(text + "".join(sent), "ascii")
+    capsys.readouterr()
+    words = ["check", str(EXAMPLE), "--log", str(both)]
+
+    assert main(words) == 0
+    out = " ".join(capsys.readouterr().out.split())
+    assert "these are frames of this daemon" in out
+    assert "choose another id_base" not in out
+
+    # another sender on one of the ids, among ours
+    foreign = f"{stamp} can0 5B4#0011223344556677\n"
+    both.write_text(text + "".join(sent) + foreign, "ascii")
+    assert main(words) == 0
+    out = " ".join(capsys.readouterr().out.split())
+    assert "with id 0x5B4 on chassis, which [publish]" in out
+    assert "these are frames of this daemon" in out
 
 
 def test_report(log: Path, turned: Path, tmp_path: Path) -> None:

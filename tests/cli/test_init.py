@@ -261,9 +261,25 @@ def test_subaru(tmp_path: Path) -> None:
     one = config.signals["acceleration_longitudinal"]
     assert (one.signal, one.sign) == ("ACCEL_LONG", -1)
     assert one.scale == pytest.approx(2 / 3, rel=0.05)
-    assert "primary_pressure" not in found
+    assert found["primary_pressure"] == ("ID_D1", "BRAKE", "bar")
+    said = " ".join(out.read_text("utf-8").replace("# ", "").split())
+    assert "unit assumed from its highest value of 32" in said
+    assert config.heat.mode == "ff"
+
+
+@needs_recordings
+def test_gt86_on_a_stand(tmp_path: Path) -> None:
+    """Wheels on rollers stop too fast to tell the unit of a pressure."""
+    out = tmp_path / "car.toml"
+
+    config = proposed(
+        out,
+        real("subaru-wrx-sti-candump", "sample_can_spec.dbc"),
+        real("gt86-on-stand-candump", "vsslog.log"),
+    )
+
+    assert "primary_pressure" not in sources(config)
     assert "# [signals.primary_pressure]" in out.read_text("utf-8")
-    assert config.heat.mode == "fb"
 
 
 @needs_recordings

@@ -522,3 +522,46 @@ def test_interrupted_while_it_writes(recorded: bytes, tmp_path: Path) -> None:
     assert (process.returncode, err) == (130, "interrupted\n")
     assert out.read_text() == "old"
     assert {p.name for p in tmp_path.iterdir()} == {"pipe.log", "sent.log"}
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs a named pipe")
+def test_interrupted_while_tables_grow(
+    recorded: bytes, tmp_path: Path
+) -> None:
+    """Ctrl-C in the middle of a log: 130, the old tables stand, no others.
+
+    The log is a named pipe that stays open, so the program waits for more.
+    """
+    pipe, out = tmp_path / "pipe.log", tmp_path / "out"
+    os.mkfifo(pipe)
+    out.mkdir()
+    names = {"pipe.estimates.csv", "pipe.estimates.parquet"}
+    for name in names:
+        (out / name).write_text("old")
+    data = b"# a comment to be lost with the first look\n" * 500 + recorded
+    with subprocess.Popen(
+        [
+            *(sys.executable, "-u", "-c", INTERRUPTIBLE, "replay", str(pipe)),
+            *("-c", str(CAR), "-o", str(out)),
+        ],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as process:
+        watchdog = threading.Timer(60, process.kill)
+        watchdog.start()
+        try:
+            end = os.open(pipe, os.O_RDWR)
+            _fill(end, data)
+            # what has been read is more than a pipe holds: tables are open
+            assert len(held(out)) == 4
+            process.send_signal(signal.SIGINT)
+            printed, err = process.communicate()
+            os.close(end)
+        finally:
+            watchdog.cancel()
+            process.kill()
+
+    assert (process.returncode, printed, err) == (130, "", "interrupted\n")
+    assert held(out) == names
+    assert {(out / name).read_text() for name in names} == {"old"}

@@ -6,7 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from bstm_daemon.bus.signal_map import SignalMap
+from bstm_daemon.config import Config
 from bstm_daemon.quality.finding import Quality
+from bstm_daemon.quality.judge import judge
 from bstm_daemon.quality.recording import Column, Recording, Series
 
 Judge = Callable[[Recording], Quality]
@@ -333,5 +336,32 @@ def test_own_ids_on_the_bus_are_told(clean: Recording, judged: Judge) -> None:
     quality = judged(taken)
 
     assert named(quality) == [("id-collision", ())]
-    assert "5B0" in quality.findings[-1].text
+    assert "12 frames with id 0x5B0 on" in quality.findings[-1].text
+    assert "choose another id_base" in quality.findings[-1].text
+    assert quality.usable
+
+
+def test_ids_in_reserve_are_ours_too(clean: Recording, judged: Judge) -> None:
+    seen = {(0, 0x5C3, False): 1, (0, 0x5C4, False): 1, (0, 0x5B0, True): 1}
+
+    (finding,) = judged(replace(clean, seen=seen)).findings
+
+    assert "1 frame with id 0x5C3 on" in finding.text
+    assert "5C4" not in finding.text
+    assert "5B0 on" not in finding.text
+
+
+def test_frames_of_the_daemon_are_told_from_foreign_ones(
+    clean: Recording, example: tuple[Config, SignalMap]
+) -> None:
+    """All frames of an id must carry our protection."""
+    taken = replace(clean, seen={(0, 0x5B0, False): 12, (0, 0x5B4, False): 9})
+
+    quality = judge(taken, *example, own_frames={0x5B0: 12, 0x5B4: 8})
+
+    collision, own = quality.findings
+    assert collision.fault == "id-collision"
+    assert "9 frames with id 0x5B4" in collision.text
+    assert own.fault == "own-frames"
+    assert "12 frames with id 0x5B0" in own.text
     assert quality.usable

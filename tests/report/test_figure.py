@@ -7,12 +7,15 @@ import numpy as np
 import pytest
 
 from bstm_daemon.report.figure import Figure, replay_figure, view_corners
-from bstm_daemon.report.summary import summarize
+from bstm_daemon.report.tally import summarize
+from bstm_daemon.report.traces import DriveCurves
 from bstm_daemon.results import Results
 
 
 def _figure(results: Results) -> Figure:
-    return replay_figure(results, summarize(results))
+    curves = DriveCurves()
+    curves.write(results)
+    return replay_figure(curves, summarize(results))
 
 
 def _axes(layout: dict[str, Any], letter: str) -> dict[str, Any]:

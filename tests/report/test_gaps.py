@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from bstm_daemon.heat.sample_plan import FLAGS
-from bstm_daemon.report.gaps import input_gaps
+from bstm_daemon.report.gaps import Gap, GapFinder
+from bstm_daemon.report.tally import DriveTally
 from bstm_daemon.results import Results
 
 SPEED, PRESSURE = FLAGS["speed_missing"], FLAGS["pressure_missing"]
@@ -17,6 +18,13 @@ def results_of(flags: list[int], time_s: np.ndarray | None = None) -> Results:
     times = 5.0 + 0.1 * np.arange(len(flags)) if time_s is None else time_s
     columns = {"time_s": times, "flags": np.array(flags, dtype=float)}
     return Results(columns, (), ())
+
+
+def input_gaps(results: Results, heat_mode: str) -> tuple[Gap, ...]:
+    """Return what a tally of *results* finds."""
+    tally = DriveTally()
+    tally.write(results)
+    return tally.gaps(heat_mode)
 
 
 def test_total_and_longest() -> None:
@@ -48,3 +56,33 @@ def test_a_clock_set_back_is_no_negative_gap() -> None:
     (gap,) = input_gaps(results_of(flags, times), "fb")
 
     assert gap.total_s == pytest.approx(3.0)
+
+
+@pytest.mark.parametrize("rows", [1, 7, 1000])
+def test_stretches_do_not_matter(rows: int) -> None:
+    """A gap over the edge of a stretch is one gap."""
+    rng = np.random.default_rng(4)
+    missing = np.repeat(rng.integers(0, 2, 40), rng.integers(1, 40, 40))
+    flags = missing * float(SPEED)
+    elapsed_s = 0.1 * np.arange(len(flags))
+    whole, parts = GapFinder("speed"), GapFinder("speed")
+
+    whole.add(elapsed_s, flags)
+    for first in range(0, len(flags), rows):
+        stretch = slice(first, first + rows)
+        parts.add(elapsed_s[stretch], flags[stretch])
+
+    assert whole.gap() is not None
+    assert parts.gap() == whole.gap()
+
+
+def test_a_gap_up_to_the_end_counts_and_may_go_on() -> None:
+    """Asking does not end it."""
+    finder = GapFinder("speed")
+    for first in range(3):
+        rows = 10 * first + np.arange(10)
+        finder.add(1.0 * rows, np.full(10, float(SPEED)))
+        gap = finder.gap()
+        assert gap is not None
+        assert gap.total_s == gap.longest_s == rows[-1]
+        assert gap.longest_from_s == 0.0

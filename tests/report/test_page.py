@@ -19,6 +19,9 @@ from bstm_daemon.report.page import (
     script_safe_json,
     write_replay_report,
 )
+from bstm_daemon.report.summary import DriveSummary
+from bstm_daemon.report.tally import summarize
+from bstm_daemon.report.traces import DriveCurves
 from bstm_daemon.results import Results
 
 FACTS = ReportFacts(
@@ -38,6 +41,16 @@ FACTS = ReportFacts(
 )
 
 HOSTILE = "</script><img src=x onerror=\"alert('x')\">{{x}}<!--&amp;\u2028"
+
+
+def _drawn(results: Results) -> tuple[DriveSummary, DriveCurves]:
+    curves = DriveCurves()
+    curves.write(results)
+    return summarize(results), curves
+
+
+def _page(results: Results, facts: ReportFacts) -> str:
+    return replay_page(*_drawn(results), facts)
 
 
 class Reader(HTMLParser):
@@ -78,7 +91,7 @@ def _read(page: str) -> Reader:
 
 @pytest.fixture(scope="module")
 def page(descent: Results) -> str:
-    return replay_page(descent, FACTS)
+    return _page(descent, FACTS)
 
 
 def test_page_shows_facts_and_figures(page: str) -> None:
@@ -163,7 +176,7 @@ def test_hostile_names_stay_text(descent: Results) -> None:
     }
     results = Results(columns, (HOSTILE, "FR"), (HOSTILE, "FR"))
 
-    reader = _read(replay_page(results, facts))
+    reader = _read(_page(results, facts))
 
     tags = [tag for tag, _ in reader.elements]
     assert "img" not in tags
@@ -194,7 +207,7 @@ def test_nan_never_reaches_the_page() -> None:
 
 
 def test_page_is_the_same_each_time(descent: Results, page: str) -> None:
-    assert replay_page(descent, FACTS) == page
+    assert _page(descent, FACTS) == page
 
 
 def test_written_page_is_whole(
@@ -203,7 +216,7 @@ def test_written_page_is_whole(
     path = tmp_path / "report.html"
     path.write_text("older")
 
-    write_replay_report(path, descent, FACTS)
+    write_replay_report(path, *_drawn(descent), FACTS)
 
     assert path.read_text(encoding="utf-8") == page
     assert [entry.name for entry in tmp_path.iterdir()] == ["report.html"]
@@ -215,7 +228,7 @@ def test_a_folder_that_is_missing_is_named(
     path = tmp_path / "missing" / "report.html"
 
     with pytest.raises(FileAccessError, match="missing"):
-        write_replay_report(path, descent, FACTS)
+        write_replay_report(path, *_drawn(descent), FACTS)
 
 
 def test_without_plotly_the_extra_is_named(
@@ -225,7 +238,7 @@ def test_without_plotly_the_extra_is_named(
     monkeypatch.setitem(sys.modules, "plotly.offline", None)
 
     with pytest.raises(MissingExtraError, match=r"bstm-daemon\[report\]"):
-        write_replay_report(tmp_path / "r.html", descent, FACTS)
+        write_replay_report(tmp_path / "r.html", *_drawn(descent), FACTS)
     assert not list(tmp_path.iterdir())
 
 
@@ -236,6 +249,6 @@ def test_results_with_one_row_have_a_page() -> None:
         "FL.validity": np.zeros(1),
     }
 
-    reader = _read(replay_page(Results(columns, ("FL",), ("FL",)), FACTS))
+    reader = _read(_page(Results(columns, ("FL",), ("FL",)), FACTS))
 
     assert "hottest fluid, FL at 0:00" in " ".join(reader.text)

@@ -8,6 +8,8 @@ from pathlib import Path
 import pytest
 
 from bstm_daemon.report.page import ReportFacts, replay_page
+from bstm_daemon.report.tally import summarize
+from bstm_daemon.report.traces import DriveCurves
 from bstm_daemon.results import Results
 
 CHROMIUM = next(
@@ -66,6 +68,12 @@ const drawn = setInterval(() => {
 """
 
 
+def _page(results: Results, facts: ReportFacts) -> str:
+    curves = DriveCurves()
+    curves.write(results)
+    return replay_page(summarize(results), curves, facts)
+
+
 def _render(path: Path) -> tuple[str, str]:
     """Return the document after its scripts ran, and what was logged."""
     assert CHROMIUM is not None
@@ -101,7 +109,7 @@ def test_page_draws_without_errors_and_keeps_hostile_names_as_text(
 ) -> None:
     """Under its own policy: a script refused would be a console error."""
     path = tmp_path / "report.html"
-    path.write_text(replay_page(descent, FACTS), encoding="utf-8")
+    path.write_text(_page(descent, FACTS), encoding="utf-8")
 
     document, console = _render(path)
 
@@ -120,7 +128,7 @@ def test_page_draws_without_errors_and_keeps_hostile_names_as_text(
 def test_zoom_moves_every_time_axis_and_outlives_a_change_of_view(
     tmp_path: Path, descent: Results
 ) -> None:
-    page = replay_page(descent, FACTS)
+    page = _page(descent, FACTS)
     # a test's own script is not in the page's policy
     page = re.sub(r'<meta http-equiv="Content-Security[^>]*>', "", page)
     page = page.replace("</body>", f"<script>{PROBE}</script></body>")
@@ -150,7 +158,7 @@ def test_a_drive_known_from_thermocouples_only_is_drawn(
         for key, column in descent.columns.items()
         if key == "time_s" or key.startswith(("FL.fluid", "FR.fluid"))
     }
-    page = replay_page(Results(columns, ("FL", "FR"), ("FL", "FR")), FACTS)
+    page = _page(Results(columns, ("FL", "FR"), ("FL", "FR")), FACTS)
     click = "<script>buttons[2].click();</script></body>"
     page = re.sub(r'<meta http-equiv="Content-Security[^>]*>', "", page)
     path = tmp_path / "report.html"

@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 
 from bstm_daemon.report.screen import percent, summary_table
+from bstm_daemon.report.tally import summarize
 from bstm_daemon.results import Results
 
 
 def test_table_of_the_descent(descent: Results) -> None:
-    lines = summary_table(descent).splitlines()
+    lines = summary_table(summarize(descent)).splitlines()
     left = next(line for line in lines if line.startswith("FL "))
     rear = next(line for line in lines if line.startswith("RL "))
 
@@ -36,7 +37,7 @@ def test_table_of_the_descent(descent: Results) -> None:
 
 
 def test_table_is_ascii_aligned_and_narrow(descent: Results) -> None:
-    text = summary_table(descent)
+    text = summary_table(summarize(descent))
     lines = text.splitlines()
     table = [line for line in lines if line[:2] in {"co", "FL", "FR"}]
 
@@ -57,7 +58,9 @@ def test_hot_long_and_doubtful_drive_still_fits() -> None:
             columns[f"{corner}.brake_power{kind}_w"] = np.full(4000, 2e4)
         columns[f"{corner}.validity"] = np.full(4000, 2.0)
 
-    text = summary_table(Results(columns, ("FL", "FR"), ("FL", "FR")))
+    text = summary_table(
+        summarize(Results(columns, ("FL", "FR"), ("FL", "FR")))
+    )
 
     assert max(map(len, text.splitlines())) <= 100
     assert "1000!10:28:20" in text
@@ -70,7 +73,7 @@ def test_short_drive_that_ends_too_early() -> None:
     elapsed_s = np.arange(90.0)
     columns = {"time_s": elapsed_s, "FL.fluid_c": 20 + elapsed_s}
 
-    text = summary_table(Results(columns, ("FL",), ("FL",)))
+    text = summary_table(summarize(Results(columns, ("FL",), ("FL",))))
 
     assert "109" in text
     assert "1:29" in text

@@ -1,8 +1,14 @@
 """Stretches without a valid estimate."""
 
 import numpy as np
+import pytest
 
-from bstm_daemon.report.spans import SPANS_DRAWN, validity_spans
+from bstm_daemon.report.spans import (
+    BUCKETS,
+    SPANS_DRAWN,
+    Buckets,
+    validity_spans,
+)
 
 
 def test_each_stretch_has_code_start_and_end() -> None:
@@ -37,3 +43,23 @@ def test_flicker_is_merged_to_what_a_screen_shows() -> None:
     assert 0 < len(spans) <= SPANS_DRAWN
     assert any(code == 2 and a <= 1200.1 < b for code, a, b in spans)
     assert max(end for _, _, end in spans) <= 1800.0
+
+
+@pytest.mark.parametrize("rows", [1000, 1024, 300_000])
+def test_a_long_drive_is_held_in_few_buckets(rows: int) -> None:
+    """One row in a day is found again, in a bucket of some rows."""
+    count = 864_000
+    elapsed_s = np.arange(count) / 10
+    validity = np.zeros(count)
+    validity[500_003] = 2.0
+    starts_s, worst = Buckets(np.minimum), Buckets(np.maximum)
+
+    for first in range(0, count, rows):
+        starts_s.add(elapsed_s[first : first + rows])
+        worst.add(validity[first : first + rows])
+
+    assert BUCKETS // 2 < len(worst.values) <= BUCKETS
+    assert (starts_s.values == elapsed_s[::16]).all()
+    assert validity_spans(starts_s.values, worst.values) == [
+        (2, 50_000.0, 50_001.6)
+    ]

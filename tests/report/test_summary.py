@@ -5,12 +5,8 @@ import json
 import numpy as np
 import pytest
 
-from bstm_daemon.report.summary import (
-    find_stops,
-    front_first,
-    summarize,
-    summary_json,
-)
+from bstm_daemon.report.summary import front_first, summary_json
+from bstm_daemon.report.tally import summarize
 from bstm_daemon.results import Results
 
 
@@ -109,20 +105,6 @@ def test_a_peak_in_the_last_row_is_no_peak_yet() -> None:
 
     assert peak["fluid"].at_end
     assert peak["fluid"].after_stop_s is None
-
-
-def test_stops_are_where_a_moving_vehicle_comes_to_rest() -> None:
-    """Not the standstill at the start, not a crossing, not a creep."""
-    elapsed_s = np.arange(200.0)
-    speed_ms = np.full(200, 10.0)
-    speed_ms[:20] = 0.0
-    speed_ms[50:55] = 0.0
-    speed_ms[80:120] = 0.0
-    speed_ms[90] = 0.8
-    speed_ms[100] = np.nan
-    speed_ms[170:] = 0.4
-
-    assert find_stops(elapsed_s, speed_ms) == (80.0, 170.0)
 
 
 @pytest.mark.parametrize("rows", [0, 1])

@@ -3,8 +3,14 @@
 import numpy as np
 import pytest
 
-from bstm_daemon.report.traces import POINTS_A_TRACE, Trace, drive_traces
+from bstm_daemon.report.traces import POINTS_A_TRACE, DriveCurves, Trace
 from bstm_daemon.results import Results
+
+
+def _traces(results: Results) -> list[Trace]:
+    curves = DriveCurves()
+    curves.write(results)
+    return curves.traces()
 
 
 def _find(
@@ -23,7 +29,7 @@ def _known(trace: Trace) -> list[float]:
 
 
 def test_units_are_those_of_the_panels(descent: Results) -> None:
-    traces = drive_traces(descent)
+    traces = _traces(descent)
     power = _find(traces, "power", "FL", "Feed-Forward")
     pressure_pa = descent.columns["FL.pressure_pa"]
 
@@ -39,7 +45,7 @@ def test_units_are_those_of_the_panels(descent: Results) -> None:
 def test_corners_of_one_circuit_share_a_pressure_curve(
     descent: Results,
 ) -> None:
-    labels = [t.label for t in drive_traces(descent) if t.panel == "pressure"]
+    labels = [t.label for t in _traces(descent) if t.panel == "pressure"]
 
     assert labels == ["FL", "FR", "RL RR"]
 
@@ -47,7 +53,7 @@ def test_corners_of_one_circuit_share_a_pressure_curve(
 def test_measured_lies_over_estimated_in_the_same_colour(
     descent: Results,
 ) -> None:
-    traces = drive_traces(descent)
+    traces = _traces(descent)
     names = [t.label for t in traces if t.corner == "FL"]
 
     for node in ("disc", "pad front", "pad back", "fluid"):
@@ -69,7 +75,7 @@ def test_curves_are_thin_and_keep_the_peak(descent: Results) -> None:
     columns = dict(descent.columns)
     columns["FL.disc_c"] = columns["FL.disc_c"].copy()
     columns["FL.disc_c"][31_415] = 999.0
-    traces = drive_traces(Results(columns, ("FL",), ("FL",)))
+    traces = _traces(Results(columns, ("FL",), ("FL",)))
     disc = _find(traces, "temperature", "FL", "disc")
 
     assert all(len(trace.x) <= POINTS_A_TRACE for trace in traces)
@@ -80,9 +86,7 @@ def test_curves_are_thin_and_keep_the_peak(descent: Results) -> None:
 
 
 def test_boiling_point_is_a_line_of_two_points(descent: Results) -> None:
-    line = _find(
-        drive_traces(descent), "fluid", "FL", "wet boiling point 155 °C"
-    )
+    line = _find(_traces(descent), "fluid", "FL", "wet boiling point 155 °C")
 
     assert line.x == [0.0, 5100.0]
     assert line.y == [155.0, 155.0]
@@ -95,7 +99,7 @@ def test_boiling_point_that_ages_is_a_curve(descent: Results) -> None:
     )
 
     line = _find(
-        drive_traces(Results(columns, ("FL",), ("FL",))),
+        _traces(Results(columns, ("FL",), ("FL",))),
         "fluid",
         "FL",
         "wet boiling point",
@@ -112,6 +116,6 @@ def test_gaps_stay_and_columns_without_numbers_go() -> None:
         "FL.pad_back_c": np.full(6, np.nan),
     }
 
-    (disc,) = drive_traces(Results(columns, ("FL",), ("FL",)))
+    (disc,) = _traces(Results(columns, ("FL",), ("FL",)))
 
     assert disc.y == [20.0, 21.0, None, None, 24.0, 25.0]

@@ -1,57 +1,28 @@
-"""The table of estimates: its columns, its files, its rows."""
+"""Rows of estimates: their columns, what they mean, how they are cut."""
 
 from __future__ import annotations
 
-import csv
-import sys
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 
+from bstm_daemon.bus.logs import EventLog
 from bstm_daemon.cli.vehicle import load_vehicle
-from bstm_daemon.errors import FileAccessError, MissingExtraError
-from bstm_daemon.replay import replay_log
-from bstm_daemon.results import (
-    Results,
-    has_parquet,
-    write_csv,
-    write_parquet,
-)
+from bstm_daemon.estimator import Estimator
+from bstm_daemon.replay import present_roles, replay_log
+from bstm_daemon.results import Collector, Results, ResultsBuilder
+from bstm_daemon.results.rows import STRETCH_ROWS
 from bstm_daemon.roles import CORNERS
-from bstm_daemon.simulation import parse_drive, simulate
-from bstm_daemon.simulation.frames import Encoder
-from bstm_daemon.simulation.recorder import write_candump
 
 if TYPE_CHECKING:
-    import numpy.typing as npt
+    from bstm_daemon.estimator import Block
+    from bstm_daemon.results import Sink
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 CAR = ROOT / "config" / "example_vehicle.toml"
-
-DRIVE = """
-[drive]
-name = "stop"
-description = "one stop and a pause; the car's own bus sleeps at last"
-ambient_c = 10.0
-thermocouple_logger = true
-[[segment]]
-speed_kmh = 100.0
-rate_ms2 = 4.0
-gear = 4
-duration_s = 10.0
-[[segment]]
-speed_kmh = 0.0
-rate_ms2 = 5.0
-[[segment]]
-parked = true
-duration_s = 10.0
-[[segment]]
-parked = true
-ignition = false
-duration_s = 4.0
-"""
 
 QUANTITIES = (
     "disc_c",
@@ -68,29 +39,6 @@ QUANTITIES = (
     "pressure_pa",
 )
 MEASURED = ("disc", "disc_2", "pad_front", "pad_back", "fluid", "caliper")
-
-
-@pytest.fixture(scope="module")
-def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return the log of the drive."""
-    path = tmp_path_factory.mktemp("results") / "stop.log"
-    encoder = Encoder(ROOT / "dbc" / "example_vehicle.dbc")
-    write_candump(path, simulate(parse_drive(DRIVE, "stop")), encoder)
-    return path
-
-
-@pytest.fixture(scope="module")
-def results(log: Path) -> Results:
-    """Return all rows of it."""
-    return replay_log(*load_vehicle(CAR), log).results
-
-
-def read_csv(path: Path) -> dict[str, npt.NDArray[np.float64]]:
-    """Return the columns of a CSV file; an empty cell is nan."""
-    with path.open(encoding="utf-8", newline="") as file:
-        names, *rows = csv.reader(file)
-    table = np.array([[float(c or "nan") for c in row] for row in rows])
-    return dict(zip(names, table.T, strict=True))
 
 
 def test_columns(results: Results) -> None:
@@ -127,51 +75,6 @@ def test_units_and_meaning(results: Results) -> None:
         2300 * 5 * 27, rel=0.15
     )
     assert set(columns["FL.validity"].tolist()) == {1.0}
-
-
-def test_both_files_hold_the_same(results: Results, tmp_path: Path) -> None:
-    """CSV to its digits, Parquet to the bit; the same names in one order."""
-    from pyarrow import parquet  # noqa: PLC0415
-
-    write_csv(tmp_path / "r.csv", results)
-    write_parquet(tmp_path / "r.parquet", results)
-
-    text = read_csv(tmp_path / "r.csv")
-    table = parquet.read_table(tmp_path / "r.parquet")
-    assert table.column_names == list(text) == list(results.columns)
-    digits = {
-        "_c": 5e-4,
-        "_k": 5e-4,
-        "_ms": 5e-4,
-        "_w": 0.05,
-        "_pa": 0.05,
-        "_n": 0.05,
-    }
-    for name, column in results.columns.items():
-        binary = table.column(name).to_numpy()
-        assert np.array_equal(binary, column, equal_nan=True), name
-        near = next(
-            (d for end, d in digits.items() if name.endswith(end)), 5e-4
-        )
-        np.testing.assert_allclose(text[name], column, atol=1.01 * near)
-
-
-def test_csv_has_an_empty_cell_for_what_is_not_there(
-    results: Results, tmp_path: Path
-) -> None:
-    """No word that a spreadsheet would take for text."""
-    gap = dict(results.columns)
-    gap["FL.disc_measured_c"] = np.full(len(results), np.nan)
-    write_csv(
-        tmp_path / "r.csv", Results(gap, results.corners, results.modelled)
-    )
-
-    text = (tmp_path / "r.csv").read_text(encoding="utf-8")
-    header, *rows = text.splitlines()
-    at = header.split(",").index("FL.disc_measured_c")
-    assert {row.split(",")[at] for row in rows} == {""}
-    assert "nan" not in text
-    assert rows[0].startswith("1700000000.")
 
 
 @pytest.mark.parametrize("every_us", [200_000, 1_000_000, 5_000_000])
@@ -248,22 +151,111 @@ def test_a_drum_has_power_and_no_temperature(
     assert results.columns["RR.brake_power_w"].max() > 1e3
 
 
-def test_files_that_can_not_be_written(
-    results: Results, tmp_path: Path
+@pytest.fixture(scope="module")
+def blocks(log: Path) -> tuple[Estimator, list[Block]]:
+    """Return the blocks of the drive, six times one behind the other."""
+    config, signal_map = load_vehicle(CAR)
+    estimator = Estimator(config, present_roles(signal_map))
+    found: list[Block] = []
+    for lap in range(6):
+        for events in EventLog(log, signal_map).events():
+            time_us = events.time_us + lap * 40_000_000
+            found += estimator.advance(time_us, events.role, events.value)
+    return estimator, found
+
+
+def _in_pieces(block: Block, rows: int) -> list[Block]:
+    """Return *block* cut into blocks of *rows* publications."""
+    count = len(block.times_us)
+
+    def part(flat: Any, first: int) -> Any:
+        width = len(flat) // count
+        return flat[first * width : (first + rows) * width]
+
+    return [
+        replace(
+            block,
+            times_us=part(block.times_us, first),
+            rows=part(block.rows, first),
+            vehicle=part(block.vehicle, first),
+            outputs=tuple(part(output, first) for output in block.outputs),
+            flags=part(block.flags, first),
+            validity={n: part(v, first) for n, v in block.validity.items()},
+        )
+        for first in range(0, count, rows)
+    ]
+
+
+class Lengths:
+    """A sink that keeps how many rows came at a time."""
+
+    def __init__(self) -> None:
+        """Begin without rows."""
+        self.rows: list[int] = []
+
+    def write(self, rows: Results) -> None:
+        """Take *rows*."""
+        self.rows.append(len(rows))
+
+
+@pytest.mark.parametrize("every_us", [100_000, 300_000])
+@pytest.mark.parametrize("rows", [1, 100, 5000])
+def test_how_blocks_are_cut_does_not_matter(
+    blocks: tuple[Estimator, list[Block]], rows: int, every_us: int
 ) -> None:
-    """A missing folder is an access error for both forms."""
-    for write in (write_csv, write_parquet):
-        with pytest.raises(FileAccessError, match="cannot be written"):
-            write(tmp_path / "none" / "r", results)
+    """The same rows to the bit, in the same stretches."""
+    estimator, found = blocks
+    whole, pieces, lengths = Collector(), Collector(), Lengths()
+    cuts: list[tuple[list[Sink], list[Block]]] = [
+        ([whole], found),
+        ([pieces, lengths], [p for b in found for p in _in_pieces(b, rows)]),
+    ]
+    for sinks, cut in cuts:
+        builder = ResultsBuilder(estimator, sinks, every_us)
+        for block in cut:
+            builder.add([block])
+        builder.finish()
+
+    one, other = whole.results(), pieces.results()
+    assert len(one) == builder.rows == sum(lengths.rows)
+    assert set(lengths.rows[:-1]) <= {STRETCH_ROWS}
+    assert len(lengths.rows) == -(-len(one) // STRETCH_ROWS)
+    for name, column in one.columns.items():
+        assert np.array_equal(column, other.columns[name], equal_nan=True)
 
 
-def test_parquet_without_pyarrow(
-    results: Results, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_a_publication_that_stays_alone_is_a_row(
+    blocks: tuple[Estimator, list[Block]],
 ) -> None:
-    """The extra is named; nothing is written."""
-    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    """The first is left out only where another comes."""
+    estimator, found = blocks
+    first, second, *_ = _in_pieces(found[0], 1)
+    counts = []
+    for cut in ([first], [first, second], []):
+        rows = Collector()
+        builder = ResultsBuilder(estimator, [rows])
+        builder.add(cut)
+        builder.finish()
+        counts.append(builder.rows)
+        if cut:
+            time_s = rows.results().columns["time_s"]
+            assert time_s.tolist() == [cut[-1].times_us[0] * 1e-6]
 
-    assert not has_parquet()
-    with pytest.raises(MissingExtraError, match=r"bstm-daemon\[parquet\]"):
-        write_parquet(tmp_path / "r.parquet", results)
-    assert list(tmp_path.iterdir()) == []
+    assert counts == [1, 1, 0]
+
+
+def test_a_thermocouple_that_is_mapped_has_a_column(
+    log: Path, tmp_path: Path
+) -> None:
+    """Also one that is silent: the first rows do not know of the rest."""
+    silent = tmp_path / "silent.log"
+    lines = log.read_text(encoding="ascii").splitlines(keepends=True)
+    kept = [line for line in lines if " 6A" not in line]
+    assert len(kept) < len(lines)
+    silent.write_text("".join(kept), encoding="ascii")
+
+    columns = replay_log(*load_vehicle(CAR), silent).results.columns
+
+    for node in MEASURED:
+        assert np.isnan(columns[f"FR.{node}_measured_c"]).all()
+    assert "RL.disc_measured_c" not in columns

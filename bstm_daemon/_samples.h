@@ -1,0 +1,58 @@
+/* A pass over samples, as its two sources share it: _samples_bind.c points it
+ * into what comes from Python and checks that, _samples.c runs it.
+ * heat/sample_plan.py lays out `ints` and `floats`, heat/sample_state.py the
+ * memory.
+ */
+#ifndef BSTM_SAMPLES_H
+#define BSTM_SAMPLES_H
+
+#include "_plausibility.h"
+
+#define PLAN_LAYOUT 2
+
+enum { DONE, FULL, SETTLE, JUMP, DROP };
+enum {
+    I_LAYOUT, I_ROLES, I_CORNERS, I_MODE, I_SLOPE, I_POINTS, I_PRESSURE,
+    I_ASSUMED, HEADER
+};
+enum {
+    R_SPEED, R_PRIMARY, R_SECONDARY, R_ACCELERATION, R_TORQUE, R_EXTERNAL,
+    R_AMBIENT, R_RAIN, R_SWITCH, R_ESC, VEHICLE_ROLES
+};
+enum { C_WHEEL, C_PRESSURE, C_SECONDARY, C_REAR, C_MEASURED };
+enum { MEASURED = 6, PER_CORNER_INTS = C_MEASURED + MEASURED };
+enum {
+    F_STEP, F_MASS, F_ROTATING, F_RADIUS, F_QUADRATIC, F_LINEAR, F_CONSTANT,
+    F_AMBIENT, F_TORQUE, F_ON_PRESSURE, F_ON_FORCE, F_FILTER, F_SETTLING,
+    VEHICLE_FLOATS
+};
+enum { T_PER_PA, T_PUSHOUT, T_LAG, T_SHARE, PER_CORNER_FLOATS };
+enum { S_NOW, S_GRID, S_PENDING, S_LATE, S_DROPPED, S_JUMPS, TIMES };
+enum {
+    N_FILTERED, N_SPEED, N_DISTANCE, N_FORCE, N_ENERGY_FB, N_TOTAL_FB, N_TAIL,
+    NUMBERS
+};
+enum { PER_CORNER_SUMS = 5, CHANNELS = 8 + MEASURED, VEHICLE_CHANNELS = 5 };
+enum { LIMITS = 4 }; /* low, high, step, rate */
+
+typedef struct {
+    const int32_t *ints, *role, *corner;  /* role: the vehicle's roles */
+    const double *f, *corner_f, *table_front, *table_rear, *timeout;
+    int roles, corners, points;
+    int64_t *t, *stamp;
+    double *n, *lagged, *energy_ff, *pressure_sum, *on_time, *total_ff, *value;
+    int32_t *flags;
+    double *rows, *vehicle_rows;
+    int64_t *row_times;
+    ptrdiff_t room, steps;
+    int stale, speed_known;
+    double speed, heading, wheel[MAX_CORNERS], target[MAX_CORNERS];
+    Checks checks;
+} Pass;
+
+/* Take samples until they or the rows end; returns the next one's index. */
+ptrdiff_t bstm_consume(Pass *p, const int64_t *times, const int32_t *roles,
+                       const double *values, ptrdiff_t index, ptrdiff_t count,
+                       int *code);
+
+#endif

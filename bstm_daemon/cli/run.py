@@ -1,0 +1,76 @@
+"""``bstm run``: the live service, in the foreground as systemd wants it."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from bstm_daemon.cli.arguments import add_config
+from bstm_daemon.daemon.events import ServiceLog
+from bstm_daemon.daemon.monitor import BusOverride
+from bstm_daemon.daemon.notify import Notifier
+from bstm_daemon.daemon.service import Options, Service
+from bstm_daemon.daemon.wake import SignalWaiter
+
+if TYPE_CHECKING:
+    import argparse
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments; those of the bus are python-can's."""
+    add_config(parser)
+    parser.add_argument(
+        "-i",
+        "--interface",
+        help="python-can interface of the first [[bus]], such as socketcan",
+    )
+    parser.add_argument(
+        "--channel", help="channel of the first [[bus]], such as can0"
+    )
+    parser.add_argument(
+        "-b", "--bitrate", type=int, help="bitrate of the first [[bus]]"
+    )
+    parser.add_argument(
+        "--fd",
+        action="store_true",
+        default=None,
+        help="receive CAN FD frames on the first [[bus]]",
+    )
+    parser.add_argument(
+        "--state",
+        type=Path,
+        metavar="FILE",
+        help="state file, instead of the configured or default one",
+    )
+    parser.add_argument(
+        "--metrics-port",
+        type=int,
+        metavar="PORT",
+        help="serve /metrics and /healthz on 127.0.0.1:PORT",
+    )
+    parser.add_argument(
+        "--duration",
+        type=float,
+        metavar="S",
+        help="stop after S seconds",
+    )
+    # a service says what it does; -q leaves warnings, -qq errors
+    parser.set_defaults(verbosity_offset=1)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run until SIGTERM, SIGINT or the end of ``--duration``."""
+    options = Options(
+        config=args.config,
+        state=args.state,
+        override=BusOverride(
+            args.interface, args.channel, args.bitrate, args.fd
+        ),
+        metrics_port=args.metrics_port,
+        until_us=None if args.duration is None else round(args.duration * 1e6),
+    )
+    notifier = Notifier.from_environment(os.environ)
+    with SignalWaiter() as waiter:
+        Service(options, notifier, ServiceLog()).run(waiter)
+    return 0

@@ -1,0 +1,130 @@
+"""``bstm watch``: the brakes of a car, live, from the published frames."""
+
+from __future__ import annotations
+
+import sys
+from argparse import ArgumentTypeError
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from bstm_daemon.bus.output_layout import BLOCK_IDS, MAX_STANDARD_ID
+from bstm_daemon.config import BusConfig, PublishConfig
+from bstm_daemon.config_file import load_config
+from bstm_daemon.errors import ConfigError
+from bstm_daemon.watch.board import Board
+from bstm_daemon.watch.live import link_of, watch_link
+from bstm_daemon.watch.view import open_view
+
+if TYPE_CHECKING:
+    import argparse
+
+    from bstm_daemon.config import Config
+
+
+LAST_BASE: Final = MAX_STANDARD_ID - BLOCK_IDS + 1
+"""The last id at which the whole block is of 11 bits."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of ``bstm watch``."""
+    parser.add_argument(
+        "-c",
+        "--config",
+        type=Path,
+        metavar="FILE",
+        help="configuration of the vehicle, for bus and ids (TOML)",
+    )
+    parser.add_argument(
+        "-i",
+        "--interface",
+        type=_name,
+        metavar="IFACE",
+        help="python-can interface (default: that of CONFIG, of python-can's "
+        "own configuration, or socketcan)",
+    )
+    parser.add_argument(
+        "--channel",
+        type=_name,
+        metavar="CH",
+        help="channel of the interface (default: likewise, or can0)",
+    )
+    parser.add_argument(
+        "-b",
+        "--bitrate",
+        type=_bitrate,
+        metavar="BIT/S",
+        help="bitrate, where the interface takes it from its user",
+    )
+    parser.add_argument(
+        "--id-base",
+        type=_id_base,
+        metavar="ID",
+        help="id of BSTM_Status (default: [publish] id_base of CONFIG, "
+        "or 0x5B0)",
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Show the view until the user leaves."""
+    config = None if args.config is None else load_config(args.config)
+    publish = PublishConfig() if config is None else config.publish
+    id_base = publish.id_base if args.id_base is None else args.id_base
+    corners = [corner.name for corner in config.corner] if config else []
+    board = Board(id_base, corners)
+    link = link_of(_bus(args, config), board)
+    with suppress(KeyboardInterrupt):
+        watch_link(link, board, open_view(sys.stdout))
+    return 0
+
+
+def _bus(args: argparse.Namespace, config: Config | None) -> BusConfig:
+    """Return the bus to read: arguments, then CONFIG, then python-can's."""
+    given: dict[str, Any] = {
+        key: value
+        for key in ("interface", "channel", "bitrate")
+        if (value := getattr(args, key)) is not None
+    }
+    if config is not None:
+        if not config.bus:
+            msg = f"{args.config}: has no [[bus]] to watch"
+            raise ConfigError([msg])
+        name = config.publish.bus or config.bus[0].name
+        bus = next(bus for bus in config.bus if bus.name == name)
+        return bus.model_copy(update=given)
+    from can.util import (  # noqa: PLC0415  (slow, and not needed with -c)
+        load_environment_config,
+        load_file_config,
+    )
+
+    own = {**load_file_config(), **load_environment_config()}
+    fallback = {
+        key: own[key] for key in ("interface", "channel") if own.get(key)
+    }
+    return BusConfig(name="watched", dbc="none", **{**fallback, **given})
+
+
+def _id_base(text: str) -> int:
+    id_base = int(text, 0)
+    if not 0 <= id_base <= LAST_BASE:
+        msg = (
+            f"{text}: the block of {BLOCK_IDS} ids begins at 0x0 to "
+            f"0x{LAST_BASE:X}"
+        )
+        raise ArgumentTypeError(msg)
+    return id_base
+
+
+def _bitrate(text: str) -> int:
+    bitrate = int(text)
+    if bitrate <= 0:
+        msg = f"{text} is not above 0"
+        raise ArgumentTypeError(msg)
+    return bitrate
+
+
+def _name(text: str) -> str:
+    if not text:
+        msg = "needs a name, such as can0"
+        raise ArgumentTypeError(msg)
+    return text

@@ -1,0 +1,30 @@
+"""What every section of the configuration is made of."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import BaseModel, ConfigDict, Field
+
+Positive = Annotated[float, Field(gt=0)]
+NotNegative = Annotated[float, Field(ge=0)]
+Fraction = Annotated[float, Field(ge=0, le=1)]
+Text = Annotated[str, Field(min_length=1)]
+
+
+class Section(BaseModel):
+    """Base of all sections.
+
+    Unknown keys are errors, values are final, a text is never read as a
+    number, and neither NaN nor infinity is a number.
+    """
+
+    model_config = ConfigDict(
+        extra="forbid", frozen=True, strict=True, allow_inf_nan=False
+    )
+
+
+def require(condition: bool, message: str) -> None:  # noqa: FBT001
+    """Raise :class:`ValueError` with *message* unless *condition*."""
+    if not condition:
+        raise ValueError(message)

@@ -1,0 +1,1 @@
+"""The live service: clock, loop, state and what it tells the world."""

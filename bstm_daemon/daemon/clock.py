@@ -1,0 +1,162 @@
+"""One time axis for a drive, whatever the wall clock does.
+
+Frames are stamped by the kernel in wall time, which jumps when NTP or a
+person *sets* it. The time since boot never does, and runs on through suspend.
+Slewing bends both alike. Their difference is therefore constant but for steps,
+and a step is what changes it.
+"""
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Final
+
+Clock = Callable[[], int]
+"""A reading in ns."""
+
+STEP_US: Final = 10_000
+"""A change of wall time against boot time above this is a step."""
+
+_NARROW_NS: Final = 50_000
+_TRIES: Final = 5
+
+BOOT_ID: Final = Path("/proc/sys/kernel/random/boot_id")
+
+
+def wall_clock_ns() -> int:
+    """Return ``CLOCK_REALTIME``, as the kernel stamps frames."""
+    return time.clock_gettime_ns(time.CLOCK_REALTIME)
+
+
+def boot_clock_ns() -> int:
+    """Return ``CLOCK_BOOTTIME``, which counts suspend and is never set."""
+    return time.clock_gettime_ns(time.CLOCK_BOOTTIME)
+
+
+class SteadyAxis:
+    """Microseconds that equal wall time at the start and never step.
+
+    :meth:`read` at every drain, before the sockets are read; then
+    :meth:`of_stamp` for each frame. As long as the wall clock is not set, the
+    axis is the stamp itself, to the microsecond.
+    """
+
+    def __init__(
+        self,
+        wall_ns: Clock = wall_clock_ns,
+        boot_ns: Clock = boot_clock_ns,
+    ) -> None:
+        """Measure the offset of *wall_ns* from *boot_ns*."""
+        self._wall_ns = wall_ns
+        self._boot_ns = boot_ns
+        wall, low, high = self._measure()
+        self._start_offset_ns = (low + high) // 2
+        self._offset_ns = self._start_offset_ns
+        self._shifts: tuple[int, ...] = (0,)
+        """What to take off wall time in us: the shift in effect, and before
+        it those that frames still to be read may have been stamped under."""
+        self._kept = 1
+        self._since_us = self._now_us = wall // 1000
+        self.steps = 0
+        """How often the wall clock was stepped."""
+        self.last_step_us = 0
+        """The last step; positive where the wall clock was put forward."""
+
+    def read(self) -> int:
+        """Return the time now (us); notices a step since the last call."""
+        # a step found amid a drain: a bus drained before it may still hold
+        # frames from before the step
+        self._shifts = self._shifts[-self._kept :]
+        self._kept = 1
+        self._since_us = self._now_us
+        return self._advance()
+
+    def of_stamp(self, stamp_ns: int) -> int:
+        """Return the axis time (us) of a frame that was read just now.
+
+        The frame came since the :meth:`read` before the last one. Where the
+        clock was stepped meanwhile, that tells on which side of the step the
+        stamp was made; in doubt it is the side before.
+        """
+        cut_us = stamp_ns // 1000
+        low_us = self._since_us - STEP_US
+        high_us = self._now_us + STEP_US
+        for shift_us in self._shifts:
+            if low_us <= cut_us - shift_us <= high_us:
+                return cut_us - shift_us
+        return self._outlying(cut_us)
+
+    def wall_of(self, axis_us: int) -> int:
+        """Return the wall time (us since 1970), as of today, of *axis_us*."""
+        return axis_us + self._shifts[-1]
+
+    def boot_of(self, axis_us: int) -> int:
+        """Return the time since boot (us), suspend included, of *axis_us*."""
+        return axis_us - self._start_offset_ns // 1000
+
+    def _outlying(self, cut_us: int) -> int:
+        """Place a stamp that fits no shift known so far.
+
+        It may tell of a step after the last :meth:`read`. With a step, what
+        still fits nowhere was stamped between two steps: it is put at the
+        nearest end of the time in which it came. Without one it is believed.
+        """
+        known = len(self._shifts)
+        self._advance()
+        self._kept += len(self._shifts) - known
+        low_us, high_us = self._since_us, self._now_us
+        if len(self._shifts) == 1:
+            return cut_us - self._shifts[0]
+        nearest_us = min(
+            (cut_us - shift_us for shift_us in self._shifts),
+            key=lambda us: max(low_us - us, us - high_us, 0),
+        )
+        if low_us - STEP_US <= nearest_us <= high_us + STEP_US:
+            return nearest_us
+        return min(max(nearest_us, low_us), high_us)
+
+    def _advance(self) -> int:
+        """Read the clocks, take over a step, return the time now (us)."""
+        wall, low, high = self._measure()
+        # certain only as far as the reading is: no step from a slow reading
+        margin_ns = STEP_US * 1000
+        if not low - margin_ns <= self._offset_ns <= high + margin_ns:
+            offset_ns = (low + high) // 2
+            self.steps += 1
+            self.last_step_us = (offset_ns - self._offset_ns) // 1000
+            self._offset_ns = offset_ns
+            # from the start, so that errors of reading do not add up
+            shift_us = (offset_ns - self._start_offset_ns) // 1000
+            self._shifts = (*self._shifts, shift_us)
+        now_us = wall // 1000 - self._shifts[-1]
+        self._now_us = max(self._now_us, now_us)
+        return self._now_us
+
+    def _measure(self) -> tuple[int, int, int]:
+        """Return wall time, least and greatest possible offset, in ns.
+
+        The wall clock is read between two readings of the other; the
+        narrowest of a few tries where the process was held up in between.
+        """
+        wall, low, high = self._reading()
+        for _ in range(_TRIES - 1):
+            if high - low <= _NARROW_NS:
+                break
+            again = self._reading()
+            if again[2] - again[1] < high - low:
+                wall, low, high = again
+        return wall, low, high
+
+    def _reading(self) -> tuple[int, int, int]:
+        before = self._boot_ns()
+        wall = self._wall_ns()
+        after = self._boot_ns()
+        return wall, wall - after, wall - before
+
+
+def boot_id(path: Path = BOOT_ID) -> str | None:
+    """Return what names this boot of the kernel; None where it is unknown."""
+    try:
+        return path.read_text(encoding="ascii").strip() or None
+    except (OSError, UnicodeDecodeError):
+        return None

@@ -1,0 +1,192 @@
+"""What the live service logs: one event name per fact, with its fields.
+
+Text on a terminal and JSON lines elsewhere are the command line's
+(:mod:`bstm_daemon.cli.main`); here stand the names that a fleet's log search
+may rely on, and the rule that a repeated fact is not logged at frame rate.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final, Literal, Protocol
+
+import structlog
+
+if TYPE_CHECKING:
+    from collections.abc import Hashable
+
+Level = Literal["debug", "info", "warning", "error"]
+
+REPEAT_INTERVAL_S: Final = 10.0
+"""A fault at frame rate is a line every 10 s, not 100 a second."""
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """A fact: its name, its level and the fields it always has."""
+
+    name: str
+    level: Level
+    fields: tuple[str, ...] = ()
+
+
+STARTED: Final = Event(
+    "service_started", "info", ("version", "config", "kernel")
+)
+STOPPING: Final = Event("service_stopping", "info", ("reason",))
+
+BUS_UP: Final = Event("bus_up", "info", ("bus", "channel"))
+BUS_DOWN: Final = Event("bus_down", "warning", ("bus", "channel"))
+BUS_MISSING: Final = Event(
+    "bus_missing", "warning", ("bus", "channel", "error")
+)
+RECEIVE_BUFFER: Final = Event(
+    "receive_buffer", "info", ("bus", "asked_bytes", "given_bytes")
+)
+BUS_OFF: Final = Event("bus_off", "error", ("bus", "channel"))
+BUS_RESTARTED: Final = Event("bus_restarted", "info", ("bus", "channel"))
+FRAMES_DROPPED: Final = Event("frames_dropped", "warning", ("bus", "count"))
+FRAMES_REFUSED: Final = Event("frames_refused", "warning", ("reason", "count"))
+
+PUBLISHING_STARTED: Final = Event(
+    "publishing_started", "info", ("bus", "id_base")
+)
+FOREIGN_FRAME: Final = Event("foreign_frame", "error", ("bus", "can_id"))
+"""A frame with one of our ids that we did not send: publication ends."""
+SEND_FAILED: Final = Event("send_failed", "warning", ("bus", "error"))
+
+INPUT_FAULT: Final = Event("input_fault", "warning", ("fault",))
+INPUT_FAULT_OVER: Final = Event("input_fault_over", "info", ("fault",))
+CLOCK_STEPPED: Final = Event("clock_stepped", "warning", ("step_s",))
+VALIDITY_CHANGED: Final = Event(
+    "validity_changed", "info", ("corner", "validity")
+)
+RISK_ROSE: Final = Event(
+    "risk_rose", "warning", ("corner", "level", "margin_k")
+)
+RISK_FELL: Final = Event("risk_fell", "info", ("corner", "level", "margin_k"))
+
+STATE_LOADED: Final = Event(
+    "state_loaded", "info", ("file", "age_s", "new_nodes")
+)
+PARKED_TIME_CORRECTED: Final = Event(
+    "parked_time_corrected", "warning", ("assumed_s", "parked_s")
+)
+SLEPT: Final = Event("computer_slept", "warning", ("asleep_s",))
+ESTIMATE_RESET: Final = Event("estimate_reset", "error", ("count",))
+RECORD_KEPT: Final = Event("record_kept", "info", ("reason",))
+STATE_DISCARDED: Final = Event(
+    "state_discarded", "warning", ("file", "reason")
+)
+STATE_SAVE_FAILED: Final = Event(
+    "state_save_failed", "error", ("file", "error")
+)
+CONFIG_RELOADED: Final = Event("config_reloaded", "info", ("config",))
+CONFIG_REFUSED: Final = Event(
+    "config_refused", "error", ("config", "problems")
+)
+METRICS_FAILED: Final = Event("metrics_failed", "warning", ("error",))
+LATE_US: Final = 100_000
+"""A cycle that takes longer misses a publication."""
+
+LOOP_LATE: Final = Event("loop_late", "warning", ("lag_s",))
+
+EVENTS: Final = (
+    *(STARTED, STOPPING),
+    *(RECEIVE_BUFFER, BUS_UP, BUS_DOWN, BUS_MISSING, BUS_OFF, BUS_RESTARTED),
+    *(FRAMES_DROPPED, FRAMES_REFUSED),
+    *(PUBLISHING_STARTED, FOREIGN_FRAME, SEND_FAILED),
+    *(INPUT_FAULT, INPUT_FAULT_OVER, CLOCK_STEPPED),
+    *(VALIDITY_CHANGED, RISK_ROSE, RISK_FELL),
+    *(STATE_LOADED, STATE_DISCARDED, STATE_SAVE_FAILED),
+    *(PARKED_TIME_CORRECTED, SLEPT, ESTIMATE_RESET, RECORD_KEPT),
+    *(CONFIG_RELOADED, CONFIG_REFUSED, METRICS_FAILED, LOOP_LATE),
+)
+"""Every event of the service."""
+
+
+class Logger(Protocol):
+    """The part of a structlog logger that is used."""
+
+    def debug(self, event: str, **fields: Any) -> Any:
+        """Log at this level."""
+
+    def info(self, event: str, **fields: Any) -> Any:
+        """Log at this level."""
+
+    def warning(self, event: str, **fields: Any) -> Any:
+        """Log at this level."""
+
+    def error(self, event: str, **fields: Any) -> Any:
+        """Log at this level."""
+
+
+class RepeatLimiter:
+    """Lets the same (event, key) pass at most once per interval.
+
+    Holds no clock: every call brings its time, on any axis that runs
+    forward. A time before the last one begins a new interval.
+    """
+
+    def __init__(self, interval_s: float = REPEAT_INTERVAL_S) -> None:
+        """Let a repeat pass *interval_s* after the last that passed."""
+        self._interval_s = interval_s
+        self._passed: dict[tuple[str, Hashable], tuple[float, int]] = {}
+
+    def suppressed(
+        self, event: str, key: Hashable, now_s: float
+    ) -> int | None:
+        """Return how many were held back since the last that passed.
+
+        None where this one is held back as well.
+        """
+        last_s, held = self._passed.get((event, key), (None, 0))
+        if last_s is not None and 0.0 <= now_s - last_s < self._interval_s:
+            self._passed[event, key] = (last_s, held + 1)
+            return None
+        self._passed[event, key] = (now_s, 0)
+        return held
+
+
+class ServiceLog:
+    """Logs events with their fields, repeats at most once per interval."""
+
+    def __init__(
+        self,
+        logger: Logger | None = None,
+        interval_s: float = REPEAT_INTERVAL_S,
+    ) -> None:
+        """Log to *logger*, by default structlog as it is configured."""
+        self._logger = structlog.get_logger() if logger is None else logger
+        self._limiter = RepeatLimiter(interval_s)
+
+    def say(self, event: Event, **fields: Any) -> None:
+        """Log *event*.
+
+        Raises :class:`TypeError` unless *fields* are those of the event.
+        """
+        if fields.keys() != set(event.fields):
+            msg = (
+                f"{event.name} has the fields {', '.join(event.fields)}; "
+                f"given: {', '.join(fields)}"
+            )
+            raise TypeError(msg)
+        getattr(self._logger, event.level)(event.name, **fields)
+
+    def repeat(
+        self, event: Event, key: Hashable, now_s: float, **fields: Any
+    ) -> None:
+        """Log *event* unless it was logged for *key* within the interval.
+
+        The next line after held-back ones has ``suppressed``, their number.
+        Raises :class:`TypeError` unless *fields* are those of the event.
+        """
+        held = self._limiter.suppressed(event.name, key, now_s)
+        if held is None:
+            return
+        more = {"suppressed": held} if held else {}
+        self.say(
+            Event(event.name, event.level, (*event.fields, *more)),
+            **fields,
+            **more,
+        )

@@ -1,0 +1,431 @@
+"""The service seen from outside: log events, status, metrics, record.
+
+Once a second the observer compares what is with what was and says what
+changed; nothing of it touches the estimate.
+"""
+
+from __future__ import annotations
+
+import os
+import resource
+from collections import Counter
+from functools import reduce
+from operator import or_
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from bstm_daemon import __version__
+from bstm_daemon.bus.link import LinkEvent, LinkState
+from bstm_daemon.bus.output_layout import RiskLevel, State, Validity
+from bstm_daemon.bus.publication import risk_level
+from bstm_daemon.bus.refusal import Refusal
+from bstm_daemon.daemon import events
+from bstm_daemon.daemon.metrics import metrics_text, write_metrics
+from bstm_daemon.daemon.recorder import Recorder
+from bstm_daemon.daemon.status import (
+    BusStatus,
+    CornerStatus,
+    LoopStatus,
+    ServiceStatus,
+    StateFileStatus,
+    status_line,
+)
+from bstm_daemon.errors import FileAccessError
+from bstm_daemon.heat.plausibility import reasons
+from bstm_daemon.heat.sample_plan import FLAGS
+
+if TYPE_CHECKING:
+    from bstm_daemon.bus.link import Frame, Link
+    from bstm_daemon.daemon.clock import SteadyAxis
+    from bstm_daemon.daemon.events import Event, ServiceLog
+    from bstm_daemon.daemon.intake import Intake
+    from bstm_daemon.daemon.metrics_server import MetricsServer
+    from bstm_daemon.daemon.monitor import Monitor
+    from bstm_daemon.daemon.sender import Sender
+
+DISAGREEMENT: Final = (
+    FLAGS["switch_contradicts"]
+    | FLAGS["wheels_contradict"]
+    | FLAGS["acceleration_contradicts"]
+)
+"""Flags that keep the record aside when they rise."""
+
+KEPT_LEVELS: Final = (RiskLevel.HIGH, RiskLevel.CRITICAL)
+
+_LINK_EVENTS: Final[dict[LinkState, Event]] = {
+    LinkState.UP: events.BUS_UP,
+    LinkState.DOWN: events.BUS_DOWN,
+}
+
+
+class Observer:
+    """Watches one service."""
+
+    def __init__(
+        self,
+        log: ServiceLog,
+        axis: SteadyAxis,
+        state_folder: Path,
+        metrics_port: int | None,
+    ) -> None:
+        """Log to *log*; records go below *state_folder* by default.
+
+        Raises:
+            UsageError: *metrics_port* can not be listened on.
+        """
+        self._log = log
+        self._axis = axis
+        self._state_folder = state_folder
+        self._server = _metrics_server(metrics_port)
+        self._start_us = axis.read()
+        self._recorder: Recorder | None = None
+        self._links: dict[str, tuple[LinkState, Counter[LinkEvent], int]] = {}
+        self._refused: Counter[str] = Counter()
+        self._faults: set[str] = set()
+        self._validity: dict[str, Validity] = {}
+        self._levels: dict[str, RiskLevel] = {}
+        self._flags = self._said_flags = 0
+        self._resets = self._send_lost = 0
+        self._lag_us = self._longest_us = 0
+        self._next_metrics_us = 0
+        self.line = "starting"
+        """The status in one line."""
+
+    def begin(self, monitor: Monitor, intake: Intake, sender: Sender) -> None:
+        """Watch *monitor* from now on."""
+        self._monitor, self._intake, self._sender = monitor, intake, sender
+        self._close_recorder()
+        config = monitor.config
+        if config.record.enabled:
+            folder = self._state_folder / "record"
+            if config.record.folder is not None:
+                folder = monitor.path.parent / config.record.folder
+            channels = [bus.channel for bus in config.bus]
+            self._recorder = Recorder(config.record, folder, channels)
+        self._metrics_file = _metrics_file(monitor)
+        self._links = {}
+        self._refused = Counter()
+        self._resets = self._send_lost = 0
+        if sender.is_sending and monitor.publish_bus is not None:
+            self._log.say(
+                events.PUBLISHING_STARTED,
+                bus=config.bus[monitor.publish_bus].name,
+                id_base=f"0x{config.publish.id_base:X}",
+            )
+
+    def record(self, time_us: int, bus: int, frame: Frame) -> None:
+        """Take a frame into the record."""
+        if self._recorder is not None:
+            self._recorder.frame(
+                bus,
+                frame.can_id,
+                frame.extended,
+                frame.data,
+                time_us,
+                is_error=frame.is_error,
+                is_remote=frame.is_remote,
+                is_fd=self._monitor.config.bus[bus].fd and len(frame.data) > 8,
+            )
+
+    def keep(self, reason: str, time_us: int) -> None:
+        """Keep the record around *time_us* aside."""
+        if self._recorder is not None:
+            self._recorder.keep(reason, time_us)
+            self._log.repeat(
+                events.RECORD_KEPT, reason, time_us * 1e-6, reason=reason
+            )
+
+    def note_flags(self) -> None:
+        """Remember the flags of what was published in this cycle."""
+        for block in self._monitor.engine.blocks:
+            self._flags = reduce(or_, block.flags, self._flags)
+
+    def note_cycle(self, lag_us: int, duration_us: int) -> None:
+        """Remember how late a cycle began and how long it took."""
+        self._lag_us = max(lag_us, 0)
+        self._longest_us = max(self._longest_us, duration_us)
+
+    def report(self, state_file: StateFileStatus, now_us: int) -> None:
+        """Say what changed; renew status line and metrics."""
+        status = self._status(state_file, now_us)
+        self._say_links(now_us)
+        self._say_inputs(now_us)
+        self._say_corners(status, now_us)
+        self._say_losses(now_us)
+        if self._longest_us > events.LATE_US:
+            self._log.repeat(
+                events.LOOP_LATE,
+                "loop",
+                now_us * 1e-6,
+                lag_s=self._longest_us * 1e-6,
+            )
+        self._longest_us = 0
+        self.line = status_line(status)
+        if not self._sender.is_sending and self._sender.foreign_id >= 0:
+            self.line += (
+                ", NOT PUBLISHING: another sender of "
+                f"0x{self._sender.foreign_id:X}"
+            )
+        if self._recorder is not None:
+            self._recorder.tick(now_us)
+        if now_us >= self._next_metrics_us:
+            interval_s = self._monitor.config.metrics.interval_s
+            self._next_metrics_us = now_us + round(interval_s * 1e6)
+            self._write_metrics(status, now_us)
+
+    def close(self) -> None:
+        """End record and page; take the metrics of a dead service away."""
+        self._close_recorder()
+        if self._server is not None:
+            self._server.close()
+        if self._metrics_file is not None:
+            self._metrics_file.unlink(missing_ok=True)
+
+    def _write_metrics(self, status: ServiceStatus, now_us: int) -> None:
+        if self._server is not None:
+            self._server.update(metrics_text(status))
+        if self._metrics_file is None:
+            return
+        try:
+            write_metrics(self._metrics_file, status)
+        except FileAccessError as error:
+            self._log.repeat(
+                events.METRICS_FAILED,
+                "metrics",
+                now_us * 1e-6,
+                error=str(error),
+            )
+
+    def _status(
+        self, state_file: StateFileStatus, now_us: int
+    ) -> ServiceStatus:
+        engine = self._monitor.engine
+        snapshot = engine.snapshot
+        counts = engine.estimator.counts
+        usage = resource.getrusage(resource.RUSAGE_SELF)
+        published = snapshot.status if snapshot is not None else None
+        return ServiceStatus(
+            version=__version__,
+            compiled_kernel=engine.estimator.compiled,
+            state=State.STARTING if published is None else published.state,
+            heat_mode=engine.heat_mode,
+            history_known=published is not None and published.history_known,
+            is_publishing=self._sender.is_sending,
+            corners={
+                name: self._corner(name) for name in engine.estimator.programs
+            },
+            buses={
+                bus.name: self._bus(number, link)
+                for number, (bus, link) in enumerate(
+                    zip(
+                        self._monitor.config.bus,
+                        self._intake.links,
+                        strict=True,
+                    )
+                )
+            },
+            late_samples=counts["late"],
+            dropped_samples=counts["dropped"],
+            clock_jumps=counts["jumps"],
+            clock_steps=self._axis.steps,
+            state_file=state_file,
+            loop=LoopStatus(
+                drain_lag_s=self._lag_us * 1e-6,
+                drain_max_s=self._longest_us * 1e-6,
+                cpu_s=usage.ru_utime + usage.ru_stime,
+                resident_bytes=_resident_bytes(),
+                uptime_s=(now_us - self._start_us) * 1e-6,
+            ),
+        )
+
+    def _corner(self, name: str) -> CornerStatus:
+        engine = self._monitor.engine
+        program = engine.estimator.programs[name]
+        state = engine.estimator.state(name)
+        nodes_k = {
+            node.name: state[node.name]
+            for node in program.network.nodes
+            if node.boundary_input is None
+        }
+        if engine.snapshot is None:
+            return CornerStatus(nodes_k)
+        corner = engine.snapshot.corners[name]
+        level = risk_level(
+            corner.margin_k,
+            corner.validity,
+            history_known=engine.snapshot.status.history_known,
+        )
+        return CornerStatus(nodes_k, corner.margin_k, level, corner.validity)
+
+    def _bus(self, number: int, link: Link) -> BusStatus:
+        engine = self._monitor.engine
+        is_ours = number == self._monitor.publish_bus
+        # the decoder does not know which bus a refused frame was on
+        refused = (
+            {str(r): count for r, count in engine.decoder.counts.items()}
+            if number == 0
+            else {}
+        )
+        return BusStatus(
+            channel=link.channel,
+            state=link.state,
+            reason=link.reason,
+            frames=self._intake.frames[number],
+            refused=refused,
+            dropped=link.dropped,
+            events=dict(link.counts),
+            sent=self._sender.sent if is_ours else 0,
+            send_lost=self._sender.lost if is_ours else 0,
+        )
+
+    def _say_links(self, now_us: int) -> None:
+        for bus, link in zip(
+            self._monitor.config.bus, self._intake.links, strict=True
+        ):
+            state, counts, dropped = self._links.get(
+                bus.name, (None, Counter[LinkEvent](), 0)
+            )
+            place = {"bus": bus.name, "channel": link.channel}
+            if link.state is not state:
+                self._say_link(bus.name, link, place)
+            for kind, event in (
+                (LinkEvent.BUS_OFF, events.BUS_OFF),
+                (LinkEvent.RESTARTED, events.BUS_RESTARTED),
+            ):
+                if link.counts[kind] > counts[kind]:
+                    self._log.repeat(event, bus.name, now_us * 1e-6, **place)
+            if link.dropped > dropped:
+                self._log.repeat(
+                    events.FRAMES_DROPPED,
+                    bus.name,
+                    now_us * 1e-6,
+                    bus=bus.name,
+                    count=link.dropped - dropped,
+                )
+            self._links[bus.name] = (
+                link.state,
+                Counter(link.counts),
+                link.dropped,
+            )
+
+    def _say_link(self, bus: str, link: Link, place: dict[str, str]) -> None:
+        event = _LINK_EVENTS.get(link.state)
+        if event is None:
+            self._log.say(events.BUS_MISSING, **place, error=link.reason)
+            return
+        self._log.say(event, **place)
+        if link.receive_buffer_bytes is not None:
+            self._log.say(
+                events.RECEIVE_BUFFER,
+                bus=bus,
+                asked_bytes=self._monitor.config.daemon.receive_buffer_bytes,
+                given_bytes=link.receive_buffer_bytes,
+            )
+
+    def _say_inputs(self, now_us: int) -> None:
+        """Log faults of inputs that came and went; keep disagreement."""
+        names = [corner.name for corner in self._monitor.config.corner]
+        faults = set(reasons(self._flags, names))
+        for fault in sorted(faults - self._faults):
+            self._log.say(events.INPUT_FAULT, fault=fault)
+        for fault in sorted(self._faults - faults):
+            self._log.say(events.INPUT_FAULT_OVER, fault=fault)
+        self._faults = faults
+        if self._flags & ~self._said_flags & DISAGREEMENT:
+            self.keep("disagreement", now_us)
+        self._said_flags, self._flags = self._flags, 0
+
+    def _say_corners(self, status: ServiceStatus, now_us: int) -> None:
+        for name, corner in status.corners.items():
+            if self._validity.get(name) != corner.validity:
+                self._validity[name] = corner.validity
+                self._log.say(
+                    events.VALIDITY_CHANGED,
+                    corner=name,
+                    validity=corner.validity.name.lower(),
+                )
+            before = self._levels.get(name, RiskLevel.UNKNOWN)
+            if corner.risk is before:
+                continue
+            self._levels[name] = corner.risk
+            known = RiskLevel.UNKNOWN not in {before, corner.risk}
+            rose = corner.risk in {RiskLevel.ELEVATED, *KEPT_LEVELS}
+            if known:
+                rose = corner.risk > before
+            self._log.say(
+                events.RISK_ROSE if rose else events.RISK_FELL,
+                corner=name,
+                level=corner.risk.name.lower(),
+                margin_k=round(corner.margin_k, 1),
+            )
+            if rose and corner.risk in KEPT_LEVELS:
+                self.keep("risk", now_us)
+
+    def _say_losses(self, now_us: int) -> None:
+        engine = self._monitor.engine
+        refused = Counter(
+            {str(r): count for r, count in engine.decoder.counts.items()}
+        )
+        news = refused - self._refused
+        # without a filter in the kernel every other frame is one of these
+        news.pop(str(Refusal.UNKNOWN_ID), None)
+        for reason, count in news.items():
+            self._log.repeat(
+                events.FRAMES_REFUSED,
+                reason,
+                now_us * 1e-6,
+                reason=reason,
+                count=count,
+            )
+        self._refused = refused
+        if self._sender.lost > self._send_lost:
+            self._log.repeat(
+                events.SEND_FAILED,
+                "send",
+                now_us * 1e-6,
+                bus=self._monitor.config.bus[
+                    self._monitor.publish_bus or 0
+                ].name,
+                error=f"{self._sender.lost - self._send_lost} frames lost",
+            )
+            self._send_lost = self._sender.lost
+        if engine.estimator.resets > self._resets:
+            self._resets = engine.estimator.resets
+            self._log.say(events.ESTIMATE_RESET, count=self._resets)
+
+    def _close_recorder(self) -> None:
+        if self._recorder is not None:
+            self._recorder.close()
+            self._recorder = None
+
+
+def _metrics_server(port: int | None) -> MetricsServer | None:
+    if port is None:
+        return None
+    # an HTTP server is loaded by those who ask for one
+    from bstm_daemon.daemon.metrics_server import (  # noqa: PLC0415
+        MetricsServer,
+    )
+
+    server = MetricsServer(port)
+    server.start()
+    return server
+
+
+def _metrics_file(monitor: Monitor) -> Path | None:
+    metrics = monitor.config.metrics
+    if not metrics.enabled:
+        return None
+    if metrics.file is not None:
+        return monitor.path.parent / metrics.file
+    folder = os.environ.get("RUNTIME_DIRECTORY", "").split(":")[0]
+    return Path(folder) / "bstm.prom" if folder else None
+
+
+def _resident_bytes() -> int:
+    """Return the memory in use now; 0 where the kernel does not tell."""
+    try:
+        fields = Path("/proc/self/statm").read_text(encoding="ascii").split()
+        return int(fields[1]) * resource.getpagesize()
+    except (OSError, ValueError, IndexError):
+        return 0

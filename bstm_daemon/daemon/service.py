@@ -1,0 +1,271 @@
+"""The live service: one loop that drains, estimates, sends, saves, reports.
+
+Everything happens on the steady axis of :mod:`~bstm_daemon.daemon.clock`.
+A cycle reads the clock, then the buses; hands the engine the frames up to a
+guard time before the reading, in order; ticks; sends what became due. The
+same frames in a log give the same output.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Final
+
+from bstm_daemon import __version__
+from bstm_daemon.carry_over import RESUMABLE_US, StateError
+from bstm_daemon.daemon import events, wake
+from bstm_daemon.daemon.clock import SteadyAxis
+from bstm_daemon.daemon.intake import GUARD_US, Intake
+from bstm_daemon.daemon.monitor import BusOverride, Monitor, build_monitor
+from bstm_daemon.daemon.observer import Observer
+from bstm_daemon.daemon.persistence import Persistence, state_file
+from bstm_daemon.daemon.sender import Sender
+from bstm_daemon.errors import BstmError, ConfigError
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from bstm_daemon.bus.link import Link
+    from bstm_daemon.daemon.events import ServiceLog
+    from bstm_daemon.daemon.notify import Notifier
+    from bstm_daemon.daemon.wake import SignalWaiter
+
+REPORT_US: Final = 1_000_000
+"""How often the service looks at itself: faults, validity, status line."""
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """What the command line adds to the configuration."""
+
+    config: Path
+    state: Path | None = None
+    override: BusOverride = field(default_factory=BusOverride)
+    metrics_port: int | None = None
+    until_us: int | None = None
+    """Stop by itself after this time [us]; for tests and measurements."""
+
+
+class Service:
+    """One monitored car."""
+
+    def __init__(
+        self, options: Options, notifier: Notifier, log: ServiceLog
+    ) -> None:
+        """Read the configuration and take the state file.
+
+        Raises:
+            ConfigError: the configuration can not be used.
+            FileAccessError: it can not be read.
+            StateLockedError: another instance holds the state.
+        """
+        self._options = options
+        self._notifier = notifier
+        self._log = log
+        self._monitor = build_monitor(options.config, options.override)
+        self._axis = SteadyAxis()
+        links = self._monitor.links()
+        config = self._monitor.config
+        file = state_file(config, options.config.parent, options.state)
+        self._persistence = Persistence(file, self._axis, log)
+        self._intake = Intake(links, self._axis)
+        self._sender = self._new_sender()
+        self._observer = Observer(
+            log, self._axis, file.parent, options.metrics_port
+        )
+        self._start_us = self._last_us = self._axis.read()
+        self._steps_seen = self._axis.steps
+        self._next_poll_us = self._next_report_us = 0
+        self._next_watchdog_us = 0
+        self._drain_us = round(config.daemon.drain_s * 1e6)
+
+    def run(self, waiter: SignalWaiter) -> None:
+        """Run until a signal says stop; leave everything saved."""
+        self._begin()
+        deadline_us = self._start_us
+        while True:
+            signals = waiter.wait((deadline_us - self._axis.read()) * 1e-6)
+            if signals & wake.STOP or self._is_over():
+                break
+            if wake.RELOAD in signals:
+                self._reload()
+            if wake.KEEP in signals:
+                self._observer.keep("request", self._last_us)
+            deadline_us = self._cycle(deadline_us)
+        self._end("signal" if signals else "time")
+
+    def _is_over(self) -> bool:
+        until_us = self._options.until_us
+        return (
+            until_us is not None and self._last_us - self._start_us > until_us
+        )
+
+    def _begin(self) -> None:
+        monitor = self._monitor
+        self._log.say(
+            events.STARTED,
+            version=__version__,
+            config=str(monitor.path),
+            kernel="compiled"
+            if monitor.engine.estimator.compiled
+            else "reference",
+        )
+        for link in self._intake.links:
+            link.open()
+        self._persistence.resume(monitor.engine, self._axis.read())
+        self._observer.begin(monitor, self._intake, self._sender)
+        self._notifier.ready()
+
+    def _cycle(self, deadline_us: int) -> int:
+        """Do everything that is due; return when the next cycle is."""
+        begin_us = self._axis.read()
+        if self._axis.steps != self._steps_seen:
+            self._note_step()
+        until_us, arrivals = self._intake.read(begin_us)
+        engine = self._monitor.engine
+        for time_us, bus, frame in arrivals:
+            if self._sender.is_own(frame.can_id, extended=frame.extended) and (
+                bus == self._monitor.publish_bus
+                and not (frame.is_error or frame.is_remote)
+            ):
+                self._note_foreign(bus, frame.can_id)
+                continue
+            self._observer.record(time_us, bus, frame)
+            engine.frame(
+                bus,
+                frame.can_id,
+                frame.extended,
+                frame.data,
+                time_us,
+                is_error=frame.is_error,
+                is_remote=frame.is_remote,
+            )
+            self._last_us = time_us
+        if until_us - self._last_us > RESUMABLE_US:
+            self._note_sleep(until_us - self._last_us)
+        self._last_us = max(until_us, self._last_us)
+        engine.dropped_frames = sum(
+            link.dropped for link in self._intake.links
+        )
+        published = engine.tick(until_us)
+        self._sender.publish(published)
+        self._observer.note_flags()
+        self._persistence.poll(engine, begin_us)
+        self._look_after(begin_us)
+        return self._finish(begin_us, deadline_us)
+
+    def _look_after(self, now_us: int) -> None:
+        """Links, reports: what is not done in every cycle."""
+        if now_us >= self._next_poll_us:
+            reopen_s = self._monitor.config.daemon.reopen_s
+            self._next_poll_us = now_us + round(reopen_s * 1e6)
+            self._intake.poll()
+        if now_us >= self._next_report_us:
+            self._next_report_us = now_us + REPORT_US
+            self._observer.report(self._persistence.status(now_us), now_us)
+            self._notifier.status(self._observer.line)
+
+    def _finish(self, begin_us: int, deadline_us: int) -> int:
+        """Feed the watchdog with a whole cycle; return the next deadline.
+
+        Deadlines lie behind multiples of the drain interval by the guard
+        time: what a grid line closes is published without waiting for a
+        later frame.
+        """
+        end_us = self._axis.read()
+        self._observer.note_cycle(begin_us - deadline_us, end_us - begin_us)
+        interval_s = self._notifier.watchdog_interval_s
+        if interval_s is not None and end_us >= self._next_watchdog_us:
+            self._next_watchdog_us = end_us + round(interval_s * 1e6 / 2)
+            self._notifier.watchdog()
+        line = (end_us - GUARD_US) // self._drain_us + 1
+        return line * self._drain_us + GUARD_US
+
+    def _note_step(self) -> None:
+        self._steps_seen = self._axis.steps
+        self._log.say(
+            events.CLOCK_STEPPED, step_s=self._axis.last_step_us * 1e-6
+        )
+        try:
+            self._persistence.clock_stepped(self._monitor.engine)
+        except StateError as error:
+            self._log.say(events.STATE_DISCARDED, file="", reason=str(error))
+
+    def _note_foreign(self, bus: int, can_id: int) -> None:
+        if self._sender.note_foreign(can_id):
+            self._log.say(
+                events.FOREIGN_FRAME,
+                bus=self._monitor.config.bus[bus].name,
+                can_id=f"0x{can_id:X}",
+            )
+
+    def _note_sleep(self, asleep_us: int) -> None:
+        """Let the brakes stand while the computer slept.
+
+        Marching hours on the grid would keep the loop from the frames.
+        """
+        self._log.say(events.SLEPT, asleep_s=asleep_us * 1e-6)
+        self._monitor.engine.park(asleep_us)
+
+    def _reload(self) -> None:
+        """Take the configuration file as it is now, or keep the old one."""
+        try:
+            fresh = build_monitor(self._options.config, self._options.override)
+            links = self._links_for(fresh)
+            self._hand_over(fresh)
+        except (BstmError, StateError) as error:
+            problems = getattr(error, "problems", None) or [str(error)]
+            self._log.say(
+                events.CONFIG_REFUSED,
+                config=str(self._options.config),
+                problems=problems,
+            )
+            return
+        self._monitor = fresh
+        self._drain_us = round(fresh.config.daemon.drain_s * 1e6)
+        if links is not None:
+            self._intake.replace(links)
+            for link in links:
+                link.open()
+        self._sender = self._new_sender()
+        self._observer.begin(fresh, self._intake, self._sender)
+        self._log.say(events.CONFIG_RELOADED, config=str(fresh.path))
+
+    def _links_for(self, fresh: Monitor) -> list[Link] | None:
+        """Return new links where the buses changed; None where they stay."""
+        old = self._monitor
+        same = fresh.config.bus == old.config.bus and all(
+            fresh.wanted(bus) == old.wanted(bus)
+            for bus in range(len(old.config.bus))
+        )
+        same = same and fresh.config.daemon == old.config.daemon
+        return None if same else fresh.links()
+
+    def _hand_over(self, fresh: Monitor) -> None:
+        """Give the running engine's memory to that of *fresh*."""
+        if fresh.config.vehicle.id != self._monitor.config.vehicle.id:
+            problem = (
+                "[vehicle] id: another vehicle needs a restart, its brakes "
+                "have a history of their own"
+            )
+            raise ConfigError([problem])
+        document = self._monitor.engine.export_state()
+        time_us = document["time_us"]
+        if time_us is not None:
+            fresh.engine.resume(document, 0, time_us)
+
+    def _new_sender(self) -> Sender:
+        bus = self._monitor.publish_bus
+        link = None if bus is None else self._intake.links[bus]
+        return Sender(link, self._monitor.own_ids)
+
+    def _end(self, reason: str) -> None:
+        """Say goodbye on the bus, save, close."""
+        self._notifier.stopping()
+        self._log.say(events.STOPPING, reason=reason)
+        engine = self._monitor.engine
+        # before the save: their counters are part of the state
+        self._sender.send(engine.farewell())
+        self._persistence.close(engine)
+        self._intake.close()
+        self._observer.close()

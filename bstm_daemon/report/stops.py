@@ -1,0 +1,77 @@
+"""When a vehicle comes to rest for a while."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+if TYPE_CHECKING:
+    import numpy.typing as npt
+
+    Column = npt.NDArray[np.float64]
+
+STANDING_MS: Final = 0.5
+"""At or below this a vehicle stands: wheel-speed sensors fall silent there."""
+
+MOVING_MS: Final = 1.0
+"""Above this it has driven off; between the two it does what it did."""
+
+SHORTEST_STOP_S: Final = 10.0
+"""A stop that lasts less (a crossing) is no heat soak."""
+
+
+class StopFinder:
+    """Finds standstills of :data:`SHORTEST_STOP_S` or more as a drive grows.
+
+    A vehicle that stands in the first row has not stopped. A NaN speed
+    changes nothing.
+    """
+
+    def __init__(self) -> None:
+        """Begin before the first row."""
+        self._stops_s: list[float] = []
+        self._standing: bool | None = None
+        self._since_s: float | None = None
+        self._last_s = 0.0
+
+    def add(self, elapsed_s: Column, speed_ms: Column) -> None:
+        """Add rows: time since the first and speed, shape (n,) each."""
+        if not len(elapsed_s):
+            return
+        before = bool(self._standing)
+        standing = _held(speed_ms <= STANDING_MS, speed_ms > MOVING_MS, before)
+        if self._standing is None:
+            before = bool(standing[0])
+        for row in np.flatnonzero(np.diff(standing, prepend=before)).tolist():
+            if standing[row]:
+                self._since_s = float(elapsed_s[row])
+            else:
+                self._stops_s = self._with_open(float(elapsed_s[row]))
+                self._since_s = None
+        self._standing = bool(standing[-1])
+        self._last_s = float(elapsed_s[-1])
+
+    def stops_s(self) -> tuple[float, ...]:
+        """Return the start of each so far, also of one that goes on."""
+        return tuple(self._with_open(self._last_s))
+
+    def _with_open(self, until_s: float) -> list[float]:
+        since_s = self._since_s
+        if since_s is None or until_s - since_s < SHORTEST_STOP_S:
+            return self._stops_s
+        return [*self._stops_s, since_s]
+
+
+def _held(
+    begins: npt.NDArray[np.bool_],
+    ends: npt.NDArray[np.bool_],
+    before: bool,  # noqa: FBT001
+) -> npt.NDArray[np.bool_]:
+    """Latch: true from a row of *begins* until a row of *ends*."""
+    row = np.arange(len(begins))
+    decided = np.maximum.accumulate(np.where(begins | ends, row, -1))
+    latched: npt.NDArray[np.bool_] = np.where(
+        decided >= 0, begins[decided], before
+    )
+    return latched

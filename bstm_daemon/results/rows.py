@@ -1,0 +1,96 @@
+"""Rows of results, and what takes them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final, Protocol
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    import numpy.typing as npt
+
+    Column = npt.NDArray[np.float64]
+
+STRETCH_ROWS: Final = 512
+"""Rows handed on at a time: some 2 MB of numbers, and enough of them that
+what is done once a stretch costs little."""
+
+
+@dataclass(frozen=True)
+class Results:
+    """One row a publication: those of a whole log or a stretch of them.
+
+    ``columns`` by name, all of one length, ``time_s`` (log time) first;
+    temperatures degC, everything else SI. ``corners`` are all corners,
+    ``modelled`` those with temperatures.
+    """
+
+    columns: dict[str, Column]
+    corners: tuple[str, ...]
+    modelled: tuple[str, ...]
+
+    def __len__(self) -> int:
+        """Return the number of rows."""
+        return len(self.columns["time_s"])
+
+    def stretches(self) -> Iterator[Results]:
+        """Yield views of at most :data:`STRETCH_ROWS` rows, one at least."""
+        for first in range(0, max(len(self), 1), STRETCH_ROWS):
+            part = {
+                name: column[first : first + STRETCH_ROWS]
+                for name, column in self.columns.items()
+            }
+            yield Results(part, self.corners, self.modelled)
+
+
+class Sink(Protocol):
+    """Takes rows as they come, in order, all of the same columns."""
+
+    def write(self, rows: Results, /) -> None:
+        """Take *rows*; they stay as they are afterwards."""
+
+
+class Collector:
+    """Keeps every row in memory."""
+
+    def __init__(self) -> None:
+        """Begin without rows."""
+        self._parts: list[Results] = []
+
+    def write(self, rows: Results) -> None:
+        """Keep *rows*."""
+        self._parts.append(rows)
+
+    def results(self) -> Results:
+        """Return all rows so far as one; there must have been some."""
+        first = self._parts[0]
+        columns = {
+            name: np.concatenate([part.columns[name] for part in self._parts])
+            for name in first.columns
+        }
+        return Results(columns, first.corners, first.modelled)
+
+
+class ElapsedTime:
+    """Time since the first row; a clock set back does not count."""
+
+    def __init__(self) -> None:
+        """Begin at zero."""
+        self.total_s = 0.0
+        self._last_s: float | None = None
+
+    def extend(self, time_s: Column) -> Column:
+        """Return the elapsed time [s] at further rows of log time [s]."""
+        if not len(time_s):
+            return time_s
+        before_s = time_s[0] if self._last_s is None else self._last_s
+        steps_s = np.maximum(np.diff(time_s, prepend=before_s), 0.0)
+        # from the total on, so that stretches add up as one would
+        steps_s[0] += self.total_s
+        elapsed_s: Column = np.cumsum(steps_s)
+        self.total_s = float(elapsed_s[-1])
+        self._last_s = float(time_s[-1])
+        return elapsed_s

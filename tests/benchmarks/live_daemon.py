@@ -1,0 +1,31 @@
+"""``bstm run`` on a socket pair: ``live_daemon.py FD ARGUMENT...``.
+
+The whole command as installed with its own dependencies only: extras that
+happen to be there are hidden (python-can would load them), and the first bus
+is the socket.
+"""
+
+from __future__ import annotations
+
+import socket
+import sys
+
+EXTRAS = ("asammdf", "h5py", "pandas", "plotly", "pyarrow", "scipy")
+
+
+def main() -> int:
+    """Run the daemon."""
+    for name in EXTRAS:
+        sys.modules[name] = None  # type: ignore[assignment]
+    from live_link import PairLink  # noqa: PLC0415  (the extras go first)
+
+    from bstm_daemon.cli.main import main as command  # noqa: PLC0415
+    from bstm_daemon.daemon import monitor  # noqa: PLC0415
+
+    end = socket.socket(fileno=int(sys.argv[1]))
+    monitor._link = lambda bus, wanted, _: PairLink(end, bus, wanted)
+    return command(["run", *sys.argv[2:]])
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,148 @@
+"""Several buses in one loop: the order of the frames is that of the stamps."""
+
+from __future__ import annotations
+
+import gzip
+import signal
+import subprocess
+import time
+from typing import TYPE_CHECKING
+
+import pytest
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from .conftest import Car, Daemon, Ear
+
+pytestmark = pytest.mark.vcan
+
+BRAKE_PRESSURE = 0x1A4
+SECOND_BUS = """
+[[bus]]
+name = "brakes"
+dbc = "{dbc}"
+channel = "{channel}"
+"""
+
+
+def with_second_bus(channel: str) -> Callable[[str], str]:
+    """Return what moves the pressures to a bus of their own."""
+
+    def edit(text: str) -> str:
+        dbc = text.partition('\ndbc = "')[2].partition('"')[0]
+        message = 'message = "BrakePressure"\n'
+        assert text.count(message) == 2
+        text = text.replace(message, message + 'bus = "brakes"\n')
+        return text + SECOND_BUS.format(dbc=dbc, channel=channel)
+
+    return edit
+
+
+def test_frames_of_all_buses_in_the_order_of_their_stamps(
+    daemon: Callable[..., Daemon],
+    car: Callable[..., Car],
+    ear: Callable[..., Ear],
+    marched: Callable[..., dict[str, dict[str, float]]],
+    vcan0: str,
+    vcan1: str,
+    tmp_path: Path,
+) -> None:
+    """Also where a stop of the process has filled both sockets."""
+    heard = ear(vcan0)
+    running = daemon(
+        {"record.enabled": True, "state.interval_s": 0.2},
+        edit=with_second_bus(vcan1),
+    )
+    driven = car(vcan0, vcan1, places={BRAKE_PRESSURE: 1})
+    heard.wait(10, 0x5B0)
+    running.process.send_signal(signal.SIGSTOP)
+    count = len(driven.sent)
+    while len(driven.sent) < count + 200:
+        driven._over.wait(0.01)
+    running.process.send_signal(signal.SIGCONT)
+    heard.wait(10, 0x5B0, since=len(heard.frames))
+    assert running.end() == 0
+    driven.close()
+
+    lines = [
+        line.split()
+        for path in sorted((running.state.parent / "record").glob("*.gz"))
+        for line in gzip.decompress(path.read_bytes()).decode().splitlines()
+    ]
+    stamps = [line[0] for line in lines]
+    assert stamps == sorted(stamps)
+    assert {line[1] for line in lines} == {vcan0, vcan1}
+    ids = [int(line[2].partition("#")[0], 16) for line in lines]
+    assert ids == [frame.can_id for frame in driven.sent[: len(ids)]]
+    # all but those of the last milliseconds
+    assert len(driven.sent) - 100 < len(ids)
+
+    document = running.document()
+    expected = marched(running.config, driven.sent, document["boot_us"])
+    for name, corner in document["corners"].items():
+        assert corner == pytest.approx(expected[name], abs=0.1)
+    assert document["corners"]["FL"]["disc"] > 285.0
+
+
+def test_one_bus_without_an_interface_does_not_hold_up_the_other(
+    daemon: Callable[..., Daemon],
+    car: Callable[..., Car],
+    vcan0: str,
+    ip: Callable[..., None],
+) -> None:
+    running = daemon(edit=with_second_bus("vcan9"))
+    missing = running.event("bus_missing", bus="brakes", channel="vcan9")
+    assert missing["error"] == "there is no interface vcan9"
+    running.event("bus_up", bus="chassis")
+
+    ip("add", "vcan9", "type", "vcan")
+    ip("set", "vcan9", "up")
+    running.event("bus_up", bus="brakes")
+    car(vcan0, "vcan9", places={BRAKE_PRESSURE: 1})
+
+    running.event("input_fault_over", fault="pressure missing")
+    running.notice("disc F[LR] 1[1-9] degC")
+    assert running.end() == 0
+
+
+def test_a_full_bus_costs_no_frame_and_no_publication(
+    daemon: Callable[..., Daemon],
+    ear: Callable[..., Ear],
+    vcan0: str,
+    program: Callable[[str], str],
+) -> None:
+    """Every frame of 10 s of a full 500 kbit/s bus is one that is wanted.
+
+    They come as fast as the kernel takes them.
+    """
+    heard = ear(vcan0)
+    running = daemon()
+    heard.wait(3, 0x5B0)
+    begin_s = time.monotonic()
+
+    subprocess.run(
+        [
+            *(program("cangen"), vcan0, "-I", "1B0", "-L", "8"),
+            *("-D", "0000000000002008", "-g", "0", "-n", "40000", "-p", "10"),
+        ],
+        check=True,
+    )
+
+    took_s = time.monotonic() - begin_s
+    print(f"40000 frames in {took_s:.2f} s")
+    labels = '{bus="chassis",channel="vcan0"}'
+    received = running.metric(
+        f"bstm_bus_frames_total{labels}", lambda value: value >= 40000
+    )
+    assert received == 40000
+    count = len(heard.frames)
+    heard.wait(3, 0x5B0, since=count)
+    counters = [f.data[1] & 0x0F for f in heard.frames if f.can_id == 0x5B0]
+    steps = {
+        (b - a) % 16 for a, b in zip(counters, counters[1:], strict=False)
+    }
+    print(f"steps of the counter {steps}")
+    assert not running.said("frames_dropped")
+    assert running.end() == 0

@@ -1,0 +1,141 @@
+"""The screen on a real terminal: what it changes it puts back."""
+
+from __future__ import annotations
+
+import fcntl
+import io
+import os
+import signal
+import struct
+import termios
+from typing import TYPE_CHECKING
+
+import pytest
+
+from bstm_daemon.watch.terminal import TerminalView
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from bstm_daemon.watch.board import Board
+
+    from .conftest import Terminal
+
+    Start = Callable[..., Terminal]
+
+MAIN = """
+import sys
+from bstm_daemon.cli.main import main
+sys.exit(main(sys.argv[1:]))
+"""
+WATCH = (MAIN, "watch", "-i", "virtual", "--channel", "terminal")
+
+ENTER = b"\x1b[?1049h\x1b[?25l\x1b[?7l"
+LEAVE = b"\x1b[?7h\x1b[?25h\x1b[?1049l"
+
+
+@pytest.fixture
+def watching(terminal: Start) -> Terminal:
+    """Return a terminal on which ``bstm watch`` shows itself."""
+    started = terminal(80, 24, *WATCH)
+    started.until("q leaves")
+    return started
+
+
+def test_q_leaves(watching: Terminal) -> None:
+    assert watching.raw.startswith(ENTER)
+    assert "bstm" in watching.lines[0]
+    assert watching.lines[0].endswith("terminal")
+    watching.press(b"x")
+    watching.press(b"q")
+
+    assert watching.ended() == 0
+    assert watching.raw.endswith(LEAVE)
+
+
+def test_control_c_leaves(watching: Terminal) -> None:
+    watching.press(b"\x03")
+
+    assert watching.ended() == 0
+    assert watching.raw.endswith(LEAVE)
+
+
+@pytest.mark.parametrize(
+    "number", [signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT]
+)
+def test_a_signal_that_ends_leaves_the_terminal_as_it_was(
+    watching: Terminal, number: signal.Signals
+) -> None:
+    watching.process.send_signal(number)
+
+    assert watching.ended() == 128 + number
+    assert watching.raw.endswith(LEAVE)
+
+
+def test_being_stopped_gives_the_terminal_back(watching: Terminal) -> None:
+    # no shell holds this job, so the kernel lets it go on at once
+    watching.process.send_signal(signal.SIGTSTP)
+    left = watching.until_raw(LEAVE)
+    watching.until_raw(ENTER, left)
+    watching.until("q leaves")
+    watching.press(b"q")
+
+    assert watching.ended() == 0
+
+
+def test_an_error_leaves_the_terminal_as_it_was(terminal: Start) -> None:
+    code = (
+        "import sys\n"
+        "from bstm_daemon.watch.terminal import TerminalView\n"
+        "with TerminalView(sys.stdout):\n"
+        "    raise RuntimeError('broken')\n"
+    )
+    started = terminal(80, 24, code)
+
+    assert started.ended() == 1
+    assert b"broken" in started.raw.partition(LEAVE)[2]
+
+
+def test_the_picture_follows_the_size(watching: Terminal) -> None:
+    size = struct.pack("HHHH", 10, 60, 0, 0)
+    watching.screen.resize(10, 60)
+    watching.screen.reset()
+    fcntl.ioctl(watching._slave, termios.TIOCSWINSZ, size)
+    watching.until_raw(b"q leaves", len(watching.raw) + 1)
+    watching.until("q leaves")
+
+    assert watching.lines[-1].endswith("q leaves")
+    assert len(watching.lines[-1]) == 60
+
+
+@pytest.mark.parametrize(("no_color", "colored"), [("1", False), ("", True)])
+def test_no_color(terminal: Start, no_color: str, *, colored: bool) -> None:
+    started = terminal(80, 24, *WATCH, NO_COLOR=no_color)
+    started.until("q leaves")
+
+    assert (b"\x1b[1m" in started.raw) == colored
+
+
+def test_a_terminal_without_block_elements(board: Board) -> None:
+    master, slave = os.openpty()
+    with os.fdopen(slave, "w", encoding="ascii") as stream:
+        with TerminalView(stream, io.StringIO()) as view:
+            view.show(board, 0, "Prüfstand.log")
+            view.linger()
+        written = os.read(master, 65536)
+    os.close(master)
+
+    assert b"Pr?fstand.log" in written
+
+
+def test_it_is_not_drawn_faster_than_one_can_see(board: Board) -> None:
+    master, slave = os.openpty()
+    with os.fdopen(slave, "w", encoding="utf-8") as stream:
+        with TerminalView(stream, io.StringIO()) as view:
+            for _ in range(3):
+                view.show(board, 0, "can0")
+            view.show(board, 0, "can0", at_once=True)
+        written = os.read(master, 65536)
+    os.close(master)
+
+    assert written.count(b"\x1b[H") == 2
