@@ -358,7 +358,7 @@ def _samples(
             array("d", numbers),
             array("i", saved["flags"]),
         )
-        open_flags = int(saved["open_flags"])
+        (open_flags,) = array("q", [saved["open_flags"]])
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         msg = f"samples: {type(error).__name__} {error}"
         raise StateError(msg) from error

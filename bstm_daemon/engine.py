@@ -21,7 +21,6 @@ from bstm_daemon.bus.publication import (
     Snapshot,
     StatusSnapshot,
 )
-from bstm_daemon.bus.refusal import Refusal
 from bstm_daemon.carry_over import (
     StateError,
     correct_parked,
@@ -30,6 +29,7 @@ from bstm_daemon.carry_over import (
     resume_state,
 )
 from bstm_daemon.estimator import STEP_US, Estimator
+from bstm_daemon.heat.plausibility import SUBSTITUTED, SUSPECT
 from bstm_daemon.heat.sample_pass import TICK
 from bstm_daemon.heat.sample_plan import FLAGS, VEHICLE_CHANNELS
 from bstm_daemon.risk.boiling import wet_boiling_point_k
@@ -44,22 +44,10 @@ if TYPE_CHECKING:
     from bstm_daemon.config import Config
     from bstm_daemon.estimator import Block
 
-REJECTED: Final = (
-    Refusal.ERROR_FRAME,
-    Refusal.REMOTE_FRAME,
-    Refusal.WRONG_LENGTH,
-    Refusal.WRONG_CRC,
-    Refusal.REPEATED_COUNTER,
-    Refusal.WRONG_SEQUENCE,
-)
-"""Frames of a wanted id that were refused whole."""
-
 _STRAY_US: Final = 1_000_000
 """A rejected frame stamped further ahead than this is counted at once."""
 
 FOREVER_US: Final = 2**63
-
-_SILENT: Final = FLAGS["speed_missing"]
 
 _USED: Final = {
     "ff": ("speed", "pressure", "ambient"),
@@ -157,15 +145,16 @@ class Engine:
         is_remote: bool = False,
     ) -> None:
         """Take one frame of bus number *bus*, stamped *stamp_us* [us]."""
-        counts = self.decoder.counts
-        before = _rejections(counts)
+        decoder = self.decoder
         if not (is_error or is_remote):
             refusal = self._guard.refusal(bus, can_id, extended, data)
             if refusal is not None:
-                counts[refusal] += 1
+                decoder.counts[refusal] += 1
                 self._rejected_at.append(stamp_us)
                 return
-        for role, value in self.decoder.decode(
+        before = decoder.rejected
+        times, roles, values = self._times, self._roles, self._values
+        for role, value in decoder.decode(
             bus,
             can_id,
             extended,
@@ -173,10 +162,10 @@ class Engine:
             is_error=is_error,
             is_remote=is_remote,
         ):
-            self._times.append(stamp_us)
-            self._roles.append(role)
-            self._values.append(value)
-        if _rejections(counts) != before:
+            times.append(stamp_us)
+            roles.append(role)
+            values.append(value)
+        if decoder.rejected != before:
             self._rejected_at.append(stamp_us)
 
     def tick(self, time_us: int) -> list[Published]:
@@ -340,7 +329,7 @@ class Engine:
             )
         )
         worst = max((v[i] for v in block.validity.values()), default=nan)
-        if flags & _SILENT:
+        if flags & FLAGS["silent"]:
             state = State.NO_INPUT
         else:
             state = State.RUNNING if worst == 0 else State.DEGRADED
@@ -353,15 +342,13 @@ class Engine:
             rejected_frames=self._rejected,
             dropped_frames=self.dropped_frames,
             clock_jump=bool(flags & FLAGS["clock_jump"]),
+            input_suspect=bool(flags & SUSPECT),
+            heat_substituted=bool(flags & SUBSTITUTED),
             **{
                 f"{name}_stale": bool(flags & bit)
                 for name, bit in self._stale.items()
             },
         )
-
-
-def _rejections(counts: Mapping[Refusal, int]) -> int:
-    return sum(counts[reason] for reason in REJECTED)
 
 
 def _stale_flags(mode: str, roles: Collection[int]) -> dict[str, int]:

@@ -28,6 +28,9 @@ if TYPE_CHECKING:
 ROOT = Path(__file__).parents[1]
 CAR = ROOT / "config" / "example_vehicle.toml"
 SECOND = 1_000_000
+WHEEL_SPEEDS = 0x1A0
+BRAKE_PRESSURE = 0x1A4
+INERTIAL = 0x1B0
 START_US = 1_700_000_000 * SECOND
 
 # the bus falls silent under braking: values run out of time mid-step
@@ -236,7 +239,9 @@ def test_silence_shows_and_cools(frames: list[Frame]) -> None:
     discs = [row["Disc"] for row in result.values("BSTM_FL_Temperatures")]
     silent = [row for row in status if row["at_us"] > frames[-1].stamp_us]
 
-    assert {str(row["State"]) for row in silent[6:]} == {"no_input"}
+    # the speed times out after 0.5 s, silence is said after 1 s
+    assert {str(row["State"]) for row in silent[6:9]} == {"degraded"}
+    assert {str(row["State"]) for row in silent[11:]} == {"no_input"}
     for name in ("SpeedStale", "PressureStale"):
         assert {str(row[name]) for row in silent[6:]} == {"stale"}
         assert str(silent[0][name]) == "fresh"
@@ -251,6 +256,58 @@ def test_silence_shows_and_cools(frames: list[Frame]) -> None:
     assert np.diff([row["at_us"] for row in status]).tolist() == (
         [100_000] * (len(status) - 1)
     )
+
+
+def test_a_missing_speed_is_not_silence(frames: list[Frame]) -> None:
+    """What has no speed is degraded, not without input."""
+    without = [f for f in frames if f.can_id not in {WHEEL_SPEEDS, INERTIAL}]
+    result = run(make_engine(history_known=True), without, every(50_000))
+
+    last = result.values("BSTM_Status")[20]
+    assert (str(last["State"]), str(last["SpeedStale"])) == (
+        "degraded",
+        "stale",
+    )
+
+
+def test_a_suspect_input_is_published(frames: list[Frame]) -> None:
+    """A wheel that stands while the car drives on."""
+    dead = [
+        f._replace(data=bytes(2) + f.data[2:])
+        if f.can_id == WHEEL_SPEEDS
+        else f
+        for f in frames
+    ]
+    sound, harmed = (
+        run(make_engine(history_known=True), fed, every(50_000)).values(
+            "BSTM_Status"
+        )
+        for fed in (frames, dead)
+    )
+
+    assert {str(row["InputSuspect"]) for row in sound} == {"none"}
+    first = [str(row["InputSuspect"]) for row in harmed].index("suspect")
+    assert 10 < first < 40
+    assert str(harmed[first]["State"]) == "degraded"
+    # until the bus falls silent: what is not there can not be suspect
+    driving = harmed[first:110]
+    assert {str(row["InputSuspect"]) for row in driving} == {"suspect"}
+
+
+def test_substituted_heat_is_published(frames: list[Frame]) -> None:
+    """Feed-Forward without a pressure goes by Feed-Back while braking."""
+    without = [f for f in frames if f.can_id != BRAKE_PRESSURE]
+    own, other = (
+        run(make_engine(history_known=True), fed, every(50_000)).values(
+            "BSTM_Status"
+        )
+        for fed in (frames, without)
+    )
+
+    driving = slice(10, 80)
+    assert {str(r["HeatSubstituted"]) for r in own[driving]} == {"own"}
+    found = [str(row["HeatSubstituted"]) for row in other[driving]]
+    assert "substituted" in found
 
 
 def test_state_and_history(frames: list[Frame]) -> None:

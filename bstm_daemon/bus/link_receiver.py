@@ -107,28 +107,39 @@ class FrameReceiver:
         receive = self._receive
         only = self.only
         append = frames.append
+        unpack_head, unpack_stamp = _HEAD.unpack_from, _TIMESPEC.unpack
         for _ in range(DRAIN_LIMIT - len(frames)):
             try:
                 message, ancillary, _, _ = receive(_READ_SIZE, _ANCILLARY_SIZE)
             except OSError as error:
                 return error.errno or errno.EIO
-            stamp_ns = self._stamp_ns(ancillary)
+            if (
+                len(ancillary) == 1
+                and ancillary[0][1] == _SO_TIMESTAMPNS
+                and len(ancillary[0][2]) == _TIMESPEC.size
+            ):
+                # nothing but the stamp, as long as no frame was ever lost
+                seconds, nanoseconds = unpack_stamp(ancillary[0][2])
+                stamp_ns = seconds * 1_000_000_000 + nanoseconds
+            else:
+                stamp_ns = self._stamp_ns(ancillary)
             size = len(message)
             if size == _CLASSIC_SIZE:
-                word, length = _HEAD.unpack_from(message)
+                word, length = unpack_head(message)
                 fits = length <= CLASSIC_BYTES
             elif size == _FD_SIZE:
-                word, length = _HEAD.unpack_from(message)
+                word, length = unpack_head(message)
                 fits = length in FD_LENGTHS and not word & (_REMOTE | _ERROR)
             else:
                 fits = False
             if not fits:
                 self._counts[LinkEvent.MALFORMED] += 1
                 continue
-            data = message[_HEAD_SIZE : _HEAD_SIZE + length]
             if word & (_ERROR | _REMOTE):
+                data = message[_HEAD_SIZE : _HEAD_SIZE + length]
                 append(self._special(stamp_ns, word, data))
             elif only is None or word in only:
+                data = message[_HEAD_SIZE : _HEAD_SIZE + length]
                 extended = word & EXTENDED_FLAG != 0
                 mask = _EXTENDED_MASK if extended else _STANDARD_MASK
                 append(

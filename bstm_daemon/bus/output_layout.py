@@ -57,7 +57,7 @@ class Validity(IntEnum):
 
 
 class State(IntEnum):
-    """What the daemon is doing."""
+    """What the daemon is doing; without input: no wanted sample for 1 s."""
 
     STARTING = 0
     RUNNING = 1
@@ -224,6 +224,8 @@ STATUS_SIGNALS: Final = (
     _flag("TorqueStale", 43, "fresh", "stale"),
     _flag("AmbientStale", 44, "fresh", "stale"),
     _flag("ClockJump", 45, "none", "jumped"),
+    _flag("InputSuspect", 46, "none", "suspect"),
+    _flag("HeatSubstituted", 47, "own", "substituted"),
     _quantity("RejectedFrames", 48, 8),
     _quantity("DroppedFrames", 56, 8),
 )

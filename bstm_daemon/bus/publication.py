@@ -80,7 +80,9 @@ class StatusSnapshot:
     """The daemon itself. Counts are totals since the start.
 
     A ``*_stale`` flag says that an input of that kind, which the heat mode
-    uses, is older than its time-out.
+    uses, is older than its time-out; ``input_suspect`` that something speaks
+    against an input, used or not; ``heat_substituted`` that the heat of a
+    corner is from the source that the heat mode does not name, or unknown.
     """
 
     state: State = State.NOT_AVAILABLE
@@ -96,6 +98,8 @@ class StatusSnapshot:
     torque_stale: bool = False
     ambient_stale: bool = False
     clock_jump: bool = False
+    input_suspect: bool = False
+    heat_substituted: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -254,6 +258,8 @@ class Publication:
             "TorqueStale": status.torque_stale,
             "AmbientStale": status.ambient_stale,
             "ClockJump": status.clock_jump,
+            "InputSuspect": status.input_suspect,
+            "HeatSubstituted": status.heat_substituted,
             "RejectedFrames": _STATUS["RejectedFrames"].raw(
                 status.rejected_frames
             ),

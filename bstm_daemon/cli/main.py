@@ -66,6 +66,10 @@ COMMANDS: Final[dict[str, Command]] = {
         "bstm_daemon.cli.watch",
         "show the published temperatures live in the terminal",
     ),
+    "install-service": Command(
+        "bstm_daemon.cli.install_service",
+        "write the systemd units of the live service",
+    ),
 }
 """Every command, in the order of the overview."""
 

@@ -233,8 +233,8 @@ def _remarks(log_run: Run, tally: DriveTally, heat_mode: str) -> list[str]:
         )
     remarks += [
         f"{gap.name} missing for {gap.total_s:.0f} s, longest "
-        f"{gap.longest_s:.0f} s from {gap.longest_from_s:.0f} s on: taken as "
-        f"0, marked degraded"
+        f"{gap.longest_s:.0f} s from {gap.longest_from_s:.0f} s on: marked "
+        f"degraded"
         for gap in tally.gaps(heat_mode)
     ]
     if log_run.truncated:

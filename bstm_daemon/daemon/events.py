@@ -75,6 +75,7 @@ PARKED_TIME_CORRECTED: Final = Event(
 SLEPT: Final = Event("computer_slept", "warning", ("asleep_s",))
 ESTIMATE_RESET: Final = Event("estimate_reset", "error", ("count",))
 RECORD_KEPT: Final = Event("record_kept", "info", ("reason",))
+RECORD_FAILED: Final = Event("record_failed", "warning", ("error",))
 STATE_DISCARDED: Final = Event(
     "state_discarded", "warning", ("file", "reason")
 )
@@ -99,7 +100,8 @@ EVENTS: Final = (
     *(INPUT_FAULT, INPUT_FAULT_OVER, CLOCK_STEPPED),
     *(VALIDITY_CHANGED, RISK_ROSE, RISK_FELL),
     *(STATE_LOADED, STATE_DISCARDED, STATE_SAVE_FAILED),
-    *(PARKED_TIME_CORRECTED, SLEPT, ESTIMATE_RESET, RECORD_KEPT),
+    *(PARKED_TIME_CORRECTED, SLEPT, ESTIMATE_RESET),
+    *(RECORD_KEPT, RECORD_FAILED),
     *(CONFIG_RELOADED, CONFIG_REFUSED, METRICS_FAILED, LOOP_LATE),
 )
 """Every event of the service."""

@@ -5,8 +5,6 @@ from __future__ import annotations
 from operator import itemgetter
 from typing import TYPE_CHECKING, Final
 
-from bstm_daemon.bus.link import LinkState
-
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
@@ -52,8 +50,10 @@ class Intake:
             frames = link.drain()
             self.frames[bus] += len(frames)
             for frame in frames:
-                # it is here, so it is not of the future
-                time_us = min(of_stamp(frame.stamp_ns), now_us)
+                time_us = of_stamp(frame.stamp_ns)
+                if time_us > now_us:  # noqa: PLR1730  (a call a frame less)
+                    # it is here, so it is not of the future
+                    time_us = now_us
                 if passed_us is not None and time_us < passed_us:
                     time_us = passed_us
                     self.late += 1
@@ -74,16 +74,7 @@ class Intake:
         self._held = []
         self.frames = [0] * len(self.links)
 
-    def poll(self) -> None:
-        """Let every link look after itself."""
-        for link in self.links:
-            link.poll()
-
     def close(self) -> None:
         """Close every link."""
         for link in self.links:
             link.close()
-
-    def missing(self) -> list[Link]:
-        """Return the links that nothing can come from now."""
-        return [link for link in self.links if link.state is not LinkState.UP]

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Final, Literal
 from bstm_daemon.bus.link import LinkEvent, LinkState
 from bstm_daemon.bus.output_layout import RiskLevel, State, Validity
 from bstm_daemon.files import replacing
+from bstm_daemon.heat.plausibility import FAULTS
 from bstm_daemon.units import to_celsius
 
 if TYPE_CHECKING:
@@ -106,6 +107,11 @@ def _service(page: _Page, status: ServiceStatus) -> None:
         "history_known",
         "1 if the temperatures before the start are known.",
         ({}, status.history_known),
+    )
+    page.gauge(
+        "input_fault",
+        "What is wrong with the inputs or the heat: 1 if it is there.",
+        *(({"fault": name}, name in status.faults) for name in FAULTS),
     )
     page.gauge(
         "publishing",

@@ -9,7 +9,9 @@ from __future__ import annotations
 import os
 import resource
 from collections import Counter
+from contextlib import suppress
 from functools import reduce
+from math import isfinite
 from operator import or_
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -31,7 +33,7 @@ from bstm_daemon.daemon.status import (
     status_line,
 )
 from bstm_daemon.errors import FileAccessError
-from bstm_daemon.heat.plausibility import reasons
+from bstm_daemon.heat.plausibility import fault_names, reasons
 from bstm_daemon.heat.sample_plan import FLAGS
 
 if TYPE_CHECKING:
@@ -41,6 +43,7 @@ if TYPE_CHECKING:
     from bstm_daemon.daemon.intake import Intake
     from bstm_daemon.daemon.metrics_server import MetricsServer
     from bstm_daemon.daemon.monitor import Monitor
+    from bstm_daemon.daemon.recorder import RecordOutcome
     from bstm_daemon.daemon.sender import Sender
 
 DISAGREEMENT: Final = (
@@ -79,6 +82,7 @@ class Observer:
         self._server = _metrics_server(metrics_port)
         self._start_us = axis.read()
         self._recorder: Recorder | None = None
+        self._record_failures = 0
         self._links: dict[str, tuple[LinkState, Counter[LinkEvent], int]] = {}
         self._refused: Counter[str] = Counter()
         self._faults: set[str] = set()
@@ -168,6 +172,7 @@ class Observer:
             )
         if self._recorder is not None:
             self._recorder.tick(now_us)
+            self._say_record(self._recorder.outcome(), now_us)
         if now_us >= self._next_metrics_us:
             interval_s = self._monitor.config.metrics.interval_s
             self._next_metrics_us = now_us + round(interval_s * 1e6)
@@ -179,7 +184,8 @@ class Observer:
         if self._server is not None:
             self._server.close()
         if self._metrics_file is not None:
-            self._metrics_file.unlink(missing_ok=True)
+            with suppress(OSError):  # a folder that went read-only keeps it
+                self._metrics_file.unlink(missing_ok=True)
 
     def _write_metrics(self, status: ServiceStatus, now_us: int) -> None:
         if self._server is not None:
@@ -210,6 +216,7 @@ class Observer:
             state=State.STARTING if published is None else published.state,
             heat_mode=engine.heat_mode,
             history_known=published is not None and published.history_known,
+            faults=fault_names(self._flags),
             is_publishing=self._sender.is_sending,
             corners={
                 name: self._corner(name) for name in engine.estimator.programs
@@ -356,7 +363,10 @@ class Observer:
                 events.RISK_ROSE if rose else events.RISK_FELL,
                 corner=name,
                 level=corner.risk.name.lower(),
-                margin_k=round(corner.margin_k, 1),
+                # JSON has no NaN
+                margin_k=round(corner.margin_k, 1)
+                if isfinite(corner.margin_k)
+                else None,
             )
             if rose and corner.risk in KEPT_LEVELS:
                 self.keep("risk", now_us)
@@ -393,10 +403,21 @@ class Observer:
             self._resets = engine.estimator.resets
             self._log.say(events.ESTIMATE_RESET, count=self._resets)
 
+    def _say_record(self, outcome: RecordOutcome, now_us: int) -> None:
+        if outcome.failures > self._record_failures:
+            self._record_failures = outcome.failures
+            self._log.repeat(
+                events.RECORD_FAILED,
+                "record",
+                now_us * 1e-6,
+                error=outcome.last_error or "",
+            )
+
     def _close_recorder(self) -> None:
         if self._recorder is not None:
             self._recorder.close()
             self._recorder = None
+        self._record_failures = 0
 
 
 def _metrics_server(port: int | None) -> MetricsServer | None:

@@ -101,7 +101,7 @@ class Persistence:
         self._log.say(
             events.STATE_LOADED,
             file=str(self._file),
-            age_s=nan if parked_us is None else parked_us * 1e-6,
+            age_s=None if parked_us is None else parked_us * 1e-6,
             new_nodes=list(restored.new),
         )
         if not is_certain:
@@ -150,6 +150,16 @@ class Persistence:
             assumed_s=assumed_us * 1e-6,
             parked_s=parked_us * 1e-6,
         )
+
+    def reloaded(self, old: Engine, fresh: Engine) -> None:
+        """Let *fresh* go on for *old*, also with a parked time in doubt.
+
+        The journal that a correction needs is one of the same corners.
+        """
+        if old.estimator.plan.corners == fresh.estimator.plan.corners:
+            fresh.estimator.journal = old.estimator.journal
+        else:
+            self._start = None
 
     def poll(self, engine: Engine, now_us: int) -> None:
         """Save if it is time to."""

@@ -124,6 +124,8 @@ class Service:
         until_us, arrivals = self._intake.read(begin_us)
         engine = self._monitor.engine
         for time_us, bus, frame in arrivals:
+            if time_us - self._last_us > RESUMABLE_US:
+                self._note_sleep(time_us)
             if self._sender.is_own(frame.can_id, extended=frame.extended) and (
                 bus == self._monitor.publish_bus
                 and not (frame.is_error or frame.is_remote)
@@ -142,7 +144,7 @@ class Service:
             )
             self._last_us = time_us
         if until_us - self._last_us > RESUMABLE_US:
-            self._note_sleep(until_us - self._last_us)
+            self._note_sleep(until_us)
         self._last_us = max(until_us, self._last_us)
         engine.dropped_frames = sum(
             link.dropped for link in self._intake.links
@@ -159,11 +161,26 @@ class Service:
         if now_us >= self._next_poll_us:
             reopen_s = self._monitor.config.daemon.reopen_s
             self._next_poll_us = now_us + round(reopen_s * 1e6)
-            self._intake.poll()
+            for link in self._intake.links:
+                self._poll(link)
         if now_us >= self._next_report_us:
             self._next_report_us = now_us + REPORT_US
             self._observer.report(self._persistence.status(now_us), now_us)
             self._notifier.status(self._observer.line)
+
+    def _poll(self, link: Link) -> None:
+        """Let *link* look after itself; it was fit to be opened once."""
+        try:
+            link.poll()
+        except ConfigError as error:
+            self._log.repeat(
+                events.BUS_MISSING,
+                link.channel,
+                self._last_us * 1e-6,
+                bus="",
+                channel=link.channel,
+                error=str(error),
+            )
 
     def _finish(self, begin_us: int, deadline_us: int) -> int:
         """Feed the watchdog with a whole cycle; return the next deadline.
@@ -199,13 +216,18 @@ class Service:
                 can_id=f"0x{can_id:X}",
             )
 
-    def _note_sleep(self, asleep_us: int) -> None:
-        """Let the brakes stand while the computer slept.
+    def _note_sleep(self, until_us: int) -> None:
+        """Let the brakes stand while the computer slept, up to *until_us*.
 
         Marching hours on the grid would keep the loop from the frames.
         """
+        asleep_us = until_us - self._last_us
         self._log.say(events.SLEPT, asleep_s=asleep_us * 1e-6)
-        self._monitor.engine.park(asleep_us)
+        engine = self._monitor.engine
+        # the frames from before; what they publish is of no use any more
+        engine.tick(self._last_us)
+        engine.park(asleep_us)
+        self._last_us = until_us
 
     def _reload(self) -> None:
         """Take the configuration file as it is now, or keep the old one."""
@@ -213,6 +235,8 @@ class Service:
             fresh = build_monitor(self._options.config, self._options.override)
             links = self._links_for(fresh)
             self._hand_over(fresh)
+            for link in links or ():
+                link.open()
         except (BstmError, StateError) as error:
             problems = getattr(error, "problems", None) or [str(error)]
             self._log.say(
@@ -225,8 +249,6 @@ class Service:
         self._drain_us = round(fresh.config.daemon.drain_s * 1e6)
         if links is not None:
             self._intake.replace(links)
-            for link in links:
-                link.open()
         self._sender = self._new_sender()
         self._observer.begin(fresh, self._intake, self._sender)
         self._log.say(events.CONFIG_RELOADED, config=str(fresh.path))
@@ -253,6 +275,7 @@ class Service:
         time_us = document["time_us"]
         if time_us is not None:
             fresh.engine.resume(document, 0, time_us)
+            self._persistence.reloaded(self._monitor.engine, fresh.engine)
 
     def _new_sender(self) -> Sender:
         bus = self._monitor.publish_bus

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from math import isfinite, nan
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from bstm_daemon.bus.output_layout import (
     HeatMode,
@@ -16,12 +16,25 @@ from bstm_daemon.bus.output_layout import (
     State,
     Validity,
 )
+from bstm_daemon.heat.plausibility import WORDS
 from bstm_daemon.units import to_celsius
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from bstm_daemon.bus.link import LinkEvent, LinkState
+
+_TOLD: Final = (
+    "speed_suspect",
+    "wheel_speed_suspect",
+    "pressure_suspect",
+    "acceleration_suspect",
+    "torque_suspect",
+    "temperature_suspect",
+    "heat_substituted",
+    "heat_unknown",
+)
+"""Faults that the line of the status has."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,6 +106,9 @@ class ServiceStatus:
     state: State = State.STARTING
     heat_mode: HeatMode = HeatMode.NOT_AVAILABLE
     history_known: bool = False
+    faults: tuple[str, ...] = ()
+    """What is wrong with the inputs or the heat: names of
+    :data:`~bstm_daemon.heat.plausibility.FAULTS`."""
     is_publishing: bool = False
     corners: Mapping[str, CornerStatus] = field(default_factory=dict)
     """By name (FL, FR, RL, RR)."""
@@ -112,6 +128,7 @@ def status_line(status: ServiceStatus) -> str:
     """Return *status* in one line, for ``STATUS=`` of ``sd_notify``."""
     parts = [status.state.name.lower()]
     parts += [bus.reason for bus in status.buses.values() if bus.reason]
+    parts += [WORDS[name] for name in status.faults if name in _TOLD]
     parts += _hottest(status.corners)
     if not status.history_known:
         parts.append("history unknown")

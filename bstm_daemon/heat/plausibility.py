@@ -100,7 +100,46 @@ OUTAGE_MEMORY: Final = 30.0
 """Unknown heat for longer makes an estimate invalid; it is felt for so many
 times as long."""
 
-_WORDS: Final = {
+_ANY_CORNER: Final = 0b1111
+
+FAULTS: Final = {
+    **{
+        name: bit
+        for name, bit in FLAGS.items()
+        if name not in {"clock_jump", "settled"}
+    },
+    "wheel_speed_suspect": _ANY_CORNER * WHEEL_SUSPECT,
+    "heat_lost": _ANY_CORNER * HEAT_LOST,
+    "heat_doubt": _ANY_CORNER * HEAT_DOUBT,
+}
+"""Bits by what is wrong with the inputs or the heat, of any corner."""
+
+CAUSES: Final = (
+    FLAGS["samples_refused"]
+    | FLAGS["stuck"]
+    | FLAGS["switch_contradicts"]
+    | FLAGS["wheels_contradict"]
+    | FLAGS["acceleration_contradicts"]
+)
+"""What speaks against an input. A vehicle speed that is left out, while a
+wheel is sound, has no other bit."""
+
+SUSPECT: Final = (
+    CAUSES
+    | FLAGS["speed_suspect"]
+    | FLAGS["pressure_suspect"]
+    | FLAGS["acceleration_suspect"]
+    | FLAGS["torque_suspect"]
+    | FLAGS["temperature_suspect"]
+    | FAULTS["wheel_speed_suspect"]
+    | _ANY_CORNER * CORNER_PRESSURE_SUSPECT
+)
+"""An input is suspect, whether the heat mode goes by it or not."""
+
+SUBSTITUTED: Final = FLAGS["heat_substituted"] | FLAGS["heat_unknown"]
+"""The heat of a corner is from the other source, or from none."""
+
+WORDS: Final = {
     "speed_missing": "speed missing",
     "pressure_missing": "pressure missing",
     "acceleration_missing": "acceleration missing",
@@ -121,7 +160,11 @@ _WORDS: Final = {
     "heat_substituted": "heat from the other source",
     "heat_unknown": "heat unknown",
     "silent": "bus silent",
+    "wheel_speed_suspect": "wheel speed suspect",
+    "heat_lost": "heat unknown for too long",
+    "heat_doubt": "unknown heat still felt",
 }
+"""Each of :data:`FLAGS` and :data:`FAULTS` in plain words."""
 
 
 def reasons(flags: int, corners: Sequence[str] = CORNERS) -> list[str]:
@@ -129,18 +172,23 @@ def reasons(flags: int, corners: Sequence[str] = CORNERS) -> list[str]:
 
     *corners*: names of the corners in the order of the configuration.
     """
-    words = [_WORDS[name] for name, bit in FLAGS.items() if flags & bit]
+    words = [WORDS[name] for name, bit in FLAGS.items() if flags & bit]
     for first, text in (
-        (CORNER_PRESSURE, "pressure missing"),
-        (WHEEL_SUSPECT, "wheel speed suspect"),
-        (CORNER_PRESSURE_SUSPECT, "pressure suspect"),
-        (HEAT_LOST, "heat unknown for too long"),
-        (HEAT_DOUBT, "heat was unknown"),
+        (CORNER_PRESSURE, WORDS["pressure_missing"]),
+        (WHEEL_SUSPECT, WORDS["wheel_speed_suspect"]),
+        (CORNER_PRESSURE_SUSPECT, WORDS["pressure_suspect"]),
+        (HEAT_LOST, WORDS["heat_lost"]),
+        (HEAT_DOUBT, WORDS["heat_doubt"]),
     ):
         names = [n for c, n in enumerate(corners) if flags & first << c]
         if names:
             words.append(f"{text}: {', '.join(names)}")
     return words
+
+
+def fault_names(flags: int) -> tuple[str, ...]:
+    """Return which of :data:`FAULTS` are in *flags*."""
+    return tuple(name for name, bits in FAULTS.items() if flags & bits)
 
 
 def input_status(flags: int) -> dict[str, str]:

@@ -1,4 +1,4 @@
-"""Stretches of a drive in which an input was missing."""
+"""Stretches of a drive in which something held; those without an input."""
 
 from __future__ import annotations
 
@@ -35,31 +35,38 @@ class Gap:
     longest_from_s: float
 
 
-class GapFinder:
-    """Finds the stretches of a growing drive without one input.
+@dataclass(frozen=True, slots=True)
+class Stretches:
+    """How long something held in all, at the longest, and from when."""
 
-    Times count from the first row. An input that is missing throughout is
-    one gap as long as the drive.
+    total_s: float
+    longest_s: float
+    longest_from_s: float
+    first_from_s: float
+
+
+class StretchFinder:
+    """Adds up the stretches of a growing drive in which something holds.
+
+    Times count from the first row. A row stands for the time since the row
+    before. What holds throughout is one stretch as long as the drive.
     """
 
-    def __init__(self, name: str) -> None:
-        """Look for the input *name*."""
-        self._name = name
-        self._bit = FLAGS[f"{name}_missing"]
+    def __init__(self, shortest_s: float = 0.0) -> None:
+        """Leave out stretches that are shorter than *shortest_s*."""
+        self._shortest_s = shortest_s
         self._last_s = 0.0
-        # the last row before a gap that is not over yet
+        # the last row before a stretch that is not over yet
         self._open_from_s: float | None = None
-        # total, longest and begin of the longest [s]
-        self._found = 0.0, 0.0, 0.0
+        self._found: Stretches | None = None
 
-    def add(self, elapsed_s: Column, flags: Column) -> None:
-        """Add rows: time since the first and ``flags``, shape (n,) each."""
-        missing = (flags.astype(np.int64) & self._bit) != 0
+    def add(self, elapsed_s: Column, holds: npt.NDArray[np.bool_]) -> None:
+        """Add rows: time since the first, whether it holds; (n,) each."""
         was = self._open_from_s is not None
-        edges = np.flatnonzero(np.diff(missing, prepend=was))
+        edges = np.flatnonzero(np.diff(holds, prepend=was))
         before_s = np.append(self._last_s, elapsed_s)[edges].tolist()
         for edge, last_s in zip(edges.tolist(), before_s, strict=True):
-            if missing[edge]:
+            if holds[edge]:
                 self._open_from_s = last_s
             elif self._open_from_s is not None:
                 self._found = self._found_with(self._open_from_s, last_s)
@@ -67,20 +74,48 @@ class GapFinder:
         if len(elapsed_s):
             self._last_s = float(elapsed_s[-1])
 
-    def gap(self) -> Gap | None:
-        """Return what was missing so far, None if nothing for long."""
-        found = self._found
-        if self._open_from_s is not None:
-            found = self._found_with(self._open_from_s, self._last_s)
-        return Gap(self._name, *found) if found[0] else None
-
-    def _found_with(
-        self, from_s: float, to_s: float
-    ) -> tuple[float, float, float]:
-        total_s, longest_s, longest_from_s = self._found
-        length_s = to_s - from_s
-        if length_s < SHORTEST_GAP_S:
+    def stretches(self) -> Stretches | None:
+        """Return what was found so far, None if there is no time in it."""
+        if self._open_from_s is None:
             return self._found
+        return self._found_with(self._open_from_s, self._last_s)
+
+    def _found_with(self, from_s: float, to_s: float) -> Stretches | None:
+        found = self._found
+        length_s = to_s - from_s
+        if length_s <= 0.0 or length_s < self._shortest_s:
+            return found
+        if found is None:
+            return Stretches(length_s, length_s, from_s, from_s)
+        longest_s, longest_from_s = found.longest_s, found.longest_from_s
         if length_s > longest_s:
             longest_s, longest_from_s = length_s, from_s
-        return total_s + length_s, longest_s, longest_from_s
+        return Stretches(
+            found.total_s + length_s,
+            longest_s,
+            longest_from_s,
+            found.first_from_s,
+        )
+
+
+class GapFinder:
+    """Finds the stretches of a growing drive without one input."""
+
+    def __init__(self, name: str) -> None:
+        """Look for the input *name*."""
+        self._name = name
+        self._bit = FLAGS[f"{name}_missing"]
+        self._finder = StretchFinder(SHORTEST_GAP_S)
+
+    def add(self, elapsed_s: Column, flags: Column) -> None:
+        """Add rows: time since the first and ``flags``, shape (n,) each."""
+        self._finder.add(elapsed_s, (flags.astype(np.int64) & self._bit) != 0)
+
+    def gap(self) -> Gap | None:
+        """Return what was missing so far, None if nothing for long."""
+        found = self._finder.stretches()
+        if found is None:
+            return None
+        return Gap(
+            self._name, found.total_s, found.longest_s, found.longest_from_s
+        )

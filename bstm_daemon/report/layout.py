@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Final
 from bstm_daemon.report.timescale import clock, time_axis
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from bstm_daemon.report.summary import CornerSummary, DriveSummary
     from bstm_daemon.report.traces import DriveCurves, Trace
@@ -58,7 +58,13 @@ VALIDITY_COLOURS: Final = {
     1: "rgba(240,200,40,0.28)",
     2: "rgba(90,90,90,0.30)",
 }
-"""Shades behind degraded and invalid stretches."""
+"""Shades behind degraded and invalid stretches of an estimate."""
+
+INPUT_COLOURS: Final = {
+    1: "rgba(213,94,0,0.22)",
+    2: VALIDITY_COLOURS[2],
+}
+"""Shades behind suspect and missing inputs; see ``DriveCurves``."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,6 +141,7 @@ def view_layout(
         if corner is not None:
             layout["annotations"] += _fluid_peak(corner, grid)
             layout["shapes"] += _shades(curves, corner.corner, grid)
+        layout["shapes"] += _input_shades(curves, corner, grid)
     for column in (0, LEFT, RIGHT):
         layout |= _axes(column, grid)
     for panel, (_, top) in grid.rows.items():
@@ -335,19 +342,43 @@ def _shades(
 ) -> list[dict[str, Any]]:
     column = column_of(corner)
     return [
-        {
-            "type": "rect",
-            "xref": x_axis(column),
-            "yref": "paper",
-            "x0": stamp(start_s),
-            "x1": stamp(end_s),
-            "y0": grid.rows[panel][0],
-            "y1": grid.rows[panel][1],
-            "line": {"width": 0},
-            "fillcolor": VALIDITY_COLOURS[code],
-            "layer": "below",
-        }
-        for code, start_s, end_s in curves.spans(corner)
+        _shade(panel, column, grid, span, VALIDITY_COLOURS)
+        for span in curves.spans(corner)
         for panel in ("temperature", "fluid")
         if (panel, column) in grid.filled
     ]
+
+
+def _input_shades(
+    curves: DriveCurves, corner: CornerSummary | None, grid: _Grid
+) -> list[dict[str, Any]]:
+    """Return the shades of the vehicle's panels, or of a corner's power."""
+    column = column_of(corner.corner if corner else None)
+    return [
+        _shade(panel, column, grid, span, INPUT_COLOURS)
+        for panel in (("power",) if corner else VEHICLE_PANELS)
+        if (panel, column) in grid.filled
+        for span in curves.input_spans(panel)
+    ]
+
+
+def _shade(
+    panel: str,
+    column: int,
+    grid: _Grid,
+    span: tuple[int, float, float],
+    colours: Mapping[int, str],
+) -> dict[str, Any]:
+    code, start_s, end_s = span
+    return {
+        "type": "rect",
+        "xref": x_axis(column),
+        "yref": "paper",
+        "x0": stamp(start_s),
+        "x1": stamp(end_s),
+        "y0": grid.rows[panel][0],
+        "y1": grid.rows[panel][1],
+        "line": {"width": 0},
+        "fillcolor": colours[code],
+        "layer": "below",
+    }

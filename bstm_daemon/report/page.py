@@ -115,15 +115,17 @@ def replay_page(
 <h1>{escape(facts.title)}</h1>
 <p class="under">{escape(_subtitle(summary, facts))}</p>
 {headline_tiles(summary)}
-{_warnings(facts)}
+{_warnings(facts, summary)}
 <section>
 <h2>Summary</h2>
 {corner_table(summary)}
 </section>
 <section>
 <div class="views">{buttons}
-<span class="key"><i class="degraded"></i>degraded
-<i class="invalid"></i>invalid estimate</span></div>
+<span class="key"><i class="degraded"></i>degraded estimate
+<i class="suspect"></i>suspect input, heat of the other source
+<i class="invalid"></i>invalid estimate, missing input, unknown heat</span>
+</div>
 <div id="plot"></div>
 <noscript>The plots need JavaScript.</noscript>
 <p class="note">Drag to zoom: all time axes follow. Double-click for the whole
@@ -207,10 +209,11 @@ def _subtitle(summary: DriveSummary, facts: ReportFacts) -> str:
     return " · ".join(parts)
 
 
-def _warnings(facts: ReportFacts) -> str:
-    if not facts.warnings:
+def _warnings(facts: ReportFacts, summary: DriveSummary) -> str:
+    said = [*facts.warnings, *(found.text for found in summary.findings)]
+    if not said:
         return ""
-    items = "".join(f"<li>{escape(text)}</li>" for text in facts.warnings)
+    items = "".join(f"<li>{escape(text)}</li>" for text in said)
     return (
         f'<section class="warnings"><h2>To know of this replay</h2>'
         f"<ul>{items}</ul></section>"

@@ -60,6 +60,7 @@ table { border-collapse: collapse; width: 100%;
   vertical-align: -1px; margin: 0 4px 0 12px; border-radius: 2px;
   border: 1px solid var(--line); }
 .degraded { background: rgba(240,200,40,0.28); }
+.suspect { background: rgba(213,94,0,0.22); }
 .invalid { background: rgba(90,90,90,0.30); }
 footer { color: var(--soft); font-size: 12.5px; }
 @media (max-width: 800px) { .facts { columns: 1; } }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from textwrap import wrap
 from typing import Final
 
 from bstm_daemon.report.summary import (
@@ -37,7 +38,8 @@ def summary_table(summary: DriveSummary) -> str:
     Per corner the peak temperature [degC] of each node and when it was, how
     long after the stop the fluid peaked, the least margin to the wet boiling
     point [K], and the brake energy [MJ]: as it heated the model, by
-    Feed-Forward, by Feed-Back.
+    Feed-Forward, by Feed-Back. Below the table what was valid, what spoke
+    against the inputs, and when the heat was not known.
     """
     with_hours = summary.duration_s >= HOUR_S
     rows: list[tuple[str, ...]] = [HEADINGS]
@@ -61,6 +63,8 @@ def summary_table(summary: DriveSummary) -> str:
         ]
         lines.append(gap.join(cells).rstrip())
     lines += _validity_lines(summary)
+    for finding in summary.findings:
+        lines += wrap(finding.text, WIDTH, subsequent_indent="  ")
     return "\n".join(lines)
 
 

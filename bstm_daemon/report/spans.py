@@ -1,4 +1,4 @@
-"""The stretches of a drive in which an estimate is not valid."""
+"""The stretches of a drive in which something is not as it should be."""
 
 from __future__ import annotations
 
@@ -63,6 +63,7 @@ def validity_spans(
     Args:
         elapsed_s: shape (n,), rising.
         validity: shape (n,), 0 valid, 1 degraded, 2 invalid; NaN is valid.
+            Or of an input: 1 suspect, 2 missing.
     """
     codes = np.nan_to_num(validity, nan=0.0).astype(np.int64)
     starts_s = elapsed_s

@@ -8,7 +8,10 @@ since the first row.
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from typing import Final
+from typing import TYPE_CHECKING, Final
+
+if TYPE_CHECKING:
+    from bstm_daemon.report.findings import Finding
 
 SUMMARY_NODES: Final = ("disc", "pad_front", "pad_back", "fluid")
 """Nodes whose peaks a summary holds."""
@@ -66,6 +69,8 @@ class DriveSummary:
     standing_s: float | None
     stops_s: tuple[float, ...]
     corners: tuple[CornerSummary, ...]
+    findings: tuple[Finding, ...] = ()
+    """What spoke against the inputs, and when the heat was not known."""
 
 
 def summary_json(summary: DriveSummary) -> dict[str, object]:

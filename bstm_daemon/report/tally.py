@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from bstm_daemon.report.findings import FindingTally
 from bstm_daemon.report.gaps import INPUTS, Gap, GapFinder
 from bstm_daemon.report.stops import STANDING_MS, StopFinder
 from bstm_daemon.report.summary import (
@@ -45,6 +46,9 @@ class DriveTally:
             name: GapFinder(name)
             for name in sorted({n for names in INPUTS.values() for n in names})
         }
+        self._findings = FindingTally()
+        # in the order of the configuration, as the bits of the flags
+        self._places: tuple[str, ...] = ()
         self._stops = StopFinder()
         self._standing_s = _Integral()
         self._travelled_m = _Integral()
@@ -55,6 +59,7 @@ class DriveTally:
     def write(self, rows: Results) -> None:
         """Take *rows*, in stretches of the same length always."""
         if not self._corners:
+            self._places = rows.corners
             self._corners = {
                 name: _CornerTally(name, modelled=name in rows.modelled)
                 for name in front_first(rows.corners)
@@ -84,6 +89,7 @@ class DriveTally:
                 corner.summary(self.rows, stops_s)
                 for corner in self._corners.values()
             ),
+            findings=self._findings.findings(self._places),
         )
 
     def _add(self, columns: Mapping[str, Column]) -> None:
@@ -98,6 +104,7 @@ class DriveTally:
         if "flags" in columns:
             for gap in self._gaps.values():
                 gap.add(elapsed_s, columns["flags"])
+            self._findings.add(elapsed_s, columns["flags"])
         if "speed_ms" in columns:
             self._add_speed(elapsed_s, steps_s, columns["speed_ms"])
         if "distance_m" in columns:

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from bstm_daemon.heat.plausibility import FAULTS
+from bstm_daemon.heat.sample_plan import FLAGS
 from bstm_daemon.report.decimation import ThinCurve
 from bstm_daemon.report.spans import Buckets, validity_spans
 from bstm_daemon.report.summary import SUMMARY_NODES, front_first
@@ -54,6 +56,23 @@ KMH_A_MS: Final = 3.6
 
 CONSTANT_K: Final = 0.05
 """A limit that moves less than this is drawn with its two ends."""
+
+_PANEL_INPUTS: Final = {
+    "speed": (
+        FLAGS["speed_suspect"]
+        | FLAGS["wheels_contradict"]
+        | FAULTS["wheel_speed_suspect"],
+        FLAGS["speed_missing"],
+    ),
+    "pressure": (FLAGS["pressure_suspect"], FLAGS["pressure_missing"]),
+    "power": (
+        FLAGS["heat_substituted"]
+        | FLAGS["acceleration_suspect"]
+        | FLAGS["torque_suspect"],
+        FLAGS["heat_unknown"],
+    ),
+}
+"""Bits of ``flags`` by the panel that they shade: suspect, and missing."""
 
 _BOILING_POINT: Final = "boiling_point_c"
 
@@ -136,6 +155,7 @@ class DriveCurves:
         self._time = ElapsedTime()
         self._starts_s = Buckets(np.minimum)
         self._validity: dict[str, Buckets] = {}
+        self._inputs = {name: Buckets(np.maximum) for name in _PANEL_INPUTS}
         self._speed = _Curve(
             "speed",
             None,
@@ -181,6 +201,18 @@ class DriveCurves:
             return []
         return validity_spans(self._starts_s.values, validity.values)
 
+    def input_spans(self, panel: str) -> list[tuple[int, float, float]]:
+        """Return the stretches in which what *panel* shows is in doubt.
+
+        *panel* is ``speed``, ``pressure`` or ``power``. Code 1: an input is
+        suspect, or heat is from the other source; 2: it is missing, the heat
+        unknown. See :func:`~bstm_daemon.report.spans.validity_spans`.
+        """
+        codes = self._inputs[panel].values
+        if not len(codes):
+            return []
+        return validity_spans(self._starts_s.values, codes)
+
     def _add(self, columns: dict[str, Column]) -> None:
         elapsed_s = self._time.extend(columns["time_s"])
         self._starts_s.add(elapsed_s)
@@ -193,6 +225,12 @@ class DriveCurves:
             if validity is not None and len(validity):
                 track = self._validity.setdefault(name, Buckets(np.maximum))
                 track.add(np.nan_to_num(validity, nan=0.0))
+        if "flags" in columns:
+            bits = columns["flags"].astype(np.int64)
+            for panel, (suspect, missing) in _PANEL_INPUTS.items():
+                codes = np.where(bits & suspect, 1.0, 0.0)
+                codes[(bits & missing) != 0] = 2.0
+                self._inputs[panel].add(codes)
         self._compare_pressures(columns)
 
     def _compare_pressures(self, columns: Mapping[str, Column]) -> None:

@@ -162,6 +162,16 @@ class Board:
         )
 
     @property
+    def has_suspect_input(self) -> bool:
+        """Whether something speaks against an input."""
+        return self.value("BSTM_Status", "InputSuspect") == 1
+
+    @property
+    def has_substituted_heat(self) -> bool:
+        """Whether heat is from the other source, or unknown."""
+        return self.value("BSTM_Status", "HeatSubstituted") == 1
+
+    @property
     def stale_inputs(self) -> list[str]:
         """Inputs that are older than their time-out, in lower case."""
         return [

@@ -128,6 +128,8 @@ def _doing(board: Board, now_us: int) -> list[Span]:
     else:
         spans = [Span(words(state.name), _STATE_STYLES[state])]
     spans.append(Span(f"heat {words(board.heat_mode.name)}"))
+    if board.has_substituted_heat:
+        spans.append(Span("heat substituted or unknown", "warning"))
     if board.value(STATUS, "HistoryKnown") == 1:
         spans.append(Span("history known"))
     else:
@@ -147,6 +149,8 @@ def _inputs(board: Board) -> list[Span]:
         else Span("inputs fresh"),
         Span(f"oldest {number(board.value(STATUS, 'OldestInputAge'))} s"),
     ]
+    if board.has_suspect_input:
+        spans.insert(1, Span("an input is suspect", "warning"))
     for label in ("Rejected", "Dropped"):
         count = board.value(STATUS, f"{label}Frames")
         style = "warning" if count > 0 else "plain"

@@ -108,6 +108,11 @@ def text_line(board: Board, now_us: int, source: str) -> str:
             ("state", state),
             ("heat", board.heat_mode.name.lower()),
             ("stale", ",".join(board.stale_inputs) or "-"),
+            ("inputs", "suspect" if board.has_suspect_input else "sound"),
+            (
+                "heat_from",
+                "substitute" if board.has_substituted_heat else "own",
+            ),
         ]
         for name in board.corners:
             pairs += _of_corner(board, now_us, name)

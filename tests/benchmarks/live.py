@@ -28,7 +28,7 @@ from unittest import mock
 from live_link import pair
 from live_sender import pack_frames
 from side_by_side import Goal, Outcome, Table
-from traffic import RATES_HZ, example_database, write_traffic
+from traffic import RATES_HZ, write_traffic
 
 from bstm_daemon.bus.link_receiver import FrameReceiver
 from bstm_daemon.bus.output_layout import TEN_HERTZ_US
@@ -47,7 +47,6 @@ PERIOD_S: Final = 60
 """Length of the traffic, which then begins again."""
 SETTLING_S: Final = 3.0
 """After the start, not measured."""
-CHANNELS: Final = ("frames_10_hz", "frames_1_hz")
 
 CPU_SHARE: Final = 0.03
 LATENCY_S: Final = 0.015
@@ -111,9 +110,7 @@ def receive(frames: Path, seconds: float) -> Received:
     """
     places = ("peer", "ours", "ours")
     with ExitStack() as opened:
-        pairs = [
-            [opened.enter_context(end) for end in pair()] for _ in places
-        ]
+        pairs = [[opened.enter_context(end) for end in pair()] for _ in places]
         readers = [
             program("live_receiver.py", who, fd, seconds, pass_fds=[fd])
             for who, (_, far) in zip(places, pairs, strict=True)
@@ -174,7 +171,9 @@ class Daemon:
         folder.mkdir()
         config = folder / "config" / "car.toml"
         config.parent.mkdir()
-        shutil.copytree(shipped_file(EXAMPLE).parents[1] / "dbc", folder / "dbc")
+        shutil.copytree(
+            shipped_file(EXAMPLE).parents[1] / "dbc", folder / "dbc"
+        )
         text = shipped_file(EXAMPLE).read_text("utf-8")
         head, section, rest = text.partition("[publish]")
         assert section
@@ -315,17 +314,13 @@ def latencies(published: list[Frame]) -> list[float]:
     by_id: dict[int, list[int]] = {}
     for frame in published:
         by_id.setdefault(frame.can_id, []).append(frame.stamp_ns // 1000)
-    cycles = [
-        stamps_us for stamps_us in by_id.values() if len(stamps_us) > 50
-    ]
+    cycles = [stamps_us for stamps_us in by_id.values() if len(stamps_us) > 50]
     assert len(cycles) == 5, sorted(by_id)
     found = []
     for stamps_us in cycles:
         lines = [stamp_us // TEN_HERTZ_US for stamp_us in stamps_us]
         assert lines == list(range(lines[0], lines[0] + len(lines)))
-        found += [
-            (stamp_us % TEN_HERTZ_US) * 1e-6 for stamp_us in stamps_us
-        ]
+        found += [(stamp_us % TEN_HERTZ_US) * 1e-6 for stamp_us in stamps_us]
     return found
 
 
@@ -357,11 +352,13 @@ def _by_step(engine: Engine, path: Path) -> list[tuple[Any, Any, Any]]:
         can_id, _, text = frame.partition("#")
         stamp_us = int(stamp[1:-1].replace(".", ""))
         step = found.setdefault(stamp_us // STEP_US, ([], [], []))
+        times_us, roles, values = step
         for role, value in engine.decoder.decode(
             0, int(can_id, 16), False, bytes.fromhex(text)
         ):
-            for column, one in zip(step, (stamp_us, role, value), strict=True):
-                column.append(one)
+            times_us.append(stamp_us)
+            roles.append(role)
+            values.append(value)
     return list(found.values())
 
 
@@ -404,19 +401,19 @@ def outcome(
         "Live service",
         f"{FRAMES_PER_S} frames a second, each sent at its time, "
         f"{sum(RATES_HZ.values())} of them of the example car, as `can_frame` "
-        "over a socket pair with kernel stamps; the reader's code for "
+        "over a socket pair with kernel stamps, read by the code for "
         "SocketCAN. Receive path: from the socket to decoded samples in the "
-        "engine, drained every 10 ms, no step marched; beside it at the same "
-        "time python-can's Notifier on its SocketCAN reader, with a listener "
-        "that decodes the wanted ids by cantools. With filters only the "
-        "wanted frames arrive, as through the kernel's filters; python-can's "
-        "figure stays that without. Daemon: `bstm run` with 4 corners, "
-        "compiled, publishing, state file, metrics file and watchdog, only "
-        "the wanted frames arriving; latency from the grid line that ends a "
-        "step to the published frame in the receiver's socket, so it has the "
-        f"{'2 ms'} that frames are waited for. Extras are hidden from the "
-        "daemon as if not installed. Pure-Python step: pass over the samples "
-        "and march of 4 corners.",
+        "engine, drained as often as by default, no step marched. Beside it "
+        "at the same time python-can's Notifier on its SocketCAN reader, with "
+        "a listener that decodes the wanted ids by cantools. With filters "
+        "only the wanted frames arrive, as through the kernel's filters; "
+        "python-can's figure stays that without. Daemon: `bstm run` with 4 "
+        "corners, compiled, publishing, with state file, metrics file and "
+        "watchdog, only the wanted frames arriving; latency from the grid "
+        "line that ends a step to the published frame in the receiver's "
+        "socket, with the 2 ms that late frames are waited for. Extras are "
+        "hidden from the daemon as if not installed. Pure-Python step: pass "
+        "over the samples and march of 4 corners.",
     )
     found.goals = [
         Goal(

@@ -23,7 +23,9 @@ def main() -> int:
     from bstm_daemon.daemon import monitor  # noqa: PLC0415
 
     end = socket.socket(fileno=int(sys.argv[1]))
-    monitor._link = lambda bus, wanted, _: PairLink(end, bus, wanted)
+    monitor._link = lambda bus, wanted, buffer_bytes: PairLink(
+        end, bus, wanted, buffer_bytes
+    )
     return command(["run", *sys.argv[2:]])
 
 

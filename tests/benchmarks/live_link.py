@@ -32,9 +32,10 @@ class PairLink(SocketcanLink):
         end: socket.socket,
         bus: BusConfig,
         wanted: Wanted = None,
+        receive_buffer_bytes: int = 2**22,
     ) -> None:
         """Read *end*; without a kernel that filters, filter as it would."""
-        super().__init__(bus, wanted)
+        super().__init__(bus, wanted, receive_buffer_bytes)
         self._end = end
 
     def open(self) -> bool:

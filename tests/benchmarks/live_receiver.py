@@ -32,7 +32,6 @@ if TYPE_CHECKING:
 
     from bstm_daemon.bus.signal_map import SignalMap
 
-DRAIN_US = 10_000
 EXAMPLE = "config/example_vehicle.toml"
 
 
@@ -44,6 +43,7 @@ def ours(end: socket.socket, seconds: float) -> tuple[float, int]:
     link = PairLink(end, config.bus[0], signal_map.wanted(0))
     link.open()
     intake = Intake([link], axis)
+    drain_us = round(config.daemon.drain_s * 1e6)
     _ready()
     with SignalWaiter() as waiter:
         begin_s = time.process_time()
@@ -62,8 +62,8 @@ def ours(end: socket.socket, seconds: float) -> tuple[float, int]:
                     is_error=frame.is_error,
                     is_remote=frame.is_remote,
                 )
-            line = (axis.read() - GUARD_US) // DRAIN_US + 1
-            deadline_us = line * DRAIN_US + GUARD_US
+            line = (axis.read() - GUARD_US) // drain_us + 1
+            deadline_us = line * drain_us + GUARD_US
         spent_s = time.process_time() - begin_s
     return spent_s, len(engine._values)
 
@@ -79,7 +79,9 @@ class PairBus(SocketcanBus):
         self._is_filtered = False
         self._bcm_sockets = {}
         end.setsockopt(
-            socket.SOL_SOCKET, can.interfaces.socketcan.constants.SO_TIMESTAMPNS, 1
+            socket.SOL_SOCKET,
+            can.interfaces.socketcan.constants.SO_TIMESTAMPNS,
+            1,
         )
         can.BusABC.__init__(self, channel=self.channel)
 

@@ -71,6 +71,8 @@ status_snapshots = st.builds(
     torque_stale=st.booleans(),
     ambient_stale=st.booleans(),
     clock_jump=st.booleans(),
+    input_suspect=st.booleans(),
+    heat_substituted=st.booleans(),
 )
 snapshots = st.builds(
     Snapshot,
@@ -169,6 +171,10 @@ def test_status_survives_the_bus(status: StatusSnapshot) -> None:
     assert values["RejectedFrames"] == min(max(status.rejected_frames, 0), 253)
     assert values["DroppedFrames"] == min(max(status.dropped_frames, 0), 253)
     assert values["ClockJump"] == ("jumped" if status.clock_jump else "none")
+    assert values["InputSuspect"] == ("none", "suspect")[status.input_suspect]
+    assert values["HeatSubstituted"] == (
+        "substituted" if status.heat_substituted else "own"
+    )
     for kind in ("speed", "pressure", "acceleration", "torque", "ambient"):
         stale = getattr(status, f"{kind}_stale")
         assert values[f"{kind.title()}Stale"] == (

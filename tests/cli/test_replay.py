@@ -327,6 +327,31 @@ def _shuffled() -> list[int]:
     return [*range(500), 430, *range(500, 1000)]
 
 
+def test_doubtful_inputs_are_said(
+    log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A dead wheel: on screen and in the page; a sound log has none."""
+    assert replay(log) == 0
+    assert "suspect" not in capsys.readouterr().out
+    lines = log.read_bytes().splitlines(keepends=True)
+    log.write_bytes(
+        b"".join(
+            line[:-17] + b"0000" + line[-13:] if b" 1A0#" in line else line
+            for line in lines
+        )
+    )
+
+    page = tmp_path / "r.html"
+    assert replay(log, "--report", page) == 0
+
+    (said,) = [
+        line
+        for line in capsys.readouterr().out.splitlines()
+        if line.startswith("wheel speed suspect (FL) for ")
+    ]
+    assert said.split(": ")[0] in page.read_text(encoding="utf-8")
+
+
 def test_clock_jump_is_said(
     log: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

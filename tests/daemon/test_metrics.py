@@ -29,6 +29,7 @@ from bstm_daemon.daemon.status import (
     StateFileStatus,
 )
 from bstm_daemon.errors import FileAccessError
+from bstm_daemon.heat.plausibility import FAULTS
 
 DOCS = Path(__file__).parents[2] / "docs" / "observing.md"
 
@@ -38,6 +39,7 @@ STATUS = ServiceStatus(
     state=State.DEGRADED,
     heat_mode=HeatMode.FB,
     history_known=True,
+    faults=("pressure_missing", "heat_substituted"),
     is_publishing=True,
     corners={
         "FL": CornerStatus(
@@ -138,6 +140,9 @@ def test_a_service_that_has_just_started_follows_the_format() -> None:
         ("state", {"state": "degraded"}, 1),
         ("state", {"state": "running"}, 0),
         ("history_known", {}, 1),
+        ("input_fault", {"fault": "pressure_missing"}, 1),
+        ("input_fault", {"fault": "heat_substituted"}, 1),
+        ("input_fault", {"fault": "heat_unknown"}, 0),
         ("publishing", {}, 1),
         ("temperature_celsius", {"corner": "FL", "node": "disc"}, 400),
         ("temperature_celsius", {"corner": "FL", "node": "fluid"}, 100),
@@ -190,6 +195,14 @@ def test_the_docs_list_every_metric_with_its_labels() -> None:
         name: re.findall(r'(\w+)="', series[0])
         for name, series in checked(metrics_text(STATUS)).items()
     }
+
+
+def test_the_docs_list_every_fault() -> None:
+    _, _, text = DOCS.read_text("utf-8").partition("The values of `fault`: ")
+
+    told = re.findall(r"`(\w+)`", text.partition(";")[0])
+
+    assert sorted(told) == sorted(FAULTS)
 
 
 def test_what_is_not_known_is_nan() -> None:

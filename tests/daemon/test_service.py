@@ -68,10 +68,15 @@ class Peer:
         self.bus = can.Bus(interface="virtual", channel=channel)
         self.heard: list[can.Message] = []
 
-    def drive(self, seconds: float) -> None:
-        """Send every input of the example car at rest, at 50 Hz."""
+    def drive(self, seconds: float, without: str = "") -> None:
+        """Send every input of the example car at rest, at 50 Hz.
+
+        *without* names a message that is not sent.
+        """
         frames = []
         for message in INPUTS.messages:
+            if message.name == without:
+                continue
             values = {
                 signal_.name: max(signal_.minimum or 0.0, 0.0)
                 for signal_ in message.signals
@@ -237,12 +242,44 @@ def test_without_publish_nothing_is_sent(run: Run, tmp_path: Path) -> None:
     assert "publishing_started" not in lines.names()
 
 
+def test_a_missing_input_is_told_everywhere(
+    run: Run, tmp_path: Path, channel: str
+) -> None:
+    """In the log, in the metrics and on the bus."""
+    page = tmp_path / "bstm.prom"
+    written = (
+        ('# file = "bstm.prom"', 'file = "bstm.prom"'),
+        ("interval_s = 10.0", "interval_s = 0.5"),
+    )
+
+    def play(peer: Peer, _: Lines) -> None:
+        deadline_s = time.monotonic() + LIMIT_S
+        # in the first second nothing is known yet
+        wanted = {
+            'bstm_input_fault{fault="pressure_missing"} 1',
+            'bstm_input_fault{fault="speed_missing"} 0',
+        }
+        while not (
+            page.exists() and wanted <= {*page.read_text("utf-8").split("\n")}
+        ):
+            assert time.monotonic() < deadline_s
+            peer.drive(0.2, without="BrakePressure")
+
+    lines = run(play, config=car(tmp_path, channel, *written))
+
+    said = [f["fault"] for name, f in lines.said if name == "input_fault"]
+    assert "pressure missing" in said
+    last = lines.peer.own("BSTM_Status")[-2]
+    assert (last["PressureStale"], last["State"]) == ("stale", "degraded")
+
+
 def test_a_foreign_sender_of_our_id_ends_ours(run: Run) -> None:
     def play(peer: Peer, lines: Lines) -> None:
         peer.drive(0.3)
         assert peer.heard
         peer.send(OWN[0], bytes(8))
         lines.wait_for("foreign_frame")
+        peer.hear(0.1)  # what was under way
         peer.heard.clear()
         peer.drive(0.4)
 
@@ -269,6 +306,7 @@ def test_a_reload_keeps_the_brakes_and_a_bad_one_the_configuration(
         )
         os.kill(os.getpid(), signal.SIGHUP)
         lines.wait_for("config_reloaded")
+        peer.hear(0.1)  # what was under way
         peer.heard.clear()
         peer.drive(0.4)
 

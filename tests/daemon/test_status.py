@@ -65,6 +65,16 @@ def test_waiting_for_an_interface() -> None:
     )
 
 
+def test_suspect_inputs_and_foreign_heat_are_told() -> None:
+    """Missing inputs are not: a car may have no torque on its bus."""
+    faults = ("torque_missing", "wheel_speed_suspect", "stuck", "heat_unknown")
+
+    line = status_line(replace(RUNNING, faults=faults))
+
+    assert line.startswith("running, wheel speed suspect, heat unknown, disc ")
+    assert "stuck" not in line
+
+
 def test_no_number_is_not_shown() -> None:
     corner = CornerStatus({"disc": nan, "fluid": nan})
 

@@ -49,13 +49,28 @@ def sandbox(name: str) -> list[tuple[str, str]]:
     return found
 
 
+@pytest.fixture
+def open_folder(
+    tmp_path: Path, tmp_path_factory: pytest.TempPathFactory
+) -> Path:
+    """Return a folder that every user may enter."""
+    own = tmp_path_factory.getbasetemp().parent
+    for folder in (tmp_path, *tmp_path.parents):
+        is_open = folder.stat().st_mode & 0o001
+        if folder.is_relative_to(own):
+            folder.chmod(0o711)
+        elif not is_open:
+            pytest.skip(f"{folder} is closed to other users")
+    return tmp_path
+
+
 @pytest.mark.parametrize("name", UNITS)
 def test_every_line_of_the_sandbox_says_what_it_breaks(name: str) -> None:
     lines = sandbox(name)
     assert len(lines) > 30
     for comment, line in lines:
         assert DIRECTIVE.fullmatch(line), line
-        assert re.match(r"# Breaks: \w.{10,}[.]", comment), line
+        assert re.match(r"# Breaks: \S.{10,}[.]", comment), line
 
 
 @pytest.mark.parametrize("name", UNITS)
@@ -123,7 +138,7 @@ def test_an_instance_differs_in_its_names_only() -> None:
 
 
 def test_folders_of_an_instance_are_not_inside_the_other_ones() -> None:
-    """Else bstm.service would take them over, or remove them."""
+    """Else bstm.service could not start, and would remove them."""
     for key in ("StateDirectory", "RuntimeDirectory"):
         [one], [many] = (values(name, key) for name in UNITS)
         assert not many.startswith(f"{one}/")
@@ -204,8 +219,9 @@ def test_a_link_into_a_hidden_folder_is_an_obstacle(tmp_path: Path) -> None:
     target.touch()
     link = tmp_path / "python"
     link.symlink_to(target)
-    [reason] = obstacles([link], hidden)
-    assert str(target) in reason
+    assert any(
+        f"{target} is in" in reason for reason in obstacles([link], hidden)
+    )
 
 
 def test_a_link_out_of_a_hidden_folder_is_an_obstacle(tmp_path: Path) -> None:
@@ -217,7 +233,7 @@ def test_a_link_out_of_a_hidden_folder_is_an_obstacle(tmp_path: Path) -> None:
 
 
 def test_a_neighbour_of_a_hidden_folder_is_none() -> None:
-    assert not obstacles([Path("/homeless/python"), Path("/tmpfs/python")])
+    assert not obstacles([Path("/homeless/python"), Path("/rooted/python")])
 
 
 @pytest.mark.parametrize(
@@ -275,12 +291,3 @@ def test_a_link_into_an_environment_stays_a_link(tmp_path: Path) -> None:
 def test_a_path_that_a_unit_would_read_otherwise(path: str) -> None:
     with pytest.raises(UsageError, match="can not stand in a unit"):
         require_plain(Path(path))
-
-
-@pytest.fixture
-def open_folder(tmp_path: Path) -> Path:
-    """Return a folder that every user may enter."""
-    for folder in (tmp_path, *tmp_path.parents):
-        if not folder.stat().st_mode & 0o001:
-            folder.chmod(folder.stat().st_mode | 0o011)
-    return tmp_path

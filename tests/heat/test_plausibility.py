@@ -9,7 +9,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bstm_daemon.heat.plausibility import Hysteresis, input_status, reasons
+from bstm_daemon.heat.plausibility import (
+    FAULTS,
+    WORDS,
+    Hysteresis,
+    fault_names,
+    input_status,
+    reasons,
+)
 from bstm_daemon.heat.sample_plan import (
     CORNER_PRESSURE,
     CORNER_PRESSURE_SUSPECT,
@@ -741,6 +748,20 @@ def test_words() -> None:
         "torque": "valid",
     }
     assert all(reasons(1 << bit) for bit in range(40))
+
+
+def test_faults_name_every_bit_once() -> None:
+    """But those of the clock, and what is also said of the whole car."""
+    clock = FLAGS["clock_jump"] | FLAGS["settled"]
+    also = 0b1111 * (CORNER_PRESSURE | CORNER_PRESSURE_SUSPECT)
+
+    assert sum(FAULTS.values()) == ((1 << 40) - 1) & ~clock & ~also
+    assert FAULTS.keys() <= WORDS.keys()
+    assert fault_names(clock) == ()
+    assert fault_names(FLAGS["stuck"] | HEAT_LOST << 3) == (
+        "stuck",
+        "heat_lost",
+    )
 
 
 def test_hysteresis() -> None:

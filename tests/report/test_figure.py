@@ -6,7 +6,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from bstm_daemon.heat.sample_plan import FLAGS, WHEEL_SUSPECT
 from bstm_daemon.report.figure import Figure, replay_figure, view_corners
+from bstm_daemon.report.layout import INPUT_COLOURS
 from bstm_daemon.report.tally import summarize
 from bstm_daemon.report.traces import DriveCurves
 from bstm_daemon.results import Results
@@ -103,6 +105,36 @@ def test_shades_mark_what_is_not_valid(descent: Results) -> None:
         "2000-01-01 00:15:00.100",
     }
     assert len({shape["fillcolor"] for shape in left}) == 2
+
+
+def test_shades_mark_doubtful_inputs(descent: Results) -> None:
+    """Each behind its own panel; power on both sides."""
+    flags = np.zeros(len(descent))
+    flags[1000:2000] = FLAGS["speed_suspect"]
+    flags[3000:4000] = FLAGS["pressure_missing"] | FLAGS["heat_substituted"]
+    flags[5000:6000] = WHEEL_SUSPECT << 1
+    flags[7000:8000] = FLAGS["heat_unknown"] | FLAGS["torque_suspect"]
+    columns = {**descent.columns, "flags": flags}
+    results = Results(columns, descent.corners, descent.modelled)
+
+    layout = _figure(results).views[0].layout
+
+    def shaded(panel: str, axis: str) -> list[tuple[str, str, str]]:
+        _, top = layout[panel]["domain"]
+        return [
+            (shape["x0"][11:16], shape["x1"][11:16], shape["fillcolor"])
+            for shape in layout["shapes"]
+            if (shape["xref"], shape["y1"]) == (axis, top)
+        ]
+
+    suspect, missing = INPUT_COLOURS[1], INPUT_COLOURS[2]
+    assert shaded("yaxis", "x") == [
+        ("00:01", "00:03", suspect),
+        ("00:08", "00:10", suspect),
+    ]
+    assert shaded("yaxis2", "x") == [("00:05", "00:06", missing)]
+    power = [("00:05", "00:06", suspect), ("00:11", "00:13", missing)]
+    assert shaded("yaxis3", "x2") == shaded("yaxis6", "x3") == power
 
 
 def test_the_fluid_peak_is_labelled(descent: Results) -> None:

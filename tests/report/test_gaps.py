@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bstm_daemon.heat.sample_plan import FLAGS
-from bstm_daemon.report.gaps import Gap, GapFinder
+from bstm_daemon.report.gaps import Gap, GapFinder, Stretches, StretchFinder
 from bstm_daemon.report.tally import DriveTally
 from bstm_daemon.results import Results
 
@@ -86,3 +86,15 @@ def test_a_gap_up_to_the_end_counts_and_may_go_on() -> None:
         assert gap is not None
         assert gap.total_s == gap.longest_s == rows[-1]
         assert gap.longest_from_s == 0.0
+
+
+def test_stretches_know_their_first_begin() -> None:
+    """Of all that are long enough; a single row has the time before it."""
+    holds = np.array([0, 1, 1, 0, 0, 1, 1, 1, 0, 1, 0], dtype=bool)
+    every, long = StretchFinder(), StretchFinder(2.5)
+    for finder in (every, long):
+        finder.add(1.0 * np.arange(len(holds)), holds)
+
+    assert every.stretches() == Stretches(6.0, 3.0, 4.0, 0.0)
+    assert long.stretches() == Stretches(3.0, 3.0, 4.0, 4.0)
+    assert StretchFinder().stretches() is None

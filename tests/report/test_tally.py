@@ -2,8 +2,10 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
+from bstm_daemon.heat.sample_plan import FLAGS
 from bstm_daemon.report.summary import DriveSummary
 from bstm_daemon.report.tally import DriveTally, summarize
 from bstm_daemon.report.traces import POINTS_A_TRACE, DriveCurves
@@ -63,6 +65,29 @@ def test_equal_stretches_give_equal_bits(descent: Results) -> None:
     assert tally.summary() == summarize(descent)
     assert curves.traces() == drawn.traces()
     assert curves.spans("FL") == drawn.spans("FL")
+
+
+def test_doubtful_inputs_are_held_in_few_buckets(descent: Results) -> None:
+    """In any pieces the same; a row in a day of rows is found again."""
+    flags = np.zeros(len(descent))
+    flags[20_000] = FLAGS["pressure_suspect"]
+    flags[20_001] = FLAGS["pressure_missing"]
+    with_flags = replace(descent, columns={**descent.columns, "flags": flags})
+    whole, pieces, long = DriveCurves(), DriveCurves(), DriveCurves()
+    whole.write(with_flags)
+    for piece in _pieces(with_flags, 777):
+        pieces.write(piece)
+    for day in range(10):
+        quiet = {"time_s": 5400.0 * day + descent.columns["time_s"]}
+        quiet["flags"] = flags if day == 3 else 0.0 * flags
+        long.write(Results(quiet, (), ()))
+
+    assert whole.input_spans("speed") == []
+    assert whole.input_spans("pressure") == pieces.input_spans("pressure")
+    assert [code for code, _, _ in whole.input_spans("pressure")] == [1, 2]
+    (span,) = long.input_spans("pressure")
+    assert span[0] == 2
+    assert span[1] <= 3 * 5400.0 + 2000.0 < span[2]
 
 
 def test_curves_of_any_pieces_keep_every_peak(descent: Results) -> None:

@@ -7,6 +7,7 @@ BSTM_RIG is ``required``.
 
 import contextlib
 import os
+import shutil
 import subprocess
 import sys
 import time
@@ -16,6 +17,7 @@ from pathlib import Path
 import pytest
 
 UNITS = Path("/run/systemd/system")
+INSTALLED = Path("/etc/systemd/system")
 DEADLINE_S = 60.0
 """For what takes a second or less: reached only where it never comes."""
 
@@ -115,3 +117,25 @@ def _remove(path: Path) -> None:
 def interpreter(box: None) -> str:
     """Return the Python of the tests, which a sandboxed unit can start too."""
     return sys.executable
+
+
+@pytest.fixture
+def unit_named(box: None) -> Callable[[str], Unit]:
+    """Return what gives the installed unit of a name."""
+    return Unit
+
+
+@pytest.fixture(scope="module")
+def installed(box: None) -> Iterator[None]:
+    """Install both units of the service, as a user does."""
+    bstm = str(Path(sys.prefix) / "bin" / "bstm")
+    _output(bstm, "install-service")
+    _output(bstm, "install-service", "--instance", "second")
+    _output("systemctl", "daemon-reload")
+    yield
+    for path in INSTALLED.glob("bstm*"):
+        if path.is_dir():
+            shutil.rmtree(path)
+        else:
+            path.unlink()
+    _output("systemctl", "daemon-reload")

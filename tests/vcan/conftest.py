@@ -341,7 +341,9 @@ class Daemon:
         for reader in self._readers:
             reader.start()
 
-    def event(self, name: str, since: int = 0, **fields: Any) -> dict[str, Any]:
+    def event(
+        self, name: str, since: int = 0, **fields: Any
+    ) -> dict[str, Any]:
         """Wait for the first event *name* with *fields*, and return it.
 
         *since* is an index of ``events``.
@@ -435,7 +437,9 @@ class Daemon:
         for line in self.process.stderr:
             with self._changed:
                 try:
-                    self.events.append(json.loads(line))
+                    self.events.append(
+                        json.loads(line, parse_constant=no_constant)
+                    )
                 except ValueError:
                     self.other_lines.append(line)
                 self._changed.notify_all()
@@ -464,6 +468,11 @@ class Daemon:
             for line in text.splitlines()
             if line.rpartition(" ")[0] == series
         ]
+
+
+def no_constant(text: str) -> NoReturn:
+    """Refuse NaN and infinities, which JSON has not."""
+    raise ValueError(text)
 
 
 def sender(interface: str) -> socket.socket:
@@ -529,9 +538,7 @@ def car(vcan0: str) -> Iterator[Callable[..., Car]]:
     """Return what sends a car off, by default on vcan0."""
     with contextlib.ExitStack() as cars:
 
-        def start(
-            *buses: str, places: Mapping[int, int] | None = None
-        ) -> Car:
+        def start(*buses: str, places: Mapping[int, int] | None = None) -> Car:
             made = Car(list(buses) or [vcan0], places)
             cars.callback(made.close)
             return made
@@ -555,9 +562,7 @@ def ear() -> Iterator[Callable[..., Ear]]:
 
 
 @pytest.fixture
-def daemon(
-    tmp_path: Path, vcan0: str
-) -> Iterator[Callable[..., Daemon]]:
+def daemon(tmp_path: Path, vcan0: str) -> Iterator[Callable[..., Daemon]]:
     """Return what starts ``bstm run`` and waits until it is ready.
 
     Its arguments: changes of the example's configuration by ``section.key``;
@@ -643,17 +648,22 @@ def marched() -> Callable[..., dict[str, dict[str, float]]]:
     """Return what gives the temperatures that frames lead to.
 
     Frames carry their time since boot, which no step of the wall clock
-    moves: the result is that of a drive without one.
+    moves: the result is that of a drive without one, at the time of a saved
+    *document*.
     """
 
     def march(
-        config: Path, sent: Iterable[Sent], until_us: int
+        config: Path, sent: Iterable[Sent], document: Mapping[str, Any]
     ) -> dict[str, dict[str, float]]:
         engine = build_monitor(config, BusOverride()).engine
+        until_us = document["time_us"]
+        # as on the axis of the service, for the same grid
+        shift_us = until_us - document["boot_us"]
         for frame in sent:
-            if frame.boot_us <= until_us:
+            stamp_us = frame.boot_us + shift_us
+            if stamp_us <= until_us:
                 engine.frame(
-                    frame.bus, frame.can_id, False, frame.data, frame.boot_us
+                    frame.bus, frame.can_id, False, frame.data, stamp_us
                 )
         engine.tick(until_us)
         corners: dict[str, dict[str, float]] = engine.export_state()["corners"]

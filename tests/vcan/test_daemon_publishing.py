@@ -126,7 +126,9 @@ def test_frames_load_and_protection(
     assert status[-2]["State"] == 2
     assert status[-1]["Validity"] == 15
     for corner in range(4):
-        last = decoded(BASE + 4 + corner, lines_of(lines, BASE + 4 + corner)[-1])
+        last = decoded(
+            BASE + 4 + corner, lines_of(lines, BASE + 4 + corner)[-1]
+        )
         assert last["Validity"] == 15
         raw = DATABASE.decode_message(
             BASE + 4 + corner, lines_of(lines, BASE + 4 + corner)[-1]
@@ -254,7 +256,9 @@ def test_what_finds_no_room_is_lost_and_counted(
     counters = [frame.data[1] & 0x0F for frame in after]
     gap = (counters[0] - (heard_before(heard, count) + 1)) % 16
     assert gap > 0
-    steps = {(b - a) % 16 for a, b in zip(counters, counters[1:], strict=False)}
+    steps = {
+        (b - a) % 16 for a, b in zip(counters, counters[1:], strict=False)
+    }
     assert steps == {1}
     assert running.end() == 0
 

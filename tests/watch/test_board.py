@@ -39,7 +39,7 @@ def test_it_begins_knowing_nothing(board: Board) -> None:
 
 
 def test_a_second_of_frames(board: Board, sender: Sender) -> None:
-    sender.status["torque_stale"] = True
+    sender.status |= {"torque_stale": True, "input_suspect": True}
     now_us = sender.feed(board, 1.0, disc_c=412.5, fluid_c=120.0)
 
     assert board.corners == ("FL", "FR")
@@ -50,6 +50,8 @@ def test_a_second_of_frames(board: Board, sender: Sender) -> None:
     assert board.state is State.RUNNING
     assert board.heat_mode is HeatMode.FB
     assert board.stale_inputs == ["torque"]
+    assert board.has_suspect_input
+    assert not board.has_substituted_heat
     assert board.history("FL", "Disc").columns(now_us, 1) == [412.5]
     assert board.refused == 0
 

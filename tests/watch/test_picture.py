@@ -134,6 +134,8 @@ def test_a_daemon_that_said_goodbye(car: tuple[Board, Sender]) -> None:
         ({"history_known": False}, "history unknown"),
         ({"compiled_kernel": False}, "Python kernel"),
         ({"clock_jump": True}, "clock jumped"),
+        ({"input_suspect": True}, "inputs fresh  an input is suspect  oldest"),
+        ({"heat_substituted": True}, "heat fb  heat substituted or unknown"),
         (
             {"speed_stale": True, "ambient_stale": True},
             "stale: speed, ambient",
@@ -243,3 +245,12 @@ def test_styles_follow_risk_and_validity(car: tuple[Board, Sender]) -> None:
 )
 def test_number(value: float, text: str) -> None:
     assert number(value) == text
+
+
+def test_sound_inputs_and_own_heat_take_no_room(
+    car: tuple[Board, Sender],
+) -> None:
+    head = " ".join(drawn(car[0])[:2])
+
+    assert "suspect" not in head
+    assert "substituted" not in head

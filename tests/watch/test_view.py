@@ -40,6 +40,7 @@ def test_the_line_has_everything(board: Board, sender: Sender) -> None:
     assert fields["state"] == "running"
     assert fields["heat"] == "fb"
     assert fields["stale"] == "pressure"
+    assert (fields["inputs"], fields["heat_from"]) == ("sound", "own")
     assert fields["FL.disc_c"] == "412.5"
     assert fields["FR.pad_front_c"] == "362.5"
     assert fields["FR.pad_back_c"] == "112.0"
@@ -47,6 +48,13 @@ def test_the_line_has_everything(board: Board, sender: Sender) -> None:
     assert fields["FR.margin_k"] == "63.0"
     assert fields["FR.risk"] == "normal"
     assert fields["FR.validity"] == "degraded"
+
+
+def test_the_line_has_doubts(board: Board, sender: Sender) -> None:
+    sender.status |= {"input_suspect": True, "heat_substituted": True}
+    line = text_line(board, sender.feed(board, 1.0), "can0")
+
+    assert " inputs=suspect heat_from=substitute " in line
 
 
 def test_nothing_yet_and_silence(board: Board, sender: Sender) -> None:

@@ -1,0 +1,143 @@
+"""``bstm install-service``: units for systemd that fit this installation.
+
+Writes files only: starting a service on a car is for its owner to do.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from bstm_daemon.daemon.unit_files import (
+    CONFIG_FOLDER,
+    DEFAULT_CONFIG,
+    UNIT_FOLDER,
+    ServiceUnit,
+    obstacles,
+    program_command,
+    program_places,
+    refuse_hidden,
+    require_plain,
+)
+from bstm_daemon.errors import UsageError
+from bstm_daemon.shipped import shipped_file
+
+if TYPE_CHECKING:
+    import argparse
+
+    from bstm_daemon.daemon.unit_files import UnitFile
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare what is installed, where, and ``--dry-run``."""
+    parser.add_argument(
+        "-c",
+        "--config",
+        type=Path,
+        metavar="FILE",
+        help=f"configuration of the vehicle; default {DEFAULT_CONFIG}",
+    )
+    parser.add_argument(
+        "--instance",
+        metavar="NAME",
+        help="install bstm@.service, of which bstm@NAME reads "
+        f"{CONFIG_FOLDER}/NAME.toml: for several cars or buses",
+    )
+    parser.add_argument(
+        "-o",
+        "--out",
+        type=Path,
+        metavar="DIR",
+        default=UNIT_FOLDER,
+        help=f"folder of the units; default {UNIT_FOLDER}",
+    )
+    parser.add_argument(
+        "--metrics-port",
+        type=int,
+        metavar="PORT",
+        help="add the drop-in that serves metrics on 127.0.0.1:PORT",
+    )
+    parser.add_argument(
+        "--force",
+        action="store_true",
+        help="replace units that are there and differ",
+    )
+    parser.add_argument(
+        "--dry-run",
+        action="store_true",
+        help="print the files instead of writing them",
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Write the units and say what comes next."""
+    refuse_hidden(program_places())
+    unit = ServiceUnit(
+        program_command(Path(sys.executable)),
+        _config(args.config, args.instance),
+        args.instance,
+        args.metrics_port,
+    )
+    files = unit.files(args.out)
+    if args.dry_run:
+        for file in files:
+            print(f"# {file.path}\n{file.text}")
+        return 0
+    _write(files, force=args.force)
+    _say_what_is_next(unit)
+    return 0
+
+
+def _config(given: Path | None, instance: str | None) -> Path:
+    """Return the configuration of the unit, which the service must see."""
+    if given is None:
+        path = DEFAULT_CONFIG
+        if instance is not None:
+            path = CONFIG_FOLDER / f"{instance}.toml"
+    elif instance is not None:
+        msg = (
+            "--config and --instance: an instance reads "
+            f"{CONFIG_FOLDER}/{instance}.toml, put the configuration there"
+        )
+        raise UsageError(msg)
+    else:
+        path = require_plain(given)
+    found = obstacles([path])
+    if found:
+        msg = (
+            f"{path}: the service could not read it: {'; '.join(found)}. Put "
+            f"configuration and DBC files into {CONFIG_FOLDER}"
+        )
+        raise UsageError(msg)
+    return path
+
+
+def _write(files: list[UnitFile], *, force: bool) -> None:
+    """Write all *files*, or none where one must not be replaced."""
+    for file in files:
+        if file.path.exists() and not file.is_there() and not force:
+            msg = (
+                f"{file.path}: exists already and differs, give --force to "
+                "replace it"
+            )
+            raise UsageError(msg)
+    for file in files:
+        done = "wrote" if file.write() else "unchanged:"
+        print(f"{done} {file.path}")
+
+
+def _say_what_is_next(unit: ServiceUnit) -> None:
+    examples = shipped_file("systemd/README.md").parent
+    print("\nNext:")
+    if not unit.config.exists():
+        print(
+            f"  put the configuration at {unit.config}, its DBC files beside "
+            "it, readable for all"
+        )
+    print(
+        f"  {unit.program} check {unit.config}\n"
+        "  systemctl daemon-reload\n"
+        f"  systemctl enable --now {unit.name}\n"
+        f"Bit rate and receive buffer of the bus: {examples}/README.md"
+    )

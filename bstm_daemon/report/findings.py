@@ -1,0 +1,140 @@
+"""What spoke against the inputs of a drive, and when its heat was not known.
+
+A finding is an input that was suspect, with what was found against it
+meanwhile, or heat that was not that of the heat mode; see
+``docs/validity.md``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from bstm_daemon.heat.plausibility import CAUSES, FAULTS, SUSPECT, WORDS
+from bstm_daemon.heat.plausibility import reasons as words_of
+from bstm_daemon.heat.sample_plan import (
+    CORNER_PRESSURE_SUSPECT,
+    FLAGS,
+    HEAT_DOUBT,
+    HEAT_LOST,
+    WHEEL_SUSPECT,
+)
+from bstm_daemon.report.gaps import StretchFinder
+
+if TYPE_CHECKING:
+    import numpy.typing as npt
+
+    Column = npt.NDArray[np.float64]
+
+LEAST_S: Final = 1.0
+"""What held for less in all is not worth a word."""
+
+_REFUSED: Final = FLAGS["samples_refused"]
+_STUCK: Final = FLAGS["stuck"]
+_WHEELS: Final = _REFUSED | _STUCK | FLAGS["wheels_contradict"]
+
+_SUBJECTS: Final = {
+    "speed_suspect": (0, _WHEELS),
+    "wheel_speed_suspect": (WHEEL_SUSPECT, _WHEELS),
+    "pressure_suspect": (
+        CORNER_PRESSURE_SUSPECT,
+        _REFUSED | _STUCK | FLAGS["switch_contradicts"],
+    ),
+    "acceleration_suspect": (0, _REFUSED | FLAGS["acceleration_contradicts"]),
+    "torque_suspect": (0, _REFUSED),
+    "temperature_suspect": (0, _REFUSED),
+    "heat_substituted": (0, 0),
+    "heat_unknown": (0, 0),
+    "heat_lost": (HEAT_LOST, 0),
+    "heat_doubt": (HEAT_DOUBT, 0),
+}
+"""By fault: the bit of the first corner, and what may be its cause."""
+
+_NAMED: Final = SUSPECT & ~CAUSES
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One finding: for how long in all, and when it began first.
+
+    ``corners`` are those it was about, none where it is about the car;
+    ``reasons`` what was found meanwhile, in plain words.
+    """
+
+    name: str
+    corners: tuple[str, ...]
+    total_s: float
+    from_s: float
+    reasons: tuple[str, ...]
+
+    @property
+    def text(self) -> str:
+        """The finding in one line."""
+        where = f" ({', '.join(self.corners)})" if self.corners else ""
+        why = f": {', '.join(self.reasons)}" if self.reasons else ""
+        return (
+            f"{self.name}{where} for {self.total_s:.0f} s, "
+            f"from {self.from_s:.0f} s on{why}"
+        )
+
+
+class FindingTally:
+    """Finds the findings of a growing drive, in a bounded memory."""
+
+    def __init__(self) -> None:
+        """Begin without rows."""
+        self._finders = {name: StretchFinder() for name in _SUBJECTS}
+        self._seen = dict.fromkeys(_SUBJECTS, 0)
+        # causes of which no input has a bit
+        self._nameless = StretchFinder()
+        self._nameless_seen = 0
+
+    def add(self, elapsed_s: Column, flags: Column) -> None:
+        """Add rows: time since the first and ``flags``, shape (n,) each."""
+        bits = flags.astype(np.int64)
+        for name, finder in self._finders.items():
+            holds = (bits & FAULTS[name]) != 0
+            finder.add(elapsed_s, holds)
+            self._seen[name] |= _any_of(bits, holds)
+        nameless = ((bits & CAUSES) != 0) & ((bits & _NAMED) == 0)
+        self._nameless.add(elapsed_s, nameless)
+        self._nameless_seen |= _any_of(bits, nameless)
+
+    def findings(self, corners: tuple[str, ...]) -> tuple[Finding, ...]:
+        """Return the findings so far.
+
+        *corners*: names in the order of the configuration.
+        """
+        found = []
+        for name, (first, causes) in _SUBJECTS.items():
+            seen = self._seen[name]
+            about = (
+                corner
+                for place, corner in enumerate(corners)
+                if seen & first << place
+            )
+            why = words_of(seen & causes)
+            found.append(
+                _finding(WORDS[name], tuple(about), self._finders[name], why)
+            )
+        why = words_of(self._nameless_seen & CAUSES)
+        found.append(_finding(", ".join(why), (), self._nameless, []))
+        return tuple(finding for finding in found if finding is not None)
+
+
+def _any_of(bits: npt.NDArray[np.int64], rows: npt.NDArray[np.bool_]) -> int:
+    return int(np.bitwise_or.reduce(bits[rows], initial=0))
+
+
+def _finding(
+    name: str,
+    corners: tuple[str, ...],
+    finder: StretchFinder,
+    why: list[str],
+) -> Finding | None:
+    held = finder.stretches()
+    if held is None or held.total_s < LEAST_S:
+        return None
+    return Finding(name, corners, held.total_s, held.first_from_s, tuple(why))

@@ -1,0 +1,120 @@
+"""A part of the engine's fuzzing, and that it notices what it is there for."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+SCRIPT = Path(__file__).with_name("engine_fuzz.py")
+
+DEFECTS = {
+    "an exception escapes": (
+        "frame = engine_fuzz.Engine.frame\n"
+        "def broken(self, bus, can_id, extended, data, *rest, **flags):\n"
+        "    if len(data) > 8:\n"
+        "        raise IndexError('no room')\n"
+        "    frame(self, bus, can_id, extended, data, *rest, **flags)\n"
+        "engine_fuzz.Engine.frame = broken\n"
+    ),
+    "too hot and not said": (
+        "from bstm_daemon import estimator\n"
+        "estimator.HIGHEST_K = 1e9\n"
+        "advance = estimator.Estimator.advance\n"
+        "def broken(self, *samples):\n"
+        "    for batch, _ in self.batches:\n"
+        "        batch.state[2] = 2500.0\n"
+        "    return advance(self, *samples)\n"
+        "estimator.Estimator.advance = broken\n"
+    ),
+    "memory is kept": (
+        "frame = engine_fuzz.Engine.frame\n"
+        "kept = []\n"
+        "def broken(self, *frame_, **flags):\n"
+        "    kept.append(bytes(2000))\n"
+        "    frame(self, *frame_, **flags)\n"
+        "engine_fuzz.Engine.frame = broken\n"
+    ),
+    "a state is not checked": (
+        "from bstm_daemon import carry_over\n"
+        "carry_over._number = lambda value, key: float(value)\n"
+    ),
+    "a wrong configuration is not worded": (
+        "load = engine_fuzz.load_config\n"
+        "def broken(path):\n"
+        "    try:\n"
+        "        return load(path)\n"
+        "    except engine_fuzz.BstmError as error:\n"
+        "        raise KeyError from error\n"
+        "engine_fuzz.load_config = broken\n"
+    ),
+}
+
+WORDS = {
+    "an exception escapes": "IndexError: no room",
+    "too hot and not said": "K with validity ",
+    "memory is kept": "Defect: memory: ",
+    "a state is not checked": "Error: ",
+    "a wrong configuration is not worded": "KeyError",
+}
+
+COUNTS = {
+    "an exception escapes": {"frames": 2000},
+    "too hot and not said": {"frames": 2000},
+    "memory is kept": {"frames": 20_000},
+    "a state is not checked": {"states": 300},
+    "a wrong configuration is not worded": {"configurations": 20},
+}
+
+
+def fuzz(
+    folder: Path, *arguments: str, counts: dict[str, int]
+) -> subprocess.CompletedProcess[str]:
+    every = dict.fromkeys(("frames", "states", "configurations"), 0) | counts
+    options = [
+        text
+        for name, count in every.items()
+        for text in (f"--{name}", str(count))
+    ]
+    return subprocess.run(
+        [
+            *(sys.executable, "-W", "error", *arguments, *options),
+            *("--out", str(folder)),
+        ],
+        check=False,
+        capture_output=True,
+        text=True,
+        timeout=300,
+        cwd=SCRIPT.parent,
+    )
+
+
+@pytest.mark.slow
+def test_two_hundred_thousand_frames_pass(tmp_path: Path) -> None:
+    counts = {"frames": 200_000, "states": 1000, "configurations": 50}
+
+    done = fuzz(tmp_path, str(SCRIPT), counts=counts)
+
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert done.stdout.endswith("201050 passed\n")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("defect", DEFECTS)
+def test_a_defect_is_found_and_its_input_kept(
+    tmp_path: Path, defect: str
+) -> None:
+    code = (
+        "import sys, engine_fuzz\n"
+        f"{DEFECTS[defect]}sys.exit(engine_fuzz.main())\n"
+    )
+
+    done = fuzz(tmp_path, "-c", code, counts=COUNTS[defect])
+
+    assert done.returncode == 1, done.stdout + done.stderr
+    (kept,) = tmp_path.iterdir()
+    assert kept.name in done.stdout
+    assert WORDS[defect] in done.stdout
+    assert kept.stat().st_size > 100

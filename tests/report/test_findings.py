@@ -1,0 +1,158 @@
+"""What spoke against the inputs of a drive, and unknown heat."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from bstm_daemon.heat.plausibility import CAUSES, FAULTS, SUSPECT
+from bstm_daemon.heat.sample_plan import (
+    CORNER_PRESSURE_SUSPECT,
+    FLAGS,
+    HEAT_LOST,
+    WHEEL_SUSPECT,
+)
+from bstm_daemon.report.findings import Finding, FindingTally
+from bstm_daemon.report.screen import WIDTH, summary_table
+from bstm_daemon.report.summary import summary_json
+from bstm_daemon.report.tally import summarize
+from bstm_daemon.results import Results
+
+if TYPE_CHECKING:
+    import numpy.typing as npt
+
+    Column = npt.NDArray[np.float64]
+
+CORNERS = ("RL", "FL", "FR", "RR")
+"""As a configuration may have them."""
+
+
+def findings_of(*stretches: tuple[float, int]) -> tuple[Finding, ...]:
+    """Return what is found in *stretches*: seconds and flags."""
+    flags = np.concatenate(
+        [np.full(round(10 * s), float(bits)) for s, bits in stretches]
+    )
+    tally = FindingTally()
+    tally.add(0.1 * (1 + np.arange(len(flags))), flags)
+    return tally.findings(CORNERS)
+
+
+def test_a_drive_without_findings_has_none() -> None:
+    """Nor is a missing input one, nor a clock that was set."""
+    quiet = FLAGS["speed_missing"] | FLAGS["clock_jump"] | FLAGS["silent"]
+
+    assert findings_of((60.0, 0)) == ()
+    assert findings_of((60.0, quiet)) == ()
+
+
+def test_how_long_from_when_where_and_why() -> None:
+    """Two stretches: the sum, the begin of the first, all reasons."""
+    left = WHEEL_SUSPECT << 1 | FLAGS["wheels_contradict"]
+    right = WHEEL_SUSPECT << 2 | FLAGS["stuck"]
+
+    (found,) = findings_of((10.0, 0), (4.0, left), (2.0, 0), (3.0, right))
+
+    assert found.corners == ("FL", "FR")
+    assert found.total_s == pytest.approx(7.0)
+    assert found.from_s == pytest.approx(10.0)
+    assert found.text == (
+        "wheel speed suspect (FL, FR) for 7 s, from 10 s on: a signal is "
+        "stuck, wheel speeds contradict each other"
+    )
+
+
+def test_a_reason_stays_with_its_input() -> None:
+    """Speed and pressure at once: the switch says nothing of a wheel."""
+    flags = (
+        FLAGS["pressure_suspect"]
+        | CORNER_PRESSURE_SUSPECT << 3
+        | FLAGS["switch_contradicts"]
+        | WHEEL_SUSPECT
+        | FLAGS["wheels_contradict"]
+    )
+
+    wheel, pressure = findings_of((1.0, 0), (5.0, flags))
+
+    assert wheel.corners == ("RL",)
+    assert wheel.reasons == ("wheel speeds contradict each other",)
+    assert pressure.corners == ("RR",)
+    assert pressure.reasons == ("pressure without brake switch",)
+
+
+def test_heat_of_another_source_and_of_none() -> None:
+    """In the order of how bad it is, without reasons."""
+    unknown = FLAGS["heat_unknown"]
+    found = findings_of(
+        (5.0, 0),
+        (3.0, FLAGS["heat_substituted"]),
+        (10.0, unknown),
+        (6.0, unknown | HEAT_LOST << 2),
+    )
+
+    assert [one.text for one in found] == [
+        "heat from the other source for 3 s, from 5 s on",
+        "heat unknown for 16 s, from 8 s on",
+        "heat unknown for too long (FR) for 6 s, from 18 s on",
+    ]
+
+
+def test_a_vehicle_speed_that_is_left_out_is_said() -> None:
+    """It has no bit of its own while a wheel is sound: only the cause."""
+    (found,) = findings_of((2.0, 0), (8.0, FLAGS["stuck"]))
+
+    assert found.text == "a signal is stuck for 8 s, from 2 s on"
+
+
+@pytest.mark.parametrize("bit", range(40))
+def test_no_bit_that_speaks_against_an_input_is_lost(bit: int) -> None:
+    """Each makes a finding; a moment of it makes none."""
+    flags = 1 << bit
+    told = SUSPECT | FAULTS["heat_lost"] | FAULTS["heat_doubt"]
+    told |= FLAGS["heat_substituted"] | FLAGS["heat_unknown"]
+    # comes with that of the pressure itself
+    told &= ~(0b1111 * CORNER_PRESSURE_SUSPECT)
+
+    assert bool(findings_of((1.0, 0), (2.0, flags))) == bool(flags & told)
+    assert findings_of((1.0, 0), (0.5, flags), (1.0, 0)) == ()
+
+
+@pytest.mark.parametrize("rows", [1, 13, 512])
+def test_stretches_do_not_matter(rows: int) -> None:
+    """A finding over the edge of a stretch is one; nothing grows."""
+    rng = np.random.default_rng(7)
+    bits = [0, WHEEL_SUSPECT | FLAGS["stuck"], FLAGS["heat_unknown"]]
+    flags = np.repeat(rng.choice(bits, 90), rng.integers(1, 50, 90)) * 1.0
+    elapsed_s = 0.1 * np.arange(len(flags))
+    whole, parts = FindingTally(), FindingTally()
+
+    whole.add(elapsed_s, flags)
+    for first in range(0, len(flags), rows):
+        stretch = slice(first, first + rows)
+        parts.add(elapsed_s[stretch], flags[stretch])
+
+    assert len(whole.findings(CORNERS)) == 2
+    assert parts.findings(CORNERS) == whole.findings(CORNERS)
+
+
+def test_screen_and_json_have_it() -> None:
+    """At most as wide as the table; the names are those of the car."""
+    flags = np.where(np.arange(600) < 100, 0, WHEEL_SUSPECT << 1 | CAUSES)
+    columns = {
+        "time_s": 5.0 + 0.1 * np.arange(600),
+        "flags": flags.astype(np.float64),
+    }
+    summary = summarize(Results(columns, CORNERS, ()))
+
+    text = summary_table(summary)
+    read = json.loads(json.dumps(summary_json(summary)))
+
+    assert "\nwheel speed suspect (FL) for 50 s, from 10 s on: " in text
+    assert max(map(len, text.splitlines())) <= WIDTH
+    (found,) = read["findings"]
+    assert found["name"] == "wheel speed suspect"
+    assert found["corners"] == ["FL"]
+    assert found["total_s"] == pytest.approx(50.0)
+    assert "a signal is stuck" in found["reasons"]
