@@ -271,6 +271,15 @@ def test_what_is_no_state_is_refused_whole(
     assert export_state(estimator) == before
 
 
+def test_flags_of_more_than_64_bits_are_refused(config: Config) -> None:
+    estimator = hot_car(config)
+    document = export_state(estimator)
+    document["samples"]["open_flags"] = 1 << 70
+
+    with pytest.raises(StateError, match="samples: OverflowError"):
+        restore_state(estimator, document, resume=True)
+
+
 @given(
     document=st.recursive(
         st.none() | st.booleans() | st.floats() | st.text(max_size=8),

@@ -86,6 +86,13 @@ class SteadyAxis:
                 return cut_us - shift_us
         return self._outlying(cut_us)
 
+    def read_again(self) -> int:
+        """Return the time now (us) amid a drain, of which it is a part."""
+        known = len(self._shifts)
+        now_us = self._advance()
+        self._kept += len(self._shifts) - known
+        return now_us
+
     def wall_of(self, axis_us: int) -> int:
         """Return the wall time (us since 1970), as of today, of *axis_us*."""
         return axis_us + self._shifts[-1]
@@ -101,10 +108,8 @@ class SteadyAxis:
         still fits nowhere was stamped between two steps: it is put at the
         nearest end of the time in which it came. Without one it is believed.
         """
-        known = len(self._shifts)
-        self._advance()
-        self._kept += len(self._shifts) - known
-        low_us, high_us = self._since_us, self._now_us
+        high_us = self.read_again()
+        low_us = self._since_us
         if len(self._shifts) == 1:
             return cut_us - self._shifts[0]
         nearest_us = min(

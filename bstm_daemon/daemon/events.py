@@ -7,6 +7,7 @@ may rely on, and the rule that a repeated fact is not logged at frame rate.
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final, Literal, Protocol
 
@@ -173,7 +174,8 @@ class ServiceLog:
                 f"given: {', '.join(fields)}"
             )
             raise TypeError(msg)
-        getattr(self._logger, event.level)(event.name, **fields)
+        with suppress(OSError):  # a log that nobody takes ends no drive
+            getattr(self._logger, event.level)(event.name, **fields)
 
     def repeat(
         self, event: Event, key: Hashable, now_s: float, **fields: Any

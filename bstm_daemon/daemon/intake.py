@@ -45,15 +45,18 @@ class Intake:
         until_us = now_us - GUARD_US
         of_stamp = self._axis.of_stamp
         passed_us = self._passed_us
+        latest_us = now_us
         arrivals = self._held
         for bus, link in enumerate(self.links):
             frames = link.drain()
             self.frames[bus] += len(frames)
             for frame in frames:
                 time_us = of_stamp(frame.stamp_ns)
-                if time_us > now_us:  # noqa: PLR1730  (a call a frame less)
-                    # it is here, so it is not of the future
-                    time_us = now_us
+                if time_us > latest_us:
+                    # the drain was held up; but what is here, is not of the
+                    # future
+                    latest_us = self._axis.read_again()
+                    time_us = min(time_us, latest_us)
                 if passed_us is not None and time_us < passed_us:
                     time_us = passed_us
                     self.late += 1

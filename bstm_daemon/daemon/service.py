@@ -73,6 +73,8 @@ class Service:
         self._observer = Observer(
             log, self._axis, file.parent, options.metrics_port
         )
+        self._dropped = 0
+        """Frames lost on links that a reload has replaced."""
         self._start_us = self._last_us = self._axis.read()
         self._steps_seen = self._axis.steps
         self._next_poll_us = self._next_report_us = 0
@@ -146,7 +148,7 @@ class Service:
         if until_us - self._last_us > RESUMABLE_US:
             self._note_sleep(until_us)
         self._last_us = max(until_us, self._last_us)
-        engine.dropped_frames = sum(
+        engine.dropped_frames = self._dropped + sum(
             link.dropped for link in self._intake.links
         )
         published = engine.tick(until_us)
@@ -231,6 +233,7 @@ class Service:
 
     def _reload(self) -> None:
         """Take the configuration file as it is now, or keep the old one."""
+        links = None
         try:
             fresh = build_monitor(self._options.config, self._options.override)
             links = self._links_for(fresh)
@@ -238,6 +241,8 @@ class Service:
             for link in links or ():
                 link.open()
         except (BstmError, StateError) as error:
+            for link in links or ():
+                link.close()
             problems = getattr(error, "problems", None) or [str(error)]
             self._log.say(
                 events.CONFIG_REFUSED,
@@ -245,9 +250,11 @@ class Service:
                 problems=problems,
             )
             return
+        self._persistence.reloaded(self._monitor.engine, fresh.engine)
         self._monitor = fresh
         self._drain_us = round(fresh.config.daemon.drain_s * 1e6)
         if links is not None:
+            self._dropped += sum(link.dropped for link in self._intake.links)
             self._intake.replace(links)
         self._sender = self._new_sender()
         self._observer.begin(fresh, self._intake, self._sender)
@@ -275,7 +282,6 @@ class Service:
         time_us = document["time_us"]
         if time_us is not None:
             fresh.engine.resume(document, 0, time_us)
-            self._persistence.reloaded(self._monitor.engine, fresh.engine)
 
     def _new_sender(self) -> Sender:
         bus = self._monitor.publish_bus

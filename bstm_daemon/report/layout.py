@@ -297,6 +297,11 @@ def _titles(corner: CornerSummary | None, grid: _Grid) -> list[dict[str, Any]]:
     return titles
 
 
+_LABEL_ABOVE_C: Final = 70.0
+"""A colder peak has its label above, a hotter one below: down there is the
+time axis, up there the boiling point, 140 degC at least."""
+
+
 def _fluid_peak(corner: CornerSummary, grid: _Grid) -> list[dict[str, Any]]:
     """Return the label of the fluid's peak: how hot, how long after."""
     column = column_of(corner.corner)
@@ -315,9 +320,8 @@ def _fluid_peak(corner: CornerSummary, grid: _Grid) -> list[dict[str, Any]]:
             "xref": x_axis(column),
             "y": peak.temperature_c,
             "yref": y_axis("fluid", column),
-            # below the peak: above may lie the boiling point
             "ax": 0,
-            "ay": 62,
+            "ay": -62 if peak.temperature_c < _LABEL_ABOVE_C else 62,
             "xanchor": _inward(peak.time_s, grid.duration_s),
             "arrowhead": 2,
             "arrowsize": 0.9,

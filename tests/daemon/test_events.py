@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import itertools
 import json
+import os
 import re
+from contextlib import suppress
 from typing import TYPE_CHECKING
 
 import pytest
@@ -169,3 +171,22 @@ def test_off_a_terminal_a_line_is_json(
     assert line["level"] == "info"
     assert line["reason"] == "SIGTERM"
     assert line["timestamp"].endswith("Z")
+
+
+def test_a_log_that_nobody_takes_any_more_disturbs_nothing(
+    restored: None,
+) -> None:
+    """The reader of standard error is gone, or its disk is full."""
+    read_end, write_end = os.pipe()
+    with os.fdopen(write_end, "w", buffering=1) as file:
+        structlog.configure(
+            processors=[structlog.processors.JSONRenderer()],
+            logger_factory=lambda *_: structlog.WriteLogger(file),
+        )
+        log = ServiceLog()
+        log.say(STOPPING, reason="first")
+        os.close(read_end)
+        for _ in range(1000):
+            log.say(STOPPING, reason="second")
+        with suppress(BrokenPipeError):
+            file.close()

@@ -124,6 +124,26 @@ def test_a_frame_that_comes_too_late_counts_from_now() -> None:
     assert len(times) == 2
 
 
+def test_a_drain_that_is_held_up_moves_no_frame() -> None:
+    """The process waits for the processor between clock and sockets."""
+    clock = Clock()
+    stamps = [[START_US + 30_000, START_US + 31_000], [START_US + 30_500]]
+    wires = [Wire([(stamp, 0) for stamp in one], clock) for one in stamps]
+    intake = Intake(wires, clock.axis())
+    clock.now_us += DRAIN_US
+    now_us = intake._axis.read()
+    clock.now_us += 4 * DRAIN_US
+
+    assert intake.read(now_us) == (now_us - GUARD_US, [])
+    _, arrivals = intake.read(intake._axis.read())
+
+    assert [(at - START_US, bus) for at, bus, _ in arrivals] == [
+        (30_000, 0),
+        (30_500, 1),
+        (31_000, 0),
+    ]
+
+
 def test_a_stamp_of_the_future_is_brought_to_now() -> None:
     clock = Clock()
     ahead_us = START_US + 3_600_000_000

@@ -76,6 +76,13 @@ _JUMPS_US: Final = (
     *(50_000 * _S, -50_000 * _S, 3_000_000 * _S, 1 << 50, -(1 << 50)),
     *(1 << 61, -(1 << 61), -START_US, (1 << 63) - 1 - 2 * START_US),
 )
+_CLOCK_SET: Final[tuple[Callable[[Random], int], ...]] = (
+    lambda rng: rng.randrange(-(10**13), 0),
+    lambda rng: rng.randrange(60 * _S),
+    lambda rng: rng.randrange(43_300 * _S, 10**13),
+)
+"""By how much the clock is set [us]. What lies between a minute and half a day
+is marched, which takes its time: no service does that, it parks the brakes."""
 _PROTECTED: Final = E2eConfig(
     message="BrakePressure", profile=5, data_ids=[0x1234]
 )
@@ -232,7 +239,7 @@ class Traffic:
             luck = rng.random()
             if luck < 2e-5:
                 # the clock is set: everything from now on is there
-                self._now_us = START_US + rng.randrange(-(10**13), 10**13)
+                self._now_us += rng.choice(_CLOCK_SET)(rng)
             stamp_us = self._now_us
             if luck < 0.2:
                 stamp_us += rng.randrange(-20_000, 20_000)

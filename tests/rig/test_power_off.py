@@ -130,7 +130,8 @@ def test_the_state_survives_the_end_of_the_guest(
         disc_k = document["corners"]["FL"]["disc"]
         assert disc_k > hottest_k
         hottest_k = disc_k
-    print(
+    # the figures, for who asks (pytest -rP)
+    print(  # noqa: T201
         f"{CUTS} power cuts ({how}), oldest state {max(ages_s):.3f} s, "
         f"disc {hottest_k - 273.15:.0f} degC"
     )

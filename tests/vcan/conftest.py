@@ -527,7 +527,7 @@ def configured(changes: Mapping[str, Any]) -> str:
         )
         line = f"{key} = {json.dumps(value)}"
         text, count = re.subn(
-            pattern, lambda found: found[1] + line, text, count=1
+            pattern, lambda found, line=line: found[1] + line, text, count=1
         )
         assert count, f"no {name} in the example"
     return text

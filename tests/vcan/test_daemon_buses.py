@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import itertools
 import signal
 from typing import TYPE_CHECKING
 
@@ -41,7 +42,7 @@ def with_second_bus(channel: str) -> Callable[[str], str]:
     return edit
 
 
-def test_frames_of_all_buses_in_the_order_of_their_stamps(
+def test_frames_of_all_buses_in_the_order_of_their_stamps(  # noqa: PLR0917
     daemon: Callable[..., Daemon],
     car: Callable[..., Car],
     ear: Callable[..., Ear],
@@ -135,11 +136,10 @@ def test_a_full_bus_costs_no_frame_and_no_publication(
     status = [f for f in heard.frames[begin:end] if f.can_id == BASE]
     span_s = (status[-1].stamp_ns - status[0].stamp_ns) * 1e-9
     rate_hz = (len(driven.sent) - count) / span_s
-    print(f"{rate_hz:.0f} frames/s, {received:.0f} received")
+    # the figures, for who asks (pytest -rP)
+    print(f"{rate_hz:.0f} frames/s, {received:.0f} received")  # noqa: T201
     counters = [frame.data[1] & 0x0F for frame in status]
-    steps = [
-        (b - a) % 16 for a, b in zip(counters, counters[1:], strict=False)
-    ]
+    steps = [(b - a) % 16 for a, b in itertools.pairwise(counters)]
     assert set(steps) == {1}
     # late at most once by a cycle: as many as are due in the time
     assert abs(len(steps) - span_s / 0.1) <= 1

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import signal
 import time
 from typing import TYPE_CHECKING, Any
@@ -29,7 +30,7 @@ def step_clock(step_s: float) -> None:
 
 
 @pytest.mark.parametrize("step_s", [HOUR_S, -HOUR_S])
-def test_brakes_neither_cool_nor_stand_still_over_a_step(
+def test_brakes_neither_cool_nor_stand_still_over_a_step(  # noqa: PLR0917
     daemon: Callable[..., Daemon],
     car: Callable[..., Car],
     ear: Callable[..., Ear],
@@ -51,9 +52,7 @@ def test_brakes_neither_cool_nor_stand_still_over_a_step(
     heard.wait(15, BASE, since=len(heard.frames))
     assert running.end() == 0
     counters = [f.data[1] & 0x0F for f in heard.frames if f.can_id == BASE]
-    steps = [
-        (b - a) % 16 for a, b in zip(counters, counters[1:], strict=False)
-    ]
+    steps = [(b - a) % 16 for a, b in itertools.pairwise(counters)]
     assert set(steps) == {1}
     assert len(running.said("clock_stepped")) == 1
     assert not running.said("computer_slept")
@@ -73,7 +72,7 @@ def hot_state(
     """Save the state of a car parked hot, as another boot left it."""
     cold = daemon(state=path)
     assert cold.end() == 0
-    document = cold.document()
+    document: dict[str, Any] = cold.document()
     for corner in document["corners"].values():
         for node in corner:
             if node != "ambient":

@@ -412,10 +412,19 @@ def test_a_folder_that_is_read_only_from_the_start(
     mounted(program, medium, "-o", "remount,ro")
 
     heard = ear(vcan0)
-    running = daemon({"state.interval_s": 0.2}, state=medium / "car.state")
+    running = daemon(
+        {
+            "state.interval_s": 0.2,
+            "record.enabled": True,
+            "record.folder": str(medium / "record"),
+            "record.segment_s": 1.0,
+        },
+        state=medium / "car.state",
+    )
     running.event("state_loaded")
     running.event("state_save_failed")
     car()
+    running.event("record_failed")
     mounted(program, medium, "-o", "remount,rw")
 
     running.metric("bstm_state_saves_total", lambda value: value > 3)

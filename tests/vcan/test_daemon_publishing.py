@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 import signal
 import subprocess
@@ -105,7 +106,10 @@ def test_frames_load_and_protection(
     span_s = (regular[-1][0] - regular[0][0]) * 1e-6
     bits = sum(worst_bits(len(data)) for _, _, data in regular)
     load = bits / span_s / BITRATE
-    print(f"bus load {load:.2%} of {BITRATE} bit/s over {span_s:.1f} s")
+    # the figures, for who asks (pytest -rP)
+    print(  # noqa: T201
+        f"bus load {load:.2%} of {BITRATE} bit/s over {span_s:.1f} s"
+    )
     assert load <= LOAD_LIMIT
 
     assert {can_id for _, can_id, _ in lines} == set(LAYOUT)
@@ -256,9 +260,7 @@ def test_what_finds_no_room_is_lost_and_counted(
     counters = [frame.data[1] & 0x0F for frame in after]
     gap = (counters[0] - (heard_before(heard, count) + 1)) % 16
     assert gap > 0
-    steps = {
-        (b - a) % 16 for a, b in zip(counters, counters[1:], strict=False)
-    }
+    steps = {(b - a) % 16 for a, b in itertools.pairwise(counters)}
     assert steps == {1}
     assert running.end() == 0
 
@@ -266,7 +268,8 @@ def test_what_finds_no_room_is_lost_and_counted(
 def heard_before(heard: Ear, count: int) -> int:
     """Return the counter of the last status frame among the first *count*."""
     status = [f for f in heard.frames[:count] if f.can_id == BASE]
-    return status[-1].data[1] & 0x0F
+    counter: int = status[-1].data[1] & 0x0F
+    return counter
 
 
 def test_nothing_is_queued_across_an_outage(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import signal
 from typing import TYPE_CHECKING
 
@@ -9,6 +10,7 @@ import pytest
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from pathlib import Path
 
     from .conftest import Car, Daemon, Ear
 
@@ -41,7 +43,7 @@ def test_a_bad_configuration_changes_nothing(
         frame.data[1] & 0x0F
         for frame in heard.wait(10, BASE, since=len(heard.frames))
     ]
-    steps = {b - a for a, b in zip(counters, counters[1:], strict=False)}
+    steps = {b - a for a, b in itertools.pairwise(counters)}
     assert steps <= {1, -15}
 
     dbc = good.partition('\ndbc = "')[2].partition('"')[0]
@@ -195,3 +197,21 @@ def test_a_second_instance_is_75(daemon: Callable[..., Daemon]) -> None:
     )
     assert first.process.poll() is None
     assert first.end() == 0
+
+
+@pytest.mark.parametrize(
+    "content", [b"", b"bstm-state 1 00 5\n{}", b"\0" * 99]
+)
+def test_a_bad_state_is_set_aside_and_the_start_goes_on(
+    daemon: Callable[..., Daemon], tmp_path: Path, content: bytes
+) -> None:
+    state = tmp_path / "bad.state"
+    state.write_bytes(content)
+    running = daemon(state=state)
+
+    discarded = running.event("state_discarded", file=str(state))
+    assert "set aside as bad.state.bad-" in discarded["reason"]
+    (aside,) = tmp_path.glob("bad.state.bad-*")
+    assert aside.read_bytes() == content
+    assert running.end() == 0
+    assert running.document()["vehicle_id"] == "example-vehicle"

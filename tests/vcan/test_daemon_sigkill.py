@@ -24,7 +24,6 @@ from bstm_daemon.daemon.state_file import read
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
-    from pathlib import Path
 
     from .conftest import Car, Daemon, Ear
 
@@ -119,7 +118,8 @@ def test_the_state_survives_sigkill_at_random_instants(
             ages_s.append((kill_us - known["boot_us"]) * 1e-6)
         hottest_k = max(hottest_k, known["corners"]["FL"]["disc"])
 
-    print(
+    # the figures, for who asks (pytest -rP)
+    print(  # noqa: T201
         f"{KILLS} kills, {KILLS - len(ages_s)} of them in the start; oldest "
         f"state {max(ages_s):.3f} s, mean {sum(ages_s) / len(ages_s):.3f} s; "
         f"disc {hottest_k - 273.15:.0f} degC"
