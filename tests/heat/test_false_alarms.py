@@ -13,6 +13,7 @@ from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.estimator import Estimator
 from bstm_daemon.heat.plausibility import reasons
 from bstm_daemon.heat.sample_plan import FLAGS, WHEEL_SUSPECT
+from bstm_daemon.native import VARIABLE
 from bstm_daemon.replay import replay_log
 from bstm_daemon.roles import CORNERS, ROLE_INDEX, ROLES
 from bstm_daemon.simulation.drives import load_drive
@@ -56,6 +57,16 @@ def samples_of(drive: SimulatedDrive) -> tuple[Any, Any, Any, dict[int, int]]:
     )
 
 
+@pytest.fixture
+def compiled_chosen(
+    compiled: Kernel,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Take the compiled form: these drives are hours of samples."""
+    monkeypatch.setenv(VARIABLE, "compiled")
+
+
+@pytest.mark.usefixtures("compiled_chosen")
 @pytest.mark.parametrize(
     ("drive", "sensors"),
     [
@@ -69,7 +80,10 @@ def samples_of(drive: SimulatedDrive) -> tuple[Any, Any, Any, dict[int, int]]:
     ],
 )
 def test_a_sound_car_raises_nothing(
-    compiled: Kernel, make_car: Any, make_corner: Any, drive: str, sensors: str
+    make_car: Any,
+    make_corner: Any,
+    drive: str,
+    sensors: str,
 ) -> None:
     """Bends, ABS, ESC, assistance, lights, ignition off: no suspicion."""
     car = make_car(*(make_corner(name) for name in CORNERS))
