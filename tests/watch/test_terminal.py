@@ -5,6 +5,7 @@ from __future__ import annotations
 import fcntl
 import io
 import os
+import select
 import signal
 import struct
 import termios
@@ -32,6 +33,7 @@ WATCH = (MAIN, "watch", "-i", "virtual", "--channel", "terminal")
 
 ENTER = b"\x1b[?1049h\x1b[?25l\x1b[?7l"
 LEAVE = b"\x1b[?7h\x1b[?25h\x1b[?1049l"
+HANGS_S = 20.0
 
 
 @pytest.fixture
@@ -116,13 +118,26 @@ def test_no_color(terminal: Start, no_color: str, *, colored: bool) -> None:
     assert (b"\x1b[1m" in started.raw) == colored
 
 
+def _until_left(master: int) -> bytes:
+    """Return what was written up to the end of the view.
+
+    The kernel hands it over in pieces, and after the writing.
+    """
+    written = b""
+    while LEAVE not in written:
+        readable, _, _ = select.select([master], [], [], HANGS_S)
+        assert readable, written
+        written += os.read(master, 65536)
+    return written
+
+
 def test_a_terminal_without_block_elements(board: Board) -> None:
     master, slave = os.openpty()
     with os.fdopen(slave, "w", encoding="ascii") as stream:
         with TerminalView(stream, io.StringIO()) as view:
             view.show(board, 0, "Prüfstand.log")
             view.linger()
-        written = os.read(master, 65536)
+        written = _until_left(master)
     os.close(master)
 
     assert b"Pr?fstand.log" in written
@@ -135,7 +150,7 @@ def test_it_is_not_drawn_faster_than_one_can_see(board: Board) -> None:
             for _ in range(3):
                 view.show(board, 0, "can0")
             view.show(board, 0, "can0", at_once=True)
-        written = os.read(master, 65536)
+        written = _until_left(master)
     os.close(master)
 
     assert written.count(b"\x1b[H") == 2
