@@ -36,6 +36,7 @@ FLOORS = {
     "carry_over": 5,
     "engine": 6,
     "results": 5,
+    "identify": 7,
     "replay": 7,
     "frame_replay": 8,
     "report": 8,

@@ -66,6 +66,14 @@ COMMANDS: Final[dict[str, Command]] = {
         "bstm_daemon.cli.watch",
         "show the published temperatures live in the terminal",
     ),
+    "identify": Command(
+        "bstm_daemon.cli.identify",
+        "find resistances and brake friction of the car in recorded drives",
+    ),
+    "heat": Command(
+        "bstm_daemon.cli.heat",
+        "compare the brake heat of Feed-Forward, Feed-Back and the bus",
+    ),
     "install-service": Command(
         "bstm_daemon.cli.install_service",
         "write the systemd units of the live service",

@@ -53,7 +53,7 @@ class Recording:
     ``series`` has the roles with at least one sample, ``seen`` counts frames
     by (bus number, id, extended) whether they were wanted or not,
     ``refused`` lines, frames and samples by reason. ``truncated`` names the
-    logs whose end is missing.
+    logs whose end is missing. ``start_s`` is the log time of the start.
     """
 
     series: Mapping[str, Series]
@@ -62,6 +62,7 @@ class Recording:
     refused: Mapping[str, int]
     lines: int = 0
     truncated: tuple[str, ...] = ()
+    start_s: float = 0.0
 
 
 def read_recording(
@@ -112,6 +113,7 @@ def read_recording(
         refused,
         lines,
         tuple(truncated),
+        first_us * _MICRO,
     )
 
 

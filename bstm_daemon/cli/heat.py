@@ -1,0 +1,145 @@
+"""``bstm heat``: the brake heat of recorded drives by every source."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from pydantic import ValidationError
+
+from bstm_daemon import __version__
+from bstm_daemon.cli.arguments import (
+    add_bus_map,
+    add_config,
+    add_json,
+    add_report,
+)
+from bstm_daemon.cli.progress import Progress
+from bstm_daemon.cli.vehicle import load_vehicle
+from bstm_daemon.config import HeatConfig
+from bstm_daemon.errors import LogError
+from bstm_daemon.files import replacing
+from bstm_daemon.identify.driving import driving_of
+from bstm_daemon.identify.heat_comparison import compare_heat
+from bstm_daemon.identify.stop_friction import stop_friction
+from bstm_daemon.quality.recording import read_recording
+from bstm_daemon.replay import replay_log
+from bstm_daemon.report.heat_words import heat_json, heat_text
+
+if TYPE_CHECKING:
+    import argparse
+
+    from bstm_daemon.bus.signal_map import SignalMap
+    from bstm_daemon.config import Config
+    from bstm_daemon.identify.heat_comparison import HeatComparison
+    from bstm_daemon.identify.stop_friction import StopFriction
+    from bstm_daemon.results import Results
+
+BYTES_PER_LINE: Final = 44
+"""A candump line of eight bytes; only the progress line depends on it."""
+
+FUSED: Final = "fused"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the logs and where results go."""
+    parser.add_argument(
+        "logs",
+        nargs="+",
+        type=Path,
+        metavar="LOG",
+        help="recorded drive; several are shown side by side",
+    )
+    add_config(parser)
+    add_json(parser)
+    add_report(parser)
+    add_bus_map(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Compare the sources in every log, print and write the result."""
+    config, signal_map = load_vehicle(args.config)
+    drives = []
+    for log in args.logs:
+        heat, friction = _compared(args, log, config, signal_map)
+        print(f"{log}  ({config.vehicle.id}, {args.config})")
+        print(heat_text(heat, friction))
+        drives.append((log.name, heat, friction))
+    if args.json:
+        result = {
+            "logs": [
+                {"file": str(log), **heat_json(heat, friction)}
+                for log, (_, heat, friction) in zip(
+                    args.logs, drives, strict=True
+                )
+            ]
+        }
+        with replacing(args.json) as file:
+            file.write_text(json.dumps(result) + "\n", "utf-8")
+    if args.report:
+        from bstm_daemon.report.heat_page import (  # noqa: PLC0415
+            write_heat_page,
+        )
+
+        names = ", ".join(name for name, *_ in drives)
+        write_heat_page(
+            args.report,
+            drives,
+            subtitle=f"{names} · {config.vehicle.id} · {args.config.name}",
+            version=__version__,
+        )
+        print(args.report)
+    return 0
+
+
+def _compared(
+    args: argparse.Namespace,
+    log: Path,
+    config: Config,
+    signal_map: SignalMap,
+) -> tuple[HeatComparison, StopFriction]:
+    overrides = dict(args.map)
+    with Progress(f"heat {log.name}") as progress:
+
+        def show(path: Path, lines: int) -> None:
+            size = max(path.stat().st_size, 1)
+            progress.show(min(lines * BYTES_PER_LINE / size, 1.0))
+
+        recording = read_recording([log], signal_map, overrides, show)
+        driving = driving_of(log.name, recording, config, signal_map)
+        results = replay_log(config, signal_map, log, overrides).results
+        fused = _fused(config, signal_map, log, overrides)
+    heat = compare_heat(results, driving, config, fused)
+    if not heat.power_w:
+        why = "; ".join(heat.absent.values())
+        msg = f"{log}: no source of brake heat: {why}"
+        raise LogError(msg)
+    return heat, stop_friction(driving, config, heat)
+
+
+def _fused(
+    config: Config,
+    signal_map: SignalMap,
+    log: Path,
+    overrides: dict[str, str],
+) -> Results | None:
+    """Return the replay in the mode ``fused``, None where there is none."""
+    try:
+        section = {**config.heat.model_dump(), "mode": FUSED}
+        heat = HeatConfig.model_validate(section)
+    except ValidationError:
+        return None
+    # what the mode needs besides a speed: a pressure and the torque
+    roles = set(config.signals)
+    pressed = any(role.endswith("_pressure") for role in roles) or any(
+        role.startswith("wheel_pressure_") for role in roles
+    )
+    known = (
+        "powertrain_torque" in roles
+        or heat.assume_powertrain_torque_nm is not None
+    )
+    if not (pressed and known):
+        return None
+    changed = config.model_copy(update={"heat": heat})
+    return replay_log(changed, signal_map, log, overrides).results

@@ -1,0 +1,210 @@
+"""``bstm identify``: what recorded drives tell of the car."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from bstm_daemon import __version__
+from bstm_daemon.cli.arguments import (
+    add_bus_map,
+    add_config,
+    add_json,
+    add_out,
+    add_report,
+)
+from bstm_daemon.cli.progress import Progress
+from bstm_daemon.cli.vehicle import load_vehicle
+from bstm_daemon.errors import UsageError
+from bstm_daemon.files import replacing
+from bstm_daemon.identify.brakes import identify_brakes
+from bstm_daemon.identify.coastdown import NAMES, identify_coast_down
+from bstm_daemon.identify.driving import driving_of
+from bstm_daemon.identify.writing import (
+    brake_changes,
+    coast_down_changes,
+    write_changed,
+)
+from bstm_daemon.quality.recording import read_recording
+from bstm_daemon.report.identify_words import (
+    brakes_json,
+    brakes_text,
+    coast_down_json,
+    coast_down_text,
+)
+
+if TYPE_CHECKING:
+    import argparse
+
+    from bstm_daemon.bus.signal_map import SignalMap
+    from bstm_daemon.config import Config
+    from bstm_daemon.identify.driving import Driving
+    from bstm_daemon.identify.writing import Change
+
+BYTES_PER_LINE: Final = 44
+"""A candump line of eight bytes; only the progress line depends on it."""
+
+HOLDABLE: Final = dict(
+    zip(("drag", "friction", "rolling"), NAMES, strict=True)
+)
+
+
+NOTHING_IDENTIFIED: Final = 1
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare what is identified, the logs and where results go."""
+    parser.add_argument(
+        "what",
+        choices=("coastdown", "brakes"),
+        help="coastdown: rolling resistance, C_fric and drag from stretches "
+        "in neutral; brakes: friction scale, push-out and axle shares from "
+        "stops",
+    )
+    parser.add_argument("logs", nargs="+", type=Path, metavar="LOG")
+    add_config(parser)
+    add_out(
+        parser,
+        "write the values into a copy of the configuration",
+        "NEW.toml",
+    )
+    parser.add_argument(
+        "--force", action="store_true", help="replace NEW.toml if it exists"
+    )
+    parser.add_argument(
+        "--hold",
+        action="append",
+        choices=tuple(HOLDABLE),
+        default=[],
+        help="coastdown: keep this value as configured; may be repeated",
+    )
+    parser.add_argument(
+        "--one-way",
+        action="store_true",
+        help="coastdown: the runs do not return on their road",
+    )
+    parser.add_argument(
+        "--even-grade",
+        action="store_true",
+        help="coastdown: the grade is even along each run; leaves the "
+        "accelerometer and its noise out",
+    )
+    add_json(parser)
+    add_report(parser)
+    add_bus_map(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Identify, print and write what was asked for.
+
+    The result is 1 where the logs settle no value.
+    """
+    _check(args)
+    config, signal_map = load_vehicle(args.config)
+    drivings = _drivings(args, config, signal_map)
+    names = ", ".join(log.name for log in args.logs)
+    subtitle = f"{names} · {config.vehicle.id} · {args.config.name}"
+    if args.what == "coastdown":
+        data, changes = _coast_down(args, config, drivings, subtitle)
+    else:
+        data, changes = _brakes(args, config, drivings, subtitle)
+    if args.json:
+        result = {"files": [str(log) for log in args.logs], **data}
+        with replacing(args.json) as file:
+            file.write_text(json.dumps(result, indent=2) + "\n", "utf-8")
+    if args.report:
+        print(args.report)
+    if args.out is not None:
+        _write(args, changes, f"bstm identify {args.what}, {names}")
+    return 0 if changes else NOTHING_IDENTIFIED
+
+
+def _check(args: argparse.Namespace) -> None:
+    if args.what != "coastdown" and (
+        args.hold or args.one_way or args.even_grade
+    ):
+        msg = "--hold, --one-way and --even-grade go with coastdown"
+        raise UsageError(msg)
+    if args.out is None:
+        return
+    if args.out.exists() and not args.force:
+        msg = f"{args.out}: exists already, give --force to replace it"
+        raise UsageError(msg)
+    if args.out.resolve() in {log.resolve() for log in args.logs}:
+        msg = f"{args.out}: would overwrite the log"
+        raise UsageError(msg)
+
+
+def _drivings(
+    args: argparse.Namespace, config: Config, signal_map: SignalMap
+) -> list[Driving]:
+    drivings = []
+    with Progress("identify") as progress:
+
+        def show(log: Path, lines: int) -> None:
+            size = max(log.stat().st_size, 1)
+            progress.show(min(lines * BYTES_PER_LINE / size, 1.0))
+
+        for log in args.logs:
+            recording = read_recording([log], signal_map, dict(args.map), show)
+            drivings.append(
+                driving_of(log.name, recording, config, signal_map)
+            )
+    return drivings
+
+
+def _coast_down(
+    args: argparse.Namespace,
+    config: Config,
+    drivings: list[Driving],
+    subtitle: str,
+) -> tuple[dict[str, Any], list[Change]]:
+    result = identify_coast_down(
+        drivings,
+        config.vehicle,
+        held={HOLDABLE[name] for name in args.hold},
+        one_way=args.one_way,
+        even_grade=args.even_grade,
+    )
+    print(f"{subtitle}\n{coast_down_text(result)}")
+    if args.report:
+        from bstm_daemon.report.identify_page import (  # noqa: PLC0415
+            write_coast_down_page,
+        )
+
+        write_coast_down_page(
+            args.report, result, subtitle=subtitle, version=__version__
+        )
+    return coast_down_json(result), coast_down_changes(result)
+
+
+def _brakes(
+    args: argparse.Namespace,
+    config: Config,
+    drivings: list[Driving],
+    subtitle: str,
+) -> tuple[dict[str, Any], list[Change]]:
+    result = identify_brakes(drivings, config)
+    print(f"{subtitle}\n{brakes_text(result)}")
+    if args.report:
+        from bstm_daemon.report.identify_page import (  # noqa: PLC0415
+            write_brakes_page,
+        )
+
+        write_brakes_page(
+            args.report, result, subtitle=subtitle, version=__version__
+        )
+    return brakes_json(result), brake_changes(result, config)
+
+
+def _write(
+    args: argparse.Namespace, changes: list[Change], origin: str
+) -> None:
+    if not changes:
+        print(f"{args.out}: not written, nothing was identified")
+        return
+    write_changed(args.config, args.out, changes, origin)
+    print(f"{args.out}: {len(changes)} values")
+    for change in changes:
+        print(f"  {change}")

@@ -1,0 +1,1 @@
+"""What a drive tells of the car: resistances, friction, stops."""

@@ -1,0 +1,367 @@
+"""Friction scale, push-out and axle shares of the brakes, from motion.
+
+Least squares of ``F = s sum K (p - p0)`` over samples of many stops, K the
+configured geometry of Eq 4.1: s is what the configured friction has to be
+multiplied by, p0 the pressure of the signal at which braking begins. Where
+friction leans on speed or pressure, the exponents of either are added (Rhee
+1974, SAE 740415: F = K p^a v^b, here to first order), else its curvature would
+look like a push-out.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from math import nan, sqrt
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from bstm_daemon.errors import LogError
+from bstm_daemon.identify.brake_samples import brake_samples
+from bstm_daemon.identify.friction_fit import (
+    model,
+    settled,
+    table_of,
+    weights,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    import numpy.typing as npt
+
+    from bstm_daemon.config import Config
+    from bstm_daemon.identify.brake_samples import BrakeStop
+    from bstm_daemon.identify.driving import Driving
+    from bstm_daemon.identify.friction_fit import Table
+    from bstm_daemon.quality.recording import Column
+
+    Rows = npt.NDArray[np.intp]
+
+LEAST_SAMPLES: Final = 12
+PRESSURE_SPREAD_PA: Final = 1.5e5
+"""Standard deviation of the pressures that tells push-out from friction."""
+
+AXLE_SPREAD: Final = 0.05
+"""Spread of rear over front pressure that tells the axles apart."""
+
+AXLE_ERROR: Final = 0.05
+"""Largest standard error of a front share that is identified."""
+
+RELATIVE_ERROR: Final = 0.1
+PUSHOUT_ERROR_PA: Final = 0.5e5
+"""Larger standard errors, of the scale and of the push-out, tell nothing."""
+
+LOWEST_PUSHOUT_PA: Final = -1e5
+"""No sensor's zero is lower: then something else brakes the car."""
+
+SCATTER: Final = 0.2
+"""Residual over mean force from which pressure is not what brakes."""
+
+LAGS_S: Final = (0.0, 0.05, 0.1, 0.15, 0.2, 0.3)
+"""Time constants of the hydraulics that are tried."""
+
+LAG_GAIN: Final = 0.8
+"""A lag is one if it brings the weighted residual below this share."""
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """A value, its standard error, and why it is none (empty: it is one)."""
+
+    value: float
+    standard_error: float
+    doubt: str = ""
+
+    @property
+    def identified(self) -> bool:
+        """Whether the stops settle it."""
+        return not self.doubt
+
+
+@dataclass(frozen=True, slots=True)
+class Brakes:
+    """What the stops tell of the brakes.
+
+    ``scale`` is the factor on the configured friction coefficients (of
+    ``front_scale`` and ``rear_scale`` on those of an axle), at ``speed_ms``
+    and ``pressure_pa``; ``lean_speed`` and ``lean_pressure`` are the exponents
+    that friction has there, None where none shows. ``pushout_pa`` is in
+    the signal's own zero, which reads ``rest_pa`` with the brake released.
+    ``front_share`` is the front axle's share of the brake force at equal
+    pressure.
+    """
+
+    scale: Finding
+    pushout_pa: Finding
+    rest_pa: float
+    front_share: Finding
+    front_scale: Finding
+    rear_scale: Finding
+    lean_speed: Finding | None
+    lean_pressure: Finding | None
+    speed_ms: float
+    pressure_pa: float
+    lag_s: Finding
+    residual_n: float
+    samples: int
+    stops: tuple[BrakeStop, ...]
+    searched: tuple[str, ...]
+    remarks: tuple[str, ...]
+
+    def ratio(self, stop: BrakeStop) -> Column:
+        """Return friction over its configured value at the samples, (n,)."""
+        pushing = stop.pressure_pa - self.pushout_pa.value
+        return np.asarray(stop.force_n / (stop.gain * pushing))
+
+
+def identify_brakes(drivings: Sequence[Driving], config: Config) -> Brakes:
+    """Find the stops in *drivings* and fit the brakes of *config* to them.
+
+    Raises:
+        LogError: no pressure is in the logs, or they hold too few samples;
+            tells what was searched.
+    """
+    trials = [(lag_s, *_stops(drivings, config, lag_s)) for lag_s in LAGS_S]
+    lag_s, stops, searched, rests = trials[0]
+    count = sum(len(stop.since_s) for stop in stops)
+    if count < LEAST_SAMPLES:
+        msg = (
+            f"brakes not identified, {count} samples of {LEAST_SAMPLES} "
+            f"needed. {'; '.join(searched)}"
+        )
+        raise LogError(msg)
+    rms = [_weighted_rms(table_of(trial[1]), config) for trial in trials]
+    best = int(np.argmin(rms))
+    if rms[best] < LAG_GAIN * rms[0]:
+        lag_s, stops, searched, rests = trials[best]
+    return _result(drivings, config, stops, searched, rests, lag_s)
+
+
+def _stops(
+    drivings: Sequence[Driving], config: Config, lag_s: float
+) -> tuple[list[BrakeStop], list[str], list[float]]:
+    """Return the stops behind *lag_s*, what was searched, released zeros."""
+    stops: list[BrakeStop] = []
+    searched, rests = [], []
+    for driving in drivings:
+        if not driving.pressures:
+            searched.append(f"{driving.name}: no brake pressure in this log")
+            continue
+        found = brake_samples(driving, config, lag_s)
+        stops += found.stops
+        rests.append(found.rest_pa)
+        hint = (
+            ""
+            if driving.line_known
+            else "; nothing tells the torque at the wheels"
+        )
+        searched.append(f"{driving.name}: {found.searched}{hint}")
+    return stops, searched, rests
+
+
+def _weighted_rms(table: Table, config: Config) -> float:
+    pushout_pa = _held_pushout(table, config)
+    fit, *_ = settled(table, pushout_pa)
+    rest = (table.force - model(table, fit)) * weights(table)
+    return float(np.sqrt(np.mean(rest**2)))
+
+
+def _held_pushout(table: Table, config: Config) -> float | None:
+    """Return the configured push-out where the pressures tell none."""
+    if float(np.std(table.pressure)) >= PRESSURE_SPREAD_PA:
+        return None
+    return max(corner.pushout_pressure_pa for corner in config.corner)
+
+
+def _result(
+    drivings: Sequence[Driving],
+    config: Config,
+    stops: Sequence[BrakeStop],
+    searched: Sequence[str],
+    rests: Sequence[float],
+    lag_s: float,
+) -> Brakes:
+    table = table_of(stops)
+    held_pa = _held_pushout(table, config)
+    told = held_pa is None
+    parameters, leans, errors, residual = settled(table, held_pa)
+    doubt = (
+        ""
+        if told
+        else (
+            f"the pressures spread by {np.std(table.pressure) / 1e5:.1f} "
+            f"bar only ({PRESSURE_SPREAD_PA / 1e5:g} needed): the configured "
+            f"{parameters[1] / 1e5:g} bar is taken"
+        )
+    )
+    pushout = Finding(
+        float(parameters[1]), float(errors[1]) if told else nan, doubt
+    )
+    share, front, rear = _axles(table, config, pushout.value)
+    lean = [
+        Finding(float(parameters[2 + i]), float(errors[2 + i]))
+        if leans[i]
+        else None
+        for i in range(2)
+    ]
+    scale = Finding(float(parameters[0]), float(errors[0]))
+    scatter = residual / abs(float(table.force.mean()))
+    if scatter > SCATTER:
+        doubt = f"the samples scatter by {100 * scatter:.0f} % of their mean"
+    elif not scale.value > 0.0:
+        doubt = "more pressure brakes the car less"
+    elif scale.standard_error > RELATIVE_ERROR * scale.value:
+        doubt = (
+            "standard error of "
+            f"{100 * scale.standard_error / scale.value:.0f} %"
+        )
+    elif pushout.identified and pushout.value < LOWEST_PUSHOUT_PA:
+        doubt = (
+            f"braking would begin at {pushout.value / 1e5:.1f} bar: something "
+            "else brakes the car, such as an engine whose torque is unknown"
+        )
+    else:
+        doubt = ""
+    if doubt:
+        scale = replace(scale, doubt=doubt)
+        pushout = replace(pushout, doubt=pushout.doubt or doubt)
+        share = replace(share, doubt=share.doubt or doubt)
+        front = replace(front, doubt=front.doubt or doubt)
+        rear = replace(rear, doubt=rear.doubt or doubt)
+    elif pushout.identified and pushout.standard_error > PUSHOUT_ERROR_PA:
+        pushout = replace(
+            pushout,
+            doubt=f"standard error of {pushout.standard_error / 1e5:.1f} bar",
+        )
+    return Brakes(
+        scale,
+        pushout,
+        float(np.median(rests)),
+        share,
+        front,
+        rear,
+        lean[0],
+        lean[1],
+        table.speed_mean,
+        table.pressure_mean,
+        Finding(
+            lag_s,
+            nan,
+            "" if lag_s else "no lag brings force and pressure nearer",
+        ),
+        residual,
+        len(table.force),
+        tuple(stops),
+        tuple(searched),
+        _remarks(drivings, stops),
+    )
+
+
+def _axles(
+    table: Table,
+    config: Config,
+    pushout_pa: float,
+) -> tuple[Finding, Finding, Finding]:
+    """Return front share, front and rear scale, or why they are none."""
+    configured = table.front_gain / table.gain
+    doubt = _why_one_axle(table, config)
+    if doubt:
+        none = Finding(nan, nan, doubt)
+        return Finding(configured, nan, doubt), none, none
+    weight = weights(table)
+
+    def solve(rows: Rows) -> Column:
+        matrix = np.column_stack(
+            [
+                table.front_gain * (table.front - pushout_pa),
+                table.rear_gain * (table.rear - pushout_pa),
+            ]
+        )
+        # an axle whose pressure is below push-out does not push
+        matrix = np.maximum(matrix, 0.0) * weight[:, None]
+        return np.asarray(
+            np.linalg.lstsq(
+                matrix[rows], (table.force * weight)[rows], rcond=None
+            )[0]
+        )
+
+    front, rear = solve(np.arange(len(weight))).tolist()
+    groups = np.arange(len(weight)) * 10 // len(weight)
+    parts = np.array([solve(np.flatnonzero(groups != n)) for n in range(10)])
+
+    def error(values: Column) -> float:
+        count = len(values)
+        spread = float(((values - values.mean()) ** 2).sum())
+        return sqrt(spread * (count - 1) / count)
+
+    def share(f: Column, r: Column) -> Column:
+        pushed = table.front_gain * f
+        return np.asarray(pushed / (pushed + table.rear_gain * r))
+
+    share_error = error(share(parts[:, 0], parts[:, 1]))
+    value = float(share(np.array(front), np.array(rear)))
+    if share_error > AXLE_ERROR or not 0.0 < value < 1.0:
+        doubt = (
+            f"the pressures of the axles differ too little: {value:.2f} with "
+            f"a standard error of {share_error:.2f}"
+        )
+        none = Finding(nan, nan, doubt)
+        return Finding(value, share_error, doubt), none, none
+    return (
+        Finding(value, share_error),
+        Finding(front, error(parts[:, 0])),
+        Finding(rear, error(parts[:, 1])),
+    )
+
+
+def _why_one_axle(table: Table, config: Config) -> str:
+    """Say why front and rear can not be told apart; empty if they can."""
+    if not table.front_gain or not table.rear_gain:
+        return "brakes of one axle only have a pressure"
+    ratio = table.rear / table.front
+    spread = float(np.std(ratio) / abs(np.mean(ratio)))
+    if spread >= AXLE_SPREAD:
+        return ""
+    roles = {
+        role for role in config.signals if role.startswith("wheel_pressure_")
+    }
+    text = (
+        "the rear pressure is the same share of the front one in every "
+        f"sample (spread {100 * spread:.1f} %): the car's motion shows their "
+        "sum only"
+    )
+    if not roles:
+        text += (
+            ". Wheel pressures that part (brake force distribution, one "
+            "circuit bled) would tell; wheel slip would need the tyres' "
+            "stiffness"
+        )
+    return text
+
+
+def _remarks(
+    drivings: Sequence[Driving], stops: Sequence[BrakeStop]
+) -> tuple[str, ...]:
+    remarks = [f"{d.name}: {text}" for d in drivings for text in d.remarks]
+    borrowed = sum(not stop.own_zero for stop in stops)
+    if borrowed:
+        remarks.append(
+            f"{borrowed} stops have no released brake around them; their "
+            "zero is that of the others"
+        )
+    if not all(d.has_accelerometer for d in drivings):
+        remarks.append(
+            "no accelerometer: the grade is taken as that around each stop"
+        )
+    remarks += [
+        f"{d.name}: the body pitches by {d.pitch:.3f} m/s2 a m/s2, taken off "
+        "the accelerometer"
+        for d in drivings
+        if d.pitch > 0.0
+    ]
+    remarks.append(
+        "the mass is given: the friction scale is in proportion to it. "
+        "Tyre slip (1 to 2 % of the energy) is counted as brake"
+    )
+    return tuple(remarks)

@@ -1,0 +1,294 @@
+"""The figures of ``bstm heat``, one function a figure of the thesis."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from bstm_daemon.identify.heat_comparison import SOURCES
+from bstm_daemon.report.plots import (
+    cloud,
+    curve,
+    plot,
+    right_axis,
+    time_plot,
+    wide_range,
+)
+from bstm_daemon.report.timescale import clock
+from bstm_daemon.report.traces import (
+    BLACK,
+    BLUE,
+    GREEN,
+    ORANGE,
+    PURPLE,
+    VERMILION,
+)
+
+if TYPE_CHECKING:
+    from typing import Any
+
+    from bstm_daemon.identify.heat_comparison import HeatComparison, HeatStop
+    from bstm_daemon.identify.stop_friction import StopFriction
+    from bstm_daemon.report.plots import Plot
+
+COLOURS: Final = {"ff": BLUE, "fb": VERMILION, "fused": GREEN, "can": PURPLE}
+LOG_COLOURS: Final = (BLUE, VERMILION, GREEN, ORANGE, PURPLE, BLACK)
+
+RATIO_TOP: Final = 3.0
+MEDIAN_ROWS: Final = 11
+
+LEAST_SPAN: Final = 0.15
+"""A friction axis reaches so far to both sides of the median."""
+
+
+def energy_plot(heat: HeatComparison, span: tuple[float, float]) -> Plot:
+    """Return the running energies of all sources (Fig 6.1)."""
+    curves = [
+        curve(
+            heat.time_s, heat.energy_j[key] / 1e6, name, COLOURS[key], width=2
+        )
+        for key, name in SOURCES.items()
+        if key in heat.power_w
+    ]
+    return time_plot(curves, "brake energy [MJ]", span)
+
+
+def power_plot(heat: HeatComparison, span: tuple[float, float]) -> Plot:
+    """Return the powers of all sources, with the speed."""
+    curves: list[dict[str, Any]] = [
+        curve(heat.time_s, heat.power_w[key] / 1e3, name, COLOURS[key])
+        for key, name in SOURCES.items()
+        if key in heat.power_w
+    ]
+    curves.append(
+        curve(
+            heat.time_s,
+            3.6 * heat.speed_ms,
+            "speed",
+            "#8c959f",
+            width=1,
+            second=True,
+        )
+    )
+    return time_plot(
+        curves, "brake power [kW]", span, yaxis2=right_axis("speed [km/h]")
+    )
+
+
+def momentary_plot(heat: HeatComparison, span: tuple[float, float]) -> Plot:
+    """Return Feed-Forward over Feed-Back while braking (Fig 6.2)."""
+    ratio = heat.momentary_ratio()
+    top = min(float(np.nanpercentile(ratio, 99)) * 1.2, RATIO_TOP)
+    data = [cloud(heat.time_s, ratio, "", BLUE, size=3)]
+    return time_plot(data, "FF / FB", span, yaxis={"range": [0.0, top]})
+
+
+def integrated_plot(heat: HeatComparison, span: tuple[float, float]) -> Plot:
+    """Return the ratio of the energies so far (Fig 6.3)."""
+    ratio = heat.integrated_ratio()
+    known = ratio[np.isfinite(ratio)]
+    top = min(float(known.max(initial=1.0)) * 1.2, RATIO_TOP)
+    data = [curve(heat.time_s, ratio, "", BLUE, width=2, legend=False)]
+    return time_plot(data, "FF / FB", span, yaxis={"range": [0.0, top]})
+
+
+def smooth(values: Any) -> Any:
+    """Return the running median of *values* over a second, NaN kept."""
+    result = np.full(len(values), np.nan)
+    known = np.flatnonzero(np.isfinite(values))
+    if len(known) < MEDIAN_ROWS:
+        return result
+    windows = np.lib.stride_tricks.sliding_window_view(
+        values[known], MEDIAN_ROWS
+    )
+    half = MEDIAN_ROWS // 2
+    result[known[half:-half]] = np.median(windows, axis=1)
+    return result
+
+
+def per_force_plot(heat: HeatComparison, span: tuple[float, float]) -> Plot:
+    """Return pressure over brake force (Fig 4.9, 4.10)."""
+    ratio = heat.pressure_per_force()
+    top = 1.3 * float(np.nanpercentile(ratio, 97))
+    data = [
+        cloud(heat.time_s, ratio, "", "#8c959f", size=3),
+        curve(heat.time_s, smooth(ratio), "", BLUE, width=2, legend=False),
+    ]
+    return time_plot(
+        data, "pressure / force [Pa/N]", span, yaxis={"range": [0.0, top]}
+    )
+
+
+def stop_plots(
+    heat: HeatComparison, stop: HeatStop, number: int
+) -> list[tuple[str, Plot]]:
+    """Return power, energy and force of *stop* (Fig 4.5, 4.6, 4.8)."""
+    rows = np.flatnonzero(
+        (heat.time_s >= stop.begin_s - 1.0) & (heat.time_s <= stop.end_s + 0.5)
+    )
+    since = heat.time_s[rows] - heat.time_s[stop.first]
+    begin = int(np.searchsorted(heat.time_s, stop.begin_s))
+    keys = [key for key in SOURCES if key in heat.power_w]
+    title = (
+        f"stop {number}, {clock(stop.begin_s)}, "
+        f"{3.6 * heat.speed_ms[stop.first]:.0f} to "
+        f"{3.6 * heat.speed_ms[stop.last]:.0f} km/h, "
+        f"{stop.pressure_pa / 1e5:.0f} bar"
+    )
+    power = [
+        curve(since, heat.power_w[k][rows] / 1e3, SOURCES[k], COLOURS[k])
+        for k in keys
+    ]
+    energy = [
+        curve(
+            since,
+            (heat.energy_j[k][rows] - heat.energy_j[k][begin]) / 1e3,
+            SOURCES[k],
+            COLOURS[k],
+            width=2,
+        )
+        for k in keys
+    ]
+    ends = np.array([since[0], since[-1]])
+    energy.append(
+        curve(
+            ends,
+            np.full(2, stop.balance.brake_j / 1e3),
+            "Eq 4.5",
+            BLACK,
+            dash="2px,3px",
+        )
+    )
+    moving = heat.speed_ms[rows] > 1.0
+    force = [
+        curve(
+            since,
+            np.where(
+                moving,
+                heat.power_w[k][rows] / np.maximum(heat.speed_ms[rows], 1.0),
+                np.nan,
+            )
+            / 1e3,
+            SOURCES[k],
+            COLOURS[k],
+        )
+        for k in keys
+    ]
+    return [
+        (title, plot(power, "time since the press [s]", "power [kW]")),
+        ("energy", plot(energy, "time since the press [s]", "energy [kJ]")),
+        (
+            "brake force",
+            plot(force, "time since the press [s]", "brake force [kN]"),
+        ),
+    ]
+
+
+def friction_plots(friction: StopFriction) -> tuple[tuple[str, Plot], ...]:
+    """Return friction within and from stop to stop (Fig 4.7)."""
+    figures = []
+    if friction.within:
+        many = len(friction.within) > 12
+        figures.append(
+            (
+                "within the stops",
+                plot(
+                    [
+                        curve(
+                            one.since_s,
+                            one.friction,
+                            _labelled(one.start_s, one.initial_c),
+                            LOG_COLOURS[i % len(LOG_COLOURS)],
+                            legend=not many,
+                        )
+                        for i, one in enumerate(friction.within)
+                    ],
+                    "time since the press [s]",
+                    "friction coefficient",
+                    yaxis=_friction_axis(
+                        np.concatenate([o.friction for o in friction.within])
+                    ),
+                ),
+            )
+        )
+        figures.append(
+            (
+                "mean of the stop over the hottest disc before it",
+                plot(
+                    [
+                        cloud(
+                            np.array(
+                                [
+                                    max(one.initial_c.values(), default=np.nan)
+                                    for one in friction.within
+                                ]
+                            ),
+                            np.array(
+                                [
+                                    float(np.mean(one.friction))
+                                    for one in friction.within
+                                ]
+                            ),
+                            "",
+                            BLUE,
+                            size=8,
+                        )
+                    ],
+                    "disc before the stop [°C]",
+                    "friction coefficient",
+                    yaxis=_friction_axis(
+                        np.array([o.friction.mean() for o in friction.within])
+                    ),
+                ),
+            )
+        )
+    if friction.axles:
+        figures.append(
+            (
+                "front and rear over the disc before the stop",
+                plot(
+                    [
+                        cloud(
+                            np.array([o.initial_c for o in own]),
+                            np.array([o.friction for o in own]),
+                            axle
+                            + (
+                                ", by its discs"
+                                if own[0].by_discs
+                                else ", rest of the balance"
+                            ),
+                            colour,
+                            size=8,
+                        )
+                        for axle, colour in (
+                            ("front", VERMILION),
+                            ("rear", BLUE),
+                        )
+                        for own in (
+                            [o for o in friction.axles if o.axle == axle],
+                        )
+                        if own
+                    ],
+                    "disc before the stop [°C]",
+                    "friction coefficient",
+                    yaxis={"rangemode": "tozero"},
+                ),
+            )
+        )
+    return tuple(figures)
+
+
+def _friction_axis(values: Any) -> dict[str, Any]:
+    return {"range": wide_range(values, LEAST_SPAN)}
+
+
+def _labelled(start_s: float, initial_c: dict[str, float]) -> str:
+    front = [value for name, value in initial_c.items() if name[0] == "F"]
+    rear = [value for name, value in initial_c.items() if name[0] == "R"]
+    text = clock(start_s)
+    if front:
+        text += f" F {np.mean(front):.0f}"
+    if rear:
+        text += f" R {np.mean(rear):.0f}"
+    return text + (" °C" if front or rear else "")
