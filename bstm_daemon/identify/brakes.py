@@ -11,12 +11,13 @@ look like a push-out.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from math import nan, sqrt
+from math import nan
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from bstm_daemon.errors import LogError
+from bstm_daemon.identify.axle_fit import fit_axles
 from bstm_daemon.identify.brake_samples import brake_samples
 from bstm_daemon.identify.friction_fit import (
     model,
@@ -28,25 +29,16 @@ from bstm_daemon.identify.friction_fit import (
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    import numpy.typing as npt
-
     from bstm_daemon.config import Config
     from bstm_daemon.identify.brake_samples import BrakeStop
     from bstm_daemon.identify.driving import Driving
     from bstm_daemon.identify.friction_fit import Table
     from bstm_daemon.quality.recording import Column
 
-    Rows = npt.NDArray[np.intp]
-
 LEAST_SAMPLES: Final = 12
-PRESSURE_SPREAD_PA: Final = 1.5e5
-"""Standard deviation of the pressures that tells push-out from friction."""
-
-AXLE_SPREAD: Final = 0.05
-"""Spread of rear over front pressure that tells the axles apart."""
-
-AXLE_ERROR: Final = 0.05
-"""Largest standard error of a front share that is identified."""
+PRESSURE_SPREAD_PA: Final = 3e5
+"""From the 10th to the 90th percentile of the pressures: tells push-out from
+friction. A few samples of the press itself are no spread."""
 
 RELATIVE_ERROR: Final = 0.1
 PUSHOUT_ERROR_PA: Final = 0.5e5
@@ -167,9 +159,14 @@ def _weighted_rms(table: Table, config: Config) -> float:
     return float(np.sqrt(np.mean(rest**2)))
 
 
+def _spread_pa(table: Table) -> float:
+    low, high = np.percentile(table.pressure, (10.0, 90.0)).tolist()
+    return float(high - low)
+
+
 def _held_pushout(table: Table, config: Config) -> float | None:
     """Return the configured push-out where the pressures tell none."""
-    if float(np.std(table.pressure)) >= PRESSURE_SPREAD_PA:
+    if _spread_pa(table) >= PRESSURE_SPREAD_PA:
         return None
     return max(corner.pushout_pressure_pa for corner in config.corner)
 
@@ -190,7 +187,7 @@ def _result(
         ""
         if told
         else (
-            f"the pressures spread by {np.std(table.pressure) / 1e5:.1f} "
+            f"the pressures spread by {_spread_pa(table) / 1e5:.1f} "
             f"bar only ({PRESSURE_SPREAD_PA / 1e5:g} needed): the configured "
             f"{parameters[1] / 1e5:g} bar is taken"
         )
@@ -198,14 +195,23 @@ def _result(
     pushout = Finding(
         float(parameters[1]), float(errors[1]) if told else nan, doubt
     )
-    share, front, rear = _axles(table, config, pushout.value)
-    lean = [
+    axles = fit_axles(table, config, held_pa)
+    share = Finding(*axles.share, axles.doubt)
+    front = Finding(*axles.front, axles.doubt)
+    rear = Finding(*axles.rear, axles.doubt)
+    lean: list[Finding | None] = [
         Finding(float(parameters[2 + i]), float(errors[2 + i]))
         if leans[i]
         else None
         for i in range(2)
     ]
     scale = Finding(float(parameters[0]), float(errors[0]))
+    if not axles.doubt:
+        # one scale for two axles would bend push-out and exponents
+        scale, residual = Finding(*axles.total), axles.residual_n
+        lean = [None, None]
+        if told:
+            pushout = Finding(*axles.pushout_pa)
     scatter = residual / abs(float(table.force.mean()))
     if scatter > SCATTER:
         doubt = f"the samples scatter by {100 * scatter:.0f} % of their mean"
@@ -256,88 +262,6 @@ def _result(
         tuple(searched),
         _remarks(drivings, stops),
     )
-
-
-def _axles(
-    table: Table,
-    config: Config,
-    pushout_pa: float,
-) -> tuple[Finding, Finding, Finding]:
-    """Return front share, front and rear scale, or why they are none."""
-    configured = table.front_gain / table.gain
-    doubt = _why_one_axle(table, config)
-    if doubt:
-        none = Finding(nan, nan, doubt)
-        return Finding(configured, nan, doubt), none, none
-    weight = weights(table)
-
-    def solve(rows: Rows) -> Column:
-        matrix = np.column_stack(
-            [
-                table.front_gain * (table.front - pushout_pa),
-                table.rear_gain * (table.rear - pushout_pa),
-            ]
-        )
-        # an axle whose pressure is below push-out does not push
-        matrix = np.maximum(matrix, 0.0) * weight[:, None]
-        return np.asarray(
-            np.linalg.lstsq(
-                matrix[rows], (table.force * weight)[rows], rcond=None
-            )[0]
-        )
-
-    front, rear = solve(np.arange(len(weight))).tolist()
-    groups = np.arange(len(weight)) * 10 // len(weight)
-    parts = np.array([solve(np.flatnonzero(groups != n)) for n in range(10)])
-
-    def error(values: Column) -> float:
-        count = len(values)
-        spread = float(((values - values.mean()) ** 2).sum())
-        return sqrt(spread * (count - 1) / count)
-
-    def share(f: Column, r: Column) -> Column:
-        pushed = table.front_gain * f
-        return np.asarray(pushed / (pushed + table.rear_gain * r))
-
-    share_error = error(share(parts[:, 0], parts[:, 1]))
-    value = float(share(np.array(front), np.array(rear)))
-    if share_error > AXLE_ERROR or not 0.0 < value < 1.0:
-        doubt = (
-            f"the pressures of the axles differ too little: {value:.2f} with "
-            f"a standard error of {share_error:.2f}"
-        )
-        none = Finding(nan, nan, doubt)
-        return Finding(value, share_error, doubt), none, none
-    return (
-        Finding(value, share_error),
-        Finding(front, error(parts[:, 0])),
-        Finding(rear, error(parts[:, 1])),
-    )
-
-
-def _why_one_axle(table: Table, config: Config) -> str:
-    """Say why front and rear can not be told apart; empty if they can."""
-    if not table.front_gain or not table.rear_gain:
-        return "brakes of one axle only have a pressure"
-    ratio = table.rear / table.front
-    spread = float(np.std(ratio) / abs(np.mean(ratio)))
-    if spread >= AXLE_SPREAD:
-        return ""
-    roles = {
-        role for role in config.signals if role.startswith("wheel_pressure_")
-    }
-    text = (
-        "the rear pressure is the same share of the front one in every "
-        f"sample (spread {100 * spread:.1f} %): the car's motion shows their "
-        "sum only"
-    )
-    if not roles:
-        text += (
-            ". Wheel pressures that part (brake force distribution, one "
-            "circuit bled) would tell; wheel slip would need the tyres' "
-            "stiffness"
-        )
-    return text
 
 
 def _remarks(
