@@ -30,13 +30,23 @@ if TYPE_CHECKING:
 
     from bstm_daemon.identify.heat_comparison import HeatComparison, HeatStop
     from bstm_daemon.identify.stop_friction import StopFriction
+    from bstm_daemon.quality.recording import Column
     from bstm_daemon.report.plots import Plot
 
 COLOURS: Final = {"ff": BLUE, "fb": VERMILION, "fused": GREEN, "can": PURPLE}
 LOG_COLOURS: Final = (BLUE, VERMILION, GREEN, ORANGE, PURPLE, BLACK)
 
+SHORT: Final = {"ff": "FF", "fb": "FB", "fused": "fused", "can": "bus"}
+"""Names in the small figures of the stops."""
+
 RATIO_TOP: Final = 3.0
 MEDIAN_ROWS: Final = 11
+
+STOPS_NAMED: Final = 14
+"""More stops than these have no legend."""
+
+_COLD: Final = (0, 114, 178)
+_HOT: Final = (213, 94, 0)
 
 LEAST_SPAN: Final = 0.15
 """A friction axis reaches so far to both sides of the median."""
@@ -137,14 +147,14 @@ def stop_plots(
         f"{stop.pressure_pa / 1e5:.0f} bar"
     )
     power = [
-        curve(since, heat.power_w[k][rows] / 1e3, SOURCES[k], COLOURS[k])
+        curve(since, heat.power_w[k][rows] / 1e3, SHORT[k], COLOURS[k])
         for k in keys
     ]
     energy = [
         curve(
             since,
             (heat.energy_j[k][rows] - heat.energy_j[k][begin]) / 1e3,
-            SOURCES[k],
+            SHORT[k],
             COLOURS[k],
             width=2,
         )
@@ -170,7 +180,7 @@ def stop_plots(
                 np.nan,
             )
             / 1e3,
-            SOURCES[k],
+            SHORT[k],
             COLOURS[k],
         )
         for k in keys
@@ -189,94 +199,96 @@ def friction_plots(friction: StopFriction) -> tuple[tuple[str, Plot], ...]:
     """Return friction within and from stop to stop (Fig 4.7)."""
     figures = []
     if friction.within:
-        many = len(friction.within) > 12
-        figures.append(
-            (
-                "within the stops",
-                plot(
-                    [
-                        curve(
-                            one.since_s,
-                            one.friction,
-                            _labelled(one.start_s, one.initial_c),
-                            LOG_COLOURS[i % len(LOG_COLOURS)],
-                            legend=not many,
-                        )
-                        for i, one in enumerate(friction.within)
-                    ],
-                    "time since the press [s]",
-                    "friction coefficient",
-                    yaxis=_friction_axis(
-                        np.concatenate([o.friction for o in friction.within])
-                    ),
-                ),
-            )
-        )
-        figures.append(
+        figures += [
+            ("within the stops", _within(friction)),
             (
                 "mean of the stop over the hottest disc before it",
-                plot(
-                    [
-                        cloud(
-                            np.array(
-                                [
-                                    max(one.initial_c.values(), default=np.nan)
-                                    for one in friction.within
-                                ]
-                            ),
-                            np.array(
-                                [
-                                    float(np.mean(one.friction))
-                                    for one in friction.within
-                                ]
-                            ),
-                            "",
-                            BLUE,
-                            size=8,
-                        )
-                    ],
-                    "disc before the stop [°C]",
-                    "friction coefficient",
-                    yaxis=_friction_axis(
-                        np.array([o.friction.mean() for o in friction.within])
-                    ),
-                ),
-            )
-        )
+                _means(friction),
+            ),
+        ]
     if friction.axles:
         figures.append(
-            (
-                "front and rear over the disc before the stop",
-                plot(
-                    [
-                        cloud(
-                            np.array([o.initial_c for o in own]),
-                            np.array([o.friction for o in own]),
-                            axle
-                            + (
-                                ", by its discs"
-                                if own[0].by_discs
-                                else ", rest of the balance"
-                            ),
-                            colour,
-                            size=8,
-                        )
-                        for axle, colour in (
-                            ("front", VERMILION),
-                            ("rear", BLUE),
-                        )
-                        for own in (
-                            [o for o in friction.axles if o.axle == axle],
-                        )
-                        if own
-                    ],
-                    "disc before the stop [°C]",
-                    "friction coefficient",
-                    yaxis={"rangemode": "tozero"},
-                ),
-            )
+            ("front and rear over the disc before the stop", _axles(friction))
         )
     return tuple(figures)
+
+
+def _within(friction: StopFriction) -> Plot:
+    stops = friction.within
+    hottest = _hottest(friction)
+    return plot(
+        [
+            curve(
+                one.since_s,
+                one.friction,
+                _labelled(one.start_s, one.initial_c),
+                _warmth(value, hottest),
+                legend=len(stops) <= STOPS_NAMED,
+            )
+            for one, value in zip(stops, hottest.tolist(), strict=True)
+        ],
+        "time since the press [s]",
+        "friction coefficient",
+        yaxis=_friction_axis(np.concatenate([o.friction for o in stops])),
+        legend={"orientation": "v", "x": 1.02, "y": 1.0, "yanchor": "top"},
+    )
+
+
+def _means(friction: StopFriction) -> Plot:
+    means = np.array([float(np.mean(o.friction)) for o in friction.within])
+    return plot(
+        [cloud(_hottest(friction), means, "", BLUE, size=8)],
+        "disc before the stop [°C]",
+        "friction coefficient",
+        yaxis=_friction_axis(means),
+    )
+
+
+def _axles(friction: StopFriction) -> Plot:
+    clouds = []
+    for axle, colour in (("front", VERMILION), ("rear", BLUE)):
+        own = [one for one in friction.axles if one.axle == axle]
+        if not own:
+            continue
+        by = "by its discs" if own[0].by_discs else "rest of the balance"
+        clouds.append(
+            cloud(
+                np.array([one.initial_c for one in own]),
+                np.array([one.friction for one in own]),
+                f"{axle}, {by}",
+                colour,
+                size=8,
+            )
+        )
+    return plot(
+        clouds,
+        "disc before the stop [°C]",
+        "friction coefficient",
+        yaxis={"rangemode": "tozero"},
+    )
+
+
+def _hottest(friction: StopFriction) -> Column:
+    """Return the hottest disc before each stop, nan where none is known."""
+    return np.array(
+        [
+            max(one.initial_c.values(), default=np.nan)
+            for one in friction.within
+        ]
+    )
+
+
+def _warmth(value: float, all_values: Column) -> str:
+    """Return a colour from blue for the coldest to red for the hottest."""
+    known = all_values[np.isfinite(all_values)]
+    if not np.isfinite(value) or np.ptp(known) <= 0.0:
+        return BLUE
+    share = (value - known.min()) / np.ptp(known)
+    mixed = (
+        round(cold + share * (hot - cold))
+        for cold, hot in zip(_COLD, _HOT, strict=True)
+    )
+    return "#" + "".join(f"{part:02x}" for part in mixed)
 
 
 def _friction_axis(values: Any) -> dict[str, Any]:

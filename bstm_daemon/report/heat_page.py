@@ -205,7 +205,7 @@ def _side_by_side(
                     width=2,
                 )
             )
-        rows += [(name, *row[:4]) for row in total_rows(heat)]
+        rows += [(name, *row[:4]) for row in total_rows(heat) if not row[4]]
     return PageSection(
         "Logs side by side (thesis figures 4.9 and 4.10)",
         Table(("log", *TOTAL_HEAD[:4]), tuple(rows)),

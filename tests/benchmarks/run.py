@@ -23,7 +23,7 @@ BENCHMARKS = (
     *("kernel", "sample_pass", "reality", "log_decode", "replay"),
     "live",
 )
-OTHERS = ("physics", "accuracy", "radau", "memory")
+OTHERS = ("physics", "accuracy", "radau", "memory", "identification")
 """Figures without a comparison in time; run when named."""
 
 
