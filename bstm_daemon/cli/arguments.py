@@ -8,6 +8,12 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+from bstm_daemon.errors import UsageError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
 
 
 def add_config(parser: argparse.ArgumentParser) -> None:
@@ -58,6 +64,24 @@ def add_bus_map(parser: argparse.ArgumentParser) -> None:
         help="read frames of the log's interface IFACE as those of [[bus]] "
         "BUS, with an empty BUS not at all; may be repeated",
     )
+
+
+def refuse_overwriting(
+    targets: Iterable[Path | None], sources: Iterable[Path]
+) -> None:
+    """Refuse *targets* that would overwrite a source or each other.
+
+    Raises:
+        UsageError: one would.
+    """
+    taken = {path.resolve() for path in sources}
+    for target in targets:
+        if target is None:
+            continue
+        if target.resolve() in taken:
+            msg = f"{target}: would overwrite what is read or written here"
+            raise UsageError(msg)
+        taken.add(target.resolve())
 
 
 def _interface_and_bus(text: str) -> tuple[str, str]:

@@ -13,6 +13,7 @@ from bstm_daemon.cli.arguments import (
     add_json,
     add_out,
     add_report,
+    refuse_overwriting,
 )
 from bstm_daemon.cli.progress import Progress
 from bstm_daemon.cli.vehicle import load_vehicle
@@ -126,13 +127,11 @@ def _check(args: argparse.Namespace) -> None:
     ):
         msg = "--hold, --one-way and --even-grade go with coastdown"
         raise UsageError(msg)
-    if args.out is None:
-        return
-    if args.out.exists() and not args.force:
+    refuse_overwriting(
+        (args.out, args.json, args.report), (args.config, *args.logs)
+    )
+    if args.out is not None and args.out.exists() and not args.force:
         msg = f"{args.out}: exists already, give --force to replace it"
-        raise UsageError(msg)
-    if args.out.resolve() in {log.resolve() for log in args.logs}:
-        msg = f"{args.out}: would overwrite the log"
         raise UsageError(msg)
 
 

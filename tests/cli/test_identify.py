@@ -227,6 +227,17 @@ def test_wrong_use(
     assert main(["identify", "brakes", log, *common, "--one-way"]) == 2
     assert main(["identify", "cooling-fan", log, *common]) == 2
     capsys.readouterr()
+    before = logs["coastdown"].read_bytes()
+    for target in ("--json", "--report", "--out"):
+        for source in (log, str(EXAMPLE)):
+            words = [*common, target, source, "--force"]
+            assert main(["identify", "brakes", log, *words]) == 2
+            assert "would overwrite" in capsys.readouterr().err
+    assert main(["heat", log, *common, "--json", log]) == 2
+    same = str(tmp_path / "same")
+    words = [*common, "--json", same, "--report", same]
+    assert main(["heat", log, *words]) == 2
+    assert logs["coastdown"].read_bytes() == before
     missing = str(tmp_path / "missing.log")
     assert main(["identify", "brakes", missing, *common]) == 74
     assert main(["heat", missing, *common]) == 74
