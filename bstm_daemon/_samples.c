@@ -19,19 +19,6 @@ enum {
     FLAG_TORQUE = 8, FLAG_AMBIENT = 16, FLAG_JUMP = 32, FLAG_SETTLED = 64,
     FLAG_CORNER_PRESSURE = 128, FLAG_SUBSTITUTED = 1 << 21
 };
-enum { OWN, OTHER, NONE }; /* source of a corner's power */
-
-static int valid(const Pass *p, int role)
-{
-    return role >= 0 && p->stamp[role] != NEVER
-        && (double)(p->t[S_NOW] - p->stamp[role]) <= p->timeout[role];
-}
-
-static double vehicle(const Pass *p, int which, double otherwise)
-{
-    const int role = p->role[which];
-    return valid(p, role) ? p->value[role] : otherwise;
-}
 
 static double rear(const Pass *p, double front)
 {
@@ -46,9 +33,9 @@ static double rear(const Pass *p, double front)
 
 static double pressure_of(const Pass *p, const int32_t *corner)
 {
-    if (valid(p, corner[C_PRESSURE])) return p->value[corner[C_PRESSURE]];
-    double pressure = vehicle(p, R_PRIMARY, 0.0);
-    if (corner[C_SECONDARY]) pressure = vehicle(p, R_SECONDARY, pressure);
+    if (bstm_valid(p, corner[C_PRESSURE])) return p->value[corner[C_PRESSURE]];
+    double pressure = bstm_vehicle(p, R_PRIMARY, 0.0);
+    if (corner[C_SECONDARY]) pressure = bstm_vehicle(p, R_SECONDARY, pressure);
     if (corner[C_REAR] && p->points) return rear(p, pressure);
     return pressure;
 }
@@ -61,7 +48,7 @@ static int sound_voice(const Pass *p, int vehicle_present)
     if (vehicle_present && out[p->corners] == 0.0) return 1;
     for (int c = 0; c < p->corners; c++)
         if (out[c] == 0.0
-            && valid(p, p->corner[c * PER_CORNER_INTS + C_WHEEL]))
+            && bstm_valid(p, p->corner[c * PER_CORNER_INTS + C_WHEEL]))
             return 1;
     return 0;
 }
@@ -71,11 +58,11 @@ static void refresh(Pass *p)
     double total = 0.0, along = 0.0;
     int count = 0, own[MAX_CORNERS];
     const double *out = p->checks.left_out;
-    const int vehicle_present = valid(p, p->role[R_SPEED]);
+    const int vehicle_present = bstm_valid(p, p->role[R_SPEED]);
     const int sound = sound_voice(p, vehicle_present);
     for (int c = 0; c < p->corners; c++) {
         const int role = p->corner[c * PER_CORNER_INTS + C_WHEEL];
-        own[c] = valid(p, role) && !(sound && out[c] != 0.0);
+        own[c] = bstm_valid(p, role) && !(sound && out[c] != 0.0);
         if (own[c]) {
             total += fabs(p->value[role]);
             along += p->value[role];
@@ -83,7 +70,7 @@ static void refresh(Pass *p)
         }
     }
     if (vehicle_present && !(sound && out[p->corners] != 0.0)) {
-        along = vehicle(p, R_SPEED, 0.0);
+        along = bstm_vehicle(p, R_SPEED, 0.0);
         p->speed = fabs(along);
     } else p->speed = count ? total / (double)count : 0.0;
     p->heading = along < 0.0 ? -1.0 : 1.0;
@@ -98,17 +85,10 @@ static void refresh(Pass *p)
     p->stale = 0;
 }
 
-static int corner_known(const Pass *p, int c)
-{
-    const int32_t *corner = p->corner + c * PER_CORNER_INTS;
-    return valid(p, corner[C_PRESSURE]) || valid(p, p->role[R_PRIMARY])
-        || (corner[C_SECONDARY] && valid(p, p->role[R_SECONDARY]));
-}
-
 static int pressure_known(const Pass *p)
 {
     for (int c = 0; c < p->corners; c++)
-        if (corner_known(p, c)) return 1;
+        if (bstm_corner_known(p, c)) return 1;
     return 0;
 }
 
@@ -120,12 +100,12 @@ static double outer_impulse(const Pass *p, double h, double v,
     const double *f = p->f;
     const double drag = v > 0.0
         ? (f[F_QUADRATIC] * v + f[F_LINEAR]) * v + f[F_CONSTANT] : 0.0;
-    const double torque = vehicle(p, R_TORQUE, f[F_TORQUE]);
-    const double external = vehicle(p, R_EXTERNAL, 0.0);
+    const double torque = bstm_vehicle(p, R_TORQUE, f[F_TORQUE]);
+    const double external = bstm_vehicle(p, R_EXTERNAL, 0.0);
     const double driving = p->heading * (torque / f[F_RADIUS] + external);
     const double impulse = (driving - drag) * h;
     const int acceleration = p->role[R_ACCELERATION];
-    if (p->ints[I_SLOPE] == 0 && valid(p, acceleration)) {
+    if (p->ints[I_SLOPE] == 0 && bstm_valid(p, acceleration)) {
         const double felt =
             f[F_MASS] * (p->heading * p->value[acceleration]) * h;
         *inertia_kg = f[F_ROTATING];
@@ -166,7 +146,7 @@ static void integrate(Pass *p, int64_t time_us)
         double pressure;
         /* a pressure measured at the wheel has the lag in it */
         if (k[T_LAG] > 0.0
-            && !valid(p, p->corner[c * PER_CORNER_INTS + C_PRESSURE])) {
+            && !bstm_valid(p, p->corner[c * PER_CORNER_INTS + C_PRESSURE])) {
             const double decay = exp(-h / k[T_LAG]);
             const double apart = p->lagged[c] - target;
             pressure = target + apart * (k[T_LAG] * (1.0 - decay) / h);
@@ -181,6 +161,8 @@ static void integrate(Pass *p, int64_t time_us)
             const double power =
                 k[T_PER_PA] * pushing * (p->wheel[c] / p->f[F_RADIUS]);
             p->energy_ff[c] += power * h;
+            p->observer.brake_sum[c] +=
+                k[T_PER_PA] * pushing / p->f[F_RADIUS] * h;
         }
         p->pressure_sum[c] += pressure * h;
         if (pressed) p->on_time[c] += h;
@@ -203,6 +185,7 @@ static void integrate(Pass *p, int64_t time_us)
         const double left = p->n[N_TAIL] - h;
         p->n[N_TAIL] = left > 0.0 ? left : 0.0;
     }
+    if (p->ints[I_MODE] == MODE_FUSED) bstm_fusion_feel(p, h, v);
     p->n[N_SPEED] += v * h;
     p->n[N_DISTANCE] += v * h;
     p->t[S_NOW] = time_us;
@@ -212,21 +195,23 @@ static void clear(Pass *p)
 {
     p->n[N_SPEED] = p->n[N_FORCE] = p->n[N_ENERGY_FB] = 0.0;
     for (int c = 0; c < p->corners; c++)
-        p->energy_ff[c] = p->pressure_sum[c] = p->on_time[c] = 0.0;
+        p->energy_ff[c] = p->pressure_sum[c] = p->on_time[c] =
+            p->observer.brake_sum[c] = 0.0;
+    for (int i = SUM_TIME; i <= SUM_DRAG; i++) p->observer.n[i] = 0.0;
 }
 
 static int missing(const Pass *p)
 {
-    int flags = 0, speed = valid(p, p->role[R_SPEED]);
+    int flags = 0, speed = bstm_valid(p, p->role[R_SPEED]);
     for (int c = 0; c < p->corners && !speed; c++)
-        speed = valid(p, p->corner[c * PER_CORNER_INTS + C_WHEEL]);
+        speed = bstm_valid(p, p->corner[c * PER_CORNER_INTS + C_WHEEL]);
     if (!speed) flags |= FLAG_SPEED;
     for (int c = 0; c < p->corners; c++)
-        if (!corner_known(p, c))
+        if (!bstm_corner_known(p, c))
             flags |= FLAG_PRESSURE | FLAG_CORNER_PRESSURE << c;
-    if (!valid(p, p->role[R_ACCELERATION])) flags |= FLAG_ACCELERATION;
-    if (!valid(p, p->role[R_TORQUE])) flags |= FLAG_TORQUE;
-    if (!valid(p, p->role[R_AMBIENT])) flags |= FLAG_AMBIENT;
+    if (!bstm_valid(p, p->role[R_ACCELERATION])) flags |= FLAG_ACCELERATION;
+    if (!bstm_valid(p, p->role[R_TORQUE])) flags |= FLAG_TORQUE;
+    if (!bstm_valid(p, p->role[R_AMBIENT])) flags |= FLAG_AMBIENT;
     return flags;
 }
 
@@ -256,23 +241,24 @@ static double input_age_s(const Pass *p)
 /* How each corner's power is known, and whether it may have some. */
 static void heat_answers(const Pass *p, int *answer, int *at_risk)
 {
-    const int torque = valid(p, p->role[R_TORQUE]);
+    const int torque = bstm_valid(p, p->role[R_TORQUE]);
     const int acceleration = p->role[R_ACCELERATION];
     const int feed_back =
         p->speed_known && (torque || p->ints[I_ASSUMED] != 0);
     const int complete = p->speed_known && (torque || p->role[R_TORQUE] < 0)
         && (p->ints[I_SLOPE] != 0 || acceleration < 0
-            || valid(p, acceleration));
+            || bstm_valid(p, acceleration));
     for (int c = 0; c < p->corners; c++) {
-        const int pressure = corner_known(p, c);
+        const int pressure = bstm_corner_known(p, c);
         const int feed_forward = p->speed_known && pressure;
         int own, other;
-        if (p->ints[I_MODE] == 1) {
+        if (p->ints[I_MODE] == MODE_FB) {
             own = complete || (feed_back && !feed_forward);
             other = feed_forward;
         } else {
             const int disc = p->corner[c * PER_CORNER_INTS + C_MEASURED];
-            own = feed_forward || (p->ints[I_MODE] == 2 && valid(p, disc));
+            own = feed_forward
+                || (p->ints[I_MODE] == MODE_MEASURED && bstm_valid(p, disc));
             other = feed_back;
         }
         answer[c] = own ? OWN : other ? OTHER : NONE;
@@ -284,7 +270,7 @@ static void heat_answers(const Pass *p, int *answer, int *at_risk)
 
 static double reading(const Pass *p, int role)
 {
-    return valid(p, role) ? p->value[role] : (double)NAN;
+    return bstm_valid(p, role) ? p->value[role] : (double)NAN;
 }
 
 /* What the checks need of the step that ends now. */
@@ -295,9 +281,9 @@ static void read_all(const Pass *p, Readings *now, const int *answer)
     now->dt_s = (double)(int64_t)p->f[F_STEP] * 1e-6;
     now->speed = p->speed;
     now->speed_known = p->speed_known;
-    now->brake_switch = vehicle(p, R_SWITCH, (double)NAN);
-    now->esc_active = vehicle(p, R_ESC, 0.0);
-    now->acceleration = p->heading * vehicle(p, R_ACCELERATION, (double)NAN);
+    now->brake_switch = bstm_vehicle(p, R_SWITCH, (double)NAN);
+    now->esc_active = bstm_vehicle(p, R_ESC, 0.0);
+    now->acceleration = p->heading * bstm_vehicle(p, R_ACCELERATION, (double)NAN);
     now->braking = now->brake_switch > 0.0;
     now->voice[k] = fabs(reading(p, p->role[R_SPEED]));
     now->pressure[0] = reading(p, p->role[R_PRIMARY]);
@@ -308,8 +294,8 @@ static void read_all(const Pass *p, Readings *now, const int *answer)
         now->voice[c] = fabs(reading(p, corner[C_WHEEL]));
         now->pressure[2 + c] = reading(p, corner[C_PRESSURE]);
         now->source[c] = 0;
-        if (valid(p, corner[C_PRESSURE])) now->source[c] = 2 + c;
-        else if (corner[C_SECONDARY] && valid(p, p->role[R_SECONDARY]))
+        if (bstm_valid(p, corner[C_PRESSURE])) now->source[c] = 2 + c;
+        else if (corner[C_SECONDARY] && bstm_valid(p, p->role[R_SECONDARY]))
             now->source[c] = 1;
         now->heat_known[c] = answer[c] != NONE;
     }
@@ -324,14 +310,21 @@ static void close_step(Pass *p)
     int64_t flags = *p->flags | missing(p);
     flags |= bstm_checks_close(&p->checks, &now);
     const double dt_s = (double)(int64_t)p->f[F_STEP] * 1e-6;
-    const double ambient = vehicle(p, R_AMBIENT, p->f[F_AMBIENT]);
-    double wetness = vehicle(p, R_RAIN, 0.0);
+    const double ambient = bstm_vehicle(p, R_AMBIENT, p->f[F_AMBIENT]);
+    double wetness = bstm_vehicle(p, R_RAIN, 0.0);
     if (wetness < 0.0) wetness = 0.0;
     if (wetness > 1.0) wetness = 1.0;
     const double energy = p->n[N_ENERGY_FB];
     const double power_fb = (energy > 0.0 ? energy : 0.0) / dt_s;
     const double speed = p->n[N_SPEED] / dt_s;
     p->n[N_TOTAL_FB] += energy > 0.0 ? energy : 0.0;
+    double fused[MAX_CORNERS], spread[MAX_CORNERS];
+    double *whole = p->vehicle_rows + p->steps * VEHICLE_CHANNELS;
+    const int fuses = p->ints[I_MODE] == MODE_FUSED;
+    if (fuses)
+        flags |= bstm_fusion_close(p, &now, flags, fused, spread, whole + 4);
+    else
+        for (int i = 4; i < VEHICLE_CHANNELS; i++) whole[i] = (double)NAN;
     double *row = p->rows + p->steps * p->corners * CHANNELS;
     for (int c = 0; c < p->corners; c++, row += CHANNELS) {
         const double power_ff = p->energy_ff[c] / dt_s;
@@ -342,23 +335,24 @@ static void close_step(Pass *p)
         row[2] = p->on_time[c] / dt_s;
         row[3] = wetness;
         row[4] = ambient;
-        row[5] = (p->ints[I_MODE] == 1) == (answer[c] != OTHER)
+        if (fuses) row[5] = fused[c];
+        else row[5] = (p->ints[I_MODE] == MODE_FB) == (answer[c] != OTHER)
             ? share * power_fb : power_ff;
         if (answer[c] == OTHER && now.at_risk[c]) flags |= FLAG_SUBSTITUTED;
         row[6] = p->total_ff[c];
         row[7] = share * p->n[N_TOTAL_FB];
+        row[8] = fuses ? spread[c] : (double)NAN;
         const int32_t *measured =
             p->corner + c * PER_CORNER_INTS + C_MEASURED;
         for (int i = 0; i < MEASURED; i++)
-            row[8 + i] =
-                valid(p, measured[i]) ? p->value[measured[i]] : (double)NAN;
+            row[FIRST_MEASURED + i] =
+                bstm_valid(p, measured[i]) ? p->value[measured[i]] : (double)NAN;
     }
-    double *whole = p->vehicle_rows + p->steps * VEHICLE_CHANNELS;
     whole[0] = speed;
     whole[1] = p->n[N_DISTANCE];
     whole[2] = (p->n[N_FORCE] > 0.0 ? p->n[N_FORCE] : 0.0) / dt_s;
     whole[3] = input_age_s(p);
-    whole[4] = (double)flags;
+    whole[VEHICLE_CHANNELS - 1] = (double)flags;
     p->row_times[p->steps] = p->t[S_GRID];
     p->steps++;
     *p->flags = 0;
@@ -436,7 +430,7 @@ static void take(Pass *p, int64_t time_us, int role, double value)
 {
     const int64_t now = p->t[S_NOW], at = time_us > now ? time_us : now;
     const int64_t since =
-        at == time_us && valid(p, role) ? p->stamp[role] : NEVER;
+        at == time_us && bstm_valid(p, role) ? p->stamp[role] : NEVER;
     if (bstm_checks_admit(&p->checks, at, role, value, p->value[role],
                           since)) {
         p->value[role] = value;

@@ -6,9 +6,9 @@
 #ifndef BSTM_SAMPLES_H
 #define BSTM_SAMPLES_H
 
-#include "_plausibility.h"
+#include "_observer.h"
 
-#define PLAN_LAYOUT 2
+#define PLAN_LAYOUT 3
 
 enum { DONE, FULL, SETTLE, JUMP, DROP };
 enum {
@@ -17,7 +17,8 @@ enum {
 };
 enum {
     R_SPEED, R_PRIMARY, R_SECONDARY, R_ACCELERATION, R_TORQUE, R_EXTERNAL,
-    R_AMBIENT, R_RAIN, R_SWITCH, R_ESC, VEHICLE_ROLES
+    R_AMBIENT, R_RAIN, R_SWITCH, R_ESC, R_MOTOR, R_LATERAL, R_YAW, R_GEAR,
+    R_CLUTCH, R_ABS, R_TC, R_ALTITUDE, R_GNSS_SPEED, VEHICLE_ROLES
 };
 enum { C_WHEEL, C_PRESSURE, C_SECONDARY, C_REAR, C_MEASURED };
 enum { MEASURED = 6, PER_CORNER_INTS = C_MEASURED + MEASURED };
@@ -32,7 +33,10 @@ enum {
     N_FILTERED, N_SPEED, N_DISTANCE, N_FORCE, N_ENERGY_FB, N_TOTAL_FB, N_TAIL,
     NUMBERS
 };
-enum { PER_CORNER_SUMS = 5, CHANNELS = 8 + MEASURED, VEHICLE_CHANNELS = 5 };
+enum { PER_CORNER_SUMS = 5, FIRST_MEASURED = 9 };
+enum { CHANNELS = FIRST_MEASURED + MEASURED, VEHICLE_CHANNELS = 15 };
+enum { MODE_FF, MODE_FB, MODE_MEASURED, MODE_FUSED };
+enum { OWN, OTHER, NONE }; /* source of a corner's power */
 enum { LIMITS = 4 }; /* low, high, step, rate */
 
 typedef struct {
@@ -48,7 +52,38 @@ typedef struct {
     int stale, speed_known;
     double speed, heading, wheel[MAX_CORNERS], target[MAX_CORNERS];
     Checks checks;
+    Observer observer;
 } Pass;
+
+static inline int bstm_valid(const Pass *p, int role)
+{
+    return role >= 0 && p->stamp[role] != NEVER
+        && (double)(p->t[S_NOW] - p->stamp[role]) <= p->timeout[role];
+}
+
+static inline double bstm_vehicle(const Pass *p, int which, double otherwise)
+{
+    const int role = p->role[which];
+    return bstm_valid(p, role) ? p->value[role] : otherwise;
+}
+
+/* Whether the pressure of a corner is present. */
+static inline int bstm_corner_known(const Pass *p, int c)
+{
+    const int32_t *corner = p->corner + c * PER_CORNER_INTS;
+    return bstm_valid(p, corner[C_PRESSURE])
+        || bstm_valid(p, p->role[R_PRIMARY])
+        || (corner[C_SECONDARY] && bstm_valid(p, p->role[R_SECONDARY]));
+}
+
+/* What the values that are held for h seconds say of the car's motion. */
+void bstm_fusion_feel(Pass *p, double h, double v);
+
+/* Learn from the step that ends and give each corner's power [W], its
+ * standard deviation, and what is learned as channels of the vehicle's row
+ * from the grade on; returns bits of the flags. */
+int64_t bstm_fusion_close(Pass *p, const Readings *now, int64_t flags,
+                          double *power, double *spread, double *learned);
 
 /* Take samples until they or the rows end; returns the next one's index. */
 ptrdiff_t bstm_consume(Pass *p, const int64_t *times, const int32_t *roles,

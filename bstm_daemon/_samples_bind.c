@@ -63,7 +63,7 @@ static const char *bind(Pass *p, Py_buffer *view)
         + 2 * p->points + (1 + LIMITS) * p->roles;
     const Py_ssize_t n_times = TIMES + p->roles + bstm_checks_times(p->roles);
     const Py_ssize_t n_numbers = NUMBERS + p->roles + PER_CORNER_SUMS * k
-        + bstm_checks_numbers(k, p->roles);
+        + bstm_checks_numbers(k, p->roles) + OBSERVER_NUMBERS + k;
     p->room = view[10].len / 8;
     if (view[0].len / 4 != n_ints || view[1].len / 8 != n_floats
         || view[2].len / 8 != n_times
@@ -96,6 +96,12 @@ static const char *bind(Pass *p, Py_buffer *view)
     p->total_ff = p->on_time + k;
     bind_checks(p, p->timeout + p->roles, p->stamp + p->roles,
                 p->total_ff + k);
+    Observer *o = &p->observer;
+    o->n = p->total_ff + k + bstm_checks_numbers(k, p->roles);
+    o->brake_sum = o->n + OBSERVER_NUMBERS;
+    o->mass_kg = p->f[F_MASS];
+    o->rotating = p->f[F_ROTATING] / p->f[F_MASS];
+    o->rolling = p->f[F_CONSTANT] / p->f[F_MASS];
     p->flags = view[4].buf;
     p->rows = view[8].buf;
     p->vehicle_rows = view[9].buf;

@@ -377,7 +377,7 @@ class CornerConfig(Section):
 class HeatConfig(Section):
     """``[heat]``: which brake power heats the model, and how it is formed."""
 
-    mode: Literal["ff", "fb", "measured"] = "ff"
+    mode: Literal["ff", "fb", "fused", "measured"] = "ff"
     brake_on_pressure_pa: NotNegative = 1.0e5
     brake_on_force_n: NotNegative = 300.0
     primary_lag_s: NotNegative = 0.0

@@ -275,7 +275,7 @@ def _heat_problems(draft: Draft) -> Iterator[str]:
     speeds = ["vehicle_speed", *(f"wheel_speed_{c.lower()}" for c in CORNERS)]
     if roles.isdisjoint(speeds):
         yield f"{where} needs a speed, configure one of {_sections(speeds)}"
-    if draft.heat.mode == "ff":
+    if draft.heat.mode in {"ff", "fused"}:
         for corner in draft.corner:
             pressures = _pressure_roles(corner)
             if corner.type == "disc" and roles.isdisjoint(pressures):
@@ -283,8 +283,16 @@ def _heat_problems(draft: Draft) -> Iterator[str]:
                     f"{where} needs a pressure for corner {corner.name}, "
                     f"configure one of {_sections(pressures)}"
                 )
-    elif (
-        "powertrain_torque" not in roles
+    if draft.heat.mode == "fused" and (
+        "acceleration_longitudinal" not in roles
+    ):
+        yield (
+            f"{where} needs the acceleration to learn from, configure "
+            "[signals.acceleration_longitudinal]"
+        )
+    if (
+        draft.heat.mode in {"fb", "fused"}
+        and "powertrain_torque" not in roles
         and draft.heat.assume_powertrain_torque_nm is None
     ):
         yield (

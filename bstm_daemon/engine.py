@@ -52,6 +52,7 @@ FOREVER_US: Final = 2**63
 _USED: Final = {
     "ff": ("speed", "pressure", "ambient"),
     "fb": ("speed", "pressure", "acceleration", "torque", "ambient"),
+    "fused": ("speed", "pressure", "acceleration", "torque", "ambient"),
     "measured": ("speed", "ambient"),
 }
 """Inputs by heat mode: only these are reported stale."""

@@ -436,7 +436,7 @@ def compile_corner(config: Config, corner: CornerConfig) -> Program:
     mode = config.heat.mode
     try:
         net = build_corner(spec, CHANNELS, force_measured=mode == "measured")
-        model = CornerModel(spec, net, mode != "fb")
+        model = CornerModel(spec, net, mode not in {"fb", "fused"})
         model = apply_effects(model, config.effect)
         return compile_network(model.network)
     except (KeyError, ValueError) as error:

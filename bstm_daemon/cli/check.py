@@ -222,6 +222,11 @@ def _heat(config: Config) -> str:
         return "ff, from brake pressure and friction"
     if heat.mode == "measured":
         return "measured, the disc temperature is given"
+    way = (
+        "fused, pressure and motion, the vehicle learned"
+        if heat.mode == "fused"
+        else "fb, from the vehicle's motion"
+    )
     torque = heat.assume_powertrain_torque_nm
     if "powertrain_torque" in config.signals or torque is None:
         assumed = ""
@@ -232,7 +237,7 @@ def _heat(config: Config) -> str:
         or "acceleration_longitudinal" not in config.signals
     )
     road = "; the road is taken as flat" if is_flat else ""
-    return f"fb, from the vehicle's motion{assumed}{road}"
+    return f"{way}{assumed}{road}"
 
 
 def _effects(config: Config) -> str:

@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 
     from bstm_daemon.config import Config, CornerConfig
 
-PLAN_LAYOUT: Final = 2
-MODES: Final = {"ff": 0, "fb": 1, "measured": 2}
+PLAN_LAYOUT: Final = 3
+MODES: Final = {"ff": 0, "fb": 1, "measured": 2, "fused": 3}
 SLOPES: Final = {"accelerometer": 0, "flat": 1}
 
 CHANNELS: Final = (
@@ -34,6 +34,7 @@ CHANNELS: Final = (
     "brake_power_w",
     "brake_energy_ff_j",
     "brake_energy_fb_j",
+    "brake_power_std_w",
     *(f"measured_{node}_k" for node in MEASURED_NODES),
 )
 """A corner's columns of a step row: means over the step, but for the running
@@ -44,6 +45,16 @@ VEHICLE_CHANNELS: Final = (
     "distance_m",
     "brake_force_n",
     "input_age_s",
+    "grade",
+    "grade_std",
+    "mass_kg",
+    "mass_std_kg",
+    "accel_bias_ms2",
+    "accel_bias_std_ms2",
+    "friction_scale",
+    "friction_scale_std",
+    "drag_scale",
+    "drag_scale_std",
     "flags",
 )
 """The vehicle's columns of a step row; distance counts from the start, the
@@ -70,6 +81,12 @@ FLAGS: Final = {
     "heat_substituted": 1 << 21,
     "heat_unknown": 1 << 22,
     "silent": 1 << 23,
+    "external_force_suspected": 1 << 40,
+    "observer_reset": 1 << 41,
+    "acceleration_scale": 1 << 42,
+    "wheel_radius": 1 << 43,
+    "pressure_dead": 1 << 44,
+    "braking_unpressed": 1 << 45,
 }
 """Bits of a step's ``flags``; those of pressure and heat are for any corner.
 ``docs/validity.md`` says when each is set."""
@@ -95,6 +112,15 @@ VEHICLE_ROLES: Final = (
     "rain",
     "brake_switch",
     "esc_active",
+    "motor_torque",
+    "acceleration_lateral",
+    "yaw_rate",
+    "gear",
+    "clutch_open",
+    "abs_active",
+    "tc_active",
+    "altitude",
+    "gnss_speed",
 )
 """Roles of the vehicle that the pass reads, in plan order."""
 

@@ -21,6 +21,10 @@ from bstm_daemon.heat.check_layout import (
 )
 from bstm_daemon.heat.checks import Checks
 from bstm_daemon.heat.limits import Limits
+from bstm_daemon.heat.observer_layout import (
+    new_observer,
+    observer_number_names,
+)
 from bstm_daemon.heat.plausibility import PARKING_MS, STANDING_MS
 from bstm_daemon.heat.sample_plan import (
     CORNER_PRESSURE,
@@ -88,6 +92,7 @@ class SampleState:
         size = len(NUMBERS) + len(CORNER_SUMS) * len(plan.corners) + len(ROLES)
         check_times, check_numbers = new_checks(len(plan.corners), len(ROLES))
         numbers = array("d", [0.0] * size + check_numbers)
+        numbers.extend(new_observer(len(plan.corners)))
         numbers[NUMBERS.index("filtered_speed")] = UNKNOWN
         return cls(array("q", times + check_times), numbers)
 
@@ -120,6 +125,7 @@ def number_names(corners: Sequence[str]) -> list[str]:
         *(f"value.{role.name}" for role in ROLES),
         *(f"{name}.{corner}" for name in CORNER_SUMS for corner in corners),
         *check_number_names(corners),
+        *observer_number_names(corners),
     ]
 
 

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 INPUTS: Final = {
     "ff": ("speed", "pressure"),
     "fb": ("speed",),
+    "fused": ("speed", "pressure"),
     "measured": ("speed", "pressure"),
 }
 """Inputs without which a heat mode goes on only by assumption."""

@@ -27,6 +27,13 @@ if TYPE_CHECKING:
 BOUNDARIES: Final = ("ambient", "dissolved")
 """Nodes of every network that are not worth a column of their own."""
 
+LEARNED: Final = VEHICLE_CHANNELS[4:-1]
+"""What the observer says of the car, columns where the heat is fused."""
+
+_POWER: Final = CHANNELS.index("brake_power_w")
+_POWER_STD: Final = CHANNELS.index("brake_power_std_w")
+_MEASURED: Final = CHANNELS.index(f"measured_{MEASURED_NODES[0]}_k")
+
 
 @dataclass(frozen=True, slots=True)
 class _Publications:
@@ -175,6 +182,10 @@ class ResultsBuilder:
             "brake_force_fb_n": vehicle[:, 2],
             "flags": publications.flags.astype(np.float64),
         }
+        if self._estimator.config.heat.mode == "fused":
+            columns |= {
+                name: vehicle[:, 4 + i] for i, name in enumerate(LEARNED)
+            }
         parts: dict[str, dict[str, Column]] = {name: {} for name in corners}
         validity = dict(
             zip(self._modelled, publications.validity, strict=True)
@@ -195,8 +206,13 @@ class ResultsBuilder:
             forward = _rate(row[:, 6], interval_s)
             back = _rate(row[:, 7], interval_s)
             part.setdefault(
-                "brake_power_w", back if config.heat.mode == "fb" else forward
+                "brake_power_w",
+                {"fb": back, "fused": row[:, _POWER]}.get(
+                    config.heat.mode, forward
+                ),
             )
+            if config.heat.mode == "fused":
+                part["brake_power_std_w"] = row[:, _POWER_STD]
             part["brake_power_ff_w"] = forward
             part["brake_power_fb_w"] = back
             part["pressure_pa"] = row[:, 1]
@@ -204,7 +220,7 @@ class ResultsBuilder:
                 # by the mapping, not the values: the first rows do not know
                 # of what comes later
                 if f"temp_{name.lower()}_{node}" in config.signals:
-                    part[f"{node}_measured_c"] = row[:, 8 + i] - KELVIN_OFFSET
+                    part[f"{node}_measured_c"] = row[:, _MEASURED + i] - KELVIN_OFFSET
             columns |= {f"{name}.{key}": part[key] for key in part}
         columns = {
             # a copy: a view would hold every channel of the publications

@@ -1,0 +1,495 @@
+/* The observer of the car: mass, bias, drag and friction from its motion.
+ * heat/observer.py says what it does and does the same operations in the
+ * same order; heat/observer_layout.py has the reasons for the numbers.
+ */
+#include "_observer.h"
+
+#include <string.h>
+
+#define FELT_NOISE 0.05
+#define TORQUE_NOISE 0.03
+#define DRAG_TORQUE_NOISE 0.15
+#define COMMON 20.0
+#define OUTLIER 4.0
+#define WINDOW_S 0.5
+#define RATE_S 0.5
+#define SLOW_RATE_S 4.0
+#define GAIN_RATE 0.4
+#define GAIN_NOISE 0.12
+#define LEAST_SPEED 4.0
+#define MOST_LATERAL 2.0
+#define CALM_S 1.0
+#define RELEASED_S 0.7
+#define PRESSED_S 0.4
+#define LEAST_BRAKE 400.0
+#define DRIFT_S 60.0
+#define DRIFT_VAR (0.06 * 0.06)
+#define COPY_S 60.0
+#define EXTERNAL_S 2.0
+#define EXTERNAL_HOLD_S 30.0
+#define EXTERNAL_SHARE 0.4
+#define PUSHED_MS2 0.35
+#define GRADE_S 2.0
+#define HEIGHT_PATH_M 300.0
+#define HEIGHT_NOISE_M 2.0
+#define REFERENCE_SPEED 10.0
+#define REFERENCE_PRESSURE 1e6
+#define FORM_LIMIT 1.5
+#define GAIN_LOW (-0.15)
+#define GAIN_HIGH 0.2
+#define UNFELT (-0.6)
+#define CHANGED_LEAST 20.0
+#define CHANGED_MOST 60.0
+#define RADIUS_S 60.0
+#define RADIUS_LIMIT 0.05
+#define DEAD_MS2 2.0
+#define DEAD_S 6.0
+#define STOOD_S 30.0
+
+enum { W_NONE, W_DRIVEN, W_BRAKED };
+
+static const double MOTION_SD[STATES] = {0.2, 0.2, 0.3, 0.02};
+static const double MOTION_WALK[STATES] = {1e-4, 3e-4, 2e-3, 1e-5};
+static const double MOTION_LOW[STATES] = {0.5, -0.8, 0.2, -0.15};
+static const double MOTION_HIGH[STATES] = {2.0, 0.6, 3.0, 0.25};
+static const double FRICTION_SD[STATES] = {0.25, 0.08, 0.08, 0.06};
+static const double FRICTION_WALK[STATES] = {5e-4, 1e-4, 1e-4, 0.0};
+static const double FRICTION_LOW[STATES] = {-1.1, -0.4, -0.4, -0.4};
+static const double FRICTION_HIGH[STATES] = {0.7, 0.4, 0.4, 0.4};
+#define ROLLING_SD 0.03
+#define LOAD_SD 0.03
+
+static double clipped(double value, double low, double high)
+{
+    if (value < low) return low;
+    return value > high ? high : value;
+}
+
+void bstm_observer_new(Observer *o)
+{
+    double *n = o->n;
+    const double resets = n[O_RESETS];
+    for (int i = 0; i < OBSERVER_NUMBERS; i++) n[i] = 0.0;
+    n[O_RESETS] = resets;
+    n[O_MOTION + X_MASS] = 1.0;
+    n[O_MOTION + X_BIAS] = -o->rolling;
+    n[O_MOTION + X_DRAG] = 1.0;
+    n[O_MOTION + X_GAIN] = 0.02;
+    for (int i = 0; i < STATES; i++) {
+        n[O_MOTION_COV + i * STATES + i] = MOTION_SD[i] * MOTION_SD[i];
+        n[O_FRICTION_COV + i * STATES + i] = FRICTION_SD[i] * FRICTION_SD[i];
+    }
+    n[O_ROLLING_VAR] = ROLLING_SD * ROLLING_SD;
+    n[O_RADIUS_RATIO] = 1.0;
+    n[O_LAST_SPEED] = UNKNOWN;
+    memcpy(n + O_RECENT, n, LEARNED * sizeof *n);
+    memcpy(n + O_EARLIER, n, LEARNED * sizeof *n);
+    n[O_STARTED] = 1.0;
+}
+
+static double quadratic(const double *cov, const double *h)
+{
+    double total = 0.0;
+    for (int i = 0; i < STATES; i++) {
+        double row = 0.0;
+        for (int j = 0; j < STATES; j++) row += cov[i * STATES + j] * h[j];
+        total += h[i] * row;
+    }
+    return total;
+}
+
+static double product(const double *x, const double *h)
+{
+    double total = 0.0;
+    for (int i = 0; i < STATES; i++) total += h[i] * x[i];
+    return total;
+}
+
+/* One Kalman update; the state is kept between low and high. */
+static void update(double *x, double *cov, const double *h, double apart,
+                   double noise, const double *low, const double *high)
+{
+    double across[STATES];
+    for (int i = 0; i < STATES; i++) {
+        across[i] = 0.0;
+        for (int j = 0; j < STATES; j++)
+            across[i] += cov[i * STATES + j] * h[j];
+    }
+    double spread = noise;
+    for (int i = 0; i < STATES; i++) spread += h[i] * across[i];
+    for (int i = 0; i < STATES; i++) {
+        x[i] = clipped(x[i] + across[i] / spread * apart, low[i], high[i]);
+        for (int j = 0; j < STATES; j++)
+            cov[i * STATES + j] -= across[i] * across[j] / spread;
+    }
+}
+
+static void walk(double *cov, const double *rate, const double *sd, double t)
+{
+    for (int i = 0; i < STATES; i++) {
+        double *own = cov + i * STATES + i;
+        const double most = sd[i] * sd[i];
+        if (*own < most) *own += rate[i] * rate[i] * t;
+    }
+}
+
+static void forms(double speed, double pressure_pa, double *h)
+{
+    const double v = speed > 1.0 ? speed : 1.0;
+    const double p = pressure_pa > 5e4 ? pressure_pa : 5e4;
+    h[X_LEVEL] = 1.0;
+    h[X_SPEED] = clipped(log(v / REFERENCE_SPEED), -FORM_LIMIT, FORM_LIMIT);
+    h[X_PRESSURE] = clipped(log(p / REFERENCE_PRESSURE), -FORM_LIMIT,
+                            FORM_LIMIT);
+    h[X_DRIFT] = 1.0;
+}
+
+double bstm_friction(const Observer *o, double speed, double pressure_pa,
+                     double *variance)
+{
+    double h[STATES];
+    forms(speed, pressure_pa, h);
+    *variance = quadratic(o->n + O_FRICTION_COV, h);
+    return product(o->n + O_FRICTION, h);
+}
+
+double bstm_braking(const Observer *o, double felt, double push, double drag,
+                    double rate, double *spread)
+{
+    const double h[STATES] = {push - o->rotating * rate, 1.0, -drag, rate};
+    *spread = sqrt(quadratic(o->n + O_MOTION_COV, h));
+    return product(o->n + O_MOTION, h) - felt;
+}
+
+/* Whether everything learned is a number with a variance. */
+static int sound(const double *n)
+{
+    double total = 0.0;
+    for (int i = 0; i < LEARNED; i++) total += n[i];
+    if (!isfinite(total)) return 0;
+    for (int i = 0; i < STATES; i++)
+        if (!(n[O_MOTION_COV + i * STATES + i] > 0.0)
+            || !(n[O_FRICTION_COV + i * STATES + i] > 0.0))
+            return 0;
+    return n[O_ROLLING_VAR] > 0.0;
+}
+
+static void keep_copies(double *n, double dt_s)
+{
+    n[O_COPY_AGE] += dt_s;
+    if (n[O_COPY_AGE] < COPY_S) return;
+    memcpy(n + O_EARLIER, n + O_RECENT, LEARNED * sizeof *n);
+    memcpy(n + O_RECENT, n, LEARNED * sizeof *n);
+    n[O_COPY_AGE] = 0.0;
+}
+
+/* Forget what was learned within the last minutes. */
+static void roll_back(double *n)
+{
+    memcpy(n, n + O_EARLIER, LEARNED * sizeof *n);
+    memcpy(n + O_RECENT, n + O_EARLIER, LEARNED * sizeof *n);
+    n[O_COPY_AGE] = 0.0;
+}
+
+static void suspect_external(double *n, double seconds)
+{
+    n[O_EXTERNAL] += seconds;
+    if (n[O_EXTERNAL] < EXTERNAL_S) return;
+    if (n[O_EXTERNAL_HELD] <= 0.0) roll_back(n);
+    n[O_EXTERNAL_HELD] = EXTERNAL_HOLD_S;
+    n[O_EXTERNAL] = EXTERNAL_S;
+}
+
+static void trust(double *n, double seconds)
+{
+    n[O_EXTERNAL] -= 0.5 * seconds;
+    if (n[O_EXTERNAL] < 0.0) n[O_EXTERNAL] = 0.0;
+    n[O_EXTERNAL_HELD] -= seconds;
+    if (n[O_EXTERNAL_HELD] < 0.0) n[O_EXTERNAL_HELD] = 0.0;
+}
+
+static void learn_motion(Observer *o, double felt, double push, double drag,
+                         double rate)
+{
+    double *n = o->n;
+    const double h[STATES] = {push - o->rotating * rate, 1.0, -drag, rate};
+    const double relative = push < 0.0 ? DRAG_TORQUE_NOISE : TORQUE_NOISE;
+    const double torque = relative * n[O_MOTION + X_MASS] * push;
+    const double noise = COMMON * (FELT_NOISE * FELT_NOISE + torque * torque);
+    const double apart = felt - product(n + O_MOTION, h);
+    const double spread = quadratic(n + O_MOTION_COV, h)
+        + FELT_NOISE * FELT_NOISE + torque * torque;
+    const double limit = OUTLIER * sqrt(spread);
+    if (fabs(apart) > limit) {
+        if (apart > PUSHED_MS2) suspect_external(n, WINDOW_S);
+        return;
+    }
+    trust(n, WINDOW_S);
+    if (n[O_EXTERNAL_HELD] > 0.0) return;
+    walk(n + O_MOTION_COV, MOTION_WALK, MOTION_SD, WINDOW_S);
+    update(n + O_MOTION, n + O_MOTION_COV, h, apart, noise, MOTION_LOW,
+           MOTION_HIGH);
+}
+
+static void learn_friction(Observer *o, double felt, double push, double drag,
+                           double rate, double speed, double brake_n,
+                           double pressure_pa)
+{
+    double *n = o->n;
+    double uncertain, h[STATES];
+    const double braking = bstm_braking(o, felt, push, drag, rate, &uncertain);
+    const double given = brake_n / o->mass_kg * n[O_MOTION + X_MASS];
+    forms(speed, pressure_pa, h);
+    const double level = product(n + O_FRICTION, h);
+    const double expected = given * exp(level);
+    const double doubt = sqrt(FELT_NOISE * FELT_NOISE + uncertain * uncertain);
+    if (braking + 2.5 * doubt < EXTERNAL_SHARE * expected) {
+        suspect_external(n, WINDOW_S);
+        return;
+    }
+    trust(n, WINDOW_S);
+    if (n[O_EXTERNAL_HELD] > 0.0 || braking < 0.3 * given) return;
+    const double white = FELT_NOISE / braking, common = uncertain / braking;
+    const double noise = 4.0 * white * white + COMMON * common * common;
+    const double apart = log(braking / given) - level;
+    const double spread = quadratic(n + O_FRICTION_COV, h) + white * white
+        + common * common;
+    if (fabs(apart) > OUTLIER * sqrt(spread)) return;
+    update(n + O_FRICTION, n + O_FRICTION_COV, h, apart, noise, FRICTION_LOW,
+           FRICTION_HIGH);
+}
+
+/* The friction's passing part fades; all else walks slowly. */
+static void let_friction_pass(double *n, double dt_s)
+{
+    const double keep = exp(-dt_s / DRIFT_S);
+    double *cov = n + O_FRICTION_COV;
+    walk(cov, FRICTION_WALK, FRICTION_SD, dt_s);
+    n[O_FRICTION + X_DRIFT] *= keep;
+    for (int i = 0; i < STATES; i++) {
+        cov[i * STATES + X_DRIFT] *= keep;
+        cov[X_DRIFT * STATES + i] *= keep;
+    }
+    cov[X_DRIFT * STATES + X_DRIFT] += (1.0 - keep * keep) * DRIFT_VAR;
+}
+
+/* Whether the accelerometer follows the wheels by another scale. */
+static int strange_gain(const double *n)
+{
+    return n[O_CHANGED] > CHANGED_LEAST
+        && (n[O_ALIKE] < GAIN_LOW * n[O_CHANGED]
+            || n[O_ALIKE] > GAIN_HIGH * n[O_CHANGED]);
+}
+
+/* Whether it does not follow them at all, as on a stand. */
+static int unfelt(const double *n)
+{
+    return n[O_CHANGED] > CHANGED_LEAST
+        && n[O_ALIKE] < UNFELT * n[O_CHANGED];
+}
+
+/* Body pitch and scale: what is felt when the wheels' rate changes fast. */
+static void learn_gain(Observer *o, const Step *s, int learns)
+{
+    double *n = o->n;
+    const double rate = n[O_RATE] - n[O_SLOW_RATE];
+    const double more = n[O_FELT] - n[O_RATE]
+        - (n[O_SLOW_FELT] - n[O_SLOW_RATE]);
+    n[O_GAIN_TIME] += s->dt_s;
+    if (n[O_GAIN_TIME] < WINDOW_S) return;
+    n[O_GAIN_TIME] = 0.0;
+    if (!s->steady || s->speed < LEAST_SPEED || fabs(rate) < GAIN_RATE) return;
+    n[O_ALIKE] += more * rate;
+    n[O_CHANGED] += rate * rate;
+    if (n[O_CHANGED] > CHANGED_MOST) {
+        const double faded = CHANGED_MOST / n[O_CHANGED];
+        n[O_ALIKE] *= faded;
+        n[O_CHANGED] *= faded;
+    }
+    if (unfelt(n)) suspect_external(n, WINDOW_S);
+    if (!learns || strange_gain(n)) return;
+    const double h[STATES] = {0.0, 0.0, 0.0, rate};
+    const double apart = more - n[O_MOTION + X_GAIN] * rate;
+    if (fabs(apart) > 3.0 * GAIN_NOISE) return;
+    update(n + O_MOTION, n + O_MOTION_COV, h, apart,
+           COMMON * GAIN_NOISE * GAIN_NOISE, MOTION_LOW, MOTION_HIGH);
+}
+
+static void follow(Observer *o, const Step *s)
+{
+    double *n = o->n;
+    if (n[O_LAST_SPEED] < 0.0) {
+        n[O_LAST_SPEED] = s->end_speed;
+        n[O_FELT] = n[O_SLOW_FELT] = s->felt;
+        n[O_RATE] = n[O_SLOW_RATE] = 0.0;
+    }
+    const double rate = (s->end_speed - n[O_LAST_SPEED]) / s->dt_s;
+    const double share = 1.0 - exp(-s->dt_s / RATE_S);
+    const double slow = 1.0 - exp(-s->dt_s / SLOW_RATE_S);
+    n[O_LAST_SPEED] = s->end_speed;
+    n[O_RATE] += share * (rate - n[O_RATE]);
+    n[O_FELT] += share * (s->felt - n[O_FELT]);
+    n[O_SLOW_RATE] += slow * (n[O_RATE] - n[O_SLOW_RATE]);
+    n[O_SLOW_FELT] += slow * (n[O_FELT] - n[O_SLOW_FELT]);
+}
+
+static void follow_grade(Observer *o, const Step *s)
+{
+    double *n = o->n;
+    const double bias = n[O_MOTION + X_BIAS] + o->rolling + n[O_ROLLING];
+    const double gain = 1.0 + n[O_MOTION + X_GAIN];
+    const double upward = n[O_FELT] - gain * n[O_RATE] - bias;
+    const double sine = clipped(upward / GRAVITY, -0.5, 0.5);
+    n[O_SINE] += (1.0 - exp(-s->dt_s / GRADE_S)) * (sine - n[O_SINE]);
+    if (isnan(s->height)) {
+        n[O_HEIGHT_PATH] = 0.0;
+        return;
+    }
+    if (n[O_HEIGHT_PATH] <= 0.0) {
+        n[O_HEIGHT_LAST] = s->height;
+        n[O_HEIGHT_WORK] = 0.0;
+    }
+    const double path = s->speed * s->dt_s;
+    n[O_HEIGHT_WORK] += (upward + n[O_ROLLING]) * path;
+    n[O_HEIGHT_PATH] += path;
+    if (n[O_HEIGHT_PATH] < HEIGHT_PATH_M) return;
+    const double climbed = GRAVITY * (s->height - n[O_HEIGHT_LAST]);
+    const double found = (n[O_HEIGHT_WORK] - climbed) / n[O_HEIGHT_PATH];
+    const double sd = 1.5 * GRAVITY * HEIGHT_NOISE_M / n[O_HEIGHT_PATH];
+    const double gain_ = n[O_ROLLING_VAR] / (n[O_ROLLING_VAR] + sd * sd);
+    n[O_ROLLING] += gain_ * (found - n[O_ROLLING]);
+    n[O_ROLLING_VAR] *= 1.0 - gain_;
+    n[O_ROLLING_VAR] += 1e-6;
+    n[O_HEIGHT_PATH] = 0.0;
+}
+
+/* Sums over half seconds of one kind; returns whether one is complete. */
+static int gather(double *n, const Step *s, int kind, double first_speed)
+{
+    if (kind != (int)n[W_KIND] || kind == W_NONE) {
+        n[W_KIND] = (double)kind;
+        n[W_TIME] = 0.0;
+        for (int i = W_FELT; i <= W_SPEED; i++) n[i] = 0.0;
+        n[W_FIRST_SPEED] = first_speed;
+        if (kind == W_NONE) return 0;
+    }
+    n[W_TIME] += s->dt_s;
+    n[W_FELT] += s->felt * s->dt_s;
+    n[W_PUSH] += s->push * s->dt_s;
+    n[W_DRAG] += s->drag * s->dt_s;
+    n[W_BRAKE] += s->brake_n * s->dt_s;
+    n[W_PRESSURE] += s->pressure_pa * s->dt_s;
+    n[W_SPEED] += s->speed * s->dt_s;
+    return n[W_TIME] > WINDOW_S - 1e-6;
+}
+
+static void learn(Observer *o, const Step *s)
+{
+    double *n = o->n;
+    const int kind = (int)n[W_KIND];
+    const double t = n[W_TIME];
+    const double rate = (s->end_speed - n[W_FIRST_SPEED]) / t;
+    if (kind == W_DRIVEN)
+        learn_motion(o, n[W_FELT] / t, n[W_PUSH] / t, n[W_DRAG] / t, rate);
+    else
+        learn_friction(o, n[W_FELT] / t, n[W_PUSH] / t, n[W_DRAG] / t, rate,
+                       n[W_SPEED] / t, n[W_BRAKE] / t, n[W_PRESSURE] / t);
+    n[W_KIND] = (double)W_NONE;
+}
+
+static int kind_of(const double *n, const Step *s)
+{
+    if (n[O_CALM] < CALM_S) return W_NONE;
+    if (n[O_RELEASED] >= RELEASED_S) return W_DRIVEN;
+    if (n[O_PRESSED] >= PRESSED_S && s->brake_n > LEAST_BRAKE) return W_BRAKED;
+    return W_NONE;
+}
+
+/* How long nothing has disturbed, and the brake is on or off. */
+static void keep_times(double *n, const Step *s)
+{
+    const int shifted =
+        s->gear != n[O_LAST_GEAR] || s->clutch != n[O_LAST_CLUTCH];
+    n[O_LAST_GEAR] = s->gear;
+    n[O_LAST_CLUTCH] = s->clutch;
+    const int calm = s->steady && s->forward && !shifted
+        && s->speed > LEAST_SPEED && s->lateral < MOST_LATERAL
+        && !strange_gain(n);
+    n[O_CALM] = calm ? n[O_CALM] + s->dt_s : 0.0;
+    n[O_RELEASED] = s->pressure_known && !s->pressed
+        ? n[O_RELEASED] + s->dt_s : 0.0;
+    n[O_PRESSED] = s->pressed ? n[O_PRESSED] + s->dt_s : 0.0;
+}
+
+/* People and luggage get in and out while the car stands. */
+static void keep_load(double *n, const Step *s)
+{
+    if (s->speed > STANDING_MS) {
+        if (n[O_STOOD] > STOOD_S) {
+            double *own = n + O_MOTION_COV;
+            *own += LOAD_SD * LOAD_SD;
+            if (*own > MOTION_SD[0] * MOTION_SD[0])
+                *own = MOTION_SD[0] * MOTION_SD[0];
+        }
+        n[O_STOOD] = 0.0;
+    } else n[O_STOOD] += s->dt_s;
+}
+
+static void compare_radius(double *n, const Step *s)
+{
+    if (isnan(s->gnss_speed) || s->gnss_speed < REFERENCE_SPEED || !s->steady)
+        return;
+    const double share = 1.0 - exp(-s->dt_s / RADIUS_S);
+    n[O_RADIUS_RATIO] +=
+        share * (s->speed / s->gnss_speed - n[O_RADIUS_RATIO]);
+}
+
+/* Hard braking again and again, and no pressure ever. */
+static void watch_pressure(Observer *o, const Step *s)
+{
+    double *n = o->n, spread;
+    if (s->pressed) {
+        n[O_UNPRESSED] = 0.0;
+        return;
+    }
+    const double braking = bstm_braking(o, n[O_FELT], s->push, s->drag,
+                                        n[O_RATE], &spread);
+    if (s->pressure_known && s->steady && s->speed > LEAST_SPEED
+        && -n[O_RATE] > DEAD_MS2 && braking - 2.5 * spread > DEAD_MS2)
+        n[O_UNPRESSED] += s->dt_s;
+}
+
+int bstm_observe(Observer *o, const Step *s)
+{
+    double *n = o->n;
+    int found = 0;
+    if (n[O_STARTED] == 0.0) bstm_observer_new(o);
+    keep_load(n, s);
+    let_friction_pass(n, s->dt_s);
+    if (isnan(s->felt) || isnan(s->push)) {
+        n[O_LAST_SPEED] = UNKNOWN;
+        n[O_CALM] = 0.0;
+        gather(n, s, W_NONE, 0.0);
+    } else {
+        const double first_speed =
+            n[O_LAST_SPEED] < 0.0 ? s->end_speed : n[O_LAST_SPEED];
+        follow(o, s);
+        keep_times(n, s);
+        compare_radius(n, s);
+        watch_pressure(o, s);
+        learn_gain(o, s, n[O_CALM] >= CALM_S && n[O_EXTERNAL_HELD] <= 0.0);
+        if (gather(n, s, kind_of(n, s), first_speed)) learn(o, s);
+        follow_grade(o, s);
+        keep_copies(n, s->dt_s);
+    }
+    if (!sound(n)) {
+        n[O_RESETS] += 1.0;
+        bstm_observer_new(o);
+        found |= OBSERVER_RESET;
+    }
+    if (n[O_EXTERNAL_HELD] > 0.0) found |= EXTERNAL_SUSPECTED;
+    if (strange_gain(n)) found |= GAIN_SUSPECT;
+    if (fabs(n[O_RADIUS_RATIO] - 1.0) > RADIUS_LIMIT) found |= RADIUS_SUSPECT;
+    if (n[O_UNPRESSED] > DEAD_S) found |= PRESSURE_DEAD;
+    return found;
+}
