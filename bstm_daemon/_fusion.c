@@ -9,12 +9,14 @@
 #define SILENT_SPREADS 3.0
 #define SLIP_FORWARD 0.08
 #define SLIPPING 0.06
-#define MODEL_SHARE 0.03
+#define MODEL_SHARE 0.02
+#define ASSUMED_DOUBT 0.2
 #define ABS_SHARE 0.12
 #define ASSIST_SHARE 0.15
 #define SINGLE_SHARE 0.6
 #define ABS_LOW 0.2
 #define ABS_HIGH 1.5
+#define STAND_TURNS 3.0
 #define GRADE_NOISE 0.02
 
 enum {
@@ -52,6 +54,20 @@ static int rolls(const Pass *p)
             return 0;
     }
     return 1;
+}
+
+/* Whether some wheels turn while others stand and nothing brakes them. */
+static int on_stand(const Pass *p)
+{
+    double high = 0.0, low = STAND_TURNS;
+    for (int c = 0; c < p->corners; c++) {
+        const int role = p->corner[c * PER_CORNER_INTS + C_WHEEL];
+        if (!bstm_valid(p, role)) continue;
+        const double own = fabs(p->value[role]);
+        if (own > high) high = own;
+        if (own < low) low = own;
+    }
+    return high > STAND_TURNS && low < STANDING_MS;
 }
 
 /* A corner that no pressure of its own speaks for, though others have one. */
@@ -97,6 +113,8 @@ static void describe(const Pass *p, const Readings *now, int64_t flags,
             s->wheel_pressures = 0;
     }
     if (some) s->pressed = 1;
+    s->torque_known = bstm_valid(p, p->role[R_TORQUE]);
+    s->on_stand = !s->pressed && on_stand(p);
     const int acts = bstm_vehicle(p, R_ABS, 0.0) > 0.0
         || now->esc_active > 0.0 || bstm_vehicle(p, R_TC, 0.0) > 0.0;
     s->steady = !acts && rolls(p) && (flags & FLAG_SUSPECTS) == 0
@@ -133,7 +151,7 @@ static double unpressed(Pass *p, const Step *s, double excess, double slow,
                         double doubt)
 {
     double *n = p->observer.n;
-    const double mass_kg = p->f[F_MASS] / n[O_MOTION + X_MASS];
+    const double mass_kg = p->f[F_MASS] / n[O_STATE + X_MASS];
     double least = p->f[F_ON_FORCE] / mass_kg;
     if (least < SILENT_SPREADS * doubt) least = SILENT_SPREADS * doubt;
     const double held = n[O_SILENT] >= SILENT_BEFORE_S ? 0.5 * least : least;
@@ -151,10 +169,10 @@ static double unpressed(Pass *p, const Step *s, double excess, double slow,
 
 static void tell(const Observer *o, const Step *s, double *learned)
 {
-    const double *n = o->n, *cov = n + O_MOTION_COV;
-    const double ratio = n[O_MOTION + X_MASS], sine = n[O_SINE];
+    const double *n = o->n, *cov = n + O_COV;
+    const double ratio = n[O_STATE + X_MASS], sine = n[O_SINE];
     const double mass_kg = o->mass_kg / ratio;
-    const double drag = n[O_MOTION + X_DRAG] / ratio;
+    const double drag = n[O_STATE + X_DRAG] / ratio;
     double variance;
     const double level = bstm_friction(o, 10.0, 1e6, &variance);
     const double bias_var = cov[X_BIAS * STATES + X_BIAS] + n[O_ROLLING_VAR];
@@ -163,7 +181,7 @@ static void tell(const Observer *o, const Step *s, double *learned)
     learned[1] = sqrt(bias_var + GRADE_NOISE * GRADE_NOISE) / GRAVITY + known;
     learned[2] = mass_kg;
     learned[3] = mass_kg * (sqrt(cov[0]) / ratio);
-    learned[4] = n[O_MOTION + X_BIAS] + o->rolling + n[O_ROLLING];
+    learned[4] = n[O_STATE + X_BIAS] + o->rolling + n[O_ROLLING];
     learned[5] = sqrt(bias_var);
     learned[6] = exp(level);
     learned[7] = exp(level) * sqrt(variance + cov[0] / (ratio * ratio));
@@ -181,15 +199,17 @@ int64_t bstm_fusion_close(Pass *p, const Readings *now, int64_t flags,
     int64_t found = (int64_t)bstm_observe(o, &s) << 40;
     tell(o, &s, learned);
     double variance, doubt = 0.0, extra = 0.0;
-    const double ratio = n[O_MOTION + X_MASS];
+    const double ratio = n[O_STATE + X_MASS];
     double scale = exp(bstm_friction(o, s.speed, s.pressure_pa, &variance));
-    variance += n[O_MOTION_COV] / (ratio * ratio) + MODEL_SHARE * MODEL_SHARE;
+    variance += n[O_COV] / (ratio * ratio) + MODEL_SHARE * MODEL_SHARE;
     const int feels = !isnan(s.felt) && (found & FLAG_EXTERNAL) == 0
         && s.forward;
     if (feels) {
         const double given = s.brake_n / o->mass_kg * ratio * scale;
         const double braking =
             bstm_braking(o, s.felt, s.push, s.drag, n[O_RATE], &doubt);
+        if (!s.torque_known)
+            doubt = sqrt(doubt * doubt + ASSUMED_DOUBT * ASSUMED_DOUBT);
         const double share = 1.0 - exp(-s.dt_s / BRAKING_S);
         n[O_SLOW_BRAKING] += share * (braking - n[O_SLOW_BRAKING]);
         n[O_SLOW_BRAKE] += share * (given - n[O_SLOW_BRAKE]);

@@ -9,7 +9,8 @@
 #define FELT_NOISE 0.05
 #define TORQUE_NOISE 0.03
 #define DRAG_TORQUE_NOISE 0.15
-#define COMMON 20.0
+#define COMMON 8.0
+#define ASSUMED_DOUBT 0.2
 #define OUTLIER 4.0
 #define WINDOW_S 0.5
 #define RATE_S 0.5
@@ -21,14 +22,17 @@
 #define CALM_S 1.0
 #define RELEASED_S 0.7
 #define PRESSED_S 0.4
-#define LEAST_BRAKE 400.0
+#define LEAST_BRAKE 150.0
+#define FORM_NOISE 0.05
 #define DRIFT_S 60.0
-#define DRIFT_VAR (0.06 * 0.06)
+#define DRIFT_VAR (0.04 * 0.04)
 #define COPY_S 60.0
 #define EXTERNAL_S 2.0
 #define EXTERNAL_HOLD_S 30.0
 #define EXTERNAL_SHARE 0.4
 #define PUSHED_MS2 0.35
+#define IDLE_PUSH 0.15
+#define IDLE_OUTLIER 2.5
 #define GRADE_S 2.0
 #define HEIGHT_PATH_M 300.0
 #define HEIGHT_NOISE_M 2.0
@@ -48,14 +52,13 @@
 
 enum { W_NONE, W_DRIVEN, W_BRAKED };
 
-static const double MOTION_SD[STATES] = {0.2, 0.2, 0.3, 0.02};
-static const double MOTION_WALK[STATES] = {1e-4, 3e-4, 2e-3, 1e-5};
-static const double MOTION_LOW[STATES] = {0.5, -0.8, 0.2, -0.15};
-static const double MOTION_HIGH[STATES] = {2.0, 0.6, 3.0, 0.25};
-static const double FRICTION_SD[STATES] = {0.25, 0.08, 0.08, 0.06};
-static const double FRICTION_WALK[STATES] = {5e-4, 1e-4, 1e-4, 0.0};
-static const double FRICTION_LOW[STATES] = {-1.1, -0.4, -0.4, -0.4};
-static const double FRICTION_HIGH[STATES] = {0.7, 0.4, 0.4, 0.4};
+static const double SD[STATES] = {0.2, 0.15, 0.3, 0.02, 0.25, 0.08, 0.08,
+                                  0.04};
+static const double WALK[STATES] = {1e-4, 3e-4, 2e-3, 1e-5, 5e-4, 1e-4, 1e-4,
+                                    0.0};
+static const double LOW[STATES] = {0.5, -0.9, 0.2, -0.15, -1.1, -0.4, -0.4,
+                                   -0.4};
+static const double HIGH[STATES] = {2.0, 0.6, 3.0, 0.25, 0.7, 0.4, 0.4, 0.4};
 #define ROLLING_SD 0.03
 #define LOAD_SD 0.03
 
@@ -71,14 +74,12 @@ void bstm_observer_new(Observer *o)
     const double resets = n[O_RESETS];
     for (int i = 0; i < OBSERVER_NUMBERS; i++) n[i] = 0.0;
     n[O_RESETS] = resets;
-    n[O_MOTION + X_MASS] = 1.0;
-    n[O_MOTION + X_BIAS] = -o->rolling;
-    n[O_MOTION + X_DRAG] = 1.0;
-    n[O_MOTION + X_GAIN] = 0.02;
-    for (int i = 0; i < STATES; i++) {
-        n[O_MOTION_COV + i * STATES + i] = MOTION_SD[i] * MOTION_SD[i];
-        n[O_FRICTION_COV + i * STATES + i] = FRICTION_SD[i] * FRICTION_SD[i];
-    }
+    n[O_STATE + X_MASS] = 1.0;
+    n[O_STATE + X_BIAS] = -o->rolling;
+    n[O_STATE + X_DRAG] = 1.0;
+    n[O_STATE + X_GAIN] = 0.02;
+    for (int i = 0; i < STATES; i++)
+        n[O_COV + i * STATES + i] = SD[i] * SD[i];
     n[O_ROLLING_VAR] = ROLLING_SD * ROLLING_SD;
     n[O_RADIUS_RATIO] = 1.0;
     n[O_LAST_SPEED] = UNKNOWN;
@@ -105,31 +106,36 @@ static double product(const double *x, const double *h)
     return total;
 }
 
-/* One Kalman update; the state is kept between low and high. */
-static void update(double *x, double *cov, const double *h, double apart,
-                   double noise, const double *low, const double *high)
+/* One Kalman update of the states from *first* on, kept between LOW and
+ * HIGH; those before are considered, not changed (Schmidt). */
+static void update(double *n, int first, const double *h, double apart,
+                   double noise)
 {
-    double across[STATES];
+    double across[STATES], gain[STATES], *cov = n + O_COV;
+    double spread = noise;
     for (int i = 0; i < STATES; i++) {
         across[i] = 0.0;
         for (int j = 0; j < STATES; j++)
             across[i] += cov[i * STATES + j] * h[j];
     }
-    double spread = noise;
     for (int i = 0; i < STATES; i++) spread += h[i] * across[i];
     for (int i = 0; i < STATES; i++) {
-        x[i] = clipped(x[i] + across[i] / spread * apart, low[i], high[i]);
-        for (int j = 0; j < STATES; j++)
-            cov[i * STATES + j] -= across[i] * across[j] / spread;
+        gain[i] = i < first ? 0.0 : across[i] / spread;
+        const double x = n[O_STATE + i] + gain[i] * apart;
+        n[O_STATE + i] = clipped(x, LOW[i], HIGH[i]);
     }
+    for (int i = 0; i < STATES; i++)
+        for (int j = 0; j < STATES; j++)
+            cov[i * STATES + j] -= gain[i] * across[j] + across[i] * gain[j]
+                - gain[i] * spread * gain[j];
 }
 
-static void walk(double *cov, const double *rate, const double *sd, double t)
+/* Let the variances of states grow, not beyond what they began with. */
+static void walk(double *n, int first, int last, double seconds)
 {
-    for (int i = 0; i < STATES; i++) {
-        double *own = cov + i * STATES + i;
-        const double most = sd[i] * sd[i];
-        if (*own < most) *own += rate[i] * rate[i] * t;
+    for (int i = first; i < last; i++) {
+        double *own = n + O_COV + i * STATES + i;
+        if (*own < SD[i] * SD[i]) *own += WALK[i] * WALK[i] * seconds;
     }
 }
 
@@ -137,6 +143,7 @@ static void forms(double speed, double pressure_pa, double *h)
 {
     const double v = speed > 1.0 ? speed : 1.0;
     const double p = pressure_pa > 5e4 ? pressure_pa : 5e4;
+    for (int i = 0; i < MOTION; i++) h[i] = 0.0;
     h[X_LEVEL] = 1.0;
     h[X_SPEED] = clipped(log(v / REFERENCE_SPEED), -FORM_LIMIT, FORM_LIMIT);
     h[X_PRESSURE] = clipped(log(p / REFERENCE_PRESSURE), -FORM_LIMIT,
@@ -149,16 +156,16 @@ double bstm_friction(const Observer *o, double speed, double pressure_pa,
 {
     double h[STATES];
     forms(speed, pressure_pa, h);
-    *variance = quadratic(o->n + O_FRICTION_COV, h);
-    return product(o->n + O_FRICTION, h);
+    *variance = quadratic(o->n + O_COV, h);
+    return product(o->n + O_STATE, h);
 }
 
 double bstm_braking(const Observer *o, double felt, double push, double drag,
                     double rate, double *spread)
 {
     const double h[STATES] = {push - o->rotating * rate, 1.0, -drag, rate};
-    *spread = sqrt(quadratic(o->n + O_MOTION_COV, h));
-    return product(o->n + O_MOTION, h) - felt;
+    *spread = sqrt(quadratic(o->n + O_COV, h));
+    return product(o->n + O_STATE, h) - felt;
 }
 
 /* Whether everything learned is a number with a variance. */
@@ -168,9 +175,7 @@ static int sound(const double *n)
     for (int i = 0; i < LEARNED; i++) total += n[i];
     if (!isfinite(total)) return 0;
     for (int i = 0; i < STATES; i++)
-        if (!(n[O_MOTION_COV + i * STATES + i] > 0.0)
-            || !(n[O_FRICTION_COV + i * STATES + i] > 0.0))
-            return 0;
+        if (!(n[O_COV + i * STATES + i] > 0.0)) return 0;
     return n[O_ROLLING_VAR] > 0.0;
 }
 
@@ -214,58 +219,63 @@ static void learn_motion(Observer *o, double felt, double push, double drag,
     double *n = o->n;
     const double h[STATES] = {push - o->rotating * rate, 1.0, -drag, rate};
     const double relative = push < 0.0 ? DRAG_TORQUE_NOISE : TORQUE_NOISE;
-    const double torque = relative * n[O_MOTION + X_MASS] * push;
+    const double torque = relative * n[O_STATE + X_MASS] * push;
     const double noise = COMMON * (FELT_NOISE * FELT_NOISE + torque * torque);
-    const double apart = felt - product(n + O_MOTION, h);
-    const double spread = quadratic(n + O_MOTION_COV, h)
+    const double apart = felt - product(n + O_STATE, h);
+    const double spread = quadratic(n + O_COV, h)
         + FELT_NOISE * FELT_NOISE + torque * torque;
-    const double limit = OUTLIER * sqrt(spread);
-    if (fabs(apart) > limit) {
-        if (apart > PUSHED_MS2) suspect_external(n, WINDOW_S);
-        return;
-    }
+    /* without torque only a slope's pull, which is not felt, gains speed */
+    const int pushed = apart > (push < IDLE_PUSH ? IDLE_OUTLIER : OUTLIER)
+        * sqrt(spread) && apart > PUSHED_MS2;
+    if (pushed) suspect_external(n, WINDOW_S);
+    if (pushed || fabs(apart) > OUTLIER * sqrt(spread)) return;
     trust(n, WINDOW_S);
     if (n[O_EXTERNAL_HELD] > 0.0) return;
-    walk(n + O_MOTION_COV, MOTION_WALK, MOTION_SD, WINDOW_S);
-    update(n + O_MOTION, n + O_MOTION_COV, h, apart, noise, MOTION_LOW,
-           MOTION_HIGH);
+    walk(n, 0, MOTION, WINDOW_S);
+    update(n, 0, h, apart, noise);
 }
 
 static void learn_friction(Observer *o, double felt, double push, double drag,
                            double rate, double speed, double brake_n,
-                           double pressure_pa)
+                           double pressure_pa, int torque_known)
 {
     double *n = o->n;
     double uncertain, h[STATES];
     const double braking = bstm_braking(o, felt, push, drag, rate, &uncertain);
-    const double given = brake_n / o->mass_kg * n[O_MOTION + X_MASS];
+    const double given = brake_n / o->mass_kg * n[O_STATE + X_MASS];
     forms(speed, pressure_pa, h);
-    const double level = product(n + O_FRICTION, h);
-    const double expected = given * exp(level);
-    const double doubt = sqrt(FELT_NOISE * FELT_NOISE + uncertain * uncertain);
-    if (braking + 2.5 * doubt < EXTERNAL_SHARE * expected) {
+    const double level = product(n + O_STATE, h);
+    const double assumed = torque_known ? 0.0 : ASSUMED_DOUBT;
+    const double doubt = sqrt(FELT_NOISE * FELT_NOISE + uncertain * uncertain
+                              + assumed * assumed);
+    if (braking + 2.5 * doubt < EXTERNAL_SHARE * (given * exp(level))) {
         suspect_external(n, WINDOW_S);
         return;
     }
     trust(n, WINDOW_S);
     if (n[O_EXTERNAL_HELD] > 0.0 || braking < 0.3 * given) return;
-    const double white = FELT_NOISE / braking, common = uncertain / braking;
-    const double noise = 4.0 * white * white + COMMON * common * common;
+    const double white = FELT_NOISE / braking, blind = assumed / braking;
+    /* an error of the motion's states is one of the friction for good */
+    h[X_MASS] = -(push - o->rotating * rate) / braking;
+    h[X_BIAS] = -1.0 / braking;
+    h[X_DRAG] = drag / braking;
+    h[X_GAIN] = -rate / braking;
+    const double noise = 4.0 * (white * white) + COMMON * (blind * blind)
+        + FORM_NOISE * FORM_NOISE;
     const double apart = log(braking / given) - level;
-    const double spread = quadratic(n + O_FRICTION_COV, h) + white * white
-        + common * common;
+    const double spread = quadratic(n + O_COV, h) + white * white
+        + blind * blind + FORM_NOISE * FORM_NOISE;
     if (fabs(apart) > OUTLIER * sqrt(spread)) return;
-    update(n + O_FRICTION, n + O_FRICTION_COV, h, apart, noise, FRICTION_LOW,
-           FRICTION_HIGH);
+    update(n, MOTION, h, apart, noise);
 }
 
 /* The friction's passing part fades; all else walks slowly. */
 static void let_friction_pass(double *n, double dt_s)
 {
     const double keep = exp(-dt_s / DRIFT_S);
-    double *cov = n + O_FRICTION_COV;
-    walk(cov, FRICTION_WALK, FRICTION_SD, dt_s);
-    n[O_FRICTION + X_DRIFT] *= keep;
+    double *cov = n + O_COV;
+    walk(n, MOTION, STATES, dt_s);
+    n[O_STATE + X_DRIFT] *= keep;
     for (int i = 0; i < STATES; i++) {
         cov[i * STATES + X_DRIFT] *= keep;
         cov[X_DRIFT * STATES + i] *= keep;
@@ -309,10 +319,9 @@ static void learn_gain(Observer *o, const Step *s, int learns)
     if (unfelt(n)) suspect_external(n, WINDOW_S);
     if (!learns || strange_gain(n)) return;
     const double h[STATES] = {0.0, 0.0, 0.0, rate};
-    const double apart = more - n[O_MOTION + X_GAIN] * rate;
+    const double apart = more - n[O_STATE + X_GAIN] * rate;
     if (fabs(apart) > 3.0 * GAIN_NOISE) return;
-    update(n + O_MOTION, n + O_MOTION_COV, h, apart,
-           COMMON * GAIN_NOISE * GAIN_NOISE, MOTION_LOW, MOTION_HIGH);
+    update(n, 0, h, apart, COMMON * GAIN_NOISE * GAIN_NOISE);
 }
 
 static void follow(Observer *o, const Step *s)
@@ -336,8 +345,8 @@ static void follow(Observer *o, const Step *s)
 static void follow_grade(Observer *o, const Step *s)
 {
     double *n = o->n;
-    const double bias = n[O_MOTION + X_BIAS] + o->rolling + n[O_ROLLING];
-    const double gain = 1.0 + n[O_MOTION + X_GAIN];
+    const double bias = n[O_STATE + X_BIAS] + o->rolling + n[O_ROLLING];
+    const double gain = 1.0 + n[O_STATE + X_GAIN];
     const double upward = n[O_FELT] - gain * n[O_RATE] - bias;
     const double sine = clipped(upward / GRAVITY, -0.5, 0.5);
     n[O_SINE] += (1.0 - exp(-s->dt_s / GRADE_S)) * (sine - n[O_SINE]);
@@ -393,14 +402,16 @@ static void learn(Observer *o, const Step *s)
         learn_motion(o, n[W_FELT] / t, n[W_PUSH] / t, n[W_DRAG] / t, rate);
     else
         learn_friction(o, n[W_FELT] / t, n[W_PUSH] / t, n[W_DRAG] / t, rate,
-                       n[W_SPEED] / t, n[W_BRAKE] / t, n[W_PRESSURE] / t);
+                       n[W_SPEED] / t, n[W_BRAKE] / t, n[W_PRESSURE] / t,
+                       s->torque_known);
     n[W_KIND] = (double)W_NONE;
 }
 
 static int kind_of(const double *n, const Step *s)
 {
     if (n[O_CALM] < CALM_S) return W_NONE;
-    if (n[O_RELEASED] >= RELEASED_S) return W_DRIVEN;
+    if (n[O_RELEASED] >= RELEASED_S)
+        return s->torque_known ? W_DRIVEN : W_NONE;
     if (n[O_PRESSED] >= PRESSED_S && s->brake_n > LEAST_BRAKE) return W_BRAKED;
     return W_NONE;
 }
@@ -426,10 +437,9 @@ static void keep_load(double *n, const Step *s)
 {
     if (s->speed > STANDING_MS) {
         if (n[O_STOOD] > STOOD_S) {
-            double *own = n + O_MOTION_COV;
+            double *own = n + O_COV;
             *own += LOAD_SD * LOAD_SD;
-            if (*own > MOTION_SD[0] * MOTION_SD[0])
-                *own = MOTION_SD[0] * MOTION_SD[0];
+            if (*own > SD[0] * SD[0]) *own = SD[0] * SD[0];
         }
         n[O_STOOD] = 0.0;
     } else n[O_STOOD] += s->dt_s;
@@ -454,7 +464,8 @@ static void watch_pressure(Observer *o, const Step *s)
     }
     const double braking = bstm_braking(o, n[O_FELT], s->push, s->drag,
                                         n[O_RATE], &spread);
-    if (s->pressure_known && s->steady && s->speed > LEAST_SPEED
+    if (s->torque_known && s->pressure_known && s->steady
+        && s->speed > LEAST_SPEED
         && -n[O_RATE] > DEAD_MS2 && braking - 2.5 * spread > DEAD_MS2)
         n[O_UNPRESSED] += s->dt_s;
 }
@@ -475,6 +486,7 @@ int bstm_observe(Observer *o, const Step *s)
             n[O_LAST_SPEED] < 0.0 ? s->end_speed : n[O_LAST_SPEED];
         follow(o, s);
         keep_times(n, s);
+        if (s->on_stand) suspect_external(n, s->dt_s);
         compare_radius(n, s);
         watch_pressure(o, s);
         learn_gain(o, s, n[O_CALM] >= CALM_S && n[O_EXTERNAL_HELD] <= 0.0);

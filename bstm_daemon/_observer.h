@@ -9,17 +9,17 @@
 
 #define GRAVITY 9.80665
 
-enum { STATES = 4, MATRIX = STATES * STATES };
-enum { X_MASS, X_BIAS, X_DRAG, X_GAIN };          /* of the motion */
-enum { X_LEVEL, X_SPEED, X_PRESSURE, X_DRIFT };   /* of the friction */
+/* States of the motion, then those of the friction. */
+enum {
+    X_MASS, X_BIAS, X_DRAG, X_GAIN, X_LEVEL, X_SPEED, X_PRESSURE, X_DRIFT,
+    STATES, MOTION = X_LEVEL
+};
 
 /* The memory, in the order of heat/observer_layout.py. */
 enum {
-    O_MOTION,
-    O_MOTION_COV = O_MOTION + STATES,
-    O_FRICTION = O_MOTION_COV + MATRIX,
-    O_FRICTION_COV = O_FRICTION + STATES,
-    O_ROLLING = O_FRICTION_COV + MATRIX,
+    O_STATE,
+    O_COV = O_STATE + STATES,
+    O_ROLLING = O_COV + STATES * STATES,
     O_ROLLING_VAR,
     LEARNED,
     O_RECENT = LEARNED,            /* copies of what is learned */
@@ -46,6 +46,8 @@ typedef struct {
     double brake_n, pressure_pa, lateral, gear, clutch, height, gnss_speed;
     int steady;         /* no intervention, no slip, nothing suspect */
     int forward, pressed, pressure_known, wheel_pressures;
+    int torque_known;   /* measured, not assumed */
+    int on_stand;       /* some wheels turn, others stand */
 } Step;
 
 typedef struct {
@@ -67,7 +69,7 @@ int bstm_observe(Observer *o, const Step *s);
 double bstm_braking(const Observer *o, double felt, double push, double drag,
                     double rate, double *spread);
 
-/* ln of the friction scale and, in *variance, its variance. */
+/* ln of the friction scale and, in *variance, that of it over the mass. */
 double bstm_friction(const Observer *o, double speed, double pressure_pa,
                      double *variance);
 

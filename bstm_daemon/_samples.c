@@ -7,6 +7,7 @@
 #include <math.h>
 
 #define TAIL 4.0 /* filter times that Feed-Back runs on after release */
+#define LIGHT_PRESSURE 2e4
 #define LATE_US INT64_C(1000000)
 #define AHEAD_US INT64_C(3600000000)
 #define SETTLED_US (12 * INT64_C(3600000000))
@@ -82,6 +83,11 @@ static void refresh(Pass *p)
         const double pressure = pressure_of(p, corner);
         p->target[c] = pressure > 0.0 ? pressure : 0.0;
     }
+    /* the foot is on the pedal: fusion counts the lightest pressure */
+    p->on_pressure = p->f[F_ON_PRESSURE];
+    if (p->ints[I_MODE] == MODE_FUSED && p->on_pressure > LIGHT_PRESSURE
+        && bstm_vehicle(p, R_SWITCH, 0.0) > 0.0)
+        p->on_pressure = LIGHT_PRESSURE;
     p->stale = 0;
 }
 
@@ -156,7 +162,7 @@ static void integrate(Pass *p, int64_t time_us)
             p->lagged[c] = target;
         }
         const double pushing = pressure - k[T_PUSHOUT];
-        const int pressed = pressure > p->f[F_ON_PRESSURE];
+        const int pressed = pressure > p->on_pressure;
         if (pressed && pushing > 0.0) {
             const double power =
                 k[T_PER_PA] * pushing * (p->wheel[c] / p->f[F_RADIUS]);
@@ -172,7 +178,7 @@ static void integrate(Pass *p, int64_t time_us)
     const double gained = filter_speed(p, h, v, &middle);
     const double impulse = outer_impulse(p, h, v, &inertia_kg);
     const double force_s = impulse - inertia_kg * gained;
-    const int pressed = pressure_known(p) ? highest > p->f[F_ON_PRESSURE]
+    const int pressed = pressure_known(p) ? highest > p->on_pressure
                                           : force_s > p->f[F_ON_FORCE] * h;
     if (pressed)
         p->n[N_TAIL] = inertia_kg > p->f[F_ROTATING] ? TAIL * p->f[F_FILTER]

@@ -50,7 +50,7 @@ typedef struct {
     int64_t *row_times;
     ptrdiff_t room, steps;
     int stale, speed_known;
-    double speed, heading, wheel[MAX_CORNERS], target[MAX_CORNERS];
+    double on_pressure, speed, heading, wheel[MAX_CORNERS], target[MAX_CORNERS];
     Checks checks;
     Observer observer;
 } Pass;

@@ -109,6 +109,7 @@ static const char *bind(Pass *p, Py_buffer *view)
     p->steps = 0;
     p->stale = 1;
     p->speed_known = 0;
+    p->on_pressure = p->f[F_ON_PRESSURE];
     return NULL;
 }
 

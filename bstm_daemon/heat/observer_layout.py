@@ -11,8 +11,6 @@ from typing import TYPE_CHECKING, Final
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-STATES: Final = 4
-
 MOTION: Final = ("mass_ratio", "bias", "drag_ratio", "gain")
 """Configured mass over the mass; bias of the accelerometer less g f_r
 [m/s2]; drag over that of the configuration, times ``mass_ratio``; what is
@@ -23,10 +21,8 @@ FRICTION: Final = ("level", "speed", "pressure", "drift")
 speed and of pressure; what passes within minutes (temperature, bedding)."""
 
 LEARNED_NAMES: Final = (
-    *MOTION,
-    *(f"motion_{a}_{b}" for a in MOTION for b in MOTION),
-    *FRICTION,
-    *(f"friction_{a}_{b}" for a in FRICTION for b in FRICTION),
+    *(MOTION + FRICTION),
+    *(f"{a}_{b}" for a in MOTION + FRICTION for b in MOTION + FRICTION),
     "rolling",
     "rolling_variance",
 )
