@@ -25,7 +25,7 @@
 #define LEAST_BRAKE 150.0
 #define FORM_NOISE 0.05
 #define DRIFT_S 60.0
-#define DRIFT_VAR (0.04 * 0.04)
+
 #define COPY_S 60.0
 #define EXTERNAL_S 2.0
 #define EXTERNAL_HOLD_S 30.0
@@ -36,9 +36,6 @@
 #define GRADE_S 2.0
 #define HEIGHT_PATH_M 300.0
 #define HEIGHT_NOISE_M 2.0
-#define REFERENCE_SPEED 10.0
-#define REFERENCE_PRESSURE 1e6
-#define FORM_LIMIT 1.5
 #define GAIN_LOW (-0.15)
 #define GAIN_HIGH 0.2
 #define UNFELT (-0.6)
@@ -52,21 +49,8 @@
 
 enum { W_NONE, W_DRIVEN, W_BRAKED };
 
-static const double SD[STATES] = {0.2, 0.15, 0.3, 0.02, 0.25, 0.08, 0.08,
-                                  0.04};
-static const double WALK[STATES] = {1e-4, 3e-4, 2e-3, 1e-5, 5e-4, 1e-4, 1e-4,
-                                    0.0};
-static const double LOW[STATES] = {0.5, -0.9, 0.2, -0.15, -1.1, -0.4, -0.4,
-                                   -0.4};
-static const double HIGH[STATES] = {2.0, 0.6, 3.0, 0.25, 0.7, 0.4, 0.4, 0.4};
 #define ROLLING_SD 0.03
 #define LOAD_SD 0.03
-
-static double clipped(double value, double low, double high)
-{
-    if (value < low) return low;
-    return value > high ? high : value;
-}
 
 void bstm_observer_new(Observer *o)
 {
@@ -79,104 +63,13 @@ void bstm_observer_new(Observer *o)
     n[O_STATE + X_DRAG] = 1.0;
     n[O_STATE + X_GAIN] = 0.02;
     for (int i = 0; i < STATES; i++)
-        n[O_COV + i * STATES + i] = SD[i] * SD[i];
+        n[O_COV + i * STATES + i] = BSTM_SD[i] * BSTM_SD[i];
     n[O_ROLLING_VAR] = ROLLING_SD * ROLLING_SD;
     n[O_RADIUS_RATIO] = 1.0;
     n[O_LAST_SPEED] = UNKNOWN;
     memcpy(n + O_RECENT, n, LEARNED * sizeof *n);
     memcpy(n + O_EARLIER, n, LEARNED * sizeof *n);
     n[O_STARTED] = 1.0;
-}
-
-static double quadratic(const double *cov, const double *h)
-{
-    double total = 0.0;
-    for (int i = 0; i < STATES; i++) {
-        double row = 0.0;
-        for (int j = 0; j < STATES; j++) row += cov[i * STATES + j] * h[j];
-        total += h[i] * row;
-    }
-    return total;
-}
-
-static double product(const double *x, const double *h)
-{
-    double total = 0.0;
-    for (int i = 0; i < STATES; i++) total += h[i] * x[i];
-    return total;
-}
-
-/* One Kalman update of the states from *first* on, kept between LOW and
- * HIGH; those before are considered, not changed (Schmidt). */
-static void update(double *n, int first, const double *h, double apart,
-                   double noise)
-{
-    double across[STATES], gain[STATES], *cov = n + O_COV;
-    double spread = noise;
-    for (int i = 0; i < STATES; i++) {
-        across[i] = 0.0;
-        for (int j = 0; j < STATES; j++)
-            across[i] += cov[i * STATES + j] * h[j];
-    }
-    for (int i = 0; i < STATES; i++) spread += h[i] * across[i];
-    for (int i = 0; i < STATES; i++) {
-        gain[i] = i < first ? 0.0 : across[i] / spread;
-        const double x = n[O_STATE + i] + gain[i] * apart;
-        n[O_STATE + i] = clipped(x, LOW[i], HIGH[i]);
-    }
-    for (int i = 0; i < STATES; i++)
-        for (int j = 0; j < STATES; j++)
-            cov[i * STATES + j] -= gain[i] * across[j] + across[i] * gain[j]
-                - gain[i] * spread * gain[j];
-}
-
-/* Let the variances of states grow, not beyond what they began with. */
-static void walk(double *n, int first, int last, double seconds)
-{
-    for (int i = first; i < last; i++) {
-        double *own = n + O_COV + i * STATES + i;
-        if (*own < SD[i] * SD[i]) *own += WALK[i] * WALK[i] * seconds;
-    }
-}
-
-static void forms(double speed, double pressure_pa, double *h)
-{
-    const double v = speed > 1.0 ? speed : 1.0;
-    const double p = pressure_pa > 5e4 ? pressure_pa : 5e4;
-    for (int i = 0; i < MOTION; i++) h[i] = 0.0;
-    h[X_LEVEL] = 1.0;
-    h[X_SPEED] = clipped(log(v / REFERENCE_SPEED), -FORM_LIMIT, FORM_LIMIT);
-    h[X_PRESSURE] = clipped(log(p / REFERENCE_PRESSURE), -FORM_LIMIT,
-                            FORM_LIMIT);
-    h[X_DRIFT] = 1.0;
-}
-
-double bstm_friction(const Observer *o, double speed, double pressure_pa,
-                     double *variance)
-{
-    double h[STATES];
-    forms(speed, pressure_pa, h);
-    *variance = quadratic(o->n + O_COV, h);
-    return product(o->n + O_STATE, h);
-}
-
-double bstm_braking(const Observer *o, double felt, double push, double drag,
-                    double rate, double *spread)
-{
-    const double h[STATES] = {push - o->rotating * rate, 1.0, -drag, rate};
-    *spread = sqrt(quadratic(o->n + O_COV, h));
-    return product(o->n + O_STATE, h) - felt;
-}
-
-/* Whether everything learned is a number with a variance. */
-static int sound(const double *n)
-{
-    double total = 0.0;
-    for (int i = 0; i < LEARNED; i++) total += n[i];
-    if (!isfinite(total)) return 0;
-    for (int i = 0; i < STATES; i++)
-        if (!(n[O_COV + i * STATES + i] > 0.0)) return 0;
-    return n[O_ROLLING_VAR] > 0.0;
 }
 
 static void keep_copies(double *n, double dt_s)
@@ -221,8 +114,8 @@ static void learn_motion(Observer *o, double felt, double push, double drag,
     const double relative = push < 0.0 ? DRAG_TORQUE_NOISE : TORQUE_NOISE;
     const double torque = relative * n[O_STATE + X_MASS] * push;
     const double noise = COMMON * (FELT_NOISE * FELT_NOISE + torque * torque);
-    const double apart = felt - product(n + O_STATE, h);
-    const double spread = quadratic(n + O_COV, h)
+    const double apart = felt - bstm_product(n + O_STATE, h);
+    const double spread = bstm_quadratic(n + O_COV, h)
         + FELT_NOISE * FELT_NOISE + torque * torque;
     /* without torque only a slope's pull, which is not felt, gains speed */
     const int pushed = apart > (push < IDLE_PUSH ? IDLE_OUTLIER : OUTLIER)
@@ -231,8 +124,8 @@ static void learn_motion(Observer *o, double felt, double push, double drag,
     if (pushed || fabs(apart) > OUTLIER * sqrt(spread)) return;
     trust(n, WINDOW_S);
     if (n[O_EXTERNAL_HELD] > 0.0) return;
-    walk(n, 0, MOTION, WINDOW_S);
-    update(n, 0, h, apart, noise);
+    bstm_walk(n, 0, MOTION, WINDOW_S);
+    bstm_update(n, 0, h, apart, noise);
 }
 
 static void learn_friction(Observer *o, double felt, double push, double drag,
@@ -243,8 +136,8 @@ static void learn_friction(Observer *o, double felt, double push, double drag,
     double uncertain, h[STATES];
     const double braking = bstm_braking(o, felt, push, drag, rate, &uncertain);
     const double given = brake_n / o->mass_kg * n[O_STATE + X_MASS];
-    forms(speed, pressure_pa, h);
-    const double level = product(n + O_STATE, h);
+    bstm_forms(speed, pressure_pa, h);
+    const double level = bstm_product(n + O_STATE, h);
     const double assumed = torque_known ? 0.0 : ASSUMED_DOUBT;
     const double doubt = sqrt(FELT_NOISE * FELT_NOISE + uncertain * uncertain
                               + assumed * assumed);
@@ -263,10 +156,10 @@ static void learn_friction(Observer *o, double felt, double push, double drag,
     const double noise = 4.0 * (white * white) + COMMON * (blind * blind)
         + FORM_NOISE * FORM_NOISE;
     const double apart = log(braking / given) - level;
-    const double spread = quadratic(n + O_COV, h) + white * white
+    const double spread = bstm_quadratic(n + O_COV, h) + white * white
         + blind * blind + FORM_NOISE * FORM_NOISE;
     if (fabs(apart) > OUTLIER * sqrt(spread)) return;
-    update(n, MOTION, h, apart, noise);
+    bstm_update(n, MOTION, h, apart, noise);
 }
 
 /* The friction's passing part fades; all else walks slowly. */
@@ -274,13 +167,14 @@ static void let_friction_pass(double *n, double dt_s)
 {
     const double keep = exp(-dt_s / DRIFT_S);
     double *cov = n + O_COV;
-    walk(n, MOTION, STATES, dt_s);
+    bstm_walk(n, MOTION, STATES, dt_s);
     n[O_STATE + X_DRIFT] *= keep;
     for (int i = 0; i < STATES; i++) {
         cov[i * STATES + X_DRIFT] *= keep;
         cov[X_DRIFT * STATES + i] *= keep;
     }
-    cov[X_DRIFT * STATES + X_DRIFT] += (1.0 - keep * keep) * DRIFT_VAR;
+    cov[X_DRIFT * STATES + X_DRIFT] += (1.0 - keep * keep)
+        * (BSTM_SD[X_DRIFT] * BSTM_SD[X_DRIFT]);
 }
 
 /* Whether the accelerometer follows the wheels by another scale. */
@@ -321,7 +215,7 @@ static void learn_gain(Observer *o, const Step *s, int learns)
     const double h[STATES] = {0.0, 0.0, 0.0, rate};
     const double apart = more - n[O_STATE + X_GAIN] * rate;
     if (fabs(apart) > 3.0 * GAIN_NOISE) return;
-    update(n, 0, h, apart, COMMON * GAIN_NOISE * GAIN_NOISE);
+    bstm_update(n, 0, h, apart, COMMON * GAIN_NOISE * GAIN_NOISE);
 }
 
 static void follow(Observer *o, const Step *s)
@@ -348,7 +242,7 @@ static void follow_grade(Observer *o, const Step *s)
     const double bias = n[O_STATE + X_BIAS] + o->rolling + n[O_ROLLING];
     const double gain = 1.0 + n[O_STATE + X_GAIN];
     const double upward = n[O_FELT] - gain * n[O_RATE] - bias;
-    const double sine = clipped(upward / GRAVITY, -0.5, 0.5);
+    const double sine = bstm_clipped(upward / GRAVITY, -0.5, 0.5);
     n[O_SINE] += (1.0 - exp(-s->dt_s / GRADE_S)) * (sine - n[O_SINE]);
     if (isnan(s->height)) {
         n[O_HEIGHT_PATH] = 0.0;
@@ -439,7 +333,7 @@ static void keep_load(double *n, const Step *s)
         if (n[O_STOOD] > STOOD_S) {
             double *own = n + O_COV;
             *own += LOAD_SD * LOAD_SD;
-            if (*own > SD[0] * SD[0]) *own = SD[0] * SD[0];
+            if (*own > BSTM_SD[0] * BSTM_SD[0]) *own = BSTM_SD[0] * BSTM_SD[0];
         }
         n[O_STOOD] = 0.0;
     } else n[O_STOOD] += s->dt_s;
@@ -494,7 +388,7 @@ int bstm_observe(Observer *o, const Step *s)
         follow_grade(o, s);
         keep_copies(n, s->dt_s);
     }
-    if (!sound(n)) {
+    if (!bstm_sound(n)) {
         n[O_RESETS] += 1.0;
         bstm_observer_new(o);
         found |= OBSERVER_RESET;

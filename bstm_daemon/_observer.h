@@ -73,6 +73,19 @@ double bstm_braking(const Observer *o, double felt, double push, double drag,
 double bstm_friction(const Observer *o, double speed, double pressure_pa,
                      double *variance);
 
+/* What is learned and how it changes (_learned.c). */
+#define REFERENCE_SPEED 10.0
+
+extern const double BSTM_SD[STATES];
+double bstm_clipped(double value, double low, double high);
+double bstm_quadratic(const double *cov, const double *h);
+double bstm_product(const double *x, const double *h);
+void bstm_update(double *n, int first, const double *h, double apart,
+                 double noise);
+void bstm_walk(double *n, int first, int last, double seconds);
+void bstm_forms(double speed, double pressure_pa, double *h);
+int bstm_sound(const double *n);
+
 /* Begin anew, from what the configuration says. */
 void bstm_observer_new(Observer *o);
 

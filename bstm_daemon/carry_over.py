@@ -22,6 +22,8 @@ from bstm_daemon.estimator import (
     Estimator,
 )
 from bstm_daemon.heat.check_layout import NEVER
+from bstm_daemon.heat.feed_back import Vehicle
+from bstm_daemon.heat.observer_layout import LEARNED_NAMES, learned_fault
 from bstm_daemon.heat.sample_plan import CHANNELS, PLAN_LAYOUT
 from bstm_daemon.heat.sample_state import SampleState
 from bstm_daemon.journal import Journal
@@ -62,12 +64,14 @@ class Restored:
     """How a document fitted: ``corner.node`` names carried over and new.
 
     ``resumed``: the pass over samples goes on where it was, with every
-    value and its age; otherwise its inputs begin anew.
+    value and its age; otherwise its inputs begin anew. ``learned``: what was
+    learned of the car was taken over.
     """
 
     carried: tuple[str, ...]
     new: tuple[str, ...]
     resumed: bool
+    learned: bool = False
 
 
 def export_state(estimator: Estimator) -> Document:
@@ -95,6 +99,7 @@ def export_state(estimator: Estimator) -> Document:
             "flags": list(samples.flags),
             "open_flags": estimator.open_flags,
         },
+        "learned": _exported(estimator),
     }
 
 
@@ -140,9 +145,17 @@ def restore_state(
     if all(name in corners for name in estimator.programs):
         left_s = min(max(left_us * 1e-6, 0.0), LONGEST_SETTLING_S)
         estimator.history_left_steps = round(left_s * 1e6) // STEP_US
+    learned = _learned(estimator, document)
     if samples is not None:
         estimator.samples, estimator.open_flags = samples
-    return Restored(tuple(carried), tuple(new), samples is not None)
+    else:
+        estimator.samples = SampleState.new(estimator.plan, learned)
+    return Restored(
+        tuple(carried),
+        tuple(new),
+        resumed=samples is not None,
+        learned=learned is not None,
+    )
 
 
 def resume_state(
@@ -206,7 +219,8 @@ def park(
     """
     air_k = _ambient_k(estimator) if ambient_k is None else ambient_k
     _stand(estimator, parked_s, air_k)
-    estimator.samples = SampleState.new(estimator.plan)
+    learned = estimator.samples.learned(len(estimator.plan.corners))
+    estimator.samples = SampleState.new(estimator.plan, learned)
     left = estimator.history_left_steps - round(parked_s * 1e6) // STEP_US
     estimator.history_left_steps = max(left, 0)
 
@@ -367,6 +381,49 @@ def _samples(
         msg = "samples: not as many numbers as their layout has"
         raise StateError(msg)
     return state, open_flags
+
+
+def _exported(estimator: Estimator) -> Document | None:
+    """What was learned of the car, and for which configuration."""
+    learned = estimator.samples.learned(len(estimator.plan.corners))
+    if learned is None or learned_fault(learned) is not None:
+        return None
+    return {
+        "vehicle": _nominal(estimator),
+        "numbers": dict(zip(LEARNED_NAMES, learned, strict=True)),
+    }
+
+
+def _learned(
+    estimator: Estimator, document: Mapping[str, Any]
+) -> list[float] | None:
+    """What *document* has learned, None where it does not hold here.
+
+    It is of no use to a car configured otherwise, and none to a model that
+    does not learn; what can not have been learned is not taken.
+    """
+    saved = document.get("learned")
+    if (
+        estimator.config.heat.mode != "fused"
+        or not isinstance(saved, dict)
+        or saved.get("vehicle") != _nominal(estimator)
+        or not isinstance(saved.get("numbers"), dict)
+    ):
+        return None
+    try:
+        learned = [float(saved["numbers"][name]) for name in LEARNED_NAMES]
+    except (KeyError, TypeError, ValueError):
+        return None
+    return learned if learned_fault(learned) is None else None
+
+
+def _nominal(estimator: Estimator) -> list[float]:
+    """What the learned numbers are relative to."""
+    vehicle = Vehicle.of_config(estimator.config.vehicle)
+    return [
+        *(vehicle.mass_kg, vehicle.rotating_mass_kg, vehicle.wheel_radius_m),
+        *(vehicle.quadratic, vehicle.linear, vehicle.constant),
+    ]
 
 
 def _layout(estimator: Estimator) -> str:

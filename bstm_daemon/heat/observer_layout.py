@@ -6,7 +6,17 @@ states have the size of 1. ``_observer.h`` has the same order.
 
 from __future__ import annotations
 
+from math import isclose, isfinite, sqrt
 from typing import TYPE_CHECKING, Final
+
+from bstm_daemon.heat.check_layout import UNKNOWN
+from bstm_daemon.heat.observer_rules import (
+    HIGH,
+    LOW,
+    ROLLING_SD,
+    SD,
+    STOOD_S,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -20,6 +30,8 @@ FRICTION: Final = ("level", "speed", "pressure", "drift")
 """ln of friction over Feed-Forward's: at 10 m/s and 10 bar; exponents of
 speed and of pressure; what passes within minutes (temperature, bedding)."""
 
+STATES: Final = len(MOTION) + len(FRICTION)
+
 LEARNED_NAMES: Final = (
     *(MOTION + FRICTION),
     *(f"{a}_{b}" for a in MOTION + FRICTION for b in MOTION + FRICTION),
@@ -28,6 +40,9 @@ LEARNED_NAMES: Final = (
 )
 """States and covariances; ``rolling`` is the error of the configured g f_r
 [m/s2], which only the height of the road tells."""
+
+STEP_SUMS: Final = ("sum_time", "sum_felt", "sum_push", "sum_drag")
+"""Of the open step."""
 
 OBSERVER_NUMBERS: Final = (
     *(f"learned_{name}" for name in LEARNED_NAMES),
@@ -43,7 +58,7 @@ OBSERVER_NUMBERS: Final = (
     "window_first_speed",
     *("sine", "height_last", "height_work", "height_path"),
     *("slow_braking", "slow_brake", "silent_s", "silent_energy"),
-    *("sum_time", "sum_felt", "sum_push", "sum_drag"),
+    *STEP_SUMS,
 )
 """The numbers of the state after those of the checks; then per corner
 ``brake_sum`` [N s], the force by pressure of the open step."""
@@ -54,6 +69,70 @@ def observer_number_names(corners: Sequence[str]) -> list[str]:
     return [*OBSERVER_NUMBERS, *(f"brake_sum.{c}" for c in corners)]
 
 
-def new_observer(corners: int) -> list[float]:
-    """Return the numbers before the first sample."""
-    return [0.0] * (len(OBSERVER_NUMBERS) + corners)
+def new_observer(
+    corners: int, learned: Sequence[float] | None = None
+) -> list[float]:
+    """Return the numbers before the first sample.
+
+    *learned* is what was learned before the car was parked, as
+    :data:`LEARNED_NAMES` has it.
+    """
+    numbers = [0.0] * (len(OBSERVER_NUMBERS) + corners)
+    if learned is not None:
+        numbers[: 3 * len(learned)] = 3 * list(learned)
+        for name, value in (
+            ("started", 1.0),
+            ("last_rolled", UNKNOWN),
+            ("radius_ratio", 1.0),
+            # somebody may have got in
+            ("stood_s", 2.0 * STOOD_S),
+        ):
+            numbers[OBSERVER_NUMBERS.index(name)] = value
+    return numbers
+
+
+def learned_fault(learned: Sequence[float]) -> str | None:
+    """Return why *learned* can not have been learned, or None.
+
+    *learned* as :data:`LEARNED_NAMES` has it: in bounds, the covariance
+    symmetric, positive definite and no wider than at the first start.
+    """
+    if len(learned) != len(LEARNED_NAMES):
+        return f"{len(learned)} numbers instead of {len(LEARNED_NAMES)}"
+    if not all(map(isfinite, learned)):
+        return "not finite"
+    for i, name in enumerate(MOTION + FRICTION):
+        if not LOW[i] <= learned[i] <= HIGH[i]:
+            return f"{name} = {learned[i]:g} is out of bounds"
+    cov = [
+        list(learned[STATES * (i + 1) : STATES * (i + 2)])
+        for i in range(STATES)
+    ]
+    for i, name in enumerate(MOTION + FRICTION):
+        if not 0.0 < cov[i][i] <= 1.1 * SD[i] * SD[i]:
+            return f"the variance of {name} is out of bounds"
+    if not 0.0 < learned[-1] <= 1.1 * ROLLING_SD * ROLLING_SD:
+        return "the variance of rolling is out of bounds"
+    return None if _positive(cov) else "no positive definite covariance"
+
+
+def _positive(matrix: Sequence[Sequence[float]]) -> bool:
+    """Whether *matrix* is symmetric and has a Cholesky factor."""
+    factor: list[list[float]] = []
+    for i, row in enumerate(matrix):
+        own: list[float] = []
+        for j in range(i + 1):
+            if not isclose(row[j], matrix[j][i], rel_tol=1e-6, abs_tol=1e-15):
+                return False
+            above = own if j == i else factor[j]
+            left = row[j] - sum(
+                a * b for a, b in zip(own, above, strict=False)
+            )
+            if j < i:
+                own.append(left / factor[j][j])
+            elif left > 0.0:
+                own.append(sqrt(left))
+            else:
+                return False
+        factor.append(own)
+    return True

@@ -21,9 +21,12 @@ from math import exp, isfinite, nan
 from typing import TYPE_CHECKING, Final
 
 from bstm_daemon.heat.check_layout import NEVER, UNKNOWN, Readings
+from bstm_daemon.heat.fusion import feel, fuse
 from bstm_daemon.heat.sample_plan import (
     CHANNELS,
     FLAGS,
+    MEASURED_FROM,
+    MODES,
     VEHICLE_CHANNELS,
     SamplePlan,
 )
@@ -46,6 +49,12 @@ LIMIT_US: Final = 2**60
 
 TAIL: Final = 4.0
 """Time constants of the speed filter that Feed-Back runs on after release."""
+
+LIGHT_PRESSURE_PA: Final = 2e4
+"""Pressure counts from here on while the brake switch is on (mode fused)."""
+
+FUSED: Final = MODES["fused"]
+_UNLEARNED: Final = (nan,) * (len(VEHICLE_CHANNELS) - 5)
 
 TICK: Final = -1
 """The role number of a tick: time passes, nothing is sampled."""
@@ -212,6 +221,10 @@ class _Pass(SampleMemory):
             self.wheel[c] = abs(self.value[ints[0]]) if own else self.speed
             pressure = self._pressure(ints)
             self.target[c] = max(0.0, pressure)
+        # the foot is on the pedal: fusion counts the lightest pressure
+        self.pressing_pa = self.on_pressure
+        if self.mode == FUSED and self.vehicle("brake_switch", 0.0) > 0.0:
+            self.pressing_pa = min(self.on_pressure, LIGHT_PRESSURE_PA)
         self.stale = False
 
     def left_out(self, voice: int) -> bool:
@@ -259,7 +272,7 @@ class _Pass(SampleMemory):
         impulse, inertia_kg = self._outer_impulse(h, v)
         force_s = impulse - inertia_kg * gained
         if self.pressure_known():
-            pressed = highest > self.on_pressure
+            pressed = highest > self.pressing_pa
         else:
             pressed = force_s > self.on_force * h
         if pressed:
@@ -271,6 +284,8 @@ class _Pass(SampleMemory):
             self.energy_fb += impulse * v - inertia_kg * (gained * middle)
         if not pressed:
             self.tail_s = max(self.tail_s - h, 0.0)
+        if self.mode == FUSED:
+            feel(self, h, v)
         self.speed_sum += v * h
         self.distance += v * h
         self.now = time_us
@@ -290,10 +305,13 @@ class _Pass(SampleMemory):
                 p = target
                 self.lagged[c] = target
             pushing = p - pushout
-            pressed = p > self.on_pressure
+            pressed = p > self.pressing_pa
             if pressed and pushing > 0.0:
                 power = per_pa * pushing * (self.wheel[c] / self.radius)
                 self.energy_ff[c] += power * h
+                self.observer.brake_sum[c] += (
+                    per_pa * pushing / self.radius * h
+                )
             self.pressure_sum[c] += p * h
             if pressed:
                 self.on_time[c] += h
@@ -347,18 +365,25 @@ class _Pass(SampleMemory):
         self.total_fb += max(self.energy_fb, 0.0)
         answers, at_risk = self.heat_answers()
         flags = self.flags | self.missing()
-        flags |= self.checks.close(self._readings(dt_s, answers, at_risk))
+        now = self._readings(dt_s, answers, at_risk)
+        flags |= self.checks.close(now)
+        fused = None
+        if self.mode == FUSED:
+            fused = fuse(self, now, flags)
+            flags |= fused.flags
         at = self.steps * self.corners * len(CHANNELS)
         for c, ints in enumerate(self.corner_ints):
             power_ff = self.energy_ff[c] / dt_s
             share = self.corner_floats[c][3]
             chosen = power_ff
-            if (self.mode == 1) is (answers[c] != OTHER):
+            if fused is not None:
+                chosen = fused.power[c]
+            elif (self.mode == MODES["fb"]) is (answers[c] != OTHER):
                 chosen = share * power_fb
             if answers[c] == OTHER and at_risk[c]:
                 flags |= FLAGS["heat_substituted"]
             self.total_ff[c] += self.energy_ff[c]
-            self.rows[at : at + 8] = array(
+            self.rows[at : at + MEASURED_FROM] = array(
                 "d",
                 [
                     speed,
@@ -369,10 +394,11 @@ class _Pass(SampleMemory):
                     chosen,
                     self.total_ff[c],
                     share * self.total_fb,
+                    nan if fused is None else fused.spread[c],
                 ],
             )
             for i, role in enumerate(ints[4:]):
-                self.rows[at + 8 + i] = (
+                self.rows[at + MEASURED_FROM + i] = (
                     self.value[role] if self.valid(role) else float("nan")
                 )
             at += len(CHANNELS)
@@ -381,7 +407,10 @@ class _Pass(SampleMemory):
         self.vehicle_rows[at + 1] = self.distance
         self.vehicle_rows[at + 2] = max(self.force_sum, 0.0) / dt_s
         self.vehicle_rows[at + 3] = self.input_age_s()
-        self.vehicle_rows[at + 4] = float(flags)
+        learned = _UNLEARNED if fused is None else fused.learned
+        self.vehicle_rows[at + 4 : at + len(VEHICLE_CHANNELS)] = array(
+            "d", [*learned, float(flags)]
+        )
         self.row_times[self.steps] = self.grid
         self.steps += 1
         self.flags = 0

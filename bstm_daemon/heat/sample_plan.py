@@ -40,6 +40,8 @@ CHANNELS: Final = (
 """A corner's columns of a step row: means over the step, but for the running
 energies since the start and ``measured_*`` (held, nan where not present)."""
 
+MEASURED_FROM: Final = len(CHANNELS) - len(MEASURED_NODES)
+
 VEHICLE_CHANNELS: Final = (
     "speed_ms",
     "distance_m",

@@ -21,7 +21,11 @@ from bstm_daemon.heat.check_layout import (
 )
 from bstm_daemon.heat.checks import Checks
 from bstm_daemon.heat.limits import Limits
+from bstm_daemon.heat.observer import Observer
 from bstm_daemon.heat.observer_layout import (
+    LEARNED_NAMES,
+    OBSERVER_NUMBERS,
+    STEP_SUMS,
     new_observer,
     observer_number_names,
 )
@@ -29,6 +33,7 @@ from bstm_daemon.heat.plausibility import PARKING_MS, STANDING_MS
 from bstm_daemon.heat.sample_plan import (
     CORNER_PRESSURE,
     FLAGS,
+    MODES,
     VEHICLE_ROLES,
     SamplePlan,
 )
@@ -84,17 +89,30 @@ class SampleState:
     flags: array[int] = field(default_factory=lambda: array("i", [0]))
 
     @classmethod
-    def new(cls, plan: SamplePlan) -> SampleState:
-        """Return the state before the first sample."""
+    def new(
+        cls, plan: SamplePlan, learned: Sequence[float] | None = None
+    ) -> SampleState:
+        """Return the state before the first sample.
+
+        *learned* is what :meth:`learned` of an earlier drive returned.
+        """
         times = [NEVER] * (len(TIMES) + len(ROLES))
         for name in ("late", "dropped", "jumps"):
             times[TIMES.index(name)] = 0
         size = len(NUMBERS) + len(CORNER_SUMS) * len(plan.corners) + len(ROLES)
         check_times, check_numbers = new_checks(len(plan.corners), len(ROLES))
         numbers = array("d", [0.0] * size + check_numbers)
-        numbers.extend(new_observer(len(plan.corners)))
+        numbers.extend(new_observer(len(plan.corners), learned))
         numbers[NUMBERS.index("filtered_speed")] = UNKNOWN
         return cls(array("q", times + check_times), numbers)
+
+    def learned(self, corners: int) -> list[float] | None:
+        """Return what the observer has learned, None before any step."""
+        first = len(self.numbers) - len(OBSERVER_NUMBERS) - corners
+        started = first + OBSERVER_NUMBERS.index("started")
+        if self.numbers[started] == 0.0:
+            return None
+        return list(self.numbers[first : first + len(LEARNED_NAMES)])
 
     def count(self, name: str) -> int:
         """Return a counter: late, dropped, jumps, or of refused samples.
@@ -192,6 +210,21 @@ class SampleMemory:
             floats[at + i * len(ROLES) : at + (i + 1) * len(ROLES)]
             for i in range(len(Limits._fields))
         ]
+        self._unpack(limits, settling_s)
+        self.flags = state.flags[0]
+        self.stale = True
+        self.pressing_pa = self.on_pressure
+        self.speed = 0.0
+        self.speed_known = False
+        self.heading = 1.0
+        self.wheel = [0.0] * self.corners
+        self.target = [0.0] * self.corners
+
+    def _unpack(
+        self, limits: Sequence[Sequence[float]], settling_s: float
+    ) -> None:
+        """Take what the state's arrays hold."""
+        state = self.state
         self.now, self.grid, self.pending = state.times[:3]
         self.late, self.dropped, self.jumps = state.times[3:6]
         self.stamp = state.times[len(TIMES) : len(TIMES) + len(ROLES)]
@@ -208,20 +241,21 @@ class SampleMemory:
         self.pressure_sum = numbers[at + 2 * k : at + 3 * k]
         self.on_time = numbers[at + 3 * k : at + 4 * k]
         self.total_ff = numbers[at + 4 * k : at + 5 * k]
+        at += 5 * k
+        observed = len(numbers) - len(OBSERVER_NUMBERS) - k
         self.checks = Checks(
             limits,
             settling_s,
             self._watched(),
             state.times[len(TIMES) + len(ROLES) :],
-            numbers[at + 5 * k :],
+            numbers[at:observed],
         )
-        self.flags = state.flags[0]
-        self.stale = True
-        self.speed = 0.0
-        self.speed_known = False
-        self.heading = 1.0
-        self.wheel = [0.0] * k
-        self.target = [0.0] * k
+        self.observer = Observer(
+            self.mass,
+            self.rotating_mass / self.mass,
+            self.constant / self.mass,
+            numbers[observed:],
+        )
 
     def _watched(self) -> Watched:
         roles = self.vehicle_role
@@ -260,6 +294,7 @@ class SampleMemory:
                 *(self.tail_s, *self.value),
                 *(*self.lagged, *self.energy_ff, *self.pressure_sum),
                 *(*self.on_time, *self.total_ff, *check_numbers),
+                *self.observer.packed(),
             ],
         )
         self.state.flags[0] = self.flags
@@ -338,11 +373,13 @@ class SampleMemory:
         for c, ints in enumerate(self.corner_ints):
             pressure = self.corner_known(ints)
             feed_forward = self.speed_known and pressure
-            if self.mode == 1:
+            if self.mode == MODES["fb"]:
                 own = complete or (feed_back and not feed_forward)
                 other = feed_forward
             else:
-                own = feed_forward or (self.mode == 2 and self.valid(ints[4]))
+                own = feed_forward or (
+                    self.mode == MODES["measured"] and self.valid(ints[4])
+                )
                 other = feed_back
             answers.append(OWN if own else OTHER if other else NONE)
             if self.speed_known:
@@ -378,3 +415,6 @@ class SampleMemory:
             self.energy_ff[c] = 0.0
             self.pressure_sum[c] = 0.0
             self.on_time[c] = 0.0
+            self.observer.brake_sum[c] = 0.0
+        for name in STEP_SUMS:
+            self.observer.m[name] = 0.0

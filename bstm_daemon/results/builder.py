@@ -220,7 +220,9 @@ class ResultsBuilder:
                 # by the mapping, not the values: the first rows do not know
                 # of what comes later
                 if f"temp_{name.lower()}_{node}" in config.signals:
-                    part[f"{node}_measured_c"] = row[:, _MEASURED + i] - KELVIN_OFFSET
+                    part[f"{node}_measured_c"] = (
+                        row[:, _MEASURED + i] - KELVIN_OFFSET
+                    )
             columns |= {f"{name}.{key}": part[key] for key in part}
         columns = {
             # a copy: a view would hold every channel of the publications
