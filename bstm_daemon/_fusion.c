@@ -7,6 +7,7 @@
 #define SILENT_BEFORE_S 0.5
 #define SILENT_SPEED 1.5
 #define SILENT_SPREADS 3.0
+#define STEEPEST 2.0
 #define SLIP_FORWARD 0.08
 #define SLIPPING 0.06
 #define MODEL_SHARE 0.02
@@ -22,7 +23,9 @@
 enum {
     FLAG_SUSPECTS = 1 << 11 | 1 << 13 | 1 << 14 | 1 << 16 | 1 << 19 | 1 << 20
 };
-#define FLAG_EXTERNAL (INT64_C(1) << 40)
+/* the motion tells nothing of the brakes: a push, a scale, an input */
+#define FLAG_BLIND (INT64_C(1) << 40 | INT64_C(1) << 42)
+#define FLAG_UNSURE (INT64_C(1) << 11 | INT64_C(1) << 13 | INT64_C(1) << 14)
 #define FLAG_UNPRESSED (INT64_C(1) << 45)
 
 void bstm_fusion_feel(Pass *p, double h, double v)
@@ -98,6 +101,7 @@ static void describe(const Pass *p, const Readings *now, int64_t flags,
     s->gnss_speed = bstm_vehicle(p, R_GNSS_SPEED, (double)NAN);
     s->forward = p->heading > 0.0;
     s->brake_n = s->pressure_pa = 0.0;
+    s->brake_switch = now->brake_switch;
     s->pressed = now->brake_switch > 0.0;
     s->pressure_known = s->wheel_pressures = 1;
     int some = 0, none = 0;
@@ -155,7 +159,8 @@ static double unpressed(Pass *p, const Step *s, double excess, double slow,
     double least = p->f[F_ON_FORCE] / mass_kg;
     if (least < SILENT_SPREADS * doubt) least = SILENT_SPREADS * doubt;
     const double held = n[O_SILENT] >= SILENT_BEFORE_S ? 0.5 * least : least;
-    if (s->speed < SILENT_SPEED || !(slow > held)) {
+    if (s->speed < SILENT_SPEED || !(slow > held)
+        || fabs(n[O_FELT] - n[O_RATE]) > STEEPEST) {
         n[O_SILENT] = n[O_SILENT_ENERGY] = 0.0;
         return 0.0;
     }
@@ -202,8 +207,8 @@ int64_t bstm_fusion_close(Pass *p, const Readings *now, int64_t flags,
     const double ratio = n[O_STATE + X_MASS];
     double scale = exp(bstm_friction(o, s.speed, s.pressure_pa, &variance));
     variance += n[O_COV] / (ratio * ratio) + MODEL_SHARE * MODEL_SHARE;
-    const int feels = !isnan(s.felt) && (found & FLAG_EXTERNAL) == 0
-        && s.forward;
+    const int feels = !isnan(s.felt) && s.forward
+        && (found & FLAG_BLIND) == 0 && (flags & FLAG_UNSURE) == 0;
     if (feels) {
         const double given = s.brake_n / o->mass_kg * ratio * scale;
         const double braking =

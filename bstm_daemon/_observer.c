@@ -10,6 +10,7 @@
 #define TORQUE_NOISE 0.03
 #define DRAG_TORQUE_NOISE 0.15
 #define COMMON 8.0
+#define GAIN_COMMON 30.0
 #define ASSUMED_DOUBT 0.2
 #define OUTLIER 4.0
 #define WINDOW_S 0.5
@@ -69,6 +70,7 @@ void bstm_observer_new(Observer *o)
     n[O_LAST_SPEED] = UNKNOWN;
     memcpy(n + O_RECENT, n, LEARNED * sizeof *n);
     memcpy(n + O_EARLIER, n, LEARNED * sizeof *n);
+    memcpy(n + O_FIRST, n, LEARNED * sizeof *n);
     n[O_STARTED] = 1.0;
 }
 
@@ -211,11 +213,16 @@ static void learn_gain(Observer *o, const Step *s, int learns)
         n[O_CHANGED] *= faded;
     }
     if (unfelt(n)) suspect_external(n, WINDOW_S);
+    if (strange_gain(n)) {
+        /* what this drive has taught rests on a wrong scale */
+        memcpy(n + O_EARLIER, n + O_FIRST, LEARNED * sizeof *n);
+        roll_back(n);
+    }
     if (!learns || strange_gain(n)) return;
     const double h[STATES] = {0.0, 0.0, 0.0, rate};
     const double apart = more - n[O_STATE + X_GAIN] * rate;
     if (fabs(apart) > 3.0 * GAIN_NOISE) return;
-    bstm_update(n, 0, h, apart, COMMON * GAIN_NOISE * GAIN_NOISE);
+    bstm_update(n, 0, h, apart, GAIN_COMMON * GAIN_NOISE * GAIN_NOISE);
 }
 
 static void follow(Observer *o, const Step *s)
@@ -259,11 +266,14 @@ static void follow_grade(Observer *o, const Step *s)
     const double climbed = GRAVITY * (s->height - n[O_HEIGHT_LAST]);
     const double found = (n[O_HEIGHT_WORK] - climbed) / n[O_HEIGHT_PATH];
     const double sd = 1.5 * GRAVITY * HEIGHT_NOISE_M / n[O_HEIGHT_PATH];
-    const double gain_ = n[O_ROLLING_VAR] / (n[O_ROLLING_VAR] + sd * sd);
-    n[O_ROLLING] += gain_ * (found - n[O_ROLLING]);
-    n[O_ROLLING_VAR] *= 1.0 - gain_;
-    n[O_ROLLING_VAR] += 1e-6;
+    const double apart = found - n[O_ROLLING];
+    const double spread = n[O_ROLLING_VAR] + sd * sd;
     n[O_HEIGHT_PATH] = 0.0;
+    if (fabs(apart) > OUTLIER * sqrt(spread)) return;
+    const double share = n[O_ROLLING_VAR] / spread;
+    n[O_ROLLING] += share * apart;
+    n[O_ROLLING_VAR] *= 1.0 - share;
+    n[O_ROLLING_VAR] += 1e-6;
 }
 
 /* Sums over half seconds of one kind; returns whether one is complete. */
@@ -352,13 +362,14 @@ static void compare_radius(double *n, const Step *s)
 static void watch_pressure(Observer *o, const Step *s)
 {
     double *n = o->n, spread;
-    if (s->pressed) {
+    if (s->brake_n > 0.0) {
         n[O_UNPRESSED] = 0.0;
         return;
     }
     const double braking = bstm_braking(o, n[O_FELT], s->push, s->drag,
                                         n[O_RATE], &spread);
-    if (s->torque_known && s->pressure_known && s->steady
+    if (s->brake_switch != 0.0 && s->torque_known && s->pressure_known
+        && s->steady
         && s->speed > LEAST_SPEED
         && -n[O_RATE] > DEAD_MS2 && braking - 2.5 * spread > DEAD_MS2)
         n[O_UNPRESSED] += s->dt_s;
@@ -373,7 +384,7 @@ int bstm_observe(Observer *o, const Step *s)
     let_friction_pass(n, s->dt_s);
     if (isnan(s->felt) || isnan(s->push)) {
         n[O_LAST_SPEED] = UNKNOWN;
-        n[O_CALM] = 0.0;
+        n[O_CALM] = n[O_HEIGHT_PATH] = 0.0;
         gather(n, s, W_NONE, 0.0);
     } else {
         const double first_speed =

@@ -24,7 +24,8 @@ enum {
     LEARNED,
     O_RECENT = LEARNED,            /* copies of what is learned */
     O_EARLIER = O_RECENT + LEARNED,
-    O_COPY_AGE = O_EARLIER + LEARNED,
+    O_FIRST = O_EARLIER + LEARNED, /* as this drive began */
+    O_COPY_AGE = O_FIRST + LEARNED,
     O_STARTED, O_RESETS,
     O_LAST_SPEED, O_RATE, O_FELT, O_SLOW_RATE, O_SLOW_FELT, O_GAIN_TIME,
     O_CALM, O_RELEASED, O_PRESSED, O_LAST_GEAR, O_LAST_CLUTCH,
@@ -43,7 +44,7 @@ enum {
  * configured mass [m/s2]. */
 typedef struct {
     double dt_s, speed, end_speed, felt, push, drag;
-    double brake_n, pressure_pa, lateral, gear, clutch, height, gnss_speed;
+    double brake_n, pressure_pa, brake_switch, lateral, gear, clutch, height, gnss_speed;
     int steady;         /* no intervention, no slip, nothing suspect */
     int forward, pressed, pressure_known, wheel_pressures;
     int torque_known;   /* measured, not assumed */

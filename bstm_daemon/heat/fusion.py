@@ -38,8 +38,10 @@ BRAKING_S: Final = 0.3
 SILENT_BEFORE_S: Final = 0.5
 SILENT_SPEED_MS: Final = 1.5
 SILENT_SPREADS: Final = 3.0
+STEEPEST_MS2: Final = 2.0
 """Braking without pressure must be felt for so long, at such a speed, and
-beyond so many standard deviations; its energy since it began is not lost."""
+beyond so many standard deviations; its energy since it began is not lost. What
+is felt beyond the change of speed is a slope of 20 % at most."""
 
 SLIP_FORWARD: Final = 0.08
 SLIPPING: Final = 0.06
@@ -70,6 +72,14 @@ _SUSPECTS: Final = (
     | FLAGS["wheels_contradict"]
     | FLAGS["acceleration_contradicts"]
 )
+
+_BLIND: Final = FLAGS["external_force_suspected"] | FLAGS["acceleration_scale"]
+_UNSURE: Final = (
+    FLAGS["speed_suspect"]
+    | FLAGS["acceleration_suspect"]
+    | FLAGS["torque_suspect"]
+)
+"""The motion tells nothing of the brakes: a push, a scale, an input."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,8 +131,8 @@ def fuse(run: SampleMemory, now: Readings, flags: int) -> Fused:
     scale = exp(level)
     variance += known.cov[0] / (ratio * ratio) + MODEL_SHARE * MODEL_SHARE
     doubt = extra = 0.0
-    suspected = found & FLAGS["external_force_suspected"] != 0
-    if not isnan(s.felt) and not suspected and s.forward:
+    blind = found & _BLIND or flags & _UNSURE
+    if not isnan(s.felt) and s.forward and not blind:
         given = s.brake_n / run.mass * ratio * scale
         braking, doubt = known.braking(s.felt, s.push, s.drag, m["rate"])
         if not s.torque_known:
@@ -192,6 +202,7 @@ def _describe(run: SampleMemory, now: Readings, flags: int) -> Step:
         drag=m["sum_drag"] / dt_s,
         brake_n=brake_n,
         pressure_pa=highest,
+        brake_switch=now.brake_switch,
         lateral=max(yaw, side),
         gear=run.vehicle("gear", 0.0),
         clutch=run.vehicle("clutch_open", 0.0),
@@ -275,7 +286,11 @@ def _unpressed(
     mass_kg = run.mass / run.observer.known.x[MASS]
     least = max(run.on_force / mass_kg, SILENT_SPREADS * doubt)
     held = 0.5 * least if m["silent_s"] >= SILENT_BEFORE_S else least
-    if s.speed < SILENT_SPEED_MS or not slow > held:
+    if (
+        s.speed < SILENT_SPEED_MS
+        or not slow > held
+        or abs(m["felt"] - m["rate"]) > STEEPEST_MS2
+    ):
         m["silent_s"] = m["silent_energy"] = 0.0
         return 0.0
     m["silent_s"] += s.dt_s

@@ -48,7 +48,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 _LEARNED: Final = len(LEARNED_NAMES)
-_OWN: Final = OBSERVER_NUMBERS[3 * _LEARNED :]
+_OWN: Final = OBSERVER_NUMBERS[4 * _LEARNED :]
 _NONE, _DRIVEN, _BRAKED = 0.0, 1.0, 2.0
 
 
@@ -70,6 +70,7 @@ class Step:
     drag: float
     brake_n: float
     pressure_pa: float
+    brake_switch: float
     lateral: float
     gear: float
     clutch: float
@@ -102,7 +103,8 @@ class Observer:
         self.known = Learned(rotating, numbers[:_LEARNED])
         self.recent = list(numbers[_LEARNED : 2 * _LEARNED])
         self.earlier = list(numbers[2 * _LEARNED : 3 * _LEARNED])
-        own = numbers[3 * _LEARNED : len(OBSERVER_NUMBERS)]
+        self.first = list(numbers[3 * _LEARNED : 4 * _LEARNED])
+        own = numbers[4 * _LEARNED : len(OBSERVER_NUMBERS)]
         self.m = dict(zip(_OWN, own, strict=True))
         self.brake_sum = list(numbers[len(OBSERVER_NUMBERS) :])
 
@@ -112,6 +114,7 @@ class Observer:
             *self.known.packed(),
             *self.recent,
             *self.earlier,
+            *self.first,
             *self.m.values(),
             *self.brake_sum,
         ]
@@ -126,6 +129,7 @@ class Observer:
         self.m["last_rolled"] = UNKNOWN
         self.recent = self.known.packed()
         self.earlier = self.known.packed()
+        self.first = self.known.packed()
         self.m["started"] = 1.0
 
     def observe(self, s: Step) -> int:
@@ -138,7 +142,7 @@ class Observer:
         self._let_friction_pass(s.dt_s)
         if isnan(s.felt) or isnan(s.push):
             m["last_rolled"] = UNKNOWN
-            m["calm_s"] = 0.0
+            m["calm_s"] = m["height_path"] = 0.0
             self._gather(s, _NONE, 0.0)
         else:
             first_speed = m["last_rolled"]
@@ -182,15 +186,19 @@ class Observer:
         self.recent = self.known.packed()
         self.m["copy_age"] = 0.0
 
+    def _roll_back(self) -> None:
+        """Forget what was learned within the last minutes."""
+        self.known.unpack(self.earlier)
+        self.recent = list(self.earlier)
+        self.m["copy_age"] = 0.0
+
     def _suspect_external(self, seconds: float) -> None:
         m = self.m
         m["external_s"] += seconds
         if m["external_s"] < rules.EXTERNAL_S:
             return
         if m["external_held_s"] <= 0.0:
-            self.known.unpack(self.earlier)
-            self.recent = list(self.earlier)
-            m["copy_age"] = 0.0
+            self._roll_back()
         m["external_held_s"] = rules.EXTERNAL_HOLD_S
         m["external_s"] = rules.EXTERNAL_S
 
@@ -321,6 +329,10 @@ class Observer:
             m["changed"] *= faded
         if self._unfelt():
             self._suspect_external(rules.WINDOW_S)
+        if self._strange_gain():
+            # what this drive has taught rests on a wrong scale
+            self.earlier = list(self.first)
+            self._roll_back()
         if not learns or self._strange_gain():
             return
         apart = more - self.known.x[GAIN] * rate
@@ -328,7 +340,10 @@ class Observer:
             return
         h = [0.0, 0.0, 0.0, rate, *NO_FRICTION]
         self.known.update(
-            0, h, apart, rules.COMMON * rules.GAIN_NOISE * rules.GAIN_NOISE
+            0,
+            h,
+            apart,
+            rules.GAIN_COMMON * rules.GAIN_NOISE * rules.GAIN_NOISE,
         )
 
     def _follow(self, s: Step) -> None:
@@ -367,11 +382,15 @@ class Observer:
         climbed = GRAVITY_MS2 * (s.height - m["height_last"])
         error = (m["height_work"] - climbed) / m["height_path"]
         sd = 1.5 * GRAVITY_MS2 * rules.HEIGHT_NOISE_M / m["height_path"]
-        share = self.known.rolling_var / (self.known.rolling_var + sd * sd)
-        self.known.rolling_error += share * (error - self.known.rolling_error)
+        apart = error - self.known.rolling_error
+        spread = self.known.rolling_var + sd * sd
+        m["height_path"] = 0.0
+        if abs(apart) > rules.OUTLIER * sqrt(spread):
+            return
+        share = self.known.rolling_var / spread
+        self.known.rolling_error += share * apart
         self.known.rolling_var *= 1.0 - share
         self.known.rolling_var += 1e-6
-        m["height_path"] = 0.0
 
     def _gather(self, s: Step, kind: float, first_speed: float) -> bool:
         """Sum half seconds of one kind; whether one is complete."""
@@ -465,14 +484,15 @@ class Observer:
     def _watch_pressure(self, s: Step) -> None:
         """Hard braking again and again, and no pressure ever."""
         m = self.m
-        if s.pressed:
+        if s.brake_n > 0.0:
             m["unpressed_s"] = 0.0
             return
         braking, spread = self.known.braking(
             m["felt"], s.push, s.drag, m["rate"]
         )
         if (
-            s.torque_known
+            s.brake_switch != 0.0
+            and s.torque_known
             and s.pressure_known
             and s.steady
             and s.speed > rules.LEAST_SPEED_MS

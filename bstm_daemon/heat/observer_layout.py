@@ -48,6 +48,7 @@ OBSERVER_NUMBERS: Final = (
     *(f"learned_{name}" for name in LEARNED_NAMES),
     *(f"recent_{name}" for name in LEARNED_NAMES),
     *(f"earlier_{name}" for name in LEARNED_NAMES),
+    *(f"first_{name}" for name in LEARNED_NAMES),
     *("copy_age", "started", "resets"),
     *("last_rolled", "rate", "felt", "slow_rate", "slow_felt", "gain_time"),
     *("calm_s", "released_s", "pressed_s", "last_gear", "last_clutch"),
@@ -79,7 +80,7 @@ def new_observer(
     """
     numbers = [0.0] * (len(OBSERVER_NUMBERS) + corners)
     if learned is not None:
-        numbers[: 3 * len(learned)] = 3 * list(learned)
+        numbers[: 4 * len(learned)] = 4 * list(learned)
         for name, value in (
             ("started", 1.0),
             ("last_rolled", UNKNOWN),

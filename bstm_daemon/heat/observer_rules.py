@@ -38,7 +38,9 @@ ASSUMED_DOUBT: Final = 0.2
 [share]; how wrong an assumed torque may be [m/s2]."""
 
 COMMON: Final = 8.0
-"""Windows in a row that share one error: gusts, bumps, torque maps."""
+GAIN_COMMON: Final = 30.0
+"""Windows in a row that share one error: gusts, bumps, torque maps; and where
+roads level off before a bend, so does the scale seem to change."""
 
 FORM_NOISE: Final = 0.05
 """How far a window of braking is from the form of the friction."""
