@@ -15,8 +15,7 @@ from math import exp, isnan, nan, sqrt
 from typing import TYPE_CHECKING, Final
 
 from bstm_daemon.heat.learned import BIAS, DRAG, MASS
-from bstm_daemon.heat.observer import Step
-from bstm_daemon.heat.observer_layout import STATES
+from bstm_daemon.heat.observer_layout import STATES, Step
 from bstm_daemon.heat.observer_rules import (
     ASSUMED_DOUBT,
     REFERENCE_PRESSURE_PA,

@@ -16,7 +16,6 @@ their errors count, and what is learned of them later corrects the friction.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from math import exp, isnan, log, sqrt
 from typing import TYPE_CHECKING, Final
 
@@ -30,10 +29,16 @@ from bstm_daemon.heat.learned import (
     MASS,
     NO_FRICTION,
     Learned,
-    clipped,
     forms,
     product,
     quadratic,
+)
+from bstm_daemon.heat.observer_doubts import (
+    compare_radius,
+    doubts,
+    strange_gain,
+    unfelt,
+    watch_pressure,
 )
 from bstm_daemon.heat.observer_layout import (
     LEARNED_NAMES,
@@ -41,48 +46,17 @@ from bstm_daemon.heat.observer_layout import (
     OBSERVER_NUMBERS,
     STATES,
 )
+from bstm_daemon.heat.observer_road import follow_grade
 from bstm_daemon.heat.plausibility import STANDING_MS
-from bstm_daemon.units import GRAVITY_MS2
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from bstm_daemon.heat.observer_layout import Step
+
 _LEARNED: Final = len(LEARNED_NAMES)
 _OWN: Final = OBSERVER_NUMBERS[4 * _LEARNED :]
 _NONE, _DRIVEN, _BRAKED = 0.0, 1.0, 2.0
-
-
-@dataclass(slots=True)
-class Step:
-    """What a step was: means over it, nan where not known.
-
-    ``felt`` the acceleration, ``push`` what drives the car and ``drag`` what
-    the air and the bearings take, both over the configured mass [m/s2];
-    ``brake_n`` Feed-Forward's force. ``steady``: no intervention, no slip,
-    nothing suspect.
-    """
-
-    dt_s: float
-    speed: float
-    end_speed: float
-    felt: float
-    push: float
-    drag: float
-    brake_n: float
-    pressure_pa: float
-    brake_switch: float
-    lateral: float
-    gear: float
-    clutch: float
-    height: float
-    gnss_speed: float
-    steady: bool
-    forward: bool
-    pressed: bool
-    pressure_known: bool
-    wheel_pressures: bool
-    torque_known: bool
-    on_stand: bool
 
 
 class Observer:
@@ -152,31 +126,19 @@ class Observer:
             self._keep_times(s)
             if s.on_stand:
                 self._suspect_external(s.dt_s)
-            self._compare_radius(s)
-            self._watch_pressure(s)
+            compare_radius(m, s)
+            watch_pressure(m, self.known, s)
             calm = m["calm_s"] >= rules.CALM_S
             self._learn_gain(s, learns=calm and m["external_held_s"] <= 0.0)
             if self._gather(s, self._kind(s), first_speed):
                 self._learn(s)
-            self._follow_grade(s)
+            follow_grade(m, self.known, self.rolling, s)
             self._keep_copies(s.dt_s)
         if not self.known.sound():
             m["resets"] += 1.0
             self.begin()
-            return self._doubts() | rules.OBSERVER_RESET
-        return self._doubts()
-
-    def _doubts(self) -> int:
-        m, found = self.m, 0
-        if m["external_held_s"] > 0.0:
-            found |= rules.EXTERNAL_SUSPECTED
-        if self._strange_gain():
-            found |= rules.GAIN_SUSPECT
-        if abs(m["radius_ratio"] - 1.0) > rules.RADIUS_LIMIT:
-            found |= rules.RADIUS_SUSPECT
-        if m["unpressed_s"] > rules.DEAD_S:
-            found |= rules.PRESSURE_DEAD
-        return found
+            return doubts(self.m) | rules.OBSERVER_RESET
+        return doubts(m)
 
     def _keep_copies(self, dt_s: float) -> None:
         self.m["copy_age"] += dt_s
@@ -292,20 +254,6 @@ class Observer:
             rules.SD[DRIFT] * rules.SD[DRIFT]
         )
 
-    def _strange_gain(self) -> bool:
-        changed, alike = self.m["changed"], self.m["alike"]
-        return changed > rules.CHANGED_LEAST and (
-            alike < rules.GAIN_LOW * changed
-            or alike > rules.GAIN_HIGH * changed
-        )
-
-    def _unfelt(self) -> bool:
-        changed = self.m["changed"]
-        return (
-            changed > rules.CHANGED_LEAST
-            and self.m["alike"] < rules.UNFELT * changed
-        )
-
     def _learn_gain(self, s: Step, *, learns: bool) -> None:
         """Pitch and scale: what is felt when the speed's rate changes."""
         m = self.m
@@ -327,13 +275,13 @@ class Observer:
             faded = rules.CHANGED_MOST / m["changed"]
             m["alike"] *= faded
             m["changed"] *= faded
-        if self._unfelt():
+        if unfelt(self.m):
             self._suspect_external(rules.WINDOW_S)
-        if self._strange_gain():
+        if strange_gain(self.m):
             # what this drive has taught rests on a wrong scale
             self.earlier = list(self.first)
             self._roll_back()
-        if not learns or self._strange_gain():
+        if not learns or strange_gain(self.m):
             return
         apart = more - self.known.x[GAIN] * rate
         if abs(apart) > 3.0 * rules.GAIN_NOISE:
@@ -360,37 +308,6 @@ class Observer:
         m["felt"] += share * (s.felt - m["felt"])
         m["slow_rate"] += slow * (m["rate"] - m["slow_rate"])
         m["slow_felt"] += slow * (m["felt"] - m["slow_felt"])
-
-    def _follow_grade(self, s: Step) -> None:
-        m = self.m
-        bias = self.known.x[BIAS] + self.rolling + self.known.rolling_error
-        gain = 1.0 + self.known.x[GAIN]
-        upward = m["felt"] - gain * m["rate"] - bias
-        sine = clipped(upward / GRAVITY_MS2, -0.5, 0.5)
-        m["sine"] += (1.0 - exp(-s.dt_s / rules.GRADE_S)) * (sine - m["sine"])
-        if isnan(s.height):
-            m["height_path"] = 0.0
-            return
-        if m["height_path"] <= 0.0:
-            m["height_last"] = s.height
-            m["height_work"] = 0.0
-        path = s.speed * s.dt_s
-        m["height_work"] += (upward + self.known.rolling_error) * path
-        m["height_path"] += path
-        if m["height_path"] < rules.HEIGHT_PATH_M:
-            return
-        climbed = GRAVITY_MS2 * (s.height - m["height_last"])
-        error = (m["height_work"] - climbed) / m["height_path"]
-        sd = 1.5 * GRAVITY_MS2 * rules.HEIGHT_NOISE_M / m["height_path"]
-        apart = error - self.known.rolling_error
-        spread = self.known.rolling_var + sd * sd
-        m["height_path"] = 0.0
-        if abs(apart) > rules.OUTLIER * sqrt(spread):
-            return
-        share = self.known.rolling_var / spread
-        self.known.rolling_error += share * apart
-        self.known.rolling_var *= 1.0 - share
-        self.known.rolling_var += 1e-6
 
     def _gather(self, s: Step, kind: float, first_speed: float) -> bool:
         """Sum half seconds of one kind; whether one is complete."""
@@ -448,7 +365,7 @@ class Observer:
             and not shifted
             and s.speed > rules.LEAST_SPEED_MS
             and s.lateral < rules.MOST_LATERAL_MS2
-            and not self._strange_gain()
+            and not strange_gain(self.m)
         )
         free = s.pressure_known and not s.pressed
         m["calm_s"] = m["calm_s"] + s.dt_s if calm else 0.0
@@ -467,36 +384,3 @@ class Observer:
                 self.known.cov[0], rules.SD[0] * rules.SD[0]
             )
         m["stood_s"] = 0.0
-
-    def _compare_radius(self, s: Step) -> None:
-        if (
-            isnan(s.gnss_speed)
-            or s.gnss_speed < rules.REFERENCE_SPEED_MS
-            or not s.steady
-        ):
-            return
-        m = self.m
-        share = 1.0 - exp(-s.dt_s / rules.RADIUS_S)
-        m["radius_ratio"] += share * (
-            s.speed / s.gnss_speed - m["radius_ratio"]
-        )
-
-    def _watch_pressure(self, s: Step) -> None:
-        """Hard braking again and again, and no pressure ever."""
-        m = self.m
-        if s.brake_n > 0.0:
-            m["unpressed_s"] = 0.0
-            return
-        braking, spread = self.known.braking(
-            m["felt"], s.push, s.drag, m["rate"]
-        )
-        if (
-            s.brake_switch != 0.0
-            and s.torque_known
-            and s.pressure_known
-            and s.steady
-            and s.speed > rules.LEAST_SPEED_MS
-            and -m["rate"] > rules.DEAD_MS2
-            and braking - 2.5 * spread > rules.DEAD_MS2
-        ):
-            m["unpressed_s"] += s.dt_s

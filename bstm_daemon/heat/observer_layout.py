@@ -6,6 +6,7 @@ states have the size of 1. ``_observer.h`` has the same order.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from math import isclose, isfinite, sqrt
 from typing import TYPE_CHECKING, Final
 
@@ -63,6 +64,39 @@ OBSERVER_NUMBERS: Final = (
 )
 """The numbers of the state after those of the checks; then per corner
 ``brake_sum`` [N s], the force by pressure of the open step."""
+
+
+@dataclass(slots=True)
+class Step:
+    """What a step was: means over it, nan where not known.
+
+    ``felt`` the acceleration, ``push`` what drives the car and ``drag`` what
+    the air and the bearings take, both over the configured mass [m/s2];
+    ``brake_n`` Feed-Forward's force. ``steady``: no intervention, no slip,
+    nothing suspect.
+    """
+
+    dt_s: float
+    speed: float
+    end_speed: float
+    felt: float
+    push: float
+    drag: float
+    brake_n: float
+    pressure_pa: float
+    brake_switch: float
+    lateral: float
+    gear: float
+    clutch: float
+    height: float
+    gnss_speed: float
+    steady: bool
+    forward: bool
+    pressed: bool
+    pressure_known: bool
+    wheel_pressures: bool
+    torque_known: bool
+    on_stand: bool
 
 
 def observer_number_names(corners: Sequence[str]) -> list[str]:

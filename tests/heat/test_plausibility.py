@@ -747,7 +747,7 @@ def test_words() -> None:
         "acceleration": "valid",
         "torque": "valid",
     }
-    assert all(reasons(1 << bit) for bit in range(40))
+    assert all(reasons(1 << bit) for bit in range(46))
 
 
 def test_faults_name_every_bit_once() -> None:
@@ -755,7 +755,7 @@ def test_faults_name_every_bit_once() -> None:
     clock = FLAGS["clock_jump"] | FLAGS["settled"]
     also = 0b1111 * (CORNER_PRESSURE | CORNER_PRESSURE_SUSPECT)
 
-    assert sum(FAULTS.values()) == ((1 << 40) - 1) & ~clock & ~also
+    assert sum(FAULTS.values()) == ((1 << 46) - 1) & ~clock & ~also
     assert FAULTS.keys() <= WORDS.keys()
     assert fault_names(clock) == ()
     assert fault_names(FLAGS["stuck"] | HEAT_LOST << 3) == (
