@@ -8,6 +8,10 @@
 
 #define TAIL 4.0 /* filter times that Feed-Back runs on after release */
 #define LIGHT_PRESSURE 2e4
+#define LAW_FROM_K 200.0
+#define LAW_STEP_K 20.0
+#define LAW_PRESSURE_STEP 2.5e5
+#define LAW_SPEED_STEP 1.0
 #define LATE_US INT64_C(1000000)
 #define AHEAD_US INT64_C(3600000000)
 #define SETTLED_US (12 * INT64_C(3600000000))
@@ -139,6 +143,27 @@ static double filter_speed(Pass *p, double h, double v, double *middle)
     return p->n[N_FILTERED] - before;
 }
 
+/* Linear between the points, constant outside (heat/friction_law.py). */
+static double look_up(const double *table, double position)
+{
+    if (!(position > 0.0)) position = 0.0;
+    if (position > LAW_POINTS - 1.0) position = LAW_POINTS - 1.0;
+    int i = (int)position;
+    if (i > LAW_POINTS - 2) i = LAW_POINTS - 2;
+    return table[i] + (position - (double)i) * (table[i + 1] - table[i]);
+}
+
+static double friction_factor(const double *law, double interface_k,
+                              double pressure_pa, double speed)
+{
+    double factor =
+        look_up(law + LAW_POINTS, pressure_pa * (1.0 / LAW_PRESSURE_STEP))
+        * look_up(law + 2 * LAW_POINTS, speed * (1.0 / LAW_SPEED_STEP));
+    if (interface_k > 0.0)
+        factor *= look_up(law, (interface_k - LAW_FROM_K) * (1.0 / LAW_STEP_K));
+    return factor;
+}
+
 static void integrate(Pass *p, int64_t time_us)
 {
     if (time_us <= p->t[S_NOW]) return;
@@ -164,11 +189,13 @@ static void integrate(Pass *p, int64_t time_us)
         const double pushing = pressure - k[T_PUSHOUT];
         const int pressed = pressure > p->on_pressure;
         if (pressed && pushing > 0.0) {
-            const double power =
-                k[T_PER_PA] * pushing * (p->wheel[c] / p->f[F_RADIUS]);
+            double grip = k[T_PER_PA];
+            if (p->law != NULL)
+                grip *= friction_factor(p->law + c * LAW, p->interface_k[c],
+                                        pressure, p->wheel[c]);
+            const double power = grip * pushing * (p->wheel[c] / p->f[F_RADIUS]);
             p->energy_ff[c] += power * h;
-            p->observer.brake_sum[c] +=
-                k[T_PER_PA] * pushing / p->f[F_RADIUS] * h;
+            p->observer.brake_sum[c] += grip * pushing / p->f[F_RADIUS] * h;
         }
         p->pressure_sum[c] += pressure * h;
         if (pressed) p->on_time[c] += h;
@@ -364,6 +391,7 @@ static void close_step(Pass *p)
     *p->flags = 0;
     p->t[S_GRID] += (int64_t)p->f[F_STEP];
     clear(p);
+    for (int c = 0; c < p->corners; c++) p->interface_k[c] = p->told_k[c];
     p->stale = 1;
 }
 

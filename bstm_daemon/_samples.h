@@ -8,12 +8,12 @@
 
 #include "_observer.h"
 
-#define PLAN_LAYOUT 3
+#define PLAN_LAYOUT 4
 
 enum { DONE, FULL, SETTLE, JUMP, DROP };
 enum {
     I_LAYOUT, I_ROLES, I_CORNERS, I_MODE, I_SLOPE, I_POINTS, I_PRESSURE,
-    I_ASSUMED, HEADER
+    I_ASSUMED, I_LAW, HEADER
 };
 enum {
     R_SPEED, R_PRIMARY, R_SECONDARY, R_ACCELERATION, R_TORQUE, R_EXTERNAL,
@@ -33,18 +33,21 @@ enum {
     N_FILTERED, N_SPEED, N_DISTANCE, N_FORCE, N_ENERGY_FB, N_TOTAL_FB, N_TAIL,
     NUMBERS
 };
-enum { PER_CORNER_SUMS = 5, FIRST_MEASURED = 9 };
+enum { PER_CORNER_SUMS = 7, FIRST_MEASURED = 9 };
 enum { CHANNELS = FIRST_MEASURED + MEASURED, VEHICLE_CHANNELS = 15 };
 enum { MODE_FF, MODE_FB, MODE_MEASURED, MODE_FUSED };
 enum { OWN, OTHER, NONE }; /* source of a corner's power */
 enum { LIMITS = 4 }; /* low, high, step, rate */
+enum { LAW_POINTS = 81, LAW = 3 * LAW_POINTS }; /* T, p, v */
 
 typedef struct {
     const int32_t *ints, *role, *corner;  /* role: the vehicle's roles */
     const double *f, *corner_f, *table_front, *table_rear, *timeout;
+    const double *law; /* friction, per corner; NULL: nominal everywhere */
     int roles, corners, points;
     int64_t *t, *stamp;
     double *n, *lagged, *energy_ff, *pressure_sum, *on_time, *total_ff, *value;
+    double *interface_k, *told_k; /* as the step began; told last */
     int32_t *flags;
     double *rows, *vehicle_rows;
     int64_t *row_times;

@@ -55,12 +55,14 @@ static const char *bind(Pass *p, Py_buffer *view)
     p->points = ints[I_POINTS];
     if (p->roles < 1 || p->roles > 4096 || p->corners < 0
         || p->corners > MAX_CORNERS || p->points < 0 || p->points > 4096
-        || ints[I_ASSUMED] < 0 || ints[I_ASSUMED] > 1)
+        || ints[I_ASSUMED] < 0 || ints[I_ASSUMED] > 1
+        || ints[I_LAW] < 0 || ints[I_LAW] > 1)
         return "a count is out of range";
     const int k = p->corners;
     const Py_ssize_t n_ints = HEADER + VEHICLE_ROLES + k * PER_CORNER_INTS;
     const Py_ssize_t n_floats = VEHICLE_FLOATS + k * PER_CORNER_FLOATS
-        + 2 * p->points + (1 + LIMITS) * p->roles;
+        + 2 * p->points + (1 + LIMITS) * p->roles
+        + (ints[I_LAW] ? k * LAW : 0);
     const Py_ssize_t n_times = TIMES + p->roles + bstm_checks_times(p->roles);
     const Py_ssize_t n_numbers = NUMBERS + p->roles + PER_CORNER_SUMS * k
         + bstm_checks_numbers(k, p->roles) + OBSERVER_NUMBERS + k;
@@ -85,6 +87,7 @@ static const char *bind(Pass *p, Py_buffer *view)
     p->table_front = p->corner_f + k * PER_CORNER_FLOATS;
     p->table_rear = p->table_front + p->points;
     p->timeout = p->table_rear + p->points;
+    p->law = ints[I_LAW] ? p->timeout + (1 + LIMITS) * p->roles : NULL;
     p->t = view[2].buf;
     p->stamp = p->t + TIMES;
     p->n = view[3].buf;
@@ -94,10 +97,12 @@ static const char *bind(Pass *p, Py_buffer *view)
     p->pressure_sum = p->energy_ff + k;
     p->on_time = p->pressure_sum + k;
     p->total_ff = p->on_time + k;
+    p->interface_k = p->total_ff + k;
+    p->told_k = p->interface_k + k;
     bind_checks(p, p->timeout + p->roles, p->stamp + p->roles,
-                p->total_ff + k);
+                p->told_k + k);
     Observer *o = &p->observer;
-    o->n = p->total_ff + k + bstm_checks_numbers(k, p->roles);
+    o->n = p->told_k + k + bstm_checks_numbers(k, p->roles);
     o->brake_sum = o->n + OBSERVER_NUMBERS;
     o->mass_kg = p->f[F_MASS];
     o->rotating = p->f[F_ROTATING] / p->f[F_MASS];

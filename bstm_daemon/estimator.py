@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING, Any, Final
 from bstm_daemon.effects.catalogue import apply_effects
 from bstm_daemon.effects.effect import CornerModel
 from bstm_daemon.errors import ConfigError
-from bstm_daemon.heat import sample_pass as reference_pass
 from bstm_daemon.heat.sample_pass import SETTLE
 from bstm_daemon.heat.sample_plan import (
     CHANNELS,
@@ -27,6 +26,7 @@ from bstm_daemon.heat.sample_plan import (
 from bstm_daemon.heat.sample_state import SampleState
 from bstm_daemon.native import load_kernel
 from bstm_daemon.roles import MEASURED_NODES, ROLE_INDEX
+from bstm_daemon.stretch import Stretch
 from bstm_daemon.thermal.brake_corner import build_corner, corner_spec
 from bstm_daemon.thermal.kernel import Batch
 from bstm_daemon.thermal.program import Program, compile_network
@@ -46,7 +46,9 @@ if TYPE_CHECKING:
     import numpy.typing as npt
 
     from bstm_daemon.config import Config, CornerConfig
+    from bstm_daemon.heat.friction_law import FrictionLaw
     from bstm_daemon.journal import Journal
+    from bstm_daemon.stretch import Outputs
 
     Ints: TypeAlias = Sequence[int] | npt.NDArray[Any]
     Floats: TypeAlias = Sequence[float] | npt.NDArray[Any]
@@ -137,21 +139,28 @@ class Estimator:
         self.config = config
         self._kernel = load_kernel()
         start_k = initial_k or config.vehicle.ambient_c + KELVIN_OFFSET
-        self.programs: dict[str, Program] = {
-            corner.name: compile_corner(config, corner)
+        models = {
+            corner.name: corner_model(config, corner)
             for corner in config.disc_corners()
         }
+        self.programs: dict[str, Program] = {
+            name: compiled_model(model) for name, model in models.items()
+        }
+        laws: dict[str, FrictionLaw] = {
+            name: model.friction
+            for name, model in models.items()
+            if not model.friction.nominal
+        }
         longest_s = self._settling_time_s()
-        self.plan = plan_samples(config, present, STEP_US, longest_s)
+        self.plan = plan_samples(config, present, STEP_US, longest_s, laws)
         self.samples = SampleState.new(self.plan)
         self.batches = self._batches(start_k)
         self.settling_s = 0.0 if history_known else longest_s
         self.history_left_steps = round(self.settling_s * 1e6) // STEP_US
         self._needs = needs_of_corners(config, present)
-        corners = len(self.plan.corners)
-        self._rows = array("d", bytes(8 * ROWS * corners * len(CHANNELS)))
-        self._vehicle = array("d", bytes(8 * ROWS * len(VEHICLE_CHANNELS)))
-        self._times = array("q", bytes(8 * ROWS))
+        self._stretch = Stretch(
+            self.plan, self._kernel, ROWS, PUBLISH_US, coupled=bool(laws)
+        )
         self.open_flags = 0
         self.journal: Journal | None = None
         """Takes the rows of every step, where it is asked for."""
@@ -241,32 +250,15 @@ class Estimator:
             times_us, roles = _plain(times_us), _plain(roles)
             values = _plain(values)
         while index < count:
-            index, steps, code = self._pass(times_us, roles, values, index)
+            index, steps, code, outputs = self._stretch.fill(
+                self.samples, self.batches, times_us, roles, values, index
+            )
             if steps:
-                block = self._march(steps)
+                block = self._block(steps, outputs)
                 if len(block.times_us):
                     yield block
             if code == SETTLE:
                 self._settle()
-
-    def _pass(
-        self,
-        times_us: Any,
-        roles: Any,
-        values: Any,
-        first: int,
-    ) -> tuple[int, int, int]:
-        state = self.samples
-        if self._kernel is None:
-            return reference_pass.sample_pass(
-                self.plan, state, times_us, roles, values, first,
-                self._rows, self._vehicle, self._times,
-            )  # fmt: skip
-        return self._kernel.sample_pass(
-            self.plan.ints, self.plan.floats, state.times, state.numbers,
-            state.flags, times_us, roles, values, self._rows, self._vehicle,
-            self._times, first,
-        )  # fmt: skip
 
     def _batches(self, start_k: float) -> list[tuple[Batch, list[str]]]:
         """Group the corners by structure; each group is one batch."""
@@ -289,24 +281,20 @@ class Estimator:
             groups.append((batch, names))
         return groups
 
-    def _march(self, steps: int) -> Block:
-        """March *steps* rows and keep what their publications need."""
+    def _block(self, steps: int, outputs: Outputs) -> Block:
+        """Keep what the publications of *steps* marched rows need."""
         every = PUBLISH_US // STEP_US
-        phase = (-(self._times[0] // STEP_US)) % every + 1
+        stretch = self._stretch
+        phase = stretch.phase()
         row = len(self.plan.corners) * len(CHANNELS)
-        inputs = memoryview(self._rows)[: steps * row]
-        outputs = tuple(
-            batch.march(inputs, steps, STEP_US * 1e-6, every, phase)
-            for batch, _ in self.batches
-        )
         if self.journal is not None:
-            self.journal.add(inputs, steps)
+            self.journal.add(memoryview(stretch.rows)[: steps * row], steps)
         wide = len(VEHICLE_CHANNELS)
-        times = self._times[phase - 1 : steps : every]
+        times = stretch.times[phase - 1 : steps : every]
         rows, vehicle = array("d"), array("d")
         for step in range(phase - 1, steps, every):
-            rows.extend(self._rows[step * row : (step + 1) * row])
-            vehicle.extend(self._vehicle[step * wide : (step + 1) * wide])
+            rows.extend(stretch.rows[step * row : (step + 1) * row])
+            vehicle.extend(stretch.vehicle[step * wide : (step + 1) * wide])
         flags = self._published_flags(steps, phase, every)
         known_from = self._known_from(phase, every)
         block = Block(times, rows, vehicle, outputs, flags, {}, known_from)
@@ -344,7 +332,7 @@ class Estimator:
         wide = len(VEHICLE_CHANNELS)
         flags = array("q")
         for step, bits in enumerate(
-            self._vehicle[wide - 1 : steps * wide : wide]
+            self._stretch.vehicle[wide - 1 : steps * wide : wide]
         ):
             self.open_flags |= int(bits)
             if (step + 1 - phase) % every == 0:
@@ -385,6 +373,7 @@ class Estimator:
         for batch, names in self.batches:
             for member in range(len(names)):
                 batch.settle(ambient, member)
+        self._stretch.heat_interfaces(self.samples, self.batches)
         self.history_left_steps = 0
 
 
@@ -444,13 +433,34 @@ def compile_corner(config: Config, corner: CornerConfig) -> Program:
     Raises:
         ConfigError: a part, share or effect that does not exist or fit.
     """
+    return compiled_model(corner_model(config, corner))
+
+
+def compiled_model(model: CornerModel) -> Program:
+    """Network of *model*, compiled.
+
+    Raises:
+        ConfigError: the effects do not fit together.
+    """
+    try:
+        return compile_network(model.network)
+    except (KeyError, ValueError) as error:
+        msg = f"[[corner]] {model.spec.name} with its effects: {error}"
+        raise ConfigError([msg]) from error
+
+
+def corner_model(config: Config, corner: CornerConfig) -> CornerModel:
+    """Network and friction law of *corner* with its effects.
+
+    Raises:
+        ConfigError: a part, share or effect that does not exist or fit.
+    """
     spec = corner_spec(config, corner)
     mode = config.heat.mode
     try:
         net = build_corner(spec, CHANNELS, force_measured=mode == "measured")
         model = CornerModel(spec, net, mode not in {"fb", "fused"})
-        model = apply_effects(model, config.effect)
-        return compile_network(model.network)
+        return apply_effects(model, config.effect)
     except (KeyError, ValueError) as error:
         msg = f"[[corner]] {corner.name} with its effects: {error}"
         raise ConfigError([msg]) from error

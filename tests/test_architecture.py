@@ -32,6 +32,7 @@ FLOORS = {
     "setup": 3,
     "validity": 3,
     "journal": 3,
+    "stretch": 3,
     "estimator": 4,
     "carry_over": 5,
     "engine": 6,

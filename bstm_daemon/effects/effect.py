@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, ClassVar
+
+from bstm_daemon.heat.friction_law import FrictionLaw
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -18,16 +20,22 @@ class CornerModel:
     """What an effect edits: one corner's network and what it was built from.
 
     ``heat_from_pressure`` tells whether the brake power is Feed-Forward; an
-    effect on friction must leave a measured power alone.
+    effect on friction must leave a measured power alone. ``friction`` is
+    what the pass over samples makes of the pressure, in any mode.
     """
 
     spec: CornerSpec
     network: Network
     heat_from_pressure: bool
+    friction: FrictionLaw = field(default_factory=FrictionLaw)
 
     def with_network(self, network: Network) -> CornerModel:
         """Return the same corner with *network*."""
         return replace(self, network=network)
+
+    def with_friction_law(self, law: FrictionLaw) -> CornerModel:
+        """Return the same corner with the factors of *law* besides."""
+        return replace(self, friction=self.friction.times(law))
 
 
 @dataclass(frozen=True, slots=True)

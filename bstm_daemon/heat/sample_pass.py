@@ -21,6 +21,7 @@ from math import exp, isfinite, nan
 from typing import TYPE_CHECKING, Final
 
 from bstm_daemon.heat.check_layout import NEVER, UNKNOWN, Readings
+from bstm_daemon.heat.friction_law import friction_factor
 from bstm_daemon.heat.fusion import feel, fuse
 from bstm_daemon.heat.sample_plan import (
     CHANNELS,
@@ -307,11 +308,14 @@ class _Pass(SampleMemory):
             pushing = p - pushout
             pressed = p > self.pressing_pa
             if pressed and pushing > 0.0:
-                power = per_pa * pushing * (self.wheel[c] / self.radius)
+                grip = per_pa
+                if self.laws:
+                    grip *= friction_factor(
+                        self.laws[c], self.interface_k[c], p, self.wheel[c]
+                    )
+                power = grip * pushing * (self.wheel[c] / self.radius)
                 self.energy_ff[c] += power * h
-                self.observer.brake_sum[c] += (
-                    per_pa * pushing / self.radius * h
-                )
+                self.observer.brake_sum[c] += grip * pushing / self.radius * h
             self.pressure_sum[c] += p * h
             if pressed:
                 self.on_time[c] += h
@@ -416,6 +420,7 @@ class _Pass(SampleMemory):
         self.flags = 0
         self.grid += self.step_us
         self.clear()
+        self.interface_k[:] = self.told_k
         # a value may have aged out: speeds and pressures are formed anew
         self.stale = True
 

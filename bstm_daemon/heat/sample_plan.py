@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Final
 
 from bstm_daemon.heat.feed_back import Vehicle
 from bstm_daemon.heat.feed_forward import PressureTorque
+from bstm_daemon.heat.friction_law import FrictionLaw
 from bstm_daemon.heat.limits import LIMITS
 from bstm_daemon.roles import CORNERS, MEASURED_NODES, ROLE_INDEX, ROLES
 from bstm_daemon.units import KELVIN_OFFSET
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
 
     from bstm_daemon.config import Config, CornerConfig
 
-PLAN_LAYOUT: Final = 3
+PLAN_LAYOUT: Final = 4
 MODES: Final = {"ff": 0, "fb": 1, "measured": 2, "fused": 3}
 SLOPES: Final = {"accelerometer": 0, "flat": 1}
 
@@ -142,6 +143,7 @@ def plan_samples(
     present: Mapping[int, int],
     step_us: int,
     settling_s: float = 86_400.0,
+    laws: Mapping[str, FrictionLaw] | None = None,
 ) -> SamplePlan:
     """Flatten *config*.
 
@@ -150,6 +152,7 @@ def plan_samples(
         present: role number to timeout [us], for each role that is mapped.
         step_us: the estimator's step [us].
         settling_s: the longest that any past heat is felt [s].
+        laws: friction of corners by name, where it is not nominal.
     """
     vehicle = Vehicle.of_config(config.vehicle)
     heat = config.heat
@@ -165,6 +168,7 @@ def plan_samples(
         len(table),
         int(_has_pressure(present)),
         int(heat.assume_powertrain_torque_nm is not None),
+        int(bool(laws)),
     ]
     ints += [_number(role, present) for role in VEHICLE_ROLES]
     floats = [
@@ -200,6 +204,9 @@ def plan_samples(
     floats += [float(present.get(i, 0)) for i in range(len(ROLES))]
     for bound in zip(*LIMITS, strict=True):
         floats += bound
+    if laws:
+        for corner in config.corner:
+            floats += laws.get(corner.name, FrictionLaw()).numbers()
     return SamplePlan(
         array("i", ints),
         array("d", floats),

@@ -20,6 +20,7 @@ from bstm_daemon.heat.check_layout import (
     new_checks,
 )
 from bstm_daemon.heat.checks import Checks
+from bstm_daemon.heat.friction_law import LAW_POINTS
 from bstm_daemon.heat.limits import Limits
 from bstm_daemon.heat.observer import Observer
 from bstm_daemon.heat.observer_layout import (
@@ -42,7 +43,7 @@ from bstm_daemon.roles import MEASURED_NODES, ROLES
 if TYPE_CHECKING:
     from collections.abc import MutableSequence, Sequence
 
-HEADER: Final = 8
+HEADER: Final = 9
 PER_CORNER_INTS: Final = 4 + len(MEASURED_NODES)
 VEHICLE_FLOATS: Final = 13
 PER_CORNER_FLOATS: Final = 4
@@ -73,8 +74,13 @@ CORNER_SUMS: Final = (
     "pressure",
     "brake_on",
     "total_ff",
+    "interface_k",
+    "told_k",
 )
-"""Per corner; all but the first and the last are sums of the open step."""
+"""Per corner; ``energy``, ``pressure`` and ``brake_on`` are sums of the open
+step. ``told_k``, between disc and pads, is what the thermal model gave last,
+0 before; the friction law goes by ``interface_k``, what was told when the
+step began: so it does not matter in how many calls the samples come."""
 
 
 @dataclass(slots=True)
@@ -113,6 +119,27 @@ class SampleState:
         if self.numbers[started] == 0.0:
             return None
         return list(self.numbers[first : first + len(LEARNED_NAMES)])
+
+    def heat_interface(
+        self, corner: int, corners: int, interface_k: float
+    ) -> None:
+        """Tell the friction law the temperature between disc and pads.
+
+        *corner*: place among *corners*. Counts from the next step on, or
+        at once where none was known.
+        """
+        first = len(NUMBERS) + len(ROLES) + corner
+        told = first + CORNER_SUMS.index("told_k") * corners
+        used = first + CORNER_SUMS.index("interface_k") * corners
+        self.numbers[told] = interface_k
+        if not self.numbers[used] > 0.0:
+            self.numbers[used] = interface_k
+
+    def interface_k(self, corner: int, corners: int) -> float:
+        """Return what :meth:`heat_interface` told last, 0 before."""
+        first = len(NUMBERS) + len(ROLES)
+        at = CORNER_SUMS.index("told_k") * corners + corner
+        return self.numbers[first + at]
 
     def count(self, name: str) -> int:
         """Return a counter: late, dropped, jumps, or of refused samples.
@@ -210,6 +237,13 @@ class SampleMemory:
             floats[at + i * len(ROLES) : at + (i + 1) * len(ROLES)]
             for i in range(len(Limits._fields))
         ]
+        at += len(limits) * len(ROLES)
+        self.laws = [
+            list(
+                floats[at + 3 * LAW_POINTS * c : at + 3 * LAW_POINTS * (c + 1)]
+            )
+            for c in range(self.corners if ints[8] else 0)
+        ]
         self._unpack(limits, settling_s)
         self.flags = state.flags[0]
         self.stale = True
@@ -241,7 +275,9 @@ class SampleMemory:
         self.pressure_sum = numbers[at + 2 * k : at + 3 * k]
         self.on_time = numbers[at + 3 * k : at + 4 * k]
         self.total_ff = numbers[at + 4 * k : at + 5 * k]
-        at += 5 * k
+        self.interface_k = numbers[at + 5 * k : at + 6 * k]
+        self.told_k = numbers[at + 6 * k : at + 7 * k]
+        at += len(CORNER_SUMS) * k
         observed = len(numbers) - len(OBSERVER_NUMBERS) - k
         self.checks = Checks(
             limits,
@@ -293,7 +329,9 @@ class SampleMemory:
                 *(self.force_sum, self.energy_fb, self.total_fb),
                 *(self.tail_s, *self.value),
                 *(*self.lagged, *self.energy_ff, *self.pressure_sum),
-                *(*self.on_time, *self.total_ff, *check_numbers),
+                *(*self.on_time, *self.total_ff, *self.interface_k),
+                *self.told_k,
+                *check_numbers,
                 *self.observer.packed(),
             ],
         )
