@@ -79,11 +79,23 @@ def _form_of_property(value: object) -> str:
     return "curve" if isinstance(value, dict | Curve) else "number"
 
 
-Property = Annotated[
-    Annotated[Positive, Tag("number")] | Annotated[Curve, Tag("curve")],
+LINING_HEAT_CAPACITY_J_KGK: Final = (500.0, 2500.0)
+LINING_CONDUCTIVITY_W_MK: Final = (0.3, 8.0)
+"""What linings have, from cold to glowing: 800 to 1300 J/kgK and 0.5 to 3 W/mK
+are typical, 5 W/mK of metallic ones. A matched value beyond stands in for
+something else that the model lacks."""
+
+LiningHeatCapacity = Annotated[
+    Annotated[float, Field(ge=500.0, le=2500.0), Tag("number")]
+    | Annotated[Curve, Tag("curve")],
     Discriminator(_form_of_property),
 ]
-"""A material property: one number, or a curve over temperature."""
+LiningConductivity = Annotated[
+    Annotated[float, Field(ge=0.3, le=8.0), Tag("number")]
+    | Annotated[Curve, Tag("curve")],
+    Discriminator(_form_of_property),
+]
+"""Properties of a lining: one number, or a curve over temperature."""
 
 
 class VehicleConfig(Section):
@@ -253,8 +265,23 @@ class PadConfig(Section):
     slabs: Annotated[int, Field(ge=1, le=60)] = 10
     surface_cells: Literal["half", "full"] = "half"
     density_kg_m3: Positive = 2300.0
-    heat_capacity_j_kgk: Property = 1000.0
-    conductivity_w_mk: Property = 1.2
+    heat_capacity_j_kgk: LiningHeatCapacity = 1000.0
+    conductivity_w_mk: LiningConductivity = 1.2
+
+    @model_validator(mode="after")
+    def _is_a_lining(self) -> Self:
+        for name, unit, (low, high) in (
+            ("heat_capacity_j_kgk", "J/(kg K)", LINING_HEAT_CAPACITY_J_KGK),
+            ("conductivity_w_mk", "W/(m K)", LINING_CONDUCTIVITY_W_MK),
+        ):
+            given = getattr(self, name)
+            if isinstance(given, Curve):
+                require(
+                    low <= min(given.value) and max(given.value) <= high,
+                    f"{name!r} must stay between {low:g} and {high:g} {unit}, "
+                    "no lining is beyond",
+                )
+        return self
 
 
 class ThermalConfig(Section):
@@ -263,7 +290,7 @@ class ThermalConfig(Section):
     Conductances and capacities are those of one corner (both pads).
     """
 
-    structure: Literal["thesis"] = "thesis"
+    structure: Literal["thesis", "extended"] = "thesis"
     disc_mass_correction_factor: Positive = 1.0
     heat_partition_correction_factor: NotNegative = 1.0
     disc_emissivity: Emissivity = 0.55

@@ -14,8 +14,13 @@ from itertools import groupby
 from math import isfinite, isnan, nan
 from typing import TYPE_CHECKING, Any, Final
 
-from bstm_daemon.effects.catalogue import apply_effects
-from bstm_daemon.effects.effect import CornerModel
+from bstm_daemon.effects.catalogue import (
+    apply_effects,
+    edited_inputs,
+    effects_of,
+)
+from bstm_daemon.effects.corrections import corrected, corrections_by_role
+from bstm_daemon.effects.model import CornerModel
 from bstm_daemon.errors import ConfigError
 from bstm_daemon.heat.sample_pass import SETTLE
 from bstm_daemon.heat.sample_plan import (
@@ -152,7 +157,11 @@ class Estimator:
             if not model.friction.nominal
         }
         longest_s = self._settling_time_s()
-        self.plan = plan_samples(config, present, STEP_US, longest_s, laws)
+        inputs = edited_inputs(config)
+        self._corrections = corrections_by_role(inputs.corrections)
+        self.plan = plan_samples(
+            inputs.config, present, STEP_US, longest_s, laws
+        )
         self.samples = SampleState.new(self.plan)
         self.batches = self._batches(start_k)
         self.settling_s = 0.0 if history_known else longest_s
@@ -246,6 +255,8 @@ class Estimator:
             samples are given.
         """
         index, count = 0, len(times_us)
+        if self._corrections:
+            values = corrected(self._corrections, roles, values)
         if self._kernel is None:
             times_us, roles = _plain(times_us), _plain(roles)
             values = _plain(values)
@@ -458,9 +469,13 @@ def corner_model(config: Config, corner: CornerConfig) -> CornerModel:
     spec = corner_spec(config, corner)
     mode = config.heat.mode
     try:
-        net = build_corner(spec, CHANNELS, force_measured=mode == "measured")
-        model = CornerModel(spec, net, mode not in {"fb", "fused"})
-        return apply_effects(model, config.effect)
+        model = CornerModel(
+            spec,
+            build_corner(spec, CHANNELS, force_measured=mode == "measured"),
+            mode not in {"fb", "fused"},
+            config.vehicle.wheel_radius_m,
+        )
+        return apply_effects(model, effects_of(config))
     except (KeyError, ValueError) as error:
         msg = f"[[corner]] {corner.name} with its effects: {error}"
         raise ConfigError([msg]) from error

@@ -242,7 +242,8 @@ def _heat(config: Config) -> str:
 
 def _effects(config: Config) -> str:
     names = [f"{one.name} ({one.corner})" for one in config.effect]
-    return ", ".join(names) or f"none, structure {config.thermal.structure}"
+    base = f"structure {config.thermal.structure}"
+    return f"{', '.join(names) or 'none'}, {base}"
 
 
 def _fluid(config: Config) -> str:

@@ -2,70 +2,61 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, ClassVar, Literal
 
-from bstm_daemon.heat.friction_law import FrictionLaw
+from bstm_daemon.effects.model import (
+    CornerModel,
+    InputModel,
+    Parameter,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from bstm_daemon.thermal.brake_corner import CornerSpec
-    from bstm_daemon.thermal.network import Network
+    from bstm_daemon.config import CornerConfig
 
-
-@dataclass(frozen=True, slots=True)
-class CornerModel:
-    """What an effect edits: one corner's network and what it was built from.
-
-    ``heat_from_pressure`` tells whether the brake power is Feed-Forward; an
-    effect on friction must leave a measured power alone. ``friction`` is
-    what the pass over samples makes of the pressure, in any mode.
-    """
-
-    spec: CornerSpec
-    network: Network
-    heat_from_pressure: bool
-    friction: FrictionLaw = field(default_factory=FrictionLaw)
-
-    def with_network(self, network: Network) -> CornerModel:
-        """Return the same corner with *network*."""
-        return replace(self, network=network)
-
-    def with_friction_law(self, law: FrictionLaw) -> CornerModel:
-        """Return the same corner with the factors of *law* besides."""
-        return replace(self, friction=self.friction.times(law))
-
-
-@dataclass(frozen=True, slots=True)
-class Parameter:
-    """A parameter of an effect: unit, bounds, typical value, meaning."""
-
-    name: str
-    unit: str
-    lower: float
-    upper: float
-    typical: float
-    meaning: str
-
+Kind = Literal["thermal", "heat", "measurement"]
 
 STRENGTH = Parameter("strength", "1", 0.0, 5.0, 1.0, "0 = absent, 1 = typical")
+SIGNED_STRENGTH = Parameter(
+    "strength", "1", -5.0, 5.0, 1.0, "0 = absent, 1 = typical, either sign"
+)
+
+FIRST, USUAL, LAST = -1, 0, 1
+"""Stages of application: what makes the nodes that others use comes first,
+what moves the ends of links comes last."""
 
 
-class Effect(ABC):
+class Effect:
     """One effect with its parameter values.
 
-    Subclasses give ``number`` and ``name`` of the catalogue, a
-    ``description`` in plain words, the ``signature`` by which data show it,
-    their own parameters in ``own_parameters``, and :meth:`apply`.
+    Subclasses give ``number`` and ``name`` of the catalogue, the ``kind`` of
+    what is edited, a ``description`` in plain words, the ``signature`` by
+    which data show it, the names of the effects it is a twin of, their own
+    parameters in ``own_parameters``, and at least one of :meth:`edit` and
+    :meth:`edit_inputs`. At strength 0 neither is called.
+
+    Three kinds. ``thermal``: the network of a corner. ``heat``: the power
+    that heats it, by its sources, by the configuration that the pass over
+    samples is built from, or by a correction of what a sensor reads.
+    ``measurement``: what a thermocouple tells of a node.
     """
 
     number: ClassVar[int]
     name: ClassVar[str]
+    kind: ClassVar[Kind] = "thermal"
     description: ClassVar[str]
     signature: ClassVar[str]
+    twins: ClassVar[tuple[str, ...]] = ()
     own_parameters: ClassVar[tuple[Parameter, ...]] = ()
+
+    either_sign: ClassVar[bool] = False
+    """Whether physics allows a strength below 0."""
+
+    whole_car: ClassVar[bool] = False
+    """Whether it acts on the car and can not be given for one corner."""
+
+    stage: ClassVar[int] = USUAL
 
     def __init__(self, values: Mapping[str, float]) -> None:
         """Take *values* by name; what is not given is typical.
@@ -85,7 +76,8 @@ class Effect(ABC):
     @classmethod
     def parameters(cls) -> tuple[Parameter, ...]:
         """All parameters, strength first."""
-        return (STRENGTH, *cls.own_parameters)
+        strength = SIGNED_STRENGTH if cls.either_sign else STRENGTH
+        return (strength, *cls.own_parameters)
 
     @classmethod
     def problems(cls, values: Mapping[str, float]) -> list[str]:
@@ -115,6 +107,31 @@ class Effect(ABC):
         """The effect's strength, 1 = typical."""
         return self._values["strength"]
 
-    @abstractmethod
     def apply(self, model: CornerModel) -> CornerModel:
-        """Return *model* with the effect in it."""
+        """Return *model*, one corner, with the effect in it."""
+        return model if self.strength == 0.0 else self.edit(model)
+
+    def apply_to_inputs(
+        self, inputs: InputModel, corner: CornerConfig | None
+    ) -> InputModel:
+        """Return *inputs*, the car's, with the effect in it.
+
+        Called once for the car with *corner* None where the effect is of the
+        ``whole_car``, and otherwise once for each corner that it is given
+        for.
+        """
+        if self.strength == 0.0:
+            return inputs
+        return self.edit_inputs(inputs, corner)
+
+    def edit(self, model: CornerModel) -> CornerModel:
+        """Edit one corner; the strength is not 0."""
+        return model
+
+    def edit_inputs(
+        self,
+        inputs: InputModel,
+        corner: CornerConfig | None,  # noqa: ARG002
+    ) -> InputModel:
+        """Edit the inputs of the car; the strength is not 0."""
+        return inputs

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from bstm_daemon.effects.catalogue import effect_class
-from bstm_daemon.effects.effect import CornerModel
+from bstm_daemon.effects.model import CornerModel
 from bstm_daemon.native import load_kernel
 from bstm_daemon.thermal.brake_corner import CornerSpec, build_corner
 from bstm_daemon.thermal.kernel import Batch

@@ -18,7 +18,7 @@ from bstm_daemon.effects.catalogue import (
     effect_names,
     problems_of,
 )
-from bstm_daemon.effects.effect import CornerModel
+from bstm_daemon.effects.model import CornerModel
 from bstm_daemon.thermal.brake_corner import CornerSpec, build_corner
 from bstm_daemon.thermal.program import compile_network
 

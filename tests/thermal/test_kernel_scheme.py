@@ -12,7 +12,7 @@ import pytest
 
 from bstm_daemon.config import EffectConfig
 from bstm_daemon.effects.catalogue import apply_effects
-from bstm_daemon.effects.effect import CornerModel
+from bstm_daemon.effects.model import CornerModel
 from bstm_daemon.thermal.brake_corner import CornerSpec, build_corner
 from bstm_daemon.thermal.kernel import Batch
 from bstm_daemon.thermal.ledger import read_ledger
@@ -210,7 +210,9 @@ def test_lanes_equal_single_members(
     """Blocks of eight, eight and four, then three by one, bit for bit."""
     spec = rough_spec(make_spec)
     programs = [
-        everything(spec, wet_disc=0.1 * i, friction_history=2.3 - 0.1 * i)
+        everything(
+            spec, wet_disc=0.1 * (i + 1), friction_history=2.3 - 0.1 * i
+        )
         for i in range(23)
     ]
     rows, steps = drive(600), 600

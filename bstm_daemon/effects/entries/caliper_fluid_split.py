@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import ClassVar
 
-from bstm_daemon.effects.effect import CornerModel, Effect, Parameter
+from bstm_daemon.effects.effect import FIRST, Effect
+from bstm_daemon.effects.model import CALIPER, CornerModel, Parameter
 from bstm_daemon.thermal.network import Link, Node
 
 NEGLIGIBLE = 1e-6
@@ -15,52 +16,75 @@ NEGLIGIBLE = 1e-6
 class CaliperFluidSplit(Effect):
     """The lump of section 4.7 becomes two nodes.
 
-    The shim heats the fluid behind the piston; the fluid heats the caliper,
-    which carries all losses. The stronger the effect the weaker the coupling.
+    One pad heats the fluid through the piston, the other the caliper's
+    finger; the fluid heats the caliper, which carries all losses. The
+    stronger the effect the weaker the couplings.
     """
 
     number = 27
     name = "caliper_fluid_split"
-    description = "The fluid behind the piston is hotter than the caliper."
+    description = "The fluid behind the piston is not as warm as the caliper."
     signature = (
-        "Fluid, at the start of a soak, minutes; proportional to the "
-        "difference of fluid and caliper."
+        "Fluid, while brakings begin and end and at the start of a soak, "
+        "minutes; proportional to the difference of fluid and caliper."
     )
+    twins = ("fluid_exchange",)
+    stage = FIRST
     own_parameters: ClassVar = (
         Parameter(
-            "fluid_capacity_j_k", "J/K", 20.0, 500.0, 90.0, "fluid only"
+            "fluid_capacity_j_k",
+            "J/K",
+            20.0,
+            500.0,
+            160.0,
+            "fluid and half of the piston",
         ),
-        Parameter("coupling_w_k", "W/K", 2.0, 500.0, 25.0, "at strength 1"),
+        Parameter("piston_w_k", "W/K", 0.5, 500.0, 6.0, "shim to fluid"),
+        Parameter("finger_w_k", "W/K", 0.5, 500.0, 4.0, "finger to the body"),
+        Parameter("coupling_w_k", "W/K", 2.0, 500.0, 20.0, "fluid to caliper"),
     )
 
-    def apply(self, model: CornerModel) -> CornerModel:
+    def edit(self, model: CornerModel) -> CornerModel:
         """Split ``fluid`` and let every loss start at ``caliper``."""
         if self.strength < NEGLIGIBLE:
             return model
         net = model.network
         whole = net.node("fluid").capacity_j_k
         fluid = min(self["fluid_capacity_j_k"], 0.5 * whole)
+        shim = net.link("shim")
+        one_pad = 0.5 * shim.conductance_w_k
+
+        def behind(own_w_k: float) -> float:
+            return 1.0 / (1.0 / one_pad + self.strength / own_w_k)
 
         def moved(link: Link) -> Link:
-            if link.name == "shim":
-                return link
+            if link is shim:
+                return replace(
+                    link, conductance_w_k=behind(self["piston_w_k"])
+                )
             return replace(
                 link,
-                a="caliper" if link.a == "fluid" else link.a,
-                b="caliper" if link.b == "fluid" else link.b,
+                a=CALIPER if link.a == "fluid" else link.a,
+                b=CALIPER if link.b == "fluid" else link.b,
             )
 
         net = replace(net, links=tuple(map(moved, net.links)))
         net = (
             net.edit_node("fluid", lambda n: replace(n, capacity_j_k=fluid))
-            .with_node(Node("caliper", whole - fluid))
+            .with_node(Node(CALIPER, whole - fluid))
             .with_link(
+                replace(
+                    shim,
+                    name="shim_finger",
+                    b=CALIPER,
+                    conductance_w_k=behind(self["finger_w_k"]),
+                ),
                 Link(
                     "fluid-caliper",
                     "fluid",
-                    "caliper",
+                    CALIPER,
                     self["coupling_w_k"] / self.strength,
-                )
+                ),
             )
         )
         return model.with_network(net)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import ClassVar
 
-from bstm_daemon.effects.effect import CornerModel, Effect, Parameter
+from bstm_daemon.effects.effect import Effect
+from bstm_daemon.effects.model import CornerModel, Parameter
 from bstm_daemon.thermal.network import Link, value
 from bstm_daemon.thermal.table import Table
 
@@ -29,7 +30,7 @@ class ContactConductance(Effect):
         Parameter("conductance_w_m2k", "W/m2K", 10.0, 2e4, 300.0, "at 1 MPa"),
     )
 
-    def apply(self, model: CornerModel) -> CornerModel:
+    def edit(self, model: CornerModel) -> CornerModel:
         """Add the link disc to pad_front."""
         rise = Table.from_function(
             lambda p: (max(p, 0.0) / 1e6) ** 0.95, 0.0, 2e7, 401

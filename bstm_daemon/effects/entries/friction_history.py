@@ -2,17 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from math import exp
 from typing import ClassVar
 
-from bstm_daemon.effects.effect import CornerModel, Effect, Parameter
-from bstm_daemon.thermal.network import (
-    Memory,
-    Source,
-    value,
-    with_factors,
-)
+from bstm_daemon.effects.effect import Effect
+from bstm_daemon.effects.model import CornerModel, Parameter
+from bstm_daemon.thermal.network import Memory, value
 from bstm_daemon.thermal.table import Table
 
 WORN_IN = 6.0
@@ -28,6 +23,7 @@ class FrictionHistory(Effect):
 
     number = 4
     name = "friction_history"
+    kind = "heat"
     description = (
         "Friction of new pads falls as they take up heat for the first time."
     )
@@ -42,7 +38,7 @@ class FrictionHistory(Effect):
         ),
     )
 
-    def apply(self, model: CornerModel) -> CornerModel:
+    def edit(self, model: CornerModel) -> CornerModel:
         """Scale the friction heat by a memory of its own integral."""
         if not model.heat_from_pressure:
             return model
@@ -57,15 +53,5 @@ class FrictionHistory(Effect):
             (value("brake_power_w"),),
             upper=WORN_IN,
         )
-        friction = value("bedding", worn)
-
-        def scaled(source: Source) -> Source:
-            drivers = {factor.a for factor in source.factors}
-            if "brake_power_w" not in drivers:
-                return source
-            return with_factors(source, friction)
-
         net = model.network.with_memory(bedding)
-        return model.with_network(
-            replace(net, sources=tuple(map(scaled, net.sources)))
-        )
+        return model.with_network(net).with_friction(value("bedding", worn))

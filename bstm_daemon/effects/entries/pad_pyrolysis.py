@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import ClassVar
 
-from bstm_daemon.effects.effect import CornerModel, Effect, Parameter
+from bstm_daemon.effects.effect import Effect
+from bstm_daemon.effects.model import CornerModel, Parameter
 from bstm_daemon.thermal.network import Memory, Source, value
 from bstm_daemon.thermal.table import Table
 from bstm_daemon.units import KELVIN_OFFSET
@@ -31,7 +32,7 @@ class PadPyrolysis(Effect):
         Parameter("rate_per_s", "1/s", 1e-4, 0.1, 5e-3, "rate when hot"),
     )
 
-    def apply(self, model: CornerModel) -> CornerModel:
+    def edit(self, model: CornerModel) -> CornerModel:
         """Add a memory of the decomposed share and a sink in pad_front."""
         start_k = self["onset_c"] + KELVIN_OFFSET - 0.5 * ONSET_WIDTH_K
         onset = value("pad_front", Table(start_k, ONSET_WIDTH_K, (0.0, 1.0)))

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import ClassVar
 
-from bstm_daemon.effects.effect import CornerModel, Effect, Parameter
+from bstm_daemon.effects.effect import Effect
+from bstm_daemon.effects.model import CornerModel, Parameter
 from bstm_daemon.thermal.network import value, with_factors
 from bstm_daemon.thermal.table import Table
 
@@ -27,7 +28,7 @@ class ShimContact(Effect):
         ),
     )
 
-    def apply(self, model: CornerModel) -> CornerModel:
+    def edit(self, model: CornerModel) -> CornerModel:
         """Multiply the shim's conductance by a table over pressure."""
         loose = max(1.0 - self.strength * self["loss"], 0.02)
         pressed = Table(0.0, self["full_pressure_pa"], (loose, 1.0))

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import ClassVar
 
-from bstm_daemon.effects.effect import CornerModel, Effect, Parameter
+from bstm_daemon.effects.effect import Effect
+from bstm_daemon.effects.model import CornerModel, Parameter
 from bstm_daemon.thermal.network import Link, value
 from bstm_daemon.thermal.table import Table
 
@@ -30,7 +31,7 @@ class WetDisc(Effect):
         Parameter("cold_fraction", "1", 0.0, 1.0, 0.25, "below 80 degC"),
     )
 
-    def apply(self, model: CornerModel) -> CornerModel:
+    def edit(self, model: CornerModel) -> CornerModel:
         """Add the link disc to ambient."""
         boiling = Table(
             HALF_WET_K, BOILING_K - HALF_WET_K, (self["cold_fraction"], 1.0)

@@ -1,0 +1,62 @@
+"""Effect 10: the disc's heat capacity peaks at the Curie point."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, ClassVar
+
+from bstm_daemon.effects.effect import Effect
+from bstm_daemon.effects.model import CornerModel, Parameter
+from bstm_daemon.thermal.table import Table
+from bstm_daemon.units import KELVIN_OFFSET
+
+if TYPE_CHECKING:
+    from bstm_daemon.thermal.network import Node
+
+LEAST_SHARE = 0.3
+HOTTEST_K = 1300.0
+
+
+class DiscCapacityHot(Effect):
+    """A tent on top of cp(T), over what the configured curve has.
+
+    Curie point (770 degC in pure iron) and eutectoid take up some 40 kJ/kg
+    in all, and give them back on cooling.
+    """
+
+    number = 10
+    name = "disc_capacity_hot"
+    description = "Near 750 degC iron takes up heat without getting hotter."
+    signature = (
+        "Disc, proportional to its change of temperature, above 650 degC, "
+        "heating and cooling alike."
+    )
+    twins = ("friction_fade", "disc_radiation_driving")
+    either_sign = True
+    own_parameters: ClassVar = (
+        Parameter("peak_j_kgk", "J/kgK", 0.0, 1500.0, 450.0, "above cp(T)"),
+        Parameter("centre_c", "degC", 650.0, 800.0, 755.0, "of the peak"),
+        Parameter("half_width_k", "K", 20.0, 150.0, 80.0, "to its foot"),
+    )
+
+    def edit(self, model: CornerModel) -> CornerModel:
+        """Raise cp(T) of the disc."""
+        centre = self["centre_c"] + KELVIN_OFFSET
+        width, peak = self["half_width_k"], self.strength * self["peak_j_kgk"]
+
+        def edited(node: Node) -> Node:
+            old = node.capacity_table
+            if old is None:
+                msg = "disc_capacity_hot: the disc has no cp(T)"
+                raise ValueError(msg)
+
+            def cp_j_kgk(t: float) -> float:
+                tent = max(1.0 - abs(t - centre) / width, 0.0)
+                return max(old(t) + peak * tent, LEAST_SHARE * old(t))
+
+            table = Table.from_function(
+                cp_j_kgk, old.x0, max(old.x1, HOTTEST_K), 513
+            )
+            return replace(node, capacity_table=table)
+
+        return model.with_network(model.network.edit_node("disc", edited))
