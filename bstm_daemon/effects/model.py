@@ -60,8 +60,11 @@ class CornerModel:
         """Return the same corner with the factors of *law* besides."""
         return replace(self, friction=self.friction.times(law))
 
-    def with_friction(self, *factors: Factor) -> CornerModel:
-        """Return the corner with *factors* on mu, where mu gives the heat."""
+    def with_heat_factors(self, *factors: Factor) -> CornerModel:
+        """Return the corner with *factors* on the power that pressure gives.
+
+        For what a :class:`FrictionLaw` does not know, such as a memory.
+        """
         if not self.heat_from_pressure:
             return self
 

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 INPUTS_ONLY = {
     *("pushout_pressure", "hydraulic_lag", "brake_share", "mass_error"),
     *("powertrain_torque_error", "accelerometer_bias"),
+    *("friction_fade", "friction_speed", "friction_pressure"),
     "brake_without_pressure",
 }
 """Effects that leave the network of a corner as it is."""

@@ -37,7 +37,8 @@ MASS_KG, RADIUS_M = 2194.0, 0.3418
 INPUT_EFFECTS = (
     *("pushout_pressure", "hydraulic_lag", "thermocouple_offset"),
     *("accelerometer_bias", "mass_error", "brake_share"),
-    "powertrain_torque_error",
+    *("powertrain_torque_error", "friction_fade", "friction_speed"),
+    "friction_pressure",
 )
 
 
@@ -121,8 +122,9 @@ def test_the_file_stays_as_it_is(
     config = car("ff", name)
     before = config.model_dump()
     edited = edited_inputs(config)
+    law = corner_model(config, config.corner[0]).friction
     assert config.model_dump() == before
-    assert edited.corrections or edited.config != config
+    assert edited.corrections or edited.config != config or not law.nominal
 
 
 def test_a_car_without_effects_is_itself(car: Callable[..., Config]) -> None:
@@ -154,6 +156,47 @@ def test_pushout_takes_off_pressure(car: Callable[..., Config]) -> None:
     assert once / base == pytest.approx(1.9 / 2.0, rel=1e-9)
     assert twice / base == pytest.approx(1.8 / 2.0, rel=1e-9)
     assert power(car("fb", "pushout_pressure")) == power(car("fb"))
+
+
+def test_friction_over_speed_and_pressure(car: Callable[..., Config]) -> None:
+    """Power laws, 1 at 10 m/s and 1 MPa; not a watt of Feed-Back."""
+    base = power(car("ff"))
+    for name, ratio in (
+        ("friction_speed", 2.0**-0.1),
+        ("friction_pressure", 2.0**-0.05),
+    ):
+        assert power(car("ff", name)) / base == pytest.approx(ratio, rel=1e-6)
+        rising = power(car("ff", name, strength=-1.0))
+        assert rising / base == pytest.approx(1.0 / ratio, rel=1e-6)
+        assert power(car("fb", name)) == power(car("fb"))
+
+
+@pytest.mark.parametrize(
+    ("between_c", "ratio"), [(300.0, 1.0), (440.0, 0.86), (700.0, 0.72)]
+)
+def test_friction_fades_over_the_interface(
+    car: Callable[..., Config], between_c: float, ratio: float
+) -> None:
+    """Half way along the ramp half of the fall."""
+    found = []
+    for config in (car("ff"), car("ff", "friction_fade")):
+        present = {ROLE_INDEX[role]: 500_000 for role in ROLES[:2]}
+        estimator = Estimator(
+            config, present, initial_k=between_c + 273.15, history_known=True
+        )
+        samples = [
+            (at, ROLE_INDEX[role], value)
+            for at in range(0, 300_000, 20_000)
+            for role, value in zip(ROLES, (20.0, 2e6), strict=False)
+        ]
+        blocks = estimator.advance(
+            *(
+                array(code, [s[i] for s in samples])
+                for i, code in enumerate("qid")
+            )
+        )
+        found.append(column(blocks[0].rows, "brake_power_w")[-1])
+    assert found[1] / found[0] == pytest.approx(ratio, abs=0.012)
 
 
 def test_pushout_of_one_corner(make_car: Any, make_corner: Any) -> None:

@@ -6,8 +6,7 @@ from typing import ClassVar
 
 from bstm_daemon.effects.effect import Effect
 from bstm_daemon.effects.model import CornerModel, Parameter
-from bstm_daemon.thermal.network import mean
-from bstm_daemon.thermal.table import Table
+from bstm_daemon.heat.friction_law import FrictionLaw
 from bstm_daemon.units import KELVIN_OFFSET
 
 LEAST = 0.1
@@ -37,8 +36,11 @@ class FrictionFade(Effect):
 
     def edit(self, model: CornerModel) -> CornerModel:
         """Multiply mu by a ramp over the temperature of the interface."""
-        left = max(1.0 - self.strength * self["drop"], LEAST)
-        ramp = Table(
-            self["onset_c"] + KELVIN_OFFSET, self["span_k"], (1.0, left)
-        )
-        return model.with_friction(mean("disc", "pad_front", ramp))
+        fall = self.strength * self["drop"]
+        onset_k = self["onset_c"] + KELVIN_OFFSET
+
+        def fade(t: float) -> float:
+            done = min(max((t - onset_k) / self["span_k"], 0.0), 1.0)
+            return max(1.0 - fall * done, LEAST)
+
+        return model.with_friction_law(FrictionLaw.of(temperature_k=fade))

@@ -54,4 +54,6 @@ class FrictionHistory(Effect):
             upper=WORN_IN,
         )
         net = model.network.with_memory(bedding)
-        return model.with_network(net).with_friction(value("bedding", worn))
+        return model.with_network(net).with_heat_factors(
+            value("bedding", worn)
+        )

@@ -6,12 +6,10 @@ from typing import ClassVar
 
 from bstm_daemon.effects.effect import Effect
 from bstm_daemon.effects.model import CornerModel, Parameter
-from bstm_daemon.thermal.network import value
-from bstm_daemon.thermal.table import Table
+from bstm_daemon.heat.friction_law import FrictionLaw
 
 REFERENCE_PA = 1.0e6
-LOWEST_PA = 1.0e5
-HIGHEST_PA = 2.0e7
+LOWEST_PA = 2.5e5
 
 
 class FrictionPressure(Effect):
@@ -37,10 +35,9 @@ class FrictionPressure(Effect):
     def edit(self, model: CornerModel) -> CornerModel:
         """Multiply mu by a power of the pressure."""
         power = -self.strength * self["exponent"]
-        law = Table.from_function(
-            lambda p: (max(p, LOWEST_PA) / REFERENCE_PA) ** power,
-            0.0,
-            HIGHEST_PA,
-            401,
-        )
-        return model.with_friction(value("pressure_pa", law))
+
+        def law(p: float) -> float:
+            ratio: float = (max(p, LOWEST_PA) / REFERENCE_PA) ** power
+            return ratio
+
+        return model.with_friction_law(FrictionLaw.of(pressure_pa=law))

@@ -6,12 +6,10 @@ from typing import ClassVar
 
 from bstm_daemon.effects.effect import Effect
 from bstm_daemon.effects.model import CornerModel, Parameter
-from bstm_daemon.thermal.network import value
-from bstm_daemon.thermal.table import Table
+from bstm_daemon.heat.friction_law import FrictionLaw
 
 REFERENCE_MS = 10.0
 SLOWEST_MS = 1.0
-FASTEST_MS = 80.0
 
 
 class FrictionSpeed(Effect):
@@ -37,10 +35,9 @@ class FrictionSpeed(Effect):
     def edit(self, model: CornerModel) -> CornerModel:
         """Multiply mu by a power of the speed."""
         power = -self.strength * self["exponent"]
-        law = Table.from_function(
-            lambda v: (max(v, SLOWEST_MS) / REFERENCE_MS) ** power,
-            0.0,
-            FASTEST_MS,
-            321,
-        )
-        return model.with_friction(value("speed_ms", law))
+
+        def law(v: float) -> float:
+            ratio: float = (max(v, SLOWEST_MS) / REFERENCE_MS) ** power
+            return ratio
+
+        return model.with_friction_law(FrictionLaw.of(speed_ms=law))
