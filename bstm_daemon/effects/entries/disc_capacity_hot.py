@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from math import ceil
 from typing import TYPE_CHECKING, ClassVar
 
 from bstm_daemon.effects.effect import Effect
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
 
 LEAST_SHARE = 0.3
 HOTTEST_K = 1300.0
+FINEST_K = 5.0
 
 
 class DiscCapacityHot(Effect):
@@ -54,9 +56,11 @@ class DiscCapacityHot(Effect):
                 tent = max(1.0 - abs(t - centre) / width, 0.0)
                 return max(old(t) + peak * tent, LEAST_SHARE * old(t))
 
-            table = Table.from_function(
-                cp_j_kgk, old.x0, max(old.x1, HOTTEST_K), 513
-            )
+            # the old points stay points: below the peak not a bit of cp moves
+            dx = old.dx / ceil(old.dx / FINEST_K)
+            points = round((max(old.x1, HOTTEST_K) - old.x0) / dx) + 1
+            values = (cp_j_kgk(old.x0 + i * dx) for i in range(points))
+            table = Table(old.x0, dx, tuple(values))
             return replace(node, capacity_table=table)
 
         return model.with_network(model.network.edit_node("disc", edited))
