@@ -36,7 +36,7 @@ from bstm_daemon.risk.boiling import wet_boiling_point_k
 from bstm_daemon.roles import CORNERS, ROLE_INDEX
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Mapping
+    from collections.abc import Collection, Iterator, Mapping
     from typing import Any
 
     from bstm_daemon.bus.signal_map import SignalMap
@@ -175,21 +175,38 @@ class Engine:
         The time must be on the axis that the frames' stamps are on. Frames
         stamped later than *time_us* are kept as they are: they move time.
         """
-        self._pass_grid_line(time_us)
-        blocks = self.estimator.advance(self._times, self._roles, self._values)
+        published: list[Published] = []
+        blocks: list[Block] = []
+        for part in self.parts_of_tick(time_us):
+            published += part
+            blocks += self.blocks
         self.blocks = blocks
+        return published
+
+    def parts_of_tick(self, time_us: int) -> Iterator[list[Published]]:
+        """Tick as :meth:`tick`, a few minutes of the drive at a time.
+
+        What became due over a gap of hours is hundreds of megabytes.
+
+        Yields:
+            What became due, in parts; ``blocks`` are those of the part. All
+            must be taken before the next frame.
+        """
+        self._pass_grid_line(time_us)
+        samples = self._times, self._roles, self._values
         self._times = array("q")
         self._roles = array("i")
         self._values = array("d")
-        published = [
-            Published(block.times_us[i], frame)
-            for block in blocks
-            for i in range(len(block.times_us))
-            for frame in self.publication.encode(self._snapshot(block, i))
-        ]
+        self.blocks = []
+        for block in self.estimator.stretches(*samples):
+            self.blocks = [block]
+            yield [
+                Published(block.times_us[i], frame)
+                for i in range(len(block.times_us))
+                for frame in self.publication.encode(self._snapshot(block, i))
+            ]
         # what is stamped far ahead has no publication of its own
         self._count_rejected(time_us, time_us + _STRAY_US)
-        return published
 
     def farewell(self) -> list[OutputFrame]:
         """Return the last frames of a service that stops: not available."""

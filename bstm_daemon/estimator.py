@@ -40,7 +40,7 @@ from bstm_daemon.validity import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
     from typing import TypeAlias
 
     import numpy.typing as npt
@@ -222,7 +222,20 @@ class Estimator:
         Returns:
             One block per contiguous stretch that holds a publication.
         """
-        blocks = []
+        return list(self.stretches(times_us, roles, values))
+
+    def stretches(
+        self,
+        times_us: Ints,
+        roles: Ints,
+        values: Floats,
+    ) -> Iterator[Block]:
+        """As :meth:`advance`, a block at a time: a gap of hours is many.
+
+        Yields:
+            What :meth:`advance` returns; all must be taken before the next
+            samples are given.
+        """
         index, count = 0, len(times_us)
         if self._kernel is None:
             times_us, roles = _plain(times_us), _plain(roles)
@@ -232,10 +245,9 @@ class Estimator:
             if steps:
                 block = self._march(steps)
                 if len(block.times_us):
-                    blocks.append(block)
+                    yield block
             if code == SETTLE:
                 self._settle()
-        return blocks
 
     def _pass(
         self,

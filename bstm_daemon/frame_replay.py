@@ -37,7 +37,7 @@ def replayed(
     path: Path,
     overrides: Mapping[str, str] | None = None,
     state: Mapping[str, Any] | None = None,
-) -> Iterator[tuple[int, list[Published]]]:
+) -> Iterator[list[Published]]:
     """Run the engine over the log *path*, tick by tick.
 
     Args:
@@ -48,7 +48,7 @@ def replayed(
         state: a state file's document; without it the history is unknown.
 
     Yields:
-        The time of a tick [us] and what became due.
+        What became due; a gap of hours comes in parts.
 
     Raises:
         LogError: the log is unusable or has no frame.
@@ -70,10 +70,10 @@ def replayed(
         # at the stamp of the frame before: a tick ahead of a frame with a
         # stray stamp would bear that stamp out
         if last_us // TICK_US != time_us // TICK_US:
-            yield last_us, engine.tick(last_us)
+            yield from engine.parts_of_tick(last_us)
         last_us = time_us
         engine.frame(bus, can_id, extended, data, time_us)
-    yield last_us, engine.tick(last_us)
+    yield from engine.parts_of_tick(last_us)
 
 
 def publish_log(
@@ -97,7 +97,7 @@ def publish_log(
     written = 0
     with replacing(out) as temporary, temporary.open("w") as file:
         ticks = replayed(config, signal_map, path, overrides, state)
-        for _, published in ticks:
+        for published in ticks:
             file.writelines(_line(channel, frame) for frame in published)
             written += len(published)
     return written

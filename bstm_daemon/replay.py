@@ -123,7 +123,7 @@ def stream_log(  # noqa: PLR0913
                 resume_state(estimator, state, parked_us, first_us)
             settling_s = estimator.history_left_steps * STEP_US * 1e-6
         builder.add(
-            estimator.advance(events.time_us, events.role, events.value)
+            estimator.stretches(events.time_us, events.role, events.value)
         )
         if progress is not None:
             progress(log.reader.lines, log.share)

@@ -108,6 +108,7 @@ class ResultsBuilder:
         # one: its time and its energies begin the mean powers
         self._parts: list[_Publications] = []
         self._before = 0
+        self._open_flags = 0
 
     def add(self, blocks: Iterable[Block]) -> None:
         """Take *blocks* and hand on what makes whole stretches."""
@@ -121,10 +122,10 @@ class ResultsBuilder:
                 self.rows -= self._before
             self.rows += len(part)
             self._parts.append(part)
-        waiting = sum(map(len, self._parts)) - self._before
-        while waiting >= STRETCH_ROWS:
-            self._hand_on(STRETCH_ROWS)
-            waiting -= STRETCH_ROWS
+            waiting = sum(map(len, self._parts)) - self._before
+            while waiting >= STRETCH_ROWS:
+                self._hand_on(STRETCH_ROWS)
+                waiting -= STRETCH_ROWS
 
     def finish(self) -> None:
         """Hand on the rows that are left."""
@@ -139,13 +140,14 @@ class ResultsBuilder:
         """Return those of *block* that are kept."""
         times_us = np.frombuffer(block.times_us, np.int64)
         keep = times_us % self._every_us == 0
+        flags = self._flags_since(np.frombuffer(block.flags, np.int64), keep)
         count = len(times_us)
         corners = len(self._estimator.plan.corners)
         return _Publications(
             times_us,
             _floats(block.rows, count, corners, len(CHANNELS)),
             _floats(block.vehicle, count, len(VEHICLE_CHANNELS)),
-            np.frombuffer(block.flags, np.int64),
+            flags,
             tuple(
                 _floats(output, count, len(group.corners), group.size)
                 for group, output in zip(
@@ -157,6 +159,26 @@ class ResultsBuilder:
                 for name in self._modelled
             ),
         )[keep]
+
+    def _flags_since(
+        self,
+        flags: npt.NDArray[np.int64],
+        keep: npt.NDArray[np.bool_],
+    ) -> npt.NDArray[np.int64]:
+        """Give each row that is kept the bits of those dropped before it.
+
+        A finding between two rows would show nowhere else.
+        """
+        gathered = flags.copy()
+        gathered[0] |= self._open_flags
+        kept = np.flatnonzero(keep)
+        # each run of rows begins behind one that is kept
+        starts = np.concatenate([[0], kept[kept < len(flags) - 1] + 1])
+        runs = np.bitwise_or.reduceat(gathered, starts)
+        gathered[kept] = runs[: len(kept)]
+        ends_open = not (len(kept) and kept[-1] == len(flags) - 1)
+        self._open_flags = int(runs[-1]) if ends_open else 0
+        return gathered
 
     def _hand_on(self, count: int) -> None:
         waiting = _Publications.joined(self._parts)

@@ -70,7 +70,7 @@ def watch_log(  # noqa: PLR0913  (all but the log are about the view)
     now_us = 0
     source = path.name
     with suppress(KeyboardInterrupt), view:
-        for _, published in chain([ahead], ticks):
+        for published in chain([ahead], ticks):
             for time_us, frame in published:
                 if time_us != now_us and first_us is not None:
                     view.show(board, now_us, source)
