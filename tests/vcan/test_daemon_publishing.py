@@ -20,7 +20,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
     from pathlib import Path
 
-    from .conftest import Car, Daemon, Ear, Recorder
+    from .conftest import Recorder
+    from .daemon_process import Daemon
+    from .peers import Car, Ear
 
 pytestmark = pytest.mark.vcan
 

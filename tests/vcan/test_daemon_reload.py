@@ -12,7 +12,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from .conftest import Car, Daemon, Ear
+    from .daemon_process import Daemon
+    from .peers import Car, Ear
 
 pytestmark = pytest.mark.vcan
 

@@ -1,31 +1,30 @@
 """SIGKILL of the live service: its state is whole and fresh, whenever.
 
 The service is killed while a car heats its brakes, at random instants, in
-the start as well as later. ``BSTM_SIGKILLS`` sets how often. It is a process
-of its own each time, forked by this file run as a program: that has loaded
-the modules already, which else takes longer than all the rest.
+the start as well as later. ``BSTM_SIGKILLS`` sets how often.
 """
 
 from __future__ import annotations
 
-import json
 import os
 import random
 import signal
-import subprocess
-import sys
 import threading
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import pytest
 
 from bstm_daemon.daemon.clock import boot_clock_ns
 from bstm_daemon.daemon.state_file import read
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+from .daemon_process import Forked
+from .peers import DEADLINE_S
 
-    from .conftest import Car, Daemon, Ear
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from .daemon_process import Daemon, Forks
+    from .peers import Car, Ear
 
 pytestmark = pytest.mark.vcan
 
@@ -37,43 +36,6 @@ SAVE_S = 0.3
 IN_START = 0.2
 """The share of kills within the start, before the first frame."""
 START_S = 0.3
-
-
-class Forks:
-    """Services forked from a process that has all modules loaded."""
-
-    def __init__(self, process: subprocess.Popen[str]) -> None:
-        self._process = process
-
-    def start(self, *arguments: str) -> int:
-        """Return the process id of ``bstm run`` with *arguments*."""
-        return int(self._ask({"run": ["run", *arguments]}))
-
-    def kill(self, pid: int) -> None:
-        """Kill it and wait until it is dead."""
-        os.kill(pid, signal.SIGKILL)
-        assert self._ask({"wait": pid}) == f"{-signal.SIGKILL}"
-
-    def _ask(self, order: dict[str, Any]) -> str:
-        assert self._process.stdin is not None
-        assert self._process.stdout is not None
-        self._process.stdin.write(json.dumps(order) + "\n")
-        self._process.stdin.flush()
-        return self._process.stdout.readline().strip()
-
-
-@pytest.fixture
-def forks() -> Iterator[Forks]:
-    """Return what forks services."""
-    with subprocess.Popen(
-        [sys.executable, __file__],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
-        text=True,
-    ) as process:
-        yield Forks(process)
-        process.kill()
 
 
 def test_the_state_survives_sigkill_at_random_instants(
@@ -92,13 +54,14 @@ def test_the_state_survives_sigkill_at_random_instants(
     first.exit_code()
     known = first.document()
 
+    arguments = ["run", "-c", f"{first.config}", "--state", f"{first.state}"]
     chance = random.Random(20240229)  # noqa: S311
     pause = threading.Event()
     ages_s = []
     hottest_k = 0.0
     for _ in range(KILLS):
         count = len(heard.frames)
-        pid = forks.start("-c", str(first.config), "--state", str(first.state))
+        service = Forked(forks, arguments, {})
         in_start = chance.random() < IN_START
         if in_start:
             pause.wait(chance.uniform(0.0, START_S))
@@ -106,7 +69,9 @@ def test_the_state_survives_sigkill_at_random_instants(
             heard.wait(1, BASE, since=count)
             pause.wait(chance.uniform(0.0, 2.5 * INTERVAL_S))
         kill_us = boot_clock_ns() // 1000
-        forks.kill(pid)
+        service.kill()
+        assert service.wait(DEADLINE_S) == -signal.SIGKILL
+        service.stderr.close()
 
         loaded = read(first.state)
         assert loaded.problem is None
@@ -137,28 +102,3 @@ def test_the_state_survives_sigkill_at_random_instants(
     assert last.end() == 0
     left = {path.name for path in first.state.parent.iterdir()}
     assert not any(".tmp-" in name for name in left)
-
-
-def serve() -> None:
-    """Fork and reap services as the lines of standard input say."""
-    # asammdf, which python-can imports where it is, takes a second to load
-    sys.modules["asammdf"] = None  # type: ignore[assignment]
-    import bstm_daemon.cli.run  # noqa: F401, PLC0415
-    from bstm_daemon.bus import dbc, link_socketcan  # noqa: F401, PLC0415
-    from bstm_daemon.cli.main import main  # noqa: PLC0415
-
-    for line in sys.stdin:
-        order = json.loads(line)
-        if "wait" in order:
-            _, status = os.waitpid(order["wait"], 0)
-            answer = os.waitstatus_to_exitcode(status)
-        else:
-            answer = os.fork()
-            if answer == 0:
-                os._exit(main(order["run"]))
-        sys.stdout.write(f"{answer}\n")
-        sys.stdout.flush()
-
-
-if __name__ == "__main__":
-    serve()
