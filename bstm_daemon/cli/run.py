@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import argparse
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from bstm_daemon.cli.arguments import add_config
 from bstm_daemon.daemon.events import ServiceLog
@@ -13,8 +13,7 @@ from bstm_daemon.daemon.notify import Notifier
 from bstm_daemon.daemon.service import Options, Service
 from bstm_daemon.daemon.wake import SignalWaiter
 
-if TYPE_CHECKING:
-    import argparse
+PORTS = range(2**16)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -45,7 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--metrics-port",
-        type=int,
+        type=_port,
         metavar="PORT",
         help="serve /metrics and /healthz on 127.0.0.1:PORT",
     )
@@ -74,3 +73,11 @@ def run(args: argparse.Namespace) -> int:
     with SignalWaiter() as waiter:
         Service(options, notifier, ServiceLog()).run(waiter)
     return 0
+
+
+def _port(text: str) -> int:
+    port = int(text)
+    if port not in PORTS:
+        msg = f"{port}: must be from 0 to {PORTS[-1]}"
+        raise argparse.ArgumentTypeError(msg)
+    return port

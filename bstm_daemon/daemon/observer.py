@@ -1,4 +1,4 @@
-"""The service seen from outside: log events, status, metrics, record.
+"""What the service says of itself: log events, status line, record.
 
 Once a second the observer compares what is with what was and says what
 changed; nothing of it touches the estimate.
@@ -6,45 +6,34 @@ changed; nothing of it touches the estimate.
 
 from __future__ import annotations
 
-import os
-import resource
 from collections import Counter
-from contextlib import suppress
 from functools import reduce
 from math import isfinite
 from operator import or_
-from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from bstm_daemon import __version__
 from bstm_daemon.bus.link import LinkEvent, LinkState
-from bstm_daemon.bus.output_layout import RiskLevel, State, Validity
-from bstm_daemon.bus.publication import risk_level
+from bstm_daemon.bus.output_layout import RiskLevel, Validity
 from bstm_daemon.bus.refusal import Refusal
 from bstm_daemon.daemon import events
-from bstm_daemon.daemon.metrics import metrics_text, write_metrics
+from bstm_daemon.daemon.metrics_output import MetricsOutput
 from bstm_daemon.daemon.recorder import Recorder
-from bstm_daemon.daemon.status import (
-    BusStatus,
-    CornerStatus,
-    LoopStatus,
-    ServiceStatus,
-    StateFileStatus,
-    status_line,
-)
-from bstm_daemon.errors import FileAccessError
-from bstm_daemon.heat.plausibility import fault_names, reasons
+from bstm_daemon.daemon.status import status_line
+from bstm_daemon.daemon.survey import Survey
+from bstm_daemon.heat.plausibility import reasons
 from bstm_daemon.heat.sample_plan import FLAGS
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from bstm_daemon.bus.link import Frame, Link
     from bstm_daemon.daemon.clock import SteadyAxis
     from bstm_daemon.daemon.events import Event, ServiceLog
     from bstm_daemon.daemon.intake import Intake
-    from bstm_daemon.daemon.metrics_server import MetricsServer
     from bstm_daemon.daemon.monitor import Monitor
     from bstm_daemon.daemon.recorder import RecordOutcome
     from bstm_daemon.daemon.sender import Sender
+    from bstm_daemon.daemon.status import ServiceStatus, StateFileStatus
 
 DISAGREEMENT: Final = (
     FLAGS["switch_contradicts"]
@@ -71,15 +60,11 @@ class Observer:
         state_folder: Path,
         metrics_port: int | None,
     ) -> None:
-        """Log to *log*; records go below *state_folder* by default.
-
-        Raises:
-            UsageError: *metrics_port* can not be listened on.
-        """
+        """Log to *log*; records go below *state_folder* by default."""
         self._log = log
         self._axis = axis
         self._state_folder = state_folder
-        self._server = _metrics_server(metrics_port)
+        self._metrics = MetricsOutput(log, metrics_port)
         self._start_us = axis.read()
         self._recorder: Recorder | None = None
         self._record_failures = 0
@@ -91,7 +76,6 @@ class Observer:
         self._flags = self._said_flags = 0
         self._resets = self._send_lost = 0
         self._lag_us = self._longest_us = 0
-        self._next_metrics_us = 0
         self.line = "starting"
         """The status in one line."""
 
@@ -106,7 +90,10 @@ class Observer:
                 folder = monitor.path.parent / config.record.folder
             channels = [bus.channel for bus in config.bus]
             self._recorder = Recorder(config.record, folder, channels)
-        self._metrics_file = _metrics_file(monitor)
+        self._metrics.begin(monitor)
+        self._survey = Survey(
+            monitor, intake, sender, self._axis, self._start_us
+        )
         self._links = {}
         self._refused = Counter()
         self._resets = self._send_lost = 0
@@ -151,7 +138,9 @@ class Observer:
 
     def report(self, state_file: StateFileStatus, now_us: int) -> None:
         """Say what changed; renew status line and metrics."""
-        status = self._status(state_file, now_us)
+        status = self._survey.status(
+            self._flags, state_file, self._lag_us, self._longest_us, now_us
+        )
         self._say_links(now_us)
         self._say_inputs(now_us)
         self._say_corners(status, now_us)
@@ -173,117 +162,12 @@ class Observer:
         if self._recorder is not None:
             self._recorder.tick(now_us)
             self._say_record(self._recorder.outcome(), now_us)
-        if now_us >= self._next_metrics_us:
-            interval_s = self._monitor.config.metrics.interval_s
-            self._next_metrics_us = now_us + round(interval_s * 1e6)
-            self._write_metrics(status, now_us)
+        self._metrics.renew(status, now_us)
 
     def close(self) -> None:
-        """End record and page; take the metrics of a dead service away."""
+        """End record and metrics."""
         self._close_recorder()
-        if self._server is not None:
-            self._server.close()
-        if self._metrics_file is not None:
-            with suppress(OSError):  # a folder that went read-only keeps it
-                self._metrics_file.unlink(missing_ok=True)
-
-    def _write_metrics(self, status: ServiceStatus, now_us: int) -> None:
-        if self._server is not None:
-            self._server.update(metrics_text(status))
-        if self._metrics_file is None:
-            return
-        try:
-            write_metrics(self._metrics_file, status)
-        except FileAccessError as error:
-            self._log.repeat(
-                events.METRICS_FAILED,
-                "metrics",
-                now_us * 1e-6,
-                error=str(error),
-            )
-
-    def _status(
-        self, state_file: StateFileStatus, now_us: int
-    ) -> ServiceStatus:
-        engine = self._monitor.engine
-        snapshot = engine.snapshot
-        counts = engine.estimator.counts
-        usage = resource.getrusage(resource.RUSAGE_SELF)
-        published = snapshot.status if snapshot is not None else None
-        return ServiceStatus(
-            version=__version__,
-            compiled_kernel=engine.estimator.compiled,
-            state=State.STARTING if published is None else published.state,
-            heat_mode=engine.heat_mode,
-            history_known=published is not None and published.history_known,
-            faults=fault_names(self._flags),
-            is_publishing=self._sender.is_sending,
-            corners={
-                name: self._corner(name) for name in engine.estimator.programs
-            },
-            buses={
-                bus.name: self._bus(number, link)
-                for number, (bus, link) in enumerate(
-                    zip(
-                        self._monitor.config.bus,
-                        self._intake.links,
-                        strict=True,
-                    )
-                )
-            },
-            late_samples=counts["late"],
-            dropped_samples=counts["dropped"],
-            clock_jumps=counts["jumps"],
-            clock_steps=self._axis.steps,
-            state_file=state_file,
-            loop=LoopStatus(
-                drain_lag_s=self._lag_us * 1e-6,
-                drain_max_s=self._longest_us * 1e-6,
-                cpu_s=usage.ru_utime + usage.ru_stime,
-                resident_bytes=_resident_bytes(),
-                uptime_s=(now_us - self._start_us) * 1e-6,
-            ),
-        )
-
-    def _corner(self, name: str) -> CornerStatus:
-        engine = self._monitor.engine
-        program = engine.estimator.programs[name]
-        state = engine.estimator.state(name)
-        nodes_k = {
-            node.name: state[node.name]
-            for node in program.network.nodes
-            if node.boundary_input is None
-        }
-        if engine.snapshot is None:
-            return CornerStatus(nodes_k)
-        corner = engine.snapshot.corners[name]
-        level = risk_level(
-            corner.margin_k,
-            corner.validity,
-            history_known=engine.snapshot.status.history_known,
-        )
-        return CornerStatus(nodes_k, corner.margin_k, level, corner.validity)
-
-    def _bus(self, number: int, link: Link) -> BusStatus:
-        engine = self._monitor.engine
-        is_ours = number == self._monitor.publish_bus
-        # the decoder does not know which bus a refused frame was on
-        refused = (
-            {str(r): count for r, count in engine.decoder.counts.items()}
-            if number == 0
-            else {}
-        )
-        return BusStatus(
-            channel=link.channel,
-            state=link.state,
-            reason=link.reason,
-            frames=self._intake.frames[number],
-            refused=refused,
-            dropped=link.dropped,
-            events=dict(link.counts),
-            sent=self._sender.sent if is_ours else 0,
-            send_lost=self._sender.lost if is_ours else 0,
-        )
+        self._metrics.close()
 
     def _say_links(self, now_us: int) -> None:
         for bus, link in zip(
@@ -418,35 +302,3 @@ class Observer:
             self._recorder.close()
             self._recorder = None
         self._record_failures = 0
-
-
-def _metrics_server(port: int | None) -> MetricsServer | None:
-    if port is None:
-        return None
-    # an HTTP server is loaded by those who ask for one
-    from bstm_daemon.daemon.metrics_server import (  # noqa: PLC0415
-        MetricsServer,
-    )
-
-    server = MetricsServer(port)
-    server.start()
-    return server
-
-
-def _metrics_file(monitor: Monitor) -> Path | None:
-    metrics = monitor.config.metrics
-    if not metrics.enabled:
-        return None
-    if metrics.file is not None:
-        return monitor.path.parent / metrics.file
-    folder = os.environ.get("RUNTIME_DIRECTORY", "").split(":")[0]
-    return Path(folder) / "bstm.prom" if folder else None
-
-
-def _resident_bytes() -> int:
-    """Return the memory in use now; 0 where the kernel does not tell."""
-    try:
-        fields = Path("/proc/self/statm").read_text(encoding="ascii").split()
-        return int(fields[1]) * resource.getpagesize()
-    except (OSError, ValueError, IndexError):
-        return 0
