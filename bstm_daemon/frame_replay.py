@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     from bstm_daemon.config import Config
     from bstm_daemon.engine import Published
 
-TICK_US: Final = 10_000
-"""Drain interval of the live service; a replay ticks on the same grid."""
+TICK_US: Final = 50_000
+"""As the live service ticks by default; how often changes no number."""
 
 Frame = tuple[int, int, int, bool, bytes]
 """Stamp [us], bus number, id, extended, data."""

@@ -13,7 +13,7 @@ from cantools.database.can import Database
 from bstm_daemon.bus.logs import EventLog, open_log
 from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.engine import Engine
-from bstm_daemon.estimator import Estimator
+from bstm_daemon.estimator import PUBLISH_US, ROWS, STEP_US, Estimator
 from bstm_daemon.replay import present_roles
 from bstm_daemon.simulation import parse_drive, simulate
 from bstm_daemon.simulation.frames import Encoder
@@ -229,6 +229,42 @@ def test_ticks_change_no_bit(
     assert flat(other.blocks) == flat(ten_ms.blocks)
     assert other.published == ten_ms.published
     assert other.engine.estimator.counts == ten_ms.engine.estimator.counts
+
+
+def test_a_gap_of_hours_comes_in_parts(frames: list[Frame]) -> None:
+    """The same frames; of them as many at a time as one march has room for.
+
+    Four times that room here, and eleven hours change nothing but the number
+    of parts.
+    """
+    gap_us = 4 * ROWS * STEP_US
+    later = [f._replace(stamp_us=f.stamp_us + gap_us) for f in frames[400:]]
+    whole, parted = make_engine(), make_engine()
+    run(whole, frames[:400], every(10_000))
+    run(parted, frames[:400], every(10_000))
+    for engine in (whole, parted):
+        for stamp_us, can_id, data in later[:2]:
+            engine.frame(0, can_id, False, data, stamp_us)
+
+    published = whole.tick(later[1].stamp_us)
+    parts, blocks = [], []
+    for part in parted.parts_of_tick(later[1].stamp_us):
+        parts.append(part)
+        blocks += parted.blocks
+
+    assert [item for part in parts for item in part] == published
+    assert flat(blocks) == flat(whole.blocks)
+    span_us = published[-1].time_us - published[0].time_us
+    assert span_us >= gap_us - SECOND
+    names = len({item.frame.name for item in published})
+    assert len(parts) >= 4
+    assert max(map(len, parts)) <= names * ROWS * STEP_US // PUBLISH_US
+    # and both go on alike
+    assert run(
+        whole, later[2:], every(10_000, later[2].stamp_us)
+    ).published == (
+        run(parted, later[2:], every(10_000, later[2].stamp_us)).published
+    )
 
 
 def test_silence_shows_and_cools(frames: list[Frame]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from array import array
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -222,6 +223,39 @@ def test_how_blocks_are_cut_does_not_matter(
     assert len(lengths.rows) == -(-len(one) // STRETCH_ROWS)
     for name, column in one.columns.items():
         assert np.array_equal(column, other.columns[name], equal_nan=True)
+
+
+@pytest.mark.parametrize("every_us", [300_000, 1_000_000])
+@pytest.mark.parametrize("rows", [1, 7, 5000])
+def test_a_row_has_the_flags_of_those_dropped_before_it(
+    blocks: tuple[Estimator, list[Block]], rows: int, every_us: int
+) -> None:
+    """Each publication's bit is in the next row that is kept, there only."""
+    estimator, found = blocks
+    marked = [replace(block, flags=array("q", block.flags)) for block in found]
+    times = np.concatenate([block.times_us for block in marked])
+    chance = np.random.default_rng(7)
+    bits = 1 << chance.integers(0, 40, len(times))
+    start = 0
+    for block in marked:
+        count = len(block.flags)
+        block.flags[:] = array("q", bits[start : start + count].tolist())
+        start += count
+
+    collected = Collector()
+    builder = ResultsBuilder(estimator, [collected], every_us)
+    for block in marked:
+        builder.add(_in_pieces(block, rows))
+    builder.finish()
+
+    flags = collected.results().columns["flags"].astype(np.int64)
+    kept = np.flatnonzero(times % every_us == 0)
+    expected = np.bitwise_or.reduceat(
+        bits[: kept[-1] + 1], np.r_[0, kept[:-1] + 1]
+    )
+    # a part of the first is left out of the rows, if it was kept at all
+    assert len(flags) in {len(kept), len(kept) - 1}
+    assert flags.tolist() == expected[len(kept) - len(flags) :].tolist()
 
 
 def test_a_publication_that_stays_alone_is_a_row(

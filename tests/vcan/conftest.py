@@ -288,3 +288,19 @@ def marched() -> Callable[..., dict[str, dict[str, float]]]:
         return corners
 
     return march
+
+
+@pytest.fixture
+def medium(
+    tmp_path: Path, net_admin: None, program: Callable[[str], str]
+) -> Iterator[Path]:
+    """Return a file system of 256 KiB of its own."""
+    place = tmp_path / "medium"
+    place.mkdir()
+    mount = program("mount")
+    subprocess.run(
+        [mount, "-t", "tmpfs", "-o", "size=256k", "none", str(place)],
+        check=True,
+    )
+    yield place
+    subprocess.run([program("umount"), "-l", str(place)], check=True)

@@ -168,6 +168,32 @@ def test_bus_off_and_restart(
     goes_on(running, heard)
 
 
+def test_nothing_is_sent_into_bus_off(
+    daemon: Callable[..., Daemon],
+    ear: Callable[..., Ear],
+    raw: socket.socket,
+    vcan0: str,
+) -> None:
+    """A driver would take the frames, and send them stale once it is on."""
+    heard = ear(vcan0)
+    # a look at the interface would show that this one is not really off
+    running = daemon({"daemon.reopen_s": 60.0})
+    heard.wait(5, BASE)
+
+    raw.send(CLASSIC.pack(ERROR | BUS_OFF, 8, b""))
+    running.event("bus_off", bus="chassis", channel="vcan0")
+    running.notice("vcan0 is bus-off")
+    count = len(heard.frames)
+    running.event("send_failed", bus="chassis")
+    running.notice("STATUS=", since=len(running.notices))
+    assert len(heard.frames) == count
+
+    raw.send(CLASSIC.pack(ERROR | RESTARTED, 8, b""))
+    after = heard.wait(10, BASE, since=count)
+    assert after[9].stamp_ns - after[0].stamp_ns > 0.6e9
+    assert running.end() == 0
+
+
 @pytest.mark.parametrize("fd", [False, True])
 def test_fd_frames_among_classic_ones(
     daemon: Callable[..., Daemon],
@@ -213,6 +239,7 @@ class Protector:
         self.counter = 0
         self.stuck = False
         self.swapped = False
+        self.doubled = False
         self._late: bytes | None = None
 
     def __call__(self, can_id: int, data: bytes) -> list[tuple[int, bytes]]:
@@ -222,7 +249,7 @@ class Protector:
             self.counter = (self.counter + 1) % 16
         frame = protect(b"\0\0" + data[:4] + b"\0\0", self.counter, DATA_IDS)
         if not self.swapped:
-            return [(can_id, frame)]
+            return [(can_id, frame)] * (2 if self.doubled else 1)
         if self._late is None:
             self._late = frame
             return []
@@ -282,6 +309,24 @@ def test_frames_out_of_order(protected: tuple[Daemon, Protector, Ear]) -> None:
     goes_on(running, heard)
 
 
+def test_protected_duplicates(
+    protected: tuple[Daemon, Protector, Ear],
+) -> None:
+    """The second of two is refused; the input is there all the time."""
+    running, protector, heard = protected
+    since = len(running.events)
+    protector.doubled = True
+    refused = running.event(
+        "frames_refused", since=since, reason="repeated_counter"
+    )
+    assert refused["count"] > 0
+    heard.wait(20, BASE, since=len(heard.frames))
+    running.notice("STATUS=", since=len(running.notices))
+    later = running.events[since:]
+    assert "input_fault" not in [event["event"] for event in later]
+    goes_on(running, heard)
+
+
 def test_duplicates_change_nothing(
     daemon: Callable[..., Daemon],
     car: Callable[..., Car],
@@ -302,22 +347,6 @@ def test_duplicates_change_nothing(
     for name, corner in document["corners"].items():
         assert corner == pytest.approx(expected[name], abs=0.05)
     assert document["corners"]["FL"]["disc"] > 285.0
-
-
-@pytest.fixture
-def medium(
-    tmp_path: Path, net_admin: None, program: Callable[[str], str]
-) -> Iterator[Path]:
-    """Return a file system of 256 KiB of its own."""
-    place = tmp_path / "medium"
-    place.mkdir()
-    mount = program("mount")
-    subprocess.run(
-        [mount, "-t", "tmpfs", "-o", "size=256k", "none", str(place)],
-        check=True,
-    )
-    yield place
-    subprocess.run([program("umount"), "-l", str(place)], check=True)
 
 
 def test_a_full_disk(
