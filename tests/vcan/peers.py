@@ -26,6 +26,10 @@ DEADLINE_S = 30.0
 
 CLASSIC = struct.Struct("=IB3x8s")
 TIMESPEC = struct.Struct("@qq")
+FILTER = struct.Struct("=II")
+FILTER_LIMIT = 512
+ONLY = 0xC0000000 | 0x1FFFFFFF
+"""The mask of one standard id, not as a remote frame."""
 SO_TIMESTAMPNS = 35  # Python's socket module has no name for it
 
 DRIVE = """
@@ -147,6 +151,12 @@ class Ear:
             socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW
         )
         self._raw.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
+        if len(self._ids) <= FILTER_LIMIT:  # or it takes the computer's time
+            self._raw.setsockopt(
+                socket.SOL_CAN_RAW,
+                socket.CAN_RAW_FILTER,
+                b"".join(FILTER.pack(word, ONLY) for word in self._ids),
+            )
         self._raw.settimeout(0.1)
         self._raw.bind((interface,))
         self._thread = threading.Thread(target=self._listen)
