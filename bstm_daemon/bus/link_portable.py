@@ -7,7 +7,7 @@ Further options of an adapter come from python-can's own configuration (file
 from __future__ import annotations
 
 import time
-from collections import Counter
+from collections import Counter, deque
 from typing import TYPE_CHECKING, Any, Final
 
 from bstm_daemon.bus.extraction import FD_LENGTHS
@@ -34,10 +34,16 @@ Some adapters count from their own zero, others drift or miss a step of the
 wall clock; frames wait for milliseconds.
 """
 
+ECHO_FRAMES: Final = 64
+"""Some adapters give back what is sent (``udp_multicast`` always does): so
+many frames are remembered, a second of ours. A frame that is one of them to
+the byte, its counter and check value too, is nobody else's."""
+
 
 class PortableLink:
     """A bus read and written through one ``can.BusABC``.
 
+    Own frames do not come back, also where the adapter returns them.
     Frames are picked here and not by python-can, whose ``recv`` with no time
     to wait gives up at the first frame that its filter refuses.
     """
@@ -54,6 +60,7 @@ class PortableLink:
         self._config = bus
         self._wanted = None if wanted is None else frozenset(wanted)
         self._bus: can.BusABC | None = None
+        self._sent: deque[tuple[int, bool, bytes]] = deque(maxlen=ECHO_FRAMES)
 
     def open(self) -> bool:
         """Try to begin receiving; False, with ``reason``, where it fails.
@@ -121,6 +128,10 @@ class PortableLink:
         ):
             return None
         data = b"" if message.is_remote_frame else bytes(message.data)
+        sent = (can_id, extended, data)
+        if sent in self._sent:
+            self._sent.remove(sent)
+            return None
         lengths = FD_LENGTHS if message.is_fd else range(CLASSIC_BYTES + 1)
         if len(data) not in lengths:
             self.counts[LinkEvent.MALFORMED] += 1
@@ -170,6 +181,7 @@ class PortableLink:
             self.reason = f"{self.channel} takes no frames: {error}"
             return SendResult.LOST
         self.reason = ""
+        self._sent.append((can_id, extended, data))
         return SendResult.OK
 
     def close(self) -> None:

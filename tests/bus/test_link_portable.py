@@ -175,7 +175,6 @@ def test_a_frame_that_finds_no_room_is_lost(link: PortableLink) -> None:
 def test_an_adapter_that_fails_is_opened_again(
     link: PortableLink, far: can.BusABC
 ) -> None:
-    assert link._bus is not None
     link._bus.shutdown()  # as if unplugged
 
     assert link.drain() == []
@@ -241,3 +240,26 @@ def test_python_can_is_loaded_by_opening_only() -> None:
     )
 
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_own_frames_do_not_come_back_from_an_adapter_that_returns_them(
+    far: can.BusABC, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Another sender of the same id is heard all the same."""
+    monkeypatch.setenv("CAN_CONFIG", '{"receive_own_messages": true}')
+    link = PortableLink(config(), {(0x100, False)})
+    assert link.open()
+
+    for number in range(3):
+        assert link.send(0x100, False, bytes([number])) is SendResult.OK
+    for number in (2, 3):
+        far.send(
+            can.Message(
+                arbitration_id=0x100, is_extended_id=False, data=[number]
+            )
+        )
+    seen = [frame.data for frame in link.drain()]
+
+    # five came: our 0, 1, 2, then a 2 that was not ours, and a 3
+    assert seen == [b"\2", b"\3"]
+    link.close()
