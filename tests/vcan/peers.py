@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import itertools
 import socket
 import struct
 import threading
@@ -28,6 +29,7 @@ CLASSIC = struct.Struct("=IB3x8s")
 TIMESPEC = struct.Struct("@qq")
 FILTER = struct.Struct("=II")
 FILTER_LIMIT = 512
+STALL_US = 30_000
 ONLY = 0xC0000000 | 0x1FFFFFFF
 """The mask of one standard id, not as a remote frame."""
 SO_TIMESTAMPNS = 35  # Python's socket module has no name for it
@@ -137,6 +139,18 @@ class Car:
                     self._sockets[bus] = fresh
         else:
             self.sent.append(made)
+
+
+def stood_s(sent: Iterable[Sent]) -> float:
+    """Return how long the computer stood still while a car *sent* these.
+
+    Its frames are 4 ms apart: much more says that nothing ran.
+    """
+    gaps_us = (
+        later.boot_us - earlier.boot_us
+        for earlier, later in itertools.pairwise(sent)
+    )
+    return sum(gap_us for gap_us in gaps_us if gap_us > STALL_US) * 1e-6
 
 
 class Ear:

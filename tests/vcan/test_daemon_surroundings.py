@@ -336,7 +336,7 @@ def test_everything_at_once(  # noqa: PLR0917
     publishes(heard)
     # inputs that were noise are believed again, and none is missing
     running.notice(
-        "STATUS=degraded, disc F[LR] [0-9]+ degC",
+        "STATUS=degraded, disc [FR][LR] [0-9]+ degC",
         since=len(running.notices),
     )
     assert running.end() == 0
