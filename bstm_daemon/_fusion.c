@@ -10,7 +10,7 @@
 #define STEEPEST 2.0
 #define SLIP_FORWARD 0.08
 #define SLIPPING 0.06
-#define MODEL_SHARE 0.02
+#define MODEL_SHARE 0.015
 #define ASSUMED_DOUBT 0.2
 #define ABS_SHARE 0.12
 #define ASSIST_SHARE 0.15
@@ -19,6 +19,9 @@
 #define ABS_HIGH 1.5
 #define STAND_TURNS 3.0
 #define GRADE_NOISE 0.02
+#define TARE_PA 3e4
+#define TARE_S 5.0
+#define TARE_PUSH 0.3
 
 enum {
     FLAG_SUSPECTS = 1 << 11 | 1 << 13 | 1 << 14 | 1 << 16 | 1 << 19 | 1 << 20
@@ -79,6 +82,22 @@ static int unheard(const Pass *p, int c, int pressed)
     if (!bstm_corner_known(p, c)) return 1;
     if (bstm_valid(p, p->corner[c * PER_CORNER_INTS + C_PRESSURE])) return 0;
     return !pressed || p->observer.brake_sum[c] <= 0.0;
+}
+
+/* What the pressures read while nobody brakes. */
+static void tare_pressures(Pass *p, const Step *s)
+{
+    double *tare = p->observer.n + O_TARE_PRIMARY;
+    const int role[2] = {p->role[R_PRIMARY], p->role[R_SECONDARY]};
+    if (isnan(s->brake_switch) ? !(s->push > TARE_PUSH)
+                               : s->brake_switch > 0.0)
+        return;
+    for (int i = 0; i < 2; i++) {
+        if (!bstm_valid(p, role[i])) continue;
+        const double read = p->value[role[i]];
+        if (fabs(read) > TARE_PA) continue;
+        tare[i] += (1.0 - exp(-s->dt_s / TARE_S)) * (read - tare[i]);
+    }
 }
 
 static void describe(const Pass *p, const Readings *now, int64_t flags,
@@ -201,12 +220,14 @@ int64_t bstm_fusion_close(Pass *p, const Readings *now, int64_t flags,
     double *n = o->n;
     Step s;
     describe(p, now, flags, &s);
+    tare_pressures(p, &s);
     int64_t found = (int64_t)bstm_observe(o, &s) << 40;
     tell(o, &s, learned);
     double variance, doubt = 0.0, extra = 0.0;
     const double ratio = n[O_STATE + X_MASS];
     double scale = exp(bstm_friction(o, s.speed, s.pressure_pa, &variance));
-    variance += n[O_COV] / (ratio * ratio) + MODEL_SHARE * MODEL_SHARE;
+    variance += CAUTION * (n[O_COV] / (ratio * ratio))
+        + MODEL_SHARE * MODEL_SHARE;
     const int feels = !isnan(s.felt) && s.forward
         && (found & FLAG_BLIND) == 0 && (flags & FLAG_UNSURE) == 0;
     if (feels) {

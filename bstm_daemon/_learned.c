@@ -8,8 +8,8 @@
 #define FORM_LIMIT 1.5
 
 const double BSTM_SD[STATES] = {0.2, 0.15, 0.3, 0.02, 0.25, 0.08, 0.08,
-                                  0.04};
-static const double WALK[STATES] = {1e-4, 3e-4, 2e-3, 1e-5, 5e-4, 1e-4, 1e-4,
+                                  0.02};
+static const double WALK[STATES] = {1e-4, 3e-4, 2e-2, 1e-5, 5e-4, 1e-4, 1e-4,
                                     0.0};
 static const double LOW[STATES] = {0.5, -0.9, 0.2, -0.15, -1.1, -0.4, -0.4,
                                    -0.4};
@@ -89,7 +89,7 @@ double bstm_friction(const Observer *o, double speed, double pressure_pa,
 {
     double h[STATES];
     bstm_forms(speed, pressure_pa, h);
-    *variance = bstm_quadratic(o->n + O_COV, h);
+    *variance = CAUTION * bstm_quadratic(o->n + O_COV, h);
     return bstm_product(o->n + O_STATE, h);
 }
 

@@ -16,6 +16,7 @@
 #define WINDOW_S 0.5
 #define RATE_S 0.5
 #define SLOW_RATE_S 4.0
+#define RESTART_S 12.0
 #define GAIN_RATE 0.4
 #define GAIN_NOISE 0.12
 #define LEAST_SPEED 4.0
@@ -34,7 +35,7 @@
 #define PUSHED_MS2 0.35
 #define IDLE_PUSH 0.15
 #define IDLE_OUTLIER 2.5
-#define GRADE_S 2.0
+#define GRADE_S 0.3
 #define HEIGHT_PATH_M 300.0
 #define HEIGHT_NOISE_M 2.0
 #define GAIN_LOW (-0.15)
@@ -50,7 +51,7 @@
 
 enum { W_NONE, W_DRIVEN, W_BRAKED };
 
-#define ROLLING_SD 0.03
+#define ROLLING_SD 0.02
 #define LOAD_SD 0.03
 
 void bstm_observer_new(Observer *o)
@@ -232,6 +233,7 @@ static void follow(Observer *o, const Step *s)
         n[O_LAST_SPEED] = s->end_speed;
         n[O_FELT] = n[O_SLOW_FELT] = s->felt;
         n[O_RATE] = n[O_SLOW_RATE] = 0.0;
+        n[O_GAIN_TIME] = -RESTART_S;
     }
     const double rate = (s->end_speed - n[O_LAST_SPEED]) / s->dt_s;
     const double share = 1.0 - exp(-s->dt_s / RATE_S);

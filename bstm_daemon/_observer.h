@@ -35,6 +35,7 @@ enum {
     W_KIND, W_TIME, W_FELT, W_PUSH, W_DRAG, W_BRAKE, W_PRESSURE, W_SPEED,
     W_FIRST_SPEED,
     O_SINE, O_HEIGHT_LAST, O_HEIGHT_WORK, O_HEIGHT_PATH,
+    O_TARE_PRIMARY, O_TARE_SECONDARY,
     O_SLOW_BRAKING, O_SLOW_BRAKE, O_SILENT, O_SILENT_ENERGY,
     SUM_TIME, SUM_FELT, SUM_PUSH, SUM_DRAG,
     OBSERVER_NUMBERS
@@ -76,6 +77,7 @@ double bstm_friction(const Observer *o, double speed, double pressure_pa,
 
 /* What is learned and how it changes (_learned.c). */
 #define REFERENCE_SPEED 10.0
+#define CAUTION 0.2
 
 extern const double BSTM_SD[STATES];
 double bstm_clipped(double value, double low, double high);

@@ -38,9 +38,11 @@ static double rear(const Pass *p, double front)
 
 static double pressure_of(const Pass *p, const int32_t *corner)
 {
+    const double *tare = p->observer.n + O_TARE_PRIMARY;
     if (bstm_valid(p, corner[C_PRESSURE])) return p->value[corner[C_PRESSURE]];
-    double pressure = bstm_vehicle(p, R_PRIMARY, 0.0);
-    if (corner[C_SECONDARY]) pressure = bstm_vehicle(p, R_SECONDARY, pressure);
+    double pressure = bstm_vehicle(p, R_PRIMARY, tare[0]) - tare[0];
+    if (corner[C_SECONDARY] && bstm_valid(p, p->role[R_SECONDARY]))
+        pressure = p->value[p->role[R_SECONDARY]] - tare[1];
     if (corner[C_REAR] && p->points) return rear(p, pressure);
     return pressure;
 }

@@ -18,6 +18,7 @@ from bstm_daemon.heat.learned import BIAS, DRAG, MASS
 from bstm_daemon.heat.observer_layout import STATES, Step
 from bstm_daemon.heat.observer_rules import (
     ASSUMED_DOUBT,
+    CAUTION,
     REFERENCE_PRESSURE_PA,
     REFERENCE_SPEED_MS,
 )
@@ -48,7 +49,7 @@ STAND_TURNS_MS: Final = 3.0
 """A wheel spins beyond the first share; all turn alike within the second; on
 a stand some turn faster while others stand."""
 
-MODEL_SHARE: Final = 0.02
+MODEL_SHARE: Final = 0.015
 ABS_SHARE: Final = 0.12
 ASSIST_SHARE: Final = 0.15
 SINGLE_SHARE: Final = 0.6
@@ -59,6 +60,12 @@ wheels are braked and no pressure tells how."""
 ABS_LOW: Final = 0.2
 ABS_HIGH: Final = 1.5
 GRADE_NOISE: Final = 0.02
+
+TARE_PA: Final = 3e4
+TARE_S: Final = 5.0
+TARE_PUSH: Final = 0.3
+"""A pressure read while nobody brakes is its sensor's offset, up to 0.3 bar;
+where no switch tells, nobody brakes who drives on with 0.3 m/s2."""
 
 FLAG_SHIFT: Final = 40
 """The observer's bits in those of a step."""
@@ -122,13 +129,16 @@ def fuse(run: SampleMemory, now: Readings, flags: int) -> Fused:
     """Learn from the step that ends and give each corner's power."""
     observer = run.observer
     s = _describe(run, now, flags)
+    _tare_pressures(run, s)
     found = observer.observe(s) << FLAG_SHIFT
     learned = _tell(run, s)
     known, m = observer.known, observer.m
     ratio = known.x[MASS]
     level, variance = known.friction(s.speed, s.pressure_pa)
     scale = exp(level)
-    variance += known.cov[0] / (ratio * ratio) + MODEL_SHARE * MODEL_SHARE
+    variance += CAUTION * (known.cov[0] / (ratio * ratio)) + (
+        MODEL_SHARE * MODEL_SHARE
+    )
     doubt = extra = 0.0
     blind = found & _BLIND or flags & _UNSURE
     if not isnan(s.felt) and s.forward and not blind:
@@ -218,6 +228,24 @@ def _describe(run: SampleMemory, now: Readings, flags: int) -> Step:
         torque_known=run.valid(run.vehicle_role["powertrain_torque"]),
         on_stand=not pressed and _on_stand(run),
     )
+
+
+def _tare_pressures(run: SampleMemory, s: Step) -> None:
+    """Follow what the pressures read while nobody brakes."""
+    if isnan(s.brake_switch):
+        released = s.push > TARE_PUSH
+    else:
+        released = not s.brake_switch > 0.0
+    if not released:
+        return
+    m = run.observer.m
+    for circuit in ("primary", "secondary"):
+        role = run.vehicle_role[f"{circuit}_pressure"]
+        if not run.valid(role) or abs(run.value[role]) > TARE_PA:
+            continue
+        name = f"tare_{circuit}"
+        share = 1.0 - exp(-s.dt_s / TARE_S)
+        m[name] += share * (run.value[role] - m[name])
 
 
 def _rolls(run: SampleMemory) -> bool:

@@ -66,7 +66,7 @@ class Learned:
     ) -> tuple[float, float]:
         """Ln of the friction over Feed-Forward's, and its variance."""
         h = forms(speed, pressure_pa)
-        return product(self.x, h), quadratic(self.cov, h)
+        return product(self.x, h), rules.CAUTION * quadratic(self.cov, h)
 
     def update(
         self, first: int, h: Sequence[float], apart: float, noise: float

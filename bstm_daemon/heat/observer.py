@@ -300,6 +300,7 @@ class Observer:
             m["last_rolled"] = s.end_speed
             m["felt"] = m["slow_felt"] = s.felt
             m["rate"] = m["slow_rate"] = 0.0
+            m["gain_time"] = -rules.RESTART_S
         rate = (s.end_speed - m["last_rolled"]) / s.dt_s
         share = 1.0 - exp(-s.dt_s / rules.RATE_S)
         slow = 1.0 - exp(-s.dt_s / rules.SLOW_RATE_S)

@@ -59,6 +59,7 @@ OBSERVER_NUMBERS: Final = (
     *("window_drag", "window_brake", "window_pressure", "window_speed"),
     "window_first_speed",
     *("sine", "height_last", "height_work", "height_path"),
+    *("tare_primary", "tare_secondary"),
     *("slow_braking", "slow_brake", "silent_s", "silent_energy"),
     *STEP_SUMS,
 )

@@ -7,14 +7,15 @@ from __future__ import annotations
 
 from typing import Final
 
-SD: Final = (0.2, 0.15, 0.3, 0.02, 0.25, 0.08, 0.08, 0.04)
+SD: Final = (0.2, 0.15, 0.3, 0.02, 0.25, 0.08, 0.08, 0.02)
 """Standard deviations of the states before anything is learned: mass 20 %,
 bias 0.15 m/s2, drag 30 %, pitch 2 % of a change of speed, friction 25 %, its
-exponents 0.08, and what of it passes 4 %."""
+exponents 0.08, and what of it passes 2 %."""
 
-WALK: Final = (1e-4, 3e-4, 2e-3, 1e-5, 5e-4, 1e-4, 1e-4, 0.0)
+WALK: Final = (1e-4, 3e-4, 2e-2, 1e-5, 5e-4, 1e-4, 1e-4, 0.0)
 """By how much each may change within a second (square root of the variance
-a second): wind turns with the road, pads bed in."""
+a second): wind turns with the road, which by drag is another one within the
+minute; pads bed in."""
 
 LOW: Final = (0.5, -0.9, 0.2, -0.15, -1.1, -0.4, -0.4, -0.4)
 HIGH: Final = (2.0, 0.6, 3.0, 0.25, 0.7, 0.4, 0.4, 0.4)
@@ -23,8 +24,8 @@ HIGH: Final = (2.0, 0.6, 3.0, 0.25, 0.7, 0.4, 0.4, 0.4)
 PITCH: Final = 0.02
 """Body pitch of a usual car: felt beyond a change of speed."""
 
-ROLLING_SD: Final = 0.03
-"""Error of the configured g f_r: 0.003 of rolling resistance [m/s2]."""
+ROLLING_SD: Final = 0.02
+"""Error of the configured g f_r: 0.002 of rolling resistance [m/s2]."""
 
 LOAD_SD: Final = 0.03
 STOOD_S: Final = 30.0
@@ -44,6 +45,11 @@ roads level off before a bend, so does the scale seem to change."""
 
 FORM_NOISE: Final = 0.05
 """How far a window of braking is from the form of the friction."""
+
+CAUTION: Final = 0.2
+"""Share of the filters' variance that the heat's has: they take the errors of
+drag and pitch for lasting ones, over a drive these change sign. From the
+development cars of the population."""
 
 OUTLIER: Final = 4.0
 IDLE_OUTLIER: Final = 2.5
@@ -66,9 +72,11 @@ PRESSED_S: by then chassis and tyres are wound up."""
 
 RATE_S: Final = 0.5
 SLOW_RATE_S: Final = 4.0
+RESTART_S: Final = 12.0
 GAIN_RATE_MS2: Final = 0.4
 GAIN_NOISE: Final = 0.12
-"""Filters between which a change of speed is compared with what is felt."""
+"""Filters between which a change of speed is compared with what is felt, and
+how long they must have run: begun in mid-braking they differ by themselves."""
 
 GAIN_LOW: Final = -0.15
 GAIN_HIGH: Final = 0.2
@@ -90,7 +98,7 @@ EXTERNAL_SHARE: Final = 0.4
 """Contradiction until an external force is suspected, agreement until it no
 longer is; braking surely below this share of what the pressure says."""
 
-GRADE_S: Final = 2.0
+GRADE_S: Final = 0.3
 HEIGHT_PATH_M: Final = 300.0
 HEIGHT_NOISE_M: Final = 2.0
 

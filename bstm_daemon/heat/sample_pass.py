@@ -242,9 +242,11 @@ class _Pass(SampleMemory):
     def _pressure(self, ints: Sequence[int]) -> float:
         if self.valid(ints[1]):
             return self.value[ints[1]]
-        pressure = self.vehicle("primary_pressure", 0.0)
-        if ints[2]:
-            pressure = self.vehicle("secondary_pressure", pressure)
+        tare = self.observer.m["tare_primary"]
+        pressure = self.vehicle("primary_pressure", tare) - tare
+        if ints[2] and self.valid(self.vehicle_role["secondary_pressure"]):
+            pressure = self.vehicle("secondary_pressure", 0.0)
+            pressure -= self.observer.m["tare_secondary"]
         if ints[3] and self.points:
             return self._rear(pressure)
         return pressure
