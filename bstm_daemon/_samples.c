@@ -166,6 +166,12 @@ static double friction_factor(const double *law, double interface_k,
     return factor;
 }
 
+static int feed_back_known(const Pass *p)
+{
+    return p->speed_known
+        && (bstm_valid(p, p->role[R_TORQUE]) || p->ints[I_ASSUMED] != 0);
+}
+
 static void integrate(Pass *p, int64_t time_us)
 {
     if (time_us <= p->t[S_NOW]) return;
@@ -212,9 +218,15 @@ static void integrate(Pass *p, int64_t time_us)
     if (pressed)
         p->n[N_TAIL] = inertia_kg > p->f[F_ROTATING] ? TAIL * p->f[F_FILTER]
                                                      : 0.0;
+    const double braked = impulse * v - inertia_kg * (gained * middle);
     if (pressed || p->n[N_TAIL] > 0.0) {
         p->n[N_FORCE] += force_s;
-        p->n[N_ENERGY_FB] += impulse * v - inertia_kg * (gained * middle);
+        p->n[N_ENERGY_FB] += braked;
+    } else if (p->f[F_UNPRESSED] > 0.0 && feed_back_known(p)
+               && force_s > p->f[F_ON_FORCE] * h) {
+        p->n[N_FORCE] += p->f[F_UNPRESSED] * force_s;
+        p->n[N_UNPRESSED] += p->f[F_UNPRESSED] * braked;
+        for (int c = 0; c < p->corners; c++) p->on_time[c] += h;
     }
     if (!pressed) {
         const double left = p->n[N_TAIL] - h;
@@ -229,6 +241,7 @@ static void integrate(Pass *p, int64_t time_us)
 static void clear(Pass *p)
 {
     p->n[N_SPEED] = p->n[N_FORCE] = p->n[N_ENERGY_FB] = 0.0;
+    p->n[N_UNPRESSED] = 0.0;
     for (int c = 0; c < p->corners; c++)
         p->energy_ff[c] = p->pressure_sum[c] = p->on_time[c] =
             p->observer.brake_sum[c] = 0.0;
@@ -349,10 +362,12 @@ static void close_step(Pass *p)
     double wetness = bstm_vehicle(p, R_RAIN, 0.0);
     if (wetness < 0.0) wetness = 0.0;
     if (wetness > 1.0) wetness = 1.0;
-    const double energy = p->n[N_ENERGY_FB];
-    const double power_fb = (energy > 0.0 ? energy : 0.0) / dt_s;
+    const double counted = p->n[N_ENERGY_FB], more = p->n[N_UNPRESSED];
+    const double unpressed = more > 0.0 ? more : 0.0;
+    const double energy = (counted > 0.0 ? counted : 0.0) + unpressed;
+    const double power_fb = energy / dt_s;
     const double speed = p->n[N_SPEED] / dt_s;
-    p->n[N_TOTAL_FB] += energy > 0.0 ? energy : 0.0;
+    p->n[N_TOTAL_FB] += energy;
     double fused[MAX_CORNERS], spread[MAX_CORNERS];
     double *whole = p->vehicle_rows + p->steps * VEHICLE_CHANNELS;
     const int fuses = p->ints[I_MODE] == MODE_FUSED;
@@ -372,7 +387,7 @@ static void close_step(Pass *p)
         row[4] = ambient;
         if (fuses) row[5] = fused[c];
         else row[5] = (p->ints[I_MODE] == MODE_FB) == (answer[c] != OTHER)
-            ? share * power_fb : power_ff;
+            ? share * power_fb : power_ff + share * (unpressed / dt_s);
         if (answer[c] == OTHER && now.at_risk[c]) flags |= FLAG_SUBSTITUTED;
         row[6] = p->total_ff[c];
         row[7] = share * p->n[N_TOTAL_FB];

@@ -160,7 +160,12 @@ class Estimator:
         inputs = edited_inputs(config)
         self._corrections = corrections_by_role(inputs.corrections)
         self.plan = plan_samples(
-            inputs.config, present, STEP_US, longest_s, laws
+            inputs.config,
+            present,
+            STEP_US,
+            longest_s,
+            laws,
+            inputs.unpressed_share,
         )
         self.samples = SampleState.new(self.plan)
         self.batches = self._batches(start_k)

@@ -121,12 +121,14 @@ class InputModel:
     """What brake power is formed from.
 
     ``config`` is what the pass over samples is planned from (the file's own,
-    edited), ``corrections`` apply to the samples in order.
+    edited), ``corrections`` apply to the samples in order,
+    ``unpressed_share`` is how much counts of a braking that is felt while no
+    pressure tells of it.
     """
 
     config: Config
     corrections: tuple[Correction, ...] = ()
-    force_without_pressure: bool = False
+    unpressed_share: float = 0.0
 
     def with_config(self, **sections: object) -> InputModel:
         """Return the same with *sections* of the configuration replaced."""

@@ -282,9 +282,19 @@ class _Pass(SampleMemory):
             # the filtered speed still falls when the brake has let go
             whole = inertia_kg > self.rotating_mass
             self.tail_s = TAIL * self.filter_s if whole else 0.0
+        braked = impulse * v - inertia_kg * (gained * middle)
         if pressed or self.tail_s > 0.0:
             self.force_sum += force_s
-            self.energy_fb += impulse * v - inertia_kg * (gained * middle)
+            self.energy_fb += braked
+        elif (
+            self.unpressed_share > 0.0
+            and self.feed_back_known()
+            and force_s > self.on_force * h
+        ):
+            self.force_sum += self.unpressed_share * force_s
+            self.unpressed_j += self.unpressed_share * braked
+            for c in range(self.corners):
+                self.on_time[c] += h
         if not pressed:
             self.tail_s = max(self.tail_s - h, 0.0)
         if self.mode == FUSED:
@@ -366,9 +376,11 @@ class _Pass(SampleMemory):
         dt_s = self.step_us * 1e-6
         ambient = self.vehicle("ambient_temperature", self.ambient_k)
         wetness = min(max(self.vehicle("rain", 0.0), 0.0), 1.0)
-        power_fb = max(self.energy_fb, 0.0) / dt_s
+        unpressed = max(self.unpressed_j, 0.0)
+        energy = max(self.energy_fb, 0.0) + unpressed
+        power_fb = energy / dt_s
         speed = self.speed_sum / dt_s
-        self.total_fb += max(self.energy_fb, 0.0)
+        self.total_fb += energy
         answers, at_risk = self.heat_answers()
         flags = self.flags | self.missing()
         now = self._readings(dt_s, answers, at_risk)
@@ -381,7 +393,7 @@ class _Pass(SampleMemory):
         for c, ints in enumerate(self.corner_ints):
             power_ff = self.energy_ff[c] / dt_s
             share = self.corner_floats[c][3]
-            chosen = power_ff
+            chosen = power_ff + share * (unpressed / dt_s)
             if fused is not None:
                 chosen = fused.power[c]
             elif (self.mode == MODES["fb"]) is (answers[c] != OTHER):

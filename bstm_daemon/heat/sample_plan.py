@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from bstm_daemon.config import Config, CornerConfig
 
-PLAN_LAYOUT: Final = 4
+PLAN_LAYOUT: Final = 5
 MODES: Final = {"ff": 0, "fb": 1, "measured": 2, "fused": 3}
 SLOPES: Final = {"accelerometer": 0, "flat": 1}
 
@@ -144,6 +144,7 @@ def plan_samples(
     step_us: int,
     settling_s: float = 86_400.0,
     laws: Mapping[str, FrictionLaw] | None = None,
+    unpressed_share: float = 0.0,
 ) -> SamplePlan:
     """Flatten *config*.
 
@@ -153,6 +154,8 @@ def plan_samples(
         step_us: the estimator's step [us].
         settling_s: the longest that any past heat is felt [s].
         laws: friction of corners by name, where it is not nominal.
+        unpressed_share: how much counts of a braking that is felt while no
+            pressure tells of it.
     """
     vehicle = Vehicle.of_config(config.vehicle)
     heat = config.heat
@@ -185,6 +188,8 @@ def plan_samples(
         heat.brake_on_force_n,
         heat.derivative_filter_s,
         settling_s,
+        # the fused power finds such braking by itself
+        0.0 if heat.mode == "fused" else unpressed_share,
     ]
     for corner in config.corner:
         ints += _corner_ints(corner, present)

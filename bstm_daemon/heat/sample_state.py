@@ -45,7 +45,7 @@ if TYPE_CHECKING:
 
 HEADER: Final = 9
 PER_CORNER_INTS: Final = 4 + len(MEASURED_NODES)
-VEHICLE_FLOATS: Final = 13
+VEHICLE_FLOATS: Final = 14
 PER_CORNER_FLOATS: Final = 4
 
 OWN: Final = 0
@@ -64,6 +64,7 @@ NUMBERS: Final = (
     "energy_fb",
     "total_fb",
     "tail",
+    "unpressed",
 )
 """``numbers`` of the state, then a value per role, then corner sums; then
 the numbers of :mod:`bstm_daemon.heat.checks`."""
@@ -219,6 +220,7 @@ class SampleMemory:
             self.on_force,
             self.filter_s,
             settling_s,
+            self.unpressed_share,
         ) = floats[1:VEHICLE_FLOATS]
         at = VEHICLE_FLOATS
         self.corner_floats = [
@@ -265,7 +267,7 @@ class SampleMemory:
         numbers = state.numbers
         self.filtered, self.speed_sum, self.distance = numbers[:3]
         self.force_sum, self.energy_fb, self.total_fb = numbers[3:6]
-        self.tail_s = numbers[6]
+        self.tail_s, self.unpressed_j = numbers[6:8]
         at = len(NUMBERS)
         k = self.corners
         self.value = numbers[at : at + len(ROLES)]
@@ -327,7 +329,7 @@ class SampleMemory:
             [
                 *(self.filtered, self.speed_sum, self.distance),
                 *(self.force_sum, self.energy_fb, self.total_fb),
-                *(self.tail_s, *self.value),
+                *(self.tail_s, self.unpressed_j, *self.value),
                 *(*self.lagged, *self.energy_ff, *self.pressure_sum),
                 *(*self.on_time, *self.total_ff, *self.interface_k),
                 *self.told_k,
@@ -399,7 +401,7 @@ class SampleMemory:
             self.valid(roles["powertrain_torque"]),
             roles["acceleration_longitudinal"],
         )
-        feed_back = self.speed_known and (torque or self.assumed)
+        feed_back = self.feed_back_known()
         complete = (
             self.speed_known
             and (torque or roles["powertrain_torque"] < 0)
@@ -446,8 +448,14 @@ class SampleMemory:
             flags |= FLAGS["ambient_missing"]
         return flags
 
+    def feed_back_known(self) -> bool:
+        """Whether the motion tells of the braking at all."""
+        torque = self.vehicle_role["powertrain_torque"]
+        return self.speed_known and (self.valid(torque) or self.assumed)
+
     def clear(self) -> None:
         """Start the sums of a step anew."""
+        self.unpressed_j = 0.0
         self.speed_sum = self.force_sum = self.energy_fb = 0.0
         for c in range(self.corners):
             self.energy_ff[c] = 0.0

@@ -38,7 +38,7 @@ INPUT_EFFECTS = (
     *("pushout_pressure", "hydraulic_lag", "thermocouple_offset"),
     *("accelerometer_bias", "mass_error", "brake_share"),
     *("powertrain_torque_error", "friction_fade", "friction_speed"),
-    "friction_pressure",
+    *("friction_pressure", "brake_without_pressure"),
 )
 
 
@@ -66,8 +66,13 @@ def car(make_car: Any, make_corner: Any) -> Callable[..., Config]:
     return make
 
 
-def rows_of(config: Config, seconds: float = 4.0) -> array[float]:
-    """Brake from the first second on at 20 m/s and 2 m/s2; all corners."""
+def rows_of(
+    config: Config,
+    seconds: float = 4.0,
+    pressure_pa: float = 2e6,
+    felt_ms2: float = -3.0,
+) -> array[float]:
+    """Brake from the first second on at 20 m/s; all corners."""
     present = {ROLE_INDEX[role]: 500_000 for role in ROLES}
     times, roles, values = array("q"), array("i"), array("d")
     for at in range(0, round(seconds * 1e6), 20_000):
@@ -76,8 +81,8 @@ def rows_of(config: Config, seconds: float = 4.0) -> array[float]:
             ROLES,
             (
                 20.0,
-                2e6 if braking else 0.0,
-                -3.0 if braking else 0.0,
+                pressure_pa if braking else 0.0,
+                felt_ms2 if braking else 0.0,
                 -100.0,
                 600.0,
             ),
@@ -124,7 +129,12 @@ def test_the_file_stays_as_it_is(
     edited = edited_inputs(config)
     law = corner_model(config, config.corner[0]).friction
     assert config.model_dump() == before
-    assert edited.corrections or edited.config != config or not law.nominal
+    assert (
+        edited.corrections
+        or edited.config != config
+        or edited.unpressed_share
+        or not law.nominal
+    )
 
 
 def test_a_car_without_effects_is_itself(car: Callable[..., Config]) -> None:
@@ -197,6 +207,44 @@ def test_friction_fades_over_the_interface(
         )
         found.append(column(blocks[0].rows, "brake_power_w")[-1])
     assert found[1] / found[0] == pytest.approx(ratio, abs=0.012)
+
+
+@pytest.mark.parametrize("mode", ["ff", "fb"])
+def test_braking_without_pressure_counts(
+    car: Callable[..., Config], mode: str
+) -> None:
+    """Felt and not pressed: nothing without the effect, all with it."""
+    force_n = 0.0
+    for name, strength in (
+        (None, 1.0),
+        ("brake_without_pressure", 1.0),
+        ("brake_without_pressure", 0.5),
+    ):
+        given = {"strength": strength} if name else {}
+        rows = rows_of(car(mode, name, **given), pressure_pa=0.0)
+        power = column(rows, "brake_power_w")
+        pads_on = column(rows, "brake_on")
+        assert power[:9] == [0.0] * 9
+        if name is None:
+            assert max(power) == 0.0
+            assert max(pads_on) == 0.0
+            continue
+        assert pads_on[-1] == pytest.approx(1.0)
+        # what Feed-Back makes of the same motion with the brake pressed
+        pressed = column(rows_of(car("fb")), "brake_power_w")[-1]
+        force_n = pressed / 20.0
+        assert power[-1] == pytest.approx(strength * pressed, rel=1e-9)
+    assert force_n > 300.0
+
+
+def test_what_is_not_felt_or_is_pressed_stays(
+    car: Callable[..., Config],
+) -> None:
+    """Coasting is no braking, and pressed brakes are as they were."""
+    there = car("ff", "brake_without_pressure")
+    rolling = rows_of(there, pressure_pa=0.0, felt_ms2=-0.2)
+    assert max(column(rolling, "brake_power_w")) == 0.0
+    assert rows_of(there).tobytes() == rows_of(car("ff")).tobytes()
 
 
 def test_pushout_of_one_corner(make_car: Any, make_corner: Any) -> None:
