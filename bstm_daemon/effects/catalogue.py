@@ -55,6 +55,29 @@ def effect_class(name: str) -> type[Effect]:
     raise KeyError(name)
 
 
+def effect_numbers() -> dict[int, str]:
+    """Number to name of all effects, rising."""
+    return dict(
+        sorted((effect_class(name).number, name) for name in effect_names())
+    )
+
+
+def twins_of(name: str) -> tuple[str, ...]:
+    """Names of the effects that data may take for *name*, by number.
+
+    A twin that one of the two names is one of both.
+
+    Raises:
+        KeyError: no such effect.
+    """
+    own = set(effect_class(name).twins)
+    return tuple(
+        other
+        for other in effect_numbers().values()
+        if other in own or name in effect_class(other).twins
+    )
+
+
 def problems_of(effects: Sequence[EffectConfig]) -> list[str]:
     """What is wrong with the ``[[effect]]`` entries, a line each."""
     found = []

@@ -23,7 +23,10 @@ BENCHMARKS = (
     *("kernel", "sample_pass", "reality", "log_decode", "replay"),
     "live",
 )
-OTHERS = ("physics", "accuracy", "radau", "memory", "identification")
+OTHERS = (
+    *("physics", "accuracy", "radau", "memory", "identification"),
+    "structures",
+)
 """Figures without a comparison in time; run when named."""
 
 

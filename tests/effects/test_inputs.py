@@ -19,12 +19,14 @@ from bstm_daemon.effects.corrections import corrected, corrections_by_role
 from bstm_daemon.effects.model import Correction
 from bstm_daemon.estimator import Estimator, corner_model
 from bstm_daemon.heat.sample_plan import CHANNELS
+from bstm_daemon.native import VARIABLE
 from bstm_daemon.roles import ROLE_INDEX
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from bstm_daemon.config import Config
+    from bstm_daemon.native import Kernel
 
     from .conftest import Corner
 
@@ -235,6 +237,25 @@ def test_braking_without_pressure_counts(
         force_n = pressed / 20.0
         assert power[-1] == pytest.approx(strength * pressed, rel=1e-9)
     assert force_n > 300.0
+
+
+@pytest.mark.parametrize("name", INPUT_EFFECTS)
+@pytest.mark.parametrize("pressure_pa", [0.0, 2e6])
+def test_forms_agree(
+    monkeypatch: pytest.MonkeyPatch,
+    compiled: Kernel,
+    car: Callable[..., Config],
+    name: str,
+    pressure_pa: float,
+) -> None:
+    """Pure Python and compiled, bit for bit."""
+    assert compiled is not None
+    found = []
+    for form in ("reference", "compiled"):
+        monkeypatch.setenv(VARIABLE, form)
+        rows = rows_of(car("ff", name), 2.0, pressure_pa)
+        found.append(rows.tobytes())
+    assert found[0] == found[1]
 
 
 def test_what_is_not_felt_or_is_pressed_stays(
