@@ -226,7 +226,8 @@ int64_t bstm_fusion_close(Pass *p, const Readings *now, int64_t flags,
     double variance, doubt = 0.0, extra = 0.0;
     const double ratio = n[O_STATE + X_MASS];
     double scale = exp(bstm_friction(o, s.speed, s.pressure_pa, &variance));
-    variance += CAUTION * (n[O_COV] / (ratio * ratio))
+    variance += bstm_published(n[O_COV] / (ratio * ratio),
+                               BSTM_SD[0] * BSTM_SD[0])
         + MODEL_SHARE * MODEL_SHARE;
     const int feels = !isnan(s.felt) && s.forward
         && (found & FLAG_BLIND) == 0 && (flags & FLAG_UNSURE) == 0;

@@ -72,6 +72,14 @@ void bstm_walk(double *n, int first, int last, double seconds)
     }
 }
 
+/* A filter's variance as the heat has it; *first* is that before learning. */
+double bstm_published(double variance, double first)
+{
+    double unlearned = variance / first;
+    if (unlearned > 1.0) unlearned = 1.0;
+    return variance * (CAUTION + (1.0 - CAUTION) * unlearned);
+}
+
 void bstm_forms(double speed, double pressure_pa, double *h)
 {
     const double v = speed > 1.0 ? speed : 1.0;
@@ -89,7 +97,10 @@ double bstm_friction(const Observer *o, double speed, double pressure_pa,
 {
     double h[STATES];
     bstm_forms(speed, pressure_pa, h);
-    *variance = CAUTION * bstm_quadratic(o->n + O_COV, h);
+    double first = 0.0;
+    for (int i = MOTION; i < STATES; i++)
+        first += h[i] * h[i] * (BSTM_SD[i] * BSTM_SD[i]);
+    *variance = bstm_published(bstm_quadratic(o->n + O_COV, h), first);
     return bstm_product(o->n + O_STATE, h);
 }
 

@@ -36,7 +36,7 @@
 #define IDLE_PUSH 0.15
 #define IDLE_OUTLIER 2.5
 #define GRADE_S 0.3
-#define HEIGHT_PATH_M 300.0
+#define HEIGHT_PATH_M 1000.0
 #define HEIGHT_NOISE_M 2.0
 #define GAIN_LOW (-0.15)
 #define GAIN_HIGH 0.2

@@ -80,6 +80,7 @@ double bstm_friction(const Observer *o, double speed, double pressure_pa,
 #define CAUTION 0.2
 
 extern const double BSTM_SD[STATES];
+double bstm_published(double variance, double first);
 double bstm_clipped(double value, double low, double high);
 double bstm_quadratic(const double *cov, const double *h);
 double bstm_product(const double *x, const double *h);

@@ -14,13 +14,13 @@ from dataclasses import dataclass
 from math import exp, isnan, nan, sqrt
 from typing import TYPE_CHECKING, Final
 
-from bstm_daemon.heat.learned import BIAS, DRAG, MASS
+from bstm_daemon.heat.learned import BIAS, DRAG, MASS, published_variance
 from bstm_daemon.heat.observer_layout import STATES, Step
 from bstm_daemon.heat.observer_rules import (
     ASSUMED_DOUBT,
-    CAUTION,
     REFERENCE_PRESSURE_PA,
     REFERENCE_SPEED_MS,
+    SD,
 )
 from bstm_daemon.heat.plausibility import STANDING_MS
 from bstm_daemon.heat.sample_plan import FLAGS
@@ -136,8 +136,9 @@ def fuse(run: SampleMemory, now: Readings, flags: int) -> Fused:
     ratio = known.x[MASS]
     level, variance = known.friction(s.speed, s.pressure_pa)
     scale = exp(level)
-    variance += CAUTION * (known.cov[0] / (ratio * ratio)) + (
-        MODEL_SHARE * MODEL_SHARE
+    variance += (
+        published_variance(known.cov[0] / (ratio * ratio), SD[0] * SD[0])
+        + MODEL_SHARE * MODEL_SHARE
     )
     doubt = extra = 0.0
     blind = found & _BLIND or flags & _UNSURE

@@ -66,7 +66,11 @@ class Learned:
     ) -> tuple[float, float]:
         """Ln of the friction over Feed-Forward's, and its variance."""
         h = forms(speed, pressure_pa)
-        return product(self.x, h), rules.CAUTION * quadratic(self.cov, h)
+        first = 0.0
+        for i in range(len(MOTION), STATES):
+            first += h[i] * h[i] * (rules.SD[i] * rules.SD[i])
+        variance = quadratic(self.cov, h)
+        return product(self.x, h), published_variance(variance, first)
 
     def update(
         self, first: int, h: Sequence[float], apart: float, noise: float
@@ -112,6 +116,17 @@ class Learned:
             and all(self.cov[i * STATES + i] > 0.0 for i in range(STATES))
             and self.rolling_var > 0.0
         )
+
+
+def published_variance(variance: float, first: float) -> float:
+    """Return a filter's variance as the heat has it.
+
+    *first* is that before anything was learned: as long as little is, the
+    variance is published as it is, and :data:`~.observer_rules.CAUTION` of
+    it in the end.
+    """
+    unlearned = min(variance / first, 1.0)
+    return variance * (rules.CAUTION + (1.0 - rules.CAUTION) * unlearned)
 
 
 def clipped(value: float, low: float, high: float) -> float:

@@ -47,7 +47,7 @@ FORM_NOISE: Final = 0.05
 """How far a window of braking is from the form of the friction."""
 
 CAUTION: Final = 0.2
-"""Share of the filters' variance that the heat's has: they take the errors of
+"""Share of the learned variance that the heat has: they take the errors of
 drag and pitch for lasting ones, over a drive these change sign. From the
 development cars of the population."""
 
@@ -99,7 +99,7 @@ EXTERNAL_SHARE: Final = 0.4
 longer is; braking surely below this share of what the pressure says."""
 
 GRADE_S: Final = 0.3
-HEIGHT_PATH_M: Final = 300.0
+HEIGHT_PATH_M: Final = 1000.0
 HEIGHT_NOISE_M: Final = 2.0
 
 REFERENCE_SPEED_MS: Final = 10.0
