@@ -21,13 +21,16 @@ from bstm_daemon.errors import UsageError
 from bstm_daemon.files import replacing
 from bstm_daemon.identify.brakes import identify_brakes
 from bstm_daemon.identify.coastdown import NAMES, identify_coast_down
+from bstm_daemon.identify.cooling import identify_cooling
 from bstm_daemon.identify.driving import driving_of
 from bstm_daemon.identify.writing import (
     brake_changes,
     coast_down_changes,
+    cooling_changes,
     write_changed,
 )
 from bstm_daemon.quality.recording import read_recording
+from bstm_daemon.report.cooling_words import cooling_json, cooling_text
 from bstm_daemon.report.identify_words import (
     brakes_json,
     brakes_text,
@@ -58,10 +61,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare what is identified, the logs and where results go."""
     parser.add_argument(
         "what",
-        choices=("coastdown", "brakes"),
+        choices=("coastdown", "brakes", "cooling"),
         help="coastdown: rolling resistance, C_fric and drag from stretches "
         "in neutral; brakes: friction scale, push-out and axle shares from "
-        "stops",
+        "stops; cooling: S over speed from measured discs that cool",
     )
     parser.add_argument("logs", nargs="+", type=Path, metavar="LOG")
     add_config(parser)
@@ -106,10 +109,12 @@ def run(args: argparse.Namespace) -> int:
     drivings = _drivings(args, config, signal_map)
     names = ", ".join(log.name for log in args.logs)
     subtitle = f"{names} · {config.vehicle.id} · {args.config.name}"
-    if args.what == "coastdown":
-        data, changes = _coast_down(args, config, drivings, subtitle)
-    else:
-        data, changes = _brakes(args, config, drivings, subtitle)
+    identify = {
+        "coastdown": _coast_down,
+        "brakes": _brakes,
+        "cooling": _cooling,
+    }[args.what]
+    data, changes = identify(args, config, drivings, subtitle)
     if args.json:
         result = {"files": [str(log) for log in args.logs], **data}
         with replacing(args.json) as file:
@@ -195,6 +200,25 @@ def _brakes(
             args.report, result, subtitle=subtitle, version=__version__
         )
     return brakes_json(result), brake_changes(result, config)
+
+
+def _cooling(
+    args: argparse.Namespace,
+    config: Config,
+    drivings: list[Driving],
+    subtitle: str,
+) -> tuple[dict[str, Any], list[Change]]:
+    result = identify_cooling(drivings, config)
+    print(f"{subtitle}\n{cooling_text(result)}")
+    if args.report:
+        from bstm_daemon.report.cooling_page import (  # noqa: PLC0415
+            write_cooling_page,
+        )
+
+        write_cooling_page(
+            args.report, result, subtitle=subtitle, version=__version__
+        )
+    return cooling_json(result), cooling_changes(result, config)
 
 
 def _write(

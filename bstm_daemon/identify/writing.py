@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from bstm_daemon.config import Config
     from bstm_daemon.identify.brakes import Brakes
     from bstm_daemon.identify.coastdown import CoastDown
+    from bstm_daemon.identify.cooling import Cooling
 
 _DIGITS: Final = 5
 _PATHS: Final = (("state", "file"), ("record", "folder"), ("metrics", "file"))
@@ -23,12 +24,17 @@ _PATHS: Final = (("state", "file"), ("record", "folder"), ("metrics", "file"))
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """A key of ``[section]``, or of the ``[[corner]]`` of that name."""
+    """A key of ``[section]``, or of the ``[[corner]]`` of that name.
+
+    ``key`` may be dotted; several numbers are a list. ``note`` says where
+    the value comes from if not from the logs.
+    """
 
     section: str
     key: str
-    value: float
+    value: float | tuple[float, ...]
     corner: str = ""
+    note: str = ""
 
     def __str__(self) -> str:
         """Return it as in the file."""
@@ -37,7 +43,19 @@ class Change:
             if self.corner
             else (f"[{self.section}]")
         )
-        return f"{where} {self.key} = {self.value:.{_DIGITS}g}"
+        return f"{where} {self.key} = {self._text()}"
+
+    def _text(self) -> str:
+        numbers = self.rounded()
+        if isinstance(numbers, list):
+            return f"[{', '.join(f'{one:.{_DIGITS}g}' for one in numbers)}]"
+        return f"{numbers:.{_DIGITS}g}"
+
+    def rounded(self) -> float | list[float]:
+        """Return the value in the digits that are written."""
+        if isinstance(self.value, tuple):
+            return [float(f"{one:.{_DIGITS}g}") for one in self.value]
+        return float(f"{self.value:.{_DIGITS}g}")
 
 
 def coast_down_changes(result: CoastDown) -> list[Change]:
@@ -83,6 +101,69 @@ def brake_changes(result: Brakes, config: Config) -> list[Change]:
     return changes
 
 
+def cooling_changes(result: Cooling, config: Config) -> list[Change]:
+    """Return the tables that the cool-downs settle.
+
+    The front axle's goes to ``[cooling]``, which the other corners share;
+    the rear's, and that of corners with an own table, to the corners.
+    """
+    changes = []
+    for axle in result.axles:
+        if not axle.table:
+            continue
+        values: dict[str, float | tuple[float, ...]] = {
+            "speed_ms": tuple(speed for speed, *_ in axle.table),
+            "s_per_s": tuple(s for _, s, _ in axle.table),
+        }
+        if axle.still is not None:
+            values["standstill_convection_fraction"] = axle.still
+        corners = [
+            c for c in config.corner if c.name[0] == axle.axle[0].upper()
+        ]
+        own = axle.axle == "rear" or any(
+            set(values) & set(corner.cooling) for corner in corners
+        )
+        if own:
+            changes += [
+                Change("corner", f"cooling.{key}", value, corner.name)
+                for corner in corners
+                for key, value in values.items()
+            ]
+        else:
+            changes += [
+                Change("cooling", key, value) for key, value in values.items()
+            ]
+            changes += _held_tables(result, config)
+    return changes
+
+
+def _held_tables(result: Cooling, config: Config) -> list[Change]:
+    """Return what keeps the table of corners that have half of it their own.
+
+    Speeds and S are one table: a corner with its own S goes on at the speeds
+    it had.
+    """
+    measured = {axle.axle[0].upper() for axle in result.axles if axle.table}
+    changes = []
+    for corner in config.corner:
+        if corner.name[0] in measured:
+            continue
+        has = {"speed_ms", "s_per_s"} & set(corner.cooling)
+        if len(has) == 1:
+            (missing,) = {"speed_ms", "s_per_s"} - has
+            value = getattr(config.cooling_of(corner), missing)
+            changes.append(
+                Change(
+                    "corner",
+                    f"cooling.{missing}",
+                    tuple(value),
+                    corner.name,
+                    "as before, beside another [cooling]",
+                )
+            )
+    return changes
+
+
 def write_changed(
     source: Path, target: Path, changes: Sequence[Change], origin: str
 ) -> None:
@@ -108,7 +189,7 @@ def write_changed(
         raise FileAccessError(msg) from error
     document = tomlkit.parse(text)
     for change in changes:
-        _apply(document, change, origin)
+        _apply(document, change, change.note or origin)
     _move_paths(document, source.resolve().parent, target.resolve().parent)
     with replacing(target) as file:
         file.write_text(tomlkit.dumps(document), encoding="utf-8")
@@ -125,13 +206,19 @@ def _apply(document: Any, change: Change, origin: str) -> None:
         if change.section not in document:
             document[change.section] = {}
         table = document[change.section]
-    known = table.get(change.key)
+    *outer, key = change.key.split(".")
+    for name in outer:
+        if name not in table:
+            table[name] = {}
+        table = table[name]
+    known = table.get(key)
     said = "" if known is None else known.trivia.comment.lstrip("# ")
-    table[change.key] = float(f"{change.value:.{_DIGITS}g}")
-    words = f"{origin}; was {known} ({said})" if said else origin
+    was = "" if known is None else " ".join(str(known).split())
+    table[key] = change.rounded()
+    words = f"{origin}; was {was} ({said})" if said else origin
     if known is not None and not said:
-        words = f"{origin}; was {known}"
-    table[change.key].comment(words)
+        words = f"{origin}; was {was}"
+    table[key].comment(words)
 
 
 def _move_paths(document: Any, old: Path, new: Path) -> None:

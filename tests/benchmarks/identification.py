@@ -17,6 +17,7 @@ from side_by_side import Outcome, Table
 from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.identify.brakes import identify_brakes
 from bstm_daemon.identify.coastdown import identify_coast_down
+from bstm_daemon.identify.cooling import CoolingPoint, identify_cooling
 from bstm_daemon.identify.driving import driving_of
 from bstm_daemon.quality.recording import read_recording
 from bstm_daemon.shipped import shipped_file
@@ -27,12 +28,14 @@ from bstm_daemon.simulation import (
     simulate,
 )
 from bstm_daemon.simulation.frames import Encoder
+from bstm_daemon.simulation.parameters import FRONT
 from bstm_daemon.simulation.recorder import write_candump
 
 if TYPE_CHECKING:
     from bstm_daemon.identify.driving import Driving
 
 SENSORS = ("n1", "n2", "n3")
+THERMOCOUPLES = ("n1", "n2", "n3", "n4")
 SERIES = ("idiada-step", "idiada-ramp", "idiada-pulse")
 COASTS = {"accelerometer": False, "even grade": True}
 KEYS = ("drag_area_m2", "friction_ns_m", "rolling_resistance")
@@ -48,6 +51,8 @@ def run(*, full: bool) -> Outcome:
         "0.7 to 1.3, push-out 0 to 1.5 bar. Median and largest absolute "
         "error; within: share of the errors below two standard errors.",
     )
+    drives = 10 if full else 1
+    clean = [point.value for point in _cooling_points("none", 0)]
     outcome.tables = [
         Table(
             "Coast-down: drive coastdown, four runs on 0.2 %",
@@ -68,6 +73,18 @@ def run(*, full: bool) -> Outcome:
                 _brake_row(sensors, preset, cars)
                 for preset in ("plain", "road")
                 for sensors in SENSORS
+            ),
+        ),
+        Table(
+            f"Cooling: drive cooling, {drives} times a row, 18 to 150 km/h, "
+            "form conductance",
+            (
+                *("sensors", "off clean sensors, %", "standard error, %"),
+                *("off h A / m cp, %", "90 % holds"),
+            ),
+            tuple(
+                _cooling_row(sensors, drives, clean)
+                for sensors in THERMOCOUPLES
             ),
         ),
     ]
@@ -163,3 +180,55 @@ def _driving(name: str, sensors: str, seed: int, **options: Any) -> Driving:
             path, driven, Encoder(shipped_file("dbc/example_vehicle.dbc"))
         )
         return driving_of(name, read_recording([path], plan), config, plan)
+
+
+def _cooling_row(
+    sensors: str, drives: int, clean: list[float]
+) -> tuple[str, ...]:
+    apart, true_apart, within, widths = [], [], [], []
+    for seed in range(drives):
+        points = _cooling_points(sensors, seed)
+        for point, value in zip(points, clean, strict=True):
+            error = point.value / value - 1.0
+            apart.append(100.0 * abs(error))
+            width = point.standard_error / point.value
+            widths.append(100.0 * width)
+            within.append(abs(error) < 1.645 * width)
+            true = true_cooling_per_s(point.speed_ms)
+            true_apart.append(100.0 * abs(point.value / true - 1.0))
+    return (
+        sensors,
+        *(_both(np.array(one)) for one in (apart, widths, true_apart)),
+        f"{100 * np.mean(within):.0f} %",
+    )
+
+
+def _cooling_points(sensors: str, seed: int) -> list[CoolingPoint]:
+    config, _ = load_vehicle(shipped_file("config/example_vehicle.toml"))
+    cooling = config.cooling.model_copy(update={"form": "conductance"})
+    config = config.model_copy(update={"cooling": cooling})
+    read = _driving("cooling", sensors, seed)
+    (axle,) = identify_cooling([read], config).axles
+    return [point for point in axle.points if point.speed_ms > 0.0]
+
+
+def true_cooling_per_s(speed_ms: float) -> float:
+    """Return h A of the reality's front disc over m cp at 20 degC, 250 K.
+
+    As one isothermal lump: convection of faces and vanes, natural and forced.
+    """
+    natural = FRONT.natural_convection_w_m2k * (250.0 / 200.0) ** 0.25
+    wind = speed_ms**FRONT.forced_exponent
+    conductance = 0.0
+    for area_m2, still, forced in (
+        (2.0 * FRONT.face_air_area_m2, 1.0, FRONT.forced_face_w_m2k),
+        (
+            FRONT.vent_area_m2,
+            FRONT.parked_vent_fraction,
+            FRONT.forced_vent_w_m2k,
+        ),
+    ):
+        conductance += area_m2 * float(
+            np.cbrt((still * natural) ** 3 + (forced * wind) ** 3)
+        )
+    return conductance / (FRONT.ring_mass_kg * 460.0)

@@ -41,7 +41,8 @@ def logs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     folder = tmp_path_factory.mktemp("logs")
     encoder = Encoder(DBC)
     found = {}
-    for name in ("coastdown", "idiada-step", "idiada-ramp", "short"):
+    drives = ("coastdown", "idiada-step", "idiada-ramp", "cooldown", "short")
+    for name in drives:
         drive = (
             parse_drive(CITY, "short.toml")
             if name == "short"
@@ -135,6 +136,41 @@ def test_brakes(
         assert corner.friction_coefficient == pytest.approx(0.38, abs=0.004)
 
 
+def test_cooling(
+    logs: dict[str, Path],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    new, result = tmp_path / "new.toml", tmp_path / "result.json"
+
+    code = main(
+        [
+            *("identify", "cooling", str(logs["cooldown"])),
+            *("-c", str(EXAMPLE), "-o", str(new), "--json", str(result)),
+        ]
+    )
+
+    out, err = capsys.readouterr()
+    assert (code, err) == (0, "")
+    assert "100 km/h  4." in out
+    assert "'conductance' by" in out
+    assert all(len(line) <= 110 for line in out.splitlines())
+    front = json.loads(result.read_text("utf-8"))["axles"]["front"]
+    (point,) = front["points"]
+    assert point["identified"]
+    assert point["ten_pairs_s_per_s"] == pytest.approx(
+        point["s_per_s"], rel=0.15
+    )
+    assert len(point["cool_downs"]) == 4
+    written = load_config(new).cooling
+    assert written.s_per_s == pytest.approx(front["s_per_s"], rel=1e-4)
+    assert written.speed_ms == pytest.approx(front["speed_ms"], rel=1e-4)
+    assert written.standstill_convection_fraction == 0.289
+    before, after = load_config(EXAMPLE), load_config(new)
+    for old, kept in zip(before.corner[2:], after.corner[2:], strict=True):
+        assert after.cooling_of(kept) == before.cooling_of(old)
+
+
 def test_heat(
     logs: dict[str, Path],
     tmp_path: Path,
@@ -172,6 +208,7 @@ def test_heat(
     [
         (["identify", "coastdown"], ["coastdown"], 8),
         (["identify", "brakes"], ["idiada-step", "idiada-ramp"], 5),
+        (["identify", "cooling"], ["cooldown"], 1 + 2),
         (["heat"], ["idiada-step"], 2 + 2 + 1 + 12 + 3),
         (["heat"], ["idiada-step", "idiada-ramp"], 1 + 20 + 17),
     ],
@@ -210,6 +247,8 @@ def test_nothing_to_identify(
     assert "no coast-down found" in capsys.readouterr().err
     assert main(["identify", "brakes", *arguments]) == 65
     assert "samples of 12 needed" in capsys.readouterr().err
+    assert main(["identify", "cooling", *arguments]) == 65
+    assert "no cool-down found" in capsys.readouterr().err
 
 
 def test_wrong_use(
@@ -224,7 +263,8 @@ def test_wrong_use(
 
     assert main(["identify", "coastdown", log, *common, "-o", str(taken)]) == 2
     assert "give --force" in capsys.readouterr().err
-    assert main(["identify", "brakes", log, *common, "--one-way"]) == 2
+    for what in ("brakes", "cooling"):
+        assert main(["identify", what, log, *common, "--one-way"]) == 2
     assert main(["identify", "cooling-fan", log, *common]) == 2
     capsys.readouterr()
     before = logs["coastdown"].read_bytes()

@@ -117,7 +117,16 @@ def sampled() -> Callable[..., Recording]:
 
 
 def recorded(drive: SimulatedDrive, *roles: str) -> Recording:
-    """Return *roles* of *drive* as 50 Hz samples, past its DBC."""
-    time_s = drive.time_s[::2] - drive.time_s[0]
-    series = {role: Series(time_s, drive.roles[role][::2]) for role in roles}
+    """Return *roles* of *drive* as samples, past its DBC.
+
+    Vehicle roles at 50 Hz, thermocouples at the logger's rate.
+    """
+    start_s = drive.time_s[0]
+    time_s, slow_s = drive.time_s[::2] - start_s, drive.slow_time_s - start_s
+    series = {
+        role: Series(slow_s, drive.temperatures[role])
+        if role.startswith("temp_")
+        else Series(time_s, drive.roles[role][::2])
+        for role in roles
+    }
     return Recording(series, float(time_s[-1]), {}, {})

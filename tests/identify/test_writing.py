@@ -37,6 +37,33 @@ def test_only_the_values_change(tmp_path: Path) -> None:
     )
 
 
+def test_lists_and_dotted_keys(tmp_path: Path) -> None:
+    """A table of one corner, and of the section that all share."""
+    target = tmp_path / "new.toml"
+    table = (1e-3, 2e-3, 3.123456e-3)
+    changes = [
+        Change("cooling", "speed_ms", (0.0, 10.0, 20.0)),
+        Change("cooling", "s_per_s", table),
+        *(
+            Change("corner", f"cooling.{key}", numbers, corner)
+            for corner in ("FR", "RL", "RR")
+            for key, numbers in (
+                ("speed_ms", (0.0, 10.0, 30.0)),
+                ("s_per_s", table),
+            )
+        ),
+    ]
+
+    write_changed(EXAMPLE, target, changes, "bstm identify")
+
+    config = load_config(target)
+    assert config.cooling.s_per_s == [1e-3, 2e-3, 3.1235e-3]
+    of = {c.name: config.cooling_of(c).speed_ms for c in config.corner}
+    assert of["FL"] == [0.0, 10.0, 20.0]
+    assert of["FR"] == of["RL"] == of["RR"] == [0.0, 10.0, 30.0]
+    assert str(changes[1]) == "[cooling] s_per_s = [0.001, 0.002, 0.0031235]"
+
+
 def test_the_copy_is_a_valid_configuration(tmp_path: Path) -> None:
     """In another folder as well: the path of its DBC is moved along."""
     folder = tmp_path / "deep" / "below"
