@@ -22,6 +22,9 @@ from bstm_daemon.files import replacing
 from bstm_daemon.identify.brakes import identify_brakes
 from bstm_daemon.identify.coastdown import NAMES, identify_coast_down
 from bstm_daemon.identify.cooling import identify_cooling
+from bstm_daemon.identify.cooling_while_braking import (
+    identify_while_braking,
+)
 from bstm_daemon.identify.driving import driving_of
 from bstm_daemon.identify.writing import (
     brake_changes,
@@ -30,6 +33,7 @@ from bstm_daemon.identify.writing import (
     write_changed,
 )
 from bstm_daemon.quality.recording import read_recording
+from bstm_daemon.report.braked_words import braked_json, braked_text
 from bstm_daemon.report.cooling_words import cooling_json, cooling_text
 from bstm_daemon.report.identify_words import (
     brakes_json,
@@ -94,6 +98,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="coastdown: the grade is even along each run; leaves the "
         "accelerometer and its noise out",
     )
+    parser.add_argument(
+        "--while-braking",
+        action="store_true",
+        help="cooling: S as a line over speed from whole drives, with heat "
+        "from the car's motion",
+    )
     add_json(parser)
     add_report(parser)
     add_bus_map(parser)
@@ -131,6 +141,9 @@ def _check(args: argparse.Namespace) -> None:
         args.hold or args.one_way or args.even_grade
     ):
         msg = "--hold, --one-way and --even-grade go with coastdown"
+        raise UsageError(msg)
+    if args.what != "cooling" and args.while_braking:
+        msg = "--while-braking goes with cooling"
         raise UsageError(msg)
     refuse_overwriting(
         (args.out, args.json, args.report), (args.config, *args.logs)
@@ -208,6 +221,8 @@ def _cooling(
     drivings: list[Driving],
     subtitle: str,
 ) -> tuple[dict[str, Any], list[Change]]:
+    if args.while_braking:
+        return _while_braking(args, config, drivings, subtitle)
     result = identify_cooling(drivings, config)
     print(f"{subtitle}\n{cooling_text(result)}")
     if args.report:
@@ -218,7 +233,26 @@ def _cooling(
         write_cooling_page(
             args.report, result, subtitle=subtitle, version=__version__
         )
-    return cooling_json(result), cooling_changes(result, config)
+    return cooling_json(result), cooling_changes(result.axles, config)
+
+
+def _while_braking(
+    args: argparse.Namespace,
+    config: Config,
+    drivings: list[Driving],
+    subtitle: str,
+) -> tuple[dict[str, Any], list[Change]]:
+    result = identify_while_braking(drivings, config)
+    print(f"{subtitle}\n{braked_text(result)}")
+    if args.report:
+        from bstm_daemon.report.braked_page import (  # noqa: PLC0415
+            write_braked_page,
+        )
+
+        write_braked_page(
+            args.report, result, subtitle=subtitle, version=__version__
+        )
+    return braked_json(result), cooling_changes(result.axles, config)
 
 
 def _write(

@@ -16,7 +16,8 @@ if TYPE_CHECKING:
     from bstm_daemon.config import Config
     from bstm_daemon.identify.brakes import Brakes
     from bstm_daemon.identify.coastdown import CoastDown
-    from bstm_daemon.identify.cooling import Cooling
+    from bstm_daemon.identify.cooling import AxleCooling
+    from bstm_daemon.identify.cooling_while_braking import BrakedAxle
 
 _DIGITS: Final = 5
 _PATHS: Final = (("state", "file"), ("record", "folder"), ("metrics", "file"))
@@ -101,14 +102,16 @@ def brake_changes(result: Brakes, config: Config) -> list[Change]:
     return changes
 
 
-def cooling_changes(result: Cooling, config: Config) -> list[Change]:
+def cooling_changes(
+    axles: Sequence[AxleCooling | BrakedAxle], config: Config
+) -> list[Change]:
     """Return the tables that the cool-downs settle.
 
     The front axle's goes to ``[cooling]``, which the other corners share;
     the rear's, and that of corners with an own table, to the corners.
     """
     changes = []
-    for axle in result.axles:
+    for axle in axles:
         if not axle.table:
             continue
         values: dict[str, float | tuple[float, ...]] = {
@@ -133,17 +136,19 @@ def cooling_changes(result: Cooling, config: Config) -> list[Change]:
             changes += [
                 Change("cooling", key, value) for key, value in values.items()
             ]
-            changes += _held_tables(result, config)
+            changes += _held_tables(axles, config)
     return changes
 
 
-def _held_tables(result: Cooling, config: Config) -> list[Change]:
+def _held_tables(
+    axles: Sequence[AxleCooling | BrakedAxle], config: Config
+) -> list[Change]:
     """Return what keeps the table of corners that have half of it their own.
 
     Speeds and S are one table: a corner with its own S goes on at the speeds
     it had.
     """
-    measured = {axle.axle[0].upper() for axle in result.axles if axle.table}
+    measured = {axle.axle[0].upper() for axle in axles if axle.table}
     changes = []
     for corner in config.corner:
         if corner.name[0] in measured:

@@ -209,6 +209,7 @@ def test_heat(
         (["identify", "coastdown"], ["coastdown"], 8),
         (["identify", "brakes"], ["idiada-step", "idiada-ramp"], 5),
         (["identify", "cooling"], ["cooldown"], 1 + 2),
+        (["identify", "cooling", "--while-braking"], ["cooldown"], 1 + 4),
         (["heat"], ["idiada-step"], 2 + 2 + 1 + 12 + 3),
         (["heat"], ["idiada-step", "idiada-ramp"], 1 + 20 + 17),
     ],
@@ -249,6 +250,9 @@ def test_nothing_to_identify(
     assert "samples of 12 needed" in capsys.readouterr().err
     assert main(["identify", "cooling", *arguments]) == 65
     assert "no cool-down found" in capsys.readouterr().err
+    words = ["identify", "cooling", "--while-braking", *arguments]
+    assert main(words) == 65
+    assert "4 stretches of 90 s" in capsys.readouterr().err
 
 
 def test_wrong_use(
@@ -265,6 +269,10 @@ def test_wrong_use(
     assert "give --force" in capsys.readouterr().err
     for what in ("brakes", "cooling"):
         assert main(["identify", what, log, *common, "--one-way"]) == 2
+    for what in ("brakes", "coastdown"):
+        words = [*common, "--while-braking"]
+        assert main(["identify", what, log, *words]) == 2
+        assert "goes with cooling" in capsys.readouterr().err
     assert main(["identify", "cooling-fan", log, *common]) == 2
     capsys.readouterr()
     before = logs["coastdown"].read_bytes()
