@@ -258,7 +258,8 @@ int64_t bstm_fusion_close(Pass *p, const Readings *now, int64_t flags,
     const int single =
         bstm_vehicle(p, R_TC, 0.0) > 0.0 || now->esc_active > 0.0;
     const double mass_kg = o->mass_kg / ratio;
-    const double vague = single ? SINGLE_SHARE : ASSIST_SHARE;
+    const double vague =
+        single || !s.torque_known ? SINGLE_SHARE : ASSIST_SHARE;
     double part[MAX_CORNERS];
     divide(p, now, s.brake_n > 0.0, part);
     for (int c = 0; c < p->corners; c++) {

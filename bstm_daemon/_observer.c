@@ -17,6 +17,8 @@
 #define RATE_S 0.5
 #define SLOW_RATE_S 4.0
 #define RESTART_S 12.0
+#define ROUGH_S 10.0
+#define ROUGH_MS2 1.5
 #define GAIN_RATE 0.4
 #define GAIN_NOISE 0.12
 #define LEAST_SPEED 4.0
@@ -25,6 +27,7 @@
 #define RELEASED_S 0.7
 #define PRESSED_S 0.4
 #define LEAST_BRAKE 150.0
+#define WIND_SHARE 0.4
 #define FORM_NOISE 0.05
 #define DRIFT_S 60.0
 
@@ -38,7 +41,7 @@
 #define GRADE_S 0.3
 #define HEIGHT_PATH_M 1000.0
 #define HEIGHT_NOISE_M 2.0
-#define GAIN_LOW (-0.15)
+#define GAIN_LOW (-0.2)
 #define GAIN_HIGH 0.2
 #define UNFELT (-0.6)
 #define CHANGED_LEAST 20.0
@@ -149,18 +152,21 @@ static void learn_friction(Observer *o, double felt, double push, double drag,
         return;
     }
     trust(n, WINDOW_S);
+    /* an assumed torque is the driver's word, not a measurement */
+    if (!torque_known) return;
     if (n[O_EXTERNAL_HELD] > 0.0 || braking < 0.3 * given) return;
-    const double white = FELT_NOISE / braking, blind = assumed / braking;
+    const double white = FELT_NOISE / braking;
+    const double wind = WIND_SHARE * (n[O_STATE + X_DRAG] * drag) / braking;
     /* an error of the motion's states is one of the friction for good */
     h[X_MASS] = -(push - o->rotating * rate) / braking;
     h[X_BIAS] = -1.0 / braking;
     h[X_DRAG] = drag / braking;
     h[X_GAIN] = -rate / braking;
-    const double noise = 4.0 * (white * white) + COMMON * (blind * blind)
+    const double noise = 4.0 * (white * white) + COMMON * (wind * wind)
         + FORM_NOISE * FORM_NOISE;
     const double apart = log(braking / given) - level;
     const double spread = bstm_quadratic(n + O_COV, h) + white * white
-        + blind * blind + FORM_NOISE * FORM_NOISE;
+        + wind * wind + FORM_NOISE * FORM_NOISE;
     if (fabs(apart) > OUTLIER * sqrt(spread)) return;
     bstm_update(n, MOTION, h, apart, noise);
 }
@@ -205,7 +211,9 @@ static void learn_gain(Observer *o, const Step *s, int learns)
     n[O_GAIN_TIME] += s->dt_s;
     if (n[O_GAIN_TIME] < WINDOW_S) return;
     n[O_GAIN_TIME] = 0.0;
-    if (!s->steady || s->speed < LEAST_SPEED || fabs(rate) < GAIN_RATE) return;
+    if (!s->steady || s->speed < LEAST_SPEED || fabs(rate) < GAIN_RATE
+        || n[O_ROUGH] > ROUGH_MS2 * ROUGH_MS2)
+        return;
     n[O_ALIKE] += more * rate;
     n[O_CHANGED] += rate * rate;
     if (n[O_CHANGED] > CHANGED_MOST) {
@@ -238,6 +246,8 @@ static void follow(Observer *o, const Step *s)
     const double rate = (s->end_speed - n[O_LAST_SPEED]) / s->dt_s;
     const double share = 1.0 - exp(-s->dt_s / RATE_S);
     const double slow = 1.0 - exp(-s->dt_s / SLOW_RATE_S);
+    const double jump = rate - n[O_RATE];
+    n[O_ROUGH] += (1.0 - exp(-s->dt_s / ROUGH_S)) * (jump * jump - n[O_ROUGH]);
     n[O_LAST_SPEED] = s->end_speed;
     n[O_RATE] += share * (rate - n[O_RATE]);
     n[O_FELT] += share * (s->felt - n[O_FELT]);
@@ -253,7 +263,7 @@ static void follow_grade(Observer *o, const Step *s)
     const double upward = n[O_FELT] - gain * n[O_RATE] - bias;
     const double sine = bstm_clipped(upward / GRAVITY, -0.5, 0.5);
     n[O_SINE] += (1.0 - exp(-s->dt_s / GRADE_S)) * (sine - n[O_SINE]);
-    if (isnan(s->height)) {
+    if (isnan(s->height) || n[O_EXTERNAL_HELD] > 0.0 || strange_gain(n)) {
         n[O_HEIGHT_PATH] = 0.0;
         return;
     }
@@ -269,10 +279,15 @@ static void follow_grade(Observer *o, const Step *s)
     const double found = (n[O_HEIGHT_WORK] - climbed) / n[O_HEIGHT_PATH];
     const double sd = 1.5 * GRAVITY * HEIGHT_NOISE_M / n[O_HEIGHT_PATH];
     const double apart = found - n[O_ROLLING];
-    const double spread = n[O_ROLLING_VAR] + sd * sd;
+    const double rolling = n[O_ROLLING_VAR];
+    const double spread =
+        n[O_COV + X_BIAS * STATES + X_BIAS] + rolling + sd * sd;
     n[O_HEIGHT_PATH] = 0.0;
     if (fabs(apart) > OUTLIER * sqrt(spread)) return;
-    const double share = n[O_ROLLING_VAR] / spread;
+    /* who is surer of himself moves less; without torque the bias is free */
+    const double h[STATES] = {0.0, 1.0};
+    bstm_update(n, 0, h, apart, rolling + sd * sd);
+    const double share = rolling / spread;
     n[O_ROLLING] += share * apart;
     n[O_ROLLING_VAR] *= 1.0 - share;
     n[O_ROLLING_VAR] += 1e-6;

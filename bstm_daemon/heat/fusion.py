@@ -55,7 +55,7 @@ ASSIST_SHARE: Final = 0.15
 SINGLE_SHARE: Final = 0.6
 """Standard deviations as shares: of the model with everything learned; where
 anti-lock modulates; where the share of the corners is assumed; where single
-wheels are braked and no pressure tells how."""
+wheels are braked and no pressure tells how, or the torque is assumed."""
 
 ABS_LOW: Final = 0.2
 ABS_HIGH: Final = 1.5
@@ -162,7 +162,8 @@ def fuse(run: SampleMemory, now: Readings, flags: int) -> Fused:
         m["slow_braking"] = m["slow_brake"] = 0.0
         m["silent_s"] = m["silent_energy"] = 0.0
     single = run.vehicle("tc_active", 0.0) > 0.0 or now.esc_active > 0.0
-    vague = SINGLE_SHARE if single else ASSIST_SHARE
+    guessed = single or not s.torque_known
+    vague = SINGLE_SHARE if guessed else ASSIST_SHARE
     part = _divide(run, now, pressed=s.brake_n > 0.0)
     power, spread = [], []
     for c in range(run.corners):

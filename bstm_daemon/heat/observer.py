@@ -217,9 +217,13 @@ class Observer:
             self._suspect_external(rules.WINDOW_S)
             return
         self._trust(rules.WINDOW_S)
+        # an assumed torque is the driver's word, not a measurement
+        if not s.torque_known:
+            return
         if m["external_held_s"] > 0.0 or braking < 0.3 * given:
             return
-        white, blind = rules.FELT_NOISE / braking, assumed / braking
+        white = rules.FELT_NOISE / braking
+        wind = rules.WIND_SHARE * (self.known.x[DRAG] * drag) / braking
         # an error of the motion's states is one of the friction for good
         h[MASS] = -(push - self.rotating * rate) / braking
         h[BIAS] = -1.0 / braking
@@ -227,14 +231,14 @@ class Observer:
         h[GAIN] = -rate / braking
         noise = (
             4.0 * (white * white)
-            + rules.COMMON * (blind * blind)
+            + rules.COMMON * (wind * wind)
             + rules.FORM_NOISE * rules.FORM_NOISE
         )
         apart = log(braking / given) - level
         spread = (
             quadratic(self.known.cov, h)
             + white * white
-            + blind * blind
+            + wind * wind
             + rules.FORM_NOISE * rules.FORM_NOISE
         )
         if abs(apart) > rules.OUTLIER * sqrt(spread):
@@ -267,6 +271,7 @@ class Observer:
             not s.steady
             or s.speed < rules.LEAST_SPEED_MS
             or abs(rate) < rules.GAIN_RATE_MS2
+            or m["rough"] > rules.ROUGH_MS2 * rules.ROUGH_MS2
         ):
             return
         m["alike"] += more * rate
@@ -304,6 +309,10 @@ class Observer:
         rate = (s.end_speed - m["last_rolled"]) / s.dt_s
         share = 1.0 - exp(-s.dt_s / rules.RATE_S)
         slow = 1.0 - exp(-s.dt_s / rules.SLOW_RATE_S)
+        jump = rate - m["rate"]
+        m["rough"] += (1.0 - exp(-s.dt_s / rules.ROUGH_S)) * (
+            jump * jump - m["rough"]
+        )
         m["last_rolled"] = s.end_speed
         m["rate"] += share * (rate - m["rate"])
         m["felt"] += share * (s.felt - m["felt"])

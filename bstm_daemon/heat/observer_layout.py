@@ -52,6 +52,7 @@ OBSERVER_NUMBERS: Final = (
     *(f"first_{name}" for name in LEARNED_NAMES),
     *("copy_age", "started", "resets"),
     *("last_rolled", "rate", "felt", "slow_rate", "slow_felt", "gain_time"),
+    "rough",
     *("calm_s", "released_s", "pressed_s", "last_gear", "last_clutch"),
     *("external_s", "external_held_s", "alike", "changed", "radius_ratio"),
     *("unpressed_s", "stood_s"),

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 
 from bstm_daemon.heat import observer_rules as rules
 from bstm_daemon.heat.learned import BIAS, GAIN, clipped
+from bstm_daemon.heat.observer_doubts import strange_gain
+from bstm_daemon.heat.observer_layout import STATES
 from bstm_daemon.units import GRAVITY_MS2
 
 if TYPE_CHECKING:
@@ -17,7 +19,7 @@ if TYPE_CHECKING:
 def follow_grade(
     m: dict[str, float], known: Learned, rolling: float, s: Step
 ) -> None:
-    """Filter the sine of the road; learn the error of g f_r from its height.
+    """Filter the sine of the road; learn bias and g f_r from its height.
 
     *rolling* is the configured g f_r [m/s2]. The balance of forces tells the
     bias less g f_r; the height that was climbed tells the bias alone.
@@ -27,7 +29,7 @@ def follow_grade(
     upward = m["felt"] - gain * m["rate"] - bias
     sine = clipped(upward / GRAVITY_MS2, -0.5, 0.5)
     m["sine"] += (1.0 - exp(-s.dt_s / rules.GRADE_S)) * (sine - m["sine"])
-    if isnan(s.height):
+    if isnan(s.height) or m["external_held_s"] > 0.0 or strange_gain(m):
         m["height_path"] = 0.0
         return
     if m["height_path"] <= 0.0:
@@ -42,11 +44,16 @@ def follow_grade(
     error = (m["height_work"] - climbed) / m["height_path"]
     sd = 1.5 * GRAVITY_MS2 * rules.HEIGHT_NOISE_M / m["height_path"]
     apart = error - known.rolling_error
-    spread = known.rolling_var + sd * sd
+    rolling_var = known.rolling_var
+    spread = known.cov[BIAS * STATES + BIAS] + rolling_var + sd * sd
     m["height_path"] = 0.0
     if abs(apart) > rules.OUTLIER * sqrt(spread):
         return
-    share = known.rolling_var / spread
+    # who is surer of himself moves less; without torque the bias is free
+    h = [0.0] * STATES
+    h[BIAS] = 1.0
+    known.update(0, h, apart, rolling_var + sd * sd)
+    share = rolling_var / spread
     known.rolling_error += share * apart
     known.rolling_var *= 1.0 - share
     known.rolling_var += 1e-6

@@ -43,6 +43,9 @@ GAIN_COMMON: Final = 30.0
 """Windows in a row that share one error: gusts, bumps, torque maps; and where
 roads level off before a bend, so does the scale seem to change."""
 
+WIND_SHARE: Final = 0.4
+"""Of the drag, which a gust may add or take."""
+
 FORM_NOISE: Final = 0.05
 """How far a window of braking is from the form of the friction."""
 
@@ -73,12 +76,15 @@ PRESSED_S: by then chassis and tyres are wound up."""
 RATE_S: Final = 0.5
 SLOW_RATE_S: Final = 4.0
 RESTART_S: Final = 12.0
+ROUGH_S: Final = 10.0
+ROUGH_MS2: Final = 1.5
 GAIN_RATE_MS2: Final = 0.4
 GAIN_NOISE: Final = 0.12
 """Filters between which a change of speed is compared with what is felt, and
-how long they must have run: begun in mid-braking they differ by themselves."""
+how long they must have run: begun in mid-braking they differ by themselves.
+A speed whose steps are rougher (whole mph, once a second) tells nothing."""
 
-GAIN_LOW: Final = -0.15
+GAIN_LOW: Final = -0.2
 GAIN_HIGH: Final = 0.2
 UNFELT: Final = -0.6
 CHANGED_LEAST: Final = 20.0
