@@ -7,11 +7,14 @@
 #define SILENT_BEFORE_S 0.5
 #define SILENT_SPEED 1.5
 #define SILENT_SPREADS 3.0
+#define ASSUMED_SPREADS 2.0
 #define STEEPEST 2.0
 #define SLIP_FORWARD 0.08
 #define SLIPPING 0.06
 #define MODEL_SHARE 0.015
 #define ASSUMED_DOUBT 0.2
+#define TORQUE_NOISE 0.03
+#define DRAG_TORQUE_NOISE 0.15
 #define ABS_SHARE 0.12
 #define ASSIST_SHARE 0.15
 #define SINGLE_SHARE 0.6
@@ -175,8 +178,9 @@ static double unpressed(Pass *p, const Step *s, double excess, double slow,
 {
     double *n = p->observer.n;
     const double mass_kg = p->f[F_MASS] / n[O_STATE + X_MASS];
+    const double spreads = s->torque_known ? SILENT_SPREADS : ASSUMED_SPREADS;
     double least = p->f[F_ON_FORCE] / mass_kg;
-    if (least < SILENT_SPREADS * doubt) least = SILENT_SPREADS * doubt;
+    if (least < spreads * doubt) least = spreads * doubt;
     const double held = n[O_SILENT] >= SILENT_BEFORE_S ? 0.5 * least : least;
     if (s->speed < SILENT_SPEED || !(slow > held)
         || fabs(n[O_FELT] - n[O_RATE]) > STEEPEST) {
@@ -235,8 +239,11 @@ int64_t bstm_fusion_close(Pass *p, const Readings *now, int64_t flags,
         const double given = s.brake_n / o->mass_kg * ratio * scale;
         const double braking =
             bstm_braking(o, s.felt, s.push, s.drag, n[O_RATE], &doubt);
-        if (!s.torque_known)
-            doubt = sqrt(doubt * doubt + ASSUMED_DOUBT * ASSUMED_DOUBT);
+        /* of the driveline's torque the retarding one is known worst */
+        const double torque = s.torque_known
+            ? (s.push < 0.0 ? DRAG_TORQUE_NOISE : TORQUE_NOISE) * ratio * s.push
+            : ASSUMED_DOUBT;
+        doubt = sqrt(doubt * doubt + torque * torque);
         const double share = 1.0 - exp(-s.dt_s / BRAKING_S);
         n[O_SLOW_BRAKING] += share * (braking - n[O_SLOW_BRAKING]);
         n[O_SLOW_BRAKE] += share * (given - n[O_SLOW_BRAKE]);

@@ -18,9 +18,11 @@ from bstm_daemon.heat.learned import BIAS, DRAG, MASS, published_variance
 from bstm_daemon.heat.observer_layout import STATES, Step
 from bstm_daemon.heat.observer_rules import (
     ASSUMED_DOUBT,
+    DRAG_TORQUE_NOISE,
     REFERENCE_PRESSURE_PA,
     REFERENCE_SPEED_MS,
     SD,
+    TORQUE_NOISE,
 )
 from bstm_daemon.heat.plausibility import STANDING_MS
 from bstm_daemon.heat.sample_plan import FLAGS
@@ -38,9 +40,11 @@ BRAKING_S: Final = 0.3
 SILENT_BEFORE_S: Final = 0.5
 SILENT_SPEED_MS: Final = 1.5
 SILENT_SPREADS: Final = 3.0
+ASSUMED_SPREADS: Final = 2.0
 STEEPEST_MS2: Final = 2.0
 """Braking without pressure must be felt for so long, at such a speed, and
-beyond so many standard deviations; its energy since it began is not lost. What
+beyond so many standard deviations (fewer where the torque is only assumed and
+the bias never learned); its energy since it began is not lost. What
 is felt beyond the change of speed is a slope of 20 % at most."""
 
 SLIP_FORWARD: Final = 0.08
@@ -145,8 +149,8 @@ def fuse(run: SampleMemory, now: Readings, flags: int) -> Fused:
     if not isnan(s.felt) and s.forward and not blind:
         given = s.brake_n / run.mass * ratio * scale
         braking, doubt = known.braking(s.felt, s.push, s.drag, m["rate"])
-        if not s.torque_known:
-            doubt = sqrt(doubt * doubt + ASSUMED_DOUBT * ASSUMED_DOUBT)
+        torque = _torque_doubt(s, ratio)
+        doubt = sqrt(doubt * doubt + torque * torque)
         share = 1.0 - exp(-s.dt_s / BRAKING_S)
         m["slow_braking"] += share * (braking - m["slow_braking"])
         m["slow_brake"] += share * (given - m["slow_brake"])
@@ -178,6 +182,17 @@ def fuse(run: SampleMemory, now: Readings, flags: int) -> Fused:
         power.append(pressed + other)
         spread.append(sqrt(pressed * pressed * variance + own * own))
     return Fused(found, power, spread, learned)
+
+
+def _torque_doubt(s: Step, ratio: float) -> float:
+    """Standard deviation of what drives the car [m/s2].
+
+    Of the driveline's torque the retarding one is known worst.
+    """
+    if not s.torque_known:
+        return ASSUMED_DOUBT
+    share = DRAG_TORQUE_NOISE if s.push < 0.0 else TORQUE_NOISE
+    return share * ratio * s.push
 
 
 def _describe(run: SampleMemory, now: Readings, flags: int) -> Step:
@@ -313,7 +328,8 @@ def _unpressed(
     """
     m = run.observer.m
     mass_kg = run.mass / run.observer.known.x[MASS]
-    least = max(run.on_force / mass_kg, SILENT_SPREADS * doubt)
+    spreads = SILENT_SPREADS if s.torque_known else ASSUMED_SPREADS
+    least = max(run.on_force / mass_kg, spreads * doubt)
     held = 0.5 * least if m["silent_s"] >= SILENT_BEFORE_S else least
     if (
         s.speed < SILENT_SPEED_MS
