@@ -1,11 +1,19 @@
-"""The lining's nodes in a network, from the face to the back."""
+"""The lining in a network: its nodes, and its share of the friction heat."""
 
 from __future__ import annotations
 
+from math import sqrt
 from typing import TYPE_CHECKING
 
+from bstm_daemon.thermal.network import Network, Source, value
+from bstm_daemon.thermal.table import Table
+
 if TYPE_CHECKING:
-    from bstm_daemon.thermal.network import Network
+    from collections.abc import Callable
+
+COLDEST_K = 200.0
+HOTTEST_K = 1300.0
+POINTS = 221
 
 
 def pad_nodes(network: Network) -> list[str]:
@@ -17,3 +25,33 @@ def pad_nodes(network: Network) -> list[str]:
     names = [node.name for node in network.nodes]
     first, last = names.index("pad_front"), names.index("pad_back")
     return [n for n in names[first : last + 1] if n.startswith("pad_")]
+
+
+def with_effusivity(
+    network: Network, relative: Callable[[float], float], name: str
+) -> Network:
+    """Divide the friction heat by what the linings are at their face.
+
+    Eq 2.3 and 2.4 hold with the properties at the temperature of the
+    interface: where k or cp of a lining has risen *relative* times, its
+    effusivity has by the square root, and so has, nearly, its small share.
+    What the linings take more, the disc takes less.
+
+    Args:
+        network: with ``disc_heat`` and ``pad_heat`` of the base model.
+        relative: k rho cp over its configured value, by temperature [K].
+        name: of the effect, for the names of the two sources.
+    """
+    pads, disc = network.source("pad_heat"), network.source("disc_heat")
+    share = pads.gain / (pads.gain + disc.gain)
+
+    def more(t: float) -> float:
+        ratio = sqrt(max(relative(t), 0.0))
+        return ratio / (1.0 - share + share * ratio) - 1.0
+
+    table = Table.from_function(more, COLDEST_K, HOTTEST_K, POINTS)
+    factors = (*pads.factors, value("pad_front", table))
+    return network.with_source(
+        Source(f"{name}_pads", "pad_front", pads.gain, factors),
+        Source(f"{name}_disc", "disc", -pads.gain, factors),
+    )

@@ -39,9 +39,9 @@ class CaliperFluidSplit(Effect):
             160.0,
             "fluid and half of the piston",
         ),
-        Parameter("piston_w_k", "W/K", 0.5, 500.0, 6.0, "shim to fluid"),
-        Parameter("finger_w_k", "W/K", 0.5, 500.0, 4.0, "finger to the body"),
-        Parameter("coupling_w_k", "W/K", 2.0, 500.0, 20.0, "fluid to caliper"),
+        Parameter("piston_w_k", "W/K", 0.5, 500.0, 4.0, "shim to fluid"),
+        Parameter("finger_w_k", "W/K", 0.5, 500.0, 8.0, "finger to the body"),
+        Parameter("coupling_w_k", "W/K", 2.0, 500.0, 40.0, "fluid to caliper"),
     )
 
     def edit(self, model: CornerModel) -> CornerModel:

@@ -31,7 +31,7 @@ class ConvectionExponent(Effect):
     twins = ("disc_radiation_driving", "residual_drag")
     either_sign = True
     own_parameters: ClassVar = (
-        Parameter("exponent", "1", 0.0, 0.5, 0.14, "more than S has"),
+        Parameter("exponent", "1", 0.0, 0.5, 0.18, "more than S has"),
     )
 
     def edit(self, model: CornerModel) -> CornerModel:

@@ -23,7 +23,9 @@ class DiscCapacityHot(Effect):
     """A tent on top of cp(T), over what the configured curve has.
 
     Curie point (770 degC in pure iron) and eutectoid take up some 40 kJ/kg
-    in all, and give them back on cooling.
+    in all, and give them back on cooling. A lump has a mean temperature: the
+    surface gets there 100 K and more before it, so its tent is wider and
+    lower than iron's own peak.
     """
 
     number = 10
@@ -36,9 +38,9 @@ class DiscCapacityHot(Effect):
     twins = ("friction_fade", "disc_radiation_driving")
     either_sign = True
     own_parameters: ClassVar = (
-        Parameter("peak_j_kgk", "J/kgK", 0.0, 1500.0, 450.0, "above cp(T)"),
+        Parameter("peak_j_kgk", "J/kgK", 0.0, 1500.0, 260.0, "above cp(T)"),
         Parameter("centre_c", "degC", 650.0, 800.0, 755.0, "of the peak"),
-        Parameter("half_width_k", "K", 20.0, 150.0, 80.0, "to its foot"),
+        Parameter("half_width_k", "K", 20.0, 250.0, 150.0, "to its foot"),
     )
 
     def edit(self, model: CornerModel) -> CornerModel:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 from bstm_daemon.effects.effect import Effect
 from bstm_daemon.effects.model import CornerModel, Parameter
-from bstm_daemon.effects.pads import pad_nodes
+from bstm_daemon.effects.pads import pad_nodes, with_effusivity
 from bstm_daemon.thermal.table import Table
 from bstm_daemon.units import KELVIN_OFFSET
 
@@ -21,7 +21,8 @@ LEAST = 0.3
 class PadCapacity(Effect):
     """cp rises linearly from 20 degC on, up to a temperature.
 
-    1000 J/kgK cold and 0.9 more a kelvin are typical of linings.
+    1000 J/kgK cold and 0.9 more a kelvin are typical of linings. Their share
+    of the friction heat rises with their effusivity.
     """
 
     number = 19
@@ -52,7 +53,7 @@ class PadCapacity(Effect):
             table = ramp if old is None else old.times(ramp)
             return replace(node, capacity_table=table)
 
-        net = model.network
+        net = with_effusivity(model.network, ramp, self.name)
         return model.with_network(
             replace(net, nodes=tuple(map(edited, net.nodes)))
         )

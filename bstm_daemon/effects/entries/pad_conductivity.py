@@ -8,7 +8,7 @@ from typing import ClassVar
 
 from bstm_daemon.effects.effect import Effect
 from bstm_daemon.effects.model import CornerModel, Parameter
-from bstm_daemon.effects.pads import pad_nodes
+from bstm_daemon.effects.pads import pad_nodes, with_effusivity
 from bstm_daemon.thermal.network import Link, mean, with_factors
 from bstm_daemon.thermal.table import Table
 from bstm_daemon.units import KELVIN_OFFSET
@@ -20,7 +20,8 @@ class PadConductivity(Effect):
     """k rises linearly with temperature, as configured in the middle.
 
     Resin-bound linings vary by some 20 % up to 400 degC, either way by
-    compound.
+    compound. The linings' share of the friction heat goes with their
+    effusivity.
     """
 
     number = 18
@@ -53,7 +54,7 @@ class PadConductivity(Effect):
                 return link
             return with_factors(link, mean(link.a, link.b, ramp))
 
-        net = model.network
+        net = with_effusivity(model.network, ramp, self.name)
         return model.with_network(
             replace(net, links=tuple(map(edited, net.links)))
         )

@@ -32,9 +32,9 @@ class ResidualDrag(Effect):
     )
     twins = ("convection_exponent", "brake_without_pressure")
     own_parameters: ClassVar = (
-        Parameter("torque_nm", "Nm", 0.1, 50.0, 4.5, "pads hot"),
+        Parameter("torque_nm", "Nm", 0.1, 50.0, 5.0, "pads hot"),
         Parameter("cold_share", "1", 0.0, 1.0, 0.35, "of it, pads cold"),
-        Parameter("hot_c", "degC", 40.0, 400.0, 180.0, "pad back, hot"),
+        Parameter("hot_c", "degC", 40.0, 400.0, 130.0, "pad back, hot"),
     )
 
     def edit(self, model: CornerModel) -> CornerModel:
