@@ -241,9 +241,17 @@ def _heat(config: Config) -> str:
 
 
 def _effects(config: Config) -> str:
-    names = [f"{one.name} ({one.corner})" for one in config.effect]
-    base = f"structure {config.thermal.structure}"
-    return f"{', '.join(names) or 'none'}, {base}"
+    from bstm_daemon.effects.catalogue import STRUCTURES  # noqa: PLC0415
+
+    structure = config.thermal.structure
+    shipped = len(STRUCTURES[structure])
+    count = f" ({shipped} effects)" if shipped else ""
+    own = [
+        f"{one.name} ({one.corner}, "
+        f"strength {one.parameters.get('strength', 1.0):g})"
+        for one in config.effect
+    ]
+    return ", ".join([f"structure {structure}{count}", *own])
 
 
 def _fluid(config: Config) -> str:

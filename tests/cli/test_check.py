@@ -5,8 +5,10 @@ from pathlib import Path
 
 import pytest
 
-from bstm_daemon.cli.check import problems_of
+from bstm_daemon.cli.check import problems_of, summary
 from bstm_daemon.cli.main import main
+from bstm_daemon.config import EffectConfig
+from bstm_daemon.config_file import load_config
 
 ROOT = Path(__file__).parents[2]
 SHIPPED = sorted((ROOT / "config").glob("*.toml"))
@@ -282,3 +284,18 @@ def test_an_effect_that_does_not_fit_the_parts(edited: Edited) -> None:
     path = edited(("[fluid]", f"[thermal]\n{model}\n\n[fluid]"))
 
     assert problems_of(path)
+
+
+def test_summary_names_structure_and_effects() -> None:
+    """What the base model holds, and what the file adds at which strength."""
+    path = ROOT / "config" / "example_vehicle.toml"
+    config = load_config(path)
+    effect = EffectConfig(name="wet_disc", parameters={"strength": 0.5})
+    thermal = config.thermal.model_copy(update={"structure": "extended"})
+    edited = config.model_copy(update={"thermal": thermal, "effect": [effect]})
+
+    assert "effects  structure thesis\n" in summary(config, path)
+    assert (
+        "effects  structure extended (10 effects), "
+        "wet_disc (all, strength 0.5)\n"
+    ) in summary(edited, path)
