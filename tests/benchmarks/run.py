@@ -25,7 +25,7 @@ BENCHMARKS = (
 )
 OTHERS = (
     *("physics", "accuracy", "radau", "memory", "identification"),
-    "structures",
+    *("structures", "effects"),
 )
 """Figures without a comparison in time; run when named."""
 
