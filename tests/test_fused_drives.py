@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -10,11 +11,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from bstm_daemon.carry_over import export_state, resume_state
+from bstm_daemon.carry_over import (
+    export_state,
+    restore_state,
+    resume_state,
+)
 from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.estimator import STEP_US, Estimator
 from bstm_daemon.heat.observer_layout import LEARNED_NAMES
 from bstm_daemon.heat.sample_plan import CHANNELS, FLAGS, VEHICLE_CHANNELS
+from bstm_daemon.heat.sample_state import number_names
 from bstm_daemon.journal import Journal
 from bstm_daemon.roles import ROLE_INDEX, ROLES
 from bstm_daemon.simulation import load_drive, simulate
@@ -261,6 +267,31 @@ def test_what_is_learned_goes_on_in_the_next_drive(rich: Drive) -> None:
 
     assert begun.vehicle[0, column] < 0.3 * afresh.vehicle[0, column]
     assert begun.error == pytest.approx(0.0, abs=0.04)
+
+
+@pytest.mark.parametrize("fault", ["", "other car", "impossible"])
+def test_a_restart_takes_over_what_can_have_been_learned(
+    rich: Drive, fault: str
+) -> None:
+    """Values and ages go on in any case, what was learned if it holds."""
+    document = json.loads(json.dumps(export_state(rich.estimator)))
+    names = number_names(rich.estimator.plan.corners)
+    if fault == "impossible":
+        at = names.index("learned_mass_ratio")
+        document["samples"]["numbers"][at] = 9.0
+    present = {
+        ROLE_INDEX[role]: round(ROLES[ROLE_INDEX[role]].timeout_s * 1e6)
+        for role in BUS
+    }
+    mass_kg = 1800.0 if fault == "other car" else 0.0
+    fresh = Estimator(configured(mass_kg), present)
+
+    assert restore_state(fresh, document, resume=True).resumed
+    learned = [one.samples.learned(4) for one in (fresh, rich.estimator)]
+    if fault:
+        assert learned[0] is None
+    else:
+        assert learned[0] == learned[1]
 
 
 @pytest.mark.parametrize("fault", ["other car", "impossible", "incomplete"])
