@@ -101,14 +101,17 @@ def driven(name: str) -> SimulatedDrive:
 
 
 @cache
-def configured(mass_kg: float = 0.0) -> Config:
+def configured(mass_kg: float = 0.0, structure: str = "thesis") -> Config:
     """Return the example car in mode fused, of another mass where given."""
     config, _ = load_vehicle(CAR)
     heat = config.heat.model_copy(update={"mode": "fused"})
     vehicle = config.vehicle
     if mass_kg:
         vehicle = vehicle.model_copy(update={"mass_kg": mass_kg})
-    return config.model_copy(update={"heat": heat, "vehicle": vehicle})
+    thermal = config.thermal.model_copy(update={"structure": structure})
+    return config.model_copy(
+        update={"heat": heat, "vehicle": vehicle, "thermal": thermal}
+    )
 
 
 def estimate(
@@ -117,6 +120,7 @@ def estimate(
     columns: Columns | None = None,
     document: dict[str, Any] | None = None,
     mass_kg: float = 0.0,
+    structure: str = "thesis",
 ) -> Drive:
     """Let the estimator see the drive, with other *columns* where given.
 
@@ -130,7 +134,7 @@ def estimate(
     stamps = np.rint(real.time_s[::2] * 1e6).astype(np.int64) + start_us
     values = np.column_stack([given[role][::2] for role in roles])
     present = {int(n): round(ROLES[n].timeout_s * 1e6) for n in numbers}
-    estimator = Estimator(configured(mass_kg), present)
+    estimator = Estimator(configured(mass_kg, structure), present)
     if document is not None:
         resume_state(estimator, document, HOUR_US, start_us)
     steps = Steps(len(estimator.plan.corners))
@@ -167,6 +171,16 @@ def test_an_ordinary_drive_is_right_and_suspects_nothing(rich: Drive) -> None:
     assert abs(rich.ff_j / rich.real.sum() - 1.0) > 0.1
     assert rich.last("mass_kg") == pytest.approx(2194.0, rel=0.03)
     assert not rich.flags >> 40
+
+
+def test_a_friction_law_carries_what_fades_in_bends() -> None:
+    """On a track nothing is learned, the disc's temperature tells."""
+    plain = estimate("track")
+    law = estimate("track", structure="extended")
+
+    assert plain.error > 0.2
+    assert abs(plain.error) < 2.0 * plain.spread.sum() / plain.real.sum()
+    assert law.error == pytest.approx(0.0, abs=0.08)
 
 
 def test_a_pushed_car_without_the_role_teaches_nothing() -> None:
