@@ -232,6 +232,7 @@ def test_a_wrong_wheel_radius_is_named() -> None:
     wrong = estimate("rich", "gnss_speed", columns=columns)
 
     assert wrong.has("wheel_radius")
+    assert wrong.untaught
 
 
 def test_a_dead_pressure_is_named_and_the_motion_heats() -> None:
