@@ -45,6 +45,7 @@ class Road:
         self._speed = self._grade = self._aim = 0.0
         self._heading = float(rng.uniform(0, 2 * pi))
         self._pieces: list[dict[str, Any]] = []
+        self.stand(5.0)
 
     def drive(self, name: str) -> Drive:
         """Return what was driven; the car comes to rest and is left."""
