@@ -10,7 +10,8 @@ the 50 Hz of the example bus.
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from functools import cache
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -127,10 +128,11 @@ def hypercube(count: int, seed: int) -> list[Case]:
 
 @dataclass
 class Heat:
-    """What fusion says of one drive [J], corners together."""
+    """What fusion says of one drive [J], corners together; front axle."""
 
     energy_j: float = 0.0
     spread_j: float = 0.0
+    front_j: float = 0.0
 
 
 class StepHeat(Journal):
@@ -150,13 +152,12 @@ class StepHeat(Journal):
         table = np.frombuffer(rows, np.float64).reshape(
             steps, -1, len(CHANNELS)
         )
-        for name in ("brake_power_w", "brake_power_std_w"):
-            total = float(table[:, :, CHANNELS.index(name)].sum())
-            total *= STEP_US * 1e-6
-            if name == "brake_power_w":
-                self.heat.energy_j += total
-            else:
-                self.heat.spread_j += total
+        step_s = STEP_US * 1e-6
+        power = table[:, :, CHANNELS.index("brake_power_w")]
+        spread = table[:, :, CHANNELS.index("brake_power_std_w")]
+        self.heat.energy_j += step_s * float(power.sum())
+        self.heat.front_j += step_s * float(power[:, :2].sum())
+        self.heat.spread_j += step_s * float(spread.sum())
 
 
 @dataclass
@@ -180,21 +181,12 @@ class Run:
         return float(self.of_car(name)[-1])
 
 
-@dataclass
-class Garage:
-    """Configurations of the example car by heat mode."""
-
-    configs: dict[str, Config] = field(default_factory=dict)
-
-    def config(self, mode: str) -> Config:
-        """Return the configuration with *mode*."""
-        if mode not in self.configs:
-            config, _ = load_vehicle(
-                shipped_file("config/example_vehicle.toml")
-            )
-            heat = config.heat.model_copy(update={"mode": mode})
-            self.configs[mode] = config.model_copy(update={"heat": heat})
-        return self.configs[mode]
+@cache
+def configured(mode: str) -> Config:
+    """Return the example car's configuration with this heat mode."""
+    config, _ = load_vehicle(shipped_file("config/example_vehicle.toml"))
+    heat = config.heat.model_copy(update={"mode": mode})
+    return config.model_copy(update={"heat": heat})
 
 
 def simulated(case: Case, drive: Drive) -> SimulatedDrive:
@@ -300,8 +292,8 @@ def estimate(
 
 def examine(case: Case) -> dict[str, Any]:
     """Return the figures of one case, as JSON has them."""
-    garage, document = Garage(), None
-    fused, alone = garage.config("fused"), garage.config("ff")
+    document = None
+    fused, alone = configured("fused"), configured("ff")
     found: dict[str, Any] = {"case": vars(case), "heat": {}, "learned": []}
     steep = abs(case.grade_percent)
     for number in range(3):
@@ -350,8 +342,7 @@ def learned(case: Case, run: Run) -> dict[str, float]:
         "friction_sd": run.last("friction_scale_std") / friction,
         "friction_alone": friction / (case.friction * case.torque) - 1.0,
         "friction_true": friction / case.friction - 1.0,
-        "drag": run.last("drag_scale"),
-        "drag_true": case.drag,
+        "drag": run.last("drag_scale") / case.drag - 1.0,
     }
 
 
@@ -363,6 +354,7 @@ def judged(
     ``relative`` takes the torque signal's scale as right.
     """
     real_j = float(driven.brake_power_w.sum()) * SAMPLE_S
+    front_j = float(driven.brake_power_w[:, :2].sum()) * SAMPLE_S
     course = driven.course
     slope = np.interp(run.times_s, course.time_s, np.tan(course.slope_rad))
     grade, moving = run.of_car("grade"), run.of_car("speed_ms") > 2.0
@@ -371,6 +363,7 @@ def judged(
         "real_j": real_j,
         "fused": run.heat.energy_j / real_j - 1.0,
         "relative": run.heat.energy_j / (real_j * case.torque) - 1.0,
+        "front": run.heat.front_j / front_j - 1.0,
         "sd": run.heat.spread_j / real_j,
         "grade_rms": float(np.sqrt(np.nanmean(apart**2))),
         "grade_mean": float(np.nanmean(apart)),
