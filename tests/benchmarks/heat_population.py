@@ -99,6 +99,7 @@ def examined(count: int, seed: int, *, kept: bool) -> list[Found]:
             done[one["case"]["number"]] = one
             if kept:
                 file.parent.mkdir(parents=True, exist_ok=True)
+                (CACHE / ".gitignore").write_text("*\n", "utf-8")
                 with file.open("a", encoding="utf-8") as lines:
                     lines.write(json.dumps(one) + "\n")
     return [done[number] for number in sorted(done)]

@@ -134,8 +134,13 @@ def test_toyota_motion_finds_what_pressure_misses(
     )
     alone = fused(TOYOTA, TOYOTA_LOG, without="can1")
 
-    assert car.energy_j("_ff") == 0.0
-    assert 0.5 * alone.energy_j() < car.energy_j() < 1.3 * alone.energy_j()
+    assert alone.energy_j("_ff") == car.energy_j("_ff") == 0.0
+    assert alone.energy_j() == pytest.approx(143e3, rel=0.05)
+    # without a torque a bias of the accelerometer is never learned: only what
+    # is surely felt is booked, and said to be vague
+    found, doubt = car.energy_j(), car.energy_j("_std")
+    assert 0.3 * alone.energy_j() < found < 1.2 * alone.energy_j()
+    assert abs(found - alone.energy_j()) < 2.5 * doubt
     assert len(car.flagged_s("braking_unpressed"))
     assert not car.taught()
 
@@ -208,12 +213,14 @@ def test_canedge_grade_against_satellite_height(
     ends = np.searchsorted(way, np.arange(0.0, way[-1], STRETCH_M))
     length = np.diff(way[ends])
     told = np.diff(h[ends]) / length
-    apart = np.diff(climbed[ends]) / length - told
-    late = apart[len(apart) // 3 :]
+    found = np.diff(climbed[ends]) / length
+    # how the module is mounted is learned from the height by then
+    late = slice(len(told) // 3, None)
+    apart = (found - told)[late]
 
-    assert np.corrcoef(apart + told, told)[0, 1] > 0.8
-    assert np.std(apart) < 0.013
-    assert abs(np.mean(late)) < 0.01
+    assert np.corrcoef(found[late], told[late])[0, 1] > 0.8
+    assert np.sqrt(np.mean(apart**2)) < 0.013
+    assert abs(np.mean(apart)) < 0.006
 
 
 def heights(config: Path) -> tuple[tuple[Series, Series], ...]:
@@ -265,10 +272,14 @@ def with_torque(log: Path, folder: Path) -> Path:
 def test_tesla_recovery_is_not_counted(
     fused: Callable[..., Fused], tmp_path: Path, day: str
 ) -> None:
-    """Given the motors' torque; without it the motion tells of braking."""
+    """Given the motors' torque; a part of it remains, the rest is not told.
+
+    The torque is of the battery's power and of a speed in whole miles an hour.
+    """
     log = next(Path(str(REAL)).glob(f"tesla-model3-trackmode/*{day}*.csv"))
     config = "tests/real/tesla_model3.toml"
     mode = ('mode = "ff"', FUSED)
+    blind = fused(config, log, mode)
     told = fused(
         config,
         with_torque(log, tmp_path),
@@ -277,5 +288,5 @@ def test_tesla_recovery_is_not_counted(
     )
 
     assert told.lost_j() > 1e6
-    assert told.energy_j() < 0.12 * told.lost_j()
-    assert told.energy_j() > 0.5 * told.energy_j("_ff")
+    assert 0.5 * told.energy_j("_ff") < told.energy_j() < 0.2 * told.lost_j()
+    assert blind.energy_j() > 0.5 * blind.lost_j()
