@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import combinations
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -83,6 +84,31 @@ def heat(found: list[Found]) -> Table:
             *("drive", "fused", "less torque's", "front", "FF", "FB"),
             *("interval +-", "within"),
         ),
+        tuple(rows),
+    )
+
+
+def between(found: Iterable[Found], pair: tuple[str, str], way: str) -> Array:
+    """Return what is left between two kinds of drive by one right factor."""
+    one, other = (1.0 + of(found, kind, way) for kind in pair)
+    return one / other - 1.0
+
+
+def kinds(found: list[Found]) -> Table:
+    """How alike the errors of different drives of a car are."""
+    road = [one for one in found if one["case"]["preset"] == "road"]
+    rows = [
+        (
+            " to ".join(pair),
+            both(between(found, pair, "fused")),
+            *(both(between(road, pair, way)) for way in ("fused", "ff", "fb")),
+        )
+        for pair in combinations(TESTS, 2)
+    ]
+    return Table(
+        "Between two drives of a car, %, median / 95th percentile: what one "
+        "factor, right for the other drive, would leave",
+        ("drives", "fused", "fused, road", "FF, road", "FB, road"),
         tuple(rows),
     )
 
@@ -252,6 +278,9 @@ def goals(
     for kind in TESTS:
         errors = of(found, kind, "fused")
         yield from limits(f"heat of {kind}", errors, 0.04, 0.08, "%")
+    for pair in combinations(TESTS, 2):
+        errors = between(found, pair, "fused")
+        yield from limits(f"{' to '.join(pair)}", errors, 0.04, 0.08, "%")
     last = len(LEARNING) - 1
     bias = taught(found, last, "bias")
     yield from limits("b - g f_r after three drives", bias, 0.03, 0.03, "m/s2")

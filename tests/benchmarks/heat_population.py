@@ -27,6 +27,7 @@ from heat_figures import (
     goals,
     grades,
     heat,
+    kinds,
     learned,
     verdicts,
 )
@@ -45,7 +46,8 @@ CACHE: Final = ROOT / ".ci" / "cache"
 SOURCES: Final = (
     *("bstm_daemon/*.[ch]", "bstm_daemon/*.py", "bstm_daemon/heat/*.py"),
     *("bstm_daemon/thermal/*.py", "bstm_daemon/simulation/*.py"),
-    *("config/*.toml", "tests/benchmarks/heat_*.py"),
+    *("config/*.toml", "tests/benchmarks/heat_case.py"),
+    "tests/benchmarks/heat_roads.py",
 )
 """What a case's figures come from; a change begins the cache anew."""
 
@@ -56,7 +58,12 @@ END: Final = "<!-- end of population -->"
 def run(*, full: bool) -> Outcome:
     """Examine the population, quick or full."""
     count, seed = FULL if full else QUICK
-    found = examined(count, seed, kept=full)
+    return outcome_of(examined(count, seed, kept=full), seed, full=full)
+
+
+def outcome_of(found: list[Found], seed: int, *, full: bool) -> Outcome:
+    """Return tables and goals of what was *found*."""
+    count = len(found)
     drives = count * (len(LEARNING) + len(TESTS))
     outcome = Outcome(
         "Fused heat over a population",
@@ -70,6 +77,7 @@ def run(*, full: bool) -> Outcome:
     )
     outcome.tables = [
         heat(found),
+        kinds(found),
         by_preset(found),
         learned(found),
         grades(found),
