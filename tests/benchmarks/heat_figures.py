@@ -272,7 +272,7 @@ def goals(
                 f"{name}, {words}",
                 f"{factor * value:.{digits}f} {unit}",
                 f"{factor * limit:g} {unit}",
-                limit / value,
+                limit / max(value, 1e-9),
             )
 
     for kind in TESTS:
