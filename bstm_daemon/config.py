@@ -29,6 +29,7 @@ from bstm_daemon.config_service import (
     RecordConfig,
     StateConfig,
 )
+from bstm_daemon.config_wear import WearConfig
 
 Emissivity = Annotated[float, Field(gt=0, le=1)]
 # upper bounds beyond any road vehicle: they find mm, cm2 and mm2 in an SI key
@@ -235,6 +236,7 @@ class DiscConfig(Section):
     heat_capacity_j_kgk: Curve | None = None
     conductivity_w_mk: Positive = 50.0
     density_kg_m3: Positive = 7200.0
+    worn_m: Annotated[float, Field(ge=0, le=0.01)] = 0.0
     effusivity_heat_capacity_j_kgk: Positive = 460.0
 
     @model_validator(mode="after")
@@ -262,6 +264,8 @@ class PadConfig(Section):
     model: str = "slabs"
     area_m2: PadArea
     thickness_m: PadThickness
+    new_thickness_m: PadThickness | None = None
+    measured: date | None = None
     slabs: Annotated[int, Field(ge=1, le=60)] = 10
     surface_cells: Literal["half", "full"] = "half"
     density_kg_m3: Positive = 2300.0
@@ -281,6 +285,16 @@ class PadConfig(Section):
                     f"{name!r} must stay between {low:g} and {high:g} {unit}, "
                     "no lining is beyond",
                 )
+        return self
+
+    @model_validator(mode="after")
+    def _new_is_thickest(self) -> Self:
+        new_m = self.new_thickness_m
+        require(
+            new_m is None or self.thickness_m <= new_m,
+            f"'thickness_m' = {self.thickness_m:g}, what is left, must be at "
+            f"most 'new_thickness_m' = {new_m or 0.0:g}",
+        )
         return self
 
 
@@ -465,6 +479,7 @@ class Config(Section):
     cooling: CoolingConfig = CoolingConfig()
     heat: HeatConfig = HeatConfig()
     fluid: FluidConfig = FluidConfig()
+    wear: WearConfig = WearConfig()
     effect: list[EffectConfig] = []
     publish: PublishConfig = PublishConfig()
     e2e: list[E2eConfig] = []

@@ -37,6 +37,7 @@ from bstm_daemon.config_service import (
     RecordConfig,
     StateConfig,
 )
+from bstm_daemon.config_wear import WearConfig
 from bstm_daemon.errors import ConfigError, FileAccessError
 
 if TYPE_CHECKING:
@@ -52,6 +53,7 @@ _TABLES: Final[dict[str, type[Section]]] = {
     "cooling": CoolingConfig,
     "heat": HeatConfig,
     "fluid": FluidConfig,
+    "wear": WearConfig,
     "publish": PublishConfig,
     "state": StateConfig,
     "daemon": DaemonConfig,

@@ -42,6 +42,7 @@ if TYPE_CHECKING:
         RecordConfig,
         StateConfig,
     )
+    from bstm_daemon.config_wear import WearConfig
 
 Table = dict[str, Any]
 
@@ -62,6 +63,7 @@ class Draft:
     cooling: CoolingConfig | None = None
     heat: HeatConfig | None = None
     fluid: FluidConfig | None = None
+    wear: WearConfig | None = None
     effect: list[EffectConfig] = field(default_factory=list)
     publish: PublishConfig | None = None
     e2e: list[E2eConfig] = field(default_factory=list)

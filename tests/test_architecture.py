@@ -26,6 +26,8 @@ FLOORS = {
     "thermal": 2,
     "heat": 2,
     "risk": 2,
+    "config_wear": 1,
+    "wear": 3,
     "quality": 3,
     "simulation": 3,
     "effects": 3,
@@ -33,17 +35,18 @@ FLOORS = {
     "validity": 3,
     "journal": 3,
     "stretch": 3,
-    "estimator": 4,
-    "carry_over": 5,
-    "engine": 6,
-    "results": 5,
-    "identify": 7,
-    "replay": 7,
-    "frame_replay": 8,
-    "report": 8,
-    "daemon": 8,
-    "watch": 9,
-    "cli": 10,
+    "corner_model": 4,
+    "estimator": 5,
+    "carry_over": 6,
+    "engine": 7,
+    "results": 6,
+    "identify": 8,
+    "replay": 8,
+    "frame_replay": 9,
+    "report": 9,
+    "daemon": 9,
+    "watch": 10,
+    "cli": 11,
 }
 """A room may import from rooms on lower floors and from itself; the files of
 floor 0 and of ``config`` may also import from their own floor."""
@@ -51,7 +54,7 @@ floor 0 and of ``config`` may also import from their own floor."""
 OPEN_FLOORS = {0, 1}
 
 FORBIDDEN = {
-    "simulation": {"thermal", "heat", "effects", "estimator"},
+    "simulation": {"thermal", "heat", "effects", "estimator", "wear"},
     "thermal": {"heat", "bus", "risk"},
     "heat": {"thermal", "bus", "risk"},
     "bus": {"thermal", "heat", "risk"},

@@ -13,6 +13,8 @@ from bstm_daemon.results.rows import STRETCH_ROWS, Results
 from bstm_daemon.risk.boiling import wet_boiling_point_k
 from bstm_daemon.roles import MEASURED_NODES
 from bstm_daemon.units import KELVIN_OFFSET
+from bstm_daemon.wear.dose import DISTANCE, DOSE
+from bstm_daemon.wear.table import WEAR_COLUMNS, wear_table
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -24,8 +26,8 @@ if TYPE_CHECKING:
 
     Column = npt.NDArray[np.float64]
 
-BOUNDARIES: Final = ("ambient", "dissolved")
-"""Nodes of every network that are not worth a column of their own."""
+BOUNDARIES: Final = ("ambient", "dissolved", DISTANCE)
+"""Numbers of every state that are not worth a column of their own."""
 
 LEARNED: Final = VEHICLE_CHANNELS[4:-1]
 """What the observer says of the car, columns where the heat is fused."""
@@ -45,6 +47,7 @@ class _Publications:
     flags: npt.NDArray[np.int64]
     outputs: tuple[Column, ...]
     validity: tuple[npt.NDArray[np.int8], ...]
+    wear: tuple[Column, ...]
 
     def __len__(self) -> int:
         return len(self.times_us)
@@ -59,6 +62,7 @@ class _Publications:
             self.flags[which],
             tuple(output[which] for output in self.outputs),
             tuple(codes[which] for codes in self.validity),
+            tuple(table[which] for table in self.wear),
         )
 
     @classmethod
@@ -76,6 +80,10 @@ class _Publications:
             tuple(
                 np.concatenate(one)
                 for one in zip(*(p.validity for p in parts), strict=True)
+            ),
+            tuple(
+                np.concatenate(one)
+                for one in zip(*(p.wear for p in parts), strict=True)
             ),
         )
 
@@ -143,20 +151,29 @@ class ResultsBuilder:
         flags = self._flags_since(np.frombuffer(block.flags, np.int64), keep)
         count = len(times_us)
         corners = len(self._estimator.plan.corners)
+        outputs = tuple(
+            _floats(output, count, len(group.corners), group.size)
+            for group, output in zip(
+                self._estimator.groups, block.outputs, strict=True
+            )
+        )
         return _Publications(
             times_us,
             _floats(block.rows, count, corners, len(CHANNELS)),
             _floats(block.vehicle, count, len(VEHICLE_CHANNELS)),
             flags,
-            tuple(
-                _floats(output, count, len(group.corners), group.size)
-                for group, output in zip(
-                    self._estimator.groups, block.outputs, strict=True
-                )
-            ),
+            outputs,
             tuple(
                 np.frombuffer(block.validity[name], np.int8)
                 for name in self._modelled
+            ),
+            tuple(
+                wear_table(block.wear[name], output[:, member, dose])
+                for group, output in zip(
+                    self._estimator.groups, outputs, strict=True
+                )
+                for dose in (group.state_names.index(DOSE),)
+                for member, name in enumerate(group.corners)
             ),
         )[keep]
 
@@ -212,6 +229,7 @@ class ResultsBuilder:
         validity = dict(
             zip(self._modelled, publications.validity, strict=True)
         )
+        wear = dict(zip(self._modelled, publications.wear, strict=True))
         for group, outputs in zip(
             self._estimator.groups, publications.outputs, strict=True
         ):
@@ -219,6 +237,8 @@ class ResultsBuilder:
                 part = self._modelled_columns(
                     name, group, outputs[:, member], interval_s
                 )
+                for i, key in enumerate(WEAR_COLUMNS):
+                    part[key] = wear[name][:, i]
                 part["validity"] = validity[name].astype(np.float64)
                 parts[name] = part
         config = self._estimator.config
