@@ -14,6 +14,7 @@ from typing import Annotated, Any, Final, Literal, Self
 
 from pydantic import Discriminator, Field, Tag, model_validator
 
+from bstm_daemon.config_advice import AdviceConfig
 from bstm_daemon.config_section import (
     Fraction,
     NotNegative,
@@ -482,6 +483,7 @@ class Config(Section):
     wear: WearConfig = WearConfig()
     effect: list[EffectConfig] = []
     publish: PublishConfig = PublishConfig()
+    advice: AdviceConfig = AdviceConfig()
     e2e: list[E2eConfig] = []
     state: StateConfig = StateConfig()
     daemon: DaemonConfig = DaemonConfig()

@@ -27,6 +27,7 @@ from bstm_daemon.config import (
     ThermalConfig,
     VehicleConfig,
 )
+from bstm_daemon.config_advice import AdviceConfig
 from bstm_daemon.config_errors import hint, problems_of_section, toml_text
 from bstm_daemon.config_rules import Draft, problems_between
 from bstm_daemon.config_section import Section
@@ -55,6 +56,7 @@ _TABLES: Final[dict[str, type[Section]]] = {
     "fluid": FluidConfig,
     "wear": WearConfig,
     "publish": PublishConfig,
+    "advice": AdviceConfig,
     "state": StateConfig,
     "daemon": DaemonConfig,
     "record": RecordConfig,

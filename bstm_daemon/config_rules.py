@@ -35,6 +35,7 @@ if TYPE_CHECKING:
         TableConfig,
         VehicleConfig,
     )
+    from bstm_daemon.config_advice import AdviceConfig
     from bstm_daemon.config_service import (
         DaemonConfig,
         E2eConfig,
@@ -66,6 +67,7 @@ class Draft:
     wear: WearConfig | None = None
     effect: list[EffectConfig] = field(default_factory=list)
     publish: PublishConfig | None = None
+    advice: AdviceConfig | None = None
     e2e: list[E2eConfig] = field(default_factory=list)
     state: StateConfig | None = None
     daemon: DaemonConfig | None = None

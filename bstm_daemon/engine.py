@@ -11,6 +11,8 @@ from array import array
 from math import nan
 from typing import TYPE_CHECKING, Final, NamedTuple
 
+from bstm_daemon.advice.advisor import Advisor
+from bstm_daemon.advice.conditions import HeldRoles
 from bstm_daemon.bus.decoder import Decoder
 from bstm_daemon.bus.e2e_guard import E2eGuard
 from bstm_daemon.bus.output_layout import HeatMode, State, Validity
@@ -28,6 +30,7 @@ from bstm_daemon.carry_over import (
     park,
     resume_state,
 )
+from bstm_daemon.driver_side import conditions_of, wear_of
 from bstm_daemon.estimator import STEP_US, Estimator
 from bstm_daemon.heat.plausibility import SUBSTITUTED, SUSPECT
 from bstm_daemon.heat.sample_pass import TICK
@@ -111,6 +114,11 @@ class Engine:
             [corner.name for corner in config.corner],
             config.publish.id_base,
             modelled=[corner.name for corner in config.disc_corners()],
+            requests=config.publish.requests,
+        )
+        self._advisor = Advisor(config)
+        self._held = HeldRoles(
+            {role: timeouts[role] for role in roles}, ROLE_INDEX
         )
         self.config = config
         self._boiling_k = wet_boiling_point_k(config.fluid.grade)
@@ -155,6 +163,7 @@ class Engine:
                 return
         before = decoder.rejected
         times, roles, values = self._times, self._roles, self._values
+        held = self._held.numbers
         for role, value in decoder.decode(
             bus,
             can_id,
@@ -166,6 +175,8 @@ class Engine:
             times.append(stamp_us)
             roles.append(role)
             values.append(value)
+            if role in held:
+                self._held.note(stamp_us, role, value)
         if decoder.rejected != before:
             self._rejected_at.append(stamp_us)
 
@@ -306,8 +317,17 @@ class Engine:
             name: self._corner(block, i, name, place)
             for name, place in self._places.items()
         }
+        status = self._status(block, i)
+        now = conditions_of(
+            block,
+            i,
+            corners,
+            self.estimator.plan.corners,
+            self._held.at(block.times_us[i]),
+            history_known=status.history_known,
+        )
         self.snapshot = Snapshot(
-            block.times_us[i], corners, self._status(block, i)
+            block.times_us[i], corners, status, self._advisor.update(now)
         )
         return self.snapshot
 
@@ -334,6 +354,7 @@ class Engine:
             margin_k=self._boiling_k - fluid_k,
             wet_boiling_k=self._boiling_k,
             validity=Validity(block.validity[name][i]),
+            wear=wear_of(self.estimator.wear, name, block, i, state),
         )
 
     def _status(self, block: Block, i: int) -> StatusSnapshot:

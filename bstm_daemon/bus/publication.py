@@ -13,10 +13,12 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 from bstm_daemon.bus.e2e import COUNTER_COUNT, protect
 from bstm_daemon.bus.output_layout import (
+    ADVICE_SIGNALS,
     LAYOUT_VERSION,
     RISK_SIGNALS,
     STATUS_SIGNALS,
     TEMPERATURES_SIGNALS,
+    WEAR_SIGNALS,
     Frame,
     HeatMode,
     RiskLevel,
@@ -24,6 +26,12 @@ from bstm_daemon.bus.output_layout import (
     Validity,
     own_ids,
     published_frames,
+)
+from bstm_daemon.bus.publication_slow import (
+    AdviceSnapshot,
+    WearSnapshot,
+    advice_raw,
+    wear_raw,
 )
 from bstm_daemon.units import to_celsius
 
@@ -70,6 +78,7 @@ class CornerSnapshot:
     margin_k: float = nan
     wet_boiling_k: float = nan
     validity: Validity = Validity.NOT_AVAILABLE
+    wear: WearSnapshot = field(default_factory=WearSnapshot)
 
 
 _NO_CORNER: Final = CornerSnapshot()
@@ -109,6 +118,7 @@ class Snapshot:
     time_us: int
     corners: Mapping[str, CornerSnapshot]
     status: StatusSnapshot = field(default_factory=StatusSnapshot)
+    advice: AdviceSnapshot = field(default_factory=AdviceSnapshot)
 
 
 def risk_level(
@@ -142,11 +152,14 @@ class Publication:
         id_base: int,
         counters: Mapping[str, int] | None = None,
         modelled: Iterable[str] | None = None,
+        *,
+        requests: bool = False,
     ) -> None:
         """Publish *corner_names* from *id_base* on, continuing *counters*.
 
         *modelled* are those with a thermal model, by default all; a corner
         without one is sent as not available and says nothing of the status.
+        ``BSTM_Advice`` is ours, but sent with *requests* only.
         *counters* holds the counter of the last frame sent by frame name, as
         :attr:`counters` gives it; frames it does not name start anew and
         frames it names that are not ours are forgotten. Raises
@@ -158,7 +171,11 @@ class Publication:
             self._corners if modelled is None else modelled
         )
         self._id_base = id_base
-        self._frames = published_frames(self._corners)
+        self._frames = tuple(
+            frame
+            for frame in published_frames(self._corners)
+            if requests or frame.signals is not ADVICE_SIGNALS
+        )
         self.ids = own_ids(id_base, self._corners)
         self._counters: dict[str, int] = {}
         self.continue_from(counters or {})
@@ -225,11 +242,15 @@ class Publication:
         )
 
     def _raw(self, frame: Frame, snapshot: Snapshot) -> dict[str, int]:
+        if frame.signals is ADVICE_SIGNALS:
+            return advice_raw(snapshot.advice)
         if frame.corner is None:
             return self._status(snapshot)
         corner = snapshot.corners.get(frame.corner, _NO_CORNER)
         if frame.signals is TEMPERATURES_SIGNALS:
             return _temperatures(corner)
+        if frame.signals is WEAR_SIGNALS:
+            return wear_raw(corner.wear)
         return _risk(corner, history_known=snapshot.status.history_known)
 
     def _status(self, snapshot: Snapshot) -> dict[str, int]:
