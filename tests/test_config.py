@@ -31,6 +31,8 @@ SECTIONS: dict[str, type[config.Section]] = {
     "`[[effect]]`": config.EffectConfig,
     "`[publish]`": config.PublishConfig,
     "`[[e2e]]`": config.E2eConfig,
+    "`[wear]`": config.WearConfig,
+    "`[advice]`": config.AdviceConfig,
     "`[state]`": config.StateConfig,
     "`[daemon]`": config.DaemonConfig,
     "`[record]`": config.RecordConfig,

@@ -151,8 +151,10 @@ def _format(name: str) -> str:
         return "%.6f"
     if name.endswith(("validity", "flags")):
         return "%.0f"
+    if name.endswith(("thickness_m", "std_m", "loss_m")):
+        return "%.7f"
     if name.endswith(("_c", "_k", "_ms", "_m")):
         return "%.3f"
-    if name.endswith(("_w", "_pa", "_n")):
+    if name.endswith(("_w", "_pa", "_n", "_j")):
         return "%.1f"
     return "%.6g"

@@ -171,7 +171,7 @@ def test_no_value(make_sender: MakeSender, board: Board) -> None:
 def test_no_frames_yet(board: Board) -> None:
     text = " ".join(" ".join(drawn(board)).split())
 
-    assert "no frame yet with an id from 0x5B0 to 0x5BB" in text
+    assert "no frame yet with an id from 0x5B0 to 0x5C3" in text
 
 
 def test_another_daemon_or_none_of_ours(board: Board) -> None:
