@@ -81,6 +81,14 @@ class Conditions:
         return max(usable, key=SEVERITY.__getitem__, default=RiskLevel.UNKNOWN)
 
     @property
+    def is_unsure(self) -> bool:
+        """Whether the level of some corner is not known."""
+        return any(
+            corner.level is RiskLevel.UNKNOWN or not corner.is_usable
+            for corner in self.corners.values()
+        )
+
+    @property
     def validity(self) -> Validity:
         """The worst validity of the corners."""
         found = [corner.validity for corner in self.corners.values()]

@@ -87,7 +87,8 @@ class Departure:
             return Message.BRAKES_HOT if hot else Message.NONE
         if self.phase is Phase.STOPPED or now.flag("ignition") is False:
             return Message.NONE
-        if now.level is RiskLevel.UNKNOWN:
-            return self.message
-        wait = now.level in (RiskLevel.HIGH, RiskLevel.CRITICAL)
-        return Message.WAIT_BEFORE_DEPARTURE if wait else Message.NONE
+        if now.level in (RiskLevel.HIGH, RiskLevel.CRITICAL):
+            return Message.WAIT_BEFORE_DEPARTURE
+        waiting = self.message is Message.WAIT_BEFORE_DEPARTURE
+        # what is not known any more has not become safe
+        return self.message if waiting and now.is_unsure else Message.NONE

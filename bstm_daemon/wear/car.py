@@ -124,7 +124,7 @@ class CarWear:
         """
         for number, role in self._switches.items():
             for i in _places(roles, number):
-                self._level(role, int(times_us[i]), on=values[i] > 0.5)
+                self._level(role, int(times_us[i]), on=bool(values[i] > 0.5))
 
     def laws(
         self,
@@ -149,7 +149,8 @@ class CarWear:
         due = [e for e in self._events if e.stamp_us <= times_us[-1]]
         if due:
             self._events = [e for e in self._events if e not in due]
-        for event in due:
+        # they were noted switch by switch
+        for event in sorted(due, key=lambda event: event.stamp_us):
             at = next(i for i, t in enumerate(times_us) if t >= event.stamp_us)
             self._levels[event.role] = event.on
             for name in self._told():

@@ -194,6 +194,7 @@ class PadWear:
             "first_dose_j": self.first_dose_j,
             "begin_dose_j": self.begin_dose_j,
             "begin_distance_m": self.begin_distance_m,
+            "change": self.change.name,
         }
 
     def restore(self, saved: Mapping[str, Any], dose_j: float) -> None:
@@ -217,6 +218,7 @@ class PadWear:
         self.first_dose_j = _optional(saved["first_dose_j"])
         self.begin_dose_j = float(saved["begin_dose_j"])
         self.begin_distance_m = float(saved["begin_distance_m"])
+        self.change = Change[saved["change"]]
         self.configure(list(saved["entry"]), dose_j)
 
     def _fitted(self, dose_j: float, distance_m: float) -> None:

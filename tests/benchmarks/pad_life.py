@@ -33,7 +33,6 @@ if TYPE_CHECKING:
     import numpy.typing as npt
 
     from bstm_daemon.config import Config
-    from bstm_daemon.simulation.drives import Drive
     from bstm_daemon.simulation.march import LaneInputs
 
     Column = npt.NDArray[np.float64]

@@ -31,7 +31,7 @@ def line(**changes: float) -> WearLaw:
 
 
 def test_eq_4_20_has_its_millimetre() -> None:
-    """z = z_new - E / E_1mm times 1 mm: at twice the energy 2 mm are gone."""
+    """The quotient times 1 mm: at twice the energy 2 mm are gone."""
     rate = first_millimetre_rate_m_j(1e-3, 10e6, 70e6)
     law = line(rate_m_j=rate, dose_j=10e6)
 
