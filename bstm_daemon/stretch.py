@@ -52,7 +52,8 @@ class Stretch:
             room: rows, at least the steps of :data:`COUPLING_US`.
             lines_us: outputs of the march are wanted on whole multiples of
                 the first; a call of :meth:`fill` ends on those of the second,
-                where the networks may be exchanged.
+                where the networks may be exchanged; that is a whole multiple
+                of :data:`COUPLING_US`.
             coupled: whether a friction law needs the temperatures.
         """
         self.plan, self.coupled = plan, coupled
@@ -95,22 +96,28 @@ class Stretch:
             latest.
         """
         samples = times_us, roles, values
-        most = min(self._until(self._line_us, state), self._room)
-        if not self.coupled:
-            index, steps, code = self._pass(state, samples, index, 0, most)
-            return index, steps, code, self._march(batches, 0, steps)
-        self.heat_interfaces(state, batches, anew=False)
+        if self.coupled:
+            self.heat_interfaces(state, batches, anew=False)
+        each_us = COUPLING_US if self.coupled else self._line_us
         outputs = tuple(array("d") for _ in batches)
         done, code = 0, FULL
-        while code == FULL and done < most:
-            room = min(self._until(COUPLING_US, state), most - done)
+        while code == FULL and done < self._room:
+            room = min(self._until(each_us, state), self._room - done)
             index, steps, code = self._pass(state, samples, index, done, room)
             marched = self._march(batches, done, steps)
-            for output, more in zip(outputs, marched, strict=True):
-                output.extend(more)
+            if done:
+                for output, more in zip(outputs, marched, strict=True):
+                    output.extend(more)
+            else:
+                outputs = marched
             done += steps
-            if steps and self.times[done - 1] % COUPLING_US == 0:
+            if not steps:
+                break
+            last_us = self.times[done - 1]
+            if self.coupled and last_us % COUPLING_US == 0:
                 self.heat_interfaces(state, batches)
+            if last_us % self._line_us == 0:
+                break
         return index, done, code, outputs
 
     def heat_interfaces(
