@@ -131,7 +131,10 @@ class CarWear:
         times_us: Sequence[int],
         totals: Callable[[str, int], tuple[float, float]],
     ) -> dict[str, Laws]:
-        """Apply the events up to the last publication of a block.
+        """Apply the events before the last publication of a block.
+
+        One counts from the next publication on: those at its own time may
+        be gone, however the stream is cut.
 
         Args:
             times_us: the publications [us], rising.
@@ -146,12 +149,12 @@ class CarWear:
         found: dict[str, Laws] = {
             name: ((0, pad.law),) for name, pad in self.pads.items()
         }
-        due = [e for e in self._events if e.stamp_us <= times_us[-1]]
+        due = [e for e in self._events if e.stamp_us < times_us[-1]]
         if due:
             self._events = [e for e in self._events if e not in due]
         # they were noted switch by switch
         for event in sorted(due, key=lambda event: event.stamp_us):
-            at = next(i for i, t in enumerate(times_us) if t >= event.stamp_us)
+            at = next(i for i, t in enumerate(times_us) if t > event.stamp_us)
             self._levels[event.role] = event.on
             for name in self._told():
                 dose_j, distance_m = totals(name, at)

@@ -26,6 +26,7 @@ BENCHMARKS = (
 OTHERS = (
     *("physics", "accuracy", "radau", "memory", "identification"),
     "structures",
+    "pad_life",
 )
 """Figures without a comparison in time; run when named."""
 

@@ -46,21 +46,21 @@ Sample = tuple[int, int, float]
 def car(
     make_car: Callable[..., Config], make_corner: Callable[..., CornerConfig]
 ) -> Config:
-    """Return linings that lose about 2 mm a minute of hard braking."""
+    """Return linings that lose about 2 mm a minute of braking."""
     pad = {"area_m2": 6.5e-3, "thickness_m": 0.009, "new_thickness_m": 0.011}
     return make_car(
         make_corner("FL", pad=pad),
         make_corner("RL", pad=pad),
-        wear={"pad_wear_m3_j": 2e-11, "disc_wear_m3_j": 2e-11},
+        wear={"pad_wear_m3_j": 8e-11, "disc_wear_m3_j": 4e-11},
     )
 
 
 def braking(seconds: float, start_us: int = 0) -> list[Sample]:
-    """Return 72 km/h against 20 bar, ten samples a second."""
+    """Return 72 km/h against 5 bar, ten samples a second."""
     return [
         (at, role, value)
         for at in range(start_us, start_us + round(seconds * 1e6), 100_000)
-        for role, value in ((SPEED, 20.0), (PRESSURE, 2e6))
+        for role, value in ((SPEED, 20.0), (PRESSURE, 5e5))
     ]
 
 
@@ -142,7 +142,7 @@ def test_the_table_agrees_with_the_law(car: Config) -> None:
     assert len(WEAR_COLUMNS) == 3
 
 
-@settings(max_examples=10)
+@settings(max_examples=10, deadline=None)
 @given(cuts=st.lists(st.integers(1, 6500), max_size=6))
 def test_how_a_stream_is_cut_changes_no_bit(
     car: Config, cuts: list[int]
