@@ -237,6 +237,10 @@ class Engine:
         """Return the memory as plain values, for the state file."""
         return {
             "counters": self.publication.counters,
+            "advice": {
+                "machines": self._advisor.export(),
+                "roles": self._held.export(),
+            },
             **export_state(self.estimator),
         }
 
@@ -262,7 +266,19 @@ class Engine:
             raise StateError(msg)
         restored = resume_state(self.estimator, document, parked_us, now_us)
         self.publication.continue_from(counters)
+        if restored.resumed and "advice" in document:
+            self._resume_advice(document["advice"])
         return restored
+
+    def _resume_advice(self, saved: Any) -> None:
+        """Go on with the advice of a moment ago; else it begins parked."""
+        advisor = Advisor(self.config)
+        try:
+            advisor.restore(saved["machines"])
+            self._held.restore(saved["roles"])
+        except (KeyError, TypeError, ValueError, AttributeError):
+            return
+        self._advisor = advisor
 
     def correct_parked(
         self, document: Mapping[str, Any], parked_us: int

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from bstm_daemon.advice.departure import Departure
 from bstm_daemon.advice.descent import Descent
@@ -11,6 +11,8 @@ from bstm_daemon.advice.hydraulics import FrontIsolation, PedalFeel
 from bstm_daemon.bus.publication_slow import AdviceSnapshot
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from bstm_daemon.advice.conditions import Conditions
     from bstm_daemon.config import Config
 
@@ -28,6 +30,28 @@ class Advisor:
         self.pedal = PedalFeel(config.advice)
         self.isolation = FrontIsolation(config.advice)
         self.emergency = EmergencyAssist(config)
+        self._machines = {
+            "departure": self.departure,
+            "descent": self.descent,
+            "pedal": self.pedal,
+            "isolation": self.isolation,
+            "emergency": self.emergency,
+        }
+
+    def export(self) -> dict[str, Any]:
+        """Return the memory of all machines as plain values."""
+        return {
+            name: machine.export() for name, machine in self._machines.items()
+        }
+
+    def restore(self, saved: Mapping[str, Any]) -> None:
+        """Go on where :meth:`export` was called, within the same drive.
+
+        Raises:
+            KeyError, TypeError, ValueError: it is nothing of that kind.
+        """
+        for name, machine in self._machines.items():
+            machine.restore(saved[name])
 
     def update(self, now: Conditions) -> AdviceSnapshot:
         """Return the advice at *now*; to be called for every publication."""

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final
 from bstm_daemon.bus.output_layout import RiskLevel, Validity
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
 SEVERITY: Final = {
     RiskLevel.UNKNOWN: -1,
@@ -174,6 +174,21 @@ class HeldRoles:
     def note(self, stamp_us: int, role: int, value: float) -> None:
         """Take a sample; it counts from *stamp_us* on."""
         self._waiting.append((stamp_us, self._names[role], value))
+
+    def export(self) -> dict[str, list[float]]:
+        """Return stamp [us] and value of each role as plain values."""
+        return {name: list(held) for name, held in self._held.items()}
+
+    def restore(self, saved: Mapping[str, Sequence[float]]) -> None:
+        """Take over what :meth:`export` gave, on the same axis of time.
+
+        Raises:
+            TypeError, ValueError: it is nothing of that kind.
+        """
+        for name in self._names.values():
+            if name in saved:
+                stamp_us, value = saved[name]
+                self._held[name] = int(stamp_us), float(value)
 
     def at(self, time_us: int) -> dict[str, float]:
         """Return the values that are fresh at *time_us*, not going back."""

@@ -9,8 +9,9 @@ from __future__ import annotations
 
 from enum import Enum, auto
 from math import isfinite, nan
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, ClassVar, Final
 
+from bstm_daemon.advice.memory import Machine
 from bstm_daemon.bus.output_layout import Message, RiskLevel, Sound
 
 if TYPE_CHECKING:
@@ -33,11 +34,13 @@ class Phase(Enum):
     PARKED = auto()
 
 
-class Departure:
+class Departure(Machine):
     """The state machine of the message; begins parked.
 
     A monitor starts with the car, so what it sees first is a departure.
     """
+
+    MEMORY: ClassVar = ("phase", "message", "_stopped_us", "_chime_until_us")
 
     def __init__(self, config: AdviceConfig) -> None:
         """Begin parked."""

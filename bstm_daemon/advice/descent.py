@@ -8,8 +8,9 @@ the gear is too high (thesis, 7.2.2 and 7.2.4).
 from __future__ import annotations
 
 from math import exp, isfinite
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, ClassVar, Final
 
+from bstm_daemon.advice.memory import Machine
 from bstm_daemon.bus.output_layout import Downshift
 from bstm_daemon.units import UNITS
 
@@ -27,8 +28,16 @@ SETTLE_US: Final = 8_000_000
 """After a shift the driver is left alone for this long."""
 
 
-class Descent:
+class Descent(Machine):
     """Low-passed power of the slope, and what it asks for."""
+
+    MEMORY: ClassVar = (
+        "slope_power_w",
+        "excessive",
+        "_last",
+        "_gear",
+        "_quiet_until_us",
+    )
 
     def __init__(self, config: Config) -> None:
         """Begin on the level."""

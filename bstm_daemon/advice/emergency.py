@@ -18,8 +18,9 @@ explains missing deceleration otherwise: no score while ABS or ESC act.
 from __future__ import annotations
 
 from math import exp, isfinite, sin
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, ClassVar, Final
 
+from bstm_daemon.advice.memory import Machine
 from bstm_daemon.bus.output_layout import Assist, Intervention, RiskLevel
 from bstm_daemon.heat.feed_forward import PressureTorque
 from bstm_daemon.units import GRAVITY_MS2
@@ -54,8 +55,18 @@ RELEASED_PA: Final = 2.0e5
 """Below it the driver brakes no more."""
 
 
-class EmergencyAssist:
+class EmergencyAssist(Machine):
     """Standby, detector, and which of three interventions to ask for."""
+
+    MEMORY: ClassVar = (
+        "state",
+        "score",
+        "_expected",
+        "_measured",
+        "_pedal_rate",
+        "_since_us",
+        "_last",
+    )
 
     def __init__(self, config: Config) -> None:
         """Begin switched off."""

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from math import inf, isfinite, nan
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, ClassVar, Final
 
+from bstm_daemon.advice.memory import Machine
 from bstm_daemon.bus.output_layout import Isolation
 
 if TYPE_CHECKING:
@@ -19,8 +20,10 @@ REAR_SPARE_K: Final = 20.0
 """Rear brakes take over only if they are further from boiling by this."""
 
 
-class PedalFeel:
+class PedalFeel(Machine):
     """A factor that falls as the fluid nears its worst-case boiling point."""
+
+    MEMORY: ClassVar = ("_feel", "_last_us")
 
     def __init__(self, config: AdviceConfig) -> None:
         """Begin with the usual feel."""
@@ -48,7 +51,7 @@ class PedalFeel:
         return self._feel
 
 
-class FrontIsolation:
+class FrontIsolation(Machine):
     """Braking by the rear wheels alone, so that the front ones cool.
 
     Needs no boiling point but the worst case: the fluid is kept below it
@@ -56,6 +59,8 @@ class FrontIsolation:
     intervention of the stability systems, and while the rear brakes have
     more to spare.
     """
+
+    MEMORY: ClassVar = ("_requested",)
 
     def __init__(self, config: AdviceConfig) -> None:
         """Begin without a request."""
