@@ -15,6 +15,7 @@ from typing import Annotated, Any, Final, Literal, Self
 from pydantic import Discriminator, Field, Tag, model_validator
 
 from bstm_daemon.config_advice import AdviceConfig
+from bstm_daemon.config_fluid import FluidConfig
 from bstm_daemon.config_section import (
     Fraction,
     NotNegative,
@@ -440,14 +441,6 @@ class HeatConfig(Section):
                 "rear_pressure_pa",
             )
         return self
-
-
-class FluidConfig(Section):
-    """``[fluid]``: the brake fluid's grade and age."""
-
-    grade: Literal["DOT3", "DOT4", "DOT5.1", "CLASS6"] = "DOT4"
-    changed: date | None = None
-    water_percent: Annotated[float, Field(ge=0, le=10)] | None = None
 
 
 class EffectConfig(Section):

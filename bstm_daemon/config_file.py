@@ -19,7 +19,6 @@ from bstm_daemon.config import (
     CoolingConfig,
     CornerConfig,
     EffectConfig,
-    FluidConfig,
     HeatConfig,
     PublishConfig,
     SignalConfig,
@@ -29,6 +28,7 @@ from bstm_daemon.config import (
 )
 from bstm_daemon.config_advice import AdviceConfig
 from bstm_daemon.config_errors import hint, problems_of_section, toml_text
+from bstm_daemon.config_fluid import FluidConfig
 from bstm_daemon.config_rules import Draft, problems_between
 from bstm_daemon.config_section import Section
 from bstm_daemon.config_service import (

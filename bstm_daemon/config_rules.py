@@ -28,7 +28,6 @@ if TYPE_CHECKING:
         BusConfig,
         CornerConfig,
         EffectConfig,
-        FluidConfig,
         HeatConfig,
         PublishConfig,
         SignalConfig,
@@ -36,6 +35,7 @@ if TYPE_CHECKING:
         VehicleConfig,
     )
     from bstm_daemon.config_advice import AdviceConfig
+    from bstm_daemon.config_fluid import FluidConfig
     from bstm_daemon.config_service import (
         DaemonConfig,
         E2eConfig,

@@ -19,6 +19,7 @@ FLOORS = {
     "config": 1,
     "config_errors": 1,
     "config_file": 1,
+    "config_fluid": 1,
     "config_rules": 1,
     "config_section": 1,
     "config_service": 1,
