@@ -15,7 +15,7 @@ from typing import Annotated, Any, Final, Literal, Self
 from pydantic import Discriminator, Field, Tag, model_validator
 
 from bstm_daemon.config_advice import AdviceConfig
-from bstm_daemon.config_fluid import FluidConfig
+from bstm_daemon.config_fluid import FluidConfig, ForecastConfig
 from bstm_daemon.config_section import (
     Fraction,
     NotNegative,
@@ -474,6 +474,7 @@ class Config(Section):
     heat: HeatConfig = HeatConfig()
     fluid: FluidConfig = FluidConfig()
     wear: WearConfig = WearConfig()
+    forecast: ForecastConfig = ForecastConfig()
     effect: list[EffectConfig] = []
     publish: PublishConfig = PublishConfig()
     advice: AdviceConfig = AdviceConfig()

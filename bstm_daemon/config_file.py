@@ -28,7 +28,7 @@ from bstm_daemon.config import (
 )
 from bstm_daemon.config_advice import AdviceConfig
 from bstm_daemon.config_errors import hint, problems_of_section, toml_text
-from bstm_daemon.config_fluid import FluidConfig
+from bstm_daemon.config_fluid import FluidConfig, ForecastConfig
 from bstm_daemon.config_rules import Draft, problems_between
 from bstm_daemon.config_section import Section
 from bstm_daemon.config_service import (
@@ -55,6 +55,7 @@ _TABLES: Final[dict[str, type[Section]]] = {
     "heat": HeatConfig,
     "fluid": FluidConfig,
     "wear": WearConfig,
+    "forecast": ForecastConfig,
     "publish": PublishConfig,
     "advice": AdviceConfig,
     "state": StateConfig,

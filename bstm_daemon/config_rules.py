@@ -35,7 +35,7 @@ if TYPE_CHECKING:
         VehicleConfig,
     )
     from bstm_daemon.config_advice import AdviceConfig
-    from bstm_daemon.config_fluid import FluidConfig
+    from bstm_daemon.config_fluid import FluidConfig, ForecastConfig
     from bstm_daemon.config_service import (
         DaemonConfig,
         E2eConfig,
@@ -65,6 +65,7 @@ class Draft:
     heat: HeatConfig | None = None
     fluid: FluidConfig | None = None
     wear: WearConfig | None = None
+    forecast: ForecastConfig | None = None
     effect: list[EffectConfig] = field(default_factory=list)
     publish: PublishConfig | None = None
     advice: AdviceConfig | None = None

@@ -1,6 +1,7 @@
 """From a publication of the estimator to what wear and advice are told by.
 
-The level of risk is that of the margin, as the risk frame has it.
+The level of risk is that of the risk frame: of the forecast, and without one
+of the margin.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 
 from bstm_daemon.advice.conditions import Conditions, CornerCondition
 from bstm_daemon.bus.output_layout import Validity, WearLevel, WearSource
-from bstm_daemon.bus.publication import risk_level
+from bstm_daemon.bus.publication import RiskSnapshot, corner_level
 from bstm_daemon.bus.publication_slow import WearSnapshot
 from bstm_daemon.heat.sample_plan import CHANNELS, FLAGS, VEHICLE_CHANNELS
 from bstm_daemon.wear.dose import DISTANCE, DOSE
@@ -81,20 +82,28 @@ def conditions_of(
     return Conditions(
         block.times_us[i],
         {
-            name: CornerCondition(
-                level=risk_level(
-                    corner.margin_k,
-                    corner.validity,
-                    history_known=history_known,
-                ),
-                fluid_k=corner.fluid_k,
-                worst_boiling_k=corner.wet_boiling_k,
-                validity=corner.validity,
-            )
+            name: _condition(corner, history_known=history_known)
             for name, corner in corners.items()
         },
         nan if missing else speed_ms,
         sum(block.rows[first + _POWER] for first in rows.values()),
         {name: block.rows[first + _PRESSURE] for name, first in rows.items()},
         driver,
+    )
+
+
+def _condition(
+    corner: CornerSnapshot, *, history_known: bool
+) -> CornerCondition:
+    """Return how *corner* stands; the wait counts from now."""
+    risk = corner.risk or RiskSnapshot()
+    return CornerCondition(
+        level=corner_level(corner, history_known=history_known),
+        probability=risk.probability,
+        # nan stays nan
+        time_until_safe_s=max(risk.safe_in_s - risk.age_s, 0.0),
+        fluid_k=corner.fluid_k,
+        fluid_std_k=risk.fluid_deviation_k,
+        worst_boiling_k=corner.wet_boiling_k,
+        validity=corner.validity,
     )

@@ -15,7 +15,11 @@ from bstm_daemon.advice.advisor import Advisor
 from bstm_daemon.advice.conditions import HeldRoles
 from bstm_daemon.bus.decoder import Decoder
 from bstm_daemon.bus.e2e_guard import E2eGuard
-from bstm_daemon.bus.output_layout import HeatMode, State, Validity
+from bstm_daemon.bus.output_layout import (
+    HeatMode,
+    State,
+    Validity,
+)
 from bstm_daemon.bus.publication import (
     CornerSnapshot,
     OutputFrame,
@@ -32,6 +36,8 @@ from bstm_daemon.carry_over import (
 )
 from bstm_daemon.driver_side import conditions_of, wear_of
 from bstm_daemon.estimator import STEP_US, Estimator
+from bstm_daemon.forecast.monitor import RiskMonitor
+from bstm_daemon.forecast.snapshots import car_snapshot, corner_snapshot
 from bstm_daemon.heat.plausibility import SUBSTITUTED, SUSPECT
 from bstm_daemon.heat.sample_pass import TICK
 from bstm_daemon.heat.sample_plan import FLAGS, VEHICLE_CHANNELS
@@ -46,6 +52,7 @@ if TYPE_CHECKING:
     from bstm_daemon.carry_over import Restored
     from bstm_daemon.config import Config
     from bstm_daemon.estimator import Block
+    from bstm_daemon.forecast.monitor import CarRisk
 
 _STRAY_US: Final = 1_000_000
 """A rejected frame stamped further ahead than this is counted at once."""
@@ -89,6 +96,7 @@ class Engine:
         signal_map: SignalMap,
         *,
         history_known: bool = False,
+        forecast: bool = True,
     ) -> None:
         """Build the engine of *config*.
 
@@ -97,6 +105,8 @@ class Engine:
             signal_map: its extraction plan.
             history_known: whether the brakes are known to be at ambient
                 temperature before the first frame.
+            forecast: whether to tell risk and forecast; without them the
+                level is that of the margin.
 
         Raises:
             ConfigError: the model can not be built as configured.
@@ -110,6 +120,7 @@ class Engine:
             {role: timeouts[role] for role in roles},
             history_known=history_known,
         )
+        self.risk = RiskMonitor(config, self.estimator) if forecast else None
         self.publication = Publication(
             [corner.name for corner in config.corner],
             config.publish.id_base,
@@ -127,6 +138,8 @@ class Engine:
         """What was published last."""
         self.blocks: list[Block] = []
         """The estimates of the last tick, for whoever tabulates them."""
+        self.risks: list[list[CarRisk]] | None = None
+        """The risk at each publication of these, if it is told."""
         self._times = array("q")
         self._roles = array("i")
         self._values = array("d")
@@ -188,33 +201,43 @@ class Engine:
         """
         published: list[Published] = []
         blocks: list[Block] = []
+        risks: list[list[CarRisk]] = []
         for part in self.parts_of_tick(time_us):
             published += part
             blocks += self.blocks
+            risks += self.risks or []
         self.blocks = blocks
+        self.risks = None if self.risk is None else risks
         return published
 
     def parts_of_tick(self, time_us: int) -> Iterator[list[Published]]:
-        """Tick as :meth:`tick`, a few minutes of the drive at a time.
+        """Tick as :meth:`tick`, a minute of the drive at a time.
 
         What became due over a gap of hours is hundreds of megabytes.
 
         Yields:
-            What became due, in parts; ``blocks`` are those of the part. All
-            must be taken before the next frame.
+            What became due, in parts; ``blocks`` and ``risks`` are those of
+            the part. All must be taken before the next frame.
         """
         self._pass_grid_line(time_us)
         samples = self._times, self._roles, self._values
         self._times = array("q")
         self._roles = array("i")
         self._values = array("d")
-        self.blocks = []
+        self.blocks, self.risks = [], None
+        if self.risk is not None:
+            self.risks = []
+            self.risk.hear(*samples)
         for block in self.estimator.stretches(*samples):
             self.blocks = [block]
+            if self.risk is not None:
+                self.risks = [self.risk.add(block)]
             yield [
                 Published(block.times_us[i], frame)
                 for i in range(len(block.times_us))
-                for frame in self.publication.encode(self._snapshot(block, i))
+                for frame in self.publication.encode(
+                    self._snapshot(block, i, 0)
+                )
             ]
         # what is stamped far ahead has no publication of its own
         self._count_rejected(time_us, time_us + _STRAY_US)
@@ -242,6 +265,7 @@ class Engine:
                 "roles": self._held.export(),
             },
             **export_state(self.estimator),
+            **({} if self.risk is None else {"risk": self.risk.export()}),
         }
 
     def resume(
@@ -268,6 +292,8 @@ class Engine:
         self.publication.continue_from(counters)
         if restored.resumed and "advice" in document:
             self._resume_advice(document["advice"])
+        if self.risk is not None:
+            self.risk.resume(document.get("risk"))
         return restored
 
     def _resume_advice(self, saved: Any) -> None:
@@ -327,10 +353,12 @@ class Engine:
         self._rejected += len(self._rejected_at) - len(later)
         self._rejected_at = later
 
-    def _snapshot(self, block: Block, i: int) -> Snapshot:
-        self._count_rejected(block.times_us[i], FOREVER_US)
+    def _snapshot(self, block: Block, i: int, number: int) -> Snapshot:
+        time_us = block.times_us[i]
+        self._count_rejected(time_us, FOREVER_US)
+        risk = None if self.risks is None else self.risks[number][i]
         corners = {
-            name: self._corner(block, i, name, place)
+            name: self._corner(block, i, name, place, risk)
             for name, place in self._places.items()
         }
         status = self._status(block, i)
@@ -343,12 +371,21 @@ class Engine:
             history_known=status.history_known,
         )
         self.snapshot = Snapshot(
-            block.times_us[i], corners, status, self._advisor.update(now)
+            time_us,
+            corners,
+            status,
+            self._advisor.update(now),
+            None if risk is None else car_snapshot(risk),
         )
         return self.snapshot
 
     def _corner(
-        self, block: Block, i: int, name: str, place: tuple[int, int]
+        self,
+        block: Block,
+        i: int,
+        name: str,
+        place: tuple[int, int],
+        risk: CarRisk | None,
     ) -> CornerSnapshot:
         number, member = place
         group = self.estimator.groups[number]
@@ -371,6 +408,9 @@ class Engine:
             wet_boiling_k=self._boiling_k,
             validity=Validity(block.validity[name][i]),
             wear=wear_of(self.estimator.wear, name, block, i, state),
+            risk=None
+            if risk is None
+            else corner_snapshot(risk, name, block.times_us[i]),
         )
 
     def _status(self, block: Block, i: int) -> StatusSnapshot:

@@ -23,7 +23,7 @@ from bstm_daemon.errors import ConfigError
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
-LAYOUT_VERSION: Final = 1
+LAYOUT_VERSION: Final = 2
 """Raised whenever a signal of an existing frame moves or changes meaning."""
 
 FRAME_BYTES: Final = 8
@@ -31,17 +31,21 @@ CORNERS: Final = ("FL", "FR", "RL", "RR")
 
 STATUS_OFFSET: Final = 0x00
 ADVICE_OFFSET: Final = 0x02
+CAR_RISK_OFFSET: Final = 0x03
 TEMPERATURES_OFFSET: Final = 0x04
 RISK_OFFSET: Final = 0x08
+FORECAST_OFFSET: Final = 0x0C
 WEAR_OFFSET: Final = 0x10
 BLOCK_IDS: Final = 0x14
 """Ids from the base on that belong to us, those in reserve included."""
 
 MAX_STANDARD_ID: Final = 0x7FF
 
-ADVICE_PHASE_US: Final = 900_000
-WEAR_PHASE_US: Final = 600_000
-"""Ticks within the second, beside those of the corners' 1 Hz frames."""
+CAR_RISK_PHASE_US: Final = 900_000
+ADVICE_PHASE_US: Final = 0
+WEAR_PHASE_US: Final = 0
+"""Ticks within the second, beside those of the corners' 1 Hz frames. Advice,
+where it is sent at all, shares one with a frame of wear in four of ten."""
 
 TEN_HERTZ_US: Final = 100_000
 ONE_HERTZ_US: Final = 1_000_000
@@ -85,7 +89,7 @@ class HeatMode(IntEnum):
 
 
 class RiskLevel(IntEnum):
-    """How close the fluid is to its wet boiling point."""
+    """How close the fluid is to boiling, or a part to its limit."""
 
     NORMAL = 0
     ELEVATED = 1
@@ -285,6 +289,27 @@ RISK_SIGNALS: Final = (
     _fluid_temperature("WetBoilingPoint", 28),
     _quantity("Probability", 40, 16, scale=0.002, maximum=100.0, unit="%"),
     Signal("Level", 56, 4, _names(RiskLevel)),
+    Signal("FadeLevel", 60, 4, _names(RiskLevel)),
+)
+
+FORECAST_SIGNALS: Final = (
+    *_HEADER,
+    _fluid_temperature("Peak", 16),
+    _quantity("PeakIn", 28, 6, scale=30.0, unit="s"),
+    _quantity("SafeIn", 34, 7, scale=60.0, unit="s"),
+    _quantity("FluidDeviation", 41, 7, scale=0.5, unit="K"),
+    _quantity("DutyPeak", 48, 9, offset=-60.0, unit="degC"),
+    _quantity("Age", 57, 7, unit="s"),
+)
+
+CAR_RISK_SIGNALS: Final = (
+    *_HEADER,
+    _quantity("Probability", 16, 10, scale=0.1, maximum=100.0, unit="%"),
+    _quantity("ProbabilityNow", 26, 10, scale=0.1, maximum=100.0, unit="%"),
+    Signal("Level", 36, 4, _names(RiskLevel)),
+    _quantity("BoilingPoint", 40, 9, offset=-60.0, unit="degC"),
+    _quantity("BoilingPointLow", 49, 9, offset=-60.0, unit="degC"),
+    _quantity("Water", 58, 6, scale=0.2, unit="%"),
 )
 
 ADVICE_SIGNALS: Final = (
@@ -367,6 +392,13 @@ def published_frames(corners: Iterable[str]) -> tuple[Frame, ...]:
             ADVICE_PHASE_US,
             ADVICE_SIGNALS,
         ),
+        Frame(
+            "BSTM_Risk",
+            CAR_RISK_OFFSET,
+            ONE_HERTZ_US,
+            CAR_RISK_PHASE_US,
+            CAR_RISK_SIGNALS,
+        ),
     ]
     for corner in set(corners):
         if corner not in CORNERS:
@@ -388,6 +420,14 @@ def published_frames(corners: Iterable[str]) -> tuple[Frame, ...]:
                 ONE_HERTZ_US,
                 (1 + place) * TEN_HERTZ_US,
                 RISK_SIGNALS,
+                corner,
+            ),
+            Frame(
+                f"BSTM_{corner}_Forecast",
+                FORECAST_OFFSET + place,
+                ONE_HERTZ_US,
+                (5 + place) * TEN_HERTZ_US,
+                FORECAST_SIGNALS,
                 corner,
             ),
             Frame(

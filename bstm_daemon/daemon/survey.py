@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from bstm_daemon import __version__
 from bstm_daemon.bus.output_layout import State
-from bstm_daemon.bus.publication import risk_level
+from bstm_daemon.bus.publication import corner_level
 from bstm_daemon.daemon.status import (
     BusStatus,
     CornerStatus,
@@ -134,10 +134,8 @@ def _corner(engine: Engine, name: str) -> CornerStatus:
     if engine.snapshot is None:
         return CornerStatus(nodes_k)
     corner = engine.snapshot.corners[name]
-    level = risk_level(
-        corner.margin_k,
-        corner.validity,
-        history_known=engine.snapshot.status.history_known,
+    level = corner_level(
+        corner, history_known=engine.snapshot.status.history_known
     )
     return CornerStatus(nodes_k, corner.margin_k, level, corner.validity)
 

@@ -299,7 +299,7 @@ def test_a_receiver_finds_every_frame_in_sequence_over_a_restart() -> None:
             ]
         counters = publication.counters
 
-    assert len(statuses) == 75 * 5 + 8 * 4 + 4
+    assert len(statuses) == 75 * 5 + 8 * 4 + 7 * 5 + 4
     assert set(statuses) == {CheckStatus.OK}
 
 

@@ -83,6 +83,7 @@ def test_both_files_hold_the_same(results: Results, tmp_path: Path) -> None:
         "thickness_m": 5e-8,
         "std_m": 5e-8,
         "loss_m": 5e-8,
+        "_s": 0.05,
     }
     for name, column in results.columns.items():
         binary = table.column(name).to_numpy()

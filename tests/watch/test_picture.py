@@ -188,7 +188,7 @@ def test_another_layout_shows_no_values(car: tuple[Board, Sender]) -> None:
 
     text = "\n".join(drawn(board))
 
-    assert "frames of layout 3, this program reads layout 1" in text
+    assert "frames of layout 3, this program reads layout 2" in text
     assert "disc" not in text
 
 
