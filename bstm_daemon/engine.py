@@ -37,6 +37,7 @@ from bstm_daemon.carry_over import (
 from bstm_daemon.driver_side import conditions_of, wear_of
 from bstm_daemon.estimator import STEP_US, Estimator
 from bstm_daemon.forecast.monitor import RiskMonitor
+from bstm_daemon.forecast.resuming import resume_risk
 from bstm_daemon.forecast.snapshots import car_snapshot, corner_snapshot
 from bstm_daemon.heat.plausibility import SUBSTITUTED, SUSPECT
 from bstm_daemon.heat.sample_pass import TICK
@@ -52,7 +53,7 @@ if TYPE_CHECKING:
     from bstm_daemon.carry_over import Restored
     from bstm_daemon.config import Config
     from bstm_daemon.estimator import Block
-    from bstm_daemon.forecast.monitor import CarRisk
+    from bstm_daemon.forecast.records import CarRisk
 
 _STRAY_US: Final = 1_000_000
 """A rejected frame stamped further ahead than this is counted at once."""
@@ -293,7 +294,7 @@ class Engine:
         if restored.resumed and "advice" in document:
             self._resume_advice(document["advice"])
         if self.risk is not None:
-            self.risk.resume(document.get("risk"))
+            resume_risk(self.risk, self.estimator, document, parked_us, now_us)
         return restored
 
     def _resume_advice(self, saved: Any) -> None:

@@ -21,6 +21,7 @@ from bstm_daemon.carry_over import (
 from bstm_daemon.errors import LogError, UsageError
 from bstm_daemon.estimator import PUBLISH_US, STEP_US, Estimator
 from bstm_daemon.forecast.monitor import RiskMonitor
+from bstm_daemon.forecast.resuming import resume_risk
 from bstm_daemon.results import Collector, Results, ResultsBuilder, Sink
 
 if TYPE_CHECKING:
@@ -129,7 +130,7 @@ def stream_log(  # noqa: PLR0913
             with naming_state():
                 resume_state(estimator, state, parked_us, first_us)
                 if monitor is not None:
-                    monitor.resume(state.get("risk"))
+                    resume_risk(monitor, estimator, state, parked_us, first_us)
             settling_s = estimator.history_left_steps * STEP_US * 1e-6
         samples = events.time_us, events.role, events.value
         if monitor is not None:

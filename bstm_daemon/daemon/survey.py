@@ -73,6 +73,8 @@ class Survey:
             history_known=published is not None and published.history_known,
             faults=fault_names(flags),
             is_publishing=self._sender.is_sending,
+            risk=None if snapshot is None else snapshot.risk,
+            forecast_members=0 if engine.risk is None else engine.risk.members,
             corners={
                 name: _corner(engine, name)
                 for name in engine.estimator.programs
@@ -137,7 +139,9 @@ def _corner(engine: Engine, name: str) -> CornerStatus:
     level = corner_level(
         corner, history_known=engine.snapshot.status.history_known
     )
-    return CornerStatus(nodes_k, corner.margin_k, level, corner.validity)
+    return CornerStatus(
+        nodes_k, corner.margin_k, level, corner.validity, corner.risk
+    )
 
 
 def _resident_bytes() -> int:

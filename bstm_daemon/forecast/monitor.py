@@ -30,6 +30,7 @@ from bstm_daemon.forecast.march import (
     Job,
 )
 from bstm_daemon.forecast.members import DEGRADED_FACTOR, Ensemble, Spread
+from bstm_daemon.forecast.records import CarRisk, CornerRisk
 from bstm_daemon.heat.sample_plan import CHANNELS, VEHICLE_CHANNELS
 from bstm_daemon.native import load_kernel
 from bstm_daemon.risk.levels import (
@@ -69,52 +70,6 @@ HEARD: Final = (CHANGED_ROLE, WATER_ROLE)
 
 GAP_US: Final = 2 * SECOND_US
 """After such a gap of publications everything begins anew."""
-
-
-@dataclass(frozen=True, slots=True)
-class CornerRisk:
-    """One corner; kelvin, seconds, probabilities; NaN is not known yet.
-
-    ``deviation_k`` is the fluid's standard deviation now. ``probability`` is
-    that of vapour now or within the horizon if the car parks now,
-    ``probability_now`` that of now. ``peak_k`` and ``peak_in_s`` are the
-    fluid's if the car parks, ``safe_in_s`` the time until vapour is unlikely
-    and stays so, infinite where that is out of sight. ``duty_peak_k`` is the
-    highest if the present duty goes on to the horizon and ``duty_in_s`` the
-    time until vapour is likely then, infinite for never. Times count from
-    :attr:`CarRisk.forecast_us`. ``fade`` is the level of disc and pads.
-    """
-
-    deviation_k: float = nan
-    probability_now: float = nan
-    probability: float = nan
-    level: Level = Level.UNKNOWN
-    fade: Level = Level.UNKNOWN
-    peak_k: float = nan
-    peak_in_s: float = nan
-    safe_in_s: float = nan
-    duty_peak_k: float = nan
-    duty_in_s: float = nan
-
-
-@dataclass(frozen=True, slots=True)
-class CarRisk:
-    """The car: the worst that can happen at any of its corners.
-
-    ``boiling_low_k`` and ``boiling_k`` are the 1 % quantile and the median of
-    the boiling point; ``forecast_us`` is the data time of the forecast that
-    all this rests on, None before the first.
-    """
-
-    probability_now: float = nan
-    probability: float = nan
-    level: Level = Level.UNKNOWN
-    boiling_low_k: float = nan
-    boiling_k: float = nan
-    water_percent: float = nan
-    forecast_us: int | None = None
-    members: int = 0
-    corners: Mapping[str, CornerRisk] = field(default_factory=dict)
 
 
 @dataclass(slots=True)
@@ -187,6 +142,8 @@ class RiskMonitor:
         self._drove = False
         self._car = CarRisk(members=self.members)
         self._ahead = nan
+        self.away = nan
+        """Probability that vapour formed while the computer was off."""
         self._said: tuple[CarRisk, tuple[int, ...], bool, CarRisk] | None = (
             None
         )
@@ -203,6 +160,14 @@ class RiskMonitor:
         self._heard += [
             (int(times_us[i]), int(roles[i]), float(values[i])) for i in picked
         ]
+
+    def peaks_k(self) -> dict[str, tuple[float, ...]]:
+        """Return each corner's peaks [K] if the car parks, one a member.
+
+        They are of the last forecast, empty before the first; members of
+        one number belong together.
+        """
+        return {c.name: tuple(c.peaks_k) for c in self._corners}
 
     def add(self, block: Block) -> list[CarRisk]:
         """Return the risk at each publication of *block*."""
@@ -433,8 +398,55 @@ class RiskMonitor:
             },
         }
 
-    def resume(self, document: object) -> None:
-        """Take back what :meth:`export` gave; what does not fit is left."""
+    def resume(
+        self,
+        document: object,
+        states: Mapping[str, Sequence[float]] | None = None,
+        air: tuple[float, float, int] | None = None,
+    ) -> None:
+        """Take back what :meth:`export` gave; what does not fit is left.
+
+        Args:
+            document: what :meth:`export` gave, or anything else.
+            states: nodes [K] and memories of each corner at the save.
+            air: its temperature [K], for how long the car stood in it since
+                [s], and the time now [us]: vapour may have formed meanwhile.
+        """
+        self._take_back(document)
+        if states is not None and air is not None and air[1] > 0.0:
+            self._look_back(states, *air)
+
+    def _look_back(
+        self,
+        states: Mapping[str, Sequence[float]],
+        ambient_k: float,
+        parked_s: float,
+        now_us: int,
+    ) -> None:
+        """Find whether vapour formed while nobody watched."""
+        boiling = self.fluid.boiling(now_us)
+        series = []
+        for corner in self._corners:
+            state = states.get(corner.name)
+            if state is None:
+                continue
+            job = Job(
+                corner.ensemble,
+                self._kernel,
+                state,
+                Conditions(ambient_k),
+                PARKED_STEPS,
+                channels=CHANNELS,
+                factor=1.0,
+            )
+            job.advance(len(PARKED_STEPS))
+            peaks = job.course().peaks_k(parked_s)
+            corner.level.by_probability(_mean(boiling, peaks), now_us)
+            series.append(peaks)
+        self.away = _mean(boiling, _worst(series)) if series else nan
+        self._level.by_probability(self.away, now_us)
+
+    def _take_back(self, document: object) -> None:
         if not isinstance(document, dict):
             return
         fluid = document.get("fluid")

@@ -9,7 +9,7 @@ from bstm_daemon.bus.output_layout import RiskLevel
 from bstm_daemon.bus.publication import CarRiskSnapshot, RiskSnapshot
 
 if TYPE_CHECKING:
-    from bstm_daemon.forecast.monitor import CarRisk
+    from bstm_daemon.forecast.records import CarRisk
 
 
 def car_snapshot(risk: CarRisk) -> CarRiskSnapshot:

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     import numpy.typing as npt
 
     from bstm_daemon.estimator import Block, Estimator, Group
-    from bstm_daemon.forecast.monitor import CarRisk
+    from bstm_daemon.forecast.records import CarRisk
     from bstm_daemon.results.rows import Sink
 
     Column = npt.NDArray[np.float64]

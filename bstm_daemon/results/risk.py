@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
     import numpy.typing as npt
 
-    from bstm_daemon.forecast.monitor import CarRisk, CornerRisk
+    from bstm_daemon.forecast.records import CarRisk, CornerRisk
 
     Column = npt.NDArray[np.float64]
 
@@ -46,7 +46,7 @@ def risk_columns(
 ) -> tuple[dict[str, Column], dict[str, dict[str, Column]]]:
     """Return the columns of the car and those of each of *corners*.
 
-    *records* holds a :class:`~bstm_daemon.forecast.monitor.CarRisk` per row.
+    *records* holds a :class:`~bstm_daemon.forecast.records.CarRisk` per row.
     One stays the same object for some rows, so that few are unpacked.
     """
     starts = np.flatnonzero(

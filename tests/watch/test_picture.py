@@ -63,7 +63,8 @@ def test_eighty_columns(car: tuple[Board, Sender]) -> None:
             )
         ),
     ]
-    assert lines[9].startswith("RL valid  risk normal  margin 62 K ")
+    assert lines[8] == f"{'parked         -':39}  {'parked         -':39}"
+    assert lines[10].startswith("RL valid  risk normal  margin 62 K ")
     assert lines[-1].endswith("q leaves")
 
 
