@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from bstm_daemon.cli.vehicle import load_vehicle
+from bstm_daemon.config import Curve
 from bstm_daemon.shipped import shipped_file
 from bstm_daemon.simulation.batch import march_lanes
 from bstm_daemon.simulation.march import LaneInputs
@@ -83,6 +84,35 @@ PRESSURE_QUANTUM_PA: Final = 0.1e5
 SPEED_QUANTUM_MS: Final = 0.03
 
 
+MATCHED: Final = {
+    "FL": {
+        "heat_partition_correction_factor": 0.745,
+        "pad_backplate_thermal_resistance_m2k_w": 0.549,
+        "fluid_static_convection_w_k": 1.035,
+        "fluid_dynamic_convection_ws_mk": 1.384,
+        "lining": 2.717,
+        "disc_air": 0.844,
+        "disc_mass_correction_factor": 1.129,
+        "pad_dynamic_convection_ws_m3k": 0.548,
+    },
+    "RL": {
+        "heat_partition_correction_factor": 0.645,
+        "pad_backplate_thermal_resistance_m2k_w": 0.552,
+        "fluid_static_convection_w_k": 0.991,
+        "fluid_dynamic_convection_ws_mk": 1.436,
+        "lining": 2.601,
+        "disc_air": 0.940,
+        "disc_mass_correction_factor": 0.971,
+        "pad_dynamic_convection_ws_m3k": 0.621,
+    },
+}
+"""Factors on the example configuration that match it to the nominal car on
+descents: least squares over the fluid of 24 descents after the stop, of a
+seed that is used nowhere else. The example itself is matched to one push
+test, and is up to 20 % off on descents twice as hard. ``lining`` is its
+conductivity at 600 over that at 20 degC."""
+
+
 @dataclass(frozen=True, slots=True)
 class Case:
     """One descent; arrays a value a second, the last one before the stop."""
@@ -111,9 +141,36 @@ class Truth:
 
 
 def base_config() -> Config:
-    """Return the example car with one corner of each axle."""
+    """Return the example car with one corner of each axle, rematched."""
     config, _ = load_vehicle(shipped_file("config/example_vehicle.toml"))
-    corners = [c for c in config.corner if c.name in CORNERS]
+    corners = []
+    for corner in config.corner:
+        if corner.name not in CORNERS:
+            continue
+        factors = MATCHED[corner.name]
+        thermal, cooling = config.thermal_of(corner), config.cooling_of(corner)
+        lining, disc_air = factors["lining"], factors["disc_air"]
+        changes = {
+            key: getattr(thermal, key) * factor
+            for key, factor in factors.items()
+            if key not in {"lining", "disc_air"}
+        }
+        assert corner.pad is not None
+        cold = float(str(corner.pad.conductivity_w_mk))
+        conductivity = Curve(
+            temperature_c=[20.0, 600.0], value=[cold, cold * lining]
+        )
+        pad = corner.pad.model_copy(update={"conductivity_w_mk": conductivity})
+        rates = [disc_air * rate for rate in cooling.s_per_s]
+        corners.append(
+            corner.model_copy(
+                update={
+                    "thermal": corner.thermal | changes,
+                    "cooling": corner.cooling | {"s_per_s": rates},
+                    "pad": pad,
+                }
+            )
+        )
     return config.model_copy(update={"corner": corners})
 
 
@@ -166,7 +223,7 @@ def configured(
         cooling = base.cooling_of(corner)
         assert corner.disc is not None
         assert corner.pad is not None
-        shim = NOMINAL.front.shim_resistance_m2k_w
+        shim = 0.55 * NOMINAL.front.shim_resistance_m2k_w
         changes: dict[str, Any] = {
             "pad_backplate_thermal_resistance_m2k_w": (
                 thermal.pad_backplate_thermal_resistance_m2k_w

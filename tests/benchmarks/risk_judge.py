@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from risk_cases import CORNERS, HORIZON_S, Case, Truth
 
-from bstm_daemon.estimator import PUBLISH_US, Estimator
+from bstm_daemon.estimator import Estimator
 from bstm_daemon.forecast.monitor import RiskMonitor
 from bstm_daemon.roles import ROLE_INDEX
-from bstm_daemon.units import KELVIN_OFFSET
 
 if TYPE_CHECKING:
     import numpy.typing as npt
@@ -63,7 +62,7 @@ def judged(case: Case, truth: Truth) -> Judgement:
         initial_k=case.sensed_ambient_k,
     )
     monitor = RiskMonitor(case.config, estimator)
-    times_us, numbers, values = _samples(case, roles)
+    times_us, numbers, values = samples(case, roles)
     stop_us = START_US + (len(case.speed_ms) - BEFORE_STOP_S) * 1_000_000
     cut = int(np.searchsorted(times_us, stop_us))
     estimator.advance(times_us[:cut], numbers[:cut], values[:cut])
@@ -97,9 +96,10 @@ def boiled_at_s(truth: Truth, boiling_k: float) -> float:
     return float(truth.time_s[reached.argmax()]) if reached.any() else np.inf
 
 
-def _samples(
+def samples(
     case: Case, roles: tuple[str, ...]
 ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int32], Column]:
+    """Return times [us], role numbers and values of what *case* senses."""
     count = (len(case.speed_ms) + 2) * SAMPLES_S
     at_s = np.arange(count) / SAMPLES_S
     seconds = np.arange(len(case.speed_ms)) + 0.5
@@ -111,11 +111,3 @@ def _samples(
     numbers = np.tile([ROLE_INDEX[role] for role in roles], count)
     times = START_US + np.repeat(at_s, len(roles)) * 1e6
     return times.astype(np.int64), numbers.astype(np.int32), values
-
-
-def to_c(kelvin: float) -> float:
-    """Return degC."""
-    return kelvin - KELVIN_OFFSET
-
-
-assert PUBLISH_US == 100_000
