@@ -32,8 +32,8 @@ class Spread(NamedTuple):
     disc and pad, capacity of the fluid's lump.
     """
 
-    heat: float = 0.04
-    fluid: float = 0.025
+    heat: float = 0.045
+    fluid: float = 0.03
     fluid_floor_k: float = 1.0
     resistance: float = 0.06
     fluid_loss: float = 0.08

@@ -23,7 +23,7 @@ START_US: Final = 1_700_000_000_000_000
 SAMPLES_S: Final = 10
 """Samples a second of every role."""
 
-BEFORE_STOP_S: Final = 3
+BEFORE_STOP_S: Final = 1
 TIMEOUT_US: Final = 500_000
 
 

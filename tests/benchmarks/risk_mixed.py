@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     Column = npt.NDArray[np.float64]
 
 TRIP_S: Final = 3600
-MEMBERS: Final = 16
+MEMBERS: Final = 8
 FLUIDS: Final = 20
 """Fluids that each trip is judged with."""
 

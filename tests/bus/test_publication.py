@@ -313,8 +313,10 @@ def test_counters_start_at_zero_and_forget_foreign_names() -> None:
     assert temperatures.data[1] & 0x0F == 0
     assert set(publication.counters) == {
         "BSTM_Status",
+        "BSTM_Risk",
         "BSTM_FL_Temperatures",
         "BSTM_FL_Risk",
+        "BSTM_FL_Forecast",
         "BSTM_FL_Wear",
     }
 
@@ -356,7 +358,10 @@ def test_own_ids_are_those_sent() -> None:
 
     assert set(own_ids(ID_BASE, CORNERS)) == sent
     assert Publication(CORNERS, ID_BASE).ids == own_ids(ID_BASE, CORNERS)
-    assert own_ids(0x100, ["RR"]) == (0x100, 0x102, 0x107, 0x10B, 0x113)
+    assert own_ids(0x100, ["RR"]) == (
+        *(0x100, 0x102, 0x103),
+        *(0x107, 0x10B, 0x10F, 0x113),
+    )
 
 
 # risk level
