@@ -89,9 +89,9 @@ class Boiling:
         position = (temperature_k - self._low) / TABLE_STEP_K
         if not position > 0.0:
             return 0.0
-        index = int(position)
-        if index + 1 >= len(self._table):
+        if position >= len(self._table) - 1:
             return 1.0
+        index = int(position)
         left = self._table[index]
         return left + (position - index) * (self._table[index + 1] - left)
 

@@ -187,7 +187,17 @@ def scores(found: list[Descent], *, given: bool) -> Scores:
 def run(*, full: bool, cache: Path | None = None) -> Outcome:
     """Judge descents and mixed driving; *cache* keeps what is done."""
     found = descents(FULL if full else QUICK, cache=cache)
-    km, warned, warned_given, hottest_k = _mixed(full=full, cache=cache)
+    return outcome_of(found, _mixed(full=full, cache=cache), full=full)
+
+
+def outcome_of(
+    found: list[Descent],
+    driven: tuple[float, int, int, float],
+    *,
+    full: bool,
+) -> Outcome:
+    """Return the tables of the descents *found* and of mixed driving."""
+    km, warned, warned_given, hottest_k = driven
     boiled = np.array([np.isfinite(d.boiled_s) for d in found])
     margins = np.array([d.margin_k for d in found])
     outcome = Outcome(
@@ -345,9 +355,14 @@ def main() -> int:
     )
     parser.add_argument("-o", "--out", type=Path, default=DOCUMENT)
     args = parser.parse_args()
-    outcome = run(full=not args.quick, cache=args.cache)
-    text = args.out.read_text("utf-8")
-    before, _, rest = text.partition(BEGIN)
+    write(run(full=not args.quick, cache=args.cache), args.out)
+    sys.stdout.write(f"{args.out}\n")
+    return 0
+
+
+def write(outcome: Outcome, path: Path) -> None:
+    """Put the tables of *outcome* between the marks of *path*."""
+    before, _, rest = path.read_text("utf-8").partition(BEGIN)
     _, _, after = rest.partition(END)
     figures = [BEGIN, "", outcome.about, ""]
     for table in outcome.tables:
@@ -355,9 +370,7 @@ def main() -> int:
         figures += [_row(("---",) * len(table.header))]
         figures += [_row(row) for row in table.rows]
         figures.append("")
-    args.out.write_text(before + "\n".join([*figures, END]) + after, "utf-8")
-    sys.stdout.write(f"{args.out}\n")
-    return 0
+    path.write_text(before + "\n".join([*figures, END]) + after, "utf-8")
 
 
 def _row(cells: tuple[str, ...]) -> str:

@@ -27,6 +27,7 @@ OTHERS = (
     *("physics", "accuracy", "radau", "memory", "identification"),
     "structures",
     "pad_life",
+    "risk",
 )
 """Figures without a comparison in time; run when named."""
 

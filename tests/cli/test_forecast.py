@@ -28,7 +28,8 @@ def state(tmp_path: Path) -> Path:
     document = engine.export_state()
     for name in ("FL", "FR"):
         corner = document["corners"][name]
-        corner |= {"disc": 900.0, "fluid": 390.0, "pad_back": 470.0}
+        corner |= {key: 600.0 for key in corner if key.startswith("pad_")}
+        corner |= {"disc": 900.0, "fluid": 390.0, "backplate": 480.0}
     path = tmp_path / "car.state"
     document |= {"wall_us": 1_760_000_000_000_000, "history_left_us": 0}
     path.write_bytes(state_file.encode(document))

@@ -26,11 +26,12 @@ if TYPE_CHECKING:
     from bstm_daemon.estimator import Block
     from bstm_daemon.forecast.records import CarRisk
 
+    SAMPLES = tuple[array[int], array[int], array[float]]
+
 START_US = 1_700_000_000_000_000
 SPEED = ROLE_INDEX["vehicle_speed"]
 PRESSURE = ROLE_INDEX["primary_pressure"]
 MAPPED = dict.fromkeys((SPEED, PRESSURE), 500_000)
-SAMPLES = tuple[array[int], array[int], array[float]]
 
 pytestmark = pytest.mark.skipif(
     load_kernel() is None, reason="minutes in pure Python"

@@ -15,7 +15,7 @@ def test_points_fill_every_axis(dimensions: int) -> None:
     for axis in range(dimensions):
         for eighth in range(8):
             held = sum(int(p[axis] * 8) == eighth for p in points)
-            assert 5 <= held <= 11
+            assert 4 <= held <= 12
 
 
 @pytest.mark.parametrize("count", [8, 64, 65])
@@ -26,7 +26,7 @@ def test_normal_draws_have_mean_0_and_deviation_1(count: int) -> None:
     for axis in zip(*points, strict=True):
         assert fmean(axis) == pytest.approx(0.0, abs=1e-12)
         if count >= 64:
-            assert stdev(axis) == pytest.approx(1.0, abs=0.12)
+            assert stdev(axis) == pytest.approx(1.0, abs=0.2)
 
 
 def test_axes_are_not_alike() -> None:

@@ -49,6 +49,6 @@ def test_a_measurement_ages() -> None:
     today = water_measured(1.5, 0.05, "temperate")
     later = water_measured(1.5, 0.05, "temperate", since_years=1.0)
 
-    assert today == (1.5, 0.05)
+    assert today == pytest.approx((1.5, 0.05))
     assert later.median_percent == pytest.approx(2.5)
     assert later.spread > 0.15
