@@ -83,6 +83,15 @@ class Ensemble:
             for draw in self.draws
         ]
 
+    def of(self, program: Program) -> Ensemble:
+        """Return the same members of *program*: itself where it is its own.
+
+        The networks of worn linings take the place of those before.
+        """
+        if program is self.program:
+            return self
+        return Ensemble(program, self.count, self.spread)
+
     def states(
         self, state: Sequence[float], ambient_k: float, factor: float
     ) -> array[float]:

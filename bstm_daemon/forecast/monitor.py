@@ -121,6 +121,7 @@ class RiskMonitor:
         ]
         spread = Spread().scaled(config.forecast.uncertainty)
         self._groups = estimator.groups
+        self._programs = estimator.programs
         order = estimator.plan.corners
         corners = [
             _Corner(
@@ -273,6 +274,7 @@ class RiskMonitor:
 
     def _begin(self, block: Block, i: int, time_us: int) -> None:
         conditions = []
+        self._follow_wear()
         for corner in self._corners:
             row = self._row(block, i, corner)
             ambient_k = row[CHANNELS.index("ambient_k")]
@@ -284,6 +286,11 @@ class RiskMonitor:
             [_factor(block.validity[c.name][i]) for c in self._corners],
             self.fluid.boiling(time_us),
         )
+
+    def _follow_wear(self) -> None:
+        for corner in self._corners:
+            program = self._programs[corner.name]
+            corner.ensemble = corner.ensemble.of(program)
 
     def _work(self, forecast: _Forecast) -> None:
         """Do one publication's share of *forecast*."""
@@ -426,6 +433,7 @@ class RiskMonitor:
         """Find whether vapour formed while nobody watched."""
         boiling = self.fluid.boiling(now_us)
         series = []
+        self._follow_wear()
         for corner in self._corners:
             state = states.get(corner.name)
             if state is None:
