@@ -9,11 +9,12 @@ from math import isinf
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bstm_daemon.carry_over import StateError
+from bstm_daemon.carry_over import StateError, restore_state
 from bstm_daemon.cli.arguments import add_config, add_json
 from bstm_daemon.config_file import load_config
 from bstm_daemon.daemon.state_file import read
 from bstm_daemon.errors import FileAccessError, UsageError
+from bstm_daemon.estimator import Estimator
 from bstm_daemon.files import replacing
 from bstm_daemon.forecast.workshop import SHARES, outlook
 from bstm_daemon.units import to_celsius
@@ -59,11 +60,13 @@ def run(args: argparse.Namespace) -> int:
             f"{config.vehicle.id!r}"
         )
         raise UsageError(msg)
+    estimator = Estimator(config, {})
     try:
-        found = outlook(config, loaded.document)
+        restore_state(estimator, loaded.document, resume=False)
     except StateError as error:
         msg = f"--now {args.now}: the state does not fit: {error}"
         raise UsageError(msg) from error
+    found = outlook(config, estimator, loaded.document)
     print("\n".join(_lines(config.vehicle.id, args.now, found)))
     if args.json is not None:
         with replacing(args.json) as temporary:

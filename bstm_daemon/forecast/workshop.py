@@ -5,8 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
-from bstm_daemon.carry_over import restore_state
-from bstm_daemon.estimator import Estimator
 from bstm_daemon.forecast.fluid import FluidKnowledge
 from bstm_daemon.forecast.march import (
     HORIZON_S,
@@ -25,6 +23,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from bstm_daemon.config import Config
+    from bstm_daemon.estimator import Estimator
 
 SHARES: Final = (0.01, 0.5, 0.99)
 """Quantiles of the boiling point that are told."""
@@ -67,15 +66,13 @@ class Outlook:
     corners: tuple[CornerOutlook, ...]
 
 
-def outlook(config: Config, document: Mapping[str, Any]) -> Outlook:
-    """Return what the brakes of *document* will do, parked.
+def outlook(
+    config: Config, estimator: Estimator, document: Mapping[str, Any]
+) -> Outlook:
+    """Return what the brakes of *estimator* will do, parked.
 
-    Raises:
-        StateError: it is no state of this car.
-        ConfigError: the model can not be built as configured.
+    *document* is the state file's that they were restored from.
     """
-    estimator = Estimator(config, {})
-    restore_state(estimator, document, resume=False)
     known = estimator.history_known
     fluid = FluidKnowledge(config.fluid)
     risk = document.get("risk")
