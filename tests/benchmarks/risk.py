@@ -129,7 +129,11 @@ def _chunk(seed: tuple[int, int], preset: str) -> list[Descent]:
     while len(found) < CHUNK:
         cases = [draw_case(rng, base) for _ in range(CHUNK)]
         for case, truth in zip(cases, march_truth(cases, preset), strict=True):
-            if truth.disc_k > HOTTEST_DISC_K:
+            # a march of the reality that went astray says nothing
+            if not (
+                truth.disc_k <= HOTTEST_DISC_K
+                and np.isfinite(truth.fluid_k).all()
+            ):
                 continue
             fluid = _fitting(rng, float(truth.fluid_k.max()))
             if fluid is None:
@@ -335,11 +339,23 @@ def _temperatures(found: list[Descent]) -> Table:
             own,
         )
 
+    near, soon = (
+        float(np.mean(np.abs(error) <= limit))
+        for error, limit in ((peak, 12.0), (late, 180.0))
+    )
+    within = f"{near:.0%}, {soon:.0%}"
     return Table(
         "Fluid of the hottest corner",
         ("error of", "mean", "deviation", "90 % within", "told deviation"),
         (
             row("peak if parked, K", peak, 1.0, f"{spread.mean():.1f}"),
+            (
+                "peak within 12 K, time within 3 min",
+                "",
+                "",
+                "",
+                within,
+            ),
             row("time to it, min", late, 60.0, "-"),
             row("fluid now, K", now, 1.0, f"{deviation.mean():.1f}"),
         ),
