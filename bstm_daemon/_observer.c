@@ -95,6 +95,19 @@ static void roll_back(double *n)
     n[O_COPY_AGE] = 0.0;
 }
 
+/* What this drive has taught rests on a wrong scale. */
+static void forget_drive(double *n)
+{
+    memcpy(n + O_EARLIER, n + O_FIRST, LEARNED * sizeof *n);
+    roll_back(n);
+}
+
+/* Whether wheels and satellites disagree on the speed. */
+static int strange_radius(const double *n)
+{
+    return fabs(n[O_RADIUS_RATIO] - 1.0) > RADIUS_LIMIT;
+}
+
 static void suspect_external(double *n, double seconds)
 {
     n[O_EXTERNAL] += seconds;
@@ -223,9 +236,7 @@ static void learn_gain(Observer *o, const Step *s, int learns)
     }
     if (unfelt(n)) suspect_external(n, WINDOW_S);
     if (strange_gain(n)) {
-        /* what this drive has taught rests on a wrong scale */
-        memcpy(n + O_EARLIER, n + O_FIRST, LEARNED * sizeof *n);
-        roll_back(n);
+        forget_drive(n);
     }
     if (!learns || strange_gain(n)) return;
     const double h[STATES] = {0.0, 0.0, 0.0, rate};
@@ -346,7 +357,7 @@ static void keep_times(double *n, const Step *s)
     n[O_LAST_CLUTCH] = s->clutch;
     const int calm = s->steady && s->forward && !shifted
         && s->speed > LEAST_SPEED && s->lateral < MOST_LATERAL
-        && !strange_gain(n);
+        && !strange_gain(n) && !strange_radius(n);
     n[O_CALM] = calm ? n[O_CALM] + s->dt_s : 0.0;
     n[O_RELEASED] = s->pressure_known && !s->pressed
         ? n[O_RELEASED] + s->dt_s : 0.0;
@@ -410,6 +421,7 @@ int bstm_observe(Observer *o, const Step *s)
         keep_times(n, s);
         if (s->on_stand) suspect_external(n, s->dt_s);
         compare_radius(n, s);
+        if (strange_radius(n)) forget_drive(n);
         watch_pressure(o, s);
         learn_gain(o, s, n[O_CALM] >= CALM_S && n[O_EXTERNAL_HELD] <= 0.0);
         if (gather(n, s, kind_of(n, s), first_speed)) learn(o, s);
@@ -423,7 +435,7 @@ int bstm_observe(Observer *o, const Step *s)
     }
     if (n[O_EXTERNAL_HELD] > 0.0) found |= EXTERNAL_SUSPECTED;
     if (strange_gain(n)) found |= GAIN_SUSPECT;
-    if (fabs(n[O_RADIUS_RATIO] - 1.0) > RADIUS_LIMIT) found |= RADIUS_SUSPECT;
+    if (strange_radius(n)) found |= RADIUS_SUSPECT;
     if (n[O_UNPRESSED] > DEAD_S) found |= PRESSURE_DEAD;
     return found;
 }

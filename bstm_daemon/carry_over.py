@@ -415,6 +415,13 @@ def _samples(
     if sizes != (len(fresh.times), len(fresh.numbers), len(fresh.flags)):
         msg = "samples: not as many numbers as their layout has"
         raise StateError(msg)
+    corners = len(estimator.plan.corners)
+    learned = state.learned(corners)
+    if learned is not None and (
+        learned_fault(learned) is not None
+        or _learned(estimator, document) is None
+    ):
+        state.unlearn(corners)
     return state, open_flags
 
 

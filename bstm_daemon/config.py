@@ -234,7 +234,9 @@ class DiscConfig(Section):
     mass_kg: DiscMass
     swept_area_m2: DiscArea
     total_area_m2: DiscArea
-    material: Literal["grey-iron", "pure-iron", "own"] = "grey-iron"
+    material: Literal["grey-iron", "grey-iron-smooth", "pure-iron", "own"] = (
+        "grey-iron"
+    )
     heat_capacity_j_kgk: Curve | None = None
     conductivity_w_mk: Positive = 50.0
     density_kg_m3: Positive = 7200.0

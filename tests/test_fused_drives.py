@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -10,11 +11,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from bstm_daemon.carry_over import export_state, resume_state
+from bstm_daemon.carry_over import (
+    export_state,
+    restore_state,
+    resume_state,
+)
 from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.estimator import STEP_US, Estimator
 from bstm_daemon.heat.observer_layout import LEARNED_NAMES
 from bstm_daemon.heat.sample_plan import CHANNELS, FLAGS, VEHICLE_CHANNELS
+from bstm_daemon.heat.sample_state import number_names
 from bstm_daemon.journal import Journal
 from bstm_daemon.roles import ROLE_INDEX, ROLES
 from bstm_daemon.simulation import load_drive, simulate
@@ -95,14 +101,17 @@ def driven(name: str) -> SimulatedDrive:
 
 
 @cache
-def configured(mass_kg: float = 0.0) -> Config:
+def configured(mass_kg: float = 0.0, structure: str = "thesis") -> Config:
     """Return the example car in mode fused, of another mass where given."""
     config, _ = load_vehicle(CAR)
     heat = config.heat.model_copy(update={"mode": "fused"})
     vehicle = config.vehicle
     if mass_kg:
         vehicle = vehicle.model_copy(update={"mass_kg": mass_kg})
-    return config.model_copy(update={"heat": heat, "vehicle": vehicle})
+    thermal = config.thermal.model_copy(update={"structure": structure})
+    return config.model_copy(
+        update={"heat": heat, "vehicle": vehicle, "thermal": thermal}
+    )
 
 
 def estimate(
@@ -111,6 +120,7 @@ def estimate(
     columns: Columns | None = None,
     document: dict[str, Any] | None = None,
     mass_kg: float = 0.0,
+    structure: str = "thesis",
 ) -> Drive:
     """Let the estimator see the drive, with other *columns* where given.
 
@@ -124,7 +134,7 @@ def estimate(
     stamps = np.rint(real.time_s[::2] * 1e6).astype(np.int64) + start_us
     values = np.column_stack([given[role][::2] for role in roles])
     present = {int(n): round(ROLES[n].timeout_s * 1e6) for n in numbers}
-    estimator = Estimator(configured(mass_kg), present)
+    estimator = Estimator(configured(mass_kg, structure), present)
     if document is not None:
         resume_state(estimator, document, HOUR_US, start_us)
     steps = Steps(len(estimator.plan.corners))
@@ -161,6 +171,16 @@ def test_an_ordinary_drive_is_right_and_suspects_nothing(rich: Drive) -> None:
     assert abs(rich.ff_j / rich.real.sum() - 1.0) > 0.1
     assert rich.last("mass_kg") == pytest.approx(2194.0, rel=0.03)
     assert not rich.flags >> 40
+
+
+def test_a_friction_law_carries_what_fades_in_bends() -> None:
+    """On a track nothing is learned, the disc's temperature tells."""
+    plain = estimate("track")
+    law = estimate("track", structure="extended")
+
+    assert plain.error > 0.2
+    assert abs(plain.error) < 2.0 * plain.spread.sum() / plain.real.sum()
+    assert law.error == pytest.approx(0.0, abs=0.08)
 
 
 def test_a_pushed_car_without_the_role_teaches_nothing() -> None:
@@ -212,6 +232,7 @@ def test_a_wrong_wheel_radius_is_named() -> None:
     wrong = estimate("rich", "gnss_speed", columns=columns)
 
     assert wrong.has("wheel_radius")
+    assert wrong.untaught
 
 
 def test_a_dead_pressure_is_named_and_the_motion_heats() -> None:
@@ -261,6 +282,31 @@ def test_what_is_learned_goes_on_in_the_next_drive(rich: Drive) -> None:
 
     assert begun.vehicle[0, column] < 0.3 * afresh.vehicle[0, column]
     assert begun.error == pytest.approx(0.0, abs=0.04)
+
+
+@pytest.mark.parametrize("fault", ["", "other car", "impossible"])
+def test_a_restart_takes_over_what_can_have_been_learned(
+    rich: Drive, fault: str
+) -> None:
+    """Values and ages go on in any case, what was learned if it holds."""
+    document = json.loads(json.dumps(export_state(rich.estimator)))
+    names = number_names(rich.estimator.plan.corners)
+    if fault == "impossible":
+        at = names.index("learned_mass_ratio")
+        document["samples"]["numbers"][at] = 9.0
+    present = {
+        ROLE_INDEX[role]: round(ROLES[ROLE_INDEX[role]].timeout_s * 1e6)
+        for role in BUS
+    }
+    mass_kg = 1800.0 if fault == "other car" else 0.0
+    fresh = Estimator(configured(mass_kg), present)
+
+    assert restore_state(fresh, document, resume=True).resumed
+    learned = [one.samples.learned(4) for one in (fresh, rich.estimator)]
+    if fault:
+        assert learned[0] is None
+    else:
+        assert learned[0] == learned[1]
 
 
 @pytest.mark.parametrize("fault", ["other car", "impossible", "incomplete"])

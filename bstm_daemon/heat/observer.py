@@ -37,6 +37,7 @@ from bstm_daemon.heat.observer_doubts import (
     compare_radius,
     doubts,
     strange_gain,
+    strange_radius,
     unfelt,
     watch_pressure,
 )
@@ -127,6 +128,8 @@ class Observer:
             if s.on_stand:
                 self._suspect_external(s.dt_s)
             compare_radius(m, s)
+            if strange_radius(m):
+                self._forget_drive()
             watch_pressure(m, self.known, s)
             calm = m["calm_s"] >= rules.CALM_S
             self._learn_gain(s, learns=calm and m["external_held_s"] <= 0.0)
@@ -153,6 +156,11 @@ class Observer:
         self.known.unpack(self.earlier)
         self.recent = list(self.earlier)
         self.m["copy_age"] = 0.0
+
+    def _forget_drive(self) -> None:
+        """What this drive has taught rests on a wrong scale."""
+        self.earlier = list(self.first)
+        self._roll_back()
 
     def _suspect_external(self, seconds: float) -> None:
         m = self.m
@@ -283,9 +291,7 @@ class Observer:
         if unfelt(self.m):
             self._suspect_external(rules.WINDOW_S)
         if strange_gain(self.m):
-            # what this drive has taught rests on a wrong scale
-            self.earlier = list(self.first)
-            self._roll_back()
+            self._forget_drive()
         if not learns or strange_gain(self.m):
             return
         apart = more - self.known.x[GAIN] * rate
@@ -376,6 +382,7 @@ class Observer:
             and s.speed > rules.LEAST_SPEED_MS
             and s.lateral < rules.MOST_LATERAL_MS2
             and not strange_gain(self.m)
+            and not strange_radius(self.m)
         )
         free = s.pressure_known and not s.pressed
         m["calm_s"] = m["calm_s"] + s.dt_s if calm else 0.0

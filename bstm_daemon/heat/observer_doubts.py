@@ -25,7 +25,7 @@ def doubts(m: Memory) -> int:
         found |= rules.EXTERNAL_SUSPECTED
     if strange_gain(m):
         found |= rules.GAIN_SUSPECT
-    if abs(m["radius_ratio"] - 1.0) > rules.RADIUS_LIMIT:
+    if strange_radius(m):
         found |= rules.RADIUS_SUSPECT
     if m["unpressed_s"] > rules.DEAD_S:
         found |= rules.PRESSURE_DEAD
@@ -38,6 +38,11 @@ def strange_gain(m: Memory) -> bool:
     return changed > rules.CHANGED_LEAST and (
         alike < rules.GAIN_LOW * changed or alike > rules.GAIN_HIGH * changed
     )
+
+
+def strange_radius(m: Memory) -> bool:
+    """Whether wheels and satellites disagree on the speed."""
+    return abs(m["radius_ratio"] - 1.0) > rules.RADIUS_LIMIT
 
 
 def unfelt(m: Memory) -> bool:

@@ -121,6 +121,11 @@ class SampleState:
             return None
         return list(self.numbers[first : first + len(LEARNED_NAMES)])
 
+    def unlearn(self, corners: int) -> None:
+        """Let the observer begin anew at the next step."""
+        first = len(self.numbers) - len(OBSERVER_NUMBERS) - corners
+        self.numbers[first + OBSERVER_NUMBERS.index("started")] = 0.0
+
     def heat_interface(
         self, corner: int, corners: int, interface_k: float
     ) -> None:

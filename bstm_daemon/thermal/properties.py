@@ -33,12 +33,21 @@ GREY_IRON_HEAT_CAPACITY_J_KGK: Final = _celsius_table(
 the Curie point (770 degC in pure iron) with the eutectoid."""
 
 
+GREY_IRON_SMOOTH_HEAT_CAPACITY_J_KGK: Final = _celsius_table(
+    (20, 100, 200, 300, 400, 500, 600, 700, 800, 900),
+    (460, 490, 525, 560, 600, 650, 710, 790, 880, 970),
+)
+"""The same without the peak, which effect ``disc_capacity_hot`` adds."""
+
+
 def disc_heat_capacity(disc: DiscConfig) -> Table:
     """Specific heat [J/kgK] over temperature [K] of the configured disc."""
     if disc.heat_capacity_j_kgk is not None:
         return curve_table(disc.heat_capacity_j_kgk)
     if disc.material == "pure-iron":
         return PURE_IRON_HEAT_CAPACITY_J_KGK
+    if disc.material == "grey-iron-smooth":
+        return GREY_IRON_SMOOTH_HEAT_CAPACITY_J_KGK
     return GREY_IRON_HEAT_CAPACITY_J_KGK
 
 

@@ -69,16 +69,17 @@ def _drive(name: str, preset: str) -> list[tuple[str, ...]]:
     driven = simulate(load_drive(name), preset=preset)
     truth = nodes_of(driven)
     rows = []
-    for heat, estimates in (("known", _known), ("ff", _fed_forward)):
+    for heat, estimates in (("known", known_heat), ("ff", _fed_forward)):
         for structure in STRUCTURES:
-            found = estimates(_car(structure, heat), driven)
+            found = estimates(example_car(structure, heat), driven)
             rows.append(
                 (name, preset, heat, structure, *_errors(found, truth, driven))
             )
     return rows
 
 
-def _car(structure: str, heat: str) -> Config:
+def example_car(structure: str, heat: str = "known") -> Config:
+    """Return the example car of *structure*; *heat*: known or ff."""
     config = load_config(shipped_file("config/example_vehicle.toml"))
     mode = "fb" if heat == "known" else "ff"
     return config.model_copy(
@@ -91,14 +92,17 @@ def _car(structure: str, heat: str) -> Config:
     )
 
 
-def _known(config: Config, driven: SimulatedDrive) -> Nodes:
-    """March the network on the reality's own brake power."""
+def known_heat(config: Config, driven: SimulatedDrive) -> Nodes:
+    """Return :data:`NODES` [K] at 1 Hz on the reality's own brake power."""
     count = len(driven.time_s) // EVERY
     series = {
         "speed_ms": driven.course.speed_ms,
         "pressure_pa": driven.roles["primary_pressure"],
         "brake_power_w": driven.brake_power_w[:, 0],
         "ambient_k": driven.roles["ambient_temperature"],
+        "wetness": driven.course.level(
+            [segment.rain for segment in driven.course.segments]
+        ),
     }
     rows = np.full((count, len(CHANNELS)), np.nan)
     for name, values in series.items():
@@ -107,7 +111,6 @@ def _known(config: Config, driven: SimulatedDrive) -> Nodes:
     pressure = rows[:, CHANNELS.index("pressure_pa")]
     on_pa = config.heat.brake_on_pressure_pa
     rows[:, CHANNELS.index("brake_on")] = pressure > on_pa
-    rows[:, CHANNELS.index("wetness")] = 0.0
     program = compile_corner(config, config.corner[0])
     start_k = float(driven.truth["FL.disc"][0])
     batch = Batch([program], start_k, kernel=load_kernel("compiled"))

@@ -87,9 +87,9 @@ def test_wet_disc_only_when_wet_and_rolling(corner: Make) -> None:
 
     assert evaporated(600.0, 25.0, 0.0) == 0.0
     assert evaporated(600.0, 0.0, 1.0) == 0.0
-    # 8 W/K at 25 m/s above boiling, a quarter of it below 80 C
+    # 5 W/K at 25 m/s above boiling, a quarter of it below 80 C
     hot = evaporated(600.0, 25.0, 1.0)
-    assert hot == pytest.approx(8.0 * 0.25, rel=2e-3)
+    assert hot == pytest.approx(5.0 * 0.25, rel=2e-3)
     assert evaporated(600.0, 12.5, 1.0) == pytest.approx(hot / 2, rel=2e-3)
     assert evaporated(600.0, 25.0, 0.5) == pytest.approx(hot / 2, rel=2e-3)
     assert evaporated(340.0, 25.0, 1.0) == pytest.approx(hot / 4, rel=2e-3)
@@ -101,7 +101,7 @@ def test_wet_disc_cools_the_disc_first(corner: Make) -> None:
         corner(name).warm(disc=600.0).drive(60, speed_ms=25.0, wetness=1.0)
         for name in (None, "wet_disc")
     )
-    assert base["disc"] - wet["disc"] > 20.0
+    assert base["disc"] - wet["disc"] > 15.0
     assert abs(base["fluid"] - wet["fluid"]) < 1.0
 
 

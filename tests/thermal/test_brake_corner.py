@@ -17,6 +17,7 @@ from bstm_daemon.thermal.brake_corner import (
 from bstm_daemon.thermal.network import Network
 from bstm_daemon.thermal.properties import (
     GREY_IRON_HEAT_CAPACITY_J_KGK,
+    GREY_IRON_SMOOTH_HEAT_CAPACITY_J_KGK,
     PURE_IRON_HEAT_CAPACITY_J_KGK,
 )
 
@@ -112,6 +113,18 @@ def test_grey_iron(celsius: float, expected: float) -> None:
     """Handbook points, the peak included, are hit."""
     table = GREY_IRON_HEAT_CAPACITY_J_KGK
     assert table(celsius + 273.15) == pytest.approx(expected)
+
+
+def test_grey_iron_without_its_peak() -> None:
+    """The same to 600 C, then on as it rose."""
+    table = GREY_IRON_SMOOTH_HEAT_CAPACITY_J_KGK
+    for celsius in range(20, 601, 20):
+        both = (
+            table(celsius + 273.15),
+            GREY_IRON_HEAT_CAPACITY_J_KGK(celsius + 273.15),
+        )
+        assert both[0] == pytest.approx(both[1])
+    assert table(750 + 273.15) == pytest.approx(835.0)
 
 
 def test_pure_iron() -> None:

@@ -27,7 +27,7 @@ class ContactConductance(Effect):
         "difference of their temperatures."
     )
     own_parameters: ClassVar = (
-        Parameter("conductance_w_m2k", "W/m2K", 10.0, 2e4, 190.0, "at 1 MPa"),
+        Parameter("conductance_w_m2k", "W/m2K", 10.0, 2e4, 160.0, "at 1 MPa"),
     )
 
     def edit(self, model: CornerModel) -> CornerModel:

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 from math import ceil
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 from bstm_daemon.effects.effect import Effect
+from bstm_daemon.effects.linings import with_effusivity
 from bstm_daemon.effects.model import CornerModel, Parameter
 from bstm_daemon.thermal.table import Table
 from bstm_daemon.units import KELVIN_OFFSET
-
-if TYPE_CHECKING:
-    from bstm_daemon.thermal.network import Node
 
 LEAST_SHARE = 0.3
 HOTTEST_K = 1300.0
@@ -38,31 +36,31 @@ class DiscCapacityHot(Effect):
     twins = ("friction_fade", "disc_radiation_driving")
     either_sign = True
     own_parameters: ClassVar = (
-        Parameter("peak_j_kgk", "J/kgK", 0.0, 1500.0, 260.0, "above cp(T)"),
+        Parameter("peak_j_kgk", "J/kgK", 0.0, 1500.0, 380.0, "above cp(T)"),
         Parameter("centre_c", "degC", 650.0, 800.0, 755.0, "of the peak"),
         Parameter("half_width_k", "K", 20.0, 250.0, 150.0, "to its foot"),
     )
 
     def edit(self, model: CornerModel) -> CornerModel:
-        """Raise cp(T) of the disc."""
+        """Raise cp(T) of the disc, and with it its share of the heat."""
         centre = self["centre_c"] + KELVIN_OFFSET
         width, peak = self["half_width_k"], self.strength * self["peak_j_kgk"]
+        net = model.network
+        old = net.node("disc").capacity_table
+        if old is None:
+            msg = "disc_capacity_hot: the disc has no cp(T)"
+            raise ValueError(msg)
 
-        def edited(node: Node) -> Node:
-            old = node.capacity_table
-            if old is None:
-                msg = "disc_capacity_hot: the disc has no cp(T)"
-                raise ValueError(msg)
+        def relative(t: float) -> float:
+            tent = max(1.0 - abs(t - centre) / width, 0.0)
+            return max(1.0 + peak * tent / old(t), LEAST_SHARE)
 
-            def cp_j_kgk(t: float) -> float:
-                tent = max(1.0 - abs(t - centre) / width, 0.0)
-                return max(old(t) + peak * tent, LEAST_SHARE * old(t))
-
-            # the old points stay points: below the peak not a bit of cp moves
-            dx = old.dx / ceil(old.dx / FINEST_K)
-            points = round((max(old.x1, HOTTEST_K) - old.x0) / dx) + 1
-            values = (cp_j_kgk(old.x0 + i * dx) for i in range(points))
-            table = Table(old.x0, dx, tuple(values))
-            return replace(node, capacity_table=table)
-
-        return model.with_network(model.network.edit_node("disc", edited))
+        # the old points stay points: below the peak not a bit of cp moves
+        dx = old.dx / ceil(old.dx / FINEST_K)
+        points = round((max(old.x1, HOTTEST_K) - old.x0) / dx) + 1
+        at = [old.x0 + i * dx for i in range(points)]
+        table = Table(old.x0, dx, tuple(old(t) * relative(t) for t in at))
+        net = net.edit_node("disc", lambda n: replace(n, capacity_table=table))
+        return model.with_network(
+            with_effusivity(net, relative, self.name, "disc")
+        )

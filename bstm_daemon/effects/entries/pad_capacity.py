@@ -6,8 +6,8 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, ClassVar
 
 from bstm_daemon.effects.effect import Effect
+from bstm_daemon.effects.linings import pad_nodes, with_effusivity
 from bstm_daemon.effects.model import CornerModel, Parameter
-from bstm_daemon.effects.pads import pad_nodes, with_effusivity
 from bstm_daemon.thermal.table import Table
 from bstm_daemon.units import KELVIN_OFFSET
 

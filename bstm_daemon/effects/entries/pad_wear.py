@@ -7,8 +7,8 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, ClassVar
 
 from bstm_daemon.effects.effect import Effect
+from bstm_daemon.effects.linings import pad_nodes
 from bstm_daemon.effects.model import CornerModel, Parameter
-from bstm_daemon.effects.pads import pad_nodes
 
 if TYPE_CHECKING:
     from bstm_daemon.thermal.network import Link, Node

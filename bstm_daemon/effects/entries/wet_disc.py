@@ -26,7 +26,7 @@ class WetDisc(Effect):
     signature = "Disc, wet road only, with speed, strongest above 100 degC."
     own_parameters: ClassVar = (
         Parameter(
-            "evaporation_w_k", "W/K", 0.1, 100.0, 8.0, "at 25 m/s, boiling"
+            "evaporation_w_k", "W/K", 0.1, 100.0, 5.0, "at 25 m/s, boiling"
         ),
         Parameter("cold_fraction", "1", 0.0, 1.0, 0.25, "below 80 degC"),
     )
