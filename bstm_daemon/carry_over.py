@@ -322,10 +322,7 @@ def _put(batch: Batch, member: int, values: list[float]) -> None:
 def _restore_wear(
     estimator: Estimator, saved: object, doses_j: Mapping[str, float]
 ) -> None:
-    """Take over the wear, and build the networks that it was at.
-
-    A state of before there was wear has none: it begins as configured.
-    """
+    """Take over the wear and its networks; a state without stays as it is."""
     if saved is None:
         return
     try:

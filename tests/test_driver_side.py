@@ -10,6 +10,7 @@ import pytest
 from cantools.database.can import Database
 
 from bstm_daemon.bus import output_layout
+from bstm_daemon.bus.output_layout import RiskLevel
 from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.engine import Engine
 from bstm_daemon.wear import car as wear_car
@@ -30,11 +31,27 @@ CONFIG, SIGNALS = load_vehicle(ROOT / "config" / "example_vehicle.toml")
 Sent = tuple[int, int, bytes]
 
 
-def engine(*, requests: bool = True, history_known: bool = True) -> Engine:
+def engine(
+    *,
+    requests: bool = True,
+    history_known: bool = True,
+    forecast: bool = True,
+) -> Engine:
     """Return the example car's with or without the second switch."""
     publish = CONFIG.publish.model_copy(update={"requests": requests})
     config = CONFIG.model_copy(update={"publish": publish})
-    return Engine(config, SIGNALS, history_known=history_known)
+    return Engine(
+        config, SIGNALS, history_known=history_known, forecast=forecast
+    )
+
+
+def hot_parked(car: Engine, fluid_k: float = 420.0) -> list[dict[str, Any]]:
+    """Return the advice of *car* with a hot fluid, at rest for 5 s."""
+    for batch, names in car.estimator.batches:
+        for member in range(len(names)):
+            fluid = batch.programs[member].state_names.index("fluid")
+            batch.state[member * batch.width + fluid] = fluid_k
+    return values(run(car, drive(0.0, 5.0, 0.0, 0.0)), "BSTM_Advice")
 
 
 def frame(name: str, stamp_us: int, **values: float) -> Sent:
@@ -94,7 +111,7 @@ def test_names_of_the_bus_are_those_of_the_models() -> None:
 
 
 def test_advice_needs_the_second_switch() -> None:
-    frames = list(drive(0.0, 3.0, 36.0, 10.0))
+    frames = list(drive(0.0, 3.1, 36.0, 10.0))
 
     assert not values(run(engine(requests=False), frames), "BSTM_Advice")
     assert len(values(run(engine(), frames), "BSTM_Advice")) == 3
@@ -114,13 +131,7 @@ def test_a_descent_asks_for_a_lower_gear() -> None:
 
 def test_a_hot_parked_car_asks_to_wait() -> None:
     """Level high by the margin; how long is not known without a forecast."""
-    car = engine()
-    for batch, names in car.estimator.batches:
-        for member in range(len(names)):
-            fluid = batch.programs[member].state_names.index("fluid")
-            batch.state[member * batch.width + fluid] = 420.0
-
-    found = values(run(car, drive(0.0, 5.0, 0.0, 0.0)), "BSTM_Advice")
+    found = hot_parked(engine(forecast=False))
 
     assert found[0]["Message"] == "wait_before_departure"
     assert found[0]["Sound"] == "chime"
@@ -130,8 +141,24 @@ def test_a_hot_parked_car_asks_to_wait() -> None:
     assert found[-1]["PedalFeel"] < 100.0
 
 
+def test_the_forecast_tells_how_long_to_wait() -> None:
+    car = engine()
+
+    found = hot_parked(car)
+
+    assert car.snapshot is not None
+    waits = [
+        corner.risk.safe_in_s - corner.risk.age_s
+        for corner in car.snapshot.corners.values()
+        if corner.risk is not None and corner.risk.level >= RiskLevel.HIGH
+    ]
+    assert found[-1]["Message"] == "wait_before_departure"
+    assert max(waits) > 60.0
+    assert found[-1]["WaitingTime"] == pytest.approx(max(waits), abs=2.0)
+
+
 def test_wear_is_published_every_ten_seconds() -> None:
-    published = run(engine(), drive(0.0, 40.0, 36.0, 10.0))
+    published = run(engine(), drive(0.0, 41.0, 36.0, 10.0))
     found = values(published, "BSTM_FL_Wear")
 
     assert len(found) == 4
@@ -145,17 +172,17 @@ def test_wear_is_published_every_ten_seconds() -> None:
 
 @pytest.mark.parametrize("cut_s", [2.0, 33.35, 50.0])
 def test_a_restart_goes_on_with_the_same_bytes(cut_s: float) -> None:
-    """Advice and wear in the state file, as it is written."""
+    """Advice and wear in the state file; a forecast begins anew."""
     frames = [*drive(0.0, 45.0, 36.0, 10.0), *drive(45.0, 60.0, 0.0, 5.0)]
     cut_us = START_US + round(cut_s * SECOND)
     before = [f for f in frames if f[0] <= cut_us]
-    whole = engine()
+    whole = engine(forecast=False)
     expected = run(whole, frames)
-    first = engine()
+    first = engine(forecast=False)
     run(first, before)
     text = json.dumps(first.export_state(), allow_nan=False)
 
-    second = engine(history_known=False)
+    second = engine(history_known=False, forecast=False)
     restored = second.resume(json.loads(text), 0, before[-1][0])
     found = run(second, frames[len(before) :])
 

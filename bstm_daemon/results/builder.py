@@ -251,13 +251,12 @@ class ResultsBuilder:
             self._estimator.groups, publications.outputs, strict=True
         ):
             for member, name in enumerate(group.corners):
-                part = self._modelled_columns(
+                parts[name] = self._modelled_columns(
                     name, group, outputs[:, member], interval_s
                 )
-                part["validity"] = validity[name].astype(np.float64)
-                parts[name] = part
         for name, table in zip(self._modelled, publications.wear, strict=True):
             parts[name] |= dict(zip(WEAR_COLUMNS, table.T, strict=True))
+            parts[name]["validity"] = validity[name].astype(np.float64)
         columns |= self._risk_columns(publications, parts)
         config = self._estimator.config
         for index, name in enumerate(corners):

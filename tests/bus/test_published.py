@@ -247,7 +247,10 @@ def test_choices_stay_numbers() -> None:
 def test_foreign_ids_are_none_of_ours() -> None:
     decoder = PublishedDecoder(0x100, ["RR"])
 
-    assert decoder.ids == (0x100, 0x102, 0x107, 0x10B, 0x113)
+    assert decoder.ids == (
+        *(0x100, 0x102, 0x103),
+        *(0x107, 0x10B, 0x10F, 0x113),
+    )
     assert decoder.decode(0x5B0, bytes(8)) is None
     assert decoder.decode(0x104, bytes(8)) is None
     assert decoder.decode(0x100, bytes(8), extended=True) is None

@@ -46,7 +46,8 @@ def hot(of: Program) -> list[float]:
     named = {"disc": 920.0, "pad_front": 760.0, "pad_back": 480.0}
     named |= {"backplate": 440.0, "fluid": 375.0}
     named |= {f"pad_{i}": 760.0 - 26.0 * i for i in range(1, 11)}
-    return [named.get(node.name, AIR_K) for node in nodes]
+    memories = list(of.initial_state(AIR_K))[len(nodes) :]
+    return [named.get(node.name, AIR_K) for node in nodes] + memories
 
 
 def rows(conditions: Conditions) -> array[float]:
