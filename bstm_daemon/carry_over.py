@@ -14,9 +14,9 @@ from dataclasses import dataclass
 from math import isfinite, nan
 from typing import TYPE_CHECKING, Any, Final
 
+from bstm_daemon.corner_model import compile_corner
 from bstm_daemon.estimator import (
     HIGHEST_K,
-    LONGEST_SETTLING_S,
     LOWEST_K,
     STEP_US,
     Estimator,
@@ -28,7 +28,9 @@ from bstm_daemon.heat.sample_plan import CHANNELS, PLAN_LAYOUT
 from bstm_daemon.heat.sample_state import SampleState
 from bstm_daemon.journal import Journal
 from bstm_daemon.roles import ROLE_INDEX, ROLES
+from bstm_daemon.thermal.settling import LONGEST_SETTLING_S
 from bstm_daemon.units import KELVIN_OFFSET
+from bstm_daemon.wear.dose import DOSE
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -89,6 +91,7 @@ def export_state(estimator: Estimator) -> Document:
         "corners": {
             name: estimator.state(name) for name in estimator.programs
         },
+        "wear": estimator.wear.export(),
         "samples": {
             "layout": _layout(estimator),
             "times": list(samples.times),
@@ -138,6 +141,8 @@ def restore_state(
         msg = "no node of it has the name of a node of this car"
         raise StateError(msg)
     samples = _samples(estimator, document) if resume else None
+    doses = {n: state[DOSE] for n, state in states.items() if DOSE in state}
+    _restore_wear(estimator, document.get("wear"), doses)
     for batch, member, name in _members(estimator):
         state = estimator.state(name) | states.get(name, {})
         _put(batch, member, list(state.values()))
@@ -251,6 +256,7 @@ def correct_parked(
     rows = journal.closed()
     air_k = _ambient_k(estimator)
     running = estimator.samples, estimator.open_flags
+    wear = estimator.wear
     restore_state(estimator, document, resume=False)
     _stand(estimator, parked_s, air_k)
     for batch, _ in estimator.batches:
@@ -260,6 +266,8 @@ def correct_parked(
         batch.ledger[:] = ledger
     since = sum(steps for steps, _ in rows)
     estimator.samples, estimator.open_flags = running
+    estimator.wear = wear
+    _rebuild(estimator)
     gone = round(parked_s * 1e6) // STEP_US + since
     left = estimator.history_left_steps - gone
     estimator.history_left_steps = max(left, 0)
@@ -309,6 +317,30 @@ def _members(estimator: Estimator) -> Iterator[tuple[Batch, int, str]]:
 def _put(batch: Batch, member: int, values: list[float]) -> None:
     first = member * batch.width
     batch.state[first : first + batch.width] = array("d", values)
+
+
+def _restore_wear(
+    estimator: Estimator, saved: object, doses_j: Mapping[str, float]
+) -> None:
+    """Take over the wear and its networks; a state without stays as it is."""
+    if saved is None:
+        return
+    try:
+        wear = estimator.wear.restored(_mapping(saved, "wear"), doses_j)
+    except (KeyError, TypeError, ValueError) as error:
+        msg = f"wear: {type(error).__name__} {error}"
+        raise StateError(msg) from error
+    estimator.wear = wear
+    _rebuild(estimator)
+
+
+def _rebuild(estimator: Estimator) -> None:
+    """Let every network be the one that the wear was followed to."""
+    for batch, member, name in _members(estimator):
+        corner = estimator.wear.built_corner(name)
+        program = compile_corner(estimator.config, corner)
+        batch.replace(member, program)
+        estimator.programs[name] = program
 
 
 def _completed(

@@ -14,6 +14,8 @@ from typing import Annotated, Any, Final, Literal, Self
 
 from pydantic import Discriminator, Field, Tag, model_validator
 
+from bstm_daemon.config_advice import AdviceConfig
+from bstm_daemon.config_fluid import FluidConfig, ForecastConfig
 from bstm_daemon.config_section import (
     Fraction,
     NotNegative,
@@ -29,6 +31,7 @@ from bstm_daemon.config_service import (
     RecordConfig,
     StateConfig,
 )
+from bstm_daemon.config_wear import WearConfig
 
 Emissivity = Annotated[float, Field(gt=0, le=1)]
 # upper bounds beyond any road vehicle: they find mm, cm2 and mm2 in an SI key
@@ -237,6 +240,7 @@ class DiscConfig(Section):
     heat_capacity_j_kgk: Curve | None = None
     conductivity_w_mk: Positive = 50.0
     density_kg_m3: Positive = 7200.0
+    worn_m: Annotated[float, Field(ge=0, le=0.01)] = 0.0
     effusivity_heat_capacity_j_kgk: Positive = 460.0
 
     @model_validator(mode="after")
@@ -264,6 +268,8 @@ class PadConfig(Section):
     model: str = "slabs"
     area_m2: PadArea
     thickness_m: PadThickness
+    new_thickness_m: PadThickness | None = None
+    measured: date | None = None
     slabs: Annotated[int, Field(ge=1, le=60)] = 10
     surface_cells: Literal["half", "full"] = "half"
     density_kg_m3: Positive = 2300.0
@@ -283,6 +289,16 @@ class PadConfig(Section):
                     f"{name!r} must stay between {low:g} and {high:g} {unit}, "
                     "no lining is beyond",
                 )
+        return self
+
+    @model_validator(mode="after")
+    def _new_is_thickest(self) -> Self:
+        new_m = self.new_thickness_m
+        require(
+            new_m is None or self.thickness_m <= new_m,
+            f"'thickness_m' = {self.thickness_m:g}, what is left, must be at "
+            f"most 'new_thickness_m' = {new_m or 0.0:g}",
+        )
         return self
 
 
@@ -429,14 +445,6 @@ class HeatConfig(Section):
         return self
 
 
-class FluidConfig(Section):
-    """``[fluid]``: the brake fluid's grade and age."""
-
-    grade: Literal["DOT3", "DOT4", "DOT5.1", "CLASS6"] = "DOT4"
-    changed: date | None = None
-    water_percent: Annotated[float, Field(ge=0, le=10)] | None = None
-
-
 class EffectConfig(Section):
     """``[[effect]]``: one effect of the catalogue, for one corner or all."""
 
@@ -467,8 +475,11 @@ class Config(Section):
     cooling: CoolingConfig = CoolingConfig()
     heat: HeatConfig = HeatConfig()
     fluid: FluidConfig = FluidConfig()
+    wear: WearConfig = WearConfig()
+    forecast: ForecastConfig = ForecastConfig()
     effect: list[EffectConfig] = []
     publish: PublishConfig = PublishConfig()
+    advice: AdviceConfig = AdviceConfig()
     e2e: list[E2eConfig] = []
     state: StateConfig = StateConfig()
     daemon: DaemonConfig = DaemonConfig()

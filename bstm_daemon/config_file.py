@@ -19,7 +19,6 @@ from bstm_daemon.config import (
     CoolingConfig,
     CornerConfig,
     EffectConfig,
-    FluidConfig,
     HeatConfig,
     PublishConfig,
     SignalConfig,
@@ -27,7 +26,9 @@ from bstm_daemon.config import (
     ThermalConfig,
     VehicleConfig,
 )
+from bstm_daemon.config_advice import AdviceConfig
 from bstm_daemon.config_errors import hint, problems_of_section, toml_text
+from bstm_daemon.config_fluid import FluidConfig, ForecastConfig
 from bstm_daemon.config_rules import Draft, problems_between
 from bstm_daemon.config_section import Section
 from bstm_daemon.config_service import (
@@ -37,6 +38,7 @@ from bstm_daemon.config_service import (
     RecordConfig,
     StateConfig,
 )
+from bstm_daemon.config_wear import WearConfig
 from bstm_daemon.errors import ConfigError, FileAccessError
 
 if TYPE_CHECKING:
@@ -52,7 +54,10 @@ _TABLES: Final[dict[str, type[Section]]] = {
     "cooling": CoolingConfig,
     "heat": HeatConfig,
     "fluid": FluidConfig,
+    "wear": WearConfig,
+    "forecast": ForecastConfig,
     "publish": PublishConfig,
+    "advice": AdviceConfig,
     "state": StateConfig,
     "daemon": DaemonConfig,
     "record": RecordConfig,

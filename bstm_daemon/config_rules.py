@@ -28,13 +28,14 @@ if TYPE_CHECKING:
         BusConfig,
         CornerConfig,
         EffectConfig,
-        FluidConfig,
         HeatConfig,
         PublishConfig,
         SignalConfig,
         TableConfig,
         VehicleConfig,
     )
+    from bstm_daemon.config_advice import AdviceConfig
+    from bstm_daemon.config_fluid import FluidConfig, ForecastConfig
     from bstm_daemon.config_service import (
         DaemonConfig,
         E2eConfig,
@@ -42,6 +43,7 @@ if TYPE_CHECKING:
         RecordConfig,
         StateConfig,
     )
+    from bstm_daemon.config_wear import WearConfig
 
 Table = dict[str, Any]
 
@@ -62,8 +64,11 @@ class Draft:
     cooling: CoolingConfig | None = None
     heat: HeatConfig | None = None
     fluid: FluidConfig | None = None
+    wear: WearConfig | None = None
+    forecast: ForecastConfig | None = None
     effect: list[EffectConfig] = field(default_factory=list)
     publish: PublishConfig | None = None
+    advice: AdviceConfig | None = None
     e2e: list[E2eConfig] = field(default_factory=list)
     state: StateConfig | None = None
     daemon: DaemonConfig | None = None

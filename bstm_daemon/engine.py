@@ -11,9 +11,15 @@ from array import array
 from math import nan
 from typing import TYPE_CHECKING, Final, NamedTuple
 
+from bstm_daemon.advice.advisor import Advisor
+from bstm_daemon.advice.conditions import HeldRoles
 from bstm_daemon.bus.decoder import Decoder
 from bstm_daemon.bus.e2e_guard import E2eGuard
-from bstm_daemon.bus.output_layout import HeatMode, State, Validity
+from bstm_daemon.bus.output_layout import (
+    HeatMode,
+    State,
+    Validity,
+)
 from bstm_daemon.bus.publication import (
     CornerSnapshot,
     OutputFrame,
@@ -28,7 +34,11 @@ from bstm_daemon.carry_over import (
     park,
     resume_state,
 )
+from bstm_daemon.driver_side import conditions_of, wear_of
 from bstm_daemon.estimator import STEP_US, Estimator
+from bstm_daemon.forecast.monitor import RiskMonitor
+from bstm_daemon.forecast.resuming import resume_risk
+from bstm_daemon.forecast.snapshots import car_snapshot, corner_snapshot
 from bstm_daemon.heat.plausibility import SUBSTITUTED, SUSPECT
 from bstm_daemon.heat.sample_pass import TICK
 from bstm_daemon.heat.sample_plan import FLAGS, VEHICLE_CHANNELS
@@ -43,6 +53,7 @@ if TYPE_CHECKING:
     from bstm_daemon.carry_over import Restored
     from bstm_daemon.config import Config
     from bstm_daemon.estimator import Block
+    from bstm_daemon.forecast.records import CarRisk
 
 _STRAY_US: Final = 1_000_000
 """A rejected frame stamped further ahead than this is counted at once."""
@@ -86,6 +97,7 @@ class Engine:
         signal_map: SignalMap,
         *,
         history_known: bool = False,
+        forecast: bool = True,
     ) -> None:
         """Build the engine of *config*.
 
@@ -94,6 +106,8 @@ class Engine:
             signal_map: its extraction plan.
             history_known: whether the brakes are known to be at ambient
                 temperature before the first frame.
+            forecast: whether to tell risk and forecast; without them the
+                level is that of the margin.
 
         Raises:
             ConfigError: the model can not be built as configured.
@@ -107,10 +121,16 @@ class Engine:
             {role: timeouts[role] for role in roles},
             history_known=history_known,
         )
+        self.risk = RiskMonitor(config, self.estimator) if forecast else None
         self.publication = Publication(
             [corner.name for corner in config.corner],
             config.publish.id_base,
             modelled=[corner.name for corner in config.disc_corners()],
+            requests=config.publish.requests,
+        )
+        self._advisor = Advisor(config)
+        self._held = HeldRoles(
+            {role: timeouts[role] for role in roles}, ROLE_INDEX
         )
         self.config = config
         self._boiling_k = wet_boiling_point_k(config.fluid.grade)
@@ -119,6 +139,8 @@ class Engine:
         """What was published last."""
         self.blocks: list[Block] = []
         """The estimates of the last tick, for whoever tabulates them."""
+        self.risks: list[list[CarRisk]] | None = None
+        """The risk at each publication of these, if it is told."""
         self._times = array("q")
         self._roles = array("i")
         self._values = array("d")
@@ -155,6 +177,7 @@ class Engine:
                 return
         before = decoder.rejected
         times, roles, values = self._times, self._roles, self._values
+        held = self._held.numbers
         for role, value in decoder.decode(
             bus,
             can_id,
@@ -166,6 +189,8 @@ class Engine:
             times.append(stamp_us)
             roles.append(role)
             values.append(value)
+            if role in held:
+                self._held.note(stamp_us, role, value)
         if decoder.rejected != before:
             self._rejected_at.append(stamp_us)
 
@@ -177,33 +202,43 @@ class Engine:
         """
         published: list[Published] = []
         blocks: list[Block] = []
+        risks: list[list[CarRisk]] = []
         for part in self.parts_of_tick(time_us):
             published += part
             blocks += self.blocks
+            risks += self.risks or []
         self.blocks = blocks
+        self.risks = None if self.risk is None else risks
         return published
 
     def parts_of_tick(self, time_us: int) -> Iterator[list[Published]]:
-        """Tick as :meth:`tick`, a few minutes of the drive at a time.
+        """Tick as :meth:`tick`, a minute of the drive at a time.
 
         What became due over a gap of hours is hundreds of megabytes.
 
         Yields:
-            What became due, in parts; ``blocks`` are those of the part. All
-            must be taken before the next frame.
+            What became due, in parts; ``blocks`` and ``risks`` are those of
+            the part. All must be taken before the next frame.
         """
         self._pass_grid_line(time_us)
         samples = self._times, self._roles, self._values
         self._times = array("q")
         self._roles = array("i")
         self._values = array("d")
-        self.blocks = []
+        self.blocks, self.risks = [], None
+        if self.risk is not None:
+            self.risks = []
+            self.risk.hear(*samples)
         for block in self.estimator.stretches(*samples):
             self.blocks = [block]
+            if self.risk is not None:
+                self.risks = [self.risk.add(block)]
             yield [
                 Published(block.times_us[i], frame)
                 for i in range(len(block.times_us))
-                for frame in self.publication.encode(self._snapshot(block, i))
+                for frame in self.publication.encode(
+                    self._snapshot(block, i, 0)
+                )
             ]
         # what is stamped far ahead has no publication of its own
         self._count_rejected(time_us, time_us + _STRAY_US)
@@ -226,7 +261,12 @@ class Engine:
         """Return the memory as plain values, for the state file."""
         return {
             "counters": self.publication.counters,
+            "advice": {
+                "machines": self._advisor.export(),
+                "roles": self._held.export(),
+            },
             **export_state(self.estimator),
+            **({} if self.risk is None else {"risk": self.risk.export()}),
         }
 
     def resume(
@@ -251,7 +291,21 @@ class Engine:
             raise StateError(msg)
         restored = resume_state(self.estimator, document, parked_us, now_us)
         self.publication.continue_from(counters)
+        if restored.resumed and "advice" in document:
+            self._resume_advice(document["advice"])
+        if self.risk is not None:
+            resume_risk(self.risk, self.estimator, document, parked_us, now_us)
         return restored
+
+    def _resume_advice(self, saved: Any) -> None:
+        """Go on with the advice of a moment ago; else it begins parked."""
+        advisor = Advisor(self.config)
+        try:
+            advisor.restore(saved["machines"])
+            self._held.restore(saved["roles"])
+        except (KeyError, TypeError, ValueError, AttributeError):
+            return
+        self._advisor = advisor
 
     def correct_parked(
         self, document: Mapping[str, Any], parked_us: int
@@ -300,19 +354,39 @@ class Engine:
         self._rejected += len(self._rejected_at) - len(later)
         self._rejected_at = later
 
-    def _snapshot(self, block: Block, i: int) -> Snapshot:
-        self._count_rejected(block.times_us[i], FOREVER_US)
+    def _snapshot(self, block: Block, i: int, number: int) -> Snapshot:
+        time_us = block.times_us[i]
+        self._count_rejected(time_us, FOREVER_US)
+        risk = None if self.risks is None else self.risks[number][i]
         corners = {
-            name: self._corner(block, i, name, place)
+            name: self._corner(block, i, name, place, risk)
             for name, place in self._places.items()
         }
+        status = self._status(block, i)
+        now = conditions_of(
+            block,
+            i,
+            corners,
+            self.estimator.plan.corners,
+            self._held.at(block.times_us[i]),
+            history_known=status.history_known,
+        )
         self.snapshot = Snapshot(
-            block.times_us[i], corners, self._status(block, i)
+            time_us,
+            corners,
+            status,
+            self._advisor.update(now),
+            None if risk is None else car_snapshot(risk),
         )
         return self.snapshot
 
     def _corner(
-        self, block: Block, i: int, name: str, place: tuple[int, int]
+        self,
+        block: Block,
+        i: int,
+        name: str,
+        place: tuple[int, int],
+        risk: CarRisk | None,
     ) -> CornerSnapshot:
         number, member = place
         group = self.estimator.groups[number]
@@ -334,6 +408,10 @@ class Engine:
             margin_k=self._boiling_k - fluid_k,
             wet_boiling_k=self._boiling_k,
             validity=Validity(block.validity[name][i]),
+            wear=wear_of(self.estimator.wear, name, block, i, state),
+            risk=None
+            if risk is None
+            else corner_snapshot(risk, name, block.times_us[i]),
         )
 
     def _status(self, block: Block, i: int) -> StatusSnapshot:

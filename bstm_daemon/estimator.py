@@ -14,14 +14,13 @@ from itertools import groupby
 from math import isfinite, isnan, nan
 from typing import TYPE_CHECKING, Any, Final
 
-from bstm_daemon.effects.catalogue import (
-    apply_effects,
-    edited_inputs,
-    effects_of,
+from bstm_daemon.corner_model import (
+    compile_corner,
+    compiled_model,
+    corner_model,
 )
+from bstm_daemon.effects.catalogue import edited_inputs
 from bstm_daemon.effects.corrections import corrected, corrections_by_role
-from bstm_daemon.effects.model import CornerModel
-from bstm_daemon.errors import ConfigError
 from bstm_daemon.heat.sample_pass import SETTLE
 from bstm_daemon.heat.sample_plan import (
     CHANNELS,
@@ -32,9 +31,8 @@ from bstm_daemon.heat.sample_state import SampleState
 from bstm_daemon.native import load_kernel
 from bstm_daemon.roles import MEASURED_NODES, ROLE_INDEX
 from bstm_daemon.stretch import Stretch
-from bstm_daemon.thermal.brake_corner import build_corner, corner_spec
 from bstm_daemon.thermal.kernel import Batch
-from bstm_daemon.thermal.program import Program, compile_network
+from bstm_daemon.thermal.settling import settling_time_s
 from bstm_daemon.units import KELVIN_OFFSET
 from bstm_daemon.validity import (
     DEGRADED,
@@ -43,6 +41,9 @@ from bstm_daemon.validity import (
     Needs,
     needs_of_corners,
 )
+from bstm_daemon.wear.car import REFIT_US, CarWear
+from bstm_daemon.wear.dose import DOSE
+from bstm_daemon.wear.follow import Totals, exchange, keep_totals
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -50,10 +51,12 @@ if TYPE_CHECKING:
 
     import numpy.typing as npt
 
-    from bstm_daemon.config import Config, CornerConfig
+    from bstm_daemon.config import Config
     from bstm_daemon.heat.friction_law import FrictionLaw
     from bstm_daemon.journal import Journal
     from bstm_daemon.stretch import Outputs
+    from bstm_daemon.thermal.program import Program
+    from bstm_daemon.wear.car import Laws
 
     Ints: TypeAlias = Sequence[int] | npt.NDArray[Any]
     Floats: TypeAlias = Sequence[float] | npt.NDArray[Any]
@@ -66,16 +69,6 @@ PUBLISH_US: Final = 100_000
 
 ROWS: Final = 4096
 """Steps marched at a time; bounds memory, changes no number."""
-
-HOT_START_K: Final = 150.0
-SETTLED_K: Final = 5.0
-"""An unknown start no longer shows once a parked brake that began
-``HOT_START_K`` above the air would be within ``SETTLED_K`` of it."""
-
-SETTLING_STEP_S: Final = 60.0
-LONGEST_SETTLING_S: Final = 24 * 3600.0
-"""The settling is marched in coarse steps (the scheme damps any step) and
-not beyond a day."""
 
 LOWEST_K: Final = 200.0
 HIGHEST_K: Final = 1800.0
@@ -113,6 +106,8 @@ class Block:
     validity: dict[str, array[int]]
     known_from: int
     """The first publication at which the start no longer matters."""
+    wear: dict[str, Laws]
+    """Per corner of a thermal model: from which publication which law."""
 
 
 class Estimator:
@@ -173,8 +168,13 @@ class Estimator:
         self.history_left_steps = round(self.settling_s * 1e6) // STEP_US
         self._needs = needs_of_corners(config, present)
         self._stretch = Stretch(
-            self.plan, self._kernel, ROWS, PUBLISH_US, coupled=bool(laws)
+            self.plan,
+            self._kernel,
+            ROWS,
+            (PUBLISH_US, REFIT_US),
+            coupled=bool(laws),
         )
+        self.wear = CarWear(config, present)
         self.open_flags = 0
         self.journal: Journal | None = None
         """Takes the rows of every step, where it is asked for."""
@@ -262,6 +262,7 @@ class Estimator:
         index, count = 0, len(times_us)
         if self._corrections:
             values = corrected(self._corrections, roles, values)
+        self.wear.note(times_us, roles, values)
         if self._kernel is None:
             times_us, roles = _plain(times_us), _plain(roles)
             values = _plain(values)
@@ -273,6 +274,9 @@ class Estimator:
                 block = self._block(steps, outputs)
                 if len(block.times_us):
                     yield block
+                # after it was taken: within a block the networks are one
+                if self._stretch.times[steps - 1] % REFIT_US == 0:
+                    self._fit_to_wear(steps - 1)
             if code == SETTLE:
                 self._settle()
 
@@ -313,7 +317,10 @@ class Estimator:
             vehicle.extend(stretch.vehicle[step * wide : (step + 1) * wide])
         flags = self._published_flags(steps, phase, every)
         known_from = self._known_from(phase, every)
-        block = Block(times, rows, vehicle, outputs, flags, {}, known_from)
+        laws = self.wear.laws(times, Totals(self.groups, outputs))
+        block = Block(
+            times, rows, vehicle, outputs, flags, {}, known_from, laws
+        )
         self.history_left_steps -= steps
         for group, output in zip(self.groups, outputs, strict=True):
             _judge(group, output, self._needs, known_from, block)
@@ -336,10 +343,32 @@ class Estimator:
                     continue
                 air_k = self.config.vehicle.ambient_c + KELVIN_OFFSET
                 fresh = batch.programs[member].initial_state(air_k)
+                keep_totals(
+                    fresh,
+                    batch.programs[member].state_names,
+                    batch.state[first : first + batch.width],
+                )
                 batch.state[first : first + batch.width] = fresh
                 settling_s = self.settling_s or self._settling_time_s()
                 self.history_left_steps = round(settling_s * 1e6) // STEP_US
                 self.resets += 1
+
+    def _fit_to_wear(self, row: int) -> None:
+        """Let the networks follow linings and discs that became thinner.
+
+        *row* is the last step; new linings are as warm as its air.
+        """
+        first = row * len(self.plan.corners) * len(CHANNELS)
+        air_k = self._stretch.rows[first + CHANNELS.index("ambient_k")]
+        for batch, names in self.batches:
+            for member, name in enumerate(names):
+                refit = self.wear.refit(name, self.state(name)[DOSE])
+                if refit is not None:
+                    program = compile_corner(self.config, refit.corner)
+                    self.programs[name] = program
+                    self.wear.worn_heat_j[name] += exchange(
+                        batch, member, program, refit.change, air_k
+                    )
 
     def _published_flags(
         self, steps: int, phase: int, every: int
@@ -368,19 +397,9 @@ class Estimator:
         for node in MEASURED_NODES:
             channels[f"measured_{node}_k"] = nan
         row = array("d", channels.values())
-        longest = 0.0
-        for program in self.programs.values():
-            hot = air_k + HOT_START_K
-            batch = Batch([program], hot, [0], self._kernel, 1)
-            nodes = len(program.network.nodes)
-            elapsed = 0.0
-            while elapsed < LONGEST_SETTLING_S:
-                batch.march(row, 1, SETTLING_STEP_S)
-                elapsed += SETTLING_STEP_S
-                if max(batch.state[:nodes]) < air_k + SETTLED_K:
-                    break
-            longest = max(longest, elapsed)
-        return longest
+        return settling_time_s(
+            self.programs.values(), row, air_k, self._kernel
+        )
 
     def _settle(self) -> None:
         ambient = self.samples.last_value(ROLE_INDEX["ambient_temperature"])
@@ -441,46 +460,3 @@ def _judge_measured(corners: Sequence[str], block: Block) -> None:
 def _plain(column: Any) -> Any:
     """Numbers of their own: reading an array one by one makes each anew."""
     return column.tolist() if hasattr(column, "tolist") else column
-
-
-def compile_corner(config: Config, corner: CornerConfig) -> Program:
-    """Network of *corner* with its effects, compiled.
-
-    Raises:
-        ConfigError: a part, share or effect that does not exist or fit.
-    """
-    return compiled_model(corner_model(config, corner))
-
-
-def compiled_model(model: CornerModel) -> Program:
-    """Network of *model*, compiled.
-
-    Raises:
-        ConfigError: the effects do not fit together.
-    """
-    try:
-        return compile_network(model.network)
-    except (KeyError, ValueError) as error:
-        msg = f"[[corner]] {model.spec.name} with its effects: {error}"
-        raise ConfigError([msg]) from error
-
-
-def corner_model(config: Config, corner: CornerConfig) -> CornerModel:
-    """Network and friction law of *corner* with its effects.
-
-    Raises:
-        ConfigError: a part, share or effect that does not exist or fit.
-    """
-    spec = corner_spec(config, corner)
-    mode = config.heat.mode
-    try:
-        model = CornerModel(
-            spec,
-            build_corner(spec, CHANNELS, force_measured=mode == "measured"),
-            mode not in {"fb", "fused"},
-            config.vehicle.wheel_radius_m,
-        )
-        return apply_effects(model, effects_of(config))
-    except (KeyError, ValueError) as error:
-        msg = f"[[corner]] {corner.name} with its effects: {error}"
-        raise ConfigError([msg]) from error

@@ -37,6 +37,8 @@ def replayed(
     path: Path,
     overrides: Mapping[str, str] | None = None,
     state: Mapping[str, Any] | None = None,
+    *,
+    forecast: bool = True,
 ) -> Iterator[list[Published]]:
     """Run the engine over the log *path*, tick by tick.
 
@@ -46,6 +48,7 @@ def replayed(
         path: a log of CAN frames.
         overrides: log interface name to bus name.
         state: a state file's document; without it the history is unknown.
+        forecast: whether to tell risk and forecast.
 
     Yields:
         What became due; a gap of hours comes in parts.
@@ -55,7 +58,7 @@ def replayed(
         FileAccessError: it can not be read.
         UsageError: *state* is no state of this car.
     """
-    engine = Engine(config, signal_map)
+    engine = Engine(config, signal_map, forecast=forecast)
     frames = _frames(path, signal_map, overrides or {})
     first = next(frames, None)
     if first is None:
@@ -76,13 +79,15 @@ def replayed(
     yield from engine.parts_of_tick(last_us)
 
 
-def publish_log(
+def publish_log(  # noqa: PLR0913  (what the replay has too)
     config: Config,
     signal_map: SignalMap,
     path: Path,
     out: Path,
     overrides: Mapping[str, str] | None = None,
     state: Mapping[str, Any] | None = None,
+    *,
+    forecast: bool = True,
 ) -> int:
     """Write the frames that the engine publishes over *path* as candump.
 
@@ -96,7 +101,9 @@ def publish_log(
     channel = publish_channel(config)
     written = 0
     with replacing(out) as temporary, temporary.open("w") as file:
-        ticks = replayed(config, signal_map, path, overrides, state)
+        ticks = replayed(
+            config, signal_map, path, overrides, state, forecast=forecast
+        )
         for published in ticks:
             file.writelines(_line(channel, frame) for frame in published)
             written += len(published)

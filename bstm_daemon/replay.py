@@ -20,6 +20,8 @@ from bstm_daemon.carry_over import (
 )
 from bstm_daemon.errors import LogError, UsageError
 from bstm_daemon.estimator import PUBLISH_US, STEP_US, Estimator
+from bstm_daemon.forecast.monitor import RiskMonitor
+from bstm_daemon.forecast.resuming import resume_risk
 from bstm_daemon.results import Collector, Results, ResultsBuilder, Sink
 
 if TYPE_CHECKING:
@@ -63,6 +65,8 @@ def replay_log(
     path: Path,
     overrides: Mapping[str, str] | None = None,
     every_us: int = PUBLISH_US,
+    *,
+    forecast: bool = True,
 ) -> Replay:
     """Return the run over the log *path* with all its rows in memory.
 
@@ -77,6 +81,7 @@ def replay_log(
         [rows],
         overrides=overrides,
         every_us=every_us,
+        forecast=forecast,
     )
     return Replay(**vars(run), results=rows.results())
 
@@ -91,6 +96,7 @@ def stream_log(  # noqa: PLR0913
     every_us: int = PUBLISH_US,
     progress: Callable[[int, float | None], None] | None = None,
     state: Mapping[str, Any] | None = None,
+    forecast: bool = True,
 ) -> Run:
     """Run the estimator over the log *path*, rows going to *sinks*.
 
@@ -104,6 +110,7 @@ def stream_log(  # noqa: PLR0913
         progress: called with the number of lines read so far and the share
             of the file, None where it is not known.
         state: a state file's document; without it the history is unknown.
+        forecast: whether there are columns of risk and forecast.
 
     Raises:
         LogError: the log is unusable, holds none of the wanted ids, or is
@@ -113,6 +120,7 @@ def stream_log(  # noqa: PLR0913
     """
     log = EventLog(path, signal_map, overrides)
     estimator = Estimator(config, present_roles(signal_map))
+    monitor = RiskMonitor(config, estimator) if forecast else None
     builder = ResultsBuilder(estimator, sinks, every_us)
     settling_s = None if state is not None else estimator.settling_s
     for events in log.events():
@@ -121,10 +129,16 @@ def stream_log(  # noqa: PLR0913
             parked_us = parked_before_us(state, first_us)
             with naming_state():
                 resume_state(estimator, state, parked_us, first_us)
+                if monitor is not None:
+                    resume_risk(monitor, estimator, state, parked_us, first_us)
             settling_s = estimator.history_left_steps * STEP_US * 1e-6
-        builder.add(
-            estimator.stretches(events.time_us, events.role, events.value)
-        )
+        samples = events.time_us, events.role, events.value
+        if monitor is not None:
+            monitor.hear(*samples)
+        for block in estimator.stretches(*samples):
+            builder.add(
+                [block], None if monitor is None else [monitor.add(block)]
+            )
         if progress is not None:
             progress(log.reader.lines, log.share)
     builder.finish()

@@ -40,7 +40,7 @@ class Stretch:
         plan: SamplePlan,
         kernel: Kernel | None,
         room: int,
-        publish_us: int,
+        lines_us: tuple[int, int],
         *,
         coupled: bool,
     ) -> None:
@@ -50,12 +50,16 @@ class Stretch:
             plan: of the pass.
             kernel: the compiled one; None runs the reference.
             room: rows, at least the steps of :data:`COUPLING_US`.
-            publish_us: outputs of the march are wanted on whole multiples.
+            lines_us: outputs of the march are wanted on whole multiples of
+                the first; a call of :meth:`fill` ends on those of the second,
+                where the networks may be exchanged; that is a whole multiple
+                of :data:`COUPLING_US`.
             coupled: whether a friction law needs the temperatures.
         """
         self.plan, self.coupled = plan, coupled
         self._kernel = kernel
         self._room = room
+        publish_us, self._line_us = lines_us
         self._every = publish_us // plan.step_us
         self._width = len(plan.corners) * len(CHANNELS)
         self.rows = array("d", bytes(8 * room * self._width))
@@ -87,26 +91,33 @@ class Stretch:
             index: the first sample.
 
         Returns:
-            (next sample, rows, code of the pass, outputs of each batch).
+            (next sample, rows, code of the pass, outputs of each batch); the
+            rows are contiguous and end on a line of the exchange at the
+            latest.
         """
         samples = times_us, roles, values
-        if not self.coupled:
-            index, steps, code = self._pass(
-                state, samples, index, 0, self._room
-            )
-            return index, steps, code, self._march(batches, 0, steps)
-        self.heat_interfaces(state, batches, anew=False)
+        if self.coupled:
+            self.heat_interfaces(state, batches, anew=False)
+        each_us = COUPLING_US if self.coupled else self._line_us
         outputs = tuple(array("d") for _ in batches)
         done, code = 0, FULL
         while code == FULL and done < self._room:
-            room = min(self._until_coupling(state), self._room - done)
+            room = min(self._until(each_us, state), self._room - done)
             index, steps, code = self._pass(state, samples, index, done, room)
             marched = self._march(batches, done, steps)
-            for output, more in zip(outputs, marched, strict=True):
-                output.extend(more)
+            if done:
+                for output, more in zip(outputs, marched, strict=True):
+                    output.extend(more)
+            else:
+                outputs = marched
             done += steps
-            if steps and self.times[done - 1] % COUPLING_US == 0:
+            if not steps:
+                break
+            last_us = self.times[done - 1]
+            if self.coupled and last_us % COUPLING_US == 0:
                 self.heat_interfaces(state, batches)
+            if last_us % self._line_us == 0:
+                break
         return index, done, code, outputs
 
     def heat_interfaces(
@@ -134,12 +145,12 @@ class Stretch:
                 )
                 state.heat_interface(corner, len(order), between_k)
 
-    def _until_coupling(self, state: SampleState) -> int:
-        """Rows until the temperatures are told again."""
+    def _until(self, line_us: int, state: SampleState) -> int:
+        """Rows up to the next whole multiple of *line_us*, that one too."""
         now, ends_us = state.times[:2]
         if now == NEVER:
             return 1
-        return -ends_us % COUPLING_US // self.plan.step_us + 1
+        return -ends_us % line_us // self.plan.step_us + 1
 
     def _pass(
         self,

@@ -23,6 +23,7 @@ from bstm_daemon.config import EffectConfig
 from bstm_daemon.estimator import HIGHEST_K, LOWEST_K, Estimator
 from bstm_daemon.heat.sample_pass import TICK
 from bstm_daemon.roles import ROLE_INDEX
+from bstm_daemon.wear.dose import DOSE
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -74,6 +75,13 @@ def hot_car(config: Config) -> Estimator:
     at_rest = [(61 * SECOND, SPEED, 0.0), (61 * SECOND, PRESSURE, 0.0)]
     feed(estimator, at_rest)
     return estimator
+
+
+def nodes_k(estimator: Estimator) -> dict[str, float]:
+    """Return the temperatures of FL [K]."""
+    state = estimator.state("FL")
+    nodes = estimator.programs["FL"].network.nodes
+    return {node.name: state[node.name] for node in nodes}
 
 
 def copy_of(estimator: Estimator, document: dict[str, Any]) -> Estimator:
@@ -137,7 +145,7 @@ def test_parking_runs_down_to_the_air_and_no_further(config: Config) -> None:
 
     park(estimator, 10 * 24 * 3600.0, ambient_k=263.15)
 
-    for kelvin in estimator.state("FL").values():
+    for kelvin in nodes_k(estimator).values():
         assert kelvin == pytest.approx(263.15, abs=0.02)
 
 
@@ -229,8 +237,11 @@ def test_a_clock_set_late_corrects_a_car_that_braked(config: Config) -> None:
 
     correct_parked(wrong, document, 3600.0)
 
-    for node, kelvin in right.state("FL").items():
+    for node, kelvin in nodes_k(right).items():
         assert wrong.state("FL")[node] == pytest.approx(kelvin, abs=1.0)
+    assert wrong.state("FL")[DOSE] == pytest.approx(
+        right.state("FL")[DOSE], rel=1e-4
+    )
 
 
 def test_impossible_temperatures_begin_anew(config: Config) -> None:
@@ -243,8 +254,10 @@ def test_impossible_temperatures_begin_anew(config: Config) -> None:
 
     assert fresh.resets == 1
     assert not fresh.history_known
-    nodes = fresh.state("FL").values()
+    nodes = nodes_k(fresh).values()
     assert all(LOWEST_K < kelvin < HIGHEST_K for kelvin in nodes)
+    # a lining is not new because its temperature is unknown
+    assert fresh.state("FL")[DOSE] > document["corners"]["FL"][DOSE] > 0.0
 
 
 @pytest.mark.parametrize(
@@ -307,5 +320,5 @@ def test_no_document_does_worse_than_be_refused(
         document = {"corners": document}
     with suppress(StateError):
         restore_state(estimator, document, resume=True)
-    for kelvin in estimator.state("FL").values():
+    for kelvin in nodes_k(estimator).values():
         assert LOWEST_K < kelvin < HIGHEST_K

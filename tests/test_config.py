@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from pydantic import BaseModel, ValidationError
 
-from bstm_daemon import config
+from bstm_daemon import config, config_fluid
 from bstm_daemon.bus.output_layout import BLOCK_IDS
 from bstm_daemon.config_errors import allowed
 from bstm_daemon.simulation.drives import DriveHead, Segment
@@ -27,10 +27,13 @@ SECTIONS: dict[str, type[config.Section]] = {
     "`[thermal]`": config.ThermalConfig,
     "`[cooling]`": config.CoolingConfig,
     "`[heat]`": config.HeatConfig,
-    "`[fluid]`": config.FluidConfig,
+    "`[fluid]`": config_fluid.FluidConfig,
+    "`[forecast]`": config_fluid.ForecastConfig,
     "`[[effect]]`": config.EffectConfig,
     "`[publish]`": config.PublishConfig,
     "`[[e2e]]`": config.E2eConfig,
+    "`[wear]`": config.WearConfig,
+    "`[advice]`": config.AdviceConfig,
     "`[state]`": config.StateConfig,
     "`[daemon]`": config.DaemonConfig,
     "`[record]`": config.RecordConfig,

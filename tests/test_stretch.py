@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from bstm_daemon.estimator import PUBLISH_US, ROWS, STEP_US, compile_corner
+from bstm_daemon.corner_model import compile_corner
+from bstm_daemon.estimator import PUBLISH_US, ROWS, STEP_US
 from bstm_daemon.heat.friction_law import FrictionLaw
 from bstm_daemon.heat.sample_pass import DONE
 from bstm_daemon.heat.sample_plan import CHANNELS, plan_samples
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
 FADE = FrictionLaw.of(
     temperature_k=lambda t: 1.0 - 0.3 / (1.0 + exp((500.0 - t) / 45.0))
 )
+LINE_US = 3_000_000
 ROLES = ("vehicle_speed", "primary_pressure")
 
 
@@ -46,7 +48,7 @@ class Brakes:
         self.batches = [(batch, names)]
         self.state = SampleState.new(plan)
         self.stretch = Stretch(
-            plan, kernel, room, PUBLISH_US, coupled=bool(laws)
+            plan, kernel, room, (PUBLISH_US, LINE_US), coupled=bool(laws)
         )
         self.rows, self.outputs = array("d"), array("d")
         self.width = len(names) * len(CHANNELS)

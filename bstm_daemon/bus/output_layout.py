@@ -23,22 +23,33 @@ from bstm_daemon.errors import ConfigError
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
-LAYOUT_VERSION: Final = 1
+LAYOUT_VERSION: Final = 2
 """Raised whenever a signal of an existing frame moves or changes meaning."""
 
 FRAME_BYTES: Final = 8
 CORNERS: Final = ("FL", "FR", "RL", "RR")
 
 STATUS_OFFSET: Final = 0x00
+ADVICE_OFFSET: Final = 0x02
+CAR_RISK_OFFSET: Final = 0x03
 TEMPERATURES_OFFSET: Final = 0x04
 RISK_OFFSET: Final = 0x08
+FORECAST_OFFSET: Final = 0x0C
+WEAR_OFFSET: Final = 0x10
 BLOCK_IDS: Final = 0x14
 """Ids from the base on that belong to us, those in reserve included."""
 
 MAX_STANDARD_ID: Final = 0x7FF
 
+CAR_RISK_PHASE_US: Final = 900_000
+ADVICE_PHASE_US: Final = 0
+WEAR_PHASE_US: Final = 0
+"""Ticks within the second, beside those of the corners' 1 Hz frames. Advice,
+where it is sent at all, shares one with a frame of wear in four of ten."""
+
 TEN_HERTZ_US: Final = 100_000
 ONE_HERTZ_US: Final = 1_000_000
+TENTH_HERTZ_US: Final = 10_000_000
 
 # DataIDList[counter] = key xor the masks of the bits set in the counter. The
 # list is linear, so a flipped counter bit changes the CRC in a known way;
@@ -78,13 +89,84 @@ class HeatMode(IntEnum):
 
 
 class RiskLevel(IntEnum):
-    """How close the fluid is to its wet boiling point."""
+    """How close the fluid is to boiling, or a part to its limit."""
 
     NORMAL = 0
     ELEVATED = 1
     HIGH = 2
     CRITICAL = 3
     UNKNOWN = 15
+
+
+class WearSource(IntEnum):
+    """What the lining thickness rests on."""
+
+    CONFIGURED = 0
+    NEW_PADS = 1
+    FIRST_INDICATOR = 2
+    SECOND_INDICATOR = 3
+    NOT_AVAILABLE = 15
+
+
+class WearLevel(IntEnum):
+    """What the lining thickness asks for."""
+
+    OK = 0
+    CHECK = 1
+    WORN = 2
+    NOT_AVAILABLE = 15
+
+
+class Message(IntEnum):
+    """Text for the driver's display (P1)."""
+
+    NONE = 0
+    WAIT_BEFORE_DEPARTURE = 1
+    BRAKES_HOT = 2
+    NOT_AVAILABLE = 15
+
+
+class Sound(IntEnum):
+    """Sound for the driver (P2)."""
+
+    NONE = 0
+    CHIME = 1
+    NOT_AVAILABLE = 3
+
+
+class Downshift(IntEnum):
+    """Engine braking, asked of the driver (P3) or the gearbox (A4)."""
+
+    NONE = 0
+    SHIFT_DOWN = 1
+    NOT_AVAILABLE = 3
+
+
+class Isolation(IntEnum):
+    """Front wheels off the hydraulics while driving (A5)."""
+
+    NONE = 0
+    REQUESTED = 1
+    NOT_AVAILABLE = 3
+
+
+class Assist(IntEnum):
+    """State of the emergency assist (A6)."""
+
+    OFF = 0
+    STANDBY = 1
+    DETECTED = 2
+    NOT_AVAILABLE = 7
+
+
+class Intervention(IntEnum):
+    """What the emergency assist asks for (A6)."""
+
+    NONE = 0
+    MAXIMUM_PRESSURE = 1
+    PARK_BRAKE = 2
+    ISOLATE_FRONT = 3
+    NOT_AVAILABLE = 7
 
 
 @dataclass(frozen=True, slots=True)
@@ -207,6 +289,51 @@ RISK_SIGNALS: Final = (
     _fluid_temperature("WetBoilingPoint", 28),
     _quantity("Probability", 40, 16, scale=0.002, maximum=100.0, unit="%"),
     Signal("Level", 56, 4, _names(RiskLevel)),
+    Signal("FadeLevel", 60, 4, _names(RiskLevel)),
+)
+
+FORECAST_SIGNALS: Final = (
+    *_HEADER,
+    _fluid_temperature("Peak", 16),
+    _quantity("PeakIn", 28, 6, scale=30.0, unit="s"),
+    _quantity("SafeIn", 34, 7, scale=60.0, unit="s"),
+    _quantity("FluidDeviation", 41, 7, scale=0.5, unit="K"),
+    _quantity("DutyPeak", 48, 9, offset=-60.0, unit="degC"),
+    _quantity("Age", 57, 7, unit="s"),
+)
+
+CAR_RISK_SIGNALS: Final = (
+    *_HEADER,
+    _quantity("Probability", 16, 10, scale=0.1, maximum=100.0, unit="%"),
+    _quantity("ProbabilityNow", 26, 10, scale=0.1, maximum=100.0, unit="%"),
+    Signal("Level", 36, 4, _names(RiskLevel)),
+    _quantity("BoilingPoint", 40, 9, offset=-60.0, unit="degC"),
+    _quantity("BoilingPointLow", 49, 9, offset=-60.0, unit="degC"),
+    _quantity("Water", 58, 6, scale=0.2, unit="%"),
+)
+
+ADVICE_SIGNALS: Final = (
+    *_HEADER,
+    Signal("Message", 16, 4, _names(Message)),
+    Signal("Sound", 20, 2, _names(Sound)),
+    Signal("ShiftAdvice", 22, 2, _names(Downshift)),
+    Signal("GearboxRequest", 24, 2, _names(Downshift)),
+    Signal("FrontIsolation", 26, 2, _names(Isolation)),
+    Signal("EmergencyAssist", 28, 3, _names(Assist)),
+    Signal("Intervention", 31, 3, _names(Intervention)),
+    _quantity("WaitingTime", 34, 12, unit="s"),
+    _quantity("PedalFeel", 46, 8, scale=0.5, maximum=100.0, unit="%"),
+    _quantity("DetectorScore", 54, 8, scale=0.5, maximum=100.0, unit="%"),
+)
+
+WEAR_SIGNALS: Final = (
+    *_HEADER,
+    _quantity("PadThickness", 16, 12, scale=0.01, unit="mm"),
+    _quantity("PadThicknessStd", 28, 8, scale=0.02, unit="mm"),
+    _quantity("DiscLoss", 36, 8, scale=0.02, unit="mm"),
+    _quantity("RemainingDistance", 44, 12, scale=50.0, unit="km"),
+    Signal("Source", 56, 4, _names(WearSource)),
+    Signal("Level", 60, 4, _names(WearLevel)),
 )
 
 STATUS_SIGNALS: Final = (
@@ -251,13 +378,27 @@ def data_id_list(key: int) -> tuple[int, ...]:
 def published_frames(corners: Iterable[str]) -> tuple[Frame, ...]:
     """Return the frames of a car with *corners*, in the order of their ids.
 
-    The 1 Hz frames of the corners go out on different 100 ms ticks: the
-    transmit queue of a CAN interface holds ten frames by default, and a burst
-    would keep the bus for longer than needed. Raises :class:`ValueError` for
+    The slow frames go out on different 100 ms ticks: the transmit queue of a
+    CAN interface holds ten frames by default, and a burst would keep the bus
+    for longer than needed. Raises :class:`ValueError` for
     a corner that is not FL, FR, RL or RR.
     """
     frames = [
-        Frame("BSTM_Status", STATUS_OFFSET, TEN_HERTZ_US, 0, STATUS_SIGNALS)
+        Frame("BSTM_Status", STATUS_OFFSET, TEN_HERTZ_US, 0, STATUS_SIGNALS),
+        Frame(
+            "BSTM_Advice",
+            ADVICE_OFFSET,
+            ONE_HERTZ_US,
+            ADVICE_PHASE_US,
+            ADVICE_SIGNALS,
+        ),
+        Frame(
+            "BSTM_Risk",
+            CAR_RISK_OFFSET,
+            ONE_HERTZ_US,
+            CAR_RISK_PHASE_US,
+            CAR_RISK_SIGNALS,
+        ),
     ]
     for corner in set(corners):
         if corner not in CORNERS:
@@ -279,6 +420,22 @@ def published_frames(corners: Iterable[str]) -> tuple[Frame, ...]:
                 ONE_HERTZ_US,
                 (1 + place) * TEN_HERTZ_US,
                 RISK_SIGNALS,
+                corner,
+            ),
+            Frame(
+                f"BSTM_{corner}_Forecast",
+                FORECAST_OFFSET + place,
+                ONE_HERTZ_US,
+                (5 + place) * TEN_HERTZ_US,
+                FORECAST_SIGNALS,
+                corner,
+            ),
+            Frame(
+                f"BSTM_{corner}_Wear",
+                WEAR_OFFSET + place,
+                TENTH_HERTZ_US,
+                WEAR_PHASE_US + place * ONE_HERTZ_US,
+                WEAR_SIGNALS,
                 corner,
             ),
         ]

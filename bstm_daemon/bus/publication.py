@@ -8,15 +8,19 @@ the counters of the end-to-end protection, which a restart takes over.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from math import isfinite, nan
+from math import isfinite, isinf, nan
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from bstm_daemon.bus.e2e import COUNTER_COUNT, protect
 from bstm_daemon.bus.output_layout import (
+    ADVICE_SIGNALS,
+    CAR_RISK_SIGNALS,
+    FORECAST_SIGNALS,
     LAYOUT_VERSION,
     RISK_SIGNALS,
     STATUS_SIGNALS,
     TEMPERATURES_SIGNALS,
+    WEAR_SIGNALS,
     Frame,
     HeatMode,
     RiskLevel,
@@ -25,10 +29,18 @@ from bstm_daemon.bus.output_layout import (
     own_ids,
     published_frames,
 )
+from bstm_daemon.bus.publication_slow import (
+    AdviceSnapshot,
+    WearSnapshot,
+    advice_raw,
+    wear_raw,
+)
 from bstm_daemon.units import to_celsius
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
+
+    from bstm_daemon.bus.output_layout import Signal
 
 ELEVATED_MARGIN_K: Final = 40.0
 """The fluid estimate may be off by 30 K over a whole descent (thesis, section
@@ -42,9 +54,14 @@ HIGH_MARGIN_K: Final = 20.0
 CRITICAL_MARGIN_K: Final = 0.0
 """The fluid has the temperature at which a wet fluid of its grade boils."""
 
+LATER_S: Final = 1e9
+"""What is later than a forecast reaches is sent as the end of the range."""
+
 _STATUS: Final = {signal.name: signal for signal in STATUS_SIGNALS}
 _TEMPERATURES: Final = {signal.name: signal for signal in TEMPERATURES_SIGNALS}
 _RISK: Final = {signal.name: signal for signal in RISK_SIGNALS}
+_FORECAST: Final = {signal.name: signal for signal in FORECAST_SIGNALS}
+_CAR_RISK: Final = {signal.name: signal for signal in CAR_RISK_SIGNALS}
 
 
 class OutputFrame(NamedTuple):
@@ -57,10 +74,46 @@ class OutputFrame(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
+class RiskSnapshot:
+    """Risk and forecast of a corner, probabilities 0 to 1, NaN if unknown.
+
+    ``peak_in_s`` and ``safe_in_s`` count from the forecast, which is
+    ``age_s`` old; infinite is later than the forecast reaches.
+    """
+
+    probability: float = nan
+    level: RiskLevel = RiskLevel.UNKNOWN
+    fade: RiskLevel = RiskLevel.UNKNOWN
+    fluid_deviation_k: float = nan
+    peak_k: float = nan
+    peak_in_s: float = nan
+    safe_in_s: float = nan
+    duty_peak_k: float = nan
+    age_s: float = nan
+
+
+@dataclass(frozen=True, slots=True)
+class CarRiskSnapshot:
+    """Risk of the car, probabilities 0 to 1, NaN if unknown.
+
+    ``boiling_low_k`` is the point that 1 % of such fluids boil below,
+    ``boiling_k`` their median; ``water_percent`` the median of the water.
+    """
+
+    probability: float = nan
+    probability_now: float = nan
+    level: RiskLevel = RiskLevel.UNKNOWN
+    boiling_k: float = nan
+    boiling_low_k: float = nan
+    water_percent: float = nan
+
+
+@dataclass(frozen=True, slots=True)
 class CornerSnapshot:
     """One corner: temperatures and boiling point in kelvin, NaN if unknown.
 
     ``margin_k`` is the wet boiling point minus the fluid temperature.
+    Without ``risk`` the level is that of the margin.
     """
 
     disc_k: float = nan
@@ -70,6 +123,8 @@ class CornerSnapshot:
     margin_k: float = nan
     wet_boiling_k: float = nan
     validity: Validity = Validity.NOT_AVAILABLE
+    wear: WearSnapshot = field(default_factory=WearSnapshot)
+    risk: RiskSnapshot | None = None
 
 
 _NO_CORNER: Final = CornerSnapshot()
@@ -109,6 +164,17 @@ class Snapshot:
     time_us: int
     corners: Mapping[str, CornerSnapshot]
     status: StatusSnapshot = field(default_factory=StatusSnapshot)
+    advice: AdviceSnapshot = field(default_factory=AdviceSnapshot)
+    risk: CarRiskSnapshot | None = None
+
+
+def corner_level(corner: CornerSnapshot, *, history_known: bool) -> RiskLevel:
+    """Return the level of *corner*: of its risk, else of its margin."""
+    if corner.risk is not None:
+        return corner.risk.level
+    return risk_level(
+        corner.margin_k, corner.validity, history_known=history_known
+    )
 
 
 def risk_level(
@@ -142,11 +208,14 @@ class Publication:
         id_base: int,
         counters: Mapping[str, int] | None = None,
         modelled: Iterable[str] | None = None,
+        *,
+        requests: bool = False,
     ) -> None:
         """Publish *corner_names* from *id_base* on, continuing *counters*.
 
         *modelled* are those with a thermal model, by default all; a corner
         without one is sent as not available and says nothing of the status.
+        ``BSTM_Advice`` is ours, but sent with *requests* only.
         *counters* holds the counter of the last frame sent by frame name, as
         :attr:`counters` gives it; frames it does not name start anew and
         frames it names that are not ours are forgotten. Raises
@@ -158,7 +227,11 @@ class Publication:
             self._corners if modelled is None else modelled
         )
         self._id_base = id_base
-        self._frames = published_frames(self._corners)
+        self._frames = tuple(
+            frame
+            for frame in published_frames(self._corners)
+            if requests or frame.signals is not ADVICE_SIGNALS
+        )
         self.ids = own_ids(id_base, self._corners)
         self._counters: dict[str, int] = {}
         self.continue_from(counters or {})
@@ -225,24 +298,46 @@ class Publication:
         )
 
     def _raw(self, frame: Frame, snapshot: Snapshot) -> dict[str, int]:
-        if frame.corner is None:
-            return self._status(snapshot)
-        corner = snapshot.corners.get(frame.corner, _NO_CORNER)
-        if frame.signals is TEMPERATURES_SIGNALS:
-            return _temperatures(corner)
-        return _risk(corner, history_known=snapshot.status.history_known)
+        if frame.corner is not None:
+            return _of_corner(
+                frame.signals,
+                snapshot.corners.get(frame.corner, _NO_CORNER),
+                history_known=snapshot.status.history_known,
+            )
+        if frame.signals is ADVICE_SIGNALS:
+            return advice_raw(snapshot.advice)
+        if frame.signals is CAR_RISK_SIGNALS:
+            return self._car_risk(snapshot)
+        return self._status(snapshot)
 
-    def _status(self, snapshot: Snapshot) -> dict[str, int]:
-        status = snapshot.status
-        worst = max(
+    def _worst(self, snapshot: Snapshot) -> Validity:
+        return max(
             (
                 snapshot.corners.get(name, _NO_CORNER).validity
                 for name in self._modelled
             ),
             default=Validity.NOT_AVAILABLE,
         )
+
+    def _car_risk(self, snapshot: Snapshot) -> dict[str, int]:
+        risk = snapshot.risk or CarRiskSnapshot()
+        shown = {
+            "Probability": 100.0 * risk.probability,
+            "ProbabilityNow": 100.0 * risk.probability_now,
+            "BoilingPoint": to_celsius(risk.boiling_k),
+            "BoilingPointLow": to_celsius(risk.boiling_low_k),
+            "Water": risk.water_percent,
+        }
         return {
-            "Validity": worst,
+            "Validity": self._worst(snapshot),
+            "Level": risk.level,
+            **{name: _CAR_RISK[name].raw(v) for name, v in shown.items()},
+        }
+
+    def _status(self, snapshot: Snapshot) -> dict[str, int]:
+        status = snapshot.status
+        return {
+            "Validity": self._worst(snapshot),
             "LayoutVersion": LAYOUT_VERSION,
             "State": status.state,
             "HeatMode": status.heat_mode,
@@ -269,6 +364,18 @@ class Publication:
         }
 
 
+def _of_corner(
+    signals: tuple[Signal, ...], corner: CornerSnapshot, *, history_known: bool
+) -> dict[str, int]:
+    if signals is TEMPERATURES_SIGNALS:
+        return _temperatures(corner)
+    if signals is WEAR_SIGNALS:
+        return wear_raw(corner.wear)
+    if signals is FORECAST_SIGNALS:
+        return _forecast(corner)
+    return _risk(corner, history_known=history_known)
+
+
 def _temperatures(corner: CornerSnapshot) -> dict[str, int]:
     return {
         "Validity": corner.validity,
@@ -284,14 +391,35 @@ def _celsius(name: str, temperature_k: float) -> int:
 
 
 def _risk(corner: CornerSnapshot, *, history_known: bool) -> dict[str, int]:
+    risk = corner.risk or RiskSnapshot()
     return {
         "Validity": corner.validity,
         "Margin": _RISK["Margin"].raw(corner.margin_k),
         "WetBoilingPoint": _RISK["WetBoilingPoint"].raw(
             to_celsius(corner.wet_boiling_k)
         ),
-        "Probability": _RISK["Probability"].not_available,
-        "Level": risk_level(
-            corner.margin_k, corner.validity, history_known=history_known
-        ),
+        "Probability": _RISK["Probability"].raw(100.0 * risk.probability),
+        "Level": corner_level(corner, history_known=history_known),
+        "FadeLevel": risk.fade,
     }
+
+
+def _forecast(corner: CornerSnapshot) -> dict[str, int]:
+    risk = corner.risk or RiskSnapshot()
+    shown = {
+        "Peak": to_celsius(risk.peak_k),
+        "PeakIn": risk.peak_in_s,
+        "SafeIn": _largest(risk.safe_in_s),
+        "FluidDeviation": risk.fluid_deviation_k,
+        "DutyPeak": to_celsius(risk.duty_peak_k),
+        "Age": risk.age_s,
+    }
+    return {
+        "Validity": corner.validity,
+        **{name: _FORECAST[name].raw(value) for name, value in shown.items()},
+    }
+
+
+def _largest(seconds: float) -> float:
+    """Return *seconds*; later than the forecast reaches is no error."""
+    return LATER_S if isinf(seconds) else seconds

@@ -53,6 +53,16 @@ def add_report(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_no_forecast(parser: argparse.ArgumentParser) -> None:
+    """Add ``--no-forecast``; ``args.forecast`` is true without it."""
+    parser.add_argument(
+        "--no-forecast",
+        dest="forecast",
+        action="store_false",
+        help="leave out risk and forecast",
+    )
+
+
 def add_bus_map(parser: argparse.ArgumentParser) -> None:
     """Add ``--map IFACE=BUS``; ``args.map`` is a list of name pairs."""
     parser.add_argument(

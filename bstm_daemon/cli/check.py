@@ -152,7 +152,7 @@ def dbc_warnings(config: Config, folder: Path) -> list[str]:
 
 def _model_problems(path: Path) -> list[str]:
     from bstm_daemon.cli.vehicle import load_vehicle  # noqa: PLC0415
-    from bstm_daemon.estimator import compile_corner  # noqa: PLC0415
+    from bstm_daemon.corner_model import compile_corner  # noqa: PLC0415
 
     try:
         config, _ = load_vehicle(path)

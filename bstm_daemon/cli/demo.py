@@ -180,7 +180,7 @@ def _drive(
                         data=out.data,
                     )
                 )
-            builder.add(engine.blocks)
+            builder.add(engine.blocks, engine.risks)
             for message in _drained(screen):
                 if message.arbitration_id in engine.publication.ids:
                     display.show(message)

@@ -66,6 +66,10 @@ COMMANDS: Final[dict[str, Command]] = {
         "bstm_daemon.cli.watch",
         "show the published temperatures live in the terminal",
     ),
+    "forecast": Command(
+        "bstm_daemon.cli.forecast",
+        "tell from a state file what the brake fluid will do, parked",
+    ),
     "identify": Command(
         "bstm_daemon.cli.identify",
         "find resistances and brake friction of the car in recorded drives",

@@ -13,6 +13,7 @@ from bstm_daemon.bus.refusal import Refusal
 from bstm_daemon.cli.arguments import (
     add_bus_map,
     add_config,
+    add_no_forecast,
     add_out,
     add_report,
 )
@@ -90,6 +91,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="with --watch: seconds of the log per second, 0 for as fast as "
         "it goes (default: %(default)g)",
     )
+    add_no_forecast(parser)
     add_report(parser)
     add_bus_map(parser)
 
@@ -113,6 +115,7 @@ def run(args: argparse.Namespace) -> int:
                 overrides,
                 speed=args.speed,
                 state=state,
+                forecast=args.forecast,
             )
         targets = {
             args.out / f"{stem}.estimates.{form}": form for form in formats
@@ -136,6 +139,7 @@ def run(args: argparse.Namespace) -> int:
                 every_us=round(args.every * 1e6),
                 progress=_share_of(path, progress),
                 state=state,
+                forecast=args.forecast,
             )
         print(f"{path}  ({config.vehicle.id}, {args.config})")
         print(summary_table(tally.summary()))
@@ -150,7 +154,13 @@ def run(args: argparse.Namespace) -> int:
             print(args.report)
         if args.publish is not None:
             count = publish_log(
-                config, signal_map, path, args.publish, overrides, state
+                config,
+                signal_map,
+                path,
+                args.publish,
+                overrides,
+                state,
+                forecast=args.forecast,
             )
             print(f"{args.publish}: {count} frames")
     return 0

@@ -6,7 +6,7 @@ import argparse
 import os
 from pathlib import Path
 
-from bstm_daemon.cli.arguments import add_config
+from bstm_daemon.cli.arguments import add_config, add_no_forecast
 from bstm_daemon.daemon.events import ServiceLog
 from bstm_daemon.daemon.monitor import BusOverride
 from bstm_daemon.daemon.notify import Notifier
@@ -54,6 +54,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="S",
         help="stop after S seconds",
     )
+    add_no_forecast(parser)
     # a service says what it does; -q leaves warnings, -qq errors
     parser.set_defaults(verbosity_offset=1)
 
@@ -67,6 +68,7 @@ def run(args: argparse.Namespace) -> int:
             args.interface, args.channel, args.bitrate, args.fd
         ),
         metrics_port=args.metrics_port,
+        forecast=args.forecast,
         until_us=None if args.duration is None else round(args.duration * 1e6),
     )
     notifier = Notifier.from_environment(os.environ)

@@ -182,6 +182,7 @@ def _corners(page: _Page, status: ServiceStatus) -> None:
             )
         ),
     )
+    _forecast(page, status)
     page.gauge(
         "validity",
         "Whether the estimate may be used: 1 for the present validity.",
@@ -193,6 +194,70 @@ def _corners(page: _Page, status: ServiceStatus) -> None:
             )
         ),
     )
+
+
+def _forecast(page: _Page, status: ServiceStatus) -> None:
+    told = {
+        name: corner.forecast
+        for name, corner in status.corners.items()
+        if corner.forecast is not None
+    }
+    page.gauge(
+        "vapour_probability",
+        "Probability of vapour now or within 30 min if the car parks now.",
+        *(({"corner": name}, f.probability) for name, f in told.items()),
+    )
+    page.gauge(
+        "fluid_deviation_celsius",
+        "Standard deviation of the fluid temperature.",
+        *(({"corner": name}, f.fluid_deviation_k) for name, f in told.items()),
+    )
+    page.gauge(
+        "fluid_peak_celsius",
+        "Highest fluid temperature within 30 min if the car parks now.",
+        *(
+            ({"corner": name}, to_celsius(f.peak_k))
+            for name, f in told.items()
+        ),
+    )
+    page.gauge(
+        "fluid_peak_seconds",
+        "Time from the forecast to that temperature.",
+        *(({"corner": name}, f.peak_in_s) for name, f in told.items()),
+    )
+    page.gauge(
+        "fluid_safe_seconds",
+        "Time from the forecast until vapour stays below 1 %.",
+        *(({"corner": name}, f.safe_in_s) for name, f in told.items()),
+    )
+    page.gauge(
+        "fade",
+        "Disc and pads against their limits: 1 for the present level.",
+        *(
+            series
+            for name, f in told.items()
+            for series in _one_of(RiskLevel, f.fade, "level", {"corner": name})
+        ),
+    )
+    if status.risk is not None:
+        risk = status.risk
+        page.gauge(
+            "car_vapour_probability",
+            "Probability of vapour at any corner.",
+            ({"when": "now"}, risk.probability_now),
+            ({"when": "horizon"}, risk.probability),
+        )
+        page.gauge(
+            "boiling_point_celsius",
+            "Boiling point: median, and what 1 % of such fluids lie below.",
+            ({"share": "0.5"}, to_celsius(risk.boiling_k)),
+            ({"share": "0.01"}, to_celsius(risk.boiling_low_k)),
+        )
+        page.gauge(
+            "forecast_members",
+            "Members of the forecast's ensemble.",
+            ({}, status.forecast_members),
+        )
 
 
 def _buses(page: _Page, status: ServiceStatus) -> None:

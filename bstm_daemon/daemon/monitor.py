@@ -89,7 +89,9 @@ class Monitor:
         return wanted
 
 
-def build_monitor(path: Path, override: BusOverride) -> Monitor:
+def build_monitor(
+    path: Path, override: BusOverride, *, forecast: bool = True
+) -> Monitor:
     """Read the configuration *path* and build everything it asks for.
 
     Raises:
@@ -114,7 +116,7 @@ def build_monitor(path: Path, override: BusOverride) -> Monitor:
             names = [corner.name for corner in config.corner]
             ids = frozenset(own_ids(config.publish.id_base, names))
             _check_collisions(config, signal_map, number, ids)
-        engine = Engine(config, signal_map)
+        engine = Engine(config, signal_map, forecast=forecast)
     return Monitor(path, config, signal_map, engine, number, ids)
 
 

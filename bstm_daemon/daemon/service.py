@@ -42,6 +42,8 @@ class Options:
     state: Path | None = None
     override: BusOverride = field(default_factory=BusOverride)
     metrics_port: int | None = None
+    forecast: bool = True
+    """Whether to tell risk and forecast."""
     until_us: int | None = None
     """Stop by itself after this time [us]; for tests and measurements."""
 
@@ -62,7 +64,9 @@ class Service:
         self._options = options
         self._notifier = notifier
         self._log = log
-        self._monitor = build_monitor(options.config, options.override)
+        self._monitor = build_monitor(
+            options.config, options.override, forecast=options.forecast
+        )
         self._axis = SteadyAxis()
         links = self._monitor.links()
         config = self._monitor.config
@@ -235,7 +239,11 @@ class Service:
         """Take the configuration file as it is now, or keep the old one."""
         links = None
         try:
-            fresh = build_monitor(self._options.config, self._options.override)
+            fresh = build_monitor(
+                self._options.config,
+                self._options.override,
+                forecast=self._options.forecast,
+            )
             links = self._links_for(fresh)
             self._hand_over(fresh)
             for link in links or ():

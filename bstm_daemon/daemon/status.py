@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from bstm_daemon.bus.link import LinkEvent, LinkState
+    from bstm_daemon.bus.publication import CarRiskSnapshot, RiskSnapshot
 
 _TOLD: Final = (
     "speed_suspect",
@@ -43,12 +44,14 @@ class CornerStatus:
 
     ``nodes_k`` is the temperature [K] by node name, ``margin_k`` the wet
     boiling point minus that of the fluid; NaN where there is none.
+    ``forecast`` is None where none is told.
     """
 
     nodes_k: Mapping[str, float]
     margin_k: float = nan
     risk: RiskLevel = RiskLevel.UNKNOWN
     validity: Validity = Validity.NOT_AVAILABLE
+    forecast: RiskSnapshot | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,6 +113,10 @@ class ServiceStatus:
     """What is wrong with the inputs or the heat: names of
     :data:`~bstm_daemon.heat.plausibility.FAULTS`."""
     is_publishing: bool = False
+    risk: CarRiskSnapshot | None = None
+    """None where no risk is told."""
+    forecast_members: int = 0
+    """Members of its ensemble."""
     corners: Mapping[str, CornerStatus] = field(default_factory=dict)
     """By name (FL, FR, RL, RR)."""
     buses: Mapping[str, BusStatus] = field(default_factory=dict)
@@ -130,6 +137,10 @@ def status_line(status: ServiceStatus) -> str:
     parts += [bus.reason for bus in status.buses.values() if bus.reason]
     parts += [WORDS[name] for name in status.faults if name in _TOLD]
     parts += _hottest(status.corners)
+    if status.risk is not None and isfinite(status.risk.probability):
+        parts.append(f"vapour {100.0 * status.risk.probability:.1f} %")
+        if not status.compiled_kernel:
+            parts.append(f"{status.forecast_members} members")
     if not status.history_known:
         parts.append("history unknown")
     frames = sum(bus.frames for bus in status.buses.values())

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from bstm_daemon import __version__
 from bstm_daemon.bus.output_layout import State
-from bstm_daemon.bus.publication import risk_level
+from bstm_daemon.bus.publication import corner_level
 from bstm_daemon.daemon.status import (
     BusStatus,
     CornerStatus,
@@ -73,6 +73,8 @@ class Survey:
             history_known=published is not None and published.history_known,
             faults=fault_names(flags),
             is_publishing=self._sender.is_sending,
+            risk=None if snapshot is None else snapshot.risk,
+            forecast_members=0 if engine.risk is None else engine.risk.members,
             corners={
                 name: _corner(engine, name)
                 for name in engine.estimator.programs
@@ -134,12 +136,12 @@ def _corner(engine: Engine, name: str) -> CornerStatus:
     if engine.snapshot is None:
         return CornerStatus(nodes_k)
     corner = engine.snapshot.corners[name]
-    level = risk_level(
-        corner.margin_k,
-        corner.validity,
-        history_known=engine.snapshot.status.history_known,
+    level = corner_level(
+        corner, history_known=engine.snapshot.status.history_known
     )
-    return CornerStatus(nodes_k, corner.margin_k, level, corner.validity)
+    return CornerStatus(
+        nodes_k, corner.margin_k, level, corner.validity, corner.risk
+    )
 
 
 def _resident_bytes() -> int:

@@ -28,11 +28,12 @@ PANELS: Final = {
     "power": ("brake power [kW]", 140),
     "temperature": ("temperature [°C]", 320),
     "fluid": ("brake fluid temperature [°C]", 240),
+    "risk": ("probability of vapour [%]", 120),
 }
 """Title and height [px] of each panel, from the top."""
 
 VEHICLE_PANELS: Final = ("speed", "pressure")
-CORNER_PANELS: Final = ("power", "temperature", "fluid")
+CORNER_PANELS: Final = ("power", "temperature", "fluid", "risk")
 LEFT: Final = 1
 RIGHT: Final = 2
 RIGHT_CORNERS: Final = ("FR", "RR")

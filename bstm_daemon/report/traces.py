@@ -297,7 +297,8 @@ def _corner_curves(corner: str) -> list[_Curve]:
     ]
     for node in SUMMARY_NODES:
         curves += _node_curves(corner, node, "temperature")
-    return [*curves, *_node_curves(corner, "fluid", "fluid")]
+    curves += _node_curves(corner, "fluid", "fluid")
+    return [*curves, *forecast_curves(corner)]
 
 
 def _node_curves(corner: str, node: str, panel: str) -> list[_Curve]:
@@ -327,6 +328,44 @@ def _node_curves(corner: str, node: str, panel: str) -> list[_Curve]:
                 "hovertemplate": "%{y:.0f} °C",
             },
         ),
+    ]
+
+
+def forecast_curves(corner: str) -> list[_Curve]:
+    """Return what was told ahead: a peak beside what came, and the risk."""
+    return [
+        _Curve(
+            "fluid",
+            corner,
+            label,
+            f"{corner}.{column}_c",
+            decimals=1,
+            look={
+                "line": {"color": colour, "width": 1.3, "shape": "hv"},
+                "hovertemplate": "%{y:.0f} °C",
+            },
+        )
+        for label, column, colour in (
+            ("peak if parked now", "peak", VERMILION),
+            ("peak if it goes on", "duty_peak", ORANGE),
+        )
+    ] + [
+        _Curve(
+            "risk",
+            corner,
+            label,
+            f"{corner}.{column}",
+            decimals=2,
+            factor=100.0,
+            look={
+                "line": {"color": colour, "width": 1.5},
+                "hovertemplate": "%{y:.1f} %",
+            },
+        )
+        for label, column, colour in (
+            ("within 30 min, if parked", "risk", VERMILION),
+            ("now", "risk_now", BLUE),
+        )
     ]
 
 

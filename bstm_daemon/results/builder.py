@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import repeat
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from bstm_daemon.estimator import PUBLISH_US
 from bstm_daemon.heat.sample_plan import CHANNELS, VEHICLE_CHANNELS
+from bstm_daemon.results.risk import risk_columns
 from bstm_daemon.results.rows import STRETCH_ROWS, Results
 from bstm_daemon.risk.boiling import wet_boiling_point_k
 from bstm_daemon.roles import MEASURED_NODES
 from bstm_daemon.units import KELVIN_OFFSET
+from bstm_daemon.wear.dose import DISTANCE, DOSE
+from bstm_daemon.wear.table import WEAR_COLUMNS, wear_table
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -20,12 +24,13 @@ if TYPE_CHECKING:
     import numpy.typing as npt
 
     from bstm_daemon.estimator import Block, Estimator, Group
+    from bstm_daemon.forecast.records import CarRisk
     from bstm_daemon.results.rows import Sink
 
     Column = npt.NDArray[np.float64]
 
-BOUNDARIES: Final = ("ambient", "dissolved")
-"""Nodes of every network that are not worth a column of their own."""
+BOUNDARIES: Final = ("ambient", "dissolved", DISTANCE)
+"""Numbers of every state that are not worth a column of their own."""
 
 LEARNED: Final = VEHICLE_CHANNELS[4:-1]
 """What the observer says of the car, columns where the heat is fused."""
@@ -45,6 +50,8 @@ class _Publications:
     flags: npt.NDArray[np.int64]
     outputs: tuple[Column, ...]
     validity: tuple[npt.NDArray[np.int8], ...]
+    wear: tuple[Column, ...]
+    risk: npt.NDArray[np.object_]
 
     def __len__(self) -> int:
         return len(self.times_us)
@@ -59,6 +66,8 @@ class _Publications:
             self.flags[which],
             tuple(output[which] for output in self.outputs),
             tuple(codes[which] for codes in self.validity),
+            tuple(table[which] for table in self.wear),
+            self.risk[which],
         )
 
     @classmethod
@@ -77,6 +86,11 @@ class _Publications:
                 np.concatenate(one)
                 for one in zip(*(p.validity for p in parts), strict=True)
             ),
+            tuple(
+                np.concatenate(one)
+                for one in zip(*(p.wear for p in parts), strict=True)
+            ),
+            np.concatenate([part.risk for part in parts]),
         )
 
 
@@ -110,10 +124,19 @@ class ResultsBuilder:
         self._before = 0
         self._open_flags = 0
 
-    def add(self, blocks: Iterable[Block]) -> None:
-        """Take *blocks* and hand on what makes whole stretches."""
-        for block in blocks:
-            part = self._publications(block)
+    def add(
+        self,
+        blocks: Iterable[Block],
+        risks: Iterable[Sequence[CarRisk]] | None = None,
+    ) -> None:
+        """Take *blocks* and hand on what makes whole stretches.
+
+        *risks* has the risk at each publication of each block; with it there
+        are columns of it, which must then be so for every block.
+        """
+        told = repeat(None) if risks is None else risks
+        for block, risk in zip(blocks, told, strict=False):
+            part = self._publications(block, risk)
             if not self._begun:
                 self._begun = True
                 first_us = block.times_us[0]
@@ -136,28 +159,40 @@ class ResultsBuilder:
         if waiting:
             self._hand_on(waiting)
 
-    def _publications(self, block: Block) -> _Publications:
+    def _publications(
+        self, block: Block, risk: Sequence[CarRisk] | None
+    ) -> _Publications:
         """Return those of *block* that are kept."""
         times_us = np.frombuffer(block.times_us, np.int64)
         keep = times_us % self._every_us == 0
         flags = self._flags_since(np.frombuffer(block.flags, np.int64), keep)
         count = len(times_us)
         corners = len(self._estimator.plan.corners)
+        outputs = tuple(
+            _floats(output, count, len(group.corners), group.size)
+            for group, output in zip(
+                self._estimator.groups, block.outputs, strict=True
+            )
+        )
         return _Publications(
             times_us,
             _floats(block.rows, count, corners, len(CHANNELS)),
             _floats(block.vehicle, count, len(VEHICLE_CHANNELS)),
             flags,
-            tuple(
-                _floats(output, count, len(group.corners), group.size)
-                for group, output in zip(
-                    self._estimator.groups, block.outputs, strict=True
-                )
-            ),
+            outputs,
             tuple(
                 np.frombuffer(block.validity[name], np.int8)
                 for name in self._modelled
             ),
+            tuple(
+                wear_table(block.wear[name], output[:, member, dose])
+                for group, output in zip(
+                    self._estimator.groups, outputs, strict=True
+                )
+                for dose in (group.state_names.index(DOSE),)
+                for member, name in enumerate(group.corners)
+            ),
+            _objects(risk, count),
         )[keep]
 
     def _flags_since(
@@ -216,11 +251,13 @@ class ResultsBuilder:
             self._estimator.groups, publications.outputs, strict=True
         ):
             for member, name in enumerate(group.corners):
-                part = self._modelled_columns(
+                parts[name] = self._modelled_columns(
                     name, group, outputs[:, member], interval_s
                 )
-                part["validity"] = validity[name].astype(np.float64)
-                parts[name] = part
+        for name, table in zip(self._modelled, publications.wear, strict=True):
+            parts[name] |= dict(zip(WEAR_COLUMNS, table.T, strict=True))
+            parts[name]["validity"] = validity[name].astype(np.float64)
+        columns |= self._risk_columns(publications, parts)
         config = self._estimator.config
         for index, name in enumerate(corners):
             part = parts[name]
@@ -253,6 +290,21 @@ class ResultsBuilder:
         }
         return Results(columns, corners, self._modelled)
 
+    def _risk_columns(
+        self,
+        publications: _Publications,
+        parts: dict[str, dict[str, Column]],
+    ) -> dict[str, Column]:
+        """Add those of the corners to *parts* and return those of the car."""
+        if publications.risk[-1] is None:
+            return {}
+        car, of_corners = risk_columns(
+            publications.risk, publications.times_us, self._modelled
+        )
+        for name, found in of_corners.items():
+            parts[name] |= found
+        return car
+
     def _modelled_columns(
         self, name: str, group: Group, output: Column, interval_s: Column
     ) -> dict[str, Column]:
@@ -278,6 +330,15 @@ class ResultsBuilder:
         energy_j = output[:, friction].sum(axis=1)
         part["brake_power_w"] = _rate(energy_j, interval_s)
         return part
+
+
+def _objects(
+    found: Sequence[object] | None, count: int
+) -> npt.NDArray[np.object_]:
+    column = np.full(count, None, object)
+    if found is not None:
+        column[:] = found
+    return column
 
 
 def _floats(flat: object, *shape: int) -> Column:

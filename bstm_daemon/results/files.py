@@ -149,10 +149,12 @@ class _ParquetSink:
 def _format(name: str) -> str:
     if name == "time_s":
         return "%.6f"
-    if name.endswith(("validity", "flags")):
+    if name.endswith(("validity", "flags", "_level")):
         return "%.0f"
+    if name.endswith(("thickness_m", "std_m", "loss_m")):
+        return "%.7f"
     if name.endswith(("_c", "_k", "_ms", "_m")):
         return "%.3f"
-    if name.endswith(("_w", "_pa", "_n")):
+    if name.endswith(("_w", "_pa", "_n", "_j", "_s")):
         return "%.1f"
     return "%.6g"

@@ -69,6 +69,21 @@ class Batch:
         self.ledger = array("d", bytes(8 * self.ledger_width * len(programs)))
         self._structure = None if kernel else reference.Structure(first.ints)
 
+    def replace(self, member: int, program: Program) -> None:
+        """Let *member* go on with the numbers of *program*; its state stays.
+
+        Raises:
+            NetworkError: *program* is of another structure.
+        """
+        if not same_structure([self.programs[member], program]):
+            msg = "a member can be replaced by one of its structure only"
+            raise NetworkError(msg)
+        size = len(program.floats)
+        self.floats[member * size : (member + 1) * size] = program.floats
+        programs = list(self.programs)
+        programs[member] = program
+        self.programs = tuple(programs)
+
     def settle(self, temperature_k: float, member: int) -> None:
         """Put every node of *member* at *temperature_k*; memories stay."""
         first = member * self.width

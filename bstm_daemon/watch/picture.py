@@ -70,7 +70,7 @@ def picture(
 
     *source* says where the frames come from; times are those of the board
     [us]. What there is no room for gives way in this order: blank lines,
-    histories, what is below the screen.
+    the forecast, histories, what is below the screen.
     """
     head, foot = _head(board, now_us, source, width), _foot(width)
     if board.wrong_layout is not None:
@@ -198,9 +198,12 @@ def _corners(
     blocks = {
         name: _block(board, now_us, name, cell, bars) for name in board.corners
     }
+    deep = len(_AXLES) if has_two else len(blocks)
+    if deep * (2 + len(NODES)) > room:
+        blocks = {name: block[:-1] for name, block in blocks.items()}
     rows = []
     if has_two:
-        blank = [fitted((), cell)] * (1 + len(NODES))
+        blank = [fitted((), cell)] * max(map(len, blocks.values()))
         for left, right in _AXLES:
             if left in blocks or right in blocks:
                 rows.append(
@@ -256,7 +259,24 @@ def _block(
                 width,
             )
         )
-    return lines
+    return [*lines, fitted(_parked(board, corner, now_us), width)]
+
+
+def _parked(board: Board, corner: str, now_us: int) -> Line:
+    """Word what the fluid will do if the car parks now."""
+    frame = f"BSTM_{corner}_Forecast"
+    peak_c = board.value(frame, "Peak")
+    if board.silence_s(frame, now_us) is not None or not isfinite(peak_c):
+        return (Span(f"{'parked':9} {'-':>6} ", "faint"),)
+    age_s = board.value(frame, "Age")
+    left_s = max(board.value(frame, "PeakIn") - age_s, 0.0)
+    percent = board.value(f"BSTM_{corner}_Risk", "Probability")
+    return (
+        Span(f"{'parked':9} "),
+        Span(f"{number(peak_c):>6} ", "strong"),
+        Span(f"in {number(left_s / 60.0, '.0f')} min, vapour "),
+        Span(f"{number(percent)} %", _RISK_STYLES[board.risk(corner)]),
+    )
 
 
 def _validity(board: Board, now_us: int, corner: str) -> tuple[Span, bool]:

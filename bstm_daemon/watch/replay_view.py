@@ -38,6 +38,7 @@ def watch_log(  # noqa: PLR0913  (all but the log are about the view)
     speed: float = DEFAULT_SPEED,
     view: View | None = None,
     state: Mapping[str, Any] | None = None,
+    forecast: bool = True,
 ) -> None:
     """Show the frames that the engine publishes over the log *path*.
 
@@ -52,6 +53,7 @@ def watch_log(  # noqa: PLR0913  (all but the log are about the view)
         speed: seconds of the log per second; 0 is as fast as it goes.
         view: where to show it, by default stdout.
         state: a state file's document; without it the history is unknown.
+        forecast: whether to tell risk and forecast.
 
     Raises:
         LogError: the log is unusable, or a signal table.
@@ -60,7 +62,9 @@ def watch_log(  # noqa: PLR0913  (all but the log are about the view)
     board = Board(
         config.publish.id_base, [corner.name for corner in config.corner]
     )
-    ticks = replayed(config, signal_map, path, overrides, state)
+    ticks = replayed(
+        config, signal_map, path, overrides, state, forecast=forecast
+    )
     # a log that cannot be read is said before the screen is taken over
     ahead = next(ticks)
     view = open_view(sys.stdout) if view is None else view

@@ -16,7 +16,7 @@ import numpy as np
 from side_by_side import Outcome, Table, three_digits
 
 from bstm_daemon.config_file import load_config
-from bstm_daemon.estimator import compile_corner
+from bstm_daemon.corner_model import compile_corner
 from bstm_daemon.heat.sample_plan import CHANNELS
 from bstm_daemon.native import load_kernel
 from bstm_daemon.shipped import shipped_file

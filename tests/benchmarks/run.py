@@ -25,7 +25,7 @@ BENCHMARKS = (
 )
 OTHERS = (
     *("physics", "accuracy", "radau", "memory", "identification"),
-    *("structures", "effects"),
+    *("structures", "effects", "pad_life", "risk"),
 )
 """Figures without a comparison in time; run when named."""
 

@@ -15,8 +15,9 @@ from physics import NODES, nodes_of, stop_s
 from side_by_side import Outcome, Table
 
 from bstm_daemon.config_file import load_config
+from bstm_daemon.corner_model import compile_corner
 from bstm_daemon.effects.catalogue import STRUCTURES
-from bstm_daemon.estimator import Estimator, compile_corner
+from bstm_daemon.estimator import Estimator
 from bstm_daemon.heat.sample_plan import CHANNELS
 from bstm_daemon.native import load_kernel
 from bstm_daemon.roles import ROLE_INDEX

@@ -247,10 +247,10 @@ def test_status_carries_the_worst_validity_of_the_corners() -> None:
 
 
 def test_cycles_hold_on_the_grid_and_nothing_is_due_off_it() -> None:
-    """10 Hz every 100 ms, 1 Hz every second, over 3 s of 10 ms ticks."""
-    publication = Publication(CORNERS, ID_BASE)
+    """10, 1 and 0.1 Hz, over 30 s of 10 ms ticks."""
+    publication = Publication(CORNERS, ID_BASE, requests=True)
     times: dict[str, list[int]] = {}
-    for time_us in range(0, 3 * FULL_SECOND_US, 10_000):
+    for time_us in range(0, 30 * FULL_SECOND_US, 10_000):
         for name in publication.due(time_us):
             times.setdefault(name, []).append(time_us)
 
@@ -262,12 +262,15 @@ def test_cycles_hold_on_the_grid_and_nothing_is_due_off_it() -> None:
 
 
 def test_no_tick_fills_the_transmit_queue() -> None:
-    """It holds ten frames by default; one 1 Hz frame at most joins a tick."""
-    publication = Publication(CORNERS, ID_BASE)
+    """It holds ten frames by default; two slow ones at most join a tick."""
+    publication = Publication(CORNERS, ID_BASE, requests=True)
 
-    counts = {len(publication.due(time_us)) for time_us in ALL_PHASES_US}
+    counts = {
+        len(publication.due(time_us))
+        for time_us in range(0, 10_000_000, 100_000)
+    }
 
-    assert counts == {5, 6}
+    assert counts == {6, 7}
 
 
 @given(st.integers(-(2**60), 2**60), st.permutations(CORNERS))
@@ -299,7 +302,7 @@ def test_a_receiver_finds_every_frame_in_sequence_over_a_restart() -> None:
             ]
         counters = publication.counters
 
-    assert len(statuses) == 75 * 5 + 8 * 4
+    assert len(statuses) == 75 * 5 + 8 * 4 + 7 * 5 + 4
     assert set(statuses) == {CheckStatus.OK}
 
 
@@ -307,14 +310,17 @@ def test_counters_start_at_zero_and_forget_foreign_names() -> None:
     """A corner that is no longer modelled leaves nothing behind."""
     publication = Publication(["FL"], ID_BASE, {"BSTM_RR_Risk": 7})
 
-    (status, temperatures) = publication.encode(Snapshot(0, {}))
+    (status, temperatures, _) = publication.encode(Snapshot(0, {}))
 
     assert status.data[1] & 0x0F == 0
     assert temperatures.data[1] & 0x0F == 0
     assert set(publication.counters) == {
         "BSTM_Status",
+        "BSTM_Risk",
         "BSTM_FL_Temperatures",
         "BSTM_FL_Risk",
+        "BSTM_FL_Forecast",
+        "BSTM_FL_Wear",
     }
 
 
@@ -346,11 +352,19 @@ def test_an_unknown_corner_is_refused() -> None:
 
 def test_own_ids_are_those_sent() -> None:
     """The collision check watches what we send, reserve excluded."""
-    sent = {frame.can_id for frame in _second(Snapshot(0, {})).values()}
+    publication = Publication(CORNERS, ID_BASE, requests=True)
+    sent = {
+        frame.can_id
+        for time_us in range(0, 10 * FULL_SECOND_US, 100_000)
+        for frame in publication.encode(Snapshot(time_us, {}))
+    }
 
     assert set(own_ids(ID_BASE, CORNERS)) == sent
     assert Publication(CORNERS, ID_BASE).ids == own_ids(ID_BASE, CORNERS)
-    assert own_ids(0x100, ["RR"]) == (0x100, 0x107, 0x10B)
+    assert own_ids(0x100, ["RR"]) == (
+        *(0x100, 0x102, 0x103),
+        *(0x107, 0x10B, 0x10F, 0x113),
+    )
 
 
 # risk level

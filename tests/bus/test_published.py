@@ -52,8 +52,8 @@ corners = st.builds(
 def sent(
     corner: CornerSnapshot, status: StatusSnapshot, corner_name: str = "FL"
 ) -> list[OutputFrame]:
-    """Return the frames of a whole second."""
-    publication = Publication([corner_name], ID_BASE)
+    """Return the frames of a whole second, advice included."""
+    publication = Publication([corner_name], ID_BASE, requests=True)
     return [
         frame
         for time_us in SECOND_US
@@ -172,7 +172,9 @@ def test_protected_noise_reads_as_cantools_reads_it(
         else:
             raw = int.from_bytes(noise, "little") >> signal.start
             raw &= signal.not_available
-            top = 50_000 if signal.name == "Probability" else signal.error - 1
+            top = signal.error - 1
+            if signal.maximum is not None:
+                top = round((signal.maximum - signal.offset) / signal.scale)
             assert raw > top
             assert isnan(value) == (raw == signal.not_available)
 
@@ -245,7 +247,10 @@ def test_choices_stay_numbers() -> None:
 def test_foreign_ids_are_none_of_ours() -> None:
     decoder = PublishedDecoder(0x100, ["RR"])
 
-    assert decoder.ids == (0x100, 0x107, 0x10B)
+    assert decoder.ids == (
+        *(0x100, 0x102, 0x103),
+        *(0x107, 0x10B, 0x10F, 0x113),
+    )
     assert decoder.decode(0x5B0, bytes(8)) is None
     assert decoder.decode(0x104, bytes(8)) is None
     assert decoder.decode(0x100, bytes(8), extended=True) is None

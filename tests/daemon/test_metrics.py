@@ -20,6 +20,7 @@ from bstm_daemon.bus.output_layout import (
     State,
     Validity,
 )
+from bstm_daemon.bus.publication import CarRiskSnapshot, RiskSnapshot
 from bstm_daemon.daemon.metrics import metrics_text, write_metrics
 from bstm_daemon.daemon.status import (
     BusStatus,
@@ -41,12 +42,22 @@ STATUS = ServiceStatus(
     history_known=True,
     faults=("pressure_missing", "heat_substituted"),
     is_publishing=True,
+    risk=CarRiskSnapshot(0.3, 0.05, RiskLevel.HIGH, 434.15, 406.15, 3.0),
+    forecast_members=64,
     corners={
         "FL": CornerStatus(
             {"disc": 673.15, "pad_1": 500.0, "fluid": 373.15},
             margin_k=55.0,
             risk=RiskLevel.ELEVATED,
             validity=Validity.DEGRADED,
+            forecast=RiskSnapshot(
+                probability=0.25,
+                fade=RiskLevel.HIGH,
+                fluid_deviation_k=5.5,
+                peak_k=403.15,
+                peak_in_s=600.0,
+                safe_in_s=inf,
+            ),
         ),
         "RR": CornerStatus({"disc": nan, "fluid": nan}),
     },
@@ -169,6 +180,13 @@ def test_a_service_that_has_just_started_follows_the_format() -> None:
         ("clock_jumps_total", {}, 11),
         ("clock_steps_total", {}, 12),
         ("state_saves_total", {}, 13),
+        ("vapour_probability", {"corner": "FL"}, 0.25),
+        ("car_vapour_probability", {"when": "now"}, 0.05),
+        ("fluid_peak_celsius", {"corner": "FL"}, 130.0),
+        ("fluid_safe_seconds", {"corner": "FL"}, inf),
+        ("fade", {"corner": "FL", "level": "high"}, 1),
+        ("boiling_point_celsius", {"share": "0.01"}, 133.0),
+        ("forecast_members", {}, 64),
         ("state_save_failures_total", {}, 14),
         ("state_age_seconds", {}, 15.5),
         ("drain_lag_seconds", {}, 0.001),

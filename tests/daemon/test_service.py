@@ -17,7 +17,11 @@ import pytest
 from cantools.database.can import Database
 
 from bstm_daemon.bus.e2e import Profile2Checker
-from bstm_daemon.bus.output_layout import own_ids, published_frames
+from bstm_daemon.bus.output_layout import (
+    ADVICE_OFFSET,
+    own_ids,
+    published_frames,
+)
 from bstm_daemon.cli.main import main
 from bstm_daemon.daemon.events import ServiceLog
 from bstm_daemon.daemon.monitor import BusOverride
@@ -198,7 +202,12 @@ def test_a_drive_is_published_and_ends_not_available(
     temperatures = peer.own("BSTM_FL_Temperatures")
     assert temperatures[-1]["Disc"] == "not_available"
     assert temperatures[-2]["Disc"] == pytest.approx(10.0, abs=0.6)
+    # advice needs the second switch
+    advice = ID_BASE + ADVICE_OFFSET
+    assert not [m for m in peer.heard if m.arbitration_id == advice]
     for frame in published_frames(CORNERS):
+        if frame.id_offset == ADVICE_OFFSET:
+            continue
         checker = Profile2Checker(frame.data_ids)
         verdicts = [
             checker.check(m.data).value

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from bstm_daemon.corner_model import corner_model
 from bstm_daemon.effects.catalogue import (
     edited_inputs,
     effect_class,
@@ -17,7 +18,7 @@ from bstm_daemon.effects.catalogue import (
 )
 from bstm_daemon.effects.corrections import corrected, corrections_by_role
 from bstm_daemon.effects.model import Correction
-from bstm_daemon.estimator import Estimator, corner_model
+from bstm_daemon.estimator import Estimator
 from bstm_daemon.heat.sample_plan import CHANNELS
 from bstm_daemon.native import VARIABLE
 from bstm_daemon.roles import ROLE_INDEX

@@ -10,12 +10,12 @@ import pytest
 
 from bstm_daemon.config import EffectConfig
 from bstm_daemon.config_file import load_config
+from bstm_daemon.corner_model import compile_corner, corner_model
 from bstm_daemon.effects.catalogue import (
     STRUCTURES,
     effect_names,
     effects_of,
 )
-from bstm_daemon.estimator import compile_corner, corner_model
 from bstm_daemon.heat.sample_plan import CHANNELS
 from bstm_daemon.shipped import shipped_file
 from bstm_daemon.simulation import load_drive, simulate

@@ -15,6 +15,7 @@ from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.estimator import Estimator
 from bstm_daemon.replay import present_roles, replay_log
 from bstm_daemon.results import Collector, Results, ResultsBuilder
+from bstm_daemon.results.risk import CAR_COLUMNS, CORNER_COLUMNS
 from bstm_daemon.results.rows import STRETCH_ROWS
 from bstm_daemon.roles import CORNERS
 
@@ -32,9 +33,14 @@ QUANTITIES = (
     "pad_back_c",
     "backplate_c",
     "fluid_c",
+    "wear_dose_j",
     "margin_k",
     "brake_power_w",
+    "pad_thickness_m",
+    "pad_thickness_std_m",
+    "disc_loss_m",
     "validity",
+    *CORNER_COLUMNS,
     "brake_power_ff_w",
     "brake_power_fb_w",
     "pressure_pa",
@@ -45,7 +51,7 @@ MEASURED = ("disc", "disc_2", "pad_front", "pad_back", "fluid", "caliper")
 def test_columns(results: Results) -> None:
     """Names and order; measured ones only where something was measured."""
     expected = ["time_s", "speed_ms", "distance_m", "brake_force_fb_n"]
-    expected.append("flags")
+    expected += ["flags", *CAR_COLUMNS, "forecast_age_s"]
     for corner in CORNERS:
         expected += [f"{corner}.{quantity}" for quantity in QUANTITIES]
         if corner[0] == "F":

@@ -79,6 +79,11 @@ def test_both_files_hold_the_same(results: Results, tmp_path: Path) -> None:
         "_w": 0.05,
         "_pa": 0.05,
         "_n": 0.05,
+        "_j": 0.05,
+        "thickness_m": 5e-8,
+        "std_m": 5e-8,
+        "loss_m": 5e-8,
+        "_s": 0.05,
     }
     for name, column in results.columns.items():
         binary = table.column(name).to_numpy()

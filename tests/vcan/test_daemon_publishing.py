@@ -13,7 +13,11 @@ import pytest
 from cantools.database.can import Database
 
 from bstm_daemon.bus.e2e import CheckStatus, Profile2Checker
-from bstm_daemon.bus.output_layout import own_ids, published_frames
+from bstm_daemon.bus.output_layout import (
+    ADVICE_OFFSET,
+    own_ids,
+    published_frames,
+)
 from bstm_daemon.shipped import shipped_file
 
 if TYPE_CHECKING:
@@ -28,9 +32,15 @@ pytestmark = pytest.mark.vcan
 
 CORNERS = ("FL", "FR", "RL", "RR")
 BASE = 0x5B0
-LAYOUT = dict(
-    zip(own_ids(BASE, CORNERS), published_frames(CORNERS), strict=True)
-)
+LAYOUT = {
+    can_id: frame
+    for can_id, frame in zip(
+        own_ids(BASE, CORNERS), published_frames(CORNERS), strict=True
+    )
+    if frame.id_offset != ADVICE_OFFSET
+}
+"""What is sent without ``[publish] requests``."""
+
 BITRATE = 500_000
 LOAD_LIMIT = 0.03
 FAREWELL = 4

@@ -63,7 +63,8 @@ def test_eighty_columns(car: tuple[Board, Sender]) -> None:
             )
         ),
     ]
-    assert lines[9].startswith("RL valid  risk normal  margin 62 K ")
+    assert lines[8] == f"{'parked         -':39}  {'parked         -':39}"
+    assert lines[10].startswith("RL valid  risk normal  margin 62 K ")
     assert lines[-1].endswith("q leaves")
 
 
@@ -171,7 +172,7 @@ def test_no_value(make_sender: MakeSender, board: Board) -> None:
 def test_no_frames_yet(board: Board) -> None:
     text = " ".join(" ".join(drawn(board)).split())
 
-    assert "no frame yet with an id from 0x5B0 to 0x5BB" in text
+    assert "no frame yet with an id from 0x5B0 to 0x5C3" in text
 
 
 def test_another_daemon_or_none_of_ours(board: Board) -> None:
@@ -188,7 +189,7 @@ def test_another_layout_shows_no_values(car: tuple[Board, Sender]) -> None:
 
     text = "\n".join(drawn(board))
 
-    assert "frames of layout 3, this program reads layout 1" in text
+    assert "frames of layout 3, this program reads layout 2" in text
     assert "disc" not in text
 
 

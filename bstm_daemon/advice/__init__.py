@@ -1,0 +1,1 @@
+"""Advice to the driver and requests to other controllers; never actuation."""

@@ -1,0 +1,211 @@
+"""What advice is given by: the brakes' state, the car's motion, the driver.
+
+Plain values, so that whatever estimates them can be exchanged. All SI; NaN is
+unknown.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from math import inf, isfinite, nan
+from typing import TYPE_CHECKING, Final
+
+from bstm_daemon.bus.output_layout import RiskLevel, Validity
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+SEVERITY: Final = {
+    RiskLevel.UNKNOWN: -1,
+    RiskLevel.NORMAL: 0,
+    RiskLevel.ELEVATED: 1,
+    RiskLevel.HIGH: 2,
+    RiskLevel.CRITICAL: 3,
+}
+"""Levels in their order; an unknown one is no reason for anything."""
+
+
+@dataclass(frozen=True, slots=True)
+class CornerCondition:
+    """How one corner stands.
+
+    ``probability`` is that of vaporisation now or if the car parks;
+    ``time_until_safe_s`` how long it must stand until the level falls;
+    ``worst_boiling_k`` the boiling point of a wet fluid of the grade.
+    """
+
+    level: RiskLevel = RiskLevel.UNKNOWN
+    probability: float = nan
+    time_until_safe_s: float = nan
+    fluid_k: float = nan
+    fluid_std_k: float = nan
+    worst_boiling_k: float = nan
+    validity: Validity = Validity.NOT_AVAILABLE
+
+    @property
+    def is_usable(self) -> bool:
+        """Whether anything may be asked for because of it."""
+        return self.validity in (Validity.VALID, Validity.DEGRADED)
+
+    @property
+    def margin_k(self) -> float:
+        """Worst-case boiling point less fluid and its deviation [K]."""
+        std_k = self.fluid_std_k if isfinite(self.fluid_std_k) else 0.0
+        return self.worst_boiling_k - (self.fluid_k + std_k)
+
+    def is_at_least(self, level: RiskLevel) -> bool:
+        """Whether its level is known to be *level* or worse."""
+        return self.is_usable and SEVERITY[self.level] >= SEVERITY[level]
+
+
+@dataclass(frozen=True, slots=True)
+class Conditions:
+    """Everything at one publication.
+
+    ``corners`` are those with a thermal model, ``pressures_pa`` of all;
+    ``brake_power_w`` is that of all brakes; ``driver`` holds the fresh values
+    of the roles of :data:`DRIVER_ROLES`.
+    """
+
+    time_us: int
+    corners: Mapping[str, CornerCondition]
+    speed_ms: float = nan
+    brake_power_w: float = nan
+    pressures_pa: Mapping[str, float] = field(default_factory=dict)
+    driver: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def level(self) -> RiskLevel:
+        """The worst level of a usable corner; unknown if there is none."""
+        usable = [c.level for c in self.corners.values() if c.is_usable]
+        return max(usable, key=SEVERITY.__getitem__, default=RiskLevel.UNKNOWN)
+
+    @property
+    def is_unsure(self) -> bool:
+        """Whether the level of some corner is not known."""
+        return any(
+            corner.level is RiskLevel.UNKNOWN or not corner.is_usable
+            for corner in self.corners.values()
+        )
+
+    @property
+    def validity(self) -> Validity:
+        """The worst validity of the corners."""
+        found = [corner.validity for corner in self.corners.values()]
+        return max(found, default=Validity.NOT_AVAILABLE)
+
+    @property
+    def waiting_s(self) -> float:
+        """How long until every corner is safe [s]; NaN where one is not known.
+
+        Only corners that ask for waiting count.
+        """
+        times = [
+            corner.time_until_safe_s
+            for corner in self.corners.values()
+            if corner.is_at_least(RiskLevel.HIGH)
+        ]
+        if not times or not all(map(isfinite, times)):
+            return nan
+        return max(times)
+
+    def margin_k(self, axle: str = "") -> float:
+        """Smallest margin of usable corners [K], of an *axle* "F" or "R".
+
+        Infinite where there is none: a brake without a thermal model is no
+        reason to ask for anything.
+        """
+        margins = [
+            corner.margin_k
+            for name, corner in self.corners.items()
+            if name.startswith(axle)
+            and corner.is_usable
+            and isfinite(corner.margin_k)
+        ]
+        return min(margins, default=inf)
+
+    def flag(self, role: str) -> bool | None:
+        """Return a switch, None where it is not known."""
+        value = self.driver.get(role)
+        return None if value is None else value > 0.5
+
+
+DRIVER_ROLES: Final = (
+    "ignition",
+    "gear",
+    "clutch_open",
+    "engine_speed",
+    "brake_switch",
+    "brake_pedal_travel",
+    "acceleration_longitudinal",
+    "pitch",
+    "abs_active",
+    "esc_active",
+)
+"""Roles that advice reads besides the estimate."""
+
+
+class HeldRoles:
+    """The newest values of :data:`DRIVER_ROLES` at a time of the data."""
+
+    def __init__(
+        self, timeouts_us: Mapping[int, int], numbers: Mapping[str, int]
+    ) -> None:
+        """Hold the roles of *numbers* (name to role number).
+
+        A value counts until it is older than its time-out.
+        """
+        self._names = {
+            number: name
+            for name, number in numbers.items()
+            if name in DRIVER_ROLES and number in timeouts_us
+        }
+        self._timeouts = {
+            name: timeouts_us[number] for number, name in self._names.items()
+        }
+        self._held: dict[str, tuple[int, float]] = {}
+        self._waiting: list[tuple[int, str, float]] = []
+
+    @property
+    def numbers(self) -> frozenset[int]:
+        """Numbers of the roles that are held."""
+        return frozenset(self._names)
+
+    def note(self, stamp_us: int, role: int, value: float) -> None:
+        """Take a sample; it counts from *stamp_us* on."""
+        self._waiting.append((stamp_us, self._names[role], value))
+
+    def export(self) -> dict[str, list[float]]:
+        """Return stamp [us] and value of each role as plain values."""
+        return {name: list(held) for name, held in self._held.items()}
+
+    def restore(self, saved: Mapping[str, Sequence[float]]) -> None:
+        """Take over what :meth:`export` gave, on the same axis of time.
+
+        Raises:
+            TypeError, ValueError: it is nothing of that kind.
+        """
+        for name in self._names.values():
+            if name in saved:
+                stamp_us, value = saved[name]
+                self._held[name] = int(stamp_us), float(value)
+
+    def at(self, time_us: int) -> dict[str, float]:
+        """Return the values that are fresh at *time_us*, not going back."""
+        later = []
+        for sample in self._waiting:
+            stamp_us, name, value = sample
+            if stamp_us <= time_us:
+                self._held[name] = stamp_us, value
+            elif stamp_us - time_us < FAR_US:
+                later.append(sample)
+        self._waiting = later
+        return {
+            name: value
+            for name, (stamp_us, value) in self._held.items()
+            if 0 <= time_us - stamp_us <= self._timeouts[name]
+        }
+
+
+FAR_US: Final = 10_000_000
+"""A sample stamped further ahead is one of a clock that went wrong."""

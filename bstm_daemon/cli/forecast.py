@@ -1,0 +1,168 @@
+"""``bstm forecast``: what the brake fluid will do, from a saved state."""
+
+from __future__ import annotations
+
+import json
+import time
+from datetime import UTC, datetime
+from math import isinf
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from bstm_daemon.carry_over import StateError, restore_state
+from bstm_daemon.cli.arguments import add_config, add_json
+from bstm_daemon.config_file import load_config
+from bstm_daemon.daemon.state_file import read
+from bstm_daemon.errors import FileAccessError, UsageError
+from bstm_daemon.estimator import Estimator
+from bstm_daemon.files import replacing
+from bstm_daemon.forecast.workshop import SHARES, outlook
+from bstm_daemon.units import to_celsius
+
+if TYPE_CHECKING:
+    import argparse
+
+    from bstm_daemon.forecast.workshop import CornerOutlook, Outlook
+
+HEADING = (
+    "        degC           now      degC   after     in 30 min  after"
+    "    level"
+)
+NOTICE = "Estimate and advice, not a safety function."
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of ``bstm forecast``."""
+    add_config(parser)
+    parser.add_argument(
+        "--now",
+        type=Path,
+        metavar="STATE",
+        required=True,
+        help="state file of the daemon; the car parks at its save. It is "
+        "only read",
+    )
+    add_json(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Tell the forecast and write it where it is asked for."""
+    config = load_config(args.config)
+    loaded = read(args.now)
+    if loaded.document is None:
+        problem = loaded.problem or f"{args.now}: No such file or directory"
+        msg = f"--now {problem}"
+        raise FileAccessError(msg)
+    vehicle_id = loaded.document.get("vehicle_id")
+    if vehicle_id != config.vehicle.id:
+        msg = (
+            f"--now {args.now}: it is of vehicle {vehicle_id!r}, not "
+            f"{config.vehicle.id!r}"
+        )
+        raise UsageError(msg)
+    estimator = Estimator(config, {})
+    try:
+        restore_state(estimator, loaded.document, resume=False)
+    except StateError as error:
+        msg = f"--now {args.now}: the state does not fit: {error}"
+        raise UsageError(msg) from error
+    found = outlook(config, estimator, loaded.document)
+    print("\n".join(_lines(config.vehicle.id, args.now, found)))
+    if args.json is not None:
+        with replacing(args.json) as temporary:
+            text = json.dumps(_document(config.vehicle.id, found), indent=1)
+            temporary.write_text(text + "\n", "utf-8")
+        print(args.json)
+    return 0
+
+
+def _lines(vehicle_id: str, path: Path, found: Outlook) -> list[str]:
+    low, middle, _ = (to_celsius(kelvin) for kelvin in found.boiling_k)
+    known = "known" if found.history_known else "unknown: may be hotter"
+    water = (
+        f"fluid: {found.water_percent:.1f} % water (median), boils at "
+        f"{middle:.0f} degC (median), 1 % of such fluids below {low:.0f} degC"
+    )
+    surroundings = (
+        f"history {known}; outside {to_celsius(found.ambient_k):.0f} degC; "
+        f"{found.members} members"
+    )
+    head = [
+        f"{vehicle_id}: parked since the save of {path}{_when(found)}",
+        surroundings,
+        water,
+        "",
+        "        fluid now      vapour   hottest          vapour     safe",
+        HEADING,
+    ]
+    return [*head, *map(_line, found.corners), "", NOTICE]
+
+
+def _line(corner: CornerOutlook) -> str:
+    now = f"{to_celsius(corner.fluid_k):.0f} +- {corner.deviation_k:.0f}"
+    return (
+        f"{corner.corner:8}{now:15}{_percent(corner.probability_now):9}"
+        f"{to_celsius(corner.peak_k):<7.0f}{_minutes(corner.peak_in_s):10}"
+        f"{_percent(corner.probability):11}{_minutes(corner.safe_in_s):9}"
+        f"{corner.level.name.lower()}"
+    )
+
+
+def _when(found: Outlook) -> str:
+    if found.saved_us is None:
+        return ""
+    saved = datetime.fromtimestamp(found.saved_us * 1e-6, UTC)
+    age_s = time.time() - found.saved_us * 1e-6
+    ago = f", {_minutes(age_s)} ago" if age_s >= 0.0 else ""
+    return f" ({saved:%Y-%m-%d %H:%M} UTC{ago})"
+
+
+def _minutes(seconds: float) -> str:
+    if isinf(seconds):
+        return "> 90 min"
+    minutes = seconds / 60.0
+    if minutes < 120.0:
+        return f"{minutes:.0f} min"
+    hours = minutes / 60.0
+    return f"{hours:.0f} h" if hours < 48.0 else f"{hours / 24.0:.0f} days"
+
+
+def _percent(share: float) -> str:
+    if 0.0 < share < 0.001:
+        return "< 0.1 %"
+    return f"{100.0 * share:.1f} %"
+
+
+def _document(vehicle_id: str, found: Outlook) -> dict[str, Any]:
+    """Return *found* as plain values; None where a time is out of sight."""
+    return {
+        "vehicle_id": vehicle_id,
+        "saved_us": found.saved_us,
+        "history_known": found.history_known,
+        "ambient_c": _rounded(to_celsius(found.ambient_k)),
+        "water_percent": _rounded(found.water_percent),
+        "boiling_c": {
+            f"{share:g}": _rounded(to_celsius(kelvin))
+            for share, kelvin in zip(SHARES, found.boiling_k, strict=True)
+        },
+        "members": found.members,
+        "corners": {
+            c.corner: {
+                "fluid_c": _rounded(to_celsius(c.fluid_k)),
+                "fluid_std_k": _rounded(c.deviation_k),
+                "risk_now": c.probability_now,
+                "risk": c.probability,
+                "level": c.level.name.lower(),
+                "peak_c": _rounded(to_celsius(c.peak_k)),
+                "peak_in_s": _rounded(c.peak_in_s),
+                "safe_in_s": None
+                if isinf(c.safe_in_s)
+                else _rounded(c.safe_in_s),
+            }
+            for c in found.corners
+        },
+    }
+
+
+def _rounded(value: float) -> float:
+    return round(value, 2)

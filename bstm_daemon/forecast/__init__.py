@@ -1,0 +1,1 @@
+"""What the brakes will do: ensembles of the thermal model run ahead."""

@@ -1,0 +1,245 @@
+"""An ensemble marched ahead, a few steps at a time.
+
+Parked brakes change slowly and the scheme damps any step, so the steps grow
+with the time ahead; the tests hold them against a march of 0.05 s.
+"""
+
+from __future__ import annotations
+
+from array import array
+from itertools import accumulate
+from math import inf
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+from bstm_daemon.thermal.kernel import Batch
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from bstm_daemon.forecast.members import Ensemble
+    from bstm_daemon.native import Kernel
+    from bstm_daemon.risk.vaporisation import Boiling
+
+HORIZON_S: Final = 1800.0
+"""Vapour within this time after now is what the risk speaks of."""
+
+PARKED_STEPS: Final = (
+    *((5.0,) * 6),
+    *((10.0,) * 9),
+    *((20.0,) * 12),
+    *((36.0,) * 40),
+    *((120.0,) * 30),
+)
+"""Steps ahead [s]: 30 min to the horizon, then 1 h to see it safe again."""
+
+DUTY_STEPS: Final = (*((5.0,) * 6), *((10.0,) * 9), *((30.0,) * 56))
+"""Steps of a duty that goes on [s], up to the horizon."""
+
+
+class Conditions(NamedTuple):
+    """What acts on a corner from now on; powers in W, all else SI.
+
+    At rest all but ``ambient_k`` is 0.
+    """
+
+    ambient_k: float
+    speed_ms: float = 0.0
+    pressure_pa: float = 0.0
+    brake_on: float = 0.0
+    power_w: float = 0.0
+
+
+class Course(NamedTuple):
+    """What the members' fluid did.
+
+    ``times_s`` of the points, the first 0; ``fluid_k`` one series a member.
+    """
+
+    times_s: tuple[float, ...]
+    fluid_k: list[array[float]]
+
+    def peaks_k(self, until_s: float) -> list[float]:
+        """Return each member's highest temperature [K] up to *until_s*."""
+        end = self._end(until_s)
+        return [max(series[:end]) for series in self.fluid_k]
+
+    def peak(self, until_s: float) -> tuple[float, float]:
+        """Return the median of the members' peaks [K] and of their times [s].
+
+        The top between points is that of a parabola through three.
+        """
+        end = self._end(until_s)
+        tops = [_top(self.times_s, series[:end]) for series in self.fluid_k]
+        return (
+            median([kelvin for kelvin, _ in tops]),
+            median([seconds for _, seconds in tops]),
+        )
+
+    def probability(self, place: int, boiling: Boiling) -> float:
+        """Return the probability of vapour at the point number *place*."""
+        found = sum(boiling.probability(s[place]) for s in self.fluid_k)
+        return found / len(self.fluid_k)
+
+    def safe_in_s(self, boiling: Boiling, limit: float) -> float:
+        """Return when the probability of vapour stays below *limit* [s].
+
+        Infinite where that is not within the time marched.
+        """
+        last = len(self.times_s) - 1
+        if self.probability(last, boiling) >= limit:
+            return inf
+        mean = [sum(values) for values in zip(*self.fluid_k, strict=True)]
+        low, high = mean.index(max(mean)), last
+        if self.probability(low, boiling) < limit:
+            return 0.0
+        # past its top the fluid only cools
+        while high - low > 1:
+            middle = (low + high) // 2
+            if self.probability(middle, boiling) >= limit:
+                low = middle
+            else:
+                high = middle
+        return self.times_s[high]
+
+    def reached_in_s(self, boiling: Boiling, limit: float) -> float:
+        """Return when the probability of vapour first reaches *limit* [s]."""
+        mean = [sum(values) for values in zip(*self.fluid_k, strict=True)]
+        low, high = -1, mean.index(max(mean))
+        if self.probability(high, boiling) < limit:
+            return inf
+        while high - low > 1:
+            middle = (low + high) // 2
+            if self.probability(middle, boiling) >= limit:
+                high = middle
+            else:
+                low = middle
+        return self.times_s[high]
+
+    def _end(self, until_s: float) -> int:
+        return sum(seconds <= until_s for seconds in self.times_s)
+
+
+class Job:
+    """One corner's ensemble on its way ahead."""
+
+    def __init__(  # noqa: PLR0913
+        self,
+        ensemble: Ensemble,
+        kernel: Kernel | None,
+        state: Sequence[float],
+        conditions: Conditions,
+        steps: Sequence[float],
+        *,
+        channels: Sequence[str],
+        factor: float,
+    ) -> None:
+        """Start *ensemble* at *state* [nodes and memories] of its corner.
+
+        *channels* are the names of the model's inputs; *factor* widens the
+        spread.
+        """
+        self._steps = steps
+        self._done = 0
+        self._ensemble = ensemble
+        self._batch = Batch(
+            ensemble.programs,
+            conditions.ambient_k,
+            None,
+            kernel,
+        )
+        self._batch.state = ensemble.states(
+            state, conditions.ambient_k, factor
+        )
+        self._inputs = _inputs(ensemble, conditions, channels, factor)
+        width, first = self._batch.width, ensemble.fluid
+        self._fluid = [
+            array("d", [self._batch.state[m * width + first]])
+            for m in range(ensemble.count)
+        ]
+
+    @property
+    def finished(self) -> bool:
+        """Whether the course is there."""
+        return self._done == len(self._steps)
+
+    def advance(self, limit: int) -> None:
+        """March at most *limit* steps."""
+        end = min(self._done + limit, len(self._steps))
+        row = self._ensemble.count * (self._batch.width + self._batch.sources)
+        size = self._batch.width + self._batch.sources
+        while self._done < end:
+            step_s = self._steps[self._done]
+            count = 1
+            while (
+                self._done + count < end
+                and self._steps[self._done + count] == step_s
+            ):
+                count += 1
+            out = self._batch.march(self._inputs * count, count, step_s)
+            for member, series in enumerate(self._fluid):
+                series.extend(out[member * size + self._ensemble.fluid :: row])
+            self._done += count
+
+    def course(self) -> Course:
+        """Return what the members' fluid did so far."""
+        times = accumulate(self._steps[: self._done], initial=0.0)
+        return Course(tuple(times), self._fluid)
+
+
+def _inputs(
+    ensemble: Ensemble,
+    conditions: Conditions,
+    channels: Sequence[str],
+    factor: float,
+) -> array[float]:
+    """Return one step's rows, a row a member."""
+    measured = float("nan")
+    rows = array("d")
+    for ambient_k, heat in zip(
+        ensemble.ambients_k(conditions.ambient_k, factor),
+        ensemble.heats(factor),
+        strict=True,
+    ):
+        values = {
+            "speed_ms": conditions.speed_ms,
+            "pressure_pa": conditions.pressure_pa,
+            "brake_on": conditions.brake_on,
+            "ambient_k": ambient_k,
+            "brake_power_w": heat * conditions.power_w,
+        }
+        rows.extend(
+            values.get(name, measured if name.startswith("measured_") else 0.0)
+            for name in channels
+        )
+    return rows
+
+
+def median(values: list[float]) -> float:
+    """Return the middle of *values*."""
+    ordered = sorted(values)
+    middle = len(ordered) // 2
+    if len(ordered) % 2:
+        return ordered[middle]
+    return 0.5 * (ordered[middle - 1] + ordered[middle])
+
+
+def _top(
+    times_s: Sequence[float], series: array[float]
+) -> tuple[float, float]:
+    """Return the highest temperature of *series* and its time."""
+    best = max(series)
+    at = series.index(best)
+    if at in {0, len(series) - 1}:
+        return best, times_s[at]
+    before, after = (
+        times_s[at] - times_s[at - 1],
+        times_s[at + 1] - times_s[at],
+    )
+    left = (best - series[at - 1]) / before
+    right = (series[at + 1] - best) / after
+    bend = (right - left) / (before + after)
+    if not bend < 0.0:
+        return best, times_s[at]
+    slope = (left * after + right * before) / (before + after)
+    shift = -0.5 * slope / bend
+    return best + 0.5 * slope * shift, times_s[at] + shift

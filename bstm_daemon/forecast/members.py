@@ -1,0 +1,178 @@
+"""The members of an ensemble: one corner, as it may really be.
+
+A member is the compiled network of the corner with conductances, capacities
+and the present temperatures changed by drawn factors. It stays a member of
+the corner's structure, so the kernel marches all of them as lanes.
+"""
+
+from __future__ import annotations
+
+from array import array
+from dataclasses import replace
+from math import hypot
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+from bstm_daemon.risk.sequence import normal_draws
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from bstm_daemon.thermal.network import Link, Network
+    from bstm_daemon.thermal.program import Program
+
+
+class Spread(NamedTuple):
+    """Standard deviations of what an estimate does not know.
+
+    All are shares but ``ambient_k`` and ``fluid_floor_k`` [K]. ``heat`` is
+    the brake heat so far, common to all nodes and corners, ``duty_heat`` that
+    of the duty to come; ``fluid`` what the fluid alone is off by. The others
+    are of the model from now on: resistance of backplate and shim, losses of
+    the fluid's lump and of the disc, conduction in the lining, exchange of
+    disc and pad, capacity of the fluid's lump.
+    """
+
+    heat: float = 0.045
+    fluid: float = 0.03
+    fluid_floor_k: float = 1.0
+    resistance: float = 0.06
+    fluid_loss: float = 0.08
+    disc_loss: float = 0.08
+    lining: float = 0.06
+    exchange: float = 0.15
+    fluid_capacity: float = 0.02
+    ambient_k: float = 2.0
+    duty_heat: float = 0.15
+
+    def scaled(self, factor: float) -> Spread:
+        """Return all of it times *factor*."""
+        return Spread(*(factor * value for value in self))
+
+
+AXES: Final = Spread._fields
+LOWEST_FACTOR: Final = 0.2
+"""No conductance and no capacity falls further, however wide the spread."""
+
+DEGRADED_FACTOR: Final = 2.0
+"""A degraded estimate is taken as so much less certain."""
+
+
+class Ensemble:
+    """Members of one corner, for any state of it."""
+
+    def __init__(self, program: Program, count: int, spread: Spread) -> None:
+        """Draw *count* members of *program*."""
+        self.program = program
+        self.count = count
+        self.spread = spread
+        self.draws = [
+            dict(zip(AXES, point, strict=True))
+            for point in normal_draws(count, len(AXES))
+        ]
+        self.now_draws = [point[0] for point in normal_draws(count, 1)]
+        net = program.network
+        self._nodes = len(net.nodes)
+        self.fluid = program.state_names.index("fluid")
+        self._behind = [
+            i
+            for i, node in enumerate(net.nodes)
+            if node.name in {"fluid", "backplate", "caliper"}
+        ]
+        self.programs = [
+            replace(program, floats=_changed(program, draw, spread))
+            for draw in self.draws
+        ]
+
+    def of(self, program: Program) -> Ensemble:
+        """Return the same members of *program*: itself where it is its own.
+
+        The networks of worn linings take the place of those before.
+        """
+        if program is self.program:
+            return self
+        return Ensemble(program, self.count, self.spread)
+
+    def states(
+        self, state: Sequence[float], ambient_k: float, factor: float
+    ) -> array[float]:
+        """Return the members' states around *state*, [count, state] flat.
+
+        *factor* widens the spread; what is above *ambient_k* is off by a
+        share, because that is what the heat so far has made of it.
+        """
+        spread = self.spread
+        found = array("d")
+        fluid_k = state[self.fluid]
+        floor = spread.fluid_floor_k / max(abs(fluid_k - ambient_k), 1.0)
+        alone = hypot(spread.fluid, floor)
+        for draw in self.draws:
+            common = factor * spread.heat * draw["heat"]
+            own = factor * alone * draw["fluid"]
+            member = [
+                value + common * (value - ambient_k)
+                for value in state[: self._nodes]
+            ]
+            for node in self._behind:
+                member[node] += own * (state[node] - ambient_k)
+            found.extend(member)
+            found.extend(state[self._nodes :])
+        return found
+
+    def fluid_deviation_k(
+        self, fluid_k: float, ambient_k: float, factor: float
+    ) -> float:
+        """Return the standard deviation [K] of the fluid's temperature."""
+        spread = self.spread
+        share = hypot(spread.heat, spread.fluid)
+        return factor * hypot(
+            share * (fluid_k - ambient_k), spread.fluid_floor_k
+        )
+
+    def ambients_k(self, ambient_k: float, factor: float) -> list[float]:
+        """Return each member's air temperature [K]."""
+        width = factor * self.spread.ambient_k
+        return [ambient_k + width * draw["ambient_k"] for draw in self.draws]
+
+    def heats(self, factor: float) -> list[float]:
+        """Return each member's factor on a duty's brake power."""
+        width = factor * self.spread.duty_heat
+        return [
+            max(1.0 + width * draw["duty_heat"], 0.0) for draw in self.draws
+        ]
+
+
+def _changed(
+    program: Program, draw: dict[str, float], spread: Spread
+) -> array[float]:
+    """Return the numbers of *program* as the member *draw* has them."""
+    net = program.network
+    floats = program.floats[:]
+    for i, node in enumerate(net.nodes):
+        if node.name in {"fluid", "caliper"}:
+            floats[i] *= _factor(draw, spread, "fluid_capacity")
+    for k, link in enumerate(net.links):
+        axis = _axis(net, link)
+        if axis is not None:
+            floats[len(net.nodes) + k] *= _factor(draw, spread, axis)
+    return floats
+
+
+def _factor(draw: dict[str, float], spread: Spread, axis: str) -> float:
+    width: float = getattr(spread, axis)
+    return max(1.0 + width * draw[axis], LOWEST_FACTOR)
+
+
+def _axis(net: Network, link: Link) -> str | None:
+    """Return what the conductance of *link* is uncertain by, if known."""
+    ends = {link.a, link.b}
+    air = any(net.node(end).boundary_input == "ambient_k" for end in ends)
+    pads = sum(end.startswith("pad_") for end in ends)
+    if air and ends & {"fluid", "caliper"}:
+        return "fluid_loss"
+    if air and "disc" in ends:
+        return "disc_loss"
+    if "backplate" in ends:
+        return "resistance"
+    if pads == len(ends):
+        return "lining"
+    return "exchange" if pads and "disc" in ends else None

@@ -1,0 +1,1 @@
+"""Wear: thickness of the linings and the disc from the friction energy."""

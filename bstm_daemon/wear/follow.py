@@ -1,0 +1,100 @@
+"""Between the estimator's arrays and wear: doses out, new networks in."""
+
+from __future__ import annotations
+
+from array import array
+from typing import TYPE_CHECKING, Protocol
+
+from bstm_daemon.thermal.regrid import follow_wear, heat_above_j
+from bstm_daemon.wear.dose import DISTANCE, DOSE
+from bstm_daemon.wear.pads import Change
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from bstm_daemon.thermal.kernel import Batch
+    from bstm_daemon.thermal.program import Program
+
+
+class Layout(Protocol):
+    """Corners marched together, and what one state of theirs holds."""
+
+    @property
+    def corners(self) -> tuple[str, ...]:
+        """Names of the corners."""
+
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        """Names of the numbers of a state."""
+
+    @property
+    def size(self) -> int:
+        """Numbers that a corner has at one publication."""
+
+
+class Totals:
+    """Dose and distance of every corner at the publications of a block."""
+
+    def __init__(
+        self, groups: Sequence[Layout], outputs: Sequence[array[float]]
+    ) -> None:
+        """Read *outputs*, per group [n, corners of the group, size] flat."""
+        self._places = {
+            name: (group, output, member)
+            for group, output in zip(groups, outputs, strict=True)
+            for member, name in enumerate(group.corners)
+        }
+
+    def __call__(self, name: str, i: int) -> tuple[float, float]:
+        """Return dose [J] and distance [m] of *name* at publication *i*."""
+        group, output, member = self._places[name]
+        first = (i * len(group.corners) + member) * group.size
+        names = group.state_names
+        return (
+            output[first + names.index(DOSE)],
+            output[first + names.index(DISTANCE)],
+        )
+
+
+def exchange(
+    batch: Batch, member: int, program: Program, change: Change, air_k: float
+) -> float:
+    """Let *member* of *batch* go on with *program*, after *change*.
+
+    What is worn leaves with its heat; new linings come as warm as the air;
+    what was only learned moves no heat.
+
+    Returns:
+        The heat above *air_k* [K] that left the corner [J].
+    """
+    old = batch.programs[member].network
+    first = member * batch.width
+    last = first + len(old.nodes)
+    before = batch.state[first:last]
+    batch.replace(member, program)
+    if change is Change.CORRECTED:
+        return 0.0
+    if change is Change.FITTED:
+        after = [
+            air_k if node.name.startswith("pad_") else kelvin
+            for node, kelvin in zip(old.nodes, before, strict=True)
+        ]
+    else:
+        after = follow_wear(old, program.network, before)
+    batch.state[first:last] = array("d", after)
+    return heat_above_j(old, before, air_k) - heat_above_j(
+        program.network, after, air_k
+    )
+
+
+def keep_totals(
+    fresh: array[float], names: Sequence[str], state: Sequence[float]
+) -> None:
+    """Put the doses of *state* into *fresh*, a start of the same *names*.
+
+    A lining is not new because its temperature is unknown.
+    """
+    for key in (DOSE, DISTANCE):
+        at = names.index(key)
+        if state[at] >= 0.0:  # nan is not
+            fresh[at] = state[at]

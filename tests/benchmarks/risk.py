@@ -1,0 +1,397 @@
+"""Vapour foreseen: descents of the independent reality, judged at the stop.
+
+``run.py risk`` is a small sample; ``python tests/benchmarks/risk.py`` makes
+the figures of ``docs/risk.md`` from thousands of descents.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import pickle
+import sys
+from dataclasses import dataclass
+from multiprocessing import get_context
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from risk_cases import base_config, draw_case, march_truth
+from risk_fluids import (
+    DrawnFluid,
+    auc,
+    calibration_error,
+    draw_fluid,
+    false_share,
+)
+from risk_judge import Judgement, boiled_at_s, judged
+from risk_mixed import mixed
+from side_by_side import Goal, Outcome, Table
+
+from bstm_daemon.risk.levels import PROBABILITIES
+
+if TYPE_CHECKING:
+    import numpy.typing as npt
+
+    Column = npt.NDArray[np.float64]
+    Flags = npt.NDArray[np.bool_]
+
+SEED: Final = 20_261_121
+"""Of the reported figures; the spreads were chosen with other seeds."""
+
+FULL: Final = 2000
+QUICK: Final = 50
+CHUNK: Final = 50
+PROCESSES: Final = 2
+TRIALS: Final = 12
+"""Fluids tried for a descent."""
+
+FAR_SHARE: Final = 0.15
+"""Share of descents that end far below boiling; the others lie around it."""
+
+NEAR_K: Final = (-24.0, 14.0)
+"""Hottest fluid less the median boiling point of what is known: the design
+looks at nothing that the daemon and the oracle do not know."""
+
+HOTTEST_DISC_K: Final = 973.15
+"""Beyond 700 degC a driver has had no brake for long."""
+
+WITHIN_K: Final = 10.0
+KM_FULL: Final = 3000.0
+KM_QUICK: Final = 50.0
+DOCUMENT: Final = Path(__file__).parents[2] / "docs" / "risk.md"
+BEGIN: Final = "<!-- figures -->"
+END: Final = "<!-- end of figures -->"
+
+
+@dataclass(frozen=True, slots=True)
+class Descent:
+    """A judged descent with its fluid."""
+
+    judgement: Judgement
+    fluid: DrawnFluid
+    boiled_s: float
+    ambient_k: float
+
+    @property
+    def margin_k(self) -> float:
+        """Hottest fluid of any corner less its boiling point."""
+        hottest = float(self.judgement.true_peaks_k.max())
+        return hottest - self.fluid.boiling_k
+
+
+@dataclass(frozen=True, slots=True)
+class Scores:
+    """Probabilities of daemon and oracle, and what came."""
+
+    daemon: Column
+    oracle: Column
+    boiled: Flags
+
+
+def descents(
+    count: int,
+    seed: int = SEED,
+    preset: str = "plain",
+    cache: Path | None = None,
+) -> list[Descent]:
+    """Return *count* descents drawn as :data:`NEAR_K` says.
+
+    Chunks have seeds of their own, so that processes may share the work.
+    """
+    chunks = -(-count // CHUNK)
+    work = [((seed, number), preset, cache) for number in range(chunks)]
+    with get_context("spawn").Pool(PROCESSES) as pool:
+        found = pool.starmap(_cached, work, chunksize=1)
+    return [descent for part in found for descent in part][:count]
+
+
+def _cached(
+    seed: tuple[int, int], preset: str, cache: Path | None
+) -> list[Descent]:
+    """Return a chunk, from the folder *cache* if it is there."""
+    if cache is None:
+        return _chunk(seed, preset)
+    path = cache / f"{preset}-{seed[0]}-{seed[1]}.pickle"
+    if path.exists():
+        found: list[Descent] = pickle.loads(path.read_bytes())  # noqa: S301
+        return found
+    found = _chunk(seed, preset)
+    path.write_bytes(pickle.dumps(found))
+    return found
+
+
+def _chunk(seed: tuple[int, int], preset: str) -> list[Descent]:
+    rng = np.random.default_rng(seed)
+    base = base_config()
+    found: list[Descent] = []
+    far = 0
+    while len(found) < CHUNK:
+        cases = [draw_case(rng, base) for _ in range(CHUNK)]
+        for case, truth in zip(cases, march_truth(cases, preset), strict=True):
+            # a march of the reality that went astray says nothing
+            if not (
+                truth.disc_k <= HOTTEST_DISC_K
+                and np.isfinite(truth.fluid_k).all()
+            ):
+                continue
+            fluid = _fitting(rng, float(truth.fluid_k.max()))
+            if fluid is None:
+                if far + 1 > FAR_SHARE * (len(found) + 1):
+                    continue
+                fluid = draw_fluid(rng)
+                if float(truth.fluid_k.max()) > (
+                    fluid.unknown.quantile(0.5) + NEAR_K[0]
+                ):
+                    continue
+                far += 1
+            if len(found) == CHUNK:
+                break
+            found.append(
+                Descent(
+                    judged(case, truth),
+                    fluid,
+                    boiled_at_s(truth, fluid.boiling_k),
+                    case.ambient_k,
+                )
+            )
+    return found
+
+
+def _fitting(rng: np.random.Generator, peak_k: float) -> DrawnFluid | None:
+    """Return a fluid that makes a descent with that peak a near thing."""
+    for _ in range(TRIALS):
+        fluid = draw_fluid(rng)
+        apart_k = peak_k - fluid.unknown.quantile(0.5)
+        if NEAR_K[0] <= apart_k <= NEAR_K[1]:
+            return fluid
+    return None
+
+
+def scores(found: list[Descent], *, given: bool) -> Scores:
+    """Return the probabilities with water unknown or *given*."""
+    known = [d.fluid.given if given else d.fluid.unknown for d in found]
+    return Scores(
+        np.array(
+            [
+                d.judgement.probability(k)
+                for d, k in zip(found, known, strict=True)
+            ]
+        ),
+        np.array(
+            [
+                k.probability(float(d.judgement.true_peaks_k.max()))
+                for d, k in zip(found, known, strict=True)
+            ]
+        ),
+        np.array([np.isfinite(d.boiled_s) for d in found]),
+    )
+
+
+def run(*, full: bool, cache: Path | None = None) -> Outcome:
+    """Judge descents and mixed driving; *cache* keeps what is done."""
+    found = descents(FULL if full else QUICK, cache=cache)
+    return outcome_of(found, _mixed(full=full, cache=cache), full=full)
+
+
+def outcome_of(
+    found: list[Descent],
+    driven: tuple[float, int, int, float],
+    *,
+    full: bool,
+) -> Outcome:
+    """Return the tables of the descents *found* and of mixed driving."""
+    km, warned, warned_given, hottest_k = driven
+    boiled = np.array([np.isfinite(d.boiled_s) for d in found])
+    margins = np.array([d.margin_k for d in found])
+    outcome = Outcome(
+        "Vapour foreseen",
+        f"{len(found)} descents of random cars, loads, roads and fluids, "
+        f"{boiled.sum()} of which boil ({boiled.mean():.0%}), "
+        f"{(np.abs(margins) <= WITHIN_K).mean():.0%} end within 10 K of "
+        "their boiling point; judged when the car stops to park.",
+    )
+    unknown, given = (scores(found, given=g) for g in (False, True))
+    now = np.array([float(d.judgement.now_k.max()) for d in found])
+    outcome.tables = [
+        _discrimination(unknown, given, now),
+        _warnings(found, unknown, given),
+        _temperatures(found),
+        Table(
+            "Mixed driving",
+            ("", "water unknown", "water given"),
+            (
+                ("km driven", f"{km:.0f}", f"{km:.0f}"),
+                (
+                    "false warnings per 10 000 km",
+                    f"{warned / 20 / km * 1e4:.2f}",
+                    f"{warned_given / 20 / km * 1e4:.2f}",
+                ),
+                (
+                    "hottest forecast peak, degC",
+                    f"{hottest_k - 273.15:.0f}",
+                    "",
+                ),
+            ),
+        ),
+    ]
+    least = 0.02 if full else 0.06
+    outcome.goals = [
+        Goal(
+            "AUC over the oracle's, water unknown",
+            auc(unknown.daemon, unknown.boiled)
+            / auc(unknown.oracle, unknown.boiled),
+            1.0,
+            least,
+        )
+    ]
+    return outcome
+
+
+def _mixed(*, full: bool, cache: Path | None) -> tuple[float, int, int, float]:
+    kilometres = KM_FULL if full else KM_QUICK
+    if cache is None:
+        return mixed(kilometres, SEED)
+    path = cache / f"mixed-{SEED}-{kilometres:.0f}.json"
+    if not path.exists():
+        path.write_text(json.dumps(mixed(kilometres, SEED)), "utf-8")
+    km, warned, warned_given, hottest_k = json.loads(path.read_text("utf-8"))
+    return km, warned, warned_given, hottest_k
+
+
+def _discrimination(unknown: Scores, given: Scores, now: Column) -> Table:
+    rows = []
+    for label, of in (
+        ("AUC", auc),
+        ("false warnings at 1 % missed", false_share),
+    ):
+        cells = [label]
+        for s in (unknown, given):
+            cells += [f"{of(p, s.boiled):.3f}" for p in (s.daemon, s.oracle)]
+        rows.append((*cells, f"{of(now, unknown.boiled):.3f}"))
+    cells = ["expected calibration error"]
+    for s in (unknown, given):
+        cells += [
+            f"{calibration_error(p, s.boiled):.3f}"
+            for p in (s.daemon, s.oracle)
+        ]
+    rows.append((*cells, ""))
+    return Table(
+        "Boils within 30 min",
+        (
+            "",
+            *("water unknown: daemon", "oracle"),
+            *("water given: daemon", "oracle"),
+            "temperature now",
+        ),
+        tuple(rows),
+    )
+
+
+def _warnings(found: list[Descent], unknown: Scores, given: Scores) -> Table:
+    """What the levels of the daemon do, at their own thresholds."""
+    boiled_s = np.array([d.boiled_s for d in found])
+    rows = []
+    for name, limit in zip(
+        ("elevated", "high", "critical"), PROBABILITIES, strict=True
+    ):
+        cells = [f"{name}, from {limit:.0%}"]
+        for s in (unknown, given):
+            warned = s.daemon >= limit
+            hit = warned & s.boiled
+            lead = (
+                f"{np.median(boiled_s[hit]) / 60.0:.1f}" if hit.any() else "-"
+            )
+            cells += [
+                f"{hit.sum() / s.boiled.sum():.1%}",
+                f"{(warned & ~s.boiled).sum() / (~s.boiled).sum():.1%}",
+                lead,
+            ]
+        rows.append(tuple(cells))
+    kinds = ("boiling found", "safe warned", "median lead, min")
+    return Table(
+        "Levels at the stop",
+        (
+            "level",
+            *(f"water unknown: {kind}" for kind in kinds),
+            *(f"water given: {kind}" for kind in kinds),
+        ),
+        tuple(rows),
+    )
+
+
+def _temperatures(found: list[Descent]) -> Table:
+    """Errors of the corner that really gets hottest."""
+    place = [int(d.judgement.true_peaks_k.argmax()) for d in found]
+    pairs = list(zip((d.judgement for d in found), place, strict=True))
+    peak = np.array([j.peaks_k[i] - j.true_peaks_k[i] for j, i in pairs])
+    late = np.array([j.peaks_in_s[i] - j.true_peaks_in_s[i] for j, i in pairs])
+    now = np.array([j.now_k[i] - j.true_now_k[i] for j, i in pairs])
+    spread = np.array([j.members_k[:, i].std() for j, i in pairs])
+    deviation = np.array([j.deviation_k[i] for j, i in pairs])
+
+    def row(name: str, error: Column, unit: float, own: str) -> tuple:
+        return (
+            name,
+            f"{error.mean() / unit:+.1f}",
+            f"{error.std() / unit:.1f}",
+            f"{np.quantile(np.abs(error), 0.9) / unit:.1f}",
+            own,
+        )
+
+    near, soon = (
+        float(np.mean(np.abs(error) <= limit))
+        for error, limit in ((peak, 12.0), (late, 180.0))
+    )
+    within = f"{near:.0%}, {soon:.0%}"
+    return Table(
+        "Fluid of the hottest corner",
+        ("error of", "mean", "deviation", "90 % within", "told deviation"),
+        (
+            row("peak if parked, K", peak, 1.0, f"{spread.mean():.1f}"),
+            (
+                "peak within 12 K, time within 3 min",
+                "",
+                "",
+                "",
+                within,
+            ),
+            row("time to it, min", late, 60.0, "-"),
+            row("fluid now, K", now, 1.0, f"{deviation.mean():.1f}"),
+        ),
+    )
+
+
+def main() -> int:
+    """Write the figures into ``docs/risk.md``."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--quick", action="store_true", help="a small sample")
+    parser.add_argument(
+        "--cache", type=Path, help="folder that keeps what is done"
+    )
+    parser.add_argument("-o", "--out", type=Path, default=DOCUMENT)
+    args = parser.parse_args()
+    write(run(full=not args.quick, cache=args.cache), args.out)
+    sys.stdout.write(f"{args.out}\n")
+    return 0
+
+
+def write(outcome: Outcome, path: Path) -> None:
+    """Put the tables of *outcome* between the marks of *path*."""
+    before, _, rest = path.read_text("utf-8").partition(BEGIN)
+    _, _, after = rest.partition(END)
+    figures = [BEGIN, "", outcome.about, ""]
+    for table in outcome.tables:
+        figures += [f"**{table.title}**", "", _row(table.header)]
+        figures += [_row(("---",) * len(table.header))]
+        figures += [_row(row) for row in table.rows]
+        figures.append("")
+    path.write_text(before + "\n".join([*figures, END]) + after, "utf-8")
+
+
+def _row(cells: tuple[str, ...]) -> str:
+    return "| " + " | ".join(cells) + " |"
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,86 @@
+"""What is known of the fluid: configured, heard, remembered."""
+
+from datetime import date
+
+import pytest
+
+from bstm_daemon.config_fluid import FluidConfig
+from bstm_daemon.forecast.fluid import (
+    CHANGED_ROLE,
+    WATER_ROLE,
+    FluidKnowledge,
+)
+
+YEAR_US = 31_557_600_000_000
+TODAY_US = 1_780_000_000_000_000  # 2026-05-28
+
+
+def median(config: FluidConfig, time_us: int = TODAY_US) -> float:
+    knowledge = FluidKnowledge(config)
+    knowledge.boiling(time_us)
+    return knowledge.water.median_percent
+
+
+def test_age_counts_in_the_time_of_the_data() -> None:
+    config = FluidConfig(changed=date(2025, 5, 28))
+
+    assert median(config) == pytest.approx(1.5, abs=0.02)
+    assert median(config, TODAY_US + YEAR_US) == pytest.approx(2.5, abs=0.02)
+
+
+@pytest.mark.parametrize("time_us", [0, -1, 10**9, 2**62])
+def test_a_log_without_a_calendar_knows_no_age(time_us: int) -> None:
+    assert median(FluidConfig(changed=date(2025, 5, 28)), time_us) == 3.0
+
+
+def test_a_change_in_the_future_is_no_age() -> None:
+    assert median(FluidConfig(changed=date(2030, 1, 1))) == 3.0
+
+
+def test_a_measurement_goes_before_age_and_ages() -> None:
+    config = FluidConfig(
+        changed=date(2020, 1, 1),
+        water_percent=1.5,
+        water_measured=date(2025, 5, 28),
+    )
+
+    assert median(config) == pytest.approx(2.5, abs=0.02)
+
+
+def test_the_change_flag_counts_when_it_rises() -> None:
+    """It begins a new fluid, of which nothing is measured."""
+    knowledge = FluidKnowledge(FluidConfig(water_percent=4.0))
+    before_k = knowledge.boiling(TODAY_US).quantile(0.5)
+    knowledge.hear(TODAY_US, CHANGED_ROLE, 1.0)
+    fresh_k = knowledge.boiling(TODAY_US).quantile(0.5)
+    knowledge.hear(TODAY_US + YEAR_US, CHANGED_ROLE, 1.0)
+    aged_k = knowledge.boiling(TODAY_US + YEAR_US).quantile(0.5)
+
+    assert fresh_k > before_k + 50.0
+    assert aged_k < fresh_k - 10.0
+
+
+def test_a_resumed_change_is_that_of_the_bus() -> None:
+    """Unless the configuration has a later one: the workshop's."""
+    heard = FluidKnowledge(FluidConfig())
+    heard.hear(TODAY_US, CHANGED_ROLE, 1.0)
+    document = heard.export()
+
+    same = FluidKnowledge(FluidConfig(changed=date(2020, 1, 1)))
+    same.resume(document)
+    assert same.export()["changed"] == "2026-05-28"
+
+    newer = FluidKnowledge(FluidConfig(changed=date(2027, 1, 1)))
+    newer.resume(document)
+    assert newer.export()["changed"] == "2027-01-01"
+
+
+def test_a_resumed_measurement_is_that_of_the_bus() -> None:
+    heard = FluidKnowledge(FluidConfig())
+    heard.hear(TODAY_US, WATER_ROLE, 0.035)
+    again = FluidKnowledge(FluidConfig())
+    again.resume(heard.export())
+
+    assert again.export() == heard.export()
+    again.boiling(TODAY_US)
+    assert again.water.median_percent == pytest.approx(3.5)

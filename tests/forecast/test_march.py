@@ -1,0 +1,191 @@
+"""The ensemble's coarse steps against fine ones; what a course tells."""
+
+from __future__ import annotations
+
+from array import array
+from math import inf, nan
+from typing import TYPE_CHECKING
+
+import pytest
+
+from bstm_daemon.cli.vehicle import load_vehicle
+from bstm_daemon.estimator import compile_corner
+from bstm_daemon.forecast.march import (
+    DUTY_STEPS,
+    HORIZON_S,
+    PARKED_STEPS,
+    Conditions,
+    Course,
+    Job,
+)
+from bstm_daemon.forecast.members import Ensemble, Spread
+from bstm_daemon.heat.sample_plan import CHANNELS
+from bstm_daemon.native import load_kernel
+from bstm_daemon.risk.vaporisation import Boiling
+from bstm_daemon.shipped import shipped_file
+from bstm_daemon.thermal.kernel import Batch
+from bstm_daemon.units import KELVIN_OFFSET
+
+if TYPE_CHECKING:
+    from bstm_daemon.thermal.program import Program
+
+AIR_K = 283.15
+KERNEL = load_kernel()
+EXACT = Spread().scaled(0.0)
+needs_kernel = pytest.mark.skipif(KERNEL is None, reason="slow in Python")
+
+
+def program() -> Program:
+    config, _ = load_vehicle(shipped_file("config/example_vehicle.toml"))
+    return compile_corner(config, config.corner[0])
+
+
+def hot(of: Program) -> list[float]:
+    """Return a state as at the end of a descent: steep in the pads."""
+    nodes = of.network.nodes
+    named = {"disc": 920.0, "pad_front": 760.0, "pad_back": 480.0}
+    named |= {"backplate": 440.0, "fluid": 375.0}
+    named |= {f"pad_{i}": 760.0 - 26.0 * i for i in range(1, 11)}
+    memories = list(of.initial_state(AIR_K))[len(nodes) :]
+    return [named.get(node.name, AIR_K) for node in nodes] + memories
+
+
+def rows(conditions: Conditions) -> array[float]:
+    values = dict.fromkeys(CHANNELS, 0.0)
+    values |= {name: nan for name in CHANNELS if name.startswith("measured")}
+    values |= {
+        "speed_ms": conditions.speed_ms,
+        "pressure_pa": conditions.pressure_pa,
+        "brake_on": conditions.brake_on,
+        "ambient_k": conditions.ambient_k,
+        "brake_power_w": conditions.power_w,
+    }
+    return array("d", values.values())
+
+
+def job(
+    of: Program,
+    conditions: Conditions,
+    steps: tuple[float, ...],
+    *,
+    spread: Spread = EXACT,
+    count: int = 8,
+) -> Job:
+    return Job(
+        Ensemble(of, count, spread),
+        KERNEL,
+        hot(of),
+        conditions,
+        steps,
+        channels=CHANNELS,
+        factor=1.0,
+    )
+
+
+@needs_kernel
+@pytest.mark.parametrize(
+    ("conditions", "steps"),
+    [
+        (Conditions(AIR_K), PARKED_STEPS),
+        (Conditions(AIR_K, 10.0, 8e5, 1.0, 5600.0), DUTY_STEPS),
+    ],
+    ids=["parked", "duty"],
+)
+def test_coarse_steps_agree_with_the_estimator_s_own(
+    conditions: Conditions, steps: tuple[float, ...]
+) -> None:
+    """Within 0.2 K all the way, against the estimator's 0.05 s."""
+    corner = program()
+    coarse = job(corner, conditions, steps)
+    coarse.advance(len(steps))
+    course = coarse.course()
+    batch = Batch([corner], AIR_K, [0], KERNEL, 1)
+    batch.state[:] = array("d", hot(corner))
+    fluid = corner.state_names.index("fluid")
+    row = rows(conditions)
+    worst = 0.0
+    for place, step_s in enumerate(steps):
+        count = round(step_s / 0.05)
+        batch.march(row * count, count, 0.05)
+        found = course.fluid_k[0][place + 1]
+        worst = max(worst, abs(found - batch.state[fluid]))
+
+    assert worst < 0.2
+    assert course.times_s[-1] >= HORIZON_S
+
+
+@needs_kernel
+def test_how_a_march_is_cut_changes_no_bit() -> None:
+    """Step by step as without the kernel, or all at once."""
+    corner = program()
+    whole = job(corner, Conditions(AIR_K), PARKED_STEPS, spread=Spread())
+    whole.advance(1000)
+    cut = job(corner, Conditions(AIR_K), PARKED_STEPS, spread=Spread())
+    while not cut.finished:
+        cut.advance(1)
+
+    assert [s.tobytes() for s in cut.course().fluid_k] == [
+        s.tobytes() for s in whole.course().fluid_k
+    ]
+
+
+@needs_kernel
+def test_spread_is_about_what_a_larger_ensemble_finds() -> None:
+    """64 even draws are not far from 512."""
+
+    def deviation(count: int) -> float:
+        many = job(
+            program(),
+            Conditions(AIR_K),
+            PARKED_STEPS,
+            spread=Spread(),
+            count=count,
+        )
+        many.advance(1000)
+        peaks = many.course().peaks_k(HORIZON_S)
+        mean = sum(peaks) / count
+        return float(sum((p - mean) ** 2 for p in peaks) / count) ** 0.5
+
+    assert deviation(64) == pytest.approx(deviation(512), rel=0.15)
+
+
+def course(*celsius: float) -> Course:
+    """Return a course of two members, a kelvin apart, a point a minute."""
+    one = array("d", [c + KELVIN_OFFSET for c in celsius])
+    other = array("d", [c + KELVIN_OFFSET - 1.0 for c in celsius])
+    times = tuple(60.0 * i for i in range(len(celsius)))
+    return Course(times, [one, other])
+
+
+def sharp(celsius: float) -> Boiling:
+    """Return a fluid that boils at *celsius*."""
+    kelvin = celsius + KELVIN_OFFSET
+    return Boiling([kelvin - 0.01, kelvin, kelvin + 0.01])
+
+
+def test_the_peak_lies_between_points_where_it_does() -> None:
+    top_k, top_s = course(90.0, 100.0, 110.0, 108.0, 100.0).peak(HORIZON_S)
+
+    assert top_k == pytest.approx(110.0 + KELVIN_OFFSET - 0.5 + 0.7, abs=0.2)
+    assert 120.0 < top_s < 180.0
+
+
+def test_a_fluid_that_cools_peaks_now() -> None:
+    assert course(100.0, 90.0, 80.0).peak(HORIZON_S)[1] == 0.0
+
+
+def test_a_peak_beyond_the_horizon_is_left_out() -> None:
+    found = course(*range(100, 145))
+
+    assert max(found.peaks_k(HORIZON_S)) == 130.0 + KELVIN_OFFSET
+
+
+def test_when_it_is_safe_and_when_it_is_reached() -> None:
+    found = course(100.0, 120.0, 150.0, 145.0, 130.0, 110.0)
+
+    assert found.safe_in_s(sharp(125.0), 0.01) == 300.0
+    assert found.safe_in_s(sharp(200.0), 0.01) == 0.0
+    assert found.safe_in_s(sharp(100.0), 0.01) == inf
+    assert found.reached_in_s(sharp(125.0), 0.1) == 120.0
+    assert found.reached_in_s(sharp(200.0), 0.1) == inf
+    assert found.reached_in_s(sharp(90.0), 0.1) == 0.0

@@ -1,0 +1,82 @@
+"""Members of an ensemble: around the estimate, and of its structure."""
+
+from __future__ import annotations
+
+from statistics import fmean, stdev
+
+import pytest
+
+from bstm_daemon.cli.vehicle import load_vehicle
+from bstm_daemon.estimator import compile_corner
+from bstm_daemon.forecast.members import Ensemble, Spread
+from bstm_daemon.shipped import shipped_file
+from bstm_daemon.thermal.program import Program, same_structure
+
+
+@pytest.fixture(scope="module")
+def corner() -> Program:
+    config, _ = load_vehicle(shipped_file("config/example_vehicle.toml"))
+    return compile_corner(config, config.corner[0])
+
+
+def test_members_share_the_structure_and_keep_the_mean(
+    corner: Program,
+) -> None:
+    ensemble = Ensemble(corner, 64, Spread())
+    assert same_structure([corner, *ensemble.programs])
+
+    for i, value in enumerate(corner.floats):
+        drawn = [member.floats[i] for member in ensemble.programs]
+        assert fmean(drawn) == pytest.approx(value, rel=1e-9)
+        assert min(drawn, default=0.0) >= 0.0 or value < 0.0
+
+
+@pytest.mark.parametrize(
+    ("link", "axis"),
+    [
+        ("fluid_static", "fluid_loss"),
+        ("fluid_dynamic", "fluid_loss"),
+        ("disc_convection", "disc_loss"),
+        ("shim", "resistance"),
+        ("pad_3-pad_4", "lining"),
+        ("disc_pad_radiation", "exchange"),
+    ],
+)
+def test_each_conductance_has_the_spread_of_its_kind(
+    corner: Program, link: str, axis: str
+) -> None:
+    spread = Spread()
+    ensemble = Ensemble(corner, 64, spread)
+    names = [one.name for one in corner.network.links]
+    place = len(corner.network.nodes) + names.index(link)
+    nominal = corner.floats[place]
+
+    drawn = [member.floats[place] / nominal for member in ensemble.programs]
+
+    assert stdev(drawn) == pytest.approx(getattr(spread, axis), rel=0.15)
+
+
+def test_states_lie_around_the_estimate_by_what_is_told(
+    corner: Program,
+) -> None:
+    """The fluid's deviation is what fluid_deviation_k says."""
+    ensemble = Ensemble(corner, 64, Spread())
+    wide = len(corner.state_names)
+    state = [400.0 + i for i in range(wide)]
+
+    for factor in (1.0, 2.0):
+        states = ensemble.states(state, 290.0, factor)
+        fluid = states[ensemble.fluid :: wide].tolist()
+        told = ensemble.fluid_deviation_k(state[ensemble.fluid], 290.0, factor)
+        assert fmean(fluid) == pytest.approx(state[ensemble.fluid])
+        assert stdev(fluid) == pytest.approx(told, rel=0.15)
+
+
+def test_without_spread_all_members_are_the_estimate(corner: Program) -> None:
+    ensemble = Ensemble(corner, 8, Spread().scaled(0.0))
+    state = [350.0] * len(corner.state_names)
+
+    assert set(ensemble.states(state, 290.0, 2.0)) == {350.0}
+    assert {m.floats.tobytes() for m in ensemble.programs} == {
+        corner.floats.tobytes()
+    }

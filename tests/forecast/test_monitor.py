@@ -1,0 +1,290 @@
+"""Risk along the publications: when, how often, and never by the chunk."""
+
+from __future__ import annotations
+
+from array import array
+from dataclasses import replace
+from math import inf, isnan
+from typing import TYPE_CHECKING
+
+import pytest
+
+from bstm_daemon.carry_over import export_state
+from bstm_daemon.cli.vehicle import load_vehicle
+from bstm_daemon.estimator import Estimator
+from bstm_daemon.forecast.fluid import CHANGED_ROLE, WATER_ROLE
+from bstm_daemon.forecast.monitor import PYTHON_MEMBERS, RiskMonitor
+from bstm_daemon.forecast.resuming import resume_risk
+from bstm_daemon.native import load_kernel
+from bstm_daemon.risk.levels import Level
+from bstm_daemon.roles import ROLE_INDEX
+from bstm_daemon.shipped import shipped_file
+from bstm_daemon.validity import INVALID
+
+if TYPE_CHECKING:
+    from bstm_daemon.config import Config
+    from bstm_daemon.estimator import Block
+    from bstm_daemon.forecast.records import CarRisk
+
+    SAMPLES = tuple[array[int], array[int], array[float]]
+
+START_US = 1_700_000_000_000_000
+SPEED = ROLE_INDEX["vehicle_speed"]
+PRESSURE = ROLE_INDEX["primary_pressure"]
+MAPPED = dict.fromkeys((SPEED, PRESSURE), 500_000)
+
+pytestmark = pytest.mark.skipif(
+    load_kernel() is None, reason="minutes in pure Python"
+)
+
+
+def car() -> Config:
+    """Return the example car with its front left corner alone."""
+    config, _ = load_vehicle(shipped_file("config/example_vehicle.toml"))
+    corners = [c for c in config.corner if c.name == "FL"]
+    return config.model_copy(update={"corner": corners})
+
+
+def drive(moving_s: int, standing_s: int, pressure_pa: float = 8e5) -> SAMPLES:
+    """Return samples of a braked drive at 12 m/s and the time after it."""
+    times, roles, values = array("q"), array("i"), array("d")
+    for tenth in range(10 * (moving_s + standing_s)):
+        moves = tenth < 10 * moving_s
+        for role, value in (
+            (SPEED, 12.0 if moves else 0.0),
+            (PRESSURE, pressure_pa if moves else 0.0),
+        ):
+            times.append(START_US + 100_000 * tenth)
+            roles.append(role)
+            values.append(value)
+    return times, roles, values
+
+
+def run(
+    config: Config, samples: SAMPLES, cut: int = 10**9
+) -> tuple[RiskMonitor, Estimator, list[int], list[CarRisk]]:
+    """Run *samples*, at most *cut* at a time."""
+    estimator = Estimator(config, MAPPED, history_known=True)
+    monitor = RiskMonitor(config, estimator)
+    times: list[int] = []
+    found: list[CarRisk] = []
+    for first in range(0, len(samples[0]), cut):
+        part = [column[first : first + cut] for column in samples]
+        monitor.hear(*part)
+        for block in estimator.advance(*part):
+            times += block.times_us
+            found += monitor.add(block)
+    return monitor, estimator, times, found
+
+
+def told(record: CarRisk) -> str:
+    """Return all of a record; NaN equals NaN as text."""
+    return repr(record)
+
+
+def test_how_samples_are_cut_changes_nothing() -> None:
+    """Live, a few at a time; in replay, all at once."""
+    samples = drive(25, 15)
+    *_, whole = run(car(), samples)
+    *_, cut = run(car(), samples, 7)
+
+    assert list(map(told, whole)) == list(map(told, cut))
+
+
+def test_a_forecast_every_ten_seconds_and_at_the_stop() -> None:
+    """Begun on the grid of data time; the stop does not wait for it."""
+    _, _, times, found = run(car(), drive(33, 12))
+
+    begun = sorted(
+        {
+            (record.forecast_us - START_US) / 1e6
+            for record in found
+            if record.forecast_us is not None
+        }
+    )
+    assert begun[0] <= 0.1
+    assert begun[1:4] == [10.0, 20.0, 30.0]
+    assert begun[4] == pytest.approx(33.1, abs=0.15)
+    assert begun[5:] == [40.0]
+    stop = next(
+        i
+        for i, record in enumerate(found)
+        if record.forecast_us == round(START_US + begun[4] * 1e6)
+    )
+    assert (times[stop] - START_US) / 1e6 - begun[4] < 0.5
+
+
+def test_the_forecast_is_what_comes() -> None:
+    """The peak told at the stop, against the estimator parked."""
+    config = car()
+    _, estimator, _, found = run(config, drive(240, 3, 15e5))
+    corner = found[-1].corners["FL"]
+    fluid = []
+    now = START_US + 243 * 1_000_000
+    for minute in range(30):
+        at = now + 60_000_000 * (minute + 1)
+        estimator.advance(
+            array("q", [at]), array("i", [SPEED]), array("d", [0])
+        )
+        fluid.append(estimator.state("FL")["fluid"])
+
+    assert corner.peak_k == pytest.approx(max(fluid), abs=1.0)
+    after = 60.0 * (fluid.index(max(fluid)) + 1)
+    assert corner.peak_in_s == pytest.approx(after, abs=90.0)
+    assert corner.duty_peak_k > 0.0
+
+
+def blocks(config: Config, samples: SAMPLES) -> list[Block]:
+    estimator = Estimator(config, MAPPED, history_known=True)
+    return estimator.advance(*samples)
+
+
+def test_never_normal_on_an_invalid_or_unknown_estimate() -> None:
+    """Whatever the probability says."""
+    config = car()
+    (block,) = blocks(config, drive(5, 5))
+    monitor = RiskMonitor(
+        config, Estimator(config, MAPPED, history_known=True)
+    )
+    assert {r.level for r in monitor.add(block)[20:]} == {Level.NORMAL}
+
+    unknown = replace(block, known_from=len(block.times_us) + 1)
+    invalid = replace(
+        block,
+        validity={"FL": array("b", [INVALID] * len(block.times_us))},
+    )
+    for doubtful in (unknown, invalid):
+        fresh = RiskMonitor(
+            config, Estimator(config, MAPPED, history_known=True)
+        )
+        for record in fresh.add(doubtful):
+            assert record.level is Level.UNKNOWN
+            assert record.corners["FL"].level is Level.UNKNOWN
+            assert record.corners["FL"].fade is Level.UNKNOWN
+
+
+def test_hot_brakes_raise_the_levels() -> None:
+    """A wet fluid on a hard descent: elevated before the stop, then more."""
+    config = car()
+    fluid = config.fluid.model_copy(
+        update={"grade": "DOT3", "water_percent": 5.0}
+    )
+    config = config.model_copy(update={"fluid": fluid})
+    _, _, _, found = run(config, drive(900, 4, 12e5))
+
+    corner = found[-1].corners["FL"]
+    assert found[-1].level >= Level.HIGH
+    assert found[-1].level is not Level.UNKNOWN
+    assert corner.fade >= Level.ELEVATED
+    assert found[-1].probability == pytest.approx(corner.probability)
+    assert corner.probability >= corner.probability_now
+    assert corner.safe_in_s > 0.0
+    assert corner.duty_in_s < inf
+    levels = [r.level for r in found]
+    assert levels[50] is Level.NORMAL
+
+
+def test_more_water_more_risk_over_the_bus() -> None:
+    """Both roles of the fluid count from their stamps on."""
+    config = car()
+    samples = drive(10, 10)
+    wet = tuple(column[:] for column in samples)
+    at = START_US + 12_000_000
+    for column, value in zip(wet, (at, WATER_ROLE, 0.06), strict=True):
+        column.append(value)
+    *_, dry_found = run(config, samples)
+    *_, wet_found = run(config, wet)
+
+    assert wet_found[100].boiling_k == dry_found[100].boiling_k
+    assert wet_found[-1].water_percent == pytest.approx(6.0)
+    assert wet_found[-1].boiling_k < dry_found[-1].boiling_k - 5.0
+
+    fresh = tuple(column[:] for column in samples)
+    for column, value in zip(fresh, (at, CHANGED_ROLE, 1.0), strict=True):
+        column.append(value)
+    *_, fresh_found = run(config, fresh)
+    assert fresh_found[-1].boiling_k > dry_found[-1].boiling_k + 20.0
+
+
+def test_a_gap_begins_anew() -> None:
+    """What was before a gap in the time of the data says nothing."""
+    times, roles, values = drive(5, 5)
+    later = array("q", [t + 3_600_000_000 for t in times])
+    samples = times + later, roles + roles, values + values
+    _, _, at, found = run(car(), samples)
+
+    first = next(i for i, t in enumerate(at) if t >= later[0])
+    gap = [f.forecast_us for f in found[first:] if f.forecast_us is not None]
+    assert gap
+    assert all(abs(t - START_US) > 0 for t in gap)
+
+
+def test_members_without_the_compiled_kernel(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Eight, one step a publication, and still a forecast."""
+    monkeypatch.setenv("BSTM_KERNEL", "reference")
+    config = car()
+    estimator = Estimator(config, MAPPED, history_known=True)
+    monitor = RiskMonitor(config, estimator)
+    found = []
+    for block in estimator.advance(*drive(2, 12)):
+        found += monitor.add(block)
+
+    assert found[-1].members == PYTHON_MEMBERS
+    assert not isnan(found[-1].corners["FL"].peak_k)
+
+
+def test_levels_and_fluid_go_over_a_restart() -> None:
+    config = car()
+    samples = drive(5, 5)
+    for column, value in zip(
+        samples, (START_US + 9_000_000, WATER_ROLE, 0.05), strict=True
+    ):
+        column.append(value)
+    monitor, estimator, *_ = run(config, samples)
+    document = {"risk": monitor.export()} | export_state(estimator)
+    again = RiskMonitor(config, estimator)
+    resume_risk(again, estimator, document, 0, START_US + 20_000_000)
+
+    assert again.export() == monitor.export()
+    assert isnan(again.away)
+
+
+def test_vapour_while_the_computer_was_off() -> None:
+    """Powered off at the stop, the fluid peaks with nobody watching."""
+    config = car()
+    fluid = config.fluid.model_copy(
+        update={"grade": "DOT3", "water_percent": 5.0}
+    )
+    config = config.model_copy(update={"fluid": fluid})
+    monitor, estimator, times, found = run(config, drive(900, 1, 11e5))
+    document = {"risk": monitor.export()} | export_state(estimator)
+    again = RiskMonitor(config, estimator)
+    resume_risk(again, estimator, document, 1_200_000_000, times[-1])
+
+    expected = found[-1].corners["FL"].probability
+    assert again.away == pytest.approx(expected, abs=0.1)
+    assert again.away > found[-1].corners["FL"].probability_now
+
+
+@pytest.mark.parametrize(
+    "damaged",
+    [
+        None,
+        "text",
+        {"levels": 7, "fluid": []},
+        {"levels": {"car": [99, 1], "FL.fluid": ["high"]}},
+        {"fluid": {"changed": "yesterday", "percent": "much", "flag": 3}},
+    ],
+)
+def test_a_damaged_memory_is_left(damaged: object) -> None:
+    config = car()
+    monitor = RiskMonitor(
+        config, Estimator(config, MAPPED, history_known=True)
+    )
+    before = monitor.export()
+    monitor.resume(damaged)
+
+    assert monitor.export() == before
+    assert monitor.fluid.boiling(0).quantile(0.5) > 0.0
