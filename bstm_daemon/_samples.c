@@ -358,7 +358,10 @@ static void close_step(Pass *p)
     int64_t flags = *p->flags | missing(p);
     flags |= bstm_checks_close(&p->checks, &now);
     const double dt_s = (double)(int64_t)p->f[F_STEP] * 1e-6;
-    const double ambient = bstm_vehicle(p, R_AMBIENT, p->f[F_AMBIENT]);
+    /* the air of a silent car is still nearer the last one than the default */
+    const int air = p->role[R_AMBIENT];
+    const double ambient = air >= 0 && p->stamp[air] != NEVER
+        ? p->value[air] : p->f[F_AMBIENT];
     double wetness = bstm_vehicle(p, R_RAIN, 0.0);
     if (wetness < 0.0) wetness = 0.0;
     if (wetness > 1.0) wetness = 1.0;

@@ -14,6 +14,7 @@ from typing import Annotated, Any, Final, Literal, Self
 
 from pydantic import Discriminator, Field, Tag, model_validator
 
+from bstm_daemon.config_accuracy import AccuracyConfig
 from bstm_daemon.config_advice import AdviceConfig
 from bstm_daemon.config_fluid import FluidConfig, ForecastConfig
 from bstm_daemon.config_section import (
@@ -473,6 +474,7 @@ class Config(Section):
     corner: list[CornerConfig]
     thermal: ThermalConfig = ThermalConfig()
     cooling: CoolingConfig = CoolingConfig()
+    accuracy: AccuracyConfig = AccuracyConfig()
     heat: HeatConfig = HeatConfig()
     fluid: FluidConfig = FluidConfig()
     wear: WearConfig = WearConfig()

@@ -26,6 +26,7 @@ from bstm_daemon.config import (
     ThermalConfig,
     VehicleConfig,
 )
+from bstm_daemon.config_accuracy import AccuracyConfig
 from bstm_daemon.config_advice import AdviceConfig
 from bstm_daemon.config_errors import hint, problems_of_section, toml_text
 from bstm_daemon.config_fluid import FluidConfig, ForecastConfig
@@ -52,6 +53,7 @@ _TABLES: Final[dict[str, type[Section]]] = {
     "table": TableConfig,
     "thermal": ThermalConfig,
     "cooling": CoolingConfig,
+    "accuracy": AccuracyConfig,
     "heat": HeatConfig,
     "fluid": FluidConfig,
     "wear": WearConfig,

@@ -34,6 +34,7 @@ if TYPE_CHECKING:
         TableConfig,
         VehicleConfig,
     )
+    from bstm_daemon.config_accuracy import AccuracyConfig
     from bstm_daemon.config_advice import AdviceConfig
     from bstm_daemon.config_fluid import FluidConfig, ForecastConfig
     from bstm_daemon.config_service import (
@@ -62,6 +63,7 @@ class Draft:
     corner: list[CornerConfig] = field(default_factory=list)
     thermal: ThermalConfig | None = None
     cooling: CoolingConfig | None = None
+    accuracy: AccuracyConfig | None = None
     heat: HeatConfig | None = None
     fluid: FluidConfig | None = None
     wear: WearConfig | None = None

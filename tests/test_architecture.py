@@ -17,6 +17,7 @@ FLOORS = {
     "native": 0,
     "shipped": 0,
     "config": 1,
+    "config_accuracy": 1,
     "config_errors": 1,
     "config_file": 1,
     "config_fluid": 1,
@@ -48,10 +49,11 @@ FLOORS = {
     "identify": 9,
     "replay": 9,
     "frame_replay": 10,
-    "report": 10,
+    "matching": 10,
+    "report": 11,
     "daemon": 10,
-    "watch": 11,
-    "cli": 12,
+    "watch": 12,
+    "cli": 13,
 }
 """A room may import from rooms on lower floors and from itself; the files of
 floor 0 and of ``config`` may also import from their own floor."""

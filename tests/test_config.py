@@ -26,6 +26,7 @@ SECTIONS: dict[str, type[config.Section]] = {
     "`[[corner]]` `pad`": config.PadConfig,
     "`[thermal]`": config.ThermalConfig,
     "`[cooling]`": config.CoolingConfig,
+    "`[accuracy]`": config.AccuracyConfig,
     "`[heat]`": config.HeatConfig,
     "`[fluid]`": config_fluid.FluidConfig,
     "`[forecast]`": config_fluid.ForecastConfig,

@@ -78,6 +78,14 @@ COMMANDS: Final[dict[str, Command]] = {
         "bstm_daemon.cli.heat",
         "compare the brake heat of Feed-Forward, Feed-Back and the bus",
     ),
+    "match": Command(
+        "bstm_daemon.cli.match",
+        "match the model to drives with measured temperatures",
+    ),
+    "verify": Command(
+        "bstm_daemon.cli.verify",
+        "judge the model on drives with measured temperatures",
+    ),
     "install-service": Command(
         "bstm_daemon.cli.install_service",
         "write the systemd units of the live service",

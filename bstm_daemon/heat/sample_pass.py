@@ -374,7 +374,10 @@ class _Pass(SampleMemory):
     def _close(self) -> None:
         """Write the row of the step that ends now and start the next."""
         dt_s = self.step_us * 1e-6
-        ambient = self.vehicle("ambient_temperature", self.ambient_k)
+        # the air of a silent car is nearer the last one than the default
+        air = self.vehicle_role["ambient_temperature"]
+        known = air >= 0 and self.stamp[air] != NEVER
+        ambient = self.value[air] if known else self.ambient_k
         wetness = min(max(self.vehicle("rain", 0.0), 0.0), 1.0)
         unpressed = max(self.unpressed_j, 0.0)
         energy = max(self.energy_fb, 0.0) + unpressed

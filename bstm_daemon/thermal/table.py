@@ -8,6 +8,7 @@ a table keeps its end value.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import pairwise
 from math import isfinite
 from typing import TYPE_CHECKING
@@ -83,12 +84,7 @@ class Table:
         if any(b <= a for a, b in pairwise(x)):
             msg = "x values must rise"
             raise ValueError(msg)
-        span = x[-1] - x[0]
-        for cells in range(len(x) - 1, GRID_LIMIT):
-            positions = [(point - x[0]) / span * cells for point in x]
-            if all(abs(p - round(p)) < 1e-9 * cells for p in positions):
-                return cls._interpolated(x, y, cells)
-        return cls._interpolated(x, y, RESAMPLED_POINTS - 1)
+        return cls._interpolated(x, y, _cells_through(tuple(x)))
 
     @classmethod
     def from_function(
@@ -154,3 +150,17 @@ class Table:
         ) * self.dx
         left = self.x0 + index * self.dx
         return total + 0.5 * (self.values[index] + self(x)) * (x - left)
+
+
+@lru_cache(maxsize=64)
+def _cells_through(x: tuple[float, ...]) -> int:
+    """Cells of the coarsest uniform grid that hits every *x*.
+
+    Kept, as matching builds the same few tables thousands of times.
+    """
+    span = x[-1] - x[0]
+    for cells in range(len(x) - 1, GRID_LIMIT):
+        positions = [(point - x[0]) / span * cells for point in x]
+        if all(abs(p - round(p)) < 1e-9 * cells for p in positions):
+            return cells
+    return RESAMPLED_POINTS - 1

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from bstm_daemon.heat.sample_plan import FLAGS
 from bstm_daemon.units import KELVIN_OFFSET
 
 if TYPE_CHECKING:
@@ -267,6 +268,18 @@ def test_without_pressure_the_force_decides(
         )
         assert (run.of_car("brake_force_n")[-1] > 0.0) is braking
         assert (run.column("brake_power_w")[-1] > 0.0) is braking
+
+
+def test_ambient_of_a_silent_bus_is_the_last_one(
+    kernel: Kernel | None, start: Callable[..., Run], make_car: Any
+) -> None:
+    """The air does not jump to the configured default, but is flagged."""
+    run = start(make_car(), kernel, ambient_temperature=100_000)
+    run.feed([(0, "ambient_temperature", 260.0), (900_000, "rain", 0.0)])
+
+    assert set(run.column("ambient_k")[1:]) == {260.0}
+    flags = [int(bits) for bits in run.of_car("flags")]
+    assert flags[-1] & FLAGS["ambient_missing"]
 
 
 def test_ambient_wetness_and_measured_are_held(

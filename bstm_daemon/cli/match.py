@@ -1,0 +1,141 @@
+"""``bstm match``: the model's values from drives with thermocouples."""
+
+from __future__ import annotations
+
+import json
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from bstm_daemon import __version__
+from bstm_daemon.cli.arguments import (
+    add_bus_map,
+    add_config,
+    add_json,
+    add_out,
+    add_report,
+)
+from bstm_daemon.cli.progress import Progress
+from bstm_daemon.cli.vehicle import load_vehicle
+from bstm_daemon.errors import UsageError
+from bstm_daemon.files import replacing
+from bstm_daemon.identify.writing import write_changed
+from bstm_daemon.matching.drives import read_drives
+from bstm_daemon.matching.matcher import match_drives
+from bstm_daemon.matching.settings import changes_of
+from bstm_daemon.report.match_words import match_json, match_text
+
+if TYPE_CHECKING:
+    import argparse
+
+    from bstm_daemon.bus.signal_map import SignalMap
+    from bstm_daemon.config import Config
+    from bstm_daemon.matching.drives import Drive
+    from bstm_daemon.matching.matcher import Match
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare logs, what is matched and where results go."""
+    parser.add_argument("logs", nargs="+", type=Path, metavar="LOG")
+    add_config(parser)
+    add_out(
+        parser,
+        "write the values into a copy of the configuration",
+        "NEW.toml",
+    )
+    parser.add_argument(
+        "--force", action="store_true", help="replace NEW.toml if it exists"
+    )
+    parser.add_argument(
+        "--only",
+        choices=("cooling",),
+        default="",
+        help="cooling: match only what another rim changes, the air at disc "
+        "and caliper",
+    )
+    parser.add_argument(
+        "--each",
+        action="store_true",
+        help="match left and right by themselves, though configured alike",
+    )
+    add_json(parser)
+    add_report(parser)
+    add_bus_map(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Match, print, and write what was asked for."""
+    _check(args)
+    config, signal_map = load_vehicle(args.config)
+    drives = _drives(args, config, signal_map)
+    with Progress("match") as progress:
+        matches = match_drives(
+            config,
+            drives,
+            only=args.only,
+            each=args.each,
+            progress=progress.show,
+        )
+    names = ", ".join(log.name for log in args.logs)
+    print(f"{names}  ({config.vehicle.id}, {args.config})")
+    for match in matches:
+        print(match_text(match))
+    _write(args, config, matches, names)
+    if args.report:
+        from bstm_daemon.report.match_page import (  # noqa: PLC0415
+            write_match_page,
+        )
+
+        write_match_page(
+            args.report,
+            matches,
+            drives,
+            subtitle=f"{names} · {config.vehicle.id} · {args.config.name}",
+            version=__version__,
+        )
+        print(args.report)
+    return 0
+
+
+def _check(args: argparse.Namespace) -> None:
+    if args.out is None:
+        return
+    if args.out.exists() and not args.force:
+        msg = f"{args.out}: exists already, give --force to replace it"
+        raise UsageError(msg)
+    if args.out.resolve() in {log.resolve() for log in args.logs}:
+        msg = f"{args.out}: would overwrite the log"
+        raise UsageError(msg)
+
+
+def _drives(
+    args: argparse.Namespace, config: Config, signal_map: SignalMap
+) -> list[Drive]:
+    with Progress("read") as progress:
+
+        def show(_: Path, share: float | None) -> None:
+            progress.show(share or 0.0)
+
+        return read_drives(args.logs, config, signal_map, dict(args.map), show)
+
+
+def _write(
+    args: argparse.Namespace,
+    config: Config,
+    matches: list[Match],
+    names: str,
+) -> None:
+    today = time.strftime("%Y-%m-%d")
+    origin = f"matched, {names}, {today}"
+    changes = changes_of(matches, config, origin)
+    if args.json:
+        result = {
+            "files": [str(log) for log in args.logs],
+            "corners": [match_json(match) for match in matches],
+            "changes": [str(change) for change in changes],
+        }
+        with replacing(args.json) as file:
+            file.write_text(json.dumps(result, indent=2) + "\n", "utf-8")
+    if args.out is not None:
+        write_changed(args.config, args.out, changes, origin)
+        print(f"{args.out}: {len(changes)} values")

@@ -1,0 +1,1 @@
+"""The model matched to measured temperatures, and verified on drives."""

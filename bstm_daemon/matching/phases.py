@@ -1,0 +1,89 @@
+"""Phases of a drive, found by themselves: soak, drive, cooling, braking.
+
+Each is a list of stretches of steps, first to last, both included.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from bstm_daemon.matching.drives import GRID_S
+
+if TYPE_CHECKING:
+    import numpy.typing as npt
+
+    from bstm_daemon.matching.drives import Column, Drive
+
+    Mask = npt.NDArray[np.bool_]
+
+STANDING_MS: Final = 0.5
+SOAK_S: Final = 300.0
+"""A shorter stop is traffic."""
+
+DRIVE_S: Final = 60.0
+COOLING_S: Final = 30.0
+"""Stretches off the brake must last so long."""
+
+BRAKING_W: Final = 200.0
+WARM_K: Final = 20.0
+"""Above the air, anywhere in the corner, for a soak to tell something."""
+
+
+def soak(drive: Drive, corner: str) -> Mask:
+    """Return where the car stands for long with *corner* warm, (steps,)."""
+    standing = drive.channel(corner, "speed_ms") < STANDING_MS
+    warm = np.zeros(len(drive), bool)
+    for node in drive.measured.get(corner, {}):
+        rise = excess_k(drive, corner, node)
+        warm |= np.nan_to_num(rise, nan=0.0) > WARM_K
+    found = np.zeros(len(drive), bool)
+    for first, last in stretches(standing):
+        long = (last - first + 1) * GRID_S >= SOAK_S
+        if long and warm[first : last + 1].any():
+            found[first : last + 1] = True
+    return found
+
+
+def moving(drive: Drive, corner: str) -> Mask:
+    """Return where the car drives for a while, (steps,)."""
+    found = np.zeros(len(drive), bool)
+    driving = drive.channel(corner, "speed_ms") >= STANDING_MS
+    for first, last in stretches(driving):
+        if (last - first + 1) * GRID_S >= DRIVE_S:
+            found[first : last + 1] = True
+    return found
+
+
+def cooling(drive: Drive, corner: str) -> Mask:
+    """Return where the car drives a while off the brake, (steps,)."""
+    off = ~braking(drive, corner) & (
+        drive.channel(corner, "speed_ms") >= STANDING_MS
+    )
+    found = np.zeros(len(drive), bool)
+    for first, last in stretches(off):
+        if (last - first + 1) * GRID_S >= COOLING_S:
+            found[first : last + 1] = True
+    return found
+
+
+def braking(drive: Drive, corner: str) -> Mask:
+    """Return where the brake takes power, (steps,)."""
+    braked: Mask = drive.channel(corner, "brake_power_w") > BRAKING_W
+    return braked
+
+
+def excess_k(drive: Drive, corner: str, node: str) -> Column:
+    """Return how far a measured node lies above the air, (steps,)."""
+    measured = drive.measured[corner][node].at(drive.time_s)
+    return np.asarray(measured - drive.channel(corner, "ambient_k"))
+
+
+def stretches(mask: Mask) -> list[tuple[int, int]]:
+    """Return first and last index of each run of True in *mask*."""
+    edges = np.flatnonzero(np.diff(mask.astype(np.int8), prepend=0, append=0))
+    return [
+        (int(first), int(last) - 1)
+        for first, last in zip(edges[::2], edges[1::2], strict=True)
+    ]

@@ -1,0 +1,319 @@
+"""A population of cars: matched, and judged on drives that no match has seen.
+
+Cars are drawn around the nominal one, each is driven through CAN frames with
+the sensors' noise, matched on two drives and judged on five others against
+the truth. *Unmatched* is the configuration that was matched once, on the
+nominal car, applied to the others.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import pickle
+import tempfile
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, fields, replace
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from bstm_daemon.cli.vehicle import load_vehicle
+from bstm_daemon.estimator import compile_corner
+from bstm_daemon.matching.drives import GRID_S, Drive, read_drive
+from bstm_daemon.matching.march import initial_temperatures, march
+from bstm_daemon.matching.refine import Refinement, refine
+from bstm_daemon.matching.tunables import Target, targets_of, usable
+from bstm_daemon.matching.verification import (
+    NODES,
+    NodeErrors,
+    compared,
+    phases_of,
+)
+from bstm_daemon.shipped import shipped_file
+from bstm_daemon.simulation import NOMINAL, load_drive, simulate
+from bstm_daemon.simulation.frames import START_STAMP_S, Encoder
+from bstm_daemon.simulation.recorder import write_candump
+from bstm_daemon.units import KELVIN_OFFSET
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from bstm_daemon.config import Config
+    from bstm_daemon.matching.accuracy import NodeAccuracy
+    from bstm_daemon.simulation.vehicle import CarParameters
+
+MATCHED_ON: Final = ("simalp", "rich")
+HELD_OUT: Final = (
+    *("alpine-descent", "city", "ams", "grossglockner", "long-run"),
+)
+SENSORS: Final = "n2"
+SPREAD: Final = 0.10
+CORNER: Final = "FL"
+
+KNOWN_TO_THE_OWNER: Final = frozenset(
+    {
+        *("piston_area_m2", "piston_count", "piston_side_share"),
+        *("effective_radius_m", "pad_area_m2", "pad_thickness_m"),
+        *("face_area_m2", "iron_density_kg_m3", "forced_exponent"),
+        "efficiency",
+    }
+)
+"""Parameters of the brake that are not drawn: they are on its drawing, as in
+the configuration, or natural constants."""
+
+HEATS: Final = ("known", "fused", "ff")
+
+
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """A structure of the model on a preset of the reality with a heat."""
+
+    structure: str
+    preset: str
+    heat: str
+    vehicle: str = "nominal"
+
+    def config(self) -> Config:
+        """Return the example car in this structure and heat."""
+        config = load_vehicle(shipped_file("config/example_vehicle.toml"))[0]
+        mode = "fused" if self.heat == "fused" else "ff"
+        changes: dict[str, Any] = {
+            "heat": config.heat.model_copy(update={"mode": mode}),
+            "thermal": config.thermal.model_copy(
+                update={"structure": self.structure}
+            ),
+            # the form of a disc that is cooled by a film of air
+            "cooling": config.cooling.model_copy(
+                update={"form": "conductance"}
+            ),
+        }
+        if self.vehicle == "second":
+            # its papers say so
+            changes["vehicle"] = config.vehicle.model_copy(
+                update={"mass_kg": 1905.0, "drag_area_m2": 0.66}
+            )
+        return config.model_copy(update=changes)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Driven:
+    """A drive as it was recorded, and the truth [degC] at its steps."""
+
+    drive: Drive
+    truth_c: dict[str, np.ndarray]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CarResult:
+    """One car: what the refinement found and all errors."""
+
+    number: int
+    fit: Refinement
+    matched: list[NodeErrors]
+    unmatched: list[NodeErrors]
+
+
+def drawn_car(number: int) -> CarParameters:
+    """Return car *number*; 0 is the nominal one."""
+    if number == 0:
+        return NOMINAL
+    rng = np.random.default_rng(1000 + number)
+    factors = {
+        f.name: 1.0 + SPREAD * (2.0 * rng.random() - 1.0)
+        for f in fields(NOMINAL.front)
+        if f.name not in KNOWN_TO_THE_OWNER
+    }
+
+    def scaled(corner: Any) -> Any:
+        return replace(
+            corner,
+            **{
+                name: min(getattr(corner, name) * factor, 0.99)
+                if name.endswith("emissivity")
+                else getattr(corner, name) * factor
+                for name, factor in factors.items()
+            },
+        )
+
+    return replace(
+        NOMINAL, front=scaled(NOMINAL.front), rear=scaled(NOMINAL.rear)
+    )
+
+
+def driven(
+    number: int,
+    name: str,
+    setting: Setting,
+    car: CarParameters | None = None,
+    seed: int | None = None,
+    *,
+    first: bool = False,
+) -> Driven:
+    """Return drive *name* of a car through its CAN frames.
+
+    Kept in the folder that BSTM_POPULATION_CACHE names, if it names one.
+    """
+    folder = os.environ.get("BSTM_POPULATION_CACHE")
+    key = f"{number} {name} {setting} {car} {seed} {first} 2"
+    digest = hashlib.sha256(key.encode()).hexdigest()[:16]
+    kept = None if folder is None else Path(folder) / f"{digest}.pickle"
+    if kept is not None and kept.exists():
+        return pickle.loads(kept.read_bytes())  # noqa: S301  (our own)
+    learned = None
+    if setting.heat == "fused" and not first:
+        learned = taught(number, setting, car)
+    made = _driven(number, name, setting, car, seed, learned)
+    if kept is not None:
+        kept.write_bytes(pickle.dumps(made))
+    return made
+
+
+def _driven(
+    number: int,
+    name: str,
+    setting: Setting,
+    car: CarParameters | None,
+    seed: int | None,
+    learned: Sequence[float] | None,
+) -> Driven:
+    whole = simulate(
+        load_drive(name),
+        # a drive may have a car of its own
+        car or (None if number == 0 else drawn_car(number)),
+        preset=setting.preset,
+        sensors=SENSORS,
+        # sensors are the car's own: one accelerometer has one bias
+        seed=100 * number + 1 if seed is None else seed,
+    )
+    config = setting.config()
+    signal_map = load_vehicle(shipped_file("config/example_vehicle.toml"))[1]
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / f"{name}.log"
+        write_candump(path, whole, encoder())
+        drive = read_drive(path, config, signal_map, learned=learned)
+    end_s = drive.time_s + drive.start_s - START_STAMP_S
+    if setting.heat == "known":
+        time_s = np.concatenate(([0.0], whole.time_s))
+        step_s = np.diff(time_s, prepend=0.0)
+        power = {}
+        for lane, corner in enumerate(drive.corners):
+            energy = np.cumsum(
+                np.concatenate(([0.0], whole.brake_power_w[:, lane])) * step_s
+            )
+            at = np.concatenate(([end_s[0] - GRID_S], end_s))
+            power[corner] = np.diff(np.interp(at, time_s, energy)) / GRID_S
+        drive = drive.with_power(power)
+    truth = {
+        node: np.interp(
+            end_s, whole.slow_time_s, whole.truth[f"{CORNER}.{node}"]
+        )
+        - KELVIN_OFFSET
+        for node in NODES
+    }
+    return Driven(drive, truth)
+
+
+def taught(
+    number: int, setting: Setting, car: CarParameters | None
+) -> Sequence[float] | None:
+    """Return what fused heat has learned of the car on the rich drive."""
+    return driven(number, "rich", setting, car, first=True).drive.learned
+
+
+@cache
+def encoder() -> Encoder:
+    """Return the encoder of the example car's frames."""
+    return Encoder(shipped_file("dbc/example_vehicle.dbc"))
+
+
+def front(config: Config) -> Target:
+    """Return both front corners of *config*."""
+    return targets_of(config, ["FL", "FR"])[0]
+
+
+def matched(
+    target: Target, drives: Sequence[Driven], keys: Sequence[str]
+) -> tuple[Target, Refinement]:
+    """Return *target* refined on *drives*."""
+    found, _ = usable(target, keys)
+    fit = refine(target, [one.drive for one in drives], found)
+    return target.changed(fit.values), fit
+
+
+def errors(
+    target: Target,
+    one: Driven,
+    accuracy: dict[str, NodeAccuracy] | None = None,
+) -> list[NodeErrors]:
+    """Return the errors of *target* against the truth of a drive."""
+    drive = one.drive
+    program = compile_corner(target.config, target.corner)
+    initial = initial_temperatures(program, drive, CORNER)
+    every = round(1.0 / GRID_S)
+    rows = slice(every - 1, None, every)
+    result = march([program], drive, CORNER, initial)
+    air_c = drive.channel(CORNER, "ambient_k")[rows] - KELVIN_OFFSET
+    masks = {n: m[rows] for n, m in phases_of(drive, CORNER).items()}
+    return [
+        compared(
+            (drive.name.removesuffix(".log"), CORNER, node, drive.duration_s),
+            (
+                drive.time_s[rows],
+                one.truth_c[node][rows],
+                result[node][rows, 0] - KELVIN_OFFSET,
+                air_c,
+            ),
+            masks,
+            (accuracy or {}).get(node),
+        )
+        for node in NODES
+    ]
+
+
+def nominal_target(
+    setting: Setting, keys: Sequence[str]
+) -> tuple[Target, Refinement]:
+    """Return the configuration that is matched once, on the nominal car."""
+    return matched(
+        front(setting.config()),
+        [driven(0, name, setting) for name in MATCHED_ON],
+        keys,
+    )
+
+
+def car_result(
+    number: int,
+    setting: Setting,
+    base: Target,
+    keys: Sequence[str],
+    names: Sequence[str] = HELD_OUT,
+) -> CarResult:
+    """Match car *number* from *base* and judge both on held-out drives."""
+    on = [driven(number, name, setting) for name in MATCHED_ON]
+    target, fit = matched(base, on, keys)
+    own: list[NodeErrors] = []
+    foreign: list[NodeErrors] = []
+    for name in names:
+        one = driven(number, name, setting)
+        own += errors(target, one)
+        foreign += errors(base, one)
+    return CarResult(number, fit, own, foreign)
+
+
+def population(
+    setting: Setting,
+    cars: int,
+    keys: Sequence[str],
+    names: Sequence[str] = HELD_OUT,
+) -> tuple[Refinement, list[CarResult]]:
+    """Return the nominal match and the results of *cars* drawn cars."""
+    base, fit = nominal_target(setting, keys)
+    with ProcessPoolExecutor(os.cpu_count()) as pool:
+        jobs = [
+            pool.submit(car_result, number, setting, base, keys, names)
+            for number in range(1, cars + 1)
+        ]
+        return fit, [job.result() for job in jobs]

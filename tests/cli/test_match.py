@@ -1,0 +1,217 @@
+"""``bstm match`` and ``bstm verify`` from log to file and verdict."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+
+from bstm_daemon.cli.main import main
+from bstm_daemon.config_file import load_config
+from bstm_daemon.native import load_kernel
+from bstm_daemon.simulation import simulate
+from bstm_daemon.simulation.drives import parse_drive
+from bstm_daemon.simulation.frames import Encoder
+from bstm_daemon.simulation.recorder import write_candump
+
+ROOT = Path(__file__).parents[2]
+EXAMPLE = ROOT / "config" / "example_vehicle.toml"
+
+pytestmark = [pytest.mark.slow] if load_kernel() is None else []
+
+DRIVE = """
+[drive]
+name = "own"
+description = "a drag, three speeds, a soak"
+ambient_c = 15.0
+propulsion = "engine"
+thermocouple_logger = true
+
+[[segment]]
+speed_kmh = 40.0
+rate_ms2 = 1.5
+gear = 3
+duration_s = 500.0
+grade_percent = -10.0
+
+[[segment]]
+speed_kmh = 70.0
+rate_ms2 = 1.5
+gear = 4
+duration_s = 90.0
+
+[[segment]]
+speed_kmh = 120.0
+rate_ms2 = 1.5
+gear = 4
+duration_s = 60.0
+
+[[segment]]
+speed_kmh = 0.0
+rate_ms2 = 6.0
+gear = 0
+
+[[segment]]
+parked = true
+duration_s = 2400.0
+"""
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("match") / "own.log"
+    driven = simulate(parse_drive(DRIVE, "own.toml"), sensors="n1", seed=2)
+    write_candump(path, driven, Encoder(ROOT / "dbc" / "example_vehicle.dbc"))
+    return path
+
+
+@pytest.fixture(scope="module")
+def matched(log: Path) -> Path:
+    """Return the folder with the matched car, its JSON and its page."""
+    folder = log.parent
+    code = main(
+        [
+            *("match", str(log), "-c", str(EXAMPLE)),
+            *("-o", str(folder / "new.toml")),
+            *("--json", str(folder / "match.json")),
+            *("--report", str(folder / "match.html")),
+        ]
+    )
+    assert code == 0
+    return folder
+
+
+def test_the_matched_car_is_a_configuration_with_its_comments(
+    matched: Path,
+) -> None:
+    text = (matched / "new.toml").read_text("utf-8")
+    old = EXAMPLE.read_text("utf-8")
+    config = load_config(matched / "new.toml")
+
+    value = config.thermal.fluid_static_convection_w_k
+    line = next(
+        one
+        for one in text.splitlines()
+        if one.startswith("fluid_static_convection_w_k")
+    )
+    assert f"= {value}" in line
+    assert "matched, own.log, 20" in line
+    assert ", sd " in line
+    assert "was 0.944" in line
+    comments = [one for one in old.splitlines() if one.startswith("#")]
+    assert set(comments) <= set(text.splitlines())
+    assert config.accuracy.fluid_k is not None
+
+
+def test_the_rear_corners_keep_their_own_values(matched: Path) -> None:
+    """They have no thermocouples, and keys of their own."""
+    before, after = load_config(EXAMPLE), load_config(matched / "new.toml")
+
+    for corner in (2, 3):
+        old = before.thermal_of(before.corner[corner])
+        assert after.thermal_of(after.corner[corner]) == old
+
+
+def test_json_has_what_the_screen_says(matched: Path) -> None:
+    data = json.loads((matched / "match.json").read_text("utf-8"))
+
+    (front,) = data["corners"]
+    assert front["corners"] == ["FL", "FR"]
+    assert front["joint"]["free_values"] == 12
+    assert front["table_4_1"]["free_values"] == 9
+    assert len(front["joint"]["covariance"]) == 12
+    assert front["held_out_drives"] == 0
+    partition = next(
+        one for one in front["stages"] if one["title"] == "heat partition"
+    )
+    assert partition["left_out"] is None
+
+
+def test_the_page_has_figure_5_2(matched: Path) -> None:
+    page = (matched / "match.html").read_text("utf-8")
+
+    assert "thesis figure 5.2" in page
+    assert "matched less measured" in page
+
+
+def test_the_matched_car_is_verified(
+    matched: Path, log: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code = main(
+        [
+            *("verify", str(log), "-c", str(matched / "new.toml")),
+            *("--require", "floor", "--json", str(matched / "verify.json")),
+            *("--report", str(matched / "verify.html")),
+        ]
+    )
+
+    assert code == 0
+    assert "NOT MET" not in _lines(capsys.readouterr().out, "floor")
+    data = json.loads((matched / "verify.json").read_text("utf-8"))
+    assert data["passed"] is True
+    assert data["counted"] > 0
+    assert "6.4 to 6.8" in (matched / "verify.html").read_text("utf-8")
+
+
+def test_a_wrong_car_fails(
+    log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A fluid that never cools is not within 30 K."""
+    text = EXAMPLE.read_text("utf-8").replace(
+        "fluid_caliper_thermal_capacity_j_k = 2373.0",
+        "fluid_caliper_thermal_capacity_j_k = 700.0",
+    )
+    (tmp_path / "config").mkdir()
+    shutil.copytree(ROOT / "dbc", tmp_path / "dbc")
+    wrong = tmp_path / "config" / "wrong.toml"
+    wrong.write_text(text, "utf-8")
+
+    code = main(["verify", str(log), "-c", str(wrong)])
+
+    assert code == 1
+    assert "NOT MET" in _lines(capsys.readouterr().out, "thesis")
+
+
+def test_only_cooling_writes_only_cooling(log: Path, tmp_path: Path) -> None:
+    target = tmp_path / "rim.toml"
+
+    code = main(
+        [
+            *("match", str(log), "-c", str(EXAMPLE), "-o", str(target)),
+            *("--only", "cooling"),
+        ]
+    )
+
+    assert code == 0
+    before, after = load_config(EXAMPLE), load_config(target)
+    changed = {
+        key
+        for key, value in after.thermal.model_dump().items()
+        if value != getattr(before.thermal, key)
+    }
+    assert changed <= {
+        "fluid_static_convection_w_k",
+        "fluid_dynamic_convection_ws_mk",
+    }
+    assert after.cooling.s_per_s != before.cooling.s_per_s
+
+
+def test_a_file_that_exists_is_not_replaced(
+    log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    target = tmp_path / "there.toml"
+    target.write_text("mine", "utf-8")
+
+    code = main(["match", str(log), "-c", str(EXAMPLE), "-o", str(target)])
+
+    assert code == 2
+    assert target.read_text("utf-8") == "mine"
+    assert "--force" in capsys.readouterr().err
+
+
+def _lines(out: str, limits: str) -> str:
+    return "\n".join(
+        line for line in out.splitlines() if line.startswith(limits)
+    )

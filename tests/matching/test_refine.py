@@ -1,0 +1,144 @@
+"""The joint refinement on drives whose right values are known."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from bstm_daemon.matching.accuracy import fitted, held_out
+from bstm_daemon.matching.identifiability import ratios, verdicts
+from bstm_daemon.matching.refine import Refinement, refine
+from bstm_daemon.matching.tunables import REFINED, TUNABLES
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from bstm_daemon.matching.drives import Drive
+    from bstm_daemon.matching.tunables import Target
+
+RIGHT = {
+    "thermal.disc_mass_correction_factor": 1.0,
+    "thermal.heat_partition_correction_factor": 1.1,
+    "thermal.pad_backplate_thermal_resistance_m2k_w": 4.0e-3,
+    "thermal.fluid_static_convection_w_k": 1.2,
+    "thermal.fluid_caliper_thermal_capacity_j_k": 2100.0,
+    "cooling.s_per_s at 36 km/h": 1.15,
+}
+
+
+def test_right_values_are_found(
+    target: Target, made: Callable[..., Drive]
+) -> None:
+    drives = [made(RIGHT, noise_k=0.5)]
+
+    fit = refine(target, drives, REFINED)
+
+    for key, right in RIGHT.items():
+        assert fit.values[key] == pytest.approx(right, rel=0.03), key
+        # not overconfident: most errors are below two deviations
+        assert abs(fit.values[key] - right) < 4.0 * (
+            fit.standard_deviation(key) + 0.002 * right
+        )
+    assert not fit.at_bound
+    assert max(fit.rms_k.values()) < 3.0
+
+
+def test_a_wrong_form_ends_at_a_bound_and_says_so(
+    target: Target, made: Callable[..., Drive]
+) -> None:
+    """Half the heat is missing: the disc would have to be too light."""
+    drives = [made(RIGHT, scale=1.0)]
+    power = drives[0].channel("FL", "brake_power_w")
+    starved = [drives[0].with_power({"FL": 0.5 * power})]
+
+    fit = refine(target, starved, ("thermal.disc_mass_correction_factor",))
+
+    assert fit.at_bound == ("thermal.disc_mass_correction_factor",)
+    assert "physical bound 0.7" in verdicts(fit)[0].reason
+    assert fit.values[fit.keys[0]] == pytest.approx(0.7)
+
+
+def test_without_temperatures_of_a_part_its_values_are_the_priors(
+    target: Target, made: Callable[..., Drive]
+) -> None:
+    """From the disc alone the fluid's values can not be known."""
+    drives = [made(RIGHT, nodes=("disc",))]
+    keys = (
+        "thermal.disc_mass_correction_factor",
+        "thermal.fluid_caliper_thermal_capacity_j_k",
+    )
+
+    fit = refine(target, drives, keys)
+    of_disc, of_fluid = verdicts(fit)
+
+    assert of_disc.settled
+    assert not of_fluid.settled
+    assert "prior" in of_fluid.reason
+    assert fit.values[keys[1]] == pytest.approx(
+        target.value(TUNABLES[keys[1]]), rel=0.01
+    )
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_ratio_that_is_known_better_than_its_parts_is_named(
+    sign: float,
+) -> None:
+    """Gauge freedom: a conductance over a capacity, neither by itself."""
+    keys = (
+        "thermal.fluid_static_convection_w_k",
+        "thermal.fluid_caliper_thermal_capacity_j_k",
+    )
+    covariance = 0.01 * np.array([[1.0, 0.98 * sign], [0.98 * sign, 1.0]])
+    prior = np.array([0.3, 0.15])
+    fit = Refinement(
+        keys, {}, dict.fromkeys(keys, 1.0), prior, covariance,
+        np.linalg.inv(covariance), (), {}, {}, 100, 10,
+    )  # fmt: skip
+
+    (found,) = ratios(fit)
+
+    assert found.product is (sign < 0.0)
+    assert found.deviation == pytest.approx(0.1 * np.sqrt(2.0 * 0.02))
+    assert "only together with" in verdicts(fit)[1].reason
+
+
+def test_held_out_drives_show_what_a_fit_does_not(
+    target: Target, made: Callable[..., Drive]
+) -> None:
+    """Two drives that contradict each other fit together half-way."""
+    drives = [
+        made(RIGHT, "one", noise_k=0.3),
+        made({**RIGHT, "thermal.disc_mass_correction_factor": 1.2}, "two"),
+    ]
+    keys = ("thermal.disc_mass_correction_factor",)
+    fit = refine(target, drives, keys)
+
+    found = held_out(target, drives, fit)
+
+    assert found.drives == 2
+    assert found.rms_k["disc"] > 1.3 * fit.rms_k["disc"]
+
+
+def test_a_single_drive_holds_nothing_out(
+    target: Target, made: Callable[..., Drive]
+) -> None:
+    drives = [made(RIGHT)]
+    fit = refine(target, drives, ("thermal.disc_mass_correction_factor",))
+
+    assert held_out(target, drives, fit).drives == 0
+
+
+def test_floor_and_share_are_told_apart() -> None:
+    rng = np.random.default_rng(3)
+    rise = rng.uniform(0.0, 500.0, 40_000)
+    error = rng.normal(0.0, np.hypot(2.0, 0.03 * rise))
+
+    found = fitted([(error, rise, 0.0)])
+
+    assert found.floor_k == pytest.approx(2.0, rel=0.35)
+    assert found.share == pytest.approx(0.03, rel=0.05)
+    assert found.deviation_k(np.array([100.0])) == pytest.approx(
+        np.hypot(found.floor_k, 3.0), rel=0.1
+    )
