@@ -26,6 +26,7 @@ BENCHMARKS = (
 OTHERS = (
     *("physics", "accuracy", "radau", "memory", "identification"),
     *("structures", "effects", "pad_life", "risk"),
+    *("matching", "verification"),
 )
 """Figures without a comparison in time; run when named."""
 

@@ -31,7 +31,7 @@ from population import (
     nominal_target,
     population,
 )
-from side_by_side import Outcome, Table
+from side_by_side import Goal, Outcome, Table
 
 from bstm_daemon.matching.accuracy import NodeAccuracy, fitted
 from bstm_daemon.matching.tunables import COOLING, REFINED, Target
@@ -63,6 +63,7 @@ SETTINGS: Final = (
     Setting("thesis", "road", "known"),
     Setting("extended", "plain", "known"),
 )
+WITH_GOALS: Final = 4
 """The first four have goals; the other two stand beside."""
 
 
@@ -82,12 +83,14 @@ def run(*, full: bool) -> Outcome:
         "Matching and verification",
         ABOUT,
     )
-    outcome.tables += tables(full=full)
+    for found, goals in tables(full=full):
+        outcome.tables.append(found)
+        outcome.goals += goals
     return outcome
 
 
-def tables(*, full: bool) -> Iterator[Table]:
-    """Yield the tables as they come; with goals first."""
+def tables(*, full: bool) -> Iterator[tuple[Table, list[Goal]]]:
+    """Yield the tables with their goals as they come."""
     for number, setting in enumerate(SETTINGS if full else SETTINGS[:1]):
         fit, results = population(
             setting,
@@ -95,9 +98,11 @@ def tables(*, full: bool) -> Iterator[Table]:
             REFINED,
             HELD_OUT if full else QUICK_DRIVES,
         )
-        yield _population_table(setting, fit, results)
+        goals = _goals(setting, results) if number < WITH_GOALS else []
+        yield _population_table(setting, fit, results), goals
         if number < 2:
-            yield from cases(setting, full=full)
+            for table in cases(setting, full=full):
+                yield table, []
 
 
 def cases(setting: Setting, *, full: bool) -> list[Table]:
@@ -252,6 +257,20 @@ def _figure(
     goal: float | None,
     floor: float | None,
 ) -> tuple[str, ...]:
+    values = _values(found, node, what)
+    if not values:
+        return name, "-", "-", "-", "-"
+    return (
+        name,
+        f"{np.percentile(values, 95.0):.1f}",
+        f"{max(values):.1f}",
+        "-" if goal is None else f"{goal:g}",
+        "-" if floor is None else f"{floor:g}",
+    )
+
+
+def _values(found: Sequence[NodeErrors], node: str, what: str) -> list[float]:
+    """Return the sizes of a figure over all drives of all cars."""
     values = []
     for one in found:
         if one.node != node:
@@ -264,15 +283,29 @@ def _figure(
             value = getattr(one, what)
         if not isnan(value):
             values.append(abs(value))
-    if not values:
-        return name, "-", "-", "-", "-"
-    return (
-        name,
-        f"{np.percentile(values, 95.0):.1f}",
-        f"{max(values):.1f}",
-        "-" if goal is None else f"{goal:g}",
-        "-" if floor is None else f"{floor:g}",
+    return values
+
+
+def _goals(setting: Setting, results: Sequence[CarResult]) -> list[Goal]:
+    """Return the goals over what is reached; missed below the floors."""
+    goal, floor = LIMITS["goal"], LIMITS["floor"]
+    own = [one for car in results for one in car.matched]
+    asked = (
+        ("fluid", "largest_k", goal.fluid_max_k, floor.fluid_max_k),
+        ("fluid", "rms_k", goal.fluid_rms_k, floor.fluid_rms_k),
+        ("disc", "rms_k", goal.disc_rms_k, floor.disc_rms_k),
+        ("pad_back", "rms_k", goal.pad_back_rms_k, floor.pad_back_rms_k),
     )
+    return [
+        Goal(
+            f"{setting.structure} on {setting.preset}, heat {setting.heat}: "
+            f"{limit:g} K over {node} {what.removesuffix('_k')}",
+            limit / float(np.percentile(_values(own, node, what), 95.0)),
+            1.0,
+            1.0 - limit / least,
+        )
+        for node, what, limit, least in asked
+    ]
 
 
 def _coverage(results: Sequence[CarResult]) -> tuple[int, int]:
@@ -362,7 +395,7 @@ def main() -> int:
             "",
         ]
     )
-    for table in tables(full=args.full):
+    for table, _ in tables(full=args.full):
         data = {"header": table.header, "rows": table.rows}
         text += "\n".join(["", f"{table.title}:", "", *markdown(data), ""])
         # what is there is kept if the rest is interrupted
