@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from bstm_daemon.estimator import compile_corner
+from bstm_daemon.corner_model import compile_corner
 from bstm_daemon.matching.march import initial_temperatures, march
 from bstm_daemon.matching.problem import NODE_OF
 from bstm_daemon.units import KELVIN_OFFSET

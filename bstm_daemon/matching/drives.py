@@ -42,8 +42,9 @@ GRID_S: Final = 0.5
 LONGEST_GAP_S: Final = 5.0
 """Between two samples of a thermocouple that are joined by a line."""
 
-BEGIN_S: Final = 10.0
-"""The first temperatures are means over this time."""
+BEGIN_S: Final = 5.0
+"""The first temperatures are means over this time; who brakes within it shifts
+the start by half of what it heats."""
 
 STEPS_A_ROW: Final = round(GRID_S * 1e6) // STEP_US
 

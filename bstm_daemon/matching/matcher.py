@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 from bstm_daemon.errors import LogError
 from bstm_daemon.matching.accuracy import Accuracy, held_out
@@ -24,6 +24,10 @@ if TYPE_CHECKING:
 
     from bstm_daemon.config import Config
     from bstm_daemon.matching.drives import Drive
+
+
+MUCH_LESS: Final = 0.8
+"""A form is worth a word where it leaves so much less of the error."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -121,6 +125,28 @@ def match_drives(
     return found
 
 
+def _other_form(
+    target: Target, drives: Sequence[Drive], joint: Refinement
+) -> list[str]:
+    """Say where the other form of cooling leaves much less of the disc."""
+    if "disc" not in joint.rms_k:
+        return []
+    form = target.config.cooling_of(target.corner).form
+    other = "conductance" if form == "rate" else "rate"
+    fit = refine(
+        target.with_cooling_form(other), drives, joint.keys,
+        start=joint.values, noise=joint.noise, rounds=1,
+    )  # fmt: skip
+    before, after = joint.rms_k["disc"], fit.rms_k["disc"]
+    if after > MUCH_LESS * before:
+        return []
+    said = (
+        f'cooling.form = "{other}" would leave {after:.1f} K of the disc '
+        f"instead of {before:.1f} K: set it and match again"
+    )
+    return [said]
+
+
 def _match(
     target: Target,
     drives: Sequence[Drive],
@@ -156,6 +182,8 @@ def _match(
     accuracy = held_out(
         target, drives, joint, lambda share: show(0.8 + 0.2 * share)
     )
+    if not only:
+        remarks += _other_form(target, drives, joint)
     after = target.changed(joint.values)
     return Match(
         target.corners,

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final, Literal
 
 import numpy as np
 
-from bstm_daemon.estimator import compile_corner
+from bstm_daemon.corner_model import compile_corner
 from bstm_daemon.matching import phases
 from bstm_daemon.matching.drives import GRID_S
 from bstm_daemon.matching.least_squares import minimise

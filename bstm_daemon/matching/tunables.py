@@ -151,6 +151,17 @@ class Target:
         # a curve over temperature is not one number
         return float(value) if isinstance(value, int | float) else 0.0
 
+    def with_cooling_form(self, form: str) -> Target:
+        """Return the target with another ``cooling.form``."""
+        corners = [
+            one.model_copy(update={"cooling": {**one.cooling, "form": form}})
+            if one.name in self.corners
+            else one
+            for one in self.config.corner
+        ]
+        config = self.config.model_copy(update={"corner": corners})
+        return Target(config, self.corners)
+
     def changed(self, values: dict[str, float]) -> Target:
         """Return the target with *values* by key."""
         return Target(

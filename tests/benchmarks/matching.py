@@ -16,7 +16,7 @@ from population import MATCHED_ON, Setting, driven, front
 from scipy.optimize import least_squares
 from side_by_side import Goal, Outcome, Table
 
-from bstm_daemon.estimator import compile_corner
+from bstm_daemon.corner_model import compile_corner
 from bstm_daemon.matching.drives import GRID_S
 from bstm_daemon.matching.march import initial_temperatures
 from bstm_daemon.matching.problem import Problem, whole_drives

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from bstm_daemon.cli.vehicle import load_vehicle
-from bstm_daemon.estimator import compile_corner
+from bstm_daemon.corner_model import compile_corner
 from bstm_daemon.matching.drives import GRID_S, Drive, read_drive
 from bstm_daemon.matching.march import initial_temperatures, march
 from bstm_daemon.matching.refine import Refinement, refine

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from bstm_daemon.cli.vehicle import load_vehicle
-from bstm_daemon.estimator import compile_corner
+from bstm_daemon.corner_model import compile_corner
 from bstm_daemon.heat.sample_plan import CHANNELS
 from bstm_daemon.matching.drives import GRID_S, Drive, Thermocouple
 from bstm_daemon.matching.march import march
@@ -28,6 +28,7 @@ AIR_K = 285.0
 
 # speed [m/s], brake power [W], duration [s]
 PROFILE = (
+    (10.0, 0.0, 20.0),
     (10.0, 6000.0, 700.0),
     (10.0, 0.0, 120.0),
     (20.0, 0.0, 120.0),
@@ -71,6 +72,7 @@ def made(target: Target) -> Callable[..., Drive]:
         noise_k: float = 0.0,
         seed: int = 1,
         scale: float = 1.0,
+        target: Target = target,
     ) -> Drive:
         steps = [round(duration / GRID_S) for *_, duration in profile]
         rows = np.zeros((sum(steps), 1, len(CHANNELS)))

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from bstm_daemon.cli.vehicle import load_vehicle
+from bstm_daemon.corner_model import compile_corner
 from bstm_daemon.errors import UsageError
-from bstm_daemon.estimator import compile_corner
 from bstm_daemon.matching.drives import GRID_S, Drive, Thermocouple, read_drive
 from bstm_daemon.matching.march import Forced, initial_temperatures, march
 from bstm_daemon.simulation import SimulatedDrive, simulate

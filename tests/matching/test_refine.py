@@ -9,6 +9,7 @@ import pytest
 
 from bstm_daemon.matching.accuracy import fitted, held_out
 from bstm_daemon.matching.identifiability import ratios, verdicts
+from bstm_daemon.matching.matcher import match_drives
 from bstm_daemon.matching.refine import Refinement, refine
 from bstm_daemon.matching.tunables import REFINED, TUNABLES
 
@@ -42,7 +43,7 @@ def test_right_values_are_found(
             fit.standard_deviation(key) + 0.002 * right
         )
     assert not fit.at_bound
-    assert max(fit.rms_k.values()) < 3.0
+    assert max(fit.rms_k.values()) < 2.0
 
 
 def test_a_wrong_form_ends_at_a_bound_and_says_so(
@@ -119,6 +120,22 @@ def test_held_out_drives_show_what_a_fit_does_not(
 
     assert found.drives == 2
     assert found.rms_k["disc"] > 1.3 * fit.rms_k["disc"]
+
+
+def test_the_other_form_of_cooling_is_named_where_it_fits(
+    target: Target, made: Callable[..., Drive]
+) -> None:
+    """The car cools at a constant conductance, the configuration says rate."""
+    right = target.with_cooling_form("conductance")
+    drive = made(target=right)
+
+    wrong, of_right = (
+        match_drives(one.config, [drive], beside=False)[0].remarks
+        for one in (target, right)
+    )
+
+    assert any('form = "conductance" would leave' in one for one in wrong)
+    assert not any("would leave" in one for one in of_right)
 
 
 def test_a_single_drive_holds_nothing_out(
