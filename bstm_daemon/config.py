@@ -29,6 +29,7 @@ from bstm_daemon.config_service import (
     DaemonConfig,
     E2eConfig,
     MetricsConfig,
+    PublishConfig,
     RecordConfig,
     StateConfig,
 )
@@ -43,9 +44,6 @@ DiscMass = Annotated[float, Field(gt=0, le=100)]
 PadArea = Annotated[float, Field(gt=0, le=0.05)]
 PadThickness = Annotated[float, Field(gt=0, le=0.05)]
 CornerName = Literal["FL", "FR", "RL", "RR"]
-
-PUBLISHED_IDS: Final = 20
-"""Ids from ``[publish] id_base`` on that belong to the daemon."""
 
 
 def _place(corner_name: str) -> tuple[str, str]:
@@ -453,15 +451,6 @@ class EffectConfig(Section):
     corner: Literal["FL", "FR", "RL", "RR", "all"] = "all"
     parameters: dict[str, float] = {}
     provenance: dict[str, Any] = {}
-
-
-class PublishConfig(Section):
-    """``[publish]``: frames out; nothing is sent unless ``enabled``."""
-
-    enabled: bool = False
-    bus: str | None = None
-    id_base: Annotated[int, Field(ge=0, le=0x800 - PUBLISHED_IDS)] = 0x5B0
-    requests: bool = False
 
 
 class Config(Section):

@@ -20,7 +20,6 @@ from bstm_daemon.config import (
     CornerConfig,
     EffectConfig,
     HeatConfig,
-    PublishConfig,
     SignalConfig,
     TableConfig,
     ThermalConfig,
@@ -36,6 +35,7 @@ from bstm_daemon.config_service import (
     DaemonConfig,
     E2eConfig,
     MetricsConfig,
+    PublishConfig,
     RecordConfig,
     StateConfig,
 )

@@ -29,7 +29,6 @@ if TYPE_CHECKING:
         CornerConfig,
         EffectConfig,
         HeatConfig,
-        PublishConfig,
         SignalConfig,
         TableConfig,
         VehicleConfig,
@@ -41,6 +40,7 @@ if TYPE_CHECKING:
         DaemonConfig,
         E2eConfig,
         MetricsConfig,
+        PublishConfig,
         RecordConfig,
         StateConfig,
     )

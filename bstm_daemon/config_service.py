@@ -2,13 +2,25 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, Self
+from typing import Annotated, Final, Literal, Self
 
 from pydantic import Field, model_validator
 
 from bstm_daemon.config_section import Positive, Section, Text, require
 
 DataId = Annotated[int, Field(ge=0, le=0xFFFF)]
+
+PUBLISHED_IDS: Final = 20
+"""Ids from ``[publish] id_base`` on that belong to the daemon."""
+
+
+class PublishConfig(Section):
+    """``[publish]``: frames out; nothing is sent unless ``enabled``."""
+
+    enabled: bool = False
+    bus: str | None = None
+    id_base: Annotated[int, Field(ge=0, le=0x800 - PUBLISHED_IDS)] = 0x5B0
+    requests: bool = False
 
 
 class E2eConfig(Section):

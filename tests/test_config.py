@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from pydantic import BaseModel, ValidationError
 
-from bstm_daemon import config, config_fluid
+from bstm_daemon import config, config_fluid, config_service
 from bstm_daemon.bus.output_layout import BLOCK_IDS
 from bstm_daemon.config_errors import allowed
 from bstm_daemon.simulation.drives import DriveHead, Segment
@@ -31,7 +31,7 @@ SECTIONS: dict[str, type[config.Section]] = {
     "`[fluid]`": config_fluid.FluidConfig,
     "`[forecast]`": config_fluid.ForecastConfig,
     "`[[effect]]`": config.EffectConfig,
-    "`[publish]`": config.PublishConfig,
+    "`[publish]`": config_service.PublishConfig,
     "`[[e2e]]`": config.E2eConfig,
     "`[wear]`": config.WearConfig,
     "`[advice]`": config.AdviceConfig,

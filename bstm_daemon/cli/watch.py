@@ -9,8 +9,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from bstm_daemon.bus.output_layout import BLOCK_IDS, MAX_STANDARD_ID
-from bstm_daemon.config import BusConfig, PublishConfig
+from bstm_daemon.config import BusConfig
 from bstm_daemon.config_file import load_config
+from bstm_daemon.config_service import PublishConfig
 from bstm_daemon.errors import ConfigError
 from bstm_daemon.watch.board import Board
 from bstm_daemon.watch.live import link_of, watch_link
