@@ -122,7 +122,7 @@ def _trials(
     """Return the points to try, (k, p), inside the bounds."""
     free = ~held
     part = jacobian[:, free]
-    normal = part.T @ part
+    normal = np.einsum("ni,nj->ij", part, part)
     gradient = part.T @ residuals
     scale = np.maximum(np.diag(normal), 1e-12)
     points = []

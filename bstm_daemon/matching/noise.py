@@ -43,17 +43,34 @@ class Noise:
     quick_s: float = 3.0
 
     def whitener(self, time_s: Column, slope_k_s: Column) -> Column:
-        """Return W with W C W' = 1 for points at *time_s*, (n, n)."""
-        apart = np.abs(np.subtract.outer(time_s, time_s))
-        covariance = self.drift_k**2 * np.exp(-apart / DRIFT_S)
-        covariance += self.offset_k**2
-        covariance += self.lag_s**2 * np.outer(slope_k_s, slope_k_s)
-        covariance[np.diag_indices_from(covariance)] += (
-            self.white_k**2 + (self.quick_s * slope_k_s) ** 2
-        )
-        lower = np.linalg.cholesky(covariance)
-        whitener: Column = np.linalg.solve(lower, np.eye(len(time_s)))
-        return whitener
+        """Return W with W C W' = 1 for points at *time_s*, (n, n).
+
+        Its rows are the innovations of a Kalman filter whose state is drift,
+        offset and lag: n small updates, where a factorisation would let the
+        linear-algebra library start threads of its own.
+        """
+        count = len(time_s)
+        mean = np.zeros((3, count))
+        spread = np.diag(
+            [self.drift_k**2, self.offset_k**2, self.lag_s**2]
+        ).astype(np.float64)
+        white_2 = self.white_k**2 + (self.quick_s * slope_k_s) ** 2
+        keep = np.exp(-np.diff(time_s, prepend=time_s[:1]) / DRIFT_S)
+        found = np.zeros((count, count))
+        for k in range(count):
+            mean[0] *= keep[k]
+            spread[0] *= keep[k]
+            spread[:, 0] *= keep[k]
+            spread[0, 0] += self.drift_k**2 * (1.0 - keep[k] ** 2)
+            shown = spread[:, 0] + spread[:, 1] + slope_k_s[k] * spread[:, 2]
+            size_2 = shown[0] + shown[1] + slope_k_s[k] * shown[2]
+            size_2 += white_2[k]
+            apart = -(mean[0] + mean[1] + slope_k_s[k] * mean[2])
+            apart[k] += 1.0
+            found[k] = apart / np.sqrt(size_2)
+            mean += np.outer(shown / size_2, apart)
+            spread -= np.outer(shown, shown) / size_2
+        return found
 
 
 FIRST: Final[dict[str, Noise]] = {
