@@ -157,14 +157,14 @@ def driven(
     Kept in the folder that BSTM_POPULATION_CACHE names, if it names one.
     """
     folder = os.environ.get("BSTM_POPULATION_CACHE")
-    key = f"{number} {name} {setting} {car} {seed} {first} 2"
+    key = f"{number} {name} {setting} {car} {seed} {first} 3"
     digest = hashlib.sha256(key.encode()).hexdigest()[:16]
     kept = None if folder is None else Path(folder) / f"{digest}.pickle"
     if kept is not None and kept.exists():
         return pickle.loads(kept.read_bytes())  # noqa: S301  (our own)
     learned = None
     if setting.heat == "fused" and not first:
-        learned = taught(number, setting, car)
+        learned = taught(number, setting, car, seed)
     made = _driven(number, name, setting, car, seed, learned)
     if kept is not None:
         kept.write_bytes(pickle.dumps(made))
@@ -217,10 +217,14 @@ def _driven(
 
 
 def taught(
-    number: int, setting: Setting, car: CarParameters | None
+    number: int,
+    setting: Setting,
+    car: CarParameters | None,
+    seed: int | None,
 ) -> Sequence[float] | None:
     """Return what fused heat has learned of the car on the rich drive."""
-    return driven(number, "rich", setting, car, first=True).drive.learned
+    made = driven(number, "rich", setting, car, seed, first=True)
+    return made.drive.learned
 
 
 @cache

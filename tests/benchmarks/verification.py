@@ -373,6 +373,10 @@ that was matched once, on the nominal car. The interval is that of
 `[accuracy]`, learned from the held-out drives of one half of the cars and
 counted on the other, once a drive and node at the peak and at fixed times.
 
+Sensors are a car's own: an accelerometer has one bias in all drives, and fused
+heat begins each with what it learned on `rich`. Half-worn pads have the
+thickness that their indicator tells.
+
 The start is known: estimates begin as measured. `cooling.form` is
 `"conductance"`: with the thesis's `"rate"` the disc of this reality can not be
 matched as well ([matching.md](matching.md)).
