@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from bstm_daemon.cli.vehicle import load_vehicle
-from bstm_daemon.estimator import compile_corner
+from bstm_daemon.corner_model import compile_corner
 from bstm_daemon.forecast.march import (
     DUTY_STEPS,
     HORIZON_S,

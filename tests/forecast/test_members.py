@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from array import array
+from dataclasses import replace
 from statistics import fmean, stdev
 
 import pytest
 
 from bstm_daemon.cli.vehicle import load_vehicle
-from bstm_daemon.estimator import compile_corner
+from bstm_daemon.corner_model import compile_corner
 from bstm_daemon.forecast.members import Ensemble, Spread
 from bstm_daemon.shipped import shipped_file
 from bstm_daemon.thermal.program import Program, same_structure
@@ -80,3 +82,16 @@ def test_without_spread_all_members_are_the_estimate(corner: Program) -> None:
     assert {m.floats.tobytes() for m in ensemble.programs} == {
         corner.floats.tobytes()
     }
+
+
+def test_members_follow_another_network_of_the_corner(corner: Program) -> None:
+    """The same draws around the numbers of a worn lining."""
+    first = Ensemble(corner, 8, Spread())
+    worn = replace(corner, floats=array("d", [2.0 * x for x in corner.floats]))
+
+    second = first.of(worn)
+
+    assert first.of(corner) is first
+    assert second.draws == first.draws
+    for old, new in zip(first.programs, second.programs, strict=True):
+        assert new.floats.tolist() == [2.0 * x for x in old.floats]

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from bstm_daemon.estimator import compile_corner
+from bstm_daemon.corner_model import compile_corner
 from bstm_daemon.heat.sample_plan import CHANNELS
 from bstm_daemon.thermal.kernel import Batch
 from bstm_daemon.wear.dose import (
