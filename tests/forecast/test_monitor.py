@@ -277,7 +277,7 @@ def test_vapour_while_the_computer_was_off() -> None:
         update={"grade": "DOT3", "water_percent": 5.0}
     )
     config = config.model_copy(update={"fluid": fluid})
-    monitor, estimator, times, found = run(config, drive(900, 1, 11e5))
+    monitor, estimator, times, found = run(config, drive(900, 1, 10.3e5))
     document = {"risk": monitor.export()} | export_state(estimator)
     again = RiskMonitor(config, estimator)
     resume_risk(again, estimator, document, 1_200_000_000, times[-1])
