@@ -73,7 +73,7 @@ def move(
     gear[~moving] = 0
     drag = car.engine_drag(v, gear)
     needed = car.effective_mass_kg * course.acceleration_ms2 + np.where(
-        moving, car.resistance(v, course.slope_rad), 0.0
+        moving, car.resistance(v, course.slope_rad, course.headwind_ms), 0.0
     )
     surplus = external + drag / radius - needed
     extra_pa = 1e5 * _corners(

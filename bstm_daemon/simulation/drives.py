@@ -49,7 +49,8 @@ class Segment(_Table):
     """One ``[[segment]]``; see the module for the three kinds.
 
     ``grade_percent`` is positive uphill, ``external_force_n`` positive
-    forward, ``bend_radius_m`` positive to the left, ``gear`` 0 neutral.
+    forward, ``headwind_ms`` against the car, ``bend_radius_m`` positive to
+    the left, ``gear`` 0 neutral.
     ``brake_pressure_bar`` or ``brake_force_n`` (all wheels) press the brake
     whatever the speed needs; the drive's propulsion balances it; on a free
     segment ``pressure_rise_bar_s`` lets the pressure rise.
@@ -72,6 +73,7 @@ class Segment(_Table):
     parked: bool = False
     grade_percent: Annotated[float, Field(ge=-30, le=30)] = 0.0
     external_force_n: Finite = 0.0
+    headwind_ms: Finite = 0.0
     brake_pressure_bar: NotNegative | None = None
     pressure_rise_bar_s: Finite = 0.0
     brake_force_n: NotNegative | None = None

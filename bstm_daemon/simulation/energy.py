@@ -63,6 +63,7 @@ def energy_ledger(driven: SimulatedDrive) -> EnergyLedger:
         return SAMPLE_S * float(power_w.sum())
 
     air = 0.5 * AIR_DENSITY_KG_M3 * car.drag_area_m2 * v**3
+    air += car.wind(v, course.headwind_ms) * v
     rolling = weight_n * car.rolling_resistance * np.cos(slope) * v
     wheel_w = motion.powertrain_torque_nm / car.wheel_radius_m * v
     force_w = motion.corner_force_n * v[:, None]

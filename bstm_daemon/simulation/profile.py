@@ -41,6 +41,7 @@ class Course:
     speed_ms: Array
     acceleration_ms2: Array
     slope_rad: Array
+    headwind_ms: Array
     segment: np.ndarray[tuple[int, ...], np.dtype[np.intp]]
     segments: list[Segment]
     starts_s: list[float]
@@ -73,11 +74,13 @@ def plan_course(drive: Drive, car: CarParameters) -> Course:
     )
     grades = np.array([segment.grade_percent / 100 for segment in segments])
     slope = rounded(np.arctan(grades)[index], _GRADE_SAMPLES)
+    winds = np.array([segment.headwind_ms for segment in segments])
     return Course(
         time_s,
         speed,
         np.gradient(speed, SAMPLE_S),
         slope,
+        rounded(winds[index], _GRADE_SAMPLES),
         index,
         segments,
         ends[:-1],
@@ -164,10 +167,11 @@ def _free(
         at = np.array([v])
         braking = prescribed_force(segment, np.array([t]), car)
         drag = car.engine_drag(at, np.array([segment.gear]))
+        resistance = car.resistance(at, slope, segment.headwind_ms)
         force = (
             segment.external_force_n
             - float(braking[0])
-            + float((drag / car.wheel_radius_m - car.resistance(at, slope))[0])
+            + float((drag / car.wheel_radius_m - resistance)[0])
         )
         v = max(v + force / car.effective_mass_kg * _FREE_STEP_S, 0.0)
         t += _FREE_STEP_S

@@ -108,7 +108,12 @@ class CarParameters:
         """Return the brake force of all wheels [N] at nominal mu."""
         return float(self.gains.sum()) * pressure_pa
 
-    def resistance(self, speed_ms: Array, slope_rad: Array) -> Array:
+    def resistance(
+        self,
+        speed_ms: Array,
+        slope_rad: Array,
+        headwind_ms: Array | float = 0.0,
+    ) -> Array:
         """Return rolling, air and friction resistance plus grade [N]."""
         weight = self.mass_kg * GRAVITY_MS2
         air = 0.5 * AIR_DENSITY_KG_M3 * self.drag_area_m2
@@ -116,8 +121,16 @@ class CarParameters:
             weight * np.sin(slope_rad)
             + weight * self.rolling_resistance * np.cos(slope_rad)
             + (air * speed_ms + self.friction_ns_m) * speed_ms
+            + self.wind(speed_ms, headwind_ms)
         )
         return total
+
+    def wind(self, speed_ms: Array, headwind_ms: Array | float) -> Array:
+        """Return what a headwind adds to the air's resistance [N]."""
+        air = 0.5 * AIR_DENSITY_KG_M3 * self.drag_area_m2
+        met = speed_ms + headwind_ms
+        added: Array = air * (met * np.abs(met) - speed_ms * speed_ms)
+        return added
 
     def engine_speed(self, speed_ms: Array, gear: Gears) -> Array:
         """Return the engine speed [rad/s]; it idles with an open clutch."""

@@ -64,6 +64,37 @@ def test_thesis_vehicle_needs_its_pressure() -> None:
     )
 
 
+def test_wind_is_met_squared() -> None:
+    """20 m/s against 10: the air of 30; from behind at 25 it pushes."""
+    v, flat = np.array([20.0]), np.zeros(1)
+    calm = NOMINAL.resistance(v, flat)
+    air = 0.5 * 1.2 * NOMINAL.drag_area_m2
+
+    against = NOMINAL.resistance(v, flat, 10.0) - calm
+    behind = NOMINAL.resistance(v, flat, -25.0) - calm
+
+    assert against[0] == pytest.approx(air * (30.0**2 - 20.0**2), rel=0.02)
+    assert behind[0] == pytest.approx(-air * (5.0**2 + 20.0**2), rel=0.02)
+
+
+def test_the_engine_holds_against_the_wind() -> None:
+    """A segment's headwind, faded in over some seconds."""
+    drive = parse_drive(
+        HEAD + "[[segment]]\nspeed_kmh = 72.0\nduration_s = 60.0\n"
+        "[[segment]]\nspeed_kmh = 72.0\nduration_s = 30.0\n"
+        "headwind_ms = 10.0\n",
+        "f.toml",
+    )
+    course = plan_course(drive, NOMINAL)
+    torque = move(course, NOMINAL, Effects(), pushed=False)
+
+    more = np.ptp(torque.powertrain_torque_nm[[5000, 8000]])
+    air = 0.5 * 1.2 * NOMINAL.drag_area_m2
+    assert more / NOMINAL.wheel_radius_m == pytest.approx(
+        air * (30.0**2 - 20.0**2), rel=0.02
+    )
+
+
 def test_wheels_add_a_hundredth_to_the_mass() -> None:
     assert NOMINAL.effective_mass_kg == pytest.approx(2194.0 + 26.4, abs=0.1)
 
