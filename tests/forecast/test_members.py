@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from array import array
+from dataclasses import replace
 from statistics import fmean, stdev
 
 import pytest
@@ -80,3 +82,16 @@ def test_without_spread_all_members_are_the_estimate(corner: Program) -> None:
     assert {m.floats.tobytes() for m in ensemble.programs} == {
         corner.floats.tobytes()
     }
+
+
+def test_members_follow_another_network_of_the_corner(corner: Program) -> None:
+    """The same draws around the numbers of a worn lining."""
+    first = Ensemble(corner, 8, Spread())
+    worn = replace(corner, floats=array("d", [2.0 * x for x in corner.floats]))
+
+    second = first.of(worn)
+
+    assert first.of(corner) is first
+    assert second.draws == first.draws
+    for old, new in zip(first.programs, second.programs, strict=True):
+        assert new.floats.tolist() == [2.0 * x for x in old.floats]

@@ -71,7 +71,7 @@ def run(
     for first in range(0, len(samples[0]), cut):
         part = [column[first : first + cut] for column in samples]
         monitor.hear(*part)
-        for block in estimator.advance(*part):
+        for block in estimator.stretches(*part):
             times += block.times_us
             found += monitor.add(block)
     return monitor, estimator, times, found
@@ -89,6 +89,25 @@ def test_how_samples_are_cut_changes_nothing() -> None:
     *_, cut = run(car(), samples, 7)
 
     assert list(map(told, whole)) == list(map(told, cut))
+
+
+def test_networks_of_worn_linings_change_nothing_by_the_cut() -> None:
+    """Exchanged on the minute; a forecast goes by those of its time."""
+    config = car()
+    wear = config.wear.model_copy(update={"pad_wear_m3_j": 1e-10})
+    worn = config.model_copy(update={"wear": wear})
+    samples = drive(65, 15)
+    _, estimator, _, whole = run(worn, samples)
+    *_, cut = run(worn, samples, 7)
+    *_, fresh = run(config, samples)
+
+    built = estimator.wear.built_corner("FL").pad
+    assert built is not None
+    assert config.corner[0].pad is not None
+    assert built.thickness_m < config.corner[0].pad.thickness_m - 5e-4
+    assert list(map(told, whole)) == list(map(told, cut))
+    thin, thick = (r[-1].corners["FL"].peak_k for r in (whole, fresh))
+    assert thin != pytest.approx(thick, abs=0.3)
 
 
 def test_a_forecast_every_ten_seconds_and_at_the_stop() -> None:
@@ -258,7 +277,7 @@ def test_vapour_while_the_computer_was_off() -> None:
         update={"grade": "DOT3", "water_percent": 5.0}
     )
     config = config.model_copy(update={"fluid": fluid})
-    monitor, estimator, times, found = run(config, drive(900, 1, 11e5))
+    monitor, estimator, times, found = run(config, drive(900, 1, 10.3e5))
     document = {"risk": monitor.export()} | export_state(estimator)
     again = RiskMonitor(config, estimator)
     resume_risk(again, estimator, document, 1_200_000_000, times[-1])
