@@ -142,7 +142,7 @@ def test_reference_lists_every_key_of_a_drive(
 
 def test_published_ids_are_those_of_the_frames() -> None:
     """The room that id_base keeps free is what the frame table needs."""
-    assert config.PUBLISHED_IDS == BLOCK_IDS
+    assert config_service.PUBLISHED_IDS == BLOCK_IDS
 
 
 def test_values_are_final() -> None:

@@ -238,7 +238,14 @@ def targets_of(
         if corner.name not in measured:
             continue
         looks = corner.model_dump(
-            exclude={"name", "side", "axle", "friction_coefficient"}
+            exclude={
+                "name": True,
+                "side": True,
+                "axle": True,
+                "friction_coefficient": True,
+                # what wear starts from, no part of the model
+                "pad": {"new_thickness_m", "measured"},
+            }
         )
         group = corner.name if each else repr(looks)
         groups.setdefault(group, []).append(corner.name)
