@@ -50,10 +50,11 @@ FLOORS = {
     "replay": 9,
     "frame_replay": 10,
     "matching": 10,
-    "report": 11,
+    "gap": 11,
+    "report": 12,
     "daemon": 10,
-    "watch": 12,
-    "cli": 13,
+    "watch": 13,
+    "cli": 14,
 }
 """A room may import from rooms on lower floors and from itself; the files of
 floor 0 and of ``config`` may also import from their own floor."""

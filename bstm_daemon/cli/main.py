@@ -86,6 +86,10 @@ COMMANDS: Final[dict[str, Command]] = {
         "bstm_daemon.cli.verify",
         "judge the model on drives with measured temperatures",
     ),
+    "gap": Command(
+        "bstm_daemon.cli.gap",
+        "find, name and add the effect that the model lacks",
+    ),
     "install-service": Command(
         "bstm_daemon.cli.install_service",
         "write the systemd units of the live service",

@@ -195,7 +195,7 @@ def write_changed(
     document = tomlkit.parse(text)
     for change in changes:
         _apply(document, change, change.note or origin)
-    _move_paths(document, source.resolve().parent, target.resolve().parent)
+    move_paths(document, source.resolve().parent, target.resolve().parent)
     with replacing(target) as file:
         file.write_text(tomlkit.dumps(document), encoding="utf-8")
 
@@ -226,7 +226,8 @@ def _apply(document: Any, change: Change, origin: str) -> None:
     table[key].comment(words)
 
 
-def _move_paths(document: Any, old: Path, new: Path) -> None:
+def move_paths(document: Any, old: Path, new: Path) -> None:
+    """Make relative paths of *document*, of folder *old*, right in *new*."""
     if old == new:
         return
     places = [(bus, "dbc") for bus in document.get("bus", [])]

@@ -125,16 +125,18 @@ class Drive:
         return replace(self, inputs=inputs, estimates=None)
 
 
-class _Rows(Journal):
+class Rows(Journal):
     """Takes the estimator's rows and keeps their means over the grid."""
 
     def __init__(self, corners: int) -> None:
+        """Take how many *corners* a row has."""
         super().__init__(0, 1)
         self._shape = (corners, len(CHANNELS))
         self._rest = np.zeros((0, *self._shape))
         self.parts: list[Column] = []
 
     def add(self, rows: memoryview, steps: int) -> None:
+        """Take *steps* rows."""
         new = np.frombuffer(rows, np.float64).reshape(steps, *self._shape)
         new = np.concatenate((self._rest, new))
         whole = len(new) // STEPS_A_ROW * STEPS_A_ROW
@@ -142,7 +144,7 @@ class _Rows(Journal):
         groups = new[:whole].reshape(-1, STEPS_A_ROW, *self._shape)
         self.parts.append(groups.mean(axis=1))
 
-    def inputs(self, path: Path) -> Column:
+    def inputs(self, path: Path | str) -> Column:
         """Return all rows; raises LogError where *path* gave none."""
         found = np.concatenate(self.parts or [np.zeros((0, *self._shape))])
         if not len(found):
@@ -180,7 +182,7 @@ def read_drive(  # noqa: PLR0913
     estimator = Estimator(config, present_roles(signal_map))
     if learned is not None:
         estimator.samples = SampleState.new(estimator.plan, learned)
-    rows = _Rows(len(estimator.plan.corners))
+    rows = Rows(len(estimator.plan.corners))
     estimator.journal = rows
     kept = Collector()
     builder = ResultsBuilder(estimator, [kept])
@@ -192,7 +194,7 @@ def read_drive(  # noqa: PLR0913
     for events in log.events():
         if first_us is None and len(events.time_us):
             first_us = int(events.time_us[0])
-            _begin_as_measured(estimator, events)
+            begin_as_measured(estimator, events)
         blocks = estimator.advance(events.time_us, events.role, events.value)
         if estimates:
             builder.add(blocks)
@@ -215,7 +217,7 @@ def read_drive(  # noqa: PLR0913
         start_s,
         estimator.plan.corners,
         rows.inputs(path),
-        _by_corner(temperatures, estimator.plan.corners, start_s),
+        thermocouples_of(temperatures, estimator.plan.corners, start_s),
         _since(kept.results(), start_s) if estimates else None,
         estimator.samples.learned(len(estimator.plan.corners)),
     )
@@ -254,7 +256,7 @@ def read_drives(
     return drives
 
 
-def _begin_as_measured(estimator: Estimator, events: Events) -> None:
+def begin_as_measured(estimator: Estimator, events: Events) -> None:
     """Let every corner begin at its first temperatures in *events*.
 
     A match, and what judges it, is of the model, not of a guessed start.
@@ -282,11 +284,15 @@ def _begin_as_measured(estimator: Estimator, events: Events) -> None:
     estimator.history_left_steps = 0
 
 
-def _by_corner(
+def thermocouples_of(
     temperatures: Mapping[int, list[tuple[Column, Column]]],
     corners: tuple[str, ...],
     start_s: float,
 ) -> dict[str, dict[str, Thermocouple]]:
+    """Return thermocouples by corner and node, of samples by role number.
+
+    Times [s] of the samples are stamps; those returned count from *start_s*.
+    """
     numbers = {role.name: number for number, role in enumerate(ROLES)}
     found: dict[str, dict[str, Thermocouple]] = {}
     for corner in corners:

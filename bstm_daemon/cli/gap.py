@@ -1,0 +1,153 @@
+"""``bstm gap``: find what the model lacks, name it, add it, show it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from bstm_daemon import __version__
+from bstm_daemon.cli.arguments import (
+    add_bus_map,
+    add_config,
+    add_json,
+    add_out,
+    add_report,
+)
+from bstm_daemon.cli.progress import Progress
+from bstm_daemon.cli.vehicle import load_vehicle
+from bstm_daemon.errors import UsageError
+from bstm_daemon.files import replacing
+from bstm_daemon.gap.adopting import adopt
+from bstm_daemon.gap.recording import read_recording
+from bstm_daemon.gap.workflow import STEPS, find_gap
+from bstm_daemon.report.gap_words import gap_json, gap_text
+
+if TYPE_CHECKING:
+    import argparse
+
+    from bstm_daemon.bus.signal_map import SignalMap
+    from bstm_daemon.config import Config
+    from bstm_daemon.gap.recording import Recording
+    from bstm_daemon.gap.workflow import Gap
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the step, the logs and where results go."""
+    parser.add_argument(
+        "step",
+        choices=("run", *STEPS),
+        help="run: all steps; locate: where model and measurement disagree; "
+        "gate: whether anything is missing; name: which effect; adopt: fit it "
+        "and write it into NEW.toml; show: before and after",
+    )
+    parser.add_argument("logs", nargs="+", type=Path, metavar="LOG")
+    add_config(parser)
+    parser.add_argument(
+        "--holdout",
+        nargs="+",
+        type=Path,
+        default=[],
+        metavar="LOG",
+        help="drives that nothing is fitted to, for before and after",
+    )
+    add_out(
+        parser,
+        "write the effect into a copy of the configuration",
+        "NEW.toml",
+    )
+    parser.add_argument(
+        "--force", action="store_true", help="replace NEW.toml if it exists"
+    )
+    add_json(parser)
+    add_report(parser)
+    add_bus_map(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Search, print, and write what was asked for."""
+    _check(args)
+    config, signal_map = load_vehicle(args.config)
+    recordings = _read(args, args.logs, config, signal_map)
+    held_out = _read(args, args.holdout, config, signal_map)
+    until = "show" if args.step == "run" else args.step
+    with Progress("gap") as progress:
+        gaps = find_gap(
+            config, recordings, held_out, until=until, progress=progress.show
+        )
+    names = ", ".join(log.name for log in args.logs)
+    print(f"{names}  ({config.vehicle.id}, {args.config})")
+    for gap in gaps:
+        print(gap_text(gap))
+    _write(args, gaps)
+    if args.report:
+        from bstm_daemon.report.gap_page import (  # noqa: PLC0415
+            write_gap_page,
+        )
+
+        write_gap_page(
+            args.report,
+            gaps,
+            subtitle=f"{names} · {config.vehicle.id} · {args.config.name}",
+            version=__version__,
+        )
+        print(args.report)
+    return 0
+
+
+def _check(args: argparse.Namespace) -> None:
+    if args.step == "adopt" and args.out is None:
+        msg = "gap adopt: give -o NEW.toml"
+        raise UsageError(msg)
+    if args.out is None:
+        return
+    if args.out.exists() and not args.force:
+        msg = f"{args.out}: exists already, give --force to replace it"
+        raise UsageError(msg)
+    logs = {log.resolve() for log in (*args.logs, *args.holdout)}
+    if args.out.resolve() in logs:
+        msg = f"{args.out}: would overwrite the log"
+        raise UsageError(msg)
+
+
+def _read(
+    args: argparse.Namespace,
+    logs: list[Path],
+    config: Config,
+    signal_map: SignalMap,
+) -> list[Recording]:
+    found = []
+    for log in logs:
+        with Progress(f"read {log.name}") as progress:
+
+            def show(
+                share: float | None, progress: Progress = progress
+            ) -> None:
+                progress.show(share or 0.0)
+
+            found.append(
+                read_recording(
+                    log, config, signal_map, dict(args.map), progress=show
+                )
+            )
+    return found
+
+
+def _write(args: argparse.Namespace, gaps: list[Gap]) -> None:
+    if args.json:
+        result = {
+            "files": [str(log) for log in args.logs],
+            "held_out": [str(log) for log in args.holdout],
+            "corners": [gap_json(gap) for gap in gaps],
+        }
+        with replacing(args.json) as file:
+            file.write_text(json.dumps(result, indent=2) + "\n", "utf-8")
+    effects = [effect for gap in gaps for effect in gap.effects()]
+    if args.out is None:
+        return
+    if not effects:
+        print(f"nothing to adopt: {args.out} not written")
+        return
+    adopt(args.config, args.out, effects)
+    names = ", ".join(effect.name for effect in effects)
+    print(f"{args.out}: {names}")

@@ -1,0 +1,1 @@
+"""The missing effect: locate the gap, name what is missing, adopt it, show."""

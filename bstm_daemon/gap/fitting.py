@@ -1,0 +1,207 @@
+"""Strengths and tunables fitted together on the whole model, simulated anew.
+
+Gauss-Newton from the configured values, few iterations: what is fitted lies
+near, and every step simulates each effect at its present strength.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from bstm_daemon.config import EffectConfig
+from bstm_daemon.effects.catalogue import effect_class
+from bstm_daemon.gap.comparison import HEAT_SCALE
+from bstm_daemon.gap.signatures import sensitivities
+from bstm_daemon.matching.tunables import S_SPEEDS_MS
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from bstm_daemon.gap.comparison import Comparison
+    from bstm_daemon.matching.drives import Column
+
+ITERATIONS: Final = 3
+STRENGTH_STEP: Final = 0.15
+STRENGTH_PRIOR: Final = 1.5
+"""Standard deviation of a strength about 0."""
+
+SMALLEST: Final = 0.02
+"""A strength is not fitted closer to 0, where its effect would vanish."""
+
+LONGEST: Final = 0.7
+"""Of a step, in logarithms of tunables and in strengths."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fit:
+    """A model after its fit.
+
+    ``x`` (p,) are the logarithms of the tunables, ``strengths`` and their
+    ``deviations`` by effect; ``cost`` half the whitened sum of squares with
+    the priors, ``points`` how many residuals there are.
+    """
+
+    x: Column
+    strengths: dict[str, float]
+    deviations: dict[str, float]
+    cost: float
+    points: int
+
+    def effects(
+        self, provenance: Mapping[str, object] | None = None
+    ) -> list[EffectConfig]:
+        """Return the effects as entries of the configuration."""
+        return effect_entries(self.strengths, provenance)
+
+    def bend(self, comparison: Comparison) -> float:
+        """Return how far the tunables moved, in deviations of their priors.
+
+        Root mean square.
+        """
+        moved = (self.x - comparison.start) / comparison.prior
+        return float(np.sqrt(np.mean(moved**2)))
+
+
+def effect_entries(
+    strengths: Mapping[str, float],
+    provenance: Mapping[str, object] | None = None,
+) -> list[EffectConfig]:
+    """Return ``[[effect]]`` entries of *strengths* by name."""
+    return [
+        EffectConfig(
+            name=name,
+            parameters={"strength": strength},
+            provenance=dict(provenance or {}),
+        )
+        for name, strength in strengths.items()
+    ]
+
+
+def whole_basis(comparison: Comparison) -> Column:
+    """Return the directions of all tunables, (p, p)."""
+    return np.eye(len(comparison.keys))
+
+
+def scale_basis(comparison: Comparison) -> Column:
+    """Return two directions: all heat in, all cooling by the wind, (p, 2)."""
+    basis = np.zeros((len(comparison.keys), 2))
+    for i, key in enumerate(comparison.keys):
+        if key == HEAT_SCALE:
+            basis[i, 0] = 1.0
+        elif key in S_SPEEDS_MS:
+            basis[i, 1] = 1.0
+    return basis[:, np.abs(basis).sum(axis=0) > 0.0]
+
+
+def fit(
+    comparison: Comparison,
+    start: Mapping[str, float],
+    basis: Column | None = None,
+    *,
+    priors: bool = True,
+) -> Fit:
+    """Fit effects and tunables to the recordings of *comparison*.
+
+    Args:
+        comparison: what is compared.
+        start: effects and the strengths to begin from.
+        basis: directions (p, q) in which the tunables may move; all.
+        priors: whether those of the tunables hold.
+    """
+    if basis is None:
+        basis = whole_basis(comparison)
+    names = list(start)
+    x, a = comparison.start.copy(), np.array([start[n] for n in names])
+    lower, upper = _strength_bounds(names, a)
+    best: tuple[float, Column, Column] | None = None
+    covariance = np.zeros((0, 0))
+    points = 0
+    for _ in range(ITERATIONS):
+        apart, jacobian = sensitivities(comparison, x, _effects(names, a))
+        residual = comparison.whiten(apart)
+        points = len(residual)
+        cost = _cost(comparison, residual, x, priors=priors)
+        if best is None or cost < best[0]:
+            best = (cost, x, a)
+        columns = [
+            _strength_slope(comparison, x, names, a, i, apart)
+            for i in range(len(names))
+        ]
+        whole = np.column_stack((jacobian @ basis, *columns))
+        normal = whole.T @ whole
+        gradient = whole.T @ residual
+        count = basis.shape[1]
+        if priors:
+            weight = (comparison.prior**-2.0)[:, None]
+            normal[:count, :count] += basis.T @ (weight * basis)
+            gradient[:count] += basis.T @ (
+                (x - comparison.start) * comparison.prior**-2.0
+            )
+        normal[count:, count:] += np.eye(len(names)) / STRENGTH_PRIOR**2
+        gradient[count:] += a / STRENGTH_PRIOR**2
+        covariance = np.linalg.pinv(normal)
+        step = np.clip(-covariance @ gradient, -LONGEST, LONGEST)
+        x = np.clip(
+            x + basis @ step[:count], comparison.lower, comparison.upper
+        )
+        a = np.clip(a + step[count:], lower, upper)
+    last = comparison.whiten(
+        comparison.apart_k(x[None], _effects(names, a))[:, 0]
+    )
+    cost = _cost(comparison, last, x, priors=priors)
+    if best is not None and best[0] < cost:
+        cost, x, a = best
+    deviations = np.sqrt(np.diag(covariance))[basis.shape[1] :]
+    return Fit(
+        x,
+        dict(zip(names, a.tolist(), strict=True)),
+        dict(zip(names, deviations.tolist(), strict=True)),
+        cost,
+        points,
+    )
+
+
+def _effects(names: Sequence[str], a: Column) -> list[EffectConfig]:
+    return effect_entries(dict(zip(names, a.tolist(), strict=True)))
+
+
+def _cost(
+    comparison: Comparison, residual: Column, x: Column, *, priors: bool
+) -> float:
+    cost = 0.5 * float(residual @ residual)
+    if priors:
+        moved = (x - comparison.start) / comparison.prior
+        cost += 0.5 * float(moved @ moved)
+    return cost
+
+
+def _strength_bounds(
+    names: Sequence[str], start: Column
+) -> tuple[Column, Column]:
+    """Keep each strength on the side of 0 where it began."""
+    lower, upper = [], []
+    for name, a in zip(names, start, strict=True):
+        bounds = effect_class(name).parameters()[0]
+        lower.append(SMALLEST if a >= 0.0 else bounds.lower)
+        upper.append(bounds.upper if a >= 0.0 else -SMALLEST)
+    return np.array(lower), np.array(upper)
+
+
+def _strength_slope(
+    comparison: Comparison,
+    x: Column,
+    names: Sequence[str],
+    a: Column,
+    which: int,
+    apart: Column,
+) -> Column:
+    moved = a.copy()
+    step = STRENGTH_STEP if a[which] >= 0.0 else -STRENGTH_STEP
+    if abs(moved[which]) > 3.0:  # its bound is not far
+        step = -step
+    moved[which] += step
+    there = comparison.apart_k(x[None], _effects(names, moved))[:, 0]
+    return comparison.whiten((there - apart) / step)

@@ -1,0 +1,330 @@
+"""From evidence to an answer: a name, a class, none of them, or nothing.
+
+Never a forced guess: a name is given where one effect alone is probable, a
+class where the data can not tell its members apart, and 'none of the known
+effects' where something is plainly missing that no effect explains.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Final, Literal
+
+import numpy as np
+
+from bstm_daemon.effects.catalogue import effect_class
+from bstm_daemon.gap.evidence import (
+    Candidate,
+    Projector,
+    probabilities,
+    weigh,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from bstm_daemon.gap.comparison import Comparison
+    from bstm_daemon.gap.signatures import Linearised, Signature
+    from bstm_daemon.matching.drives import Column
+
+Answer = Literal["nothing", "name", "class", "unknown", "undecided"]
+
+SURE: Final = 0.95
+"""Probability from which a name, or a class, is given."""
+
+GATE_Z: Final = 4.0
+"""Standard deviations of the best candidate from which there is a gap; with
+39 candidates chance reaches it once in 400 searches."""
+
+GATE_EVIDENCE: Final = 5.0
+"""And by so much must its logarithm of the Bayes factor favour it."""
+
+ALIKE: Final = 0.95
+"""Cosine of two signatures, tunables projected out, from which data can not
+tell them apart."""
+
+NEXT_EVIDENCE: Final = 8.0
+NEXT_Z: Final = 5.0
+MOST_EFFECTS: Final = 3
+"""Further effects must be plainer: the first one's form is not exact."""
+
+EXPLAINED: Final = 0.6
+UNEXPLAINED: Final = 15.0
+"""Below this share of what all effects together explain, and with so much of
+the log-likelihood left besides chance, no name is given."""
+
+PLACEBOS: Final = 20
+"""Candidates that can not be: the best one's signature at other times."""
+
+
+@dataclass(frozen=True, slots=True)
+class Naming:
+    """The answer.
+
+    ``names`` are the effects found, best first: one, up to three, or the
+    members of a class; ``strengths`` are theirs. ``probability`` is that of
+    the answer, ``odds`` of every candidate and of ``""``, nothing.
+    """
+
+    answer: Answer
+    names: tuple[str, ...]
+    probability: float
+    candidates: tuple[Candidate, ...]
+    odds: dict[str, float]
+    reason: str
+    explained: float = np.nan
+    best_placebo_z: float = np.nan
+    cross_validated: dict[str, float] = field(default_factory=dict)
+    leftover: Candidate | None = None
+
+    @property
+    def found(self) -> bool:
+        """Whether something is missing."""
+        return self.answer != "nothing"
+
+    @property
+    def gate_z(self) -> float:
+        """Standard deviations of the best candidate."""
+        return max((one.z for one in self.candidates), default=0.0)
+
+
+def name_effect(comparison: Comparison, linearised: Linearised) -> Naming:
+    """Return what *linearised* says is missing."""
+    project = Projector(linearised.jacobian, comparison.prior)
+    found = _weighed(project, linearised.residual, linearised.signatures)
+    odds = probabilities(found)
+    nothing = Naming(
+        "nothing",
+        (),
+        odds[""],
+        tuple(found),
+        odds,
+        "no effect of the catalogue changes the temperatures of these drives "
+        "by more than they are uncertain, the tunables re-fitted",
+    )
+    if not found:
+        return nothing
+    best = found[0]
+    if best.log_evidence < GATE_EVIDENCE or best.z < GATE_Z:
+        return nothing
+    by_name = {one.name: one for one in linearised.signatures}
+    placebo = _best_placebo(
+        comparison, project, linearised.residual, by_name[best.name]
+    )
+    validated = _cross_validated(comparison, linearised, by_name[best.name])
+    common = replace(
+        nothing, best_placebo_z=placebo, cross_validated=validated
+    )
+    chosen, leftover = _several(linearised, found, comparison.prior)
+    explained, left = _explained(project, linearised, chosen)
+    common = replace(common, explained=explained, leftover=leftover)
+    foreign = explained < EXPLAINED and left > UNEXPLAINED
+    if foreign or placebo > best.z:
+        why = (
+            f"the best, {best.name}, explains {100 * explained:.0f} % of what "
+            "all effects together could"
+            if foreign
+            else f"{best.name} at other times than its own explains as much"
+        )
+        return replace(
+            common, answer="unknown", probability=1.0 - odds[""], reason=why
+        )
+    if len(chosen) > 1:
+        names = tuple(one.name for one in chosen)
+        share = odds[best.name]
+        return replace(
+            common,
+            answer="name",
+            names=names,
+            probability=share,
+            reason=f"together they explain {100 * explained:.0f} %",
+        )
+    return _single(common, project, linearised, best)
+
+
+def _single(
+    common: Naming,
+    project: Projector,
+    linearised: Linearised,
+    best: Candidate,
+) -> Naming:
+    odds = common.odds
+    if odds[best.name] >= SURE:
+        return replace(
+            common,
+            answer="name",
+            names=(best.name,),
+            probability=odds[best.name],
+            reason=effect_class(best.name).signature,
+        )
+    members = [best.name]
+    total = odds[best.name]
+    for one in common.candidates[1:]:
+        if total >= SURE:
+            break
+        members.append(one.name)
+        total += odds[one.name]
+    by_name = {one.name: one for one in linearised.signatures}
+    why = []
+    for name in members[1:]:
+        cosine = _cosine(project, by_name[best.name], by_name[name])
+        declared = (
+            name in effect_class(best.name).twins
+            or best.name in effect_class(name).twins
+        )
+        if declared or abs(cosine) >= ALIKE:
+            why.append(f"{name} (signatures alike, cosine {cosine:.2f})")
+    alike = len(why) == len(members) - 1
+    return replace(
+        common,
+        answer="class" if alike else "undecided",
+        names=tuple(members),
+        probability=total,
+        reason=(
+            f"these drives do not tell {best.name} from {', '.join(why)}"
+            if alike
+            else "several effects of different kinds explain it; another "
+            "drive must tell"
+        ),
+    )
+
+
+def _weighed(
+    project: Projector, residual: Column, signatures: Sequence[Signature]
+) -> list[Candidate]:
+    found = [weigh(project, residual, one) for one in signatures]
+    return sorted(found, key=lambda one: -one.log_evidence)
+
+
+def _several(
+    linearised: Linearised,
+    found: Sequence[Candidate],
+    prior: Column,
+) -> tuple[list[Candidate], Candidate | None]:
+    """Add effects as long as each is plain beside the others.
+
+    Returns those, and the best one that was not.
+    """
+    by_name = {one.name: one for one in linearised.signatures}
+    chosen = [found[0]]
+    residual = linearised.residual
+    leftover = None
+    while len(chosen) <= MOST_EFFECTS:
+        columns = [by_name[one.name].at(1.0) for one in chosen]
+        jacobian = np.column_stack((linearised.jacobian, *columns))
+        wide = np.concatenate((prior, np.full(len(chosen), 1.5)))
+        beside = Projector(jacobian, wide)
+        rest = _weighed(
+            beside,
+            residual,
+            [
+                one
+                for one in linearised.signatures
+                if one.name not in {c.name for c in chosen}
+            ],
+        )
+        if not rest:
+            break
+        leftover = rest[0]
+        if (
+            leftover.log_evidence < NEXT_EVIDENCE
+            or leftover.z < NEXT_Z
+            or leftover.gain < 0.1 * found[0].gain
+            or len(chosen) == MOST_EFFECTS
+        ):
+            break
+        chosen.append(leftover)
+    return chosen, leftover
+
+
+def _explained(
+    project: Projector, linearised: Linearised, chosen: Sequence[Candidate]
+) -> tuple[float, float]:
+    """Return the gain of *chosen* as a share of that of all together.
+
+    And what is left of it. Half a unit for each effect is chance.
+    """
+    names = {one.name for one in chosen}
+    own = np.column_stack(
+        [s.at(1.0) for s in linearised.signatures if s.name in names]
+    )
+    everything = np.column_stack([s.at(1.0) for s in linearised.signatures])
+    few = _joint_gain(project, linearised.residual, own)
+    chance = 0.5 * (everything.shape[1] - own.shape[1])
+    many = _joint_gain(project, linearised.residual, everything) - chance
+    return min(few / max(many, few, 1e-9), 1.0), max(many - few, 0.0)
+
+
+def _joint_gain(
+    project: Projector, residual: Column, columns: Column
+) -> float:
+    projected = project(columns)
+    gram = columns.T @ projected + np.eye(columns.shape[1]) / 2.25
+    score = projected.T @ residual
+    return 0.5 * float(score @ np.linalg.solve(gram, score))
+
+
+def _cosine(project: Projector, a: Signature, b: Signature) -> float:
+    one, two = a.at(1.0), b.at(1.0)
+    pa, pb = project(one), project(two)
+    size = float(one @ pa) * float(two @ pb)
+    return float(one @ pb) / max(size, 1e-30) ** 0.5
+
+
+def _best_placebo(
+    comparison: Comparison,
+    project: Projector,
+    residual: Column,
+    signature: Signature,
+) -> float:
+    """Return the largest score of the signature at other times."""
+    rng = np.random.default_rng(7)
+    drives = range(len(comparison.recordings))
+    scores = []
+    for _ in range(PLACEBOS):
+        moved = signature.kelvin.copy()
+        for drive in drives:
+            share = rng.uniform(0.2, 0.8)
+            for part in comparison.slices(drive):
+                count = part.stop - part.start
+                moved[part] = np.roll(moved[part], int(share * count))
+        white = comparison.whiten(moved)
+        projected = project(white)
+        slope = max(float(white @ projected), 1e-12)
+        score = -float(projected @ residual) / slope**0.5
+        scores.append(abs(score) if signature.either_sign else score)
+    return max(scores)
+
+
+def _cross_validated(
+    comparison: Comparison, linearised: Linearised, signature: Signature
+) -> dict[str, float]:
+    """Return the gain on each drive of what the other drives have fitted."""
+    found: dict[str, float] = {}
+    count = len(comparison.recordings)
+    if count < 2:
+        return found
+    for drive, recording in enumerate(comparison.recordings):
+        own = np.zeros(len(linearised.residual), bool)
+        for part in comparison.slices(drive):
+            own[part] = True
+        project = Projector(linearised.jacobian[~own], comparison.prior)
+        there = replace(
+            signature,
+            linear=signature.linear[~own],
+            curved=signature.curved[~own],
+        )
+        fit = weigh(project, linearised.residual[~own], there)
+        before = linearised.residual[~own]
+        after = before + there.at(fit.strength)
+        costs = []
+        for residual, strength in ((before, 0.0), (after, fit.strength)):
+            x = project.tunables(residual)
+            left = (
+                linearised.residual[own]
+                + signature.at(strength)[own]
+                + linearised.jacobian[own] @ x
+            )
+            costs.append(0.5 * float(left @ left))
+        found[recording.name] = costs[0] - costs[1]
+    return found

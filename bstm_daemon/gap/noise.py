@@ -1,0 +1,90 @@
+"""How model and thermocouples err together when nothing is missing.
+
+Never white: a junction has an offset and a lag, its reading drifts, and the
+form of the model itself is off by what ``[accuracy]`` says, which grows with
+the rise above the air. With covariance
+
+    C = white^2 I + d d' exp(-|dt|/tau) + offset^2 11' + lag^2 T'T''
+        + quick^2 diag(T'^2),     d = hypot(floor, share * rise)
+
+offset and lag are marginalised and need no values of their own.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from bstm_daemon.matching.noise import DRIFT_S
+
+if TYPE_CHECKING:
+    from bstm_daemon.config import Config
+    from bstm_daemon.matching.drives import Column
+
+
+@dataclass(frozen=True, slots=True)
+class NodeNoise:
+    """Standard deviations of one node: [K], share of the rise, [s]."""
+
+    white_k: float
+    floor_k: float
+    share: float
+    offset_k: float
+    lag_s: float = 2.0
+    quick_s: float = 3.0
+
+    def smoothed(self, samples: int) -> NodeNoise:
+        """Return the noise of a running mean over *samples*."""
+        return replace(
+            self,
+            white_k=self.white_k / samples**0.5,
+            quick_s=self.quick_s / samples**0.5,
+        )
+
+    def covariance(
+        self, time_s: Column, slope_k_s: Column, rise_k: Column
+    ) -> Column:
+        """Return C for points at *time_s*, (n, n)."""
+        apart = np.abs(np.subtract.outer(time_s, time_s))
+        drift = np.hypot(self.floor_k, self.share * rise_k)
+        found = np.outer(drift, drift) * np.exp(-apart / DRIFT_S)
+        found += self.offset_k**2
+        found += self.lag_s**2 * np.outer(slope_k_s, slope_k_s)
+        found[np.diag_indices_from(found)] += (
+            self.white_k**2 + (self.quick_s * slope_k_s) ** 2
+        )
+        return found
+
+    def whitener(
+        self, time_s: Column, slope_k_s: Column, rise_k: Column
+    ) -> Column:
+        """Return W with W C W' = 1 for points at *time_s*, (n, n)."""
+        covariance = self.covariance(time_s, slope_k_s, rise_k)
+        lower = np.linalg.cholesky(covariance)
+        return np.asarray(np.linalg.solve(lower, np.eye(len(time_s))))
+
+
+USUAL: Final[dict[str, NodeNoise]] = {
+    "disc": NodeNoise(1.0, 3.0, 0.02, 2.0),
+    "pad_front": NodeNoise(1.0, 3.0, 0.03, 3.0),
+    "pad_back": NodeNoise(1.0, 1.5, 0.02, 1.5),
+    "fluid": NodeNoise(1.0, 1.0, 0.01, 0.7),
+}
+"""Of a model matched to this car, by node, where ``[accuracy]`` is empty."""
+
+OTHER: Final = NodeNoise(1.0, 4.0, 0.03, 3.0)
+"""Of any other node."""
+
+
+def noise_of(config: Config, node: str) -> NodeNoise:
+    """Return the noise of *node*: what ``[accuracy]`` knows, else usual."""
+    usual = USUAL.get(node, OTHER)
+    floor = getattr(config.accuracy, f"{node}_k", None)
+    if floor is None:
+        return usual
+    share = getattr(config.accuracy, f"{node}_share")
+    return NodeNoise(
+        usual.white_k, max(float(floor), 0.5), float(share), usual.offset_k
+    )

@@ -1,0 +1,214 @@
+"""Before and after on drives that no fit has seen.
+
+Four models: as configured; the baseline with its heat and its cooling scaled;
+the baseline with all tunables re-fitted; the model with the effect. A shrink
+factor is the error of one of the first three over that of the last, the
+noise of the thermocouples taken off both.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from bstm_daemon.gap.comparison import Comparison
+from bstm_daemon.gap.fitting import Fit, fit, scale_basis
+from bstm_daemon.units import KELVIN_OFFSET
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from bstm_daemon.gap.recording import Recording
+    from bstm_daemon.matching.drives import Column
+
+CONFIGURED, SCALED, REFITTED, EXTENDED = (
+    "as configured",
+    "heat and cooling re-fitted",
+    "all tunables re-fitted",
+    "with the effect",
+)
+BASELINES: Final = (CONFIGURED, SCALED, REFITTED)
+
+BLOCK_S: Final = 300.0
+DRAWS: Final = 200
+"""Blocks of time drawn anew for the interval of a shrink factor."""
+
+NOISE_FLOOR: Final = 0.3
+"""No error counts as smaller than this share of the thermocouples' noise."""
+
+
+@dataclass(frozen=True, slots=True)
+class Shrink:
+    """Factor and its 90 % interval."""
+
+    factor: float
+    lower: float
+    upper: float
+
+
+@dataclass(frozen=True, slots=True)
+class DriveErrors:
+    """One node over one drive, by model: RMS and errors at the peak."""
+
+    drive: str
+    node: str
+    rms_k: Mapping[str, float]
+    peak_error_k: Mapping[str, float]
+    peak_late_s: Mapping[str, float]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Curve:
+    """One node over one drive: measured and modelled [degC], (n,) each."""
+
+    drive: str
+    node: str
+    time_s: Column
+    measured_c: Column
+    model_c: Mapping[str, Column]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shown:
+    """What the effect does on drives that were not fitted.
+
+    ``shrinks`` and ``fluid_shrinks`` by baseline; ``moved`` (p,) are the
+    changes of the tunables' logarithms by model. Where there was no held-out
+    drive, ``held_out`` is false and all of it is of the fitted drives.
+    """
+
+    held_out: bool
+    shrinks: Mapping[str, Shrink]
+    fluid_shrinks: Mapping[str, Shrink]
+    errors: tuple[DriveErrors, ...]
+    curves: tuple[Curve, ...]
+    fits: Mapping[str, Fit]
+    moved: Mapping[str, Column]
+    bends: Mapping[str, float]
+    keys: tuple[str, ...]
+
+
+def baseline_fits(comparison: Comparison, extended: Fit) -> dict[str, Fit]:
+    """Return the four models by name, fitted to *comparison*."""
+    return {
+        CONFIGURED: Fit(comparison.start, {}, {}, np.nan, 0),
+        SCALED: fit(comparison, {}, scale_basis(comparison), priors=False),
+        REFITTED: fit(comparison, {}),
+        EXTENDED: extended,
+    }
+
+
+def show(
+    comparison: Comparison,
+    extended: Fit,
+    held_out: Sequence[Recording],
+) -> Shown:
+    """Compare the four models on *held_out*, or on what was fitted."""
+    fits = baseline_fits(comparison, extended)
+    there = comparison
+    if held_out:
+        there = Comparison(
+            comparison.target,
+            held_out,
+            comparison.keys[:-1],
+            comparison.noise,
+        )
+    apart = {
+        name: there.apart_k(one.x[None], one.effects())[:, 0]
+        for name, one in fits.items()
+    }
+    everything = list(range(len(there.series)))
+    fluid = [i for i in everything if there.series[i].node == "fluid"]
+    return Shown(
+        bool(held_out),
+        {name: _shrink(there, apart, name, everything) for name in BASELINES},
+        {
+            name: _shrink(there, apart, name, fluid)
+            for name in BASELINES
+            if fluid
+        },
+        tuple(_errors(there, apart, i) for i in everything),
+        tuple(_curve(there, apart, i) for i in everything),
+        fits,
+        {name: one.x - comparison.start for name, one in fits.items()},
+        {name: one.bend(comparison) for name, one in fits.items()},
+        comparison.keys,
+    )
+
+
+def _shrink(
+    there: Comparison,
+    apart: Mapping[str, Column],
+    baseline: str,
+    which: Sequence[int],
+) -> Shrink:
+    """Return the factor over *which* series, blocks drawn for its interval."""
+    before, after, noise, weight = [], [], [], []
+    for i in which:
+        one = there.series[i]
+        part = slice(there.edges[i], there.edges[i + 1])
+        variance = _noise_variance(one.measured_k)
+        block = (one.time_s // BLOCK_S).astype(int)
+        for number in np.unique(block):
+            own = block == number
+            before.append(np.sum(apart[baseline][part][own] ** 2))
+            after.append(np.sum(apart[EXTENDED][part][own] ** 2))
+            noise.append(variance * np.count_nonzero(own))
+            weight.append(np.count_nonzero(own))
+    sums = np.column_stack((before, after, noise, weight))
+    rng = np.random.default_rng(3)
+    draws = [
+        _factor(sums[rng.integers(0, len(sums), len(sums))].sum(axis=0))
+        for _ in range(DRAWS)
+    ]
+    lower, upper = np.quantile(draws, (0.05, 0.95))
+    return Shrink(_factor(sums.sum(axis=0)), float(lower), float(upper))
+
+
+def _factor(sums: Column) -> float:
+    before, after, noise, _ = sums
+    least = NOISE_FLOOR * noise
+    return float(
+        np.sqrt(max(before - noise, least) / max(after - noise, least))
+    )
+
+
+def _noise_variance(measured_k: Column) -> float:
+    """Return the white variance of a series, from its second differences."""
+    bends = np.diff(measured_k, 2)
+    return float((np.median(np.abs(bends)) / 0.6745) ** 2 / 6.0)
+
+
+def _errors(
+    there: Comparison, apart: Mapping[str, Column], which: int
+) -> DriveErrors:
+    one = there.series[which]
+    part = slice(there.edges[which], there.edges[which + 1])
+    top = int(np.argmax(one.measured_k))
+    rms, peak, late = {}, {}, {}
+    for name, error in apart.items():
+        own = error[part]
+        model = one.measured_k + own
+        at = int(np.argmax(model))
+        rms[name] = float(np.sqrt(np.mean(own**2)))
+        peak[name] = float(model[at] - one.measured_k[top])
+        late[name] = float(one.time_s[at] - one.time_s[top])
+    name = there.recordings[one.drive].name
+    return DriveErrors(name, one.node, rms, peak, late)
+
+
+def _curve(
+    there: Comparison, apart: Mapping[str, Column], which: int
+) -> Curve:
+    one = there.series[which]
+    part = slice(there.edges[which], there.edges[which + 1])
+    measured = one.measured_k - KELVIN_OFFSET
+    return Curve(
+        there.recordings[one.drive].name,
+        one.node,
+        one.time_s,
+        measured,
+        {name: measured + error[part] for name, error in apart.items()},
+    )

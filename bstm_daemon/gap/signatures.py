@@ -1,0 +1,135 @@
+"""The signature of every candidate: what it would change in the residuals.
+
+A finite strength is simulated, not a derivative: many effects begin at a
+threshold. Between and beyond the strengths simulated, a parabola through 0.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from bstm_daemon.config import EffectConfig
+from bstm_daemon.effects.catalogue import (
+    effect_class,
+    effect_names,
+    effects_of,
+)
+from bstm_daemon.errors import ConfigError
+from bstm_daemon.matching.least_squares import STEP
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from bstm_daemon.config import Config
+    from bstm_daemon.gap.comparison import Comparison
+    from bstm_daemon.matching.drives import Column
+
+NETWORK_STRENGTHS: Final = (0.5, 1.5)
+HEAT_STRENGTHS: Final = (1.0,)
+"""Strengths simulated; the heat needs a pass over all samples for each."""
+
+NUISANCES: Final = frozenset(
+    {"thermocouple_offset", "thermocouple_lag", "ambient_heat_soak"}
+)
+"""Every sensor has some of these; only beyond what is usual are they named."""
+
+SILENT_K: Final = 1e-3
+"""A candidate that nowhere changes the model by more is not excited."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Signature:
+    """Change of the residuals [K] with the strength a: ``a s1 + a^2 s2``.
+
+    ``linear`` and ``curved`` (n,) are whitened; ``kelvin`` (n,) is the change
+    at strength 1.
+    """
+
+    name: str
+    linear: Column
+    curved: Column
+    kelvin: Column
+    either_sign: bool
+
+    def at(self, strength: float) -> Column:
+        """Return the change at *strength*, (n,)."""
+        return np.asarray(strength * self.linear + strength**2 * self.curved)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Linearised:
+    """Everything around the configured values, whitened.
+
+    ``residual`` (n,), ``jacobian`` (n, p), signatures, and the candidates
+    that these drives do not excite.
+    """
+
+    residual: Column
+    jacobian: Column
+    signatures: tuple[Signature, ...]
+    silent: tuple[str, ...]
+
+
+def candidates(config: Config) -> list[str]:
+    """Return the effects that *config* does not have yet."""
+    present = {one.name for one in effects_of(config)}
+    return [name for name in effect_names() if name not in present]
+
+
+def linearised(
+    comparison: Comparison,
+    names: Sequence[str],
+    progress: Callable[[float], None] | None = None,
+) -> Linearised:
+    """Return residuals and sensitivities of *comparison* at its start."""
+    base, jacobian = sensitivities(comparison, comparison.start)
+    found, silent = [], []
+    for number, name in enumerate(names):
+        signature = _signature(comparison, name, base)
+        if signature is None:
+            silent.append(name)
+        else:
+            found.append(signature)
+        if progress is not None:
+            progress((number + 1) / len(names))
+    return Linearised(
+        comparison.whiten(base), jacobian, tuple(found), tuple(silent)
+    )
+
+
+def sensitivities(
+    comparison: Comparison, x: Column, effects: Sequence[EffectConfig] = ()
+) -> tuple[Column, Column]:
+    """Return residuals [K] (n,) and the whitened jacobian (n, p) at *x*."""
+    steps = np.where(x + STEP <= comparison.upper, STEP, -STEP)
+    points = np.vstack((x, x + np.diag(steps)))
+    apart = comparison.apart_k(points, effects)
+    jacobian = (apart[:, 1:] - apart[:, :1]) / steps
+    return apart[:, 0], comparison.whiten(jacobian)
+
+
+def _signature(
+    comparison: Comparison, name: str, base: Column
+) -> Signature | None:
+    cls = effect_class(name)
+    strengths = HEAT_STRENGTHS if cls.kind == "heat" else NETWORK_STRENGTHS
+    changes = []
+    for strength in strengths:
+        effect = EffectConfig(name=name, parameters={"strength": strength})
+        try:
+            apart = comparison.apart_k(comparison.start[None], [effect])
+        except ConfigError:
+            # it does not fit this structure
+            return None
+        changes.append(apart[:, 0] - base)
+    if max(float(np.abs(one).max()) for one in changes) < SILENT_K:
+        return None
+    a = np.array(strengths)
+    matrix = np.column_stack((a, a**2))[:, : len(a)]
+    terms = np.linalg.lstsq(matrix, np.array(changes), rcond=None)[0]
+    linear = comparison.whiten(terms[0])
+    curved = comparison.whiten(terms[1]) if len(a) > 1 else 0.0 * linear
+    return Signature(name, linear, curved, terms.sum(axis=0), cls.either_sign)

@@ -1,0 +1,285 @@
+"""``bstm gap`` in words: for the terminal, the page, and JSON."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from bstm_daemon.effects.catalogue import effect_class
+from bstm_daemon.gap.showing import BASELINES, EXTENDED
+from bstm_daemon.report.verify_words import table
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from bstm_daemon.gap.locating import Cell, Located
+    from bstm_daemon.gap.naming import Naming
+    from bstm_daemon.gap.showing import Shown
+    from bstm_daemon.gap.workflow import Gap
+
+CELL_HEAD: Final = ("node", "regime", "bin", "missing heat", "in sd")
+CANDIDATE_HEAD: Final = (
+    "effect",
+    "strength",
+    "sd",
+    "score in sd",
+    "ln Bayes factor",
+    "probability",
+)
+ERROR_HEAD: Final = ("drive", "node", *BASELINES, EXTENDED)
+SHOWN_PLACES: Final = 4
+SHOWN_CANDIDATES: Final = 8
+SHOWN_REACH: Final = 40
+
+
+def gap_text(gap: Gap) -> str:
+    """Return what was found as lines for a terminal."""
+    lines = [f"{', '.join(gap.corners)}: {headline(gap)}"]
+    if gap.located is not None:
+        lines += [f"  {line}" for line in place_lines(gap.located)]
+    if gap.naming is not None:
+        lines += [f"  {line}" for line in naming_lines(gap.naming)]
+        rows = candidate_rows(gap.naming)
+        lines += [f"  {line}" for line in table(CANDIDATE_HEAD, rows)]
+        if not gap.naming.found:
+            lines.append("  could have been shown, from the strength of:")
+            lines.append(f"  {reach_line(gap.naming)}")
+        if gap.silent:
+            lines.append(f"  not excited: {', '.join(gap.silent)}")
+    if gap.fit is not None:
+        for name, strength in gap.fit.strengths.items():
+            sd = gap.fit.deviations[name]
+            lines.append(f"  {name}: strength {strength:.2f} +- {sd:.2f}")
+    if gap.shown is not None:
+        lines += [f"  {line}" for line in shown_lines(gap.shown)]
+    return "\n".join(lines)
+
+
+def headline(gap: Gap) -> str:
+    """Return the answer in one line."""
+    naming = gap.naming
+    if naming is None:
+        return "located"
+    share = percent(naming.probability)
+    names = ", ".join(naming.names)
+    if naming.answer == "nothing":
+        return f"no missing effect visible (probability {share})"
+    if naming.answer == "name":
+        return f"missing: {names} (probability {share})"
+    if naming.answer == "class":
+        return f"missing: one of {names}; this data cannot tell which"
+    if naming.answer == "unknown":
+        where = ""
+        if gap.located is not None and gap.located.places:
+            where = f", at {gap.located.places[0]}"
+        return f"missing: none of the known effects{where}"
+    return f"missing, but not named: {names} are all possible"
+
+
+def percent(probability: float) -> str:
+    """Return *probability*; nothing measured is certain."""
+    if probability > 0.999:
+        return "> 99.9 %"
+    return f"{100.0 * probability:.1f} %"
+
+
+def place_lines(located: Located) -> list[str]:
+    """Return where the gap is, plainest first."""
+    if not located.places:
+        return ["no residual heat beyond the noise"]
+    return [
+        f"residual heat at {place}: {1e-3 * place.energy_j:+.0f} kJ "
+        f"({place.z:.1f} sd)"
+        for place in located.places[:SHOWN_PLACES]
+    ]
+
+
+def naming_lines(naming: Naming) -> list[str]:
+    """Return why the answer is what it is."""
+    lines = [naming.reason]
+    if naming.answer == "name":
+        lines += [
+            f"{name}: {effect_class(name).description}"
+            for name in naming.names
+        ]
+    if naming.found:
+        lines.append(
+            f"explains {100.0 * naming.explained:.0f} % of what all effects "
+            f"together could; best placebo {naming.best_placebo_z:.1f} sd "
+            f"against {naming.gate_z:.1f} sd"
+        )
+        for drive, gain in naming.cross_validated.items():
+            lines.append(
+                f"fitted without {drive}, its log-likelihood rises "
+                f"by {gain:+.1f}"
+            )
+    return lines
+
+
+def candidate_rows(naming: Naming) -> list[tuple[str, ...]]:
+    """Return a row for each of the likeliest candidates."""
+    return [
+        (
+            one.name,
+            f"{one.strength:.2f}",
+            f"{one.deviation:.2f}",
+            f"{one.z:.1f}",
+            f"{one.log_evidence:.1f}",
+            percent(naming.odds[one.name]),
+        )
+        for one in naming.candidates[:SHOWN_CANDIDATES]
+    ]
+
+
+def reach_line(naming: Naming) -> str:
+    """Return the strength of each effect that would have been detected."""
+    ordered = sorted(naming.candidates, key=lambda one: one.reach)
+    return ", ".join(
+        f"{one.name} {one.reach:.2f}" for one in ordered[:SHOWN_REACH]
+    )
+
+
+def cell_rows(cells: Sequence[Cell]) -> list[tuple[str, ...]]:
+    """Return a row for each cell, the plainest first."""
+    return [
+        (
+            one.node,
+            one.regime,
+            one.bin,
+            f"{1e-3 * one.energy_j:+.1f} kJ",
+            f"{one.z:+.1f}",
+        )
+        for one in sorted(cells, key=lambda one: -abs(one.z))
+    ]
+
+
+def shown_lines(shown: Shown) -> list[str]:
+    """Return the shrink factors and how far the tunables moved."""
+    where = "held-out drives" if shown.held_out else "the fitted drives"
+    lines = []
+    for name in BASELINES:
+        one = shown.shrinks[name]
+        text = (
+            f"gap on {where}, against {name}: {one.factor:.1f} times smaller "
+            f"({one.lower:.1f} to {one.upper:.1f})"
+        )
+        if name in shown.fluid_shrinks:
+            text += f", fluid {shown.fluid_shrinks[name].factor:.1f}"
+        lines.append(text)
+    moved = ", ".join(
+        f"{name} {bend:.2f}" for name, bend in shown.bends.items() if bend
+    )
+    lines.append(f"tunables moved, in deviations of their priors: {moved}")
+    return lines
+
+
+def error_rows(shown: Shown) -> list[tuple[str, ...]]:
+    """Return the RMS error of each node over each drive, by model."""
+    return [
+        (
+            one.drive,
+            one.node,
+            *(f"{one.rms_k[name]:.1f} K" for name in (*BASELINES, EXTENDED)),
+        )
+        for one in shown.errors
+    ]
+
+
+def gap_json(gap: Gap) -> dict[str, Any]:
+    """Return everything that was found, for a file."""
+    found: dict[str, Any] = {
+        "corners": list(gap.corners),
+        "recordings": list(gap.recordings),
+        "points": gap.points,
+        "headline": headline(gap),
+    }
+    if gap.located is not None:
+        found["places"] = [
+            {
+                "node": one.node,
+                "other": one.other or None,
+                "regime": one.regime,
+                "energy_j": one.energy_j,
+                "standard_deviations": one.z,
+            }
+            for one in gap.located.places
+        ]
+        for name in ("cells", "by_speed", "by_pressure", "by_time"):
+            found[name] = [
+                {
+                    "node": one.node,
+                    "regime": one.regime,
+                    "bin": one.bin,
+                    "energy_j": one.energy_j,
+                    "deviation_j": one.deviation_j,
+                    "windows": one.windows,
+                }
+                for one in getattr(gap.located, name)
+            ]
+    if gap.naming is not None:
+        found["naming"] = _naming_json(gap.naming)
+        found["not_excited"] = list(gap.silent)
+    if gap.fit is not None:
+        found["strengths"] = gap.fit.strengths
+        found["strength_deviations"] = gap.fit.deviations
+    if gap.shown is not None:
+        found["shown"] = _shown_json(gap.shown)
+    return found
+
+
+def _naming_json(naming: Naming) -> dict[str, Any]:
+    return {
+        "answer": naming.answer,
+        "names": list(naming.names),
+        "probability": naming.probability,
+        "reason": naming.reason,
+        "explained": _number(naming.explained),
+        "best_placebo_z": _number(naming.best_placebo_z),
+        "cross_validated": naming.cross_validated,
+        "candidates": [
+            {
+                "name": one.name,
+                "strength": one.strength,
+                "deviation": one.deviation,
+                "z": one.z,
+                "log_bayes_factor": one.log_evidence,
+                "probability": naming.odds[one.name],
+                "detectable_strength": one.reach,
+            }
+            for one in naming.candidates
+        ],
+    }
+
+
+def _shown_json(shown: Shown) -> dict[str, Any]:
+    return {
+        "held_out": shown.held_out,
+        "shrink": {
+            name: [one.factor, one.lower, one.upper]
+            for name, one in shown.shrinks.items()
+        },
+        "fluid_shrink": {
+            name: [one.factor, one.lower, one.upper]
+            for name, one in shown.fluid_shrinks.items()
+        },
+        "bends": dict(shown.bends),
+        "moved": {
+            name: dict(zip(shown.keys, moved.tolist(), strict=True))
+            for name, moved in shown.moved.items()
+        },
+        "errors": [
+            {
+                "drive": one.drive,
+                "node": one.node,
+                "rms_k": dict(one.rms_k),
+                "peak_error_k": dict(one.peak_error_k),
+                "peak_late_s": dict(one.peak_late_s),
+            }
+            for one in shown.errors
+        ],
+    }
+
+
+def _number(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
