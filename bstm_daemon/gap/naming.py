@@ -19,6 +19,7 @@ from bstm_daemon.gap.evidence import (
     probabilities,
     weigh,
 )
+from bstm_daemon.gap.unknown import likeliest, log_evidence
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -43,6 +44,9 @@ ALIKE: Final = 0.95
 """Cosine of two signatures, tunables projected out, from which data can not
 tell them apart."""
 
+UNKNOWN_EVIDENCE: Final = 10.0
+"""Logarithm of the Bayes factor from which heat without a name is there."""
+
 NEXT_EVIDENCE: Final = 8.0
 NEXT_Z: Final = 5.0
 MOST_EFFECTS: Final = 3
@@ -61,6 +65,8 @@ PLACEBOS: Final = 20
 class Naming:
     """The answer.
 
+    ``unknown_evidence`` is the log Bayes factor of heat without a name, and
+    ``unknown_place`` where and when such heat alone explains most.
     ``names`` are the effects found, best first: one, up to three, or the
     members of a class; ``strengths`` are theirs. ``probability`` is that of
     the answer, ``odds`` of every candidate and of ``""``, nothing.
@@ -76,6 +82,8 @@ class Naming:
     best_placebo_z: float = np.nan
     cross_validated: dict[str, float] = field(default_factory=dict)
     leftover: Candidate | None = None
+    unknown_evidence: float = 0.0
+    unknown_place: str = ""
 
     @property
     def found(self) -> bool:
@@ -102,11 +110,18 @@ def name_effect(comparison: Comparison, linearised: Linearised) -> Naming:
         "no effect of the catalogue changes the temperatures of these drives "
         "by more than they are uncertain, the tunables re-fitted",
     )
-    if not found:
-        return nothing
-    best = found[0]
-    if best.log_evidence < GATE_EVIDENCE or best.z < GATE_Z:
-        return nothing
+    nothing = _with_unknown(nothing, project, linearised)
+    best = found[0] if found else None
+    if best is None or best.log_evidence < GATE_EVIDENCE or best.z < GATE_Z:
+        if nothing.unknown_evidence < UNKNOWN_EVIDENCE:
+            return nothing
+        return replace(
+            nothing,
+            answer="unknown",
+            probability=1.0 - float(np.exp(-nothing.unknown_evidence)),
+            reason="no effect of the catalogue explains it",
+            explained=0.0,
+        )
     by_name = {one.name: one for one in linearised.signatures}
     placebo = _best_placebo(
         comparison, project, linearised.residual, by_name[best.name]
@@ -140,6 +155,22 @@ def name_effect(comparison: Comparison, linearised: Linearised) -> Naming:
             reason=f"together they explain {100 * explained:.0f} %",
         )
     return _single(common, project, linearised, best)
+
+
+def _with_unknown(
+    naming: Naming, project: Projector, linearised: Linearised
+) -> Naming:
+    """Add what heat without a name explains."""
+    heats = linearised.unknown
+    if not heats:
+        return naming
+    changes = np.column_stack([one.change for one in heats])
+    place = likeliest(project, linearised.residual, heats)
+    return replace(
+        naming,
+        unknown_evidence=log_evidence(project, linearised.residual, changes),
+        unknown_place=f"{place.node}, {place.regime}",
+    )
 
 
 def _single(
@@ -248,7 +279,12 @@ def _explained(
     own = np.column_stack(
         [s.at(1.0) for s in linearised.signatures if s.name in names]
     )
-    everything = np.column_stack([s.at(1.0) for s in linearised.signatures])
+    everything = np.column_stack(
+        [
+            *(s.at(1.0) for s in linearised.signatures),
+            *(one.change for one in linearised.unknown),
+        ]
+    )
     few = _joint_gain(project, linearised.residual, own)
     chance = 0.5 * (everything.shape[1] - own.shape[1])
     many = _joint_gain(project, linearised.residual, everything) - chance

@@ -18,6 +18,7 @@ from bstm_daemon.effects.catalogue import (
     effects_of,
 )
 from bstm_daemon.errors import ConfigError
+from bstm_daemon.gap.unknown import UnknownHeat, unknown_heats
 from bstm_daemon.matching.least_squares import STEP
 
 if TYPE_CHECKING:
@@ -63,14 +64,15 @@ class Signature:
 class Linearised:
     """Everything around the configured values, whitened.
 
-    ``residual`` (n,), ``jacobian`` (n, p), signatures, and the candidates
-    that these drives do not excite.
+    ``residual`` (n,), ``jacobian`` (n, p), signatures, the candidates that
+    these drives do not excite, and heat without a name.
     """
 
     residual: Column
     jacobian: Column
     signatures: tuple[Signature, ...]
     silent: tuple[str, ...]
+    unknown: tuple[UnknownHeat, ...]
 
 
 def candidates(config: Config) -> list[str]:
@@ -96,7 +98,11 @@ def linearised(
         if progress is not None:
             progress((number + 1) / len(names))
     return Linearised(
-        comparison.whiten(base), jacobian, tuple(found), tuple(silent)
+        comparison.whiten(base),
+        jacobian,
+        tuple(found),
+        tuple(silent),
+        unknown_heats(comparison, base),
     )
 
 

@@ -70,10 +70,10 @@ def headline(gap: Gap) -> str:
     if naming.answer == "class":
         return f"missing: one of {names}; this data cannot tell which"
     if naming.answer == "unknown":
-        where = ""
-        if gap.located is not None and gap.located.places:
-            where = f", at {gap.located.places[0]}"
-        return f"missing: none of the known effects{where}"
+        return (
+            "missing: none of the known effects, heat at "
+            f"{naming.unknown_place}"
+        )
     return f"missing, but not named: {names} are all possible"
 
 
@@ -103,7 +103,7 @@ def naming_lines(naming: Naming) -> list[str]:
             f"{name}: {effect_class(name).description}"
             for name in naming.names
         ]
-    if naming.found:
+    if naming.names or np.isfinite(naming.best_placebo_z):
         lines.append(
             f"explains {100.0 * naming.explained:.0f} % of what all effects "
             f"together could; best placebo {naming.best_placebo_z:.1f} sd "
@@ -235,6 +235,8 @@ def _naming_json(naming: Naming) -> dict[str, Any]:
         "probability": naming.probability,
         "reason": naming.reason,
         "explained": _number(naming.explained),
+        "unknown_log_bayes_factor": naming.unknown_evidence,
+        "unknown_place": naming.unknown_place,
         "best_placebo_z": _number(naming.best_placebo_z),
         "cross_validated": naming.cross_validated,
         "candidates": [

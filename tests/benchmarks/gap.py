@@ -19,6 +19,7 @@ import hashlib
 import json
 import os
 import pickle
+import sys
 import tempfile
 import time
 from collections import Counter
@@ -367,6 +368,11 @@ def _run(case: Case, folder: Path) -> Outcome:
     )
 
 
+def say(line: str) -> None:
+    """Write *line*."""
+    sys.stdout.write(f"{line}\n")
+
+
 def wilson(hits: float, count: int) -> str:
     """Return a share with its 95 % interval."""
     if not count:
@@ -414,30 +420,30 @@ def report(outcomes: Sequence[Outcome]) -> None:
         ),
     }
     for name, (hits, count) in lines.items():
-        print(f"{name:32} {wilson(hits, count)}")
+        say(f"{name:32} {wilson(hits, count)}")
     right = [o for o in hidden if o.answer == "name" and not o.wrong_name]
     if right:
         errors = [abs(o.strength_found / o.strength - 1) for o in right]
-        print(f"{'strength error, median':32} {np.median(errors):.2f}")
+        say(f"{'strength error, median':32} {np.median(errors):.2f}")
         for name in BASELINES:
             factors = [o.shrink[name] for o in right if name in o.shrink]
-            print(
+            say(
                 f"{'shrink, ' + name:40} median {np.median(factors):.2f}, "
                 f"below 0.95 in {sum(f < 0.95 for f in factors)} "
                 f"of {len(factors)}"
             )
-    print(
+    say(
         f"{'seconds a case, median':32} "
         f"{np.median([o.seconds for o in outcomes]):.0f}"
     )
     for one in outcomes:
         if one.effect and one.score < 1.0:
-            print(
+            say(
                 f"  {one.effect} {one.strength:.2f} distance2 "
                 f"{one.distance2:.0f}: {one.answer} {', '.join(one.names)}"
             )
         elif not one.effect and one.answer != "nothing":
-            print(f"  S0 {one.number}: {one.answer} {', '.join(one.names)}")
+            say(f"  S0 {one.number}: {one.answer} {', '.join(one.names)}")
 
 
 def main() -> None:

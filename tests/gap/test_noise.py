@@ -1,0 +1,38 @@
+"""The noise of a node, never white."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from bstm_daemon.cli.vehicle import load_vehicle
+from bstm_daemon.gap.noise import USUAL, NodeNoise, noise_of
+from bstm_daemon.shipped import shipped_file
+
+
+def test_whitened_draws_are_white() -> None:
+    noise = NodeNoise(1.0, 3.0, 0.02, 2.0)
+    time_s = np.arange(0.0, 600.0, 20.0)
+    slope, rise = np.sin(time_s / 90.0), 100.0 + 0.0 * time_s
+    lower = np.linalg.cholesky(noise.covariance(time_s, slope, rise))
+    draws = lower @ np.random.default_rng(1).standard_normal((30, 4000))
+
+    white = noise.whitener(time_s, slope, rise) @ draws
+
+    assert np.cov(white) == pytest.approx(np.eye(30), abs=0.12)
+
+
+def test_a_running_mean_is_less_noisy() -> None:
+    assert USUAL["disc"].smoothed(4).white_k == 0.5 * USUAL["disc"].white_k
+    assert USUAL["disc"].smoothed(4).floor_k == USUAL["disc"].floor_k
+
+
+def test_accuracy_of_the_match_is_taken() -> None:
+    config = load_vehicle(shipped_file("config/example_vehicle.toml"))[0]
+    known = config.accuracy.model_copy(
+        update={"disc_k": 7.0, "disc_share": 0.05}
+    )
+    matched = config.model_copy(update={"accuracy": known})
+
+    assert noise_of(matched, "disc").floor_k == 7.0
+    assert noise_of(matched, "disc").share == 0.05
