@@ -1,0 +1,132 @@
+"""``bstm gap`` from logs to an adopted effect that replay uses."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bstm_daemon.cli.main import main
+from bstm_daemon.config_file import load_config
+from bstm_daemon.native import load_kernel
+from bstm_daemon.simulation import simulate
+from bstm_daemon.simulation.drives import parse_drive
+from bstm_daemon.simulation.frames import Encoder
+from bstm_daemon.simulation.parameters import Effects
+from bstm_daemon.simulation.recorder import write_candump
+
+ROOT = Path(__file__).parents[2]
+EXAMPLE = ROOT / "config" / "example_vehicle.toml"
+
+pytestmark = [pytest.mark.slow] if load_kernel() is None else []
+
+DRIVE = """
+[drive]
+name = "own"
+description = "a drag, two speeds, a soak"
+ambient_c = 10.0
+propulsion = "engine"
+thermocouple_logger = true
+
+[[segment]]
+speed_kmh = 40.0
+rate_ms2 = 1.5
+gear = 3
+duration_s = 600.0
+grade_percent = -10.0
+
+[[segment]]
+speed_kmh = 90.0
+rate_ms2 = 1.5
+gear = 4
+duration_s = 120.0
+
+[[segment]]
+speed_kmh = 0.0
+rate_ms2 = 6.0
+gear = 0
+
+[[segment]]
+parked = true
+duration_s = 1500.0
+"""
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the log of a car whose pads' gap conducts."""
+    path = tmp_path_factory.mktemp("gap") / "own.log"
+    drive = simulate(
+        parse_drive(DRIVE, "own"),
+        preset=Effects(gap_conduction=2.0),
+        sensors="n1",
+        seed=4,
+    )
+    write_candump(path, drive, Encoder(ROOT / "dbc" / "example_vehicle.dbc"))
+    return path
+
+
+def test_the_hidden_effect_is_named_adopted_and_used(
+    log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    new, result = tmp_path / "new.toml", tmp_path / "gap.json"
+    page = tmp_path / "gap.html"
+
+    code = main(
+        [
+            *("gap", "run", str(log), "-c", str(EXAMPLE)),
+            *("-o", str(new), "--json", str(result), "--report", str(page)),
+        ]
+    )
+
+    assert code == 0
+    assert "missing: gap_conduction" in capsys.readouterr().out
+    found = json.loads(result.read_text("utf-8"))["corners"][0]
+    assert found["naming"]["names"] == ["gap_conduction"]
+    assert found["shown"]["shrink"]["as configured"][0] > 2.0
+    assert found["places"][0]["node"] == "pad_front"
+    assert "gap conduction" in page.read_text("utf-8")
+    adopted = load_config(new).effect
+    assert [one.name for one in adopted] == ["gap_conduction"]
+    assert adopted[0].provenance["data"] == ["own.log"]
+
+    errors = [pad_error_k(log, config, tmp_path) for config in (EXAMPLE, new)]
+
+    assert errors[1] < 0.4 * errors[0]
+
+
+def pad_error_k(log: Path, config: Path, folder: Path) -> float:
+    """Return the error of a replay's pad at the end of the soak."""
+    out = folder / config.stem
+    code = main(["replay", str(log), "-c", str(config), "-o", str(out)])
+    assert code == 0
+    (csv,) = out.glob("*.csv")
+    table = np.genfromtxt(csv, delimiter=",", names=True, deletechars="")
+    error = table["FL.pad_front_c"] - table["FL.pad_front_measured_c"]
+    return float(np.sqrt(np.nanmean(error[len(error) // 2 :] ** 2)))
+
+
+def test_locate_alone_names_nothing(
+    log: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["gap", "locate", str(log), "-c", str(EXAMPLE)]) == 0
+
+    out = capsys.readouterr().out
+    assert "residual heat at disc - pad_front, parked" in out
+    assert "missing" not in out
+
+
+def test_adopt_wants_a_file(log: Path) -> None:
+    assert main(["gap", "adopt", str(log), "-c", str(EXAMPLE)]) == 2
+
+
+def test_an_existing_file_is_kept(log: Path, tmp_path: Path) -> None:
+    new = tmp_path / "new.toml"
+    new.write_text("mine", "utf-8")
+
+    code = main(["gap", "run", str(log), "-c", str(EXAMPLE), "-o", str(new)])
+
+    assert code == 2
+    assert new.read_text("utf-8") == "mine"
