@@ -78,13 +78,21 @@ OTHER: Final = NodeNoise(1.0, 4.0, 0.03, 3.0)
 """Of any other node."""
 
 
+LEAST_K: Final = 0.5
+LARGEST: Final = 2.0
+"""Times the usual: ``[accuracy]`` of few drives is mostly what the tunables
+do not know yet, and here they are fitted."""
+
+
 def noise_of(config: Config, node: str) -> NodeNoise:
     """Return the noise of *node*: what ``[accuracy]`` knows, else usual."""
     usual = USUAL.get(node, OTHER)
     floor = getattr(config.accuracy, f"{node}_k", None)
     if floor is None:
         return usual
-    share = getattr(config.accuracy, f"{node}_share")
-    return NodeNoise(
-        usual.white_k, max(float(floor), 0.5), float(share), usual.offset_k
+    share = float(getattr(config.accuracy, f"{node}_share"))
+    return replace(
+        usual,
+        floor_k=min(max(float(floor), LEAST_K), LARGEST * usual.floor_k),
+        share=min(share, LARGEST * usual.share),
     )

@@ -6,7 +6,7 @@ drives with the effect switched on in the reality (other code and other forms
 than the catalogue's) through sensors of preset n2; and two held-out drives of
 another kind. S1: one effect, its strength log-uniform from 0.3 to 2. S0: none.
 
-    python -m tests.benchmarks.gap --kind S1 --cases 4 --cache FOLDER
+    python tests/benchmarks/gap.py --kind S1 --cases 4 --cache FOLDER
 
 Results are kept in the folder, one file a case, so a run can be resumed.
 Cars and seeds here are for reporting; develop on ``--split development``.
@@ -30,14 +30,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+from side_by_side import Outcome, Table
 
 from bstm_daemon.bus.columns import Events
 from bstm_daemon.cli.vehicle import load_vehicle
+from bstm_daemon.effects.catalogue import effects_of
 from bstm_daemon.gap.evidence import Projector
 from bstm_daemon.gap.fitting import fit
 from bstm_daemon.gap.naming import name_effect
 from bstm_daemon.gap.recording import Recording, recorded
-from bstm_daemon.gap.showing import BASELINES, show
+from bstm_daemon.gap.showing import BASELINES, EXTENDED, REFITTED, show
 from bstm_daemon.gap.signatures import candidates, linearised
 from bstm_daemon.gap.workflow import compare
 from bstm_daemon.matching.refine import refine
@@ -77,22 +79,27 @@ DETECTABLE: Final = 30.0
 """Expected squared distance from the re-fitted baseline, whitened."""
 
 SPLITS: Final = {"reported": 70_000, "development": 10_000}
-EVERY: Final = 5
-"""Samples of the 100 Hz are kept at 20 Hz."""
+EVERY: Final = 10
+"""Samples of the 100 Hz are kept at 10 Hz."""
 
 BROAD: Final = frozenset({"thermocouple_offset", "thermocouple_lag"})
 """As cases they have three times what every sensor has."""
 
+SAMPLE_EFFECTS: Final = (
+    *("gap_conduction", "friction_fade", "hub_conduction", "shim_contact"),
+    *("disc_radiation_driving", "residual_drag", "disc_hat", "pad_wear"),
+    *("backplate_loss", "contact_conductance", "friction_speed"),
+    *("pad_conductivity", "caliper_bypass", "disc_caliper_radiation"),
+    *("wet_disc", "brake_share"),
+)
 SAMPLE: Final = tuple(
-    ("S1", name, 0)
-    for name in (
-        *("friction_fade", "friction_speed", "residual_drag"),
-        *("gap_conduction", "contact_conductance", "hub_conduction"),
-        *("disc_hat", "disc_radiation_driving", "pad_conductivity"),
-        *("backplate_loss", "shim_contact", "caliper_bypass"),
-        *("disc_caliper_radiation", "wet_disc", "pad_wear", "brake_share"),
+    case
+    for i, name in enumerate(SAMPLE_EFFECTS)
+    for case in (
+        ("S1", name, 0),
+        *((("S0", "", i // 2),) if i % 2 else ()),
     )
-) + tuple(("S0", "", number) for number in range(8))
+)
 """What `.ci/run` takes."""
 
 
@@ -134,7 +141,7 @@ class Case:
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
+class Result:
     """What came of a case."""
 
     kind: str
@@ -291,18 +298,18 @@ def mistuned(target: Target, seed: int) -> Target:
     return target.changed(values)
 
 
-def outcome(case: Case, folder: Path) -> Outcome:
+def result(case: Case, folder: Path) -> Result:
     """Run *case*, or return what is kept of it."""
     name = f"{case.split}-{case.preset}-{case.kind}-{case.effect}"
     kept = folder / f"{name}-{case.number}.json"
     if kept.exists():
-        return Outcome(**json.loads(kept.read_text("utf-8")))
+        return Result(**json.loads(kept.read_text("utf-8")))
     found = _run(case, folder)
     kept.write_text(json.dumps(asdict(found)) + "\n", "utf-8")
     return found
 
 
-def _run(case: Case, folder: Path) -> Outcome:
+def _run(case: Case, folder: Path) -> Result:
     target = mistuned(matched(case, folder), case.seed)
     config = target.config
     recordings = [
@@ -350,7 +357,7 @@ def _run(case: Case, folder: Path) -> Outcome:
         )
         project = Projector(known.jacobian, comparison.prior)
         distance2 = float(change @ project(change))
-    return Outcome(
+    return Result(
         case.kind,
         case.effect,
         case.number,
@@ -366,11 +373,6 @@ def _run(case: Case, folder: Path) -> Outcome:
         bends,
         seconds,
     )
-
-
-def say(line: str) -> None:
-    """Write *line*."""
-    sys.stdout.write(f"{line}\n")
 
 
 def wilson(hits: float, count: int) -> str:
@@ -391,65 +393,147 @@ def wilson(hits: float, count: int) -> str:
     )
 
 
-def report(outcomes: Sequence[Outcome]) -> None:
-    """Print the figures."""
-    hidden = [one for one in outcomes if one.effect]
+def figures(results: Sequence[Result]) -> list[tuple[str, str]]:
+    """Return what was found, a name and a figure each."""
+    hidden = [one for one in results if one.effect]
     clear = [one for one in hidden if one.detectable]
-    free = [one for one in outcomes if not one.effect]
-    lines = {
-        "top-1, detectable": (sum(o.score for o in clear), len(clear)),
-        "detected, detectable": (
-            sum(o.answer != "nothing" for o in clear),
-            len(clear),
+    strong = [one for one in hidden if one.strength >= 1.0]
+    free = [one for one in results if not one.effect]
+
+    def share(hits: float, among: Sequence[Result]) -> str:
+        return wilson(hits, len(among))
+
+    found = [
+        ("top-1, detectable cases", share(sum(o.score for o in clear), clear)),
+        (
+            "detected, detectable cases",
+            share(sum(o.answer != "nothing" for o in clear), clear),
         ),
-        "detected at strength >= 1": (
-            sum(o.answer != "nothing" for o in hidden if o.strength >= 1),
-            sum(o.strength >= 1 for o in hidden),
+        (
+            "detected, strength >= 1",
+            share(sum(o.answer != "nothing" for o in strong), strong),
         ),
-        "wrong single name, all hidden": (
-            sum(o.wrong_name for o in hidden),
-            len(hidden),
+        (
+            "wrong single name, all hidden",
+            share(sum(o.wrong_name for o in hidden), hidden),
         ),
-        "anything said, effect-free": (
-            sum(o.answer != "nothing" for o in free),
-            len(free),
+        (
+            "anything said, effect-free",
+            share(sum(o.answer != "nothing" for o in free), free),
         ),
-        "name given, effect-free": (
-            sum(o.answer in {"name", "class"} for o in free),
-            len(free),
+        (
+            "name or class given, effect-free",
+            share(sum(o.answer in {"name", "class"} for o in free), free),
         ),
-    }
-    for name, (hits, count) in lines.items():
-        say(f"{name:32} {wilson(hits, count)}")
+    ]
     right = [o for o in hidden if o.answer == "name" and not o.wrong_name]
     if right:
-        errors = [abs(o.strength_found / o.strength - 1) for o in right]
-        say(f"{'strength error, median':32} {np.median(errors):.2f}")
+        errors = [abs(o.strength_found / o.strength - 1.0) for o in right]
+        found.append(
+            ("strength error, median", f"{100.0 * np.median(errors):.0f} %")
+        )
         for name in BASELINES:
             factors = [o.shrink[name] for o in right if name in o.shrink]
-            say(
-                f"{'shrink, ' + name:40} median {np.median(factors):.2f}, "
-                f"below 0.95 in {sum(f < 0.95 for f in factors)} "
-                f"of {len(factors)}"
+            worse = sum(f < 0.95 for f in factors)
+            found.append(
+                (
+                    f"shrink against {name}",
+                    f"median {np.median(factors):.2f}, "
+                    f"below 0.95 in {worse} of {len(factors)}",
+                )
             )
-    say(
-        f"{'seconds a case, median':32} "
-        f"{np.median([o.seconds for o in outcomes]):.0f}"
+        bent = [
+            o.bends[REFITTED] / max(o.bends[EXTENDED], 1e-3) for o in right
+        ]
+        found.append(
+            (
+                "tunables less bent than by the full re-fit",
+                f"median {np.median(bent):.1f} times",
+            )
+        )
+    seconds = [o.seconds for o in results]
+    found.append(("wall time a case", f"median {np.median(seconds):.0f} s"))
+    return found
+
+
+def misses(results: Sequence[Result]) -> list[tuple[str, ...]]:
+    """Return every case that did not come out right."""
+    return [
+        (
+            one.effect or "none",
+            f"{one.strength:.2f}",
+            f"{one.distance2:.0f}",
+            one.answer,
+            ", ".join(one.names),
+        )
+        for one in results
+        if (one.effect and one.score < 1.0)
+        or (not one.effect and one.answer != "nothing")
+    ]
+
+
+def run(*, full: bool) -> Outcome:
+    """Return the sample; *full*: four of each effect and 100 without."""
+    cases = [Case(*one) for one in SAMPLE]
+    if full:
+        cases = hidden_cases("plain", "reported", EFFECT_NAMES, 4)
+        cases += [Case("S0", "", number) for number in range(100)]
+    kept = os.environ.get("BSTM_GAP_CACHE")
+    with tempfile.TemporaryDirectory() as temporary:
+        results = all_results(cases, Path(kept or temporary), os.cpu_count())
+    return outcome(results)
+
+
+def outcome(results: Sequence[Result]) -> Outcome:
+    """Return *results* as tables."""
+    return Outcome(
+        "Hidden effects",
+        f"{len(results)} cases on plain with structure thesis, sensors "
+        f"{SENSORS}; 95 % intervals of Wilson.",
+        [],
+        [
+            Table("figures", ("figure", "found"), tuple(figures(results))),
+            Table(
+                "not right",
+                ("hidden", "strength", "distance2", "answer", "names"),
+                tuple(misses(results)),
+            ),
+        ],
     )
-    for one in outcomes:
-        if one.effect and one.score < 1.0:
-            say(
-                f"  {one.effect} {one.strength:.2f} distance2 "
-                f"{one.distance2:.0f}: {one.answer} {', '.join(one.names)}"
-            )
-        elif not one.effect and one.answer != "nothing":
-            say(f"  S0 {one.number}: {one.answer} {', '.join(one.names)}")
+
+
+def hidden_cases(
+    preset: str, split: str, effects: Sequence[str], count: int
+) -> list[Case]:
+    """Return *count* cases of each effect that the structure lacks."""
+    shipped = {one.name for one in effects_of(structure_config(preset))}
+    return [
+        Case("S1", effect, number, preset, split)
+        for number in range(count)
+        for effect in effects
+        if effect not in shipped
+    ]
+
+
+def all_results(
+    cases: Sequence[Case], folder: Path, jobs: int | None
+) -> list[Result]:
+    """Run *cases*, as many processes at once as *jobs*."""
+    folder.mkdir(parents=True, exist_ok=True)
+    # each car's match once, before the cases that share it
+    cars = {case.car: case for case in cases}
+    with ProcessPoolExecutor(jobs) as pool:
+        list(pool.map(matched, cars.values(), [folder] * len(cars)))
+        found = [pool.submit(result, case, folder) for case in cases]
+        return [one.result() for one in found]
 
 
 def main() -> None:
     """Run the cases that the arguments ask for and print the figures."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--kind", choices=("S1", "S0", "sample"))
+    parser.add_argument(
+        "--kind", choices=("S1", "S0", "sample"), default="sample"
+    )
     parser.add_argument(
         "--cases",
         type=int,
@@ -459,42 +543,20 @@ def main() -> None:
     )
     parser.add_argument("--preset", choices=tuple(HALVES), default="plain")
     parser.add_argument("--split", choices=tuple(SPLITS), default="reported")
-    parser.add_argument("--cache", type=Path)
+    parser.add_argument("--cache", type=Path, required=True)
     parser.add_argument("--effects", nargs="*", default=EFFECT_NAMES)
     parser.add_argument("--jobs", type=int, default=os.cpu_count())
     args = parser.parse_args()
-    if args.kind in {None, "sample"}:
-        cases = [Case(*one, args.preset, args.split) for one in SAMPLE]
-    elif args.kind == "S1":
-        shipped = {one.name for one in structure_effects(args.preset)}
-        cases = [
-            Case("S1", effect, number, args.preset, args.split)
-            for number in range(args.cases)
-            for effect in args.effects
-            if effect not in shipped
-        ]
-    else:
-        cases = [
-            Case("S0", "", number, args.preset, args.split)
-            for number in range(args.cases)
-        ]
-    with tempfile.TemporaryDirectory() as temporary:
-        folder = args.cache or Path(temporary)
-        folder.mkdir(parents=True, exist_ok=True)
-        # each car's match once, before the cases that share it
-        cars = {case.car: case for case in cases}
-        with ProcessPoolExecutor(args.jobs) as pool:
-            list(pool.map(matched, cars.values(), [folder] * len(cars)))
-            jobs = [pool.submit(outcome, case, folder) for case in cases]
-            outcomes = [job.result() for job in jobs]
-    report(outcomes)
-
-
-def structure_effects(preset: str) -> list[Any]:
-    """Return the effects that the structure of *preset* contains."""
-    from bstm_daemon.effects.catalogue import effects_of  # noqa: PLC0415
-
-    return list(effects_of(structure_config(preset)))
+    half = (args.preset, args.split)
+    cases = [Case(*one, *half) for one in SAMPLE]
+    if args.kind == "S1":
+        cases = hidden_cases(*half, args.effects, args.cases)
+    elif args.kind == "S0":
+        cases = [Case("S0", "", n, *half) for n in range(args.cases)]
+    results = all_results(cases, args.cache, args.jobs)
+    for table in outcome(results).tables:
+        for row in (table.header, *table.rows):
+            sys.stdout.write("  ".join(row) + "\n")
 
 
 if __name__ == "__main__":

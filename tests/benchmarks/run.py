@@ -26,7 +26,7 @@ BENCHMARKS = (
 OTHERS = (
     *("physics", "accuracy", "radau", "memory", "identification"),
     *("structures", "effects", "pad_life", "risk"),
-    *("matching", "verification"),
+    *("matching", "verification", "gap"),
 )
 """Figures without a comparison in time; run when named."""
 

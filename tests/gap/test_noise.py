@@ -30,9 +30,10 @@ def test_a_running_mean_is_less_noisy() -> None:
 def test_accuracy_of_the_match_is_taken() -> None:
     config = load_vehicle(shipped_file("config/example_vehicle.toml"))[0]
     known = config.accuracy.model_copy(
-        update={"disc_k": 7.0, "disc_share": 0.05}
+        update={"disc_k": 4.0, "disc_share": 0.03, "fluid_k": 25.0}
     )
     matched = config.model_copy(update={"accuracy": known})
 
-    assert noise_of(matched, "disc").floor_k == 7.0
-    assert noise_of(matched, "disc").share == 0.05
+    assert noise_of(matched, "disc").floor_k == 4.0
+    assert noise_of(matched, "disc").share == 0.03
+    assert noise_of(matched, "fluid").floor_k == 2.0 * USUAL["fluid"].floor_k
