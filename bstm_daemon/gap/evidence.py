@@ -16,7 +16,8 @@ import numpy as np
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from bstm_daemon.gap.signatures import Linearised, Signature
+    from bstm_daemon.gap.projector import Projector
+    from bstm_daemon.gap.signatures import Signature
     from bstm_daemon.matching.drives import Column
 
 STRENGTHS: Final = np.geomspace(0.05, 4.0, 60)
@@ -26,28 +27,6 @@ LOG_WIDTH: Final = 0.8
 
 NOTHING: Final = 0.5
 """Probability that nothing is missing, before data."""
-
-
-class Projector:
-    """The inverse covariance of residuals with the tunables integrated out.
-
-    ``A = 1 - J (J'J + P^-1)^-1 J'``.
-    """
-
-    def __init__(self, jacobian: Column, prior: Column) -> None:
-        """Take the whitened *jacobian* (n, p) and *prior* sd (p,)."""
-        self.jacobian = jacobian
-        precision = jacobian.T @ jacobian + np.diag(prior**-2.0)
-        self._solve = np.linalg.inv(precision)
-
-    def __call__(self, residual: Column) -> Column:
-        """Return ``A residual`` for (n,) or (n, k)."""
-        part = self.jacobian.T @ residual
-        return np.asarray(residual - self.jacobian @ (self._solve @ part))
-
-    def tunables(self, residual: Column) -> Column:
-        """Return the change of the tunables that fits *residual* best."""
-        return np.asarray(-self._solve @ (self.jacobian.T @ residual))
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,19 +49,6 @@ class Candidate:
     def z(self) -> float:
         """Signed-root score in standard deviations."""
         return float(np.sqrt(max(2.0 * self.gain, 0.0)))
-
-
-def weighed(
-    linearised: Linearised, prior: Column, among: Sequence[str] | None = None
-) -> list[Candidate]:
-    """Return all candidates, the best first."""
-    project = Projector(linearised.jacobian, prior)
-    found = [
-        weigh(project, linearised.residual, one)
-        for one in linearised.signatures
-        if among is None or one.name in among
-    ]
-    return sorted(found, key=lambda one: -one.log_evidence)
 
 
 DETECTED: Final = 3.5

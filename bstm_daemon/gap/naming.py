@@ -8,6 +8,7 @@ effects' where something is plainly missing that no effect explains.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from math import sqrt
 from typing import TYPE_CHECKING, Final, Literal
 
 import numpy as np
@@ -15,10 +16,10 @@ import numpy as np
 from bstm_daemon.effects.catalogue import effect_class
 from bstm_daemon.gap.evidence import (
     Candidate,
-    Projector,
     probabilities,
     weigh,
 )
+from bstm_daemon.gap.projector import Projector
 from bstm_daemon.gap.unknown import likeliest, log_evidence
 
 if TYPE_CHECKING:
@@ -304,7 +305,7 @@ def _cosine(project: Projector, a: Signature, b: Signature) -> float:
     one, two = a.at(1.0), b.at(1.0)
     pa, pb = project(one), project(two)
     size = float(one @ pa) * float(two @ pb)
-    return float(one @ pb) / max(size, 1e-30) ** 0.5
+    return float(one @ pb) / sqrt(max(size, 1e-30))
 
 
 def _best_placebo(
@@ -327,7 +328,7 @@ def _best_placebo(
         white = comparison.whiten(moved)
         projected = project(white)
         slope = max(float(white @ projected), 1e-12)
-        score = -float(projected @ residual) / slope**0.5
+        score = -float(projected @ residual) / sqrt(slope)
         scores.append(abs(score) if signature.either_sign else score)
     return max(scores)
 

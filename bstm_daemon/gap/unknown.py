@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from bstm_daemon.gap.comparison import Comparison, Series
-    from bstm_daemon.gap.evidence import Projector
+    from bstm_daemon.gap.projector import Projector
     from bstm_daemon.matching.drives import Column, Drive
 
 TYPICAL_W_K: Final = {

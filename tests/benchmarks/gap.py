@@ -35,9 +35,9 @@ from side_by_side import Outcome, Table
 from bstm_daemon.bus.columns import Events
 from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.effects.catalogue import effects_of
-from bstm_daemon.gap.evidence import Projector
 from bstm_daemon.gap.fitting import fit
 from bstm_daemon.gap.naming import name_effect
+from bstm_daemon.gap.projector import Projector
 from bstm_daemon.gap.recording import Recording, recorded
 from bstm_daemon.gap.showing import BASELINES, EXTENDED, REFITTED, show
 from bstm_daemon.gap.signatures import candidates, linearised
@@ -438,8 +438,10 @@ def figures(results: Sequence[Result]) -> list[tuple[str, str]]:
             found.append(
                 (
                     f"shrink against {name}",
-                    f"median {np.median(factors):.2f}, "
-                    f"below 0.95 in {worse} of {len(factors)}",
+                    (
+                        f"median {np.median(factors):.2f}, "
+                        f"below 0.95 in {worse} of {len(factors)}"
+                    ),
                 )
             )
         bent = [

@@ -10,12 +10,12 @@ import pytest
 from bstm_daemon.effects.catalogue import effect_names
 from bstm_daemon.gap.evidence import (
     Candidate,
-    Projector,
     probabilities,
     weigh,
 )
 from bstm_daemon.gap.fitting import fit
 from bstm_daemon.gap.naming import name_effect
+from bstm_daemon.gap.projector import Projector
 from bstm_daemon.gap.showing import CONFIGURED, EXTENDED, REFITTED, show
 from bstm_daemon.gap.signatures import Signature, candidates, linearised
 from bstm_daemon.gap.workflow import compare

@@ -1,0 +1,32 @@
+"""Generalised least squares: what residuals say once tunables are free."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from bstm_daemon.matching.drives import Column
+
+
+class Projector:
+    """The inverse covariance of residuals with the tunables integrated out.
+
+    ``A = 1 - J (J'J + P^-1)^-1 J'``.
+    """
+
+    def __init__(self, jacobian: Column, prior: Column) -> None:
+        """Take the whitened *jacobian* (n, p) and *prior* sd (p,)."""
+        self.jacobian = jacobian
+        precision = jacobian.T @ jacobian + np.diag(prior**-2.0)
+        self._solve = np.linalg.inv(precision)
+
+    def __call__(self, residual: Column) -> Column:
+        """Return ``A residual`` for (n,) or (n, k)."""
+        part = self.jacobian.T @ residual
+        return np.asarray(residual - self.jacobian @ (self._solve @ part))
+
+    def tunables(self, residual: Column) -> Column:
+        """Return the change of the tunables that fits *residual* best."""
+        return np.asarray(-self._solve @ (self.jacobian.T @ residual))
