@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from bstm_daemon.corner_model import compiled_model, corner_model
 from bstm_daemon.effects.catalogue import edited_inputs, effect_class
 from bstm_daemon.effects.corrections import corrections_by_role
 from bstm_daemon.errors import LogError
-from bstm_daemon.estimator import compiled_model, corner_model
 from bstm_daemon.heat.sample_plan import CHANNELS
 from bstm_daemon.matching.drives import GRID_S
 from bstm_daemon.matching.march import initial_temperatures, march

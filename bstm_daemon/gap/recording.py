@@ -189,7 +189,7 @@ class _Heating(Estimator):
             self.journal.add(rows, steps)
         self.history_left_steps -= steps
         none = array("d")
-        return Block(array("q"), none, none, (), array("q"), {}, 0)
+        return Block(array("q"), none, none, (), array("q"), {}, 0, {})
 
 
 def _pass(

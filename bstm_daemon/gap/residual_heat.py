@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from bstm_daemon.estimator import compiled_model, corner_model
+from bstm_daemon.corner_model import compiled_model, corner_model
 from bstm_daemon.gap.noise import noise_of
 from bstm_daemon.matching.drives import GRID_S
 from bstm_daemon.matching.march import Forced, initial_temperatures, march

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from bstm_daemon.estimator import compiled_model, corner_model
+from bstm_daemon.corner_model import compiled_model, corner_model
 from bstm_daemon.gap.residual_heat import REGIMES
 from bstm_daemon.matching.march import initial_temperatures, march
 from bstm_daemon.matching.phases import BRAKING_W, STANDING_MS

@@ -11,7 +11,7 @@ import pytest
 
 from bstm_daemon.bus.columns import Events
 from bstm_daemon.cli.vehicle import load_vehicle
-from bstm_daemon.estimator import compile_corner
+from bstm_daemon.corner_model import compile_corner
 from bstm_daemon.gap.comparison import with_effects
 from bstm_daemon.gap.fitting import effect_entries
 from bstm_daemon.gap.recording import Recording
