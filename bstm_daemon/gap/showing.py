@@ -1,14 +1,15 @@
 """Before and after on drives that no fit has seen.
 
 Four models: as configured; the baseline with its heat and its cooling scaled;
-the baseline with all tunables re-fitted; the model with the effect. A shrink
-factor is the error of one of the first three over that of the last, the
-noise of the thermocouples taken off both.
+the baseline with all tunables re-fitted; the model with the effect, tunables
+re-fitted too. And what is adopted: the effect, tunables as configured. A
+shrink factor is the error of one of the first three over that of the fourth,
+the noise of the thermocouples taken off both.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -29,6 +30,7 @@ CONFIGURED, SCALED, REFITTED, EXTENDED = (
     "all tunables re-fitted",
     "with the effect",
 )
+ADOPTED: Final = "as adopted"
 BASELINES: Final = (CONFIGURED, SCALED, REFITTED)
 
 BLOCK_S: Final = 300.0
@@ -74,7 +76,8 @@ class Curve:
 class Shown:
     """What the effect does on drives that were not fitted.
 
-    ``shrinks`` and ``fluid_shrinks`` by baseline; ``moved`` (p,) are the
+    ``shrinks`` and ``fluid_shrinks`` by baseline, ``adopted`` that of what
+    is adopted against what is configured; ``moved`` (p,) are the
     changes of the tunables' logarithms by model. Where there was no held-out
     drive, ``held_out`` is false and all of it is of the fitted drives.
     """
@@ -82,6 +85,7 @@ class Shown:
     held_out: bool
     shrinks: Mapping[str, Shrink]
     fluid_shrinks: Mapping[str, Shrink]
+    adopted: Shrink
     errors: tuple[DriveErrors, ...]
     curves: tuple[Curve, ...]
     fits: Mapping[str, Fit]
@@ -91,12 +95,13 @@ class Shown:
 
 
 def baseline_fits(comparison: Comparison, extended: Fit) -> dict[str, Fit]:
-    """Return the four models by name, fitted to *comparison*."""
+    """Return the models by name, fitted to *comparison*."""
     return {
         CONFIGURED: Fit(comparison.start, {}, {}, np.nan, 0),
         SCALED: fit(comparison, {}, scale_basis(comparison), priors=False),
         REFITTED: fit(comparison, {}),
         EXTENDED: extended,
+        ADOPTED: replace(extended, x=comparison.start),
     }
 
 
@@ -105,7 +110,7 @@ def show(
     extended: Fit,
     held_out: Sequence[Recording],
 ) -> Shown:
-    """Compare the four models on *held_out*, or on what was fitted."""
+    """Compare the models on *held_out*, or on what was fitted."""
     fits = baseline_fits(comparison, extended)
     there = comparison
     if held_out:
@@ -129,6 +134,7 @@ def show(
             for name in BASELINES
             if fluid
         },
+        _shrink(there, apart, CONFIGURED, everything, ADOPTED),
         tuple(_errors(there, apart, i) for i in everything),
         tuple(_curve(there, apart, i) for i in everything),
         fits,
@@ -143,6 +149,7 @@ def _shrink(
     apart: Mapping[str, Column],
     baseline: str,
     which: Sequence[int],
+    improved: str = EXTENDED,
 ) -> Shrink:
     """Return the factor over *which* series, blocks drawn for its interval."""
     before, after, noise, weight = [], [], [], []
@@ -154,7 +161,7 @@ def _shrink(
         for number in np.unique(block):
             own = block == number
             before.append(np.sum(apart[baseline][part][own] ** 2))
-            after.append(np.sum(apart[EXTENDED][part][own] ** 2))
+            after.append(np.sum(apart[improved][part][own] ** 2))
             noise.append(variance * np.count_nonzero(own))
             weight.append(np.count_nonzero(own))
     sums = np.column_stack((before, after, noise, weight))

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from bstm_daemon.errors import LogError
-from bstm_daemon.gap.comparison import Comparison
+from bstm_daemon.gap.comparison import Comparison, heats
 from bstm_daemon.gap.fitting import Fit, effect_entries, fit
 from bstm_daemon.gap.locating import Located, locate
 from bstm_daemon.gap.naming import Naming, name_effect
@@ -31,8 +33,9 @@ STEPS = ("locate", "gate", "name", "adopt", "show")
 class Gap:
     """What was found on corners that are alike.
 
-    ``silent`` are candidates that the drives do not excite. ``fit`` and
-    ``shown`` are None where nothing was named, ``located`` and ``naming``
+    ``before`` and ``after`` are the maps of the drives that ``shown`` is of,
+    as configured and with the effect. ``silent`` are candidates that the
+    drives do not excite. ``fit`` and ``shown`` are None where nothing was named, ``located`` and ``naming``
     where they were not asked for.
     """
 
@@ -44,6 +47,8 @@ class Gap:
     silent: tuple[str, ...] = ()
     fit: Fit | None = None
     shown: Shown | None = None
+    before: Located | None = None
+    after: Located | None = None
 
     def effects(self) -> list[EffectConfig]:
         """Return what can be adopted, with its provenance."""
@@ -142,8 +147,10 @@ def _gap(
     extended = fit(comparison, start)
     told(0.85)
     shown = None
+    maps: tuple[Located | None, Located | None] = (None, None)
     if until == "show":
         shown = show(comparison, extended, held_out)
+        maps = _maps(comparison, extended, held_out or recordings)
     return Gap(
         target.corners,
         names,
@@ -153,4 +160,27 @@ def _gap(
         known.silent,
         extended,
         shown,
+        *maps,
+    )
+
+
+def _maps(
+    comparison: Comparison, extended: Fit, recordings: Sequence[Recording]
+) -> tuple[Located, Located]:
+    """Return the maps of *recordings* before and after."""
+    target = comparison.target
+    after = comparison.config(extended.x, extended.effects())
+    heat = any(heats(effect) for effect in extended.effects())
+    scale = float(np.exp(extended.x[-1]))
+    heated = []
+    for one in recordings:
+        drive = one.heated_by(after) if heat else one.drive
+        power = {
+            corner: scale * drive.channel(corner, "brake_power_w")
+            for corner in drive.corners
+        }
+        heated.append(replace(one, drive=drive.with_power(power)))
+    return (
+        locate(target.config, recordings, target.corners),
+        locate(after, heated, target.corners),
     )

@@ -79,6 +79,13 @@ def write_gap_page(
             sections.append(_naming_section(prefix, gap))
         if gap.shown is not None:
             sections += _shown_sections(prefix, gap.shown)
+        if gap.before is not None and gap.after is not None:
+            sections.insert(
+                -len({one.drive for one in gap.shown.curves})
+                if gap.shown
+                else len(sections),
+                _maps_section(prefix, gap.before, gap.after),
+            )
         if gap.located is not None:
             sections.append(_tables_section(prefix, gap.located))
     head = PageHead("Gap", subtitle, version, _tiles(gaps[0]))
@@ -121,6 +128,17 @@ def _map_section(prefix: str, located: Located) -> PageSection:
         "takes up more heat than the model gives it; blue: less. Pale: within "
         f"{CLEAR:g} standard deviations of what sensors and the form of the "
         "model explain. Mean of the corners.",
+    )
+
+
+def _maps_section(prefix: str, before: Located, after: Located) -> PageSection:
+    return PageSection(
+        f"{prefix}the map of the same drives, before and after",
+        plots=(
+            ("as configured", heat_map(before.cells)),
+            ("with the effect", heat_map(after.cells)),
+        ),
+        across=1,
     )
 
 

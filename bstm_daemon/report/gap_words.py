@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from bstm_daemon.effects.catalogue import effect_class
-from bstm_daemon.gap.showing import BASELINES, EXTENDED
+from bstm_daemon.gap.showing import ADOPTED, BASELINES, EXTENDED
 from bstm_daemon.report.verify_words import table
 
 if TYPE_CHECKING:
@@ -27,7 +27,8 @@ CANDIDATE_HEAD: Final = (
     "ln Bayes factor",
     "probability",
 )
-ERROR_HEAD: Final = ("drive", "node", *BASELINES, EXTENDED)
+MODELS: Final = (*BASELINES, EXTENDED, ADOPTED)
+ERROR_HEAD: Final = ("drive", "node", *MODELS)
 SHOWN_PLACES: Final = 4
 SHOWN_CANDIDATES: Final = 8
 SHOWN_REACH: Final = 40
@@ -167,6 +168,11 @@ def shown_lines(shown: Shown) -> list[str]:
         if name in shown.fluid_shrinks:
             text += f", fluid {shown.fluid_shrinks[name].factor:.1f}"
         lines.append(text)
+    one = shown.adopted
+    lines.append(
+        f"as adopted, the tunables as configured: {one.factor:.1f} times "
+        f"smaller ({one.lower:.1f} to {one.upper:.1f})"
+    )
     moved = ", ".join(
         f"{name} {bend:.2f}" for name, bend in shown.bends.items() if bend
     )
@@ -180,7 +186,7 @@ def error_rows(shown: Shown) -> list[tuple[str, ...]]:
         (
             one.drive,
             one.node,
-            *(f"{one.rms_k[name]:.1f} K" for name in (*BASELINES, EXTENDED)),
+            *(f"{one.rms_k[name]:.1f} K" for name in MODELS),
         )
         for one in shown.errors
     ]
@@ -265,6 +271,11 @@ def _shown_json(shown: Shown) -> dict[str, Any]:
             name: [one.factor, one.lower, one.upper]
             for name, one in shown.fluid_shrinks.items()
         },
+        "adopted": [
+            shown.adopted.factor,
+            shown.adopted.lower,
+            shown.adopted.upper,
+        ],
         "bends": dict(shown.bends),
         "moved": {
             name: dict(zip(shown.keys, moved.tolist(), strict=True))
