@@ -135,15 +135,21 @@ def name_effect(comparison: Comparison, linearised: Linearised) -> Naming:
     explained, left = _explained(project, linearised, chosen)
     common = replace(common, explained=explained, leftover=leftover)
     foreign = explained < EXPLAINED and left > UNEXPLAINED
-    if foreign or placebo > best.z:
-        why = (
-            f"the best, {best.name}, explains {100 * explained:.0f} % of what "
-            "all effects together could"
-            if foreign
-            else f"{best.name} at other times than its own explains as much"
-        )
+    if foreign:
         return replace(
-            common, answer="unknown", probability=1.0 - odds[""], reason=why
+            common,
+            answer="unknown",
+            probability=1.0 - odds[""],
+            reason=f"the best, {best.name}, explains "
+            f"{100 * explained:.0f} % of what all together could",
+        )
+    if placebo > best.z:
+        return replace(
+            common,
+            answer="undecided",
+            names=(best.name,),
+            probability=odds[best.name],
+            reason=f"{best.name} at other times than its own explains as much",
         )
     if len(chosen) > 1:
         names = tuple(one.name for one in chosen)

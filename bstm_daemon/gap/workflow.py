@@ -35,8 +35,8 @@ class Gap:
 
     ``before`` and ``after`` are the maps of the drives that ``shown`` is of,
     as configured and with the effect. ``silent`` are candidates that the
-    drives do not excite. ``fit`` and ``shown`` are None where nothing was named, ``located`` and ``naming``
-    where they were not asked for.
+    drives do not excite. ``fit`` and ``shown`` are None where nothing was
+    named, ``located`` and ``naming`` where they were not asked for.
     """
 
     corners: tuple[str, ...]

@@ -75,7 +75,7 @@ def headline(gap: Gap) -> str:
             "missing: none of the known effects, heat at "
             f"{naming.unknown_place}"
         )
-    return f"missing, but not named: {names} are all possible"
+    return f"something is missing, but not named; possible: {names}"
 
 
 def percent(probability: float) -> str:
