@@ -204,14 +204,16 @@ def test_heat(
 
 
 @pytest.mark.parametrize(
-    ("what", "names", "plots"),
+    ("what", "names", "plots", "expected"),
     [
-        (["identify", "coastdown"], ["coastdown"], 8),
-        (["identify", "brakes"], ["idiada-step", "idiada-ramp"], 5),
-        (["identify", "cooling"], ["cooldown"], 1 + 2),
-        (["identify", "cooling", "--while-braking"], ["cooldown"], 1 + 4),
-        (["heat"], ["idiada-step"], 2 + 2 + 1 + 12 + 3),
-        (["heat"], ["idiada-step", "idiada-ramp"], 1 + 20 + 17),
+        (["identify", "coastdown"], ["coastdown"], 8, 0),
+        (["identify", "brakes"], ["idiada-step", "idiada-ramp"], 5, 0),
+        (["identify", "cooling"], ["cooldown"], 1 + 2, 0),
+        # Nine windows of one cool-down do not tell heat from cooling: the
+        # page shows that too, and the exit code says so.
+        (["identify", "cooling", "--while-braking"], ["cooldown"], 1 + 4, 1),
+        (["heat"], ["idiada-step"], 2 + 2 + 1 + 12 + 3, 0),
+        (["heat"], ["idiada-step", "idiada-ramp"], 1 + 20 + 17, 0),
     ],
 )
 def test_page_draws_every_figure(
@@ -220,6 +222,7 @@ def test_page_draws_every_figure(
     what: list[str],
     names: list[str],
     plots: int,
+    expected: int,
 ) -> None:
     """Under its own policy: a script refused would be a console error."""
     page = tmp_path / "page.html"
@@ -227,7 +230,7 @@ def test_page_draws_every_figure(
 
     code = main([*what, *arguments, "-c", str(EXAMPLE), "--report", str(page)])
 
-    assert code == 0
+    assert code == expected
     assert "http" not in page.read_text("utf-8")[:2000].replace(
         "http-equiv", ""
     )
