@@ -22,12 +22,12 @@ DEFECTS = {
     "too hot and not said": (
         "from bstm_daemon import estimator\n"
         "estimator.HIGHEST_K = 1e9\n"
-        "advance = estimator.Estimator.advance\n"
+        "stretches = estimator.Estimator.stretches\n"
         "def broken(self, *samples):\n"
         "    for batch, _ in self.batches:\n"
         "        batch.state[2] = 2500.0\n"
-        "    return advance(self, *samples)\n"
-        "estimator.Estimator.advance = broken\n"
+        "    return stretches(self, *samples)\n"
+        "estimator.Estimator.stretches = broken\n"
     ),
     "memory is kept": (
         "frame = engine_fuzz.Engine.frame\n"
