@@ -11,7 +11,7 @@ from enum import Enum, auto
 from math import isfinite, nan
 from typing import TYPE_CHECKING, ClassVar, Final
 
-from bstm_daemon.advice.memory import Machine
+from bstm_daemon.advice.memory import Machine, perhaps, stamp
 from bstm_daemon.bus.output_layout import Message, RiskLevel, Sound
 
 if TYPE_CHECKING:
@@ -40,7 +40,12 @@ class Departure(Machine):
     A monitor starts with the car, so what it sees first is a departure.
     """
 
-    MEMORY: ClassVar = ("phase", "message", "_stopped_us", "_chime_until_us")
+    MEMORY: ClassVar = {
+        "phase": Phase,
+        "message": Message,
+        "_stopped_us": perhaps(stamp),
+        "_chime_until_us": perhaps(stamp),
+    }
 
     def __init__(self, config: AdviceConfig) -> None:
         """Begin parked."""

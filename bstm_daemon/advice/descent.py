@@ -10,7 +10,15 @@ from __future__ import annotations
 from math import exp, isfinite
 from typing import TYPE_CHECKING, ClassVar, Final
 
-from bstm_daemon.advice.memory import Machine
+from bstm_daemon.advice.memory import (
+    Machine,
+    any_number,
+    flag,
+    number,
+    perhaps,
+    row,
+    stamp,
+)
 from bstm_daemon.bus.output_layout import Downshift
 from bstm_daemon.units import UNITS
 
@@ -31,13 +39,13 @@ SETTLE_US: Final = 8_000_000
 class Descent(Machine):
     """Low-passed power of the slope, and what it asks for."""
 
-    MEMORY: ClassVar = (
-        "slope_power_w",
-        "excessive",
-        "_last",
-        "_gear",
-        "_quiet_until_us",
-    )
+    MEMORY: ClassVar = {
+        "slope_power_w": number,
+        "excessive": flag,
+        "_last": perhaps(row(stamp, any_number)),
+        "_gear": perhaps(any_number),
+        "_quiet_until_us": perhaps(stamp),
+    }
 
     def __init__(self, config: Config) -> None:
         """Begin on the level."""

@@ -20,7 +20,14 @@ from __future__ import annotations
 from math import exp, isfinite, sin
 from typing import TYPE_CHECKING, ClassVar, Final
 
-from bstm_daemon.advice.memory import Machine
+from bstm_daemon.advice.memory import (
+    Machine,
+    any_number,
+    number,
+    perhaps,
+    row,
+    stamp,
+)
 from bstm_daemon.bus.output_layout import Assist, Intervention, RiskLevel
 from bstm_daemon.heat.feed_forward import PressureTorque
 from bstm_daemon.units import GRAVITY_MS2
@@ -58,15 +65,15 @@ RELEASED_PA: Final = 2.0e5
 class EmergencyAssist(Machine):
     """Standby, detector, and which of three interventions to ask for."""
 
-    MEMORY: ClassVar = (
-        "state",
-        "score",
-        "_expected",
-        "_measured",
-        "_pedal_rate",
-        "_since_us",
-        "_last",
-    )
+    MEMORY: ClassVar = {
+        "state": Assist,
+        "score": number,
+        "_expected": number,
+        "_measured": number,
+        "_pedal_rate": number,
+        "_since_us": perhaps(stamp),
+        "_last": perhaps(row(stamp, any_number, perhaps(any_number))),
+    }
 
     def __init__(self, config: Config) -> None:
         """Begin switched off."""

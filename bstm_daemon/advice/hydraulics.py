@@ -5,7 +5,13 @@ from __future__ import annotations
 from math import inf, isfinite, nan
 from typing import TYPE_CHECKING, ClassVar, Final
 
-from bstm_daemon.advice.memory import Machine
+from bstm_daemon.advice.memory import (
+    Machine,
+    flag,
+    perhaps,
+    share,
+    stamp,
+)
 from bstm_daemon.bus.output_layout import Isolation
 
 if TYPE_CHECKING:
@@ -23,7 +29,7 @@ REAR_SPARE_K: Final = 20.0
 class PedalFeel(Machine):
     """A factor that falls as the fluid nears its worst-case boiling point."""
 
-    MEMORY: ClassVar = ("_feel", "_last_us")
+    MEMORY: ClassVar = {"_feel": share, "_last_us": perhaps(stamp)}
 
     def __init__(self, config: AdviceConfig) -> None:
         """Begin with the usual feel."""
@@ -60,7 +66,7 @@ class FrontIsolation(Machine):
     more to spare.
     """
 
-    MEMORY: ClassVar = ("_requested",)
+    MEMORY: ClassVar = {"_requested": flag}
 
     def __init__(self, config: AdviceConfig) -> None:
         """Begin without a request."""

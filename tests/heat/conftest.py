@@ -16,6 +16,7 @@ from bstm_daemon.heat.sample_plan import (
     SamplePlan,
     plan_samples,
 )
+from bstm_daemon.native import VARIABLE
 from bstm_daemon.roles import ROLE_INDEX
 
 if TYPE_CHECKING:
@@ -140,3 +141,9 @@ def start() -> Callable[..., Run]:
 def tick() -> Any:
     """Return the role number of a tick."""
     return TICK
+
+
+@pytest.fixture
+def compiled_chosen(compiled: Kernel, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Take the compiled form: these drives are hours of samples."""
+    monkeypatch.setenv(VARIABLE, "compiled")

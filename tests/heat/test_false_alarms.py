@@ -13,7 +13,6 @@ from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.estimator import Estimator
 from bstm_daemon.heat.plausibility import reasons
 from bstm_daemon.heat.sample_plan import FLAGS, WHEEL_SUSPECT
-from bstm_daemon.native import VARIABLE
 from bstm_daemon.replay import replay_log
 from bstm_daemon.roles import CORNERS, ROLE_INDEX, ROLES
 from bstm_daemon.simulation.drives import load_drive
@@ -22,7 +21,6 @@ from bstm_daemon.simulation.simulate import simulate
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from bstm_daemon.native import Kernel
     from bstm_daemon.simulation.simulate import SimulatedDrive
 
 ROOT = Path(__file__).parents[2]
@@ -55,15 +53,6 @@ def samples_of(drive: SimulatedDrive) -> tuple[Any, Any, Any, dict[int, int]]:
         values.astype(np.float64).ravel()[keep],
         {int(n): round(ROLES[n].timeout_s * 1e6) for n in numbers},
     )
-
-
-@pytest.fixture
-def compiled_chosen(
-    compiled: Kernel,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """Take the compiled form: these drives are hours of samples."""
-    monkeypatch.setenv(VARIABLE, "compiled")
 
 
 @pytest.mark.usefixtures("compiled_chosen")

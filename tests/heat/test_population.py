@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,9 +17,6 @@ from bstm_daemon.replay import replay_log
 from bstm_daemon.shipped import shipped_file
 from bstm_daemon.simulation.frames import Encoder
 from bstm_daemon.simulation.recorder import write_candump
-
-if TYPE_CHECKING:
-    from bstm_daemon.native import Kernel
 
 BENCHMARKS = str(Path(__file__).parents[1] / "benchmarks")
 
@@ -71,9 +68,10 @@ def test_another_seed_draws_other_cars(cases: Any) -> None:
     assert cases.hypercube(4, 1)[0].mass_kg != cases.hypercube(4, 2)[0].mass_kg
 
 
+@pytest.mark.usefixtures("compiled_chosen")
 @pytest.mark.parametrize("number", [0, 3])
 def test_columns_give_what_frames_give(
-    compiled: Kernel, cases: Any, tmp_path: Path, number: int
+    cases: Any, tmp_path: Path, number: int
 ) -> None:
     """The bus's resolution and its staggered frames change little."""
     case = cases.hypercube(8, 1)[number]
@@ -102,7 +100,8 @@ def test_columns_give_what_frames_give(
         )
 
 
-def test_learning_makes_the_heat_right(compiled: Kernel, cases: Any) -> None:
+@pytest.mark.usefixtures("compiled_chosen")
+def test_learning_makes_the_heat_right(cases: Any) -> None:
     """One car of the population: where FF and FB alone are far off."""
     found = cases.examine(cases.hypercube(8, 1)[1])
 
