@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import ast
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -162,6 +164,30 @@ def test_the_check_itself_sees_an_import_for_types_only() -> None:
     )
 
     assert imports_of(source) == {"thermal.table"}
+
+
+def test_the_live_service_does_without_numpy() -> None:
+    """It costs 15 MiB of a small computer's memory, and time at the start."""
+    heavy = ("numpy", "scipy", "pyarrow", "plotly", "asammdf", "pandas")
+    code = (
+        f"import sys\nsys.modules.update(dict.fromkeys({heavy}))\n"
+        "from bstm_daemon.daemon import monitor, service\n"
+        "from bstm_daemon.shipped import shipped_file\n"
+        "car = shipped_file('config/example_vehicle.toml')\n"
+        "engine = monitor.build_monitor(car, monitor.BusOverride()).engine\n"
+        "engine.tick(1_700_000_000_000_000)\n"
+        "print(len(engine.tick(1_700_000_020_000_000)))\n"
+    )
+
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        capture_output=True,
+        check=False,
+        text=True,
+    )
+
+    assert done.stderr == ""
+    assert int(done.stdout) > 1000
 
 
 @pytest.mark.parametrize("name", sorted(MODULES))

@@ -14,8 +14,6 @@ from dataclasses import dataclass, field, replace
 from math import isnan, nan
 from typing import TYPE_CHECKING, Any, Final
 
-import numpy as np
-
 from bstm_daemon.forecast.duty import Duty
 from bstm_daemon.forecast.fluid import (
     CHANGED_ROLE,
@@ -154,8 +152,10 @@ class RiskMonitor:
 
         Only those of the fluid matter; each holds from its stamp on.
         """
-        if isinstance(roles, np.ndarray):
-            picked = np.flatnonzero(np.isin(roles, HEARD)).tolist()
+        # columns of a replay; the live service does without NumPy's 15 MiB
+        if hasattr(roles, "nonzero"):
+            found = (roles == CHANGED_ROLE) | (roles == WATER_ROLE)
+            picked = found.nonzero()[0].tolist()
         else:
             picked = [i for i, role in enumerate(roles) if role in HEARD]
         self._heard += [

@@ -17,6 +17,7 @@ from typing import Any, NoReturn
 import pytest
 
 from bstm_daemon.daemon.monitor import BusOverride, build_monitor
+from bstm_daemon.wear.dose import DISTANCE, DOSE
 
 from .daemon_process import Daemon, Forked, Forks
 from .peers import DEADLINE_S, Car, Ear, Sent, wait_until
@@ -262,17 +263,21 @@ def ip(
 
 
 @pytest.fixture
-def marched() -> Callable[..., dict[str, dict[str, float]]]:
-    """Return what gives the temperatures that frames lead to.
+def marched() -> Callable[..., dict[str, dict[str, Any]]]:
+    """Return what gives the memory that frames lead to.
 
     Frames carry their time since boot, which no step of the wall clock
     moves: the result is that of a drive without one, at the time of a saved
-    *document*.
+    *document*. To be compared: temperatures within *off_k* [K], the sums of
+    a drive within 0.1 %.
     """
 
     def march(
-        config: Path, sent: Iterable[Sent], document: Mapping[str, Any]
-    ) -> dict[str, dict[str, float]]:
+        config: Path,
+        sent: Iterable[Sent],
+        document: Mapping[str, Any],
+        off_k: float,
+    ) -> dict[str, dict[str, Any]]:
         engine = build_monitor(config, BusOverride()).engine
         until_us = document["time_us"]
         # as on the axis of the service, for the same grid
@@ -285,7 +290,15 @@ def marched() -> Callable[..., dict[str, dict[str, float]]]:
                 )
         engine.tick(until_us)
         corners: dict[str, dict[str, float]] = engine.export_state()["corners"]
-        return corners
+        return {
+            name: {
+                key: pytest.approx(value, rel=1e-3)
+                if key in (DOSE, DISTANCE)
+                else pytest.approx(value, abs=off_k)
+                for key, value in corner.items()
+            }
+            for name, corner in corners.items()
+        }
 
     return march
 

@@ -6,7 +6,7 @@ import contextlib
 import socket
 import struct
 import subprocess
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
@@ -331,7 +331,7 @@ def test_duplicates_change_nothing(
     daemon: Callable[..., Daemon],
     car: Callable[..., Car],
     ear: Callable[..., Ear],
-    marched: Callable[..., dict[str, dict[str, float]]],
+    marched: Callable[..., dict[str, dict[str, Any]]],
     vcan0: str,
 ) -> None:
     heard = ear(vcan0)
@@ -343,9 +343,9 @@ def test_duplicates_change_nothing(
     driven.close()
 
     document = running.document()
-    expected = marched(running.config, driven.sent[::2], document)
+    expected = marched(running.config, driven.sent[::2], document, 0.05)
     for name, corner in document["corners"].items():
-        assert corner == pytest.approx(expected[name], abs=0.05)
+        assert corner == expected[name]
     assert document["corners"]["FL"]["disc"] > 285.0
 
 

@@ -90,7 +90,10 @@ def test_frames_load_and_protection(
     vcan0: str,
 ) -> None:
     """From the first to the last word, as candump of can-utils sees it."""
-    recorder = candump("-L", f"{vcan0},5B0:7F0")
+    recorder = candump(
+        # ends by itself once nothing comes any more
+        *("-L", "-T", "20000", f"{vcan0},5B0:7F0,5C0:7F0")
+    )
     driven = car()
     running = daemon()
     running.notice("STATUS=degraded")
