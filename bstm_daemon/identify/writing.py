@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from bstm_daemon.errors import FileAccessError, MissingExtraError
 from bstm_daemon.files import replacing
+from bstm_daemon.identify.effect_entries import set_effect_parameter
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -28,7 +29,8 @@ class Change:
     """A key of ``[section]``, or of the ``[[corner]]`` of that name.
 
     ``key`` may be dotted; several numbers are a list. ``note`` says where
-    the value comes from if not from the logs.
+    the value comes from if not from the logs. With ``effect`` it is a
+    parameter of that ``[[effect]]``, for ``corner`` or all.
     """
 
     section: str
@@ -36,9 +38,13 @@ class Change:
     value: float | tuple[float, ...]
     corner: str = ""
     note: str = ""
+    effect: str = ""
 
     def __str__(self) -> str:
         """Return it as in the file."""
+        if self.effect:
+            where = f"[[effect]] {self.effect} {self.corner}"
+            return f"{where} {self.key} = {self._text()}"
         where = (
             f"[[corner]] {self.corner}"
             if self.corner
@@ -201,6 +207,9 @@ def write_changed(
 
 
 def _apply(document: Any, change: Change, origin: str) -> None:
+    if change.effect:
+        set_effect_parameter(document, change, origin)
+        return
     if change.corner:
         table = next(
             corner

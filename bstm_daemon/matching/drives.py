@@ -46,6 +46,9 @@ BEGIN_S: Final = 5.0
 """The first temperatures are means over this time; who brakes within it shifts
 the start by half of what it heats."""
 
+TOUCHING_W: Final = 1.0
+"""Pads touch where a brake takes up more."""
+
 STEPS_A_ROW: Final = round(GRID_S * 1e6) // STEP_US
 
 
@@ -113,15 +116,22 @@ class Drive:
         ]
         return column
 
-    def with_power(self, power_w: Mapping[str, Column]) -> Drive:
+    def with_power(
+        self, power_w: Mapping[str, Column], *, pressed: bool = False
+    ) -> Drive:
         """Return the drive with brake power known otherwise.
 
-        *power_w* gives the mean over each step by corner, (steps,).
+        *power_w* gives the mean over each step by corner, (steps,). With
+        *pressed* the pads touch wherever there is some, also where the
+        pressure alone does not tell.
         """
         inputs = self.inputs.copy()
+        on = CHANNELS.index("brake_on")
         for corner, column in power_w.items():
             at = self.corners.index(corner)
             inputs[:, at, CHANNELS.index("brake_power_w")] = column
+            if pressed:
+                inputs[column > TOUCHING_W, at, on] = 1.0
         return replace(self, inputs=inputs, estimates=None)
 
 

@@ -7,14 +7,15 @@ from typing import TYPE_CHECKING, Any, Final
 
 from bstm_daemon.errors import LogError
 from bstm_daemon.matching.accuracy import Accuracy, held_out
+from bstm_daemon.matching.phases import HARD_MS2, hard_stops
 from bstm_daemon.matching.refine import Refinement, refine
 from bstm_daemon.matching.stages import StageResult, run_stages
 from bstm_daemon.matching.tunables import (
     COOLING,
-    REFINED,
     S_SPEEDS_MS,
     TABLE_4_1,
     Target,
+    refined_keys,
     targets_of,
     usable,
 )
@@ -147,6 +148,22 @@ def _other_form(
     return [said]
 
 
+def _no_hard_stop(target: Target, drives: Sequence[Drive]) -> list[str]:
+    """Say where the drives have no hard stop: drags alone fit wrongly."""
+    if any(
+        hard_stops(drive, corner)
+        for drive in drives
+        for corner in target.corners
+        if corner in drive.corners
+    ):
+        return []
+    said = (
+        f"no hard stop ({HARD_MS2:g} m/s2) in these drives: the values fit "
+        "drags and may be wrong in stops"
+    )
+    return [said]
+
+
 def _match(
     target: Target,
     drives: Sequence[Drive],
@@ -155,7 +172,9 @@ def _match(
     *,
     beside: bool,
 ) -> Match:
-    keys, remarks = usable(target, COOLING if only == "cooling" else REFINED)
+    keys, remarks = usable(
+        target, COOLING if only == "cooling" else refined_keys(target)
+    )
     start, stages = run_stages(
         target,
         drives,
@@ -184,6 +203,7 @@ def _match(
     )
     if not only:
         remarks += _other_form(target, drives, joint)
+        remarks += _no_hard_stop(target, drives)
     after = target.changed(joint.values)
     return Match(
         target.corners,

@@ -27,6 +27,10 @@ COOLING_S: Final = 30.0
 """Stretches off the brake must last so long."""
 
 BRAKING_W: Final = 200.0
+HARD_MS2: Final = 4.0
+HARD_S: Final = 1.0
+"""A hard stop decelerates so much for so long."""
+
 WARM_K: Final = 20.0
 """Above the air, anywhere in the corner, for a soak to tell something."""
 
@@ -72,6 +76,20 @@ def braking(drive: Drive, corner: str) -> Mask:
     """Return where the brake takes power, (steps,)."""
     braked: Mask = drive.channel(corner, "brake_power_w") > BRAKING_W
     return braked
+
+
+def hard_stops(drive: Drive, corner: str) -> int:
+    """Return how many hard stops *corner* brakes in."""
+    speed_ms = drive.channel(corner, "speed_ms")
+    if len(speed_ms) < 2:
+        return 0
+    hard = braking(drive, corner) & (
+        np.gradient(speed_ms, GRID_S) <= -HARD_MS2
+    )
+    return sum(
+        (last - first + 1) * GRID_S >= HARD_S
+        for first, last in stretches(hard)
+    )
 
 
 def excess_k(drive: Drive, corner: str, node: str) -> Column:

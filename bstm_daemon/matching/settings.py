@@ -5,6 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from bstm_daemon.identify.writing import Change
+from bstm_daemon.matching.effect_values import split_key
+from bstm_daemon.matching.tunables import EFFECT
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -30,6 +32,9 @@ def changes_of(
             note = f"{origin}, sd {sd:.2g}"
             if isinstance(value, tuple):
                 note = f"{origin}, sd {100.0 * sd:.2g} %"
+            if section == EFFECT:
+                changes += _of_effect(name, value, note, config, match)
+                continue
             own = [
                 corner
                 for corner in config.corner
@@ -46,6 +51,19 @@ def changes_of(
             ]
     changes += _accuracy(matches, origin)
     return changes
+
+
+def _of_effect(
+    name: str, value: float, note: str, config: Config, match: Match
+) -> list[Change]:
+    """Return entries of ``[[effect]]``: one for all corners, or each its."""
+    effect, parameter = split_key(name)
+    every = {corner.name for corner in config.disc_corners()}
+    corners = ("all",) if set(match.corners) == every else match.corners
+    return [
+        Change(EFFECT, parameter, value, corner, note, effect)
+        for corner in corners
+    ]
 
 
 def _shared(

@@ -13,6 +13,13 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from bstm_daemon.effects.catalogue import effect_class, effect_names
+from bstm_daemon.matching.effect_values import (
+    effect_value,
+    effects_by_corner,
+    with_effect_values,
+)
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
@@ -26,11 +33,40 @@ S_SPEEDS_MS: Final = {SLOW: 10.0, MIDDLE: 19.44, FAST: 41.67}
 constant outside; at standstill the fraction stands for it."""
 
 
+EFFECT: Final = "effect"
+"""Section of the keys ``effect.<name>.<parameter>``."""
+
+
+STRENGTHS: Final = {
+    # what seals roll back: 0.1 to 0.5 mm
+    "gap_conduction": (0.05, 5.0, 0.4),
+    # the free faces and the rim's openings are known, vents radiate besides
+    "disc_radiation_driving": (0.05, 1.5, 0.15),
+    "local_air": (0.05, 5.0, 0.4),
+    "disc_hat": (0.05, 5.0, 0.3),
+    # contact of steel clips
+    "bracket_conduction": (0.05, 5.0, 0.4),
+    "disc_caliper_radiation": (0.05, 5.0, 0.4),
+    "caliper_fluid_split": (0.05, 5.0, 0.3),
+}
+"""Bounds and prior of the strengths of the structure ``extended``: what its
+typical parameters, from a drawing and handbooks, leave open of a path."""
+
+ANY: Final = (0.05, 5.0, 0.5)
+"""Of any other effect's strength; the upper bound is the catalogue's."""
+
+
+def strength_key(effect: str) -> str:
+    """Return the key of the strength of *effect*."""
+    return f"{EFFECT}.{effect}.strength"
+
+
 @dataclass(frozen=True, slots=True)
 class Tunable:
     """A value of one corner's configuration.
 
-    ``key`` is ``section.name``; ``prior`` is the standard deviation of its
+    ``key`` is ``section.name``, where the section is ``effect`` the name is
+    ``<effect>.<parameter>``; ``prior`` is the standard deviation of its
     logarithm; ``table_4_1`` tells whether the thesis tunes it.
     """
 
@@ -96,6 +132,11 @@ TUNABLES: Final[dict[str, Tunable]] = {
         Tunable("thermal.gap_conductance_w_m2k", 5.0, 400.0, 0.4, "W/(m2 K)"),
         Tunable("pad.conductivity_w_mk", 0.5, 5.0, 0.15, "W/(m K)"),
         Tunable("pad.heat_capacity_j_kgk", 800.0, 1300.0, 0.08, "J/(kg K)"),
+        *(
+            Tunable(strength_key(name), *STRENGTHS.get(name, ANY), "x typical")
+            for name in effect_names()
+            if effect_class(name).kind == "thermal"
+        ),
     )
 }
 """Every tunable by its key."""
@@ -142,6 +183,8 @@ class Target:
         corner = self.corner
         if tunable.key in S_SPEEDS_MS:
             return 1.0
+        if tunable.section == EFFECT:
+            return effect_value(self.config, corner.name, tunable.name)
         holders: dict[str, Any] = {
             "thermal": self.config.thermal_of(corner),
             "cooling": self.config.cooling_of(corner),
@@ -164,19 +207,26 @@ class Target:
 
     def changed(self, values: dict[str, float]) -> Target:
         """Return the target with *values* by key."""
-        return Target(
-            self.config.model_copy(
-                update={
-                    "corner": [
-                        self._changed(one, values)
-                        if one.name in self.corners
-                        else one
-                        for one in self.config.corner
-                    ]
-                }
-            ),
-            self.corners,
+        prefix = f"{EFFECT}."
+        own = {k: v for k, v in values.items() if not k.startswith(prefix)}
+        config = self.config.model_copy(
+            update={
+                "corner": [
+                    self._changed(one, own)
+                    if one.name in self.corners
+                    else one
+                    for one in self.config.corner
+                ]
+            }
         )
+        of_effects = {
+            key.removeprefix(prefix): value
+            for key, value in values.items()
+            if key.startswith(prefix)
+        }
+        if of_effects:
+            config = with_effect_values(config, self.corners, of_effects)
+        return Target(config, self.corners)
 
     def _changed(
         self, corner: CornerConfig, values: dict[str, float]
@@ -213,6 +263,22 @@ class Target:
         return [float(one) for one in found]
 
 
+def refined_keys(target: Target) -> tuple[str, ...]:
+    """Return what the joint refinement changes of *target*.
+
+    :data:`REFINED`, and the strengths of the thermal effects that its
+    structure and its ``[[effect]]`` entries have. Those on heat act before
+    the model, in the pass over samples.
+    """
+    prefix = f"{EFFECT}."
+    strengths = (
+        key
+        for key, one in TUNABLES.items()
+        if key.startswith(prefix) and target.value(one) > 0.0
+    )
+    return (*REFINED, *strengths)
+
+
 def usable(target: Target, keys: Sequence[str]) -> tuple[list[str], list[str]]:
     """Return which of *keys* can be matched, and why the others can not."""
     found, remarks = [], []
@@ -247,6 +313,7 @@ def targets_of(
                 "pad": {"new_thickness_m", "measured"},
             }
         )
+        looks["effect"] = effects_by_corner(config, corner.name)
         group = corner.name if each else repr(looks)
         groups.setdefault(group, []).append(corner.name)
     return [Target(config, tuple(names)) for names in groups.values()]

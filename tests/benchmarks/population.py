@@ -8,24 +8,25 @@ nominal car, applied to the others.
 
 from __future__ import annotations
 
-import hashlib
 import os
-import pickle
-import tempfile
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, fields, replace
-from functools import cache
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+from recordings import kept, recorded
 
 from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.corner_model import compile_corner
 from bstm_daemon.matching.drives import GRID_S, Drive, read_drive
 from bstm_daemon.matching.march import initial_temperatures, march
 from bstm_daemon.matching.refine import Refinement, refine
-from bstm_daemon.matching.tunables import Target, targets_of, usable
+from bstm_daemon.matching.tunables import (
+    Target,
+    refined_keys,
+    targets_of,
+    usable,
+)
 from bstm_daemon.matching.verification import (
     NODES,
     NodeErrors,
@@ -33,9 +34,8 @@ from bstm_daemon.matching.verification import (
     phases_of,
 )
 from bstm_daemon.shipped import shipped_file
-from bstm_daemon.simulation import NOMINAL, load_drive, simulate
-from bstm_daemon.simulation.frames import START_STAMP_S, Encoder
-from bstm_daemon.simulation.recorder import write_candump
+from bstm_daemon.simulation import NOMINAL
+from bstm_daemon.simulation.frames import START_STAMP_S
 from bstm_daemon.units import KELVIN_OFFSET
 
 if TYPE_CHECKING:
@@ -49,9 +49,20 @@ MATCHED_ON: Final = ("simalp", "rich")
 HELD_OUT: Final = (
     *("alpine-descent", "city", "ams", "grossglockner", "long-run"),
 )
-SENSORS: Final = "n2"
 SPREAD: Final = 0.10
 CORNER: Final = "FL"
+
+DRIVEN_BY: Final = (
+    *("simulation/**/*.py", "simulation/**/*.toml", "heat/**/*.py"),
+    *("matching/drives.py", "*.c"),
+)
+"""Sources that a drive depends on."""
+
+JUDGED_BY: Final = (
+    *DRIVEN_BY,
+    *("matching/*.py", "effects/**/*.py", "thermal/*.py"),
+)
+"""Sources that a match and its errors depend on."""
 
 KNOWN_TO_THE_OWNER: Final = frozenset(
     {
@@ -156,19 +167,19 @@ def driven(
 
     Kept in the folder that BSTM_POPULATION_CACHE names, if it names one.
     """
-    folder = os.environ.get("BSTM_POPULATION_CACHE")
-    key = f"{number} {name} {setting} {car} {seed} {first} 3"
-    digest = hashlib.sha256(key.encode()).hexdigest()[:16]
-    kept = None if folder is None else Path(folder) / f"{digest}.pickle"
-    if kept is not None and kept.exists():
-        return pickle.loads(kept.read_bytes())  # noqa: S301  (our own)
-    learned = None
-    if setting.heat == "fused" and not first:
-        learned = taught(number, setting, car, seed)
-    made = _driven(number, name, setting, car, seed, learned)
-    if kept is not None:
-        kept.write_bytes(pickle.dumps(made))
-    return made
+    # what is not formed from pressure or motion asks for no structure
+    if setting.heat == "known":
+        setting = replace(setting, structure="thesis")
+
+    def make() -> Driven:
+        learned = None
+        if setting.heat == "fused" and not first:
+            learned = taught(number, setting, car, seed)
+        return _driven(number, name, setting, car, seed, learned)
+
+    return kept(
+        f"{number} {name} {setting} {car} {seed} {first}", make, *DRIVEN_BY
+    )
 
 
 def _driven(
@@ -179,38 +190,34 @@ def _driven(
     seed: int | None,
     learned: Sequence[float] | None,
 ) -> Driven:
-    whole = simulate(
-        load_drive(name),
-        # a drive may have a car of its own
-        car or (None if number == 0 else drawn_car(number)),
-        preset=setting.preset,
-        sensors=SENSORS,
-        # sensors are the car's own: one accelerometer has one bias
-        seed=100 * number + 1 if seed is None else seed,
-    )
     config = setting.config()
     signal_map = load_vehicle(shipped_file("config/example_vehicle.toml"))[1]
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / f"{name}.log"
-        write_candump(path, whole, encoder())
-        drive = read_drive(path, config, signal_map, learned=learned)
+    with recorded(
+        name,
+        # a drive may have a car of its own
+        car or (None if number == 0 else drawn_car(number)),
+        setting.preset,
+        # sensors are the car's own: one accelerometer has one bias
+        100 * number + 1 if seed is None else seed,
+    ) as recording:
+        drive = read_drive(recording.path, config, signal_map, learned=learned)
     end_s = drive.time_s + drive.start_s - START_STAMP_S
     if setting.heat == "known":
-        time_s = np.concatenate(([0.0], whole.time_s))
-        step_s = np.diff(time_s, prepend=0.0)
-        power = {}
-        for lane, corner in enumerate(drive.corners):
-            energy = np.cumsum(
-                np.concatenate(([0.0], whole.brake_power_w[:, lane])) * step_s
+        at_s = np.concatenate(([end_s[0] - GRID_S], end_s))
+        power = {
+            corner: np.diff(
+                np.interp(at_s, recording.time_s, recording.energy_j[corner])
             )
-            at = np.concatenate(([end_s[0] - GRID_S], end_s))
-            power[corner] = np.diff(np.interp(at, time_s, energy)) / GRID_S
-        drive = drive.with_power(power)
+            / GRID_S
+            for corner in drive.corners
+        }
+        drive = drive.with_power(power, pressed=True)
     truth = {
         node: np.interp(
-            end_s, whole.slow_time_s, whole.truth[f"{CORNER}.{node}"]
+            end_s,
+            recording.slow_time_s,
+            recording.truth_c[f"{CORNER}.{node}"],
         )
-        - KELVIN_OFFSET
         for node in NODES
     }
     return Driven(drive, truth)
@@ -227,22 +234,18 @@ def taught(
     return made.drive.learned
 
 
-@cache
-def encoder() -> Encoder:
-    """Return the encoder of the example car's frames."""
-    return Encoder(shipped_file("dbc/example_vehicle.dbc"))
-
-
 def front(config: Config) -> Target:
     """Return both front corners of *config*."""
     return targets_of(config, ["FL", "FR"])[0]
 
 
 def matched(
-    target: Target, drives: Sequence[Driven], keys: Sequence[str]
+    target: Target,
+    drives: Sequence[Driven],
+    keys: Sequence[str] | None = None,
 ) -> tuple[Target, Refinement]:
-    """Return *target* refined on *drives*."""
-    found, _ = usable(target, keys)
+    """Return *target* refined on *drives*; all that is refined, or *keys*."""
+    found, _ = usable(target, keys or refined_keys(target))
     fit = refine(target, [one.drive for one in drives], found)
     return target.changed(fit.values), fit
 
@@ -277,47 +280,47 @@ def errors(
     ]
 
 
-def nominal_target(
-    setting: Setting, keys: Sequence[str]
-) -> tuple[Target, Refinement]:
+def nominal_target(setting: Setting) -> tuple[Target, Refinement]:
     """Return the configuration that is matched once, on the nominal car."""
-    return matched(
-        front(setting.config()),
-        [driven(0, name, setting) for name in MATCHED_ON],
-        keys,
-    )
+
+    def make() -> tuple[Target, Refinement]:
+        on = [driven(0, name, setting) for name in MATCHED_ON]
+        return matched(front(setting.config()), on)
+
+    return kept(f"nominal {setting}", make, *JUDGED_BY)
 
 
 def car_result(
-    number: int,
-    setting: Setting,
-    base: Target,
-    keys: Sequence[str],
-    names: Sequence[str] = HELD_OUT,
+    number: int, setting: Setting, names: Sequence[str] = HELD_OUT
 ) -> CarResult:
-    """Match car *number* from *base* and judge both on held-out drives."""
-    on = [driven(number, name, setting) for name in MATCHED_ON]
-    target, fit = matched(base, on, keys)
-    own: list[NodeErrors] = []
-    foreign: list[NodeErrors] = []
-    for name in names:
-        one = driven(number, name, setting)
-        own += errors(target, one)
-        foreign += errors(base, one)
-    return CarResult(number, fit, own, foreign)
+    """Match car *number* from the nominal one's configuration.
+
+    Judge both on held-out drives.
+    """
+
+    def make() -> CarResult:
+        base, _ = nominal_target(setting)
+        on = [driven(number, name, setting) for name in MATCHED_ON]
+        target, fit = matched(base, on)
+        own: list[NodeErrors] = []
+        foreign: list[NodeErrors] = []
+        for name in names:
+            one = driven(number, name, setting)
+            own += errors(target, one)
+            foreign += errors(base, one)
+        return CarResult(number, fit, own, foreign)
+
+    return kept(f"car {number} {setting} {names}", make, *JUDGED_BY)
 
 
 def population(
-    setting: Setting,
-    cars: int,
-    keys: Sequence[str],
-    names: Sequence[str] = HELD_OUT,
+    setting: Setting, cars: int, names: Sequence[str] = HELD_OUT
 ) -> tuple[Refinement, list[CarResult]]:
     """Return the nominal match and the results of *cars* drawn cars."""
-    base, fit = nominal_target(setting, keys)
+    _, fit = nominal_target(setting)
     with ProcessPoolExecutor(os.cpu_count()) as pool:
         jobs = [
-            pool.submit(car_result, number, setting, base, keys, names)
+            pool.submit(car_result, number, setting, names)
             for number in range(1, cars + 1)
         ]
         return fit, [job.result() for job in jobs]

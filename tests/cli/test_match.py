@@ -152,7 +152,9 @@ def test_the_matched_car_is_verified(
     data = json.loads((matched / "verify.json").read_text("utf-8"))
     assert data["passed"] is True
     assert data["counted"] > 0
-    assert "6.4 to 6.8" in (matched / "verify.html").read_text("utf-8")
+    assert "figures 5.2, 6.4 to 6.7" in (matched / "verify.html").read_text(
+        "utf-8"
+    )
 
 
 def test_a_wrong_car_fails(

@@ -99,14 +99,31 @@ def flow_w(corner: Corner, link: str, **phase: float) -> float:
 
 
 def test_gap_is_a_conductance(corner: Make) -> None:
-    """130 W/m2K of both pads: linear in the difference, not in T^4."""
-    for disc_k in (420.0, 820.0):
+    """Of both pads: the difference times the conductivity of air, not T^4.
+
+    130 W/m2K at 500 K; air has 0.0303 W/mK at 350 K, 0.0407 at 500 K and
+    0.0476 at 610 K.
+    """
+    for disc_k, conductivity in ((380.0, 0.0303), (900.0, 0.0476)):
         there = corner("gap_conduction")
         there.warm(**dict.fromkeys(there.nodes(), 320.0) | {"disc": disc_k})
         found = flow_w(there, "gap_conduction", speed_ms=0.0)
-        assert found == pytest.approx(
-            130.0 * PADS_M2 * (disc_k - 320.0), rel=0.05
+        exact = 130.0 * conductivity / 0.0407 * PADS_M2 * (disc_k - 320.0)
+        assert found == pytest.approx(exact, rel=0.05)
+
+
+def test_the_bracket_takes_more_while_the_brake_is_held(corner: Make) -> None:
+    flows = []
+    for pressure_pa in (0.0, 0.75e6):
+        there = corner("bracket_conduction").warm(backplate=400.0)
+        found = flow_w(
+            there,
+            "bracket_conduction",
+            speed_ms=0.0,
+            pressure_pa=pressure_pa,
         )
+        flows.append(found)
+    assert flows[1] == pytest.approx(1.5 * flows[0], rel=0.02)
 
 
 def test_disc_radiates_by_stefan_and_boltzmann(corner: Make) -> None:

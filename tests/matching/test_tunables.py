@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from bstm_daemon.config import EffectConfig
 from bstm_daemon.corner_model import compile_corner
 from bstm_daemon.matching.tunables import (
     FAST,
@@ -29,8 +30,18 @@ def test_the_thesis_has_nine_and_the_refinement_twelve() -> None:
     assert 8 <= len(REFINED) <= 12
 
 
+def having(target: Target, key: str) -> Target:
+    """Return *target* with the effect that *key* is of."""
+    if not key.startswith("effect."):
+        return target
+    entry = EffectConfig(name=key.split(".")[1])
+    config = target.config.model_copy(update={"effect": [entry]})
+    return Target(config, target.corners)
+
+
 @pytest.mark.parametrize("key", sorted(TUNABLES))
 def test_a_value_is_read_where_it_is_written(key: str, target: Target) -> None:
+    target = having(target, key)
     tunable = TUNABLES[key]
     middle = (tunable.lower * tunable.upper) ** 0.5
 
@@ -43,6 +54,7 @@ def test_a_value_is_read_where_it_is_written(key: str, target: Target) -> None:
 
 @pytest.mark.parametrize("key", sorted(TUNABLES))
 def test_variants_are_lanes_of_one_march(key: str, target: Target) -> None:
+    target = having(target, key)
     tunable = TUNABLES[key]
     programs = [
         compile_corner(one.config, one.corner)
