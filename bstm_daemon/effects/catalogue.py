@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from difflib import get_close_matches
+from functools import cache
 from importlib import import_module
 from pkgutil import iter_modules
 from typing import TYPE_CHECKING, Final
@@ -29,6 +30,7 @@ STRUCTURES: Final[dict[str, tuple[str, ...]]] = {
 """The effects of each ``[thermal] structure``, at strength 1 all round."""
 
 
+@cache
 def effect_names() -> tuple[str, ...]:
     """Names of all effects, in alphabetical order."""
     return tuple(
@@ -36,6 +38,7 @@ def effect_names() -> tuple[str, ...]:
     )
 
 
+@cache
 def effect_class(name: str) -> type[Effect]:
     """Return the class of the effect *name*; its file bears its name.
 
