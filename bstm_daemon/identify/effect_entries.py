@@ -3,31 +3,35 @@
 from __future__ import annotations
 
 from copy import deepcopy
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    from bstm_daemon.identify.writing import Change
+from typing import Any
 
 
-def set_effect_parameter(document: Any, change: Change, origin: str) -> None:
-    """Set a parameter of an effect in *document*, a tomlkit document.
+def set_effect_parameter(
+    document: Any,
+    effect: str,
+    corner: str,
+    key: str,
+    value: float | list[float],
+    origin: str,
+) -> None:
+    """Set parameter *key* of *effect* in *document*, a tomlkit document.
 
-    An effect that only the structure gives gets an entry. The line of the
-    parameters says *origin* and what the value was.
+    For *corner*, or all; an effect that only the structure gives gets an
+    entry. The line of the parameters says *origin* and what the value was.
     """
     from tomlkit.items import InlineTable  # noqa: PLC0415  (as below)
 
-    table = _entry(document, change.effect, change.corner)
+    table = _entry(document, effect, corner)
     parameters = table["parameters"]
-    known = parameters.get(change.key)
+    known = parameters.get(key)
     # an inline table has one comment, behind it
     inline = isinstance(parameters, InlineTable)
     old = parameters if inline else known
     said = "" if old is None else old.trivia.comment.lstrip("# ")
-    parameters[change.key] = change.rounded()
+    parameters[key] = value
     was = "typical" if known is None else str(known)
     words = f"{origin}; was {was}"
-    line = parameters if inline else parameters[change.key]
+    line = parameters if inline else parameters[key]
     line.comment(f"{words} ({said})" if said else words)
 
 

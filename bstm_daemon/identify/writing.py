@@ -208,7 +208,14 @@ def write_changed(
 
 def _apply(document: Any, change: Change, origin: str) -> None:
     if change.effect:
-        set_effect_parameter(document, change, origin)
+        set_effect_parameter(
+            document,
+            change.effect,
+            change.corner,
+            change.key,
+            change.rounded(),
+            origin,
+        )
         return
     if change.corner:
         table = next(
