@@ -12,6 +12,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from bstm_daemon.advice_course import AdviceCourse
 from bstm_daemon.bus.logs import EventLog
 from bstm_daemon.carry_over import (
     StateError,
@@ -110,7 +111,7 @@ def stream_log(  # noqa: PLR0913
         progress: called with the number of lines read so far and the share
             of the file, None where it is not known.
         state: a state file's document; without it the history is unknown.
-        forecast: whether there are columns of risk and forecast.
+        forecast: whether there are columns of risk, forecast and advice.
 
     Raises:
         LogError: the log is unusable, holds none of the wanted ids, or is
@@ -119,8 +120,10 @@ def stream_log(  # noqa: PLR0913
         UsageError: *state* is no state of this car.
     """
     log = EventLog(path, signal_map, overrides)
-    estimator = Estimator(config, present_roles(signal_map))
+    present = present_roles(signal_map)
+    estimator = Estimator(config, present)
     monitor = RiskMonitor(config, estimator) if forecast else None
+    course = AdviceCourse(config, estimator, present)
     builder = ResultsBuilder(estimator, sinks, every_us)
     settling_s = None if state is not None else estimator.settling_s
     for events in log.events():
@@ -128,17 +131,22 @@ def stream_log(  # noqa: PLR0913
             first_us = int(events.time_us[0])
             parked_us = parked_before_us(state, first_us)
             with naming_state():
-                resume_state(estimator, state, parked_us, first_us)
+                resumed = resume_state(estimator, state, parked_us, first_us)
                 if monitor is not None:
                     resume_risk(monitor, estimator, state, parked_us, first_us)
+            if resumed.resumed:
+                course.resume(state.get("advice"))
             settling_s = estimator.history_left_steps * STEP_US * 1e-6
         samples = events.time_us, events.role, events.value
         if monitor is not None:
             monitor.hear(*samples)
+            course.hear(*samples)
         for block in estimator.stretches(*samples):
-            builder.add(
-                [block], None if monitor is None else [monitor.add(block)]
-            )
+            if monitor is None:
+                builder.add([block])
+                continue
+            risks = monitor.add(block)
+            builder.add([block], [risks], [course.add(block, risks)])
         if progress is not None:
             progress(log.reader.lines, log.share)
     builder.finish()

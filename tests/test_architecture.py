@@ -46,6 +46,7 @@ FLOORS = {
     "carry_over": 6,
     "driver_side": 6,
     "forecast": 7,
+    "advice_course": 8,
     "engine": 8,
     "results": 8,
     "identify": 9,

@@ -32,16 +32,16 @@ class Spread(NamedTuple):
     disc and pad, capacity of the fluid's lump.
     """
 
-    heat: float = 0.045
-    fluid: float = 0.03
+    heat: float = 0.03
+    fluid: float = 0.02
     fluid_floor_k: float = 1.0
-    resistance: float = 0.06
-    fluid_loss: float = 0.08
-    disc_loss: float = 0.08
-    lining: float = 0.06
-    exchange: float = 0.15
-    fluid_capacity: float = 0.02
-    ambient_k: float = 2.0
+    resistance: float = 0.04
+    fluid_loss: float = 0.05
+    disc_loss: float = 0.05
+    lining: float = 0.04
+    exchange: float = 0.10
+    fluid_capacity: float = 0.015
+    ambient_k: float = 1.5
     duty_heat: float = 0.15
 
     def scaled(self, factor: float) -> Spread:

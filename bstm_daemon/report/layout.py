@@ -1,6 +1,6 @@
 """Where the panels of a view lie, and what is written and shaded in them.
 
-Panels are stacked; the vehicle's (speed, pressure) span the width, a
+Panels are stacked; the vehicle's (speed, pressure, advice) span the width, a
 corner's stand in the column of its side: 1 left, 2 right, 0 the vehicle's.
 """
 
@@ -25,6 +25,7 @@ EPOCH: Final = datetime(2000, 1, 1)  # noqa: DTZ001
 PANELS: Final = {
     "speed": ("speed [km/h]", 90),
     "pressure": ("brake pressure [bar]", 90),
+    "advice": ("advice and requests", 90),
     "power": ("brake power [kW]", 140),
     "temperature": ("temperature [°C]", 320),
     "fluid": ("brake fluid temperature [°C]", 240),
@@ -32,7 +33,7 @@ PANELS: Final = {
 }
 """Title and height [px] of each panel, from the top."""
 
-VEHICLE_PANELS: Final = ("speed", "pressure")
+VEHICLE_PANELS: Final = ("speed", "pressure", "advice")
 CORNER_PANELS: Final = ("power", "temperature", "fluid", "risk")
 LEFT: Final = 1
 RIGHT: Final = 2
@@ -223,6 +224,11 @@ def _value_axis(panel: str, column: int, grid: _Grid) -> dict[str, Any]:
         "zerolinecolor": GRID_COLOUR,
         "nticks": max(5, PANELS[panel][1] // 35),
     }
+    if panel == "advice":
+        # lines, not values: the legend has their names
+        highest = grid.filled[panel, column][1]
+        axis |= {"range": [0.3, highest + 0.7], "showticklabels": False}
+        axis |= {"showgrid": False, "zeroline": False}
     sides = [side for side in (LEFT, RIGHT) if (panel, side) in grid.filled]
     if column and sides == [LEFT, RIGHT]:
         # one scale: what is hotter looks hotter

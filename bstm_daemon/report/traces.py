@@ -10,6 +10,7 @@ import numpy as np
 
 from bstm_daemon.heat.plausibility import FAULTS
 from bstm_daemon.heat.sample_plan import FLAGS
+from bstm_daemon.report.advice_lines import AdviceLines
 from bstm_daemon.report.decimation import ThinCurve
 from bstm_daemon.report.spans import Buckets, validity_spans
 from bstm_daemon.report.summary import SUMMARY_NODES, front_first
@@ -146,8 +147,8 @@ class _Curve:
 class DriveCurves:
     """A sink that keeps what the plots draw; columns may be missing.
 
-    Panels are ``speed`` [km/h], ``pressure`` [bar], ``power`` [kW],
-    ``temperature`` and ``fluid`` [degC].
+    Panels are ``speed`` [km/h], ``pressure`` [bar], ``advice`` [number of the
+    line], ``power`` [kW], ``temperature`` and ``fluid`` [degC], ``risk`` [%].
     """
 
     def __init__(self) -> None:
@@ -156,6 +157,7 @@ class DriveCurves:
         self._starts_s = Buckets(np.minimum)
         self._validity: dict[str, Buckets] = {}
         self._inputs = {name: Buckets(np.maximum) for name in _PANEL_INPUTS}
+        self._advice = AdviceLines()
         self._speed = _Curve(
             "speed",
             None,
@@ -186,6 +188,7 @@ class DriveCurves:
     def traces(self) -> list[Trace]:
         """Return every curve that there are numbers for."""
         traces = [self._speed.trace(), *self._pressure_traces()]
+        traces += self._advice_traces()
         for name, curves in self._corners.items():
             traces += [curve.trace() for curve in curves]
             traces.append(_boiling_trace(self._boiling[name]))
@@ -204,11 +207,13 @@ class DriveCurves:
     def input_spans(self, panel: str) -> list[tuple[int, float, float]]:
         """Return the stretches in which what *panel* shows is in doubt.
 
-        *panel* is ``speed``, ``pressure`` or ``power``. Code 1: an input is
-        suspect, or heat is from the other source; 2: it is missing, the heat
-        unknown. See :func:`~bstm_daemon.report.spans.validity_spans`.
+        *panel* is ``speed``, ``pressure`` or ``power``; others have none.
+        Code 1: an input is suspect, or heat is from the other source; 2: it
+        is missing, the heat unknown. See
+        :func:`~bstm_daemon.report.spans.validity_spans`.
         """
-        codes = self._inputs[panel].values
+        inputs = self._inputs.get(panel)
+        codes = np.empty(0) if inputs is None else inputs.values
         if not len(codes):
             return []
         return validity_spans(self._starts_s.values, codes)
@@ -217,6 +222,7 @@ class DriveCurves:
         elapsed_s = self._time.extend(columns["time_s"])
         self._starts_s.add(elapsed_s)
         self._speed.add(elapsed_s, columns)
+        self._advice.add(columns)
         for name, curves in self._corners.items():
             for curve in (*curves, self._pressures[name]):
                 curve.add(elapsed_s, columns)
@@ -268,6 +274,23 @@ class DriveCurves:
             x, y = curve.thin.points()
             traces.append(curve.trace_of(x, y, " ".join(names), look))
         return traces
+
+    def _advice_traces(self) -> list[Trace]:
+        """Return a bar a kind of advice, one line above the other."""
+        bars = self._advice.bars(self._starts_s.values)
+        traces = []
+        for line, bar in enumerate(reversed(bars), 1):
+            x: list[float] = []
+            y: list[float | None] = []
+            for start_s, end_s in bar.stretches_s:
+                x += [round(start_s, 2), round(end_s, 2), round(end_s, 2)]
+                y += [float(line), float(line), None]
+            look = {
+                "line": {"color": bar.colour, "width": 7},
+                "hovertemplate": bar.label,
+            }
+            traces.append(Trace("advice", None, bar.label, x, y, look))
+        return traces[::-1]
 
 
 def _corner_curves(corner: str) -> list[_Curve]:

@@ -10,6 +10,7 @@ import numpy as np
 
 from bstm_daemon.estimator import PUBLISH_US
 from bstm_daemon.heat.sample_plan import CHANNELS, VEHICLE_CHANNELS
+from bstm_daemon.results.advice import advice_columns
 from bstm_daemon.results.risk import risk_columns
 from bstm_daemon.results.rows import STRETCH_ROWS, Results
 from bstm_daemon.risk.boiling import wet_boiling_point_k
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
 
     import numpy.typing as npt
 
+    from bstm_daemon.bus.publication_slow import AdviceSnapshot
     from bstm_daemon.estimator import Block, Estimator, Group
     from bstm_daemon.forecast.records import CarRisk
     from bstm_daemon.results.rows import Sink
@@ -52,6 +54,7 @@ class _Publications:
     validity: tuple[npt.NDArray[np.int8], ...]
     wear: tuple[Column, ...]
     risk: npt.NDArray[np.object_]
+    advice: npt.NDArray[np.object_]
 
     def __len__(self) -> int:
         return len(self.times_us)
@@ -68,6 +71,7 @@ class _Publications:
             tuple(codes[which] for codes in self.validity),
             tuple(table[which] for table in self.wear),
             self.risk[which],
+            self.advice[which],
         )
 
     @classmethod
@@ -91,6 +95,7 @@ class _Publications:
                 for one in zip(*(p.wear for p in parts), strict=True)
             ),
             np.concatenate([part.risk for part in parts]),
+            np.concatenate([part.advice for part in parts]),
         )
 
 
@@ -128,15 +133,17 @@ class ResultsBuilder:
         self,
         blocks: Iterable[Block],
         risks: Iterable[Sequence[CarRisk]] | None = None,
+        advice: Iterable[Sequence[AdviceSnapshot]] | None = None,
     ) -> None:
         """Take *blocks* and hand on what makes whole stretches.
 
-        *risks* has the risk at each publication of each block; with it there
-        are columns of it, which must then be so for every block.
+        *risks* and *advice* are at each publication of each block; with them
+        there are columns of it, which must then be so for every block.
         """
         told = repeat(None) if risks is None else risks
-        for block, risk in zip(blocks, told, strict=False):
-            part = self._publications(block, risk)
+        said = repeat(None) if advice is None else advice
+        for block, risk, words in zip(blocks, told, said, strict=False):
+            part = self._publications(block, risk, words)
             if not self._begun:
                 self._begun = True
                 first_us = block.times_us[0]
@@ -160,7 +167,10 @@ class ResultsBuilder:
             self._hand_on(waiting)
 
     def _publications(
-        self, block: Block, risk: Sequence[CarRisk] | None
+        self,
+        block: Block,
+        risk: Sequence[CarRisk] | None,
+        advice: Sequence[AdviceSnapshot] | None,
     ) -> _Publications:
         """Return those of *block* that are kept."""
         times_us = np.frombuffer(block.times_us, np.int64)
@@ -193,6 +203,7 @@ class ResultsBuilder:
                 for member, name in enumerate(group.corners)
             ),
             _objects(risk, count),
+            _objects(advice, count),
         )[keep]
 
     def _flags_since(
@@ -258,6 +269,8 @@ class ResultsBuilder:
             parts[name] |= dict(zip(WEAR_COLUMNS, table.T, strict=True))
             parts[name]["validity"] = validity[name].astype(np.float64)
         columns |= self._risk_columns(publications, parts)
+        if publications.advice[-1] is not None:
+            columns |= advice_columns(publications.advice)
         config = self._estimator.config
         for index, name in enumerate(corners):
             part = parts[name]

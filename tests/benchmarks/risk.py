@@ -10,13 +10,13 @@ import argparse
 import json
 import pickle
 import sys
-from dataclasses import dataclass
-from multiprocessing import get_context
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from risk_cases import base_config, draw_case, march_truth
+from risk_cases import draw_case, march_truth
+from risk_fleet import FleetCar, fleet
 from risk_fluids import (
     DrawnFluid,
     auc,
@@ -25,7 +25,7 @@ from risk_fluids import (
     false_share,
 )
 from risk_judge import Judgement, boiled_at_s, judged
-from risk_mixed import mixed
+from risk_mixed import NOTHING, Driven, mixed
 from side_by_side import Goal, Outcome, Table
 
 from bstm_daemon.risk.levels import PROBABILITIES
@@ -40,9 +40,11 @@ SEED: Final = 20_261_121
 """Of the reported figures; the spreads were chosen with other seeds."""
 
 FULL: Final = 2000
+ANOTHER_DAY: Final = 1000
 QUICK: Final = 50
+CARS_FULL: Final = 30
+CARS_QUICK: Final = 2
 CHUNK: Final = 50
-PROCESSES: Final = 2
 TRIALS: Final = 12
 """Fluids tried for a descent."""
 
@@ -57,8 +59,9 @@ HOTTEST_DISC_K: Final = 973.15
 """Beyond 700 degC a driver has had no brake for long."""
 
 WITHIN_K: Final = 10.0
-KM_FULL: Final = 3000.0
+KM_FULL: Final = 10_000.0
 KM_QUICK: Final = 50.0
+KM_PART: Final = 250.0
 DOCUMENT: Final = Path(__file__).parents[2] / "docs" / "risk.md"
 BEGIN: Final = "<!-- figures -->"
 END: Final = "<!-- end of figures -->"
@@ -89,48 +92,62 @@ class Scores:
     boiled: Flags
 
 
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """Where descents come from.
+
+    ``seed`` draws the cars and all else; ``another_day`` tells whether
+    friction and air have changed since the match.
+    """
+
+    seed: int = SEED
+    preset: str = "plain"
+    cars: int = CARS_FULL
+    another_day: bool = False
+
+    @property
+    def name(self) -> str:
+        """The setting in the name of a file."""
+        day = "other" if self.another_day else "same"
+        return f"{self.preset}-{day}-{self.seed}-{self.cars}"
+
+
 def descents(
-    count: int,
-    seed: int = SEED,
-    preset: str = "plain",
-    cache: Path | None = None,
+    count: int, setting: Setting, cache: Path | None = None
 ) -> list[Descent]:
     """Return *count* descents drawn as :data:`NEAR_K` says.
 
-    Chunks have seeds of their own, so that processes may share the work.
+    Chunks have seeds of their own, so that they may be kept one by one in
+    the folder *cache*.
     """
-    chunks = -(-count // CHUNK)
-    work = [((seed, number), preset, cache) for number in range(chunks)]
-    with get_context("spawn").Pool(PROCESSES) as pool:
-        found = pool.starmap(_cached, work, chunksize=1)
-    return [descent for part in found for descent in part][:count]
+    cars = fleet(setting.cars, setting.seed, setting.preset, cache)
+    found: list[Descent] = []
+    for number in range(-(-count // CHUNK)):
+        if cache is None:
+            found += _chunk(number, cars, setting)
+            continue
+        path = cache / f"{setting.name}-{number}.pickle"
+        if not path.exists():
+            path.write_bytes(pickle.dumps(_chunk(number, cars, setting)))
+        found += pickle.loads(path.read_bytes())  # noqa: S301  (our own)
+    return found[:count]
 
 
-def _cached(
-    seed: tuple[int, int], preset: str, cache: Path | None
+def _chunk(
+    number: int, cars: list[FleetCar], setting: Setting
 ) -> list[Descent]:
-    """Return a chunk, from the folder *cache* if it is there."""
-    if cache is None:
-        return _chunk(seed, preset)
-    path = cache / f"{preset}-{seed[0]}-{seed[1]}.pickle"
-    if path.exists():
-        found: list[Descent] = pickle.loads(path.read_bytes())  # noqa: S301
-        return found
-    found = _chunk(seed, preset)
-    path.write_bytes(pickle.dumps(found))
-    return found
-
-
-def _chunk(seed: tuple[int, int], preset: str) -> list[Descent]:
-    rng = np.random.default_rng(seed)
-    base = base_config()
+    rng = np.random.default_rng((setting.seed, number, setting.another_day))
     found: list[Descent] = []
     far = 0
     while len(found) < CHUNK:
-        cases = [draw_case(rng, base) for _ in range(CHUNK)]
-        for case, truth in zip(cases, march_truth(cases, preset), strict=True):
+        cases = [
+            draw_case(rng, cars, another_day=setting.another_day)
+            for _ in range(CHUNK)
+        ]
+        truths = march_truth(cases, setting.preset)
+        for case, truth in zip(cases, truths, strict=True):
             # a march of the reality that went astray says nothing
-            if not (
+            if len(found) == CHUNK or not (
                 truth.disc_k <= HOTTEST_DISC_K
                 and np.isfinite(truth.fluid_k).all()
             ):
@@ -145,8 +162,6 @@ def _chunk(seed: tuple[int, int], preset: str) -> list[Descent]:
                 ):
                     continue
                 far += 1
-            if len(found) == CHUNK:
-                break
             found.append(
                 Descent(
                     judged(case, truth),
@@ -190,73 +205,113 @@ def scores(found: list[Descent], *, given: bool) -> Scores:
 
 def run(*, full: bool, cache: Path | None = None) -> Outcome:
     """Judge descents and mixed driving; *cache* keeps what is done."""
-    found = descents(FULL if full else QUICK, cache=cache)
-    return outcome_of(found, _mixed(full=full, cache=cache), full=full)
+    cars = CARS_FULL if full else CARS_QUICK
+    same = Setting(cars=cars)
+    found = descents(FULL if full else QUICK, same, cache)
+    day = Setting(cars=cars, another_day=True)
+    other = descents(ANOTHER_DAY, day, cache) if full else []
+    driven = _mixed(KM_FULL if full else KM_QUICK, same, cache)
+    return outcome_of(found, other, driven, full=full)
 
 
 def outcome_of(
     found: list[Descent],
-    driven: tuple[float, int, int, float],
+    other: list[Descent],
+    driven: Driven,
     *,
     full: bool,
 ) -> Outcome:
-    """Return the tables of the descents *found* and of mixed driving."""
-    km, warned, warned_given, hottest_k = driven
-    boiled = np.array([np.isfinite(d.boiled_s) for d in found])
-    margins = np.array([d.margin_k for d in found])
-    outcome = Outcome(
-        "Vapour foreseen",
-        f"{len(found)} descents of random cars, loads, roads and fluids, "
-        f"{boiled.sum()} of which boil ({boiled.mean():.0%}), "
-        f"{(np.abs(margins) <= WITHIN_K).mean():.0%} end within 10 K of "
-        "their boiling point; judged when the car stops to park.",
-    )
+    """Return the tables of the descents *found* and of mixed driving.
+
+    *other* are descents of another day; none, where they were not made.
+    """
+    outcome = Outcome("Vapour foreseen", _about(found))
     unknown, given = (scores(found, given=g) for g in (False, True))
-    now = np.array([float(d.judgement.now_k.max()) for d in found])
-    outcome.tables = [
-        _discrimination(unknown, given, now),
-        _warnings(found, unknown, given),
-        _temperatures(found),
-        Table(
-            "Mixed driving",
-            ("", "water unknown", "water given"),
-            (
-                ("km driven", f"{km:.0f}", f"{km:.0f}"),
-                (
-                    "false warnings per 10 000 km",
-                    f"{warned / 20 / km * 1e4:.2f}",
-                    f"{warned_given / 20 / km * 1e4:.2f}",
-                ),
-                (
-                    "hottest forecast peak, degC",
-                    f"{hottest_k - 273.15:.0f}",
-                    "",
-                ),
-            ),
-        ),
-    ]
+    outcome.tables = _tables(found, "")
+    if other:
+        outcome.tables += _tables(other, ", another day")
+    outcome.tables.append(_driving(driven))
     least = 0.02 if full else 0.06
     outcome.goals = [
         Goal(
-            "AUC over the oracle's, water unknown",
-            auc(unknown.daemon, unknown.boiled)
-            / auc(unknown.oracle, unknown.boiled),
+            f"AUC over the oracle's, water {name}",
+            auc(s.daemon, s.boiled) / auc(s.oracle, s.boiled),
             1.0,
             least,
         )
+        for name, s in (("unknown", unknown), ("given", given))
     ]
     return outcome
 
 
-def _mixed(*, full: bool, cache: Path | None) -> tuple[float, int, int, float]:
-    kilometres = KM_FULL if full else KM_QUICK
+def _about(found: list[Descent]) -> str:
+    boiled = np.array([np.isfinite(d.boiled_s) for d in found])
+    margins = np.array([d.margin_k for d in found])
+    return (
+        f"{len(found)} descents of random cars, loads, roads and fluids, "
+        f"{boiled.sum()} of which boil ({boiled.mean():.0%}), "
+        f"{(np.abs(margins) <= WITHIN_K).mean():.0%} end within 10 K of "
+        "their boiling point; judged when the car stops to park."
+    )
+
+
+def _tables(found: list[Descent], day: str) -> list[Table]:
+    unknown, given = (scores(found, given=g) for g in (False, True))
+    now = np.array([float(d.judgement.now_k.max()) for d in found])
+    tables = [
+        _discrimination(unknown, given, now),
+        _warnings(found, unknown, given),
+        _temperatures(found),
+    ]
+    return [Table(t.title + day, t.header, t.rows) for t in tables]
+
+
+def _driving(driven: Driven) -> Table:
+    rates = [
+        f"{driven.rate(n):.2f}" for n in (driven.warned, driven.warned_given)
+    ]
+    both = (
+        ("km driven", f"{driven.km:.0f}"),
+        ("boiled in 10 000 km", f"{driven.rate(driven.boiled):.2f}"),
+        ("hottest forecast peak, degC", f"{driven.forecast_k - 273.15:.0f}"),
+        ("hottest fluid, degC", f"{driven.fluid_k - 273.15:.0f}"),
+    )
+    return Table(
+        "Mixed driving",
+        ("", "water unknown", "water given"),
+        (
+            ("false warnings in 10 000 km", *rates),
+            *((name, value, value) for name, value in both),
+        ),
+    )
+
+
+def _mixed(kilometres: float, setting: Setting, cache: Path | None) -> Driven:
+    """Drive in parts with seeds of their own, kept in the folder *cache*."""
+    cars = fleet(setting.cars, setting.seed, setting.preset, cache)
+    driven = NOTHING
+    number = 0
+    while driven.km < kilometres:
+        driven += _part(number, kilometres, cars, setting, cache)
+        number += 1
+    return driven
+
+
+def _part(
+    number: int,
+    kilometres: float,
+    cars: list[FleetCar],
+    setting: Setting,
+    cache: Path | None,
+) -> Driven:
+    seed = (setting.seed, number)
     if cache is None:
-        return mixed(kilometres, SEED)
-    path = cache / f"mixed-{SEED}-{kilometres:.0f}.json"
+        return mixed(min(KM_PART, kilometres), seed, cars)
+    path = cache / f"mixed-{setting.seed}-{setting.cars}-{number}.json"
     if not path.exists():
-        path.write_text(json.dumps(mixed(kilometres, SEED)), "utf-8")
-    km, warned, warned_given, hottest_k = json.loads(path.read_text("utf-8"))
-    return km, warned, warned_given, hottest_k
+        made = mixed(KM_PART, seed, cars)
+        path.write_text(json.dumps(asdict(made)), "utf-8")
+    return Driven(**json.loads(path.read_text("utf-8")))
 
 
 def _discrimination(unknown: Scores, given: Scores, now: Column) -> Table:

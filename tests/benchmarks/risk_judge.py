@@ -6,7 +6,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from risk_cases import CORNERS, HORIZON_S, Case, Truth
+from risk_cases import HORIZON_S, Case, Truth
+from risk_fleet import CORNERS
 
 from bstm_daemon.estimator import Estimator
 from bstm_daemon.forecast.monitor import RiskMonitor
@@ -15,6 +16,7 @@ from bstm_daemon.roles import ROLE_INDEX
 if TYPE_CHECKING:
     import numpy.typing as npt
 
+    from bstm_daemon.config import Config
     from bstm_daemon.risk.vaporisation import Boiling
 
     Column = npt.NDArray[np.float64]
@@ -23,6 +25,7 @@ START_US: Final = 1_700_000_000_000_000
 SAMPLES_S: Final = 10
 """Samples a second of every role."""
 
+ROLES: Final = ("vehicle_speed", "primary_pressure", "ambient_temperature")
 BEFORE_STOP_S: Final = 1
 TIMEOUT_US: Final = 500_000
 
@@ -52,17 +55,21 @@ class Judgement:
         return sum(map(boiling.probability, worst)) / len(worst)
 
 
-def judged(case: Case, truth: Truth) -> Judgement:
-    """Run the daemon's estimator and risk over *case* up to the stop."""
-    roles = ("vehicle_speed", "primary_pressure", "ambient_temperature")
+def estimating(case: Case, config: Config) -> tuple[Estimator, RiskMonitor]:
+    """Return estimator and risk of *config*, cold in the air of *case*."""
     estimator = Estimator(
-        case.config,
-        {ROLE_INDEX[role]: TIMEOUT_US for role in roles},
+        config,
+        {ROLE_INDEX[role]: TIMEOUT_US for role in ROLES},
         history_known=True,
         initial_k=case.sensed_ambient_k,
     )
-    monitor = RiskMonitor(case.config, estimator)
-    times_us, numbers, values = samples(case, roles)
+    return estimator, RiskMonitor(config, estimator)
+
+
+def judged(case: Case, truth: Truth) -> Judgement:
+    """Run the daemon's estimator and risk over *case* up to the stop."""
+    estimator, monitor = estimating(case, case.config)
+    times_us, numbers, values = samples(case)
     stop_us = START_US + (len(case.speed_ms) - BEFORE_STOP_S) * 1_000_000
     cut = int(np.searchsorted(times_us, stop_us))
     estimator.advance(times_us[:cut], numbers[:cut], values[:cut])
@@ -97,7 +104,7 @@ def boiled_at_s(truth: Truth, boiling_k: float) -> float:
 
 
 def samples(
-    case: Case, roles: tuple[str, ...]
+    case: Case,
 ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int32], Column]:
     """Return times [us], role numbers and values of what *case* senses."""
     count = (len(case.speed_ms) + 2) * SAMPLES_S
@@ -108,6 +115,6 @@ def samples(
     pressure = case.sensed_pressure_pa[place]
     ambient = np.full(count, case.sensed_ambient_k)
     values = np.stack([speed, pressure, ambient], axis=1).ravel()
-    numbers = np.tile([ROLE_INDEX[role] for role in roles], count)
-    times = START_US + np.repeat(at_s, len(roles)) * 1e6
+    numbers = np.tile([ROLE_INDEX[role] for role in ROLES], count)
+    times = START_US + np.repeat(at_s, len(ROLES)) * 1e6
     return times.astype(np.int64), numbers.astype(np.int32), values

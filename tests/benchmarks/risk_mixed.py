@@ -2,79 +2,107 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from risk_cases import (
-    CORNERS,
-    PRESSURE_QUANTUM_PA,
-    Case,
-    base_config,
-    configured,
-)
+from risk_cases import Case, draw_car, march_drive, sensed
+from risk_fleet import CORNERS, FleetCar
 from risk_fluids import draw_fluid
-from risk_judge import START_US, TIMEOUT_US, samples
+from risk_judge import estimating, samples
 
-from bstm_daemon.estimator import Estimator
-from bstm_daemon.forecast.monitor import RiskMonitor
 from bstm_daemon.risk.levels import PROBABILITIES
-from bstm_daemon.roles import ROLE_INDEX
-from bstm_daemon.simulation.vehicle import NOMINAL
 from bstm_daemon.units import KELVIN_OFFSET
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     import numpy.typing as npt
 
     Column = npt.NDArray[np.float64]
 
 TRIP_S: Final = 3600
+PASSES: Final = 0.1
+"""Share of the trips that lead over a pass."""
+
 MEMBERS: Final = 8
 FLUIDS: Final = 20
 """Fluids that each trip is judged with."""
 
 
-def mixed(kilometres: float, seed: int) -> tuple[float, int, int, float]:
-    """Return km driven, warnings with water unknown and given, hottest peak.
+@dataclass(frozen=True, slots=True)
+class Driven:
+    """What mixed driving came to.
 
-    A warning is a trip and fluid whose probability reaches *high* at a
-    forecast; the count is a mean over the fluids. The peak [K] is the
-    highest forecast.
+    ``warned`` and ``warned_given`` count trips and fluids whose probability
+    reached *high* at a forecast though the fluid did not boil, ``boiled``
+    those that did boil; over :data:`FLUIDS` a trip. Peaks in K: ``forecast_k``
+    the hottest forecast, ``fluid_k`` the hottest fluid.
     """
+
+    km: float
+    warned: int
+    warned_given: int
+    boiled: int
+    forecast_k: float
+    fluid_k: float
+
+    def __add__(self, other: Driven) -> Driven:
+        """Return both together."""
+        return Driven(
+            self.km + other.km,
+            self.warned + other.warned,
+            self.warned_given + other.warned_given,
+            self.boiled + other.boiled,
+            max(self.forecast_k, other.forecast_k),
+            max(self.fluid_k, other.fluid_k),
+        )
+
+    def rate(self, warned: int) -> float:
+        """Return *warned* for every 10 000 km with one fluid."""
+        return warned / FLUIDS / self.km * 1e4
+
+
+NOTHING: Final = Driven(0.0, 0, 0, 0, 0.0, 0.0)
+
+
+def mixed(
+    kilometres: float, seed: tuple[int, ...], cars: Sequence[FleetCar]
+) -> Driven:
+    """Drive *kilometres* or a little more with *cars*."""
     rng = np.random.default_rng(seed)
-    base = base_config()
-    small = base.forecast.model_copy(update={"members": MEMBERS})
-    base = base.model_copy(update={"forecast": small})
-    driven = 0.0
+    driven = NOTHING
+    while driven.km < kilometres:
+        driven += _judged(rng, _trip(rng, cars))
+    return driven
+
+
+def _judged(rng: np.random.Generator, case: Case) -> Driven:
+    peaks = _worst_peaks(case)
+    fluid_k = float(march_drive(case).max())
     warned = [0, 0]
-    hottest = 0.0
-    while driven < kilometres:
-        case = _trip(rng, base)
-        driven += float(case.speed_ms.sum()) / 1000.0
-        peaks = _worst_peaks(case)
-        hottest = max(hottest, float(peaks.max()))
-        for _ in range(FLUIDS):
-            fluid = draw_fluid(rng)
-            for number, known in enumerate((fluid.unknown, fluid.given)):
-                mean = np.mean([known.probability(k) for k in peaks])
-                warned[number] += bool(mean >= PROBABILITIES[1])
-    return driven, warned[0], warned[1], hottest
+    boiled = 0
+    for _ in range(FLUIDS):
+        fluid = draw_fluid(rng)
+        if fluid_k >= fluid.boiling_k:
+            boiled += 1
+            continue
+        for number, known in enumerate((fluid.unknown, fluid.given)):
+            mean = np.mean([known.probability(k) for k in peaks])
+            warned[number] += bool(mean >= PROBABILITIES[1])
+    km = float(case.speed_ms.sum()) / 1000.0
+    return Driven(km, *warned, boiled, float(peaks.max()), fluid_k)
 
 
 def _worst_peaks(case: Case) -> Column:
     """Return the members' peaks of the hottest forecast of a trip."""
-    roles = ("vehicle_speed", "primary_pressure", "ambient_temperature")
-    estimator = Estimator(
-        case.config,
-        {ROLE_INDEX[role]: TIMEOUT_US for role in roles},
-        history_known=True,
-        initial_k=case.ambient_k,
-    )
-    monitor = RiskMonitor(case.config, estimator)
+    small = case.config.forecast.model_copy(update={"members": MEMBERS})
+    config = case.config.model_copy(update={"forecast": small})
+    estimator, monitor = estimating(case, config)
     worst = np.zeros(MEMBERS)
-    times, numbers, values = samples(case, roles)
-    for end in np.arange(START_US, times[-1] + 10_000_000, 10_000_000):
-        part = slice(*np.searchsorted(times, (end - 10_000_000, end)))
+    times, numbers, values = samples(case)
+    ends = np.arange(times[0], times[-1] + 10_000_000, 10_000_000)
+    for part in map(slice, *_places(times, ends)):
         for block in estimator.advance(
             times[part], numbers[part], values[part]
         ):
@@ -87,41 +115,65 @@ def _worst_peaks(case: Case) -> Column:
     return worst
 
 
-def _trip(rng: np.random.Generator, base: object) -> Case:
-    """Return an hour of town, country and motorway over hills."""
-    speed = _speeds(rng)
+def _places(
+    times: npt.NDArray[np.int64], ends: npt.NDArray[np.int64]
+) -> tuple[list[int], list[int]]:
+    cuts = np.searchsorted(times, ends)
+    return cuts[:-1].tolist(), cuts[1:].tolist()
+
+
+def _trip(rng: np.random.Generator, cars: Sequence[FleetCar]) -> Case:
+    """Return an hour of town, country and motorway over hills, or a pass."""
+    mass_kg = rng.uniform(1700.0, 2700.0)
+    car, config = draw_car(rng, cars, mass_kg, another_day=True)
     seconds = np.arange(TRIP_S)
-    hills = np.interp(
-        seconds,
-        np.arange(0, TRIP_S + 121, 120),
-        rng.normal(0.0, 0.025, TRIP_S // 120 + 2),
-    )
-    car = replace(NOMINAL, mass_kg=rng.uniform(1700.0, 2700.0))
-    accel = np.gradient(speed)
+    if rng.random() < PASSES:
+        speed, hills, drag = _pass_road(rng)
+    else:
+        speed = _speeds(rng)
+        hills = np.interp(
+            seconds,
+            np.arange(0, TRIP_S + 121, 120),
+            rng.normal(0.0, 0.025, TRIP_S // 120 + 2),
+        )
+        drag = rng.uniform(50.0, 400.0)
     need = -car.resistance(speed, np.arctan(hills))
-    need -= car.effective_mass_kg * accel
-    drag = rng.uniform(50.0, 400.0)
+    need -= car.effective_mass_kg * np.gradient(speed)
     force = np.where(speed > 0.0, np.maximum(need - drag, 0.0), 0.0)
-    pressure = force / car.gains.sum()
     ambient_k = KELVIN_OFFSET + rng.uniform(-5.0, 36.0)
-    known = dict.fromkeys(
-        (
-            *("ring_mass_kg", "pad_thickness_m", "shim_resistance_m2k_w"),
-            *("caliper", "caliper_air", "disc_air"),
-        ),
-        1.0,
+    return sensed(rng, car, config, ambient_k, speed, force)
+
+
+def _pass_road(rng: np.random.Generator) -> tuple[Column, Column, float]:
+    """Return speed, grade and drag over a pass, driven in a lower gear."""
+    up, down, valley = (
+        int(rng.uniform(*span))
+        for span in ((600.0, 1200.0), (600.0, 1300.0), (120.0, 400.0))
     )
-    return Case(
-        car,
-        configured(base, known, car.mass_kg),  # type: ignore[arg-type]
-        ambient_k,
-        speed,
-        pressure,
-        force * speed,
-        ambient_k,
-        np.round(pressure / PRESSURE_QUANTUM_PA) * PRESSURE_QUANTUM_PA,
-        speed,
+    knots = np.arange(0, TRIP_S + 61, 30)
+    pace = rng.uniform(11.0, 16.0)
+    bends = np.where(
+        rng.random(len(knots)) < 0.35, rng.uniform(0.4, 0.75, len(knots)), 1.0
     )
+    speed = np.interp(np.arange(TRIP_S), knots, pace * bends)
+    grade = rng.uniform(0.05, 0.09) * rng.uniform(0.6, 1.4, len(knots))
+    hills = np.interp(np.arange(TRIP_S), knots, grade)
+    summit = valley + up
+    hills[:valley] = 0.0
+    hills[summit : summit + down] *= -1.0
+    hills[summit + down :] = 0.0
+    speed[summit + down + valley :] = 0.0
+    return _smooth(speed), hills, rng.uniform(200.0, 900.0)
+
+
+def _smooth(speed: Column) -> Column:
+    """Return *speed* as a car can do it."""
+    found = speed.copy()
+    found[0] = 0.0
+    for i in range(1, len(found)):
+        change = speed[i] - found[i - 1]
+        found[i] = found[i - 1] + min(max(change, -2.0), 1.5)
+    return found
 
 
 def _speeds(rng: np.random.Generator) -> Column:

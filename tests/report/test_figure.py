@@ -60,9 +60,9 @@ def test_all_time_axes_of_a_view_move_together(descent: Results) -> None:
 
 def test_left_and_right_share_their_scale(descent: Results) -> None:
     layout = _figure(descent).views[0].layout
-    left, right = layout["yaxis4"], layout["yaxis8"]
+    left, right = layout["yaxis5"], layout["yaxis9"]
 
-    assert right["matches"] == "y4"
+    assert right["matches"] == "y5"
     assert left["range"] == right["range"]
     assert left["range"][1] > descent.columns["FL.disc_measured_c"][::10].max()
     assert layout["xaxis2"]["domain"][1] < layout["xaxis3"]["domain"][0]
@@ -134,13 +134,13 @@ def test_shades_mark_doubtful_inputs(descent: Results) -> None:
     ]
     assert shaded("yaxis2", "x") == [("00:05", "00:06", missing)]
     power = [("00:05", "00:06", suspect), ("00:11", "00:13", missing)]
-    assert shaded("yaxis3", "x2") == shaded("yaxis7", "x3") == power
+    assert shaded("yaxis4", "x2") == shaded("yaxis8", "x3") == power
 
 
 def test_the_fluid_peak_is_labelled(descent: Results) -> None:
     notes = _figure(descent).views[0].layout["annotations"]
 
-    (left,) = [note for note in notes if note.get("yref") == "y5"]
+    (left,) = [note for note in notes if note.get("yref") == "y6"]
     assert left["text"] == "129 °C<br>10:29 after the stop"
     assert left["x"] == "2000-01-01 00:35:29.300"
 
@@ -156,7 +156,7 @@ def test_a_corner_without_a_model_says_so(descent: Results) -> None:
     texts = [n["text"] for n in figure.views[0].layout["annotations"]]
 
     assert "<b>FR</b>  temperature [°C]: none, corner not modelled" in texts
-    assert "yaxis8" not in figure.views[0].layout
+    assert "yaxis9" not in figure.views[0].layout
 
 
 def test_names_are_text_in_plotly_too() -> None:

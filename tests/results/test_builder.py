@@ -15,6 +15,7 @@ from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.estimator import Estimator
 from bstm_daemon.replay import present_roles, replay_log
 from bstm_daemon.results import Collector, Results, ResultsBuilder
+from bstm_daemon.results.advice import ADVICE_COLUMNS
 from bstm_daemon.results.risk import CAR_COLUMNS, CORNER_COLUMNS
 from bstm_daemon.results.rows import STRETCH_ROWS
 from bstm_daemon.roles import CORNERS
@@ -51,7 +52,7 @@ MEASURED = ("disc", "disc_2", "pad_front", "pad_back", "fluid", "caliper")
 def test_columns(results: Results) -> None:
     """Names and order; measured ones only where something was measured."""
     expected = ["time_s", "speed_ms", "distance_m", "brake_force_fb_n"]
-    expected += ["flags", *CAR_COLUMNS, "forecast_age_s"]
+    expected += ["flags", *CAR_COLUMNS, "forecast_age_s", *ADVICE_COLUMNS]
     for corner in CORNERS:
         expected += [f"{corner}.{quantity}" for quantity in QUANTITIES]
         if corner[0] == "F":

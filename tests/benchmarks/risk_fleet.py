@@ -1,0 +1,197 @@
+"""A fleet of cars, each set up as a car is: drawn, driven twice, matched.
+
+Every car has brakes of its own. Its configuration is the example's with the
+disc's mass from the drawing; all else is what `bstm match` makes of the
+drives *simalp* and *rich*, recorded as CAN frames with the errors of its
+sensors, heat from pressure. At the rear thermocouples of the same kind are
+read beside the frames: the example car's DBC has front ones only.
+"""
+
+from __future__ import annotations
+
+import pickle
+import tempfile
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from population import KNOWN_TO_THE_OWNER, MATCHED_ON, SENSORS, encoder
+
+from bstm_daemon.cli.vehicle import load_vehicle
+from bstm_daemon.matching.drives import Thermocouple, read_drive
+from bstm_daemon.matching.refine import refine
+from bstm_daemon.matching.tunables import REFINED, Target, usable
+from bstm_daemon.roles import MEASURED_NODES
+from bstm_daemon.shipped import shipped_file
+from bstm_daemon.simulation import NOMINAL, load_drive, simulate
+from bstm_daemon.simulation.frames import START_STAMP_S
+from bstm_daemon.simulation.parameters import preset_effects
+from bstm_daemon.simulation.recorder import write_candump
+from bstm_daemon.simulation.sensor_presets import sensor_suite
+
+if TYPE_CHECKING:
+    from bstm_daemon.config import Config
+    from bstm_daemon.matching.drives import Drive
+    from bstm_daemon.simulation.parameters import CornerParameters
+    from bstm_daemon.simulation.vehicle import CarParameters
+
+CORNERS: Final = ("FL", "RL")
+"""One of each axle; the other side is the same."""
+
+SPREAD: Final = 0.10
+"""Every parameter of a brake lies so far around the nominal one's."""
+
+GROUPS: Final = {
+    "ring": ("ring_mass_kg",),
+    "shim": ("shim_resistance_m2k_w",),
+    "caliper": (
+        "piston_capacity_j_k",
+        "fluid_capacity_j_k",
+        "body_capacity_j_k",
+        "finger_capacity_j_k",
+    ),
+    "caliper_air": ("caliper_natural_w_k", "caliper_forced_w_k"),
+    "disc_air": (
+        "natural_convection_w_m2k",
+        "forced_face_w_m2k",
+        "forced_vent_w_m2k",
+    ),
+}
+
+WIDE: Final = {
+    "ring": (0.85, 1.20),
+    "shim": (0.85, 1.20),
+    "caliper": (0.85, 1.20),
+    "caliper_air": (0.80, 1.25),
+    "disc_air": (0.80, 1.25),
+}
+"""Range of a factor on a group, beyond :data:`SPREAD`: kinds of brakes."""
+
+AXLES: Final = (("FL", "FR"), ("RL", "RR"))
+STRUCTURES: Final = {"plain": "thesis", "road": "extended"}
+"""Structure of the model on each preset of the reality."""
+
+
+@dataclass(frozen=True, slots=True)
+class FleetCar:
+    """A car and the configuration that matching gave it."""
+
+    car: CarParameters
+    config: Config
+
+
+def fleet(
+    count: int, seed: int, preset: str = "plain", cache: Path | None = None
+) -> list[FleetCar]:
+    """Return *count* matched cars; *cache* keeps them one a file."""
+    return [_kept((seed, i), preset, cache) for i in range(count)]
+
+
+def _kept(seed: tuple[int, int], preset: str, cache: Path | None) -> FleetCar:
+    if cache is None:
+        return matched_car(seed, preset)
+    path = cache / f"car-{preset}-{seed[0]}-{seed[1]}.pickle"
+    if path.exists():
+        found: FleetCar = pickle.loads(path.read_bytes())  # noqa: S301
+        return found
+    made = matched_car(seed, preset)
+    path.write_bytes(pickle.dumps(made))
+    return made
+
+
+def matched_car(seed: tuple[int, int], preset: str = "plain") -> FleetCar:
+    """Draw a car and match it."""
+    rng = np.random.default_rng(seed)
+    ring = rng.uniform(*WIDE["ring"])
+    car = replace(
+        NOMINAL,
+        front=_drawn(rng, NOMINAL.front, ring),
+        rear=_drawn(rng, NOMINAL.rear, ring),
+    )
+    config = _unmatched(ring, STRUCTURES[preset])
+    number = int(rng.integers(1 << 30))
+    drives = [_driven(n, car, config, preset, number) for n in MATCHED_ON]
+    for corners in AXLES:
+        target = Target(config, corners)
+        keys, _ = usable(target, REFINED)
+        config = target.changed(refine(target, drives, keys).values).config
+    kept = [c for c in config.corner if c.name in CORNERS]
+    return FleetCar(car, config.model_copy(update={"corner": kept}))
+
+
+def _unmatched(ring: float, structure: str) -> Config:
+    """Return the example car with discs of *ring* times its mass."""
+    config = load_vehicle(shipped_file("config/example_vehicle.toml"))[0]
+    corners = []
+    for corner in config.corner:
+        assert corner.disc is not None
+        mass_kg = corner.disc.mass_kg * ring
+        disc = corner.disc.model_copy(update={"mass_kg": mass_kg})
+        corners.append(corner.model_copy(update={"disc": disc}))
+    changes: dict[str, Any] = {
+        "corner": corners,
+        "thermal": config.thermal.model_copy(update={"structure": structure}),
+        # the form of a disc that is cooled by a film of air
+        "cooling": config.cooling.model_copy(update={"form": "conductance"}),
+    }
+    return config.model_copy(update=changes)
+
+
+def _drawn(
+    rng: np.random.Generator, corner: CornerParameters, ring: float
+) -> CornerParameters:
+    factors = {
+        f.name: rng.uniform(1.0 - SPREAD, 1.0 + SPREAD)
+        for f in fields(corner)
+        if f.name not in {*KNOWN_TO_THE_OWNER, "ring_mass_kg"}
+    }
+    for group, span in WIDE.items():
+        factor = ring if group == "ring" else rng.uniform(*span)
+        for name in GROUPS[group]:
+            factors[name] = factor * factors.get(name, 1.0)
+    return scaled(corner, factors)
+
+
+def scaled(
+    corner: CornerParameters, factors: dict[str, float]
+) -> CornerParameters:
+    """Return *corner* with *factors* on its parameters."""
+    changes = {
+        name: min(getattr(corner, name) * factor, 0.98)
+        if name.endswith("emissivity")
+        else getattr(corner, name) * factor
+        for name, factor in factors.items()
+    }
+    return replace(corner, **changes)
+
+
+def _driven(
+    name: str, car: CarParameters, config: Config, preset: str, seed: int
+) -> Drive:
+    """Return a drive through CAN frames, with rear thermocouples."""
+    whole = simulate(
+        load_drive(name), car, preset=preset, sensors=SENSORS, seed=seed
+    )
+    signal_map = load_vehicle(shipped_file("config/example_vehicle.toml"))[1]
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / f"{name}.log"
+        write_candump(path, whole, encoder())
+        drive = read_drive(path, config, signal_map)
+    suite = sensor_suite(SENSORS, preset_effects(preset), seed)
+    time_s = whole.slow_time_s + START_STAMP_S - drive.start_s
+    rear = {
+        corner: {
+            node: Thermocouple(
+                time_s,
+                suite.read(
+                    f"temp_{corner.lower()}_{node}",
+                    whole.truth[f"{corner}.{node}"],
+                    1.0,
+                ),
+            )
+            for node in MEASURED_NODES
+        }
+        for corner in AXLES[1]
+    }
+    return replace(drive, measured={**drive.measured, **rear})
