@@ -154,7 +154,8 @@ class RiskMonitor:
         """
         # columns of a replay; the live service does without NumPy's 15 MiB
         if hasattr(roles, "nonzero"):
-            found = (roles == CHANGED_ROLE) | (roles == WATER_ROLE)
+            column: Any = roles
+            found = (column == CHANGED_ROLE) | (column == WATER_ROLE)
             picked = found.nonzero()[0].tolist()
         else:
             picked = [i for i, role in enumerate(roles) if role in HEARD]
