@@ -155,8 +155,7 @@ class RiskMonitor:
         # columns of a replay; the live service does without NumPy's 15 MiB
         if hasattr(roles, "nonzero"):
             column: Any = roles
-            found = (column == CHANGED_ROLE) | (column == WATER_ROLE)
-            picked = found.nonzero()[0].tolist()
+            (picked,) = ((column == HEARD[0]) | (column == HEARD[1])).nonzero()
         else:
             picked = [i for i, role in enumerate(roles) if role in HEARD]
         self._heard += [

@@ -163,7 +163,9 @@ def all_results(
     lots = list(by_car.values())
     if jobs == 1:
         return [
-            o for lot in lots for o in of_car(lot, folder, until_s, fitted=fitted)
+            o
+            for lot in lots
+            for o in of_car(lot, folder, until_s, fitted=fitted)
         ]
     with ProcessPoolExecutor(jobs) as pool:
         jobs_done = [
@@ -231,8 +233,8 @@ def write(folder: Path, file: Path, split: str) -> None:
         BEGIN,
         (
             f"Of {time.strftime('%Y-%m-%d')}, commit {commit}, split {split}: "
-            f"{sum(count.values())} simulated cases. Shares with 95 % intervals "
-            "of Wilson."
+            f"{sum(count.values())} simulated cases. Shares with 95 % "
+            "intervals of Wilson."
         ),
     ]
     for world, results in by_world.items():
