@@ -12,6 +12,7 @@ import pytest
 from cantools.autosar.end_to_end import compute_profile2_crc
 from cantools.database.can import Database
 
+from bstm_daemon.advice_course import AdviceCourse
 from bstm_daemon.bus.candump import CandumpReader
 from bstm_daemon.bus.logs import EventLog
 from bstm_daemon.bus.output_layout import ADVICE_OFFSET, own_ids
@@ -290,14 +291,19 @@ def test_chunks_of_the_reader_do_not_matter(
     config, signal_map = load_vehicle(CAR)
     events = EventLog(log, signal_map)
     events.reader = CandumpReader(log, events._wanted, chunk_bytes=chunk_bytes)
-    estimator = Estimator(config, present_roles(signal_map))
+    present = present_roles(signal_map)
+    estimator = Estimator(config, present)
     rows = Collector()
     builder = ResultsBuilder(estimator, [rows])
     monitor = RiskMonitor(config, estimator)
+    course = AdviceCourse(config, estimator, present)
     for part in events.events():
-        monitor.hear(part.time_us, part.role, part.value)
-        blocks = estimator.advance(part.time_us, part.role, part.value)
-        builder.add(blocks, map(monitor.add, blocks))
+        samples = part.time_us, part.role, part.value
+        monitor.hear(*samples)
+        course.hear(*samples)
+        for block in estimator.stretches(*samples):
+            risks = monitor.add(block)
+            builder.add([block], [risks], [course.add(block, risks)])
 
     builder.finish()
     assert same(rows.results(), plain.results)
