@@ -87,6 +87,10 @@ class Setting:
     heat: str
     vehicle: str = "nominal"
 
+    def __str__(self) -> str:
+        """Return it in words."""
+        return f"{self.structure} on {self.preset}, heat {self.heat}"
+
     def config(self) -> Config:
         """Return the example car in this structure and heat."""
         config = load_vehicle(shipped_file("config/example_vehicle.toml"))[0]
@@ -178,7 +182,7 @@ def driven(
         return _driven(number, name, setting, car, seed, learned)
 
     return kept(
-        f"{number} {name} {setting} {car} {seed} {first}", make, *DRIVEN_BY
+        f"{number} {name} {setting!r} {car} {seed} {first}", make, *DRIVEN_BY
     )
 
 
@@ -287,7 +291,7 @@ def nominal_target(setting: Setting) -> tuple[Target, Refinement]:
         on = [driven(0, name, setting) for name in MATCHED_ON]
         return matched(front(setting.config()), on)
 
-    return kept(f"nominal {setting}", make, *JUDGED_BY)
+    return kept(f"nominal {setting!r}", make, *JUDGED_BY)
 
 
 def car_result(
@@ -310,7 +314,7 @@ def car_result(
             foreign += errors(base, one)
         return CarResult(number, fit, own, foreign)
 
-    return kept(f"car {number} {setting} {names}", make, *JUDGED_BY)
+    return kept(f"car {number} {setting!r} {names}", make, *JUDGED_BY)
 
 
 def population(

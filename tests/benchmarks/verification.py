@@ -13,7 +13,7 @@ import sys
 from dataclasses import dataclass
 from math import isnan
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from conditions import conditions
@@ -35,6 +35,7 @@ from population import (
 )
 from recordings import kept
 from side_by_side import Goal, Outcome, Table
+from verification_page import ABOUT, Sections
 
 from bstm_daemon.matching.accuracy import NodeAccuracy, fitted
 from bstm_daemon.matching.tunables import COOLING, Target
@@ -70,73 +71,37 @@ WITH_GOALS: Final = 4
 """The first four have goals; the other two stand beside."""
 
 
-ABOUT: Final = (
-    "Car 1 (nominal) matched on simalp and rich; sensors "
-    f"n2, through CAN frames. Corner {CORNER}, errors in K against the "
-    "truth, the disc below 650 degC. Heat known: the true brake power, "
-    "as a push rod and wheel torque sensors would give it; fused: from "
-    "pressure and motion."
-)
-"""What is measured."""
-
-
 def run(*, full: bool) -> Outcome:
     """Run the protocol; quick: known heat, one car of the population."""
     outcome = Outcome(
         "Matching and verification",
         ABOUT,
     )
-    for found, goals in tables(full=full):
-        outcome.tables.append(found)
-        outcome.goals += goals
+    for setting in SETTINGS if full else SETTINGS[:1]:
+        for found, goals in tables_of(setting, full):
+            outcome.tables.append(found)
+            outcome.goals += goals
     return outcome
 
 
-def tables(
-    *, full: bool, reached: dict[Setting, list[CarResult]] | None = None
+def tables_of(
+    setting: Setting,
+    full: bool,  # noqa: FBT001
+    cars: int | None = None,
 ) -> Iterator[tuple[Table, list[Goal]]]:
-    """Yield the tables with their goals as they come, *reached* by setting."""
-    for number, setting in enumerate(SETTINGS if full else SETTINGS[:1]):
-        fit, results = population(
-            setting,
-            10 if full else 1,
-            HELD_OUT if full else QUICK_DRIVES,
-        )
-        if reached is not None:
-            reached[setting] = results
-        goals = _goals(setting, results) if number < WITH_GOALS else []
-        yield _population_table(setting, fit, results), goals
-        if number < WITH_GOALS:
-
-            def make(setting: Setting = setting) -> list[Table]:
-                return cases(setting, full=full)
-
-            what = f"chapter 6 {setting} {full}"
-            for table in kept(what, make, *JUDGED_BY):
-                yield table, []
-
-
-def summary(reached: dict[Setting, list[CarResult]]) -> dict[str, Any]:
-    """Return 95th percentiles by setting beside the goals."""
-    settings = [one for one in SETTINGS[:WITH_GOALS] if one in reached]
-    found = {one: figures_of(reached[one]) for one in settings}
-    rows = []
-    for number, first in enumerate(found[settings[0]]):
-        if first.goal is not None:
-            rows.append(
-                (
-                    first.name,
-                    f"{first.goal:g}",
-                    *(found[one][number].verdict() for one in settings),
-                )
-            )
-    shares = []
-    for one in settings:
-        inside, counted = coverage(reached[one])
-        shares.append(f"{100.0 * inside / max(counted, 1):.0f} %")
-    rows.append(("90 % interval", "85 to 95 %", *shares))
-    names = [f"{o.structure} on {o.preset}, {o.heat}" for o in settings]
-    return {"header": ("95th percentile, K", "goal", *names), "rows": rows}
+    """Yield the tables of *setting* with their goals as they come."""
+    fit, results = population(
+        setting,
+        cars or (10 if full else 1),
+        HELD_OUT if full else QUICK_DRIVES,
+    )
+    judged = setting in SETTINGS[:WITH_GOALS]
+    goals = _goals(setting, results) if judged else []
+    yield _population_table(setting, fit, results), goals
+    if judged:
+        what = f"chapter 6 {setting!r} {full}"
+        for table in kept(what, lambda: cases(setting, full=full), *JUDGED_BY):
+            yield table, []
 
 
 def cases(setting: Setting, *, full: bool) -> list[Table]:
@@ -284,15 +249,6 @@ class Figure:
     goal: float | None
     floor: float | None
 
-    def verdict(self) -> str:
-        """Return the figure, and whether it meets its goal."""
-        text = f"{self.share_95:.1f}"
-        if self.goal is None or self.share_95 <= self.goal:
-            return text
-        if self.floor is not None and self.share_95 <= self.floor:
-            return f"**{text}**, within the floor"
-        return f"**{text}**, missed"
-
 
 def figures_of(results: Sequence[CarResult]) -> list[Figure]:
     """Return all figures of a population that it has."""
@@ -404,73 +360,35 @@ def _covered(one: NodeErrors, accuracy: NodeAccuracy) -> list[bool]:
     ]
 
 
-HEAD: Final = """# Verification
-
-Written by `tests/benchmarks/verification.py --full --out`; do not edit. How
-to match and verify a car: [matching.md](matching.md). Everything here is
-simulated: the reality shares no physics code with the estimator
-([reality.md](reality.md)), but no figure below was measured on a car. On one
-the 20 K between two thermocouples of a disc bound what can be proved.
-
-Goals and floors are those of the project; the thesis asks for fluid within
-30 K and its peak within 5 min (section 1.3). A population is ten cars with
-every parameter of the brake that is not on its drawing drawn +-10 % around
-the nominal one, each matched on `simalp` and `rich` and judged on five drives
-that it was not matched on: `alpine-descent`, `city`, `ams` (ten hard stops),
-`grossglockner`, `long-run` (2 h 50 min). *Unmatched* is the configuration
-that was matched once, on the nominal car. The interval is that of
-`[accuracy]`, learned from the held-out drives of one half of the cars and
-counted on the other, once a drive and node at the peak and at fixed times.
-With the structure `extended` the strengths of its seven thermal effects are
-matched too. The two structures on the other's preset have no goals and stand
-at the end: what `thesis` leaves on `road` is the gap between model and car
-that `bstm gap` looks for.
-
-Known heat also tells when the pads touch; else a pressure does, and the last
-tenths of a bar are within its sensor's offset. Sensors are a car's own: an
-accelerometer has one bias in all drives, and fused heat begins each with what
-it learned on `rich`. Half-worn pads have the thickness that their indicator
-tells.
-
-The start is known: estimates begin as measured. `cooling.form` is
-`"conductance"`: with the thesis's `"rate"` the disc of this reality can not be
-matched as well ([matching.md](matching.md)).
-"""
-
-
 def main() -> int:
     """Run and show or write the protocol."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--full", action="store_true", help="ten cars")
+    parser.add_argument("--cars", type=int, help="fewer or more cars")
+    parser.add_argument(
+        "--only",
+        action="append",
+        metavar="TEXT",
+        help='settings whose name has it, such as "on road, heat known"; '
+        "repeatable; the document keeps what it has of the others",
+    )
     parser.add_argument("--out", type=Path, metavar="FILE.md")
     args = parser.parse_args()
     taken = conditions()
     measured = (
         f"{taken['date']}, commit {taken['commit']}; {taken['machine']}."
     )
-    parts: list[str] = []
-    reached: dict[Setting, list[CarResult]] = {}
-    text = ""
-    for table, _ in tables(full=args.full, reached=reached):
-        data = {"header": table.header, "rows": table.rows}
-        parts += ["", f"{table.title}:", "", *markdown(data), ""]
-        text = "\n".join(
-            [
-                HEAD,
-                *markdown(summary(reached)),
-                "",
-                ABOUT,
-                "",
-                measured,
-                "",
-                *parts,
-            ]
-        )
-        # what is there is kept if the rest is interrupted
-        if args.out is not None:
-            args.out.write_text(text, "utf-8")
+    sections = Sections(map(str, SETTINGS), args.out)
+    for setting in SETTINGS if args.full else SETTINGS[:1]:
+        if any(text in str(setting) for text in args.only or [""]):
+            lines: list[str] = [measured, ""]
+            for table, _ in tables_of(setting, args.full, args.cars):
+                data = {"header": table.header, "rows": table.rows}
+                lines += [f"{table.title}:", "", *markdown(data), ""]
+            # what is there is kept if the rest is interrupted
+            sections.take(str(setting), lines)
     if args.out is None:
-        sys.stdout.write(text)
+        sys.stdout.write(sections.text())
     return 0
 
 
