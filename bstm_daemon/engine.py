@@ -27,6 +27,7 @@ from bstm_daemon.bus.publication import (
     Snapshot,
     StatusSnapshot,
 )
+from bstm_daemon.bus.record_decoder import RecordDecoder
 from bstm_daemon.carry_over import (
     StateError,
     correct_parked,
@@ -49,6 +50,7 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Mapping
     from typing import Any
 
+    from bstm_daemon.bus.frame_records import FrameRecords
     from bstm_daemon.bus.signal_map import SignalMap
     from bstm_daemon.carry_over import Restored
     from bstm_daemon.config import Config
@@ -132,6 +134,7 @@ class Engine:
         self._held = HeldRoles(
             {role: timeouts[role] for role in roles}, ROLE_INDEX
         )
+        self._record_decoder = RecordDecoder(signal_map, self._held.names)
         self.config = config
         self._boiling_k = wet_boiling_point_k(config.fluid.grade)
         self.heat_mode = HeatMode[config.heat.mode.upper()]
@@ -193,6 +196,26 @@ class Engine:
                 self._held.note(stamp_us, role, value)
         if decoder.rejected != before:
             self._rejected_at.append(stamp_us)
+
+    def frames(self, records: FrameRecords, first: int) -> int:
+        """Take the ready frames from *first* on that are plain, all at once.
+
+        Returns:
+            The first one that was not taken: give it to :meth:`frame`.
+        """
+        decoder = self._record_decoder
+        counts, held = self.decoder.counts, self._held.waiting
+        while True:
+            position = decoder.decode(records, first, counts, held)
+            if position == first:
+                return position
+            count = decoder.count
+            self._times += decoder.times_us[:count]
+            self._roles += decoder.roles[:count]
+            self._values += decoder.values[:count]
+            if position == records.ready:
+                return position
+            first = position
 
     def tick(self, time_us: int) -> list[Published]:
         """March to *time_us* [us] and return what became due, oldest first.

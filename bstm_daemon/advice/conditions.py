@@ -164,7 +164,13 @@ class HeldRoles:
             name: timeouts_us[number] for number, name in self._names.items()
         }
         self._held: dict[str, tuple[int, float]] = {}
-        self._waiting: list[tuple[int, str, float]] = []
+        self.waiting: list[tuple[int, str, float]] = []
+        """Time [us], name and value of samples that wait for their time."""
+
+    @property
+    def names(self) -> Mapping[int, str]:
+        """Names of the roles that are held, by number."""
+        return self._names
 
     @property
     def numbers(self) -> frozenset[int]:
@@ -173,7 +179,7 @@ class HeldRoles:
 
     def note(self, stamp_us: int, role: int, value: float) -> None:
         """Take a sample; it counts from *stamp_us* on."""
-        self._waiting.append((stamp_us, self._names[role], value))
+        self.waiting.append((stamp_us, self._names[role], value))
 
     def export(self) -> dict[str, list[float]]:
         """Return stamp [us] and value of each role as plain values."""
@@ -193,13 +199,13 @@ class HeldRoles:
     def at(self, time_us: int) -> dict[str, float]:
         """Return the values that are fresh at *time_us*, not going back."""
         later = []
-        for sample in self._waiting:
+        for sample in self.waiting:
             stamp_us, name, value = sample
             if stamp_us <= time_us:
                 self._held[name] = stamp_us, value
             elif stamp_us - time_us < FAR_US:
                 later.append(sample)
-        self._waiting = later
+        self.waiting = later
         return {
             name: value
             for name, (stamp_us, value) in self._held.items()

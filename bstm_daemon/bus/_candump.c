@@ -380,27 +380,6 @@ static PyObject *py_scan(PyObject *Py_UNUSED(self), PyObject *args)
     return PyLong_FromLong(stop);
 }
 
-int bstm_log_buffers(int n, PyObject **object, const int *writable,
-                     const int *wide, Py_buffer *view)
-{
-    for (int i = 0; i < n; i++) {
-        const int flags = writable[i] ? PyBUF_CONTIG : PyBUF_CONTIG_RO;
-        int bad = PyObject_GetBuffer(object[i], &view[i], flags) < 0;
-        if (!bad && view[i].itemsize != wide[i]) {
-            PyErr_Format(PyExc_ValueError,
-                         "buffer %d holds items of %zd bytes, not %d", i,
-                         view[i].itemsize, wide[i]);
-            PyBuffer_Release(&view[i]);
-            bad = 1;
-        }
-        if (bad) {
-            while (i-- > 0) PyBuffer_Release(&view[i]);
-            return -1;
-        }
-    }
-    return 0;
-}
-
 static PyMethodDef methods[] = {
     {"scan", py_scan, METH_VARARGS, scan_doc},
     {"place", bstm_place, METH_VARARGS, bstm_place_doc},

@@ -1,4 +1,4 @@
-"""The C form of log reading, where the extension could be built."""
+"""The C forms of reading logs and live frames, where they could be built."""
 
 from __future__ import annotations
 
@@ -13,6 +13,8 @@ if TYPE_CHECKING:
 
 _NAME: Final = "bstm_daemon.bus._log"
 _LAYOUT: Final = 2
+_LIVE_NAME: Final = "bstm_daemon.bus._live"
+_LIVE_LAYOUT: Final = 1
 
 
 class LogExtension(Protocol):
@@ -23,16 +25,40 @@ class LogExtension(Protocol):
     extract: Callable[..., None]
 
 
+class LiveExtension(Protocol):
+    """The functions of the other module; their buffers are flat, too."""
+
+    receive: Callable[..., tuple[int, int, int, int, int]]
+    place_in_time: Callable[..., tuple[int, int]]
+    sort: Callable[..., int]
+    take: Callable[..., tuple[int, int, int]]
+
+
 def extension() -> LogExtension | None:
     """Return the compiled form, None where NumPy has to do.
 
     That is where it is not built, or from other sources than these, and with
     ``BSTM_KERNEL=reference``. Results are the same, bit for bit.
     """
+    return cast("LogExtension | None", _found(_NAME, _LAYOUT))
+
+
+def live_extension() -> LiveExtension | None:
+    """Return the compiled form of live reading, None as :func:`extension`.
+
+    Only Linux has the system call that it needs.
+    """
+    found = _found(_LIVE_NAME, _LIVE_LAYOUT)
+    if found is None or not hasattr(found, "receive"):
+        return None
+    return cast("LiveExtension", found)
+
+
+def _found(name: str, layout: int) -> Any:
     if os.environ.get(VARIABLE) == "reference":
         return None
     try:
-        found: Any = import_module(_NAME)
+        module: Any = import_module(name)
     except ImportError:
         return None
-    return cast("LogExtension", found) if found.LAYOUT == _LAYOUT else None
+    return module if layout == module.LAYOUT else None

@@ -1,4 +1,4 @@
-"""Frames off a SocketCAN socket, one system call each.
+"""Frames off a SocketCAN socket: one by one, or compiled by the batch.
 
 The layouts are those of ``linux/can.h`` (``can_frame``, ``canfd_frame``), the
 error classes those of ``linux/can/error.h``.
@@ -8,11 +8,13 @@ import errno
 import socket
 import struct
 import time
+from array import array
 from collections import Counter
 from collections.abc import Collection
 from typing import Final
 
 from bstm_daemon.bus.extraction import FD_LENGTHS
+from bstm_daemon.bus.frame_records import FrameRecords
 from bstm_daemon.bus.link import (
     CLASSIC_BYTES,
     DRAIN_LIMIT,
@@ -94,8 +96,50 @@ class FrameReceiver:
         """Frames that found the receive buffer full."""
         self.bus_off = False
         """Whether the last word of the controller was that it is off."""
-        self.only: frozenset[int] | None = None
+        self._only: frozenset[int] | None = None
+        self._only_rising: array[int] | None = None
+        self.received = 0
+        """Frames handed out since the start."""
+
+    @property
+    def only(self) -> frozenset[int] | None:
         """Ids with their flag bits to let through; None for all."""
+        return self._only
+
+    @only.setter
+    def only(self, words: frozenset[int] | None) -> None:
+        self._only = words
+        self._only_rising = None if words is None else array("I", sorted(words))
+
+    def receive_records(
+        self, records: FrameRecords, bus: int, limit: int
+    ) -> int:
+        """Fill *records* with what waits on bus number *bus*.
+
+        Frames, counts and result are those of :meth:`receive`, of *limit*
+        messages at most.
+        """
+        first = records.filled
+        frames, fault, malformed, errors, drops = records.extension.receive(
+            self.source.fileno(),
+            records.store,
+            first,
+            max(min(limit, records.room - first), 0),
+            bus,
+            self._only_rising,
+        )
+        records.filled = first + frames
+        self.received += frames
+        if malformed:
+            self._counts[LinkEvent.MALFORMED] += malformed
+        if drops >= 0:
+            self.note_drops(drops)
+        if errors:
+            for index in range(first, first + frames):
+                _, _, frame = records.at(index)
+                if frame.is_error:
+                    self._note_error(frame.can_id, frame.data)
+        return fault
 
     def receive(self, frames: list[Frame]) -> int:
         """Append what waits, up to ``DRAIN_LIMIT`` frames in *frames*.
@@ -104,6 +148,12 @@ class FrameReceiver:
         ``EAGAIN`` where nothing is left. After any other one the socket may
         still hold frames that came before.
         """
+        before = len(frames)
+        fault = self._receive_frames(frames)
+        self.received += len(frames) - before
+        return fault
+
+    def _receive_frames(self, frames: list[Frame]) -> int:
         receive = self._receive
         only = self.only
         append = frames.append
@@ -170,8 +220,13 @@ class FrameReceiver:
             mask = _EXTENDED_MASK if extended else _STANDARD_MASK
             # its length is that of the frame it asks for; it has no data
             return Frame(stamp_ns, word & mask, extended, b"", False, True)
-        self._counts[LinkEvent.ERROR_FRAME] += 1
         classes = word & _EXTENDED_MASK
+        self._note_error(classes, data)
+        return Frame(stamp_ns, classes, False, data, True, False)
+
+    def _note_error(self, classes: int, data: bytes) -> None:
+        """Count what an error frame of these *classes* reports."""
+        self._counts[LinkEvent.ERROR_FRAME] += 1
         for bit, event in _BY_CLASS:
             if classes & bit:
                 self._counts[event] += 1
@@ -181,7 +236,6 @@ class FrameReceiver:
                     self._counts[event] += 1
         if classes & (_BUS_OFF | _RESTARTED):
             self.bus_off = not classes & _RESTARTED
-        return Frame(stamp_ns, classes, False, data, True, False)
 
 
 def kernel_filters(wanted: Collection[tuple[int, bool]]) -> bytes:

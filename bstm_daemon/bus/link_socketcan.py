@@ -12,10 +12,13 @@ import os
 import socket
 import struct
 from collections import Counter
+from collections.abc import Callable
 from typing import Final
 
+from bstm_daemon.bus.frame_records import FrameRecords
 from bstm_daemon.bus.link import (
     CLASSIC_BYTES,
+    DRAIN_LIMIT,
     Frame,
     LinkEvent,
     LinkState,
@@ -183,15 +186,34 @@ class SocketcanLink:
     def drain(self) -> list[Frame]:
         """Return the frames that wait, at most ``DRAIN_LIMIT``."""
         frames: list[Frame] = []
+        self._drain(lambda receiver: receiver.receive(frames))
+        return frames
+
+    def drain_records(self, records: FrameRecords, bus: int) -> None:
+        """Fill *records* with the frames that wait, as :meth:`drain`.
+
+        *bus* is the number that they get.
+        """
+        end = records.filled + DRAIN_LIMIT
+        self._drain(
+            lambda receiver: receiver.receive_records(
+                records, bus, end - records.filled
+            )
+        )
+
+    def _drain(self, receive: Callable[[FrameReceiver], int]) -> None:
+        """Let *receive* take what waits; draw conclusions from its result."""
         receiver = self._receiver
         if receiver is None:
-            return frames
+            return
+        before = receiver.received
+        fault = receive(receiver)
         was_up = self.state is LinkState.UP
+        if was_up and fault in (0, errno.EAGAIN):
+            return
         last = 0
         # an error overtakes the frames that came before it: read on
-        while fault := receiver.receive(frames):
-            if fault == errno.EAGAIN:
-                break
+        while fault and fault != errno.EAGAIN:
             if fault == last:
                 self._enter(
                     LinkState.GONE, f"{self.channel}: {os.strerror(fault)}"
@@ -199,12 +221,12 @@ class SocketcanLink:
                 break
             self._note_fault(receiver, fault)
             last = fault
+            fault = receive(receiver)
         if self.state is not LinkState.GONE:
-            if frames and not was_up:
+            if receiver.received != before and not was_up:
                 self._look(receiver)
         elif fault:
             self._release()
-        return frames
 
     def poll(self) -> None:
         """Open what is closed; notice an interface that was replaced."""

@@ -8,6 +8,7 @@ and a step is what changes it.
 
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Final
 
@@ -17,20 +18,23 @@ Clock = Callable[[], int]
 STEP_US: Final = 10_000
 """A change of wall time against boot time above this is a step."""
 
+_STEP_NS: Final = STEP_US * 1000
 _NARROW_NS: Final = 50_000
 _TRIES: Final = 5
 
 BOOT_ID: Final = Path("/proc/sys/kernel/random/boot_id")
 
 
-def wall_clock_ns() -> int:
-    """Return ``CLOCK_REALTIME``, as the kernel stamps frames."""
-    return time.clock_gettime_ns(time.CLOCK_REALTIME)
+# no functions of Python's: they are read some sixty times a second
+wall_clock_ns: Final[Clock] = partial(
+    time.clock_gettime_ns, time.CLOCK_REALTIME
+)
+"""As the kernel stamps frames."""
 
-
-def boot_clock_ns() -> int:
-    """Return ``CLOCK_BOOTTIME``, which counts suspend and is never set."""
-    return time.clock_gettime_ns(time.CLOCK_BOOTTIME)
+boot_clock_ns: Final[Clock] = partial(
+    time.clock_gettime_ns, time.CLOCK_BOOTTIME
+)
+"""It counts suspend and is never set."""
 
 
 class SteadyAxis:
@@ -86,6 +90,21 @@ class SteadyAxis:
                 return cut_us - shift_us
         return self._outlying(cut_us)
 
+    def window(self) -> tuple[int, int, int] | None:
+        """Return what to take off a stamp (us), and for which times.
+
+        As long as a stamp less the first is between the second and the
+        third, that is what :meth:`of_stamp` gives. None amid a step, where
+        every stamp needs a look.
+        """
+        if len(self._shifts) > 1:
+            return None
+        return (
+            self._shifts[0],
+            self._since_us - STEP_US,
+            self._now_us + STEP_US,
+        )
+
     def read_again(self) -> int:
         """Return the time now (us) amid a drain, of which it is a part."""
         known = len(self._shifts)
@@ -124,8 +143,7 @@ class SteadyAxis:
         """Read the clocks, take over a step, return the time now (us)."""
         wall, low, high = self._measure()
         # certain only as far as the reading is: no step from a slow reading
-        margin_ns = STEP_US * 1000
-        if not low - margin_ns <= self._offset_ns <= high + margin_ns:
+        if not low - _STEP_NS <= self._offset_ns <= high + _STEP_NS:
             offset_ns = (low + high) // 2
             self.steps += 1
             self.last_step_us = (offset_ns - self._offset_ns) // 1000
@@ -143,20 +161,19 @@ class SteadyAxis:
         The wall clock is read between two readings of the other; the
         narrowest of a few tries where the process was held up in between.
         """
-        wall, low, high = self._reading()
-        for _ in range(_TRIES - 1):
-            if high - low <= _NARROW_NS:
+        boot_ns, wall_ns = self._boot_ns, self._wall_ns
+        best = (0, 0, 0)
+        narrowest = 0
+        for number in range(_TRIES):
+            before = boot_ns()
+            wall = wall_ns()
+            after = boot_ns()
+            width = after - before
+            if not number or width < narrowest:
+                best, narrowest = (wall, wall - after, wall - before), width
+            if narrowest <= _NARROW_NS:
                 break
-            again = self._reading()
-            if again[2] - again[1] < high - low:
-                wall, low, high = again
-        return wall, low, high
-
-    def _reading(self) -> tuple[int, int, int]:
-        before = self._boot_ns()
-        wall = self._wall_ns()
-        after = self._boot_ns()
-        return wall, wall - after, wall - before
+        return best
 
 
 def boot_id(path: Path = BOOT_ID) -> str | None:

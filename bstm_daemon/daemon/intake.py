@@ -5,6 +5,10 @@ from __future__ import annotations
 from operator import itemgetter
 from typing import TYPE_CHECKING, Final
 
+from bstm_daemon.bus.compiled import live_extension
+from bstm_daemon.bus.frame_records import FrameRecords
+from bstm_daemon.bus.link_socketcan import SocketcanLink
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
@@ -20,29 +24,53 @@ Arrival = tuple[int, int, "Frame"]
 """Time on the steady axis [us], bus number, frame."""
 
 _TIME: Final = itemgetter(0)
+_EVER_US: Final = -(2**63)
 
 
 class Intake:
-    """Drains the links and holds back what may not be in order yet."""
+    """Drains the links and holds back what may not be in order yet.
+
+    Where all links are interfaces of the kernel and the compiled form is
+    there, frames stay records of C until somebody looks at one.
+    """
 
     def __init__(self, links: Sequence[Link], axis: SteadyAxis) -> None:
         """Read *links*, whose numbers are those of their buses."""
-        self.links = list(links)
         self._axis = axis
-        self._held: list[Arrival] = []
         self._passed_us: int | None = None
-        self.frames = [0] * len(self.links)
         self.late = 0
         """Frames read after their time had been passed."""
+        self._begin(links)
 
-    def read(self, now_us: int) -> tuple[int, list[Arrival]]:
+    def _begin(self, links: Sequence[Link]) -> None:
+        self.links = list(links)
+        self.frames = [0] * len(self.links)
+        self._held: list[Arrival] = []
+        self._records: FrameRecords | None = None
+        self._interfaces: list[SocketcanLink] = [
+            link for link in self.links if isinstance(link, SocketcanLink)
+        ]
+        extension = live_extension()
+        if extension is not None and len(self._interfaces) == len(links):
+            self._records = FrameRecords(extension, len(links))
+
+    def read(self, now_us: int) -> tuple[int, Sequence[Arrival]]:
         """Drain all links at *now_us*, read from the axis just before.
 
         Returns:
             (time up to which everything has come, the frames up to it,
-            oldest first).
+            oldest first: a list, or records which hold until the next read).
         """
         until_us = now_us - GUARD_US
+        arrivals: Sequence[Arrival]
+        if self._records is None:
+            arrivals = self._read_frames(now_us, until_us)
+        else:
+            arrivals = self._read_records(self._records, now_us, until_us)
+        self._passed_us = until_us
+        return until_us, arrivals
+
+    def _read_frames(self, now_us: int, until_us: int) -> list[Arrival]:
         of_stamp = self._axis.of_stamp
         passed_us = self._passed_us
         latest_us = now_us
@@ -67,15 +95,56 @@ class Intake:
         while ready and arrivals[ready - 1][0] > until_us:
             ready -= 1
         self._held = arrivals[ready:]
-        self._passed_us = until_us
-        return until_us, arrivals[:ready]
+        return arrivals[:ready]
+
+    def _read_records(
+        self, records: FrameRecords, now_us: int, until_us: int
+    ) -> FrameRecords:
+        """Do as :meth:`_read_frames`, with the same result."""
+        records.drop_ready()
+        latest_us = now_us
+        for bus, link in enumerate(self._interfaces):
+            first = records.filled
+            link.drain_records(records, bus)
+            self.frames[bus] += records.filled - first
+            latest_us = self._place_in_time(records, first, latest_us)
+        records.sort(until_us)
+        return records
+
+    def _place_in_time(
+        self, records: FrameRecords, first: int, latest_us: int
+    ) -> int:
+        """Give records from *first* on their time; return the latest one.
+
+        Only a stamp that needs a look becomes a frame here.
+        """
+        axis = self._axis
+        passed_us = _EVER_US if self._passed_us is None else self._passed_us
+        while first < records.filled:
+            window = axis.window()
+            if window is not None:
+                first, late = records.place_in_time(
+                    first, window, (passed_us, latest_us)
+                )
+                self.late += late
+                if first == records.filled:
+                    break
+            _, _, frame = records.at(first)
+            time_us = axis.of_stamp(frame.stamp_ns)
+            if time_us > latest_us:
+                latest_us = axis.read_again()
+                time_us = min(time_us, latest_us)
+            if time_us < passed_us:
+                time_us = passed_us
+                self.late += 1
+            records.set_time(first, time_us)
+            first += 1
+        return latest_us
 
     def replace(self, links: Sequence[Link]) -> None:
         """Go on with other *links*; what is held goes with the old ones."""
         self.close()
-        self.links = list(links)
-        self._held = []
-        self.frames = [0] * len(self.links)
+        self._begin(links)
 
     def close(self) -> None:
         """Close every link."""

@@ -104,6 +104,11 @@ class Observer:
                 id_base=f"0x{config.publish.id_base:X}",
             )
 
+    @property
+    def is_recording(self) -> bool:
+        """Whether :meth:`record` needs every frame."""
+        return self._recorder is not None
+
     def record(self, time_us: int, bus: int, frame: Frame) -> None:
         """Take a frame into the record."""
         if self._recorder is not None:

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
 
 from bstm_daemon import __version__
+from bstm_daemon.bus.frame_records import FrameRecords
 from bstm_daemon.carry_over import RESUMABLE_US, StateError
 from bstm_daemon.daemon import events, wake
 from bstm_daemon.daemon.clock import SteadyAxis
@@ -23,10 +24,12 @@ from bstm_daemon.daemon.sender import Sender
 from bstm_daemon.errors import BstmError, ConfigError
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from pathlib import Path
 
-    from bstm_daemon.bus.link import Link
+    from bstm_daemon.bus.link import Frame, Link
     from bstm_daemon.daemon.events import ServiceLog
+    from bstm_daemon.daemon.intake import Arrival
     from bstm_daemon.daemon.notify import Notifier
     from bstm_daemon.daemon.wake import SignalWaiter
 
@@ -129,26 +132,7 @@ class Service:
             self._note_step()
         until_us, arrivals = self._intake.read(begin_us)
         engine = self._monitor.engine
-        for time_us, bus, frame in arrivals:
-            if time_us - self._last_us > RESUMABLE_US:
-                self._note_sleep(time_us)
-            if self._sender.is_own(frame.can_id, extended=frame.extended) and (
-                bus == self._monitor.publish_bus
-                and not (frame.is_error or frame.is_remote)
-            ):
-                self._note_foreign(bus, frame.can_id)
-                continue
-            self._observer.record(time_us, bus, frame)
-            engine.frame(
-                bus,
-                frame.can_id,
-                frame.extended,
-                frame.data,
-                time_us,
-                is_error=frame.is_error,
-                is_remote=frame.is_remote,
-            )
-            self._last_us = time_us
+        self._take(arrivals)
         if until_us - self._last_us > RESUMABLE_US:
             self._note_sleep(until_us)
         self._last_us = max(until_us, self._last_us)
@@ -161,6 +145,46 @@ class Service:
         self._persistence.poll(engine, begin_us)
         self._look_after(begin_us)
         return self._finish(begin_us, deadline_us)
+
+    def _take(self, arrivals: Sequence[Arrival]) -> None:
+        """Give the engine all frames; plain ones without a look at each."""
+        index, count = 0, len(arrivals)
+        if isinstance(arrivals, FrameRecords) and self._is_plain(arrivals):
+            frames = self._monitor.engine.frames
+            while (index := frames(arrivals, index)) < count:
+                self._take_one(*arrivals[index])
+                index += 1
+        while index < count:
+            self._take_one(*arrivals[index])
+            index += 1
+
+    def _is_plain(self, arrivals: Sequence[Arrival]) -> bool:
+        """Whether nobody but the engine has to see each frame."""
+        if not arrivals or self._observer.is_recording:
+            return False
+        last_us, _, _ = arrivals[len(arrivals) - 1]
+        return last_us - self._last_us <= RESUMABLE_US
+
+    def _take_one(self, time_us: int, bus: int, frame: Frame) -> None:
+        if time_us - self._last_us > RESUMABLE_US:
+            self._note_sleep(time_us)
+        if self._sender.is_own(frame.can_id, extended=frame.extended) and (
+            bus == self._monitor.publish_bus
+            and not (frame.is_error or frame.is_remote)
+        ):
+            self._note_foreign(bus, frame.can_id)
+            return
+        self._observer.record(time_us, bus, frame)
+        self._monitor.engine.frame(
+            bus,
+            frame.can_id,
+            frame.extended,
+            frame.data,
+            time_us,
+            is_error=frame.is_error,
+            is_remote=frame.is_remote,
+        )
+        self._last_us = time_us
 
     def _look_after(self, now_us: int) -> None:
         """Links, reports: what is not done in every cycle."""

@@ -20,6 +20,7 @@ from can.interfaces.socketcan import SocketcanBus
 from live_link import PairLink
 from traffic import example_database
 
+from bstm_daemon.bus.frame_records import FrameRecords
 from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.daemon.clock import SteadyAxis
 from bstm_daemon.daemon.intake import GUARD_US, Intake
@@ -52,7 +53,13 @@ def ours(end: socket.socket, seconds: float) -> tuple[float, int]:
         while deadline_us < end_us:
             waiter.wait((deadline_us - axis.read()) * 1e-6)
             _, arrivals = intake.read(axis.read())
-            for time_us, bus, frame in arrivals:
+            index, count = 0, len(arrivals)
+            while index < count:
+                if isinstance(arrivals, FrameRecords):
+                    index = engine.frames(arrivals, index)
+                    if index == count:
+                        break
+                time_us, bus, frame = arrivals[index]
                 engine.frame(
                     bus,
                     frame.can_id,
@@ -62,6 +69,7 @@ def ours(end: socket.socket, seconds: float) -> tuple[float, int]:
                     is_error=frame.is_error,
                     is_remote=frame.is_remote,
                 )
+                index += 1
             line = (axis.read() - GUARD_US) // drain_us + 1
             deadline_us = line * drain_us + GUARD_US
         spent_s = time.process_time() - begin_s

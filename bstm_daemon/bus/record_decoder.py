@@ -1,0 +1,100 @@
+"""Records of live frames into samples, compiled, by the extraction plan.
+
+Plain frames only: what the compiled pass does not know (:mod:`column_plan`),
+must be protected end to end, or is no data frame of a message, is left to
+:class:`~bstm_daemon.bus.decoder.Decoder`, which gives the same values.
+"""
+
+from __future__ import annotations
+
+from array import array
+from typing import TYPE_CHECKING, Final
+
+from bstm_daemon.bus.column_plan import column_plan
+from bstm_daemon.bus.refusal import Refusal
+from bstm_daemon.roles import ROLES
+
+if TYPE_CHECKING:
+    from collections import Counter
+    from collections.abc import Mapping
+
+    from bstm_daemon.bus.frame_records import FrameRecords
+    from bstm_daemon.bus.signal_map import SignalMap
+
+_ROOM: Final = 4096
+"""Samples of one pass; of more frames the rest comes with the next."""
+
+_REASONS: Final = (
+    Refusal.NOT_A_NUMBER,
+    Refusal.OUT_OF_RANGE,
+    Refusal.NOT_AVAILABLE,
+)
+
+
+class RecordDecoder:
+    """Decodes runs of records of a :class:`SignalMap`.
+
+    After :meth:`decode`, ``count`` samples stand in ``times_us``, ``roles``
+    and ``values``.
+    """
+
+    def __init__(
+        self, signal_map: SignalMap, held: Mapping[int, str]
+    ) -> None:
+        """Prepare the tables of *signal_map*.
+
+        Samples of the role numbers *held* are handed out once more, as
+        objects, under their name.
+        """
+        plan = column_plan(signal_map)
+        by_hand = bytearray(len(plan.messages))
+        for number in plan.foreign:
+            by_hand[number] = True
+        for number, key in enumerate(signal_map.messages):
+            by_hand[number] |= key in signal_map.protected
+        room = max(_ROOM, int(plan.sizes.max()))
+        self.times_us = array("q", bytes(8 * room))
+        self.roles = array("i", bytes(4 * room))
+        self.values = array("d", bytes(8 * room))
+        self.count = 0
+        self._refused = array("q", bytes(8 * len(_REASONS)))
+        compiled = plan.compiled
+        self._arguments = (
+            # arrays of their own: NumPy's are slow to look into
+            array("i", plan.standard.tobytes()),
+            array("q", plan.extended.tobytes()),
+            array("i", plan.extended_message.tobytes()),
+            array("q", plan.lengths.tobytes()),
+            array("q", compiled.starts.tobytes()),
+            array("q", compiled.outputs.tobytes()),
+            array("d", compiled.factors.tobytes()),
+            array("Q", compiled.gaps.tobytes()),
+            bytes(by_hand),
+            *(self.times_us, self.roles, self.values, self._refused),
+            tuple(held.get(number) for number in range(len(ROLES))),
+        )
+
+    def decode(
+        self,
+        records: FrameRecords,
+        first: int,
+        counts: Counter[Refusal],
+        held: list[tuple[int, str, float]],
+    ) -> int:
+        """Decode ready frames from *first* on; refused samples are counted.
+
+        Time [us], name and value of each held sample go to *held*.
+
+        Returns:
+            The first frame that was not decoded: one to decode by itself, or
+            one for which there was no room any more.
+        """
+        position, self.count, refused = records.extension.take(
+            records.store, first, records.ready, *self._arguments, held
+        )
+        if refused:
+            for place, reason in enumerate(_REASONS):
+                if count := self._refused[place]:
+                    counts[reason] += count
+                    self._refused[place] = 0
+        return position
