@@ -75,27 +75,6 @@ class FrameRecords:
         start = index * RECORD_BYTES + _TIME_OFFSET
         _TIME.pack_into(self.store, start, time_us)
 
-    def place_in_time(
-        self, first: int, window: tuple[int, int, int], limits: tuple[int, int]
-    ) -> tuple[int, int]:
-        """Put records from *first* on at their stamps less a shift.
-
-        Args:
-            first: the first record that has no time yet.
-            window: the shift, and the first and last time [us] at which it
-                is known to be right.
-            limits: first and last time [us] that a record may have; an
-                earlier one is put at the first.
-
-        Returns:
-            (the record whose stamp fits neither, ``filled`` if none is; the
-            number of earlier ones).
-        """
-        passed_us, latest_us = limits
-        return self.extension.place_in_time(
-            self.store, first, self.filled, *window, latest_us, passed_us
-        )
-
     def sort(self, until_us: int) -> None:
         """Put all in order; what is not after *until_us* becomes ready."""
         self.ready = self.extension.sort(self.store, self.filled, until_us)

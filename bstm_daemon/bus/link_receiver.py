@@ -89,6 +89,7 @@ class FrameReceiver:
         source.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
         source.setsockopt(socket.SOL_SOCKET, _SO_RXQ_OVFL, 1)
         self.source: Final = source
+        self._fd = source.fileno()
         self._receive = source.recvmsg
         self._counts = counts
         self._last_drops = 0
@@ -98,8 +99,6 @@ class FrameReceiver:
         """Whether the last word of the controller was that it is off."""
         self._only: frozenset[int] | None = None
         self._only_rising: array[int] | None = None
-        self.received = 0
-        """Frames handed out since the start."""
 
     @property
     def only(self) -> frozenset[int] | None:
@@ -109,7 +108,9 @@ class FrameReceiver:
     @only.setter
     def only(self, words: frozenset[int] | None) -> None:
         self._only = words
-        self._only_rising = None if words is None else array("I", sorted(words))
+        self._only_rising = (
+            None if words is None else array("I", sorted(words))
+        )
 
     def receive_records(
         self, records: FrameRecords, bus: int, limit: int
@@ -120,22 +121,22 @@ class FrameReceiver:
         messages at most.
         """
         first = records.filled
+        room = records.room - first
         frames, fault, malformed, errors, drops = records.extension.receive(
-            self.source.fileno(),
+            self._fd,
             records.store,
             first,
-            max(min(limit, records.room - first), 0),
+            limit if limit < room else room,  # noqa: PLR1730  (faster)
             bus,
             self._only_rising,
         )
         records.filled = first + frames
-        self.received += frames
         if malformed:
             self._counts[LinkEvent.MALFORMED] += malformed
         if drops >= 0:
             self.note_drops(drops)
         if errors:
-            for index in range(first, first + frames):
+            for index in range(first, records.filled):
                 _, _, frame = records.at(index)
                 if frame.is_error:
                     self._note_error(frame.can_id, frame.data)
@@ -148,12 +149,6 @@ class FrameReceiver:
         ``EAGAIN`` where nothing is left. After any other one the socket may
         still hold frames that came before.
         """
-        before = len(frames)
-        fault = self._receive_frames(frames)
-        self.received += len(frames) - before
-        return fault
-
-    def _receive_frames(self, frames: list[Frame]) -> int:
         receive = self._receive
         only = self.only
         append = frames.append

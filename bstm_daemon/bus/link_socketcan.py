@@ -52,6 +52,9 @@ _REQUEST: Final = struct.Struct("16s24x")  # ifreq
 _INDEX: Final = struct.Struct("16xi20x")
 _FLAGS: Final = struct.Struct("16xH22x")
 
+_DRAINED: Final = (errno.EAGAIN, 0)
+"""What ends a reading that nothing is wrong with; 0 is the limit."""
+
 _LINK_FAULTS: Final = (errno.ENETDOWN, errno.ENODEV, errno.ENXIO)
 
 
@@ -186,7 +189,16 @@ class SocketcanLink:
     def drain(self) -> list[Frame]:
         """Return the frames that wait, at most ``DRAIN_LIMIT``."""
         frames: list[Frame] = []
-        self._drain(lambda receiver: receiver.receive(frames))
+        receiver = self._receiver
+        if receiver is not None:
+            fault = receiver.receive(frames)
+            if self.state is not LinkState.UP or fault not in _DRAINED:
+                self._settle(
+                    receiver,
+                    lambda: receiver.receive(frames),
+                    fault,
+                    lambda: len(frames),
+                )
         return frames
 
     def drain_records(self, records: FrameRecords, bus: int) -> None:
@@ -194,26 +206,38 @@ class SocketcanLink:
 
         *bus* is the number that they get.
         """
-        end = records.filled + DRAIN_LIMIT
-        self._drain(
-            lambda receiver: receiver.receive_records(
-                records, bus, end - records.filled
-            )
-        )
-
-    def _drain(self, receive: Callable[[FrameReceiver], int]) -> None:
-        """Let *receive* take what waits; draw conclusions from its result."""
         receiver = self._receiver
         if receiver is None:
             return
-        before = receiver.received
-        fault = receive(receiver)
-        was_up = self.state is LinkState.UP
-        if was_up and fault in (0, errno.EAGAIN):
+        before = records.filled
+        fault = receiver.receive_records(records, bus, DRAIN_LIMIT)
+        if self.state is LinkState.UP and fault in _DRAINED:
             return
+        end = before + DRAIN_LIMIT
+        self._settle(
+            receiver,
+            lambda: receiver.receive_records(
+                records, bus, end - records.filled
+            ),
+            fault,
+            lambda: records.filled - before,
+        )
+
+    def _settle(
+        self,
+        receiver: FrameReceiver,
+        read_on: Callable[[], int],
+        fault: int,
+        count: Callable[[], int],
+    ) -> None:
+        """Draw conclusions from *fault*, which ended the reading, and others.
+
+        *count* tells how many frames there are.
+        """
+        was_up = self.state is LinkState.UP
         last = 0
         # an error overtakes the frames that came before it: read on
-        while fault and fault != errno.EAGAIN:
+        while fault not in _DRAINED:
             if fault == last:
                 self._enter(
                     LinkState.GONE, f"{self.channel}: {os.strerror(fault)}"
@@ -221,9 +245,9 @@ class SocketcanLink:
                 break
             self._note_fault(receiver, fault)
             last = fault
-            fault = receive(receiver)
+            fault = read_on()
         if self.state is not LinkState.GONE:
-            if receiver.received != before and not was_up:
+            if count() and not was_up:
                 self._look(receiver)
         elif fault:
             self._release()

@@ -38,9 +38,7 @@ class RecordDecoder:
     and ``values``.
     """
 
-    def __init__(
-        self, signal_map: SignalMap, held: Mapping[int, str]
-    ) -> None:
+    def __init__(self, signal_map: SignalMap, held: Mapping[int, str]) -> None:
         """Prepare the tables of *signal_map*.
 
         Samples of the role numbers *held* are handed out once more, as

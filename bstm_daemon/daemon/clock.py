@@ -53,8 +53,9 @@ class SteadyAxis:
         """Measure the offset of *wall_ns* from *boot_ns*."""
         self._wall_ns = wall_ns
         self._boot_ns = boot_ns
-        wall, low, high = self._measure()
-        self._start_offset_ns = (low + high) // 2
+        before, wall, after = boot_ns(), wall_ns(), boot_ns()
+        wall, before, after = self._narrower(wall, before, after)
+        self._start_offset_ns = (wall - after + wall - before) // 2
         self._offset_ns = self._start_offset_ns
         self._shifts: tuple[int, ...] = (0,)
         """What to take off wall time in us: the shift in effect, and before
@@ -65,6 +66,11 @@ class SteadyAxis:
         """How often the wall clock was stepped."""
         self.last_step_us = 0
         """The last step; positive where the wall clock was put forward."""
+
+    @property
+    def now_us(self) -> int:
+        """The time (us) that was read last."""
+        return self._now_us
 
     def read(self) -> int:
         """Return the time now (us); notices a step since the last call."""
@@ -141,7 +147,13 @@ class SteadyAxis:
 
     def _advance(self) -> int:
         """Read the clocks, take over a step, return the time now (us)."""
-        wall, low, high = self._measure()
+        boot_ns = self._boot_ns
+        before = boot_ns()
+        wall = self._wall_ns()
+        after = boot_ns()
+        if after - before > _NARROW_NS:
+            wall, before, after = self._narrower(wall, before, after)
+        low, high = wall - after, wall - before
         # certain only as far as the reading is: no step from a slow reading
         if not low - _STEP_NS <= self._offset_ns <= high + _STEP_NS:
             offset_ns = (low + high) // 2
@@ -155,25 +167,23 @@ class SteadyAxis:
         self._now_us = max(self._now_us, now_us)
         return self._now_us
 
-    def _measure(self) -> tuple[int, int, int]:
-        """Return wall time, least and greatest possible offset, in ns.
+    def _narrower(
+        self, wall: int, before: int, after: int
+    ) -> tuple[int, int, int]:
+        """Return wall time and those between whose boot times it was read.
 
-        The wall clock is read between two readings of the other; the
-        narrowest of a few tries where the process was held up in between.
+        Read again a few times, as the process was held up in between; the
+        narrowest counts.
         """
-        boot_ns, wall_ns = self._boot_ns, self._wall_ns
-        best = (0, 0, 0)
-        narrowest = 0
-        for number in range(_TRIES):
-            before = boot_ns()
-            wall = wall_ns()
-            after = boot_ns()
-            width = after - before
-            if not number or width < narrowest:
-                best, narrowest = (wall, wall - after, wall - before), width
-            if narrowest <= _NARROW_NS:
+        for _ in range(_TRIES - 1):
+            if after - before <= _NARROW_NS:
                 break
-        return best
+            began = self._boot_ns()
+            now = self._wall_ns()
+            ended = self._boot_ns()
+            if ended - began < after - before:
+                wall, before, after = now, began, ended
+        return wall, before, after
 
 
 def boot_id(path: Path = BOOT_ID) -> str | None:

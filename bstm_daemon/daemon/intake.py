@@ -123,8 +123,9 @@ class Intake:
         while first < records.filled:
             window = axis.window()
             if window is not None:
-                first, late = records.place_in_time(
-                    first, window, (passed_us, latest_us)
+                first, late = records.extension.place_in_time(
+                    *(records.store, first, records.filled),
+                    *(*window, latest_us, passed_us),
                 )
                 self.late += late
                 if first == records.filled:

@@ -93,7 +93,7 @@ class Service:
         self._begin()
         deadline_us = self._start_us
         while True:
-            signals = waiter.wait((deadline_us - self._axis.read()) * 1e-6)
+            signals = waiter.wait((deadline_us - self._axis.now_us) * 1e-6)
             if signals & wake.STOP or self._is_over():
                 break
             if wake.RELOAD in signals:

@@ -51,7 +51,7 @@ def ours(end: socket.socket, seconds: float) -> tuple[float, int]:
         deadline_us = axis.read()
         end_us = deadline_us + round(seconds * 1e6)
         while deadline_us < end_us:
-            waiter.wait((deadline_us - axis.read()) * 1e-6)
+            waiter.wait((deadline_us - axis.now_us) * 1e-6)
             _, arrivals = intake.read(axis.read())
             index, count = 0, len(arrivals)
             while index < count:
