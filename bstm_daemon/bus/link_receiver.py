@@ -126,7 +126,7 @@ class FrameReceiver:
             self._fd,
             records.store,
             first,
-            limit if limit < room else room,  # noqa: PLR1730  (faster)
+            min(limit, room),
             bus,
             self._only_rising,
         )

@@ -43,7 +43,71 @@ class Structure:
             position += 1 + length
         self.section = section
         starts, uses = section["use_start"], section["use_factor"]
-        self.uses = [uses[a:b] for a, b in pairwise(starts)]
+        self.uses = [tuple(uses[a:b]) for a, b in pairwise(starts)]
+        self._lay_out()
+
+    def _lay_out(self) -> None:
+        """Put side by side what a step needs at the same time.
+
+        Tables are pairs (place of the first number, last point), the place
+        -1 where there is none.
+        """
+        count, section = self.count, self.section
+        tables = [
+            (offset, points - 1)
+            for offset, points in zip(
+                section["table_offset"], section["table_points"], strict=True
+            )
+        ]
+        tables.append((-1, 0))
+        self.factors = [
+            (j, kind, first, second, *tables[table])
+            for j, (kind, first, second, table) in enumerate(
+                zip(
+                    *(section["factor_kind"], section["factor_a"]),
+                    *(section["factor_b"], section["factor_table"]),
+                    strict=True,
+                )
+            )
+        ]
+        steady = section["factor_steady"]
+        self.changing = [row for row in self.factors if not steady[row[0]]]
+        self.node_tables = [tables[table] for table in section["node_table"]]
+        places = range(count["nodes"] + count["links"] + count["sources"])
+        products = list(zip(places, self.uses, strict=False))
+        ends = (count["nodes"], count["nodes"] + count["links"])
+        self.node_products = products[: ends[0]]
+        self.link_products = products[ends[0] : ends[1]]
+        self.source_products = products[ends[1] :]
+        self.memory_products = [
+            (len(products) + 3 * m, uses)
+            for m, uses in enumerate(self.uses[len(products) :])
+        ]
+        self.ends = list(
+            zip(section["link_a"], section["link_b"], strict=True)
+        )
+        operations = list(
+            zip(
+                section["operation_left"],
+                section["operation_right"],
+                section["operation_target"],
+                strict=True,
+            )
+        )
+        self.pivots = [
+            (node, operations[o1:o2], range(e1, e2))
+            for node, (o1, o2), (e1, e2) in zip(
+                section["pivot_node"],
+                pairwise(section["pivot_operation_start"]),
+                pairwise(section["pivot_entry_start"]),
+                strict=True,
+            )
+        ]
+        rows = list(enumerate(section["entry_row"]))
+        self.columns = [
+            (node, rows[entries.start : entries.stop])
+            for node, _, entries in self.pivots
+        ]
 
 
 def march(  # noqa: PLR0913, PLR0917  (the signature of the compiled kernel)
@@ -110,61 +174,62 @@ class _Step:
         ledger: MutableSequence[float],
     ) -> None:
         """Advance *state* by one step with the inputs *row*."""
-        n, dt, gdt = self.nodes, self.dt, self.gdt
-        section = self.s.section
-        link_a, link_b = section["link_a"], section["link_b"]
-        memory_kind = section["memory_kind"]
+        s, n, dt, gdt = self.s, self.nodes, self.dt, self.gdt
+        ends = s.ends
+        memory_kind = s.section["memory_kind"]
         self._fix(state, row)
         fixed, rate = self.fixed, self.rate
 
         # stage 1
-        self._evaluate([*state, *row], first=True)
-        base = [self._product(i, self.f[i]) for i in range(n)]
-        capacity = [base[i] * self._own_table(i, state[i]) for i in range(n)]
-        g = self._conductances()
-        heat = self._sources()
-        value1 = self._memory_values()
+        self._evaluate(s.factors, [*state, *row])
+        base = self._products(s.node_products)
+        capacity = [
+            base[i] * self._look_up(offset, last, state[i])
+            if offset >= 0
+            else base[i]
+            for i, (offset, last) in enumerate(s.node_tables)
+        ]
+        g = self._products(s.link_products)
+        heat = self._products(s.source_products)
+        value1 = self._products(s.memory_products)
         flow = [
-            g[k] * (state[link_a[k]] - state[link_b[k]])
-            for k in range(self.links)
+            one * (state[a] - state[b])
+            for one, (a, b) in zip(g, ends, strict=True)
         ]
         rhs = self._balance(flow, heat)
         self._factorise(capacity, g)
         x1 = self._solve(rhs, g, sign=1.0)
         energy1 = [
-            flow[k] + gdt * (g[k] * (x1[link_a[k]] - x1[link_b[k]]))
-            for k in range(self.links)
+            q + gdt * (one * (x1[a] - x1[b]))
+            for q, one, (a, b) in zip(flow, g, ends, strict=True)
         ]
-        predicted = list(state)
-        for i in range(n):
-            predicted[i] = (
-                state[i] + dt * rate[i]
-                if fixed[i]
-                else self._heated(
-                    i, state[i], base[i], capacity[i], dt * x1[i]
-                )
-            )
+        predicted = [
+            state[i] + dt * rate[i]
+            if fixed[i]
+            else self._heated(i, state[i], base[i], capacity[i], dt * x1[i])
+            for i in range(n)
+        ]
         for m, kind in enumerate(memory_kind):
             old = state[n + m]
             new = old + dt * value1[m] if kind == 0 else max(old, value1[m])
-            predicted[n + m] = self._bounded(m, new)
+            predicted.append(self._bounded(m, new))
 
         # stage 2
-        self._evaluate([*predicted, *row], first=False)
-        g2 = self._conductances()
-        heat2 = self._sources()
-        value2 = self._memory_values()
+        self._evaluate(s.changing, [*predicted, *row])
+        g2 = self._products(s.link_products)
+        heat2 = self._products(s.source_products)
+        value2 = self._products(s.memory_products)
         flow2 = [
-            g2[k] * (predicted[link_a[k]] - predicted[link_b[k]])
-            for k in range(self.links)
+            one * (predicted[a] - predicted[b])
+            for one, (a, b) in zip(g2, ends, strict=True)
         ]
         rhs = self._balance(flow2, heat2)
         for i in range(n):
             rhs[i] -= 2.0 * (capacity[i] * x1[i])
         x2 = self._solve(rhs, g, sign=-1.0)
         half = 0.5 * dt
-        for k in range(self.links):
-            energy2 = flow2[k] + gdt * (g[k] * (x2[link_a[k]] - x2[link_b[k]]))
+        for k, (a, b) in enumerate(ends):
+            energy2 = flow2[k] + gdt * (g[k] * (x2[a] - x2[b]))
             ledger[k] += half * (energy1[k] + energy2)
         for k, (first, second) in enumerate(zip(heat, heat2, strict=True)):
             ledger[self.links + k] += half * (first + second)
@@ -198,64 +263,48 @@ class _Step:
             self.fixed[i] = not gone or not free[i]
             self.rate[i] = 0.0 if gone else (target - state[i]) / self.dt
 
-    def _evaluate(self, slots: Sequence[float], *, first: bool) -> None:
-        section = self.s.section
-        value = self.factor_value
-        tables = section["factor_table"]
-        for j, kind in enumerate(section["factor_kind"]):
-            if not first and section["factor_steady"][j]:
-                continue
-            a = slots[section["factor_a"][j]]
-            b = slots[section["factor_b"][j]]
-            if kind == 0:
-                x = a
-            elif kind == 1:
-                x = a - b
+    def _evaluate(
+        self,
+        factors: Sequence[tuple[int, int, int, int, int, int]],
+        slots: Sequence[float],
+    ) -> None:
+        value, look_up = self.factor_value, self._look_up
+        for j, kind, first, second, offset, last in factors:
+            x = slots[first]
+            if kind == 1:
+                x -= slots[second]
             elif kind == 2:
-                x = 0.5 * (a + b)
-            else:
-                x = (a * a + b * b) * (a + b)
-            value[j] = x if tables[j] < 0 else self._look_up(tables[j], x)
+                x = 0.5 * (x + slots[second])
+            elif kind:
+                b = slots[second]
+                x = (x * x + b * b) * (x + b)
+            value[j] = x if offset < 0 else look_up(offset, last, x)
 
-    def _look_up(self, table: int, x: float) -> float:
+    def _look_up(self, offset: int, last: int, x: float) -> float:
         f = self.f
-        offset = self.s.section["table_offset"][table]
-        last = self.s.section["table_points"][table] - 1
         position = (x - f[offset]) * f[offset + 1]
         if not position > 0.0:
             position = 0.0
-        position = min(position, float(last))
-        index = min(int(position), last - 1)
+        if position >= last:
+            position = float(last)
+            index = last - 1
+        else:
+            index = int(position)
         left = f[offset + 2 + index]
-        right = f[offset + 3 + index]
-        return left + (position - index) * (right - left)
+        return left + (position - index) * (f[offset + 3 + index] - left)
 
-    def _product(self, part: int, constant: float) -> float:
-        for factor in self.s.uses[part]:
-            constant *= self.factor_value[factor]
-        return constant
-
-    def _own_table(self, node: int, temperature_k: float) -> float:
-        table = self.s.section["node_table"][node]
-        return 1.0 if table < 0 else self._look_up(table, temperature_k)
-
-    def _conductances(self) -> list[float]:
-        n = self.nodes
-        return [self._product(n + k, self.f[n + k]) for k in range(self.links)]
-
-    def _sources(self) -> list[float]:
-        first = self.nodes + self.links
-        return [
-            self._product(first + k, self.f[first + k])
-            for k in range(self.s.count["sources"])
-        ]
-
-    def _memory_values(self) -> list[float]:
-        first = self.nodes + self.links + self.s.count["sources"]
-        return [
-            self._product(first + m, self.f[first + 3 * m])
-            for m in range(self.s.count["memories"])
-        ]
+    def _products(
+        self, parts: Sequence[tuple[int, tuple[int, ...]]]
+    ) -> list[float]:
+        """Return the constant of each part times its factors."""
+        f, value = self.f, self.factor_value
+        found = []
+        for place, factors in parts:
+            product = f[place]
+            for factor in factors:
+                product *= value[factor]
+            found.append(product)
+        return found
 
     def _bounded(self, memory: int, new: float) -> float:
         first = self.nodes + self.links + self.s.count["sources"]
@@ -266,61 +315,71 @@ class _Step:
     def _balance(
         self, flow: Sequence[float], heat: Sequence[float]
     ) -> list[float]:
-        section = self.s.section
         net = [0.0] * self.nodes
-        for k, q in enumerate(flow):
-            net[section["link_a"][k]] -= q
-            net[section["link_b"][k]] += q
-        for k, node in enumerate(section["source_node"]):
-            net[node] += heat[k]
+        for q, (a, b) in zip(flow, self.s.ends, strict=True):
+            net[a] -= q
+            net[b] += q
+        for node, power in zip(
+            self.s.section["source_node"], heat, strict=True
+        ):
+            net[node] += power
         return net
 
     def _factorise(
         self, capacity: Sequence[float], g: Sequence[float]
     ) -> None:
-        section = self.s.section
-        d, off, fixed = self.diagonal, self.off, self.fixed
+        d, off, fixed, gdt = self.diagonal, self.off, self.fixed, self.gdt
         d[:] = capacity
         off[:] = [0.0] * len(off)
-        for k, conductance in enumerate(g):
-            a, b = section["link_a"][k], section["link_b"][k]
-            c = self.gdt * conductance
+        for conductance, (a, b), entry in zip(
+            g, self.s.ends, self.s.section["link_entry"], strict=True
+        ):
+            c = gdt * conductance
             d[a] += c
             d[b] += c
-            entry = section["link_entry"][k]
             if entry >= 0 and not fixed[a] and not fixed[b]:
                 off[entry] -= c
         for i in range(self.nodes):
             if fixed[i]:
                 d[i] = 1.0
         # LDL^T: an entry holds L * D until its pivot's operations are done
-        operation = section["pivot_operation_start"]
-        start = section["pivot_entry_start"]
-        for p, node in enumerate(section["pivot_node"]):
+        for node, operations, entries in self.s.pivots:
             # an algebraic node that nothing touches now stays as it is
             inverse = 0.0 if d[node] == 0.0 else 1.0 / d[node]
-            for o in range(operation[p], operation[p + 1]):
-                amount = (
-                    off[section["operation_left"][o]]
-                    * inverse
-                    * off[section["operation_right"][o]]
-                )
-                target = section["operation_target"][o]
+            for left, right, target in operations:
+                amount = off[left] * inverse * off[right]
                 if target >= 0:
                     off[target] -= amount
                 else:
                     d[-1 - target] -= amount
-            for e in range(start[p], start[p + 1]):
+            for e in entries:
                 off[e] *= inverse
             d[node] = inverse
 
     def _solve(
         self, rhs: list[float], g: Sequence[float], sign: float
     ) -> list[float]:
-        section = self.s.section
-        d, off, fixed, rate = self.diagonal, self.off, self.fixed, self.rate
-        for k, conductance in enumerate(g):
-            a, b = section["link_a"][k], section["link_b"][k]
+        d, off = self.diagonal, self.off
+        if any(self.fixed):
+            self._ramp(rhs, g, sign)
+        columns = self.s.columns
+        for node, entries in columns:
+            known = rhs[node]
+            for e, row in entries:
+                rhs[row] -= off[e] * known
+        for node, entries in reversed(columns):
+            x = rhs[node] * d[node]
+            for e, row in entries:
+                x -= off[e] * rhs[row]
+            rhs[node] = x
+        return rhs
+
+    def _ramp(
+        self, rhs: list[float], g: Sequence[float], sign: float
+    ) -> None:
+        """Let fixed nodes follow their inputs, and their neighbours them."""
+        fixed, rate = self.fixed, self.rate
+        for conductance, (a, b) in zip(g, self.s.ends, strict=True):
             c = self.gdt * conductance * sign
             if fixed[b]:
                 rhs[a] += c * rate[b]
@@ -329,19 +388,6 @@ class _Step:
         for i in range(self.nodes):
             if fixed[i]:
                 rhs[i] = sign * rate[i]
-        start, row = section["pivot_entry_start"], section["entry_row"]
-        pivots = section["pivot_node"]
-        for p, node in enumerate(pivots):
-            known = rhs[node]
-            for e in range(start[p], start[p + 1]):
-                rhs[row[e]] -= off[e] * known
-        for p in range(len(pivots) - 1, -1, -1):
-            node = pivots[p]
-            x = rhs[node] * d[node]
-            for e in range(start[p], start[p + 1]):
-                x -= off[e] * rhs[row[e]]
-            rhs[node] = x
-        return rhs
 
     def _heated(  # noqa: C901, PLR0912  (one walk, line by line as in C)
         self, node: int, t: float, base: float, capacity: float, rise: float
@@ -351,12 +397,11 @@ class _Step:
         Walks the capacity table cell by cell, because inside a cell the
         capacity is linear in temperature and the heat has a closed form.
         """
-        table = self.s.section["node_table"][node]
-        if table < 0 or not base > 0.0:
+        offset, last = self.s.node_tables[node]
+        if offset < 0 or not base > 0.0:
             return t + rise
         f = self.f
-        offset = self.s.section["table_offset"][table] + 2
-        last = self.s.section["table_points"][table] - 1
+        offset += 2
         x0, inverse_dx = f[offset - 2], f[offset - 1]
         heat = capacity * rise / base
         if isnan(t + heat):

@@ -49,21 +49,14 @@ PERIOD_S: Final = 60
 SETTLING_S: Final = 3.0
 """After the start, not measured."""
 
-CPU_SHARE: Final = 0.03
+CPU_SHARE: Final = 0.04
+"""With heat, risk and forecast; without them it would be 0.03."""
 LATENCY_S: Final = 0.015
 MEMORY_BYTES: Final = 60 * 2**20
 READY_S: Final = 1.0
 STEP_S: Final = 1e-3
 LOADED: Final = 0.5
 """Tolerance of goals in seconds: a loaded machine is half as fast."""
-OUT_OF_REACH: Final = {True: 0.2, False: 0.75}
-"""Tolerance of the goal with filters, by whether it is measured in full.
-
-It is out of reach: two fifths of the time are the kernel's, which wakes the
-reader and hands over 600 messages a second. In full it shows as missed; in
-`.ci/run` it only has to get no worse.
-"""
-
 HERE: Final = Path(__file__).parent
 _TICKS_PER_S: Final = os.sysconf("SC_CLK_TCK")
 
@@ -84,7 +77,7 @@ def run(*, full: bool) -> Outcome:
             folder / "daemon", frames, 120.0 if full else 12.0
         )
     steps = [reference_step_s() for _ in range(5 if full else 1)]
-    return outcome(rounds, starts, daemon, steps, OUT_OF_REACH[full])
+    return outcome(rounds, starts, daemon, steps)
 
 
 def write_frames(folder: Path) -> Path:
@@ -411,7 +404,6 @@ def outcome(
     starts: list[float],
     daemon: Measured,
     steps: list[float],
-    filtered_tolerance: float,
 ) -> Outcome:
     """Return the figures beside their goals."""
     found = Outcome(
@@ -443,10 +435,10 @@ def outcome(
             "receive path with filters: python-can's CPU without over ours",
             median(one.peer / one.filtered for one in rounds),
             20.0,
-            filtered_tolerance,
+            0.2,
         ),
         Goal(
-            "daemon: 3 % of a core over its CPU",
+            f"daemon: {CPU_SHARE * 100:.0f} % of a core over its CPU",
             CPU_SHARE / daemon.cpu_share,
             1.0,
             LOADED,

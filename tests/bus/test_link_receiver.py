@@ -1,19 +1,27 @@
 """Frames off a socket: the kernel's layouts over a pair of local sockets."""
 
+from __future__ import annotations
+
 import errno
 import socket
 import struct
 import time
+from array import array
 from collections import Counter
-from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from bstm_daemon.bus.compiled import live_extension
 from bstm_daemon.bus.extraction import FD_LENGTHS
+from bstm_daemon.bus.frame_records import FrameRecords
 from bstm_daemon.bus.link import DRAIN_LIMIT, Frame, LinkEvent
 from bstm_daemon.bus.link_receiver import FrameReceiver, kernel_filters
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
 
 CLASSIC = struct.Struct("=IB3x8s")
 FD = struct.Struct("=IBB2x64s")
@@ -21,25 +29,46 @@ EXTENDED = 0x80000000
 REMOTE = 0x40000000
 ERROR = 0x20000000
 NONE_LEFT = errno.EAGAIN
+FILLER = Frame(0, 0, False, b"", False, False)
+
+
+COMPILED = live_extension()
+FORMS = [False] if COMPILED is None else [False, True]
+"""Whether the compiled form reads."""
 
 
 class Wire:
     """A receiver, and the other end of its socket."""
 
-    def __init__(self) -> None:
+    def __init__(self, *, compiled: bool) -> None:
         self.far, near = socket.socketpair(
             socket.AF_UNIX, socket.SOCK_SEQPACKET
         )
         self.near = near
         self.counts: Counter[LinkEvent] = Counter()
         self.receiver = FrameReceiver(near, self.counts)
+        self.compiled = compiled
+
+    def read(self, limit: int = DRAIN_LIMIT) -> tuple[list[Frame], int]:
+        """Return the frames that wait, up to *limit*, and the result."""
+        if not self.compiled:
+            found = [FILLER] * (DRAIN_LIMIT - limit)
+            result = self.receiver.receive(found)
+            return found[DRAIN_LIMIT - limit :], result
+        assert COMPILED is not None
+        records = FrameRecords(COMPILED, 1)
+        records.filled = 7
+        result = self.receiver.receive_records(records, 3, limit)
+        rows = [records.at(index) for index in range(7, records.filled)]
+        assert {bus for _, bus, _ in rows} <= {3}
+        return [frame for _, _, frame in rows], result
 
     def frames(self, *messages: bytes) -> list[Frame]:
         """Send *messages*, return what comes of them."""
         for message in messages:
             self.far.send(message)
-        found: list[Frame] = []
-        assert self.receiver.receive(found) == NONE_LEFT
+        found, result = self.read()
+        assert result == NONE_LEFT
         return found
 
     def frame(self, message: bytes) -> tuple[int, bool, bytes, bool, bool]:
@@ -52,17 +81,17 @@ class Wire:
         self.near.close()
 
 
-@pytest.fixture
-def wire() -> Iterator[Wire]:
-    made = Wire()
+@pytest.fixture(params=FORMS)
+def wire(request: pytest.FixtureRequest) -> Iterator[Wire]:
+    made = Wire(compiled=request.param)
     yield made
     made.close()
 
 
-@pytest.fixture(scope="module")
-def lasting() -> Iterator[Wire]:
+@pytest.fixture(scope="module", params=FORMS)
+def lasting(request: pytest.FixtureRequest) -> Iterator[Wire]:
     """Return one wire for many examples."""
-    made = Wire()
+    made = Wire(compiled=request.param)
     yield made
     made.close()
 
@@ -181,24 +210,109 @@ def test_frames_keep_their_order(wire: Wire) -> None:
     assert stamps == sorted(stamps)
 
 
-def test_a_reading_ends_at_the_limit(wire: Wire) -> None:
-    wire.far.send(CLASSIC.pack(1, 0, b""))
-    wire.far.send(CLASSIC.pack(2, 0, b""))
-    [filler] = wire.frames()[:1]
-    found = [filler] * (DRAIN_LIMIT - 1)
-    for n in (3, 4):
-        wire.far.send(CLASSIC.pack(n, 0, b""))
+@pytest.mark.parametrize("limit", [1, 63, 64, 65, 130])
+def test_a_reading_ends_at_the_limit(wire: Wire, limit: int) -> None:
+    for number in range(limit + 1):
+        wire.far.send(CLASSIC.pack(number, 0, b""))
 
-    assert wire.receiver.receive(found) == 0
-    assert len(found) == DRAIN_LIMIT
-    assert found[-1].can_id == 3
-    assert [frame.can_id for frame in wire.frames()] == [4]
+    found, result = wire.read(limit)
+
+    assert result == 0
+    assert [frame.can_id for frame in found] == list(range(limit))
+    assert [frame.can_id for frame in wire.frames()] == [limit]
 
 
 def test_another_end_of_the_reading_is_told(wire: Wire) -> None:
     wire.near.close()
 
-    assert wire.receiver.receive([]) == errno.EBADF
+    assert wire.read() == ([], errno.EBADF)
+
+
+@pytest.mark.skipif(COMPILED is None, reason="not installed")
+def test_a_full_store_leaves_the_rest_in_the_socket(wire: Wire) -> None:
+    assert COMPILED is not None
+    records = FrameRecords(COMPILED, 1)
+    records.filled = records.room - 1
+    for number in (1, 2):
+        wire.far.send(CLASSIC.pack(number, 0, b""))
+
+    assert wire.receiver.receive_records(records, 0, DRAIN_LIMIT) == 0
+    assert records.filled == records.room
+    assert wire.receiver.receive_records(records, 0, DRAIN_LIMIT) == 0
+    assert [frame.can_id for frame in wire.frames()] == [2]
+
+
+MESSAGES = st.one_of(
+    st.binary(max_size=80).filter(len),
+    st.builds(
+        CLASSIC.pack,
+        st.integers(0, 2**32 - 1),
+        st.integers(0, 10),
+        st.binary(min_size=8, max_size=8),
+    ),
+    st.builds(
+        CLASSIC.pack,
+        st.sampled_from([0x100, 0x101, EXTENDED | 0x100]),
+        st.integers(0, 8),
+        st.binary(min_size=8, max_size=8),
+    ),
+    st.builds(
+        FD.pack,
+        st.one_of(st.integers(0, 2**32 - 1), st.just(0x100)),
+        st.one_of(st.sampled_from(FD_LENGTHS), st.integers(0, 255)),
+        st.integers(0, 255),
+        st.binary(min_size=64, max_size=64),
+    ),
+    st.builds(
+        CLASSIC.pack,
+        st.integers(0, 0x1FF).map(lambda classes: classes | ERROR),
+        st.integers(0, 8),
+        st.binary(min_size=8, max_size=8),
+    ),
+)
+
+
+@pytest.mark.skipif(COMPILED is None, reason="not installed")
+@given(
+    messages=st.lists(MESSAGES, max_size=90),
+    only=st.none() | st.frozensets(st.sampled_from([0x100, EXTENDED | 0x100])),
+)
+def test_both_forms_read_the_same(
+    messages: list[bytes], only: frozenset[int] | None
+) -> None:
+    results = []
+    for compiled in (False, True):
+        wire = Wire(compiled=compiled)
+        wire.receiver.only = only
+        frames = [frame[1:] for frame in wire.frames(*messages)]
+        results.append((frames, +wire.counts, wire.receiver.bus_off))
+        wire.close()
+
+    assert results[0] == results[1]
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        (bytearray(96), -1, 1, None),
+        (bytearray(96), 0, -1, None),
+        (bytearray(96), 0, 2, None),
+        (bytearray(96), 1, 1, None),
+        (bytearray(96), 1, 2**63 - 1, None),
+        (bytearray(95), 0, 0, None),
+        (bytearray(96), 0, 1, array("B", b"\0")),
+    ],
+)
+def test_the_compiled_reading_keeps_within_its_store(
+    wire: Wire, arguments: tuple[bytearray, int, int, array[int] | None]
+) -> None:
+    if COMPILED is None:
+        pytest.skip("the compiled form is not installed")
+    wire.far.send(CLASSIC.pack(1, 0, b""))
+    store, first, limit, only = arguments
+
+    with pytest.raises(ValueError, match=r"records|buffer"):
+        COMPILED.receive(wire.near.fileno(), store, first, limit, 0, only)
 
 
 @pytest.mark.parametrize(
