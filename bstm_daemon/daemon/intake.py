@@ -23,6 +23,9 @@ several buses come in order and no grid line is passed too early."""
 Arrival = tuple[int, int, "Frame"]
 """Time on the steady axis [us], bus number, frame."""
 
+Arrivals = list[Arrival] | FrameRecords
+"""Both are walked, counted and looked into alike."""
+
 _TIME: Final = itemgetter(0)
 _EVER_US: Final = -(2**63)
 
@@ -54,7 +57,7 @@ class Intake:
         if extension is not None and len(self._interfaces) == len(links):
             self._records = FrameRecords(extension, len(links))
 
-    def read(self, now_us: int) -> tuple[int, Sequence[Arrival]]:
+    def read(self, now_us: int) -> tuple[int, Arrivals]:
         """Drain all links at *now_us*, read from the axis just before.
 
         Returns:
@@ -62,7 +65,7 @@ class Intake:
             oldest first: a list, or records which hold until the next read).
         """
         until_us = now_us - GUARD_US
-        arrivals: Sequence[Arrival]
+        arrivals: Arrivals
         if self._records is None:
             arrivals = self._read_frames(now_us, until_us)
         else:

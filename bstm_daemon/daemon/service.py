@@ -24,12 +24,11 @@ from bstm_daemon.daemon.sender import Sender
 from bstm_daemon.errors import BstmError, ConfigError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
     from pathlib import Path
 
     from bstm_daemon.bus.link import Frame, Link
     from bstm_daemon.daemon.events import ServiceLog
-    from bstm_daemon.daemon.intake import Arrival
+    from bstm_daemon.daemon.intake import Arrivals
     from bstm_daemon.daemon.notify import Notifier
     from bstm_daemon.daemon.wake import SignalWaiter
 
@@ -146,7 +145,7 @@ class Service:
         self._look_after(begin_us)
         return self._finish(begin_us, deadline_us)
 
-    def _take(self, arrivals: Sequence[Arrival]) -> None:
+    def _take(self, arrivals: Arrivals) -> None:
         """Give the engine all frames; plain ones without a look at each."""
         index, count = 0, len(arrivals)
         if isinstance(arrivals, FrameRecords) and self._is_plain(arrivals):
@@ -158,7 +157,7 @@ class Service:
             self._take_one(*arrivals[index])
             index += 1
 
-    def _is_plain(self, arrivals: Sequence[Arrival]) -> bool:
+    def _is_plain(self, arrivals: FrameRecords) -> bool:
         """Whether nobody but the engine has to see each frame."""
         if not arrivals or self._observer.is_recording:
             return False

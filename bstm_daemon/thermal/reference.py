@@ -374,9 +374,7 @@ class _Step:
             rhs[node] = x
         return rhs
 
-    def _ramp(
-        self, rhs: list[float], g: Sequence[float], sign: float
-    ) -> None:
+    def _ramp(self, rhs: list[float], g: Sequence[float], sign: float) -> None:
         """Let fixed nodes follow their inputs, and their neighbours them."""
         fixed, rate = self.fixed, self.rate
         for conductance, (a, b) in zip(g, self.s.ends, strict=True):
