@@ -100,7 +100,11 @@ def sample_pass(  # noqa: PLR0913, PLR0917  (the signature of the compiled pass)
     run = _Pass(plan, state, rows, vehicle_rows, row_times_us)
     index = first
     while index < len(times_us):
-        code = run.move_to(times_us[index])
+        # most samples come with others of their frame
+        if times_us[index] == run.now != NEVER:
+            run.pending, code = NEVER, DONE
+        else:
+            code = run.move_to(times_us[index])
         if code == FULL:
             run.store()
             return index, run.steps, FULL
@@ -178,7 +182,8 @@ class _Pass(SampleMemory):
                 return FULL
             self._integrate(self.grid)
             self._close()
-        self._integrate(time_us)
+        if time_us > self.now:
+            self._integrate(time_us)
         self.pending = NEVER
         return DONE
 
@@ -200,67 +205,71 @@ class _Pass(SampleMemory):
 
     def _refresh(self) -> None:
         """Form speeds and pressures from the values that count now."""
+        value, valid = self.value, self.valid
+        vehicle = valid(self.vehicle_role["vehicle_speed"])
+        counts = [valid(ints[0]) for ints in self.corner_ints]
+        heard = vehicle
+        if any(self.checks.left_out):
+            counts, heard = self._sound_voices(counts, vehicle=vehicle)
         total, signed, count = 0.0, 0.0, 0
-        last = self.corners
-        vehicle = self.valid(self.vehicle_role["vehicle_speed"])
-        sound = self._sound_voice(vehicle=vehicle)
-        for c, ints in enumerate(self.corner_ints):
-            if self.valid(ints[0]) and not (sound and self.left_out(c)):
-                total += abs(self.value[ints[0]])
-                signed += self.value[ints[0]]
+        for own, ints in zip(counts, self.corner_ints, strict=True):
+            if own:
+                speed = value[ints[0]]
+                total += abs(speed)
+                signed += speed
                 count += 1
-        if vehicle and not (sound and self.left_out(last)):
-            signed = self.vehicle("vehicle_speed", 0.0)
+        if heard:
+            signed = value[self.vehicle_role["vehicle_speed"]]
             self.speed = abs(signed)
         else:
             self.speed = total / count if count else 0.0
         # in reverse what points forward pushes against the motion
         self.heading = -1.0 if signed < 0.0 else 1.0
         self.speed_known = count > 0 or vehicle
-        for c, ints in enumerate(self.corner_ints):
-            own = self.valid(ints[0]) and not (sound and self.left_out(c))
-            self.wheel[c] = abs(self.value[ints[0]]) if own else self.speed
-            pressure = self._pressure(ints)
-            self.target[c] = max(0.0, pressure)
+        self.wheel = [
+            abs(value[ints[0]]) if own else self.speed
+            for own, ints in zip(counts, self.corner_ints, strict=True)
+        ]
+        self._refresh_pressures()
         # the foot is on the pedal: fusion counts the lightest pressure
         self.pressing_pa = self.on_pressure
         if self.mode == FUSED and self.vehicle("brake_switch", 0.0) > 0.0:
             self.pressing_pa = min(self.on_pressure, LIGHT_PRESSURE_PA)
         self.stale = False
 
-    def left_out(self, voice: int) -> bool:
-        """Whether the others contradict this wheel or vehicle speed."""
-        return self.checks.left_out[voice] != 0.0
+    def _sound_voices(
+        self, present: list[bool], *, vehicle: bool
+    ) -> tuple[list[bool], bool]:
+        """Which wheels, and whether the vehicle's speed, are believed.
 
-    def _sound_voice(self, *, vehicle: bool) -> bool:
-        """Whether a speed is present that nothing contradicts."""
-        return (vehicle and not self.left_out(self.corners)) or any(
-            self.valid(ints[0]) and not self.left_out(c)
-            for c, ints in enumerate(self.corner_ints)
-        )
+        Those that the others contradict are not, unless none is left.
+        """
+        doubted = [left_out != 0.0 for left_out in self.checks.left_out]
+        wheels = [one and not doubted[c] for c, one in enumerate(present)]
+        heard = vehicle and not doubted[self.corners]
+        return (wheels, heard) if heard or any(wheels) else (present, vehicle)
 
-    def _pressure(self, ints: Sequence[int]) -> float:
-        if self.valid(ints[1]):
-            return self.value[ints[1]]
-        tare = self.observer.m["tare_primary"]
-        pressure = self.vehicle("primary_pressure", tare) - tare
-        if ints[2] and self.valid(self.vehicle_role["secondary_pressure"]):
-            pressure = self.vehicle("secondary_pressure", 0.0)
-            pressure -= self.observer.m["tare_secondary"]
-        if ints[3] and self.points:
-            return self._rear(pressure)
-        return pressure
-
-    def _rear(self, front: float) -> float:
-        x, y, last = self.table_front, self.table_rear, self.points - 1
-        if front <= x[0]:
-            return y[0]
-        if front >= x[last]:
-            return y[last]
-        i = 0
-        while front >= x[i + 1]:
-            i += 1
-        return y[i] + (front - x[i]) / (x[i + 1] - x[i]) * (y[i + 1] - y[i])
+    def _refresh_pressures(self) -> None:
+        """Form each corner's pressure: its own, its circuit's or axle's."""
+        value, valid = self.value, self.valid
+        learned, roles = self.observer.m, self.vehicle_role
+        primary = roles["primary_pressure"]
+        secondary = roles["secondary_pressure"]
+        tare = learned["tare_primary"]
+        by_primary, by_secondary = valid(primary), valid(secondary)
+        axle = (value[primary] if by_primary else tare) - tare
+        other = value[secondary] - learned["tare_secondary"]
+        self.pressure_present = False
+        for c, ints in enumerate(self.corner_ints):
+            own, second = valid(ints[1]), ints[2] and by_secondary
+            if own or second or by_primary:
+                self.pressure_present = True
+            pressure = other if second else axle
+            if own:
+                pressure = value[ints[1]]
+            elif ints[3] and self.points:
+                pressure = self.rear_pressure(pressure)
+            self.target[c] = max(0.0, pressure)
 
     def _integrate(self, time_us: int) -> None:
         """Hold all values from now to *time_us* and add up."""
@@ -274,7 +283,7 @@ class _Pass(SampleMemory):
         gained, middle = self._filter_speed(h, v)
         impulse, inertia_kg = self._outer_impulse(h, v)
         force_s = impulse - inertia_kg * gained
-        if self.pressure_known():
+        if self.pressure_present:
             pressed = highest > self.pressing_pa
         else:
             pressed = force_s > self.on_force * h

@@ -256,7 +256,7 @@ class SampleMemory:
         self.stale = True
         self.pressing_pa = self.on_pressure
         self.speed = 0.0
-        self.speed_known = False
+        self.speed_known = self.pressure_present = False
         self.heading = 1.0
         self.wheel = [0.0] * self.corners
         self.target = [0.0] * self.corners
@@ -357,9 +357,17 @@ class SampleMemory:
         role = self.vehicle_role[name]
         return self.value[role] if self.valid(role) else default
 
-    def pressure_known(self) -> bool:
-        """Whether any brake's pressure is present."""
-        return any(self.corner_known(ints) for ints in self.corner_ints)
+    def rear_pressure(self, front: float) -> float:
+        """Return what the valve lets through to the rear axle [Pa]."""
+        x, y, last = self.table_front, self.table_rear, self.points - 1
+        if front <= x[0]:
+            return y[0]
+        if front >= x[last]:
+            return y[last]
+        i = 0
+        while front >= x[i + 1]:
+            i += 1
+        return y[i] + (front - x[i]) / (x[i + 1] - x[i]) * (y[i + 1] - y[i])
 
     def corner_known(self, ints: Sequence[int]) -> bool:
         """Whether the pressure of the corner with *ints* is present."""

@@ -11,6 +11,8 @@ from pathlib import Path
 
 import pytest
 
+from bstm_daemon.bus.compiled import live_extension
+from bstm_daemon.bus.frame_records import FrameRecords
 from bstm_daemon.bus.link import (
     DRAIN_LIMIT,
     Frame,
@@ -69,8 +71,26 @@ def station(vcan0: str) -> Iterator[Station]:
     made.raw.close()
 
 
-@pytest.fixture
-def links() -> Iterator[Callable[..., SocketcanLink]]:
+class RecordLink(SocketcanLink):
+    """A link whose frames come by the compiled form."""
+
+    def drain(self) -> list[Frame]:
+        extension = live_extension()
+        assert extension is not None
+        records = FrameRecords(extension, 1)
+        self.drain_records(records, 0)
+        return [records.at(index)[2] for index in range(records.filled)]
+
+
+FORMS = [SocketcanLink]
+if live_extension() is not None:
+    FORMS.append(RecordLink)
+
+
+@pytest.fixture(params=FORMS)
+def links(
+    request: pytest.FixtureRequest,
+) -> Iterator[Callable[..., SocketcanLink]]:
     """Return what makes a link, closed at the end."""
     with contextlib.ExitStack() as open_links:
 
@@ -82,7 +102,9 @@ def links() -> Iterator[Callable[..., SocketcanLink]]:
             fd: bool = False,
         ) -> SocketcanLink:
             bus = BusConfig(name="car", dbc="car.dbc", channel=channel, fd=fd)
-            link = SocketcanLink(bus, wanted, receive_buffer_bytes)
+            link: SocketcanLink = request.param(
+                bus, wanted, receive_buffer_bytes
+            )
             open_links.callback(link.close)
             return link
 
