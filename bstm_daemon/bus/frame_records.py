@@ -7,6 +7,7 @@ samples.
 
 from __future__ import annotations
 
+import mmap
 import struct
 from typing import TYPE_CHECKING, Final
 
@@ -37,8 +38,12 @@ class FrameRecords:
         """Make room for a drain of each of *buses* and what it holds back."""
         self.extension: Final = extension
         self.room: Final = 2 * buses * DRAIN_LIMIT
-        # zeros that nobody touched take no memory
-        self.store: Final = bytearray(self.room * RECORD_BYTES)
+        # pages that nobody touched take no memory
+        self.store: Final = mmap.mmap(
+            -1,
+            self.room * RECORD_BYTES,
+            flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS,
+        )
         self.filled = 0
         self.ready = 0
 
