@@ -42,16 +42,16 @@ SEED: Final = 20_261_121
 FULL: Final = 2000
 ANOTHER_DAY: Final = 1000
 QUICK: Final = 50
-CARS_FULL: Final = 30
+CARS_FULL: Final = 24
 CARS_QUICK: Final = 2
 CHUNK: Final = 50
 TRIALS: Final = 12
 """Fluids tried for a descent."""
 
-FAR_SHARE: Final = 0.15
+FAR_SHARE: Final = 0.10
 """Share of descents that end far below boiling; the others lie around it."""
 
-NEAR_K: Final = (-24.0, 14.0)
+NEAR_K: Final = (-20.0, 14.0)
 """Hottest fluid less the median boiling point of what is known: the design
 looks at nothing that the daemon and the oracle do not know."""
 
