@@ -14,8 +14,9 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from risk_fleet import CORNERS, GROUPS, FleetCar, scaled
+from risk_fleet import GROUPS, JUDGED, FleetCar, scaled
 
+from bstm_daemon.roles import CORNERS as ALL_CORNERS
 from bstm_daemon.simulation.batch import march_lanes
 from bstm_daemon.simulation.march import LaneInputs
 from bstm_daemon.simulation.parameters import preset_effects
@@ -76,7 +77,7 @@ class Case:
 
 @dataclass(frozen=True, slots=True)
 class Truth:
-    """The fluid of both corners after the stop, [m, corner], every 2 s.
+    """The fluid of the judged corners after the stop, [m, corner], every 2 s.
 
     ``stop_k`` is that at the stop, ``time_s`` counts from it; ``disc_k`` is
     the hottest disc at the stop.
@@ -130,6 +131,8 @@ def draw_car(
     error_m = LINING_KNOWN_M * rng.standard_normal()
     corners = []
     for corner in one.config.corner:
+        if corner.name not in JUDGED:
+            continue
         assert corner.pad is not None
         told_m = corner.pad.thickness_m * left + error_m
         pad = corner.pad.model_copy(update={"thickness_m": told_m})
@@ -187,7 +190,7 @@ def march_truth(cases: list[Case], preset: str = "plain") -> list[Truth]:
 
 
 def march_drive(case: Case, preset: str = "plain") -> Column:
-    """Return the fluid of both corners a second through the drive."""
+    """Return the fluid of the judged corners a second through the drive."""
     steps = len(case.speed_ms)
     step_s, keep = np.ones(steps), np.ones(steps, bool)
     result = _marched([case], preset, step_s, keep, steps)
@@ -203,7 +206,8 @@ def _marched(
     drive_s: int,
 ) -> LaneResult:
     """March *cases* side by side; their drives end after *drive_s* steps."""
-    steps, lanes = len(step_s), len(CORNERS) * len(cases)
+    steps, lanes = len(step_s), len(JUDGED) * len(cases)
+    places = [ALL_CORNERS.index(name) for name in JUDGED]
     columns = {
         name: np.zeros((steps, lanes))
         for name in ("speed", "power", "pressure")
@@ -211,15 +215,15 @@ def _marched(
     ambient = np.empty((steps, lanes))
     corners: list[CornerParameters] = []
     for i, case in enumerate(cases):
-        at = slice(len(CORNERS) * i, len(CORNERS) * (i + 1))
+        at = slice(len(JUDGED) * i, len(JUDGED) * (i + 1))
         first = drive_s - len(case.speed_ms)
-        gains = case.car.gains[[0, 2]]
-        share = gains / (2.0 * gains.sum())
+        gains = case.car.gains
+        share = gains[places] / gains.sum()
         columns["speed"][first:drive_s, at] = case.speed_ms[:, None]
         columns["power"][first:drive_s, at] = case.power_w[:, None] * share
         columns["pressure"][first:drive_s, at] = case.pressure_pa[:, None]
         ambient[:, at] = case.ambient_k
-        corners += [case.car.corners[0], case.car.corners[2]]
+        corners += [case.car.corners[place] for place in places]
     return march_lanes(
         corners,
         [preset_effects(preset)] * lanes,
@@ -233,7 +237,7 @@ def _marched(
             ambient_k=ambient,
             wetness=np.zeros((steps, lanes)),
             pumping_pa_s=np.zeros((steps, lanes)),
-            corners_per_car=len(CORNERS),
+            corners_per_car=len(JUDGED),
         ),
         start_k=ambient[0].copy(),
     )

@@ -39,6 +39,10 @@ if TYPE_CHECKING:
 CORNERS: Final = ("FL", "RL")
 """One of each axle; the other side is the same."""
 
+JUDGED: Final = ("FL",)
+"""Corners that descents are judged by: those that may be the hottest. Of 100
+descents with both the rear fluid was the hotter one in none."""
+
 SPREAD: Final = 0.10
 """Every parameter of a brake lies so far around the nominal one's."""
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from risk_cases import HORIZON_S, Case, Truth
-from risk_fleet import CORNERS
+from risk_fleet import JUDGED
 
 from bstm_daemon.estimator import Estimator
 from bstm_daemon.forecast.monitor import RiskMonitor
@@ -81,13 +81,13 @@ def judged(case: Case, truth: Truth) -> Judgement:
     assert risk is not None
     assert risk.forecast_us is not None
     peaks = monitor.peaks_k()
-    told = [risk.corners[name] for name in CORNERS]
+    told = [risk.corners[name] for name in JUDGED]
     fluid = truth.fluid_k
     return Judgement(
-        np.array([peaks[name] for name in CORNERS]).T,
+        np.array([peaks[name] for name in JUDGED]).T,
         np.array([c.peak_k for c in told]),
         np.array([c.peak_in_s for c in told]),
-        np.array([estimator.state(name)["fluid"] for name in CORNERS]),
+        np.array([estimator.state(name)["fluid"] for name in JUDGED]),
         np.array([c.deviation_k for c in told]),
         fluid.max(axis=0),
         truth.time_s[fluid.argmax(axis=0)],
@@ -107,7 +107,7 @@ def samples(
     case: Case,
 ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int32], Column]:
     """Return times [us], role numbers and values of what *case* senses."""
-    count = (len(case.speed_ms) + 2) * SAMPLES_S
+    count = (len(case.speed_ms) + 1) * SAMPLES_S
     at_s = np.arange(count) / SAMPLES_S
     seconds = np.arange(len(case.speed_ms)) + 0.5
     speed = np.interp(at_s, seconds, case.sensed_speed_ms)

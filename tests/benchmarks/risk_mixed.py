@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from risk_cases import Case, draw_car, march_drive, sensed
-from risk_fleet import CORNERS, FleetCar
+from risk_fleet import JUDGED, FleetCar
 from risk_fluids import draw_fluid
 from risk_judge import estimating, samples
 
@@ -109,7 +109,7 @@ def _worst_peaks(case: Case) -> Column:
             monitor.add(block)
         peaks = monitor.peaks_k()
         if all(peaks.values()):
-            found = np.array([peaks[name] for name in CORNERS]).max(axis=0)
+            found = np.array([peaks[name] for name in JUDGED]).max(axis=0)
             if found.mean() > worst.mean():
                 worst = found
     return worst
