@@ -1,9 +1,8 @@
 """The extraction plan as tables: what frame is whose, and where samples lie.
 
 Made once of a :class:`~bstm_daemon.bus.signal_map.SignalMap`, for both forms
-of :mod:`~bstm_daemon.bus.columns`. What the compiled pass does not know is
-left to NumPy: a message with an output that has conditions or an expression,
-a 16-bit float, or whole numbers beyond 64 bits.
+of :mod:`~bstm_daemon.bus.columns`: :mod:`~bstm_daemon.bus.plan_tables` as
+NumPy's arrays. What the compiled pass does not know is left to NumPy.
 """
 
 from __future__ import annotations
@@ -15,24 +14,20 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from bstm_daemon.bus.column_values import MessageColumns
-from bstm_daemon.bus.extraction import INT64_REACH
+from bstm_daemon.bus.plan_tables import (
+    FACTORS,
+    OUTPUT_FIELDS,
+    STANDARD_IDS,
+    plan_tables,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     import numpy.typing as npt
 
-    from bstm_daemon.bus.extraction import MessagePlan, Output, RawSignal
     from bstm_daemon.bus.signal_map import SignalMap
 
-STANDARD_IDS: Final = 1 << 11
-
-_UNSIGNED, _SIGNED, _FLOATING = range(3)
-_NO_SCALING, _WHOLE, _REAL = range(3)
-_OUTPUT_FIELDS: Final = 13
-_FACTORS: Final = 6
-_FLOAT_LENGTHS: Final = (32, 64)
-_WINDOW_BYTES: Final = 8
 _MAPS_KEPT: Final = 8
 
 
@@ -93,117 +88,21 @@ def column_plan(signal_map: SignalMap) -> ColumnPlan:
 
 
 def _column_plan(signal_map: SignalMap) -> ColumnPlan:
-    plans = list(signal_map.messages.values())
-    standard = np.full((len(signal_map.buses) + 1, STANDARD_IDS), -1, np.int32)
-    extended = []
-    for number, plan in enumerate(plans):
-        if plan.key.extended:
-            extended.append((plan.key.bus << 29 | plan.key.can_id, number))
-        else:
-            standard[plan.key.bus, plan.key.can_id] = number
-    extended.sort()
-    compiled, foreign = _compiled_plan(plans)
+    tables = plan_tables(signal_map)
     return ColumnPlan(
-        messages=tuple(MessageColumns(plan) for plan in plans),
-        standard=standard,
-        extended=np.array([key for key, _ in extended], np.int64),
-        extended_message=np.array([one for _, one in extended], np.int32),
-        lengths=np.array([*(plan.length for plan in plans), 0], np.int64),
-        sizes=np.array([*(len(p.outputs) for p in plans), 0], np.int64),
-        compiled=compiled,
-        foreign=foreign,
+        messages=tuple(
+            MessageColumns(plan) for plan in signal_map.messages.values()
+        ),
+        standard=np.array(tables.standard, np.int32).reshape(-1, STANDARD_IDS),
+        extended=np.array(tables.extended, np.int64),
+        extended_message=np.array(tables.extended_message, np.int32),
+        lengths=np.array(tables.lengths, np.int64),
+        sizes=np.array(tables.sizes, np.int64),
+        compiled=CompiledPlan(
+            np.array(tables.starts, np.int64),
+            np.array(tables.outputs, np.int64).reshape(-1, OUTPUT_FIELDS),
+            np.array(tables.factors, np.float64).reshape(-1, FACTORS),
+            np.array(tables.gaps, np.uint64),
+        ),
+        foreign=tables.foreign,
     )
-
-
-def _compiled_plan(
-    plans: Sequence[MessagePlan],
-) -> tuple[CompiledPlan, tuple[int, ...]]:
-    """Return the rows of all *plans* that the compiled pass knows."""
-    starts = [0]
-    outputs: list[tuple[int, ...]] = []
-    factors: list[tuple[float, ...]] = []
-    gaps: list[int] = []
-    foreign = []
-    for position, plan in enumerate(plans):
-        scalings = [_known(plan, output) for output in plan.outputs]
-        if None in scalings:
-            foreign.append(position)
-        else:
-            for output, scaling in zip(plan.outputs, scalings, strict=True):
-                signal = plan.signals[output.index]
-                row = _integers(plan, output, scaling or 0)
-                first = len(gaps)
-                gaps += sorted(signal.unavailable)
-                outputs.append((*row, first, len(gaps)))
-                factors.append(_reals(signal, output, scaling or 0))
-        starts.append(len(outputs))
-    compiled = CompiledPlan(
-        np.array(starts, np.int64),
-        np.array(outputs, np.int64).reshape(-1, _OUTPUT_FIELDS),
-        np.array(factors, np.float64).reshape(-1, _FACTORS),
-        np.array(gaps, np.uint64),
-    )
-    return compiled, tuple(foreign)
-
-
-def _integers(
-    plan: MessagePlan, output: Output, scaling: int
-) -> tuple[int, ...]:
-    """Return the whole numbers of a row, up to those of its gaps."""
-    signal = plan.signals[output.index]
-    raw = _SIGNED if signal.signed else _UNSIGNED
-    if signal.floating:
-        raw = _FLOATING
-    # a window of 8 bytes within the frame, or within 8 bytes where it is
-    # shorter, holds all bits but those in the one byte behind it
-    last = max(plan.length, _WINDOW_BYTES) - _WINDOW_BYTES
-    base = min(signal.start // 8, last)
-    lowest = signal.start - 8 * base
-    beyond = lowest + signal.length - 8 * _WINDOW_BYTES
-    whole = scaling == _WHOLE
-    return (
-        output.role,
-        base,
-        max(-beyond, 0) if signal.big_endian else lowest,
-        max(beyond, 0),
-        int(signal.big_endian),
-        signal.length,
-        raw,
-        scaling,
-        int(output.flag),
-        int(signal.scale) if whole else 0,
-        int(signal.offset) if whole else 0,
-    )
-
-
-def _reals(
-    signal: RawSignal, output: Output, scaling: int
-) -> tuple[float, ...]:
-    whole = scaling == _WHOLE
-    return (
-        0.0 if whole else float(signal.scale),
-        0.0 if whole else float(signal.offset),
-        output.gain,
-        output.bias,
-        output.low,
-        output.high,
-    )
-
-
-def _known(plan: MessagePlan, output: Output) -> int | None:
-    """Return how raw values become physical ones, if the pass knows it."""
-    if output.expression is not None or output.conditions:
-        return None
-    signal = plan.signals[output.index]
-    scale, offset = signal.scale, signal.offset
-    if signal.floating and signal.length not in _FLOAT_LENGTHS:
-        return None
-    if signal.identity:
-        return _NO_SCALING
-    if signal.floating or isinstance(scale, float):
-        return _REAL
-    if isinstance(offset, float):
-        return None
-    farthest = max(map(abs, signal.raw_limits))
-    fits = farthest * max(abs(scale), 1) + abs(offset) < INT64_REACH
-    return _WHOLE if fits else None

@@ -14,9 +14,10 @@ import numpy as np
 import numpy.typing as npt
 
 from bstm_daemon.bus.candump_line import EXTENDED_MAX
-from bstm_daemon.bus.column_plan import STANDARD_IDS, ColumnPlan, column_plan
+from bstm_daemon.bus.column_plan import ColumnPlan, column_plan
 from bstm_daemon.bus.compiled import LogExtension, extension
 from bstm_daemon.bus.frame_chunk import FrameChunk
+from bstm_daemon.bus.plan_tables import STANDARD_IDS
 from bstm_daemon.bus.refusal import Refusal
 from bstm_daemon.bus.signal_map import SignalMap
 

@@ -1,6 +1,6 @@
 """Records of live frames into samples, compiled, by the extraction plan.
 
-Plain frames only: what the compiled pass does not know (:mod:`column_plan`),
+Plain frames only: what the compiled pass does not know (:mod:`plan_tables`),
 must be protected end to end, or is no data frame of a message, is left to
 :class:`~bstm_daemon.bus.decoder.Decoder`, which gives the same values.
 """
@@ -10,7 +10,7 @@ from __future__ import annotations
 from array import array
 from typing import TYPE_CHECKING, Final
 
-from bstm_daemon.bus.column_plan import column_plan
+from bstm_daemon.bus.plan_tables import plan_tables
 from bstm_daemon.bus.refusal import Refusal
 from bstm_daemon.roles import ROLES
 
@@ -44,29 +44,22 @@ class RecordDecoder:
         Samples of the role numbers *held* are handed out once more, as
         objects, under their name.
         """
-        plan = column_plan(signal_map)
-        by_hand = bytearray(len(plan.messages))
+        plan = plan_tables(signal_map)
+        by_hand = bytearray(len(signal_map.messages))
         for number in plan.foreign:
             by_hand[number] = True
         for number, key in enumerate(signal_map.messages):
             by_hand[number] |= key in signal_map.protected
-        room = max(_ROOM, int(plan.sizes.max()))
+        room = max(_ROOM, *plan.sizes)
         self.times_us = array("q", bytes(8 * room))
         self.roles = array("i", bytes(4 * room))
         self.values = array("d", bytes(8 * room))
         self.count = 0
         self._refused = array("q", bytes(8 * len(_REASONS)))
-        compiled = plan.compiled
         self._arguments = (
-            # arrays of their own: NumPy's are slow to look into
-            array("i", plan.standard.tobytes()),
-            array("q", plan.extended.tobytes()),
-            array("i", plan.extended_message.tobytes()),
-            array("q", plan.lengths.tobytes()),
-            array("q", compiled.starts.tobytes()),
-            array("q", compiled.outputs.tobytes()),
-            array("d", compiled.factors.tobytes()),
-            array("Q", compiled.gaps.tobytes()),
+            *(plan.standard, plan.extended, plan.extended_message),
+            *(plan.lengths, plan.starts, plan.outputs, plan.factors),
+            plan.gaps,
             bytes(by_hand),
             *(self.times_us, self.roles, self.values, self._refused),
             tuple(held.get(number) for number in range(len(ROLES))),
