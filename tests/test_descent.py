@@ -91,7 +91,7 @@ def descent(request: pytest.FixtureRequest, logs: Any) -> Descent:
     config, signal_map = load_vehicle(ROOT / "config" / "example_vehicle.toml")
     heat = config.heat.model_copy(update={"mode": mode})
     config = config.model_copy(update={"heat": heat})
-    return Descent(driven, replay_log(config, signal_map, log))
+    return Descent(driven, replay_log(config, signal_map, log, forecast=False))
 
 
 def test_the_drive_is_a_hard_one(descent: Descent) -> None:

@@ -44,8 +44,8 @@ counted on the other, once a drive and node at the peak and at fixed times.
 With the structure `extended` the strengths of its seven thermal effects are
 matched too. The two structures on the other's preset are not asked to meet the
 goals and stand at the end: what `thesis` leaves on `road` is the gap between
-model and car that `bstm gap` looks for. A section whose commit is older was not
-measured anew, as nothing that it depends on has changed.
+model and car that `bstm gap` looks for. A section whose commit is older was
+not measured anew, as nothing that it depends on has changed.
 
 Known heat also tells when the pads touch; else a pressure does, and the last
 tenths of a bar are within its sensor's offset. Sensors are a car's own: an

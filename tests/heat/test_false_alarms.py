@@ -126,6 +126,7 @@ def flags_of(tmp_path: Path) -> Callable[..., Any]:
             *load_vehicle(path),
             next(data.glob(log)),
             dict.fromkeys(without, ""),
+            forecast=False,
         )
         columns = found.results.columns
         return columns["flags"].astype(np.int64), columns

@@ -41,7 +41,7 @@ def compared(logged: Logged, driving: Reader, example: Example) -> Compared:
             update={"heat": HeatConfig(derivative_filter_s=0.3)}
         )
         read = driving(path)
-        results = replay_log(config, plan, path).results
+        results = replay_log(config, plan, path, forecast=False).results
         heat = compare_heat(results, read, config)
         return heat, stop_friction(read, config, heat)
 
@@ -103,7 +103,9 @@ def test_ratio_of_friction_configured_too_high(
     config = config.model_copy(update={"corner": corners})
     path = logged("idiada-step", "none")
     heat = compare_heat(
-        replay_log(config, plan, path).results, driving(path), config
+        replay_log(config, plan, path, forecast=False).results,
+        driving(path),
+        config,
     )
 
     momentary = heat.momentary_ratio()
@@ -167,7 +169,9 @@ def test_sources_that_are_not_there_are_named(
     path = logged("idiada-step")
     read = driving(path)
     read.channels.dead.update({"powertrain_torque", "brake_torque"})
-    heat = compare_heat(replay_log(config, plan, path).results, read, config)
+    heat = compare_heat(
+        replay_log(config, plan, path, forecast=False).results, read, config
+    )
 
     assert set(heat.power_w) == {"ff"}
     assert heat.absent["fb"] == "no torque at the wheels in this log"
@@ -182,7 +186,7 @@ def test_fused_power_is_shown_where_it_is_given(
     """A replay handed over as fused stands beside the others."""
     config, plan = example
     path = logged("idiada-step")
-    results = replay_log(config, plan, path).results
+    results = replay_log(config, plan, path, forecast=False).results
     heat = compare_heat(results, driving(path), config, results)
 
     assert heat.total_j("fused") == pytest.approx(heat.total_j("ff"))

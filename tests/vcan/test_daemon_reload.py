@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from bstm_daemon.bus.output_layout import ADVICE_OFFSET, own_ids
+from bstm_daemon.roles import CORNERS
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -162,7 +163,7 @@ def test_the_end_saves_and_says_not_available(
     for frame in heard.frames:
         last[frame.can_id] = frame
     # all but the requests, which are off
-    assert set(last) == set(own_ids(BASE, 4)) - {BASE + ADVICE_OFFSET}
+    assert set(last) == set(own_ids(BASE, CORNERS)) - {BASE + ADVICE_OFFSET}
     # State in the high nibble of byte 2, validity in that of byte 1
     assert last[BASE].data[2] >> 4 == 4
     assert {frame.data[1] >> 4 for frame in last.values()} == {15}
