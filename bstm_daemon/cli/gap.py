@@ -19,9 +19,11 @@ from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.errors import UsageError
 from bstm_daemon.files import replacing
 from bstm_daemon.gap.adopting import adopt
+from bstm_daemon.gap.menu import MENU
 from bstm_daemon.gap.recording import read_recording
 from bstm_daemon.gap.workflow import STEPS, find_gap
 from bstm_daemon.report.gap_words import gap_json, gap_text
+from bstm_daemon.simulation import drive_names
 
 if TYPE_CHECKING:
     import argparse
@@ -39,7 +41,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         choices=("run", *STEPS),
         help="run: all steps; locate: where model and measurement disagree; "
         "gate: whether anything is missing; name: which effect; adopt: fit it "
-        "and write it into NEW.toml; show: before and after",
+        "and write it into NEW.toml; show: before and after; advise: which "
+        "drive of a menu would tell what is left apart",
     )
     parser.add_argument("logs", nargs="+", type=Path, metavar="LOG")
     add_config(parser)
@@ -50,6 +53,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=[],
         metavar="LOG",
         help="drives that nothing is fitted to, for before and after",
+    )
+    parser.add_argument(
+        "--menu",
+        nargs="+",
+        default=list(MENU),
+        choices=drive_names(),
+        metavar="DRIVE",
+        help="drives that advise asks about, those of bstm simulate --list "
+        "(m01 to m15)",
     )
     add_out(
         parser,
@@ -73,7 +85,12 @@ def run(args: argparse.Namespace) -> int:
     until = "show" if args.step == "run" else args.step
     with Progress("gap") as progress:
         gaps = find_gap(
-            config, recordings, held_out, until=until, progress=progress.show
+            config,
+            recordings,
+            held_out,
+            until=until,
+            menu=args.menu,
+            progress=progress.show,
         )
     names = ", ".join(log.name for log in args.logs)
     print(f"{names}  ({config.vehicle.id}, {args.config})")

@@ -168,6 +168,17 @@ def thinned(events: Events) -> Events:
     )
 
 
+def inputs_of(
+    config: Config, present: Mapping[int, int], events: Events
+) -> tuple[Column, tuple[str, ...]]:
+    """Return what *config* makes of *events*, and the corners' names.
+
+    (steps, corners, channels), as ``Drive.inputs`` has them.
+    """
+    corners = Estimator(config, present).plan.corners
+    return _pass(config, present, events), corners
+
+
 def _like(drive: Drive, rows: Column) -> Column:
     """Return *rows* with as many steps as *drive*."""
     steps = len(drive)

@@ -90,7 +90,7 @@ def linearised(
     base, jacobian = sensitivities(comparison, comparison.start)
     found, silent = [], []
     for number, name in enumerate(names):
-        signature = _signature(comparison, name, base)
+        signature = signature_of(comparison, name, base)
         if signature is None:
             silent.append(name)
         else:
@@ -117,9 +117,13 @@ def sensitivities(
     return apart[:, 0], comparison.whiten(jacobian)
 
 
-def _signature(
+def signature_of(
     comparison: Comparison, name: str, base: Column
 ) -> Signature | None:
+    """Return what *name* changes in the residuals *base* [K], (n,).
+
+    None where it changes nothing or does not fit the structure.
+    """
     cls = effect_class(name)
     strengths = HEAT_STRENGTHS if cls.kind == "heat" else NETWORK_STRENGTHS
     changes = []

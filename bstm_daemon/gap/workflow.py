@@ -9,9 +9,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bstm_daemon.errors import LogError
+from bstm_daemon.gap.advising import advise, members_of, prospect
 from bstm_daemon.gap.comparison import Comparison, heats
 from bstm_daemon.gap.fitting import Fit, effect_entries, fit
 from bstm_daemon.gap.locating import Located, locate
+from bstm_daemon.gap.menu import MENU, menu_drive
 from bstm_daemon.gap.naming import Naming, name_effect
 from bstm_daemon.gap.noise import noise_of
 from bstm_daemon.gap.showing import Shown, show
@@ -23,10 +25,12 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from bstm_daemon.config import Config, EffectConfig
+    from bstm_daemon.gap.advising import Advice
     from bstm_daemon.gap.recording import Recording
+    from bstm_daemon.gap.signatures import Linearised
     from bstm_daemon.matching.tunables import Target
 
-STEPS = ("locate", "gate", "name", "adopt", "show")
+STEPS = ("locate", "gate", "name", "adopt", "show", "advise")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,6 +41,7 @@ class Gap:
     as configured and with the effect. ``silent`` are candidates that the
     drives do not excite. ``fit`` and ``shown`` are None where nothing was
     named, ``located`` and ``naming`` where they were not asked for.
+    ``advice`` is which drive would tell ``members`` apart, the best first.
     """
 
     corners: tuple[str, ...]
@@ -49,6 +54,8 @@ class Gap:
     shown: Shown | None = None
     before: Located | None = None
     after: Located | None = None
+    advice: tuple[Advice, ...] = ()
+    members: tuple[str, ...] = ()
 
     def effects(self) -> list[EffectConfig]:
         """Return what can be adopted, with its provenance."""
@@ -79,6 +86,7 @@ def find_gap(
     held_out: Sequence[Recording] = (),
     *,
     until: str = "show",
+    menu: Sequence[str] = MENU,
     progress: Callable[[float], None] | None = None,
 ) -> list[Gap]:
     """Search *recordings* for what *config* lacks.
@@ -87,7 +95,10 @@ def find_gap(
         config: the vehicle, matched to it as well as may be.
         recordings: drives with thermocouples.
         held_out: drives to show before and after on.
-        until: the last step taken: locate, gate, name, adopt or show.
+        until: the last step taken: locate, gate, name, adopt, show or
+            advise; advise leaves adopt and show out, show advises where
+            candidates are left that the data can not tell apart.
+        menu: drives that are asked about.
         progress: told the share that is done.
 
     Raises:
@@ -106,7 +117,7 @@ def find_gap(
             if progress is not None:
                 progress((number + share) / len(targets))
 
-        found.append(_gap(target, recordings, held_out, until, told))
+        found.append(_gap(target, recordings, held_out, until, menu, told))
     return found
 
 
@@ -122,6 +133,7 @@ def _gap(
     recordings: Sequence[Recording],
     held_out: Sequence[Recording],
     until: str,
+    menu: Sequence[str],
     told: Callable[[float], None],
 ) -> Gap:
     located = locate(target.config, recordings, target.corners)
@@ -138,7 +150,14 @@ def _gap(
     )
     naming = name_effect(comparison, known)
     plain = Gap(target.corners, names, points, located, naming, known.silent)
-    if until in {"gate", "name"} or naming.answer not in {"name", "class"}:
+    if until == "advise" or (
+        until == "show" and naming.answer in {"class", "undecided"}
+    ):
+        plain = _advised(plain, comparison, known, menu, told)
+    if until in {"gate", "name", "advise"} or naming.answer not in {
+        "name",
+        "class",
+    }:
         return plain
     best = naming.names if naming.answer == "name" else naming.names[:1]
     start = {
@@ -151,17 +170,40 @@ def _gap(
     if until == "show":
         shown = show(comparison, extended, held_out)
         maps = _maps(comparison, extended, held_out or recordings)
-    return Gap(
-        target.corners,
-        names,
-        points,
-        located,
-        naming,
-        known.silent,
-        extended,
-        shown,
-        *maps,
+    return replace(
+        plain, fit=extended, shown=shown, before=maps[0], after=maps[1]
     )
+
+
+def _advised(
+    gap: Gap,
+    comparison: Comparison,
+    known: Linearised,
+    menu: Sequence[str],
+    told: Callable[[float], None],
+) -> Gap:
+    """Add which drive of *menu* would tell what is left apart."""
+    naming = gap.naming
+    if naming is None or naming.answer in {"name", "unknown"}:
+        return gap
+    members = members_of(naming, known.silent)
+    target = comparison.target
+    recording = comparison.recordings[0]
+    couples = {
+        corner: tuple(recording.drive.measured.get(corner, {}))
+        for corner in target.corners
+    }
+    prospects = []
+    for number, name in enumerate(menu):
+        drive = menu_drive(name, target.config, recording.present, couples)
+        prospects.append(
+            prospect(
+                compare(target, [drive.recording]), members, drive.description
+            )
+        )
+        told(0.7 + 0.15 * (number + 1) / len(menu))
+    found = advise(known, comparison.prior, members, prospects)
+    return replace(gap, advice=found, members=members)
 
 
 def _maps(
