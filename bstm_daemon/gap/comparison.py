@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from math import ceil
 from typing import TYPE_CHECKING, Final
 
@@ -19,6 +19,7 @@ from bstm_daemon.corner_model import compiled_model, corner_model
 from bstm_daemon.effects.catalogue import edited_inputs, effect_class
 from bstm_daemon.effects.corrections import corrections_by_role
 from bstm_daemon.errors import LogError
+from bstm_daemon.gap.layout import Layout, Series
 from bstm_daemon.heat.sample_plan import CHANNELS
 from bstm_daemon.matching.drives import GRID_S
 from bstm_daemon.matching.march import initial_temperatures, march
@@ -53,25 +54,10 @@ day, and a pressure sensor's offset and gain."""
 POWER: Final = CHANNELS.index("brake_power_w")
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Series:
-    """One node over one drive, (n,) each; ``couples`` are (corner, name)."""
-
-    drive: int
-    node: str
-    couples: tuple[tuple[str, str], ...]
-    steps: Column
-    time_s: Column
-    measured_k: Column
-    slope_k_s: Column
-    rise_k: Column
-
-
-class Comparison:
+class Comparison(Layout):
     """Residuals of a target on recordings.
 
-    ``keys`` are the tunables, :data:`HEAT_SCALE` last; ``prior`` (p,) the
-    standard deviations of their logarithms.
+    ``keys`` are the tunables, :data:`HEAT_SCALE` last.
     """
 
     def __init__(
@@ -89,40 +75,19 @@ class Comparison:
         self.target = target
         self.recordings = tuple(recordings)
         self.keys = (*keys, HEAT_SCALE)
-        self.prior = np.array(
-            [*(TUNABLES[key].prior for key in keys), HEAT_SCALE_PRIOR]
-        )
         self.start = np.log(
             [*(target.value(TUNABLES[key]) for key in keys), 1.0]
         )
         bounds = [TUNABLES[key].bounds() for key in keys] + [(-0.7, 0.7)]
         self.lower, self.upper = np.array(bounds).T
-        self.series = self._series()
-        self.noise = dict(noise)
-        self._whiteners = [
-            self.noise[one.node].whitener(
-                one.time_s, one.slope_k_s, one.rise_k
-            )
-            for one in self.series
-        ]
-        sizes = [len(one.time_s) for one in self.series]
-        self.edges = np.concatenate(([0], np.cumsum(sizes)))
-
-    def slices(self, drive: int) -> list[slice]:
-        """Return where the points of *drive* are."""
-        return [
-            slice(self.edges[i], self.edges[i + 1])
-            for i, one in enumerate(self.series)
-            if one.drive == drive
-        ]
-
-    def whiten(self, apart_k: Column) -> Column:
-        """Return *apart_k* (n, k) or (n,) with unit covariance."""
-        parts = [
-            whitener @ apart_k[self.edges[i] : self.edges[i + 1]]
-            for i, whitener in enumerate(self._whiteners)
-        ]
-        return np.concatenate(parts)
+        super().__init__(
+            self._found_series(),
+            noise,
+            np.array(
+                [*(TUNABLES[key].prior for key in keys), HEAT_SCALE_PRIOR]
+            ),
+            [one.name for one in recordings],
+        )
 
     def config(
         self, x: Column, effects: Sequence[EffectConfig] = ()
@@ -175,7 +140,7 @@ class Comparison:
 
     def drives(self, effects: Sequence[EffectConfig] = ()) -> list[Drive]:
         """Return the drives, heated with *effects* where these act on it."""
-        if not any(heats(effect) for effect in effects):
+        if not any(heats(one, self.target.config) for one in effects):
             return [one.drive for one in self.recordings]
         config = with_effects(self.target.config, effects)
         with ThreadPoolExecutor(os.cpu_count()) as pool:
@@ -219,7 +184,7 @@ class Comparison:
                 found[node].append((lanes, shown))
         return {node: _in_order(parts) for node, parts in found.items()}
 
-    def _series(self) -> tuple[Series, ...]:
+    def _found_series(self) -> tuple[Series, ...]:
         corner = self.target.corner
         nodes = {
             node.name
@@ -249,9 +214,23 @@ class Comparison:
         return tuple(found)
 
 
-def heats(effect: EffectConfig) -> bool:
-    """Whether *effect* may change what the pass over samples gives."""
-    return effect_class(effect.name).kind == "heat"
+def heats(effect: EffectConfig, config: Config) -> bool:
+    """Whether *effect* changes what the pass over samples gives *config*."""
+    if effect_class(effect.name).kind != "heat":
+        return False
+    on = with_effects(config, [effect])
+    edited, plain = edited_inputs(on), edited_inputs(config)
+    same_inputs = (
+        edited.corrections == plain.corrections
+        and edited.unpressed_share == plain.unpressed_share
+        and edited.config.model_copy(update={"effect": []})
+        == plain.config.model_copy(update={"effect": []})
+    )
+    return not same_inputs or any(
+        corner_model(on, corner).friction
+        != corner_model(config, corner).friction
+        for corner in config.corner
+    )
 
 
 def with_effects(config: Config, effects: Sequence[EffectConfig]) -> Config:

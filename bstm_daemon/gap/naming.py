@@ -25,7 +25,7 @@ from bstm_daemon.gap.unknown import likeliest, log_evidence
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from bstm_daemon.gap.comparison import Comparison
+    from bstm_daemon.gap.layout import Layout
     from bstm_daemon.gap.signatures import Linearised, Signature
     from bstm_daemon.matching.drives import Column
 
@@ -97,9 +97,9 @@ class Naming:
         return max((one.z for one in self.candidates), default=0.0)
 
 
-def name_effect(comparison: Comparison, linearised: Linearised) -> Naming:
+def name_effect(layout: Layout, linearised: Linearised) -> Naming:
     """Return what *linearised* says is missing."""
-    project = Projector(linearised.jacobian, comparison.prior)
+    project = Projector(linearised.jacobian, layout.prior)
     found = _weighed(project, linearised.residual, linearised.signatures)
     odds = probabilities(found)
     nothing = Naming(
@@ -125,13 +125,13 @@ def name_effect(comparison: Comparison, linearised: Linearised) -> Naming:
         )
     by_name = {one.name: one for one in linearised.signatures}
     placebo = _best_placebo(
-        comparison, project, linearised.residual, by_name[best.name]
+        layout, project, linearised.residual, by_name[best.name]
     )
-    validated = _cross_validated(comparison, linearised, by_name[best.name])
+    validated = _cross_validated(layout, linearised, by_name[best.name])
     common = replace(
         nothing, best_placebo_z=placebo, cross_validated=validated
     )
-    chosen, leftover = _several(linearised, found, comparison.prior)
+    chosen, leftover = _several(linearised, found, layout.prior)
     explained, left = _explained(project, linearised, chosen)
     common = replace(common, explained=explained, leftover=leftover)
     foreign = explained < EXPLAINED and left > UNEXPLAINED
@@ -315,23 +315,23 @@ def _cosine(project: Projector, a: Signature, b: Signature) -> float:
 
 
 def _best_placebo(
-    comparison: Comparison,
+    layout: Layout,
     project: Projector,
     residual: Column,
     signature: Signature,
 ) -> float:
     """Return the largest score of the signature at other times."""
     rng = np.random.default_rng(7)
-    drives = range(len(comparison.recordings))
+    drives = range(len(layout.drive_names))
     scores = []
     for _ in range(PLACEBOS):
         moved = signature.kelvin.copy()
         for drive in drives:
             share = rng.uniform(0.2, 0.8)
-            for part in comparison.slices(drive):
+            for part in layout.slices(drive):
                 count = part.stop - part.start
                 moved[part] = np.roll(moved[part], int(share * count))
-        white = comparison.whiten(moved)
+        white = layout.whiten(moved)
         projected = project(white)
         slope = max(float(white @ projected), 1e-12)
         score = -float(projected @ residual) / sqrt(slope)
@@ -340,18 +340,18 @@ def _best_placebo(
 
 
 def _cross_validated(
-    comparison: Comparison, linearised: Linearised, signature: Signature
+    layout: Layout, linearised: Linearised, signature: Signature
 ) -> dict[str, float]:
     """Return the gain on each drive of what the other drives have fitted."""
     found: dict[str, float] = {}
-    count = len(comparison.recordings)
+    count = len(layout.drive_names)
     if count < 2:
         return found
-    for drive, recording in enumerate(comparison.recordings):
+    for drive, name in enumerate(layout.drive_names):
         own = np.zeros(len(linearised.residual), bool)
-        for part in comparison.slices(drive):
+        for part in layout.slices(drive):
             own[part] = True
-        project = Projector(linearised.jacobian[~own], comparison.prior)
+        project = Projector(linearised.jacobian[~own], layout.prior)
         there = replace(
             signature,
             linear=signature.linear[~own],
@@ -369,5 +369,5 @@ def _cross_validated(
                 + linearised.jacobian[own] @ x
             )
             costs.append(0.5 * float(left @ left))
-        found[recording.name] = costs[0] - costs[1]
+        found[name] = costs[0] - costs[1]
     return found

@@ -22,10 +22,11 @@ from bstm_daemon.gap.unknown import UnknownHeat, unknown_heats
 from bstm_daemon.matching.least_squares import STEP
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from bstm_daemon.config import Config
     from bstm_daemon.gap.comparison import Comparison
+    from bstm_daemon.gap.layout import Layout
     from bstm_daemon.matching.drives import Column
 
 NETWORK_STRENGTHS: Final = (0.5, 1.5)
@@ -75,6 +76,37 @@ class Linearised:
     unknown: tuple[UnknownHeat, ...]
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Sensed:
+    """The same in kelvin, as simulated.
+
+    ``base_k`` (n,) and ``jacobian_k`` (n, p); ``terms_k`` by effect the
+    linear and the curved one, (2, n); heats without a name in kelvin.
+    """
+
+    base_k: Column
+    jacobian_k: Column
+    terms_k: Mapping[str, Column]
+    silent: tuple[str, ...]
+    unknown_k: tuple[UnknownHeat, ...]
+
+    def whitened(self, layout: Layout) -> Linearised:
+        """Return it with unit covariance by the noise of *layout*."""
+        return Linearised(
+            layout.whiten(self.base_k),
+            layout.whiten(self.jacobian_k),
+            tuple(
+                _signature(layout, name, terms)
+                for name, terms in self.terms_k.items()
+            ),
+            self.silent,
+            tuple(
+                UnknownHeat(one.node, one.regime, layout.whiten(one.change))
+                for one in self.unknown_k
+            ),
+        )
+
+
 def candidates(config: Config) -> list[str]:
     """Return the effects that *config* does not have yet."""
     present = {one.name for one in effects_of(config)}
@@ -87,22 +119,27 @@ def linearised(
     progress: Callable[[float], None] | None = None,
 ) -> Linearised:
     """Return residuals and sensitivities of *comparison* at its start."""
-    base, jacobian = sensitivities(comparison, comparison.start)
-    found, silent = [], []
+    return sensed(comparison, names, progress).whitened(comparison)
+
+
+def sensed(
+    comparison: Comparison,
+    names: Sequence[str],
+    progress: Callable[[float], None] | None = None,
+) -> Sensed:
+    """Return residuals and sensitivities in kelvin at its start."""
+    base, jacobian = _sensitivities_k(comparison, comparison.start)
+    found, silent = {}, []
     for number, name in enumerate(names):
-        signature = signature_of(comparison, name, base)
-        if signature is None:
+        terms = _terms_k(comparison, name, base)
+        if terms is None:
             silent.append(name)
         else:
-            found.append(signature)
+            found[name] = terms
         if progress is not None:
             progress((number + 1) / len(names))
-    return Linearised(
-        comparison.whiten(base),
-        jacobian,
-        tuple(found),
-        tuple(silent),
-        unknown_heats(comparison, base),
+    return Sensed(
+        base, jacobian, found, tuple(silent), unknown_heats(comparison, base)
     )
 
 
@@ -110,11 +147,8 @@ def sensitivities(
     comparison: Comparison, x: Column, effects: Sequence[EffectConfig] = ()
 ) -> tuple[Column, Column]:
     """Return residuals [K] (n,) and the whitened jacobian (n, p) at *x*."""
-    steps = np.where(x + STEP <= comparison.upper, STEP, -STEP)
-    points = np.vstack((x, x + np.diag(steps)))
-    apart = comparison.apart_k(points, effects)
-    jacobian = (apart[:, 1:] - apart[:, :1]) / steps
-    return apart[:, 0], comparison.whiten(jacobian)
+    apart, jacobian = _sensitivities_k(comparison, x, effects)
+    return apart, comparison.whiten(jacobian)
 
 
 def signature_of(
@@ -124,8 +158,34 @@ def signature_of(
 
     None where it changes nothing or does not fit the structure.
     """
-    cls = effect_class(name)
-    strengths = HEAT_STRENGTHS if cls.kind == "heat" else NETWORK_STRENGTHS
+    terms = _terms_k(comparison, name, base)
+    if terms is None:
+        return None
+    return _signature(comparison, name, terms)
+
+
+def _signature(layout: Layout, name: str, terms: Column) -> Signature:
+    return Signature(
+        name,
+        layout.whiten(terms[0]),
+        layout.whiten(terms[1]),
+        terms.sum(axis=0),
+        effect_class(name).either_sign,
+    )
+
+
+def _sensitivities_k(
+    comparison: Comparison, x: Column, effects: Sequence[EffectConfig] = ()
+) -> tuple[Column, Column]:
+    steps = np.where(x + STEP <= comparison.upper, STEP, -STEP)
+    points = np.vstack((x, x + np.diag(steps)))
+    apart = comparison.apart_k(points, effects)
+    return apart[:, 0], (apart[:, 1:] - apart[:, :1]) / steps
+
+
+def _terms_k(comparison: Comparison, name: str, base: Column) -> Column | None:
+    kind = effect_class(name).kind
+    strengths = HEAT_STRENGTHS if kind == "heat" else NETWORK_STRENGTHS
     changes = []
     for strength in strengths:
         effect = EffectConfig(name=name, parameters={"strength": strength})
@@ -140,6 +200,5 @@ def signature_of(
     a = np.array(strengths)
     matrix = np.column_stack((a, a**2))[:, : len(a)]
     terms = np.linalg.lstsq(matrix, np.array(changes), rcond=None)[0]
-    linear = comparison.whiten(terms[0])
-    curved = comparison.whiten(terms[1]) if len(a) > 1 else 0.0 * linear
-    return Signature(name, linear, curved, terms.sum(axis=0), cls.either_sign)
+    curved = terms[1] if len(a) > 1 else 0.0 * terms[0]
+    return np.array((terms[0], curved))

@@ -22,7 +22,8 @@ from bstm_daemon.thermal.program import compile_network
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from bstm_daemon.gap.comparison import Comparison, Series
+    from bstm_daemon.gap.comparison import Comparison
+    from bstm_daemon.gap.layout import Series
     from bstm_daemon.gap.projector import Projector
     from bstm_daemon.matching.drives import Column, Drive
 
@@ -42,7 +43,7 @@ OTHER_W_K: Final = 0.4
 
 @dataclass(frozen=True, slots=True, eq=False)
 class UnknownHeat:
-    """A heat flow at a node in a regime; ``change`` (n,) is whitened."""
+    """A heat flow at a node in a regime; ``change`` (n,) of the residuals."""
 
     node: str
     regime: str
@@ -52,13 +53,13 @@ class UnknownHeat:
 def unknown_heats(
     comparison: Comparison, base_k: Column
 ) -> tuple[UnknownHeat, ...]:
-    """Return what each would change in the residuals *base_k* (n,)."""
+    """Return what each would change in the residuals *base_k* (n,) [K]."""
     nodes = list(dict.fromkeys(one.node for one in comparison.series))
     found = []
     for node in nodes:
         for regime in REGIMES:
             apart = _apart(comparison, node, regime)
-            change = comparison.whiten(apart - base_k)
+            change = apart - base_k
             if float(np.abs(change).max()) > 1e-3:
                 found.append(UnknownHeat(node, regime, change))
     return tuple(found)

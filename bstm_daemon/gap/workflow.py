@@ -212,7 +212,7 @@ def _maps(
     """Return the maps of *recordings* before and after."""
     target = comparison.target
     after = comparison.config(extended.x, extended.effects())
-    heat = any(heats(effect) for effect in extended.effects())
+    heat = any(heats(effect, target.config) for effect in extended.effects())
     scale = float(np.exp(extended.x[-1]))
     heated = []
     for one in recordings:
