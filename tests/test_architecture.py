@@ -43,6 +43,7 @@ FLOORS = {
     "estimator": 5,
     "carry_over": 6,
     "driver_side": 6,
+    "model_check": 6,
     "forecast": 7,
     "engine": 8,
     "results": 8,

@@ -92,9 +92,10 @@ def read_recording(
     signal_map: SignalMap,
     overrides: Mapping[str, str] | None = None,
     *,
+    thermocouples: bool = True,
     progress: Callable[[float | None], None] | None = None,
 ) -> Recording:
-    """Read the log *path*.
+    """Read the log *path*; *thermocouples* tells whether it must have some.
 
     Raises:
         LogError: unusable, too short or without thermocouples.
@@ -108,14 +109,25 @@ def read_recording(
         if progress is not None:
             progress(log.share)
     return recorded(
-        path.name, _joined(parts), config, present_roles(signal_map)
+        path.name,
+        _joined(parts),
+        config,
+        present_roles(signal_map),
+        thermocouples=thermocouples,
     )
 
 
 def recorded(
-    name: str, events: Events, config: Config, present: Mapping[int, int]
+    name: str,
+    events: Events,
+    config: Config,
+    present: Mapping[int, int],
+    *,
+    thermocouples: bool = True,
 ) -> Recording:
     """Return the recording of *events*.
+
+    *thermocouples* tells whether it must have some.
 
     Raises:
         LogError: too short or without thermocouples.
@@ -143,7 +155,7 @@ def recorded(
             (events.time_us[own] * 1e-6, events.value[own])
         )
     measured = thermocouples_of(temperatures, corners, start_s)
-    if not measured:
+    if thermocouples and not measured:
         msg = (
             f"{name}: no measured temperature: a gap needs roles "
             "temp_<corner>_<node>"

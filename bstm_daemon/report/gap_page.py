@@ -252,7 +252,9 @@ def _naming_section(prefix: str, gap: Gap) -> PageSection:
     return PageSection(
         f"{prefix}{headline(gap)}",
         Table(CANDIDATE_HEAD, tuple(candidate_rows(naming))),
-        plots=(("how far each effect beats 'nothing'", _bars(naming)),),
+        plots=(
+            ("how far each effect beats 'nothing'", evidence_bars(naming)),
+        ),
         lines=tuple(lines),
         across=1,
         note="Every effect of the catalogue is simulated on these drives and "
@@ -274,7 +276,8 @@ def advice_section(prefix: str, gap: Gap) -> PageSection:
     )
 
 
-def _bars(naming: Naming) -> Plot:
+def evidence_bars(naming: Naming) -> Plot:
+    """Return the log Bayes factor of the likeliest candidates as bars."""
     best = [
         one
         for one in naming.candidates[:BARS]

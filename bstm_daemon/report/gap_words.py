@@ -227,7 +227,7 @@ def gap_json(gap: Gap) -> dict[str, Any]:
                 for one in getattr(gap.located, name)
             ]
     if gap.naming is not None:
-        found["naming"] = _naming_json(gap.naming)
+        found["naming"] = naming_json(gap.naming)
         found["not_excited"] = list(gap.silent)
     if gap.advice:
         found["advice"] = advice_json(gap)
@@ -239,7 +239,8 @@ def gap_json(gap: Gap) -> dict[str, Any]:
     return found
 
 
-def _naming_json(naming: Naming) -> dict[str, Any]:
+def naming_json(naming: Naming) -> dict[str, Any]:
+    """Return the answer for a file."""
     return {
         "answer": naming.answer,
         "names": list(naming.names),

@@ -199,9 +199,7 @@ def evidence(case: Case, garage: Garage, folder: Path) -> Evidence:
     )
     shared = garage.sensed
     whole = own or replace(shared, base_k=base_k, unknown_k=unknown)
-    return Evidence(
-        series, garage.prior, whole, whole.base_k - shared.base_k
-    )
+    return Evidence(series, garage.prior, whole, whole.base_k - shared.base_k)
 
 
 def comparison_of(case: Case, garage: Garage) -> Comparison:
