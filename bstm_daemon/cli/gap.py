@@ -16,13 +16,16 @@ from bstm_daemon.cli.arguments import (
 )
 from bstm_daemon.cli.progress import Progress
 from bstm_daemon.cli.vehicle import load_vehicle
+from bstm_daemon.effects.catalogue import effect_names
 from bstm_daemon.errors import UsageError
 from bstm_daemon.files import replacing
 from bstm_daemon.gap.adopting import adopt
 from bstm_daemon.gap.heat_only import find_force_gap
 from bstm_daemon.gap.menu import MENU
 from bstm_daemon.gap.recording import read_recording
-from bstm_daemon.gap.workflow import STEPS, find_gap
+from bstm_daemon.gap.workflow import STEPS, Question, advise_before, find_gap
+from bstm_daemon.replay import present_roles
+from bstm_daemon.report.advice_words import advice_json, advice_lines
 from bstm_daemon.report.force_words import force_json, force_text
 from bstm_daemon.report.gap_words import gap_json, gap_text
 from bstm_daemon.simulation import drive_names
@@ -45,7 +48,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "and write it into NEW.toml; show: before and after; advise: which "
         "drive of a menu would tell what is left apart",
     )
-    parser.add_argument("logs", nargs="+", type=Path, metavar="LOG")
+    parser.add_argument(
+        "logs",
+        nargs="*",
+        type=Path,
+        metavar="LOG",
+        help="drives; a folder is a record that the service has kept",
+    )
     add_config(parser)
     parser.add_argument(
         "--holdout",
@@ -64,6 +73,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="drives that advise asks about, those of bstm simulate --list "
         "(m01 to m15)",
     )
+    parser.add_argument(
+        "--among",
+        nargs="+",
+        default=[],
+        choices=effect_names(),
+        metavar="EFFECT",
+        help="what advise is to tell apart; without logs, before any drive",
+    )
     add_out(
         parser,
         "write the effect into a copy of the configuration",
@@ -81,6 +98,8 @@ def run(args: argparse.Namespace) -> int:
     """Search, print, and write what was asked for."""
     _check(args)
     config, signal_map = load_vehicle(args.config)
+    if not args.logs:
+        return _before_any_drive(args, config, signal_map)
     recordings = _read(args, args.logs, config, signal_map)
     held_out = _read(args, args.holdout, config, signal_map)
     if not any(one.drive.measured for one in recordings):
@@ -94,7 +113,7 @@ def run(args: argparse.Namespace) -> int:
             recordings,
             held_out,
             until=until,
-            menu=args.menu,
+            question=Question(tuple(args.menu), tuple(args.among)),
             progress=progress.show,
         )
     names = ", ".join(log.name for log in args.logs)
@@ -115,6 +134,24 @@ def run(args: argparse.Namespace) -> int:
             version=__version__,
         )
         print(args.report)
+    return 0
+
+
+def _before_any_drive(
+    args: argparse.Namespace, config: Config, signal_map: SignalMap
+) -> int:
+    """Advise by the model alone."""
+    with Progress("gap") as progress:
+        gap = advise_before(
+            config,
+            present_roles(signal_map),
+            Question(tuple(args.menu), tuple(args.among)),
+            progress.show,
+        )
+    print(f"before any drive  ({config.vehicle.id}, {args.config})")
+    print(f"{', '.join(gap.corners)}:")
+    print("\n".join(f"  {line}" for line in advice_lines(gap)))
+    _write(args, [{"advice": advice_json(gap)}], [])
     return 0
 
 
@@ -163,6 +200,11 @@ def _with_temperatures(recordings: list[Recording]) -> list[Recording]:
 
 
 def _check(args: argparse.Namespace) -> None:
+    if not args.logs and not (args.step == "advise" and args.among):
+        msg = (
+            "gap: give logs; only advise goes without, with --among EFFECT..."
+        )
+        raise UsageError(msg)
     if args.step == "adopt" and args.out is None:
         msg = "gap adopt: give -o NEW.toml"
         raise UsageError(msg)

@@ -38,6 +38,9 @@ if TYPE_CHECKING:
 PIECE: Final = 1 << 20
 """Samples that the estimator takes at a time."""
 
+SEGMENT: Final = ".log.gz"
+"""Ending of the files of a kept record."""
+
 THIN_S: Final = 0.1
 """Time between samples of one role, where effects are tried."""
 
@@ -97,17 +100,24 @@ def read_recording(
 ) -> Recording:
     """Read the log *path*; *thermocouples* tells whether it must have some.
 
+    A folder is a record that the service has kept: its segments in order.
+
     Raises:
         LogError: unusable, too short or without thermocouples.
         FileAccessError: it cannot be read.
         UsageError: the heat mode is ``measured``.
     """
-    log = EventLog(path, signal_map, overrides)
+    files = sorted(path.glob(f"*{SEGMENT}")) if path.is_dir() else [path]
+    if not files:
+        msg = f"{path}: no segment of a record (*{SEGMENT}) in this folder"
+        raise LogError(msg)
     parts = []
-    for events in log.events():
-        parts.append(events)
-        if progress is not None:
-            progress(log.share)
+    for number, file in enumerate(files):
+        log = EventLog(file, signal_map, overrides)
+        for events in log.events():
+            parts.append(events)
+            if progress is not None:
+                progress((number + (log.share or 0.0)) / len(files))
     return recorded(
         path.name,
         _joined(parts),

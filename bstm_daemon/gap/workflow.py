@@ -10,25 +10,44 @@ import numpy as np
 
 from bstm_daemon.errors import LogError
 from bstm_daemon.gap.advising import advise, members_of, prospect
-from bstm_daemon.gap.comparison import Comparison, heats
+from bstm_daemon.gap.comparison import (
+    HEAT_SCALE_PRIOR,
+    Comparison,
+    heats,
+)
 from bstm_daemon.gap.fitting import Fit, effect_entries, fit
 from bstm_daemon.gap.locating import Located, locate
 from bstm_daemon.gap.menu import MENU, menu_drive
 from bstm_daemon.gap.naming import Naming, name_effect
 from bstm_daemon.gap.noise import noise_of
 from bstm_daemon.gap.showing import Shown, show
-from bstm_daemon.gap.signatures import candidates, linearised
-from bstm_daemon.matching.tunables import REFINED, targets_of, usable
-from bstm_daemon.roles import MEASURED_NODES
+from bstm_daemon.gap.signatures import Linearised, candidates, linearised
+from bstm_daemon.matching.tunables import (
+    REFINED,
+    TUNABLES,
+    targets_of,
+    usable,
+)
+from bstm_daemon.roles import MEASURED_NODES, ROLE_INDEX
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from bstm_daemon.config import Config, EffectConfig
-    from bstm_daemon.gap.advising import Advice
+    from bstm_daemon.gap.advising import Advice, Prospect
     from bstm_daemon.gap.recording import Recording
-    from bstm_daemon.gap.signatures import Linearised
     from bstm_daemon.matching.tunables import Target
+
+
+@dataclass(frozen=True, slots=True)
+class Question:
+    """What is to be told apart, and by which drives; empty: what is left."""
+
+    menu: tuple[str, ...] = MENU
+    among: tuple[str, ...] = ()
+
+
+ANY = Question()
 
 STEPS = ("locate", "gate", "name", "adopt", "show", "advise")
 
@@ -86,7 +105,7 @@ def find_gap(
     held_out: Sequence[Recording] = (),
     *,
     until: str = "show",
-    menu: Sequence[str] = MENU,
+    question: Question = ANY,
     progress: Callable[[float], None] | None = None,
 ) -> list[Gap]:
     """Search *recordings* for what *config* lacks.
@@ -98,7 +117,7 @@ def find_gap(
         until: the last step taken: locate, gate, name, adopt, show or
             advise; advise leaves adopt and show out, show advises where
             candidates are left that the data can not tell apart.
-        menu: drives that are asked about.
+        question: which drives of the menu would tell what apart.
         progress: told the share that is done.
 
     Raises:
@@ -117,7 +136,7 @@ def find_gap(
             if progress is not None:
                 progress((number + share) / len(targets))
 
-        found.append(_gap(target, recordings, held_out, until, menu, told))
+        found.append(_gap(target, recordings, held_out, until, question, told))
     return found
 
 
@@ -133,7 +152,7 @@ def _gap(
     recordings: Sequence[Recording],
     held_out: Sequence[Recording],
     until: str,
-    menu: Sequence[str],
+    question: Question,
     told: Callable[[float], None],
 ) -> Gap:
     located = locate(target.config, recordings, target.corners)
@@ -153,7 +172,7 @@ def _gap(
     if until == "advise" or (
         until == "show" and naming.answer in {"class", "undecided"}
     ):
-        plain = _advised(plain, comparison, known, menu, told)
+        plain = _advised(plain, comparison, known, question, told)
     if until in {"gate", "name", "advise"} or naming.answer not in {
         "name",
         "class",
@@ -179,31 +198,97 @@ def _advised(
     gap: Gap,
     comparison: Comparison,
     known: Linearised,
-    menu: Sequence[str],
+    question: Question,
     told: Callable[[float], None],
 ) -> Gap:
-    """Add which drive of *menu* would tell what is left apart."""
+    """Add which drive of the menu would tell what is left apart."""
     naming = gap.naming
-    if naming is None or naming.answer in {"name", "unknown"}:
+    if naming is None:
         return gap
-    members = members_of(naming, known.silent)
+    if not question.among and naming.answer in {"name", "unknown"}:
+        return gap
+    members = question.among or members_of(naming, known.silent)
     target = comparison.target
     recording = comparison.recordings[0]
     couples = {
         corner: tuple(recording.drive.measured.get(corner, {}))
         for corner in target.corners
     }
-    prospects = []
-    for number, name in enumerate(menu):
-        drive = menu_drive(name, target.config, recording.present, couples)
-        prospects.append(
-            prospect(
-                compare(target, [drive.recording]), members, drive.description
-            )
-        )
-        told(0.7 + 0.15 * (number + 1) / len(menu))
-    found = advise(known, comparison.prior, members, prospects)
+    found = advise(
+        known,
+        comparison.prior,
+        members,
+        _prospects(
+            target, recording.present, couples, members, question.menu, told
+        ),
+    )
     return replace(gap, advice=found, members=members)
+
+
+def advise_before(
+    config: Config,
+    present: Mapping[int, int],
+    question: Question,
+    progress: Callable[[float], None] | None = None,
+) -> Gap:
+    """Return which drive would tell candidates apart before any is driven.
+
+    Args:
+        config: the vehicle.
+        present: role number to timeout [us] of what its bus has.
+        question: candidates, each as likely as the other, and drives.
+        progress: told the share that is done.
+
+    Raises:
+        LogError: no role of a thermocouple is mapped.
+    """
+    couples: dict[str, tuple[str, ...]] = {}
+    for corner in config.disc_corners():
+        nodes = tuple(
+            node
+            for node in MEASURED_NODES
+            if ROLE_INDEX[f"temp_{corner.name.lower()}_{node}"] in present
+        )
+        if nodes:
+            couples[corner.name] = nodes
+    targets = targets_of(config, sorted(couples))
+    if not targets:
+        msg = "no role temp_<corner>_<node> is mapped: nothing would tell"
+        raise LogError(msg)
+    target = targets[0]
+    own = {name: couples[name] for name in target.corners}
+    prospects = _prospects(
+        target,
+        present,
+        own,
+        question.among,
+        question.menu,
+        progress or (lambda _: None),
+    )
+    keys, _ = usable(target, REFINED)
+    prior = np.array(
+        [*(TUNABLES[key].prior for key in keys), HEAT_SCALE_PRIOR]
+    )
+    none = Linearised(np.zeros(0), np.zeros((0, len(prior))), (), (), ())
+    found = advise(none, prior, question.among, prospects)
+    return Gap(target.corners, (), 0, advice=found, members=question.among)
+
+
+def _prospects(
+    target: Target,
+    present: Mapping[int, int],
+    couples: Mapping[str, Sequence[str]],
+    members: Sequence[str],
+    menu: Sequence[str],
+    told: Callable[[float], None],
+) -> list[Prospect]:
+    found = []
+    for number, name in enumerate(menu):
+        drive = menu_drive(name, target.config, present, couples)
+        comparison = compare(target, [drive.recording])
+        found.append(prospect(comparison, members, drive.description))
+        told(0.7 + 0.15 * (number + 1) / len(menu))
+    return found
 
 
 def _maps(

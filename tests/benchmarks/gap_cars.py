@@ -72,6 +72,7 @@ class World:
     split: str = "reported"
 
     def __str__(self) -> str:
+        """Return what names it in files."""
         return f"{self.split}-{self.preset}-{self.structure}-{self.sensors}"
 
     @property
