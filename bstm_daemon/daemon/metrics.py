@@ -116,16 +116,12 @@ def _service(page: _Page, status: ServiceStatus) -> None:
     page.gauge(
         "model_disagrees",
         "1: the model is further from what is measured than it should be.",
-        (
-            {"what": "heat"},
-            "heat" in status.disagreements,
-        ),
         *(
-            (
-                {"what": "temperature", "corner": corner, "node": node},
-                f"{corner} {node}" in status.disagreements,
+            ({"what": what}, what in status.disagreements)
+            for what in (
+                "heat",
+                *(f"{corner} {node}" for corner, node in status.residuals_k),
             )
-            for corner, node in status.residuals_k
         ),
     )
     page.gauge(

@@ -10,10 +10,12 @@ import numpy as np
 
 from bstm_daemon.errors import LogError
 from bstm_daemon.gap.advising import advise, members_of, prospect
-from bstm_daemon.gap.comparison import (
-    HEAT_SCALE_PRIOR,
-    Comparison,
-    heats,
+from bstm_daemon.gap.comparison import Comparison, heats
+from bstm_daemon.gap.directions import (
+    along,
+    askable,
+    directions,
+    prior_along,
 )
 from bstm_daemon.gap.fitting import Fit, effect_entries, fit
 from bstm_daemon.gap.locating import Located, locate
@@ -22,12 +24,7 @@ from bstm_daemon.gap.naming import Naming, name_effect
 from bstm_daemon.gap.noise import noise_of
 from bstm_daemon.gap.showing import Shown, show
 from bstm_daemon.gap.signatures import Linearised, candidates, linearised
-from bstm_daemon.matching.tunables import (
-    REFINED,
-    TUNABLES,
-    targets_of,
-    usable,
-)
+from bstm_daemon.matching.tunables import REFINED, targets_of, usable
 from bstm_daemon.roles import MEASURED_NODES, ROLE_INDEX
 
 if TYPE_CHECKING:
@@ -36,6 +33,7 @@ if TYPE_CHECKING:
     from bstm_daemon.config import Config, EffectConfig
     from bstm_daemon.gap.advising import Advice, Prospect
     from bstm_daemon.gap.recording import Recording
+    from bstm_daemon.matching.drives import Column
     from bstm_daemon.matching.tunables import Target
 
 
@@ -164,10 +162,12 @@ def _gap(
         return Gap(target.corners, names, points, located)
     known = linearised(
         comparison,
-        candidates(target.config),
+        askable(target, candidates(target.config)),
         lambda share: told(0.1 + 0.6 * share),
     )
-    naming = name_effect(comparison, known)
+    basis = directions(comparison)
+    layout, known = along(comparison, known, basis)
+    naming = name_effect(layout, known)
     plain = Gap(target.corners, names, points, located, naming, known.silent)
     if until == "advise" or (
         until == "show" and naming.answer in {"class", "undecided"}
@@ -182,7 +182,7 @@ def _gap(
     start = {
         one.name: one.strength for one in naming.candidates if one.name in best
     }
-    extended = fit(comparison, start)
+    extended = fit(comparison, start, basis)
     told(0.85)
     shown = None
     maps: tuple[Located | None, Located | None] = (None, None)
@@ -214,14 +214,10 @@ def _advised(
         corner: tuple(recording.drive.measured.get(corner, {}))
         for corner in target.corners
     }
-    found = advise(
-        known,
-        comparison.prior,
-        members,
-        _prospects(
-            target, recording.present, couples, members, question.menu, told
-        ),
+    prospects, prior = _prospects(
+        target, recording.present, couples, members, question.menu, told
     )
+    found = advise(known, prior, members, prospects)
     return replace(gap, advice=found, members=members)
 
 
@@ -257,17 +253,13 @@ def advise_before(
         raise LogError(msg)
     target = targets[0]
     own = {name: couples[name] for name in target.corners}
-    prospects = _prospects(
+    prospects, prior = _prospects(
         target,
         present,
         own,
         question.among,
         question.menu,
         progress or (lambda _: None),
-    )
-    keys, _ = usable(target, REFINED)
-    prior = np.array(
-        [*(TUNABLES[key].prior for key in keys), HEAT_SCALE_PRIOR]
     )
     none = Linearised(np.zeros(0), np.zeros((0, len(prior))), (), (), ())
     found = advise(none, prior, question.among, prospects)
@@ -281,14 +273,19 @@ def _prospects(
     members: Sequence[str],
     menu: Sequence[str],
     told: Callable[[float], None],
-) -> list[Prospect]:
+) -> tuple[list[Prospect], Column]:
+    """Return what each drive would show, and the tunables' priors."""
     found = []
+    prior = np.zeros(0)
     for number, name in enumerate(menu):
         drive = menu_drive(name, target.config, present, couples)
         comparison = compare(target, [drive.recording])
-        found.append(prospect(comparison, members, drive.description))
+        one = prospect(comparison, members, drive.description)
+        basis = directions(comparison)
+        found.append(replace(one, jacobian=one.jacobian @ basis))
+        prior = prior_along(comparison, basis)
         told(0.7 + 0.15 * (number + 1) / len(menu))
-    return found
+    return found, prior
 
 
 def _maps(
