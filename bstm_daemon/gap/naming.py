@@ -205,22 +205,22 @@ def _single(
     by_name = {one.name: one for one in linearised.signatures}
     why = []
     for name in members[1:]:
-        cosine = _cosine(project, by_name[best.name], by_name[name])
+        alike = cosine(project, by_name[best.name], by_name[name])
         declared = (
             name in effect_class(best.name).twins
             or best.name in effect_class(name).twins
         )
-        if declared or abs(cosine) >= ALIKE:
-            why.append(f"{name} (signatures alike, cosine {cosine:.2f})")
-    alike = len(why) == len(members) - 1
+        if declared or abs(alike) >= ALIKE:
+            why.append(f"{name} (signatures alike, cosine {alike:.2f})")
+    all_alike = len(why) == len(members) - 1
     return replace(
         common,
-        answer="class" if alike else "undecided",
+        answer="class" if all_alike else "undecided",
         names=tuple(members),
         probability=total,
         reason=(
             f"these drives do not tell {best.name} from {', '.join(why)}"
-            if alike
+            if all_alike
             else "several effects of different kinds explain it; another "
             "drive must tell"
         ),
@@ -307,7 +307,8 @@ def _joint_gain(
     return 0.5 * float(score @ np.linalg.solve(gram, score))
 
 
-def _cosine(project: Projector, a: Signature, b: Signature) -> float:
+def cosine(project: Projector, a: Signature, b: Signature) -> float:
+    """Return how alike *a* and *b* are, the tunables projected out."""
     one, two = a.at(1.0), b.at(1.0)
     pa, pb = project(one), project(two)
     size = float(one @ pa) * float(two @ pb)
