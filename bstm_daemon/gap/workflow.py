@@ -9,13 +9,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bstm_daemon.errors import LogError
+from bstm_daemon.gap.calibration import calibrated
 from bstm_daemon.gap.comparison import Comparison, heats
 from bstm_daemon.gap.fitting import Fit, effect_entries, fit
 from bstm_daemon.gap.locating import Located, locate
 from bstm_daemon.gap.naming import Naming, name_effect
 from bstm_daemon.gap.noise import noise_of
 from bstm_daemon.gap.showing import Shown, show
-from bstm_daemon.gap.signatures import candidates, linearised
+from bstm_daemon.gap.signatures import candidates, sensed
 from bstm_daemon.matching.tunables import REFINED, targets_of, usable
 from bstm_daemon.roles import MEASURED_NODES
 
@@ -131,11 +132,13 @@ def _gap(
     points = int(comparison.edges[-1])
     if until == "locate":
         return Gap(target.corners, names, points, located)
-    known = linearised(
+    simulated = sensed(
         comparison,
         candidates(target.config),
         lambda share: told(0.1 + 0.6 * share),
     )
+    comparison.set_noise(calibrated(comparison, simulated))
+    known = simulated.whitened(comparison)
     naming = name_effect(comparison, known)
     plain = Gap(target.corners, names, points, located, naming, known.silent)
     if until in {"gate", "name"} or naming.answer not in {"name", "class"}:

@@ -35,7 +35,7 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from gap_cars import OF_TEMPERATURES, SPLITS, Garage, World
+from gap_cars import OF_TEMPERATURES, SPLITS, Garage, World, keep
 from gap_cases import DRAWS, PAIRS, Case
 from gap_judge import Result, results_of, shown
 from gap_tables import figures, markdown, tables
@@ -105,7 +105,8 @@ def fingerprint() -> str:
     digest = hashlib.sha256()
     for file in sorted((package / "gap").glob("*.py")):
         digest.update(file.read_bytes())
-    digest.update((Path(__file__).parent / "gap_judge.py").read_bytes())
+    for name in ("gap_judge.py", "gap_rivals.py"):
+        digest.update((Path(__file__).parent / name).read_bytes())
     return digest.hexdigest()[:12]
 
 
@@ -128,7 +129,7 @@ def judge(
         "world": asdict(case.world),
         "results": [asdict(one) for one in found],
     }
-    kept.write_text(json.dumps(data) + "\n", "utf-8")
+    keep(kept, (json.dumps(data) + "\n").encode())
     return found
 
 
@@ -163,7 +164,9 @@ def all_results(
     lots = list(by_car.values())
     if jobs == 1:
         return [
-            o for lot in lots for o in of_car(lot, folder, until_s, fitted=fitted)
+            o
+            for lot in lots
+            for o in of_car(lot, folder, until_s, fitted=fitted)
         ]
     with ProcessPoolExecutor(jobs) as pool:
         jobs_done = [
@@ -231,8 +234,8 @@ def write(folder: Path, file: Path, split: str) -> None:
         BEGIN,
         (
             f"Of {time.strftime('%Y-%m-%d')}, commit {commit}, split {split}: "
-            f"{sum(count.values())} simulated cases. Shares with 95 % intervals "
-            "of Wilson."
+            f"{sum(count.values())} simulated cases. Shares with 95 % "
+            "intervals of Wilson."
         ),
     ]
     for world, results in by_world.items():
