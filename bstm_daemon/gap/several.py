@@ -58,7 +58,8 @@ def search_several(
     """Return which of *found*, best first, act together."""
     search = _Search(linearised, prior, found[0].gain)
     chosen = [found[0]]
-    share, sure = 1.0, (found[0].name,)
+    share = 1.0
+    sure: tuple[str, ...] = (found[0].name,)
     pair, share_of_pair, in_most = _best_pair(linearised, found, prior)
     if pair:
         both = [
