@@ -17,7 +17,7 @@ import numpy as np
 
 from bstm_daemon.effects.catalogue import effect_class
 from bstm_daemon.gap.evidence import NOTHING, STRENGTHS, strength_prior
-from bstm_daemon.gap.naming import GATE_EVIDENCE, SURE
+from bstm_daemon.gap.naming import SURE
 from bstm_daemon.gap.projector import Projector
 from bstm_daemon.gap.signatures import sensitivities, signature_of
 
@@ -173,13 +173,12 @@ class _Judge:
         world = np.arange(WORLDS)
         is_true = odds[self._which, world] >= SURE
         is_any = odds[:-1].max(axis=0) >= SURE
-        plain = logs.max(axis=0) >= GATE_EVIDENCE
         return Advice(
             drive.drive,
             drive.description,
             drive.duration_s,
-            float(np.mean(plain & is_true)),
-            float(np.mean(plain & is_any & ~is_true)),
+            float(np.mean(is_true)),
+            float(np.mean(is_any & ~is_true)),
             self._advantage(logs),
             self._advantage(np.repeat(self._logs_now, WORLDS, axis=1)),
         )

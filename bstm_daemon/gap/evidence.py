@@ -65,10 +65,10 @@ def weigh(
     if signature.either_sign:
         grid = np.concatenate((-STRENGTHS[::-1], STRENGTHS))
     weights = strength_prior(grid, either_sign=signature.either_sign)
-    gains = np.array([_gain(gram, a) for a in grid])
+    gains = _gains(gram, grid)
     top = int(np.argmax(gains))
     best = _refined(gram, grid, top)
-    gain = _gain(gram, best)
+    gain = float(_gains(gram, np.array([best]))[0])
     curvature = _curvature(gram, best)
     peak = float(gains.max())
     log_evidence = peak + float(np.log(np.sum(weights * np.exp(gains - peak))))
@@ -93,9 +93,10 @@ def strength_prior(grid: Column, *, either_sign: bool) -> Column:
     return np.asarray(weights / weights.sum())
 
 
-def _gain(gram: Column, a: float) -> float:
-    change = np.array([0.0, a, a * a])
-    return float(-(gram[0] @ change) - 0.5 * change @ gram @ change)
+def _gains(gram: Column, a: Column) -> Column:
+    change = np.column_stack((np.zeros(len(a)), a, a * a))
+    quadratic = np.sum((change @ gram) * change, axis=1)
+    return np.asarray(-(change @ gram[0]) - 0.5 * quadratic)
 
 
 def _curvature(gram: Column, a: float) -> float:
@@ -106,7 +107,7 @@ def _curvature(gram: Column, a: float) -> float:
 def _refined(gram: Column, grid: Column, top: int) -> float:
     low, high = grid[max(top - 1, 0)], grid[min(top + 1, len(grid) - 1)]
     fine = np.linspace(low, high, 41)
-    return float(fine[np.argmax([_gain(gram, a) for a in fine])])
+    return float(fine[np.argmax(_gains(gram, fine))])
 
 
 def probabilities(found: Sequence[Candidate]) -> dict[str, float]:

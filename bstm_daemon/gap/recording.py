@@ -15,6 +15,7 @@ import numpy as np
 
 from bstm_daemon.bus.columns import Events
 from bstm_daemon.bus.logs import EventLog
+from bstm_daemon.corner_model import corner_model
 from bstm_daemon.errors import LogError, UsageError
 from bstm_daemon.estimator import STEP_US, Block, Estimator
 from bstm_daemon.heat.sample_plan import CHANNELS
@@ -213,6 +214,16 @@ def _like(drive: Drive, rows: Column) -> Column:
 class _Heating(Estimator):
     """An estimator whose rows are wanted and whose estimates are not."""
 
+    def leave_nodes(self) -> None:
+        """March no temperatures where no friction depends on them."""
+        corners = self.config.disc_corners()
+        if all(
+            set(corner_model(self.config, one).friction.temperature) == {1.0}
+            for one in corners
+        ):
+            self.batches = []
+            self._stretch.coupled = False
+
     def _block(self, steps: int, outputs: tuple[array[float], ...]) -> Block:
         """Keep the rows; judging each estimate would take most of the time."""
         del outputs
@@ -232,6 +243,7 @@ def _pass(
     rows = Rows(len(estimator.plan.corners))
     estimator.journal = rows
     begin_as_measured(estimator, events)
+    estimator.leave_nodes()
     for first in range(0, len(events), PIECE):
         part = slice(first, first + PIECE)
         estimator.advance(

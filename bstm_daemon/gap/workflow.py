@@ -10,6 +10,7 @@ import numpy as np
 
 from bstm_daemon.errors import LogError
 from bstm_daemon.gap.advising import advise, members_of, prospect
+from bstm_daemon.gap.calibration import calibrated
 from bstm_daemon.gap.comparison import Comparison, heats
 from bstm_daemon.gap.directions import (
     along,
@@ -23,7 +24,7 @@ from bstm_daemon.gap.menu import MENU, menu_drive
 from bstm_daemon.gap.naming import Naming, name_effect
 from bstm_daemon.gap.noise import noise_of
 from bstm_daemon.gap.showing import Shown, show
-from bstm_daemon.gap.signatures import Linearised, candidates, linearised
+from bstm_daemon.gap.signatures import Linearised, candidates, sensed
 from bstm_daemon.matching.tunables import REFINED, targets_of, usable
 from bstm_daemon.roles import MEASURED_NODES, ROLE_INDEX
 
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
 
     from bstm_daemon.config import Config, EffectConfig
     from bstm_daemon.gap.advising import Advice, Prospect
+    from bstm_daemon.gap.noise import NodeNoise
     from bstm_daemon.gap.recording import Recording
     from bstm_daemon.matching.drives import Column
     from bstm_daemon.matching.tunables import Target
@@ -160,13 +162,15 @@ def _gap(
     points = int(comparison.edges[-1])
     if until == "locate":
         return Gap(target.corners, names, points, located)
-    known = linearised(
+    simulated = sensed(
         comparison,
         askable(target, candidates(target.config)),
         lambda share: told(0.1 + 0.6 * share),
     )
-    basis = directions(comparison)
-    layout, known = along(comparison, known, basis)
+    comparison.set_noise(calibrated(comparison, simulated))
+    layout, known = along(
+        comparison, simulated.whitened(comparison), directions(comparison)
+    )
     naming = name_effect(layout, known)
     plain = Gap(target.corners, names, points, located, naming, known.silent)
     if until == "advise" or (
@@ -182,7 +186,7 @@ def _gap(
     start = {
         one.name: one.strength for one in naming.candidates if one.name in best
     }
-    extended = fit(comparison, start, basis)
+    extended = fit(comparison, start, directions(comparison))
     told(0.85)
     shown = None
     maps: tuple[Located | None, Located | None] = (None, None)
@@ -215,7 +219,12 @@ def _advised(
         for corner in target.corners
     }
     prospects, prior = _prospects(
-        target, recording.present, couples, members, question.menu, told
+        target,
+        recording.present,
+        couples,
+        Question(question.menu, members),
+        told,
+        comparison.noise,
     )
     found = advise(known, prior, members, prospects)
     return replace(gap, advice=found, members=members)
@@ -257,8 +266,7 @@ def advise_before(
         target,
         present,
         own,
-        question.among,
-        question.menu,
+        question,
         progress or (lambda _: None),
     )
     none = Linearised(np.zeros(0), np.zeros((0, len(prior))), (), (), ())
@@ -270,21 +278,23 @@ def _prospects(
     target: Target,
     present: Mapping[int, int],
     couples: Mapping[str, Sequence[str]],
-    members: Sequence[str],
-    menu: Sequence[str],
+    question: Question,
     told: Callable[[float], None],
+    noise: Mapping[str, NodeNoise] | None = None,
 ) -> tuple[list[Prospect], Column]:
     """Return what each drive would show, and the tunables' priors."""
     found = []
     prior = np.zeros(0)
-    for number, name in enumerate(menu):
+    for number, name in enumerate(question.menu):
         drive = menu_drive(name, target.config, present, couples)
         comparison = compare(target, [drive.recording])
-        one = prospect(comparison, members, drive.description)
+        if noise is not None:
+            comparison.set_noise({**comparison.noise, **noise})
+        one = prospect(comparison, question.among, drive.description)
         basis = directions(comparison)
         found.append(replace(one, jacobian=one.jacobian @ basis))
         prior = prior_along(comparison, basis)
-        told(0.7 + 0.15 * (number + 1) / len(menu))
+        told(0.7 + 0.15 * (number + 1) / len(question.menu))
     return found, prior
 
 

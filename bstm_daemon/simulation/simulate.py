@@ -146,7 +146,7 @@ def simulate(
         mesh=resolution.mesh,
     )
     slow_s = np.arange(TRUTH_S, course.time_s[-1] + SAMPLE_S, TRUTH_S)
-    truth = _truth(result, slow_s, ready.start_k)
+    truth = real_temperatures(result, slow_s, ready.start_k)
     scale, power = _at_samples(result, ready)
     roles = measured_roles(
         course,
@@ -176,9 +176,10 @@ def simulate(
     )
 
 
-def _truth(
+def real_temperatures(
     result: LaneResult, slow_s: Array, start_k: float
 ) -> dict[str, Array]:
+    """Return ``<corner>.<node>`` [K] at *slow_s* (m,) of a car's march."""
     time_s = np.concatenate(([0.0], result.time_s))
     return {
         f"{corner}.{node}": np.interp(

@@ -34,12 +34,18 @@ from bstm_daemon.matching.tunables import (
     usable,
 )
 from bstm_daemon.replay import present_roles
-from bstm_daemon.roles import ROLE_INDEX
+from bstm_daemon.roles import CORNERS, ROLE_INDEX
 from bstm_daemon.shipped import shipped_file
 from bstm_daemon.simulation import NOMINAL, load_drive, simulate
+from bstm_daemon.simulation.batch import march_lanes
 from bstm_daemon.simulation.parameters import EFFECT_NAMES, preset_effects
 from bstm_daemon.simulation.sensor_presets import sensor_suite
 from bstm_daemon.simulation.sensors import measured_temperatures
+from bstm_daemon.simulation.simulate import (
+    Prepared,
+    prepare,
+    real_temperatures,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -57,6 +63,20 @@ SPREAD: Final = 0.10
 MISTUNED: Final = 0.3
 """Of a tunable's prior deviation: drawn for each car."""
 
+OF_THERMOCOUPLES: Final = frozenset(
+    {"thermocouple_offset", "thermocouple_lag"}
+)
+OF_TEMPERATURES: Final = OF_THERMOCOUPLES.union(
+    ("residual_drag",),
+    EFFECT_NAMES[
+        EFFECT_NAMES.index("contact_conductance") : EFFECT_NAMES.index(
+            "fluid_latent_heat"
+        )
+        + 1
+    ],
+)
+"""Effects of which the bus tells nothing: its samples are the same."""
+
 SPLITS: Final = {"reported": 70_000, "development": 10_000}
 EVERY: Final = 10
 """Samples of the 100 Hz are kept at 10 Hz."""
@@ -72,7 +92,7 @@ class World:
     split: str = "reported"
 
     def __str__(self) -> str:
-        """Return what names it in files."""
+        """Return its name, which files bear."""
         return f"{self.split}-{self.preset}-{self.structure}-{self.sensors}"
 
     @property
@@ -115,13 +135,14 @@ class Garage:
         self.seed = SPLITS[world.split] + 100 * number
         self.car = drawn_car(self.seed)
         self._driven: dict[str, Driven] = {}
+        self._ready: dict[str, Prepared] = {}
 
     @cached_property
     def target(self) -> Target:
         """The configuration matched without what is hidden, mistuned."""
         kept = self.folder / f"{self.world}-car-{self.number}.pickle"
         if not kept.exists():
-            kept.write_bytes(pickle.dumps(self._matched()))
+            keep(kept, pickle.dumps(self._matched()))
         target: Target = pickle.loads(kept.read_bytes())  # noqa: S301  (own)
         return mistuned(target, self.seed)
 
@@ -131,7 +152,7 @@ class Garage:
         kept = self.folder / f"{self.world}-sensed-{self.number}.pickle"
         if not kept.exists():
             found = sensed(self.comparison, candidates(self.target.config))
-            kept.write_bytes(pickle.dumps(found))
+            keep(kept, pickle.dumps(found))
         result: Sensed = pickle.loads(kept.read_bytes())  # noqa: S301  (own)
         return result
 
@@ -168,27 +189,41 @@ class Garage:
         for effect, strength in hidden.items():
             effects = effects.with_strength(effect, strength)
         base = self.driven(name)
-        drive = self._simulated(name, effects) if hidden else base.drive
-        temperatures = drive.temperatures
-        if draw:
-            suite = sensor_suite(
-                self.world.sensors, effects, self._noise(name) + 7 * draw
+        suite = sensor_suite(
+            self.world.sensors, effects, self._noise(name) + 7 * draw
+        )
+        if not set(hidden) <= OF_TEMPERATURES:
+            drive = self._simulated(name, effects)
+            events = events_of(
+                drive, measured_temperatures(drive.truth, suite)
             )
-            temperatures = measured_temperatures(drive.truth, suite)
-        if not same_roles(drive, base.drive):
-            return recorded(
-                name,
-                events_of(drive, temperatures),
-                self.target.config,
-                present(),
-            )
+            return recorded(name, events, self.target.config, present())
+        truth = base.drive.truth
+        if not set(hidden) <= OF_THERMOCOUPLES:
+            truth = self._truth(name, effects)
+        temperatures = measured_temperatures(truth, suite)
         own = base.recording.drive
         parts: dict[int, list[Any]] = defaultdict(list)
-        for time_s, role, values in thermocouples(drive, temperatures):
+        for time_s, role, values in thermocouples(base.drive, temperatures):
             stamps = np.rint(time_s * 1e6).astype(np.int64) * 1e-6
             parts[role].append((stamps, values))
         measured = thermocouples_of(parts, own.corners, own.start_s)
         return replace(base.recording, drive=replace(own, measured=measured))
+
+    def _truth(self, name: str, effects: Effects) -> dict[str, np.ndarray]:
+        """Return the temperatures of *name* with *effects* in the brakes."""
+        if name not in self._ready:
+            plain = preset_effects(self.world.preset)
+            self._ready[name] = prepare(load_drive(name), self.car, plain)
+        ready = self._ready[name]
+        result = march_lanes(
+            ready.car.corners,
+            [effects] * len(CORNERS),
+            ready.inputs,
+            start_k=np.full(len(CORNERS), ready.start_k),
+        )
+        slow_s = self.driven(name).drive.slow_time_s
+        return real_temperatures(result, slow_s, ready.start_k)
 
     def _noise(self, name: str) -> int:
         return self.seed + (*FITTED, *HELD_OUT).index(name)
@@ -222,6 +257,13 @@ class Garage:
         target = targets_of(config, ["FL", "FR"])[0]
         keys, _ = usable(target, REFINED)
         return target.changed(refine(target, drives, keys).values)
+
+
+def keep(file: Path, data: bytes) -> None:
+    """Write *file*, whole or not at all."""
+    part = file.with_suffix(file.suffix + ".part")
+    part.write_bytes(data)
+    part.replace(file)
 
 
 def structure_config(structure: str) -> Config:
@@ -275,15 +317,6 @@ def mistuned(target: Target, seed: int) -> Target:
             np.clip(target.value(one) * np.exp(off), one.lower, one.upper)
         )
     return target.changed(values)
-
-
-def same_roles(a: SimulatedDrive, b: SimulatedDrive) -> bool:
-    """Whether the bus said the same in both."""
-    return all(
-        np.array_equal(values, b.roles[name])
-        for name, values in a.roles.items()
-        if ROLE_INDEX[name] in present()
-    )
 
 
 def thermocouples(

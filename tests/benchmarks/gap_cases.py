@@ -13,22 +13,27 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from gap_cars import FITTED, Garage, World
+from gap_cars import FITTED, OF_TEMPERATURES, Garage, World, keep
 
 from bstm_daemon.gap.layout import Layout
-from bstm_daemon.gap.signatures import Sensed, candidates, sensed
+from bstm_daemon.gap.signatures import (
+    Linearised,
+    Sensed,
+    candidates,
+    sensed,
+)
 from bstm_daemon.gap.unknown import UnknownHeat, unknown_heats
 from bstm_daemon.gap.workflow import compare
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
     from pathlib import Path
 
     from bstm_daemon.gap.comparison import Comparison
     from bstm_daemon.gap.layout import Series
     from bstm_daemon.gap.noise import NodeNoise
 
-CARS: Final = 12
+CARS: Final = 6
 """Cars of the cases with a hidden effect."""
 
 DRAWS: Final = 8
@@ -61,11 +66,12 @@ PAIRS: Final = (
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """A case; no effects in an effect-free one."""
+    """A case; no effects in an effect-free one. ``cars`` are drawn from."""
 
     world: World
     effects: tuple[str, ...]
     number: int
+    cars: int = CARS
 
     @property
     def seed(self) -> int:
@@ -79,12 +85,12 @@ class Case:
         """Number of its car."""
         if not self.effects:
             return self.number // DRAWS
-        return self.seed % CARS
+        return self.seed % self.cars
 
     @property
     def draw(self) -> int:
         """Number of its thermocouples' errors."""
-        return self.number % DRAWS if not self.effects else 0
+        return 1 + self.seed % 9973
 
     @property
     def strengths(self) -> dict[str, float]:
@@ -102,7 +108,7 @@ class Case:
     def key(self) -> str:
         """Name of what is kept of it."""
         effects = "+".join(self.effects) or "none"
-        return f"{self.world}-{effects}-{self.number}"
+        return f"{self.world}-car{self.car}-{effects}-{self.number}"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -117,10 +123,6 @@ class Evidence:
     def layout(self, noise: dict[str, NodeNoise]) -> Layout:
         """Return where its residuals are and how they err."""
         return Layout(self.series, noise, self.prior, FITTED)
-
-    def changed(self, change: Callable[[Sensed], Sensed]) -> Evidence:
-        """Return it with what the search is told changed."""
-        return replace(self, sensed=change(self.sensed))
 
     def of_drive(self, drive: int) -> Evidence:
         """Return what one drive alone shows."""
@@ -148,58 +150,42 @@ class Evidence:
         )
 
 
-def without(*names: str) -> Callable[[Sensed], Sensed]:
-    """Return what takes *names* out of the catalogue."""
-
-    def change(one: Sensed) -> Sensed:
-        kept = {n: t for n, t in one.terms_k.items() if n not in names}
-        return replace(one, terms_k=kept)
-
-    return change
+def without(known: Linearised, names: Sequence[str]) -> Linearised:
+    """Return *known* with *names* out of the catalogue."""
+    kept = tuple(s for s in known.signatures if s.name not in names)
+    return replace(known, signatures=kept)
 
 
-def shuffled(seed: int) -> Callable[[Sensed], Sensed]:
-    """Return what puts the catalogue into another order."""
-
-    def change(one: Sensed) -> Sensed:
-        names = list(one.terms_k)
-        np.random.default_rng(seed).shuffle(names)
-        return replace(one, terms_k={n: one.terms_k[n] for n in names})
-
-    return change
+def shuffled(known: Linearised, seed: int) -> Linearised:
+    """Return *known* with the catalogue in another order."""
+    order = np.random.default_rng(seed).permutation(len(known.signatures))
+    return replace(known, signatures=tuple(known.signatures[i] for i in order))
 
 
-def permuted(seed: int) -> Callable[[Sensed], Sensed]:
-    """Return what gives each effect the signature of another."""
-
-    def change(one: Sensed) -> Sensed:
-        names = list(one.terms_k)
-        order = np.random.default_rng(seed).permutation(len(names))
-        # no name keeps its own
-        order = np.roll(np.argsort(order), 1)[order]
-        return replace(
-            one,
-            terms_k={
-                name: one.terms_k[names[i]]
-                for name, i in zip(names, order, strict=True)
-            },
-        )
-
-    return change
+def permuted(known: Linearised, seed: int) -> Linearised:
+    """Return *known* with each effect's signature under another's name."""
+    order = np.random.default_rng(seed).permutation(len(known.signatures))
+    own = [known.signatures[i] for i in order]
+    # a ring: none keeps its own
+    theirs = [*own[1:], own[0]]
+    return replace(
+        known,
+        signatures=tuple(
+            replace(b, name=a.name) for a, b in zip(own, theirs, strict=True)
+        ),
+    )
 
 
 def evidence(case: Case, garage: Garage, folder: Path) -> Evidence:
     """Return what is kept of *case*, or make it."""
     kept = folder / f"{case.key}.pickle"
     if not kept.exists():
-        series, own, base_k, unknown = _made(case, garage)
-        kept.write_bytes(pickle.dumps((series, own, base_k, unknown)))
-    series, own, base_k, unknown = pickle.loads(  # noqa: S301  (own)
+        keep(kept, pickle.dumps(_made(case, garage)))
+    series, own, base_k, unknown, change_k = pickle.loads(  # noqa: S301  (own)
         kept.read_bytes()
     )
-    shared = garage.sensed
-    whole = own or replace(shared, base_k=base_k, unknown_k=unknown)
-    return Evidence(series, garage.prior, whole, whole.base_k - shared.base_k)
+    whole = own or replace(garage.sensed, base_k=base_k, unknown_k=unknown)
+    return Evidence(series, garage.prior, whole, change_k)
 
 
 def comparison_of(case: Case, garage: Garage) -> Comparison:
@@ -213,19 +199,26 @@ def comparison_of(case: Case, garage: Garage) -> Comparison:
 def _made(
     case: Case, garage: Garage
 ) -> tuple[
-    Sequence[Series],
+    tuple[Series, ...],
     Sensed | None,
     np.ndarray | None,
     tuple[UnknownHeat, ...],
+    np.ndarray,
 ]:
     comparison = comparison_of(case, garage)
-    shared = all(
-        one.events is garage.driven(one.name).recording.events
-        for one in comparison.recordings
-    )
-    if not shared:
-        names = candidates(garage.target.config)
-        return comparison.series, sensed(comparison, names), None, ()
+    shared = set(case.effects) <= OF_TEMPERATURES
+    own, unknown = None, ()
     base_k = comparison.apart_k(comparison.start[None])[:, 0]
-    unknown = unknown_heats(comparison, base_k)
-    return comparison.series, None, base_k, unknown
+    if shared:
+        unknown = unknown_heats(comparison, base_k)
+    else:
+        own = sensed(comparison, candidates(garage.target.config))
+    # the same errors of the thermocouples with nothing hidden
+    nothing = [garage.recording(name, {}, case.draw) for name in FITTED]
+    clear = compare(garage.target, nothing)
+    measured = np.concatenate([one.measured_k for one in clear.series])
+    own_measured = np.concatenate(
+        [one.measured_k for one in garage.comparison.series]
+    )
+    change_k = base_k - (garage.sensed.base_k + own_measured - measured)
+    return comparison.series, own, base_k, unknown, change_k

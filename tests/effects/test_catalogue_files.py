@@ -33,7 +33,9 @@ EXAMPLE = ROOT / "config" / "example_vehicle.toml"
 @pytest.fixture
 def rim_fan(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
     """Put the effect of the page into a folder of entries."""
-    block = re.search(r"```python\n(.*?)```", PAGE.read_text("utf-8"), re.S)
+    block = re.search(
+        r"```python\n(.*?)```", PAGE.read_text("utf-8"), re.DOTALL
+    )
     assert block is not None
     lines = block[1].splitlines()
     text = "\n".join(line.removeprefix("   ") for line in lines)

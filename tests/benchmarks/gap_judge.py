@@ -1,0 +1,304 @@
+"""What a case of the gap benchmark came to, and whether that is right."""
+
+from __future__ import annotations
+
+import json
+import time
+from dataclasses import asdict, dataclass, field
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from gap_cars import FITTED, HELD_OUT, Garage, keep
+from gap_cases import (
+    Case,
+    Evidence,
+    comparison_of,
+    evidence,
+    permuted,
+    shuffled,
+    without,
+)
+from gap_rivals import RIVALS
+
+from bstm_daemon.gap.calibration import calibrated
+from bstm_daemon.gap.fitting import fit
+from bstm_daemon.gap.naming import ALIKE, cosine, name_effect
+from bstm_daemon.gap.noise import noise_of
+from bstm_daemon.gap.projector import Projector
+from bstm_daemon.gap.showing import BASELINES, EXTENDED, REFITTED, show
+from bstm_daemon.roles import MEASURED_NODES
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from bstm_daemon.gap.layout import Layout
+    from bstm_daemon.gap.signatures import Linearised
+
+DETECTABLE: Final = 30.0
+"""Expected squared distance from the re-fitted baseline, whitened."""
+
+PLACES: Final[dict[str, tuple[str, str]]] = {
+    "friction_fade": ("Q", "B"),
+    "friction_speed": ("Q", "B"),
+    "friction_pressure": ("Q", "B"),
+    "friction_history": ("Q", "B"),
+    "pushout_pressure": ("Q", "B"),
+    "hydraulic_lag": ("Q", "B"),
+    "residual_drag": ("D", "V"),
+    "contact_conductance": ("DP", "B"),
+    "gap_conduction": ("DP", "VP"),
+    "disc_capacity_hot": ("D", "BV"),
+    "disc_radiation_driving": ("D", "BV"),
+    "convection_exponent": ("D", "V"),
+    "local_air": ("DBF", "VP"),
+    "hub_conduction": ("D", "BVP"),
+    "wet_disc": ("D", "V"),
+    "disc_wear": ("D", "BV"),
+    "disc_hat": ("D", "BVP"),
+    "pad_conductivity": ("PB", "BP"),
+    "pad_capacity": ("PB", "BVP"),
+    "pad_pyrolysis": ("P", "B"),
+    "pad_wear": ("PBF", "BVP"),
+    "backplate_loss": ("B", "BVP"),
+    "bracket_conduction": ("B", "BVP"),
+    "caliper_bypass": ("BF", "BVP"),
+    "shim_contact": ("BF", "VP"),
+    "disc_caliper_radiation": ("DF", "VP"),
+    "caliper_fluid_split": ("F", "BVP"),
+    "caliper_radiation": ("F", "VP"),
+    "fluid_exchange": ("F", "BP"),
+    "fluid_latent_heat": ("F", "P"),
+    "thermocouple_offset": ("DPBF", "BVP"),
+    "thermocouple_lag": ("DPBF", "BV"),
+    "accelerometer_bias": ("Q", "B"),
+    "mass_error": ("Q", "B"),
+    "brake_share": ("Q", "B"),
+    "powertrain_torque_error": ("Q", "B"),
+    "ambient_heat_soak": ("DPBF", "P"),
+    "speed_dependent_convection": ("D", "BV"),
+    "brake_without_pressure": ("Q", "B"),
+}
+"""Nodes (heat input Q, disc D, front P and back B of the pads, fluid F) and
+phases (braking, driving, parked) of each effect."""
+
+_NODES: Final = {"disc": "D", "pad_front": "P", "pad_back": "B", "fluid": "F"}
+
+
+@dataclass(frozen=True, slots=True)
+class Result:
+    """What came of a case in one group."""
+
+    group: str
+    effects: list[str]
+    strengths: list[float]
+    number: int
+    distance2: float
+    answer: str
+    names: list[str]
+    probability: float
+    gate_z: float
+    place: str
+    leading: list[str]
+    twins: list[str] = field(default_factory=list)
+    shown: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def effect(self) -> str:
+        """The hidden effect, empty if none."""
+        return self.effects[0] if self.effects else ""
+
+    @property
+    def detectable(self) -> bool:
+        """Whether the data could show it at all."""
+        return self.distance2 >= DETECTABLE
+
+    @property
+    def score(self) -> float:
+        """1 for the right name or a class of two with it, 1/size beyond."""
+        if self.answer == "name":
+            return float(set(self.names) == set(self.effects))
+        if self.answer == "class" and set(self.effects) <= set(self.names):
+            return 1.0 if len(self.names) <= 2 else 1.0 / len(self.names)
+        return 0.0
+
+    @property
+    def wrong_name(self) -> bool:
+        """Whether a name was given, not as a class, that is not hidden."""
+        return self.answer == "name" and not set(self.names) <= set(
+            self.effects
+        )
+
+    @property
+    def right_place(self) -> bool:
+        """Whether what was named acts on a node and in a phase of the truth.
+
+        Without a name: where heat without a name was seen.
+        """
+        said = [PLACES[name] for name in self.names]
+        if self.answer == "unknown":
+            node, regime = self.place.split(", ")
+            said = [(_NODES.get(node, "?"), regime[0].upper())]
+            if regime == "driving":
+                said = [(said[0][0], "V")]
+            if node == "disc" and regime == "braking":
+                said = [("DQ", "B")]
+        return bool(said) and all(
+            any(
+                set(nodes) & set(PLACES[e][0])
+                and set(phases) & set(PLACES[e][1])
+                for e in self.effects
+            )
+            for nodes, phases in said
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Judged:
+    """A case whitened: what the answers of all its groups share."""
+
+    case: Case
+    layout: Layout
+    known: Linearised
+    distance2: float
+    twins: tuple[str, ...]
+
+    def answer(self, group: str, known: Linearised | None = None) -> Result:
+        """Return what the search answers, told *known* instead."""
+        case = self.case
+        found = name_effect(self.layout, known or self.known)
+        return Result(
+            group,
+            list(case.effects),
+            [case.strengths[name] for name in case.effects],
+            case.number,
+            self.distance2,
+            found.answer,
+            list(found.names),
+            found.probability,
+            found.gate_z,
+            found.unknown_place,
+            [one.name for one in found.candidates[:3]],
+            list(self.twins),
+        )
+
+
+def judged(case: Case, garage: Garage, kept: Evidence) -> Judged:
+    """Return *kept* whitened, with what could be seen of the effect."""
+    noise = {
+        node: noise_of(garage.target.config, node) for node in MEASURED_NODES
+    }
+    layout = kept.layout(noise)
+    layout.set_noise(calibrated(layout, kept.sensed))
+    known = kept.sensed.whitened(layout)
+    project = Projector(known.jacobian, layout.prior)
+    change = layout.whiten(kept.change_k)
+    own = next((s for s in known.signatures if s.name in case.effects), None)
+    twins = []
+    if own is not None:
+        for other in known.signatures:
+            alike = abs(cosine(project, own, other)) > ALIKE
+            if alike and other.name != own.name:
+                twins.append(other.name)
+    distance2 = float(change @ project(change))
+    if len(case.effects) > 1:
+        distance2 = min(_beside(case, layout, known))
+    return Judged(case, layout, known, distance2, tuple(twins))
+
+
+def _rivals(one: Judged, kept: Evidence) -> list[Result]:
+    """Return what other ways answer."""
+    found = []
+    for label, ask in RIVALS.items():
+        names = ask(kept.sensed)
+        found.append(
+            Result(
+                label,
+                list(one.case.effects),
+                list(one.case.strengths.values()),
+                one.case.number,
+                one.distance2,
+                "name" if names else "nothing",
+                names,
+                0.0,
+                0.0,
+                "",
+                names[:3],
+                list(one.twins),
+            )
+        )
+    return found
+
+
+def _beside(case: Case, layout: Layout, known: Linearised) -> list[float]:
+    """Return what each effect alone would show, the others free."""
+    by_name = {one.name: one for one in known.signatures}
+    found = []
+    for name, strength in case.strengths.items():
+        if name not in by_name:  # these drives do not excite it
+            return [0.0]
+        others = [by_name[n].at(1.0) for n in case.effects if n != name]
+        project = Projector(
+            np.column_stack((known.jacobian, *others)),
+            np.concatenate((layout.prior, np.full(len(others), 1.5))),
+        )
+        change = by_name[name].at(strength)
+        found.append(float(change @ project(change)))
+    return found
+
+
+def results_of(
+    case: Case, garage: Garage, folder: Path, *, controls: bool = False
+) -> list[Result]:
+    """Return the results of *case* in all groups that its drives serve."""
+    kept = evidence(case, garage, folder)
+    one = judged(case, garage, kept)
+    if case.world.always_on:
+        return [one.answer("RT")]
+    if not case.effects:
+        return [one.answer("S0"), *_rivals(one, kept)]
+    if len(case.effects) > 1:
+        return [one.answer("S2")]
+    alone = judged(case, garage, kept.of_drive(FITTED.index("simalp")))
+    found = [
+        one.answer("S1"),
+        one.answer("SO", without(one.known, case.effects)),
+        alone.answer("SX"),
+        *_rivals(one, kept),
+    ]
+    if controls:
+        found += [
+            one.answer("shuffled", shuffled(one.known, case.seed)),
+            one.answer("permuted", permuted(one.known, case.seed)),
+        ]
+    return found
+
+
+def shown(
+    case: Case, garage: Garage, result: Result, folder: Path
+) -> dict[str, Any]:
+    """Return fit and held-out figures of what was named in *result*."""
+    names = result.names if result.answer == "name" else result.names[:1]
+    kept = folder / f"{case.key}-shown-{'+'.join(names)}.json"
+    if kept.exists():
+        whole: dict[str, Any] = json.loads(kept.read_text("utf-8"))
+        return whole
+    comparison = comparison_of(case, garage)
+    held_out = [garage.recording(name, case.strengths) for name in HELD_OUT]
+    begin = time.process_time()
+    extended = fit(comparison, dict.fromkeys(names, 1.0))
+    figures = show(comparison, extended, held_out)
+    whole = {
+        "strengths": extended.strengths,
+        "deviations": extended.deviations,
+        "shrink": {n: figures.shrinks[n].factor for n in BASELINES},
+        "bends": {n: figures.bends[n] for n in (REFITTED, EXTENDED)},
+        "seconds": time.process_time() - begin,
+    }
+    keep(kept, (json.dumps(whole) + "\n").encode())
+    return whole
+
+
+def as_data(results: Sequence[Result]) -> list[dict[str, Any]]:
+    """Return *results* as what JSON knows."""
+    return [asdict(one) for one in results]
