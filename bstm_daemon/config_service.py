@@ -88,8 +88,8 @@ class RecordConfig(Section):
     """``[record]``: a ring of the wanted frames, candump ``.log.gz``.
 
     The last ``ring_bytes`` of segments of ``segment_s`` stay in ``folder``;
-    what is kept aside (risk, disagreement or on request) reaches back
-    ``before_s`` and on for ``after_s`` and takes at most ``kept_bytes``.
+    what is kept aside (risk, disagreement, model or on request) reaches
+    back ``before_s`` and on for ``after_s`` and takes at most ``kept_bytes``.
     ``folder`` default: ``record`` beside the state file.
     """
 

@@ -43,6 +43,7 @@ from bstm_daemon.forecast.snapshots import car_snapshot, corner_snapshot
 from bstm_daemon.heat.plausibility import SUBSTITUTED, SUSPECT
 from bstm_daemon.heat.sample_pass import TICK
 from bstm_daemon.heat.sample_plan import FLAGS, VEHICLE_CHANNELS
+from bstm_daemon.model_check import ModelCheck
 from bstm_daemon.risk.boiling import wet_boiling_point_k
 from bstm_daemon.roles import CORNERS, ROLE_INDEX
 
@@ -130,6 +131,7 @@ class Engine:
             modelled=[corner.name for corner in config.disc_corners()],
             requests=config.publish.requests,
         )
+        self.model_check = ModelCheck(config, self.estimator, roles)
         self._advisor = Advisor(config)
         self._held = HeldRoles(
             {role: timeouts[role] for role in roles}, ROLE_INDEX
@@ -385,6 +387,7 @@ class Engine:
             name: self._corner(block, i, name, place, risk)
             for name, place in self._places.items()
         }
+        self.model_check.take(block, i, history_known=i >= block.known_from)
         status = self._status(block, i)
         now = conditions_of(
             block,
@@ -463,6 +466,7 @@ class Engine:
             clock_jump=bool(flags & FLAGS["clock_jump"]),
             input_suspect=bool(flags & SUSPECT),
             heat_substituted=bool(flags & SUBSTITUTED),
+            model_disagrees=bool(self.model_check.disagreements),
             **{
                 f"{name}_stale": bool(flags & bit)
                 for name, bit in self._stale.items()

@@ -45,6 +45,7 @@ FLOORS = {
     "estimator": 5,
     "carry_over": 6,
     "driver_side": 6,
+    "model_check": 6,
     "forecast": 7,
     "advice_course": 8,
     "engine": 8,

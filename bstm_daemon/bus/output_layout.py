@@ -23,7 +23,7 @@ from bstm_daemon.errors import ConfigError
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
-LAYOUT_VERSION: Final = 2
+LAYOUT_VERSION: Final = 3
 """Raised whenever a signal of an existing frame moves or changes meaning."""
 
 FRAME_BYTES: Final = 8
@@ -354,7 +354,8 @@ STATUS_SIGNALS: Final = (
     _flag("InputSuspect", 46, "none", "suspect"),
     _flag("HeatSubstituted", 47, "own", "substituted"),
     _quantity("RejectedFrames", 48, 8),
-    _quantity("DroppedFrames", 56, 8),
+    _quantity("DroppedFrames", 56, 7),
+    _flag("ModelDisagrees", 63, "none", "disagrees"),
 )
 
 

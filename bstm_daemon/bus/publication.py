@@ -137,7 +137,9 @@ class StatusSnapshot:
     A ``*_stale`` flag says that an input of that kind, which the heat mode
     uses, is older than its time-out; ``input_suspect`` that something speaks
     against an input, used or not; ``heat_substituted`` that the heat of a
-    corner is from the source that the heat mode does not name, or unknown.
+    corner is from the source that the heat mode does not name, or unknown;
+    ``model_disagrees`` that estimates and measurements are further apart than
+    a sound model's.
     """
 
     state: State = State.NOT_AVAILABLE
@@ -155,6 +157,7 @@ class StatusSnapshot:
     clock_jump: bool = False
     input_suspect: bool = False
     heat_substituted: bool = False
+    model_disagrees: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -361,6 +364,7 @@ class Publication:
             "DroppedFrames": _STATUS["DroppedFrames"].raw(
                 status.dropped_frames
             ),
+            "ModelDisagrees": status.model_disagrees,
         }
 
 

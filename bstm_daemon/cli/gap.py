@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from bstm_daemon import __version__
 from bstm_daemon.cli.arguments import (
@@ -16,20 +16,26 @@ from bstm_daemon.cli.arguments import (
 )
 from bstm_daemon.cli.progress import Progress
 from bstm_daemon.cli.vehicle import load_vehicle
+from bstm_daemon.effects.catalogue import effect_names
 from bstm_daemon.errors import UsageError
 from bstm_daemon.files import replacing
 from bstm_daemon.gap.adopting import adopt
+from bstm_daemon.gap.heat_only import find_force_gap
+from bstm_daemon.gap.menu import MENU
 from bstm_daemon.gap.recording import read_recording
-from bstm_daemon.gap.workflow import STEPS, find_gap
+from bstm_daemon.gap.workflow import STEPS, Question, advise_before, find_gap
+from bstm_daemon.replay import present_roles
+from bstm_daemon.report.advice_words import advice_json, advice_lines
+from bstm_daemon.report.force_words import force_json, force_text
 from bstm_daemon.report.gap_words import gap_json, gap_text
+from bstm_daemon.simulation import drive_names
 
 if TYPE_CHECKING:
     import argparse
 
     from bstm_daemon.bus.signal_map import SignalMap
-    from bstm_daemon.config import Config
+    from bstm_daemon.config import Config, EffectConfig
     from bstm_daemon.gap.recording import Recording
-    from bstm_daemon.gap.workflow import Gap
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -39,9 +45,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         choices=("run", *STEPS),
         help="run: all steps; locate: where model and measurement disagree; "
         "gate: whether anything is missing; name: which effect; adopt: fit it "
-        "and write it into NEW.toml; show: before and after",
+        "and write it into NEW.toml; show: before and after; advise: which "
+        "drive of a menu would tell what is left apart",
     )
-    parser.add_argument("logs", nargs="+", type=Path, metavar="LOG")
+    parser.add_argument(
+        "logs",
+        nargs="*",
+        type=Path,
+        metavar="LOG",
+        help="drives; a folder is a record that the service has kept",
+    )
     add_config(parser)
     parser.add_argument(
         "--holdout",
@@ -50,6 +63,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=[],
         metavar="LOG",
         help="drives that nothing is fitted to, for before and after",
+    )
+    parser.add_argument(
+        "--menu",
+        nargs="+",
+        default=list(MENU),
+        choices=drive_names(),
+        metavar="DRIVE",
+        help="drives that advise asks about, those of bstm simulate --list "
+        "(m01 to m15)",
+    )
+    parser.add_argument(
+        "--among",
+        nargs="+",
+        default=[],
+        choices=effect_names(),
+        metavar="EFFECT",
+        help="what advise is to tell apart; without logs, before any drive",
     )
     add_out(
         parser,
@@ -68,18 +98,30 @@ def run(args: argparse.Namespace) -> int:
     """Search, print, and write what was asked for."""
     _check(args)
     config, signal_map = load_vehicle(args.config)
+    if not args.logs:
+        return _before_any_drive(args, config, signal_map)
     recordings = _read(args, args.logs, config, signal_map)
     held_out = _read(args, args.holdout, config, signal_map)
+    if not any(one.drive.measured for one in recordings):
+        return _by_forces(args, config, recordings, held_out)
+    recordings = _with_temperatures(recordings)
+    held_out = _with_temperatures(held_out)
     until = "show" if args.step == "run" else args.step
     with Progress("gap") as progress:
         gaps = find_gap(
-            config, recordings, held_out, until=until, progress=progress.show
+            config,
+            recordings,
+            held_out,
+            until=until,
+            question=Question(tuple(args.menu), tuple(args.among)),
+            progress=progress.show,
         )
     names = ", ".join(log.name for log in args.logs)
     print(f"{names}  ({config.vehicle.id}, {args.config})")
     for gap in gaps:
         print(gap_text(gap))
-    _write(args, gaps)
+    effects = [effect for gap in gaps for effect in gap.effects()]
+    _write(args, [gap_json(gap) for gap in gaps], effects)
     if args.report:
         from bstm_daemon.report.gap_page import (  # noqa: PLC0415
             write_gap_page,
@@ -95,7 +137,74 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
+def _before_any_drive(
+    args: argparse.Namespace, config: Config, signal_map: SignalMap
+) -> int:
+    """Advise by the model alone."""
+    with Progress("gap") as progress:
+        gap = advise_before(
+            config,
+            present_roles(signal_map),
+            Question(tuple(args.menu), tuple(args.among)),
+            progress.show,
+        )
+    print(f"before any drive  ({config.vehicle.id}, {args.config})")
+    print(f"{', '.join(gap.corners)}:")
+    print("\n".join(f"  {line}" for line in advice_lines(gap)))
+    _write(args, [{"advice": advice_json(gap)}], [])
+    return 0
+
+
+def _by_forces(
+    args: argparse.Namespace,
+    config: Config,
+    recordings: list[Recording],
+    held_out: list[Recording],
+) -> int:
+    """Search without a thermocouple: pressure against motion."""
+    if args.step in {"locate", "advise"}:
+        msg = (
+            f"gap {args.step}: no measured temperature in these logs (roles "
+            "temp_<corner>_<node>); without one there are gate, name, adopt, "
+            "show and run, by forces"
+        )
+        raise UsageError(msg)
+    with Progress("gap") as progress:
+        progress.show(0.1)
+        gap = find_force_gap(config, recordings, held_out)
+    names = ", ".join(log.name for log in args.logs)
+    print(f"{names}  ({config.vehicle.id}, {args.config})")
+    print(force_text(gap))
+    _write(args, [force_json(gap)], gap.effects())
+    if args.report:
+        from bstm_daemon.report.force_page import (  # noqa: PLC0415
+            write_force_page,
+        )
+
+        write_force_page(
+            args.report,
+            gap,
+            subtitle=f"{names} · {config.vehicle.id} · {args.config.name}",
+            version=__version__,
+        )
+        print(args.report)
+    return 0
+
+
+def _with_temperatures(recordings: list[Recording]) -> list[Recording]:
+    """Return those with thermocouples, and say which have none."""
+    for one in recordings:
+        if not one.drive.measured:
+            print(f"{one.name}: no measured temperature, left out")
+    return [one for one in recordings if one.drive.measured]
+
+
 def _check(args: argparse.Namespace) -> None:
+    if not args.logs and not (args.step == "advise" and args.among):
+        msg = (
+            "gap: give logs; only advise goes without, with --among EFFECT..."
+        )
+        raise UsageError(msg)
     if args.step == "adopt" and args.out is None:
         msg = "gap adopt: give -o NEW.toml"
         raise UsageError(msg)
@@ -127,22 +236,30 @@ def _read(
 
             found.append(
                 read_recording(
-                    log, config, signal_map, dict(args.map), progress=show
+                    log,
+                    config,
+                    signal_map,
+                    dict(args.map),
+                    thermocouples=False,
+                    progress=show,
                 )
             )
     return found
 
 
-def _write(args: argparse.Namespace, gaps: list[Gap]) -> None:
+def _write(
+    args: argparse.Namespace,
+    corners: list[dict[str, Any]],
+    effects: list[EffectConfig],
+) -> None:
     if args.json:
         result = {
             "files": [str(log) for log in args.logs],
             "held_out": [str(log) for log in args.holdout],
-            "corners": [gap_json(gap) for gap in gaps],
+            "corners": corners,
         }
         with replacing(args.json) as file:
             file.write_text(json.dumps(result, indent=2) + "\n", "utf-8")
-    effects = [effect for gap in gaps for effect in gap.effects()]
     if args.out is None:
         return
     if not effects:

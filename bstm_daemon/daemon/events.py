@@ -58,6 +58,8 @@ SEND_FAILED: Final = Event("send_failed", "warning", ("bus", "error"))
 
 INPUT_FAULT: Final = Event("input_fault", "warning", ("fault",))
 INPUT_FAULT_OVER: Final = Event("input_fault_over", "info", ("fault",))
+MODEL_DISAGREES: Final = Event("model_disagrees", "warning", ("what",))
+MODEL_AGREES: Final = Event("model_agrees", "info", ("what",))
 CLOCK_STEPPED: Final = Event("clock_stepped", "warning", ("step_s",))
 VALIDITY_CHANGED: Final = Event(
     "validity_changed", "info", ("corner", "validity")
@@ -99,6 +101,7 @@ EVENTS: Final = (
     *(FRAMES_DROPPED, FRAMES_REFUSED),
     *(PUBLISHING_STARTED, FOREIGN_FRAME, SEND_FAILED),
     *(INPUT_FAULT, INPUT_FAULT_OVER, CLOCK_STEPPED),
+    *(MODEL_DISAGREES, MODEL_AGREES),
     *(VALIDITY_CHANGED, RISK_ROSE, RISK_FELL),
     *(STATE_LOADED, STATE_DISCARDED, STATE_SAVE_FAILED),
     *(PARKED_TIME_CORRECTED, SLEPT, ESTIMATE_RESET),

@@ -114,6 +114,30 @@ def _service(page: _Page, status: ServiceStatus) -> None:
         *(({"fault": name}, name in status.faults) for name in FAULTS),
     )
     page.gauge(
+        "model_disagrees",
+        "1: the model is further from what is measured than it should be.",
+        *(
+            ({"what": what}, what in status.disagreements)
+            for what in (
+                "heat",
+                *(f"{corner} {node}" for corner, node in status.residuals_k),
+            )
+        ),
+    )
+    page.gauge(
+        "force_difference_ratio",
+        "Braking work by pressure less that by motion, over the larger.",
+        ({}, status.force_difference),
+    )
+    page.gauge(
+        "temperature_residual_celsius",
+        "Running mean of measured less estimated temperature.",
+        *(
+            ({"corner": corner, "node": node}, kelvin)
+            for (corner, node), kelvin in status.residuals_k.items()
+        ),
+    )
+    page.gauge(
         "publishing",
         "1 if frames are being sent.",
         ({}, status.is_publishing),

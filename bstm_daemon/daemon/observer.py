@@ -71,6 +71,7 @@ class Observer:
         self._links: dict[str, tuple[LinkState, Counter[LinkEvent], int]] = {}
         self._refused: Counter[str] = Counter()
         self._faults: set[str] = set()
+        self._disagreements: set[str] = set()
         self._validity: dict[str, Validity] = {}
         self._levels: dict[str, RiskLevel] = {}
         self._flags = self._said_flags = 0
@@ -148,6 +149,7 @@ class Observer:
         )
         self._say_links(now_us)
         self._say_inputs(now_us)
+        self._say_model(status, now_us)
         self._say_corners(status, now_us)
         self._say_losses(now_us)
         if self._longest_us > events.LATE_US:
@@ -230,6 +232,17 @@ class Observer:
         if self._flags & ~self._said_flags & DISAGREEMENT:
             self.keep("disagreement", now_us)
         self._said_flags, self._flags = self._flags, 0
+
+    def _say_model(self, status: ServiceStatus, now_us: int) -> None:
+        """Log what the model began to disagree with; keep the record."""
+        now = set(status.disagreements)
+        for what in sorted(now - self._disagreements):
+            self._log.say(events.MODEL_DISAGREES, what=what)
+        for what in sorted(self._disagreements - now):
+            self._log.say(events.MODEL_AGREES, what=what)
+        if now - self._disagreements:
+            self.keep("model", now_us)
+        self._disagreements = now
 
     def _say_corners(self, status: ServiceStatus, now_us: int) -> None:
         for name, corner in status.corners.items():

@@ -112,6 +112,12 @@ class ServiceStatus:
     faults: tuple[str, ...] = ()
     """What is wrong with the inputs or the heat: names of
     :data:`~bstm_daemon.heat.plausibility.FAULTS`."""
+    disagreements: tuple[str, ...] = ()
+    """What the model disagrees with: ``heat``, or corner and thermocouple."""
+    force_difference: float = nan
+    """Braking work by pressure less that by motion, over the larger."""
+    residuals_k: Mapping[tuple[str, str], float] = field(default_factory=dict)
+    """Running mean of measured less estimated, by corner and node."""
     is_publishing: bool = False
     risk: CarRiskSnapshot | None = None
     """None where no risk is told."""
@@ -136,6 +142,8 @@ def status_line(status: ServiceStatus) -> str:
     parts = [status.state.name.lower()]
     parts += [bus.reason for bus in status.buses.values() if bus.reason]
     parts += [WORDS[name] for name in status.faults if name in _TOLD]
+    if status.disagreements:
+        parts.append(f"model disagrees: {', '.join(status.disagreements)}")
     parts += _hottest(status.corners)
     if status.risk is not None and isfinite(status.risk.probability):
         parts.append(f"vapour {100.0 * status.risk.probability:.1f} %")

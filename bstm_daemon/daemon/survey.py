@@ -72,6 +72,12 @@ class Survey:
             heat_mode=engine.heat_mode,
             history_known=published is not None and published.history_known,
             faults=fault_names(flags),
+            disagreements=engine.model_check.disagreements,
+            force_difference=engine.model_check.force_difference,
+            residuals_k={
+                (one.corner, one.node): one.mean_k
+                for one in engine.model_check.couples
+            },
             is_publishing=self._sender.is_sending,
             risk=None if snapshot is None else snapshot.risk,
             forecast_members=0 if engine.risk is None else engine.risk.members,

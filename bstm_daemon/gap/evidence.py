@@ -64,7 +64,7 @@ def weigh(
     grid = STRENGTHS
     if signature.either_sign:
         grid = np.concatenate((-STRENGTHS[::-1], STRENGTHS))
-    weights = _prior(grid, either_sign=signature.either_sign)
+    weights = strength_prior(grid, either_sign=signature.either_sign)
     gains = _gains(gram, grid)
     top = int(np.argmax(gains))
     best = _refined(gram, grid, top)
@@ -83,7 +83,7 @@ def weigh(
     )
 
 
-def _prior(grid: Column, *, either_sign: bool) -> Column:
+def strength_prior(grid: Column, *, either_sign: bool) -> Column:
     """Return the weights of *grid*, log-normal, summing to 1."""
     logs = (np.log(np.abs(grid)) - LOG_CENTRE) / LOG_WIDTH
     weights = np.exp(-0.5 * logs**2)

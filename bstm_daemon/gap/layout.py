@@ -49,17 +49,21 @@ class Layout:
     ) -> None:
         """Take the series and what is known of them."""
         self.series = tuple(series)
-        self.noise = dict(noise)
         self.prior = prior
         self.drive_names = tuple(drive_names)
+        self.set_noise(noise)
+        sizes = [len(one.time_s) for one in self.series]
+        self.edges = np.concatenate(([0], np.cumsum(sizes)))
+
+    def set_noise(self, noise: Mapping[str, NodeNoise]) -> None:
+        """Let residuals err by *noise*, by node."""
+        self.noise = dict(noise)
         self._whiteners = [
             self.noise[one.node].whitener(
                 one.time_s, one.slope_k_s, one.rise_k
             )
             for one in self.series
         ]
-        sizes = [len(one.time_s) for one in self.series]
-        self.edges = np.concatenate(([0], np.cumsum(sizes)))
 
     def slices(self, drive: int) -> list[slice]:
         """Return where the points of *drive* are."""

@@ -20,6 +20,7 @@ from bstm_daemon.gap.evidence import (
     weigh,
 )
 from bstm_daemon.gap.projector import Projector
+from bstm_daemon.gap.several import Several, search_several
 from bstm_daemon.gap.unknown import likeliest, log_evidence
 
 if TYPE_CHECKING:
@@ -34,29 +35,28 @@ Answer = Literal["nothing", "name", "class", "unknown", "undecided"]
 SURE: Final = 0.95
 """Probability from which a name, or a class, is given."""
 
-GATE_Z: Final = 4.0
+GATE_Z: Final = 3.8
 """Standard deviations of the best candidate from which there is a gap; with
-39 candidates chance reaches it once in 400 searches."""
+39 candidates chance reaches it once in 200 searches."""
 
-GATE_EVIDENCE: Final = 5.0
-"""And by so much must its logarithm of the Bayes factor favour it."""
+GATE_NOTHING: Final = 0.05
+"""And nothing missing must be less probable than this."""
 
 ALIKE: Final = 0.95
 """Cosine of two signatures, tunables projected out, from which data can not
 tell them apart."""
 
-UNKNOWN_EVIDENCE: Final = 10.0
+UNKNOWN_EVIDENCE: Final = 3.0
 """Logarithm of the Bayes factor from which heat without a name is there."""
-
-NEXT_EVIDENCE: Final = 8.0
-NEXT_Z: Final = 5.0
-MOST_EFFECTS: Final = 3
-"""Further effects must be plainer: the first one's form is not exact."""
 
 EXPLAINED: Final = 0.6
 UNEXPLAINED: Final = 15.0
 """Below this share of what all effects together explain, and with so much of
 the log-likelihood left besides chance, no name is given."""
+
+PLAIN_Z: Final = 6.0
+"""And where the best one reaches less than this, only if heat without a name
+is there: what little is left else is the form of the model."""
 
 PLACEBOS: Final = 20
 """Candidates that can not be: the best one's signature at other times."""
@@ -113,7 +113,7 @@ def name_effect(layout: Layout, linearised: Linearised) -> Naming:
     )
     nothing = _with_unknown(nothing, project, linearised)
     best = found[0] if found else None
-    if best is None or best.log_evidence < GATE_EVIDENCE or best.z < GATE_Z:
+    if best is None or odds[""] > GATE_NOTHING or best.z < GATE_Z:
         if nothing.unknown_evidence < UNKNOWN_EVIDENCE:
             return nothing
         return replace(
@@ -123,19 +123,31 @@ def name_effect(layout: Layout, linearised: Linearised) -> Naming:
             reason="no effect of the catalogue explains it",
             explained=0.0,
         )
+    return _named(layout, project, linearised, nothing)
+
+
+def _named(
+    layout: Layout, project: Projector, linearised: Linearised, nothing: Naming
+) -> Naming:
+    """Return what it is that is missing, the gate passed."""
+    found, odds = nothing.candidates, nothing.odds
+    best = found[0]
     by_name = {one.name: one for one in linearised.signatures}
     placebo = _best_placebo(
         layout, project, linearised.residual, by_name[best.name]
     )
     validated = _cross_validated(layout, linearised, by_name[best.name])
+    several = search_several(linearised, found, layout.prior)
+    explained, left = _explained(project, linearised, several.chosen)
     common = replace(
-        nothing, best_placebo_z=placebo, cross_validated=validated
+        nothing,
+        best_placebo_z=placebo,
+        cross_validated=validated,
+        explained=explained,
+        leftover=several.leftover,
     )
-    chosen, leftover = _several(linearised, found, layout.prior)
-    explained, left = _explained(project, linearised, chosen)
-    common = replace(common, explained=explained, leftover=leftover)
-    foreign = explained < EXPLAINED and left > UNEXPLAINED
-    if foreign:
+    plain = nothing.unknown_evidence > 0.0 or best.z > PLAIN_Z
+    if explained < EXPLAINED and left > UNEXPLAINED and plain:
         return replace(
             common,
             answer="unknown",
@@ -151,17 +163,38 @@ def name_effect(layout: Layout, linearised: Linearised) -> Naming:
             probability=odds[best.name],
             reason=f"{best.name} at other times than its own explains as much",
         )
-    if len(chosen) > 1:
-        names = tuple(one.name for one in chosen)
-        share = odds[best.name]
+    if len(several.chosen) > 1:
+        return _together(common, several)
+    return _single(common, project, linearised, best)
+
+
+def _together(common: Naming, several: Several) -> Naming:
+    names = tuple(one.name for one in several.chosen)
+    sure = tuple(name for name in names if name in several.sure)
+    if sure == names:
         return replace(
             common,
             answer="name",
             names=names,
-            probability=share,
-            reason=f"together they explain {100 * explained:.0f} %",
+            probability=several.share,
+            reason=f"together they explain {100 * common.explained:.0f} %",
         )
-    return _single(common, project, linearised, best)
+    rest = ", ".join(name for name in names if name not in sure)
+    if sure:
+        return replace(
+            common,
+            answer="name",
+            names=sure,
+            probability=SURE,
+            reason=f"and another one, perhaps {rest}",
+        )
+    return replace(
+        common,
+        answer="undecided",
+        names=names,
+        probability=several.share,
+        reason="several effects at once, in more than one way",
+    )
 
 
 def _with_unknown(
@@ -232,47 +265,6 @@ def _weighed(
 ) -> list[Candidate]:
     found = [weigh(project, residual, one) for one in signatures]
     return sorted(found, key=lambda one: -one.log_evidence)
-
-
-def _several(
-    linearised: Linearised,
-    found: Sequence[Candidate],
-    prior: Column,
-) -> tuple[list[Candidate], Candidate | None]:
-    """Add effects as long as each is plain beside the others.
-
-    Returns those, and the best one that was not.
-    """
-    by_name = {one.name: one for one in linearised.signatures}
-    chosen = [found[0]]
-    residual = linearised.residual
-    leftover = None
-    while len(chosen) <= MOST_EFFECTS:
-        columns = [by_name[one.name].at(1.0) for one in chosen]
-        jacobian = np.column_stack((linearised.jacobian, *columns))
-        wide = np.concatenate((prior, np.full(len(chosen), 1.5)))
-        beside = Projector(jacobian, wide)
-        rest = _weighed(
-            beside,
-            residual,
-            [
-                one
-                for one in linearised.signatures
-                if one.name not in {c.name for c in chosen}
-            ],
-        )
-        if not rest:
-            break
-        leftover = rest[0]
-        if (
-            leftover.log_evidence < NEXT_EVIDENCE
-            or leftover.z < NEXT_Z
-            or leftover.gain < 0.1 * found[0].gain
-            or len(chosen) == MOST_EFFECTS
-        ):
-            break
-        chosen.append(leftover)
-    return chosen, leftover
 
 
 def _explained(

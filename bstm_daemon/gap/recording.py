@@ -39,6 +39,9 @@ if TYPE_CHECKING:
 PIECE: Final = 1 << 20
 """Samples that the estimator takes at a time."""
 
+SEGMENT: Final = ".log.gz"
+"""Ending of the files of a kept record."""
+
 THIN_S: Final = 0.1
 """Time between samples of one role, where effects are tried."""
 
@@ -93,30 +96,49 @@ def read_recording(
     signal_map: SignalMap,
     overrides: Mapping[str, str] | None = None,
     *,
+    thermocouples: bool = True,
     progress: Callable[[float | None], None] | None = None,
 ) -> Recording:
-    """Read the log *path*.
+    """Read the log *path*; *thermocouples* tells whether it must have some.
+
+    A folder is a record that the service has kept: its segments in order.
 
     Raises:
         LogError: unusable, too short or without thermocouples.
         FileAccessError: it cannot be read.
         UsageError: the heat mode is ``measured``.
     """
-    log = EventLog(path, signal_map, overrides)
+    files = sorted(path.glob(f"*{SEGMENT}")) if path.is_dir() else [path]
+    if not files:
+        msg = f"{path}: no segment of a record (*{SEGMENT}) in this folder"
+        raise LogError(msg)
     parts = []
-    for events in log.events():
-        parts.append(events)
-        if progress is not None:
-            progress(log.share)
+    for number, file in enumerate(files):
+        log = EventLog(file, signal_map, overrides)
+        for events in log.events():
+            parts.append(events)
+            if progress is not None:
+                progress((number + (log.share or 0.0)) / len(files))
     return recorded(
-        path.name, _joined(parts), config, present_roles(signal_map)
+        path.name,
+        _joined(parts),
+        config,
+        present_roles(signal_map),
+        thermocouples=thermocouples,
     )
 
 
 def recorded(
-    name: str, events: Events, config: Config, present: Mapping[int, int]
+    name: str,
+    events: Events,
+    config: Config,
+    present: Mapping[int, int],
+    *,
+    thermocouples: bool = True,
 ) -> Recording:
     """Return the recording of *events*.
+
+    *thermocouples* tells whether it must have some.
 
     Raises:
         LogError: too short or without thermocouples.
@@ -144,7 +166,7 @@ def recorded(
             (events.time_us[own] * 1e-6, events.value[own])
         )
     measured = thermocouples_of(temperatures, corners, start_s)
-    if not measured:
+    if thermocouples and not measured:
         msg = (
             f"{name}: no measured temperature: a gap needs roles "
             "temp_<corner>_<node>"
@@ -167,6 +189,17 @@ def thinned(events: Events) -> Events:
     return Events(
         events.time_us[keep], events.role[keep], events.value[keep], Counter()
     )
+
+
+def inputs_of(
+    config: Config, present: Mapping[int, int], events: Events
+) -> tuple[Column, tuple[str, ...]]:
+    """Return what *config* makes of *events*, and the corners' names.
+
+    (steps, corners, channels), as ``Drive.inputs`` has them.
+    """
+    corners = Estimator(config, present).plan.corners
+    return _pass(config, present, events), corners
 
 
 def _like(drive: Drive, rows: Column) -> Column:

@@ -96,13 +96,7 @@ class Sensed:
             layout.whiten(self.base_k),
             layout.whiten(self.jacobian_k),
             tuple(
-                Signature(
-                    name,
-                    layout.whiten(terms[0]),
-                    layout.whiten(terms[1]),
-                    terms.sum(axis=0),
-                    effect_class(name).either_sign,
-                )
+                _signature(layout, name, terms)
                 for name, terms in self.terms_k.items()
             ),
             self.silent,
@@ -155,6 +149,29 @@ def sensitivities(
     """Return residuals [K] (n,) and the whitened jacobian (n, p) at *x*."""
     apart, jacobian = _sensitivities_k(comparison, x, effects)
     return apart, comparison.whiten(jacobian)
+
+
+def signature_of(
+    comparison: Comparison, name: str, base: Column
+) -> Signature | None:
+    """Return what *name* changes in the residuals *base* [K], (n,).
+
+    None where it changes nothing or does not fit the structure.
+    """
+    terms = _terms_k(comparison, name, base)
+    if terms is None:
+        return None
+    return _signature(comparison, name, terms)
+
+
+def _signature(layout: Layout, name: str, terms: Column) -> Signature:
+    return Signature(
+        name,
+        layout.whiten(terms[0]),
+        layout.whiten(terms[1]),
+        terms.sum(axis=0),
+        effect_class(name).either_sign,
+    )
 
 
 def _sensitivities_k(

@@ -9,24 +9,47 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bstm_daemon.errors import LogError
+from bstm_daemon.gap.advising import advise, members_of, prospect
+from bstm_daemon.gap.calibration import calibrated
 from bstm_daemon.gap.comparison import Comparison, heats
+from bstm_daemon.gap.directions import (
+    along,
+    askable,
+    directions,
+    prior_along,
+)
 from bstm_daemon.gap.fitting import Fit, effect_entries, fit
 from bstm_daemon.gap.locating import Located, locate
+from bstm_daemon.gap.menu import MENU, menu_drive
 from bstm_daemon.gap.naming import Naming, name_effect
 from bstm_daemon.gap.noise import noise_of
 from bstm_daemon.gap.showing import Shown, show
-from bstm_daemon.gap.signatures import candidates, linearised
+from bstm_daemon.gap.signatures import Linearised, candidates, sensed
 from bstm_daemon.matching.tunables import REFINED, targets_of, usable
-from bstm_daemon.roles import MEASURED_NODES
+from bstm_daemon.roles import MEASURED_NODES, ROLE_INDEX
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from bstm_daemon.config import Config, EffectConfig
+    from bstm_daemon.gap.advising import Advice, Prospect
+    from bstm_daemon.gap.noise import NodeNoise
     from bstm_daemon.gap.recording import Recording
+    from bstm_daemon.matching.drives import Column
     from bstm_daemon.matching.tunables import Target
 
-STEPS = ("locate", "gate", "name", "adopt", "show")
+
+@dataclass(frozen=True, slots=True)
+class Question:
+    """What is to be told apart, and by which drives; empty: what is left."""
+
+    menu: tuple[str, ...] = MENU
+    among: tuple[str, ...] = ()
+
+
+ANY = Question()
+
+STEPS = ("locate", "gate", "name", "adopt", "show", "advise")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,6 +60,7 @@ class Gap:
     as configured and with the effect. ``silent`` are candidates that the
     drives do not excite. ``fit`` and ``shown`` are None where nothing was
     named, ``located`` and ``naming`` where they were not asked for.
+    ``advice`` is which drive would tell ``members`` apart, the best first.
     """
 
     corners: tuple[str, ...]
@@ -49,6 +73,8 @@ class Gap:
     shown: Shown | None = None
     before: Located | None = None
     after: Located | None = None
+    advice: tuple[Advice, ...] = ()
+    members: tuple[str, ...] = ()
 
     def effects(self) -> list[EffectConfig]:
         """Return what can be adopted, with its provenance."""
@@ -79,6 +105,7 @@ def find_gap(
     held_out: Sequence[Recording] = (),
     *,
     until: str = "show",
+    question: Question = ANY,
     progress: Callable[[float], None] | None = None,
 ) -> list[Gap]:
     """Search *recordings* for what *config* lacks.
@@ -87,7 +114,10 @@ def find_gap(
         config: the vehicle, matched to it as well as may be.
         recordings: drives with thermocouples.
         held_out: drives to show before and after on.
-        until: the last step taken: locate, gate, name, adopt or show.
+        until: the last step taken: locate, gate, name, adopt, show or
+            advise; advise leaves adopt and show out, show advises where
+            candidates are left that the data can not tell apart.
+        question: which drives of the menu would tell what apart.
         progress: told the share that is done.
 
     Raises:
@@ -106,7 +136,7 @@ def find_gap(
             if progress is not None:
                 progress((number + share) / len(targets))
 
-        found.append(_gap(target, recordings, held_out, until, told))
+        found.append(_gap(target, recordings, held_out, until, question, told))
     return found
 
 
@@ -122,6 +152,7 @@ def _gap(
     recordings: Sequence[Recording],
     held_out: Sequence[Recording],
     until: str,
+    question: Question,
     told: Callable[[float], None],
 ) -> Gap:
     located = locate(target.config, recordings, target.corners)
@@ -131,37 +162,140 @@ def _gap(
     points = int(comparison.edges[-1])
     if until == "locate":
         return Gap(target.corners, names, points, located)
-    known = linearised(
+    simulated = sensed(
         comparison,
-        candidates(target.config),
+        askable(target, candidates(target.config)),
         lambda share: told(0.1 + 0.6 * share),
     )
-    naming = name_effect(comparison, known)
+    comparison.set_noise(calibrated(comparison, simulated))
+    layout, known = along(
+        comparison, simulated.whitened(comparison), directions(comparison)
+    )
+    naming = name_effect(layout, known)
     plain = Gap(target.corners, names, points, located, naming, known.silent)
-    if until in {"gate", "name"} or naming.answer not in {"name", "class"}:
+    if until == "advise" or (
+        until == "show" and naming.answer in {"class", "undecided"}
+    ):
+        plain = _advised(plain, comparison, known, question, told)
+    if until in {"gate", "name", "advise"} or naming.answer not in {
+        "name",
+        "class",
+    }:
         return plain
     best = naming.names if naming.answer == "name" else naming.names[:1]
     start = {
         one.name: one.strength for one in naming.candidates if one.name in best
     }
-    extended = fit(comparison, start)
+    extended = fit(comparison, start, directions(comparison))
     told(0.85)
     shown = None
     maps: tuple[Located | None, Located | None] = (None, None)
     if until == "show":
         shown = show(comparison, extended, held_out)
         maps = _maps(comparison, extended, held_out or recordings)
-    return Gap(
-        target.corners,
-        names,
-        points,
-        located,
-        naming,
-        known.silent,
-        extended,
-        shown,
-        *maps,
+    return replace(
+        plain, fit=extended, shown=shown, before=maps[0], after=maps[1]
     )
+
+
+def _advised(
+    gap: Gap,
+    comparison: Comparison,
+    known: Linearised,
+    question: Question,
+    told: Callable[[float], None],
+) -> Gap:
+    """Add which drive of the menu would tell what is left apart."""
+    naming = gap.naming
+    if naming is None:
+        return gap
+    if not question.among and naming.answer in {"name", "unknown"}:
+        return gap
+    members = question.among or members_of(naming, known.silent)
+    target = comparison.target
+    recording = comparison.recordings[0]
+    couples = {
+        corner: tuple(recording.drive.measured.get(corner, {}))
+        for corner in target.corners
+    }
+    prospects, prior = _prospects(
+        target,
+        recording.present,
+        couples,
+        Question(question.menu, members),
+        told,
+        comparison.noise,
+    )
+    found = advise(known, prior, members, prospects)
+    return replace(gap, advice=found, members=members)
+
+
+def advise_before(
+    config: Config,
+    present: Mapping[int, int],
+    question: Question,
+    progress: Callable[[float], None] | None = None,
+) -> Gap:
+    """Return which drive would tell candidates apart before any is driven.
+
+    Args:
+        config: the vehicle.
+        present: role number to timeout [us] of what its bus has.
+        question: candidates, each as likely as the other, and drives.
+        progress: told the share that is done.
+
+    Raises:
+        LogError: no role of a thermocouple is mapped.
+    """
+    couples: dict[str, tuple[str, ...]] = {}
+    for corner in config.disc_corners():
+        nodes = tuple(
+            node
+            for node in MEASURED_NODES
+            if ROLE_INDEX[f"temp_{corner.name.lower()}_{node}"] in present
+        )
+        if nodes:
+            couples[corner.name] = nodes
+    targets = targets_of(config, sorted(couples))
+    if not targets:
+        msg = "no role temp_<corner>_<node> is mapped: nothing would tell"
+        raise LogError(msg)
+    target = targets[0]
+    own = {name: couples[name] for name in target.corners}
+    prospects, prior = _prospects(
+        target,
+        present,
+        own,
+        question,
+        progress or (lambda _: None),
+    )
+    none = Linearised(np.zeros(0), np.zeros((0, len(prior))), (), (), ())
+    found = advise(none, prior, question.among, prospects)
+    return Gap(target.corners, (), 0, advice=found, members=question.among)
+
+
+def _prospects(
+    target: Target,
+    present: Mapping[int, int],
+    couples: Mapping[str, Sequence[str]],
+    question: Question,
+    told: Callable[[float], None],
+    noise: Mapping[str, NodeNoise] | None = None,
+) -> tuple[list[Prospect], Column]:
+    """Return what each drive would show, and the tunables' priors."""
+    found = []
+    prior = np.zeros(0)
+    for number, name in enumerate(question.menu):
+        drive = menu_drive(name, target.config, present, couples)
+        comparison = compare(target, [drive.recording])
+        if noise is not None:
+            comparison.set_noise({**comparison.noise, **noise})
+        one = prospect(comparison, question.among, drive.description)
+        basis = directions(comparison)
+        found.append(replace(one, jacobian=one.jacobian @ basis))
+        prior = prior_along(comparison, basis)
+        told(0.7 + 0.15 * (number + 1) / len(question.menu))
+    return found, prior
 
 
 def _maps(

@@ -8,6 +8,11 @@ from typing import TYPE_CHECKING, Any, Final
 from bstm_daemon.gap.locating import TEMPERATURES_C, labels
 from bstm_daemon.gap.residual_heat import REGIMES
 from bstm_daemon.gap.showing import BASELINES, CONFIGURED, EXTENDED
+from bstm_daemon.report.advice_words import (
+    ADVICE_HEAD,
+    advice_headline,
+    advice_rows,
+)
 from bstm_daemon.report.gap_words import (
     CANDIDATE_HEAD,
     CELL_HEAD,
@@ -77,6 +82,8 @@ def write_gap_page(
             sections.append(_map_section(prefix, gap.located))
         if gap.naming is not None:
             sections.append(_naming_section(prefix, gap))
+        if gap.advice:
+            sections.append(advice_section(prefix, gap))
         if gap.shown is not None:
             sections += _shown_sections(prefix, gap.shown)
         if gap.before is not None and gap.after is not None:
@@ -245,7 +252,9 @@ def _naming_section(prefix: str, gap: Gap) -> PageSection:
     return PageSection(
         f"{prefix}{headline(gap)}",
         Table(CANDIDATE_HEAD, tuple(candidate_rows(naming))),
-        plots=(("how far each effect beats 'nothing'", _bars(naming)),),
+        plots=(
+            ("how far each effect beats 'nothing'", evidence_bars(naming)),
+        ),
         lines=tuple(lines),
         across=1,
         note="Every effect of the catalogue is simulated on these drives and "
@@ -254,7 +263,21 @@ def _naming_section(prefix: str, gap: Gap) -> PageSection:
     )
 
 
-def _bars(naming: Naming) -> Plot:
+def advice_section(prefix: str, gap: Gap) -> PageSection:
+    """Return the table of drives that could be driven next."""
+    return PageSection(
+        f"{prefix}which drive next",
+        Table(ADVICE_HEAD, tuple(advice_rows(gap))),
+        lines=(advice_headline(gap),),
+        note="Worlds are drawn from what these drives leave open; each is "
+        "driven with the model itself, its noise added, and named as it "
+        "would be. The Bayes factor is that of the true effect over its best "
+        f"rival; now it is {gap.advice[0].now:+.1f}.",
+    )
+
+
+def evidence_bars(naming: Naming) -> Plot:
+    """Return the log Bayes factor of the likeliest candidates as bars."""
     best = [
         one
         for one in naming.candidates[:BARS]

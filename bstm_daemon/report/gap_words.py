@@ -8,6 +8,7 @@ import numpy as np
 
 from bstm_daemon.effects.catalogue import effect_class
 from bstm_daemon.gap.showing import ADOPTED, BASELINES, EXTENDED
+from bstm_daemon.report.advice_words import advice_json, advice_lines
 from bstm_daemon.report.verify_words import table
 
 if TYPE_CHECKING:
@@ -48,6 +49,8 @@ def gap_text(gap: Gap) -> str:
             lines.append(f"  {reach_line(gap.naming)}")
         if gap.silent:
             lines.append(f"  not excited: {', '.join(gap.silent)}")
+    if gap.advice:
+        lines += [f"  {line}" for line in advice_lines(gap)]
     if gap.fit is not None:
         for name, strength in gap.fit.strengths.items():
             sd = gap.fit.deviations[name]
@@ -224,8 +227,10 @@ def gap_json(gap: Gap) -> dict[str, Any]:
                 for one in getattr(gap.located, name)
             ]
     if gap.naming is not None:
-        found["naming"] = _naming_json(gap.naming)
+        found["naming"] = naming_json(gap.naming)
         found["not_excited"] = list(gap.silent)
+    if gap.advice:
+        found["advice"] = advice_json(gap)
     if gap.fit is not None:
         found["strengths"] = gap.fit.strengths
         found["strength_deviations"] = gap.fit.deviations
@@ -234,7 +239,8 @@ def gap_json(gap: Gap) -> dict[str, Any]:
     return found
 
 
-def _naming_json(naming: Naming) -> dict[str, Any]:
+def naming_json(naming: Naming) -> dict[str, Any]:
+    """Return the answer for a file."""
     return {
         "answer": naming.answer,
         "names": list(naming.names),

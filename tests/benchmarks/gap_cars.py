@@ -142,7 +142,7 @@ class Garage:
         """The configuration matched without what is hidden, mistuned."""
         kept = self.folder / f"{self.world}-car-{self.number}.pickle"
         if not kept.exists():
-            kept.write_bytes(pickle.dumps(self._matched()))
+            keep(kept, pickle.dumps(self._matched()))
         target: Target = pickle.loads(kept.read_bytes())  # noqa: S301  (own)
         return mistuned(target, self.seed)
 
@@ -152,7 +152,7 @@ class Garage:
         kept = self.folder / f"{self.world}-sensed-{self.number}.pickle"
         if not kept.exists():
             found = sensed(self.comparison, candidates(self.target.config))
-            kept.write_bytes(pickle.dumps(found))
+            keep(kept, pickle.dumps(found))
         result: Sensed = pickle.loads(kept.read_bytes())  # noqa: S301  (own)
         return result
 
@@ -257,6 +257,13 @@ class Garage:
         target = targets_of(config, ["FL", "FR"])[0]
         keys, _ = usable(target, REFINED)
         return target.changed(refine(target, drives, keys).values)
+
+
+def keep(file: Path, data: bytes) -> None:
+    """Write *file*, whole or not at all."""
+    part = file.with_suffix(file.suffix + ".part")
+    part.write_bytes(data)
+    part.replace(file)
 
 
 def structure_config(structure: str) -> Config:

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from gap_cars import FITTED, OF_TEMPERATURES, Garage, World
+from gap_cars import FITTED, OF_TEMPERATURES, Garage, World, keep
 
 from bstm_daemon.gap.layout import Layout
 from bstm_daemon.gap.signatures import (
@@ -180,7 +180,7 @@ def evidence(case: Case, garage: Garage, folder: Path) -> Evidence:
     """Return what is kept of *case*, or make it."""
     kept = folder / f"{case.key}.pickle"
     if not kept.exists():
-        kept.write_bytes(pickle.dumps(_made(case, garage)))
+        keep(kept, pickle.dumps(_made(case, garage)))
     series, own, base_k, unknown, change_k = pickle.loads(  # noqa: S301  (own)
         kept.read_bytes()
     )

@@ -7,7 +7,8 @@ import time
 from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any, Final
 
-from gap_cars import FITTED, HELD_OUT, Garage
+import numpy as np
+from gap_cars import FITTED, HELD_OUT, Garage, keep
 from gap_cases import (
     Case,
     Evidence,
@@ -17,7 +18,9 @@ from gap_cases import (
     shuffled,
     without,
 )
+from gap_rivals import RIVALS
 
+from bstm_daemon.gap.calibration import calibrated
 from bstm_daemon.gap.fitting import fit
 from bstm_daemon.gap.naming import ALIKE, cosine, name_effect
 from bstm_daemon.gap.noise import noise_of
@@ -186,6 +189,7 @@ def judged(case: Case, garage: Garage, kept: Evidence) -> Judged:
         node: noise_of(garage.target.config, node) for node in MEASURED_NODES
     }
     layout = kept.layout(noise)
+    layout.set_noise(calibrated(layout, kept.sensed))
     known = kept.sensed.whitened(layout)
     project = Projector(known.jacobian, layout.prior)
     change = layout.whiten(kept.change_k)
@@ -197,7 +201,50 @@ def judged(case: Case, garage: Garage, kept: Evidence) -> Judged:
             if alike and other.name != own.name:
                 twins.append(other.name)
     distance2 = float(change @ project(change))
+    if len(case.effects) > 1:
+        distance2 = min(_beside(case, layout, known))
     return Judged(case, layout, known, distance2, tuple(twins))
+
+
+def _rivals(one: Judged, kept: Evidence) -> list[Result]:
+    """Return what other ways answer."""
+    found = []
+    for label, ask in RIVALS.items():
+        names = ask(kept.sensed)
+        found.append(
+            Result(
+                label,
+                list(one.case.effects),
+                list(one.case.strengths.values()),
+                one.case.number,
+                one.distance2,
+                "name" if names else "nothing",
+                names,
+                0.0,
+                0.0,
+                "",
+                names[:3],
+                list(one.twins),
+            )
+        )
+    return found
+
+
+def _beside(case: Case, layout: Layout, known: Linearised) -> list[float]:
+    """Return what each effect alone would show, the others free."""
+    by_name = {one.name: one for one in known.signatures}
+    found = []
+    for name, strength in case.strengths.items():
+        if name not in by_name:  # these drives do not excite it
+            return [0.0]
+        others = [by_name[n].at(1.0) for n in case.effects if n != name]
+        project = Projector(
+            np.column_stack((known.jacobian, *others)),
+            np.concatenate((layout.prior, np.full(len(others), 1.5))),
+        )
+        change = by_name[name].at(strength)
+        found.append(float(change @ project(change)))
+    return found
 
 
 def results_of(
@@ -209,7 +256,7 @@ def results_of(
     if case.world.always_on:
         return [one.answer("RT")]
     if not case.effects:
-        return [one.answer("S0")]
+        return [one.answer("S0"), *_rivals(one, kept)]
     if len(case.effects) > 1:
         return [one.answer("S2")]
     alone = judged(case, garage, kept.of_drive(FITTED.index("simalp")))
@@ -217,6 +264,7 @@ def results_of(
         one.answer("S1"),
         one.answer("SO", without(one.known, case.effects)),
         alone.answer("SX"),
+        *_rivals(one, kept),
     ]
     if controls:
         found += [
@@ -247,7 +295,7 @@ def shown(
         "bends": {n: figures.bends[n] for n in (REFITTED, EXTENDED)},
         "seconds": time.process_time() - begin,
     }
-    kept.write_text(json.dumps(whole) + "\n", "utf-8")
+    keep(kept, (json.dumps(whole) + "\n").encode())
     return whole
 
 

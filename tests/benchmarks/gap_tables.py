@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from gap_judge import DETECTABLE, Result
+from gap_rivals import RIVALS
 from side_by_side import Table
 
 from bstm_daemon.gap.showing import BASELINES, EXTENDED, REFITTED
@@ -406,6 +407,35 @@ def confusion(results: Sequence[Result]) -> list[tuple[str, ...]]:
     return rows
 
 
+def rivals(results: Sequence[Result]) -> list[tuple[str, ...]]:
+    """Return this search beside other ways, on the same cases."""
+    rows = []
+    for label in ("this search", *RIVALS):
+        hidden = [
+            o
+            for o in results
+            if o.group == ("S1" if label == "this search" else label)
+            and o.effects
+        ]
+        free = [
+            o
+            for o in results
+            if o.group == ("S0" if label == "this search" else label)
+            and not o.effects
+        ]
+        clear = [o for o in hidden if o.detectable]
+        rows.append(
+            (
+                label,
+                f"{len(clear)}, {len(free)}",
+                str(share(clear, lambda o: o.score)),
+                str(share(hidden, lambda o: o.wrong_name)),
+                str(share(free, lambda o: o.answer in {"name", "class"})),
+            )
+        )
+    return rows if any(o.group == "S1" for o in results) else []
+
+
 def tables(results: Sequence[Result]) -> list[Table]:
     """Return all tables of one world."""
     found = [
@@ -430,6 +460,17 @@ def tables(results: Sequence[Result]) -> list[Table]:
             "stated probability",
             ("stated", "answers", "mean", "right"),
             reliability(results),
+        ),
+        (
+            "other ways, same cases and library",
+            (
+                "way",
+                "detectable, effect-free",
+                "right, detectable",
+                "wrong name, all hidden",
+                "named, effect-free",
+            ),
+            rivals(results),
         ),
         ("answers", ("hidden", "cases", "answered"), confusion(results)),
     ):

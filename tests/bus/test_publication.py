@@ -72,6 +72,7 @@ status_snapshots = st.builds(
     ambient_stale=st.booleans(),
     clock_jump=st.booleans(),
     input_suspect=st.booleans(),
+    model_disagrees=st.booleans(),
     heat_substituted=st.booleans(),
 )
 snapshots = st.builds(
@@ -169,8 +170,10 @@ def test_status_survives_the_bus(status: StatusSnapshot) -> None:
         min(max(status.oldest_input_age_s, 0.0), 25.3), abs=0.0501
     )
     assert values["RejectedFrames"] == min(max(status.rejected_frames, 0), 253)
-    assert values["DroppedFrames"] == min(max(status.dropped_frames, 0), 253)
+    assert values["DroppedFrames"] == min(max(status.dropped_frames, 0), 125)
     assert values["ClockJump"] == ("jumped" if status.clock_jump else "none")
+    disagrees = ("none", "disagrees")[status.model_disagrees]
+    assert values["ModelDisagrees"] == disagrees
     assert values["InputSuspect"] == ("none", "suspect")[status.input_suspect]
     assert values["HeatSubstituted"] == (
         "substituted" if status.heat_substituted else "own"

@@ -351,5 +351,5 @@ def test_dropped_frames_are_published(
         lambda value: value >= dropped,
     )
     status = heard.wait(3, BASE, since=len(heard.frames))[-1]
-    assert decoded(BASE, status.data)["DroppedFrames"] == min(total, 253)
+    assert decoded(BASE, status.data)["DroppedFrames"] == min(total, 125)
     assert running.end() == 0

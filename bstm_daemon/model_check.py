@@ -1,0 +1,253 @@
+"""Whether the running model agrees with what is measured, all the time.
+
+Two running statistics. Feed-Forward against Feed-Back: the braking work that
+pressure and motion tell of, over the last megajoule or so. Thermocouples,
+where roles map them: the mean over two minutes of measured less estimated.
+What is beyond what a sound model errs by is a gap; ``bstm gap`` names it from
+the record.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import hypot, isfinite, nan
+from typing import TYPE_CHECKING, Final
+
+from bstm_daemon.heat.sample_plan import (
+    CHANNELS,
+    FLAGS,
+    VEHICLE_CHANNELS,
+)
+from bstm_daemon.roles import MEASURED_NODES, ROLE_INDEX
+
+if TYPE_CHECKING:
+    from collections.abc import Collection
+
+    from bstm_daemon.config import Config
+    from bstm_daemon.estimator import Block, Estimator
+
+FORGET_J: Final = 1e6
+LEAST_J: Final = 3e5
+"""Braking work that the forces are compared over, and from which on."""
+
+FORCE_COMES: Final = 0.3
+FORCE_GOES: Final = 0.2
+"""Difference of the works over the larger: friction varies by a tenth, mass
+and accelerometer take as much."""
+
+MEMORY_S: Final = 120.0
+KNOWN_S: Final = 120.0
+NODE_OF: Final = {"disc_2": "disc"}
+SIGMAS: Final = 3.0
+GOES: Final = 0.6
+"""Of the tolerance, below which a thermocouple agrees again."""
+
+USUAL: Final[dict[str, tuple[float, float]]] = {
+    "disc": (10.0, 0.06),
+    "pad_front": (10.0, 0.06),
+    "pad_back": (5.0, 0.05),
+    "fluid": (3.0, 0.05),
+    "caliper": (3.0, 0.05),
+}
+"""Standard deviation [K] and share of the rise of a model that nobody has
+matched, by node; ``[accuracy]`` takes its place."""
+
+_UNKNOWN: Final = (
+    FLAGS["speed_missing"]
+    | FLAGS["pressure_missing"]
+    | FLAGS["acceleration_missing"]
+    | FLAGS["torque_missing"]
+    | FLAGS["speed_suspect"]
+    | FLAGS["pressure_suspect"]
+    | FLAGS["acceleration_suspect"]
+    | FLAGS["torque_suspect"]
+    | FLAGS["clock_jump"]
+    | FLAGS["settled"]
+    | FLAGS["silent"]
+)
+"""With any of these one of the two works is not known."""
+
+_FF: Final = CHANNELS.index("brake_energy_ff_j")
+_FB: Final = CHANNELS.index("brake_energy_fb_j")
+_POWER: Final = CHANNELS.index("brake_power_w")
+_AMBIENT: Final = CHANNELS.index("ambient_k")
+_SCALE: Final = VEHICLE_CHANNELS.index("friction_scale")
+_WIDE: Final = len(CHANNELS)
+
+
+@dataclass(slots=True)
+class Couple:
+    """One thermocouple and how far the model is from it.
+
+    ``row`` and ``ambient`` are places in a publication's rows, ``place`` in
+    its outputs of ``group``, which has ``stride`` of them a publication.
+    """
+
+    corner: str
+    node: str
+    row: int
+    ambient: int
+    group: int
+    stride: int
+    place: int
+    floor_k: float
+    share: float
+    mean_k: float = nan
+    known_s: float = 0.0
+    disagrees: bool = False
+
+    @property
+    def name(self) -> str:
+        """Corner and node."""
+        return f"{self.corner} {self.node}"
+
+    def take(self, apart_k: float, rise_k: float, dt_s: float) -> None:
+        """Take *apart_k*, measured less estimated, of the last *dt_s*."""
+        if not isfinite(apart_k):
+            self.mean_k, self.known_s = nan, 0.0
+            self.disagrees = False
+            return
+        if not isfinite(self.mean_k):
+            self.mean_k = apart_k
+        self.mean_k += (apart_k - self.mean_k) * min(dt_s / MEMORY_S, 1.0)
+        self.known_s += dt_s
+        tolerance = SIGMAS * hypot(self.floor_k, self.share * rise_k)
+        if self.disagrees:
+            tolerance *= GOES
+        self.disagrees = (
+            self.known_s >= KNOWN_S and abs(self.mean_k) > tolerance
+        )
+
+
+class ModelCheck:
+    """Watches the estimates of one car, publication by publication."""
+
+    def __init__(
+        self, config: Config, estimator: Estimator, roles: Collection[int]
+    ) -> None:
+        """Find out what is measured; *roles* are those that are mapped."""
+        self._corners = len(estimator.plan.corners)
+        self._fused = config.heat.mode == "fused"
+        self.couples = _couples(config, estimator, roles)
+        self._before: tuple[int, float, float] | None = None
+        self._apart_j = self._work_j = self._braked_j = 0.0
+        self._forces_disagree = False
+
+    @property
+    def force_difference(self) -> float:
+        """Work by pressure less work by motion, over the larger.
+
+        NaN until enough has been braked.
+        """
+        if self._braked_j < LEAST_J:
+            return nan
+        return self._apart_j / max(self._work_j, 1.0)
+
+    @property
+    def disagreements(self) -> tuple[str, ...]:
+        """What disagrees: ``heat``, or a corner and node."""
+        found = ["heat"] if self._forces_disagree else []
+        found += [one.name for one in self.couples if one.disagrees]
+        return tuple(found)
+
+    def take(self, block: Block, i: int, *, history_known: bool) -> None:
+        """Take publication *i* of *block*.
+
+        Thermocouples count from where the start no longer matters.
+        """
+        time_us = block.times_us[i]
+        first = i * self._corners * _WIDE
+        last = first + self._corners * _WIDE
+        flags = block.flags[i]
+        pressed = sum(block.rows[first + _FF : last : _WIDE])
+        if self._fused:
+            moved = sum(block.rows[first + _POWER : last : _WIDE])
+            pressed_scale = block.vehicle[i * len(VEHICLE_CHANNELS) + _SCALE]
+        else:
+            moved = sum(block.rows[first + _FB : last : _WIDE])
+            pressed_scale = 1.0
+        if self._before is not None:
+            then_us, old_pressed, old_moved = self._before
+            dt_s = (time_us - then_us) * 1e-6
+            by_motion = moved * dt_s if self._fused else moved - old_moved
+            if 0.0 < dt_s < 1.0:
+                if not flags & _UNKNOWN:
+                    self._take_work(
+                        pressed_scale * (pressed - old_pressed), by_motion
+                    )
+                self._take_couples(
+                    block, i, first, dt_s, history_known=history_known
+                )
+        self._before = time_us, pressed, moved
+
+    def _take_work(self, pressed_j: float, moved_j: float) -> None:
+        larger = max(pressed_j, moved_j)
+        if not larger > 0.0:  # also of NaN
+            return
+        keep = max(1.0 - larger / FORGET_J, 0.0)
+        self._apart_j = keep * self._apart_j + pressed_j - moved_j
+        self._work_j = keep * self._work_j + larger
+        self._braked_j += larger
+        limit = FORCE_GOES if self._forces_disagree else FORCE_COMES
+        difference = self.force_difference
+        self._forces_disagree = (
+            isfinite(difference) and abs(difference) > limit
+        )
+
+    def _take_couples(
+        self,
+        block: Block,
+        i: int,
+        first: int,
+        dt_s: float,
+        *,
+        history_known: bool,
+    ) -> None:
+        for one in self.couples:
+            measured_k = block.rows[first + one.row]
+            ambient_k = block.rows[first + one.ambient]
+            shown_k = block.outputs[one.group][i * one.stride + one.place]
+            apart_k = measured_k - shown_k if history_known else nan
+            one.take(apart_k, shown_k - ambient_k, dt_s)
+
+
+def _couples(
+    config: Config, estimator: Estimator, roles: Collection[int]
+) -> list[Couple]:
+    found = []
+    corners = estimator.plan.corners
+    for number, group in enumerate(estimator.groups):
+        for member, corner in enumerate(group.corners):
+            row = corners.index(corner) * _WIDE
+            for couple in MEASURED_NODES:
+                role = ROLE_INDEX.get(f"temp_{corner.lower()}_{couple}")
+                node = NODE_OF.get(couple, couple)
+                forced = config.heat.mode == "measured" and node == "disc"
+                if (
+                    role not in roles
+                    or node not in group.state_names
+                    or forced
+                ):
+                    continue
+                floor_k, share = _accuracy(config, node)
+                found.append(
+                    Couple(
+                        corner,
+                        couple,
+                        row + CHANNELS.index(f"measured_{couple}_k"),
+                        row + _AMBIENT,
+                        number,
+                        len(group.corners) * group.size,
+                        member * group.size + group.state_names.index(node),
+                        floor_k,
+                        share,
+                    )
+                )
+    return found
+
+
+def _accuracy(config: Config, node: str) -> tuple[float, float]:
+    floor_k = getattr(config.accuracy, f"{node}_k", None)
+    if floor_k is None:
+        return USUAL[node]
+    return float(floor_k), float(getattr(config.accuracy, f"{node}_share"))

@@ -1,0 +1,237 @@
+"""A model that disagrees: told, kept, and what is kept is named from."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pytest
+from cantools.database.can import Database
+
+from bstm_daemon.bus.link import Frame
+from bstm_daemon.bus.logs import open_log
+from bstm_daemon.cli.main import main
+from bstm_daemon.daemon.clock import SteadyAxis
+from bstm_daemon.daemon.events import ServiceLog
+from bstm_daemon.daemon.intake import Intake
+from bstm_daemon.daemon.metrics import metrics_text
+from bstm_daemon.daemon.monitor import BusOverride, Monitor, build_monitor
+from bstm_daemon.daemon.observer import Observer
+from bstm_daemon.daemon.sender import Sender
+from bstm_daemon.daemon.status import StateFileStatus, status_line
+from bstm_daemon.daemon.survey import Survey
+from bstm_daemon.engine import Engine
+from bstm_daemon.native import load_kernel
+from bstm_daemon.simulation import parse_drive, simulate
+from bstm_daemon.simulation.frames import Encoder
+from bstm_daemon.simulation.parameters import Effects
+from bstm_daemon.simulation.recorder import write_candump
+
+ROOT = Path(__file__).parents[2]
+SECOND = 1_000_000
+DATABASE = Database()
+DATABASE.add_dbc_file(ROOT / "dbc" / "bstm.dbc")
+
+pytestmark = [pytest.mark.slow] if load_kernel() is None else []
+
+HOT = """
+[drive]
+name = "hot"
+description = "a short descent, then parked"
+ambient_c = 15.0
+thermocouple_logger = true
+[[segment]]
+speed_kmh = 45.0
+rate_ms2 = 2.0
+gear = 3
+duration_s = 240.0
+grade_percent = -10.0
+[[segment]]
+speed_kmh = 0.0
+rate_ms2 = 5.0
+gear = 0
+[[segment]]
+parked = true
+duration_s = 200.0
+"""
+
+STOPS = """
+[drive]
+name = "stops"
+description = "four stops"
+ambient_c = 15.0
+[[segment]]
+repeat = 4
+[[segment.segment]]
+speed_kmh = 90.0
+rate_ms2 = 3.0
+gear = 3
+[[segment.segment]]
+speed_kmh = 20.0
+rate_ms2 = 4.0
+gear = 3
+"""
+
+ACCURACY = """
+[accuracy]
+disc_k = 8.0
+pad_front_k = 6.0
+pad_back_k = 6.0
+fluid_k = 4.0
+"""
+
+
+class Lines:
+    """Keeps what is logged."""
+
+    def __init__(self) -> None:
+        self.said: list[tuple[str, dict[str, Any]]] = []
+
+    def _take(self, event: str, **fields: Any) -> None:
+        self.said.append((event, fields))
+
+    debug = info = warning = error = _take
+
+    def of(self, name: str) -> list[dict[str, Any]]:
+        """Return the fields of each line *name*."""
+        return [fields for event, fields in self.said if event == name]
+
+
+class Seen(NamedTuple):
+    """What a drive beside the service left."""
+
+    car: Path
+    lines: Lines
+    flags: list[str]
+    text: str
+    metrics: str
+    monitor: Monitor
+
+
+def car(folder: Path, *changes: tuple[str, str]) -> Path:
+    """Write the example car with *changes* of its text."""
+    text = (ROOT / "config" / "example_vehicle.toml").read_text("utf-8")
+    head, record, tail = text.partition("[record]")
+    text = head + record + tail.replace("enabled = false", "enabled = true", 1)
+    for old, new in (
+        ('"../dbc/', f'"{ROOT}/dbc/'),
+        ('interface = "socketcan"', 'interface = "virtual"'),
+        *changes,
+    ):
+        assert old in text, old
+        text = text.replace(old, new)
+    path = folder / "car.toml"
+    path.write_text(text + ACCURACY, encoding="utf-8")
+    return path
+
+
+def beside(folder: Path, path: Path, drive: str, effects: Effects) -> Seen:
+    """Let the car of *path* hear *drive* as the live service does.
+
+    Everything is the service's own but the clock, which is the log's.
+    """
+    log = folder / "drive.log"
+    simulated = simulate(parse_drive(drive, "own"), preset=effects, seed=2)
+    write_candump(
+        log, simulated, Encoder(ROOT / "dbc" / "example_vehicle.dbc")
+    )
+    monitor = build_monitor(path, BusOverride(), forecast=False)
+    cold = Engine(
+        monitor.config, monitor.signal_map, history_known=True, forecast=False
+    )
+    axis, lines = SteadyAxis(), Lines()
+    intake, sender = Intake(monitor.links(), axis), Sender(None, frozenset())
+    observer = Observer(ServiceLog(lines), axis, folder, None)
+    observer.begin(monitor, intake, sender)
+    survey = Survey(monitor, intake, sender, axis, 0)
+    engine, flags = monitor.engine, []
+    engine.estimator.history_left_steps = cold.estimator.history_left_steps
+    status = DATABASE.get_message_by_name("BSTM_Status")
+    next_us = tick_us = 0
+    for chunk in open_log(log).chunks():
+        for stamp_us, can_id, payload, length in zip(
+            chunk.time_us.tolist(),
+            chunk.can_id.tolist(),
+            chunk.data,
+            chunk.length.tolist(),
+            strict=True,
+        ):
+            data = payload.tobytes()[:length]
+            if stamp_us >= tick_us:
+                tick_us = stamp_us // SECOND * SECOND + SECOND
+                published = engine.tick(stamp_us)
+                observer.note_flags()
+                flags += [
+                    str(status.decode(one.frame.data)["ModelDisagrees"])  # type: ignore[index]
+                    for one in published
+                    if one.frame.name == "BSTM_Status"
+                ]
+                if next_us:
+                    observer.report(StateFileStatus(), stamp_us)
+                next_us = stamp_us
+            engine.frame(0, can_id, False, data, stamp_us)
+            observer.record(
+                stamp_us,
+                0,
+                Frame(stamp_us * 1000, can_id, False, data, False, False),
+            )
+    told = survey.status(0, StateFileStatus(), 0, 0, next_us)
+    observer.close()
+    intake.close()
+    return Seen(
+        path, lines, flags, status_line(told), metrics_text(told), monitor
+    )
+
+
+def kept(folder: Path) -> Path:
+    """Return the folder of the only record that was kept."""
+    (found,) = (folder / "record" / "kept").iterdir()
+    return found
+
+
+def test_a_hidden_effect_is_noticed_kept_and_named(tmp_path: Path) -> None:
+    seen = beside(tmp_path, car(tmp_path), HOT, Effects(gap_conduction=3.0))
+
+    assert seen.flags[0] == "none"
+    assert seen.flags[-1] == "disagrees"
+    what = {one["what"] for one in seen.lines.of("model_disagrees")}
+    assert "FL pad_front" in what
+    assert {"reason": "model"} in seen.lines.of("record_kept")
+    assert "model disagrees: " in seen.text
+    assert 'bstm_model_disagrees{what="FL pad_front"} 1' in seen.metrics
+
+    record, result = kept(tmp_path), tmp_path / "gap.json"
+    code = main(
+        [
+            *("gap", "name", str(record), "-c", str(seen.car)),
+            *("--json", str(result)),
+        ]
+    )
+
+    assert code == 0
+    (corner, *_) = json.loads(result.read_text("utf-8"))["corners"]
+    assert corner["naming"]["answer"] != "nothing"
+    names = [one["name"] for one in corner["naming"]["candidates"][:2]]
+    assert "gap_conduction" in names
+
+
+def test_a_sound_model_raises_nothing(tmp_path: Path) -> None:
+    seen = beside(tmp_path, car(tmp_path), STOPS, Effects())
+
+    assert set(seen.flags) == {"none"}
+    assert seen.lines.of("model_disagrees") == []
+    assert abs(seen.monitor.engine.model_check.force_difference) < 0.1
+    assert 'bstm_model_disagrees{what="heat"} 0' in seen.metrics
+    assert not (tmp_path / "record" / "kept").exists()
+
+
+def test_pressure_and_motion_that_differ_are_noticed(tmp_path: Path) -> None:
+    """Pads that grip less than configured: the forces tell."""
+    weak = ("friction_coefficient = 0.38", "friction_coefficient = 0.65")
+    seen = beside(tmp_path, car(tmp_path, weak), STOPS, Effects())
+
+    assert seen.flags[-1] == "disagrees"
+    assert seen.lines.of("model_disagrees") == [{"what": "heat"}]
+    assert seen.monitor.engine.model_check.force_difference > 0.3
+    assert kept(tmp_path).name.endswith("-model")
