@@ -1,0 +1,89 @@
+"""Drives heated anew: only what decides the heat is computed."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from bstm_daemon.bus.columns import Events
+from bstm_daemon.cli.vehicle import load_vehicle
+from bstm_daemon.gap import recording as module
+from bstm_daemon.gap.comparison import heats, with_effects
+from bstm_daemon.gap.fitting import effect_entries
+from bstm_daemon.gap.recording import Recording, recorded
+from bstm_daemon.replay import present_roles
+from bstm_daemon.roles import ROLE_INDEX
+from bstm_daemon.shipped import shipped_file
+from bstm_daemon.simulation import load_drive, simulate
+
+if TYPE_CHECKING:
+    from bstm_daemon.config import Config
+
+
+@pytest.fixture(scope="module")
+def short(config: Config) -> Recording:
+    """Return a short drive as it was recorded, at 10 Hz."""
+    drive = simulate(load_drive("idiada-step"))
+    present = present_roles(
+        load_vehicle(shipped_file("config/example_vehicle.toml"))[1]
+    )
+    parts = [
+        (drive.time_s[::10], ROLE_INDEX[name], np.asarray(values)[::10])
+        for name, values in drive.roles.items()
+    ] + [
+        (drive.slow_time_s, ROLE_INDEX[name], values)
+        for name, values in drive.temperatures.items()
+    ]
+    parts = [part for part in parts if part[1] in present]
+    time_us = np.concatenate([np.rint(t * 1e6) for t, _, _ in parts])
+    order = np.argsort(time_us, kind="stable")
+    events = Events(
+        time_us.astype(np.int64)[order],
+        np.concatenate([np.full(len(t), r, np.int32) for t, r, _ in parts])[
+            order
+        ],
+        np.concatenate([values for _, _, values in parts])[order],
+        Counter(),
+    )
+    return recorded("short", events, config, present)
+
+
+@pytest.mark.parametrize(
+    "name", ["friction_speed", "brake_share", "hydraulic_lag"]
+)
+def test_heat_does_not_need_the_temperatures(
+    name: str,
+    config: Config,
+    short: Recording,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    on = with_effects(config, effect_entries({name: 1.0}))
+    alone = short.inputs(on)
+    monkeypatch.setattr(module._Heating, "leave_nodes", lambda _: None)
+
+    whole = short.inputs(on)
+
+    assert np.array_equal(alone, whole, equal_nan=True)
+    assert not np.array_equal(alone, short.drive.inputs, equal_nan=True)
+
+
+def test_only_effects_on_the_inputs_need_another_pass(config: Config) -> None:
+    acts = {
+        name: heats(effect_entries({name: 1.0})[0], config)
+        for name in (
+            *("friction_fade", "brake_share", "mass_error"),
+            *("friction_history", "residual_drag", "gap_conduction"),
+        )
+    }
+
+    assert acts == {
+        "friction_fade": True,
+        "brake_share": True,
+        "mass_error": True,
+        "friction_history": False,
+        "residual_drag": False,
+        "gap_conduction": False,
+    }
