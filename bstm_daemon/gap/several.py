@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from bstm_daemon.gap.evidence import weigh
+from bstm_daemon.gap.evidence import STRENGTHS, weigh
 from bstm_daemon.gap.projector import Projector
 
 if TYPE_CHECKING:
@@ -146,7 +146,16 @@ def _best_pair(
     a_j = (own_i * score[j] - gram[i, j] * score[i]) / determinant
     either = np.array([one.either_sign for one in signatures])
     allowed = ((a_i > 0.0) | either[i]) & ((a_j > 0.0) | either[j])
+    # no brake has an effect of many times its typical strength
+    allowed &= np.maximum(abs(a_i), abs(a_j)) <= STRENGTHS[-1]
     gains = 0.5 * (a_i * score[i] + a_j * score[j])
+    # two that stand in for the best one must explain more than it does
+    best = [k for k, one in enumerate(signatures) if one.name == found[0].name]
+    allowed &= (
+        np.isin(i, best)
+        | np.isin(j, best)
+        | (gains >= (1.0 + NEXT_SHARE) * found[0].gain)
+    )
     # what a strength that is well known costs
     logs = gains - 0.5 * np.log(determinant * STRENGTH_PRIOR**4)
     logs = np.where(allowed, logs, -np.inf)

@@ -30,6 +30,11 @@ PAGE = ROOT / "docs" / "new-effect.md"
 EXAMPLE = ROOT / "config" / "example_vehicle.toml"
 
 
+def forget() -> None:
+    effect_names.cache_clear()
+    effect_class.cache_clear()
+
+
 @pytest.fixture
 def rim_fan(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
     """Put the effect of the page into a folder of entries."""
@@ -42,7 +47,11 @@ def rim_fan(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
     (tmp_path / "rim_fan.py").write_text(text + "\n", encoding="utf-8")
     folders = [*entries.__path__, str(tmp_path)]
     monkeypatch.setattr(entries, "__path__", folders)
+    # files are looked for once in a process
+    forget()
     yield "rim_fan"
+    monkeypatch.undo()
+    forget()
     sys.modules.pop(f"{entries.__name__}.rim_fan", None)
 
 

@@ -106,10 +106,10 @@ def test_another_layout_is_noticed(board: Board, sender: Sender) -> None:
     sender.feed(board, 0.1)
     assert board.wrong_layout is None
 
-    data = protect((3 << 16).to_bytes(8, "little"), 1, data_id_list(0))
+    data = protect((9 << 16).to_bytes(8, "little"), 1, data_id_list(0))
     board.frame(0x5B0, data, 0)
 
-    assert board.wrong_layout == 3
+    assert board.wrong_layout == 9
 
 
 def test_a_drum_is_a_corner_without_values(

@@ -184,12 +184,12 @@ def test_another_daemon_or_none_of_ours(board: Board) -> None:
 def test_another_layout_shows_no_values(car: tuple[Board, Sender]) -> None:
     board, _ = car
     counter = 200 % 16
-    data = protect((3 << 16).to_bytes(8, "little"), counter, data_id_list(0))
+    data = protect((9 << 16).to_bytes(8, "little"), counter, data_id_list(0))
     board.frame(0x5B0, data, 0)
 
     text = "\n".join(drawn(board))
 
-    assert "frames of layout 3, this program reads layout 2" in text
+    assert "frames of layout 9, this program reads layout 3" in text
     assert "disc" not in text
 
 
