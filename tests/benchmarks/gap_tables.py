@@ -65,17 +65,24 @@ class Figure:
 
     @property
     def met(self) -> str:
-        """Whether the goal is met: in words."""
+        """Whether the goal is met: in words.
+
+        Met is what the whole interval says, reached what the share does.
+        """
         if self.goal is None or not self.share.count:
             return "-"
-        if self._reaches(self.goal):
+        low, high = self.share.interval()
+        if self._reaches(high if self.at_most else low, self.goal):
             return "met"
-        if self.floor is not None and self._reaches(self.floor):
-            return "floor met"
+        if self._reaches(self.share.value, self.goal):
+            return "reached, too few cases to tell"
+        if self.floor is not None and self._reaches(
+            self.share.value, self.floor
+        ):
+            return "floor reached"
         return "not met"
 
-    def _reaches(self, level: float) -> bool:
-        value = self.share.value
+    def _reaches(self, value: float, level: float) -> bool:
         return value <= level if self.at_most else value >= level
 
     def row(self) -> tuple[str, ...]:
