@@ -12,6 +12,7 @@ from gap_rivals import RIVALS
 from side_by_side import Table
 
 from bstm_daemon.gap.showing import BASELINES, EXTENDED, REFITTED
+from bstm_daemon.simulation.parameters import ROAD_EFFECTS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -162,8 +163,15 @@ def figures(results: Sequence[Result]) -> list[Figure]:
             Figure("road, anything said", share(by["RT"], _said)),
             Figure(
                 "road, every name given is on",
-                share(named, lambda o: not o.wrong_name),
+                share(named, lambda o: set(o.names) <= set(ROAD_EFFECTS)),
                 1.0, 0.9,
+            ),
+            Figure(
+                "road, effects named of those that are on",
+                Share(
+                    sum(len(set(o.names) & set(ROAD_EFFECTS)) for o in named),
+                    len(by["RT"]) * len(ROAD_EFFECTS),
+                ),
             ),
         ]  # fmt: skip
     return found
