@@ -12,6 +12,7 @@ from gap_rivals import RIVALS
 from side_by_side import Table
 
 from bstm_daemon.gap.showing import BASELINES, EXTENDED, REFITTED
+from bstm_daemon.simulation.parameters import ROAD_EFFECTS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -65,17 +66,24 @@ class Figure:
 
     @property
     def met(self) -> str:
-        """Whether the goal is met: in words."""
+        """Whether the goal is met: in words.
+
+        Met is what the whole interval says, reached what the share does.
+        """
         if self.goal is None or not self.share.count:
             return "-"
-        if self._reaches(self.goal):
+        low, high = self.share.interval()
+        if self._reaches(high if self.at_most else low, self.goal):
             return "met"
-        if self.floor is not None and self._reaches(self.floor):
-            return "floor met"
+        if self._reaches(self.share.value, self.goal):
+            return "reached, too few cases to tell"
+        if self.floor is not None and self._reaches(
+            self.share.value, self.floor
+        ):
+            return "floor reached"
         return "not met"
 
-    def _reaches(self, level: float) -> bool:
-        value = self.share.value
+    def _reaches(self, value: float, level: float) -> bool:
         return value <= level if self.at_most else value >= level
 
     def row(self) -> tuple[str, ...]:
@@ -155,8 +163,15 @@ def figures(results: Sequence[Result]) -> list[Figure]:
             Figure("road, anything said", share(by["RT"], _said)),
             Figure(
                 "road, every name given is on",
-                share(named, lambda o: not o.wrong_name),
+                share(named, lambda o: set(o.names) <= set(ROAD_EFFECTS)),
                 1.0, 0.9,
+            ),
+            Figure(
+                "road, effects named of those that are on",
+                Share(
+                    sum(len(set(o.names) & set(ROAD_EFFECTS)) for o in named),
+                    len(by["RT"]) * len(ROAD_EFFECTS),
+                ),
             ),
         ]  # fmt: skip
     return found
