@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from risk_cases import draw_case, march_truth
+from risk_cases import HOTTEST_DISC_K, draw_case, march_truth
 from risk_fleet import FleetCar, fleet
 from risk_fluids import (
     DrawnFluid,
@@ -54,9 +54,6 @@ FAR_SHARE: Final = 0.10
 NEAR_K: Final = (-20.0, 14.0)
 """Hottest fluid less the median boiling point of what is known: the design
 looks at nothing that the daemon and the oracle do not know."""
-
-HOTTEST_DISC_K: Final = 973.15
-"""Beyond 700 degC a driver has had no brake for long."""
 
 WITHIN_K: Final = 10.0
 KM_FULL: Final = 10_000.0

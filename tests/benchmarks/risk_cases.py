@@ -54,6 +54,9 @@ SINCE: Final = {
 """Relative deviation by which another day differs from that of the match:
 friction of the lining, air at caliper and disc. The daemon does not know."""
 
+HOTTEST_DISC_K: Final = 973.15
+"""Beyond 700 degC a driver has had no brake for long."""
+
 AMBIENT_SENSOR_K: Final = 1.0
 PRESSURE_OFFSET_PA: Final = 0.05e5
 PRESSURE_QUANTUM_PA: Final = 0.1e5
@@ -189,13 +192,16 @@ def march_truth(cases: list[Case], preset: str = "plain") -> list[Truth]:
     ]
 
 
-def march_drive(case: Case, preset: str = "plain") -> Column:
-    """Return the fluid of the judged corners a second through the drive."""
+def march_drive(case: Case, preset: str = "plain") -> tuple[float, float]:
+    """Return the hottest fluid and the hottest disc [K] of a drive.
+
+    NaN where the march went astray.
+    """
     steps = len(case.speed_ms)
     step_s, keep = np.ones(steps), np.ones(steps, bool)
     result = _marched([case], preset, step_s, keep, steps)
-    fluid: Column = result.nodes["fluid"]
-    return fluid
+    fluid, disc = result.nodes["fluid"], result.nodes["disc_mean"]
+    return float(fluid.max()), float(disc.max())
 
 
 def _marched(

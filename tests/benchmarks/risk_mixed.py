@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from risk_cases import Case, draw_car, march_drive, sensed
+from risk_cases import HOTTEST_DISC_K, Case, draw_car, march_drive, sensed
 from risk_fleet import JUDGED, FleetCar
 from risk_fluids import draw_fluid
 from risk_judge import estimating, samples
@@ -78,8 +78,11 @@ def mixed(
 
 
 def _judged(rng: np.random.Generator, case: Case) -> Driven:
+    fluid_k, disc_k = march_drive(case)
+    # as for the descents; NaN, too, is not below
+    if not disc_k <= HOTTEST_DISC_K:
+        return NOTHING
     peaks = _worst_peaks(case)
-    fluid_k = float(march_drive(case).max())
     warned = [0, 0]
     boiled = 0
     for _ in range(FLUIDS):
