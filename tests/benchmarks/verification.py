@@ -385,8 +385,8 @@ def main() -> int:
             for table, _ in tables_of(setting, args.full, args.cars):
                 data = {"header": table.header, "rows": table.rows}
                 lines += [f"{table.title}:", "", *markdown(data), ""]
-            # what is there is kept if the rest is interrupted
-            sections.take(str(setting), lines)
+                # what is there is kept if the rest is interrupted
+                sections.take(str(setting), lines)
     if args.out is None:
         sys.stdout.write(sections.text())
     return 0

@@ -53,6 +53,11 @@ accelerometer has one bias in all drives, and fused heat begins each with what
 it learned on `rich`. Half-worn pads have the thickness that their indicator
 tells.
 
+What is left is mostly in `ams`, ten hard stops and a soak: the lining's
+conductivity and capacity are drawn too and are not matched, so that of pads that
+conduct worse than configured the face is too cold and the back too hot for
+minutes. With fused heat the share of the front axle errs besides.
+
 The start is known: estimates begin as measured. `cooling.form` is
 `"conductance"`: with the thesis's `"rate"` the disc of this reality can not be
 matched as well ([matching.md](matching.md)).
