@@ -76,8 +76,9 @@ def test_f1_discs_are_cooled_by_the_wind(tmp_path: Path) -> None:
 
     assert found.naming is not None
     assert found.shown is not None
-    assert found.naming.names[0] == "speed_dependent_convection"
+    assert found.naming.names == ("speed_dependent_convection",)
+    assert found.naming.probability > 0.99
     evidence = [one.log_evidence for one in found.naming.candidates[:2]]
-    assert evidence[0] > evidence[1] + 20.0
+    assert evidence[0] > evidence[1] + 8.0
     assert found.shown.held_out
-    assert found.shown.shrinks[BASELINES[1]].factor > 1.5
+    assert found.shown.shrinks[BASELINES[1]].factor > 1.1
