@@ -8,6 +8,7 @@ service, replay and tests are thin shells around these two.
 from __future__ import annotations
 
 from array import array
+from contextlib import suppress
 from math import nan
 from typing import TYPE_CHECKING, Final, NamedTuple
 
@@ -290,6 +291,7 @@ class Engine:
                 "machines": self._advisor.export(),
                 "roles": self._held.export(),
             },
+            "model_check": self.model_check.export(),
             **export_state(self.estimator),
             **({} if self.risk is None else {"risk": self.risk.export()}),
         }
@@ -318,6 +320,10 @@ class Engine:
         self.publication.continue_from(counters)
         if restored.resumed and "advice" in document:
             self._resume_advice(document["advice"])
+        if restored.resumed and "model_check" in document:
+            # one that can not be read begins anew
+            with suppress(KeyError, TypeError, ValueError, AttributeError):
+                self.model_check.restore(document["model_check"])
         if self.risk is not None:
             resume_risk(self.risk, self.estimator, document, parked_us, now_us)
         return restored

@@ -11,8 +11,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import hypot, isfinite, nan
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, ClassVar, Final
 
+from bstm_daemon.advice.memory import (
+    Machine,
+    any_number,
+    flag,
+    number,
+    perhaps,
+    row,
+    stamp,
+)
 from bstm_daemon.heat.sample_plan import (
     CHANNELS,
     FLAGS,
@@ -21,7 +30,7 @@ from bstm_daemon.heat.sample_plan import (
 from bstm_daemon.roles import MEASURED_NODES, ROLE_INDEX
 
 if TYPE_CHECKING:
-    from collections.abc import Collection
+    from collections.abc import Collection, Mapping
 
     from bstm_daemon.config import Config
     from bstm_daemon.estimator import Block, Estimator
@@ -75,13 +84,19 @@ _SCALE: Final = VEHICLE_CHANNELS.index("friction_scale")
 _WIDE: Final = len(CHANNELS)
 
 
-@dataclass(slots=True)
-class Couple:
+@dataclass
+class Couple(Machine):
     """One thermocouple and how far the model is from it.
 
     ``row`` and ``ambient`` are places in a publication's rows, ``place`` in
     its outputs of ``group``, which has ``stride`` of them a publication.
     """
+
+    MEMORY: ClassVar = {
+        "mean_k": any_number,
+        "known_s": number,
+        "disagrees": flag,
+    }
 
     corner: str
     node: str
@@ -119,8 +134,16 @@ class Couple:
         )
 
 
-class ModelCheck:
+class ModelCheck(Machine):
     """Watches the estimates of one car, publication by publication."""
+
+    MEMORY: ClassVar = {
+        "_before": perhaps(row(stamp, number, number)),
+        "_apart_j": number,
+        "_work_j": number,
+        "_braked_j": number,
+        "_forces_disagree": flag,
+    }
 
     def __init__(
         self, config: Config, estimator: Estimator, roles: Collection[int]
@@ -132,6 +155,22 @@ class ModelCheck:
         self._before: tuple[int, float, float] | None = None
         self._apart_j = self._work_j = self._braked_j = 0.0
         self._forces_disagree = False
+
+    def export(self) -> dict[str, Any]:
+        """Return the memory as plain values that JSON knows."""
+        couples = {one.name: one.export() for one in self.couples}
+        return super().export() | {"couples": couples}
+
+    def restore(self, saved: Mapping[str, Any]) -> None:
+        """Go on where :meth:`export` was called, within the same drive.
+
+        Raises:
+            KeyError, TypeError, ValueError: it is nothing of that kind.
+        """
+        super().restore(saved)
+        for one in self.couples:
+            if one.name in saved["couples"]:
+                one.restore(saved["couples"][one.name])
 
     @property
     def force_difference(self) -> float:
@@ -216,9 +255,9 @@ def _couples(
 ) -> list[Couple]:
     found = []
     corners = estimator.plan.corners
-    for number, group in enumerate(estimator.groups):
+    for place, group in enumerate(estimator.groups):
         for member, corner in enumerate(group.corners):
-            row = corners.index(corner) * _WIDE
+            first = corners.index(corner) * _WIDE
             for couple in MEASURED_NODES:
                 role = ROLE_INDEX.get(f"temp_{corner.lower()}_{couple}")
                 node = NODE_OF.get(couple, couple)
@@ -234,9 +273,9 @@ def _couples(
                     Couple(
                         corner,
                         couple,
-                        row + CHANNELS.index(f"measured_{couple}_k"),
-                        row + _AMBIENT,
-                        number,
+                        first + CHANNELS.index(f"measured_{couple}_k"),
+                        first + _AMBIENT,
+                        place,
                         len(group.corners) * group.size,
                         member * group.size + group.state_names.index(node),
                         floor_k,

@@ -22,6 +22,7 @@ from bstm_daemon.daemon.sender import Sender
 from bstm_daemon.daemon.status import StateFileStatus, status_line
 from bstm_daemon.daemon.survey import Survey
 from bstm_daemon.engine import Engine
+from bstm_daemon.model_check import Couple
 from bstm_daemon.native import load_kernel
 from bstm_daemon.simulation import parse_drive, simulate
 from bstm_daemon.simulation.frames import Encoder
@@ -235,3 +236,23 @@ def test_pressure_and_motion_that_differ_are_noticed(tmp_path: Path) -> None:
     assert seen.lines.of("model_disagrees") == [{"what": "heat"}]
     assert seen.monitor.engine.model_check.force_difference > 0.3
     assert kept(tmp_path).name.endswith("-model")
+
+
+def test_a_couple_goes_on_after_a_restart() -> None:
+    """What it knew counts; what is no memory of one is refused."""
+    before, after = (
+        Couple("FL", "disc", 0, 0, 0, 0, 0, floor_k=8.0, share=0.05)
+        for _ in range(2)
+    )
+    for _ in range(2000):
+        before.take(60.0, 200.0, 0.1)
+    assert before.disagrees
+
+    after.restore(json.loads(json.dumps(before.export())))
+
+    for couple in (before, after):
+        couple.take(20.0, 200.0, 0.1)
+    assert after == before
+    assert after.disagrees
+    with pytest.raises(TypeError):
+        after.restore(before.export() | {"known_s": None})
