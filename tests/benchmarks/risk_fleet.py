@@ -16,7 +16,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from population import KNOWN_TO_THE_OWNER, MATCHED_ON, SENSORS, encoder
+from population import KNOWN_TO_THE_OWNER, MATCHED_ON
+from recordings import SENSORS, encoder
 
 from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.matching.drives import Thermocouple, read_drive
