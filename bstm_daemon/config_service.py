@@ -79,7 +79,7 @@ class DaemonConfig(Section):
     for every ``reopen_s``; the kernel is asked for ``receive_buffer_bytes``.
     """
 
-    drain_s: Annotated[float, Field(ge=0.001, le=0.1)] = 0.05
+    drain_s: Annotated[float, Field(ge=0.001, le=0.1)] = 0.1
     reopen_s: Annotated[float, Field(ge=0.05, le=60)] = 1.0
     receive_buffer_bytes: Annotated[int, Field(ge=4096, le=10**8)] = 2**22
 

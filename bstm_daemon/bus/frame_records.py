@@ -34,6 +34,8 @@ class FrameRecords:
     sequence it has the ready ones: time [us], bus number, frame.
     """
 
+    __slots__ = ("extension", "filled", "ready", "room", "store")
+
     def __init__(self, extension: LiveExtension, buses: int) -> None:
         """Make room for a drain of each of *buses* and what it holds back."""
         self.extension: Final = extension

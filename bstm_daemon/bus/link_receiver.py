@@ -81,6 +81,11 @@ class FrameReceiver:
     the kernel's; a message without one gets the time of its reading.
     """
 
+    __slots__ = (
+        *("_counts", "_fd", "_last_drops", "_only", "_only_rising"),
+        *("_receive", "bus_off", "dropped", "source"),
+    )
+
     def __init__(
         self, source: socket.socket, counts: Counter[LinkEvent]
     ) -> None:

@@ -45,6 +45,13 @@ class SteadyAxis:
     axis is the stamp itself, to the microsecond.
     """
 
+    # read forty times a second after a sleep, when no memory is near
+    __slots__ = (
+        *("_boot_ns", "_kept", "_now_us", "_offset_ns", "_shifts"),
+        *("_since_us", "_start_offset_ns", "_wall_ns"),
+        *("last_step_us", "steps"),
+    )
+
     def __init__(
         self,
         wall_ns: Clock = wall_clock_ns,
@@ -76,7 +83,8 @@ class SteadyAxis:
         """Return the time now (us); notices a step since the last call."""
         # a step found amid a drain: a bus drained before it may still hold
         # frames from before the step
-        self._shifts = self._shifts[-self._kept :]
+        if len(self._shifts) > 1:
+            self._shifts = self._shifts[-self._kept :]
         self._kept = 1
         self._since_us = self._now_us
         return self._advance()

@@ -216,7 +216,8 @@ class Service:
 
         Deadlines lie behind multiples of the drain interval by the guard
         time: what a grid line closes is published without waiting for a
-        later frame.
+        later frame. One that passed meanwhile is kept at once: of two
+        publications due together only the later would be sent.
         """
         end_us = self._axis.read()
         self._observer.note_cycle(begin_us - deadline_us, end_us - begin_us)
@@ -224,7 +225,7 @@ class Service:
         if interval_s is not None and end_us >= self._next_watchdog_us:
             self._next_watchdog_us = end_us + round(interval_s * 1e6 / 2)
             self._notifier.watchdog()
-        line = (end_us - GUARD_US) // self._drain_us + 1
+        line = (begin_us - GUARD_US) // self._drain_us + 1
         return line * self._drain_us + GUARD_US
 
     def _note_step(self) -> None:

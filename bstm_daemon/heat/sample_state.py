@@ -192,7 +192,7 @@ class SampleMemory:
         row_times_us: MutableSequence[int],
     ) -> None:
         """Unpack *plan* and *state*; take the row space."""
-        ints, floats = plan.ints, plan.floats
+        ints, floats = plan.ints.tolist(), plan.floats.tolist()
         self.state = state
         self.rows, self.vehicle_rows = rows, vehicle_rows
         self.row_times = row_times_us
@@ -268,8 +268,8 @@ class SampleMemory:
         state = self.state
         self.now, self.grid, self.pending = state.times[:3]
         self.late, self.dropped, self.jumps = state.times[3:6]
-        self.stamp = state.times[len(TIMES) : len(TIMES) + len(ROLES)]
-        numbers = state.numbers
+        self.stamp = state.times[len(TIMES) : len(TIMES) + len(ROLES)].tolist()
+        numbers = state.numbers.tolist()
         self.filtered, self.speed_sum, self.distance = numbers[:3]
         self.force_sum, self.energy_fb, self.total_fb = numbers[3:6]
         self.tail_s, self.unpressed_j = numbers[6:8]
@@ -346,11 +346,10 @@ class SampleMemory:
 
     def valid(self, role: int) -> bool:
         """Whether *role* has a value younger than its time-out."""
-        return (
-            role >= 0
-            and self.stamp[role] != NEVER
-            and self.now - self.stamp[role] <= self.timeout[role]
-        )
+        if role < 0:
+            return False
+        stamp = self.stamp[role]
+        return stamp != NEVER and self.now - stamp <= self.timeout[role]
 
     def vehicle(self, name: str, default: float) -> float:
         """Value of the role *name*, or *default* where it is missing."""

@@ -21,7 +21,11 @@ if TYPE_CHECKING:
 
 def pair() -> tuple[socket.socket, socket.socket]:
     """Return the two ends of a bus."""
-    return socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    ends = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    for end in ends:
+        # room for what comes between two drains: here the sender's counts
+        end.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 2**19)
+    return ends
 
 
 class PairLink(SocketcanLink):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -50,12 +51,14 @@ class Script:
     def __init__(self) -> None:
         self.counts: Counter[LinkEvent] = Counter()
         self.waiting: list[Frame] = []
+        self.drained: Callable[[], None] = lambda: None
 
     def open(self) -> bool:
         return True
 
     def drain(self) -> list[Frame]:
         frames, self.waiting = self.waiting, []
+        self.drained()
         return frames
 
     def poll(self) -> None:
@@ -84,7 +87,7 @@ class Computer:
         )
         self.service = Service(options, Notifier(), ServiceLog(self.lines))
         self.link = Script()
-        self.service._intake.links = [self.link]
+        self.service._intake.replace([self.link])
         self.service._begin()
 
     def pass_by(self, seconds: float) -> None:
@@ -154,3 +157,27 @@ def test_the_brakes_stand_while_the_computer_sleeps(
     computer.cycle()
     assert sum(ticked) < 100
     assert computer.disc_k() < 400.0
+
+
+def test_a_slow_cycle_costs_no_publication(computer: Computer) -> None:
+    """It ends behind the next line; each line has a tick of its own."""
+    service = computer.service
+    engine = service._monitor.engine
+    tick: Callable[[int], Any] = engine.tick
+    ticked: list[set[int]] = []
+
+    def seen(time_us: int) -> Any:
+        published = tick(time_us)
+        ticked.append({item.time_us for item in published})
+        return published
+
+    engine.tick = seen  # type: ignore[method-assign]
+    deadline_us = service._finish(computer.now_ns // 1000, 0)
+    for slow_s in (0.0, 0.0, 0.13, 0.0, 0.0, 0.11, 0.08, 0.0):
+        computer.now_ns = max(computer.now_ns, deadline_us * 1000)
+        begin_us = computer.now_ns // 1000
+        computer.link.drained = partial(computer.pass_by, slow_s)
+        deadline_us = service._cycle(deadline_us)
+        assert begin_us < deadline_us <= begin_us + 100_000
+    assert [len(times) for times in ticked] == [1] * 8
+    assert len(set.union(*ticked)) == 8
