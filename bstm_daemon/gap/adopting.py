@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Final
 
-from bstm_daemon.errors import FileAccessError, MissingExtraError
-from bstm_daemon.files import replacing
-from bstm_daemon.identify.writing import move_paths
+from bstm_daemon.identify.config_copy import changed_copy
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -27,51 +25,32 @@ def adopt(source: Path, target: Path, effects: Sequence[EffectConfig]) -> None:
         MissingExtraError: tomlkit is not installed.
         FileAccessError: *source* is unreadable or *target* unwritable.
     """
-    try:
+    with changed_copy(source, target) as document:
         import tomlkit  # noqa: PLC0415  (of the extra identify)
-    except ImportError as error:
-        raise MissingExtraError(
-            package="tomlkit", extra="identify", purpose="-o NEW.toml"
-        ) from error
-    try:
-        text = source.read_text(encoding="utf-8")
-    except OSError as error:
-        msg = f"{source}: cannot be read: {error.strerror or error}"
-        raise FileAccessError(msg) from error
-    document = tomlkit.parse(text)
-    if "effect" not in document:
-        document["effect"] = tomlkit.aot()
-    entries: Any = document["effect"]
-    for effect in effects:
-        table = tomlkit.table()
-        table["name"] = effect.name
-        if effect.corner != "all":
-            table["corner"] = effect.corner
-        table["parameters"] = _inline(
-            tomlkit,
-            {
-                name: float(f"{value:.{_DIGITS}g}")
-                for name, value in effect.parameters.items()
-            },
-        )
-        table["provenance"] = _inline(tomlkit, effect.provenance)
-        same = [
-            i
-            for i, one in enumerate(entries)
-            if one["name"] == effect.name
-            and one.get("corner", "all") == effect.corner
-        ]
-        if same:
-            entries[same[0]] = table
-        else:
-            entries.append(table)
-    move_paths(document, source.resolve().parent, target.resolve().parent)
-    with replacing(target) as file:
-        file.write_text(tomlkit.dumps(document), encoding="utf-8")
+
+        if "effect" not in document:
+            document["effect"] = tomlkit.aot()
+        for effect in effects:
+            _put(document["effect"], effect)
 
 
-def _inline(tomlkit: Any, values: dict[str, Any]) -> Any:
-    table = tomlkit.inline_table()
-    for name, value in values.items():
-        table[name] = value
-    return table
+def _put(entries: Any, effect: EffectConfig) -> None:
+    """Add *effect* to *entries*, in the place of its namesake."""
+    import tomlkit  # noqa: PLC0415  (as above)
+
+    table = tomlkit.table()
+    table["name"] = effect.name
+    if effect.corner != "all":
+        table["corner"] = effect.corner
+    table["parameters"] = tomlkit.inline_table()
+    for name, value in effect.parameters.items():
+        table["parameters"][name] = float(f"{value:.{_DIGITS}g}")
+    table["provenance"] = tomlkit.inline_table()
+    for name, said in effect.provenance.items():
+        table["provenance"][name] = said
+    for place, one in enumerate(entries):
+        corner = one.get("corner", "all")
+        if one["name"] == effect.name and corner == effect.corner:
+            entries[place] = table
+            return
+    entries.append(table)

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from bstm_daemon.errors import FileAccessError, MissingExtraError
-from bstm_daemon.files import replacing
+from bstm_daemon.identify.config_copy import changed_copy
 from bstm_daemon.identify.effect_entries import set_effect_parameter
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+    from pathlib import Path
 
     from bstm_daemon.config import Config
     from bstm_daemon.identify.brakes import Brakes
@@ -21,7 +19,6 @@ if TYPE_CHECKING:
     from bstm_daemon.identify.cooling_while_braking import BrakedAxle
 
 _DIGITS: Final = 5
-_PATHS: Final = (("state", "file"), ("record", "folder"), ("metrics", "file"))
 
 
 @dataclass(frozen=True, slots=True)
@@ -187,23 +184,9 @@ def write_changed(
         MissingExtraError: tomlkit is not installed.
         FileAccessError: *source* is unreadable or *target* unwritable.
     """
-    try:
-        import tomlkit  # noqa: PLC0415  (of the extra identify)
-    except ImportError as error:
-        raise MissingExtraError(
-            package="tomlkit", extra="identify", purpose="-o NEW.toml"
-        ) from error
-    try:
-        text = source.read_text(encoding="utf-8")
-    except OSError as error:
-        msg = f"{source}: cannot be read: {error.strerror or error}"
-        raise FileAccessError(msg) from error
-    document = tomlkit.parse(text)
-    for change in changes:
-        _apply(document, change, change.note or origin)
-    move_paths(document, source.resolve().parent, target.resolve().parent)
-    with replacing(target) as file:
-        file.write_text(tomlkit.dumps(document), encoding="utf-8")
+    with changed_copy(source, target) as document:
+        for change in changes:
+            _apply(document, change, change.note or origin)
 
 
 def _apply(document: Any, change: Change, origin: str) -> None:
@@ -240,20 +223,3 @@ def _apply(document: Any, change: Change, origin: str) -> None:
     if known is not None and not said:
         words = f"{origin}; was {was}"
     table[key].comment(words)
-
-
-def move_paths(document: Any, old: Path, new: Path) -> None:
-    """Make relative paths of *document*, of folder *old*, right in *new*."""
-    if old == new:
-        return
-    places = [(bus, "dbc") for bus in document.get("bus", [])]
-    places += [
-        (document[section], key)
-        for section, key in _PATHS
-        if section in document
-    ]
-    for table, key in places:
-        path = table.get(key)
-        if path is not None and not Path(str(path)).is_absolute():
-            moved = os.path.relpath(old / str(path), new)
-            table[key] = Path(moved).as_posix()
