@@ -29,6 +29,7 @@ from bstm_daemon.bus.e2e import CheckStatus
 from bstm_daemon.bus.output_layout import (
     ADVICE_OFFSET,
     CORNERS,
+    own_ids,
     published_frames,
 )
 from bstm_daemon.bus.published import PublishedDecoder
@@ -98,7 +99,10 @@ class Ear:
             socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW
         )
         self._raw.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
-        filters = struct.pack("=II", ID_BASE, 0x7F0)
+        filters = b"".join(
+            struct.pack("=II", own_id, 0x7FF)
+            for own_id in own_ids(ID_BASE, CORNERS)
+        )
         self._raw.setsockopt(
             socket.SOL_CAN_RAW, socket.CAN_RAW_FILTER, filters
         )
