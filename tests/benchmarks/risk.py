@@ -60,7 +60,7 @@ NEAR_K: Final = (-20.0, 14.0)
 looks at nothing that the daemon and the oracle do not know."""
 
 WITHIN_K: Final = 10.0
-KM_FULL: Final = 20_000.0
+KM_FULL: Final = 10_000.0
 KM_QUICK: Final = 50.0
 KM_PART: Final = 250.0
 DOCUMENT: Final = Path(__file__).parents[2] / "docs" / "risk.md"
