@@ -286,6 +286,12 @@ def test_nothing_follows_temperatures_that_are_no_numbers(
     assert all(map(isnan, batch.state[:nodes]))
 
 
+def test_a_dose_that_is_no_number_is_no_wear(car: Config) -> None:
+    estimator = Estimator(car, PRESENT, history_known=True)
+
+    assert estimator.wear.refit("FL", nan) is None
+
+
 def test_one_sample_is_no_switch(car: Config) -> None:
     estimator = Estimator(car, PRESENT, history_known=True)
     samples = [
