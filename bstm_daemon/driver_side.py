@@ -13,7 +13,12 @@ from bstm_daemon.advice.conditions import Conditions, CornerCondition
 from bstm_daemon.bus.output_layout import Validity, WearLevel, WearSource
 from bstm_daemon.bus.publication import RiskSnapshot, corner_level
 from bstm_daemon.bus.publication_slow import WearSnapshot
-from bstm_daemon.heat.sample_plan import CHANNELS, FLAGS, VEHICLE_CHANNELS
+from bstm_daemon.heat.sample_plan import (
+    CHANNELS,
+    CORNER_PRESSURE,
+    FLAGS,
+    VEHICLE_CHANNELS,
+)
 from bstm_daemon.wear.dose import DISTANCE, DOSE
 
 if TYPE_CHECKING:
@@ -87,7 +92,13 @@ def conditions_of(
         },
         nan if missing else speed_ms,
         sum(block.rows[first + _POWER] for first in rows.values()),
-        {name: block.rows[first + _PRESSURE] for name, first in rows.items()},
+        {
+            # the model takes one that is missing as 0; advice must not
+            name: nan
+            if block.flags[i] & CORNER_PRESSURE << place
+            else block.rows[first + _PRESSURE]
+            for place, (name, first) in enumerate(rows.items())
+        },
         driver,
     )
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+from array import array
+from math import isnan
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,7 +14,10 @@ from cantools.database.can import Database
 from bstm_daemon.bus import output_layout
 from bstm_daemon.bus.output_layout import RiskLevel
 from bstm_daemon.cli.vehicle import load_vehicle
+from bstm_daemon.driver_side import conditions_of
 from bstm_daemon.engine import Engine
+from bstm_daemon.estimator import Estimator
+from bstm_daemon.roles import ROLE_INDEX
 from bstm_daemon.wear import car as wear_car
 from bstm_daemon.wear import law as wear_law
 
@@ -29,6 +34,11 @@ CAR.add_dbc_file(ROOT / "dbc" / "example_vehicle.dbc")
 CONFIG, SIGNALS = load_vehicle(ROOT / "config" / "example_vehicle.toml")
 
 Sent = tuple[int, int, bytes]
+
+PRESSED = [
+    ROLE_INDEX[role]
+    for role in ("vehicle_speed", "primary_pressure", "secondary_pressure")
+]
 
 
 def engine(
@@ -155,6 +165,28 @@ def test_the_forecast_tells_how_long_to_wait() -> None:
     assert found[-1]["Message"] == "wait_before_departure"
     assert max(waits) > 60.0
     assert found[-1]["WaitingTime"] == pytest.approx(max(waits), abs=2.0)
+
+
+def test_a_missing_pressure_is_not_known_to_advice() -> None:
+    """The model takes it as 0: a pedal at the floor would be vapour."""
+    estimator = Estimator(CONFIG, dict.fromkeys(PRESSED, 500_000))
+    times, roles, pressures = array("q"), array("i"), array("d")
+    for tenth in range(100):
+        for role, value in zip(PRESSED, (20.0, 3e6, 3e6), strict=True):
+            if role == PRESSED[0] or tenth < 50:
+                times.append(START_US + tenth * 100_000)
+                roles.append(role)
+                pressures.append(value)
+    told = [
+        conditions_of(
+            block, i, {}, estimator.plan.corners, {}, history_known=True
+        ).pressures_pa
+        for block in estimator.advance(times, roles, pressures)
+        for i in range(len(block.times_us))
+    ]
+
+    assert list(told[20].values()) == pytest.approx([3e6] * 4)
+    assert all(map(isnan, told[-1].values()))
 
 
 def test_wear_is_published_every_ten_seconds() -> None:

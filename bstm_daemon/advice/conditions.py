@@ -62,7 +62,8 @@ class CornerCondition:
 class Conditions:
     """Everything at one publication.
 
-    ``corners`` are those with a thermal model, ``pressures_pa`` of all;
+    ``corners`` are those with a thermal model, ``pressures_pa`` of all, NaN
+    where one is not known;
     ``brake_power_w`` is that of all brakes; ``driver`` holds the fresh values
     of the roles of :data:`DRIVER_ROLES`.
     """
@@ -108,6 +109,24 @@ class Conditions:
         if not times or not all(map(isfinite, times)):
             return nan
         return max(times)
+
+    @property
+    def highest_pressure_pa(self) -> float:
+        """The highest known pressure [Pa]; NaN where none is."""
+        known = [p for p in self.pressures_pa.values() if isfinite(p)]
+        return max(known, default=nan)
+
+    def is_known(self, axle: str) -> bool:
+        """Whether every corner of *axle* "F" or "R" has a known margin.
+
+        One without a thermal model is not known.
+        """
+        margins = [
+            corner.margin_k if corner.is_usable else nan
+            for name, corner in self.corners.items()
+            if name.startswith(axle)
+        ]
+        return bool(margins) and all(map(isfinite, margins))
 
     def margin_k(self, axle: str = "") -> float:
         """Smallest margin of usable corners [K], of an *axle* "F" or "R".

@@ -156,7 +156,10 @@ class EmergencyAssist(Machine):
         if not moving or now.flag("abs_active") or now.flag("esc_active"):
             return 0.0
         limit_pa = self._config.detector_pressure_pa
-        highest_pa = max(now.pressures_pa.values(), default=0.0)
+        highest_pa = now.highest_pressure_pa
+        if not isfinite(highest_pa):
+            # what is not measured is neither large nor small
+            return 0.0
         large = _rising(highest_pa, 0.5 * limit_pa, limit_pa)
         answer = (
             self._measured / self._expected if self._expected > 0.0 else 1.0
@@ -175,7 +178,7 @@ class EmergencyAssist(Machine):
     def _is_over(self, now: Conditions) -> bool:
         """Whether the driver brakes no more, or the car has come to rest."""
         braking = (
-            max(now.pressures_pa.values(), default=0.0) > RELEASED_PA
+            now.highest_pressure_pa > RELEASED_PA
             or now.flag("brake_switch") is True
         )
         return not braking or now.speed_ms < 0.5 * MOVING_MS

@@ -62,8 +62,8 @@ class FrontIsolation(Machine):
 
     Needs no boiling point but the worst case: the fluid is kept below it
     whatever its age (thesis, 7.2.5). Only at moderate speed, with no
-    intervention of the stability systems, and while the rear brakes have
-    more to spare.
+    intervention of the stability systems, and while the rear brakes are
+    known to have more to spare.
     """
 
     MEMORY: ClassVar = {"_requested": flag}
@@ -81,6 +81,7 @@ class FrontIsolation(Machine):
         front_k, rear_k = now.margin_k("F"), now.margin_k("R")
         self._requested = (
             front_k <= limit_k
+            and now.is_known("R")
             and rear_k >= front_k + REAR_SPARE_K
             and isfinite(now.speed_ms)
             and now.speed_ms <= self._config.isolation_speed_ms

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from array import array
 from itertools import accumulate
-from math import inf
+from math import inf, isnan, nan
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from bstm_daemon.thermal.kernel import Batch
@@ -226,8 +226,13 @@ def median(values: list[float]) -> float:
 def _top(
     times_s: Sequence[float], series: array[float]
 ) -> tuple[float, float]:
-    """Return the highest temperature of *series* and its time."""
+    """Return the highest temperature of *series* and its time.
+
+    NaN both, where it began at no number.
+    """
     best = max(series)
+    if isnan(best):
+        return nan, nan
     at = series.index(best)
     if at in {0, len(series) - 1}:
         return best, times_s[at]

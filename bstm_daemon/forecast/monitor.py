@@ -20,6 +20,7 @@ from bstm_daemon.forecast.fluid import (
     WATER_ROLE,
     FluidKnowledge,
 )
+from bstm_daemon.forecast.likelihood import hottest, likelihood
 from bstm_daemon.forecast.march import (
     DUTY_STEPS,
     HORIZON_S,
@@ -29,6 +30,7 @@ from bstm_daemon.forecast.march import (
 )
 from bstm_daemon.forecast.members import DEGRADED_FACTOR, Ensemble, Spread
 from bstm_daemon.forecast.records import CarRisk, CornerRisk
+from bstm_daemon.forecast.under_way import UnderWay
 from bstm_daemon.heat.sample_plan import CHANNELS, VEHICLE_CHANNELS
 from bstm_daemon.native import load_kernel
 from bstm_daemon.risk.levels import (
@@ -88,20 +90,6 @@ class _Corner:
     now_k: list[float] = field(default_factory=list)
 
 
-@dataclass(slots=True)
-class _Forecast:
-    """A forecast under way: what it started from and how far it is."""
-
-    time_us: int
-    states: list[list[float]]
-    conditions: list[Conditions]
-    factors: list[float]
-    boiling: Boiling
-    index: int = 0
-    job: Job | None = None
-    parked: list[Course] = field(default_factory=list)
-
-
 class RiskMonitor:
     """Risk and forecast of one car."""
 
@@ -135,10 +123,11 @@ class RiskMonitor:
         ]
         self._corners = sorted(corners, key=lambda c: c.place)
         self._level = LevelMemory()
-        self._forecast: _Forecast | None = None
+        self._forecast: UnderWay | None = None
         self._forecast_us: int | None = None
         self._last_us: int | None = None
         self._drove = False
+        self._stopped = False
         self._car = CarRisk(members=self.members)
         self._ahead = nan
         self.away = nan
@@ -182,9 +171,7 @@ class RiskMonitor:
         if self._last_us is None or not (
             0 < time_us - self._last_us <= GAP_US
         ):
-            self._forecast, self._forecast_us = None, None
-            for corner in self._corners:
-                corner.duty.restart()
+            self._begin_anew()
         self._last_us = time_us
         while self._heard and self._heard[0][0] <= time_us:
             self.fluid.hear(*self._heard.pop(0))
@@ -196,10 +183,25 @@ class RiskMonitor:
         if whole or first:
             self._second(block, i, time_us)
         due = self._forecast is None and time_us % GRID_US == 0
-        if due or stopped or first:
-            self._begin(block, i, time_us)
+        self._stopped = self._stopped or stopped
+        under_way = self._forecast
+        # what comes of an earlier stop is said first: in slow traffic and
+        # pure Python there would be no forecast else
+        parks = under_way is not None and under_way.parks
+        at_stop = self._stopped and not parks
+        if at_stop or due or first:
+            self._begin(block, i, time_us, at_stop=at_stop)
         if self._forecast is not None:
             self._work(self._forecast)
+
+    def _begin_anew(self) -> None:
+        """Forget what was foreseen before a gap; levels fall as usual."""
+        self._forecast, self._forecast_us = None, None
+        self._ahead, self._stopped = nan, False
+        for corner in self._corners:
+            corner.duty.restart()
+            corner.peaks_k, corner.ahead = [], nan
+            corner.record = CornerRisk()
 
     def _state(self, block: Block, i: int, corner: _Corner) -> list[float]:
         group = self._groups[corner.group]
@@ -232,21 +234,13 @@ class RiskMonitor:
                 state["fluid"] + deviation_k * draw
                 for draw in corner.ensemble.now_draws
             ]
-            now = _mean(boiling, corner.now_k)
+            now = likelihood(boiling, corner.now_k)
             probability = (
                 now if isnan(corner.ahead) else max(now, corner.ahead)
             )
             corner.level.by_probability(probability, time_us)
-            fades = [
-                sum(state[node] >= limit for limit in limits)
-                for node, limits in zip(
-                    ("disc", "pad_front"), self._limits, strict=True
-                )
-            ]
-            worst = fades.index(max(fades))
-            node = ("disc", "pad_front")[worst]
-            corner.fade.by_temperature(
-                state[node], self._limits[worst], time_us
+            corner.fade.by_temperatures(
+                (state["disc"], state["pad_front"]), self._limits, time_us
             )
             corner.record = replace(
                 corner.record,
@@ -257,7 +251,7 @@ class RiskMonitor:
         self._tell_car(boiling, time_us)
 
     def _tell_car(self, boiling: Boiling, time_us: int) -> None:
-        now = _mean(boiling, _worst([c.now_k for c in self._corners]))
+        now = likelihood(boiling, hottest([c.now_k for c in self._corners]))
         probability = now if isnan(self._ahead) else max(now, self._ahead)
         self._level.by_probability(probability, time_us)
         self._car = CarRisk(
@@ -272,19 +266,23 @@ class RiskMonitor:
             {c.name: c.record for c in self._corners},
         )
 
-    def _begin(self, block: Block, i: int, time_us: int) -> None:
+    def _begin(
+        self, block: Block, i: int, time_us: int, *, at_stop: bool
+    ) -> None:
         conditions = []
+        self._stopped = self._stopped and not at_stop
         self._follow_wear()
         for corner in self._corners:
             row = self._row(block, i, corner)
             ambient_k = row[CHANNELS.index("ambient_k")]
             conditions.append(corner.duty.conditions(ambient_k))
-        self._forecast = _Forecast(
+        self._forecast = UnderWay(
             time_us,
             [self._state(block, i, corner) for corner in self._corners],
             conditions,
             [_factor(block.validity[c.name][i]) for c in self._corners],
             self.fluid.boiling(time_us),
+            at_stop,
         )
 
     def _follow_wear(self) -> None:
@@ -292,7 +290,7 @@ class RiskMonitor:
             program = self._programs[corner.name]
             corner.ensemble = corner.ensemble.of(program)
 
-    def _work(self, forecast: _Forecast) -> None:
+    def _work(self, forecast: UnderWay) -> None:
         """Do one publication's share of *forecast*."""
         count = len(self._corners)
         place = forecast.index % count
@@ -326,13 +324,13 @@ class RiskMonitor:
         if forecast.index == 2 * count:
             self._forecast = None
 
-    def _commit(self, forecast: _Forecast) -> None:
+    def _commit(self, forecast: UnderWay) -> None:
         """Publish what happens if the car parks."""
         boiling = forecast.boiling
         self._forecast_us = forecast.time_us
         for corner, course in zip(self._corners, forecast.parked, strict=True):
             corner.peaks_k = course.peaks_k(HORIZON_S)
-            corner.ahead = _mean(boiling, corner.peaks_k)
+            corner.ahead = likelihood(boiling, corner.peaks_k)
             peak_k, peak_in_s = course.peak(HORIZON_S)
             corner.record = replace(
                 corner.record,
@@ -344,13 +342,13 @@ class RiskMonitor:
             corner.level.by_probability(
                 corner.record.probability, forecast.time_us
             )
-        self._ahead = _mean(
-            boiling, _worst([c.peaks_k for c in self._corners])
+        self._ahead = likelihood(
+            boiling, hottest([c.peaks_k for c in self._corners])
         )
         self._tell_car(boiling, forecast.time_us)
 
     def _commit_duty(
-        self, forecast: _Forecast, corner: _Corner, course: Course
+        self, forecast: UnderWay, corner: _Corner, course: Course
     ) -> None:
         """Publish what happens to *corner* if its duty goes on."""
         corner.record = replace(
@@ -449,9 +447,9 @@ class RiskMonitor:
             )
             job.advance(len(PARKED_STEPS))
             peaks = job.course().peaks_k(parked_s)
-            corner.level.by_probability(_mean(boiling, peaks), now_us)
+            corner.level.by_probability(likelihood(boiling, peaks), now_us)
             series.append(peaks)
-        self.away = _mean(boiling, _worst(series)) if series else nan
+        self.away = likelihood(boiling, hottest(series)) if series else nan
         self._level.by_probability(self.away, now_us)
 
     def _take_back(self, document: object) -> None:
@@ -477,18 +475,6 @@ class RiskMonitor:
             found[f"{corner.name}.fluid"] = corner.level
             found[f"{corner.name}.fade"] = corner.fade
         return found
-
-
-def _mean(boiling: Boiling, temperatures_k: Sequence[float]) -> float:
-    if not temperatures_k:
-        return nan
-    found = sum(boiling.probability(kelvin) for kelvin in temperatures_k)
-    return found / len(temperatures_k)
-
-
-def _worst(series: list[list[float]]) -> list[float]:
-    """Return the hottest corner of each member."""
-    return [max(values) for values in zip(*series, strict=True)]
 
 
 def _factor(validity: int) -> float:

@@ -225,13 +225,18 @@ class _Heating(Estimator):
             self._stretch.coupled = False
 
     def _block(self, steps: int, outputs: tuple[array[float], ...]) -> Block:
-        """Keep the rows; judging each estimate would take most of the time."""
+        """Keep the rows; judging each estimate would take most of the time.
+
+        Temperatures that no brake can have begin anew, as live: friction
+        goes by them.
+        """
         del outputs
         wide = len(self.plan.corners) * len(CHANNELS)
         if self.journal is not None:
             rows = memoryview(self._stretch.rows)[: steps * wide]
             self.journal.add(rows, steps)
         self.history_left_steps -= steps
+        self._reset_impossible()
         none = array("d")
         return Block(array("q"), none, none, (), array("q"), {}, 0, {})
 

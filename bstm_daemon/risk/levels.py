@@ -45,27 +45,35 @@ class LevelMemory:
 
     def by_probability(self, probability: float, time_us: int) -> Level:
         """Take the *probability* at *time_us* and return the level."""
-        leave = [RELEASE * limit for limit in PROBABILITIES]
-        return self._move(probability, PROBABILITIES, leave, time_us)
+        reached = Level(sum(probability >= limit for limit in PROBABILITIES))
+        # nan is not below: what is not known lowers no level
+        stays = not probability < RELEASE * PROBABILITIES[self.level - 1]
+        return self._move(reached, time_us, stays=stays)
 
-    def by_temperature(
-        self, kelvin: float, limits_k: Sequence[float], time_us: int
-    ) -> Level:
-        """Take a temperature and the three limits [K] it may pass."""
-        leave = [limit - COOLED_K for limit in limits_k]
-        return self._move(kelvin, limits_k, leave, time_us)
-
-    def _move(
+    def by_temperatures(
         self,
-        value: float,
-        enter: Sequence[float],
-        leave: Sequence[float],
+        kelvins: Sequence[float],
+        limits_k: Sequence[Sequence[float]],
         time_us: int,
     ) -> Level:
-        reached = Level(sum(value >= limit for limit in enter))
+        """Take temperatures [K], each with the three limits it may pass.
+
+        The worst one counts, to rise and to stay.
+        """
+        reached = max(
+            sum(kelvin >= limit for limit in limits)
+            for kelvin, limits in zip(kelvins, limits_k, strict=True)
+        )
+        stays = any(
+            not kelvin < limits[self.level - 1] - COOLED_K
+            for kelvin, limits in zip(kelvins, limits_k, strict=True)
+        )
+        return self._move(Level(reached), time_us, stays=stays)
+
+    def _move(self, reached: Level, time_us: int, *, stays: bool) -> Level:
         if reached >= self.level:
             self.level, self.below_since_us = reached, None
-        elif value >= leave[self.level - 1]:
+        elif stays:
             self.below_since_us = None
         elif self.below_since_us is None or self.below_since_us > time_us:
             self.below_since_us = time_us

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from functools import lru_cache
-from math import exp, expm1
+from math import exp, expm1, isnan, nan
 from statistics import NormalDist
 from typing import TYPE_CHECKING, Final, NamedTuple
 
@@ -85,10 +85,13 @@ class Boiling:
         ]
 
     def probability(self, temperature_k: float) -> float:
-        """Return the probability that vapour forms at *temperature_k*."""
+        """Return the probability that vapour forms at *temperature_k*.
+
+        NaN of NaN: an estimate that is no number is not a safe one.
+        """
         position = (temperature_k - self._low) / TABLE_STEP_K
         if not position > 0.0:
-            return 0.0
+            return nan if isnan(position) else 0.0
         if position >= len(self._table) - 1:
             return 1.0
         index = int(position)

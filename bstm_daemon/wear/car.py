@@ -174,7 +174,8 @@ class CarWear:
         moved = max(
             abs(a - b) for a, b in zip(now, self._built[name], strict=True)
         )
-        if moved < REFIT_M:
+        # nan, of a dose that is no number, is no wear
+        if not moved >= REFIT_M:
             return None
         change, pad.change = pad.change, Change.WORN
         self._built[name] = now

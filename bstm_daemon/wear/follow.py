@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from array import array
+from math import isfinite
 from typing import TYPE_CHECKING, Protocol
 
 from bstm_daemon.thermal.regrid import follow_wear, heat_above_j
@@ -62,7 +63,8 @@ def exchange(
     """Let *member* of *batch* go on with *program*, after *change*.
 
     What is worn leaves with its heat; new linings come as warm as the air;
-    what was only learned moves no heat.
+    what was only learned moves no heat. Temperatures that are no numbers
+    stay so: such an estimate is invalid, and begins anew.
 
     Returns:
         The heat above *air_k* [K] that left the corner [J].
@@ -72,7 +74,7 @@ def exchange(
     last = first + len(old.nodes)
     before = batch.state[first:last]
     batch.replace(member, program)
-    if change is Change.CORRECTED:
+    if change is Change.CORRECTED or not isfinite(sum(before)):
         return 0.0
     if change is Change.FITTED:
         after = [

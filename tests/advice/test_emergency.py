@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import nan
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -133,6 +134,16 @@ def test_a_pedal_at_the_floor_without_pressure(brakes: Brakes) -> None:
     )
 
     assert found[0] is Assist.DETECTED
+
+
+def test_a_pressure_that_is_missing_is_not_small(brakes: Brakes) -> None:
+    brakes.brake(0.5, pressure_pa=nan, brake_pedal_travel=0.0)
+
+    found = brakes.brake(
+        1.5, pressure_pa=nan, brake_pedal_travel=0.9, brake_switch=1.0
+    )
+
+    assert found == (Assist.STANDBY, Intervention.NONE, 0.0)
 
 
 def test_a_fast_pedal_makes_it_count_more(brakes: Brakes) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import isnan
 
 import pytest
@@ -90,6 +91,16 @@ def test_no_isolation_where_it_would_not_be_safe(
     front = FrontIsolation(AdviceConfig())
 
     assert front.update(conditions) is Isolation.NONE
+
+
+def test_no_isolation_while_a_rear_brake_is_not_known() -> None:
+    """Nor with none at all: it may be as hot as the front ones."""
+    known = at(0.0, 5.0)
+    one = replace(known.corners["RL"], validity=Validity.INVALID)
+    for rear in ({"RL": known.corners["RL"], "RR": one}, {}):
+        now = replace(known, corners={"FL": known.corners["FL"], **rear})
+
+        assert FrontIsolation(AdviceConfig()).update(now) is Isolation.NONE
 
 
 def test_the_deviation_counts_against_the_margin() -> None:

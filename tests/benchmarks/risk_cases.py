@@ -195,7 +195,7 @@ def march_truth(cases: list[Case], preset: str = "plain") -> list[Truth]:
 def march_drive(case: Case, preset: str = "plain") -> tuple[float, float]:
     """Return the hottest fluid and the hottest disc [K] of a drive.
 
-    NaN where the march went astray.
+    Raises ArithmeticError where the march went astray.
     """
     steps = len(case.speed_ms)
     step_s, keep = np.ones(steps), np.ones(steps, bool)
@@ -230,7 +230,7 @@ def _marched(
         columns["pressure"][first:drive_s, at] = case.pressure_pa[:, None]
         ambient[:, at] = case.ambient_k
         corners += [case.car.corners[place] for place in places]
-    return march_lanes(
+    result = march_lanes(
         corners,
         [preset_effects(preset)] * lanes,
         LaneInputs(
@@ -247,6 +247,10 @@ def _marched(
         ),
         start_k=ambient[0].copy(),
     )
+    if not np.isfinite(result.nodes["disc_mean"]).all():
+        msg = "the reality's march went astray"
+        raise ArithmeticError(msg)
+    return result
 
 
 def _course(rng: np.random.Generator) -> tuple[Column, Column]:

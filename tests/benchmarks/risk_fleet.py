@@ -73,6 +73,11 @@ WIDE: Final = {
 }
 """Range of a factor on a group, beyond :data:`SPREAD`: kinds of brakes."""
 
+LEAST_VANES: Final = 0.05
+"""Share of a disc's mass that its vanes must have; nominal 0.18 and 0.12.
+Where the cheeks outweigh the ring there is no such disc: its march breaks
+down, and the car is drawn again."""
+
 AXLES: Final = (("FL", "FR"), ("RL", "RR"))
 STRUCTURES: Final = {"plain": "thesis", "road": "extended"}
 """Structure of the model on each preset of the reality."""
@@ -108,12 +113,7 @@ def _kept(seed: tuple[int, int], preset: str, cache: Path | None) -> FleetCar:
 def matched_car(seed: tuple[int, int], preset: str = "plain") -> FleetCar:
     """Draw a car and match it."""
     rng = np.random.default_rng(seed)
-    ring = rng.uniform(*WIDE["ring"])
-    car = replace(
-        NOMINAL,
-        front=_drawn(rng, NOMINAL.front, ring),
-        rear=_drawn(rng, NOMINAL.rear, ring),
-    )
+    car, ring = _drawn_car(rng)
     config = _unmatched(ring, STRUCTURES[preset])
     number = int(rng.integers(1 << 30))
     drives = [_driven(n, car, config, preset, number) for n in MATCHED_ON]
@@ -123,6 +123,27 @@ def matched_car(seed: tuple[int, int], preset: str = "plain") -> FleetCar:
         config = target.changed(refine(target, drives, keys).values).config
     kept = [c for c in config.corner if c.name in CORNERS]
     return FleetCar(car, config.model_copy(update={"corner": kept}))
+
+
+def _drawn_car(rng: np.random.Generator) -> tuple[CarParameters, float]:
+    """Return a car that can be, and the factor on its discs' mass."""
+    while True:
+        ring = rng.uniform(*WIDE["ring"])
+        front = _drawn(rng, NOMINAL.front, ring)
+        rear = _drawn(rng, NOMINAL.rear, ring)
+        if min(vanes(front), vanes(rear)) >= LEAST_VANES:
+            return replace(NOMINAL, front=front, rear=rear), ring
+
+
+def vanes(corner: CornerParameters) -> float:
+    """Return the share of a disc's mass that lies between its cheeks."""
+    cheeks_kg = (
+        2.0
+        * corner.iron_density_kg_m3
+        * corner.face_area_m2
+        * corner.cheek_thickness_m
+    )
+    return 1.0 - cheeks_kg / corner.ring_mass_kg
 
 
 def _unmatched(ring: float, structure: str) -> Config:

@@ -8,6 +8,7 @@ the daemon makes of temperatures, not whether real fluids hold that water.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import sqrt
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -49,12 +50,16 @@ class DrawnFluid:
     """A fluid: when it boils, and what is known of that.
 
     ``unknown`` is the daemon's distribution by age and climate, ``given``
-    that with water measured and the can's boiling points known.
+    that with water measured and the can's boiling points known. The others
+    are the fluid's true ones.
     """
 
     boiling_k: float
     unknown: Boiling
     given: Boiling
+    dry_k: float
+    wet_k: float
+    water_percent: float
 
 
 def draw_fluid(rng: np.random.Generator) -> DrawnFluid:
@@ -81,7 +86,35 @@ def draw_fluid(rng: np.random.Generator) -> DrawnFluid:
         point_k,
         boiling(Fluid(grade), Water(*water)),
         boiling(Fluid(grade, dry_k, wet_k), measured),
+        dry_k,
+        wet_k,
+        percent,
     )
+
+
+def left_open_k(fluid: DrawnFluid) -> dict[str, float]:
+    """Return what leaves the boiling point open though the water is given.
+
+    Standard deviations [K], one a cause.
+    """
+    dry_k, wet_k, percent = fluid.dry_k, fluid.wet_k, fluid.water_percent
+    forms = [
+        boiling_point_k(dry_k, wet_k, percent, slowness)
+        for slowness in np.linspace(FASTEST_PERCENT, SLOWEST_PERCENT, 11)
+    ]
+    middle = 0.5 * (FASTEST_PERCENT + SLOWEST_PERCENT)
+    drier, wetter = (
+        boiling_point_k(dry_k, wet_k, percent * (1.0 + error), middle)
+        for error in (-WATER_GIVEN, WATER_GIVEN)
+    )
+    beyond = max(percent - BEYOND_PERCENT, 0.0)
+    low, high = VAPOUR_LOCK_K
+    return {
+        "water, 5 %": 0.5 * (drier - wetter),
+        "form of the curve, w_0": float(np.std(forms)),
+        "fall above 4 % of water": BEYOND_K_PERCENT * beyond / sqrt(12.0),
+        "vapour lock below the boiling point": (high - low) / sqrt(12.0),
+    }
 
 
 def auc(scores: Column, boiled: npt.NDArray[np.bool_]) -> float:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from array import array
 from dataclasses import replace
-from math import inf, isnan
+from math import inf, isnan, nan
 from typing import TYPE_CHECKING
 
 import pytest
@@ -226,16 +226,66 @@ def test_more_water_more_risk_over_the_bus() -> None:
 
 
 def test_a_gap_begins_anew() -> None:
-    """What was before a gap in the time of the data says nothing."""
-    times, roles, values = drive(5, 5)
-    later = array("q", [t + 3_600_000_000 for t in times])
-    samples = times + later, roles + roles, values + values
-    _, _, at, found = run(car(), samples)
+    """What was foreseen before a jump of the data's time says nothing."""
+    config = car()
+    (block,) = blocks(config, drive(5, 5))
+    later = array("q", [t + 3_600_000_000 for t in block.times_us])
+    monitor = RiskMonitor(
+        config, Estimator(config, MAPPED, history_known=True)
+    )
 
-    first = next(i for i, t in enumerate(at) if t >= later[0])
-    gap = [f.forecast_us for f in found[first:] if f.forecast_us is not None]
-    assert gap
-    assert all(abs(t - START_US) > 0 for t in gap)
+    before = monitor.add(block)[-1]
+    after = monitor.add(replace(block, times_us=later))
+
+    assert before.corners["FL"].peak_in_s > 60.0
+    assert isnan(after[0].corners["FL"].duty_peak_k)
+    assert after[0].corners["FL"].probability_now >= 0.0
+    assert after[-1].forecast_us is not None
+    assert all(
+        record.forecast_us is None or record.forecast_us >= later[0]
+        for record in after
+    )
+
+
+def test_temperatures_that_are_no_numbers_foresee_nothing() -> None:
+    """Neither a traceback nor a brake that seems safe."""
+    config = car()
+    (block,) = blocks(config, drive(5, 5))
+    outputs = tuple(array("d", [nan] * len(o)) for o in block.outputs)
+    lost = replace(
+        block,
+        outputs=outputs,
+        validity={"FL": array("b", [INVALID] * len(block.times_us))},
+    )
+    monitor = RiskMonitor(
+        config, Estimator(config, MAPPED, history_known=True)
+    )
+
+    for record in monitor.add(lost)[20:]:
+        assert record.level is Level.UNKNOWN
+        assert isnan(record.probability)
+        assert isnan(record.corners["FL"].probability)
+        assert isnan(record.corners["FL"].peak_k)
+
+
+def test_slow_traffic_does_not_keep_forecasts_from_coming(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Stops every 6 s, in pure Python, where a forecast takes 10 s."""
+    monkeypatch.setenv("BSTM_KERNEL", "reference")
+    config = car()
+    times, roles, values = drive(30, 0)
+    for i, role in enumerate(roles):
+        if role == SPEED and (times[i] - START_US) // 3_000_000 % 2:
+            values[i] = 0.0
+    estimator = Estimator(config, MAPPED, history_known=True)
+    monitor = RiskMonitor(config, estimator)
+    found = []
+    for block in estimator.advance(times, roles, values):
+        found += monitor.add(block)
+
+    assert found[-1].forecast_us is not None
+    assert not isnan(found[-1].corners["FL"].peak_k)
 
 
 def test_members_without_the_compiled_kernel(

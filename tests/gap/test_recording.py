@@ -13,7 +13,8 @@ from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.gap import recording as module
 from bstm_daemon.gap.comparison import heats, with_effects
 from bstm_daemon.gap.fitting import effect_entries
-from bstm_daemon.gap.recording import Recording, recorded
+from bstm_daemon.gap.recording import Recording, inputs_of, recorded
+from bstm_daemon.heat.sample_plan import CHANNELS
 from bstm_daemon.replay import present_roles
 from bstm_daemon.roles import ROLE_INDEX
 from bstm_daemon.shipped import shipped_file
@@ -87,3 +88,36 @@ def test_only_effects_on_the_inputs_need_another_pass(config: Config) -> None:
         "residual_drag": False,
         "gap_conduction": False,
     }
+
+
+def test_temperatures_of_no_brake_begin_anew(config: Config) -> None:
+    """A disc far too light gets absurdly hot, and worn pads follow it."""
+    fading = with_effects(config, effect_entries({"friction_fade": 1.0}))
+    corners = [
+        corner.model_copy(
+            update={"disc": corner.disc.model_copy(update={"mass_kg": 1e-4})}
+        )
+        for corner in fading.corner
+        if corner.disc is not None
+    ]
+    wear = fading.wear.model_copy(update={"pad_wear_m3_j": 3e-11})
+    light = fading.model_copy(update={"corner": corners, "wear": wear})
+    held = {
+        "vehicle_speed": 60.0,
+        "primary_pressure": 2e7,
+        "ambient_temperature": 300.0,
+    }
+    numbers = [ROLE_INDEX[role] for role in held]
+    count = 650
+    events = Events(
+        np.repeat(np.arange(count, dtype=np.int64) * 100_000, len(held)),
+        np.tile(np.array(numbers, np.int32), count),
+        np.tile(list(held.values()), count),
+        Counter(),
+    )
+
+    rows, _ = inputs_of(light, dict.fromkeys(numbers, 500_000), events)
+
+    power_w = rows[..., CHANNELS.index("brake_power_w")]
+    assert np.isfinite(power_w).all()
+    assert power_w.max() > 5e5

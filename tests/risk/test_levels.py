@@ -1,5 +1,7 @@
 """Levels and their hysteresis."""
 
+from math import nan
+
 import pytest
 
 from bstm_daemon.risk.levels import (
@@ -58,13 +60,36 @@ def test_a_moment_above_begins_the_minute_anew() -> None:
 
 
 def test_temperatures_have_a_release_20_k_below() -> None:
-    memory, limits = LevelMemory(), (773.0, 873.0, 973.0)
+    memory, limits = LevelMemory(), [(773.0, 873.0, 973.0)]
 
-    assert memory.by_temperature(880.0, limits, 0) is Level.HIGH
-    assert memory.by_temperature(860.0, limits, SECOND_US) is Level.HIGH
-    memory.by_temperature(850.0, limits, 2 * SECOND_US)
-    cooled = memory.by_temperature(850.0, limits, 2 * SECOND_US + HOLD_US)
-    assert cooled is Level.ELEVATED
+    def at(kelvin: float, time_us: int) -> Level:
+        return memory.by_temperatures([kelvin], limits, time_us)
+
+    assert at(880.0, 0) is Level.HIGH
+    assert at(860.0, SECOND_US) is Level.HIGH
+    at(850.0, 2 * SECOND_US)
+    assert at(850.0, 2 * SECOND_US + HOLD_US) is Level.ELEVATED
+
+
+def test_the_part_that_is_still_hot_holds_the_level() -> None:
+    """A pad 5 K below its limit, beside a disc that is far from its own."""
+    memory = LevelMemory()
+    limits = [(773.0, 873.0, 973.0), (673.0, 773.0, 873.0)]
+    memory.by_temperatures((650.0, 680.0), limits, 0)
+    for second in range(1, 200):
+        level = memory.by_temperatures(
+            (650.0, 668.0), limits, second * SECOND_US
+        )
+
+    assert level is Level.ELEVATED
+
+
+def test_what_is_not_known_lowers_no_level() -> None:
+    memory = LevelMemory(Level.HIGH)
+    for second in range(200):
+        level = memory.by_probability(nan, second * SECOND_US)
+
+    assert level is Level.HIGH
 
 
 def test_a_clock_set_back_does_not_hold_a_level_for_ever() -> None:

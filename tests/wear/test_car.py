@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from array import array
 from itertools import pairwise
+from math import isnan, nan
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -20,7 +21,9 @@ from bstm_daemon.thermal.ledger import read_ledger
 from bstm_daemon.thermal.regrid import heat_above_j
 from bstm_daemon.wear.car import WearLevel
 from bstm_daemon.wear.dose import DOSE
+from bstm_daemon.wear.follow import exchange
 from bstm_daemon.wear.law import WearSource
+from bstm_daemon.wear.pads import Change
 from bstm_daemon.wear.table import WEAR_COLUMNS, wear_table
 
 if TYPE_CHECKING:
@@ -267,6 +270,26 @@ def test_new_linings_are_as_warm_as_the_air(car: Config) -> None:
     # half a second of braking after the exchange
     assert estimator.state("FL")["pad_back"] == pytest.approx(AIR_K, abs=1.0)
     assert estimator.state("RL")["pad_back"] > AIR_K + 5.0
+
+
+def test_nothing_follows_temperatures_that_are_no_numbers(
+    car: Config,
+) -> None:
+    estimator = Estimator(car, PRESENT, history_known=True)
+    (batch, _), *_ = estimator.batches
+    nodes = len(batch.programs[0].network.nodes)
+    batch.state[:nodes] = array("d", [nan] * nodes)
+
+    lost_j = exchange(batch, 0, batch.programs[0], Change.WORN, AIR_K)
+
+    assert lost_j == 0.0
+    assert all(map(isnan, batch.state[:nodes]))
+
+
+def test_a_dose_that_is_no_number_is_no_wear(car: Config) -> None:
+    estimator = Estimator(car, PRESENT, history_known=True)
+
+    assert estimator.wear.refit("FL", nan) is None
 
 
 def test_one_sample_is_no_switch(car: Config) -> None:
