@@ -6,14 +6,15 @@ Akaike's criterion, and discrepancy SINDy (Kaheman and others 2019), the
 sparse regression of pysindy on what the model's rates lack, alone and as an
 ensemble. Without pysindy (extra ``benchmark``) its rows are missing.
 
-SINDy fits time derivatives. A thermocouple's white noise of 1 K, read every
-few seconds, makes them useless here: a drag moves a pad by 0.1 K/s and a
-caliper by 0.01 K/s. So it gets the weak form, integrals of the rates over
-windows of half a minute, of residuals and of every effect alike.
+SINDy fits time derivatives. White noise of 1 K between samples a second apart
+is one of 1.4 K/s; what an effect lacks in a caliper moves it by 0.01 K/s. So
+it gets the weak form, integrals of the rates over windows of some 40 s, of
+residuals and of every effect alike. Its threshold is that of lowest BIC.
 """
 
 from __future__ import annotations
 
+import warnings
 from importlib import import_module
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any, Final
@@ -28,13 +29,15 @@ if TYPE_CHECKING:
     Array = np.ndarray[tuple[int, ...], np.dtype[np.float64]]
 
 MOST: Final = 3
-THRESHOLD: Final = 0.1
-"""Strength below which the sparse regression drops an effect."""
+THRESHOLDS: Final = (0.1, 0.2, 0.3, 0.5, 0.7, 1.0, 1.4, 2.0)
+"""Strengths below which the sparse regression drops an effect."""
 
 RIDGE: Final = 1e-3
 """Of its normalised library."""
 
-WINDOW_S: Final = 30.0
+WINDOW_POINTS: Final = 2
+"""Residuals are kept every 18 to 21 s."""
+
 MEMBERS: Final = 40
 INCLUDED: Final = 0.6
 """Share of the ensemble that must hold an effect, as usual for E-SINDy."""
@@ -80,17 +83,16 @@ def forward_aic(one: Evidence) -> list[str]:
 def sindy(one: Evidence) -> list[str]:
     """Return what pysindy's thresholded least squares keeps."""
     rates, names, library = _weak(one)
-    optimizer = _pysindy().STLSQ(threshold=THRESHOLD, alpha=RIDGE)
-    optimizer.fit(library, rates[:, None])
-    return _positive(names, optimizer.coef_[0])
+    return _positive(names, _sparse(rates, library)[1])
 
 
 def ensemble_sindy(one: Evidence) -> list[str]:
     """Return what most of an ensemble over windows keeps."""
     rates, names, library = _weak(one)
     pysindy = _pysindy()
+    threshold, _ = _sparse(rates, library)
     optimizer = pysindy.EnsembleOptimizer(
-        pysindy.STLSQ(threshold=THRESHOLD, alpha=RIDGE),
+        pysindy.STLSQ(threshold=threshold, alpha=RIDGE),
         bagging=True,
         n_models=MEMBERS,
     )
@@ -116,6 +118,25 @@ RIVALS: Final[Mapping[str, Callable[[Evidence], list[str]]]] = _rivals()
 def _pysindy() -> Any:
     # no stubs, and not there with every benchmark
     return import_module("pysindy")
+
+
+def _sparse(rates: Array, library: Array) -> tuple[float, Array]:
+    """Return threshold and strengths (effects,) of the lowest BIC."""
+    stlsq, count = _pysindy().STLSQ, len(rates)
+    best, found = float("inf"), (THRESHOLDS[0], np.zeros(library.shape[1]))
+    for threshold in THRESHOLDS:
+        optimizer = stlsq(threshold=threshold, alpha=RIDGE)
+        with warnings.catch_warnings():
+            # that nothing is left is an answer here
+            warnings.simplefilter("ignore")
+            optimizer.fit(library, rates[:, None])
+        strengths = optimizer.coef_[0]
+        left = rates - library @ strengths
+        bic = count * np.log(left @ left / count)
+        bic += np.log(count) * np.count_nonzero(strengths)
+        if bic < best:
+            best, found = bic, (threshold, strengths)
+    return found
 
 
 def _projected(one: Evidence) -> tuple[Array, dict[str, Array]]:
@@ -145,10 +166,7 @@ def _weak(one: Evidence) -> tuple[Array, list[str], Array]:
     parts, begin = [], 0
     for series in one.series:
         end = begin + len(series.time_s)
-        window = np.floor_divide(series.time_s, WINDOW_S)
-        # the first point of each window
-        first = np.flatnonzero(np.diff(window, prepend=-1.0))
-        parts.append(np.diff(columns[begin:end][first], axis=0))
+        parts.append(np.diff(columns[begin:end:WINDOW_POINTS], axis=0))
         begin = end
     rates = np.concatenate(parts)
     count = whole.jacobian_k.shape[1]
