@@ -33,7 +33,8 @@
     X(caliper_radiation) X(fluid_exchange) X(fluid_latent_heat) \
     X(thermocouple_offset) X(thermocouple_lag) X(accelerometer_bias) \
     X(mass_error) X(brake_share) X(powertrain_torque_error) \
-    X(ambient_heat_soak)
+    X(ambient_heat_soak) \
+    X(dust_shield) X(brake_duct) X(damper_heat)
 
 #define MEMBER(name) double name;
 typedef struct { PARAMETERS(MEMBER) } Parameters;

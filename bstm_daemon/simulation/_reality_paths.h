@@ -36,7 +36,7 @@ typedef struct {
     double coupling[SIDES * PORTS][LUMPS];
     double between[LUMPS][LUMPS];
     double surface_out[SIDES], lump_out[LUMPS];
-    double heat_in;
+    double heat_in, body_gain;
 } Paths;
 
 /* -- a corner ----------------------------------------------------------- */
@@ -228,6 +228,26 @@ static void sources(const Corner *c, const State *s, const double *in,
     }
 }
 
+/* what no catalogue has heard of: the maths of unheard.py */
+static void unheard_paths(const Corner *c, const State *s, double v,
+                          double v08, Paths *h)
+{
+    const Parameters *p = &c->p;
+    if (p->dust_shield != 0.0) {
+        double face = s->t[0][c->surface], body = s->lump_t[BODY];
+        double near = radiation(face, body, 0.27 * 0.03)
+                      + 0.03 * (4.0 + 2.0 * v08);
+        double away = 0.06 * (5.0 + 3.0 * v08), lug = 0.32;
+        double share = p->dust_shield / (near + lug + away);
+        h->coupling[1][BODY] += share * near * lug;
+        h->coupling[1][AIR] += share * near * away;
+        join(h->between, BODY, AIR, share * lug * away);
+    }
+    double opened = 0.5 * (1.0 + tanh((s->lump_t[CENTRE] - 623.15) / 20.0));
+    h->lump_out[CENTRE] += p->brake_duct * 0.18 * v * opened;
+    h->body_gain = p->damper_heat * 1.5 * v;
+}
+
 static void find_paths(const Corner *c, const State *s, const double *in,
                        Paths *h)
 {
@@ -315,6 +335,7 @@ static void find_paths(const Corner *c, const State *s, const double *in,
                             0.9 * 0.020 * p->caliper_radiation);
     out[FLUID] = p->fluid_exchange
                  * (0.05 + 1.5 * in[PUMPING] / (in[PUMPING] + 3.0e6));
+    unheard_paths(c, s, v, v08, h);
 }
 
 #endif

@@ -56,6 +56,8 @@ static double euler(const Corner *c, const State *s, const Paths *h,
 
     for (int i = 0; i < LUMPS; i++) {
         double gain = -h->lump_out[i] * (s->lump_t[i] - ambient);
+        if (i == BODY)
+            gain += h->body_gain;
         for (int k = 0; k < LUMPS; k++) {
             gain -= h->between[i][k] * s->lump_t[k];
             matrix[i][k] = dt * h->between[i][k];
@@ -116,7 +118,7 @@ static double euler(const Corner *c, const State *s, const Paths *h,
     }
     solve_lumps(matrix, lump_x);
 
-    double lost = h->heat_in;
+    double lost = h->heat_in - h->body_gain;
     for (int side = 0; side < SIDES; side++) {
         double flow[PORTS];
         for (int q = 0; q < PORTS; q++) {

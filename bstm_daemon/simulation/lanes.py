@@ -20,6 +20,7 @@ import numpy as np
 from bstm_daemon.simulation import materials
 from bstm_daemon.simulation.parameters import (
     EFFECT_NAMES,
+    UNHEARD_NAMES,
     CornerParameters,
     Effects,
     Mesh,
@@ -48,6 +49,7 @@ CENTRE, HAT, HUB, PISTON, FLUID, BODY, FINGER, BRACKET, AIR = range(len(LUMPS))
 PARAMETER_NAMES: Final = (
     *(field.name for field in fields(CornerParameters)),
     *EFFECT_NAMES,
+    *UNHEARD_NAMES,
 )
 """Rows of the parameter table, in order."""
 
@@ -99,7 +101,7 @@ class Lanes:
             ]
             + [
                 [getattr(effect, name) for effect in effects]
-                for name in EFFECT_NAMES
+                for name in (*EFFECT_NAMES, *UNHEARD_NAMES)
             ]
         )
         self.mesh = mesh
@@ -163,6 +165,7 @@ class Lanes:
         )
         self.gaps = bool(np.any(p.gap_conduction))
         self.wets = bool(np.any(p.wet_disc))
+        self.shields = bool(np.any(p.dust_shield))
         # materials skip the transition's peak altogether for a plain 0
         self.bump: Array | float = 0.0
         if np.any(p.disc_capacity_hot):

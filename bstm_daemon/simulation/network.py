@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from bstm_daemon.simulation import materials
+from bstm_daemon.simulation import materials, unheard
 from bstm_daemon.simulation.lanes import (
     AIR,
     BODY,
@@ -92,7 +92,8 @@ class Paths:
     Shapes: ``link`` (n - 1, 2, lanes); ``coupling`` (lanes, 6, lumps), port
     to lump, ports ordered side by side; ``between`` (lanes, lumps, lumps)
     Laplacian of the lumps; ``surface_out`` (2, lanes) and ``lump_out``
-    (lumps, lanes) to the ambient; sources and capacities [J/K] by node.
+    (lumps, lanes) to the ambient; ``lump_gain_w`` (lumps, lanes) what is
+    not of the brake; sources and capacities [J/K] by node.
     """
 
     link: Array
@@ -102,6 +103,7 @@ class Paths:
     lump_out: Array
     chain_source: Array
     heat_in_w: Array
+    lump_gain_w: Array
     chain_capacity: Array
     lump_capacity: Array
 
@@ -136,6 +138,8 @@ def paths(lanes: Lanes, state: State, inputs: Inputs) -> Paths:
     cooling = _cooling(lanes, state, v)
     coupling = _couplings(lanes, state, inputs, cooling[0])
     between = _lump_links(lanes, v, cooling[1])
+    if lanes.shields:
+        _shield(lanes, state, v, coupling, between)
     radiates = radiating_share(v, p.disc_radiation_driving)
     surface_out = _radiation(
         t_surface,
@@ -152,6 +156,7 @@ def paths(lanes: Lanes, state: State, inputs: Inputs) -> Paths:
         lump_out,
         chain_source,
         heat_in,
+        _gains(lanes, v),
         lanes.chain_capacity(state),
         lanes.lump_capacity(state),
     )
@@ -282,11 +287,32 @@ def _lump_links(lanes: Lanes, v: Array, vent: Array) -> Array:
     )
     matrix = np.zeros((lanes.count, len(LUMPS), len(LUMPS)))
     for a, b, conductance in pairs:
-        matrix[:, a, b] -= conductance
-        matrix[:, b, a] -= conductance
-        matrix[:, a, a] += conductance
-        matrix[:, b, b] += conductance
+        _join(matrix, a, b, conductance)
     return matrix
+
+
+def _join(matrix: Array, a: int, b: int, conductance: Array) -> None:
+    matrix[:, a, b] -= conductance
+    matrix[:, b, a] -= conductance
+    matrix[:, a, a] += conductance
+    matrix[:, b, b] += conductance
+
+
+def _shield(
+    lanes: Lanes, state: State, v: Array, coupling: Array, between: Array
+) -> None:
+    """Add the dust shield behind the piston's face."""
+    face, body = state.chain_k[lanes.surface, 0], state.lump_k[BODY]
+    to_body, to_air, body_air = unheard.shield_links(lanes, face, body, v)
+    coupling[:, 1, BODY] += to_body
+    coupling[:, 1, AIR] += to_air
+    _join(between, BODY, AIR, body_air)
+
+
+def _gains(lanes: Lanes, v: Array) -> Array:
+    gains = np.zeros((len(LUMPS), lanes.count))
+    gains[BODY] = unheard.damper_power(lanes, v)
+    return gains
 
 
 def _ambient_links(
@@ -301,6 +327,7 @@ def _ambient_links(
         ambient,
         p.vent_emissivity * p.vent_opening_area_m2 * radiates,
     )
+    out[CENTRE] += unheard.duct_loss(lanes, state.lump_k[CENTRE], v)
     out[AIR] = 1.0 / (1.0 / _OPEN_AIR_W_K + p.local_air / (12.0 + 25.0 * v))
     out[HUB] = 1.2 + 0.1 * v**0.8
     out[BRACKET] = 1.0 + 0.12 * v**0.8

@@ -175,6 +175,10 @@ class Effects:
     brake_share: float = 0.0
     powertrain_torque_error: float = 0.0
     ambient_heat_soak: float = 0.0
+    # beyond the table, see UNHEARD_NAMES
+    dust_shield: float = 0.0
+    brake_duct: float = 0.0
+    damper_heat: float = 0.0
 
     def with_strength(self, name: str, strength: float) -> Effects:
         """Return a copy with the effect *name* at *strength*.
@@ -182,7 +186,7 @@ class Effects:
         Raises :class:`~bstm_daemon.errors.UsageError` for an unknown name or
         a strength outside 0 to :data:`STRONGEST`.
         """
-        if name not in EFFECT_NAMES:
+        if name not in (*EFFECT_NAMES, *UNHEARD_NAMES):
             msg = f"no effect {name!r}: one of {', '.join(EFFECT_NAMES)}"
             raise UsageError(msg)
         if not 0.0 <= strength <= STRONGEST:
@@ -194,7 +198,12 @@ class Effects:
         return replace(self, **{name: strength})
 
 
-EFFECT_NAMES: Final = tuple(field.name for field in fields(Effects))
+UNHEARD_NAMES: Final = ("dust_shield", "brake_duct", "damper_heat")
+"""What acts in the brake corner and is in no catalogue."""
+
+EFFECT_NAMES: Final = tuple(
+    field.name for field in fields(Effects) if field.name not in UNHEARD_NAMES
+)
 """The effects in the order of their numbers, 1 to 37."""
 
 ROAD_EFFECTS: Final = (

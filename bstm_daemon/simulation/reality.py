@@ -132,6 +132,7 @@ def _euler(
     lump_gain -= from_ports * lumps_first
     lump_gain -= (here.between @ lumps_first[:, :, None])[:, :, 0]
     lump_gain = lump_gain.T - here.lump_out * (lump_k - ambient)
+    lump_gain += here.lump_gain_w
 
     capacity, lump_capacity = here.chain_capacity, here.lump_capacity
     diagonal = capacity.copy()
@@ -165,6 +166,8 @@ def _euler(
     lump_out = here.lump_out * (lump_k + lump_rise - ambient)
     lost = out.sum(axis=0) + lump_out.sum(axis=0) + here.heat_in_w
     lost -= here.chain_source.sum(axis=(0, 1))
+    # heat of other parts is a loss below 0: friction is all that comes in
+    lost -= here.lump_gain_w.sum(axis=0)
     return settled, dt * lost
 
 

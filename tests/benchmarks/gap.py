@@ -8,8 +8,14 @@ catalogue's); and two held-out drives of another kind. Groups:
 S0  nothing hidden                        SO  S1, the true kind unknown
 S1  one effect, strength 0.3 to 2         SX  S1, one drive only
 S2  two effects                           RT  road, all its effects at once
+SU  an effect that no catalogue has       ST  one of a pair of structural twins
+zero  S1 with the effect at strength 0
 
     python tests/benchmarks/gap.py --groups S1 S0 --cases 2 --cache FOLDER
+    python tests/benchmarks/gap.py --groups stratified --sensors n3 \
+        --cache FOLDER
+    python tests/benchmarks/gap.py --groups stratified --nodes disc fluid \
+        --cache FOLDER
     python tests/benchmarks/gap.py --cache FOLDER --write docs/gap.md
 
 What the drives of a case show is kept in the folder, so a run goes on where
@@ -33,16 +39,30 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict
 from functools import cache
 from pathlib import Path
+from statistics import median
 from typing import TYPE_CHECKING, Final
 
 from gap_cars import OF_TEMPERATURES, SPLITS, Garage, World, keep
-from gap_cases import DRAWS, PAIRS, Case
+from gap_cases import (
+    DRAWS,
+    PAIRS,
+    TWIN_NUMBERS,
+    TWINS,
+    Case,
+    cost_file,
+    evidence,
+)
 from gap_judge import Result, results_of, shown
 from gap_tables import figures, markdown, tables
 from side_by_side import Goal, Outcome
 
 import bstm_daemon
-from bstm_daemon.simulation.parameters import EFFECT_NAMES, PRESETS
+from bstm_daemon.roles import MEASURED_NODES
+from bstm_daemon.simulation.parameters import (
+    EFFECT_NAMES,
+    PRESETS,
+    UNHEARD_NAMES,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -76,6 +96,31 @@ def sample() -> list[Case]:
     ]
 
 
+STRATIFIED: Final = 120
+"""Cases of a world beside the main one: a fifth effect-free, a tenth each
+pairs and effects that no catalogue has, all kinds equally often."""
+
+
+def stratified(world: World) -> list[Case]:
+    """Return the cases of *world* where a full run is not worth its time."""
+    tenth = STRATIFIED // 10
+    lacking = world.lacking
+    pairs = [pair for pair in PAIRS if set(pair) <= set(lacking)]
+    found = [Case(world, (), number) for number in range(2 * tenth)]
+    for kinds, count in (
+        ([(name,) for name in UNHEARD_NAMES], tenth),
+        (pairs, min(tenth, len(pairs))),
+    ):
+        found += [
+            Case(world, kinds[i % len(kinds)], i // len(kinds))
+            for i in range(count)
+        ]
+    return found + [
+        Case(world, (lacking[i % len(lacking)],), i // len(lacking))
+        for i in range(STRATIFIED - len(found))
+    ]
+
+
 def cases_of(
     world: World, groups: Sequence[str], count: int, effects: Sequence[str]
 ) -> list[Case]:
@@ -91,6 +136,18 @@ def cases_of(
                 for pair in PAIRS
                 if set(pair) <= set(lacking)
             ]
+        if "SU" in groups:
+            found += [Case(world, (name,), number) for name in UNHEARD_NAMES]
+        if "ST" in groups:
+            found += [
+                Case(world, (name,), TWIN_NUMBERS + number)
+                for name in TWINS
+                if name in lacking
+            ]
+        if "zero" in groups:
+            found += [
+                Case(world, (name,), number, absent=True) for name in lacking
+            ]
         if {"S0", "RT"} & set(groups):
             first = number * DRAWS
             draws = DRAWS if "S0" in groups else 2
@@ -105,7 +162,7 @@ def fingerprint() -> str:
     digest = hashlib.sha256()
     for file in sorted((package / "gap").glob("*.py")):
         digest.update(file.read_bytes())
-    for name in ("gap_judge.py", "gap_rivals.py"):
+    for name in ("gap_judge.py", "gap_rivals.py", "gap_cases.py"):
         digest.update((Path(__file__).parent / name).read_bytes())
     return digest.hexdigest()[:12]
 
@@ -116,27 +173,42 @@ def judge(
     """Return the results of *case*, kept ones where the search is the same."""
     kept = folder / f"{case.key}.json"
     found: list[Result] = []
+    search_s = None
     if kept.exists():
         data = json.loads(kept.read_text("utf-8"))
         if data["search"] == fingerprint():
             found = [Result(**one) for one in data["results"]]
+            search_s = data["seconds"][1]
     lacking = [o for o in found if fitted and is_right(o) and not o.shown]
     if found and not lacking:
         return found
     if not found:
+        evidence(case, garage, folder)
+        begin_s = time.process_time()
         found = results_of(
             case, garage, folder, controls=case.number < CONTROLS
         )
+        search_s = time.process_time() - begin_s
         lacking = [o for o in found if fitted and is_right(o)]
     for one in lacking:
         one.shown.update(shown(case, garage, one, folder))
     data = {
         "search": fingerprint(),
         "world": asdict(case.world),
+        "seconds": [drives_s(case, folder), search_s],
         "results": [asdict(one) for one in found],
     }
     keep(kept, (json.dumps(data) + "\n").encode())
     return found
+
+
+def drives_s(case: Case, folder: Path) -> float | None:
+    """Return the CPU time [s] of the drives of *case*; None if unknown."""
+    file = cost_file(case, folder)
+    if not file.exists():
+        return None
+    seconds: float = json.loads(file.read_text("utf-8"))
+    return seconds
 
 
 def is_right(one: Result) -> bool:
@@ -224,6 +296,7 @@ def write(folder: Path, file: Path, split: str) -> None:
     """Put the figures of all that is kept in *folder* into *file*."""
     by_world: dict[World, list[Result]] = defaultdict(list)
     count: dict[World, int] = defaultdict(int)
+    seconds: dict[World, list[list[float | None]]] = defaultdict(list)
     stale = 0
     for kept in sorted(folder.glob(f"{split}-*.json")):
         data = json.loads(kept.read_text("utf-8"))
@@ -232,8 +305,9 @@ def write(folder: Path, file: Path, split: str) -> None:
         if data["search"] != fingerprint():
             stale += 1
             continue
-        world = World(**data["world"])
+        world = World.of(data["world"])
         count[world] += 1
+        seconds[world].append(data["seconds"])
         by_world[world] += [Result(**one) for one in data["results"]]
     if stale:
         sys.stderr.write(f"{stale} cases of another search left out\n")
@@ -251,9 +325,14 @@ def write(folder: Path, file: Path, split: str) -> None:
     ]
     for world, results in by_world.items():
         title = f"`{world.preset}` with structure `{world.structure}`"
-        parts.append(
-            f"### {title}, sensors `{world.sensors}`: {count[world]} cases"
-        )
+        nodes = f", {' and '.join(world.nodes)} only" if world.nodes else ""
+        parts += [
+            (
+                f"### {title}, sensors `{world.sensors}`{nodes}: "
+                f"{count[world]} cases"
+            ),
+            costs(seconds[world]),
+        ]
         for table in tables(results):
             parts += [f"**{table.title}**", markdown(table)]
     parts.append(END)
@@ -261,6 +340,21 @@ def write(folder: Path, file: Path, split: str) -> None:
     before, _, rest = text.partition(BEGIN)
     _, _, after = rest.partition(END)
     file.write_text(before + "\n\n".join(parts) + after, "utf-8")
+
+
+def costs(seconds: Sequence[Sequence[float | None]]) -> str:
+    """Return in words what a case has cost, medians and highest."""
+    texts = []
+    for label, column in (
+        ("drives and what they show of every effect", 0),
+        ("answers of all groups, controls and other ways", 1),
+    ):
+        known = [s for one in seconds if (s := one[column]) is not None]
+        if known:
+            texts.append(
+                f"{label} {median(known):.1f} s, at most {max(known):.1f} s"
+            )
+    return f"CPU time a case: {'; '.join(texts)}."
 
 
 def main() -> None:
@@ -272,9 +366,15 @@ def main() -> None:
     parser.add_argument(
         "--groups",
         nargs="+",
-        choices=("S1", "S0", "S2", "RT", "sample"),
+        choices=(
+            *("S1", "S0", "S2", "SU", "ST", "RT", "zero"),
+            *("sample", "stratified"),
+        ),
         default=[],
-        help="S1 also serves SO, SX and the controls",
+        help=(
+            "S1 also serves SO, SX and the controls; stratified: "
+            f"{STRATIFIED} cases of S1, S2, S0 and SU"
+        ),
     )
     parser.add_argument(
         "--cases",
@@ -286,6 +386,13 @@ def main() -> None:
     parser.add_argument("--preset", choices=tuple(PRESETS), default="plain")
     parser.add_argument("--structure", choices=STRUCTURES, default="thesis")
     parser.add_argument("--sensors", default="n2", help="n1 to n4")
+    parser.add_argument(
+        "--nodes",
+        nargs="+",
+        choices=MEASURED_NODES,
+        default=(),
+        help="where thermocouples are, by default everywhere",
+    )
     parser.add_argument("--split", choices=tuple(SPLITS), default="reported")
     parser.add_argument("--cache", type=Path, required=True)
     parser.add_argument("--effects", nargs="*", default=EFFECT_NAMES)
@@ -300,10 +407,18 @@ def main() -> None:
         "--write", type=Path, metavar="FILE", help="all that is kept, into it"
     )
     args = parser.parse_args()
-    world = World(args.preset, args.structure, args.sensors, args.split)
+    world = World(
+        args.preset,
+        args.structure,
+        args.sensors,
+        args.split,
+        tuple(args.nodes),
+    )
     cases = cases_of(world, args.groups, args.cases, args.effects)
     if "sample" in args.groups:
         cases += sample()
+    if "stratified" in args.groups:
+        cases += stratified(world)
     results = all_results(
         cases,
         args.cache,

@@ -38,7 +38,11 @@ from bstm_daemon.roles import CORNERS, ROLE_INDEX
 from bstm_daemon.shipped import shipped_file
 from bstm_daemon.simulation import NOMINAL, load_drive, simulate
 from bstm_daemon.simulation.batch import march_lanes
-from bstm_daemon.simulation.parameters import EFFECT_NAMES, preset_effects
+from bstm_daemon.simulation.parameters import (
+    EFFECT_NAMES,
+    UNHEARD_NAMES,
+    preset_effects,
+)
 from bstm_daemon.simulation.sensor_presets import sensor_suite
 from bstm_daemon.simulation.sensors import measured_temperatures
 from bstm_daemon.simulation.simulate import (
@@ -68,6 +72,7 @@ OF_THERMOCOUPLES: Final = frozenset(
 )
 OF_TEMPERATURES: Final = OF_THERMOCOUPLES.union(
     ("residual_drag",),
+    UNHEARD_NAMES,
     EFFECT_NAMES[
         EFFECT_NAMES.index("contact_conductance") : EFFECT_NAMES.index(
             "fluid_latent_heat"
@@ -84,16 +89,32 @@ EVERY: Final = 10
 
 @dataclass(frozen=True, slots=True)
 class World:
-    """What a set of cases shares: reality, model, sensors and seeds."""
+    """What a set of cases shares: reality, model, sensors and seeds.
+
+    With ``nodes`` only their thermocouples are there when an effect is
+    searched: the drives are those of the world without.
+    """
 
     preset: str = "plain"
     structure: str = "thesis"
     sensors: str = "n2"
     split: str = "reported"
+    nodes: tuple[str, ...] = ()
+
+    @classmethod
+    def of(cls, data: Mapping[str, Any]) -> World:
+        """Return the world that JSON knows as *data*."""
+        return cls(**{**data, "nodes": tuple(data.get("nodes", ()))})
 
     def __str__(self) -> str:
         """Return its name, which files bear."""
-        return f"{self.split}-{self.preset}-{self.structure}-{self.sensors}"
+        name = f"{self.split}-{self.preset}-{self.structure}-{self.sensors}"
+        return f"{name}-{'+'.join(self.nodes)}" if self.nodes else name
+
+    @property
+    def driven(self) -> World:
+        """The world that its drives are from, with all thermocouples."""
+        return replace(self, nodes=())
 
     @property
     def lacking(self) -> list[str]:
@@ -129,7 +150,7 @@ class Garage:
     """One car with all that its cases share; kept in *folder*."""
 
     def __init__(self, world: World, number: int, folder: Path) -> None:
-        self.world = world
+        self.world = world.driven
         self.number = number
         self.folder = folder
         self.seed = SPLITS[world.split] + 100 * number

@@ -8,7 +8,9 @@ and groups that differ only in what the search is told share it.
 from __future__ import annotations
 
 import hashlib
+import json
 import pickle
+import time
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
@@ -17,6 +19,7 @@ from gap_cars import FITTED, OF_TEMPERATURES, Garage, World, keep
 
 from bstm_daemon.gap.layout import Layout
 from bstm_daemon.gap.signatures import (
+    SILENT_K,
     Linearised,
     Sensed,
     candidates,
@@ -24,14 +27,18 @@ from bstm_daemon.gap.signatures import (
 )
 from bstm_daemon.gap.unknown import UnknownHeat, unknown_heats
 from bstm_daemon.gap.workflow import compare
+from bstm_daemon.matching.problem import NODE_OF
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
+    import numpy.typing as npt
+
     from bstm_daemon.gap.comparison import Comparison
     from bstm_daemon.gap.layout import Series
     from bstm_daemon.gap.noise import NodeNoise
+    from bstm_daemon.gap.recording import Recording
 
 CARS: Final = 6
 """Cars of the cases with a hidden effect."""
@@ -64,19 +71,34 @@ PAIRS: Final = (
 """Two effects at once; the last four act on one node."""
 
 
+TWINS: Final = (
+    *("backplate_loss", "bracket_conduction"),
+    *("residual_drag", "convection_exponent"),
+    *("friction_speed", "friction_pressure"),
+)
+"""Pairs of structural twins: hidden in the cases of ST."""
+
+TWIN_NUMBERS: Final = 100
+"""Numbers of the cases of ST begin here."""
+
+
 @dataclass(frozen=True, slots=True)
 class Case:
-    """A case; no effects in an effect-free one. ``cars`` are drawn from."""
+    """A case; no effects in an effect-free one. ``cars`` are drawn from.
+
+    ``absent`` is the same case with its effects at strength 0.
+    """
 
     world: World
     effects: tuple[str, ...]
     number: int
     cars: int = CARS
+    absent: bool = False
 
     @property
     def seed(self) -> int:
         """Seed of what is drawn for it."""
-        text = f"{self.world} {' '.join(self.effects)} {self.number}"
+        text = f"{self.world.driven} {' '.join(self.effects)} {self.number}"
         digest = hashlib.sha256(text.encode()).hexdigest()
         return int(digest[:8], 16)
 
@@ -95,6 +117,8 @@ class Case:
     @property
     def strengths(self) -> dict[str, float]:
         """Strength by hidden effect: log-uniform from 0.3 to 2."""
+        if self.absent:
+            return dict.fromkeys(self.effects, 0.0)
         rng = np.random.default_rng(self.seed)
         drawn = np.exp(
             rng.uniform(np.log(0.3), np.log(2.0), len(self.effects))
@@ -107,8 +131,18 @@ class Case:
     @property
     def key(self) -> str:
         """Name of what is kept of it."""
+        return f"{self.world}-{self._name}"
+
+    @property
+    def driven_key(self) -> str:
+        """Name of what is kept of its drives."""
+        return f"{self.world.driven}-{self._name}"
+
+    @property
+    def _name(self) -> str:
         effects = "+".join(self.effects) or "none"
-        return f"{self.world}-car{self.car}-{effects}-{self.number}"
+        name = f"car{self.car}-{effects}-{self.number}"
+        return f"{name}-absent" if self.absent else name
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -126,15 +160,42 @@ class Evidence:
 
     def of_drive(self, drive: int) -> Evidence:
         """Return what one drive alone shows."""
+        found = self._of([one.drive == drive for one in self.series])
+        alone = tuple(replace(one, drive=0) for one in found.series)
+        return replace(found, series=alone)
+
+    def of_nodes(self, nodes: Sequence[str]) -> Evidence:
+        """Return what thermocouples at *nodes* alone show."""
+        found = self._of([one.node in nodes for one in self.series])
+        whole = found.sensed
+        silent = {
+            name
+            for name, terms in whole.terms_k.items()
+            if float(np.abs(terms.sum(axis=0)).max()) < SILENT_K
+        }
+        return replace(
+            found,
+            sensed=replace(
+                whole,
+                terms_k={
+                    name: terms
+                    for name, terms in whole.terms_k.items()
+                    if name not in silent
+                },
+                silent=(*whole.silent, *sorted(silent)),
+                unknown_k=tuple(
+                    one for one in whole.unknown_k if one.node in nodes
+                ),
+            ),
+        )
+
+    def _of(self, kept: Sequence[bool]) -> Evidence:
+        """Return what is left of the series, by their number *kept*."""
         sizes = [len(one.time_s) for one in self.series]
-        own = np.repeat([one.drive == drive for one in self.series], sizes)
+        own: npt.NDArray[np.bool_] = np.repeat(kept, sizes)
         whole = self.sensed
         return Evidence(
-            tuple(
-                replace(one, drive=0)
-                for one in self.series
-                if one.drive == drive
-            ),
+            tuple(one for one, k in zip(self.series, kept, strict=True) if k),
             self.prior,
             Sensed(
                 whole.base_k[own],
@@ -178,20 +239,50 @@ def permuted(known: Linearised, seed: int) -> Linearised:
 
 def evidence(case: Case, garage: Garage, folder: Path) -> Evidence:
     """Return what is kept of *case*, or make it."""
-    kept = folder / f"{case.key}.pickle"
+    kept = folder / f"{case.driven_key}.pickle"
     if not kept.exists():
+        # what the cases of its car share is no cost of this one
+        shared = (garage.sensed, garage.comparison)
+        begin_s = time.process_time()
         keep(kept, pickle.dumps(_made(case, garage)))
+        del shared
+        cost = json.dumps(time.process_time() - begin_s)
+        keep(cost_file(case, folder), cost.encode())
     series, own, base_k, unknown, change_k = pickle.loads(  # noqa: S301  (own)
         kept.read_bytes()
     )
     whole = own or replace(garage.sensed, base_k=base_k, unknown_k=unknown)
-    return Evidence(series, garage.prior, whole, change_k)
+    found = Evidence(series, garage.prior, whole, change_k)
+    return found.of_nodes(case.world.nodes) if case.world.nodes else found
+
+
+def cost_file(case: Case, folder: Path) -> Path:
+    """Return where the CPU time [s] of its drives is kept."""
+    return folder / f"{case.driven_key}.seconds"
+
+
+def seen(case: Case, recording: Recording) -> Recording:
+    """Return *recording* with the thermocouples of the case's world."""
+    nodes = case.world.nodes
+    if not nodes:
+        return recording
+    drive = recording.drive
+    measured = {
+        corner: {
+            couple: series
+            for couple, series in couples.items()
+            if NODE_OF.get(couple, couple) in nodes
+        }
+        for corner, couples in drive.measured.items()
+    }
+    return replace(recording, drive=replace(drive, measured=measured))
 
 
 def comparison_of(case: Case, garage: Garage) -> Comparison:
     """Return the model against the drives of *case*."""
     drives = [
-        garage.recording(name, case.strengths, case.draw) for name in FITTED
+        seen(case, garage.recording(name, case.strengths, case.draw))
+        for name in FITTED
     ]
     return compare(garage.target, drives)
 
@@ -205,7 +296,7 @@ def _made(
     tuple[UnknownHeat, ...],
     np.ndarray,
 ]:
-    comparison = comparison_of(case, garage)
+    comparison = comparison_of(replace(case, world=case.world.driven), garage)
     shared = set(case.effects) <= OF_TEMPERATURES
     own, unknown = None, ()
     base_k = comparison.apart_k(comparison.start[None])[:, 0]

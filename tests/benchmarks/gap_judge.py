@@ -10,11 +10,13 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from gap_cars import FITTED, HELD_OUT, Garage, keep
 from gap_cases import (
+    TWIN_NUMBERS,
     Case,
     Evidence,
     comparison_of,
     evidence,
     permuted,
+    seen,
     shuffled,
     without,
 )
@@ -27,6 +29,7 @@ from bstm_daemon.gap.noise import noise_of
 from bstm_daemon.gap.projector import Projector
 from bstm_daemon.gap.showing import BASELINES, EXTENDED, REFITTED, show
 from bstm_daemon.roles import MEASURED_NODES
+from bstm_daemon.simulation.parameters import UNHEARD_NAMES
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -78,6 +81,10 @@ PLACES: Final[dict[str, tuple[str, str]]] = {
     "ambient_heat_soak": ("DPBF", "P"),
     "speed_dependent_convection": ("D", "BV"),
     "brake_without_pressure": ("Q", "B"),
+    # in no catalogue
+    "dust_shield": ("DF", "BVP"),
+    "brake_duct": ("D", "BV"),
+    "damper_heat": ("F", "BV"),
 }
 """Nodes (heat input Q, disc D, front P and back B of the pads, fluid F) and
 phases (braking, driving, parked) of each effect."""
@@ -210,7 +217,7 @@ def _rivals(one: Judged, kept: Evidence) -> list[Result]:
     """Return what other ways answer."""
     found = []
     for label, ask in RIVALS.items():
-        names = ask(kept.sensed)
+        names = ask(kept)
         found.append(
             Result(
                 label,
@@ -247,21 +254,35 @@ def _beside(case: Case, layout: Layout, known: Linearised) -> list[float]:
     return found
 
 
+def group_of(case: Case) -> str:
+    """Return the group that *case* is of."""
+    for group, belongs in (
+        ("RT", bool(case.world.always_on)),
+        ("S0", not case.effects),
+        ("absent", case.absent),
+        ("S2", len(case.effects) > 1),
+        ("SU", set(case.effects) <= set(UNHEARD_NAMES)),
+        ("ST", case.number >= TWIN_NUMBERS),
+    ):
+        if belongs:
+            return group
+    return "S1"
+
+
 def results_of(
     case: Case, garage: Garage, folder: Path, *, controls: bool = False
 ) -> list[Result]:
     """Return the results of *case* in all groups that its drives serve."""
     kept = evidence(case, garage, folder)
     one = judged(case, garage, kept)
-    if case.world.always_on:
-        return [one.answer("RT")]
-    if not case.effects:
-        return [one.answer("S0"), *_rivals(one, kept)]
-    if len(case.effects) > 1:
-        return [one.answer("S2")]
+    group = group_of(case)
+    if group == "S0":
+        return [one.answer(group), *_rivals(one, kept)]
+    if group != "S1":
+        return [one.answer(group)]
     alone = judged(case, garage, kept.of_drive(FITTED.index("simalp")))
     found = [
-        one.answer("S1"),
+        one.answer(group),
         one.answer("SO", without(one.known, case.effects)),
         alone.answer("SX"),
         *_rivals(one, kept),
@@ -284,7 +305,9 @@ def shown(
         whole: dict[str, Any] = json.loads(kept.read_text("utf-8"))
         return whole
     comparison = comparison_of(case, garage)
-    held_out = [garage.recording(name, case.strengths) for name in HELD_OUT]
+    held_out = [
+        seen(case, garage.recording(name, case.strengths)) for name in HELD_OUT
+    ]
     begin = time.process_time()
     extended = fit(comparison, dict.fromkeys(names, 1.0))
     figures = show(comparison, extended, held_out)

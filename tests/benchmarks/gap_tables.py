@@ -146,6 +146,8 @@ def figures(results: Sequence[Result]) -> list[Figure]:
                 share(clear["SO"], lambda o: o.answer == "unknown"),
             ),
         ]  # fmt: skip
+    if by["SU"]:
+        found += _unheard(clear["SU"])
     if by["SX"]:
         found.append(
             Figure(
@@ -154,6 +156,8 @@ def figures(results: Sequence[Result]) -> list[Figure]:
                 0.95, 0.90,
             )
         )  # fmt: skip
+    if by["ST"]:
+        found += _twins(clear["ST"])
     if by["S2"]:
         found += _pairs(clear["S2"])
     found += _controls(by)
@@ -200,7 +204,7 @@ def _single(every: Sequence[Result], clear: Sequence[Result]) -> list[Figure]:
             share(every, lambda o: o.wrong_name), 0.02, 0.06, at_most=True,
         ),
         Figure(
-            "ST, twins in these data: true class, no false name",
+            "S1, twins in these data: true class, no false name",
             share(
                 twins,
                 lambda o: o.effect in o.names
@@ -213,6 +217,44 @@ def _single(every: Sequence[Result], clear: Sequence[Result]) -> list[Figure]:
         Figure(
             "localisation, right where anything is said",
             share(named, lambda o: o.right_place),
+        ),
+    ]  # fmt: skip
+
+
+def _unheard(clear: Sequence[Result]) -> list[Figure]:
+    return [
+        Figure(
+            "SU, in no catalogue: none of the known, or right place",
+            share(
+                clear, lambda o: o.answer == "unknown" or o.right_place
+            ),
+            0.90, 0.70,
+        ),
+        Figure(
+            "SU, none of the known",
+            share(clear, lambda o: o.answer == "unknown"),
+        ),
+        Figure(
+            "SU, a single name, which must be wrong",
+            share(clear, lambda o: o.answer == "name"),
+        ),
+    ]  # fmt: skip
+
+
+def _twins(clear: Sequence[Result]) -> list[Figure]:
+    return [
+        Figure(
+            "ST, structural twins: true class or name",
+            share(
+                clear,
+                lambda o: o.effect in o.names
+                and o.answer in {"name", "class"},
+            ),
+            0.95, 0.90,
+        ),
+        Figure(
+            "ST, structural twins: no false single name",
+            share(clear, lambda o: not o.wrong_name),
         ),
     ]  # fmt: skip
 
@@ -252,6 +294,13 @@ def _controls(by: Mapping[str, Sequence[Result]]) -> list[Figure]:
                 1.0,
             )
         )
+    if by.get("absent"):
+        found.append(
+            Figure(
+                "control, strength 0: something said",
+                share(by["absent"], _said), 0.01, 0.05, at_most=True,
+            )
+        )  # fmt: skip
     if by.get("permuted"):
         found.append(
             Figure(

@@ -17,7 +17,7 @@ from bstm_daemon.simulation import (
 )
 from bstm_daemon.simulation.lanes import BOILING_K, Lanes, start_state
 from bstm_daemon.simulation.march import lane_result, total_energy
-from bstm_daemon.simulation.parameters import FRONT
+from bstm_daemon.simulation.parameters import FRONT, UNHEARD_NAMES
 from bstm_daemon.simulation.reality import march_numpy
 
 Inputs = Callable[..., LaneInputs]
@@ -35,7 +35,8 @@ IN_THE_CAR = {
 }
 """Effects that act outside the brake corner."""
 
-ALL_ON = Effects(**dict.fromkeys(EFFECT_NAMES, 1.0))
+ALL_NAMES = (*EFFECT_NAMES, *UNHEARD_NAMES)
+ALL_ON = Effects(**dict.fromkeys(ALL_NAMES, 1.0))
 
 
 def rich_inputs(make: Inputs, lanes: int) -> LaneInputs:
@@ -60,7 +61,7 @@ def rich_inputs(make: Inputs, lanes: int) -> LaneInputs:
 
 def each_effect() -> list[Effects]:
     """Return plain, every effect alone, and all together."""
-    alone = [Effects().with_strength(name, 1.0) for name in EFFECT_NAMES]
+    alone = [Effects().with_strength(name, 1.0) for name in ALL_NAMES]
     return [Effects(), *alone, ALL_ON]
 
 
@@ -121,7 +122,7 @@ def test_compiled_march_refuses_a_mesh_beyond_its_limit(
         compiled.march_compiled(reality, lanes, state, lane_inputs(2, 1.0))
 
 
-@pytest.mark.parametrize("name", sorted(set(EFFECT_NAMES) - IN_THE_CAR))
+@pytest.mark.parametrize("name", sorted(set(ALL_NAMES) - IN_THE_CAR))
 def test_effect_of_the_corner_changes_it(
     lane_inputs: Inputs, name: str
 ) -> None:
@@ -173,7 +174,11 @@ def test_lanes_do_not_touch_each_other(lane_inputs: Inputs) -> None:
 
 
 @pytest.mark.parametrize(
-    "effects", [Effects(), ALL_ON.with_strength("residual_drag", 0.0)]
+    "effects",
+    [
+        Effects(),
+        replace(ALL_ON, residual_drag=0.0, damper_heat=0.0),
+    ],
 )
 def test_corner_at_ambient_stays_there(
     lane_inputs: Inputs, effects: Effects
