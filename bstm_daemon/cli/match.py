@@ -17,12 +17,14 @@ from bstm_daemon.cli.arguments import (
 )
 from bstm_daemon.cli.progress import Progress
 from bstm_daemon.cli.vehicle import load_vehicle
+from bstm_daemon.corner_model import corner_model
 from bstm_daemon.errors import UsageError
 from bstm_daemon.files import replacing
 from bstm_daemon.identify.writing import write_changed
 from bstm_daemon.matching.drives import read_drives
 from bstm_daemon.matching.matcher import match_drives
 from bstm_daemon.matching.settings import changes_of
+from bstm_daemon.matching.tunables import Target
 from bstm_daemon.report.match_words import match_json, match_text
 
 if TYPE_CHECKING:
@@ -68,14 +70,12 @@ def run(args: argparse.Namespace) -> int:
     _check(args)
     config, signal_map = load_vehicle(args.config)
     drives = _drives(args, config, signal_map)
-    with Progress("match") as progress:
-        matches = match_drives(
-            config,
-            drives,
-            only=args.only,
-            each=args.each,
-            progress=progress.show,
-        )
+    again = _follows_temperature(config)
+    matches = _matches(args, config, drives, beside=not again)
+    if again:
+        # friction is that at the temperatures of the matched model
+        drives = _drives(args, _matched(config, matches), signal_map)
+        matches = _matches(args, config, drives)
     names = ", ".join(log.name for log in args.logs)
     print(f"{names}  ({config.vehicle.id}, {args.config})")
     for match in matches:
@@ -117,6 +117,41 @@ def _drives(
             progress.show(share or 0.0)
 
         return read_drives(args.logs, config, signal_map, dict(args.map), show)
+
+
+def _matches(
+    args: argparse.Namespace,
+    config: Config,
+    drives: list[Drive],
+    *,
+    beside: bool = True,
+) -> list[Match]:
+    with Progress("match") as progress:
+        return match_drives(
+            config,
+            drives,
+            only=args.only,
+            each=args.each,
+            beside=beside,
+            progress=progress.show,
+        )
+
+
+def _follows_temperature(config: Config) -> bool:
+    """Whether heat comes from pressure by a friction that knows fade."""
+    laws = [
+        corner_model(config, one).friction for one in config.disc_corners()
+    ]
+    return config.heat.mode != "fb" and any(
+        set(law.temperature) != {1.0} for law in laws
+    )
+
+
+def _matched(config: Config, matches: list[Match]) -> Config:
+    for match in matches:
+        target = Target(config, match.corners)
+        config = target.changed(match.joint.values).config
+    return config
 
 
 def _write(

@@ -8,6 +8,7 @@ nominal car, applied to the others.
 
 from __future__ import annotations
 
+import hashlib
 import os
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, fields, replace
@@ -39,7 +40,7 @@ from bstm_daemon.simulation.frames import START_STAMP_S
 from bstm_daemon.units import KELVIN_OFFSET
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from bstm_daemon.config import Config
     from bstm_daemon.matching.accuracy import NodeAccuracy
@@ -158,6 +159,11 @@ def drawn_car(number: int) -> CarParameters:
     )
 
 
+def follows_temperature(setting: Setting) -> bool:
+    """Whether its heat comes from pressure by a law of friction."""
+    return setting.heat != "known" and setting.structure == "extended"
+
+
 def driven(
     number: int,
     name: str,
@@ -166,24 +172,37 @@ def driven(
     seed: int | None = None,
     *,
     first: bool = False,
+    by: Config | None = None,
 ) -> Driven:
     """Return drive *name* of a car through its CAN frames.
 
-    Kept in the folder that BSTM_POPULATION_CACHE names, if it names one.
+    It is read with the model of *by*, as the commands read with the file that
+    they are given: friction of a law is that at the model's temperatures.
+    None is the example car. Kept in the folder that BSTM_POPULATION_CACHE
+    names, if it names one.
     """
     # what is not formed from pressure or motion asks for no structure
     if setting.heat == "known":
         setting = replace(setting, structure="thesis")
+    if not follows_temperature(setting):
+        by = None
 
     def make() -> Driven:
         learned = None
         if setting.heat == "fused" and not first:
             learned = taught(number, setting, car, seed)
-        return _driven(number, name, setting, car, seed, learned)
+        return _driven(
+            number, name, setting, car, seed, learned=learned, by=by
+        )
 
-    return kept(
-        f"{number} {name} {setting!r} {car} {seed} {first}", make, *DRIVEN_BY
-    )
+    model = "" if by is None else f" {_digest(by)}"
+    text = f"{number} {name} {setting!r} {car} {seed} {first}{model}"
+    return kept(text, make, *DRIVEN_BY)
+
+
+def _digest(config: Config) -> str:
+    text = config.model_dump_json()
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
 def _driven(
@@ -192,9 +211,14 @@ def _driven(
     setting: Setting,
     car: CarParameters | None,
     seed: int | None,
+    *,
     learned: Sequence[float] | None,
+    by: Config | None,
 ) -> Driven:
     config = setting.config()
+    if by is not None:
+        own = {"vehicle": config.vehicle, "heat": config.heat}
+        config = by.model_copy(update=own)
     signal_map = load_vehicle(shipped_file("config/example_vehicle.toml"))[1]
     with recorded(
         name,
@@ -247,11 +271,43 @@ def matched(
     target: Target,
     drives: Sequence[Driven],
     keys: Sequence[str] | None = None,
+    after: Refinement | None = None,
 ) -> tuple[Target, Refinement]:
-    """Return *target* refined on *drives*; all that is refined, or *keys*."""
+    """Return *target* refined on *drives*; all that is refined, or *keys*.
+
+    *after* is what the drives taught when their heat was another.
+    """
     found, _ = usable(target, keys or refined_keys(target))
-    fit = refine(target, [one.drive for one in drives], found)
+    logs = [one.drive for one in drives]
+    if after is None:
+        fit = refine(target, logs, found)
+    else:
+        fit = refine(
+            *(target, logs, found),
+            start=after.values,
+            noise=after.noise,
+            rounds=1,
+        )
     return target.changed(fit.values), fit
+
+
+def matched_by(
+    target: Target,
+    setting: Setting,
+    read: Callable[[str, Config | None], Driven],
+    begin: Config | None,
+) -> tuple[Target, Refinement]:
+    """Return *target* matched on :data:`MATCHED_ON` as ``bstm match`` does.
+
+    *read* gives a drive with the heat that a configuration forms, at first
+    *begin*'s. Where heat asks for temperatures the drives are read again with
+    the matched ones.
+    """
+    found, fit = matched(target, [read(name, begin) for name in MATCHED_ON])
+    if not follows_temperature(setting):
+        return found, fit
+    again = [read(name, found.config) for name in MATCHED_ON]
+    return matched(target, again, after=fit)
 
 
 def errors(
@@ -288,10 +344,12 @@ def nominal_target(setting: Setting) -> tuple[Target, Refinement]:
     """Return the configuration that is matched once, on the nominal car."""
 
     def make() -> tuple[Target, Refinement]:
-        on = [driven(0, name, setting) for name in MATCHED_ON]
-        return matched(front(setting.config()), on)
+        def read(name: str, by: Config | None) -> Driven:
+            return driven(0, name, setting, by=by)
 
-    return kept(f"nominal {setting!r}", make, *JUDGED_BY)
+        return matched_by(front(setting.config()), setting, read, None)
+
+    return kept(f"nominal {setting!r} twice", make, *JUDGED_BY)
 
 
 def car_result(
@@ -304,17 +362,19 @@ def car_result(
 
     def make() -> CarResult:
         base, _ = nominal_target(setting)
-        on = [driven(number, name, setting) for name in MATCHED_ON]
-        target, fit = matched(base, on)
+
+        def read(name: str, by: Config | None) -> Driven:
+            return driven(number, name, setting, by=by)
+
+        target, fit = matched_by(base, setting, read, base.config)
         own: list[NodeErrors] = []
         foreign: list[NodeErrors] = []
         for name in names:
-            one = driven(number, name, setting)
-            own += errors(target, one)
-            foreign += errors(base, one)
+            own += errors(target, read(name, target.config))
+            foreign += errors(base, read(name, base.config))
         return CarResult(number, fit, own, foreign)
 
-    return kept(f"car {number} {setting!r} {names}", make, *JUDGED_BY)
+    return kept(f"car {number} {setting!r} {names} twice", make, *JUDGED_BY)
 
 
 def population(

@@ -22,7 +22,6 @@ from population import (
     CORNER,
     HELD_OUT,
     JUDGED_BY,
-    MATCHED_ON,
     NODES,
     CarResult,
     Driven,
@@ -30,6 +29,7 @@ from population import (
     driven,
     errors,
     matched,
+    matched_by,
     nominal_target,
     population,
 )
@@ -46,6 +46,7 @@ from bstm_daemon.simulation.vehicles import load_vehicle as load_car
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
+    from bstm_daemon.config import Config
     from bstm_daemon.matching.refine import Refinement
     from bstm_daemon.matching.verification import NodeErrors
 
@@ -99,7 +100,7 @@ def tables_of(
     goals = _goals(setting, results) if judged else []
     yield _population_table(setting, fit, results), goals
     if judged:
-        what = f"chapter 6 {setting!r} {full}"
+        what = f"chapter 6 {setting!r} {full} twice"
         for table in kept(what, lambda: cases(setting, full=full), *JUDGED_BY):
             yield table, []
 
@@ -107,42 +108,55 @@ def tables_of(
 def cases(setting: Setting, *, full: bool) -> list[Table]:
     """Return the thesis's chapter 6 in *setting*."""
     base, fit = nominal_target(setting)
+    worn = _worn(base)
     rows = [
-        _row("simalp, matched on it (5.2)", base, _of(setting, "simalp")),
+        _row(
+            "simalp, matched on it (5.2)", base, _of(base, setting, "simalp")
+        ),
         _row(
             "another simalp",
             base,
-            driven(0, "simalp", setting, seed=OTHER_SEED),
+            driven(0, "simalp", setting, seed=OTHER_SEED, by=base.config),
         ),
         _row(
             "half-worn pads (6.4)",
-            _worn(base),
-            driven(0, "simalp", setting, load_car("half-worn"), OTHER_SEED),
+            worn,
+            driven(
+                *(0, "simalp", setting, load_car("half-worn"), OTHER_SEED),
+                by=worn.config,
+            ),
         ),
-        _row("wind tunnel (6.5)", base, _of(setting, "wind-tunnel")),
+        _row("wind tunnel (6.5)", base, _of(base, setting, "wind-tunnel")),
     ]
-    rims = driven(0, "wind-tunnel", setting, load_car("nominal"), OTHER_SEED)
+    rims = driven(
+        *(0, "wind-tunnel", setting, load_car("nominal"), OTHER_SEED),
+        by=base.config,
+    )
     again, _ = matched(base, [rims], COOLING)
     rows.append(
         _row(
             "wind tunnel, air of its rims matched on another run",
             again,
-            _of(setting, "wind-tunnel"),
+            _of(again, setting, "wind-tunnel"),
         )
     )
     second = Setting(setting.structure, setting.preset, setting.heat, "second")
     car = load_car("second")
-    on = [driven(0, name, second, car) for name in MATCHED_ON]
-    held = driven(0, "alpine-descent", second, car)
+
+    def read(name: str, by: Config | None) -> Driven:
+        return driven(0, name, second, car, by=by)
+
+    held = read("alpine-descent", base.config)
     rows.append(_row("car 2 before matching (6.6)", base, held))
     # its left and right brakes differ
     left = Target(base.config, (CORNER,))
-    again, refit = matched(left, on)
+    again, refit = matched_by(left, second, read, base.config)
+    held = read("alpine-descent", again.config)
     rows.append(_row("car 2 after matching (6.7)", again, held))
     names = ("long-run", "grossglockner", "wet") if full else ("wet",)
     figure = {"long-run": " (6.8)"}
     rows += [
-        _row(f"{name}{figure.get(name, '')}", base, _of(setting, name))
+        _row(f"{name}{figure.get(name, '')}", base, _of(base, setting, name))
         for name in names
     ]
     return [
@@ -156,10 +170,10 @@ def cases(setting: Setting, *, full: bool) -> list[Table]:
     ]
 
 
-def _of(setting: Setting, name: str) -> Driven:
+def _of(target: Target, setting: Setting, name: str) -> Driven:
     # the drive's own car where it names one
     car = load_drive(name).drive.vehicle
-    return driven(0, name, setting, load_car(car))
+    return driven(0, name, setting, load_car(car), by=target.config)
 
 
 def _worn(target: Target) -> Target:

@@ -9,7 +9,10 @@ from pathlib import Path
 import pytest
 
 from bstm_daemon.cli.main import main
+from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.config_file import load_config
+from bstm_daemon.matching.drives import read_drives
+from bstm_daemon.matching.matcher import match_drives
 from bstm_daemon.native import load_kernel
 from bstm_daemon.simulation import simulate
 from bstm_daemon.simulation.drives import parse_drive
@@ -198,6 +201,44 @@ def test_only_cooling_writes_only_cooling(log: Path, tmp_path: Path) -> None:
         "fluid_dynamic_convection_ws_mk",
     }
     assert after.cooling.s_per_s != before.cooling.s_per_s
+
+
+FADE = """
+[[effect]]
+name = "friction_fade"
+corner = "all"
+parameters = { onset_c = 150.0 }
+"""
+
+
+def test_heat_is_formed_anew_with_the_matched_temperatures(
+    log: Path, tmp_path: Path
+) -> None:
+    """A brake that fades gets the friction of the matched model."""
+    car = tmp_path / "config" / "fades.toml"
+    car.parent.mkdir()
+    shutil.copytree(ROOT / "dbc", tmp_path / "dbc")
+    car.write_text(EXAMPLE.read_text("utf-8") + FADE, "utf-8")
+    config, signal_map = load_vehicle(car)
+
+    code = main(
+        [
+            *("match", str(log), "-c", str(car), "--only", "cooling"),
+            *("-o", str(tmp_path / "config" / "new.toml")),
+        ]
+    )
+
+    assert code == 0
+    by, found = config, []
+    for _ in range(2):
+        drives = read_drives([log], by, signal_map)
+        (match,) = match_drives(config, drives, only="cooling", beside=False)
+        by = match.after.config
+        found.append(by.cooling_of(by.corner[0]).s_per_s)
+    new = load_config(tmp_path / "config" / "new.toml")
+    written = new.cooling_of(new.corner[0]).s_per_s
+    assert written == pytest.approx(found[1], rel=1e-3)
+    assert written != pytest.approx(found[0], rel=1e-3)
 
 
 def test_a_file_that_exists_is_not_replaced(
