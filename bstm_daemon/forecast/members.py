@@ -78,8 +78,9 @@ class Ensemble:
             for i, node in enumerate(net.nodes)
             if node.name in {"fluid", "backplate", "caliper"}
         ]
+        places = _places(program)
         self.programs = [
-            replace(program, floats=_changed(program, draw, spread))
+            replace(program, floats=_changed(program, places, draw, spread))
             for draw in self.draws
         ]
 
@@ -141,19 +142,32 @@ class Ensemble:
         ]
 
 
+def _places(program: Program) -> list[tuple[int, str]]:
+    """Return numbers of *program* and what each is uncertain by."""
+    net = program.network
+    capacities = [
+        (i, "fluid_capacity")
+        for i, node in enumerate(net.nodes)
+        if node.name in {"fluid", "caliper"}
+    ]
+    links = [
+        (len(net.nodes) + k, axis)
+        for k, link in enumerate(net.links)
+        if (axis := _axis(net, link)) is not None
+    ]
+    return capacities + links
+
+
 def _changed(
-    program: Program, draw: dict[str, float], spread: Spread
+    program: Program,
+    places: list[tuple[int, str]],
+    draw: dict[str, float],
+    spread: Spread,
 ) -> array[float]:
     """Return the numbers of *program* as the member *draw* has them."""
-    net = program.network
     floats = program.floats[:]
-    for i, node in enumerate(net.nodes):
-        if node.name in {"fluid", "caliper"}:
-            floats[i] *= _factor(draw, spread, "fluid_capacity")
-    for k, link in enumerate(net.links):
-        axis = _axis(net, link)
-        if axis is not None:
-            floats[len(net.nodes) + k] *= _factor(draw, spread, axis)
+    for place, axis in places:
+        floats[place] *= _factor(draw, spread, axis)
     return floats
 
 

@@ -271,7 +271,6 @@ class RiskMonitor:
     ) -> None:
         conditions = []
         self._stopped = self._stopped and not at_stop
-        self._follow_wear()
         for corner in self._corners:
             row = self._row(block, i, corner)
             ambient_k = row[CHANNELS.index("ambient_k")]
@@ -285,18 +284,21 @@ class RiskMonitor:
             at_stop,
         )
 
-    def _follow_wear(self) -> None:
-        for corner in self._corners:
-            program = self._programs[corner.name]
-            corner.ensemble = corner.ensemble.of(program)
-
     def _work(self, forecast: UnderWay) -> None:
         """Do one publication's share of *forecast*."""
         count = len(self._corners)
+        if forecast.index == count and not forecast.told:
+            self._commit(forecast)
+            return
         place = forecast.index % count
         corner = self._corners[place]
         parked = forecast.index < count
         if forecast.job is None:
+            program = self._programs[corner.name]
+            if corner.ensemble.program is not program:
+                # as much work as a forecast: a publication of its own
+                corner.ensemble = corner.ensemble.of(program)
+                return
             conditions = forecast.conditions[place]
             if parked:
                 conditions = Conditions(conditions.ambient_k)
@@ -317,8 +319,6 @@ class RiskMonitor:
         forecast.index += 1
         if parked:
             forecast.parked.append(course)
-            if forecast.index == count:
-                self._commit(forecast)
         else:
             self._commit_duty(forecast, corner, course)
         if forecast.index == 2 * count:
@@ -326,6 +326,7 @@ class RiskMonitor:
 
     def _commit(self, forecast: UnderWay) -> None:
         """Publish what happens if the car parks."""
+        forecast.told = True
         boiling = forecast.boiling
         self._forecast_us = forecast.time_us
         for corner, course in zip(self._corners, forecast.parked, strict=True):
@@ -431,11 +432,12 @@ class RiskMonitor:
         """Find whether vapour formed while nobody watched."""
         boiling = self.fluid.boiling(now_us)
         series = []
-        self._follow_wear()
         for corner in self._corners:
             state = states.get(corner.name)
             if state is None:
                 continue
+            program = self._programs[corner.name]
+            corner.ensemble = corner.ensemble.of(program)
             job = Job(
                 corner.ensemble,
                 self._kernel,

@@ -16,7 +16,7 @@ class UnderWay:
 
     ``states`` and the like are one a corner; ``at_stop`` tells that the car
     had just stopped. ``index`` counts corners that are done, first all of
-    them parked, then all with the duty.
+    them parked, which is ``told`` then, then all with the duty.
     """
 
     time_us: int
@@ -26,10 +26,11 @@ class UnderWay:
     boiling: Boiling
     at_stop: bool
     index: int = 0
+    told: bool = False
     job: Job | None = None
     parked: list[Course] = field(default_factory=list)
 
     @property
     def parks(self) -> bool:
         """Whether it is about to say what comes of a stop."""
-        return self.at_stop and self.index < len(self.states)
+        return self.at_stop and not self.told

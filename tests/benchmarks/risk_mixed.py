@@ -85,13 +85,19 @@ class Trip:
 
 
 def mixed(
-    kilometres: float, seed: tuple[int, ...], cars: Sequence[FleetCar]
+    kilometres: float,
+    seed: tuple[int, ...],
+    cars: Sequence[FleetCar],
+    passes: float = PASSES,
 ) -> list[Trip]:
-    """Drive *kilometres* or a little more with *cars*."""
+    """Drive *kilometres* or a little more with *cars*.
+
+    *passes* is the share of the trips that lead over one.
+    """
     rng = np.random.default_rng(seed)
     trips: list[Trip] = []
     while sum(trip.km for trip in trips) < kilometres:
-        mountain = bool(rng.random() < PASSES)
+        mountain = bool(rng.random() < passes)
         trips.append(_driven(rng, _trip(rng, cars, mountain), mountain))
     return trips
 
@@ -101,7 +107,7 @@ def rate(trips: Sequence[Trip], counts: Iterable[int]) -> float:
     return sum(counts) / FLUIDS / _km(trips) * 1e4
 
 
-def mixed_table(trips: Sequence[Trip]) -> Table:
+def mixed_table(title: str, trips: Sequence[Trip]) -> Table:
     """Return what came of *trips*."""
     unknown = [trip.unknown for trip in trips]
     given = [trip.given for trip in trips]
@@ -137,7 +143,7 @@ def mixed_table(trips: Sequence[Trip]) -> Table:
         )
     ]
     return Table(
-        "Mixed driving",
+        title,
         ("", "water unknown", "water given"),
         (*rows, *((name, value, value) for name, value in both)),
     )

@@ -25,7 +25,7 @@ BENCHMARKS = (
 )
 OTHERS = (
     *("physics", "accuracy", "radau", "memory", "identification"),
-    *("structures", "effects", "pad_life", "risk"),
+    *("structures", "effects", "pad_life", "risk", "risk_cost"),
     *("matching", "verification", "gap"),
 )
 """Figures without a comparison in time; run when named."""
