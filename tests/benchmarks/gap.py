@@ -54,7 +54,7 @@ from gap_cases import (
 )
 from gap_judge import Result, results_of, shown
 from gap_tables import figures, markdown, tables
-from side_by_side import Goal, Outcome
+from side_by_side import Goal, Outcome, Table
 
 import bstm_daemon
 from bstm_daemon.roles import MEASURED_NODES
@@ -65,7 +65,7 @@ from bstm_daemon.simulation.parameters import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
 STRUCTURES: Final = ("thesis", "extended")
 BEGIN: Final = "<!-- gap benchmark -->"
@@ -323,14 +323,17 @@ def write(folder: Path, file: Path, split: str) -> None:
             "intervals of Wilson."
         ),
     ]
+    aside = {w: own for w, own in by_world.items() if is_aside(w)}
+    if aside:
+        table = compared(aside)
+        parts += [f"### {table.title}", markdown(table)]
+        parts += [f"{label(w)}: {costs(seconds[w])}" for w in aside]
     for world, results in by_world.items():
+        if world in aside:
+            continue
         title = f"`{world.preset}` with structure `{world.structure}`"
-        nodes = f", {' and '.join(world.nodes)} only" if world.nodes else ""
         parts += [
-            (
-                f"### {title}, sensors `{world.sensors}`{nodes}: "
-                f"{count[world]} cases"
-            ),
+            (f"### {title}, sensors `{world.sensors}`: {count[world]} cases"),
             costs(seconds[world]),
         ]
         for table in tables(results):
@@ -340,6 +343,44 @@ def write(folder: Path, file: Path, split: str) -> None:
     before, _, rest = text.partition(BEGIN)
     _, _, after = rest.partition(END)
     file.write_text(before + "\n\n".join(parts) + after, "utf-8")
+
+
+def is_aside(world: World) -> bool:
+    """Whether *world* has other sensors than the main ones."""
+    return bool(world.nodes) or world.sensors != World().sensors
+
+
+def label(world: World) -> str:
+    """Return in short what is special about the sensors of *world*."""
+    text = " and ".join(world.nodes) + " only" if world.nodes else ""
+    text = ", ".join(filter(None, (f"`{world.sensors}`", text)))
+    if world.preset != World().preset:
+        text += f", `{world.preset}` with `{world.structure}`"
+    return text
+
+
+def compared(by_world: Mapping[World, Sequence[Result]]) -> Table:
+    """Return the figures of worlds side by side."""
+    of = {
+        world: {one.name: one for one in figures(results)}
+        for world, results in by_world.items()
+    }
+    names = dict.fromkeys(name for found in of.values() for name in found)
+    rows = []
+    for name in names:
+        cells = []
+        for found in of.values():
+            one = found.get(name)
+            if one is None or not one.share.count:
+                cells.append("-")
+            else:
+                cells.append(f"{one.share} of {one.share.count}")
+        rows.append((name, *cells))
+    return Table(
+        "other sensors, stratified cases",
+        ("figure", *map(label, of)),
+        tuple(rows),
+    )
 
 
 def costs(seconds: Sequence[Sequence[float | None]]) -> str:

@@ -19,6 +19,7 @@ import numpy as np
 
 from bstm_daemon.bus.columns import Events
 from bstm_daemon.cli.vehicle import load_vehicle
+from bstm_daemon.config import EffectConfig
 from bstm_daemon.effects.catalogue import STRUCTURES
 from bstm_daemon.gap.comparison import HEAT_SCALE_PRIOR
 from bstm_daemon.gap.recording import Recording, recorded
@@ -43,7 +44,10 @@ from bstm_daemon.simulation.parameters import (
     UNHEARD_NAMES,
     preset_effects,
 )
-from bstm_daemon.simulation.sensor_presets import sensor_suite
+from bstm_daemon.simulation.sensor_presets import (
+    SENSOR_PRESETS,
+    sensor_suite,
+)
 from bstm_daemon.simulation.sensors import measured_temperatures
 from bstm_daemon.simulation.simulate import (
     Prepared,
@@ -120,6 +124,7 @@ class World:
     def lacking(self) -> list[str]:
         """Effects that can be hidden: neither always on nor in the model."""
         known = set(STRUCTURES[self.structure])
+        known.update(one.name for one in known_sensors(self.sensors))
         on = preset_effects(self.preset)
         return [
             name
@@ -260,6 +265,8 @@ class Garage:
 
     def _matched(self) -> Target:
         config = structure_config(self.world.structure)
+        known = known_sensors(self.world.sensors)
+        config = config.model_copy(update={"effect": [*config.effect, *known]})
         without = preset_effects(self.world.preset)
         for name in self.world.always_on:
             without = without.with_strength(name, 0.0)
@@ -285,6 +292,19 @@ def keep(file: Path, data: bytes) -> None:
     part = file.with_suffix(file.suffix + ".part")
     part.write_bytes(data)
     part.replace(file)
+
+
+def known_sensors(sensors: str) -> list[EffectConfig]:
+    """Return what a data sheet says of them: their lag, where they have one.
+
+    It is an effect that is there: unconfigured it is named in every case.
+    """
+    preset = SENSOR_PRESETS[sensors]
+    lag_s = preset.thermocouple.lag_s if preset else 0.0
+    if not lag_s:
+        return []
+    values = {"strength": 1.0, "time_s": lag_s}
+    return [EffectConfig(name="thermocouple_lag", parameters=values)]
 
 
 def structure_config(structure: str) -> Config:

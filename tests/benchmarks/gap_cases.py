@@ -307,9 +307,6 @@ def _made(
     # the same errors of the thermocouples with nothing hidden
     nothing = [garage.recording(name, {}, case.draw) for name in FITTED]
     clear = compare(garage.target, nothing)
-    measured = np.concatenate([one.measured_k for one in clear.series])
-    own_measured = np.concatenate(
-        [one.measured_k for one in garage.comparison.series]
-    )
-    change_k = base_k - (garage.sensed.base_k + own_measured - measured)
+    # and the same start, which is what they have read
+    change_k = base_k - clear.apart_k(clear.start[None])[:, 0]
     return comparison.series, own, base_k, unknown, change_k

@@ -104,12 +104,17 @@ def ensemble_sindy(one: Evidence) -> list[str]:
     return _positive(names, np.where(often, np.median(members, axis=0), 0.0))
 
 
+LABELS: Final = (
+    *("lowest RMS", "forward AIC"),
+    *("SINDy (pysindy)", "E-SINDy (pysindy)"),
+)
+"""Of all, also of those that can not be asked here."""
+
+
 def _rivals() -> dict[str, Callable[[Evidence], list[str]]]:
-    found = {"lowest RMS": lowest_error, "forward AIC": forward_aic}
-    if find_spec("pysindy") is not None:
-        found["SINDy (pysindy)"] = sindy
-        found["E-SINDy (pysindy)"] = ensemble_sindy
-    return found
+    ways = (lowest_error, forward_aic, sindy, ensemble_sindy)
+    usable = len(ways) if find_spec("pysindy") is not None else 2
+    return dict(zip(LABELS[:usable], ways[:usable], strict=True))
 
 
 RIVALS: Final[Mapping[str, Callable[[Evidence], list[str]]]] = _rivals()

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from gap_judge import DETECTABLE, Result
-from gap_rivals import RIVALS
+from gap_rivals import LABELS
 from side_by_side import Table
 
 from bstm_daemon.gap.showing import BASELINES, EXTENDED, REFITTED
@@ -474,7 +474,7 @@ def confusion(results: Sequence[Result]) -> list[tuple[str, ...]]:
 def rivals(results: Sequence[Result]) -> list[tuple[str, ...]]:
     """Return this search beside other ways, on the same cases."""
     rows = []
-    for label in ("this search", *RIVALS):
+    for label in ("this search", *LABELS):
         hidden = [
             o
             for o in results
@@ -487,6 +487,8 @@ def rivals(results: Sequence[Result]) -> list[tuple[str, ...]]:
             if o.group == ("S0" if label == "this search" else label)
             and not o.effects
         ]
+        if not hidden and not free:
+            continue
         clear = [o for o in hidden if o.detectable]
         rows.append(
             (
