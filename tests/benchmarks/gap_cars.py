@@ -21,6 +21,7 @@ from bstm_daemon.bus.columns import Events
 from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.effects.catalogue import STRUCTURES
 from bstm_daemon.gap.comparison import HEAT_SCALE_PRIOR
+from bstm_daemon.gap.menu import MENU
 from bstm_daemon.gap.recording import Recording, recorded
 from bstm_daemon.gap.signatures import Sensed, candidates, sensed
 from bstm_daemon.gap.workflow import compare
@@ -226,7 +227,7 @@ class Garage:
         return real_temperatures(result, slow_s, ready.start_k)
 
     def _noise(self, name: str) -> int:
-        return self.seed + (*FITTED, *HELD_OUT).index(name)
+        return self.seed + (*FITTED, *HELD_OUT, *MENU).index(name)
 
     def _simulated(self, name: str, effects: Effects) -> SimulatedDrive:
         return simulate(
