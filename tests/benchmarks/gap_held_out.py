@@ -142,7 +142,6 @@ def fit_of(one: Result) -> Fit:
 def _strengths(right: Sequence[Result]) -> list[tuple[str, ...]]:
     found = np.array([o.shown["strengths"][o.effect] for o in right])
     true = np.array([o.strengths[0] for o in right])
-    alike = np.array([o.shown["equivalent"] for o in right])
     ends = np.array([fit_of(o).interval(o.effect) for o in right])
     inside = (ends[:, 0] <= true) & (true <= ends[:, 1])
     return [
@@ -151,12 +150,6 @@ def _strengths(right: Sequence[Result]) -> list[tuple[str, ...]]:
             str(len(right)),
             f"median {100 * np.median(np.abs(found / true - 1.0)):.0f} %",
             "<= 10 %",
-        ),
-        (
-            "the same against the strength that moves as much",
-            str(len(right)),
-            f"median {100 * np.median(np.abs(found / alike - 1.0)):.0f} %",
-            "-",
         ),
         (
             "its 90 % interval covers",

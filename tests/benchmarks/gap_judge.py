@@ -161,7 +161,6 @@ class Judged:
     sensor_distance2: float
     twins: tuple[str, ...]
     jacobian_k: np.ndarray
-    change_k: np.ndarray
 
     def answer(self, group: str, known: Linearised | None = None) -> Result:
         """Return what the search answers, told *known* instead."""
@@ -212,7 +211,6 @@ def judged(case: Case, garage: Garage, kept: Evidence) -> Judged:
         _of_sensors(case, kept, layout),
         tuple(twins),
         kept.sensed.jacobian_k,
-        kept.change_k,
     )
 
 

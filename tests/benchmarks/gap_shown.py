@@ -23,7 +23,7 @@ from gap_cases import comparison_of
 
 import bstm_daemon
 from bstm_daemon.gap.evidence import weigh
-from bstm_daemon.gap.fitting import Fit, effect_entries, fit
+from bstm_daemon.gap.fitting import Fit, fit
 from bstm_daemon.gap.projector import Projector
 from bstm_daemon.gap.showing import (
     EXTENDED,
@@ -52,9 +52,6 @@ RESTS_ON: Final = (
 
 TRUE: Final = "with the true effect"
 FLOOR: Final = "nothing hidden"
-
-ROUNDS: Final = 3
-"""In which the equivalent strength is sought."""
 
 
 @cache
@@ -124,7 +121,6 @@ def _made(
         "noise_deviations": own.noise_deviations,
         "true_strengths": true.strengths,
         "true_noise_deviations": true.noise_deviations,
-        "equivalent": equivalent(case, comparison, one.change_k),
         "squares_k2": squares,
         "noise_k2": noise,
         "points": points,
@@ -179,34 +175,6 @@ def _by_node(there: Comparison, apart_k: np.ndarray) -> dict[str, float]:
         own = apart_k[there.edges[i] : there.edges[i + 1], 0]
         found[one.node] = found.get(one.node, 0.0) + float(own @ own)
     return found
-
-
-def equivalent(
-    case: Case, comparison: Comparison, change_k: np.ndarray
-) -> float:
-    """Return the catalogue's strength that moves as much as the reality's.
-
-    That at which the catalogue's effect changes the temperatures of the
-    fitted drives most nearly as the reality's own does: in kelvin, without
-    noise, with the tunables as configured. *change_k* (n,) is what the
-    reality's takes off model less measurement.
-    """
-    start = comparison.start[None]
-    base = comparison.apart_k(start)[:, 0]
-
-    def left_k(a: float) -> np.ndarray:
-        effects = effect_entries({case.effects[0]: a})
-        return comparison.apart_k(start, effects)[:, 0] - base + change_k
-
-    a = float(next(iter(case.strengths.values())))
-    for _ in range(ROUNDS):
-        left = left_k(a)
-        slope = (left_k(1.1 * a) - left) / (0.1 * a)
-        size = float(slope @ slope)
-        if size > 0.0:
-            moved = -float(slope @ left) / size
-            a = float(np.clip(a + moved, 0.5 * a, 2.0 * a))
-    return a
 
 
 def started(one: Judged, names: Sequence[str]) -> dict[str, float]:
