@@ -19,13 +19,14 @@ from bstm_daemon.config import EffectConfig
 from bstm_daemon.effects.catalogue import effect_class
 from bstm_daemon.errors import LogError
 from bstm_daemon.gap.comparison import with_effects
-from bstm_daemon.gap.fitting import STRENGTH_PRIOR, effect_entries
+from bstm_daemon.gap.fitting import effect_entries
 from bstm_daemon.gap.force_balance import forces
 from bstm_daemon.gap.force_paths import bedded_n, drag_n, unpressed_n
 from bstm_daemon.gap.layout import Layout, Series
 from bstm_daemon.gap.naming import Naming, name_effect
 from bstm_daemon.gap.noise import NodeNoise
 from bstm_daemon.gap.projector import Projector
+from bstm_daemon.gap.several import STRENGTH_PRIOR
 from bstm_daemon.gap.signatures import Linearised, Signature, candidates
 from bstm_daemon.heat.feed_back import Vehicle
 from bstm_daemon.roles import CORNERS, ROLE_INDEX

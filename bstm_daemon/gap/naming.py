@@ -8,7 +8,7 @@ effects' where something is plainly missing that no effect explains.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from math import sqrt
+from math import erfc, exp, sqrt
 from typing import TYPE_CHECKING, Final, Literal
 
 import numpy as np
@@ -21,7 +21,7 @@ from bstm_daemon.gap.evidence import (
 )
 from bstm_daemon.gap.projector import Projector
 from bstm_daemon.gap.several import Several, search_several
-from bstm_daemon.gap.unknown import likeliest, log_evidence
+from bstm_daemon.gap.unknown import likeliest, missing_evidence
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -57,6 +57,18 @@ the log-likelihood left besides chance, no name is given."""
 PLAIN_Z: Final = 6.0
 """And where the best one reaches less than this, only if heat without a name
 is there: what little is left else is the form of the model."""
+
+FREE: Final = 1.5
+"""Standard deviation of every strength where all are fitted together."""
+
+OMNIBUS_Z: Final = 4.5
+"""Standard deviations beyond chance by which all effects and heats together
+must lower the sum of squares before something counts as missing although no
+single one is plain."""
+
+WORSE: Final = 10.0
+"""Of log-likelihood that a drive may lose to an effect fitted to the others:
+as much comes of tunables that one drive alone settles badly."""
 
 PLACEBOS: Final = 20
 """Candidates that can not be: the best one's signature at other times."""
@@ -114,12 +126,16 @@ def name_effect(layout: Layout, linearised: Linearised) -> Naming:
     nothing = _with_unknown(nothing, project, linearised)
     best = found[0] if found else None
     if best is None or odds[""] > GATE_NOTHING or best.z < GATE_Z:
-        if nothing.unknown_evidence < UNKNOWN_EVIDENCE:
+        beyond = _beyond_chance(project, linearised)
+        if nothing.unknown_evidence < UNKNOWN_EVIDENCE and beyond < OMNIBUS_Z:
             return nothing
+        by_chance = min(
+            exp(-nothing.unknown_evidence), 0.5 * erfc(beyond / sqrt(2.0))
+        )
         return replace(
             nothing,
             answer="unknown",
-            probability=1.0 - float(np.exp(-nothing.unknown_evidence)),
+            probability=1.0 - by_chance,
             reason="no effect of the catalogue explains it",
             explained=0.0,
         )
@@ -163,9 +179,30 @@ def _named(
             probability=odds[best.name],
             reason=f"{best.name} at other times than its own explains as much",
         )
-    if len(several.chosen) > 1:
-        return _together(common, several)
-    return _single(common, project, linearised, best)
+    worst = min(validated, key=lambda name: validated[name], default="")
+    alone = len(several.chosen) == 1
+    if alone and worst and validated[worst] < -WORSE:
+        return replace(
+            common,
+            answer="unknown",
+            probability=1.0 - odds[""],
+            reason=f"the best, {best.name}, fitted to the other drives makes "
+            f"{worst} worse",
+        )
+    if not alone:
+        answer = _together(common, several)
+    else:
+        answer = _single(common, project, linearised, best)
+    if answer.answer == "undecided" and explained < EXPLAINED:
+        # one of these, if only they did explain it
+        return replace(
+            common,
+            answer="unknown",
+            probability=1.0 - odds[""],
+            reason=f"several explain a part; the best, {best.name}, "
+            f"{100 * explained:.0f} % of what all together could",
+        )
+    return answer
 
 
 def _together(common: Naming, several: Several) -> Naming:
@@ -204,11 +241,10 @@ def _with_unknown(
     heats = linearised.unknown
     if not heats:
         return naming
-    changes = np.column_stack([one.change for one in heats])
     place = likeliest(project, linearised.residual, heats)
     return replace(
         naming,
-        unknown_evidence=log_evidence(project, linearised.residual, changes),
+        unknown_evidence=missing_evidence(project, linearised.residual, heats),
         unknown_place=f"{place.node}, {place.regime}",
     )
 
@@ -278,23 +314,42 @@ def _explained(
     own = np.column_stack(
         [s.at(1.0) for s in linearised.signatures if s.name in names]
     )
-    everything = np.column_stack(
-        [
-            *(s.at(1.0) for s in linearised.signatures),
-            *(one.change for one in linearised.unknown),
-        ]
-    )
+    everything = _everything(linearised)
     few = _joint_gain(project, linearised.residual, own)
     chance = 0.5 * (everything.shape[1] - own.shape[1])
     many = _joint_gain(project, linearised.residual, everything) - chance
     return min(few / max(many, few, 1e-9), 1.0), max(many - few, 0.0)
 
 
+def _everything(linearised: Linearised) -> Column:
+    """Return all effects and heats without a name as columns, (n, k)."""
+    return np.column_stack(
+        [
+            *(s.at(1.0) for s in linearised.signatures),
+            *(one.change for one in linearised.unknown),
+        ]
+    )
+
+
+def _beyond_chance(project: Projector, linearised: Linearised) -> float:
+    """Return what all together gain beyond chance, in deviations of it."""
+    if not linearised.signatures and not linearised.unknown:
+        return 0.0
+    columns = _everything(linearised)
+    projected = project(columns)
+    gram = columns.T @ projected
+    damped = np.linalg.solve(gram + np.eye(len(gram)) / FREE**2, gram)
+    chance = 0.5 * float(np.trace(damped))
+    spread = sqrt(0.5 * float(np.sum(damped * damped.T)))
+    gain = _joint_gain(project, linearised.residual, columns)
+    return (gain - chance) / max(spread, 1e-9)
+
+
 def _joint_gain(
     project: Projector, residual: Column, columns: Column
 ) -> float:
     projected = project(columns)
-    gram = columns.T @ projected + np.eye(columns.shape[1]) / 2.25
+    gram = columns.T @ projected + np.eye(columns.shape[1]) / FREE**2
     score = projected.T @ residual
     return 0.5 * float(score @ np.linalg.solve(gram, score))
 

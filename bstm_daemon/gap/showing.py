@@ -94,12 +94,29 @@ class Shown:
     keys: tuple[str, ...]
 
 
-def baseline_fits(comparison: Comparison, extended: Fit) -> dict[str, Fit]:
-    """Return the models by name, fitted to *comparison*."""
+def baseline_fits(
+    comparison: Comparison, known_k: Column | None = None
+) -> dict[str, Fit]:
+    """Return the models without the effect, fitted to *comparison*."""
     return {
         CONFIGURED: Fit(comparison.start, {}, {}, np.nan, 0),
-        SCALED: fit(comparison, {}, scale_basis(comparison), priors=False),
-        REFITTED: fit(comparison, {}),
+        SCALED: fit(
+            comparison,
+            {},
+            scale_basis(comparison),
+            priors=False,
+            known_k=known_k,
+        ),
+        REFITTED: fit(comparison, {}, known_k=known_k),
+    }
+
+
+def with_extended(
+    comparison: Comparison, baselines: Mapping[str, Fit], extended: Fit
+) -> dict[str, Fit]:
+    """Return *baselines* and the two models with the effect."""
+    return {
+        **baselines,
         EXTENDED: extended,
         ADOPTED: replace(extended, x=comparison.start),
     }
@@ -109,9 +126,18 @@ def show(
     comparison: Comparison,
     extended: Fit,
     held_out: Sequence[Recording],
+    baselines: Mapping[str, Fit] | None = None,
+    *,
+    known_k: Column | None = None,
 ) -> Shown:
-    """Compare the models on *held_out*, or on what was fitted."""
-    fits = baseline_fits(comparison, extended)
+    """Compare the models on *held_out*, or on what was fitted.
+
+    *baselines* are models fitted before, by :func:`baseline_fits`;
+    *known_k* (n, p) is as for :func:`fit`.
+    """
+    fits = with_extended(
+        comparison, baselines or baseline_fits(comparison, known_k), extended
+    )
     there = comparison
     if held_out:
         there = Comparison(
@@ -156,7 +182,7 @@ def _shrink(
     for i in which:
         one = there.series[i]
         part = slice(there.edges[i], there.edges[i + 1])
-        variance = _noise_variance(one.measured_k)
+        variance = noise_variance(one.measured_k)
         block = (one.time_s // BLOCK_S).astype(int)
         for number in np.unique(block):
             own = block == number
@@ -182,7 +208,7 @@ def _factor(sums: Column) -> float:
     )
 
 
-def _noise_variance(measured_k: Column) -> float:
+def noise_variance(measured_k: Column) -> float:
     """Return the white variance of a series, from its second differences."""
     bends = np.diff(measured_k, 2)
     return float((np.median(np.abs(bends)) / 0.6745) ** 2 / 6.0)

@@ -140,6 +140,32 @@ def log_evidence(
     return gain - 0.5 * float(np.linalg.slogdet(gram)[1])
 
 
+def missing_evidence(
+    project: Projector, residual: Column, heats: Sequence[UnknownHeat]
+) -> float:
+    """Return the log Bayes factor of heat without a name, wherever it is.
+
+    As likely before data: one heat alone, all those of one node, all of
+    them; each place as likely as the other. All at once alone would pay for
+    a dozen strengths where one is missing.
+    """
+    by_node: dict[str, list[Column]] = {}
+    for one in heats:
+        by_node.setdefault(one.node, []).append(one.change)
+    every = [one.change for one in heats]
+    kinds = ([[one] for one in every], list(by_node.values()), [every])
+    logs = np.array(
+        [
+            log_evidence(project, residual, np.column_stack(changes))
+            - np.log(len(kinds) * len(kind))
+            for kind in kinds
+            for changes in kind
+        ]
+    )
+    top = float(logs.max())
+    return top + float(np.log(np.sum(np.exp(logs - top))))
+
+
 def likeliest(
     project: Projector, residual: Column, heats: Sequence[UnknownHeat]
 ) -> UnknownHeat:

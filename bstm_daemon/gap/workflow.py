@@ -92,6 +92,9 @@ class Gap:
                 "data": list(self.recordings),
                 "date": time.strftime("%Y-%m-%d"),
                 "strength_sd": round(self.fit.deviations[name], 3),
+                "strength_90": [
+                    round(end, 3) for end in self.fit.interval(name)
+                ],
                 "probability": round(self.naming.probability, 4),
                 "log_bayes_factor": round(evidence, 1),
             }
@@ -186,12 +189,19 @@ def _gap(
     start = {
         one.name: one.strength for one in naming.candidates if one.name in best
     }
-    extended = fit(comparison, start, directions(comparison))
+    extended = fit(
+        comparison,
+        start,
+        directions(comparison),
+        known_k=simulated.jacobian_k,
+    )
     told(0.85)
     shown = None
     maps: tuple[Located | None, Located | None] = (None, None)
     if until == "show":
-        shown = show(comparison, extended, held_out)
+        shown = show(
+            comparison, extended, held_out, known_k=simulated.jacobian_k
+        )
         maps = _maps(comparison, extended, held_out or recordings)
     return replace(
         plain, fit=extended, shown=shown, before=maps[0], after=maps[1]

@@ -53,8 +53,11 @@ def gap_text(gap: Gap) -> str:
         lines += [f"  {line}" for line in advice_lines(gap)]
     if gap.fit is not None:
         for name, strength in gap.fit.strengths.items():
-            sd = gap.fit.deviations[name]
-            lines.append(f"  {name}: strength {strength:.2f} +- {sd:.2f}")
+            low, high = gap.fit.interval(name)
+            lines.append(
+                f"  {name}: strength {strength:.2f}, 90 % interval "
+                f"{low:.2f} to {high:.2f}"
+            )
     if gap.shown is not None:
         lines += [f"  {line}" for line in shown_lines(gap.shown)]
     return "\n".join(lines)
@@ -234,6 +237,10 @@ def gap_json(gap: Gap) -> dict[str, Any]:
     if gap.fit is not None:
         found["strengths"] = gap.fit.strengths
         found["strength_deviations"] = gap.fit.deviations
+        found["strength_noise_deviations"] = gap.fit.noise_deviations
+        found["strength_intervals"] = {
+            name: list(gap.fit.interval(name)) for name in gap.fit.strengths
+        }
     if gap.shown is not None:
         found["shown"] = _shown_json(gap.shown)
     return found

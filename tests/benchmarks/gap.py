@@ -10,6 +10,7 @@ S1  one effect, strength 0.3 to 2         SX  S1, one drive only
 S2  two effects                           RT  road, all its effects at once
 SU  an effect that no catalogue has       ST  one of a pair of structural twins
 zero  S1 with the effect at strength 0
+AD  the drive that is advised after one drive, beside every other
 
     python tests/benchmarks/gap.py --groups S1 S0 --cases 2 --cache FOLDER
     python tests/benchmarks/gap.py --groups stratified --sensors n3 \
@@ -37,11 +38,12 @@ import time
 from collections import defaultdict
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from statistics import median
 from typing import TYPE_CHECKING, Final
 
+from gap_advice import next_drive
 from gap_cars import OF_TEMPERATURES, SPLITS, Garage, World, keep
 from gap_cases import (
     DRAWS,
@@ -52,7 +54,8 @@ from gap_cases import (
     cost_file,
     evidence,
 )
-from gap_judge import Result, results_of, shown
+from gap_judge import Result, judged, results_of
+from gap_shown import fits_fingerprint, shown
 from gap_tables import figures, markdown, tables
 from side_by_side import Goal, Outcome, Table
 
@@ -70,6 +73,9 @@ if TYPE_CHECKING:
 STRUCTURES: Final = ("thesis", "extended")
 BEGIN: Final = "<!-- gap benchmark -->"
 END: Final = "<!-- end of gap benchmark -->"
+ADVISED: Final = 100
+"""Number of the first case that is for the next drive."""
+
 CONTROLS: Final = 1
 """Cases of each effect that also serve the controls."""
 
@@ -155,6 +161,22 @@ def cases_of(
     return found
 
 
+def open_cases(world: World, count: int, effects: Sequence[str]) -> list[Case]:
+    """Return *count* cases for the next drive, all of the same two cars.
+
+    One of each effect in turn: every drive of the menu is driven by each
+    car, which takes minutes.
+    """
+    names = [n for n in world.lacking if n in effects and n in OF_TEMPERATURES]
+    turns = -(-count // max(len(names), 1))
+    found = [
+        Case(world, (name,), ADVISED + turn, SAMPLE_CARS)
+        for turn in range(turns)
+        for name in names
+    ]
+    return found[:count]
+
+
 @cache
 def fingerprint() -> str:
     """Return what tells one state of the search from another."""
@@ -162,7 +184,7 @@ def fingerprint() -> str:
     digest = hashlib.sha256()
     for file in sorted((package / "gap").glob("*.py")):
         digest.update(file.read_bytes())
-    for name in ("gap_judge.py", "gap_rivals.py", "gap_cases.py"):
+    for name in ("gap_cases.py", "gap_judge.py", "gap_rivals.py"):
         digest.update((Path(__file__).parent / name).read_bytes())
     return digest.hexdigest()[:12]
 
@@ -179,7 +201,7 @@ def judge(
         if data["search"] == fingerprint():
             found = [Result(**one) for one in data["results"]]
             search_s = data["seconds"][1]
-    lacking = [o for o in found if fitted and is_right(o) and not o.shown]
+    lacking = [o for o in found if fitted and lacks_fits(o)]
     if found and not lacking:
         return found
     if not found:
@@ -189,9 +211,11 @@ def judge(
             case, garage, folder, controls=case.number < CONTROLS
         )
         search_s = time.process_time() - begin_s
-        lacking = [o for o in found if fitted and is_right(o)]
-    for one in lacking:
-        one.shown.update(shown(case, garage, one, folder))
+        lacking = [o for o in found if fitted and lacks_fits(o)]
+    if lacking:
+        whole = judged(case, garage, evidence(case, garage, folder))
+        for one in lacking:
+            one.shown.update(shown(case, garage, whole, one, folder))
     data = {
         "search": fingerprint(),
         "world": asdict(case.world),
@@ -211,19 +235,31 @@ def drives_s(case: Case, folder: Path) -> float | None:
     return seconds
 
 
-def is_right(one: Result) -> bool:
-    """Whether a single name is the true one."""
-    return one.group == "S1" and one.answer == "name" and one.score == 1.0
+def lacks_fits(one: Result) -> bool:
+    """Whether *one* could be seen, or is named right, and is not fitted."""
+    wanted = one.group == "S1" and (
+        one.detectable or (one.answer == "name" and one.score == 1.0)
+    )
+    return wanted and one.shown.get("fits") != fits_fingerprint()
 
 
 def of_car(
-    cases: Sequence[Case], folder: Path, until_s: float, *, fitted: bool
+    cases: Sequence[Case],
+    folder: Path,
+    until_s: float,
+    *,
+    fitted: bool,
+    advised: bool = False,
 ) -> list[Result]:
     """Run *cases*, all of one car, as long as there is time."""
     garage = Garage(cases[0].world, cases[0].car, folder)
     found = []
     for case in cases:
-        if time.time() < until_s:
+        if time.time() > until_s:
+            break
+        if advised:
+            found += next_drive(garage, case, folder, fingerprint())
+        else:
             found += judge(garage, case, folder, fitted=fitted)
     return found
 
@@ -235,8 +271,13 @@ def all_results(
     *,
     until_s: float = float("inf"),
     fitted: bool = True,
+    advised: bool = False,
 ) -> list[Result]:
-    """Run *cases*, as many cars at once as *jobs*."""
+    """Run *cases*, as many cars at once as *jobs*.
+
+    *fitted*: what can be seen on held-out drives too; *advised*: only the
+    next drive, of effects that change temperatures alone.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     by_car: dict[tuple[World, int], list[Case]] = defaultdict(list)
     # a change of the bus' samples takes ten times as long: last
@@ -245,17 +286,11 @@ def all_results(
     ):
         by_car[case.world, case.car].append(case)
     lots = list(by_car.values())
+    one = partial(of_car, fitted=fitted, advised=advised)
     if jobs == 1:
-        return [
-            o
-            for lot in lots
-            for o in of_car(lot, folder, until_s, fitted=fitted)
-        ]
+        return [o for lot in lots for o in one(lot, folder, until_s)]
     with ProcessPoolExecutor(jobs) as pool:
-        jobs_done = [
-            pool.submit(of_car, lot, folder, until_s, fitted=fitted)
-            for lot in lots
-        ]
+        jobs_done = [pool.submit(one, lot, folder, until_s) for lot in lots]
         return [one for job in jobs_done for one in job.result()]
 
 
@@ -306,8 +341,10 @@ def write(folder: Path, file: Path, split: str) -> None:
             stale += 1
             continue
         world = World.of(data["world"])
-        count[world] += 1
-        seconds[world].append(data["seconds"])
+        advised = kept.stem.endswith("-next")
+        count[world] += not advised
+        if not advised:
+            seconds[world].append(data["seconds"])
         by_world[world] += [Result(**one) for one in data["results"]]
     if stale:
         sys.stderr.write(f"{stale} cases of another search left out\n")
@@ -408,7 +445,7 @@ def main() -> None:
         "--groups",
         nargs="+",
         choices=(
-            *("S1", "S0", "S2", "SU", "ST", "RT", "zero"),
+            *("S1", "S0", "S2", "SU", "ST", "RT", "AD", "zero"),
             *("sample", "stratified"),
         ),
         default=[],
@@ -422,7 +459,8 @@ def main() -> None:
         type=int,
         default=1,
         metavar="N",
-        help=f"of each effect or pair; S0: cars of {DRAWS} cases each",
+        help=f"of each effect or pair; S0: cars of {DRAWS} cases each; AD: "
+        "in all",
     )
     parser.add_argument("--preset", choices=tuple(PRESETS), default="plain")
     parser.add_argument("--structure", choices=STRUCTURES, default="thesis")
@@ -460,13 +498,22 @@ def main() -> None:
         cases += sample()
     if "stratified" in args.groups:
         cases += stratified(world)
+    until_s = time.time() + args.seconds
     results = all_results(
         cases,
         args.cache,
         args.jobs,
-        until_s=time.time() + args.seconds,
+        until_s=until_s,
         fitted=not args.no_fit,
     )
+    if "AD" in args.groups:
+        results += all_results(
+            open_cases(world, args.cases, args.effects),
+            args.cache,
+            args.jobs,
+            until_s=until_s,
+            advised=True,
+        )
     for table in tables(results) if results else []:
         for row in ((table.title,), table.header, *table.rows):
             sys.stdout.write("  ".join(row) + "\n")

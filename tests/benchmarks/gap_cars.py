@@ -22,6 +22,7 @@ from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.config import EffectConfig
 from bstm_daemon.effects.catalogue import STRUCTURES
 from bstm_daemon.gap.comparison import HEAT_SCALE_PRIOR
+from bstm_daemon.gap.menu import MENU
 from bstm_daemon.gap.recording import Recording, recorded
 from bstm_daemon.gap.signatures import Sensed, candidates, sensed
 from bstm_daemon.gap.workflow import compare
@@ -252,7 +253,7 @@ class Garage:
         return real_temperatures(result, slow_s, ready.start_k)
 
     def _noise(self, name: str) -> int:
-        return self.seed + (*FITTED, *HELD_OUT).index(name)
+        return self.seed + (*FITTED, *HELD_OUT, *MENU).index(name)
 
     def _simulated(self, name: str, effects: Effects) -> SimulatedDrive:
         return simulate(

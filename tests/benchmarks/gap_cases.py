@@ -156,7 +156,10 @@ class Evidence:
 
     def layout(self, noise: dict[str, NodeNoise]) -> Layout:
         """Return where its residuals are and how they err."""
-        return Layout(self.series, noise, self.prior, FITTED)
+        drives = sorted({one.drive for one in self.series})
+        return Layout(
+            self.series, noise, self.prior, [FITTED[i] for i in drives]
+        )
 
     def of_drive(self, drive: int) -> Evidence:
         """Return what one drive alone shows."""

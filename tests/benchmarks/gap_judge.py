@@ -2,40 +2,35 @@
 
 from __future__ import annotations
 
-import json
-import time
 from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from gap_cars import FITTED, HELD_OUT, Garage, keep
+from gap_cars import FITTED, Garage
 from gap_cases import (
     TWIN_NUMBERS,
     Case,
     Evidence,
-    comparison_of,
     evidence,
     permuted,
-    seen,
     shuffled,
     without,
 )
 from gap_rivals import RIVALS
 
 from bstm_daemon.gap.calibration import calibrated
-from bstm_daemon.gap.fitting import fit
+from bstm_daemon.gap.layout import Layout
 from bstm_daemon.gap.naming import ALIKE, cosine, name_effect
-from bstm_daemon.gap.noise import noise_of
+from bstm_daemon.gap.noise import NodeNoise, noise_of
 from bstm_daemon.gap.projector import Projector
-from bstm_daemon.gap.showing import BASELINES, EXTENDED, REFITTED, show
 from bstm_daemon.roles import MEASURED_NODES
 from bstm_daemon.simulation.parameters import UNHEARD_NAMES
+from bstm_daemon.simulation.sensor_presets import SENSOR_PRESETS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from bstm_daemon.gap.layout import Layout
     from bstm_daemon.gap.signatures import Linearised
 
 DETECTABLE: Final = 30.0
@@ -108,6 +103,7 @@ class Result:
     place: str
     leading: list[str]
     twins: list[str] = field(default_factory=list)
+    sensor_distance2: float = 0.0
     shown: dict[str, Any] = field(default_factory=dict)
 
     @property
@@ -168,7 +164,9 @@ class Judged:
     layout: Layout
     known: Linearised
     distance2: float
+    sensor_distance2: float
     twins: tuple[str, ...]
+    jacobian_k: np.ndarray
 
     def answer(self, group: str, known: Linearised | None = None) -> Result:
         """Return what the search answers, told *known* instead."""
@@ -187,6 +185,7 @@ class Judged:
             found.unknown_place,
             [one.name for one in found.candidates[:3]],
             list(self.twins),
+            self.sensor_distance2,
         )
 
 
@@ -210,7 +209,45 @@ def judged(case: Case, garage: Garage, kept: Evidence) -> Judged:
     distance2 = float(change @ project(change))
     if len(case.effects) > 1:
         distance2 = min(_beside(case, layout, known))
-    return Judged(case, layout, known, distance2, tuple(twins))
+    return Judged(
+        case,
+        layout,
+        known,
+        distance2,
+        _of_sensors(case, kept, layout),
+        tuple(twins),
+        kept.sensed.jacobian_k,
+    )
+
+
+def _of_sensors(case: Case, kept: Evidence, layout: Layout) -> float:
+    """Return the squared distance by the noise of the sensors alone.
+
+    What the form of the model is off by is taken as known, offset and lag of
+    the thermocouples too, so it is a limit that no search reaches.
+    """
+    preset = SENSOR_PRESETS[case.world.sensors]
+    if preset is None:
+        return 0.0
+    own = preset.thermocouple
+    found = []
+    for one in layout.series:
+        # each thermocouple of a node that is one series errs by itself
+        apart = len(one.couples) ** -0.5
+        noise = NodeNoise(
+            apart * own.noise, apart * own.drift, 0.0, apart * own.bias_sd,
+            0.0, 0.0,
+        )  # fmt: skip
+        found.append((one, noise))
+    sensors = Layout(
+        layout.series,
+        {one.node: noise for one, noise in found},
+        layout.prior,
+        layout.drive_names,
+    )
+    project = Projector(sensors.whiten(kept.sensed.jacobian_k), layout.prior)
+    change = sensors.whiten(kept.change_k)
+    return float(change @ project(change))
 
 
 def _rivals(one: Judged, kept: Evidence) -> list[Result]:
@@ -293,33 +330,6 @@ def results_of(
             one.answer("permuted", permuted(one.known, case.seed)),
         ]
     return found
-
-
-def shown(
-    case: Case, garage: Garage, result: Result, folder: Path
-) -> dict[str, Any]:
-    """Return fit and held-out figures of what was named in *result*."""
-    names = result.names if result.answer == "name" else result.names[:1]
-    kept = folder / f"{case.key}-shown-{'+'.join(names)}.json"
-    if kept.exists():
-        whole: dict[str, Any] = json.loads(kept.read_text("utf-8"))
-        return whole
-    comparison = comparison_of(case, garage)
-    held_out = [
-        seen(case, garage.recording(name, case.strengths)) for name in HELD_OUT
-    ]
-    begin = time.process_time()
-    extended = fit(comparison, dict.fromkeys(names, 1.0))
-    figures = show(comparison, extended, held_out)
-    whole = {
-        "strengths": extended.strengths,
-        "deviations": extended.deviations,
-        "shrink": {n: figures.shrinks[n].factor for n in BASELINES},
-        "bends": {n: figures.bends[n] for n in (REFITTED, EXTENDED)},
-        "seconds": time.process_time() - begin,
-    }
-    keep(kept, (json.dumps(whole) + "\n").encode())
-    return whole
 
 
 def as_data(results: Sequence[Result]) -> list[dict[str, Any]]:

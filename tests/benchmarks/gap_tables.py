@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from dataclasses import dataclass
+from statistics import NormalDist
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from gap_held_out import by_node, worth
 from gap_judge import DETECTABLE, Result
 from gap_rivals import LABELS
+from gap_shares import HEADER, Figure, Share, share
 from side_by_side import Table
 
-from bstm_daemon.gap.showing import BASELINES, EXTENDED, REFITTED
+from bstm_daemon.gap.showing import BASELINES, EXTENDED
 from bstm_daemon.simulation.parameters import ROAD_EFFECTS
 
 if TYPE_CHECKING:
@@ -20,91 +22,10 @@ if TYPE_CHECKING:
 BINS: Final = ((0.3, 0.5), (0.5, 0.8), (0.8, 1.25), (1.25, 2.0))
 """Of strength."""
 
-CERTAIN: Final = 1.645
-"""Deviations either side of a strength's 90 % interval."""
+MODELS: Final = (*BASELINES, EXTENDED, "nothing hidden, re-fitted")
 
-
-@dataclass(frozen=True, slots=True)
-class Share:
-    """Hits among cases."""
-
-    hits: float
-    count: int
-
-    @property
-    def value(self) -> float:
-        """The share, nan of nothing."""
-        return self.hits / self.count if self.count else float("nan")
-
-    def interval(self) -> tuple[float, float]:
-        """Return the 95 % interval of Wilson."""
-        z, n, p = 1.96, self.count, self.value
-        middle = (p + z * z / (2 * n)) / (1 + z * z / n)
-        half = z * np.sqrt(p * (1 - p) / n + z * z / (4 * n * n))
-        half /= 1 + z * z / n
-        return max(middle - half, 0.0), min(middle + half, 1.0)
-
-    def __str__(self) -> str:
-        """Return it in percent with its interval."""
-        if not self.count:
-            return "no cases"
-        low, high = self.interval()
-        return (
-            f"{100 * self.value:.1f} % ({100 * low:.1f} to {100 * high:.1f})"
-        )
-
-
-@dataclass(frozen=True, slots=True)
-class Figure:
-    """A figure with its goal; ``at_most`` turns the goal round."""
-
-    name: str
-    share: Share
-    goal: float | None = None
-    floor: float | None = None
-    at_most: bool = False
-
-    @property
-    def met(self) -> str:
-        """Whether the goal is met: in words.
-
-        Met is what the whole interval says, reached what the share does.
-        """
-        if self.goal is None or not self.share.count:
-            return "-"
-        low, high = self.share.interval()
-        if self._reaches(high if self.at_most else low, self.goal):
-            return "met"
-        if self._reaches(self.share.value, self.goal):
-            return "reached, too few cases to tell"
-        if self.floor is not None and self._reaches(
-            self.share.value, self.floor
-        ):
-            return "floor reached"
-        return "not met"
-
-    def _reaches(self, value: float, level: float) -> bool:
-        return value <= level if self.at_most else value >= level
-
-    def row(self) -> tuple[str, ...]:
-        """Return it as a row of a table."""
-        sign = "<=" if self.at_most else ">="
-        goal = "-" if self.goal is None else f"{sign} {100 * self.goal:g} %"
-        return (
-            self.name,
-            str(self.share.count),
-            str(self.share),
-            goal,
-            self.met,
-        )
-
-
-HEADER: Final = ("figure", "cases", "found", "goal", "")
-
-
-def share(results: Sequence[Result], hit: Callable[[Result], float]) -> Share:
-    """Return the share of *results* that *hit*."""
-    return Share(float(sum(hit(one) for one in results)), len(results))
+FALSE_ALARMS: Final = 0.0075
+"""At which the limits of detection are told: the goal of S0."""
 
 
 def figures(results: Sequence[Result]) -> list[Figure]:
@@ -160,6 +81,8 @@ def figures(results: Sequence[Result]) -> list[Figure]:
         found += _twins(clear["ST"])
     if by["S2"]:
         found += _pairs(clear["S2"])
+    if by["AD"]:
+        found += _advised(by["AD"])
     found += _controls(by)
     if by["RT"]:
         named = [o for o in by["RT"] if o.answer in {"name", "class"}]
@@ -276,6 +199,39 @@ def _pairs(clear: Sequence[Result]) -> list[Figure]:
     ]  # fmt: skip
 
 
+def _advised(cases: Sequence[Result]) -> list[Figure]:
+    """Return what the next drive tells, of cases that one left open."""
+
+    def at_random(one: Result) -> float:
+        named = one.shown["named"].values()
+        return float(sum(named) / len(named))
+
+    any_does = [o for o in cases if any(o.shown["named"].values())]
+    return [
+        Figure(
+            "next drive, named after the one advised",
+            share(cases, lambda o: o.shown["named"][o.shown["advised"]]),
+        ),
+        Figure(
+            "next drive, named after one at random",
+            share(cases, at_random),
+        ),
+        Figure(
+            "next drive, where any drive does: after the one advised",
+            share(any_does, lambda o: o.shown["named"][o.shown["advised"]]),
+            0.90,
+        ),
+        Figure(
+            "next drive, where any drive does: after one at random",
+            share(any_does, at_random),
+        ),
+        Figure(
+            "next drive, a wrong name after the one advised",
+            share(cases, lambda o: o.shown["wrong"][o.shown["advised"]]),
+        ),
+    ]
+
+
 def _controls(by: Mapping[str, Sequence[Result]]) -> list[Figure]:
     found = []
     plain = {(o.effect, o.number): o for o in by.get("S1", ())}
@@ -328,70 +284,18 @@ def _located(clear: Sequence[Result]) -> Share:
     return Share(2.0 * right * count / both if both else 0.0, count)
 
 
-def shrinking(results: Sequence[Result]) -> list[tuple[str, ...]]:
-    """Return what the effect does on held-out drives, of right names."""
-    right = [
-        o
-        for o in results
-        if o.group == "S1" and o.shown and o.answer == "name" and o.score
-    ]
-    if not right:
-        return []
-    rows = []
-    goals = (">= 5", ">= 2.5", "below 0.95 in <= 5 %")
-    for name, goal in zip(BASELINES, goals, strict=True):
-        factors = np.array([o.shown["shrink"][name] for o in right])
-        low, high = np.quantile(factors, (0.25, 0.75))
-        rows.append(
-            (
-                f"shrink against {name}",
-                str(len(right)),
-                (
-                    f"median {np.median(factors):.2f}, quartiles {low:.2f} to "
-                    f"{high:.2f}, below 0.95 in "
-                    f"{100 * np.mean(factors < 0.95):.0f} %"
-                ),
-                goal,
-            )
-        )
-    bends = [
-        o.shown["bends"][REFITTED] / max(o.shown["bends"][EXTENDED], 1e-3)
-        for o in right
-    ]
-    rows.append(
-        (
-            "tunables less bent than by the full re-fit",
-            str(len(right)),
-            f"median {np.median(bends):.1f} times",
-            ">= 5",
-        )
-    )
-    found = np.array([o.shown["strengths"][o.effect] for o in right])
-    sd = np.array([o.shown["deviations"][o.effect] for o in right])
-    true = np.array([o.strengths[0] for o in right])
-    errors = np.abs(found / true - 1.0)
-    inside = np.abs(found - true) <= CERTAIN * sd
-    rows += [
-        (
-            "strength error",
-            str(len(right)),
-            f"median {100 * np.median(errors):.0f} %",
-            "<= 10 %",
-        ),
-        (
-            "its 90 % interval covers",
-            str(len(right)),
-            str(Share(float(inside.sum()), len(right))),
-            "85 to 95 %",
-        ),
-        (
-            "CPU time of fit and held-out drives",
-            str(len(right)),
-            f"median {np.median([o.shown['seconds'] for o in right]):.1f} s",
-            "about 10 s a case",
-        ),
-    ]
-    return rows
+def limit(
+    results: Sequence[Result], distance2: Callable[[Result], float]
+) -> str:
+    """Return how many a test that knows what it looks for would see.
+
+    One-sided, at :data:`FALSE_ALARMS`, tunables re-fitted; *distance2* is
+    the squared distance of the effect by the noise that it knows.
+    """
+    normal = NormalDist()
+    least = normal.inv_cdf(1.0 - FALSE_ALARMS)
+    power = [normal.cdf(distance2(o) ** 0.5 - least) for o in results]
+    return f"{100 * sum(power) / len(power):.0f} %"
 
 
 def by_strength(results: Sequence[Result]) -> list[tuple[str, ...]]:
@@ -410,6 +314,8 @@ def by_strength(results: Sequence[Result]) -> list[tuple[str, ...]]:
                     str(len(own)),
                     str(sum(o.detectable for o in own)),
                     str(share(own, _said)),
+                    limit(own, lambda o: o.distance2),
+                    limit(own, lambda o: o.sensor_distance2),
                     str(share(own, lambda o: o.score)),
                 )
             )
@@ -515,11 +421,24 @@ def tables(results: Sequence[Result]) -> list[Table]:
         (
             "held-out drives, right names",
             ("figure", "cases", "found", "goal"),
-            shrinking(results),
+            worth(results),
+        ),
+        (
+            "held-out drives, right names: RMS error by node, median [K]",
+            ("node", *MODELS),
+            by_node(results),
         ),
         (
             "against strength",
-            ("strength", "cases", "detectable", "said", "right"),
+            (
+                "strength",
+                "cases",
+                "detectable",
+                "said",
+                "a test told effect and form",
+                "and told what the model is off by",
+                "right",
+            ),
             by_strength(results),
         ),
         (
