@@ -44,8 +44,10 @@ counted on the other, once a drive and node at the peak and at fixed times.
 With the structure `extended` the strengths of its seven thermal effects are
 matched too. The two structures on the other's preset are not asked to meet the
 goals and stand at the end: what `thesis` leaves on `road` is the gap between
-model and car that `bstm gap` looks for. Each section says its commit; one of
-another commit than the others was not measured anew.
+model and car that `bstm gap` looks for; `extended` on `plain` keeps paths that
+this reality lacks (on the nominal car the gap ends at its lower bound, 0.05,
+the split of caliper and fluid at 0.55). Each section says its commit; one of
+another than the others was not measured anew.
 
 Known heat also tells when the pads touch; else a pressure does, and the last
 tenths of a bar are within its sensor's offset. Sensors are a car's own: an
