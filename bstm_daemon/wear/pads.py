@@ -116,6 +116,9 @@ class PadWear:
             at_m = new_m - self._wear.first_indicator_worn_m
         else:
             at_m = left_m
+        if self.law.highest_m <= at_m:
+            # on again, a loose contact: these linings are past it already
+            return
         law = self.law.moved_to(dose_j)
         self.change = Change.CORRECTED
         if not seen:

@@ -73,6 +73,24 @@ def test_a_life_with_all_three_switches(make: Callable[..., PadWear]) -> None:
     assert pad.law.thickness_at_m(at_j + 500e6) == 0.0
 
 
+@pytest.mark.parametrize("late", ["pad_worn_1mm", "pad_2mm_left"])
+def test_a_loose_contact_gives_no_lining_back(
+    make: Callable[..., PadWear], late: str
+) -> None:
+    """On again, or the first indicator after the second: nothing new."""
+    pad = make()
+    pad.happened("pads_new", 0.0, 0.0, seen=True)
+    pad.happened("pad_worn_1mm", MJ_A_MM, 0.0, seen=True)
+    if late == "pad_2mm_left":
+        pad.happened(late, 9 * MJ_A_MM, 0.0, seen=True)
+    law, thickness_m = pad.law, pad.law.thickness_at_m(9.5 * MJ_A_MM)
+
+    pad.happened("pad_worn_1mm", 9.5 * MJ_A_MM, 0.0, seen=True)
+
+    assert pad.law == law
+    assert pad.law.thickness_at_m(9.5 * MJ_A_MM) == thickness_m
+
+
 def test_the_next_set_begins_with_what_the_last_one_taught(
     make: Callable[..., PadWear],
 ) -> None:
