@@ -81,7 +81,7 @@ def shown(
     kept = folder / f"{case.key}-shown-{'+'.join(names) or 'none'}.json"
     if kept.exists():
         whole: dict[str, Any] = json.loads(kept.read_text("utf-8"))
-        if whole["fits"] == fits_fingerprint():
+        if whole.get("fits") == fits_fingerprint():
             return whole
     whole = {"fits": fits_fingerprint(), **_made(case, garage, one, names)}
     keep(kept, (json.dumps(whole) + "\n").encode())
