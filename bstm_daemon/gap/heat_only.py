@@ -19,7 +19,7 @@ from bstm_daemon.config import EffectConfig
 from bstm_daemon.effects.catalogue import effect_class
 from bstm_daemon.errors import LogError
 from bstm_daemon.gap.comparison import with_effects
-from bstm_daemon.gap.fitting import effect_entries
+from bstm_daemon.gap.fitting import FORM_ERROR, effect_entries
 from bstm_daemon.gap.force_balance import forces
 from bstm_daemon.gap.force_paths import bedded_n, drag_n, unpressed_n
 from bstm_daemon.gap.layout import Layout, Series
@@ -395,7 +395,10 @@ def _linearised(
 def _strengths(
     comparison: ForceComparison, known: Linearised, names: Sequence[str]
 ) -> tuple[dict[str, float], dict[str, float]]:
-    """Return strengths of *names* fitted together, and their deviations."""
+    """Return strengths of *names* fitted together, and their deviations.
+
+    What their forms are off by is in the deviations.
+    """
     if not names:
         return {}, {}
     by_name = {one.name: one for one in known.signatures}
@@ -409,7 +412,9 @@ def _strengths(
     for i, name in enumerate(names):
         bounds = effect_class(name).parameters()[0]
         strengths[name] = float(np.clip(best[i], bounds.lower, bounds.upper))
-        deviations[name] = float(np.sqrt(covariance[i, i]))
+        deviations[name] = float(
+            np.hypot(covariance[i, i] ** 0.5, FORM_ERROR * strengths[name])
+        )
     return strengths, deviations
 
 

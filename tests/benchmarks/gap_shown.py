@@ -81,7 +81,7 @@ def shown(
     kept = folder / f"{case.key}-shown-{'+'.join(names) or 'none'}.json"
     if kept.exists():
         whole: dict[str, Any] = json.loads(kept.read_text("utf-8"))
-        if whole["fits"] == fits_fingerprint():
+        if whole.get("fits") == fits_fingerprint():
             return whole
     whole = {"fits": fits_fingerprint(), **_made(case, garage, one, names)}
     keep(kept, (json.dumps(whole) + "\n").encode())
@@ -99,7 +99,11 @@ def _made(
     begin = time.process_time()
     known_k = one.jacobian_k
     baselines = baseline_fits(comparison, known_k)
-    true = fit(comparison, started(one, case.effects), known_k=known_k)
+    start = started(one, case.effects)
+    # what these drives do not excite can not be fitted
+    true = baselines[REFITTED]
+    if start:
+        true = fit(comparison, start, known_k=known_k)
     own = true
     if names and set(names) != set(case.effects):
         own = fit(comparison, started(one, names), known_k=known_k)
@@ -146,7 +150,7 @@ def _nothing_hidden(case: Case, garage: Garage, one: Judged) -> Fit:
     ]
     clear = compare(garage.target, drives)
     clear.set_noise(one.layout.noise)
-    return fit(clear, {}, known_k=one.jacobian_k)
+    return fit(clear, {}, known_k=garage.sensed.jacobian_k)
 
 
 def _apart(comparison: Comparison, one: Fit, other: Fit) -> float:
@@ -183,12 +187,14 @@ def _by_node(there: Comparison, apart_k: np.ndarray) -> dict[str, float]:
 
 
 def started(one: Judged, names: Sequence[str]) -> dict[str, float]:
-    """Return the strength at which each of *names* alone fits best."""
+    """Return the strength at which each of *names* alone fits best.
+
+    Those that these drives excite.
+    """
     project = Projector(one.known.jacobian, one.layout.prior)
     by_name = {s.name: s for s in one.known.signatures}
     return {
         name: weigh(project, one.known.residual, by_name[name]).strength
-        if name in by_name
-        else 1.0
         for name in names
+        if name in by_name
     }

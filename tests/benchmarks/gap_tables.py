@@ -206,30 +206,34 @@ def _advised(cases: Sequence[Result]) -> list[Figure]:
         named = one.shown["named"].values()
         return float(sum(named) / len(named))
 
-    any_does = [o for o in cases if any(o.shown["named"].values())]
+    def by_advice(one: Result) -> float:
+        return float(one.shown["named"][one.shown["advised"]])
+
+    several = [o for o in cases if o.answer != "nothing"]
+    unseen = [o for o in cases if o.answer == "nothing"]
     return [
         Figure(
-            "next drive, named after the one advised",
-            share(cases, lambda o: o.shown["named"][o.shown["advised"]]),
+            "AD, several left: named after the advised drive",
+            share(several, by_advice), 0.90,
         ),
         Figure(
-            "next drive, named after one at random",
-            share(cases, at_random),
+            "AD, several left: named after one at random",
+            share(several, at_random),
         ),
         Figure(
-            "next drive, where any drive does: after the one advised",
-            share(any_does, lambda o: o.shown["named"][o.shown["advised"]]),
-            0.90,
+            "AD, nothing seen yet: named after the advised drive",
+            share(unseen, by_advice),
         ),
         Figure(
-            "next drive, where any drive does: after one at random",
-            share(any_does, at_random),
+            "AD, nothing seen yet: named after one at random",
+            share(unseen, at_random),
         ),
         Figure(
-            "next drive, a wrong name after the one advised",
+            "AD, a wrong name after the advised drive",
             share(cases, lambda o: o.shown["wrong"][o.shown["advised"]]),
+            0.02, 0.06, at_most=True,
         ),
-    ]
+    ]  # fmt: skip
 
 
 def _controls(by: Mapping[str, Sequence[Result]]) -> list[Figure]:
