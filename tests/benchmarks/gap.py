@@ -31,7 +31,6 @@ import argparse
 import hashlib
 import json
 import os
-import subprocess
 import sys
 import tempfile
 import time
@@ -40,141 +39,38 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict
 from functools import cache, partial
 from pathlib import Path
-from statistics import median
 from typing import TYPE_CHECKING, Final
 
 from gap_advice import next_drive
 from gap_cars import OF_TEMPERATURES, SPLITS, Garage, World, keep
-from gap_cases import (
-    DRAWS,
-    PAIRS,
-    TWIN_NUMBERS,
-    TWINS,
-    Case,
-    cost_file,
-    evidence,
-)
+from gap_cases import DRAWS, Case, cost_file, evidence
+from gap_figures import figures
 from gap_judge import Result, judged, results_of
+from gap_page import write
+from gap_selection import (
+    STRATIFIED,
+    cases_of,
+    open_cases,
+    sample,
+    stratified,
+)
 from gap_shown import fits_fingerprint, shown
-from gap_tables import figures, markdown, tables
-from side_by_side import Goal, Outcome, Table
+from gap_tables import tables
+from side_by_side import Goal, Outcome
 
 import bstm_daemon
 from bstm_daemon.roles import MEASURED_NODES
 from bstm_daemon.simulation.parameters import (
     EFFECT_NAMES,
     PRESETS,
-    UNHEARD_NAMES,
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
 
 STRUCTURES: Final = ("thesis", "extended")
-BEGIN: Final = "<!-- gap benchmark -->"
-END: Final = "<!-- end of gap benchmark -->"
-ADVISED: Final = 100
-"""Number of the first case that is for the next drive."""
-
 CONTROLS: Final = 1
 """Cases of each effect that also serve the controls."""
-
-SAMPLE_EFFECTS: Final = (
-    *("gap_conduction", "hub_conduction", "shim_contact", "disc_hat"),
-    *("disc_radiation_driving", "residual_drag", "pad_wear", "wet_disc"),
-    *("backplate_loss", "contact_conductance", "pad_conductivity"),
-    *("caliper_bypass", "disc_caliper_radiation", "friction_fade"),
-    *("friction_history", "brake_share"),
-)
-SAMPLE_CARS: Final = 2
-"""What `.ci/run` takes: these, and half as many effect-free."""
-
-
-def sample() -> list[Case]:
-    """Return the cases of the quick run."""
-    world = World()
-    cases = [Case(world, (one,), 0, SAMPLE_CARS) for one in SAMPLE_EFFECTS]
-    quiet = len(SAMPLE_EFFECTS) // 2 // SAMPLE_CARS
-    return cases + [
-        Case(world, (), car * DRAWS + draw)
-        for car in range(SAMPLE_CARS)
-        for draw in range(quiet)
-    ]
-
-
-STRATIFIED: Final = 120
-"""Cases of a world beside the main one: a fifth effect-free, a tenth each
-pairs and effects that no catalogue has, all kinds equally often."""
-
-
-def stratified(world: World) -> list[Case]:
-    """Return the cases of *world* where a full run is not worth its time."""
-    tenth = STRATIFIED // 10
-    lacking = world.lacking
-    pairs = [pair for pair in PAIRS if set(pair) <= set(lacking)]
-    found = [Case(world, (), number) for number in range(2 * tenth)]
-    for kinds, count in (
-        ([(name,) for name in UNHEARD_NAMES], tenth),
-        (pairs, min(tenth, len(pairs))),
-    ):
-        found += [
-            Case(world, kinds[i % len(kinds)], i // len(kinds))
-            for i in range(count)
-        ]
-    return found + [
-        Case(world, (lacking[i % len(lacking)],), i // len(lacking))
-        for i in range(STRATIFIED - len(found))
-    ]
-
-
-def cases_of(
-    world: World, groups: Sequence[str], count: int, effects: Sequence[str]
-) -> list[Case]:
-    """Return *count* cases of each effect, pair or effect-free car."""
-    found = []
-    lacking = [name for name in world.lacking if name in effects]
-    for number in range(count):
-        if "S1" in groups:
-            found += [Case(world, (name,), number) for name in lacking]
-        if "S2" in groups:
-            found += [
-                Case(world, pair, number)
-                for pair in PAIRS
-                if set(pair) <= set(lacking)
-            ]
-        if "SU" in groups:
-            found += [Case(world, (name,), number) for name in UNHEARD_NAMES]
-        if "ST" in groups:
-            found += [
-                Case(world, (name,), TWIN_NUMBERS + number)
-                for name in TWINS
-                if name in lacking
-            ]
-        if "zero" in groups:
-            found += [
-                Case(world, (name,), number, absent=True) for name in lacking
-            ]
-        if {"S0", "RT"} & set(groups):
-            first = number * DRAWS
-            draws = DRAWS if "S0" in groups else 2
-            found += [Case(world, (), first + i) for i in range(draws)]
-    return found
-
-
-def open_cases(world: World, count: int, effects: Sequence[str]) -> list[Case]:
-    """Return *count* cases for the next drive, all of the same two cars.
-
-    One of each effect in turn: every drive of the menu is driven by each
-    car, which takes minutes.
-    """
-    names = [n for n in world.lacking if n in effects and n in OF_TEMPERATURES]
-    turns = -(-count // max(len(names), 1))
-    found = [
-        Case(world, (name,), ADVISED + turn, SAMPLE_CARS)
-        for turn in range(turns)
-        for name in names
-    ]
-    return found[:count]
 
 
 @cache
@@ -327,114 +223,6 @@ def goals(results: Sequence[Result]) -> list[Goal]:
     ]
 
 
-def write(folder: Path, file: Path, split: str) -> None:
-    """Put the figures of all that is kept in *folder* into *file*."""
-    by_world: dict[World, list[Result]] = defaultdict(list)
-    count: dict[World, int] = defaultdict(int)
-    seconds: dict[World, list[list[float | None]]] = defaultdict(list)
-    stale = 0
-    for kept in sorted(folder.glob(f"{split}-*.json")):
-        data = json.loads(kept.read_text("utf-8"))
-        if "search" not in data:
-            continue
-        if data["search"] != fingerprint():
-            stale += 1
-            continue
-        world = World.of(data["world"])
-        advised = kept.stem.endswith("-next")
-        count[world] += not advised
-        if not advised:
-            seconds[world].append(data["seconds"])
-        by_world[world] += [Result(**one) for one in data["results"]]
-    if stale:
-        sys.stderr.write(f"{stale} cases of another search left out\n")
-    commit = subprocess.run(
-        ["git", "rev-parse", "--short", "HEAD"],
-        capture_output=True, text=True, check=True,
-    ).stdout.strip()  # fmt: skip
-    parts = [
-        BEGIN,
-        (
-            f"Of {time.strftime('%Y-%m-%d')}, commit {commit}, split {split}: "
-            f"{sum(count.values())} simulated cases. Shares with 95 % "
-            "intervals of Wilson."
-        ),
-    ]
-    aside = {w: own for w, own in by_world.items() if is_aside(w)}
-    if aside:
-        table = compared(aside)
-        parts += [f"### {table.title}", markdown(table)]
-        parts += [f"{label(w)}: {costs(seconds[w])}" for w in aside]
-    for world, results in by_world.items():
-        if world in aside:
-            continue
-        title = f"`{world.preset}` with structure `{world.structure}`"
-        parts += [
-            (f"### {title}, sensors `{world.sensors}`: {count[world]} cases"),
-            costs(seconds[world]),
-        ]
-        for table in tables(results):
-            parts += [f"**{table.title}**", markdown(table)]
-    parts.append(END)
-    text = file.read_text("utf-8")
-    before, _, rest = text.partition(BEGIN)
-    _, _, after = rest.partition(END)
-    file.write_text(before + "\n\n".join(parts) + after, "utf-8")
-
-
-def is_aside(world: World) -> bool:
-    """Whether *world* has other sensors than the main ones."""
-    return bool(world.nodes) or world.sensors != World().sensors
-
-
-def label(world: World) -> str:
-    """Return in short what is special about the sensors of *world*."""
-    text = " and ".join(world.nodes) + " only" if world.nodes else ""
-    text = ", ".join(filter(None, (f"`{world.sensors}`", text)))
-    if world.preset != World().preset:
-        text += f", `{world.preset}` with `{world.structure}`"
-    return text
-
-
-def compared(by_world: Mapping[World, Sequence[Result]]) -> Table:
-    """Return the figures of worlds side by side."""
-    of = {
-        world: {one.name: one for one in figures(results)}
-        for world, results in by_world.items()
-    }
-    names = dict.fromkeys(name for found in of.values() for name in found)
-    rows = []
-    for name in names:
-        cells = []
-        for found in of.values():
-            one = found.get(name)
-            if one is None or not one.share.count:
-                cells.append("-")
-            else:
-                cells.append(f"{one.share} of {one.share.count}")
-        rows.append((name, *cells))
-    return Table(
-        "other sensors, stratified cases",
-        ("figure", *map(label, of)),
-        tuple(rows),
-    )
-
-
-def costs(seconds: Sequence[Sequence[float | None]]) -> str:
-    """Return in words what a case has cost, medians and highest."""
-    texts = []
-    for label, column in (
-        ("drives and what they show of every effect", 0),
-        ("answers of all groups, controls and other ways", 1),
-    ):
-        known = [s for one in seconds if (s := one[column]) is not None]
-        if known:
-            texts.append(
-                f"{label} {median(known):.1f} s, at most {max(known):.1f} s"
-            )
-    return f"CPU time a case: {'; '.join(texts)}."
-
-
 def main() -> None:
     """Run the cases that the arguments ask for and print the figures."""
     parser = argparse.ArgumentParser(
@@ -518,7 +306,7 @@ def main() -> None:
         for row in ((table.title,), table.header, *table.rows):
             sys.stdout.write("  ".join(row) + "\n")
     if args.write:
-        write(args.cache, args.write, args.split)
+        write(args.cache, args.write, args.split, fingerprint())
 
 
 if __name__ == "__main__":

@@ -7,17 +7,17 @@ from statistics import NormalDist
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from gap_figures import figures, said
 from gap_held_out import by_node, worth
 from gap_judge import DETECTABLE, Result
 from gap_rivals import LABELS
-from gap_shares import HEADER, Figure, Share, share
+from gap_shares import HEADER, Figure, share
 from side_by_side import Table
 
 from bstm_daemon.gap.showing import BASELINES, EXTENDED
-from bstm_daemon.simulation.parameters import ROAD_EFFECTS
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Sequence
 
 BINS: Final = ((0.3, 0.5), (0.5, 0.8), (0.8, 1.25), (1.25, 2.0))
 """Of strength."""
@@ -26,266 +26,6 @@ MODELS: Final = (*BASELINES, EXTENDED, "nothing hidden, re-fitted")
 
 FALSE_ALARMS: Final = 0.0075
 """At which the limits of detection are told: the goal of S0."""
-
-
-def figures(results: Sequence[Result]) -> list[Figure]:
-    """Return the figures of one world."""
-    by = defaultdict(list)
-    for one in results:
-        by[one.group].append(one)
-    clear = {
-        name: [o for o in own if o.detectable] for name, own in by.items()
-    }
-    found = []
-    if by["S0"]:
-        found += [
-            Figure(
-                "S0, a name or class although nothing is hidden",
-                share(by["S0"], lambda o: o.answer in {"name", "class"}),
-                0.0075, 0.05, at_most=True,
-            ),
-            Figure(
-                "S0, anything said",
-                share(by["S0"], lambda o: o.answer != "nothing"),
-                0.01, 0.05, at_most=True,
-            ),
-        ]  # fmt: skip
-    if by["S1"]:
-        found += _single(by["S1"], clear["S1"])
-    if by["SO"]:
-        found += [
-            Figure(
-                "SO, true kind unknown: none of the known, or right place",
-                share(
-                    clear["SO"],
-                    lambda o: o.answer == "unknown" or o.right_place,
-                ),
-                0.90, 0.70,
-            ),
-            Figure(
-                "SO, none of the known",
-                share(clear["SO"], lambda o: o.answer == "unknown"),
-            ),
-        ]  # fmt: skip
-    if by["SU"]:
-        found += _unheard(clear["SU"])
-    if by["SX"]:
-        found.append(
-            Figure(
-                "SX, one drive: no false single name",
-                share(by["SX"], lambda o: not o.wrong_name),
-                0.95, 0.90,
-            )
-        )  # fmt: skip
-    if by["ST"]:
-        found += _twins(clear["ST"])
-    if by["S2"]:
-        found += _pairs(clear["S2"])
-    if by["AD"]:
-        found += _advised(by["AD"])
-    found += _controls(by)
-    if by["RT"]:
-        named = [o for o in by["RT"] if o.answer in {"name", "class"}]
-        found += [
-            Figure("road, anything said", share(by["RT"], _said)),
-            Figure(
-                "road, every name given is on",
-                share(named, lambda o: set(o.names) <= set(ROAD_EFFECTS)),
-                1.0, 0.9,
-            ),
-            Figure(
-                "road, effects named of those that are on",
-                Share(
-                    sum(len(set(o.names) & set(ROAD_EFFECTS)) for o in named),
-                    len(by["RT"]) * len(ROAD_EFFECTS),
-                ),
-            ),
-        ]  # fmt: skip
-    return found
-
-
-def _single(every: Sequence[Result], clear: Sequence[Result]) -> list[Figure]:
-    strong = [o for o in clear if o.strengths[0] >= 1.0]
-    twins = [o for o in clear if o.twins]
-    named = [o for o in clear if o.answer in {"name", "class", "unknown"}]
-    return [
-        Figure(
-            "S1, right name or class of two",
-            share(clear, lambda o: o.score), 0.95, 0.85,
-        ),
-        Figure(
-            "S1, right one among three best",
-            share(clear, lambda o: o.effect in o.leading), 0.99, 0.95,
-        ),
-        Figure("S1, something is missing", share(clear, _said)),
-        Figure(
-            "S1, something is missing, strength 1 and more",
-            share(strong, _said), 0.97, 0.85,
-        ),
-        Figure(
-            "S1, wrong single name, all cases",
-            share(every, lambda o: o.wrong_name), 0.02, 0.06, at_most=True,
-        ),
-        Figure(
-            "S1, twins in these data: true class, no false name",
-            share(
-                twins,
-                lambda o: o.effect in o.names
-                and o.answer in {"name", "class"},
-            ),
-            0.95, 0.90,
-        ),
-        Figure("localisation, F1 of node and phase", _located(clear), 0.95,
-               0.85),
-        Figure(
-            "localisation, right where anything is said",
-            share(named, lambda o: o.right_place),
-        ),
-    ]  # fmt: skip
-
-
-def _unheard(clear: Sequence[Result]) -> list[Figure]:
-    return [
-        Figure(
-            "SU, in no catalogue: none of the known, or right place",
-            share(
-                clear, lambda o: o.answer == "unknown" or o.right_place
-            ),
-            0.90, 0.70,
-        ),
-        Figure(
-            "SU, none of the known",
-            share(clear, lambda o: o.answer == "unknown"),
-        ),
-        Figure(
-            "SU, a single name, which must be wrong",
-            share(clear, lambda o: o.answer == "name"),
-        ),
-    ]  # fmt: skip
-
-
-def _twins(clear: Sequence[Result]) -> list[Figure]:
-    return [
-        Figure(
-            "ST, structural twins: true class or name",
-            share(
-                clear,
-                lambda o: o.effect in o.names
-                and o.answer in {"name", "class"},
-            ),
-            0.95, 0.90,
-        ),
-        Figure(
-            "ST, structural twins: no false single name",
-            share(clear, lambda o: not o.wrong_name),
-        ),
-    ]  # fmt: skip
-
-
-def _pairs(clear: Sequence[Result]) -> list[Figure]:
-    return [
-        Figure(
-            "S2, both and only both",
-            share(clear, lambda o: o.score), 0.80, 0.50,
-        ),
-        Figure(
-            "S2, at least one of both named",
-            share(clear, lambda o: bool(set(o.names) & set(o.effects))),
-        ),
-        Figure(
-            "S2, a name that is neither",
-            share(clear, lambda o: o.wrong_name),
-        ),
-    ]  # fmt: skip
-
-
-def _advised(cases: Sequence[Result]) -> list[Figure]:
-    """Return what the next drive tells, of cases that one left open."""
-
-    def at_random(one: Result) -> float:
-        named = one.shown["named"].values()
-        return float(sum(named) / len(named))
-
-    def by_advice(one: Result) -> float:
-        return float(one.shown["named"][one.shown["advised"]])
-
-    several = [o for o in cases if o.answer != "nothing"]
-    unseen = [o for o in cases if o.answer == "nothing"]
-    return [
-        Figure(
-            "AD, several left: named after the advised drive",
-            share(several, by_advice), 0.90,
-        ),
-        Figure(
-            "AD, several left: named after one at random",
-            share(several, at_random),
-        ),
-        Figure(
-            "AD, nothing seen yet: named after the advised drive",
-            share(unseen, by_advice),
-        ),
-        Figure(
-            "AD, nothing seen yet: named after one at random",
-            share(unseen, at_random),
-        ),
-        Figure(
-            "AD, a wrong name after the advised drive",
-            share(cases, lambda o: o.shown["wrong"][o.shown["advised"]]),
-            0.02, 0.06, at_most=True,
-        ),
-    ]  # fmt: skip
-
-
-def _controls(by: Mapping[str, Sequence[Result]]) -> list[Figure]:
-    found = []
-    plain = {(o.effect, o.number): o for o in by.get("S1", ())}
-    if by.get("shuffled"):
-        found.append(
-            Figure(
-                "control, catalogue shuffled: the same answer",
-                share(
-                    by["shuffled"],
-                    lambda o: (
-                        o.answer == plain[o.effect, o.number].answer
-                        and set(o.names)
-                        == set(plain[o.effect, o.number].names)
-                    ),
-                ),
-                1.0,
-            )
-        )
-    if by.get("absent"):
-        found.append(
-            Figure(
-                "control, strength 0: something said",
-                share(by["absent"], _said), 0.01, 0.05, at_most=True,
-            )
-        )  # fmt: skip
-    if by.get("permuted"):
-        found.append(
-            Figure(
-                "control, signatures exchanged: still the true name",
-                share(
-                    [o for o in by["permuted"] if o.detectable],
-                    lambda o: o.score,
-                ),
-                0.03, 0.06, at_most=True,
-            )
-        )  # fmt: skip
-    return found
-
-
-def _said(one: Result) -> bool:
-    return one.answer != "nothing"
-
-
-def _located(clear: Sequence[Result]) -> Share:
-    """Return F1 as hits among cases: 2 right over said and true."""
-    right = sum(o.right_place for o in clear)
-    said = sum(o.answer in {"name", "class", "unknown"} for o in clear)
-    count = len(clear)
-    both = said + count
-    return Share(2.0 * right * count / both if both else 0.0, count)
 
 
 def limit(
@@ -317,7 +57,7 @@ def by_strength(results: Sequence[Result]) -> list[tuple[str, ...]]:
                     f"{low:g} to {high:g}",
                     str(len(own)),
                     str(sum(o.detectable for o in own)),
-                    str(share(own, _said)),
+                    str(share(own, said)),
                     limit(own, lambda o: o.distance2),
                     limit(own, lambda o: o.sensor_distance2),
                     str(share(own, lambda o: o.score)),
