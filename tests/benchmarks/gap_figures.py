@@ -190,6 +190,7 @@ def _advised(cases: Sequence[Result], _: Sequence[Result]) -> list[Figure]:
 
     several = [o for o in cases if o.answer != "nothing"]
     unseen = [o for o in cases if o.answer == "nothing"]
+    can = [o for o in cases if any(o.shown["named"].values())]
     return [
         Figure(
             "AD, several left: named after the advised drive",
@@ -206,6 +207,14 @@ def _advised(cases: Sequence[Result], _: Sequence[Result]) -> list[Figure]:
         Figure(
             "AD, nothing seen yet: named after one at random",
             share(unseen, at_random),
+        ),
+        Figure(
+            "AD, where any drive does: named after the advised drive",
+            share(can, by_advice), 0.90,
+        ),
+        Figure(
+            "AD, where any drive does: named after one at random",
+            share(can, at_random),
         ),
         Figure(
             "AD, a wrong name after the advised drive",
