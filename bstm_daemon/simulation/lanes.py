@@ -93,7 +93,11 @@ class Lanes:
         effects: Sequence[Effects],
         mesh: Mesh,
     ) -> None:
-        """Tabulate *corners* and *effects*, one of each a lane."""
+        """Tabulate *corners* and *effects*, one of each a lane.
+
+        Raises:
+            ValueError: a disc whose cheeks leave nothing for its vanes.
+        """
         self.table = np.array(
             [
                 [getattr(corner, f.name) for corner in corners]
@@ -135,6 +139,12 @@ class Lanes:
         self.cheek_gap_m = np.diff(depths)[:, None, None] * thickness
         fresh_kg = p.iron_density_kg_m3 * p.face_area_m2 * p.cheek_thickness_m
         self.centre_kg = p.ring_mass_kg - 2 * fresh_kg
+        if np.any(self.centre_kg <= 0.0):
+            msg = (
+                f"a ring of {np.min(p.ring_mass_kg):.3g} kg is no heavier "
+                f"than its cheeks, {2 * np.max(fresh_kg):.3g} kg: no vanes"
+            )
+            raise ValueError(msg)
         self.backplate_j_k = (
             STEEL_DENSITY_KG_M3
             * STEEL_HEAT_CAPACITY_J_KGK

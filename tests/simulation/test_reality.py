@@ -323,3 +323,9 @@ def test_boiling_fluid_lags_while_it_takes_up_latent_heat(
     behind = plain - boiling
     assert behind.max() > 0.3
     assert abs(plain[behind.argmax()] - BOILING_K) < 30
+
+
+def test_a_disc_without_vanes_is_refused() -> None:
+    heavy = replace(FRONT, cheek_thickness_m=0.02)
+    with pytest.raises(ValueError, match="no vanes"):
+        Lanes([FRONT, heavy], [Effects()] * 2, Mesh())
