@@ -61,13 +61,15 @@ judged on it, as `bstm verify` does, and a match forms the heat of its drives a
 second time with what it found, as `bstm match` does. Known heat beside fused
 tells what of an error is the heat's.
 
-What is left is mostly in `ams`, ten hard stops and a soak. The front axle
-takes 67.5 to 68.0 % of the heat there and the estimator gives it more: in a
-stop the faces of a disc run up to 115 K ahead of its lump, and the friction
-that fades is told the lump. By the reality's own temperatures that alone gives
-a front brake 1.0 % too much in `ams`, 0.4 % in `rich`. Conductivity and heat
-capacity of the lining are drawn and not matched: on development cars that was
-no gain ([matching.md](matching.md)).
+What is left is mostly in `ams`, ten hard stops and a soak; known heat leaves
+less. In a stop the faces of a disc run up to 115 K ahead of its lump, and the
+friction that fades is told the lump: the front axle takes 67.5 to 68.0 % of
+the heat there and is given about 1 % of it too much, while the heat of the
+whole car is 0.8 % too small. Heat of a front brake, two development cars read
+with their matched files: `simalp` 1.1 % too much, `rich`, `ams` and
+`alpine-descent` within 0.3 %. Conductivity and heat capacity of the lining are
+drawn and not matched: refining the conductivity was no gain on development
+cars ([matching.md](matching.md)).
 
 The start is known: estimates begin as measured. `cooling.form` is
 `"conductance"`: with the thesis's `"rate"` the disc of this reality can not be
