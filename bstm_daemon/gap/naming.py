@@ -8,7 +8,7 @@ effects' where something is plainly missing that no effect explains.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from math import erfc, exp, sqrt
+from math import exp, sqrt
 from typing import TYPE_CHECKING, Final, Literal
 
 import numpy as np
@@ -60,11 +60,6 @@ is there: what little is left else is the form of the model."""
 
 FREE: Final = 1.5
 """Standard deviation of every strength where all are fitted together."""
-
-OMNIBUS_Z: Final = 4.5
-"""Standard deviations beyond chance by which all effects and heats together
-must lower the sum of squares before something counts as missing although no
-single one is plain."""
 
 WORSE: Final = 10.0
 """Of log-likelihood that a drive may lose to an effect fitted to the others:
@@ -126,16 +121,12 @@ def name_effect(layout: Layout, linearised: Linearised) -> Naming:
     nothing = _with_unknown(nothing, project, linearised)
     best = found[0] if found else None
     if best is None or odds[""] > GATE_NOTHING or best.z < GATE_Z:
-        beyond = _beyond_chance(project, linearised)
-        if nothing.unknown_evidence < UNKNOWN_EVIDENCE and beyond < OMNIBUS_Z:
+        if nothing.unknown_evidence < UNKNOWN_EVIDENCE:
             return nothing
-        by_chance = min(
-            exp(-nothing.unknown_evidence), 0.5 * erfc(beyond / sqrt(2.0))
-        )
         return replace(
             nothing,
             answer="unknown",
-            probability=1.0 - by_chance,
+            probability=1.0 - exp(-nothing.unknown_evidence),
             reason="no effect of the catalogue explains it",
             explained=0.0,
         )
@@ -329,20 +320,6 @@ def _everything(linearised: Linearised) -> Column:
             *(one.change for one in linearised.unknown),
         ]
     )
-
-
-def _beyond_chance(project: Projector, linearised: Linearised) -> float:
-    """Return what all together gain beyond chance, in deviations of it."""
-    if not linearised.signatures and not linearised.unknown:
-        return 0.0
-    columns = _everything(linearised)
-    projected = project(columns)
-    gram = columns.T @ projected
-    damped = np.linalg.solve(gram + np.eye(len(gram)) / FREE**2, gram)
-    chance = 0.5 * float(np.trace(damped))
-    spread = sqrt(0.5 * float(np.sum(damped * damped.T)))
-    gain = _joint_gain(project, linearised.residual, columns)
-    return (gain - chance) / max(spread, 1e-9)
 
 
 def _joint_gain(

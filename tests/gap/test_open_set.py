@@ -89,20 +89,6 @@ def test_heat_at_one_place_does_not_pay_for_all_places(
     assert at_one > log_evidence(project, residual, everywhere) + 1.0
 
 
-def test_a_little_of_everything_is_missing_without_a_name(
-    layout: Layout, quiet: Linearised
-) -> None:
-    hidden = sum(0.45 * one.change for one in quiet.unknown)
-    hidden = hidden + sum(0.35 * one.kelvin for one in quiet.signatures)
-    mixed = replace(quiet, residual=quiet.residual - hidden)
-
-    found = name_effect(layout, mixed)
-
-    assert found.answer == "unknown"
-    assert found.names == ()
-    assert 0.9 < found.probability <= 1.0
-
-
 def test_an_effect_that_another_drive_contradicts_is_not_named(
     layout: Layout, quiet: Linearised
 ) -> None:
