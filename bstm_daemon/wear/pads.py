@@ -212,7 +212,8 @@ class PadWear:
         if law["highest_m"] is None:
             law["highest_m"] = inf
         for name, number in law.items():
-            if name != "highest_m" and not isfinite(number):
+            unlimited = name == "highest_m" and number == inf
+            if not (unlimited or isfinite(number)):
                 msg = f"{name} = {number}: not a number"
                 raise ValueError(msg)
         self.law = WearLaw(**law)

@@ -227,3 +227,15 @@ def test_what_is_no_state_is_refused(
 
     with pytest.raises((KeyError, TypeError, ValueError)):
         make().restore(saved, 0.0)
+
+
+@pytest.mark.parametrize("name", ["highest_m", "lowest_m", "thickness_m"])
+@pytest.mark.parametrize("value", [{}, "thick", float("nan"), [0.01]])
+def test_a_law_of_anything_but_numbers_is_refused(
+    make: Callable[..., PadWear], name: str, value: object
+) -> None:
+    saved = make().export()
+    saved["law"][name] = value
+
+    with pytest.raises((TypeError, ValueError)):
+        make().restore(saved, 0.0)
