@@ -25,7 +25,7 @@ _TRIES: Final = 5
 BOOT_ID: Final = Path("/proc/sys/kernel/random/boot_id")
 
 
-# no functions of Python's: they are read some sixty times a second
+# no functions of Python's: they are read six times a drain
 wall_clock_ns: Final[Clock] = partial(
     time.clock_gettime_ns, time.CLOCK_REALTIME
 )
@@ -45,7 +45,7 @@ class SteadyAxis:
     axis is the stamp itself, to the microsecond.
     """
 
-    # read forty times a second after a sleep, when no memory is near
+    # read after every sleep, when no memory is near
     __slots__ = (
         *("_boot_ns", "_kept", "_now_us", "_offset_ns", "_shifts"),
         *("_since_us", "_start_offset_ns", "_wall_ns"),

@@ -33,11 +33,6 @@ NETWORK_STRENGTHS: Final = (0.5, 1.5)
 HEAT_STRENGTHS: Final = (1.0,)
 """Strengths simulated; the heat needs a pass over all samples for each."""
 
-NUISANCES: Final = frozenset(
-    {"thermocouple_offset", "thermocouple_lag", "ambient_heat_soak"}
-)
-"""Every sensor has some of these; only beyond what is usual are they named."""
-
 SILENT_K: Final = 1e-3
 """A candidate that nowhere changes the model by more is not excited."""
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -28,7 +28,6 @@ from bstm_daemon.simulation.parameters import UNHEARD_NAMES
 from bstm_daemon.simulation.sensor_presets import SENSOR_PRESETS
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
     from pathlib import Path
 
     from bstm_daemon.gap.signatures import Linearised
@@ -330,8 +329,3 @@ def results_of(
             one.answer("permuted", permuted(one.known, case.seed)),
         ]
     return found
-
-
-def as_data(results: Sequence[Result]) -> list[dict[str, Any]]:
-    """Return *results* as what JSON knows."""
-    return [asdict(one) for one in results]
