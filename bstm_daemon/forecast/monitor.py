@@ -4,8 +4,8 @@
 :class:`CarRisk` a publication. Everything in it happens on the grid of data
 time, so a recording gives the same risk as the bus it was recorded on, to
 the last byte, and however a stream is cut: once a second the risk of now,
-every :data:`GRID_US` and when the car stops a forecast, one corner's share
-of it a publication.
+every :data:`GRID_US` and when the car stops a forecast, half a corner of it a
+publication.
 """
 
 from __future__ import annotations
@@ -58,8 +58,8 @@ PYTHON_MEMBERS: Final = 8
 """Members without the compiled kernel."""
 
 PYTHON_STEPS: Final = 1
-COMPILED_STEPS: Final = 1000
-"""Steps of an ensemble marched a publication: a whole corner with the
+COMPILED_STEPS: Final = 50
+"""Steps of an ensemble marched a publication: half a corner with the
 compiled kernel; without it one, so that no publication waits."""
 
 DROVE_MS: Final = 2.0

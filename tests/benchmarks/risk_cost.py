@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import tempfile
 from pathlib import Path
 from time import process_time, process_time_ns
@@ -101,6 +102,12 @@ def run(*, full: bool) -> Outcome:
     ]
     outcome.goals = [
         Goal("50 ms over a forecast", FORECAST_MS / forecast_ms, 1.0, 0.5),
+        Goal(
+            "5 ms over a publication's share, 99.9 % of them",
+            PUBLICATION_MS / np.quantile(each_ms, 0.999),
+            1.0,
+            0.5,
+        ),
         Goal("1 % over the share of a core", CORE / core, 1.0, 0.5),
         Goal("replay with risk over 120", with_risk / REAL_TIME, 1.0, 0.5),
     ]
@@ -116,6 +123,9 @@ def _publications(
     each: list[int] = []
     begun = set()
     first_us: int | None = None
+    # as the service does once it is ready
+    gc.collect()
+    gc.freeze()
     for events in EventLog(path, signal_map, None).events():
         start_us, end_us = int(events.time_us[0]), int(events.time_us[-1])
         first_us = start_us if first_us is None else first_us
@@ -132,4 +142,5 @@ def _publications(
                 spent = process_time_ns() - before
                 each += [spent // len(risks)] * len(risks)
                 begun.add(risks[-1].forecast_us)
+    gc.unfreeze()
     return np.array(each) * 1e-6, len(begun - {None})

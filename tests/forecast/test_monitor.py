@@ -130,7 +130,7 @@ def test_a_forecast_every_ten_seconds_and_at_the_stop() -> None:
         for i, record in enumerate(found)
         if record.forecast_us == round(START_US + begun[4] * 1e6)
     )
-    assert (times[stop] - START_US) / 1e6 - begun[4] < 0.5
+    assert (times[stop] - START_US) / 1e6 - begun[4] < 1.0
 
 
 def test_the_forecast_is_what_comes() -> None:
