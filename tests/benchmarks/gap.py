@@ -80,7 +80,9 @@ def fingerprint() -> str:
     digest = hashlib.sha256()
     for file in sorted((package / "gap").glob("*.py")):
         digest.update(file.read_bytes())
-    for name in ("gap_cases.py", "gap_judge.py", "gap_rivals.py"):
+    for name in (
+        "gap_cases.py", "gap_judge.py", "gap_limits.py", "gap_rivals.py",
+    ):  # fmt: skip
         digest.update((Path(__file__).parent / name).read_bytes())
     return digest.hexdigest()[:12]
 

@@ -48,6 +48,10 @@ def _open(_: Sequence[Result], clear: Sequence[Result]) -> list[Figure]:
             0.90, 0.70,
         ),
         Figure(
+            "SO, limit: anything seen by all other effects and heats",
+            share(clear, lambda o: o.limit),
+        ),
+        Figure(
             "SO, none of the known",
             share(clear, lambda o: o.answer == "unknown"),
         ),
@@ -93,6 +97,10 @@ def _single(every: Sequence[Result], clear: Sequence[Result]) -> list[Figure]:
             share(clear, lambda o: o.score), 0.95, 0.85,
         ),
         Figure(
+            "S1, limit: told the exact form of the true kind",
+            share(clear, lambda o: o.limit),
+        ),
+        Figure(
             "S1, right one among three best",
             share(clear, lambda o: o.effect in o.leading), 0.99, 0.95,
         ),
@@ -131,6 +139,10 @@ def _unheard(_: Sequence[Result], clear: Sequence[Result]) -> list[Figure]:
                 clear, lambda o: o.answer == "unknown" or o.right_place
             ),
             0.90, 0.70,
+        ),
+        Figure(
+            "SU, limit: anything seen by all effects and heats",
+            share(clear, lambda o: o.limit),
         ),
         Figure(
             "SU, none of the known",

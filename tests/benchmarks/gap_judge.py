@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from math import nan
 from typing import TYPE_CHECKING, Any, Final
 
+import gap_limits
 import numpy as np
 from gap_cars import FITTED, Garage
 from gap_cases import (
@@ -19,17 +21,16 @@ from gap_cases import (
 from gap_rivals import RIVALS
 
 from bstm_daemon.gap.calibration import calibrated
-from bstm_daemon.gap.layout import Layout
 from bstm_daemon.gap.naming import ALIKE, cosine, name_effect
-from bstm_daemon.gap.noise import NodeNoise, noise_of
+from bstm_daemon.gap.noise import noise_of
 from bstm_daemon.gap.projector import Projector
 from bstm_daemon.roles import MEASURED_NODES
 from bstm_daemon.simulation.parameters import UNHEARD_NAMES
-from bstm_daemon.simulation.sensor_presets import SENSOR_PRESETS
 
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from bstm_daemon.gap.layout import Layout
     from bstm_daemon.gap.signatures import Linearised
 
 DETECTABLE: Final = 30.0
@@ -104,6 +105,7 @@ class Result:
     twins: list[str] = field(default_factory=list)
     sensor_distance2: float = 0.0
     shown: dict[str, Any] = field(default_factory=dict)
+    limit: float = nan
 
     @property
     def effect(self) -> str:
@@ -166,11 +168,13 @@ class Judged:
     sensor_distance2: float
     twins: tuple[str, ...]
     jacobian_k: np.ndarray
+    change: np.ndarray
 
     def answer(self, group: str, known: Linearised | None = None) -> Result:
         """Return what the search answers, told *known* instead."""
         case = self.case
-        found = name_effect(self.layout, known or self.known)
+        known = known or self.known
+        found = name_effect(self.layout, known)
         return Result(
             group,
             list(case.effects),
@@ -185,7 +189,19 @@ class Judged:
             [one.name for one in found.candidates[:3]],
             list(self.twins),
             self.sensor_distance2,
+            limit=self._limit(group, known),
         )
+
+    def _limit(self, group: str, known: Linearised) -> float:
+        """Return what could be right at all, nan where that is not asked."""
+        project = Projector(known.jacobian, self.layout.prior)
+        if group in {"SO", "SU"}:
+            return gap_limits.without_name(project, self.change, known)
+        if group in {"S1", "ST"}:
+            hidden = self.case.effects
+            others = [s for s in known.signatures if s.name not in hidden]
+            return gap_limits.named(project, self.change, others, self.twins)
+        return nan
 
 
 def judged(case: Case, garage: Garage, kept: Evidence) -> Judged:
@@ -213,40 +229,11 @@ def judged(case: Case, garage: Garage, kept: Evidence) -> Judged:
         layout,
         known,
         distance2,
-        _of_sensors(case, kept, layout),
+        gap_limits.of_sensors(case.world.sensors, kept, layout),
         tuple(twins),
         kept.sensed.jacobian_k,
+        change,
     )
-
-
-def _of_sensors(case: Case, kept: Evidence, layout: Layout) -> float:
-    """Return the squared distance by the noise of the sensors alone.
-
-    What the form of the model is off by is taken as known, offset and lag of
-    the thermocouples too, so it is a limit that no search reaches.
-    """
-    preset = SENSOR_PRESETS[case.world.sensors]
-    if preset is None:
-        return 0.0
-    own = preset.thermocouple
-    found = []
-    for one in layout.series:
-        # each thermocouple of a node that is one series errs by itself
-        apart = len(one.couples) ** -0.5
-        noise = NodeNoise(
-            apart * own.noise, apart * own.drift, 0.0, apart * own.bias_sd,
-            0.0, 0.0,
-        )  # fmt: skip
-        found.append((one, noise))
-    sensors = Layout(
-        layout.series,
-        {one.node: noise for one, noise in found},
-        layout.prior,
-        layout.drive_names,
-    )
-    project = Projector(sensors.whiten(kept.sensed.jacobian_k), layout.prior)
-    change = sensors.whiten(kept.change_k)
-    return float(change @ project(change))
 
 
 def _rivals(one: Judged, kept: Evidence) -> list[Result]:
