@@ -2,45 +2,20 @@
 
 import re
 import shutil
-import subprocess
 import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import can
 import pytest
 
+from .commands import run, until
+from .conftest import Unit
+
 pytestmark = pytest.mark.systemd
 
-DEADLINE_S = 60.0
 SHIPPED = Path(sys.prefix) / "share" / "bstm-daemon" / "systemd"
 BSTM = Path(sys.prefix) / "bin" / "bstm"
-
-Unit = Any  # conftest's: test files are no package to import it from
-
-
-def run(
-    *command: str | Path, check: bool = True, **changes: Any
-) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [str(word) for word in command],
-        capture_output=True,
-        text=True,
-        check=check,
-        timeout=DEADLINE_S,
-        **changes,
-    )
-
-
-def until(condition: Callable[[], bool], unit: Unit) -> None:
-    """Return once *condition* holds; fail if it never does."""
-    deadline_s = time.monotonic() + DEADLINE_S
-    while not condition():
-        if time.monotonic() > deadline_s:
-            pytest.fail(unit.journal())
-        time.sleep(0.05)
 
 
 @pytest.mark.parametrize("name", ["bstm.service", "bstm@second.service"])

@@ -6,9 +6,7 @@ import os
 import re
 import shutil
 import signal
-import subprocess
 import sys
-import time
 import urllib.error
 import urllib.request
 from collections.abc import Callable, Iterator
@@ -19,9 +17,11 @@ import cantools
 import pytest
 from cantools.database.can import Database
 
+from .commands import DEADLINE_S, run, until
+from .conftest import Unit
+
 pytestmark = pytest.mark.systemd
 
-DEADLINE_S = 60.0
 FIRST_DYNAMIC_USER = 61184
 NOBODY = 65534
 PORT = 9745
@@ -34,30 +34,6 @@ CONFIG = Path("/etc/bstm/vehicle.toml")
 STATE = Path("/var/lib/bstm/example-vehicle.state")
 METRICS = Path("/run/bstm/bstm.prom")
 ID_BASE = 0x5B0
-
-Unit = Any  # conftest's: test files are no package to import it from
-
-
-def run(
-    *command: str | Path, check: bool = True, **changes: Any
-) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [str(word) for word in command],
-        capture_output=True,
-        text=True,
-        check=check,
-        timeout=DEADLINE_S,
-        **changes,
-    )
-
-
-def until(condition: Callable[[], bool], unit: Unit) -> None:
-    """Return once *condition* holds; fail if it never does."""
-    deadline_s = time.monotonic() + DEADLINE_S
-    while not condition():
-        if time.monotonic() > deadline_s:
-            pytest.fail(unit.journal())
-        time.sleep(0.05)
 
 
 def configure(path: Path = CONFIG, **changes: str) -> None:

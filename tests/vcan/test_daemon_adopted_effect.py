@@ -3,34 +3,29 @@
 from __future__ import annotations
 
 import subprocess
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 import pytest
 from cantools.database.can import Database
 
-from bstm_daemon.bus.output_layout import own_ids
 from bstm_daemon.cli.main import main
 from bstm_daemon.daemon.state_file import save
 from bstm_daemon.simulation import Effects, parse_drive, simulate
 from bstm_daemon.simulation.frames import Encoder
 from bstm_daemon.simulation.recorder import write_candump
 
+from .bus_log import GRID_US, ROOT, is_own, lines_of, write_lines
 from .conftest import configured, receivers
 from .peers import wait_until
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from pathlib import Path
 
     from .daemon_process import Daemon
 
 pytestmark = pytest.mark.vcan
 
-ROOT: Final = Path(__file__).parents[2]
-OWN: Final = {
-    f"{can_id:03X}" for can_id in own_ids(0x5B0, ("FL", "FR", "RL", "RR"))
-}
-GRID_US = 100_000
 HOT_K = 800.0
 
 HEATED = """
@@ -77,17 +72,6 @@ gear = 3
 parked = true
 duration_s = 1.0
 """
-
-Line = tuple[int, str]
-"""Stamp [us]; id and data as candump writes them."""
-
-
-def lines_of(path: Path) -> list[Line]:
-    found = []
-    for line in path.read_text(encoding="ascii").splitlines():
-        stamp, _, frame = line.split()
-        found.append((round(float(stamp[1:-1]) * 1e6), frame))
-    return found
 
 
 def simulated(path: Path, text: str, effects: Effects) -> Path:
@@ -171,15 +155,8 @@ def test_live_it_does_what_replay_says(
     assert service.config.read_bytes() == adopted.read_bytes()
 
     lines = lines_of(bus)
-    inputs = [line for line in lines if line[1].partition("#")[0] not in OWN]
-    heard = tmp_path / "inputs.log"
-    heard.write_text(
-        "".join(
-            f"({us // 10**6}.{us % 10**6:06d}) {vcan0} {frame}\n"
-            for us, frame in inputs
-        ),
-        encoding="ascii",
-    )
+    inputs = [line for line in lines if not is_own(line)]
+    heard = write_lines(tmp_path / "inputs.log", inputs, vcan0)
     first_us, last_us = inputs[0][0], inputs[-1][0]
     steps = range(
         -(-first_us // GRID_US) * GRID_US, last_us - GRID_US, GRID_US
@@ -197,10 +174,9 @@ def test_live_it_does_what_replay_says(
         replayed[config] = [f for us, f in lines_of(out) if us in steps]
     # the daemon's frames of a grid line go out after it and before the next
     live = [
-        frame
-        for us, frame in lines
-        if frame.partition("#")[0] in OWN
-        and steps[0] <= us < steps[-1] + GRID_US
+        line[1]
+        for line in lines
+        if is_own(line) and steps[0] <= line[0] < steps[-1] + GRID_US
     ]
 
     assert len(live) > 5 * 10 * 8

@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING
 import pytest
 from cantools.database.can import Database
 
-from bstm_daemon.bus.output_layout import own_ids
 from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.daemon.state_file import read
 from bstm_daemon.frame_replay import publish_log
@@ -23,17 +22,12 @@ from bstm_daemon.simulation import parse_drive, simulate
 from bstm_daemon.simulation.frames import Encoder
 from bstm_daemon.simulation.recorder import write_candump
 
+from .bus_log import GRID_US, ROOT, is_own, lines_of, write_lines
+
 if TYPE_CHECKING:
     from collections.abc import Callable
 
 pytestmark = pytest.mark.vcan
-
-ROOT = Path(__file__).parents[2]
-ID_BASE = 0x5B0
-OWN = {
-    f"{can_id:03X}" for can_id in own_ids(ID_BASE, ("FL", "FR", "RL", "RR"))
-}
-GRID_US = 100_000
 
 # hot enough that a lost sample would show, short enough to play in real time
 DRIVE = """
@@ -54,21 +48,6 @@ gear = 3
 parked = true
 duration_s = 4.0
 """
-
-Line = tuple[int, str]
-"""Stamp [us]; id and data as candump writes them."""
-
-
-def lines_of(path: Path) -> list[Line]:
-    found = []
-    for line in path.read_text(encoding="ascii").splitlines():
-        stamp, _, frame = line.split()
-        found.append((round(float(stamp[1:-1]) * 1e6), frame))
-    return found
-
-
-def own(lines: list[Line]) -> list[Line]:
-    return [line for line in lines if line[1].partition("#")[0] in OWN]
 
 
 @pytest.fixture
@@ -133,16 +112,9 @@ def test_a_recording_replays_to_the_same_frames(
     assert events[-1] == "service_stopping"
 
     bus = lines_of(recording)
-    inputs = [line for line in bus if line not in own(bus)]
+    inputs = [line for line in bus if not is_own(line)]
     first_us, last_us = inputs[0][0], inputs[-1][0]
-    others = tmp_path / "inputs.log"
-    others.write_text(
-        "".join(
-            f"({us // 10**6}.{us % 10**6:06d}) vcan0 {frame}\n"
-            for us, frame in inputs
-        ),
-        encoding="ascii",
-    )
+    others = write_lines(tmp_path / "inputs.log", inputs, "vcan0")
     config, signal_map = load_vehicle(car)
     document = read(Path(start)).document
     assert document is not None
@@ -153,7 +125,11 @@ def test_a_recording_replays_to_the_same_frames(
     steps = range(
         -(-first_us // GRID_US) * GRID_US, last_us - GRID_US, GRID_US
     )
-    live = [f for us, f in own(bus) if steps[0] <= us < steps[-1] + GRID_US]
+    live = [
+        line[1]
+        for line in bus
+        if is_own(line) and steps[0] <= line[0] < steps[-1] + GRID_US
+    ]
     replayed = [f for us, f in lines_of(out) if us in steps]
     assert len(replayed) > 9 * 10 * 8
     assert live == replayed
