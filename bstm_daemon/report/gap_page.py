@@ -34,7 +34,7 @@ from bstm_daemon.report.plot_page import (
     write_plot_page,
 )
 from bstm_daemon.report.plots import Plot, curve, plot, time_plot
-from bstm_daemon.report.traces import BLUE, GREEN, ORANGE, VERMILION
+from bstm_daemon.report.traces import BLUE, VERMILION
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -45,12 +45,6 @@ if TYPE_CHECKING:
     from bstm_daemon.gap.showing import Curve, Shown
     from bstm_daemon.gap.workflow import Gap
 
-COLOURS: Final = {
-    "disc": VERMILION,
-    "pad_front": ORANGE,
-    "pad_back": GREEN,
-    "fluid": BLUE,
-}
 ORDER: Final = ("disc", "pad_front", "pad_back", "fluid", "caliper")
 CLEAR: Final = 3.0
 """Standard deviations from which a cell of the map has its full colour."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -24,7 +24,7 @@ from bstm_daemon.report.plot_page import (
     write_plot_page,
 )
 from bstm_daemon.report.plots import Plot, curve, time_plot
-from bstm_daemon.report.traces import BLUE, GREEN, ORANGE, VERMILION
+from bstm_daemon.report.traces import NODE_COLOURS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -34,14 +34,6 @@ if TYPE_CHECKING:
     from bstm_daemon.matching.drives import Drive
     from bstm_daemon.matching.matcher import Match
     from bstm_daemon.matching.refine import Refinement
-
-COLOURS: Final = {
-    "disc": VERMILION,
-    "pad_front": ORANGE,
-    "pad_back": GREEN,
-    "fluid": BLUE,
-}
-"""Nodes of figure 5.2."""
 
 
 def write_match_page(
@@ -128,7 +120,7 @@ def _drawn(match: Match, drives: Sequence[Drive]) -> list[PageSection]:
                 for one in curves
                 if one.drive == drive.name
                 and one.corner == corner
-                and one.couple in COLOURS
+                and one.couple in NODE_COLOURS
             ]
             if own:
                 sections.append(
@@ -150,7 +142,7 @@ def _drawn(match: Match, drives: Sequence[Drive]) -> list[PageSection]:
 def _temperatures(curves: Sequence[Curves]) -> Plot:
     data = []
     for one in curves:
-        name, colour = one.couple.replace("_", " "), COLOURS[one.couple]
+        name, colour = one.couple.replace("_", " "), NODE_COLOURS[one.couple]
         data += [
             curve(one.time_s, one.measured_c, name, colour, width=4.0)
             | {"opacity": 0.4},
@@ -170,7 +162,7 @@ def _residuals(curves: Sequence[Curves]) -> Plot:
             one.time_s,
             _smooth(one.after_c - one.measured_c),
             one.couple.replace("_", " "),
-            COLOURS[one.couple],
+            NODE_COLOURS[one.couple],
         )
         for one in curves
     ]

@@ -13,7 +13,7 @@ from bstm_daemon.report.plot_page import (
     write_plot_page,
 )
 from bstm_daemon.report.plots import Plot, curve, time_plot
-from bstm_daemon.report.traces import BLUE, GREEN, ORANGE, VERMILION
+from bstm_daemon.report.traces import NODE_COLOURS
 from bstm_daemon.report.verify_words import (
     ERROR_HEAD,
     PEAK_HEAD,
@@ -30,13 +30,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from bstm_daemon.matching.verification import NodeErrors
-
-COLOURS: Final = {
-    "disc": VERMILION,
-    "pad_front": ORANGE,
-    "pad_back": GREEN,
-    "fluid": BLUE,
-}
 
 
 LONG_S: Final = 7200.0
@@ -137,7 +130,7 @@ def _tiles(
 def _temperatures(errors: Sequence[NodeErrors]) -> Plot:
     data = []
     for one in errors:
-        name, colour = one.node.replace("_", " "), COLOURS[one.node]
+        name, colour = one.node.replace("_", " "), NODE_COLOURS[one.node]
         data += [
             curve(one.time_s, one.measured_c, name, colour, width=4.0)
             | {"opacity": 0.4},
@@ -152,7 +145,7 @@ def _residuals(errors: Sequence[NodeErrors]) -> Plot:
             one.time_s,
             one.error_k,
             one.node.replace("_", " "),
-            COLOURS[one.node],
+            NODE_COLOURS[one.node],
         )
         for one in errors
     ]
