@@ -52,11 +52,8 @@ UNKNOWN_EVIDENCE: Final = 3.0
 EXPLAINED: Final = 0.6
 UNEXPLAINED: Final = 15.0
 """Below this share of what all effects together explain, and with so much of
-the log-likelihood left besides chance, no name is given."""
-
-PLAIN_Z: Final = 6.0
-"""And where the best one reaches less than this, only if heat without a name
-is there: what little is left else is the form of the model."""
+the log-likelihood left besides chance, no name is given if heat without a
+name is likely beside it: what else is left is noise of another form."""
 
 FREE: Final = 1.5
 """Standard deviation of every strength where all are fitted together."""
@@ -153,8 +150,11 @@ def _named(
         explained=explained,
         leftover=several.leftover,
     )
-    plain = nothing.unknown_evidence > 0.0 or best.z > PLAIN_Z
-    if explained < EXPLAINED and left > UNEXPLAINED and plain:
+    if (
+        explained < EXPLAINED
+        and left > UNEXPLAINED
+        and _unknown_beside(layout, linearised, several.chosen) > 0.0
+    ):
         return replace(
             common,
             answer="unknown",
@@ -310,6 +310,19 @@ def _explained(
     chance = 0.5 * (everything.shape[1] - own.shape[1])
     many = _joint_gain(project, linearised.residual, everything) - chance
     return min(few / max(many, few, 1e-9), 1.0), max(many - few, 0.0)
+
+
+def _unknown_beside(
+    layout: Layout, linearised: Linearised, chosen: Sequence[Candidate]
+) -> float:
+    """Return the log Bayes factor of heat without a name beside *chosen*."""
+    names = {one.name for one in chosen}
+    own = [s.at(1.0) for s in linearised.signatures if s.name in names]
+    project = Projector(
+        np.column_stack((linearised.jacobian, *own)),
+        np.concatenate((layout.prior, np.full(len(own), FREE))),
+    )
+    return missing_evidence(project, linearised.residual, linearised.unknown)
 
 
 def _everything(linearised: Linearised) -> Column:
