@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from dataclasses import replace
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 import pytest
 
-from bstm_daemon.effects.catalogue import effect_names
+from bstm_daemon.effects.catalogue import effect_class, effect_names
 from bstm_daemon.gap.evidence import (
     Candidate,
     probabilities,
@@ -36,6 +37,8 @@ AMONG = (
     "caliper_radiation",
     "shim_contact",
 )
+LEFT: Final = 100.0
+"""Of log-likelihood, put where no heat is."""
 
 
 def test_nothing_is_named_where_nothing_is_missing(
@@ -90,6 +93,37 @@ def test_without_the_right_candidate_no_name_is_forced(
     assert found.answer == "unknown"
     assert found.names == ()
     assert "pad_front" in found.unknown_place
+
+
+def test_noise_of_another_form_takes_no_name(
+    target: Target, made: Callable[..., Recording]
+) -> None:
+    """What all effects together explain, and no heat does, is no heat."""
+    recordings = [made({"gap_conduction": 0.15}, noise_k=1.0)]
+    comparison = compare(target, recordings)
+    among = [
+        name
+        for name in candidates(target.config)
+        if effect_class(name).kind == "thermal"
+    ]
+    known = linearised(comparison, among)
+    own = [s.at(1.0) for s in known.signatures if s.name == "gap_conduction"]
+    heats = [one.change for one in known.unknown]
+    kept = np.linalg.qr(np.column_stack((known.jacobian, *heats, *own)))[0]
+    others = np.column_stack([s.at(1.0) for s in known.signatures])
+    others /= np.linalg.norm(others, axis=0)
+    beside = others - kept @ (kept.T @ others)
+    left, size, _ = np.linalg.svd(beside, full_matrices=False)
+    basis = left[:, size > 0.05]
+    noise = basis @ np.random.default_rng(3).standard_normal(basis.shape[1])
+    noise *= np.sqrt(2.0 * LEFT) / np.linalg.norm(noise)
+
+    found = name_effect(
+        comparison, replace(known, residual=known.residual + noise)
+    )
+
+    assert found.explained < 0.6
+    assert (found.answer, found.names) == ("name", ("gap_conduction",))
 
 
 def test_candidates_are_what_the_car_does_not_have_yet(
