@@ -17,7 +17,8 @@ AD  the drive that is advised after one drive, beside every other
         --cache FOLDER
     python tests/benchmarks/gap.py --groups stratified --nodes disc fluid \
         --cache FOLDER
-    python tests/benchmarks/gap.py --cache FOLDER --write docs/gap.md
+    python tests/benchmarks/gap.py --protocol --cache FOLDER \
+        --write docs/gap.md
 
 What the drives of a case show is kept in the folder, so a run goes on where
 it was stopped; answers are found anew when the search has changed. Cars and
@@ -48,9 +49,11 @@ from gap_figures import figures
 from gap_judge import Result, judged, results_of
 from gap_page import write
 from gap_selection import (
+    ADVISED_CASES,
     STRATIFIED,
     cases_of,
     open_cases,
+    protocol,
     sample,
     stratified,
 )
@@ -186,10 +189,23 @@ def all_results(
     lots = list(by_car.values())
     one = partial(of_car, fitted=fitted, advised=advised)
     if jobs == 1:
-        return [o for lot in lots for o in one(lot, folder, until_s)]
-    with ProcessPoolExecutor(jobs) as pool:
-        jobs_done = [pool.submit(one, lot, folder, until_s) for lot in lots]
-        return [one for job in jobs_done for one in job.result()]
+        pool, done = None, (one(lot, folder, until_s) for lot in lots)
+    else:
+        pool = ProcessPoolExecutor(jobs)
+        futures = [pool.submit(one, lot, folder, until_s) for lot in lots]
+        done = (future.result() for future in futures)
+    found: list[Result] = []
+    try:
+        for number, (lot, results) in enumerate(zip(lots, done, strict=True)):
+            found += results
+            sys.stderr.write(
+                f"{number + 1} of {len(lots)} cars: {len(lot)} cases of "
+                f"{lot[0].world}\n"
+            )
+    finally:
+        if pool:
+            pool.shutdown(cancel_futures=True)
+    return found
 
 
 def run(*, full: bool) -> Outcome:
@@ -245,6 +261,9 @@ def main() -> None:
         ),
     )
     parser.add_argument(
+        "--protocol", action="store_true", help="all that is reported"
+    )
+    parser.add_argument(
         "--cases",
         type=int,
         default=1,
@@ -288,6 +307,8 @@ def main() -> None:
         cases += sample()
     if "stratified" in args.groups:
         cases += stratified(world)
+    if args.protocol:
+        cases += protocol(args.split)
     until_s = time.time() + args.seconds
     results = all_results(
         cases,
@@ -296,15 +317,17 @@ def main() -> None:
         until_s=until_s,
         fitted=not args.no_fit,
     )
-    if "AD" in args.groups:
+    if "AD" in args.groups or args.protocol:
+        count = ADVISED_CASES if args.protocol else args.cases
         results += all_results(
-            open_cases(world, args.cases, args.effects),
+            open_cases(world, count, args.effects),
             args.cache,
             args.jobs,
             until_s=until_s,
             advised=True,
         )
-    for table in tables(results) if results else []:
+    # of several worlds only the page tells them apart
+    for table in tables(results) if results and not args.protocol else []:
         for row in ((table.title,), table.header, *table.rows):
             sys.stdout.write("  ".join(row) + "\n")
     if args.write:

@@ -7,13 +7,16 @@ from typing import TYPE_CHECKING, Final
 from gap_cars import OF_TEMPERATURES, World
 from gap_cases import DRAWS, PAIRS, TWIN_NUMBERS, TWINS, Case
 
-from bstm_daemon.simulation.parameters import UNHEARD_NAMES
+from bstm_daemon.simulation.parameters import EFFECT_NAMES, UNHEARD_NAMES
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
 ADVISED: Final = 100
 """Number of the first case that is for the next drive."""
+
+ADVISED_CASES: Final = 24
+"""Of them in the protocol."""
 
 SAMPLE_EFFECTS: Final = (
     *("gap_conduction", "hub_conduction", "shim_contact", "disc_hat"),
@@ -38,6 +41,18 @@ def sample() -> list[Case]:
     ]
 
 
+EXTENDED_PAIRS: Final = (
+    ("contact_conductance", "shim_contact"),
+    ("pad_wear", "shim_contact"),
+    ("wet_disc", "pad_wear"),
+    ("backplate_loss", "pad_conductivity"),
+    ("hub_conduction", "shim_contact"),
+    ("pushout_pressure", "contact_conductance"),
+    ("friction_history", "pad_conductivity"),
+    ("pushout_pressure", "pad_capacity"),
+)
+"""Where the model has most effects of the other pairs."""
+
 STRATIFIED: Final = 120
 """Cases of a world beside the main one: a fifth effect-free, a tenth each
 pairs and effects that no catalogue has, all kinds equally often."""
@@ -47,7 +62,7 @@ def stratified(world: World) -> list[Case]:
     """Return the cases of *world* where a full run is not worth its time."""
     tenth = STRATIFIED // 10
     lacking = world.lacking
-    pairs = [pair for pair in PAIRS if set(pair) <= set(lacking)]
+    pairs = pairs_of(world)
     found = [Case(world, (), number) for number in range(2 * tenth)]
     for kinds, count in (
         ([(name,) for name in UNHEARD_NAMES], tenth),
@@ -63,6 +78,40 @@ def stratified(world: World) -> list[Case]:
     ]
 
 
+def pairs_of(world: World) -> list[tuple[str, str]]:
+    """Return the pairs that can be hidden in *world*."""
+    lacking = set(world.lacking)
+    also = EXTENDED_PAIRS if world.structure == "extended" else ()
+    return [pair for pair in (*PAIRS, *also) if set(pair) <= lacking]
+
+
+def protocol(split: str) -> list[Case]:
+    """Return every case that the tables of the documentation are of.
+
+    Sensors `n2` half on ``plain`` with the structure ``thesis``, half on
+    ``road`` with ``extended``; other sensors and fewer thermocouples
+    stratified; the controls of strength 0 and of ten effects at once.
+    """
+    found = []
+    for world in (
+        World(split=split),
+        World("road", "extended", split=split),
+    ):
+        for groups, count in (
+            (("S1",), 4),
+            (("S2", "SU", "ST"), 5),
+            (("S0",), 25),
+        ):
+            found += cases_of(world, groups, count, EFFECT_NAMES)
+    found += cases_of(World(split=split), ("zero",), 1, EFFECT_NAMES)
+    found += cases_of(World("road", split=split), ("RT",), 4, EFFECT_NAMES)
+    for sensors in ("n1", "n3", "n4"):
+        found += stratified(World(sensors=sensors, split=split))
+    for nodes in (("disc", "fluid"), ("fluid",)):
+        found += stratified(World(split=split, nodes=nodes))
+    return found
+
+
 def cases_of(
     world: World, groups: Sequence[str], count: int, effects: Sequence[str]
 ) -> list[Case]:
@@ -75,7 +124,7 @@ def cases_of(
         if "S2" in groups:
             found += [
                 Case(world, pair, number)
-                for pair in PAIRS
+                for pair in pairs_of(world)
                 if set(pair) <= set(lacking)
             ]
         if "SU" in groups:
