@@ -17,15 +17,18 @@ from bstm_daemon.report.gap_words import (
     CANDIDATE_HEAD,
     CELL_HEAD,
     ERROR_HEAD,
+    answer_tile,
     candidate_rows,
     cell_rows,
+    change,
     error_rows,
     headline,
     naming_lines,
-    percent,
     place_lines,
-    reach_line,
+    probability_tile,
+    reach_lines,
     shown_lines,
+    strength_tile,
 )
 from bstm_daemon.report.plot_page import (
     PageHead,
@@ -64,6 +67,8 @@ SCALE: Final = (
 )
 MOST_CELLS: Final = 12
 BARS: Final = 10
+WEAK_EVIDENCE: Final = 5.0
+"""The axis of the bars ends no earlier: what is next to nothing looks so."""
 
 
 def write_gap_page(
@@ -103,24 +108,15 @@ def _tiles(gap: Gap) -> tuple[tuple[str, str], ...]:
     tiles = []
     naming = gap.naming
     if naming is not None:
-        answer = {
-            "nothing": "nothing",
-            "unknown": "not in the catalogue",
-            "undecided": "not decided",
-        }.get(naming.answer, " or ".join(naming.names))
-        tiles.append((answer.replace("_", " "), "missing effect"))
-        tiles.append((percent(naming.probability), "probability"))
+        tiles += [answer_tile(naming), probability_tile(naming)]
     if gap.fit is not None:
         tiles += [
-            (
-                f"{a:.2f} ± {gap.fit.deviations[name]:.2f}",
-                f"strength of {name.replace('_', ' ')}, 1 = typical",
-            )
-            for name, a in gap.fit.strengths.items()
+            strength_tile(name, strength, gap.fit.deviations[name])
+            for name, strength in gap.fit.strengths.items()
         ]
     if gap.shown is not None:
-        one = gap.shown.shrinks[CONFIGURED]
-        tiles.append((f"{one.factor:.1f} x", "smaller gap than configured"))
+        word, one = change(gap.shown.shrinks[CONFIGURED])
+        tiles.append((f"{one.factor:.1f} x", f"{word} gap than configured"))
     return tuple(tiles)
 
 
@@ -246,7 +242,7 @@ def _naming_section(prefix: str, gap: Gap) -> PageSection:
         return PageSection(prefix)
     lines = [*naming_lines(naming)]
     if not naming.found:
-        lines.append(f"detectable from a strength of: {reach_line(naming)}")
+        lines += reach_lines(naming)
     if gap.silent:
         lines.append(f"not excited by these drives: {', '.join(gap.silent)}")
     return PageSection(
@@ -259,7 +255,8 @@ def _naming_section(prefix: str, gap: Gap) -> PageSection:
         across=1,
         note="Every effect of the catalogue is simulated on these drives and "
         "fitted together with all tunables; its strength is in units of the "
-        "typical one. The Bayes factor is against nothing missing.",
+        "typical one, sd that of the noise alone. The Bayes factor is against "
+        "nothing missing.",
     )
 
 
@@ -296,11 +293,14 @@ def evidence_bars(naming: Naming) -> Plot:
         },
         "showlegend": False,
     }
+    most = max(one.log_evidence for one in best)
+    least = min(0.0, *(one.log_evidence for one in best))
     return plot(
         [data],
         "logarithm of the Bayes factor",
         "",
         height=110 + 26 * len(best),
+        xaxis={"range": [1.05 * least, max(1.05 * most, WEAK_EVIDENCE)]},
         margin={"l": 190},
         yaxis={"type": "category", "showgrid": False, "tickmode": "auto"},
     )
@@ -319,7 +319,7 @@ def _shown_sections(prefix: str, shown: Shown) -> list[PageSection]:
         own = [one for one in shown.curves if one.drive == drive]
         sections.append(
             PageSection(
-                f"{prefix}{drive}",
+                f"{prefix}temperatures on {drive}",
                 plots=tuple(
                     (one.node.replace("_", " "), _curves(one)) for one in own
                 ),
@@ -344,7 +344,7 @@ def _curves(one: Curve) -> Plot:
         for name, (colour, dash) in looks.items()
     ]
     span = (0.0, float(one.time_s[-1]))
-    return time_plot(data, "temperature [degC]", span, height=320)
+    return time_plot(data, "temperature [°C]", span, height=320)
 
 
 def _tables_section(prefix: str, located: Located) -> PageSection:

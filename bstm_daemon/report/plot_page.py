@@ -28,6 +28,7 @@ PLOT_STYLE: Final = """
 .trios { display: grid; gap: 8px 16px;
   grid-template-columns: repeat(auto-fit, minmax(330px, 1fr)); }
 .plain td:first-child, .plain th:first-child { text-align: left; }
+.plain .scroll + ul { margin-top: 10px; }
 .plot { min-height: 280px; min-width: 0; }
 .plot h3 { font-size: 13px; margin: 8px 0 0; }
 """
