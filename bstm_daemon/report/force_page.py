@@ -58,6 +58,7 @@ def write_force_page(
     sections.append(
         PageSection("what forces can tell", lines=tuple(sight_lines(gap)))
     )
+    moved_mj = 1e-6 * gap.motion_j
     tiles = (
         answer_tile(naming),
         probability_tile(naming),
@@ -65,8 +66,10 @@ def write_force_page(
             strength_tile(name, strength, gap.deviations[name])
             for name, strength in gap.strengths.items()
         ),
-        (f"{1e-6 * gap.pressed_j:.2f} MJ", "braking work by pressure"),
-        (f"{1e-6 * gap.motion_j:.2f} MJ", "braking work by motion"),
+        (
+            f"{1e-6 * gap.pressed_j:.1f} MJ",
+            f"braking work by pressure; {moved_mj:.1f} MJ by motion",
+        ),
     )
     write_plot_page(path, PageHead("Gap", subtitle, version, tiles), sections)
 

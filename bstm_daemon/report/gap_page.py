@@ -26,9 +26,9 @@ from bstm_daemon.report.gap_words import (
     naming_lines,
     place_lines,
     probability_tile,
-    reach_lines,
     shown_lines,
     strength_tile,
+    unnamed_lines,
 )
 from bstm_daemon.report.plot_page import (
     PageHead,
@@ -116,7 +116,9 @@ def _tiles(gap: Gap) -> tuple[tuple[str, str], ...]:
         ]
     if gap.shown is not None:
         word, one = change(gap.shown.shrinks[CONFIGURED])
-        tiles.append((f"{one.factor:.1f} x", f"{word} gap than configured"))
+        tiles.append(
+            (f"{one.factor:.1f} x", f"{word} gap, tunables re-fitted")
+        )
     return tuple(tiles)
 
 
@@ -213,6 +215,7 @@ def heat_map(cells: Sequence[Cell]) -> Plot:
             "type": "multicategory",
             "showgrid": False,
             "tickangle": 0,
+            "tickfont": {"size": 10.5},
             "title": {
                 "text": "temperature of the part [°C], what the car does",
                 "standoff": 12,
@@ -241,8 +244,7 @@ def _naming_section(prefix: str, gap: Gap) -> PageSection:
     if naming is None:
         return PageSection(prefix)
     lines = [*naming_lines(naming)]
-    if not naming.found:
-        lines += reach_lines(naming)
+    lines += unnamed_lines(gap)
     if gap.silent:
         lines.append(f"not excited by these drives: {', '.join(gap.silent)}")
     return PageSection(
@@ -323,7 +325,8 @@ def _shown_sections(prefix: str, shown: Shown) -> list[PageSection]:
                 plots=tuple(
                     (one.node.replace("_", " "), _curves(one)) for one in own
                 ),
-                note="Black: measured.",
+                note="Black: measured. Orange: with the effect, tunables "
+                "re-fitted; what is adopted leaves them as configured.",
             )
         )
     return sections

@@ -31,6 +31,10 @@ CANDIDATE_HEAD: Final = (
 )
 MODELS: Final = (*BASELINES, EXTENDED, ADOPTED)
 ERROR_HEAD: Final = ("drive", "node", *MODELS)
+MATCH_FIRST: Final = (
+    "the tunables, within their priors, can take up the residual heat: match "
+    "the model to these drives (bstm match) and ask again"
+)
 SHOWN_PLACES: Final = 4
 SHOWN_CANDIDATES: Final = 8
 
@@ -44,8 +48,7 @@ def gap_text(gap: Gap) -> str:
         lines += [f"  {line}" for line in naming_lines(gap.naming)]
         rows = candidate_rows(gap.naming)
         lines += [f"  {line}" for line in table(CANDIDATE_HEAD, rows)]
-        if not gap.naming.found:
-            lines += [f"  {line}" for line in reach_lines(gap.naming)]
+        lines += [f"  {line}" for line in unnamed_lines(gap)]
         if gap.silent:
             lines.append(f"  not excited: {', '.join(gap.silent)}")
     if gap.advice:
@@ -170,6 +173,16 @@ def candidate_rows(naming: Naming) -> list[tuple[str, ...]]:
 def signed_zero_free(value: float) -> str:
     """Return *value* with one decimal, never as -0.0."""
     return f"{round(value, 1) + 0.0:.1f}"
+
+
+def unnamed_lines(gap: Gap) -> list[str]:
+    """Return what to make of a search that found nothing."""
+    if gap.naming is None or gap.naming.found:
+        return []
+    lines = reach_lines(gap.naming)
+    if gap.located is not None and gap.located.places:
+        lines.insert(0, MATCH_FIRST)
+    return lines
 
 
 def reach_lines(naming: Naming) -> list[str]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
 
 import pytest
 
@@ -11,19 +11,19 @@ from bstm_daemon.effects.effect import SIGNED_STRENGTH
 from bstm_daemon.gap.evidence import Candidate
 from bstm_daemon.gap.naming import Answer, Naming
 from bstm_daemon.gap.showing import Shrink
+from bstm_daemon.gap.workflow import Gap
 from bstm_daemon.report.force_words import acceleration
 from bstm_daemon.report.gap_page import WEAK_EVIDENCE, evidence_bars
 from bstm_daemon.report.gap_words import (
+    MATCH_FIRST,
     adopted_text,
     answer_tile,
     candidate_rows,
     probability_tile,
     reach_lines,
     times,
+    unnamed_lines,
 )
-
-if TYPE_CHECKING:
-    from bstm_daemon.gap.workflow import Gap
 
 
 def candidate(
@@ -63,6 +63,18 @@ def test_a_strength_that_no_effect_can_have_shows_nothing() -> None:
     assert near.endswith("from the strength of: pad_wear 0.32")
     assert far == "too weak in these drives at any strength: residual_drag"
     assert len(reach_lines(naming("nothing", candidate("pad_wear")))) == 1
+
+
+def test_residual_heat_without_a_name_is_for_the_match() -> None:
+    """Else nothing visible stands beside a map that is blue and red."""
+    hot: Any = SimpleNamespace(places=(1,))
+    pale: Any = SimpleNamespace(places=())
+    found = naming("nothing", candidate("pad_wear"))
+    named = naming("name", candidate("pad_wear"))
+
+    assert MATCH_FIRST in unnamed_lines(Gap(("FL",), (), 1, hot, found))
+    assert MATCH_FIRST not in unnamed_lines(Gap(("FL",), (), 1, pale, found))
+    assert unnamed_lines(Gap(("FL",), (), 1, hot, named)) == []
 
 
 def test_no_evidence_has_no_sign() -> None:
