@@ -33,7 +33,12 @@ from bstm_daemon.report.advice_words import (
     no_advice_line,
 )
 from bstm_daemon.report.force_words import force_json, force_text
-from bstm_daemon.report.gap_words import adopted_text, gap_json, gap_text
+from bstm_daemon.report.gap_words import (
+    adopted_text,
+    gap_json,
+    gap_text,
+    remarks_on,
+)
 from bstm_daemon.simulation import drive_names
 
 if TYPE_CHECKING:
@@ -140,12 +145,15 @@ def run(args: argparse.Namespace) -> int:
         )
     names = ", ".join(one.name for one in recordings)
     print(f"{names}  ({config.vehicle.id}, {args.config})")
+    remarks = remarks_on(config)
+    for remark in remarks:
+        print(remark)
     for gap in gaps:
         print(gap_text(gap))
         if args.step == "advise" and not gap.advice:
             print(f"  {no_advice_line(gap)}")
     _write(args, [gap_json(gap) for gap in gaps], gaps)
-    _report(args, gaps, f"{names} · {config.vehicle.id}")
+    _report(args, gaps, f"{names} · {config.vehicle.id}", remarks)
     return 0
 
 
@@ -176,7 +184,10 @@ def _question(args: argparse.Namespace) -> Question:
 
 
 def _report(
-    args: argparse.Namespace, gaps: Sequence[Gap], subject: str
+    args: argparse.Namespace,
+    gaps: Sequence[Gap],
+    subject: str,
+    remarks: Sequence[str] = (),
 ) -> None:
     if not args.report:
         return
@@ -187,6 +198,7 @@ def _report(
         gaps,
         subtitle=f"{subject} · {args.config.name}",
         version=__version__,
+        remarks=remarks,
     )
     print(args.report)
 

@@ -72,9 +72,14 @@ WEAK_EVIDENCE: Final = 5.0
 
 
 def write_gap_page(
-    path: Path, gaps: Sequence[Gap], *, subtitle: str, version: str
+    path: Path,
+    gaps: Sequence[Gap],
+    *,
+    subtitle: str,
+    version: str,
+    remarks: Sequence[str] = (),
 ) -> None:
-    """Write what *gaps* found to *path*.
+    """Write what *gaps* found to *path*, *remarks* beside each answer.
 
     Raises:
         MissingExtraError: plotly is not installed.
@@ -86,7 +91,7 @@ def write_gap_page(
         if gap.located is not None:
             sections.append(_map_section(prefix, gap.located))
         if gap.naming is not None:
-            sections.append(_naming_section(prefix, gap))
+            sections.append(_naming_section(prefix, gap, remarks))
         if gap.advice:
             sections.append(advice_section(prefix, gap))
         if gap.shown is not None:
@@ -100,15 +105,21 @@ def write_gap_page(
             )
         if gap.located is not None:
             sections.append(_tables_section(prefix, gap.located))
-    head = PageHead("Gap", subtitle, version, _tiles(gaps[0]))
+    head = PageHead("Gap", subtitle, version, head_tiles(gaps))
     write_plot_page(path, head, sections)
 
 
-def _tiles(gap: Gap) -> tuple[tuple[str, str], ...]:
+def head_tiles(gaps: Sequence[Gap]) -> tuple[tuple[str, str], ...]:
+    """Return the answer's tiles, of the first corners that lack something."""
+    found = [
+        one for one in gaps if one.naming is not None and one.naming.found
+    ]
+    gap = (*found, *gaps)[0]
+    of = f", {', '.join(gap.corners)}" if len(gaps) > 1 else ""
     tiles = []
-    naming = gap.naming
-    if naming is not None:
-        tiles += [answer_tile(naming), probability_tile(naming)]
+    if gap.naming is not None:
+        answer, meaning = answer_tile(gap.naming)
+        tiles += [(answer, f"{meaning}{of}"), probability_tile(gap.naming)]
     if gap.fit is not None:
         tiles += [
             strength_tile(name, strength, gap.fit.deviations[name])
@@ -239,11 +250,13 @@ def _kilojoules(cell: Cell) -> str:
     return f"{1e-3 * cell.energy_j:+.0f} kJ"
 
 
-def _naming_section(prefix: str, gap: Gap) -> PageSection:
+def _naming_section(
+    prefix: str, gap: Gap, remarks: Sequence[str]
+) -> PageSection:
     naming = gap.naming
     if naming is None:
         return PageSection(prefix)
-    lines = [*naming_lines(naming)]
+    lines = [*remarks, *naming_lines(naming)]
     lines += unnamed_lines(gap)
     if gap.silent:
         lines.append(f"not excited by these drives: {', '.join(gap.silent)}")
@@ -255,10 +268,9 @@ def _naming_section(prefix: str, gap: Gap) -> PageSection:
         ),
         lines=tuple(lines),
         across=1,
-        note="Every effect of the catalogue is simulated on these drives and "
-        "fitted together with all tunables; its strength is in units of the "
-        "typical one, sd that of the noise alone. The Bayes factor is against "
-        "nothing missing.",
+        note="Every effect is simulated on these drives and fitted together "
+        "with all tunables. A strength of 1 is typical; sd is of the noise "
+        "alone.",
     )
 
 

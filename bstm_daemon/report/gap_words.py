@@ -14,6 +14,7 @@ from bstm_daemon.report.verify_words import table
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from bstm_daemon.config import Config
     from bstm_daemon.gap.heat_only import ForceGap
     from bstm_daemon.gap.locating import Cell, Located
     from bstm_daemon.gap.naming import Naming
@@ -34,6 +35,10 @@ ERROR_HEAD: Final = ("drive", "node", *MODELS)
 MATCH_FIRST: Final = (
     "the tunables, within their priors, can take up the residual heat: match "
     "the model to these drives (bstm match) and ask again"
+)
+UNMATCHED: Final = (
+    "no [accuracy] in the configuration: what bstm match would mend may be "
+    "taken for an effect"
 )
 SHOWN_PLACES: Final = 4
 SHOWN_CANDIDATES: Final = 8
@@ -66,11 +71,17 @@ def gap_text(gap: Gap) -> str:
     return "\n".join(lines)
 
 
+def remarks_on(config: Config) -> tuple[str, ...]:
+    """Return what a reader has to know of *config* beside the answer."""
+    told = config.accuracy.model_fields_set
+    return () if told else (UNMATCHED,)
+
+
 def headline(gap: Gap) -> str:
     """Return the answer in one line."""
     naming = gap.naming
     if naming is None:
-        return "located"
+        return "where model and thermocouples disagree"
     share = percent(naming.probability)
     names = ", ".join(naming.names)
     if naming.answer == "nothing":

@@ -166,6 +166,21 @@ def test_options_that_the_step_would_ignore_are_refused(
         assert gap(step, log, "--holdout", log) == 2
 
 
+def test_a_configuration_without_a_match_is_told(
+    log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It took an error of the example car's values for friction."""
+    matched = tmp_path / "matched.toml"
+    text = EXAMPLE.read_text("utf-8").replace(
+        "../dbc/", f"{EXAMPLE.parents[1] / 'dbc'}/"
+    )
+    matched.write_text(f"{text}\n[accuracy]\ndisc_k = 5.0\n", "utf-8")
+
+    for config, said in ((EXAMPLE, True), (matched, False)):
+        assert main(["gap", "locate", str(log), "-c", str(config)]) == 0
+        assert ("bstm match" in capsys.readouterr().out) == said
+
+
 def test_a_drive_counts_once_and_is_not_held_out_too(
     log: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

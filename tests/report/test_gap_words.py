@@ -13,7 +13,11 @@ from bstm_daemon.gap.naming import Answer, Naming
 from bstm_daemon.gap.showing import Shrink
 from bstm_daemon.gap.workflow import Gap
 from bstm_daemon.report.force_words import acceleration
-from bstm_daemon.report.gap_page import WEAK_EVIDENCE, evidence_bars
+from bstm_daemon.report.gap_page import (
+    WEAK_EVIDENCE,
+    evidence_bars,
+    head_tiles,
+)
 from bstm_daemon.report.gap_words import (
     MATCH_FIRST,
     adopted_text,
@@ -100,6 +104,18 @@ def test_the_head_of_the_page_says_the_answer(
 
     assert answer_tile(found)[0] == said
     assert ("nothing" in probability_tile(found)[1]) == (answer == "nothing")
+
+
+def test_the_head_is_of_the_corners_that_lack_something() -> None:
+    front = Gap(("FL", "FR"), (), 1, None, naming("nothing"))
+    wear = naming("name", candidate("pad_wear"))
+    rear = Gap(("RL", "RR"), (), 1, None, wear)
+
+    assert head_tiles([front, rear])[0] == (
+        "pad wear",
+        "missing effect, RL, RR",
+    )
+    assert head_tiles([front])[0] == ("nothing visible", "missing effect")
 
 
 def test_one_of_a_class_is_not_written_as_if_it_were_known() -> None:

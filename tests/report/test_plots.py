@@ -89,6 +89,16 @@ def test_figures_of_a_time_axis_are_those_of_its_title() -> None:
     assert layout["tickformatstops"][1]["value"] == "%-H:%M:%S"
 
 
+def test_long_words_of_a_table_wrap() -> None:
+    why = "no cooling long and warm enough in these drives"
+    section = PageSection("", Table(("a", "b", "c"), (("x", "1.2 K", why),)))
+
+    page = plot_page(PageHead("", "", "1"), [section])
+
+    assert f'<td class="words">{why}</td>' in page
+    assert '<td class="number">1.2 K</td>' in page
+
+
 def test_page_keeps_hostile_names_as_text() -> None:
     x = np.arange(3.0)
     page = plot_page(
