@@ -16,6 +16,7 @@ from bstm_daemon.cli.arguments import (
     check_new,
     check_targets,
 )
+from bstm_daemon.cli.gap_inputs import check_force_inputs, check_heat_inputs
 from bstm_daemon.cli.progress import Progress
 from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.effects.catalogue import effect_names
@@ -133,6 +134,7 @@ def run(args: argparse.Namespace) -> int:
                 "temp_<corner>_<node>), nothing to show before and after on"
             )
             raise LogError(msg)
+    check_heat_inputs((*recordings, *held_out), config.heat.mode)
     until = "show" if args.step == "run" else args.step
     with Progress("gap") as progress:
         gaps = find_gap(
@@ -217,6 +219,7 @@ def _by_forces(
             "show and run, by forces"
         )
         raise UsageError(msg)
+    check_force_inputs((*recordings, *held_out))
     with Progress("gap") as progress:
         progress.show(0.1)
         gap = find_force_gap(config, recordings, held_out)

@@ -202,6 +202,39 @@ def test_held_out_drives_need_thermocouples(
     assert "no measured temperature" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    ("wanted", "frames"),
+    [("speed", (" 1A0#", " 1B0#")), ("pressure", (" 1A4#",))],
+)
+@pytest.mark.parametrize("measured", [True, False])
+def test_what_is_not_in_the_log_is_not_taken_for_an_effect(
+    log: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    wanted: str,
+    frames: tuple[str, ...],
+    measured: bool,  # noqa: FBT001
+) -> None:
+    """Without a speed an offset of the thermocouples was named."""
+    left_out = frames if measured else (*frames, " 6A")
+    bare = tmp_path / "bare.log"
+    lines = log.read_text("ascii").splitlines(keepends=True)
+    bare.write_text(
+        "".join(
+            line
+            for line in lines
+            if not any(frame in line for frame in left_out)
+        ),
+        "ascii",
+    )
+
+    assert gap("gate", bare) == 65
+
+    told = capsys.readouterr()
+    assert told.out == ""
+    assert f"bare.log: no {wanted} in this log" in told.err
+
+
 def test_advise_says_why_it_advises_nothing(
     log: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
