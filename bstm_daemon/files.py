@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import tempfile
 from contextlib import contextmanager, suppress
@@ -42,6 +43,27 @@ def replacing(path: Path) -> Iterator[Path]:
             msg = f"{path}: cannot be written: {error.strerror or error}"
             raise FileAccessError(msg) from error
         raise
+
+
+def ensure_writable(path: Path) -> None:
+    """Refuse *path* where :func:`replacing` could not write it.
+
+    Asked before long work, so that no result is lost at its end.
+
+    Raises:
+        FileAccessError: *path* is a folder, or its own is missing or not
+            writable.
+    """
+    if path.is_dir():
+        reason = errno.EISDIR
+    elif not path.parent.is_dir():
+        reason = errno.ENOTDIR if path.parent.exists() else errno.ENOENT
+    elif not os.access(path.parent, os.W_OK | os.X_OK):
+        reason = errno.EACCES
+    else:
+        return
+    msg = f"{path}: cannot be written: {os.strerror(reason)}"
+    raise FileAccessError(msg)
 
 
 def make_folder(path: Path) -> None:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from bstm_daemon.errors import FileAccessError
-from bstm_daemon.files import make_folder, replacing
+from bstm_daemon.files import ensure_writable, make_folder, replacing
 from bstm_daemon.shipped import shipped_file
 
 if TYPE_CHECKING:
@@ -115,6 +115,35 @@ def test_permissions_are_the_usual_ones(
 
     path = tmp_path / "result.csv"
     assert stat.S_IMODE(path.stat().st_mode) == mode
+
+
+def test_what_could_not_be_written_is_told_before(tmp_path: Path) -> None:
+    """A missing folder, a file in its place, a folder as the target."""
+    file = tmp_path / "file"
+    file.write_text("old", "utf-8")
+    for path, why in (
+        (tmp_path / "no" / "x", "No such file"),
+        (file / "x", "Not a directory"),
+        (tmp_path, "Is a directory"),
+    ):
+        with pytest.raises(FileAccessError, match=why):
+            ensure_writable(path)
+
+    ensure_writable(file)
+    ensure_writable(tmp_path / "new")
+
+    assert file.read_text("utf-8") == "old"
+    assert list(tmp_path.iterdir()) == [file]
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root writes everywhere")
+def test_a_read_only_folder_is_told_before(tmp_path: Path) -> None:
+    tmp_path.chmod(0o555)
+    try:
+        with pytest.raises(FileAccessError, match="Permission denied"):
+            ensure_writable(tmp_path / "new")
+    finally:
+        tmp_path.chmod(0o755)
 
 
 def test_make_folder(tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from bstm_daemon.errors import UsageError
+from bstm_daemon.files import ensure_writable
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -77,14 +78,14 @@ def add_bus_map(parser: argparse.ArgumentParser) -> None:
 
 
 def refuse_overwriting(
-    targets: Iterable[Path | None], sources: Iterable[Path]
+    targets: Iterable[Path | None], sources: Iterable[Path | None]
 ) -> None:
     """Refuse *targets* that would overwrite a source or each other.
 
     Raises:
         UsageError: one would.
     """
-    taken = {path.resolve() for path in sources}
+    taken = {path.resolve() for path in sources if path is not None}
     for target in targets:
         if target is None:
             continue
@@ -92,6 +93,32 @@ def refuse_overwriting(
             msg = f"{target}: would overwrite what is read or written here"
             raise UsageError(msg)
         taken.add(target.resolve())
+
+
+def check_targets(
+    targets: Iterable[Path | None], sources: Iterable[Path | None]
+) -> None:
+    """Refuse *targets* before the work that fills them; None is no file.
+
+    Raises:
+        UsageError: one would overwrite a source or another target.
+        FileAccessError: one can not be written.
+    """
+    asked = [target for target in targets if target is not None]
+    refuse_overwriting(asked, sources)
+    for target in asked:
+        ensure_writable(target)
+
+
+def check_new(target: Path | None, *, force: bool) -> None:
+    """Refuse *target* if it exists and may not be replaced.
+
+    Raises:
+        UsageError: it exists, and *force* is not given.
+    """
+    if target is not None and target.exists() and not force:
+        msg = f"{target}: exists already, give --force to replace it"
+        raise UsageError(msg)
 
 
 def _interface_and_bus(text: str) -> tuple[str, str]:

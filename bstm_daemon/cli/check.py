@@ -10,7 +10,12 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bstm_daemon.cli.arguments import add_bus_map, add_json, add_report
+from bstm_daemon.cli.arguments import (
+    add_bus_map,
+    add_json,
+    add_report,
+    check_targets,
+)
 from bstm_daemon.cli.check_log import check_logs
 from bstm_daemon.config_file import load_config, naming_file, read_draft
 from bstm_daemon.config_rules import usable_e2e, usable_signals
@@ -67,6 +72,7 @@ def run(args: argparse.Namespace) -> int:
         msg = "--report and --map go with --log LOG"
         raise UsageError(msg)
     path: Path = args.configuration or args.config
+    check_targets((args.json, args.report), (path, *(args.log or ())))
     problems = problems_of(path)
     config = None if problems else load_config(path)
     warnings = dbc_warnings(config, path.parent) if config else []

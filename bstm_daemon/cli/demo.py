@@ -19,7 +19,7 @@ from bstm_daemon.cli.arguments import add_out
 from bstm_daemon.cli.progress import Progress
 from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.engine import Engine
-from bstm_daemon.files import make_folder
+from bstm_daemon.files import ensure_writable, make_folder
 from bstm_daemon.report.page import ReportFacts, write_replay_report
 from bstm_daemon.report.screen import summary_table
 from bstm_daemon.report.tally import DriveTally
@@ -88,6 +88,7 @@ def run(args: argparse.Namespace) -> int:
     """Simulate, listen, publish, display, report."""
     folder = args.out or Path("bstm-demo")
     make_folder(folder)
+    ensure_writable(folder / "report.html")
     config_path = shipped_file("config/example_vehicle.toml")
     config, signal_map = load_vehicle(config_path)
     print(f"simulated drive: {load_drive(DRIVE).drive.description}")

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bstm_daemon.carry_over import StateError, restore_state
-from bstm_daemon.cli.arguments import add_config, add_json
+from bstm_daemon.cli.arguments import add_config, add_json, check_targets
 from bstm_daemon.config_file import load_config
 from bstm_daemon.daemon.state_file import read
 from bstm_daemon.errors import FileAccessError, UsageError
@@ -47,6 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Tell the forecast and write it where it is asked for."""
+    check_targets((args.json,), (args.config, args.now))
     config = load_config(args.config)
     loaded = read(args.now)
     if loaded.document is None:
@@ -87,8 +88,9 @@ def _lines(vehicle_id: str, path: Path, found: Outlook) -> list[str]:
         f"history {known}; outside {to_celsius(found.ambient_k):.0f} degC; "
         f"{found.members} members"
     )
+    since = f"parked since the save of {path}{_when(found)}"
     head = [
-        f"{vehicle_id}: parked since the save of {path}{_when(found)}",
+        f"{vehicle_id}: {since}; this is 'now', and times count from it",
         surroundings,
         water,
         "",

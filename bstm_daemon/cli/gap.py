@@ -13,11 +13,14 @@ from bstm_daemon.cli.arguments import (
     add_json,
     add_out,
     add_report,
+    check_new,
+    check_targets,
 )
+from bstm_daemon.cli.gap_inputs import check_force_inputs, check_heat_inputs
 from bstm_daemon.cli.progress import Progress
 from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.effects.catalogue import effect_names
-from bstm_daemon.errors import UsageError
+from bstm_daemon.errors import LogError, UsageError
 from bstm_daemon.files import replacing
 from bstm_daemon.gap.adopting import adopt
 from bstm_daemon.gap.heat_only import find_force_gap
@@ -25,17 +28,35 @@ from bstm_daemon.gap.menu import MENU
 from bstm_daemon.gap.recording import read_recording
 from bstm_daemon.gap.workflow import STEPS, Question, advise_before, find_gap
 from bstm_daemon.replay import present_roles
-from bstm_daemon.report.advice_words import advice_json, advice_lines
+from bstm_daemon.report.advice_words import (
+    advice_json,
+    advice_lines,
+    no_advice_line,
+)
 from bstm_daemon.report.force_words import force_json, force_text
-from bstm_daemon.report.gap_words import gap_json, gap_text
+from bstm_daemon.report.gap_words import (
+    adopted_text,
+    gap_json,
+    gap_text,
+    remarks_on,
+)
 from bstm_daemon.simulation import drive_names
 
 if TYPE_CHECKING:
     import argparse
+    from collections.abc import Sequence
 
     from bstm_daemon.bus.signal_map import SignalMap
-    from bstm_daemon.config import Config, EffectConfig
+    from bstm_daemon.config import Config
+    from bstm_daemon.gap.heat_only import ForceGap
     from bstm_daemon.gap.recording import Recording
+    from bstm_daemon.gap.workflow import Gap
+
+WRITERS = ("adopt", "show", "run")
+"""Steps that fit what they name, so that it can be written."""
+
+SHOWERS = ("show", "run")
+"""Steps that show before and after."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -105,7 +126,15 @@ def run(args: argparse.Namespace) -> int:
     if not any(one.drive.measured for one in recordings):
         return _by_forces(args, config, recordings, held_out)
     recordings = _with_temperatures(recordings)
-    held_out = _with_temperatures(held_out)
+    if args.holdout:
+        held_out = _with_temperatures(held_out)
+        if not held_out:
+            msg = (
+                "--holdout: no measured temperature in these logs (roles "
+                "temp_<corner>_<node>), nothing to show before and after on"
+            )
+            raise LogError(msg)
+    check_heat_inputs((*recordings, *held_out), config.heat.mode)
     until = "show" if args.step == "run" else args.step
     with Progress("gap") as progress:
         gaps = find_gap(
@@ -113,27 +142,20 @@ def run(args: argparse.Namespace) -> int:
             recordings,
             held_out,
             until=until,
-            question=Question(tuple(args.menu), tuple(args.among)),
+            question=_question(args),
             progress=progress.show,
         )
-    names = ", ".join(log.name for log in args.logs)
+    names = ", ".join(one.name for one in recordings)
     print(f"{names}  ({config.vehicle.id}, {args.config})")
+    remarks = remarks_on(config)
+    for remark in remarks:
+        print(remark)
     for gap in gaps:
         print(gap_text(gap))
-    effects = [effect for gap in gaps for effect in gap.effects()]
-    _write(args, [gap_json(gap) for gap in gaps], effects)
-    if args.report:
-        from bstm_daemon.report.gap_page import (  # noqa: PLC0415
-            write_gap_page,
-        )
-
-        write_gap_page(
-            args.report,
-            gaps,
-            subtitle=f"{names} · {config.vehicle.id} · {args.config.name}",
-            version=__version__,
-        )
-        print(args.report)
+        if args.step == "advise" and not gap.advice:
+            print(f"  {no_advice_line(gap)}")
+    _write(args, [gap_json(gap) for gap in gaps], gaps)
+    _report(args, gaps, f"{names} · {config.vehicle.id}", remarks)
     return 0
 
 
@@ -145,14 +167,42 @@ def _before_any_drive(
         gap = advise_before(
             config,
             present_roles(signal_map),
-            Question(tuple(args.menu), tuple(args.among)),
+            _question(args),
             progress.show,
         )
     print(f"before any drive  ({config.vehicle.id}, {args.config})")
     print(f"{', '.join(gap.corners)}:")
     print("\n".join(f"  {line}" for line in advice_lines(gap)))
     _write(args, [{"advice": advice_json(gap)}], [])
+    _report(args, [gap], f"before any drive · {config.vehicle.id}")
     return 0
+
+
+def _question(args: argparse.Namespace) -> Question:
+    """Return what is asked, each drive and effect once."""
+    return Question(
+        tuple(dict.fromkeys(args.menu)), tuple(dict.fromkeys(args.among))
+    )
+
+
+def _report(
+    args: argparse.Namespace,
+    gaps: Sequence[Gap],
+    subject: str,
+    remarks: Sequence[str] = (),
+) -> None:
+    if not args.report:
+        return
+    from bstm_daemon.report.gap_page import write_gap_page  # noqa: PLC0415
+
+    write_gap_page(
+        args.report,
+        gaps,
+        subtitle=f"{subject} · {args.config.name}",
+        version=__version__,
+        remarks=remarks,
+    )
+    print(args.report)
 
 
 def _by_forces(
@@ -169,13 +219,14 @@ def _by_forces(
             "show and run, by forces"
         )
         raise UsageError(msg)
+    check_force_inputs((*recordings, *held_out))
     with Progress("gap") as progress:
         progress.show(0.1)
         gap = find_force_gap(config, recordings, held_out)
-    names = ", ".join(log.name for log in args.logs)
+    names = ", ".join(one.name for one in recordings)
     print(f"{names}  ({config.vehicle.id}, {args.config})")
     print(force_text(gap))
-    _write(args, [force_json(gap)], gap.effects())
+    _write(args, [force_json(gap)], [gap])
     if args.report:
         from bstm_daemon.report.force_page import (  # noqa: PLC0415
             write_force_page,
@@ -208,15 +259,23 @@ def _check(args: argparse.Namespace) -> None:
     if args.step == "adopt" and args.out is None:
         msg = "gap adopt: give -o NEW.toml"
         raise UsageError(msg)
-    if args.out is None:
-        return
-    if args.out.exists() and not args.force:
-        msg = f"{args.out}: exists already, give --force to replace it"
+    if args.out is not None and args.step not in WRITERS:
+        msg = f"gap {args.step}: -o goes with {', '.join(WRITERS)}"
         raise UsageError(msg)
-    logs = {log.resolve() for log in (*args.logs, *args.holdout)}
-    if args.out.resolve() in logs:
-        msg = f"{args.out}: would overwrite the log"
+    if args.holdout and args.step not in SHOWERS:
+        msg = f"gap {args.step}: --holdout goes with {', '.join(SHOWERS)}"
         raise UsageError(msg)
+    seen: set[Path] = set()
+    for log in (*args.logs, *args.holdout):
+        if log.resolve() in seen:
+            msg = (
+                f"{log}: given twice; each drive counts once, and a held-out "
+                "one is not searched"
+            )
+            raise UsageError(msg)
+        seen.add(log.resolve())
+    check_new(args.out, force=args.force)
+    check_targets((args.out, args.json, args.report), (args.config, *seen))
 
 
 def _read(
@@ -250,7 +309,7 @@ def _read(
 def _write(
     args: argparse.Namespace,
     corners: list[dict[str, Any]],
-    effects: list[EffectConfig],
+    gaps: Sequence[Gap | ForceGap],
 ) -> None:
     if args.json:
         result = {
@@ -262,9 +321,9 @@ def _write(
             file.write_text(json.dumps(result, indent=2) + "\n", "utf-8")
     if args.out is None:
         return
+    effects = [effect for gap in gaps for effect in gap.effects()]
     if not effects:
         print(f"nothing to adopt: {args.out} not written")
         return
     adopt(args.config, args.out, effects)
-    names = ", ".join(effect.name for effect in effects)
-    print(f"{args.out}: {names}")
+    print(f"{args.out}: {adopted_text(gaps)}")

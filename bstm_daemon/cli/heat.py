@@ -14,7 +14,7 @@ from bstm_daemon.cli.arguments import (
     add_config,
     add_json,
     add_report,
-    refuse_overwriting,
+    check_targets,
 )
 from bstm_daemon.cli.progress import Progress
 from bstm_daemon.cli.vehicle import load_vehicle
@@ -60,7 +60,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Compare the sources in every log, print and write the result."""
-    refuse_overwriting((args.json, args.report), (args.config, *args.logs))
+    check_targets((args.json, args.report), (args.config, *args.logs))
     config, signal_map = load_vehicle(args.config)
     drives = []
     for log in args.logs:

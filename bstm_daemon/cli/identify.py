@@ -13,7 +13,8 @@ from bstm_daemon.cli.arguments import (
     add_json,
     add_out,
     add_report,
-    refuse_overwriting,
+    check_new,
+    check_targets,
 )
 from bstm_daemon.cli.progress import Progress
 from bstm_daemon.cli.vehicle import load_vehicle
@@ -145,12 +146,10 @@ def _check(args: argparse.Namespace) -> None:
     if args.what != "cooling" and args.while_braking:
         msg = "--while-braking goes with cooling"
         raise UsageError(msg)
-    refuse_overwriting(
+    check_new(args.out, force=args.force)
+    check_targets(
         (args.out, args.json, args.report), (args.config, *args.logs)
     )
-    if args.out is not None and args.out.exists() and not args.force:
-        msg = f"{args.out}: exists already, give --force to replace it"
-        raise UsageError(msg)
 
 
 def _drivings(

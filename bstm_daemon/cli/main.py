@@ -13,7 +13,7 @@ import logging
 import os
 import sys
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, Protocol, cast
+from typing import TYPE_CHECKING, Final, NoReturn, Protocol, cast
 
 from bstm_daemon import __version__
 from bstm_daemon.errors import BstmError, ConfigError, FileAccessError
@@ -108,6 +108,17 @@ class CommandModule(Protocol):
         """Run the command and return its exit code."""
 
 
+class Parser(argparse.ArgumentParser):
+    """Says what is wrong with the arguments in one line."""
+
+    def error(self, message: str) -> NoReturn:
+        """Print *message* and where the usage is, and leave with 2."""
+        self.exit(
+            EXIT_USAGE,
+            f"{self.prog}: {message}; usage: {self.prog} --help\n",
+        )
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Run ``bstm`` with *argv* and return the exit code."""
     try:
@@ -157,7 +168,7 @@ def _load(command: Command) -> CommandModule:
 def _parse(
     argv: list[str], called: str, module: CommandModule | None
 ) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="bstm",
         description=f"Brake temperatures from a CAN bus: {NOTICE}.",
     )

@@ -14,11 +14,12 @@ from bstm_daemon.cli.arguments import (
     add_json,
     add_out,
     add_report,
+    check_new,
+    check_targets,
 )
 from bstm_daemon.cli.progress import Progress
 from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.corner_model import corner_model
-from bstm_daemon.errors import UsageError
 from bstm_daemon.files import replacing
 from bstm_daemon.identify.writing import write_changed
 from bstm_daemon.matching.drives import read_drives
@@ -67,7 +68,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Match, print, and write what was asked for."""
-    _check(args)
+    check_new(args.out, force=args.force)
+    check_targets(
+        (args.out, args.json, args.report), (args.config, *args.logs)
+    )
     config, signal_map = load_vehicle(args.config)
     drives = _drives(args, config, signal_map)
     again = _follows_temperature(config)
@@ -95,17 +99,6 @@ def run(args: argparse.Namespace) -> int:
         )
         print(args.report)
     return 0
-
-
-def _check(args: argparse.Namespace) -> None:
-    if args.out is None:
-        return
-    if args.out.exists() and not args.force:
-        msg = f"{args.out}: exists already, give --force to replace it"
-        raise UsageError(msg)
-    if args.out.resolve() in {log.resolve() for log in args.logs}:
-        msg = f"{args.out}: would overwrite the log"
-        raise UsageError(msg)
 
 
 def _drives(

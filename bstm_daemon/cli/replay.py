@@ -16,6 +16,7 @@ from bstm_daemon.cli.arguments import (
     add_no_forecast,
     add_out,
     add_report,
+    refuse_overwriting,
 )
 from bstm_daemon.cli.progress import Progress
 from bstm_daemon.cli.vehicle import load_vehicle
@@ -25,7 +26,7 @@ from bstm_daemon.errors import (
     MissingExtraError,
     UsageError,
 )
-from bstm_daemon.files import make_folder
+from bstm_daemon.files import ensure_writable, make_folder
 from bstm_daemon.frame_replay import publish_log
 from bstm_daemon.replay import Run, stream_log
 from bstm_daemon.report.page import ReportFacts, write_replay_report
@@ -106,6 +107,9 @@ def run(args: argparse.Namespace) -> int:
     state = None if args.state is None else _state(args.state)
     if args.out is not None:
         make_folder(args.out)
+    for target in (args.publish, args.report):
+        if target is not None:
+            ensure_writable(target)
     for path, stem in zip(args.logs, stems, strict=True):
         if args.watch:
             watch_log(
@@ -167,7 +171,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _check_targets(args: argparse.Namespace, stems: list[str]) -> None:
-    """Refuse targets that would overwrite each other or the log."""
+    """Refuse targets that would overwrite each other or what is read."""
     if len(args.logs) > 1 and (
         args.publish or args.report or args.watch or args.state
     ):
@@ -176,27 +180,14 @@ def _check_targets(args: argparse.Namespace, stems: list[str]) -> None:
     if args.out is not None and len(set(stems)) < len(stems):
         msg = f"two logs would write the same files in {args.out}: {stems}"
         raise UsageError(msg)
-    targets = [path for path in (args.publish, args.report) if path]
-    if args.out is not None:
-        targets += [
-            args.out / f"{stem}.estimates.{form}"
-            for stem in stems
-            for form in ("csv", "parquet")
-        ]
-    places = [target.resolve() for target in targets]
-    if len(set(places)) < len(places):
-        msg = "two results would be written to one file"
-        raise UsageError(msg)
-    log = args.logs[0]
-    for target in (args.publish, args.report):
-        if (
-            target
-            and target.exists()
-            and log.exists()
-            and (target.samefile(log))
-        ):
-            msg = f"{target}: would overwrite the log"
-            raise UsageError(msg)
+    tables = [
+        args.out / f"{stem}.estimates.{form}"
+        for stem in stems
+        for form in ("csv", "parquet")
+        if args.out is not None
+    ]
+    sources = (args.config, args.state, *args.logs)
+    refuse_overwriting((args.publish, args.report, *tables), sources)
 
 
 def _state(path: Path) -> dict[str, Any]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bstm_daemon.cli.arguments import add_out
+from bstm_daemon.cli.arguments import add_out, check_targets
 from bstm_daemon.errors import UsageError
 from bstm_daemon.shipped import shipped_file
 from bstm_daemon.simulation import (
@@ -104,6 +104,7 @@ def run(args: argparse.Namespace) -> int:
     if len({target.resolve() for target in targets}) < len(targets):
         msg = "-o, --samples and --truth must name different files"
         raise UsageError(msg)
+    check_targets(targets, (Path(args.drive),))
     driven = simulate(
         _drive(args.drive),
         load_vehicle(args.vehicle) if args.vehicle else None,

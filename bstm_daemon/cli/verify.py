@@ -12,6 +12,7 @@ from bstm_daemon.cli.arguments import (
     add_config,
     add_json,
     add_report,
+    check_targets,
 )
 from bstm_daemon.cli.progress import Progress
 from bstm_daemon.cli.vehicle import load_vehicle
@@ -48,6 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Judge, print and write; 1 where a required limit is not met."""
+    check_targets((args.json, args.report), (args.config, *args.logs))
     config, signal_map = load_vehicle(args.config)
     errors: list[NodeErrors] = []
     learned = None

@@ -29,11 +29,23 @@ def advice_headline(gap: Gap) -> str:
     best = gap.advice[0]
     if best.named < 0.01:
         return "next drive: none of the menu would give a name"
+    names = ", ".join(gap.members)
+    if len(gap.members) > 1:
+        names = f"the right one of {names}"
     return (
-        f"next drive: {best.drive}, {best.description}; with it the right "
-        f"one of {', '.join(gap.members)} would be named in "
-        f"{100.0 * best.named:.0f} % of cases"
+        f"next drive: {best.drive}, {best.description}; with it {names} "
+        f"would be named in {100.0 * best.named:.0f} % of cases"
     )
+
+
+def no_advice_line(gap: Gap) -> str:
+    """Return why no drive is advised, and how to be told of one."""
+    naming = gap.naming
+    if naming is not None and naming.answer == "name":
+        why = f"{' and '.join(naming.names)} named, nothing left to tell apart"
+    else:
+        why = "no candidate of the catalogue is left to tell apart"
+    return f"no next drive: {why}; ask with --among EFFECT..."
 
 
 def advice_rows(gap: Gap) -> list[tuple[str, ...]]:

@@ -33,7 +33,7 @@ def force_headline(gap: ForceGap) -> str:
     names = ", ".join(naming.names)
     share = percent(naming.probability)
     if naming.answer == "nothing":
-        return f"no missing effect visible (probability {share})"
+        return f"no missing effect visible (nothing missing: {share})"
     if naming.answer == "name":
         return f"missing: {names} (probability {share})"
     if naming.answer == "class":
@@ -63,10 +63,16 @@ def force_lines(gap: ForceGap) -> list[str]:
     if gap.strengths:
         kind = "held-out drives" if gap.held_out else "the same drives"
         lines.append(
-            f"error of the car's acceleration on {kind}: "
-            f"{gap.before_ms2:.3f} m/s2 before, {gap.after_ms2:.3f} after"
+            f"error of the car's acceleration on {kind}, noise taken off: "
+            f"{acceleration(gap.before_ms2)} before, "
+            f"{acceleration(gap.after_ms2)} after"
         )
     return lines
+
+
+def acceleration(error_ms2: float) -> str:
+    """Return an error that is left; the search gives 0 within the noise."""
+    return f"{error_ms2:.3f} m/s2" if error_ms2 > 0.0 else "none"
 
 
 def sight_lines(gap: ForceGap) -> list[str]:

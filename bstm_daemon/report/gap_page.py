@@ -17,15 +17,18 @@ from bstm_daemon.report.gap_words import (
     CANDIDATE_HEAD,
     CELL_HEAD,
     ERROR_HEAD,
+    answer_tile,
     candidate_rows,
     cell_rows,
+    change,
     error_rows,
     headline,
     naming_lines,
-    percent,
     place_lines,
-    reach_line,
+    probability_tile,
     shown_lines,
+    strength_tile,
+    unnamed_lines,
 )
 from bstm_daemon.report.plot_page import (
     PageHead,
@@ -58,12 +61,19 @@ SCALE: Final = (
 )
 MOST_CELLS: Final = 12
 BARS: Final = 10
+WEAK_EVIDENCE: Final = 5.0
+"""The axis of the bars ends no earlier: what is next to nothing looks so."""
 
 
 def write_gap_page(
-    path: Path, gaps: Sequence[Gap], *, subtitle: str, version: str
+    path: Path,
+    gaps: Sequence[Gap],
+    *,
+    subtitle: str,
+    version: str,
+    remarks: Sequence[str] = (),
 ) -> None:
-    """Write what *gaps* found to *path*.
+    """Write what *gaps* found to *path*, *remarks* beside each answer.
 
     Raises:
         MissingExtraError: plotly is not installed.
@@ -75,7 +85,7 @@ def write_gap_page(
         if gap.located is not None:
             sections.append(_map_section(prefix, gap.located))
         if gap.naming is not None:
-            sections.append(_naming_section(prefix, gap))
+            sections.append(_naming_section(prefix, gap, remarks))
         if gap.advice:
             sections.append(advice_section(prefix, gap))
         if gap.shown is not None:
@@ -89,32 +99,31 @@ def write_gap_page(
             )
         if gap.located is not None:
             sections.append(_tables_section(prefix, gap.located))
-    head = PageHead("Gap", subtitle, version, _tiles(gaps[0]))
+    head = PageHead("Gap", subtitle, version, head_tiles(gaps))
     write_plot_page(path, head, sections)
 
 
-def _tiles(gap: Gap) -> tuple[tuple[str, str], ...]:
+def head_tiles(gaps: Sequence[Gap]) -> tuple[tuple[str, str], ...]:
+    """Return the answer's tiles, of the first corners that lack something."""
+    found = [
+        one for one in gaps if one.naming is not None and one.naming.found
+    ]
+    gap = (*found, *gaps)[0]
+    of = f", {', '.join(gap.corners)}" if len(gaps) > 1 else ""
     tiles = []
-    naming = gap.naming
-    if naming is not None:
-        answer = {
-            "nothing": "nothing",
-            "unknown": "not in the catalogue",
-            "undecided": "not decided",
-        }.get(naming.answer, " or ".join(naming.names))
-        tiles.append((answer.replace("_", " "), "missing effect"))
-        tiles.append((percent(naming.probability), "probability"))
+    if gap.naming is not None:
+        answer, meaning = answer_tile(gap.naming)
+        tiles += [(answer, f"{meaning}{of}"), probability_tile(gap.naming)]
     if gap.fit is not None:
         tiles += [
-            (
-                f"{a:.2f} ± {gap.fit.deviations[name]:.2f}",
-                f"strength of {name.replace('_', ' ')}, 1 = typical",
-            )
-            for name, a in gap.fit.strengths.items()
+            strength_tile(name, strength, gap.fit.deviations[name])
+            for name, strength in gap.fit.strengths.items()
         ]
     if gap.shown is not None:
-        one = gap.shown.shrinks[CONFIGURED]
-        tiles.append((f"{one.factor:.1f} x", "smaller gap than configured"))
+        word, one = change(gap.shown.shrinks[CONFIGURED])
+        tiles.append(
+            (f"{one.factor:.1f} x", f"{word} gap, tunables re-fitted")
+        )
     return tuple(tiles)
 
 
@@ -211,6 +220,7 @@ def heat_map(cells: Sequence[Cell]) -> Plot:
             "type": "multicategory",
             "showgrid": False,
             "tickangle": 0,
+            "tickfont": {"size": 10.5},
             "title": {
                 "text": "temperature of the part [°C], what the car does",
                 "standoff": 12,
@@ -234,13 +244,14 @@ def _kilojoules(cell: Cell) -> str:
     return f"{1e-3 * cell.energy_j:+.0f} kJ"
 
 
-def _naming_section(prefix: str, gap: Gap) -> PageSection:
+def _naming_section(
+    prefix: str, gap: Gap, remarks: Sequence[str]
+) -> PageSection:
     naming = gap.naming
     if naming is None:
         return PageSection(prefix)
-    lines = [*naming_lines(naming)]
-    if not naming.found:
-        lines.append(f"detectable from a strength of: {reach_line(naming)}")
+    lines = [*remarks, *naming_lines(naming)]
+    lines += unnamed_lines(gap)
     if gap.silent:
         lines.append(f"not excited by these drives: {', '.join(gap.silent)}")
     return PageSection(
@@ -251,9 +262,9 @@ def _naming_section(prefix: str, gap: Gap) -> PageSection:
         ),
         lines=tuple(lines),
         across=1,
-        note="Every effect of the catalogue is simulated on these drives and "
-        "fitted together with all tunables; its strength is in units of the "
-        "typical one. The Bayes factor is against nothing missing.",
+        note="Every effect is simulated on these drives and fitted together "
+        "with all tunables. A strength of 1 is typical; sd is of the noise "
+        "alone.",
     )
 
 
@@ -290,11 +301,14 @@ def evidence_bars(naming: Naming) -> Plot:
         },
         "showlegend": False,
     }
+    most = max(one.log_evidence for one in best)
+    least = min(0.0, *(one.log_evidence for one in best))
     return plot(
         [data],
         "logarithm of the Bayes factor",
         "",
         height=110 + 26 * len(best),
+        xaxis={"range": [1.05 * least, max(1.05 * most, WEAK_EVIDENCE)]},
         margin={"l": 190},
         yaxis={"type": "category", "showgrid": False, "tickmode": "auto"},
     )
@@ -313,11 +327,12 @@ def _shown_sections(prefix: str, shown: Shown) -> list[PageSection]:
         own = [one for one in shown.curves if one.drive == drive]
         sections.append(
             PageSection(
-                f"{prefix}{drive}",
+                f"{prefix}temperatures on {drive}",
                 plots=tuple(
                     (one.node.replace("_", " "), _curves(one)) for one in own
                 ),
-                note="Black: measured.",
+                note="Black: measured. Orange: with the effect, tunables "
+                "re-fitted; what is adopted leaves them as configured.",
             )
         )
     return sections
@@ -338,7 +353,7 @@ def _curves(one: Curve) -> Plot:
         for name, (colour, dash) in looks.items()
     ]
     span = (0.0, float(one.time_s[-1]))
-    return time_plot(data, "temperature [degC]", span, height=320)
+    return time_plot(data, "temperature [°C]", span, height=320)
 
 
 def _tables_section(prefix: str, located: Located) -> PageSection:

@@ -7,13 +7,15 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from bstm_daemon.effects.catalogue import effect_class
-from bstm_daemon.gap.showing import ADOPTED, BASELINES, EXTENDED
+from bstm_daemon.gap.showing import ADOPTED, BASELINES, EXTENDED, Shrink
 from bstm_daemon.report.advice_words import advice_json, advice_lines
 from bstm_daemon.report.verify_words import table
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from bstm_daemon.config import Config
+    from bstm_daemon.gap.heat_only import ForceGap
     from bstm_daemon.gap.locating import Cell, Located
     from bstm_daemon.gap.naming import Naming
     from bstm_daemon.gap.showing import Shown
@@ -30,9 +32,16 @@ CANDIDATE_HEAD: Final = (
 )
 MODELS: Final = (*BASELINES, EXTENDED, ADOPTED)
 ERROR_HEAD: Final = ("drive", "node", *MODELS)
+MATCH_FIRST: Final = (
+    "the tunables, within their priors, can take up the residual heat: match "
+    "the model to these drives (bstm match) and ask again"
+)
+UNMATCHED: Final = (
+    "no [accuracy] in the configuration: what bstm match would mend may be "
+    "taken for an effect"
+)
 SHOWN_PLACES: Final = 4
 SHOWN_CANDIDATES: Final = 8
-SHOWN_REACH: Final = 40
 
 
 def gap_text(gap: Gap) -> str:
@@ -44,9 +53,7 @@ def gap_text(gap: Gap) -> str:
         lines += [f"  {line}" for line in naming_lines(gap.naming)]
         rows = candidate_rows(gap.naming)
         lines += [f"  {line}" for line in table(CANDIDATE_HEAD, rows)]
-        if not gap.naming.found:
-            lines.append("  could have been shown, from the strength of:")
-            lines.append(f"  {reach_line(gap.naming)}")
+        lines += [f"  {line}" for line in unnamed_lines(gap)]
         if gap.silent:
             lines.append(f"  not excited: {', '.join(gap.silent)}")
     if gap.advice:
@@ -55,23 +62,30 @@ def gap_text(gap: Gap) -> str:
         for name, strength in gap.fit.strengths.items():
             low, high = gap.fit.interval(name)
             lines.append(
-                f"  {name}: strength {strength:.2f}, 90 % interval "
-                f"{low:.2f} to {high:.2f}"
+                f"  {name}: strength {strength:.2f} +- "
+                f"{gap.fit.deviations[name]:.2f} with the error of its form, "
+                f"90 % interval {low:.2f} to {high:.2f}"
             )
     if gap.shown is not None:
         lines += [f"  {line}" for line in shown_lines(gap.shown)]
     return "\n".join(lines)
 
 
+def remarks_on(config: Config) -> tuple[str, ...]:
+    """Return what a reader has to know of *config* beside the answer."""
+    told = config.accuracy.model_fields_set
+    return () if told else (UNMATCHED,)
+
+
 def headline(gap: Gap) -> str:
     """Return the answer in one line."""
     naming = gap.naming
     if naming is None:
-        return "located"
+        return "where model and thermocouples disagree"
     share = percent(naming.probability)
     names = ", ".join(naming.names)
     if naming.answer == "nothing":
-        return f"no missing effect visible (probability {share})"
+        return f"no missing effect visible (nothing missing: {share})"
     if naming.answer == "name":
         return f"missing: {names} (probability {share})"
     if naming.answer == "class":
@@ -82,6 +96,34 @@ def headline(gap: Gap) -> str:
             f"{naming.unknown_place}"
         )
     return f"something is missing, but not named; possible: {names}"
+
+
+def answer_tile(naming: Naming) -> tuple[str, str]:
+    """Return the answer for the head of a page: a figure, its meaning."""
+    if naming.answer == "nothing":
+        return "nothing visible", "missing effect"
+    if naming.answer == "unknown":
+        return "not in the catalogue", "missing effect"
+    names = " or ".join(naming.names).replace("_", " ")
+    if naming.answer == "undecided":
+        return "not decided", f"missing effect; possible: {names}"
+    if naming.answer == "name":
+        names = names.replace(" or ", " and ")
+    return names, "missing effect"
+
+
+def probability_tile(naming: Naming) -> tuple[str, str]:
+    """Return how probable the answer is, for the head of a page."""
+    of = " that nothing is missing" * (naming.answer == "nothing")
+    return percent(naming.probability), f"probability{of}"
+
+
+def strength_tile(
+    name: str, strength: float, deviation: float
+) -> tuple[str, str]:
+    """Return a strength for the head of a page."""
+    meaning = f"strength of {name.replace('_', ' ')}, 1 = typical"
+    return f"{strength:.2f} ± {deviation:.2f}", meaning
 
 
 def percent(probability: float) -> str:
@@ -132,19 +174,47 @@ def candidate_rows(naming: Naming) -> list[tuple[str, ...]]:
             f"{one.strength:.2f}",
             f"{one.deviation:.2f}",
             f"{one.z:.1f}",
-            f"{one.log_evidence:.1f}",
+            signed_zero_free(one.log_evidence),
             percent(naming.odds[one.name]),
         )
         for one in naming.candidates[:SHOWN_CANDIDATES]
     ]
 
 
-def reach_line(naming: Naming) -> str:
-    """Return the strength of each effect that would have been detected."""
+def signed_zero_free(value: float) -> str:
+    """Return *value* with one decimal, never as -0.0."""
+    return f"{round(value, 1) + 0.0:.1f}"
+
+
+def unnamed_lines(gap: Gap) -> list[str]:
+    """Return what to make of a search that found nothing."""
+    if gap.naming is None or gap.naming.found:
+        return []
+    lines = reach_lines(gap.naming)
+    if gap.located is not None and gap.located.places:
+        lines.insert(0, MATCH_FIRST)
+    return lines
+
+
+def reach_lines(naming: Naming) -> list[str]:
+    """Return from which strength each effect would have been detected.
+
+    What would have to be stronger than an effect can be is told apart.
+    """
     ordered = sorted(naming.candidates, key=lambda one: one.reach)
-    return ", ".join(
-        f"{one.name} {one.reach:.2f}" for one in ordered[:SHOWN_REACH]
-    )
+    near = [one for one in ordered if one.reach <= _strongest(one.name)]
+    far = [one.name for one in ordered if one.reach > _strongest(one.name)]
+    shown = ", ".join(f"{one.name} {one.reach:.2f}" for one in near)
+    lines = [f"could have been shown, from the strength of: {shown or 'none'}"]
+    if far:
+        lines.append(
+            f"too weak in these drives at any strength: {', '.join(far)}"
+        )
+    return lines
+
+
+def _strongest(name: str) -> float:
+    return effect_class(name).parameters()[0].upper
 
 
 def cell_rows(cells: Sequence[Cell]) -> list[tuple[str, ...]]:
@@ -167,23 +237,50 @@ def shown_lines(shown: Shown) -> list[str]:
     lines = []
     for name in BASELINES:
         one = shown.shrinks[name]
-        text = (
-            f"gap on {where}, against {name}: {one.factor:.1f} times smaller "
-            f"({one.lower:.1f} to {one.upper:.1f})"
-        )
+        text = f"gap on {where}, against {name}: {times(one)}"
         if name in shown.fluid_shrinks:
             text += f", fluid {shown.fluid_shrinks[name].factor:.1f}"
         lines.append(text)
     one = shown.adopted
-    lines.append(
-        f"as adopted, the tunables as configured: {one.factor:.1f} times "
-        f"smaller ({one.lower:.1f} to {one.upper:.1f})"
-    )
+    text = f"as adopted, the tunables as configured: {times(one)}"
+    if one.factor < 1.0:
+        text += "; match them anew (bstm match)"
+    lines.append(text)
     moved = ", ".join(
         f"{name} {bend:.2f}" for name, bend in shown.bends.items() if bend
     )
     lines.append(f"tunables moved, in deviations of their priors: {moved}")
     return lines
+
+
+def times(shrink: Shrink) -> str:
+    """Return by how much a gap has become smaller, or larger."""
+    word, one = change(shrink)
+    return (
+        f"{one.factor:.1f} times {word} ({one.lower:.1f} to {one.upper:.1f})"
+    )
+
+
+def change(shrink: Shrink) -> tuple[str, Shrink]:
+    """Return ``smaller`` or ``larger``, and that many times it is."""
+    if shrink.factor >= 1.0:
+        return "smaller", shrink
+    return "larger", Shrink(
+        1.0 / shrink.factor, 1.0 / shrink.upper, 1.0 / shrink.lower
+    )
+
+
+def adopted_text(gaps: Sequence[Gap | ForceGap]) -> str:
+    """Return what is written into a configuration, in a few words."""
+    said = []
+    for gap in gaps:
+        names = ", ".join(effect.name for effect in gap.effects())
+        if names and gap.naming is not None and gap.naming.answer == "class":
+            alike = ", ".join(gap.naming.names)
+            names += f" (one of {alike}; these drives cannot tell which)"
+        if names:
+            said.append(names)
+    return ", ".join(said)
 
 
 def error_rows(shown: Shown) -> list[tuple[str, ...]]:

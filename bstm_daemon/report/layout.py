@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from bstm_daemon.report.summary import CornerSummary, DriveSummary
+    from bstm_daemon.report.timescale import TimeAxis
     from bstm_daemon.report.traces import DriveCurves, Trace
 
 EPOCH: Final = datetime(2000, 1, 1)  # noqa: DTZ001
@@ -111,6 +112,19 @@ def stamp(elapsed_s: float) -> str:
     return (EPOCH + timedelta(seconds=elapsed_s)).isoformat(
         sep=" ", timespec="milliseconds"
     )
+
+
+def tick_stops(labels: TimeAxis) -> list[dict[str, Any]]:
+    """Return plotly's tick formats: the title's figures, finer zoomed in."""
+    stops = (
+        (None, SECOND_TICKS_MS - 1, labels.finest),
+        (SECOND_TICKS_MS, MINUTE_TICKS_MS - 1, labels.fine),
+        (MINUTE_TICKS_MS, None, labels.coarse),
+    )
+    return [
+        {"dtickrange": [shortest, longest], "value": form}
+        for shortest, longest, form in stops
+    ]
 
 
 def view_layout(
@@ -243,11 +257,6 @@ def _value_axis(panel: str, column: int, grid: _Grid) -> dict[str, Any]:
 
 def _time_axis(column: int, lowest_panel: str, grid: _Grid) -> dict[str, Any]:
     labels = time_axis(grid.duration_s)
-    stops = (
-        (None, SECOND_TICKS_MS - 1, labels.finest),
-        (SECOND_TICKS_MS, MINUTE_TICKS_MS - 1, labels.fine),
-        (MINUTE_TICKS_MS, None, labels.coarse),
-    )
     axis: dict[str, Any] = {
         "type": "date",
         "domain": grid.columns[column],
@@ -260,10 +269,7 @@ def _time_axis(column: int, lowest_panel: str, grid: _Grid) -> dict[str, Any]:
         "tickcolor": AXIS_COLOUR,
         "hoverformat": labels.fine,
         "nticks": 12 if grid.columns[column] == (0.0, 1.0) else 8,
-        "tickformatstops": [
-            {"dtickrange": [shortest, longest], "value": form}
-            for shortest, longest, form in stops
-        ],
+        "tickformatstops": tick_stops(labels),
     }
     columns = sorted({side for _, side in grid.filled})
     if column != columns[0]:

@@ -153,7 +153,7 @@ def _temperatures(curves: Sequence[Curves]) -> Plot:
             ),
         ]  # fmt: skip
     span = (0.0, float(curves[0].time_s[-1]))
-    return time_plot(data, "temperature [degC]", span, height=420)
+    return time_plot(data, "temperature [°C]", span, height=420)
 
 
 def _residuals(curves: Sequence[Curves]) -> Plot:

@@ -57,7 +57,7 @@ def value_rows(fit: Refinement) -> list[tuple[str, ...]]:
         (
             short(one.key),
             f"{fit.start[one.key]:.4g}",
-            f"{one.value:.4g} {TUNABLES[one.key].unit}",
+            f"{one.value:.4g} {TUNABLES[one.key].unit}".removesuffix(" -"),
             f"{one.deviation:.2g}",
             f"{100.0 * one.share:.0f} %",
             one.reason or "settled",

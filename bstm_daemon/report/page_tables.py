@@ -95,9 +95,10 @@ def corner_table(summary: DriveSummary) -> str:
         "<th>degraded / invalid</th></tr></thead>"
         f"<tbody>{body}</tbody></table></div>"
         f'<p class="note">Peaks of the estimate, times as {form} since the '
-        "start; the stop is the last one before the peak; margin to the wet "
-        "boiling point. Brake energy: used to heat the model, by "
-        "Feed-Forward (FF), by Feed-Back (FB).</p>"
+        "start; the stop is the last one before the peak, else the first one "
+        "after it, then negative; margin to the wet boiling point. Brake "
+        "energy: used to heat the model, by Feed-Forward (FF), by Feed-Back "
+        "(FB).</p>"
     )
 
 

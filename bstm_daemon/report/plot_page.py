@@ -28,9 +28,15 @@ PLOT_STYLE: Final = """
 .trios { display: grid; gap: 8px 16px;
   grid-template-columns: repeat(auto-fit, minmax(330px, 1fr)); }
 .plain td:first-child, .plain th:first-child { text-align: left; }
+.plain td.words { text-align: right; white-space: normal; }
+.plain .scroll + ul { margin-top: 10px; }
 .plot { min-height: 280px; min-width: 0; }
 .plot h3 { font-size: 13px; margin: 8px 0 0; }
 """
+
+SHORT: Final = 24
+"""Characters of a cell that stay on one line; longer ones are words, which
+wrap instead of pushing the table out of the page."""
 
 SCRIPT: Final = r"""
 "use strict";
@@ -187,13 +193,18 @@ def _section(part: PageSection, first: int) -> str:
     return text + "</section>"
 
 
+def _cell(text: str) -> str:
+    kind = "number" if len(text) <= SHORT else "words"
+    return f'<td class="{kind}">{escape(text)}</td>'
+
+
 def _table(table: Table) -> str:
     head = "".join(
         f'<th class="number">{escape(name)}</th>' for name in table.head[1:]
     )
     rows = "".join(
         f"<tr><th>{escape(row[0])}</th>"
-        + "".join(f'<td class="number">{escape(c)}</td>' for c in row[1:])
+        + "".join(_cell(text) for text in row[1:])
         + "</tr>"
         for row in table.rows
     )

@@ -14,6 +14,7 @@ from bstm_daemon.report.layout import (
     GRID_COLOUR,
     TEXT_COLOUR,
     stamp,
+    tick_stops,
 )
 from bstm_daemon.report.timescale import time_axis
 
@@ -140,7 +141,7 @@ def time_plot(
         "type": "date",
         "range": [stamp(span_s[0]), stamp(max(span_s[1], span_s[0] + 1.0))],
         "title": {"text": labels.title, "standoff": 4},
-        "tickformat": labels.fine,
+        "tickformatstops": tick_stops(labels),
         "hoverformat": labels.finest,
         "nticks": 12,
     }

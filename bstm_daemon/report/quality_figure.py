@@ -15,6 +15,7 @@ from bstm_daemon.report.layout import (
     GRID_COLOUR,
     TEXT_COLOUR,
     stamp,
+    tick_stops,
 )
 from bstm_daemon.report.timescale import time_axis
 from bstm_daemon.report.traces import BLUE, ORANGE, VERMILION
@@ -183,7 +184,7 @@ def _layout(
             "domain": [0.0, 0.6],
             "range": _seen(comparison, duration_s),
             "title": {"text": labels.title, "standoff": 4},
-            "tickformat": labels.fine,
+            "tickformatstops": tick_stops(labels),
             "hoverformat": labels.fine,
             "nticks": 9,
         },

@@ -62,6 +62,8 @@ def summary_table(summary: DriveSummary) -> str:
             for cell, width in zip(others, widths[1:], strict=True)
         ]
         lines.append(gap.join(cells).rstrip())
+    if any(_peaks_before_stop(corner) for corner in summary.corners):
+        lines.append("after stop, negative: so long before the first stop")
     lines += _validity_lines(summary)
     for finding in summary.findings:
         lines += wrap(finding.text, WIDTH, subsequent_indent="  ")
@@ -99,6 +101,15 @@ def _cells(corner: CornerSummary, with_hours: bool) -> tuple[str, ...]:  # noqa:
         _megajoule(corner.energy_j),
         _megajoule(corner.energy_ff_j),
         _megajoule(corner.energy_fb_j),
+    )
+
+
+def _peaks_before_stop(corner: CornerSummary) -> bool:
+    fluid = corner.peaks.get("fluid")
+    return (
+        fluid is not None
+        and fluid.after_stop_s is not None
+        and fluid.after_stop_s < 0.0
     )
 
 

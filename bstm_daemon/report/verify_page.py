@@ -136,7 +136,7 @@ def _temperatures(errors: Sequence[NodeErrors]) -> Plot:
             | {"opacity": 0.4},
             curve(one.time_s, one.estimated_c, name, colour, legend=False),
         ]
-    return time_plot(data, "temperature [degC]", _span(errors), height=420)
+    return time_plot(data, "temperature [°C]", _span(errors), height=420)
 
 
 def _residuals(errors: Sequence[NodeErrors]) -> Plot:

@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from bstm_daemon.cli import arguments
+from bstm_daemon.errors import FileAccessError, UsageError
 
 
 def test_paths() -> None:
@@ -57,3 +58,36 @@ def test_bad_bus_map(text: str, capsys: pytest.CaptureFixture[str]) -> None:
         parser.parse_args(["--map", text])
 
     assert "such as can0=chassis" in capsys.readouterr().err
+
+
+def test_results_that_would_take_the_place_of_what_is_read(
+    tmp_path: Path,
+) -> None:
+    """Also by another way to the same file."""
+    log = tmp_path / "drive.log"
+    log.write_text("", "utf-8")
+    (tmp_path / "link.log").symlink_to(log)
+    for target in (log, tmp_path / "." / "drive.log", tmp_path / "link.log"):
+        with pytest.raises(UsageError, match="would overwrite"):
+            arguments.check_targets((None, target), (log, None))
+    new = tmp_path / "new.json"
+    with pytest.raises(UsageError, match="would overwrite"):
+        arguments.check_targets((new, new), ())
+
+    arguments.check_targets((new, None), (log,))
+
+
+def test_results_that_can_not_be_written_are_told_before_the_work(
+    tmp_path: Path,
+) -> None:
+    with pytest.raises(FileAccessError, match="No such file"):
+        arguments.check_targets((tmp_path / "no" / "x.json",), ())
+
+
+def test_a_file_that_exists_wants_force(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="--force"):
+        arguments.check_new(tmp_path, force=False)
+
+    arguments.check_new(tmp_path, force=True)
+    arguments.check_new(tmp_path / "new.toml", force=False)
+    arguments.check_new(None, force=False)

@@ -81,3 +81,17 @@ def test_a_state_of_another_car(
 
     assert main(["forecast", "--now", str(state), "-c", str(CAR)]) == 2
     assert "another" in capsys.readouterr().err
+
+
+def test_the_state_is_never_overwritten(state: Path) -> None:
+    before = state.read_bytes()
+
+    code = main(
+        [
+            *("forecast", "--now", str(state), "-c", str(CAR)),
+            *("--json", str(state)),
+        ]
+    )
+
+    assert code == 2
+    assert state.read_bytes() == before

@@ -130,3 +130,128 @@ def test_an_existing_file_is_kept(log: Path, tmp_path: Path) -> None:
 
     assert code == 2
     assert new.read_text("utf-8") == "mine"
+
+
+def gap(*arguments: object) -> int:
+    """Run ``bstm gap`` on the example car."""
+    return main(["gap", *map(str, arguments), "-c", str(EXAMPLE)])
+
+
+def test_what_is_read_is_not_overwritten(
+    log: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = log.read_bytes()
+    for option in ("--json", "--report"):
+        assert gap("locate", log, option, log) == 2
+        assert "would overwrite" in capsys.readouterr().err
+        assert log.read_bytes() == before
+
+
+def test_where_nothing_can_be_written_is_told_before_the_search(
+    log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for option in ("--json", "--report", "-o"):
+        assert gap("run", log, option, tmp_path / "no" / "file") == 74
+
+        told = capsys.readouterr()
+        assert told.out == ""
+        assert "No such file or directory" in told.err
+
+
+def test_options_that_the_step_would_ignore_are_refused(
+    log: Path, tmp_path: Path
+) -> None:
+    for step in ("locate", "gate", "name", "advise"):
+        assert gap(step, log, "-o", tmp_path / "new.toml") == 2
+        assert gap(step, log, "--holdout", log) == 2
+
+
+def test_a_configuration_without_a_match_is_told(
+    log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It took an error of the example car's values for friction."""
+    matched = tmp_path / "matched.toml"
+    text = EXAMPLE.read_text("utf-8").replace(
+        "../dbc/", f"{EXAMPLE.parents[1] / 'dbc'}/"
+    )
+    matched.write_text(f"{text}\n[accuracy]\ndisc_k = 5.0\n", "utf-8")
+
+    for config, said in ((EXAMPLE, True), (matched, False)):
+        assert main(["gap", "locate", str(log), "-c", str(config)]) == 0
+        assert ("bstm match" in capsys.readouterr().out) == said
+
+
+def test_a_drive_counts_once_and_is_not_held_out_too(
+    log: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for arguments in ((log, log), (log, "--holdout", log)):
+        assert gap("run", *arguments) == 2
+        assert "given twice" in capsys.readouterr().err
+
+
+def test_held_out_drives_need_thermocouples(
+    log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bare = tmp_path / "bare.log"
+    lines = log.read_text("ascii").splitlines(keepends=True)
+    bare.write_text(
+        "".join(line for line in lines if " 6A" not in line), "ascii"
+    )
+
+    assert gap("show", log, "--holdout", bare) == 65
+    assert "no measured temperature" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("wanted", "frames"),
+    [("speed", (" 1A0#", " 1B0#")), ("pressure", (" 1A4#",))],
+)
+@pytest.mark.parametrize("measured", [True, False])
+def test_what_is_not_in_the_log_is_not_taken_for_an_effect(
+    log: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    wanted: str,
+    frames: tuple[str, ...],
+    measured: bool,  # noqa: FBT001
+) -> None:
+    """Without a speed an offset of the thermocouples was named."""
+    left_out = frames if measured else (*frames, " 6A")
+    bare = tmp_path / "bare.log"
+    lines = log.read_text("ascii").splitlines(keepends=True)
+    bare.write_text(
+        "".join(
+            line
+            for line in lines
+            if not any(frame in line for frame in left_out)
+        ),
+        "ascii",
+    )
+
+    assert gap("gate", bare) == 65
+
+    told = capsys.readouterr()
+    assert told.out == ""
+    assert f"bare.log: no {wanted} in this log" in told.err
+
+
+def test_advise_says_why_it_advises_nothing(
+    log: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert gap("advise", log) == 0
+    out = capsys.readouterr().out
+    assert "no next drive: gap_conduction named" in out
+
+
+def test_advice_before_any_drive_has_a_page(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    page = tmp_path / "advice.html"
+    asked = ("--among", "gap_conduction", "gap_conduction", "--menu", "m02")
+
+    assert gap("advise", *asked, "--report", page) == 0
+
+    assert "which drive next" in page.read_text("utf-8")
+    out = capsys.readouterr().out
+    assert "with it gap_conduction would be named" in out
+    assert str(page) in out

@@ -119,11 +119,12 @@ def test_every_command_has_a_module(name: str) -> None:
 def test_usage_error(
     arguments: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Wrong arguments are exit code 2 with the usage on stderr."""
+    """Wrong arguments are exit code 2 and one line on stderr."""
     assert main(arguments) == 2
 
     out, err = capsys.readouterr()
     assert out == ""
+    assert err.count("\n") == 1
     assert "usage: bstm" in err
 
 

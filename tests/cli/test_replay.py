@@ -194,14 +194,16 @@ def test_usage(
     other.mkdir()
     twin = other / "stop.log"
     twin.write_bytes(log.read_bytes())
+    table = tmp_path / f"{log.stem}.estimates.csv"
     for arguments, words in (
         ((log, twin, "-o", tmp_path / "out"), "the same files"),
         ((log, twin, "--publish", tmp_path / "p.log"), "one LOG at a time"),
         ((log, "--format", "xls"), "invalid choice"),
         ((log, "--map", "can0"), "is not IFACE=BUS"),
         ((log, "--map", "can0=drive"), "there are: chassis"),
-        ((log, "--publish", log), "would overwrite the log"),
-        ((log, "--report", log), "would overwrite the log"),
+        ((log, "--publish", log), "would overwrite"),
+        ((log, "--report", log), "would overwrite"),
+        ((log, "-o", tmp_path, "--report", table), "would overwrite"),
         ((), "LOG"),
     ):
         before = log.read_bytes()
@@ -209,6 +211,30 @@ def test_usage(
         assert words in capsys.readouterr().err
         assert log.read_bytes() == before
     assert held(tmp_path) == {"stop.log"}
+
+
+def test_configuration_and_state_are_not_overwritten(
+    log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    car, state = tmp_path / "car.toml", tmp_path / "car.state"
+    for path in (car, state):
+        path.write_text("kept", "utf-8")
+
+        code = replay(log, "--state", state, "--report", path, car=car)
+
+        assert code == 2
+        assert "would overwrite" in capsys.readouterr().err
+        assert path.read_text("utf-8") == "kept"
+
+
+def test_a_report_that_can_not_be_written_is_told_before_the_replay(
+    log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert replay(log, "--report", tmp_path / "no" / "drive.html") == 74
+
+    told = capsys.readouterr()
+    assert told.out == ""
+    assert "No such file or directory" in told.err
 
 
 # what is wrong with the log

@@ -183,3 +183,8 @@ def test_two_results_in_one_file(
 
     assert "different files" in capsys.readouterr().err
     assert not target.exists()
+
+
+def test_the_drive_is_not_overwritten(drive: Path) -> None:
+    assert simulate(drive, "-o", drive) == 2
+    assert drive.read_text(encoding="utf-8") == DRIVE

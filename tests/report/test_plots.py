@@ -77,6 +77,28 @@ def test_layout_changes_are_merged() -> None:
     assert drawn.layout["xaxis"]["range"][0].endswith("00:00:10.000")
 
 
+def test_figures_of_a_time_axis_are_those_of_its_title() -> None:
+    """Two figures of [h:min] on a long drive, seconds only zoomed in."""
+    minutes = 60_000
+    layout = time_plot([], "kW", (0.0, 7200.0)).layout["xaxis"]
+
+    assert layout["title"]["text"] == "time [h:min]"
+    assert "tickformat" not in layout
+    coarse = layout["tickformatstops"][-1]
+    assert coarse == {"dtickrange": [minutes, None], "value": "%-H:%M"}
+    assert layout["tickformatstops"][1]["value"] == "%-H:%M:%S"
+
+
+def test_long_words_of_a_table_wrap() -> None:
+    why = "no cooling long and warm enough in these drives"
+    section = PageSection("", Table(("a", "b", "c"), (("x", "1.2 K", why),)))
+
+    page = plot_page(PageHead("", "", "1"), [section])
+
+    assert f'<td class="words">{why}</td>' in page
+    assert '<td class="number">1.2 K</td>' in page
+
+
 def test_page_keeps_hostile_names_as_text() -> None:
     x = np.arange(3.0)
     page = plot_page(

@@ -69,6 +69,29 @@ def test_hot_long_and_doubtful_drive_still_fits() -> None:
     assert "peak marks: ! invalid" in text
 
 
+def test_a_peak_before_the_first_stop_is_explained() -> None:
+    elapsed_s = np.arange(0.0, 600.0)
+    columns = {
+        "time_s": elapsed_s,
+        "speed_ms": np.where(elapsed_s < 400.0, 20.0, 0.0),
+        "FL.fluid_c": 90.0 - np.abs(elapsed_s - 300.0) / 10.0,
+        "FL.validity": np.zeros(600),
+    }
+
+    def results() -> Results:
+        return Results(columns, ("FL",), ("FL",))
+
+    note = "after stop, negative: so long before the first stop"
+
+    early = summary_table(summarize(results())).splitlines()
+    columns["FL.fluid_c"] = 90.0 - np.abs(elapsed_s - 500.0) / 10.0
+    late = summary_table(summarize(results())).splitlines()
+
+    assert note in early
+    assert "-1:40" in next(line for line in early if line.startswith("FL"))
+    assert note not in late
+
+
 def test_short_drive_that_ends_too_early() -> None:
     elapsed_s = np.arange(90.0)
     columns = {"time_s": elapsed_s, "FL.fluid_c": 20 + elapsed_s}
