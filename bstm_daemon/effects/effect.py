@@ -92,9 +92,10 @@ class Effect:
                 )
             elif not known[name].lower <= given <= known[name].upper:
                 p = known[name]
+                unit = "" if p.unit == "1" else f" {p.unit}"
                 found.append(
                     f"parameters.{name} = {given}: allowed {p.lower:g} to "
-                    f"{p.upper:g} {p.unit}"
+                    f"{p.upper:g}{unit}"
                 )
         return found
 

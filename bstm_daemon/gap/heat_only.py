@@ -136,7 +136,7 @@ class ForceGap:
                     "data": list(self.recordings),
                     "date": time.strftime("%Y-%m-%d"),
                     "strength_sd": round(self.deviations[name], 3),
-                    "probability": round(self.naming.probability, 4),
+                    **self.naming.provenance(name),
                 },
             )
         return found

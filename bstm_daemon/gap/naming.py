@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from math import exp, sqrt
-from typing import TYPE_CHECKING, Final, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 
@@ -94,6 +94,18 @@ class Naming:
     def found(self) -> bool:
         """Whether something is missing."""
         return self.answer != "nothing"
+
+    def provenance(self, name: str) -> dict[str, Any]:
+        """Return how sure *name* is, and what else it may be.
+
+        Of a class each member has its own probability.
+        """
+        if self.answer != "class":
+            return {"probability": round(self.probability, 4)}
+        return {
+            "probability": round(self.odds[name], 4),
+            "or": [one for one in self.names if one != name],
+        }
 
     @property
     def gate_z(self) -> float:

@@ -95,7 +95,7 @@ class Gap:
                 "strength_90": [
                     round(end, 3) for end in self.fit.interval(name)
                 ],
-                "probability": round(self.naming.probability, 4),
+                **self.naming.provenance(name),
                 "log_bayes_factor": round(evidence, 1),
             }
             found += effect_entries({name: strength}, provenance)

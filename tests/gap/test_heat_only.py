@@ -87,6 +87,13 @@ def test_twins_of_the_motion_are_a_class() -> None:
     assert found.naming.names[0] == "mass_error"
     assert set(found.naming.names) <= {"mass_error", "powertrain_torque_error"}
     assert found.strengths["mass_error"] == pytest.approx(1.5, abs=0.3)
+    # of a class each member has its own probability, and says what it may be
+    (entry,) = found.effects()
+    own = found.naming.odds["mass_error"]
+    assert entry.provenance["probability"] == pytest.approx(own, abs=1e-4)
+    if found.naming.answer == "class":
+        assert own < 0.95 <= found.naming.probability
+        assert entry.provenance["or"] == ["powertrain_torque_error"]
 
 
 def test_braking_without_pressure_is_named() -> None:
