@@ -63,7 +63,9 @@ def test_bounds_hold(data: st.DataObject) -> None:
         effect = cls({parameter.name: given_value})
         assert effect[parameter.name] == given_value
     else:
-        assert parameter.unit in problems[0]
+        unit = "" if parameter.unit == "1" else f" {parameter.unit}"
+        bounds = f"{parameter.lower:g} to {parameter.upper:g}"
+        assert problems[0].endswith(f"allowed {bounds}{unit}")
         with pytest.raises(ValueError, match=parameter.name):
             cls({parameter.name: given_value})
 
