@@ -35,9 +35,10 @@ Answer = Literal["nothing", "name", "class", "unknown", "undecided"]
 SURE: Final = 0.95
 """Probability from which a name, or a class, is given."""
 
-GATE_Z: Final = 3.8
-"""Standard deviations of the best candidate from which there is a gap; with
-39 candidates chance reaches it once in 200 searches."""
+GATE_Z: Final = 4.1
+"""Standard deviations of the best candidate from which there is a gap. With
+39 candidates chance reaches it once in 1000 searches; the form of the model
+takes effect-free cars up to 3.3, right names begin at 4.9 (`docs/gap.md`)."""
 
 GATE_NOTHING: Final = 0.05
 """And nothing missing must be less probable than this."""
@@ -58,9 +59,9 @@ name is likely beside it: what else is left is noise of another form."""
 FREE: Final = 1.5
 """Standard deviation of every strength where all are fitted together."""
 
-WORSE: Final = 10.0
-"""Of log-likelihood that a drive may lose to an effect fitted to the others:
-as much comes of tunables that one drive alone settles badly."""
+AGAINST: Final = 3.0
+"""Log Bayes factor by which a drive, predicted by the others, may speak
+against an effect."""
 
 PLACEBOS: Final = 20
 """Candidates that can not be: the best one's signature at other times."""
@@ -184,13 +185,13 @@ def _named(
         )
     worst = min(validated, key=lambda name: validated[name], default="")
     alone = len(several.chosen) == 1
-    if alone and worst and validated[worst] < -WORSE:
+    if alone and worst and validated[worst] < -AGAINST:
         return replace(
             common,
             answer="unknown",
             probability=1.0 - odds[""],
-            reason=f"the best, {best.name}, fitted to the other drives makes "
-            f"{worst} worse",
+            reason=f"the best, {best.name}, as the other drives have it makes "
+            f"{worst} less likely",
         )
     if not alone:
         answer = _together(common, several)
@@ -392,32 +393,27 @@ def _best_placebo(
 def _cross_validated(
     layout: Layout, linearised: Linearised, signature: Signature
 ) -> dict[str, float]:
-    """Return the gain on each drive of what the other drives have fitted."""
+    """Return the log Bayes factor of each drive, predicted by the others.
+
+    How much likelier the effect makes the drive once the others are known:
+    what the others leave open, of tunables and strength, is integrated out.
+    """
     found: dict[str, float] = {}
     count = len(layout.drive_names)
     if count < 2:
         return found
+    project = Projector(linearised.jacobian, layout.prior)
+    whole = weigh(project, linearised.residual, signature).log_evidence
     for drive, name in enumerate(layout.drive_names):
-        own = np.zeros(len(linearised.residual), bool)
+        others = np.ones(len(linearised.residual), bool)
         for part in layout.slices(drive):
-            own[part] = True
-        project = Projector(linearised.jacobian[~own], layout.prior)
+            others[part] = False
         there = replace(
             signature,
-            linear=signature.linear[~own],
-            curved=signature.curved[~own],
+            linear=signature.linear[others],
+            curved=signature.curved[others],
         )
-        fit = weigh(project, linearised.residual[~own], there)
-        before = linearised.residual[~own]
-        after = before + there.at(fit.strength)
-        costs = []
-        for residual, strength in ((before, 0.0), (after, fit.strength)):
-            x = project.tunables(residual)
-            left = (
-                linearised.residual[own]
-                + signature.at(strength)[own]
-                + linearised.jacobian[own] @ x
-            )
-            costs.append(0.5 * float(left @ left))
-        found[name] = costs[0] - costs[1]
+        project = Projector(linearised.jacobian[others], layout.prior)
+        without = weigh(project, linearised.residual[others], there)
+        found[name] = whole - without.log_evidence
     return found

@@ -160,8 +160,8 @@ def naming_lines(naming: Naming) -> list[str]:
         )
         for drive, gain in naming.cross_validated.items():
             lines.append(
-                f"fitted without {drive}, its log-likelihood rises "
-                f"by {gain:+.1f}"
+                f"{drive}, predicted by the other drives: ln Bayes factor "
+                f"{gain:+.1f}"
             )
     return lines
 

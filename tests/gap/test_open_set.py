@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from bstm_daemon.gap.layout import Layout, Series
-from bstm_daemon.gap.naming import name_effect
+from bstm_daemon.gap.naming import AGAINST, name_effect
 from bstm_daemon.gap.noise import NodeNoise
 from bstm_daemon.gap.projector import Projector
 from bstm_daemon.gap.signatures import Linearised, Signature
@@ -101,5 +101,5 @@ def test_an_effect_that_another_drive_contradicts_is_not_named(
     refused = name_effect(layout, contradicted)
 
     assert (named.answer, named.names) == ("name", (own.name,))
-    assert min(refused.cross_validated.values()) < -10.0
+    assert min(refused.cross_validated.values()) < -AGAINST
     assert refused.answer == "unknown"
