@@ -12,7 +12,9 @@ from typing import TYPE_CHECKING, Final
 
 from gap_cars import World
 from gap_figures import figures
+from gap_held_out import worth
 from gap_judge import Result
+from gap_shares import HEADER
 from gap_tables import markdown, tables
 from side_by_side import Table
 
@@ -65,21 +67,59 @@ def write(folder: Path, file: Path, split: str, search: str) -> None:
         table = compared(aside)
         parts += [f"### {table.title}", markdown(table)]
         parts += [f"{label(w)}: {costs(seconds[w])}" for w in aside]
+    main = [w for w in by_world if w not in aside and not w.always_on]
+    if len(main) > 1:
+        parts += together({world: by_world[world] for world in main})
     for world, results in by_world.items():
-        if world in aside:
-            continue
-        title = f"`{world.preset}` with structure `{world.structure}`"
-        parts += [
-            (f"### {title}, sensors `{world.sensors}`: {count[world]} cases"),
-            costs(seconds[world]),
-        ]
-        for table in tables(results):
-            parts += [f"**{table.title}**", markdown(table)]
+        if world not in aside:
+            parts += alone(world, results, count[world], seconds[world])
     parts.append(END)
     text = file.read_text("utf-8")
     before, _, rest = text.partition(BEGIN)
     _, _, after = rest.partition(END)
     file.write_text(before + "\n\n".join(parts) + after, "utf-8")
+
+
+def alone(
+    world: World,
+    results: Sequence[Result],
+    count: int,
+    seconds: Sequence[Sequence[float | None]],
+) -> list[str]:
+    """Return all tables of one world."""
+    title = f"`{world.preset}` with structure `{world.structure}`"
+    parts = [
+        f"### {title}, sensors `{world.sensors}`: {count} cases",
+        costs(seconds),
+    ]
+    for table in tables(results):
+        parts += [f"**{table.title}**", markdown(table)]
+    return parts
+
+
+def together(by_world: Mapping[World, Sequence[Result]]) -> list[str]:
+    """Return the figures of the main worlds as one."""
+    names = " and ".join(
+        f"`{w.preset}` with `{w.structure}`" for w in by_world
+    )
+    results = [one for own in by_world.values() for one in own]
+    rows = [one.row() for one in figures(results)]
+    return [
+        f"### {names} together, sensors `{World().sensors}`",
+        "**figures**",
+        # controls compare answers within a world
+        markdown(
+            Table(
+                "figures",
+                HEADER,
+                tuple(r for r in rows if not r[0].startswith("control")),
+            )
+        ),
+        "**held-out drives, right names**",
+        markdown(
+            Table("", ("figure", "cases", "found", "goal"), worth(results))
+        ),
+    ]
 
 
 def is_aside(world: World) -> bool:
