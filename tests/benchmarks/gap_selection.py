@@ -99,7 +99,8 @@ def protocol(split: str) -> list[Case]:
     ):
         for groups, count in (
             (("S1",), 4),
-            (("S2", "SU", "ST"), 5),
+            (("S2", "SU"), 5),
+            (("ST",), 10),
             (("S0",), 25),
         ):
             found += cases_of(world, groups, count, EFFECT_NAMES)
