@@ -338,8 +338,7 @@ class Service:
 def _settle() -> None:
     """Leave all that is built out of later passes of the collector.
 
-    A pass over a whole vehicle takes some 25 ms, a quarter of a publication.
+    A pass over a whole vehicle takes some 25 ms, a quarter of a publication;
+    so there is none now either, with frames waiting.
     """
-    gc.unfreeze()
-    gc.collect()
     gc.freeze()
