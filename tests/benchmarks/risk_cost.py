@@ -124,7 +124,6 @@ def _publications(
     begun = set()
     first_us: int | None = None
     # as the service does once it is ready
-    gc.collect()
     gc.freeze()
     for events in EventLog(path, signal_map, None).events():
         start_us, end_us = int(events.time_us[0]), int(events.time_us[-1])

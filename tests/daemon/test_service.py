@@ -348,8 +348,10 @@ def test_the_collector_passes_over_no_vehicle_and_a_reload_leaves_none(
         return monitor
 
     monkeypatch.setattr(service_module, "build_monitor", watched)
+    gc.unfreeze()
     left_out = []
     here = []
+    passed_over = []
 
     def play(peer: Peer, lines: Lines) -> None:
         peer.drive(0.2)
@@ -357,6 +359,8 @@ def test_the_collector_passes_over_no_vehicle_and_a_reload_leaves_none(
         os.kill(os.getpid(), signal.SIGHUP)
         lines.wait_for("config_reloaded")
         here.extend(engine() is not None for engine in built)
+        new = built[-1]()
+        passed_over.extend(one is new for one in gc.get_objects())
 
     try:
         run(play, config=path)
@@ -365,6 +369,7 @@ def test_the_collector_passes_over_no_vehicle_and_a_reload_leaves_none(
 
     assert left_out[0] > 10_000
     assert here == [False, True]
+    assert not any(passed_over)
 
 
 def test_the_service_manager_hears_ready_status_watchdog_and_stopping(
