@@ -228,8 +228,10 @@ static void hold_speeds(Checks *c, const Readings *now, double middle,
     }
 }
 
-static void hold_pressures(Checks *c, const Readings *now)
+static void hold_pressures(Checks *c, const Readings *now, int64_t refused)
 {
+    /* what noise made of the speed is no driving */
+    const int unsure = (refused & SPEED_SUSPECT) != 0;
     for (int i = 0; i < c->corners + 2; i++) {
         const double pressure = now->pressure[i];
         if (isnan(pressure) || pressure != c->p_held[i]) {
@@ -237,6 +239,7 @@ static void hold_pressures(Checks *c, const Readings *now)
             c->p_held_s[i] = 0.0;
             c->p_mark[i] = now->speed;
         } else c->p_held_s[i] += now->dt_s;
+        if (unsure) c->p_mark[i] = now->speed;
         int outcome = OPEN;
         if (!isnan(pressure) && now->speed_known) {
             if (pressure <= FROZEN_PRESSURE_PA || c->p_held_s[i] < MOVES_S)
@@ -280,10 +283,11 @@ static void compare_direction(Checks *c, double dt_s, double gained)
     n[N_REVERSED] = after(REVERSED, n[N_REVERSED], outcome, dt_s);
 }
 
-static void compare_inertia(Checks *c, const Readings *now)
+static void compare_inertia(Checks *c, const Readings *now, int64_t refused)
 {
     double *n = c->n;
-    if (isnan(now->acceleration) || !now->speed_known) {
+    const int64_t noise = refused & (SPEED_SUSPECT | ACCELERATION_SUSPECT);
+    if (isnan(now->acceleration) || !now->speed_known || noise) {
         n[N_SLOW_SPEED] = UNKNOWN;
         return;
     }
@@ -416,11 +420,15 @@ int64_t bstm_checks_close(Checks *c, const Readings *now)
     const double middle = median(now->voice, c->corners + 1, &count);
     compare_speeds(c, now, middle, count);
     hold_speeds(c, now, middle, count);
-    hold_pressures(c, now);
+    int64_t refused = 0;
+    if (now->now <= c->t[T_SUSPECT_UNTIL]) {
+        refused = held_flags(c, now);
+        refused |= speed_flags(c, now, refused);
+    }
+    hold_pressures(c, now, refused);
     compare_switch(c, now);
-    compare_inertia(c, now);
-    int64_t flags = contradictions(c, now, count);
-    if (now->now <= c->t[T_SUSPECT_UNTIL]) flags |= held_flags(c, now);
+    compare_inertia(c, now, refused);
+    int64_t flags = contradictions(c, now, count) | refused;
     flags |= speed_flags(c, now, flags);
     return flags | answers(c, now);
 }

@@ -10,7 +10,7 @@ the record.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import hypot, isfinite, nan
+from math import exp, hypot, isfinite, nan
 from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 from bstm_daemon.advice.memory import (
@@ -38,6 +38,10 @@ if TYPE_CHECKING:
 FORGET_J: Final = 1e6
 LEAST_J: Final = 3e5
 """Braking work that the forces are compared over, and from which on."""
+
+TRIAL_S: Final = 5.0
+"""Braking work counts once nothing was found against an input for so long
+after it: what is wrong with one may take that long to be seen."""
 
 FORCE_COMES: Final = 0.3
 FORCE_GOES: Final = 0.2
@@ -75,6 +79,10 @@ _UNKNOWN: Final = (
     | FLAGS["silent"]
 )
 """With any of these one of the two works is not known."""
+
+NO_WORK: Final = (0.0, 0.0, 0.0)
+"""Work by pressure less work by motion, the larger one of them [J]; for how
+long it was gathered [s]."""
 
 _FF: Final = CHANNELS.index("brake_energy_ff_j")
 _FB: Final = CHANNELS.index("brake_energy_fb_j")
@@ -123,9 +131,11 @@ class Couple(Machine):
             self.disagrees = False
             return
         if not isfinite(self.mean_k):
-            self.mean_k = apart_k
-        self.mean_k += (apart_k - self.mean_k) * min(dt_s / MEMORY_S, 1.0)
+            self.mean_k, self.known_s = 0.0, 0.0
         self.known_s += dt_s
+        # at first of all there was: the first one is no more than the rest
+        share = dt_s / min(self.known_s, MEMORY_S)
+        self.mean_k += (apart_k - self.mean_k) * min(share, 1.0)
         tolerance = SIGMAS * hypot(self.floor_k, self.share * rise_k)
         if self.disagrees:
             tolerance *= GOES
@@ -143,6 +153,8 @@ class ModelCheck(Machine):
         "_work_j": number,
         "_braked_j": number,
         "_forces_disagree": flag,
+        "_young": row(any_number, number, number),
+        "_ripe": row(any_number, number, number),
     }
 
     def __init__(
@@ -155,6 +167,9 @@ class ModelCheck(Machine):
         self._before: tuple[int, float, float] | None = None
         self._apart_j = self._work_j = self._braked_j = 0.0
         self._forces_disagree = False
+        # what is on trial, and what was before it
+        self._young: tuple[float, float, float] = NO_WORK
+        self._ripe: tuple[float, float, float] = NO_WORK
 
     def export(self) -> dict[str, Any]:
         """Return the memory as plain values that JSON knows."""
@@ -210,23 +225,42 @@ class ModelCheck(Machine):
             dt_s = (time_us - then_us) * 1e-6
             by_motion = moved * dt_s if self._fused else moved - old_moved
             if 0.0 < dt_s < 1.0:
-                if not flags & _UNKNOWN:
+                if flags & _UNKNOWN:
+                    self._young = self._ripe = NO_WORK
+                else:
                     self._take_work(
-                        pressed_scale * (pressed - old_pressed), by_motion
+                        pressed_scale * (pressed - old_pressed),
+                        by_motion,
+                        dt_s,
                     )
                 self._take_couples(
                     block, i, first, dt_s, history_known=history_known
                 )
         self._before = time_us, pressed, moved
 
-    def _take_work(self, pressed_j: float, moved_j: float) -> None:
+    def _take_work(
+        self, pressed_j: float, moved_j: float, dt_s: float
+    ) -> None:
+        apart_j, work_j, lasted_s = self._young
         larger = max(pressed_j, moved_j)
-        if not larger > 0.0:  # also of NaN
+        if larger > 0.0:  # neither of NaN
+            apart_j += pressed_j - moved_j
+            work_j += larger
+        self._young = apart_j, work_j, lasted_s + dt_s
+        if lasted_s + dt_s >= TRIAL_S:
+            self._count_work(*self._ripe[:2])
+            self._ripe, self._young = self._young, NO_WORK
+
+    def _count_work(self, apart_j: float, work_j: float) -> None:
+        if not work_j > 0.0:
             return
-        keep = max(1.0 - larger / FORGET_J, 0.0)
-        self._apart_j = keep * self._apart_j + pressed_j - moved_j
-        self._work_j = keep * self._work_j + larger
-        self._braked_j += larger
+        # as if it had come evenly, forgotten meanwhile
+        share = work_j / FORGET_J
+        keep = exp(-share)
+        taken = (1.0 - keep) / share
+        self._apart_j = keep * self._apart_j + taken * apart_j
+        self._work_j = keep * self._work_j + taken * work_j
+        self._braked_j += work_j
         limit = FORCE_GOES if self._forces_disagree else FORCE_COMES
         difference = self.force_difference
         self._forces_disagree = (

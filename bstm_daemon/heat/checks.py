@@ -201,12 +201,14 @@ class Checks:
         median, count = _median(now.voices)
         self._compare_speeds(now, median, count)
         self._hold_speeds(now, median, count)
-        self._hold_pressures(now)
-        self._compare_switch(now)
-        self._compare_inertia(now)
-        flags = self._contradictions(now, count)
+        refused = 0
         if now.now <= self.suspect_until:
-            flags |= self._held_flags(now)
+            refused = self._held_flags(now)
+            refused |= self._speed_flags(now, refused)
+        self._hold_pressures(now, refused)
+        self._compare_switch(now)
+        self._compare_inertia(now, refused)
+        flags = self._contradictions(now, count) | refused
         flags |= self._speed_flags(now, flags)
         return flags | self._answers(now)
 
@@ -275,7 +277,9 @@ class Checks:
                 or self.stuck[v] >= STUCK.comes_s
             )
 
-    def _hold_pressures(self, now: Readings) -> None:
+    def _hold_pressures(self, now: Readings, refused: int) -> None:
+        # what noise made of the speed is no driving
+        unsure = bool(refused & FLAGS["speed_suspect"])
         for i, pressure in enumerate(now.pressures):
             if isnan(pressure) or pressure != self.p_held[i]:
                 self.p_held[i] = 0.0 if isnan(pressure) else pressure
@@ -283,6 +287,8 @@ class Checks:
                 self.p_mark[i] = now.speed
             else:
                 self.p_held_s[i] += now.dt_s
+            if unsure:
+                self.p_mark[i] = now.speed
             failed = None
             if not isnan(pressure) and now.speed_known:
                 if (
@@ -314,8 +320,11 @@ class Checks:
             self.switch_doubt, now.dt_s, failed=failed
         )
 
-    def _compare_inertia(self, now: Readings) -> None:
-        if isnan(now.acceleration) or not now.speed_known:
+    def _compare_inertia(self, now: Readings, refused: int) -> None:
+        noise = refused & (
+            FLAGS["speed_suspect"] | FLAGS["acceleration_suspect"]
+        )
+        if isnan(now.acceleration) or not now.speed_known or noise:
             self.slow_speed = UNKNOWN
             return
         if self.slow_speed < 0.0:

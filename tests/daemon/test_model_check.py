@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
+import random
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import pytest
 from cantools.database.can import Database
@@ -29,8 +30,13 @@ from bstm_daemon.simulation.frames import Encoder
 from bstm_daemon.simulation.parameters import Effects
 from bstm_daemon.simulation.recorder import write_candump
 
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
 ROOT = Path(__file__).parents[2]
 SECOND = 1_000_000
+CAR = Database()
+CAR.add_dbc_file(ROOT / "dbc" / "example_vehicle.dbc")
 DATABASE = Database()
 DATABASE.add_dbc_file(ROOT / "dbc" / "bstm.dbc")
 
@@ -127,10 +133,18 @@ def car(folder: Path, *changes: tuple[str, str]) -> Path:
     return path
 
 
-def beside(folder: Path, path: Path, drive: str, effects: Effects) -> Seen:
+def beside(
+    folder: Path,
+    path: Path,
+    drive: str,
+    effects: Effects,
+    heard: Callable[[int, int, bytes], bytes] = lambda *sent: sent[-1],
+) -> Seen:
     """Let the car of *path* hear *drive* as the live service does.
 
     Everything is the service's own but the clock, which is the log's.
+    *heard* makes of the time in the drive, the id and what was sent what is
+    heard.
     """
     log = folder / "drive.log"
     simulated = simulate(parse_drive(drive, "own"), preset=effects, seed=2)
@@ -149,7 +163,7 @@ def beside(folder: Path, path: Path, drive: str, effects: Effects) -> Seen:
     engine, flags = monitor.engine, []
     engine.estimator.history_left_steps = cold.estimator.history_left_steps
     status = DATABASE.get_message_by_name("BSTM_Status")
-    next_us = tick_us = 0
+    next_us = tick_us = first_us = 0
     for chunk in open_log(log).chunks():
         for stamp_us, can_id, payload, length in zip(
             chunk.time_us.tolist(),
@@ -158,7 +172,10 @@ def beside(folder: Path, path: Path, drive: str, effects: Effects) -> Seen:
             chunk.length.tolist(),
             strict=True,
         ):
-            data = payload.tobytes()[:length]
+            first_us = first_us or stamp_us
+            data = heard(
+                stamp_us - first_us, can_id, payload.tobytes()[:length]
+            )
             if stamp_us >= tick_us:
                 tick_us = stamp_us // SECOND * SECOND + SECOND
                 published = engine.tick(stamp_us)
@@ -227,6 +244,34 @@ def test_a_sound_model_raises_nothing(tmp_path: Path) -> None:
     assert not (tmp_path / "record" / "kept").exists()
 
 
+def test_what_is_found_wrong_is_no_disagreement(tmp_path: Path) -> None:
+    """A plug works loose: thrice the pressure, seen only once it is noise."""
+    chance = random.Random(0)  # noqa: S311
+    message = CAR.get_message_by_name("BrakePressure")
+    found: list[int] = []
+
+    def heard(at_us: int, can_id: int, data: bytes) -> bytes:
+        if can_id != message.frame_id or at_us > 60 * SECOND:
+            return data
+        if at_us % (5 * SECOND) > 4 * SECOND:
+            return chance.randbytes(len(data))
+        values = message.decode(data, decode_choices=False)
+        assert isinstance(values, dict)
+        found.append(can_id)
+        return message.encode(
+            {name: 3.0 * float(one) for name, one in values.items()},  # type: ignore[arg-type]
+            strict=False,
+        )
+
+    long = STOPS.replace("repeat = 4", "repeat = 16")
+    seen = beside(tmp_path, car(tmp_path), long, Effects(), heard)
+
+    assert found
+    assert {"fault": "pressure suspect"} in seen.lines.of("input_fault")
+    assert {"what": "heat"} not in seen.lines.of("model_disagrees")
+    assert abs(seen.monitor.engine.model_check.force_difference) < 0.1
+
+
 def test_pressure_and_motion_that_differ_are_noticed(tmp_path: Path) -> None:
     """Pads that grip less than configured: the forces tell."""
     weak = ("friction_coefficient = 0.38", "friction_coefficient = 0.65")
@@ -236,6 +281,16 @@ def test_pressure_and_motion_that_differ_are_noticed(tmp_path: Path) -> None:
     assert seen.lines.of("model_disagrees") == [{"what": "heat"}]
     assert seen.monitor.engine.model_check.force_difference > 0.3
     assert kept(tmp_path).name.endswith("-model")
+
+
+def test_the_first_reading_of_a_couple_is_one_of_many() -> None:
+    """A spike as the ignition comes on is no disagreement later."""
+    couple = Couple("FL", "disc", 0, 0, 0, 0, 0, floor_k=8.0, share=0.05)
+    couple.take(1500.0, 50.0, 0.1)
+    for _ in range(2000):
+        couple.take(5.0, 50.0, 0.1)
+        assert not couple.disagrees
+    assert couple.mean_k == pytest.approx(5.0, abs=2.0)
 
 
 def test_a_couple_goes_on_after_a_restart() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import random
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
@@ -11,6 +12,7 @@ from hypothesis import strategies as st
 
 from bstm_daemon.heat.plausibility import (
     FAULTS,
+    SUSPECT,
     WORDS,
     Hysteresis,
     fault_names,
@@ -459,6 +461,41 @@ def test_an_accelerometer_the_wrong_way_round(
         assert first_s(marks) < comes_s
         assert marks[round(wrong_s * STEPS_PER_S)]
     assert not marks[-1]
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_noise_leaves_no_doubt(
+    kernel: Kernel | None,
+    start: Callable[..., Run],
+    make_car: Any,
+    seed: int,
+) -> None:
+    """No car drove what noise made of the speed; the steady one after did.
+
+    Its pedal is held and its speed constant, so that neither check could
+    take back what it had found.
+    """
+    chance = random.Random(seed)  # noqa: S311
+    steady = {
+        "vehicle_speed": 20.0,
+        "primary_pressure": 2e6,
+        "acceleration_longitudinal": 0.0,
+    }
+    drive = Drive().hold(10.0, **steady)
+    for _ in range(10 * STEPS_PER_S):
+        noise = {
+            "vehicle_speed": chance.uniform(-20.0, 200.0),
+            "primary_pressure": chance.uniform(-5e5, 400e5),
+            "acceleration_longitudinal": chance.uniform(-120.0, 120.0),
+        }
+        drive.hold(0.05, **(noise if chance.random() < 0.5 else steady))
+    sound_s = drive.at_us * 1e-6 + 5.0
+    drive.hold(60.0, **steady)
+    run = start(make_car(), kernel, *steady).feed(drive.samples)
+
+    assert any(bits(run, FLAGS["samples_refused"]))
+    after = bits(run, SUSPECT)[round(sound_s * STEPS_PER_S) :]
+    assert not any(after)
 
 
 # What is done without heat
