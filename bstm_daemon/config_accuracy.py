@@ -9,7 +9,8 @@ class AccuracyConfig(Section):
     """``[accuracy]``: what a matched model leaves over, by ``bstm match``.
 
     Standard deviation of a node's estimate: ``_k`` and ``_share`` of its rise
-    above the air, in quadrature.
+    above the air, in quadrature. ``thermocouple_offset_k`` is of what is
+    measured: what a junction reads too much, always the same.
     """
 
     disc_k: Positive | None = None
@@ -20,3 +21,4 @@ class AccuracyConfig(Section):
     pad_back_share: NotNegative = 0.0
     fluid_k: Positive | None = None
     fluid_share: NotNegative = 0.0
+    thermocouple_offset_k: NotNegative = 0.0

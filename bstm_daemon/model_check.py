@@ -322,5 +322,7 @@ def _couples(
 def _accuracy(config: Config, node: str) -> tuple[float, float]:
     floor_k = getattr(config.accuracy, f"{node}_k", None)
     if floor_k is None:
-        return USUAL[node]
-    return float(floor_k), float(getattr(config.accuracy, f"{node}_share"))
+        floor_k, share = USUAL[node]
+    else:
+        share = float(getattr(config.accuracy, f"{node}_share"))
+    return hypot(floor_k, config.accuracy.thermocouple_offset_k), share

@@ -86,8 +86,13 @@ do not know yet, and here they are fitted."""
 
 
 def noise_of(config: Config, node: str) -> NodeNoise:
-    """Return the noise of *node*: what ``[accuracy]`` knows, else usual."""
+    """Return the noise of *node*: what ``[accuracy]`` knows, else usual.
+
+    The offset of the junctions adds to that of the model.
+    """
     usual = USUAL.get(node, OTHER)
+    offset_k = config.accuracy.thermocouple_offset_k
+    usual = replace(usual, offset_k=float(np.hypot(usual.offset_k, offset_k)))
     floor = getattr(config.accuracy, f"{node}_k", None)
     if floor is None:
         return usual

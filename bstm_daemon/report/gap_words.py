@@ -73,7 +73,7 @@ def gap_text(gap: Gap) -> str:
 
 def remarks_on(config: Config) -> tuple[str, ...]:
     """Return what a reader has to know of *config* beside the answer."""
-    told = config.accuracy.model_fields_set
+    told = config.accuracy.model_fields_set - {"thermocouple_offset_k"}
     return () if told else (UNMATCHED,)
 
 

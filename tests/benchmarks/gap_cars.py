@@ -20,6 +20,7 @@ import numpy as np
 from bstm_daemon.bus.columns import Events
 from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.config import EffectConfig
+from bstm_daemon.config_accuracy import AccuracyConfig
 from bstm_daemon.effects.catalogue import STRUCTURES
 from bstm_daemon.gap.comparison import HEAT_SCALE_PRIOR
 from bstm_daemon.gap.menu import MENU
@@ -171,7 +172,10 @@ class Garage:
         if not kept.exists():
             keep(kept, pickle.dumps(self._matched()))
         target: Target = pickle.loads(kept.read_bytes())  # noqa: S301  (own)
-        return mistuned(target, self.seed)
+        config = target.config.model_copy(
+            update={"accuracy": known_accuracy(self.world.sensors)}
+        )
+        return mistuned(replace(target, config=config), self.seed)
 
     @cached_property
     def sensed(self) -> Sensed:
@@ -306,6 +310,13 @@ def known_sensors(sensors: str) -> list[EffectConfig]:
         return []
     values = {"strength": 1.0, "time_s": lag_s}
     return [EffectConfig(name="thermocouple_lag", parameters=values)]
+
+
+def known_accuracy(sensors: str) -> AccuracyConfig:
+    """Return what a data sheet says of their offsets."""
+    preset = SENSOR_PRESETS[sensors]
+    offset_k = preset.thermocouple.bias_sd if preset else 0.0
+    return AccuracyConfig(thermocouple_offset_k=offset_k)
 
 
 def structure_config(structure: str) -> Config:

@@ -37,3 +37,21 @@ def test_accuracy_of_the_match_is_taken() -> None:
     assert noise_of(matched, "disc").floor_k == 4.0
     assert noise_of(matched, "disc").share == 0.03
     assert noise_of(matched, "fluid").floor_k == 2.0 * USUAL["fluid"].floor_k
+
+
+def test_offsets_of_the_junctions_add_to_the_models() -> None:
+    """Of readings that have them, the covariance is right."""
+    config = load_vehicle(shipped_file("config/example_vehicle.toml"))[0]
+    known = config.accuracy.model_copy(update={"thermocouple_offset_k": 3.0})
+    sheet = config.model_copy(update={"accuracy": known})
+    usual, told = noise_of(config, "fluid"), noise_of(sheet, "fluid")
+    time_s = np.arange(0.0, 300.0, 20.0)
+    still = np.zeros_like(time_s)
+    chance = np.random.default_rng(2)
+    lower = np.linalg.cholesky(usual.covariance(time_s, still, still))
+    draws = lower @ chance.standard_normal((len(time_s), 4000))
+    draws += 3.0 * chance.standard_normal(4000)
+
+    white = told.whitener(time_s, still, still) @ draws
+
+    assert np.cov(white) == pytest.approx(np.eye(len(time_s)), abs=0.12)
