@@ -119,11 +119,8 @@ def _places(layout: Layout) -> list[tuple[Series, slice]]:
 def _part(
     series: Series, noise: NodeNoise, residual: Column, columns: Column
 ) -> _Part:
-    covariance = noise.covariance(
-        series.time_s[::EVERY],
-        series.slope_k_s[::EVERY],
-        series.rise_k[::EVERY],
-    )
+    whole = noise.covariance(series.time_s, series.slope_k_s, series.rise_k)
+    covariance = whole[::EVERY, ::EVERY]
     lower = np.linalg.cholesky(covariance)
     white = np.linalg.solve(lower, np.column_stack((residual, columns)))
     gram = white.T @ white

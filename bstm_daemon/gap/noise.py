@@ -5,9 +5,11 @@ form of the model itself is off by what ``[accuracy]`` says, which grows with
 the rise above the air. With covariance
 
     C = white^2 I + d d' exp(-|dt|/tau) + offset^2 11' + lag^2 T'T''
-        + quick^2 diag(T'^2),     d = hypot(floor, share * rise)
+        + quick^2 diag(T'-^2 + T'+^2) / 2,     d = hypot(floor, share * rise)
 
-offset and lag are marginalised and need no values of their own.
+offset and lag are marginalised and need no values of their own. T'- and T'+
+are the slopes before and after a point: at the peak of a stop their mean is 0,
+and a model that is a second off there is some kelvin off.
 """
 
 from __future__ import annotations
@@ -33,7 +35,7 @@ class NodeNoise:
     share: float
     offset_k: float
     lag_s: float = 2.0
-    quick_s: float = 3.0
+    quick_s: float = 2.1
 
     def smoothed(self, samples: int) -> NodeNoise:
         """Return the noise of a running mean over *samples*."""
@@ -53,7 +55,9 @@ class NodeNoise:
         found += self.offset_k**2
         found += self.lag_s**2 * np.outer(slope_k_s, slope_k_s)
         found[np.diag_indices_from(found)] += (
-            self.white_k**2 + (self.quick_s * slope_k_s) ** 2
+            self.white_k** 2
+            + self.quick_s** 2
+            * np.maximum(slope_k_s**2, _steep2(time_s, rise_k))
         )
         return found
 
@@ -66,11 +70,21 @@ class NodeNoise:
         return np.asarray(np.linalg.solve(lower, np.eye(len(time_s))))
 
 
+def _steep2(time_s: Column, rise_k: Column) -> Column:
+    """Return the mean square of the slopes before and after each point."""
+    if len(time_s) < 2:
+        return np.zeros_like(rise_k)
+    square = (np.diff(rise_k) / np.diff(time_s)) ** 2
+    before = np.concatenate((square[:1], square))
+    after = np.concatenate((square, square[-1:]))
+    return np.asarray(0.5 * (before + after))
+
+
 USUAL: Final[dict[str, NodeNoise]] = {
     # a lumped disc has no surface: in stops it errs by seconds of its slope
-    "disc": NodeNoise(1.5, 3.6, 0.024, 2.0, quick_s=4.8),
-    "pad_front": NodeNoise(0.7, 2.4, 0.024, 3.0, quick_s=2.1),
-    "pad_back": NodeNoise(0.7, 1.2, 0.016, 1.5, quick_s=2.1),
+    "disc": NodeNoise(1.5, 3.6, 0.024, 2.0, quick_s=3.4),
+    "pad_front": NodeNoise(0.7, 2.4, 0.024, 3.0, quick_s=1.5),
+    "pad_back": NodeNoise(0.7, 1.2, 0.016, 1.5, quick_s=1.5),
     "fluid": NodeNoise(1.0, 1.0, 0.01, 0.7),
 }
 """Of a model matched to this car, by node, where ``[accuracy]`` is empty."""

@@ -25,7 +25,7 @@ from bstm_daemon.gap.naming import Naming, name_effect
 from bstm_daemon.gap.noise import noise_of
 from bstm_daemon.gap.showing import Shown, show
 from bstm_daemon.gap.signatures import Linearised, candidates, sensed
-from bstm_daemon.matching.tunables import REFINED, targets_of, usable
+from bstm_daemon.matching.tunables import refined_keys, targets_of, usable
 from bstm_daemon.roles import MEASURED_NODES, ROLE_INDEX
 
 if TYPE_CHECKING:
@@ -145,7 +145,7 @@ def find_gap(
 
 def compare(target: Target, recordings: Sequence[Recording]) -> Comparison:
     """Return *target* against *recordings* with the noise of its nodes."""
-    keys, _ = usable(target, REFINED)
+    keys, _ = usable(target, refined_keys(target))
     noise = {node: noise_of(target.config, node) for node in MEASURED_NODES}
     return Comparison(target, recordings, keys, noise)
 

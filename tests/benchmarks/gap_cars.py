@@ -30,9 +30,9 @@ from bstm_daemon.gap.workflow import compare
 from bstm_daemon.matching.drives import thermocouples_of
 from bstm_daemon.matching.refine import refine
 from bstm_daemon.matching.tunables import (
-    REFINED,
     TUNABLES,
     Target,
+    refined_keys,
     targets_of,
     usable,
 )
@@ -196,7 +196,7 @@ class Garage:
     @cached_property
     def prior(self) -> np.ndarray:
         """Standard deviations of the logarithms of its tunables, (p,)."""
-        keys, _ = usable(self.target, REFINED)
+        keys, _ = usable(self.target, refined_keys(self.target))
         return np.array([*(TUNABLES[k].prior for k in keys), HEAT_SCALE_PRIOR])
 
     def driven(self, name: str) -> Driven:
@@ -288,7 +288,7 @@ class Garage:
                 recorded(name, events_of(drive), config, present()).drive
             )
         target = targets_of(config, ["FL", "FR"])[0]
-        keys, _ = usable(target, REFINED)
+        keys, _ = usable(target, refined_keys(target))
         return target.changed(refine(target, drives, keys).values)
 
 
@@ -361,7 +361,7 @@ def drawn_car(seed: int) -> CarParameters:
 def mistuned(target: Target, seed: int) -> Target:
     """Return *target* with its tunables off by a little."""
     rng = np.random.default_rng(seed)
-    keys, _ = usable(target, REFINED)
+    keys, _ = usable(target, refined_keys(target))
     values = {}
     for key in keys:
         one = TUNABLES[key]

@@ -55,3 +55,17 @@ def test_offsets_of_the_junctions_add_to_the_models() -> None:
     white = told.whitener(time_s, still, still) @ draws
 
     assert np.cov(white) == pytest.approx(np.eye(len(time_s)), abs=0.12)
+
+
+def test_at_a_peak_what_is_late_is_wrong() -> None:
+    """The mean slope is 0 there; a model a second late errs all the same."""
+    noise = NodeNoise(0.5, 0.0, 0.0, 0.0, lag_s=0.0, quick_s=2.0)
+    time_s = np.arange(0.0, 200.0, 20.0)
+    rise = 100.0 + 4.0 * np.minimum(time_s, 160.0 - time_s)
+    late = np.random.default_rng(3).normal(0.0, 2.0, (4000, len(time_s)))
+    peak = 100.0 + 4.0 * np.minimum(time_s - late, 160.0 - time_s + late)
+
+    told = noise.covariance(time_s, np.gradient(rise, time_s), rise)
+
+    seen = np.mean((peak - rise) ** 2, axis=0) + 0.5**2
+    assert np.diag(told) == pytest.approx(seen, rel=0.15)

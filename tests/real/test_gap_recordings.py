@@ -51,7 +51,7 @@ def test_toyota_brakes_without_pressure() -> None:
     found = find_force_gap(config, [recording])
 
     assert found.naming.names == ("brake_without_pressure",)
-    assert found.naming.probability > 0.99
+    assert found.naming.probability > 0.95
     assert found.strengths["brake_without_pressure"] == pytest.approx(
         1.0, abs=0.25
     )
@@ -77,8 +77,8 @@ def test_f1_discs_are_cooled_by_the_wind(tmp_path: Path) -> None:
     assert found.naming is not None
     assert found.shown is not None
     assert found.naming.names == ("speed_dependent_convection",)
-    assert found.naming.probability > 0.99
+    assert found.naming.probability > 0.95
     evidence = [one.log_evidence for one in found.naming.candidates[:2]]
-    assert evidence[0] > evidence[1] + 8.0
+    assert evidence[0] > evidence[1] + 5.0
     assert found.shown.held_out
     assert found.shown.shrinks[BASELINES[1]].factor > 1.1
