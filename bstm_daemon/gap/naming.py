@@ -38,7 +38,7 @@ SURE: Final = 0.95
 GATE_Z: Final = 4.1
 """Standard deviations of the best candidate from which there is a gap. With
 39 candidates chance reaches it once in 1000 searches; the form of the model
-takes effect-free cars up to 3.3, right names begin at 4.9 (`docs/gap.md`)."""
+takes effect-free cars up to 3.8, right names begin at 5.2 (`docs/gap.md`)."""
 
 GATE_NOTHING: Final = 0.05
 """And nothing missing must be less probable than this."""

@@ -99,7 +99,7 @@ def test_noise_of_another_form_takes_no_name(
     target: Target, made: Callable[..., Recording]
 ) -> None:
     """What all effects together explain, and no heat does, is no heat."""
-    recordings = [made({"gap_conduction": 0.15}, noise_k=1.0)]
+    recordings = [made({"gap_conduction": 0.12}, noise_k=1.0)]
     comparison = compare(target, recordings)
     among = [
         name
