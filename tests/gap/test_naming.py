@@ -9,24 +9,25 @@ import numpy as np
 import pytest
 
 from bstm_daemon.effects.catalogue import effect_class, effect_names
+from bstm_daemon.gap.comparison import with_effects
 from bstm_daemon.gap.evidence import (
     Candidate,
     probabilities,
     weigh,
 )
-from bstm_daemon.gap.fitting import fit
+from bstm_daemon.gap.fitting import effect_entries, fit
 from bstm_daemon.gap.naming import name_effect
 from bstm_daemon.gap.projector import Projector
 from bstm_daemon.gap.showing import CONFIGURED, EXTENDED, REFITTED, show
 from bstm_daemon.gap.signatures import Signature, candidates, linearised
 from bstm_daemon.gap.workflow import compare
+from bstm_daemon.matching.tunables import Target
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from bstm_daemon.config import Config
     from bstm_daemon.gap.recording import Recording
-    from bstm_daemon.matching.tunables import Target
 
 AMONG = (
     "gap_conduction",
@@ -51,6 +52,22 @@ def test_nothing_is_named_where_nothing_is_missing(
     assert found.answer == "nothing"
     assert found.probability > 0.5
     assert all(np.isfinite(one.reach) for one in found.candidates)
+
+
+def test_what_an_adopted_effect_is_off_by_is_no_further_one(
+    config: Config, made: Callable[..., Recording]
+) -> None:
+    """A strength of `[[effect]]` is no better known than any tunable."""
+    weak = with_effects(config, effect_entries({"gap_conduction": 0.7}))
+    comparison = compare(
+        Target(weak, ("FL",)), [made({"gap_conduction": 1.0})]
+    )
+    among = [name for name in AMONG if name != "gap_conduction"]
+
+    found = name_effect(comparison, linearised(comparison, among))
+
+    assert found.answer == "nothing"
+    assert found.gate_z < 2.0
 
 
 @pytest.mark.parametrize("name", ["gap_conduction", "shim_contact"])
