@@ -135,7 +135,10 @@ class Comparison(Layout):
                 [gains[c].get(name, (1.0, 0.0)) for c, name in one.couples],
                 axis=0,
             )
-            parts.append(model - (gain * one.measured_k + offset)[:, None])
+            # what the junction shows of the model, not the model against what
+            # it should have shown: the noise of the reading, scaled, would
+            # tell the residual's own and look like an error of the gain
+            parts.append((model - offset) / gain - one.measured_k[:, None])
         return np.concatenate(parts)
 
     def drives(self, effects: Sequence[EffectConfig] = ()) -> list[Drive]:

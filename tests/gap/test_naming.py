@@ -70,6 +70,19 @@ def test_what_an_adopted_effect_is_off_by_is_no_further_one(
     assert found.gate_z < 2.0
 
 
+def test_noise_of_a_reading_is_no_error_of_its_gain(
+    target: Target, made: Callable[..., Recording]
+) -> None:
+    """Noise of 4 K, as great in the residual as in the reading."""
+    comparison = compare(target, [made(noise_k=4.0)])
+    known = linearised(comparison, ["thermocouple_offset"])
+
+    found = name_effect(comparison, known)
+
+    assert found.answer == "nothing"
+    assert found.gate_z < 3.0
+
+
 @pytest.mark.parametrize("name", ["gap_conduction", "shim_contact"])
 def test_the_hidden_effect_is_named(
     target: Target, made: Callable[..., Recording], name: str
