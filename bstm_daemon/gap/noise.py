@@ -54,10 +54,9 @@ class NodeNoise:
         found = np.outer(drift, drift) * np.exp(-apart / DRIFT_S)
         found += self.offset_k**2
         found += self.lag_s**2 * np.outer(slope_k_s, slope_k_s)
+        steep2 = np.maximum(slope_k_s**2, _steep2(time_s, rise_k))
         found[np.diag_indices_from(found)] += (
-            self.white_k** 2
-            + self.quick_s** 2
-            * np.maximum(slope_k_s**2, _steep2(time_s, rise_k))
+            self.white_k**2 + self.quick_s**2 * steep2
         )
         return found
 

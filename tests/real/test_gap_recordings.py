@@ -51,7 +51,7 @@ def test_toyota_brakes_without_pressure() -> None:
     found = find_force_gap(config, [recording])
 
     assert found.naming.names == ("brake_without_pressure",)
-    assert found.naming.probability > 0.95
+    assert found.naming.probability > 0.99
     assert found.strengths["brake_without_pressure"] == pytest.approx(
         1.0, abs=0.25
     )
