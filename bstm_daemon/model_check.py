@@ -243,7 +243,7 @@ class ModelCheck(Machine):
     ) -> None:
         apart_j, work_j, lasted_s = self._young
         larger = max(pressed_j, moved_j)
-        if larger > 0.0:  # neither of NaN
+        if larger > 0.0 and isfinite(pressed_j - moved_j):
             apart_j += pressed_j - moved_j
             work_j += larger
         self._young = apart_j, work_j, lasted_s + dt_s
