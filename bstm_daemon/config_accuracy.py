@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
+from math import sqrt
+from typing import Final
+
 from bstm_daemon.config_section import NotNegative, Positive, Section
+
+USUAL_DRIFT_K: Final = 1.0
+"""Drift of a junction that what is known of models has in it."""
 
 
 class AccuracyConfig(Section):
     """``[accuracy]``: what a matched model leaves over, by ``bstm match``.
 
     Standard deviation of a node's estimate: ``_k`` and ``_share`` of its rise
-    above the air, in quadrature. ``thermocouple_offset_k`` is of what is
-    measured: what a junction reads too much, always the same.
+    above the air, in quadrature. The last two are of what is measured, by the
+    junctions' data sheet: what one reads too much, always the same, and what
+    comes and goes over minutes.
     """
 
     disc_k: Positive | None = None
@@ -22,3 +29,8 @@ class AccuracyConfig(Section):
     fluid_k: Positive | None = None
     fluid_share: NotNegative = 0.0
     thermocouple_offset_k: NotNegative = 0.0
+    thermocouple_drift_k: NotNegative = 0.0
+
+    def drift_beyond_usual_k(self) -> float:
+        """Return what a junction drifts more than a usual one, sd [K]."""
+        return sqrt(max(self.thermocouple_drift_k**2 - USUAL_DRIFT_K**2, 0.0))

@@ -325,4 +325,6 @@ def _accuracy(config: Config, node: str) -> tuple[float, float]:
         floor_k, share = USUAL[node]
     else:
         share = float(getattr(config.accuracy, f"{node}_share"))
-    return hypot(floor_k, config.accuracy.thermocouple_offset_k), share
+    offset_k = config.accuracy.thermocouple_offset_k
+    drift_k = config.accuracy.drift_beyond_usual_k()
+    return hypot(floor_k, offset_k, drift_k), share

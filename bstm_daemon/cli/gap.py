@@ -125,9 +125,10 @@ def run(args: argparse.Namespace) -> int:
     held_out = _read(args, args.holdout, config, signal_map)
     if not any(one.drive.measured for one in recordings):
         return _by_forces(args, config, recordings, held_out)
-    recordings = _with_temperatures(recordings)
+    lines = _without_temperatures((*recordings, *held_out))
+    recordings = [one for one in recordings if one.drive.measured]
     if args.holdout:
-        held_out = _with_temperatures(held_out)
+        held_out = [one for one in held_out if one.drive.measured]
         if not held_out:
             msg = (
                 "--holdout: no measured temperature in these logs (roles "
@@ -146,16 +147,20 @@ def run(args: argparse.Namespace) -> int:
             progress=progress.show,
         )
     names = ", ".join(one.name for one in recordings)
-    print(f"{names}  ({config.vehicle.id}, {args.config})")
     remarks = remarks_on(config)
-    for remark in remarks:
-        print(remark)
+    lines += [f"{names}  ({config.vehicle.id}, {args.config})", *remarks]
     for gap in gaps:
-        print(gap_text(gap))
+        lines.append(gap_text(gap))
         if args.step == "advise" and not gap.advice:
-            print(f"  {no_advice_line(gap)}")
-    _write(args, [gap_json(gap) for gap in gaps], gaps)
-    _report(args, gaps, f"{names} · {config.vehicle.id}", remarks)
+            lines.append(f"  {no_advice_line(gap)}")
+    lines += _written(args, [gap_json(gap) for gap in gaps], gaps)
+    lines += _reported(args, gaps, f"{names} · {config.vehicle.id}", remarks)
+    return _told(lines)
+
+
+def _told(lines: Sequence[str]) -> int:
+    """Print *lines*, all files written: who reads may close early."""
+    print("\n".join(lines))
     return 0
 
 
@@ -170,12 +175,15 @@ def _before_any_drive(
             _question(args),
             progress.show,
         )
-    print(f"before any drive  ({config.vehicle.id}, {args.config})")
-    print(f"{', '.join(gap.corners)}:")
-    print("\n".join(f"  {line}" for line in advice_lines(gap)))
-    _write(args, [{"advice": advice_json(gap)}], [])
-    _report(args, [gap], f"before any drive · {config.vehicle.id}")
-    return 0
+    return _told(
+        [
+            f"before any drive  ({config.vehicle.id}, {args.config})",
+            f"{', '.join(gap.corners)}:",
+            *(f"  {line}" for line in advice_lines(gap)),
+            *_written(args, [{"advice": advice_json(gap)}], []),
+            *_reported(args, [gap], f"before any drive · {config.vehicle.id}"),
+        ]
+    )
 
 
 def _question(args: argparse.Namespace) -> Question:
@@ -185,14 +193,15 @@ def _question(args: argparse.Namespace) -> Question:
     )
 
 
-def _report(
+def _reported(
     args: argparse.Namespace,
     gaps: Sequence[Gap],
     subject: str,
     remarks: Sequence[str] = (),
-) -> None:
+) -> list[str]:
+    """Write the page that was asked for; return what to say of it."""
     if not args.report:
-        return
+        return []
     from bstm_daemon.report.gap_page import write_gap_page  # noqa: PLC0415
 
     write_gap_page(
@@ -202,7 +211,7 @@ def _report(
         version=__version__,
         remarks=remarks,
     )
-    print(args.report)
+    return [str(args.report)]
 
 
 def _by_forces(
@@ -224,9 +233,11 @@ def _by_forces(
         progress.show(0.1)
         gap = find_force_gap(config, recordings, held_out)
     names = ", ".join(one.name for one in recordings)
-    print(f"{names}  ({config.vehicle.id}, {args.config})")
-    print(force_text(gap))
-    _write(args, [force_json(gap)], [gap])
+    lines = [
+        f"{names}  ({config.vehicle.id}, {args.config})",
+        force_text(gap),
+        *_written(args, [force_json(gap)], [gap]),
+    ]
     if args.report:
         from bstm_daemon.report.force_page import (  # noqa: PLC0415
             write_force_page,
@@ -238,16 +249,17 @@ def _by_forces(
             subtitle=f"{names} · {config.vehicle.id} · {args.config.name}",
             version=__version__,
         )
-        print(args.report)
-    return 0
+        lines.append(str(args.report))
+    return _told(lines)
 
 
-def _with_temperatures(recordings: list[Recording]) -> list[Recording]:
-    """Return those with thermocouples, and say which have none."""
-    for one in recordings:
-        if not one.drive.measured:
-            print(f"{one.name}: no measured temperature, left out")
-    return [one for one in recordings if one.drive.measured]
+def _without_temperatures(recordings: Sequence[Recording]) -> list[str]:
+    """Return a line for each that has no thermocouple."""
+    return [
+        f"{one.name}: no measured temperature, left out"
+        for one in recordings
+        if not one.drive.measured
+    ]
 
 
 def _check(args: argparse.Namespace) -> None:
@@ -306,11 +318,12 @@ def _read(
     return found
 
 
-def _write(
+def _written(
     args: argparse.Namespace,
     corners: list[dict[str, Any]],
     gaps: Sequence[Gap | ForceGap],
-) -> None:
+) -> list[str]:
+    """Write the result and NEW.toml; return what to say of them."""
     if args.json:
         result = {
             "files": [str(log) for log in args.logs],
@@ -320,10 +333,9 @@ def _write(
         with replacing(args.json) as file:
             file.write_text(json.dumps(result, indent=2) + "\n", "utf-8")
     if args.out is None:
-        return
+        return []
     effects = [effect for gap in gaps for effect in gap.effects()]
     if not effects:
-        print(f"nothing to adopt: {args.out} not written")
-        return
+        return [f"nothing to adopt: {args.out} not written"]
     adopt(args.config, args.out, effects)
-    print(f"{args.out}: {adopted_text(gaps)}")
+    return [f"{args.out}: {adopted_text(gaps)}"]

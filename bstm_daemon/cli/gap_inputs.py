@@ -1,9 +1,4 @@
-"""Whether a recorded drive has what ``bstm gap`` forms its heat from.
-
-The estimator goes on without speed or pressure, as a car must: it takes what
-it can get and calls the result degraded. A search for what the model lacks
-would take the difference for an effect.
-"""
+"""Whether recorded drives have what ``bstm gap`` forms its heat from."""
 
 from __future__ import annotations
 
@@ -11,9 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from bstm_daemon.errors import LogError
-from bstm_daemon.report.gaps import INPUTS
-from bstm_daemon.roles import ROLES
+from bstm_daemon.heat import needs
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -27,7 +20,8 @@ def check_heat_inputs(recordings: Iterable[Recording], heat_mode: str) -> None:
     Raises:
         LogError: roles of an input are mapped, and the log has none of them.
     """
-    _check(recordings, INPUTS[heat_mode], f'heat mode "{heat_mode}"')
+    for one in recordings:
+        needs.check_heat_inputs(one.name, _seen(one), one.present, heat_mode)
 
 
 def check_force_inputs(recordings: Iterable[Recording]) -> None:
@@ -36,20 +30,15 @@ def check_force_inputs(recordings: Iterable[Recording]) -> None:
     Raises:
         LogError: roles of an input are mapped, and the log has none of them.
     """
-    _check(recordings, INPUTS["ff"], "pressure against motion")
-
-
-def _check(
-    recordings: Iterable[Recording], names: Iterable[str], user: str
-) -> None:
     for one in recordings:
-        seen = set(np.unique(one.events.role).tolist())
-        for name in names:
-            mapped = [n for n in one.present if name in ROLES[n].quantities]
-            if mapped and seen.isdisjoint(mapped):
-                roles = ", ".join(ROLES[n].name for n in sorted(mapped))
-                msg = (
-                    f"{one.name}: no {name} in this log (roles {roles}), "
-                    f"which {user} needs"
-                )
-                raise LogError(msg)
+        needs.check_inputs(
+            one.name,
+            _seen(one),
+            one.present,
+            needs.INPUTS["ff"],
+            "pressure against motion",
+        )
+
+
+def _seen(recording: Recording) -> set[int]:
+    return set(np.unique(recording.events.role).tolist())

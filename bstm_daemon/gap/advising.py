@@ -16,8 +16,9 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from bstm_daemon.effects.catalogue import effect_class
-from bstm_daemon.gap.evidence import NOTHING, STRENGTHS, strength_prior
+from bstm_daemon.gap.evidence import STRENGTHS, strength_prior
 from bstm_daemon.gap.naming import SURE
+from bstm_daemon.gap.odds import NOTHING
 from bstm_daemon.gap.projector import Projector
 from bstm_daemon.gap.signatures import sensitivities, signature_of
 

@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from bstm_daemon.gap.odds import NOTHING
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
@@ -24,9 +26,6 @@ STRENGTHS: Final = np.geomspace(0.05, 4.0, 60)
 LOG_CENTRE: Final = -0.2
 LOG_WIDTH: Final = 0.8
 """Prior of a strength: log-normal about the typical one."""
-
-NOTHING: Final = 0.5
-"""Probability that nothing is missing, before data."""
 
 
 @dataclass(frozen=True, slots=True)

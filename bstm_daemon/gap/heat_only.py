@@ -25,8 +25,7 @@ from bstm_daemon.gap.force_paths import bedded_n, drag_n, unpressed_n
 from bstm_daemon.gap.layout import Layout, Series
 from bstm_daemon.gap.naming import Naming, name_effect
 from bstm_daemon.gap.noise import NodeNoise
-from bstm_daemon.gap.projector import Projector
-from bstm_daemon.gap.several import STRENGTH_PRIOR
+from bstm_daemon.gap.projector import FREE, Projector
 from bstm_daemon.gap.signatures import Linearised, Signature, candidates
 from bstm_daemon.heat.feed_back import Vehicle
 from bstm_daemon.roles import CORNERS, ROLE_INDEX
@@ -405,7 +404,7 @@ def _strengths(
     columns = np.column_stack([by_name[name].linear for name in names])
     project = Projector(known.jacobian, comparison.prior)
     projected = project(columns)
-    normal = columns.T @ projected + np.eye(len(names)) / STRENGTH_PRIOR**2
+    normal = columns.T @ projected + np.eye(len(names)) / FREE**2
     covariance = np.linalg.inv(normal)
     best = -covariance @ (projected.T @ known.residual)
     strengths, deviations = {}, {}

@@ -8,19 +8,21 @@ effects' where something is plainly missing that no effect explains.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from math import exp, sqrt
+from math import sqrt
 from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 
 from bstm_daemon.effects.catalogue import effect_class
+from bstm_daemon.gap.confirming import best_placebo, cross_validated
 from bstm_daemon.gap.evidence import (
     Candidate,
     probabilities,
     weigh,
 )
-from bstm_daemon.gap.projector import Projector
-from bstm_daemon.gap.several import Several, search_several
+from bstm_daemon.gap.odds import mean_evidence, missing_probability
+from bstm_daemon.gap.projector import FREE, Projector
+from bstm_daemon.gap.several import Several, pair_evidence, search_several
 from bstm_daemon.gap.unknown import likeliest, missing_evidence
 
 if TYPE_CHECKING:
@@ -47,8 +49,10 @@ ALIKE: Final = 0.95
 """Cosine of two signatures, tunables projected out, from which data can not
 tell them apart."""
 
-UNKNOWN_EVIDENCE: Final = 3.0
-"""Logarithm of the Bayes factor from which heat without a name is there."""
+SOMETHING: Final = 0.88
+"""Probability from which something is missing though nothing can be named:
+one effect, two that stand in for one, or heat without a name, as likely each
+before data. Effect-free cars reach 0.84 (`docs/gap.md`)."""
 
 EXPLAINED: Final = 0.6
 UNEXPLAINED: Final = 15.0
@@ -56,15 +60,9 @@ UNEXPLAINED: Final = 15.0
 the log-likelihood left besides chance, no name is given if heat without a
 name is likely beside it: what else is left is noise of another form."""
 
-FREE: Final = 1.5
-"""Standard deviation of every strength where all are fitted together."""
-
 AGAINST: Final = 3.0
 """Log Bayes factor by which a drive, predicted by the others, may speak
 against an effect."""
-
-PLACEBOS: Final = 20
-"""Candidates that can not be: the best one's signature at other times."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,17 +128,50 @@ def name_effect(layout: Layout, linearised: Linearised) -> Naming:
     )
     nothing = _with_unknown(nothing, project, linearised)
     best = found[0] if found else None
-    if best is None or odds[""] > GATE_NOTHING or best.z < GATE_Z:
-        if nothing.unknown_evidence < UNKNOWN_EVIDENCE:
-            return nothing
+    if best and odds[""] <= GATE_NOTHING and best.z >= GATE_Z:
+        return _named(layout, project, linearised, nothing)
+    return _unnamed(layout, project, linearised, nothing)
+
+
+def _unnamed(
+    layout: Layout, project: Projector, linearised: Linearised, nothing: Naming
+) -> Naming:
+    """Return whether anything is missing though no effect passes the gate."""
+    found = nothing.candidates
+    of_one = mean_evidence([one.log_evidence for one in found])
+    of_two = pair_evidence(project, linearised, found)
+    ways = [of_one, of_two]
+    if linearised.unknown:
+        ways.append(nothing.unknown_evidence)
+    missing = missing_probability(ways)
+    if missing < SOMETHING:
+        return nothing
+    if of_one < max(ways):
         return replace(
             nothing,
             answer="unknown",
-            probability=1.0 - exp(-nothing.unknown_evidence),
-            reason="no effect of the catalogue explains it",
-            explained=0.0,
+            probability=missing,
+            reason="no effect of the catalogue alone explains it",
         )
-    return _named(layout, project, linearised, nothing)
+    members: list[str] = []
+    for one in found:
+        members.append(one.name)
+        if sum(nothing.odds[name] for name in members) >= SURE * (
+            1.0 - nothing.odds[""]
+        ):
+            break
+    best = next(s for s in linearised.signatures if s.name == found[0].name)
+    return replace(
+        nothing,
+        answer="undecided",
+        names=tuple(members),
+        probability=missing,
+        reason="no effect is plain enough to be named",
+        explained=_explained(project, linearised, found[:1])[0],
+        best_placebo_z=best_placebo(
+            layout, project, linearised.residual, best
+        ),
+    )
 
 
 def _named(
@@ -150,11 +181,11 @@ def _named(
     found, odds = nothing.candidates, nothing.odds
     best = found[0]
     by_name = {one.name: one for one in linearised.signatures}
-    placebo = _best_placebo(
+    placebo = best_placebo(
         layout, project, linearised.residual, by_name[best.name]
     )
-    validated = _cross_validated(layout, linearised, by_name[best.name])
-    several = search_several(linearised, found, layout.prior)
+    validated = cross_validated(layout, linearised, by_name[best.name])
+    several = search_several(project, linearised, found)
     explained, left = _explained(project, linearised, several.chosen)
     common = replace(
         nothing,
@@ -166,7 +197,7 @@ def _named(
     if (
         explained < EXPLAINED
         and left > UNEXPLAINED
-        and _unknown_beside(layout, linearised, several.chosen) > 0.0
+        and _unknown_beside(project, linearised, several.chosen) > 0.0
     ):
         return replace(
             common,
@@ -326,16 +357,19 @@ def _explained(
 
 
 def _unknown_beside(
-    layout: Layout, linearised: Linearised, chosen: Sequence[Candidate]
+    project: Projector, linearised: Linearised, chosen: Sequence[Candidate]
 ) -> float:
-    """Return the log Bayes factor of heat without a name beside *chosen*."""
+    """Return the log Bayes factor of heat without a name beside *chosen*.
+
+    By forces alone there is none to ask for: then nothing speaks against it.
+    """
+    if not linearised.unknown:
+        return np.inf
     names = {one.name for one in chosen}
     own = [s.at(1.0) for s in linearised.signatures if s.name in names]
-    project = Projector(
-        np.column_stack((linearised.jacobian, *own)),
-        np.concatenate((layout.prior, np.full(len(own), FREE))),
+    return missing_evidence(
+        project.beside(own), linearised.residual, linearised.unknown
     )
-    return missing_evidence(project, linearised.residual, linearised.unknown)
 
 
 def _everything(linearised: Linearised) -> Column:
@@ -363,57 +397,3 @@ def cosine(project: Projector, a: Signature, b: Signature) -> float:
     pa, pb = project(one), project(two)
     size = float(one @ pa) * float(two @ pb)
     return float(one @ pb) / sqrt(max(size, 1e-30))
-
-
-def _best_placebo(
-    layout: Layout,
-    project: Projector,
-    residual: Column,
-    signature: Signature,
-) -> float:
-    """Return the largest score of the signature at other times."""
-    rng = np.random.default_rng(7)
-    drives = range(len(layout.drive_names))
-    scores = []
-    for _ in range(PLACEBOS):
-        moved = signature.kelvin.copy()
-        for drive in drives:
-            share = rng.uniform(0.2, 0.8)
-            for part in layout.slices(drive):
-                count = part.stop - part.start
-                moved[part] = np.roll(moved[part], int(share * count))
-        white = layout.whiten(moved)
-        projected = project(white)
-        slope = max(float(white @ projected), 1e-12)
-        score = -float(projected @ residual) / sqrt(slope)
-        scores.append(abs(score) if signature.either_sign else score)
-    return max(scores)
-
-
-def _cross_validated(
-    layout: Layout, linearised: Linearised, signature: Signature
-) -> dict[str, float]:
-    """Return the log Bayes factor of each drive, predicted by the others.
-
-    How much likelier the effect makes the drive once the others are known:
-    what the others leave open, of tunables and strength, is integrated out.
-    """
-    found: dict[str, float] = {}
-    count = len(layout.drive_names)
-    if count < 2:
-        return found
-    project = Projector(linearised.jacobian, layout.prior)
-    whole = weigh(project, linearised.residual, signature).log_evidence
-    for drive, name in enumerate(layout.drive_names):
-        others = np.ones(len(linearised.residual), bool)
-        for part in layout.slices(drive):
-            others[part] = False
-        there = replace(
-            signature,
-            linear=signature.linear[others],
-            curved=signature.curved[others],
-        )
-        project = Projector(linearised.jacobian[others], layout.prior)
-        without = weigh(project, linearised.residual[others], there)
-        found[name] = whole - without.log_evidence
-    return found

@@ -15,6 +15,7 @@ and a model that is a second off there is some kelvin off.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from math import hypot
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -101,17 +102,20 @@ do not know yet, and here they are fitted."""
 def noise_of(config: Config, node: str) -> NodeNoise:
     """Return the noise of *node*: what ``[accuracy]`` knows, else usual.
 
-    The offset of the junctions adds to that of the model.
+    Offset and drift of the junctions add to what the model is off by.
     """
-    usual = USUAL.get(node, OTHER)
-    offset_k = config.accuracy.thermocouple_offset_k
-    usual = replace(usual, offset_k=float(np.hypot(usual.offset_k, offset_k)))
-    floor = getattr(config.accuracy, f"{node}_k", None)
-    if floor is None:
-        return usual
-    share = float(getattr(config.accuracy, f"{node}_share"))
+    known = config.accuracy
+    found = USUAL.get(node, OTHER)
+    floor = getattr(known, f"{node}_k", None)
+    if floor is not None:
+        share = float(getattr(known, f"{node}_share"))
+        found = replace(
+            found,
+            floor_k=min(max(float(floor), LEAST_K), LARGEST * found.floor_k),
+            share=min(share, LARGEST * found.share),
+        )
     return replace(
-        usual,
-        floor_k=min(max(float(floor), LEAST_K), LARGEST * usual.floor_k),
-        share=min(share, LARGEST * usual.share),
+        found,
+        offset_k=hypot(found.offset_k, known.thermocouple_offset_k),
+        floor_k=hypot(found.floor_k, known.drift_beyond_usual_k()),
     )

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from bstm_daemon.matching.drives import Column
+
+FREE: Final = 1.5
+"""Standard deviation of strengths that are fitted beside others."""
 
 
 class Projector:
@@ -19,6 +24,7 @@ class Projector:
     def __init__(self, jacobian: Column, prior: Column) -> None:
         """Take the whitened *jacobian* (n, p) and *prior* sd (p,)."""
         self.jacobian = jacobian
+        self.prior = prior
         precision = jacobian.T @ jacobian + np.diag(prior**-2.0)
         self._solve = np.linalg.inv(precision)
 
@@ -26,6 +32,13 @@ class Projector:
         """Return ``A residual`` for (n,) or (n, k)."""
         part = self.jacobian.T @ residual
         return np.asarray(residual - self.jacobian @ (self._solve @ part))
+
+    def beside(self, columns: Sequence[Column]) -> Projector:
+        """Return one with effects, *columns* (n,) each, integrated out."""
+        return Projector(
+            np.column_stack((self.jacobian, *columns)),
+            np.concatenate((self.prior, np.full(len(columns), FREE))),
+        )
 
     def tunables(self, residual: Column) -> Column:
         """Return the change of the tunables that fits *residual* best."""

@@ -15,12 +15,16 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from bstm_daemon.gap.evidence import STRENGTHS, weigh
-from bstm_daemon.gap.projector import Projector
+from bstm_daemon.gap.odds import mean_evidence
+from bstm_daemon.gap.projector import FREE
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    import numpy.typing as npt
+
     from bstm_daemon.gap.evidence import Candidate
+    from bstm_daemon.gap.projector import Projector
     from bstm_daemon.gap.signatures import Linearised, Signature
     from bstm_daemon.matching.drives import Column
 
@@ -33,8 +37,6 @@ beside the others, and this share of the first one's gain."""
 MOST_EFFECTS: Final = 3
 THIRD_Z: Final = 6.0
 """A third one must be plainer still."""
-
-STRENGTH_PRIOR: Final = 1.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,14 +55,14 @@ class Several:
 
 
 def search_several(
-    linearised: Linearised, found: Sequence[Candidate], prior: Column
+    project: Projector, linearised: Linearised, found: Sequence[Candidate]
 ) -> Several:
     """Return which of *found*, best first, act together."""
-    search = _Search(linearised, prior, found[0].gain)
+    search = _Search(project, linearised, found[0].gain)
     chosen = [found[0]]
     share = 1.0
     sure: tuple[str, ...] = (found[0].name,)
-    pair, share_of_pair, in_most = _best_pair(linearised, found, prior)
+    pair, share_of_pair, in_most = _best_pair(project, linearised, found)
     if pair:
         both = [
             search.beside([one for one in pair if one != name], [name])[0]
@@ -91,10 +93,10 @@ class _Search:
     """Weighs effects beside others."""
 
     def __init__(
-        self, linearised: Linearised, prior: Column, first_gain: float
+        self, project: Projector, linearised: Linearised, first_gain: float
     ) -> None:
+        self._project = project
         self._linearised = linearised
-        self._prior = prior
         self._first_gain = first_gain
         self._by_name = {one.name: one for one in linearised.signatures}
 
@@ -102,12 +104,8 @@ class _Search:
         self, others: Sequence[str], names: Sequence[str] | None = None
     ) -> list[Candidate]:
         """Return *names* (all) weighed with *others* free, best first."""
-        columns = [self._by_name[name].at(1.0) for name in others]
-        project = Projector(
-            np.column_stack((self._linearised.jacobian, *columns)),
-            np.concatenate(
-                (self._prior, np.full(len(others), STRENGTH_PRIOR))
-            ),
+        project = self._project.beside(
+            [self._by_name[name].at(1.0) for name in others]
         )
         found = [
             weigh(project, self._linearised.residual, self._by_name[name])
@@ -125,22 +123,44 @@ class _Search:
         )
 
 
-def _best_pair(
-    linearised: Linearised, found: Sequence[Candidate], prior: Column
-) -> tuple[tuple[str, ...], float, tuple[str, ...]]:
-    """Return the pair that explains most, its share, its sure members."""
-    project = Projector(linearised.jacobian, prior)
+@dataclass(frozen=True, slots=True, eq=False)
+class _Pairs:
+    """All pairs (i, j), (k,) each: what both explain and how probable it is.
+
+    ``logs`` are log Bayes factors, minus infinity where physics forbids a
+    strength.
+    """
+
+    i: npt.NDArray[np.intp]
+    j: npt.NDArray[np.intp]
+    gains: Column
+    logs: Column
+
+
+def pair_evidence(
+    project: Projector, linearised: Linearised, found: Sequence[Candidate]
+) -> float:
+    """Return the log Bayes factor of two effects, whichever, against none.
+
+    All pairs are as likely before data.
+    """
+    if len(linearised.signatures) < 2:
+        return -np.inf
+    return mean_evidence(_pairs(project, linearised, found).logs)
+
+
+def _pairs(
+    project: Projector, linearised: Linearised, found: Sequence[Candidate]
+) -> _Pairs:
     strengths = {one.name: one.strength for one in found}
     signatures = linearised.signatures
-    if len(signatures) < 2:
-        return (), 0.0, ()
     slopes = np.column_stack([_secant(s, strengths) for s in signatures])
     projected = project(slopes)
     gram = slopes.T @ projected
     score = -(projected.T @ linearised.residual)
     i, j = np.triu_indices(len(signatures), 1)
-    own_i = gram[i, i] + STRENGTH_PRIOR**-2
-    own_j = gram[j, j] + STRENGTH_PRIOR**-2
+    own_i = gram[i, i] + FREE**-2
+    own_j = gram[j, j] + FREE**-2
     determinant = own_i * own_j - gram[i, j] ** 2
     a_i = (own_j * score[i] - gram[i, j] * score[j]) / determinant
     a_j = (own_i * score[j] - gram[i, j] * score[i]) / determinant
@@ -149,18 +169,30 @@ def _best_pair(
     # no brake has an effect of many times its typical strength
     allowed &= np.maximum(abs(a_i), abs(a_j)) <= STRENGTHS[-1]
     gains = 0.5 * (a_i * score[i] + a_j * score[j])
+    # what a strength that is well known costs
+    logs = gains - 0.5 * np.log(determinant * FREE**4)
+    return _Pairs(i, j, gains, np.where(allowed, logs, -np.inf))
+
+
+def _best_pair(
+    project: Projector, linearised: Linearised, found: Sequence[Candidate]
+) -> tuple[tuple[str, ...], float, tuple[str, ...]]:
+    """Return the pair that explains most, its share, its sure members."""
+    signatures = linearised.signatures
+    if len(signatures) < 2:
+        return (), 0.0, ()
+    pairs = _pairs(project, linearised, found)
+    i, j = pairs.i, pairs.j
     # two that stand in for the best one must explain more than it does
     best = [k for k, one in enumerate(signatures) if one.name == found[0].name]
-    allowed &= (
+    more = (
         np.isin(i, best)
         | np.isin(j, best)
-        | (gains >= (1.0 + NEXT_SHARE) * found[0].gain)
+        | (pairs.gains >= (1.0 + NEXT_SHARE) * found[0].gain)
     )
-    # what a strength that is well known costs
-    logs = gains - 0.5 * np.log(determinant * STRENGTH_PRIOR**4)
-    logs = np.where(allowed, logs, -np.inf)
+    logs = np.where(more, pairs.logs, -np.inf)
     top = int(np.argmax(logs))
-    if not allowed[top]:
+    if not np.isfinite(logs[top]):
         return (), 0.0, ()
     weights = np.exp(logs - logs[top])
     weights /= weights.sum()

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from bstm_daemon.corner_model import compiled_model, corner_model
+from bstm_daemon.gap.odds import mean_evidence
 from bstm_daemon.gap.residual_heat import REGIMES
 from bstm_daemon.matching.march import initial_temperatures, march
 from bstm_daemon.matching.phases import BRAKING_W, STANDING_MS
@@ -154,16 +155,16 @@ def missing_evidence(
         by_node.setdefault(one.node, []).append(one.change)
     every = [one.change for one in heats]
     kinds = ([[one] for one in every], list(by_node.values()), [every])
-    logs = np.array(
-        [
-            log_evidence(project, residual, np.column_stack(changes))
-            - np.log(len(kinds) * len(kind))
-            for kind in kinds
-            for changes in kind
-        ]
-    )
-    top = float(logs.max())
-    return top + float(np.log(np.sum(np.exp(logs - top))))
+
+    def of(kind: Sequence[Sequence[Column]]) -> float:
+        return mean_evidence(
+            [
+                log_evidence(project, residual, np.column_stack(changes))
+                for changes in kind
+            ]
+        )
+
+    return mean_evidence([of(kind) for kind in kinds])
 
 
 def likeliest(

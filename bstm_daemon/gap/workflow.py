@@ -233,7 +233,7 @@ def _advised(
         recording.present,
         couples,
         Question(question.menu, members),
-        told,
+        lambda share: told(0.7 + 0.15 * share),
         comparison.noise,
     )
     found = advise(known, prior, members, prospects)
@@ -304,7 +304,7 @@ def _prospects(
         basis = directions(comparison)
         found.append(replace(one, jacobian=one.jacobian @ basis))
         prior = prior_along(comparison, basis)
-        told(0.7 + 0.15 * (number + 1) / len(question.menu))
+        told((number + 1) / len(question.menu))
     return found, prior
 
 

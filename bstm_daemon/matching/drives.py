@@ -17,6 +17,7 @@ import numpy.typing as npt
 from bstm_daemon.bus.logs import EventLog
 from bstm_daemon.errors import LogError, UsageError
 from bstm_daemon.estimator import STEP_US, Estimator
+from bstm_daemon.heat.needs import check_heat_inputs
 from bstm_daemon.heat.sample_plan import CHANNELS
 from bstm_daemon.heat.sample_state import SampleState
 from bstm_daemon.journal import Journal
@@ -178,7 +179,8 @@ def read_drive(  # noqa: PLR0913
     *learned* is what earlier drives taught of the car, for fused heat.
 
     Raises:
-        LogError: unusable, without thermocouples, or its clock jumps.
+        LogError: unusable, without thermocouples or what its heat is formed
+            from, or its clock jumps.
         FileAccessError: it cannot be read.
         UsageError: the heat mode is ``measured``.
     """
@@ -189,7 +191,8 @@ def read_drive(  # noqa: PLR0913
         )
         raise UsageError(msg)
     log = EventLog(path, signal_map, overrides)
-    estimator = Estimator(config, present_roles(signal_map))
+    present = present_roles(signal_map)
+    estimator = Estimator(config, present)
     if learned is not None:
         estimator.samples = SampleState.new(estimator.plan, learned)
     rows = Rows(len(estimator.plan.corners))
@@ -201,6 +204,7 @@ def read_drive(  # noqa: PLR0913
         number for number, role in enumerate(ROLES) if role.name[:5] == "temp_"
     }
     first_us = None
+    seen: set[int] = set()
     for events in log.events():
         if first_us is None and len(events.time_us):
             first_us = int(events.time_us[0])
@@ -208,7 +212,9 @@ def read_drive(  # noqa: PLR0913
         blocks = estimator.advance(events.time_us, events.role, events.value)
         if estimates:
             builder.add(blocks)
-        for role in wanted & set(np.unique(events.role).tolist()):
+        roles = set(np.unique(events.role).tolist())
+        seen |= roles
+        for role in wanted & roles:
             own = events.role == role
             temperatures[role].append(
                 (events.time_us[own] * 1e-6, events.value[own])
@@ -218,6 +224,7 @@ def read_drive(  # noqa: PLR0913
     if estimator.counts["jumps"]:
         msg = f"{path}: its clock jumps; split the log there to match it"
         raise LogError(msg)
+    check_heat_inputs(str(path), seen, present, config.heat.mode)
     # the estimator's steps end on whole multiples of theirs
     start_s = (first_us or 0) // STEP_US * STEP_US * 1e-6
     if estimates:

@@ -73,8 +73,9 @@ def gap_text(gap: Gap) -> str:
 
 def remarks_on(config: Config) -> tuple[str, ...]:
     """Return what a reader has to know of *config* beside the answer."""
-    told = config.accuracy.model_fields_set - {"thermocouple_offset_k"}
-    return () if told else (UNMATCHED,)
+    told = config.accuracy.model_fields_set
+    of_model = {name for name in told if not name.startswith("thermocouple")}
+    return () if of_model else (UNMATCHED,)
 
 
 def headline(gap: Gap) -> str:

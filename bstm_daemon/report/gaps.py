@@ -14,14 +14,6 @@ if TYPE_CHECKING:
 
     Column = npt.NDArray[np.float64]
 
-INPUTS: Final = {
-    "ff": ("speed", "pressure"),
-    "fb": ("speed",),
-    "fused": ("speed", "pressure"),
-    "measured": ("speed", "pressure"),
-}
-"""Inputs without which a heat mode goes on only by assumption."""
-
 SHORTEST_GAP_S: Final = 1.0
 """Shorter ones are a late frame."""
 

@@ -28,7 +28,7 @@ PLOT_STYLE: Final = """
 .trios { display: grid; gap: 8px 16px;
   grid-template-columns: repeat(auto-fit, minmax(330px, 1fr)); }
 .plain td:first-child, .plain th:first-child { text-align: left; }
-.plain td.words { text-align: right; white-space: normal; }
+.plain td.words { white-space: normal; }
 .plain .scroll + ul { margin-top: 10px; }
 .plot { min-height: 280px; min-width: 0; }
 .plot h3 { font-size: 13px; margin: 8px 0 0; }
@@ -193,18 +193,34 @@ def _section(part: PageSection, first: int) -> str:
     return text + "</section>"
 
 
-def _cell(text: str) -> str:
-    kind = "number" if len(text) <= SHORT else "words"
-    return f'<td class="{kind}">{escape(text)}</td>'
+def _is_words(text: str) -> bool:
+    return len(text) > SHORT
+
+
+def _kind(words: bool) -> str:  # noqa: FBT001
+    return "words" if words else "number"
 
 
 def _table(table: Table) -> str:
+    columns = [
+        [row[place] for row in table.rows]
+        for place in range(1, len(table.head))
+    ]
+    # of reasons and descriptions, not of figures with a reason among them
+    of_words = [
+        2 * sum(map(_is_words, cells)) > len(cells) for cells in columns
+    ]
     head = "".join(
-        f'<th class="number">{escape(name)}</th>' for name in table.head[1:]
+        f'<th class="{_kind(words)}">{escape(name)}</th>'
+        for name, words in zip(table.head[1:], of_words, strict=True)
     )
     rows = "".join(
         f"<tr><th>{escape(row[0])}</th>"
-        + "".join(_cell(text) for text in row[1:])
+        + "".join(
+            f'<td class="{_kind(words or _is_words(text))}">'
+            f"{escape(text)}</td>"
+            for text, words in zip(row[1:], of_words, strict=True)
+        )
         + "</tr>"
         for row in table.rows
     )

@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from bstm_daemon.heat.needs import INPUTS
 from bstm_daemon.report.findings import FindingTally
-from bstm_daemon.report.gaps import INPUTS, Gap, GapFinder
+from bstm_daemon.report.gaps import Gap, GapFinder
 from bstm_daemon.report.stops import STANDING_MS, StopFinder
 from bstm_daemon.report.summary import (
     SUMMARY_NODES,

@@ -313,10 +313,14 @@ def known_sensors(sensors: str) -> list[EffectConfig]:
 
 
 def known_accuracy(sensors: str) -> AccuracyConfig:
-    """Return what a data sheet says of their offsets."""
+    """Return what a data sheet says of their offsets and drift."""
     preset = SENSOR_PRESETS[sensors]
-    offset_k = preset.thermocouple.bias_sd if preset else 0.0
-    return AccuracyConfig(thermocouple_offset_k=offset_k)
+    if preset is None:
+        return AccuracyConfig()
+    return AccuracyConfig(
+        thermocouple_offset_k=preset.thermocouple.bias_sd,
+        thermocouple_drift_k=preset.thermocouple.drift,
+    )
 
 
 def structure_config(structure: str) -> Config:

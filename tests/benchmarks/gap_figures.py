@@ -90,7 +90,6 @@ def _road(every: Sequence[Result], _: Sequence[Result]) -> list[Figure]:
 def _single(every: Sequence[Result], clear: Sequence[Result]) -> list[Figure]:
     strong = [o for o in clear if o.strengths[0] >= 1.0]
     twins = [o for o in clear if o.twins]
-    named = [o for o in clear if o.answer in {"name", "class", "unknown"}]
     return [
         Figure(
             "S1, right name or class of two",
@@ -126,7 +125,7 @@ def _single(every: Sequence[Result], clear: Sequence[Result]) -> list[Figure]:
                0.85),
         Figure(
             "localisation, right where anything is said",
-            share(named, lambda o: o.right_place),
+            share(list(filter(said, clear)), lambda o: o.right_place),
         ),
     ]  # fmt: skip
 
@@ -283,9 +282,8 @@ def said(one: Result) -> bool:
 def _located(clear: Sequence[Result]) -> Share:
     """Return F1 as hits among cases: 2 right over said and true."""
     right = sum(o.right_place for o in clear)
-    said = sum(o.answer in {"name", "class", "unknown"} for o in clear)
     count = len(clear)
-    both = said + count
+    both = sum(map(said, clear)) + count
     return Share(2.0 * right * count / both if both else 0.0, count)
 
 

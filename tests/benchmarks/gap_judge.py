@@ -7,7 +7,6 @@ from math import nan
 from typing import TYPE_CHECKING, Any, Final
 
 import gap_limits
-import numpy as np
 from gap_cars import FITTED, Garage
 from gap_cases import (
     TWIN_NUMBERS,
@@ -29,6 +28,8 @@ from bstm_daemon.simulation.parameters import UNHEARD_NAMES
 
 if TYPE_CHECKING:
     from pathlib import Path
+
+    import numpy as np
 
     from bstm_daemon.gap.layout import Layout
     from bstm_daemon.gap.signatures import Linearised
@@ -263,15 +264,13 @@ def _rivals(one: Judged, kept: Evidence) -> list[Result]:
 def _beside(case: Case, layout: Layout, known: Linearised) -> list[float]:
     """Return what each effect alone would show, the others free."""
     by_name = {one.name: one for one in known.signatures}
+    tunables = Projector(known.jacobian, layout.prior)
     found = []
     for name, strength in case.strengths.items():
         if name not in by_name:  # these drives do not excite it
             return [0.0]
         others = [by_name[n].at(1.0) for n in case.effects if n != name]
-        project = Projector(
-            np.column_stack((known.jacobian, *others)),
-            np.concatenate((layout.prior, np.full(len(others), 1.5))),
-        )
+        project = tunables.beside(others)
         change = by_name[name].at(strength)
         found.append(float(change @ project(change)))
     return found

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 ADVISED: Final = 100
 """Number of the first case that is for the next drive."""
 
-ADVISED_CASES: Final = 24
+ADVISED_CASES: Final = 60
 """Of them in the protocol."""
 
 SAMPLE_EFFECTS: Final = (
@@ -98,8 +98,8 @@ def protocol(split: str) -> list[Case]:
         World("road", "extended", split=split),
     ):
         for groups, count in (
-            (("S1",), 4),
-            (("S2", "SU"), 5),
+            (("S1",), 8),
+            (("S2", "SU"), 8),
             (("ST",), 10),
             (("S0",), 25),
         ):

@@ -20,6 +20,12 @@ class Share:
     hits: float
     count: int
 
+    def __post_init__(self) -> None:
+        """Refuse what no share can be: a figure that is counted wrongly."""
+        if not 0.0 <= self.hits <= self.count + 1e-9:
+            msg = f"{self.hits} of {self.count} is no share"
+            raise ValueError(msg)
+
     @property
     def value(self) -> float:
         """The share, nan of nothing."""

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import json
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from bstm_daemon.cli.main import main
+from bstm_daemon.cli.main import EXIT_BROKEN_PIPE, main
 from bstm_daemon.config_file import load_config
 from bstm_daemon.native import load_kernel
 from bstm_daemon.simulation import simulate
@@ -116,6 +119,31 @@ def test_locate_alone_names_nothing(
     out = capsys.readouterr().out
     assert "residual heat at disc - pad_front, parked" in out
     assert "missing" not in out
+
+
+def test_files_are_written_though_who_reads_has_gone(
+    log: Path, tmp_path: Path
+) -> None:
+    """As of ``bstm gap ... | true``."""
+    result = tmp_path / "gap.json"
+    reading, writing = os.pipe()
+    os.close(reading)
+
+    with os.fdopen(writing) as gone:
+        process = subprocess.run(
+            [
+                *(sys.executable, "-m", "bstm_daemon.cli.main", "gap"),
+                *("locate", str(log), "-c", str(EXAMPLE)),
+                *("--json", str(result)),
+            ],
+            stdout=gone,
+            stderr=subprocess.PIPE,
+            text=True,
+            check=False,
+        )
+
+    assert (process.returncode, process.stderr) == (EXIT_BROKEN_PIPE, "")
+    assert json.loads(result.read_text("utf-8"))["corners"]
 
 
 def test_adopt_wants_a_file(log: Path) -> None:

@@ -241,6 +241,33 @@ def test_heat_is_formed_anew_with_the_matched_temperatures(
     assert written != pytest.approx(found[0], rel=1e-3)
 
 
+@pytest.mark.parametrize(
+    ("wanted", "frames"),
+    [("speed", (" 1A0#", " 1B0#")), ("pressure", (" 1A4#",))],
+)
+@pytest.mark.parametrize("command", ["match", "verify"])
+def test_without_what_heat_is_formed_from_nothing_is_matched(
+    log: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    command: str,
+    wanted: str,
+    frames: tuple[str, ...],
+) -> None:
+    """Without a speed the disc was off by 364 K, without a pressure by 17."""
+    bare = tmp_path / "bare.log"
+    lines = log.read_text("ascii").splitlines(keepends=True)
+    bare.write_text(
+        "".join(
+            line for line in lines if not any(part in line for part in frames)
+        ),
+        "ascii",
+    )
+
+    assert main([command, str(bare), "-c", str(EXAMPLE)]) == 65
+    assert f"bare.log: no {wanted} in this log" in capsys.readouterr().err
+
+
 def test_a_file_that_exists_is_not_replaced(
     log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

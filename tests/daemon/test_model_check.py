@@ -234,6 +234,19 @@ def test_a_hidden_effect_is_noticed_kept_and_named(tmp_path: Path) -> None:
     assert "gap_conduction" in names
 
 
+@pytest.mark.parametrize("error", ["offset", "drift"])
+def test_readings_that_are_known_to_be_poor_do_not_disagree(
+    tmp_path: Path, error: str
+) -> None:
+    path = car(tmp_path)
+    with path.open("a", encoding="utf-8") as file:
+        file.write(f"thermocouple_{error}_k = 60.0\n")
+
+    seen = beside(tmp_path, path, HOT, Effects(gap_conduction=3.0))
+
+    assert seen.lines.of("model_disagrees") == []
+
+
 def test_a_sound_model_raises_nothing(tmp_path: Path) -> None:
     seen = beside(tmp_path, car(tmp_path), STOPS, Effects())
 

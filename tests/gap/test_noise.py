@@ -2,12 +2,24 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 import pytest
 
 from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.gap.noise import USUAL, NodeNoise, noise_of
 from bstm_daemon.shipped import shipped_file
+
+if TYPE_CHECKING:
+    from bstm_daemon.config import Config
+
+
+def told_of(**known: float) -> tuple[Config, Config]:
+    """Return the example car, and the same with *known* in [accuracy]."""
+    config = load_vehicle(shipped_file("config/example_vehicle.toml"))[0]
+    accuracy = config.accuracy.model_copy(update=known)
+    return config, config.model_copy(update={"accuracy": accuracy})
 
 
 def test_whitened_draws_are_white() -> None:
@@ -28,11 +40,7 @@ def test_a_running_mean_is_less_noisy() -> None:
 
 
 def test_accuracy_of_the_match_is_taken() -> None:
-    config = load_vehicle(shipped_file("config/example_vehicle.toml"))[0]
-    known = config.accuracy.model_copy(
-        update={"disc_k": 4.0, "disc_share": 0.03, "fluid_k": 25.0}
-    )
-    matched = config.model_copy(update={"accuracy": known})
+    _, matched = told_of(disc_k=4.0, disc_share=0.03, fluid_k=25.0)
 
     assert noise_of(matched, "disc").floor_k == 4.0
     assert noise_of(matched, "disc").share == 0.03
@@ -41,9 +49,7 @@ def test_accuracy_of_the_match_is_taken() -> None:
 
 def test_offsets_of_the_junctions_add_to_the_models() -> None:
     """Of readings that have them, the covariance is right."""
-    config = load_vehicle(shipped_file("config/example_vehicle.toml"))[0]
-    known = config.accuracy.model_copy(update={"thermocouple_offset_k": 3.0})
-    sheet = config.model_copy(update={"accuracy": known})
+    config, sheet = told_of(thermocouple_offset_k=3.0)
     usual, told = noise_of(config, "fluid"), noise_of(sheet, "fluid")
     time_s = np.arange(0.0, 300.0, 20.0)
     still = np.zeros_like(time_s)
@@ -69,3 +75,26 @@ def test_at_a_peak_what_is_late_is_wrong() -> None:
 
     seen = np.mean((peak - rise) ** 2, axis=0) + 0.5**2
     assert np.diag(told) == pytest.approx(seen, rel=0.15)
+
+
+def test_drift_of_the_junctions_beyond_the_usual_adds_to_the_models() -> None:
+    """Of readings that have it, the covariance is right."""
+    config, sheet = told_of(thermocouple_drift_k=3.0)
+    usual, told = noise_of(config, "fluid"), noise_of(sheet, "fluid")
+    time_s = np.arange(0.0, 600.0, 20.0)
+    still = np.zeros_like(time_s)
+    chance = np.random.default_rng(5)
+    apart_s = np.abs(np.subtract.outer(time_s, time_s))
+    drift = (3.0**2 - 1.0**2) * np.exp(-apart_s / 300.0)
+    lower = np.linalg.cholesky(usual.covariance(time_s, still, still) + drift)
+    draws = lower @ chance.standard_normal((len(time_s), 4000))
+
+    white = told.whitener(time_s, still, still) @ draws
+
+    assert np.cov(white) == pytest.approx(np.eye(len(time_s)), abs=0.12)
+
+
+def test_a_drift_that_is_usual_changes_nothing() -> None:
+    config, sheet = told_of(thermocouple_drift_k=1.0)
+
+    assert noise_of(sheet, "disc") == noise_of(config, "disc")

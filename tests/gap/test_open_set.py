@@ -6,11 +6,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import multivariate_normal
 
+from bstm_daemon.gap.evidence import weigh
 from bstm_daemon.gap.layout import Layout, Series
-from bstm_daemon.gap.naming import AGAINST, name_effect
+from bstm_daemon.gap.naming import AGAINST, GATE_Z, SOMETHING, name_effect
 from bstm_daemon.gap.noise import NodeNoise
-from bstm_daemon.gap.projector import Projector
+from bstm_daemon.gap.odds import missing_probability
+from bstm_daemon.gap.projector import FREE, Projector
+from bstm_daemon.gap.several import pair_evidence
 from bstm_daemon.gap.signatures import Linearised, Signature
 from bstm_daemon.gap.unknown import (
     UnknownHeat,
@@ -87,6 +91,93 @@ def test_heat_at_one_place_does_not_pay_for_all_places(
     at_one = missing_evidence(project, residual, quiet.unknown)
 
     assert at_one > log_evidence(project, residual, everywhere) + 1.0
+
+
+def moved(
+    layout: Layout, quiet: Linearised, deviations: dict[str, float]
+) -> Linearised:
+    """Return *quiet* where effects score these standard deviations."""
+    project = Projector(quiet.jacobian, layout.prior)
+    own = np.column_stack(
+        [s.linear for s in quiet.signatures if s.name in deviations]
+    )
+    projected = project(own)
+    gram = own.T @ projected
+    aimed = -np.array(list(deviations.values())) * np.sqrt(np.diag(gram))
+    short = aimed - projected.T @ quiet.residual
+    residual = quiet.residual + own @ np.linalg.solve(gram, short)
+    return replace(quiet, residual=residual)
+
+
+def test_two_that_stand_in_for_one_are_seen_though_neither_is(
+    layout: Layout, quiet: Linearised
+) -> None:
+    one, two = NAMES[:2]
+    alone = name_effect(layout, moved(layout, quiet, {one: 3.0, two: 0.0}))
+    both = name_effect(layout, moved(layout, quiet, {one: 3.6, two: 3.6}))
+
+    assert alone.answer == "nothing"
+    assert both.gate_z < GATE_Z
+    assert both.answer == "unknown"
+    assert SOMETHING <= both.probability < 1.0
+
+
+def test_below_the_gate_an_effect_is_likely_and_not_named(
+    layout: Layout, quiet: Linearised
+) -> None:
+    weak = name_effect(layout, moved(layout, quiet, {NAMES[0]: 3.9}))
+    plain = name_effect(layout, moved(layout, quiet, {NAMES[0]: 4.6}))
+
+    assert weak.answer == "undecided"
+    assert weak.names[0] == NAMES[0]
+    assert SOMETHING <= weak.probability < 1.0
+    assert weak.explained > 0.5
+    assert weak.best_placebo_z < weak.gate_z
+    assert plain.answer == "name"
+
+
+def test_a_pair_weighs_what_its_normal_strengths_do(
+    layout: Layout, quiet: Linearised
+) -> None:
+    """Against the densities of both models, of free signs."""
+    pair = tuple(replace(s, either_sign=True) for s in quiet.signatures[:2])
+    known = moved(layout, replace(quiet, signatures=pair), {NAMES[0]: 5.0})
+    project = Projector(known.jacobian, layout.prior)
+    found = [weigh(project, known.residual, one) for one in pair]
+    tunables = known.jacobian * layout.prior
+    strengths = FREE * np.column_stack([s.linear for s in pair])
+    free = np.eye(len(known.residual)) + tunables @ tunables.T
+
+    with_pair = multivariate_normal.logpdf(
+        known.residual, cov=free + strengths @ strengths.T
+    )
+    without = multivariate_normal.logpdf(known.residual, cov=free)
+
+    assert pair_evidence(project, known, found) == pytest.approx(
+        with_pair - without, abs=1e-6
+    )
+
+
+def test_without_heats_to_ask_for_much_that_is_left_is_not_guessed(
+    layout: Layout, quiet: Linearised
+) -> None:
+    """As by forces alone: four effects, of which three could be named."""
+    all_four = dict.fromkeys(NAMES, 5.5)
+    known = replace(moved(layout, quiet, all_four), unknown=())
+
+    found = name_effect(layout, known)
+
+    assert found.answer == "unknown"
+    assert found.unknown_place == ""
+
+
+def test_ways_of_missing_are_as_likely_each() -> None:
+    assert missing_probability([0.0, 0.0, 0.0]) == pytest.approx(0.5)
+    assert missing_probability([np.log(27.0), -np.inf, -np.inf]) == (
+        pytest.approx(0.9)
+    )
+    assert missing_probability([-np.inf] * 3) == 0.0
+    assert missing_probability([5000.0, 0.0, 0.0]) == pytest.approx(1.0)
 
 
 def test_an_effect_that_another_drive_contradicts_is_not_named(

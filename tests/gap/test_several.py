@@ -46,7 +46,7 @@ def searched(
         (weigh(project, residual, one) for one in signatures),
         key=lambda one: -one.log_evidence,
     )
-    return search_several(linearised, found, PRIOR)
+    return search_several(project, linearised, found)
 
 
 def test_a_wrong_first_pick_is_undone(columns: dict[str, np.ndarray]) -> None:

@@ -73,9 +73,14 @@ def test_f1_discs_are_cooled_by_the_wind(tmp_path: Path) -> None:
     )
 
     (found,) = find_gap(config, [spain], [hungary])
+    (other,) = find_gap(config, [hungary], until="name")
 
+    assert other.naming is not None
+    assert other.naming.answer == "undecided"
+    assert other.naming.names == ("speed_dependent_convection",)
     assert found.naming is not None
     assert found.shown is not None
+    assert found.naming.answer == "name"
     assert found.naming.names == ("speed_dependent_convection",)
     assert found.naming.probability > 0.95
     evidence = [one.log_evidence for one in found.naming.candidates[:2]]

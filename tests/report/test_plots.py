@@ -96,7 +96,21 @@ def test_long_words_of_a_table_wrap() -> None:
     page = plot_page(PageHead("", "", "1"), [section])
 
     assert f'<td class="words">{why}</td>' in page
+    assert '<th class="words">c</th>' in page
     assert '<td class="number">1.2 K</td>' in page
+    assert '<th class="number">b</th>' in page
+
+
+def test_a_column_of_figures_stays_one_with_a_reason_in_it() -> None:
+    why = "no cooling long and warm enough in these drives"
+    rows = (("x", "1"), ("y", why), ("z", "3"))
+    section = PageSection("", Table(("a", "b"), rows))
+
+    page = plot_page(PageHead("", "", "1"), [section])
+
+    assert '<th class="number">b</th>' in page
+    assert f'<td class="words">{why}</td>' in page
+    assert page.count('<td class="number">') == 2
 
 
 def test_page_keeps_hostile_names_as_text() -> None:

@@ -1,0 +1,63 @@
+"""What a heat mode needs of a recorded drive.
+
+The estimator goes on without speed or pressure, as a car must: it takes what
+it can get and calls the result degraded. Whoever compares a drive with what
+was measured would take the difference for something else.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+from bstm_daemon.errors import LogError
+from bstm_daemon.roles import ROLES
+
+if TYPE_CHECKING:
+    from collections.abc import Container, Iterable
+
+INPUTS: Final = {
+    "ff": ("speed", "pressure"),
+    "fb": ("speed",),
+    "fused": ("speed", "pressure"),
+    "measured": ("speed", "pressure"),
+}
+"""Inputs without which a heat mode goes on only by assumption."""
+
+
+def check_inputs(
+    log: str,
+    seen: Container[int],
+    mapped: Iterable[int],
+    names: Iterable[str],
+    user: str,
+) -> None:
+    """Refuse *log* where all roles of an input are *mapped* and none *seen*.
+
+    Both are numbers of roles; *names* are of :data:`INPUTS`, *user* is what
+    needs them.
+
+    Raises:
+        LogError: an input is missing.
+    """
+    mapped = sorted(mapped)
+    for name in names:
+        own = [n for n in mapped if name in ROLES[n].quantities]
+        if own and not any(n in seen for n in own):
+            roles = ", ".join(ROLES[n].name for n in own)
+            msg = (
+                f"{log}: no {name} in this log (roles {roles}), which {user} "
+                "needs"
+            )
+            raise LogError(msg)
+
+
+def check_heat_inputs(
+    log: str, seen: Container[int], mapped: Iterable[int], heat_mode: str
+) -> None:
+    """Refuse *log* where it has nothing of what *heat_mode* needs.
+
+    Raises:
+        LogError: an input is missing.
+    """
+    user = f'heat mode "{heat_mode}"'
+    check_inputs(log, seen, mapped, INPUTS[heat_mode], user)
