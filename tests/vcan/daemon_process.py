@@ -170,6 +170,14 @@ class Daemon:
         """Return the events *name* so far."""
         return [event for event in self.events if event["event"] == name]
 
+    def faults(self) -> set[str]:
+        """Return the faults of inputs that came and are not over."""
+        came = [event["fault"] for event in self.said("input_fault")]
+        over = [event["fault"] for event in self.said("input_fault_over")]
+        return {
+            fault for fault in came if came.count(fault) > over.count(fault)
+        }
+
     def notice(self, pattern: str, since: int = 0) -> str:
         """Wait for a notification that *pattern* is found in; return it."""
 

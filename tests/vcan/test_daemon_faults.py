@@ -12,6 +12,8 @@ import pytest
 
 from bstm_daemon.bus.e2e import protect
 
+from .peers import wait_until
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from pathlib import Path
@@ -67,8 +69,18 @@ def on_the_road(
     heard = ear(vcan0)
     running = daemon({"state.interval_s": 0.2})
     driven = car()
-    running.notice("STATUS=degraded.* disc F[LR] 1[1-9]")
+    sees_a_car(running)
     return running, driven, heard
+
+
+def sees_a_car(running: Daemon) -> None:
+    """Wait until it does, and the faults of the begin, if told, are over.
+
+    They can come with the first status that knows of the car.
+    """
+    running.notice("STATUS=degraded.* disc F[LR] 1[1-9]")
+    running.notice("STATUS=", since=len(running.notices))
+    wait_until(lambda: not running.faults(), "no fault")
 
 
 def goes_on(running: Daemon, heard: Ear) -> None:
@@ -88,9 +100,10 @@ def test_the_interface_goes_down_and_comes_up(
     ip: Callable[..., None],
 ) -> None:
     running, _, heard = on_the_road
+    since = len(running.events)
     ip("set", vcan0, "down")
     running.event("bus_down", bus="chassis", channel=vcan0)
-    running.event("input_fault", fault="bus silent")
+    running.event("input_fault", since=since, fault="bus silent")
     running.notice("no_input, vcan0 is down")
     since = len(running.events)
     ip("set", vcan0, "up")
@@ -285,15 +298,16 @@ def protected(
     driven = car()
     protector = Protector()
     driven.alter = protector
-    running.notice("STATUS=degraded.* disc F[LR] 1[1-9]")
+    sees_a_car(running)
     return running, protector, heard
 
 
 def test_a_stuck_counter(protected: tuple[Daemon, Protector, Ear]) -> None:
     running, protector, heard = protected
+    since = len(running.events)
     protector.stuck = True
-    running.event("frames_refused", reason="repeated_counter")
-    running.event("input_fault", fault="pressure missing")
+    running.event("frames_refused", since=since, reason="repeated_counter")
+    running.event("input_fault", since=since, fault="pressure missing")
     protector.stuck = False
     since = len(running.events)
     running.event("input_fault_over", since=since, fault="pressure missing")
@@ -324,6 +338,7 @@ def test_protected_duplicates(
     running.notice("STATUS=", since=len(running.notices))
     later = running.events[since:]
     assert "input_fault" not in [event["event"] for event in later]
+    assert not running.faults()
     goes_on(running, heard)
 
 
