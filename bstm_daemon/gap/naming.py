@@ -20,8 +20,9 @@ from bstm_daemon.gap.evidence import (
     probabilities,
     weigh,
 )
+from bstm_daemon.gap.explaining import explained_share, unknown_beside
 from bstm_daemon.gap.odds import mean_evidence, missing_probability
-from bstm_daemon.gap.projector import FREE, Projector
+from bstm_daemon.gap.projector import Projector
 from bstm_daemon.gap.several import Several, pair_evidence, search_several
 from bstm_daemon.gap.unknown import likeliest, missing_evidence
 
@@ -55,10 +56,14 @@ one effect, two that stand in for one, or heat without a name, as likely each
 before data. Effect-free cars reach 0.84 (`docs/gap.md`)."""
 
 EXPLAINED: Final = 0.6
+EXPLAINED_TOGETHER: Final = 0.91
 UNEXPLAINED: Final = 15.0
 """Below this share of what all effects together explain, and with so much of
 the log-likelihood left besides chance, no name is given if heat without a
-name is likely beside it: what else is left is noise of another form."""
+name is likely beside it: what else is left is noise of another form. The
+second share is of several: two or three can imitate much of one that the
+catalogue lacks. Where forms alone differ, as they do of every real effect,
+right ones reach 0.92 with as much left (`docs/gap.md`)."""
 
 AGAINST: Final = 3.0
 """Log Bayes factor by which a drive, predicted by the others, may speak
@@ -167,7 +172,7 @@ def _unnamed(
         names=tuple(members),
         probability=missing,
         reason="no effect is plain enough to be named",
-        explained=_explained(project, linearised, found[:1])[0],
+        explained=explained_share(project, linearised, found[:1])[0],
         best_placebo_z=best_placebo(
             layout, project, linearised.residual, best
         ),
@@ -186,7 +191,7 @@ def _named(
     )
     validated = cross_validated(layout, linearised, by_name[best.name])
     several = search_several(project, linearised, found)
-    explained, left = _explained(project, linearised, several.chosen)
+    explained, left = explained_share(project, linearised, several.chosen)
     common = replace(
         nothing,
         best_placebo_z=placebo,
@@ -194,17 +199,23 @@ def _named(
         explained=explained,
         leftover=several.leftover,
     )
+    alone = len(several.chosen) == 1
     if (
-        explained < EXPLAINED
+        explained < (EXPLAINED if alone else EXPLAINED_TOGETHER)
         and left > UNEXPLAINED
-        and _unknown_beside(project, linearised, several.chosen) > 0.0
+        and unknown_beside(project, linearised, several.chosen) > 0.0
     ):
+        what = ", ".join(one.name for one in several.chosen)
         return replace(
             common,
             answer="unknown",
             probability=1.0 - odds[""],
-            reason=f"the best, {best.name}, explains "
-            f"{100 * explained:.0f} % of what all together could",
+            reason=(
+                f"the best, {what}, explains"
+                if alone
+                else f"the best together, {what}, explain"
+            )
+            + f" {100 * explained:.0f} % of what all together could",
         )
     if placebo > best.z:
         return replace(
@@ -215,7 +226,6 @@ def _named(
             reason=f"{best.name} at other times than its own explains as much",
         )
     worst = min(validated, key=lambda name: validated[name], default="")
-    alone = len(several.chosen) == 1
     if alone and worst and validated[worst] < -AGAINST:
         return replace(
             common,
@@ -336,59 +346,6 @@ def _weighed(
 ) -> list[Candidate]:
     found = [weigh(project, residual, one) for one in signatures]
     return sorted(found, key=lambda one: -one.log_evidence)
-
-
-def _explained(
-    project: Projector, linearised: Linearised, chosen: Sequence[Candidate]
-) -> tuple[float, float]:
-    """Return the gain of *chosen* as a share of that of all together.
-
-    And what is left of it. Half a unit for each effect is chance.
-    """
-    names = {one.name for one in chosen}
-    own = np.column_stack(
-        [s.at(1.0) for s in linearised.signatures if s.name in names]
-    )
-    everything = _everything(linearised)
-    few = _joint_gain(project, linearised.residual, own)
-    chance = 0.5 * (everything.shape[1] - own.shape[1])
-    many = _joint_gain(project, linearised.residual, everything) - chance
-    return min(few / max(many, few, 1e-9), 1.0), max(many - few, 0.0)
-
-
-def _unknown_beside(
-    project: Projector, linearised: Linearised, chosen: Sequence[Candidate]
-) -> float:
-    """Return the log Bayes factor of heat without a name beside *chosen*.
-
-    By forces alone there is none to ask for: then nothing speaks against it.
-    """
-    if not linearised.unknown:
-        return np.inf
-    names = {one.name for one in chosen}
-    own = [s.at(1.0) for s in linearised.signatures if s.name in names]
-    return missing_evidence(
-        project.beside(own), linearised.residual, linearised.unknown
-    )
-
-
-def _everything(linearised: Linearised) -> Column:
-    """Return all effects and heats without a name as columns, (n, k)."""
-    return np.column_stack(
-        [
-            *(s.at(1.0) for s in linearised.signatures),
-            *(one.change for one in linearised.unknown),
-        ]
-    )
-
-
-def _joint_gain(
-    project: Projector, residual: Column, columns: Column
-) -> float:
-    projected = project(columns)
-    gram = columns.T @ projected + np.eye(columns.shape[1]) / FREE**2
-    score = projected.T @ residual
-    return 0.5 * float(score @ np.linalg.solve(gram, score))
 
 
 def cosine(project: Projector, a: Signature, b: Signature) -> float:

@@ -9,12 +9,20 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from bstm_daemon.gap.evidence import weigh
+from bstm_daemon.gap.explaining import explained_share, unknown_beside
 from bstm_daemon.gap.layout import Layout, Series
-from bstm_daemon.gap.naming import AGAINST, GATE_Z, SOMETHING, name_effect
+from bstm_daemon.gap.naming import (
+    AGAINST,
+    EXPLAINED,
+    GATE_Z,
+    SOMETHING,
+    UNEXPLAINED,
+    name_effect,
+)
 from bstm_daemon.gap.noise import NodeNoise
 from bstm_daemon.gap.odds import missing_probability
 from bstm_daemon.gap.projector import FREE, Projector
-from bstm_daemon.gap.several import pair_evidence
+from bstm_daemon.gap.several import pair_evidence, search_several
 from bstm_daemon.gap.signatures import Linearised, Signature
 from bstm_daemon.gap.unknown import (
     UnknownHeat,
@@ -169,6 +177,40 @@ def test_without_heats_to_ask_for_much_that_is_left_is_not_guessed(
 
     assert found.answer == "unknown"
     assert found.unknown_place == ""
+
+
+@pytest.mark.parametrize(
+    ("of_heat", "answer"), [(1.6, "name"), (2.6, "unknown")]
+)
+def test_two_that_leave_much_stand_in_for_something_else(
+    layout: Layout, quiet: Linearised, of_heat: float, answer: str
+) -> None:
+    """Little may be left of plain ones, whose forms are not the real ones."""
+    pair = NAMES[:2]
+    known = moved(layout, quiet, dict.fromkeys(pair, 20.0))
+    heat = quiet.unknown[0].change
+    known = replace(known, residual=known.residual - of_heat * heat)
+    project = Projector(known.jacobian, layout.prior)
+    both = search_several(
+        project,
+        known,
+        sorted(
+            (weigh(project, known.residual, one) for one in known.signatures),
+            key=lambda one: -one.log_evidence,
+        ),
+    ).chosen
+    explained, left = explained_share(project, known, both)
+
+    found = name_effect(layout, known)
+
+    assert found.answer == answer
+    assert set(found.names) == (set(pair) if answer == "name" else set())
+    # whichever the answer, something else is plainly there
+    assert {one.name for one in both} == set(pair)
+    assert explained == pytest.approx(found.explained)
+    assert explained > EXPLAINED
+    assert left > UNEXPLAINED
+    assert unknown_beside(project, known, both) > 0.0
 
 
 def test_ways_of_missing_are_as_likely_each() -> None:
