@@ -1,7 +1,7 @@
 """Frames in, frames out: the whole monitor without a bus, clock or file.
 
 :meth:`Engine.frame` takes a frame with the time it carries,
-:meth:`Engine.tick` says how late it is now and returns what is due. The live
+:meth:`Engine.tick` takes the time now and returns what is due. The live
 service, replay and tests are thin shells around these two.
 """
 
@@ -9,55 +9,49 @@ from __future__ import annotations
 
 from array import array
 from contextlib import suppress
-from math import nan
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from bstm_daemon.advice.advisor import Advisor
-from bstm_daemon.advice.conditions import HeldRoles
-from bstm_daemon.bus.decoder import Decoder
-from bstm_daemon.bus.e2e_guard import E2eGuard
-from bstm_daemon.bus.output_layout import (
+from bstm_daemon.bus.live.record_decoder import RecordDecoder
+from bstm_daemon.bus.output.publication import OutputFrame, Publication
+from bstm_daemon.bus.signals.decoder import Decoder
+from bstm_daemon.bus.signals.e2e_guard import E2eGuard
+from bstm_daemon.channels import FLAGS
+from bstm_daemon.estimate import (
+    CornerEstimate,
+    Estimate,
     HeatMode,
     State,
+    Status,
     Validity,
 )
-from bstm_daemon.bus.publication import (
-    CornerSnapshot,
-    OutputFrame,
-    Publication,
-    Snapshot,
-    StatusSnapshot,
-)
-from bstm_daemon.bus.record_decoder import RecordDecoder
-from bstm_daemon.carry_over import (
+from bstm_daemon.estimator.corner_estimates import corner_estimates
+from bstm_daemon.estimator.estimator import STEP_US, Estimator
+from bstm_daemon.estimator.model_check import ModelCheck
+from bstm_daemon.estimator.state import (
     StateError,
     correct_parked,
     export_state,
     park,
     resume_state,
 )
-from bstm_daemon.driver_side import conditions_of, wear_of
-from bstm_daemon.estimator import STEP_US, Estimator
 from bstm_daemon.forecast.monitor import RiskMonitor
 from bstm_daemon.forecast.resuming import resume_risk
-from bstm_daemon.forecast.snapshots import car_snapshot, corner_snapshot
-from bstm_daemon.heat.plausibility import SUBSTITUTED, SUSPECT
-from bstm_daemon.heat.sample_pass import TICK
-from bstm_daemon.heat.sample_plan import FLAGS, VEHICLE_CHANNELS
-from bstm_daemon.model_check import ModelCheck
-from bstm_daemon.risk.boiling import wet_boiling_point_k
+from bstm_daemon.model.heat.plausibility import SUBSTITUTED, SUSPECT
+from bstm_daemon.model.heat.sample_pass import TICK
+from bstm_daemon.model.risk.boiling import wet_boiling_point_k
 from bstm_daemon.roles import CORNERS, ROLE_INDEX
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Mapping
     from typing import Any
 
-    from bstm_daemon.bus.frame_records import FrameRecords
-    from bstm_daemon.bus.signal_map import SignalMap
-    from bstm_daemon.carry_over import Restored
-    from bstm_daemon.config import Config
-    from bstm_daemon.estimator import Block
-    from bstm_daemon.forecast.records import CarRisk
+    from bstm_daemon.bus.live.frame_records import FrameRecords
+    from bstm_daemon.bus.signals.signal_map import SignalMap
+    from bstm_daemon.config.sections import Config
+    from bstm_daemon.estimate import CarRisk
+    from bstm_daemon.estimator.blocks import Block, Instant
+    from bstm_daemon.estimator.state import Restored
 
 _STRAY_US: Final = 1_000_000
 """A rejected frame stamped further ahead than this is counted at once."""
@@ -110,7 +104,7 @@ class Engine:
             signal_map: its extraction plan.
             history_known: whether the brakes are known to be at ambient
                 temperature before the first frame.
-            forecast: whether to tell risk and forecast; without them the
+            forecast: whether risk and forecast are made; without them the
                 level is that of the margin.
 
         Raises:
@@ -120,33 +114,30 @@ class Engine:
         timeouts = signal_map.timeouts_us
         self.decoder = Decoder(signal_map)
         self._guard = E2eGuard(signal_map)
+        present = {role: timeouts[role] for role in roles}
         self.estimator = Estimator(
-            config,
-            {role: timeouts[role] for role in roles},
-            history_known=history_known,
+            config, present, history_known=history_known
         )
         self.risk = RiskMonitor(config, self.estimator) if forecast else None
         self.publication = Publication(
             [corner.name for corner in config.corner],
             config.publish.id_base,
-            modelled=[corner.name for corner in config.disc_corners()],
             requests=config.publish.requests,
         )
         self.model_check = ModelCheck(config, self.estimator, roles)
-        self._advisor = Advisor(config)
-        self._held = HeldRoles(
-            {role: timeouts[role] for role in roles}, ROLE_INDEX
+        self._advisor = Advisor(config, present)
+        self._record_decoder = RecordDecoder(
+            signal_map, self._advisor.roles.names
         )
-        self._record_decoder = RecordDecoder(signal_map, self._held.names)
         self.config = config
         self._boiling_k = wet_boiling_point_k(config.fluid.grade)
         self.heat_mode = HeatMode[config.heat.mode.upper()]
-        self.snapshot: Snapshot | None = None
+        self.estimate: Estimate | None = None
         """What was published last."""
         self.blocks: list[Block] = []
         """The estimates of the last tick, for whoever tabulates them."""
         self.risks: list[list[CarRisk]] | None = None
-        """The risk at each publication of these, if it is told."""
+        """The risk at each publication of these; None without a forecast."""
         self._times = array("q")
         self._roles = array("i")
         self._values = array("d")
@@ -154,13 +145,8 @@ class Engine:
         self._rejected = 0
         self._rejected_at: list[int] = []
         self.dropped_frames = 0
-        """Frames lost before they came here, told by the shell."""
+        """Frames lost before they came here, as the shell counts them."""
         self._stale = _stale_flags(config.heat.mode, roles)
-        self._places = {
-            name: (number, member)
-            for number, group in enumerate(self.estimator.groups)
-            for member, name in enumerate(group.corners)
-        }
 
     def frame(  # noqa: PLR0913
         self,
@@ -176,14 +162,14 @@ class Engine:
         """Take one frame of bus number *bus*, stamped *stamp_us* [us]."""
         decoder = self.decoder
         if not (is_error or is_remote):
-            refusal = self._guard.refusal(bus, can_id, extended, data)
-            if refusal is not None:
-                decoder.counts[refusal] += 1
+            reject_reason = self._guard.refusal(bus, can_id, extended, data)
+            if reject_reason is not None:
+                decoder.counts[reject_reason] += 1
                 self._rejected_at.append(stamp_us)
                 return
         before = decoder.rejected
         times, roles, values = self._times, self._roles, self._values
-        held = self._held.numbers
+        driver = self._advisor.roles
         for role, value in decoder.decode(
             bus,
             can_id,
@@ -195,8 +181,8 @@ class Engine:
             times.append(stamp_us)
             roles.append(role)
             values.append(value)
-            if role in held:
-                self._held.note(stamp_us, role, value)
+            if role in driver.names:
+                driver.note(stamp_us, role, value)
         if decoder.rejected != before:
             self._rejected_at.append(stamp_us)
 
@@ -207,7 +193,7 @@ class Engine:
             The first one that was not taken: give it to :meth:`frame`.
         """
         decoder = self._record_decoder
-        counts, held = self.decoder.counts, self._held.waiting
+        counts, held = self.decoder.counts, self._advisor.roles.waiting
         while True:
             position = decoder.decode(records, first, counts, held)
             if position == first:
@@ -254,26 +240,31 @@ class Engine:
         self.blocks, self.risks = [], None
         if self.risk is not None:
             self.risks = []
-            self.risk.hear(*samples)
+            self.risk.ingest(*samples)
         for block in self.estimator.stretches(*samples):
             self.blocks = [block]
             if self.risk is not None:
                 self.risks = [self.risk.add(block)]
             yield [
-                Published(block.times_us[i], frame)
-                for i in range(len(block.times_us))
-                for frame in self.publication.encode(
-                    self._snapshot(block, i, 0)
-                )
+                Published(time_us, frame)
+                for i, time_us in enumerate(block.times_us)
+                for frame in self.publication.encode(self._advance(block, i))
             ]
         # what is stamped far ahead has no publication of its own
         self._count_rejected(time_us, time_us + _STRAY_US)
 
-    def farewell(self) -> list[OutputFrame]:
+    def stop_frames(self) -> list[OutputFrame]:
         """Return the last frames of a service that stops: not available."""
-        return self.publication.stopping(
-            self.heat_mode, compiled=self.estimator.compiled
+        unknown = Estimate(
+            0,
+            {name: CornerEstimate() for name in self.estimator.programs},
+            Status(
+                State.STOPPING,
+                self.heat_mode,
+                compiled_kernel=self.estimator.compiled,
+            ),
         )
+        return self.publication.encode_all(unknown)
 
     def temperatures_k(self) -> list[float]:
         """Return the temperature [K] of every node of every corner."""
@@ -287,10 +278,7 @@ class Engine:
         """Return the memory as plain values, for the state file."""
         return {
             "counters": self.publication.counters,
-            "advice": {
-                "machines": self._advisor.export(),
-                "roles": self._held.export(),
-            },
+            "advice": self._advisor.export(),
             "model_check": self.model_check.export(),
             **export_state(self.estimator),
             **({} if self.risk is None else {"risk": self.risk.export()}),
@@ -319,7 +307,7 @@ class Engine:
         restored = resume_state(self.estimator, document, parked_us, now_us)
         self.publication.continue_from(counters)
         if restored.resumed and "advice" in document:
-            self._resume_advice(document["advice"])
+            self._advisor = self._advisor.resumed(document["advice"])
         if restored.resumed and "model_check" in document:
             # one that can not be read begins anew
             with suppress(KeyError, TypeError, ValueError, AttributeError):
@@ -328,23 +316,13 @@ class Engine:
             resume_risk(self.risk, self.estimator, document, parked_us, now_us)
         return restored
 
-    def _resume_advice(self, saved: Any) -> None:
-        """Go on with the advice of a moment ago; else it begins parked."""
-        advisor = Advisor(self.config)
-        try:
-            advisor.restore(saved["machines"])
-            self._held.restore(saved["roles"])
-        except (KeyError, TypeError, ValueError, AttributeError):
-            return
-        self._advisor = advisor
-
     def correct_parked(
         self, document: Mapping[str, Any], parked_us: int
     ) -> None:
-        """Change the parked time that :meth:`resume` was told, once known.
+        """Correct the parked time given to :meth:`resume`, once known.
 
-        Needs :func:`~bstm_daemon.carry_over.doubt_parked_time` since. The
-        next publication says so with its clock-jump flag.
+        Needs :func:`~bstm_daemon.estimator.state.doubt_parked_time` since. The
+        next publication has its clock-jump flag set.
         """
         correct_parked(self.estimator, document, parked_us * 1e-6)
         self.estimator.open_flags |= FLAGS["clock_jump"]
@@ -376,7 +354,7 @@ class Engine:
     def _count_rejected(self, time_us: int, horizon_us: int) -> None:
         """Count what was rejected up to *time_us*, or beyond *horizon_us*.
 
-        A publication tells of its own time, however far the frames read
+        A publication counts up to its own time, however far the frames read
         with it reach.
         """
         if not self._rejected_at:
@@ -385,88 +363,37 @@ class Engine:
         self._rejected += len(self._rejected_at) - len(later)
         self._rejected_at = later
 
-    def _snapshot(self, block: Block, i: int, number: int) -> Snapshot:
-        time_us = block.times_us[i]
-        self._count_rejected(time_us, FOREVER_US)
-        risk = None if self.risks is None else self.risks[number][i]
-        corners = {
-            name: self._corner(block, i, name, place, risk)
-            for name, place in self._places.items()
-        }
-        self.model_check.take(block, i, history_known=i >= block.known_from)
-        status = self._status(block, i)
-        now = conditions_of(
-            block,
-            i,
-            corners,
-            self.estimator.plan.corners,
-            self._held.at(block.times_us[i]),
-            history_known=status.history_known,
+    def _advance(self, block: Block, i: int) -> Estimate:
+        """Move on to publication *i* of *block* and return its estimate."""
+        instant = block.at(i)
+        self._count_rejected(instant.time_us, FOREVER_US)
+        self.model_check.take(instant)
+        risk = None if self.risks is None else self.risks[0][i]
+        corners = corner_estimates(
+            instant, self._boiling_k, risk, self.estimator.wear
         )
-        self.snapshot = Snapshot(
-            time_us,
-            corners,
-            status,
-            self._advisor.update(now),
-            None if risk is None else car_snapshot(risk),
+        advice = self._advisor.update(instant, corners)
+        self.estimate = Estimate(
+            instant.time_us, corners, self._status(instant), advice, risk
         )
-        return self.snapshot
+        return self.estimate
 
-    def _corner(
-        self,
-        block: Block,
-        i: int,
-        name: str,
-        place: tuple[int, int],
-        risk: CarRisk | None,
-    ) -> CornerSnapshot:
-        number, member = place
-        group = self.estimator.groups[number]
-        first = (i * len(group.corners) + member) * group.size
-        output = block.outputs[number]
-        state = dict(
-            zip(
-                group.state_names,
-                output[first : first + len(group.state_names)],
-                strict=True,
-            )
+    def _status(self, instant: Instant) -> Status:
+        flags = instant.flags
+        worst = max(
+            map(instant.validity, self.estimator.programs), default=None
         )
-        fluid_k = state["fluid"]
-        return CornerSnapshot(
-            disc_k=state["disc"],
-            pad_front_k=state["pad_front"],
-            pad_back_k=state["pad_back"],
-            fluid_k=fluid_k,
-            margin_k=self._boiling_k - fluid_k,
-            wet_boiling_k=self._boiling_k,
-            validity=Validity(block.validity[name][i]),
-            wear=wear_of(self.estimator.wear, name, block, i, state),
-            risk=None
-            if risk is None
-            else corner_snapshot(risk, name, block.times_us[i]),
-        )
-
-    def _status(self, block: Block, i: int) -> StatusSnapshot:
-        flags = block.flags[i]
-        wide = len(VEHICLE_CHANNELS)
-        vehicle = dict(
-            zip(
-                VEHICLE_CHANNELS,
-                block.vehicle[i * wide : (i + 1) * wide],
-                strict=True,
-            )
-        )
-        worst = max((v[i] for v in block.validity.values()), default=nan)
         if flags & FLAGS["silent"]:
             state = State.NO_INPUT
         else:
-            state = State.RUNNING if worst == 0 else State.DEGRADED
-        return StatusSnapshot(
+            is_well = worst is Validity.VALID
+            state = State.RUNNING if is_well else State.DEGRADED
+        return Status(
             state=state,
             heat_mode=self.heat_mode,
-            history_known=i >= block.known_from,
+            history_known=instant.history_known,
             compiled_kernel=self.estimator.compiled,
-            oldest_input_age_s=vehicle["input_age_s"],
+            oldest_input_age_s=instant.vehicle("input_age_s"),
             rejected_frames=self._rejected,
             dropped_frames=self.dropped_frames,
             clock_jump=bool(flags & FLAGS["clock_jump"]),

@@ -1,9 +1,10 @@
-"""Result files that are whole or absent, never half-written."""
+"""Result files, whole or absent, and the files that come with the program."""
 
 from __future__ import annotations
 
 import errno
 import os
+import sys
 import tempfile
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -13,6 +14,27 @@ from bstm_daemon.errors import FileAccessError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+
+
+def shipped_file(name: str) -> Path:
+    """Return the path of a shipped file such as ``dbc/bstm.dbc``.
+
+    In a checkout they stand beside the package; an installation puts them
+    under ``share/bstm-daemon`` of its prefix.
+
+    Raises:
+        FileAccessError: it is in neither place.
+    """
+    places = (
+        Path(__file__).resolve().parents[1],
+        Path(sys.prefix) / "share" / "bstm-daemon",
+    )
+    for place in places:
+        if (place / name).is_file():
+            return place / name
+    looked = " nor ".join(str(place) for place in places)
+    msg = f"{name}: a file of this program is neither in {looked}; reinstall"
+    raise FileAccessError(msg)
 
 
 @contextmanager

@@ -2,33 +2,38 @@
 
 import os
 from collections.abc import Callable
-from typing import Any
+from typing import Any, cast
 
 import pytest
 from hypothesis import settings
 
-from bstm_daemon.config import Config, CornerConfig, VehicleConfig
-from bstm_daemon.errors import UsageError
-from bstm_daemon.native import VARIABLE, Kernel, load_kernel
-from bstm_daemon.thermal.brake_corner import CornerSpec, corner_spec
+from bstm_daemon.config.sections import Config, CornerConfig, VehicleConfig
+from bstm_daemon.model.thermal.brake_corner import CornerSpec, corner_spec
+from bstm_daemon.native.loader import VARIABLE, Kernel, load_module
 
-# CI runs the same examples every time; a developer looks for new ones
+# CI runs the same examples every time, a developer looks for new ones; a busy
+# machine is no defect, so that no example has a deadline
 settings.register_profile("ci", derandomize=True, deadline=None)
-if os.environ.get("CI"):
-    settings.load_profile("ci")
+settings.register_profile("local", deadline=None)
+settings.load_profile("ci" if os.environ.get("CI") else "local")
+
+# numpy is not imported yet: a worker of pytest has one core, and BLAS threads
+# that wait for each other would take the other worker's
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 
 @pytest.fixture(scope="session")
 def compiled() -> Kernel:
-    """Return the compiled kernel; skip where it is not installed."""
-    try:
-        kernel = load_kernel("compiled")
-    except UsageError as error:
+    """Return the compiled kernel; skip where it is not installed.
+
+    One that was built from other sources is an error, not a skip.
+    """
+    kernel = load_module("native._kernel")
+    if kernel is None:
         if os.environ.get(VARIABLE) == "compiled":
-            raise
-        pytest.skip(str(error))
-    assert kernel is not None
-    return kernel
+            pytest.fail("BSTM_KERNEL=compiled, but it is not installed")
+        pytest.skip("the compiled kernel is not installed")
+    return cast("Kernel", kernel)
 
 
 @pytest.fixture(scope="session", params=["reference", "compiled"])

@@ -7,15 +7,15 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from bstm_daemon.corner_model import compile_corner
-from bstm_daemon.heat.sample_plan import CHANNELS
-from bstm_daemon.matching.drives import GRID_S, Drive, Thermocouple
-from bstm_daemon.matching.march import march
+from bstm_daemon.analysis.matching.drives import GRID_S, Drive, Thermocouple
+from bstm_daemon.analysis.matching.march import march
+from bstm_daemon.channels import CHANNELS
+from bstm_daemon.estimator.corner_model import compile_corner
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from bstm_daemon.config import Config
+    from bstm_daemon.config.sections import Config
 
 EXAMPLE: Final = Path(__file__).parents[1] / "config" / "example_vehicle.toml"
 NODES: Final = ("disc", "pad_front", "pad_back", "fluid")

@@ -10,11 +10,16 @@ import numpy as np
 import pytest
 from cantools.database.can import Database
 
-from bstm_daemon.bus.logs import EventLog, open_log
+from bstm_daemon.bus.opening import EventLog, open_log
 from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.engine import Engine
-from bstm_daemon.estimator import PUBLISH_US, ROWS, STEP_US, Estimator
-from bstm_daemon.replay import present_roles
+from bstm_daemon.estimator.estimator import (
+    PUBLISH_US,
+    ROWS,
+    STEP_US,
+    Estimator,
+)
+from bstm_daemon.replay.columns import present_roles
 from bstm_daemon.simulation import parse_drive, simulate
 from bstm_daemon.simulation.frames import Encoder
 from bstm_daemon.simulation.recorder import write_candump
@@ -23,7 +28,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from bstm_daemon.engine import Published
-    from bstm_daemon.estimator import Block
+    from bstm_daemon.estimator.blocks import Block
 
 ROOT = Path(__file__).parents[1]
 CAR = ROOT / "config" / "example_vehicle.toml"
@@ -231,6 +236,7 @@ def test_ticks_change_no_bit(
     assert other.engine.estimator.counts == ten_ms.engine.estimator.counts
 
 
+@pytest.mark.slow
 def test_a_gap_of_hours_comes_in_parts(frames: list[Frame]) -> None:
     """The same frames; of them as many at a time as one march has room for.
 
@@ -267,6 +273,7 @@ def test_a_gap_of_hours_comes_in_parts(frames: list[Frame]) -> None:
     )
 
 
+@pytest.mark.slow
 def test_silence_shows_and_cools(frames: list[Frame]) -> None:
     """No frame for ten minutes: ticks alone cool, and the frames say why."""
     end_us = frames[-1].stamp_us + 600 * SECOND

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import pytest
 
-from bstm_daemon.bus.compiled import live_extension
-from bstm_daemon.bus.frame_records import RECORD_BYTES, FrameRecords
-from bstm_daemon.bus.logs import open_log
+from bstm_daemon.bus.live.frame_records import RECORD_BYTES, FrameRecords
+from bstm_daemon.bus.opening import open_log
 from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.engine import Engine
+from bstm_daemon.native.loader import live_extension
 from bstm_daemon.simulation.drives import parse_drive
 from bstm_daemon.simulation.frames import Encoder
 from bstm_daemon.simulation.recorder import write_candump

@@ -9,8 +9,12 @@ from typing import TYPE_CHECKING
 import pytest
 
 from bstm_daemon.errors import FileAccessError
-from bstm_daemon.files import ensure_writable, make_folder, replacing
-from bstm_daemon.shipped import shipped_file
+from bstm_daemon.files import (
+    ensure_writable,
+    make_folder,
+    replacing,
+    shipped_file,
+)
 
 if TYPE_CHECKING:
     from pathlib import Path

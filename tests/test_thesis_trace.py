@@ -11,7 +11,7 @@ from typing import Final
 
 import pytest
 
-from bstm_daemon.config import Config
+from bstm_daemon.config.sections import Config
 
 ROOT: Final = Path(__file__).resolve().parents[1]
 PACKAGE: Final = ROOT / "bstm_daemon"
@@ -169,8 +169,8 @@ def test_row_names_what_exists(row: str) -> None:
     assert problems_of_row(row) == []
 
 
-GOOD_MODULE: Final = "`thermal/partition.py::disc_share`"
-TESTS: Final = "tests/thermal/test_partition.py"
+GOOD_MODULE: Final = "`model/thermal/partition.py::disc_share`"
+TESTS: Final = "tests/model/thermal/test_partition.py"
 GOOD_TEST: Final = f"`{TESTS}::test_share_of_the_disc`"
 
 
@@ -181,9 +181,12 @@ GOOD_TEST: Final = f"`{TESTS}::test_share_of_the_disc`"
         ("| 2.3 | - | not yet modelled: later |", None),
         ("| 2.3 | - | not modelled, because it is a sketch |", None),
         (f"| 2.3 | `thermal/lost.py::a` | {GOOD_TEST} |", "no file"),
-        (f"| 2.3 | `thermal/partition.py::a` | {GOOD_TEST} |", "no a in"),
         (
-            f"| 2.3 | `config.py::Config.lost` | {GOOD_TEST} |",
+            f"| 2.3 | `model/thermal/partition.py::a` | {GOOD_TEST} |",
+            "no a in",
+        ),
+        (
+            f"| 2.3 | `config/sections.py::Config.lost` | {GOOD_TEST} |",
             "no Config.lost",
         ),
         (f"| 2.3 | {GOOD_MODULE} | `tests/a.py::test_a` |", "no file"),

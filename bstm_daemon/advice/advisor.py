@@ -4,17 +4,21 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from bstm_daemon.advice.conditions import conditions_at
 from bstm_daemon.advice.departure import Departure
 from bstm_daemon.advice.descent import Descent
+from bstm_daemon.advice.driver_roles import HeldRoles
 from bstm_daemon.advice.emergency import EmergencyAssist
 from bstm_daemon.advice.hydraulics import FrontIsolation, PedalFeel
-from bstm_daemon.bus.publication_slow import AdviceSnapshot
+from bstm_daemon.estimate import Advice
+from bstm_daemon.roles import ROLE_INDEX
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from bstm_daemon.advice.conditions import Conditions
-    from bstm_daemon.config import Config
+    from bstm_daemon.config.sections import Config
+    from bstm_daemon.estimate import CornerEstimate
+    from bstm_daemon.estimator.blocks import Instant
 
 
 class Advisor:
@@ -23,8 +27,17 @@ class Advisor:
     They know the time of the data only, so a replay gives the same advice.
     """
 
-    def __init__(self, config: Config) -> None:
-        """Begin parked, with nothing to say."""
+    def __init__(self, config: Config, timeouts_us: Mapping[int, int]) -> None:
+        """Begin parked, with nothing to advise.
+
+        Args:
+            config: the vehicle.
+            timeouts_us: role number to time-out [us] of each mapped role.
+        """
+        self._config = config
+        self._timeouts_us = timeouts_us
+        self.roles = HeldRoles(timeouts_us, ROLE_INDEX)
+        """What samples of the driver's roles are noted in."""
         self.departure = Departure(config.advice)
         self.descent = Descent(config)
         self.pedal = PedalFeel(config.advice)
@@ -39,26 +52,54 @@ class Advisor:
         }
 
     def export(self) -> dict[str, Any]:
-        """Return the memory of all machines as plain values."""
+        """Return the whole memory as plain values."""
         return {
-            name: machine.export() for name, machine in self._machines.items()
+            "machines": {
+                name: machine.export()
+                for name, machine in self._machines.items()
+            },
+            "roles": self.roles.export(),
         }
 
     def restore(self, saved: Mapping[str, Any]) -> None:
-        """Go on where :meth:`export` was called, within the same drive.
+        """Go on where :meth:`export` gave *saved*, within the same drive.
 
         Raises:
-            KeyError, TypeError, ValueError: it is nothing of that kind.
+            KeyError, TypeError, ValueError: it is nothing of that kind; this
+                may be half restored.
         """
         for name, machine in self._machines.items():
-            machine.restore(saved[name])
+            machine.restore(saved["machines"][name])
+        self.roles.restore(saved["roles"])
 
-    def update(self, now: Conditions) -> AdviceSnapshot:
-        """Return the advice at *now*; to be called for every publication."""
+    def resumed(self, saved: Any) -> Advisor:
+        """Return one that goes on where :meth:`export` gave *saved*.
+
+        Within the same drive; one that begins parked where *saved* is
+        nothing of that kind.
+        """
+        fresh = Advisor(self._config, self._timeouts_us)
+        try:
+            fresh.restore(saved)
+        except (KeyError, TypeError, ValueError, AttributeError):
+            return self
+        return fresh
+
+    def update(
+        self, instant: Instant, corners: Mapping[str, CornerEstimate]
+    ) -> Advice:
+        """Return the advice at *instant*; to be called for every publication.
+
+        Args:
+            instant: the publication.
+            corners: the corners with a thermal model then.
+        """
+        held = self.roles.at(instant.time_us)
+        now = conditions_at(instant, corners, held)
         message, sound, waiting_s = self.departure.update(now)
         driver, gearbox = self.descent.update(now)
         assist, intervention, score = self.emergency.update(now)
-        return AdviceSnapshot(
+        return Advice(
             message=message,
             sound=sound,
             waiting_s=waiting_s,

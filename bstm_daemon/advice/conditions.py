@@ -8,54 +8,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from math import inf, isfinite, nan
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
-from bstm_daemon.bus.output_layout import RiskLevel, Validity
+from bstm_daemon.channels import CORNER_PRESSURE, FLAGS
+from bstm_daemon.estimate import RiskLevel, Validity
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Mapping
 
-SEVERITY: Final = {
-    RiskLevel.UNKNOWN: -1,
-    RiskLevel.NORMAL: 0,
-    RiskLevel.ELEVATED: 1,
-    RiskLevel.HIGH: 2,
-    RiskLevel.CRITICAL: 3,
-}
-"""Levels in their order; an unknown one is no reason for anything."""
-
-
-@dataclass(frozen=True, slots=True)
-class CornerCondition:
-    """How one corner stands.
-
-    ``probability`` is that of vaporisation now or if the car parks;
-    ``time_until_safe_s`` how long it must stand until the level falls;
-    ``worst_boiling_k`` the boiling point of a wet fluid of the grade.
-    """
-
-    level: RiskLevel = RiskLevel.UNKNOWN
-    probability: float = nan
-    time_until_safe_s: float = nan
-    fluid_k: float = nan
-    fluid_std_k: float = nan
-    worst_boiling_k: float = nan
-    validity: Validity = Validity.NOT_AVAILABLE
-
-    @property
-    def is_usable(self) -> bool:
-        """Whether anything may be asked for because of it."""
-        return self.validity in (Validity.VALID, Validity.DEGRADED)
-
-    @property
-    def margin_k(self) -> float:
-        """Worst-case boiling point less fluid and its deviation [K]."""
-        std_k = self.fluid_std_k if isfinite(self.fluid_std_k) else 0.0
-        return self.worst_boiling_k - (self.fluid_k + std_k)
-
-    def is_at_least(self, level: RiskLevel) -> bool:
-        """Whether its level is known to be *level* or worse."""
-        return self.is_usable and SEVERITY[self.level] >= SEVERITY[level]
+    from bstm_daemon.estimate import CornerEstimate
+    from bstm_daemon.estimator.blocks import Instant
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +31,7 @@ class Conditions:
     """
 
     time_us: int
-    corners: Mapping[str, CornerCondition]
+    corners: Mapping[str, CornerEstimate]
     speed_ms: float = nan
     brake_power_w: float = nan
     pressures_pa: Mapping[str, float] = field(default_factory=dict)
@@ -78,14 +40,18 @@ class Conditions:
     @property
     def level(self) -> RiskLevel:
         """The worst level of a usable corner; unknown if there is none."""
-        usable = [c.level for c in self.corners.values() if c.is_usable]
-        return max(usable, key=SEVERITY.__getitem__, default=RiskLevel.UNKNOWN)
+        usable = [
+            c.level for c in self.corners.values() if c.validity.is_usable
+        ]
+        return max(
+            usable, key=lambda one: one.severity, default=RiskLevel.UNKNOWN
+        )
 
     @property
     def is_unsure(self) -> bool:
         """Whether the level of some corner is not known."""
         return any(
-            corner.level is RiskLevel.UNKNOWN or not corner.is_usable
+            corner.level is RiskLevel.UNKNOWN or not corner.validity.is_usable
             for corner in self.corners.values()
         )
 
@@ -102,7 +68,7 @@ class Conditions:
         Only corners that ask for waiting count.
         """
         times = [
-            corner.time_until_safe_s
+            corner.waiting_s
             for corner in self.corners.values()
             if corner.is_at_least(RiskLevel.HIGH)
         ]
@@ -122,7 +88,7 @@ class Conditions:
         One without a thermal model is not known.
         """
         margins = [
-            corner.margin_k if corner.is_usable else nan
+            corner.cautious_margin_k if corner.validity.is_usable else nan
             for name, corner in self.corners.items()
             if name.startswith(axle)
         ]
@@ -135,11 +101,11 @@ class Conditions:
         reason to ask for anything.
         """
         margins = [
-            corner.margin_k
+            corner.cautious_margin_k
             for name, corner in self.corners.items()
             if name.startswith(axle)
-            and corner.is_usable
-            and isfinite(corner.margin_k)
+            and corner.validity.is_usable
+            and isfinite(corner.cautious_margin_k)
         ]
         return min(margins, default=inf)
 
@@ -149,88 +115,31 @@ class Conditions:
         return None if value is None else value > 0.5
 
 
-DRIVER_ROLES: Final = (
-    "ignition",
-    "gear",
-    "clutch_open",
-    "engine_speed",
-    "brake_switch",
-    "brake_pedal_travel",
-    "acceleration_longitudinal",
-    "pitch",
-    "abs_active",
-    "esc_active",
-)
-"""Roles that advice reads besides the estimate."""
+def conditions_at(
+    instant: Instant,
+    corners: Mapping[str, CornerEstimate],
+    driver: Mapping[str, float],
+) -> Conditions:
+    """Return what advice is given by at one publication.
 
-
-class HeldRoles:
-    """The newest values of :data:`DRIVER_ROLES` at a time of the data."""
-
-    def __init__(
-        self, timeouts_us: Mapping[int, int], numbers: Mapping[str, int]
-    ) -> None:
-        """Hold the roles of *numbers* (name to role number).
-
-        A value counts until it is older than its time-out.
-        """
-        self._names = {
-            number: name
-            for name, number in numbers.items()
-            if name in DRIVER_ROLES and number in timeouts_us
-        }
-        self._timeouts = {
-            name: timeouts_us[number] for number, name in self._names.items()
-        }
-        self._held: dict[str, tuple[int, float]] = {}
-        self.waiting: list[tuple[int, str, float]] = []
-        """Time [us], name and value of samples that wait for their time."""
-
-    @property
-    def names(self) -> Mapping[int, str]:
-        """Names of the roles that are held, by number."""
-        return self._names
-
-    @property
-    def numbers(self) -> frozenset[int]:
-        """Numbers of the roles that are held."""
-        return frozenset(self._names)
-
-    def note(self, stamp_us: int, role: int, value: float) -> None:
-        """Take a sample; it counts from *stamp_us* on."""
-        self.waiting.append((stamp_us, self._names[role], value))
-
-    def export(self) -> dict[str, list[float]]:
-        """Return stamp [us] and value of each role as plain values."""
-        return {name: list(held) for name, held in self._held.items()}
-
-    def restore(self, saved: Mapping[str, Sequence[float]]) -> None:
-        """Take over what :meth:`export` gave, on the same axis of time.
-
-        Raises:
-            TypeError, ValueError: it is nothing of that kind.
-        """
-        for name in self._names.values():
-            if name in saved:
-                stamp_us, value = saved[name]
-                self._held[name] = int(stamp_us), float(value)
-
-    def at(self, time_us: int) -> dict[str, float]:
-        """Return the values that are fresh at *time_us*, not going back."""
-        later = []
-        for sample in self.waiting:
-            stamp_us, name, value = sample
-            if stamp_us <= time_us:
-                self._held[name] = stamp_us, value
-            elif stamp_us - time_us < FAR_US:
-                later.append(sample)
-        self.waiting = later
-        return {
-            name: value
-            for name, (stamp_us, value) in self._held.items()
-            if 0 <= time_us - stamp_us <= self._timeouts[name]
-        }
-
-
-FAR_US: Final = 10_000_000
-"""A sample stamped further ahead is one of a clock that went wrong."""
+    Args:
+        instant: the publication.
+        corners: the corners with a thermal model then.
+        driver: fresh values of the driver's roles.
+    """
+    names = instant.block.layout.corners
+    missing = instant.flags & FLAGS["speed_missing"]
+    return Conditions(
+        instant.time_us,
+        corners,
+        nan if missing else instant.vehicle("speed_ms"),
+        sum(instant.channel(name, "brake_power_w") for name in names),
+        {
+            # the model takes one that is missing as 0; advice must not
+            name: nan
+            if instant.flags & CORNER_PRESSURE << place
+            else instant.channel(name, "pressure_pa")
+            for place, name in enumerate(names)
+        },
+        driver,
+    )

@@ -11,12 +11,12 @@ from enum import Enum, auto
 from math import isfinite, nan
 from typing import TYPE_CHECKING, ClassVar, Final
 
-from bstm_daemon.advice.memory import Machine, perhaps, stamp
-from bstm_daemon.bus.output_layout import Message, RiskLevel, Sound
+from bstm_daemon.estimate import Message, RiskLevel, Sound
+from bstm_daemon.estimator.memory import Machine, perhaps, stamp
 
 if TYPE_CHECKING:
     from bstm_daemon.advice.conditions import Conditions
-    from bstm_daemon.config_advice import AdviceConfig
+    from bstm_daemon.config.advice import AdviceConfig
 
 STANDING_MS: Final = 0.5
 DRIVING_MS: Final = 1.5

@@ -10,7 +10,8 @@ from __future__ import annotations
 from math import exp, isfinite
 from typing import TYPE_CHECKING, ClassVar, Final
 
-from bstm_daemon.advice.memory import (
+from bstm_daemon.estimate import Downshift
+from bstm_daemon.estimator.memory import (
     Machine,
     any_number,
     flag,
@@ -19,12 +20,11 @@ from bstm_daemon.advice.memory import (
     row,
     stamp,
 )
-from bstm_daemon.bus.output_layout import Downshift
 from bstm_daemon.units import UNITS
 
 if TYPE_CHECKING:
     from bstm_daemon.advice.conditions import Conditions
-    from bstm_daemon.config import Config
+    from bstm_daemon.config.sections import Config
 
 SLOWEST_MS: Final = 3.0
 """Below it a lower gear brakes no more."""

@@ -20,7 +20,8 @@ from __future__ import annotations
 from math import exp, isfinite, sin
 from typing import TYPE_CHECKING, ClassVar, Final
 
-from bstm_daemon.advice.memory import (
+from bstm_daemon.estimate import NO_RISK, Assist, Intervention, RiskLevel
+from bstm_daemon.estimator.memory import (
     Machine,
     any_number,
     number,
@@ -28,13 +29,12 @@ from bstm_daemon.advice.memory import (
     row,
     stamp,
 )
-from bstm_daemon.bus.output_layout import Assist, Intervention, RiskLevel
-from bstm_daemon.heat.feed_forward import PressureTorque
+from bstm_daemon.model.heat.feed_forward import PressureTorque
 from bstm_daemon.units import GRAVITY_MS2
 
 if TYPE_CHECKING:
     from bstm_daemon.advice.conditions import Conditions
-    from bstm_daemon.config import Config
+    from bstm_daemon.config.sections import Config
 
 MOVING_MS: Final = 1.0
 """A car that stands decelerates no more."""
@@ -95,7 +95,10 @@ class EmergencyAssist(Machine):
         sure = self._observe(now)
         if not any(
             corner.is_at_least(RiskLevel.ELEVATED)
-            or (corner.is_usable and corner.probability >= POSSIBLE)
+            or (
+                corner.validity.is_usable
+                and (corner.risk or NO_RISK).probability >= POSSIBLE
+            )
             for corner in now.corners.values()
         ):
             self.state, self.score, self._since_us = Assist.OFF, 0.0, None

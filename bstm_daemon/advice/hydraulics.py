@@ -5,18 +5,18 @@ from __future__ import annotations
 from math import inf, isfinite, nan
 from typing import TYPE_CHECKING, ClassVar, Final
 
-from bstm_daemon.advice.memory import (
+from bstm_daemon.estimate import Isolation
+from bstm_daemon.estimator.memory import (
     Machine,
     flag,
     perhaps,
     share,
     stamp,
 )
-from bstm_daemon.bus.output_layout import Isolation
 
 if TYPE_CHECKING:
     from bstm_daemon.advice.conditions import Conditions
-    from bstm_daemon.config_advice import AdviceConfig
+    from bstm_daemon.config.advice import AdviceConfig
 
 FEEL_RATE_1_S: Final = 0.02
 """Fastest change of the feel: gradual, so that nobody takes it for a fault

@@ -17,21 +17,40 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
 
-def add_config(parser: argparse.ArgumentParser) -> None:
-    """Add the required ``-c/--config FILE``; ``args.config`` is a path."""
+def add_config(
+    parser: argparse.ArgumentParser,
+    what: str = "configuration of the vehicle (TOML)",
+    *,
+    required: bool = True,
+) -> None:
+    """Add ``-c/--config FILE``; ``args.config`` is a path, or None."""
     parser.add_argument(
         "-c",
         "--config",
         type=Path,
         metavar="FILE",
-        required=True,
-        help="configuration of the vehicle (TOML)",
+        required=required,
+        help=what,
     )
 
 
 def add_out(parser: argparse.ArgumentParser, what: str, metavar: str) -> None:
     """Add ``-o/--out`` for *what* is written; ``args.out`` may be None."""
     parser.add_argument("-o", "--out", type=Path, metavar=metavar, help=what)
+
+
+def add_force(parser: argparse.ArgumentParser, metavar: str) -> None:
+    """Add ``--force``, which :func:`check_new` asks for."""
+    parser.add_argument(
+        "--force", action="store_true", help=f"replace {metavar} if it exists"
+    )
+
+
+def add_new_config(parser: argparse.ArgumentParser) -> None:
+    """Add ``-o/--out NEW.toml`` and ``--force``."""
+    what = "write the values into a copy of the configuration"
+    add_out(parser, what, "NEW.toml")
+    add_force(parser, "NEW.toml")
 
 
 def add_json(parser: argparse.ArgumentParser) -> None:

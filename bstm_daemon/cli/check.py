@@ -6,29 +6,30 @@ With ``--log`` the signals of a recording are judged as well, see
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bstm_daemon.cli.arguments import (
     add_bus_map,
+    add_config,
     add_json,
     add_report,
     check_targets,
 )
 from bstm_daemon.cli.check_log import check_logs
-from bstm_daemon.config_file import load_config, naming_file, read_draft
-from bstm_daemon.config_rules import usable_e2e, usable_signals
+from bstm_daemon.config.reading import load_config, naming_file, read_draft
+from bstm_daemon.config.rules import usable_e2e, usable_signals
 from bstm_daemon.errors import ConfigError, UsageError
-from bstm_daemon.files import replacing
+from bstm_daemon.report.json_file import write_json
+from bstm_daemon.report.text import columns
 from bstm_daemon.roles import ROLE_INDEX, ROLES
 
 if TYPE_CHECKING:
     import argparse
     from collections.abc import Sequence
 
-    from bstm_daemon.config import Config, CornerConfig, SignalConfig
-    from bstm_daemon.config_rules import Draft
+    from bstm_daemon.config.rules import Draft
+    from bstm_daemon.config.sections import Config, CornerConfig, SignalConfig
 
 _ANY_RADIUS_M = 0.3
 """Finds DBC problems when [vehicle] has none to give; enters no result."""
@@ -43,9 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="CONFIG",
         help="configuration to check (TOML)",
     )
-    parser.add_argument(
-        "-c", "--config", type=Path, metavar="FILE", help="the same as CONFIG"
-    )
+    add_config(parser, "the same as CONFIG", required=False)
     parser.add_argument(
         "--log",
         type=Path,
@@ -86,8 +85,7 @@ def run(args: argparse.Namespace) -> int:
             result["configuration"] = config.model_dump(mode="json")
         if checked is not None:
             result["log"] = checked.data
-        with replacing(args.json) as file:
-            file.write_text(json.dumps(result, indent=2) + "\n", "utf-8")
+        write_json(args.json, result)
     if config is None:
         raise ConfigError(problems)
     print(summary(config, path) if checked is None else checked.text)
@@ -106,7 +104,7 @@ def problems_of(path: Path) -> list[str]:
         FileAccessError: The file is missing or unreadable.
 
     """
-    from bstm_daemon.effects.catalogue import (  # noqa: PLC0415
+    from bstm_daemon.model.effects.catalogue import (  # noqa: PLC0415
         problems_of as problems_of_effects,
     )
 
@@ -122,7 +120,7 @@ def problems_of(path: Path) -> list[str]:
 
 
 def _dbc_problems(draft: Draft, folder: Path) -> list[str]:
-    from bstm_daemon.bus.signal_map import compile_signal_map  # noqa: PLC0415
+    from bstm_daemon.bus.signals.signal_map import compile_signal_map  # noqa: PLC0415
 
     if not draft.bus:
         return []
@@ -145,7 +143,7 @@ def dbc_warnings(config: Config, folder: Path) -> list[str]:
 
     DBC paths are relative to *folder*.
     """
-    from bstm_daemon.bus.dbc import read_dbc  # noqa: PLC0415
+    from bstm_daemon.bus.signals.dbc import read_dbc  # noqa: PLC0415
 
     return [
         f"[[bus]] {bus.name} {bus.dbc}: {defect}"
@@ -158,7 +156,7 @@ def dbc_warnings(config: Config, folder: Path) -> list[str]:
 
 def _model_problems(path: Path) -> list[str]:
     from bstm_daemon.cli.vehicle import load_vehicle  # noqa: PLC0415
-    from bstm_daemon.corner_model import compile_corner  # noqa: PLC0415
+    from bstm_daemon.estimator.corner_model import compile_corner  # noqa: PLC0415
 
     try:
         config, _ = load_vehicle(path)
@@ -179,7 +177,7 @@ def summary(config: Config, path: Path) -> str:
     vehicle = config.vehicle
     blocks = [
         f"{path}: no problems",
-        _aligned(
+        _block(
             [
                 ("vehicle", f"{vehicle.id}, {vehicle.mass_kg:g} kg"),
                 ("heat", _heat(config)),
@@ -188,7 +186,7 @@ def summary(config: Config, path: Path) -> str:
                 ("publish", _publish(config)),
             ]
         ),
-        _aligned(
+        _block(
             [
                 ("bus", "interface", "channel", "bitrate", "DBC"),
                 *(
@@ -203,7 +201,7 @@ def summary(config: Config, path: Path) -> str:
                 ),
             ]
         ),
-        _aligned(
+        _block(
             [
                 ("role", "source", "unit", "timeout"),
                 *(
@@ -212,7 +210,7 @@ def summary(config: Config, path: Path) -> str:
                 ),
             ]
         ),
-        _aligned(
+        _block(
             [
                 ("corner", "type", "circuit", "piston", "disc", "pads"),
                 *(_corner(corner) for corner in config.corner),
@@ -220,6 +218,10 @@ def summary(config: Config, path: Path) -> str:
         ),
     ]
     return "\n\n".join(blocks)
+
+
+def _block(rows: Sequence[tuple[str, ...]]) -> str:
+    return "\n".join(columns(rows, left=None))
 
 
 def _heat(config: Config) -> str:
@@ -247,7 +249,7 @@ def _heat(config: Config) -> str:
 
 
 def _effects(config: Config) -> str:
-    from bstm_daemon.effects.catalogue import STRUCTURES  # noqa: PLC0415
+    from bstm_daemon.model.effects.catalogue import STRUCTURES  # noqa: PLC0415
 
     structure = config.thermal.structure
     shipped = len(STRUCTURES[structure])
@@ -299,16 +301,4 @@ def _corner(corner: CornerConfig) -> tuple[str, ...]:
         f"{corner.piston_count} x {corner.piston_area_m2 * 1e4:.1f} cm2",
         f"{disc.mass_kg:g} kg {disc.material}" if disc else "-",
         f"{pad.thickness_m * 1e3:g} mm, {pad.slabs} slabs" if pad else "-",
-    )
-
-
-def _aligned(rows: Sequence[tuple[str, ...]]) -> str:
-    widths = [
-        max(len(cell) for cell in column) for column in zip(*rows, strict=True)
-    ]
-    return "\n".join(
-        "  ".join(
-            cell.ljust(width) for cell, width in zip(row, widths, strict=True)
-        ).rstrip()
-        for row in rows
     )

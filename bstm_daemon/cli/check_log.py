@@ -5,16 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from bstm_daemon import __version__
 from bstm_daemon.cli.progress import Progress
 from bstm_daemon.cli.vehicle import load_vehicle
 
 if TYPE_CHECKING:
     import argparse
     from pathlib import Path
-
-BYTES_PER_LINE = 44
-"""A candump line of eight bytes; only the progress line depends on it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,43 +30,39 @@ def check_logs(args: argparse.Namespace, path: Path) -> Checked:
     Raises:
         LogError: a log cannot be used, or holds none of the wanted ids.
         FileAccessError: a log cannot be read, the report not be written.
-        MissingExtraError: a report without plotly.
+        MissingExtraError: a report without plotly or jinja2.
     """
-    from bstm_daemon.quality.collisions import (  # noqa: PLC0415
+    from bstm_daemon.analysis.quality.collisions import (  # noqa: PLC0415
         count_own_frames,
     )
-    from bstm_daemon.quality.judge import judge  # noqa: PLC0415
-    from bstm_daemon.quality.recording import read_recording  # noqa: PLC0415
+    from bstm_daemon.analysis.quality.judge import judge  # noqa: PLC0415
+    from bstm_daemon.analysis.quality.recording import read_recording  # noqa: PLC0415
+    from bstm_daemon.report.check import (  # noqa: PLC0415
+        quality_json,
+        quality_page,
+    )
     from bstm_daemon.report.quality_screen import (  # noqa: PLC0415
         quality_table,
     )
-    from bstm_daemon.report.quality_words import quality_json  # noqa: PLC0415
+    from bstm_daemon.report.shell import write_page  # noqa: PLC0415
 
     config, signal_map = load_vehicle(path)
     with Progress("check") as progress:
-
-        def show(log: Path, lines: int) -> None:
-            size = max(log.stat().st_size, 1)
-            progress.show(min(lines * BYTES_PER_LINE / size, 1.0))
-
-        recording = read_recording(args.log, signal_map, dict(args.map), show)
+        recording = read_recording(
+            args.log, signal_map, dict(args.map), progress.show_lines
+        )
     own_frames = count_own_frames(
         args.log, recording, config, signal_map, dict(args.map)
     )
     quality = judge(recording, config, signal_map, own_frames)
     names = ", ".join(log.name for log in args.log)
     if args.report:
-        from bstm_daemon.report.quality_page import (  # noqa: PLC0415
-            write_quality_report,
-        )
-
-        write_quality_report(
-            args.report,
+        page = quality_page(
             quality,
             title=f"Signal quality: {names}",
             subtitle=f"{config.vehicle.id} · {path.name}",
-            version=__version__,
         )
+        write_page(args.report, page)
     lines = [f"{names}  ({config.vehicle.id}, {path})", quality_table(quality)]
     lines += [
         f"{log}: cut short, its end is missing" for log in recording.truncated

@@ -2,32 +2,36 @@
 
 Three parties share a virtual bus, as they would share a wire: the simulated
 car sends its frames, the monitor listens and publishes, and a display reads
-what was published. The display knows only ``dbc/bstm.dbc``.
+what was published.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from math import isnan
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import can
-import cantools
 
-from bstm_daemon import __version__
 from bstm_daemon.cli.arguments import add_out
 from bstm_daemon.cli.progress import Progress
 from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.engine import Engine
-from bstm_daemon.files import ensure_writable, make_folder
-from bstm_daemon.report.page import ReportFacts, write_replay_report
+from bstm_daemon.files import ensure_writable, make_folder, shipped_file
+from bstm_daemon.replay.results import (
+    Collector,
+    Results,
+    ResultsBuilder,
+    csv_file,
+)
+from bstm_daemon.report.drive_curves import DriveCurves
+from bstm_daemon.report.drive_statistics import DriveStatistics
+from bstm_daemon.report.replay_page import ReplayFacts, replay_page
 from bstm_daemon.report.screen import summary_table
-from bstm_daemon.report.tally import DriveTally
-from bstm_daemon.report.traces import DriveCurves
-from bstm_daemon.results import Collector, Results, ResultsBuilder, csv_file
-from bstm_daemon.shipped import shipped_file
+from bstm_daemon.report.shell import write_page
 from bstm_daemon.simulation import SimulatedDrive, load_drive, simulate
 from bstm_daemon.simulation.frames import START_STAMP_S, Encoder, frames
+from bstm_daemon.watch.board import Board
 
 if TYPE_CHECKING:
     import argparse
@@ -40,43 +44,6 @@ TICK_US = 50_000
 
 ROW_S = 300
 SHOWN = ("FL", "FR")
-
-
-@dataclass
-class Display:
-    """What a display knows: the last frame of each name."""
-
-    database: Any
-    seen: dict[str, dict[str, Any]] = field(default_factory=dict)
-    rows: list[str] = field(default_factory=list)
-
-    def show(self, message: can.Message) -> None:
-        """Take a published frame."""
-        known = self.database.get_message_by_frame_id(message.arbitration_id)
-        self.seen[known.name] = known.decode(message.data)
-
-    def complete(self) -> bool:
-        """Whether every frame that the table shows has been seen."""
-        kinds = ("Temperatures", "Risk")
-        return all(
-            f"BSTM_{corner}_{kind}" in self.seen
-            for corner in SHOWN
-            for kind in kinds
-        )
-
-    def row(self, minutes: float, what: str) -> str:
-        """One line of the table on screen."""
-        cells = [f"{minutes:5.0f} min  {what:8}"]
-        for corner in SHOWN:
-            frame = self.seen.get(f"BSTM_{corner}_Temperatures", {})
-            risk = self.seen.get(f"BSTM_{corner}_Risk", {})
-            cells += [
-                _cell(frame.get("Disc")),
-                _cell(frame.get("PadBack")),
-                _cell(frame.get("Fluid")),
-                _cell(risk.get("Margin")),
-            ]
-        return " ".join(cells)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -93,12 +60,10 @@ def run(args: argparse.Namespace) -> int:
     config, signal_map = load_vehicle(config_path)
     print(f"simulated drive: {load_drive(DRIVE).drive.description}")
     driven = simulate(load_drive(DRIVE))
-    display = Display(
-        cantools.database.load_file(shipped_file("dbc/bstm.dbc"))
-    )
+    display = Board(config.publish.id_base)
     # the simulated car stood overnight: its brakes are as cold as the air
     engine = Engine(config, signal_map, history_known=True)
-    rows, tally, curves = Collector(), DriveTally(), DriveCurves()
+    rows, statistics, curves = Collector(), DriveStatistics(), DriveCurves()
     print(_heading())
     with (
         csv_file(folder / "estimates.csv") as table,
@@ -107,16 +72,16 @@ def run(args: argparse.Namespace) -> int:
         _bus() as screen,
     ):
         builder = ResultsBuilder(
-            engine.estimator, [rows, tally, curves, table]
+            engine.estimator, [rows, statistics, curves, table]
         )
         _drive(driven, engine, builder, display, (car, monitor, screen))
         builder.finish()
     print()
-    print(summary_table(tally.summary()))
+    print(summary_table(statistics.summary()))
     print(_against_truth(rows.results(), driven))
-    facts = ReportFacts(
+    facts = ReplayFacts(
         title=f"bstm demo: {DRIVE}",
-        logs=(f"simulated drive {DRIVE}",),
+        log=f"simulated drive {DRIVE}",
         vehicle_id=config.vehicle.id,
         configuration=config_path.name,
         heat_mode=config.heat.mode,
@@ -124,11 +89,11 @@ def run(args: argparse.Namespace) -> int:
         frames=0,
         refused={str(k): n for k, n in engine.decoder.counts.items()},
         counts=engine.estimator.counts,
-        kernel="compiled" if engine.estimator.compiled else "pure Python",
-        version=__version__,
+        compiled=engine.estimator.compiled,
         warnings=("Simulated data: no car was driven.",),
     )
-    write_replay_report(folder / "report.html", tally.summary(), curves, facts)
+    page = replay_page(statistics.summary(), curves, facts)
+    write_page(folder / "report.html", page)
     print(f"report: {folder / 'report.html'}")
     print(f"table:  {folder / 'estimates.csv'}")
     return 0
@@ -138,7 +103,7 @@ def _drive(
     driven: SimulatedDrive,
     engine: Engine,
     builder: ResultsBuilder,
-    display: Display,
+    display: Board,
     buses: tuple[can.BusABC, can.BusABC, can.BusABC],
 ) -> None:
     """Run the three parties through the drive, as fast as they go."""
@@ -183,18 +148,18 @@ def _drive(
                 )
             builder.add(engine.blocks, engine.risks)
             for message in _drained(screen):
-                if message.arbitration_id in engine.publication.ids:
-                    display.show(message)
+                display.frame(message.arbitration_id, message.data, now_us)
             for _ in _drained(car):
                 pass
-            if now_us >= next_row_us and display.complete():
+            values = _shown(display)
+            if now_us >= next_row_us and not any(map(isnan, values)):
                 moving = driven.course.speed_ms[
                     min((now_us - start_us) // 10_000, len(driven.time_s) - 1)
                 ]
                 minutes = (now_us - start_us) / 60e6
-                print(
-                    display.row(minutes, "driving" if moving > 0 else "parked")
-                )
+                what = "driving" if moving > 0 else "parked"
+                cells = " ".join(f"{value:7.0f}" for value in values)
+                print(f"{minutes:5.0f} min  {what:8} {cells}")
                 next_row_us += ROW_S * 1_000_000
             progress.show((now_us - start_us) / (end_us - start_us))
 
@@ -227,8 +192,18 @@ def _heading() -> str:
     )
 
 
-def _cell(value: object) -> str:
-    return f"{value:7.0f}" if isinstance(value, int | float) else f"{'-':>7}"
+def _shown(display: Board) -> list[float]:
+    """Return the values of a row, NaN for what was not published yet."""
+    return [
+        display.value(f"BSTM_{corner}_{frame}", signal)
+        for corner in SHOWN
+        for frame, signal in (
+            ("Temperatures", "Disc"),
+            ("Temperatures", "PadBack"),
+            ("Temperatures", "Fluid"),
+            ("Risk", "Margin"),
+        )
+    ]
 
 
 def _bus() -> can.BusABC:

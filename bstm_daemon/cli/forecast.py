@@ -9,24 +9,25 @@ from math import isinf
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bstm_daemon.carry_over import StateError, restore_state
 from bstm_daemon.cli.arguments import add_config, add_json, check_targets
-from bstm_daemon.config_file import load_config
-from bstm_daemon.daemon.state_file import read
+from bstm_daemon.config.reading import load_config
 from bstm_daemon.errors import FileAccessError, UsageError
-from bstm_daemon.estimator import Estimator
+from bstm_daemon.estimator.estimator import Estimator
+from bstm_daemon.estimator.state import StateError, restore_state
 from bstm_daemon.files import replacing
-from bstm_daemon.forecast.workshop import SHARES, outlook
+from bstm_daemon.forecast.offline_forecast import SHARES, outlook
+from bstm_daemon.report.text import table
+from bstm_daemon.service.state_file import read
 from bstm_daemon.units import to_celsius
 
 if TYPE_CHECKING:
     import argparse
 
-    from bstm_daemon.forecast.workshop import CornerOutlook, Outlook
+    from bstm_daemon.forecast.offline_forecast import CornerOutlook, Outlook
 
 HEADING = (
-    "        degC           now      degC   after     in 30 min  after"
-    "    level"
+    *("corner", "fluid [degC]", "vapour now", "hottest [degC]", "after"),
+    *("vapour in 30 min", "safe after", "level"),
 )
 NOTICE = "Estimate and advice, not a safety function."
 
@@ -46,7 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Tell the forecast and write it where it is asked for."""
+    """Print the forecast and write it where that is asked for."""
     check_targets((args.json,), (args.config, args.now))
     config = load_config(args.config)
     loaded = read(args.now)
@@ -89,24 +90,28 @@ def _lines(vehicle_id: str, path: Path, found: Outlook) -> list[str]:
         f"{found.members} members"
     )
     since = f"parked since the save of {path}{_when(found)}"
-    head = [
+    return [
         f"{vehicle_id}: {since}; this is 'now', and times count from it",
         surroundings,
         water,
         "",
-        "        fluid now      vapour   hottest          vapour     safe",
-        HEADING,
+        *table(HEADING, [_row(corner) for corner in found.corners]),
+        "",
+        NOTICE,
     ]
-    return [*head, *map(_line, found.corners), "", NOTICE]
 
 
-def _line(corner: CornerOutlook) -> str:
-    now = f"{to_celsius(corner.fluid_k):.0f} +- {corner.deviation_k:.0f}"
+def _row(corner: CornerOutlook) -> tuple[str, ...]:
+    risk = corner.risk
     return (
-        f"{corner.corner:8}{now:15}{_percent(corner.probability_now):9}"
-        f"{to_celsius(corner.peak_k):<7.0f}{_minutes(corner.peak_in_s):10}"
-        f"{_percent(corner.probability):11}{_minutes(corner.safe_in_s):9}"
-        f"{corner.level.name.lower()}"
+        corner.corner,
+        f"{to_celsius(corner.fluid_k):.0f} +- {risk.fluid_deviation_k:.0f}",
+        _percent(risk.probability_now),
+        f"{to_celsius(risk.peak_k):.0f}",
+        _minutes(risk.peak_in_s),
+        _percent(risk.probability),
+        _minutes(risk.safe_in_s),
+        risk.level.name.lower(),
     )
 
 
@@ -136,7 +141,7 @@ def _percent(share: float) -> str:
 
 
 def _document(vehicle_id: str, found: Outlook) -> dict[str, Any]:
-    """Return *found* as plain values; None where a time is out of sight."""
+    """Return *found* as plain values; None for a time beyond the forecast."""
     return {
         "vehicle_id": vehicle_id,
         "saved_us": found.saved_us,
@@ -151,15 +156,15 @@ def _document(vehicle_id: str, found: Outlook) -> dict[str, Any]:
         "corners": {
             c.corner: {
                 "fluid_c": _rounded(to_celsius(c.fluid_k)),
-                "fluid_std_k": _rounded(c.deviation_k),
-                "risk_now": c.probability_now,
-                "risk": c.probability,
-                "level": c.level.name.lower(),
-                "peak_c": _rounded(to_celsius(c.peak_k)),
-                "peak_in_s": _rounded(c.peak_in_s),
+                "fluid_std_k": _rounded(c.risk.fluid_deviation_k),
+                "risk_now": c.risk.probability_now,
+                "risk": c.risk.probability,
+                "level": c.risk.level.name.lower(),
+                "peak_c": _rounded(to_celsius(c.risk.peak_k)),
+                "peak_in_s": _rounded(c.risk.peak_in_s),
                 "safe_in_s": None
-                if isinf(c.safe_in_s)
-                else _rounded(c.safe_in_s),
+                if isinf(c.risk.safe_in_s)
+                else _rounded(c.risk.safe_in_s),
             }
             for c in found.corners
         },

@@ -2,55 +2,64 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bstm_daemon import __version__
+import numpy as np
+
+from bstm_daemon.analysis.gap.candidate_drives import MENU
+from bstm_daemon.analysis.gap.heat_only import find_force_gap
+from bstm_daemon.analysis.gap.recording import read_recording
+from bstm_daemon.analysis.gap.workflow import (
+    STEPS,
+    Question,
+    advise_before,
+    find_gap,
+)
+from bstm_daemon.analysis.identify.writing import adopt
 from bstm_daemon.cli.arguments import (
     add_bus_map,
     add_config,
     add_json,
-    add_out,
+    add_new_config,
     add_report,
     check_new,
     check_targets,
 )
-from bstm_daemon.cli.gap_inputs import check_force_inputs, check_heat_inputs
 from bstm_daemon.cli.progress import Progress
 from bstm_daemon.cli.vehicle import load_vehicle
-from bstm_daemon.effects.catalogue import effect_names
 from bstm_daemon.errors import LogError, UsageError
-from bstm_daemon.files import replacing
-from bstm_daemon.gap.adopting import adopt
-from bstm_daemon.gap.heat_only import find_force_gap
-from bstm_daemon.gap.menu import MENU
-from bstm_daemon.gap.recording import read_recording
-from bstm_daemon.gap.workflow import STEPS, Question, advise_before, find_gap
-from bstm_daemon.replay import present_roles
-from bstm_daemon.report.advice_words import (
+from bstm_daemon.model.effects.catalogue import effect_names
+from bstm_daemon.model.heat.needs import (
+    INPUTS,
+    check_heat_inputs,
+    check_inputs,
+)
+from bstm_daemon.replay.columns import present_roles
+from bstm_daemon.report.gap import (
+    adopted_text,
     advice_json,
     advice_lines,
-    no_advice_line,
-)
-from bstm_daemon.report.force_words import force_json, force_text
-from bstm_daemon.report.gap_words import (
-    adopted_text,
     gap_json,
     gap_text,
+    no_advice_line,
     remarks_on,
 )
+from bstm_daemon.report.gap_forces import force_json, force_page, force_text
+from bstm_daemon.report.gap_page import gap_page
+from bstm_daemon.report.json_file import write_json
+from bstm_daemon.report.shell import write_page
 from bstm_daemon.simulation import drive_names
 
 if TYPE_CHECKING:
     import argparse
     from collections.abc import Sequence
 
-    from bstm_daemon.bus.signal_map import SignalMap
-    from bstm_daemon.config import Config
-    from bstm_daemon.gap.heat_only import ForceGap
-    from bstm_daemon.gap.recording import Recording
-    from bstm_daemon.gap.workflow import Gap
+    from bstm_daemon.analysis.gap.heat_only import ForceGap
+    from bstm_daemon.analysis.gap.recording import Recording
+    from bstm_daemon.analysis.gap.workflow import Gap
+    from bstm_daemon.bus.signals.signal_map import SignalMap
+    from bstm_daemon.config.sections import Config
 
 WRITERS = ("adopt", "show", "run")
 """Steps that fit what they name, so that it can be written."""
@@ -102,14 +111,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="EFFECT",
         help="what advise is to tell apart; without logs, before any drive",
     )
-    add_out(
-        parser,
-        "write the effect into a copy of the configuration",
-        "NEW.toml",
-    )
-    parser.add_argument(
-        "--force", action="store_true", help="replace NEW.toml if it exists"
-    )
+    add_new_config(parser)
     add_json(parser)
     add_report(parser)
     add_bus_map(parser)
@@ -135,7 +137,9 @@ def run(args: argparse.Namespace) -> int:
                 "temp_<corner>_<node>), nothing to show before and after on"
             )
             raise LogError(msg)
-    check_heat_inputs((*recordings, *held_out), config.heat.mode)
+    for one in (*recordings, *held_out):
+        mode = config.heat.mode
+        check_heat_inputs(one.name, _seen_roles(one), one.present, mode)
     until = "show" if args.step == "run" else args.step
     with Progress("gap") as progress:
         gaps = find_gap(
@@ -202,15 +206,8 @@ def _reported(
     """Write the page that was asked for; return what to say of it."""
     if not args.report:
         return []
-    from bstm_daemon.report.gap_page import write_gap_page  # noqa: PLC0415
-
-    write_gap_page(
-        args.report,
-        gaps,
-        subtitle=f"{subject} · {args.config.name}",
-        version=__version__,
-        remarks=remarks,
-    )
+    page = gap_page(gaps, f"{subject} · {args.config.name}", remarks)
+    write_page(args.report, page)
     return [str(args.report)]
 
 
@@ -228,7 +225,10 @@ def _by_forces(
             "show and run, by forces"
         )
         raise UsageError(msg)
-    check_force_inputs((*recordings, *held_out))
+    for one in (*recordings, *held_out):
+        what = "pressure against motion"
+        seen = _seen_roles(one)
+        check_inputs(one.name, seen, one.present, INPUTS["ff"], what)
     with Progress("gap") as progress:
         progress.show(0.1)
         gap = find_force_gap(config, recordings, held_out)
@@ -239,18 +239,15 @@ def _by_forces(
         *_written(args, [force_json(gap)], [gap]),
     ]
     if args.report:
-        from bstm_daemon.report.force_page import (  # noqa: PLC0415
-            write_force_page,
-        )
-
-        write_force_page(
-            args.report,
-            gap,
-            subtitle=f"{names} · {config.vehicle.id} · {args.config.name}",
-            version=__version__,
-        )
+        subtitle = f"{names} · {config.vehicle.id} · {args.config.name}"
+        write_page(args.report, force_page(gap, subtitle))
         lines.append(str(args.report))
     return _told(lines)
+
+
+def _seen_roles(recording: Recording) -> set[int]:
+    """Return the roles that *recording* has a sample of."""
+    return set(np.unique(recording.events.role).tolist())
 
 
 def _without_temperatures(recordings: Sequence[Recording]) -> list[str]:
@@ -299,12 +296,6 @@ def _read(
     found = []
     for log in logs:
         with Progress(f"read {log.name}") as progress:
-
-            def show(
-                share: float | None, progress: Progress = progress
-            ) -> None:
-                progress.show(share or 0.0)
-
             found.append(
                 read_recording(
                     log,
@@ -312,7 +303,7 @@ def _read(
                     signal_map,
                     dict(args.map),
                     thermocouples=False,
-                    progress=show,
+                    progress=progress.show,
                 )
             )
     return found
@@ -330,8 +321,7 @@ def _written(
             "held_out": [str(log) for log in args.holdout],
             "corners": corners,
         }
-        with replacing(args.json) as file:
-            file.write_text(json.dumps(result, indent=2) + "\n", "utf-8")
+        write_json(args.json, result)
     if args.out is None:
         return []
     effects = [effect for gap in gaps for effect in gap.effects()]

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from pydantic import ValidationError
 
-from bstm_daemon import __version__
+from bstm_daemon.analysis.identify.driving import driving_of
+from bstm_daemon.analysis.identify.heat_comparison import compare_heat
+from bstm_daemon.analysis.identify.stop_friction import stop_friction
+from bstm_daemon.analysis.quality.recording import read_recording
 from bstm_daemon.cli.arguments import (
     add_bus_map,
     add_config,
@@ -18,27 +20,21 @@ from bstm_daemon.cli.arguments import (
 )
 from bstm_daemon.cli.progress import Progress
 from bstm_daemon.cli.vehicle import load_vehicle
-from bstm_daemon.config import HeatConfig
+from bstm_daemon.config.sections import HeatConfig
 from bstm_daemon.errors import LogError
-from bstm_daemon.files import replacing
-from bstm_daemon.identify.driving import driving_of
-from bstm_daemon.identify.heat_comparison import compare_heat
-from bstm_daemon.identify.stop_friction import stop_friction
-from bstm_daemon.quality.recording import read_recording
-from bstm_daemon.replay import replay_log
-from bstm_daemon.report.heat_words import heat_json, heat_text
+from bstm_daemon.replay.columns import replay_log
+from bstm_daemon.report.heat import heat_json, heat_page, heat_text
+from bstm_daemon.report.json_file import write_json
+from bstm_daemon.report.shell import write_page
 
 if TYPE_CHECKING:
     import argparse
 
-    from bstm_daemon.bus.signal_map import SignalMap
-    from bstm_daemon.config import Config
-    from bstm_daemon.identify.heat_comparison import HeatComparison
-    from bstm_daemon.identify.stop_friction import StopFriction
-    from bstm_daemon.results import Results
-
-BYTES_PER_LINE: Final = 44
-"""A candump line of eight bytes; only the progress line depends on it."""
+    from bstm_daemon.analysis.identify.heat_comparison import HeatComparison
+    from bstm_daemon.analysis.identify.stop_friction import StopFriction
+    from bstm_daemon.bus.signals.signal_map import SignalMap
+    from bstm_daemon.config.sections import Config
+    from bstm_daemon.replay.results import Results
 
 FUSED: Final = "fused"
 
@@ -77,20 +73,11 @@ def run(args: argparse.Namespace) -> int:
                 )
             ]
         }
-        with replacing(args.json) as file:
-            file.write_text(json.dumps(result) + "\n", "utf-8")
+        write_json(args.json, result, indent=None)
     if args.report:
-        from bstm_daemon.report.heat_page import (  # noqa: PLC0415
-            write_heat_page,
-        )
-
         names = ", ".join(name for name, *_ in drives)
-        write_heat_page(
-            args.report,
-            drives,
-            subtitle=f"{names} · {config.vehicle.id} · {args.config.name}",
-            version=__version__,
-        )
+        subtitle = f"{names} · {config.vehicle.id} · {args.config.name}"
+        write_page(args.report, heat_page(drives, subtitle))
         print(args.report)
     return 0
 
@@ -103,12 +90,9 @@ def _compared(
 ) -> tuple[HeatComparison, StopFriction]:
     overrides = dict(args.map)
     with Progress(f"heat {log.name}") as progress:
-
-        def show(path: Path, lines: int) -> None:
-            size = max(path.stat().st_size, 1)
-            progress.show(min(lines * BYTES_PER_LINE / size, 1.0))
-
-        recording = read_recording([log], signal_map, overrides, show)
+        recording = read_recording(
+            [log], signal_map, overrides, progress.show_lines
+        )
         driving = driving_of(log.name, recording, config, signal_map)
         results = replay_log(config, signal_map, log, overrides).results
         fused = _fused(config, signal_map, log, overrides)

@@ -1,17 +1,29 @@
-"""``bstm identify``: what recorded drives tell of the car."""
+"""``bstm identify``: values of the car from recorded drives."""
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from bstm_daemon import __version__
+from bstm_daemon.analysis.identify.brakes import identify_brakes
+from bstm_daemon.analysis.identify.coastdown import NAMES, identify_coast_down
+from bstm_daemon.analysis.identify.cooling import identify_cooling
+from bstm_daemon.analysis.identify.cooling_while_braking import (
+    identify_while_braking,
+)
+from bstm_daemon.analysis.identify.driving import driving_of
+from bstm_daemon.analysis.identify.writing import (
+    brake_changes,
+    coast_down_changes,
+    cooling_changes,
+    write_changed,
+)
+from bstm_daemon.analysis.quality.recording import read_recording
 from bstm_daemon.cli.arguments import (
     add_bus_map,
     add_config,
     add_json,
-    add_out,
+    add_new_config,
     add_report,
     check_new,
     check_targets,
@@ -19,40 +31,32 @@ from bstm_daemon.cli.arguments import (
 from bstm_daemon.cli.progress import Progress
 from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.errors import UsageError
-from bstm_daemon.files import replacing
-from bstm_daemon.identify.brakes import identify_brakes
-from bstm_daemon.identify.coastdown import NAMES, identify_coast_down
-from bstm_daemon.identify.cooling import identify_cooling
-from bstm_daemon.identify.cooling_while_braking import (
-    identify_while_braking,
-)
-from bstm_daemon.identify.driving import driving_of
-from bstm_daemon.identify.writing import (
-    brake_changes,
-    coast_down_changes,
-    cooling_changes,
-    write_changed,
-)
-from bstm_daemon.quality.recording import read_recording
-from bstm_daemon.report.braked_words import braked_json, braked_text
-from bstm_daemon.report.cooling_words import cooling_json, cooling_text
-from bstm_daemon.report.identify_words import (
-    brakes_json,
-    brakes_text,
+from bstm_daemon.report.brakes import brakes_json, brakes_page, brakes_text
+from bstm_daemon.report.coastdown import (
     coast_down_json,
+    coast_down_page,
     coast_down_text,
 )
+from bstm_daemon.report.cooling import (
+    cooling_json,
+    cooling_page,
+    cooling_text,
+)
+from bstm_daemon.report.cooling_while_braking import (
+    braked_json,
+    braked_page,
+    braked_text,
+)
+from bstm_daemon.report.json_file import write_json
+from bstm_daemon.report.shell import write_page
 
 if TYPE_CHECKING:
     import argparse
 
-    from bstm_daemon.bus.signal_map import SignalMap
-    from bstm_daemon.config import Config
-    from bstm_daemon.identify.driving import Driving
-    from bstm_daemon.identify.writing import Change
-
-BYTES_PER_LINE: Final = 44
-"""A candump line of eight bytes; only the progress line depends on it."""
+    from bstm_daemon.analysis.identify.driving import Driving
+    from bstm_daemon.analysis.identify.writing import Change
+    from bstm_daemon.bus.signals.signal_map import SignalMap
+    from bstm_daemon.config.sections import Config
 
 HOLDABLE: Final = dict(
     zip(("drag", "friction", "rolling"), NAMES, strict=True)
@@ -73,14 +77,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("logs", nargs="+", type=Path, metavar="LOG")
     add_config(parser)
-    add_out(
-        parser,
-        "write the values into a copy of the configuration",
-        "NEW.toml",
-    )
-    parser.add_argument(
-        "--force", action="store_true", help="replace NEW.toml if it exists"
-    )
+    add_new_config(parser)
     parser.add_argument(
         "--hold",
         action="append",
@@ -128,8 +125,7 @@ def run(args: argparse.Namespace) -> int:
     data, changes = identify(args, config, drivings, subtitle)
     if args.json:
         result = {"files": [str(log) for log in args.logs], **data}
-        with replacing(args.json) as file:
-            file.write_text(json.dumps(result, indent=2) + "\n", "utf-8")
+        write_json(args.json, result)
     if args.report:
         print(args.report)
     if args.out is not None:
@@ -157,13 +153,10 @@ def _drivings(
 ) -> list[Driving]:
     drivings = []
     with Progress("identify") as progress:
-
-        def show(log: Path, lines: int) -> None:
-            size = max(log.stat().st_size, 1)
-            progress.show(min(lines * BYTES_PER_LINE / size, 1.0))
-
         for log in args.logs:
-            recording = read_recording([log], signal_map, dict(args.map), show)
+            recording = read_recording(
+                [log], signal_map, dict(args.map), progress.show_lines
+            )
             drivings.append(
                 driving_of(log.name, recording, config, signal_map)
             )
@@ -185,13 +178,7 @@ def _coast_down(
     )
     print(f"{subtitle}\n{coast_down_text(result)}")
     if args.report:
-        from bstm_daemon.report.identify_page import (  # noqa: PLC0415
-            write_coast_down_page,
-        )
-
-        write_coast_down_page(
-            args.report, result, subtitle=subtitle, version=__version__
-        )
+        write_page(args.report, coast_down_page(result, subtitle))
     return coast_down_json(result), coast_down_changes(result)
 
 
@@ -204,13 +191,7 @@ def _brakes(
     result = identify_brakes(drivings, config)
     print(f"{subtitle}\n{brakes_text(result)}")
     if args.report:
-        from bstm_daemon.report.identify_page import (  # noqa: PLC0415
-            write_brakes_page,
-        )
-
-        write_brakes_page(
-            args.report, result, subtitle=subtitle, version=__version__
-        )
+        write_page(args.report, brakes_page(result, subtitle))
     return brakes_json(result), brake_changes(result, config)
 
 
@@ -225,13 +206,7 @@ def _cooling(
     result = identify_cooling(drivings, config)
     print(f"{subtitle}\n{cooling_text(result)}")
     if args.report:
-        from bstm_daemon.report.cooling_page import (  # noqa: PLC0415
-            write_cooling_page,
-        )
-
-        write_cooling_page(
-            args.report, result, subtitle=subtitle, version=__version__
-        )
+        write_page(args.report, cooling_page(result, subtitle))
     return cooling_json(result), cooling_changes(result.axles, config)
 
 
@@ -244,13 +219,7 @@ def _while_braking(
     result = identify_while_braking(drivings, config)
     print(f"{subtitle}\n{braked_text(result)}")
     if args.report:
-        from bstm_daemon.report.braked_page import (  # noqa: PLC0415
-            write_braked_page,
-        )
-
-        write_braked_page(
-            args.report, result, subtitle=subtitle, version=__version__
-        )
+        write_page(args.report, braked_page(result, subtitle))
     return braked_json(result), cooling_changes(result.axles, config)
 
 

@@ -1,24 +1,24 @@
-"""``bstm init``: a first configuration from a DBC and, if there are, logs."""
+"""``bstm init``: a first configuration from a DBC and, optionally, logs."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bstm_daemon.bus.dbc import read_dbc
-from bstm_daemon.bus.dbc_text import guess_encoding
-from bstm_daemon.cli.arguments import add_out
+from bstm_daemon.analysis.setup.name_rules import name_matches
+from bstm_daemon.analysis.setup.proposal import propose
+from bstm_daemon.analysis.setup.recording import read_recording
+from bstm_daemon.analysis.setup.writing import configuration_text, notes_of
+from bstm_daemon.bus.signals.dbc import read_dbc
+from bstm_daemon.bus.signals.dbc_text import guess_encoding
+from bstm_daemon.cli.arguments import add_force, add_out, check_new
 from bstm_daemon.errors import FileAccessError, UsageError
 from bstm_daemon.files import replacing
-from bstm_daemon.setup.clues import clues_of
-from bstm_daemon.setup.proposal import propose
-from bstm_daemon.setup.recording import read_recording
-from bstm_daemon.setup.writing import configuration_text, notes_of
 
 if TYPE_CHECKING:
     import argparse
 
-    from bstm_daemon.setup.proposal import Candidate
+    from bstm_daemon.analysis.setup.proposal import Candidate
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -40,25 +40,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "with some braking in it; may be repeated",
     )
     add_out(parser, "configuration to write", "CAR.toml")
-    parser.add_argument(
-        "--force", action="store_true", help="replace CAR.toml if it exists"
-    )
+    add_force(parser, "CAR.toml")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Write the proposed configuration and say what is in it."""
+    """Write the proposed configuration and print a summary."""
     if args.out is None:
         msg = "init needs -o CAR.toml, the configuration to write"
         raise UsageError(msg)
     out: Path = args.out
-    if out.exists() and not args.force:
-        msg = f"{out}: exists already, give --force to replace it"
-        raise UsageError(msg)
+    check_new(out, force=args.force)
     encoding = _encoding(args.dbc)
     loaded = read_dbc(args.dbc, strict=False, encoding=encoding)
     database = loaded.database
     recording = (
-        read_recording(args.log, database, clues_of(database))
+        read_recording(args.log, database, name_matches(database))
         if args.log
         else None
     )
@@ -101,7 +97,7 @@ def _encoding(path: Path) -> str:
 
 
 def _worded(one: Candidate) -> str:
-    source = f"{one.clue.message.name}.{one.clue.signal.name}"
+    source = f"{one.match.message.name}.{one.match.signal.name}"
     factor = one.sign * one.scale
     corrected = f" x {factor:g}" if factor != 1 else ""
     unread = f" [NOT READ: {one.unread}]" if one.unread else ""

@@ -9,7 +9,10 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bstm_daemon.daemon.unit_files import (
+from bstm_daemon.cli.arguments import add_config
+from bstm_daemon.errors import UsageError
+from bstm_daemon.files import shipped_file
+from bstm_daemon.service.unit_files import (
     CONFIG_FOLDER,
     DEFAULT_CONFIG,
     UNIT_FOLDER,
@@ -20,24 +23,17 @@ from bstm_daemon.daemon.unit_files import (
     refuse_hidden,
     require_plain,
 )
-from bstm_daemon.errors import UsageError
-from bstm_daemon.shipped import shipped_file
 
 if TYPE_CHECKING:
     import argparse
 
-    from bstm_daemon.daemon.unit_files import UnitFile
+    from bstm_daemon.service.unit_files import UnitFile
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare what is installed, where, and ``--dry-run``."""
-    parser.add_argument(
-        "-c",
-        "--config",
-        type=Path,
-        metavar="FILE",
-        help=f"configuration of the vehicle; default {DEFAULT_CONFIG}",
-    )
+    what = f"configuration of the vehicle; default {DEFAULT_CONFIG}"
+    add_config(parser, what, required=False)
     parser.add_argument(
         "--instance",
         metavar="NAME",
@@ -71,7 +67,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Write the units and say what comes next."""
+    """Write the units and print the next steps."""
     refuse_hidden(program_places())
     unit = ServiceUnit(
         program_command(Path(sys.executable)),
@@ -85,13 +81,13 @@ def run(args: argparse.Namespace) -> int:
             print(f"# {file.path}\n{file.text}")
         return 0
     _write(files, force=args.force)
-    _say_what_is_next(unit)
+    _print_next_steps(unit)
     return 0
 
 
-def _config(given: Path | None, instance: str | None) -> Path:
+def _config(asked: Path | None, instance: str | None) -> Path:
     """Return the configuration of the unit, which the service must see."""
-    if given is None:
+    if asked is None:
         path = DEFAULT_CONFIG
         if instance is not None:
             path = CONFIG_FOLDER / f"{instance}.toml"
@@ -102,7 +98,7 @@ def _config(given: Path | None, instance: str | None) -> Path:
         )
         raise UsageError(msg)
     else:
-        path = require_plain(given)
+        path = require_plain(asked)
     found = obstacles([path])
     if found:
         msg = (
@@ -127,7 +123,7 @@ def _write(files: list[UnitFile], *, force: bool) -> None:
         print(f"{done} {file.path}")
 
 
-def _say_what_is_next(unit: ServiceUnit) -> None:
+def _print_next_steps(unit: ServiceUnit) -> None:
     examples = shipped_file("systemd/README.md").parent
     print("\nNext:")
     if not unit.config.exists():

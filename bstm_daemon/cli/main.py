@@ -1,4 +1,4 @@
-"""The entry point ``bstm``: finds the command, runs it, words its failure.
+"""The entry point ``bstm``: runs a command and reports its failure.
 
 A command is a module of this package with ``add_arguments(parser)`` and
 ``run(args) -> int``. It is imported when it is called, so a missing optional
@@ -12,8 +12,7 @@ import importlib
 import logging
 import os
 import sys
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, NoReturn, Protocol, cast
+from typing import TYPE_CHECKING, Final, NoReturn
 
 from bstm_daemon import __version__
 from bstm_daemon.errors import BstmError, ConfigError, FileAccessError
@@ -29,90 +28,30 @@ EXIT_BROKEN_PIPE: Final = 141
 """128 plus the number of the signal, as a shell reports them."""
 
 
-@dataclass(frozen=True, slots=True)
-class Command:
-    """Where a command lives, and its line in the overview."""
-
-    module: str
-    summary: str
-
-
-COMMANDS: Final[dict[str, Command]] = {
-    "demo": Command(
-        "bstm_daemon.cli.demo",
-        "simulate a descent, estimate it from CAN alone, write a report",
-    ),
-    "init": Command(
-        "bstm_daemon.cli.init",
-        "propose a configuration from a DBC and recorded logs",
-    ),
-    "check": Command(
-        "bstm_daemon.cli.check",
-        "check a configuration and its DBC files, list every problem",
-    ),
-    "simulate": Command(
-        "bstm_daemon.cli.simulate",
-        "write the CAN log of the simulated car on a drive",
-    ),
-    "replay": Command(
-        "bstm_daemon.cli.replay",
-        "estimate brake temperatures from recorded CAN logs",
-    ),
-    "run": Command(
-        "bstm_daemon.cli.run",
-        "monitor a live CAN bus, publish temperatures and risk",
-    ),
-    "watch": Command(
-        "bstm_daemon.cli.watch",
-        "show the published temperatures live in the terminal",
-    ),
-    "forecast": Command(
-        "bstm_daemon.cli.forecast",
-        "tell from a state file what the brake fluid will do, parked",
-    ),
-    "identify": Command(
-        "bstm_daemon.cli.identify",
-        "find resistances and brake friction of the car in recorded drives",
-    ),
-    "heat": Command(
-        "bstm_daemon.cli.heat",
-        "compare the brake heat of Feed-Forward, Feed-Back and the bus",
-    ),
-    "match": Command(
-        "bstm_daemon.cli.match",
-        "match the model to drives with measured temperatures",
-    ),
-    "verify": Command(
-        "bstm_daemon.cli.verify",
-        "judge the model on drives with measured temperatures",
-    ),
-    "gap": Command(
-        "bstm_daemon.cli.gap",
-        "find, name and add the effect that the model lacks",
-    ),
-    "install-service": Command(
-        "bstm_daemon.cli.install_service",
-        "write the systemd units of the live service",
-    ),
+COMMANDS: Final[dict[str, str]] = {
+    "demo": "simulate a descent, estimate it from CAN alone, write a report",
+    "init": "propose a configuration from a DBC and recorded logs",
+    "check": "check a configuration and its DBC files, list every problem",
+    "simulate": "write the CAN log of the simulated car on a drive",
+    "replay": "estimate brake temperatures from recorded CAN logs",
+    "run": "monitor a live CAN bus, publish temperatures and risk",
+    "watch": "show the published temperatures live in the terminal",
+    "forecast": "forecast the brake fluid of the parked car from a state file",
+    "identify": "find the car's resistances and brake friction in drives",
+    "heat": "compare the brake heat of Feed-Forward, Feed-Back and the bus",
+    "match": "match the model to drives with measured temperatures",
+    "verify": "judge the model on drives with measured temperatures",
+    "gap": "find, name and add the effect that the model lacks",
+    "install-service": "write the systemd units of the live service",
 }
-"""Every command, in the order of the overview."""
-
-
-class CommandModule(Protocol):
-    """What the module of a command offers."""
-
-    def add_arguments(self, parser: argparse.ArgumentParser) -> None:
-        """Declare the command's arguments."""
-
-    def run(self, args: argparse.Namespace) -> int:
-        """Run the command and return its exit code."""
+"""Command to its line in the overview, in that order."""
 
 
 class Parser(argparse.ArgumentParser):
-    """Says what is wrong with the arguments in one line."""
+    """Reports wrong arguments in one line."""
 
     def error(self, message: str) -> NoReturn:
-        """Print *message* and where the usage is, and leave with 2."""
+        """Print *message* and how to get the usage, and exit with 2."""
         self.exit(
             EXIT_USAGE,
             f"{self.prog}: {message}; usage: {self.prog} --help\n",
@@ -142,9 +81,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _run(argv: list[str]) -> int:
     called = next((word for word in argv if not word.startswith("-")), "")
-    command = COMMANDS.get(called)
-    module = None if command is None else _load(command)
-    args = _parse(argv, called, module)
+    args = _parse(argv, called)
     offset = getattr(args, "verbosity_offset", 0)
     _set_up_log(args.verbose - args.quiet + offset)
     code: int = args.run(args)
@@ -161,13 +98,8 @@ def _worded(error: BstmError | OSError) -> str:
     return f"bstm: {place}{error.strerror or error}"
 
 
-def _load(command: Command) -> CommandModule:
-    return cast("CommandModule", importlib.import_module(command.module))
-
-
-def _parse(
-    argv: list[str], called: str, module: CommandModule | None
-) -> argparse.Namespace:
+def _parse(argv: list[str], called: str) -> argparse.Namespace:
+    """Parse *argv*; only the module of the *called* command is imported."""
     parser = Parser(
         prog="bstm",
         description=f"Brake temperatures from a CAN bus: {NOTICE}.",
@@ -181,14 +113,17 @@ def _parse(
     commands = parser.add_subparsers(
         title="commands", metavar="COMMAND", required=True
     )
-    for name, command in COMMANDS.items():
+    for name, summary in COMMANDS.items():
         subparser = commands.add_parser(
-            name, help=command.summary, description=command.summary + "."
+            name, help=summary, description=f"{summary}."
         )
-        if name == called and module is not None:
+        if name == called:
+            module = importlib.import_module(
+                f"bstm_daemon.cli.{name.replace('-', '_')}"
+            )
             module.add_arguments(subparser)
             subparser.set_defaults(run=module.run)
-            # not to overwrite what stood before the command
+            # keep the options that stood before the command
             _add_verbosity(subparser, default=argparse.SUPPRESS)
     return parser.parse_args(argv)
 

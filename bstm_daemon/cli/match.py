@@ -2,53 +2,45 @@
 
 from __future__ import annotations
 
-import json
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bstm_daemon import __version__
+from bstm_daemon.analysis.identify.writing import write_changed
+from bstm_daemon.analysis.matching.drives import read_drives
+from bstm_daemon.analysis.matching.matcher import match_drives
+from bstm_daemon.analysis.matching.settings import changes_of
+from bstm_daemon.analysis.matching.tunables import Target
 from bstm_daemon.cli.arguments import (
     add_bus_map,
     add_config,
     add_json,
-    add_out,
+    add_new_config,
     add_report,
     check_new,
     check_targets,
 )
 from bstm_daemon.cli.progress import Progress
 from bstm_daemon.cli.vehicle import load_vehicle
-from bstm_daemon.corner_model import corner_model
-from bstm_daemon.files import replacing
-from bstm_daemon.identify.writing import write_changed
-from bstm_daemon.matching.drives import read_drives
-from bstm_daemon.matching.matcher import match_drives
-from bstm_daemon.matching.settings import changes_of
-from bstm_daemon.matching.tunables import Target
-from bstm_daemon.report.match_words import match_json, match_text
+from bstm_daemon.estimator.corner_model import corner_model
+from bstm_daemon.report.json_file import write_json
+from bstm_daemon.report.match import match_json, match_page, match_text
+from bstm_daemon.report.shell import write_page
 
 if TYPE_CHECKING:
     import argparse
 
-    from bstm_daemon.bus.signal_map import SignalMap
-    from bstm_daemon.config import Config
-    from bstm_daemon.matching.drives import Drive
-    from bstm_daemon.matching.matcher import Match
+    from bstm_daemon.analysis.matching.drives import Drive
+    from bstm_daemon.analysis.matching.matcher import Match
+    from bstm_daemon.bus.signals.signal_map import SignalMap
+    from bstm_daemon.config.sections import Config
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare logs, what is matched and where results go."""
     parser.add_argument("logs", nargs="+", type=Path, metavar="LOG")
     add_config(parser)
-    add_out(
-        parser,
-        "write the values into a copy of the configuration",
-        "NEW.toml",
-    )
-    parser.add_argument(
-        "--force", action="store_true", help="replace NEW.toml if it exists"
-    )
+    add_new_config(parser)
     parser.add_argument(
         "--only",
         choices=("cooling",),
@@ -86,17 +78,8 @@ def run(args: argparse.Namespace) -> int:
         print(match_text(match))
     _write(args, config, matches, names)
     if args.report:
-        from bstm_daemon.report.match_page import (  # noqa: PLC0415
-            write_match_page,
-        )
-
-        write_match_page(
-            args.report,
-            matches,
-            drives,
-            subtitle=f"{names} · {config.vehicle.id} · {args.config.name}",
-            version=__version__,
-        )
+        subtitle = f"{names} · {config.vehicle.id} · {args.config.name}"
+        write_page(args.report, match_page(matches, drives, subtitle))
         print(args.report)
     return 0
 
@@ -105,11 +88,13 @@ def _drives(
     args: argparse.Namespace, config: Config, signal_map: SignalMap
 ) -> list[Drive]:
     with Progress("read") as progress:
-
-        def show(_: Path, share: float | None) -> None:
-            progress.show(share or 0.0)
-
-        return read_drives(args.logs, config, signal_map, dict(args.map), show)
+        return read_drives(
+            args.logs,
+            config,
+            signal_map,
+            dict(args.map),
+            lambda _, share: progress.show(share),
+        )
 
 
 def _matches(
@@ -162,8 +147,7 @@ def _write(
             "corners": [match_json(match) for match in matches],
             "changes": [str(change) for change in changes],
         }
-        with replacing(args.json) as file:
-            file.write_text(json.dumps(result, indent=2) + "\n", "utf-8")
+        write_json(args.json, result)
     if args.out is not None:
         write_changed(args.config, args.out, changes, origin)
         print(f"{args.out}: {len(changes)} values")

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import sys
 from argparse import ArgumentTypeError
 from contextlib import ExitStack
+from functools import partial
 from math import inf, isclose, nan
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bstm_daemon import __version__
-from bstm_daemon.bus.refusal import Refusal
+from bstm_daemon.bus.signals.reject_reason import RejectReason
 from bstm_daemon.cli.arguments import (
     add_bus_map,
     add_config,
@@ -20,31 +21,29 @@ from bstm_daemon.cli.arguments import (
 )
 from bstm_daemon.cli.progress import Progress
 from bstm_daemon.cli.vehicle import load_vehicle
-from bstm_daemon.daemon.state_file import read
 from bstm_daemon.errors import (
     FileAccessError,
     MissingExtraError,
     UsageError,
 )
 from bstm_daemon.files import ensure_writable, make_folder
-from bstm_daemon.frame_replay import publish_log
-from bstm_daemon.replay import Run, stream_log
-from bstm_daemon.report.page import ReportFacts, write_replay_report
+from bstm_daemon.replay.columns import Run, stream_log
+from bstm_daemon.replay.frames import publish_log
+from bstm_daemon.replay.results import csv_file, has_parquet, parquet_file
+from bstm_daemon.report.drive_curves import DriveCurves
+from bstm_daemon.report.drive_statistics import DriveStatistics
+from bstm_daemon.report.replay_page import ReplayFacts, replay_page
 from bstm_daemon.report.screen import summary_table
-from bstm_daemon.report.tally import DriveTally
-from bstm_daemon.report.traces import DriveCurves
-from bstm_daemon.results import csv_file, has_parquet, parquet_file
+from bstm_daemon.report.shell import write_page
+from bstm_daemon.service.state_file import read
 from bstm_daemon.watch.replay_view import DEFAULT_SPEED, watch_log
+from bstm_daemon.watch.view import open_view
 
 if TYPE_CHECKING:
     import argparse
-    from collections.abc import Callable
     from typing import Any
 
-    from bstm_daemon.config import Config
-
-BYTES_PER_LINE = 44
-"""A candump line of eight bytes; only the progress line depends on it."""
+    from bstm_daemon.config.sections import Config
 
 PUBLICATION_S = 0.1
 
@@ -101,6 +100,7 @@ def run(args: argparse.Namespace) -> int:
     """Replay every log and write what was asked for."""
     stems = [_stem(path) for path in args.logs]
     _check_targets(args, stems)
+    view = open_view(sys.stdout) if args.watch else None
     formats = _formats(args.format) if args.out is not None else ()
     config, signal_map = load_vehicle(args.config)
     overrides = dict(args.map)
@@ -111,12 +111,13 @@ def run(args: argparse.Namespace) -> int:
         if target is not None:
             ensure_writable(target)
     for path, stem in zip(args.logs, stems, strict=True):
-        if args.watch:
+        if view is not None:
             watch_log(
                 config,
                 signal_map,
                 path,
                 overrides,
+                view=view,
                 speed=args.speed,
                 state=state,
                 forecast=args.forecast,
@@ -124,7 +125,7 @@ def run(args: argparse.Namespace) -> int:
         targets = {
             args.out / f"{stem}.estimates.{form}": form for form in formats
         }
-        tally, curves = DriveTally(), DriveCurves()
+        statistics, curves = DriveStatistics(), DriveCurves()
         # whole tables or none: all are replaced when the last row is written
         with Progress(f"replay {path.name}") as progress, ExitStack() as files:
             tables = [
@@ -138,23 +139,24 @@ def run(args: argparse.Namespace) -> int:
                 config,
                 signal_map,
                 path,
-                [tally, *drawn, *tables],
+                [statistics, *drawn, *tables],
                 overrides=overrides,
                 every_us=round(args.every * 1e6),
-                progress=_share_of(path, progress),
+                progress=partial(progress.show_lines, path),
                 state=state,
                 forecast=args.forecast,
             )
         print(f"{path}  ({config.vehicle.id}, {args.config})")
-        print(summary_table(tally.summary()))
-        remarks = _remarks(log_run, tally, config.heat.mode)
+        print(summary_table(statistics.summary()))
+        remarks = _remarks(log_run, statistics, config.heat.mode)
         for line in remarks:
             print(line)
         for target in targets:
-            print(f"{target}: {tally.rows} rows")
+            print(f"{target}: {statistics.rows} rows")
         if args.report is not None:
             facts = _facts(args.config, config, path, log_run, remarks)
-            write_replay_report(args.report, tally.summary(), curves, facts)
+            page = replay_page(statistics.summary(), curves, facts)
+            write_page(args.report, page)
             print(args.report)
         if args.publish is not None:
             count = publish_log(
@@ -206,10 +208,10 @@ def _facts(
     path: Path,
     log_run: Run,
     remarks: list[str],
-) -> ReportFacts:
-    return ReportFacts(
+) -> ReplayFacts:
+    return ReplayFacts(
         title=f"Brake temperatures: {path.name}",
-        logs=(path.name,),
+        log=path.name,
         vehicle_id=config.vehicle.id,
         configuration=config_path.name,
         heat_mode=config.heat.mode,
@@ -217,13 +219,14 @@ def _facts(
         frames=log_run.frames,
         refused=dict(log_run.refused),
         counts=log_run.counts,
-        kernel="compiled" if log_run.compiled else "pure Python",
-        version=__version__,
+        compiled=log_run.compiled,
         warnings=tuple(remarks),
     )
 
 
-def _remarks(log_run: Run, tally: DriveTally, heat_mode: str) -> list[str]:
+def _remarks(
+    log_run: Run, statistics: DriveStatistics, heat_mode: str
+) -> list[str]:
     """What the reader of a result has to know of its input."""
     hours = log_run.settling_s / 3600
     remarks = []
@@ -233,28 +236,28 @@ def _remarks(log_run: Run, tally: DriveTally, heat_mode: str) -> list[str]:
             f"for its first {hours:.1f} h"
         )
     remarks += [
-        f"{gap.name} missing for {gap.total_s:.0f} s, longest "
+        f"{name} missing for {gap.total_s:.0f} s, longest "
         f"{gap.longest_s:.0f} s from {gap.longest_from_s:.0f} s on: marked "
         f"degraded"
-        for gap in tally.gaps(heat_mode)
+        for name, gap in statistics.gaps(heat_mode).items()
     ]
     if log_run.truncated:
         remarks.append("the log is cut short: its end is missing")
     listed = ", ".join(
         f"{count} {reason.replace('_', ' ')}"
         for reason, count in log_run.refused.most_common()
-        if reason != Refusal.UNKNOWN_ID
+        if reason != RejectReason.UNKNOWN_ID
     )
     if listed:
         remarks.append(f"refused: {listed}")
-    said = {
+    notes = {
         "late": "samples out of order, counted from when they came",
         "dropped": "samples dropped, their stamps far from their neighbours'",
         "jumps": "jumps of the clock",
     }
     remarks += [
         f"{text}: {log_run.counts[key]}"
-        for key, text in said.items()
+        for key, text in notes.items()
         if log_run.counts[key]
     ]
     return remarks
@@ -276,18 +279,6 @@ def _formats(asked: str | None) -> tuple[str, ...]:
 def _stem(path: Path) -> str:
     name = path.name.removesuffix(".gz")
     return Path(name).stem
-
-
-def _share_of(
-    path: Path, progress: Progress
-) -> Callable[[int, float | None], None]:
-    try:
-        size = max(path.stat().st_size, 1)
-    except OSError:  # the replay itself reports a missing file
-        size = 1
-    return lambda lines, share: progress.show(
-        min(lines * BYTES_PER_LINE / size, 1.0) if share is None else share
-    )
 
 
 def _speed(text: str) -> float:

@@ -7,11 +7,11 @@ import os
 from pathlib import Path
 
 from bstm_daemon.cli.arguments import add_config, add_no_forecast
-from bstm_daemon.daemon.events import ServiceLog
-from bstm_daemon.daemon.monitor import BusOverride
-from bstm_daemon.daemon.notify import Notifier
-from bstm_daemon.daemon.service import Options, Service
-from bstm_daemon.daemon.wake import SignalWaiter
+from bstm_daemon.service.assembly import BusOverride
+from bstm_daemon.service.events import ServiceLog
+from bstm_daemon.service.notify import Notifier
+from bstm_daemon.service.service import Options, Service
+from bstm_daemon.service.wake import SignalWaiter
 
 PORTS = range(2**16)
 
@@ -55,7 +55,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="stop after S seconds",
     )
     add_no_forecast(parser)
-    # a service says what it does; -q leaves warnings, -qq errors
+    # a service logs what it does; -q logs warnings only, -qq errors
     parser.set_defaults(verbosity_offset=1)
 
 

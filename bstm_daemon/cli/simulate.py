@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from bstm_daemon.cli.arguments import add_out, check_targets
 from bstm_daemon.errors import UsageError
-from bstm_daemon.shipped import shipped_file
+from bstm_daemon.files import shipped_file
 from bstm_daemon.simulation import (
     SENSOR_PRESETS,
     Drive,

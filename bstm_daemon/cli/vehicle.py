@@ -6,17 +6,17 @@ from typing import TYPE_CHECKING
 
 import structlog
 
-from bstm_daemon.bus.output_layout import BLOCK_IDS
-from bstm_daemon.bus.table_plan import compile_sources
-from bstm_daemon.config_file import load_config, naming_file
-from bstm_daemon.effects.catalogue import problems_of
+from bstm_daemon.bus.output.layout import BLOCK_IDS
+from bstm_daemon.bus.tables.table_plan import compile_sources
+from bstm_daemon.config.reading import load_config, naming_file
 from bstm_daemon.errors import ConfigError
+from bstm_daemon.model.effects.catalogue import problems_of
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from bstm_daemon.bus.signal_map import SignalMap
-    from bstm_daemon.config import Config
+    from bstm_daemon.bus.signals.signal_map import SignalMap
+    from bstm_daemon.config.sections import Config
 
 _LOG = structlog.get_logger()
 
@@ -52,7 +52,7 @@ def load_vehicle(path: Path) -> tuple[Config, SignalMap]:
 
 
 def _own_ids_on_the_bus(config: Config, signal_map: SignalMap) -> list[str]:
-    """Say which wanted ids of the publishing bus would be our own."""
+    """Return a problem for each id that is both published and read."""
     if not config.publish.enabled:
         return []
     names = [bus.name for bus in config.bus]

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from bstm_daemon import __version__
+from bstm_daemon.analysis.matching.drives import read_drive
+from bstm_daemon.analysis.matching.verification import (
+    LIMITS,
+    errors_of,
+    judged,
+)
 from bstm_daemon.cli.arguments import (
     add_bus_map,
     add_config,
@@ -17,15 +21,14 @@ from bstm_daemon.cli.arguments import (
 from bstm_daemon.cli.progress import Progress
 from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.errors import LogError
-from bstm_daemon.files import replacing
-from bstm_daemon.matching.drives import read_drive
-from bstm_daemon.matching.verification import LIMITS, errors_of, judged
-from bstm_daemon.report.verify_words import verify_json, verify_text
+from bstm_daemon.report.json_file import write_json
+from bstm_daemon.report.shell import write_page
+from bstm_daemon.report.verify import verify_json, verify_page, verify_text
 
 if TYPE_CHECKING:
     import argparse
 
-    from bstm_daemon.matching.verification import NodeErrors
+    from bstm_daemon.analysis.matching.verification import NodeErrors
 
 FAILED: Final = 1
 
@@ -55,18 +58,12 @@ def run(args: argparse.Namespace) -> int:
     learned = None
     for log in args.logs:
         with Progress(f"verify {log.name}") as progress:
-
-            def show(
-                share: float | None, progress: Progress = progress
-            ) -> None:
-                progress.show(share or 0.0)
-
             drive = read_drive(
                 log,
                 config,
                 signal_map,
                 dict(args.map),
-                progress=show,
+                progress=progress.show,
                 estimates=True,
                 learned=learned,
             )
@@ -91,19 +88,9 @@ def run(args: argparse.Namespace) -> int:
             "passed": passed,
             **verify_json(errors),
         }
-        with replacing(args.json) as file:
-            file.write_text(json.dumps(result, indent=2) + "\n", "utf-8")
+        write_json(args.json, result)
     if args.report:
-        from bstm_daemon.report.verify_page import (  # noqa: PLC0415
-            write_verify_page,
-        )
-
-        write_verify_page(
-            args.report,
-            errors,
-            required=args.require,
-            subtitle=f"{names} · {config.vehicle.id} · {args.config.name}",
-            version=__version__,
-        )
+        subtitle = f"{names} · {config.vehicle.id} · {args.config.name}"
+        write_page(args.report, verify_page(errors, args.require, subtitle))
         print(args.report)
     return 0 if passed else FAILED

@@ -5,13 +5,13 @@ from __future__ import annotations
 import sys
 from argparse import ArgumentTypeError
 from contextlib import suppress
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from bstm_daemon.bus.output_layout import BLOCK_IDS, MAX_STANDARD_ID
-from bstm_daemon.config import BusConfig
-from bstm_daemon.config_file import load_config
-from bstm_daemon.config_service import PublishConfig
+from bstm_daemon.bus.output.layout import BLOCK_IDS, MAX_STANDARD_ID
+from bstm_daemon.cli.arguments import add_config
+from bstm_daemon.config.reading import load_config
+from bstm_daemon.config.sections import BusConfig
+from bstm_daemon.config.service import PublishConfig
 from bstm_daemon.errors import ConfigError
 from bstm_daemon.watch.board import Board
 from bstm_daemon.watch.live import link_of, watch_link
@@ -20,7 +20,7 @@ from bstm_daemon.watch.view import open_view
 if TYPE_CHECKING:
     import argparse
 
-    from bstm_daemon.config import Config
+    from bstm_daemon.config.sections import Config
 
 
 LAST_BASE: Final = MAX_STANDARD_ID - BLOCK_IDS + 1
@@ -29,13 +29,8 @@ LAST_BASE: Final = MAX_STANDARD_ID - BLOCK_IDS + 1
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``bstm watch``."""
-    parser.add_argument(
-        "-c",
-        "--config",
-        type=Path,
-        metavar="FILE",
-        help="configuration of the vehicle, for bus and ids (TOML)",
-    )
+    what = "configuration of the vehicle, for bus and ids (TOML)"
+    add_config(parser, what, required=False)
     parser.add_argument(
         "-i",
         "--interface",
@@ -68,6 +63,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Show the view until the user leaves."""
+    view = open_view(sys.stdout)
     config = None if args.config is None else load_config(args.config)
     publish = PublishConfig() if config is None else config.publish
     id_base = publish.id_base if args.id_base is None else args.id_base
@@ -75,13 +71,13 @@ def run(args: argparse.Namespace) -> int:
     board = Board(id_base, corners)
     link = link_of(_bus(args, config), board)
     with suppress(KeyboardInterrupt):
-        watch_link(link, board, open_view(sys.stdout))
+        watch_link(link, board, view)
     return 0
 
 
 def _bus(args: argparse.Namespace, config: Config | None) -> BusConfig:
     """Return the bus to read: arguments, then CONFIG, then python-can's."""
-    given: dict[str, Any] = {
+    asked: dict[str, Any] = {
         key: value
         for key in ("interface", "channel", "bitrate")
         if (value := getattr(args, key)) is not None
@@ -92,7 +88,7 @@ def _bus(args: argparse.Namespace, config: Config | None) -> BusConfig:
             raise ConfigError([msg])
         name = config.publish.bus or config.bus[0].name
         bus = next(bus for bus in config.bus if bus.name == name)
-        return bus.model_copy(update=given)
+        return bus.model_copy(update=asked)
     from can.util import (  # noqa: PLC0415  (slow, and not needed with -c)
         load_environment_config,
         load_file_config,
@@ -102,7 +98,7 @@ def _bus(args: argparse.Namespace, config: Config | None) -> BusConfig:
     fallback = {
         key: own[key] for key in ("interface", "channel") if own.get(key)
     }
-    return BusConfig(name="watched", dbc="none", **{**fallback, **given})
+    return BusConfig(name="watched", dbc="none", **{**fallback, **asked})
 
 
 def _id_base(text: str) -> int:

@@ -1,4 +1,4 @@
-"""The car's fluid as configured, and what the bus tells of it."""
+"""The car's fluid as configured, and what the bus reports of it."""
 
 from __future__ import annotations
 
@@ -6,17 +6,17 @@ from datetime import UTC, date, datetime, timedelta
 from math import isfinite
 from typing import TYPE_CHECKING, Any, Final
 
-from bstm_daemon.risk.vaporisation import Fluid, boiling
-from bstm_daemon.risk.water import water_measured, water_of_age
+from bstm_daemon.model.risk.vaporisation import Fluid, boiling
+from bstm_daemon.model.risk.water import water_measured, water_of_age
 from bstm_daemon.roles import ROLE_INDEX
 from bstm_daemon.units import KELVIN_OFFSET
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from bstm_daemon.config_fluid import FluidConfig
-    from bstm_daemon.risk.vaporisation import Boiling
-    from bstm_daemon.risk.water import Water
+    from bstm_daemon.config.fluid import FluidConfig
+    from bstm_daemon.model.risk.vaporisation import Boiling
+    from bstm_daemon.model.risk.water import Water
 
 CHANGED_ROLE: Final = ROLE_INDEX["fluid_changed"]
 WATER_ROLE: Final = ROLE_INDEX["fluid_water_percent"]
@@ -47,7 +47,7 @@ class FluidKnowledge:
         self._boiling: Boiling | None = None
         self.water: Water = self._water(None)
 
-    def hear(self, time_us: int, role: int, value: float) -> None:
+    def ingest(self, time_us: int, role: int, value: float) -> None:
         """Take a sample of one of the fluid's roles."""
         day = _day(time_us)
         if role == CHANGED_ROLE:
@@ -72,7 +72,7 @@ class FluidKnowledge:
         return self._boiling
 
     def export(self) -> dict[str, Any]:
-        """Return what was heard, for the state file."""
+        """Return what the bus reported, for the state file."""
         return {
             "changed": _text(self._changed),
             "percent": self._percent,

@@ -11,14 +11,15 @@ from itertools import accumulate
 from math import inf, isnan, nan
 from typing import TYPE_CHECKING, Final, NamedTuple
 
-from bstm_daemon.thermal.kernel import Batch
+from bstm_daemon.estimator.blocks import channels_at_rest
+from bstm_daemon.model.thermal.kernel import Batch
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from bstm_daemon.forecast.members import Ensemble
-    from bstm_daemon.native import Kernel
-    from bstm_daemon.risk.vaporisation import Boiling
+    from bstm_daemon.model.risk.vaporisation import Boiling
+    from bstm_daemon.native.loader import Kernel
 
 HORIZON_S: Final = 1800.0
 """Vapour within this time after now is what the risk speaks of."""
@@ -77,8 +78,7 @@ class Course(NamedTuple):
 
     def probability(self, place: int, boiling: Boiling) -> float:
         """Return the probability of vapour at the point number *place*."""
-        found = sum(boiling.probability(s[place]) for s in self.fluid_k)
-        return found / len(self.fluid_k)
+        return boiling.mean_probability([s[place] for s in self.fluid_k])
 
     def safe_in_s(self, boiling: Boiling, limit: float) -> float:
         """Return when the probability of vapour stays below *limit* [s].
@@ -122,7 +122,7 @@ class Course(NamedTuple):
 class Job:
     """One corner's ensemble on its way ahead."""
 
-    def __init__(  # noqa: PLR0913
+    def __init__(
         self,
         ensemble: Ensemble,
         kernel: Kernel | None,
@@ -130,13 +130,17 @@ class Job:
         conditions: Conditions,
         steps: Sequence[float],
         *,
-        channels: Sequence[str],
         factor: float,
     ) -> None:
-        """Start *ensemble* at *state* [nodes and memories] of its corner.
+        """Start *ensemble* on its way.
 
-        *channels* are the names of the model's inputs; *factor* widens the
-        spread.
+        Args:
+            ensemble: of one corner.
+            kernel: the compiled one; None runs the reference.
+            state: nodes [K] and memories of the corner now.
+            conditions: what acts on it from now on.
+            steps: of the march [s].
+            factor: widens the spread.
         """
         self._steps = steps
         self._done = 0
@@ -150,7 +154,7 @@ class Job:
         self._batch.state = ensemble.states(
             state, conditions.ambient_k, factor
         )
-        self._inputs = _inputs(ensemble, conditions, channels, factor)
+        self._inputs = _inputs(ensemble, conditions, factor)
         width, first = self._batch.width, ensemble.fluid
         self._fluid = [
             array("d", [self._batch.state[m * width + first]])
@@ -186,31 +190,41 @@ class Job:
         return Course(tuple(times), self._fluid)
 
 
+def parked_course(
+    ensemble: Ensemble,
+    kernel: Kernel | None,
+    state: Sequence[float],
+    ambient_k: float,
+    factor: float,
+) -> Course:
+    """Return the whole course of a corner that parks; Args as of a Job."""
+    job = Job(
+        *(ensemble, kernel, state, Conditions(ambient_k), PARKED_STEPS),
+        factor=factor,
+    )
+    job.advance(len(PARKED_STEPS))
+    return job.course()
+
+
 def _inputs(
     ensemble: Ensemble,
     conditions: Conditions,
-    channels: Sequence[str],
     factor: float,
 ) -> array[float]:
     """Return one step's rows, a row a member."""
-    measured = float("nan")
     rows = array("d")
     for ambient_k, heat in zip(
         ensemble.ambients_k(conditions.ambient_k, factor),
         ensemble.heats(factor),
         strict=True,
     ):
-        values = {
+        values = channels_at_rest(ambient_k) | {
             "speed_ms": conditions.speed_ms,
             "pressure_pa": conditions.pressure_pa,
             "brake_on": conditions.brake_on,
-            "ambient_k": ambient_k,
             "brake_power_w": heat * conditions.power_w,
         }
-        rows.extend(
-            values.get(name, measured if name.startswith("measured_") else 0.0)
-            for name in channels
-        )
+        rows.extend(values.values())
     return rows
 
 

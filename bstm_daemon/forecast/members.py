@@ -12,13 +12,13 @@ from dataclasses import replace
 from math import hypot
 from typing import TYPE_CHECKING, Final, NamedTuple
 
-from bstm_daemon.risk.sequence import normal_draws
+from bstm_daemon.model.risk.sequence import normal_draws
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from bstm_daemon.thermal.network import Link, Network
-    from bstm_daemon.thermal.program import Program
+    from bstm_daemon.model.thermal.network import Link, Network
+    from bstm_daemon.model.thermal.program import Program
 
 
 class Spread(NamedTuple):

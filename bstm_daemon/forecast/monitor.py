@@ -14,41 +14,38 @@ from dataclasses import dataclass, field, replace
 from math import isnan, nan
 from typing import TYPE_CHECKING, Any, Final
 
-from bstm_daemon.forecast.duty import Duty
+from bstm_daemon.estimate import CarRisk, CornerRisk, RiskLevel, Validity
 from bstm_daemon.forecast.fluid import (
     CHANGED_ROLE,
     WATER_ROLE,
     FluidKnowledge,
 )
-from bstm_daemon.forecast.likelihood import hottest, likelihood
+from bstm_daemon.forecast.load_history import Duty
 from bstm_daemon.forecast.march import (
     DUTY_STEPS,
     HORIZON_S,
     PARKED_STEPS,
     Conditions,
     Job,
+    parked_course,
 )
 from bstm_daemon.forecast.members import DEGRADED_FACTOR, Ensemble, Spread
-from bstm_daemon.forecast.records import CarRisk, CornerRisk
-from bstm_daemon.forecast.under_way import UnderWay
-from bstm_daemon.heat.sample_plan import CHANNELS, VEHICLE_CHANNELS
-from bstm_daemon.native import load_kernel
-from bstm_daemon.risk.levels import (
+from bstm_daemon.model.risk.levels import (
     PROBABILITIES,
-    Level,
     LevelMemory,
     published_level,
 )
+from bstm_daemon.native.loader import load_kernel
 from bstm_daemon.units import KELVIN_OFFSET
-from bstm_daemon.validity import DEGRADED, INVALID, VALID
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from bstm_daemon.config import Config
-    from bstm_daemon.estimator import Block, Estimator, Floats, Ints
+    from bstm_daemon.config.sections import Config
+    from bstm_daemon.estimator.blocks import Block, Instant
+    from bstm_daemon.estimator.estimator import Estimator, Floats, Ints
     from bstm_daemon.forecast.march import Course
-    from bstm_daemon.risk.vaporisation import Boiling
+    from bstm_daemon.model.risk.vaporisation import Boiling
 
 SECOND_US: Final = 1_000_000
 GRID_US: Final = 10 * SECOND_US
@@ -66,7 +63,7 @@ DROVE_MS: Final = 2.0
 STOPPED_MS: Final = 0.3
 """A car that drove faster and is now slower has stopped."""
 
-HEARD: Final = (CHANGED_ROLE, WATER_ROLE)
+FLUID_ROLES: Final = (CHANGED_ROLE, WATER_ROLE)
 
 GAP_US: Final = 2 * SECOND_US
 """After such a gap of publications everything begins anew."""
@@ -74,12 +71,9 @@ GAP_US: Final = 2 * SECOND_US
 
 @dataclass(slots=True)
 class _Corner:
-    """A corner's place in the blocks, its memory and its forecast."""
+    """A corner's memory and its forecast."""
 
     name: str
-    group: int
-    member: int
-    place: int
     ensemble: Ensemble
     duty: Duty
     level: LevelMemory = field(default_factory=LevelMemory)
@@ -88,6 +82,27 @@ class _Corner:
     peaks_k: list[float] = field(default_factory=list)
     ahead: float = nan
     now_k: list[float] = field(default_factory=list)
+
+
+@dataclass(slots=True)
+class _Forecast:
+    """A forecast between its begin and its end, some publications later.
+
+    ``states`` and the like are one a corner; ``at_stop``: the car had just
+    stopped. ``index`` counts corners that are done, first all of them parked,
+    which is ``published`` then, then all with the duty.
+    """
+
+    time_us: int
+    states: list[Sequence[float]]
+    conditions: list[Conditions]
+    factors: list[float]
+    boiling: Boiling
+    at_stop: bool
+    index: int = 0
+    published: bool = False
+    job: Job | None = None
+    parked: list[Course] = field(default_factory=list)
 
 
 class RiskMonitor:
@@ -100,30 +115,24 @@ class RiskMonitor:
         self.members = config.forecast.members if compiled else PYTHON_MEMBERS
         self._steps = COMPILED_STEPS if compiled else PYTHON_STEPS
         self.fluid = FluidKnowledge(config.fluid)
-        self._heard: list[tuple[int, int, float]] = []
+        self._samples: list[tuple[int, int, float]] = []
         self._limits = [
             [c + KELVIN_OFFSET for c in config.forecast.disc_limits_c],
             [c + KELVIN_OFFSET for c in config.forecast.pad_limits_c],
         ]
         spread = Spread().scaled(config.forecast.uncertainty)
-        self._groups = estimator.groups
         self._programs = estimator.programs
-        order = estimator.plan.corners
-        corners = [
+        self._corners = [
             _Corner(
                 name,
-                number,
-                member,
-                order.index(name),
-                Ensemble(estimator.programs[name], self.members, spread),
-                Duty(estimator.programs[name], group.size),
+                Ensemble(program, self.members, spread),
+                Duty(program),
             )
-            for number, group in enumerate(self._groups)
-            for member, name in enumerate(group.corners)
+            for name in estimator.layout.corners
+            if (program := estimator.programs.get(name)) is not None
         ]
-        self._corners = sorted(corners, key=lambda c: c.place)
         self._level = LevelMemory()
-        self._forecast: UnderWay | None = None
+        self._forecast: _Forecast | None = None
         self._forecast_us: int | None = None
         self._last_us: int | None = None
         self._drove = False
@@ -132,11 +141,11 @@ class RiskMonitor:
         self._ahead = nan
         self.away = nan
         """Probability that vapour formed while the computer was off."""
-        self._said: tuple[CarRisk, tuple[int, ...], bool, CarRisk] | None = (
-            None
-        )
+        self._last_published: (
+            tuple[tuple[CarRisk, tuple[Validity, ...], bool], CarRisk] | None
+        ) = None
 
-    def hear(self, times_us: Ints, roles: Ints, values: Floats) -> None:
+    def ingest(self, times_us: Ints, roles: Ints, values: Floats) -> None:
         """Take samples that the estimator is about to get.
 
         Only those of the fluid matter; each holds from its stamp on.
@@ -144,10 +153,12 @@ class RiskMonitor:
         # columns of a replay; the live service does without NumPy's 15 MiB
         if hasattr(roles, "nonzero"):
             column: Any = roles
-            (picked,) = ((column == HEARD[0]) | (column == HEARD[1])).nonzero()
+            (picked,) = (
+                (column == FLUID_ROLES[0]) | (column == FLUID_ROLES[1])
+            ).nonzero()
         else:
-            picked = [i for i, role in enumerate(roles) if role in HEARD]
-        self._heard += [
+            picked = [i for i, one in enumerate(roles) if one in FLUID_ROLES]
+        self._samples += [
             (int(times_us[i]), int(roles[i]), float(values[i])) for i in picked
         ]
 
@@ -161,38 +172,38 @@ class RiskMonitor:
 
     def add(self, block: Block) -> list[CarRisk]:
         """Return the risk at each publication of *block*."""
-        found = []
-        for i, time_us in enumerate(block.times_us):
-            self._pass(block, i, time_us)
-            found.append(self._published(block, i))
-        return found
+        return [self._advance(block.at(i)) for i in range(len(block.times_us))]
 
-    def _pass(self, block: Block, i: int, time_us: int) -> None:
+    def _advance(self, instant: Instant) -> CarRisk:
+        time_us = instant.time_us
         if self._last_us is None or not (
             0 < time_us - self._last_us <= GAP_US
         ):
             self._begin_anew()
         self._last_us = time_us
-        while self._heard and self._heard[0][0] <= time_us:
-            self.fluid.hear(*self._heard.pop(0))
-        speed_ms = block.vehicle[i * len(VEHICLE_CHANNELS)]
+        while self._samples and self._samples[0][0] <= time_us:
+            self.fluid.ingest(*self._samples.pop(0))
+        speed_ms = instant.vehicle("speed_ms")
         stopped = self._drove and speed_ms < STOPPED_MS
         self._drove = (self._drove and not stopped) or speed_ms > DROVE_MS
         whole = time_us % SECOND_US == 0
         first = self._forecast is None and self._forecast_us is None
         if whole or first:
-            self._second(block, i, time_us)
+            self._update_now(instant)
         due = self._forecast is None and time_us % GRID_US == 0
         self._stopped = self._stopped or stopped
-        under_way = self._forecast
-        # what comes of an earlier stop is said first: in slow traffic and
-        # pure Python there would be no forecast else
-        parks = under_way is not None and under_way.parks
-        at_stop = self._stopped and not parks
+        running = self._forecast
+        # the result of an earlier stop is published first: in slow traffic
+        # and pure Python there would be no forecast else
+        waits = running is not None and (
+            running.at_stop and not running.published
+        )
+        at_stop = self._stopped and not waits
         if at_stop or due or first:
-            self._begin(block, i, time_us, at_stop=at_stop)
+            self._begin(instant, at_stop=at_stop)
         if self._forecast is not None:
             self._work(self._forecast)
+        return self._published(instant)
 
     def _begin_anew(self) -> None:
         """Forget what was foreseen before a gap; levels fall as usual."""
@@ -203,38 +214,23 @@ class RiskMonitor:
             corner.peaks_k, corner.ahead = [], nan
             corner.record = CornerRisk()
 
-    def _state(self, block: Block, i: int, corner: _Corner) -> list[float]:
-        group = self._groups[corner.group]
-        first = (i * len(group.corners) + corner.member) * group.size
-        wide = len(group.state_names)
-        return block.outputs[corner.group][first : first + wide].tolist()
-
-    def _row(self, block: Block, i: int, corner: _Corner) -> Sequence[float]:
-        corners = len(block.rows) // (len(block.times_us) * len(CHANNELS))
-        first = (i * corners + corner.place) * len(CHANNELS)
-        return block.rows[first : first + len(CHANNELS)]
-
-    def _second(self, block: Block, i: int, time_us: int) -> None:
+    def _update_now(self, instant: Instant) -> None:
         """Update what is known of now."""
-        boiling = self.fluid.boiling(time_us)
+        boiling = self.fluid.boiling(instant.time_us)
         for corner in self._corners:
-            group = self._groups[corner.group]
-            first = (i * len(group.corners) + corner.member) * group.size
-            output = block.outputs[corner.group]
-            row = self._row(block, i, corner)
-            corner.duty.add(time_us, row, output, first)
-            nodes = output[first : first + group.nodes]
-            state = dict(zip(group.state_names, nodes, strict=False))
-            ambient_k = row[CHANNELS.index("ambient_k")]
-            factor = _factor(block.validity[corner.name][i])
+            name, time_us = corner.name, instant.time_us
+            corner.duty.add(instant, name)
+            state = instant.state(name)
             deviation_k = corner.ensemble.fluid_deviation_k(
-                state["fluid"], ambient_k, factor
+                state["fluid"],
+                instant.channel(name, "ambient_k"),
+                _factor(instant.validity(name)),
             )
             corner.now_k = [
                 state["fluid"] + deviation_k * draw
                 for draw in corner.ensemble.now_draws
             ]
-            now = likelihood(boiling, corner.now_k)
+            now = boiling.mean_probability(corner.now_k)
             probability = (
                 now if isnan(corner.ahead) else max(now, corner.ahead)
             )
@@ -244,50 +240,48 @@ class RiskMonitor:
             )
             corner.record = replace(
                 corner.record,
-                deviation_k=deviation_k,
+                fluid_deviation_k=deviation_k,
                 probability_now=now,
                 probability=probability,
             )
-        self._tell_car(boiling, time_us)
+        self._update_car(boiling, instant.time_us)
 
-    def _tell_car(self, boiling: Boiling, time_us: int) -> None:
-        now = likelihood(boiling, hottest([c.now_k for c in self._corners]))
+    def _update_car(self, boiling: Boiling, time_us: int) -> None:
+        now = boiling.mean_probability(
+            _hottest([c.now_k for c in self._corners])
+        )
         probability = now if isnan(self._ahead) else max(now, self._ahead)
         self._level.by_probability(probability, time_us)
         self._car = CarRisk(
-            now,
-            probability,
-            Level.UNKNOWN,
-            boiling.quantile(0.01),
-            boiling.quantile(0.5),
-            self.fluid.water.median_percent,
-            self._forecast_us,
-            self.members,
-            {c.name: c.record for c in self._corners},
+            probability=probability,
+            probability_now=now,
+            boiling_k=boiling.quantile(0.5),
+            boiling_low_k=boiling.quantile(0.01),
+            water_percent=self.fluid.water.median_percent,
+            forecast_us=self._forecast_us,
+            members=self.members,
+            corners={c.name: c.record for c in self._corners},
         )
 
-    def _begin(
-        self, block: Block, i: int, time_us: int, *, at_stop: bool
-    ) -> None:
-        conditions = []
+    def _begin(self, instant: Instant, *, at_stop: bool) -> None:
         self._stopped = self._stopped and not at_stop
-        for corner in self._corners:
-            row = self._row(block, i, corner)
-            ambient_k = row[CHANNELS.index("ambient_k")]
-            conditions.append(corner.duty.conditions(ambient_k))
-        self._forecast = UnderWay(
-            time_us,
-            [self._state(block, i, corner) for corner in self._corners],
-            conditions,
-            [_factor(block.validity[c.name][i]) for c in self._corners],
-            self.fluid.boiling(time_us),
+        names = [corner.name for corner in self._corners]
+        self._forecast = _Forecast(
+            instant.time_us,
+            [list(instant.state(name).values()) for name in names],
+            [
+                c.duty.conditions(instant.channel(c.name, "ambient_k"))
+                for c in self._corners
+            ],
+            [_factor(instant.validity(name)) for name in names],
+            self.fluid.boiling(instant.time_us),
             at_stop,
         )
 
-    def _work(self, forecast: UnderWay) -> None:
+    def _work(self, forecast: _Forecast) -> None:
         """Do one publication's share of *forecast*."""
         count = len(self._corners)
-        if forecast.index == count and not forecast.told:
+        if forecast.index == count and not forecast.published:
             self._commit(forecast)
             return
         place = forecast.index % count
@@ -308,7 +302,6 @@ class RiskMonitor:
                 forecast.states[place],
                 conditions,
                 PARKED_STEPS if parked else DUTY_STEPS,
-                channels=CHANNELS,
                 factor=forecast.factors[place],
             )
         forecast.job.advance(self._steps)
@@ -324,14 +317,14 @@ class RiskMonitor:
         if forecast.index == 2 * count:
             self._forecast = None
 
-    def _commit(self, forecast: UnderWay) -> None:
+    def _commit(self, forecast: _Forecast) -> None:
         """Publish what happens if the car parks."""
-        forecast.told = True
+        forecast.published = True
         boiling = forecast.boiling
         self._forecast_us = forecast.time_us
         for corner, course in zip(self._corners, forecast.parked, strict=True):
             corner.peaks_k = course.peaks_k(HORIZON_S)
-            corner.ahead = likelihood(boiling, corner.peaks_k)
+            corner.ahead = boiling.mean_probability(corner.peaks_k)
             peak_k, peak_in_s = course.peak(HORIZON_S)
             corner.record = replace(
                 corner.record,
@@ -343,13 +336,13 @@ class RiskMonitor:
             corner.level.by_probability(
                 corner.record.probability, forecast.time_us
             )
-        self._ahead = likelihood(
-            boiling, hottest([c.peaks_k for c in self._corners])
+        self._ahead = boiling.mean_probability(
+            _hottest([c.peaks_k for c in self._corners])
         )
-        self._tell_car(boiling, forecast.time_us)
+        self._update_car(boiling, forecast.time_us)
 
     def _commit_duty(
-        self, forecast: UnderWay, corner: _Corner, course: Course
+        self, forecast: _Forecast, corner: _Corner, course: Course
     ) -> None:
         """Publish what happens to *corner* if its duty goes on."""
         corner.record = replace(
@@ -360,39 +353,43 @@ class RiskMonitor:
         corners = {c.name: c.record for c in self._corners}
         self._car = replace(self._car, corners=corners)
 
-    def _published(self, block: Block, i: int) -> CarRisk:
-        """Return the record with levels as the estimate allows them."""
-        known = i >= block.known_from
-        codes = tuple(block.validity[c.name][i] for c in self._corners)
-        if self._said is not None:
-            car, said_codes, said_known, said = self._said
-            if (
-                car is self._car
-                and said_codes == codes
-                and said_known == known
-            ):
-                return said
+    def _published(self, instant: Instant) -> CarRisk:
+        """Return the record with levels as the estimate allows them.
+
+        The same object as long as nothing changes.
+        """
+        known = instant.history_known
+        codes = tuple(instant.validity(c.name) for c in self._corners)
+        key = self._car, codes, known
+        if self._last_published is not None:
+            (car, *rest), published = self._last_published
+            if car is self._car and rest == [codes, known]:
+                return published
         corners = {
             corner.name: replace(
                 corner.record,
-                level=_allowed(corner.level.level, code, known=known),
-                fade=_allowed(corner.fade.level, code, known=known),
+                level=published_level(
+                    corner.level.level, code, history_known=known
+                ),
+                fade=published_level(
+                    corner.fade.level, code, history_known=known
+                ),
             )
             for corner, code in zip(self._corners, codes, strict=True)
         }
-        worst = max(codes, default=INVALID)
-        level = _allowed(self._level.level, worst, known=known)
-        if level is Level.UNKNOWN:
+        worst = max(codes, default=Validity.INVALID)
+        level = published_level(self._level.level, worst, history_known=known)
+        if level is RiskLevel.UNKNOWN:
             # one corner without an estimate does not hide a raised level
             raised = [
                 c.level
                 for c in corners.values()
-                if c.level not in {Level.NORMAL, Level.UNKNOWN}
+                if c.level not in {RiskLevel.NORMAL, RiskLevel.UNKNOWN}
             ]
-            level = max(raised, default=Level.UNKNOWN)
-        told = replace(self._car, level=level, corners=corners)
-        self._said = (self._car, codes, known, told)
-        return told
+            level = max(raised, default=RiskLevel.UNKNOWN)
+        published = replace(self._car, level=level, corners=corners)
+        self._last_published = key, published
+        return published
 
     def export(self) -> dict[str, Any]:
         """Return the memory as plain values, for the state file."""
@@ -438,20 +435,15 @@ class RiskMonitor:
                 continue
             program = self._programs[corner.name]
             corner.ensemble = corner.ensemble.of(program)
-            job = Job(
-                corner.ensemble,
-                self._kernel,
-                state,
-                Conditions(ambient_k),
-                PARKED_STEPS,
-                channels=CHANNELS,
-                factor=1.0,
+            course = parked_course(
+                corner.ensemble, self._kernel, state, ambient_k, factor=1.0
             )
-            job.advance(len(PARKED_STEPS))
-            peaks = job.course().peaks_k(parked_s)
-            corner.level.by_probability(likelihood(boiling, peaks), now_us)
+            peaks = course.peaks_k(parked_s)
+            corner.level.by_probability(
+                boiling.mean_probability(peaks), now_us
+            )
             series.append(peaks)
-        self.away = likelihood(boiling, hottest(series)) if series else nan
+        self.away = boiling.mean_probability(_hottest(series))
         self._level.by_probability(self.away, now_us)
 
     def _take_back(self, document: object) -> None:
@@ -466,9 +458,9 @@ class RiskMonitor:
         for name, memory in self._memories().items():
             match levels.get(name):
                 case [int(level), None | int() as since] if level in {
-                    *range(Level.CRITICAL + 1)
+                    *range(RiskLevel.CRITICAL + 1)
                 }:
-                    memory.level = Level(level)
+                    memory.level = RiskLevel(level)
                     memory.below_since_us = since
 
     def _memories(self) -> dict[str, LevelMemory]:
@@ -479,10 +471,10 @@ class RiskMonitor:
         return found
 
 
-def _factor(validity: int) -> float:
-    return 1.0 if validity == VALID else DEGRADED_FACTOR
+def _hottest(series: Sequence[Sequence[float]]) -> list[float]:
+    """Return the hottest corner of each member; *series* one a corner."""
+    return [max(values) for values in zip(*series, strict=True)]
 
 
-def _allowed(level: Level, validity: int, *, known: bool) -> Level:
-    usable = validity in {VALID, DEGRADED}
-    return published_level(level, usable=usable, history_known=known)
+def _factor(validity: Validity) -> float:
+    return 1.0 if validity == Validity.VALID else DEGRADED_FACTOR

@@ -10,7 +10,7 @@ from bstm_daemon.units import KELVIN_OFFSET
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from bstm_daemon.estimator import Estimator
+    from bstm_daemon.estimator.estimator import Estimator
     from bstm_daemon.forecast.monitor import RiskMonitor
 
 

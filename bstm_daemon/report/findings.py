@@ -12,20 +12,21 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from bstm_daemon.heat.plausibility import CAUSES, FAULTS, SUSPECT, WORDS
-from bstm_daemon.heat.plausibility import reasons as words_of
-from bstm_daemon.heat.sample_plan import (
+from bstm_daemon.channels import (
     CORNER_PRESSURE_SUSPECT,
     FLAGS,
     HEAT_DOUBT,
     HEAT_LOST,
     WHEEL_SUSPECT,
 )
-from bstm_daemon.report.gaps import StretchFinder
+from bstm_daemon.model.heat.plausibility import CAUSES, FAULTS, SUSPECT, WORDS
+from bstm_daemon.model.heat.plausibility import reasons as words_of
+from bstm_daemon.report.stretches import StretchFinder
 
 if TYPE_CHECKING:
     import numpy.typing as npt
 
+    Bits = npt.NDArray[np.int64]
     Column = npt.NDArray[np.float64]
 
 LEAST_S: Final = 1.0
@@ -80,7 +81,7 @@ class Finding:
         )
 
 
-class FindingTally:
+class FindingCollector:
     """Finds the findings of a growing drive, in a bounded memory."""
 
     def __init__(self) -> None:
@@ -91,9 +92,8 @@ class FindingTally:
         self._nameless = StretchFinder()
         self._nameless_seen = 0
 
-    def add(self, elapsed_s: Column, flags: Column) -> None:
+    def add(self, elapsed_s: Column, bits: Bits) -> None:
         """Add rows: time since the first and ``flags``, shape (n,) each."""
-        bits = flags.astype(np.int64)
         for name, finder in self._finders.items():
             holds = (bits & FAULTS[name]) != 0
             finder.add(elapsed_s, holds)
@@ -124,7 +124,7 @@ class FindingTally:
         return tuple(finding for finding in found if finding is not None)
 
 
-def _any_of(bits: npt.NDArray[np.int64], rows: npt.NDArray[np.bool_]) -> int:
+def _any_of(bits: Bits, rows: npt.NDArray[np.bool_]) -> int:
     return int(np.bitwise_or.reduce(bits[rows], initial=0))
 
 

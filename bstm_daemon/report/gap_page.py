@@ -5,18 +5,20 @@ from __future__ import annotations
 from html import escape
 from typing import TYPE_CHECKING, Any, Final
 
-from bstm_daemon.gap.locating import TEMPERATURES_C, labels
-from bstm_daemon.gap.residual_heat import REGIMES
-from bstm_daemon.gap.showing import BASELINES, CONFIGURED, EXTENDED
-from bstm_daemon.report.advice_words import (
-    ADVICE_HEAD,
-    advice_headline,
-    advice_rows,
+from bstm_daemon.analysis.gap.holdout_comparison import (
+    BASELINES,
+    CONFIGURED,
+    EXTENDED,
 )
-from bstm_daemon.report.gap_words import (
+from bstm_daemon.analysis.gap.locating import TEMPERATURES_C, labels
+from bstm_daemon.analysis.gap.residual_heat import REGIMES
+from bstm_daemon.report.gap import (
+    ADVICE_HEAD,
     CANDIDATE_HEAD,
     CELL_HEAD,
     ERROR_HEAD,
+    advice_headline,
+    advice_rows,
     answer_tile,
     candidate_rows,
     cell_rows,
@@ -30,23 +32,23 @@ from bstm_daemon.report.gap_words import (
     strength_tile,
     unnamed_lines,
 )
-from bstm_daemon.report.plot_page import (
-    PageHead,
-    PageSection,
-    Table,
-    write_plot_page,
+from bstm_daemon.report.plots import (
+    BLUE,
+    VERMILION,
+    Plot,
+    curve,
+    plot,
+    time_plot,
 )
-from bstm_daemon.report.plots import Plot, curve, plot, time_plot
-from bstm_daemon.report.traces import BLUE, VERMILION
+from bstm_daemon.report.shell import Page, Section, Table
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
-    from pathlib import Path
 
-    from bstm_daemon.gap.locating import Cell, Located
-    from bstm_daemon.gap.naming import Naming
-    from bstm_daemon.gap.showing import Curve, Shown
-    from bstm_daemon.gap.workflow import Gap
+    from bstm_daemon.analysis.gap.holdout_comparison import Curve, Shown
+    from bstm_daemon.analysis.gap.locating import Cell, Located
+    from bstm_daemon.analysis.gap.naming import Naming
+    from bstm_daemon.analysis.gap.workflow import Gap
 
 ORDER: Final = ("disc", "pad_front", "pad_back", "fluid", "caliper")
 CLEAR: Final = 3.0
@@ -65,20 +67,10 @@ WEAK_EVIDENCE: Final = 5.0
 """The axis of the bars ends no earlier: what is next to nothing looks so."""
 
 
-def write_gap_page(
-    path: Path,
-    gaps: Sequence[Gap],
-    *,
-    subtitle: str,
-    version: str,
-    remarks: Sequence[str] = (),
-) -> None:
-    """Write what *gaps* found to *path*, *remarks* beside each answer.
-
-    Raises:
-        MissingExtraError: plotly is not installed.
-        FileAccessError: *path* can not be written.
-    """
+def gap_page(
+    gaps: Sequence[Gap], subtitle: str, remarks: Sequence[str] = ()
+) -> Page:
+    """Return the page of *gaps*, with *remarks* beside each answer."""
     sections = []
     for gap in gaps:
         prefix = f"{', '.join(gap.corners)}: "
@@ -87,7 +79,7 @@ def write_gap_page(
         if gap.naming is not None:
             sections.append(_naming_section(prefix, gap, remarks))
         if gap.advice:
-            sections.append(advice_section(prefix, gap))
+            sections.append(_advice_section(prefix, gap))
         if gap.shown is not None:
             sections += _shown_sections(prefix, gap.shown)
         if gap.before is not None and gap.after is not None:
@@ -99,11 +91,10 @@ def write_gap_page(
             )
         if gap.located is not None:
             sections.append(_tables_section(prefix, gap.located))
-    head = PageHead("Gap", subtitle, version, head_tiles(gaps))
-    write_plot_page(path, head, sections)
+    return Page("Gap", sections, head_tiles(gaps), subtitle=subtitle)
 
 
-def head_tiles(gaps: Sequence[Gap]) -> tuple[tuple[str, str], ...]:
+def head_tiles(gaps: Sequence[Gap]) -> list[tuple[str, str]]:
     """Return the answer's tiles, of the first corners that lack something."""
     found = [
         one for one in gaps if one.naming is not None and one.naming.found
@@ -124,14 +115,14 @@ def head_tiles(gaps: Sequence[Gap]) -> tuple[tuple[str, str], ...]:
         tiles.append(
             (f"{one.factor:.1f} x", f"{word} gap, tunables re-fitted")
         )
-    return tuple(tiles)
+    return tiles
 
 
-def _map_section(prefix: str, located: Located) -> PageSection:
-    return PageSection(
+def _map_section(prefix: str, located: Located) -> Section:
+    return Section(
         f"{prefix}where the heat is missing",
         plots=(("", heat_map(located.cells)),),
-        lines=tuple(place_lines(located)),
+        lines=place_lines(located),
         across=1,
         note="Heat that the model lacks at a part while its measured "
         "neighbours are held to their thermocouples. Red: the real part "
@@ -141,8 +132,8 @@ def _map_section(prefix: str, located: Located) -> PageSection:
     )
 
 
-def _maps_section(prefix: str, before: Located, after: Located) -> PageSection:
-    return PageSection(
+def _maps_section(prefix: str, before: Located, after: Located) -> Section:
+    return Section(
         f"{prefix}the map of the same drives, before and after",
         plots=(
             ("as configured", heat_map(before.cells)),
@@ -167,26 +158,10 @@ def heat_map(cells: Sequence[Cell]) -> Plot:
     ]
     nodes = [n for n in ORDER if any(c.node == n for c in cells)]
     by_place = {(c.node, c.regime, c.bin): c for c in cells}
-    z: list[list[float | None]] = []
-    text: list[list[str]] = []
-    hover: list[list[str]] = []
-    for node in reversed(nodes):
-        row: list[float | None] = []
-        words, tips = [], []
-        for regime, number in columns:
-            cell = by_place.get((node, regime, written[number]))
-            row.append(None if cell is None else _shade(cell.z))
-            words.append("" if cell is None else _kilojoules(cell))
-            tips.append(
-                ""
-                if cell is None
-                else f"{node} {regime} {bins[number]} °C: "
-                f"{1e-3 * cell.energy_j:+.1f} kJ ± "
-                f"{1e-3 * cell.deviation_j:.1f}, {cell.windows} half minutes"
-            )
-        z.append(row)
-        text.append(words)
-        hover.append(tips)
+    places = [
+        [by_place.get((node, regime, written[n])) for regime, n in columns]
+        for node in reversed(nodes)
+    ]
     data: dict[str, Any] = {
         "type": "heatmap",
         "x": [
@@ -194,10 +169,10 @@ def heat_map(cells: Sequence[Cell]) -> Plot:
             [bins[number] for _, number in columns],
         ],
         "y": [n.replace("_", " ") for n in reversed(nodes)],
-        "z": z,
-        "text": text,
+        "z": [[one and _shade(one.z) for one in row] for row in places],
+        "text": [[_kilojoules(one) for one in row] for row in places],
         "texttemplate": "%{text}",
-        "hovertext": hover,
+        "hovertext": [[_tip(one) for one in row] for row in places],
         "hoverinfo": "text",
         "zmin": -1.0,
         "zmax": 1.0,
@@ -237,30 +212,39 @@ def _shade(z: float) -> float:
     return shade if z >= 0.0 else -shade
 
 
-def _kilojoules(cell: Cell) -> str:
-    mark = "" if abs(cell.z) >= CLEAR else "·"
-    if mark:
-        return mark
+def _kilojoules(cell: Cell | None) -> str:
+    if cell is None:
+        return ""
+    if abs(cell.z) < CLEAR:
+        return "·"
     return f"{1e-3 * cell.energy_j:+.0f} kJ"
 
 
-def _naming_section(
-    prefix: str, gap: Gap, remarks: Sequence[str]
-) -> PageSection:
+def _tip(cell: Cell | None) -> str:
+    if cell is None:
+        return ""
+    place = cell.bin.removesuffix(" degC").replace(" to ", "-")
+    return (
+        f"{cell.node} {cell.regime} {place} °C: {1e-3 * cell.energy_j:+.1f} "
+        f"kJ ± {1e-3 * cell.deviation_j:.1f}, {cell.windows} half minutes"
+    )
+
+
+def _naming_section(prefix: str, gap: Gap, remarks: Sequence[str]) -> Section:
     naming = gap.naming
     if naming is None:
-        return PageSection(prefix)
+        return Section(prefix)
     lines = [*remarks, *naming_lines(naming)]
     lines += unnamed_lines(gap)
     if gap.silent:
         lines.append(f"not excited by these drives: {', '.join(gap.silent)}")
-    return PageSection(
+    return Section(
         f"{prefix}{headline(gap)}",
-        Table(CANDIDATE_HEAD, tuple(candidate_rows(naming))),
+        Table(CANDIDATE_HEAD, candidate_rows(naming)),
         plots=(
             ("how far each effect beats 'nothing'", evidence_bars(naming)),
         ),
-        lines=tuple(lines),
+        lines=lines,
         across=1,
         note="Every effect is simulated on these drives and fitted together "
         "with all tunables. A strength of 1 is typical; sd is of the noise "
@@ -268,15 +252,14 @@ def _naming_section(
     )
 
 
-def advice_section(prefix: str, gap: Gap) -> PageSection:
-    """Return the table of drives that could be driven next."""
-    return PageSection(
+def _advice_section(prefix: str, gap: Gap) -> Section:
+    return Section(
         f"{prefix}which drive next",
-        Table(ADVICE_HEAD, tuple(advice_rows(gap))),
+        Table(ADVICE_HEAD, advice_rows(gap)),
         lines=(advice_headline(gap),),
-        note="Worlds are drawn from what these drives leave open; each is "
-        "driven with the model itself, its noise added, and named as it "
-        "would be. The Bayes factor is that of the true effect over its best "
+        note="Cars are drawn at random from what these drives leave open; "
+        "each drive is simulated with the model itself, with its noise, and "
+        "searched. The Bayes factor is that of the true effect over its best "
         f"rival; now it is {gap.advice[0].now:+.1f}.",
     )
 
@@ -314,19 +297,19 @@ def evidence_bars(naming: Naming) -> Plot:
     )
 
 
-def _shown_sections(prefix: str, shown: Shown) -> list[PageSection]:
+def _shown_sections(prefix: str, shown: Shown) -> list[Section]:
     where = "held-out drives" if shown.held_out else "the fitted drives"
     sections = [
-        PageSection(
+        Section(
             f"{prefix}before and after on {where}",
-            Table(ERROR_HEAD, tuple(error_rows(shown))),
-            lines=tuple(shown_lines(shown)),
+            Table(ERROR_HEAD, error_rows(shown)),
+            lines=shown_lines(shown),
         )
     ]
     for drive in dict.fromkeys(one.drive for one in shown.curves):
         own = [one for one in shown.curves if one.drive == drive]
         sections.append(
-            PageSection(
+            Section(
                 f"{prefix}temperatures on {drive}",
                 plots=tuple(
                     (one.node.replace("_", " "), _curves(one)) for one in own
@@ -356,10 +339,10 @@ def _curves(one: Curve) -> Plot:
     return time_plot(data, "temperature [°C]", span, height=320)
 
 
-def _tables_section(prefix: str, located: Located) -> PageSection:
+def _tables_section(prefix: str, located: Located) -> Section:
     cells = [*located.by_speed, *located.by_pressure, *located.by_time]
-    return PageSection(
+    return Section(
         f"{prefix}residual heat by speed, pressure and time",
-        Table(CELL_HEAD, tuple(cell_rows(cells)[:MOST_CELLS])),
+        Table(CELL_HEAD, cell_rows(cells)[:MOST_CELLS]),
         note="The plainest; all are in the JSON file.",
     )

@@ -6,8 +6,14 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from bstm_daemon.identify.heat_comparison import SOURCES
+from bstm_daemon.analysis.identify.heat_comparison import SOURCES
 from bstm_daemon.report.plots import (
+    BLACK,
+    BLUE,
+    GREEN,
+    GREY,
+    PURPLE,
+    VERMILION,
     cloud,
     curve,
     plot,
@@ -16,25 +22,24 @@ from bstm_daemon.report.plots import (
     wide_range,
 )
 from bstm_daemon.report.timescale import clock
-from bstm_daemon.report.traces import (
-    BLACK,
-    BLUE,
-    GREEN,
-    ORANGE,
-    PURPLE,
-    VERMILION,
-)
 
 if TYPE_CHECKING:
     from typing import Any
 
-    from bstm_daemon.identify.heat_comparison import HeatComparison, HeatStop
-    from bstm_daemon.identify.stop_friction import StopFriction
-    from bstm_daemon.quality.recording import Column
+    from bstm_daemon.analysis.identify.heat_comparison import (
+        HeatComparison,
+        HeatStop,
+    )
+    from bstm_daemon.analysis.identify.stop_friction import StopFriction
+    from bstm_daemon.analysis.statistics.series import Column
     from bstm_daemon.report.plots import Plot
 
-COLOURS: Final = {"ff": BLUE, "fb": VERMILION, "fused": GREEN, "can": PURPLE}
-LOG_COLOURS: Final = (BLUE, VERMILION, GREEN, ORANGE, PURPLE, BLACK)
+SOURCE_COLOURS: Final = {
+    "ff": BLUE,
+    "fb": VERMILION,
+    "fused": GREEN,
+    "can": PURPLE,
+}
 
 SHORT: Final = {"ff": "FF", "fb": "FB", "fused": "fused", "can": "bus"}
 """Names in the small figures of the stops."""
@@ -52,35 +57,32 @@ LEAST_SPAN: Final = 0.15
 """A friction axis reaches so far to both sides of the median."""
 
 
+def _by_source(
+    x: Column,
+    values: dict[str, Column],
+    names: dict[str, str],
+    width: float = 1.6,
+) -> list[dict[str, Any]]:
+    return [
+        curve(x, values[key], name, SOURCE_COLOURS[key], width=width)
+        for key, name in names.items()
+        if key in values
+    ]
+
+
 def energy_plot(heat: HeatComparison, span: tuple[float, float]) -> Plot:
     """Return the running energies of all sources (Fig 6.1)."""
-    curves = [
-        curve(
-            heat.time_s, heat.energy_j[key] / 1e6, name, COLOURS[key], width=2
-        )
-        for key, name in SOURCES.items()
-        if key in heat.power_w
-    ]
+    energy_mj = {key: one / 1e6 for key, one in heat.energy_j.items()}
+    curves = _by_source(heat.time_s, energy_mj, SOURCES, 2)
     return time_plot(curves, "brake energy [MJ]", span)
 
 
 def power_plot(heat: HeatComparison, span: tuple[float, float]) -> Plot:
     """Return the powers of all sources, with the speed."""
-    curves: list[dict[str, Any]] = [
-        curve(heat.time_s, heat.power_w[key] / 1e3, name, COLOURS[key])
-        for key, name in SOURCES.items()
-        if key in heat.power_w
-    ]
-    curves.append(
-        curve(
-            heat.time_s,
-            3.6 * heat.speed_ms,
-            "speed",
-            "#8c959f",
-            width=1,
-            second=True,
-        )
-    )
+    x, speed_kmh = heat.time_s, 3.6 * heat.speed_ms
+    power_kw = {key: one / 1e3 for key, one in heat.power_w.items()}
+    curves = _by_source(x, power_kw, SOURCES)
+    curves.append(curve(x, speed_kmh, "speed", GREY, width=1, second=True))
     return time_plot(
         curves, "brake power [kW]", span, yaxis2=right_axis("speed [km/h]")
     )
@@ -122,7 +124,7 @@ def per_force_plot(heat: HeatComparison, span: tuple[float, float]) -> Plot:
     ratio = heat.pressure_per_force()
     top = 1.3 * float(np.nanpercentile(ratio, 97))
     data = [
-        cloud(heat.time_s, ratio, "", "#8c959f", size=3),
+        cloud(heat.time_s, ratio, "", GREY, size=3),
         curve(heat.time_s, smooth(ratio), "", BLUE, width=2, legend=False),
     ]
     return time_plot(
@@ -139,59 +141,41 @@ def stop_plots(
     )
     since = heat.time_s[rows] - heat.time_s[stop.first]
     begin = int(np.searchsorted(heat.time_s, stop.begin_s))
-    keys = [key for key in SOURCES if key in heat.power_w]
+    speed_ms = np.maximum(heat.speed_ms[rows], 1.0)
+    moving = heat.speed_ms[rows] > 1.0
+    power_kw = {k: one[rows] / 1e3 for k, one in heat.power_w.items()}
+    energy_kj = {
+        k: (one[rows] - one[begin]) / 1e3 for k, one in heat.energy_j.items()
+    }
+    force_kn = {
+        k: np.where(moving, one / speed_ms, np.nan)
+        for k, one in power_kw.items()
+    }
+    balance = curve(
+        np.array([since[0], since[-1]]),
+        np.full(2, stop.balance.brake_j / 1e3),
+        "Eq 4.5",
+        BLACK,
+        dash="2px,3px",
+    )
     title = (
         f"stop {number}, {clock(stop.begin_s)}, "
         f"{3.6 * heat.speed_ms[stop.first]:.0f} to "
         f"{3.6 * heat.speed_ms[stop.last]:.0f} km/h, "
         f"{stop.pressure_pa / 1e5:.0f} bar"
     )
-    power = [
-        curve(since, heat.power_w[k][rows] / 1e3, SHORT[k], COLOURS[k])
-        for k in keys
-    ]
-    energy = [
-        curve(
-            since,
-            (heat.energy_j[k][rows] - heat.energy_j[k][begin]) / 1e3,
-            SHORT[k],
-            COLOURS[k],
-            width=2,
-        )
-        for k in keys
-    ]
-    ends = np.array([since[0], since[-1]])
-    energy.append(
-        curve(
-            ends,
-            np.full(2, stop.balance.brake_j / 1e3),
-            "Eq 4.5",
-            BLACK,
-            dash="2px,3px",
-        )
-    )
-    moving = heat.speed_ms[rows] > 1.0
-    force = [
-        curve(
-            since,
-            np.where(
-                moving,
-                heat.power_w[k][rows] / np.maximum(heat.speed_ms[rows], 1.0),
-                np.nan,
-            )
-            / 1e3,
-            SHORT[k],
-            COLOURS[k],
-        )
-        for k in keys
-    ]
+    energies = [*_by_source(since, energy_kj, SHORT, 2), balance]
     return [
-        (title, plot(power, "time since the press [s]", "power [kW]")),
-        ("energy", plot(energy, "time since the press [s]", "energy [kJ]")),
-        (
-            "brake force",
-            plot(force, "time since the press [s]", "brake force [kN]"),
-        ),
+        (name, plot(data, "time since the press [s]", y_title))
+        for name, data, y_title in (
+            (title, _by_source(since, power_kw, SHORT), "power [kW]"),
+            ("energy", energies, "energy [kJ]"),
+            (
+                "brake force",
+                _by_source(since, force_kn, SHORT),
+                "brake force [kN]",
+            ),
+        )
     ]
 
 

@@ -3,19 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from datetime import datetime, timedelta
 from html import escape
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
 from bstm_daemon.report.decimation import ThinCurve
-from bstm_daemon.report.layout import (
-    AXIS_COLOUR,
-    GRID_COLOUR,
-    TEXT_COLOUR,
-    stamp,
-    tick_stops,
-)
 from bstm_daemon.report.timescale import time_axis
 
 if TYPE_CHECKING:
@@ -24,6 +18,37 @@ if TYPE_CHECKING:
     import numpy.typing as npt
 
     Column = npt.NDArray[np.float64]
+
+EPOCH: Final = datetime(2000, 1, 1)  # noqa: DTZ001
+"""Elapsed time 0 on the date axes, which alone have 1-5-10-15-30 ticks."""
+
+# Okabe & Ito 2008: distinguishable with any common colour deficiency
+ORANGE: Final = "#e69f00"
+GREEN: Final = "#009e73"
+BLUE: Final = "#0072b2"
+VERMILION: Final = "#d55e00"
+PURPLE: Final = "#cc79a7"
+BLACK: Final = "#1f2328"
+GREY: Final = "#8c959f"
+COLOURS: Final = (BLUE, VERMILION, GREEN, ORANGE, PURPLE, BLACK)
+
+NODE_COLOURS: Final = {
+    "disc": VERMILION,
+    "pad_front": ORANGE,
+    "pad_back": GREEN,
+    "fluid": BLUE,
+}
+
+GRID_COLOUR: Final = "#e6e8eb"
+AXIS: Final = {
+    "showline": True,
+    "linecolor": GREY,
+    "gridcolor": GRID_COLOUR,
+    "zerolinecolor": GRID_COLOUR,
+}
+
+MINUTE_TICKS_MS: Final = 60_000
+SECOND_TICKS_MS: Final = 1000
 
 CURVE_POINTS: Final = 1600
 CLOUD_POINTS: Final = 1200
@@ -35,7 +60,7 @@ _DIGITS: Final = 5
 class Plot:
     """A panel: plotly traces and layout.
 
-    ``clock`` tells that x is seconds to be shown as min:s.
+    With ``clock``, x is in seconds and shown as min:s.
     """
 
     data: list[dict[str, Any]]
@@ -58,6 +83,11 @@ def curve(  # noqa: PLR0913
 
     *second* draws it on the axis at the right.
     """
+    known = np.flatnonzero(np.isfinite(y))
+    if len(known):
+        # a point without a value on each side keeps the line's breaks
+        part = slice(max(known[0] - 1, 0), known[-1] + 2)
+        x, y = x[part], y[part]
     thin = ThinCurve(CURVE_POINTS)
     thin.add(np.asarray(x, np.float64), np.asarray(y, np.float64))
     x, y = thin.points()
@@ -116,6 +146,42 @@ def cloud(  # noqa: PLR0913
     }
 
 
+class NodeCurve(NamedTuple):
+    """A measured temperature beside the model's, (n,) each."""
+
+    node: str
+    time_s: Column
+    measured_c: Column
+    model_c: Column
+    error_k: Column
+    before_c: Column | None = None
+
+
+def node_plots(
+    nodes: Sequence[NodeCurve], error_title: str
+) -> tuple[Plot, Plot]:
+    """Return temperatures, measured ones thick, and errors of *nodes*."""
+    temperatures, errors = [], []
+    for one in nodes:
+        name, colour = one.node.replace("_", " "), NODE_COLOURS[one.node]
+        x = one.time_s
+        thick = curve(x, one.measured_c, name, colour, width=4.0)
+        temperatures += [
+            thick | {"opacity": 0.4},
+            curve(x, one.model_c, name, colour, legend=False),
+        ]
+        if one.before_c is not None:
+            before = curve(x, one.before_c, name, colour, width=1.0)
+            before["line"]["dash"] = "4px,4px"
+            temperatures.append(before | {"showlegend": False})
+        errors.append(curve(x, one.error_k, name, colour))
+    span = (0.0, max(float(one.time_s[-1]) for one in nodes))
+    return (
+        time_plot(temperatures, "temperature [°C]", span, height=420),
+        time_plot(errors, error_title, span),
+    )
+
+
 def plot(
     data: Sequence[dict[str, Any]],
     x_title: str,
@@ -135,17 +201,40 @@ def time_plot(
     **changes: Any,
 ) -> Plot:
     """Return *data*, x in seconds, over the clock from and to *span_s*."""
-    labels = time_axis(span_s[1])
     layout = _layout(y_title)
-    layout["xaxis"] |= {
+    layout["xaxis"] |= clock_axis(span_s)
+    return Plot(list(data), _merged(layout, changes), clock=True)
+
+
+def stamp(elapsed_s: float) -> str:
+    """Return *elapsed_s* as a plotly date."""
+    return (EPOCH + timedelta(seconds=elapsed_s)).isoformat(
+        sep=" ", timespec="milliseconds"
+    )
+
+
+def clock_axis(span_s: tuple[float, float]) -> dict[str, Any]:
+    """Return a time axis over *span_s*.
+
+    Its ticks have the figures of its title, and finer ones zoomed in.
+    """
+    labels = time_axis(span_s[1])
+    stops = (
+        (None, SECOND_TICKS_MS - 1, labels.finest),
+        (SECOND_TICKS_MS, MINUTE_TICKS_MS - 1, labels.fine),
+        (MINUTE_TICKS_MS, None, labels.coarse),
+    )
+    return {
         "type": "date",
         "range": [stamp(span_s[0]), stamp(max(span_s[1], span_s[0] + 1.0))],
         "title": {"text": labels.title, "standoff": 4},
-        "tickformatstops": tick_stops(labels),
-        "hoverformat": labels.finest,
+        "tickformatstops": [
+            {"dtickrange": [shortest, longest], "value": form}
+            for shortest, longest, form in stops
+        ],
+        "hoverformat": labels.fine,
         "nticks": 12,
     }
-    return Plot(list(data), _merged(layout, changes), clock=True)
 
 
 def right_axis(title: str) -> dict[str, Any]:
@@ -179,10 +268,10 @@ def wide_range(values: Column, least: float) -> list[float] | None:
     ]
 
 
-def numbers(values: Column) -> list[float | None]:
-    """Return *values* rounded for a page, None where there is none."""
+def numbers(values: Column, digits: int = _DIGITS) -> list[float | None]:
+    """Return *values* rounded to *digits*, None where there is none."""
     return [
-        float(f"{value:.{_DIGITS}g}") if np.isfinite(value) else None
+        float(f"{value:.{digits}g}") if np.isfinite(value) else None
         for value in np.asarray(values, np.float64).tolist()
     ]
 
@@ -199,30 +288,25 @@ def _merged(layout: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
     return layout
 
 
-def _layout(y_title: str) -> dict[str, Any]:
-    line = {
-        "showline": True,
-        "linecolor": AXIS_COLOUR,
-        "gridcolor": GRID_COLOUR,
-        "zerolinecolor": GRID_COLOUR,
-    }
+def base_layout(height_px: int, font_px: float) -> dict[str, Any]:
+    """Return the looks that every plot has."""
     return {
-        "height": HEIGHT_PX,
-        "margin": {"l": 62, "r": 24, "t": 30, "b": 44},
+        "height": height_px,
         "font": {
             "family": "system-ui, 'Segoe UI', Roboto, Arial, sans-serif",
-            "size": 11.5,
-            "color": TEXT_COLOUR,
+            "size": font_px,
+            "color": BLACK,
         },
         "paper_bgcolor": "#ffffff",
         "plot_bgcolor": "#ffffff",
+    }
+
+
+def _layout(y_title: str) -> dict[str, Any]:
+    return base_layout(HEIGHT_PX, 11.5) | {
+        "margin": {"l": 62, "r": 24, "t": 30, "b": 44},
         "hovermode": "closest",
-        "legend": {
-            "orientation": "h",
-            "x": 0,
-            "y": 1.02,
-            "yanchor": "bottom",
-        },
-        "xaxis": dict(line),
-        "yaxis": {**line, "title": {"text": escape(y_title), "standoff": 4}},
+        "legend": {"orientation": "h", "x": 0, "y": 1.02, "yanchor": "bottom"},
+        "xaxis": dict(AXIS),
+        "yaxis": {**AXIS, "title": {"text": escape(y_title), "standoff": 4}},
     }

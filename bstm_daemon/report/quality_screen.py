@@ -2,31 +2,32 @@
 
 from __future__ import annotations
 
-from textwrap import wrap
 from typing import TYPE_CHECKING, Final
 
-from bstm_daemon.report.quality_words import (
-    fit_words,
+from bstm_daemon.report.check import (
+    fit_text,
     headline,
-    mode_words,
+    mode_text,
     role_unit,
     role_value,
 )
 from bstm_daemon.report.screen import percent
+from bstm_daemon.report.text import columns, wrapped
 from bstm_daemon.report.timescale import duration
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from bstm_daemon.quality.finding import Comparison, Quality, RoleQuality
-
-WIDTH: Final = 100
+    from bstm_daemon.analysis.quality.finding import (
+        Comparison,
+        Quality,
+        RoleQuality,
+    )
 
 _ROLES: Final = (
     *("role", "rate", "min", "max", "unit"),
     *("longest gap", "gaps", "one value"),
 )
-_PAIRS: Final = ("scale", "offset", "lag", "r", "rms", "samples")
 
 
 def quality_table(quality: Quality) -> str:
@@ -34,7 +35,7 @@ def quality_table(quality: Quality) -> str:
     found = [role for role in quality.roles if role.statistics is not None]
     blocks = [
         duration(quality.duration_s),
-        _columns(_ROLES, [_role_row(role) for role in found], left=1),
+        "\n".join(columns([_ROLES, *map(_role_row, found)])),
         _pairs(quality.comparisons),
     ]
     absent = [
@@ -56,7 +57,7 @@ def quality_table(quality: Quality) -> str:
         if not finding.wrong
     ]
     modes = [
-        f"{mode.mode}: {'yes' if mode.usable else 'no'}, {mode_words(mode)}"
+        f"{mode.mode}: {'yes' if mode.usable else 'no'}, {mode_text(mode)}"
         for mode in quality.modes
     ]
     for heading, lines in (
@@ -67,7 +68,7 @@ def quality_table(quality: Quality) -> str:
         ("heat modes", modes),
     ):
         if lines:
-            blocks.append("\n".join([heading, *_items(lines)]))
+            blocks.append("\n".join([heading, *wrapped(lines, "  ", "    ")]))
     blocks.append(headline(quality))
     return "\n\n".join(block for block in blocks if block)
 
@@ -90,53 +91,17 @@ def _role_row(role: RoleQuality) -> tuple[str, ...]:
 
 def _pairs(comparisons: Sequence[Comparison]) -> str:
     """Return the comparisons, each with its figures under its verdict."""
-    lines = []
+    lines: list[str] = []
     for comparison in comparisons:
         mark = {True: "ok ", False: "BAD", None: " - "}[comparison.agrees]
-        lines += wrap(
-            f"{mark} {comparison.title}: {comparison.verdict}",
-            WIDTH,
-            subsequent_indent="    ",
-        )
-        words = fit_words(comparison)
-        if words is not None:
-            values = (
-                *(words.scale, words.offset, words.lag),
-                *(words.correlation, words.residual, words.samples),
-            )
-            lines.append(
-                "    "
-                + ", ".join(
-                    f"{name} {value}"
-                    for name, value in zip(_PAIRS, values, strict=True)
-                )
-            )
+        verdict = f"{comparison.title}: {comparison.verdict}"
+        lines += wrapped([verdict], mark=f"{mark} ", indent="    ")
+        figures = fit_text(comparison)
+        if figures:
+            pairs = (f"{name} {value}" for name, value in figures.items())
+            lines.append(f"    {', '.join(pairs)}")
     return "\n".join(lines)
 
 
 def _listed(roles: tuple[str, ...]) -> str:
     return f"{', '.join(roles)}: " if roles else ""
-
-
-def _items(lines: Sequence[str]) -> list[str]:
-    return [
-        part
-        for line in lines
-        for part in wrap(
-            line, WIDTH, initial_indent="  ", subsequent_indent="    "
-        )
-    ]
-
-
-def _columns(
-    head: tuple[str, ...], rows: list[tuple[str, ...]], *, left: int
-) -> str:
-    table = [head, *rows]
-    widths = [max(map(len, column)) for column in zip(*table, strict=True)]
-    return "\n".join(
-        "  ".join(
-            cell.ljust(width) if i < left else cell.rjust(width)
-            for i, (cell, width) in enumerate(zip(row, widths, strict=True))
-        ).rstrip()
-        for row in table
-    )

@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-from textwrap import wrap
 from typing import Final
 
-from bstm_daemon.report.summary import (
+from bstm_daemon.report.drive_statistics import (
     SUMMARY_NODES,
     VALIDITY_NAMES,
     CornerSummary,
     DriveSummary,
 )
+from bstm_daemon.report.text import columns, wrapped
 from bstm_daemon.report.timescale import HOUR_S, clock, duration
 
 VALIDITY_MARKS: Final = (" ", "~", "!")
 """Behind a peak whose estimate is valid, degraded, invalid."""
-
-WIDTH: Final = 100
 
 HEADINGS: Final = (
     "corner",
@@ -44,29 +42,16 @@ def summary_table(summary: DriveSummary) -> str:
     with_hours = summary.duration_s >= HOUR_S
     rows: list[tuple[str, ...]] = [HEADINGS]
     rows += [_cells(corner, with_hours) for corner in summary.corners]
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     form = "h:min:s" if with_hours else "min:s"
     caption = (
         f"peak temperatures in degC at {form}; "
         "margin to the wet boiling point; brake energy in MJ"
     )
-    lines = [_drive_line(summary), caption]
-    gap = "  "
-    if sum(widths) + len(gap) * (len(widths) - 1) > WIDTH:
-        gap = " "
-    for row in rows:
-        first, *others = row
-        cells = [first.ljust(widths[0])]
-        cells += [
-            cell.rjust(width)
-            for cell, width in zip(others, widths[1:], strict=True)
-        ]
-        lines.append(gap.join(cells).rstrip())
+    lines = [_drive_line(summary), caption, *columns(rows)]
     if any(_peaks_before_stop(corner) for corner in summary.corners):
         lines.append("after stop, negative: so long before the first stop")
     lines += _validity_lines(summary)
-    for finding in summary.findings:
-        lines += wrap(finding.text, WIDTH, subsequent_indent="  ")
+    lines += wrapped([one.text for one in summary.findings], mark="")
     return "\n".join(lines)
 
 

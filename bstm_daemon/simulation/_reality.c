@@ -272,5 +272,9 @@ static struct PyModuleDef module = {
 
 PyMODINIT_FUNC PyInit__reality(void)
 {
-    return PyModuleDef_Init(&module);
+    PyObject *made = PyModule_Create(&module);
+    if (made != NULL
+        && PyModule_AddStringConstant(made, "SOURCES", BSTM_SOURCES) < 0)
+        Py_CLEAR(made);
+    return made;
 }

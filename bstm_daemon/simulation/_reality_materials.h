@@ -21,7 +21,7 @@
     X(piston_capacity_j_k) X(fluid_capacity_j_k) X(body_capacity_j_k) \
     X(finger_capacity_j_k) X(bracket_capacity_j_k) X(hat_capacity_j_k) \
     X(hub_capacity_j_k) X(air_capacity_j_k) X(caliper_natural_w_k) \
-    X(caliper_forced_w_k) \
+    X(caliper_forced_w_k) X(wheel_radius_m) \
     X(friction_fade) X(friction_speed) X(friction_pressure) \
     X(friction_history) X(pushout_pressure) X(hydraulic_lag) \
     X(residual_drag) X(contact_conductance) X(gap_conduction) \

@@ -195,6 +195,9 @@ static void chain_links(const Corner *c, const State *s, const double *in,
     }
 }
 
+/* torque of a pad that drags, of a cold caliper and of a hot one */
+static const double DRAG_COLD_NM = 1.5, DRAG_HOT_NM = 3.5, DRAG_K = 80.0;
+
 static void sources(const Corner *c, const State *s, const double *in,
                     Paths *h)
 {
@@ -202,10 +205,10 @@ static void sources(const Corner *c, const State *s, const double *in,
     int surface = c->surface, front = surface - 1;
     memset(h->source, 0, sizeof h->source);
     double warm = fmax((s->t[0][0] + s->t[1][0]) / 2 - ZERO_K, 0.0);
-    double drag_nm = 1.5 - 3.5 * expm1(-warm / 80.0);
+    double drag_nm = DRAG_COLD_NM - DRAG_HOT_NM * expm1(-warm / DRAG_K);
     h->heat_in = in[POWER]
                  + (1.0 - in[CONTACT]) * p->residual_drag * drag_nm
-                       * in[SPEED] / 0.3418;
+                       * in[SPEED] / p->wheel_radius_m;
     for (int side = 0; side < SIDES; side++) {
         double tf = s->t[side][front], ts = s->t[side][surface];
         double pad = p->pad_area_m2

@@ -7,12 +7,11 @@ with it to rounding; about a hundred times as fast for the corners of one car.
 from __future__ import annotations
 
 import os
-from importlib import import_module
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
-from bstm_daemon.native import VARIABLE
+from bstm_daemon.native.loader import VARIABLE, load_module
 from bstm_daemon.simulation.lanes import LUMPS, PARAMETER_NAMES
 from bstm_daemon.simulation.march import March, empty_march
 
@@ -23,23 +22,22 @@ if TYPE_CHECKING:
     from bstm_daemon.simulation.march import LaneInputs
     from bstm_daemon.simulation.materials import Array
 
-_NAME = "bstm_daemon.simulation._reality"
-
 
 def extension() -> ModuleType | None:
     """Return the compiled march, None where NumPy has to do.
 
-    That is where it is not built, or from other sources than these, and with
-    ``BSTM_KERNEL=reference``.
+    That is where it is not built, and with ``BSTM_KERNEL=reference``.
+
+    Raises:
+        UsageError: it was built from other sources than these.
     """
     if os.environ.get(VARIABLE) == "reference":
         return None
-    try:
-        found = import_module(_NAME)
-    except ImportError:
+    found = cast("ModuleType | None", load_module("simulation._reality"))
+    # the table's rows are named on both sides
+    if found is not None and found.parameter_names() != PARAMETER_NAMES:
         return None
-    # one built from other sources would read the table's rows wrongly
-    return found if found.parameter_names() == PARAMETER_NAMES else None
+    return found
 
 
 def march_compiled(

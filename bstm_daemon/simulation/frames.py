@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from bstm_daemon.bus.dbc import load_dbc
+from bstm_daemon.bus.signals.dbc import load_dbc
 from bstm_daemon.errors import ConfigError
 from bstm_daemon.roles import CORNERS
 from bstm_daemon.simulation.profile import SAMPLE_S

@@ -65,7 +65,6 @@ _EVAPORATION_J_KG = 2.4e6
 _DRAG_COLD_NM = 1.5
 _DRAG_HOT_NM = 3.5
 _DRAG_K = 80.0
-_TYRE_RADIUS_M = 0.3418
 
 
 @dataclass(slots=True)
@@ -370,7 +369,7 @@ def _sources(
     warm = np.maximum(state.chain_k[0].mean(axis=0) - 293.15, 0.0)
     drag_nm = _DRAG_COLD_NM - _DRAG_HOT_NM * np.expm1(-warm / _DRAG_K)
     heat_in = inputs.power_w + (
-        released * drag_nm * inputs.speed_ms / _TYRE_RADIUS_M
+        released * drag_nm * inputs.speed_ms / p.wheel_radius_m
     )
     piston = p.piston_side_share
     heat = heat_in * np.array([piston, 1.0 - piston])

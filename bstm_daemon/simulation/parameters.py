@@ -31,7 +31,6 @@ pad, vent                 0.90,
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
-from itertools import pairwise
 from math import pi
 from typing import Final
 
@@ -92,6 +91,8 @@ class CornerParameters:
     air_capacity_j_k: float = 60.0
     caliper_natural_w_k: float = 1.0
     caliper_forced_w_k: float = 0.25
+    # the car gives every corner its own
+    wheel_radius_m: float = 0.3418
 
 
 FRONT: Final = CornerParameters()
@@ -250,13 +251,6 @@ class Mesh:
 
     pad_nodes: int = 25
     cheek_depths: tuple[float, ...] = (0.0, 0.05, 0.15, 0.35, 0.70)
-
-    def doubled(self) -> Mesh:
-        """Return the mesh with every cell halved."""
-        ends = (*self.cheek_depths, 1.0)
-        middles = [(a + b) / 2 for a, b in pairwise(ends)]
-        depths = sorted({*self.cheek_depths, *middles})
-        return Mesh(2 * self.pad_nodes - 1, tuple(depths))
 
 
 DEFAULT_MESH: Final = Mesh()

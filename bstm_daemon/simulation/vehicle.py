@@ -48,7 +48,7 @@ class CarParameters:
 
     mass_kg: float = 2194.0
     wheel_inertia_kg_m2: float = 3.0809
-    wheel_radius_m: float = 0.3418
+    wheel_radius_m: float = FRONT.wheel_radius_m
     rolling_resistance: float = 0.014
     friction_ns_m: float = 4.0
     drag_area_m2: float = 0.70
@@ -76,6 +76,7 @@ class CarParameters:
             caliper_natural_w_k=corner.caliper_natural_w_k * air,
             caliper_forced_w_k=corner.caliper_forced_w_k * air,
             natural_convection_w_m2k=corner.natural_convection_w_m2k * air,
+            wheel_radius_m=self.wheel_radius_m,
         )
 
     @property

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 Axle = Literal["front", "rear"]
 
 _CAR_KEYS = {f.name for f in fields(CarParameters)} - {"front", "rear"}
-_CORNER_KEYS = {f.name for f in fields(CornerParameters)}
+_CORNER_KEYS = {f.name for f in fields(CornerParameters)} - {"wheel_radius_m"}
 
 
 def _folder() -> Traversable:

@@ -1,27 +1,23 @@
-"""What is known of a car from the frames it has published so far."""
+"""The latest published values of a car, and their recent history."""
 
 from __future__ import annotations
 
 from math import isnan, nan
 from typing import TYPE_CHECKING, Final, NamedTuple, TypeVar
 
-from bstm_daemon.bus.e2e import CheckStatus
-from bstm_daemon.bus.output_layout import (
-    CORNERS,
-    LAYOUT_VERSION,
-    HeatMode,
-    RiskLevel,
-    State,
-    Validity,
-)
-from bstm_daemon.bus.published import PublishedDecoder
+from bstm_daemon.bus.output.e2e import CheckStatus
+from bstm_daemon.bus.output.layout import CORNERS, LAYOUT_VERSION
+from bstm_daemon.bus.output.published import PublishedDecoder
+from bstm_daemon.estimate import HeatMode, RiskLevel, State, Validity
 from bstm_daemon.watch.history import SECOND_US, History
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping
     from enum import IntEnum
 
-    from bstm_daemon.bus.output_layout import Frame
+    from bstm_daemon.bus.output.layout import Frame
+
+STATUS: Final = "BSTM_Status"
 
 NODES: Final = ("Disc", "PadFront", "PadBack", "Fluid")
 """Signals of ``BSTM_<corner>_Temperatures``, hottest first."""
@@ -30,11 +26,12 @@ INPUTS: Final = ("Speed", "Pressure", "Acceleration", "Torque", "Ambient")
 """Inputs with a flag ``<input>Stale`` in ``BSTM_Status``."""
 
 SILENT_CYCLES: Final = 3.5
-"""Three missing cycles and half a one of grace: the frame has stopped."""
+"""Cycles without a frame after which it counts as stopped: three missed ones
+and half a cycle of jitter."""
 
 
-class Seen(NamedTuple):
-    """The last good frame of a name and when it came [us]."""
+class Received(NamedTuple):
+    """A valid frame and when it was received [us]."""
 
     layout: Frame
     time_us: int
@@ -42,10 +39,10 @@ class Seen(NamedTuple):
 
 
 class Board:
-    """The last good frame of every name, and histories of temperatures.
+    """The last valid frame of every name, and histories of temperatures.
 
-    Feed frames in the order they come; times [us] are on any axis that runs
-    forward. A frame that the table gains later is held like the others.
+    Frames are taken in the order of reception; their times [us] may have any
+    origin.
     """
 
     def __init__(
@@ -53,16 +50,19 @@ class Board:
     ) -> None:
         """Expect the frames from *id_base* on.
 
-        *corners* are those of the car where they are known; otherwise a
-        corner exists once it is heard of. Raises
-        :class:`~bstm_daemon.errors.ConfigError` where the ids do not fit.
+        Args:
+            id_base: id of ``BSTM_Status``.
+            corners: those of the car; None takes those that are received.
+
+        Raises:
+            ConfigError: the ids do not fit.
         """
         self._decoder = PublishedDecoder(id_base)
         self.ids = self._decoder.ids
         self._expected = frozenset(corners or ())
-        self._seen: dict[str, Seen] = {}
+        self._received: dict[str, Received] = {}
         self._histories: dict[tuple[str, str], History] = {}
-        self.refused = 0
+        self.rejected = 0
         """Frames with a wrong CRC or out of sequence."""
 
     def frame(
@@ -73,15 +73,15 @@ class Board:
         *,
         extended: bool = False,
     ) -> None:
-        """Take a frame received at *time_us*; foreign ones do nothing."""
+        """Take a frame received at *time_us*; foreign frames are ignored."""
         frame = self._decoder.decode(can_id, data, extended=extended)
         if frame is None:
             return
         if not frame.usable:
-            self.refused += frame.verdict is not CheckStatus.REPEATED
+            self.rejected += frame.verdict is not CheckStatus.REPEATED
             return
         layout = frame.layout
-        self._seen[layout.name] = Seen(layout, time_us, frame.values)
+        self._received[layout.name] = Received(layout, time_us, frame.values)
         if layout.corner is not None:
             for node in NODES:
                 if node in frame.values:
@@ -93,39 +93,39 @@ class Board:
     @property
     def corners(self) -> tuple[str, ...]:
         """The corners of the car, front left first."""
-        heard = {seen.layout.corner for seen in self._seen.values()}
+        received = {one.layout.corner for one in self._received.values()}
         return tuple(
-            name for name in CORNERS if name in self._expected | heard
+            name for name in CORNERS if name in self._expected | received
         )
 
     @property
     def has_frames(self) -> bool:
-        """Whether any frame was good."""
-        return bool(self._seen)
+        """Whether a valid frame was received."""
+        return bool(self._received)
 
     @property
     def wrong_layout(self) -> int | None:
-        """The version of a layout that is not ours, if the sender has one."""
-        version = self.value("BSTM_Status", "LayoutVersion")
+        """The sender's layout version where it is not ours, else None."""
+        version = self.value(STATUS, "LayoutVersion")
         if isnan(version) or version == LAYOUT_VERSION:
             return None
         return int(version)
 
     def value(self, frame: str, signal: str) -> float:
-        """Return the last good value; NaN where there is none."""
-        seen = self._seen.get(frame)
-        return nan if seen is None else seen.values.get(signal, nan)
+        """Return the last valid value; NaN where there is none."""
+        last = self._received.get(frame)
+        return nan if last is None else last.values.get(signal, nan)
 
     def silence_s(self, frame: str, now_us: int) -> float | None:
-        """Return for how long a frame has stopped, None while it comes.
+        """Return how long ago a frame stopped, None while it is received.
 
-        One that never came is not silent but unknown: None as well.
+        One that was never received is not silent but unknown: None as well.
         """
-        seen = self._seen.get(frame)
-        if seen is None:
+        last = self._received.get(frame)
+        if last is None:
             return None
-        age_us = now_us - seen.time_us
-        if age_us <= SILENT_CYCLES * seen.layout.cycle_us:
+        age_us = now_us - last.time_us
+        if age_us <= SILENT_CYCLES * last.layout.cycle_us:
             return None
         return age_us / SECOND_US
 
@@ -134,7 +134,7 @@ class Board:
         return self._histories.get((corner, node), _EMPTY)
 
     def validity(self, frame: str) -> Validity:
-        """Return the validity of a frame; one of no meaning is invalid."""
+        """Return the validity of a frame; an undefined code is invalid."""
         return _choice(
             Validity,
             self.value(frame, "Validity"),
@@ -149,35 +149,35 @@ class Board:
 
     @property
     def state(self) -> State:
-        """What the daemon says it does."""
-        state = self.value("BSTM_Status", "State")
+        """State of the daemon."""
+        state = self.value(STATUS, "State")
         return _choice(State, state, State.NOT_AVAILABLE, State.NOT_AVAILABLE)
 
     @property
     def heat_mode(self) -> HeatMode:
-        """Where the daemon says that brake power comes from."""
-        mode = self.value("BSTM_Status", "HeatMode")
+        """Source of the brake power."""
+        mode = self.value(STATUS, "HeatMode")
         return _choice(
             HeatMode, mode, HeatMode.NOT_AVAILABLE, HeatMode.NOT_AVAILABLE
         )
 
     @property
     def has_suspect_input(self) -> bool:
-        """Whether something speaks against an input."""
-        return self.value("BSTM_Status", "InputSuspect") == 1
+        """Whether an input is suspect."""
+        return self.value(STATUS, "InputSuspect") == 1
 
     @property
     def has_substituted_heat(self) -> bool:
-        """Whether heat is from the other source, or unknown."""
-        return self.value("BSTM_Status", "HeatSubstituted") == 1
+        """Whether heat comes from the other source or is unknown."""
+        return self.value(STATUS, "HeatSubstituted") == 1
 
     @property
     def stale_inputs(self) -> list[str]:
-        """Inputs that are older than their time-out, in lower case."""
+        """Inputs older than their timeout, in lower case."""
         return [
             name.lower()
             for name in INPUTS
-            if self.value("BSTM_Status", f"{name}Stale") == 1
+            if self.value(STATUS, f"{name}Stale") == 1
         ]
 
 

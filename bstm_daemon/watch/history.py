@@ -1,4 +1,4 @@
-"""The last minutes of one value, and how they look in a few characters."""
+"""The last minutes of one value, and their sparkline."""
 
 from __future__ import annotations
 
@@ -10,23 +10,23 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 HISTORY_S: Final = 300
-"""What is kept: five minutes, about the time constant of a disc's cooling."""
+"""Five minutes, about the time constant of a cooling disc."""
 
 SECOND_US: Final = 1_000_000
 
 BARS: Final = "▁▂▃▄▅▆▇█"
 ASCII_BARS: Final = "_.-~=+*#"
-"""For terminals that show no block elements."""
+"""For terminals without block elements."""
 
 LEAST_SPAN: Final = 20.0
-"""Values within a span of 20 K draw a flat line, not their noise."""
+"""Values within 20 K are drawn as a flat line: no noise is magnified."""
 
 
 class History:
     """The largest finite value of each of the last seconds.
 
-    Time is that of the values [us]. One that runs back empties the history:
-    what was drawn belongs to another axis.
+    A time [us] before the last one empties the history, since the older
+    values belong to another time axis.
     """
 
     def __init__(self) -> None:
@@ -34,7 +34,7 @@ class History:
         self._bins: deque[tuple[int, float]] = deque(maxlen=HISTORY_S)
 
     def add(self, time_us: int, value: float) -> None:
-        """Take *value* at *time_us*; what is no number leaves a gap."""
+        """Take *value* at *time_us*; one that is not finite leaves a gap."""
         second = time_us // SECOND_US
         if self._bins and second < self._bins[-1][0]:
             self._bins.clear()

@@ -1,23 +1,23 @@
-"""The view of a live bus, from nothing but what is sent on it."""
+"""The view of a live bus, fed only by what is received from it."""
 
 from __future__ import annotations
 
 import time
 from typing import TYPE_CHECKING, Final
 
-from bstm_daemon.bus.link_portable import PortableLink
+from bstm_daemon.bus.live.portable import PortableLink
 
 if TYPE_CHECKING:
-    from bstm_daemon.bus.link import Link
-    from bstm_daemon.config import BusConfig
+    from bstm_daemon.bus.live.link import Link
+    from bstm_daemon.config.sections import BusConfig
     from bstm_daemon.watch.board import Board
-    from bstm_daemon.watch.view import View
+    from bstm_daemon.watch.lines import LineView
 
 DRAIN_S: Final = 0.05
 """Half a cycle of the fastest frame."""
 
-LOOK_AFTER_S: Final = 1.0
-"""How often a lost interface is looked for."""
+RETRY_S: Final = 1.0
+"""Time between attempts to open a lost interface."""
 
 
 def link_of(bus: BusConfig, board: Board) -> Link:
@@ -29,28 +29,28 @@ def link_of(bus: BusConfig, board: Board) -> Link:
     wanted = [(can_id, False) for can_id in board.ids]
     if bus.interface != "socketcan":
         return PortableLink(bus, wanted)
-    from bstm_daemon.bus.link_socketcan import (  # noqa: PLC0415  (Linux)
+    from bstm_daemon.bus.live.socketcan import (  # noqa: PLC0415  (Linux)
         SocketcanLink,
     )
 
     return SocketcanLink(bus, wanted)
 
 
-def watch_link(link: Link, board: Board, view: View) -> None:
-    """Show the frames of *link* until the user leaves; nothing is sent.
+def watch_link(link: Link, board: Board, view: LineView) -> None:
+    """Show the frames of *link* until the user leaves; send nothing.
 
-    An interface that is missing or goes away is said and waited for.
+    An interface that is missing or disappears is reported and waited for.
     Raises :class:`~bstm_daemon.errors.ConfigError` where *link* can never
     work.
     """
-    start_s = looked_s = time.monotonic()
+    start_s = tried_s = time.monotonic()
     link.open()
     try:
         with view:
             while not view.has_left:
                 now_s = time.monotonic()
-                if now_s - looked_s >= LOOK_AFTER_S:
-                    looked_s = now_s
+                if now_s - tried_s >= RETRY_S:
+                    tried_s = now_s
                     link.poll()
                 now_us = round((now_s - start_s) * 1e6)
                 for frame in link.drain():

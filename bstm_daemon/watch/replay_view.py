@@ -1,32 +1,30 @@
-"""The view of a recorded log: what a daemon beside the recorder had sent."""
+"""The view of a recorded log: what the service would have published."""
 
 from __future__ import annotations
 
-import sys
 import time
 from contextlib import suppress
 from itertools import chain
 from math import inf
 from typing import TYPE_CHECKING, Final
 
-from bstm_daemon.frame_replay import replayed
+from bstm_daemon.replay.frames import replayed
 from bstm_daemon.watch.board import Board
-from bstm_daemon.watch.view import open_view
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
     from typing import Any
 
-    from bstm_daemon.bus.signal_map import SignalMap
-    from bstm_daemon.config import Config
-    from bstm_daemon.watch.view import View
+    from bstm_daemon.bus.signals.signal_map import SignalMap
+    from bstm_daemon.config.sections import Config
+    from bstm_daemon.watch.lines import LineView
 
 DEFAULT_SPEED: Final = 60.0
-"""A minute of the drive in a second: a descent takes half a minute."""
+"""A minute of the drive in a second: a descent lasts half a minute."""
 
 LONGEST_WAIT_S: Final = 1.0
-"""A parked hour in the log is not waited for."""
+"""Longer gaps, such as a parked hour, are skipped."""
 
 
 def watch_log(  # noqa: PLR0913  (all but the log are about the view)
@@ -35,8 +33,8 @@ def watch_log(  # noqa: PLR0913  (all but the log are about the view)
     path: Path,
     overrides: Mapping[str, str] | None = None,
     *,
+    view: LineView,
     speed: float = DEFAULT_SPEED,
-    view: View | None = None,
     state: Mapping[str, Any] | None = None,
     forecast: bool = True,
 ) -> None:
@@ -50,10 +48,10 @@ def watch_log(  # noqa: PLR0913  (all but the log are about the view)
         signal_map: its extraction plan.
         path: a log of CAN frames.
         overrides: log interface name to bus name.
+        view: where to show it.
         speed: seconds of the log per second; 0 is as fast as it goes.
-        view: where to show it, by default stdout.
         state: a state file's document; without it the history is unknown.
-        forecast: whether to tell risk and forecast.
+        forecast: whether to publish risk and forecast.
 
     Raises:
         LogError: the log is unusable, or a signal table.
@@ -65,9 +63,8 @@ def watch_log(  # noqa: PLR0913  (all but the log are about the view)
     ticks = replayed(
         config, signal_map, path, overrides, state, forecast=forecast
     )
-    # a log that cannot be read is said before the screen is taken over
+    # fail on an unreadable log before the screen is taken over
     ahead = next(ticks)
-    view = open_view(sys.stdout) if view is None else view
     pace = _Pace(speed, view)
     factor = f"{speed:g}x" if speed else "full speed"
     first_us: int | None = None
@@ -93,7 +90,7 @@ def watch_log(  # noqa: PLR0913  (all but the log are about the view)
 class _Pace:
     """Holds the log to a multiple of real time, by absolute deadlines."""
 
-    def __init__(self, speed: float, view: View) -> None:
+    def __init__(self, speed: float, view: LineView) -> None:
         self._speed = speed
         self._view = view
         self._shift_s = -inf
@@ -101,8 +98,8 @@ class _Pace:
     def wait(self, time_us: int) -> None:
         """Wait until *time_us* of the log is due.
 
-        The deadlines move where the log jumps or the computer is too slow:
-        neither is made up for.
+        Where the log jumps or the computer falls behind, the deadlines are
+        shifted instead of caught up with.
         """
         if not self._speed:
             return

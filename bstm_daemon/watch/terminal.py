@@ -1,4 +1,4 @@
-"""A screen drawn with ANSI sequences that leaves the terminal as it was.
+"""The board on a terminal, drawn by rich, left by a key.
 
 The alternate screen, a hidden cursor and keys without Enter are set on entry
 and undone on every way out: ``q``, Ctrl-C, an error, the signals that end a
@@ -17,9 +17,12 @@ import tty
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Final, Self, TextIO
 
+from rich.console import Console, ConsoleDimensions
+from rich.live import Live
+
 from bstm_daemon.watch.history import ASCII_BARS, BARS
+from bstm_daemon.watch.lines import LineView
 from bstm_daemon.watch.picture import picture
-from bstm_daemon.watch.styled import painted
 
 if TYPE_CHECKING:
     from types import FrameType, TracebackType
@@ -28,18 +31,13 @@ if TYPE_CHECKING:
 
 REDRAW_S: Final = 0.2
 
-_ENTER: Final = "\x1b[?1049h\x1b[?25l\x1b[?7l"
-"""Alternate screen, no cursor, no wrapping at the right edge."""
-_LEAVE: Final = "\x1b[?7h\x1b[?25h\x1b[?1049l"
-_HOME: Final = "\x1b[H"
-_CLEAR_LINE: Final = "\x1b[K"
-_CLEAR_BELOW: Final = "\x1b[J"
-
-_ENDING: Final = (signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
-_LEAST_SIZE: Final = (80, 24)
+_SIGNALS: Final = (
+    *(signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT),
+    *(signal.SIGINT, signal.SIGTSTP),
+)
 
 
-class TerminalView:
+class TerminalView(LineView):
     """Shows the board on a terminal, at most every 0.2 s."""
 
     def __init__(
@@ -50,15 +48,33 @@ class TerminalView:
         use_color: bool = True,
     ) -> None:
         """Draw on *stream*; read keys from *keys* or stdin if a terminal."""
-        self._stream = stream
+        super().__init__(stream)
+        self._console = Console(
+            file=stream,
+            force_terminal=True,
+            color_system="standard" if use_color else None,
+        )
+        self._live = Live(
+            console=self._console,
+            screen=True,
+            auto_refresh=False,
+            redirect_stdout=False,
+            redirect_stderr=False,
+        )
+        self._encoding = stream.encoding or "ascii"
         keys = sys.stdin if keys is None else keys
         self._keys = keys.fileno() if keys.isatty() else None
-        self._use_color = use_color
-        self._bars = BARS if _shows(stream, BARS) else ASCII_BARS
+        self._key_mode: list[Any] | None = None
         self._drawn_at_s = -REDRAW_S
         self._handlers: dict[int, Any] = {}
-        self._mode: list[Any] | None = None
-        self.has_left = False
+        self._is_drawing = False
+        self._pending_signal: int | None = None
+        self._has_left = False
+
+    @property
+    def has_left(self) -> bool:
+        """Whether the user wants to leave."""
+        return self._has_left
 
     def show(
         self, board: Board, now_us: int, source: str, *, at_once: bool = False
@@ -69,13 +85,26 @@ class TerminalView:
             return
         self._drawn_at_s = now_s
         self._read_keys(0.0)
-        width, height = self._size()
-        lines = picture(board, now_us, source, width, height, self._bars)
-        body = "\r\n".join(
-            painted(line, use_color=self._use_color) + _CLEAR_LINE
-            for line in lines
-        )
-        self._write(f"{_HOME}{body}{_CLEAR_BELOW}")
+        # rich keeps back what a signal handler writes while it draws
+        self._is_drawing = True
+        try:
+            with suppress(OSError):
+                # rich would ask the standard streams, whatever it draws on
+                size = os.get_terminal_size(self._stream.fileno())
+                if all(size):
+                    self._console.size = ConsoleDimensions(*size)
+            drawn = picture(
+                board,
+                now_us,
+                self._encodable(source),
+                self._console,
+                BARS if self._encodable(BARS) == BARS else ASCII_BARS,
+            )
+            self._live.update(drawn, refresh=True)
+        finally:
+            self._is_drawing = False
+        if self._pending_signal is not None:
+            self._handle(self._pending_signal)
 
     def pause(self, seconds: float) -> None:
         """Wait for *seconds*, or until a key says to leave."""
@@ -93,9 +122,8 @@ class TerminalView:
 
     def __enter__(self) -> Self:
         """Take the terminal over."""
-        for number in (*_ENDING, signal.SIGTSTP):
-            handler = self._stop if number == signal.SIGTSTP else _end
-            self._handlers[number] = signal.signal(number, handler)
+        for number in _SIGNALS:
+            self._handlers[number] = signal.signal(number, self._on_signal)
         self._take()
         return self
 
@@ -112,25 +140,38 @@ class TerminalView:
 
     def _take(self) -> None:
         if self._keys is not None:
-            self._mode = termios.tcgetattr(self._keys)
+            self._key_mode = termios.tcgetattr(self._keys)
             tty.setcbreak(self._keys, termios.TCSADRAIN)
-        self._write(_ENTER)
+        self._live.start(refresh=True)
 
     def _give_back(self) -> None:
         # a terminal that has gone away needs nothing back
         with suppress(OSError):
-            self._write(_LEAVE)
-        if self._keys is not None and self._mode is not None:
+            self._live.stop()
+        if self._keys is not None and self._key_mode is not None:
             with suppress(termios.error):
-                termios.tcsetattr(self._keys, termios.TCSADRAIN, self._mode)
+                termios.tcsetattr(
+                    self._keys, termios.TCSADRAIN, self._key_mode
+                )
 
-    def _stop(self, number: int, frame: FrameType | None) -> None:
-        """Give the terminal to the shell for as long as we are stopped."""
+    def _on_signal(self, number: int, frame: FrameType | None) -> None:
         del frame
+        if self._is_drawing:
+            self._pending_signal = number
+        else:
+            self._handle(number)
+
+    def _handle(self, number: int) -> None:
+        self._pending_signal = None
+        if number == signal.SIGINT:
+            raise KeyboardInterrupt
+        if number != signal.SIGTSTP:
+            sys.exit(128 + number)
+        # the shell has the terminal for as long as we are stopped
         self._give_back()
         signal.signal(number, signal.SIG_DFL)
         os.kill(os.getpid(), number)
-        signal.signal(number, self._stop)
+        signal.signal(number, self._on_signal)
         self._take()
 
     def _read_keys(self, seconds: float | None) -> None:
@@ -142,30 +183,8 @@ class TerminalView:
         if ready:
             keys = os.read(self._keys, 256)
             # none at all: the terminal has gone
-            self.has_left |= not keys or b"q" in keys.lower()
+            self._has_left |= not keys or b"q" in keys.lower()
 
-    def _size(self) -> tuple[int, int]:
-        try:
-            width, height = os.get_terminal_size(self._stream.fileno())
-        except OSError:
-            width, height = 0, 0
-        return (width, height) if width and height else _LEAST_SIZE
-
-    def _write(self, text: str) -> None:
-        encoding = self._stream.encoding or "ascii"
-        known = text.encode(encoding, "replace").decode(encoding)
-        self._stream.write(known)
-        self._stream.flush()
-
-
-def _end(number: int, frame: FrameType | None) -> None:
-    del frame
-    sys.exit(128 + number)
-
-
-def _shows(stream: TextIO, text: str) -> bool:
-    try:
-        text.encode(stream.encoding or "ascii")
-    except UnicodeEncodeError:
-        return False
-    return True
+    def _encodable(self, text: str) -> str:
+        """Return *text* with ``?`` for what the terminal cannot show."""
+        return text.encode(self._encoding, "replace").decode(self._encoding)

@@ -1,152 +1,37 @@
-"""What a source of frames shows itself on: a screen, or lines of text."""
+"""The choice between a screen and lines of text."""
 
 from __future__ import annotations
 
 import os
-import time
-from typing import TYPE_CHECKING, Protocol, Self, TextIO
+from importlib.util import find_spec
+from typing import TYPE_CHECKING, Final
 
-from bstm_daemon.watch.board import NODES
-from bstm_daemon.watch.history import SECOND_US
-from bstm_daemon.watch.picture import LABELS, STATUS, number
+from bstm_daemon.errors import MissingExtraError
+from bstm_daemon.watch.lines import LineView
 
 if TYPE_CHECKING:
-    from types import TracebackType
+    from typing import TextIO
 
-    from bstm_daemon.watch.board import Board
-
-
-class View(Protocol):
-    """A context manager that is shown the board again and again."""
-
-    @property
-    def has_left(self) -> bool:
-        """Whether the user wants to leave."""
-
-    def show(
-        self, board: Board, now_us: int, source: str, *, at_once: bool = False
-    ) -> None:
-        """Show *board* at its time *now_us*, unless it was just shown.
-
-        *source* says where the frames come from; *at_once* shows it anyway.
-        """
-
-    def pause(self, seconds: float) -> None:
-        """Wait, not longer than the user wants to stay."""
-
-    def linger(self) -> None:
-        """Stay until the user leaves, where somebody can."""
-
-    def __enter__(self) -> Self:
-        """Begin."""
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        """End; nothing stays changed."""
+_NO_SCREEN: Final = ("dumb", "unknown")
+"""Values of ``TERM`` for terminals that cannot move the cursor."""
 
 
-class LineView:
-    """One line of ``key=value`` per second of the board's time."""
-
-    def __init__(self, stream: TextIO) -> None:
-        """Write to *stream*."""
-        self._stream = stream
-        self._second: int | None = None
-
-    @property
-    def has_left(self) -> bool:
-        """Never: nobody is there to leave."""
-        return False
-
-    def show(
-        self, board: Board, now_us: int, source: str, *, at_once: bool = False
-    ) -> None:
-        """Write a line when a new second has begun."""
-        second = now_us // SECOND_US
-        if second == self._second and not at_once:
-            return
-        self._second = second
-        self._stream.write(f"{text_line(board, now_us, source)}\n")
-        self._stream.flush()
-
-    def pause(self, seconds: float) -> None:
-        """Sleep."""
-        time.sleep(seconds)
-
-    def linger(self) -> None:
-        """Go on at once."""
-
-    def __enter__(self) -> Self:
-        """Return the view."""
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        """Leave the stream open: it is the caller's."""
-
-
-def text_line(board: Board, now_us: int, source: str) -> str:
-    """Return the board as ``key=value`` pairs, ``-`` for what is unknown.
-
-    Times are in seconds, temperatures in degC, the margin in K.
-    """
-    pairs = [("t_s", f"{now_us / SECOND_US:.1f}"), ("source", source)]
-    is_silent = board.silence_s(STATUS, now_us) is not None
-    if not board.has_frames or board.wrong_layout is not None:
-        pairs.append(("state", "none"))
-    else:
-        state = "silent" if is_silent else board.state.name.lower()
-        pairs += [
-            ("state", state),
-            ("heat", board.heat_mode.name.lower()),
-            ("stale", ",".join(board.stale_inputs) or "-"),
-            ("inputs", "suspect" if board.has_suspect_input else "sound"),
-            (
-                "heat_from",
-                "substitute" if board.has_substituted_heat else "own",
-            ),
-        ]
-        for name in board.corners:
-            pairs += _of_corner(board, now_us, name)
-    return " ".join(f"{key}={value.replace(' ', '_')}" for key, value in pairs)
-
-
-def _of_corner(board: Board, now_us: int, name: str) -> list[tuple[str, str]]:
-    frame = f"BSTM_{name}_Temperatures"
-    silent = board.silence_s(frame, now_us) is not None
-    nodes = [
-        (
-            f"{name}.{LABELS[node].replace(' ', '_')}_c",
-            number(board.value(frame, node)),
-        )
-        for node in NODES
-    ]
-    margin_k = board.value(f"BSTM_{name}_Risk", "Margin")
-    validity = board.validity(frame).name.lower()
-    return [
-        *nodes,
-        (f"{name}.margin_k", number(margin_k)),
-        (f"{name}.risk", board.risk(name).name.lower()),
-        (f"{name}.validity", "silent" if silent else validity),
-    ]
-
-
-def open_view(stream: TextIO) -> View:
-    """Return a screen where *stream* is a terminal, else lines.
+def open_view(stream: TextIO) -> LineView:
+    """Return a screen where *stream* is a terminal, lines elsewhere.
 
     ``NO_COLOR`` in the environment means a screen without colours.
+
+    Raises:
+        MissingExtraError: a screen needs rich, which is not installed.
     """
-    if not stream.isatty():
+    if not stream.isatty() or os.environ.get("TERM") in _NO_SCREEN:
         return LineView(stream)
-    from bstm_daemon.watch.terminal import (  # noqa: PLC0415  (POSIX only)
+    if find_spec("rich") is None:
+        purpose = "the view on a terminal (| cat gives lines without it)"
+        raise MissingExtraError(
+            package="rich", extra="terminal", purpose=purpose
+        )
+    from bstm_daemon.watch.terminal import (  # noqa: PLC0415  (POSIX, rich)
         TerminalView,
     )
 

@@ -2,20 +2,39 @@
 
 from __future__ import annotations
 
-from math import isnan
+from math import isnan, nan
 from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from bstm_daemon.advice.conditions import Conditions, CornerCondition
+from bstm_daemon.advice.conditions import Conditions
 from bstm_daemon.advice.departure import Departure, Phase
-from bstm_daemon.bus.output_layout import Message, RiskLevel, Sound, Validity
-from bstm_daemon.config_advice import AdviceConfig
+from bstm_daemon.config.advice import AdviceConfig
+from bstm_daemon.estimate import (
+    CornerEstimate,
+    CornerRisk,
+    Message,
+    RiskLevel,
+    Sound,
+    Validity,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
 WAIT, NONE = Message.WAIT_BEFORE_DEPARTURE, Message.NONE
+
+
+def waiting(
+    level: RiskLevel, safe_in_s: float, validity: Validity = Validity.VALID
+) -> CornerEstimate:
+    """Return a corner that is safe *safe_in_s* from now."""
+    return CornerEstimate(
+        level=level,
+        risk=CornerRisk(safe_in_s=safe_in_s + 30.0),
+        forecast_age_s=30.0,
+        validity=validity,
+    )
 
 
 class Story:
@@ -42,12 +61,8 @@ class Story:
         for _ in range(round(seconds * 10)):
             self.time_us += 100_000
             corners = {
-                "FL": CornerCondition(
-                    level, time_until_safe_s=wait_s, validity=validity
-                ),
-                "RL": CornerCondition(
-                    RiskLevel.NORMAL, validity=Validity.VALID
-                ),
+                "FL": waiting(level, wait_s, validity),
+                "RL": waiting(RiskLevel.NORMAL, nan),
             }
             found = self.machine.update(
                 Conditions(self.time_us, corners, speed_ms, driver=driver)
@@ -152,12 +167,10 @@ def test_waiting_is_for_the_slowest_and_never_guessed(
     times: Iterable[float], expected: float
 ) -> None:
     corners = {
-        name: CornerCondition(
-            RiskLevel.HIGH, time_until_safe_s=seconds, validity=Validity.VALID
-        )
+        name: waiting(RiskLevel.HIGH, seconds)
         for name, seconds in zip(("FL", "FR"), times, strict=True)
     }
-    corners["RL"] = CornerCondition(RiskLevel.NORMAL, validity=Validity.VALID)
+    corners["RL"] = waiting(RiskLevel.NORMAL, nan)
 
     waiting_s = Conditions(0, corners).waiting_s
 

@@ -8,7 +8,7 @@ import pytest
 
 from bstm_daemon.advice.conditions import Conditions
 from bstm_daemon.advice.descent import Descent
-from bstm_daemon.bus.output_layout import Downshift
+from bstm_daemon.estimate import Downshift
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from bstm_daemon.advice.conditions import Conditions, CornerCondition
+from bstm_daemon.advice.conditions import Conditions
 from bstm_daemon.advice.emergency import EmergencyAssist
-from bstm_daemon.bus.output_layout import (
+from bstm_daemon.estimate import (
     Assist,
+    CornerEstimate,
     Intervention,
     RiskLevel,
     Validity,
@@ -51,8 +52,8 @@ class Brakes:
         torque_nm = 4 * 2 * pressure_pa * 2.83e-3 * 0.38 * 0.13
         due_ms2 = torque_nm / 0.3418 / 2194.0
         corners = {
-            name: CornerCondition(
-                level if name in hot else RiskLevel.NORMAL,
+            name: CornerEstimate(
+                level=level if name in hot else RiskLevel.NORMAL,
                 validity=Validity.VALID,
             )
             for name in NAMES

@@ -7,10 +7,15 @@ from math import isnan
 
 import pytest
 
-from bstm_daemon.advice.conditions import Conditions, CornerCondition
+from bstm_daemon.advice.conditions import Conditions
 from bstm_daemon.advice.hydraulics import FrontIsolation, PedalFeel
-from bstm_daemon.bus.output_layout import Isolation, Validity
-from bstm_daemon.config_advice import AdviceConfig
+from bstm_daemon.config.advice import AdviceConfig
+from bstm_daemon.estimate import (
+    CornerEstimate,
+    CornerRisk,
+    Isolation,
+    Validity,
+)
 
 BOILING_K = 428.15
 
@@ -25,9 +30,9 @@ def at(
 ) -> Conditions:
     """Return conditions with margins of *front_k* and *rear_k*."""
     corners = {
-        name: CornerCondition(
+        name: CornerEstimate(
             fluid_k=BOILING_K - margin_k,
-            worst_boiling_k=BOILING_K,
+            boiling_k=BOILING_K,
             validity=validity,
         )
         for name, margin_k in (("FL", front_k), ("RL", rear_k))
@@ -104,8 +109,10 @@ def test_no_isolation_while_a_rear_brake_is_not_known() -> None:
 
 
 def test_the_deviation_counts_against_the_margin() -> None:
-    corner = CornerCondition(
-        fluid_k=400.0, fluid_std_k=8.0, worst_boiling_k=420.0
+    corner = CornerEstimate(
+        fluid_k=400.0,
+        boiling_k=420.0,
+        risk=CornerRisk(fluid_deviation_k=8.0),
     )
 
-    assert corner.margin_k == pytest.approx(12.0)
+    assert corner.cautious_margin_k == pytest.approx(12.0)

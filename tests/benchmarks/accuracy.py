@@ -16,8 +16,8 @@ from physics import DRIVES, NODES, stop_s
 from side_by_side import Outcome, Table
 
 from bstm_daemon.cli.vehicle import load_vehicle
-from bstm_daemon.replay import replay_log
-from bstm_daemon.shipped import shipped_file
+from bstm_daemon.files import shipped_file
+from bstm_daemon.replay.columns import replay_log
 from bstm_daemon.simulation import load_drive, simulate
 from bstm_daemon.simulation.frames import START_STAMP_S, Encoder
 from bstm_daemon.simulation.recorder import write_candump

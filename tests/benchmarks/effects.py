@@ -14,8 +14,8 @@ from physics import NODES, nodes_of
 from side_by_side import Outcome, Table
 from structures import example_car, known_heat
 
-from bstm_daemon.config import EffectConfig
-from bstm_daemon.effects.catalogue import effect_class, effect_numbers
+from bstm_daemon.config.sections import EffectConfig
+from bstm_daemon.model.effects.catalogue import effect_class, effect_numbers
 from bstm_daemon.simulation import Effects, load_drive, simulate
 
 if TYPE_CHECKING:

@@ -81,7 +81,7 @@ def fingerprint() -> str:
     """Return what tells one state of the search from another."""
     package = Path(bstm_daemon.__file__).parent
     digest = hashlib.sha256()
-    for file in sorted((package / "gap").glob("*.py")):
+    for file in sorted((package / "analysis" / "gap").glob("*.py")):
         digest.update(file.read_bytes())
     for name in (
         "gap_cases.py", "gap_judge.py", "gap_limits.py", "gap_rivals.py",

@@ -18,19 +18,19 @@ from gap_cars import FITTED, Garage, keep, present
 from gap_cases import Case, Evidence, evidence
 from gap_judge import Judged, Result, judged
 
-from bstm_daemon.gap.advising import Prospect, advise, members_of
-from bstm_daemon.gap.layout import Layout, Series
-from bstm_daemon.gap.menu import MENU, menu_drive
-from bstm_daemon.gap.naming import name_effect
-from bstm_daemon.gap.signatures import Sensed, candidates, sensed
-from bstm_daemon.gap.unknown import UnknownHeat
-from bstm_daemon.gap.workflow import compare
+from bstm_daemon.analysis.gap.advising import Prospect, advise, members_of
+from bstm_daemon.analysis.gap.candidate_drives import MENU, candidate_drive
+from bstm_daemon.analysis.gap.naming import name_effect
+from bstm_daemon.analysis.gap.noise import Layout, Series
+from bstm_daemon.analysis.gap.signatures import Sensed, candidates, sensed
+from bstm_daemon.analysis.gap.unnamed_heat import UnnamedHeat
+from bstm_daemon.analysis.gap.workflow import compare
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
-    from bstm_daemon.gap.recording import Recording
+    from bstm_daemon.analysis.gap.recording import Recording
 
 START: Final = "simalp"
 OPEN: Final = ("nothing", "class", "undecided")
@@ -108,7 +108,7 @@ def _prospect(
             ).recording.drive.measured.items()
             if corner in garage.target.corners
         }
-        drive = menu_drive(name, garage.target.config, present(), couples)
+        drive = candidate_drive(name, garage.target.config, present(), couples)
         told = _told(garage, drive.recording, drive.description)
         keep(kept, pickle.dumps(told))
     told = pickle.loads(kept.read_bytes())  # noqa: S301  (own)
@@ -146,7 +146,7 @@ def _answer(
     told = pickle.loads(kept.read_bytes())  # noqa: S301  (own)
     recording = garage.recording(name, case.strengths, case.draw)
     comparison = compare(garage.target, [recording])
-    base_k = comparison.apart_k(comparison.start[None])[:, 0]
+    base_k = comparison.residuals_k(comparison.start[None])[:, 0]
     # heats follow what was measured without the effect: nearly the same
     second = replace(told.sensed, base_k=base_k)
     series = tuple(replace(s, drive=1) for s in comparison.series)
@@ -185,7 +185,7 @@ def _stacked(one: Sensed, two: Sensed) -> Sensed:
         },
         tuple(n for n in one.silent if n in two.silent),
         tuple(
-            UnknownHeat(
+            UnnamedHeat(
                 *place,
                 np.concatenate(
                     [

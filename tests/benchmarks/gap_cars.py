@@ -17,28 +17,28 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from bstm_daemon.bus.columns import Events
-from bstm_daemon.cli.vehicle import load_vehicle
-from bstm_daemon.config import EffectConfig
-from bstm_daemon.config_accuracy import AccuracyConfig
-from bstm_daemon.effects.catalogue import STRUCTURES
-from bstm_daemon.gap.comparison import HEAT_SCALE_PRIOR
-from bstm_daemon.gap.menu import MENU
-from bstm_daemon.gap.recording import Recording, recorded
-from bstm_daemon.gap.signatures import Sensed, candidates, sensed
-from bstm_daemon.gap.workflow import compare
-from bstm_daemon.matching.drives import thermocouples_of
-from bstm_daemon.matching.refine import refine
-from bstm_daemon.matching.tunables import (
+from bstm_daemon.analysis.gap.candidate_drives import MENU
+from bstm_daemon.analysis.gap.comparison import HEAT_SCALE_PRIOR
+from bstm_daemon.analysis.gap.recording import Recording, recorded
+from bstm_daemon.analysis.gap.signatures import Sensed, candidates, sensed
+from bstm_daemon.analysis.gap.workflow import compare
+from bstm_daemon.analysis.matching.drives import thermocouples_of
+from bstm_daemon.analysis.matching.refine import refine
+from bstm_daemon.analysis.matching.tunables import (
     TUNABLES,
     Target,
     refined_keys,
     targets_of,
     usable,
 )
-from bstm_daemon.replay import present_roles
+from bstm_daemon.bus.signals.columns import Events
+from bstm_daemon.cli.vehicle import load_vehicle
+from bstm_daemon.config.accuracy import AccuracyConfig
+from bstm_daemon.config.sections import EffectConfig
+from bstm_daemon.files import shipped_file
+from bstm_daemon.model.effects.catalogue import STRUCTURES
+from bstm_daemon.replay.columns import present_roles
 from bstm_daemon.roles import CORNERS, ROLE_INDEX
-from bstm_daemon.shipped import shipped_file
 from bstm_daemon.simulation import NOMINAL, load_drive, simulate
 from bstm_daemon.simulation.batch import march_lanes
 from bstm_daemon.simulation.parameters import (
@@ -61,8 +61,8 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
-    from bstm_daemon.config import Config
-    from bstm_daemon.gap.comparison import Comparison
+    from bstm_daemon.analysis.gap.comparison import Comparison
+    from bstm_daemon.config.sections import Config
     from bstm_daemon.simulation.parameters import Effects
     from bstm_daemon.simulation.simulate import SimulatedDrive
     from bstm_daemon.simulation.vehicle import CarParameters

@@ -17,17 +17,17 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from gap_cars import FITTED, OF_TEMPERATURES, Garage, World, keep
 
-from bstm_daemon.gap.layout import Layout
-from bstm_daemon.gap.signatures import (
+from bstm_daemon.analysis.gap.noise import Layout
+from bstm_daemon.analysis.gap.signatures import (
     SILENT_K,
     Linearised,
     Sensed,
     candidates,
     sensed,
 )
-from bstm_daemon.gap.unknown import UnknownHeat, unknown_heats
-from bstm_daemon.gap.workflow import compare
-from bstm_daemon.matching.problem import NODE_OF
+from bstm_daemon.analysis.gap.unnamed_heat import UnnamedHeat, unnamed_heats
+from bstm_daemon.analysis.gap.workflow import compare
+from bstm_daemon.analysis.matching.problem import NODE_OF
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -35,10 +35,10 @@ if TYPE_CHECKING:
 
     import numpy.typing as npt
 
-    from bstm_daemon.gap.comparison import Comparison
-    from bstm_daemon.gap.layout import Series
-    from bstm_daemon.gap.noise import NodeNoise
-    from bstm_daemon.gap.recording import Recording
+    from bstm_daemon.analysis.gap.comparison import Comparison
+    from bstm_daemon.analysis.gap.noise import Series
+    from bstm_daemon.analysis.gap.recording import Recording
+    from bstm_daemon.analysis.statistics.whitening import SensorNoise
 
 CARS: Final = 6
 """Cars of the cases with a hidden effect."""
@@ -154,7 +154,7 @@ class Evidence:
     sensed: Sensed
     change_k: np.ndarray
 
-    def layout(self, noise: dict[str, NodeNoise]) -> Layout:
+    def layout(self, noise: dict[str, SensorNoise]) -> Layout:
         """Return where its residuals are and how they err."""
         drives = sorted({one.drive for one in self.series})
         return Layout(
@@ -206,7 +206,7 @@ class Evidence:
                 {n: terms[:, own] for n, terms in whole.terms_k.items()},
                 whole.silent,
                 tuple(
-                    UnknownHeat(one.node, one.regime, one.change[own])
+                    UnnamedHeat(one.node, one.regime, one.change[own])
                     for one in whole.unknown_k
                 ),
             ),
@@ -296,20 +296,20 @@ def _made(
     tuple[Series, ...],
     Sensed | None,
     np.ndarray | None,
-    tuple[UnknownHeat, ...],
+    tuple[UnnamedHeat, ...],
     np.ndarray,
 ]:
     comparison = comparison_of(replace(case, world=case.world.driven), garage)
     shared = set(case.effects) <= OF_TEMPERATURES
     own, unknown = None, ()
-    base_k = comparison.apart_k(comparison.start[None])[:, 0]
+    base_k = comparison.residuals_k(comparison.start[None])[:, 0]
     if shared:
-        unknown = unknown_heats(comparison, base_k)
+        unknown = unnamed_heats(comparison, base_k)
     else:
         own = sensed(comparison, candidates(garage.target.config))
     # the same errors of the thermocouples with nothing hidden
     nothing = [garage.recording(name, {}, case.draw) for name in FITTED]
     clear = compare(garage.target, nothing)
     # and the same start, which is what they have read
-    change_k = base_k - clear.apart_k(clear.start[None])[:, 0]
+    change_k = base_k - clear.residuals_k(clear.start[None])[:, 0]
     return comparison.series, own, base_k, unknown, change_k

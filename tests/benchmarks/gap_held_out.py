@@ -8,8 +8,8 @@ import numpy as np
 from gap_shares import Share
 from gap_shown import FLOOR, TRUE
 
-from bstm_daemon.gap.fitting import Fit
-from bstm_daemon.gap.showing import (
+from bstm_daemon.analysis.gap.fitting import Fit
+from bstm_daemon.analysis.gap.holdout_comparison import (
     BASELINES,
     CONFIGURED,
     EXTENDED,

@@ -19,10 +19,9 @@ from gap_cases import (
 )
 from gap_rivals import RIVALS
 
-from bstm_daemon.gap.calibration import calibrated
-from bstm_daemon.gap.naming import ALIKE, cosine, name_effect
-from bstm_daemon.gap.noise import noise_of
-from bstm_daemon.gap.projector import Projector
+from bstm_daemon.analysis.gap.naming import ALIKE, cosine, name_effect
+from bstm_daemon.analysis.gap.noise import calibrated, noise_of
+from bstm_daemon.analysis.statistics.evidence import Projector
 from bstm_daemon.roles import MEASURED_NODES
 from bstm_daemon.simulation.parameters import UNHEARD_NAMES
 
@@ -31,8 +30,8 @@ if TYPE_CHECKING:
 
     import numpy as np
 
-    from bstm_daemon.gap.layout import Layout
-    from bstm_daemon.gap.signatures import Linearised
+    from bstm_daemon.analysis.gap.noise import Layout
+    from bstm_daemon.analysis.gap.signatures import Linearised
 
 DETECTABLE: Final = 30.0
 """Expected squared distance from the re-fitted baseline, whitened."""
@@ -211,7 +210,8 @@ def judged(case: Case, garage: Garage, kept: Evidence) -> Judged:
         node: noise_of(garage.target.config, node) for node in MEASURED_NODES
     }
     layout = kept.layout(noise)
-    layout.set_noise(calibrated(layout, kept.sensed))
+    sensed = kept.sensed
+    layout.set_noise(calibrated(layout, sensed.base_k, sensed.columns_k()))
     known = kept.sensed.whitened(layout)
     project = Projector(known.jacobian, layout.prior)
     change = layout.whiten(kept.change_k)

@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from scipy import stats
 
-from bstm_daemon.gap.layout import Layout
-from bstm_daemon.gap.naming import SURE
-from bstm_daemon.gap.noise import NodeNoise
-from bstm_daemon.gap.projector import Projector
+from bstm_daemon.analysis.gap.naming import SURE
+from bstm_daemon.analysis.gap.noise import Layout
+from bstm_daemon.analysis.statistics.evidence import Projector
+from bstm_daemon.analysis.statistics.whitening import SensorNoise
 from bstm_daemon.simulation.sensor_presets import SENSOR_PRESETS
 
 if TYPE_CHECKING:
@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 
     from gap_cases import Evidence
 
-    from bstm_daemon.gap.signatures import Linearised, Signature
-    from bstm_daemon.matching.drives import Column
+    from bstm_daemon.analysis.gap.signatures import Linearised, Signature
+    from bstm_daemon.analysis.statistics.series import Column
 
 FALSE_ALARMS: Final = 0.01
 """Of the test for something that has no name: the goal of S0."""
@@ -104,7 +104,7 @@ def of_sensors(sensors: str, kept: Evidence, layout: Layout) -> float:
     for one in layout.series:
         # each thermocouple of a node that is one series errs by itself
         apart = len(one.couples) ** -0.5
-        noise = NodeNoise(
+        noise = SensorNoise(
             apart * own.noise, apart * own.drift, 0.0, apart * own.bias_sd,
             0.0, 0.0,
         )  # fmt: skip

@@ -22,17 +22,17 @@ from gap_cars import FITTED, HELD_OUT, Garage, keep
 from gap_cases import comparison_of, seen
 
 import bstm_daemon
-from bstm_daemon.gap.evidence import weigh
-from bstm_daemon.gap.fitting import Fit, fit
-from bstm_daemon.gap.projector import Projector
-from bstm_daemon.gap.showing import (
+from bstm_daemon.analysis.gap.evidence import weigh
+from bstm_daemon.analysis.gap.fitting import Fit, fit
+from bstm_daemon.analysis.gap.holdout_comparison import (
     EXTENDED,
     REFITTED,
     baseline_fits,
     noise_variance,
     show,
 )
-from bstm_daemon.gap.workflow import compare
+from bstm_daemon.analysis.gap.workflow import compare
+from bstm_daemon.analysis.statistics.evidence import Projector
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -40,15 +40,8 @@ if TYPE_CHECKING:
     from gap_cases import Case
     from gap_judge import Judged, Result
 
-    from bstm_daemon.gap.comparison import Comparison
-    from bstm_daemon.gap.showing import Shown
-
-RESTS_ON: Final = (
-    *(f"gap/{name}.py" for name in ("calibration", "comparison", "evidence")),
-    *(f"gap/{name}.py" for name in ("fitting", "layout", "noise")),
-    *(f"gap/{name}.py" for name in ("projector", "showing", "signatures")),
-)
-"""Of the search, what is kept here depends on these and on all effects."""
+    from bstm_daemon.analysis.gap.comparison import Comparison
+    from bstm_daemon.analysis.gap.holdout_comparison import Shown
 
 TRUE: Final = "with the true effect"
 FLOOR: Final = "nothing hidden"
@@ -58,8 +51,8 @@ FLOOR: Final = "nothing hidden"
 def fits_fingerprint() -> str:
     """Return what tells one state of fit and comparison from another."""
     package = Path(bstm_daemon.__file__).parent
-    files = [package / name for name in RESTS_ON]
-    files += sorted((package / "effects").rglob("*.py"))
+    files = sorted((package / "analysis" / "gap").glob("*.py"))
+    files += sorted((package / "model" / "effects").rglob("*.py"))
     digest = hashlib.sha256()
     for file in (*files, Path(__file__)):
         digest.update(file.read_bytes())
@@ -112,14 +105,14 @@ def _made(
     there = compare(garage.target, held_out)
     squares, noise, points = _squares(figures)
     squares[TRUE] = _by_node(
-        there, there.apart_k(true.x[None], true.effects())
+        there, there.residuals_k(true.x[None], true.effects())
     )
     reference = _nothing_hidden(case, garage, one)
     clear = compare(
         garage.target,
         [seen(case, garage.recording(name, {})) for name in HELD_OUT],
     )
-    squares[FLOOR] = _by_node(clear, clear.apart_k(reference.x[None]))
+    squares[FLOOR] = _by_node(clear, clear.residuals_k(reference.x[None]))
     if not names:
         own = baselines[REFITTED]
         squares[EXTENDED] = squares[REFITTED]

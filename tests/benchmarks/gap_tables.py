@@ -14,7 +14,7 @@ from gap_rivals import LABELS
 from gap_shares import HEADER, Figure, share
 from side_by_side import Table
 
-from bstm_daemon.gap.showing import BASELINES, EXTENDED
+from bstm_daemon.analysis.gap.holdout_comparison import BASELINES, EXTENDED
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

@@ -17,19 +17,19 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from heat_roads import TESTS, Road, learning
 
-from bstm_daemon.carry_over import export_state, resume_state
+from bstm_daemon.channels import CHANNELS, VEHICLE_CHANNELS
 from bstm_daemon.cli.vehicle import load_vehicle
-from bstm_daemon.estimator import STEP_US, Estimator
-from bstm_daemon.heat.sample_plan import CHANNELS, VEHICLE_CHANNELS
-from bstm_daemon.journal import Journal
+from bstm_daemon.estimator.estimator import STEP_US, Estimator
+from bstm_daemon.estimator.input_history import Journal
+from bstm_daemon.estimator.state import export_state, resume_state
+from bstm_daemon.files import shipped_file
 from bstm_daemon.roles import ROLE_INDEX, ROLES
-from bstm_daemon.shipped import shipped_file
 from bstm_daemon.simulation import NOMINAL, SENSOR_PRESETS, simulate
 from bstm_daemon.simulation.profile import SAMPLE_S
 from bstm_daemon.units import GRAVITY_MS2
 
 if TYPE_CHECKING:
-    from bstm_daemon.config import Config
+    from bstm_daemon.config.sections import Config
     from bstm_daemon.simulation import CarParameters, SimulatedDrive
     from bstm_daemon.simulation.drives import Drive
     from bstm_daemon.simulation.materials import Array

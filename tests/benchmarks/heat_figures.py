@@ -9,7 +9,7 @@ import numpy as np
 from heat_roads import TESTS
 from side_by_side import Table
 
-from bstm_daemon.heat.sample_plan import FLAGS
+from bstm_daemon.channels import FLAGS
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

@@ -14,13 +14,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from side_by_side import Outcome, Table
 
+from bstm_daemon.analysis.identify.brakes import identify_brakes
+from bstm_daemon.analysis.identify.coastdown import identify_coast_down
+from bstm_daemon.analysis.identify.cooling import (
+    CoolingPoint,
+    identify_cooling,
+)
+from bstm_daemon.analysis.identify.driving import driving_of
+from bstm_daemon.analysis.quality.recording import read_recording
 from bstm_daemon.cli.vehicle import load_vehicle
-from bstm_daemon.identify.brakes import identify_brakes
-from bstm_daemon.identify.coastdown import identify_coast_down
-from bstm_daemon.identify.cooling import CoolingPoint, identify_cooling
-from bstm_daemon.identify.driving import driving_of
-from bstm_daemon.quality.recording import read_recording
-from bstm_daemon.shipped import shipped_file
+from bstm_daemon.files import shipped_file
 from bstm_daemon.simulation import (
     NOMINAL,
     load_drive,
@@ -32,7 +35,7 @@ from bstm_daemon.simulation.parameters import FRONT
 from bstm_daemon.simulation.recorder import write_candump
 
 if TYPE_CHECKING:
-    from bstm_daemon.identify.driving import Driving
+    from bstm_daemon.analysis.identify.driving import Driving
 
 SENSORS = ("n1", "n2", "n3")
 THERMOCOUPLES = ("n1", "n2", "n3", "n4")

@@ -9,16 +9,16 @@ from typing import TYPE_CHECKING
 
 from side_by_side import Goal, Outcome, Table, Work, take_turns, three_digits
 
-from bstm_daemon.config_file import load_config
-from bstm_daemon.corner_model import compile_corner
-from bstm_daemon.heat.sample_plan import CHANNELS
-from bstm_daemon.native import load_kernel
-from bstm_daemon.shipped import shipped_file
-from bstm_daemon.thermal.kernel import Batch
+from bstm_daemon.channels import CHANNELS
+from bstm_daemon.config.reading import load_config
+from bstm_daemon.estimator.corner_model import compile_corner
+from bstm_daemon.files import shipped_file
+from bstm_daemon.model.thermal.kernel import Batch
+from bstm_daemon.native.loader import load_kernel
 
 if TYPE_CHECKING:
-    from bstm_daemon.native import Kernel
-    from bstm_daemon.thermal.program import Program
+    from bstm_daemon.model.thermal.program import Program
+    from bstm_daemon.native.loader import Kernel
 
 STEP_S = 0.05
 MEMBERS = (1, 4, 8, 64, 1024)

@@ -31,16 +31,16 @@ from live_sender import pack_frames
 from side_by_side import Goal, Outcome, Table
 from traffic import RATES_HZ, write_traffic
 
-from bstm_daemon.bus.link_receiver import FrameReceiver
-from bstm_daemon.bus.output_layout import TEN_HERTZ_US
+from bstm_daemon.bus.live.receiver import FrameReceiver
+from bstm_daemon.bus.output.layout import TEN_HERTZ_US
 from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.engine import Engine
-from bstm_daemon.estimator import STEP_US
-from bstm_daemon.native import VARIABLE
-from bstm_daemon.shipped import shipped_file
+from bstm_daemon.estimator.estimator import STEP_US
+from bstm_daemon.files import shipped_file
+from bstm_daemon.native.loader import VARIABLE
 
 if TYPE_CHECKING:
-    from bstm_daemon.bus.link import Frame
+    from bstm_daemon.bus.live.link import Frame
 
 EXAMPLE: Final = "config/example_vehicle.toml"
 FRAMES_PER_S: Final = 4000

@@ -20,10 +20,10 @@ def main() -> int:
     from live_link import PairLink  # noqa: PLC0415  (the extras go first)
 
     from bstm_daemon.cli.main import main as command  # noqa: PLC0415
-    from bstm_daemon.daemon import monitor  # noqa: PLC0415
+    from bstm_daemon.service import assembly  # noqa: PLC0415
 
     end = socket.socket(fileno=int(sys.argv[1]))
-    monitor._link = lambda bus, wanted, buffer_bytes: PairLink(
+    assembly._link = lambda bus, wanted, buffer_bytes: PairLink(
         end, bus, wanted, buffer_bytes
     )
     return command(["run", *sys.argv[2:]])

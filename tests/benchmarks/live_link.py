@@ -10,13 +10,13 @@ from __future__ import annotations
 import socket
 from typing import TYPE_CHECKING
 
-from bstm_daemon.bus.link import LinkState
-from bstm_daemon.bus.link_receiver import EXTENDED_FLAG, FrameReceiver
-from bstm_daemon.bus.link_socketcan import SocketcanLink
+from bstm_daemon.bus.live.link import LinkState
+from bstm_daemon.bus.live.receiver import EXTENDED_FLAG, FrameReceiver
+from bstm_daemon.bus.live.socketcan import SocketcanLink
 
 if TYPE_CHECKING:
-    from bstm_daemon.bus.link import Wanted
-    from bstm_daemon.config import BusConfig
+    from bstm_daemon.bus.live.link import Wanted
+    from bstm_daemon.config.sections import BusConfig
 
 
 def pair() -> tuple[socket.socket, socket.socket]:

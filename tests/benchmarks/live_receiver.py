@@ -20,18 +20,18 @@ from can.interfaces.socketcan import SocketcanBus
 from live_link import PairLink
 from traffic import example_database
 
-from bstm_daemon.bus.frame_records import FrameRecords
+from bstm_daemon.bus.live.frame_records import FrameRecords
 from bstm_daemon.cli.vehicle import load_vehicle
-from bstm_daemon.daemon.clock import SteadyAxis
-from bstm_daemon.daemon.intake import GUARD_US, Intake
-from bstm_daemon.daemon.wake import SignalWaiter
 from bstm_daemon.engine import Engine
-from bstm_daemon.shipped import shipped_file
+from bstm_daemon.files import shipped_file
+from bstm_daemon.service.clock import SteadyAxis
+from bstm_daemon.service.intake import GUARD_US, Intake
+from bstm_daemon.service.wake import SignalWaiter
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from bstm_daemon.bus.signal_map import SignalMap
+    from bstm_daemon.bus.signals.signal_map import SignalMap
 
 EXAMPLE = "config/example_vehicle.toml"
 

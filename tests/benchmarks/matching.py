@@ -16,19 +16,18 @@ from population import MATCHED_ON, Setting, driven, front
 from scipy.optimize import least_squares
 from side_by_side import Goal, Outcome, Table
 
-from bstm_daemon.corner_model import compile_corner
-from bstm_daemon.matching.drives import GRID_S
-from bstm_daemon.matching.march import initial_temperatures
-from bstm_daemon.matching.problem import Problem, whole_drives
-from bstm_daemon.matching.refine import refine
-from bstm_daemon.matching.start import flat
-from bstm_daemon.matching.tunables import REFINED
-from bstm_daemon.thermal.kernel import Batch
+from bstm_daemon.analysis.matching.drives import GRID_S, flat
+from bstm_daemon.analysis.matching.march import initial_temperatures
+from bstm_daemon.analysis.matching.problem import Problem, whole_drives
+from bstm_daemon.analysis.matching.refine import refine
+from bstm_daemon.analysis.matching.tunables import REFINED
+from bstm_daemon.estimator.corner_model import compile_corner
+from bstm_daemon.model.thermal.kernel import Batch
 
 if TYPE_CHECKING:
-    from bstm_daemon.matching.drives import Drive
-    from bstm_daemon.matching.refine import Refinement
-    from bstm_daemon.matching.tunables import Target
+    from bstm_daemon.analysis.matching.drives import Drive
+    from bstm_daemon.analysis.matching.refine import Refinement
+    from bstm_daemon.analysis.matching.tunables import Target
 
 DRIVES: Final = (*MATCHED_ON, "cooldown")
 LIMIT_S: Final = 20.0

@@ -17,16 +17,16 @@ from typing import TYPE_CHECKING, Final
 from side_by_side import Goal, Outcome, Table
 from traffic import FRAMES_PER_S, OTHER_IDS, write_traffic
 
-from bstm_daemon.bus.logs import EventLog
+from bstm_daemon.bus.opening import EventLog
 from bstm_daemon.cli.main import main
 from bstm_daemon.cli.vehicle import load_vehicle
-from bstm_daemon.shipped import shipped_file
+from bstm_daemon.files import shipped_file
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from bstm_daemon.bus.signal_map import SignalMap
-    from bstm_daemon.config import Config
+    from bstm_daemon.bus.signals.signal_map import SignalMap
+    from bstm_daemon.config.sections import Config
 
 TIMES: Final = 10
 LIMIT: Final = 1.1

@@ -12,16 +12,16 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from bstm_daemon.bus.frame_chunk import join_in_file_order
-from bstm_daemon.bus.logs import open_log
-from bstm_daemon.shipped import shipped_file
+from bstm_daemon.bus.opening import open_log
+from bstm_daemon.bus.signals.frame_chunk import join_in_file_order
+from bstm_daemon.files import shipped_file
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     import numpy.typing as npt
 
-    from bstm_daemon.bus.signal_map import SignalMap
+    from bstm_daemon.bus.signals.signal_map import SignalMap
 
 _FRAME: Final = "CAN_DataFrame"
 _FIELDS: Final = (

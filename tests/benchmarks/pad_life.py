@@ -16,10 +16,11 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from side_by_side import Outcome, Table
 
-from bstm_daemon.config_file import load_config
-from bstm_daemon.estimator import Estimator
+from bstm_daemon.config.reading import load_config
+from bstm_daemon.estimator.estimator import Estimator
+from bstm_daemon.files import shipped_file
+from bstm_daemon.model.wear.dose import DOSE
 from bstm_daemon.roles import ROLE_INDEX
-from bstm_daemon.shipped import shipped_file
 from bstm_daemon.simulation import compiled
 from bstm_daemon.simulation.drives import parse_drive
 from bstm_daemon.simulation.lanes import Lanes, start_state
@@ -27,14 +28,13 @@ from bstm_daemon.simulation.parameters import DEFAULT_MESH, preset_effects
 from bstm_daemon.simulation.reality import march_numpy
 from bstm_daemon.simulation.simulate import prepare, simulate
 from bstm_daemon.units import KELVIN_OFFSET
-from bstm_daemon.wear.dose import DOSE
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     import numpy.typing as npt
 
-    from bstm_daemon.config import Config
+    from bstm_daemon.config.sections import Config
     from bstm_daemon.simulation.march import LaneInputs
 
     Column = npt.NDArray[np.float64]

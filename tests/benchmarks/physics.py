@@ -6,35 +6,40 @@ finer resolution. Nothing here says that a model is right.
 
 from __future__ import annotations
 
+import sys
 from array import array
 from dataclasses import dataclass
 from itertools import pairwise
 from math import log2
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from side_by_side import Outcome, Table, three_digits
 
-from bstm_daemon.config_file import load_config
-from bstm_daemon.corner_model import compile_corner
-from bstm_daemon.heat.sample_plan import CHANNELS
-from bstm_daemon.native import load_kernel
-from bstm_daemon.shipped import shipped_file
+from bstm_daemon.channels import CHANNELS
+from bstm_daemon.config.reading import load_config
+from bstm_daemon.estimator.corner_model import compile_corner
+from bstm_daemon.files import shipped_file
+from bstm_daemon.model.thermal.kernel import Batch
+from bstm_daemon.native.loader import load_kernel
 from bstm_daemon.simulation import Mesh, load_drive, simulate
 from bstm_daemon.simulation.profile import SAMPLE_S
 from bstm_daemon.simulation.simulate import DEFAULT_RESOLUTION, Resolution
-from bstm_daemon.thermal.kernel import Batch
-from bstm_daemon.thermal.ledger import read_ledger
 from bstm_daemon.units import KELVIN_OFFSET
+
+sys.path.append(str(Path(__file__).parents[1]))
+from energy_ledger import read_ledger
+from finer_mesh import with_half_cells
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
     import numpy.typing as npt
 
-    from bstm_daemon.config import Config, CornerConfig
+    from bstm_daemon.config.sections import Config, CornerConfig
+    from bstm_daemon.model.thermal.program import Program
     from bstm_daemon.simulation import SimulatedDrive
-    from bstm_daemon.thermal.program import Program
 
     Series = npt.NDArray[np.floating[Any]]
 
@@ -237,8 +242,8 @@ def _reality(outcome: Outcome, *, full: bool) -> None:
                 errors,
             )
         )
-        twice = Mesh().doubled()
-        finest = nodes(Resolution(twice.doubled()))
+        twice = with_half_cells(Mesh())
+        finest = nodes(Resolution(with_half_cells(twice)))
         meshes = {"usual cells": Mesh(), "half the cells' size": twice}
         driven = {
             label: simulate(drive, resolution=Resolution(mesh))

@@ -17,24 +17,24 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from recordings import kept, recorded
 
-from bstm_daemon.cli.vehicle import load_vehicle
-from bstm_daemon.corner_model import compile_corner
-from bstm_daemon.matching.drives import GRID_S, Drive, read_drive
-from bstm_daemon.matching.march import initial_temperatures, march
-from bstm_daemon.matching.refine import Refinement, refine
-from bstm_daemon.matching.tunables import (
+from bstm_daemon.analysis.matching.drives import GRID_S, Drive, read_drive
+from bstm_daemon.analysis.matching.march import initial_temperatures, march
+from bstm_daemon.analysis.matching.refine import Refinement, refine
+from bstm_daemon.analysis.matching.tunables import (
     Target,
     refined_keys,
     targets_of,
     usable,
 )
-from bstm_daemon.matching.verification import (
+from bstm_daemon.analysis.matching.verification import (
     NODES,
     NodeErrors,
     compared,
     phases_of,
 )
-from bstm_daemon.shipped import shipped_file
+from bstm_daemon.cli.vehicle import load_vehicle
+from bstm_daemon.estimator.corner_model import compile_corner
+from bstm_daemon.files import shipped_file
 from bstm_daemon.simulation import NOMINAL
 from bstm_daemon.simulation.frames import START_STAMP_S
 from bstm_daemon.units import KELVIN_OFFSET
@@ -42,8 +42,8 @@ from bstm_daemon.units import KELVIN_OFFSET
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from bstm_daemon.config import Config
-    from bstm_daemon.matching.accuracy import NodeAccuracy
+    from bstm_daemon.analysis.matching.refine import NodeAccuracy
+    from bstm_daemon.config.sections import Config
     from bstm_daemon.simulation.vehicle import CarParameters
 
 MATCHED_ON: Final = ("simalp", "rich")
@@ -55,7 +55,7 @@ CORNER: Final = "FL"
 
 DRIVEN_BY: Final = (
     *("simulation/**/*.py", "simulation/**/*.toml", "heat/**/*.py"),
-    *("matching/drives.py", "*.c"),
+    *("analysis/matching/drives.py", "*.c"),
 )
 """Sources that a drive depends on."""
 

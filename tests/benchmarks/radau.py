@@ -18,20 +18,20 @@ import numpy as np
 from scipy.integrate import solve_ivp
 from side_by_side import Goal, Outcome, Table, three_digits
 
-from bstm_daemon.config_file import load_config
-from bstm_daemon.estimator import STEP_US
-from bstm_daemon.native import load_kernel
-from bstm_daemon.shipped import shipped_file
-from bstm_daemon.thermal.brake_corner import build_corner, corner_spec
-from bstm_daemon.thermal.kernel import Batch
-from bstm_daemon.thermal.program import compile_network
+from bstm_daemon.config.reading import load_config
+from bstm_daemon.estimator.estimator import STEP_US
+from bstm_daemon.files import shipped_file
+from bstm_daemon.model.thermal.brake_corner import build_corner, corner_spec
+from bstm_daemon.model.thermal.kernel import Batch
+from bstm_daemon.model.thermal.program import compile_network
+from bstm_daemon.native.loader import load_kernel
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     import numpy.typing as npt
 
-    from bstm_daemon.thermal.network import Factor, Network
+    from bstm_daemon.model.thermal.network import Factor, Network
 
     Series = npt.NDArray[np.float64]
 

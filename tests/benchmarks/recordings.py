@@ -18,8 +18,8 @@ from typing import TYPE_CHECKING, Final, TypeVar
 
 import numpy as np
 
-from bstm_daemon.matching.verification import NODES
-from bstm_daemon.shipped import shipped_file
+from bstm_daemon.analysis.matching.verification import NODES
+from bstm_daemon.files import shipped_file
 from bstm_daemon.simulation import load_drive, simulate
 from bstm_daemon.simulation.frames import Encoder
 from bstm_daemon.simulation.recorder import write_candump

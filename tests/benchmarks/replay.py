@@ -12,28 +12,28 @@ from log_decode import with_cantools
 from side_by_side import Goal, Outcome, Table, three_digits
 from traffic import FRAMES_PER_S, RATES_HZ, write_traffic
 
-from bstm_daemon.bus.logs import EventLog
+from bstm_daemon.bus.opening import EventLog
 from bstm_daemon.cli.vehicle import load_vehicle
-from bstm_daemon.estimator import Estimator
-from bstm_daemon.native import load_kernel
-from bstm_daemon.replay import present_roles
-from bstm_daemon.report.tally import summarize
-from bstm_daemon.results import (
+from bstm_daemon.estimator.estimator import Estimator
+from bstm_daemon.files import shipped_file
+from bstm_daemon.native.loader import load_kernel
+from bstm_daemon.replay.columns import present_roles
+from bstm_daemon.replay.results import (
     Collector,
     ResultsBuilder,
     csv_file,
     parquet_file,
 )
-from bstm_daemon.shipped import shipped_file
+from bstm_daemon.report.drive_statistics import DriveStatistics
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from contextlib import AbstractContextManager
 
-    from bstm_daemon.bus.signal_map import SignalMap
-    from bstm_daemon.config import Config
-    from bstm_daemon.native import Kernel
-    from bstm_daemon.results import Results, Sink
+    from bstm_daemon.bus.signals.signal_map import SignalMap
+    from bstm_daemon.config.sections import Config
+    from bstm_daemon.native.loader import Kernel
+    from bstm_daemon.replay.results import Results, Sink
 
 STAGES = (
     *("read and decode", "pass over samples", "march", "publications"),
@@ -183,7 +183,9 @@ def replay_stages(
         seconds[stage] += spent
         seconds["publications"] -= spent
     results = kept.results()
-    summary = spend("summary", lambda: summarize(results))
+    statistics = DriveStatistics()
+    spend("summary", partial(statistics.write, results))
+    summary = statistics.summary()
     out = path.with_suffix(".out")
     for stage, opened in (
         ("write CSV", csv_file),

@@ -30,7 +30,7 @@ from risk_limit import causes_table, limit_table
 from risk_mixed import Judged, Trip, mixed, mixed_table
 from side_by_side import Goal, Outcome, Table
 
-from bstm_daemon.risk.levels import PROBABILITIES
+from bstm_daemon.model.risk.levels import PROBABILITIES
 
 if TYPE_CHECKING:
     from collections.abc import Callable

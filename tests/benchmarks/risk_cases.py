@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     import numpy.typing as npt
 
-    from bstm_daemon.config import Config
+    from bstm_daemon.config.sections import Config
     from bstm_daemon.simulation.march import LaneResult
     from bstm_daemon.simulation.parameters import CornerParameters
     from bstm_daemon.simulation.vehicle import CarParameters

@@ -12,20 +12,20 @@ import numpy as np
 from recordings import SENSORS, encoder
 from side_by_side import Goal, Outcome, Table
 
-from bstm_daemon.bus.logs import EventLog
+from bstm_daemon.bus.opening import EventLog
 from bstm_daemon.cli.vehicle import load_vehicle
-from bstm_daemon.estimator import Estimator
+from bstm_daemon.estimator.estimator import Estimator
+from bstm_daemon.files import shipped_file
 from bstm_daemon.forecast.monitor import RiskMonitor
-from bstm_daemon.replay import present_roles, replay_log
-from bstm_daemon.shipped import shipped_file
+from bstm_daemon.replay.columns import present_roles, replay_log
 from bstm_daemon.simulation import load_drive, simulate
 from bstm_daemon.simulation.recorder import write_candump
 
 if TYPE_CHECKING:
     import numpy.typing as npt
 
-    from bstm_daemon.bus.signal_map import SignalMap
-    from bstm_daemon.config import Config
+    from bstm_daemon.bus.signals.signal_map import SignalMap
+    from bstm_daemon.config.sections import Config
 
 DRIVE: Final = "simalp"
 FORECAST_MS: Final = 50.0

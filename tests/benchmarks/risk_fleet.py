@@ -19,12 +19,12 @@ import numpy as np
 from population import KNOWN_TO_THE_OWNER, MATCHED_ON
 from recordings import SENSORS, encoder
 
+from bstm_daemon.analysis.matching.drives import Thermocouple, read_drive
+from bstm_daemon.analysis.matching.refine import refine
+from bstm_daemon.analysis.matching.tunables import REFINED, Target, usable
 from bstm_daemon.cli.vehicle import load_vehicle
-from bstm_daemon.matching.drives import Thermocouple, read_drive
-from bstm_daemon.matching.refine import refine
-from bstm_daemon.matching.tunables import REFINED, Target, usable
+from bstm_daemon.files import shipped_file
 from bstm_daemon.roles import MEASURED_NODES
-from bstm_daemon.shipped import shipped_file
 from bstm_daemon.simulation import NOMINAL, load_drive, simulate
 from bstm_daemon.simulation.frames import START_STAMP_S
 from bstm_daemon.simulation.parameters import preset_effects
@@ -32,8 +32,8 @@ from bstm_daemon.simulation.recorder import write_candump
 from bstm_daemon.simulation.sensor_presets import sensor_suite
 
 if TYPE_CHECKING:
-    from bstm_daemon.config import Config
-    from bstm_daemon.matching.drives import Drive
+    from bstm_daemon.analysis.matching.drives import Drive
+    from bstm_daemon.config.sections import Config
     from bstm_daemon.simulation.parameters import CornerParameters
     from bstm_daemon.simulation.vehicle import CarParameters
 

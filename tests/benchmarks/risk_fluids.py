@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from bstm_daemon.risk.boiling import BOILING_POINTS
-from bstm_daemon.risk.vaporisation import (
+from bstm_daemon.model.risk.boiling import BOILING_POINTS
+from bstm_daemon.model.risk.vaporisation import (
     BEYOND_K_PERCENT,
     BEYOND_PERCENT,
     DRY_EXCESS_K,
@@ -27,7 +27,7 @@ from bstm_daemon.risk.vaporisation import (
     boiling,
     boiling_point_k,
 )
-from bstm_daemon.risk.water import Water, water_measured, water_of_age
+from bstm_daemon.model.risk.water import Water, water_measured, water_of_age
 
 if TYPE_CHECKING:
     import numpy.typing as npt

@@ -9,15 +9,15 @@ import numpy as np
 from risk_cases import HORIZON_S, Case, Truth
 from risk_fleet import JUDGED
 
-from bstm_daemon.estimator import Estimator
+from bstm_daemon.estimator.estimator import Estimator
 from bstm_daemon.forecast.monitor import RiskMonitor
 from bstm_daemon.roles import ROLE_INDEX
 
 if TYPE_CHECKING:
     import numpy.typing as npt
 
-    from bstm_daemon.config import Config
-    from bstm_daemon.risk.vaporisation import Boiling
+    from bstm_daemon.config.sections import Config
+    from bstm_daemon.model.risk.vaporisation import Boiling
 
     Column = npt.NDArray[np.float64]
 
@@ -88,7 +88,7 @@ def judged(case: Case, truth: Truth) -> Judgement:
         np.array([c.peak_k for c in told]),
         np.array([c.peak_in_s for c in told]),
         np.array([estimator.state(name)["fluid"] for name in JUDGED]),
-        np.array([c.deviation_k for c in told]),
+        np.array([c.fluid_deviation_k for c in told]),
         fluid.max(axis=0),
         truth.time_s[fluid.argmax(axis=0)],
         truth.stop_k,

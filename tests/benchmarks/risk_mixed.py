@@ -15,7 +15,7 @@ from risk_fluids import draw_fluid
 from risk_judge import START_US, estimating, samples
 from side_by_side import Table
 
-from bstm_daemon.risk.levels import PROBABILITIES
+from bstm_daemon.model.risk.levels import PROBABILITIES
 from bstm_daemon.units import KELVIN_OFFSET
 
 if TYPE_CHECKING:

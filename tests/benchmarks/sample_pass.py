@@ -11,24 +11,20 @@ from log_decode import with_events
 from side_by_side import Goal, Outcome, Table, Work, take_turns, three_digits
 from traffic import write_traffic
 
+from bstm_daemon.channels import CHANNELS, VEHICLE_CHANNELS
 from bstm_daemon.cli.vehicle import load_vehicle
-from bstm_daemon.estimator import ROWS, STEP_US
-from bstm_daemon.heat import sample_pass as reference
-from bstm_daemon.heat.sample_plan import (
-    CHANNELS,
-    VEHICLE_CHANNELS,
-    SamplePlan,
-    plan_samples,
-)
-from bstm_daemon.heat.sample_state import SampleState
-from bstm_daemon.native import load_kernel
-from bstm_daemon.replay import present_roles
-from bstm_daemon.shipped import shipped_file
+from bstm_daemon.estimator.estimator import ROWS, STEP_US
+from bstm_daemon.files import shipped_file
+from bstm_daemon.model.heat import sample_pass as reference
+from bstm_daemon.model.heat.memory import SampleState
+from bstm_daemon.model.heat.sample_plan import SamplePlan, plan_samples
+from bstm_daemon.native.loader import load_kernel
+from bstm_daemon.replay.columns import present_roles
 
 if TYPE_CHECKING:
     from log_decode import Samples
 
-    from bstm_daemon.native import Kernel
+    from bstm_daemon.native.loader import Kernel
 
 REFERENCE_SAMPLES = 20_000
 
@@ -103,7 +99,7 @@ def run(*, full: bool) -> Outcome:
 
 def with_python(plan: SamplePlan, samples: Samples) -> tuple[bytes, int]:
     """Pass over *samples*; returns rows with numbers, and steps."""
-    state, room = SampleState.new(plan), Room.of(plan)
+    state, room = SampleState.new(), Room.of(plan)
     columns = [column.tolist() for column in samples]
     index = total = 0
     while index < len(columns[0]):
@@ -118,7 +114,7 @@ def with_kernel(
     kernel: Kernel, plan: SamplePlan, samples: Samples
 ) -> tuple[bytes, int]:
     """Do the same compiled."""
-    state, room = SampleState.new(plan), Room.of(plan)
+    state, room = SampleState.new(), Room.of(plan)
     index = total = 0
     while index < len(samples.value):
         index, steps, _ = kernel.sample_pass(

@@ -14,20 +14,20 @@ import numpy as np
 from physics import NODES, nodes_of, stop_s
 from side_by_side import Outcome, Table
 
-from bstm_daemon.config_file import load_config
-from bstm_daemon.corner_model import compile_corner
-from bstm_daemon.effects.catalogue import STRUCTURES
-from bstm_daemon.estimator import Estimator
-from bstm_daemon.heat.sample_plan import CHANNELS
-from bstm_daemon.native import load_kernel
+from bstm_daemon.channels import CHANNELS
+from bstm_daemon.config.reading import load_config
+from bstm_daemon.estimator.corner_model import compile_corner
+from bstm_daemon.estimator.estimator import Estimator
+from bstm_daemon.files import shipped_file
+from bstm_daemon.model.effects.catalogue import STRUCTURES
+from bstm_daemon.model.thermal.kernel import Batch
+from bstm_daemon.native.loader import load_kernel
 from bstm_daemon.roles import ROLE_INDEX
-from bstm_daemon.shipped import shipped_file
 from bstm_daemon.simulation import load_drive, simulate
 from bstm_daemon.simulation.profile import SAMPLE_S
-from bstm_daemon.thermal.kernel import Batch
 
 if TYPE_CHECKING:
-    from bstm_daemon.config import Config
+    from bstm_daemon.config.sections import Config
     from bstm_daemon.simulation import SimulatedDrive
 
     Series = np.typing.NDArray[np.floating[Any]]

@@ -13,7 +13,7 @@ import cantools
 import numpy as np
 from cantools.database.can import Database
 
-from bstm_daemon.shipped import shipped_file
+from bstm_daemon.files import shipped_file
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     import numpy.typing as npt
     from cantools.database.can import Message, Signal
 
-    from bstm_daemon.config import Config
+    from bstm_daemon.config.sections import Config
 
     Floats = npt.NDArray[np.float64]
     Payloads = npt.NDArray[np.uint64]

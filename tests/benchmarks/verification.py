@@ -37,18 +37,18 @@ from recordings import kept
 from side_by_side import Goal, Outcome, Table
 from verification_page import ABOUT, Sections
 
-from bstm_daemon.matching.accuracy import NodeAccuracy, fitted
-from bstm_daemon.matching.tunables import COOLING, Target
-from bstm_daemon.matching.verification import FIXED_S, LIMITS, NINETY
+from bstm_daemon.analysis.matching.refine import NodeAccuracy, fitted
+from bstm_daemon.analysis.matching.tunables import COOLING, Target
+from bstm_daemon.analysis.matching.verification import FIXED_S, LIMITS, NINETY
 from bstm_daemon.simulation import load_drive
 from bstm_daemon.simulation.vehicles import load_vehicle as load_car
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from bstm_daemon.config import Config
-    from bstm_daemon.matching.refine import Refinement
-    from bstm_daemon.matching.verification import NodeErrors
+    from bstm_daemon.analysis.matching.refine import Refinement
+    from bstm_daemon.analysis.matching.verification import NodeErrors
+    from bstm_daemon.config.sections import Config
 
 QUICK_DRIVES: Final = ("alpine-descent", "city", "ams")
 OTHER_SEED: Final = 77

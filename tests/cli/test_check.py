@@ -7,8 +7,8 @@ import pytest
 
 from bstm_daemon.cli.check import problems_of, summary
 from bstm_daemon.cli.main import main
-from bstm_daemon.config import EffectConfig
-from bstm_daemon.config_file import load_config
+from bstm_daemon.config.reading import load_config
+from bstm_daemon.config.sections import EffectConfig
 
 ROOT = Path(__file__).parents[2]
 SHIPPED = sorted((ROOT / "config").glob("*.toml"))
@@ -280,7 +280,9 @@ def test_own_ids_must_not_be_those_that_are_read(edited: Edited) -> None:
 
 def test_an_effect_that_does_not_fit_the_parts(edited: Edited) -> None:
     """What a replay would refuse is found by the check."""
-    model = 'fluid_model = "bstm_daemon.thermal.brake_corner:lumped_disc"'
+    model = (
+        'fluid_model = "bstm_daemon.model.thermal.brake_corner:lumped_disc"'
+    )
     path = edited(("[fluid]", f"[thermal]\n{model}\n\n[fluid]"))
 
     assert problems_of(path)

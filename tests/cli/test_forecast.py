@@ -9,9 +9,9 @@ import pytest
 
 from bstm_daemon.cli.main import main
 from bstm_daemon.cli.vehicle import load_vehicle
-from bstm_daemon.daemon import state_file
 from bstm_daemon.engine import Engine
-from bstm_daemon.native import load_kernel
+from bstm_daemon.native.loader import load_kernel
+from bstm_daemon.service import state_file
 
 ROOT = Path(__file__).parents[2]
 CAR = ROOT / "config" / "example_vehicle.toml"

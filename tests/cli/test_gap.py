@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from bstm_daemon.cli.main import EXIT_BROKEN_PIPE, main
-from bstm_daemon.config_file import load_config
-from bstm_daemon.native import load_kernel
+from bstm_daemon.config.reading import load_config
+from bstm_daemon.native.loader import load_kernel
 from bstm_daemon.simulation import simulate
 from bstm_daemon.simulation.drives import parse_drive
 from bstm_daemon.simulation.frames import Encoder
@@ -103,7 +103,12 @@ def test_the_hidden_effect_is_named_adopted_and_used(
 def pad_error_k(log: Path, config: Path, folder: Path) -> float:
     """Return the error of a replay's pad at the end of the soak."""
     out = folder / config.stem
-    code = main(["replay", str(log), "-c", str(config), "-o", str(out)])
+    code = main(
+        [
+            *("replay", str(log), "-c", str(config), "-o", str(out)),
+            *("--format", "csv", "--every", "1", "--no-forecast"),
+        ]
+    )
     assert code == 0
     (csv,) = out.glob("*.csv")
     table = np.genfromtxt(csv, delimiter=",", names=True, deletechars="")
@@ -263,6 +268,7 @@ def test_what_is_not_in_the_log_is_not_taken_for_an_effect(
     assert f"bare.log: no {wanted} in this log" in told.err
 
 
+@pytest.mark.slow  # names the effect before it advises
 def test_advise_says_why_it_advises_nothing(
     log: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from bstm_daemon.cli.main import main
-from bstm_daemon.config_file import load_config
+from bstm_daemon.config.reading import load_config
 from bstm_daemon.simulation import load_drive, parse_drive, simulate
 from bstm_daemon.simulation.frames import Encoder
 from bstm_daemon.simulation.recorder import write_candump
@@ -19,6 +19,8 @@ ROOT = Path(__file__).parents[2]
 EXAMPLE = ROOT / "config" / "example_vehicle.toml"
 DBC = ROOT / "dbc" / "example_vehicle.dbc"
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
+
+SLOW = pytest.mark.slow
 
 CITY = """
 [drive]
@@ -171,6 +173,7 @@ def test_cooling(
         assert after.cooling_of(kept) == before.cooling_of(old)
 
 
+@pytest.mark.slow
 def test_heat(
     logs: dict[str, Path],
     tmp_path: Path,
@@ -208,12 +211,23 @@ def test_heat(
     [
         (["identify", "coastdown"], ["coastdown"], 8, 0),
         (["identify", "brakes"], ["idiada-step", "idiada-ramp"], 5, 0),
-        (["identify", "cooling"], ["cooldown"], 1 + 2, 0),
+        pytest.param(
+            *(["identify", "cooling"], ["cooldown"], 1 + 2, 0), marks=SLOW
+        ),
         # Nine windows of one cool-down do not tell heat from cooling: the
         # page shows that too, and the exit code says so.
-        (["identify", "cooling", "--while-braking"], ["cooldown"], 1 + 4, 1),
-        (["heat"], ["idiada-step"], 2 + 2 + 1 + 12 + 3, 0),
-        (["heat"], ["idiada-step", "idiada-ramp"], 1 + 20 + 17, 0),
+        pytest.param(
+            ["identify", "cooling", "--while-braking"],
+            *(["cooldown"], 1 + 4, 1),
+            marks=SLOW,
+        ),
+        pytest.param(
+            *(["heat"], ["idiada-step"], 2 + 2 + 1 + 12 + 3, 0), marks=SLOW
+        ),
+        pytest.param(
+            *(["heat"], ["idiada-step", "idiada-ramp"], 1 + 20 + 17, 0),
+            marks=SLOW,
+        ),
     ],
 )
 def test_page_draws_every_figure(

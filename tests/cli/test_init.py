@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 
 from bstm_daemon.cli.main import main
-from bstm_daemon.config import Config
-from bstm_daemon.config_file import load_config
-from bstm_daemon.heat.feed_forward import PressureTorque
+from bstm_daemon.config.reading import load_config
+from bstm_daemon.config.sections import Config
+from bstm_daemon.model.heat.feed_forward import PressureTorque
 
 ROOT = Path(__file__).parents[2]
 EXAMPLE_DBC = ROOT / "dbc" / "example_vehicle.dbc"

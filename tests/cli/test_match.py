@@ -8,12 +8,12 @@ from pathlib import Path
 
 import pytest
 
+from bstm_daemon.analysis.matching.drives import read_drives
+from bstm_daemon.analysis.matching.matcher import match_drives
 from bstm_daemon.cli.main import main
 from bstm_daemon.cli.vehicle import load_vehicle
-from bstm_daemon.config_file import load_config
-from bstm_daemon.matching.drives import read_drives
-from bstm_daemon.matching.matcher import match_drives
-from bstm_daemon.native import load_kernel
+from bstm_daemon.config.reading import load_config
+from bstm_daemon.native.loader import load_kernel
 from bstm_daemon.simulation import simulate
 from bstm_daemon.simulation.drives import parse_drive
 from bstm_daemon.simulation.frames import Encoder
@@ -211,6 +211,7 @@ parameters = { onset_c = 150.0 }
 """
 
 
+@pytest.mark.slow  # four matches
 def test_heat_is_formed_anew_with_the_matched_temperatures(
     log: Path, tmp_path: Path
 ) -> None:

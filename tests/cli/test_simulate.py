@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from bstm_daemon.bus.candump import CandumpReader
+from bstm_daemon.bus.logs.candump import CandumpReader
 from bstm_daemon.cli.main import main
 from bstm_daemon.simulation import drive_names
 

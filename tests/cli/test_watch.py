@@ -12,9 +12,9 @@ from bstm_daemon.cli import watch
 from bstm_daemon.cli.main import main
 
 if TYPE_CHECKING:
-    from bstm_daemon.bus.link import Link
+    from bstm_daemon.bus.live.link import Link
     from bstm_daemon.watch.board import Board
-    from bstm_daemon.watch.view import View
+    from bstm_daemon.watch.lines import LineView
 
 CAR = Path(__file__).parents[2] / "config" / "example_vehicle.toml"
 
@@ -31,7 +31,7 @@ def watched(monkeypatch: pytest.MonkeyPatch) -> Watched:
     """Keep the command from watching, and no own python-can settings."""
     seen = Watched()
 
-    def keep(link: Link, board: Board, view: View) -> None:
+    def keep(link: Link, board: Board, view: LineView) -> None:
         seen.link, seen.board = link, board
 
     monkeypatch.setattr(watch, "watch_link", keep)
@@ -93,7 +93,7 @@ def test_own_configuration_of_python_can(
 def test_control_c_is_a_way_to_leave(
     watched: Watched, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def interrupt(link: Link, board: Board, view: View) -> None:
+    def interrupt(link: Link, board: Board, view: LineView) -> None:
         raise KeyboardInterrupt
 
     monkeypatch.setattr(watch, "watch_link", interrupt)

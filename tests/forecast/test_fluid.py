@@ -4,7 +4,7 @@ from datetime import date
 
 import pytest
 
-from bstm_daemon.config_fluid import FluidConfig
+from bstm_daemon.config.fluid import FluidConfig
 from bstm_daemon.forecast.fluid import (
     CHANGED_ROLE,
     WATER_ROLE,
@@ -51,9 +51,9 @@ def test_the_change_flag_counts_when_it_rises() -> None:
     """It begins a new fluid, of which nothing is measured."""
     knowledge = FluidKnowledge(FluidConfig(water_percent=4.0))
     before_k = knowledge.boiling(TODAY_US).quantile(0.5)
-    knowledge.hear(TODAY_US, CHANGED_ROLE, 1.0)
+    knowledge.ingest(TODAY_US, CHANGED_ROLE, 1.0)
     fresh_k = knowledge.boiling(TODAY_US).quantile(0.5)
-    knowledge.hear(TODAY_US + YEAR_US, CHANGED_ROLE, 1.0)
+    knowledge.ingest(TODAY_US + YEAR_US, CHANGED_ROLE, 1.0)
     aged_k = knowledge.boiling(TODAY_US + YEAR_US).quantile(0.5)
 
     assert fresh_k > before_k + 50.0
@@ -63,7 +63,7 @@ def test_the_change_flag_counts_when_it_rises() -> None:
 def test_a_resumed_change_is_that_of_the_bus() -> None:
     """Unless the configuration has a later one: the workshop's."""
     heard = FluidKnowledge(FluidConfig())
-    heard.hear(TODAY_US, CHANGED_ROLE, 1.0)
+    heard.ingest(TODAY_US, CHANGED_ROLE, 1.0)
     document = heard.export()
 
     same = FluidKnowledge(FluidConfig(changed=date(2020, 1, 1)))
@@ -77,7 +77,7 @@ def test_a_resumed_change_is_that_of_the_bus() -> None:
 
 def test_a_resumed_measurement_is_that_of_the_bus() -> None:
     heard = FluidKnowledge(FluidConfig())
-    heard.hear(TODAY_US, WATER_ROLE, 0.035)
+    heard.ingest(TODAY_US, WATER_ROLE, 0.035)
     again = FluidKnowledge(FluidConfig())
     again.resume(heard.export())
 

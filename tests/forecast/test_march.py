@@ -8,8 +8,10 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from bstm_daemon.channels import CHANNELS
 from bstm_daemon.cli.vehicle import load_vehicle
-from bstm_daemon.corner_model import compile_corner
+from bstm_daemon.estimator.corner_model import compile_corner
+from bstm_daemon.files import shipped_file
 from bstm_daemon.forecast.march import (
     DUTY_STEPS,
     HORIZON_S,
@@ -19,15 +21,13 @@ from bstm_daemon.forecast.march import (
     Job,
 )
 from bstm_daemon.forecast.members import Ensemble, Spread
-from bstm_daemon.heat.sample_plan import CHANNELS
-from bstm_daemon.native import load_kernel
-from bstm_daemon.risk.vaporisation import Boiling
-from bstm_daemon.shipped import shipped_file
-from bstm_daemon.thermal.kernel import Batch
+from bstm_daemon.model.risk.vaporisation import Boiling
+from bstm_daemon.model.thermal.kernel import Batch
+from bstm_daemon.native.loader import load_kernel
 from bstm_daemon.units import KELVIN_OFFSET
 
 if TYPE_CHECKING:
-    from bstm_daemon.thermal.program import Program
+    from bstm_daemon.model.thermal.program import Program
 
 AIR_K = 283.15
 KERNEL = load_kernel()
@@ -77,7 +77,6 @@ def job(
         hot(of),
         conditions,
         steps,
-        channels=CHANNELS,
         factor=1.0,
     )
 

@@ -9,10 +9,10 @@ from statistics import fmean, stdev
 import pytest
 
 from bstm_daemon.cli.vehicle import load_vehicle
-from bstm_daemon.corner_model import compile_corner
+from bstm_daemon.estimator.corner_model import compile_corner
+from bstm_daemon.files import shipped_file
 from bstm_daemon.forecast.members import Ensemble, Spread
-from bstm_daemon.shipped import shipped_file
-from bstm_daemon.thermal.program import Program, same_structure
+from bstm_daemon.model.thermal.program import Program, same_structure
 
 
 @pytest.fixture(scope="module")

@@ -9,22 +9,21 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from bstm_daemon.carry_over import export_state
 from bstm_daemon.cli.vehicle import load_vehicle
-from bstm_daemon.estimator import Estimator
+from bstm_daemon.estimate import RiskLevel, Validity
+from bstm_daemon.estimator.estimator import Estimator
+from bstm_daemon.estimator.state import export_state
+from bstm_daemon.files import shipped_file
 from bstm_daemon.forecast.fluid import CHANGED_ROLE, WATER_ROLE
 from bstm_daemon.forecast.monitor import PYTHON_MEMBERS, RiskMonitor
 from bstm_daemon.forecast.resuming import resume_risk
-from bstm_daemon.native import load_kernel
-from bstm_daemon.risk.levels import Level
+from bstm_daemon.native.loader import load_kernel
 from bstm_daemon.roles import ROLE_INDEX
-from bstm_daemon.shipped import shipped_file
-from bstm_daemon.validity import INVALID
 
 if TYPE_CHECKING:
-    from bstm_daemon.config import Config
-    from bstm_daemon.estimator import Block
-    from bstm_daemon.forecast.records import CarRisk
+    from bstm_daemon.config.sections import Config
+    from bstm_daemon.estimate import CarRisk
+    from bstm_daemon.estimator.blocks import Block
 
     SAMPLES = tuple[array[int], array[int], array[float]]
 
@@ -70,7 +69,7 @@ def run(
     found: list[CarRisk] = []
     for first in range(0, len(samples[0]), cut):
         part = [column[first : first + cut] for column in samples]
-        monitor.hear(*part)
+        monitor.ingest(*part)
         for block in estimator.stretches(*part):
             times += block.times_us
             found += monitor.add(block)
@@ -165,21 +164,21 @@ def test_never_normal_on_an_invalid_or_unknown_estimate() -> None:
     monitor = RiskMonitor(
         config, Estimator(config, MAPPED, history_known=True)
     )
-    assert {r.level for r in monitor.add(block)[20:]} == {Level.NORMAL}
+    assert {r.level for r in monitor.add(block)[20:]} == {RiskLevel.NORMAL}
 
     unknown = replace(block, known_from=len(block.times_us) + 1)
     invalid = replace(
         block,
-        validity={"FL": array("b", [INVALID] * len(block.times_us))},
+        validity={"FL": array("b", [Validity.INVALID] * len(block.times_us))},
     )
     for doubtful in (unknown, invalid):
         fresh = RiskMonitor(
             config, Estimator(config, MAPPED, history_known=True)
         )
         for record in fresh.add(doubtful):
-            assert record.level is Level.UNKNOWN
-            assert record.corners["FL"].level is Level.UNKNOWN
-            assert record.corners["FL"].fade is Level.UNKNOWN
+            assert record.level is RiskLevel.UNKNOWN
+            assert record.corners["FL"].level is RiskLevel.UNKNOWN
+            assert record.corners["FL"].fade is RiskLevel.UNKNOWN
 
 
 def test_hot_brakes_raise_the_levels() -> None:
@@ -192,15 +191,15 @@ def test_hot_brakes_raise_the_levels() -> None:
     _, _, _, found = run(config, drive(900, 4, 12e5))
 
     corner = found[-1].corners["FL"]
-    assert found[-1].level >= Level.HIGH
-    assert found[-1].level is not Level.UNKNOWN
-    assert corner.fade >= Level.ELEVATED
+    assert found[-1].level >= RiskLevel.HIGH
+    assert found[-1].level is not RiskLevel.UNKNOWN
+    assert corner.fade >= RiskLevel.ELEVATED
     assert found[-1].probability == pytest.approx(corner.probability)
     assert corner.probability >= corner.probability_now
     assert corner.safe_in_s > 0.0
     assert corner.duty_in_s < inf
     levels = [r.level for r in found]
-    assert levels[50] is Level.NORMAL
+    assert levels[50] is RiskLevel.NORMAL
 
 
 def test_more_water_more_risk_over_the_bus() -> None:
@@ -255,14 +254,14 @@ def test_temperatures_that_are_no_numbers_foresee_nothing() -> None:
     lost = replace(
         block,
         outputs=outputs,
-        validity={"FL": array("b", [INVALID] * len(block.times_us))},
+        validity={"FL": array("b", [Validity.INVALID] * len(block.times_us))},
     )
     monitor = RiskMonitor(
         config, Estimator(config, MAPPED, history_known=True)
     )
 
     for record in monitor.add(lost)[20:]:
-        assert record.level is Level.UNKNOWN
+        assert record.level is RiskLevel.UNKNOWN
         assert isnan(record.probability)
         assert isnan(record.corners["FL"].probability)
         assert isnan(record.corners["FL"].peak_k)

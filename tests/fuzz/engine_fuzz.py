@@ -28,30 +28,30 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import structlog
 from mutation import mutated
 
-from bstm_daemon.bus.e2e import CheckStatus
-from bstm_daemon.bus.output_layout import Validity
-from bstm_daemon.bus.published import PublishedDecoder
-from bstm_daemon.bus.signal_map import compile_signal_map
-from bstm_daemon.carry_over import StateError
+from bstm_daemon.bus.output.e2e import CheckStatus
+from bstm_daemon.bus.output.published import PublishedDecoder
+from bstm_daemon.bus.signals.signal_map import compile_signal_map
 from bstm_daemon.cli.main import main as command
 from bstm_daemon.cli.vehicle import load_vehicle
-from bstm_daemon.config_file import load_config
-from bstm_daemon.config_service import E2eConfig
-from bstm_daemon.daemon.monitor import BusOverride, build_monitor
-from bstm_daemon.daemon.state_file import (
+from bstm_daemon.config.reading import load_config
+from bstm_daemon.config.service import E2eConfig
+from bstm_daemon.engine import Engine
+from bstm_daemon.errors import BstmError
+from bstm_daemon.estimate import Validity
+from bstm_daemon.estimator.state import StateError
+from bstm_daemon.files import shipped_file
+from bstm_daemon.service.assembly import BusOverride, build_monitor
+from bstm_daemon.service.state_file import (
     decode,
     encode,
     load,
-    save_encoded,
+    save,
 )
-from bstm_daemon.engine import Engine
-from bstm_daemon.errors import BstmError
-from bstm_daemon.shipped import shipped_file
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
-    from bstm_daemon.bus.signal_map import SignalMap
+    from bstm_daemon.bus.signals.signal_map import SignalMap
     from bstm_daemon.engine import Published
 
 FRAMES: Final = 10_000_000
@@ -418,7 +418,7 @@ class StateCheck:
         except ValueError:
             self.outcomes["contents not for a file"] += 1
             return
-        save_encoded(self._path, self._input)
+        save(self._path, self._input)
         loaded = load(self._path)
         expect(loaded.document == document, "another document")
         engine = Engine(self._config, self._signal_map)

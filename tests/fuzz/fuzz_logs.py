@@ -27,26 +27,25 @@ import numpy as np
 import structlog
 from mutation import candump_line, mutated, table_row
 
-from bstm_daemon.bus.candump import CandumpReader
-from bstm_daemon.bus.columns import decode_chunk
-from bstm_daemon.bus.compiled import extension
-from bstm_daemon.bus.frame_chunk import FrameChunk, join_in_file_order
-from bstm_daemon.bus.logs import EventLog
-from bstm_daemon.bus.refusal import Refusal
-from bstm_daemon.bus.table_log import TableReader
-from bstm_daemon.bus.table_plan import compile_sources
+from bstm_daemon.bus.logs.candump import CandumpReader
+from bstm_daemon.bus.opening import EventLog
+from bstm_daemon.bus.signals.columns import ChunkDecoder
+from bstm_daemon.bus.signals.frame_chunk import FrameChunk, join_in_file_order
+from bstm_daemon.bus.signals.reject_reason import RejectReason
+from bstm_daemon.bus.tables.table_log import TableReader
+from bstm_daemon.bus.tables.table_plan import compile_sources
 from bstm_daemon.cli.vehicle import load_vehicle
-from bstm_daemon.config import SignalConfig, TableConfig
+from bstm_daemon.config.sections import SignalConfig, TableConfig
 from bstm_daemon.errors import LogError
-from bstm_daemon.native import VARIABLE
-from bstm_daemon.shipped import shipped_file
+from bstm_daemon.files import shipped_file
+from bstm_daemon.native.loader import VARIABLE, extension
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator
 
-    from bstm_daemon.bus.candump import Wanted
-    from bstm_daemon.bus.columns import Events
-    from bstm_daemon.bus.signal_map import SignalMap
+    from bstm_daemon.bus.logs.reader import Wanted
+    from bstm_daemon.bus.signals.columns import Events
+    from bstm_daemon.bus.signals.signal_map import SignalMap
 
 LINES: Final = 1_000_000
 ROWS: Final = 100_000
@@ -86,7 +85,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, default=Path(), metavar="FOLDER")
     args = parser.parse_args(arguments)
     passed = 0
-    say(f"forms of the candump reader: line by line, {', '.join(forms())}")
+    say(f"forms of the candump reader: {', '.join(forms())}")
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         candump, table = CandumpCheck(folder), TableCheck(folder)
@@ -144,7 +143,8 @@ class CandumpCheck:
         self._path.write_bytes(content)
         lines = content.count(b"\n") + (content[-1:] not in (b"", b"\n"))
         for wanted in (None, _WANTED.get):
-            slow = read_frames(self._path, wanted, columns=False)
+            with taken("reference"):
+                slow = read_frames(self._path, wanted)
             expect(not slow.error, slow.error)
             expect(slow.reader.lines == lines, "lines of the file")
             self._adds_up(slow, wanted)
@@ -173,14 +173,17 @@ class CandumpCheck:
             reader.lines == reader.frames + sum(refused.values()),
             f"{reader.lines} lines, {reader.frames} frames, {refused}",
         )
-        unwanted: Counter[Refusal] = Counter()
+        unwanted: Counter[RejectReason] = Counter()
         for (channel, can_id, extended), number in reader.seen.items():
             ids = wanted(reader.interfaces[channel]) if wanted else ()
             if ids is None:
-                unwanted[Refusal.UNKNOWN_INTERFACE] += number
+                unwanted[RejectReason.UNKNOWN_INTERFACE] += number
             elif wanted and (can_id, extended) not in ids:
-                unwanted[Refusal.UNKNOWN_ID] += number
-        for reason in (Refusal.UNKNOWN_INTERFACE, Refusal.UNKNOWN_ID):
+                unwanted[RejectReason.UNKNOWN_ID] += number
+        for reason in (
+            RejectReason.UNKNOWN_INTERFACE,
+            RejectReason.UNKNOWN_ID,
+        ):
             expect(unwanted[reason] == refused[reason], f"count of {reason}")
 
     def _decode(self) -> None:
@@ -191,8 +194,7 @@ class CandumpCheck:
                 reader = CandumpReader(self._path, self._ids)
                 decoded.append(
                     [
-                        decode_chunk(
-                            self._signal_map,
+                        ChunkDecoder(self._signal_map).decode(
                             chunk,
                             [0] * len(reader.interfaces),
                         )
@@ -329,7 +331,7 @@ class TableCheck:
             all(np.isfinite(one.value).all() for one in events),
             "a sample is not finite",
         )
-        told: Counter[Refusal] = Counter()
+        told: Counter[RejectReason] = Counter()
         for one in events:
             told.update(one.counts)
         expect(told == reader.counts, "refused cells of the chunks")

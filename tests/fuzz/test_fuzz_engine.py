@@ -20,8 +20,8 @@ DEFECTS = {
         "engine_fuzz.Engine.frame = broken\n"
     ),
     "too hot and not said": (
-        "from bstm_daemon import estimator\n"
-        "estimator.HIGHEST_K = 1e9\n"
+        "from bstm_daemon.estimator import estimator, validity\n"
+        "estimator.HIGHEST_K = validity.HIGHEST_K = 1e9\n"
         "stretches = estimator.Estimator.stretches\n"
         "def broken(self, *samples):\n"
         "    for batch, _ in self.batches:\n"
@@ -38,8 +38,8 @@ DEFECTS = {
         "engine_fuzz.Engine.frame = broken\n"
     ),
     "a state is not checked": (
-        "from bstm_daemon import carry_over\n"
-        "carry_over._number = lambda value, key: float(value)\n"
+        "from bstm_daemon.estimator import state\n"
+        "state._number = lambda value, key: float(value)\n"
     ),
     "a wrong configuration is not worded": (
         "load = engine_fuzz.load_config\n"

@@ -21,11 +21,11 @@ DEFECTS = {
         "fuzz_logs.CandumpReader._parse = broken\n"
     ),
     "an unwanted frame is not counted": (
-        "refused = fuzz_logs.CandumpReader._refuse\n"
+        "refused = fuzz_logs.CandumpReader.refuse\n"
         "def broken(self, reason, line):\n"
-        "    if reason is not fuzz_logs.Refusal.UNKNOWN_INTERFACE:\n"
+        "    if reason is not fuzz_logs.RejectReason.UNKNOWN_INTERFACE:\n"
         "        refused(self, reason, line)\n"
-        "fuzz_logs.CandumpReader._refuse = broken\n"
+        "fuzz_logs.CandumpReader.refuse = broken\n"
     ),
     "a row is lost": (
         "events = fuzz_logs.TableReader._events\n"

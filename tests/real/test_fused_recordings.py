@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from bstm_daemon.bus.logs import EventLog
+from bstm_daemon.bus.opening import EventLog
+from bstm_daemon.channels import FLAGS
 from bstm_daemon.cli.vehicle import load_vehicle
-from bstm_daemon.heat.sample_plan import FLAGS
-from bstm_daemon.replay import replay_log
+from bstm_daemon.replay.columns import replay_log
 from bstm_daemon.roles import CORNERS, ROLE_INDEX
 
 if TYPE_CHECKING:

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import pytest
 
+from bstm_daemon.analysis.gap.heat_only import find_force_gap
+from bstm_daemon.analysis.gap.holdout_comparison import BASELINES
+from bstm_daemon.analysis.gap.recording import read_recording
+from bstm_daemon.analysis.gap.workflow import find_gap
 from bstm_daemon.cli.vehicle import load_vehicle
-from bstm_daemon.gap.heat_only import find_force_gap
-from bstm_daemon.gap.recording import read_recording
-from bstm_daemon.gap.showing import BASELINES
-from bstm_daemon.gap.workflow import find_gap
 
 ROOT = Path(__file__).parents[2]
 DATA = os.environ.get("BSTM_REAL_DATA")

@@ -15,20 +15,20 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
+from bstm_daemon.analysis.quality.judge import judge
+from bstm_daemon.analysis.quality.recording import read_recording
+from bstm_daemon.channels import WHEEL_SUSPECT
 from bstm_daemon.cli.main import main
 from bstm_daemon.cli.vehicle import load_vehicle
-from bstm_daemon.heat.sample_plan import WHEEL_SUSPECT
-from bstm_daemon.quality.judge import judge
-from bstm_daemon.quality.recording import read_recording
-from bstm_daemon.replay import Replay, replay_log
+from bstm_daemon.replay.columns import Replay, replay_log
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     import numpy.typing as npt
 
-    from bstm_daemon.config import Config
-    from bstm_daemon.quality.finding import Comparison, Quality
+    from bstm_daemon.analysis.quality.finding import Comparison, Quality
+    from bstm_daemon.config.sections import Config
 
     Series = npt.NDArray[np.float64]
 

@@ -4,7 +4,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from bstm_daemon.results import Results
+from bstm_daemon.replay.results import Results
 
 DESCENT_S = 1500.0
 SOAK_S = 3600.0

@@ -2,24 +2,23 @@
 
 from __future__ import annotations
 
-import json
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 
-from bstm_daemon.heat.plausibility import CAUSES, FAULTS, SUSPECT
-from bstm_daemon.heat.sample_plan import (
+from bstm_daemon.channels import (
     CORNER_PRESSURE_SUSPECT,
     FLAGS,
     HEAT_LOST,
     WHEEL_SUSPECT,
 )
-from bstm_daemon.report.findings import Finding, FindingTally
-from bstm_daemon.report.screen import WIDTH, summary_table
-from bstm_daemon.report.summary import summary_json
-from bstm_daemon.report.tally import summarize
-from bstm_daemon.results import Results
+from bstm_daemon.model.heat.plausibility import CAUSES, FAULTS, SUSPECT
+from bstm_daemon.replay.results import Results
+from bstm_daemon.report.drive_statistics import DriveStatistics
+from bstm_daemon.report.findings import Finding, FindingCollector
+from bstm_daemon.report.screen import summary_table
+from bstm_daemon.report.text import WIDTH
 
 if TYPE_CHECKING:
     import numpy.typing as npt
@@ -33,11 +32,11 @@ CORNERS = ("RL", "FL", "FR", "RR")
 def findings_of(*stretches: tuple[float, int]) -> tuple[Finding, ...]:
     """Return what is found in *stretches*: seconds and flags."""
     flags = np.concatenate(
-        [np.full(round(10 * s), float(bits)) for s, bits in stretches]
+        [np.full(round(10 * s), bits) for s, bits in stretches]
     )
-    tally = FindingTally()
-    tally.add(0.1 * (1 + np.arange(len(flags))), flags)
-    return tally.findings(CORNERS)
+    collector = FindingCollector()
+    collector.add(0.1 * (1 + np.arange(len(flags))), flags)
+    return collector.findings(CORNERS)
 
 
 def test_a_drive_without_findings_has_none() -> None:
@@ -124,9 +123,9 @@ def test_stretches_do_not_matter(rows: int) -> None:
     """A finding over the edge of a stretch is one; nothing grows."""
     rng = np.random.default_rng(7)
     bits = [0, WHEEL_SUSPECT | FLAGS["stuck"], FLAGS["heat_unknown"]]
-    flags = np.repeat(rng.choice(bits, 90), rng.integers(1, 50, 90)) * 1.0
+    flags = np.repeat(rng.choice(bits, 90), rng.integers(1, 50, 90))
     elapsed_s = 0.1 * np.arange(len(flags))
-    whole, parts = FindingTally(), FindingTally()
+    whole, parts = FindingCollector(), FindingCollector()
 
     whole.add(elapsed_s, flags)
     for first in range(0, len(flags), rows):
@@ -137,22 +136,23 @@ def test_stretches_do_not_matter(rows: int) -> None:
     assert parts.findings(CORNERS) == whole.findings(CORNERS)
 
 
-def test_screen_and_json_have_it() -> None:
+def test_screen_has_it() -> None:
     """At most as wide as the table; the names are those of the car."""
     flags = np.where(np.arange(600) < 100, 0, WHEEL_SUSPECT << 1 | CAUSES)
     columns = {
         "time_s": 5.0 + 0.1 * np.arange(600),
         "flags": flags.astype(np.float64),
     }
-    summary = summarize(Results(columns, CORNERS, ()))
+    statistics = DriveStatistics()
+    statistics.write(Results(columns, CORNERS, ()))
+    summary = statistics.summary()
 
     text = summary_table(summary)
-    read = json.loads(json.dumps(summary_json(summary)))
 
     assert "\nwheel speed suspect (FL) for 50 s, from 10 s on: " in text
     assert max(map(len, text.splitlines())) <= WIDTH
-    (found,) = read["findings"]
-    assert found["name"] == "wheel speed suspect"
-    assert found["corners"] == ["FL"]
-    assert found["total_s"] == pytest.approx(50.0)
-    assert "a signal is stuck" in found["reasons"]
+    (found,) = summary.findings
+    assert found.name == "wheel speed suspect"
+    assert found.corners == ("FL",)
+    assert found.total_s == pytest.approx(50.0)
+    assert "a signal is stuck" in found.reasons

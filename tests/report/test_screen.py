@@ -3,9 +3,15 @@
 import numpy as np
 import pytest
 
+from bstm_daemon.replay.results import Results
+from bstm_daemon.report.drive_statistics import DriveStatistics, DriveSummary
 from bstm_daemon.report.screen import percent, summary_table
-from bstm_daemon.report.tally import summarize
-from bstm_daemon.results import Results
+
+
+def summarize(results: Results) -> DriveSummary:
+    statistics = DriveStatistics()
+    statistics.write(results)
+    return statistics.summary()
 
 
 def test_table_of_the_descent(descent: Results) -> None:

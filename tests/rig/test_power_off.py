@@ -19,7 +19,7 @@ from typing import Any
 
 import pytest
 
-from bstm_daemon.daemon.state_file import load
+from bstm_daemon.service.state_file import load
 from bstm_daemon.simulation import parse_drive, simulate
 from bstm_daemon.simulation.frames import Encoder
 from bstm_daemon.simulation.recorder import write_candump

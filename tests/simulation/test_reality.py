@@ -19,6 +19,7 @@ from bstm_daemon.simulation.lanes import BOILING_K, Lanes, start_state
 from bstm_daemon.simulation.march import lane_result, total_energy
 from bstm_daemon.simulation.parameters import FRONT, UNHEARD_NAMES
 from bstm_daemon.simulation.reality import march_numpy
+from bstm_daemon.simulation.vehicle import NOMINAL
 
 Inputs = Callable[..., LaneInputs]
 
@@ -192,6 +193,23 @@ def test_corner_at_ambient_stays_there(
 
     for series in result.nodes.values():
         np.testing.assert_allclose(series, 283.15, atol=1e-6)
+
+
+def test_a_dragging_pad_heats_by_torque_over_the_car_s_own_wheel(
+    lane_inputs: Inputs,
+) -> None:
+    """1.5 Nm of a cold caliper at 20 m/s, whatever the wheel's size."""
+    radii_m = (0.3418, 0.25)
+    cars = [replace(NOMINAL, wheel_radius_m=radius_m) for radius_m in radii_m]
+    result = march_lanes(
+        [car.corners[0] for car in cars],
+        [Effects(residual_drag=1.0)] * 2,
+        lane_inputs(1, 0.05, speed_ms=20.0),
+        start_k=np.array([283.15] * 2),
+    )
+
+    expected_j = [1.5 * 20.0 / radius_m * 0.05 for radius_m in radii_m]
+    np.testing.assert_allclose(result.heat_in_j, expected_j, rtol=1e-9)
 
 
 def cooling_rate(

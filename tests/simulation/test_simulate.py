@@ -20,6 +20,8 @@ from bstm_daemon.simulation.parameters import STRONGEST
 from bstm_daemon.simulation.profile import SAMPLE_S
 from bstm_daemon.simulation.steps import Resolution
 
+from ..finer_mesh import with_half_cells  # noqa: TID252  (no package)
+
 
 def celsius(drive: SimulatedDrive, node: str) -> np.ndarray:
     """Return the true temperature of *node* [degC]."""
@@ -92,7 +94,7 @@ def test_energy_balance_closes(simalp: SimulatedDrive) -> None:
     ("finer", "disc_k", "fluid_k"),
     [
         (Resolution(step_s=0.25, soak_step_s=1.0), 0.2, 0.002),
-        (Resolution(mesh=Mesh().doubled()), 0.6, 0.1),
+        (Resolution(mesh=with_half_cells(Mesh())), 0.6, 0.1),
     ],
     ids=["half the step", "half the cells"],
 )

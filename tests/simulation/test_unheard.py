@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from bstm_daemon.effects.catalogue import effect_names
+from bstm_daemon.model.effects.catalogue import effect_names
 from bstm_daemon.simulation import (
     EFFECT_NAMES,
     Effects,

@@ -50,6 +50,8 @@ def configure(path: Path = CONFIG, **changes: str) -> None:
         "[publish]\nenabled = true",
     )
     assert "enabled = true\n# A name of a [[bus]]" in text
+    head, section, tail = text.partition("[metrics]")
+    text = head + section + tail.replace("enabled = false", "enabled = true")
     for key, value in lines.items():
         text, count = re.subn(
             rf"^{key} = .*$", f"{key} = {value}", text, flags=re.MULTILINE
@@ -262,7 +264,7 @@ def test_the_watchdog_ends_a_hang_and_tells_where(started: Unit) -> None:
     journal = started.journal()
     assert "Watchdog timeout (limit 10s)" in journal
     assert "Fatal Python error: Aborted" in journal
-    assert "bstm_daemon/daemon/service.py" in journal
+    assert "bstm_daemon/service/service.py" in journal
 
 
 def test_a_wrong_configuration_is_not_tried_again(service: Unit) -> None:

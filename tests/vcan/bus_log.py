@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Final
 
-from bstm_daemon.bus.output_layout import own_ids
+from bstm_daemon.bus.output.layout import own_ids
 
 ROOT: Final = Path(__file__).parents[2]
 OWN: Final = {

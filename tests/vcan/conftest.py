@@ -16,8 +16,8 @@ from typing import Any, NoReturn
 
 import pytest
 
-from bstm_daemon.daemon.monitor import BusOverride, build_monitor
-from bstm_daemon.wear.dose import DISTANCE, DOSE
+from bstm_daemon.model.wear.dose import DISTANCE, DOSE
+from bstm_daemon.service.assembly import BusOverride, build_monitor
 
 from .daemon_process import Daemon, Forked, Forks
 from .peers import DEADLINE_S, Car, Ear, Sent, wait_until
@@ -144,6 +144,7 @@ def configured(changes: Mapping[str, Any]) -> str:
         "bus.dbc": str(ROOT / "dbc" / "example_vehicle.dbc"),
         "publish.enabled": True,
         "daemon.reopen_s": 0.1,
+        "metrics.enabled": True,
         "metrics.interval_s": 0.5,
         **changes,
     }

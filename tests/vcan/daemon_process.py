@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Final, NoReturn
 
 import pytest
 
-from bstm_daemon.daemon.state_file import read
+from bstm_daemon.service.state_file import read
 
 from .peers import DEADLINE_S, wait_until
 

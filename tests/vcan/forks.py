@@ -19,7 +19,6 @@ def serve(channel: socket.socket) -> None:
     # asammdf, which python-can imports where it is, takes a second to load
     sys.modules["asammdf"] = None  # type: ignore[assignment]
     import bstm_daemon.cli.run  # noqa: F401, PLC0415
-    from bstm_daemon.bus import dbc, link_socketcan  # noqa: F401, PLC0415
 
     while True:
         text, files, _, _ = socket.recv_fds(channel, 2**16, 1)

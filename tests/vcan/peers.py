@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import pytest
 
-from bstm_daemon.daemon.clock import boot_clock_ns
+from bstm_daemon.service.clock import boot_clock_ns
 from bstm_daemon.simulation import parse_drive, simulate
 from bstm_daemon.simulation.frames import Encoder
 

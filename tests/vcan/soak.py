@@ -25,16 +25,16 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from bstm_daemon.bus.e2e import CheckStatus
-from bstm_daemon.bus.output_layout import (
+from bstm_daemon.bus.output.e2e import CheckStatus
+from bstm_daemon.bus.output.layout import (
     ADVICE_OFFSET,
     CORNERS,
     own_ids,
     published_frames,
 )
-from bstm_daemon.bus.published import PublishedDecoder
-from bstm_daemon.daemon.state_file import read
-from bstm_daemon.shipped import shipped_file
+from bstm_daemon.bus.output.published import PublishedDecoder
+from bstm_daemon.files import shipped_file
+from bstm_daemon.service.state_file import read
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator

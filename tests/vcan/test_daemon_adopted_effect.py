@@ -9,7 +9,7 @@ import pytest
 from cantools.database.can import Database
 
 from bstm_daemon.cli.main import main
-from bstm_daemon.daemon.state_file import save
+from bstm_daemon.service.state_file import encode, save
 from bstm_daemon.simulation import Effects, parse_drive, simulate
 from bstm_daemon.simulation.frames import Encoder
 from bstm_daemon.simulation.recorder import write_candump
@@ -103,7 +103,7 @@ def hot_state(running: Daemon, path: Path) -> Path:
     for corner in document["corners"].values():
         assert "disc" in corner
         corner["disc"] = HOT_K
-    save(path, document)
+    save(path, encode(document))
     return path
 
 

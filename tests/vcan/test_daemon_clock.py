@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from bstm_daemon.daemon.monitor import BusOverride, build_monitor
-from bstm_daemon.daemon.state_file import save
+from bstm_daemon.service.assembly import BusOverride, build_monitor
+from bstm_daemon.service.state_file import encode, save
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -81,7 +81,7 @@ def hot_state(
             if node != "ambient":
                 corner[node] = max(corner[node], 600.0)
     document |= {"boot_id": "another boot", **changes}
-    save(path, document)
+    save(path, encode(document))
     return document
 
 

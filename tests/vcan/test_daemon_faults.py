@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from bstm_daemon.bus.e2e import protect
+from bstm_daemon.bus.output.e2e import protect
 
 from .peers import wait_until
 

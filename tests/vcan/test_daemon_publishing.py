@@ -12,13 +12,13 @@ import cantools.autosar
 import pytest
 from cantools.database.can import Database
 
-from bstm_daemon.bus.e2e import CheckStatus, Profile2Checker
-from bstm_daemon.bus.output_layout import (
+from bstm_daemon.bus.output.e2e import CheckStatus, Profile2Checker
+from bstm_daemon.bus.output.layout import (
     ADVICE_OFFSET,
     own_ids,
     published_frames,
 )
-from bstm_daemon.shipped import shipped_file
+from bstm_daemon.files import shipped_file
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator

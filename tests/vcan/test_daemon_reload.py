@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from bstm_daemon.bus.output_layout import ADVICE_OFFSET, own_ids
+from bstm_daemon.bus.output.layout import ADVICE_OFFSET, own_ids
 from bstm_daemon.roles import CORNERS
 
 if TYPE_CHECKING:

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from bstm_daemon.daemon.clock import boot_clock_ns
-from bstm_daemon.daemon.state_file import read
+from bstm_daemon.service.clock import boot_clock_ns
+from bstm_daemon.service.state_file import read
 
 from .daemon_process import Forked
 from .peers import DEADLINE_S, stood_s

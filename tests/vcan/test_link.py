@@ -11,19 +11,19 @@ from pathlib import Path
 
 import pytest
 
-from bstm_daemon.bus.compiled import live_extension
-from bstm_daemon.bus.frame_records import FrameRecords
-from bstm_daemon.bus.link import (
+from bstm_daemon.bus.live.frame_records import FrameRecords
+from bstm_daemon.bus.live.link import (
     DRAIN_LIMIT,
     Frame,
     LinkEvent,
     LinkState,
     SendResult,
 )
-from bstm_daemon.bus.link_receiver import ERROR_CLASSES
-from bstm_daemon.bus.link_socketcan import FILTER_LIMIT, SocketcanLink
-from bstm_daemon.config import BusConfig
-from bstm_daemon.daemon.clock import SteadyAxis, boot_clock_ns
+from bstm_daemon.bus.live.receiver import ERROR_CLASSES
+from bstm_daemon.bus.live.socketcan import FILTER_LIMIT, SocketcanLink
+from bstm_daemon.config.sections import BusConfig
+from bstm_daemon.native.loader import live_extension
+from bstm_daemon.service.clock import SteadyAxis, boot_clock_ns
 
 pytestmark = pytest.mark.vcan
 

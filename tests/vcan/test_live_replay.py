@@ -16,8 +16,8 @@ import pytest
 from cantools.database.can import Database
 
 from bstm_daemon.cli.vehicle import load_vehicle
-from bstm_daemon.daemon.state_file import read
-from bstm_daemon.frame_replay import publish_log
+from bstm_daemon.replay.frames import publish_log
+from bstm_daemon.service.state_file import read
 from bstm_daemon.simulation import parse_drive, simulate
 from bstm_daemon.simulation.frames import Encoder
 from bstm_daemon.simulation.recorder import write_candump

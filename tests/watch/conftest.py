@@ -16,14 +16,16 @@ from typing import TYPE_CHECKING, Any
 import pyte
 import pytest
 
-from bstm_daemon.bus.output_layout import HeatMode, State, Validity
-from bstm_daemon.bus.publication import (
-    CornerSnapshot,
-    OutputFrame,
-    Publication,
-    Snapshot,
-    StatusSnapshot,
+from bstm_daemon.bus.output.publication import OutputFrame, Publication
+from bstm_daemon.estimate import (
+    CornerEstimate,
+    Estimate,
+    HeatMode,
+    State,
+    Status,
+    Validity,
 )
+from bstm_daemon.model.risk.levels import level_of_margin, published_level
 from bstm_daemon.watch.board import Board
 
 if TYPE_CHECKING:
@@ -53,20 +55,24 @@ class Sender:
 
     def frames(self, disc_c: float, fluid_c: float) -> list[OutputFrame]:
         """Return the frames of the next tenth of a second."""
-        corner = CornerSnapshot(
+        corner = CornerEstimate(
             disc_k=disc_c + KELVIN,
             pad_front_k=disc_c + KELVIN - 50.0,
             pad_back_k=fluid_c + KELVIN + 20.0,
             fluid_k=fluid_c + KELVIN,
-            margin_k=155.0 - fluid_c,
-            wet_boiling_k=155.0 + KELVIN,
+            boiling_k=155.0 + KELVIN,
             validity=self.validity,
+            level=published_level(
+                level_of_margin(155.0 - fluid_c),
+                self.validity,
+                history_known=self.status["history_known"],
+            ),
         )
         frames = self.publication.encode(
-            Snapshot(
+            Estimate(
                 self.time_us,
                 dict.fromkeys(self.corners, corner),
-                StatusSnapshot(**self.status),
+                Status(**self.status),
             )
         )
         self.time_us += STEP_US
@@ -141,7 +147,13 @@ class Terminal:
             stderr=self._slave,
             start_new_session=True,
             cwd=ROOT,
-            env={**os.environ, "PYTHONUTF8": "1", "NO_COLOR": "", **env},
+            env={
+                **os.environ,
+                "PYTHONUTF8": "1",
+                "NO_COLOR": "",
+                "TERM": "xterm-256color",
+                **env,
+            },
         )
 
     @property

@@ -7,15 +7,10 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from bstm_daemon.bus.e2e import protect
-from bstm_daemon.bus.output_layout import (
-    HeatMode,
-    RiskLevel,
-    State,
-    Validity,
-    data_id_list,
-)
+from bstm_daemon.bus.output.e2e import protect
+from bstm_daemon.bus.output.layout import data_id_list
 from bstm_daemon.errors import ConfigError
+from bstm_daemon.estimate import HeatMode, RiskLevel, State, Validity
 from bstm_daemon.watch.board import Board
 
 if TYPE_CHECKING:
@@ -53,7 +48,7 @@ def test_a_second_of_frames(board: Board, sender: Sender) -> None:
     assert board.has_suspect_input
     assert not board.has_substituted_heat
     assert board.history("FL", "Disc").columns(now_us, 1) == [412.5]
-    assert board.refused == 0
+    assert board.rejected == 0
 
 
 def test_configured_corners_are_there_at_once() -> None:
@@ -81,7 +76,7 @@ def test_frames_that_fail_the_check_change_nothing(
         board.frame(frame.can_id + 0x100, frame.data, 2_000_000)
 
     assert board.value("BSTM_FL_Temperatures", "Disc") == 100.0
-    assert board.refused == len(frames)
+    assert board.rejected == len(frames)
 
 
 def test_a_repeated_frame_is_no_news(board: Board, sender: Sender) -> None:
@@ -90,7 +85,7 @@ def test_a_repeated_frame_is_no_news(board: Board, sender: Sender) -> None:
     board.frame(frame.can_id, frame.data, 10_000_000)
 
     assert board.silence_s(frame.name, 10_000_000) == 10.0
-    assert board.refused == 0
+    assert board.rejected == 0
 
 
 def test_codes_without_a_meaning_are_not_good_news(board: Board) -> None:

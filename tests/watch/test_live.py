@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING
 import can
 import pytest
 
-from bstm_daemon.bus.link_portable import PortableLink
-from bstm_daemon.bus.link_socketcan import SocketcanLink
-from bstm_daemon.config import BusConfig
+from bstm_daemon.bus.live.portable import PortableLink
+from bstm_daemon.bus.live.socketcan import SocketcanLink
+from bstm_daemon.config.sections import BusConfig
 from bstm_daemon.errors import ConfigError
+from bstm_daemon.watch.lines import LineView
 from bstm_daemon.watch.live import link_of, watch_link
-from bstm_daemon.watch.view import LineView
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -98,7 +98,7 @@ def test_frames_on_the_bus_are_shown(board: Board, sender: Sender) -> None:
     first, second = view.stream.getvalue().splitlines()
     assert "source=watch-1 state=none" in first
     assert "FL.disc_c=412.5" in second
-    assert board.refused == 0
+    assert board.rejected == 0
     assert link.reason == "closed"
 
 

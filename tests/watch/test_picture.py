@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import io
 from typing import TYPE_CHECKING
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from rich.console import Console
+from rich.screen import Screen
 
-from bstm_daemon.bus.e2e import protect
-from bstm_daemon.bus.output_layout import State, Validity, data_id_list
+from bstm_daemon.bus.output.e2e import protect
+from bstm_daemon.bus.output.layout import data_id_list
+from bstm_daemon.estimate import State, Validity
 from bstm_daemon.watch.board import Board
 from bstm_daemon.watch.history import ASCII_BARS
-from bstm_daemon.watch.picture import number, picture
-from bstm_daemon.watch.styled import painted
+from bstm_daemon.watch.picture import picture
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -34,6 +37,17 @@ def car(make_sender: MakeSender, board: Board) -> tuple[Board, Sender]:
     return board, sender
 
 
+def screen(width: int, height: int) -> Console:
+    """Return a console of a given size that keeps what it shows."""
+    return Console(
+        file=io.StringIO(),
+        width=width,
+        height=height,
+        force_terminal=True,
+        color_system=None,
+    )
+
+
 def drawn(
     board: Board,
     now_us: int = 19_900_000,
@@ -41,48 +55,52 @@ def drawn(
     height: int = 24,
     source: str = "can0",
 ) -> list[str]:
-    """Return the picture without styles."""
-    return [
-        painted(line, use_color=False)
-        for line in picture(board, now_us, source, width, height)
-    ]
+    """Return the lines of the screen, without styles."""
+    console = screen(width, height)
+    lines = console.render_lines(
+        Screen(picture(board, now_us, source, console)), pad=True
+    )
+    return ["".join(part.text for part in line) for line in lines]
 
 
 def test_eighty_columns(car: tuple[Board, Sender]) -> None:
-    lines = drawn(car[0])
+    lines = [line.rstrip() for line in drawn(car[0])]
 
-    assert lines[:5] == [
-        f"{'bstm  running  heat fb  history known':76}can0",
-        "inputs fresh  oldest 0.1 s  rejected 0  dropped 0".ljust(80),
-        " " * 80,
-        *(
-            f"{left:39}  {left.replace('FL', 'FR'):39}"
-            for left in (
-                "FL valid  risk normal  margin 62 K",
-                "disc       412.5               ▁   412",
-            )
-        ),
+    head = "bstm  can0  running  heat fb  history known  inputs fresh"
+    assert lines[:2] == [f"{head}  oldest 0.1 s", "rejected 0  dropped 0"]
+    rows = [line.split() for line in lines[2:14]]
+    assert rows == [
+        [*ALL],
+        ["estimate", *["valid"] * 4],
+        ["risk", *["normal", "62", "K"] * 4],
+        ["disc", *["412.5"] * 4],
+        ["\u2581", "412"] * 4,
+        ["pad", "front", *["362.5"] * 4],
+        ["\u2581", "362"] * 4,
+        ["pad", "back", *["112.5"] * 4],
+        ["\u2581", "112"] * 4,
+        ["fluid", *["92.7"] * 4],
+        ["\u2581", "93"] * 4,
+        ["parked", *["-"] * 4],
     ]
-    assert lines[8] == f"{'parked         -':39}  {'parked         -':39}"
-    assert lines[10].startswith("RL valid  risk normal  margin 62 K ")
     assert lines[-1].endswith("q leaves")
 
 
-def test_sixty_columns_and_few_lines(car: tuple[Board, Sender]) -> None:
-    lines = drawn(car[0], width=60)
+def test_a_narrow_screen_keeps_every_number(
+    car: tuple[Board, Sender],
+) -> None:
+    words = " ".join(drawn(car[0], width=40)).split()
 
-    assert lines[2] == " " * 60
-    assert [line[:3] for line in lines[3:23:5]] == [f"{n} " for n in ALL]
-    assert lines[22].startswith("fluid")
+    assert words.count("412.5") == words.count("92.7") == 4
+    assert words.count("62") == 4
 
 
 def test_a_low_screen_keeps_the_corners(car: tuple[Board, Sender]) -> None:
-    lines = drawn(car[0], width=60, height=6)
+    lines = drawn(car[0], height=10)
 
-    assert lines[1:5] == [
-        f"{name} normal 62 K disc 412 pad 362/112 fluid 93 valid".ljust(60)
-        for name in ALL
-    ]
+    assert lines[5].split() == ["disc", *["412.5"] * 4]
+    assert lines[8].split() == ["fluid", *["92.7"] * 4]
+    assert lines[9].endswith("q leaves")
 
 
 @given(width=st.integers(1, 200), height=st.integers(1, 60))
@@ -99,14 +117,12 @@ def test_fills_any_screen_exactly(
         assert {len(line) for line in lines} == {width}
 
 
-def test_three_corners_stand_where_they_are_on_the_car(
+def test_only_the_corners_of_the_car(
     make_sender: MakeSender, board: Board
 ) -> None:
-    make_sender(("FL", "FR", "RR")).feed(board, 1.0)
+    make_sender(("RR", "FL")).feed(board, 1.0)
 
-    rear = next(line for line in drawn(board, 0) if "RR" in line)
-
-    assert rear.startswith(" " * 41 + "RR")
+    assert ["FL", "RR"] in [line.split() for line in drawn(board, 0)]
 
 
 def test_silence_is_said_and_hides_the_risk(
@@ -114,8 +130,10 @@ def test_silence_is_said_and_hides_the_risk(
 ) -> None:
     lines = drawn(car[0], 32_400_000)
 
-    assert lines[0].startswith("bstm  silent for 12 s")
-    assert lines[3].startswith("FL silent for 12 s   ")
+    assert lines[0].startswith("bstm  can0  silent for 12 s")
+    rows = {line.split()[0]: line.split()[1:] for line in lines[2:6]}
+    assert rows["estimate"] == ["silent", "for", "12", "s"] * 4
+    assert rows["risk"] == ["-"] * 4
 
 
 def test_a_daemon_that_said_goodbye(car: tuple[Board, Sender]) -> None:
@@ -123,15 +141,15 @@ def test_a_daemon_that_said_goodbye(car: tuple[Board, Sender]) -> None:
     sender.status["state"] = State.STOPPING
     now_us = sender.feed(board, 0.1)
 
-    assert drawn(board, now_us)[0].startswith("bstm  stopping")
+    assert drawn(board, now_us)[0].startswith("bstm  can0  stopping")
     later = drawn(board, now_us + 9_000_000)[0]
-    assert later.startswith("bstm  stopped since 9 s")
+    assert later.startswith("bstm  can0  stopped for 9 s")
 
 
 @pytest.mark.parametrize(
     ("status", "text"),
     [
-        ({"state": State.NO_INPUT}, "bstm  no input"),
+        ({"state": State.NO_INPUT}, "bstm  can0  no input"),
         ({"history_known": False}, "history unknown"),
         ({"compiled_kernel": False}, "Python kernel"),
         ({"clock_jump": True}, "clock jumped"),
@@ -153,7 +171,7 @@ def test_the_status_is_told(
     sender.status.update(status)
     now_us = sender.feed(board, 0.1)
 
-    assert text in " ".join(drawn(board, now_us)[:2])
+    assert text in drawn(board, now_us, width=160)[0]
 
 
 def test_no_value(make_sender: MakeSender, board: Board) -> None:
@@ -162,11 +180,12 @@ def test_no_value(make_sender: MakeSender, board: Board) -> None:
     nothing = float("nan")
     now_us = sender.feed(board, 1.0, nothing, float("inf"))
 
-    lines = [line.rstrip() for line in drawn(board, now_us)]
+    lines = [line.split() for line in drawn(board, now_us)]
 
-    assert "FL no value  risk unknown  margin error K" in lines
-    assert "disc           -" in lines
-    assert "fluid      error" in lines
+    assert ["estimate", "no", "value"] in lines
+    assert ["risk", "unknown", "error", "K"] in lines
+    assert ["disc", "-"] in lines
+    assert ["fluid", "error"] in lines
 
 
 def test_no_frames_yet(board: Board) -> None:
@@ -203,7 +222,7 @@ def test_bad_frames_are_counted(car: tuple[Board, Sender]) -> None:
 def test_a_file_name_moves_no_cursor(board: Board) -> None:
     line = drawn(board, source="a\x1b[2J\n.log")[0]
 
-    assert line.endswith("a?[2J?.log")
+    assert line.startswith("bstm  a?[2J?.log ")
 
 
 def test_a_long_reason_is_told_whole(board: Board) -> None:
@@ -214,13 +233,17 @@ def test_a_long_reason_is_told_whole(board: Board) -> None:
     assert reason in text
 
 
-def test_ascii(car: tuple[Board, Sender]) -> None:
-    board, _ = car
-    lines = picture(board, 19_900_000, "can0", 80, 24, ASCII_BARS)
+@given(width=st.integers(1, 120), height=st.integers(1, 40))
+def test_ascii_is_kept_at_any_size(
+    make_sender: MakeSender, width: int, height: int
+) -> None:
+    board = Board(0x5B0, ALL)
+    make_sender(ALL).feed(board, 2.0)
+    console = screen(width, height)
 
-    text = "".join(painted(line, use_color=True) for line in lines)
+    console.print(picture(board, 0, "can0", console, ASCII_BARS))
 
-    assert text.isascii()
+    assert console.file.getvalue().isascii()
 
 
 def test_styles_follow_risk_and_validity(car: tuple[Board, Sender]) -> None:
@@ -228,24 +251,33 @@ def test_styles_follow_risk_and_validity(car: tuple[Board, Sender]) -> None:
     sender.validity = Validity.DEGRADED
     now_us = sender.feed(board, 1.0, disc_c=600.0, fluid_c=160.0)
 
+    console = screen(80, 24)
     spans = {
-        span.text: span.style
-        for line in picture(board, now_us, "can0", 80, 24)
-        for span in line
+        part.text.strip(): str(part.style)
+        for part in console.render(picture(board, now_us, "can0", console))
     }
 
-    assert spans["critical"] == "alarm"
-    assert spans["degraded"] == "warning"
-    assert spans["running"] == "good"
-    assert spans[" 600.0 "] == "strong"
+    assert spans["critical"] == "bold white on red"
+    assert spans["degraded"] == "yellow"
+    assert spans["running"] == "green"
+    assert spans["600.0"] == "bold"
 
 
-@pytest.mark.parametrize(
-    ("value", "text"),
-    [(1.25, "1.2"), (float("nan"), "-"), (float("inf"), "error")],
-)
-def test_number(value: float, text: str) -> None:
-    assert number(value) == text
+def test_what_is_invalid_is_not_drawn_as_valid(
+    car: tuple[Board, Sender],
+) -> None:
+    board, sender = car
+    sender.validity = Validity.INVALID
+    now_us = sender.feed(board, 0.1, disc_c=600.0)
+
+    console = screen(80, 24)
+    spans = {
+        part.text.strip(): str(part.style)
+        for part in console.render(picture(board, now_us, "can0", console))
+    }
+
+    assert spans["invalid"] == "red"
+    assert "bold" not in spans["600.0"]
 
 
 def test_sound_inputs_and_own_heat_take_no_room(

@@ -10,14 +10,14 @@ import pytest
 
 from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.errors import FileAccessError, LogError
-from bstm_daemon.frame_replay import publish_log
+from bstm_daemon.replay.frames import publish_log
 from bstm_daemon.simulation import parse_drive, simulate
 from bstm_daemon.simulation.frames import Encoder
 from bstm_daemon.simulation.recorder import write_candump
 from bstm_daemon.watch import replay_view
 from bstm_daemon.watch.board import Board
+from bstm_daemon.watch.lines import LineView, text_line
 from bstm_daemon.watch.replay_view import watch_log
-from bstm_daemon.watch.view import LineView, text_line
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -50,7 +50,9 @@ import sys
 from pathlib import Path
 from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.watch.replay_view import watch_log
-watch_log(*load_vehicle(Path(sys.argv[1])), Path(sys.argv[2]), speed=0.0)
+from bstm_daemon.watch.view import open_view
+car = load_vehicle(Path(sys.argv[1]))
+watch_log(*car, Path(sys.argv[2]), speed=0.0, view=open_view(sys.stdout))
 """
 
 
@@ -188,10 +190,10 @@ def test_on_a_terminal(
     started.press(b"q")
 
     assert started.ended() == 0
-    titles = [line for line in lines if "risk unknown" in line]
-    assert len(titles) == (4 if width == 60 else 2)
-    disc = next(line for line in lines if line.startswith("disc"))
-    assert "▁" in disc
+    assert ["FL", "FR", "RL", "RR"] in [line.split() for line in lines]
+    risk = next(line for line in lines if line.startswith("risk"))
+    assert risk.count("unknown") == 4
+    assert any("\u2581" in line for line in lines)
     assert lines[-1].endswith("q leaves")
     assert max(map(len, lines)) == width
 

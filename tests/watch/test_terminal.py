@@ -31,8 +31,8 @@ sys.exit(main(sys.argv[1:]))
 """
 WATCH = (MAIN, "watch", "-i", "virtual", "--channel", "terminal")
 
-ENTER = b"\x1b[?1049h\x1b[?25l\x1b[?7l"
-LEAVE = b"\x1b[?7h\x1b[?25h\x1b[?1049l"
+ENTER = b"\x1b[?1049h\x1b[H\x1b[?25l"
+LEAVE = b"\x1b[?25h\x1b[?1049l"
 HANGS_S = 20.0
 
 
@@ -98,6 +98,29 @@ def test_an_error_leaves_the_terminal_as_it_was(terminal: Start) -> None:
     assert b"broken" in started.raw.partition(LEAVE)[2]
 
 
+def test_a_signal_while_it_draws_waits_for_the_end_of_it(
+    terminal: Start,
+) -> None:
+    code = (
+        "import os, signal, sys\n"
+        "from bstm_daemon.watch.board import Board\n"
+        "from bstm_daemon.watch.terminal import TerminalView\n"
+        "class Interrupted(Board):\n"
+        "    @property\n"
+        "    def has_frames(self):\n"
+        "        os.kill(os.getpid(), signal.SIGTERM)\n"
+        "        return False\n"
+        "with TerminalView(sys.stdout) as view:\n"
+        "    view.show(Interrupted(0x5B0), 0, 'can0')\n"
+        "    view.linger()\n"
+    )
+    started = terminal(80, 24, code)
+
+    assert started.ended() == 128 + signal.SIGTERM
+    assert b"no frame yet" in started.raw
+    assert started.raw.endswith(LEAVE)
+
+
 def test_the_picture_follows_the_size(watching: Terminal) -> None:
     size = struct.pack("HHHH", 10, 60, 0, 0)
     watching.screen.resize(10, 60)
@@ -153,4 +176,4 @@ def test_it_is_not_drawn_faster_than_one_can_see(board: Board) -> None:
         written = _until_left(master)
     os.close(master)
 
-    assert written.count(b"\x1b[H") == 2
+    assert written.count(b"q leaves") == 2

@@ -1,0 +1,1 @@
+"""What a person does with recordings: judge, identify, match, explain."""

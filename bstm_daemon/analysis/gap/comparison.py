@@ -1,0 +1,283 @@
+"""Model less measurement over recordings, whitened, with effects on trial.
+
+What the thermocouples of one node show, in all corners that are alike, is one
+series: their models err alike, so that counting them apart would count one
+error several times.
+"""
+
+from __future__ import annotations
+
+import os
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from math import ceil
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from bstm_daemon.analysis.gap.noise import Layout, Series
+from bstm_daemon.analysis.matching.drives import GRID_S, Drive
+from bstm_daemon.analysis.matching.march import (
+    initial_temperatures,
+    march,
+    model_of,
+)
+from bstm_daemon.analysis.matching.problem import NODE_OF
+from bstm_daemon.analysis.matching.tunables import TUNABLES, Target
+from bstm_daemon.channels import CHANNELS
+from bstm_daemon.errors import LogError
+from bstm_daemon.estimator.corner_model import compiled_model, corner_model
+from bstm_daemon.model.effects.catalogue import edited_inputs, effect_class
+from bstm_daemon.model.effects.corrections import corrections_by_role
+from bstm_daemon.roles import ROLE_INDEX
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from bstm_daemon.analysis.gap.recording import Recording
+    from bstm_daemon.analysis.statistics.series import Column, Indices
+    from bstm_daemon.analysis.statistics.whitening import SensorNoise
+    from bstm_daemon.config.sections import Config, EffectConfig
+
+POINT_S: Final = 10.0
+MOST_POINTS: Final = 300
+"""Of one node over one drive, and the least time between two."""
+
+HEAT_SCALE: Final = "heat scale"
+"""Key of the tunable that scales all brake power: friction as a whole."""
+
+HEAT_SCALE_PRIOR: Final = 0.05
+"""Standard deviation of its logarithm: what friction varies by from day to
+day, and a pressure sensor's offset and gain."""
+
+POWER: Final = CHANNELS.index("brake_power_w")
+
+
+class Comparison(Layout):
+    """Residuals of a target on recordings.
+
+    ``keys`` are the tunables, :data:`HEAT_SCALE` last.
+    """
+
+    def __init__(
+        self,
+        target: Target,
+        recordings: Sequence[Recording],
+        keys: Sequence[str],
+        noise: Mapping[str, SensorNoise],
+    ) -> None:
+        """Take what is compared.
+
+        Raises:
+            LogError: the corners of *target* have no thermocouple.
+        """
+        self.target = target
+        self.recordings = tuple(recordings)
+        self.keys = (*keys, HEAT_SCALE)
+        self.start = np.log(
+            [*(target.value(TUNABLES[key]) for key in keys), 1.0]
+        )
+        bounds = [TUNABLES[key].bounds() for key in keys] + [(-0.7, 0.7)]
+        self.lower, self.upper = np.array(bounds).T
+        super().__init__(
+            self._found_series(),
+            noise,
+            np.array(
+                [*(TUNABLES[key].prior for key in keys), HEAT_SCALE_PRIOR]
+            ),
+            [one.name for one in recordings],
+        )
+
+    def config(
+        self, x: Column, effects: Sequence[EffectConfig] = ()
+    ) -> Config:
+        """Return the configuration at the tunables *x* with *effects*."""
+        values = dict(
+            zip(self.keys[:-1], np.exp(x[:-1]).tolist(), strict=True)
+        )
+        changed = self.target.changed(values).config
+        return with_effects(changed, effects)
+
+    def residuals_k(
+        self, points: Column, effects: Sequence[EffectConfig] = ()
+    ) -> Column:
+        """Return model less measurement [K] at *points* (k, p), (n, k).
+
+        The brake power is formed anew where *effects* act on it.
+        """
+        configs = [self.config(x, effects) for x in points]
+        drives = self.drives(effects)
+        pairs = sorted(
+            {(one.drive, c) for one in self.series for c, _ in one.couples}
+        )
+        scales = np.exp(points[:, -1])
+        with ThreadPoolExecutor(os.cpu_count()) as pool:
+            jobs = {
+                pair: pool.submit(
+                    self._shown, drives[pair[0]], pair[1], configs, scales
+                )
+                for pair in pairs
+            }
+            found = {pair: job.result() for pair, job in jobs.items()}
+        gains = {
+            c: thermocouple_corrections(configs[0], c)
+            for c in self.target.corners
+        }
+        parts = []
+        for one in self.series:
+            corners = {corner for corner, _ in one.couples}
+            model = np.mean(
+                [found[one.drive, c][one.node][one.steps] for c in corners],
+                axis=0,
+            )
+            gain, offset = np.mean(
+                [gains[c].get(name, (1.0, 0.0)) for c, name in one.couples],
+                axis=0,
+            )
+            # correct the model, not the measurement: scaling the noisy reading
+            # would bias the gain
+            parts.append((model - offset) / gain - one.measured_k[:, None])
+        return np.concatenate(parts)
+
+    def drives(self, effects: Sequence[EffectConfig] = ()) -> list[Drive]:
+        """Return the drives, heated with *effects* where these act on it."""
+        if not any(heats(one, self.target.config) for one in effects):
+            return [one.drive for one in self.recordings]
+        config = with_effects(self.target.config, effects)
+        with ThreadPoolExecutor(os.cpu_count()) as pool:
+            return list(
+                pool.map(lambda one: one.heated_by(config), self.recordings)
+            )
+
+    def _shown(
+        self,
+        drive: Drive,
+        corner: str,
+        configs: Sequence[Config],
+        scales: Column,
+    ) -> dict[str, Column]:
+        """March *corner* over *drive*: what thermocouples show, (steps, k)."""
+        models = [model_of(config, corner) for config in configs]
+        programs = [compiled_model(model) for model in models]
+        nodes = {one.node for one in self.series}
+        found: dict[str, list[tuple[Indices, Column]]] = {
+            node: [] for node in nodes
+        }
+        # lanes share their inputs, so each scale is a march of its own
+        for scale in dict.fromkeys(scales.tolist()):
+            lanes = np.flatnonzero(scales == scale)
+            inputs = drive.inputs.copy()
+            inputs[:, :, POWER] *= scale
+            own = replace(drive, inputs=inputs)
+            result = march(
+                [programs[i] for i in lanes],
+                own,
+                corner,
+                initial_temperatures(programs[lanes[0]], own, corner),
+            )
+            for node in nodes:
+                shown = result[models[lanes[0]].shown(node)]
+                found[node].append((lanes, shown))
+        return {node: _in_order(parts) for node, parts in found.items()}
+
+    def _found_series(self) -> tuple[Series, ...]:
+        corner = self.target.corner
+        nodes = {
+            node.name
+            for node in corner_model(self.target.config, corner).network.nodes
+        }
+        found = []
+        for index, recording in enumerate(self.recordings):
+            drive = recording.drive
+            by_node: dict[str, list[tuple[str, str]]] = {}
+            for name in self.target.corners:
+                for couple in drive.measured.get(name, {}):
+                    node = NODE_OF.get(couple, couple)
+                    if node in nodes:
+                        by_node.setdefault(node, []).append((name, couple))
+            found += [
+                one
+                for node, couples in by_node.items()
+                if (one := _node_series(drive, index, node, couples))
+            ]
+        if not found:
+            names = ", ".join(one.name for one in self.recordings)
+            msg = (
+                f"{names}: no measured temperature of "
+                f"{', '.join(self.target.corners)}"
+            )
+            raise LogError(msg)
+        return tuple(found)
+
+
+def heats(effect: EffectConfig, config: Config) -> bool:
+    """Whether *effect* changes what the pass over samples gives *config*."""
+    if effect_class(effect.name).kind != "heat":
+        return False
+    on = with_effects(config, [effect])
+    edited, plain = edited_inputs(on), edited_inputs(config)
+    same_inputs = (
+        edited.corrections == plain.corrections
+        and edited.unpressed_share == plain.unpressed_share
+        and edited.config.model_copy(update={"effect": []})
+        == plain.config.model_copy(update={"effect": []})
+    )
+    return not same_inputs or any(
+        corner_model(on, corner).friction
+        != corner_model(config, corner).friction
+        for corner in config.corner
+    )
+
+
+def with_effects(config: Config, effects: Sequence[EffectConfig]) -> Config:
+    """Return *config* with *effects*, which replace their namesakes."""
+    names = {one.name for one in effects}
+    kept = [one for one in config.effect if one.name not in names]
+    return config.model_copy(update={"effect": [*kept, *effects]})
+
+
+def thermocouple_corrections(
+    config: Config, corner: str
+) -> dict[str, tuple[float, float]]:
+    """Return gain and offset by thermocouple of *corner*."""
+    by_role = corrections_by_role(edited_inputs(config).corrections)
+    prefix = f"temp_{corner.lower()}_"
+    return {
+        role.removeprefix(prefix): by_role[number]
+        for role, number in ROLE_INDEX.items()
+        if role.startswith(prefix) and number in by_role
+    }
+
+
+def _in_order(parts: Sequence[tuple[Indices, Column]]) -> Column:
+    width = sum(len(lanes) for lanes, _ in parts)
+    whole = np.empty((len(parts[0][1]), width))
+    for lanes, shown in parts:
+        whole[:, lanes] = shown
+    return whole
+
+
+def _node_series(
+    drive: Drive, index: int, node: str, couples: Sequence[tuple[str, str]]
+) -> Series | None:
+    every = ceil(max(POINT_S, drive.duration_s / MOST_POINTS) / GRID_S)
+    steps = np.arange(every - 1, len(drive), every)
+    time_s = drive.time_s[steps]
+    read = np.array(
+        [drive.measured[c][name].at(time_s) for c, name in couples]
+    )
+    known = np.isfinite(read).all(axis=0)
+    if np.count_nonzero(known) < 3:
+        return None
+    measured = read[:, known].mean(axis=0)
+    air = drive.channel(couples[0][0], "ambient_k")[steps[known]]
+    return Series(
+        index,
+        node,
+        tuple(couples),
+        steps[known],
+        time_s[known],
+        measured,
+        np.gradient(measured, time_s[known]),
+        measured - air,
+    )

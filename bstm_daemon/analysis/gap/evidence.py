@@ -1,0 +1,233 @@
+"""How probable each effect is, the tunables re-fitted with every one of them.
+
+Residuals are whitened, the tunables x (p,) have their priors, the strength a
+a prior of its own. All of x is integrated out in closed form (generalised
+least squares), a on a grid, so an effect that the tunables can imitate gains
+nothing by it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from math import sqrt
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from bstm_daemon.analysis.gap.unnamed_heat import missing_evidence
+from bstm_daemon.analysis.statistics.evidence import (
+    FREE,
+    Projector,
+    fit_terms,
+    mean_evidence,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from bstm_daemon.analysis.gap.noise import Layout
+    from bstm_daemon.analysis.gap.signatures import Linearised, Signature
+    from bstm_daemon.analysis.statistics.series import Column
+
+NOTHING: Final = 0.5
+"""Probability that nothing is missing, before data."""
+
+PLACEBOS: Final = 20
+"""Candidates that can not be: the best one's signature at other times."""
+
+STRENGTHS: Final = np.geomspace(0.05, 4.0, 60)
+LOG_CENTRE: Final = -0.2
+LOG_WIDTH: Final = 0.8
+"""Prior of a strength: log-normal about the typical one."""
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """One effect against nothing missing.
+
+    ``gain`` is the fall of half the sum of squares at the best ``strength``,
+    ``log_evidence`` the logarithm of the Bayes factor, ``reach`` the strength
+    that these drives would show with 3.5 standard deviations.
+    """
+
+    name: str
+    strength: float
+    deviation: float
+    gain: float
+    log_evidence: float
+    reach: float
+
+    @property
+    def z(self) -> float:
+        """Signed-root score in standard deviations."""
+        return float(np.sqrt(max(2.0 * self.gain, 0.0)))
+
+
+DETECTED: Final = 3.5
+"""Standard deviations that count as detected."""
+
+
+def weigh(
+    project: Projector, residual: Column, signature: Signature
+) -> Candidate:
+    """Return what *signature* does to *residual* (n,)."""
+    columns = np.column_stack((residual, signature.linear, signature.curved))
+    gram = columns.T @ project(columns)
+    grid = STRENGTHS
+    if signature.either_sign:
+        grid = np.concatenate((-STRENGTHS[::-1], STRENGTHS))
+    weights = strength_prior(grid, either_sign=signature.either_sign)
+    gains = _gains(gram, grid)
+    top = int(np.argmax(gains))
+    best = _refined(gram, grid, top)
+    gain = float(_gains(gram, np.array([best]))[0])
+    slopes = np.array([0.0, 1.0, 2.0 * best])
+    curvature = float(slopes @ gram @ slopes)
+    peak = float(gains.max())
+    log_evidence = peak + float(np.log(np.sum(weights * np.exp(gains - peak))))
+    slope = max(gram[1, 1], 1e-12)
+    return Candidate(
+        signature.name,
+        best,
+        float(1.0 / np.sqrt(max(curvature, 1e-12))),
+        gain,
+        log_evidence,
+        DETECTED / float(np.sqrt(slope)),
+    )
+
+
+def strength_prior(grid: Column, *, either_sign: bool) -> Column:
+    """Return the weights of *grid*, log-normal, summing to 1."""
+    logs = (np.log(np.abs(grid)) - LOG_CENTRE) / LOG_WIDTH
+    weights = np.exp(-0.5 * logs**2)
+    if either_sign:
+        # the typical sign is the likelier one
+        weights = np.where(grid > 0, 0.75, 0.25) * weights
+    return np.asarray(weights / weights.sum())
+
+
+def _gains(gram: Column, a: Column) -> Column:
+    change = np.column_stack((np.zeros(len(a)), a, a * a))
+    quadratic = np.sum((change @ gram) * change, axis=1)
+    return np.asarray(-(change @ gram[0]) - 0.5 * quadratic)
+
+
+def _refined(gram: Column, grid: Column, top: int) -> float:
+    low, high = grid[max(top - 1, 0)], grid[min(top + 1, len(grid) - 1)]
+    fine = np.linspace(low, high, 41)
+    return float(fine[np.argmax(_gains(gram, fine))])
+
+
+def probabilities(found: Sequence[Candidate]) -> dict[str, float]:
+    """Return the probability of each candidate and of ``""``, nothing."""
+    logs = np.array([0.0, *(one.log_evidence for one in found)])
+    share = (1.0 - NOTHING) / max(len(found), 1)
+    logs += np.log([NOTHING, *([share] * len(found))])
+    weights = np.exp(logs - logs.max())
+    weights /= weights.sum()
+    names = ["", *(one.name for one in found)]
+    return dict(zip(names, weights.tolist(), strict=True))
+
+
+def missing_probability(evidence: Sequence[float]) -> float:
+    """Return how probable it is that anything is missing.
+
+    *evidence* are the log Bayes factors of the ways in which it can be.
+    """
+    log_odds = mean_evidence(evidence)
+    log_odds += float(np.log((1.0 - NOTHING) / NOTHING))
+    return float(1.0 / (1.0 + np.exp(-min(log_odds, 700.0))))
+
+
+def best_placebo(
+    layout: Layout,
+    project: Projector,
+    residual: Column,
+    signature: Signature,
+) -> float:
+    """Return the largest score of the signature at other times."""
+    rng = np.random.default_rng(7)
+    drives = range(len(layout.drive_names))
+    scores = []
+    for _ in range(PLACEBOS):
+        moved = signature.kelvin.copy()
+        for drive in drives:
+            share = rng.uniform(0.2, 0.8)
+            for part in layout.slices(drive):
+                count = part.stop - part.start
+                moved[part] = np.roll(moved[part], int(share * count))
+        white = layout.whiten(moved)
+        projected = project(white)
+        slope = max(float(white @ projected), 1e-12)
+        score = -float(projected @ residual) / sqrt(slope)
+        scores.append(abs(score) if signature.either_sign else score)
+    return max(scores)
+
+
+def cross_validated(
+    layout: Layout, linearised: Linearised, signature: Signature
+) -> dict[str, float]:
+    """Return the log Bayes factor of each drive, predicted by the others.
+
+    How much likelier the effect makes the drive once the others are known:
+    what the others leave open, of tunables and strength, is integrated out.
+    """
+    found: dict[str, float] = {}
+    count = len(layout.drive_names)
+    if count < 2:
+        return found
+    project = Projector(linearised.jacobian, layout.prior)
+    whole = weigh(project, linearised.residual, signature).log_evidence
+    for drive, name in enumerate(layout.drive_names):
+        others = np.ones(len(linearised.residual), bool)
+        for part in layout.slices(drive):
+            others[part] = False
+        there = replace(
+            signature,
+            linear=signature.linear[others],
+            curved=signature.curved[others],
+        )
+        project = Projector(linearised.jacobian[others], layout.prior)
+        without = weigh(project, linearised.residual[others], there)
+        found[name] = whole - without.log_evidence
+    return found
+
+
+def explained_share(
+    project: Projector, linearised: Linearised, chosen: Sequence[Candidate]
+) -> tuple[float, float]:
+    """Return the gain of *chosen* as a share of that of all together.
+
+    And what is left of it. Half a unit for each effect is chance.
+    """
+    names = {one.name for one in chosen}
+    own = np.column_stack(
+        [s.at(1.0) for s in linearised.signatures if s.name in names]
+    )
+    everything = np.column_stack(
+        [
+            *(s.at(1.0) for s in linearised.signatures),
+            *(one.change for one in linearised.unknown),
+        ]
+    )
+    few = fit_terms(project, linearised.residual, own, FREE).gain
+    chance = 0.5 * (everything.shape[1] - own.shape[1])
+    many = fit_terms(project, linearised.residual, everything, FREE).gain
+    many -= chance
+    return min(few / max(many, few, 1e-9), 1.0), max(many - few, 0.0)
+
+
+def unnamed_beside(
+    project: Projector, linearised: Linearised, chosen: Sequence[Candidate]
+) -> float:
+    """Return the log Bayes factor of heat without a name beside *chosen*.
+
+    By forces alone there is none to ask for: then nothing speaks against it.
+    """
+    if not linearised.unknown:
+        return np.inf
+    names = {one.name for one in chosen}
+    own = [s.at(1.0) for s in linearised.signatures if s.name in names]
+    return missing_evidence(
+        project.beside(own), linearised.residual, linearised.unknown
+    )

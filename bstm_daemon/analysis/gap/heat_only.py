@@ -1,0 +1,272 @@
+"""The gap without a thermocouple: Feed-Forward against Feed-Back.
+
+Effects on the heat input leave their trace in forces before they do in
+temperatures. The residual is the force of the pressure less that of the
+motion; friction as a whole, the resistances and the body's pitch are
+integrated out as tunables are, and the rest is the naming of
+:mod:`bstm_daemon.analysis.gap.naming`.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from bstm_daemon.analysis.gap.fitting import FORM_ERROR, effect_entries
+from bstm_daemon.analysis.gap.force_comparison import ForceComparison
+from bstm_daemon.analysis.gap.naming import Naming, name_effect
+from bstm_daemon.analysis.gap.signatures import (
+    Linearised,
+    Signature,
+    candidates,
+)
+from bstm_daemon.analysis.statistics.evidence import FREE, Projector, fit_terms
+from bstm_daemon.config.sections import Config, EffectConfig
+from bstm_daemon.model.effects.catalogue import effect_class
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from bstm_daemon.analysis.gap.recording import Recording
+    from bstm_daemon.analysis.statistics.series import Column
+
+NOTHING_SEEN: Final = (
+    "no effect on the heat input changes the forces of these drives by more "
+    "than they are uncertain, friction and resistances re-fitted"
+)
+
+SILENT_MS2: Final = 1e-3
+"""An effect that nowhere changes the car's acceleration by more is silent."""
+
+WEAK: Final = 2.0
+"""From this strength on an effect counts as too weak for these drives."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ForceCurve:
+    """Forces [N] over one drive, (n,) each; nan where not known."""
+
+    drive: str
+    time_s: Column
+    pressed_n: Column
+    motion_n: Column
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ForceGap:
+    """What forces alone show.
+
+    ``seen`` are strengths from which each effect shows, ``unseen`` why one
+    does not. ``before`` and ``after`` are RMS errors of the acceleration
+    [m/s2] on ``shown_on``, without and with ``strengths``; ``pressed_j`` and
+    ``motion_j`` the work of pressure and motion while braking.
+    """
+
+    recordings: tuple[str, ...]
+    windows: int
+    naming: Naming
+    strengths: dict[str, float]
+    deviations: dict[str, float]
+    seen: dict[str, float]
+    unseen: dict[str, str]
+    shown_on: tuple[str, ...]
+    held_out: bool
+    before_ms2: float
+    after_ms2: float
+    pressed_j: float
+    motion_j: float
+    curves: tuple[ForceCurve, ...] = ()
+
+    def effects(self) -> list[EffectConfig]:
+        """Return what can be adopted, with its provenance."""
+        found = []
+        for name, strength in self.strengths.items():
+            found += effect_entries(
+                {name: strength},
+                {
+                    "source": "bstm gap, forces",
+                    "data": list(self.recordings),
+                    "date": time.strftime("%Y-%m-%d"),
+                    "strength_sd": round(self.deviations[name], 3),
+                    **self.naming.provenance(name),
+                },
+            )
+        return found
+
+
+def find_force_gap(
+    config: Config,
+    recordings: Sequence[Recording],
+    held_out: Sequence[Recording] = (),
+) -> ForceGap:
+    """Search *recordings* for effects on the heat input, by forces alone.
+
+    Raises:
+        LogError: the motion shows no force.
+    """
+    comparison = ForceComparison(config, recordings)
+    known, unseen = _linearised(comparison)
+    naming = name_effect(comparison.layout, known)
+    if naming.answer == "nothing":
+        naming = replace(naming, reason=NOTHING_SEEN)
+    seen = {}
+    for one in naming.candidates:
+        if one.reach <= WEAK:
+            seen[one.name] = one.reach
+        else:
+            unseen[one.name] = (
+                f"too weak in these drives: from a strength of {one.reach:.1f}"
+            )
+    names: tuple[str, ...] = ()
+    if naming.answer in {"name", "class"}:
+        names = naming.names if naming.answer == "name" else naming.names[:1]
+    strengths, deviations = _strengths(comparison, known, names)
+    possible = tuple(n for n in names if not _at_bound(n, strengths[n]))
+    if naming.answer == "name" and 0 < len(possible) < len(names):
+        # beside the first, what no car has is a leftover of its form
+        naming = replace(naming, names=possible)
+        strengths, deviations = _strengths(comparison, known, possible)
+    others = held_out or recordings
+    before, after = _errors(config, others, strengths)
+    pressed, motion = _work(comparison)
+    return ForceGap(
+        tuple(one.name for one in recordings),
+        len(comparison.base_n),
+        naming,
+        strengths,
+        deviations,
+        dict(sorted(seen.items(), key=lambda item: item[1])),
+        unseen,
+        tuple(one.name for one in others),
+        bool(held_out),
+        before,
+        after,
+        pressed,
+        motion,
+        tuple(
+            ForceCurve(
+                one.name,
+                part.time_s,
+                part.pressed_n.sum(axis=0),
+                part.motion_n,
+            )
+            for one, part in zip(recordings, comparison.parts, strict=True)
+        ),
+    )
+
+
+def _linearised(
+    comparison: ForceComparison,
+) -> tuple[Linearised, dict[str, str]]:
+    layout, mass = comparison.layout, comparison.vehicle.mass_kg
+    found, unseen = [], {}
+    for name in candidates(comparison.config):
+        cls = effect_class(name)
+        if cls.kind != "heat":
+            unseen[name] = "moves temperatures only: needs a thermocouple"
+            continue
+        if name == "brake_without_pressure" and not comparison.knows_released:
+            unseen[name] = "neither pressure nor brake switch on the bus"
+            continue
+        effect = EffectConfig(name=name, parameters={"strength": 1.0})
+        change = comparison.changed_n(effect)
+        if float(np.abs(change).max()) < SILENT_MS2 * mass:
+            unseen[name] = "changes no force of these drives"
+            continue
+        white = layout.whiten(change)
+        found.append(
+            Signature(name, white, 0.0 * white, change, cls.either_sign)
+        )
+    return (
+        Linearised(
+            layout.whiten(comparison.base_n),
+            layout.whiten(comparison.jacobian_n),
+            tuple(found),
+            tuple(n for n, why in unseen.items() if why.startswith("changes")),
+            (),
+        ),
+        unseen,
+    )
+
+
+def _strengths(
+    comparison: ForceComparison, known: Linearised, names: Sequence[str]
+) -> tuple[dict[str, float], dict[str, float]]:
+    """Return strengths of *names* fitted together, and their deviations.
+
+    What their forms are off by is in the deviations.
+    """
+    if not names:
+        return {}, {}
+    by_name = {one.name: one for one in known.signatures}
+    columns = np.column_stack([by_name[name].linear for name in names])
+    project = Projector(known.jacobian, comparison.prior)
+    terms = fit_terms(project, known.residual, columns, FREE)
+    strengths, deviations = {}, {}
+    for i, name in enumerate(names):
+        bounds = effect_class(name).parameters()[0]
+        strengths[name] = float(
+            np.clip(terms.strengths[i], bounds.lower, bounds.upper)
+        )
+        deviations[name] = float(
+            np.hypot(
+                terms.covariance[i, i] ** 0.5, FORM_ERROR * strengths[name]
+            )
+        )
+    return strengths, deviations
+
+
+def _at_bound(name: str, strength: float) -> bool:
+    bounds = effect_class(name).parameters()[0]
+    return not bounds.lower < strength < bounds.upper
+
+
+def _errors(
+    config: Config,
+    recordings: Sequence[Recording],
+    strengths: dict[str, float],
+) -> tuple[float, float]:
+    """Return RMS errors of the acceleration [m/s2], without and with.
+
+    The nuisances are fitted in both; white noise is taken off.
+    """
+    comparison = ForceComparison(config, recordings)
+    mass = comparison.vehicle.mass_kg
+    white = comparison.layout.noise["force"].white_k
+    project = Projector(
+        comparison.layout.whiten(comparison.jacobian_n), comparison.prior
+    )
+    residual = comparison.base_n
+    found = []
+    for effects in ({}, strengths):
+        apart = residual.copy()
+        for name, strength in effects.items():
+            one = EffectConfig(name=name, parameters={"strength": 1.0})
+            apart = apart + strength * comparison.changed_n(one)
+        tunables = project.nuisance(comparison.layout.whiten(apart))
+        left = apart + comparison.jacobian_n @ tunables
+        power = float(np.mean(left**2)) - white**2
+        found.append(max(power, 0.0) ** 0.5 / mass)
+    return found[0], found[1]
+
+
+def _work(comparison: ForceComparison) -> tuple[float, float]:
+    """Return the work of pressure and of motion while braking [J]."""
+    pressed = comparison.pressed_n()
+    motion = comparison.column("motion_n")
+    braked = (comparison.column("braked") > 0.0) | (
+        motion > comparison.config.heat.brake_on_force_n
+    )
+    metres = np.concatenate(
+        [
+            (one.speed_ms * np.gradient(one.time_s))[own]
+            for one, own in zip(comparison.parts, comparison.kept, strict=True)
+        ]
+    )
+    return (
+        float(np.sum((pressed * metres)[braked])),
+        float(np.sum((motion * metres)[braked])),
+    )

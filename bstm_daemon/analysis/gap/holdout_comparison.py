@@ -1,0 +1,241 @@
+"""Before and after on drives that no fit has seen.
+
+Four models: as configured; the baseline with its heat and its cooling scaled;
+the baseline with all tunables re-fitted; the model with the effect, tunables
+re-fitted too. And what is adopted: the effect, tunables as configured. A
+shrink factor is the error of one of the first three over that of the fourth,
+the noise of the thermocouples taken off both.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from bstm_daemon.analysis.gap.comparison import Comparison
+from bstm_daemon.analysis.gap.fitting import Fit, fit, scale_basis
+from bstm_daemon.analysis.statistics.resampling import bootstrap
+from bstm_daemon.analysis.statistics.series import Column, white_std
+from bstm_daemon.units import KELVIN_OFFSET
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from bstm_daemon.analysis.gap.recording import Recording
+
+CONFIGURED, SCALED, REFITTED, EXTENDED = (
+    "as configured",
+    "heat and cooling re-fitted",
+    "all tunables re-fitted",
+    "with the effect",
+)
+ADOPTED: Final = "as adopted"
+BASELINES: Final = (CONFIGURED, SCALED, REFITTED)
+
+BLOCK_S: Final = 300.0
+DRAWS: Final = 200
+"""Blocks of time drawn anew for the interval of a shrink factor."""
+
+NOISE_FLOOR: Final = 0.3
+"""No error counts as smaller than this share of the thermocouples' noise."""
+
+
+@dataclass(frozen=True, slots=True)
+class Shrink:
+    """Factor and its 90 % interval."""
+
+    factor: float
+    lower: float
+    upper: float
+
+
+@dataclass(frozen=True, slots=True)
+class DriveErrors:
+    """One node over one drive, by model: RMS and errors at the peak."""
+
+    drive: str
+    node: str
+    rms_k: Mapping[str, float]
+    peak_error_k: Mapping[str, float]
+    peak_late_s: Mapping[str, float]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Curve:
+    """One node over one drive: measured and modelled [degC], (n,) each."""
+
+    drive: str
+    node: str
+    time_s: Column
+    measured_c: Column
+    model_c: Mapping[str, Column]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shown:
+    """What the effect does on drives that were not fitted.
+
+    ``shrinks`` and ``fluid_shrinks`` by baseline, ``adopted`` that of what
+    is adopted against what is configured; ``moved`` (p,) are the
+    changes of the tunables' logarithms by model. Where there was no held-out
+    drive, ``held_out`` is false and all of it is of the fitted drives.
+    """
+
+    held_out: bool
+    shrinks: Mapping[str, Shrink]
+    fluid_shrinks: Mapping[str, Shrink]
+    adopted: Shrink
+    errors: tuple[DriveErrors, ...]
+    curves: tuple[Curve, ...]
+    fits: Mapping[str, Fit]
+    moved: Mapping[str, Column]
+    bends: Mapping[str, float]
+    keys: tuple[str, ...]
+
+
+def baseline_fits(
+    comparison: Comparison, known_k: Column | None = None
+) -> dict[str, Fit]:
+    """Return the models without the effect, fitted to *comparison*."""
+    return {
+        CONFIGURED: Fit(comparison.start, {}, {}, np.nan, 0),
+        SCALED: fit(
+            comparison,
+            {},
+            scale_basis(comparison),
+            priors=False,
+            known_k=known_k,
+        ),
+        REFITTED: fit(comparison, {}, known_k=known_k),
+    }
+
+
+def with_extended(
+    comparison: Comparison, baselines: Mapping[str, Fit], extended: Fit
+) -> dict[str, Fit]:
+    """Return *baselines* and the two models with the effect."""
+    return {
+        **baselines,
+        EXTENDED: extended,
+        ADOPTED: replace(extended, x=comparison.start),
+    }
+
+
+def show(
+    comparison: Comparison,
+    extended: Fit,
+    held_out: Sequence[Recording],
+    baselines: Mapping[str, Fit] | None = None,
+    *,
+    known_k: Column | None = None,
+) -> Shown:
+    """Compare the models on *held_out*, or on what was fitted.
+
+    *baselines* are models fitted before, by :func:`baseline_fits`;
+    *known_k* (n, p) is as for :func:`fit`.
+    """
+    fits = with_extended(
+        comparison, baselines or baseline_fits(comparison, known_k), extended
+    )
+    there = comparison
+    if held_out:
+        there = Comparison(
+            comparison.target,
+            held_out,
+            comparison.keys[:-1],
+            comparison.noise,
+        )
+    apart = {
+        name: there.residuals_k(one.x[None], one.effects())[:, 0]
+        for name, one in fits.items()
+    }
+    everything = list(range(len(there.series)))
+    fluid = [i for i in everything if there.series[i].node == "fluid"]
+    return Shown(
+        bool(held_out),
+        {name: _shrink(there, apart, name, everything) for name in BASELINES},
+        {
+            name: _shrink(there, apart, name, fluid)
+            for name in BASELINES
+            if fluid
+        },
+        _shrink(there, apart, CONFIGURED, everything, ADOPTED),
+        tuple(_errors(there, apart, i) for i in everything),
+        tuple(_curve(there, apart, i) for i in everything),
+        fits,
+        {name: one.x - comparison.start for name, one in fits.items()},
+        {name: one.bend(comparison) for name, one in fits.items()},
+        comparison.keys,
+    )
+
+
+def _shrink(
+    there: Comparison,
+    apart: Mapping[str, Column],
+    baseline: str,
+    which: Sequence[int],
+    improved: str = EXTENDED,
+) -> Shrink:
+    """Return the factor over *which* series, blocks drawn for its interval."""
+    before, after, noise = [], [], []
+    for i in which:
+        one = there.series[i]
+        part = slice(there.edges[i], there.edges[i + 1])
+        variance = noise_variance(one.measured_k)
+        block = (one.time_s // BLOCK_S).astype(int)
+        for number in np.unique(block):
+            own = block == number
+            before.append(np.sum(apart[baseline][part][own] ** 2))
+            after.append(np.sum(apart[improved][part][own] ** 2))
+            noise.append(variance * np.count_nonzero(own))
+    sums = np.column_stack((before, after, noise))
+    interval = bootstrap(sums, _factor, draws=DRAWS, seed=3)
+    return Shrink(_factor(sums.sum(axis=0)), *interval)
+
+
+def _factor(sums: Column) -> float:
+    before, after, noise = sums
+    least = NOISE_FLOOR * noise
+    return float(
+        np.sqrt(max(before - noise, least) / max(after - noise, least))
+    )
+
+
+def noise_variance(measured_k: Column) -> float:
+    """Return the white variance of a series, from its second differences."""
+    return white_std(np.diff(measured_k, 2), 2) ** 2
+
+
+def _errors(
+    there: Comparison, apart: Mapping[str, Column], which: int
+) -> DriveErrors:
+    one = there.series[which]
+    part = slice(there.edges[which], there.edges[which + 1])
+    top = int(np.argmax(one.measured_k))
+    rms, peak, late = {}, {}, {}
+    for name, error in apart.items():
+        own = error[part]
+        model = one.measured_k + own
+        at = int(np.argmax(model))
+        rms[name] = float(np.sqrt(np.mean(own**2)))
+        peak[name] = float(model[at] - one.measured_k[top])
+        late[name] = float(one.time_s[at] - one.time_s[top])
+    name = there.recordings[one.drive].name
+    return DriveErrors(name, one.node, rms, peak, late)
+
+
+def _curve(
+    there: Comparison, apart: Mapping[str, Column], which: int
+) -> Curve:
+    one = there.series[which]
+    part = slice(there.edges[which], there.edges[which + 1])
+    measured = one.measured_k - KELVIN_OFFSET
+    return Curve(
+        there.recordings[one.drive].name,
+        one.node,
+        one.time_s,
+        measured,
+        {name: measured + error[part] for name, error in apart.items()},
+    )

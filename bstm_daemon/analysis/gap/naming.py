@@ -1,0 +1,363 @@
+"""From evidence to an answer: a name, a class, none of them, or nothing.
+
+Never a forced guess: a name is given where one effect alone is probable, a
+class where the data can not tell its members apart, and 'none of the known
+effects' where something is plainly missing that no effect explains.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from math import sqrt
+from typing import TYPE_CHECKING, Any, Final, Literal
+
+import numpy as np
+
+from bstm_daemon.analysis.gap.evidence import (
+    Candidate,
+    best_placebo,
+    cross_validated,
+    explained_share,
+    missing_probability,
+    probabilities,
+    unnamed_beside,
+    weigh,
+)
+from bstm_daemon.analysis.gap.joint_effects import (
+    JointEffects,
+    pair_evidence,
+    search_joint_effects,
+)
+from bstm_daemon.analysis.gap.unnamed_heat import likeliest, missing_evidence
+from bstm_daemon.analysis.statistics.evidence import Projector, mean_evidence
+from bstm_daemon.model.effects.catalogue import effect_class
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from bstm_daemon.analysis.gap.noise import Layout
+    from bstm_daemon.analysis.gap.signatures import Linearised, Signature
+    from bstm_daemon.analysis.statistics.series import Column
+
+Answer = Literal["nothing", "name", "class", "unknown", "undecided"]
+
+SURE: Final = 0.95
+"""Probability from which a name, or a class, is given."""
+
+GATE_Z: Final = 4.1
+"""Standard deviations of the best candidate from which there is a gap. With
+39 candidates chance reaches it once in 1000 searches; the form of the model
+takes effect-free cars up to 3.8, right names begin at 5.2 (`docs/gap.md`)."""
+
+GATE_NOTHING: Final = 0.05
+"""And nothing missing must be less probable than this."""
+
+ALIKE: Final = 0.95
+"""Cosine of two signatures, tunables projected out, from which data can not
+tell them apart."""
+
+SOMETHING: Final = 0.88
+"""Probability from which something is missing though nothing can be named:
+one effect, two that stand in for one, or heat without a name, as likely each
+before data. Effect-free cars reach 0.84 (`docs/gap.md`)."""
+
+EXPLAINED: Final = 0.6
+EXPLAINED_TOGETHER: Final = 0.91
+UNEXPLAINED: Final = 15.0
+"""Below this share of what all effects together explain, and with so much of
+the log-likelihood left besides chance, no name is given if heat without a
+name is likely beside it: what else is left is noise of another form. The
+second share is of several: two or three can imitate much of one that the
+catalogue lacks. Where forms alone differ, as they do of every real effect,
+right ones reach 0.92 with as much left (`docs/gap.md`)."""
+
+AGAINST: Final = 3.0
+"""Log Bayes factor by which a drive, predicted by the others, may speak
+against an effect."""
+
+
+@dataclass(frozen=True, slots=True)
+class Naming:
+    """The answer.
+
+    ``unknown_evidence`` is the log Bayes factor of heat without a name, and
+    ``unknown_place`` where and when such heat alone explains most.
+    ``names`` are the effects found, best first: one, up to three, or the
+    members of a class; ``strengths`` are theirs. ``probability`` is that of
+    the answer, ``odds`` of every candidate and of ``""``, nothing.
+    """
+
+    answer: Answer
+    names: tuple[str, ...]
+    probability: float
+    candidates: tuple[Candidate, ...]
+    odds: dict[str, float]
+    reason: str
+    explained: float = np.nan
+    best_placebo_z: float = np.nan
+    cross_validated: dict[str, float] = field(default_factory=dict)
+    leftover: Candidate | None = None
+    unknown_evidence: float = 0.0
+    unknown_place: str = ""
+
+    @property
+    def found(self) -> bool:
+        """Whether something is missing."""
+        return self.answer != "nothing"
+
+    def provenance(self, name: str) -> dict[str, Any]:
+        """Return how sure *name* is, and what else it may be.
+
+        Of a class each member has its own probability.
+        """
+        if self.answer != "class":
+            return {"probability": round(self.probability, 4)}
+        return {
+            "probability": round(self.odds[name], 4),
+            "or": [one for one in self.names if one != name],
+        }
+
+    @property
+    def gate_z(self) -> float:
+        """Standard deviations of the best candidate."""
+        return max((one.z for one in self.candidates), default=0.0)
+
+
+def name_effect(layout: Layout, linearised: Linearised) -> Naming:
+    """Return what *linearised* says is missing."""
+    project = Projector(linearised.jacobian, layout.prior)
+    found = _weighed(project, linearised.residual, linearised.signatures)
+    odds = probabilities(found)
+    nothing = Naming(
+        "nothing",
+        (),
+        odds[""],
+        tuple(found),
+        odds,
+        "no effect of the catalogue changes the temperatures of these drives "
+        "by more than they are uncertain, the tunables re-fitted",
+    )
+    nothing = _with_unknown(nothing, project, linearised)
+    best = found[0] if found else None
+    if best and odds[""] <= GATE_NOTHING and best.z >= GATE_Z:
+        return _named(layout, project, linearised, nothing)
+    return _unnamed(layout, project, linearised, nothing)
+
+
+def _unnamed(
+    layout: Layout, project: Projector, linearised: Linearised, nothing: Naming
+) -> Naming:
+    """Return whether anything is missing though no effect passes the gate."""
+    found = nothing.candidates
+    of_one = mean_evidence([one.log_evidence for one in found])
+    of_two = pair_evidence(project, linearised, found)
+    ways = [of_one, of_two]
+    if linearised.unknown:
+        ways.append(nothing.unknown_evidence)
+    missing = missing_probability(ways)
+    if missing < SOMETHING:
+        return nothing
+    if of_one < max(ways):
+        return replace(
+            nothing,
+            answer="unknown",
+            probability=missing,
+            reason="no effect of the catalogue alone explains it",
+        )
+    members: list[str] = []
+    for one in found:
+        members.append(one.name)
+        if sum(nothing.odds[name] for name in members) >= SURE * (
+            1.0 - nothing.odds[""]
+        ):
+            break
+    best = next(s for s in linearised.signatures if s.name == found[0].name)
+    return replace(
+        nothing,
+        answer="undecided",
+        names=tuple(members),
+        probability=missing,
+        reason="no effect is plain enough to be named",
+        explained=explained_share(project, linearised, found[:1])[0],
+        best_placebo_z=best_placebo(
+            layout, project, linearised.residual, best
+        ),
+    )
+
+
+def _named(
+    layout: Layout, project: Projector, linearised: Linearised, nothing: Naming
+) -> Naming:
+    """Return what it is that is missing, the gate passed."""
+    found, odds = nothing.candidates, nothing.odds
+    best = found[0]
+    by_name = {one.name: one for one in linearised.signatures}
+    placebo = best_placebo(
+        layout, project, linearised.residual, by_name[best.name]
+    )
+    validated = cross_validated(layout, linearised, by_name[best.name])
+    several = search_joint_effects(project, linearised, found)
+    explained, left = explained_share(project, linearised, several.chosen)
+    common = replace(
+        nothing,
+        best_placebo_z=placebo,
+        cross_validated=validated,
+        explained=explained,
+        leftover=several.leftover,
+    )
+    alone = len(several.chosen) == 1
+
+    def unknown(reason: str) -> Naming:
+        return replace(
+            common,
+            answer="unknown",
+            probability=1.0 - odds[""],
+            reason=reason,
+        )
+
+    if (
+        explained < (EXPLAINED if alone else EXPLAINED_TOGETHER)
+        and left > UNEXPLAINED
+        and unnamed_beside(project, linearised, several.chosen) > 0.0
+    ):
+        what = ", ".join(one.name for one in several.chosen)
+        how = (
+            f"the best, {what}, explains"
+            if alone
+            else f"the best together, {what}, explain"
+        )
+        return unknown(
+            f"{how} {100 * explained:.0f} % of what all together could"
+        )
+    if placebo > best.z:
+        return replace(
+            common,
+            answer="undecided",
+            names=(best.name,),
+            probability=odds[best.name],
+            reason=f"{best.name} at other times than its own explains as much",
+        )
+    worst = min(validated, key=lambda name: validated[name], default="")
+    if alone and worst and validated[worst] < -AGAINST:
+        return unknown(
+            f"the best, {best.name}, as the other drives have it makes "
+            f"{worst} less likely"
+        )
+    answer = (
+        _single(common, project, linearised, best)
+        if alone
+        else _together(common, several)
+    )
+    if answer.answer == "undecided" and explained < EXPLAINED:
+        # one of these, if only they did explain it
+        return unknown(
+            f"several explain a part; the best, {best.name}, "
+            f"{100 * explained:.0f} % of what all together could"
+        )
+    return answer
+
+
+def _together(common: Naming, several: JointEffects) -> Naming:
+    names = tuple(one.name for one in several.chosen)
+    sure = tuple(name for name in names if name in several.sure)
+    if sure == names:
+        return replace(
+            common,
+            answer="name",
+            names=names,
+            probability=several.share,
+            reason=f"together they explain {100 * common.explained:.0f} %",
+        )
+    rest = ", ".join(name for name in names if name not in sure)
+    if sure:
+        return replace(
+            common,
+            answer="name",
+            names=sure,
+            probability=SURE,
+            reason=f"and another one, perhaps {rest}",
+        )
+    return replace(
+        common,
+        answer="undecided",
+        names=names,
+        probability=several.share,
+        reason="several effects at once, in more than one way",
+    )
+
+
+def _with_unknown(
+    naming: Naming, project: Projector, linearised: Linearised
+) -> Naming:
+    """Add what heat without a name explains."""
+    heats = linearised.unknown
+    if not heats:
+        return naming
+    place = likeliest(project, linearised.residual, heats)
+    return replace(
+        naming,
+        unknown_evidence=missing_evidence(project, linearised.residual, heats),
+        unknown_place=f"{place.node}, {place.regime}",
+    )
+
+
+def _single(
+    common: Naming,
+    project: Projector,
+    linearised: Linearised,
+    best: Candidate,
+) -> Naming:
+    odds = common.odds
+    if odds[best.name] >= SURE:
+        return replace(
+            common,
+            answer="name",
+            names=(best.name,),
+            probability=odds[best.name],
+            reason=effect_class(best.name).signature,
+        )
+    members = [best.name]
+    total = odds[best.name]
+    for one in common.candidates[1:]:
+        if total >= SURE:
+            break
+        members.append(one.name)
+        total += odds[one.name]
+    by_name = {one.name: one for one in linearised.signatures}
+    why = []
+    for name in members[1:]:
+        alike = cosine(project, by_name[best.name], by_name[name])
+        declared = (
+            name in effect_class(best.name).twins
+            or best.name in effect_class(name).twins
+        )
+        if declared or abs(alike) >= ALIKE:
+            why.append(f"{name} (signatures alike, cosine {alike:.2f})")
+    all_alike = len(why) == len(members) - 1
+    return replace(
+        common,
+        answer="class" if all_alike else "undecided",
+        names=tuple(members),
+        probability=total,
+        reason=(
+            f"these drives do not tell {best.name} from {', '.join(why)}"
+            if all_alike
+            else "several effects of different kinds explain it; another "
+            "drive must tell"
+        ),
+    )
+
+
+def _weighed(
+    project: Projector, residual: Column, signatures: Sequence[Signature]
+) -> list[Candidate]:
+    found = [weigh(project, residual, one) for one in signatures]
+    return sorted(found, key=lambda one: -one.log_evidence)
+
+
+def cosine(project: Projector, a: Signature, b: Signature) -> float:
+    """Return how alike *a* and *b* are, the tunables projected out."""
+    one, two = a.at(1.0), b.at(1.0)
+    pa, pb = project(one), project(two)
+    size = float(one @ pa) * float(two @ pb)
+    return float(one @ pb) / sqrt(max(size, 1e-30))

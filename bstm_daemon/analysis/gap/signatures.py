@@ -1,0 +1,199 @@
+"""The signature of every candidate: what it would change in the residuals.
+
+A finite strength is simulated, not a derivative: many effects begin at a
+threshold. Between and beyond the strengths simulated, a parabola through 0.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from bstm_daemon.analysis.gap.unnamed_heat import UnnamedHeat, unnamed_heats
+from bstm_daemon.analysis.statistics.levenberg_marquardt import STEP
+from bstm_daemon.config.sections import Config, EffectConfig
+from bstm_daemon.errors import ConfigError
+from bstm_daemon.model.effects.catalogue import (
+    effect_class,
+    effect_names,
+    effects_of,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
+    from bstm_daemon.analysis.gap.comparison import Comparison
+    from bstm_daemon.analysis.gap.noise import Layout
+    from bstm_daemon.analysis.statistics.series import Column
+
+NETWORK_STRENGTHS: Final = (0.5, 1.5)
+HEAT_STRENGTHS: Final = (1.0,)
+"""Strengths simulated; the heat needs a pass over all samples for each."""
+
+SILENT_K: Final = 1e-3
+"""A candidate that nowhere changes the model by more is not excited."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Signature:
+    """Change of the residuals [K] with the strength a: ``a s1 + a^2 s2``.
+
+    ``linear`` and ``curved`` (n,) are whitened; ``kelvin`` (n,) is the change
+    at strength 1.
+    """
+
+    name: str
+    linear: Column
+    curved: Column
+    kelvin: Column
+    either_sign: bool
+
+    def at(self, strength: float) -> Column:
+        """Return the change at *strength*, (n,)."""
+        return np.asarray(strength * self.linear + strength**2 * self.curved)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Linearised:
+    """Everything around the configured values, whitened.
+
+    ``residual`` (n,), ``jacobian`` (n, p), signatures, the candidates that
+    these drives do not excite, and heat without a name.
+    """
+
+    residual: Column
+    jacobian: Column
+    signatures: tuple[Signature, ...]
+    silent: tuple[str, ...]
+    unknown: tuple[UnnamedHeat, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sensed:
+    """The same in kelvin, as simulated.
+
+    ``base_k`` (n,) and ``jacobian_k`` (n, p); ``terms_k`` by effect the
+    linear and the curved one, (2, n); heats without a name in kelvin.
+    """
+
+    base_k: Column
+    jacobian_k: Column
+    terms_k: Mapping[str, Column]
+    silent: tuple[str, ...]
+    unknown_k: tuple[UnnamedHeat, ...]
+
+    def columns_k(self) -> Column:
+        """Return all that could explain the residuals, (n, p + k)."""
+        return np.column_stack(
+            [
+                self.jacobian_k,
+                *(terms.sum(axis=0) for terms in self.terms_k.values()),
+                *(one.change for one in self.unknown_k),
+            ]
+        )
+
+    def whitened(self, layout: Layout) -> Linearised:
+        """Return it with unit covariance by the noise of *layout*."""
+        return Linearised(
+            layout.whiten(self.base_k),
+            layout.whiten(self.jacobian_k),
+            tuple(
+                _signature(layout, name, terms)
+                for name, terms in self.terms_k.items()
+            ),
+            self.silent,
+            tuple(
+                UnnamedHeat(one.node, one.regime, layout.whiten(one.change))
+                for one in self.unknown_k
+            ),
+        )
+
+
+def candidates(config: Config) -> list[str]:
+    """Return the effects that *config* does not have yet."""
+    present = {one.name for one in effects_of(config)}
+    return [name for name in effect_names() if name not in present]
+
+
+def sensed(
+    comparison: Comparison,
+    names: Sequence[str],
+    progress: Callable[[float], None] | None = None,
+) -> Sensed:
+    """Return residuals and sensitivities in kelvin at its start."""
+    base, jacobian = _sensitivities_k(comparison, comparison.start)
+    found, silent = {}, []
+    for number, name in enumerate(names):
+        terms = _terms_k(comparison, name, base)
+        if terms is None:
+            silent.append(name)
+        else:
+            found[name] = terms
+        if progress is not None:
+            progress((number + 1) / len(names))
+    return Sensed(
+        base, jacobian, found, tuple(silent), unnamed_heats(comparison, base)
+    )
+
+
+def sensitivities(
+    comparison: Comparison, x: Column, effects: Sequence[EffectConfig] = ()
+) -> tuple[Column, Column]:
+    """Return residuals [K] (n,) and the whitened jacobian (n, p) at *x*."""
+    apart, jacobian = _sensitivities_k(comparison, x, effects)
+    return apart, comparison.whiten(jacobian)
+
+
+def signature_of(
+    comparison: Comparison, name: str, base: Column
+) -> Signature | None:
+    """Return what *name* changes in the residuals *base* [K], (n,).
+
+    None where it changes nothing or does not fit the structure.
+    """
+    terms = _terms_k(comparison, name, base)
+    if terms is None:
+        return None
+    return _signature(comparison, name, terms)
+
+
+def _signature(layout: Layout, name: str, terms: Column) -> Signature:
+    return Signature(
+        name,
+        layout.whiten(terms[0]),
+        layout.whiten(terms[1]),
+        terms.sum(axis=0),
+        effect_class(name).either_sign,
+    )
+
+
+def _sensitivities_k(
+    comparison: Comparison, x: Column, effects: Sequence[EffectConfig] = ()
+) -> tuple[Column, Column]:
+    steps = np.where(x + STEP <= comparison.upper, STEP, -STEP)
+    points = np.vstack((x, x + np.diag(steps)))
+    apart = comparison.residuals_k(points, effects)
+    return apart[:, 0], (apart[:, 1:] - apart[:, :1]) / steps
+
+
+def _terms_k(comparison: Comparison, name: str, base: Column) -> Column | None:
+    kind = effect_class(name).kind
+    strengths = HEAT_STRENGTHS if kind == "heat" else NETWORK_STRENGTHS
+    changes = []
+    for strength in strengths:
+        effect = EffectConfig(name=name, parameters={"strength": strength})
+        try:
+            apart = comparison.residuals_k(comparison.start[None], [effect])
+        except ConfigError:
+            # it does not fit this structure
+            return None
+        changes.append(apart[:, 0] - base)
+    if max(float(np.abs(one).max()) for one in changes) < SILENT_K:
+        return None
+    a = np.array(strengths)
+    matrix = np.column_stack((a, a**2))[:, : len(a)]
+    terms = np.linalg.lstsq(matrix, np.array(changes), rcond=None)[0]
+    curved = terms[1] if len(a) > 1 else 0.0 * terms[0]
+    return np.array((terms[0], curved))

@@ -1,0 +1,339 @@
+"""``bstm gap run``: locate, gate, name, fit, show, corner by corner."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from bstm_daemon.analysis.gap.advising import advise, members_of, prospect
+from bstm_daemon.analysis.gap.candidate_drives import MENU, candidate_drive
+from bstm_daemon.analysis.gap.comparison import Comparison, heats
+from bstm_daemon.analysis.gap.fitting import (
+    Fit,
+    along,
+    askable,
+    directions,
+    effect_entries,
+    fit,
+    prior_along,
+)
+from bstm_daemon.analysis.gap.holdout_comparison import Shown, show
+from bstm_daemon.analysis.gap.locating import Located, locate
+from bstm_daemon.analysis.gap.naming import Naming, name_effect
+from bstm_daemon.analysis.gap.noise import calibrated, noise_of
+from bstm_daemon.analysis.gap.signatures import Linearised, candidates, sensed
+from bstm_daemon.analysis.matching.tunables import (
+    refined_keys,
+    targets_of,
+    usable,
+)
+from bstm_daemon.errors import LogError
+from bstm_daemon.roles import MEASURED_NODES, ROLE_INDEX
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
+    from bstm_daemon.analysis.gap.advising import Advice, Prospect
+    from bstm_daemon.analysis.gap.recording import Recording
+    from bstm_daemon.analysis.matching.tunables import Target
+    from bstm_daemon.analysis.statistics.series import Column
+    from bstm_daemon.analysis.statistics.whitening import SensorNoise
+    from bstm_daemon.config.sections import Config, EffectConfig
+
+
+@dataclass(frozen=True, slots=True)
+class Question:
+    """What to tell apart, and by which drives; empty: what is left."""
+
+    menu: tuple[str, ...] = MENU
+    among: tuple[str, ...] = ()
+
+
+ANY = Question()
+
+STEPS = ("locate", "gate", "name", "adopt", "show", "advise")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Gap:
+    """What was found on corners that are alike.
+
+    ``before`` and ``after`` are the maps of the drives that ``shown`` is of,
+    as configured and with the effect. ``silent`` are candidates that the
+    drives do not excite. ``fit`` and ``shown`` are None where nothing was
+    named, ``located`` and ``naming`` where they were not asked for.
+    ``advice`` is which drive would tell ``members`` apart, the best first.
+    """
+
+    corners: tuple[str, ...]
+    recordings: tuple[str, ...]
+    points: int
+    located: Located | None = None
+    naming: Naming | None = None
+    silent: tuple[str, ...] = ()
+    fit: Fit | None = None
+    shown: Shown | None = None
+    before: Located | None = None
+    after: Located | None = None
+    advice: tuple[Advice, ...] = ()
+    members: tuple[str, ...] = ()
+
+    def effects(self) -> list[EffectConfig]:
+        """Return what can be adopted, with its provenance."""
+        if self.fit is None or self.naming is None:
+            return []
+        found = []
+        for name, strength in self.fit.strengths.items():
+            evidence = next(
+                one.log_evidence
+                for one in self.naming.candidates
+                if one.name == name
+            )
+            provenance: dict[str, Any] = {
+                "source": "bstm gap",
+                "data": list(self.recordings),
+                "date": time.strftime("%Y-%m-%d"),
+                "strength_sd": round(self.fit.deviations[name], 3),
+                "strength_90": [
+                    round(end, 3) for end in self.fit.interval(name)
+                ],
+                **self.naming.provenance(name),
+                "log_bayes_factor": round(evidence, 1),
+            }
+            found += effect_entries({name: strength}, provenance)
+        return found
+
+
+def find_gap(
+    config: Config,
+    recordings: Sequence[Recording],
+    held_out: Sequence[Recording] = (),
+    *,
+    until: str = "show",
+    question: Question = ANY,
+    progress: Callable[[float], None] | None = None,
+) -> list[Gap]:
+    """Search *recordings* for what *config* lacks.
+
+    Args:
+        config: the vehicle, matched to it as well as may be.
+        recordings: drives with thermocouples.
+        held_out: drives to show before and after on.
+        until: the last step taken: locate, gate, name, adopt, show or
+            advise; advise leaves adopt and show out, show advises where
+            candidates are left that the data can not tell apart.
+        question: which drives of the menu would tell what apart.
+        progress: called with the share that is done.
+
+    Raises:
+        LogError: no corner with a thermocouple.
+    """
+    measured = {corner for one in recordings for corner in one.drive.measured}
+    targets = targets_of(config, sorted(measured))
+    if not targets:
+        msg = "no measured temperature of a disc brake in these recordings"
+        raise LogError(msg)
+
+    found = []
+    for number, target in enumerate(targets):
+
+        def report_share(share: float, number: int = number) -> None:
+            if progress is not None:
+                progress((number + share) / len(targets))
+
+        found.append(
+            _gap(target, recordings, held_out, until, question, report_share)
+        )
+    return found
+
+
+def compare(target: Target, recordings: Sequence[Recording]) -> Comparison:
+    """Return *target* against *recordings* with the noise of its nodes."""
+    keys, _ = usable(target, refined_keys(target))
+    noise = {node: noise_of(target.config, node) for node in MEASURED_NODES}
+    return Comparison(target, recordings, keys, noise)
+
+
+def _gap(
+    target: Target,
+    recordings: Sequence[Recording],
+    held_out: Sequence[Recording],
+    until: str,
+    question: Question,
+    report_share: Callable[[float], None],
+) -> Gap:
+    located = locate(target.config, recordings, target.corners)
+    report_share(0.1)
+    names = tuple(one.name for one in recordings)
+    comparison = compare(target, recordings)
+    points = int(comparison.edges[-1])
+    if until == "locate":
+        return Gap(target.corners, names, points, located)
+    simulated = sensed(
+        comparison,
+        askable(target, candidates(target.config)),
+        lambda share: report_share(0.1 + 0.6 * share),
+    )
+    comparison.set_noise(
+        calibrated(comparison, simulated.base_k, simulated.columns_k())
+    )
+    layout, known = along(
+        comparison, simulated.whitened(comparison), directions(comparison)
+    )
+    naming = name_effect(layout, known)
+    plain = Gap(target.corners, names, points, located, naming, known.silent)
+    if until == "advise" or (
+        until == "show" and naming.answer in {"class", "undecided"}
+    ):
+        plain = _advised(plain, comparison, known, question, report_share)
+    if until in {"gate", "name", "advise"} or naming.answer not in {
+        "name",
+        "class",
+    }:
+        return plain
+    best = naming.names if naming.answer == "name" else naming.names[:1]
+    start = {
+        one.name: one.strength for one in naming.candidates if one.name in best
+    }
+    extended = fit(
+        comparison,
+        start,
+        directions(comparison),
+        known_k=simulated.jacobian_k,
+    )
+    report_share(0.85)
+    shown = None
+    maps: tuple[Located | None, Located | None] = (None, None)
+    if until == "show":
+        shown = show(
+            comparison, extended, held_out, known_k=simulated.jacobian_k
+        )
+        maps = _maps(comparison, extended, held_out or recordings)
+    return replace(
+        plain, fit=extended, shown=shown, before=maps[0], after=maps[1]
+    )
+
+
+def _advised(
+    gap: Gap,
+    comparison: Comparison,
+    known: Linearised,
+    question: Question,
+    report_share: Callable[[float], None],
+) -> Gap:
+    """Add which drive of the menu would tell what is left apart."""
+    naming = gap.naming
+    if naming is None:
+        return gap
+    if not question.among and naming.answer in {"name", "unknown"}:
+        return gap
+    members = question.among or members_of(naming, known.silent)
+    target = comparison.target
+    recording = comparison.recordings[0]
+    couples = {
+        corner: tuple(recording.drive.measured.get(corner, {}))
+        for corner in target.corners
+    }
+    prospects, prior = _prospects(
+        target,
+        recording.present,
+        couples,
+        Question(question.menu, members),
+        lambda share: report_share(0.7 + 0.15 * share),
+        comparison.noise,
+    )
+    found = advise(known, prior, members, prospects)
+    return replace(gap, advice=found, members=members)
+
+
+def advise_before(
+    config: Config,
+    present: Mapping[int, int],
+    question: Question,
+    progress: Callable[[float], None] | None = None,
+) -> Gap:
+    """Return which drive would tell candidates apart before any is driven.
+
+    Args:
+        config: the vehicle.
+        present: role number to timeout [us] of what its bus has.
+        question: candidates, each as likely as the other, and drives.
+        progress: called with the share that is done.
+
+    Raises:
+        LogError: no role of a thermocouple is mapped.
+    """
+    couples: dict[str, tuple[str, ...]] = {}
+    for corner in config.disc_corners():
+        nodes = tuple(
+            node
+            for node in MEASURED_NODES
+            if ROLE_INDEX[f"temp_{corner.name.lower()}_{node}"] in present
+        )
+        if nodes:
+            couples[corner.name] = nodes
+    targets = targets_of(config, sorted(couples))
+    if not targets:
+        msg = "no role temp_<corner>_<node> is mapped: nothing would tell"
+        raise LogError(msg)
+    target = targets[0]
+    own = {name: couples[name] for name in target.corners}
+    prospects, prior = _prospects(
+        target,
+        present,
+        own,
+        question,
+        progress or (lambda _: None),
+    )
+    none = Linearised(np.zeros(0), np.zeros((0, len(prior))), (), (), ())
+    found = advise(none, prior, question.among, prospects)
+    return Gap(target.corners, (), 0, advice=found, members=question.among)
+
+
+def _prospects(
+    target: Target,
+    present: Mapping[int, int],
+    couples: Mapping[str, Sequence[str]],
+    question: Question,
+    report_share: Callable[[float], None],
+    noise: Mapping[str, SensorNoise] | None = None,
+) -> tuple[list[Prospect], Column]:
+    """Return what each drive would show, and the tunables' priors."""
+    found = []
+    prior = np.zeros(0)
+    for number, name in enumerate(question.menu):
+        drive = candidate_drive(name, target.config, present, couples)
+        comparison = compare(target, [drive.recording])
+        if noise is not None:
+            comparison.set_noise({**comparison.noise, **noise})
+        one = prospect(comparison, question.among, drive.description)
+        basis = directions(comparison)
+        found.append(replace(one, jacobian=one.jacobian @ basis))
+        prior = prior_along(comparison, basis)
+        report_share((number + 1) / len(question.menu))
+    return found, prior
+
+
+def _maps(
+    comparison: Comparison, extended: Fit, recordings: Sequence[Recording]
+) -> tuple[Located, Located]:
+    """Return the maps of *recordings* before and after."""
+    target = comparison.target
+    after = comparison.config(extended.x, extended.effects())
+    heat = any(heats(effect, target.config) for effect in extended.effects())
+    scale = float(np.exp(extended.x[-1]))
+    heated = []
+    for one in recordings:
+        drive = one.heated_by(after) if heat else one.drive
+        power = {
+            corner: scale * drive.channel(corner, "brake_power_w")
+            for corner in drive.corners
+        }
+        heated.append(replace(one, drive=drive.with_power(power)))
+    return (
+        locate(target.config, recordings, target.corners),
+        locate(after, heated, target.corners),
+    )

@@ -1,0 +1,1 @@
+"""What a drive shows about the car: resistances, friction, stops."""

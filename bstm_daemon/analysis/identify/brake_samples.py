@@ -1,0 +1,329 @@
+"""Brake force from motion beside the pressure of it, stop by stop.
+
+The force is Eq 4.11 less what it says with the brake released just before
+and after: accelerometer bias and errors of the resistances fall out.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from bstm_daemon.analysis.identify.applications import (
+    applications,
+    corner_pressures,
+)
+from bstm_daemon.analysis.quality.grid import HALF, window_mean
+from bstm_daemon.analysis.quality.limits import GRID_S, RELEASED_PA
+from bstm_daemon.model.heat.feed_forward import PressureTorque
+from bstm_daemon.roles import CORNERS
+from bstm_daemon.units import KELVIN_OFFSET
+
+if TYPE_CHECKING:
+    from bstm_daemon.analysis.identify.applications import Span
+    from bstm_daemon.analysis.identify.driving import Driving
+    from bstm_daemon.analysis.statistics.series import Column, Indices, Mask
+    from bstm_daemon.config.sections import Config
+
+LOWEST_MS: Final = 2.5
+"""Below, the stop itself (a car that rocks back) is in the accelerometer."""
+
+LEAST_PRESSURE_PA: Final = 2e5
+"""Whole windows above it: below, seals and springs decide."""
+
+STEADY_PA_S: Final = 15e5
+"""Pressure that changes faster is ahead of the pads: lines and valves."""
+
+JUMPING_PA_S: Final = 60e5
+"""... and where every stop is shown, hard ones too."""
+
+AROUND_S: Final = 12.0
+QUIET_S: Final = 1.0
+LEAST_QUIET_S: Final = 1.5
+"""The released brake is looked at so far before and after a stop, but for
+the time next to it, and for at least so long."""
+
+DRIVEN_MS2: Final = 0.4
+"""Strong torque has an error of its own: no zero is taken there."""
+
+CORNERING_MS2: Final = 1.5
+
+EVERY: Final = 2 * HALF
+"""Grid points from sample to sample: windows that do not overlap."""
+
+
+@dataclass(frozen=True, slots=True)
+class BrakeStop:
+    """The samples of one application, (n,) each, SI.
+
+    ``since_s`` counts from the press, ``force_n`` is the brake force from
+    motion, ``front_pa`` and ``rear_pa`` mean pressures of the axles (nan: no
+    such corner), ``front_gain`` and ``rear_gain`` brake force over pressure
+    by the configured geometry [N/Pa]. ``initial_c`` has the measured discs'
+    temperatures at the press, by corner.
+    """
+
+    log: str
+    start_s: float
+    duration_s: float
+    from_ms: float
+    to_ms: float
+    zero_n: float
+    own_zero: bool
+    since_s: Column
+    speed_ms: Column
+    force_n: Column
+    front_pa: Column
+    rear_pa: Column
+    front_gain: float
+    rear_gain: float
+    initial_c: dict[str, float]
+
+    @property
+    def gain(self) -> float:
+        """Brake force over pressure of the whole car [N/Pa]."""
+        return self.front_gain + self.rear_gain
+
+    @property
+    def pressure_pa(self) -> Column:
+        """Pressure that gives the nominal force at both axles, (n,)."""
+        weighted = np.zeros(len(self.since_s))
+        for gain, pressure in (
+            (self.front_gain, self.front_pa),
+            (self.rear_gain, self.rear_pa),
+        ):
+            if gain:
+                weighted += gain * pressure
+        return np.asarray(weighted / self.gain)
+
+
+@dataclass(frozen=True, slots=True)
+class Samples:
+    """All stops with samples, and what was searched in words."""
+
+    stops: tuple[BrakeStop, ...]
+    rest_pa: float
+    searched: str
+
+
+def brake_samples(
+    driving: Driving,
+    config: Config,
+    lag_s: float = 0.0,
+    *,
+    every_stop: bool = False,
+) -> Samples:
+    """Return what *driving* shows of the brakes of *config*.
+
+    *lag_s* is the time constant by which the pads follow a circuit's
+    pressure; one measured at the wheel has it in it. *every_stop* takes
+    those too in which anti-lock control acts, or of which no zero is known:
+    their zero is 0.
+    """
+    measured = corner_pressures(driving, config)
+    pressures = {
+        name: lagged(pressure, lag_s)
+        if f"wheel_pressure_{name.lower()}" not in driving.pressures
+        else pressure
+        for name, pressure in measured.items()
+    }
+    gains: dict[str, float] = {
+        corner.name: PressureTorque.of_corner(corner).torque_per_pressure_nm_pa
+        / config.vehicle.wheel_radius_m
+        for corner in config.corner
+        if corner.name in pressures
+    }
+    top = driving.highest_pressure_pa()
+    rest = _rest_pa(driving, top)
+    pressed = top - rest > config.heat.brake_on_pressure_pa
+    spans = applications(driving.time_s, driving.speed_ms, pressed)
+    force = force_n(driving)
+    released = _released(driving, top - rest)
+    zeros = [_zero(force, released, span) for span in spans]
+    known = [zero for zero in zeros if zero is not None]
+    common = float(np.median(known)) if known else None
+    usable = _usable(driving, measured, every_stop=every_stop)
+    axles = {axle: _axle(axle, pressures, gains) for axle in "FR"}
+    stops, without_zero = [], 0
+    for span, zero in zip(spans, zeros, strict=True):
+        # the grade of one place is no other's: a zero of elsewhere holds
+        # only where the accelerometer has the grade
+        other = common if driving.has_accelerometer else None
+        offset = zero if zero is not None else other
+        if offset is None and every_stop:
+            offset = 0.0
+        if offset is None:
+            without_zero += 1
+            continue
+        rows = np.arange(span.first, span.last + 1)
+        rows = rows[usable[rows]]
+        rows = _apart(rows)
+        if not len(rows):
+            continue
+        stops.append(
+            BrakeStop(
+                driving.name,
+                float(driving.time_s[span.first]),
+                float(driving.time_s[span.last] - driving.time_s[span.first]),
+                float(driving.speed_ms[span.first]),
+                float(driving.speed_ms[span.last]),
+                offset,
+                zero is not None,
+                driving.time_s[rows] - driving.time_s[span.first],
+                driving.speed_ms[rows],
+                force[rows] - offset,
+                axles["F"][0][rows],
+                axles["R"][0][rows],
+                axles["F"][1],
+                axles["R"][1],
+                _initial_c(driving, span.first),
+            )
+        )
+    count = sum(len(stop.since_s) for stop in stops)
+    words = (
+        f"{len(spans)} applications of the brake, {len(stops)} with "
+        f"{count} samples at steady pressure above "
+        f"{LEAST_PRESSURE_PA / 1e5:.0f} bar and {LOWEST_MS * 3.6:.0f} km/h"
+    )
+    if without_zero:
+        words += (
+            f", {without_zero} without {LEAST_QUIET_S:g} s of released brake "
+            "around them"
+        )
+    return Samples(tuple(stops), rest, words)
+
+
+def force_n(driving: Driving) -> Column:
+    """Return Eq 4.11 on the grid [N], nan where an input is missing."""
+    car, speed = driving.vehicle, driving.speed_ms
+    resistance = (car.quadratic * speed + car.linear) * speed + car.constant
+    if driving.has_accelerometer:
+        inertia = (
+            car.mass_kg * driving.accel_measured_ms2
+            + car.rotating_mass_kg * driving.rate_ms2
+        )
+    else:
+        inertia = car.effective_mass_kg * driving.rate_ms2
+    return np.asarray(driving.traction_n - resistance - inertia)
+
+
+def lagged(value: Column, lag_s: float) -> Column:
+    """Return *value*, (n,), behind a first-order lag; NaN starts it anew."""
+    if lag_s <= 0.0:
+        return value
+    gain = 1.0 - float(np.exp(-GRID_S / lag_s))
+    result = np.empty(len(value))
+    last = np.nan
+    for i, now in enumerate(value.tolist()):
+        last = now if last != last else last + gain * (now - last)  # noqa: PLR0124
+        result[i] = last
+    return result
+
+
+def _rest_pa(driving: Driving, top: Column) -> float:
+    """Return what the pressure reads with the brake surely released.
+
+    The car gains speed, or rolls at the lowest pressures of the log.
+    """
+    rolling = (driving.speed_ms > LOWEST_MS) & np.isfinite(top)
+    gaining = rolling & (driving.rate_ms2 > 0.3)
+    chosen = top[gaining] if gaining.any() else top[rolling]
+    if not len(chosen):
+        return 0.0
+    rest = float(np.median(chosen) if gaining.any() else np.min(chosen))
+    return rest if abs(rest) < RELEASED_PA else 0.0
+
+
+def _released(driving: Driving, top: Column) -> Mask:
+    """Return where the brake is off and the force should be nothing."""
+    car = driving.vehicle
+    limit_n = DRIVEN_MS2 * car.mass_kg
+    released = (top < 0.5 * RELEASED_PA) & (driving.speed_ms > LOWEST_MS)
+    released &= np.abs(driving.torque_nm) / car.wheel_radius_m < limit_n
+    released &= np.isfinite(driving.rate_ms2)
+    return released
+
+
+def _zero(force: Column, released: Mask, span: Span) -> float | None:
+    """Return the force of the released brake around *span*, None if unseen."""
+    around, quiet = round(AROUND_S / GRID_S), round(QUIET_S / GRID_S)
+    rows = np.concatenate(
+        (
+            np.arange(max(span.first - around, 0), max(span.first - quiet, 0)),
+            np.arange(span.last + quiet, span.last + around),
+        )
+    )
+    rows = rows[rows < len(force)]
+    rows = rows[released[rows] & np.isfinite(force[rows])]
+    if len(rows) * GRID_S < LEAST_QUIET_S:
+        return None
+    return float(np.median(force[rows]))
+
+
+def _usable(
+    driving: Driving, pressures: dict[str, Column], *, every_stop: bool
+) -> Mask:
+    """Return where force and pressure belong together."""
+    usable = driving.speed_ms > LOWEST_MS
+    for pressure in pressures.values():
+        lowest = _lowest_around(pressure)
+        usable &= lowest > LEAST_PRESSURE_PA
+        rate = np.abs(np.gradient(window_mean(pressure), GRID_S))
+        usable &= rate < (JUMPING_PA_S if every_stop else STEADY_PA_S)
+    control = ["esc_active", "tc_active"]
+    if not every_stop:
+        control.append("abs_active")
+    for role in driving.channels.alive(control):
+        usable &= ~(driving.value(role) > 0.5)
+    if driving.channels.alive(["yaw_rate"]):
+        bend = np.abs(driving.value("yaw_rate") * driving.speed_ms)
+        usable &= ~(bend > CORNERING_MS2)
+    usable &= np.isfinite(force_n(driving))
+    return np.asarray(usable)
+
+
+def _lowest_around(value: Column) -> Column:
+    """Return the lowest value in the half second around each point."""
+    lowest = np.full(len(value), np.nan)
+    if len(value) > 2 * HALF:
+        windows = np.lib.stride_tricks.sliding_window_view(value, 2 * HALF + 1)
+        lowest[HALF:-HALF] = windows.min(axis=1)
+    return lowest
+
+
+def _axle(
+    axle: str, pressures: dict[str, Column], gains: dict[str, float]
+) -> tuple[Column, float]:
+    """Return the axle's mean pressure by gain, and the sum of its gains."""
+    names = [name for name in CORNERS if name[0] == axle and name in gains]
+    count = len(next(iter(pressures.values()))) if pressures else 0
+    if not names:
+        return np.full(count, np.nan), 0.0
+    total = sum(gains[name] for name in names)
+    summed = sum(
+        (gains[name] * window_mean(pressures[name]) for name in names),
+        start=np.zeros(count),
+    )
+    return summed / total, total
+
+
+def _apart(rows: Indices) -> Indices:
+    """Return those of *rows* that are a window apart."""
+    kept: list[int] = []
+    for row in rows.tolist():
+        if not kept or row - kept[-1] >= EVERY:
+            kept.append(row)
+    return np.array(kept, np.intp)
+
+
+def _initial_c(driving: Driving, first: int) -> dict[str, float]:
+    found = {}
+    for name in CORNERS:
+        role = f"temp_{name.lower()}_disc"
+        if driving.channels.alive([role]):
+            kelvin = float(driving.value(role)[first])
+            if np.isfinite(kelvin):
+                found[name] = kelvin - KELVIN_OFFSET
+    return found

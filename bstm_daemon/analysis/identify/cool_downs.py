@@ -1,0 +1,265 @@
+"""Stretches in which a hot disc cools at one speed, without braking.
+
+Everything is on steps of a second: discs are slow, and a mean over a second
+is what a thermocouple says.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from bstm_daemon.analysis.quality.limits import GRID_S, MOVING_MS, RELEASED_PA
+from bstm_daemon.analysis.statistics.series import block_means, runs
+from bstm_daemon.roles import CORNERS
+from bstm_daemon.units import KELVIN_OFFSET
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from bstm_daemon.analysis.identify.driving import Driving
+    from bstm_daemon.analysis.statistics.series import Column, Mask
+
+STEP_S: Final = 1.0
+BIN: Final = 5
+"""Steps to a mean, which a regression takes as one reading."""
+
+SETTLING_S: Final = 10.0
+"""After braking: the disc's inside and the thermocouple follow its face."""
+
+SHORTEST_S: Final = 60.0
+STANDING_MS: Final = 0.3
+SPAN_MS: Final = 1.2
+SPAN_SHARE: Final = 0.08
+"""A speed counts as one within the wider of these, from least to most."""
+
+HOT_K: Final = 40.0
+"""A disc must be so far above ambient at the start ..."""
+
+WARM_K: Final = 15.0
+"""... and is followed down to here, where ambient's error outweighs it ..."""
+
+FALL_K: Final = 10.0
+"""... and must fall by this."""
+
+COUPLES: Final = ("disc", "disc_2")
+
+
+@dataclass(frozen=True, slots=True)
+class Slow:
+    """One log by the second: (n,) each, SI, NaN if unknown.
+
+    ``free`` means that no brake has been on for :data:`SETTLING_S`, or that
+    the car stands. ``discs`` and ``pads`` are measured temperatures by role.
+    """
+
+    driving: Driving
+    time_s: Column
+    speed_ms: Column
+    ambient_k: Column
+    free: Mask
+    discs: dict[str, Column]
+    pads: dict[str, Column]
+
+
+@dataclass(frozen=True, slots=True)
+class CoolDown:
+    """One thermocouple while its disc cools at one speed, (n,) each.
+
+    ``time_s`` since ``start_s`` of the log. ``pad_k`` is the measured pad
+    front, NaN where there is none.
+    """
+
+    log: str
+    role: str
+    corner: str
+    start_s: float
+    time_s: Column
+    disc_k: Column
+    ambient_k: Column
+    speed_ms: Column
+    pad_k: Column
+
+    @property
+    def mean_speed_ms(self) -> float:
+        """Its speed, 0 where the car stands."""
+        return float(self.speed_ms.mean())
+
+    def bins(self, value: Column) -> Column:
+        """Return means of *value*, (n,), over :data:`BIN` steps."""
+        return block_means(value, BIN)
+
+    @property
+    def standing(self) -> bool:
+        """Whether the car stands."""
+        return bool(self.speed_ms.max() < STANDING_MS)
+
+
+def slow_of(driving: Driving) -> Slow:
+    """Return *driving* by the second with its measured discs."""
+    channels = driving.channels
+    speed = _with_parked(driving.speed_ms)
+    discs, pads = {}, {}
+    for corner in CORNERS:
+        for node in COUPLES:
+            role = f"temp_{corner.lower()}_{node}"
+            if channels.alive([role]):
+                discs[role] = _by_second(driving.value(role))
+        role = f"temp_{corner.lower()}_pad_front"
+        if channels.alive([role]):
+            pads[corner] = _by_second(driving.value(role))
+    ambient = np.full(len(driving.time_s), np.nan)
+    if channels.alive(["ambient_temperature"]):
+        ambient = _held(driving.value("ambient_temperature"))
+    configured = channels.config.vehicle.ambient_c + KELVIN_OFFSET
+    ambient = np.where(np.isfinite(ambient), ambient, configured)
+    return Slow(
+        driving,
+        _by_second(driving.time_s),
+        _by_second(speed),
+        _by_second(ambient),
+        _by_second(_free(driving, speed).astype(float)) > 0.99,
+        discs,
+        pads,
+    )
+
+
+def cool_downs(slow: Slow) -> tuple[list[CoolDown], str]:
+    """Return the cool-downs of a log, and what was searched in words."""
+    name = slow.driving.name
+    if not slow.discs:
+        return [], f"{name}: no measured disc temperature in this log"
+    free = slow.free & np.isfinite(slow.speed_ms)
+    even = [
+        part
+        for first, last in runs(free)
+        for part in _even(slow.speed_ms, first, last)
+    ]
+    found = []
+    for role, disc in slow.discs.items():
+        corner = role.split("_")[1].upper()
+        pad = slow.pads.get(corner, np.full(len(disc), np.nan))
+        above = disc - slow.ambient_k
+        for first, last in even:
+            warm = above[first:last] > WARM_K
+            for begin, end in runs(warm):
+                part = slice(first + begin, first + end + 1)
+                excess = above[part]
+                if (
+                    (end - begin) * STEP_S < SHORTEST_S
+                    or excess[0] < HOT_K
+                    or excess[:5].mean() - excess[-5:].mean() < FALL_K
+                ):
+                    continue
+                start = float(slow.time_s[part][0])
+                found.append(
+                    CoolDown(
+                        name,
+                        role,
+                        corner,
+                        start,
+                        slow.time_s[part] - start,
+                        disc[part],
+                        slow.ambient_k[part],
+                        slow.speed_ms[part],
+                        pad[part],
+                    )
+                )
+    seconds = sum(last - first for first, last in even) * STEP_S
+    words = (
+        f"{name}: {np.count_nonzero(free) * STEP_S:.0f} s standing or "
+        f"{SETTLING_S:g} s after the last braking, {seconds:.0f} s of it at "
+        f"one speed for {SHORTEST_S:g} s or more, {len(found)} times a disc "
+        f"{HOT_K:g} K above ambient that falls by {FALL_K:g} K"
+    )
+    if not (driving_tells_brake(slow.driving) or found):
+        words += "; nothing tells that the brake is released while driving"
+    return found, words
+
+
+def driving_tells_brake(driving: Driving) -> bool:
+    """Whether a pressure or the brake switch is in the log."""
+    return bool(driving.pressures) or bool(
+        driving.channels.alive(["brake_switch"])
+    )
+
+
+def _free(driving: Driving, speed_ms: Column) -> Mask:
+    """Return where nothing has heated the discs for :data:`SETTLING_S`."""
+    known = driving_tells_brake(driving)
+    released = np.full(len(speed_ms), known)
+    for pressure in driving.pressures.values():
+        released &= pressure < RELEASED_PA
+    if driving.channels.alive(["brake_switch"]):
+        released &= driving.value("brake_switch") < 0.5
+    cold = released | (speed_ms < STANDING_MS)
+    settling = round(SETTLING_S / GRID_S)
+    last_hot = np.maximum.accumulate(
+        np.where(cold, -settling - 1, np.arange(len(cold)))
+    )
+    return np.asarray(np.arange(len(cold)) - last_hot > settling)
+
+
+def _even(
+    speed_ms: Column, first: int, last: int
+) -> Sequence[tuple[int, int]]:
+    """Return the parts of *first* to *last* at one speed, end excluded."""
+    least = round(SHORTEST_S / STEP_S)
+    speeds = speed_ms[first : last + 1].tolist()
+    found = []
+    at = 0
+    while at + least <= len(speeds):
+        low = high = speeds[at]
+        end = at + 1
+        while end < len(speeds):
+            low_next = min(low, speeds[end])
+            high_next = max(high, speeds[end])
+            if not _one_speed(low_next, high_next):
+                break
+            low, high = low_next, high_next
+            end += 1
+        if end - at >= least and (high < STANDING_MS or low > MOVING_MS):
+            found.append((first + at, first + end))
+            at = end
+        else:
+            at += 1
+    return found
+
+
+def _one_speed(low: float, high: float) -> bool:
+    if low < STANDING_MS:
+        return high < STANDING_MS
+    return high - low <= max(SPAN_MS, SPAN_SHARE * high)
+
+
+def _with_parked(speed_ms: Column) -> Column:
+    """Return *speed_ms* with 0 where a standing car's bus is silent."""
+    known = np.flatnonzero(np.isfinite(speed_ms))
+    filled = speed_ms.copy()
+    if not len(known):
+        return filled
+    for first, last in runs(~np.isfinite(speed_ms)):
+        before, after = known[known < first][-1:], known[known > last][:1]
+        if (
+            len(before)
+            and speed_ms[before[0]] < STANDING_MS
+            and (not len(after) or speed_ms[after[0]] < STANDING_MS)
+        ):
+            filled[first : last + 1] = 0.0
+    return filled
+
+
+def _held(value: Column) -> Column:
+    """Return *value* with its last one held over gaps, the first before."""
+    known = np.flatnonzero(np.isfinite(value))
+    if not len(known):
+        return value
+    place = np.searchsorted(known, np.arange(len(value)), "right") - 1
+    return np.asarray(value[known[np.maximum(place, 0)]])
+
+
+def _by_second(value: Column) -> Column:
+    """Return means over :data:`STEP_S`, NaN where a value is missing."""
+    return block_means(value, round(STEP_S / GRID_S))

@@ -1,0 +1,319 @@
+"""The S-function of the discs from cool-downs, thesis section 4.4."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations
+from math import nan
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from bstm_daemon.analysis.identify.cool_downs import (
+    SPAN_MS,
+    SPAN_SHARE,
+    cool_downs,
+    slow_of,
+)
+from bstm_daemon.analysis.identify.cooling_fit import fit_cooling, rms_k
+from bstm_daemon.analysis.identify.disc_loss import DiscLoss, disc_loss
+from bstm_daemon.errors import LogError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from bstm_daemon.analysis.identify.cool_downs import CoolDown
+    from bstm_daemon.analysis.identify.cooling_fit import CoolingFit, Series
+    from bstm_daemon.analysis.identify.driving import Driving
+    from bstm_daemon.config.sections import Config
+
+AXLES: Final = {"F": "front", "R": "rear"}
+POINTS: Final = 5
+"""Measurements the thesis takes from a cool-down; ten pairs."""
+
+FAINT: Final = 0.2
+"""A larger share of standard error is no value."""
+
+WRONG_FORM: Final = 3.0
+"""The other form is named where it leaves this much less."""
+
+NEAR_SHARE: Final = 0.1
+NEAR_MS: Final = 1.0
+"""A point of the table so near a speed that was driven gives way to it."""
+
+STANDING_BLEND: Final = 0.02
+"""Least S at standstill, as a share of the whole loss, to be told from the
+radiation."""
+
+
+@dataclass(frozen=True, slots=True)
+class CoolingPoint:
+    """S [1/s] at one speed.
+
+    ``ten_pairs`` is the thesis's average over the same cool-downs and
+    ``ten_pairs_spread`` the standard deviation of its pairs; both hold
+    radiation. At standstill ``value`` is the convection beside the configured
+    radiation and ``whole`` all of the loss; elsewhere they are one.
+    ``configured`` is what the configuration has in place of ``value``.
+    """
+
+    speed_ms: float
+    value: float
+    standard_error: float
+    whole: float
+    whole_error: float
+    configured: float
+    ten_pairs: float
+    ten_pairs_spread: float
+    by_corner: dict[str, tuple[float, float]]
+    series: tuple[Series, ...]
+    caveat: str
+
+    @property
+    def identified(self) -> bool:
+        """Whether the cool-downs settle it."""
+        return not self.caveat
+
+    @property
+    def residual_k(self) -> float:
+        """Root mean square of measurement less model."""
+        return rms_k(self.series)
+
+
+@dataclass(frozen=True, slots=True)
+class AxleCooling:
+    """The S-function of an axle's discs.
+
+    ``table`` is what to configure: (speed [m/s], S [1/s], whether measured)
+    by rising speed; ``still`` the convection fraction at standstill, None
+    where it was not measured.
+    """
+
+    axle: str
+    form: str
+    points: tuple[CoolingPoint, ...]
+    table: tuple[tuple[float, float, bool], ...]
+    still: float | None
+    configured_still: float
+    fit: CoolingFit
+    other_residual_k: float
+
+
+@dataclass(frozen=True, slots=True)
+class Cooling:
+    """What the cool-downs of all logs show."""
+
+    axles: tuple[AxleCooling, ...]
+    searched: tuple[str, ...]
+    remarks: tuple[str, ...]
+
+
+def identify_cooling(drivings: Sequence[Driving], config: Config) -> Cooling:
+    """Find S over speed from the measured discs of *drivings*.
+
+    Raises:
+        LogError: no log has a cool-down; says what was searched.
+    """
+    downs: list[CoolDown] = []
+    searched = []
+    for driving in drivings:
+        found, words = cool_downs(slow_of(driving))
+        downs += found
+        searched.append(words)
+    losses = {
+        name: loss
+        for name in {down.corner for down in downs}
+        if (loss := disc_loss(config, name)) is not None
+    }
+    downs = [down for down in downs if down.corner in losses]
+    if not downs:
+        msg = "no cool-down found. " + "; ".join(searched)
+        raise LogError(msg)
+    axles = []
+    for letter, axle in AXLES.items():
+        of_axle = [down for down in downs if down.corner[0] == letter]
+        if of_axle:
+            axles.append(_axle(axle, of_axle, losses))
+    return Cooling(
+        tuple(axles), tuple(searched), _remarks(drivings, axles, downs)
+    )
+
+
+def speed_groups(
+    downs: Sequence[CoolDown],
+) -> tuple[list[int], list[float]]:
+    """Return the group of each of *downs* and each group's mean speed.
+
+    Speeds no further apart than one cool-down's own may be are one.
+    """
+    speeds = np.array([0.0 if d.standing else d.mean_speed_ms for d in downs])
+    order = np.argsort(speeds, kind="stable")
+    groups = np.zeros(len(downs), int)
+    number, first = 0, float(speeds[order[0]])
+    for place in order.tolist():
+        speed = float(speeds[place])
+        apart = speed - first > max(SPAN_MS, SPAN_SHARE * speed)
+        if apart or (first == 0.0 < speed):
+            number, first = number + 1, speed
+        groups[place] = number
+    means = [
+        float(speeds[groups == group].mean()) for group in range(number + 1)
+    ]
+    return groups.tolist(), means
+
+
+def _axle(
+    axle: str, downs: list[CoolDown], losses: dict[str, DiscLoss]
+) -> AxleCooling:
+    groups, speeds = speed_groups(downs)
+    discs = [losses[down.corner] for down in downs]
+    rate_form = discs[0].rate_form
+    fit = fit_cooling(downs, discs, groups, speeds, rate_form=rate_form)
+    other = fit_cooling(downs, discs, groups, speeds, rate_form=not rate_form)
+    whole = fit
+    if speeds[0] < discs[0].blend_end_ms:
+        whole = fit_cooling(
+            downs, discs, groups, speeds, rate_form=rate_form, beside=False
+        )
+    points = []
+    for group, speed in enumerate(speeds):
+        series = tuple(one for one in fit.series if one.group == group)
+        pairs = np.array([ten_pairs(one) for one in series])
+        value, error = float(fit.s_per_s[group]), fit.standard_error(group)
+        configured = float(discs[0].configured(speed))
+        if speed <= 0.0:
+            configured *= discs[0].still
+        points.append(
+            CoolingPoint(
+                speed,
+                value,
+                error,
+                float(whole.s_per_s[group]),
+                whole.standard_error(group),
+                configured,
+                float(np.nanmean(pairs)),
+                float(np.nanstd(pairs)),
+                fit.by_corner[group],
+                series,
+                _caveat(value, error, float(whole.s_per_s[group])),
+            )
+        )
+    still = None
+    standing = points[0]
+    if standing.speed_ms <= 0.0 and standing.identified:
+        still = min(standing.value / standing.whole, 1.0)
+    return AxleCooling(
+        axle,
+        "rate" if rate_form else "conductance",
+        tuple(points),
+        _table(points, discs[0]),
+        still,
+        discs[0].still,
+        fit,
+        other.residual_k,
+    )
+
+
+def ten_pairs(series: Series) -> list[float]:
+    """Return the thesis's ten values of S (section 4.4), NaN if none.
+
+    Five measurements evenly spread over the cool-down, Eq 4.12 for each pair.
+    """
+    above = series.measured_k - series.down.bins(series.down.ambient_k)
+    places = np.linspace(0, len(above) - 1, POINTS).round().astype(int)
+    found = []
+    for a, b in combinations(places.tolist(), 2):
+        apart_s = float(series.time_s[b] - series.time_s[a])
+        usable = apart_s > 0.0 and above[a] > 0.0 and above[b] > 0.0
+        found.append(
+            float(np.log(above[a] / above[b])) / apart_s if usable else nan
+        )
+    return found
+
+
+def _caveat(value: float, error: float, whole: float) -> str:
+    if value < STANDING_BLEND * whole:
+        return (
+            "the configured radiation alone cools faster: emissivity or free "
+            "area too large"
+        )
+    if error > FAINT * value:
+        return f"standard error of {100 * error / value:.0f} %"
+    return ""
+
+
+def _table(
+    points: Sequence[CoolingPoint], disc: DiscLoss
+) -> tuple[tuple[float, float, bool], ...]:
+    """Return the table to configure: driven speeds, the others scaled.
+
+    A configured point that was not driven is moved by what its neighbours
+    moved by, so that the table keeps its shape where nothing was measured.
+    """
+    identified = [point for point in points if point.identified]
+    if not identified:
+        return ()
+    speeds = [point.speed_ms for point in identified]
+    # at standstill S is the whole loss, of which a fraction is convection
+    measured = [
+        point.whole if point.speed_ms <= 0.0 else point.value
+        for point in identified
+    ]
+    ratios = [
+        value / max(float(disc.configured(speed)), 1e-9)
+        for speed, value in zip(speeds, measured, strict=True)
+    ]
+    moving = [i for i, speed in enumerate(speeds) if speed > 0.0]
+    rows = [
+        (speed, value, True)
+        for speed, value in zip(speeds, measured, strict=True)
+    ]
+    for speed, value in zip(disc.speeds_ms, disc.s_per_s, strict=True):
+        near = max(NEAR_MS, NEAR_SHARE * speed)
+        if any(abs(speed - driven) < near for driven in speeds):
+            continue
+        # standstill is another regime: it says nothing of the wind's part
+        used = moving if speed > 0.0 else []
+        factor = 1.0
+        if used:
+            factor = float(
+                np.interp(
+                    speed,
+                    [speeds[i] for i in used],
+                    [ratios[i] for i in used],
+                )
+            )
+        rows.append((speed, value * factor, False))
+    return tuple(sorted(rows))
+
+
+def _remarks(
+    drivings: Sequence[Driving],
+    axles: Sequence[AxleCooling],
+    downs: Sequence[CoolDown],
+) -> tuple[str, ...]:
+    remarks = [f"{d.name}: {text}" for d in drivings for text in d.remarks]
+    for one in axles:
+        best = one.fit.residual_k
+        if one.other_residual_k * WRONG_FORM < best:
+            other = "conductance" if one.form == "rate" else "rate"
+            remarks.append(
+                f'{one.axle}: with [cooling] form = "{one.form}" the fit '
+                f"misses by {best:.1f} K rms, with {other!r} by "
+                f"{one.other_residual_k:.1f} K. S of one form is not that of "
+                "the other"
+            )
+        if any(not point.speed_ms for point in one.points) and any(
+            not np.isfinite(down.pad_k).all()
+            for down in downs
+            if down.standing and down.corner[0].lower() == one.axle[0]
+        ):
+            remarks.append(
+                f"{one.axle}: no measured pad front at standstill: what disc "
+                "and pads exchange is in S"
+            )
+    remarks.append(
+        "the errors hold drift of the thermocouples and of the model, the "
+        "sides' difference, and 3 K of offset between disc and ambient sensor"
+    )
+    return tuple(remarks)

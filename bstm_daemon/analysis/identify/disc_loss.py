@@ -1,0 +1,230 @@
+"""What a disc loses besides S: the terms of the estimator's disc model.
+
+A cool-down is followed with the configured disc (mass, heat capacity,
+emissivity, standstill blend), so that the S found is the S the estimator
+uses: radiation at standstill is taken off, not fitted a second time.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from bstm_daemon.model.thermal.brake_corner import PADS, REFERENCE_K
+from bstm_daemon.model.thermal.properties import disc_heat_capacity
+from bstm_daemon.units import STEFAN_BOLTZMANN_W_M2K4
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from bstm_daemon.analysis.identify.cool_downs import CoolDown
+    from bstm_daemon.analysis.statistics.series import Column, Indices
+    from bstm_daemon.config.sections import Config
+    from bstm_daemon.model.thermal.table import Table
+
+LOWEST_K: Final = 200.0
+HIGHEST_K: Final = 2000.0
+
+
+@dataclass(frozen=True, slots=True)
+class DiscLoss:
+    """One disc: capacity, radiation and blend as configured.
+
+    ``radiation_w_k4`` is sigma eps A of the free area and ``pads_w_k4`` that
+    of the exchange with both pads (Eq 2.9 to 2.11).
+    """
+
+    capacity: Table
+    mass_kg: float
+    rate_form: bool
+    radiation_w_k4: float
+    pads_w_k4: float
+    blend_end_ms: float
+    still: float
+    speeds_ms: tuple[float, ...]
+    s_per_s: tuple[float, ...]
+
+    def configured(self, speed_ms: Column | float) -> Column:
+        """Return S of the configuration at *speed_ms*, (n,)."""
+        return np.asarray(np.interp(speed_ms, self.speeds_ms, self.s_per_s))
+
+    def shape(self, speed_ms: Column, mean_ms: float) -> Column:
+        """Return the factor on S at *mean_ms* at each speed, (n,).
+
+        The blend of the standstill model, and the configured slope of S over
+        the small changes of speed. 1 at standstill, where the factor on S
+        and the blend are one number.
+        """
+        if mean_ms <= 0.0:
+            return np.ones(len(speed_ms))
+        there = max(float(self.configured(mean_ms)), 1e-9)
+        blend = self.still + (1.0 - self.still) * np.clip(
+            speed_ms / self.blend_end_ms, 0.0, 1.0
+        )
+        return np.asarray(self.configured(speed_ms) / there * blend)
+
+    def radiating(self, speed_ms: Column) -> Column:
+        """Return the share of net radiation beside S, (n,)."""
+        return np.clip(1.0 - speed_ms / self.blend_end_ms, 0.0, 1.0)
+
+    def heat_capacity_j_k(self, disc_k: Column) -> Column:
+        """Return the disc's capacity at *disc_k*, (n,)."""
+        return self.mass_kg * values(self.capacity, disc_k)
+
+
+def values(table: Table, x: Column) -> Column:
+    """Return *table* at *x*, (n,)."""
+    grid = table.x0 + table.dx * np.arange(len(table.values))
+    return np.interp(x, grid, table.values)
+
+
+def disc_loss(config: Config, corner_name: str) -> DiscLoss | None:
+    """Return the disc of the corner of that name, None without one."""
+    for corner in config.corner:
+        if corner.name == corner_name and corner.disc and corner.pad:
+            break
+    else:
+        return None
+    disc, pad = corner.disc, corner.pad
+    thermal, cooling = config.thermal_of(corner), config.cooling_of(corner)
+    pads_m2 = PADS * pad.area_m2
+    eps_d, eps_p = thermal.disc_emissivity, thermal.pad_emissivity
+    effective = 1.0 / (1.0 / eps_d + 1.0 / eps_p - 1.0)
+    if thermal.disc_pad_radiation == "product":
+        effective = eps_d * eps_p
+    free_m2 = max(disc.total_area_m2 - pads_m2, 0.0)
+    return DiscLoss(
+        disc_heat_capacity(disc),
+        disc.mass_kg * thermal.disc_mass_correction_factor,
+        cooling.form == "rate",
+        STEFAN_BOLTZMANN_W_M2K4 * eps_d * free_m2,
+        STEFAN_BOLTZMANN_W_M2K4 * effective * pads_m2,
+        cooling.blend_end_ms,
+        cooling.standstill_convection_fraction,
+        tuple(cooling.speed_ms),
+        tuple(cooling.s_per_s),
+    )
+
+
+class HeatCapacities:
+    """Heat capacities of discs that are marched side by side."""
+
+    def __init__(
+        self, losses: Sequence[DiscLoss], rate_forms: Sequence[bool]
+    ) -> None:
+        """Take the discs, and of each the form that S is given in."""
+        kelvins = np.arange(LOWEST_K, HIGHEST_K + 1.0)
+        self._inverse = np.array(
+            [1.0 / loss.heat_capacity_j_k(kelvins) for loss in losses]
+        )
+        at = np.full(1, REFERENCE_K)
+        self._reference = np.array(
+            [
+                0.0 if rate else loss.heat_capacity_j_k(at)[0]
+                for loss, rate in zip(losses, rate_forms, strict=True)
+            ]
+        )
+
+    def inverse(self, discs: Indices, now_k: Column) -> Column:
+        """Return 1 / (m c_p) [K/J] of *discs*, by number, at *now_k*.
+
+        Both of one shape, or broadcast to it.
+        """
+        place = np.clip(now_k - LOWEST_K, 0.0, HIGHEST_K - LOWEST_K - 1.0)
+        index = place.astype(np.int64)
+        low, high = (
+            self._inverse[discs, index],
+            self._inverse[discs, index + 1],
+        )
+        return np.asarray(low + (place - index) * (high - low))
+
+    def factor(self, discs: Indices, inverse: Column) -> Column:
+        """Return the factor on S at that :meth:`inverse` (Eq 4.12).
+
+        1 where S is a rate; a conductance is S times the capacity at 20 degC.
+        """
+        reference = self._reference[discs]
+        return np.where(reference > 0.0, reference * inverse, 1.0)
+
+
+class Lanes:
+    """Cool-downs marched side by side (Eq 4.12)."""
+
+    def __init__(
+        self,
+        downs: Sequence[CoolDown],
+        losses: Sequence[DiscLoss],
+        speeds_ms: Sequence[float],
+        *,
+        rate_form: bool,
+        beside: bool = True,
+    ) -> None:
+        """Take *downs*, their discs and the speed S is given at, one each.
+
+        *rate_form* and the other form are those of ``[cooling] form``.
+        Without *beside*, S holds all of the loss, radiation too.
+        """
+        columns = [
+            (down.bins(down.ambient_k), down.bins(down.speed_ms), pad)
+            for down in downs
+            for pad in (down.bins(down.pad_k),)
+        ]
+        self.lengths = [len(ambient) for ambient, *_ in columns]
+        shape = max(self.lengths), len(downs)
+        self._ambient_k = np.full(shape, REFERENCE_K)
+        self._strength = np.zeros(shape)
+        self._radiation = np.zeros(shape)
+        self._pads = np.zeros(shape)
+        self._pad_k4 = np.zeros(shape)
+        for lane, (loss, mean_ms) in enumerate(
+            zip(losses, speeds_ms, strict=True)
+        ):
+            ambient, speed, pad = columns[lane]
+            part = slice(0, self.lengths[lane])
+            self._ambient_k[part, lane] = ambient
+            self._strength[part, lane] = loss.shape(speed, mean_ms)
+            if not beside:
+                continue
+            self._radiation[part, lane] = loss.radiation_w_k4 * loss.radiating(
+                speed
+            )
+            known = np.isfinite(pad)
+            self._pads[part, lane] = np.where(known, loss.pads_w_k4, 0.0)
+            self._pad_k4[part, lane] = np.where(known, pad, 0.0) ** 4
+        self._capacities = HeatCapacities(losses, [rate_form for _ in losses])
+
+    def march(
+        self, start_k: Column, s_per_s: Column, off_k: Column, step_s: float
+    ) -> Column:
+        """Return temperatures [K] of every lane, (longest, lanes).
+
+        From *start_k* with *s_per_s*, in steps of *step_s*; *off_k* is what
+        the thermocouple reads above ambient once the disc has cooled. All
+        (m * lanes,), the lanes repeated m times.
+        """
+        repeats = len(start_k) // len(self.lengths)
+        lanes = np.tile(np.arange(len(self.lengths)), repeats)
+        ambient_k = self._ambient_k[:, lanes] + off_k
+        strength = self._strength[:, lanes] * s_per_s
+        radiation, pads = self._radiation[:, lanes], self._pads[:, lanes]
+        outer = radiation * ambient_k**4 + pads * self._pad_k4[:, lanes]
+        both = radiation + pads
+
+        def slope(now: Column, step: int) -> Column:
+            per_capacity = self._capacities.inverse(lanes, now)
+            rate = strength[step] * self._capacities.factor(
+                lanes, per_capacity
+            )
+            beside = (both[step] * now**4 - outer[step]) * per_capacity
+            return np.asarray(-rate * (now - ambient_k[step]) - beside)
+
+        out = np.empty((max(self.lengths), len(lanes)))
+        now = np.array(start_k, float)
+        for step in range(len(out)):
+            out[step] = now
+            first = step_s * slope(now, step)
+            second = step_s * slope(now + first, step)
+            now = now + 0.5 * (first + second)
+        return out

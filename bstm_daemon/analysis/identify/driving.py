@@ -1,0 +1,227 @@
+"""The motion of a recorded car on one time grid, as identification needs it.
+
+Speeds and accelerometer go through the checks of ``bstm check --log`` first:
+a channel that contradicts the others is left out and said, not fitted.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from bstm_daemon.analysis.quality.accelerations import (
+    LONGITUDINAL,
+    compare_accelerations,
+)
+from bstm_daemon.analysis.quality.channels import PRESSURES, Channels
+from bstm_daemon.analysis.quality.finding import Notes
+from bstm_daemon.analysis.quality.frozen import find_frozen_speeds
+from bstm_daemon.analysis.quality.grid import window_mean
+from bstm_daemon.analysis.quality.limits import GRID_S, MOVING_MS
+from bstm_daemon.analysis.quality.speeds import compare_speeds
+from bstm_daemon.analysis.statistics.series import Column, Mask, running_mean
+from bstm_daemon.errors import LogError
+from bstm_daemon.model.heat.feed_back import Vehicle
+
+if TYPE_CHECKING:
+    from bstm_daemon.analysis.quality.recording import Recording
+    from bstm_daemon.bus.signals.signal_map import SignalMap
+    from bstm_daemon.config.sections import Config
+
+PITCH_WINDOW_S: Final = 20.0
+"""Grade changes slower than this, body pitch follows at once."""
+
+PITCH_RATE_MS2: Final = 0.5
+"""Changes of speed that pitch the body well beyond the road's own."""
+
+HARDEST_MS2: Final = 3.5
+"""Beyond, tyres slip: the wheels' speed is no longer the car's, which looks
+like pitch."""
+
+PITCH_LEAST_S: Final = 10.0
+PITCH_SIGMAS: Final = 3.0
+LARGEST_PITCH: Final = 0.12
+"""m/s2 of gravity a m/s2; 7 degrees at 1 g, softer than any road car."""
+
+
+@dataclass(frozen=True, slots=True)
+class Driving:
+    """Signals of one log on a grid of 0.05 s, (n,) each, SI, NaN if absent.
+
+    ``rate_ms2`` is dv/dt and ``accel_measured_ms2`` the accelerometer, both
+    over the same half second around each point; the body's ``pitch`` times
+    ``rate_ms2`` is taken off the latter. ``torque_nm`` is that of the
+    powertrain at the wheels, 0 where the drive line is open; ``external_n``
+    the external force. ``pressures`` holds the pressures by role.
+    ``line_known`` names what shows whether the drive line is open.
+    """
+
+    name: str
+    channels: Channels
+    vehicle: Vehicle
+    time_s: Column
+    speed_ms: Column
+    rate_ms2: Column
+    accel_measured_ms2: Column
+    torque_nm: Column
+    external_n: Column
+    pressures: dict[str, Column]
+    line_known: str
+    pitch: float
+    pitch_error: float
+    remarks: tuple[str, ...]
+
+    @property
+    def has_accelerometer(self) -> bool:
+        """Whether the accelerometer is there and sound."""
+        return bool(np.isfinite(self.accel_measured_ms2).any())
+
+    @property
+    def traction_n(self) -> Column:
+        """Force of powertrain and outside that drives the car, (n,)."""
+        return self.torque_nm / self.vehicle.wheel_radius_m + self.external_n
+
+    @property
+    def slope_ms2(self) -> Column:
+        """Grade times g plus the accelerometer's bias, (n,)."""
+        return self.accel_measured_ms2 - self.rate_ms2
+
+    def value(self, role: str) -> Column:
+        """Return *role* on the grid, NaN where it is not."""
+        return self.channels.value(role)
+
+    def highest_pressure_pa(self) -> Column:
+        """Return the highest of the pressures, NaN where none is known."""
+        return highest(list(self.pressures.values()), len(self.time_s))
+
+
+def highest(columns: list[Column], count: int) -> Column:
+    """Return the highest of *columns*, (count,), NaN where none is known."""
+    top = np.full(count, np.nan)
+    for column in columns:
+        top = np.fmax(top, column)
+    return top
+
+
+def driving_of(
+    name: str, recording: Recording, config: Config, signal_map: SignalMap
+) -> Driving:
+    """Return the motion in *recording*, called *name*.
+
+    Raises:
+        LogError: it holds no usable speed.
+    """
+    channels = Channels(recording, config, signal_map.timeouts_us)
+    notes = Notes()
+    with np.errstate(over="ignore", invalid="ignore"):
+        find_frozen_speeds(channels, notes)
+        compare_speeds(channels, notes)
+        if not channels.on_stand:
+            compare_accelerations(channels, notes)
+    if not channels.speed_roles or channels.on_stand:
+        why = "; ".join(f.text for f in notes.findings if f.wrong)
+        what = "the car stood on a stand" if channels.on_stand else "no speed"
+        msg = f"{name}: {what} in this log" + (f": {why}" if why else "")
+        raise LogError(msg)
+    remarks = [
+        f"{', '.join(f.roles)} left out: {f.text}"
+        for f in notes.findings
+        if f.wrong and set(f.roles) <= channels.dead
+    ]
+    rate = channels.speed_rate()
+    accel_measured = np.full(len(rate), np.nan)
+    if channels.alive([LONGITUDINAL]) and config.heat.slope != "flat":
+        accel_measured = channels.acceleration()
+    gripping = np.where(_slipping(channels), np.nan, rate)
+    pitch, error = pitch_of(gripping, accel_measured, channels.speed)
+    torque, external, known = _drive_line(channels)
+    return Driving(
+        name,
+        channels,
+        Vehicle.of_config(config.vehicle),
+        channels.time_s,
+        channels.speed,
+        rate,
+        accel_measured - pitch * rate,
+        torque,
+        external,
+        {role: channels.value(role) for role in channels.alive(PRESSURES)},
+        known,
+        pitch,
+        error,
+        tuple(remarks),
+    )
+
+
+def _slipping(channels: Channels) -> Mask:
+    """Return where a control system says that wheels slip."""
+    slipping = np.zeros(len(channels.time_s), bool)
+    for role in channels.alive(["abs_active", "esc_active", "tc_active"]):
+        slipping |= channels.value(role) > 0.5
+    return slipping
+
+
+def pitch_of(
+    rate_ms2: Column, accel_measured_ms2: Column, speed_ms: Column
+) -> tuple[float, float]:
+    """Return the body's pitch and its standard error, m/s2 a m/s2.
+
+    An accelerometer reads ``dv/dt + g sin(grade) + bias + pitch dv/dt``.
+    Grade and bias change slowly, so the fast part of what it reads
+    beyond ``rate`` over that of ``rate`` is the pitch. 0 where it is not seen.
+    """
+    apart = accel_measured_ms2 - rate_ms2
+    half = round(PITCH_WINDOW_S / GRID_S / 2)
+    fast_apart, fast_rate = (_fast(one, half) for one in (apart, rate_ms2))
+    used = np.isfinite(fast_apart + fast_rate) & (speed_ms > MOVING_MS)
+    used &= np.abs(fast_rate) > PITCH_RATE_MS2
+    used &= np.abs(rate_ms2) < HARDEST_MS2
+    if np.count_nonzero(used) * GRID_S < PITCH_LEAST_S:
+        return 0.0, np.nan
+    x, y = fast_rate[used], fast_apart[used]
+    slope = float(x @ y / (x @ x))
+    # points half a second apart are independent, those between are not
+    independent = max(len(x) * GRID_S / 0.5, 3.0)
+    error = float(
+        np.std(y - slope * x) / np.sqrt(x @ x / len(x) * independent)
+    )
+    if slope < PITCH_SIGMAS * error or not 0.0 < slope < LARGEST_PITCH:
+        return 0.0, error
+    return slope, error
+
+
+def _fast(value: Column, half: int) -> Column:
+    """Return *value* less its mean over *half* points each side, if whole."""
+    mean, count = running_mean(value, half)
+    return np.where(count == 2 * half + 1, value - mean, np.nan)
+
+
+def _drive_line(channels: Channels) -> tuple[Column, Column, str]:
+    """Return torque at the wheels, external force, and what tells of them.
+
+    An open line has no torque, whatever its signal's zero is.
+    """
+    count = len(channels.time_s)
+    is_open = np.zeros(count, bool)
+    sources = []
+    if channels.alive(["gear"]):
+        sources.append("gear")
+        is_open |= np.abs(channels.value("gear")) < 0.5
+    if channels.alive(["clutch_open"]):
+        sources.append("clutch_open")
+        is_open |= channels.value("clutch_open") > 0.5
+    torque = np.full(count, np.nan)
+    assumed = channels.config.heat.assume_powertrain_torque_nm
+    if channels.alive(["powertrain_torque"]):
+        sources.append("powertrain_torque")
+        torque = window_mean(channels.value("powertrain_torque"))
+    elif assumed is not None:
+        sources.append(f"assumed torque of {assumed:g} Nm")
+        torque = np.full(count, assumed)
+    torque = np.where(is_open, 0.0, torque)
+    external = np.zeros(count)
+    if channels.alive(["external_force"]):
+        external = np.nan_to_num(window_mean(channels.value("external_force")))
+    return torque, external, ", ".join(sources)

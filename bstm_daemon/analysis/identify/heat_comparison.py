@@ -1,0 +1,310 @@
+"""The brake heat of a drive by every source, side by side (thesis 4.2, 6.1).
+
+Sources are Feed-Forward and Feed-Back as the estimator integrates them, the
+fused power where that heat mode exists, and the bus's own brake torque. Each
+stop is held against its energy balance, Eq 4.5 in the right form:
+
+    1/2 m_eff (v0^2 - v1^2) = W_brake + W_drag + W_climb - W_drive
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import nan
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from bstm_daemon.analysis.identify.applications import Span, applications
+from bstm_daemon.analysis.identify.coastdown_run import work_j
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from bstm_daemon.analysis.identify.driving import Driving
+    from bstm_daemon.analysis.statistics.series import Column, Mask
+    from bstm_daemon.config.sections import Config
+    from bstm_daemon.replay.results import Results
+
+SOURCES: Final = {
+    "ff": "Feed-Forward",
+    "fb": "Feed-Back",
+    "fused": "fused",
+    "can": "bus's brake torque",
+}
+"""Key of a source to its name, in the order of figures and tables."""
+
+BEFORE_S: Final = 0.3
+AFTER_S: Final = 1.5
+"""A stop's energies are taken from so long before to so long after it: the
+body's and the filter's tail belong to it."""
+
+LEAST_KNOWN: Final = 0.9
+"""Share of a stop in which the speed has to be known."""
+
+LEAST_POWER_W: Final = 1000.0
+LEAST_FORCE_N: Final = 300.0
+LEAST_ENERGY_J: Final = 2000.0
+"""Below, a ratio is of noise."""
+
+
+@dataclass(frozen=True, slots=True)
+class Balance:
+    """Eq 4.5 over a stop: speeds at its ends and the works [J]."""
+
+    from_ms: float
+    to_ms: float
+    kinetic_j: float
+    drag_j: float
+    climb_j: float
+    drive_j: float
+
+    @property
+    def brake_j(self) -> float:
+        """W_brake, nan where the speed is not known."""
+        return self.kinetic_j - self.drag_j - self.climb_j + self.drive_j
+
+
+@dataclass(frozen=True, slots=True)
+class HeatStop:
+    """A brake application.
+
+    ``first`` and ``last`` are rows, both included, of the application,
+    ``begin_s`` and ``end_s`` what energies [J] are taken over: by source in
+    ``energy_j``, the others in ``balance``. ``initial_c`` are the discs'
+    temperatures at the press, measured where they are, else estimated.
+    """
+
+    first: int
+    last: int
+    begin_s: float
+    end_s: float
+    pressure_pa: float
+    energy_j: dict[str, float]
+    balance: Balance
+    initial_c: dict[str, float]
+
+
+@dataclass(frozen=True, slots=True)
+class HeatComparison:
+    """The drive: rows at the publications, (n,) each, SI.
+
+    ``time_s`` since the log's start; ``power_w`` and ``energy_j`` (running)
+    by source; ``force_n`` is Feed-Back's brake force. ``pressure_pa`` is the
+    highest of the corners'. ``absent`` says why a source is not there.
+    """
+
+    time_s: Column
+    speed_ms: Column
+    pressure_pa: Column
+    braking: Mask
+    force_n: Column
+    power_w: dict[str, Column]
+    energy_j: dict[str, Column]
+    stops: tuple[HeatStop, ...]
+    absent: dict[str, str]
+    remarks: tuple[str, ...]
+
+    def total_j(self, source: str) -> float:
+        """Return the energy of *source* over the drive."""
+        return float(self.energy_j[source][-1])
+
+    def momentary_ratio(self) -> Column:
+        """Return Feed-Forward over Feed-Back while braking (Fig 6.2), (n,).
+
+        NaN where either is too weak or absent.
+        """
+        return self._ratio(self.power_w, LEAST_POWER_W, self.braking)
+
+    def integrated_ratio(self) -> Column:
+        """Return the ratio of the running energies (Fig 6.3), (n,)."""
+        return self._ratio(
+            self.energy_j, LEAST_ENERGY_J, np.ones(len(self.time_s), bool)
+        )
+
+    def pressure_per_force(self) -> Column:
+        """Return pressure over Feed-Back's force (Fig 4.9), (n,) [Pa/N]."""
+        used = self.braking & (self.force_n > LEAST_FORCE_N)
+        used &= self.pressure_pa > 0.0
+        result = np.full(len(self.time_s), np.nan)
+        result[used] = self.pressure_pa[used] / self.force_n[used]
+        return result
+
+    def _ratio(
+        self, values: Mapping[str, Column], least: float, used: Mask
+    ) -> Column:
+        result = np.full(len(self.time_s), np.nan)
+        if {"ff", "fb"} <= set(values):
+            forward, back = values["ff"], values["fb"]
+            used = used & (forward > least) & (back > least)
+            result[used] = forward[used] / back[used]
+        return result
+
+
+def compare_heat(
+    results: Results,
+    driving: Driving,
+    config: Config,
+    fused: Results | None = None,
+) -> HeatComparison:
+    """Compare the sources over the rows of *results*.
+
+    Args:
+        results: the replay of the log.
+        driving: the same log's motion.
+        config: the vehicle.
+        fused: the replay in the heat mode ``fused``, rows as *results*.
+    """
+    columns = results.columns
+    time_s = columns["time_s"] - driving.channels.recording.start_s
+    steps_s = np.diff(time_s, prepend=time_s[0] - _step_s(time_s))
+    steps_s = np.where((steps_s > 0.0) & (steps_s < 1.0), steps_s, 0.0)
+    power, absent = _powers(results, driving, config, fused, time_s)
+    energy = {
+        name: np.cumsum(np.nan_to_num(value) * steps_s)
+        for name, value in power.items()
+    }
+    speed = np.nan_to_num(columns["speed_ms"])
+    pressure = _pressure(results)
+    if driving.pressures:
+        braking = pressure > config.heat.brake_on_pressure_pa
+    else:
+        braking = np.nan_to_num(power.get("fb", np.zeros(len(time_s)))) > 0.0
+    braking &= speed > 0.0
+    spans = applications(time_s, speed, braking)
+    stops = []
+    for span in spans:
+        stop = _stop(span, time_s, pressure, energy, driving, results)
+        if max(abs(v) for v in (*stop.energy_j.values(), 0.0)) > (
+            LEAST_ENERGY_J
+        ):
+            stops.append(stop)
+    return HeatComparison(
+        time_s,
+        speed,
+        pressure,
+        braking,
+        columns["brake_force_fb_n"],
+        power,
+        energy,
+        tuple(stops),
+        absent,
+        driving.remarks,
+    )
+
+
+def _step_s(time_s: Column) -> float:
+    return float(np.median(np.diff(time_s))) if len(time_s) > 1 else 0.1
+
+
+def _pressure(results: Results) -> Column:
+    total = np.zeros(len(results))
+    for name in results.corners:
+        own = np.nan_to_num(results.columns[f"{name}.pressure_pa"])
+        total = np.maximum(total, own)
+    return total
+
+
+def _powers(
+    results: Results,
+    driving: Driving,
+    config: Config,
+    fused: Results | None,
+    time_s: Column,
+) -> tuple[dict[str, Column], dict[str, str]]:
+    """Return the power of each source [W], and why others are absent."""
+    power, absent = {}, {}
+    if driving.pressures:
+        power["ff"] = _summed(results, "brake_power_ff_w")
+    else:
+        absent["ff"] = "no brake pressure in this log"
+    torque_known = bool(driving.channels.alive(["powertrain_torque"]))
+    if torque_known or config.heat.assume_powertrain_torque_nm is not None:
+        power["fb"] = _summed(results, "brake_power_fb_w")
+    else:
+        absent["fb"] = "no torque at the wheels in this log"
+    if fused is not None:
+        power["fused"] = _summed(fused, "brake_power_w")
+    else:
+        absent["fused"] = "no heat mode 'fused' for this car and version"
+    if driving.channels.alive(["brake_torque"]):
+        force = np.abs(driving.value("brake_torque"))
+        force /= driving.vehicle.wheel_radius_m
+        at = np.interp(time_s, driving.time_s, force * driving.speed_ms)
+        power["can"] = np.nan_to_num(at)
+    else:
+        absent["can"] = "no role brake_torque in this log"
+    return power, absent
+
+
+def _summed(results: Results, column: str) -> Column:
+    total = np.zeros(len(results))
+    for name in results.corners:
+        total += np.nan_to_num(results.columns[f"{name}.{column}"])
+    return total
+
+
+def _stop(
+    span: Span,
+    time_s: Column,
+    pressure_pa: Column,
+    energy_j: Mapping[str, Column],
+    driving: Driving,
+    results: Results,
+) -> HeatStop:
+    begin_s = float(time_s[span.first]) - BEFORE_S
+    end_s = float(time_s[span.last]) + AFTER_S
+    rows = np.searchsorted(time_s, (begin_s, end_s))
+    first, last = max(int(rows[0]) - 1, 0), min(int(rows[1]), len(time_s) - 1)
+    return HeatStop(
+        span.first,
+        span.last,
+        float(time_s[first]),
+        float(time_s[last]),
+        float(np.mean(pressure_pa[span.points])),
+        {n: float(e[last] - e[first]) for n, e in energy_j.items()},
+        _balance(driving, float(time_s[first]), float(time_s[last])),
+        _initial_c(results, span.first),
+    )
+
+
+def _balance(driving: Driving, begin_s: float, end_s: float) -> Balance:
+    """Return Eq 4.5 from *begin_s* to *end_s*, nan where the speed is not."""
+    ends = np.searchsorted(driving.time_s, (begin_s, end_s))
+    part = slice(int(ends[0]), int(ends[1]))
+    known = np.isfinite(driving.speed_ms[part])
+    if not len(known) or known.mean() < LEAST_KNOWN:
+        return Balance(nan, nan, nan, nan, nan, nan)
+    time_s = driving.time_s[part]
+    speed = np.interp(time_s, time_s[known], driving.speed_ms[part][known])
+    car = driving.vehicle
+    resistance = np.where(
+        speed > 0.0,
+        (car.quadratic * speed + car.linear) * speed + car.constant,
+        0.0,
+    )
+    slope = np.zeros(len(speed))
+    if driving.has_accelerometer:
+        slope = np.nan_to_num(driving.slope_ms2[part])
+    drive = np.nan_to_num(driving.torque_nm[part]) / car.wheel_radius_m
+    from_ms, to_ms = float(speed[0]), float(speed[-1])
+    return Balance(
+        from_ms,
+        to_ms,
+        car.kinetic_energy_j(from_ms) - car.kinetic_energy_j(to_ms),
+        work_j(resistance, speed),
+        work_j(car.mass_kg * slope, speed),
+        work_j(drive + driving.external_n[part], speed),
+    )
+
+
+def _initial_c(results: Results, row: int) -> dict[str, float]:
+    """Return each disc's temperature at *row*: measured, else estimated."""
+    found = {}
+    for name in results.corners:
+        for key in (f"{name}.disc_measured_c", f"{name}.disc_c"):
+            column = results.columns.get(key)
+            if column is not None and np.isfinite(column[row]):
+                found[name] = float(column[row])
+                break
+    return found

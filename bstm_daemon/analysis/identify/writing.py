@@ -1,0 +1,380 @@
+"""Identified values into a copy of the configuration, comments kept."""
+
+from __future__ import annotations
+
+import os
+from contextlib import contextmanager
+from copy import deepcopy
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from bstm_daemon.errors import FileAccessError, MissingExtraError
+from bstm_daemon.files import replacing
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from bstm_daemon.analysis.identify.brakes import Brakes
+    from bstm_daemon.analysis.identify.coastdown import CoastDown
+    from bstm_daemon.analysis.identify.cooling import AxleCooling
+    from bstm_daemon.analysis.identify.cooling_while_braking import BrakedAxle
+    from bstm_daemon.config.sections import Config, EffectConfig
+
+_DIGITS: Final = 5
+_PATHS: Final = (("state", "file"), ("record", "folder"), ("metrics", "file"))
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """A key of ``[section]``, or of the ``[[corner]]`` of that name.
+
+    ``key`` may be dotted; several numbers are a list. ``note`` says where
+    the value comes from if not from the logs. With ``effect`` it is a
+    parameter of that ``[[effect]]``, for ``corner`` or all.
+    """
+
+    section: str
+    key: str
+    value: float | tuple[float, ...]
+    corner: str = ""
+    note: str = ""
+    effect: str = ""
+
+    def __str__(self) -> str:
+        """Return it as in the file."""
+        if self.effect:
+            where = f"[[effect]] {self.effect} {self.corner}"
+            return f"{where} {self.key} = {self._text()}"
+        where = (
+            f"[[corner]] {self.corner}"
+            if self.corner
+            else (f"[{self.section}]")
+        )
+        return f"{where} {self.key} = {self._text()}"
+
+    def _text(self) -> str:
+        numbers = self.rounded()
+        if isinstance(numbers, list):
+            return f"[{', '.join(f'{one:.{_DIGITS}g}' for one in numbers)}]"
+        return f"{numbers:.{_DIGITS}g}"
+
+    def rounded(self) -> float | list[float]:
+        """Return the value in the digits that are written."""
+        if isinstance(self.value, tuple):
+            return [float(f"{one:.{_DIGITS}g}") for one in self.value]
+        return float(f"{self.value:.{_DIGITS}g}")
+
+
+def coast_down_changes(result: CoastDown) -> list[Change]:
+    """Return the values that the runs settle."""
+    return [
+        Change("vehicle", one.name, one.value)
+        for one in result.values
+        if one.identified
+    ]
+
+
+def brake_changes(result: Brakes, config: Config) -> list[Change]:
+    """Return what the stops settle, for every corner it is true of.
+
+    A push-out below 0 is the sensor's zero and can not be configured.
+    """
+    changes = []
+    for corner in config.corner:
+        axle = result.front_scale
+        if corner.name[0] == "R":
+            axle = result.rear_scale
+        scale = axle if axle.identified else result.scale
+        key = "friction_coefficient"
+        if corner.type == "drum":
+            key = "drum_brake_factor"
+        if scale.identified:
+            value = getattr(corner, key) * scale.value
+            changes.append(Change("corner", key, value, corner.name))
+        if result.pushout_pa.identified:
+            pushout = max(round(result.pushout_pa.value), 0)
+            changes.append(
+                Change("corner", "pushout_pressure_pa", pushout, corner.name)
+            )
+    if result.front_share.identified:
+        changes.append(
+            Change("vehicle", "front_share", result.front_share.value)
+        )
+    if result.lag_s.identified and result.lag_s.value > 0.0:
+        changes += [
+            Change("heat", f"{circuit}_lag_s", result.lag_s.value)
+            for circuit in ("primary", "secondary")
+        ]
+    return changes
+
+
+def cooling_changes(
+    axles: Sequence[AxleCooling | BrakedAxle], config: Config
+) -> list[Change]:
+    """Return the tables that the cool-downs settle.
+
+    The front axle's goes to ``[cooling]``, which the other corners share;
+    the rear's, and that of corners with an own table, to the corners.
+    """
+    changes = []
+    for axle in axles:
+        if not axle.table:
+            continue
+        values: dict[str, float | tuple[float, ...]] = {
+            "speed_ms": tuple(speed for speed, *_ in axle.table),
+            "s_per_s": tuple(s for _, s, _ in axle.table),
+        }
+        if axle.still is not None:
+            values["standstill_convection_fraction"] = axle.still
+        corners = [
+            c for c in config.corner if c.name[0] == axle.axle[0].upper()
+        ]
+        own = axle.axle == "rear" or any(
+            set(values) & set(corner.cooling) for corner in corners
+        )
+        if own:
+            changes += [
+                Change("corner", f"cooling.{key}", value, corner.name)
+                for corner in corners
+                for key, value in values.items()
+            ]
+        else:
+            changes += [
+                Change("cooling", key, value) for key, value in values.items()
+            ]
+            changes += _held_tables(axles, config)
+    return changes
+
+
+def _held_tables(
+    axles: Sequence[AxleCooling | BrakedAxle], config: Config
+) -> list[Change]:
+    """Return what keeps the table of corners that have half of it their own.
+
+    Speeds and S are one table: a corner with its own S goes on at the speeds
+    it had.
+    """
+    measured = {axle.axle[0].upper() for axle in axles if axle.table}
+    changes = []
+    for corner in config.corner:
+        if corner.name[0] in measured:
+            continue
+        has = {"speed_ms", "s_per_s"} & set(corner.cooling)
+        if len(has) == 1:
+            (missing,) = {"speed_ms", "s_per_s"} - has
+            value = getattr(config.cooling_of(corner), missing)
+            changes.append(
+                Change(
+                    "corner",
+                    f"cooling.{missing}",
+                    tuple(value),
+                    corner.name,
+                    "as before, beside another [cooling]",
+                )
+            )
+    return changes
+
+
+def write_changed(
+    source: Path, target: Path, changes: Sequence[Change], origin: str
+) -> None:
+    """Write *source* with *changes* as *target*, whole or not at all.
+
+    Everything else stays as it is, comments too; each changed line says
+    *origin*. Paths are made relative to the new file's folder.
+
+    Raises:
+        MissingExtraError: tomlkit is not installed.
+        FileAccessError: *source* is unreadable or *target* unwritable.
+    """
+    with changed_copy(source, target) as document:
+        for change in changes:
+            _apply(document, change, change.note or origin)
+
+
+def _apply(document: Any, change: Change, origin: str) -> None:
+    if change.effect:
+        _set_effect_parameter(
+            document,
+            change.effect,
+            change.corner,
+            change.key,
+            change.rounded(),
+            origin,
+        )
+        return
+    if change.corner:
+        table = next(
+            corner
+            for corner in document["corner"]
+            if corner["name"] == change.corner
+        )
+    else:
+        if change.section not in document:
+            document[change.section] = {}
+        table = document[change.section]
+    *outer, key = change.key.split(".")
+    for name in outer:
+        if name not in table:
+            table[name] = {}
+        table = table[name]
+    known = table.get(key)
+    said = "" if known is None else known.trivia.comment.lstrip("# ")
+    was = "" if known is None else " ".join(str(known).split())
+    table[key] = change.rounded()
+    words = f"{origin}; was {was} ({said})" if said else origin
+    if known is not None and not said:
+        words = f"{origin}; was {was}"
+    table[key].comment(words)
+
+
+def _set_effect_parameter(
+    document: Any,
+    effect: str,
+    corner: str,
+    key: str,
+    value: float | list[float],
+    origin: str,
+) -> None:
+    """Set parameter *key* of *effect* in *document*, a tomlkit document.
+
+    For *corner*, or all; an effect that only the structure gives gets an
+    entry. The line of the parameters says *origin* and what the value was.
+    """
+    from tomlkit.items import InlineTable  # noqa: PLC0415  (as below)
+
+    table = _entry(document, effect, corner)
+    parameters = table["parameters"]
+    known = parameters.get(key)
+    # an inline table has one comment, behind it
+    inline = isinstance(parameters, InlineTable)
+    old = parameters if inline else known
+    said = "" if old is None else old.trivia.comment.lstrip("# ")
+    parameters[key] = value
+    was = "typical" if known is None else str(known)
+    words = f"{origin}; was {was}"
+    line = parameters if inline else parameters[key]
+    line.comment(f"{words} ({said})" if said else words)
+
+
+def _entry(document: Any, effect: str, corner: str) -> Any:
+    """Return the entry of *effect* for *corner*, made where there is none."""
+    import tomlkit  # noqa: PLC0415  (of the extra identify)
+
+    if "effect" not in document:
+        document["effect"] = tomlkit.aot()
+    entries: Any = document["effect"]
+    own = [one for one in entries if one["name"] == effect]
+    for one in own:
+        if one.get("corner", "all") == corner:
+            break
+    else:
+        if own and own[0].get("corner", "all") == "all":
+            _split(document, entries, own[0])
+            return _entry(document, effect, corner)
+        one = tomlkit.table()
+        one["name"] = effect
+        if corner != "all":
+            one["corner"] = corner
+        entries.append(one)
+        one = entries[-1]
+    if "parameters" not in one:
+        one["parameters"] = tomlkit.inline_table()
+    return one
+
+
+def _split(document: Any, entries: Any, whole: Any) -> None:
+    """Let *whole*, of all corners, become one entry for each."""
+    names = [str(corner["name"]) for corner in document["corner"]]
+    for name in names[1:]:
+        copy = deepcopy(whole)
+        copy["corner"] = name
+        entries.append(copy)
+    whole["corner"] = names[0]
+
+
+def adopt(source: Path, target: Path, effects: Sequence[EffectConfig]) -> None:
+    """Write *source* with *effects* as *target*, whole or not at all.
+
+    An entry takes the place of its namesake for the same corner; everything
+    else stays as it is. Paths are made relative to the new file's folder.
+
+    Raises:
+        MissingExtraError: tomlkit is not installed.
+        FileAccessError: *source* is unreadable or *target* unwritable.
+    """
+    with changed_copy(source, target) as document:
+        import tomlkit  # noqa: PLC0415  (of the extra identify)
+
+        if "effect" not in document:
+            document["effect"] = tomlkit.aot()
+        for effect in effects:
+            _put(document["effect"], effect)
+
+
+def _put(entries: Any, effect: EffectConfig) -> None:
+    """Add *effect* to *entries*, in the place of its namesake."""
+    import tomlkit  # noqa: PLC0415  (as above)
+
+    table = tomlkit.table()
+    table["name"] = effect.name
+    if effect.corner != "all":
+        table["corner"] = effect.corner
+    table["parameters"] = tomlkit.inline_table()
+    for name, value in effect.parameters.items():
+        table["parameters"][name] = float(f"{value:.{_DIGITS}g}")
+    table["provenance"] = tomlkit.inline_table()
+    for name, said in effect.provenance.items():
+        table["provenance"][name] = said
+    for place, one in enumerate(entries):
+        corner = one.get("corner", "all")
+        if one["name"] == effect.name and corner == effect.corner:
+            entries[place] = table
+            return
+    entries.append(table)
+
+
+@contextmanager
+def changed_copy(source: Path, target: Path) -> Iterator[Any]:
+    """Give *source* as a tomlkit document to change; it becomes *target*.
+
+    Whole or not at all. Paths are made relative to the new file's folder.
+
+    Raises:
+        MissingExtraError: tomlkit is not installed.
+        FileAccessError: *source* is unreadable or *target* unwritable.
+    """
+    try:
+        import tomlkit  # noqa: PLC0415  (of the extra identify)
+    except ImportError as error:
+        raise MissingExtraError(
+            package="tomlkit", extra="identify", purpose="-o NEW.toml"
+        ) from error
+    try:
+        text = source.read_text(encoding="utf-8")
+    except OSError as error:
+        msg = f"{source}: cannot be read: {error.strerror or error}"
+        raise FileAccessError(msg) from error
+    document = tomlkit.parse(text)
+    yield document
+    _move_paths(document, source.resolve().parent, target.resolve().parent)
+    with replacing(target) as file:
+        file.write_text(tomlkit.dumps(document), encoding="utf-8")
+
+
+def _move_paths(document: Any, old: Path, new: Path) -> None:
+    """Make relative paths of *document*, of folder *old*, right in *new*."""
+    if old == new:
+        return
+    places = [(bus, "dbc") for bus in document.get("bus", [])]
+    places += [
+        (document[section], key)
+        for section, key in _PATHS
+        if section in document
+    ]
+    for table, key in places:
+        path = table.get(key)
+        if path is not None and not Path(str(path)).is_absolute():
+            moved = os.path.relpath(old / str(path), new)
+            table[key] = Path(moved).as_posix()

@@ -1,0 +1,376 @@
+"""Recorded drives as the thermal model gets them: inputs and thermocouples.
+
+Brake power, speed and air come from the estimator's own pass over the
+samples, so that a matched model is the one that runs later; the grid is
+coarser than the estimator's, with energies kept.
+"""
+
+from __future__ import annotations
+
+from array import array
+from collections import defaultdict
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from bstm_daemon.bus.opening import EventLog
+from bstm_daemon.channels import CHANNELS
+from bstm_daemon.errors import LogError, UsageError
+from bstm_daemon.estimator.estimator import STEP_US, Estimator
+from bstm_daemon.estimator.input_history import Journal
+from bstm_daemon.model.heat.memory import SampleState
+from bstm_daemon.model.heat.needs import check_heat_inputs
+from bstm_daemon.model.thermal.kernel import Batch
+from bstm_daemon.model.thermal.program import Program, compile_network
+from bstm_daemon.native.loader import load_kernel
+from bstm_daemon.replay.columns import present_roles
+from bstm_daemon.replay.results import Collector, Results, ResultsBuilder
+from bstm_daemon.roles import MEASURED_NODES, ROLES
+from bstm_daemon.units import KELVIN_OFFSET
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+    from pathlib import Path
+
+    from bstm_daemon.analysis.statistics.series import Column
+    from bstm_daemon.bus.signals.columns import Events
+    from bstm_daemon.bus.signals.signal_map import SignalMap
+    from bstm_daemon.config.sections import Config
+
+GRID_S: Final = 0.5
+"""Step of matching. Energies are exact at any step, as inputs are means."""
+
+LONGEST_GAP_S: Final = 5.0
+"""Between two samples of a thermocouple that are joined by a line."""
+
+BEGIN_S: Final = 5.0
+"""The first temperatures are means over this time; who brakes within it shifts
+the start by half of what it heats."""
+
+TOUCHING_W: Final = 1.0
+"""Pads touch where a brake takes up more."""
+
+SETTLING_STEP_S: Final = 20.0
+SETTLING_STEPS: Final = 60
+"""Measured nodes are held so long for the others to follow."""
+
+STEPS_A_ROW: Final = round(GRID_S * 1e6) // STEP_US
+
+
+@dataclass(frozen=True, slots=True)
+class Thermocouple:
+    """Samples of one thermocouple: since the drive's start [s], and [K]."""
+
+    time_s: Column
+    temperature_k: Column
+
+    def at(self, time_s: Column) -> Column:
+        """Return the temperature at *time_s*, (n,); NaN within a gap."""
+        value = np.asarray(
+            np.interp(time_s, self.time_s, self.temperature_k), np.float64
+        )
+        after = np.searchsorted(self.time_s, time_s)
+        last = len(self.time_s) - 1
+        right = self.time_s[np.minimum(after, last)]
+        left = self.time_s[np.maximum(after - 1, 0)]
+        inside = (time_s >= self.time_s[0] - GRID_S) & (
+            time_s <= self.time_s[-1] + GRID_S
+        )
+        near = inside & (right - left <= LONGEST_GAP_S)
+        value[~near] = np.nan
+        return value
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Drive:
+    """One log for matching.
+
+    ``inputs`` (steps, corners, channels) are the rows of the estimator's
+    pass, means over :data:`GRID_S`; ``corners`` names their second axis.
+    ``measured`` has the thermocouples by corner and node. ``estimates`` are
+    the estimator's own, where they were asked for; their ``time_s`` counts
+    from ``start_s``. ``learned`` is what fused heat had learned at the end.
+    """
+
+    name: str
+    start_s: float
+    corners: tuple[str, ...]
+    inputs: Column
+    measured: Mapping[str, Mapping[str, Thermocouple]]
+    estimates: Results | None = field(default=None, repr=False)
+    learned: Sequence[float] | None = None
+
+    def __len__(self) -> int:
+        """Return the number of steps."""
+        return len(self.inputs)
+
+    @property
+    def time_s(self) -> Column:
+        """End of each step since the start, (steps,)."""
+        return GRID_S * np.arange(1.0, len(self.inputs) + 1.0)
+
+    @property
+    def duration_s(self) -> float:
+        """Length of the drive."""
+        return GRID_S * len(self.inputs)
+
+    def channel(self, corner: str, name: str) -> Column:
+        """Return the input *name* of *corner*, (steps,)."""
+        column: Column = self.inputs[
+            :, self.corners.index(corner), CHANNELS.index(name)
+        ]
+        return column
+
+    def with_power(
+        self, power_w: Mapping[str, Column], *, pressed: bool = False
+    ) -> Drive:
+        """Return the drive with brake power known otherwise.
+
+        *power_w* gives the mean over each step by corner, (steps,). With
+        *pressed* the pads touch wherever there is some, also where the
+        pressure alone does not tell.
+        """
+        inputs = self.inputs.copy()
+        on = CHANNELS.index("brake_on")
+        for corner, column in power_w.items():
+            at = self.corners.index(corner)
+            inputs[:, at, CHANNELS.index("brake_power_w")] = column
+            if pressed:
+                inputs[column > TOUCHING_W, at, on] = 1.0
+        return replace(self, inputs=inputs, estimates=None)
+
+    def with_extra_heat(self, heat_w: Column) -> Drive:
+        """Return the drive with one more channel, (steps, corners) [W]."""
+        inputs = np.concatenate((self.inputs, heat_w[:, :, None]), axis=2)
+        return replace(self, inputs=inputs)
+
+
+class Rows(Journal):
+    """Takes the estimator's rows and keeps their means over the grid."""
+
+    def __init__(self, corners: int) -> None:
+        """Take how many *corners* a row has."""
+        super().__init__(0, 1)
+        self._shape = (corners, len(CHANNELS))
+        self._rest = np.zeros((0, *self._shape))
+        self.parts: list[Column] = []
+
+    def add(self, rows: memoryview, steps: int) -> None:
+        """Take *steps* rows."""
+        new = np.frombuffer(rows, np.float64).reshape(steps, *self._shape)
+        new = np.concatenate((self._rest, new))
+        whole = len(new) // STEPS_A_ROW * STEPS_A_ROW
+        self._rest = new[whole:].copy()
+        groups = new[:whole].reshape(-1, STEPS_A_ROW, *self._shape)
+        self.parts.append(groups.mean(axis=1))
+
+    def inputs(self, path: Path | str) -> Column:
+        """Return all rows; raises LogError where *path* gave none."""
+        found = np.concatenate(self.parts or [np.zeros((0, *self._shape))])
+        if not len(found):
+            msg = f"{path}: too short to match"
+            raise LogError(msg)
+        return found
+
+
+def read_drive(  # noqa: PLR0913
+    path: Path,
+    config: Config,
+    signal_map: SignalMap,
+    overrides: Mapping[str, str] | None = None,
+    *,
+    progress: Callable[[float | None], None] | None = None,
+    estimates: bool = False,
+    learned: Sequence[float] | None = None,
+) -> Drive:
+    """Read the log *path* for matching or, with *estimates*, to verify.
+
+    *learned* is what earlier drives taught of the car, for fused heat.
+
+    Raises:
+        LogError: unusable, without thermocouples or what its heat is formed
+            from, or its clock jumps.
+        FileAccessError: it cannot be read.
+        UsageError: the heat mode is ``measured``.
+    """
+    if config.heat.mode == "measured":
+        msg = (
+            '[heat] mode = "measured" forces the disc; matching needs brake '
+            "power: choose another mode"
+        )
+        raise UsageError(msg)
+    log = EventLog(path, signal_map, overrides)
+    present = present_roles(signal_map)
+    estimator = Estimator(config, present)
+    if learned is not None:
+        estimator.samples = SampleState.new(learned)
+    rows = Rows(len(estimator.plan.corners))
+    estimator.journal = rows
+    kept = Collector()
+    builder = ResultsBuilder(estimator, [kept])
+    temperatures: dict[int, list[tuple[Column, Column]]] = defaultdict(list)
+    wanted = {
+        number for number, role in enumerate(ROLES) if role.name[:5] == "temp_"
+    }
+    first_us = None
+    seen: set[int] = set()
+    for events in log.events():
+        if first_us is None and len(events.time_us):
+            first_us = int(events.time_us[0])
+            begin_as_measured(estimator, events)
+        blocks = estimator.advance(events.time_us, events.role, events.value)
+        if estimates:
+            builder.add(blocks)
+        roles = set(np.unique(events.role).tolist())
+        seen |= roles
+        for role in wanted & roles:
+            own = events.role == role
+            temperatures[role].append(
+                (events.time_us[own] * 1e-6, events.value[own])
+            )
+        if progress is not None:
+            progress(log.share)
+    if estimator.counts["jumps"]:
+        msg = f"{path}: its clock jumps; split the log there to match it"
+        raise LogError(msg)
+    check_heat_inputs(str(path), seen, present, config.heat.mode)
+    # the estimator's steps end on whole multiples of theirs
+    start_s = (first_us or 0) // STEP_US * STEP_US * 1e-6
+    if estimates:
+        builder.finish()
+    return Drive(
+        path.name,
+        start_s,
+        estimator.plan.corners,
+        rows.inputs(path),
+        thermocouples_of(temperatures, estimator.plan.corners, start_s),
+        _since(kept.results(), start_s) if estimates else None,
+        estimator.samples.learned(),
+    )
+
+
+def read_drives(
+    paths: Sequence[Path],
+    config: Config,
+    signal_map: SignalMap,
+    overrides: Mapping[str, str] | None = None,
+    progress: Callable[[Path, float | None], None] | None = None,
+) -> list[Drive]:
+    """Read logs of one car for matching, in the order they were driven.
+
+    With fused heat twice: the heat of the first drive is then formed with
+    what all of them taught of mass and friction. Raises what
+    :func:`read_drive` raises.
+    """
+    learned = None
+    drives: list[Drive] = []
+    for _ in range(2 if config.heat.mode == "fused" else 1):
+        drives = []
+        for path in paths:
+
+            def show(share: float | None, path: Path = path) -> None:
+                if progress is not None:
+                    progress(path, share)
+
+            drives.append(
+                read_drive(
+                    path, config, signal_map, overrides,
+                    progress=show, learned=learned,
+                )
+            )  # fmt: skip
+            learned = drives[-1].learned
+    return drives
+
+
+def begin_as_measured(estimator: Estimator, events: Events) -> None:
+    """Let every corner begin at its first temperatures in *events*.
+
+    A match, and what judges it, is of the model, not of a guessed start.
+    """
+    numbers = {role.name: number for number, role in enumerate(ROLES)}
+    soon = events.time_us <= events.time_us[0] + round(BEGIN_S * 1e6)
+
+    def first(role: str) -> float:
+        own = soon & (events.role == numbers[role])
+        return float(np.mean(events.value[own])) if own.any() else np.nan
+
+    air_k = first("ambient_temperature")
+    if np.isnan(air_k):
+        air_k = estimator.config.vehicle.ambient_c + KELVIN_OFFSET
+    for batch, names in estimator.batches:
+        for member, corner in enumerate(names):
+            held = {
+                node: first(f"temp_{corner.lower()}_{node}")
+                for node in MEASURED_NODES
+            }
+            known = {n: k for n, k in held.items() if np.isfinite(k)}
+            start = settled(estimator.programs[corner], known, air_k)
+            for i, temperature_k in enumerate(start.values()):
+                batch.state[member * batch.width + i] = temperature_k
+    estimator.history_left_steps = 0
+
+
+def settled(
+    program: Program, held_k: Mapping[str, float], ambient_k: float
+) -> dict[str, float]:
+    """Return every node's temperature [K] as it settles in a parked car.
+
+    Args:
+        program: the corner.
+        held_k: temperatures [K] of nodes that are known.
+        ambient_k: of the air.
+    """
+    network = program.network
+    nodes = [node.name for node in network.nodes]
+    held = {node: k for node, k in held_k.items() if node in nodes}
+    for node in held:
+        network = network.with_forced(node)
+    rows = np.zeros((SETTLING_STEPS, len(CHANNELS) + len(held)))
+    rows[:, CHANNELS.index("ambient_k")] = ambient_k
+    rows[:, len(CHANNELS) :] = list(held.values())
+    batch = Batch(
+        [compile_network(network)], ambient_k, kernel=load_kernel(), sets=1
+    )
+    batch.march(flat(rows), SETTLING_STEPS, SETTLING_STEP_S)
+    return dict(zip(nodes, batch.state, strict=False))
+
+
+def flat(rows: Column) -> array[float]:
+    """Return *rows* as the kernel takes them."""
+    numbers = array("d")
+    numbers.frombytes(rows.tobytes())
+    return numbers
+
+
+def thermocouples_of(
+    temperatures: Mapping[int, list[tuple[Column, Column]]],
+    corners: tuple[str, ...],
+    start_s: float,
+) -> dict[str, dict[str, Thermocouple]]:
+    """Return thermocouples by corner and node, of samples by role number.
+
+    Times [s] of the samples are stamps; those returned count from *start_s*.
+    """
+    numbers = {role.name: number for number, role in enumerate(ROLES)}
+    found: dict[str, dict[str, Thermocouple]] = {}
+    for corner in corners:
+        own = {}
+        for node in MEASURED_NODES:
+            parts = temperatures.get(numbers[f"temp_{corner.lower()}_{node}"])
+            if parts:
+                time_s = np.concatenate([time for time, _ in parts]) - start_s
+                value = np.concatenate([value for _, value in parts])
+                order = np.argsort(time_s, kind="stable")
+                own[node] = Thermocouple(time_s[order], value[order])
+        if own:
+            found[corner] = own
+    return found
+
+
+def _since(results: Results, start_s: float) -> Results:
+    columns = {
+        **results.columns,
+        "time_s": results.columns["time_s"] - start_s,
+    }
+    return replace(results, columns=columns)

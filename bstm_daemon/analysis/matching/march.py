@@ -1,0 +1,119 @@
+"""Many variants of a corner's model over one drive, side by side.
+
+Variants are lanes of one march of the kernel, which leaves the interpreter
+to others meanwhile: drives and corners run in threads.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from bstm_daemon.analysis.matching.drives import (
+    BEGIN_S,
+    GRID_S,
+    flat,
+    settled,
+)
+from bstm_daemon.estimator.corner_model import corner_model
+from bstm_daemon.model.thermal.kernel import Batch
+from bstm_daemon.model.thermal.program import Program, compile_network
+from bstm_daemon.native.loader import load_kernel
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from bstm_daemon.analysis.matching.drives import Drive
+    from bstm_daemon.analysis.statistics.series import Column
+    from bstm_daemon.config.sections import Config
+    from bstm_daemon.model.effects.model import CornerModel
+
+STRETCH_STEPS: Final = 4096
+"""Steps given to the kernel at a time."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Forced:
+    """Nodes that follow a series: node to [K] at each step's end, (steps,).
+
+    A node is free where its series is NaN.
+    """
+
+    series: Mapping[str, Column]
+
+    def program(self, program: Program) -> Program:
+        """Return *program* with these nodes forced."""
+        network = program.network
+        for node in self.series:
+            network = network.with_forced(node)
+        return compile_network(network)
+
+
+FREE: Final = Forced({})
+"""Nothing is forced."""
+
+
+def initial_temperatures(
+    program: Program, drive: Drive, corner: str
+) -> dict[str, float]:
+    """Return every node's temperature [K] at the start of *drive*.
+
+    Measured nodes as measured, the others as they settle beside them.
+    """
+    at_s = np.arange(0.0, BEGIN_S, GRID_S) + GRID_S
+    nodes = {node.name for node in program.network.nodes}
+    held = {}
+    for node, couple in drive.measured.get(corner, {}).items():
+        first = couple.at(at_s)
+        if node in nodes and np.isfinite(first).any():
+            held[node] = float(np.nanmean(first))
+    ambient_k = float(drive.channel(corner, "ambient_k")[0])
+    return settled(program, held, ambient_k)
+
+
+def model_of(config: Config, corner: str) -> CornerModel:
+    """Return the thermal model of the corner of that name."""
+    own = next(one for one in config.corner if one.name == corner)
+    return corner_model(config, own)
+
+
+def march(
+    programs: Sequence[Program],
+    drive: Drive,
+    corner: str,
+    initial_k: Mapping[str, float],
+    forced: Forced = FREE,
+) -> dict[str, Column]:
+    """March variants of *corner* over *drive*.
+
+    Args:
+        programs: one a variant, of one structure, without forced nodes.
+        drive: its inputs.
+        corner: whose inputs.
+        initial_k: temperatures [K] at the start, by node.
+        forced: nodes held to a series.
+
+    Returns:
+        Temperatures [K] by node, (steps, variants).
+    """
+    inputs = drive.inputs[:, drive.corners.index(corner)]
+    if forced.series:
+        programs = [forced.program(one) for one in programs]
+        inputs = np.column_stack((inputs, *forced.series.values()))
+    batch = Batch(
+        programs, 0.0, [0] * len(programs), kernel=load_kernel(), sets=1
+    )
+    names = [node.name for node in programs[0].network.nodes]
+    for member in range(len(programs)):
+        for i, name in enumerate(names):
+            batch.state[member * batch.width + i] = initial_k[name]
+    size = batch.width + batch.sources
+    kept = np.empty((len(inputs), len(programs), len(names)))
+    for first in range(0, len(inputs), STRETCH_STEPS):
+        part = inputs[first : first + STRETCH_STEPS]
+        out = batch.march(flat(part), len(part), GRID_S)
+        shaped = np.frombuffer(out).reshape(len(part), len(programs), size)
+        kept[first : first + len(part)] = shaped[:, :, : len(names)]
+    return {name: kept[:, :, i] for i, name in enumerate(names)}

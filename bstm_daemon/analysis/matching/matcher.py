@@ -1,0 +1,220 @@
+"""``bstm match``: stages, then the joint refinement, corner by corner."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+from bstm_daemon.analysis.matching.phases import HARD_MS2, hard_stops
+from bstm_daemon.analysis.matching.refine import (
+    Accuracy,
+    Refinement,
+    held_out,
+    refine,
+)
+from bstm_daemon.analysis.matching.stages import StageResult, run_stages
+from bstm_daemon.analysis.matching.tunables import (
+    COOLING,
+    S_SPEEDS_MS,
+    TABLE_4_1,
+    Target,
+    refined_keys,
+    targets_of,
+    usable,
+)
+from bstm_daemon.errors import LogError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from bstm_daemon.analysis.matching.drives import Drive
+    from bstm_daemon.config.sections import Config
+
+MUCH_LESS: Final = 0.8
+"""A form is worth a word where it leaves so much less of the error."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Match:
+    """The match of corners that are alike.
+
+    ``before`` and ``after`` are the configurations; ``table_4_1`` is the
+    refinement of the thesis's own parameters alone, from the same start.
+    ``accuracy`` is what the fit leaves over on drives that it did not see,
+    where there are two or more.
+    """
+
+    corners: tuple[str, ...]
+    before: Target
+    after: Target
+    stages: tuple[StageResult, ...]
+    joint: Refinement
+    table_4_1: Refinement | None
+    accuracy: Accuracy
+    remarks: tuple[str, ...]
+
+    def settings(self) -> dict[str, Any]:
+        """Return the keys of the configuration and their matched values."""
+        corner = self.after.corner
+        cooling = self.after.config.cooling_of(corner)
+        found: dict[str, Any] = {
+            key: value
+            for key, value in self.joint.values.items()
+            if key not in S_SPEEDS_MS
+        }
+        if S_SPEEDS_MS.keys() & self.joint.values.keys():
+            found["cooling.s_per_s"] = tuple(cooling.s_per_s)
+        return found
+
+    def deviation(self, key: str) -> float:
+        """Return the standard deviation of a key of :meth:`settings`.
+
+        That of the S-table is relative, its larger factor's.
+        """
+        if key == "cooling.s_per_s":
+            return max(
+                self.joint.standard_deviation(one) / self.joint.values[one]
+                for one in S_SPEEDS_MS
+                if one in self.joint.values
+            )
+        return self.joint.standard_deviation(key)
+
+
+def match_drives(
+    config: Config,
+    drives: Sequence[Drive],
+    *,
+    only: str = "",
+    each: bool = False,
+    beside: bool = True,
+    progress: Callable[[float], None] | None = None,
+) -> list[Match]:
+    """Match *config* to *drives*, all corners with thermocouples.
+
+    Args:
+        config: the vehicle.
+        drives: what was recorded.
+        only: ``cooling`` for what another rim changes, else everything.
+        each: match corners by themselves that are configured alike.
+        beside: fit Table 4.1 alone beside it.
+        progress: called with the share that is done.
+
+    Raises:
+        LogError: no corner has a thermocouple.
+    """
+    measured = {
+        corner
+        for drive in drives
+        for corner, couples in drive.measured.items()
+        if couples
+    }
+    targets = targets_of(config, sorted(measured), each=each)
+    if not targets:
+        names = ", ".join(drive.name for drive in drives)
+        msg = (
+            f"{names}: no measured temperature of a disc brake: matching "
+            "needs roles temp_<corner>_<node>"
+        )
+        raise LogError(msg)
+    found = []
+    for number, target in enumerate(targets):
+
+        def show(share: float, number: int = number) -> None:
+            if progress is not None:
+                progress((number + share) / len(targets))
+
+        found.append(
+            _match(target, drives, only, show, beside=beside and not only)
+        )
+    return found
+
+
+def _other_form(
+    target: Target, drives: Sequence[Drive], joint: Refinement
+) -> list[str]:
+    """Say where the other form of cooling leaves much less of the disc."""
+    if "disc" not in joint.rms_k:
+        return []
+    form = target.config.cooling_of(target.corner).form
+    other = "conductance" if form == "rate" else "rate"
+    fit = refine(
+        target.with_cooling_form(other), drives, joint.keys,
+        start=joint.values, noise=joint.noise, rounds=1,
+    )  # fmt: skip
+    before, after = joint.rms_k["disc"], fit.rms_k["disc"]
+    if after > MUCH_LESS * before:
+        return []
+    said = (
+        f'cooling.form = "{other}" would leave {after:.1f} K of the disc '
+        f"instead of {before:.1f} K: set it and match again"
+    )
+    return [said]
+
+
+def _no_hard_stop(target: Target, drives: Sequence[Drive]) -> list[str]:
+    """Say where the drives have no hard stop: drags alone fit wrongly."""
+    if any(
+        hard_stops(drive, corner)
+        for drive in drives
+        for corner in target.corners
+        if corner in drive.corners
+    ):
+        return []
+    said = (
+        f"no hard stop ({HARD_MS2:g} m/s2) in these drives: the values fit "
+        "drags and may be wrong in stops"
+    )
+    return [said]
+
+
+def _match(
+    target: Target,
+    drives: Sequence[Drive],
+    only: str,
+    show: Callable[[float], None],
+    *,
+    beside: bool,
+) -> Match:
+    keys, remarks = usable(
+        target, COOLING if only == "cooling" else refined_keys(target)
+    )
+    start, stages = run_stages(
+        target,
+        drives,
+        COOLING if only == "cooling" else None,
+        lambda share: show(0.3 * share),
+    )
+    joint = refine(
+        target,
+        drives,
+        keys,
+        lambda share: show(0.3 + 0.3 * share),
+        start=start,
+    )
+    thesis = None
+    if beside:
+        own, _ = usable(target, TABLE_4_1)
+        thesis = refine(
+            target,
+            drives,
+            own,
+            lambda share: show(0.6 + 0.2 * share),
+            start=start,
+        )
+    accuracy = held_out(
+        target, drives, joint, lambda share: show(0.8 + 0.2 * share)
+    )
+    if not only:
+        remarks += _other_form(target, drives, joint)
+        remarks += _no_hard_stop(target, drives)
+    after = target.changed(joint.values)
+    return Match(
+        target.corners,
+        target,
+        after,
+        tuple(stages),
+        joint,
+        thesis,
+        accuracy,
+        tuple(remarks),
+    )

@@ -1,0 +1,95 @@
+"""Phases of a drive, found by themselves: soak, drive, cooling, braking.
+
+Each is a list of stretches of steps, first to last, both included.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from bstm_daemon.analysis.matching.drives import GRID_S
+from bstm_daemon.analysis.statistics.series import runs
+
+if TYPE_CHECKING:
+    from bstm_daemon.analysis.matching.drives import Drive
+    from bstm_daemon.analysis.statistics.series import Column, Mask
+
+STANDING_MS: Final = 0.5
+SOAK_S: Final = 300.0
+"""A shorter stop is traffic."""
+
+DRIVE_S: Final = 60.0
+COOLING_S: Final = 30.0
+"""Stretches off the brake must last so long."""
+
+BRAKING_W: Final = 200.0
+HARD_MS2: Final = 4.0
+HARD_S: Final = 1.0
+"""A hard stop decelerates so much for so long."""
+
+WARM_K: Final = 20.0
+"""Above the air, anywhere in the corner, for a soak to show something."""
+
+
+def soak(drive: Drive, corner: str) -> Mask:
+    """Return where the car stands for long with *corner* warm, (steps,)."""
+    standing = drive.channel(corner, "speed_ms") < STANDING_MS
+    warm = np.zeros(len(drive), bool)
+    for node in drive.measured.get(corner, {}):
+        rise = excess_k(drive, corner, node)
+        warm |= np.nan_to_num(rise, nan=0.0) > WARM_K
+    found = np.zeros(len(drive), bool)
+    for first, last in runs(standing):
+        long = (last - first + 1) * GRID_S >= SOAK_S
+        if long and warm[first : last + 1].any():
+            found[first : last + 1] = True
+    return found
+
+
+def moving(drive: Drive, corner: str) -> Mask:
+    """Return where the car drives for a while, (steps,)."""
+    found = np.zeros(len(drive), bool)
+    driving = drive.channel(corner, "speed_ms") >= STANDING_MS
+    for first, last in runs(driving):
+        if (last - first + 1) * GRID_S >= DRIVE_S:
+            found[first : last + 1] = True
+    return found
+
+
+def cooling(drive: Drive, corner: str) -> Mask:
+    """Return where the car drives a while off the brake, (steps,)."""
+    off = ~braking(drive, corner) & (
+        drive.channel(corner, "speed_ms") >= STANDING_MS
+    )
+    found = np.zeros(len(drive), bool)
+    for first, last in runs(off):
+        if (last - first + 1) * GRID_S >= COOLING_S:
+            found[first : last + 1] = True
+    return found
+
+
+def braking(drive: Drive, corner: str) -> Mask:
+    """Return where the brake takes power, (steps,)."""
+    braked: Mask = drive.channel(corner, "brake_power_w") > BRAKING_W
+    return braked
+
+
+def hard_stops(drive: Drive, corner: str) -> int:
+    """Return how many hard stops *corner* brakes in."""
+    speed_ms = drive.channel(corner, "speed_ms")
+    if len(speed_ms) < 2:
+        return 0
+    hard = braking(drive, corner) & (
+        np.gradient(speed_ms, GRID_S) <= -HARD_MS2
+    )
+    return sum(
+        (last - first + 1) * GRID_S >= HARD_S for first, last in runs(hard)
+    )
+
+
+def excess_k(drive: Drive, corner: str, node: str) -> Column:
+    """Return how far a measured node lies above the air, (steps,)."""
+    measured = drive.measured[corner][node].at(drive.time_s)
+    return np.asarray(measured - drive.channel(corner, "ambient_k"))

@@ -1,0 +1,287 @@
+"""The joint refinement: all tunables over all drives on the whole model.
+
+How far it lies off on drives that it was not matched to: each drive in turn is
+left out, the others are fitted, and what is left on it is the discrepancy of
+sensor, heat and form of the model together. A fit's own covariance knows of
+the last only through drives it has not seen.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from bstm_daemon.analysis.matching.problem import (
+    FIRST,
+    OTHER,
+    Problem,
+    whole_drives,
+)
+from bstm_daemon.analysis.statistics.levenberg_marquardt import minimise
+from bstm_daemon.analysis.statistics.series import Column, white_std
+from bstm_daemon.analysis.statistics.whitening import DRIFT_S, SensorNoise
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
+    from bstm_daemon.analysis.matching.drives import Drive
+    from bstm_daemon.analysis.matching.tunables import Target
+
+ROUNDS: Final = 3
+"""Fits, each with the noise that the one before has shown."""
+
+LEAST_K: Final = 0.5
+"""No sensor, no model and no estimate is better."""
+
+LARGEST: Final = 1.5
+"""Drift is at most so many times the first guess: else a node that the model
+misses would be believed less from round to round, and missed the more."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Refinement:
+    """The joint fit.
+
+    ``values`` by key; ``covariance`` (p, p) is that of their logarithms,
+    priors included, ``information`` (p, p) without them. ``at_bound`` lists
+    keys that a bound holds. ``rms_k`` is by node and ``noise`` what
+    residuals showed.
+    """
+
+    keys: tuple[str, ...]
+    start: dict[str, float]
+    values: dict[str, float]
+    prior: Column
+    covariance: Column
+    information: Column
+    at_bound: tuple[str, ...]
+    noise: Mapping[str, SensorNoise]
+    rms_k: dict[str, float]
+    points: int
+    evaluations: int
+
+    def standard_deviation(self, key: str) -> float:
+        """Return the standard deviation of the value itself."""
+        i = self.keys.index(key)
+        return self.values[key] * float(np.sqrt(self.covariance[i, i]))
+
+
+def refine(  # noqa: PLR0913
+    target: Target,
+    drives: Sequence[Drive],
+    keys: Sequence[str],
+    progress: Callable[[float], None] | None = None,
+    *,
+    start: Mapping[str, float] | None = None,
+    noise: Mapping[str, SensorNoise] | None = None,
+    rounds: int = ROUNDS,
+) -> Refinement:
+    """Fit *keys* of *target* to all of *drives*.
+
+    Args:
+        target: the corners; priors lie around their values.
+        drives: the drives.
+        keys: the tunables.
+        progress: called with the share that is done.
+        start: values to begin from, by key; else those of *target*.
+        noise: what is known of residuals, by node.
+        rounds: fits, after each but the last the noise is learned.
+    """
+    runs, terms = whole_drives(target, drives)
+    problem = Problem(target, drives, keys, runs, terms, noise or {})
+    x = problem.start.copy()
+    for i, key in enumerate(keys):
+        if start is not None and key in start:
+            x[i] = np.log(start[key])
+    evaluations = 0
+    for number in range(rounds):
+
+        def show(iteration: int, _: float, number: int = number) -> None:
+            if progress is not None:
+                progress((number + min(iteration / 6.0, 1.0)) / rounds)
+
+        found = minimise(problem, x, problem.lower, problem.upper, show)
+        x = found.x
+        evaluations += found.evaluations
+        apart = [one[:, 0] for one in problem.residuals_k(x[None])]
+        if number < rounds - 1:
+            problem.set_noise(_learned(problem, apart))
+    nodes = sorted({term.node for term in terms})
+    data = found.jacobian[: -len(keys)]
+    information = data.T @ data
+    precision = information + np.diag(problem.prior**-2.0)
+    return Refinement(
+        tuple(keys),
+        problem.values(problem.start),
+        problem.values(x),
+        np.asarray(problem.prior, np.float64),
+        np.asarray(np.linalg.inv(precision), np.float64),
+        information,
+        tuple(
+            key for key, held in zip(keys, found.at_bound, strict=True) if held
+        ),
+        problem.noise,
+        {
+            node: float(
+                np.sqrt(
+                    np.mean(
+                        np.concatenate(
+                            [
+                                one**2
+                                for one, term in zip(apart, terms, strict=True)
+                                if term.node == node
+                            ]
+                        )
+                    )
+                )
+            )
+            for node in nodes
+        },
+        sum(len(term.steps) for term in terms),
+        evaluations,
+    )
+
+
+def _learned(
+    problem: Problem, apart: Sequence[Column]
+) -> dict[str, SensorNoise]:
+    nodes = {term.node for term in problem.terms}
+    found = {}
+    for node in nodes:
+        own = [
+            (one, term.time_s)
+            for one, term in zip(apart, problem.terms, strict=True)
+            if term.node == node
+        ]
+        first = FIRST.get(node, OTHER)
+        found[node] = learned(
+            first, [r for r, _ in own], [time for _, time in own]
+        )
+    return found
+
+
+def learned(
+    noise: SensorNoise, residuals: Sequence[Column], time_s: Sequence[Column]
+) -> SensorNoise:
+    """Return *noise* with what *residuals* of a fit show, (n,) each."""
+    total = np.concatenate(residuals)
+    steps = np.concatenate(
+        [
+            np.diff(one)[np.diff(at) < DRIFT_S / 10.0]
+            for one, at in zip(residuals, time_s, strict=True)
+        ]
+    )
+    # jumps at stops are drift of the model, not noise
+    white = white_std(steps, 1) if len(steps) else 1.0
+    drift_2 = float(np.mean(total**2)) - white**2
+    return replace(
+        noise,
+        white_k=max(white, LEAST_K),
+        drift_k=min(max(drift_2, LEAST_K**2) ** 0.5, LARGEST * noise.drift_k),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class NodeAccuracy:
+    """Standard deviation of an estimate.
+
+    ``floor_k`` and ``share`` of the rise above the air, in quadrature.
+    """
+
+    floor_k: float
+    share: float
+
+    def deviation_k(self, rise_k: Column) -> Column:
+        """Return the standard deviation at *rise_k* above the air, (n,)."""
+        return np.asarray(np.hypot(self.floor_k, self.share * rise_k))
+
+
+@dataclass(frozen=True, slots=True)
+class Accuracy:
+    """By node; ``drives`` held-out drives have shown it, 0: none could."""
+
+    nodes: Mapping[str, NodeAccuracy]
+    drives: int
+    rms_k: Mapping[str, float]
+
+
+def held_out(
+    target: Target,
+    drives: Sequence[Drive],
+    joint: Refinement,
+    progress: Callable[[float], None] | None = None,
+) -> Accuracy:
+    """Return what *joint*, fitted without it, leaves on each of *drives*.
+
+    With a single drive that is what it leaves on this one.
+    """
+    errors: dict[str, list[tuple[Column, Column, float]]] = {}
+    for number, drive in enumerate(drives):
+        values = joint.values
+        others = [one for one in drives if one is not drive]
+        if others:
+            values = refine(
+                target, others, joint.keys, start=joint.values,
+                noise=joint.noise, rounds=1,
+            ).values  # fmt: skip
+        for node, parts in _left_over(target, drive, values, joint).items():
+            errors.setdefault(node, []).extend(parts)
+        if progress is not None:
+            progress((number + 1) / len(drives))
+    return Accuracy(
+        {node: fitted(parts) for node, parts in errors.items()},
+        len(drives) if len(drives) > 1 else 0,
+        {
+            node: float(
+                np.sqrt(np.mean(np.concatenate([e for e, *_ in parts]) ** 2))
+            )
+            for node, parts in errors.items()
+        },
+    )
+
+
+def _left_over(
+    target: Target,
+    drive: Drive,
+    values: dict[str, float],
+    joint: Refinement,
+) -> dict[str, list[tuple[Column, Column, float]]]:
+    """Return error, rise and white noise of each thermocouple by node."""
+    runs, terms = whole_drives(target, [drive])
+    problem = Problem(target, [drive], joint.keys, runs, terms, joint.noise)
+    x = np.log([[values[key] for key in joint.keys]])
+    found: dict[str, list[tuple[Column, Column, float]]] = {}
+    for term, apart in zip(terms, problem.residuals_k(x), strict=True):
+        air = drive.channel(term.corner, "ambient_k")[term.steps]
+        found.setdefault(term.node, []).append(
+            (
+                apart[:, 0],
+                term.measured_k - air,
+                problem.noise[term.node].white_k,
+            )
+        )
+    return found
+
+
+def fitted(parts: Sequence[tuple[Column, Column, float]]) -> NodeAccuracy:
+    """Fit floor and share to errors, rises and white noise, one a series.
+
+    Errors squared are a straight line over the rise squared, neither part
+    below 0; white noise of the thermocouple is not the estimate's.
+    """
+    error_2 = np.concatenate([e**2 - w**2 for e, _, w in parts])
+    rise_2 = np.concatenate([rise**2 for _, rise, _ in parts])
+    spread = float(np.mean((rise_2 - rise_2.mean()) ** 2))
+    slope = 0.0
+    if spread > 0.0:
+        covariance = np.mean((rise_2 - rise_2.mean()) * error_2)
+        slope = max(float(covariance) / spread, 0.0)
+    floor = float(np.mean(error_2)) - slope * float(np.mean(rise_2))
+    if floor < LEAST_K**2:
+        floor = LEAST_K**2
+        slope = max(float(np.mean(error_2)) - floor, 0.0) / max(
+            float(np.mean(rise_2)), 1.0
+        )
+    return NodeAccuracy(floor**0.5, slope**0.5)

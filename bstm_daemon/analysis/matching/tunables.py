@@ -1,0 +1,382 @@
+"""What matching may change: keys of the configuration, bounds and priors.
+
+Bounds are physical, not statistical: outside them a lumped model may still
+fit, with values that no brake has. A prior is log-normal around the
+configured value; it says how far a brake of the same design may lie from it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import log
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from bstm_daemon.config.sections import Config, CornerConfig, EffectConfig
+from bstm_daemon.model.effects.catalogue import (
+    effect_class,
+    effect_names,
+    effects_of,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Mapping, Sequence
+
+
+SLOW: Final = "cooling.s_per_s at 36 km/h"
+MIDDLE: Final = "cooling.s_per_s at 70 km/h"
+FAST: Final = "cooling.s_per_s at 150 km/h"
+S_SPEEDS_MS: Final = {SLOW: 10.0, MIDDLE: 19.44, FAST: 41.67}
+"""The S-table is matched by factors at three speeds, linear between them,
+constant outside; at standstill the fraction stands for it."""
+
+EFFECT: Final = "effect"
+"""Section of the keys ``effect.<name>.<parameter>``."""
+
+STRENGTHS: Final = {
+    # what seals roll back: 0.1 to 0.5 mm
+    "gap_conduction": (0.05, 5.0, 0.4),
+    # the free faces and the rim's openings are known, vents radiate besides
+    "disc_radiation_driving": (0.05, 1.5, 0.15),
+    "local_air": (0.05, 5.0, 0.4),
+    "disc_hat": (0.05, 5.0, 0.3),
+    # contact of steel clips
+    "bracket_conduction": (0.05, 5.0, 0.4),
+    "disc_caliper_radiation": (0.05, 5.0, 0.4),
+    "caliper_fluid_split": (0.05, 5.0, 0.3),
+}
+"""Bounds and prior of the strengths of the structure ``extended``: what its
+typical parameters, from a drawing and handbooks, leave open of a path."""
+
+ANY: Final = (0.05, 5.0, 0.5)
+"""Of any other effect's strength; the upper bound is the catalogue's."""
+
+
+def strength_key(effect: str) -> str:
+    """Return the key of the strength of *effect*."""
+    return f"{EFFECT}.{effect}.strength"
+
+
+@dataclass(frozen=True, slots=True)
+class Tunable:
+    """A value of one corner's configuration.
+
+    ``key`` is ``section.name``, where the section is ``effect`` the name is
+    ``<effect>.<parameter>``; ``prior`` is the standard deviation of its
+    logarithm; ``table_4_1`` is whether the thesis tunes it.
+    """
+
+    key: str
+    lower: float
+    upper: float
+    prior: float
+    unit: str
+    table_4_1: bool = False
+
+    @property
+    def section(self) -> str:
+        """The section of the configuration."""
+        return self.key.split(".", maxsplit=1)[0]
+
+    @property
+    def name(self) -> str:
+        """The key within its section."""
+        return self.key.split(".", maxsplit=1)[1]
+
+    def bounds(self) -> tuple[float, float]:
+        """Return the bounds of the logarithm."""
+        return log(self.lower), log(self.upper)
+
+
+TUNABLES: Final[dict[str, Tunable]] = {
+    one.key: one
+    for one in (
+        Tunable(
+            "thermal.disc_mass_correction_factor", 0.7, 1.5, 0.08, "-", True
+        ),
+        Tunable(
+            "thermal.heat_partition_correction_factor", 0.3, 3, 0.15, "-", True
+        ),
+        Tunable("thermal.disc_emissivity", 0.15, 1.0, 0.2, "-", True),
+        Tunable("thermal.pad_emissivity", 0.5, 1.0, 0.15, "-", True),
+        Tunable(
+            "thermal.pad_backplate_thermal_resistance_m2k_w",
+            *(5e-4, 2e-2, 0.25, "m2K/W", True),
+        ),
+        Tunable(
+            "thermal.pad_dynamic_convection_ws_m3k",
+            *(0.05, 30.0, 0.5, "Ws/(m3 K)", True),
+        ),
+        Tunable(
+            "thermal.fluid_static_convection_w_k", 0.1, 8, 0.3, "W/K", True
+        ),
+        Tunable(
+            "thermal.fluid_caliper_thermal_capacity_j_k",
+            *(400.0, 8000.0, 0.15, "J/K", True),
+        ),
+        Tunable(
+            "thermal.fluid_dynamic_convection_ws_mk",
+            *(0.003, 2.0, 0.5, "Ws/(m K)", True),
+        ),
+        *(Tunable(key, 0.3, 3.0, 0.2, "factor") for key in S_SPEEDS_MS),
+        Tunable("cooling.standstill_convection_fraction", 0.05, 1.0, 0.3, "-"),
+        Tunable("thermal.hot_pad_factor", 0.3, 1.0, 0.2, "-"),
+        Tunable(
+            "thermal.backplate_thermal_capacity_j_k", 50, 1500, 0.2, "J/K"
+        ),
+        Tunable("thermal.pad_static_loss_w_k", 0.01, 3.0, 0.5, "W/K"),
+        Tunable("thermal.gap_conductance_w_m2k", 5.0, 400.0, 0.4, "W/(m2 K)"),
+        Tunable("pad.conductivity_w_mk", 0.5, 5.0, 0.15, "W/(m K)"),
+        Tunable("pad.heat_capacity_j_kgk", 800.0, 1300.0, 0.08, "J/(kg K)"),
+        *(
+            Tunable(strength_key(name), *STRENGTHS.get(name, ANY), "x typical")
+            for name in effect_names()
+            if effect_class(name).kind == "thermal"
+        ),
+    )
+}
+"""Every tunable by its key."""
+
+TABLE_4_1: Final = tuple(k for k, one in TUNABLES.items() if one.table_4_1)
+"""The thesis's own."""
+
+COOLING: Final = (
+    *S_SPEEDS_MS,
+    "cooling.standstill_convection_fraction",
+    "thermal.fluid_static_convection_w_k",
+    "thermal.fluid_dynamic_convection_ws_mk",
+)
+"""What another rim changes: the air at disc and caliper."""
+
+REFINED: Final = (
+    *(key for key in TABLE_4_1 if key != "thermal.pad_emissivity"),
+    *S_SPEEDS_MS,
+    "cooling.standstill_convection_fraction",
+)
+"""What the joint refinement changes. Of the two emissivities only their
+combination shows between disc and pad, and the disc's shows elsewhere too."""
+
+
+@dataclass(frozen=True, slots=True)
+class Target:
+    """Corners that are matched together: alike in everything but the side.
+
+    Their configuration is that of ``corner``, the first of them.
+    """
+
+    config: Config
+    corners: tuple[str, ...]
+
+    @property
+    def corner(self) -> CornerConfig:
+        """The configuration of the first corner."""
+        return next(
+            one for one in self.config.corner if one.name == self.corners[0]
+        )
+
+    def value(self, tunable: Tunable) -> float:
+        """Return what *tunable* is now; factors on a table are 1."""
+        corner = self.corner
+        if tunable.key in S_SPEEDS_MS:
+            return 1.0
+        if tunable.section == EFFECT:
+            return effect_value(self.config, corner.name, tunable.name)
+        holders: dict[str, Any] = {
+            "thermal": self.config.thermal_of(corner),
+            "cooling": self.config.cooling_of(corner),
+            "pad": corner.pad,
+        }
+        value = getattr(holders[tunable.section], tunable.name)
+        # a curve over temperature is not one number
+        return float(value) if isinstance(value, int | float) else 0.0
+
+    def with_cooling_form(self, form: str) -> Target:
+        """Return the target with another ``cooling.form``."""
+        corners = [
+            one.model_copy(update={"cooling": {**one.cooling, "form": form}})
+            if one.name in self.corners
+            else one
+            for one in self.config.corner
+        ]
+        config = self.config.model_copy(update={"corner": corners})
+        return Target(config, self.corners)
+
+    def changed(self, values: dict[str, float]) -> Target:
+        """Return the target with *values* by key."""
+        prefix = f"{EFFECT}."
+        own = {k: v for k, v in values.items() if not k.startswith(prefix)}
+        config = self.config.model_copy(
+            update={
+                "corner": [
+                    self._changed(one, own)
+                    if one.name in self.corners
+                    else one
+                    for one in self.config.corner
+                ]
+            }
+        )
+        of_effects = {
+            key.removeprefix(prefix): value
+            for key, value in values.items()
+            if key.startswith(prefix)
+        }
+        if of_effects:
+            config = with_effect_values(config, self.corners, of_effects)
+        return Target(config, self.corners)
+
+    def _changed(
+        self, corner: CornerConfig, values: dict[str, float]
+    ) -> CornerConfig:
+        parts: dict[str, dict[str, Any]] = {
+            "thermal": dict(corner.thermal),
+            "cooling": dict(corner.cooling),
+            "pad": {},
+        }
+        for key, value in values.items():
+            if key not in S_SPEEDS_MS:
+                section, name = key.split(".", maxsplit=1)
+                parts[section][name] = value
+        if S_SPEEDS_MS.keys() & values.keys():
+            factors = [values.get(key, 1.0) for key in S_SPEEDS_MS]
+            parts["cooling"]["s_per_s"] = self._s_table(corner, factors)
+        pad = corner.pad
+        if pad is not None:
+            pad = pad.model_copy(update=parts["pad"])
+        return corner.model_copy(
+            update={
+                "thermal": parts["thermal"],
+                "cooling": parts["cooling"],
+                "pad": pad,
+            }
+        )
+
+    def _s_table(
+        self, corner: CornerConfig, factors: list[float]
+    ) -> list[float]:
+        cooling = self.config.cooling_of(corner)
+        speeds = list(S_SPEEDS_MS.values())
+        found = np.interp(cooling.speed_ms, speeds, factors) * cooling.s_per_s
+        return [float(one) for one in found]
+
+
+def refined_keys(target: Target) -> tuple[str, ...]:
+    """Return what the joint refinement changes of *target*.
+
+    :data:`REFINED`, and the strengths of the thermal effects that its
+    structure and its ``[[effect]]`` entries have. Those on heat act before
+    the model, in the pass over samples.
+    """
+    prefix = f"{EFFECT}."
+    strengths = (
+        key
+        for key, one in TUNABLES.items()
+        if key.startswith(prefix) and target.value(one) > 0.0
+    )
+    return (*REFINED, *strengths)
+
+
+def usable(target: Target, keys: Sequence[str]) -> tuple[list[str], list[str]]:
+    """Return which of *keys* can be matched, and why the others can not."""
+    found, remarks = [], []
+    for key in keys:
+        value = target.value(TUNABLES[key])
+        if value > 0.0:
+            found.append(key)
+        else:
+            remarks.append(f"{key} is 0 or a curve: it stays as it is")
+    return found, remarks
+
+
+def targets_of(
+    config: Config, measured: Sequence[str], *, each: bool = False
+) -> list[Target]:
+    """Return the corners with thermocouples, those alike together.
+
+    A right and a left corner of one axle are alike where their disc, pads
+    and models are configured the same; with *each* none are.
+    """
+    groups: dict[str, list[str]] = {}
+    for corner in config.disc_corners():
+        if corner.name not in measured:
+            continue
+        looks = corner.model_dump(
+            exclude={
+                "name": True,
+                "side": True,
+                "axle": True,
+                "friction_coefficient": True,
+                # what wear starts from, no part of the model
+                "pad": {"new_thickness_m", "measured"},
+            }
+        )
+        looks["effect"] = effects_by_corner(config, corner.name)
+        group = corner.name if each else repr(looks)
+        groups.setdefault(group, []).append(corner.name)
+    return [Target(config, tuple(names)) for names in groups.values()]
+
+
+def split_key(name: str) -> tuple[str, str]:
+    """Return effect and parameter of ``<effect>.<parameter>``."""
+    effect, parameter = name.split(".", maxsplit=1)
+    return effect, parameter
+
+
+def effect_value(config: Config, corner: str, name: str) -> float:
+    """Return ``<effect>.<parameter>`` of *corner*; 0 without the effect."""
+    effect, parameter = split_key(name)
+    for one in effects_of(config):
+        if one.name == effect and one.corner in {"all", corner}:
+            typical = {
+                p.name: p.typical for p in effect_class(effect).parameters()
+            }
+            if one.parameters.get("strength", 1.0) == 0.0:
+                return 0.0
+            return float(one.parameters.get(parameter, typical[parameter]))
+    return 0.0
+
+
+def with_effect_values(
+    config: Config, corners: Collection[str], values: Mapping[str, float]
+) -> Config:
+    """Return *config* with *values* by ``<effect>.<parameter>``.
+
+    The effects of *corners* get entries of their own; what others have, by
+    an entry for all of them too, stays.
+    """
+    names = {split_key(name)[0] for name in values}
+    entries = [one for one in config.effect if one.name not in names]
+    there = [one for one in effects_of(config) if one.name in names]
+    for one in there:
+        for corner in config.corner:
+            if one.corner not in {"all", corner.name}:
+                continue
+            changed = dict(one.parameters)
+            if corner.name in corners:
+                changed |= {
+                    parameter: value
+                    for name, value in values.items()
+                    for effect, parameter in (split_key(name),)
+                    if effect == one.name
+                }
+            elif one.corner != "all" and one not in config.effect:
+                # the structure's own, unchanged
+                continue
+            entries.append(
+                EffectConfig(
+                    name=one.name,
+                    corner=corner.name,
+                    parameters=changed,
+                    provenance=one.provenance,
+                )
+            )
+    return config.model_copy(update={"effect": entries})
+
+
+def effects_by_corner(config: Config, corner: str) -> dict[str, object]:
+    """Return the parameters of each effect of *corner*, by its name."""
+    return {
+        one.name: dict(one.parameters)
+        for one in effects_of(config)
+        if one.corner in {"all", corner}
+    }

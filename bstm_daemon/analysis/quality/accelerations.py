@@ -1,0 +1,203 @@
+"""The accelerometers against the wheels: thesis figure 4.3 as a test."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from bstm_daemon.analysis.quality import limits
+from bstm_daemon.analysis.quality.channels import Channels, unit_ratio
+from bstm_daemon.analysis.quality.comparison import Fit, fit_channels
+from bstm_daemon.analysis.quality.finding import Finding, Notes
+from bstm_daemon.analysis.quality.grid import HALF
+from bstm_daemon.analysis.quality.naming import (
+    Naming,
+    Tolerance,
+    name_faults,
+    write_faults,
+)
+from bstm_daemon.units import GRAVITY_MS2
+
+if TYPE_CHECKING:
+    from bstm_daemon.analysis.statistics.series import Mask
+
+LONGITUDINAL: Final = "acceleration_longitudinal"
+_AROUND: Final = 4 * HALF
+_DRIFT_WINDOW_S: Final = 30.0
+_TOLERANCE: Final = Tolerance(
+    limits.ACCELERATION_SCALE, limits.ACCELERATION_OFFSET_MS2, unit=0.2
+)
+"""Units of acceleration are a factor of 9.8 apart: 20 % tells them."""
+
+_SPEED_UNIT: Final = 0.1
+_SPEED_UNIT_LEAST: Final = 2.0
+"""The speeds are blamed for 3.6 and 2.24 (km/h, mph and m/s); 1.6 is left to
+the accelerometer, whose scale may be anything."""
+
+
+def fit_acceleration(channels: Channels) -> Fit | None:
+    """Fit the accelerometer on dv/dt of the car's speed."""
+    return fit_channels(
+        channels.speed_rate(),
+        channels.acceleration(),
+        limits.ACCELERATION_FLOOR_MS2,
+        _active(channels),
+    )
+
+
+def _active(channels: Channels) -> Mask:
+    """Return where speed changes, a second around it included.
+
+    Hours of cruising would else outvote the few stops.
+    """
+    rate = channels.speed_rate()
+    busy = np.abs(rate) > limits.ACCELERATION_SPREAD_MS2
+    near = np.convolve(busy, np.ones(2 * _AROUND + 1), "same") > 0.5
+    active: Mask = near & np.isfinite(rate)
+    return active
+
+
+def compare_accelerations(channels: Channels, notes: Notes) -> None:
+    """Compare both accelerometers with the speeds, name what is wrong."""
+    if channels.alive([LONGITUDINAL]):
+        if channels.on_stand:
+            notes.skip(f"{LONGITUDINAL}: the car stood, wheels tell nothing")
+        elif channels.speed_roles:
+            _longitudinal(channels, notes)
+        else:
+            notes.skip(f"{LONGITUDINAL}: no speed to compare it with")
+    if channels.alive(["acceleration_lateral"]):
+        _lateral(channels, notes)
+
+
+def _longitudinal(channels: Channels, notes: Notes) -> None:
+    rate, accel_measured = channels.speed_rate(), channels.acceleration()
+    active = _active(channels)
+    fit = fit_acceleration(channels)
+    moving = rate[active]
+    why = ""
+    if (
+        len(moving) * limits.GRID_S < limits.ENOUGH_S
+        or np.nanstd(moving) < limits.ACCELERATION_SPREAD_MS2
+    ):
+        why = "the speed hardly changes"
+    naming = name_faults(channels, LONGITUDINAL, fit, _TOLERANCE, why)
+    pair = None
+    if (
+        fit is not None
+        and _only(naming) == ("scale", 1)
+        and fit.beyond(_SPEED_UNIT_LEAST)
+    ):
+        pair = unit_ratio("speed", 1.0 / fit.scale, _SPEED_UNIT)
+    if fit is not None and pair is not None:
+        _blame_speeds(channels, notes, pair, 1.0 / fit.scale)
+        naming = Naming((("unit", "the speeds are in the wrong unit"),))
+    else:
+        write_faults(notes, LONGITUDINAL, naming, "dv/dt of the speed")
+        if naming.agrees is False:
+            channels.dead.add(LONGITUDINAL)
+    notes.compare(
+        "accelerometer against dv/dt",
+        ("dv/dt", LONGITUDINAL),
+        (channels.time_s, rate, accel_measured),
+        (naming.verdict, naming.agrees, fit),
+        "m/s2",
+    )
+    if naming.agrees is None:
+        notes.skip(f"{LONGITUDINAL}: {naming.why_not_judged}")
+    if naming.agrees is not False:
+        _drift(channels, notes, agrees=naming.agrees)
+    if pair is not None:
+        channels.dead.update(channels.speed_roles)
+        channels.set_speed(())
+
+
+def _only(naming: Naming) -> tuple[str, int]:
+    """Return the first fault and how many there are, a lag left out."""
+    faults = [fault for fault, _ in naming.faults if fault != "lag"]
+    return (faults[0] if faults else ""), len(faults)
+
+
+def _blame_speeds(
+    channels: Channels, notes: Notes, pair: tuple[str, str], ratio: float
+) -> None:
+    """Name all speeds: no accelerometer is wrong by a unit of speed."""
+    notes.findings.append(
+        Finding(
+            "unit",
+            channels.speed_roles,
+            f"wrong unit: all speeds read {ratio:.3g} times what the "
+            f"accelerometer says, which is {pair[0]} to {pair[1]}",
+        )
+    )
+
+
+def _drift(channels: Channels, notes: Notes, *, agrees: bool | None) -> None:
+    """Compare speed with the accelerometer integrated over windows."""
+    accel_measured = channels.value(LONGITUDINAL)
+    speed = channels.speed
+    steps = round(_DRIFT_WINDOW_S / limits.GRID_S)
+    both = np.isfinite(accel_measured) & np.isfinite(speed)
+    integrated = np.full(len(speed), np.nan)
+    drifts = []
+    for start in range(0, len(speed) - 1, steps):
+        part = slice(start, start + steps)
+        known = both[part]
+        if known.mean() < 0.9 or not known[0]:
+            continue
+        a = np.where(known, accel_measured[part], 0.0)
+        v = speed[part]
+        gained = np.concatenate(([0.0], np.cumsum(0.5 * (a[1:] + a[:-1]))))
+        integrated[part] = v[0] + gained * limits.GRID_S
+        if np.nanmax(v) >= limits.MOVING_MS:
+            end = int(np.flatnonzero(known)[-1])
+            rate = (integrated[start + end] - v[end]) / (end * limits.GRID_S)
+            integrated[part] -= rate * limits.GRID_S * np.arange(len(v))
+            drifts.append(rate)
+    if not drifts:
+        return
+    drift = float(np.median(drifts))
+    verdict = (
+        f"drifts {drift:+.2f} m/s a second: bias, or a grade of "
+        f"{100 * drift / GRAVITY_MS2:+.1f} %"
+    )
+    notes.compare(
+        f"accelerometer integrated over {_DRIFT_WINDOW_S:g} s, less its "
+        "drift, against speed",
+        ("speed", f"integrated {LONGITUDINAL}"),
+        (channels.time_s, speed, integrated),
+        (verdict, agrees, fit_channels(speed, integrated, 1.0)),
+        "km/h",
+        unit_si=1 / 3.6,
+    )
+
+
+def _lateral(channels: Channels, notes: Notes) -> None:
+    if not channels.alive(["yaw_rate"]) or not channels.speed_roles:
+        notes.skip("acceleration_lateral: no yaw rate to compare it with")
+        return
+    yaw = channels.value("yaw_rate")
+    centripetal = yaw * channels.speed
+    turning = np.abs(yaw) > limits.YAW_SPREAD_RAD_S
+    turning &= channels.speed > limits.MOVING_MS
+    why = ""
+    if np.count_nonzero(turning) * limits.GRID_S < limits.ENOUGH_S:
+        why = "hardly a bend in this log"
+    role = "acceleration_lateral"
+    fit = fit_channels(
+        centripetal, channels.value(role), limits.ACCELERATION_FLOOR_MS2
+    )
+    tolerance = Tolerance(1.5, limits.ACCELERATION_OFFSET_MS2, unit=0.3)
+    naming = name_faults(channels, role, fit, tolerance, why)
+    for fault, text in naming.faults:
+        notes.fault(fault, role, f"{text}, against v x yaw rate", wrong=False)
+    if naming.agrees is None:
+        notes.skip(f"{role} against yaw rate: {why}")
+    notes.compare(
+        "lateral accelerometer against v x yaw rate",
+        ("v x yaw rate", role),
+        (channels.time_s, centripetal, channels.value(role)),
+        (naming.verdict, naming.agrees, fit),
+        "m/s2",
+    )

@@ -1,0 +1,152 @@
+"""Left against right: in a bend the outer wheel is the faster one."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from bstm_daemon.analysis.quality import limits
+from bstm_daemon.analysis.quality.comparison import fit_channels
+from bstm_daemon.analysis.quality.finding import Finding, Notes
+
+if TYPE_CHECKING:
+    from bstm_daemon.analysis.quality.channels import Channels
+
+_AXLES: Final = (
+    ("front", "wheel_speed_fl", "wheel_speed_fr"),
+    ("rear", "wheel_speed_rl", "wheel_speed_rr"),
+)
+
+
+def compare_sides(channels: Channels, notes: Notes) -> None:
+    """Compare the wheels' differences with the yaw rate.
+
+    Yaw rate is positive to the left, so right minus left is yaw rate times
+    track. One axle with the opposite sign has its wheels swapped; both axles
+    may as well be a yaw rate that counts the other way.
+    """
+    pairs = [
+        (name, left, right)
+        for name, left, right in _AXLES
+        if len(channels.alive((left, right))) == 2
+    ]
+    if not pairs:
+        return
+    if not channels.alive(["yaw_rate"]):
+        notes.skip("left and right wheels: no yaw rate, swapping is not seen")
+        return
+    yaw = channels.value("yaw_rate")
+    turning = np.abs(yaw) > limits.YAW_SPREAD_RAD_S
+    turning &= channels.speed > limits.MOVING_MS
+    if np.count_nonzero(turning) * limits.GRID_S < limits.ENOUGH_S:
+        notes.skip(
+            "left and right wheels: hardly a bend in this log, swapping is "
+            "not seen"
+        )
+        return
+    signs: dict[str, tuple[float, tuple[str, str]]] = {}
+    for name, left, right in pairs:
+        difference = channels.value(right) - channels.value(left)
+        fit = fit_channels(yaw, difference, limits.SPEED_FLOOR_MS)
+        clear = (
+            fit is not None
+            and abs(fit.correlation) >= limits.SIDE_CORRELATION
+            and abs(fit.scale_low) < limits.WIDEST_TRACK_M
+        )
+        verdict = "not judged: the difference does not follow the yaw rate"
+        agrees = None
+        if fit is not None and clear:
+            signs[name] = (fit.scale, (left, right))
+            agrees = fit.scale > 0.0
+            verdict = (
+                f"agrees, track {fit.scale:.2f} m" if agrees else "swapped"
+            )
+        else:
+            notes.skip(f"left and right {name} wheels: {verdict[12:]}")
+        notes.compare(
+            f"{name} wheels, right minus left, against yaw rate",
+            ("yaw rate", f"{right} - {left}"),
+            (channels.time_s, yaw, difference),
+            (verdict, agrees, fit),
+            "rad/s, m/s",
+        )
+    _name_swapped(notes, signs)
+
+
+def _name_swapped(
+    notes: Notes, signs: dict[str, tuple[float, tuple[str, str]]]
+) -> None:
+    turned = {name for name, (scale, _) in signs.items() if scale < 0.0}
+    if not turned:
+        return
+    if len(turned) == len(signs):
+        wheels = tuple(w for _, pair in signs.values() for w in pair)
+        notes.findings.append(
+            Finding(
+                "swapped",
+                ("yaw_rate", *wheels),
+                "left and right wheels swapped, or the yaw rate is positive "
+                "to the right: the right wheels are the faster ones as it "
+                "goes negative",
+                wrong=False,
+            )
+        )
+        return
+    for name in sorted(turned):
+        notes.findings.append(
+            Finding(
+                "swapped",
+                signs[name][1],
+                f"left and right {name} wheels are swapped: the inner one "
+                "is the faster in bends, the other axle is right",
+            )
+        )
+
+
+def compare_axles(channels: Channels, notes: Notes) -> None:
+    """Compare front with rear wheels in tight bends.
+
+    The front axle runs on the larger circle, ``v_f^2 = v_r^2 + (yaw L)^2``
+    with the wheelbase L; a share of ``v^2`` takes up unequal tyres.
+    """
+    wheels = [wheel for _, left, right in _AXLES for wheel in (left, right)]
+    if len(channels.alive(wheels)) < 4:
+        return
+    subject = "front and rear wheels"
+    if not channels.alive(["yaw_rate"]):
+        notes.skip(f"{subject}: no yaw rate, swapping is not seen")
+        return
+    fl, fr, rl, rr = (channels.value(wheel) for wheel in wheels)
+    front, rear = 0.5 * (fl + fr), 0.5 * (rl + rr)
+    yaw = channels.value("yaw_rate")
+    excess = front**2 - rear**2
+    known = np.isfinite(excess) & np.isfinite(yaw) & (rear > limits.MOVING_MS)
+    tight = known & (np.abs(yaw) > limits.TIGHT_YAW_RAD_S)
+    if np.count_nonzero(tight) * limits.GRID_S < limits.ENOUGH_S:
+        notes.skip(
+            f"{subject}: no tight bend in this log, swapping is not seen"
+        )
+        return
+    slow = known & (rear < 2.0 * float(np.max(rear[tight])))
+    inputs = np.column_stack((yaw[slow] ** 2, rear[slow] ** 2))
+    (wheelbase2, share), *_ = np.linalg.lstsq(inputs, excess[slow], rcond=None)
+    turned = excess[slow] - share * inputs[:, 1]
+    follows = 0.0
+    if turned.std() > 0.0:
+        follows = float(np.corrcoef(turned, inputs[:, 0])[0, 1])
+    clear = (
+        abs(follows) >= limits.SIDE_CORRELATION
+        and 1.0 < abs(wheelbase2) < 36.0
+    )
+    if not clear:
+        notes.skip(f"{subject}: no difference in bends, swapping is not seen")
+    elif wheelbase2 < 0.0:
+        notes.findings.append(
+            Finding(
+                "swapped",
+                tuple(wheels),
+                "front and rear wheels are swapped: the rear ones run on "
+                "the larger circle in bends",
+            )
+        )

@@ -1,0 +1,161 @@
+"""The channels of a recording on the common grid, faults masked out."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from bstm_daemon.analysis.quality.grid import (
+    at_times,
+    common_times,
+    difference_quotient,
+    median_of,
+    window_mean,
+    without,
+)
+from bstm_daemon.roles import CORNERS, ROLE_INDEX
+from bstm_daemon.units import UNITS
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
+    from bstm_daemon.analysis.quality.recording import (
+        Recording,
+        Series,
+    )
+    from bstm_daemon.analysis.statistics.series import Column
+    from bstm_daemon.config.sections import Config
+
+WHEELS = tuple(f"wheel_speed_{corner.lower()}" for corner in CORNERS)
+PRESSURES = (
+    "primary_pressure",
+    "secondary_pressure",
+    *(f"wheel_pressure_{corner.lower()}" for corner in CORNERS),
+)
+
+
+class Channels:
+    """Values of roles at ``time_s``, (n,) each, NaN where absent.
+
+    ``dead`` are roles to leave out, ``spans`` stretches of time of a role to
+    leave out: the checks add to them as they find faults.
+    """
+
+    def __init__(
+        self,
+        recording: Recording,
+        config: Config,
+        timeouts_us: Iterable[int],
+    ) -> None:
+        """Put every role of *recording* on one grid."""
+        self.config = config
+        self.recording = recording
+        self.series: Mapping[str, Series] = recording.series
+        self.timeouts_s = [timeout * 1e-6 for timeout in timeouts_us]
+        self.time_s = common_times(recording.series.values())
+        self.dead: set[str] = set()
+        self.on_stand = False
+        self.spans: dict[str, list[tuple[float, float]]] = {}
+        self._grid: dict[str, Column] = {}
+        self.speed = np.full(len(self.time_s), np.nan)
+        self.speed_roles: tuple[str, ...] = ()
+
+    def timeout_s(self, role: str) -> float:
+        """Return how long a value of *role* counts as present."""
+        return self.timeouts_s[ROLE_INDEX[role]]
+
+    def raw(self, role: str) -> Column:
+        """Return *role* on the grid, as it came."""
+        if role not in self._grid:
+            series = self.series.get(role)
+            self._grid[role] = (
+                np.full(len(self.time_s), np.nan)
+                if series is None
+                else at_times(series, self.time_s, self.timeout_s(role))
+            )
+        return self._grid[role]
+
+    def value(self, role: str) -> Column:
+        """Return *role* on the grid without its frozen stretches."""
+        spans = self.spans.get(role)
+        value = self.raw(role)
+        return without(value, self.time_s, spans) if spans else value
+
+    def alive(self, roles: Iterable[str]) -> list[str]:
+        """Return which of *roles* are in the log and not dead."""
+        return [
+            role
+            for role in roles
+            if role in self.series and role not in self.dead
+        ]
+
+    def set_speed(self, roles: Iterable[str]) -> None:
+        """Take the median of *roles* as the speed of the car, none: absent."""
+        self.speed_roles = tuple(roles)
+        if not self.speed_roles:
+            self.speed = np.full(len(self.time_s), np.nan)
+            return
+        self.speed = median_of({r: self.value(r) for r in self.speed_roles})
+
+    def speed_rate(self) -> Column:
+        """Return dv/dt of the car [m/s2]."""
+        return difference_quotient(self.speed)
+
+    def acceleration(self) -> Column:
+        """Return the accelerometer over the same window [m/s2]."""
+        return window_mean(self.value("acceleration_longitudinal"))
+
+    def unit(self, role: str) -> tuple[str, float]:
+        """Return the configured unit of *role* and its factor to SI."""
+        name = self.config.signals[role].unit
+        factor = UNITS[name].factor
+        if UNITS[name].quantity == "angular_speed" and "wheel" in role:
+            factor *= self.config.vehicle.wheel_radius_m
+        return name, factor
+
+    def unit_for_scale(
+        self, role: str, scale: float, tolerance: float
+    ) -> str | None:
+        """Return the unit that *role* seems to be in, None if no unit does.
+
+        It reads *scale* times what it should in the configured one.
+        """
+        configured, factor = self.unit(role)
+        quantity = UNITS[configured].quantity
+        best = None
+        for name, unit in UNITS.items():
+            if unit.quantity != quantity or name == configured:
+                continue
+            radius = (
+                self.config.vehicle.wheel_radius_m
+                if quantity == "angular_speed" and "wheel" in role
+                else 1.0
+            )
+            ratio = abs(scale) * unit.factor * radius / factor
+            miss = abs(float(np.log(ratio)))
+            if miss <= np.log1p(tolerance) and (
+                best is None or miss < best[0]
+            ):
+                best = (miss, name)
+        return None if best is None else best[1]
+
+
+def unit_ratio(
+    quantity: str, scale: float, tolerance: float
+) -> tuple[str, str] | None:
+    """Return two units of *quantity* whose ratio *scale* is, else None.
+
+    The nearest pair, ``1 first = scale second``.
+    """
+    units = [(n, u) for n, u in UNITS.items() if u.quantity == quantity]
+    misses = [
+        (abs(float(np.log(abs(scale) * small.factor / large.factor))), a, b)
+        for a, large in units
+        for b, small in units
+        if a != b
+    ]
+    if not misses:
+        return None
+    miss, first, second = min(misses)
+    return (first, second) if miss <= np.log1p(tolerance) else None

@@ -1,0 +1,216 @@
+"""Channels that stand still while what they measure does not."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from bstm_daemon.analysis.quality import limits
+from bstm_daemon.analysis.quality.channels import PRESSURES, WHEELS, Channels
+from bstm_daemon.analysis.quality.comparison import spread
+from bstm_daemon.analysis.quality.finding import Finding, Notes
+from bstm_daemon.analysis.quality.grid import difference_quotient, median_of
+from bstm_daemon.analysis.quality.speeds import SPEEDS
+from bstm_daemon.analysis.quality.statistics import Run, constant_runs
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from bstm_daemon.analysis.statistics.series import Column
+
+_END_S: Final = 1.0
+_ACCELEROMETER: Final = "acceleration_longitudinal"
+_AXLES: Final = {"front": WHEELS[:2], "rear": WHEELS[2:]}
+
+
+def find_frozen_speeds(channels: Channels, notes: Notes) -> None:
+    """Name speeds that are dead or hold a value, and leave them out."""
+    roles = channels.alive(SPEEDS)
+    for role in _without_standing_axle(channels, notes, roles):
+        _name_runs(channels, notes, role, _SpeedContradiction(channels, role))
+
+
+def find_frozen(
+    channels: Channels, notes: Notes, roles: tuple[str, ...], reference: Column
+) -> None:
+    """Name *roles* that hold a value while *reference* (n,) moves.
+
+    *reference* is in the channels' own unit.
+    """
+    for role in channels.alive(roles):
+        least = (
+            limits.PRESSURE_SPAN_PA
+            if "pressure" in role
+            else limits.FROZEN_ACCELERATION_MS2
+        )
+
+        def moved(run: Run, least: float = least) -> str:
+            inside = _inside(channels, run, reference)
+            if len(inside) and np.ptp(inside) >= least:
+                return "while what it should follow moves"
+            return ""
+
+        _name_runs(channels, notes, role, moved)
+
+
+def _without_standing_axle(
+    channels: Channels, notes: Notes, roles: list[str]
+) -> list[str]:
+    """Take out an axle that stands because the car is on a stand."""
+    for name, wheels in _AXLES.items():
+        others = [role for role in roles if role not in wheels]
+        if not (set(wheels) <= set(roles) and others):
+            continue
+        turning = median_of({role: channels.raw(role) for role in others})
+        known = turning[np.isfinite(turning)]
+        still = all(np.ptp(channels.series[w].value) == 0.0 for w in wheels)
+        if (
+            not still
+            or not len(known)
+            or np.ptp(known) < limits.FROZEN_SPEED_MS
+        ):
+            continue
+        if _car_stood(channels, turning):
+            listed = ", ".join(wheels)
+            notes.findings.append(
+                Finding(
+                    "axles-disagree",
+                    wheels,
+                    f"axles disagree: stand or roller? The {name} wheels "
+                    f"({listed}) stand, the others turn at up to "
+                    f"{3.6 * known.max():.0f} km/h and the accelerometer "
+                    "shows no motion",
+                    wrong=False,
+                )
+            )
+            channels.dead.update(wheels)
+            channels.on_stand = True
+            return others
+    return roles
+
+
+def _car_stood(channels: Channels, turning: Column) -> bool:
+    """Whether the accelerometer knows nothing of the turning wheels."""
+    if not channels.alive(["acceleration_longitudinal"]):
+        return False
+    rate = difference_quotient(turning)
+    accel_measured = channels.acceleration()
+    both = np.isfinite(rate) & np.isfinite(accel_measured)
+    rate, accel_measured = rate[both], accel_measured[both]
+    if len(rate) < 2 or rate.std() < 0.5:
+        return False
+    rate, accel_measured = (
+        rate - rate.mean(),
+        accel_measured - accel_measured.mean(),
+    )
+    return bool(
+        abs(float(rate @ accel_measured) / float(rate @ rate))
+        < limits.STAND_RESPONSE
+    )
+
+
+class _SpeedContradiction:
+    """Says how the other speeds show that one can not stand still."""
+
+    def __init__(self, channels: Channels, role: str) -> None:
+        self._channels = channels
+        others = [r for r in SPEEDS if r in channels.series and r != role]
+        living = [r for r in others if r not in channels.dead]
+        self._around = (
+            median_of({r: channels.raw(r) for r in living}) if living else None
+        )
+        axle = next((a for a in _AXLES.values() if role in a), ())
+        self._independent = [r for r in others if r not in axle]
+        partner = [r for r in axle if r != role]
+        self._axle_still = bool(axle) and all(
+            r in channels.series and np.ptp(channels.series[r].value) == 0.0
+            for r in (role, *partner)
+        )
+        values = channels.series[role].value
+        self._fine = len(np.unique(values)) >= limits.FROZEN_STEPS
+
+    def __call__(self, run: Run) -> str:
+        """Return the contradiction of *run*, or nothing."""
+        if self._around is not None:
+            inside = _inside(self._channels, run, self._around)
+            if len(inside) and np.ptp(inside) >= limits.FROZEN_SPEED_MS:
+                words = "while the other speeds move"
+                if self._axle_still:
+                    words += " (or the car is on a stand)"
+                return words
+        if not self._fine or run.value == 0.0:
+            return ""
+        seen = [
+            inside
+            for role in self._independent
+            for inside in (self._inside(run, role),)
+            if len(inside)
+        ]
+        if seen and all(
+            np.abs(inside - run.value).min() >= limits.FROZEN_SPEED_MS
+            for inside in seen
+        ):
+            return "to the last digit, and no other speed bears it out"
+        return ""
+
+    def _inside(self, run: Run, role: str) -> Column:
+        return _inside(self._channels, run, self._channels.raw(role))
+
+
+def _inside(channels: Channels, run: Run, value: Column) -> Column:
+    """Return *value* in *run* but for its ends, where a late one differs."""
+    first_s, last_s = run.start_s + _END_S, run.end_s - _END_S
+    here = (channels.time_s >= first_s) & (channels.time_s <= last_s)
+    inside = value[here]
+    return inside[np.isfinite(inside)]
+
+
+def _name_runs(
+    channels: Channels,
+    notes: Notes,
+    role: str,
+    contradiction: Callable[[Run], str],
+) -> None:
+    series = channels.series[role]
+    unit, factor = channels.unit(role)
+    named = len(notes.findings)
+    for run in constant_runs(series, limits.FROZEN_S):
+        why = contradiction(run)
+        if not why:
+            continue
+        value = f"{run.value / factor:.6g} {unit}"
+        if run.length_s >= series.time_s[-1] - series.time_s[0]:
+            channels.dead.add(role)
+            text = f"dead: reads {value} throughout, {why}"
+            notes.fault("dead", role, text)
+            continue
+        channels.spans.setdefault(role, []).append((run.start_s, run.end_s))
+        to_end = run.end_s >= series.time_s[-1]
+        until = "to the end" if to_end else f"to {run.end_s:.1f} s"
+        text = f"frozen at {value} from {run.start_s:.1f} s {until}, {why}"
+        notes.fault("frozen", role, text)
+    if len(notes.findings) > named:
+        _show(channels, notes, role, notes.findings[-1].text)
+
+
+def _show(channels: Channels, notes: Notes, role: str, verdict: str) -> None:
+    """Write a comparison with the first channel of its kind that moves."""
+    kind = PRESSURES if role in PRESSURES else SPEEDS
+    others = [other for other in channels.alive(kind) if other != role]
+    if role == _ACCELEROMETER or not others:
+        reference, name = channels.speed_rate(), "dv/dt"
+    else:
+        name = max(others, key=lambda other: spread(channels.raw(other)))
+        reference = channels.raw(name)
+    unit, unit_si = ("bar", 1e5) if role in PRESSURES else ("km/h", 1 / 3.6)
+    if role == _ACCELEROMETER:
+        unit, unit_si = "m/s2", 1.0
+    notes.compare(
+        f"{role} against {name}",
+        (name, role),
+        (channels.time_s, reference, channels.raw(role)),
+        (verdict, False, None),
+        unit,
+        unit_si=unit_si,
+    )

@@ -1,0 +1,173 @@
+"""The thresholds of every verdict, each with its reason.
+
+They are wide on purpose: a channel is named only where a heat estimate would
+be visibly wrong, and docs/signal-quality.md explains them to the user.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+GRID_S: Final = 0.05
+"""Common grid: the slowest useful chassis signal (10 Hz) is seen twice."""
+
+WINDOW_S: Final = 0.5
+"""Difference quotient of speed, and mean of the accelerometer: long enough
+that 0.06 m/s of quantum is 0.24 m/s2, short against a stop."""
+
+LONGEST_LAG_S: Final = 2.0
+"""Search range of the cross-correlation; a GNSS receiver is late by 1 s."""
+
+LAG_S: Final = 0.25
+"""Later than this, pressure meets a speed that a hard stop has changed by
+more than 2 m/s. Filters and lines on a car take 20 to 100 ms."""
+
+GNSS_LAG_S: Final = 1.5
+"""Receivers filter and send at 1 Hz."""
+
+LAG_CORRELATION: Final = 0.7
+"""A weaker peak of the cross-correlation gives no lag."""
+
+UNRELATED: Final = 0.5
+"""Two readings of one quantity with a weaker correlation are not that."""
+
+UNIT_TOLERANCE: Final = 0.06
+"""How near a scale must be to the ratio of two units to be called one; the
+nearest wrong pair, mph for km/h (1.61) and Feed-Forward's 1.5, is at 7 %."""
+
+ENOUGH_S: Final = 5.0
+"""Seconds of common, moving data below which no fit is judged."""
+
+SPEED_SPAN_MS: Final = 3.0
+"""Speeds must range over this (5 to 95 %) to give a scale: a quantum of
+0.06 m/s is then 2 %."""
+
+SPEED_FLOOR_MS: Final = 0.5
+"""A difference of speeds that is no outlier: bends, slip, quantum."""
+
+ACCELERATION_FLOOR_MS2: Final = 1.0
+"""The same for accelerations: a grade of 10 %."""
+
+PRESSURE_FLOOR_PA: Final = 2e5
+"""The same for pressures, and 10 % of hard braking."""
+
+SPEED_SCALE: Final = 1.06
+"""Larger is a wrong wheel size or scale: heat by speed errs alike. Worn and
+new tyres differ by 2 %, a spare wheel by 5 %."""
+
+SPEED_OFFSET_MS: Final = 0.6
+"""Wheel sensors read 0 below 0.4 m/s; beyond that it is no dead band."""
+
+ACCELERATION_SPREAD_MS2: Final = 0.3
+"""Standard deviation of dv/dt that stands out of bias and grade."""
+
+ACCELERATION_SCALE: Final = 1.25
+"""Pitch under braking alone gives 3 %, and a 10 % grade that comes with
+braking 10 % or more: only what is beyond is the sensor's."""
+
+ACCELERATION_OFFSET_MS2: Final = 2.0
+"""More than any road's grade (20 %) can explain."""
+
+PRESSURE_SPAN_PA: Final = 5e5
+"""Pressures must range over 5 bar: friction of seals and valves is 0.5."""
+
+PRESSURE_SCALE: Final = 1.4
+"""Circuits of one car differ (thesis figure 4.2); ten units do not."""
+
+REAR_PRESSURE_SCALE: Final = 3.0
+"""A proportioning valve or EBD holds the rear down to about a third."""
+
+PRESSURE_OFFSET_PA: Final = 3e5
+"""Two circuits at rest; push-out and sensor zero stay below 1 bar."""
+
+PRESSED_PA: Final = 3e5
+"""Pads are on at this pressure (push-out is 0.5 to 1 bar)."""
+
+RELEASED_PA: Final = 0.5e5
+"""Below half a bar nobody brakes."""
+
+MOVING_MS: Final = 2.0
+"""Below this, wheel sensors and difference quotients are not trusted."""
+
+DRIVING_MS2: Final = 0.3
+"""A car that gains speed like this is not being braked."""
+
+FROZEN_S: Final = 5.0
+"""Shortest run of one exact value that is called frozen."""
+
+FROZEN_SPEED_MS: Final = 3.0
+"""... while the other speeds moved away by this much."""
+
+FROZEN_ACCELERATION_MS2: Final = 2.0
+"""... while the speeds changed at rates this far apart."""
+
+FROZEN_STEPS: Final = 20
+"""A channel seen moving in this many different values has the resolution to
+show that it moves; one that never did may be coarse."""
+
+MISSING_SHARE: Final = 0.1
+"""Share of the bus's time without a valid value that is named."""
+
+MISSING_FAILS: Final = 0.5
+"""... and above which the channel is of no use."""
+
+FORCE_RATIO: Final = 2.0
+"""Feed-Forward over Feed-Back energy: friction coefficient (0.3 to 0.5),
+mass and torque errors together stay below 2."""
+
+FORCE_UNIT_TOLERANCE: Final = 0.3
+"""... and blur a unit mistake by as much."""
+
+FORCE_MS2: Final = 0.5
+"""Mean braking, as a deceleration, that resistances cannot fake."""
+
+MISWIRED: Final = 0.98
+"""A temperature that follows a pressure this closely is its line: a brake
+part integrates heat and cannot cool as the pedal is released."""
+
+MISWIRED_PRESSES: Final = 3
+"""Presses of the pedal that have to be followed."""
+
+COLDER_K: Final = 15.0
+"""A brake part below ambient by more: evaporation gives 5 to 10 K."""
+
+TEMPERATURE_RANGE_K: Final = {
+    "disc": (223.0, 1400.0),
+    "disc_2": (223.0, 1400.0),
+    "pad_front": (223.0, 1400.0),
+    "pad_back": (223.0, 1000.0),
+    "fluid": (223.0, 620.0),
+    "caliper": (223.0, 800.0),
+}
+"""Iron melts at 1420 K, DOT 5.1 boils dry at 543 K."""
+
+TEMPERATURE_RATE_K_S: Final = {
+    "disc": 400.0,
+    "disc_2": 400.0,
+    "pad_front": 400.0,
+    "pad_back": 30.0,
+    "fluid": 10.0,
+    "caliper": 10.0,
+}
+"""Race discs gain 300 K in a 2 s stop; a kilogram of aluminium on 5 kW 6 K/s
+at most."""
+
+DISC_WORK_MS2S: Final = 100.0
+"""Brake work over mass [m2/s2] that a disc must feel: a stop from 50 km/h, 10
+K or more at the front of any car."""
+
+YAW_SPREAD_RAD_S: Final = 0.05
+"""A bend at 10 m/s of 200 m radius: left and right differ by 0.08 m/s."""
+
+SIDE_CORRELATION: Final = 0.6
+"""Wheel differences follow the yaw rate this well in bends."""
+
+WIDEST_TRACK_M: Final = 2.5
+"""... and by no more than a track."""
+
+STAND_RESPONSE: Final = 0.3
+"""Share of the turning wheels' dv/dt that the accelerometer must show for the
+car to have moved."""
+
+TIGHT_YAW_RAD_S: Final = 0.15
+"""A bend in which the front axle is the faster by 0.016 m/s at 5 m/s."""

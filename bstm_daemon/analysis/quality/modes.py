@@ -1,0 +1,162 @@
+"""Which heat modes a log allows, and what each of them lacks."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+from bstm_daemon.analysis.quality.channels import WHEELS
+from bstm_daemon.analysis.quality.finding import ModeVerdict
+from bstm_daemon.analysis.quality.limits import MISSING_SHARE
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from bstm_daemon.analysis.quality.finding import Finding, RoleQuality
+    from bstm_daemon.config.sections import Config, CornerConfig
+
+_ACCELEROMETER: Final = "acceleration_longitudinal"
+
+
+def mode_verdicts(
+    config: Config,
+    roles: Sequence[RoleQuality],
+    findings: Sequence[Finding],
+) -> tuple[ModeVerdict, ...]:
+    """Judge ff, fb, fused and measured, in this order."""
+    judge = _Judge(config, roles, findings)
+    forward, back = judge.feed_forward(), judge.feed_back()
+    fused = ModeVerdict(
+        "fused",
+        usable=forward.usable and back.usable,
+        problems=tuple(dict.fromkeys(forward.problems + back.problems)),
+        missing=tuple(dict.fromkeys(forward.missing + back.missing)),
+        remarks=tuple(dict.fromkeys(forward.remarks + back.remarks)),
+    )
+    return forward, back, fused, judge.measured()
+
+
+class _Judge:
+    def __init__(
+        self,
+        config: Config,
+        roles: Sequence[RoleQuality],
+        findings: Sequence[Finding],
+    ) -> None:
+        self._config = config
+        self._found = {r.role for r in roles if r.statistics is not None}
+        self._wrong: dict[str, list[str]] = {}
+        for finding in findings:
+            if finding.wrong and finding.fault != "missing":
+                for role in finding.roles:
+                    words = f"{role} {finding.fault}"
+                    self._wrong.setdefault(role, []).append(words)
+        self._standing = any(f.fault == "axles-disagree" for f in findings)
+        self._absent = [
+            f"{r.role}: absent {100 * r.statistics.missing_share:.0f} % of "
+            "the time"
+            for r in roles
+            if r.statistics is not None
+            and r.statistics.missing_share > MISSING_SHARE
+        ]
+
+    def _problems(self, roles: Iterable[str]) -> list[str]:
+        wanted = list(roles)
+        problems = [
+            text for role in wanted for text in self._wrong.get(role, ())
+        ]
+        return list(dict.fromkeys(problems))
+
+    def _remarks(self, roles: Iterable[str]) -> list[str]:
+        wanted = set(roles)
+        return [text for text in self._absent if text.split(":")[0] in wanted]
+
+    def feed_forward(self) -> ModeVerdict:
+        read = self._speeds()
+        missing = [] if read else ["a speed"]
+        unfed = []
+        for corner in self._config.disc_corners():
+            pressure = self._pressure(corner)
+            if pressure is None:
+                unfed.append(corner.name)
+            else:
+                read.append(pressure)
+        if unfed:
+            missing.append(f"a pressure for {' '.join(unfed)}")
+        return self._verdict("ff", read, missing)
+
+    def feed_back(self) -> ModeVerdict:
+        read = self._speeds()
+        heat = self._config.heat
+        missing = [] if read else ["a speed"]
+        remarks = []
+        if "powertrain_torque" in self._found:
+            read.append("powertrain_torque")
+        elif heat.assume_powertrain_torque_nm is None:
+            missing.append(
+                "powertrain_torque (at the wheels), or "
+                "assume_powertrain_torque_nm"
+            )
+        else:
+            remarks.append(
+                "powertrain torque assumed as "
+                f"{heat.assume_powertrain_torque_nm:g} Nm"
+            )
+        if heat.slope == "accelerometer" and _ACCELEROMETER in self._found:
+            read.append(_ACCELEROMETER)
+        else:
+            remarks.append("the road is taken as flat")
+        verdict = self._verdict("fb", read, missing, remarks)
+        if not self._standing:
+            return verdict
+        return ModeVerdict(
+            "fb",
+            usable=False,
+            problems=(
+                *verdict.problems,
+                "axles disagree: the wheels do not tell the car's motion",
+            ),
+            missing=verdict.missing,
+            remarks=verdict.remarks,
+        )
+
+    def measured(self) -> ModeVerdict:
+        discs = [
+            f"temp_{corner.name.lower()}_disc"
+            for corner in self._config.disc_corners()
+        ]
+        read = [role for role in discs if role in self._found]
+        missing = [] if read else [f"one of {', '.join(discs)}"]
+        return self._verdict("measured", read, missing)
+
+    def _verdict(
+        self,
+        mode: str,
+        read: list[str],
+        missing: list[str],
+        remarks: Iterable[str] = (),
+    ) -> ModeVerdict:
+        problems = self._problems(dict.fromkeys(read))
+        return ModeVerdict(
+            mode,
+            usable=not (problems or missing),
+            problems=tuple(problems),
+            missing=tuple(missing),
+            remarks=(*remarks, *self._remarks(read)),
+        )
+
+    def _speeds(self) -> list[str]:
+        """Return the speeds that the estimator reads.
+
+        A corner without a wheel speed takes the vehicle's, the vehicle
+        without its own the mean of the wheels: all of them count.
+        """
+        return [
+            role for role in ("vehicle_speed", *WHEELS) if role in self._found
+        ]
+
+    def _pressure(self, corner: CornerConfig) -> str | None:
+        choice = [f"wheel_pressure_{corner.name.lower()}"]
+        if corner.circuit == "secondary":
+            choice.append("secondary_pressure")
+        choice.append("primary_pressure")
+        return next((role for role in choice if role in self._found), None)

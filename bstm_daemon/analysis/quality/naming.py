@@ -1,0 +1,134 @@
+"""From a fit to a fault with a name, or to plain agreement."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations
+from typing import TYPE_CHECKING
+
+from bstm_daemon.analysis.quality import limits
+from bstm_daemon.analysis.quality.channels import Channels, unit_ratio
+from bstm_daemon.units import UNITS
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from bstm_daemon.analysis.quality.comparison import Fit
+    from bstm_daemon.analysis.quality.finding import Fault, Notes
+
+
+@dataclass(frozen=True, slots=True)
+class Tolerance:
+    """What two readings may differ by; offsets in SI."""
+
+    scale: float
+    offset: float
+    lag_s: float = limits.LAG_S
+    unit: float = limits.UNIT_TOLERANCE
+
+
+@dataclass(frozen=True, slots=True)
+class Naming:
+    """The faults that a fit shows, each with its words."""
+
+    faults: tuple[tuple[Fault, str], ...] = ()
+    why_not_judged: str = ""
+
+    @property
+    def agrees(self) -> bool | None:
+        """True or False, None where nothing can be said."""
+        if self.why_not_judged:
+            return None
+        return all(fault == "lag" for fault, _ in self.faults)
+
+    @property
+    def verdict(self) -> str:
+        """The verdict in plain words."""
+        if self.why_not_judged:
+            return f"not judged: {self.why_not_judged}"
+        return "; ".join(text for _, text in self.faults) or "agrees"
+
+
+def name_faults(
+    channels: Channels,
+    role: str,
+    fit: Fit | None,
+    tolerance: Tolerance,
+    why_not: str = "",
+) -> Naming:
+    """Name what *fit* shows of *role*, the channel, against a reference.
+
+    *why_not* gives a reason of the caller's why nothing can be judged. A
+    scale is only named where the whole interval of the fit is wrong; a sign
+    and a scale may be wrong at once.
+    """
+    if why_not or fit is None or fit.seconds < limits.ENOUGH_S:
+        return Naming(why_not_judged=why_not or "too little in common")
+    if abs(fit.correlation) < limits.UNRELATED:
+        text = f"does not follow (r = {fit.correlation:.2f})"
+        return Naming((("unrelated", text),))
+    found: list[tuple[Fault, str]] = []
+    if fit.scale < 0.0:
+        found.append(("sign", "wrong sign"))
+    if fit.beyond(tolerance.scale):
+        found.append(_scale(channels, role, fit, tolerance))
+    elif abs(fit.offset) > tolerance.offset:
+        unit, factor = channels.unit(role)
+        found.append(("offset", f"offset {fit.offset / factor:+.3g} {unit}"))
+    lag_s = fit.lag_s
+    if lag_s is not None and abs(lag_s) > tolerance.lag_s:
+        late = "late" if lag_s > 0.0 else "early"
+        found.append(("lag", f"{abs(lag_s):.2f} s {late}"))
+    return Naming(tuple(found))
+
+
+def _scale(
+    channels: Channels, role: str, fit: Fit, tolerance: Tolerance
+) -> tuple[Fault, str]:
+    unit = channels.unit_for_scale(role, fit.scale, tolerance.unit)
+    configured, _ = channels.unit(role)
+    if unit is not None:
+        text = (
+            f"wrong unit: reads {abs(fit.scale):.3g} times as much, "
+            f"configured as {configured}, the values are {unit}"
+        )
+        return "unit", text
+    pair = unit_ratio(UNITS[configured].quantity, fit.scale, tolerance.unit)
+    if pair is not None:
+        return "unit", (
+            f"wrong unit: reads {abs(fit.scale):.3g} times as much, which is "
+            f"{pair[0]} to {pair[1]}: converted twice, or by the wrong one"
+        )
+    return "scale", f"wrong scale: reads {abs(fit.scale):.3g} times as much"
+
+
+def write_faults(
+    notes: Notes, role: str, naming: Naming, against: str
+) -> None:
+    """Write each fault of *naming* as one of *role*."""
+    for fault, text in naming.faults:
+        notes.fault(
+            fault, role, f"{text}, against {against}", wrong=fault != "lag"
+        )
+
+
+def components(
+    roles: Sequence[str], agrees: Callable[[str, str], bool | None]
+) -> list[tuple[str, ...]]:
+    """Return groups of *roles* that agree with one another, largest first.
+
+    A role joins a group by agreeing with any member; None from *agrees*
+    (nothing can be said) joins nothing.
+    """
+    group_of = {role: {role} for role in roles}
+    for one, other in combinations(roles, 2):
+        if group_of[one] is not group_of[other] and agrees(one, other):
+            merged = group_of[one] | group_of[other]
+            for role in merged:
+                group_of[role] = merged
+    found: list[tuple[str, ...]] = []
+    for role in roles:
+        group = tuple(name for name in roles if name in group_of[role])
+        if group not in found:
+            found.append(group)
+    return sorted(found, key=len, reverse=True)

@@ -1,0 +1,225 @@
+"""Wheel speeds, vehicle speed and GNSS speed against each other."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from bstm_daemon.analysis.quality import limits
+from bstm_daemon.analysis.quality.accelerations import fit_acceleration
+from bstm_daemon.analysis.quality.channels import WHEELS, Channels
+from bstm_daemon.analysis.quality.comparison import Fit, fit_channels, spread
+from bstm_daemon.analysis.quality.finding import Finding, Notes
+from bstm_daemon.analysis.quality.naming import (
+    Naming,
+    Tolerance,
+    components,
+    name_faults,
+    write_faults,
+)
+
+if TYPE_CHECKING:
+    from bstm_daemon.analysis.statistics.series import Column
+
+SPEEDS: Final = ("vehicle_speed", *WHEELS, "gnss_speed")
+_PAIRS: Final = (
+    ("wheel_speed_fl", "wheel_speed_fr"),
+    ("wheel_speed_rl", "wheel_speed_rr"),
+    ("wheel_speed_fl", "wheel_speed_rl"),
+    ("wheel_speed_fr", "wheel_speed_rr"),
+)
+
+
+def compare_speeds(channels: Channels, notes: Notes) -> None:
+    """Compare every speed, name the wrong ones, settle the car's speed."""
+    roles = channels.alive(SPEEDS)
+    if not roles:
+        return
+    table = _Table(channels)
+    groups = components(
+        roles, lambda one, other: table.naming(one, other).agrees
+    )
+    trusted = _trusted(channels, table, groups)
+    _write_comparisons(channels, notes, table, roles)
+    if trusted is None:
+        listed = " against ".join(", ".join(group) for group in groups)
+        notes.findings.append(_ambiguous(groups, listed))
+        channels.set_speed(roles)
+        return
+    channels.set_speed(trusted)
+    for role in roles:
+        if role in trusted:
+            _late_only(notes, table, role, trusted)
+            continue
+        naming = table.against(role, channels.speed)
+        if naming.agrees is False:
+            write_faults(notes, role, naming, _named(trusted))
+            channels.dead.add(role)
+
+
+def family(role: str) -> str:
+    """Return what shares a source with *role*: the wheels are one."""
+    return "wheels" if role in WHEELS else role
+
+
+def _named(roles: tuple[str, ...]) -> str:
+    return roles[0] if len(roles) == 1 else f"{len(roles)} other speeds"
+
+
+class _Table:
+    """Fits and verdicts of pairs, made once."""
+
+    def __init__(self, channels: Channels) -> None:
+        self._channels = channels
+        self._fits: dict[tuple[str, str], Fit | None] = {}
+
+    def fit(self, reference: str, channel: str) -> Fit | None:
+        key = (reference, channel)
+        if key not in self._fits:
+            self._fits[key] = fit_channels(
+                self._channels.value(reference),
+                self._channels.value(channel),
+                limits.SPEED_FLOOR_MS,
+            )
+        return self._fits[key]
+
+    def naming(self, reference: str, channel: str) -> Naming:
+        x = self._channels.value(reference)
+        return self._name(x, channel, self.fit(reference, channel))
+
+    def against(self, channel: str, speed: Column) -> Naming:
+        fit = fit_channels(
+            speed, self._channels.value(channel), limits.SPEED_FLOOR_MS
+        )
+        return self._name(speed, channel, fit)
+
+    def _name(self, x: Column, channel: str, fit: Fit | None) -> Naming:
+        y = self._channels.value(channel)
+        both = np.isfinite(x) & np.isfinite(y)
+        span = max(spread(x[both]), spread(y[both]))
+        why = ""
+        if span < limits.SPEED_SPAN_MS:
+            why = f"the speed varies by {span:.1f} m/s only"
+        lag_s = (
+            limits.GNSS_LAG_S if "gnss" in channel else Tolerance(1, 1).lag_s
+        )
+        return name_faults(
+            self._channels,
+            channel,
+            fit,
+            Tolerance(limits.SPEED_SCALE, limits.SPEED_OFFSET_MS, lag_s),
+            why,
+        )
+
+
+def _trusted(
+    channels: Channels, table: _Table, groups: list[tuple[str, ...]]
+) -> tuple[str, ...] | None:
+    """Return the group to believe, None where nothing decides.
+
+    Each source has one vote (wheels, vehicle, GNSS); the accelerometer
+    decides before them where it follows one group and no other.
+    """
+    if len(groups) == 1:
+        return groups[0]
+    judged = [
+        group
+        for group in groups
+        if any(
+            table.naming(one, other).agrees is not None
+            for one in group
+            for other in set().union(*groups) - set(group)
+        )
+    ]
+    if not judged:
+        return tuple(role for group in groups for role in group)
+    votes = [len({family(role) for role in group}) for group in judged]
+    if votes.count(max(votes)) == 1:
+        return judged[votes.index(max(votes))]
+    families = {family(r) for group in judged for r in group}
+    if len(families) == 1:
+        sizes = [len(group) for group in judged]
+        if sizes.count(max(sizes)) == 1:
+            return judged[sizes.index(max(sizes))]
+    borne_out = [
+        group for group in judged if _accelerometer_follows(channels, group)
+    ]
+    return borne_out[0] if len(borne_out) == 1 else None
+
+
+def _accelerometer_follows(channels: Channels, group: tuple[str, ...]) -> bool:
+    channels.set_speed(group)
+    fit = fit_acceleration(channels)
+    return (
+        fit is not None
+        and fit.correlation > limits.UNRELATED
+        and not fit.beyond(limits.ACCELERATION_SCALE)
+    )
+
+
+def _ambiguous(groups: list[tuple[str, ...]], listed: str) -> Finding:
+    roles = tuple(role for group in groups for role in group)
+    return Finding(
+        "ambiguous",
+        roles,
+        f"speeds disagree, {listed}: one side is wrong and this log does "
+        "not tell which",
+    )
+
+
+def _late_only(
+    notes: Notes, table: _Table, role: str, trusted: tuple[str, ...]
+) -> None:
+    """Name *role* late where it is against most of the others."""
+    others = [other for other in trusted if other != role]
+    late = [
+        text
+        for other in others
+        for fault, text in table.naming(other, role).faults
+        if fault == "lag"
+    ]
+    # of two, the one behind is called late
+    if len(others) == 1:
+        late = [text for text in late if text.endswith("late")]
+    if len(late) * 2 > len(others):
+        notes.fault(
+            "lag", role, f"{late[0]}, against {_named(trusted)}", wrong=False
+        )
+
+
+def _write_comparisons(
+    channels: Channels, notes: Notes, table: _Table, roles: list[str]
+) -> None:
+    pairs = [
+        ("vehicle_speed", wheel)
+        for wheel in WHEELS
+        if "vehicle_speed" in roles
+    ]
+    pairs += _PAIRS
+    gnss_to = "vehicle_speed" if "vehicle_speed" in roles else roles[0]
+    pairs.append((gnss_to, "gnss_speed"))
+    for one, other in pairs:
+        if one not in roles or other not in roles or one == other:
+            continue
+        naming = table.naming(one, other)
+        notes.compare(
+            f"{other} against {one}",
+            (one, other),
+            (channels.time_s, channels.value(one), channels.value(other)),
+            (naming.verdict, naming.agrees, table.fit(one, other)),
+            "km/h",
+            unit_si=1 / 3.6,
+        )
+
+
+def note_unjudged(channels: Channels, notes: Notes) -> None:
+    """Say which speeds have nothing to be compared with."""
+    roles = channels.alive(SPEEDS)
+    if len(roles) == 1:
+        notes.skip(f"{roles[0]}: the only speed, nothing to compare it with")
+    elif roles and spread(channels.speed) < limits.SPEED_SPAN_MS:
+        notes.skip(
+            f"speeds: they vary by less than {limits.SPEED_SPAN_MS:g} m/s in "
+            "this log"
+        )

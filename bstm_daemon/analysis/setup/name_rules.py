@@ -1,0 +1,196 @@
+"""What the name, unit and comment of a DBC signal say about its role.
+
+Names are split into words (:mod:`bstm_daemon.analysis.setup.words`) and
+compared with the rules of ``_data/names.toml``. A match is a proposal; a log
+decides (:mod:`bstm_daemon.analysis.setup.behaviour`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+from bstm_daemon.analysis.setup.words import NAMES, unit_of, words_of
+from bstm_daemon.bus.signals.dbc import (
+    UnusableSignalError,
+    multiplexers,
+    raw_signal,
+)
+from bstm_daemon.bus.signals.extraction import FD_LENGTHS
+from bstm_daemon.roles import CORNERS, ROLE_INDEX, ROLES
+from bstm_daemon.units import UNITS
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+
+    from cantools.database.can import Database, Message, Signal
+
+
+@dataclass(frozen=True, slots=True)
+class NameMatch:
+    """A signal that may play a role.
+
+    Args:
+        role: the role.
+        message: the message of the signal.
+        signal: the signal.
+        unit: a unit of the configuration, or "" where the DBC's unit is not
+            one of the role's.
+        caveat: why name and unit are not enough, "" where they are.
+    """
+
+    role: str
+    message: Message
+    signal: Signal
+    unit: str
+    caveat: str
+
+
+def _expanded(text: str) -> frozenset[str]:
+    """Return the words of *text*, those of the lists that it names too."""
+    found: set[str] = set()
+    for word in text.split():
+        named = NAMES["words"][word[1:]] if word.startswith("$") else ""
+        found |= _expanded(named) if named else {word}
+    return frozenset(found)
+
+
+@dataclass(frozen=True, slots=True)
+class _Rule:
+    """A name's words that speak for *role*, see ``_data/names.toml``.
+
+    Args:
+        role: a role; ``{corner}`` in it stands for the corner of the name.
+        has: lists of words; the name has one of each.
+        without: words that the name does not have.
+        only: the other words that it may have, None for any.
+        flag: only a flag plays the role.
+        needs_unit: the signal's unit must be known.
+        caveat: why the name is not enough, "" where it is.
+    """
+
+    role: str
+    has: tuple[frozenset[str], ...]
+    without: frozenset[str]
+    only: frozenset[str] | None = None
+    flag: bool = False
+    needs_unit: bool = False
+    caveat: str = ""
+
+    def holds(self, words: Iterable[str]) -> bool:
+        """Whether a name of *words* fits."""
+        found = frozenset(words)
+        others = found.difference(*self.has)
+        return (
+            found.isdisjoint(self.without)
+            and all(found & group for group in self.has)
+            and (self.only is None or others <= self.only)
+        )
+
+
+def _rule(
+    has: list[str], without: str = "", only: str | None = None, **keys: Any
+) -> _Rule:
+    return _Rule(
+        has=tuple(map(_expanded, has)),
+        without=_expanded(f"$not_measured {without}"),
+        only=None if only is None else _expanded(only),
+        **keys,
+    )
+
+
+_RULES: Final = tuple(_rule(**keys) for keys in NAMES["rule"])
+_SELECTOR: Final = {"p", "d", "park", "drive"}
+
+
+def name_matches(database: Database) -> list[NameMatch]:
+    """Return the roles that readable signals of *database* may play."""
+    return [
+        match
+        for message in database.messages
+        if message.length <= FD_LENGTHS[-1]
+        for signal in message.signals
+        if _is_readable(message, signal)
+        for match in _matches(message, signal)
+    ]
+
+
+def _is_readable(message: Message, signal: Signal) -> bool:
+    try:
+        for parent, _ in multiplexers(message, signal.name):
+            raw_signal(message, parent)
+        raw_signal(message, signal.name)
+    except UnusableSignalError:
+        return False
+    return True
+
+
+def _matches(message: Message, signal: Signal) -> Iterator[NameMatch]:
+    words = words_of(signal.name)
+    corner = next((word for word in words if word.upper() in CORNERS), "")
+    is_unit_known = unit_of(signal) in UNITS
+    seen = set()
+    for rule in _RULES:
+        role = rule.role.format(corner=corner)
+        if (
+            ("{corner}" in rule.role) == bool(corner)
+            and role not in seen
+            and (is_unit_known or not rule.needs_unit)
+            and rule.holds(words)
+        ):
+            match = _match(rule, role, message, signal)
+            if match is not None:
+                seen.add(role)
+                yield match
+
+
+def _match(
+    rule: _Rule, role: str, message: Message, signal: Signal
+) -> NameMatch | None:
+    quantities = ROLES[ROLE_INDEX[role]].quantities
+    unit, caveat = unit_of(signal), rule.caveat
+    is_flag = rule.flag or quantities == ("flag",)
+    fits = unit in UNITS and UNITS[unit].quantity in quantities
+    if signal.length == 1:
+        percent = fits and UNITS[unit].quantity == "fraction"
+        unit = unit if percent and not is_flag else "bool"
+        return (
+            NameMatch(role, message, signal, unit, caveat)
+            if "flag" in quantities or percent
+            else None
+        )
+    if is_flag or (not fits and _is_other_quantity(signal, unit)):
+        return None
+    if fits:
+        caveat = _shaft(role, signal, caveat)
+    elif "count" in quantities and not signal.unit:
+        unit = "count"
+        if role == "gear" and _SELECTOR.intersection(_texts(signal)):
+            caveat = "its texts are those of the selector, not of the gear"
+    else:
+        unit = ""
+        stated = (
+            f"its unit in the DBC is {signal.unit!r}"
+            if signal.unit
+            else "the DBC gives no unit"
+        )
+        caveat = ", ".join(filter(None, (caveat, stated)))
+    return NameMatch(role, message, signal, unit, caveat)
+
+
+def _is_other_quantity(signal: Signal, unit: str) -> bool:
+    """Whether the unit is that of another quantity; % may be of any."""
+    known = bool(signal.unit) and unit in UNITS
+    return known and UNITS[unit].quantity != "fraction"
+
+
+def _texts(signal: Signal) -> set[str]:
+    return {str(text).lower() for text in (signal.choices or {}).values()}
+
+
+def _shaft(role: str, signal: Signal, caveat: str) -> str:
+    """Return *caveat*, or that a motor's torque may not be at the wheels."""
+    text = words_of(str(signal.comment or ""))
+    if role != "motor_torque" or {"wheel", "wheels"}.intersection(text):
+        return caveat
+    return "check that it is meant at the wheels, else give the gear ratio"

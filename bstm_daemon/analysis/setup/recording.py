@@ -1,0 +1,262 @@
+"""What recorded logs hold of a DBC: which frames come, and their values.
+
+A log may hold several buses. The interface whose frames fit the DBC best, by
+id and length, is taken for the DBC's bus; the others are named and left out.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections import Counter
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from bstm_daemon.bus.opening import NOT_READ, id_text, open_log
+from bstm_daemon.bus.signals.columns import ChunkDecoder
+from bstm_daemon.bus.signals.dbc import (
+    UnusableSignalError,
+    multiplexers,
+    raw_signal,
+)
+from bstm_daemon.bus.signals.extraction import (
+    FD_LENGTHS,
+    Condition,
+    FrameKey,
+    MessagePlan,
+    Output,
+    frame_length,
+)
+from bstm_daemon.bus.signals.signal_map import SignalMap
+from bstm_daemon.config.sections import BusConfig
+from bstm_daemon.errors import LogError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+    from pathlib import Path
+
+    from cantools.database.can import Database, Message
+
+    from bstm_daemon.analysis.setup.name_rules import NameMatch
+
+Series = npt.NDArray[np.float64]
+FrameId = tuple[int, bool]
+
+_LARGEST: Final = sys.float_info.max
+_LOG_GAP_S: Final = 10.0
+
+
+@dataclass(frozen=True, slots=True)
+class Samples:
+    """The values of one signal, in the DBC's unit, with log time."""
+
+    time_s: Series
+    value: Series
+
+    @property
+    def rate_hz(self) -> float:
+        """Samples per second, gaps left out."""
+        steps = np.diff(self.time_s)
+        steps = steps[(steps > 0) & (steps < _LOG_GAP_S)]
+        return float(1 / np.median(steps)) if len(steps) else 0.0
+
+
+@dataclass(slots=True)
+class Recording:
+    """The values of signals in one or more logs.
+
+    ``samples`` is keyed by message and signal name. ``unknown`` are the ids
+    on the interface that the DBC does not have, ``others`` the interfaces
+    left out, each with the number of its ids and of those in the DBC.
+    ``lengths`` has the messages whose frames are longer than the DBC says:
+    they are read here, but the daemon refuses frames of another length.
+    """
+
+    interface: str = ""
+    duration_s: float = 0.0
+    samples: dict[tuple[str, str], Samples] = field(default_factory=dict)
+    unknown: list[str] = field(default_factory=list)
+    others: dict[str, tuple[int, int]] = field(default_factory=dict)
+    lengths: dict[str, int] = field(default_factory=dict)
+
+
+def read_recording(
+    logs: Sequence[Path], database: Database, matches: Iterable[NameMatch]
+) -> Recording:
+    """Read the signals of *matches* from *logs*, joined one after the other.
+
+    Raises :class:`LogError` where no interface has a frame of the DBC, and
+    what opening a log raises.
+    """
+    known = {
+        (message.frame_id, message.is_extended_frame): message
+        for message in database.messages
+        if message.length <= FD_LENGTHS[-1]
+    }
+    seen = _seen(logs)
+    fitting = {
+        interface: sum(
+            lengths.total() for key, lengths in ids.items() if key in known
+        )
+        for interface, ids in seen.items()
+    }
+    interface = max(fitting, key=lambda name: fitting[name], default="")
+    if not fitting.get(interface):
+        names = ", ".join(str(log) for log in logs)
+        msg = (
+            f"{names}: no frame has an id of the DBC; "
+            f"{sum(map(len, seen.values()))} other ids are there"
+        )
+        raise LogError(msg)
+    signals = sorted(
+        {(match.message.name, match.signal.name) for match in matches}
+    )
+    recording = Recording(
+        interface=interface,
+        unknown=[
+            id_text(can_id, extended=extended)
+            for can_id, extended in sorted(
+                seen[interface].keys() - known.keys()
+            )
+        ],
+        others={
+            name: (len(ids), len(ids.keys() & known.keys()))
+            for name, ids in seen.items()
+            if name != interface
+        },
+    )
+    lengths = {}
+    for key in seen[interface].keys() & known.keys():
+        ((length, _),) = seen[interface][key].most_common(1)
+        declared = frame_length(known[key].length)
+        lengths[key] = max(length, declared)
+        if length > declared:
+            recording.lengths[known[key].name] = length
+    plan = _plan(signals, known, lengths)
+    _read_samples(logs, plan, signals, recording)
+    return recording
+
+
+def _seen(logs: Sequence[Path]) -> dict[str, dict[FrameId, Counter[int]]]:
+    """Count the frames of each interface and id by their length."""
+    seen: dict[str, dict[FrameId, Counter[int]]] = {}
+    for log in logs:
+        reader = open_log(log)
+        for chunk in reader.chunks():
+            columns = (chunk.channel, chunk.can_id, chunk.extended)
+            rows = np.array([*columns, chunk.length], np.int64)
+            kinds, counts = np.unique(rows, axis=1, return_counts=True)
+            for kind, count in zip(
+                kinds.T.tolist(), counts.tolist(), strict=True
+            ):
+                channel, can_id, extended, length = kind
+                ids = seen.setdefault(reader.interfaces[channel], {})
+                lengths = ids.setdefault((can_id, bool(extended)), Counter())
+                lengths[length] += count
+    return seen
+
+
+def _plan(
+    signals: list[tuple[str, str]],
+    known: dict[FrameId, Message],
+    lengths: dict[FrameId, int],
+) -> SignalMap:
+    """Return a plan whose role numbers are positions in *signals*."""
+    plans = {}
+    for (can_id, extended), message in known.items():
+        wanted = [
+            (number, name)
+            for number, (owner, name) in enumerate(signals)
+            if owner == message.name
+        ]
+        length = lengths.get((can_id, extended), frame_length(message.length))
+        plan = _message_plan(message, wanted, length)
+        if plan is not None:
+            plans[FrameKey(0, can_id, extended)] = plan
+    bus = BusConfig(name="log", dbc="-")
+    return SignalMap(buses=(bus,), messages=plans, timeouts_us=())
+
+
+def _message_plan(
+    message: Message, wanted: list[tuple[int, str]], length: int
+) -> MessagePlan | None:
+    raw = {}
+    outputs = []
+    for number, name in wanted:
+        try:
+            held = multiplexers(message, name)
+            for each in (name, *(parent for parent, _ in held)):
+                raw[each] = raw_signal(message, each)
+        except UnusableSignalError:
+            continue
+        order = list(raw)
+        outputs.append(
+            Output(
+                role=number,
+                index=order.index(name),
+                expression=None,
+                conditions=tuple(
+                    Condition(order.index(parent), values)
+                    for parent, values in held
+                ),
+                gain=1.0,
+                bias=0.0,
+                low=-_LARGEST,
+                high=_LARGEST,
+                flag=False,
+            )
+        )
+    if not outputs:
+        return None
+    return MessagePlan(
+        key=FrameKey(0, message.frame_id, message.is_extended_frame),
+        name=message.name,
+        length=length,
+        is_fd=message.is_fd,
+        signals=tuple(raw.values()),
+        outputs=tuple(outputs),
+    )
+
+
+def _read_samples(
+    logs: Sequence[Path],
+    plan: SignalMap,
+    signals: list[tuple[str, str]],
+    recording: Recording,
+) -> None:
+    decoder = ChunkDecoder(plan)
+    ids = frozenset((key.can_id, key.extended) for key in plan.messages)
+    times: list[list[Series]] = [[] for _ in signals]
+    values: list[list[Series]] = [[] for _ in signals]
+    # a log may begin before the one read ahead of it: laid end to end
+    begin_s = 0.0
+    for log in logs:
+        reader = open_log(
+            log, lambda name: ids if name == recording.interface else None
+        )
+        first_us: int | None = None
+        last_s = begin_s
+        for chunk in reader.chunks():
+            if not len(chunk):
+                continue
+            first_us = int(chunk.time_us[0]) if first_us is None else first_us
+            buses = [
+                0 if name == recording.interface else NOT_READ
+                for name in reader.interfaces
+            ]
+            events = decoder.decode(chunk, buses)
+            stamps_s = (events.time_us - first_us) * 1e-6 + begin_s
+            last_s = max(last_s, float(stamps_s.max(initial=last_s)))
+            for number in np.unique(events.role).tolist():
+                mine = events.role == number
+                times[number].append(stamps_s[mine])
+                values[number].append(events.value[mine])
+        recording.duration_s += last_s - begin_s
+        begin_s = last_s + _LOG_GAP_S
+    for number, name in enumerate(signals):
+        if times[number]:
+            recording.samples[name] = Samples(
+                np.concatenate(times[number]), np.concatenate(values[number])
+            )

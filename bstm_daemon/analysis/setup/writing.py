@@ -1,0 +1,183 @@
+"""A proposal as the text of a complete configuration file."""
+
+from __future__ import annotations
+
+import json
+import os
+import textwrap
+from pathlib import Path
+from string import Template
+from typing import TYPE_CHECKING, Final
+
+from bstm_daemon.errors import ConfigError
+from bstm_daemon.roles import ROLE_INDEX, ROLES
+from bstm_daemon.units import UNITS
+
+if TYPE_CHECKING:
+    from bstm_daemon.analysis.setup.proposal import Candidate, Proposal
+    from bstm_daemon.analysis.setup.recording import Recording
+
+_TEMPLATE: Final = Path(__file__).parent / "_data" / "typical.toml"
+_WIDTH: Final = 79
+_MISSED_FRAMES: Final = 5
+_IDS_SHOWN: Final = 24
+_FEED_FORWARD: Final = """\
+[heat]
+mode = "ff"                   # pressure x friction x speed (Eq 4.1)
+brake_on_pressure_pa = 1.0e5  # Pa; typical, replace"""
+_FEED_BACK: Final = """\
+[heat]
+mode = "fb"                   # motion of the car (Eq 4.11): no sure pressure
+brake_on_force_n = 300.0      # N; typical, replace"""
+_ASSUMPTION: Final = """\
+# No sure torque at the wheels, so an assumption: 0.0 = the car coasts while it
+# brakes. Engine braking then counts as brake heat.
+assume_powertrain_torque_nm = 0.0  # Nm; typical, replace"""
+_SPEEDS: Final = ("vehicle_speed", "wheel_speed_")
+
+
+def configuration_text(
+    proposal: Proposal,
+    recording: Recording | None,
+    *,
+    dbc: Path,
+    folder: Path,
+    strict: bool,
+    encoding: str,
+) -> str:
+    """Return the configuration for *proposal*, as a file of *folder*.
+
+    Raises :class:`ConfigError` where no signal can be the car's speed: no
+    configuration would be complete.
+    """
+    sure, unsure = list(proposal.sure), list(proposal.unsure)
+    if not any(one.role.startswith(_SPEEDS) for one in sure):
+        speed = next(
+            (
+                one
+                for one in unsure
+                if one.role.startswith(_SPEEDS) and one.unit in UNITS
+            ),
+            None,
+        )
+        if speed is None:
+            msg = (
+                f"{dbc}: no signal has name and unit of a speed, without one "
+                "there is no estimate: write the configuration by hand"
+            )
+            raise ConfigError([msg])
+        unsure.remove(speed)
+        sure.insert(0, speed)
+    blocks = [_active(one) for one in sure]
+    if unsure:
+        title = "Unsure. Remove the '#' of what you know to be right."
+        blocks.append(_comment(title))
+        blocks += [_inactive(one) for one in unsure]
+    return Template(_TEMPLATE.read_text("utf-8")).substitute(
+        head=_head(recording, dbc),
+        vehicle=_text(dbc.stem),
+        channel=_text(recording.interface if recording else "can0"),
+        dbc=_text(Path(os.path.relpath(dbc, folder)).as_posix()),
+        strict="true" if strict else "false             # it has defects",
+        encoding=_text(encoding),
+        signals="\n\n".join(blocks),
+        heat=_heat(proposal),
+    )
+
+
+def _head(recording: Recording | None, dbc: Path) -> str:
+    origin = (
+        f"Proposed by 'bstm init' from {dbc.name}. What is marked 'typical, "
+        "replace' is no value of this car: estimates are an order of "
+        "magnitude until it is. docs/reference.md explains every key."
+    )
+    lines = [origin]
+    if recording is None:
+        lines.append(
+            "No log was given: the signals are chosen by name and unit only, "
+            "nothing is checked."
+        )
+        return "\n#\n".join(map(_comment, lines))
+    lines.append(
+        f"The signals were looked at in {recording.duration_s:.0f} s of log, "
+        f"interface {recording.interface}."
+    )
+    lines += notes_of(recording)
+    return "\n#\n".join(map(_comment, lines))
+
+
+def notes_of(recording: Recording) -> list[str]:
+    """Return what of the log the DBC does not explain, a sentence each."""
+    notes = []
+    if recording.unknown:
+        shown = ", ".join(recording.unknown[:_IDS_SHOWN])
+        more = len(recording.unknown) - _IDS_SHOWN
+        tail = f" and {more} more" if more > 0 else ""
+        notes.append(
+            f"{len(recording.unknown)} ids in the log are not in the DBC: "
+            f"{shown}{tail}."
+        )
+    notes += [
+        f"Interface {name} was left out: {known} of its {ids} ids are in the "
+        f"DBC. Replay with --map {name}=."
+        for name, (ids, known) in recording.others.items()
+    ]
+    return notes
+
+
+def _active(one: Candidate) -> str:
+    reason = one.reason if one.sure else f"UNSURE, check: {one.reason}"
+    lines = [_comment(_sentence(reason))]
+    if one.unread:
+        lines.append(_comment(f"NOT READ: {one.unread}."))
+    return "\n".join([*lines, *_keys(one)])
+
+
+def _inactive(one: Candidate) -> str:
+    keys = [f"# {line}" for line in _keys(one)]
+    return "\n".join([_comment(f"? {_sentence(one.reason)}"), *keys])
+
+
+def _keys(one: Candidate) -> list[str]:
+    lines = [
+        f"[signals.{one.role}]",
+        f"message = {_text(one.match.message.name)}",
+        f"signal = {_text(one.match.signal.name)}",
+        f"unit = {_text(one.unit or '?')}",
+    ]
+    if one.scale != 1.0:
+        lines.append(f"scale = {one.scale:g}")
+    if one.sign != 1:
+        lines.append(f"sign = {one.sign}")
+    usual_s = ROLES[ROLE_INDEX[one.role]].timeout_s
+    if one.rate_hz and _MISSED_FRAMES / one.rate_hz > usual_s:
+        timeout_s = _MISSED_FRAMES / one.rate_hz
+        lines.append(f"timeout_s = {timeout_s:.1f}")
+    return lines
+
+
+def _heat(proposal: Proposal) -> str:
+    if proposal.ready("primary_pressure"):
+        return _FEED_FORWARD
+    if proposal.ready("powertrain_torque"):
+        return _FEED_BACK
+    return f"{_FEED_BACK}\n{_ASSUMPTION}"
+
+
+def _comment(text: str) -> str:
+    return textwrap.fill(
+        text,
+        _WIDTH,
+        initial_indent="# ",
+        subsequent_indent="# ",
+        break_long_words=False,
+        break_on_hyphens=False,
+    )
+
+
+def _sentence(text: str) -> str:
+    return f"{text[:1].upper()}{text[1:]}."
+
+
+def _text(value: str) -> str:
+    return json.dumps(value, ensure_ascii=False)

@@ -1,0 +1,94 @@
+"""Received frames in one block of memory, for the compiled form.
+
+The compiled code (``live.h``) fills the records, puts them in order and takes
+their samples; a frame becomes a Python object only on demand.
+"""
+
+from __future__ import annotations
+
+import mmap
+import struct
+from typing import TYPE_CHECKING, Final
+
+from bstm_daemon.bus.live.link import DRAIN_LIMIT, Frame
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from bstm_daemon.native.loader import LiveExtension
+
+_HEAD: Final = struct.Struct("=qqIi4B4x")
+"""Stamp [ns], time [us], id, bus; extended, length, error, remote."""
+
+_TIME: Final = struct.Struct("=q")
+_TIME_OFFSET: Final = 8
+_DATA_BYTES: Final = 64
+RECORD_BYTES: Final = _HEAD.size + _DATA_BYTES
+
+
+class FrameRecords:
+    """The frames of some buses: the first ``ready`` in order, others held.
+
+    ``store`` is the memory, of which ``filled`` records are in use. As a
+    sequence it has the ready ones: time [us], bus number, frame.
+    """
+
+    __slots__ = ("extension", "filled", "ready", "room", "store")
+
+    def __init__(self, extension: LiveExtension, buses: int) -> None:
+        """Make room for a drain of each of *buses* and what it holds back."""
+        self.extension: Final = extension
+        self.room: Final = 2 * buses * DRAIN_LIMIT
+        # untouched pages take no memory
+        self.store: Final = mmap.mmap(
+            -1,
+            self.room * RECORD_BYTES,
+            flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS,
+        )
+        self.filled = 0
+        self.ready = 0
+
+    def __len__(self) -> int:
+        """Return the number of ready frames."""
+        return self.ready
+
+    def __getitem__(self, index: int) -> tuple[int, int, Frame]:
+        """Return time [us], bus number and frame of a ready one."""
+        if not 0 <= index < self.ready:
+            raise IndexError(index)
+        time_us, bus, frame = self.at(index)
+        return time_us, bus, frame
+
+    def __iter__(self) -> Iterator[tuple[int, int, Frame]]:
+        """Yield the ready ones."""
+        return map(self.at, range(self.ready))
+
+    def at(self, index: int) -> tuple[int, int, Frame]:
+        """Return any filled record as time [us], bus number, frame."""
+        start = index * RECORD_BYTES
+        stamp_ns, time_us, can_id, bus, extended, length, error, remote = (
+            _HEAD.unpack_from(self.store, start)
+        )
+        start += _HEAD.size
+        data = bytes(self.store[start : start + length])
+        frame = Frame(
+            stamp_ns, can_id, extended != 0, data, error != 0, remote != 0
+        )
+        return time_us, bus, frame
+
+    def set_time(self, index: int, time_us: int) -> None:
+        """Put a record on the axis at *time_us*."""
+        start = index * RECORD_BYTES + _TIME_OFFSET
+        _TIME.pack_into(self.store, start, time_us)
+
+    def sort(self, until_us: int) -> None:
+        """Put all in order; what is not after *until_us* becomes ready."""
+        self.ready = self.extension.sort(self.store, self.filled, until_us)
+
+    def drop_ready(self) -> None:
+        """Forget the ready frames; those held come first from now on."""
+        begin, end = self.ready * RECORD_BYTES, self.filled * RECORD_BYTES
+        self.filled -= self.ready
+        if self.ready and self.filled:
+            self.store[: end - begin] = self.store[begin:end]
+        self.ready = 0

@@ -1,0 +1,1 @@
+"""Readers of CAN logs, one module a format."""

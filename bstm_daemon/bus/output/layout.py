@@ -1,0 +1,483 @@
+"""The frames that the daemon publishes, as a table.
+
+``dbc/bstm.dbc`` says the same for other tools and ``docs/frames.md`` for
+people; tests hold the three together signal by signal. Encoding needs only
+this table, so an installed daemon depends on no DBC file for its own output.
+
+All signals are unsigned and little endian (Intel). A quantity of n bits uses
+the raw values 0..2^n - 3; all ones means not available, all ones minus one an
+error of the value itself.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field
+from functools import cache
+from math import isinf, isnan
+from operator import attrgetter
+from typing import TYPE_CHECKING, Any, Final
+
+from bstm_daemon.bus.output.e2e import COUNTER_COUNT
+from bstm_daemon.errors import ConfigError
+from bstm_daemon.estimate import (
+    NO_RISK,
+    Assist,
+    CarRisk,
+    CornerEstimate,
+    Downshift,
+    HeatMode,
+    Intervention,
+    Isolation,
+    Message,
+    RiskLevel,
+    Sound,
+    State,
+    Validity,
+    WearLevel,
+    WearSource,
+)
+from bstm_daemon.units import to_celsius
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Mapping
+    from enum import IntEnum
+
+    from bstm_daemon.estimate import CornerRisk, Estimate
+
+LAYOUT_VERSION: Final = 3
+"""Raised whenever a signal of an existing frame moves or changes meaning."""
+
+FRAME_BYTES: Final = 8
+CORNERS: Final = ("FL", "FR", "RL", "RR")
+
+ADVICE_OFFSET: Final = 0x02
+BLOCK_IDS: Final = 0x14
+"""Ids from the base on that belong to us, those in reserve included."""
+
+MAX_STANDARD_ID: Final = 0x7FF
+
+TEN_HERTZ_US: Final = 100_000
+ONE_HERTZ_US: Final = 1_000_000
+TENTH_HERTZ_US: Final = 10_000_000
+
+LATER_S: Final = 1e9
+"""Beyond the range of any signal."""
+
+_MM: Final = 1e3
+_KM: Final = 1e-3
+
+# DataIDList[counter] = key xor the masks of the bits set in the counter. The
+# list is linear, so a flipped counter bit changes the CRC in a known way;
+# these masks were searched so that every error of up to three bits, counter
+# included, is detected. Different keys never share an id at any counter.
+_COUNTER_BIT_MASKS: Final = (0x36, 0x09, 0xAA, 0xD7)
+
+
+@dataclass(frozen=True, slots=True)
+class Signal:
+    """One signal: raw = (physical - offset) / scale at bit *start*.
+
+    ``value`` gets it from the :class:`~bstm_daemon.estimate.Estimate`, for a
+    frame of a corner from its :class:`~bstm_daemon.estimate.CornerEstimate`:
+    a quantity in ``unit``, anything else as its raw code.
+    """
+
+    name: str
+    start: int
+    length: int
+    value: Callable[[Any], float]
+    choices: Mapping[int, str] = field(default_factory=dict)
+    scale: float = 1.0
+    offset: float = 0.0
+    maximum: float | None = None
+    unit: str = ""
+    is_quantity: bool = False
+
+    @property
+    def not_available(self) -> int:
+        """The raw value of a quantity that there is none."""
+        return (1 << self.length) - 1
+
+    @property
+    def error(self) -> int:
+        """The raw value of a quantity whose value is no number."""
+        return self.not_available - 1
+
+    def raw_of(self, source: Estimate | CornerEstimate) -> int:
+        """Return the raw value in a frame of *source*; never raises."""
+        value = self.value(source)
+        return self.raw(value) if self.is_quantity else int(value)
+
+    def raw(self, value: float) -> int:
+        """Return the raw value of the quantity *value*; never raises.
+
+        NaN is not available and an infinity an error; anything else outside
+        the range is sent as the end of the range.
+        """
+        if isnan(value):
+            return self.not_available
+        if isinf(value):
+            return self.error
+        top = self.maximum
+        if top is None:
+            top = self.offset + self.scale * (self.error - 1)
+        clipped = min(max(value, self.offset), top)
+        return round((clipped - self.offset) / self.scale)
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """One frame: where its id lies, when it is due, what it carries."""
+
+    name: str
+    id_offset: int
+    cycle_us: int
+    phase_us: int
+    signals: tuple[Signal, ...]
+    corner: str | None = None
+
+    @property
+    def data_ids(self) -> tuple[int, ...]:
+        """The 16 data ids of the end-to-end protection."""
+        return data_id_list(self.id_offset)
+
+    def is_due(self, time_us: int) -> bool:
+        """Return whether the frame goes out at grid time *time_us*."""
+        return (time_us - self.phase_us) % self.cycle_us == 0
+
+    def pack(self, estimate: Estimate) -> bytes:
+        """Return 8 bytes with every signal of *estimate*, yet unprotected.
+
+        A corner that *estimate* does not hold is sent as not available.
+        """
+        source: Estimate | CornerEstimate = estimate
+        if self.corner is not None:
+            source = estimate.corners.get(self.corner, _NO_CORNER)
+        bits = 0
+        for signal in self.signals[len(E2E_SIGNALS) :]:
+            bits |= signal.raw_of(source) << signal.start
+        return bits.to_bytes(FRAME_BYTES, "little")
+
+
+_NO_CORNER: Final = CornerEstimate()
+
+
+def _code(
+    name: str,
+    start: int,
+    length: int,
+    codes: type[IntEnum],
+    value: Callable[[Any], int],
+) -> Signal:
+    choices = {int(code): code.name.lower() for code in codes}
+    return Signal(name, start, length, value, choices)
+
+
+def _quantity(  # noqa: PLR0913  (the columns of the table)
+    name: str,
+    start: int,
+    length: int,
+    value: Callable[[Any], float],
+    *,
+    scale: float = 1.0,
+    offset: float = 0.0,
+    maximum: float | None = None,
+    unit: str = "",
+) -> Signal:
+    top = (1 << length) - 1
+    choices = {top: "not_available", top - 1: "error"}
+    return Signal(
+        *(name, start, length, value, choices, scale, offset, maximum, unit),
+        is_quantity=True,
+    )
+
+
+def _flag(name: str, start: int, when_0: str, when_1: str) -> Signal:
+    """Return the flag of the status *name*, there in snake case."""
+    words = re.findall("[A-Z][a-z]+", name)
+    get = attrgetter(f"status.{'_'.join(words).lower()}")
+    return Signal(name, start, 1, get, {0: when_0, 1: when_1})
+
+
+def _celsius(
+    name: str,
+    start: int,
+    length: int,
+    value: Callable[[Any], float],
+    *,
+    scale: float = 1.0,
+) -> Signal:
+    """Return a temperature, whose *value* is in kelvin."""
+    return _quantity(
+        *(name, start, length, lambda source: to_celsius(value(source))),
+        scale=scale,
+        offset=-60.0,
+        unit="degC",
+    )
+
+
+def _percent(
+    name: str,
+    start: int,
+    length: int,
+    value: Callable[[Any], float],
+    *,
+    scale: float,
+) -> Signal:
+    """Return a share, whose *value* is from 0 to 1."""
+    return _quantity(
+        *(name, start, length, lambda source: 100.0 * value(source)),
+        scale=scale,
+        maximum=100.0,
+        unit="%",
+    )
+
+
+def _risk(corner: CornerEstimate) -> CornerRisk:
+    return corner.risk or NO_RISK
+
+
+def _car_risk(estimate: Estimate) -> CarRisk:
+    return estimate.risk or _NO_CAR_RISK
+
+
+def _safe_in_s(corner: CornerEstimate) -> float:
+    """Later than the forecast reaches is the end of the range, no error."""
+    return min(_risk(corner).safe_in_s, LATER_S)
+
+
+_NO_CAR_RISK: Final = CarRisk()
+
+E2E_SIGNALS: Final = (
+    Signal("CRC", 0, 8, lambda _: 0),
+    Signal("Counter", 8, 4, lambda _: 0),
+)
+
+
+def _header(value: Callable[[Any], int]) -> tuple[Signal, ...]:
+    return (*E2E_SIGNALS, _code("Validity", 12, 4, Validity, value))
+
+
+TEMPERATURES_SIGNALS: Final = (
+    *_header(lambda c: c.validity),
+    _celsius("Disc", 16, 12, lambda c: c.disc_k, scale=0.5),
+    _celsius("PadFront", 28, 12, lambda c: c.pad_front_k, scale=0.5),
+    _celsius("PadBack", 40, 12, lambda c: c.pad_back_k, scale=0.5),
+    _celsius("Fluid", 52, 12, lambda c: c.fluid_k, scale=0.1),
+)
+
+RISK_SIGNALS: Final = (
+    *_header(lambda c: c.validity),
+    _quantity(
+        *("Margin", 16, 12, lambda c: c.margin_k),
+        scale=0.2,
+        offset=-400.0,
+        unit="K",
+    ),
+    _celsius("WetBoilingPoint", 28, 12, lambda c: c.boiling_k, scale=0.1),
+    _percent(
+        *("Probability", 40, 16, lambda c: _risk(c).probability), scale=0.002
+    ),
+    _code("Level", 56, 4, RiskLevel, lambda c: c.level),
+    _code("FadeLevel", 60, 4, RiskLevel, lambda c: _risk(c).fade),
+)
+
+FORECAST_SIGNALS: Final = (
+    *_header(lambda c: c.validity),
+    _celsius("Peak", 16, 12, lambda c: _risk(c).peak_k, scale=0.1),
+    _quantity(
+        *("PeakIn", 28, 6, lambda c: _risk(c).peak_in_s), scale=30.0, unit="s"
+    ),
+    _quantity("SafeIn", 34, 7, _safe_in_s, scale=60.0, unit="s"),
+    _quantity(
+        *("FluidDeviation", 41, 7, lambda c: _risk(c).fluid_deviation_k),
+        scale=0.5,
+        unit="K",
+    ),
+    _celsius("DutyPeak", 48, 9, lambda c: _risk(c).duty_peak_k),
+    _quantity("Age", 57, 7, lambda c: c.forecast_age_s, unit="s"),
+)
+
+CAR_RISK_SIGNALS: Final = (
+    *_header(lambda e: e.validity),
+    _percent(
+        *("Probability", 16, 10, lambda e: _car_risk(e).probability), scale=0.1
+    ),
+    _percent(
+        *("ProbabilityNow", 26, 10, lambda e: _car_risk(e).probability_now),
+        scale=0.1,
+    ),
+    _code("Level", 36, 4, RiskLevel, lambda e: _car_risk(e).level),
+    _celsius("BoilingPoint", 40, 9, lambda e: _car_risk(e).boiling_k),
+    _celsius("BoilingPointLow", 49, 9, lambda e: _car_risk(e).boiling_low_k),
+    _quantity(
+        *("Water", 58, 6, lambda e: _car_risk(e).water_percent),
+        scale=0.2,
+        unit="%",
+    ),
+)
+
+ADVICE_SIGNALS: Final = (
+    *_header(lambda e: e.advice.validity),
+    _code("Message", 16, 4, Message, lambda e: e.advice.message),
+    _code("Sound", 20, 2, Sound, lambda e: e.advice.sound),
+    _code("ShiftAdvice", 22, 2, Downshift, lambda e: e.advice.shift_advice),
+    _code(
+        *("GearboxRequest", 24, 2, Downshift),
+        lambda e: e.advice.gearbox_request,
+    ),
+    _code(
+        *("FrontIsolation", 26, 2, Isolation),
+        lambda e: e.advice.front_isolation,
+    ),
+    _code(
+        *("EmergencyAssist", 28, 3, Assist),
+        lambda e: e.advice.emergency_assist,
+    ),
+    _code(
+        *("Intervention", 31, 3, Intervention), lambda e: e.advice.intervention
+    ),
+    _quantity("WaitingTime", 34, 12, lambda e: e.advice.waiting_s, unit="s"),
+    _percent("PedalFeel", 46, 8, lambda e: e.advice.pedal_feel, scale=0.5),
+    _percent(
+        *("DetectorScore", 54, 8, lambda e: e.advice.detector_score), scale=0.5
+    ),
+)
+
+WEAR_SIGNALS: Final = (
+    *_header(lambda c: c.wear.validity),
+    _quantity(
+        *("PadThickness", 16, 12, lambda c: c.wear.thickness_m * _MM),
+        scale=0.01,
+        unit="mm",
+    ),
+    _quantity(
+        *("PadThicknessStd", 28, 8, lambda c: c.wear.std_m * _MM),
+        scale=0.02,
+        unit="mm",
+    ),
+    _quantity(
+        *("DiscLoss", 36, 8, lambda c: c.wear.disc_loss_m * _MM),
+        scale=0.02,
+        unit="mm",
+    ),
+    _quantity(
+        *("RemainingDistance", 44, 12),
+        lambda c: c.wear.remaining_distance_m * _KM,
+        scale=50.0,
+        unit="km",
+    ),
+    _code("Source", 56, 4, WearSource, lambda c: c.wear.source),
+    _code("Level", 60, 4, WearLevel, lambda c: c.wear.level),
+)
+
+STATUS_SIGNALS: Final = (
+    *_header(lambda e: e.validity),
+    Signal("LayoutVersion", 16, 4, lambda _: LAYOUT_VERSION),
+    _code("State", 20, 4, State, lambda e: e.status.state),
+    _code("HeatMode", 24, 3, HeatMode, lambda e: e.status.heat_mode),
+    Signal("CornersModelled", 27, 3, lambda e: len(e.corners)),
+    _flag("HistoryKnown", 30, "unknown", "known"),
+    _flag("CompiledKernel", 31, "python", "compiled"),
+    _quantity(
+        *("OldestInputAge", 32, 8, lambda e: e.status.oldest_input_age_s),
+        scale=0.1,
+        unit="s",
+    ),
+    _flag("SpeedStale", 40, "fresh", "stale"),
+    _flag("PressureStale", 41, "fresh", "stale"),
+    _flag("AccelerationStale", 42, "fresh", "stale"),
+    _flag("TorqueStale", 43, "fresh", "stale"),
+    _flag("AmbientStale", 44, "fresh", "stale"),
+    _flag("ClockJump", 45, "none", "jumped"),
+    _flag("InputSuspect", 46, "none", "suspect"),
+    _flag("HeatSubstituted", 47, "own", "substituted"),
+    _quantity("RejectedFrames", 48, 8, lambda e: e.status.rejected_frames),
+    _quantity("DroppedFrames", 56, 7, lambda e: e.status.dropped_frames),
+    _flag("ModelDisagrees", 63, "none", "disagrees"),
+)
+
+
+# name, id offset, cycle, phase, signals
+_CAR_FRAMES: Final = (
+    ("Status", 0x00, TEN_HERTZ_US, 0, STATUS_SIGNALS),
+    ("Advice", ADVICE_OFFSET, ONE_HERTZ_US, 0, ADVICE_SIGNALS),
+    ("Risk", 0x03, ONE_HERTZ_US, 900_000, CAR_RISK_SIGNALS),
+)
+
+# name, id offset, cycle, phase of the first corner, from one to the next
+_CORNER_FRAMES: Final = (
+    ("Temperatures", 0x04, TEN_HERTZ_US, 0, 0, TEMPERATURES_SIGNALS),
+    ("Risk", 0x08, ONE_HERTZ_US, 100_000, TEN_HERTZ_US, RISK_SIGNALS),
+    ("Forecast", 0x0C, ONE_HERTZ_US, 500_000, TEN_HERTZ_US, FORECAST_SIGNALS),
+    ("Wear", 0x10, TENTH_HERTZ_US, 0, ONE_HERTZ_US, WEAR_SIGNALS),
+)
+
+
+@cache
+def data_id_list(key: int) -> tuple[int, ...]:
+    """Return the 16 data ids (0..255) of the frame with *key*.
+
+    The key of a frame is its id offset, so the protection does not depend on
+    the base the user chooses.
+    """
+    ids = []
+    for counter in range(COUNTER_COUNT):
+        data_id = key
+        for bit, mask in enumerate(_COUNTER_BIT_MASKS):
+            if counter >> bit & 1:
+                data_id ^= mask
+        ids.append(data_id)
+    return tuple(ids)
+
+
+def published_frames(corners: Iterable[str]) -> tuple[Frame, ...]:
+    """Return the frames of a car with *corners*, in the order of their ids.
+
+    The slow frames go out on different 100 ms ticks: the transmit queue of a
+    CAN interface holds ten frames by default, and a burst would keep the bus
+    for longer than needed. Raises :class:`ValueError` for
+    a corner that is not FL, FR, RL or RR.
+    """
+    frames = [
+        Frame(f"BSTM_{name}", offset, cycle_us, phase_us, signals)
+        for name, offset, cycle_us, phase_us, signals in _CAR_FRAMES
+    ]
+    for corner in set(corners):
+        if corner not in CORNERS:
+            msg = f"a corner is one of {', '.join(CORNERS)}, got {corner!r}"
+            raise ValueError(msg)
+        place = CORNERS.index(corner)
+        frames += [
+            Frame(
+                f"BSTM_{corner}_{name}",
+                offset + place,
+                cycle_us,
+                phase_us + place * apart_us,
+                signals,
+                corner,
+            )
+            for name, offset, cycle_us, phase_us, apart_us, signals in (
+                _CORNER_FRAMES
+            )
+        ]
+    return tuple(sorted(frames, key=lambda frame: frame.id_offset))
+
+
+def own_ids(id_base: int, corners: Iterable[str]) -> tuple[int, ...]:
+    """Return the standard (11-bit) ids that a car with *corners* sends.
+
+    Raises :class:`~bstm_daemon.errors.ConfigError` where the block of ids
+    that starts at *id_base* does not fit into 11 bits.
+    """
+    last_base = MAX_STANDARD_ID - BLOCK_IDS + 1
+    if not 0 <= id_base <= last_base:
+        problem = (
+            f"[publish] id_base = 0x{id_base:X}: {BLOCK_IDS} ids from it on "
+            f"must fit into 11 bits, use 0x0 to 0x{last_base:X}"
+        )
+        raise ConfigError([problem])
+    return tuple(
+        id_base + frame.id_offset for frame in published_frames(corners)
+    )

@@ -1,0 +1,1 @@
+"""From frames to samples: DBC files, the signal map, the extraction plan."""

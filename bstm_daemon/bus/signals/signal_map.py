@@ -1,0 +1,440 @@
+"""DBC files plus configured roles, compiled into one extraction plan.
+
+:func:`compile_signal_map` is the only place where configuration and DBC
+meet. It reports every problem at once, each as
+``[signals.<role>] key = value: reason, what is allowed``; the caller puts
+the name of the configuration file in front.
+"""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass, field
+from difflib import get_close_matches
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+from bstm_daemon.bus.output.e2e import PROFILE2_BYTES
+from bstm_daemon.bus.output.e2e_profile5 import PROFILE5_BYTES
+from bstm_daemon.bus.signals.dbc import (
+    UnusableSignalError,
+    multiplexers,
+    raw_signal,
+    read_dbc,
+)
+from bstm_daemon.bus.signals.expression import (
+    Expression,
+    ExpressionError,
+    Name,
+    parse_expression,
+    signal_names,
+)
+from bstm_daemon.bus.signals.extraction import (
+    FD_LENGTHS,
+    Condition,
+    FrameKey,
+    MessagePlan,
+    Output,
+    RawSignal,
+    frame_length,
+)
+from bstm_daemon.errors import ConfigError
+from bstm_daemon.roles import ROLE_INDEX, ROLES, Role
+from bstm_daemon.units import UNITS, Unit
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+    from pathlib import Path
+
+    from cantools.database.can import Database, Message
+
+    from bstm_daemon.bus.signals.dbc_text import DbcDefect
+    from bstm_daemon.config.sections import BusConfig, SignalConfig
+    from bstm_daemon.config.service import E2eConfig
+
+_LARGEST: Final = sys.float_info.max
+_LONGEST_LIST: Final = 8
+
+
+@dataclass(frozen=True, slots=True)
+class SignalMap:
+    """The extraction plan of a configuration.
+
+    ``timeouts_us[role]`` is how long a value of a role counts as present,
+    ``warnings[bus]`` what had to be overlooked to load the bus's DBC,
+    ``protected`` the end-to-end protection that messages must carry.
+    """
+
+    buses: tuple[BusConfig, ...]
+    messages: Mapping[FrameKey, MessagePlan]
+    timeouts_us: tuple[int, ...]
+    warnings: Mapping[str, tuple[DbcDefect, ...]] = field(default_factory=dict)
+    protected: Mapping[FrameKey, E2eConfig] = field(default_factory=dict)
+
+    def wanted(self, bus: int) -> frozenset[tuple[int, bool]]:
+        """Return the (id, extended) that bus number *bus* is read for."""
+        return frozenset(
+            (key.can_id, key.extended)
+            for key in self.messages
+            if key.bus == bus
+        )
+
+    def roles(self) -> frozenset[int]:
+        """Return the numbers of the roles that have a source."""
+        return frozenset(
+            output.role
+            for plan in self.messages.values()
+            for output in plan.outputs
+        )
+
+
+def compile_signal_map(
+    buses: Sequence[BusConfig],
+    signals: Mapping[str, SignalConfig],
+    base: Path,
+    wheel_radius_m: float,
+    *,
+    e2e: Sequence[E2eConfig] = (),
+) -> SignalMap:
+    """Compile *signals* (role name to source) over the DBC files of *buses*.
+
+    DBC paths are relative to *base*; the first bus is the default one. A
+    wheel speed in an angular unit becomes m/s with *wheel_radius_m*. *e2e*
+    protects messages that roles are read from. Raises :class:`ConfigError`
+    with all problems.
+    """
+    compiler = _Compiler(buses, base, wheel_radius_m)
+    for role_name, config in signals.items():
+        compiler.add(role_name, config)
+    plans = compiler.plans()
+    # a role with a problem may be the one that reads a protected message
+    protected = (
+        {}
+        if compiler.problems
+        else _protected(e2e, plans, buses, compiler.problems)
+    )
+    if compiler.problems:
+        raise ConfigError(compiler.problems)
+    return SignalMap(
+        buses=tuple(buses),
+        messages=plans,
+        timeouts_us=timeouts_us(signals),
+        warnings=compiler.warnings,
+        protected=protected,
+    )
+
+
+def _protected(
+    e2e: Sequence[E2eConfig],
+    plans: Mapping[FrameKey, MessagePlan],
+    buses: Sequence[BusConfig],
+    lines: list[str],
+) -> dict[FrameKey, E2eConfig]:
+    """Return the frames that *e2e* protects; its problems go to *lines*."""
+    problems = Problems("[[e2e]]", lines)
+    names = [bus.name for bus in buses]
+    protected: dict[FrameKey, E2eConfig] = {}
+    for config in e2e:
+        bus = names[0] if config.bus is None else config.bus
+        plan = next(
+            (
+                plan
+                for plan in plans.values()
+                if plan.name == config.message and names[plan.key.bus] == bus
+            ),
+            None,
+        )
+        if plan is None:
+            reason = f"no role is read from it on the bus {bus!r}"
+            problems.add("message", config.message, reason)
+            continue
+        header = PROFILE2_BYTES if config.profile == 2 else PROFILE5_BYTES
+        needed = config.offset_bytes + header
+        if plan.length < needed:
+            reason = (
+                f"has {plan.length} bytes, CRC and counter of profile "
+                f"{config.profile} need {needed}"
+            )
+            problems.add("message", config.message, reason)
+        elif plan.key in protected:
+            problems.add("message", config.message, "is protected twice")
+        protected[plan.key] = config
+    return protected
+
+
+@dataclass(slots=True)
+class _Draft:
+    """A message plan that roles are still being added to."""
+
+    message: Message
+    signals: dict[str, RawSignal] = field(default_factory=dict)
+    outputs: list[Output] = field(default_factory=list)
+
+    def index(self, name: str) -> int:
+        """Return the position of the signal *name*, added when new."""
+        if name not in self.signals:
+            self.signals[name] = raw_signal(self.message, name)
+        return list(self.signals).index(name)
+
+    def conditions(self, names: Iterable[str]) -> tuple[Condition, ...]:
+        found = [
+            Condition(self.index(parent), values)
+            for name in names
+            for parent, values in multiplexers(self.message, name)
+        ]
+        return tuple(dict.fromkeys(found))
+
+
+class _Compiler:
+    """Collects message plans and problems, role by role."""
+
+    def __init__(
+        self, buses: Sequence[BusConfig], base: Path, wheel_radius_m: float
+    ) -> None:
+        self.problems: list[str] = []
+        self.warnings: dict[str, tuple[DbcDefect, ...]] = {}
+        self._buses = buses
+        self._wheel_radius_m = wheel_radius_m
+        self._drafts: dict[FrameKey, _Draft] = {}
+        self._databases: dict[str, Database] = {}
+        if not buses:
+            self.problems.append("[[bus]]: none is declared, one is needed")
+        for bus in buses:
+            if bus.name in self._databases:
+                self.problems.append(
+                    f"[[bus]] name = {bus.name!r}: declared twice"
+                )
+                continue
+            try:
+                loaded = read_dbc(
+                    base / bus.dbc, strict=bus.strict, encoding=bus.encoding
+                )
+            except ConfigError as error:
+                self.problems += (
+                    f"[[bus]] name = {bus.name!r}: {line}"
+                    for line in error.problems
+                )
+                continue
+            self._databases[bus.name] = loaded.database
+            if loaded.warnings:
+                self.warnings[bus.name] = loaded.warnings
+
+    def plans(self) -> dict[FrameKey, MessagePlan]:
+        return {
+            key: MessagePlan(
+                key=key,
+                name=draft.message.name,
+                length=frame_length(draft.message.length),
+                is_fd=draft.message.is_fd,
+                signals=tuple(draft.signals.values()),
+                outputs=tuple(draft.outputs),
+            )
+            for key, draft in self._drafts.items()
+        }
+
+    def add(self, role_name: str, config: SignalConfig) -> None:
+        """Add the role *role_name*, or the problems it has."""
+        problems = Problems(f"[signals.{role_name}]", self.problems)
+        if role_name not in ROLE_INDEX:
+            problems.unknown_role(role_name)
+            return
+        conversion = conversion_of(
+            ROLES[ROLE_INDEX[role_name]],
+            config,
+            self._wheel_radius_m,
+            problems,
+        )
+        expression = _expression(config, problems)
+        draft = self._draft(config, problems)
+        if draft is None or expression is None:
+            return
+        names = signal_names(expression)
+        if _all_known(config, names, draft.message, problems):
+            try:
+                index = min(draft.index(name) for name in names)
+                conditions = draft.conditions(names)
+            except UnusableSignalError as error:
+                problems.add(*_source_key(config), str(error))
+                return
+            if conversion is None:
+                return
+            draft.outputs.append(
+                Output(
+                    ROLE_INDEX[role_name],
+                    index,
+                    None if isinstance(expression, Name) else expression,
+                    conditions,
+                    *conversion,
+                )
+            )
+
+    def _draft(
+        self, config: SignalConfig, problems: Problems
+    ) -> _Draft | None:
+        """Return the draft of the configured message, or note why not."""
+        name = config.bus
+        names = [bus.name for bus in self._buses]
+        if name is None and names:
+            name = names[0]
+        if name is not None and name not in names:
+            hint = _nearest(name, names)
+            problems.add("bus", name, f"no [[bus]] has this name{hint}")
+        if name is None or name not in self._databases:
+            return None
+        number = names.index(name)
+        message = _message(
+            self._databases[name], self._buses[number].dbc, config, problems
+        )
+        if message is None:
+            return None
+        key = FrameKey(number, message.frame_id, message.is_extended_frame)
+        draft = self._drafts.setdefault(key, _Draft(message))
+        if draft.message is not message:
+            problems.add(
+                "message",
+                config.message,
+                f"has the id of {draft.message.name!r}, which another role "
+                "is read from: one of them must be right",
+            )
+            return None
+        return draft
+
+
+@dataclass(frozen=True, slots=True)
+class Problems:
+    """Where the problems of one section of the configuration go."""
+
+    section: str
+    lines: list[str]
+
+    def add(self, key: str, value: object, reason: str) -> None:
+        """Note that the *value* of *key* cannot be, for *reason*."""
+        self.lines.append(f"{self.section} {key} = {value!r}: {reason}")
+
+    def unknown_role(self, name: str) -> None:
+        """Note that no role has the *name* of the section."""
+        hint = _nearest(name, ROLE_INDEX)
+        self.lines.append(f"{self.section}: no role has this name{hint}")
+
+
+class Conversion(NamedTuple):
+    """From the source's unit to SI, with limits in SI, as in an output."""
+
+    gain: float
+    bias: float
+    low: float
+    high: float
+    flag: bool
+
+
+def conversion_of(
+    role: Role, config: SignalConfig, wheel_radius_m: float, problems: Problems
+) -> Conversion | None:
+    """Return the conversion of *role*, or note in *problems* why not.
+
+    Args:
+        role: The role.
+        config: Its source.
+        wheel_radius_m: Makes a speed of a wheel's angular speed [m].
+        problems: Where a unit that does not fit is noted.
+    """
+    unit = _unit(role, config, problems)
+    if unit is None:
+        return None
+    factor = unit.factor
+    if "speed" in role.quantities and unit.quantity == "angular_speed":
+        factor *= wheel_radius_m
+    return Conversion(
+        gain=factor * (config.sign * config.scale),
+        bias=factor * (config.sign * config.offset) + unit.offset,
+        low=_limit(config.min, factor, unit, -_LARGEST),
+        high=_limit(config.max, factor, unit, _LARGEST),
+        flag=unit.quantity == "flag",
+    )
+
+
+def timeouts_us(signals: Mapping[str, SignalConfig]) -> tuple[int, ...]:
+    """Return for each role how long a value of it counts as present [us]."""
+    own = {role: one.timeout_s for role, one in signals.items()}
+    return tuple(
+        round((own.get(role.name) or role.timeout_s) * 1e6) for role in ROLES
+    )
+
+
+def _message(
+    database: Database, file: str, config: SignalConfig, problems: Problems
+) -> Message | None:
+    by_name = {message.name: message for message in database.messages}
+    message = by_name.get(config.message or "")
+    if message is None:
+        hint = _nearest(config.message or "", by_name)
+        problems.add("message", config.message, f"not in {file!r}{hint}")
+    elif message.length > FD_LENGTHS[-1]:
+        reason = f"has {message.length} bytes, a frame carries at most 64"
+        problems.add("message", config.message, reason)
+        return None
+    return message
+
+
+def _source_key(config: SignalConfig) -> tuple[str, str | None]:
+    if config.expression is None:
+        return "signal", config.signal
+    return "expression", config.expression
+
+
+def _expression(config: SignalConfig, problems: Problems) -> Expression | None:
+    if config.expression is None:
+        return Name(config.signal or "")
+    try:
+        return parse_expression(config.expression)
+    except ExpressionError as error:
+        problems.add("expression", config.expression, str(error))
+        return None
+
+
+def _all_known(
+    config: SignalConfig,
+    names: Sequence[str],
+    message: Message,
+    problems: Problems,
+) -> bool:
+    known = [signal.name for signal in message.signals]
+    unknown = [name for name in names if name not in known]
+    for name in unknown:
+        what = "" if config.expression is None else f"{name!r} is "
+        hint = _nearest(name, known)
+        problems.add(
+            *_source_key(config),
+            f"{what}not a signal of message {message.name!r}{hint}",
+        )
+    return not unknown
+
+
+def _unit(role: Role, config: SignalConfig, problems: Problems) -> Unit | None:
+    unit = UNITS.get(config.unit)
+    if unit is not None and unit.quantity in role.quantities:
+        return unit
+    allowed = ", ".join(
+        name
+        for name, known in UNITS.items()
+        if known.quantity in role.quantities
+    )
+    what = "not a known unit" if unit is None else f"a unit of {unit.quantity}"
+    problems.add("unit", config.unit, f"{what}, allowed: {allowed}")
+    return None
+
+
+def _limit(
+    value: float | None, factor: float, unit: Unit, default: float
+) -> float:
+    return default if value is None else factor * value + unit.offset
+
+
+def _nearest(name: str, known: Iterable[str]) -> str:
+    """Return a hint for the user: the nearest known name, or a short list."""
+    names = list(known)
+    close = get_close_matches(name, names, n=1)
+    if close:
+        return f", the nearest name is {close[0]!r}"
+    if 0 < len(names) <= _LONGEST_LIST:
+        return f", there are: {', '.join(names)}"
+    return ""

@@ -1,0 +1,278 @@
+"""Parquet and HDF5 tables, in runs of rows."""
+
+from __future__ import annotations
+
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from bstm_daemon.bus.tables.source import TableChunk
+from bstm_daemon.errors import FileAccessError, LogError, MissingExtraError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Collection, Iterator
+    from pathlib import Path
+
+    import numpy.typing as npt
+
+CHUNK_ROWS: Final = 50_000
+
+
+class ParquetSource:
+    """A Parquet table (extra ``parquet``)."""
+
+    def __init__(self, path: Path, *, chunk_rows: int = CHUNK_ROWS) -> None:
+        """Open *path*.
+
+        Raises :class:`MissingExtraError`, :class:`FileAccessError`,
+        :class:`LogError`.
+        """
+        try:
+            import pyarrow.parquet as pq  # noqa: PLC0415  (an extra)
+        except ImportError as error:
+            raise MissingExtraError(
+                package="pyarrow",
+                extra="parquet",
+                purpose=f"{path}: a Parquet table",
+            ) from error
+        self.truncated = False
+        self.share = 0.0
+        self._path = path
+        self._chunk_rows = chunk_rows
+        with _naming_damage(path):
+            self._file = pq.ParquetFile(path)
+
+    def names(self) -> list[str]:
+        """Return the names of the columns."""
+        return [str(name) for name in self._file.schema_arrow.names]
+
+    def chunks(self, columns: Collection[str]) -> Iterator[TableChunk]:
+        """Yield the cells of *columns*; raises :class:`LogError`."""
+        first = 1
+        total = max(self._file.metadata.num_rows, 1)
+        batches = self._file.iter_batches(
+            self._chunk_rows, columns=list(columns)
+        )
+        while True:
+            with _naming_damage(self._path):
+                batch = next(batches, None)
+                if batch is None:
+                    break
+                cells = {
+                    name: self._cells(name, batch.column(name))
+                    for name in columns
+                }
+            count = batch.num_rows
+            self.share = (first - 1 + count) / total
+            yield TableChunk(count, np.arange(first, first + count), cells)
+            first += count
+        self._file.close()
+
+    def _cells(self, name: str, array: Any) -> list[str] | npt.NDArray[Any]:
+        from pyarrow import types  # noqa: PLC0415  (an extra)
+
+        kind = array.type
+        if types.is_dictionary(kind):
+            array = array.dictionary_decode()
+            kind = array.type
+        if types.is_timestamp(kind):
+            nanos = array.cast("timestamp[us]", safe=False)
+            return np.asarray(nanos.to_numpy(zero_copy_only=False))
+        if types.is_string(kind) or types.is_large_string(kind):
+            return [one or "" for one in array.to_pylist()]
+        if (
+            types.is_integer(kind)
+            or types.is_floating(kind)
+            or types.is_boolean(kind)
+            or types.is_decimal(kind)
+            or types.is_null(kind)
+        ):
+            values = (
+                [
+                    np.nan if one is None else float(one)
+                    for one in array.to_pylist()
+                ]
+                if array.null_count or types.is_decimal(kind)
+                else (array.to_numpy(zero_copy_only=False))
+            )
+            return np.asarray(values, np.float64)
+        msg = (
+            f"{self._path}: column {name!r} is of type {kind}, neither "
+            "numbers nor texts nor times"
+        )
+        raise LogError(msg)
+
+
+class Hdf5Source:
+    """An HDF5 table (extra ``hdf5``).
+
+    A column is a one-dimensional data set, a field of a compound one, or a
+    column of a two-dimensional one whose names stand in a text attribute of
+    it, of a group around it or of the file. A name is the path of the data
+    set, or its last part where only one data set has it.
+    """
+
+    def __init__(self, path: Path, *, chunk_rows: int = CHUNK_ROWS) -> None:
+        """Open *path*.
+
+        Raises :class:`MissingExtraError`, :class:`FileAccessError`,
+        :class:`LogError`.
+        """
+        try:
+            import h5py  # noqa: PLC0415  (an extra)
+        except ImportError as error:
+            raise MissingExtraError(
+                package="h5py", extra="hdf5", purpose=f"{path}: an HDF5 table"
+            ) from error
+        self.truncated = False
+        self.share = 0.0
+        self._path = path
+        self._chunk_rows = chunk_rows
+        with _naming_damage(path):
+            self._file = h5py.File(path, "r")
+            self._columns = self._found(h5py)
+
+    def names(self) -> list[str]:
+        """Return the names of the columns."""
+        return list(self._columns)
+
+    def chunks(self, columns: Collection[str]) -> Iterator[TableChunk]:
+        """Yield the cells of *columns*.
+
+        Raises :class:`LogError`, also where they differ in length.
+        """
+        sizes = {name: self._columns[name].size for name in columns}
+        if len(set(sizes.values())) > 1:
+            listed = ", ".join(f"{n} {size}" for n, size in sizes.items())
+            msg = f"{self._path}: columns of different length: {listed}"
+            raise LogError(msg)
+        total = next(iter(sizes.values()), 0)
+        for start in range(0, total, self._chunk_rows):
+            end = min(start + self._chunk_rows, total)
+            with _naming_damage(self._path):
+                cells = {
+                    name: self._columns[name].read(slice(start, end))
+                    for name in columns
+                }
+            self.share = end / total
+            yield TableChunk(end - start, np.arange(start + 1, end + 1), cells)
+        self._file.close()
+
+    def _found(self, h5py: Any) -> dict[str, _Column]:
+        """Return each column by its name."""
+        found: dict[str, _Column] = {}
+        short: dict[str, list[_Column]] = {}
+        data_sets: list[Any] = []
+
+        def note(_: str, item: Any) -> None:
+            if isinstance(item, h5py.Dataset):
+                data_sets.append(item)
+
+        self._file.visititems(note)
+        for data_set in data_sets:
+            path = data_set.name.strip("/")
+            for name, column in _columns_of(data_set, self._file).items():
+                full = f"{path}/{name}" if name else path
+                found[full] = column
+                short.setdefault(full.rpartition("/")[2], []).append(column)
+        for name, columns in short.items():
+            if len(columns) == 1:
+                found.setdefault(name, columns[0])
+        return found
+
+
+@dataclass(frozen=True, slots=True)
+class _Column:
+    """A column of *size* rows: what *index* gives for a run of rows."""
+
+    data_set: Any
+    size: int
+    index: Callable[[slice], Any]
+    field: str | None = None
+
+    def read(self, rows: slice) -> list[str] | npt.NDArray[Any]:
+        """Return the cells of *rows*."""
+        values = self.data_set[self.index(rows)]
+        return _as_cells(values if self.field is None else values[self.field])
+
+
+def _columns_of(data_set: Any, file: Any) -> dict[str, _Column]:
+    """Return the columns in *data_set* by name; "" is the data set itself."""
+    shape: tuple[int, ...] = data_set.shape or ()
+    if len(shape) == 1:
+        fields = data_set.dtype.names
+        if fields is None:
+            return {"": _Column(data_set, shape[0], _plain)}
+        return {
+            name: _Column(data_set, shape[0], _plain, name) for name in fields
+        }
+    if len(shape) != 2:
+        return {}
+    holder = data_set
+    while True:
+        for value in holder.attrs.values():
+            names = _as_names(value)
+            if len(names) in shape:
+                by_column = len(names) == shape[1]
+                size = shape[0] if by_column else shape[1]
+                return {
+                    name: _Column(data_set, size, _line_of(i, by_column))
+                    for i, name in enumerate(names)
+                }
+        if holder == file:
+            return {}
+        holder = holder.parent
+
+
+def _plain(rows: slice) -> Any:
+    return rows
+
+
+def _line_of(place: int, by_column: bool) -> Callable[[slice], Any]:  # noqa: FBT001
+    if by_column:
+        return lambda rows: (rows, place)
+    return lambda rows: (place, rows)
+
+
+def _as_names(value: Any) -> list[str]:
+    listed = np.asarray(value)
+    if listed.ndim != 1 or listed.dtype.kind not in "OSU":
+        return []
+    return [_text(one).strip() for one in listed.tolist()]
+
+
+def _as_cells(values: npt.NDArray[Any]) -> list[str] | npt.NDArray[Any]:
+    if values.dtype.kind in "biuf" and values.ndim == 1:
+        return values
+    return [_text(one) for one in values.tolist()]
+
+
+def _text(one: object) -> str:
+    if isinstance(one, bytes):
+        return one.decode("utf-8", "replace")
+    return str(one)
+
+
+@contextmanager
+def _naming_damage(path: Path) -> Iterator[None]:
+    """Name *path* in what a library raises of a file."""
+    try:
+        yield
+    except LogError:
+        raise
+    except FileNotFoundError as error:
+        msg = f"{path}: cannot be read: {error.strerror or error}"
+        raise FileAccessError(msg) from error
+    except (
+        ArithmeticError,
+        LookupError,
+        OSError,
+        RuntimeError,
+        TypeError,
+        ValueError,
+        NotImplementedError,
+    ) as error:
+        msg = f"{path}: damaged: {error}"
+        raise LogError(msg) from error

@@ -1,0 +1,46 @@
+"""What a signal table offers, whatever its file format."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Protocol
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Iterator, Mapping
+
+    import numpy as np
+    import numpy.typing as npt
+
+
+@dataclass(frozen=True, slots=True)
+class TableChunk:
+    """Rows of a table: *rows* were read, these of them have cells.
+
+    ``line`` is the line number in a text, else the row number, from 1;
+    ``cells`` has per column texts, numbers or ``datetime64``.
+    """
+
+    rows: int
+    line: npt.NDArray[np.int64]
+    cells: Mapping[str, list[str] | npt.NDArray[Any]]
+
+
+class TableSource(Protocol):
+    """Reads one table, once.
+
+    ``truncated`` marks a file without its end, ``share`` how much of it
+    is read, from 0 to 1.
+    """
+
+    truncated: bool
+    share: float
+
+    def names(self) -> list[str]:
+        """Return the names of the columns."""
+
+    def chunks(self, columns: Collection[str]) -> Iterator[TableChunk]:
+        """Yield the cells of *columns* (names of the table) in order.
+
+        Raises :class:`~bstm_daemon.errors.FileAccessError` and, for a
+        damaged table, :class:`~bstm_daemon.errors.LogError`.
+        """

@@ -1,0 +1,1 @@
+"""The configuration of one vehicle: sections, rules, reading, wording."""

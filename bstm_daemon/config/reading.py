@@ -1,0 +1,181 @@
+"""Reads a configuration file and reports every problem of it at once.
+
+Each section is validated by itself, so that a bad ``[vehicle]`` hides no bad
+signal; then the rules between sections run over the sections that are valid.
+"""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from contextlib import contextmanager
+from dataclasses import fields
+from typing import TYPE_CHECKING, Any, Final, get_args, get_origin
+
+from pydantic import ValidationError
+
+from bstm_daemon.config.rules import Draft, problems_between
+from bstm_daemon.config.sections import Config
+from bstm_daemon.config.wording import hint, problems_of_section, toml_text
+from bstm_daemon.errors import ConfigError, FileAccessError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+    from bstm_daemon.config.section import Section
+
+_REQUIRED: Final = ("vehicle", "bus", "signals", "corner")
+_WITHOUT_DEFAULTS: Final = ("vehicle", "table")
+_POSITION: Final = re.compile(r"(.*) \(at (.*)\)$", re.DOTALL)
+
+
+def load_config(path: Path) -> Config:
+    """Read and validate the configuration file *path*.
+
+    Paths inside it (``dbc``) are relative to its folder, ``path.parent``.
+
+    Raises:
+        FileAccessError: The file is missing or unreadable.
+        ConfigError: With one line for every problem,
+            ``FILE: [section] key = value: reason, allowed range``.
+
+    """
+    with naming_file(path):
+        document = _read(path)
+        _, problems = draft_of(document)
+        if problems:
+            raise ConfigError(problems)
+    written = {name: value for name, value in document.items() if value}
+    return Config.model_validate(written)
+
+
+def read_draft(path: Path) -> tuple[Draft, list[str]]:
+    """Read *path* as far as it is valid; also list its problems.
+
+    Raises:
+        FileAccessError: The file is missing or unreadable.
+        ConfigError: It is not TOML.
+
+    """
+    return draft_of(_read(path))
+
+
+def draft_of(document: dict[str, Any]) -> tuple[Draft, list[str]]:
+    """Take what is valid of a parsed file; also list its problems."""
+    problems = [*_section_names(document)]
+    valid = {
+        name: _valid(document, name, problems) for name in Config.model_fields
+    }
+    names = [one.name for one in fields(Draft) if one.name in valid]
+    draft = Draft(document, **{name: valid[name] for name in names})
+    problems.extend(problems_between(draft))
+    return draft, problems
+
+
+@contextmanager
+def naming_file(path: Path) -> Iterator[None]:
+    """Put the file's name before each problem of a ConfigError from inside."""
+    try:
+        yield
+    except ConfigError as error:
+        lines = [f"{path}: {problem}" for problem in error.problems]
+        raise ConfigError(lines) from error
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        text = path.read_bytes().decode("utf-8")
+    except OSError as error:
+        msg = f"{path}: {error.strerror}, give a readable configuration file"
+        raise FileAccessError(msg) from error
+    except UnicodeDecodeError as error:
+        msg = f"byte {error.start}: is not UTF-8, save the file as UTF-8"
+        raise ConfigError([msg]) from error
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        found = _POSITION.match(str(error))
+        reason, place = found.groups() if found else (str(error), "TOML")
+        raise ConfigError([f"{place}: {reason}"]) from error
+
+
+def _section_names(document: dict[str, Any]) -> Iterator[str]:
+    known = Config.model_fields
+    for name, value in document.items():
+        if name in known:
+            continue
+        if isinstance(value, dict):
+            problem = f"[{name}]: unknown section"
+        elif isinstance(value, list):
+            problem = f"[[{name}]]: unknown section"
+        else:
+            problem = f"{name} = {toml_text(value)}: stands before any section"
+        yield f"{problem}, {hint(name, known)}"
+    for name in _REQUIRED:
+        needless = name == "bus" and _only_columns(document.get("signals"))
+        if not (document.get(name) or needless):
+            yield f"{_heading(name)}: missing, every file needs it"
+
+
+def _only_columns(signals: object) -> bool:
+    """Whether all roles come from a table, so that no bus is needed."""
+    tables = list(signals.values()) if isinstance(signals, dict) else []
+    return bool(tables) and all(
+        isinstance(table, dict) and "column" in table for table in tables
+    )
+
+
+def _heading(name: str) -> str:
+    if name == "signals":
+        return "[signals.<role>]"
+    return f"[[{name}]]" if _form(name)[0] is list else f"[{name}]"
+
+
+def _form(name: str) -> tuple[type | None, type[Section]]:
+    """Return what holds section *name* (list, dict, else none), its model."""
+    annotation: Any = Config.model_fields[name].annotation
+    models = [one for one in get_args(annotation) if one is not type(None)]
+    origin = get_origin(annotation)
+    holder = origin if origin in {list, dict} else None
+    return holder, models[-1] if models else annotation
+
+
+def _valid(document: dict[str, Any], name: str, problems: list[str]) -> Any:
+    """Return the valid sections *name* in the form that Config has."""
+    holder, model = _form(name)
+    empty: Any = [] if holder is list else {}
+    value = document.get(name, empty)
+    if not isinstance(value, type(empty)):
+        problems.append(f"{name}: must be written {_heading(name)}")
+        return empty if holder else None
+    if holder is list:
+        sections = [
+            _validated(one, model, f"[[{name}]] {_label(one, n)}", problems)
+            for n, one in enumerate(value, start=1)
+        ]
+        return [one for one in sections if one is not None]
+    if holder is dict:
+        found = {
+            key: _validated(table, model, f"[{name}.{key}]", problems)
+            for key, table in value.items()
+        }
+        return {key: one for key, one in found.items() if one is not None}
+    if name in _WITHOUT_DEFAULTS and not value:
+        return None
+    return _validated(value, model, f"[{name}]", problems)
+
+
+def _label(table: object, number: int) -> str:
+    label = table.get("name") if isinstance(table, dict) else None
+    return label if label and isinstance(label, str) else f"number {number}"
+
+
+def _validated(
+    table: object, model: type[Section], where: str, problems: list[str]
+) -> Section | None:
+    try:
+        return model.model_validate(table)
+    except ValidationError as error:
+        problems.extend(problems_of_section(error, model, where))
+        return None

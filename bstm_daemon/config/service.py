@@ -1,0 +1,114 @@
+"""The sections that only the live service reads, and protected inputs."""
+
+from __future__ import annotations
+
+from typing import Annotated, Final, Literal, Self
+
+from pydantic import Field, model_validator
+
+from bstm_daemon.config.section import Positive, Section, Text, require
+
+DataId = Annotated[int, Field(ge=0, le=0xFFFF)]
+
+PUBLISHED_IDS: Final = 20
+"""Ids from ``[publish] id_base`` on that belong to the daemon."""
+
+
+class PublishConfig(Section):
+    """``[publish]``: frames out; nothing is sent unless ``enabled``."""
+
+    enabled: bool = False
+    bus: str | None = None
+    id_base: Annotated[int, Field(ge=0, le=0x800 - PUBLISHED_IDS)] = 0x5B0
+    requests: bool = False
+
+
+class E2eConfig(Section):
+    """``[[e2e]]``: end-to-end protection of a received message.
+
+    Profile 2: ``data_ids``, one per counter value, CRC in byte 0, counter in
+    the low nibble of byte 1. Profile 5: ``data_ids`` has one entry, the CRC
+    lies at ``offset_bytes``, the counter behind it (AUTOSAR PRS E2E).
+    ``max_delta`` is how far the counter may move on from frame to frame.
+    """
+
+    message: Text
+    profile: Literal[2, 5]
+    data_ids: list[DataId]
+    bus: str | None = None
+    offset_bytes: Annotated[int, Field(ge=0, le=61)] = 0
+    max_delta: Annotated[int, Field(ge=1, le=14)] = 3
+
+    @model_validator(mode="after")
+    def _ids_fit(self) -> Self:
+        needed = 16 if self.profile == 2 else 1
+        require(
+            len(self.data_ids) == needed,
+            f"'data_ids' of profile {self.profile} are {needed}, "
+            f"{len(self.data_ids)} given",
+        )
+        if self.profile == 2:
+            require(
+                max(self.data_ids) <= 0xFF,
+                "'data_ids' of profile 2 are bytes, 0 to 255",
+            )
+            require(
+                self.offset_bytes == 0,
+                "'offset_bytes' goes with profile 5; profile 2 begins at 0",
+            )
+        return self
+
+
+class StateConfig(Section):
+    """``[state]``: the file that carries the brakes over a restart.
+
+    ``file`` default: ``<vehicle id>.state`` in ``$STATE_DIRECTORY``, else in
+    ``$XDG_STATE_HOME/bstm``. Saved every ``interval_s`` while a node moves
+    by more than 1 K/min, else every ``idle_interval_s``.
+    """
+
+    file: Text | None = None
+    interval_s: Annotated[float, Field(ge=0.1, le=3600)] = 10.0
+    idle_interval_s: Annotated[float, Field(ge=0.1, le=86400)] = 300.0
+
+
+class DaemonConfig(Section):
+    """``[daemon]``: the loop of the live service.
+
+    The buses are drained every ``drain_s``; a missing interface is looked
+    for every ``reopen_s``; the kernel is asked for ``receive_buffer_bytes``.
+    """
+
+    drain_s: Annotated[float, Field(ge=0.001, le=0.1)] = 0.1
+    reopen_s: Annotated[float, Field(ge=0.05, le=60)] = 1.0
+    receive_buffer_bytes: Annotated[int, Field(ge=4096, le=10**8)] = 2**22
+
+
+class RecordConfig(Section):
+    """``[record]``: a ring of the wanted frames, candump ``.log.gz``.
+
+    The last ``ring_bytes`` of segments of ``segment_s`` stay in ``folder``;
+    what is kept aside (risk, disagreement, model or on request) reaches
+    back ``before_s`` and on for ``after_s`` and takes at most ``kept_bytes``.
+    ``folder`` default: ``record`` beside the state file.
+    """
+
+    enabled: bool = False
+    folder: Text | None = None
+    segment_s: Annotated[float, Field(ge=1, le=3600)] = 60.0
+    ring_bytes: Annotated[int, Field(ge=2**16)] = 64 * 2**20
+    kept_bytes: Annotated[int, Field(ge=2**16)] = 256 * 2**20
+    before_s: Positive = 600.0
+    after_s: Positive = 600.0
+
+
+class MetricsConfig(Section):
+    """``[metrics]``: a text file for node_exporter's textfile collector.
+
+    ``file`` default: ``bstm.prom`` in ``$RUNTIME_DIRECTORY``; without that
+    variable and without the key there is no file.
+    """
+
+    enabled: bool = False
+    file: Text | None = None
+    interval_s: Annotated[float, Field(ge=0.5, le=3600)] = 10.0

@@ -1,1 +1,0 @@
-"""The live service: clock, loop, state and what it tells the world."""

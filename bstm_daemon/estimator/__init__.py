@@ -1,0 +1,1 @@
+"""The estimator: heat and temperature coupled, its state and validity."""

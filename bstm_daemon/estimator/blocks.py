@@ -1,0 +1,170 @@
+"""Estimates as flat arrays, and where each number of a publication lies."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from math import nan
+from typing import TYPE_CHECKING, Final
+
+from bstm_daemon.channels import CHANNELS, VEHICLE_CHANNELS
+from bstm_daemon.estimate import Validity
+
+if TYPE_CHECKING:
+    from array import array
+
+    from bstm_daemon.model.thermal.program import Program
+    from bstm_daemon.model.wear.car import Laws
+
+_CHANNEL: Final = {name: i for i, name in enumerate(CHANNELS)}
+_VEHICLE: Final = {name: i for i, name in enumerate(VEHICLE_CHANNELS)}
+
+
+@dataclass(frozen=True, slots=True)
+class Group:
+    """Corners marched together.
+
+    ``state_names`` are those of a state: nodes, of which there are
+    ``nodes``, then memories; ``size`` counts the running energies too.
+    """
+
+    corners: tuple[str, ...]
+    state_names: tuple[str, ...]
+    nodes: int
+    size: int
+
+
+@dataclass(frozen=True)
+class BlockLayout:
+    """Corners in the order of a block's rows, and groups of its outputs."""
+
+    corners: tuple[str, ...]
+    groups: tuple[Group, ...]
+
+    @cached_property
+    def rows(self) -> dict[str, int]:
+        """Place of each corner in a row of the channels."""
+        return {
+            name: place * len(CHANNELS)
+            for place, name in enumerate(self.corners)
+        }
+
+    @cached_property
+    def modelled(self) -> dict[str, tuple[int, int, int, Group]]:
+        """Group and place in its outputs of each corner with a model.
+
+        Number of the group, first number of the corner, numbers of the group
+        at a publication, the group; in the order of the outputs.
+        """
+        return {
+            name: (
+                number,
+                member * group.size,
+                len(group.corners) * group.size,
+                group,
+            )
+            for number, group in enumerate(self.groups)
+            for member, name in enumerate(group.corners)
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class Block:
+    """Contiguous estimates at the publications of one stretch of samples.
+
+    With n publications: ``times_us`` [n]; ``rows`` [n, corners, CHANNELS]
+    and ``vehicle`` [n, VEHICLE_CHANNELS], the step that ends at each;
+    ``outputs`` per group [n, corners of the group, size]: node temperatures
+    [K] and memories, then the running energy of each heat source [J];
+    ``flags`` [n], the bits of all steps since the last publication;
+    ``validity`` per corner of a thermal model [n]. All flat.
+    """
+
+    layout: BlockLayout
+    times_us: array[int]
+    rows: array[float]
+    vehicle: array[float]
+    outputs: tuple[array[float], ...]
+    flags: array[int]
+    validity: dict[str, array[int]]
+    known_from: int
+    """The first publication at which the start no longer matters."""
+    wear: dict[str, Laws]
+    """Per corner of a thermal model: from which publication which law."""
+
+    def at(self, i: int) -> Instant:
+        """Return a view of publication *i*."""
+        return Instant(self, i)
+
+
+@dataclass(frozen=True, slots=True)
+class Instant:
+    """One publication of a block; a view, which copies what is asked for."""
+
+    block: Block
+    i: int
+
+    @property
+    def time_us(self) -> int:
+        """Its grid time [us]."""
+        return self.block.times_us[self.i]
+
+    @property
+    def flags(self) -> int:
+        """Bits of all steps since the publication before."""
+        return self.block.flags[self.i]
+
+    @property
+    def history_known(self) -> bool:
+        """Whether the start no longer matters."""
+        return self.i >= self.block.known_from
+
+    def vehicle(self, channel: str) -> float:
+        """Return *channel* of VEHICLE_CHANNELS."""
+        wide = len(VEHICLE_CHANNELS)
+        return self.block.vehicle[self.i * wide + _VEHICLE[channel]]
+
+    def channel(self, corner: str, channel: str) -> float:
+        """Return *channel* of CHANNELS of *corner*, modelled or not."""
+        return self.block.rows[self._row(corner) + _CHANNEL[channel]]
+
+    def row(self, corner: str) -> array[float]:
+        """Return all channels of *corner*, modelled or not."""
+        first = self._row(corner)
+        return self.block.rows[first : first + len(CHANNELS)]
+
+    def output(self, corner: str) -> array[float]:
+        """Return state and running energies of *corner*."""
+        number, first, stride, group = self.block.layout.modelled[corner]
+        first += self.i * stride
+        return self.block.outputs[number][first : first + group.size]
+
+    def state(self, corner: str) -> dict[str, float]:
+        """Return nodes [K] and memories of *corner* by name."""
+        names = self.block.layout.modelled[corner][3].state_names
+        return dict(zip(names, self.output(corner), strict=False))
+
+    def validity(self, corner: str) -> Validity:
+        """Return how far the estimate of *corner* may be relied on."""
+        return Validity(self.block.validity[corner][self.i])
+
+    def _row(self, corner: str) -> int:
+        layout = self.block.layout
+        stride = len(layout.corners) * len(CHANNELS)
+        return self.i * stride + layout.rows[corner]
+
+
+def channels_at_rest(ambient_k: float) -> dict[str, float]:
+    """Return the channels of a corner that stands in air of *ambient_k*."""
+    return {
+        name: nan if name.startswith("measured_") else 0.0 for name in CHANNELS
+    } | {"ambient_k": ambient_k}
+
+
+def friction_energies(program: Program) -> list[int]:
+    """Return where the friction heat [J] of *program* is in its output."""
+    return [
+        len(program.state_names) + i
+        for i, source in enumerate(program.network.sources)
+        if any(factor.a == "brake_power_w" for factor in source.factors)
+    ]

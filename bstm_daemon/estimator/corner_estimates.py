@@ -1,0 +1,70 @@
+"""From one publication of a block to the estimate of each corner."""
+
+from __future__ import annotations
+
+from math import nan
+from typing import TYPE_CHECKING
+
+from bstm_daemon.estimate import NO_WEAR, CornerEstimate, WearEstimate
+from bstm_daemon.model.risk.levels import level_of_margin, published_level
+from bstm_daemon.model.wear.dose import DISTANCE, DOSE
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from bstm_daemon.estimate import CarRisk
+    from bstm_daemon.estimator.blocks import Instant
+    from bstm_daemon.model.wear.car import CarWear
+
+
+def corner_estimates(
+    instant: Instant,
+    boiling_k: float,
+    risk: CarRisk | None,
+    wear: CarWear | None = None,
+) -> dict[str, CornerEstimate]:
+    """Return the estimates of the corners with a thermal model.
+
+    Args:
+        instant: the publication.
+        boiling_k: boiling point [K] of a wet fluid of the grade.
+        risk: of the car then; None without a forecast.
+        wear: what holds the wear of the car; None leaves wear out.
+    """
+    age_s = nan if risk is None else risk.age_s(instant.time_us)
+    found = {}
+    for name in instant.block.layout.modelled:
+        state = instant.state(name)
+        validity = instant.validity(name)
+        corner_risk = None if risk is None else risk.corners[name]
+        if corner_risk is not None:
+            level = corner_risk.level
+        else:
+            level = published_level(
+                level_of_margin(boiling_k - state["fluid"]),
+                validity,
+                history_known=instant.history_known,
+            )
+        found[name] = CornerEstimate(
+            disc_k=state["disc"],
+            pad_front_k=state["pad_front"],
+            pad_back_k=state["pad_back"],
+            fluid_k=state["fluid"],
+            boiling_k=boiling_k,
+            validity=validity,
+            level=level,
+            risk=corner_risk,
+            forecast_age_s=age_s,
+            wear=NO_WEAR
+            if wear is None
+            else _wear(wear, instant, name, state),
+        )
+    return found
+
+
+def _wear(
+    wear: CarWear, instant: Instant, name: str, state: Mapping[str, float]
+) -> WearEstimate:
+    laws = instant.block.wear[name]
+    law = next(law for begin, law in reversed(laws) if begin <= instant.i)
+    return wear.estimate(name, law, state[DOSE], state[DISTANCE])

@@ -1,0 +1,206 @@
+"""Rows of the pass over samples, and the march of the brakes over them.
+
+Without a friction law power knows nothing of temperature: as many rows as
+there is room for are formed, then marched. With one the two go hand in hand,
+and the pass gets the temperatures on whole multiples of
+:data:`COUPLING_US`, however the samples are cut into calls.
+"""
+
+from __future__ import annotations
+
+from array import array
+from typing import TYPE_CHECKING, Any, Final, cast
+
+from bstm_daemon.channels import CHANNELS, VEHICLE_CHANNELS
+from bstm_daemon.model.heat import sample_pass as reference_pass
+from bstm_daemon.model.heat.memory import NEVER
+from bstm_daemon.model.heat.sample_pass import FULL
+
+if TYPE_CHECKING:
+    from collections.abc import MutableSequence, Sequence
+    from typing import TypeAlias
+
+    from bstm_daemon.model.heat.memory import SampleState
+    from bstm_daemon.model.heat.sample_plan import SamplePlan
+    from bstm_daemon.model.thermal.kernel import Batch
+    from bstm_daemon.native.loader import Kernel
+
+    Outputs: TypeAlias = tuple[array[float], ...]
+
+COUPLING_US: Final = 200_000
+"""A friction law gets the temperature between disc and pads on whole
+multiples of this; in a hard stop it rises by 4 K in between."""
+
+
+class Stretch:
+    """Room for rows, and what fills and marches it."""
+
+    def __init__(
+        self,
+        plan: SamplePlan,
+        kernel: Kernel | None,
+        room: int,
+        lines_us: tuple[int, int],
+        *,
+        coupled: bool,
+    ) -> None:
+        """Make room for *room* rows of *plan*.
+
+        Args:
+            plan: of the pass.
+            kernel: the compiled one; None runs the reference.
+            room: rows, at least the steps of :data:`COUPLING_US`.
+            lines_us: outputs of the march are wanted on whole multiples of
+                the first; a call of :meth:`fill` ends on those of the second,
+                where the networks may be exchanged; that is a whole multiple
+                of :data:`COUPLING_US`.
+            coupled: whether a friction law needs the temperatures.
+        """
+        self.plan, self.coupled = plan, coupled
+        self._kernel = kernel
+        self._room = room
+        publish_us, self._line_us = lines_us
+        self._every = publish_us // plan.step_us
+        self._width = len(plan.corners) * len(CHANNELS)
+        self.rows = array("d", bytes(8 * room * self._width))
+        self.vehicle = array("d", bytes(8 * room * len(VEHICLE_CHANNELS)))
+        self.times = array("q", bytes(8 * room))
+        self._space = self._rows_from(0, room)
+
+    def phase(self, first: int = 0) -> int:
+        """Steps from row *first* to the next output, that one counted."""
+        return -(self.times[first] // self.plan.step_us) % self._every + 1
+
+    def fill(
+        self,
+        state: SampleState,
+        batches: Sequence[tuple[Batch, Sequence[str]]],
+        times_us: Any,
+        roles: Any,
+        values: Any,
+        index: int,
+    ) -> tuple[int, int, int, Outputs]:
+        """Form rows from sample *index* on and march *batches* over them.
+
+        Args:
+            state: of the pass; changed.
+            batches: with the names of their corners; marched.
+            times_us: stamps [us], int64.
+            roles: role numbers, int32.
+            values: SI values.
+            index: the first sample.
+
+        Returns:
+            (next sample, rows, code of the pass, outputs of each batch); the
+            rows are contiguous and end on a line of the exchange at the
+            latest.
+        """
+        samples = times_us, roles, values
+        if self.coupled:
+            self.heat_interfaces(state, batches, anew=False)
+        each_us = COUPLING_US if self.coupled else self._line_us
+        outputs = tuple(array("d") for _ in batches)
+        done, code = 0, FULL
+        while code == FULL and done < self._room:
+            room = min(self._until(each_us, state), self._room - done)
+            index, steps, code = self._pass(state, samples, index, done, room)
+            marched = self._march(batches, done, steps)
+            if done:
+                for output, more in zip(outputs, marched, strict=True):
+                    output.extend(more)
+            else:
+                outputs = marched
+            done += steps
+            if not steps:
+                break
+            last_us = self.times[done - 1]
+            if self.coupled and last_us % COUPLING_US == 0:
+                self.heat_interfaces(state, batches)
+            if last_us % self._line_us == 0:
+                break
+        return index, done, code, outputs
+
+    def heat_interfaces(
+        self,
+        state: SampleState,
+        batches: Sequence[tuple[Batch, Sequence[str]]],
+        *,
+        anew: bool = True,
+    ) -> None:
+        """Give the friction laws the mean of disc and face of the pads.
+
+        *anew*: also those that know one already.
+        """
+        order = self.plan.corners
+        for batch, names in batches:
+            nodes = batch.programs[0].state_names
+            disc, pad = nodes.index("disc"), nodes.index("pad_front")
+            for member, name in enumerate(names):
+                corner = order.index(name)
+                if not anew and state.interface_k(corner) > 0.0:
+                    continue
+                first = member * batch.width
+                between_k = 0.5 * (
+                    batch.state[first + disc] + batch.state[first + pad]
+                )
+                state.heat_interface(corner, between_k)
+
+    def _until(self, line_us: int, state: SampleState) -> int:
+        """Rows up to the next whole multiple of *line_us*, that one too."""
+        now, ends_us = state.times[:2]
+        if now == NEVER:
+            return 1
+        return -ends_us % line_us // self.plan.step_us + 1
+
+    def _pass(
+        self,
+        state: SampleState,
+        samples: tuple[Any, Any, Any],
+        index: int,
+        done: int,
+        room: int,
+    ) -> tuple[int, int, int]:
+        """Write up to *room* rows after those that are *done*."""
+        whole = room == self._room
+        space = self._space if whole else self._rows_from(done, room)
+        if self._kernel is None:
+            rows, vehicle, times = cast(
+                "tuple[MutableSequence[float], MutableSequence[float], "
+                "MutableSequence[int]]",
+                space,
+            )
+            return reference_pass.sample_pass(
+                self.plan, state, *samples, index, rows, vehicle, times
+            )
+        return self._kernel.sample_pass(
+            self.plan.ints, self.plan.floats, state.times, state.numbers,
+            state.flags, *samples, *space, index,
+        )  # fmt: skip
+
+    def _rows_from(self, done: int, room: int) -> tuple[Any, Any, Any]:
+        wide, last = len(VEHICLE_CHANNELS), done + room
+        return (
+            memoryview(self.rows)[done * self._width : last * self._width],
+            memoryview(self.vehicle)[done * wide : last * wide],
+            memoryview(self.times)[done:last],
+        )
+
+    def _march(
+        self,
+        batches: Sequence[tuple[Batch, Sequence[str]]],
+        first: int,
+        steps: int,
+    ) -> Outputs:
+        """March *steps* rows from *first* on; the outputs of each batch."""
+        if not steps:
+            return tuple(array("d") for _ in batches)
+        inputs = memoryview(self.rows)[
+            first * self._width : (first + steps) * self._width
+        ]
+        phase = self.phase(first)
+        return tuple(
+            batch.march(
+                inputs, steps, self.plan.step_us * 1e-6, self._every, phase
+            )
+            for batch, _ in batches
+        )

@@ -1,0 +1,387 @@
+"""Samples in, estimates out: the one path for live, replay and matching.
+
+:meth:`Estimator.advance` is called with one row live and with whole columns
+in replay; chunking never changes the numbers, because the pass over samples
+and the march of the network are sequential and keep their whole memory in
+this object.
+"""
+
+from __future__ import annotations
+
+from array import array
+from functools import partial
+from itertools import groupby
+from math import isfinite
+from typing import TYPE_CHECKING, Any, Final
+
+from bstm_daemon.channels import CHANNELS, VEHICLE_CHANNELS
+from bstm_daemon.estimator.blocks import (
+    Block,
+    BlockLayout,
+    Group,
+    channels_at_rest,
+)
+from bstm_daemon.estimator.corner_model import (
+    compile_corner,
+    compiled_model,
+    corner_model,
+)
+from bstm_daemon.estimator.coupling import Stretch
+from bstm_daemon.estimator.validity import (
+    HIGHEST_K,
+    needs_of_corners,
+    validities,
+)
+from bstm_daemon.model.effects.catalogue import edited_inputs
+from bstm_daemon.model.effects.corrections import (
+    corrected,
+    corrections_by_role,
+)
+from bstm_daemon.model.heat.memory import SampleState
+from bstm_daemon.model.heat.sample_pass import SETTLE
+from bstm_daemon.model.heat.sample_plan import plan_samples
+from bstm_daemon.model.thermal.kernel import Batch
+from bstm_daemon.model.thermal.settling import settling_time_s
+from bstm_daemon.model.wear.car import REFIT_US, CarWear
+from bstm_daemon.model.wear.dose import DISTANCE, DOSE
+from bstm_daemon.model.wear.follow import exchange, keep_totals
+from bstm_daemon.native.loader import load_kernel
+from bstm_daemon.roles import ROLE_INDEX
+from bstm_daemon.units import KELVIN_OFFSET
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+    from typing import TypeAlias
+
+    import numpy.typing as npt
+
+    from bstm_daemon.config.sections import Config
+    from bstm_daemon.estimator.coupling import Outputs
+    from bstm_daemon.estimator.input_history import Journal
+    from bstm_daemon.model.heat.friction_law import FrictionLaw
+    from bstm_daemon.model.thermal.program import Program
+
+    Ints: TypeAlias = Sequence[int] | npt.NDArray[Any]
+    Floats: TypeAlias = Sequence[float] | npt.NDArray[Any]
+
+STEP_US: Final = 50_000
+"""The grid: whole multiples of this in the frames' own time."""
+
+PUBLISH_US: Final = 100_000
+"""Publication on whole multiples of this."""
+
+ROWS: Final = 4096
+"""Steps marched at a time; bounds memory, changes no number."""
+
+
+class Estimator:
+    """Brake temperatures of one car."""
+
+    def __init__(
+        self,
+        config: Config,
+        present: Mapping[int, int],
+        *,
+        history_known: bool = False,
+        initial_k: float | None = None,
+    ) -> None:
+        """Build the model of *config*.
+
+        Args:
+            config: the vehicle.
+            present: role number to timeout [us] of each mapped role.
+            history_known: whether the brakes are known to have been at
+                *initial_k* before the first sample.
+            initial_k: starting temperature [K]; default: the configured
+                ambient.
+
+        Raises:
+            ConfigError: the configuration asks for a part, effect or share
+                that does not exist.
+            UsageError: ``BSTM_KERNEL`` asks for a kernel that is not there.
+        """
+        self.config = config
+        self._kernel = load_kernel()
+        start_k = initial_k or config.vehicle.ambient_c + KELVIN_OFFSET
+        models = {
+            corner.name: corner_model(config, corner)
+            for corner in config.disc_corners()
+        }
+        self.programs: dict[str, Program] = {
+            name: compiled_model(model) for name, model in models.items()
+        }
+        laws: dict[str, FrictionLaw] = {
+            name: model.friction
+            for name, model in models.items()
+            if not model.friction.nominal
+        }
+        longest_s = self._settling_time_s()
+        inputs = edited_inputs(config)
+        self._corrections = corrections_by_role(inputs.corrections)
+        self.plan = plan_samples(
+            inputs.config,
+            present,
+            STEP_US,
+            longest_s,
+            laws,
+            inputs.unpressed_share,
+        )
+        self.samples = SampleState.new()
+        self.batches = self._batches(start_k)
+        self.layout = BlockLayout(
+            tuple(self.plan.corners),
+            tuple(
+                Group(
+                    tuple(names),
+                    batch.programs[0].state_names,
+                    len(batch.programs[0].network.nodes),
+                    batch.width + batch.sources,
+                )
+                for batch, names in self.batches
+            ),
+        )
+        self.settling_s = 0.0 if history_known else longest_s
+        self.history_left_steps = round(self.settling_s * 1e6) // STEP_US
+        self._needs = needs_of_corners(config, present)
+        self._stretch = Stretch(
+            self.plan,
+            self._kernel,
+            ROWS,
+            (PUBLISH_US, REFIT_US),
+            coupled=bool(laws),
+        )
+        self.wear = CarWear(config, present)
+        self.open_flags = 0
+        self.journal: Journal | None = None
+        """Takes the rows of every step, where it is asked for."""
+        self.resets = 0
+        """Corners that had to start anew, since the start."""
+
+    @property
+    def compiled(self) -> bool:
+        """Whether the compiled kernel runs."""
+        return self._kernel is not None
+
+    @property
+    def history_known(self) -> bool:
+        """Whether the start no longer matters."""
+        return self.history_left_steps <= 0
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Samples that came late, were dropped as outliers; clock jumps."""
+        return dict(
+            zip(
+                ("late", "dropped", "jumps"),
+                self.samples.times[3:6],
+                strict=True,
+            )
+        )
+
+    @property
+    def groups(self) -> tuple[Group, ...]:
+        """The groups of :attr:`Block.outputs`, in its order."""
+        return self.layout.groups
+
+    def state(self, corner: str) -> dict[str, float]:
+        """Nodes [K] and memories of *corner* now, by name.
+
+        Raises:
+            KeyError: *corner* has no thermal model.
+        """
+        for batch, names in self.batches:
+            if corner in names:
+                first = names.index(corner) * batch.width
+                state = batch.state[first : first + batch.width]
+                names_ = self.programs[corner].state_names
+                return dict(zip(names_, state, strict=True))
+        raise KeyError(corner)
+
+    def advance(
+        self,
+        times_us: Ints,
+        roles: Ints,
+        values: Floats,
+    ) -> list[Block]:
+        """Consume samples and march to the last one's time.
+
+        Args:
+            times_us: stamps [us], a buffer of int64 [n].
+            roles: role numbers, a buffer of int32 [n]; TICK moves time only.
+            values: SI values, a buffer of float64 [n].
+
+        Returns:
+            One block per contiguous stretch that holds a publication.
+        """
+        return list(self.stretches(times_us, roles, values))
+
+    def stretches(
+        self,
+        times_us: Ints,
+        roles: Ints,
+        values: Floats,
+    ) -> Iterator[Block]:
+        """As :meth:`advance`, a block at a time: a gap of hours is many.
+
+        Yields:
+            What :meth:`advance` returns; all must be taken before the next
+            samples are given.
+        """
+        index, count = 0, len(times_us)
+        if self._corrections:
+            values = corrected(self._corrections, roles, values)
+        self.wear.note(times_us, roles, values)
+        if self._kernel is None:
+            times_us, roles = _plain(times_us), _plain(roles)
+            values = _plain(values)
+        while index < count:
+            index, steps, code, outputs = self._stretch.fill(
+                self.samples, self.batches, times_us, roles, values, index
+            )
+            if steps:
+                block = self._block(steps, outputs)
+                if len(block.times_us):
+                    yield block
+                # after it was taken: within a block the networks are one
+                if self._stretch.times[steps - 1] % REFIT_US == 0:
+                    self._fit_to_wear(steps - 1)
+            if code == SETTLE:
+                self._settle()
+
+    def _batches(self, start_k: float) -> list[tuple[Batch, list[str]]]:
+        """Group the corners by structure; each group is one batch."""
+        order = list(self.plan.corners)
+        by_structure = sorted(
+            self.programs, key=lambda name: self.programs[name].ints.tobytes()
+        )
+        groups = []
+        for _, members in groupby(
+            by_structure, lambda name: self.programs[name].ints.tobytes()
+        ):
+            names: list[str] = sorted(members, key=order.index)
+            batch = Batch(
+                [self.programs[name] for name in names],
+                start_k,
+                [order.index(name) for name in names],
+                self._kernel,
+                len(order),
+            )
+            groups.append((batch, names))
+        return groups
+
+    def _block(self, steps: int, outputs: Outputs) -> Block:
+        """Keep what the publications of *steps* marched rows need."""
+        every = PUBLISH_US // STEP_US
+        stretch = self._stretch
+        phase = stretch.phase()
+        row = len(self.plan.corners) * len(CHANNELS)
+        if self.journal is not None:
+            self.journal.add(memoryview(stretch.rows)[: steps * row], steps)
+        wide = len(VEHICLE_CHANNELS)
+        times = stretch.times[phase - 1 : steps : every]
+        rows, vehicle = array("d"), array("d")
+        for step in range(phase - 1, steps, every):
+            rows.extend(stretch.rows[step * row : (step + 1) * row])
+            vehicle.extend(stretch.vehicle[step * wide : (step + 1) * wide])
+        flags = self._published_flags(steps, phase, every)
+        known_from = self._known_from(phase, every)
+        block = Block(
+            *(self.layout, times, rows, vehicle, outputs, flags),
+            validity={},
+            known_from=known_from,
+            wear={},
+        )
+        block.wear.update(self.wear.laws(times, partial(_totals, block)))
+        self.history_left_steps -= steps
+        block.validity.update(validities(block, self._needs))
+        self._reset_impossible()
+        return block
+
+    def _reset_impossible(self) -> None:
+        """Let a corner that no brake can be in start anew, history unknown.
+
+        A node that is no number would stay so for ever.
+        """
+        for batch, names in self.batches:
+            nodes = len(batch.programs[0].network.nodes)
+            for member in range(len(names)):
+                first = member * batch.width
+                state = batch.state[first : first + nodes]
+                if isfinite(sum(state)) and max(state) < HIGHEST_K:
+                    continue
+                air_k = self.config.vehicle.ambient_c + KELVIN_OFFSET
+                fresh = batch.programs[member].initial_state(air_k)
+                keep_totals(
+                    fresh,
+                    batch.programs[member].state_names,
+                    batch.state[first : first + batch.width],
+                )
+                batch.state[first : first + batch.width] = fresh
+                settling_s = self.settling_s or self._settling_time_s()
+                self.history_left_steps = round(settling_s * 1e6) // STEP_US
+                self.resets += 1
+
+    def _fit_to_wear(self, row: int) -> None:
+        """Let the networks follow linings and discs that became thinner.
+
+        *row* is the last step; new linings are as warm as its air.
+        """
+        first = row * len(self.plan.corners) * len(CHANNELS)
+        air_k = self._stretch.rows[first + CHANNELS.index("ambient_k")]
+        for batch, names in self.batches:
+            for member, name in enumerate(names):
+                refit = self.wear.refit(name, self.state(name)[DOSE])
+                if refit is not None:
+                    program = compile_corner(self.config, refit.corner)
+                    self.programs[name] = program
+                    self.wear.worn_heat_j[name] += exchange(
+                        batch, member, program, refit.change, air_k
+                    )
+
+    def _published_flags(
+        self, steps: int, phase: int, every: int
+    ) -> array[int]:
+        """Bits of all steps up to each publication since the last one."""
+        wide = len(VEHICLE_CHANNELS)
+        flags = array("q")
+        for step, bits in enumerate(
+            self._stretch.vehicle[wide - 1 : steps * wide : wide]
+        ):
+            self.open_flags |= int(bits)
+            if (step + 1 - phase) % every == 0:
+                flags.append(self.open_flags)
+                self.open_flags = 0
+        return flags
+
+    def _known_from(self, phase: int, every: int) -> int:
+        """Index of the first publication whose start no longer matters."""
+        return max(-(-(self.history_left_steps - phase) // every), 0)
+
+    def _settling_time_s(self) -> float:
+        """How long the slowest brake of this car remembers a hot start."""
+        air_k = self.config.vehicle.ambient_c + KELVIN_OFFSET
+        row = array("d", channels_at_rest(air_k).values())
+        return settling_time_s(
+            self.programs.values(), row, air_k, self._kernel
+        )
+
+    def _settle(self) -> None:
+        ambient = self.samples.last_value(ROLE_INDEX["ambient_temperature"])
+        if ambient is None:
+            ambient = self.config.vehicle.ambient_c + KELVIN_OFFSET
+        for batch, names in self.batches:
+            for member in range(len(names)):
+                batch.settle(ambient, member)
+        self._stretch.heat_interfaces(self.samples, self.batches)
+        self.history_left_steps = 0
+
+
+def _totals(block: Block, corner: str, i: int) -> tuple[float, float]:
+    """Dose [J] and distance [m] of *corner* at publication *i*."""
+    state = block.at(i).state(corner)
+    return state[DOSE], state[DISTANCE]
+
+
+def _plain(column: Any) -> Any:
+    """Numbers of their own: reading an array one by one makes each anew."""
+    return column.tolist() if hasattr(column, "tolist") else column

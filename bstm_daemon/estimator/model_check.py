@@ -1,0 +1,294 @@
+"""Whether the running model agrees with what is measured, all the time.
+
+Two running statistics. Feed-Forward against Feed-Back: the braking work that
+pressure and motion imply, over the last megajoule or so. Thermocouples,
+where roles map them: the mean over two minutes of measured less estimated.
+What is beyond what a sound model errs by is a gap; ``bstm gap`` names it from
+the record.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import exp, hypot, isfinite, nan
+from typing import TYPE_CHECKING, Any, ClassVar, Final
+
+from bstm_daemon.channels import FLAGS
+from bstm_daemon.estimator.memory import (
+    Machine,
+    any_number,
+    flag,
+    number,
+    perhaps,
+    row,
+    stamp,
+)
+from bstm_daemon.roles import MEASURED_NODES, ROLE_INDEX
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Mapping
+
+    from bstm_daemon.config.sections import Config
+    from bstm_daemon.estimator.blocks import Instant
+    from bstm_daemon.estimator.estimator import Estimator
+
+FORGET_J: Final = 1e6
+LEAST_J: Final = 3e5
+"""Braking work that the forces are compared over, and from which on."""
+
+TRIAL_S: Final = 5.0
+"""Braking work counts once nothing was found against an input for so long
+after it: what is wrong with one may take that long to be seen."""
+
+FORCE_COMES: Final = 0.3
+FORCE_GOES: Final = 0.2
+"""Difference of the works over the larger: friction varies by a tenth, mass
+and accelerometer take as much."""
+
+MEMORY_S: Final = 120.0
+KNOWN_S: Final = 120.0
+NODE_OF: Final = {"disc_2": "disc"}
+SIGMAS: Final = 3.0
+GOES: Final = 0.6
+"""Of the tolerance, below which a thermocouple agrees again."""
+
+USUAL: Final[dict[str, tuple[float, float]]] = {
+    "disc": (10.0, 0.06),
+    "pad_front": (10.0, 0.06),
+    "pad_back": (5.0, 0.05),
+    "fluid": (3.0, 0.05),
+    "caliper": (3.0, 0.05),
+}
+"""Standard deviation [K] and share of the rise of a model that nobody has
+matched, by node; ``[accuracy]`` takes its place."""
+
+_UNKNOWN: Final = (
+    FLAGS["speed_missing"]
+    | FLAGS["pressure_missing"]
+    | FLAGS["acceleration_missing"]
+    | FLAGS["torque_missing"]
+    | FLAGS["speed_suspect"]
+    | FLAGS["pressure_suspect"]
+    | FLAGS["acceleration_suspect"]
+    | FLAGS["torque_suspect"]
+    | FLAGS["clock_jump"]
+    | FLAGS["settled"]
+    | FLAGS["silent"]
+)
+"""With any of these one of the two works is not known."""
+
+NO_WORK: Final = (0.0, 0.0, 0.0)
+"""Work by pressure less work by motion, the larger one of them [J]; for how
+long it was gathered [s]."""
+
+
+@dataclass
+class Couple(Machine):
+    """One thermocouple and how far the model is from it.
+
+    ``node`` is what it measures, ``shown_node`` the node of the model there.
+    """
+
+    MEMORY: ClassVar = {
+        "mean_k": any_number,
+        "known_s": number,
+        "disagrees": flag,
+    }
+
+    corner: str
+    node: str
+    shown_node: str
+    floor_k: float
+    share: float
+    mean_k: float = nan
+    known_s: float = 0.0
+    disagrees: bool = False
+
+    @property
+    def name(self) -> str:
+        """Corner and node."""
+        return f"{self.corner} {self.node}"
+
+    def take(self, apart_k: float, rise_k: float, dt_s: float) -> None:
+        """Take *apart_k*, measured less estimated, of the last *dt_s*."""
+        if not isfinite(apart_k):
+            self.mean_k, self.known_s = nan, 0.0
+            self.disagrees = False
+            return
+        if not isfinite(self.mean_k):
+            self.mean_k, self.known_s = 0.0, 0.0
+        self.known_s += dt_s
+        # at first of all there was: the first one is no more than the rest
+        share = dt_s / min(self.known_s, MEMORY_S)
+        self.mean_k += (apart_k - self.mean_k) * min(share, 1.0)
+        tolerance = SIGMAS * hypot(self.floor_k, self.share * rise_k)
+        if self.disagrees:
+            tolerance *= GOES
+        self.disagrees = (
+            self.known_s >= KNOWN_S and abs(self.mean_k) > tolerance
+        )
+
+
+class ModelCheck(Machine):
+    """Watches the estimates of one car, publication by publication."""
+
+    MEMORY: ClassVar = {
+        "_before": perhaps(row(stamp, number, number)),
+        "_apart_j": number,
+        "_work_j": number,
+        "_braked_j": number,
+        "_forces_disagree": flag,
+        "_young": row(any_number, number, number),
+        "_ripe": row(any_number, number, number),
+    }
+
+    def __init__(
+        self, config: Config, estimator: Estimator, roles: Collection[int]
+    ) -> None:
+        """Find out what is measured; *roles* are those that are mapped."""
+        self._fused = config.heat.mode == "fused"
+        self.couples = _couples(config, estimator, roles)
+        self._before: tuple[int, float, float] | None = None
+        self._apart_j = self._work_j = self._braked_j = 0.0
+        self._forces_disagree = False
+        # what is on trial, and what was before it
+        self._young: tuple[float, float, float] = NO_WORK
+        self._ripe: tuple[float, float, float] = NO_WORK
+
+    def export(self) -> dict[str, Any]:
+        """Return the memory as plain values that JSON knows."""
+        couples = {one.name: one.export() for one in self.couples}
+        return super().export() | {"couples": couples}
+
+    def restore(self, saved: Mapping[str, Any]) -> None:
+        """Go on where :meth:`export` was called, within the same drive.
+
+        Raises:
+            KeyError, TypeError, ValueError: it is nothing of that kind.
+        """
+        super().restore(saved)
+        for one in self.couples:
+            if one.name in saved["couples"]:
+                one.restore(saved["couples"][one.name])
+
+    @property
+    def force_difference(self) -> float:
+        """Work by pressure less work by motion, over the larger.
+
+        NaN until enough has been braked.
+        """
+        if self._braked_j < LEAST_J:
+            return nan
+        return self._apart_j / max(self._work_j, 1.0)
+
+    @property
+    def disagreements(self) -> tuple[str, ...]:
+        """What disagrees: ``heat``, or a corner and node."""
+        found = ["heat"] if self._forces_disagree else []
+        found += [one.name for one in self.couples if one.disagrees]
+        return tuple(found)
+
+    def take(self, instant: Instant) -> None:
+        """Take one publication, in the order of time.
+
+        Thermocouples count from where the start no longer matters.
+        """
+
+        def total(channel: str) -> float:
+            return sum(
+                instant.channel(name, channel)
+                for name in instant.block.layout.corners
+            )
+
+        time_us = instant.time_us
+        pressed = total("brake_energy_ff_j")
+        pressed_scale = 1.0
+        if self._fused:
+            moved = total("brake_power_w")
+            pressed_scale = instant.vehicle("friction_scale")
+        else:
+            moved = total("brake_energy_fb_j")
+        if self._before is not None:
+            then_us, old_pressed, old_moved = self._before
+            dt_s = (time_us - then_us) * 1e-6
+            by_motion = moved * dt_s if self._fused else moved - old_moved
+            if 0.0 < dt_s < 1.0:
+                if instant.flags & _UNKNOWN:
+                    self._young = self._ripe = NO_WORK
+                else:
+                    self._take_work(
+                        pressed_scale * (pressed - old_pressed),
+                        by_motion,
+                        dt_s,
+                    )
+                self._take_couples(instant, dt_s)
+        self._before = time_us, pressed, moved
+
+    def _take_work(
+        self, pressed_j: float, moved_j: float, dt_s: float
+    ) -> None:
+        apart_j, work_j, lasted_s = self._young
+        larger = max(pressed_j, moved_j)
+        if larger > 0.0 and isfinite(pressed_j - moved_j):
+            apart_j += pressed_j - moved_j
+            work_j += larger
+        self._young = apart_j, work_j, lasted_s + dt_s
+        if lasted_s + dt_s >= TRIAL_S:
+            self._count_work(*self._ripe[:2])
+            self._ripe, self._young = self._young, NO_WORK
+
+    def _count_work(self, apart_j: float, work_j: float) -> None:
+        if not work_j > 0.0:
+            return
+        # as if it had come evenly, forgotten meanwhile
+        share = work_j / FORGET_J
+        keep = exp(-share)
+        taken = (1.0 - keep) / share
+        self._apart_j = keep * self._apart_j + taken * apart_j
+        self._work_j = keep * self._work_j + taken * work_j
+        self._braked_j += work_j
+        limit = FORCE_GOES if self._forces_disagree else FORCE_COMES
+        difference = self.force_difference
+        self._forces_disagree = (
+            isfinite(difference) and abs(difference) > limit
+        )
+
+    def _take_couples(self, instant: Instant, dt_s: float) -> None:
+        for one in self.couples:
+            measured_k = instant.channel(one.corner, f"measured_{one.node}_k")
+            ambient_k = instant.channel(one.corner, "ambient_k")
+            shown_k = instant.state(one.corner)[one.shown_node]
+            apart_k = measured_k - shown_k if instant.history_known else nan
+            one.take(apart_k, shown_k - ambient_k, dt_s)
+
+
+def _couples(
+    config: Config, estimator: Estimator, roles: Collection[int]
+) -> list[Couple]:
+    found = []
+    for group in estimator.groups:
+        for corner in group.corners:
+            for couple in MEASURED_NODES:
+                role = ROLE_INDEX.get(f"temp_{corner.lower()}_{couple}")
+                node = NODE_OF.get(couple, couple)
+                forced = config.heat.mode == "measured" and node == "disc"
+                if (
+                    role not in roles
+                    or node not in group.state_names
+                    or forced
+                ):
+                    continue
+                accuracy = _accuracy(config, node)
+                found.append(Couple(corner, couple, node, *accuracy))
+    return found
+
+
+def _accuracy(config: Config, node: str) -> tuple[float, float]:
+    floor_k = getattr(config.accuracy, f"{node}_k", None)
+    if floor_k is None:
+        floor_k, share = USUAL[node]
+    else:
+        share = float(getattr(config.accuracy, f"{node}_share"))
+    offset_k = config.accuracy.thermocouple_offset_k
+    drift_k = config.accuracy.drift_beyond_usual_k()
+    return hypot(floor_k, offset_k, drift_k), share

@@ -1,0 +1,485 @@
+"""What a restart carries over: the estimator's memory as plain values.
+
+:func:`export_state` gives a document of names and numbers;
+:func:`restore_state` takes it back into an estimator that may have been
+configured anew: nodes carry over by name, new ones start at the mean of
+their neighbours. :func:`park` lets brakes stand; :func:`doubt_parked_time` and
+:func:`correct_parked` are for a clock that is right only later.
+"""
+
+from __future__ import annotations
+
+from array import array
+from dataclasses import dataclass
+from math import isfinite, nan
+from typing import TYPE_CHECKING, Any, Final
+
+from bstm_daemon.channels import CHANNELS
+from bstm_daemon.estimator.blocks import channels_at_rest
+from bstm_daemon.estimator.corner_model import compile_corner
+from bstm_daemon.estimator.estimator import STEP_US, Estimator
+from bstm_daemon.estimator.input_history import Journal
+from bstm_daemon.estimator.validity import HIGHEST_K, LOWEST_K
+from bstm_daemon.model.heat.feed_back import Vehicle
+from bstm_daemon.model.heat.learned import LEARNED_NAMES, learned_fault
+from bstm_daemon.model.heat.memory import NEVER, SampleState
+from bstm_daemon.model.heat.sample_plan import PLAN_LAYOUT
+from bstm_daemon.model.thermal.settling import LONGEST_SETTLING_S
+from bstm_daemon.model.wear.dose import DOSE
+from bstm_daemon.roles import ROLE_INDEX, ROLES
+from bstm_daemon.units import KELVIN_OFFSET
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+
+    from bstm_daemon.model.thermal.kernel import Batch
+    from bstm_daemon.model.thermal.network import Network
+
+Document = dict[str, Any]
+
+RESUMABLE_US: Final = 60_000_000
+"""A pause up to this is marched on the grid as a silent bus is, so that a
+replay from the same state gives the same bits; a longer one by
+:func:`park`."""
+
+SAME_AXIS_US: Final = 10_000
+"""Time axes that differ by less are one: two clocks can not be read at
+once."""
+
+PARKED_STEPS: Final = ((60.0, 1.0), (1800.0, 10.0), (float("inf"), 60.0))
+"""Step [s] by time parked [s]: the scheme damps any step, and within a
+minute the fast nodes have come to rest."""
+
+AT_REST_K: Final = 0.01
+"""Closer than this to the air everywhere, nothing cools any more."""
+
+
+class StateError(ValueError):
+    """A document that is no state of this car; the message says why."""
+
+
+@dataclass(frozen=True, slots=True)
+class Restored:
+    """How a document fitted: ``corner.node`` names carried over and new.
+
+    ``resumed``: the pass over samples goes on where it was, with every
+    value and its age; otherwise its inputs begin anew. ``learned``: what was
+    learned of the car was taken over.
+    """
+
+    carried: tuple[str, ...]
+    new: tuple[str, ...]
+    resumed: bool
+    learned: bool = False
+
+
+def export_state(estimator: Estimator) -> Document:
+    """Return the memory of *estimator* as plain values.
+
+    ``time_us`` is its time on the axis of the stamps, None before any.
+    """
+    samples = estimator.samples
+    now = samples.times[0]
+    times, numbers = samples.exported(len(estimator.plan.corners))
+    return {
+        "vehicle_id": estimator.config.vehicle.id,
+        "time_us": None if now == NEVER else now,
+        "history_left_us": max(estimator.history_left_steps, 0) * STEP_US,
+        "ambient_k": _ambient_k(estimator),
+        "corners": {
+            name: estimator.state(name) for name in estimator.programs
+        },
+        "wear": estimator.wear.export(),
+        "samples": {
+            "layout": _layout(estimator),
+            "times": times,
+            "numbers": [
+                number if isfinite(number) else None for number in numbers
+            ],
+            "flags": list(samples.flags),
+            "open_flags": estimator.open_flags,
+        },
+        "learned": _exported(estimator),
+    }
+
+
+def restore_state(
+    estimator: Estimator, document: Mapping[str, Any], *, resume: bool
+) -> Restored:
+    """Put *document* into *estimator*, which has not marched yet.
+
+    Args:
+        estimator: the estimator of today's configuration.
+        document: what :func:`export_state` gave.
+        resume: go on with the samples too, where their layout is the same.
+
+    Raises:
+        StateError: a value is missing, of the wrong kind or no possible
+            temperature; the estimator is as before.
+    """
+    corners = _mapping(document.get("corners"), "corners")
+    left_us = _number(document.get("history_left_us"), "history_left_us")
+    states, carried, new = {}, [], []
+    for name, program in estimator.programs.items():
+        saved = corners.get(name)
+        if saved is None:
+            new.append(name)
+            continue
+        values = {
+            key: _number(value, f"{name}.{key}")
+            for key, value in _mapping(saved, name).items()
+        }
+        nodes = [node.name for node in program.network.nodes]
+        _check_nodes(name, nodes, values)
+        states[name] = _completed(program.network, values)
+        carried += [f"{name}.{key}" for key in nodes if key in values]
+        new += [f"{name}.{key}" for key in nodes if key not in values]
+    if not carried:
+        msg = "no node of it has the name of a node of this car"
+        raise StateError(msg)
+    samples = _samples(estimator, document) if resume else None
+    doses = {n: state[DOSE] for n, state in states.items() if DOSE in state}
+    _restore_wear(estimator, document.get("wear"), doses)
+    for batch, member, name in _members(estimator):
+        state = estimator.state(name) | states.get(name, {})
+        _put(batch, member, list(state.values()))
+    # a corner of which nothing is known is as after any first start
+    if all(name in corners for name in estimator.programs):
+        left_s = min(max(left_us * 1e-6, 0.0), LONGEST_SETTLING_S)
+        estimator.history_left_steps = round(left_s * 1e6) // STEP_US
+    learned = _learned(estimator, document)
+    if samples is not None:
+        estimator.samples, estimator.open_flags = samples
+    else:
+        estimator.samples = SampleState.new(learned)
+    return Restored(
+        tuple(carried),
+        tuple(new),
+        resumed=samples is not None,
+        learned=learned is not None,
+    )
+
+
+def resume_state(
+    estimator: Estimator,
+    document: Mapping[str, Any],
+    parked_us: int | None,
+    now_us: int,
+) -> Restored:
+    """Put *document* into *estimator* and let the brakes cool since.
+
+    Args:
+        estimator: has not marched yet.
+        document: what :func:`export_state` gave.
+        parked_us: time since then [us]; None where no clock can tell, then
+            the brakes are as hot as they were.
+        now_us: time now on the axis of the stamps [us].
+
+    Raises:
+        StateError: it is no state of this car; nothing was taken.
+    """
+    vehicle_id, own = document.get("vehicle_id"), estimator.config.vehicle.id
+    if vehicle_id != own:
+        msg = f"it is of vehicle {vehicle_id!r}, not {own!r}"
+        raise StateError(msg)
+    time_us = document.get("time_us")
+    resume = (
+        parked_us is not None
+        and isinstance(time_us, int)
+        and abs(now_us - parked_us - time_us) <= SAME_AXIS_US
+        and 0 <= parked_us <= RESUMABLE_US
+    )
+    restored = restore_state(estimator, document, resume=resume)
+    if parked_us is not None and not restored.resumed:
+        ambient_k = document.get("ambient_k")
+        known = isinstance(ambient_k, float) and (
+            LOWEST_K < ambient_k < HIGHEST_K
+        )
+        air_k = ambient_k if known else None
+        park(estimator, max(parked_us, 0) * 1e-6, air_k)
+    return restored
+
+
+def parked_before_us(document: Mapping[str, Any], first_us: int) -> int | None:
+    """Return the time from the save to a log's first stamp [us].
+
+    None where the log begins before the save: it is of another drive, and
+    the brakes begin as they were.
+    """
+    wall_us = document.get("wall_us")
+    if isinstance(wall_us, int) and wall_us <= first_us:
+        return first_us - wall_us
+    return None
+
+
+def park(
+    estimator: Estimator, parked_s: float, ambient_k: float | None = None
+) -> None:
+    """Let every brake stand for *parked_s* seconds; inputs begin anew.
+
+    The air has *ambient_k* [K], by default the last known.
+    """
+    air_k = _ambient_k(estimator) if ambient_k is None else ambient_k
+    _stand(estimator, parked_s, air_k)
+    learned = estimator.samples.learned()
+    estimator.samples = SampleState.new(learned)
+    left = estimator.history_left_steps - round(parked_s * 1e6) // STEP_US
+    estimator.history_left_steps = max(left, 0)
+
+
+def doubt_parked_time(estimator: Estimator) -> None:
+    """Keep a journal from the restart on whose parked time is in doubt."""
+    width = len(estimator.plan.corners) * len(CHANNELS)
+    estimator.journal = Journal(width, 1_000_000 // STEP_US)
+
+
+def correct_parked(
+    estimator: Estimator, document: Mapping[str, Any], parked_s: float
+) -> None:
+    """Let brakes have stood *parked_s*, known only after the restart.
+
+    *document* was restored with another parked time and
+    :func:`doubt_parked_time` called; what has happened since is marched
+    again, in steps of a second, from the right start.
+
+    Raises:
+        StateError: as :func:`restore_state`.
+    """
+    journal = estimator.journal
+    if journal is None:
+        msg = "there is no journal of the time since the restart"
+        raise StateError(msg)
+    estimator.journal = None
+    rows = journal.closed()
+    air_k = _ambient_k(estimator)
+    running = estimator.samples, estimator.open_flags
+    wear = estimator.wear
+    restore_state(estimator, document, resume=False)
+    _stand(estimator, parked_s, air_k)
+    for batch, _ in estimator.batches:
+        ledger = batch.ledger[:]
+        for steps, row in rows:
+            batch.march(row, 1, steps * STEP_US * 1e-6)
+        batch.ledger[:] = ledger
+    since = sum(steps for steps, _ in rows)
+    estimator.samples, estimator.open_flags = running
+    estimator.wear = wear
+    _rebuild(estimator)
+    gone = round(parked_s * 1e6) // STEP_US + since
+    left = estimator.history_left_steps - gone
+    estimator.history_left_steps = max(left, 0)
+
+
+def _stand(estimator: Estimator, seconds: float, air_k: float) -> None:
+    row = array("d", channels_at_rest(air_k).values())
+    for batch, _ in estimator.batches:
+        ledger = batch.ledger[:]
+        inputs = row * batch.sets
+        for step_s in _steps(seconds):
+            batch.march(inputs, 1, step_s)
+            if step_s == PARKED_STEPS[-1][1] and _at_rest(batch, air_k):
+                break
+        batch.ledger[:] = ledger
+
+
+def _steps(seconds: float) -> Iterator[float]:
+    """Give steps [s] that add up to *seconds*."""
+    elapsed = 0.0
+    for until, step_s in PARKED_STEPS:
+        while elapsed < min(until, seconds):
+            step = min(step_s, seconds - elapsed)
+            yield step
+            elapsed += step
+
+
+def _at_rest(batch: Batch, air_k: float) -> bool:
+    return all(
+        abs(batch.state[member * batch.width + node] - air_k) < AT_REST_K
+        for member, program in enumerate(batch.programs)
+        for node in range(len(program.network.nodes))
+    )
+
+
+def _members(estimator: Estimator) -> Iterator[tuple[Batch, int, str]]:
+    for batch, names in estimator.batches:
+        for member, name in enumerate(names):
+            yield batch, member, name
+
+
+def _put(batch: Batch, member: int, values: list[float]) -> None:
+    first = member * batch.width
+    batch.state[first : first + batch.width] = array("d", values)
+
+
+def _restore_wear(
+    estimator: Estimator, saved: object, doses_j: Mapping[str, float]
+) -> None:
+    """Take over the wear and its networks; a state without stays as it is."""
+    if saved is None:
+        return
+    try:
+        wear = estimator.wear.restored(_mapping(saved, "wear"), doses_j)
+    except (KeyError, TypeError, ValueError) as error:
+        msg = f"wear: {type(error).__name__} {error}"
+        raise StateError(msg) from error
+    estimator.wear = wear
+    _rebuild(estimator)
+
+
+def _rebuild(estimator: Estimator) -> None:
+    """Let every network be the one that the wear was followed to."""
+    for batch, member, name in _members(estimator):
+        corner = estimator.wear.built_corner(name)
+        program = compile_corner(estimator.config, corner)
+        batch.replace(member, program)
+        estimator.programs[name] = program
+
+
+def _completed(
+    network: Network, values: Mapping[str, float]
+) -> dict[str, float]:
+    """Temperatures of all nodes of *network*, and its saved memories.
+
+    A node without a value gets the mean of the neighbours that have one,
+    nearest first.
+    """
+    names = [node.name for node in network.nodes]
+    known = {name: values[name] for name in names if name in values}
+    while len(known) < len(names):
+        found = {}
+        for name in names:
+            near = {
+                link.b if link.a == name else link.a
+                for link in network.links
+                if name in {link.a, link.b}
+            }
+            beside = [known[other] for other in near if other in known]
+            if name not in known and beside:
+                found[name] = sum(beside) / len(beside)
+        if not found:
+            mean_k = sum(known.values()) / len(known)
+            found = {name: mean_k for name in names if name not in known}
+        known |= found
+    memories = {
+        memory.name: min(max(values[memory.name], memory.lower), memory.upper)
+        for memory in network.memories
+        if memory.name in values
+    }
+    return {name: known[name] for name in names} | memories
+
+
+def _check_nodes(
+    corner: str, nodes: list[str], values: Mapping[str, float]
+) -> None:
+    if not any(node in values for node in nodes):
+        msg = f"corner {corner}: no node has the name of a node of this car"
+        raise StateError(msg)
+    for node in nodes:
+        kelvin = values.get(node, LOWEST_K + 1.0)
+        if not LOWEST_K < kelvin < HIGHEST_K:
+            msg = f"{corner}.{node} = {kelvin:g} K is no brake's temperature"
+            raise StateError(msg)
+
+
+def _samples(
+    estimator: Estimator, document: Mapping[str, Any]
+) -> tuple[SampleState, int] | None:
+    """Return the saved pass over samples; None of another layout."""
+    saved = _mapping(document.get("samples"), "samples")
+    if saved.get("layout") != _layout(estimator):
+        return None
+    try:
+        numbers = [nan if n is None else float(n) for n in saved["numbers"]]
+        state = SampleState.imported(
+            len(estimator.plan.corners),
+            saved["times"],
+            numbers,
+            saved["flags"],
+        )
+        (open_flags,) = array("q", [saved["open_flags"]])
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        msg = f"samples: {type(error).__name__} {error}"
+        raise StateError(msg) from error
+    learned = state.learned()
+    if learned is not None and (
+        learned_fault(learned) is not None
+        or _learned(estimator, document) is None
+    ):
+        state.unlearn()
+    return state, open_flags
+
+
+def _exported(estimator: Estimator) -> Document | None:
+    """What was learned of the car, and for which configuration."""
+    learned = estimator.samples.learned()
+    if learned is None or learned_fault(learned) is not None:
+        return None
+    return {
+        "vehicle": _nominal(estimator),
+        "numbers": dict(zip(LEARNED_NAMES, learned, strict=True)),
+    }
+
+
+def _learned(
+    estimator: Estimator, document: Mapping[str, Any]
+) -> list[float] | None:
+    """What *document* has learned, None where it does not hold here.
+
+    It is of no use to a car configured otherwise, and none to a model that
+    does not learn; what can not have been learned is not taken.
+    """
+    saved = document.get("learned")
+    if (
+        estimator.config.heat.mode != "fused"
+        or not isinstance(saved, dict)
+        or saved.get("vehicle") != _nominal(estimator)
+        or not isinstance(saved.get("numbers"), dict)
+    ):
+        return None
+    try:
+        learned = [float(saved["numbers"][name]) for name in LEARNED_NAMES]
+    except (KeyError, TypeError, ValueError):
+        return None
+    return learned if learned_fault(learned) is None else None
+
+
+def _nominal(estimator: Estimator) -> list[float]:
+    """What the learned numbers are relative to."""
+    vehicle = Vehicle.of_config(estimator.config.vehicle)
+    return [
+        *(vehicle.mass_kg, vehicle.rotating_mass_kg, vehicle.wheel_radius_m),
+        *(vehicle.quadratic, vehicle.linear, vehicle.constant),
+    ]
+
+
+def _layout(estimator: Estimator) -> str:
+    """Name everything that decides what an array's entries mean."""
+    roles = ",".join(role.name for role in ROLES)
+    corners = ",".join(estimator.plan.corners)
+    return f"{PLAN_LAYOUT};{STEP_US};{corners};{roles}"
+
+
+def _ambient_k(estimator: Estimator) -> float:
+    role = ROLE_INDEX["ambient_temperature"]
+    known = estimator.samples.last_value(role)
+    if known is not None and LOWEST_K < known < HIGHEST_K:
+        return known
+    return estimator.config.vehicle.ambient_c + KELVIN_OFFSET
+
+
+def _mapping(value: object, key: str) -> Mapping[str, Any]:
+    if not isinstance(value, dict):
+        msg = f"{key}: not a table"
+        raise StateError(msg)
+    return value
+
+
+def _number(value: object, key: str) -> float:
+    if (
+        isinstance(value, bool)
+        or not isinstance(value, int | float)
+        or not isfinite(value)
+    ):
+        msg = f"{key} = {value!r}: not a number"
+        raise StateError(msg)
+    return float(value)

@@ -1,0 +1,112 @@
+"""The forecast of a saved state, all at once: what a workshop asks for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+from bstm_daemon.estimate import CornerRisk, Validity
+from bstm_daemon.forecast.fluid import FluidKnowledge
+from bstm_daemon.forecast.march import HORIZON_S, parked_course
+from bstm_daemon.forecast.members import DEGRADED_FACTOR, Ensemble, Spread
+from bstm_daemon.forecast.monitor import PYTHON_MEMBERS
+from bstm_daemon.forecast.resuming import saved_ambient_k
+from bstm_daemon.model.risk.levels import (
+    PROBABILITIES,
+    level_of,
+    published_level,
+)
+from bstm_daemon.native.loader import load_kernel
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from bstm_daemon.config.sections import Config
+    from bstm_daemon.estimator.estimator import Estimator
+
+SHARES: Final = (0.01, 0.5, 0.99)
+"""Quantiles of the boiling point that are reported."""
+
+
+class CornerOutlook(NamedTuple):
+    """A corner if the car stays parked from the save on.
+
+    ``risk`` has no duty and no level of fade.
+    """
+
+    corner: str
+    fluid_k: float
+    risk: CornerRisk
+
+
+@dataclass(frozen=True, slots=True)
+class Outlook:
+    """What follows from a saved state.
+
+    ``saved_us`` is its wall time [us since 1970], None where it has none;
+    ``boiling_k`` are the quantiles :data:`SHARES`. The levels are those that
+    the probabilities give, without memory.
+    """
+
+    saved_us: int | None
+    history_known: bool
+    ambient_k: float
+    water_percent: float
+    boiling_k: tuple[float, ...]
+    members: int
+    corners: tuple[CornerOutlook, ...]
+
+
+def outlook(
+    config: Config, estimator: Estimator, document: Mapping[str, Any]
+) -> Outlook:
+    """Return what the brakes of *estimator* will do, parked.
+
+    *document* is the state file's that they were restored from.
+    """
+    known = estimator.history_known
+    fluid = FluidKnowledge(config.fluid)
+    risk = document.get("risk")
+    saved = risk.get("fluid") if isinstance(risk, dict) else None
+    if isinstance(saved, dict):
+        fluid.resume(saved)
+    saved_us = document.get("wall_us")
+    saved_us = saved_us if isinstance(saved_us, int) else None
+    boiling = fluid.boiling(saved_us or 0)
+    air_k = saved_ambient_k(document, estimator)
+    kernel = load_kernel()
+    members = config.forecast.members if kernel else PYTHON_MEMBERS
+    spread = Spread().scaled(config.forecast.uncertainty)
+    factor = 1.0 if known else DEGRADED_FACTOR
+    corners = []
+    for name in (c.name for c in config.disc_corners()):
+        ensemble = Ensemble(estimator.programs[name], members, spread)
+        state = estimator.state(name)
+        course = parked_course(
+            ensemble, kernel, list(state.values()), air_k, factor
+        )
+        probability = boiling.mean_probability(course.peaks_k(HORIZON_S))
+        peak_k, peak_in_s = course.peak(HORIZON_S)
+        risk = CornerRisk(
+            probability=probability,
+            probability_now=course.probability(0, boiling),
+            level=published_level(
+                level_of(probability), Validity.VALID, history_known=known
+            ),
+            fluid_deviation_k=ensemble.fluid_deviation_k(
+                state["fluid"], air_k, factor
+            ),
+            peak_k=peak_k,
+            peak_in_s=peak_in_s,
+            safe_in_s=course.safe_in_s(boiling, PROBABILITIES[0]),
+        )
+        corners.append(CornerOutlook(name, state["fluid"], risk))
+    return Outlook(
+        saved_us,
+        known,
+        air_k,
+        fluid.water.median_percent,
+        tuple(boiling.quantile(share) for share in SHARES),
+        members,
+        tuple(corners),
+    )

@@ -1,1 +1,0 @@
-"""What a drive tells of the car: resistances, friction, stops."""

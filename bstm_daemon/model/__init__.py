@@ -1,0 +1,1 @@
+"""The physics, pure: heat, temperatures, effects, wear and risk."""

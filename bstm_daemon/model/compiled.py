@@ -1,0 +1,55 @@
+"""What the compiled forms of heat and temperatures take from Python."""
+
+from __future__ import annotations
+
+from bstm_daemon import channels, roles, units
+from bstm_daemon.model.heat import (
+    check_rules,
+    friction_law,
+    fusion,
+    inputs,
+    learned,
+    memory,
+    observer,
+    observer_faults,
+    observer_rules,
+    sample_pass,
+    sample_plan,
+)
+from bstm_daemon.model.thermal import program, reference
+from bstm_daemon.native.header import Header
+
+
+def generated_header() -> str:
+    """Return the text of ``generated.h``."""
+    header = Header()
+    names = [role.name for role in roles.ROLES]
+    header.names("role_", names, "ROLES")
+    header.names("node_", roles.MEASURED_NODES, "MEASURED_COUNT")
+    header.names("channel_", channels.CHANNELS, "CHANNELS")
+    header.names("vehicle_", channels.VEHICLE_CHANNELS, "VEHICLE_CHANNELS")
+    header.values_of("flag_", channels.FLAGS)
+    header.values_of("mode_", channels.MODES)
+    header.values_of("slope_", channels.SLOPES)
+    header.constants(
+        channels,
+        units,
+        check_rules,
+        friction_law,
+        learned,
+        memory,
+        observer_rules,
+        observer,
+        inputs,
+        fusion,
+        sample_pass,
+    )
+    header.layout(sample_plan.PlanNumbers)
+    header.layout(memory.SampleMemory)
+    header.record(observer_faults.Step)
+    header.constants(program, reference)
+    header.names("count_", program.COUNTS, "COUNTS")
+    header.names("", program.SECTIONS, "SECTIONS")
+    header.values_of("driver_", program.DRIVER_KINDS)
+    header.values_of("memory_", program.MEMORY_KINDS)
+    return header.text()

@@ -1,0 +1,138 @@
+"""What an effect is: a name, parameters with bounds, an edit of the model."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, ClassVar, Literal
+
+from bstm_daemon.model.effects.model import (
+    CornerModel,
+    InputModel,
+    Parameter,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from bstm_daemon.config.sections import CornerConfig
+
+Kind = Literal["thermal", "heat", "measurement"]
+
+STRENGTH = Parameter("strength", "1", 0.0, 5.0, 1.0, "0 = absent, 1 = typical")
+SIGNED_STRENGTH = Parameter(
+    "strength", "1", -5.0, 5.0, 1.0, "0 = absent, 1 = typical, either sign"
+)
+
+FIRST, USUAL, LAST = -1, 0, 1
+"""Stages of application: what makes the nodes that others use comes first,
+what moves the ends of links comes last."""
+
+
+class Effect:
+    """One effect with its parameter values.
+
+    Subclasses give ``number`` and ``name`` of the catalogue, the ``kind`` of
+    what is edited, a ``description`` in plain words, the ``signature`` by
+    which data show it, the names of the effects it is a twin of, their own
+    parameters in ``own_parameters``, and at least one of :meth:`edit` and
+    :meth:`edit_inputs`. At strength 0 neither is called.
+
+    Three kinds. ``thermal``: the network of a corner. ``heat``: the power
+    that heats it, by its sources, by the configuration that the pass over
+    samples is built from, or by a correction of what a sensor reads.
+    ``measurement``: what a thermocouple reads of a node.
+    """
+
+    number: ClassVar[int]
+    name: ClassVar[str]
+    kind: ClassVar[Kind] = "thermal"
+    description: ClassVar[str]
+    signature: ClassVar[str]
+    twins: ClassVar[tuple[str, ...]] = ()
+    own_parameters: ClassVar[tuple[Parameter, ...]] = ()
+
+    either_sign: ClassVar[bool] = False
+    """Whether physics allows a strength below 0."""
+
+    whole_car: ClassVar[bool] = False
+    """Whether it acts on the car and can not be given for one corner."""
+
+    stage: ClassVar[int] = USUAL
+
+    def __init__(self, values: Mapping[str, float]) -> None:
+        """Take *values* by name; what is not given is typical.
+
+        Raises:
+            ValueError: one or more names unknown or values out of bounds;
+                one line each.
+        """
+        problems = self.problems(values)
+        if problems:
+            raise ValueError("\n".join(problems))
+        self._values = {
+            p.name: float(values.get(p.name, p.typical))
+            for p in self.parameters()
+        }
+
+    @classmethod
+    def parameters(cls) -> tuple[Parameter, ...]:
+        """All parameters, strength first."""
+        strength = SIGNED_STRENGTH if cls.either_sign else STRENGTH
+        return (strength, *cls.own_parameters)
+
+    @classmethod
+    def problems(cls, values: Mapping[str, float]) -> list[str]:
+        """What is wrong with *values*: a line per unknown name or bound."""
+        known = {p.name: p for p in cls.parameters()}
+        found = []
+        for name, given in values.items():
+            if name not in known:
+                found.append(
+                    f"parameters.{name}: unknown; {cls.name} has "
+                    f"{', '.join(known)}"
+                )
+            elif not known[name].lower <= given <= known[name].upper:
+                p = known[name]
+                unit = "" if p.unit == "1" else f" {p.unit}"
+                found.append(
+                    f"parameters.{name} = {given}: allowed {p.lower:g} to "
+                    f"{p.upper:g}{unit}"
+                )
+        return found
+
+    def __getitem__(self, name: str) -> float:
+        """Value of the parameter *name*."""
+        return self._values[name]
+
+    @property
+    def strength(self) -> float:
+        """The effect's strength, 1 = typical."""
+        return self._values["strength"]
+
+    def apply(self, model: CornerModel) -> CornerModel:
+        """Return *model*, one corner, with the effect in it."""
+        return model if self.strength == 0.0 else self.edit(model)
+
+    def apply_to_inputs(
+        self, inputs: InputModel, corner: CornerConfig | None
+    ) -> InputModel:
+        """Return *inputs*, the car's, with the effect in it.
+
+        Called once for the car with *corner* None where the effect is of the
+        ``whole_car``, and otherwise once for each corner that it is given
+        for.
+        """
+        if self.strength == 0.0:
+            return inputs
+        return self.edit_inputs(inputs, corner)
+
+    def edit(self, model: CornerModel) -> CornerModel:
+        """Edit one corner; the strength is not 0."""
+        return model
+
+    def edit_inputs(
+        self,
+        inputs: InputModel,
+        corner: CornerConfig | None,  # noqa: ARG002
+    ) -> InputModel:
+        """Edit the inputs of the car; the strength is not 0."""
+        return inputs

@@ -1,0 +1,44 @@
+"""Effect 33: the accelerometer reads too much."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, ClassVar
+
+from bstm_daemon.model.effects.effect import Effect
+from bstm_daemon.model.effects.model import Correction, InputModel, Parameter
+
+if TYPE_CHECKING:
+    from bstm_daemon.config.sections import CornerConfig
+
+
+class AccelerometerBias(Effect):
+    """The reading is the true specific force plus a constant.
+
+    0.1 m/s2 is 1 % of grade: 16 % of the braking force on a descent of 8 %.
+    """
+
+    number = 33
+    name = "accelerometer_bias"
+    kind = "heat"
+    description = "The accelerometer has an offset, like a wrong grade."
+    signature = (
+        "All heat input, while braking, with speed, the same on the flat and "
+        "downhill; needs Feed-Back."
+    )
+    twins = ("mass_error", "powertrain_torque_error", "brake_share")
+    either_sign = True
+    whole_car = True
+    own_parameters: ClassVar = (
+        Parameter("bias_ms2", "m/s2", 0.0, 0.5, 0.08, "read too much"),
+    )
+
+    def edit_inputs(
+        self,
+        inputs: InputModel,
+        corner: CornerConfig | None,  # noqa: ARG002
+    ) -> InputModel:
+        """Take the offset off every sample."""
+        bias = self.strength * self["bias_ms2"]
+        return inputs.with_correction(
+            Correction("acceleration_longitudinal", offset=-bias)
+        )

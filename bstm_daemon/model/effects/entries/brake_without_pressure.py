@@ -1,0 +1,42 @@
+"""Effect 39: the brakes act without primary pressure."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from bstm_daemon.model.effects.effect import Effect
+
+if TYPE_CHECKING:
+    from bstm_daemon.config.sections import CornerConfig
+    from bstm_daemon.model.effects.model import InputModel
+
+
+class BrakeWithoutPressure(Effect):
+    """Braking that the motion shows counts although no pressure does.
+
+    Assist functions, anti-slip control and the park brake press the pads
+    from behind the primary circuit. What decelerates the car by more than
+    ``[heat] brake_on_force_n`` beyond torque, resistance and slope is then
+    brake heat, divided as Feed-Back's. ``fused`` finds such braking by
+    itself. The strength is the share that counts.
+    """
+
+    number = 39
+    name = "brake_without_pressure"
+    kind = "heat"
+    description = "Something else than the pedal presses the brakes."
+    signature = (
+        "All heat input, while the car is braked by more than its resistance "
+        "and no pressure is there; by the motion only."
+    )
+    twins = ("residual_drag", "powertrain_torque_error", "mass_error")
+    whole_car = True
+
+    def edit_inputs(
+        self,
+        inputs: InputModel,
+        corner: CornerConfig | None,  # noqa: ARG002
+    ) -> InputModel:
+        """Let the pass over samples count what the motion shows."""
+        return replace(inputs, unpressed_share=self.strength)

@@ -1,0 +1,39 @@
+"""Effect 24: backplates heat the caliper past piston and shim."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+from bstm_daemon.model.effects.effect import Effect
+from bstm_daemon.model.effects.model import CornerModel, Parameter
+from bstm_daemon.model.thermal.network import Link
+
+
+class CaliperBypass(Effect):
+    """A constant conductance beside the shim, plate to caliper body.
+
+    Films of air of half a millimetre over 50 cm2 around the piston and at
+    the guides pass about half a watt a kelvin.
+    """
+
+    number = 24
+    name = "caliper_bypass"
+    description = "Heat passes the piston on its way into the caliper."
+    signature = (
+        "Edge pad back to fluid (to the caliper where that is apart), with "
+        "the difference of their temperatures."
+    )
+    twins = ("shim_contact", "backplate_loss")
+    own_parameters: ClassVar = (
+        Parameter("conductance_w_k", "W/K", 0.02, 5.0, 0.5, "both plates"),
+    )
+
+    def edit(self, model: CornerModel) -> CornerModel:
+        """Add the link backplate to caliper."""
+        link = Link(
+            "caliper_bypass",
+            "backplate",
+            model.caliper,
+            self.strength * self["conductance_w_k"],
+        )
+        return model.with_network(model.network.with_link(link))

@@ -1,0 +1,51 @@
+"""Effect 12: convection of the disc rises with another power of speed."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+from bstm_daemon.model.effects.effect import Effect
+from bstm_daemon.model.effects.model import CornerModel, Parameter
+from bstm_daemon.model.thermal.network import value, with_factors
+from bstm_daemon.model.thermal.table import Table
+
+REFERENCE_MS = 10.0
+FASTEST_MS = 120.0
+
+
+class ConvectionExponent(Effect):
+    """S(v) times ``(v / v0)^n``, 1 at 36 km/h, where S is usually measured.
+
+    Nu ~ Re^0.55 in laminar, Re^0.8 in turbulent flow (Limpert). Below
+    ``blend_end_ms`` the factor of that speed goes to 1 at rest, where no
+    flow is forced.
+    """
+
+    number = 12
+    name = "convection_exponent"
+    description = "The wind cools the disc more steeply with speed."
+    signature = (
+        "Disc, driving: too hot above and too cold below one speed, "
+        "proportional to the excess over the air."
+    )
+    twins = ("disc_radiation_driving", "residual_drag")
+    either_sign = True
+    own_parameters: ClassVar = (
+        Parameter("exponent", "1", 0.0, 0.5, 0.18, "more than S has"),
+    )
+
+    def edit(self, model: CornerModel) -> CornerModel:
+        """Multiply the conductance of the disc's convection."""
+        power = self.strength * self["exponent"]
+        slow = model.spec.cooling.blend_end_ms
+
+        def steeper(v: float) -> float:
+            share: float = (max(v, slow) / REFERENCE_MS) ** power
+            return share if v >= slow else 1.0 + (share - 1.0) * v / slow
+
+        table = Table.from_function(steeper, 0.0, FASTEST_MS, 481)
+        net = model.network.edit_link(
+            "disc_convection",
+            lambda link: with_factors(link, value("speed_ms", table)),
+        )
+        return model.with_network(net)

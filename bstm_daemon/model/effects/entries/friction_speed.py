@@ -1,0 +1,43 @@
+"""Effect 2: friction depends on the sliding speed."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+from bstm_daemon.model.effects.effect import Effect
+from bstm_daemon.model.effects.model import CornerModel, Parameter
+from bstm_daemon.model.heat.friction_law import FrictionLaw
+
+REFERENCE_MS = 10.0
+SLOWEST_MS = 1.0
+
+
+class FrictionSpeed(Effect):
+    """mu ~ v^b, Rhee's power law, 1 at 36 km/h.
+
+    Rhee (SAE 740415) gives b from -0.25 to +0.25 by compound.
+    """
+
+    number = 2
+    name = "friction_speed"
+    kind = "heat"
+    description = "Linings grip less the faster they slide."
+    signature = (
+        "All heat input of a corner in proportion, while braking only, with "
+        "speed; needs Feed-Forward."
+    )
+    twins = ("friction_pressure",)
+    either_sign = True
+    own_parameters: ClassVar = (
+        Parameter("exponent", "1", 0.0, 0.3, 0.1, "-b, fall with speed"),
+    )
+
+    def edit(self, model: CornerModel) -> CornerModel:
+        """Multiply mu by a power of the speed."""
+        power = -self.strength * self["exponent"]
+
+        def law(v: float) -> float:
+            ratio: float = (max(v, SLOWEST_MS) / REFERENCE_MS) ** power
+            return ratio
+
+        return model.with_friction_law(FrictionLaw.of(speed_ms=law))

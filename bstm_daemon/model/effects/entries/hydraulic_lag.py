@@ -1,0 +1,48 @@
+"""Effect 6: the pressure at the wheel comes later than the signal."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, ClassVar
+
+from bstm_daemon.model.effects.effect import Effect
+from bstm_daemon.model.effects.model import InputModel, Parameter
+
+if TYPE_CHECKING:
+    from bstm_daemon.config.sections import CornerConfig
+
+
+class HydraulicLag(Effect):
+    """A first-order lag of each circuit, more than configured.
+
+    0.1 to 0.3 s from master cylinder to wheel in boosted systems; the second
+    circuit follows the first.
+    """
+
+    number = 6
+    name = "hydraulic_lag"
+    kind = "heat"
+    description = "The wheel brakes follow the pedal with a delay."
+    signature = (
+        "All heat input, at the edges of brakings, with the rate of the "
+        "pressure; needs Feed-Forward."
+    )
+    twins = ("powertrain_torque_error",)
+    whole_car = True
+    own_parameters: ClassVar = (
+        Parameter("primary_s", "s", 0.0, 2.0, 0.15, "of the first circuit"),
+        Parameter("secondary_s", "s", 0.0, 2.0, 0.3, "of the second circuit"),
+    )
+
+    def edit_inputs(
+        self,
+        inputs: InputModel,
+        corner: CornerConfig | None,  # noqa: ARG002
+    ) -> InputModel:
+        """Raise the lags of ``[heat]``."""
+        heat = inputs.config.heat
+        return inputs.with_heat(
+            primary_lag_s=heat.primary_lag_s
+            + self.strength * self["primary_s"],
+            secondary_lag_s=heat.secondary_lag_s
+            + self.strength * self["secondary_s"],
+        )

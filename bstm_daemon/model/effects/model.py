@@ -1,0 +1,155 @@
+"""What effects edit: one corner's model, and the inputs of the whole car."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+from bstm_daemon.model.heat.friction_law import FrictionLaw
+from bstm_daemon.model.thermal.network import Network, Source, with_factors
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from bstm_daemon.config.sections import Config, CornerConfig
+    from bstm_daemon.model.thermal.brake_corner import CornerSpec
+    from bstm_daemon.model.thermal.network import Factor
+
+AIR = "air"
+"""Node of the air inside the wheel house, where an effect has made one."""
+
+CALIPER = "caliper"
+"""Node of the caliper, where an effect has split it from the fluid."""
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """A parameter of an effect: unit, bounds, typical value, meaning."""
+
+    name: str
+    unit: str
+    lower: float
+    upper: float
+    typical: float
+    meaning: str
+
+
+@dataclass(frozen=True, slots=True)
+class CornerModel:
+    """One corner's network and what it was built from.
+
+    ``heat_from_pressure`` is whether the brake power is Feed-Forward; an
+    effect on friction must leave a measured power alone. ``shown_by`` maps a
+    node to the one whose temperature its thermocouple shows, where that is
+    another. ``friction`` is what the pass over samples makes of the pressure,
+    in any mode.
+    """
+
+    spec: CornerSpec
+    network: Network
+    heat_from_pressure: bool
+    wheel_radius_m: float = 0.33
+    shown_by: Mapping[str, str] = field(default_factory=dict)
+    friction: FrictionLaw = field(default_factory=FrictionLaw)
+
+    def with_network(self, network: Network) -> CornerModel:
+        """Return the same corner with *network*."""
+        return replace(self, network=network)
+
+    def with_friction_law(self, law: FrictionLaw) -> CornerModel:
+        """Return the same corner with the factors of *law* besides."""
+        return replace(self, friction=self.friction.times(law))
+
+    def with_heat_factors(self, *factors: Factor) -> CornerModel:
+        """Return the corner with *factors* on the power that pressure gives.
+
+        For what a :class:`FrictionLaw` does not know, such as a memory.
+        """
+        if not self.heat_from_pressure:
+            return self
+
+        def scaled(source: Source) -> Source:
+            drivers = {factor.a for factor in source.factors}
+            if "brake_power_w" not in drivers:
+                return source
+            return with_factors(source, *factors)
+
+        net = self.network
+        return self.with_network(
+            replace(net, sources=tuple(map(scaled, net.sources)))
+        )
+
+    def has_node(self, name: str) -> bool:
+        """Whether the network has a node *name*."""
+        return any(node.name == name for node in self.network.nodes)
+
+    @property
+    def surroundings(self) -> str:
+        """Node that convection in the wheel house goes to."""
+        return AIR if self.has_node(AIR) else "ambient"
+
+    @property
+    def caliper(self) -> str:
+        """Node of the caliper: its own, or the lump with the fluid."""
+        return CALIPER if self.has_node(CALIPER) else "fluid"
+
+    def showing(
+        self, network: Network, shown_by: Mapping[str, str]
+    ) -> CornerModel:
+        """Return the same corner with *network* and what its sensors show."""
+        return replace(self, network=network, shown_by=shown_by)
+
+    def shown(self, node: str) -> str:
+        """Name of the state that a thermocouple on *node* shows."""
+        return self.shown_by.get(node, node)
+
+
+@dataclass(frozen=True, slots=True)
+class Correction:
+    """What a reading of a role truly means: ``gain * reading + offset``.
+
+    In the SI unit of the role, before any other use of the sample.
+    """
+
+    role: str
+    gain: float = 1.0
+    offset: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class InputModel:
+    """What brake power is formed from.
+
+    ``config`` is what the pass over samples is planned from (the file's own,
+    edited), ``corrections`` apply to the samples in order,
+    ``unpressed_share`` is how much counts of a braking that is felt while no
+    pressure tells of it.
+    """
+
+    config: Config
+    corrections: tuple[Correction, ...] = ()
+    unpressed_share: float = 0.0
+
+    def with_config(self, **sections: object) -> InputModel:
+        """Return the same with *sections* of the configuration replaced."""
+        return replace(self, config=self.config.model_copy(update=sections))
+
+    def with_vehicle(self, **keys: float) -> InputModel:
+        """Return the same with *keys* of ``[vehicle]`` replaced."""
+        vehicle = self.config.vehicle.model_copy(update=keys)
+        return self.with_config(vehicle=vehicle)
+
+    def with_heat(self, **keys: float) -> InputModel:
+        """Return the same with *keys* of ``[heat]`` replaced."""
+        heat = self.config.heat.model_copy(update=keys)
+        return self.with_config(heat=heat)
+
+    def with_corners(
+        self, edit: Callable[[CornerConfig], CornerConfig]
+    ) -> InputModel:
+        """Return the same with every corner replaced by ``edit(corner)``."""
+        return self.with_config(corner=list(map(edit, self.config.corner)))
+
+    def with_correction(self, *corrections: Correction) -> InputModel:
+        """Return the same with *corrections* after those it has."""
+        return replace(self, corrections=self.corrections + corrections)

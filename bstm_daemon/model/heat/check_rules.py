@@ -1,0 +1,161 @@
+"""What inputs can physically be, and when one speaks against another.
+
+A sample outside its range is not taken. Neither is one that lies further from
+the last one than ``step + rate * time between the two``, unless the next
+sample confirms it. The limits are far beyond what a driver or a control
+system does, so that what they stop is no measurement.
+
+A check of whole steps is a number of seconds: it rises while the check fails,
+and from ``comes_s`` on the input is suspect; then it must pass for ``goes_s``
+before the input counts as sound again. Where a check can not be made, the
+number stays. ``docs/validity.md`` has all of them in tables, with reasons.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import inf
+from typing import Final
+
+from bstm_daemon.roles import ROLES
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """Range and rate of change of a quantity, SI."""
+
+    low: float = -inf
+    high: float = inf
+    step: float = inf
+    rate_per_s: float = 0.0
+
+
+_WHEEL_SPEED: Final = Limits(-150.0, 150.0, 3.0, 200.0)
+"""A wheel that the brake locks on ice loses 20 g; no car does 540 km/h."""
+
+_VEHICLE_SPEED: Final = Limits(-150.0, 150.0, 3.0, 60.0)
+"""Tyres and wings slow a car by 6 g at most."""
+
+_PRESSURE: Final = Limits(-5e5, 400e5, 20e5, 2000e5)
+"""Hydraulics burst near 400 bar; an electric booster builds 1000 bar/s."""
+
+_ACCELERATION: Final = Limits(-100.0, 100.0, 15.0, 500.0)
+"""10 g is a crash; kerbs and gear changes shake the body by some m/s2."""
+
+_TORQUE: Final = Limits(-2e5, 2e5, 2e4, 5e5)
+"""At all wheels together: a 60 t truck climbs with 140 kNm; an electric
+motor turns its torque round in a tenth of a second."""
+
+_FORCE: Final = Limits(-1e6, 1e6)
+"""A trailer of the heaviest vehicle, braked by it alone."""
+
+_AMBIENT: Final = Limits(200.0, 360.0, 10.0, 5.0)
+"""From the coldest weather to a sensor above a hot road."""
+
+_TEMPERATURE: Final = Limits(200.0, 2300.0, 100.0, 500.0)
+"""Carbon discs glow at 1300 K; a rubbing thermocouple gains 500 K/s."""
+
+_BY_NAME: Final = {
+    "vehicle_speed": _VEHICLE_SPEED,
+    "primary_pressure": _PRESSURE,
+    "secondary_pressure": _PRESSURE,
+    "acceleration_longitudinal": _ACCELERATION,
+    "powertrain_torque": _TORQUE,
+    "external_force": _FORCE,
+    "ambient_temperature": _AMBIENT,
+}
+_BY_PREFIX: Final = {
+    "wheel_speed_": _WHEEL_SPEED,
+    "wheel_pressure_": _PRESSURE,
+    "temp_": _TEMPERATURE,
+}
+
+
+def limits_of(role: str) -> Limits:
+    """Return the limits of *role*; without any where none is known."""
+    for prefix, limits in _BY_PREFIX.items():
+        if role.startswith(prefix):
+            return limits
+    return _BY_NAME.get(role, Limits())
+
+
+LIMITS: Final = tuple(limits_of(role.name) for role in ROLES)
+"""Limits by role number: of those that the pass computes with."""
+
+
+HOLD_US: Final = 2_000_000
+"""How long a role is suspect after a sample that was not taken."""
+
+SILENT_US: Final = 1_000_000
+"""No sample of any role for longer: the bus sleeps, the car is parked."""
+
+
+@dataclass(frozen=True, slots=True)
+class Hysteresis:
+    """After how long a failing check comes, and a passing one goes [s]."""
+
+    comes_s: float
+    goes_s: float
+
+    def advance(
+        self, fault_s: float, dt_s: float, *, failed: bool | None
+    ) -> float:
+        """Return the seconds a step later; *failed* is None if not known."""
+        if failed is None:
+            return fault_s
+        latched = fault_s >= self.comes_s
+        if failed:
+            fault_s = fault_s + dt_s
+            if latched or fault_s >= self.comes_s:
+                return self.comes_s + self.goes_s
+            return fault_s
+        fault_s = fault_s - dt_s
+        if fault_s <= (self.comes_s if latched else 0.0):
+            return 0.0
+        return fault_s
+
+
+DEVIATION: Final = Hysteresis(2.0, 10.0)
+STUCK: Final = Hysteresis(1.0, 10.0)
+SWITCH: Final = Hysteresis(1.0, 10.0)
+INERTIA: Final = Hysteresis(5.0, 20.0)
+REVERSED: Final = Hysteresis(1.0, 20.0)
+
+DEVIATION_MS: Final = 2.0
+DEVIATION_SHARE: Final = 0.2
+DEVIATION_BRAKING: Final = 0.35
+MOVING_MS: Final = 3.0
+"""A speed deviates from the others' median by more than 2 m/s and 20 % of it,
+35 % while braking: the tightest turn gives 15 to 20 %, ABS slip some more."""
+
+FROZEN_SPEED_S: Final = 5.0
+FROZEN_SPEED_MS: Final = 3.0
+FROZEN_PRESSURE_S: Final = 30.0
+FROZEN_PRESSURE_MS: Final = 5.0
+FROZEN_PRESSURE_PA: Final = 3e5
+MOVES_S: Final = 1.0
+"""Bit-identical for so long while the car's speed changed by so much."""
+
+SWITCH_PRESSURE_PA: Final = 5e5
+SWITCH_MS: Final = 1.0
+
+INERTIA_FILTER_S: Final = 2.0
+INERTIA_MS2: Final = 4.0
+"""3 m/s2 and 1 m/s2 for a slope of 10 %, which the accelerometer shows."""
+
+REVERSED_MEMORY_S: Final = 120.0
+REVERSED_MS2: Final = 2.0
+REVERSED_MOTION: Final = 40.0
+REVERSED_SHARE: Final = 0.2
+"""Where the speed gains more than 2 m/s2, which 20 % of slope can not undo,
+acceleration times gain is summed: negative means the wrong way round. 40
+m2/s3 are 10 s of 2 m/s2, or 2.5 s of 4."""
+
+STANDING_MS: Final = 0.5
+PARKING_MS: Final = 5.0
+"""A car whose speed is lost above this has not just been parked."""
+
+OUTAGE_S: Final = 10.0
+OUTAGE_MEMORY: Final = 30.0
+"""Unknown heat for longer makes an estimate invalid; it counts for so many
+times as long."""

@@ -1,0 +1,457 @@
+"""Checks of the inputs against physics, each other and their own past.
+
+The pure-Python form of ``native/heat/checks.c``; both do the same operations
+in the same order. :meth:`Checks.admit` judges one sample, :meth:`Checks.close`
+what holds at the end of a step; limits and thresholds are those of
+:mod:`bstm_daemon.model.heat.check_rules`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import exp, isnan
+from typing import TYPE_CHECKING
+
+from bstm_daemon.channels import (
+    CORNER_PRESSURE_SUSPECT,
+    FLAGS,
+    HEAT_DOUBT,
+    HEAT_LOST,
+    WHEEL_SUSPECT,
+)
+from bstm_daemon.model.heat.check_rules import (
+    DEVIATION,
+    DEVIATION_BRAKING,
+    DEVIATION_MS,
+    DEVIATION_SHARE,
+    FROZEN_PRESSURE_MS,
+    FROZEN_PRESSURE_PA,
+    FROZEN_PRESSURE_S,
+    FROZEN_SPEED_MS,
+    FROZEN_SPEED_S,
+    HOLD_US,
+    INERTIA,
+    INERTIA_FILTER_S,
+    INERTIA_MS2,
+    LIMITS,
+    MOVES_S,
+    MOVING_MS,
+    OUTAGE_MEMORY,
+    OUTAGE_S,
+    REVERSED,
+    REVERSED_MEMORY_S,
+    REVERSED_MOTION,
+    REVERSED_MS2,
+    REVERSED_SHARE,
+    SILENT_US,
+    STUCK,
+    SWITCH,
+    SWITCH_MS,
+    SWITCH_PRESSURE_PA,
+)
+from bstm_daemon.model.heat.memory import NEVER, UNKNOWN
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from bstm_daemon.model.heat.memory import CheckMemory
+    from bstm_daemon.model.heat.sample_plan import PlanNumbers
+
+
+@dataclass(slots=True)
+class Readings:
+    """What the pass knows at the end of a step; nan for what is missing.
+
+    ``speeds``: absolute, wheels in corner order, then the vehicle's;
+    ``pressures``: primary, secondary, then wheels; ``acceleration`` along
+    the motion; ``pressure_of``: per corner the place in ``pressures`` that
+    its pressure comes from; ``heat_known`` and ``at_risk`` per corner:
+    whether its power is known, and whether there may be some.
+    """
+
+    now: int
+    dt_s: float
+    speed: float
+    speed_known: bool
+    braking: bool
+    brake_switch: float
+    esc_active: float
+    acceleration: float
+    speeds: Sequence[float]
+    pressures: Sequence[float]
+    pressure_of: Sequence[int]
+    heat_known: Sequence[bool]
+    at_risk: Sequence[bool]
+
+
+@dataclass(frozen=True, slots=True)
+class Watched:
+    """Role numbers by what they are."""
+
+    speeds: Sequence[int]
+    pressures: Sequence[int]
+    acceleration: int
+    torque: int
+    temperatures: Sequence[int]
+
+
+class Checks:
+    """All checks of a car; the memory ``m`` changes in place."""
+
+    def __init__(
+        self, watched: Watched, plan: PlanNumbers, memory: CheckMemory
+    ) -> None:
+        """Watch the roles *watched* of *plan*."""
+        self.watched, self.plan, self.m = watched, plan, memory
+
+    def admit(
+        self, at_us: int, role: int, value: float, last: float, since: int
+    ) -> bool:
+        """Whether *value* is a sample of *role*.
+
+        *last* is the role's present value and *since* its stamp [us], NEVER
+        where there is none or the order of the two is not known: then only
+        the range counts.
+        """
+        self.m.last_sample = at_us
+        if value < LIMITS[role].low or value > LIMITS[role].high:
+            self.m.out_of_range += 1
+            self._hold(at_us, role)
+            return False
+        if since != NEVER and self._jumped(role, value - last, at_us - since):
+            first = self.m.jump_stamp[role]
+            if (
+                first == NEVER
+                or at_us <= first
+                or self._jumped(
+                    role, value - self.m.jump_value[role], at_us - first
+                )
+            ):
+                self.m.jump_stamp[role] = at_us
+                self.m.jump_value[role] = value
+                self.m.jumps_refused += 1
+                self._hold(at_us, role)
+                return False
+        self.m.jump_stamp[role] = NEVER
+        return True
+
+    def _jumped(self, role: int, change: float, time_us: int) -> bool:
+        limits = LIMITS[role]
+        return abs(change) > (
+            limits.step + limits.rate_per_s * (time_us * 1e-6)
+        )
+
+    def _hold(self, at_us: int, role: int) -> None:
+        self.m.until[role] = at_us + HOLD_US
+        self.m.suspect_until = max(self.m.suspect_until, self.m.until[role])
+
+    def shift(self, ahead_us: int) -> None:
+        """Move the axis, as the clock was set."""
+        for stamps in (self.m.jump_stamp, self.m.until):
+            for role, stamp in enumerate(stamps):
+                if stamp != NEVER:
+                    stamps[role] = stamp + ahead_us
+        if self.m.last_sample != NEVER:
+            self.m.last_sample += ahead_us
+        if self.m.suspect_until != NEVER:
+            self.m.suspect_until += ahead_us
+
+    def settle(self) -> None:
+        """Forget outages: everything is at ambient temperature."""
+        for c in range(self.plan.corners):
+            self.m.outage_s[c] = self.m.aftermath_s[c] = 0.0
+
+    def close(self, now: Readings) -> int:
+        """Judge a step that ends; returns bits of FLAGS."""
+        median, count = _median(now.speeds)
+        self._compare_speeds(now, median, count)
+        self._hold_speeds(now, median, count)
+        refused = 0
+        if now.now <= self.m.suspect_until:
+            refused = self._held_flags(now)
+            refused |= self._speed_flags(now, refused)
+        self._hold_pressures(now, refused)
+        self._compare_switch(now)
+        self._compare_inertia(now, refused)
+        flags = self._contradictions(now, count) | refused
+        flags |= self._speed_flags(now, flags)
+        return flags | self._outages(now)
+
+    def _compare_speeds(
+        self, now: Readings, median: float, count: int
+    ) -> None:
+        share = DEVIATION_BRAKING if now.braking else DEVIATION_SHARE
+        allowed = DEVIATION_MS + share * median
+        agreeing = 0
+        for speed in now.speeds:
+            if abs(speed - median) <= allowed:
+                agreeing += 1
+        for v, speed in enumerate(now.speeds):
+            failed = None
+            if count >= 3 and not isnan(speed):
+                if abs(speed - median) > allowed:
+                    failed = True if agreeing >= 2 else None
+                elif median > MOVING_MS:
+                    failed = False
+            self.m.deviation_fault_s[v] = DEVIATION.advance(
+                self.m.deviation_fault_s[v], now.dt_s, failed=failed
+            )
+        if count == 2:
+            self._compare_pair(now, median, share)
+
+    def _compare_pair(
+        self, now: Readings, median: float, share: float
+    ) -> None:
+        # the median of two is their mean
+        high = low = median
+        for speed in now.speeds:
+            high = max(high, speed)
+            low = min(low, speed)
+        failed = None
+        if high - low > DEVIATION_MS + share * high:
+            failed = True
+        elif median > MOVING_MS:
+            failed = False
+        self.m.pair_fault_s = DEVIATION.advance(
+            self.m.pair_fault_s, now.dt_s, failed=failed
+        )
+
+    def _hold_speeds(self, now: Readings, median: float, count: int) -> None:
+        for v, speed in enumerate(now.speeds):
+            # of two, the other; of three and more a median stands still
+            # only where most of them do
+            other = 2.0 * median - speed if count == 2 else median
+            if isnan(speed) or speed != self.m.speed_held[v]:
+                self.m.speed_held[v] = 0.0 if isnan(speed) else speed
+                self.m.speed_held_s[v] = 0.0
+                self.m.speed_mark[v] = 0.0 if isnan(other) else other
+            else:
+                self.m.speed_held_s[v] += now.dt_s
+            failed = None
+            if count >= 2 and not isnan(speed):
+                if self.m.speed_held_s[v] < MOVES_S:
+                    failed = False
+                elif (
+                    self.m.speed_held_s[v] >= FROZEN_SPEED_S
+                    and abs(other - self.m.speed_mark[v]) > FROZEN_SPEED_MS
+                ):
+                    failed = True
+            self.m.speed_stuck_s[v] = STUCK.advance(
+                self.m.speed_stuck_s[v], now.dt_s, failed=failed
+            )
+            self.m.left_out[v] = float(
+                self.m.deviation_fault_s[v] >= DEVIATION.comes_s
+                or self.m.speed_stuck_s[v] >= STUCK.comes_s
+            )
+
+    def _hold_pressures(self, now: Readings, refused: int) -> None:
+        # what noise made of the speed is no driving
+        unsure = bool(refused & FLAGS["speed_suspect"])
+        for i, pressure in enumerate(now.pressures):
+            if isnan(pressure) or pressure != self.m.pressure_held[i]:
+                self.m.pressure_held[i] = 0.0 if isnan(pressure) else pressure
+                self.m.pressure_held_s[i] = 0.0
+                self.m.pressure_mark[i] = now.speed
+            else:
+                self.m.pressure_held_s[i] += now.dt_s
+            if unsure:
+                self.m.pressure_mark[i] = now.speed
+            failed = None
+            if not isnan(pressure) and now.speed_known:
+                if (
+                    pressure <= FROZEN_PRESSURE_PA
+                    or self.m.pressure_held_s[i] < MOVES_S
+                ):
+                    failed = False
+                elif (
+                    self.m.pressure_held_s[i] >= FROZEN_PRESSURE_S
+                    and abs(now.speed - self.m.pressure_mark[i])
+                    > FROZEN_PRESSURE_MS
+                ):
+                    failed = True
+            self.m.pressure_stuck_s[i] = STUCK.advance(
+                self.m.pressure_stuck_s[i], now.dt_s, failed=failed
+            )
+
+    def _compare_switch(self, now: Readings) -> None:
+        # only the pedal's own pressure: assistance fills the other circuits
+        failed = None
+        primary = now.pressures[0]
+        if (
+            not isnan(primary)
+            and now.speed > SWITCH_MS
+            and not isnan(now.brake_switch)
+            and now.esc_active == 0.0
+        ):
+            failed = primary > SWITCH_PRESSURE_PA and now.brake_switch == 0.0
+        self.m.switch_fault_s = SWITCH.advance(
+            self.m.switch_fault_s, now.dt_s, failed=failed
+        )
+
+    def _compare_inertia(self, now: Readings, refused: int) -> None:
+        noise = refused & (
+            FLAGS["speed_suspect"] | FLAGS["acceleration_suspect"]
+        )
+        if isnan(now.acceleration) or not now.speed_known or noise:
+            self.m.slow_speed = UNKNOWN
+            return
+        if self.m.slow_speed < 0.0:
+            self.m.slow_speed = now.speed
+            self.m.slow_acceleration = now.acceleration
+        share = 1.0 - exp(-now.dt_s / INERTIA_FILTER_S)
+        self.m.slow_speed += share * (now.speed - self.m.slow_speed)
+        self.m.slow_acceleration += share * (
+            now.acceleration - self.m.slow_acceleration
+        )
+        gained = (now.speed - self.m.slow_speed) / INERTIA_FILTER_S
+        failed = abs(self.m.slow_acceleration - gained) > INERTIA_MS2
+        self.m.inertia_fault_s = INERTIA.advance(
+            self.m.inertia_fault_s, now.dt_s, failed=failed
+        )
+        self._compare_direction(now.dt_s, gained)
+
+    def _compare_direction(self, dt_s: float, gained: float) -> None:
+        faded = dt_s / REVERSED_MEMORY_S
+        self.m.agreement -= faded * self.m.agreement
+        self.m.motion -= faded * self.m.motion
+        if abs(gained) > REVERSED_MS2:
+            self.m.agreement += self.m.slow_acceleration * gained * dt_s
+            self.m.motion += gained * gained * dt_s
+        failed = None
+        if self.m.motion > REVERSED_MOTION:
+            if self.m.agreement < -REVERSED_SHARE * self.m.motion:
+                failed = True
+            elif self.m.agreement > REVERSED_SHARE * self.m.motion:
+                failed = False
+        self.m.reversed_fault_s = REVERSED.advance(
+            self.m.reversed_fault_s, dt_s, failed=failed
+        )
+
+    def _contradictions(self, now: Readings, count: int) -> int:
+        """Bits of the checks of whole steps; absent inputs have none."""
+        flags = self._speed_contradictions(now, count)
+        switch = self.m.switch_fault_s >= SWITCH.comes_s and not isnan(
+            now.brake_switch
+        )
+        for i, pressure in enumerate(now.pressures):
+            if isnan(pressure):
+                continue
+            stuck = self.m.pressure_stuck_s[i] >= STUCK.comes_s
+            alone = switch and i == 0
+            if stuck:
+                flags |= FLAGS["stuck"]
+            if alone:
+                flags |= FLAGS["switch_contradicts"]
+            if stuck or alone:
+                flags |= self._pressure_flags(now, i)
+        contradicted = (
+            self.m.inertia_fault_s >= INERTIA.comes_s
+            or self.m.reversed_fault_s >= REVERSED.comes_s
+        )
+        if contradicted and not isnan(now.acceleration):
+            flags |= FLAGS["acceleration_suspect"]
+            flags |= FLAGS["acceleration_contradicts"]
+        return flags
+
+    def _speed_contradictions(self, now: Readings, count: int) -> int:
+        flags = 0
+        corners = len(now.speeds) - 1
+        pair = count == 2 and self.m.pair_fault_s >= DEVIATION.comes_s
+        for v, speed in enumerate(now.speeds):
+            if isnan(speed):
+                continue
+            suspect = pair or self.m.left_out[v] != 0.0
+            if suspect and v < corners:
+                flags |= WHEEL_SUSPECT << v
+            if pair or self.m.deviation_fault_s[v] >= DEVIATION.comes_s:
+                flags |= FLAGS["wheels_contradict"]
+            if self.m.speed_stuck_s[v] >= STUCK.comes_s:
+                flags |= FLAGS["stuck"]
+        if pair:
+            flags |= FLAGS["speed_suspect"]
+        return flags
+
+    def _pressure_flags(self, now: Readings, which: int) -> int:
+        flags = FLAGS["pressure_suspect"]
+        for c, source in enumerate(now.pressure_of):
+            if source == which:
+                flags |= CORNER_PRESSURE_SUSPECT << c
+        return flags
+
+    def _held_flags(self, now: Readings) -> int:
+        """Bits of the roles that have refused samples of late."""
+        flags = 0
+        watched = self.watched
+        for c, role in enumerate(watched.speeds[:-1]):
+            if self._suspect(now.now, role):
+                flags |= WHEEL_SUSPECT << c
+        if self._suspect(now.now, watched.speeds[-1]):
+            flags |= FLAGS["speed_suspect"]
+        for i, role in enumerate(watched.pressures):
+            if self._suspect(now.now, role):
+                flags |= self._pressure_flags(now, i)
+        if self._suspect(now.now, watched.acceleration):
+            flags |= FLAGS["acceleration_suspect"]
+        if self._suspect(now.now, watched.torque):
+            flags |= FLAGS["torque_suspect"]
+        for role in watched.temperatures:
+            if self._suspect(now.now, role):
+                flags |= FLAGS["temperature_suspect"]
+        return flags | FLAGS["samples_refused"]
+
+    def _suspect(self, now: int, role: int) -> bool:
+        return self.plan.timeout[role] >= 0.0 and now <= self.m.until[role]
+
+    def _speed_flags(self, now: Readings, flags: int) -> int:
+        """The speed is suspect where no sound speed is left."""
+        last = len(now.speeds) - 1
+        if not isnan(now.speeds[last]) and self.m.left_out[last] == 0.0:
+            return 0
+        present = False
+        for c in range(last):
+            if not isnan(now.speeds[c]):
+                present = True
+                if not flags & (WHEEL_SUSPECT << c):
+                    return 0
+        present = present or not isnan(now.speeds[last])
+        return FLAGS["speed_suspect"] if present else 0
+
+    def _outages(self, now: Readings) -> int:
+        """Bits of what is done where the heat of a corner is not known."""
+        flags = 0
+        silent = (
+            self.m.last_sample == NEVER
+            or now.now - self.m.last_sample > SILENT_US
+        )
+        if silent:
+            flags |= FLAGS["silent"]
+        if now.speed_known:
+            self.m.last_speed = now.speed
+        for c in range(len(now.heat_known)):
+            if not silent and now.at_risk[c] and not now.heat_known[c]:
+                self.m.outage_s[c] += now.dt_s
+                flags |= FLAGS["heat_unknown"]
+                if self.m.outage_s[c] > OUTAGE_S:
+                    counts_s = OUTAGE_MEMORY * self.m.outage_s[c]
+                    self.m.aftermath_s[c] = min(self.plan.settling_s, counts_s)
+                    flags |= HEAT_LOST << c
+                continue
+            outage_s = self.m.outage_s[c] - now.dt_s / OUTAGE_MEMORY
+            self.m.outage_s[c] = max(0.0, outage_s)
+            if self.m.aftermath_s[c] > 0.0:
+                aftermath_s = self.m.aftermath_s[c] - now.dt_s
+                self.m.aftermath_s[c] = max(0.0, aftermath_s)
+                flags |= HEAT_DOUBT << c
+        return flags
+
+
+def _median(values: Sequence[float]) -> tuple[float, int]:
+    """Median and count of the numbers among *values*; 0 of none."""
+    known = sorted(value for value in values if not isnan(value))
+    count = len(known)
+    if count == 0:
+        return 0.0, 0
+    middle = count // 2
+    if count % 2:
+        return known[middle], count
+    return 0.5 * (known[middle - 1] + known[middle]), count

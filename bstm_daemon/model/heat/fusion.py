@@ -1,0 +1,384 @@
+"""Brake power of each corner out of pressure and motion.
+
+The pure-Python form of ``native/heat/fusion.c``; both do the same operations
+in the same order. Feed-Forward gives the shape in time and over the corners,
+the friction that the observer has learned from the motion its magnitude.
+Where the motion shows braking without pressure, it alone gives the power;
+where the motion shows nothing, the pressure does, with what was learned.
+Torque of engine and motor is taken off before: it never heats a brake.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import exp, isnan, nan, sqrt
+from typing import TYPE_CHECKING, Final
+
+from bstm_daemon.channels import FLAGS
+from bstm_daemon.model.heat.check_rules import STANDING_MS
+from bstm_daemon.model.heat.inputs import SLOPE_ACCELEROMETER
+from bstm_daemon.model.heat.learned import (
+    BIAS,
+    DRAG,
+    MASS,
+    STATES,
+    published_variance,
+)
+from bstm_daemon.model.heat.observer_faults import Step
+from bstm_daemon.model.heat.observer_rules import (
+    ASSUMED_TORQUE_STD,
+    DRAG_TORQUE_NOISE,
+    P0_STD,
+    REFERENCE_PRESSURE_PA,
+    REFERENCE_SPEED_MS,
+    TORQUE_NOISE,
+)
+from bstm_daemon.roles import ROLE_INDEX
+from bstm_daemon.units import GRAVITY_MS2
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from bstm_daemon.model.heat.checks import Readings
+    from bstm_daemon.model.heat.inputs import Inputs
+
+BRAKING_S: Final = 0.3
+"""Filter of the measured braking before it counts as one without pressure."""
+
+SILENT_BEFORE_S: Final = 0.5
+SILENT_SPEED_MS: Final = 1.5
+SILENT_STDS: Final = 3.0
+ASSUMED_STDS: Final = 2.0
+STEEPEST_MS2: Final = 2.0
+"""Braking without pressure must be measured for so long, at such a speed, and
+beyond so many standard deviations (fewer where the torque is only assumed and
+the bias never learned); its energy since it began is not lost. What
+is felt beyond the change of speed is a slope of 20 % at most."""
+
+SLIP_FORWARD: Final = 0.08
+SLIPPING: Final = 0.06
+STAND_TURNS_MS: Final = 3.0
+"""A wheel spins beyond the first share; all turn alike within the second; on
+a stand some turn faster while others stand."""
+
+MODEL_SHARE: Final = 0.015
+ABS_SHARE: Final = 0.12
+ASSIST_SHARE: Final = 0.15
+SINGLE_SHARE: Final = 0.6
+"""Standard deviations as shares: of the model with everything learned; where
+anti-lock modulates; where the share of the corners is assumed; where single
+wheels are braked and no pressure tells how, or the torque is assumed."""
+
+ABS_LOW: Final = 0.2
+ABS_HIGH: Final = 1.5
+GRADE_NOISE: Final = 0.02
+
+TARE_PA: Final = 3e4
+TARE_S: Final = 5.0
+TARE_DRIVE_MS2: Final = 0.3
+"""A pressure read while nobody brakes is its sensor's offset, up to 0.3 bar;
+where no switch tells, nobody brakes who drives on with 0.3 m/s2."""
+
+FLAG_SHIFT: Final = 40
+"""The observer's bits in those of a step."""
+
+_ACCELERATION: Final = ROLE_INDEX["acceleration_longitudinal"]
+_TORQUE: Final = ROLE_INDEX["powertrain_torque"]
+_MOTOR: Final = ROLE_INDEX["motor_torque"]
+_TARED: Final = (
+    (ROLE_INDEX["primary_pressure"], "tare_primary"),
+    (ROLE_INDEX["secondary_pressure"], "tare_secondary"),
+)
+
+SUSPECTS: Final = (
+    FLAGS["speed_suspect"]
+    | FLAGS["acceleration_suspect"]
+    | FLAGS["torque_suspect"]
+    | FLAGS["samples_refused"]
+    | FLAGS["wheels_contradict"]
+    | FLAGS["acceleration_contradicts"]
+)
+
+BLIND: Final = FLAGS["external_force_suspected"] | FLAGS["acceleration_scale"]
+UNSURE: Final = (
+    FLAGS["speed_suspect"]
+    | FLAGS["acceleration_suspect"]
+    | FLAGS["torque_suspect"]
+)
+"""The motion shows nothing of the brakes: a push, a scale, an input."""
+
+
+@dataclass(frozen=True, slots=True)
+class Fused:
+    """A step's power and standard deviation per corner [W].
+
+    ``learned`` are the vehicle's channels from the grade on.
+    """
+
+    flags: int
+    power: list[float]
+    power_std: list[float]
+    learned: list[float]
+
+
+def accumulate_motion(run: Inputs, h: float, v: float) -> None:
+    """Add what the values held for *h* seconds show of the motion."""
+    plan, m = run.plan, run.observer.m
+    m.sum_drag += (plan.quadratic * v + plan.linear) * v / plan.mass_kg * h
+    if (
+        not run.valid(_ACCELERATION)
+        or (run.mapped(_MOTOR) and not run.valid(_MOTOR))
+        or not (run.valid(_TORQUE) or run.plan.torque_assumed)
+        or not run.speed_known
+        or run.plan.slope != SLOPE_ACCELEROMETER
+    ):
+        return
+    torque = run.vehicle("powertrain_torque", run.plan.assumed_torque_nm)
+    torque += run.vehicle("motor_torque", 0.0)
+    external = run.vehicle("external_force", 0.0)
+    drive = run.heading * (torque / run.plan.radius_m + external)
+    accel = run.m.value[_ACCELERATION]
+    m.sum_time += h
+    m.sum_accel += run.heading * accel * h
+    m.sum_drive += drive / run.plan.mass_kg * h
+
+
+def fuse(run: Inputs, now: Readings, flags: int) -> Fused:
+    """Learn from the step that ends and give each corner's power."""
+    observer = run.observer
+    s = _describe(run, now, flags)
+    _tare_pressures(run, s)
+    found = observer.observe(s) << FLAG_SHIFT
+    learned = _learned_channels(run, s)
+    known, m = observer.m.known, observer.m
+    ratio = known.x[MASS]
+    level, variance = known.friction(s.speed, s.pressure_pa)
+    scale = exp(level)
+    variance += (
+        published_variance(
+            known.cov[0] / (ratio * ratio), P0_STD[0] * P0_STD[0]
+        )
+        + MODEL_SHARE * MODEL_SHARE
+    )
+    std = extra = 0.0
+    blind = found & BLIND or flags & UNSURE
+    if not isnan(s.accel) and s.forward and not blind:
+        ff_decel = s.brake_n / run.plan.mass_kg * ratio * scale
+        braking, std = observer.braking(s.accel, s.drive, s.drag, m.rate)
+        torque = _torque_std(s, ratio)
+        std = sqrt(std * std + torque * torque)
+        share = 1.0 - exp(-s.dt_s / BRAKING_S)
+        m.slow_braking += share * (braking - m.slow_braking)
+        m.slow_brake += share * (ff_decel - m.slow_brake)
+        modulated = run.vehicle("abs_active", 0.0) > 0.0
+        if modulated and not s.wheel_pressures and m.slow_brake > 0.0:
+            real = m.slow_braking / m.slow_brake
+            scale *= min(max(real, ABS_LOW), ABS_HIGH)
+            variance += ABS_SHARE * ABS_SHARE
+        if not s.wheel_pressures:
+            slow = m.slow_braking - m.slow_brake
+            extra = _unpressed(run, s, braking - ff_decel, slow, std)
+    else:
+        m.slow_braking = m.slow_brake = 0.0
+        m.silent_s = m.silent_energy = 0.0
+    single = run.vehicle("tc_active", 0.0) > 0.0 or now.esc_active > 0.0
+    guessed = single or not s.torque_known
+    vague = SINGLE_SHARE if guessed else ASSIST_SHARE
+    part = _divide(run, now, pressed=s.brake_n > 0.0)
+    power, power_std = [], []
+    for c in range(run.corners):
+        pressed = scale * (run.m.energy_ff[c] / s.dt_s)
+        turning = run.wheel[c] / run.speed if run.speed > 0.0 else 1.0
+        other = extra * part[c] * turning
+        own = vague * other
+        if other > 0.0:
+            unsure = run.plan.mass_kg / ratio * std * s.speed * part[c]
+            own = sqrt(own * own + unsure * unsure)
+            found |= FLAGS["braking_unpressed"]
+        power.append(pressed + other)
+        power_std.append(sqrt(pressed * pressed * variance + own * own))
+    return Fused(found, power, power_std, learned)
+
+
+def _torque_std(s: Step, ratio: float) -> float:
+    """Standard deviation of what drives the car [m/s2].
+
+    Of the driveline's torque the retarding one is known worst.
+    """
+    if not s.torque_known:
+        return ASSUMED_TORQUE_STD
+    share = DRAG_TORQUE_NOISE if s.drive < 0.0 else TORQUE_NOISE
+    return share * ratio * s.drive
+
+
+def _describe(run: Inputs, now: Readings, flags: int) -> Step:
+    m, dt_s = run.observer.m, now.dt_s
+    whole = m.sum_time > dt_s - 1e-9
+    yaw = abs(run.vehicle("yaw_rate", 0.0)) * run.speed
+    side = abs(run.vehicle("acceleration_lateral", 0.0))
+    brake_n = highest = 0.0
+    pressure_known = wheel_pressures = True
+    some = none = False
+    for c in range(run.corners):
+        brake_n += run.observer.m.brake_sum[c] / dt_s
+        highest = max(highest, run.m.pressure_sum[c] / dt_s)
+        if run.m.on_time[c] > 0.0:
+            some = True
+        else:
+            none = True
+        pressure_known = pressure_known and run.corner_known(c)
+        wheel_pressures = wheel_pressures and run.valid(run.pressure_role[c])
+    pressed = now.brake_switch > 0.0 or some
+    acts = (
+        run.vehicle("abs_active", 0.0) > 0.0
+        or now.esc_active > 0.0
+        or run.vehicle("tc_active", 0.0) > 0.0
+    )
+    partial = some and none and not wheel_pressures
+    return Step(
+        dt_s=dt_s,
+        speed=run.m.speed_sum / dt_s,
+        end_speed=run.speed,
+        accel=m.sum_accel / dt_s if whole else nan,
+        drive=m.sum_drive / dt_s if whole else nan,
+        drag=m.sum_drag / dt_s,
+        brake_n=brake_n,
+        pressure_pa=highest,
+        brake_switch=now.brake_switch,
+        lateral=max(yaw, side),
+        gear=run.vehicle("gear", 0.0),
+        clutch=run.vehicle("clutch_open", 0.0),
+        height=run.vehicle("altitude", nan),
+        gnss_speed=run.vehicle("gnss_speed", nan),
+        steady=not acts
+        and _rolls(run)
+        and flags & SUSPECTS == 0
+        and not partial,
+        forward=run.heading > 0.0,
+        pressed=pressed,
+        pressure_known=pressure_known,
+        wheel_pressures=wheel_pressures,
+        torque_known=run.valid(_TORQUE),
+        on_stand=not pressed and _on_stand(run),
+    )
+
+
+def _tare_pressures(run: Inputs, s: Step) -> None:
+    """Follow what the pressures read while nobody brakes."""
+    if isnan(s.brake_switch):
+        released = s.drive > TARE_DRIVE_MS2
+    else:
+        released = not s.brake_switch > 0.0
+    if not released:
+        return
+    m = run.observer.m
+    share = 1.0 - exp(-s.dt_s / TARE_S)
+    for role, name in _TARED:
+        measured_pa = run.m.value[role]
+        if run.valid(role) and abs(measured_pa) <= TARE_PA:
+            tare = getattr(m, name)
+            setattr(m, name, tare + share * (measured_pa - tare))
+
+
+def _rolls(run: Inputs) -> bool:
+    """Whether all wheels turn alike."""
+    most = SLIPPING * run.speed
+    return all(-most <= wheel - run.speed <= most for wheel in run.wheel)
+
+
+def _on_stand(run: Inputs) -> bool:
+    """Whether some wheels turn while others stand."""
+    high, low = 0.0, STAND_TURNS_MS
+    for role in run.wheel_role:
+        if run.valid(role):
+            own = abs(run.m.value[role])
+            high = max(high, own)
+            low = min(low, own)
+    return high > STAND_TURNS_MS and low < STANDING_MS
+
+
+def _without_pressure(run: Inputs, c: int, *, pressed: bool) -> bool:
+    """Whether the corner has no pressure, though others may have."""
+    if not run.corner_known(c):
+        return True
+    if run.valid(run.pressure_role[c]):
+        return False
+    return not pressed or run.observer.m.brake_sum[c] <= 0.0
+
+
+def _divide(run: Inputs, now: Readings, *, pressed: bool) -> Sequence[float]:
+    """How a force without pressure falls on the corners."""
+    spins = run.vehicle("tc_active", 0.0) > 0.0
+    single = spins or now.esc_active > 0.0
+    total = slipping = 0.0
+    slip = []
+    for c in range(run.corners):
+        slip_share = 0.0
+        if run.speed > 0.0:
+            slip_share = (run.speed - run.wheel[c]) / run.speed
+        own = -slip_share - SLIP_FORWARD if spins else slip_share
+        if own < 0.0 or not single:
+            own = 0.0
+        slip.append(own if _without_pressure(run, c, pressed=pressed) else 0.0)
+        slipping += slip[c]
+    part = []
+    for c in range(run.corners):
+        share = run.plan.force_share[c]
+        part.append(
+            share if _without_pressure(run, c, pressed=pressed) else 0.0
+        )
+        if slipping > 0.01:
+            part[c] = slip[c]
+        total += part[c]
+    return [own / total if total > 0.0 else 0.0 for own in part]
+
+
+def _unpressed(
+    run: Inputs, s: Step, excess: float, slow: float, std: float
+) -> float:
+    """Power [W] of the braking without pressure.
+
+    *excess* is that of the step [m/s2], *slow* the filtered one.
+    """
+    m = run.observer.m
+    mass_kg = run.plan.mass_kg / run.observer.m.known.x[MASS]
+    stds = SILENT_STDS if s.torque_known else ASSUMED_STDS
+    least = max(run.plan.on_force_n / mass_kg, stds * std)
+    held = 0.5 * least if m.silent_s >= SILENT_BEFORE_S else least
+    if (
+        s.speed < SILENT_SPEED_MS
+        or not slow > held
+        or abs(m.accel_measured - m.rate) > STEEPEST_MS2
+    ):
+        m.silent_s = m.silent_energy = 0.0
+        return 0.0
+    m.silent_s += s.dt_s
+    m.silent_energy += mass_kg * excess * s.speed * s.dt_s
+    if m.silent_s < SILENT_BEFORE_S:
+        return 0.0
+    power = m.silent_energy / s.dt_s
+    m.silent_energy = 0.0
+    return max(power, 0.0)
+
+
+def _learned_channels(run: Inputs, s: Step) -> list[float]:
+    """What is learned, as the vehicle's channels from the grade on."""
+    observer = run.observer
+    known = observer.m.known
+    ratio, sine = known.x[MASS], observer.m.sine
+    mass_kg = run.plan.mass_kg / ratio
+    level, variance = known.friction(REFERENCE_SPEED_MS, REFERENCE_PRESSURE_PA)
+    bias_var = known.cov[BIAS * STATES + BIAS] + known.rolling_var
+    known_accel = nan if isnan(s.accel) else 0.0
+    return [
+        sine / sqrt(1.0 - sine * sine) + known_accel,
+        sqrt(bias_var + GRADE_NOISE * GRADE_NOISE) / GRAVITY_MS2 + known_accel,
+        mass_kg,
+        mass_kg * (sqrt(known.cov[0]) / ratio),
+        known.x[BIAS] + observer.rolling + known.rolling_error,
+        sqrt(bias_var),
+        exp(level),
+        exp(level) * sqrt(variance + known.cov[0] / (ratio * ratio)),
+        known.x[DRAG] / ratio,
+        sqrt(known.cov[DRAG * STATES + DRAG]) / ratio,
+    ]

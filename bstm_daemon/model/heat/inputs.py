@@ -1,0 +1,320 @@
+"""What counts of the inputs at a time: values, speeds and pressures.
+
+The pure-Python form of ``native/heat/inputs.c``; both do the same operations
+in the same order.
+"""
+
+from __future__ import annotations
+
+from math import nan
+from typing import TYPE_CHECKING, Final
+
+from bstm_daemon.channels import CORNER_PRESSURE, FLAGS, MODES, SLOPES
+from bstm_daemon.model.heat.check_rules import PARKING_MS, STANDING_MS
+from bstm_daemon.model.heat.checks import Checks, Readings, Watched
+from bstm_daemon.model.heat.memory import NEVER
+from bstm_daemon.model.heat.observer import Observer
+from bstm_daemon.roles import MEASURED_NODES, ROLE_INDEX
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from bstm_daemon.model.heat.memory import SampleMemory
+    from bstm_daemon.model.heat.sample_plan import SamplePlan
+
+MODE_FB: Final = MODES["fb"]
+MODE_MEASURED: Final = MODES["measured"]
+MODE_FUSED: Final = MODES["fused"]
+SLOPE_ACCELEROMETER: Final = SLOPES["accelerometer"]
+
+OWN: Final = 0
+OTHER: Final = 1
+NONE: Final = 2
+"""Where a corner's power comes from: the configured mode's source, the other
+one, or neither."""
+
+LIGHT_PRESSURE_PA: Final = 2e4
+"""Pressure counts from here on while the brake switch is on (mode fused)."""
+
+_FIRST: Final = {
+    name: ROLE_INDEX[f"{name}_fl"]
+    for name in ("wheel_speed", "wheel_pressure")
+}
+_FIRST_TEMPERATURE: Final = ROLE_INDEX[f"temp_fl_{MEASURED_NODES[0]}"]
+_SPEED: Final = ROLE_INDEX["vehicle_speed"]
+_PRIMARY: Final = ROLE_INDEX["primary_pressure"]
+_SECONDARY: Final = ROLE_INDEX["secondary_pressure"]
+_ACCELERATION: Final = ROLE_INDEX["acceleration_longitudinal"]
+_TORQUE: Final = ROLE_INDEX["powertrain_torque"]
+_AMBIENT: Final = ROLE_INDEX["ambient_temperature"]
+
+
+class Inputs:
+    """The inputs of a plan with the memory of the pass.
+
+    ``plan`` are its numbers and ``m`` the memory of the samples; ``speed``,
+    ``wheel``, ``target`` (pressures) and the like hold from one sample to the
+    next and are formed anew where ``stale``.
+    """
+
+    def __init__(self, plan: SamplePlan, memory: SampleMemory) -> None:
+        """Take *plan* and *memory*, which changes in place."""
+        self.plan = plan.numbers
+        self.laws = plan.laws
+        self.table = plan.table_front_pa, plan.table_rear_pa
+        self.m = memory.samples
+        self.corners = self.plan.corners
+        places = self.plan.place[: self.corners]
+        nodes = len(MEASURED_NODES)
+        self.wheel_role = [_FIRST["wheel_speed"] + i for i in places]
+        self.pressure_role = [_FIRST["wheel_pressure"] + i for i in places]
+        self.measured_roles = [
+            range(
+                _FIRST_TEMPERATURE + i * nodes,
+                _FIRST_TEMPERATURE + (i + 1) * nodes,
+            )
+            for i in places
+        ]
+        watched = Watched(
+            [*self.wheel_role, _SPEED],
+            [_PRIMARY, _SECONDARY, *self.pressure_role],
+            _ACCELERATION,
+            _TORQUE,
+            [_AMBIENT, *(r for roles in self.measured_roles for r in roles)],
+        )
+        self.checks = Checks(watched, self.plan, memory.checks)
+        self.observer = Observer(self.plan, memory.observer)
+        self.stale = True
+        self.pressing_pa = self.plan.on_pressure_pa
+        self.speed = 0.0
+        self.speed_known = self.pressure_present = False
+        self.heading = 1.0
+        self.wheel = [0.0] * self.corners
+        self.target = [0.0] * self.corners
+
+    def mapped(self, role: int) -> bool:
+        """Whether a signal has *role*."""
+        return self.plan.timeout[role] >= 0.0
+
+    def valid(self, role: int) -> bool:
+        """Whether *role* has a value younger than its timeout."""
+        stamp = self.m.stamp[role]
+        return stamp != NEVER and self.m.now - stamp <= self.plan.timeout[role]
+
+    def reading(self, role: int) -> float:
+        """Value of *role*, nan where it is missing."""
+        return self.m.value[role] if self.valid(role) else nan
+
+    def vehicle(self, name: str, default: float) -> float:
+        """Value of the role *name*, or *default* where it is missing."""
+        role = ROLE_INDEX[name]
+        return self.m.value[role] if self.valid(role) else default
+
+    def corner_known(self, c: int) -> bool:
+        """Whether the pressure of corner *c* is present."""
+        return (
+            self.valid(self.pressure_role[c])
+            or self.valid(_PRIMARY)
+            or (self.plan.secondary[c] != 0 and self.valid(_SECONDARY))
+        )
+
+    def refresh(self) -> None:
+        """Form speeds and pressures from the values that count now."""
+        value = self.m.value
+        counts = [self.valid(role) for role in self.wheel_role]
+        by_vehicle = vehicle = self.valid(_SPEED)
+        if any(self.checks.m.left_out):
+            counts, by_vehicle = self._believed(counts, vehicle=vehicle)
+        total, signed, count = 0.0, 0.0, 0
+        for own, role in zip(counts, self.wheel_role, strict=True):
+            if own:
+                total += abs(value[role])
+                signed += value[role]
+                count += 1
+        if by_vehicle:
+            signed = value[_SPEED]
+            self.speed = abs(signed)
+        else:
+            self.speed = total / count if count else 0.0
+        # in reverse what points forward pushes against the motion
+        self.heading = -1.0 if signed < 0.0 else 1.0
+        self.speed_known = count > 0 or vehicle
+        self.wheel = [
+            abs(value[role]) if own else self.speed
+            for own, role in zip(counts, self.wheel_role, strict=True)
+        ]
+        self._refresh_pressures()
+        # the foot is on the pedal: fusion counts the lightest pressure
+        self.pressing_pa = self.plan.on_pressure_pa
+        if (
+            self.plan.mode == MODE_FUSED
+            and self.vehicle("brake_switch", 0.0) > 0.0
+        ):
+            self.pressing_pa = min(self.pressing_pa, LIGHT_PRESSURE_PA)
+        self.stale = False
+
+    def _believed(
+        self, present: list[bool], *, vehicle: bool
+    ) -> tuple[list[bool], bool]:
+        """Which wheels, and whether the vehicle's speed, are believed.
+
+        Those that the others contradict are not, unless none is left.
+        """
+        left_out = self.checks.m.left_out
+        wheels = [own and left_out[c] == 0.0 for c, own in enumerate(present)]
+        by_vehicle = vehicle and left_out[self.corners] == 0.0
+        if by_vehicle or any(wheels):
+            return wheels, by_vehicle
+        return present, vehicle
+
+    def _refresh_pressures(self) -> None:
+        """Form each corner's pressure: its own, its circuit's or axle's."""
+        value, observed = self.m.value, self.observer.m
+        by_secondary = self.valid(_SECONDARY)
+        tare = observed.tare_primary
+        axle = (value[_PRIMARY] if self.valid(_PRIMARY) else tare) - tare
+        other = value[_SECONDARY] - observed.tare_secondary
+        self.pressure_present = False
+        for c in range(self.corners):
+            if self.corner_known(c):
+                self.pressure_present = True
+            second = self.plan.secondary[c] and by_secondary
+            pressure = other if second else axle
+            if self.valid(self.pressure_role[c]):
+                pressure = value[self.pressure_role[c]]
+            elif self.plan.place[c] >= 2 and self.plan.points:
+                pressure = self._rear_pressure(pressure)
+            self.target[c] = max(0.0, pressure)
+
+    def _rear_pressure(self, front: float) -> float:
+        """Return what the valve lets through to the rear axle [Pa]."""
+        x, y = self.table
+        last = self.plan.points - 1
+        if front <= x[0]:
+            return y[0]
+        if front >= x[last]:
+            return y[last]
+        i = 0
+        while front >= x[i + 1]:
+            i += 1
+        return y[i] + (front - x[i]) / (x[i + 1] - x[i]) * (y[i + 1] - y[i])
+
+    def input_age_s(self) -> float:
+        """Age of the mandatory input that is silent longest; nan before it."""
+        speed = self._newest(_SPEED, self.wheel_role)
+        pressure = max(
+            self._newest(_PRIMARY, self.pressure_role),
+            self._newest(_SECONDARY, ()),
+        )
+        mapped = self.plan.pressure_mapped
+        oldest = min(speed, pressure) if mapped else speed
+        if oldest == NEVER:
+            return nan
+        return (self.m.now - oldest) * 1e-6
+
+    def _newest(self, role: int, others: Sequence[int]) -> int:
+        """Newest stamp of *role* and *others*, of those that are mapped."""
+        stamp = self.m.stamp
+        return max(
+            (stamp[r] for r in (role, *others) if self.mapped(r)),
+            default=NEVER,
+        )
+
+    def feed_back_known(self) -> bool:
+        """Whether the motion gives the braking at all."""
+        return self.speed_known and (
+            self.valid(_TORQUE) or self.plan.torque_assumed != 0
+        )
+
+    def heat_sources(self) -> tuple[list[int], list[bool]]:
+        """How each corner's power is known, and whether it may have some.
+
+        The first is OWN, OTHER or NONE. A corner may take power while the car
+        moves; where the speed is not known either, while its pressure is
+        above the threshold, or its pressure is unknown too and the car was
+        not about to park when its speed was lost.
+        """
+        plan = self.plan
+        feed_back = self.feed_back_known()
+        complete = (
+            self.speed_known
+            and (self.valid(_TORQUE) or not self.mapped(_TORQUE))
+            and (
+                plan.slope != SLOPE_ACCELEROMETER
+                or not self.mapped(_ACCELERATION)
+                or self.valid(_ACCELERATION)
+            )
+        )
+        sources, at_risk = [], []
+        for c in range(self.corners):
+            pressure = self.corner_known(c)
+            feed_forward = self.speed_known and pressure
+            if plan.mode == MODE_FB:
+                own = complete or (feed_back and not feed_forward)
+                other = feed_forward
+            else:
+                own = feed_forward or (
+                    plan.mode == MODE_MEASURED
+                    and self.valid(self.measured_roles[c][0])
+                )
+                other = feed_back
+            sources.append(OWN if own else OTHER if other else NONE)
+            if self.speed_known:
+                at_risk.append(self.speed > STANDING_MS)
+            elif pressure:
+                at_risk.append(self.target[c] > plan.on_pressure_pa)
+            else:
+                at_risk.append(self.checks.m.last_speed > PARKING_MS)
+        return sources, at_risk
+
+    def missing(self) -> int:
+        """Bits of FLAGS for the inputs that are missing now."""
+        flags = 0
+        wheels = any(self.valid(role) for role in self.wheel_role)
+        if not (wheels or self.valid(_SPEED)):
+            flags |= FLAGS["speed_missing"]
+        for c in range(self.corners):
+            if not self.corner_known(c):
+                flags |= FLAGS["pressure_missing"] | CORNER_PRESSURE << c
+        if not self.valid(_ACCELERATION):
+            flags |= FLAGS["acceleration_missing"]
+        if not self.valid(_TORQUE):
+            flags |= FLAGS["torque_missing"]
+        if not self.valid(_AMBIENT):
+            flags |= FLAGS["ambient_missing"]
+        return flags
+
+    def readings(
+        self, dt_s: float, sources: Sequence[int], at_risk: Sequence[bool]
+    ) -> Readings:
+        """Return what the checks need of the step that ends now."""
+        brake_switch = self.vehicle("brake_switch", nan)
+        return Readings(
+            now=self.m.now,
+            dt_s=dt_s,
+            speed=self.speed,
+            speed_known=self.speed_known,
+            braking=brake_switch > 0.0
+            or max(self.target, default=0.0) > self.plan.on_pressure_pa,
+            brake_switch=brake_switch,
+            esc_active=self.vehicle("esc_active", 0.0),
+            acceleration=self.heading * self.reading(_ACCELERATION),
+            speeds=[
+                abs(self.reading(role)) for role in (*self.wheel_role, _SPEED)
+            ],
+            pressures=[
+                self.reading(role)
+                for role in (_PRIMARY, _SECONDARY, *self.pressure_role)
+            ],
+            pressure_of=[self._pressure_of(c) for c in range(self.corners)],
+            heat_known=[source != NONE for source in sources],
+            at_risk=at_risk,
+        )
+
+    def _pressure_of(self, c: int) -> int:
+        """Place among the pressures of the one that corner *c* goes by."""
+        if self.valid(self.pressure_role[c]):
+            return 2 + c
+        if self.plan.secondary[c] and self.valid(_SECONDARY):
+            return 1
+        return 0

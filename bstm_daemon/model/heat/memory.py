@@ -1,0 +1,333 @@
+"""The memory of the pass over samples: one layout for both forms.
+
+The fields below are declared here and nowhere else; the compiled form has
+them as structs of the same names. A car of fewer corners leaves the last
+entries of its lists per corner alone.
+"""
+
+from __future__ import annotations
+
+from array import array
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Annotated, Final, TypeAlias
+
+from bstm_daemon.model.heat.learned import Learned
+from bstm_daemon.model.heat.observer_rules import STOOD_S
+from bstm_daemon.native import layout
+from bstm_daemon.native.layout import Length
+from bstm_daemon.roles import CORNERS, ROLES
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+NEVER: Final = -(2**63)
+UNKNOWN: Final = -1.0
+
+PER_CORNER: Final = Length("MAX_CORNERS", len(CORNERS))
+PER_SPEED: Final = Length("MAX_SPEEDS", len(CORNERS) + 1)
+PER_PRESSURE: Final = Length("MAX_PRESSURES", len(CORNERS) + 2)
+PER_ROLE: Final = Length("ROLES", len(ROLES))
+"""Speeds: the corners' wheels, then the vehicle's. Pressures: primary,
+secondary, then the wheels'."""
+
+Corners: TypeAlias = Annotated[list[float], PER_CORNER]
+Speeds: TypeAlias = Annotated[list[float], PER_SPEED]
+Pressures: TypeAlias = Annotated[list[float], PER_PRESSURE]
+Values: TypeAlias = Annotated[list[float], PER_ROLE]
+Stamps: TypeAlias = Annotated[list[int], PER_ROLE]
+
+
+@dataclass(slots=True)
+class PassMemory:
+    """Time, held values and the sums of the open step.
+
+    ``now``, ``grid`` (the end of the open step) and ``pending`` (a jump that
+    waits to be confirmed) are stamps [us]; ``late``, ``dropped`` and ``jumps``
+    count. ``interface_k``, between disc and pads, is what the friction law
+    goes by: ``next_interface_k``, which the thermal model gave last (0 before
+    any), as it was when the step began. So it does not matter in how many
+    calls the samples come.
+    """
+
+    now: int
+    grid: int
+    pending: int
+    late: int
+    dropped: int
+    jumps: int
+    stamp: Stamps
+    filtered_speed: float
+    speed_sum: float
+    distance: float
+    force_sum: float
+    energy_fb: float
+    total_fb: float
+    tail_s: float
+    unpressed_j: float
+    value: Values
+    lagged_pa: Corners
+    energy_ff: Corners
+    pressure_sum: Corners
+    on_time: Corners
+    total_ff: Corners
+    interface_k: Corners
+    next_interface_k: Corners
+
+
+@dataclass(slots=True)
+class CheckMemory:
+    """What the checks of inputs remember.
+
+    ``last_sample`` of any role and ``suspect_until``, the end of the last
+    hold, are stamps [us]; per role ``jump_stamp`` and ``jump_value`` of a
+    jump that waits to be confirmed. What ends in ``_fault_s`` are seconds
+    that a check has failed. ``agreement`` and ``motion`` are sums over the
+    last minutes of acceleration times gain of speed, and of the gain's square
+    [m2/s3]. ``outage_s``: how long a corner's heat was unknown,
+    ``aftermath_s``: how long that still counts. ``mark`` is what the others
+    were when a value began to be held; ``left_out`` is 1 where a speed does
+    not count.
+    """
+
+    last_sample: int
+    suspect_until: int
+    out_of_range: int
+    jumps_refused: int
+    jump_stamp: Stamps
+    until: Stamps
+    slow_speed: float
+    slow_acceleration: float
+    inertia_fault_s: float
+    switch_fault_s: float
+    pair_fault_s: float
+    last_speed: float
+    agreement: float
+    motion: float
+    reversed_fault_s: float
+    jump_value: Values
+    outage_s: Corners
+    aftermath_s: Corners
+    deviation_fault_s: Speeds
+    speed_held: Speeds
+    speed_held_s: Speeds
+    speed_mark: Speeds
+    speed_stuck_s: Speeds
+    left_out: Speeds
+    pressure_held: Pressures
+    pressure_held_s: Pressures
+    pressure_mark: Pressures
+    pressure_stuck_s: Pressures
+
+
+@dataclass(slots=True)
+class ObserverMemory:
+    """What the observer of the car remembers.
+
+    Accelerations and forces over the configured mass are in m/s2, so that the
+    states have the size of 1. ``recent`` and ``earlier`` are copies of what
+    is learned, ``first`` is that as this drive began. ``window_*`` are sums
+    of half a second of one kind, ``sum_*`` and ``brake_sum`` (the force by
+    pressure [N s]) those of the open step. ``gain_product`` and
+    ``gain_square`` are sums of (measured less rate) times rate, and of the
+    rate's square, as rates change.
+    """
+
+    known: Learned
+    recent: Learned
+    earlier: Learned
+    first: Learned
+    copy_age_s: float
+    started: float
+    resets: float
+    last_speed: float
+    rate: float
+    accel_measured: float
+    slow_rate: float
+    slow_accel: float
+    gain_time_s: float
+    roughness: float
+    calm_s: float
+    released_s: float
+    pressed_s: float
+    last_gear: float
+    last_clutch: float
+    external_s: float
+    external_held_s: float
+    gain_product: float
+    gain_square: float
+    radius_ratio: float
+    unpressed_s: float
+    stood_s: float
+    window_kind: float
+    window_s: float
+    window_accel: float
+    window_drive: float
+    window_drag: float
+    window_brake: float
+    window_pressure: float
+    window_speed: float
+    window_first_speed: float
+    sine: float
+    height_last: float
+    height_work: float
+    height_path: float
+    tare_primary: float
+    tare_secondary: float
+    slow_braking: float
+    slow_brake: float
+    silent_s: float
+    silent_energy: float
+    sum_time: float
+    sum_accel: float
+    sum_drive: float
+    sum_drag: float
+    brake_sum: Corners
+
+
+@dataclass(slots=True)
+class SampleMemory:
+    """All of it."""
+
+    samples: PassMemory
+    checks: CheckMemory
+    observer: ObserverMemory
+
+
+def _new_memory(learned: Sequence[float] | None) -> SampleMemory:
+    """Return the memory before the first sample."""
+    memory = layout.zeros(SampleMemory)
+    samples, checks, observer = (
+        memory.samples,
+        memory.checks,
+        memory.observer,
+    )
+    samples.now = samples.grid = samples.pending = NEVER
+    samples.stamp = [NEVER] * len(ROLES)
+    samples.filtered_speed = UNKNOWN
+    checks.last_sample = checks.suspect_until = NEVER
+    checks.jump_stamp = [NEVER] * len(ROLES)
+    checks.until = [NEVER] * len(ROLES)
+    checks.slow_speed = UNKNOWN
+    if learned is not None:
+        observer.known = observer.first = Learned.of(learned)
+        observer.recent = observer.earlier = Learned.of(learned)
+        observer.started = observer.radius_ratio = 1.0
+        observer.last_speed = UNKNOWN
+        # somebody may have got in
+        observer.stood_s = 2.0 * STOOD_S
+    return memory
+
+
+_KNOWN: Final = layout.first(SampleMemory, "observer.known.x")
+_STARTED: Final = layout.first(SampleMemory, "observer.started")
+_INTERFACE: Final = layout.first(SampleMemory, "samples.interface_k")
+_NEXT: Final = layout.first(SampleMemory, "samples.next_interface_k")
+_STAMP: Final = layout.first(SampleMemory, "samples.stamp")
+_VALUE: Final = layout.first(SampleMemory, "samples.value")
+
+
+@dataclass(slots=True)
+class SampleState:
+    """All that the pass remembers, as the arrays that both forms share.
+
+    ``times`` and ``numbers`` are the integers and the floats of
+    :class:`SampleMemory`; ``flags`` are pending bits for the next row (clock
+    jump, settled).
+    """
+
+    times: array[int]
+    numbers: array[float]
+    flags: array[int] = field(default_factory=lambda: array("i", [0]))
+
+    @classmethod
+    def new(cls, learned: Sequence[float] | None = None) -> SampleState:
+        """Return the state before the first sample.
+
+        *learned* is what :meth:`learned` of an earlier drive returned.
+        """
+        state = cls(array("q"), array("d"))
+        state.store(_new_memory(learned))
+        return state
+
+    def memory(self) -> SampleMemory:
+        """Return the arrays unpacked; :meth:`store` packs them again."""
+        return layout.unpack(
+            SampleMemory,
+            iter(self.times.tolist()),
+            iter(self.numbers.tolist()),
+        )
+
+    def store(self, memory: SampleMemory) -> None:
+        """Write *memory* back."""
+        times: list[int] = []
+        numbers: list[float] = []
+        layout.pack(memory, times, numbers)
+        self.times[:] = array("q", times)
+        self.numbers[:] = array("d", numbers)
+
+    def exported(self, corners: int) -> tuple[list[int], list[float]]:
+        """Return times and numbers of a car of *corners*, none unused."""
+        return (
+            [self.times[i] for i in _used(int, corners)],
+            [self.numbers[i] for i in _used(float, corners)],
+        )
+
+    @classmethod
+    def imported(
+        cls,
+        corners: int,
+        times: Sequence[int],
+        numbers: Sequence[float],
+        flags: Sequence[int],
+    ) -> SampleState:
+        """Return the state that :meth:`exported` gave *times* and *numbers*.
+
+        Raises:
+            ValueError: not as many of them as a car of *corners* has.
+        """
+        state = cls.new()
+        for i, time in zip(_used(int, corners), times, strict=True):
+            state.times[i] = time
+        for i, number in zip(_used(float, corners), numbers, strict=True):
+            state.numbers[i] = number
+        (state.flags[0],) = flags
+        return state
+
+    def learned(self) -> list[float] | None:
+        """Return what the observer has learned, None before any step."""
+        if self.numbers[_STARTED] == 0.0:
+            return None
+        size = layout.size(Learned, float)
+        return list(self.numbers[_KNOWN : _KNOWN + size])
+
+    def unlearn(self) -> None:
+        """Let the observer begin anew at the next step."""
+        self.numbers[_STARTED] = 0.0
+
+    def heat_interface(self, corner: int, interface_k: float) -> None:
+        """Give the friction law the temperature between disc and pads.
+
+        It counts from the next step on, or at once where none was known.
+        """
+        self.numbers[_NEXT + corner] = interface_k
+        if not self.numbers[_INTERFACE + corner] > 0.0:
+            self.numbers[_INTERFACE + corner] = interface_k
+
+    def interface_k(self, corner: int) -> float:
+        """Return what :meth:`heat_interface` was given last, 0 before."""
+        return self.numbers[_NEXT + corner]
+
+    def last_value(self, role: int) -> float | None:
+        """Return the newest value of *role*, however old; None before it."""
+        if self.times[_STAMP + role] == NEVER:
+            return None
+        return self.numbers[_VALUE + role]
+
+
+def _used(kind: type, corners: int) -> Iterator[int]:
+    """Entries of *kind* that a car of *corners* uses, in order."""
+    unused = len(CORNERS) - corners
+    for place in layout.places(SampleMemory, kind):
+        per_corner = place.length in {PER_CORNER, PER_SPEED, PER_PRESSURE}
+        count = place.entries - (unused if per_corner else 0)
+        yield from range(place.first, place.first + count)

@@ -1,0 +1,114 @@
+"""Findings about the inputs in groups and in plain words."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+from bstm_daemon.channels import (
+    CORNER_PRESSURE,
+    CORNER_PRESSURE_SUSPECT,
+    FLAGS,
+    HEAT_DOUBT,
+    HEAT_LOST,
+    WHEEL_SUSPECT,
+)
+from bstm_daemon.roles import CORNERS
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+_ANY_CORNER: Final = 0b1111
+
+FAULTS: Final = {
+    **{
+        name: bit
+        for name, bit in FLAGS.items()
+        if name not in {"clock_jump", "settled"}
+    },
+    "wheel_speed_suspect": _ANY_CORNER * WHEEL_SUSPECT,
+    "heat_lost": _ANY_CORNER * HEAT_LOST,
+    "heat_doubt": _ANY_CORNER * HEAT_DOUBT,
+}
+"""Bits by what is wrong with the inputs or the heat, of any corner."""
+
+CAUSES: Final = (
+    FLAGS["samples_refused"]
+    | FLAGS["stuck"]
+    | FLAGS["switch_contradicts"]
+    | FLAGS["wheels_contradict"]
+    | FLAGS["acceleration_contradicts"]
+)
+"""What counts against an input. A vehicle speed that is left out, while a
+wheel is sound, has no other bit."""
+
+SUSPECT: Final = (
+    CAUSES
+    | FLAGS["speed_suspect"]
+    | FLAGS["pressure_suspect"]
+    | FLAGS["acceleration_suspect"]
+    | FLAGS["torque_suspect"]
+    | FLAGS["temperature_suspect"]
+    | FAULTS["wheel_speed_suspect"]
+    | _ANY_CORNER * CORNER_PRESSURE_SUSPECT
+)
+"""An input is suspect, whether the heat mode goes by it or not."""
+
+SUBSTITUTED: Final = FLAGS["heat_substituted"] | FLAGS["heat_unknown"]
+"""The heat of a corner is from the other source, or from none."""
+
+WORDS: Final = {
+    "speed_missing": "speed missing",
+    "pressure_missing": "pressure missing",
+    "acceleration_missing": "acceleration missing",
+    "torque_missing": "torque missing",
+    "ambient_missing": "ambient temperature missing",
+    "clock_jump": "clock was set",
+    "settled": "parked, settled to ambient",
+    "speed_suspect": "speed suspect",
+    "pressure_suspect": "pressure suspect",
+    "acceleration_suspect": "acceleration suspect",
+    "torque_suspect": "torque suspect",
+    "temperature_suspect": "temperature suspect",
+    "samples_refused": "impossible values or jumps refused",
+    "stuck": "a signal is stuck",
+    "switch_contradicts": "pressure without brake switch",
+    "wheels_contradict": "wheel speeds contradict each other",
+    "acceleration_contradicts": "acceleration contradicts the speed",
+    "heat_substituted": "heat from the other source",
+    "heat_unknown": "heat unknown",
+    "silent": "bus silent",
+    "external_force_suspected": "external force suspected, nothing learned",
+    "observer_reset": "learned vehicle data reset",
+    "acceleration_scale": "acceleration wrongly scaled or not felt",
+    "wheel_radius": "wheel speed disagrees with satellite speed",
+    "pressure_dead": "braking without pressure again and again",
+    "braking_unpressed": "braking that no pressure tells of",
+    "wheel_speed_suspect": "wheel speed suspect",
+    "heat_lost": "heat unknown for too long",
+    "heat_doubt": "unknown heat still felt",
+}
+"""Each of :data:`FLAGS` and :data:`FAULTS` in plain words."""
+
+
+def reasons(flags: int, corners: Sequence[str] = CORNERS) -> list[str]:
+    """Return *flags* in plain words, in the order of the bits.
+
+    *corners*: names of the corners in the order of the configuration.
+    """
+    words = [WORDS[name] for name, bit in FLAGS.items() if flags & bit]
+    for first, text in (
+        (CORNER_PRESSURE, WORDS["pressure_missing"]),
+        (WHEEL_SUSPECT, WORDS["wheel_speed_suspect"]),
+        (CORNER_PRESSURE_SUSPECT, WORDS["pressure_suspect"]),
+        (HEAT_LOST, WORDS["heat_lost"]),
+        (HEAT_DOUBT, WORDS["heat_doubt"]),
+    ):
+        names = [n for c, n in enumerate(corners) if flags & first << c]
+        if names:
+            words.append(f"{text}: {', '.join(names)}")
+    return words
+
+
+def fault_names(flags: int) -> tuple[str, ...]:
+    """Return which of :data:`FAULTS` are in *flags*."""
+    return tuple(name for name, bits in FAULTS.items() if flags & bits)

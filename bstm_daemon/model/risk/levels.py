@@ -1,0 +1,126 @@
+"""From a probability or a temperature to a level, with hysteresis."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import isfinite
+from typing import TYPE_CHECKING, Final
+
+from bstm_daemon.estimate import RiskLevel
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from bstm_daemon.estimate import Validity
+
+PROBABILITIES: Final = (0.01, 0.1, 0.5)
+"""Probability of vapour at which elevated, high and critical begin."""
+
+RELEASE: Final = 0.5
+"""A level is left below this share of the probability it begins at."""
+
+HOLD_US: Final = 60_000_000
+"""A level falls by one after so long below: a red light is no level."""
+
+COOLED_K: Final = 20.0
+"""A level of temperature is left so far below where it begins."""
+
+ELEVATED_MARGIN_K: Final = 40.0
+"""The fluid estimate may be off by 30 K over a whole descent (thesis, section
+1.3, reached in section 6) and vapour lock begins some K below the equilibrium
+boiling point: from 40 K on, boiling is no longer excluded."""
+
+HIGH_MARGIN_K: Final = 20.0
+"""Two thermocouples in the same disc differ by up to 20 K (thesis, section
+3.2): nearer than this, even a measurement would not rule boiling out."""
+
+CRITICAL_MARGIN_K: Final = 0.0
+"""The fluid has the temperature at which a wet fluid of its grade boils."""
+
+
+def level_of(probability: float) -> RiskLevel:
+    """Return the level that begins at or below *probability*; no memory."""
+    return RiskLevel(sum(probability >= limit for limit in PROBABILITIES))
+
+
+@dataclass(slots=True)
+class LevelMemory:
+    """A level and since when its release has been met [us], None: it is not.
+
+    It rises at once and falls one level at a time, each after
+    :data:`HOLD_US`.
+    """
+
+    level: RiskLevel = RiskLevel.NORMAL
+    below_since_us: int | None = None
+
+    def by_probability(self, probability: float, time_us: int) -> RiskLevel:
+        """Take the *probability* at *time_us* and return the level."""
+        reached = RiskLevel(
+            sum(probability >= limit for limit in PROBABILITIES)
+        )
+        # nan is not below: what is not known lowers no level
+        stays = not probability < RELEASE * PROBABILITIES[self.level - 1]
+        return self._move(reached, time_us, stays=stays)
+
+    def by_temperatures(
+        self,
+        kelvins: Sequence[float],
+        limits_k: Sequence[Sequence[float]],
+        time_us: int,
+    ) -> RiskLevel:
+        """Take temperatures [K], each with the three limits it may pass.
+
+        The worst one counts, to rise and to stay.
+        """
+        reached = max(
+            sum(kelvin >= limit for limit in limits)
+            for kelvin, limits in zip(kelvins, limits_k, strict=True)
+        )
+        stays = any(
+            not kelvin < limits[self.level - 1] - COOLED_K
+            for kelvin, limits in zip(kelvins, limits_k, strict=True)
+        )
+        return self._move(RiskLevel(reached), time_us, stays=stays)
+
+    def _move(
+        self, reached: RiskLevel, time_us: int, *, stays: bool
+    ) -> RiskLevel:
+        if reached >= self.level:
+            self.level, self.below_since_us = reached, None
+        elif stays:
+            self.below_since_us = None
+        elif self.below_since_us is None or self.below_since_us > time_us:
+            self.below_since_us = time_us
+        elif time_us - self.below_since_us >= HOLD_US:
+            self.level = RiskLevel(self.level - 1)
+            self.below_since_us = time_us
+        return self.level
+
+
+def level_of_margin(margin_k: float) -> RiskLevel:
+    """Return the level of *margin_k* [K] below the wet boiling point.
+
+    Unknown where the margin is no finite number.
+    """
+    if not isfinite(margin_k):
+        return RiskLevel.UNKNOWN
+    limits = ELEVATED_MARGIN_K, HIGH_MARGIN_K, CRITICAL_MARGIN_K
+    return RiskLevel(sum(margin_k <= limit for limit in limits))
+
+
+def published_level(
+    level: RiskLevel, validity: Validity, *, history_known: bool
+) -> RiskLevel:
+    """Return *level* as it may be published.
+
+    Args:
+        level: of the probability, the temperatures or the margin.
+        validity: of the estimate; unknown where that is not usable.
+        history_known: whether the start no longer matters. Else a level is
+            never normal: a car parked hot would be reported cold and safe,
+            while a raised one holds, because an assumed cold start only
+            underestimates.
+    """
+    is_unsure = level is RiskLevel.NORMAL and not history_known
+    return RiskLevel.UNKNOWN if is_unsure or not validity.is_usable else level

@@ -1,0 +1,157 @@
+"""The boiling point as a distribution, and what it makes of a temperature.
+
+The boiling point falls with the water ``w`` [% by mass] from the dry one to
+near the wet one,
+
+    T_b(w) = T_inf + (T_dry - T_inf) exp(-w / w_0)
+
+with ``T_inf`` such that T_b(3.7 %) is the wet boiling point; Keen's vapour
+lock points (250, 180, 145 degC at 0, 1, 3 %) follow the form with w_0 = 1.0
+%. Above 4 % the form is an upper bound: there it falls on by up to 4 K a
+percent. All at ambient pressure: vapour forms when the pedal is released or
+the car is parked. Vapour lock begins some kelvin below the equilibrium
+reflux boiling point that standards speak of.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from functools import lru_cache
+from math import exp, expm1, isnan, nan
+from statistics import NormalDist
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+from bstm_daemon.model.risk.boiling import BOILING_POINTS
+from bstm_daemon.model.risk.sequence import unit_draws
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from bstm_daemon.model.risk.water import Water
+
+WET_WATER_PERCENT: Final = 3.7
+"""Water of a fluid humidified as FMVSS 116 S6.2 asks."""
+
+SLOWEST_PERCENT: Final = 1.5
+FASTEST_PERCENT: Final = 1.0
+"""Range of w_0: Keen's fluids 1.0; borate esters (DOT 4) are slower."""
+
+DRY_EXCESS_K: Final = (35.0, 10.0)
+"""Mean and deviation of a new fluid above its grade's dry minimum: a DOT 4
+of today boils at 265 degC, not 230. Never below the minimum."""
+
+WET_EXCESS_K: Final = 6.0
+"""Deviation of the half-normal by which a fluid's wet boiling point lies
+above its grade's minimum."""
+
+KNOWN_CAN_K: Final = 1.0
+"""Deviation of boiling points that are given for the fluid at hand."""
+
+BEYOND_PERCENT: Final = 4.0
+BEYOND_K_PERCENT: Final = 4.0
+"""Above this water the boiling point falls by up to so much a percent."""
+
+VAPOUR_LOCK_K: Final = (0.0, 6.0)
+"""Range by which vapour lock begins below the boiling point."""
+
+DRAWS: Final = 512
+TABLE_STEP_K: Final = 1.0
+
+_STANDARD: Final = NormalDist()
+
+
+class Fluid(NamedTuple):
+    """What is known of a fluid beside its water.
+
+    ``dry_k`` and ``wet_k`` are those of the fluid at hand where they are
+    known, otherwise None: then the grade's minima hold.
+    """
+
+    grade: str
+    dry_k: float | None = None
+    wet_k: float | None = None
+
+
+class Boiling:
+    """The distribution of the temperature at which vapour forms."""
+
+    def __init__(self, points_k: list[float]) -> None:
+        """Take equally likely vapour lock points [K]."""
+        self._points = sorted(points_k)
+        self._low = self._points[0]
+        count = len(self._points)
+        size = int((self._points[-1] - self._low) / TABLE_STEP_K) + 2
+        self._table = [
+            bisect_right(self._points, self._low + i * TABLE_STEP_K) / count
+            for i in range(size)
+        ]
+
+    def probability(self, temperature_k: float) -> float:
+        """Return the probability that vapour forms at *temperature_k*.
+
+        NaN of NaN: an estimate that is no number is not a safe one.
+        """
+        position = (temperature_k - self._low) / TABLE_STEP_K
+        if not position > 0.0:
+            return nan if isnan(position) else 0.0
+        if position >= len(self._table) - 1:
+            return 1.0
+        index = int(position)
+        left = self._table[index]
+        return left + (position - index) * (self._table[index + 1] - left)
+
+    def mean_probability(self, temperatures_k: Sequence[float]) -> float:
+        """Return the mean probability over *temperatures_k*; NaN of none."""
+        if not temperatures_k:
+            return nan
+        found = sum(map(self.probability, temperatures_k))
+        return found / len(temperatures_k)
+
+    def quantile(self, share: float) -> float:
+        """Return the point [K] that *share* of the fluids boil below."""
+        place = share * (len(self._points) - 1)
+        index = min(int(place), len(self._points) - 2)
+        left, right = self._points[index : index + 2]
+        return left + (place - index) * (right - left)
+
+
+@lru_cache(maxsize=8)
+def boiling(fluid: Fluid, water: Water) -> Boiling:
+    """Return when *fluid* with *water* in it forms vapour."""
+    return Boiling(
+        [_drawn(fluid, water, point) for point in unit_draws(DRAWS, 6)]
+    )
+
+
+def boiling_point_k(
+    dry_k: float, wet_k: float, water_percent: float, slowness: float
+) -> float:
+    """Return T_b(w) of one fluid [K]; *slowness* is w_0 [%]."""
+    share = exp(-WET_WATER_PERCENT / slowness)
+    floor_k = (wet_k - dry_k * share) / -expm1(-WET_WATER_PERCENT / slowness)
+    return floor_k + (dry_k - floor_k) * exp(-water_percent / slowness)
+
+
+def _drawn(fluid: Fluid, water: Water, shares: tuple[float, ...]) -> float:
+    """Return one vapour lock point; *shares* are its place in each range."""
+    by_water, by_dry, by_wet, by_slowness, by_beyond, by_lock = shares
+    percent = water.at(_STANDARD.inv_cdf(by_water))
+    minima = BOILING_POINTS[fluid.grade]
+    if fluid.dry_k is None:
+        mean, deviation = DRY_EXCESS_K
+        excess_k = mean + deviation * _STANDARD.inv_cdf(by_dry)
+        dry_k = minima.dry_k + max(excess_k, 0.0)
+    else:
+        dry_k = fluid.dry_k + KNOWN_CAN_K * _STANDARD.inv_cdf(by_dry)
+    if fluid.wet_k is None:
+        upper = _STANDARD.inv_cdf(0.5 + 0.5 * by_wet)
+        wet_k = minima.wet_k + WET_EXCESS_K * upper
+    else:
+        wet_k = fluid.wet_k + KNOWN_CAN_K * _STANDARD.inv_cdf(by_wet)
+    width = SLOWEST_PERCENT - FASTEST_PERCENT
+    slowness = FASTEST_PERCENT + width * by_slowness
+    point_k = boiling_point_k(dry_k, wet_k, percent, slowness)
+    beyond = max(percent - BEYOND_PERCENT, 0.0)
+    point_k -= BEYOND_K_PERCENT * by_beyond * beyond
+    low, high = VAPOUR_LOCK_K
+    return point_k - (low + (high - low) * by_lock)

@@ -1,0 +1,198 @@
+"""March members of one structure, compiled or in pure Python.
+
+Corners of a car and members of an ensemble are the same thing here: rows of
+one batch, each with its own numbers and state.
+"""
+
+from __future__ import annotations
+
+from array import array
+from typing import TYPE_CHECKING
+
+from bstm_daemon.model.thermal import reference
+from bstm_daemon.model.thermal.network import NetworkError
+from bstm_daemon.model.thermal.program import Program, same_structure
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from bstm_daemon.native.loader import Kernel
+
+
+class Batch:
+    """Members that share a structure, their states and energy ledgers.
+
+    ``state`` is [members, nodes + memories] flat, temperatures in kelvin;
+    ``ledger`` is [members, links + sources] flat, energies in joules since
+    the batch was made: a link's from its end a to its end b.
+    """
+
+    def __init__(
+        self,
+        programs: Sequence[Program],
+        initial_k: float,
+        input_set: Sequence[int] | None = None,
+        kernel: Kernel | None = None,
+        sets: int | None = None,
+    ) -> None:
+        """Put every node of every member at *initial_k*.
+
+        Args:
+            programs: one per member, all of one structure.
+            initial_k: starting temperature [K].
+            input_set: per member the row of an input block it reads;
+                default: member i reads row i.
+            kernel: the compiled kernel; None runs the reference step.
+            sets: rows of an input block; default: as many as are read.
+
+        Raises:
+            NetworkError: the programs differ in structure.
+        """
+        if not same_structure(programs):
+            msg = "members of a batch need networks of one structure"
+            raise NetworkError(msg)
+        self.programs = tuple(programs)
+        self.kernel = kernel
+        self.input_set = array("i", input_set or range(len(programs)))
+        self.sets = sets or max(self.input_set) + 1
+        self.floats = array("d")
+        self.state = array("d")
+        for program in programs:
+            self.floats.extend(program.floats)
+            self.state.extend(program.initial_state(initial_k))
+        first = programs[0]
+        self.ints = first.ints
+        self.width = len(first.state_names)
+        self.ledger_width = len(first.ledger_names)
+        self.sources = len(first.network.sources)
+        self.channels = len(first.network.inputs)
+        self.ledger = array("d", bytes(8 * self.ledger_width * len(programs)))
+        self._structure = None if kernel else reference.Structure(first.ints)
+
+    def replace(self, member: int, program: Program) -> None:
+        """Let *member* go on with the numbers of *program*; its state stays.
+
+        Raises:
+            NetworkError: *program* is of another structure.
+        """
+        if not same_structure([self.programs[member], program]):
+            msg = "a member can be replaced by one of its structure only"
+            raise NetworkError(msg)
+        size = len(program.floats)
+        self.floats[member * size : (member + 1) * size] = program.floats
+        programs = list(self.programs)
+        programs[member] = program
+        self.programs = tuple(programs)
+
+    def settle(self, temperature_k: float, member: int) -> None:
+        """Put every node of *member* at *temperature_k*; memories stay."""
+        first = member * self.width
+        nodes = len(self.programs[member].network.nodes)
+        for i in range(first, first + nodes):
+            self.state[i] = temperature_k
+
+    def march(
+        self,
+        inputs: array[float] | memoryview,
+        steps: int,
+        dt_s: float,
+        output_every: int = 1,
+        output_phase: int = 1,
+    ) -> array[float]:
+        """Advance every member by *steps* of *dt_s* seconds.
+
+        Args:
+            inputs: [steps, sets, channels] flat, float64, constant in a step.
+            steps: number of steps.
+            dt_s: step [s].
+            output_every: steps from one output to the next.
+            output_phase: steps until the first output.
+
+        Returns:
+            [outputs, members, state + sources] flat: the state, then each
+            source's running energy [J].
+
+        Raises:
+            ValueError: a size does not fit.
+        """
+        if (
+            min(output_every, output_phase) < 1
+            or not dt_s > 0.0
+            or len(inputs) != steps * self.sets * self.channels
+        ):
+            msg = (
+                f"{len(inputs)} inputs for {steps} steps of {self.sets} sets "
+                f"of {self.channels} channels, step {dt_s} s"
+            )
+            raise ValueError(msg)
+        members = len(self.programs)
+        outputs = (
+            0
+            if steps < output_phase
+            else 1 + (steps - output_phase) // output_every
+        )
+        row = members * (self.width + self.sources)
+        out = array("d", bytes(8 * row * outputs))
+        if self.kernel is not None:
+            self.kernel.march(
+                self.ints,
+                self.floats,
+                self.state,
+                inputs,
+                self.input_set,
+                self.ledger,
+                out,
+                members,
+                self.sets,
+                steps,
+                dt_s,
+                output_every,
+                output_phase,
+            )
+            return out
+        for member in range(members):
+            self._march_reference(
+                member, inputs, steps, dt_s, output_every, output_phase, out
+            )
+        return out
+
+    def _march_reference(  # noqa: PLR0913, PLR0917
+        self,
+        member: int,
+        inputs: array[float] | memoryview,
+        steps: int,
+        dt_s: float,
+        output_every: int,
+        output_phase: int,
+        out: array[float],
+    ) -> None:
+        channels, sets = self.channels, self.sets
+        first_set = self.input_set[member]
+        starts = [
+            (step * sets + first_set) * channels for step in range(steps)
+        ]
+        rows = [inputs[start : start + channels] for start in starts]
+        width, wide = self.width, self.ledger_width
+        members = len(self.programs)
+        floats = self.programs[member].floats
+        state = self.state[member * width : (member + 1) * width]
+        ledger = self.ledger[member * wide : (member + 1) * wide]
+        if self._structure is None:  # pragma: no cover
+            msg = "the batch was made for the compiled kernel"
+            raise RuntimeError(msg)
+        results = reference.march(
+            self._structure,
+            floats,
+            state,
+            [list(r) for r in rows],
+            dt_s,
+            ledger,
+            output_every,
+            output_phase,
+        )
+        self.state[member * width : (member + 1) * width] = state
+        self.ledger[member * wide : (member + 1) * wide] = ledger
+        size = width + self.sources
+        for i, result in enumerate(results):
+            first = (i * members + member) * size
+            out[first : first + size] = array("d", result)

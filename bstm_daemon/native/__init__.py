@@ -1,0 +1,1 @@
+"""The compiled forms of the inner loops, and their loader."""

@@ -1,0 +1,50 @@
+/* What the extension modules of this folder ask of Python's buffers. */
+#ifndef BSTM_BUFFERS_H
+#define BSTM_BUFFERS_H
+
+#define PY_SSIZE_T_CLEAN
+#include <Python.h>
+
+#include <stdint.h>
+
+/* Contiguous buffers of the objects, writable where asked, with items of the
+ * given width. Returns -1 with an exception and nothing held on failure. */
+static inline int bstm_log_buffers(int n, PyObject **object,
+                                   const int *writable, const int *wide,
+                                   Py_buffer *view)
+{
+    for (int i = 0; i < n; i++) {
+        const int flags = writable[i] ? PyBUF_CONTIG : PyBUF_CONTIG_RO;
+        int bad = PyObject_GetBuffer(object[i], &view[i], flags) < 0;
+        if (!bad && view[i].itemsize != wide[i]) {
+            PyErr_Format(PyExc_ValueError,
+                         "buffer %d holds items of %zd bytes, not %d", i,
+                         view[i].itemsize, wide[i]);
+            PyBuffer_Release(&view[i]);
+            bad = 1;
+        }
+        if (bad) {
+            while (i-- > 0) PyBuffer_Release(&view[i]);
+            return -1;
+        }
+    }
+    return 0;
+}
+
+/* 8 bytes, the first lowest; written out, as compilers make one load of it. */
+static inline uint64_t bstm_little(const uint8_t *at)
+{
+    return (uint64_t)at[0] | (uint64_t)at[1] << 8 | (uint64_t)at[2] << 16
+        | (uint64_t)at[3] << 24 | (uint64_t)at[4] << 32
+        | (uint64_t)at[5] << 40 | (uint64_t)at[6] << 48
+        | (uint64_t)at[7] << 56;
+}
+
+/* Whether a CAN FD frame can have so many bytes (ISO 11898-1). */
+static inline int bstm_is_fd_length(unsigned length)
+{
+    return length <= 8 || length == 12 || length == 16 || length == 20
+        || length == 24 || length == 32 || length == 48 || length == 64;
+}
+
+#endif

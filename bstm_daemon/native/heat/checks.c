@@ -1,0 +1,342 @@
+#include "checks.h"
+
+enum { PASSED, FAILED, OPEN };
+
+static double advance(Hysteresis h, double fault_s, int outcome, double dt_s)
+{
+    if (outcome == OPEN) return fault_s;
+    const int latched = fault_s >= h.comes_s;
+    if (outcome == FAILED) {
+        fault_s = fault_s + dt_s;
+        if (latched || fault_s >= h.comes_s) return h.comes_s + h.goes_s;
+        return fault_s;
+    }
+    fault_s = fault_s - dt_s;
+    return fault_s <= (latched ? h.comes_s : 0.0) ? 0.0 : fault_s;
+}
+
+static void hold(Checks *c, int64_t at, int role)
+{
+    c->t->until[role] = at + HOLD_US;
+    if (c->t->until[role] > c->t->suspect_until)
+        c->t->suspect_until = c->t->until[role];
+}
+
+int checks_doubted(Checks *c, int64_t at, int role, double value)
+{
+    if (value < LIMITS[role].low || value > LIMITS[role].high) {
+        c->t->out_of_range++;
+        hold(c, at, role);
+        return 0;
+    }
+    const int64_t first = c->t->jump_stamp[role];
+    if (first == NEVER || at <= first
+        || checks_jumped(role, value - c->m->jump_value[role], at - first)) {
+        c->t->jump_stamp[role] = at;
+        c->m->jump_value[role] = value;
+        c->t->jumps_refused++;
+        hold(c, at, role);
+        return 0;
+    }
+    c->t->jump_stamp[role] = NEVER;
+    return 1;
+}
+
+void checks_shift(Checks *c, int64_t ahead)
+{
+    for (int r = 0; r < ROLES; r++) {
+        if (c->t->jump_stamp[r] != NEVER) c->t->jump_stamp[r] += ahead;
+        if (c->t->until[r] != NEVER) c->t->until[r] += ahead;
+    }
+    if (c->t->last_sample != NEVER) c->t->last_sample += ahead;
+    if (c->t->suspect_until != NEVER) c->t->suspect_until += ahead;
+}
+
+void checks_settle(Checks *c)
+{
+    for (int i = 0; i < c->corners; i++)
+        c->m->outage_s[i] = c->m->aftermath_s[i] = 0.0;
+}
+
+static double median(const double *value, int n, int *count)
+{
+    double sorted[MAX_SPEEDS];
+    int k = 0;
+    for (int i = 0; i < n; i++) {
+        if (isnan(value[i])) continue;
+        int at = k++;
+        for (; at > 0 && sorted[at - 1] > value[i]; at--)
+            sorted[at] = sorted[at - 1];
+        sorted[at] = value[i];
+    }
+    *count = k;
+    if (k == 0) return 0.0;
+    if (k % 2) return sorted[k / 2];
+    return 0.5 * (sorted[k / 2 - 1] + sorted[k / 2]);
+}
+
+static void compare_pair(Checks *c, const Readings *now, double middle,
+                         double share)
+{
+    /* the median of two is their mean */
+    double high = middle, low = middle;
+    for (int v = 0; v <= c->corners; v++) {
+        if (now->speeds[v] > high) high = now->speeds[v];
+        if (now->speeds[v] < low) low = now->speeds[v];
+    }
+    int outcome = OPEN;
+    if (high - low > DEVIATION_MS + share * high) outcome = FAILED;
+    else if (middle > MOVING_MS) outcome = PASSED;
+    c->m->pair_fault_s = advance(DEVIATION, c->m->pair_fault_s, outcome, now->dt_s);
+}
+
+static void compare_speeds(Checks *c, const Readings *now, double middle,
+                           int count)
+{
+    const double share = now->braking ? DEVIATION_BRAKING : DEVIATION_SHARE;
+    const double allowed = DEVIATION_MS + share * middle;
+    int agreeing = 0;
+    for (int v = 0; v <= c->corners; v++)
+        agreeing += fabs(now->speeds[v] - middle) <= allowed;
+    for (int v = 0; v <= c->corners; v++) {
+        int outcome = OPEN;
+        if (count >= 3 && !isnan(now->speeds[v])) {
+            if (fabs(now->speeds[v] - middle) > allowed)
+                outcome = agreeing >= 2 ? FAILED : OPEN;
+            else if (middle > MOVING_MS) outcome = PASSED;
+        }
+        c->m->deviation_fault_s[v] = advance(DEVIATION, c->m->deviation_fault_s[v], outcome, now->dt_s);
+    }
+    if (count == 2) compare_pair(c, now, middle, share);
+}
+
+static void hold_speeds(Checks *c, const Readings *now, double middle,
+                        int count)
+{
+    for (int v = 0; v <= c->corners; v++) {
+        const double speed = now->speeds[v];
+        const double other = count == 2 ? 2.0 * middle - speed : middle;
+        if (isnan(speed) || speed != c->m->speed_held[v]) {
+            c->m->speed_held[v] = isnan(speed) ? 0.0 : speed;
+            c->m->speed_held_s[v] = 0.0;
+            c->m->speed_mark[v] = isnan(other) ? 0.0 : other;
+        } else c->m->speed_held_s[v] += now->dt_s;
+        int outcome = OPEN;
+        if (count >= 2 && !isnan(speed)) {
+            if (c->m->speed_held_s[v] < MOVES_S) outcome = PASSED;
+            else if (c->m->speed_held_s[v] >= FROZEN_SPEED_S
+                     && fabs(other - c->m->speed_mark[v]) > FROZEN_SPEED_MS)
+                outcome = FAILED;
+        }
+        c->m->speed_stuck_s[v] = advance(STUCK, c->m->speed_stuck_s[v], outcome, now->dt_s);
+        c->m->left_out[v] = c->m->deviation_fault_s[v] >= DEVIATION.comes_s
+            || c->m->speed_stuck_s[v] >= STUCK.comes_s ? 1.0 : 0.0;
+    }
+}
+
+static void hold_pressures(Checks *c, const Readings *now, int64_t refused)
+{
+    /* what noise made of the speed is no driving */
+    const int unsure = (refused & FLAG_SPEED_SUSPECT) != 0;
+    for (int i = 0; i < c->corners + 2; i++) {
+        const double pressure = now->pressures[i];
+        if (isnan(pressure) || pressure != c->m->pressure_held[i]) {
+            c->m->pressure_held[i] = isnan(pressure) ? 0.0 : pressure;
+            c->m->pressure_held_s[i] = 0.0;
+            c->m->pressure_mark[i] = now->speed;
+        } else c->m->pressure_held_s[i] += now->dt_s;
+        if (unsure) c->m->pressure_mark[i] = now->speed;
+        int outcome = OPEN;
+        if (!isnan(pressure) && now->speed_known) {
+            if (pressure <= FROZEN_PRESSURE_PA || c->m->pressure_held_s[i] < MOVES_S)
+                outcome = PASSED;
+            else if (c->m->pressure_held_s[i] >= FROZEN_PRESSURE_S
+                     && fabs(now->speed - c->m->pressure_mark[i]) > FROZEN_PRESSURE_MS)
+                outcome = FAILED;
+        }
+        c->m->pressure_stuck_s[i] = advance(STUCK, c->m->pressure_stuck_s[i], outcome, now->dt_s);
+    }
+}
+
+static void compare_switch(Checks *c, const Readings *now)
+{
+    /* only the pedal's own pressure: assistance fills the other circuits */
+    int outcome = OPEN;
+    const double primary = now->pressures[0];
+    if (!isnan(primary) && now->speed > SWITCH_MS
+        && !isnan(now->brake_switch) && now->esc_active == 0.0)
+        outcome = primary > SWITCH_PRESSURE_PA && now->brake_switch == 0.0
+            ? FAILED : PASSED;
+    c->m->switch_fault_s = advance(SWITCH, c->m->switch_fault_s, outcome, now->dt_s);
+}
+
+static void compare_direction(Checks *c, double dt_s, double gained)
+{
+    CheckMemoryFloats *m = c->m;
+    const double faded = dt_s / REVERSED_MEMORY_S;
+    m->agreement -= faded * m->agreement;
+    m->motion -= faded * m->motion;
+    if (fabs(gained) > REVERSED_MS2) {
+        m->agreement += m->slow_acceleration * gained * dt_s;
+        m->motion += gained * gained * dt_s;
+    }
+    int outcome = OPEN;
+    if (m->motion > REVERSED_MOTION) {
+        if (m->agreement < -REVERSED_SHARE * m->motion) outcome = FAILED;
+        else if (m->agreement > REVERSED_SHARE * m->motion)
+            outcome = PASSED;
+    }
+    m->reversed_fault_s = advance(REVERSED, m->reversed_fault_s, outcome, dt_s);
+}
+
+static void compare_inertia(Checks *c, const Readings *now, int64_t refused)
+{
+    CheckMemoryFloats *m = c->m;
+    const int64_t noise = refused & (FLAG_SPEED_SUSPECT | FLAG_ACCELERATION_SUSPECT);
+    if (isnan(now->acceleration) || !now->speed_known || noise) {
+        m->slow_speed = UNKNOWN;
+        return;
+    }
+    if (m->slow_speed < 0.0) {
+        m->slow_speed = now->speed;
+        m->slow_acceleration = now->acceleration;
+    }
+    const double share = 1.0 - exp(-now->dt_s / INERTIA_FILTER_S);
+    m->slow_speed += share * (now->speed - m->slow_speed);
+    m->slow_acceleration +=
+        share * (now->acceleration - m->slow_acceleration);
+    const double gained = (now->speed - m->slow_speed) / INERTIA_FILTER_S;
+    const int failed = fabs(m->slow_acceleration - gained) > INERTIA_MS2;
+    m->inertia_fault_s = advance(INERTIA, m->inertia_fault_s, failed ? FAILED : PASSED,
+                         now->dt_s);
+    compare_direction(c, now->dt_s, gained);
+}
+
+static int64_t pressure_flags(const Checks *c, const Readings *now, int which)
+{
+    int64_t flags = FLAG_PRESSURE_SUSPECT;
+    for (int i = 0; i < c->corners; i++)
+        if (now->pressure_of[i] == which) flags |= CORNER_PRESSURE_SUSPECT << i;
+    return flags;
+}
+
+/* Bits of the checks of whole steps; absent inputs have none. */
+static int64_t contradictions(const Checks *c, const Readings *now, int count)
+{
+    int64_t flags = 0;
+    const int pair = count == 2 && c->m->pair_fault_s >= DEVIATION.comes_s;
+    for (int v = 0; v <= c->corners; v++) {
+        if (isnan(now->speeds[v])) continue;
+        if ((pair || c->m->left_out[v] != 0.0) && v < c->corners)
+            flags |= WHEEL_SUSPECT << v;
+        if (pair || c->m->deviation_fault_s[v] >= DEVIATION.comes_s)
+            flags |= FLAG_WHEELS_CONTRADICT;
+        if (c->m->speed_stuck_s[v] >= STUCK.comes_s) flags |= FLAG_STUCK;
+    }
+    if (pair) flags |= FLAG_SPEED_SUSPECT;
+    const int without_switch =
+        c->m->switch_fault_s >= SWITCH.comes_s && !isnan(now->brake_switch);
+    for (int i = 0; i < c->corners + 2; i++) {
+        if (isnan(now->pressures[i])) continue;
+        const int stuck = c->m->pressure_stuck_s[i] >= STUCK.comes_s;
+        const int alone = without_switch && i == 0;
+        if (stuck) flags |= FLAG_STUCK;
+        if (alone) flags |= FLAG_SWITCH_CONTRADICTS;
+        if (stuck || alone) flags |= pressure_flags(c, now, i);
+    }
+    const int contradicted = c->m->inertia_fault_s >= INERTIA.comes_s
+        || c->m->reversed_fault_s >= REVERSED.comes_s;
+    if (contradicted && !isnan(now->acceleration))
+        flags |= FLAG_ACCELERATION_SUSPECT | FLAG_ACCELERATION_CONTRADICTS;
+    return flags;
+}
+
+static int suspect(const Checks *c, int64_t now, int role)
+{
+    return c->plan->timeout[role] >= 0.0 && now <= c->t->until[role];
+}
+
+/* Bits of the roles that have refused samples of late. */
+static int64_t held_flags(const Checks *c, const Readings *now)
+{
+    int64_t flags = FLAG_SAMPLES_REFUSED;
+    for (int i = 0; i < c->corners; i++)
+        if (suspect(c, now->now, c->speed_role[i]))
+            flags |= WHEEL_SUSPECT << i;
+    if (suspect(c, now->now, c->speed_role[c->corners]))
+        flags |= FLAG_SPEED_SUSPECT;
+    for (int i = 0; i < c->corners + 2; i++)
+        if (suspect(c, now->now, c->pressure_role[i]))
+            flags |= pressure_flags(c, now, i);
+    if (suspect(c, now->now, c->acceleration_role))
+        flags |= FLAG_ACCELERATION_SUSPECT;
+    if (suspect(c, now->now, c->torque_role)) flags |= FLAG_TORQUE_SUSPECT;
+    for (int i = 0; i < c->temperatures; i++)
+        if (suspect(c, now->now, c->temperature_role[i]))
+            flags |= FLAG_TEMPERATURE_SUSPECT;
+    return flags;
+}
+
+/* The speed is suspect where no sound speed is left. */
+static int64_t speed_flags(const Checks *c, const Readings *now, int64_t flags)
+{
+    const int last = c->corners;
+    int present = !isnan(now->speeds[last]);
+    if (present && c->m->left_out[last] == 0.0) return 0;
+    for (int i = 0; i < last; i++) {
+        if (isnan(now->speeds[i])) continue;
+        present = 1;
+        if (!(flags & (WHEEL_SUSPECT << i))) return 0;
+    }
+    return present ? FLAG_SPEED_SUSPECT : 0;
+}
+
+/* Bits of what is done where the heat of a corner is not known. */
+static int64_t outages(Checks *c, const Readings *now)
+{
+    int64_t flags = 0;
+    const int64_t last = c->t->last_sample;
+    const int silent = last == NEVER || now->now - last > SILENT_US;
+    if (silent) flags |= FLAG_SILENT;
+    if (now->speed_known) c->m->last_speed = now->speed;
+    for (int i = 0; i < c->corners; i++) {
+        if (!silent && now->at_risk[i] && !now->heat_known[i]) {
+            c->m->outage_s[i] += now->dt_s;
+            flags |= FLAG_HEAT_UNKNOWN;
+            if (c->m->outage_s[i] > OUTAGE_S) {
+                const double counts_s = OUTAGE_MEMORY * c->m->outage_s[i];
+                c->m->aftermath_s[i] =
+                    counts_s < c->plan->settling_s ? counts_s : c->plan->settling_s;
+                flags |= HEAT_LOST << i;
+            }
+            continue;
+        }
+        const double outage = c->m->outage_s[i] - now->dt_s / OUTAGE_MEMORY;
+        c->m->outage_s[i] = outage > 0.0 ? outage : 0.0;
+        if (c->m->aftermath_s[i] > 0.0) {
+            const double aftermath = c->m->aftermath_s[i] - now->dt_s;
+            c->m->aftermath_s[i] = aftermath > 0.0 ? aftermath : 0.0;
+            flags |= HEAT_DOUBT << i;
+        }
+    }
+    return flags;
+}
+
+int64_t checks_close(Checks *c, const Readings *now)
+{
+    int count;
+    const double middle = median(now->speeds, c->corners + 1, &count);
+    compare_speeds(c, now, middle, count);
+    hold_speeds(c, now, middle, count);
+    int64_t refused = 0;
+    if (now->now <= c->t->suspect_until) {
+        refused = held_flags(c, now);
+        refused |= speed_flags(c, now, refused);
+    }
+    hold_pressures(c, now, refused);
+    compare_switch(c, now);
+    compare_inertia(c, now, refused);
+    int64_t flags = contradictions(c, now, count) | refused;
+    flags |= speed_flags(c, now, flags);
+    return flags | outages(c, now);
+}

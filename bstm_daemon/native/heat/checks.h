@@ -1,0 +1,58 @@
+/* Checks of the inputs: model/heat/checks.py says what they do; both forms do
+ * the same operations in the same order. Nothing here knows Python.
+ */
+#ifndef BSTM_CHECKS_H
+#define BSTM_CHECKS_H
+
+#include "generated.h"
+
+enum { MAX_TEMPERATURES = 1 + MEASURED_COUNT * MAX_CORNERS };
+
+typedef struct {
+    const PlanNumbersFloats *plan;
+    CheckMemoryInts *t;
+    CheckMemoryFloats *m;
+    int corners, temperatures;
+    int speed_role[MAX_SPEEDS], pressure_role[MAX_PRESSURES];
+    int acceleration_role, torque_role, temperature_role[MAX_TEMPERATURES];
+} Checks;
+
+/* What the pass knows at the end of a step; nan for what is missing. */
+typedef struct {
+    int64_t now;
+    double dt_s, speed, brake_switch, esc_active, acceleration;
+    int speed_known, braking;
+    double speeds[MAX_SPEEDS], pressures[MAX_PRESSURES];
+    int pressure_of[MAX_CORNERS], heat_known[MAX_CORNERS];
+    int at_risk[MAX_CORNERS];
+} Readings;
+
+static inline int checks_jumped(int role, double change, int64_t time_us)
+{
+    const Limits *l = LIMITS + role;
+    return fabs(change) > l->step + l->rate_per_s * ((double)time_us * 1e-6);
+}
+
+/* Whether a value that is out of range or jumped is a sample all the same. */
+int checks_doubted(Checks *c, int64_t at, int role, double value);
+
+/* Whether value is a sample of role; last counts since `since` or NEVER. In
+ * the header, because nearly every sample ends here. */
+static inline int checks_admit(Checks *c, int64_t at, int role, double value,
+                               double last, int64_t since)
+{
+    c->t->last_sample = at;
+    if (value < LIMITS[role].low || value > LIMITS[role].high
+        || (since != NEVER && checks_jumped(role, value - last, at - since)))
+        return checks_doubted(c, at, role, value);
+    c->t->jump_stamp[role] = NEVER;
+    return 1;
+}
+
+void checks_shift(Checks *c, int64_t ahead);
+void checks_settle(Checks *c);
+
+/* Judge a step that ends; returns bits of the flags. */
+int64_t checks_close(Checks *c, const Readings *now);
+
+#endif

@@ -1,0 +1,15 @@
+/* What counts against the observer's inputs: model/heat/observer_faults.py
+ * says what it does; both forms do the same operations in the same order.
+ */
+#ifndef BSTM_OBSERVER_FAULTS_H
+#define BSTM_OBSERVER_FAULTS_H
+
+#include "generated.h"
+
+int observer_faults_findings(const ObserverMemory *m);
+int observer_faults_implausible_gain(const ObserverMemory *m);
+int observer_faults_motion_unmeasured(const ObserverMemory *m);
+int observer_faults_implausible_radius(const ObserverMemory *m);
+void observer_faults_compare_radius(ObserverMemory *m, const Step *s);
+
+#endif

@@ -1,0 +1,314 @@
+#include "sample_pass.h"
+
+#include <string.h>
+
+#include "friction_law.h"
+#include "fusion.h"
+
+/* Change of the filtered speed over h; its mean is left in *middle. */
+static double filter_speed(Inputs *p, double h, double v, double *middle)
+{
+    PassMemoryFloats *m = p->m;
+    *middle = v;
+    if (!p->speed_known) {
+        m->filtered_speed = UNKNOWN;
+        return 0.0;
+    }
+    if (m->filtered_speed < 0.0) {
+        m->filtered_speed = v;
+        return 0.0;
+    }
+    const double before = m->filtered_speed;
+    m->filtered_speed = v + (before - v) * exp(-h / p->plan->filter_s);
+    *middle = 0.5 * (before + m->filtered_speed);
+    return m->filtered_speed - before;
+}
+
+/* All of Eq 4.11 but the change of speed, times h; that change acts on
+ * *inertia_kg. */
+static double outer_impulse(const Inputs *p, double h, double v,
+                            double *inertia_kg)
+{
+    const PlanNumbersFloats *f = p->plan;
+    const int acceleration = ROLE_ACCELERATION_LONGITUDINAL;
+    const double drag =
+        v > 0.0 ? (f->quadratic * v + f->linear) * v + f->constant : 0.0;
+    const double torque =
+        inputs_vehicle(p, ROLE_POWERTRAIN_TORQUE, f->assumed_torque_nm);
+    const double external = inputs_vehicle(p, ROLE_EXTERNAL_FORCE, 0.0);
+    const double driving = p->heading * (torque / f->radius_m + external);
+    const double impulse = (driving - drag) * h;
+    if (p->options->slope == SLOPE_ACCELEROMETER
+        && inputs_valid(p, acceleration)) {
+        const double accel = p->heading * p->m->value[acceleration];
+        *inertia_kg = f->rotating_kg;
+        return impulse - f->mass_kg * accel * h;
+    }
+    *inertia_kg = f->mass_kg + f->rotating_kg;
+    return impulse;
+}
+
+/* Add up each corner's Feed-Forward; returns the highest mean pressure. */
+static double integrate_corners(Inputs *p, double h)
+{
+    const PlanNumbersFloats *f = p->plan;
+    PassMemoryFloats *m = p->m;
+    double highest = 0.0;
+    for (int c = 0; c < p->corners; c++) {
+        const double target = p->target[c], lag_s = f->lag_s[c];
+        double pressure;
+        /* a pressure measured at the wheel has the lag in it */
+        if (lag_s > 0.0 && !inputs_valid(p, p->pressure_role[c])) {
+            const double decay = exp(-h / lag_s);
+            const double behind = m->lagged_pa[c] - target;
+            pressure = target + behind * (lag_s * (1.0 - decay) / h);
+            m->lagged_pa[c] = target + behind * decay;
+        } else {
+            pressure = target;
+            m->lagged_pa[c] = target;
+        }
+        const double pushing = pressure - f->pushout_pa[c];
+        const int pressed = pressure > p->pressing_pa;
+        if (pressed && pushing > 0.0) {
+            double grip = f->torque_per_pa[c];
+            if (p->laws != NULL)
+                grip *= friction_factor(p->laws + c * 3 * LAW_POINTS,
+                                        m->interface_k[c], pressure,
+                                        p->wheel[c]);
+            const double power =
+                grip * pushing * (p->wheel[c] / f->radius_m);
+            m->energy_ff[c] += power * h;
+            p->observer.m->brake_sum[c] += grip * pushing / f->radius_m * h;
+        }
+        m->pressure_sum[c] += pressure * h;
+        if (pressed) m->on_time[c] += h;
+        if (pressure > highest) highest = pressure;
+    }
+    return highest;
+}
+
+/* Hold all values from now to time_us and add up. */
+static void integrate(Inputs *p, int64_t time_us)
+{
+    const PlanNumbersFloats *f = p->plan;
+    PassMemoryFloats *m = p->m;
+    if (time_us <= p->t->now) return;
+    if (p->stale) inputs_refresh(p);
+    const double h = (double)(time_us - p->t->now) * 1e-6;
+    const double v = p->speed;
+    double middle, inertia_kg;
+    const double highest = integrate_corners(p, h);
+    const double gained = filter_speed(p, h, v, &middle);
+    const double impulse = outer_impulse(p, h, v, &inertia_kg);
+    const double force_s = impulse - inertia_kg * gained;
+    const int pressed = p->pressure_present ? highest > p->pressing_pa
+                                            : force_s > f->on_force_n * h;
+    if (pressed)
+        m->tail_s = inertia_kg > f->rotating_kg ? TAIL * f->filter_s : 0.0;
+    const double braked = impulse * v - inertia_kg * (gained * middle);
+    if (pressed || m->tail_s > 0.0) {
+        m->force_sum += force_s;
+        m->energy_fb += braked;
+    } else if (f->unpressed_share > 0.0 && inputs_feed_back_known(p)
+               && force_s > f->on_force_n * h) {
+        m->force_sum += f->unpressed_share * force_s;
+        m->unpressed_j += f->unpressed_share * braked;
+        for (int c = 0; c < p->corners; c++) m->on_time[c] += h;
+    }
+    if (!pressed) {
+        const double left = m->tail_s - h;
+        m->tail_s = left > 0.0 ? left : 0.0;
+    }
+    if (p->options->mode == MODE_FUSED) fusion_accumulate_motion(p, h, v);
+    m->speed_sum += v * h;
+    m->distance += v * h;
+    p->t->now = time_us;
+}
+
+/* Start the sums of a step anew. */
+static void clear(Inputs *p)
+{
+    PassMemoryFloats *m = p->m;
+    ObserverMemory *o = p->observer.m;
+    m->unpressed_j = m->speed_sum = m->force_sum = m->energy_fb = 0.0;
+    for (int c = 0; c < p->corners; c++)
+        m->energy_ff[c] = m->pressure_sum[c] = m->on_time[c] =
+            o->brake_sum[c] = 0.0;
+    o->sum_time = o->sum_accel = o->sum_drive = o->sum_drag = 0.0;
+}
+
+/* Write the row of the step that ends now and start the next. */
+static void close_step(Pass *pass)
+{
+    Inputs *p = &pass->in;
+    PassMemoryFloats *m = p->m;
+    const double dt_s = (double)p->options->step_us * 1e-6;
+    const int air = ROLE_AMBIENT_TEMPERATURE;
+    int source[MAX_CORNERS];
+    Readings now;
+    inputs_heat_sources(p, source, now.at_risk);
+    inputs_readings(p, dt_s, source, &now);
+    int64_t flags = *pass->flags | inputs_missing(p);
+    flags |= checks_close(&p->checks, &now);
+    /* the air of a silent car is nearer the last one than the default */
+    const double ambient_k = inputs_mapped(p, air) && p->t->stamp[air] != NEVER
+        ? m->value[air] : p->plan->ambient_k;
+    double wetness = inputs_vehicle(p, ROLE_RAIN, 0.0);
+    if (wetness < 0.0) wetness = 0.0;
+    if (wetness > 1.0) wetness = 1.0;
+    const double unpressed = m->unpressed_j > 0.0 ? m->unpressed_j : 0.0;
+    const double energy =
+        (m->energy_fb > 0.0 ? m->energy_fb : 0.0) + unpressed;
+    const double power_fb = energy / dt_s, speed = m->speed_sum / dt_s;
+    m->total_fb += energy;
+    double *whole = pass->vehicle_rows + pass->steps * VEHICLE_CHANNELS;
+    const int fuses = p->options->mode == MODE_FUSED;
+    Fused fused;
+    if (fuses) {
+        fused = fusion_fuse(p, &now, flags, whole + VEHICLE_GRADE);
+        flags |= fused.flags;
+    } else
+        for (int i = VEHICLE_GRADE; i < VEHICLE_FLAGS; i++)
+            whole[i] = (double)NAN;
+    double *row = pass->rows + pass->steps * p->corners * CHANNELS;
+    for (int c = 0; c < p->corners; c++, row += CHANNELS) {
+        const double power_ff = m->energy_ff[c] / dt_s;
+        const double share = p->plan->force_share[c];
+        double chosen = power_ff + share * (unpressed / dt_s);
+        if (fuses) chosen = fused.power[c];
+        else if ((p->options->mode == MODE_FB) == (source[c] != OTHER))
+            chosen = share * power_fb;
+        if (source[c] == OTHER && now.at_risk[c])
+            flags |= FLAG_HEAT_SUBSTITUTED;
+        m->total_ff[c] += m->energy_ff[c];
+        row[CHANNEL_SPEED_MS] = speed;
+        row[CHANNEL_PRESSURE_PA] = m->pressure_sum[c] / dt_s;
+        row[CHANNEL_BRAKE_ON] = m->on_time[c] / dt_s;
+        row[CHANNEL_WETNESS] = wetness;
+        row[CHANNEL_AMBIENT_K] = ambient_k;
+        row[CHANNEL_BRAKE_POWER_W] = chosen;
+        row[CHANNEL_BRAKE_ENERGY_FF_J] = m->total_ff[c];
+        row[CHANNEL_BRAKE_ENERGY_FB_J] = share * m->total_fb;
+        row[CHANNEL_BRAKE_POWER_STD_W] =
+            fuses ? fused.power_std[c] : (double)NAN;
+        for (int node = 0; node < MEASURED_COUNT; node++)
+            row[MEASURED_FROM + node] =
+                inputs_reading(p, p->measured_role[c] + node);
+    }
+    whole[VEHICLE_SPEED_MS] = speed;
+    whole[VEHICLE_DISTANCE_M] = m->distance;
+    whole[VEHICLE_BRAKE_FORCE_N] =
+        (m->force_sum > 0.0 ? m->force_sum : 0.0) / dt_s;
+    whole[VEHICLE_INPUT_AGE_S] = inputs_input_age_s(p);
+    whole[VEHICLE_FLAGS] = (double)flags;
+    pass->row_times[pass->steps] = p->t->grid;
+    pass->steps++;
+    *pass->flags = 0;
+    p->t->grid += p->options->step_us;
+    clear(p);
+    memcpy(m->interface_k, m->next_interface_k, sizeof m->interface_k);
+    /* a value may have aged out: speeds and pressures are formed anew */
+    p->stale = 1;
+}
+
+/* Let the open step start anew at time_us. */
+static void start_axis(Inputs *p, int64_t time_us)
+{
+    const int64_t step_us = p->options->step_us;
+    int64_t whole = time_us / step_us;
+    if (time_us % step_us < 0) whole--;
+    p->t->now = time_us;
+    p->t->grid = (whole + 1) * step_us;
+    clear(p);
+    p->stale = 1;
+}
+
+static int march_to(Pass *pass, int64_t time_us)
+{
+    Inputs *p = &pass->in;
+    while (p->t->grid <= time_us) {
+        if (pass->steps == pass->room) return FULL;
+        integrate(p, p->t->grid);
+        close_step(pass);
+    }
+    integrate(p, time_us);
+    p->t->pending = NEVER;
+    return DONE;
+}
+
+static int move_axis(Pass *pass, int64_t time_us, int64_t ahead)
+{
+    Inputs *p = &pass->in;
+    p->t->pending = NEVER;
+    p->t->jumps++;
+    const int settled = ahead > 0 && ahead <= CLOCK_SET_US;
+    *pass->flags |= settled ? FLAG_SETTLED : FLAG_CLOCK_JUMP;
+    if (settled) checks_settle(&p->checks);
+    else {
+        checks_shift(&p->checks, ahead);
+        for (int r = 0; r < ROLES; r++)
+            if (p->t->stamp[r] != NEVER) p->t->stamp[r] += ahead;
+    }
+    start_axis(p, time_us);
+    return settled ? SETTLE : JUMP;
+}
+
+static int move_to(Pass *pass, int64_t time_us)
+{
+    Inputs *p = &pass->in;
+    PassMemoryInts *t = p->t;
+    if (time_us > LIMIT_US || time_us < -LIMIT_US) {
+        t->dropped++;
+        return DROP;
+    }
+    if (t->now == NEVER) {
+        start_axis(p, time_us);
+        return DONE;
+    }
+    const int64_t ahead = time_us - t->now;
+    if (ahead >= -LATE_US && ahead <= AHEAD_US) {
+        if (ahead < 0) {
+            t->late++;
+            return DONE;
+        }
+        return march_to(pass, time_us);
+    }
+    const int64_t since = t->pending == NEVER ? 0 : time_us - t->pending;
+    if (since == 0 || since > CONFIRM_US || since < -CONFIRM_US) {
+        t->pending = time_us;
+        t->dropped++;
+        return DROP;
+    }
+    if (ahead > 0 && ahead <= SETTLED_US) return march_to(pass, time_us);
+    return move_axis(pass, time_us, ahead);
+}
+
+/* How fast a late sample came from the one before is not known. */
+static void take(Inputs *p, int64_t time_us, int role, double value)
+{
+    if (!isfinite(value)) return;
+    const int64_t now = p->t->now, at = time_us > now ? time_us : now;
+    const int64_t since =
+        at == time_us && inputs_valid(p, role) ? p->t->stamp[role] : NEVER;
+    if (checks_admit(&p->checks, at, role, value, p->m->value[role], since)) {
+        p->m->value[role] = value;
+        p->t->stamp[role] = at;
+    }
+}
+
+ptrdiff_t sample_pass(Pass *p, const int64_t *times, const int32_t *roles,
+                      const double *values, ptrdiff_t index, ptrdiff_t count,
+                      int *code)
+{
+    for (; index < count; index++) {
+        *code = move_to(p, times[index]);
+        if (*code == FULL) return index;
+        const int role = roles[index];
+        if (*code != DROP && role >= 0 && role < ROLES)
+            take(&p->in, times[index], role, values[index]);
+        p->in.stale = 1;
+        if (*code == SETTLE || *code == JUMP) return index + 1;
+    }
+    *code = DONE;
+    return index;
+}

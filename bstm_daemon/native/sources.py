@@ -1,0 +1,73 @@
+"""Which sources each compiled module is built from, and their hash.
+
+``setup.py`` builds by this table and writes the hash into the module; the
+loader compares it with that of the sources beside it. It needs nothing but
+the standard library.
+"""
+
+from __future__ import annotations
+
+from hashlib import sha256
+from pathlib import Path
+from typing import Final
+
+PACKAGE: Final = Path(__file__).resolve().parents[1]
+
+TABLES: Final = (
+    "channels",
+    "roles",
+    "units",
+    "model.heat.check_rules",
+    "model.heat.friction_law",
+    "model.heat.fusion",
+    "model.heat.inputs",
+    "model.heat.learned",
+    "model.heat.memory",
+    "model.heat.observer",
+    "model.heat.observer_faults",
+    "model.heat.observer_rules",
+    "model.heat.sample_pass",
+    "model.heat.sample_plan",
+    "model.thermal.program",
+    "model.thermal.reference",
+    "native.header",
+    "native.layout",
+)
+"""Python modules that the generated header is written from."""
+
+SOURCES: Final = {
+    "native._kernel": (
+        "native/heat/checks.c",
+        "native/heat/fusion.c",
+        "native/heat/inputs.c",
+        "native/heat/learned.c",
+        "native/heat/observer.c",
+        "native/heat/observer_faults.c",
+        "native/heat/sample_bind.c",
+        "native/heat/sample_pass.c",
+        "native/thermal/kernel.c",
+        "native/thermal/march.c",
+    ),
+    "native._log": ("native/bus/candump.c", "native/bus/extract.c"),
+    "native._live": ("native/bus/receive.c", "native/bus/records.c"),
+    "simulation._reality": ("simulation/_reality.c",),
+}
+"""C files by module. Their hash takes in all headers of their folders."""
+
+
+def digest(module: str) -> str:
+    """Return the hash of the sources of *module*, a key of SOURCES.
+
+    Raises:
+        FileNotFoundError: they are not here: the package is installed
+            without them.
+    """
+    paths = [PACKAGE / source for source in SOURCES[module]]
+    folders = {path.parent for path in paths}
+    paths += [path for folder in folders for path in folder.glob("*.h")]
+    if module == "native._kernel":
+        paths += [PACKAGE / f"{t.replace('.', '/')}.py" for t in TABLES]
+    found = sha256()
+    for path in sorted(paths):
+        found.update(path.read_bytes())
+    return found.hexdigest()[:16]

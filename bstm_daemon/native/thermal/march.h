@@ -1,0 +1,34 @@
+/* A network's structure and a march over it, as its two sources share them:
+ * kernel.c checks what comes from Python, march.c runs it.
+ * model/thermal/program.py lays out `ints` and `floats`.
+ */
+#ifndef BSTM_MARCH_H
+#define BSTM_MARCH_H
+
+#include <stddef.h>
+#include <stdint.h>
+
+#include "generated.h"
+
+typedef struct {
+    int count[COUNTS];
+    const int32_t *section[SECTIONS];
+} Structure;
+
+typedef struct {
+    const Structure *s;
+    const double *floats;     /* [members][floats] */
+    double *state;            /* [members][nodes + memories] */
+    const double *inputs;     /* [steps][sets][inputs] */
+    const int32_t *set_of;    /* [members] */
+    double *ledger;           /* [members][links + sources] */
+    double *outputs;          /* [outputs][members][state + sources] */
+    ptrdiff_t members, sets, steps;
+    double dt;
+    int every, phase;
+} March;
+
+/* March all members. Returns -1 where memory is short. */
+int bstm_march(const March *m);
+
+#endif

@@ -1,0 +1,1 @@
+"""Recorded logs through the same estimator as the live service."""

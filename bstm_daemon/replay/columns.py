@@ -1,0 +1,240 @@
+"""A recorded log at full speed: the estimator over columns.
+
+:func:`stream_log` decodes whole chunks with NumPy and hands rows of results
+to sinks, :func:`replay_log` keeps them in memory. Frame by frame, as the
+daemon does it, goes :mod:`bstm_daemon.replay.frames`.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections import Counter
+from contextlib import contextmanager
+from dataclasses import dataclass
+from itertools import accumulate
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from bstm_daemon.advice.advisor import Advisor
+from bstm_daemon.bus.opening import EventLog
+from bstm_daemon.errors import LogError, UsageError
+from bstm_daemon.estimator.corner_estimates import corner_estimates
+from bstm_daemon.estimator.estimator import PUBLISH_US, STEP_US, Estimator
+from bstm_daemon.estimator.state import (
+    StateError,
+    parked_before_us,
+    resume_state,
+)
+from bstm_daemon.forecast.monitor import RiskMonitor
+from bstm_daemon.forecast.resuming import resume_risk
+from bstm_daemon.model.risk.boiling import wet_boiling_point_k
+from bstm_daemon.replay.results import Collector, Results, ResultsBuilder, Sink
+
+if TYPE_CHECKING:
+    from collections.abc import (
+        Callable,
+        Iterator,
+        Mapping,
+        Sequence,
+    )
+    from pathlib import Path
+    from typing import Any
+
+    from bstm_daemon.bus.signals.signal_map import SignalMap
+    from bstm_daemon.config.sections import Config
+    from bstm_daemon.estimate import Advice, CarRisk
+    from bstm_daemon.estimator.blocks import Block
+
+
+@dataclass(frozen=True)
+class Run:
+    """Figures of one log's run through the estimator.
+
+    ``refused`` counts lines, frames and samples by reason; ``counts`` has
+    the estimator's own: late and dropped samples, clock jumps. ``truncated``
+    is set for a gzip file without its end. ``settling_s`` is how long the
+    unknown start matters.
+    """
+
+    lines: int
+    frames: int
+    refused: Counter[str]
+    counts: dict[str, int]
+    compiled: bool
+    truncated: bool
+    settling_s: float
+
+
+@dataclass(frozen=True)
+class Replay(Run):
+    """A run with its results."""
+
+    results: Results
+
+
+def replay_log(
+    config: Config,
+    signal_map: SignalMap,
+    path: Path,
+    overrides: Mapping[str, str] | None = None,
+    every_us: int = PUBLISH_US,
+    *,
+    forecast: bool = True,
+) -> Replay:
+    """Return the run over the log *path* with all its rows in memory.
+
+    Args and errors are those of :func:`stream_log`, which needs no more
+    memory for a longer log.
+    """
+    rows = Collector()
+    run = stream_log(
+        config,
+        signal_map,
+        path,
+        [rows],
+        overrides=overrides,
+        every_us=every_us,
+        forecast=forecast,
+    )
+    return Replay(**vars(run), results=rows.results())
+
+
+def stream_log(  # noqa: PLR0913
+    config: Config,
+    signal_map: SignalMap,
+    path: Path,
+    sinks: Sequence[Sink],
+    *,
+    overrides: Mapping[str, str] | None = None,
+    every_us: int = PUBLISH_US,
+    progress: Callable[[int, float | None], None] | None = None,
+    state: Mapping[str, Any] | None = None,
+    forecast: bool = True,
+) -> Run:
+    """Run the estimator over the log *path*, rows going to *sinks*.
+
+    Args:
+        config: the vehicle.
+        signal_map: its extraction plan.
+        path: a log.
+        sinks: each gets every row, in stretches as they come.
+        overrides: log interface name to bus name.
+        every_us: time between two rows [us], a multiple of 100 000.
+        progress: called with the number of lines read so far and the share
+            of the file, None where it is not known.
+        state: a state file's document; without it the history is unknown.
+        forecast: whether there are columns of risk, forecast and advice.
+
+    Raises:
+        LogError: the log is unusable, holds none of the wanted ids, or is
+            too short for a single row.
+        FileAccessError: it can not be read, or a sink can not be written.
+        UsageError: *state* is no state of this car.
+    """
+    log = EventLog(path, signal_map, overrides)
+    present = present_roles(signal_map)
+    estimator = Estimator(config, present)
+    monitor = RiskMonitor(config, estimator) if forecast else None
+    advice = AdviceSeries(config, present)
+    builder = ResultsBuilder(estimator, sinks, every_us)
+    settling_s = None if state is not None else estimator.settling_s
+    for events in log.events():
+        if settling_s is None and state is not None and len(events.time_us):
+            first_us = int(events.time_us[0])
+            parked_us = parked_before_us(state, first_us)
+            with naming_state():
+                resumed = resume_state(estimator, state, parked_us, first_us)
+                if monitor is not None:
+                    resume_risk(monitor, estimator, state, parked_us, first_us)
+            if resumed.resumed:
+                advice.advisor = advice.advisor.resumed(state.get("advice"))
+            settling_s = estimator.history_left_steps * STEP_US * 1e-6
+        samples = events.time_us, events.role, events.value
+        if monitor is not None:
+            monitor.ingest(*samples)
+            advice.ingest(*samples)
+        for block in estimator.stretches(*samples):
+            if monitor is None:
+                builder.add([block])
+                continue
+            risks = monitor.add(block)
+            builder.add([block], [risks], [advice.add(block, risks)])
+        if progress is not None:
+            progress(log.reader.lines, log.share)
+    builder.finish()
+    if not builder.rows:
+        msg = f"{path}: too short for a row every {every_us * 1e-6:g} s"
+        raise LogError(msg)
+    refused = Counter(
+        {str(reason): count for reason, count in log.reader.refused.items()}
+    )
+    refused.update({str(r): count for r, count in log.counts.items()})
+    return Run(
+        log.reader.lines,
+        log.reader.frames,
+        refused,
+        estimator.counts,
+        estimator.compiled,
+        log.reader.truncated,
+        settling_s or 0.0,
+    )
+
+
+class AdviceSeries:
+    """The engine's :class:`Advisor` along columns and blocks."""
+
+    def __init__(self, config: Config, present: Mapping[int, int]) -> None:
+        """Begin parked; *present* is role number to time-out [us]."""
+        self.advisor = Advisor(config, present)
+        self._boiling_k = wet_boiling_point_k(config.fluid.grade)
+        self._samples: list[tuple[int, int, float]] = []
+        # no sample from a place on is earlier than this [us]
+        self._earliest_us: list[int] = []
+
+    def ingest(self, times_us: Any, roles: Any, values: Any) -> None:
+        """Take arrays [n]: stamps [us], role numbers, values."""
+        kept = np.isin(roles, sorted(self.advisor.roles.names))
+        self._samples += zip(
+            times_us[kept].tolist(),
+            roles[kept].tolist(),
+            values[kept].tolist(),
+            strict=True,
+        )
+        stamps = [stamp_us for stamp_us, _, _ in reversed(self._samples)]
+        self._earliest_us = [*accumulate(stamps, min)][::-1]
+
+    def add(self, block: Block, risks: Sequence[CarRisk]) -> list[Advice]:
+        """Return the advice at each publication of *block* with its risk."""
+        found = []
+        first = 0
+        for i, risk in enumerate(risks):
+            instant = block.at(i)
+            # in the order of their arrival, as the live engine notes them
+            end = bisect_right(self._earliest_us, instant.time_us)
+            for sample in self._samples[first:end]:
+                self.advisor.roles.note(*sample)
+            first = max(first, end)
+            corners = corner_estimates(instant, self._boiling_k, risk)
+            found.append(self.advisor.update(instant, corners))
+        del self._samples[:first], self._earliest_us[:first]
+        return found
+
+
+@contextmanager
+def naming_state() -> Iterator[None]:
+    """Word for the user why a state file does not fit.
+
+    Raises:
+        UsageError: instead of a StateError from inside.
+    """
+    try:
+        yield
+    except StateError as error:
+        msg = f"--state: the state does not fit: {error}"
+        raise UsageError(msg) from error
+
+
+def present_roles(signal_map: SignalMap) -> dict[int, int]:
+    """Role number to timeout [us] of each mapped role."""
+    return {role: signal_map.timeouts_us[role] for role in signal_map.roles()}

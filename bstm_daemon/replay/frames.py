@@ -1,0 +1,155 @@
+"""A log frame by frame through the engine, as the daemon beside it did.
+
+The frames that come out are those that a daemon on the recorded bus would
+have sent: with the daemon's start state the same, byte for byte.
+"""
+
+from __future__ import annotations
+
+from itertools import chain
+from typing import TYPE_CHECKING, Any, Final
+
+from bstm_daemon.bus.opening import NOT_READ, open_log, resolve_interfaces
+from bstm_daemon.engine import Engine
+from bstm_daemon.errors import ConfigError, LogError
+from bstm_daemon.estimator.state import parked_before_us
+from bstm_daemon.files import replacing
+from bstm_daemon.replay.columns import naming_state
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+    from pathlib import Path
+
+    from bstm_daemon.bus.signals.signal_map import SignalMap
+    from bstm_daemon.config.sections import Config
+    from bstm_daemon.engine import Published
+
+TICK_US: Final = 50_000
+"""As the live service ticks by default; how often changes no number."""
+
+Frame = tuple[int, int, int, bool, bytes]
+"""Stamp [us], bus number, id, extended, data."""
+
+
+def replayed(
+    config: Config,
+    signal_map: SignalMap,
+    path: Path,
+    overrides: Mapping[str, str] | None = None,
+    state: Mapping[str, Any] | None = None,
+    *,
+    forecast: bool = True,
+) -> Iterator[list[Published]]:
+    """Run the engine over the log *path*, tick by tick.
+
+    Args:
+        config: the vehicle.
+        signal_map: its extraction plan.
+        path: a log of CAN frames.
+        overrides: log interface name to bus name.
+        state: a state file's document; without it the history is unknown.
+        forecast: whether risk and forecast are made.
+
+    Yields:
+        What became due; a gap of hours comes in parts.
+
+    Raises:
+        LogError: the log is unusable or has no frame.
+        FileAccessError: it can not be read.
+        UsageError: *state* is no state of this car.
+    """
+    engine = Engine(config, signal_map, forecast=forecast)
+    frames = _frames(path, signal_map, overrides or {})
+    first = next(frames, None)
+    if first is None:
+        msg = f"{path}: no CAN frame"
+        raise LogError(msg)
+    last_us = first[0]
+    if state is not None:
+        parked_us = parked_before_us(state, last_us)
+        with naming_state():
+            engine.resume(state, parked_us, last_us)
+    for time_us, bus, can_id, extended, data in chain([first], frames):
+        # at the stamp of the frame before: a tick at a wrong time stamp
+        # would confirm it
+        if last_us // TICK_US != time_us // TICK_US:
+            yield from engine.parts_of_tick(last_us)
+        last_us = time_us
+        engine.frame(bus, can_id, extended, data, time_us)
+    yield from engine.parts_of_tick(last_us)
+
+
+def publish_log(  # noqa: PLR0913  (what the replay has too)
+    config: Config,
+    signal_map: SignalMap,
+    path: Path,
+    out: Path,
+    overrides: Mapping[str, str] | None = None,
+    state: Mapping[str, Any] | None = None,
+    *,
+    forecast: bool = True,
+) -> int:
+    """Write the frames that the engine publishes over *path* as candump.
+
+    Returns:
+        The number of frames written to *out*.
+
+    Raises:
+        LogError, FileAccessError, UsageError: as :func:`replayed`; *out* is
+            not writable.
+    """
+    channel = publish_channel(config)
+    written = 0
+    with replacing(out) as temporary, temporary.open("w") as file:
+        ticks = replayed(
+            config, signal_map, path, overrides, state, forecast=forecast
+        )
+        for published in ticks:
+            file.writelines(_line(channel, frame) for frame in published)
+            written += len(published)
+    return written
+
+
+def publish_channel(config: Config) -> str:
+    """Return the channel of the bus that frames are sent on.
+
+    Raises:
+        ConfigError: ``[publish] bus`` names none.
+    """
+    for bus in config.bus:
+        if config.publish.bus in {None, bus.name}:
+            return bus.channel
+    msg = f"[publish] bus = {config.publish.bus!r}: no such [[bus]]"
+    raise ConfigError([msg])
+
+
+def _frames(
+    path: Path, signal_map: SignalMap, overrides: Mapping[str, str]
+) -> Iterator[Frame]:
+    reader = open_log(path, None)
+    for chunk in reader.chunks():
+        buses = resolve_interfaces(
+            reader.interfaces, signal_map.buses, overrides
+        )
+        for time_us, place, can_id, extended, length, data in zip(
+            chunk.time_us.tolist(),
+            chunk.channel.tolist(),
+            chunk.can_id.tolist(),
+            chunk.extended.tolist(),
+            chunk.length.tolist(),
+            chunk.data,
+            strict=True,
+        ):
+            if buses[place] != NOT_READ:
+                payload = data[:length].tobytes()
+                yield time_us, buses[place], can_id, extended, payload
+
+
+def _line(channel: str, published: Published) -> str:
+    seconds, micros = divmod(published.time_us, 1_000_000)
+    frame = published.frame
+    digits = 8 if frame.extended else 3
+    return (
+        f"({seconds}.{micros:06d}) {channel} "
+        f"{frame.can_id:0{digits}X}#{frame.data.hex().upper()}\n"
+    )

@@ -1,0 +1,30 @@
+"""Estimates of a whole log as named columns, and the files made of them.
+
+A :class:`ResultsBuilder` makes rows of an estimator's blocks and hands them
+in stretches to sinks: tables on disk, a :class:`Collector` in memory, the
+figures and curves of a report. No sink has to hold them all.
+"""
+
+from bstm_daemon.replay.results.builder import ResultsBuilder
+from bstm_daemon.replay.results.files import (
+    csv_file,
+    has_parquet,
+    parquet_file,
+)
+from bstm_daemon.replay.results.rows import (
+    Collector,
+    ElapsedTime,
+    Results,
+    Sink,
+)
+
+__all__ = [
+    "Collector",
+    "ElapsedTime",
+    "Results",
+    "ResultsBuilder",
+    "Sink",
+    "csv_file",
+    "has_parquet",
+    "parquet_file",
+]

@@ -1,0 +1,271 @@
+"""``bstm identify brakes``: its result in words, as page and as JSON."""
+
+from __future__ import annotations
+
+from math import isfinite
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from bstm_daemon.report.json_file import picked
+from bstm_daemon.report.plots import (
+    BLUE,
+    COLOURS,
+    GREY,
+    VERMILION,
+    cloud,
+    curve,
+    plot,
+    wide_range,
+)
+from bstm_daemon.report.shell import Page, Section, Table
+from bstm_daemon.report.text import columns, number, wrapped
+from bstm_daemon.report.timescale import clock
+
+if TYPE_CHECKING:
+    from bstm_daemon.analysis.identify.brakes import Brakes
+    from bstm_daemon.report.plots import Plot
+
+STOP_HEAD: Final = (
+    *("stop", "from", "km/h", "bar", "samples", "friction ratio"),
+    *("disc before", "zero"),
+)
+LEAST_SPAN: Final = 0.05
+"""A friction axis reaches so far to both sides of the median."""
+
+
+def brake_rows(result: Brakes) -> list[tuple[str, ...]]:
+    """Return name, value, error and verdict of what the brakes have."""
+    rows = [
+        ("friction scale", result.scale, "{:.4f}", 1.0),
+        ("front", result.front_scale, "{:.4f}", 1.0),
+        ("rear", result.rear_scale, "{:.4f}", 1.0),
+        ("push-out", result.pushout_pa, "{:.3f} bar", 1e-5),
+        ("front share", result.front_share, "{:.3f}", 1.0),
+        ("exponent of speed", result.lean_speed, "{:+.3f}", 1.0),
+        ("exponent of pressure", result.lean_pressure, "{:+.3f}", 1.0),
+        ("hydraulic lag", result.lag_s, "{:.2f} s", 1.0),
+    ]
+    return [
+        (
+            name,
+            form.format(found.value * factor)
+            if isfinite(found.value)
+            else "-",
+            number(found.standard_error * factor, 2),
+            "identified" if found.identified else f"not: {found.caveat}",
+        )
+        for name, found, form, factor in rows
+        if found is not None
+    ]
+
+
+def brake_doubts(result: Brakes) -> list[str]:
+    """Return why values are not identified, those of one reason together."""
+    rows = [row for row in brake_rows(result) if row[3] != "identified"]
+    found = []
+    for words in dict.fromkeys(row[3] for row in rows):
+        names = ", ".join(row[0] for row in rows if row[3] == words)
+        found.append(f"{names} not identified: {words.removeprefix('not: ')}")
+    return found
+
+
+def stop_rows(result: Brakes) -> list[tuple[str, ...]]:
+    """Return a row a stop, of :data:`STOP_HEAD`."""
+    return [
+        (
+            str(i + 1),
+            clock(stop.start_s),
+            f"{3.6 * stop.from_ms:.0f} to {3.6 * stop.to_ms:.0f}",
+            f"{stop.pressure_pa.mean() / 1e5:.1f}",
+            str(len(stop.since_s)),
+            f"{result.ratio(stop).mean():.3f}",
+            " ".join(
+                f"{corner} {value:.0f}"
+                for corner, value in stop.initial_c.items()
+            )
+            or "-",
+            f"{stop.zero_n:+.0f} N{'' if stop.own_zero else ' (others)'}",
+        )
+        for i, stop in enumerate(result.stops)
+    ]
+
+
+def brakes_text(result: Brakes) -> str:
+    """Return the result as text for the screen."""
+    rows = brake_rows(result)
+    identified = [row for row in rows if row[3] == "identified"]
+    lines = columns(
+        [("value", "found", "+-"), *(row[:3] for row in identified)]
+    )
+    lines.append(
+        f"at {3.6 * result.speed_ms:.0f} km/h and "
+        f"{result.pressure_pa / 1e5:.1f} bar; {result.samples} samples, "
+        f"residual {result.residual_n:.0f} N; the released pressure reads "
+        f"{result.rest_pa / 1e5:+.3f} bar"
+    )
+    lines += wrapped(brake_doubts(result))
+    lines += ["", *columns([STOP_HEAD, *stop_rows(result)]), ""]
+    return "\n".join([*lines, *wrapped(result.remarks)])
+
+
+def brakes_json(result: Brakes) -> dict[str, Any]:
+    """Return the result as plain data, SI."""
+    found = {
+        "friction_scale": result.scale,
+        "front_scale": result.front_scale,
+        "rear_scale": result.rear_scale,
+        "pushout_pressure_pa": result.pushout_pa,
+        "front_share": result.front_share,
+        "speed_exponent": result.lean_speed,
+        "pressure_exponent": result.lean_pressure,
+        "lag_s": result.lag_s,
+    }
+    return {
+        name: one
+        and picked(
+            one, "value", "standard_error", "identified", why_not="caveat"
+        )
+        for name, one in found.items()
+    } | {
+        **picked(
+            result,
+            *("residual_n", "samples", "searched", "remarks"),
+            released_pressure_pa="rest_pa",
+            at_speed_ms="speed_ms",
+            at_pressure_pa="pressure_pa",
+        ),
+        "stops": [
+            picked(
+                stop,
+                *("log", "start_s", "duration_s", "from_ms", "to_ms"),
+                *("zero_n", "since_s", "speed_ms", "pressure_pa", "force_n"),
+                initial_disc_c="initial_c",
+            )
+            | {"friction_ratio": result.ratio(stop)}
+            for stop in result.stops
+        ],
+    }
+
+
+def brakes_page(result: Brakes, subtitle: str) -> Page:
+    """Return the page of the brakes: values, friction, stops."""
+    sections = [
+        Section(
+            "Brakes",
+            Table(
+                ("value", "found", "+-", "identified"),
+                [
+                    (*row[:3], "yes" if row[3] == "identified" else "no")
+                    for row in brake_rows(result)
+                ],
+            ),
+            lines=[*brake_doubts(result), *result.searched, *result.remarks],
+        ),
+        Section(
+            "Friction",
+            plots=_friction_plots(result),
+            note="Friction over its configured value: brake force from "
+            "motion over that of Eq 4.1 at the pressure less push-out. The "
+            "line and the value hold at "
+            f"{3.6 * result.speed_ms:.0f} km/h.",
+        ),
+        Section("Stops", Table(STOP_HEAD, stop_rows(result))),
+    ]
+    pushout, front = result.pushout_pa, result.front_share
+    tiles = (
+        (
+            f"{result.scale.value:.3f}",
+            f"friction scale +- {number(result.scale.standard_error, 2)}",
+        ),
+        (
+            f"{pushout.value / 1e5:.2f} bar",
+            "push-out" + ("" if pushout.identified else ", held"),
+        ),
+        (
+            f"{front.value:.2f}",
+            "front share" + ("" if front.identified else ", configured"),
+        ),
+    )
+    return Page("Brakes", sections, tiles, subtitle=subtitle)
+
+
+def _friction_plots(result: Brakes) -> list[tuple[str, Plot]]:
+    stops = result.stops
+    pressure = np.concatenate([stop.pressure_pa for stop in stops]) / 1e5
+    speed = 3.6 * np.concatenate([stop.speed_ms for stop in stops])
+    ratio = np.concatenate([result.ratio(stop) for stop in stops])
+    before = np.concatenate(
+        [
+            np.full(
+                len(stop.since_s),
+                np.mean(list(stop.initial_c.values()))
+                if stop.initial_c
+                else np.nan,
+            )
+            for stop in stops
+        ]
+    )
+    y_title = "friction over configured"
+    axis = {"range": wide_range(ratio, LEAST_SPAN)}
+    within = [
+        curve(
+            stop.since_s,
+            result.ratio(stop),
+            f"stop {i + 1}",
+            COLOURS[i % len(COLOURS)],
+            legend=len(stops) <= 10,
+        )
+        for i, stop in enumerate(stops)
+    ]
+    plots = [
+        ("brake force over pressure", _force_plot(result)),
+        (
+            "friction within the stops",
+            plot(within, "time since the press [s]", y_title, yaxis=axis),
+        ),
+    ]
+    quantities = [
+        ("speed", "speed [km/h]", speed, pressure, "bar"),
+        ("pressure", "pressure [bar]", pressure, speed, "km/h"),
+    ]
+    if np.isfinite(before).any():
+        quantities.append(
+            (
+                "the discs' temperature before the stop",
+                "measured disc before the stop [°C]",
+                before,
+                pressure,
+                "bar",
+            )
+        )
+    for name, x_title, x, shade, unit in quantities:
+        points = cloud(x, ratio, "", shade=shade, shade_title=unit)
+        drawn = plot([points], x_title, y_title, yaxis=axis)
+        plots.append((f"friction over {name}", drawn))
+    return plots
+
+
+def _force_plot(result: Brakes) -> Plot:
+    stops = result.stops
+    pressure = np.concatenate([stop.pressure_pa for stop in stops]) / 1e5
+    force = np.concatenate([stop.force_n for stop in stops]) / 1e3
+    gain = stops[0].gain
+    whole = np.array([0.0, pressure.max()])
+    ends = np.array([result.pushout_pa.value / 1e5, pressure.max()])
+    line = 1e2 * result.scale.value * gain * (ends - ends[0])
+    return plot(
+        [
+            cloud(pressure, force, "samples", BLUE),
+            curve(
+                whole,
+                1e2 * gain * whole,
+                "configured friction, no push-out",
+                GREY,
+                dash="5px,3px",
+            ),
+            curve(ends, line, "found", VERMILION),
+        ],
+        "pressure [bar]",
+        "brake force [kN]",
+    )

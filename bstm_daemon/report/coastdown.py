@@ -1,0 +1,168 @@
+"""``bstm identify coastdown``: its result in words, as page and as JSON."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Final
+
+from bstm_daemon.report.json_file import own_fields, picked
+from bstm_daemon.report.plots import BLUE, GREY, ORANGE, curve, plot
+from bstm_daemon.report.shell import Page, Section, Table
+from bstm_daemon.report.text import columns, number, wrapped
+from bstm_daemon.report.timescale import clock
+
+if TYPE_CHECKING:
+    from bstm_daemon.analysis.identify.coastdown import CoastDown
+    from bstm_daemon.analysis.identify.coastdown_run import Run
+    from bstm_daemon.report.plots import Plot
+
+UNITS: Final = {
+    "drag_area_m2": "m2",
+    "friction_ns_m": "N s/m",
+    "rolling_resistance": "-",
+}
+RUN_HEAD: Final = (
+    *("run", "from", "km/h", "direction", "grade", "kinetic", "resistance"),
+    *("climb", "left over", "v rms"),
+)
+VALUE_HEAD: Final = ("value", "found", "+-", "configured", "verdict")
+_DIRECTIONS: Final = {1: "up", -1: "down", 0: "-"}
+
+
+def value_rows(result: CoastDown) -> list[tuple[str, ...]]:
+    """Return name, value, error, configured and verdict of each value."""
+    return [
+        (
+            one.name,
+            f"{number(one.value)} {UNITS[one.name]}",
+            number(one.standard_error, 2),
+            number(one.configured),
+            "identified" if one.identified else one.caveat,
+        )
+        for one in result.values
+    ]
+
+
+def run_rows(result: CoastDown) -> list[tuple[str, ...]]:
+    """Return a row a run, of :data:`RUN_HEAD`."""
+    return [
+        (
+            str(i + 1),
+            clock(run.stretch.start_s),
+            f"{3.6 * run.speed_ms[0]:.0f} to {3.6 * run.speed_ms[-1]:.0f}",
+            _DIRECTIONS[run.direction],
+            f"{100 * run.grade:+.2f} %",
+            f"{run.kinetic_j / 1e3:.1f} kJ",
+            f"{run.resistance_j / 1e3:.1f} kJ",
+            f"{run.climb_j / 1e3:.1f} kJ",
+            f"{100 * run.miss:+.2f} %",
+            f"{3.6 * run.residual_rms_ms:.2f} km/h",
+        )
+        for i, run in enumerate(result.runs)
+    ]
+
+
+def coast_down_text(result: CoastDown) -> str:
+    """Return the result as text for the screen."""
+    lines = columns([VALUE_HEAD, *value_rows(result)])
+    lines += ["", *columns([RUN_HEAD, *run_rows(result)]), ""]
+    lines.append(
+        f"{result.windows} windows, residual {result.residual_ms2:.4f} m/s2; "
+        f"correlation drag/C_fric {number(result.correlation[0, 1], 2)}, "
+        f"drag/f_r {number(result.correlation[0, 2], 2)}, "
+        f"C_fric/f_r {number(result.correlation[1, 2], 2)}"
+    )
+    if result.bias_ms2 is not None:
+        lines.append(
+            f"accelerometer bias {result.bias_ms2:+.3f} m/s2, if the grades "
+            "cancel"
+        )
+    return "\n".join([*lines, *wrapped(result.remarks)])
+
+
+def coast_down_json(result: CoastDown) -> dict[str, Any]:
+    """Return the result as plain data, SI."""
+    return own_fields(result, "bias_ms2") | {
+        "values": {
+            one.name: picked(
+                one,
+                *("value", "standard_error", "configured", "identified"),
+                why_not="caveat",
+            )
+            for one in result.values
+        },
+        "accelerometer_bias_ms2": result.bias_ms2,
+        "runs": [
+            picked(
+                run,
+                *("direction", "grade", "kinetic_j", "resistance_j"),
+                *("climb_j", "drive_j"),
+                log="stretch.driving.name",
+                start_s="stretch.start_s",
+                duration_s="stretch.duration_s",
+                energy_left_over="miss",
+                speed_rms_ms="residual_rms_ms",
+            )
+            | {"from_ms": run.speed_ms[0], "to_ms": run.speed_ms[-1]}
+            for run in result.runs
+        ],
+    }
+
+
+def coast_down_page(result: CoastDown, subtitle: str) -> Page:
+    """Return the page of the coast-down: values, runs, energies."""
+    worst = max((abs(run.miss) for run in result.runs), default=0.0)
+    sections = [
+        Section(
+            "Resistances (Eq 4.2)",
+            Table(VALUE_HEAD, value_rows(result)),
+            lines=result.remarks,
+        ),
+        Section(
+            "Speed over time, measured and in theory (thesis figure 4.4)",
+            plots=[
+                pair
+                for i, run in enumerate(result.runs)
+                for pair in _run_plots(i, run)
+            ],
+            note="Theory: Eq 4.2 from the run's first speed on, with the "
+            "grade as three numbers a run. Grey: with the configured values.",
+        ),
+        Section(
+            "Energy (Eq 4.5 and 4.6)",
+            Table(RUN_HEAD, run_rows(result)),
+            note="Kinetic energy lost, 1/2 m v2 + 1/2 J w2, is the work of "
+            "the resistances, of the climb and of what drives; left over is "
+            "the rest as a share of the kinetic energy.",
+        ),
+    ]
+    tiles = [
+        (number(one.value), f"{one.name} +- {number(one.standard_error, 2)}")
+        for one in result.values
+    ]
+    tiles.append((f"{100 * worst:.2f} %", "energy left over, worst run"))
+    return Page("Coast-down", sections, tiles, subtitle=subtitle)
+
+
+def _run_plots(i: int, run: Run) -> list[tuple[str, Plot]]:
+    measured = 3.6 * run.speed_ms
+    theory, before = 3.6 * run.theory_ms, 3.6 * run.configured_ms
+    x, dash = run.time_s, "5px,3px"
+    speeds = [
+        curve(x, before, "configured", GREY, dash=dash),
+        curve(x, measured, "measured", BLUE, width=3.2),
+        curve(x, theory, "theory", ORANGE, width=1.4),
+    ]
+    residuals = [
+        curve(x, before - measured, "configured", GREY, dash=dash),
+        curve(x, theory - measured, "theory", ORANGE),
+    ]
+    return [
+        (
+            f"run {i + 1}, grade {100 * run.grade:+.2f} %",
+            plot(speeds, "time [s]", "speed [km/h]"),
+        ),
+        (
+            f"run {i + 1}: theory less measurement",
+            plot(residuals, "time [s]", "residual [km/h]"),
+        ),
+    ]

@@ -1,0 +1,390 @@
+"""The curves of a replay, thinned and rounded for a plot as rows come."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from itertools import combinations
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+import numpy as np
+
+from bstm_daemon.channels import FLAGS
+from bstm_daemon.estimate import (
+    Assist,
+    Downshift,
+    Intervention,
+    Isolation,
+    Message,
+)
+from bstm_daemon.model.heat.plausibility import FAULTS
+from bstm_daemon.replay.results import ElapsedTime
+from bstm_daemon.report.decimation import Buckets, ThinCurve, validity_spans
+from bstm_daemon.report.drive_statistics import SUMMARY_NODES, front_first
+from bstm_daemon.report.plots import (
+    BLACK,
+    BLUE,
+    GREEN,
+    GREY,
+    NODE_COLOURS,
+    ORANGE,
+    PURPLE,
+    VERMILION,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    import numpy.typing as npt
+
+    from bstm_daemon.replay.results import Results
+
+    Column = npt.NDArray[np.float64]
+
+POINTS_A_TRACE: Final = 4000
+"""Twice the columns of a large screen: what a curve can show of itself."""
+
+PRESSURE_COLOURS: Final = (BLUE, ORANGE, GREEN, PURPLE)
+CIRCUIT_DASHES: Final = ("solid", "5px,3px", "2px,3px", "8px,3px,2px,3px")
+
+_UNITS: Final = {
+    "speed": (3.6, 1, "%{y:.0f} km/h"),
+    "pressure": (1e-5, 2, "%{y:.1f} bar"),
+    "power": (1e-3, 2, "%{y:.2f} kW"),
+    "temperature": (1.0, 1, "%{y:.0f} °C"),
+    "fluid": (1.0, 1, "%{y:.0f} °C"),
+    "risk": (100.0, 2, "%{y:.1f} %"),
+}
+"""By panel: factor from SI, decimals that are kept, and plotly's text."""
+
+CONSTANT_K: Final = 0.05
+"""A limit that moves less than this is drawn with its two ends."""
+
+_PANEL_INPUTS: Final = {
+    "speed": (
+        FLAGS["speed_suspect"]
+        | FLAGS["wheels_contradict"]
+        | FAULTS["wheel_speed_suspect"],
+        FLAGS["speed_missing"],
+    ),
+    "pressure": (FLAGS["pressure_suspect"], FLAGS["pressure_missing"]),
+    "power": (
+        FLAGS["heat_substituted"]
+        | FLAGS["acceleration_suspect"]
+        | FLAGS["torque_suspect"],
+        FLAGS["heat_unknown"],
+    ),
+}
+"""Bits of ``flags`` by the panel that they shade: suspect, and missing."""
+
+_BOILING_POINT: Final = "boiling_point_c"
+
+SOFTER_PEDAL: Final = 0.995
+"""Below it, a pedal factor as published differs from 1."""
+
+
+class _Advice(NamedTuple):
+    """What is advised or requested while ``column`` holds ``code``."""
+
+    label: str
+    colour: str
+    column: str
+    code: int
+
+    def holds(self, values: Column) -> npt.NDArray[np.bool_]:
+        """Return in which rows of its column, (n,), it is given."""
+        if self.column == "advice_pedal_feel":
+            return np.less(values, SOFTER_PEDAL)
+        return np.equal(values, self.code)
+
+
+_ADVICE: Final = (
+    _Advice(
+        "wait before departure",
+        VERMILION,
+        "advice_message",
+        Message.WAIT_BEFORE_DEPARTURE,
+    ),
+    _Advice("brakes hot", PURPLE, "advice_message", Message.BRAKES_HOT),
+    _Advice("driver: lower gear", BLUE, "advice_shift", Downshift.SHIFT_DOWN),
+    _Advice(
+        "gearbox: lower gear",
+        "#56b4e9",
+        "advice_gearbox",
+        Downshift.SHIFT_DOWN,
+    ),
+    _Advice("softer pedal", ORANGE, "advice_pedal_feel", 1),
+    _Advice(
+        "front brakes isolated",
+        GREEN,
+        "advice_isolation",
+        Isolation.REQUESTED,
+    ),
+    _Advice("emergency assist ready", GREY, "advice_assist", Assist.STANDBY),
+    _Advice("brakes do not answer", BLACK, "advice_assist", Assist.DETECTED),
+    *(
+        _Advice(label, colour, "advice_intervention", code)
+        for label, colour, code in (
+            ("maximum pressure", "#a32c00", Intervention.MAXIMUM_PRESSURE),
+            ("park brake", "#5a3d8a", Intervention.PARK_BRAKE),
+            ("isolate front", "#00573f", Intervention.ISOLATE_FRONT),
+        )
+    ),
+)
+"""From the top; those to the driver first."""
+
+
+@dataclass(frozen=True, slots=True)
+class Trace:
+    """A curve of a panel: ``corner`` is None where it is the vehicle's.
+
+    ``x`` [s since the first row] and ``y`` (None: no value) are what is
+    drawn; ``look`` holds further plotly attributes.
+    """
+
+    panel: str
+    corner: str | None
+    label: str
+    x: list[float]
+    y: list[float | None]
+    look: dict[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class _Curve:
+    """A curve as it grows, of one column.
+
+    What is measured is joined over rows without a value: its sensor is
+    slower than the rows, and a gap between two samples is no gap.
+    """
+
+    panel: str
+    corner: str | None
+    label: str
+    column: str
+    line: dict[str, Any]
+    thin: ThinCurve = field(default_factory=lambda: ThinCurve(POINTS_A_TRACE))
+
+    def add(self, elapsed_s: Column, columns: Mapping[str, Column]) -> None:
+        """Add the rows of *columns*, none if the column is not there."""
+        values = columns.get(self.column)
+        if values is None:
+            return
+        if self.column.endswith("_measured_c"):
+            known = np.isfinite(values)
+            elapsed_s, values = elapsed_s[known], values[known]
+        self.thin.add(elapsed_s, values * _UNITS[self.panel][0])
+
+    def trace(self) -> Trace | None:
+        """Return what is drawn, None if there is no number."""
+        x, y = self.thin.points()
+        known = y[np.isfinite(y)]
+        if not len(known):
+            return None
+        label = self.label
+        if self.column == _BOILING_POINT and np.ptp(known) < CONSTANT_K:
+            label += f" {known[0]:.0f} °C"
+            x, y = x[[0, -1]], known[[0, 0]]
+        _, decimals, hover = _UNITS[self.panel]
+        look: dict[str, Any] = {"line": self.line, "hovertemplate": hover}
+        if label == "used":
+            look |= {"fill": "tozeroy", "fillcolor": "rgba(140,149,159,0.30)"}
+        # adding 0.0 turns -0.0, which takes a character more, into 0.0
+        rounded = np.round(y, decimals) + 0.0
+        return Trace(
+            self.panel,
+            self.corner,
+            label,
+            np.round(x, 2).tolist(),
+            [None if v != v else v for v in rounded.tolist()],  # noqa: PLR0124
+            look,
+        )
+
+
+class DriveCurves:
+    """A sink that keeps what the plots draw; columns may be missing.
+
+    Panels are ``speed`` [km/h], ``pressure`` [bar], ``advice`` [number of the
+    line], ``power`` [kW], ``temperature`` and ``fluid`` [degC], ``risk`` [%].
+    """
+
+    def __init__(self) -> None:
+        """Begin without rows."""
+        self._time = ElapsedTime()
+        self._starts_s = Buckets(np.minimum)
+        self._validity: dict[str, Buckets] = {}
+        self._inputs = {name: Buckets(np.maximum) for name in _PANEL_INPUTS}
+        self._advice = [Buckets(np.maximum) for _ in _ADVICE]
+        line = {"color": BLACK, "width": 1.5}
+        self._speed = _Curve("speed", None, "speed", "speed_ms", line)
+        self._pressures: dict[str, _Curve] = {}
+        self._differing: set[tuple[str, str]] = set()
+        self._corners: dict[str, list[_Curve]] = {}
+
+    def write(self, rows: Results) -> None:
+        """Take *rows*."""
+        if not self._corners:
+            for name in front_first(rows.corners):
+                self._corners[name] = _corner_curves(name)
+                self._pressures[name] = _Curve(
+                    "pressure", None, name, f"{name}.pressure_pa", {}
+                )
+        for stretch in rows.stretches():
+            self._add(stretch.columns)
+
+    def traces(self) -> list[Trace]:
+        """Return every curve that there are numbers for."""
+        traces = [self._speed.trace(), *self._pressure_traces()]
+        traces += self._advice_traces()
+        for curves in self._corners.values():
+            traces += [curve.trace() for curve in curves]
+        return [trace for trace in traces if trace is not None]
+
+    def spans(self, corner: str) -> list[tuple[int, float, float]]:
+        """Return the stretches in which *corner* is not valid.
+
+        See :func:`~bstm_daemon.report.decimation.validity_spans`.
+        """
+        validity = self._validity.get(corner)
+        if validity is None:
+            return []
+        return validity_spans(self._starts_s.values, validity.values)
+
+    def input_spans(self, panel: str) -> list[tuple[int, float, float]]:
+        """Return the stretches in which what *panel* shows is uncertain.
+
+        *panel* is ``speed``, ``pressure`` or ``power``; others have none.
+        Code 1: an input is suspect, or heat is from the other source; 2: it
+        is missing, the heat unknown. See
+        :func:`~bstm_daemon.report.decimation.validity_spans`.
+        """
+        inputs = self._inputs.get(panel)
+        codes = np.empty(0) if inputs is None else inputs.values
+        if not len(codes):
+            return []
+        return validity_spans(self._starts_s.values, codes)
+
+    def _add(self, columns: dict[str, Column]) -> None:
+        elapsed_s = self._time.extend(columns["time_s"])
+        self._starts_s.add(elapsed_s)
+        self._speed.add(elapsed_s, columns)
+        for advice, active in zip(_ADVICE, self._advice, strict=True):
+            values = columns.get(advice.column)
+            if values is not None:
+                active.add(advice.holds(values).astype(float))
+        for name, curves in self._corners.items():
+            fluid_c = columns.get(f"{name}.fluid_c")
+            margin_k = columns.get(f"{name}.margin_k")
+            known = columns
+            if fluid_c is not None and margin_k is not None:
+                known = {**columns, _BOILING_POINT: fluid_c + margin_k}
+            for curve in (*curves, self._pressures[name]):
+                curve.add(elapsed_s, known)
+            validity = columns.get(f"{name}.validity")
+            if validity is not None and len(validity):
+                track = self._validity.setdefault(name, Buckets(np.maximum))
+                track.add(np.nan_to_num(validity, nan=0.0))
+        if "flags" in columns:
+            bits = columns["flags"].astype(np.int64)
+            for panel, (suspect, missing) in _PANEL_INPUTS.items():
+                codes = np.where(bits & suspect, 1.0, 0.0)
+                codes[(bits & missing) != 0] = 2.0
+                self._inputs[panel].add(codes)
+        self._compare_pressures(columns)
+
+    def _compare_pressures(self, columns: Mapping[str, Column]) -> None:
+        """Note which corners do not share a circuit."""
+        for pair in combinations(self._pressures, 2):
+            one, other = (columns.get(f"{name}.pressure_pa") for name in pair)
+            if pair not in self._differing and not (
+                one is not None
+                and other is not None
+                and np.array_equal(one, other, equal_nan=True)
+            ):
+                self._differing.add(pair)
+
+    def _pressure_traces(self) -> list[Trace | None]:
+        """Return one curve a circuit: corners of equal pressure share it."""
+        circuits: list[list[str]] = []
+        for name, curve in self._pressures.items():
+            if not len(curve.thin.points()[0]):
+                continue
+            for names in circuits:
+                if (names[0], name) not in self._differing:
+                    names.append(name)
+                    break
+            else:
+                circuits.append([name])
+        return [
+            replace(
+                self._pressures[names[0]],
+                label=" ".join(names),
+                line={
+                    "color": PRESSURE_COLOURS[i % len(PRESSURE_COLOURS)],
+                    "dash": CIRCUIT_DASHES[i % len(CIRCUIT_DASHES)],
+                    "width": 1.5,
+                },
+            ).trace()
+            for i, names in enumerate(circuits)
+        ]
+
+    def _advice_traces(self) -> list[Trace]:
+        """Return a bar a kind of advice, one line above the other."""
+        given = [
+            pair
+            for pair in zip(_ADVICE, self._advice, strict=True)
+            if pair[1].values.any()
+        ]
+        traces = []
+        for i, (advice, active) in enumerate(given):
+            line = float(len(given) - i)
+            x: list[float] = []
+            y: list[float | None] = []
+            spans = validity_spans(self._starts_s.values, active.values)
+            for _, start_s, end_s in spans:
+                x += [round(start_s, 2), round(end_s, 2), round(end_s, 2)]
+                y += [line, line, None]
+            look = {
+                "line": {"color": advice.colour, "width": 7},
+                "hovertemplate": advice.label,
+            }
+            traces.append(Trace("advice", None, advice.label, x, y, look))
+        return traces
+
+
+def _corner_curves(corner: str) -> list[_Curve]:
+    """Return the curves of a corner in the order in which they are drawn."""
+    rows: list[tuple[str, str, str, str, float, dict[str, str]]] = [
+        ("power", "used", "brake_power_w", GREY, 0.5, {}),
+        ("power", "Feed-Forward", "brake_power_ff_w", BLUE, 1.2, {}),
+        ("power", "Feed-Back", "brake_power_fb_w", PURPLE, 1.2, {}),
+    ]
+    places = [("temperature", node) for node in SUMMARY_NODES]
+    for panel, node in (*places, ("fluid", "fluid")):
+        label, colour = node.replace("_", " "), NODE_COLOURS[node]
+        measured, dots = f"{node}_measured_c", {"dash": "2px,4px"}
+        rows += [
+            (panel, label, f"{node}_c", colour, 1.8, {}),
+            (panel, f"{label}, measured", measured, colour, 2.4, dots),
+        ]
+    steps = {"shape": "hv"}
+    rows += [
+        ("fluid", "peak if parked now", "peak_c", VERMILION, 1.3, steps),
+        ("fluid", "peak if it goes on", "duty_peak_c", ORANGE, 1.3, steps),
+        ("risk", "within 30 min, if parked", "risk", VERMILION, 1.5, {}),
+        ("risk", "now", "risk_now", BLUE, 1.5, {}),
+    ]
+    curves = [
+        _Curve(
+            panel,
+            corner,
+            label,
+            f"{corner}.{column}",
+            {"color": colour, "width": width, **line},
+        )
+        for panel, label, column, colour, width, line in rows
+    ]
+    boiling = {"color": BLACK, "width": 1.3, "dash": "8px,4px"}
+    limit = _Curve(
+        "fluid", corner, "wet boiling point", _BOILING_POINT, boiling
+    )
+    return [*curves, limit]

@@ -1,0 +1,287 @@
+"""``bstm match``: its result in words, as page and as JSON.
+
+The page has figure 5.2 of the thesis.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from bstm_daemon.analysis.matching.curves import curves_of
+from bstm_daemon.analysis.matching.identifiability import (
+    correlations,
+    ratios,
+    strong_pairs,
+    verdicts,
+)
+from bstm_daemon.analysis.matching.tunables import TUNABLES
+from bstm_daemon.report.json_file import picked
+from bstm_daemon.report.plots import NODE_COLOURS, NodeCurve, node_plots
+from bstm_daemon.report.shell import Page, Section, Table
+from bstm_daemon.report.text import table
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from bstm_daemon.analysis.matching.drives import Drive
+    from bstm_daemon.analysis.matching.matcher import Match
+    from bstm_daemon.analysis.matching.refine import Refinement
+
+STAGE_HEAD = ("stage", "section", "value", "before", "matched", "RMS [K]")
+VALUE_HEAD = ("value", "configured", "matched", "sd", "of prior", "verdict")
+SHOWN_RATIOS = 8
+
+
+def short(key: str) -> str:
+    """Return *key* without the section ``thermal``."""
+    return key.removeprefix("thermal.")
+
+
+def stage_rows(match: Match) -> list[tuple[str, ...]]:
+    """Return a row for each value of each stage."""
+    rows: list[tuple[str, ...]] = []
+    for one in match.stages:
+        head = (one.stage.title, one.stage.section)
+        if one.why:
+            rows.append((*head, "left out", "", "", one.why))
+            continue
+        before, after = one.rms_k
+        for key, value in one.values.items():
+            rows.append(
+                (
+                    *head,
+                    short(key),
+                    f"{one.before[key]:.4g}",
+                    f"{value:.4g}",
+                    f"{before:.2f} to {after:.2f}",
+                )
+            )
+    return rows
+
+
+def value_rows(fit: Refinement) -> list[tuple[str, ...]]:
+    """Return a row for each value of a joint fit."""
+    return [
+        (
+            short(one.key),
+            f"{fit.start[one.key]:.4g}",
+            f"{one.value:.4g} {TUNABLES[one.key].unit}".removesuffix(" -"),
+            f"{one.deviation:.2g}",
+            f"{100.0 * one.share:.0f} %",
+            one.reason or "settled",
+        )
+        for one in verdicts(fit)
+    ]
+
+
+def fit_line(fit: Refinement) -> str:
+    """Return count of values and RMS by node."""
+    rms = ", ".join(f"{node} {k:.1f}" for node, k in fit.rms_k.items())
+    return f"{len(fit.keys)} free values, {fit.points} points, RMS [K]: {rms}"
+
+
+def notes(match: Match) -> list[str]:
+    """Return remarks: ratios, correlated pairs, held-out drives."""
+    lines = []
+    fit = match.joint
+    for ratio in ratios(fit)[:SHOWN_RATIOS]:
+        sign = "x" if ratio.product else "/"
+        lines.append(
+            f"{short(ratio.first)} {sign} {short(ratio.second)} is known to "
+            f"{100.0 * ratio.deviation:.1f} %, better than either"
+        )
+    for first, second, correlation in strong_pairs(fit):
+        lines.append(
+            f"{short(first)} and {short(second)} are correlated "
+            f"{correlation:+.2f}"
+        )
+    if match.accuracy.drives:
+        rms = ", ".join(
+            f"{node} {k:.1f}" for node, k in match.accuracy.rms_k.items()
+        )
+        lines.append(
+            f"each of {match.accuracy.drives} drives left out in turn: RMS "
+            f"[K] on it: {rms}"
+        )
+    else:
+        lines.append(
+            "a single drive: nothing is held out, so [accuracy] is too good"
+        )
+    lines += list(match.remarks)
+    return lines
+
+
+def match_text(match: Match) -> str:
+    """Return the whole result for a terminal."""
+    lines = [f"corners {', '.join(match.corners)}", ""]
+    lines += table(STAGE_HEAD, stage_rows(match))
+    lines += ["", "joint refinement: " + fit_line(match.joint)]
+    lines += table(VALUE_HEAD, value_rows(match.joint))
+    if match.table_4_1 is not None:
+        lines += [
+            "",
+            "Table 4.1 alone beside it: " + fit_line(match.table_4_1),
+        ]
+        lines += table(VALUE_HEAD, value_rows(match.table_4_1))
+    lines += ["", *notes(match)]
+    return "\n".join(lines)
+
+
+def match_json(match: Match) -> dict[str, Any]:
+    """Return the result for machines; covariances are of logarithms."""
+    return picked(
+        match,
+        *("corners", "remarks"),
+        held_out_drives="accuracy.drives",
+        held_out_rms_k="accuracy.rms_k",
+        accuracy="accuracy.nodes",
+    ) | {
+        "stages": [
+            picked(
+                one,
+                *("values", "before"),
+                title="stage.title",
+                section="stage.section",
+            )
+            | {
+                "rms_k": None if one.why else one.rms_k,
+                "left_out": one.why or None,
+            }
+            for one in match.stages
+        ],
+        "joint": _fit_json(match.joint),
+        "table_4_1": match.table_4_1 and _fit_json(match.table_4_1),
+    }
+
+
+def _fit_json(fit: Refinement) -> dict[str, Any]:
+    return picked(fit, "points", "rms_k", "at_bound", "covariance") | {
+        "free_values": len(fit.keys),
+        "values": {
+            one.key: picked(
+                one,
+                "settled",
+                matched="value",
+                standard_deviation="deviation",
+                share_of_prior="share",
+            )
+            | {
+                "configured": fit.start[one.key],
+                "reason": one.reason or None,
+            }
+            for one in verdicts(fit)
+        },
+        "correlations": np.round(correlations(fit), 4),
+        "ratios": [
+            {"what": str(one), "relative_deviation": one.deviation}
+            for one in ratios(fit)
+        ],
+        "noise": {
+            node: picked(one, "white_k", "drift_k", "offset_k", "lag_s")
+            for node, one in fit.noise.items()
+        },
+    }
+
+
+def match_page(
+    matches: Sequence[Match], drives: Sequence[Drive], subtitle: str
+) -> Page:
+    """Return the page of what *matches* found in *drives*."""
+    sections = []
+    for match in matches:
+        prefix = f"{', '.join(match.corners)}: "
+        sections += [
+            Section(
+                f"{prefix}matched values",
+                Table(VALUE_HEAD, value_rows(match.joint)),
+                lines=(fit_line(match.joint), *notes(match)),
+                note="sd: standard deviation after the fit; of prior: as a "
+                "share of what was believed before. Values without the name "
+                "of a section are keys of [thermal].",
+            ),
+            Section(
+                f"{prefix}stages (thesis chapter 5)",
+                Table(STAGE_HEAD, stage_rows(match)),
+                note="Neighbours of the fitted part follow their measured "
+                "temperatures; the joint refinement begins at these values.",
+            ),
+        ]
+        if match.table_4_1 is not None:
+            sections.append(
+                Section(
+                    f"{prefix}Table 4.1 alone",
+                    Table(VALUE_HEAD, value_rows(match.table_4_1)),
+                    lines=(fit_line(match.table_4_1),),
+                )
+            )
+        sections.append(
+            Section(
+                f"{prefix}correlations of the matched values",
+                _correlations(match.joint),
+            )
+        )
+        sections += _drawn(match, drives)
+    tiles = [
+        (f"{value:.1f} K", f"RMS {node.replace('_', ' ')}")
+        for node, value in matches[0].joint.rms_k.items()
+    ]
+    return Page("Match", sections, tiles, subtitle=subtitle)
+
+
+def _correlations(fit: Refinement) -> Table:
+    found = correlations(fit)
+    names = [str(i + 1) for i in range(len(fit.keys))]
+    rows = tuple(
+        (
+            f"{i + 1} {short(key)}",
+            *(f"{found[i, j]:+.2f}" if j < i else "" for j in range(i)),
+            *("" for _ in range(len(fit.keys) - i)),
+        )
+        for i, key in enumerate(fit.keys)
+    )
+    return Table(("value", *names), rows)
+
+
+def _drawn(match: Match, drives: Sequence[Drive]) -> list[Section]:
+    sections = []
+    curves = curves_of(match, drives)
+    for drive in drives:
+        for corner in match.corners:
+            own = [
+                NodeCurve(
+                    one.couple,
+                    one.time_s,
+                    one.measured_c,
+                    one.after_c,
+                    _smooth(one.after_c - one.measured_c),
+                    one.before_c,
+                )
+                for one in curves
+                if one.drive == drive.name
+                and one.corner == corner
+                and one.couple in NODE_COLOURS
+            ]
+            if not own:
+                continue
+            temperatures, errors = node_plots(own, "error [K], mean of 10 s")
+            sections.append(
+                Section(
+                    f"{drive.name}, {corner}: measured and matched (thesis "
+                    "figure 5.2)",
+                    plots=(
+                        ("temperatures", temperatures),
+                        ("matched less measured", errors),
+                    ),
+                    across=1,
+                    note="Thick: measured; thin: matched; dashed: as "
+                    "configured before.",
+                )
+            )
+    return sections
+
+
+def _smooth(error: np.ndarray) -> np.ndarray:
+    """Return the running mean over 10 s, (n,)."""
+    return np.convolve(error, np.full(21, 1.0 / 21.0), "same")

@@ -1,0 +1,222 @@
+"""The page of ``bstm replay``: facts, summary, linked plots."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+from bstm_daemon import __version__
+from bstm_daemon.report.drive_statistics import (
+    SUMMARY_NODES,
+    VALIDITY_NAMES,
+    CornerSummary,
+    DriveSummary,
+    Peak,
+)
+from bstm_daemon.report.replay_figure import replay_figure
+from bstm_daemon.report.screen import percent
+from bstm_daemon.report.shell import Cell, Page, Section, Table
+from bstm_daemon.report.timescale import HOUR_S, clock, duration, start_text
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from bstm_daemon.report.drive_curves import DriveCurves
+
+SAMPLE_COUNTS: Final = {
+    "late": "late samples",
+    "dropped": "dropped samples",
+    "jumps": "clock jumps",
+}
+"""Words for the estimator's counts; others are shown by their own name."""
+
+DASH: Final = "\N{EN DASH}"
+"""Stands for what is not known."""
+
+PLOT_NOTE: Final = (
+    "Drag to zoom: all time axes follow. Double-click for the whole drive. "
+    "Click a name at the right to hide its curve. Solid: estimate; dotted in "
+    "the same colour: measured."
+)
+
+
+@dataclass(frozen=True)
+class ReplayFacts:
+    """What a page shows of a replay besides its results.
+
+    ``refused`` counts lines, frames and samples by reason, ``counts`` what
+    the estimator saw (late, dropped, jumps).
+    """
+
+    title: str
+    log: str
+    vehicle_id: str
+    configuration: str
+    heat_mode: str
+    lines: int
+    frames: int
+    refused: Mapping[str, int]
+    counts: Mapping[str, int]
+    compiled: bool
+    warnings: tuple[str, ...] = ()
+
+
+def replay_page(
+    summary: DriveSummary, curves: DriveCurves, facts: ReplayFacts
+) -> Page:
+    """Return the page of a replay."""
+    warnings = (*facts.warnings, *(one.text for one in summary.findings))
+    sections = [
+        Section("Summary", _corners(summary), note=_corners_note(summary)),
+        Section(
+            "Plots", figure=replay_figure(curves, summary), note=PLOT_NOTE
+        ),
+        Section("Replay", facts=_facts(facts, summary)),
+    ]
+    if warnings:
+        known = Section(
+            "To know of this replay", lines=warnings, kind="warnings"
+        )
+        sections.insert(0, known)
+    subtitle = [
+        facts.vehicle_id,
+        start_text(summary.start_s),
+        duration(summary.duration_s),
+    ]
+    if summary.distance_m is not None:
+        subtitle.append(f"{summary.distance_m / 1000:.1f} km")
+    return Page(
+        facts.title,
+        sections,
+        _tiles(summary),
+        subtitle=" · ".join(filter(None, subtitle)),
+    )
+
+
+def _tiles(summary: DriveSummary) -> list[tuple[str, str]]:
+    """Return the extremes over all corners."""
+    with_hours = summary.duration_s >= HOUR_S
+    tiles = []
+    for node, heading in (
+        ("disc", "hottest disc"),
+        ("pad_back", "hottest pad back"),
+        ("fluid", "hottest fluid"),
+    ):
+        known = [one for one in summary.corners if node in one.peaks]
+        if known:
+            corner = max(known, key=lambda c: c.peaks[node].temperature_c)
+            peak = corner.peaks[node]
+            text = f"{heading}, {corner.corner} {_when(peak, with_hours)}"
+            tiles.append((f"{peak.temperature_c:.0f} °C", text))
+    margins = [
+        (one.margin_k, one)
+        for one in summary.corners
+        if one.margin_k is not None
+    ]
+    if margins:
+        margin_k, corner = min(margins, key=lambda entry: entry[0])
+        text = f"least margin to wet boiling, {corner.corner}"
+        if corner.wet_boiling_point_c is not None:
+            text += f" ({corner.wet_boiling_point_c:.0f} °C)"
+        tiles.append((f"{margin_k:.0f} K", text))
+    return tiles
+
+
+def _when(peak: Peak, with_hours: bool) -> str:  # noqa: FBT001
+    """Return when a peak was, counted from the stop before it if any."""
+    text = f"at {clock(peak.time_s, with_hours=with_hours)}"
+    if peak.after_stop_s is not None and peak.after_stop_s > 0.0:
+        text = f"{clock(peak.after_stop_s)} after the stop"
+    if peak.at_end:
+        text += ", still rising"
+    if peak.validity:
+        text += f", {VALIDITY_NAMES[peak.validity]}"
+    return text
+
+
+def _corners(summary: DriveSummary) -> Table:
+    """Return peaks, margin, energies and validity, a row a corner."""
+    with_hours = summary.duration_s >= HOUR_S
+    return Table(
+        (
+            *("corner", "disc", "pad front", "pad back", "fluid"),
+            *("after stop", "margin", "used", "FF", "FB"),
+            "degraded / invalid",
+        ),
+        [_corner_row(corner, with_hours) for corner in summary.corners],
+        (
+            *(("", 1), ("peak [°C] and when", 4), ("fluid peak", 1)),
+            *(("least", 1), ("brake energy [MJ]", 3), ("rows valid /", 1)),
+        ),
+    )
+
+
+def _corner_row(corner: CornerSummary, with_hours: bool) -> list[str | Cell]:  # noqa: FBT001
+    fluid = corner.peaks.get("fluid")
+    after_s = None if fluid is None else fluid.after_stop_s
+    energies_j = (corner.energy_j, corner.energy_ff_j, corner.energy_fb_j)
+    shares = corner.validity_shares
+    return [
+        corner.corner,
+        *(_peak(corner.peaks.get(node), with_hours) for node in SUMMARY_NODES),
+        DASH if after_s is None else clock(after_s),
+        DASH if corner.margin_k is None else f"{corner.margin_k:.0f} K",
+        *(DASH if e is None else f"{e / 1e6:.2f}" for e in energies_j),
+        DASH if shares is None else " / ".join(map(percent, shares)),
+    ]
+
+
+def _peak(peak: Peak | None, with_hours: bool) -> str | Cell:  # noqa: FBT001
+    if peak is None:
+        return DASH
+    text = f"{peak.temperature_c:.0f}"
+    if peak.validity:
+        text += f" ({VALIDITY_NAMES[peak.validity]})"
+    at = clock(peak.time_s, with_hours=with_hours)
+    return Cell(text, f"{at}, still rising" if peak.at_end else at)
+
+
+def _corners_note(summary: DriveSummary) -> str:
+    form = "h:min:s" if summary.duration_s >= HOUR_S else "min:s"
+    return (
+        f"Peaks of the estimate, times as {form} since the start; the stop is "
+        "the last one before the peak, else the first one after it, then "
+        "negative; margin to the wet boiling point. Brake energy: used to "
+        "heat the model, by Feed-Forward (FF), by Feed-Back (FB)."
+    )
+
+
+def _facts(facts: ReplayFacts, summary: DriveSummary) -> list[tuple[str, str]]:
+    rows = [
+        ("log", facts.log),
+        ("vehicle", facts.vehicle_id),
+        ("configuration", facts.configuration),
+        ("heat mode", facts.heat_mode),
+        ("kernel", "compiled" if facts.compiled else "pure Python"),
+        ("program", f"bstm-daemon {__version__}"),
+    ]
+    if summary.top_speed_ms is not None:
+        rows.append(("top speed", f"{summary.top_speed_ms * 3.6:.0f} km/h"))
+    if summary.standing_s is not None:
+        stops = len(summary.stops_s)
+        text = f"{duration(summary.standing_s)}, {stops} stop"
+        rows.append(("standing", text + "s" * (stops != 1)))
+    # a drive on a virtual bus has no log to count lines of
+    if facts.lines:
+        rows.append(("lines read", _count(facts.lines)))
+        rows.append(("frames used", _count(facts.frames)))
+    refused = ", ".join(
+        f"{_count(number)} {reason.replace('_', ' ')}"
+        for reason, number in facts.refused.items()
+        if number
+    )
+    rows.append(("refused", refused or "none"))
+    return rows + [
+        (SAMPLE_COUNTS.get(name, name.replace("_", " ")), _count(number))
+        for name, number in facts.counts.items()
+    ]
+
+
+def _count(number: int) -> str:
+    # a narrow no-break space groups the digits (ISO 80000-1)
+    return f"{number:,}".replace(",", "\u202f")

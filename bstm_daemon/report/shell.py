@@ -1,0 +1,205 @@
+"""The page of every command: sections of data that one template renders.
+
+A page needs no network: plotly.js is inside. Its content security policy
+allows its two scripts by their SHA-256 and nothing else, and the template
+escapes every text, so a name from a DBC, a log or a configuration stays text
+whatever it holds.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from bstm_daemon import __version__
+from bstm_daemon.errors import MissingExtraError
+from bstm_daemon.files import replacing
+from bstm_daemon.report.plots import EPOCH
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from bstm_daemon.report.plots import Plot
+    from bstm_daemon.report.replay_figure import Figure
+
+TEMPLATES: Final = Path(__file__).parent / "templates"
+
+LONGEST_FIGURE: Final = 24
+"""Characters of a cell that stay on one line; a longer text wraps instead of
+pushing the table out of the page."""
+
+
+@dataclass(frozen=True, slots=True)
+class Cell:
+    """A text with a small ``detail`` behind it, coloured by ``tone``.
+
+    Tones are ``good``, ``bad``, ``none``, or empty.
+    """
+
+    text: str
+    detail: str = ""
+    tone: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """Headings and rows of cells; the first column is the name.
+
+    ``groups`` stand above the headings: a text and the columns it spans.
+    """
+
+    head: Sequence[str]
+    rows: Sequence[Sequence[str | Cell]]
+    groups: Sequence[tuple[str, int]] = ()
+
+    def kinds(self) -> list[str]:
+        """Return ``words`` for columns of reasons, ``number`` for figures.
+
+        A column of figures stays one with a reason among them.
+        """
+        return [
+            "words" if 2 * sum(map(is_words, cells)) > len(cells) else "number"
+            for cells in (
+                [row[place] for row in self.rows]
+                for place in range(1, len(self.head))
+            )
+        ]
+
+
+def is_words(cell: str | Cell) -> bool:
+    """Return whether *cell* is too long to stay on one line."""
+    text = cell if isinstance(cell, str) else f"{cell.text} {cell.detail}"
+    return len(text) > LONGEST_FIGURE
+
+
+@dataclass(frozen=True, slots=True)
+class Section:
+    """A part of a page, drawn in the order of the fields.
+
+    ``facts`` are pairs of label and text, ``plots`` of title and plot, of
+    which ``across`` stand side by side, 1 to 3. ``kind`` is ``plain``,
+    ``warnings`` or ``faults``; a page has at most one ``figure``.
+    """
+
+    heading: str
+    table: Table | None = None
+    facts: Sequence[tuple[str, str]] = ()
+    lines: Sequence[str] = ()
+    figure: Figure | None = None
+    plots: Sequence[tuple[str, Plot]] = ()
+    note: str = ""
+    across: int = 2
+    kind: str = "plain"
+    badge: Cell | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Page:
+    """What a command has to show.
+
+    ``tiles`` above the sections are pairs of a figure and its meaning,
+    ``verdict`` the answer in one line.
+    """
+
+    title: str
+    sections: Sequence[Section]
+    tiles: Sequence[tuple[str, str]] = ()
+    verdict: Cell | None = None
+    subtitle: str = field(default="", kw_only=True)
+
+
+def write_page(path: Path, page: Page) -> None:
+    """Write *page* as one HTML file to *path*, whole or not at all.
+
+    Raises:
+        MissingExtraError: plotly or jinja2 is not installed.
+        FileAccessError: *path* can not be written.
+    """
+    text = render(page)
+    with replacing(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
+def render(page: Page) -> str:
+    """Return *page* as HTML.
+
+    Raises:
+        MissingExtraError: plotly or jinja2 is not installed.
+        ValueError: a plot holds NaN or infinity.
+    """
+    try:
+        from jinja2 import (  # noqa: PLC0415
+            Environment,
+            FileSystemLoader,
+            StrictUndefined,
+        )
+        from plotly.offline import get_plotlyjs  # noqa: PLC0415
+    except ImportError as error:
+        package = (error.name or "plotly").partition(".")[0]
+        raise MissingExtraError(
+            package, "report", "the HTML report"
+        ) from error
+    # a parser ends the element at this mark even inside a string
+    library = get_plotlyjs().replace("</script", r"<\/script")
+    style, script = (
+        (TEMPLATES / name).read_text(encoding="utf-8")
+        for name in ("page.css", "page.js")
+    )
+    environment = Environment(
+        loader=FileSystemLoader(TEMPLATES),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.policies["json.dumps_kwargs"] = {
+        "allow_nan": False,
+        "separators": (",", ":"),
+    }
+    environment.tests["words"] = is_words
+    return environment.get_template("shell.html").render(
+        page=page,
+        policy="default-src 'none'; style-src 'unsafe-inline'; "
+        "img-src data: blob:; script-src "
+        f"{_hash_source(library)} {_hash_source(script)}",
+        style=style,
+        script=script,
+        library=library,
+        data=_data(page),
+        version=__version__,
+    )
+
+
+def _hash_source(script: str) -> str:
+    """Return the source expression of a security policy for *script*."""
+    digest = hashlib.sha256(script.encode()).digest()
+    return f"'sha256-{base64.b64encode(digest).decode()}'"
+
+
+def _data(page: Page) -> dict[str, Any]:
+    """Return what the page's script draws."""
+    figures = [one.figure for one in page.sections if one.figure is not None]
+    return {
+        "epoch": f"{EPOCH.isoformat()}Z",
+        "plots": [
+            {"data": plot.data, "layout": plot.layout, "clock": plot.clock}
+            for section in page.sections
+            for _, plot in section.plots
+        ],
+        "figure": {
+            "traces": figures[0].traces,
+            "views": [
+                {
+                    "traces": one.traces,
+                    "named": one.named,
+                    "layout": one.layout,
+                }
+                for one in figures[0].views
+            ],
+        }
+        if figures
+        else None,
+    }

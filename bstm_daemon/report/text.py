@@ -1,0 +1,63 @@
+"""Aligned columns, wrapped lines and numbers for a terminal."""
+
+from __future__ import annotations
+
+from math import isfinite
+from textwrap import wrap
+from typing import TYPE_CHECKING, Final
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+WIDTH: Final = 100
+"""Columns that a result takes at most, on a terminal and in a pipe."""
+
+
+def columns(rows: Sequence[Sequence[str]], left: int | None = 1) -> list[str]:
+    """Return *rows* as aligned lines, narrower gaps where they are too wide.
+
+    Args:
+        rows: the heading, if any, then the rows; all of one length.
+        left: so many columns are aligned to the left, the others to the
+            right; None aligns all to the left.
+    """
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    gap = "  " if sum(widths) + 2 * (len(widths) - 1) <= WIDTH else " "
+    return [
+        gap.join(
+            cell.ljust(width)
+            if left is None or i < left
+            else cell.rjust(width)
+            for i, (cell, width) in enumerate(zip(row, widths, strict=True))
+        ).rstrip()
+        for row in rows
+    ]
+
+
+def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
+    """Return *head* and *rows* as lines, all columns to the left."""
+    return columns([head, *rows], left=None)
+
+
+def wrapped(
+    lines: Sequence[str], mark: str = "- ", indent: str = "  "
+) -> list[str]:
+    """Return *lines* broken at :data:`WIDTH`, each begun with *mark*.
+
+    The lines after a break begin with *indent*.
+    """
+    return [
+        part
+        for line in lines
+        for part in wrap(
+            f"{mark}{line}",
+            WIDTH,
+            subsequent_indent=indent,
+            break_on_hyphens=False,
+        )
+    ]
+
+
+def number(value: float, digits: int = 4) -> str:
+    """Return *value* with so many digits, a dash where there is none."""
+    return f"{value:.{digits}g}" if isfinite(value) else "-"

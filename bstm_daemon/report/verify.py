@@ -1,0 +1,244 @@
+"""``bstm verify``: its result in words, as page and as JSON.
+
+The page has figures 5.2 and 6.4 to 6.8 of the thesis.
+"""
+
+from __future__ import annotations
+
+from math import isnan
+from typing import TYPE_CHECKING, Any, Final
+
+from bstm_daemon.analysis.matching.verification import LIMITS, coverage, judged
+from bstm_daemon.report.json_file import picked
+from bstm_daemon.report.plots import NodeCurve, node_plots
+from bstm_daemon.report.shell import Page, Section, Table
+from bstm_daemon.report.text import table
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from bstm_daemon.analysis.matching.verification import NodeErrors, Verdict
+
+ERROR_HEAD = (
+    *("drive", "corner", "node", "RMS", "largest", "braking", "driving"),
+    *("soak", "last 20 min"),
+)
+PEAK_HEAD = (
+    *("drive", "corner", "node", "measured [degC]", "estimated [degC]"),
+    *("apart [K]", "at [min]", "apart [min]"),
+)
+VERDICT_HEAD = ("limits", "drive", "corner", "requirement", "value", "verdict")
+LONG_S: Final = 7200.0
+"""Of the drive of figure 6.8."""
+
+
+def error_rows(errors: Sequence[NodeErrors]) -> list[tuple[str, ...]]:
+    """Return RMS and largest error of each node, RMS by phase [K]."""
+    return [
+        (
+            one.drive,
+            one.corner,
+            one.node.replace("_", " "),
+            f"{one.rms_k:.1f}",
+            f"{one.largest_k:.1f}",
+            *(
+                f"{one.phase_rms_k[name]:.1f} / {one.phase_max_k[name]:.1f}"
+                if name in one.phase_rms_k
+                else "-"
+                for name in ("braking", "driving", "soak")
+            ),
+            f"{one.last_k:+.1f}",
+        )
+        for one in errors
+    ]
+
+
+def peak_rows(errors: Sequence[NodeErrors]) -> list[tuple[str, ...]]:
+    """Return height and time of each node's peak."""
+    return [
+        (
+            one.drive,
+            one.corner,
+            one.node.replace("_", " "),
+            f"{one.peak.measured_c:.1f}",
+            f"{one.peak.estimated_c:.1f}",
+            f"{one.peak.apart_k:+.1f}",
+            "-"
+            if isnan(one.peak.measured_s)
+            else f"{one.peak.measured_s / 60.0:.1f}",
+            "-"
+            if isnan(one.peak.apart_s)
+            else f"{one.peak.apart_s / 60.0:+.1f}",
+        )
+        for one in errors
+    ]
+
+
+def verdict_rows(verdicts: Sequence[Verdict]) -> list[tuple[str, ...]]:
+    """Return a row for each requirement."""
+    return [
+        (
+            one.limits,
+            one.drive,
+            one.corner,
+            one.what,
+            f"{one.value:.1f} of {one.limit:g}",
+            "met" if one.passed else "NOT MET",
+        )
+        for one in verdicts
+    ]
+
+
+def all_verdicts(errors: Sequence[NodeErrors]) -> list[Verdict]:
+    """Return the verdicts of every set of limits."""
+    return [
+        verdict
+        for limits in LIMITS.values()
+        for verdict in judged(errors, limits)
+    ]
+
+
+def summary_line(errors: Sequence[NodeErrors]) -> str:
+    """Return which sets of limits are met, and the coverage."""
+    parts = []
+    for limits in LIMITS.values():
+        verdicts = judged(errors, limits)
+        met = sum(one.passed for one in verdicts)
+        parts.append(f"{limits.name}: {met} of {len(verdicts)} met")
+    inside, counted = coverage(errors)
+    if counted:
+        parts.append(
+            f"90 % interval covers {inside} of {counted} "
+            f"({100.0 * inside / counted:.0f} %)"
+        )
+    else:
+        parts.append("no 90 % interval: the configuration has no [accuracy]")
+    return "; ".join(parts)
+
+
+def verify_text(errors: Sequence[NodeErrors]) -> str:
+    """Return the whole result for a terminal."""
+    blocks = [
+        "error, estimated less measured [K]; by phase RMS / largest",
+        *table(ERROR_HEAD, error_rows(errors)),
+        "",
+        "highest temperatures",
+        *table(PEAK_HEAD, peak_rows(errors)),
+        "",
+        *table(VERDICT_HEAD, verdict_rows(all_verdicts(errors))),
+        "",
+        summary_line(errors),
+    ]
+    return "\n".join(blocks)
+
+
+def verify_json(errors: Sequence[NodeErrors]) -> dict[str, Any]:
+    """Return the result as plain data; null where a number is not known."""
+    inside, counted = coverage(errors)
+    return {
+        "nodes": [
+            picked(
+                one,
+                *("drive", "corner", "node", "rms_k", "largest_k"),
+                *("phase_rms_k", "phase_max_k", "covered"),
+                peak_measured_c="peak.measured_c",
+                peak_estimated_c="peak.estimated_c",
+                peak_measured_s="peak.measured_s",
+                peak_apart_s="peak.apart_s",
+                last_20_min_k="last_k",
+            )
+            for one in errors
+        ],
+        "verdicts": [
+            picked(
+                one,
+                *("limits", "drive", "corner", "value", "limit"),
+                requirement="what",
+                met="passed",
+            )
+            for one in all_verdicts(errors)
+        ],
+        "covered": inside,
+        "counted": counted,
+    }
+
+
+def verify_page(
+    errors: Sequence[NodeErrors], required: str, subtitle: str
+) -> Page:
+    """Return the page of *errors*: verdicts, errors, peaks, every drive."""
+    verdicts = all_verdicts(errors)
+    missed = [one for one in verdicts if not one.passed]
+    sections = [
+        Section(
+            "Verdict",
+            Table(VERDICT_HEAD, verdict_rows(missed)) if missed else None,
+            lines=(summary_line(errors),),
+            note="Only what is not met is listed. thesis: section 1.3; floor "
+            "and goal: the project's own, narrower limits.",
+        ),
+        Section(
+            "Error, estimated less measured [K]",
+            Table(ERROR_HEAD, error_rows(errors)),
+            note="By phase RMS / largest. Pad back and fluid are measured as "
+            "means over 30 s; the disc is judged below 650 degC.",
+        ),
+        Section("Highest temperatures", Table(PEAK_HEAD, peak_rows(errors))),
+    ]
+    for drive, corner in dict.fromkeys((e.drive, e.corner) for e in errors):
+        own = [e for e in errors if (e.drive, e.corner) == (drive, corner)]
+        nodes = [
+            NodeCurve(
+                *(e.node, e.time_s, e.measured_c, e.estimated_c, e.error_k)
+            )
+            for e in own
+        ]
+        temperatures, residuals = node_plots(nodes, "error [K]")
+        sections.append(
+            Section(
+                f"{drive}, {corner}: measured and estimated (thesis "
+                f"{_figure(own)})",
+                plots=(
+                    ("temperatures", temperatures),
+                    ("estimated less measured", residuals),
+                ),
+                across=1,
+                note="Thick: measured; thin: estimated.",
+            )
+        )
+    tiles = _tiles(errors, required)
+    return Page("Verification", sections, tiles, subtitle=subtitle)
+
+
+def _figure(errors: Sequence[NodeErrors]) -> str:
+    """Return which figures of the thesis show such a drive.
+
+    6.4 to 6.7 differ from 5.2 by the car and its wheels, which no log
+    contains; 6.8 is a long drive.
+    """
+    long = max(one.time_s[-1] for one in errors) >= LONG_S
+    return "figure 6.8" if long else "figures 5.2, 6.4 to 6.7"
+
+
+def _tiles(
+    errors: Sequence[NodeErrors], required: str
+) -> list[tuple[str, str]]:
+    verdicts = judged(errors, LIMITS[required])
+    passed = all(one.passed for one in verdicts)
+    tiles = [("met" if passed else "NOT MET", f"limits: {required}")]
+    fluid = [one for one in errors if one.node == "fluid"]
+    if fluid:
+        largest = max(one.largest_k for one in fluid)
+        tiles.append((f"{largest:.1f} K", "fluid, largest error"))
+        late = [
+            abs(one.peak.apart_s)
+            for one in fluid
+            if not isnan(one.peak.apart_s)
+        ]
+        if late:
+            tiles.append((f"{max(late) / 60.0:.1f} min", "fluid, peak time"))
+    inside, counted = coverage(errors)
+    if counted:
+        share = f"{100.0 * inside / counted:.0f} %"
+        tiles.append((share, f"of {counted} within the 90 % interval"))
+    return tiles

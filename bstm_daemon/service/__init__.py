@@ -1,0 +1,1 @@
+"""The live service: clock, loop, state file and reports."""

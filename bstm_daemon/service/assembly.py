@@ -1,0 +1,155 @@
+"""What a configuration file makes of the service: car, buses, engine."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+from bstm_daemon.bus.live.socketcan import SocketcanLink
+from bstm_daemon.bus.output.layout import own_ids
+from bstm_daemon.bus.signals.signal_map import SignalMap, compile_signal_map
+from bstm_daemon.config.reading import load_config, naming_file
+from bstm_daemon.engine import Engine
+from bstm_daemon.errors import ConfigError
+from bstm_daemon.service.metrics_output import require_metrics_extra
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from bstm_daemon.bus.live.link import Link, Wanted
+    from bstm_daemon.config.sections import BusConfig, Config
+
+SOCKETCAN: Final = "socketcan"
+
+
+@dataclass(frozen=True, slots=True)
+class BusOverride:
+    """Another interface for the first bus, from the command line."""
+
+    interface: str | None = None
+    channel: str | None = None
+    bitrate: int | None = None
+    fd: bool | None = None
+
+    def applied(self, config: Config) -> Config:
+        """Return *config* with its first bus changed.
+
+        Raises:
+            ConfigError: there is no bus to change.
+        """
+        changes = {
+            key: value
+            for key in ("interface", "channel", "bitrate", "fd")
+            if (value := getattr(self, key)) is not None
+        }
+        if not changes:
+            return config
+        first = config.bus[0].model_copy(update=changes)
+        return config.model_copy(update={"bus": [first, *config.bus[1:]]})
+
+
+@dataclass(frozen=True, slots=True)
+class Monitor:
+    """One car as configured, ready to run.
+
+    ``publish_bus`` is the number of the bus that frames are sent on, None
+    while the service only listens; ``own_ids`` are theirs.
+    """
+
+    path: Path
+    config: Config
+    signal_map: SignalMap
+    engine: Engine
+    publish_bus: int | None
+    own_ids: frozenset[int]
+
+    def links(self) -> list[Link]:
+        """Return one link per bus, none opened.
+
+        Raises:
+            ConfigError: an interface that can not be.
+        """
+        return [
+            _link(
+                bus,
+                self.wanted(number),
+                self.config.daemon.receive_buffer_bytes,
+            )
+            for number, bus in enumerate(self.config.bus)
+        ]
+
+    def wanted(self, bus: int) -> Wanted:
+        """Return the (id, extended) that bus number *bus* is read for.
+
+        On the bus we send on, our own ids too: another sender of them must
+        be noticed.
+        """
+        wanted = self.signal_map.wanted(bus)
+        if bus == self.publish_bus:
+            wanted |= {(can_id, False) for can_id in self.own_ids}
+        return wanted
+
+
+def build_monitor(
+    path: Path, override: BusOverride, *, forecast: bool = True
+) -> Monitor:
+    """Read the configuration *path* and build everything it asks for.
+
+    Raises:
+        FileAccessError: it can not be read.
+        ConfigError: a problem of it, of a DBC or of an effect.
+        MissingExtraError: it asks for metrics, prometheus-client is absent.
+    """
+    config = override.applied(load_config(path))
+    if config.metrics.enabled:
+        require_metrics_extra("[metrics] enabled = true")
+    with naming_file(path):
+        if not config.bus:
+            problem = "[[bus]]: none, a live service needs one"
+            raise ConfigError([problem])
+        signal_map = compile_signal_map(
+            config.bus,
+            config.signals,
+            path.parent,
+            config.vehicle.wheel_radius_m,
+            e2e=config.e2e,
+        )
+        number = _publish_number(config)
+        ids: frozenset[int] = frozenset()
+        if number is not None:
+            names = [corner.name for corner in config.corner]
+            ids = frozenset(own_ids(config.publish.id_base, names))
+            _check_collisions(config, signal_map, number, ids)
+        engine = Engine(config, signal_map, forecast=forecast)
+    return Monitor(path, config, signal_map, engine, number, ids)
+
+
+def _publish_number(config: Config) -> int | None:
+    if not config.publish.enabled:
+        return None
+    names = [bus.name for bus in config.bus]
+    name = config.publish.bus
+    return 0 if name is None else names.index(name)
+
+
+def _check_collisions(
+    config: Config, signal_map: SignalMap, bus: int, ids: frozenset[int]
+) -> None:
+    problems = [
+        f"[publish] id_base = 0x{config.publish.id_base:X}: message "
+        f"{plan.name!r} of a role has id 0x{key.can_id:X}, which would be "
+        "sent: choose another id_base"
+        for key, plan in signal_map.messages.items()
+        if key.bus == bus and not key.extended and key.can_id in ids
+    ]
+    if problems:
+        raise ConfigError(problems)
+
+
+def _link(bus: BusConfig, wanted: Wanted, buffer_bytes: int) -> Link:
+    if bus.interface == SOCKETCAN:
+        return SocketcanLink(bus, wanted, buffer_bytes)
+    # python-can is loaded for other adapters only
+    from bstm_daemon.bus.live.portable import PortableLink  # noqa: PLC0415
+
+    return PortableLink(bus, wanted)

@@ -1,0 +1,202 @@
+"""One time axis for a drive, whatever the wall clock does.
+
+Frames are stamped by the kernel in wall time, which jumps when NTP or a
+person *sets* it. The time since boot never does, and runs on through suspend.
+Slewing bends both alike. Their difference is therefore constant but for steps,
+and a step is what changes it.
+"""
+
+import time
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Final
+
+Clock = Callable[[], int]
+"""A reading in ns."""
+
+STEP_US: Final = 10_000
+"""A change of wall time against boot time above this is a step."""
+
+_STEP_NS: Final = STEP_US * 1000
+_NARROW_NS: Final = 50_000
+_TRIES: Final = 5
+
+BOOT_ID: Final = Path("/proc/sys/kernel/random/boot_id")
+
+
+# no Python functions: they are called six times a drain
+wall_clock_ns: Final[Clock] = partial(
+    time.clock_gettime_ns, time.CLOCK_REALTIME
+)
+"""As the kernel stamps frames."""
+
+boot_clock_ns: Final[Clock] = partial(
+    time.clock_gettime_ns, time.CLOCK_BOOTTIME
+)
+"""It counts suspend and is never set."""
+
+
+class SteadyAxis:
+    """Microseconds that equal wall time at the start and never step.
+
+    :meth:`read` at every drain, before the sockets are read; then
+    :meth:`of_stamp` for each frame. As long as the wall clock is not set, the
+    axis is the stamp itself, to the microsecond.
+    """
+
+    # read after every sleep, when the caches are cold
+    __slots__ = (
+        *("_boot_ns", "_kept", "_now_us", "_offset_ns", "_shifts"),
+        *("_since_us", "_start_offset_ns", "_wall_ns"),
+        *("last_step_us", "steps"),
+    )
+
+    def __init__(
+        self,
+        wall_ns: Clock = wall_clock_ns,
+        boot_ns: Clock = boot_clock_ns,
+    ) -> None:
+        """Measure the offset of *wall_ns* from *boot_ns*."""
+        self._wall_ns = wall_ns
+        self._boot_ns = boot_ns
+        before, wall, after = boot_ns(), wall_ns(), boot_ns()
+        wall, before, after = self._narrower(wall, before, after)
+        self._start_offset_ns = (wall - after + wall - before) // 2
+        self._offset_ns = self._start_offset_ns
+        self._shifts: tuple[int, ...] = (0,)
+        """What to take off wall time in us: the shift in effect, and before
+        it those that frames still to be read may have been stamped under."""
+        self._kept = 1
+        self._since_us = self._now_us = wall // 1000
+        self.steps = 0
+        """How often the wall clock was stepped."""
+        self.last_step_us = 0
+        """The last step; positive where the wall clock was put forward."""
+
+    @property
+    def now_us(self) -> int:
+        """The time (us) that was read last."""
+        return self._now_us
+
+    def read(self) -> int:
+        """Return the time now (us); notices a step since the last call."""
+        # a step was found during a drain: buses drained earlier may still
+        # hold frames stamped before it
+        if len(self._shifts) > 1:
+            self._shifts = self._shifts[-self._kept :]
+        self._kept = 1
+        self._since_us = self._now_us
+        return self._advance()
+
+    def of_stamp(self, stamp_ns: int) -> int:
+        """Return the axis time (us) of a frame that was read just now.
+
+        The frame arrived after the :meth:`read` before the last one. If the
+        clock was stepped meanwhile, this bound shows on which side of the
+        step the stamp was made; an ambiguous one counts as before it.
+        """
+        cut_us = stamp_ns // 1000
+        low_us = self._since_us - STEP_US
+        high_us = self._now_us + STEP_US
+        for shift_us in self._shifts:
+            if low_us <= cut_us - shift_us <= high_us:
+                return cut_us - shift_us
+        return self._outlying(cut_us)
+
+    def window(self) -> tuple[int, int, int] | None:
+        """Return what to take off a stamp (us), and for which times.
+
+        While a stamp less the first lies between the second and the third,
+        that difference is what :meth:`of_stamp` returns. None during a step,
+        where every stamp has to be examined.
+        """
+        if len(self._shifts) > 1:
+            return None
+        return (
+            self._shifts[0],
+            self._since_us - STEP_US,
+            self._now_us + STEP_US,
+        )
+
+    def read_again(self) -> int:
+        """Return the time now (us) within a drain."""
+        known = len(self._shifts)
+        now_us = self._advance()
+        self._kept += len(self._shifts) - known
+        return now_us
+
+    def wall_of(self, axis_us: int) -> int:
+        """Return the wall time (us since 1970), as of today, of *axis_us*."""
+        return axis_us + self._shifts[-1]
+
+    def boot_of(self, axis_us: int) -> int:
+        """Return the time since boot (us), suspend included, of *axis_us*."""
+        return axis_us - self._start_offset_ns // 1000
+
+    def _outlying(self, cut_us: int) -> int:
+        """Place a stamp that fits no shift known so far.
+
+        It may reveal a step after the last :meth:`read`. With a step, a stamp
+        that still fits nowhere was made between two steps and is clamped to
+        the interval in which the frame arrived. Without one it is accepted.
+        """
+        high_us = self.read_again()
+        low_us = self._since_us
+        if len(self._shifts) == 1:
+            return cut_us - self._shifts[0]
+        nearest_us = min(
+            (cut_us - shift_us for shift_us in self._shifts),
+            key=lambda us: max(low_us - us, us - high_us, 0),
+        )
+        if low_us - STEP_US <= nearest_us <= high_us + STEP_US:
+            return nearest_us
+        return min(max(nearest_us, low_us), high_us)
+
+    def _advance(self) -> int:
+        """Read the clocks, take over a step, return the time now (us)."""
+        boot_ns = self._boot_ns
+        before = boot_ns()
+        wall = self._wall_ns()
+        after = boot_ns()
+        if after - before > _NARROW_NS:
+            wall, before, after = self._narrower(wall, before, after)
+        low, high = wall - after, wall - before
+        # a slow reading is uncertain by its duration: that is no step
+        if not low - _STEP_NS <= self._offset_ns <= high + _STEP_NS:
+            offset_ns = (low + high) // 2
+            self.steps += 1
+            self.last_step_us = (offset_ns - self._offset_ns) // 1000
+            self._offset_ns = offset_ns
+            # relative to the start, so that reading errors do not add up
+            shift_us = (offset_ns - self._start_offset_ns) // 1000
+            self._shifts = (*self._shifts, shift_us)
+        now_us = wall // 1000 - self._shifts[-1]
+        self._now_us = max(self._now_us, now_us)
+        return self._now_us
+
+    def _narrower(
+        self, wall: int, before: int, after: int
+    ) -> tuple[int, int, int]:
+        """Return wall time and those between whose boot times it was read.
+
+        Read again a few times, as the process was held up in between; the
+        narrowest counts.
+        """
+        for _ in range(_TRIES - 1):
+            if after - before <= _NARROW_NS:
+                break
+            began = self._boot_ns()
+            now = self._wall_ns()
+            ended = self._boot_ns()
+            if ended - began < after - before:
+                wall, before, after = now, began, ended
+        return wall, before, after
+
+
+def boot_id(path: Path = BOOT_ID) -> str | None:
+    """Return the id of this boot of the kernel, None where unknown."""
+    try:
+        return path.read_text(encoding="ascii").strip() or None
+    except (OSError, UnicodeDecodeError):
+        return None

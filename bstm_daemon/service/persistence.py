@@ -1,0 +1,257 @@
+"""When the state is loaded, saved and corrected; how long the car was parked.
+
+The time parked is the difference of two clocks. Within one boot of the
+computer that is the time since boot, which nobody sets. Over a power cut it
+is the wall clock, which may be wrong until something sets it: then the
+parked time is corrected once.
+"""
+
+from __future__ import annotations
+
+import os
+from math import nan
+from typing import TYPE_CHECKING, Any, Final
+
+from bstm_daemon.estimator.state import StateError, doubt_parked_time
+from bstm_daemon.service import events
+from bstm_daemon.service.clock import boot_id
+from bstm_daemon.service.state_file import load, lock, set_aside, state_path
+from bstm_daemon.service.state_writer import StateWriter
+from bstm_daemon.service.status import StateFileStatus
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from bstm_daemon.config.sections import Config
+    from bstm_daemon.engine import Engine
+    from bstm_daemon.service.clock import SteadyAxis
+    from bstm_daemon.service.events import ServiceLog
+
+CLOCK_SET_US: Final = 1_735_689_600_000_000
+"""2025-01-01: a wall clock before this was never set."""
+
+MOVING_K_PER_S: Final = 1.0 / 60.0
+"""While a node is faster than 1 K/min, the short interval applies."""
+
+CORRECTION_LIMIT_US: Final = 3_600_000_000
+"""A clock set later than this after the start corrects nothing: by then the
+initial temperatures no longer matter."""
+
+
+class Persistence:
+    """The state file of one running service."""
+
+    def __init__(self, file: Path, axis: SteadyAxis, log: ServiceLog) -> None:
+        """Own *file*.
+
+        Raises:
+            StateLockedError: another instance does.
+        """
+        self._file = file
+        self._axis = axis
+        self._log = log
+        self._lock = lock(file)
+        if self._lock.problem:
+            log.emit(
+                events.STATE_SAVE_FAILED,
+                file=str(file),
+                error=self._lock.problem,
+            )
+        self._writer = StateWriter(file)
+        self._boot_id = boot_id()
+        self._next_us = 0
+        self._submitted_us: int | None = None
+        self._checked: tuple[int, list[float]] | None = None
+        self._failures_logged = 0
+        self._start: tuple[dict[str, Any], int, int] | None = None
+        """Restored document, assumed parked time [us] and start time [us],
+        while setting the clock may still correct them."""
+
+    def resume(self, engine: Engine, now_us: int) -> None:
+        """Put the saved state, cooled since, into *engine*; save at once.
+
+        Saving at once reveals an unwritable folder at the start, not after
+        the drive. The tick before puts the state on the grid, so that a
+        replay from it continues exactly as the service does.
+        """
+        loaded = load(self._file)
+        reason = loaded.problem
+        if loaded.document is not None:
+            reason = self._restore(engine, loaded.document, now_us)
+        if reason:
+            self._log.emit(
+                events.STATE_DISCARDED, file=str(self._file), reason=reason
+            )
+        engine.tick(now_us)
+        self.save(engine, now_us)
+
+    def _restore(
+        self, engine: Engine, document: dict[str, Any], now_us: int
+    ) -> str | None:
+        """Restore *document*; return why that failed, None if it did not."""
+        parked_us, is_certain = self._parked_us(document, now_us)
+        try:
+            restored = engine.resume(document, parked_us, now_us)
+        except StateError as error:
+            aside = set_aside(self._file)
+            return f"does not fit this car: {error}; {aside}"
+        self._log.emit(
+            events.STATE_LOADED,
+            file=str(self._file),
+            age_s=None if parked_us is None else parked_us * 1e-6,
+            new_nodes=list(restored.new),
+        )
+        if not is_certain:
+            self._start = document, parked_us or 0, now_us
+            doubt_parked_time(engine.estimator)
+        return None
+
+    def _parked_us(
+        self, document: dict[str, Any], now_us: int
+    ) -> tuple[int | None, bool]:
+        """Return the time since the save and whether it is certain."""
+        saved_boot_us = document.get("boot_us")
+        if (
+            self._boot_id is not None
+            and document.get("boot_id") == self._boot_id
+            and isinstance(saved_boot_us, int)
+        ):
+            since_us = self._axis.boot_of(now_us) - saved_boot_us
+            return max(since_us, 0), True
+        return self._parked_by_wall_us(document, now_us), False
+
+    def _parked_by_wall_us(
+        self, document: dict[str, Any], at_us: int
+    ) -> int | None:
+        """Return the time from the save to *at_us*, None if unknown."""
+        saved_us = document.get("wall_us")
+        wall_us = self._axis.wall_of(at_us)
+        if not isinstance(saved_us, int):
+            return None
+        if min(saved_us, wall_us) < CLOCK_SET_US or wall_us < saved_us:
+            return None
+        return wall_us - saved_us
+
+    def clock_stepped(self, engine: Engine) -> None:
+        """Correct the parked time now that the wall clock was set."""
+        if self._start is None:
+            return
+        document, assumed_us, start_us = self._start
+        parked_us = self._parked_by_wall_us(document, start_us)
+        if parked_us is None:
+            return
+        self._start = None
+        engine.correct_parked(document, parked_us)
+        self._log.emit(
+            events.PARKED_TIME_CORRECTED,
+            assumed_s=assumed_us * 1e-6,
+            parked_s=parked_us * 1e-6,
+        )
+
+    def reloaded(self, old: Engine, fresh: Engine) -> None:
+        """Let *fresh* continue for *old*, even with an uncertain parked time.
+
+        The input history that a correction needs is for the same corners.
+        """
+        if old.estimator.plan.corners == fresh.estimator.plan.corners:
+            fresh.estimator.journal = old.estimator.journal
+        else:
+            self._start = None
+
+    def poll(self, engine: Engine, now_us: int) -> None:
+        """Save if it is time to."""
+        self._report_failures()
+        if now_us < self._next_us:
+            return
+        if self._start and now_us - self._start[2] > CORRECTION_LIMIT_US:
+            self._start = None
+            engine.estimator.journal = None
+        if self._is_moving(engine, now_us) or self._idle_over(engine, now_us):
+            self.save(engine, now_us)
+        else:
+            interval_s = engine.config.state.interval_s
+            self._next_us = now_us + round(interval_s * 1e6)
+
+    def save(self, engine: Engine, now_us: int) -> None:
+        """Pass the state to the writer."""
+        self._writer.submit(self.document(engine), now_us)
+        self._submitted_us = now_us
+        self._next_us = now_us + round(engine.config.state.interval_s * 1e6)
+        self._checked = now_us, engine.temperatures_k()
+
+    def document(self, engine: Engine) -> dict[str, Any]:
+        """Return the state with the clocks that date it."""
+        document = engine.export_state()
+        time_us = document["time_us"]
+        if time_us is None:
+            time_us = self._axis.read()
+        return document | {
+            "wall_us": self._axis.wall_of(time_us),
+            "boot_us": self._axis.boot_of(time_us),
+            "boot_id": self._boot_id,
+        }
+
+    def status(self, now_us: int) -> StateFileStatus:
+        """Return how saving goes."""
+        outcome = self._writer.outcome()
+        age_s = nan
+        if outcome.saved_us is not None:
+            age_s = (now_us - outcome.saved_us) * 1e-6
+        return StateFileStatus(outcome.saves, outcome.failures, age_s)
+
+    def close(self, engine: Engine) -> None:
+        """Save a last time, wait for it, give the lock back."""
+        self._writer.submit(self.document(engine), self._axis.read())
+        outcome = self._writer.close()
+        self._report_failures()
+        if not outcome.running:
+            # a save that hangs may still write and keeps the lock
+            self._lock.close()
+
+    def _is_moving(self, engine: Engine, now_us: int) -> bool:
+        """Whether a node changed by over 1 K/min since the last check."""
+        now_k = engine.temperatures_k()
+        before = self._checked
+        self._checked = now_us, now_k
+        if before is None or len(before[1]) != len(now_k):
+            return True
+        then_us, then_k = before
+        limit_k = MOVING_K_PER_S * (now_us - then_us) * 1e-6
+        return any(
+            abs(a - b) > limit_k for a, b in zip(now_k, then_k, strict=True)
+        )
+
+    def _idle_over(self, engine: Engine, now_us: int) -> bool:
+        idle_us = round(engine.config.state.idle_interval_s * 1e6)
+        return (
+            self._submitted_us is None
+            or now_us - self._submitted_us >= idle_us
+        )
+
+    def _report_failures(self) -> None:
+        outcome = self._writer.outcome()
+        if outcome.failures > self._failures_logged:
+            self._failures_logged = outcome.failures
+            self._log.repeat(
+                events.STATE_SAVE_FAILED,
+                "save",
+                self._axis.boot_of(self._axis.read()) * 1e-6,
+                file=str(self._file),
+                error=outcome.last_error or "",
+            )
+
+
+def state_file(config: Config, base: Path, given: Path | None) -> Path:
+    """Return the state file: *given*, the configured or the default one.
+
+    Raises:
+        UsageError: there is no default place.
+    """
+    if given is not None:
+        return given
+    configured = config.state.file
+    return state_path(
+        None if configured is None else base / configured,
+        config.vehicle.id,
+        os.environ,
+    )

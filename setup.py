@@ -1,0 +1,60 @@
+"""Build of the compiled forms; all else of the package is in pyproject.toml.
+
+What C shares with Python is written into a header here, out of the Python
+tables. All modules are optional: where no compiler is, the pure-Python forms
+take over. ``-ffp-contract=off``: the compiled step must round like the Python
+one.
+"""
+
+import sys
+from importlib import import_module
+from pathlib import Path
+from types import ModuleType
+
+from setuptools import Extension, setup
+from setuptools.command.build_ext import build_ext
+
+ROOT = Path(__file__).resolve().parent
+
+# the package as it lies here, without what it looks up once installed
+sys.path.insert(0, str(ROOT))
+package = ModuleType("bstm_daemon")
+package.__path__ = [str(ROOT / "bstm_daemon")]
+sys.modules["bstm_daemon"] = package
+sources = import_module("bstm_daemon.native.sources")
+
+
+class BuildExt(build_ext):
+    """Writes the header first, and compiles always: C depends on Python."""
+
+    def run(self) -> None:
+        """Build all modules."""
+        compiled = import_module("bstm_daemon.model.compiled")
+        folder = Path(self.build_temp)
+        folder.mkdir(parents=True, exist_ok=True)
+        header = folder / "generated.h"
+        header.write_text(compiled.generated_header(), encoding="utf-8")
+        self.include_dirs.append(str(folder))
+        self.force = True
+        super().run()
+
+
+setup(
+    cmdclass={"build_ext": BuildExt},
+    options={"bdist_wheel": {"py_limited_api": "cp311"}},
+    ext_modules=[
+        Extension(
+            f"bstm_daemon.{module}",
+            [f"bstm_daemon/{name}" for name in names],
+            define_macros=[
+                ("Py_LIMITED_API", "0x030B0000"),
+                ("BSTM_SOURCES", f'"{sources.digest(module)}"'),
+            ],
+            extra_compile_args=["-O3", "-ffp-contract=off"],
+            libraries=["m"],
+            optional=True,
+            py_limited_api=True,
+        )
+        for module, names in sources.SOURCES.items()
+    ],
+)

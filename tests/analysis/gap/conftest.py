@@ -1,0 +1,77 @@
+"""Drives made by the model with effects, so that what is missing is known."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+import pytest
+
+from bstm_daemon.analysis.gap.comparison import with_effects
+from bstm_daemon.analysis.gap.fitting import effect_entries
+from bstm_daemon.analysis.gap.recording import Recording
+from bstm_daemon.analysis.matching.tunables import Target
+from bstm_daemon.bus.signals.columns import Events
+from bstm_daemon.cli.vehicle import load_vehicle
+from bstm_daemon.native.loader import load_kernel
+
+from ...made_drives import EXAMPLE, driven  # noqa: TID252  (no package)
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from bstm_daemon.config.sections import Config
+
+PROFILE: Final = (
+    (10.0, 6000.0, 700.0),
+    (10.0, 0.0, 120.0),
+    (36.0, 0.0, 200.0),
+    (25.0, 20000.0, 30.0),
+    (14.0, 5000.0, 400.0),
+    (0.0, 0.0, 1800.0),
+)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """An hour of data, dozens of times over, takes pure Python minutes."""
+    if load_kernel() is None:
+        for item in items:
+            if "gap" in item.path.parts:
+                item.add_marker(pytest.mark.slow)
+
+
+@pytest.fixture(scope="session")
+def config() -> Config:
+    """Return the example car."""
+    return load_vehicle(EXAMPLE)[0]
+
+
+@pytest.fixture(scope="session")
+def target(config: Config) -> Target:
+    """Return its front left corner."""
+    return Target(config, ("FL",))
+
+
+@pytest.fixture(scope="session")
+def made(config: Config) -> Callable[..., Recording]:
+    """Return what makes a recording of a car with effects, by strength."""
+
+    def make(
+        effects: Mapping[str, float] | None = None,
+        name: str = "made",
+        *,
+        noise_k: float = 0.5,
+        seed: int = 1,
+    ) -> Recording:
+        real = with_effects(config, effect_entries(dict(effects or {})))
+        drive = driven(
+            real, name, PROFILE, every=2, noise_k=noise_k, seed=seed
+        )
+        none = Events(
+            np.zeros(0, np.int64), np.zeros(0, np.int32), np.zeros(0),
+            Counter(),
+        )  # fmt: skip
+        return Recording(drive, none, {}, none, drive.inputs)
+
+    return make

@@ -1,0 +1,44 @@
+"""Effects written into a configuration."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from bstm_daemon.analysis.identify.writing import adopt
+from bstm_daemon.config.reading import load_config
+from bstm_daemon.config.sections import EffectConfig
+
+EXAMPLE = Path(__file__).parents[3] / "config" / "example_vehicle.toml"
+
+
+def effect(strength: float) -> EffectConfig:
+    return EffectConfig(
+        name="gap_conduction",
+        parameters={"strength": strength},
+        provenance={"source": "bstm gap", "data": ["a.log"]},
+    )
+
+
+def test_an_effect_is_added_and_comments_stay(tmp_path: Path) -> None:
+    new = tmp_path / "new.toml"
+
+    adopt(EXAMPLE, new, [effect(1.234567)])
+
+    entry = load_config(new).effect[0]
+    assert entry.name == "gap_conduction"
+    assert entry.parameters == {"strength": 1.2346}
+    assert entry.provenance["data"] == ["a.log"]
+    old = EXAMPLE.read_text("utf-8").splitlines()
+    kept = new.read_text("utf-8").splitlines()
+    comments = [line for line in old if line.startswith("#")]
+    assert [line for line in kept if line.startswith("#")] == comments
+
+
+def test_a_namesake_is_replaced(tmp_path: Path) -> None:
+    first, second = tmp_path / "first.toml", tmp_path / "second.toml"
+
+    adopt(EXAMPLE, first, [effect(1.0)])
+    adopt(first, second, [effect(2.0)])
+
+    entries = load_config(second).effect
+    assert [one.parameters["strength"] for one in entries] == [2.0]

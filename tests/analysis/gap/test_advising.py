@@ -1,0 +1,198 @@
+"""Which drive to drive next: predicted by the model, kept by the reality."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from bstm_daemon.analysis.gap.advising import (
+    Prospect,
+    advise,
+    members_of,
+    prospect,
+)
+from bstm_daemon.analysis.gap.candidate_drives import (
+    MENU,
+    candidate_drive,
+    samples_of,
+)
+from bstm_daemon.analysis.gap.naming import name_effect
+from bstm_daemon.analysis.gap.recording import recorded
+from bstm_daemon.analysis.gap.signatures import (
+    Linearised,
+    Signature,
+    sensed,
+)
+from bstm_daemon.analysis.gap.workflow import compare
+from bstm_daemon.analysis.matching.tunables import TUNABLES, Target
+from bstm_daemon.cli.vehicle import load_vehicle
+from bstm_daemon.files import shipped_file
+from bstm_daemon.replay.columns import present_roles
+from bstm_daemon.simulation import drive_names, load_drive, simulate
+from bstm_daemon.simulation.parameters import Effects
+
+if TYPE_CHECKING:
+    from bstm_daemon.analysis.gap.recording import Recording
+    from bstm_daemon.analysis.statistics.series import Column
+    from bstm_daemon.config.sections import Config
+
+TRUE, RIVAL = "disc_radiation_driving", "speed_dependent_convection"
+MATCHED = {
+    "thermal.heat_partition_correction_factor": 0.93,
+    "cooling.s_per_s at 36 km/h": 1.63,
+    "cooling.s_per_s at 70 km/h": 1.40,
+    "cooling.s_per_s at 150 km/h": 1.25,
+}
+"""Factors that fit the simulated car on simalp and rich without an effect."""
+
+AMONG = (TRUE, RIVAL, "hub_conduction")
+ADVISED, POOR = "m13", "m15"
+
+
+def signature(name: str, column: Column) -> Signature:
+    return Signature(name, column, 0 * column, column, either_sign=False)
+
+
+def known(residual: Column, *columns: Column) -> Linearised:
+    rng = np.random.default_rng(1)
+    found = [
+        signature(name, column)
+        for name, column in zip((TRUE, RIVAL), columns, strict=True)
+    ]
+    jacobian = rng.normal(0.0, 0.3, (len(residual), 2))
+    return Linearised(residual, jacobian, tuple(found), (), ())
+
+
+def drive(name: str, minutes: float, *columns: Column) -> Prospect:
+    size = len(columns[0])
+    found = {
+        member: signature(member, column)
+        for member, column in zip((TRUE, RIVAL), columns, strict=True)
+    }
+    return Prospect(name, name, 60.0 * minutes, np.zeros((size, 2)), found)
+
+
+def test_the_drive_that_parts_the_twins_is_advised() -> None:
+    rng = np.random.default_rng(4)
+    one, two = rng.normal(0.0, 1.0, (2, 60))
+    data = known(-one + 0.1 * two, one, one)
+
+    found = advise(
+        data,
+        np.ones(2),
+        (TRUE, RIVAL),
+        [
+            drive("alike", 10.0, one, one),
+            drive("apart", 20.0, one, two),
+            drive("apart, longer", 60.0, 2.0 * one, 2.0 * two),
+        ],
+    )
+
+    by_name = {each.drive: each for each in found}
+    assert [each.drive for each in found][-1] == "alike"
+    assert by_name["alike"].named < 0.05
+    assert by_name["apart"].named > 0.9
+    assert by_name["apart"].wrong < 0.05
+    assert by_name["apart"].log_bayes_factor > by_name["apart"].now + 5.0
+    # as good but for less than chance: the shorter one first
+    assert found[0].drive == "apart"
+
+
+def test_what_is_drawn_is_as_sure_as_it_is_said_to_be() -> None:
+    """Named with 95 % or more, at most one in twenty is wrong."""
+    rng = np.random.default_rng(8)
+    one, two = rng.normal(0.0, 1.0, (2, 60))
+    data = known(-one, one, one)
+
+    (found,) = advise(
+        data,
+        np.ones(2),
+        (TRUE, RIVAL),
+        [drive("a little apart", 10.0, 0.3 * one, 0.3 * two)],
+    )
+
+    assert 0.1 < found.named < 0.95
+    assert found.wrong < 0.06
+
+
+def test_the_menu_is_of_drives_that_there_are() -> None:
+    assert set(MENU) <= set(drive_names())
+
+
+@pytest.fixture(scope="module")
+def target() -> Target:
+    """Return the front of the example car."""
+    config = load_vehicle(shipped_file("config/example_vehicle.toml"))[0]
+    cooling = config.cooling.model_copy(update={"form": "conductance"})
+    config = config.model_copy(update={"cooling": cooling})
+    plain = Target(config, ("FL", "FR"))
+    return plain.changed(
+        {
+            key: factor * plain.value(TUNABLES[key])
+            for key, factor in MATCHED.items()
+        }
+    )
+
+
+def present() -> dict[int, int]:
+    signal_map = load_vehicle(shipped_file("config/example_vehicle.toml"))[1]
+    return present_roles(signal_map)
+
+
+def real(name: str, config: Config, seed: int) -> Recording:
+    """Return drive *name* of the simulated car with the hidden effect."""
+    simulated = simulate(
+        load_drive(name),
+        preset=Effects(disc_radiation_driving=1.0),
+        sensors="n2",
+        seed=seed,
+    )
+    samples = samples_of(simulated, present(), temperatures=True)
+    return recorded(name, samples, config, present())
+
+
+@pytest.mark.slow  # six searches
+def test_the_advised_drive_resolves_what_a_poor_one_does_not(
+    target: Target,
+) -> None:
+    """Radiation of the driving disc, below the gate on one drive alone."""
+    config = target.config
+    first = real("simalp", config, 11)
+    comparison = compare(target, [first])
+    data = sensed(comparison, AMONG).whitened(comparison)
+    before = name_effect(comparison, data)
+    members = members_of(before, data.silent)
+    couples = {name: tuple(first.drive.measured[name]) for name in ("FL",)}
+    drives = [
+        candidate_drive(name, config, present(), couples)
+        for name in (ADVISED, POOR)
+    ]
+    prospects = [
+        prospect(
+            compare(Target(config, ("FL",)), [one.recording]),
+            members,
+            one.description,
+        )
+        for one in drives
+    ]
+
+    advice = advise(data, comparison.prior, members, prospects)
+
+    assert before.answer == "nothing"
+    assert {TRUE, RIVAL} <= set(members)
+    assert [one.drive for one in advice] == [ADVISED, POOR]
+    assert advice[0].named > 0.6
+    assert advice[1].named < 0.3
+
+    resolved = {ADVISED: 0, POOR: 0}
+    for name in resolved:
+        for seed in (21, 22):
+            both = compare(target, [first, real(name, config, seed)])
+            answer = name_effect(both, sensed(both, AMONG).whitened(both))
+            resolved[name] += answer.names == (TRUE,)
+            assert answer.names != (RIVAL,)
+
+    assert resolved[ADVISED] == 2
+    assert resolved[POOR] == 0

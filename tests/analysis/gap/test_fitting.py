@@ -1,0 +1,67 @@
+"""Strengths with what noise and form leave open, and the quick fit."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from bstm_daemon.analysis.gap.fitting import FORM_ERROR, NINETY, Fit, fit
+from bstm_daemon.analysis.gap.signatures import sensed
+from bstm_daemon.analysis.gap.workflow import compare
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from bstm_daemon.analysis.gap.recording import Recording
+    from bstm_daemon.analysis.matching.tunables import Target
+
+
+def fitted(strength: float, noise: float) -> Fit:
+    return Fit(np.zeros(1), {"a": strength}, {"a": noise}, 0.0, 1)
+
+
+def test_a_form_that_differs_is_in_the_deviation() -> None:
+    exact = fitted(1.5, 0.0)
+    noisy = fitted(1.5, 0.4)
+
+    assert exact.deviations["a"] == pytest.approx(1.5 * FORM_ERROR)
+    assert noisy.deviations["a"] == pytest.approx(
+        np.hypot(0.4, 1.5 * FORM_ERROR)
+    )
+
+
+@pytest.mark.parametrize("strength", [2.0, -2.0])
+def test_the_interval_holds_ninety_percent(strength: float) -> None:
+    one = fitted(strength, 0.3)
+
+    low, high = one.interval("a")
+
+    assert high - low == pytest.approx(2.0 * NINETY * one.deviations["a"])
+    assert 0.5 * (low + high) == pytest.approx(strength)
+
+
+@pytest.mark.parametrize("strength", [0.3, -0.3])
+def test_the_interval_ends_where_the_effect_would_turn(
+    strength: float,
+) -> None:
+    low, high = fitted(strength, 1.0).interval("a")
+
+    assert (low, high)[int(strength < 0.0)] == 0.0
+    assert low < strength < high
+
+
+def test_known_sensitivities_lead_to_the_same_fit(
+    target: Target, made: Callable[..., Recording]
+) -> None:
+    comparison = compare(target, [made({"gap_conduction": 1.3})])
+    known = sensed(comparison, [])
+
+    slow = fit(comparison, {"gap_conduction": 0.7})
+    quick = fit(comparison, {"gap_conduction": 0.7}, known_k=known.jacobian_k)
+
+    assert quick.strengths["gap_conduction"] == pytest.approx(
+        slow.strengths["gap_conduction"], rel=0.02
+    )
+    assert quick.cost == pytest.approx(slow.cost, rel=0.02)

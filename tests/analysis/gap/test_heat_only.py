@@ -1,0 +1,173 @@
+"""Effects on the heat input, named without a thermocouple."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from bstm_daemon.analysis.gap.candidate_drives import samples_of
+from bstm_daemon.analysis.gap.force_balance import forces
+from bstm_daemon.analysis.gap.heat_only import find_force_gap
+from bstm_daemon.analysis.gap.recording import Recording, recorded
+from bstm_daemon.cli.vehicle import load_vehicle
+from bstm_daemon.errors import LogError
+from bstm_daemon.files import shipped_file
+from bstm_daemon.replay.columns import present_roles
+from bstm_daemon.roles import ROLE_INDEX
+from bstm_daemon.simulation import load_drive, simulate
+from bstm_daemon.simulation.parameters import Effects
+
+if TYPE_CHECKING:
+    from bstm_daemon.config.sections import Config
+
+
+def car() -> tuple[Config, dict[int, int]]:
+    """Return the example car and what its bus has."""
+    config, signal_map = load_vehicle(
+        shipped_file("config/example_vehicle.toml")
+    )
+    return config, present_roles(signal_map)
+
+
+def driven(
+    name: str, effects: dict[str, float], *, sensors: str = "n1", seed: int = 3
+) -> Recording:
+    """Return a drive of the simulated car, no temperature recorded."""
+    config, present = car()
+    simulated = simulate(
+        load_drive(name),
+        preset=Effects(**effects),
+        sensors=sensors,
+        seed=seed,
+    )
+    return recorded(
+        name,
+        samples_of(simulated, present),
+        config,
+        present,
+        thermocouples=False,
+    )
+
+
+def test_nothing_is_named_where_nothing_is_missing() -> None:
+    found = find_force_gap(car()[0], [driven("rich", {}, sensors="none")])
+
+    assert found.naming.answer == "nothing"
+    assert found.effects() == []
+    assert found.pressed_j == pytest.approx(found.motion_j, rel=0.02)
+    assert found.before_ms2 < 0.01
+
+
+@pytest.mark.parametrize(
+    ("name", "strength"),
+    [
+        ("friction_pressure", 2.0),
+        pytest.param("friction_fade", 1.5, marks=pytest.mark.slow),
+    ],
+)
+def test_friction_is_named_by_force_alone(name: str, strength: float) -> None:
+    recording = driven("rich", {name: strength})
+    other = driven("track", {name: strength}, seed=5)
+
+    found = find_force_gap(car()[0], [recording], [other])
+
+    assert (found.naming.answer, found.naming.names) == ("name", (name,))
+    # another form: the strength is not exactly that of the simulated car
+    assert found.strengths[name] == pytest.approx(strength, rel=0.3)
+    assert found.held_out
+    assert found.after_ms2 < 0.6 * found.before_ms2
+    assert found.effects()[0].provenance["data"] == ["rich"]
+
+
+def test_twins_of_the_motion_are_a_class() -> None:
+    found = find_force_gap(
+        car()[0], [driven("rich", {"mass_error": 1.5}, sensors="none")]
+    )
+
+    assert found.naming.answer in {"name", "class"}
+    assert found.naming.names[0] == "mass_error"
+    assert set(found.naming.names) <= {"mass_error", "powertrain_torque_error"}
+    assert found.strengths["mass_error"] == pytest.approx(1.5, abs=0.3)
+    # of a class each member has its own probability, and says what it may be
+    (entry,) = found.effects()
+    own = found.naming.odds["mass_error"]
+    assert entry.provenance["probability"] == pytest.approx(own, abs=1e-4)
+    if found.naming.answer == "class":
+        assert own < 0.95 <= found.naming.probability
+        assert entry.provenance["or"] == ["powertrain_torque_error"]
+
+
+def test_braking_without_pressure_is_named() -> None:
+    found = find_force_gap(car()[0], [driven("assist", {})])
+
+    assert found.naming.answer == "name"
+    assert found.naming.names[0] == "brake_without_pressure"
+    assert found.strengths["brake_without_pressure"] > 0.7
+    assert found.motion_j > 5.0 * found.pressed_j
+    assert found.after_ms2 < 0.2 * found.before_ms2
+
+
+def test_what_forces_can_not_tell_is_said() -> None:
+    found = find_force_gap(car()[0], [driven("idiada-step", {})])
+
+    assert "thermocouple" in found.unseen["hub_conduction"]
+    assert "no force" in found.unseen["brake_share"]
+    assert found.seen.keys().isdisjoint(found.unseen)
+    assert "mass_error" in found.seen.keys() | found.unseen.keys()
+    assert set(found.seen) <= {one.name for one in found.naming.candidates}
+
+
+def test_released_or_not_must_be_known() -> None:
+    """Without pressure and switch every braking is one without pressure."""
+    config, present = car()
+    telling = {
+        number
+        for name, number in ROLE_INDEX.items()
+        if name == "brake_switch" or name.endswith("_pressure")
+    }
+    telling |= {ROLE_INDEX[f"wheel_pressure_{c}"] for c in ("fl", "fr")}
+    telling |= {ROLE_INDEX[f"wheel_pressure_{c}"] for c in ("rl", "rr")}
+    simulated = simulate(load_drive("assist"), sensors="none", seed=3)
+    blind = {role: us for role, us in present.items() if role not in telling}
+    recording = recorded(
+        "assist",
+        samples_of(simulated, blind),
+        config,
+        blind,
+        thermocouples=False,
+    )
+
+    found = find_force_gap(config, [recording])
+
+    assert "brake switch" in found.unseen["brake_without_pressure"]
+    assert "brake_without_pressure" not in found.naming.names
+
+
+def test_without_torque_there_is_no_force() -> None:
+    config, present = car()
+    torque = ROLE_INDEX["powertrain_torque"]
+    simulated = simulate(load_drive("idiada-step"), sensors="none", seed=3)
+    blind = {role: us for role, us in present.items() if role != torque}
+    heat = config.heat.model_copy(update={"assume_powertrain_torque_nm": None})
+    config = config.model_copy(update={"heat": heat})
+    recording = recorded(
+        "x", samples_of(simulated, blind), config, blind, thermocouples=False
+    )
+
+    with pytest.raises(LogError, match="torque"):
+        find_force_gap(config, [recording])
+
+
+def test_the_windows_do_not_depend_on_the_configuration() -> None:
+    config, _ = car()
+    recording = driven("idiada-step", {}, sensors="none")
+    vehicle = config.vehicle.model_copy(update={"mass_kg": 2500.0})
+    heavy = config.model_copy(update={"vehicle": vehicle})
+
+    one, two = forces(recording, config), forces(recording, heavy)
+
+    assert np.array_equal(one.first, two.first)
+    assert np.array_equal(np.isnan(one.motion_n), np.isnan(two.motion_n))
+    assert np.nanmax(two.motion_n) > np.nanmax(one.motion_n)

@@ -1,0 +1,235 @@
+"""Names, classes and silence on drives whose missing effect is known."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+import pytest
+
+from bstm_daemon.analysis.gap.comparison import with_effects
+from bstm_daemon.analysis.gap.evidence import (
+    Candidate,
+    probabilities,
+    weigh,
+)
+from bstm_daemon.analysis.gap.fitting import effect_entries, fit
+from bstm_daemon.analysis.gap.holdout_comparison import (
+    CONFIGURED,
+    EXTENDED,
+    REFITTED,
+    show,
+)
+from bstm_daemon.analysis.gap.naming import name_effect
+from bstm_daemon.analysis.gap.signatures import (
+    Signature,
+    candidates,
+    sensed,
+)
+from bstm_daemon.analysis.gap.workflow import compare
+from bstm_daemon.analysis.matching.tunables import Target
+from bstm_daemon.analysis.statistics.evidence import Projector
+from bstm_daemon.model.effects.catalogue import effect_class, effect_names
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from bstm_daemon.analysis.gap.recording import Recording
+    from bstm_daemon.config.sections import Config
+
+AMONG = (
+    "gap_conduction",
+    "hub_conduction",
+    "disc_radiation_driving",
+    "backplate_loss",
+    "bracket_conduction",
+    "caliper_radiation",
+    "shim_contact",
+)
+LEFT: Final = 100.0
+"""Of log-likelihood, put where no heat is."""
+
+
+def test_nothing_is_named_where_nothing_is_missing(
+    target: Target, made: Callable[..., Recording]
+) -> None:
+    comparison = compare(target, [made()])
+
+    found = name_effect(
+        comparison, sensed(comparison, AMONG).whitened(comparison)
+    )
+
+    assert found.answer == "nothing"
+    assert found.probability > 0.5
+    assert all(np.isfinite(one.reach) for one in found.candidates)
+
+
+def test_what_an_adopted_effect_is_off_by_is_no_further_one(
+    config: Config, made: Callable[..., Recording]
+) -> None:
+    """A strength of `[[effect]]` is no better known than any tunable."""
+    weak = with_effects(config, effect_entries({"gap_conduction": 0.7}))
+    comparison = compare(
+        Target(weak, ("FL",)), [made({"gap_conduction": 1.0})]
+    )
+    among = [name for name in AMONG if name != "gap_conduction"]
+
+    found = name_effect(
+        comparison, sensed(comparison, among).whitened(comparison)
+    )
+
+    assert found.answer == "nothing"
+    assert found.gate_z < 2.0
+
+
+def test_noise_of_a_reading_is_no_error_of_its_gain(
+    target: Target, made: Callable[..., Recording]
+) -> None:
+    """Noise of 4 K, as great in the residual as in the reading."""
+    comparison = compare(target, [made(noise_k=4.0)])
+    known = sensed(comparison, ["thermocouple_offset"]).whitened(comparison)
+
+    found = name_effect(comparison, known)
+
+    assert found.answer == "nothing"
+    assert found.gate_z < 3.0
+
+
+@pytest.mark.parametrize("name", ["gap_conduction", "shim_contact"])
+def test_the_hidden_effect_is_named(
+    target: Target, made: Callable[..., Recording], name: str
+) -> None:
+    recordings = [made({name: 1.3}), made({name: 1.3}, "other", seed=2)]
+    comparison = compare(target, recordings)
+
+    found = name_effect(
+        comparison, sensed(comparison, AMONG).whitened(comparison)
+    )
+
+    assert (found.answer, found.names) == ("name", (name,))
+    assert found.candidates[0].strength == pytest.approx(1.3, rel=0.1)
+    assert found.best_placebo_z < found.gate_z
+    assert all(gain > 0.0 for gain in found.cross_validated.values())
+
+
+def test_twins_are_a_class(
+    target: Target, made: Callable[..., Recording]
+) -> None:
+    comparison = compare(target, [made({"backplate_loss": 4.0})])
+    among = ("backplate_loss", "bracket_conduction", "gap_conduction")
+
+    found = name_effect(
+        comparison, sensed(comparison, among).whitened(comparison)
+    )
+
+    assert found.names[0] in {"backplate_loss", "bracket_conduction"}
+    assert found.answer in {"name", "class"}
+    if found.answer == "class":
+        assert set(found.names) == {"backplate_loss", "bracket_conduction"}
+
+
+def test_without_the_right_candidate_no_name_is_forced(
+    target: Target, made: Callable[..., Recording]
+) -> None:
+    comparison = compare(target, [made({"gap_conduction": 1.5})])
+    among = ["hub_conduction", "caliper_radiation", "backplate_loss"]
+
+    found = name_effect(
+        comparison, sensed(comparison, among).whitened(comparison)
+    )
+
+    assert found.answer == "unknown"
+    assert found.names == ()
+    assert "pad_front" in found.unknown_place
+
+
+def test_noise_of_another_form_takes_no_name(
+    target: Target, made: Callable[..., Recording]
+) -> None:
+    """What all effects together explain, and no heat does, is no heat."""
+    recordings = [made({"gap_conduction": 0.12}, noise_k=1.0)]
+    comparison = compare(target, recordings)
+    among = [
+        name
+        for name in candidates(target.config)
+        if effect_class(name).kind == "thermal"
+    ]
+    known = sensed(comparison, among).whitened(comparison)
+    own = [s.at(1.0) for s in known.signatures if s.name == "gap_conduction"]
+    heats = [one.change for one in known.unknown]
+    kept = np.linalg.qr(np.column_stack((known.jacobian, *heats, *own)))[0]
+    others = np.column_stack([s.at(1.0) for s in known.signatures])
+    others /= np.linalg.norm(others, axis=0)
+    beside = others - kept @ (kept.T @ others)
+    left, size, _ = np.linalg.svd(beside, full_matrices=False)
+    basis = left[:, size > 0.05]
+    noise = basis @ np.random.default_rng(3).standard_normal(basis.shape[1])
+    noise *= np.sqrt(2.0 * LEFT) / np.linalg.norm(noise)
+
+    found = name_effect(
+        comparison, replace(known, residual=known.residual + noise)
+    )
+
+    assert found.explained < 0.6
+    assert (found.answer, found.names) == ("name", ("gap_conduction",))
+
+
+def test_candidates_are_what_the_car_does_not_have_yet(
+    config: Config,
+) -> None:
+    extended = config.model_copy(
+        update={
+            "thermal": config.thermal.model_copy(
+                update={"structure": "extended"}
+            )
+        }
+    )
+
+    assert set(candidates(config)) == set(effect_names())
+    assert "gap_conduction" not in candidates(extended)
+
+
+def test_what_the_tunables_can_do_is_no_evidence() -> None:
+    rng = np.random.default_rng(5)
+    jacobian = rng.normal(0.0, 10.0, (200, 3))
+    direction = jacobian @ np.array([0.2, -0.1, 0.05])
+    own = rng.normal(0.0, 1.0, 200)
+    project = Projector(jacobian, np.ones(3))
+
+    twin = Signature("twin", direction, 0 * own, direction, either_sign=False)
+    other = Signature("other", own, 0 * own, own, either_sign=False)
+    on_twin = weigh(project, -direction, twin)
+    on_other = weigh(project, -0.7 * own, other)
+
+    assert on_twin.log_evidence < 0.5
+    assert on_other.strength == pytest.approx(0.7, abs=0.02)
+    assert on_other.log_evidence > 20.0
+
+
+def test_probabilities_sum_to_one() -> None:
+    found = [
+        Candidate("a", 1.0, 0.1, 5.0, 4.0, 0.3),
+        Candidate("b", 1.0, 0.1, 1.0, -1.0, 0.3),
+    ]
+
+    odds = probabilities(found)
+
+    assert sum(odds.values()) == pytest.approx(1.0)
+    assert odds["a"] > odds[""] > odds["b"]
+
+
+def test_the_fit_finds_strength_and_the_gap_shrinks(
+    target: Target, made: Callable[..., Recording]
+) -> None:
+    effects = {"gap_conduction": 1.3}
+    comparison = compare(target, [made(effects)])
+
+    found = fit(comparison, {"gap_conduction": 0.7})
+    shown = show(comparison, found, [made(effects, "held out", seed=3)])
+
+    assert found.strengths["gap_conduction"] == pytest.approx(1.3, rel=0.05)
+    assert shown.held_out
+    assert shown.shrinks[CONFIGURED].factor > 3.0
+    assert shown.shrinks[CONFIGURED].lower > 1.0
+    assert shown.bends[EXTENDED] < 0.3 * shown.bends[REFITTED]

@@ -1,0 +1,123 @@
+"""Drives heated anew: only what decides the heat is computed."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from bstm_daemon.analysis.gap import recording as module
+from bstm_daemon.analysis.gap.comparison import heats, with_effects
+from bstm_daemon.analysis.gap.fitting import effect_entries
+from bstm_daemon.analysis.gap.recording import Recording, inputs_of, recorded
+from bstm_daemon.bus.signals.columns import Events
+from bstm_daemon.channels import CHANNELS
+from bstm_daemon.cli.vehicle import load_vehicle
+from bstm_daemon.files import shipped_file
+from bstm_daemon.replay.columns import present_roles
+from bstm_daemon.roles import ROLE_INDEX
+from bstm_daemon.simulation import load_drive, simulate
+
+if TYPE_CHECKING:
+    from bstm_daemon.config.sections import Config
+
+
+@pytest.fixture(scope="module")
+def short(config: Config) -> Recording:
+    """Return a short drive as it was recorded, at 10 Hz."""
+    drive = simulate(load_drive("idiada-step"))
+    present = present_roles(
+        load_vehicle(shipped_file("config/example_vehicle.toml"))[1]
+    )
+    parts = [
+        (drive.time_s[::10], ROLE_INDEX[name], np.asarray(values)[::10])
+        for name, values in drive.roles.items()
+    ] + [
+        (drive.slow_time_s, ROLE_INDEX[name], values)
+        for name, values in drive.temperatures.items()
+    ]
+    parts = [part for part in parts if part[1] in present]
+    time_us = np.concatenate([np.rint(t * 1e6) for t, _, _ in parts])
+    order = np.argsort(time_us, kind="stable")
+    events = Events(
+        time_us.astype(np.int64)[order],
+        np.concatenate([np.full(len(t), r, np.int32) for t, r, _ in parts])[
+            order
+        ],
+        np.concatenate([values for _, _, values in parts])[order],
+        Counter(),
+    )
+    return recorded("short", events, config, present)
+
+
+@pytest.mark.parametrize(
+    "name", ["friction_speed", "brake_share", "hydraulic_lag"]
+)
+def test_heat_does_not_need_the_temperatures(
+    name: str,
+    config: Config,
+    short: Recording,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    on = with_effects(config, effect_entries({name: 1.0}))
+    alone = short.inputs(on)
+    monkeypatch.setattr(module._Heating, "leave_nodes", lambda _: None)
+
+    whole = short.inputs(on)
+
+    assert np.array_equal(alone, whole, equal_nan=True)
+    assert not np.array_equal(alone, short.drive.inputs, equal_nan=True)
+
+
+def test_only_effects_on_the_inputs_need_another_pass(config: Config) -> None:
+    acts = {
+        name: heats(effect_entries({name: 1.0})[0], config)
+        for name in (
+            *("friction_fade", "brake_share", "mass_error"),
+            *("friction_history", "residual_drag", "gap_conduction"),
+        )
+    }
+
+    assert acts == {
+        "friction_fade": True,
+        "brake_share": True,
+        "mass_error": True,
+        "friction_history": False,
+        "residual_drag": False,
+        "gap_conduction": False,
+    }
+
+
+def test_temperatures_of_no_brake_begin_anew(config: Config) -> None:
+    """A disc far too light gets absurdly hot, and worn pads follow it."""
+    fading = with_effects(config, effect_entries({"friction_fade": 1.0}))
+    corners = [
+        corner.model_copy(
+            update={"disc": corner.disc.model_copy(update={"mass_kg": 1e-4})}
+        )
+        for corner in fading.corner
+        if corner.disc is not None
+    ]
+    wear = fading.wear.model_copy(update={"pad_wear_m3_j": 3e-11})
+    light = fading.model_copy(update={"corner": corners, "wear": wear})
+    held = {
+        "vehicle_speed": 60.0,
+        "primary_pressure": 2e7,
+        "ambient_temperature": 300.0,
+    }
+    numbers = [ROLE_INDEX[role] for role in held]
+    count = 650
+    events = Events(
+        np.repeat(np.arange(count, dtype=np.int64) * 100_000, len(held)),
+        np.tile(np.array(numbers, np.int32), count),
+        np.tile(list(held.values()), count),
+        Counter(),
+    )
+
+    rows, _ = inputs_of(light, dict.fromkeys(numbers, 500_000), events)
+
+    power_w = rows[..., CHANNELS.index("brake_power_w")]
+    assert np.isfinite(power_w).all()
+    assert power_w.max() > 5e5

@@ -1,0 +1,250 @@
+"""What is missing although no effect of the catalogue explains it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import multivariate_normal
+
+from bstm_daemon.analysis.gap.evidence import (
+    explained_share,
+    missing_probability,
+    unnamed_beside,
+    weigh,
+)
+from bstm_daemon.analysis.gap.joint_effects import (
+    pair_evidence,
+    search_joint_effects,
+)
+from bstm_daemon.analysis.gap.naming import (
+    AGAINST,
+    EXPLAINED,
+    GATE_Z,
+    SOMETHING,
+    UNEXPLAINED,
+    name_effect,
+)
+from bstm_daemon.analysis.gap.noise import Layout, Series
+from bstm_daemon.analysis.gap.signatures import Linearised, Signature
+from bstm_daemon.analysis.gap.unnamed_heat import (
+    UnnamedHeat,
+    missing_evidence,
+)
+from bstm_daemon.analysis.statistics.evidence import (
+    FREE,
+    Projector,
+    fit_terms,
+)
+from bstm_daemon.analysis.statistics.whitening import SensorNoise
+
+POINTS = 300
+DRIVES = 2
+NAMES = ("hub_conduction", "gap_conduction", "pad_wear", "disc_hat")
+WHITE = SensorNoise(1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+PRIOR = np.ones(2)
+
+
+def drive(number: int) -> Series:
+    time_s = 10.0 * np.arange(POINTS)
+    still = np.zeros(POINTS)
+    return Series(
+        number,
+        "disc",
+        (("FL", "disc"),),
+        np.arange(POINTS),
+        time_s,
+        still,
+        still,
+        still,
+    )
+
+
+@pytest.fixture
+def layout() -> Layout:
+    series = [drive(number) for number in range(DRIVES)]
+    return Layout(series, {"disc": WHITE}, PRIOR, ("a", "b"))
+
+
+@pytest.fixture
+def quiet() -> Linearised:
+    """Return two drives with nothing missing."""
+    rng = np.random.default_rng(4)
+    size = DRIVES * POINTS
+    signatures = []
+    for name in NAMES:
+        change = rng.normal(0.0, 0.2, size)
+        signatures.append(
+            Signature(name, change, 0.0 * change, change, either_sign=False)
+        )
+    heats = tuple(
+        UnnamedHeat(node, regime, rng.normal(0.0, 0.2, size))
+        for node in ("disc", "fluid")
+        for regime in ("braking", "driving", "parked")
+    )
+    return Linearised(
+        rng.normal(0.0, 1.0, size),
+        rng.normal(0.0, 1.0, (size, 2)),
+        tuple(signatures),
+        (),
+        heats,
+    )
+
+
+def test_nothing_missing_is_said_to_be_nothing(
+    layout: Layout, quiet: Linearised
+) -> None:
+    assert name_effect(layout, quiet).answer == "nothing"
+
+
+def test_heat_at_one_place_does_not_pay_for_all_places(
+    layout: Layout, quiet: Linearised
+) -> None:
+    project = Projector(quiet.jacobian, layout.prior)
+    residual = quiet.residual - 0.9 * quiet.unknown[1].change
+    everywhere = np.column_stack([one.change for one in quiet.unknown])
+
+    at_one = missing_evidence(project, residual, quiet.unknown)
+
+    assert (
+        at_one
+        > fit_terms(project, residual, everywhere, 1.0).log_evidence + 1.0
+    )
+
+
+def moved(
+    layout: Layout, quiet: Linearised, deviations: dict[str, float]
+) -> Linearised:
+    """Return *quiet* where effects score these standard deviations."""
+    project = Projector(quiet.jacobian, layout.prior)
+    own = np.column_stack(
+        [s.linear for s in quiet.signatures if s.name in deviations]
+    )
+    projected = project(own)
+    gram = own.T @ projected
+    aimed = -np.array(list(deviations.values())) * np.sqrt(np.diag(gram))
+    short = aimed - projected.T @ quiet.residual
+    residual = quiet.residual + own @ np.linalg.solve(gram, short)
+    return replace(quiet, residual=residual)
+
+
+def test_two_that_stand_in_for_one_are_seen_though_neither_is(
+    layout: Layout, quiet: Linearised
+) -> None:
+    one, two = NAMES[:2]
+    alone = name_effect(layout, moved(layout, quiet, {one: 3.0, two: 0.0}))
+    both = name_effect(layout, moved(layout, quiet, {one: 3.6, two: 3.6}))
+
+    assert alone.answer == "nothing"
+    assert both.gate_z < GATE_Z
+    assert both.answer == "unknown"
+    assert SOMETHING <= both.probability < 1.0
+
+
+def test_below_the_gate_an_effect_is_likely_and_not_named(
+    layout: Layout, quiet: Linearised
+) -> None:
+    weak = name_effect(layout, moved(layout, quiet, {NAMES[0]: 3.9}))
+    plain = name_effect(layout, moved(layout, quiet, {NAMES[0]: 4.6}))
+
+    assert weak.answer == "undecided"
+    assert weak.names[0] == NAMES[0]
+    assert SOMETHING <= weak.probability < 1.0
+    assert weak.explained > 0.5
+    assert weak.best_placebo_z < weak.gate_z
+    assert plain.answer == "name"
+
+
+def test_a_pair_weighs_what_its_normal_strengths_do(
+    layout: Layout, quiet: Linearised
+) -> None:
+    """Against the densities of both models, of free signs."""
+    pair = tuple(replace(s, either_sign=True) for s in quiet.signatures[:2])
+    known = moved(layout, replace(quiet, signatures=pair), {NAMES[0]: 5.0})
+    project = Projector(known.jacobian, layout.prior)
+    found = [weigh(project, known.residual, one) for one in pair]
+    tunables = known.jacobian * layout.prior
+    strengths = FREE * np.column_stack([s.linear for s in pair])
+    free = np.eye(len(known.residual)) + tunables @ tunables.T
+
+    with_pair = multivariate_normal.logpdf(
+        known.residual, cov=free + strengths @ strengths.T
+    )
+    without = multivariate_normal.logpdf(known.residual, cov=free)
+
+    assert pair_evidence(project, known, found) == pytest.approx(
+        with_pair - without, abs=1e-6
+    )
+
+
+def test_without_heats_to_ask_for_much_that_is_left_is_not_guessed(
+    layout: Layout, quiet: Linearised
+) -> None:
+    """As by forces alone: four effects, of which three could be named."""
+    all_four = dict.fromkeys(NAMES, 5.5)
+    known = replace(moved(layout, quiet, all_four), unknown=())
+
+    found = name_effect(layout, known)
+
+    assert found.answer == "unknown"
+    assert found.unknown_place == ""
+
+
+@pytest.mark.parametrize(
+    ("of_heat", "answer"), [(1.6, "name"), (2.6, "unknown")]
+)
+def test_two_that_leave_much_stand_in_for_something_else(
+    layout: Layout, quiet: Linearised, of_heat: float, answer: str
+) -> None:
+    """Little may be left of plain ones, whose forms are not the real ones."""
+    pair = NAMES[:2]
+    known = moved(layout, quiet, dict.fromkeys(pair, 20.0))
+    heat = quiet.unknown[0].change
+    known = replace(known, residual=known.residual - of_heat * heat)
+    project = Projector(known.jacobian, layout.prior)
+    both = search_joint_effects(
+        project,
+        known,
+        sorted(
+            (weigh(project, known.residual, one) for one in known.signatures),
+            key=lambda one: -one.log_evidence,
+        ),
+    ).chosen
+    explained, left = explained_share(project, known, both)
+
+    found = name_effect(layout, known)
+
+    assert found.answer == answer
+    assert set(found.names) == (set(pair) if answer == "name" else set())
+    # whichever the answer, something else is plainly there
+    assert {one.name for one in both} == set(pair)
+    assert explained == pytest.approx(found.explained)
+    assert explained > EXPLAINED
+    assert left > UNEXPLAINED
+    assert unnamed_beside(project, known, both) > 0.0
+
+
+def test_ways_of_missing_are_as_likely_each() -> None:
+    assert missing_probability([0.0, 0.0, 0.0]) == pytest.approx(0.5)
+    assert missing_probability([np.log(27.0), -np.inf, -np.inf]) == (
+        pytest.approx(0.9)
+    )
+    assert missing_probability([-np.inf] * 3) == 0.0
+    assert missing_probability([5000.0, 0.0, 0.0]) == pytest.approx(1.0)
+
+
+def test_an_effect_that_another_drive_contradicts_is_not_named(
+    layout: Layout, quiet: Linearised
+) -> None:
+    own = quiet.signatures[0]
+    both = np.repeat((3.0, 0.0), POINTS)
+    agreed = replace(quiet, residual=quiet.residual - 3.0 * own.kelvin)
+    contradicted = replace(quiet, residual=quiet.residual - both * own.kelvin)
+
+    named = name_effect(layout, agreed)
+    refused = name_effect(layout, contradicted)
+
+    assert (named.answer, named.names) == ("name", (own.name,))
+    assert min(refused.cross_validated.values()) < -AGAINST
+    assert refused.answer == "unknown"

@@ -1,0 +1,187 @@
+"""Logs as drives: inputs, thermocouples, and where they begin."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from bstm_daemon.analysis.matching.drives import (
+    GRID_S,
+    Drive,
+    Thermocouple,
+    read_drive,
+)
+from bstm_daemon.analysis.matching.march import (
+    Forced,
+    initial_temperatures,
+    march,
+)
+from bstm_daemon.cli.vehicle import load_vehicle
+from bstm_daemon.errors import UsageError
+from bstm_daemon.estimator.corner_model import compile_corner
+from bstm_daemon.simulation import SimulatedDrive, simulate
+from bstm_daemon.simulation.drives import parse_drive
+from bstm_daemon.simulation.frames import START_STAMP_S, Encoder
+from bstm_daemon.simulation.recorder import write_candump
+from bstm_daemon.units import KELVIN_OFFSET
+
+if TYPE_CHECKING:
+    from bstm_daemon.config.sections import Config
+
+ROOT = Path(__file__).parents[3]
+EXAMPLE = ROOT / "config" / "example_vehicle.toml"
+
+SHORT = """
+[drive]
+name = "short"
+description = "two stops and a soak"
+ambient_c = 25.0
+start_c = 60.0
+propulsion = "engine"
+thermocouple_logger = true
+
+[[segment]]
+repeat = 2
+
+[[segment.segment]]
+speed_kmh = 80.0
+rate_ms2 = 2.5
+gear = 3
+duration_s = 10.0
+
+[[segment.segment]]
+speed_kmh = 0.0
+rate_ms2 = 5.0
+gear = 0
+
+[[segment]]
+parked = true
+ignition = false
+duration_s = 400.0
+"""
+
+
+@pytest.fixture(scope="module")
+def driven() -> SimulatedDrive:
+    return simulate(parse_drive(SHORT, "short.toml"), sensors="n1", seed=4)
+
+
+@pytest.fixture(scope="module")
+def log(
+    driven: SimulatedDrive, tmp_path_factory: pytest.TempPathFactory
+) -> Path:
+    path = tmp_path_factory.mktemp("drives") / "short.log"
+    encoder = Encoder(ROOT / "dbc" / "example_vehicle.dbc")
+    write_candump(path, driven, encoder)
+    return path
+
+
+@pytest.fixture(scope="module")
+def drive(log: Path) -> Drive:
+    config, signal_map = load_vehicle(EXAMPLE)
+    return read_drive(log, config, signal_map, estimates=True)
+
+
+def test_no_brake_energy_is_lost_on_the_coarser_grid(
+    drive: Drive, driven: SimulatedDrive
+) -> None:
+    found = drive.channel("FL", "brake_power_w").sum() * GRID_S
+
+    true = driven.brake_energy_j[-1, 0]
+    assert found == pytest.approx(true, rel=0.03)
+
+
+def test_thermocouples_keep_their_own_times(
+    drive: Drive, driven: SimulatedDrive
+) -> None:
+    couple = drive.measured["FL"]["disc"]
+    log_s = couple.time_s + drive.start_s - START_STAMP_S
+
+    true = np.interp(log_s, driven.slow_time_s, driven.truth["FL.disc"])
+    off = couple.temperature_k - true
+    # white noise of n1, 0.5 K; a second late in a stop would be 20 K
+    assert np.std(off) < 1.5
+    assert set(drive.measured) == {"FL", "FR"}
+
+
+def test_the_air_of_a_sleeping_bus_is_the_last_one(drive: Drive) -> None:
+    air = drive.channel("FL", "ambient_k")
+
+    assert air[20:] == pytest.approx(25.0 + KELVIN_OFFSET)
+
+
+def test_the_estimator_begins_as_measured(drive: Drive) -> None:
+    assert drive.estimates is not None
+    columns = drive.estimates.columns
+
+    for node in ("disc", "pad_front", "pad_back", "fluid"):
+        assert columns[f"FL.{node}_c"][0] == pytest.approx(60.0, abs=1.5)
+
+
+def test_the_coarse_grid_is_the_estimator_within_half_a_kelvin(
+    drive: Drive,
+) -> None:
+    config, _ = load_vehicle(EXAMPLE)
+    assert drive.estimates is not None
+    program = compile_corner(config, config.corner[0])
+    initial = initial_temperatures(program, drive, "FL")
+
+    found = march([program], drive, "FL", initial)
+
+    columns = drive.estimates.columns
+    for node, limit in (("disc", 0.5), ("pad_back", 0.2), ("fluid", 0.2)):
+        fine = np.interp(
+            drive.time_s, columns["time_s"], columns[f"FL.{node}_c"]
+        )
+        coarse = found[node][:, 0] - KELVIN_OFFSET
+        assert np.abs(coarse - fine)[4:].max() < limit, node
+
+
+def test_a_forced_node_follows_and_is_free_in_gaps(
+    drive: Drive, config: Config
+) -> None:
+    program = compile_corner(config, config.corner[0])
+    initial = initial_temperatures(program, drive, "FL")
+    series = np.full(len(drive), 400.0)
+    series[100:] = np.nan
+
+    found = march([program], drive, "FL", initial, Forced({"fluid": series}))
+
+    assert found["fluid"][:100, 0] == pytest.approx(400.0)
+    assert np.all(np.diff(found["fluid"][100:, 0]) < 0.0)
+
+
+def test_a_gap_of_a_thermocouple_is_not_bridged() -> None:
+    couple = Thermocouple(
+        np.array([0.0, 1.0, 60.0, 61.0]), np.array([300.0, 301, 360, 361])
+    )
+
+    found = couple.at(np.array([0.5, 30.0, 60.5, 90.0]))
+
+    assert found[[0, 2]] == pytest.approx([300.5, 360.5])
+    assert np.isnan(found[[1, 3]]).all()
+
+
+def test_who_knows_the_power_knows_that_pads_touch(drive: Drive) -> None:
+    power = np.zeros(len(drive))
+    power[100:120] = 40.0
+
+    as_before = drive.with_power({"FL": power})
+    pressed = drive.with_power({"FL": power}, pressed=True)
+
+    on = drive.channel("FL", "brake_on")
+    assert as_before.channel("FL", "brake_on") == pytest.approx(on)
+    assert pressed.channel("FL", "brake_on")[100:120] == pytest.approx(1.0)
+    rest = np.r_[0:100, 120 : len(drive)]
+    assert pressed.channel("FL", "brake_on")[rest] == pytest.approx(on[rest])
+
+
+def test_a_measured_disc_is_no_heat(log: Path) -> None:
+    config, signal_map = load_vehicle(EXAMPLE)
+    heat = config.heat.model_copy(update={"mode": "measured"})
+
+    with pytest.raises(UsageError, match="choose another mode"):
+        read_drive(log, config.model_copy(update={"heat": heat}), signal_map)

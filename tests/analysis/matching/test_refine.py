@@ -1,0 +1,193 @@
+"""The joint refinement on drives whose right values are known."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from bstm_daemon.analysis.matching.identifiability import ratios, verdicts
+from bstm_daemon.analysis.matching.matcher import match_drives
+from bstm_daemon.analysis.matching.problem import FIRST
+from bstm_daemon.analysis.matching.refine import (
+    Refinement,
+    fitted,
+    held_out,
+    learned,
+    refine,
+)
+from bstm_daemon.analysis.matching.tunables import REFINED, TUNABLES
+from bstm_daemon.analysis.statistics.whitening import SensorNoise
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from bstm_daemon.analysis.matching.drives import Drive
+    from bstm_daemon.analysis.matching.tunables import Target
+
+TIME_S = np.arange(0.0, 2000.0, 10.0)
+RIGHT = {
+    "thermal.disc_mass_correction_factor": 1.0,
+    "thermal.heat_partition_correction_factor": 1.1,
+    "thermal.pad_backplate_thermal_resistance_m2k_w": 4.0e-3,
+    "thermal.fluid_static_convection_w_k": 1.2,
+    "thermal.fluid_caliper_thermal_capacity_j_k": 2100.0,
+    "cooling.s_per_s at 36 km/h": 1.15,
+}
+
+
+def test_right_values_are_found(
+    target: Target, made: Callable[..., Drive]
+) -> None:
+    drives = [made(RIGHT, noise_k=0.5)]
+
+    fit = refine(target, drives, REFINED)
+
+    for key, right in RIGHT.items():
+        assert fit.values[key] == pytest.approx(right, rel=0.03), key
+        # not overconfident: most errors are below two deviations
+        assert abs(fit.values[key] - right) < 4.0 * (
+            fit.standard_deviation(key) + 0.002 * right
+        )
+    assert not fit.at_bound
+    assert max(fit.rms_k.values()) < 2.0
+
+
+def test_a_wrong_form_ends_at_a_bound_and_says_so(
+    target: Target, made: Callable[..., Drive]
+) -> None:
+    """Half the heat is missing: the disc would have to be too light."""
+    drives = [made(RIGHT, scale=1.0)]
+    power = drives[0].channel("FL", "brake_power_w")
+    starved = [drives[0].with_power({"FL": 0.5 * power})]
+
+    fit = refine(target, starved, ("thermal.disc_mass_correction_factor",))
+
+    assert fit.at_bound == ("thermal.disc_mass_correction_factor",)
+    assert "physical bound 0.7" in verdicts(fit)[0].reason
+    assert fit.values[fit.keys[0]] == pytest.approx(0.7)
+
+
+def test_without_temperatures_of_a_part_its_values_are_the_priors(
+    target: Target, made: Callable[..., Drive]
+) -> None:
+    """From the disc alone the fluid's values can not be known."""
+    drives = [made(RIGHT, nodes=("disc",))]
+    keys = (
+        "thermal.disc_mass_correction_factor",
+        "thermal.fluid_caliper_thermal_capacity_j_k",
+    )
+
+    fit = refine(target, drives, keys)
+    of_disc, of_fluid = verdicts(fit)
+
+    assert of_disc.settled
+    assert not of_fluid.settled
+    assert "prior" in of_fluid.reason
+    assert fit.values[keys[1]] == pytest.approx(
+        target.value(TUNABLES[keys[1]]), rel=0.01
+    )
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_ratio_that_is_known_better_than_its_parts_is_named(
+    sign: float,
+) -> None:
+    """Gauge freedom: a conductance over a capacity, neither by itself."""
+    keys = (
+        "thermal.fluid_static_convection_w_k",
+        "thermal.fluid_caliper_thermal_capacity_j_k",
+    )
+    covariance = 0.01 * np.array([[1.0, 0.98 * sign], [0.98 * sign, 1.0]])
+    prior = np.array([0.3, 0.15])
+    fit = Refinement(
+        keys, {}, dict.fromkeys(keys, 1.0), prior, covariance,
+        np.linalg.inv(covariance), (), {}, {}, 100, 10,
+    )  # fmt: skip
+
+    (found,) = ratios(fit)
+
+    assert found.product is (sign < 0.0)
+    assert found.deviation == pytest.approx(0.1 * np.sqrt(2.0 * 0.02))
+    assert "only together with" in verdicts(fit)[1].reason
+
+
+def test_held_out_drives_show_what_a_fit_does_not(
+    target: Target, made: Callable[..., Drive]
+) -> None:
+    """Two drives that contradict each other fit together half-way."""
+    drives = [
+        made(RIGHT, "one", noise_k=0.3),
+        made({**RIGHT, "thermal.disc_mass_correction_factor": 1.2}, "two"),
+    ]
+    keys = ("thermal.disc_mass_correction_factor",)
+    fit = refine(target, drives, keys)
+
+    found = held_out(target, drives, fit)
+
+    assert found.drives == 2
+    assert found.rms_k["disc"] > 1.3 * fit.rms_k["disc"]
+
+
+@pytest.mark.slow
+def test_the_other_form_of_cooling_is_named_where_it_fits(
+    target: Target, made: Callable[..., Drive]
+) -> None:
+    """The car cools at a constant conductance, the configuration says rate."""
+    right = target.with_cooling_form("conductance")
+    drive = made(target=right)
+
+    wrong, of_right = (
+        match_drives(one.config, [drive], beside=False)[0].remarks
+        for one in (target, right)
+    )
+
+    assert any('form = "conductance" would leave' in one for one in wrong)
+    assert not any("would leave" in one for one in of_right)
+
+
+def test_a_single_drive_holds_nothing_out(
+    target: Target, made: Callable[..., Drive]
+) -> None:
+    drives = [made(RIGHT)]
+    fit = refine(target, drives, ("thermal.disc_mass_correction_factor",))
+
+    assert held_out(target, drives, fit).drives == 0
+
+
+def test_floor_and_share_are_told_apart() -> None:
+    rng = np.random.default_rng(3)
+    rise = rng.uniform(0.0, 500.0, 40_000)
+    error = rng.normal(0.0, np.hypot(2.0, 0.03 * rise))
+
+    found = fitted([(error, rise, 0.0)])
+
+    assert found.floor_k == pytest.approx(2.0, rel=0.35)
+    assert found.share == pytest.approx(0.03, rel=0.05)
+    assert found.deviation_k(np.array([100.0])) == pytest.approx(
+        np.hypot(found.floor_k, 3.0), rel=0.1
+    )
+
+
+def test_white_noise_and_drift_are_learned_apart() -> None:
+    """Residuals of the covariance that the noise claims."""
+    noise = SensorNoise(1.0, 2.0, 0.0, 0.01, quick_s=0.0)
+    still = np.zeros(len(TIME_S))
+    lower = np.linalg.cholesky(noise.covariance(TIME_S, still))
+    rng = np.random.default_rng(1)
+    drawn = [lower @ rng.standard_normal(len(TIME_S)) for _ in range(12)]
+
+    found = learned(FIRST["fluid"], drawn, [TIME_S] * 12)
+
+    assert found.white_k == pytest.approx(1.0, rel=0.25)
+    assert found.drift_k == pytest.approx(2.0, rel=0.25)
+
+
+def test_a_node_that_the_model_misses_is_still_believed() -> None:
+    """Else it would be missed the more from round to round."""
+    wrong = [np.full(len(TIME_S), 80.0)]
+
+    found = learned(FIRST["disc"], wrong, [TIME_S])
+
+    assert found.drift_k <= 1.5 * FIRST["disc"].drift_k

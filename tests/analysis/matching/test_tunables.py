@@ -1,0 +1,102 @@
+"""Tunables as keys of a configuration."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+
+from bstm_daemon.analysis.matching.tunables import (
+    FAST,
+    REFINED,
+    S_SPEEDS_MS,
+    SLOW,
+    TABLE_4_1,
+    TUNABLES,
+    Target,
+    targets_of,
+    usable,
+)
+from bstm_daemon.config.sections import EffectConfig
+from bstm_daemon.estimator.corner_model import compile_corner
+from bstm_daemon.model.thermal.program import same_structure
+
+if TYPE_CHECKING:
+    from bstm_daemon.config.sections import Config
+
+
+def test_the_thesis_has_nine_and_the_refinement_twelve() -> None:
+    assert len(TABLE_4_1) == 9
+    assert 8 <= len(REFINED) <= 12
+
+
+def having(target: Target, key: str) -> Target:
+    """Return *target* with the effect that *key* is of."""
+    if not key.startswith("effect."):
+        return target
+    entry = EffectConfig(name=key.split(".")[1])
+    config = target.config.model_copy(update={"effect": [entry]})
+    return Target(config, target.corners)
+
+
+@pytest.mark.parametrize("key", sorted(TUNABLES))
+def test_a_value_is_read_where_it_is_written(key: str, target: Target) -> None:
+    target = having(target, key)
+    tunable = TUNABLES[key]
+    middle = (tunable.lower * tunable.upper) ** 0.5
+
+    changed = target.changed({key: middle})
+
+    if key not in S_SPEEDS_MS:
+        assert changed.value(tunable) == pytest.approx(middle)
+    assert changed.config.corner[1] == target.config.corner[1]
+
+
+@pytest.mark.parametrize("key", sorted(TUNABLES))
+def test_variants_are_lanes_of_one_march(key: str, target: Target) -> None:
+    target = having(target, key)
+    tunable = TUNABLES[key]
+    programs = [
+        compile_corner(one.config, one.corner)
+        for value in (tunable.lower, tunable.upper)
+        for one in (target.changed({key: value}),)
+    ]
+
+    assert same_structure(programs)
+    assert programs[0].floats != programs[1].floats
+
+
+def test_the_s_table_bends_between_its_speeds(target: Target) -> None:
+    before = target.config.cooling_of(target.corner)
+
+    changed = target.changed({SLOW: 2.0, FAST: 0.5})
+    after = changed.config.cooling_of(changed.corner)
+
+    factors = [
+        new / old
+        for new, old in zip(after.s_per_s, before.s_per_s, strict=True)
+    ]
+    assert factors[:3] == pytest.approx([2.0, 2.0, 2.0])
+    assert factors[4] == pytest.approx(1.0)
+    assert factors[-1] == pytest.approx(0.5)
+
+
+def test_what_is_zero_stays_and_is_said(target: Target) -> None:
+    keys, remarks = usable(
+        target, ("thermal.pad_static_loss_w_k", "thermal.disc_emissivity")
+    )
+
+    assert keys == ["thermal.disc_emissivity"]
+    assert "pad_static_loss_w_k is 0" in remarks[0]
+
+
+def test_alike_corners_are_matched_together(config: Config) -> None:
+    found = targets_of(config, ["FL", "FR", "RL"])
+
+    assert [one.corners for one in found] == [("FL", "FR"), ("RL",)]
+
+
+def test_or_each_by_itself(config: Config) -> None:
+    found = targets_of(config, ["FL", "FR"], each=True)
+
+    assert [one.corners for one in found] == [("FL",), ("FR",)]

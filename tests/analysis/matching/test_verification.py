@@ -1,0 +1,101 @@
+"""Errors, peaks, verdicts and coverage of known curves."""
+
+from __future__ import annotations
+
+from math import isnan
+
+import numpy as np
+import pytest
+
+from bstm_daemon.analysis.matching.refine import NodeAccuracy
+from bstm_daemon.analysis.matching.verification import (
+    LIMITS,
+    NodeErrors,
+    compared,
+    coverage,
+    judged,
+    peak_of,
+)
+
+TIME_S = np.arange(1.0, 9001.0)
+AIR_C = np.full(len(TIME_S), 10.0)
+HILL_C = 10.0 + 120.0 * np.exp(-(((TIME_S - 3000.0) / 1500.0) ** 2))
+LATER_C = 10.0 + 125.0 * np.exp(-(((TIME_S - 3200.0) / 1500.0) ** 2))
+
+
+def of(
+    node: str,
+    estimated: np.ndarray,
+    measured: np.ndarray = HILL_C,
+    accuracy: NodeAccuracy | None = None,
+) -> NodeErrors:
+    """Compare two curves as one node of a drive."""
+    masks = {"soak": TIME_S > 2500.0, "driving": TIME_S <= 2500.0}
+    return compared(
+        ("drive", "FL", node, 9000.0),
+        (TIME_S, measured, estimated, AIR_C),
+        masks,
+        accuracy,
+    )
+
+
+def test_a_peak_has_height_and_time() -> None:
+    peak = peak_of(TIME_S, HILL_C, LATER_C, AIR_C)
+
+    assert peak.apart_k == pytest.approx(5.0, abs=0.01)
+    assert peak.apart_s == pytest.approx(200.0, abs=2.0)
+
+
+def test_a_peak_at_the_end_of_the_record_has_no_time() -> None:
+    rising = np.linspace(10.0, 200.0, len(TIME_S))
+
+    assert isnan(peak_of(TIME_S, rising, rising, AIR_C).apart_s)
+
+
+def test_errors_by_phase() -> None:
+    shifted = HILL_C + np.where(TIME_S > 2500.0, 4.0, 1.0)
+
+    found = of("fluid", shifted)
+
+    assert found.phase_rms_k == pytest.approx({"soak": 4.0, "driving": 1.0})
+    assert found.largest_k == pytest.approx(4.0)
+    assert found.last_k == pytest.approx(4.0)
+
+
+def test_the_thesis_asks_for_30_k_and_5_min() -> None:
+    within = judged([of("fluid", LATER_C)], LIMITS["thesis"])
+    beyond = judged([of("fluid", HILL_C + 31.0)], LIMITS["thesis"])
+
+    assert [one.passed for one in within] == [True, True]
+    assert [one.passed for one in beyond] == [False, True]
+
+
+def test_narrower_limits_judge_more() -> None:
+    late = judged([of("fluid", LATER_C)], LIMITS["goal"])
+    missed = {one.what for one in late if not one.passed}
+
+    assert "fluid, peak time [s]" in missed
+    assert any("last 20 min" in one.what for one in late)
+
+
+def test_the_disc_is_judged_below_650_degc() -> None:
+    """Above, one lump is no disc; the error there counts for nothing."""
+    hot = np.where(TIME_S < 100.0, 700.0, 400.0)
+
+    found = of("disc", hot + np.where(TIME_S < 100.0, 90.0, 3.0), hot)
+
+    assert found.rms_k == pytest.approx(3.0)
+
+
+def test_ninety_percent_are_covered_where_the_errors_are_as_said() -> None:
+    rng = np.random.default_rng(5)
+    accuracy = NodeAccuracy(2.0, 0.0)
+
+    errors = [
+        of("fluid", HILL_C + rng.normal(0.0, 2.0), accuracy=accuracy)
+        for _ in range(300)
+    ]
+    inside, counted = coverage(errors)
+
+    assert counted == 300 * 7
+    assert 0.85 < inside / counted < 0.95

@@ -1,0 +1,413 @@
+"""Defects of DBC files in the wild: refused with the place, or left out."""
+
+import os
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from bstm_daemon.bus.signals.dbc import (
+    LoadedDbc,
+    UnusableSignalError,
+    raw_signal,
+    read_dbc,
+)
+from bstm_daemon.bus.signals.dbc_text import (
+    guess_encoding,
+    statements_of,
+    without,
+)
+from bstm_daemon.errors import ConfigError
+
+REAL = os.environ.get("BSTM_REAL_DATA")
+
+HEAD = 'VERSION ""\n\nBU_: X\n\n'
+GOOD = """BO_ 100 BRAKE: 8 X
+ SG_ pressure : 0|16@1+ (0.1,0) [0|250] "bar" X
+ SG_ pressed : 16|1@1+ (1,0) [0|1] "" X
+
+"""
+WHOLE = HEAD + GOOD
+"""Its messages begin in line 5."""
+
+
+def signals_of(loaded: LoadedDbc) -> dict[str, list[str]]:
+    return {
+        message.name: [signal.name for signal in message.signals]
+        for message in loaded.database.messages
+    }
+
+
+def lenient(path: Path, encoding: str = "cp1252") -> LoadedDbc:
+    return read_dbc(path, strict=False, encoding=encoding)
+
+
+CASES = {
+    "VAL_ of an unknown message": (
+        WHOLE + 'VAL_ 2147483648 state 0 "off" 1 "on" ;\n',
+        {"BRAKE": ["pressure", "pressed"]},
+        ["line 9: VAL_ of signal 'state': there is no message with id"],
+    ),
+    "VAL_ of an unknown signal": (
+        WHOLE + 'VAL_ 100 state 0 "off" 1 "on" ;\n',
+        {"BRAKE": ["pressure", "pressed"]},
+        ["line 9: message 'BRAKE': VAL_ of signal 'state': there is no such"],
+    ),
+    "SIG_VALTYPE_ of an unknown message": (
+        WHOLE + "SIG_VALTYPE_ 101 level : 1;\n",
+        {"BRAKE": ["pressure", "pressed"]},
+        ["line 9: SIG_VALTYPE_ of signal 'level'"],
+    ),
+    "comment without its kind": (
+        WHOLE + 'CM_ 100 "of which?";\nCM_ BO_ 100 "fine";\n',
+        {"BRAKE": ["pressure", "pressed"]},
+        ['line 9: cannot be read: CM_ 100 "of which?";'],
+    ),
+    "message name twice": (
+        WHOLE
+        + 'BO_ 101 BRAKE: 8 X\n SG_ other : 0|8@1+ (1,0) [0|0] "" X\n'
+        + 'VAL_ 101 other 0 "no" ;\n',
+        {"BRAKE": ["pressure", "pressed"]},
+        ["line 9: message 'BRAKE': has the name of the message in line 5"],
+    ),
+    "signal name twice": (
+        HEAD + GOOD.replace("pressed", "pressure"),
+        {"BRAKE": ["pressure"]},
+        ["line 7: message 'BRAKE': signal 'pressure' is declared in line 6"],
+    ),
+    "signal outside its message": (
+        WHOLE.replace("16|1@", "64|1@"),
+        {"BRAKE": ["pressure", "pressed"]},
+        ["line 7: message 'BRAKE': signals do not fit in its 8 bytes: pre"],
+    ),
+    "signals overlap": (
+        WHOLE.replace("16|1@", "15|1@"),
+        {"BRAKE": ["pressure", "pressed"]},
+        ["line 6: message 'BRAKE': signals overlap: pressure and pressed"],
+    ),
+    "signal without bits": (
+        WHOLE.replace("16|1@", "16|0@"),
+        {"BRAKE": ["pressure"]},
+        ["line 7: message 'BRAKE': signal 'pressed' has no bits"],
+    ),
+    "message without bytes": (
+        WHOLE.replace("BRAKE: 8", "BRAKE: 0"),
+        {"BRAKE": ["pressure", "pressed"]},
+        ["signals do not fit in its 0 bytes: pressure; pressed"],
+    ),
+    "id too large": (
+        WHOLE + 'BO_ 5000 BIG: 8 X\n SG_ b : 0|8@1+ (1,0) [0|0] "" X\n',
+        {"BRAKE": ["pressure", "pressed"]},
+        ["line 9: message 'BIG': its id 5000 has more than 11 bits"],
+    ),
+    "missing semicolons": (
+        WHOLE
+        + 'CM_ BO_ 100 "one"\nCM_ SG_ 100 pressed "two"\n'
+        + 'VAL_ 100 pressed 0 "off"\n',
+        {"BRAKE": ["pressure", "pressed"]},
+        [
+            "line 9: the semicolon is missing",
+            "line 10: the semicolon is missing",
+            "line 11: the semicolon is missing",
+        ],
+    ),
+    "missing receiver and sender": (
+        WHOLE.replace('"" X\n', '""\n').replace("BRAKE: 8 X", "BRAKE: 8"),
+        {"BRAKE": ["pressure", "pressed"]},
+        [
+            "line 5: the sender is missing",
+            "line 7: message 'BRAKE': the receiver is missing",
+        ],
+    ),
+    "missing quote": (
+        'VERSION ""\nCM_ "never closed;\n' + GOOD,
+        {"BRAKE": ["pressure", "pressed"]},
+        ['line 2: cannot be read: CM_ "never closed;'],
+    ),
+    "unreadable message": (
+        HEAD + 'BO_ ten TEN: 8 X\n SG_ t : 0|8@1+ (1,0) [0|0] "" X\n' + GOOD,
+        {"BRAKE": ["pressure", "pressed"]},
+        ["line 5: cannot be read: BO_ ten TEN: 8 X"],
+    ),
+    "stray lines": (
+        HEAD + GOOD.replace("\n\n", "\nhello, world\n") + "\n",
+        {"BRAKE": ["pressure", "pressed"]},
+        ["line 8: message 'BRAKE': cannot be read: hello, world"],
+    ),
+    "letter outside ASCII in a name": (
+        HEAD + GOOD.replace("pressed", "gedr\u00fcckt"),
+        {"BRAKE": ["pressure"]},
+        ["line 7: message 'BRAKE': cannot be read: SG_ gedr\u00fcckt"],
+    ),
+    "signal before any message": (
+        HEAD + ' SG_ s : 0|8@1+ (1,0) [0|0] "" X\n' + GOOD,
+        {"BRAKE": ["pressure", "pressed"]},
+        ["line 5: a signal before the first message"],
+    ),
+    "no multiplexer": (
+        WHOLE.replace("pressed :", "pressed m1 :"),
+        {"BRAKE": ["pressure"]},
+        ["signal 'pressed' is multiplexed (m1), but no multiplexer is"],
+    ),
+    "two multiplexers, nobody says whose": (
+        HEAD
+        + "BO_ 100 MUX: 8 X\n"
+        + ' SG_ one M : 0|8@1+ (1,0) [0|0] "" X\n'
+        + ' SG_ two M : 8|8@1+ (1,0) [0|0] "" X\n'
+        + ' SG_ leaf m1 : 16|8@1+ (1,0) [0|0] "" X\n',
+        {"MUX": ["one", "two"]},
+        ["'leaf' is multiplexed (m1), but no SG_MUL_VAL_ tells which of one"],
+    ),
+    "multiplexer that is not there": (
+        HEAD
+        + "BO_ 100 MUX: 8 X\n"
+        + ' SG_ one m0M : 0|8@1+ (1,0) [0|0] "" X\n'
+        + ' SG_ leaf m1M : 16|8@1+ (1,0) [0|0] "" X\n'
+        + ' SG_ free : 24|8@1+ (1,0) [0|0] "" X\n'
+        + "SG_MUL_VAL_ 100 leaf three 1-1;\n",
+        {"MUX": ["free"]},
+        [
+            "line 6: message 'MUX': signal 'one'",
+            "line 7: message 'MUX': signal 'leaf'",
+            "SG_MUL_VAL_ of signal 'leaf': no signal is the multiplexer",
+        ],
+    ),
+    "attribute nobody defined": (
+        WHOLE + 'BA_ "Cycle" BO_ 100 20;\n',
+        {"BRAKE": ["pressure", "pressed"]},
+        ["line 9: the attributes (BA_...) cannot be read"],
+    ),
+    "mark m without a number": (
+        HEAD
+        + "BO_ 100 MUX: 8 X\n"
+        + ' SG_ code m : 0|8@1+ (1,0) [0|0] "" X\n'
+        + ' SG_ leaf m1 : 8|8@1+ (1,0) [0|0] "" X\n',
+        {"MUX": ["code", "leaf"]},
+        ["line 6: message 'MUX': signal 'code' has the mark 'm'"],
+    ),
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_lenient_loads_the_rest_and_names_the_defect(
+    tmp_path: Path, name: str
+) -> None:
+    text, remaining, expected = CASES[name]
+    path = tmp_path / "car.dbc"
+    path.write_text(text, encoding="cp1252")
+
+    loaded = lenient(path)
+
+    warnings = [str(one) for one in loaded.warnings]
+    assert signals_of(loaded) == remaining
+    assert len(warnings) == len(expected)
+    assert all(
+        part in line for part, line in zip(expected, warnings, strict=True)
+    )
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_strict_refuses_with_every_defect(tmp_path: Path, name: str) -> None:
+    text, _, expected = CASES[name]
+    path = tmp_path / "car.dbc"
+    path.write_text(text, encoding="cp1252")
+
+    with pytest.raises(ConfigError) as caught:
+        read_dbc(path, strict=True, encoding="cp1252")
+
+    assert len(caught.value.problems) == len(expected)
+    assert all(
+        line.startswith(f"{path}: ") and part in line and "strict = fa" in line
+        for part, line in zip(expected, caught.value.problems, strict=True)
+    )
+
+
+def test_a_multiplexer_marked_m_works_as_one(tmp_path: Path) -> None:
+    path = tmp_path / "car.dbc"
+    path.write_text(CASES["mark m without a number"][0])
+
+    code, leaf = lenient(path).database.messages[0].signals
+
+    assert code.is_multiplexer
+    assert (leaf.multiplexer_signal, leaf.multiplexer_ids) == ("code", [1])
+
+
+def test_two_messages_of_one_id_are_said_and_both_kept(tmp_path: Path) -> None:
+    path = tmp_path / "car.dbc"
+    path.write_text(WHOLE + "BO_ 100 OTHER: 8 X\n")
+
+    loaded = read_dbc(path, strict=True, encoding="cp1252")
+
+    assert list(signals_of(loaded)) == ["BRAKE", "OTHER"]
+    assert "has the id of message 'BRAKE'" in str(loaded.warnings[0])
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        GOOD,
+        WHOLE.replace("\n", "\r\n"),
+        WHOLE.replace("\n", "\r"),
+        WHOLE + "// a remark // twice\n",
+        WHOLE + 'CM_ "http://example.org\nBO_ 1 in a text: it stays";\n',
+        'VERSION ""\nNS_ :\n\tCM_\n\tBO_\n\nBS_:\n\nBU_: X\n' + GOOD,
+    ],
+    ids=["no version", "CRLF", "CR", "remark", "long text", "NS_"],
+)
+@pytest.mark.parametrize("strict", [True, False])
+def test_what_is_odd_but_readable_is_no_defect(
+    tmp_path: Path, text: str, *, strict: bool
+) -> None:
+    path = tmp_path / "car.dbc"
+    path.write_bytes(text.encode())
+
+    loaded = read_dbc(path, strict=strict, encoding="cp1252")
+
+    assert signals_of(loaded) == {"BRAKE": ["pressure", "pressed"]}
+    assert loaded.warnings == ()
+
+
+@pytest.mark.parametrize(
+    ("written", "encoding", "warned"),
+    [
+        ("cp1252", "cp1252", ""),
+        ("utf-8", "utf-8", ""),
+        ("utf-8-sig", "cp1252", ""),
+        ("utf-16", "cp1252", ""),
+        ("cp437", "cp437", ""),
+        ("utf-8", "cp1252", "looks like UTF-8"),
+        ("cp1252", "utf-8", "are not in the encoding 'utf-8'"),
+    ],
+)
+def test_texts_in_several_encodings(
+    tmp_path: Path, written: str, encoding: str, warned: str
+) -> None:
+    """A wrong encoding spoils texts, never values: no reason to refuse."""
+    path = tmp_path / "car.dbc"
+    path.write_bytes(WHOLE.replace('"bar"', '"\u00b0C"').encode(written))
+
+    loaded = read_dbc(path, strict=True, encoding=encoding)
+
+    unit = loaded.database.messages[0].signals[0].unit
+    assert (unit == "\u00b0C") == (warned == "")
+    assert [warned in str(one) for one in loaded.warnings] == [True] * bool(
+        warned
+    )
+    assert all("line 6: " in str(one) for one in loaded.warnings)
+
+
+def test_the_encoding_of_bytes_is_guessed() -> None:
+    assert guess_encoding("\u00b0C".encode()) == "utf-8"
+    assert guess_encoding("\u00b0C".encode("cp1252")) == "cp1252"
+
+
+LINES = st.sampled_from(
+    [
+        *WHOLE.splitlines(),
+        *(line for text, _, _ in CASES.values() for line in text.splitlines()),
+        '"',
+        ";",
+        "",
+    ]
+)
+
+
+@given(st.lists(LINES, max_size=30))
+def test_statements_lie_where_they_say(lines: list[str]) -> None:
+    """Statements are in order and apart; without them keeps the lines."""
+    text = "\n".join(lines)
+
+    found = statements_of(text)
+
+    ends = [0, *(one.end for one in found)]
+    assert all(one.start >= end for one, end in zip(found, ends, strict=False))
+    assert all(
+        one.text.startswith(one.keyword)
+        and text.count("\n", 0, one.start) + 1 == one.line
+        for one in found
+    )
+    assert without(text, found).count("\n") == text.count("\n")
+
+
+@given(lines=st.lists(LINES, max_size=30))
+def test_any_mixture_of_lines_loads_or_is_a_problem(
+    tmp_path_factory: pytest.TempPathFactory, lines: list[str]
+) -> None:
+    """What loads leniently without a warning loads strictly as well."""
+    path = tmp_path_factory.getbasetemp() / "mixture.dbc"
+    path.write_text("\n".join(lines), encoding="cp1252")
+    try:
+        loaded = lenient(path)
+    except ConfigError as error:
+        problem = error.problems[0]
+    else:
+        problem = ""
+    assert "not a DBC" in problem or not problem
+    if problem:
+        return
+    if not loaded.warnings:
+        strict = read_dbc(path, strict=True, encoding="cp1252")
+        assert signals_of(strict) == signals_of(loaded)
+    for message in loaded.database.messages:
+        for signal in message.signals:
+            with suppress(UnusableSignalError):
+                assert raw_signal(message, signal.name).length
+
+
+WILD = {
+    # messages, a signal that brakes are read from, a part of each warning
+    "Model3CAN": (148, "ID3FEbrakeTemps BrakeTempFL3FE", [1722, 1732]),
+    "ford_fusion_2018_pt": (14, "WheelSpeed_CG1 WhlFl_W_Meas", []),
+    "hyundai_kia_generic": (146, "ESP12 CYL_PRES", [1656, 1657]),
+    "tesla_model3_party": (21, "ESP_status ESP_driverBrakeApply", []),
+    "volvo_v60_2015_pt": (41, "BrakePedal BrakePressure", []),
+    "vw_mqb": (113, "ESP_05 ESP_Bremsdruck", [90, 1622]),
+    "vw_pq": (86, "Bremse_5 BR5_Bremsdruck", [170, 193, 352, 394, 553, 778]),
+}
+
+
+@pytest.mark.skipif(
+    REAL is None, reason="BSTM_REAL_DATA names no folder of recordings"
+)
+@pytest.mark.parametrize("name", WILD)
+def test_a_public_file_loads_and_its_brake_signals_are_read(
+    name: str,
+) -> None:
+    path = Path(str(REAL)) / "dbc-in-the-wild" / f"{name}.dbc"
+    messages, wanted, lines = WILD[name]
+
+    loaded = lenient(path)
+
+    assert len(loaded.database.messages) == messages
+    found = [one.line for one in loaded.warnings]
+    assert found[: len(lines)] == lines
+    assert bool(found) == bool(lines)
+    message, signal = wanted.split()
+    assert raw_signal(
+        loaded.database.get_message_by_name(message), signal
+    ).length
+
+
+@pytest.mark.skipif(
+    REAL is None, reason="BSTM_REAL_DATA names no folder of recordings"
+)
+@pytest.mark.parametrize(
+    ("name", "part"),
+    [
+        ("Model3CAN", "line 1722: message 'ID5D5RearDItemps': signals do not"),
+        ("hyundai_kia_generic", "line 1656: cannot be read: CM_ 145"),
+        ("vw_mqb", "line 90: message 'PLA_01': signals overlap: PLA_Bremsmo"),
+        ("vw_pq", "line 170: message 'Slave_1': signals overlap"),
+    ],
+)
+def test_strict_refuses_a_public_file_with_the_place(
+    name: str, part: str
+) -> None:
+    path = Path(str(REAL)) / "dbc-in-the-wild" / f"{name}.dbc"
+
+    with pytest.raises(ConfigError) as caught:
+        read_dbc(path, strict=True, encoding="cp1252")
+
+    assert part in caught.value.problems[0]

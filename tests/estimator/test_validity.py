@@ -1,0 +1,276 @@
+"""What the estimator says of its own estimates, corner by corner."""
+
+from __future__ import annotations
+
+from array import array
+from math import isclose
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from bstm_daemon.bus.output.publication import Publication
+from bstm_daemon.estimate import CornerEstimate, Estimate, Validity
+from bstm_daemon.estimator.estimator import Estimator
+from bstm_daemon.model.heat.sample_pass import TICK
+from bstm_daemon.roles import ROLE_INDEX
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from bstm_daemon.config.sections import Config, CornerConfig
+    from bstm_daemon.native.loader import Kernel
+
+SECOND = 1_000_000
+TIMEOUT_US = 500_000
+
+
+def validity_of(
+    config: Config, values: dict[str, float], silent: str = "", **options: Any
+) -> dict[str, list[int]]:
+    """Validity over 4 s of held values; *silent* stops after 2 s."""
+    roles = {ROLE_INDEX[name]: value for name, value in values.items()}
+    estimator = Estimator(config, dict.fromkeys(roles, TIMEOUT_US), **options)
+    times, numbers, given = array("q"), array("i"), array("d")
+    for at in range(0, 4 * SECOND, 20_000):
+        for role, value in roles.items():
+            if at < 2 * SECOND or role != ROLE_INDEX.get(silent):
+                times.append(at)
+                numbers.append(role)
+                given.append(value)
+    found: dict[str, list[int]] = {}
+    for block in estimator.advance(times, numbers, given):
+        for name, codes in block.validity.items():
+            found.setdefault(name, []).extend(codes)
+    return found
+
+
+@pytest.fixture
+def front(
+    make_car: Callable[..., Config], make_corner: Callable[..., CornerConfig]
+) -> Callable[..., Config]:
+    """Return the maker of a car with two front corners."""
+
+    def make(circuit: str = "primary", **sections: Any) -> Config:
+        corners = [make_corner(n, circuit=circuit) for n in ("FL", "FR")]
+        return make_car(*corners, **sections)
+
+    return make
+
+
+def test_one_silent_wheel_pressure_degrades_its_corner_only(
+    front: Callable[..., Config],
+) -> None:
+    """A brake that is not seen is not valid because another one is."""
+    found = validity_of(
+        front(),
+        {
+            "vehicle_speed": 20.0,
+            "wheel_pressure_fl": 2e6,
+            "wheel_pressure_fr": 2e6,
+        },
+        silent="wheel_pressure_fl",
+        history_known=True,
+    )
+
+    assert found["FL"][5] == Validity.VALID
+    assert found["FL"][-1] == Validity.DEGRADED
+    assert set(found["FR"][1:]) == {Validity.VALID}
+
+
+def test_the_secondary_circuit_is_enough_for_its_corners(
+    front: Callable[..., Config],
+) -> None:
+    """Corners of the secondary circuit need no primary pressure."""
+    found = validity_of(
+        front("secondary"),
+        {"vehicle_speed": 20.0, "secondary_pressure": 1e6},
+        history_known=True,
+    )
+
+    assert set(found["FL"][1:]) == {Validity.VALID}
+
+
+def test_a_lost_thermocouple_degrades_a_measured_disc(
+    front: Callable[..., Config],
+) -> None:
+    """In mode measured a disc that is free again is an assumption."""
+    found = validity_of(
+        front(heat={"mode": "measured"}),
+        {
+            "vehicle_speed": 20.0,
+            "primary_pressure": 0.0,
+            "temp_fl_disc": 500.0,
+            "temp_fr_disc": 500.0,
+        },
+        silent="temp_fl_disc",
+        history_known=True,
+    )
+
+    assert found["FL"][5] == Validity.VALID
+    assert found["FL"][-1] == Validity.DEGRADED
+    assert found["FR"][-1] == Validity.VALID
+
+
+def test_an_unknown_start_is_felt_as_long_as_the_slowest_lump(
+    front: Callable[..., Config],
+) -> None:
+    """A single exponential, 150 K to 5 K: ln 30 time constants."""
+    slow = {
+        "fluid_caliper_thermal_capacity_j_k": 4000.0,
+        "fluid_static_convection_w_k": 0.5,
+        # nothing but the fluid is slow, and nothing but air takes its heat
+        "pad_backplate_thermal_resistance_m2k_w": 1e3,
+    }
+    cooling = {"speed_ms": [0.0, 10.0], "s_per_s": [5e-3, 5e-3]}
+    estimator = Estimator(front(thermal=slow, cooling=cooling), {})
+
+    # the pads give their heat to nothing here but the disc
+    expected_s = 4000.0 / 0.5 * 3.4012
+    assert isclose(estimator.settling_s, expected_s, rel_tol=0.01)
+
+
+PUBLISHED_PER_S = 10
+MOVING = {"vehicle_speed": 20.0, "wheel_pressure_fr": 0.0}
+BOTH = {**MOVING, "wheel_pressure_fl": 2e6}
+Spans = list[tuple[float, dict[str, float]]]
+
+
+def over_spans(
+    config: Config, spans: Spans, **options: Any
+) -> dict[str, list[int]]:
+    """Validity by corner over spans of (seconds, held values)."""
+    names = {name for _, values in spans for name in values}
+    present = {ROLE_INDEX[name]: TIMEOUT_US for name in names}
+    estimator = Estimator(config, present, **options)
+    times, numbers, given = array("q"), array("i"), array("d")
+    at = 0
+    for seconds, values in spans:
+        end = at + round(seconds * SECOND)
+        for stamp in range(at, end, 50_000):
+            held = values or {"": 0.0}
+            for name, value in held.items():
+                times.append(stamp)
+                numbers.append(ROLE_INDEX.get(name, TICK))
+                given.append(value)
+        at = end
+    found: dict[str, list[int]] = {}
+    for block in estimator.advance(times, numbers, given):
+        for name, codes in block.validity.items():
+            found.setdefault(name, []).extend(codes)
+    return found
+
+
+def test_heat_unknown_for_too_long_is_invalid_then_degraded(
+    front: Callable[..., Config], compiled: Kernel
+) -> None:
+    """10 s of driving without this corner's pressure; 30 times as long."""
+    assert compiled is not None
+    spans: Spans = [(3.0, BOTH), (12.5, MOVING), (30.0 * 12.0 + 20.0, BOTH)]
+    found = over_spans(front(), spans, history_known=True)
+
+    codes = found["FL"]
+    lost = codes.index(Validity.INVALID)
+    back = codes.index(Validity.DEGRADED, lost)
+    # 0.5 s of time-out, 10 s of outage
+    assert lost / PUBLISHED_PER_S == pytest.approx(13.5, abs=0.2)
+    assert set(codes[lost:back]) == {Validity.INVALID}
+    assert back / PUBLISHED_PER_S == pytest.approx(15.5, abs=0.2)
+    degraded = codes[back:].count(Validity.DEGRADED)
+    assert degraded / PUBLISHED_PER_S == pytest.approx(360.0, abs=2.0)
+    assert codes[-1] == Validity.VALID
+    assert set(found["FR"][1:]) == {Validity.VALID}
+
+
+def test_an_outage_is_not_felt_beyond_the_settling(
+    front: Callable[..., Config], compiled: Kernel
+) -> None:
+    """A brake that settles in minutes forgets an hour of unknown heat."""
+    assert compiled is not None
+    config = front(cooling={"speed_ms": [0.0, 9.0], "s_per_s": [0.1, 0.1]})
+    settling_s = Estimator(config, {}).settling_s
+    spans: Spans = [(2.0, BOTH), (3600.0, MOVING), (settling_s + 60.0, BOTH)]
+
+    codes = over_spans(config, spans, history_known=True)["FL"]
+
+    end = round(3602.0 * PUBLISHED_PER_S)
+    assert settling_s < 30.0 * 3600.0
+    assert codes[end - 1] == Validity.INVALID
+    assert codes[end:].count(
+        Validity.DEGRADED
+    ) / PUBLISHED_PER_S == pytest.approx(settling_s, abs=2.0)
+    assert codes[-1] == Validity.VALID
+
+
+def test_silence_alone_is_never_invalid(front: Callable[..., Config]) -> None:
+    """Ignition off: a car that cools, degraded."""
+    found = over_spans(front(), [(2.0, BOTH), (40.0, {})], history_known=True)
+
+    assert set(found["FL"][30:]) == {Validity.DEGRADED}
+
+
+def test_feed_back_that_stands_in_is_degraded(
+    front: Callable[..., Config],
+) -> None:
+    """With a declared torque the heat is known, if not as configured."""
+    config = front(heat={"assume_powertrain_torque_nm": 0.0})
+    found = over_spans(
+        config, [(2.0, BOTH), (20.0, MOVING)], history_known=True
+    )
+
+    assert set(found["FL"][30:]) == {Validity.DEGRADED}
+
+
+@pytest.mark.parametrize("mode", ["ff", "fb"])
+@pytest.mark.parametrize("role", ["primary_pressure", "powertrain_torque"])
+def test_a_suspect_input_degrades_where_it_counts(
+    front: Callable[..., Config], mode: str, role: str
+) -> None:
+    """A spike every second: the pressure in ff, the torque in fb."""
+    held = {
+        "vehicle_speed": 20.0,
+        "primary_pressure": 1e5,
+        "powertrain_torque": 0.0,
+        "acceleration_longitudinal": 0.0,
+    }
+    spike = {**held, role: 1.5e5 if role == "powertrain_torque" else 3e7}
+    spans: Spans = [(1.0, held), *[(0.05, spike), (0.95, held)] * 3]
+
+    codes = over_spans(front(heat={"mode": mode}), spans, history_known=True)[
+        "FL"
+    ]
+
+    counts = (role == "primary_pressure") == (mode == "ff")
+    assert set(codes[2:9]) == {Validity.VALID}
+    assert set(codes[12:]) == {Validity.DEGRADED if counts else Validity.VALID}
+
+
+def test_a_wheel_left_out_degrades_its_corner(
+    front: Callable[..., Config],
+) -> None:
+    """Its brake goes by the speed of the others; theirs are sound."""
+    values = {
+        "vehicle_speed": 20.0,
+        "wheel_speed_fl": 0.0,
+        "wheel_speed_fr": 20.0,
+        "primary_pressure": 1e6,
+    }
+    found = over_spans(front(), [(5.0, values)], history_known=True)
+
+    assert set(found["FL"][25:]) == {Validity.DEGRADED}
+    assert set(found["FR"][1:]) == {Validity.VALID}
+
+
+def test_a_drum_is_published_as_not_available() -> None:
+    """It is there, and says that it has no model; the status ignores it."""
+    publication = Publication(["FL", "RL"], 0x5B0)
+    valid = CornerEstimate(validity=Validity.VALID)
+
+    frames = {
+        f.name: f for f in publication.encode(Estimate(0, {"FL": valid}))
+    }
+
+    assert frames["BSTM_Status"].data[1] >> 4 == Validity.VALID
+    assert frames["BSTM_FL_Temperatures"].data[1] >> 4 == Validity.VALID
+    assert frames["BSTM_RL_Temperatures"].data[1] >> 4 == (
+        Validity.NOT_AVAILABLE
+    )

@@ -1,0 +1,80 @@
+"""``docs/effects.md`` says of every effect what its class says."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from bstm_daemon.model.effects.catalogue import (
+    STRUCTURES,
+    effect_class,
+    effect_numbers,
+)
+
+DOCUMENT = Path(__file__).resolve().parents[3] / "docs" / "effects.md"
+
+
+def twins_of(name: str) -> tuple[str, ...]:
+    """Return the effects that data may take for *name*, by number.
+
+    A twin that one of the two names is one of both.
+    """
+    own = set(effect_class(name).twins)
+    return tuple(
+        other
+        for other in effect_numbers().values()
+        if other in own or name in effect_class(other).twins
+    )
+
+
+def effect_row(number: int, name: str) -> str:
+    """Return the row of one effect as it has to stand in the document."""
+    cls = effect_class(name)
+    shipped = " E" if name in STRUCTURES["extended"] else ""
+    sign = "either" if cls.either_sign else "+"
+    where = "car" if cls.whole_car else "corner"
+    twins = ", ".join(f"`{twin}`" for twin in twins_of(name)) or "-"
+    return (
+        f"| {number}{shipped} | `{name}` | {cls.kind} | {where} | {sign} | "
+        f"{cls.description} | {cls.signature} | {twins} |"
+    )
+
+
+def parameter_rows(name: str) -> list[str]:
+    """Return the rows of one effect's own parameters."""
+    return [
+        f"| `{name}` | `{p.name}` | {p.unit} | {p.lower:g} to {p.upper:g} | "
+        f"{p.typical:g} | {p.meaning} |"
+        for p in effect_class(name).own_parameters
+    ]
+
+
+def test_the_document_is_the_catalogue() -> None:
+    """All rows, in the order of their numbers, and no others."""
+    expected = [effect_row(*item) for item in effect_numbers().items()]
+    for name in effect_numbers().values():
+        expected += parameter_rows(name)
+    text = DOCUMENT.read_text("utf-8").partition("\n## Beside ")[0]
+    lines = text.splitlines()
+    names = tuple(effect_numbers().values())
+    found = [
+        line
+        for line in lines
+        if line.startswith("| ")
+        and any(f"| `{name}` |" in line for name in names)
+    ]
+
+    assert found == expected
+
+
+def test_the_catalogue_is_whole() -> None:
+    """The 39 of the contract, each number once."""
+    assert list(effect_numbers()) == list(range(1, 40))
+
+
+def test_twins_are_effects_and_mutual() -> None:
+    """A twin is in the catalogue, has its twin in turn, and is another."""
+    names = set(effect_numbers().values())
+    for name in names:
+        assert set(effect_class(name).twins) <= names - {name}
+        for twin in twins_of(name):
+            assert name in twins_of(twin)

@@ -1,0 +1,434 @@
+"""What the observer learns, when it does not, and that both forms agree."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from math import nan
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+from bstm_daemon.model.heat.learned import LEARNED_NAMES, learned_fault
+from bstm_daemon.model.heat.memory import SampleState
+from bstm_daemon.model.heat.observer_rules import P0_STD
+from bstm_daemon.native.loader import load_kernel
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from bstm_daemon.native.loader import Kernel
+
+    from .conftest import Run
+
+ROLES = (
+    "vehicle_speed",
+    "primary_pressure",
+    "acceleration_longitudinal",
+    "powertrain_torque",
+    "motor_torque",
+    "gear",
+    "acceleration_lateral",
+    "brake_switch",
+    "esc_active",
+)
+GRAVITY = 9.80665
+PER_PA = 2.0 * 2.83e-3 * 0.38 * 0.13 / 0.3418  # N/Pa of a corner
+CORNERS = ("FL", "FR", "RL", "RR")
+
+
+@dataclass(frozen=True)
+class Truth:
+    """A car that is not quite the configured one, and its sensors."""
+
+    mass_kg: float = 2500.0
+    bias: float = 0.2
+    friction: float = 0.8
+    pitch: float = 0.03
+    grade: float = 0.0
+    push: float = 0.0  # m/s2 from outside
+    scale: float = 1.0  # of the accelerometer
+    radius: float = 1.0  # of the speeds
+    pressed: bool = True  # the pressure is measured
+    motor: bool = False  # what brakes is the motor
+    dead_torque: bool = False
+
+
+@dataclass
+class Driver:
+    """Drives a car through phases; keeps samples and true brake work."""
+
+    car: Truth
+    every_us: int = 50_000
+    now: int = 0
+    speed: float = 10.0
+    height: float = 0.0
+    work_j: float = 0.0
+
+    def drive(
+        self, seconds: float, rate: float, *, gear: int = 3, **more: float
+    ) -> Iterator[tuple[int, str, float]]:
+        """Yield samples of *seconds* at *rate* [m/s2], braked if below -1."""
+        car = self.car
+        for _ in range(round(seconds * 1e6 / self.every_us)):
+            v = self.speed
+            rotating = 3.0809 / 0.3418**2
+            drag = 0.5 * 1.2 * 0.7 * v**2 + 4.0 * v
+            weight = car.mass_kg * GRAVITY * (car.grade + 0.014)
+            needed = (car.mass_kg + rotating) * rate + drag + weight
+            needed -= car.push * car.mass_kg
+            braked = rate < -1.0
+            torque = 0.0 if braked or car.dead_torque else needed * 0.3418
+            brake_n = max(-needed, 0.0) if braked else 0.0
+            dt = self.every_us * 1e-6
+            self.now += self.every_us
+            self.speed = max(v + rate * dt, 0.0)
+            self.height += v * dt * car.grade
+            self.work_j += brake_n * v * dt
+            felt = rate * (1.0 + car.pitch) + GRAVITY * car.grade
+            pressure = brake_n / (4.0 * PER_PA * car.friction)
+            if car.motor or not car.pressed:
+                pressure = 0.0
+            yield from (
+                (self.now, "vehicle_speed", self.speed * car.radius),
+                (self.now, "primary_pressure", pressure),
+                (
+                    self.now,
+                    "acceleration_longitudinal",
+                    car.scale * felt + car.bias,
+                ),
+                (self.now, "powertrain_torque", torque),
+                (
+                    self.now,
+                    "motor_torque",
+                    -brake_n * 0.3418 if car.motor else 0.0,
+                ),
+                (self.now, "gear", float(gear)),
+                (self.now, "acceleration_lateral", more.get("lateral", 0.0)),
+                (self.now, "esc_active", more.get("esc", 0.0)),
+                (
+                    self.now,
+                    "brake_switch",
+                    float(braked and car.pressed and not car.motor),
+                ),
+                (self.now, "altitude", self.height),
+                (self.now, "gnss_speed", self.speed),
+            )
+
+    def town(self, rounds: int, **more: float) -> list[tuple[int, str, float]]:
+        """Return *rounds* of pulling away, cruising and braking."""
+        samples: list[tuple[int, str, float]] = []
+        for turn in range(rounds):
+            gain = 0.8 + 0.4 * (turn % 4)
+            samples += self.drive(10.0, gain, **more)
+            samples += self.drive(5.0, 0.0, **more)
+            loss = 1.5 + 0.5 * (turn % 3)
+            samples += self.drive(10.0 * gain / loss, -loss, **more)
+        return samples
+
+
+@pytest.fixture
+def kernel() -> Kernel | None:
+    """Return the form that is there; one test compares both."""
+    return load_kernel()
+
+
+@pytest.fixture
+def fused(
+    start: Callable[..., Run], make_car: Any, make_corner: Any
+) -> Callable[..., Run]:
+    """Return what starts a pass of a fused car: (kernel, *more roles)."""
+
+    def make(kernel: Kernel | None, *more: str, **timeouts: int) -> Run:
+        car = make_car(
+            *(make_corner(name) for name in CORNERS), heat={"mode": "fused"}
+        )
+        return start(car, kernel, *ROLES, *more, **timeouts)
+
+    return make
+
+
+def learned(run: Run, name: str) -> float:
+    numbers = run.state.learned()
+    assert numbers is not None
+    return numbers[LEARNED_NAMES.index(name)]
+
+
+def untaught(run: Run) -> bool:
+    """Whether the states are those of a first start."""
+    return (
+        learned(run, "mass_ratio") == 1.0
+        and learned(run, "bias") == pytest.approx(-0.014 * GRAVITY)
+        and learned(run, "level") == 0.0
+    )
+
+
+@pytest.mark.parametrize("grade", [0.0, -0.06])
+def test_it_finds_mass_bias_and_friction(
+    kernel: Kernel | None, fused: Callable[..., Run], grade: float
+) -> None:
+    """Of a car 14 % heavier, 0.2 m/s2 off, with 20 % less friction."""
+    driver = Driver(Truth(grade=grade))
+    run = fused(kernel).feed(driver.town(24))
+
+    assert run.of_car("mass_kg")[-1] == pytest.approx(2500.0, rel=0.03)
+    assert run.of_car("accel_bias_ms2")[-1] == pytest.approx(0.2, abs=0.03)
+    assert run.of_car("friction_scale")[-1] == pytest.approx(0.8, rel=0.04)
+    assert run.of_car("grade")[-1] == pytest.approx(grade, abs=0.004)
+    assert not any(run.flag("external_force_suspected"))
+    spread = run.of_car("mass_std_kg")
+    assert spread[-1] < 0.3 * spread[0]
+
+
+def test_heat_is_right_once_learned(
+    kernel: Kernel | None, fused: Callable[..., Run]
+) -> None:
+    """And lies within what is said to be its uncertainty."""
+    driver = Driver(Truth())
+    run = fused(kernel).feed(driver.town(24))
+    before, first = driver.work_j, len(run.times)
+    run.feed(driver.town(4))
+    real = driver.work_j - before
+    found = sum(
+        sum(run.column("brake_power_w", c)[first:]) * 0.05 for c in range(4)
+    )
+    spread = sum(
+        sum(run.column("brake_power_std_w", c)[first:]) * 0.05
+        for c in range(4)
+    )
+
+    assert found == pytest.approx(real, rel=0.03)
+    assert abs(found - real) < 2.0 * spread < 0.3 * real
+
+
+def test_both_forms_give_the_same_bits(
+    compiled: Kernel, fused: Callable[..., Run]
+) -> None:
+    """Rows, learned states and flags, over all that can happen."""
+    runs = []
+    for kernel in (None, compiled):
+        driver = Driver(Truth())
+        samples = driver.town(3)
+        samples += driver.town(2, lateral=3.0)
+        samples += driver.town(1, esc=1.0)
+        driver.car = replace(driver.car, pressed=False)
+        samples += driver.town(2)
+        driver.car = replace(driver.car, push=1.0, dead_torque=True)
+        samples += driver.town(3)
+        driver.car = Truth(scale=0.5, radius=1.1, grade=0.05)
+        samples += driver.town(6)
+        runs.append(
+            fused(kernel, altitude=5_000_000, gnss_speed=2_000_000).feed(
+                samples
+            )
+        )
+
+    assert runs[0].bits() == runs[1].bits()
+    assert any(runs[0].flag("braking_unpressed"))
+    assert any(runs[0].flag("acceleration_scale"))
+
+
+def test_chunks_change_no_bit(
+    kernel: Kernel | None, fused: Callable[..., Run]
+) -> None:
+    whole, cut = fused(kernel), fused(kernel)
+    samples = Driver(Truth()).town(2)
+    whole.feed(samples)
+    for at in range(0, len(samples), 997):
+        cut.feed(samples[at : at + 997])
+
+    assert whole.bits() == cut.bits()
+
+
+def test_a_pushed_car_teaches_nothing(
+    kernel: Kernel | None, fused: Callable[..., Run]
+) -> None:
+    """Pushed up to speed, then along against the brakes (Eq 4.7)."""
+    driver = Driver(Truth(push=0.9, dead_torque=True, bias=0.0), speed=0.5)
+    samples = list(driver.drive(12.0, 0.7, gear=0))
+    driver.car = Truth(push=0.8, bias=0.0)
+    for _ in range(1200):  # at constant speed the brakes take the push
+        samples += [
+            (driver.now + i * 50_000, role, value)
+            for i in (1,)
+            for role, value in (
+                ("vehicle_speed", driver.speed),
+                ("primary_pressure", 8e5),
+                ("acceleration_longitudinal", 0.0),
+                ("powertrain_torque", 0.0),
+                ("motor_torque", 0.0),
+                ("gear", 0.0),
+                ("brake_switch", 1.0),
+                ("esc_active", 0.0),
+                ("acceleration_lateral", 0.0),
+            )
+        ]
+        driver.now += 50_000
+    run = fused(kernel).feed(samples)
+
+    assert run.flag("external_force_suspected")[-1]
+    assert untaught(run)
+    assert run.column("brake_power_w")[-1] == pytest.approx(
+        PER_PA * 8e5 * driver.speed
+    )
+
+
+def test_wheels_on_a_stand_teach_nothing(
+    kernel: Kernel | None,
+    start: Callable[..., Run],
+    make_car: Any,
+    make_corner: Any,
+) -> None:
+    """The rear wheels turn, the front ones and the body do not move."""
+    car = make_car(
+        *(make_corner(name) for name in CORNERS), heat={"mode": "fused"}
+    )
+    wheels = [f"wheel_speed_{name.lower()}" for name in CORNERS]
+    run = start(car, kernel, *wheels, *ROLES[1:])
+    samples = []
+    for step in range(600):
+        at = step * 50_000
+        turning = min(0.02 * step, 8.0)
+        samples += [(at, wheel, turning) for wheel in wheels[2:]]
+        samples += [(at, wheel, 0.0) for wheel in wheels[:2]]
+        samples += [(at, role, 0.0) for role in ROLES[1:]]
+    run.feed(samples)
+
+    assert run.flag("external_force_suspected")[-1]
+    assert untaught(run)
+
+
+@pytest.mark.parametrize("scale", [-1.0, 0.0, 0.6, 1.4])
+def test_a_wrong_scale_is_named_and_unlearned(
+    kernel: Kernel | None, fused: Callable[..., Run], scale: float
+) -> None:
+    run = fused(kernel).feed(Driver(Truth(scale=scale)).town(10))
+
+    assert run.flag("acceleration_scale")[-1]
+    assert untaught(run)
+
+
+def test_a_wrong_radius_shows_against_satellites(
+    kernel: Kernel | None, fused: Callable[..., Run]
+) -> None:
+    right, wrong = (
+        fused(kernel, gnss_speed=2_000_000).feed(
+            Driver(Truth(radius=radius), speed=12.0).town(12)
+        )
+        for radius in (1.0, 1.09)
+    )
+
+    assert not any(right.flag("wheel_radius"))
+    assert wrong.flag("wheel_radius")[-1]
+
+
+def test_dead_pressure_is_named(
+    kernel: Kernel | None, fused: Callable[..., Run]
+) -> None:
+    """The brake light is on, the car slows hard, and there is no pressure."""
+    driver = Driver(Truth(bias=0.0, pressed=False))
+    samples = [
+        (at, role, 1.0 if role == "brake_switch" and value < -2 else value)
+        for at, role, value in driver.town(8)
+    ]
+    rates = {}
+    last = None
+    for at, role, value in samples:
+        if role == "vehicle_speed":
+            rates[at] = last is not None and value < last - 0.05
+            last = value
+    samples = [
+        (at, role, float(rates[at]) if role == "brake_switch" else value)
+        for at, role, value in samples
+    ]
+    run = fused(kernel).feed(samples)
+
+    assert run.flag("pressure_dead")[-1]
+
+
+@pytest.mark.parametrize(
+    "more", [{"lateral": 3.0}, {"esc": 1.0}], ids=["bend", "esc"]
+)
+def test_it_does_not_learn_in(
+    kernel: Kernel | None, fused: Callable[..., Run], more: dict[str, float]
+) -> None:
+    run = fused(kernel).feed(Driver(Truth()).town(4, **more))
+
+    assert untaught(run)
+
+
+def test_it_does_not_learn_from_gear_changes(
+    kernel: Kernel | None, fused: Callable[..., Run]
+) -> None:
+    """A gear a half second: never calm for long enough."""
+    driver = Driver(Truth())
+    samples = []
+    for turn in range(60):
+        samples += driver.drive(0.5, 1.0 if turn < 30 else -0.9, gear=turn % 5)
+    run = fused(kernel).feed(samples)
+
+    assert untaught(run)
+
+
+def test_nan_resets_and_is_told(
+    kernel: Kernel | None, fused: Callable[..., Run]
+) -> None:
+    driver = Driver(Truth())
+    run = fused(kernel).feed(driver.town(2))
+    memory = run.state.memory()
+    memory.observer.known.x[0] = nan
+    run.state.store(memory)
+    run.feed(list(driver.drive(1.0, 0.5)))
+
+    assert run.flag("observer_reset").count(True) == 1
+    assert run.state.memory().observer.resets == 1.0
+    assert np.isfinite(run.of_car("mass_kg")[-1])
+
+
+def test_height_tells_bias_from_rolling_resistance(
+    kernel: Kernel | None, fused: Callable[..., Run]
+) -> None:
+    """The balance of forces gives b - g f_r only; the road's height both."""
+    car = Truth(bias=0.2, grade=0.03)
+    told = fused(kernel, altitude=5_000_000).feed(Driver(car).town(24))
+    alone = fused(kernel).feed(Driver(car).town(24))
+
+    assert told.of_car("grade")[-1] == pytest.approx(0.03, abs=0.003)
+    assert told.of_car("grade_std")[-1] < 0.9 * alone.of_car("grade_std")[-1]
+
+
+def test_what_is_learned_passes_its_own_check(
+    kernel: Kernel | None, fused: Callable[..., Run]
+) -> None:
+    run = fused(kernel).feed(Driver(Truth()).town(6))
+    numbers = run.state.learned()
+
+    assert numbers is not None
+    assert learned_fault(numbers) is None
+    assert SampleState.new(numbers).learned() == numbers
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("mass_ratio", 3.0),
+        ("bias", nan),
+        ("mass_ratio_mass_ratio", -0.01),
+        ("mass_ratio_mass_ratio", 2.0 * P0_STD[0] ** 2),
+        ("bias_drag_ratio", 1.0),
+        ("rolling_variance", 0.0),
+    ],
+)
+def test_what_can_not_have_been_learned_is_refused(
+    kernel: Kernel | None,
+    fused: Callable[..., Run],
+    name: str,
+    value: float,
+) -> None:
+    run = fused(kernel).feed(Driver(Truth()).town(1))
+    numbers = run.state.learned()
+    assert numbers is not None
+    numbers[LEARNED_NAMES.index(name)] = value
+
+    assert learned_fault(numbers)
+    assert learned_fault(numbers[:-1])

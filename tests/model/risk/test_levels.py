@@ -1,0 +1,133 @@
+"""Levels and their hysteresis."""
+
+from math import inf, nan
+
+import pytest
+
+from bstm_daemon.estimate import RiskLevel, Validity
+from bstm_daemon.model.risk.levels import (
+    HOLD_US,
+    LevelMemory,
+    level_of_margin,
+    published_level,
+)
+
+SECOND_US = 1_000_000
+
+
+@pytest.mark.parametrize(
+    ("probability", "level"),
+    [
+        (0.0, RiskLevel.NORMAL),
+        (0.0099, RiskLevel.NORMAL),
+        (0.01, RiskLevel.ELEVATED),
+        (0.1, RiskLevel.HIGH),
+        (0.5, RiskLevel.CRITICAL),
+        (1.0, RiskLevel.CRITICAL),
+    ],
+)
+def test_a_level_rises_at_once(probability: float, level: RiskLevel) -> None:
+    assert LevelMemory().by_probability(probability, 0) is level
+
+
+def test_a_level_falls_one_at_a_time_after_a_minute_below() -> None:
+    memory = LevelMemory(RiskLevel.CRITICAL)
+    found = [
+        memory.by_probability(0.0, second * SECOND_US) for second in range(200)
+    ]
+
+    assert found[59] is RiskLevel.CRITICAL
+    assert found[60] is RiskLevel.HIGH
+    assert found[120] is RiskLevel.ELEVATED
+    assert found[180] is RiskLevel.NORMAL
+
+
+def test_between_release_and_limit_nothing_changes() -> None:
+    """7 % is below high's 10 %, but not below its release at 5 %."""
+    memory = LevelMemory(RiskLevel.HIGH)
+    for second in range(300):
+        level = memory.by_probability(0.07, second * SECOND_US)
+        assert level is RiskLevel.HIGH
+
+
+def test_a_moment_above_begins_the_minute_anew() -> None:
+    memory = LevelMemory(RiskLevel.HIGH)
+    for second in range(59):
+        memory.by_probability(0.0, second * SECOND_US)
+    memory.by_probability(0.06, HOLD_US)
+
+    assert memory.by_probability(0.0, HOLD_US + SECOND_US) is RiskLevel.HIGH
+    assert memory.by_probability(0.0, 2 * HOLD_US) is RiskLevel.HIGH
+
+
+def test_temperatures_have_a_release_20_k_below() -> None:
+    memory, limits = LevelMemory(), [(773.0, 873.0, 973.0)]
+
+    def at(kelvin: float, time_us: int) -> RiskLevel:
+        return memory.by_temperatures([kelvin], limits, time_us)
+
+    assert at(880.0, 0) is RiskLevel.HIGH
+    assert at(860.0, SECOND_US) is RiskLevel.HIGH
+    at(850.0, 2 * SECOND_US)
+    assert at(850.0, 2 * SECOND_US + HOLD_US) is RiskLevel.ELEVATED
+
+
+def test_the_part_that_is_still_hot_holds_the_level() -> None:
+    """A pad 5 K below its limit, beside a disc that is far from its own."""
+    memory = LevelMemory()
+    limits = [(773.0, 873.0, 973.0), (673.0, 773.0, 873.0)]
+    memory.by_temperatures((650.0, 680.0), limits, 0)
+    for second in range(1, 200):
+        level = memory.by_temperatures(
+            (650.0, 668.0), limits, second * SECOND_US
+        )
+
+    assert level is RiskLevel.ELEVATED
+
+
+def test_what_is_not_known_lowers_no_level() -> None:
+    memory = LevelMemory(RiskLevel.HIGH)
+    for second in range(200):
+        level = memory.by_probability(nan, second * SECOND_US)
+
+    assert level is RiskLevel.HIGH
+
+
+def test_a_clock_set_back_does_not_hold_a_level_for_ever() -> None:
+    memory = LevelMemory(RiskLevel.ELEVATED, below_since_us=10**15)
+    memory.by_probability(0.0, 0)
+
+    assert memory.by_probability(0.0, HOLD_US) is RiskLevel.NORMAL
+
+
+@pytest.mark.parametrize(
+    ("margin_k", "level"),
+    [
+        (40.1, RiskLevel.NORMAL),
+        (40.0, RiskLevel.ELEVATED),
+        (20.1, RiskLevel.ELEVATED),
+        (20.0, RiskLevel.HIGH),
+        (0.1, RiskLevel.HIGH),
+        (0.0, RiskLevel.CRITICAL),
+        (-inf, RiskLevel.UNKNOWN),
+        (inf, RiskLevel.UNKNOWN),
+        (nan, RiskLevel.UNKNOWN),
+    ],
+)
+def test_level_of_a_margin(margin_k: float, level: RiskLevel) -> None:
+    """The bounds belong to the worse level."""
+    assert level_of_margin(margin_k) is level
+
+
+@pytest.mark.parametrize("known", [True, False])
+@pytest.mark.parametrize("validity", Validity)
+@pytest.mark.parametrize("level", RiskLevel)
+def test_nothing_is_published_on_a_guess(
+    level: RiskLevel, validity: Validity, *, known: bool
+) -> None:
+    """A raised level holds with a cold start, which underestimates."""
+    published = published_level(level, validity, history_known=known)
+
+    usable = validity in {Validity.VALID, Validity.DEGRADED}
+    unsure = level is RiskLevel.NORMAL and not known
+    assert published is (level if usable and not unsure else RiskLevel.UNKNOWN)

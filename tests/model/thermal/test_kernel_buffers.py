@@ -1,0 +1,201 @@
+"""The compiled kernel refuses what it can not run, whatever it is given."""
+
+from __future__ import annotations
+
+from array import array
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from bstm_daemon.model.thermal.kernel import Batch
+from bstm_daemon.model.thermal.network import (
+    Link,
+    Memory,
+    Network,
+    Node,
+    Source,
+    mean,
+    value,
+)
+from bstm_daemon.model.thermal.program import COUNTS, compile_network
+from bstm_daemon.model.thermal.table import Table
+
+if TYPE_CHECKING:
+    from bstm_daemon.native.loader import Kernel
+
+PROGRAM = compile_network(
+    Network(
+        ("air_k", "q"),
+        (
+            Node("air", 0.0, boundary_input="air_k"),
+            Node("disc", 10.0, Table(250.0, 50.0, (1.0, 1.1, 1.3, 1.2))),
+            Node("pad", 0.0),
+            Node("fluid", 50.0),
+        ),
+        (
+            Link(
+                "a", "air", "disc", 1.0, (value("disc", Table(0, 1, (1, 2))),)
+            ),
+            Link("b", "disc", "pad", 1.0, (mean("disc", "pad"),)),
+            Link("c", "pad", "fluid", 1.0),
+            Link("d", "disc", "fluid", 1.0),
+        ),
+        (Source("q_w", "disc", 1.0, (value("q"),)),),
+        (Memory("hot", "latch", 1.0, (value("disc"),), upper=1e3),),
+    )
+)
+STEPS = 3
+
+
+def arguments(**changes: Any) -> list[Any]:
+    """Return a good call of ``march`` with *changes*."""
+    table: dict[str, Any] = {
+        "ints": array("i", PROGRAM.ints),
+        "floats": array("d", PROGRAM.floats),
+        "state": array("d", PROGRAM.initial_state(300.0)),
+        "inputs": array("d", [290.0, 100.0] * STEPS),
+        "input_set": array("i", [0]),
+        "ledger": array("d", [0.0] * 5),
+        "out": array("d", [0.0] * (6 * STEPS)),
+        "members": 1,
+        "sets": 1,
+        "steps": STEPS,
+        "dt_s": 0.05,
+        "every": 1,
+        "phase": 1,
+        **changes,
+    }
+    return list(table.values())
+
+
+def test_good_call(compiled: Kernel) -> None:
+    """What the other tests break is whole."""
+    call = arguments()
+    compiled.march(*call)
+    assert call[2][1] > 300.0
+
+
+@settings(max_examples=1500, deadline=None)
+@given(
+    changes=st.lists(
+        st.tuples(
+            st.integers(0, len(PROGRAM.ints) - 1),
+            st.one_of(st.integers(-20, 20), st.integers(-(2**31), 2**31 - 1)),
+        ),
+        min_size=1,
+        max_size=3,
+    )
+)
+def test_malformed_ints(
+    compiled: Kernel, changes: list[tuple[int, int]]
+) -> None:
+    """Any ints: marched inside the buffers, or refused with ValueError."""
+    call = arguments()
+    for index, number in changes:
+        call[0][index] = number
+    call[6].extend([1234.5] * 50)
+    try:
+        compiled.march(*call)
+    except ValueError as error:
+        assert str(error)  # noqa: PT017  (either outcome is right)
+    assert set(call[6][6 * STEPS :]) == {1234.5}
+
+
+@pytest.mark.parametrize("index", range(1, len(COUNTS)))
+def test_a_count_whose_sums_would_overflow(
+    compiled: Kernel, index: int
+) -> None:
+    call = arguments()
+    call[0][index] = 2**31 - 1
+
+    with pytest.raises(ValueError, match="a count is too large"):
+        compiled.march(*call)
+
+
+@settings(max_examples=300, deadline=None)
+@given(
+    changes=st.lists(
+        st.tuples(st.integers(0, len(PROGRAM.floats) - 1), st.floats()),
+        min_size=1,
+        max_size=4,
+    ),
+    state=st.lists(st.floats(), min_size=5, max_size=5),
+    inputs=st.lists(st.floats(), min_size=2 * STEPS, max_size=2 * STEPS),
+)
+def test_any_floats_end(
+    compiled: Kernel,
+    changes: list[tuple[int, float]],
+    state: list[float],
+    inputs: list[float],
+) -> None:
+    """No number, nan or infinity can hang or crash the march."""
+    call = arguments(state=array("d", state), inputs=array("d", inputs))
+    for index, number in changes:
+        call[1][index] = number
+    compiled.march(*call)
+
+
+@pytest.mark.parametrize("length", [0, 1, len(COUNTS), len(COUNTS) + 5])
+def test_truncated_ints(compiled: Kernel, length: int) -> None:
+    """Cut anywhere, also inside the header."""
+    with pytest.raises(ValueError, match=r"header|wrong length"):
+        compiled.march(*arguments(ints=array("i", PROGRAM.ints[:length])))
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"floats": array("d", PROGRAM.floats[:-1])},
+        {"state": array("d", [300.0] * 4)},
+        {"inputs": array("d", [290.0])},
+        {"input_set": array("i", [])},
+        {"input_set": array("i", [1])},
+        {"input_set": array("i", [-1])},
+        {"ledger": array("d", [0.0])},
+        {"out": array("d", [0.0] * (6 * STEPS - 1))},
+        {"members": 2},
+        {"members": -1},
+        {"members": 2**62},
+        {"sets": 0},
+        {"sets": 2**32 + 1},
+        {"steps": 2**32, "sets": 2**32, "inputs": array("d")},
+        {"steps": 2**62, "sets": 2, "inputs": array("d")},
+        {"steps": -1},
+        {"steps": 2**62},
+        {"dt_s": 0.0},
+        {"dt_s": float("nan")},
+        {"every": 0},
+        {"phase": 0},
+        {"phase": 2**40},
+        {"ints": array("d", [1.0])},
+        {"state": array("f", [0.0] * 5)},
+    ],
+)
+def test_sizes_and_counts_that_do_not_fit(
+    compiled: Kernel, changes: dict[str, Any]
+) -> None:
+    """Each buffer and number is checked before anything is touched."""
+    call = arguments(**changes)
+    with pytest.raises(ValueError, match=r"buffer|count|input set|step"):
+        compiled.march(*call)
+
+
+def test_a_constant_buffer_is_not_written(compiled: Kernel) -> None:
+    """State, ledger and output must be writable."""
+    with pytest.raises(BufferError):
+        compiled.march(*arguments(state=bytes(40)))
+
+
+@pytest.mark.parametrize(
+    ("steps", "dt_s", "every", "inputs"),
+    [(2, 0.05, 1, 2), (1, 0.0, 1, 2), (1, 0.05, 0, 2), (-1, 0.05, 1, 0)],
+)
+def test_batch_refuses_alike_in_both_forms(
+    kernel: Kernel | None, steps: int, dt_s: float, every: int, inputs: int
+) -> None:
+    """Pure Python checks sizes too."""
+    batch = Batch([PROGRAM], 300.0, kernel=kernel)
+    with pytest.raises(ValueError, match=r"inputs for|step|count"):
+        batch.march(array("d", [290.0] * inputs), steps, dt_s, every)

@@ -1,0 +1,145 @@
+"""``bstm gap`` in words: what a reader would take wrongly is not said."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any, cast
+
+import pytest
+
+from bstm_daemon.analysis.gap.evidence import Candidate
+from bstm_daemon.analysis.gap.holdout_comparison import Shrink
+from bstm_daemon.analysis.gap.naming import Answer, Naming
+from bstm_daemon.analysis.gap.workflow import Gap
+from bstm_daemon.model.effects.effect import SIGNED_STRENGTH
+from bstm_daemon.report.gap import (
+    MATCH_FIRST,
+    adopted_text,
+    answer_tile,
+    candidate_rows,
+    probability_tile,
+    reach_lines,
+    times,
+    unnamed_lines,
+)
+from bstm_daemon.report.gap_forces import acceleration
+from bstm_daemon.report.gap_page import (
+    WEAK_EVIDENCE,
+    evidence_bars,
+    head_tiles,
+)
+
+
+def candidate(
+    name: str, log_evidence: float = 0.0, reach: float = 1.0
+) -> Candidate:
+    return Candidate(name, 1.0, 0.5, 1.0, log_evidence, reach)
+
+
+def naming(answer: Answer, *candidates: Candidate) -> Naming:
+    names = tuple(one.name for one in candidates)
+    odds = dict.fromkeys(names, 0.4)
+    return Naming(
+        answer,
+        () if answer in {"nothing", "unknown"} else names,
+        0.8,
+        candidates,
+        odds,
+        "so it is",
+    )
+
+
+def test_a_gap_that_grows_is_not_called_smaller() -> None:
+    assert times(Shrink(2.5, 1.7, 3.9)) == "2.5 times smaller (1.7 to 3.9)"
+    assert times(Shrink(0.5, 0.4, 0.8)) == "2.0 times larger (1.2 to 2.5)"
+
+
+def test_a_strength_that_no_effect_can_have_shows_nothing() -> None:
+    beyond = SIGNED_STRENGTH.upper * 1.01
+    found = naming(
+        "nothing",
+        candidate("residual_drag", reach=beyond),
+        candidate("pad_wear", reach=0.32),
+    )
+
+    near, far = reach_lines(found)
+
+    assert near.endswith("from the strength of: pad_wear 0.32")
+    assert far == "too weak in these drives at any strength: residual_drag"
+    assert len(reach_lines(naming("nothing", candidate("pad_wear")))) == 1
+
+
+def test_residual_heat_without_a_name_is_for_the_match() -> None:
+    """Else nothing visible stands beside a map that is blue and red."""
+    hot: Any = SimpleNamespace(places=(1,))
+    pale: Any = SimpleNamespace(places=())
+    found = naming("nothing", candidate("pad_wear"))
+    named = naming("name", candidate("pad_wear"))
+
+    assert MATCH_FIRST in unnamed_lines(Gap(("FL",), (), 1, hot, found))
+    assert MATCH_FIRST not in unnamed_lines(Gap(("FL",), (), 1, pale, found))
+    assert unnamed_lines(Gap(("FL",), (), 1, hot, named)) == []
+
+
+def test_no_evidence_has_no_sign() -> None:
+    (row,) = candidate_rows(naming("nothing", candidate("pad_wear", -0.04)))
+
+    assert row[4] == "0.0"
+
+
+@pytest.mark.parametrize(
+    ("answer", "said"),
+    [
+        ("nothing", "nothing visible"),
+        ("unknown", "not in the catalogue"),
+        ("undecided", "not decided"),
+        ("class", "pad wear or wet disc"),
+        ("name", "pad wear and wet disc"),
+    ],
+)
+def test_the_head_of_the_page_says_the_answer(
+    answer: Answer, said: str
+) -> None:
+    found = naming(answer, candidate("pad_wear"), candidate("wet_disc"))
+
+    assert answer_tile(found)[0] == said
+    assert ("nothing" in probability_tile(found)[1]) == (answer == "nothing")
+
+
+def test_the_head_is_of_the_corners_that_lack_something() -> None:
+    front = Gap(("FL", "FR"), (), 1, None, naming("nothing"))
+    wear = naming("name", candidate("pad_wear"))
+    rear = Gap(("RL", "RR"), (), 1, None, wear)
+
+    assert head_tiles([front, rear])[0] == (
+        "pad wear",
+        "missing effect, RL, RR",
+    )
+    assert head_tiles([front])[0] == ("nothing visible", "missing effect")
+
+
+def test_one_of_a_class_is_not_written_as_if_it_were_known() -> None:
+    def gap(answer: Answer) -> Gap:
+        found: Any = SimpleNamespace(
+            naming=naming(answer, candidate("pad_wear"), candidate("wet_disc"))
+        )
+        found.effects = lambda: [SimpleNamespace(name="pad_wear")]
+        return cast("Gap", found)
+
+    assert adopted_text([gap("name")]) == "pad_wear"
+    assert adopted_text([gap("class")]) == (
+        "pad_wear (one of pad_wear, wet_disc; these drives cannot tell which)"
+    )
+
+
+def test_an_error_within_the_noise_is_not_a_figure() -> None:
+    assert acceleration(0.0) == "none"
+    assert acceleration(0.1834) == "0.183 m/s2"
+
+
+def test_next_to_no_evidence_looks_like_it() -> None:
+    weak = evidence_bars(naming("nothing", candidate("pad_wear", 0.26)))
+    strong = evidence_bars(naming("name", candidate("pad_wear", 260.0)))
+
+    assert weak.layout["xaxis"]["range"] == [0.0, WEAK_EVIDENCE]
+    assert strong.layout["xaxis"]["range"][1] > 260.0

@@ -1,0 +1,210 @@
+"""The page of every command: whole, self-contained, safe."""
+
+import base64
+import hashlib
+import json
+import re
+import sys
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bstm_daemon.errors import FileAccessError, MissingExtraError
+from bstm_daemon.report.plots import curve, plot
+from bstm_daemon.report.shell import (
+    Cell,
+    Page,
+    Section,
+    Table,
+    render,
+    write_page,
+)
+
+HOSTILE = "</script><img src=x onerror=\"alert('x')\">{{x}}<!--&amp;\u2028"
+
+
+class Reader(HTMLParser):
+    """What a browser would build of a page: elements and text."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.elements: list[tuple[str, dict[str, str | None]]] = []
+        self.scripts: list[str] = []
+        self.text: list[str] = []
+        self._inside = ""
+
+    def handle_starttag(
+        self, tag: str, attrs: list[tuple[str, str | None]]
+    ) -> None:
+        self.elements.append((tag, dict(attrs)))
+        self._inside = tag
+        if tag == "script":
+            self.scripts.append("")
+
+    def handle_endtag(self, tag: str) -> None:
+        del tag
+        self._inside = ""
+
+    def handle_data(self, data: str) -> None:
+        if self._inside == "script":
+            self.scripts[-1] += data
+        elif self._inside != "style":
+            self.text.append(data)
+
+
+def _read(page: str) -> Reader:
+    reader = Reader()
+    reader.feed(page)
+    reader.close()
+    return reader
+
+
+@pytest.fixture(scope="module")
+def hostile() -> str:
+    """Return a page with every part of a section, all text hostile."""
+    x = np.arange(3.0)
+    return render(
+        Page(
+            HOSTILE,
+            [
+                Section(
+                    HOSTILE,
+                    Table(
+                        (HOSTILE, "b"),
+                        [(HOSTILE, HOSTILE), ("c", Cell(HOSTILE, HOSTILE))],
+                        ((HOSTILE, 2),),
+                    ),
+                    facts=[(HOSTILE, HOSTILE)],
+                    lines=[HOSTILE],
+                    plots=[
+                        (HOSTILE, plot([curve(x, x, HOSTILE, "#0")], "", ""))
+                    ],
+                    note=HOSTILE,
+                    badge=Cell(HOSTILE),
+                ),
+                Section(HOSTILE),
+            ],
+            [(HOSTILE, HOSTILE)],
+            Cell(HOSTILE, tone="good"),
+            subtitle=HOSTILE,
+        )
+    )
+
+
+def test_hostile_names_stay_text(hostile: str) -> None:
+    reader = _read(hostile)
+
+    tags = [tag for tag, _ in reader.elements]
+    assert "img" not in tags
+    assert tags.count("script") == len(reader.scripts) == 3
+    assert not [
+        name
+        for _, attributes in reader.elements
+        for name in attributes
+        if name.startswith("on")
+    ]
+    # as often as a part has it, the title twice
+    assert "".join(reader.text).count(HOSTILE) == 20
+
+
+def test_json_can_not_leave_its_element(hostile: str) -> None:
+    text = _read(hostile).scripts[0]
+
+    assert not set("<>&\u2028") & set(text)
+    assert "&lt;img" in json.loads(text)["plots"][0]["data"][0]["name"]
+
+
+def test_nan_never_reaches_the_page() -> None:
+    drawn = plot([{"y": [float("nan")]}], "x", "y")
+
+    with pytest.raises(ValueError, match="JSON"):
+        render(Page("", [Section("", plots=[("", drawn)])]))
+
+
+def test_page_needs_no_network(hostile: str) -> None:
+    elements = _read(hostile).elements
+
+    assert not [a for _, a in elements if {"src", "href"} & a.keys()]
+    assert "plotly.js v" in hostile
+
+
+def test_policy_allows_exactly_the_scripts_of_the_page(hostile: str) -> None:
+    reader = _read(hostile)
+    (policy,) = [
+        attributes["content"]
+        for tag, attributes in reader.elements
+        if tag == "meta" and "http-equiv" in attributes
+    ]
+    code = [
+        script
+        for script, (_, attributes) in zip(
+            reader.scripts,
+            [e for e in reader.elements if e[0] == "script"],
+            strict=True,
+        )
+        if "type" not in attributes
+    ]
+
+    assert policy is not None
+    assert policy.startswith("default-src 'none'")
+    assert re.findall(r"sha256-([^']+)", policy) == [
+        base64.b64encode(hashlib.sha256(s.encode()).digest()).decode()
+        for s in code
+    ]
+    assert "unsafe-inline" not in policy.split("script-src")[1]
+
+
+def test_long_words_of_a_table_wrap() -> None:
+    why = "no cooling long and warm enough in these drives"
+    section = Section("", Table(("a", "b", "c"), [("x", "1.2 K", why)]))
+
+    page = render(Page("", [section]))
+
+    assert f'<td class="words">{why}</td>' in page
+    assert '<th class="words">c</th>' in page
+    assert '<td class="number">1.2 K</td>' in page
+    assert '<th class="number">b</th>' in page
+
+
+def test_a_column_of_figures_stays_one_with_a_reason_in_it() -> None:
+    why = "no cooling long and warm enough in these drives"
+    rows = (("x", "1"), ("y", why), ("z", "3"))
+
+    page = render(Page("", [Section("", Table(("a", "b"), rows))]))
+
+    assert '<th class="number">b</th>' in page
+    assert f'<td class="words">{why}</td>' in page
+    assert page.count('<td class="number">') == 2
+
+
+def test_written_page_is_whole_and_the_same_each_time(tmp_path: Path) -> None:
+    path = tmp_path / "report.html"
+    path.write_text("older")
+    page = Page("a", [Section("b", lines=["c"])])
+
+    write_page(path, page)
+
+    assert path.read_text(encoding="utf-8") == render(page)
+    assert [entry.name for entry in tmp_path.iterdir()] == ["report.html"]
+
+
+def test_a_folder_that_is_missing_is_named(tmp_path: Path) -> None:
+    with pytest.raises(FileAccessError, match="missing"):
+        write_page(tmp_path / "missing" / "report.html", Page("a", []))
+
+
+@pytest.mark.parametrize("package", ["jinja2", "plotly.offline"])
+def test_without_a_package_the_extra_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, package: str
+) -> None:
+    # None in sys.modules is how Python itself marks an import as barred
+    monkeypatch.setitem(sys.modules, package, None)
+
+    with pytest.raises(
+        MissingExtraError,
+        match=rf"'{package.partition('.')[0]}'.*bstm-daemon\[report\]",
+    ):
+        write_page(tmp_path / "r.html", Page("a", []))
+    assert not list(tmp_path.iterdir())

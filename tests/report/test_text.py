@@ -1,0 +1,39 @@
+"""Columns and wrapped lines of a result."""
+
+from __future__ import annotations
+
+import pytest
+
+from bstm_daemon.report.text import WIDTH, columns, number, table, wrapped
+
+ROWS = [("corner", "disc"), ("FL", "7"), ("RL", "412")]
+
+
+def test_columns_are_aligned() -> None:
+    assert columns(ROWS) == ["corner  disc", "FL         7", "RL       412"]
+    assert table(*ROWS[:1], ROWS[1:]) == [
+        "corner  disc",
+        "FL      7",
+        "RL      412",
+    ]
+
+
+def test_a_wide_table_has_narrow_gaps() -> None:
+    (line,) = columns([("x" * 49, "y" * 50)])
+
+    assert line == f"{'x' * 49} {'y' * 50}"
+    assert len(line) == WIDTH
+
+
+def test_lines_are_broken_at_the_width() -> None:
+    first, second = wrapped(["word " * 24], mark="* ", indent="    ")
+
+    assert first == "* " + "word " * 18 + "word"
+    assert second == "    " + "word " * 4 + "word"
+
+
+@pytest.mark.parametrize(
+    ("value", "text"), [(1234.56, "1235"), (float("nan"), "-")]
+)
+def test_number(value: float, text: str) -> None:
+    assert number(value) == text

@@ -1,0 +1,338 @@
+"""How long the car stood, by clocks that may be wrong, and what is saved."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from bstm_daemon.cli.vehicle import load_vehicle
+from bstm_daemon.engine import Engine
+from bstm_daemon.errors import StateLockedError
+from bstm_daemon.service import persistence
+from bstm_daemon.service.clock import SteadyAxis, boot_id
+from bstm_daemon.service.events import ServiceLog
+from bstm_daemon.service.persistence import Persistence, state_file
+from bstm_daemon.service.state_file import encode, read, save
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+CAR = Path(__file__).parents[2] / "config" / "example_vehicle.toml"
+SECOND = 1_000_000
+HOUR = 3600 * SECOND
+START_US = 1_760_000_000 * SECOND
+NEVER_SET_US = 60 * SECOND
+"""A minute after 1970-01-01: a computer without a battery for its clock."""
+
+
+class Clocks:
+    """A computer's clocks, moved by the test."""
+
+    def __init__(self) -> None:
+        self.wall_us, self.boot_us = START_US, 100 * SECOND
+
+    def axis(self) -> SteadyAxis:
+        return SteadyAxis(
+            lambda: self.wall_us * 1000, lambda: self.boot_us * 1000
+        )
+
+    def run(self, us: int) -> None:
+        self.wall_us += us
+        self.boot_us += us
+
+    def power_cut(self, us: int, *, wall_us: int | None = None) -> None:
+        """Stay off for *us*; the clock may then show *wall_us*."""
+        self.wall_us = self.wall_us + us if wall_us is None else wall_us
+        self.boot_us = 30 * SECOND
+
+
+class Lines:
+    """Takes what is logged."""
+
+    def __init__(self) -> None:
+        self.said: list[tuple[str, dict[str, Any]]] = []
+
+    def _take(self, event: str, **fields: Any) -> None:
+        self.said.append((event, fields))
+
+    debug = info = warning = error = _take
+
+    def names(self) -> list[str]:
+        return [name for name, _ in self.said]
+
+
+class Box:
+    """One run of the service as far as its state goes."""
+
+    def __init__(self, file: Path, clocks: Clocks) -> None:
+        self.lines = Lines()
+        self.clocks, self.axis = clocks, clocks.axis()
+        config, signal_map = load_vehicle(CAR)
+        self.engine = Engine(config, signal_map)
+        log = ServiceLog(self.lines)
+        self.persistence = Persistence(file, self.axis, log)
+        self.persistence.resume(self.engine, self.axis.read())
+
+    def pass_time(self, us: int, every_us: int = SECOND) -> None:
+        for _ in range(us // every_us):
+            self.clocks.run(every_us)
+            now_us = self.axis.read()
+            self.engine.tick(now_us)
+            self.persistence.poll(self.engine, now_us)
+
+    def disc_k(self) -> float:
+        return self.engine.estimator.state("FL")["disc"]
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    return tmp_path / "car.state"
+
+
+@pytest.fixture(params=["same boot", "other boot"])
+def another_boot(
+    request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
+) -> bool:
+    if request.param == "same boot":
+        return False
+    monkeypatch.setattr(persistence, "boot_id", _numbered_boots())
+    return True
+
+
+def _numbered_boots() -> Any:
+    boots: Iterator[int] = iter(range(1000))
+    return lambda: f"boot {next(boots)}"
+
+
+@pytest.fixture
+def other_boots(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let every run be a boot of its own."""
+    monkeypatch.setattr(persistence, "boot_id", _numbered_boots())
+
+
+def hot_stop(file: Path, clocks: Clocks) -> None:
+    """Leave a state with all brakes at 600 K."""
+    box = Box(file, clocks)
+    box.pass_time(2 * SECOND)
+    for batch, _ in box.engine.estimator.batches:
+        for member in range(len(batch.programs)):
+            batch.settle(600.0, member)
+    box.persistence.close(box.engine)
+
+
+def cooled_k(file: Path, parked_us: int) -> float:
+    """Return what a disc of that state has after *parked_us*."""
+    config, signal_map = load_vehicle(CAR)
+    engine = Engine(config, signal_map)
+    document = read(file).document
+    assert document is not None
+    engine.resume(document, parked_us, document["wall_us"] + parked_us)
+    return engine.estimator.state("FL")["disc"]
+
+
+def test_an_hour_off_cools_the_brakes(
+    file: Path, *, another_boot: bool
+) -> None:
+    clocks = Clocks()
+    hot_stop(file, clocks)
+    expected_k = cooled_k(file, HOUR)
+    assert expected_k < 450.0
+    if another_boot:
+        clocks.power_cut(HOUR)
+    else:
+        clocks.run(HOUR)
+
+    box = Box(file, clocks)
+
+    assert box.disc_k() == pytest.approx(expected_k, abs=0.1)
+    assert box.lines.names()[0] == "state_loaded"
+    assert box.lines.said[0][1]["age_s"] == pytest.approx(3600.0, abs=0.1)
+    box.persistence.close(box.engine)
+
+
+def test_within_a_boot_nobody_can_set_the_parked_time(file: Path) -> None:
+    if boot_id() is None:
+        pytest.skip("this system does not name its boots")
+    clocks = Clocks()
+    hot_stop(file, clocks)
+    expected_k = cooled_k(file, HOUR)
+    clocks.run(HOUR)
+    clocks.wall_us -= 24 * HOUR
+
+    box = Box(file, clocks)
+
+    assert box.disc_k() == pytest.approx(expected_k, abs=0.1)
+    box.persistence.close(box.engine)
+
+
+@pytest.mark.usefixtures("other_boots")
+def test_a_clock_that_was_never_set_is_corrected_once(file: Path) -> None:
+    clocks = Clocks()
+    hot_stop(file, clocks)
+    hot_k = cooled_k(file, 0)
+    expected_k = cooled_k(file, 2 * HOUR + 120 * SECOND)
+    true_us = clocks.wall_us + 2 * HOUR
+    clocks.power_cut(0, wall_us=NEVER_SET_US)
+    box = Box(file, clocks)
+    assert box.disc_k() == pytest.approx(hot_k, abs=0.1)
+    box.pass_time(120 * SECOND)
+
+    clocks.wall_us = true_us + 120 * SECOND
+    now_us = box.axis.read()
+    assert box.axis.steps == 1
+    box.persistence.clock_stepped(box.engine)
+    box.engine.tick(now_us + 100_000)
+
+    assert box.disc_k() == pytest.approx(expected_k, abs=0.1)
+    assert "parked_time_corrected" in box.lines.names()
+    assert box.engine.estimate is not None
+    assert box.engine.estimate.status.clock_jump
+
+    clocks.wall_us += HOUR
+    box.axis.read()
+    before_k = box.disc_k()
+    box.persistence.clock_stepped(box.engine)
+    assert box.disc_k() == before_k
+    box.persistence.close(box.engine)
+
+
+@pytest.mark.usefixtures("other_boots")
+def test_a_clock_behind_the_save_keeps_the_brakes_hot(file: Path) -> None:
+    clocks = Clocks()
+    hot_stop(file, clocks)
+    clocks.power_cut(HOUR, wall_us=START_US - HOUR)
+
+    box = Box(file, clocks)
+
+    assert box.disc_k() == pytest.approx(600.0, abs=1.0)
+    box.persistence.close(box.engine)
+
+
+@pytest.mark.slow
+def test_saves_often_while_hot_and_seldom_at_rest(
+    file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clocks = Clocks()
+    hot_stop(file, clocks)
+    clocks.run(SECOND)
+    box = Box(file, clocks)
+    submitted: list[int] = []
+    submit = box.persistence._writer.submit
+
+    def counted(document: dict[str, Any], time_us: int) -> None:
+        submitted.append(time_us)
+        submit(document, time_us)
+
+    monkeypatch.setattr(box.persistence._writer, "submit", counted)
+
+    box.pass_time(60 * SECOND)
+    while_hot = len(submitted)
+    for batch, _ in box.engine.estimator.batches:
+        for member in range(len(batch.programs)):
+            batch.settle(283.15, member)
+    box.pass_time(20 * SECOND)
+    rest = len(submitted)
+    box.pass_time(600 * SECOND)
+
+    assert while_hot == 6
+    assert len(submitted) - rest == 2
+    box.persistence.close(box.engine)
+
+
+def test_a_state_of_another_car_is_set_aside(file: Path) -> None:
+    clocks = Clocks()
+    hot_stop(file, clocks)
+    document = read(file).document
+    assert document is not None
+    save(file, encode(document | {"vehicle_id": "another"}))
+
+    box = Box(file, clocks)
+    box.persistence.close(box.engine)
+
+    (name, fields) = box.lines.said[0]
+    assert name == "state_discarded"
+    assert "another" in fields["reason"]
+    aside = list(file.parent.glob("car.state.bad-*"))
+    assert [read(path).document for path in aside] == [
+        document | {"vehicle_id": "another"}
+    ]
+
+
+def whole_numbers(value: Any, path: tuple[Any, ...] = ()) -> Iterator[Any]:
+    """Yield where in *value* whole numbers are."""
+    if isinstance(value, dict):
+        for key, inner in value.items():
+            yield from whole_numbers(inner, (*path, key))
+    elif isinstance(value, list):
+        for index in {0, len(value) - 1} if value else ():
+            yield from whole_numbers(value[index], (*path, index))
+    elif isinstance(value, int) and not isinstance(value, bool):
+        yield path
+
+
+def altered(document: dict[str, Any], path: tuple[Any, ...], to: int) -> bytes:
+    """Return the file of *document* with *to* at *path*, checksum right."""
+    copy = json.loads(json.dumps(document))
+    inner = copy
+    for key in path[:-1]:
+        inner = inner[key]
+    inner[path[-1]] = to
+    body = json.dumps(copy).encode()
+    digest = hashlib.blake2s(body).hexdigest()
+    return f"bstm-state 1 {digest} {len(body)}\n".encode() + body
+
+
+@pytest.mark.parametrize(("number", "every"), [(10**30, 8), (2**63 - 1, 2)])
+def test_an_absurd_number_ends_no_start(
+    file: Path, number: int, every: int
+) -> None:
+    """Wherever it stands, beneath a checksum that is right."""
+    clocks = Clocks()
+    hot_stop(file, clocks)
+    clocks.run(SECOND)
+    document = read(file).document
+    assert document is not None
+    places = list(whole_numbers(document))
+    assert len(places) > 8
+    for place in places[::every]:
+        file.write_bytes(altered(document, place, number))
+
+        box = Box(file, clocks)
+
+        assert 200.0 < box.disc_k() < 1000.0, place
+        event, fields = box.lines.said[0]
+        if number >= 2**63:
+            assert event == "state_discarded", place
+            assert "beyond 64 bits" in fields["reason"]
+        box.persistence.close(box.engine)
+
+
+def test_a_second_instance_is_refused(file: Path) -> None:
+    box = Box(file, Clocks())
+
+    with pytest.raises(StateLockedError, match=r"car\.state"):
+        Box(file, Clocks())
+
+    box.persistence.close(box.engine)
+    again = Box(file, Clocks())
+    again.persistence.close(again.engine)
+
+
+def test_where_the_state_lies(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    config, _ = load_vehicle(CAR)
+    monkeypatch.setenv("STATE_DIRECTORY", str(tmp_path))
+    given = tmp_path / "given"
+
+    assert state_file(config, tmp_path, given) == given
+    default = state_file(config, tmp_path, None)
+    assert default == tmp_path / "example-vehicle.state"
+    named = config.model_copy(
+        update={"state": config.state.model_copy(update={"file": "s/x"})}
+    )
+    assert state_file(named, tmp_path, None) == tmp_path / "s" / "x"
