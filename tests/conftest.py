@@ -12,9 +12,13 @@ from bstm_daemon.model.thermal.brake_corner import CornerSpec, corner_spec
 from bstm_daemon.native.loader import VARIABLE, Kernel, load_module
 
 # CI runs the same examples every time, a developer looks for new ones; a busy
-# machine is no defect, so that no example has a deadline
-settings.register_profile("ci", derandomize=True, deadline=None)
-settings.register_profile("local", deadline=None)
+# machine is no defect, so that no example has a deadline. .ci/full searches
+# with --hypothesis-profile thorough
+settings.register_profile(
+    "ci", derandomize=True, deadline=None, max_examples=40
+)
+settings.register_profile("local", deadline=None, max_examples=40)
+settings.register_profile("thorough", deadline=None, max_examples=1000)
 settings.load_profile("ci" if os.environ.get("CI") else "local")
 
 # numpy is not imported yet: a worker of pytest has one core, and BLAS threads

@@ -126,6 +126,7 @@ def test_locate_alone_names_nothing(
     assert "missing" not in out
 
 
+@pytest.mark.slow
 def test_files_are_written_though_who_reads_has_gone(
     log: Path, tmp_path: Path
 ) -> None:

@@ -206,6 +206,7 @@ def test_heat(
     assert len(series["momentary_ratio"]) == count
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("what", "names", "plots", "expected"),
     [

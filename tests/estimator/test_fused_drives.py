@@ -172,6 +172,7 @@ def test_an_ordinary_drive_is_right_and_suspects_nothing(rich: Drive) -> None:
     assert not rich.flags >> 40
 
 
+@pytest.mark.slow
 def test_a_friction_law_carries_what_fades_in_bends() -> None:
     """On a track nothing is learned, the disc's temperature tells."""
     plain = estimate("track")
@@ -182,6 +183,7 @@ def test_a_friction_law_carries_what_fades_in_bends() -> None:
     assert law.error == pytest.approx(0.0, abs=0.08)
 
 
+@pytest.mark.slow
 def test_a_pushed_car_without_the_role_teaches_nothing() -> None:
     """Eq 4.7: pushed along against its brakes for 25 minutes."""
     pushed = estimate("simalp")

@@ -102,6 +102,7 @@ def test_two_hundred_thousand_frames_pass(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("defect", DEFECTS)
 def test_a_defect_is_found_and_its_input_kept(
     tmp_path: Path, defect: str

@@ -242,6 +242,7 @@ def test_a_number_of_a_result_moves_beyond_its_share() -> None:
     assert (alone.what, alone.unit) == ("corners[0].rms_k.disc", "K")
 
 
+@pytest.mark.slow
 def test_refresh_tells_what_moved_and_mends_it(
     compiled: Kernel,
     monkeypatch: pytest.MonkeyPatch,

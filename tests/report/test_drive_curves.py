@@ -180,6 +180,7 @@ def test_panel_stands_under_the_pressure(descent: Results) -> None:
     assert axis["range"][0] == stamp(0.0)
 
 
+@pytest.mark.slow
 def test_no_advice_takes_no_room(descent: Results) -> None:
     quiet = advised(descent)
     for name in ("advice_message", "advice_shift"):

@@ -27,7 +27,7 @@ import pytest
 from bstm_daemon.service.state_file import encode, load, lock, save
 from bstm_daemon.service.state_writer import StateWriter
 
-KILLS = int(os.environ.get("BSTM_SIGKILLS", "20"))
+KILLS = int(os.environ.get("BSTM_SIGKILLS", "8"))
 INTERVAL_S = 0.02
 LEFTOVER = re.compile(r"\.golf\.state\.tmp-[a-z0-9_]{8}")
 
@@ -87,6 +87,7 @@ def test_the_file_survives_sigkill_at_random_instants(
             assert loaded.document == document(number)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("had_one", [True, False])
 def test_the_file_survives_a_kill_before_every_step_of_a_save(
     tmp_path: Path,

@@ -147,6 +147,7 @@ def test_regeneration_spares_the_pads() -> None:
     assert 0.3 < ledger.regeneration / ledger.brakes < 3.0
 
 
+@pytest.mark.slow
 def test_open_rims_cool_the_soak() -> None:
     closed, tunnel = run("simalp"), run("wind-tunnel")
     rise = {
@@ -158,6 +159,7 @@ def test_open_rims_cool_the_soak() -> None:
     assert rise["wind-tunnel"] < rise["simalp"] - 5.0
 
 
+@pytest.mark.slow
 def test_worn_pads_pass_more_heat_to_the_fluid() -> None:
     new, worn = run("m01"), run("m12")
 

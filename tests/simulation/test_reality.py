@@ -81,6 +81,7 @@ def test_energy_balance_closes_for_every_effect(lane_inputs: Inputs) -> None:
     assert np.abs(result.balance_residual).max() < 1e-11
 
 
+@pytest.mark.slow
 def test_compiled_march_is_the_same(lane_inputs: Inputs) -> None:
     reality = compiled.extension()
     if reality is None:

@@ -90,6 +90,7 @@ def test_energy_balance_closes(simalp: SimulatedDrive) -> None:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("finer", "disc_k", "fluid_k"),
     [

@@ -51,6 +51,7 @@ def driven(
     )
 
 
+@pytest.mark.slow
 def test_nothing_is_named_where_nothing_is_missing() -> None:
     found = find_force_gap(car()[0], [driven("rich", {}, sensors="none")])
 
@@ -60,6 +61,7 @@ def test_nothing_is_named_where_nothing_is_missing() -> None:
     assert found.before_ms2 < 0.01
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "strength"),
     [

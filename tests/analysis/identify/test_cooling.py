@@ -134,6 +134,7 @@ def test_cooldown_through_its_can_frames(
     assert "4 times a disc" in found.searched[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "sensors",
     [
@@ -417,6 +418,7 @@ def test_dead_thermocouple_is_no_cool_down(
         identify_cooling([reading], example[0])
 
 
+@pytest.mark.slow
 def test_emissivity_that_cools_faster_than_the_disc(
     example: Example, sample_of: Sampled
 ) -> None:

@@ -76,6 +76,7 @@ def test_the_strength_of_an_effect_is_found(match: Match) -> None:
         assert abs(found - right) < 4.0 * deviation + 0.02 * right
 
 
+@pytest.mark.slow
 def test_the_verdicts_name_strengths_too(match: Match) -> None:
     found = {one.key: one for one in verdicts(match.joint)}
 

@@ -279,6 +279,7 @@ def test_a_damaged_log_is_never_a_traceback(
             assert len(chunk) == reader.frames
 
 
+@pytest.mark.slow
 @every_format
 @pytest.mark.filterwarnings("ignore")
 def test_a_log_cut_short_gives_what_is_there(

@@ -121,6 +121,7 @@ def errors(config: Config, drive: Any, kernel: Kernel) -> dict[str, float]:
     return found
 
 
+@pytest.mark.slow
 def test_extended_is_near_the_road_and_thesis_the_plain(
     compiled: Kernel,
 ) -> None:
