@@ -61,7 +61,7 @@ ITEMS: Final = {
 }
 """Heading of the document's chapter to the items of the thesis in it."""
 
-EXCUSES: Final = re.compile(r"not yet modelled|not modelled, because \w+")
+EXCUSES: Final = re.compile(r"not modelled, because \w+")
 REFERENCE: Final = re.compile(r"`([\w/.-]+\.py)::([\w.]+)`")
 SETTING: Final = re.compile(r"`\[\[?(\w+)\]\]? ([\w.]+) = ([^`]+)`")
 
@@ -178,7 +178,7 @@ GOOD_TEST: Final = f"`{TESTS}::test_share_of_the_disc`"
     ("row", "problem"),
     [
         (f"| 2.3 | {GOOD_MODULE} | {GOOD_TEST} |", None),
-        ("| 2.3 | - | not yet modelled: later |", None),
+        ("| 2.3 | - | not modelled, because it is a sketch |", None),
         ("| 2.3 | - | not modelled, because it is a sketch |", None),
         (f"| 2.3 | `thermal/lost.py::a` | {GOOD_TEST} |", "no file"),
         (
