@@ -1,0 +1,362 @@
+"""The campaign of single faults: seen, safe, or silent.
+
+``faults.py [--full] [--write docs/validity.md]``. A car drives in the
+independent reality; one fault begins at an onset and stays. A run is
+*silent* where the fluid is more than 10 K or the disc more than 60 K too low
+at an instant at which the corner is valid; *seen* where the corner was
+degraded or invalid by then; *safe* where it never comes to that.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import zlib
+from collections import Counter
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict, dataclass
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from fault_kinds import FAULTS, RATE_HZ, WHEELS, Fault, Recording
+from heat_case import configured
+from measurements import markdown
+from side_by_side import Goal, Outcome, Table
+
+from bstm_daemon.channels import MODES
+from bstm_daemon.estimate import Validity
+from bstm_daemon.estimator.estimator import Estimator
+from bstm_daemon.roles import CORNERS, ROLE_INDEX, ROLES
+from bstm_daemon.simulation import load_drive, simulate
+from bstm_daemon.simulation.profile import SAMPLE_S
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from bstm_daemon.simulation import SimulatedDrive
+    from bstm_daemon.simulation.materials import Array
+
+FLUID_K: Final = 10.0
+DISC_K: Final = 60.0
+OVER_K: Final = 30.0
+"""Too low by more than the first two, or the fluid too high by the last."""
+
+START_US: Final = 1_700_000_000_000_000
+EVERY: Final = round(1.0 / SAMPLE_S / RATE_HZ)
+
+INPUTS: Final[dict[str, tuple[str, ...]]] = {
+    "all": (
+        *WHEELS,
+        *("vehicle_speed", "primary_pressure", "secondary_pressure"),
+        *("acceleration_longitudinal", "acceleration_lateral", "yaw_rate"),
+        *("powertrain_torque", "motor_torque", "engine_speed", "gear"),
+        *("clutch_open", "brake_torque", "external_force"),
+        *("ambient_temperature", "rain", "brake_switch"),
+        *("brake_pedal_travel", "park_brake", "abs_active", "esc_active"),
+        *("tc_active", "ignition"),
+    ),
+    "thesis": (
+        *WHEELS,
+        *("primary_pressure", "acceleration_longitudinal"),
+        "powertrain_torque",
+    ),
+}
+"""What the example car maps, and the four roles of the thesis."""
+
+DRIVES: Final = ("alpine-descent", "simalp", "grossglockner")
+ONSETS: Final = (0.0, 0.35)
+"""From the begin, or after this share of the drive."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """One run; ``fault`` is a name, or None for a drive without."""
+
+    fault: str | None
+    inputs: str
+    mode: str
+    drive: str
+    onset: float
+    sensors: str = "n1"
+    seed: int = 1
+
+
+@dataclass
+class Finding:
+    """What became of a case.
+
+    ``fluid_k`` and ``disc_k`` are the largest under-estimates at which the
+    corner was valid, ``over_k`` the largest over-estimate of the fluid at
+    which it was; ``unseen_s`` for how long it was silent, ``flagged`` the
+    share of the time after the onset that no corner was valid.
+    """
+
+    case: dict[str, Any]
+    fluid_k: float
+    disc_k: float
+    over_k: float
+    unseen_s: float
+    flagged: float
+    hottest_k: float
+
+    @property
+    def silent(self) -> bool:
+        """Whether the brakes were hotter than a valid estimate said."""
+        return self.fluid_k > FLUID_K or self.disc_k > DISC_K
+
+
+@cache
+def _driven(drive: str, sensors: str, seed: int) -> SimulatedDrive:
+    return simulate(load_drive(drive), sensors=sensors, seed=seed)
+
+
+def recorded(driven: SimulatedDrive, inputs: str) -> Recording:
+    """Return what the bus carries of *driven*."""
+    stamps = START_US + np.rint(driven.time_s[::EVERY] * 1e6).astype(np.int64)
+    on = driven.bus_on[::EVERY]
+    return Recording(
+        stamps,
+        {
+            role: np.where(on, driven.roles[role][::EVERY], np.nan)
+            for role in INPUTS[inputs]
+            if role in driven.roles
+        },
+    )
+
+
+def samples(record: Recording) -> tuple[Array, Array, Array, dict[int, int]]:
+    """Return stamps, roles and values in the order of the bus; time-outs."""
+    streams = [(role, values) for role, values in record.signals.items()]
+    streams += list(record.second.items())
+    numbers = np.array([ROLE_INDEX[role] for role, _ in streams], np.int32)
+    values = np.column_stack([values for _, values in streams]).ravel()
+    times = np.repeat(record.stamp_us, len(streams))
+    roles = np.tile(numbers, len(record.stamp_us))
+    sent = ~np.isnan(values)
+    present = {
+        ROLE_INDEX[role]: round(ROLES[ROLE_INDEX[role]].timeout_s * 1e6)
+        for role in record.signals
+    }
+    return times[sent], roles[sent], values[sent], present
+
+
+def true_times(record: Recording, before: Recording, times: Array) -> Array:
+    """Return when each publication really was [us]; nan within a jump."""
+    step = record.stamp_us - before.stamp_us
+    if not step.any():
+        return times.astype(np.float64)
+    first = int(np.argmax(step != 0))
+    ahead = int(step[first])
+    after = np.zeros(len(times), bool)
+    if ahead > 0:
+        after = times >= record.stamp_us[first]
+        gap = (times > before.stamp_us[first]) & ~after
+    else:
+        back = np.flatnonzero(np.diff(times) < 0)
+        if len(back):
+            after[back[0] + 1 :] = True
+        gap = np.zeros(len(times), bool)
+    real = np.where(after, times - ahead, times).astype(np.float64)
+    real[gap] = np.nan
+    return real
+
+
+def judge(case: Case) -> Finding:
+    """Run one case."""
+    driven = _driven(case.drive, case.sensors, case.seed)
+    before = recorded(driven, case.inputs)
+    record = before.copy()
+    first = round(case.onset * len(record.stamp_us))
+    if case.fault is not None:
+        stream = np.random.default_rng(
+            [case.seed, zlib.crc32(case.fault.encode())]
+        )
+        _fault(case.fault).make(record, first, stream)
+    *columns, present = samples(record)
+    start_k = float(driven.truth["FL.fluid"][0])
+    estimator = Estimator(
+        configured(case.mode), present, history_known=True, initial_k=start_k
+    )
+    blocks = estimator.advance(*columns)
+    published = np.concatenate(
+        [np.frombuffer(block.times_us, "q") for block in blocks]
+    )
+    real_us = true_times(record, before, published)
+    known = ~np.isnan(real_us)
+    at_s = (real_us[known] - START_US) * 1e-6
+    found = Finding(asdict(case), 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    after = at_s >= first / RATE_HZ
+    flagged = np.ones(len(at_s), bool)
+    silent = np.zeros(len(at_s), bool)
+    for corner in blocks[0].layout.modelled:
+        validity = np.concatenate([b.validity[corner] for b in blocks])[known]
+        valid = validity == Validity.VALID
+        fluid, disc = (_node(blocks, corner, n)[known] for n in NODES)
+        truth = driven.truth
+        low_k = np.interp(at_s, driven.slow_time_s, truth[f"{corner}.fluid"])
+        disc_k = np.interp(at_s, driven.slow_time_s, truth[f"{corner}.disc"])
+        under_fluid = np.where(valid, low_k - fluid, 0.0)
+        under_disc = np.where(valid, disc_k - disc, 0.0)
+        over = np.where(valid, fluid - low_k, 0.0)
+        found.fluid_k = max(found.fluid_k, float(under_fluid.max()))
+        found.disc_k = max(found.disc_k, float(under_disc.max()))
+        found.over_k = max(found.over_k, float(over.max()))
+        found.hottest_k = max(found.hottest_k, float(low_k.max()))
+        silent |= (under_fluid > FLUID_K) | (under_disc > DISC_K)
+        flagged &= ~valid
+    found.unseen_s = float(silent.sum()) * 0.1
+    found.flagged = float(flagged[after].mean()) if after.any() else 0.0
+    return found
+
+
+NODES: Final = ("fluid", "disc")
+
+
+def _node(blocks: Sequence[Any], corner: str, node: str) -> Array:
+    parts = []
+    for block in blocks:
+        number, place, stride, group = block.layout.modelled[corner]
+        output = np.frombuffer(block.outputs[number])
+        column = place + group.state_names.index(node)
+        parts.append(output[column::stride][: len(block.times_us)])
+    return np.concatenate(parts)
+
+
+def _fault(name: str) -> Fault:
+    return next(fault for fault in FAULTS if fault.name == name)
+
+
+def cases(*, full: bool, thin: int = 4) -> list[Case]:
+    """Return the campaign, whole or a sample, each drive without faults too."""
+    drives = DRIVES if full else DRIVES[:1]
+    onsets = ONSETS if full else ONSETS[:1]
+    modes = [mode for mode in MODES if mode != "measured"]
+    found = [
+        Case(None, inputs, mode, drive, 0.0)
+        for inputs in INPUTS
+        for mode in modes
+        for drive in drives
+    ]
+    for fault in FAULTS[:: 1 if full else thin]:
+        for inputs, roles in INPUTS.items():
+            if not set(fault.roles) <= set(roles):
+                continue
+            found += [
+                Case(fault.name, inputs, mode, drive, onset)
+                for mode in modes
+                for drive in drives
+                for onset in onsets
+            ]
+    return found
+
+
+def examined(chosen: Iterable[Case]) -> list[Finding]:
+    """Judge all of them, on all cores."""
+    with ProcessPoolExecutor(os.cpu_count()) as workers:
+        return list(workers.map(judge, chosen, chunksize=8))
+
+
+def run(*, full: bool) -> Outcome:
+    """Run the campaign."""
+    return outcome_of(examined(cases(full=full)))
+
+
+def outcome_of(found: Sequence[Finding]) -> Outcome:
+    """Return tables and goals of what was *found*."""
+    faulty = [one for one in found if one.case["fault"] is not None]
+    healthy = [one for one in found if one.case["fault"] is None]
+    outcome = Outcome(
+        "Single faults",
+        f"{len({one.case['fault'] for one in faulty})} kinds in "
+        f"{len(faulty)} runs, {len(healthy)} without a fault; silent: the "
+        f"fluid more than {FLUID_K:.0f} K or the disc more than "
+        f"{DISC_K:.0f} K too low while valid.",
+    )
+    outcome.tables = [_by_mode(found), _worst(faulty)]
+    share = {inputs: _share(faulty, inputs, "fused") for inputs in INPUTS}
+    outcome.goals = [
+        Goal("silent, all inputs, fused", 1.0 - share["all"], 1.0, 0.0),
+        Goal("silent, thesis inputs, fused", 1.0 - share["thesis"], 0.99, 0.0),
+    ]
+    return outcome
+
+
+def _share(found: Sequence[Finding], inputs: str, mode: str) -> float:
+    ours = [one.silent for one in found if _setting(one) == (inputs, mode)]
+    return sum(ours) / max(len(ours), 1)
+
+
+def _by_mode(found: Sequence[Finding]) -> Table:
+    rows = []
+    for inputs, mode in Counter(map(_setting, found)):
+        ours = [one for one in found if _setting(one) == (inputs, mode)]
+        faulty = [one for one in ours if one.case["fault"] is not None]
+        healthy = [one for one in ours if one.case["fault"] is None]
+        rows.append(
+            (
+                inputs,
+                mode,
+                f"{len(faulty)}",
+                f"{sum(one.silent for one in faulty)}",
+                f"{sum(one.over_k > OVER_K for one in faulty)}",
+                f"{max((one.flagged for one in healthy), default=0.0):.1%}",
+            )
+        )
+    return Table(
+        "Runs by inputs and mode",
+        ("inputs", "mode", "runs", "silent", "over unseen", "healthy flagged"),
+        tuple(rows),
+    )
+
+
+def _setting(one: Finding) -> tuple[str, str]:
+    return one.case["inputs"], one.case["mode"]
+
+
+def _worst(found: Sequence[Finding]) -> Table:
+    groups: dict[tuple[str, str, str], list[Finding]] = {}
+    for one in found:
+        key = one.case["fault"], *_setting(one)
+        groups.setdefault(key, []).append(one)
+    rows = []
+    for key, ours in groups.items():
+        silent = [one for one in ours if one.silent]
+        if silent:
+            rows.append(
+                (
+                    *key,
+                    f"{len(silent)} of {len(ours)}",
+                    f"{max(one.fluid_k for one in silent):.0f}",
+                    f"{max(one.disc_k for one in silent):.0f}",
+                )
+            )
+    return Table(
+        "Silent faults: largest under-estimates while valid [K]",
+        ("fault", "inputs", "mode", "silent", "fluid", "disc"),
+        tuple(rows),
+    )
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Print the campaign's tables as Markdown."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--full", action="store_true")
+    parser.add_argument("--out", type=Path, metavar="FILE.md")
+    args = parser.parse_args(arguments)
+    outcome = run(full=args.full)
+    lines = [outcome.about, ""]
+    for table in outcome.tables:
+        lines += [f"{table.title}:", "", *markdown(asdict(table)), ""]
+    text = "\n".join(lines)
+    if args.out:
+        args.out.write_text(text, "utf-8")
+    else:
+        sys.stdout.write(text)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
