@@ -5,7 +5,6 @@ agreement between the two is earned. Entry points: :func:`load_drive`,
 :func:`simulate`, :func:`march_lanes` and the recorder.
 """
 
-from bstm_daemon.simulation.batch import march_lanes
 from bstm_daemon.simulation.drives import (
     Drive,
     drive_names,
@@ -22,6 +21,7 @@ from bstm_daemon.simulation.parameters import (
     Mesh,
     preset_effects,
 )
+from bstm_daemon.simulation.reality import march_lanes
 from bstm_daemon.simulation.sensor_presets import SENSOR_PRESETS
 from bstm_daemon.simulation.simulate import SimulatedDrive, simulate
 from bstm_daemon.simulation.vehicle import NOMINAL, CarParameters

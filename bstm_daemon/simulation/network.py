@@ -33,6 +33,7 @@ from bstm_daemon.simulation.lanes import (
 from bstm_daemon.units import STEFAN_BOLTZMANN_W_M2K4
 
 if TYPE_CHECKING:
+    from bstm_daemon.simulation.march import Inputs
     from bstm_daemon.simulation.materials import Array
 
 _STEEL_CONDUCTIVITY_W_MK = 48.0
@@ -65,23 +66,6 @@ _EVAPORATION_J_KG = 2.4e6
 _DRAG_COLD_NM = 1.5
 _DRAG_HOT_NM = 3.5
 _DRAG_K = 80.0
-
-
-@dataclass(slots=True)
-class Inputs:
-    """What acts on the corners during one step, each (lanes,) or (1,).
-
-    ``power_w`` is friction power, ``contact`` the fraction of the step with
-    pressed pads, ``pumping_pa_s`` the mean of the absolute pressure rate.
-    """
-
-    speed_ms: Array
-    power_w: Array
-    pressure_pa: Array
-    contact: Array
-    ambient_k: Array
-    wetness: Array
-    pumping_pa_s: Array
 
 
 @dataclass(slots=True)

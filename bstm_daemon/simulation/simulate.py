@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from bstm_daemon.roles import CORNERS
-from bstm_daemon.simulation.batch import march_lanes
 from bstm_daemon.simulation.car import Motion, move
 from bstm_daemon.simulation.hydraulics import line_pressure
 from bstm_daemon.simulation.parameters import Effects, preset_effects
 from bstm_daemon.simulation.profile import SAMPLE_S, Course, plan_course
+from bstm_daemon.simulation.reality import march_lanes
 from bstm_daemon.simulation.sensor_presets import sensor_suite
 from bstm_daemon.simulation.sensors import (
     measured_roles,
