@@ -24,8 +24,12 @@ from bstm_daemon.simulation.parameters import (
 from bstm_daemon.simulation.reality import march_lanes
 from bstm_daemon.simulation.sensor_presets import SENSOR_PRESETS
 from bstm_daemon.simulation.simulate import SimulatedDrive, simulate
-from bstm_daemon.simulation.vehicle import NOMINAL, CarParameters
-from bstm_daemon.simulation.vehicles import load_vehicle, vehicle_names
+from bstm_daemon.simulation.vehicle import (
+    NOMINAL,
+    CarParameters,
+    load_vehicle,
+    vehicle_names,
+)
 
 __all__ = [
     "EFFECT_NAMES",

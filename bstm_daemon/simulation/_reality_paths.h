@@ -231,7 +231,7 @@ static void sources(const Corner *c, const State *s, const double *in,
     }
 }
 
-/* what no catalogue has heard of: the maths of unheard.py */
+/* what is in no catalogue of effects */
 static void unheard_paths(const Corner *c, const State *s, double v,
                           double v08, Paths *h)
 {
