@@ -22,7 +22,7 @@ from bstm_daemon.simulation.parameters import (
     preset_effects,
 )
 from bstm_daemon.simulation.reality import march_lanes
-from bstm_daemon.simulation.sensor_presets import SENSOR_PRESETS
+from bstm_daemon.simulation.sensors import SENSOR_PRESETS
 from bstm_daemon.simulation.simulate import SimulatedDrive, simulate
 from bstm_daemon.simulation.vehicle import (
     NOMINAL,

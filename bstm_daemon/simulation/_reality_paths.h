@@ -27,7 +27,7 @@ typedef struct {
 typedef struct {
     double t[SIDES][MAX_NODES], e[SIDES][MAX_NODES];
     double lump_t[LUMPS], lump_e[LUMPS];
-    double pad_m[SIDES], friction_j;
+    double pad_m[SIDES], charred[SIDES][MAX_NODES], friction_j;
 } State;
 
 typedef struct {

@@ -19,10 +19,10 @@ from bstm_daemon.simulation.parameters import (
 )
 from bstm_daemon.simulation.profile import SAMPLE_S, Course, plan_course
 from bstm_daemon.simulation.reality import march_lanes
-from bstm_daemon.simulation.sensor_presets import sensor_suite
 from bstm_daemon.simulation.sensors import (
     measured_roles,
     measured_temperatures,
+    sensor_suite,
 )
 from bstm_daemon.simulation.vehicle import (
     CarParameters,

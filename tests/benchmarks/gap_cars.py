@@ -46,11 +46,11 @@ from bstm_daemon.simulation.parameters import (
     preset_effects,
 )
 from bstm_daemon.simulation.reality import march_lanes
-from bstm_daemon.simulation.sensor_presets import (
+from bstm_daemon.simulation.sensors import (
     SENSOR_PRESETS,
+    measured_temperatures,
     sensor_suite,
 )
-from bstm_daemon.simulation.sensors import measured_temperatures
 from bstm_daemon.simulation.simulate import (
     Prepared,
     prepare,
