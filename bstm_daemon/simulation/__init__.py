@@ -12,7 +12,6 @@ from bstm_daemon.simulation.drives import (
     parse_drive,
     read_drive,
 )
-from bstm_daemon.simulation.energy import EnergyLedger, energy_ledger
 from bstm_daemon.simulation.march import LaneInputs, LaneResult
 from bstm_daemon.simulation.parameters import (
     EFFECT_NAMES,
@@ -39,13 +38,11 @@ __all__ = [
     "CornerParameters",
     "Drive",
     "Effects",
-    "EnergyLedger",
     "LaneInputs",
     "LaneResult",
     "Mesh",
     "SimulatedDrive",
     "drive_names",
-    "energy_ledger",
     "load_drive",
     "load_vehicle",
     "march_lanes",
