@@ -1,11 +1,8 @@
 """Effect 23: the backplates' ears heat the bracket they slide in."""
 
 from bstm_daemon.model.effects.effect import Effect
-from bstm_daemon.model.effects.model import (
-    CornerModel,
-    Parameter,
-    rising_with_speed,
-)
+from bstm_daemon.model.effects.model import CornerModel, Parameter
+from bstm_daemon.model.effects.tables import rising_with_speed
 from bstm_daemon.model.thermal.network import Link, Network, Node, value
 from bstm_daemon.model.thermal.table import Table
 

@@ -3,12 +3,8 @@
 from dataclasses import replace
 
 from bstm_daemon.model.effects.effect import FIRST, Effect
-from bstm_daemon.model.effects.model import (
-    CALIPER,
-    NEGLIGIBLE,
-    CornerModel,
-    Parameter,
-)
+from bstm_daemon.model.effects.model import CALIPER, CornerModel, Parameter
+from bstm_daemon.model.effects.tables import NEGLIGIBLE
 from bstm_daemon.model.thermal.network import Link, Network, Node
 
 

@@ -1,7 +1,8 @@
 """Effect 12: convection of the disc rises with another power of speed."""
 
 from bstm_daemon.model.effects.effect import Effect
-from bstm_daemon.model.effects.model import CornerModel, Parameter, over_speed
+from bstm_daemon.model.effects.model import CornerModel, Parameter
+from bstm_daemon.model.effects.tables import over_speed
 from bstm_daemon.model.thermal.network import Network, with_factors
 
 REFERENCE_MS = 10.0

@@ -1,11 +1,8 @@
 """Effect 17: the disc's hat is a mass of its own."""
 
 from bstm_daemon.model.effects.effect import Effect
-from bstm_daemon.model.effects.model import (
-    CornerModel,
-    Parameter,
-    rising_with_speed,
-)
+from bstm_daemon.model.effects.model import CornerModel, Parameter
+from bstm_daemon.model.effects.tables import rising_with_speed
 from bstm_daemon.model.thermal.network import Link, Network, Node
 
 STILL_W_M2K = 5.0

@@ -1,7 +1,8 @@
 """Effect 9: released pads exchange heat with the disc through the gap."""
 
 from bstm_daemon.model.effects.effect import Effect
-from bstm_daemon.model.effects.model import RELEASED, CornerModel, Parameter
+from bstm_daemon.model.effects.model import CornerModel, Parameter
+from bstm_daemon.model.effects.tables import RELEASED
 from bstm_daemon.model.thermal.network import Link, Network, mean, value
 from bstm_daemon.model.thermal.table import Table
 

@@ -4,13 +4,8 @@ from dataclasses import replace
 from math import hypot
 
 from bstm_daemon.model.effects.effect import LAST, Effect
-from bstm_daemon.model.effects.model import (
-    AIR,
-    NEGLIGIBLE,
-    CornerModel,
-    Parameter,
-    over_speed,
-)
+from bstm_daemon.model.effects.model import AIR, CornerModel, Parameter
+from bstm_daemon.model.effects.tables import NEGLIGIBLE, over_speed
 from bstm_daemon.model.thermal.network import Link, Network, Node
 
 AIR_J_M3K = 1210.0

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 
 from bstm_daemon.model.effects.effect import Effect
 from bstm_daemon.model.effects.linings import pad_nodes, with_effusivity
-from bstm_daemon.model.effects.model import ROOM_K, CornerModel, Parameter
+from bstm_daemon.model.effects.model import CornerModel, Parameter
+from bstm_daemon.model.effects.tables import ROOM_K
 from bstm_daemon.model.thermal.table import Table
 from bstm_daemon.units import KELVIN_OFFSET
 

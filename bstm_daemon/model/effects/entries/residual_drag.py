@@ -1,12 +1,8 @@
 """Effect 7: released pads still rub."""
 
 from bstm_daemon.model.effects.effect import Effect
-from bstm_daemon.model.effects.model import (
-    RELEASED,
-    ROOM_K,
-    CornerModel,
-    Parameter,
-)
+from bstm_daemon.model.effects.model import CornerModel, Parameter
+from bstm_daemon.model.effects.tables import RELEASED, ROOM_K
 from bstm_daemon.model.thermal.network import Network, Source, value
 from bstm_daemon.model.thermal.table import Table
 from bstm_daemon.units import KELVIN_OFFSET

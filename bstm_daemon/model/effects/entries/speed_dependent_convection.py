@@ -1,7 +1,8 @@
 """Effect 38: the wind cools the disc, where the baseline has none."""
 
 from bstm_daemon.model.effects.effect import Effect
-from bstm_daemon.model.effects.model import CornerModel, Parameter, over_speed
+from bstm_daemon.model.effects.model import CornerModel, Parameter
+from bstm_daemon.model.effects.tables import over_speed
 from bstm_daemon.model.thermal.network import Link, Network
 
 

@@ -1,7 +1,8 @@
 """Effect 32: thermocouples follow late."""
 
 from bstm_daemon.model.effects.effect import Effect
-from bstm_daemon.model.effects.model import NEGLIGIBLE, CornerModel, Parameter
+from bstm_daemon.model.effects.model import CornerModel, Parameter
+from bstm_daemon.model.effects.tables import NEGLIGIBLE
 from bstm_daemon.model.thermal.network import Link, Node
 from bstm_daemon.roles import MEASURED_NODES
 

@@ -5,12 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from bstm_daemon.model.effects.effect import Effect
-from bstm_daemon.model.effects.model import (
-    ROOM_K,
-    Correction,
-    InputModel,
-    Parameter,
-)
+from bstm_daemon.model.effects.model import Correction, InputModel, Parameter
+from bstm_daemon.model.effects.tables import ROOM_K
 from bstm_daemon.roles import MEASURED_NODES
 
 if TYPE_CHECKING:
