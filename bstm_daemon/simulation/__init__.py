@@ -5,7 +5,6 @@ agreement between the two is earned. Entry points: :func:`load_drive`,
 :func:`simulate`, :func:`march_lanes` and the recorder.
 """
 
-from bstm_daemon.simulation.batch import march_lanes
 from bstm_daemon.simulation.drives import (
     Drive,
     drive_names,
@@ -13,7 +12,6 @@ from bstm_daemon.simulation.drives import (
     parse_drive,
     read_drive,
 )
-from bstm_daemon.simulation.energy import EnergyLedger, energy_ledger
 from bstm_daemon.simulation.march import LaneInputs, LaneResult
 from bstm_daemon.simulation.parameters import (
     EFFECT_NAMES,
@@ -22,10 +20,15 @@ from bstm_daemon.simulation.parameters import (
     Mesh,
     preset_effects,
 )
-from bstm_daemon.simulation.sensor_presets import SENSOR_PRESETS
+from bstm_daemon.simulation.reality import march_lanes
+from bstm_daemon.simulation.sensors import SENSOR_PRESETS
 from bstm_daemon.simulation.simulate import SimulatedDrive, simulate
-from bstm_daemon.simulation.vehicle import NOMINAL, CarParameters
-from bstm_daemon.simulation.vehicles import load_vehicle, vehicle_names
+from bstm_daemon.simulation.vehicle import (
+    NOMINAL,
+    CarParameters,
+    load_vehicle,
+    vehicle_names,
+)
 
 __all__ = [
     "EFFECT_NAMES",
@@ -35,13 +38,11 @@ __all__ = [
     "CornerParameters",
     "Drive",
     "Effects",
-    "EnergyLedger",
     "LaneInputs",
     "LaneResult",
     "Mesh",
     "SimulatedDrive",
     "drive_names",
-    "energy_ledger",
     "load_drive",
     "load_vehicle",
     "march_lanes",

@@ -21,7 +21,6 @@ typedef struct {
     int pads, cheeks, varies;
     Corner *corners;
     State *states;
-    double *charred;
     const double *step_s, *rows;
     const unsigned char *keep;
     double *record, *power, *friction, *ledger;
@@ -33,8 +32,7 @@ static void share_demand(Batch *b, const double *factors)
     for (Py_ssize_t car = 0; car + b->per_car <= b->lanes; car += b->per_car) {
         double demanded = 0.0, reached = 0.0;
         for (Py_ssize_t i = car; i < car + b->per_car; i++) {
-            demanded += b->now[i * INPUTS + POWER]
-                        / factors[i];
+            demanded += b->now[i * INPUTS + POWER] / factors[i];
             reached += b->now[i * INPUTS + POWER];
         }
         double scale = reached > 0.0 ? demanded / reached : 1.0;
@@ -66,8 +64,7 @@ static void advance(Batch *b, Py_ssize_t i)
         const double *in = b->now + lane * INPUTS;
         b->friction[i * b->lanes + lane] = factors[lane];
         b->power[i * b->lanes + lane] = in[POWER];
-        step(&b->corners[lane], &b->states[lane],
-             b->charred + lane * SIDES * b->pads, in, b->step_s[i],
+        step(&b->corners[lane], &b->states[lane], in, b->step_s[i],
              &b->ledger[lane], &b->ledger[b->lanes + lane]);
     }
     if (!b->keep[i])
@@ -106,8 +103,8 @@ static void exchange_states(Batch *b, double *row, int load)
             row = move(row, s->e[side], n, load);
         row = move(row, s->lump_e, LUMPS, load);
         row = move(row, s->pad_m, SIDES, load);
-        row = move(row, b->charred + lane * SIDES * b->pads,
-                   (size_t)(SIDES * b->pads), load);
+        for (int side = 0; side < SIDES; side++)
+            row = move(row, s->charred[side], (size_t)b->pads, load);
         row = move(row, &s->friction_j, 1, load);
     }
 }
@@ -175,9 +172,8 @@ static PyObject *march_buffers(Py_buffer *v, int pads, Py_ssize_t per_car)
     size_t lanes = (size_t)b.lanes;
     b.corners = calloc(lanes, sizeof(Corner));
     b.states = calloc(lanes, sizeof(State));
-    b.charred = calloc(lanes * SIDES * (size_t)pads, sizeof(double));
     b.now = calloc(lanes * (INPUTS + 1), sizeof(double));
-    if (!b.corners || !b.states || !b.charred || !b.now) {
+    if (!b.corners || !b.states || !b.now) {
         PyErr_NoMemory();
         goto done;
     }
@@ -204,7 +200,6 @@ static PyObject *march_buffers(Py_buffer *v, int pads, Py_ssize_t per_car)
 done:
     free(b.corners);
     free(b.states);
-    free(b.charred);
     free(b.now);
     return result;
 }

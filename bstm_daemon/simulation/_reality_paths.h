@@ -27,7 +27,7 @@ typedef struct {
 typedef struct {
     double t[SIDES][MAX_NODES], e[SIDES][MAX_NODES];
     double lump_t[LUMPS], lump_e[LUMPS];
-    double pad_m[SIDES], friction_j;
+    double pad_m[SIDES], charred[SIDES][MAX_NODES], friction_j;
 } State;
 
 typedef struct {
@@ -231,7 +231,7 @@ static void sources(const Corner *c, const State *s, const double *in,
     }
 }
 
-/* what no catalogue has heard of: the maths of unheard.py */
+/* what is in no catalogue of effects */
 static void unheard_paths(const Corner *c, const State *s, double v,
                           double v08, Paths *h)
 {

@@ -1,5 +1,5 @@
-/* One step of a brake corner: the maths of solver.py, friction.py, wear.py
- * and reality.py. Part of _reality.c. */
+/* One step of a brake corner: the maths of solver.py, linings.py and
+ * reality.py. Part of _reality.c. */
 #ifndef BSTM_REALITY_STEP_H
 #define BSTM_REALITY_STEP_H
 #include "_reality_paths.h"
@@ -148,12 +148,12 @@ static double euler(const Corner *c, const State *s, const Paths *h,
 
 /* -- linings change one way --------------------------------------------- */
 
-static double pyrolyse(const Corner *c, State *s, double *charred, double dt)
+static double pyrolyse(const Corner *c, State *s, double dt)
 {
     double total = 0.0;
     for (int side = 0; side < SIDES; side++)
         for (int i = 0; i < c->pads; i++) {
-            double *done = &charred[side * c->pads + i];
+            double *done = &s->charred[side][i];
             double *t = &s->t[side][1 + i];
             double rate = 2.0e5 * exp(-1.15e4 / *t);
             double reacted = -(1.0 - *done) * expm1(-rate * dt);
@@ -222,8 +222,8 @@ static int friction_varies(const Parameters *p)
            || p->friction_pressure != 0.0 || p->friction_history != 0.0;
 }
 
-static void step(const Corner *c, State *s, double *charred,
-                 const double *in, double dt, double *gained, double *lost)
+static void step(const Corner *c, State *s, const double *in, double dt,
+                 double *gained, double *lost)
 {
     Paths paths;
     State whole, half, fine;
@@ -246,7 +246,7 @@ static void step(const Corner *c, State *s, double *charred,
     double out_j = 2 * (out_first + out_second) - out_whole;
     s->friction_j += in_j;
     if (c->p.pad_pyrolysis != 0.0)
-        out_j += pyrolyse(c, s, charred, dt);
+        out_j += pyrolyse(c, s, dt);
     if (c->p.pad_wear != 0.0)
         out_j += wear(c, s, in_j);
     *gained += in_j;

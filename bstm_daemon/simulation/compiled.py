@@ -7,13 +7,14 @@ with it to rounding; about a hundred times as fast for the corners of one car.
 from __future__ import annotations
 
 import os
+from dataclasses import fields
 from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
 from bstm_daemon.native.loader import VARIABLE, load_module
 from bstm_daemon.simulation.lanes import LUMPS, PARAMETER_NAMES
-from bstm_daemon.simulation.march import March, empty_march
+from bstm_daemon.simulation.march import INPUT_NAMES, March, empty_march
 
 if TYPE_CHECKING:
     from types import ModuleType
@@ -49,19 +50,9 @@ def march_compiled(
     """
     march = empty_march(lanes, state, inputs)
     steps, count = len(inputs.step_s), lanes.count
-    rows = np.empty((steps, 7, count))
-    for index, values in enumerate(
-        (
-            inputs.speed_ms,
-            inputs.power_w,
-            inputs.pressure_pa,
-            inputs.contact,
-            inputs.ambient_k,
-            inputs.wetness,
-            inputs.pumping_pa_s,
-        )
-    ):
-        rows[:, index] = values
+    rows = np.empty((steps, len(INPUT_NAMES), count))
+    for index, name in enumerate(INPUT_NAMES):
+        rows[:, index] = getattr(inputs, name)
     packed = _pack(state, count)
     nodes = 2 * lanes.chain_nodes
     record = np.empty((len(march.chain_k), count, nodes + len(LUMPS)))
@@ -90,15 +81,7 @@ def march_compiled(
 
 def _members(state: State) -> list[Array]:
     """Members of *state* in the order of a packed row."""
-    return [
-        state.chain_k,
-        state.lump_k,
-        state.chain_j,
-        state.lump_j,
-        state.pad_m,
-        state.char,
-        state.friction_j,
-    ]
+    return [getattr(state, field.name) for field in fields(state)]
 
 
 def _pack(state: State, count: int) -> Array:

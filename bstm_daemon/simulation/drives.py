@@ -108,21 +108,17 @@ class Segment(_Table):
         if self.repeat > 1 and not self.segment:
             msg = "'repeat' needs an inner 'segment'"
             raise ValueError(msg)
-        if self.duration_s is not None and self.distance_m is not None:
-            msg = "'duration_s' and 'distance_m' exclude each other"
-            raise ValueError(msg)
         if self.parked and self.duration_s is None:
             msg = "'parked' needs 'duration_s'"
             raise ValueError(msg)
-        if self.until_speed_kmh is not None and self.distance_m is not None:
-            msg = "'until_speed_kmh' and 'distance_m' exclude each other"
-            raise ValueError(msg)
-        if (
-            self.brake_pressure_bar is not None
-            and self.brake_force_n is not None
+        for one, other in (
+            ("duration_s", "distance_m"),
+            ("until_speed_kmh", "distance_m"),
+            ("brake_pressure_bar", "brake_force_n"),
         ):
-            msg = "'brake_pressure_bar' and 'brake_force_n' exclude each other"
-            raise ValueError(msg)
+            if None not in (getattr(self, one), getattr(self, other)):
+                msg = f"'{one}' and '{other}' exclude each other"
+                raise ValueError(msg)
         return self
 
     @model_validator(mode="after")

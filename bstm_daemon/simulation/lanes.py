@@ -46,12 +46,15 @@ LUMPS: Final = (
 
 CENTRE, HAT, HUB, PISTON, FLUID, BODY, FINGER, BRACKET, AIR = range(len(LUMPS))
 
-PARAMETER_NAMES: Final = (
-    *(field.name for field in fields(CornerParameters)),
-    *EFFECT_NAMES,
-    *UNHEARD_NAMES,
-)
+CORNER_NAMES: Final = tuple(f.name for f in fields(CornerParameters))
+ACTING_NAMES: Final = (*EFFECT_NAMES, *UNHEARD_NAMES)
+PARAMETER_NAMES: Final = (*CORNER_NAMES, *ACTING_NAMES)
 """Rows of the parameter table, in order."""
+
+FRICTION_EFFECTS: Final = tuple(
+    name for name in EFFECT_NAMES if name.startswith("friction_")
+)
+"""Effects that make mu depart from its nominal value."""
 
 STEEL_DENSITY_KG_M3: Final = 7850.0
 STEEL_HEAT_CAPACITY_J_KGK: Final = 480.0
@@ -73,15 +76,12 @@ class Rows:
 
     def __init__(self, table: Array) -> None:
         """Name the rows of *table*, shape (len(PARAMETER_NAMES), lanes)."""
-        self._rows = dict(zip(PARAMETER_NAMES, table, strict=True))
+        vars(self).update(zip(PARAMETER_NAMES, table, strict=True))
 
-    def __getattr__(self, name: str) -> Array:
-        """Return the row *name*."""
-        rows: dict[str, Array] = self.__dict__["_rows"]
-        try:
-            return rows[name]
-        except KeyError:
-            raise AttributeError(name) from None
+    if TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> Array:
+            """Return the row *name*."""
 
 
 class Lanes:
@@ -100,12 +100,12 @@ class Lanes:
         """
         self.table = np.array(
             [
-                [getattr(corner, f.name) for corner in corners]
-                for f in fields(CornerParameters)
-            ]
-            + [
-                [getattr(effect, name) for effect in effects]
-                for name in (*EFFECT_NAMES, *UNHEARD_NAMES)
+                [getattr(part, name) for part in parts]
+                for parts, names in (
+                    (corners, CORNER_NAMES),
+                    (effects, ACTING_NAMES),
+                )
+                for name in names
             ]
         )
         self.mesh = mesh
@@ -151,35 +151,20 @@ class Lanes:
             * p.backplate_area_m2
             * p.backplate_thickness_m
         )
-        self.lump_j_k = np.array(
-            [
-                np.zeros(self.count),
-                p.hat_capacity_j_k,
-                p.hub_capacity_j_k,
-                p.piston_capacity_j_k,
-                p.fluid_capacity_j_k,
-                p.body_capacity_j_k,
-                p.finger_capacity_j_k,
-                p.bracket_capacity_j_k,
-                p.air_capacity_j_k,
-            ]
-        )
+        # that of the centre, of iron, follows from its temperature
+        self.lump_j_k = np.zeros((len(LUMPS), self.count))
+        for lump, name in enumerate(LUMPS[HAT:], start=HAT):
+            self.lump_j_k[lump] = getattr(p, f"{name}_capacity_j_k")
         self.variable_pad = bool(np.any(p.pad_capacity))
         self.wears = bool(np.any(p.pad_wear))
         self.chars = bool(np.any(p.pad_pyrolysis))
-        self.friction_varies = bool(
-            np.any(p.friction_fade)
-            or np.any(p.friction_speed)
-            or np.any(p.friction_pressure)
-            or np.any(p.friction_history)
+        self.friction_varies = any(
+            np.any(getattr(p, name)) for name in FRICTION_EFFECTS
         )
         self.gaps = bool(np.any(p.gap_conduction))
         self.wets = bool(np.any(p.wet_disc))
         self.shields = bool(np.any(p.dust_shield))
-        # materials skip the transition's peak altogether for a plain 0
-        self.bump: Array | float = 0.0
-        if np.any(p.disc_capacity_hot):
-            self.bump = p.disc_capacity_hot
+        self.bump = p.disc_capacity_hot
         self.boils = bool(np.any(p.fluid_latent_heat))
 
     def pad_kg(self, state: State) -> Array:
@@ -193,13 +178,9 @@ class Lanes:
         p = self.p
         capacity = np.empty_like(state.chain_k)
         capacity[0] = self.backplate_j_k
-        specific: Array = p.pad_heat_capacity_j_kgk
-        if self.variable_pad:
-            specific = materials.lining_heat_capacity(
-                state.chain_k[self.pad],
-                p.pad_heat_capacity_j_kgk,
-                p.pad_capacity,
-            )
+        specific = materials.lining_heat_capacity(
+            state.chain_k[self.pad], p.pad_heat_capacity_j_kgk, p.pad_capacity
+        )
         capacity[self.pad] = self.pad_kg(state) * specific
         capacity[self.cheek] = self.cheek_kg * materials.iron_heat_capacity(
             state.chain_k[self.cheek], self.bump
@@ -221,6 +202,21 @@ class Lanes:
             )
         return capacity
 
+    def lining_temperature(self, enthalpy_j_kg: Array, near_k: Array) -> Array:
+        """Return the temperature [K] of linings with this enthalpy.
+
+        Newton steps from *near_k*, where any lane's capacity varies.
+        """
+        p = self.p
+        if not self.variable_pad:
+            return (
+                materials.REFERENCE_K
+                + enthalpy_j_kg / p.pad_heat_capacity_j_kgk
+            )
+        return materials.lining_temperature(
+            enthalpy_j_kg, near_k, p.pad_heat_capacity_j_kgk, p.pad_capacity
+        )
+
     def fluid_temperature(self, energy_j: Array, near_k: Array) -> Array:
         """Return the temperature [K] of boiling fluid of this energy."""
         latent = self.p.fluid_latent_heat * (BOILING_J / 2)
@@ -237,16 +233,12 @@ class Lanes:
         """Return the energy of chain and lump nodes [J], 0 at 20 degC."""
         p = self.p
         chain = np.empty_like(state.chain_k)
-        above = state.chain_k - materials.REFERENCE_K
-        chain[0] = self.backplate_j_k * above[0]
-        if self.variable_pad:
-            specific = materials.lining_enthalpy(
-                state.chain_k[self.pad],
-                p.pad_heat_capacity_j_kgk,
-                p.pad_capacity,
-            )
-        else:
-            specific = p.pad_heat_capacity_j_kgk * above[self.pad]
+        chain[0] = self.backplate_j_k * (
+            state.chain_k[0] - materials.REFERENCE_K
+        )
+        specific = materials.lining_enthalpy(
+            state.chain_k[self.pad], p.pad_heat_capacity_j_kgk, p.pad_capacity
+        )
         chain[self.pad] = self.pad_kg(state) * specific
         chain[self.cheek] = self.cheek_kg * materials.iron_enthalpy(
             state.chain_k[self.cheek], self.bump

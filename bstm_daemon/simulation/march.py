@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -27,7 +27,28 @@ _MEASURED_DEPTH: Final = 0.15
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class LaneInputs:
+class Inputs:
+    """What acts on the corners during one step, each (lanes,) or (1,).
+
+    ``power_w`` is friction power, ``contact`` the fraction of the step with
+    pressed pads, ``pumping_pa_s`` the mean of the absolute pressure rate.
+    """
+
+    speed_ms: Array
+    power_w: Array
+    pressure_pa: Array
+    contact: Array
+    ambient_k: Array
+    wetness: Array
+    pumping_pa_s: Array
+
+
+INPUT_NAMES: Final = tuple(field.name for field in fields(Inputs))
+"""Rows of the inputs of a step, in the order of the compiled form."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LaneInputs(Inputs):
     """What acts on a batch, constant over each of n steps.
 
     Shapes: ``step_s`` (n,), ``keep`` (n,) bool, the rest (n, lanes) or
@@ -39,14 +60,11 @@ class LaneInputs:
 
     step_s: Array
     keep: np.ndarray[tuple[int, ...], np.dtype[np.bool_]]
-    speed_ms: Array
-    power_w: Array
-    pressure_pa: Array
-    contact: Array
-    ambient_k: Array
-    wetness: Array
-    pumping_pa_s: Array
     corners_per_car: int = 0
+
+    def at(self, step: int) -> Inputs:
+        """Return what acts during *step*."""
+        return Inputs(**{n: getattr(self, n)[step] for n in INPUT_NAMES})
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -45,8 +45,6 @@ def iron_heat_capacity(temperature_k: Array, bump: Array | float) -> Array:
     """
     t = temperature_k * 1e-3
     smooth = _A + t * (_B + t * (_C + t * _D)) + _E / (t * t)
-    if isinstance(bump, float) and bump == 0.0:
-        return smooth
     x = (temperature_k - _CURIE_K) / _CURIE_WIDTH_K
     # sech^2, written so that a cold disc does not overflow cosh
     peak: Array = 1.0 - np.tanh(x) ** 2
@@ -56,8 +54,6 @@ def iron_heat_capacity(temperature_k: Array, bump: Array | float) -> Array:
 def iron_enthalpy(temperature_k: Array, bump: Array | float) -> Array:
     """Return the specific enthalpy of grey iron [J/kg], 0 at 20 degC."""
     smooth = _shomate_integral(temperature_k) - _IRON_H0
-    if isinstance(bump, float) and bump == 0.0:
-        return smooth
     height: Array | float = bump * (_CURIE_PEAK_J_KGK * _CURIE_WIDTH_K)
     x = (temperature_k - _CURIE_K) / _CURIE_WIDTH_K
     x0 = (REFERENCE_K - _CURIE_K) / _CURIE_WIDTH_K

@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from bstm_daemon.simulation import materials, wear
-from bstm_daemon.simulation.friction import friction_factor
+from bstm_daemon.simulation import compiled, materials
 from bstm_daemon.simulation.lanes import (
     CENTRE,
     FLUID,
@@ -23,13 +22,58 @@ from bstm_daemon.simulation.lanes import (
     LUMPS,
     Lanes,
     State,
+    start_state,
 )
-from bstm_daemon.simulation.march import LaneInputs, March, empty_march
-from bstm_daemon.simulation.network import Inputs, Paths, paths
+from bstm_daemon.simulation.linings import (
+    friction_factor,
+    pyrolyse,
+    wear_pads,
+)
+from bstm_daemon.simulation.march import (
+    Inputs,
+    LaneInputs,
+    LaneResult,
+    March,
+    empty_march,
+    lane_result,
+    total_energy,
+)
+from bstm_daemon.simulation.network import Paths, paths
+from bstm_daemon.simulation.parameters import DEFAULT_MESH
 from bstm_daemon.simulation.solver import Arrow, solve_arrow
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from bstm_daemon.simulation.materials import Array
+    from bstm_daemon.simulation.parameters import (
+        CornerParameters,
+        Effects,
+        Mesh,
+    )
+
+
+def march_lanes(
+    corners: Sequence[CornerParameters],
+    effects: Sequence[Effects],
+    inputs: LaneInputs,
+    *,
+    start_k: Array,
+    mesh: Mesh = DEFAULT_MESH,
+) -> LaneResult:
+    """March *corners*, one a lane, under *inputs* from *start_k* (lanes,).
+
+    Runs compiled where the extension is, with NumPy otherwise.
+    """
+    lanes = Lanes(corners, effects, mesh)
+    state = start_state(lanes, start_k)
+    before_j = total_energy(state)
+    reality = compiled.extension()
+    if reality is None:
+        march = march_numpy(lanes, state, inputs)
+    else:
+        march = compiled.march_compiled(reality, lanes, state, inputs)
+    return lane_result(lanes, march, inputs, before_j)
 
 
 def march_numpy(lanes: Lanes, state: State, inputs: LaneInputs) -> March:
@@ -38,7 +82,7 @@ def march_numpy(lanes: Lanes, state: State, inputs: LaneInputs) -> March:
     varies = lanes.friction_varies
     row_kept = 0
     for i, dt in enumerate(inputs.step_s.tolist()):
-        row = _row(inputs, i)
+        row = inputs.at(i)
         factor = np.ones(lanes.count)
         if varies:
             factor = friction_factor(
@@ -56,18 +100,6 @@ def march_numpy(lanes: Lanes, state: State, inputs: LaneInputs) -> March:
             row_kept += 1
     march.state = state
     return march
-
-
-def _row(inputs: LaneInputs, i: int) -> Inputs:
-    return Inputs(
-        inputs.speed_ms[i],
-        inputs.power_w[i],
-        inputs.pressure_pa[i],
-        inputs.contact[i],
-        inputs.ambient_k[i],
-        inputs.wetness[i],
-        inputs.pumping_pa_s[i],
-    )
 
 
 def _with_friction(row: Inputs, factor: Array, per_car: int) -> Inputs:
@@ -102,9 +134,9 @@ def _step(
     gained = dt * there.heat_in_w
     after.friction_j = state.friction_j + gained
     if lanes.chars:
-        lost += wear.pyrolyse(lanes, after, dt)
+        lost += pyrolyse(lanes, after, dt)
     if lanes.wears:
-        lost += wear.wear_pads(lanes, after, gained)
+        lost += wear_pads(lanes, after, gained)
     return after, gained, lost
 
 
@@ -177,20 +209,11 @@ def _settle(lanes: Lanes, near: State, chain_j: Array, lump_j: Array) -> State:
     Two Newton steps: the start is already within a step's curvature, and
     the energies stay the truth.
     """
-    p = lanes.p
     chain_k = materials.REFERENCE_K + chain_j / lanes.backplate_j_k
     pad_j_kg = chain_j[lanes.pad] / lanes.pad_kg(near)
-    if lanes.variable_pad:
-        chain_k[lanes.pad] = materials.lining_temperature(
-            pad_j_kg,
-            near.chain_k[lanes.pad],
-            p.pad_heat_capacity_j_kgk,
-            p.pad_capacity,
-        )
-    else:
-        chain_k[lanes.pad] = (
-            materials.REFERENCE_K + pad_j_kg / p.pad_heat_capacity_j_kgk
-        )
+    chain_k[lanes.pad] = lanes.lining_temperature(
+        pad_j_kg, near.chain_k[lanes.pad]
+    )
     chain_k[lanes.cheek] = materials.iron_temperature(
         chain_j[lanes.cheek] / lanes.cheek_kg,
         near.chain_k[lanes.cheek],

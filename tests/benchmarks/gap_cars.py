@@ -40,17 +40,17 @@ from bstm_daemon.model.effects.catalogue import STRUCTURES
 from bstm_daemon.replay.columns import present_roles
 from bstm_daemon.roles import CORNERS, ROLE_INDEX
 from bstm_daemon.simulation import NOMINAL, load_drive, simulate
-from bstm_daemon.simulation.batch import march_lanes
 from bstm_daemon.simulation.parameters import (
     EFFECT_NAMES,
     UNHEARD_NAMES,
     preset_effects,
 )
-from bstm_daemon.simulation.sensor_presets import (
+from bstm_daemon.simulation.reality import march_lanes
+from bstm_daemon.simulation.sensors import (
     SENSOR_PRESETS,
+    measured_temperatures,
     sensor_suite,
 )
-from bstm_daemon.simulation.sensors import measured_temperatures
 from bstm_daemon.simulation.simulate import (
     Prepared,
     prepare,

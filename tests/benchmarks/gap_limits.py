@@ -16,7 +16,7 @@ from bstm_daemon.analysis.gap.naming import SURE
 from bstm_daemon.analysis.gap.noise import Layout
 from bstm_daemon.analysis.statistics.evidence import Projector
 from bstm_daemon.analysis.statistics.whitening import SensorNoise
-from bstm_daemon.simulation.sensor_presets import SENSOR_PRESETS
+from bstm_daemon.simulation.sensors import SENSOR_PRESETS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -17,9 +17,9 @@ import numpy as np
 from risk_fleet import GROUPS, JUDGED, FleetCar, scaled
 
 from bstm_daemon.roles import CORNERS as ALL_CORNERS
-from bstm_daemon.simulation.batch import march_lanes
 from bstm_daemon.simulation.march import LaneInputs
 from bstm_daemon.simulation.parameters import preset_effects
+from bstm_daemon.simulation.reality import march_lanes
 from bstm_daemon.units import KELVIN_OFFSET
 
 if TYPE_CHECKING:

@@ -29,7 +29,7 @@ from bstm_daemon.simulation import NOMINAL, load_drive, simulate
 from bstm_daemon.simulation.frames import START_STAMP_S
 from bstm_daemon.simulation.parameters import preset_effects
 from bstm_daemon.simulation.recorder import write_candump
-from bstm_daemon.simulation.sensor_presets import sensor_suite
+from bstm_daemon.simulation.sensors import sensor_suite
 
 if TYPE_CHECKING:
     from bstm_daemon.analysis.matching.drives import Drive

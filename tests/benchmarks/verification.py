@@ -41,7 +41,7 @@ from bstm_daemon.analysis.matching.refine import NodeAccuracy, fitted
 from bstm_daemon.analysis.matching.tunables import COOLING, Target
 from bstm_daemon.analysis.matching.verification import FIXED_S, LIMITS, NINETY
 from bstm_daemon.simulation import load_drive
-from bstm_daemon.simulation.vehicles import load_vehicle as load_car
+from bstm_daemon.simulation.vehicle import load_vehicle as load_car
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

@@ -12,7 +12,7 @@ from bstm_daemon.simulation import (
 )
 from bstm_daemon.simulation.car import move
 from bstm_daemon.simulation.profile import plan_course
-from bstm_daemon.simulation.steps import nominal_power
+from bstm_daemon.simulation.simulate import nominal_power
 from bstm_daemon.simulation.vehicle import real_car
 
 HEAD = '[drive]\nname = "d"\ndescription = "x"\n'

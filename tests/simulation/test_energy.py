@@ -3,13 +3,13 @@
 import pytest
 
 from bstm_daemon.simulation import (
-    EnergyLedger,
     SimulatedDrive,
-    energy_ledger,
     parse_drive,
     simulate,
 )
 from bstm_daemon.units import GRAVITY_MS2
+
+from ..drive_ledger import EnergyLedger, energy_ledger  # noqa: TID252  (no package)
 
 HEAD = '[drive]\nname = "d"\ndescription = "x"\n'
 

@@ -6,10 +6,11 @@ import pytest
 from bstm_daemon.simulation import (
     SimulatedDrive,
     drive_names,
-    energy_ledger,
     load_drive,
     simulate,
 )
+
+from ..drive_ledger import energy_ledger  # noqa: TID252  (no package)
 
 # top speed [km/h], then highest disc and fluid temperature, FL [degC], and
 # duration [min]: from - to

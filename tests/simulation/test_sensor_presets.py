@@ -5,7 +5,7 @@ import pytest
 
 from bstm_daemon.errors import UsageError
 from bstm_daemon.simulation import Effects, SimulatedDrive, simulate
-from bstm_daemon.simulation.sensor_presets import (
+from bstm_daemon.simulation.sensors import (
     SENSOR_PRESETS,
     sensor_suite,
 )

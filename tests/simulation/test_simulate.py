@@ -18,7 +18,7 @@ from bstm_daemon.simulation import (
 )
 from bstm_daemon.simulation.parameters import STRONGEST
 from bstm_daemon.simulation.profile import SAMPLE_S
-from bstm_daemon.simulation.steps import Resolution
+from bstm_daemon.simulation.simulate import Resolution
 
 from ..finer_mesh import with_half_cells  # noqa: TID252  (no package)
 

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from bstm_daemon.config.sections import CornerConfig
+    from bstm_daemon.model.thermal.network import Network
 
 Kind = Literal["thermal", "heat", "measurement"]
 
@@ -30,11 +31,12 @@ what moves the ends of links comes last."""
 class Effect:
     """One effect with its parameter values.
 
-    Subclasses give ``number`` and ``name`` of the catalogue, the ``kind`` of
-    what is edited, a ``description`` in plain words, the ``signature`` by
-    which data show it, the names of the effects it is a twin of, their own
-    parameters in ``own_parameters``, and at least one of :meth:`edit` and
-    :meth:`edit_inputs`. At strength 0 neither is called.
+    Subclasses give the ``number`` of the catalogue, the ``kind`` of what is
+    edited, a ``description`` in plain words, the ``signature`` by which data
+    show it, the names of the effects it is a twin of, their own parameters in
+    ``own_parameters``, and at least one of :meth:`edit_network`,
+    :meth:`edit`, :meth:`edit_inputs` and :meth:`edit_corner_inputs`. At
+    strength 0 none is called. The ``name`` is that of their file.
 
     Three kinds. ``thermal``: the network of a corner. ``heat``: the power
     that heats it, by its sources, by the configuration that the pass over
@@ -53,10 +55,16 @@ class Effect:
     either_sign: ClassVar[bool] = False
     """Whether physics allows a strength below 0."""
 
-    whole_car: ClassVar[bool] = False
-    """Whether it acts on the car and can not be given for one corner."""
+    whole_car: ClassVar[bool]
+    """Whether it acts on the car and can not be given for one corner: one
+    that has :meth:`edit_inputs`."""
 
     stage: ClassVar[int] = USUAL
+
+    def __init_subclass__(cls) -> None:
+        """Name the effect after its file."""
+        cls.name = cls.__module__.rpartition(".")[2]
+        cls.whole_car = cls.edit_inputs is not Effect.edit_inputs
 
     def __init__(self, values: Mapping[str, float]) -> None:
         """Take *values* by name; what is not given is typical.
@@ -108,6 +116,10 @@ class Effect:
         """The effect's strength, 1 = typical."""
         return self._values["strength"]
 
+    def scaled(self, name: str) -> float:
+        """Value of the parameter *name* times the strength."""
+        return self.strength * self[name]
+
     def apply(self, model: CornerModel) -> CornerModel:
         """Return *model*, one corner, with the effect in it."""
         return model if self.strength == 0.0 else self.edit(model)
@@ -123,16 +135,26 @@ class Effect:
         """
         if self.strength == 0.0:
             return inputs
-        return self.edit_inputs(inputs, corner)
+        if corner is None:
+            return self.edit_inputs(inputs)
+        return self.edit_corner_inputs(inputs, corner)
 
     def edit(self, model: CornerModel) -> CornerModel:
         """Edit one corner; the strength is not 0."""
-        return model
+        return model.with_network(self.edit_network(model))
 
-    def edit_inputs(
+    def edit_network(self, model: CornerModel) -> Network:
+        """Return the edited network of one corner; the strength is not 0."""
+        return model.network
+
+    def edit_inputs(self, inputs: InputModel) -> InputModel:
+        """Edit the inputs of the whole car; the strength is not 0."""
+        return inputs
+
+    def edit_corner_inputs(
         self,
         inputs: InputModel,
-        corner: CornerConfig | None,  # noqa: ARG002
+        corner: CornerConfig,  # noqa: ARG002
     ) -> InputModel:
-        """Edit the inputs of the car; the strength is not 0."""
+        """Edit what *corner* puts into the inputs; the strength is not 0."""
         return inputs

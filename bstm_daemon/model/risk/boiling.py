@@ -32,18 +32,13 @@ class BoilingPoints(NamedTuple):
 
 BOILING_POINTS: Final[Mapping[str, BoilingPoints]] = MappingProxyType(
     {
-        "DOT3": BoilingPoints(
-            205 + KELVIN_OFFSET, 140 + KELVIN_OFFSET, FMVSS_116
-        ),
-        "DOT4": BoilingPoints(
-            230 + KELVIN_OFFSET, 155 + KELVIN_OFFSET, FMVSS_116
-        ),
-        "DOT5.1": BoilingPoints(
-            260 + KELVIN_OFFSET, 180 + KELVIN_OFFSET, FMVSS_116
-        ),
-        "CLASS6": BoilingPoints(
-            250 + KELVIN_OFFSET, 165 + KELVIN_OFFSET, ISO_4925
-        ),
+        grade: BoilingPoints(dry + KELVIN_OFFSET, wet + KELVIN_OFFSET, source)
+        for grade, dry, wet, source in (
+            ("DOT3", 205, 140, FMVSS_116),
+            ("DOT4", 230, 155, FMVSS_116),
+            ("DOT5.1", 260, 180, FMVSS_116),
+            ("CLASS6", 250, 165, ISO_4925),
+        )
     }
 )
 """Minima of every grade that ``[fluid] grade`` may name."""

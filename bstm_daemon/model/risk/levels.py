@@ -56,9 +56,7 @@ class LevelMemory:
 
     def by_probability(self, probability: float, time_us: int) -> RiskLevel:
         """Take the *probability* at *time_us* and return the level."""
-        reached = RiskLevel(
-            sum(probability >= limit for limit in PROBABILITIES)
-        )
+        reached = level_of(probability)
         # nan is not below: what is not known lowers no level
         stays = not probability < RELEASE * PROBABILITIES[self.level - 1]
         return self._move(reached, time_us, stays=stays)

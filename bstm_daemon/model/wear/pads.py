@@ -110,12 +110,7 @@ class PadWear:
             if seen:
                 self._fitted(dose_j, distance_m)
             return
-        new_m = self.configured.new_thickness_m
-        left_m = self._wear.second_indicator_left_m
-        if role == "pad_worn_1mm":
-            at_m = new_m - self._wear.first_indicator_worn_m
-        else:
-            at_m = left_m
+        at_m = self._indicator_m(role)
         if self.law.highest_m <= at_m:
             # on again, a loose contact: these linings are past it already
             return
@@ -156,13 +151,9 @@ class PadWear:
 
         The lining is thicker than where it would come on.
         """
-        new_m = self.configured.new_thickness_m
-        if role == "pad_worn_1mm":
-            at_m = new_m - self._wear.first_indicator_worn_m
-        elif role == "pad_2mm_left":
-            at_m = self._wear.second_indicator_left_m
-        else:
+        if role == "pads_new":
             return
+        at_m = self._indicator_m(role)
         law = self.law.moved_to(dose_j)
         # a configured thickness below it is a person's word against it
         if law.highest_m > at_m and law.thickness_m >= at_m:
@@ -186,9 +177,8 @@ class PadWear:
         """Return everything as plain values."""
         law = asdict(self.law)
         law["source"] = int(self.law.source)
-        law["highest_m"] = (
-            None if law["highest_m"] == inf else law["highest_m"]
-        )
+        if law["highest_m"] == inf:
+            law["highest_m"] = None
         return {
             "law": law,
             "entry": self.configured.entry,
@@ -230,21 +220,23 @@ class PadWear:
 
     def _fitted(self, dose_j: float, distance_m: float) -> None:
         """New pads: Eq 4.20 begins here."""
-        configured = self.configured
         self.change = Change.FITTED
-        rate, spread = self._expected()
-        self.law = WearLaw(
-            WearSource.NEW_PADS,
-            configured.new_thickness_m,
-            dose_j,
-            rate,
-            self._wear.indicator_std_m,
-            spread,
-            disc_loss_m=self.law.disc_loss_at_m(dose_j),
-            disc_rate_m_j=configured.disc_rate_m_j,
+        disc_m = self.law.disc_loss_at_m(dose_j)
+        self.law = replace(
+            self._configured_law(dose_j, disc_m),
+            source=WearSource.NEW_PADS,
+            thickness_m=self.configured.new_thickness_m,
+            thickness_std_m=self._wear.indicator_std_m,
         )
         self.new_dose_j, self.first_dose_j = dose_j, None
         self.begin_dose_j, self.begin_distance_m = dose_j, distance_m
+
+    def _indicator_m(self, role: str) -> float:
+        """Return the lining [m] at which the indicator of *role* comes on."""
+        if role == "pad_2mm_left":
+            return self._wear.second_indicator_left_m
+        new_m = self.configured.new_thickness_m
+        return new_m - self._wear.first_indicator_worn_m
 
     def _expected(self) -> tuple[float, float]:
         """Rate and spread of a set of which nothing was seen yet.
@@ -277,10 +269,8 @@ class PadWear:
         """Return the rate that the event teaches, None if it can not."""
         wear = self._wear
         new_m = self.configured.new_thickness_m
-        worn_m, left_m = (
-            wear.first_indicator_worn_m,
-            wear.second_indicator_left_m,
-        )
+        worn_m = wear.first_indicator_worn_m
+        left_m = wear.second_indicator_left_m
         try:
             if role == "pad_worn_1mm":
                 if self.new_dose_j is None:

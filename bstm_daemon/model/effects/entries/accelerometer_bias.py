@@ -2,13 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, ClassVar
-
 from bstm_daemon.model.effects.effect import Effect
 from bstm_daemon.model.effects.model import Correction, InputModel, Parameter
-
-if TYPE_CHECKING:
-    from bstm_daemon.config.sections import CornerConfig
 
 
 class AccelerometerBias(Effect):
@@ -18,7 +13,6 @@ class AccelerometerBias(Effect):
     """
 
     number = 33
-    name = "accelerometer_bias"
     kind = "heat"
     description = "The accelerometer has an offset, like a wrong grade."
     signature = (
@@ -27,18 +21,13 @@ class AccelerometerBias(Effect):
     )
     twins = ("mass_error", "powertrain_torque_error", "brake_share")
     either_sign = True
-    whole_car = True
-    own_parameters: ClassVar = (
+    own_parameters = (
         Parameter("bias_ms2", "m/s2", 0.0, 0.5, 0.08, "read too much"),
     )
 
-    def edit_inputs(
-        self,
-        inputs: InputModel,
-        corner: CornerConfig | None,  # noqa: ARG002
-    ) -> InputModel:
+    def edit_inputs(self, inputs: InputModel) -> InputModel:
         """Take the offset off every sample."""
-        bias = self.strength * self["bias_ms2"]
+        bias = self.scaled("bias_ms2")
         return inputs.with_correction(
             Correction("acceleration_longitudinal", offset=-bias)
         )

@@ -1,15 +1,13 @@
 """Effect 37: parked, the ambient sensor is warmed by the car."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-from typing import ClassVar
 
 from bstm_daemon.model.effects.effect import LAST, Effect
 from bstm_daemon.model.effects.model import CornerModel, Parameter
 from bstm_daemon.model.thermal.network import (
     Link,
     Memory,
+    Network,
     Source,
     difference,
     value,
@@ -29,19 +27,18 @@ class AmbientHeatSoak(Effect):
     """
 
     number = 37
-    name = "ambient_heat_soak"
     kind = "measurement"
     description = "The bumper's sensor reads the warm front of a parked car."
     signature = "All nodes at once, parked, with a memory of minutes."
     twins = ("local_air",)
     either_sign = True
     stage = LAST
-    own_parameters: ClassVar = (
+    own_parameters = (
         Parameter("excess_k", "K", 0.5, 30.0, 8.0, "read too much, at last"),
         Parameter("time_s", "s", 60.0, 3600.0, 400.0, "to 63 % of it"),
     )
 
-    def edit(self, model: CornerModel) -> CornerModel:
+    def edit_network(self, model: CornerModel) -> Network:
         """Add a memory and, beside each loss, what is lost besides."""
         memory = Memory(
             "ambient_soak",
@@ -49,7 +46,7 @@ class AmbientHeatSoak(Effect):
             1.0 / self["time_s"],
             (difference("speed_ms", "ambient_soak", SOAK),),
         )
-        excess = self.strength * self["excess_k"]
+        excess = self.scaled("excess_k")
 
         def beside(link: Link) -> Source:
             return Source(
@@ -61,8 +58,7 @@ class AmbientHeatSoak(Effect):
 
         net = model.network
         losses = [link for link in net.links if link.b == "ambient"]
-        net = replace(
+        return replace(
             net.with_memory(memory),
             sources=(*net.sources, *map(beside, losses)),
         )
-        return model.with_network(net)

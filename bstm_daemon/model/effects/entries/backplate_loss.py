@@ -1,12 +1,8 @@
 """Effect 22: edges and ears of the backplates lose heat at rest too."""
 
-from __future__ import annotations
-
-from typing import ClassVar
-
 from bstm_daemon.model.effects.effect import Effect
 from bstm_daemon.model.effects.model import CornerModel, Parameter
-from bstm_daemon.model.thermal.network import Link
+from bstm_daemon.model.thermal.network import Link, Network
 
 
 class BackplateLoss(Effect):
@@ -17,22 +13,21 @@ class BackplateLoss(Effect):
     """
 
     number = 22
-    name = "backplate_loss"
     description = "The backplates' edges lose heat to the air, parked too."
     signature = (
         "Pad back, at any time, with its excess over the air; no speed."
     )
     twins = ("bracket_conduction", "caliper_bypass")
-    own_parameters: ClassVar = (
+    own_parameters = (
         Parameter("conductance_w_k", "W/K", 0.01, 3.0, 0.22, "both plates"),
     )
 
-    def edit(self, model: CornerModel) -> CornerModel:
+    def edit_network(self, model: CornerModel) -> Network:
         """Add the link backplate to air."""
         link = Link(
             "backplate_loss",
             "backplate",
             model.surroundings,
-            self.strength * self["conductance_w_k"],
+            self.scaled("conductance_w_k"),
         )
-        return model.with_network(model.network.with_link(link))
+        return model.network.with_link(link)

@@ -1,15 +1,10 @@
 """Effect 23: the backplates' ears heat the bracket they slide in."""
 
-from __future__ import annotations
-
-from typing import ClassVar
-
 from bstm_daemon.model.effects.effect import Effect
 from bstm_daemon.model.effects.model import CornerModel, Parameter
-from bstm_daemon.model.thermal.network import Link, Node, value
+from bstm_daemon.model.effects.tables import rising_with_speed
+from bstm_daemon.model.thermal.network import Link, Network, Node, value
 from bstm_daemon.model.thermal.table import Table
-
-FASTEST_MS = 120.0
 
 
 class BracketConduction(Effect):
@@ -21,14 +16,13 @@ class BracketConduction(Effect):
     """
 
     number = 23
-    name = "bracket_conduction"
     description = "Part of the pads' heat goes into the caliper's bracket."
     signature = (
         "Pad back, at any time, most with the brake held, with its excess "
         "over the bracket; no speed."
     )
     twins = ("backplate_loss", "caliper_bypass")
-    own_parameters: ClassVar = (
+    own_parameters = (
         Parameter("conductance_w_k", "W/K", 0.02, 5.0, 0.4, "all four ears"),
         Parameter("pressed_rise", "1", 0.0, 3.0, 0.5, "of it, brake held"),
         Parameter("capacity_j_k", "J/K", 100.0, 5e3, 1150.0, "of the bracket"),
@@ -36,31 +30,19 @@ class BracketConduction(Effect):
         Parameter("loss_rise_ws_mk", "Ws/mK", 0.0, 2.0, 0.08, "with speed"),
     )
 
-    def edit(self, model: CornerModel) -> CornerModel:
+    def edit_network(self, model: CornerModel) -> Network:
         """Add the node ``bracket`` and its links."""
-        still = self["loss_w_k"]
-        wind = Table(
-            0.0,
-            FASTEST_MS,
-            (still, still + FASTEST_MS * self["loss_rise_ws_mk"]),
-        )
+        wind = rising_with_speed(self["loss_w_k"], self["loss_rise_ws_mk"])
         held = Table(0.0, 1.0, (1.0, 1.0 + self["pressed_rise"]))
-        net = model.network.with_node(
+        return model.network.with_node(
             Node("bracket", self["capacity_j_k"])
         ).with_link(
             Link(
                 "bracket_conduction",
                 "backplate",
                 "bracket",
-                self.strength * self["conductance_w_k"],
+                self.scaled("conductance_w_k"),
                 (value("brake_on", held),),
             ),
-            Link(
-                "bracket_loss",
-                "bracket",
-                "ambient",
-                1.0,
-                (value("speed_ms", wind),),
-            ),
+            Link("bracket_loss", "bracket", "ambient", 1.0, (wind,)),
         )
-        return model.with_network(net)

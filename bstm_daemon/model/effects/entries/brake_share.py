@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING
 
 from bstm_daemon.model.effects.effect import Effect
 from bstm_daemon.model.effects.model import InputModel, Parameter
@@ -22,7 +22,6 @@ class BrakeShare(Effect):
     """
 
     number = 35
-    name = "brake_share"
     kind = "heat"
     description = "The front brakes do more of the work than assumed."
     signature = (
@@ -31,21 +30,16 @@ class BrakeShare(Effect):
     )
     twins = ("mass_error", "accelerometer_bias", "powertrain_torque_error")
     either_sign = True
-    whole_car = True
-    own_parameters: ClassVar = (
+    own_parameters = (
         Parameter("share", "1", 0.0, 0.5, 0.1, "more of the front's share"),
     )
 
-    def edit_inputs(
-        self,
-        inputs: InputModel,
-        corner: CornerConfig | None,  # noqa: ARG002
-    ) -> InputModel:
+    def edit_inputs(self, inputs: InputModel) -> InputModel:
         """Move force from the rear axle to the front."""
         old = inputs.config.vehicle.front_share
         if not LEAST < old < MOST:
             return inputs
-        wanted = old * (1.0 + self.strength * self["share"])
+        wanted = old * (1.0 + self.scaled("share"))
         new = min(max(wanted, LEAST), MOST)
         front, rear = new / old, (1.0 - new) / (1.0 - old)
 

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 from bstm_daemon.model.effects.effect import Effect
 
 if TYPE_CHECKING:
-    from bstm_daemon.config.sections import CornerConfig
     from bstm_daemon.model.effects.model import InputModel
 
 
@@ -23,7 +22,6 @@ class BrakeWithoutPressure(Effect):
     """
 
     number = 39
-    name = "brake_without_pressure"
     kind = "heat"
     description = "Something else than the pedal presses the brakes."
     signature = (
@@ -31,12 +29,7 @@ class BrakeWithoutPressure(Effect):
         "and no pressure is there; by the motion only."
     )
     twins = ("residual_drag", "powertrain_torque_error", "mass_error")
-    whole_car = True
 
-    def edit_inputs(
-        self,
-        inputs: InputModel,
-        corner: CornerConfig | None,  # noqa: ARG002
-    ) -> InputModel:
+    def edit_inputs(self, inputs: InputModel) -> InputModel:
         """Let the pass over samples count what the motion shows."""
         return replace(inputs, unpressed_share=self.strength)

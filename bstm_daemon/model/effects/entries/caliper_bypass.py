@@ -1,12 +1,8 @@
 """Effect 24: backplates heat the caliper past piston and shim."""
 
-from __future__ import annotations
-
-from typing import ClassVar
-
 from bstm_daemon.model.effects.effect import Effect
 from bstm_daemon.model.effects.model import CornerModel, Parameter
-from bstm_daemon.model.thermal.network import Link
+from bstm_daemon.model.thermal.network import Link, Network
 
 
 class CaliperBypass(Effect):
@@ -17,23 +13,22 @@ class CaliperBypass(Effect):
     """
 
     number = 24
-    name = "caliper_bypass"
     description = "Heat passes the piston on its way into the caliper."
     signature = (
         "Edge pad back to fluid (to the caliper where that is apart), with "
         "the difference of their temperatures."
     )
     twins = ("shim_contact", "backplate_loss")
-    own_parameters: ClassVar = (
+    own_parameters = (
         Parameter("conductance_w_k", "W/K", 0.02, 5.0, 0.5, "both plates"),
     )
 
-    def edit(self, model: CornerModel) -> CornerModel:
+    def edit_network(self, model: CornerModel) -> Network:
         """Add the link backplate to caliper."""
         link = Link(
             "caliper_bypass",
             "backplate",
             model.caliper,
-            self.strength * self["conductance_w_k"],
+            self.scaled("conductance_w_k"),
         )
-        return model.with_network(model.network.with_link(link))
+        return model.network.with_link(link)

@@ -1,16 +1,11 @@
 """Effect 27: fluid and caliper have temperatures of their own."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-from typing import ClassVar
 
 from bstm_daemon.model.effects.effect import FIRST, Effect
 from bstm_daemon.model.effects.model import CALIPER, CornerModel, Parameter
-from bstm_daemon.model.thermal.network import Link, Node
-
-NEGLIGIBLE = 1e-6
-"""Below this strength the two are one lump to within a microkelvin."""
+from bstm_daemon.model.effects.tables import NEGLIGIBLE
+from bstm_daemon.model.thermal.network import Link, Network, Node
 
 
 class CaliperFluidSplit(Effect):
@@ -22,7 +17,6 @@ class CaliperFluidSplit(Effect):
     """
 
     number = 27
-    name = "caliper_fluid_split"
     description = "The fluid behind the piston is not as warm as the caliper."
     signature = (
         "Fluid, while brakings begin and end and at the start of a soak, "
@@ -30,7 +24,7 @@ class CaliperFluidSplit(Effect):
     )
     twins = ("fluid_exchange",)
     stage = FIRST
-    own_parameters: ClassVar = (
+    own_parameters = (
         Parameter(
             "fluid_capacity_j_k",
             "J/K",
@@ -44,10 +38,10 @@ class CaliperFluidSplit(Effect):
         Parameter("coupling_w_k", "W/K", 2.0, 500.0, 40.0, "fluid to caliper"),
     )
 
-    def edit(self, model: CornerModel) -> CornerModel:
+    def edit_network(self, model: CornerModel) -> Network:
         """Split ``fluid`` and let every loss start at ``caliper``."""
         if self.strength < NEGLIGIBLE:
-            return model
+            return model.network
         net = model.network
         whole = net.node("fluid").capacity_j_k
         fluid = min(self["fluid_capacity_j_k"], 0.5 * whole)
@@ -69,7 +63,7 @@ class CaliperFluidSplit(Effect):
             )
 
         net = replace(net, links=tuple(map(moved, net.links)))
-        net = (
+        return (
             net.edit_node("fluid", lambda n: replace(n, capacity_j_k=fluid))
             .with_node(Node(CALIPER, whole - fluid))
             .with_link(
@@ -87,4 +81,3 @@ class CaliperFluidSplit(Effect):
                 ),
             )
         )
-        return model.with_network(net)

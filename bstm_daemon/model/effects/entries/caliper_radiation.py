@@ -1,12 +1,8 @@
 """Effect 28: the caliper radiates."""
 
-from __future__ import annotations
-
-from typing import ClassVar
-
 from bstm_daemon.model.effects.effect import Effect
 from bstm_daemon.model.effects.model import CornerModel, Parameter
-from bstm_daemon.model.thermal.network import Link, radiation
+from bstm_daemon.model.thermal.network import Link, Network, radiation
 from bstm_daemon.units import STEFAN_BOLTZMANN_W_M2K4
 
 PAINT_EMISSIVITY = 0.9
@@ -16,24 +12,22 @@ class CaliperRadiation(Effect):
     """Net radiation of the caliper's painted outside to the surroundings."""
 
     number = 28
-    name = "caliper_radiation"
     description = "A hot caliper also loses heat by radiation."
     signature = "Fluid, above 120 degC and parked most, with T^4."
     twins = ("fluid_latent_heat", "fluid_exchange")
-    own_parameters: ClassVar = (
+    own_parameters = (
         Parameter("area_m2", "m2", 1e-3, 0.2, 0.05, "of the caliper"),
     )
 
-    def edit(self, model: CornerModel) -> CornerModel:
+    def edit_network(self, model: CornerModel) -> Network:
         """Add the link caliper to ambient."""
         link = Link(
             "caliper_radiation",
             model.caliper,
             "ambient",
-            self.strength
-            * self["area_m2"]
+            self.scaled("area_m2")
             * PAINT_EMISSIVITY
             * STEFAN_BOLTZMANN_W_M2K4,
             (radiation(model.caliper, "ambient"),),
         )
-        return model.with_network(model.network.with_link(link))
+        return model.network.with_link(link)

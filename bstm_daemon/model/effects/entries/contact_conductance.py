@@ -1,12 +1,8 @@
 """Effect 8: heat crosses the contact between disc and pads."""
 
-from __future__ import annotations
-
-from typing import ClassVar
-
 from bstm_daemon.model.effects.effect import Effect
 from bstm_daemon.model.effects.model import CornerModel, Parameter
-from bstm_daemon.model.thermal.network import Link, value
+from bstm_daemon.model.thermal.network import Link, Network, value
 from bstm_daemon.model.thermal.table import Table
 
 
@@ -20,17 +16,16 @@ class ContactConductance(Effect):
     """
 
     number = 8
-    name = "contact_conductance"
     description = "Disc and pads exchange heat through their contact."
     signature = (
         "Edge disc to pad front, braking only, proportional to the "
         "difference of their temperatures."
     )
-    own_parameters: ClassVar = (
+    own_parameters = (
         Parameter("conductance_w_m2k", "W/m2K", 10.0, 2e4, 160.0, "at 1 MPa"),
     )
 
-    def edit(self, model: CornerModel) -> CornerModel:
+    def edit_network(self, model: CornerModel) -> Network:
         """Add the link disc to pad_front."""
         rise = Table.from_function(
             lambda p: (max(p, 0.0) / 1e6) ** 0.95, 0.0, 2e7, 401
@@ -39,9 +34,7 @@ class ContactConductance(Effect):
             "contact_conductance",
             "disc",
             "pad_front",
-            self.strength
-            * self["conductance_w_m2k"]
-            * model.spec.pads_area_m2,
+            self.scaled("conductance_w_m2k") * model.spec.pads_area_m2,
             (value("brake_on"), value("pressure_pa", rise)),
         )
-        return model.with_network(model.network.with_link(link))
+        return model.network.with_link(link)

@@ -1,16 +1,11 @@
 """Effect 12: convection of the disc rises with another power of speed."""
 
-from __future__ import annotations
-
-from typing import ClassVar
-
 from bstm_daemon.model.effects.effect import Effect
 from bstm_daemon.model.effects.model import CornerModel, Parameter
-from bstm_daemon.model.thermal.network import value, with_factors
-from bstm_daemon.model.thermal.table import Table
+from bstm_daemon.model.effects.tables import over_speed
+from bstm_daemon.model.thermal.network import Network, with_factors
 
 REFERENCE_MS = 10.0
-FASTEST_MS = 120.0
 
 
 class ConvectionExponent(Effect):
@@ -22,7 +17,6 @@ class ConvectionExponent(Effect):
     """
 
     number = 12
-    name = "convection_exponent"
     description = "The wind cools the disc more steeply with speed."
     signature = (
         "Disc, driving: too hot above and too cold below one speed, "
@@ -30,22 +24,20 @@ class ConvectionExponent(Effect):
     )
     twins = ("disc_radiation_driving", "residual_drag")
     either_sign = True
-    own_parameters: ClassVar = (
+    own_parameters = (
         Parameter("exponent", "1", 0.0, 0.5, 0.18, "more than S has"),
     )
 
-    def edit(self, model: CornerModel) -> CornerModel:
+    def edit_network(self, model: CornerModel) -> Network:
         """Multiply the conductance of the disc's convection."""
-        power = self.strength * self["exponent"]
+        power = self.scaled("exponent")
         slow = model.spec.cooling.blend_end_ms
 
         def steeper(v: float) -> float:
             share: float = (max(v, slow) / REFERENCE_MS) ** power
             return share if v >= slow else 1.0 + (share - 1.0) * v / slow
 
-        table = Table.from_function(steeper, 0.0, FASTEST_MS, 481)
-        net = model.network.edit_link(
+        return model.network.edit_link(
             "disc_convection",
-            lambda link: with_factors(link, value("speed_ms", table)),
+            lambda link: with_factors(link, over_speed(steeper)),
         )
-        return model.with_network(net)

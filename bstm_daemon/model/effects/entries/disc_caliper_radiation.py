@@ -1,12 +1,8 @@
 """Effect 26: the hot disc radiates into the caliper's bridge."""
 
-from __future__ import annotations
-
-from typing import ClassVar
-
 from bstm_daemon.model.effects.effect import Effect
 from bstm_daemon.model.effects.model import CornerModel, Parameter
-from bstm_daemon.model.thermal.network import Link, radiation
+from bstm_daemon.model.thermal.network import Link, Network, radiation
 from bstm_daemon.units import STEFAN_BOLTZMANN_W_M2K4
 
 
@@ -18,24 +14,22 @@ class DiscCaliperRadiation(Effect):
     """
 
     number = 26
-    name = "disc_caliper_radiation"
     description = "The disc's glow heats the caliper directly."
     signature = "Edge disc to fluid, with T^4 of the disc, parked strongest."
     twins = ("local_air",)
-    own_parameters: ClassVar = (
+    own_parameters = (
         Parameter("view_m2", "m2", 1e-4, 0.05, 3.2e-3, "that sees the disc"),
     )
 
-    def edit(self, model: CornerModel) -> CornerModel:
+    def edit_network(self, model: CornerModel) -> Network:
         """Add the link disc to caliper."""
         link = Link(
             "disc_caliper_radiation",
             "disc",
             model.caliper,
-            self.strength
-            * self["view_m2"]
+            self.scaled("view_m2")
             * STEFAN_BOLTZMANN_W_M2K4
             * model.spec.thermal.disc_emissivity,
             (radiation("disc", model.caliper),),
         )
-        return model.with_network(model.network.with_link(link))
+        return model.network.with_link(link)

@@ -1,14 +1,12 @@
 """Effect 10: the disc's heat capacity peaks at the Curie point."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from math import ceil
-from typing import ClassVar
 
 from bstm_daemon.model.effects.effect import Effect
 from bstm_daemon.model.effects.linings import with_effusivity
 from bstm_daemon.model.effects.model import CornerModel, Parameter
+from bstm_daemon.model.thermal.network import Network
 from bstm_daemon.model.thermal.table import Table
 from bstm_daemon.units import KELVIN_OFFSET
 
@@ -27,7 +25,6 @@ class DiscCapacityHot(Effect):
     """
 
     number = 10
-    name = "disc_capacity_hot"
     description = "Near 750 degC iron takes up heat without getting hotter."
     signature = (
         "Disc, proportional to its change of temperature, above 650 degC, "
@@ -35,16 +32,16 @@ class DiscCapacityHot(Effect):
     )
     twins = ("friction_fade", "disc_radiation_driving")
     either_sign = True
-    own_parameters: ClassVar = (
+    own_parameters = (
         Parameter("peak_j_kgk", "J/kgK", 0.0, 1500.0, 380.0, "above cp(T)"),
         Parameter("centre_c", "degC", 650.0, 800.0, 755.0, "of the peak"),
         Parameter("half_width_k", "K", 20.0, 250.0, 150.0, "to its foot"),
     )
 
-    def edit(self, model: CornerModel) -> CornerModel:
+    def edit_network(self, model: CornerModel) -> Network:
         """Raise cp(T) of the disc, and with it its share of the heat."""
         centre = self["centre_c"] + KELVIN_OFFSET
-        width, peak = self["half_width_k"], self.strength * self["peak_j_kgk"]
+        width, peak = self["half_width_k"], self.scaled("peak_j_kgk")
         net = model.network
         old = net.node("disc").capacity_table
         if old is None:
@@ -61,6 +58,4 @@ class DiscCapacityHot(Effect):
         at = [old.x0 + i * dx for i in range(points)]
         table = Table(old.x0, dx, tuple(old(t) * relative(t) for t in at))
         net = net.edit_node("disc", lambda n: replace(n, capacity_table=table))
-        return model.with_network(
-            with_effusivity(net, relative, self.name, "disc")
-        )
+        return with_effusivity(net, relative, self.name, "disc")

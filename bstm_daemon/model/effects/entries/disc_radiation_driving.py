@@ -1,12 +1,8 @@
 """Effect 11: the disc radiates also while driving."""
 
-from __future__ import annotations
-
-from typing import ClassVar
-
 from bstm_daemon.model.effects.effect import Effect
 from bstm_daemon.model.effects.model import CornerModel, Parameter
-from bstm_daemon.model.thermal.network import Link, radiation, value
+from bstm_daemon.model.thermal.network import Link, Network, radiation, value
 from bstm_daemon.model.thermal.table import Table
 from bstm_daemon.units import STEFAN_BOLTZMANN_W_M2K4
 
@@ -19,11 +15,10 @@ class DiscRadiationDriving(Effect):
     """
 
     number = 11
-    name = "disc_radiation_driving"
     description = "A hot disc radiates while the car drives, too."
     signature = "Disc, driving, with T^4 and not with speed."
     twins = ("friction_fade", "convection_exponent")
-    own_parameters: ClassVar = (
+    own_parameters = (
         Parameter(
             "view_share",
             "1",
@@ -34,7 +29,7 @@ class DiscRadiationDriving(Effect):
         ),
     )
 
-    def edit(self, model: CornerModel) -> CornerModel:
+    def edit_network(self, model: CornerModel) -> Network:
         """Add the link disc to ambient where the base model has none."""
         spec = model.spec
         free_m2 = max(spec.disc.total_area_m2 - spec.pads_area_m2, 0.0)
@@ -43,11 +38,10 @@ class DiscRadiationDriving(Effect):
             "disc_radiation_driving",
             "disc",
             "ambient",
-            self.strength
-            * self["view_share"]
+            self.scaled("view_share")
             * STEFAN_BOLTZMANN_W_M2K4
             * spec.thermal.disc_emissivity
             * free_m2,
             (radiation("disc", "ambient"), value("speed_ms", driving)),
         )
-        return model.with_network(model.network.with_link(link))
+        return model.network.with_link(link)

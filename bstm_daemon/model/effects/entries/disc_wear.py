@@ -1,12 +1,10 @@
 """Effect 16: a worn disc is lighter."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-from typing import ClassVar
 
 from bstm_daemon.model.effects.effect import Effect
 from bstm_daemon.model.effects.model import CornerModel, Parameter
+from bstm_daemon.model.thermal.network import Network
 
 MOST = 0.5
 
@@ -20,21 +18,19 @@ class DiscWear(Effect):
     """
 
     number = 16
-    name = "disc_wear"
     description = "A worn disc has less iron to heat."
     signature = (
         "Disc, proportional to its change of temperature, at any temperature; "
         "does not change within a drive."
     )
-    own_parameters: ClassVar = (
+    own_parameters = (
         Parameter("lost_share", "1", 0.0, 0.3, 0.08, "of the ring's mass"),
     )
 
-    def edit(self, model: CornerModel) -> CornerModel:
+    def edit_network(self, model: CornerModel) -> Network:
         """Lower the disc's capacity and keep what it gives off."""
-        left = 1.0 - min(self.strength * self["lost_share"], MOST)
-        net = model.network.edit_node(
+        left = 1.0 - min(self.scaled("lost_share"), MOST)
+        return model.network.edit_node(
             "disc",
             lambda node: replace(node, capacity_j_k=left * node.capacity_j_k),
         )
-        return model.with_network(net)

@@ -1,12 +1,8 @@
 """Effect 29: pumped fluid and the line carry heat out of the caliper."""
 
-from __future__ import annotations
-
-from typing import ClassVar
-
 from bstm_daemon.model.effects.effect import Effect
 from bstm_daemon.model.effects.model import CornerModel, Parameter
-from bstm_daemon.model.thermal.network import Link, Memory, difference
+from bstm_daemon.model.thermal.network import Link, Memory, Network, difference
 from bstm_daemon.model.thermal.table import Table
 
 FOLLOWS_S = 0.5
@@ -23,18 +19,17 @@ class FluidExchange(Effect):
     """
 
     number = 29
-    name = "fluid_exchange"
     description = "Pumping the pedal exchanges hot fluid for cold."
     signature = "Fluid, with the rate of the pressure: pulses, anti-lock."
     twins = ("caliper_fluid_split", "caliper_radiation")
-    own_parameters: ClassVar = (
+    own_parameters = (
         Parameter("line_w_k", "W/K", 0.0, 1.0, 0.05, "along the line"),
         Parameter(
             "pumping_w_k", "W/K", 0.0, 5.0, 0.4, "for each MPa/s of pressure"
         ),
     )
 
-    def edit(self, model: CornerModel) -> CornerModel:
+    def edit_network(self, model: CornerModel) -> Network:
         """Add a memory of the pressure and the links fluid to ambient."""
         limit = FASTEST_PA_S * FOLLOWS_S
         rate = 1.0 / FOLLOWS_S
@@ -48,19 +43,13 @@ class FluidExchange(Effect):
         # MPa/s of a lag: the difference over its time constant
         fastest = FASTEST_PA_S / 1e6
         pumped = Table(-limit, limit, (fastest, 0.0, fastest))
-        net = model.network.with_memory(following).with_link(
-            Link(
-                "fluid_line",
-                "fluid",
-                "ambient",
-                self.strength * self["line_w_k"],
-            ),
+        return model.network.with_memory(following).with_link(
+            Link("fluid_line", "fluid", "ambient", self.scaled("line_w_k")),
             Link(
                 "fluid_pumping",
                 "fluid",
                 "ambient",
-                self.strength * self["pumping_w_k"],
+                self.scaled("pumping_w_k"),
                 (difference("pressure_pa", "following_pressure_pa", pumped),),
             ),
         )
-        return model.with_network(net)

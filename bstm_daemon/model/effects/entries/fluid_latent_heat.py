@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING
 
 from bstm_daemon.model.effects.effect import Effect
 from bstm_daemon.model.effects.model import CornerModel, Parameter
@@ -11,7 +11,7 @@ from bstm_daemon.model.thermal.table import Table
 from bstm_daemon.units import KELVIN_OFFSET
 
 if TYPE_CHECKING:
-    from bstm_daemon.model.thermal.network import Node
+    from bstm_daemon.model.thermal.network import Network, Node
 
 COLDEST_K = 200.0
 HOTTEST_K = 700.0
@@ -26,11 +26,10 @@ class FluidLatentHeat(Effect):
     """
 
     number = 30
-    name = "fluid_latent_heat"
     description = "Boiling brake fluid takes up heat without getting hotter."
     signature = "Fluid, a plateau above 130 degC, parked, in wet fluid."
     twins = ("caliper_radiation",)
-    own_parameters: ClassVar = (
+    own_parameters = (
         Parameter("heat_j", "J", 100.0, 1e5, 8e3, "taken up in all"),
         Parameter(
             "centre_c", "degC", 110.0, 260.0, 138.0, "bulk, in mid-boil"
@@ -38,11 +37,11 @@ class FluidLatentHeat(Effect):
         Parameter("half_width_k", "K", 2.0, 40.0, 12.0, "to its ends"),
     )
 
-    def edit(self, model: CornerModel) -> CornerModel:
+    def edit_network(self, model: CornerModel) -> Network:
         """Raise the fluid's capacity around the boiling point."""
         centre = self["centre_c"] + KELVIN_OFFSET
         width = self["half_width_k"]
-        peak = self.strength * self["heat_j"] / width
+        peak = self.scaled("heat_j") / width
 
         def edited(node: Node) -> Node:
             old, constant = node.capacity_table, node.capacity_j_k
@@ -55,4 +54,4 @@ class FluidLatentHeat(Effect):
             table = Table.from_function(share, COLDEST_K, HOTTEST_K, POINTS)
             return replace(node, capacity_table=table)
 
-        return model.with_network(model.network.edit_node("fluid", edited))
+        return model.network.edit_node("fluid", edited)

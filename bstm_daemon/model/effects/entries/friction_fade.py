@@ -1,9 +1,5 @@
 """Effect 1: friction falls when disc and linings get hot."""
 
-from __future__ import annotations
-
-from typing import ClassVar
-
 from bstm_daemon.model.effects.effect import Effect
 from bstm_daemon.model.effects.model import CornerModel, Parameter
 from bstm_daemon.model.heat.friction_law import FrictionLaw
@@ -20,7 +16,6 @@ class FrictionFade(Effect):
     """
 
     number = 1
-    name = "friction_fade"
     kind = "heat"
     description = "Hot brakes grip less: friction falls above about 350 degC."
     signature = (
@@ -28,7 +23,7 @@ class FrictionFade(Effect):
         "a temperature of the interface; needs Feed-Forward."
     )
     twins = ("disc_radiation_driving",)
-    own_parameters: ClassVar = (
+    own_parameters = (
         Parameter("drop", "1", 0.0, 0.8, 0.28, "fall of mu when hot"),
         Parameter("onset_c", "degC", 100.0, 600.0, 350.0, "mu begins to fall"),
         Parameter("span_k", "K", 20.0, 500.0, 180.0, "until it has fallen"),
@@ -36,7 +31,7 @@ class FrictionFade(Effect):
 
     def edit(self, model: CornerModel) -> CornerModel:
         """Multiply mu by a ramp over the temperature of the interface."""
-        fall = self.strength * self["drop"]
+        fall = self.scaled("drop")
         onset_k = self["onset_c"] + KELVIN_OFFSET
 
         def fade(t: float) -> float:

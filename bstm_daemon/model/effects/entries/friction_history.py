@@ -1,9 +1,6 @@
 """Effect 4: friction changes as the pads bed in."""
 
-from __future__ import annotations
-
 from math import exp
-from typing import ClassVar
 
 from bstm_daemon.model.effects.effect import Effect
 from bstm_daemon.model.effects.model import CornerModel, Parameter
@@ -22,7 +19,6 @@ class FrictionHistory(Effect):
     """
 
     number = 4
-    name = "friction_history"
     kind = "heat"
     description = (
         "Friction of new pads falls as they take up heat for the first time."
@@ -31,7 +27,7 @@ class FrictionHistory(Effect):
         "All heat input of a corner in proportion, while braking only; early "
         "drives differ from late ones; gone on a repeated run."
     )
-    own_parameters: ClassVar = (
+    own_parameters = (
         Parameter("drop", "1", 0.0, 0.6, 0.33, "fall of mu when worn in"),
         Parameter(
             "bedding_energy_j", "J", 1e5, 1e8, 5e6, "heat for 63 % of the fall"
@@ -42,7 +38,7 @@ class FrictionHistory(Effect):
         """Scale the friction heat by a memory of its own integral."""
         if not model.heat_from_pressure:
             return model
-        drop = min(self.strength * self["drop"], 0.95)
+        drop = min(self.scaled("drop"), 0.95)
         worn = Table.from_function(
             lambda e: 1.0 - drop * (1.0 - exp(-e)), 0.0, WORN_IN
         )

@@ -1,9 +1,5 @@
 """Effect 3: friction depends on the pressure."""
 
-from __future__ import annotations
-
-from typing import ClassVar
-
 from bstm_daemon.model.effects.effect import Effect
 from bstm_daemon.model.effects.model import CornerModel, Parameter
 from bstm_daemon.model.heat.friction_law import FrictionLaw
@@ -19,7 +15,6 @@ class FrictionPressure(Effect):
     """
 
     number = 3
-    name = "friction_pressure"
     kind = "heat"
     description = "Linings grip less the harder they are pressed."
     signature = (
@@ -28,13 +23,13 @@ class FrictionPressure(Effect):
     )
     twins = ("friction_speed", "pushout_pressure")
     either_sign = True
-    own_parameters: ClassVar = (
+    own_parameters = (
         Parameter("exponent", "1", 0.0, 0.3, 0.05, "1 - a, with pressure"),
     )
 
     def edit(self, model: CornerModel) -> CornerModel:
         """Multiply mu by a power of the pressure."""
-        power = -self.strength * self["exponent"]
+        power = -self.scaled("exponent")
 
         def law(p: float) -> float:
             ratio: float = (max(p, LOWEST_PA) / REFERENCE_PA) ** power

@@ -1,9 +1,5 @@
 """Effect 2: friction depends on the sliding speed."""
 
-from __future__ import annotations
-
-from typing import ClassVar
-
 from bstm_daemon.model.effects.effect import Effect
 from bstm_daemon.model.effects.model import CornerModel, Parameter
 from bstm_daemon.model.heat.friction_law import FrictionLaw
@@ -19,7 +15,6 @@ class FrictionSpeed(Effect):
     """
 
     number = 2
-    name = "friction_speed"
     kind = "heat"
     description = "Linings grip less the faster they slide."
     signature = (
@@ -28,13 +23,13 @@ class FrictionSpeed(Effect):
     )
     twins = ("friction_pressure",)
     either_sign = True
-    own_parameters: ClassVar = (
+    own_parameters = (
         Parameter("exponent", "1", 0.0, 0.3, 0.1, "-b, fall with speed"),
     )
 
     def edit(self, model: CornerModel) -> CornerModel:
         """Multiply mu by a power of the speed."""
-        power = -self.strength * self["exponent"]
+        power = -self.scaled("exponent")
 
         def law(v: float) -> float:
             ratio: float = (max(v, SLOWEST_MS) / REFERENCE_MS) ** power

@@ -1,15 +1,10 @@
 """Effect 9: released pads exchange heat with the disc through the gap."""
 
-from __future__ import annotations
-
-from typing import ClassVar
-
 from bstm_daemon.model.effects.effect import Effect
 from bstm_daemon.model.effects.model import CornerModel, Parameter
-from bstm_daemon.model.thermal.network import Link, mean, value
+from bstm_daemon.model.effects.tables import RELEASED
+from bstm_daemon.model.thermal.network import Link, Network, mean, value
 from bstm_daemon.model.thermal.table import Table
-
-RELEASED = Table(0.0, 1.0, (1.0, 0.0))
 
 REFERENCE_K = 500.0
 AIR_CONDUCTIVITY = Table.from_function(
@@ -28,31 +23,28 @@ class GapConduction(Effect):
     """
 
     number = 9
-    name = "gap_conduction"
     description = "The narrow gap of a released brake still conducts heat."
     signature = (
         "Edge disc to pad front, brake off, proportional to the difference "
         "of their temperatures and not to that of T^4; strongest parked."
     )
     twins = ("contact_conductance",)
-    own_parameters: ClassVar = (
+    own_parameters = (
         Parameter(
             "conductance_w_m2k", "W/m2K", 5.0, 1e3, 130.0, "of air at 500 K"
         ),
     )
 
-    def edit(self, model: CornerModel) -> CornerModel:
+    def edit_network(self, model: CornerModel) -> Network:
         """Add the link disc to pad_front."""
         link = Link(
             "gap_conduction",
             "disc",
             "pad_front",
-            self.strength
-            * self["conductance_w_m2k"]
-            * model.spec.pads_area_m2,
+            self.scaled("conductance_w_m2k") * model.spec.pads_area_m2,
             (
                 value("brake_on", RELEASED),
                 mean("disc", "pad_front", AIR_CONDUCTIVITY),
             ),
         )
-        return model.with_network(model.network.with_link(link))
+        return model.network.with_link(link)

@@ -1,12 +1,8 @@
 """Effect 14: the disc heats the hub it is bolted to."""
 
-from __future__ import annotations
-
-from typing import ClassVar
-
 from bstm_daemon.model.effects.effect import Effect
 from bstm_daemon.model.effects.model import CornerModel, Parameter
-from bstm_daemon.model.thermal.network import Link, Node
+from bstm_daemon.model.thermal.network import Link, Network, Node
 
 
 class HubConduction(Effect):
@@ -17,25 +13,23 @@ class HubConduction(Effect):
     """
 
     number = 14
-    name = "hub_conduction"
     description = "The hub takes up heat of the disc and gives it back late."
     signature = (
         "Disc, at any time, with a memory of 20 to 40 minutes; no speed."
     )
     twins = ("local_air", "disc_hat")
-    own_parameters: ClassVar = (
+    own_parameters = (
         Parameter("conductance_w_k", "W/K", 0.05, 10.0, 1.0, "disc to hub"),
         Parameter("capacity_j_k", "J/K", 500.0, 1e4, 2600.0, "of the hub"),
         Parameter("loss_w_k", "W/K", 0.0, 20.0, 1.8, "hub to the knuckle"),
     )
 
-    def edit(self, model: CornerModel) -> CornerModel:
+    def edit_network(self, model: CornerModel) -> Network:
         """Add the node ``hub`` and its links."""
-        conductance = self.strength * self["conductance_w_k"]
-        net = model.network.with_node(
+        conductance = self.scaled("conductance_w_k")
+        return model.network.with_node(
             Node("hub", self["capacity_j_k"])
         ).with_link(
             Link("hub_conduction", "disc", "hub", conductance),
             Link("hub_loss", "hub", "ambient", self["loss_w_k"]),
         )
-        return model.with_network(net)

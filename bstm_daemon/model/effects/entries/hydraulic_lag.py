@@ -2,13 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, ClassVar
-
 from bstm_daemon.model.effects.effect import Effect
 from bstm_daemon.model.effects.model import InputModel, Parameter
-
-if TYPE_CHECKING:
-    from bstm_daemon.config.sections import CornerConfig
 
 
 class HydraulicLag(Effect):
@@ -19,7 +14,6 @@ class HydraulicLag(Effect):
     """
 
     number = 6
-    name = "hydraulic_lag"
     kind = "heat"
     description = "The wheel brakes follow the pedal with a delay."
     signature = (
@@ -27,22 +21,15 @@ class HydraulicLag(Effect):
         "pressure; needs Feed-Forward."
     )
     twins = ("powertrain_torque_error",)
-    whole_car = True
-    own_parameters: ClassVar = (
+    own_parameters = (
         Parameter("primary_s", "s", 0.0, 2.0, 0.15, "of the first circuit"),
         Parameter("secondary_s", "s", 0.0, 2.0, 0.3, "of the second circuit"),
     )
 
-    def edit_inputs(
-        self,
-        inputs: InputModel,
-        corner: CornerConfig | None,  # noqa: ARG002
-    ) -> InputModel:
+    def edit_inputs(self, inputs: InputModel) -> InputModel:
         """Raise the lags of ``[heat]``."""
         heat = inputs.config.heat
         return inputs.with_heat(
-            primary_lag_s=heat.primary_lag_s
-            + self.strength * self["primary_s"],
-            secondary_lag_s=heat.secondary_lag_s
-            + self.strength * self["secondary_s"],
+            primary_lag_s=heat.primary_lag_s + self.scaled("primary_s"),
+            secondary_lag_s=heat.secondary_lag_s + self.scaled("secondary_s"),
         )

@@ -1,22 +1,15 @@
 """Effect 13: the air inside the wheel house is warmer than outside."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from math import hypot
-from typing import ClassVar
 
 from bstm_daemon.model.effects.effect import LAST, Effect
 from bstm_daemon.model.effects.model import AIR, CornerModel, Parameter
-from bstm_daemon.model.thermal.network import Link, Node, value
-from bstm_daemon.model.thermal.table import Table
+from bstm_daemon.model.effects.tables import NEGLIGIBLE, over_speed
+from bstm_daemon.model.thermal.network import Link, Network, Node
 
 AIR_J_M3K = 1210.0
 """rho cp of air at 20 degC."""
-
-FASTEST_MS = 120.0
-NEGLIGIBLE = 1e-6
-"""Below this strength the air is that outside to within a microkelvin."""
 
 OUTSIDE = frozenset(
     {"wet_disc", "hub_loss", "bracket_loss", "fluid_line", "fluid_pumping"}
@@ -34,7 +27,6 @@ class LocalAir(Effect):
     """
 
     number = 13
-    name = "local_air"
     description = "Warm air inside the rim slows the cooling of all parts."
     signature = (
         "Disc, pad back and fluid at once, slow and parked; air warmer with "
@@ -42,22 +34,17 @@ class LocalAir(Effect):
     )
     twins = ("disc_caliper_radiation",)
     stage = LAST
-    own_parameters: ClassVar = (
+    own_parameters = (
         Parameter("opening_m2", "m2", 1e-3, 0.2, 0.02, "takes in the wind"),
         Parameter(
             "parked_w_k", "W/K", 1.0, 100.0, 13.0, "carried off at rest"
         ),
     )
 
-    def edit(self, model: CornerModel) -> CornerModel:
+    def edit_network(self, model: CornerModel) -> Network:
         """Let every convective loss end in a node of air."""
         wind = self["opening_m2"] * AIR_J_M3K
-        exchange = Table.from_function(
-            lambda v: hypot(self["parked_w_k"], wind * v),
-            0.0,
-            FASTEST_MS,
-            481,
-        )
+        exchange = over_speed(lambda v: hypot(self["parked_w_k"], wind * v))
 
         def moved(link: Link) -> Link:
             radiates = any(f.kind == "radiation" for f in link.factors)
@@ -67,13 +54,12 @@ class LocalAir(Effect):
 
         net = model.network
         net = replace(net, links=tuple(map(moved, net.links)))
-        net = net.with_node(Node(AIR, 0.0)).with_link(
+        return net.with_node(Node(AIR, 0.0)).with_link(
             Link(
                 "air_exchange",
                 AIR,
                 "ambient",
                 1.0 / max(self.strength, NEGLIGIBLE),
-                (value("speed_ms", exchange),),
+                (exchange,),
             )
         )
-        return model.with_network(net)

@@ -2,13 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, ClassVar
-
 from bstm_daemon.model.effects.effect import Effect
 from bstm_daemon.model.effects.model import InputModel, Parameter
-
-if TYPE_CHECKING:
-    from bstm_daemon.config.sections import CornerConfig
 
 LIGHTEST_SHARE = 0.3
 
@@ -20,7 +15,6 @@ class MassError(Effect):
     """
 
     number = 34
-    name = "mass_error"
     kind = "heat"
     description = "The car weighs more than the configuration says."
     signature = (
@@ -29,17 +23,12 @@ class MassError(Effect):
     )
     twins = ("accelerometer_bias", "powertrain_torque_error", "brake_share")
     either_sign = True
-    whole_car = True
-    own_parameters: ClassVar = (
+    own_parameters = (
         Parameter("share", "1", 0.0, 0.6, 0.06, "of the configured mass"),
     )
 
-    def edit_inputs(
-        self,
-        inputs: InputModel,
-        corner: CornerConfig | None,  # noqa: ARG002
-    ) -> InputModel:
+    def edit_inputs(self, inputs: InputModel) -> InputModel:
         """Scale the mass of ``[vehicle]``."""
-        factor = max(1.0 + self.strength * self["share"], LIGHTEST_SHARE)
+        factor = max(1.0 + self.scaled("share"), LIGHTEST_SHARE)
         mass = factor * inputs.config.vehicle.mass_kg
         return inputs.with_vehicle(mass_kg=mass)

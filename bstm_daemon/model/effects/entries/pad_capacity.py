@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING
 
 from bstm_daemon.model.effects.effect import Effect
 from bstm_daemon.model.effects.linings import pad_nodes, with_effusivity
 from bstm_daemon.model.effects.model import CornerModel, Parameter
+from bstm_daemon.model.effects.tables import ROOM_K
 from bstm_daemon.model.thermal.table import Table
 from bstm_daemon.units import KELVIN_OFFSET
 
 if TYPE_CHECKING:
-    from bstm_daemon.model.thermal.network import Node
+    from bstm_daemon.model.thermal.network import Network, Node
 
-COLD_K = 20.0 + KELVIN_OFFSET
 LEAST = 0.3
 
 
@@ -26,7 +26,6 @@ class PadCapacity(Effect):
     """
 
     number = 19
-    name = "pad_capacity"
     description = "Hot linings take more heat for each kelvin than cold ones."
     signature = (
         "Pad front and pad back, proportional to their change of temperature, "
@@ -34,16 +33,16 @@ class PadCapacity(Effect):
     )
     twins = ("pad_conductivity", "pad_pyrolysis")
     either_sign = True
-    own_parameters: ClassVar = (
+    own_parameters = (
         Parameter("rise_per_k", "1/K", 0.0, 3e-3, 9e-4, "of cp, cold = 1"),
         Parameter("until_c", "degC", 100.0, 800.0, 400.0, "rises up to here"),
     )
 
-    def edit(self, model: CornerModel) -> CornerModel:
+    def edit_network(self, model: CornerModel) -> Network:
         """Multiply cp of every slab by a ramp."""
-        span = self["until_c"] + KELVIN_OFFSET - COLD_K
-        hot = max(1.0 + self.strength * self["rise_per_k"] * span, LEAST)
-        ramp = Table(COLD_K, span, (1.0, hot))
+        span = self["until_c"] + KELVIN_OFFSET - ROOM_K
+        hot = max(1.0 + self.scaled("rise_per_k") * span, LEAST)
+        ramp = Table(ROOM_K, span, (1.0, hot))
         slabs = set(pad_nodes(model.network))
 
         def edited(node: Node) -> Node:
@@ -54,6 +53,4 @@ class PadCapacity(Effect):
             return replace(node, capacity_table=table)
 
         net = with_effusivity(model.network, ramp, self.name)
-        return model.with_network(
-            replace(net, nodes=tuple(map(edited, net.nodes)))
-        )
+        return replace(net, nodes=tuple(map(edited, net.nodes)))

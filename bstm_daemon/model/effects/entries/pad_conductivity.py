@@ -1,15 +1,12 @@
 """Effect 18: the lining's conductivity depends on its temperature."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import pairwise
-from typing import ClassVar
 
 from bstm_daemon.model.effects.effect import Effect
 from bstm_daemon.model.effects.linings import pad_nodes, with_effusivity
 from bstm_daemon.model.effects.model import CornerModel, Parameter
-from bstm_daemon.model.thermal.network import Link, mean, with_factors
+from bstm_daemon.model.thermal.network import Link, Network, mean, with_factors
 from bstm_daemon.model.thermal.table import Table
 from bstm_daemon.units import KELVIN_OFFSET
 
@@ -25,22 +22,21 @@ class PadConductivity(Effect):
     """
 
     number = 18
-    name = "pad_conductivity"
     description = "Hot linings conduct heat differently from cold ones."
     signature = (
         "Between pad front and pad back, with the lining's temperature."
     )
     twins = ("pad_capacity",)
     either_sign = True
-    own_parameters: ClassVar = (
+    own_parameters = (
         Parameter("rise", "1", 0.0, 0.8, 0.22, "of k from the middle up"),
         Parameter("middle_c", "degC", 50.0, 400.0, 220.0, "k as configured"),
         Parameter("span_k", "K", 50.0, 500.0, 180.0, "from there to the end"),
     )
 
-    def edit(self, model: CornerModel) -> CornerModel:
+    def edit_network(self, model: CornerModel) -> Network:
         """Multiply the links of the lining by a ramp."""
-        rise, span = self.strength * self["rise"], self["span_k"]
+        rise, span = self.scaled("rise"), self["span_k"]
         start_k = self["middle_c"] + KELVIN_OFFSET - span
         ramp = Table(
             start_k,
@@ -55,6 +51,4 @@ class PadConductivity(Effect):
             return with_factors(link, mean(link.a, link.b, ramp))
 
         net = with_effusivity(model.network, ramp, self.name)
-        return model.with_network(
-            replace(net, links=tuple(map(edited, net.links)))
-        )
+        return replace(net, links=tuple(map(edited, net.links)))

@@ -1,12 +1,8 @@
 """Effect 20: the binder of a new lining decomposes once."""
 
-from __future__ import annotations
-
-from typing import ClassVar
-
 from bstm_daemon.model.effects.effect import Effect
 from bstm_daemon.model.effects.model import CornerModel, Parameter
-from bstm_daemon.model.thermal.network import Memory, Source, value
+from bstm_daemon.model.thermal.network import Memory, Network, Source, value
 from bstm_daemon.model.thermal.table import Table
 from bstm_daemon.units import KELVIN_OFFSET
 
@@ -21,31 +17,29 @@ class PadPyrolysis(Effect):
     """
 
     number = 20
-    name = "pad_pyrolysis"
     description = "The lining's binder decomposes, once, and takes up heat."
     signature = (
         "Pad front, first heating above about 350 degC only, irreversible."
     )
-    own_parameters: ClassVar = (
+    own_parameters = (
         Parameter("heat_j", "J", 100.0, 2e5, 3.5e4, "taken up in all"),
         Parameter("onset_c", "degC", 250.0, 500.0, 370.0, "half rate"),
         Parameter("rate_per_s", "1/s", 1e-4, 0.1, 5e-3, "rate when hot"),
     )
 
-    def edit(self, model: CornerModel) -> CornerModel:
+    def edit_network(self, model: CornerModel) -> Network:
         """Add a memory of the decomposed share and a sink in pad_front."""
         start_k = self["onset_c"] + KELVIN_OFFSET - 0.5 * ONSET_WIDTH_K
         onset = value("pad_front", Table(start_k, ONSET_WIDTH_K, (0.0, 1.0)))
         left = value("pyrolysis", Table(0.0, 1.0, (1.0, 0.0)))
         rate = self["rate_per_s"]
-        net = model.network.with_memory(
+        return model.network.with_memory(
             Memory("pyrolysis", "integral", rate, (onset, left))
         ).with_source(
             Source(
                 "pyrolysis_heat",
                 "pad_front",
-                -self.strength * self["heat_j"] * rate,
+                -self.scaled("heat_j") * rate,
                 (onset, left),
             )
         )
-        return model.with_network(net)

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import pairwise
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING
 
 from bstm_daemon.model.effects.effect import Effect
 from bstm_daemon.model.effects.linings import pad_nodes
 from bstm_daemon.model.effects.model import CornerModel, Parameter
 
 if TYPE_CHECKING:
-    from bstm_daemon.model.thermal.network import Link, Node
+    from bstm_daemon.model.thermal.network import Link, Network, Node
 
 THINNEST_M = 1e-3
 """Less lining than this is not left: the plate would touch the disc."""
@@ -25,22 +25,21 @@ class PadWear(Effect):
     """
 
     number = 21
-    name = "pad_wear"
     description = "Worn linings let the heat through faster."
     signature = (
         "Pad back and fluid, sooner and hotter; pad front less; grows over "
         "many drives with the heat they took."
     )
     twins = ("shim_contact", "pad_conductivity")
-    own_parameters: ClassVar = (
+    own_parameters = (
         Parameter("worn_m", "m", 0.0, 0.02, 4.5e-3, "lost of the lining"),
     )
 
-    def edit(self, model: CornerModel) -> CornerModel:
+    def edit_network(self, model: CornerModel) -> Network:
         """Scale capacities and conductances of the lining."""
         whole = model.spec.pad.thickness_m
         least = min(THINNEST_M, whole)
-        left = max(whole - self.strength * self["worn_m"], least) / whole
+        left = max(whole - self.scaled("worn_m"), least) / whole
         names = pad_nodes(model.network)
         chain = set(pairwise(names))
 
@@ -55,9 +54,8 @@ class PadWear(Effect):
             return replace(link, conductance_w_k=link.conductance_w_k / left)
 
         net = model.network
-        net = replace(
+        return replace(
             net,
             nodes=tuple(map(thinner, net.nodes)),
             links=tuple(map(shorter, net.links)),
         )
-        return model.with_network(net)

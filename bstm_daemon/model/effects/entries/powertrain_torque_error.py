@@ -2,13 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, ClassVar
-
 from bstm_daemon.model.effects.effect import Effect
 from bstm_daemon.model.effects.model import Correction, InputModel, Parameter
-
-if TYPE_CHECKING:
-    from bstm_daemon.config.sections import CornerConfig
 
 
 class PowertrainTorqueError(Effect):
@@ -19,7 +14,6 @@ class PowertrainTorqueError(Effect):
     """
 
     number = 36
-    name = "powertrain_torque_error"
     kind = "heat"
     description = "Engine drag brakes less or more than the signal says."
     signature = (
@@ -28,20 +22,15 @@ class PowertrainTorqueError(Effect):
     )
     twins = ("accelerometer_bias", "mass_error", "brake_share")
     either_sign = True
-    whole_car = True
-    own_parameters: ClassVar = (
+    own_parameters = (
         Parameter("share", "1", 0.0, 0.18, 0.08, "of the torque not read"),
         Parameter("offset_nm", "Nm", -200.0, 200.0, 12.0, "read too much"),
     )
 
-    def edit_inputs(
-        self,
-        inputs: InputModel,
-        corner: CornerConfig | None,  # noqa: ARG002
-    ) -> InputModel:
+    def edit_inputs(self, inputs: InputModel) -> InputModel:
         """Undo gain and offset of every sample."""
-        read = 1.0 - self.strength * self["share"]
-        offset = self.strength * self["offset_nm"]
+        read = 1.0 - self.scaled("share")
+        offset = self.scaled("offset_nm")
         return inputs.with_correction(
             Correction("powertrain_torque", 1.0 / read, -offset / read)
         )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING
 
 from bstm_daemon.model.effects.effect import Effect
 from bstm_daemon.model.effects.model import InputModel, Parameter
@@ -18,7 +18,6 @@ class PushoutPressure(Effect):
     """
 
     number = 5
-    name = "pushout_pressure"
     kind = "heat"
     description = "Part of the pressure only overcomes seals and guides."
     signature = (
@@ -26,19 +25,16 @@ class PushoutPressure(Effect):
         "constant loss of pressure; needs Feed-Forward."
     )
     twins = ("friction_pressure", "friction_history")
-    own_parameters: ClassVar = (
-        Parameter("pressure_pa", "Pa", 0.0, 5e5, 1e5, "lost"),
-    )
+    own_parameters = (Parameter("pressure_pa", "Pa", 0.0, 5e5, 1e5, "lost"),)
 
-    def edit_inputs(
-        self, inputs: InputModel, corner: CornerConfig | None
+    def edit_corner_inputs(
+        self, inputs: InputModel, corner: CornerConfig
     ) -> InputModel:
         """Raise the push-out pressure of *corner*."""
-        name = corner.name if corner else ""
-        more = self.strength * self["pressure_pa"]
+        more = self.scaled("pressure_pa")
 
         def edited(one: CornerConfig) -> CornerConfig:
-            if one.name != name:
+            if one.name != corner.name:
                 return one
             pressure = one.pushout_pressure_pa + more
             return one.model_copy(update={"pushout_pressure_pa": pressure})

@@ -1,17 +1,11 @@
 """Effect 7: released pads still rub."""
 
-from __future__ import annotations
-
-from typing import ClassVar
-
 from bstm_daemon.model.effects.effect import Effect
 from bstm_daemon.model.effects.model import CornerModel, Parameter
-from bstm_daemon.model.thermal.network import Source, value
+from bstm_daemon.model.effects.tables import RELEASED, ROOM_K
+from bstm_daemon.model.thermal.network import Network, Source, value
 from bstm_daemon.model.thermal.table import Table
 from bstm_daemon.units import KELVIN_OFFSET
-
-RELEASED = Table(0.0, 1.0, (1.0, 0.0))
-COLD_K = 20.0 + KELVIN_OFFSET
 
 
 class ResidualDrag(Effect):
@@ -23,7 +17,6 @@ class ResidualDrag(Effect):
     """
 
     number = 7
-    name = "residual_drag"
     kind = "heat"
     description = "Pads that do not let go keep heating the disc."
     signature = (
@@ -31,24 +24,23 @@ class ResidualDrag(Effect):
         "more after the brake was used."
     )
     twins = ("convection_exponent", "brake_without_pressure")
-    own_parameters: ClassVar = (
+    own_parameters = (
         Parameter("torque_nm", "Nm", 0.1, 50.0, 5.0, "pads hot"),
         Parameter("cold_share", "1", 0.0, 1.0, 0.35, "of it, pads cold"),
         Parameter("hot_c", "degC", 40.0, 400.0, 130.0, "pad back, hot"),
     )
 
-    def edit(self, model: CornerModel) -> CornerModel:
+    def edit_network(self, model: CornerModel) -> Network:
         """Add sources in disc and pads while the brake is off."""
-        span = self["hot_c"] + KELVIN_OFFSET - COLD_K
+        span = self["hot_c"] + KELVIN_OFFSET - ROOM_K
         drag = (
             value("speed_ms"),
             value("brake_on", RELEASED),
-            value("pad_back", Table(COLD_K, span, (self["cold_share"], 1.0))),
+            value("pad_back", Table(ROOM_K, span, (self["cold_share"], 1.0))),
         )
-        watts = self.strength * self["torque_nm"] / model.wheel_radius_m
+        watts = self.scaled("torque_nm") / model.wheel_radius_m
         pads = 1.0 - model.spec.disc_share
-        net = model.network.with_source(
+        return model.network.with_source(
             Source("residual_drag_disc", "disc", watts * (1.0 - pads), drag),
             Source("residual_drag_pads", "pad_front", watts * pads, drag),
         )
-        return model.with_network(net)

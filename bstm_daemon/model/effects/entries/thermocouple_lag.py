@@ -1,11 +1,8 @@
 """Effect 32: thermocouples follow late."""
 
-from __future__ import annotations
-
-from typing import ClassVar
-
 from bstm_daemon.model.effects.effect import Effect
 from bstm_daemon.model.effects.model import CornerModel, Parameter
+from bstm_daemon.model.effects.tables import NEGLIGIBLE
 from bstm_daemon.model.thermal.network import Link, Node
 from bstm_daemon.roles import MEASURED_NODES
 
@@ -21,18 +18,19 @@ class ThermocoupleLag(Effect):
     """
 
     number = 32
-    name = "thermocouple_lag"
     kind = "measurement"
     description = "Thermocouples show what the part had seconds ago."
     signature = "One sensor, proportional to its rate of change."
     twins = ("thermocouple_offset", "disc_hat")
-    own_parameters: ClassVar = (
+    own_parameters = (
         Parameter("time_s", "s", 0.1, 120.0, 15.0, "time constant"),
     )
 
     def edit(self, model: CornerModel) -> CornerModel:
         """Add a bead for every node that may be measured."""
-        conductance = BEAD_J_K / (self.strength * self["time_s"])
+        if self.strength < NEGLIGIBLE:
+            return model
+        conductance = BEAD_J_K / self.scaled("time_s")
         net, shown = model.network, dict(model.shown_by)
         for node in MEASURED_NODES:
             if not model.has_node(node):

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING
 
 from bstm_daemon.model.effects.effect import Effect
 from bstm_daemon.model.effects.model import Correction, InputModel, Parameter
+from bstm_daemon.model.effects.tables import ROOM_K
 from bstm_daemon.roles import MEASURED_NODES
-from bstm_daemon.units import KELVIN_OFFSET
 
 if TYPE_CHECKING:
     from bstm_daemon.config.sections import CornerConfig
-
-ROOM_K = 20.0 + KELVIN_OFFSET
 
 
 class ThermocoupleOffset(Effect):
@@ -23,25 +21,22 @@ class ThermocoupleOffset(Effect):
     """
 
     number = 31
-    name = "thermocouple_offset"
     kind = "measurement"
     description = "A thermocouple sits where it is hotter than the node."
     signature = "One sensor, at any time, constant and with its temperature."
     twins = ("thermocouple_lag",)
     either_sign = True
-    own_parameters: ClassVar = (
+    own_parameters = (
         Parameter("offset_k", "K", 0.0, 60.0, 9.0, "read too much"),
         Parameter("gain", "1", 0.0, 0.15, 0.02, "of the excess over 20 degC"),
     )
 
-    def edit_inputs(
-        self, inputs: InputModel, corner: CornerConfig | None
+    def edit_corner_inputs(
+        self, inputs: InputModel, corner: CornerConfig
     ) -> InputModel:
         """Undo offset and gain of the thermocouples of *corner*."""
-        if corner is None:
-            return inputs
-        gain = 1.0 + self.strength * self["gain"]
-        zero = ROOM_K + self.strength * self["offset_k"]
+        gain = 1.0 + self.scaled("gain")
+        zero = ROOM_K + self.scaled("offset_k")
         return inputs.with_correction(
             *(
                 Correction(

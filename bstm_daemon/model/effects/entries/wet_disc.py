@@ -1,12 +1,8 @@
 """Effect 15: rain and spray cool the disc."""
 
-from __future__ import annotations
-
-from typing import ClassVar
-
 from bstm_daemon.model.effects.effect import Effect
 from bstm_daemon.model.effects.model import CornerModel, Parameter
-from bstm_daemon.model.thermal.network import Link, value
+from bstm_daemon.model.thermal.network import Link, Network, value
 from bstm_daemon.model.thermal.table import Table
 
 HALF_WET_K = 353.15
@@ -21,17 +17,16 @@ class WetDisc(Effect):
     """
 
     number = 15
-    name = "wet_disc"
     description = "On a wet road spray evaporates on the disc and cools it."
     signature = "Disc, wet road only, with speed, strongest above 100 degC."
-    own_parameters: ClassVar = (
+    own_parameters = (
         Parameter(
             "evaporation_w_k", "W/K", 0.1, 100.0, 5.0, "at 25 m/s, boiling"
         ),
         Parameter("cold_fraction", "1", 0.0, 1.0, 0.25, "below 80 degC"),
     )
 
-    def edit(self, model: CornerModel) -> CornerModel:
+    def edit_network(self, model: CornerModel) -> Network:
         """Add the link disc to ambient."""
         boiling = Table(
             HALF_WET_K, BOILING_K - HALF_WET_K, (self["cold_fraction"], 1.0)
@@ -41,11 +36,11 @@ class WetDisc(Effect):
             "wet_disc",
             "disc",
             "ambient",
-            self.strength * self["evaporation_w_k"],
+            self.scaled("evaporation_w_k"),
             (
                 value("wetness"),
                 value("speed_ms", spray),
                 value("disc", boiling),
             ),
         )
-        return model.with_network(model.network.with_link(link))
+        return model.network.with_link(link)

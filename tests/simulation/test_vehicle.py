@@ -6,7 +6,7 @@ import pytest
 
 from bstm_daemon.errors import ConfigError, UsageError
 from bstm_daemon.simulation import NOMINAL, load_vehicle, vehicle_names
-from bstm_daemon.simulation.vehicles import parse_vehicle, scaled_car
+from bstm_daemon.simulation.vehicle import parse_vehicle, scaled_car
 
 
 def test_packaged_cars() -> None:

@@ -1,6 +1,9 @@
-"""One-way changes of the linings: pyrolysis and wear.
+"""What changes in the linings: their friction, pyrolysis and wear.
 
-Both run once a step, explicitly; both return the heat that left the corner.
+The forms of friction are an S-shaped fade with temperature, falls with speed
+and pressure that level off, and a bedding that runs out hyperbolically with
+the friction energy. Pyrolysis and wear are one-way: both run once a step,
+explicitly, and return the heat that left the corner.
 """
 
 from __future__ import annotations
@@ -9,11 +12,20 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from bstm_daemon.simulation import materials
-
 if TYPE_CHECKING:
     from bstm_daemon.simulation.lanes import Lanes, State
     from bstm_daemon.simulation.materials import Array
+
+_FADE_DEPTH = 0.30
+_FADE_CENTRE_K = 703.15
+_FADE_WIDTH_K = 45.0
+_SPEED_FALL = 0.18
+_PRESSURE_FALL = 0.15
+_REFERENCE_SPEED_MS = 10.0
+_REFERENCE_PRESSURE_PA = 1.0e6
+_BEDDING_FALL = 0.25
+_BEDDING_J = 4.0e6
+_LEAST_FACTOR = 0.05
 
 _PYROLYSIS_J_KG = 2.0e5
 _PYROLYSIS_RATE_S = 2.0e5
@@ -24,6 +36,31 @@ _LAST_M = 1.0e-3
 _WEAR_M_PER_J = 1e-3 / 6.0e7
 _WEAR_RISE_K = 120.0
 _WEAR_RISE_FROM_K = 593.15
+
+
+def friction_factor(
+    lanes: Lanes, state: State, speed_ms: Array, pressure_pa: Array
+) -> Array:
+    """Return mu over its nominal value, shape (lanes,)."""
+    p = lanes.p
+    surfaces = state.chain_k[lanes.surface - 1 : lanes.surface + 1]
+    t = surfaces.mean(axis=(0, 1))
+    fade = 1.0 - _FADE_DEPTH * p.friction_fade / (
+        1.0 + np.exp((_FADE_CENTRE_K - t) / _FADE_WIDTH_K)
+    )
+    v = (speed_ms - _REFERENCE_SPEED_MS) / (speed_ms + _REFERENCE_SPEED_MS)
+    pressure = (pressure_pa - _REFERENCE_PRESSURE_PA) / (
+        pressure_pa + 2 * _REFERENCE_PRESSURE_PA
+    )
+    bedded = state.friction_j / (state.friction_j + _BEDDING_J)
+    factor = (
+        fade
+        * (1.0 - _SPEED_FALL * p.friction_speed * v)
+        * (1.0 - _PRESSURE_FALL * p.friction_pressure * pressure)
+        * (1.0 - _BEDDING_FALL * p.friction_history * bedded)
+    )
+    least: Array = np.maximum(factor, _LEAST_FACTOR)
+    return least
 
 
 def pyrolyse(lanes: Lanes, state: State, dt: float) -> Array:
@@ -75,16 +112,6 @@ def wear_pads(lanes: Lanes, state: State, friction_j: Array) -> Array:
     state.chain_j[pad.start + 1 : pad.stop] += carried[:-1]
     state.pad_m = state.pad_m - loss_m
     mean = state.chain_j[pad] / lanes.pad_kg(state)
-    if lanes.variable_pad:
-        state.chain_k[pad] = materials.lining_temperature(
-            mean,
-            state.chain_k[pad],
-            p.pad_heat_capacity_j_kgk,
-            p.pad_capacity,
-        )
-    else:
-        state.chain_k[pad] = (
-            materials.REFERENCE_K + mean / p.pad_heat_capacity_j_kgk
-        )
+    state.chain_k[pad] = lanes.lining_temperature(mean, state.chain_k[pad])
     total: Array = carried[-1].sum(axis=0)
     return total
