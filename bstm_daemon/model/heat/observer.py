@@ -127,7 +127,8 @@ class Observer:
         m.known.begin(self.rolling)
         m.recent, m.earlier = m.known.copy(), m.known.copy()
         m.first = m.known.copy()
-        m.radius_ratio = m.started = 1.0
+        m.started = 1.0
+        m.radius_ratio = [1.0] * len(m.radius_ratio)
         m.last_speed = UNKNOWN
         self.m = m
 
