@@ -11,6 +11,8 @@ from array import array
 from contextlib import suppress
 from typing import TYPE_CHECKING, Final, NamedTuple
 
+from pydantic import BaseModel
+
 from bstm_daemon.advice.advisor import Advisor
 from bstm_daemon.bus.live.record_decoder import RecordDecoder
 from bstm_daemon.bus.output.publication import OutputFrame, Publication
@@ -27,9 +29,9 @@ from bstm_daemon.estimate import (
 )
 from bstm_daemon.estimator.corner_estimates import corner_estimates
 from bstm_daemon.estimator.estimator import STEP_US, Estimator
+from bstm_daemon.estimator.memory import Int64, checked
 from bstm_daemon.estimator.model_check import ModelCheck
 from bstm_daemon.estimator.state import (
-    StateError,
     correct_parked,
     export_state,
     park,
@@ -77,6 +79,12 @@ _ROLES: Final = {
     "ambient": ("ambient_temperature",),
 }
 """Inputs that may be left out: one that nothing is mapped to is not stale."""
+
+
+class SavedCounters(BaseModel):
+    """The counters of the frames in a saved state."""
+
+    counters: dict[str, Int64]
 
 
 class Published(NamedTuple):
@@ -298,12 +306,7 @@ class Engine:
         Raises:
             StateError: it is no state of this car; nothing was taken.
         """
-        counters = document.get("counters")
-        if not isinstance(counters, dict) or not all(
-            isinstance(count, int) for count in counters.values()
-        ):
-            msg = "counters: not a table of numbers"
-            raise StateError(msg)
+        counters = checked(SavedCounters, document).counters
         restored = resume_state(self.estimator, document, parked_us, now_us)
         self.publication.continue_from(counters)
         if restored.resumed and "advice" in document:

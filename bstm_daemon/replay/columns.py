@@ -21,11 +21,8 @@ from bstm_daemon.bus.opening import EventLog
 from bstm_daemon.errors import LogError, UsageError
 from bstm_daemon.estimator.corner_estimates import corner_estimates
 from bstm_daemon.estimator.estimator import PUBLISH_US, STEP_US, Estimator
-from bstm_daemon.estimator.state import (
-    StateError,
-    parked_before_us,
-    resume_state,
-)
+from bstm_daemon.estimator.memory import StateError
+from bstm_daemon.estimator.state import parked_before_us, resume_state
 from bstm_daemon.forecast.monitor import RiskMonitor
 from bstm_daemon.forecast.resuming import resume_risk
 from bstm_daemon.model.risk.boiling import wet_boiling_point_k

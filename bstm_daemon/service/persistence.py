@@ -12,7 +12,8 @@ import os
 from math import nan
 from typing import TYPE_CHECKING, Any, Final
 
-from bstm_daemon.estimator.state import StateError, doubt_parked_time
+from bstm_daemon.estimator.memory import StateError
+from bstm_daemon.estimator.state import doubt_parked_time
 from bstm_daemon.service import events
 from bstm_daemon.service.clock import boot_id
 from bstm_daemon.service.state_file import load, lock, set_aside, state_path
