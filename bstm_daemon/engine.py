@@ -249,7 +249,7 @@ class Engine:
         if self.risk is not None:
             self.risks = []
             self.risk.ingest(*samples)
-        for block in self.estimator.stretches(*samples):
+        for block in self.estimator.blocks(*samples):
             self.blocks = [block]
             if self.risk is not None:
                 self.risks = [self.risk.add(block)]
@@ -324,8 +324,8 @@ class Engine:
     ) -> None:
         """Correct the parked time given to :meth:`resume`, once known.
 
-        Needs :func:`~bstm_daemon.estimator.state.doubt_parked_time` since. The
-        next publication has its clock-jump flag set.
+        Needs :func:`~bstm_daemon.estimator.state.keep_input_history` since.
+        The next publication has its clock-jump flag set.
         """
         correct_parked(self.estimator, document, parked_us * 1e-6)
         self.estimator.open_flags |= FLAGS["clock_jump"]

@@ -32,7 +32,7 @@ COUPLING_US: Final = 200_000
 multiples of this; in a hard stop it rises by 4 K in between."""
 
 
-class Stretch:
+class Coupling:
     """Room for rows, and what fills and marches it."""
 
     def __init__(

@@ -3,8 +3,8 @@
 :func:`export_state` gives a document of names and numbers;
 :func:`restore_state` takes it back into an estimator that may have been
 configured anew: nodes carry over by name, new ones start at the mean of
-their neighbours. :func:`park` lets brakes stand; :func:`doubt_parked_time` and
-:func:`correct_parked` are for a clock that is right only later.
+their neighbours. :func:`park` lets brakes stand; :func:`correct_parked` is for
+a clock that is right only later, and needs :func:`keep_input_history` before.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from bstm_daemon.channels import CHANNELS
 from bstm_daemon.estimator.blocks import channels_at_rest
 from bstm_daemon.estimator.corner_model import compile_corner
 from bstm_daemon.estimator.estimator import STEP_US, Estimator
-from bstm_daemon.estimator.input_history import Journal
+from bstm_daemon.estimator.input_history import InputHistory
 from bstm_daemon.estimator.memory import (
     SavedLearned,
     SavedSamples,
@@ -222,10 +222,10 @@ def park(
     estimator.history_left_steps = max(left, 0)
 
 
-def doubt_parked_time(estimator: Estimator) -> None:
-    """Keep a journal from the restart on whose parked time is in doubt."""
+def keep_input_history(estimator: Estimator) -> None:
+    """Keep the inputs since a restart whose parked time is uncertain."""
     width = len(estimator.plan.corners) * len(CHANNELS)
-    estimator.journal = Journal(width, 1_000_000 // STEP_US)
+    estimator.input_history = InputHistory(width, 1_000_000 // STEP_US)
 
 
 def correct_parked(
@@ -234,18 +234,18 @@ def correct_parked(
     """Let brakes have stood *parked_s*, known only after the restart.
 
     *document* was restored with another parked time and
-    :func:`doubt_parked_time` called; what has happened since is marched
+    :func:`keep_input_history` called; what has happened since is marched
     again, in steps of a second, from the right start.
 
     Raises:
         StateError: as :func:`restore_state`.
     """
-    journal = estimator.journal
-    if journal is None:
-        msg = "there is no journal of the time since the restart"
+    history = estimator.input_history
+    if history is None:
+        msg = "no input history was kept since the restart"
         raise StateError(msg)
-    estimator.journal = None
-    rows = journal.closed()
+    estimator.input_history = None
+    rows = history.closed()
     air_k = _ambient_k(estimator)
     running = estimator.samples, estimator.open_flags
     wear = estimator.wear

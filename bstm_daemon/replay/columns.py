@@ -151,7 +151,7 @@ def stream_log(  # noqa: PLR0913
         if monitor is not None:
             monitor.ingest(*samples)
             advice.ingest(*samples)
-        for block in estimator.stretches(*samples):
+        for block in estimator.blocks(*samples):
             if monitor is None:
                 builder.add([block])
                 continue

@@ -16,8 +16,8 @@ from bstm_daemon.estimator.estimator import Estimator
 from bstm_daemon.estimator.memory import StateError
 from bstm_daemon.estimator.state import (
     correct_parked,
-    doubt_parked_time,
     export_state,
+    keep_input_history,
     park,
     restore_state,
 )
@@ -212,7 +212,7 @@ def test_a_clock_set_late_corrects_a_car_that_stood(
 ) -> None:
     document = export_state(hot_car(config))
     wrong = restarted(config, document, assumed_s)
-    doubt_parked_time(wrong)
+    keep_input_history(wrong)
     right = restarted(config, document, parked_s)
     for car in (wrong, right):
         feed(car, [(0, TICK, 0.0)])
@@ -229,7 +229,7 @@ def test_a_clock_set_late_corrects_a_car_that_stood(
 def test_a_clock_set_late_corrects_a_car_that_braked(config: Config) -> None:
     document = export_state(hot_car(config))
     wrong = restarted(config, document, 0.0)
-    doubt_parked_time(wrong)
+    keep_input_history(wrong)
     right = restarted(config, document, 3600.0)
     for car in (wrong, right):
         feed(car, braking(60.0, 0, 3e6))

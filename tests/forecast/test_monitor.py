@@ -70,7 +70,7 @@ def run(
     for first in range(0, len(samples[0]), cut):
         part = [column[first : first + cut] for column in samples]
         monitor.ingest(*part)
-        for block in estimator.stretches(*part):
+        for block in estimator.blocks(*part):
             times += block.times_us
             found += monitor.add(block)
     return monitor, estimator, times, found
