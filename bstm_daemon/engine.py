@@ -11,8 +11,6 @@ from array import array
 from contextlib import suppress
 from typing import TYPE_CHECKING, Final, NamedTuple
 
-from pydantic import BaseModel
-
 from bstm_daemon.advice.advisor import Advisor
 from bstm_daemon.bus.live.record_decoder import RecordDecoder
 from bstm_daemon.bus.output.publication import OutputFrame, Publication
@@ -29,7 +27,7 @@ from bstm_daemon.estimate import (
 )
 from bstm_daemon.estimator.corner_estimates import corner_estimates
 from bstm_daemon.estimator.estimator import STEP_US, Estimator
-from bstm_daemon.estimator.memory import Int64, checked
+from bstm_daemon.estimator.memory import Int64, Saved, checked
 from bstm_daemon.estimator.model_check import ModelCheck
 from bstm_daemon.estimator.state import (
     correct_parked,
@@ -38,7 +36,6 @@ from bstm_daemon.estimator.state import (
     resume_state,
 )
 from bstm_daemon.forecast.monitor import RiskMonitor
-from bstm_daemon.forecast.resuming import resume_risk
 from bstm_daemon.model.heat.plausibility import SUBSTITUTED, SUSPECT
 from bstm_daemon.model.heat.sample_pass import TICK
 from bstm_daemon.model.risk.boiling import wet_boiling_point_k
@@ -81,7 +78,7 @@ _ROLES: Final = {
 """Inputs that may be left out: one that nothing is mapped to is not stale."""
 
 
-class SavedCounters(BaseModel):
+class SavedCounters(Saved):
     """The counters of the frames in a saved state."""
 
     counters: dict[str, Int64]
@@ -316,7 +313,7 @@ class Engine:
             with suppress(KeyError, TypeError, ValueError, AttributeError):
                 self.model_check.restore(document["model_check"])
         if self.risk is not None:
-            resume_risk(self.risk, self.estimator, document, parked_us, now_us)
+            self.risk.resume(document, parked_us, now_us)
         return restored
 
     def correct_parked(

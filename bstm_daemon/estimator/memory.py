@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
 Document = dict[str, Any]
-Model = TypeVar("Model", bound=BaseModel)
 
 Int64 = Annotated[int, Field(strict=True, ge=-(2**63), le=2**63 - 1)]
 """A stamp [us], bits or a count."""
@@ -45,11 +44,16 @@ class StateError(ValueError):
     """A document that is no state of this car; the message says why."""
 
 
-class SavedState(BaseModel):
-    """What :func:`export_state` gives; the other keys are not of this."""
+class Saved(BaseModel):
+    """Base of the models; keys that one does not have are not of it."""
+
+
+class SavedState(Saved):
+    """What an estimator saves, and when."""
 
     vehicle_id: str | None = None
     time_us: Int64 | None = None
+    wall_us: Int64 | None = None
     history_left_us: Number
     ambient_k: Number | None = None
     corners: dict[str, dict[str, Number]]
@@ -58,7 +62,7 @@ class SavedState(BaseModel):
     wear: Document | None = None
 
 
-class SavedSamples(BaseModel):
+class SavedSamples(Saved):
     """The pass over samples, of the layout that it has here."""
 
     times: list[Int64]
@@ -67,11 +71,14 @@ class SavedSamples(BaseModel):
     open_flags: Int64
 
 
-class SavedLearned(BaseModel):
+class SavedLearned(Saved):
     """What was learned of the car of which configuration."""
 
     vehicle: list[Number]
     numbers: dict[str, Number]
+
+
+Model = TypeVar("Model", bound=Saved)
 
 
 def checked(model: type[Model], document: object, where: str = "") -> Model:
