@@ -189,13 +189,19 @@ class Estimator:
         Raises:
             KeyError: *corner* has no thermal model.
         """
+        names = self.programs[corner].state_names
+        batch, member = next(
+            (batch, member)
+            for batch, member, name in self.members()
+            if name == corner
+        )
+        return dict(zip(names, batch.state[batch.part(member)], strict=True))
+
+    def members(self) -> Iterator[tuple[Batch, int, str]]:
+        """Give batch, place in it and name of each corner with a model."""
         for batch, names in self.batches:
-            if corner in names:
-                first = names.index(corner) * batch.width
-                state = batch.state[first : first + batch.width]
-                names_ = self.programs[corner].state_names
-                return dict(zip(names_, state, strict=True))
-        raise KeyError(corner)
+            for member, name in enumerate(names):
+                yield batch, member, name
 
     def advance(
         self,
@@ -304,24 +310,19 @@ class Estimator:
 
         A node that is no number would stay so for ever.
         """
-        for batch, names in self.batches:
-            nodes = len(batch.programs[0].network.nodes)
-            for member in range(len(names)):
-                first = member * batch.width
-                state = batch.state[first : first + nodes]
-                if isfinite(sum(state)) and max(state) < HIGHEST_K:
-                    continue
-                air_k = self.config.vehicle.ambient_c + KELVIN_OFFSET
-                fresh = batch.programs[member].initial_state(air_k)
-                keep_totals(
-                    fresh,
-                    batch.programs[member].state_names,
-                    batch.state[first : first + batch.width],
-                )
-                batch.state[first : first + batch.width] = fresh
-                settling_s = self.settling_s or self._settling_time_s()
-                self.history_left_steps = round(settling_s * 1e6) // STEP_US
-                self.resets += 1
+        for batch, member, _ in self.members():
+            program = batch.programs[member]
+            state = batch.state[batch.part(member)]
+            nodes = state[: len(program.network.nodes)]
+            if isfinite(sum(nodes)) and max(nodes) < HIGHEST_K:
+                continue
+            air_k = self.config.vehicle.ambient_c + KELVIN_OFFSET
+            fresh = program.initial_state(air_k)
+            keep_totals(fresh, program.state_names, state)
+            batch.state[batch.part(member)] = fresh
+            settling_s = self.settling_s or self._settling_time_s()
+            self.history_left_steps = round(settling_s * 1e6) // STEP_US
+            self.resets += 1
 
     def _fit_to_wear(self, row: int) -> None:
         """Let the networks follow linings and discs that became thinner.
@@ -330,15 +331,14 @@ class Estimator:
         """
         first = row * len(self.plan.corners) * len(CHANNELS)
         air_k = self._coupling.rows[first + CHANNELS.index("ambient_k")]
-        for batch, names in self.batches:
-            for member, name in enumerate(names):
-                refit = self.wear.refit(name, self.state(name)[DOSE])
-                if refit is not None:
-                    program = compile_corner(self.config, refit.corner)
-                    self.programs[name] = program
-                    self.wear.worn_heat_j[name] += exchange(
-                        batch, member, program, refit.change, air_k
-                    )
+        for batch, member, name in self.members():
+            refit = self.wear.refit(name, self.state(name)[DOSE])
+            if refit is not None:
+                program = compile_corner(self.config, refit.corner)
+                self.programs[name] = program
+                self.wear.worn_heat_j[name] += exchange(
+                    batch, member, program, refit.change, air_k
+                )
 
     def _published_flags(
         self, steps: int, phase: int, every: int
@@ -371,9 +371,8 @@ class Estimator:
         ambient = self.samples.last_value(ROLE_INDEX["ambient_temperature"])
         if ambient is None:
             ambient = self.config.vehicle.ambient_c + KELVIN_OFFSET
-        for batch, names in self.batches:
-            for member in range(len(names)):
-                batch.settle(ambient, member)
+        for batch, member, _ in self.members():
+            batch.settle(ambient, member)
         self._coupling.heat_interfaces(self.samples, self.batches)
         self.history_left_steps = 0
 

@@ -138,9 +138,9 @@ def restore_state(
     samples = _samples(estimator, saved, learned) if resume else None
     doses = {n: state[DOSE] for n, state in states.items() if DOSE in state}
     _restore_wear(estimator, saved.wear, doses)
-    for batch, member, name in _members(estimator):
+    for batch, member, name in estimator.members():
         state = estimator.state(name) | states.get(name, {})
-        _put(batch, member, list(state.values()))
+        batch.state[batch.part(member)] = array("d", state.values())
     # a corner of which nothing is known is as after any first start
     if all(name in saved.corners for name in estimator.programs):
         left_s = max(saved.history_left_us * 1e-6, 0.0)
@@ -289,21 +289,12 @@ def _steps(seconds: float) -> Iterator[float]:
 
 def _at_rest(batch: Batch, air_k: float) -> bool:
     return all(
-        abs(batch.state[member * batch.width + node] - air_k) < AT_REST_K
+        abs(kelvin - air_k) < AT_REST_K
         for member, program in enumerate(batch.programs)
-        for node in range(len(program.network.nodes))
+        for kelvin in batch.state[batch.part(member)][
+            : len(program.network.nodes)
+        ]
     )
-
-
-def _members(estimator: Estimator) -> Iterator[tuple[Batch, int, str]]:
-    for batch, names in estimator.batches:
-        for member, name in enumerate(names):
-            yield batch, member, name
-
-
-def _put(batch: Batch, member: int, values: list[float]) -> None:
-    first = member * batch.width
-    batch.state[first : first + batch.width] = array("d", values)
 
 
 def _restore_wear(
@@ -323,7 +314,7 @@ def _restore_wear(
 
 def _rebuild(estimator: Estimator) -> None:
     """Let every network be the one that the wear was followed to."""
-    for batch, member, name in _members(estimator):
+    for batch, member, name in estimator.members():
         corner = estimator.wear.built_corner(name)
         program = compile_corner(estimator.config, corner)
         batch.replace(member, program)

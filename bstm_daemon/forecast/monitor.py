@@ -24,12 +24,12 @@ from bstm_daemon.forecast.fluid import (
     FluidKnowledge,
     SavedFluid,
 )
-from bstm_daemon.forecast.load_history import Duty
 from bstm_daemon.forecast.march import (
     DUTY_STEPS,
     HORIZON_S,
     PARKED_STEPS,
     Conditions,
+    Duty,
     Job,
     parked_course,
 )
