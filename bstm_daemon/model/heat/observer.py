@@ -13,7 +13,7 @@ over Feed-Forward's, ``level + a ln(v/10) + c ln(p/10 bar) + drift``, by a
 Schmidt-Kalman filter: the motion's states are not changed by the brakes, but
 their errors count, and what is learned of them later corrects the friction.
 What counts against an input (an accelerometer of a wrong scale, a wheel
-radius that is not that of the satellites, a pressure that never is, a force
+radius that no speed over ground confirms, a pressure that never is, a force
 from outside) is reported, and nothing is learned from it.
 """
 
