@@ -92,6 +92,6 @@ CORNER_PRESSURE: Final = 128
 WHEEL_SUSPECT: Final = 1 << 24
 CORNER_PRESSURE_SUSPECT: Final = 1 << 28
 HEAT_LOST: Final = 1 << 32
-HEAT_DOUBT: Final = 1 << 36
+HEAT_UNCERTAIN: Final = 1 << 36
 """Likewise: the wheel's speed is suspect; the pressure that the corner goes
 by is; its heat is unknown, and has been for too long; it was of late."""

@@ -27,16 +27,15 @@ from bstm_daemon.estimate import (
 )
 from bstm_daemon.estimator.corner_estimates import corner_estimates
 from bstm_daemon.estimator.estimator import STEP_US, Estimator
+from bstm_daemon.estimator.memory import Int64, Saved, checked
 from bstm_daemon.estimator.model_check import ModelCheck
 from bstm_daemon.estimator.state import (
-    StateError,
     correct_parked,
     export_state,
     park,
     resume_state,
 )
 from bstm_daemon.forecast.monitor import RiskMonitor
-from bstm_daemon.forecast.resuming import resume_risk
 from bstm_daemon.model.heat.plausibility import SUBSTITUTED, SUSPECT
 from bstm_daemon.model.heat.sample_pass import TICK
 from bstm_daemon.model.risk.boiling import wet_boiling_point_k
@@ -77,6 +76,12 @@ _ROLES: Final = {
     "ambient": ("ambient_temperature",),
 }
 """Inputs that may be left out: one that nothing is mapped to is not stale."""
+
+
+class SavedCounters(Saved):
+    """The counters of the frames in a saved state."""
+
+    counters: dict[str, Int64]
 
 
 class Published(NamedTuple):
@@ -241,7 +246,7 @@ class Engine:
         if self.risk is not None:
             self.risks = []
             self.risk.ingest(*samples)
-        for block in self.estimator.stretches(*samples):
+        for block in self.estimator.blocks(*samples):
             self.blocks = [block]
             if self.risk is not None:
                 self.risks = [self.risk.add(block)]
@@ -298,12 +303,7 @@ class Engine:
         Raises:
             StateError: it is no state of this car; nothing was taken.
         """
-        counters = document.get("counters")
-        if not isinstance(counters, dict) or not all(
-            isinstance(count, int) for count in counters.values()
-        ):
-            msg = "counters: not a table of numbers"
-            raise StateError(msg)
+        counters = checked(SavedCounters, document).counters
         restored = resume_state(self.estimator, document, parked_us, now_us)
         self.publication.continue_from(counters)
         if restored.resumed and "advice" in document:
@@ -313,7 +313,7 @@ class Engine:
             with suppress(KeyError, TypeError, ValueError, AttributeError):
                 self.model_check.restore(document["model_check"])
         if self.risk is not None:
-            resume_risk(self.risk, self.estimator, document, parked_us, now_us)
+            self.risk.resume(document, parked_us, now_us)
         return restored
 
     def correct_parked(
@@ -321,8 +321,8 @@ class Engine:
     ) -> None:
         """Correct the parked time given to :meth:`resume`, once known.
 
-        Needs :func:`~bstm_daemon.estimator.state.doubt_parked_time` since. The
-        next publication has its clock-jump flag set.
+        Needs :func:`~bstm_daemon.estimator.state.keep_input_history` since.
+        The next publication has its clock-jump flag set.
         """
         correct_parked(self.estimator, document, parked_us * 1e-6)
         self.estimator.open_flags |= FLAGS["clock_jump"]

@@ -26,12 +26,16 @@ MEASURED_NODES: Final = (
 class Role:
     """A role: its name, quantities it may be given in, and default ageing.
 
-    ``timeout_s`` is how long a value counts as present after its frame.
+    ``timeout_s`` is how long a value counts as present after its frame. A
+    speed over ground, which the wheels do not make, has ``ground_lag_s``:
+    how late its receiver may be. It is compared with theirs and replaces
+    none of them.
     """
 
     name: str
     quantities: tuple[str, ...]
     timeout_s: float = 0.5
+    ground_lag_s: float | None = None
 
 
 def _corner_roles(prefix: str, *quantities: str) -> list[Role]:
@@ -58,7 +62,8 @@ ROLES: Final[tuple[Role, ...]] = (
     Role("brake_torque", ("torque",)),
     Role("external_force", ("force",)),
     Role("altitude", ("length",), 5.0),
-    Role("gnss_speed", ("speed",), 2.0),
+    # receivers filter and send at 1 Hz
+    Role("gnss_speed", ("speed",), 2.0, ground_lag_s=1.5),
     Role("ambient_temperature", ("temperature",), 60.0),
     Role("rain", ("fraction", "flag"), 60.0),
     Role("brake_switch", ("flag",)),
@@ -86,3 +91,13 @@ ROLE_INDEX: Final[dict[str, int]] = {
     role.name: index for index, role in enumerate(ROLES)
 }
 """Role name to role number."""
+
+GROUND_LAG_S: Final[dict[str, float]] = {
+    role.name: role.ground_lag_s
+    for role in ROLES
+    if role.ground_lag_s is not None
+}
+"""How late each speed over ground may be [s]."""
+
+GROUND_SPEED_ROLES: Final = tuple(ROLE_INDEX[name] for name in GROUND_LAG_S)
+"""Their role numbers."""

@@ -7,6 +7,7 @@ import pytest
 
 from bstm_daemon.roles import (
     CORNERS,
+    GROUND_LAG_S,
     MEASURED_NODES,
     ROLE_INDEX,
     ROLES,
@@ -14,6 +15,7 @@ from bstm_daemon.roles import (
 )
 from bstm_daemon.units import UNITS
 
+PACKAGE = Path(__file__).parents[1] / "bstm_daemon"
 REFERENCE = Path(__file__).parents[1] / "docs" / "reference.md"
 ROLE_ROW = re.compile(
     r"^\| `(\w[\w<>]*)` \| ([a-z ]+) \| ([\d.]+) \|", re.MULTILINE
@@ -84,3 +86,16 @@ def test_reference_lists_every_unit() -> None:
     }
 
     assert {name: unit.quantity for name, unit in UNITS.items()} == documented
+
+
+@pytest.mark.parametrize("role", GROUND_LAG_S)
+def test_a_redundant_role_is_named_in_two_files(role: str) -> None:
+    """The table of roles and the rules of names: all else follows."""
+    named_in = {
+        path.relative_to(PACKAGE).as_posix()
+        for path in PACKAGE.rglob("*")
+        if path.suffix in {".py", ".c", ".h", ".toml"}
+        and role in path.read_text(encoding="utf-8").lower()
+    }
+
+    assert named_in == {"roles.py", "analysis/setup/_data/names.toml"}

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from bstm_daemon.advice.conditions import conditions_at
+from bstm_daemon.advice.conditions import HeldRoles, conditions_at
 from bstm_daemon.advice.departure import Departure
 from bstm_daemon.advice.descent import Descent
-from bstm_daemon.advice.driver_roles import HeldRoles
 from bstm_daemon.advice.emergency import EmergencyAssist
 from bstm_daemon.advice.hydraulics import FrontIsolation, PedalFeel
 from bstm_daemon.estimate import Advice

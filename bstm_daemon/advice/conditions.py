@@ -8,16 +8,93 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from math import inf, isfinite, nan
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from bstm_daemon.channels import CORNER_PRESSURE, FLAGS
 from bstm_daemon.estimate import RiskLevel, Validity
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     from bstm_daemon.estimate import CornerEstimate
     from bstm_daemon.estimator.blocks import Instant
+
+
+DRIVER_ROLES: Final = (
+    "ignition",
+    "gear",
+    "clutch_open",
+    "engine_speed",
+    "brake_switch",
+    "brake_pedal_travel",
+    "acceleration_longitudinal",
+    "pitch",
+    "abs_active",
+    "esc_active",
+)
+"""Roles that advice reads besides the estimate."""
+
+FAR_US: Final = 10_000_000
+"""A sample stamped further ahead is one of a clock that went wrong."""
+
+
+class HeldRoles:
+    """The newest values of :data:`DRIVER_ROLES` at a time of the data."""
+
+    def __init__(
+        self, timeouts_us: Mapping[int, int], numbers: Mapping[str, int]
+    ) -> None:
+        """Hold the roles of *numbers* (name to role number).
+
+        A value counts until it is older than its time-out.
+        """
+        self.names = {
+            number: name
+            for name, number in numbers.items()
+            if name in DRIVER_ROLES and number in timeouts_us
+        }
+        """Names of the roles that are held, by number."""
+        self._timeouts = {
+            name: timeouts_us[number] for number, name in self.names.items()
+        }
+        self._held: dict[str, tuple[int, float]] = {}
+        self.waiting: list[tuple[int, str, float]] = []
+        """Time [us], name and value of samples that wait for their time."""
+
+    def note(self, stamp_us: int, role: int, value: float) -> None:
+        """Take a sample; it counts from *stamp_us* on."""
+        self.waiting.append((stamp_us, self.names[role], value))
+
+    def export(self) -> dict[str, list[float]]:
+        """Return stamp [us] and value of each role as plain values."""
+        return {name: list(held) for name, held in self._held.items()}
+
+    def restore(self, saved: Mapping[str, Sequence[float]]) -> None:
+        """Take over what :meth:`export` gave, on the same axis of time.
+
+        Raises:
+            TypeError, ValueError: it is nothing of that kind.
+        """
+        for name in self.names.values():
+            if name in saved:
+                stamp_us, value = saved[name]
+                self._held[name] = int(stamp_us), float(value)
+
+    def at(self, time_us: int) -> dict[str, float]:
+        """Return the values that are fresh at *time_us*, not going back."""
+        later = []
+        for sample in self.waiting:
+            stamp_us, name, value = sample
+            if stamp_us <= time_us:
+                self._held[name] = stamp_us, value
+            elif stamp_us - time_us < FAR_US:
+                later.append(sample)
+        self.waiting = later
+        return {
+            name: value
+            for name, (stamp_us, value) in self._held.items()
+            if 0 <= time_us - stamp_us <= self._timeouts[name]
+        }
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,11 +164,7 @@ class Conditions:
 
         One without a thermal model is not known.
         """
-        margins = [
-            corner.cautious_margin_k if corner.validity.is_usable else nan
-            for name, corner in self.corners.items()
-            if name.startswith(axle)
-        ]
+        margins = self._margins_k(axle)
         return bool(margins) and all(map(isfinite, margins))
 
     def margin_k(self, axle: str = "") -> float:
@@ -100,14 +173,14 @@ class Conditions:
         Infinite where there is none: a brake without a thermal model is no
         reason to ask for anything.
         """
-        margins = [
-            corner.cautious_margin_k
+        return min(filter(isfinite, self._margins_k(axle)), default=inf)
+
+    def _margins_k(self, axle: str) -> list[float]:
+        return [
+            corner.cautious_margin_k if corner.validity.is_usable else nan
             for name, corner in self.corners.items()
             if name.startswith(axle)
-            and corner.validity.is_usable
-            and isfinite(corner.cautious_margin_k)
         ]
-        return min(margins, default=inf)
 
     def flag(self, role: str) -> bool | None:
         """Return a switch, None where it is not known."""

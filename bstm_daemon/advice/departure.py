@@ -12,7 +12,7 @@ from math import isfinite, nan
 from typing import TYPE_CHECKING, ClassVar, Final
 
 from bstm_daemon.estimate import Message, RiskLevel, Sound
-from bstm_daemon.estimator.memory import Machine, perhaps, stamp
+from bstm_daemon.estimator.memory import Int64, Machine
 
 if TYPE_CHECKING:
     from bstm_daemon.advice.conditions import Conditions
@@ -43,8 +43,8 @@ class Departure(Machine):
     MEMORY: ClassVar = {
         "phase": Phase,
         "message": Message,
-        "_stopped_us": perhaps(stamp),
-        "_chime_until_us": perhaps(stamp),
+        "_stopped_us": Int64 | None,
+        "_chime_until_us": Int64 | None,
     }
 
     def __init__(self, config: AdviceConfig) -> None:

@@ -12,13 +12,11 @@ from typing import TYPE_CHECKING, ClassVar, Final
 
 from bstm_daemon.estimate import Downshift
 from bstm_daemon.estimator.memory import (
+    AnyNumber,
+    Flag,
+    Int64,
     Machine,
-    any_number,
-    flag,
-    number,
-    perhaps,
-    row,
-    stamp,
+    Number,
 )
 from bstm_daemon.units import UNITS
 
@@ -40,11 +38,11 @@ class Descent(Machine):
     """Low-passed power of the slope, and what it asks for."""
 
     MEMORY: ClassVar = {
-        "slope_power_w": number,
-        "excessive": flag,
-        "_last": perhaps(row(stamp, any_number)),
-        "_gear": perhaps(any_number),
-        "_quiet_until_us": perhaps(stamp),
+        "slope_power_w": Number,
+        "excessive": Flag,
+        "_last": tuple[Int64, AnyNumber] | None,
+        "_gear": AnyNumber | None,
+        "_quiet_until_us": Int64 | None,
     }
 
     def __init__(self, config: Config) -> None:

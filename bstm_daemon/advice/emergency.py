@@ -21,14 +21,7 @@ from math import exp, isfinite, sin
 from typing import TYPE_CHECKING, ClassVar, Final
 
 from bstm_daemon.estimate import NO_RISK, Assist, Intervention, RiskLevel
-from bstm_daemon.estimator.memory import (
-    Machine,
-    any_number,
-    number,
-    perhaps,
-    row,
-    stamp,
-)
+from bstm_daemon.estimator.memory import AnyNumber, Int64, Machine, Number
 from bstm_daemon.model.heat.feed_forward import PressureTorque
 from bstm_daemon.units import GRAVITY_MS2
 
@@ -67,12 +60,12 @@ class EmergencyAssist(Machine):
 
     MEMORY: ClassVar = {
         "state": Assist,
-        "score": number,
-        "_expected": number,
-        "_measured": number,
-        "_pedal_rate": number,
-        "_since_us": perhaps(stamp),
-        "_last": perhaps(row(stamp, any_number, perhaps(any_number))),
+        "score": Number,
+        "_expected": Number,
+        "_measured": Number,
+        "_pedal_rate": Number,
+        "_since_us": Int64 | None,
+        "_last": tuple[Int64, AnyNumber, AnyNumber | None] | None,
     }
 
     def __init__(self, config: Config) -> None:

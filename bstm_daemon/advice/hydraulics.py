@@ -6,13 +6,7 @@ from math import inf, isfinite, nan
 from typing import TYPE_CHECKING, ClassVar, Final
 
 from bstm_daemon.estimate import Isolation
-from bstm_daemon.estimator.memory import (
-    Machine,
-    flag,
-    perhaps,
-    share,
-    stamp,
-)
+from bstm_daemon.estimator.memory import Flag, Int64, Machine, Share
 
 if TYPE_CHECKING:
     from bstm_daemon.advice.conditions import Conditions
@@ -29,7 +23,7 @@ REAR_SPARE_K: Final = 20.0
 class PedalFeel(Machine):
     """A factor that falls as the fluid nears its worst-case boiling point."""
 
-    MEMORY: ClassVar = {"_feel": share, "_last_us": perhaps(stamp)}
+    MEMORY: ClassVar = {"_feel": Share, "_last_us": Int64 | None}
 
     def __init__(self, config: AdviceConfig) -> None:
         """Begin with the usual feel."""
@@ -66,7 +60,7 @@ class FrontIsolation(Machine):
     known to have more to spare.
     """
 
-    MEMORY: ClassVar = {"_requested": flag}
+    MEMORY: ClassVar = {"_requested": Flag}
 
     def __init__(self, config: AdviceConfig) -> None:
         """Begin without a request."""

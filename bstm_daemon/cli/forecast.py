@@ -13,7 +13,8 @@ from bstm_daemon.cli.arguments import add_config, add_json, check_targets
 from bstm_daemon.config.reading import load_config
 from bstm_daemon.errors import FileAccessError, UsageError
 from bstm_daemon.estimator.estimator import Estimator
-from bstm_daemon.estimator.state import StateError, restore_state
+from bstm_daemon.estimator.memory import StateError
+from bstm_daemon.estimator.state import restore_state
 from bstm_daemon.files import replacing
 from bstm_daemon.forecast.offline_forecast import SHARES, outlook
 from bstm_daemon.report.text import table

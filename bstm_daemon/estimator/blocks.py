@@ -70,7 +70,7 @@ class BlockLayout:
 
 @dataclass(frozen=True, slots=True)
 class Block:
-    """Contiguous estimates at the publications of one stretch of samples.
+    """Contiguous estimates at the publications of contiguous samples.
 
     With n publications: ``times_us`` [n]; ``rows`` [n, corners, CHANNELS]
     and ``vehicle`` [n, VEHICLE_CHANNELS], the step that ends at each;

@@ -32,7 +32,7 @@ COUPLING_US: Final = 200_000
 multiples of this; in a hard stop it rises by 4 K in between."""
 
 
-class Stretch:
+class Coupling:
     """Room for rows, and what fills and marches it."""
 
     def __init__(
@@ -139,11 +139,8 @@ class Stretch:
                 corner = order.index(name)
                 if not anew and state.interface_k(corner) > 0.0:
                     continue
-                first = member * batch.width
-                between_k = 0.5 * (
-                    batch.state[first + disc] + batch.state[first + pad]
-                )
-                state.heat_interface(corner, between_k)
+                own = batch.state[batch.part(member)]
+                state.heat_interface(corner, 0.5 * (own[disc] + own[pad]))
 
     def _until(self, line_us: int, state: SampleState) -> int:
         """Rows up to the next whole multiple of *line_us*, that one too."""

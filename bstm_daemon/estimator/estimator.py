@@ -26,7 +26,7 @@ from bstm_daemon.estimator.corner_model import (
     compiled_model,
     corner_model,
 )
-from bstm_daemon.estimator.coupling import Stretch
+from bstm_daemon.estimator.coupling import Coupling
 from bstm_daemon.estimator.validity import (
     HIGHEST_K,
     needs_of_corners,
@@ -57,7 +57,7 @@ if TYPE_CHECKING:
 
     from bstm_daemon.config.sections import Config
     from bstm_daemon.estimator.coupling import Outputs
-    from bstm_daemon.estimator.input_history import Journal
+    from bstm_daemon.estimator.input_history import InputHistory
     from bstm_daemon.model.heat.friction_law import FrictionLaw
     from bstm_daemon.model.thermal.program import Program
 
@@ -143,7 +143,7 @@ class Estimator:
         self.settling_s = 0.0 if history_known else longest_s
         self.history_left_steps = round(self.settling_s * 1e6) // STEP_US
         self._needs = needs_of_corners(config, present)
-        self._stretch = Stretch(
+        self._coupling = Coupling(
             self.plan,
             self._kernel,
             ROWS,
@@ -152,7 +152,7 @@ class Estimator:
         )
         self.wear = CarWear(config, present)
         self.open_flags = 0
-        self.journal: Journal | None = None
+        self.input_history: InputHistory | None = None
         """Takes the rows of every step, where it is asked for."""
         self.resets = 0
         """Corners that had to start anew, since the start."""
@@ -189,13 +189,19 @@ class Estimator:
         Raises:
             KeyError: *corner* has no thermal model.
         """
+        names = self.programs[corner].state_names
+        batch, member = next(
+            (batch, member)
+            for batch, member, name in self.members()
+            if name == corner
+        )
+        return dict(zip(names, batch.state[batch.part(member)], strict=True))
+
+    def members(self) -> Iterator[tuple[Batch, int, str]]:
+        """Give batch, place in it and name of each corner with a model."""
         for batch, names in self.batches:
-            if corner in names:
-                first = names.index(corner) * batch.width
-                state = batch.state[first : first + batch.width]
-                names_ = self.programs[corner].state_names
-                return dict(zip(names_, state, strict=True))
-        raise KeyError(corner)
+            for member, name in enumerate(names):
+                yield batch, member, name
 
     def advance(
         self,
@@ -211,11 +217,11 @@ class Estimator:
             values: SI values, a buffer of float64 [n].
 
         Returns:
-            One block per contiguous stretch that holds a publication.
+            One block per contiguous run of rows that holds a publication.
         """
-        return list(self.stretches(times_us, roles, values))
+        return list(self.blocks(times_us, roles, values))
 
-    def stretches(
+    def blocks(
         self,
         times_us: Ints,
         roles: Ints,
@@ -235,7 +241,7 @@ class Estimator:
             times_us, roles = _plain(times_us), _plain(roles)
             values = _plain(values)
         while index < count:
-            index, steps, code, outputs = self._stretch.fill(
+            index, steps, code, outputs = self._coupling.fill(
                 self.samples, self.batches, times_us, roles, values, index
             )
             if steps:
@@ -243,7 +249,7 @@ class Estimator:
                 if len(block.times_us):
                     yield block
                 # after it was taken: within a block the networks are one
-                if self._stretch.times[steps - 1] % REFIT_US == 0:
+                if self._coupling.times[steps - 1] % REFIT_US == 0:
                     self._fit_to_wear(steps - 1)
             if code == SETTLE:
                 self._settle()
@@ -272,17 +278,19 @@ class Estimator:
     def _block(self, steps: int, outputs: Outputs) -> Block:
         """Keep what the publications of *steps* marched rows need."""
         every = PUBLISH_US // STEP_US
-        stretch = self._stretch
-        phase = stretch.phase()
+        coupling = self._coupling
+        phase = coupling.phase()
         row = len(self.plan.corners) * len(CHANNELS)
-        if self.journal is not None:
-            self.journal.add(memoryview(stretch.rows)[: steps * row], steps)
+        if self.input_history is not None:
+            self.input_history.add(
+                memoryview(coupling.rows)[: steps * row], steps
+            )
         wide = len(VEHICLE_CHANNELS)
-        times = stretch.times[phase - 1 : steps : every]
+        times = coupling.times[phase - 1 : steps : every]
         rows, vehicle = array("d"), array("d")
         for step in range(phase - 1, steps, every):
-            rows.extend(stretch.rows[step * row : (step + 1) * row])
-            vehicle.extend(stretch.vehicle[step * wide : (step + 1) * wide])
+            rows.extend(coupling.rows[step * row : (step + 1) * row])
+            vehicle.extend(coupling.vehicle[step * wide : (step + 1) * wide])
         flags = self._published_flags(steps, phase, every)
         known_from = self._known_from(phase, every)
         block = Block(
@@ -302,24 +310,19 @@ class Estimator:
 
         A node that is no number would stay so for ever.
         """
-        for batch, names in self.batches:
-            nodes = len(batch.programs[0].network.nodes)
-            for member in range(len(names)):
-                first = member * batch.width
-                state = batch.state[first : first + nodes]
-                if isfinite(sum(state)) and max(state) < HIGHEST_K:
-                    continue
-                air_k = self.config.vehicle.ambient_c + KELVIN_OFFSET
-                fresh = batch.programs[member].initial_state(air_k)
-                keep_totals(
-                    fresh,
-                    batch.programs[member].state_names,
-                    batch.state[first : first + batch.width],
-                )
-                batch.state[first : first + batch.width] = fresh
-                settling_s = self.settling_s or self._settling_time_s()
-                self.history_left_steps = round(settling_s * 1e6) // STEP_US
-                self.resets += 1
+        for batch, member, _ in self.members():
+            program = batch.programs[member]
+            state = batch.state[batch.part(member)]
+            nodes = state[: len(program.network.nodes)]
+            if isfinite(sum(nodes)) and max(nodes) < HIGHEST_K:
+                continue
+            air_k = self.config.vehicle.ambient_c + KELVIN_OFFSET
+            fresh = program.initial_state(air_k)
+            keep_totals(fresh, program.state_names, state)
+            batch.state[batch.part(member)] = fresh
+            settling_s = self.settling_s or self._settling_time_s()
+            self.history_left_steps = round(settling_s * 1e6) // STEP_US
+            self.resets += 1
 
     def _fit_to_wear(self, row: int) -> None:
         """Let the networks follow linings and discs that became thinner.
@@ -327,16 +330,15 @@ class Estimator:
         *row* is the last step; new linings are as warm as its air.
         """
         first = row * len(self.plan.corners) * len(CHANNELS)
-        air_k = self._stretch.rows[first + CHANNELS.index("ambient_k")]
-        for batch, names in self.batches:
-            for member, name in enumerate(names):
-                refit = self.wear.refit(name, self.state(name)[DOSE])
-                if refit is not None:
-                    program = compile_corner(self.config, refit.corner)
-                    self.programs[name] = program
-                    self.wear.worn_heat_j[name] += exchange(
-                        batch, member, program, refit.change, air_k
-                    )
+        air_k = self._coupling.rows[first + CHANNELS.index("ambient_k")]
+        for batch, member, name in self.members():
+            refit = self.wear.refit(name, self.state(name)[DOSE])
+            if refit is not None:
+                program = compile_corner(self.config, refit.corner)
+                self.programs[name] = program
+                self.wear.worn_heat_j[name] += exchange(
+                    batch, member, program, refit.change, air_k
+                )
 
     def _published_flags(
         self, steps: int, phase: int, every: int
@@ -345,7 +347,7 @@ class Estimator:
         wide = len(VEHICLE_CHANNELS)
         flags = array("q")
         for step, bits in enumerate(
-            self._stretch.vehicle[wide - 1 : steps * wide : wide]
+            self._coupling.vehicle[wide - 1 : steps * wide : wide]
         ):
             self.open_flags |= int(bits)
             if (step + 1 - phase) % every == 0:
@@ -369,10 +371,9 @@ class Estimator:
         ambient = self.samples.last_value(ROLE_INDEX["ambient_temperature"])
         if ambient is None:
             ambient = self.config.vehicle.ambient_c + KELVIN_OFFSET
-        for batch, names in self.batches:
-            for member in range(len(names)):
-                batch.settle(ambient, member)
-        self._stretch.heat_interfaces(self.samples, self.batches)
+        for batch, member, _ in self.members():
+            batch.settle(ambient, member)
+        self._coupling.heat_interfaces(self.samples, self.batches)
         self.history_left_steps = 0
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from array import array
 
 
-class Journal:
+class InputHistory:
     """Means of step rows over a few steps each."""
 
     def __init__(self, width: int, steps: int) -> None:

@@ -1,24 +1,113 @@
-"""Memories that survive a restart: state machines as plain values."""
+"""What a state file may hold: the kinds of its values and of its parts.
+
+A file may hold anything, so nothing of it is used before it was read by one
+of the models below, or by the :class:`Machine` whose memory it is.
+"""
 
 from __future__ import annotations
 
 from enum import Enum
 from math import isfinite
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, TypeVar
+
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    Field,
+    TypeAdapter,
+    ValidationError,
+)
+
+from bstm_daemon.config.wording import problems_of_section
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Mapping
+
+Document = dict[str, Any]
+
+Int64 = Annotated[int, Field(strict=True, ge=-(2**63), le=2**63 - 1)]
+"""A stamp [us], bits or a count."""
+
+Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
+Share = Annotated[Number, Field(ge=0.0, le=1.0)]
+Flag = Annotated[bool, Field(strict=True)]
+
+AnyNumber = Annotated[
+    float,
+    Field(strict=True),
+    BeforeValidator(lambda v: float(v) if isinstance(v, str) else v),
+]
+"""A number, as text if it is not finite: JSON has neither NaN nor infinity."""
+
+
+class StateError(ValueError):
+    """A document that is no state of this car; the message says why."""
+
+
+class Saved(BaseModel):
+    """Base of the models; keys that one does not have are not of it."""
+
+
+class SavedState(Saved):
+    """What an estimator saves, and when."""
+
+    vehicle_id: str | None = None
+    time_us: Int64 | None = None
+    wall_us: Int64 | None = None
+    history_left_us: Number
+    ambient_k: Number | None = None
+    corners: dict[str, dict[str, Number]]
+    samples: Document
+    learned: Any = None
+    wear: Document | None = None
+
+
+class SavedSamples(Saved):
+    """The pass over samples, of the layout that it has here."""
+
+    times: list[Int64]
+    numbers: list[Number | None]
+    flags: tuple[Annotated[Int64, Field(ge=-(2**31), lt=2**31)]]
+    open_flags: Int64
+
+
+class SavedLearned(Saved):
+    """What was learned of the car of which configuration."""
+
+    vehicle: list[Number]
+    numbers: dict[str, Number]
+
+
+Model = TypeVar("Model", bound=Saved)
+
+
+def checked(model: type[Model], document: object, where: str = "") -> Model:
+    """Return *document*, the part *where* of a state, as a *model*.
+
+    Raises:
+        StateError: it is none; the first problem in one line.
+    """
+    try:
+        return model.model_validate(document)
+    except ValidationError as error:
+        problem = problems_of_section(error, model, where)[0].strip()
+        raise StateError(problem) from error
 
 
 class Machine:
     """A state machine whose memory is the attributes in ``MEMORY``.
 
-    Each has what reads its plain form: an enumeration or a function of this
-    module. A reader raises TypeError or ValueError at anything else, because
-    a state file may hold anything.
+    Each has the type that its plain form must be of, because a state file
+    may hold anything: an enumeration, one of the types above or a tuple of
+    them.
     """
 
-    MEMORY: ClassVar[Mapping[str, Callable[[Any], Any]]] = {}
+    MEMORY: ClassVar[Mapping[str, Any]] = {}
+    _readers: ClassVar[Mapping[str, TypeAdapter[Any]]] = {}
+
+    def __init_subclass__(cls) -> None:
+        """Prepare to read the memory."""
+        cls._readers = {n: TypeAdapter(kind) for n, kind in cls.MEMORY.items()}
 
     def export(self) -> dict[str, Any]:
         """Return the memory as plain values that JSON knows."""
@@ -31,72 +120,12 @@ class Machine:
             KeyError, TypeError, ValueError: it is nothing of that kind; the
                 machine is as it was.
         """
-        read = {name: kind(saved[name]) for name, kind in self.MEMORY.items()}
+        read = {
+            name: reader.validate_python(saved[name])
+            for name, reader in self._readers.items()
+        }
         for name, value in read.items():
             setattr(self, name, value)
-
-
-def flag(value: Any) -> bool:
-    """Return *value*, true or false."""
-    if not isinstance(value, bool):
-        msg = f"{value!r}: neither true nor false"
-        raise TypeError(msg)
-    return value
-
-
-def stamp(value: Any) -> int:
-    """Return *value*, a time in microseconds."""
-    if isinstance(value, bool) or not isinstance(value, int):
-        msg = f"{value!r}: no time"
-        raise TypeError(msg)
-    return value
-
-
-def number(value: Any) -> float:
-    """Return *value*, a finite number."""
-    read = any_number(value)
-    if not isfinite(read):
-        msg = f"{value!r}: not finite"
-        raise ValueError(msg)
-    return read
-
-
-def share(value: Any) -> float:
-    """Return *value*, from 0 to 1."""
-    read = number(value)
-    if not 0.0 <= read <= 1.0:
-        msg = f"{value!r}: not from 0 to 1"
-        raise ValueError(msg)
-    return read
-
-
-def any_number(value: Any) -> float:
-    """Return *value*, a number, as text if it is not finite."""
-    if isinstance(value, str):
-        return float(value)
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        msg = f"{value!r}: not a number"
-        raise TypeError(msg)
-    return float(value)
-
-
-def perhaps(kind: Callable[[Any], Any]) -> Callable[[Any], Any]:
-    """Return what reads None or a *kind*."""
-    return lambda value: None if value is None else kind(value)
-
-
-def row(*kinds: Callable[[Any], Any]) -> Callable[[Any], Any]:
-    """Return what reads a list of as many, each of its own kind."""
-
-    def read(value: Any) -> tuple[Any, ...]:
-        if not isinstance(value, list):
-            msg = f"{value!r}: no list"
-            raise TypeError(msg)
-        return tuple(
-            kind(part) for kind, part in zip(kinds, value, strict=True)
-        )
-
-    return read
 
 
 def _plain(value: Any) -> Any:

@@ -15,13 +15,11 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 from bstm_daemon.channels import FLAGS
 from bstm_daemon.estimator.memory import (
+    AnyNumber,
+    Flag,
+    Int64,
     Machine,
-    any_number,
-    flag,
-    number,
-    perhaps,
-    row,
-    stamp,
+    Number,
 )
 from bstm_daemon.roles import MEASURED_NODES, ROLE_INDEX
 
@@ -90,9 +88,9 @@ class Couple(Machine):
     """
 
     MEMORY: ClassVar = {
-        "mean_k": any_number,
-        "known_s": number,
-        "disagrees": flag,
+        "mean_k": AnyNumber,
+        "known_s": Number,
+        "disagrees": Flag,
     }
 
     corner: str
@@ -133,13 +131,13 @@ class ModelCheck(Machine):
     """Watches the estimates of one car, publication by publication."""
 
     MEMORY: ClassVar = {
-        "_before": perhaps(row(stamp, number, number)),
-        "_apart_j": number,
-        "_work_j": number,
-        "_braked_j": number,
-        "_forces_disagree": flag,
-        "_young": row(any_number, number, number),
-        "_ripe": row(any_number, number, number),
+        "_before": tuple[Int64, Number, Number] | None,
+        "_apart_j": Number,
+        "_work_j": Number,
+        "_braked_j": Number,
+        "_forces_disagree": Flag,
+        "_young": tuple[AnyNumber, Number, Number],
+        "_ripe": tuple[AnyNumber, Number, Number],
     }
 
     def __init__(

@@ -3,8 +3,8 @@
 :func:`export_state` gives a document of names and numbers;
 :func:`restore_state` takes it back into an estimator that may have been
 configured anew: nodes carry over by name, new ones start at the mean of
-their neighbours. :func:`park` lets brakes stand; :func:`doubt_parked_time` and
-:func:`correct_parked` are for a clock that is right only later.
+their neighbours. :func:`park` lets brakes stand; :func:`correct_parked` is for
+a clock that is right only later, and needs :func:`keep_input_history` before.
 """
 
 from __future__ import annotations
@@ -18,7 +18,14 @@ from bstm_daemon.channels import CHANNELS
 from bstm_daemon.estimator.blocks import channels_at_rest
 from bstm_daemon.estimator.corner_model import compile_corner
 from bstm_daemon.estimator.estimator import STEP_US, Estimator
-from bstm_daemon.estimator.input_history import Journal
+from bstm_daemon.estimator.input_history import InputHistory
+from bstm_daemon.estimator.memory import (
+    SavedLearned,
+    SavedSamples,
+    SavedState,
+    StateError,
+    checked,
+)
 from bstm_daemon.estimator.validity import HIGHEST_K, LOWEST_K
 from bstm_daemon.model.heat.feed_back import Vehicle
 from bstm_daemon.model.heat.learned import LEARNED_NAMES, learned_fault
@@ -32,10 +39,9 @@ from bstm_daemon.units import KELVIN_OFFSET
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
+    from bstm_daemon.estimator.memory import Document
     from bstm_daemon.model.thermal.kernel import Batch
     from bstm_daemon.model.thermal.network import Network
-
-Document = dict[str, Any]
 
 RESUMABLE_US: Final = 60_000_000
 """A pause up to this is marched on the grid as a silent bus is, so that a
@@ -52,10 +58,6 @@ minute the fast nodes have come to rest."""
 
 AT_REST_K: Final = 0.01
 """Closer than this to the air everywhere, nothing cools any more."""
-
-
-class StateError(ValueError):
-    """A document that is no state of this car; the message says why."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,18 +119,13 @@ def restore_state(
         StateError: a value is missing, of the wrong kind or no possible
             temperature; the estimator is as before.
     """
-    corners = _mapping(document.get("corners"), "corners")
-    left_us = _number(document.get("history_left_us"), "history_left_us")
+    saved = checked(SavedState, document)
     states, carried, new = {}, [], []
     for name, program in estimator.programs.items():
-        saved = corners.get(name)
-        if saved is None:
+        values = saved.corners.get(name)
+        if values is None:
             new.append(name)
             continue
-        values = {
-            key: _number(value, f"{name}.{key}")
-            for key, value in _mapping(saved, name).items()
-        }
         nodes = [node.name for node in program.network.nodes]
         _check_nodes(name, nodes, values)
         states[name] = _completed(program.network, values)
@@ -137,17 +134,18 @@ def restore_state(
     if not carried:
         msg = "no node of it has the name of a node of this car"
         raise StateError(msg)
-    samples = _samples(estimator, document) if resume else None
+    learned = _learned(estimator, saved)
+    samples = _samples(estimator, saved, learned) if resume else None
     doses = {n: state[DOSE] for n, state in states.items() if DOSE in state}
-    _restore_wear(estimator, document.get("wear"), doses)
-    for batch, member, name in _members(estimator):
+    _restore_wear(estimator, saved.wear, doses)
+    for batch, member, name in estimator.members():
         state = estimator.state(name) | states.get(name, {})
-        _put(batch, member, list(state.values()))
+        batch.state[batch.part(member)] = array("d", state.values())
     # a corner of which nothing is known is as after any first start
-    if all(name in corners for name in estimator.programs):
-        left_s = min(max(left_us * 1e-6, 0.0), LONGEST_SETTLING_S)
+    if all(name in saved.corners for name in estimator.programs):
+        left_s = max(saved.history_left_us * 1e-6, 0.0)
+        left_s = min(left_s, LONGEST_SETTLING_S)
         estimator.history_left_steps = round(left_s * 1e6) // STEP_US
-    learned = _learned(estimator, document)
     if samples is not None:
         estimator.samples, estimator.open_flags = samples
     else:
@@ -178,24 +176,21 @@ def resume_state(
     Raises:
         StateError: it is no state of this car; nothing was taken.
     """
-    vehicle_id, own = document.get("vehicle_id"), estimator.config.vehicle.id
-    if vehicle_id != own:
-        msg = f"it is of vehicle {vehicle_id!r}, not {own!r}"
+    saved, own = checked(SavedState, document), estimator.config.vehicle.id
+    if saved.vehicle_id != own:
+        msg = f"it is of vehicle {saved.vehicle_id!r}, not {own!r}"
         raise StateError(msg)
-    time_us = document.get("time_us")
     resume = (
         parked_us is not None
-        and isinstance(time_us, int)
-        and abs(now_us - parked_us - time_us) <= SAME_AXIS_US
+        and saved.time_us is not None
+        and abs(now_us - parked_us - saved.time_us) <= SAME_AXIS_US
         and 0 <= parked_us <= RESUMABLE_US
     )
     restored = restore_state(estimator, document, resume=resume)
     if parked_us is not None and not restored.resumed:
-        ambient_k = document.get("ambient_k")
-        known = isinstance(ambient_k, float) and (
-            LOWEST_K < ambient_k < HIGHEST_K
-        )
-        air_k = ambient_k if known else None
+        air_k = saved.ambient_k
+        if air_k is not None and not LOWEST_K < air_k < HIGHEST_K:
+            air_k = None
         park(estimator, max(parked_us, 0) * 1e-6, air_k)
     return restored
 
@@ -227,10 +222,10 @@ def park(
     estimator.history_left_steps = max(left, 0)
 
 
-def doubt_parked_time(estimator: Estimator) -> None:
-    """Keep a journal from the restart on whose parked time is in doubt."""
+def keep_input_history(estimator: Estimator) -> None:
+    """Keep the inputs since a restart whose parked time is uncertain."""
     width = len(estimator.plan.corners) * len(CHANNELS)
-    estimator.journal = Journal(width, 1_000_000 // STEP_US)
+    estimator.input_history = InputHistory(width, 1_000_000 // STEP_US)
 
 
 def correct_parked(
@@ -239,18 +234,18 @@ def correct_parked(
     """Let brakes have stood *parked_s*, known only after the restart.
 
     *document* was restored with another parked time and
-    :func:`doubt_parked_time` called; what has happened since is marched
+    :func:`keep_input_history` called; what has happened since is marched
     again, in steps of a second, from the right start.
 
     Raises:
         StateError: as :func:`restore_state`.
     """
-    journal = estimator.journal
-    if journal is None:
-        msg = "there is no journal of the time since the restart"
+    history = estimator.input_history
+    if history is None:
+        msg = "no input history was kept since the restart"
         raise StateError(msg)
-    estimator.journal = None
-    rows = journal.closed()
+    estimator.input_history = None
+    rows = history.closed()
     air_k = _ambient_k(estimator)
     running = estimator.samples, estimator.open_flags
     wear = estimator.wear
@@ -294,31 +289,22 @@ def _steps(seconds: float) -> Iterator[float]:
 
 def _at_rest(batch: Batch, air_k: float) -> bool:
     return all(
-        abs(batch.state[member * batch.width + node] - air_k) < AT_REST_K
+        abs(kelvin - air_k) < AT_REST_K
         for member, program in enumerate(batch.programs)
-        for node in range(len(program.network.nodes))
+        for kelvin in batch.state[batch.part(member)][
+            : len(program.network.nodes)
+        ]
     )
 
 
-def _members(estimator: Estimator) -> Iterator[tuple[Batch, int, str]]:
-    for batch, names in estimator.batches:
-        for member, name in enumerate(names):
-            yield batch, member, name
-
-
-def _put(batch: Batch, member: int, values: list[float]) -> None:
-    first = member * batch.width
-    batch.state[first : first + batch.width] = array("d", values)
-
-
 def _restore_wear(
-    estimator: Estimator, saved: object, doses_j: Mapping[str, float]
+    estimator: Estimator, saved: Document | None, doses_j: Mapping[str, float]
 ) -> None:
     """Take over the wear and its networks; a state without stays as it is."""
     if saved is None:
         return
     try:
-        wear = estimator.wear.restored(_mapping(saved, "wear"), doses_j)
+        wear = estimator.wear.restored(saved, doses_j)
     except (KeyError, TypeError, ValueError) as error:
         msg = f"wear: {type(error).__name__} {error}"
         raise StateError(msg) from error
@@ -328,7 +314,7 @@ def _restore_wear(
 
 def _rebuild(estimator: Estimator) -> None:
     """Let every network be the one that the wear was followed to."""
-    for batch, member, name in _members(estimator):
+    for batch, member, name in estimator.members():
         corner = estimator.wear.built_corner(name)
         program = compile_corner(estimator.config, corner)
         batch.replace(member, program)
@@ -382,31 +368,29 @@ def _check_nodes(
 
 
 def _samples(
-    estimator: Estimator, document: Mapping[str, Any]
+    estimator: Estimator, saved: SavedState, learned: list[float] | None
 ) -> tuple[SampleState, int] | None:
-    """Return the saved pass over samples; None of another layout."""
-    saved = _mapping(document.get("samples"), "samples")
-    if saved.get("layout") != _layout(estimator):
+    """Return the saved pass over samples; None of another layout.
+
+    Without *learned*, of another car or none, the observer begins anew.
+    """
+    if saved.samples.get("layout") != _layout(estimator):
         return None
+    samples = checked(SavedSamples, saved.samples, "samples:")
     try:
-        numbers = [nan if n is None else float(n) for n in saved["numbers"]]
         state = SampleState.imported(
             len(estimator.plan.corners),
-            saved["times"],
-            numbers,
-            saved["flags"],
+            samples.times,
+            [nan if number is None else number for number in samples.numbers],
+            samples.flags,
         )
-        (open_flags,) = array("q", [saved["open_flags"]])
-    except (KeyError, TypeError, ValueError, OverflowError) as error:
-        msg = f"samples: {type(error).__name__} {error}"
+    except ValueError as error:
+        msg = f"samples: {error}"
         raise StateError(msg) from error
-    learned = state.learned()
-    if learned is not None and (
-        learned_fault(learned) is not None
-        or _learned(estimator, document) is None
-    ):
+    own = state.learned()
+    if own is not None and (learned is None or learned_fault(own) is not None):
         state.unlearn()
-    return state, open_flags
+    return state, samples.open_flags
 
 
 def _exported(estimator: Estimator) -> Document | None:
@@ -420,27 +404,23 @@ def _exported(estimator: Estimator) -> Document | None:
     }
 
 
-def _learned(
-    estimator: Estimator, document: Mapping[str, Any]
-) -> list[float] | None:
-    """What *document* has learned, None where it does not hold here.
+def _learned(estimator: Estimator, state: SavedState) -> list[float] | None:
+    """What *state* has learned, None where it does not hold here.
 
     It is of no use to a car configured otherwise, and none to a model that
     does not learn; what can not have been learned is not taken.
     """
-    saved = document.get("learned")
-    if (
-        estimator.config.heat.mode != "fused"
-        or not isinstance(saved, dict)
-        or saved.get("vehicle") != _nominal(estimator)
-        or not isinstance(saved.get("numbers"), dict)
-    ):
-        return None
     try:
-        learned = [float(saved["numbers"][name]) for name in LEARNED_NAMES]
-    except (KeyError, TypeError, ValueError):
+        saved = SavedLearned.model_validate(state.learned)
+        learned = [saved.numbers[name] for name in LEARNED_NAMES]
+    except (KeyError, ValueError):
         return None
-    return learned if learned_fault(learned) is None else None
+    fits = (
+        estimator.config.heat.mode == "fused"
+        and saved.vehicle == _nominal(estimator)
+        and learned_fault(learned) is None
+    )
+    return learned if fits else None
 
 
 def _nominal(estimator: Estimator) -> list[float]:
@@ -465,21 +445,3 @@ def _ambient_k(estimator: Estimator) -> float:
     if known is not None and LOWEST_K < known < HIGHEST_K:
         return known
     return estimator.config.vehicle.ambient_c + KELVIN_OFFSET
-
-
-def _mapping(value: object, key: str) -> Mapping[str, Any]:
-    if not isinstance(value, dict):
-        msg = f"{key}: not a table"
-        raise StateError(msg)
-    return value
-
-
-def _number(value: object, key: str) -> float:
-    if (
-        isinstance(value, bool)
-        or not isinstance(value, int | float)
-        or not isfinite(value)
-    ):
-        msg = f"{key} = {value!r}: not a number"
-        raise StateError(msg)
-    return float(value)

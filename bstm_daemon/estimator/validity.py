@@ -17,8 +17,8 @@ from bstm_daemon.channels import (
     CORNER_PRESSURE,
     CORNER_PRESSURE_SUSPECT,
     FLAGS,
-    HEAT_DOUBT,
     HEAT_LOST,
+    HEAT_UNCERTAIN,
     WHEEL_SUSPECT,
 )
 from bstm_daemon.estimate import Validity
@@ -61,7 +61,7 @@ def needs_of_corners(
     """
     return {
         corner.name: Needs(
-            _inputs(config, present, place) | HEAT_DOUBT << place,
+            _inputs(config, present, place) | HEAT_UNCERTAIN << place,
             HEAT_LOST << place,
             config.heat.mode == "measured",
         )

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from datetime import UTC, date, datetime, timedelta
+from datetime import date, timedelta
 from math import isfinite
 from typing import TYPE_CHECKING, Any, Final
 
+from bstm_daemon.estimator.memory import Flag, Number, Saved
 from bstm_daemon.model.risk.vaporisation import Fluid, boiling
 from bstm_daemon.model.risk.water import water_measured, water_of_age
 from bstm_daemon.roles import ROLE_INDEX
 from bstm_daemon.units import KELVIN_OFFSET
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from bstm_daemon.config.fluid import FluidConfig
     from bstm_daemon.model.risk.vaporisation import Boiling
     from bstm_daemon.model.risk.water import Water
@@ -26,6 +25,15 @@ _YEAR_DAYS: Final = 365.25
 _EPOCH: Final = date(1970, 1, 1)
 _FIRST_DAY: Final = date(2000, 1, 1)
 """Data time before it is no calendar's: a log that begins at 0."""
+
+
+class SavedFluid(Saved):
+    """What the bus reported of the fluid, in a saved state."""
+
+    changed: date | None = None
+    percent: Number | None = None
+    measured: date | None = None
+    flag: Flag = False
 
 
 class FluidKnowledge:
@@ -73,34 +81,32 @@ class FluidKnowledge:
 
     def export(self) -> dict[str, Any]:
         """Return what the bus reported, for the state file."""
-        return {
-            "changed": _text(self._changed),
-            "percent": self._percent,
-            "measured": _text(self._measured),
-            "flag": self._flag,
-        }
+        saved = SavedFluid(
+            changed=self._changed,
+            percent=self._percent,
+            measured=self._measured,
+            flag=self._flag,
+        )
+        return saved.model_dump(mode="json")
 
-    def resume(self, document: Mapping[str, Any]) -> None:
+    def resume(self, saved: SavedFluid) -> None:
         """Take back what :meth:`export` gave.
 
         A change that the configuration has and the state has not, or an
         older one, is news of the workshop's: the configuration holds.
         """
-        changed = _date(document.get("changed"))
-        own = self._config.changed
+        changed, own = saved.changed, self._config.changed
         if own is not None and (changed is None or changed < own):
             return
         self._changed = changed
-        percent = document.get("percent")
-        measured = _date(document.get("measured"))
-        newer = measured is not None and (
-            self._measured is None or measured >= self._measured
+        newer = saved.measured is not None and (
+            self._measured is None or saved.measured >= self._measured
         )
-        if isinstance(percent, float) and newer:
-            self._percent, self._measured = percent, measured
+        if saved.percent is not None and newer:
+            self._percent, self._measured = saved.percent, saved.measured
         elif changed != own:
             self._percent, self._measured = None, None
-        self._flag = document.get("flag") is True
+        self._flag = saved.flag
         self._boiling = None
 
     def _water(self, day: date | None) -> Water:
@@ -128,16 +134,3 @@ def _day(time_us: int) -> date | None:
 
 def _kelvin(celsius: float | None) -> float | None:
     return None if celsius is None else celsius + KELVIN_OFFSET
-
-
-def _text(day: date | None) -> str | None:
-    return None if day is None else day.isoformat()
-
-
-def _date(text: object) -> date | None:
-    if not isinstance(text, str):
-        return None
-    try:
-        return datetime.fromisoformat(text).replace(tzinfo=UTC).date()
-    except ValueError:
-        return None

@@ -1,4 +1,4 @@
-"""An ensemble marched ahead, a few steps at a time.
+"""An ensemble marched ahead a few steps at a time, parked or on a duty.
 
 Parked brakes change slowly and the scheme damps any step, so the steps grow
 with the time ahead; the tests hold them against a march of 0.05 s.
@@ -8,17 +8,19 @@ from __future__ import annotations
 
 from array import array
 from itertools import accumulate
-from math import inf, isnan, nan
+from math import exp, inf, isnan, nan
 from typing import TYPE_CHECKING, Final, NamedTuple
 
-from bstm_daemon.estimator.blocks import channels_at_rest
+from bstm_daemon.estimator.blocks import channels_at_rest, friction_energies
 from bstm_daemon.model.thermal.kernel import Batch
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from bstm_daemon.estimator.blocks import Instant
     from bstm_daemon.forecast.members import Ensemble
     from bstm_daemon.model.risk.vaporisation import Boiling
+    from bstm_daemon.model.thermal.program import Program
     from bstm_daemon.native.loader import Kernel
 
 HORIZON_S: Final = 1800.0
@@ -48,6 +50,55 @@ class Conditions(NamedTuple):
     pressure_pa: float = 0.0
     brake_on: float = 0.0
     power_w: float = 0.0
+
+
+DUTY_MEMORY_S: Final = 120.0
+"""What is longer ago counts less than 1/e: a few bends of a descent."""
+
+_DUTY_CHANNELS: Final = ("speed_ms", "pressure_pa", "brake_on")
+
+
+class Duty:
+    """Fading means of speed, pressure, braking and brake power."""
+
+    def __init__(self, program: Program) -> None:
+        """Watch the corner of *program*."""
+        self._sources = friction_energies(program)
+        self._last: tuple[int, float] | None = None
+        self._means = [0.0] * 4
+        self._weight = 0.0
+
+    def restart(self) -> None:
+        """Forget everything: there is no telling what was meanwhile."""
+        self._last, self._means, self._weight = None, [0.0] * 4, 0.0
+
+    def add(self, instant: Instant, corner: str) -> None:
+        """Take a publication of the *corner* that this is the duty of."""
+        output, time_us = instant.output(corner), instant.time_us
+        energy_j = sum(output[i] for i in self._sources)
+        last, self._last = self._last, (time_us, energy_j)
+        if last is None:
+            return
+        elapsed_s = (time_us - last[0]) * 1e-6
+        if elapsed_s <= 0.0:
+            return
+        power_w = max(energy_j - last[1], 0.0) / elapsed_s
+        news = (
+            *(instant.channel(corner, channel) for channel in _DUTY_CHANNELS),
+            power_w,
+        )
+        keep = exp(-elapsed_s / DUTY_MEMORY_S)
+        self._means = [
+            keep * mean + (1.0 - keep) * value
+            for mean, value in zip(self._means, news, strict=True)
+        ]
+        self._weight = keep * self._weight + (1.0 - keep)
+
+    def conditions(self, ambient_k: float) -> Conditions:
+        """Return the duty as conditions that last."""
+        weight = self._weight or 1.0
+        speed, pressure, brake_on, power = (m / weight for m in self._means)
+        return Conditions(ambient_k, speed, pressure, brake_on, power)
 
 
 class Course(NamedTuple):

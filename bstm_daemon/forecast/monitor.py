@@ -14,18 +14,22 @@ from dataclasses import dataclass, field, replace
 from math import isnan, nan
 from typing import TYPE_CHECKING, Any, Final
 
+from pydantic import Field, ValidationError
+
 from bstm_daemon.estimate import CarRisk, CornerRisk, RiskLevel, Validity
+from bstm_daemon.estimator.memory import Int64, Saved, SavedState, checked
 from bstm_daemon.forecast.fluid import (
     CHANGED_ROLE,
     WATER_ROLE,
     FluidKnowledge,
+    SavedFluid,
 )
-from bstm_daemon.forecast.load_history import Duty
 from bstm_daemon.forecast.march import (
     DUTY_STEPS,
     HORIZON_S,
     PARKED_STEPS,
     Conditions,
+    Duty,
     Job,
     parked_course,
 )
@@ -67,6 +71,23 @@ FLUID_ROLES: Final = (CHANGED_ROLE, WATER_ROLE)
 
 GAP_US: Final = 2 * SECOND_US
 """After such a gap of publications everything begins anew."""
+
+
+class SavedRisk(Saved):
+    """What :meth:`RiskMonitor.export` gives."""
+
+    fluid: SavedFluid | None = None
+    levels: dict[str, tuple[RiskLevel, Int64 | None]] = Field(
+        default_factory=dict
+    )
+
+    @classmethod
+    def of(cls, document: Mapping[str, Any]) -> SavedRisk:
+        """Return that of the state *document*; an empty one of a bad one."""
+        try:
+            return cls.model_validate(document.get("risk"))
+        except ValidationError:
+            return cls()
 
 
 @dataclass(slots=True)
@@ -120,6 +141,7 @@ class RiskMonitor:
             [c + KELVIN_OFFSET for c in config.forecast.disc_limits_c],
             [c + KELVIN_OFFSET for c in config.forecast.pad_limits_c],
         ]
+        self._ambient_k = config.vehicle.ambient_c + KELVIN_OFFSET
         spread = Spread().scaled(config.forecast.uncertainty)
         self._programs = estimator.programs
         self._corners = [
@@ -402,38 +424,45 @@ class RiskMonitor:
         }
 
     def resume(
-        self,
-        document: object,
-        states: Mapping[str, Sequence[float]] | None = None,
-        air: tuple[float, float, int] | None = None,
+        self, document: Mapping[str, Any], parked_us: int | None, now_us: int
     ) -> None:
-        """Take back what :meth:`export` gave; what does not fit is left.
+        """Go on from *document*, a state that the estimator has taken.
+
+        Before the first publication; a risk that can not be read is left out.
 
         Args:
-            document: what :meth:`export` gave, or anything else.
-            states: nodes [K] and memories of each corner at the save.
-            air: its temperature [K], for how long the car stood in it since
-                [s], and the time now [us]: vapour may have formed meanwhile.
+            document: the state.
+            parked_us: time since the save [us], None where it is not known;
+                vapour may have formed meanwhile.
+            now_us: time now on the axis of the stamps [us].
         """
-        self._take_back(document)
-        if states is not None and air is not None and air[1] > 0.0:
-            self._look_back(states, *air)
+        saved = SavedRisk.of(document)
+        if saved.fluid is not None:
+            self.fluid.resume(saved.fluid)
+        for name, memory in self._memories().items():
+            level, since_us = saved.levels.get(name, (RiskLevel.UNKNOWN, None))
+            if level is not RiskLevel.UNKNOWN:
+                memory.level, memory.below_since_us = level, since_us
+        if parked_us is not None and parked_us > 0:
+            self._look_back(
+                checked(SavedState, document), parked_us * 1e-6, now_us
+            )
 
     def _look_back(
-        self,
-        states: Mapping[str, Sequence[float]],
-        ambient_k: float,
-        parked_s: float,
-        now_us: int,
+        self, saved: SavedState, parked_s: float, now_us: int
     ) -> None:
         """Find whether vapour formed while nobody watched."""
+        ambient_k = saved.ambient_k
+        if ambient_k is None:
+            ambient_k = self._ambient_k
         boiling = self.fluid.boiling(now_us)
         series = []
         for corner in self._corners:
-            state = states.get(corner.name)
-            if state is None:
-                continue
             program = self._programs[corner.name]
+            values = saved.corners.get(corner.name, {})
+            if not values.keys() >= set(program.state_names):
+                continue
+            state = [values[key] for key in program.state_names]
             corner.ensemble = corner.ensemble.of(program)
             course = parked_course(
                 corner.ensemble, self._kernel, state, ambient_k, factor=1.0
@@ -445,23 +474,6 @@ class RiskMonitor:
             series.append(peaks)
         self.away = boiling.mean_probability(_hottest(series))
         self._level.by_probability(self.away, now_us)
-
-    def _take_back(self, document: object) -> None:
-        if not isinstance(document, dict):
-            return
-        fluid = document.get("fluid")
-        if isinstance(fluid, dict):
-            self.fluid.resume(fluid)
-        levels = document.get("levels")
-        if not isinstance(levels, dict):
-            return
-        for name, memory in self._memories().items():
-            match levels.get(name):
-                case [int(level), None | int() as since] if level in {
-                    *range(RiskLevel.CRITICAL + 1)
-                }:
-                    memory.level = RiskLevel(level)
-                    memory.below_since_us = since
 
     def _memories(self) -> dict[str, LevelMemory]:
         found = {"car": self._level}

@@ -6,17 +6,18 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from bstm_daemon.estimate import CornerRisk, Validity
+from bstm_daemon.estimator.memory import SavedState, checked
 from bstm_daemon.forecast.fluid import FluidKnowledge
 from bstm_daemon.forecast.march import HORIZON_S, parked_course
 from bstm_daemon.forecast.members import DEGRADED_FACTOR, Ensemble, Spread
-from bstm_daemon.forecast.monitor import PYTHON_MEMBERS
-from bstm_daemon.forecast.resuming import saved_ambient_k
+from bstm_daemon.forecast.monitor import PYTHON_MEMBERS, SavedRisk
 from bstm_daemon.model.risk.levels import (
     PROBABILITIES,
     level_of,
     published_level,
 )
 from bstm_daemon.native.loader import load_kernel
+from bstm_daemon.units import KELVIN_OFFSET
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -66,14 +67,14 @@ def outlook(
     """
     known = estimator.history_known
     fluid = FluidKnowledge(config.fluid)
-    risk = document.get("risk")
-    saved = risk.get("fluid") if isinstance(risk, dict) else None
-    if isinstance(saved, dict):
-        fluid.resume(saved)
-    saved_us = document.get("wall_us")
-    saved_us = saved_us if isinstance(saved_us, int) else None
-    boiling = fluid.boiling(saved_us or 0)
-    air_k = saved_ambient_k(document, estimator)
+    reported = SavedRisk.of(document).fluid
+    if reported is not None:
+        fluid.resume(reported)
+    saved = checked(SavedState, document)
+    boiling = fluid.boiling(saved.wall_us or 0)
+    air_k = saved.ambient_k
+    if air_k is None:
+        air_k = config.vehicle.ambient_c + KELVIN_OFFSET
     kernel = load_kernel()
     members = config.forecast.members if kernel else PYTHON_MEMBERS
     spread = Spread().scaled(config.forecast.uncertainty)
@@ -102,7 +103,7 @@ def outlook(
         )
         corners.append(CornerOutlook(name, state["fluid"], risk))
     return Outlook(
-        saved_us,
+        saved.wall_us,
         known,
         air_k,
         fluid.water.median_percent,

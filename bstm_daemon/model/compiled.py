@@ -32,6 +32,7 @@ def generated_header() -> str:
     header.values_of("mode_", channels.MODES)
     header.values_of("slope_", channels.SLOPES)
     header.constants(
+        roles,
         channels,
         units,
         check_rules,

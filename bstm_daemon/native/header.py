@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, fields, is_dataclass
 from math import isinf
 from typing import TYPE_CHECKING, Any, Final
 
-from bstm_daemon.native.layout import Length, fields_of, size
+from bstm_daemon.native.layout import Field, Length, fields_of, size
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -81,11 +81,10 @@ class Header:
     def record(self, kind: type) -> None:
         """Add the dataclass *kind* of numbers and flags as a struct."""
         if self._new(kind.__name__, kind):
-            of = {"float": "double", "bool": "int"}
-            members = [
-                f"    {of[str(f.type)]} {f.name};" for f in fields(kind)
-            ]
-            self.lines += ["typedef struct {", *members]
+            self.lines.append("typedef struct {")
+            for part in fields_of(kind):
+                of = "int" if part.kind is bool else "double"
+                self.lines.append(f"    {of} {part.name}{_brackets(part)};")
             self.lines.append(f"}} {kind.__name__};")
 
     def _constant(self, name: str, value: object) -> None:
@@ -140,7 +139,7 @@ def _written(value: object) -> tuple[str, str] | None:
     elif _is_record(value):
         found = f"{type(value).__name__} {{}}", _braces(value)
     elif isinstance(value, tuple) and value:
-        kind = "double" if isinstance(value[0], float) else None
+        kind = {float: "double", int: "int"}.get(type(value[0]))
         if _is_record(value[0]):
             kind = type(value[0]).__name__
         if kind is not None:
@@ -160,7 +159,9 @@ def _is_record(value: object) -> bool:
 def _braces(value: Any) -> str:
     if is_dataclass(value):
         value = [getattr(value, f.name) for f in fields(value)]
-    inner = (_number(v) if isinstance(v, float) else _braces(v) for v in value)
+    inner = (
+        _number(v) if isinstance(v, int | float) else _braces(v) for v in value
+    )
     return "{" + ", ".join(inner) + "}"
 
 
@@ -177,11 +178,14 @@ def _members(layout: Any, kind: type) -> list[str]:
     for part in fields_of(layout):
         if part.kind is kind:
             of = "int64_t" if kind is int else "double"
-            many = "" if part.length is None else f"[{part.length.name}]"
-            found.append(f"    {of} {part.name}{many};")
+            found.append(f"    {of} {part.name}{_brackets(part)};")
         elif part.kind not in {int, float} and size(part.kind, kind):
             found.append(f"    {_struct_name(part.kind, kind)} {part.name};")
     return found
+
+
+def _brackets(part: Field) -> str:
+    return "" if part.length is None else f"[{part.length.name}]"
 
 
 def _struct_name(layout: Any, kind: type) -> str:

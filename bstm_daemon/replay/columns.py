@@ -21,13 +21,9 @@ from bstm_daemon.bus.opening import EventLog
 from bstm_daemon.errors import LogError, UsageError
 from bstm_daemon.estimator.corner_estimates import corner_estimates
 from bstm_daemon.estimator.estimator import PUBLISH_US, STEP_US, Estimator
-from bstm_daemon.estimator.state import (
-    StateError,
-    parked_before_us,
-    resume_state,
-)
+from bstm_daemon.estimator.memory import StateError
+from bstm_daemon.estimator.state import parked_before_us, resume_state
 from bstm_daemon.forecast.monitor import RiskMonitor
-from bstm_daemon.forecast.resuming import resume_risk
 from bstm_daemon.model.risk.boiling import wet_boiling_point_k
 from bstm_daemon.replay.results import Collector, Results, ResultsBuilder, Sink
 
@@ -146,7 +142,7 @@ def stream_log(  # noqa: PLR0913
             with naming_state():
                 resumed = resume_state(estimator, state, parked_us, first_us)
                 if monitor is not None:
-                    resume_risk(monitor, estimator, state, parked_us, first_us)
+                    monitor.resume(state, parked_us, first_us)
             if resumed.resumed:
                 advice.advisor = advice.advisor.resumed(state.get("advice"))
             settling_s = estimator.history_left_steps * STEP_US * 1e-6
@@ -154,7 +150,7 @@ def stream_log(  # noqa: PLR0913
         if monitor is not None:
             monitor.ingest(*samples)
             advice.ingest(*samples)
-        for block in estimator.stretches(*samples):
+        for block in estimator.blocks(*samples):
             if monitor is None:
                 builder.add([block])
                 continue

@@ -15,8 +15,8 @@ import numpy as np
 from bstm_daemon.channels import (
     CORNER_PRESSURE_SUSPECT,
     FLAGS,
-    HEAT_DOUBT,
     HEAT_LOST,
+    HEAT_UNCERTAIN,
     WHEEL_SUSPECT,
 )
 from bstm_daemon.model.heat.plausibility import CAUSES, FAULTS, SUSPECT, WORDS
@@ -49,7 +49,7 @@ _SUBJECTS: Final = {
     "heat_substituted": (0, 0),
     "heat_unknown": (0, 0),
     "heat_lost": (HEAT_LOST, 0),
-    "heat_doubt": (HEAT_DOUBT, 0),
+    "heat_doubt": (HEAT_UNCERTAIN, 0),
 }
 """By fault: the bit of the first corner, and what may be its cause."""
 

@@ -12,7 +12,8 @@ import os
 from math import nan
 from typing import TYPE_CHECKING, Any, Final
 
-from bstm_daemon.estimator.state import StateError, doubt_parked_time
+from bstm_daemon.estimator.memory import StateError
+from bstm_daemon.estimator.state import keep_input_history
 from bstm_daemon.service import events
 from bstm_daemon.service.clock import boot_id
 from bstm_daemon.service.state_file import load, lock, set_aside, state_path
@@ -103,7 +104,7 @@ class Persistence:
         )
         if not is_certain:
             self._start = document, parked_us or 0, now_us
-            doubt_parked_time(engine.estimator)
+            keep_input_history(engine.estimator)
         return None
 
     def _parked_us(
@@ -154,7 +155,7 @@ class Persistence:
         The input history that a correction needs is for the same corners.
         """
         if old.estimator.plan.corners == fresh.estimator.plan.corners:
-            fresh.estimator.journal = old.estimator.journal
+            fresh.estimator.input_history = old.estimator.input_history
         else:
             self._start = None
 
@@ -165,7 +166,7 @@ class Persistence:
             return
         if self._start and now_us - self._start[2] > CORRECTION_LIMIT_US:
             self._start = None
-            engine.estimator.journal = None
+            engine.estimator.input_history = None
         if self._is_moving(engine, now_us) or self._idle_over(engine, now_us):
             self.save(engine, now_us)
         else:

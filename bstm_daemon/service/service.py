@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING, Final
 from bstm_daemon import __version__
 from bstm_daemon.bus.live.frame_records import FrameRecords
 from bstm_daemon.errors import BstmError, ConfigError
-from bstm_daemon.estimator.state import RESUMABLE_US, StateError
+from bstm_daemon.estimator.memory import StateError
+from bstm_daemon.estimator.state import RESUMABLE_US
 from bstm_daemon.service import events, wake
 from bstm_daemon.service.assembly import BusOverride, Monitor, build_monitor
 from bstm_daemon.service.clock import SteadyAxis

@@ -20,7 +20,7 @@ from heat_roads import TESTS, Road, learning
 from bstm_daemon.channels import CHANNELS, VEHICLE_CHANNELS
 from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.estimator.estimator import STEP_US, Estimator
-from bstm_daemon.estimator.input_history import Journal
+from bstm_daemon.estimator.input_history import InputHistory
 from bstm_daemon.estimator.state import export_state, resume_state
 from bstm_daemon.files import shipped_file
 from bstm_daemon.roles import ROLE_INDEX, ROLES
@@ -135,7 +135,7 @@ class Heat:
     front_j: float = 0.0
 
 
-class StepHeat(Journal):
+class StepHeat(InputHistory):
     """Takes every step's power and standard deviation.
 
     An error of one step is taken to be that of all: the friction's, the
@@ -273,7 +273,7 @@ def estimate(
     if document is not None:
         resume_state(estimator, document, NIGHT_US, start_us)
     steps = StepHeat(len(config.corner))
-    estimator.journal = steps
+    estimator.input_history = steps
     blocks = estimator.advance(*samples)
     wide, channels = len(VEHICLE_CHANNELS), len(CHANNELS)
     rows = np.concatenate([np.frombuffer(b.rows) for b in blocks])

@@ -155,7 +155,7 @@ def replay_stages(
     assert kernel is not None
     timed = TimedKernel(kernel)
     estimator = Estimator(config, present_roles(signal_map))
-    estimator._stretch._kernel = timed  # type: ignore[assignment]
+    estimator._coupling._kernel = timed  # type: ignore[assignment]
     for batch, _ in estimator.batches:
         batch.kernel = timed  # type: ignore[assignment]
     kept = Collector()

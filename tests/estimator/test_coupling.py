@@ -11,7 +11,7 @@ import pytest
 
 from bstm_daemon.channels import CHANNELS
 from bstm_daemon.estimator.corner_model import compile_corner
-from bstm_daemon.estimator.coupling import Stretch
+from bstm_daemon.estimator.coupling import Coupling
 from bstm_daemon.estimator.estimator import PUBLISH_US, ROWS, STEP_US
 from bstm_daemon.model.heat.friction_law import FrictionLaw
 from bstm_daemon.model.heat.memory import SampleState
@@ -34,7 +34,7 @@ ROLES = ("vehicle_speed", "primary_pressure")
 
 
 class Brakes:
-    """A stretch with its state and batch, fed in pieces."""
+    """A coupling with its state and batch, fed in pieces."""
 
     def __init__(
         self, config: Config, law: FrictionLaw | None, room: int = ROWS
@@ -48,7 +48,7 @@ class Brakes:
         batch = Batch(programs, 300.0, None, kernel, len(names))
         self.batches = [(batch, names)]
         self.state = SampleState.new()
-        self.stretch = Stretch(
+        self.coupling = Coupling(
             plan, kernel, room, (PUBLISH_US, LINE_US), coupled=bool(laws)
         )
         self.rows, self.outputs = array("d"), array("d")
@@ -60,10 +60,10 @@ class Brakes:
         values = array("d", [s[2] for s in samples])
         index = 0
         while index < len(times):
-            index, steps, code, outputs = self.stretch.fill(
+            index, steps, code, outputs = self.coupling.fill(
                 self.state, self.batches, times, roles, values, index
             )
-            self.rows.extend(self.stretch.rows[: steps * self.width])
+            self.rows.extend(self.coupling.rows[: steps * self.width])
             self.outputs.extend(outputs[0])
         assert code == DONE
         return self

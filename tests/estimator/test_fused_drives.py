@@ -14,7 +14,7 @@ import pytest
 from bstm_daemon.channels import CHANNELS, FLAGS, VEHICLE_CHANNELS
 from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.estimator.estimator import STEP_US, Estimator
-from bstm_daemon.estimator.input_history import Journal
+from bstm_daemon.estimator.input_history import InputHistory
 from bstm_daemon.estimator.state import (
     export_state,
     restore_state,
@@ -45,7 +45,7 @@ ACCELERATION = "acceleration_longitudinal"
 HOUR_US = 3_600_000_000
 
 
-class Steps(Journal):
+class Steps(InputHistory):
     """Adds every step's power up [J], and its standard deviation."""
 
     def __init__(self, corners: int) -> None:
@@ -137,7 +137,7 @@ def estimate(
     if document is not None:
         resume_state(estimator, document, HOUR_US, start_us)
     steps = Steps(len(estimator.plan.corners))
-    estimator.journal = steps
+    estimator.input_history = steps
     blocks = estimator.advance(
         np.repeat(stamps, len(roles)),
         np.tile(numbers, len(stamps)),

@@ -324,5 +324,5 @@ def test_a_couple_goes_on_after_a_restart() -> None:
         couple.take(20.0, 200.0, 0.1)
     assert after == before
     assert after.disagrees
-    with pytest.raises(TypeError):
+    with pytest.raises(ValueError, match="valid number"):
         after.restore(before.export() | {"known_s": None})

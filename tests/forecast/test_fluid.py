@@ -9,6 +9,7 @@ from bstm_daemon.forecast.fluid import (
     CHANGED_ROLE,
     WATER_ROLE,
     FluidKnowledge,
+    SavedFluid,
 )
 
 YEAR_US = 31_557_600_000_000
@@ -64,7 +65,7 @@ def test_a_resumed_change_is_that_of_the_bus() -> None:
     """Unless the configuration has a later one: the workshop's."""
     heard = FluidKnowledge(FluidConfig())
     heard.ingest(TODAY_US, CHANGED_ROLE, 1.0)
-    document = heard.export()
+    document = SavedFluid(**heard.export())
 
     same = FluidKnowledge(FluidConfig(changed=date(2020, 1, 1)))
     same.resume(document)
@@ -79,7 +80,7 @@ def test_a_resumed_measurement_is_that_of_the_bus() -> None:
     heard = FluidKnowledge(FluidConfig())
     heard.ingest(TODAY_US, WATER_ROLE, 0.035)
     again = FluidKnowledge(FluidConfig())
-    again.resume(heard.export())
+    again.resume(SavedFluid(**heard.export()))
 
     assert again.export() == heard.export()
     again.boiling(TODAY_US)

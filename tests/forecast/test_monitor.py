@@ -16,7 +16,6 @@ from bstm_daemon.estimator.state import export_state
 from bstm_daemon.files import shipped_file
 from bstm_daemon.forecast.fluid import CHANGED_ROLE, WATER_ROLE
 from bstm_daemon.forecast.monitor import PYTHON_MEMBERS, RiskMonitor
-from bstm_daemon.forecast.resuming import resume_risk
 from bstm_daemon.native.loader import load_kernel
 from bstm_daemon.roles import ROLE_INDEX
 
@@ -70,7 +69,7 @@ def run(
     for first in range(0, len(samples[0]), cut):
         part = [column[first : first + cut] for column in samples]
         monitor.ingest(*part)
-        for block in estimator.stretches(*part):
+        for block in estimator.blocks(*part):
             times += block.times_us
             found += monitor.add(block)
     return monitor, estimator, times, found
@@ -313,7 +312,7 @@ def test_levels_and_fluid_go_over_a_restart() -> None:
     monitor, estimator, *_ = run(config, samples)
     document = {"risk": monitor.export()} | export_state(estimator)
     again = RiskMonitor(config, estimator)
-    resume_risk(again, estimator, document, 0, START_US + 20_000_000)
+    again.resume(document, 0, START_US + 20_000_000)
 
     assert again.export() == monitor.export()
     assert isnan(again.away)
@@ -329,7 +328,7 @@ def test_vapour_while_the_computer_was_off() -> None:
     monitor, estimator, times, found = run(config, drive(900, 1, 10.3e5))
     document = {"risk": monitor.export()} | export_state(estimator)
     again = RiskMonitor(config, estimator)
-    resume_risk(again, estimator, document, 1_200_000_000, times[-1])
+    again.resume(document, 1_200_000_000, times[-1])
 
     expected = found[-1].corners["FL"].probability
     assert again.away == pytest.approx(expected, abs=0.1)
@@ -352,7 +351,7 @@ def test_a_damaged_memory_is_left(damaged: object) -> None:
         config, Estimator(config, MAPPED, history_known=True)
     )
     before = monitor.export()
-    monitor.resume(damaged)
+    monitor.resume({"risk": damaged}, None, START_US)
 
     assert monitor.export() == before
     assert monitor.fluid.boiling(0).quantile(0.5) > 0.0

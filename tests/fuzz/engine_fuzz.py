@@ -38,7 +38,7 @@ from bstm_daemon.config.service import E2eConfig
 from bstm_daemon.engine import Engine
 from bstm_daemon.errors import BstmError
 from bstm_daemon.estimate import Validity
-from bstm_daemon.estimator.state import StateError
+from bstm_daemon.estimator.memory import StateError
 from bstm_daemon.files import shipped_file
 from bstm_daemon.service.assembly import BusOverride, build_monitor
 from bstm_daemon.service.state_file import (

@@ -22,12 +22,12 @@ DEFECTS = {
     "too hot and not said": (
         "from bstm_daemon.estimator import estimator, validity\n"
         "estimator.HIGHEST_K = validity.HIGHEST_K = 1e9\n"
-        "stretches = estimator.Estimator.stretches\n"
+        "blocks = estimator.Estimator.blocks\n"
         "def broken(self, *samples):\n"
         "    for batch, _ in self.batches:\n"
         "        batch.state[2] = 2500.0\n"
-        "    return stretches(self, *samples)\n"
-        "estimator.Estimator.stretches = broken\n"
+        "    return blocks(self, *samples)\n"
+        "estimator.Estimator.blocks = broken\n"
     ),
     "memory is kept": (
         "frame = engine_fuzz.Engine.frame\n"

@@ -75,7 +75,7 @@ def test_each_function_has_one_of_its_name(name: str) -> None:
 
 EXTRA = {
     # the part of admit that is seldom needed is no inline function
-    "checks": {"doubted", "advance", "speed_contradictions"},
+    "checks": {"admit_unusual", "advance", "speed_contradictions"},
 }
 
 
@@ -134,7 +134,9 @@ def test_the_header_has_numbers_tables_and_structs() -> None:
     assert "static const Hysteresis STUCK = {1.0, 10.0};" in text
     assert "    double cov[STATES * STATES];" in text
     assert "    ObserverMemory observer;\n} SampleMemoryFloats;" in text
-    assert "    double gnss_speed;\n    int steady;\n" in text
+    assert (
+        "    double ground_speeds[GROUND_SPEEDS];\n    int steady;\n" in text
+    )
 
 
 def test_a_name_with_two_values_is_refused() -> None:

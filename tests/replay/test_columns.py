@@ -301,7 +301,7 @@ def test_chunks_of_the_reader_do_not_matter(
         samples = part.time_us, part.role, part.value
         monitor.ingest(*samples)
         advice.ingest(*samples)
-        for block in estimator.stretches(*samples):
+        for block in estimator.blocks(*samples):
             risks = monitor.add(block)
             builder.add([block], [risks], [advice.add(block, risks)])
 

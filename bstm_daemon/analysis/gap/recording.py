@@ -226,7 +226,7 @@ class _Heating(Estimator):
             for one in corners
         ):
             self.batches = []
-            self._stretch.coupled = False
+            self._coupling.coupled = False
 
     def _block(self, steps: int, outputs: tuple[array[float], ...]) -> Block:
         """Keep the rows; judging each estimate would take most of the time.
@@ -236,9 +236,9 @@ class _Heating(Estimator):
         """
         del outputs
         wide = len(self.plan.corners) * len(CHANNELS)
-        if self.journal is not None:
-            rows = memoryview(self._stretch.rows)[: steps * wide]
-            self.journal.add(rows, steps)
+        if self.input_history is not None:
+            rows = memoryview(self._coupling.rows)[: steps * wide]
+            self.input_history.add(rows, steps)
         self.history_left_steps -= steps
         self._reset_impossible()
         none = array("d")
@@ -252,7 +252,7 @@ def _pass(
 ) -> Column:
     estimator = _Heating(config, dict(present))
     rows = Rows(len(estimator.plan.corners))
-    estimator.journal = rows
+    estimator.input_history = rows
     begin_as_measured(estimator, events)
     estimator.leave_nodes()
     for first in range(0, len(events), PIECE):

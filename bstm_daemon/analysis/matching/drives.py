@@ -18,7 +18,7 @@ from bstm_daemon.bus.opening import EventLog
 from bstm_daemon.channels import CHANNELS
 from bstm_daemon.errors import LogError, UsageError
 from bstm_daemon.estimator.estimator import STEP_US, Estimator
-from bstm_daemon.estimator.input_history import Journal
+from bstm_daemon.estimator.input_history import InputHistory
 from bstm_daemon.model.heat.memory import SampleState
 from bstm_daemon.model.heat.needs import check_heat_inputs
 from bstm_daemon.model.thermal.kernel import Batch
@@ -146,7 +146,7 @@ class Drive:
         return replace(self, inputs=inputs)
 
 
-class Rows(Journal):
+class Rows(InputHistory):
     """Takes the estimator's rows and keeps their means over the grid."""
 
     def __init__(self, corners: int) -> None:
@@ -206,7 +206,7 @@ def read_drive(  # noqa: PLR0913
     if learned is not None:
         estimator.samples = SampleState.new(learned)
     rows = Rows(len(estimator.plan.corners))
-    estimator.journal = rows
+    estimator.input_history = rows
     kept = Collector()
     builder = ResultsBuilder(estimator, [kept])
     temperatures: dict[int, list[tuple[Column, Column]]] = defaultdict(list)

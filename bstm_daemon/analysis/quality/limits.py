@@ -22,9 +22,6 @@ LAG_S: Final = 0.25
 """Later than this, pressure meets a speed that a hard stop has changed by
 more than 2 m/s. Filters and lines on a car take 20 to 100 ms."""
 
-GNSS_LAG_S: Final = 1.5
-"""Receivers filter and send at 1 Hz."""
-
 LAG_CORRELATION: Final = 0.7
 """A weaker peak of the cross-correlation gives no lag."""
 

@@ -1,4 +1,4 @@
-"""Wheel speeds, vehicle speed and GNSS speed against each other."""
+"""Wheel speeds, vehicle speed and speeds over ground compared."""
 
 from __future__ import annotations
 
@@ -18,11 +18,12 @@ from bstm_daemon.analysis.quality.naming import (
     name_faults,
     write_faults,
 )
+from bstm_daemon.roles import GROUND_LAG_S
 
 if TYPE_CHECKING:
     from bstm_daemon.analysis.statistics.series import Column
 
-SPEEDS: Final = ("vehicle_speed", *WHEELS, "gnss_speed")
+SPEEDS: Final = ("vehicle_speed", *WHEELS, *GROUND_LAG_S)
 _PAIRS: Final = (
     ("wheel_speed_fl", "wheel_speed_fr"),
     ("wheel_speed_rl", "wheel_speed_rr"),
@@ -101,9 +102,7 @@ class _Table:
         why = ""
         if span < limits.SPEED_SPAN_MS:
             why = f"the speed varies by {span:.1f} m/s only"
-        lag_s = (
-            limits.GNSS_LAG_S if "gnss" in channel else Tolerance(1, 1).lag_s
-        )
+        lag_s = GROUND_LAG_S.get(channel, limits.LAG_S)
         return name_faults(
             self._channels,
             channel,
@@ -118,8 +117,8 @@ def _trusted(
 ) -> tuple[str, ...] | None:
     """Return the group to believe, None where nothing decides.
 
-    Each source has one vote (wheels, vehicle, GNSS); the accelerometer
-    decides before them where it follows one group and no other.
+    Each source has one vote (the wheels, the vehicle, each over ground); the
+    accelerometer decides before them where it follows one group and no other.
     """
     if len(groups) == 1:
         return groups[0]
@@ -197,8 +196,8 @@ def _write_comparisons(
         if "vehicle_speed" in roles
     ]
     pairs += _PAIRS
-    gnss_to = "vehicle_speed" if "vehicle_speed" in roles else roles[0]
-    pairs.append((gnss_to, "gnss_speed"))
+    first = "vehicle_speed" if "vehicle_speed" in roles else roles[0]
+    pairs += [(first, ground) for ground in GROUND_LAG_S]
     for one, other in pairs:
         if one not in roles or other not in roles or one == other:
             continue

@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING
 from bstm_daemon.channels import (
     CORNER_PRESSURE_SUSPECT,
     FLAGS,
-    HEAT_DOUBT,
     HEAT_LOST,
+    HEAT_UNCERTAIN,
     WHEEL_SUSPECT,
 )
 from bstm_daemon.model.heat.check_rules import (
@@ -441,7 +441,7 @@ class Checks:
             if self.m.aftermath_s[c] > 0.0:
                 aftermath_s = self.m.aftermath_s[c] - now.dt_s
                 self.m.aftermath_s[c] = max(0.0, aftermath_s)
-                flags |= HEAT_DOUBT << c
+                flags |= HEAT_UNCERTAIN << c
         return flags
 
 

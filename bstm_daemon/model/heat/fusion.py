@@ -33,7 +33,7 @@ from bstm_daemon.model.heat.observer_rules import (
     REFERENCE_SPEED_MS,
     TORQUE_NOISE,
 )
-from bstm_daemon.roles import ROLE_INDEX
+from bstm_daemon.roles import GROUND_SPEED_ROLES, ROLE_INDEX
 from bstm_daemon.units import GRAVITY_MS2
 
 if TYPE_CHECKING:
@@ -249,7 +249,7 @@ def _describe(run: Inputs, now: Readings, flags: int) -> Step:
         gear=run.vehicle("gear", 0.0),
         clutch=run.vehicle("clutch_open", 0.0),
         height=run.vehicle("altitude", nan),
-        gnss_speed=run.vehicle("gnss_speed", nan),
+        ground_speeds=[run.reading(role) for role in GROUND_SPEED_ROLES],
         steady=not acts
         and _rolls(run)
         and flags & SUSPECTS == 0

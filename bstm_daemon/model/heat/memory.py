@@ -15,7 +15,7 @@ from bstm_daemon.model.heat.learned import Learned
 from bstm_daemon.model.heat.observer_rules import STOOD_S
 from bstm_daemon.native import layout
 from bstm_daemon.native.layout import Length
-from bstm_daemon.roles import CORNERS, ROLES
+from bstm_daemon.roles import CORNERS, GROUND_SPEED_ROLES, ROLES
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -27,6 +27,7 @@ PER_CORNER: Final = Length("MAX_CORNERS", len(CORNERS))
 PER_SPEED: Final = Length("MAX_SPEEDS", len(CORNERS) + 1)
 PER_PRESSURE: Final = Length("MAX_PRESSURES", len(CORNERS) + 2)
 PER_ROLE: Final = Length("ROLES", len(ROLES))
+PER_GROUND_SPEED: Final = Length("GROUND_SPEEDS", len(GROUND_SPEED_ROLES))
 """Speeds: the corners' wheels, then the vehicle's. Pressures: primary,
 secondary, then the wheels'."""
 
@@ -155,7 +156,7 @@ class ObserverMemory:
     external_held_s: float
     gain_product: float
     gain_square: float
-    radius_ratio: float
+    radius_ratio: Annotated[list[float], PER_GROUND_SPEED]
     unpressed_s: float
     stood_s: float
     window_kind: float
@@ -211,7 +212,8 @@ def _new_memory(learned: Sequence[float] | None) -> SampleMemory:
     if learned is not None:
         observer.known = observer.first = Learned.of(learned)
         observer.recent = observer.earlier = Learned.of(learned)
-        observer.started = observer.radius_ratio = 1.0
+        observer.started = 1.0
+        observer.radius_ratio = [1.0] * PER_GROUND_SPEED.entries
         observer.last_speed = UNKNOWN
         # somebody may have got in
         observer.stood_s = 2.0 * STOOD_S

@@ -13,7 +13,7 @@ over Feed-Forward's, ``level + a ln(v/10) + c ln(p/10 bar) + drift``, by a
 Schmidt-Kalman filter: the motion's states are not changed by the brakes, but
 their errors count, and what is learned of them later corrects the friction.
 What counts against an input (an accelerometer of a wrong scale, a wheel
-radius that is not that of the satellites, a pressure that never is, a force
+radius that no speed over ground confirms, a pressure that never is, a force
 from outside) is reported, and nothing is learned from it.
 """
 
@@ -127,7 +127,8 @@ class Observer:
         m.known.begin(self.rolling)
         m.recent, m.earlier = m.known.copy(), m.known.copy()
         m.first = m.known.copy()
-        m.radius_ratio = m.started = 1.0
+        m.started = 1.0
+        m.radius_ratio = [1.0] * len(m.radius_ratio)
         m.last_speed = UNKNOWN
         self.m = m
 

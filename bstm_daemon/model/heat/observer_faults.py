@@ -2,16 +2,17 @@
 
 The pure-Python form of ``native/heat/observer_faults.c``. Each is reported
 and nothing is learned from it: an accelerometer of a wrong scale, a wheel
-radius that is not that of the satellites, a force from outside.
+radius that no speed over ground confirms, a force from outside.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from math import exp, isnan
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 from bstm_daemon.model.heat import observer_rules as rules
+from bstm_daemon.model.heat.memory import PER_GROUND_SPEED
 
 if TYPE_CHECKING:
     from bstm_daemon.model.heat.memory import ObserverMemory
@@ -40,7 +41,7 @@ class Step:
     gear: float
     clutch: float
     height: float
-    gnss_speed: float
+    ground_speeds: Annotated[list[float], PER_GROUND_SPEED]
     steady: bool
     forward: bool
     pressed: bool
@@ -82,17 +83,18 @@ def motion_unmeasured(m: ObserverMemory) -> bool:
 
 
 def implausible_radius(m: ObserverMemory) -> bool:
-    """Whether wheels and satellites disagree on the speed."""
-    return abs(m.radius_ratio - 1.0) > rules.RADIUS_LIMIT
+    """Whether the wheels disagree with a speed over ground."""
+    return any(
+        abs(ratio - 1.0) > rules.RADIUS_LIMIT for ratio in m.radius_ratio
+    )
 
 
 def compare_radius(m: ObserverMemory, s: Step) -> None:
-    """Follow the wheels' speed over that of the satellites."""
-    if (
-        isnan(s.gnss_speed)
-        or s.gnss_speed < rules.REFERENCE_SPEED_MS
-        or not s.steady
-    ):
+    """Follow the wheels' speed over each of those over ground."""
+    if not s.steady:
         return
     share = 1.0 - exp(-s.dt_s / rules.RADIUS_S)
-    m.radius_ratio += share * (s.speed / s.gnss_speed - m.radius_ratio)
+    for i, ground_ms in enumerate(s.ground_speeds):
+        if not isnan(ground_ms) and ground_ms >= rules.REFERENCE_SPEED_MS:
+            ratio = m.radius_ratio[i]
+            m.radius_ratio[i] += share * (s.speed / ground_ms - ratio)

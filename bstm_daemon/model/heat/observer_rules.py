@@ -115,7 +115,7 @@ FORM_LIMIT: Final = 1.5
 
 RADIUS_S: Final = 60.0
 RADIUS_LIMIT: Final = 0.05
-"""Wheels and satellites disagree on the speed by more."""
+"""Wheels and a speed over ground disagree by more."""
 
 DEAD_MS2: Final = 2.0
 DEAD_S: Final = 6.0

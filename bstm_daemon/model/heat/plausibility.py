@@ -8,8 +8,8 @@ from bstm_daemon.channels import (
     CORNER_PRESSURE,
     CORNER_PRESSURE_SUSPECT,
     FLAGS,
-    HEAT_DOUBT,
     HEAT_LOST,
+    HEAT_UNCERTAIN,
     WHEEL_SUSPECT,
 )
 from bstm_daemon.roles import CORNERS
@@ -27,7 +27,7 @@ FAULTS: Final = {
     },
     "wheel_speed_suspect": _ANY_CORNER * WHEEL_SUSPECT,
     "heat_lost": _ANY_CORNER * HEAT_LOST,
-    "heat_doubt": _ANY_CORNER * HEAT_DOUBT,
+    "heat_doubt": _ANY_CORNER * HEAT_UNCERTAIN,
 }
 """Bits by what is wrong with the inputs or the heat, of any corner."""
 
@@ -101,7 +101,7 @@ def reasons(flags: int, corners: Sequence[str] = CORNERS) -> list[str]:
         (WHEEL_SUSPECT, WORDS["wheel_speed_suspect"]),
         (CORNER_PRESSURE_SUSPECT, WORDS["pressure_suspect"]),
         (HEAT_LOST, WORDS["heat_lost"]),
-        (HEAT_DOUBT, WORDS["heat_doubt"]),
+        (HEAT_UNCERTAIN, WORDS["heat_doubt"]),
     ):
         names = [n for c, n in enumerate(corners) if flags & first << c]
         if names:

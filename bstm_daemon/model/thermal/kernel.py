@@ -69,6 +69,10 @@ class Batch:
         self.ledger = array("d", bytes(8 * self.ledger_width * len(programs)))
         self._structure = None if kernel else reference.Structure(first.ints)
 
+    def part(self, member: int) -> slice:
+        """Return which entries of ``state`` are those of *member*."""
+        return slice(member * self.width, (member + 1) * self.width)
+
     def replace(self, member: int, program: Program) -> None:
         """Let *member* go on with the numbers of *program*; its state stays.
 
@@ -175,7 +179,7 @@ class Batch:
         width, wide = self.width, self.ledger_width
         members = len(self.programs)
         floats = self.programs[member].floats
-        state = self.state[member * width : (member + 1) * width]
+        state = self.state[self.part(member)]
         ledger = self.ledger[member * wide : (member + 1) * wide]
         if self._structure is None:  # pragma: no cover
             msg = "the batch was made for the compiled kernel"
@@ -190,7 +194,7 @@ class Batch:
             output_every,
             output_phase,
         )
-        self.state[member * width : (member + 1) * width] = state
+        self.state[self.part(member)] = state
         self.ledger[member * wide : (member + 1) * wide] = ledger
         size = width + self.sources
         for i, result in enumerate(results):

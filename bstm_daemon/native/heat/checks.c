@@ -22,7 +22,7 @@ static void hold(Checks *c, int64_t at, int role)
         c->t->suspect_until = c->t->until[role];
 }
 
-int checks_doubted(Checks *c, int64_t at, int role, double value)
+int checks_admit_unusual(Checks *c, int64_t at, int role, double value)
 {
     if (value < LIMITS[role].low || value > LIMITS[role].high) {
         c->t->out_of_range++;
@@ -316,7 +316,7 @@ static int64_t outages(Checks *c, const Readings *now)
         if (c->m->aftermath_s[i] > 0.0) {
             const double aftermath = c->m->aftermath_s[i] - now->dt_s;
             c->m->aftermath_s[i] = aftermath > 0.0 ? aftermath : 0.0;
-            flags |= HEAT_DOUBT << i;
+            flags |= HEAT_UNCERTAIN << i;
         }
     }
     return flags;

@@ -34,7 +34,7 @@ static inline int checks_jumped(int role, double change, int64_t time_us)
 }
 
 /* Whether a value that is out of range or jumped is a sample all the same. */
-int checks_doubted(Checks *c, int64_t at, int role, double value);
+int checks_admit_unusual(Checks *c, int64_t at, int role, double value);
 
 /* Whether value is a sample of role; last counts since `since` or NEVER. In
  * the header, because nearly every sample ends here. */
@@ -44,7 +44,7 @@ static inline int checks_admit(Checks *c, int64_t at, int role, double value,
     c->t->last_sample = at;
     if (value < LIMITS[role].low || value > LIMITS[role].high
         || (since != NEVER && checks_jumped(role, value - last, at - since)))
-        return checks_doubted(c, at, role, value);
+        return checks_admit_unusual(c, at, role, value);
     c->t->jump_stamp[role] = NEVER;
     return 1;
 }

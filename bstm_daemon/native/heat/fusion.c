@@ -92,7 +92,8 @@ static void describe(const Inputs *p, const Readings *now, int64_t flags,
     s->gear = inputs_vehicle(p, ROLE_GEAR, 0.0);
     s->clutch = inputs_vehicle(p, ROLE_CLUTCH_OPEN, 0.0);
     s->height = inputs_vehicle(p, ROLE_ALTITUDE, (double)NAN);
-    s->gnss_speed = inputs_vehicle(p, ROLE_GNSS_SPEED, (double)NAN);
+    for (int i = 0; i < GROUND_SPEEDS; i++)
+        s->ground_speeds[i] = inputs_reading(p, GROUND_SPEED_ROLES[i]);
     s->forward = p->heading > 0.0;
     s->brake_n = s->pressure_pa = 0.0;
     s->brake_switch = now->brake_switch;

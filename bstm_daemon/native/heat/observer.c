@@ -19,7 +19,8 @@ static void begin(Observer *o)
     memcpy(fresh.brake_sum, m->brake_sum, sizeof fresh.brake_sum);
     learned_begin(&fresh.known, o->rolling);
     fresh.recent = fresh.earlier = fresh.first = fresh.known;
-    fresh.radius_ratio = fresh.started = 1.0;
+    fresh.started = 1.0;
+    for (int i = 0; i < GROUND_SPEEDS; i++) fresh.radius_ratio[i] = 1.0;
     fresh.last_speed = UNKNOWN;
     *m = fresh;
 }

@@ -25,14 +25,19 @@ int observer_faults_motion_unmeasured(const ObserverMemory *m)
 
 int observer_faults_implausible_radius(const ObserverMemory *m)
 {
-    return fabs(m->radius_ratio - 1.0) > RADIUS_LIMIT;
+    for (int i = 0; i < GROUND_SPEEDS; i++)
+        if (fabs(m->radius_ratio[i] - 1.0) > RADIUS_LIMIT) return 1;
+    return 0;
 }
 
 void observer_faults_compare_radius(ObserverMemory *m, const Step *s)
 {
-    if (isnan(s->gnss_speed) || s->gnss_speed < REFERENCE_SPEED_MS
-        || !s->steady)
-        return;
+    if (!s->steady) return;
     const double share = 1.0 - exp(-s->dt_s / RADIUS_S);
-    m->radius_ratio += share * (s->speed / s->gnss_speed - m->radius_ratio);
+    for (int i = 0; i < GROUND_SPEEDS; i++) {
+        const double ground_ms = s->ground_speeds[i];
+        if (!isnan(ground_ms) && ground_ms >= REFERENCE_SPEED_MS)
+            m->radius_ratio[i] +=
+                share * (s->speed / ground_ms - m->radius_ratio[i]);
+    }
 }

@@ -14,8 +14,8 @@ from bstm_daemon.channels import (
     CORNER_PRESSURE,
     CORNER_PRESSURE_SUSPECT,
     FLAGS,
-    HEAT_DOUBT,
     HEAT_LOST,
+    HEAT_UNCERTAIN,
     WHEEL_SUSPECT,
 )
 from bstm_daemon.model.heat.check_rules import Hysteresis
@@ -572,7 +572,7 @@ def test_heat_that_nobody_knows(
     assert bits(run, HEAT_LOST << 1).index(True) == pytest.approx(200, abs=2)
     unknown, lost, aftermath = (
         bits(run, bit)
-        for bit in (FLAGS["heat_unknown"], HEAT_LOST, HEAT_DOUBT)
+        for bit in (FLAGS["heat_unknown"], HEAT_LOST, HEAT_UNCERTAIN)
     )
     assert all(unknown)
     # missing after the time-out of 0.5 s
@@ -628,7 +628,7 @@ def test_a_silent_bus_is_a_parked_car(
     run.feed([(40_000_000, tick, 0.0)])
 
     assert bits(run, FLAGS["silent"])[-1]
-    assert not any(bits(run, HEAT_LOST | HEAT_DOUBT))
+    assert not any(bits(run, HEAT_LOST | HEAT_UNCERTAIN))
 
 
 # Both forms
@@ -748,7 +748,7 @@ def test_bits_are_apart() -> None:
         WHEEL_SUSPECT,
         CORNER_PRESSURE_SUSPECT,
         HEAT_LOST,
-        HEAT_DOUBT,
+        HEAT_UNCERTAIN,
     ):
         single += [first << corner for corner in range(4)]
 

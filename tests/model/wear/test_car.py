@@ -15,7 +15,8 @@ from hypothesis import strategies as st
 
 from bstm_daemon.estimate import WearLevel, WearSource
 from bstm_daemon.estimator.estimator import Estimator
-from bstm_daemon.estimator.state import StateError, export_state, restore_state
+from bstm_daemon.estimator.memory import StateError
+from bstm_daemon.estimator.state import export_state, restore_state
 from bstm_daemon.model.heat.sample_pass import TICK
 from bstm_daemon.model.thermal.regrid import heat_above_j
 from bstm_daemon.model.wear.dose import DOSE
