@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from bstm_daemon.analysis.identify.applications import Span, applications
+from bstm_daemon.analysis.identify.brake_samples import Span, applications
 from bstm_daemon.analysis.identify.coastdown_run import work_j
 
 if TYPE_CHECKING:

@@ -79,7 +79,8 @@ def stop_friction(
     if driving.pressures:
         nominal = _nominal(config, "F")
         pushout = max(c.pushout_pressure_pa for c in config.corner)
-        for stop in brake_samples(driving, config, every_stop=True).stops:
+        stops, *_ = brake_samples(driving, config, every_stop=True)
+        for stop in stops:
             pushing = stop.gain * (stop.pressure_pa - pushout)
             within.append(
                 WithinStop(
