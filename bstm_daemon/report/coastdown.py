@@ -12,7 +12,7 @@ from bstm_daemon.report.timescale import clock
 
 if TYPE_CHECKING:
     from bstm_daemon.analysis.identify.coastdown import CoastDown
-    from bstm_daemon.analysis.identify.coastdown_run import Run
+    from bstm_daemon.analysis.identify.coasting import Run
     from bstm_daemon.report.plots import Plot
 
 UNITS: Final = {
@@ -32,13 +32,13 @@ def value_rows(result: CoastDown) -> list[tuple[str, ...]]:
     """Return name, value, error, configured and verdict of each value."""
     return [
         (
-            one.name,
-            f"{number(one.value)} {UNITS[one.name]}",
+            name,
+            f"{number(one.value)} {UNITS[name]}",
             number(one.standard_error, 2),
             number(one.configured),
             "identified" if one.identified else one.caveat,
         )
-        for one in result.values
+        for name, one in result.values.items()
     ]
 
 
@@ -83,12 +83,12 @@ def coast_down_json(result: CoastDown) -> dict[str, Any]:
     """Return the result as plain data, SI."""
     return own_fields(result, "bias_ms2") | {
         "values": {
-            one.name: picked(
+            name: picked(
                 one,
                 *("value", "standard_error", "configured", "identified"),
                 why_not="caveat",
             )
-            for one in result.values
+            for name, one in result.values.items()
         },
         "accelerometer_bias_ms2": result.bias_ms2,
         "runs": [
@@ -136,8 +136,8 @@ def coast_down_page(result: CoastDown, subtitle: str) -> Page:
         ),
     ]
     tiles = [
-        (number(one.value), f"{one.name} +- {number(one.standard_error, 2)}")
-        for one in result.values
+        (number(one.value), f"{name} +- {number(one.standard_error, 2)}")
+        for name, one in result.values.items()
     ]
     tiles.append((f"{100 * worst:.2f} %", "energy left over, worst run"))
     return Page("Coast-down", sections, tiles, subtitle=subtitle)

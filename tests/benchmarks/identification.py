@@ -110,10 +110,10 @@ def _coast_row(sensors: str, way: str, cars: int) -> tuple[str, ...]:
         found = identify_coast_down(
             [read], config.vehicle, even_grade=COASTS[way]
         )
-        errors = [abs(found.value(k).value - true[k]) for k in KEYS]
+        errors = [abs(found.values[k].value - true[k]) for k in KEYS]
         apart.append([errors[0] / true[KEYS[0]], *errors[1:]])
         within += [
-            error < 2.0 * found.value(k).standard_error
+            error < 2.0 * found.values[k].standard_error
             for k, error in zip(KEYS, errors, strict=True)
         ]
     return (

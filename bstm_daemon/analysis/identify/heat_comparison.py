@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from bstm_daemon.analysis.identify.brake_samples import Span, applications
-from bstm_daemon.analysis.identify.coastdown_run import work_j
+from bstm_daemon.analysis.identify.coasting import work_j
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

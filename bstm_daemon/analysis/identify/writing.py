@@ -69,8 +69,8 @@ class Change:
 def coast_down_changes(result: CoastDown) -> list[Change]:
     """Return the values that the runs settle."""
     return [
-        Change("vehicle", one.name, one.value)
-        for one in result.values
+        Change("vehicle", name, one.value)
+        for name, one in result.values.items()
         if one.identified
     ]
 

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from bstm_daemon.analysis.identify.coastdown import identify_coast_down
-from bstm_daemon.analysis.identify.coastdown_run import theory
-from bstm_daemon.analysis.identify.coasting import coasting
+from bstm_daemon.analysis.identify.coasting import coasting, theory
 from bstm_daemon.errors import LogError
 from bstm_daemon.simulation import NOMINAL
 
@@ -76,8 +75,8 @@ def test_values_of_another_car(
         [driving(logged("coastdown", car=OTHER))], example[0].vehicle
     )
 
-    values = {one.name: one for one in found.values}
-    assert all(one.identified for one in found.values)
+    values = found.values
+    assert all(one.identified for one in found.values.values())
     assert values["drag_area_m2"].value == pytest.approx(0.95, abs=0.035)
     assert values["friction_ns_m"].value == pytest.approx(7.0, abs=0.7)
     assert values["rolling_resistance"].value == pytest.approx(
@@ -108,9 +107,9 @@ def test_even_grade_leaves_the_accelerometer_out(
         even_grade=True,
     )
 
-    assert found.value("drag_area_m2").value == pytest.approx(0.95, rel=0.03)
-    assert found.value("friction_ns_m").value == pytest.approx(7.0, abs=0.5)
-    assert found.value("rolling_resistance").value == pytest.approx(
+    assert found.values["drag_area_m2"].value == pytest.approx(0.95, rel=0.03)
+    assert found.values["friction_ns_m"].value == pytest.approx(7.0, abs=0.5)
+    assert found.values["rolling_resistance"].value == pytest.approx(
         0.0105, abs=0.0002
     )
     assert found.bias_ms2 is None
@@ -130,10 +129,10 @@ def test_several_logs_are_one_fit(
 
     true = NOMINAL.rolling_resistance
     assert both.road == "both ways"
-    assert both.value("rolling_resistance").value == pytest.approx(
+    assert both.values["rolling_resistance"].value == pytest.approx(
         true, abs=3e-4
     )
-    assert single.value("rolling_resistance").value == pytest.approx(
+    assert single.values["rolling_resistance"].value == pytest.approx(
         true + 0.005, abs=5e-4
     )
     assert any("taken as level" in text for text in single.remarks)
@@ -146,10 +145,10 @@ def test_one_way_gives_no_rolling_resistance(
         [driving(logged("coastdown"))], example[0].vehicle, one_way=True
     )
 
-    rolling = found.value("rolling_resistance")
+    rolling = found.values["rolling_resistance"]
     assert not rolling.identified
     assert "grade" in rolling.caveat
-    assert found.value("drag_area_m2").identified
+    assert found.values["drag_area_m2"].identified
 
 
 def test_held_value_stays_and_the_others_gain(
@@ -162,12 +161,12 @@ def test_held_value_stays_and_the_others_gain(
     free = identify_coast_down(drivings, vehicle)
     held = identify_coast_down(drivings, vehicle, held={"drag_area_m2"})
 
-    assert held.value("drag_area_m2").value == vehicle.drag_area_m2
-    assert held.value("drag_area_m2").caveat == "held"
-    assert held.value("friction_ns_m").value == pytest.approx(4.0, abs=0.2)
+    assert held.values["drag_area_m2"].value == vehicle.drag_area_m2
+    assert held.values["drag_area_m2"].caveat == "held"
+    assert held.values["friction_ns_m"].value == pytest.approx(4.0, abs=0.2)
     assert (
-        held.value("friction_ns_m").standard_error
-        < 0.4 * free.value("friction_ns_m").standard_error
+        held.values["friction_ns_m"].standard_error
+        < 0.4 * free.values["friction_ns_m"].standard_error
     )
 
 
@@ -242,7 +241,7 @@ def test_short_coast_down_is_no_value(
     short = ONE_WAY.replace("until_speed_kmh = 15.0", "until_speed_kmh = 70")
     found = identify_coast_down([driving(logged(short))], example[0].vehicle)
 
-    assert not any(one.identified for one in found.values)
+    assert not any(one.identified for one in found.values.values())
 
 
 def test_braking_and_pulling_are_no_coasting(
