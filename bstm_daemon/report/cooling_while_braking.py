@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from bstm_daemon.analysis.identify.braked_discs import WINDOW_S
+from bstm_daemon.analysis.identify.cooling_while_braking import WINDOW_S
 from bstm_daemon.report.json_file import picked
 from bstm_daemon.report.plots import (
     BLACK,
@@ -52,7 +52,7 @@ def line_rows(axle: BrakedAxle) -> list[tuple[str, ...]]:
 
 def axle_lines(axle: BrakedAxle) -> list[str]:
     """Return what else is to be said of an axle."""
-    times = len({(w.log, w.start_s) for w in axle.windows})
+    times = len({window.place for window in axle.windows})
     couples = len({w.role for w in axle.windows})
     coldest, hottest = (one - KELVIN_OFFSET for one in axle.range_k)
     lines = [f"not identified: {axle.caveat}"] if axle.caveat else []

@@ -44,6 +44,7 @@ WARM_K: Final = 15.0
 FALL_K: Final = 10.0
 """... and must fall by this."""
 
+AXLES: Final = {"F": "front", "R": "rear"}
 COUPLES: Final = ("disc", "disc_2")
 
 

@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from bstm_daemon.analysis.identify.brake_samples import brake_samples
+from bstm_daemon.analysis.identify.disc_loss import disc_part
 from bstm_daemon.model.heat.feed_forward import PressureTorque
 from bstm_daemon.model.thermal.brake_corner import corner_spec
-from bstm_daemon.model.thermal.partition import pad_share
 from bstm_daemon.model.thermal.properties import disc_heat_capacity
 
 if TYPE_CHECKING:
@@ -219,8 +219,4 @@ def _disc_heat_j(
     stored_j = spec.disc_mass_kg * (
         capacity.integral(end_k) - capacity.integral(start_k)
     )
-    pads = pad_share(
-        spec.disc_share, spec.thermal.heat_partition_correction_factor
-    )
-    to_disc = (1.0 - pads) * (1.0 - spec.thermal.direct_air_fraction)
-    return stored_j / to_disc
+    return stored_j / disc_part(spec)
