@@ -88,8 +88,8 @@ class Brakes:
     """What the stops show about the brakes.
 
     ``scale`` is the factor on the configured friction coefficients (of
-    ``front_scale`` and ``rear_scale`` on those of an axle), at ``speed_ms``
-    and ``pressure_pa``; ``lean_speed`` and ``lean_pressure`` are the exponents
+    ``front_scale`` and ``rear_scale`` on those of an axle), at the means of
+    ``samples``; ``lean_speed`` and ``lean_pressure`` are the exponents
     that friction has there, None where none shows. ``pushout_pa`` is in
     the signal's own zero, which reads ``rest_pa`` with the brake released.
     ``front_share`` is the front axle's share of the brake force at equal
@@ -104,19 +104,17 @@ class Brakes:
     rear_scale: Value
     lean_speed: Value | None
     lean_pressure: Value | None
-    speed_ms: float
-    pressure_pa: float
     lag_s: Value
     residual_n: float
-    samples: int
+    samples: Table
     stops: tuple[BrakeStop, ...]
     searched: tuple[str, ...]
     remarks: tuple[str, ...]
 
-    def ratio(self, stop: BrakeStop) -> Column:
-        """Return friction over its configured value at the samples, (n,)."""
-        pushing = stop.pressure_pa - self.pushout_pa.value
-        return np.asarray(stop.force_n / (stop.gain * pushing))
+    def ratio(self, samples: Samples) -> Column:
+        """Return friction over its configured value at *samples*, (n,)."""
+        pushing = samples.pressure_pa - self.pushout_pa.value
+        return np.asarray(samples.force_n / (samples.gain * pushing))
 
 
 def identify_brakes(drivings: Sequence[Driving], config: Config) -> Brakes:
@@ -239,11 +237,9 @@ def _result(
         rear_scale=rear,
         lean_speed=lean[0],
         lean_pressure=lean[1],
-        speed_ms=table.speed_mean_ms,
-        pressure_pa=table.pressure_mean_pa,
         lag_s=Value(value=lag_s, standard_error=nan, caveat=no_lag),
         residual_n=residual,
-        samples=len(table.force_n),
+        samples=table,
         stops=tuple(stops),
         searched=tuple(searched),
         remarks=_remarks(drivings, stops),
