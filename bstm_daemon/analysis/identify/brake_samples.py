@@ -176,9 +176,9 @@ def brake_samples(
     """
     measured = _corner_pressures(driving, config)
     pressures = {
-        name: lagged(pressure, lag_s)
-        if f"wheel_pressure_{name.lower()}" not in driving.pressures
-        else pressure
+        name: pressure
+        if f"wheel_pressure_{name.lower()}" in driving.pressures
+        else lagged(pressure, lag_s)
         for name, pressure in measured.items()
     }
     gains: dict[str, float] = {
@@ -362,14 +362,13 @@ def _apart(rows: Indices) -> Indices:
 
 
 def _initial_c(driving: Driving, first: int) -> dict[str, float]:
-    found = {}
-    for name in CORNERS:
-        role = f"temp_{name.lower()}_disc"
-        if driving.channels.alive([role]):
-            kelvin = float(driving.value(role)[first])
-            if np.isfinite(kelvin):
-                found[name] = kelvin - KELVIN_OFFSET
-    return found
+    """Return the temperatures [degC] of the measured discs at *first*."""
+    corners = {f"temp_{name.lower()}_disc": name for name in CORNERS}
+    found = {
+        corners[role]: float(driving.value(role)[first]) - KELVIN_OFFSET
+        for role in driving.channels.alive(corners)
+    }
+    return {name: disc for name, disc in found.items() if np.isfinite(disc)}
 
 
 def _corner_pressures(driving: Driving, config: Config) -> dict[str, Column]:
@@ -382,19 +381,13 @@ def _corner_pressures(driving: Driving, config: Config) -> dict[str, Column]:
     found: dict[str, Column] = {}
     for corner in config.corner:
         own = f"wheel_pressure_{corner.name.lower()}"
-        circuit = f"{corner.circuit}_pressure"
-        if own in known:
-            found[corner.name] = known[own]
-            continue
-        role = circuit if circuit in known else "primary_pressure"
-        if role not in known:
+        sources = (own, f"{corner.circuit}_pressure", "primary_pressure")
+        role = next((one for one in sources if one in known), None)
+        if role is None:
             continue
         pressure = known[role]
-        if corner.name[0] == "R" and config.heat.front_pressure_pa:
-            pressure = np.interp(
-                pressure,
-                config.heat.front_pressure_pa,
-                config.heat.rear_pressure_pa,
-            )
+        table = config.heat.front_pressure_pa, config.heat.rear_pressure_pa
+        if role != own and corner.name[0] == "R" and table[0]:
+            pressure = np.interp(pressure, *table)
         found[corner.name] = pressure
     return found

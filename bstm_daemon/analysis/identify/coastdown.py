@@ -331,29 +331,26 @@ def fit_windows(
             a constant of its own.
     """
     run, force, square, linear = _windows(stretches, with_sensor=with_sensor)
-    known = {
-        "drag_area_m2": 0.5 * AIR_DENSITY_KG_M3 * vehicle.drag_area_m2,
-        "friction_ns_m": vehicle.friction_ns_m,
-    }
-    shapes = {"drag_area_m2": square, "friction_ns_m": linear}
-    free = [name for name in shapes if name not in held]
-    for name, shape in shapes.items():
-        if name in held:
-            force = force - known[name] * shape
+    known = [
+        0.5 * AIR_DENSITY_KG_M3 * vehicle.drag_area_m2,
+        vehicle.friction_ns_m,
+    ]
+    shapes = (square, linear)
+    free = [row for row in (0, 1) if NAMES[row] not in held]
+    for row in {0, 1}.difference(free):
+        force = force - known[row] * shapes[row]
     constants = np.ones((len(force), 1))
     if not with_sensor:
         constants = 1.0 * np.equal.outer(run, np.arange(len(stretches)))
-    count = constants.shape[1]
     fit = fit_linear(
-        np.column_stack([*(shapes[name] for name in free), constants]), force
+        np.column_stack([*(shapes[row] for row in free), constants]), force
     )
-    values = known | dict(zip(free, fit.estimate.tolist(), strict=False))
+    for row, value in zip(free, fit.estimate.tolist(), strict=False):
+        known[row] = value
     # of the constants the mean: what f_r follows from
     mix = np.zeros((3, len(fit.estimate)))
-    for row, name in enumerate(shapes):
-        if name in free:
-            mix[row, free.index(name)] = 1.0
-    mix[2, len(free) :] = 1.0 / count
+    mix[free, range(len(free))] = 1.0
+    mix[2, len(free) :] = 1.0 / constants.shape[1]
     joint = mix @ fit.covariance @ mix.T
     errors = np.sqrt(np.clip(np.diag(joint), 0.0, None))
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -365,8 +362,8 @@ def fit_windows(
     else:
         apparent = (constant - constant.mean()) / vehicle.mass_kg
     return Fit(
-        values["drag_area_m2"],
-        values["friction_ns_m"],
+        known[0],
+        known[1],
         constant,
         errors,
         correlation,

@@ -253,10 +253,9 @@ def _axle(
                 series=series,
             )
         )
-    still = None
-    standing = points[0]
-    if standing.speed_ms <= 0.0 and standing.identified:
-        still = min(standing.value / standing.whole, 1.0)
+    still, slowest = None, points[0]
+    if slowest.speed_ms <= 0.0 and slowest.identified:
+        still = min(slowest.value / slowest.whole, 1.0)
     return AxleCooling(
         axle,
         "rate" if rate_form else "conductance",
@@ -386,6 +385,9 @@ class _Regression:
         self.count = len(speeds_ms)
         self.measured = [down.bins(down.disc_k) for down in downs]
         self.lengths = [len(one) for one in self.measured]
+        # of each row of the regression: its cool-down, its bin in that
+        self.down = np.repeat(np.arange(len(downs)), self.lengths)
+        self.bin = np.concatenate([np.arange(n) for n in self.lengths])
         self.values = np.concatenate(
             (
                 [self._guess(group) for group in range(self.count)],
@@ -431,10 +433,10 @@ class _Regression:
                 found.append(fall / float(down.time_s[-1]))
         return max(float(np.mean(found)), _LEAST_S)
 
-    def model(self) -> tuple[list[Column], Matrix, Matrix]:
-        """Return the model in bins, its derivatives (n, p), those by offset.
+    def model(self) -> tuple[Column, Matrix, Matrix]:
+        """Return the model in bins (n,), its derivatives (n, p) and (n, c).
 
-        The last, (n, couples), is by what a thermocouple reads too much.
+        The last are by what each of c thermocouples reads too much.
         """
         s, start = self.values[self.groups], self.values[self.count :]
         none = np.zeros(len(self.downs))
@@ -444,24 +446,18 @@ class _Regression:
             np.concatenate((s, s + h_s, s, s)),
             np.concatenate((none, none, none + h_k, none)),
         ).reshape(-1, 4, len(self.downs))
-        model = []
-        rows = sum(self.lengths)
-        design = np.zeros((rows, len(self.values)))
-        by_offset = np.zeros((rows, self.couples))
-        at = 0
-        for i, length in enumerate(self.lengths):
-            base, by_s, by_off, by_start = out[:length, :, i].T
-            part = slice(at, at + length)
-            design[part, self.groups[i]] = (by_s - base) / h_s[i]
-            design[part, self.count + i] = (by_start - base) / h_k
-            by_offset[part, self.couple[i]] = (by_off - base) / h_k
-            model.append(base)
-            at += length
-        return model, design, by_offset
+        base, by_s, by_off, by_start = out[self.bin, :, self.down].T
+        rows = np.arange(len(base))
+        design = np.zeros((len(base), len(self.values)))
+        design[rows, self.groups[self.down]] = (by_s - base) / h_s[self.down]
+        design[rows, self.count + self.down] = (by_start - base) / h_k
+        by_offset = np.zeros((len(base), self.couples))
+        by_offset[rows, self.couple[self.down]] = (by_off - base) / h_k
+        return base, design, by_offset
 
-    def left(self, model: Sequence[Column]) -> Column:
+    def left(self, model: Column) -> Column:
         """Return measurement less *model*, all series one after the other."""
-        return np.concatenate(self.measured) - np.concatenate(model)
+        return np.concatenate(self.measured) - model
 
     def _march(
         self, start_k: Column, s_per_s: Column, off_k: Column
@@ -528,9 +524,8 @@ def fit_cooling(
         model, design, _ = task.model()
         task.values += solution_operator(design) @ task.left(model)
         # S stays a rate of cooling while the fit is far off
-        task.values[: task.count] = np.maximum(
-            task.values[: task.count], _LEAST_S
-        )
+        s = task.values[: task.count]
+        np.maximum(s, _LEAST_S, out=s)
     model, design, by_offset = task.model()
     left = task.left(model)
     noise, variance = likeliest_drift(task.lengths, BIN * STEP_S, left, design)
@@ -548,14 +543,14 @@ def fit_cooling(
         float(np.sqrt(variance * noise.ratio)),
         noise.drift_s,
         tuple(
-            Series(
-                down,
-                groups[i],
-                down.bins(down.time_s),
-                task.measured[i],
-                model[i],
+            Series(down, group, down.bins(down.time_s), measured, one)
+            for down, group, measured, one in zip(
+                downs,
+                groups,
+                task.measured,
+                np.split(model, np.cumsum(task.lengths)[:-1]),
+                strict=True,
             )
-            for i, down in enumerate(downs)
         ),
     )
 
@@ -568,19 +563,15 @@ def _by_corner(
     variance: float,
 ) -> tuple[dict[str, tuple[float, float]], ...]:
     """Return S of each corner alone, one step from the common one."""
-    pairs = list(
-        dict.fromkeys(
-            (int(group), down.corner)
-            for group, down in zip(task.groups, task.downs, strict=True)
-        )
-    )
+    of_down = [
+        (int(group), down.corner)
+        for group, down in zip(task.groups, task.downs, strict=True)
+    ]
+    pairs = list(dict.fromkeys(of_down))
+    column = np.array([pairs.index(one) for one in of_down])[task.down]
+    rows = np.arange(len(left))
     split = np.zeros((len(left), len(pairs)))
-    at = 0
-    for i, length in enumerate(task.lengths):
-        rows, group = slice(at, at + length), int(task.groups[i])
-        column = pairs.index((group, task.downs[i].corner))
-        split[rows, column] = design[rows, group]
-        at += length
+    split[rows, column] = design[rows, task.groups[task.down]]
     weights = solution_operator(np.hstack((split, design[:, task.count :])))
     step = weights @ left
     errors = np.sqrt(np.diag(variance * noise.covariance_of(weights)))
@@ -588,10 +579,8 @@ def _by_corner(
         {} for _ in range(task.count)
     ]
     for i, (group, corner) in enumerate(pairs):
-        result[group][corner] = (
-            float(task.values[group] + step[i]),
-            float(errors[i]),
-        )
+        value = float(task.values[group] + step[i])
+        result[group][corner] = value, float(errors[i])
     return tuple(result)
 
 

@@ -249,6 +249,7 @@ def windows_of(driving: Driving) -> list[Window]:
         pressed[driving.highest_pressure_pa() < RELEASED_PA] = 0.0
     on, mean_speed = per_step(pressed), per_step(speed)
     ambient = np.interp(driving.time_s[ends[:-1]], slow.time_s, slow.ambient_k)
+    columns = ambient, mean_speed, lost, resisted, on
     found = []
     for role in slow.discs:
         disc = driving.value(role)[ends[:-1]]
@@ -260,16 +261,9 @@ def windows_of(driving: Driving) -> list[Window]:
                 continue
             found.append(
                 Window(
-                    driving.name,
-                    role,
-                    role.split("_")[1].upper(),
+                    *(driving.name, role, role.split("_")[1].upper()),
                     float(driving.time_s[ends[first]]),
-                    disc[part],
-                    ambient[part],
-                    mean_speed[part],
-                    lost[part],
-                    resisted[part],
-                    on[part],
+                    *(column[part] for column in (disc, *columns)),
                 )
             )
     return found
@@ -282,9 +276,12 @@ class BrakedLanes:
         self,
         windows: Sequence[Window],
         discs: Mapping[str, tuple[DiscLoss, float]],
-        knots_ms: Sequence[float],
+        held_ms: tuple[float, float],
     ) -> None:
-        """Take *windows*; *discs* has disc and share of the work by corner."""
+        """Take *windows* and the speeds at which the line of S is held.
+
+        *discs* has disc and share of the work by corner.
+        """
 
         def side_by_side(name: str) -> Matrix:
             return np.stack([getattr(one, name) for one in windows], axis=1)
@@ -297,21 +294,14 @@ class BrakedLanes:
         self._resisted_j = side_by_side("resisted_j")
         self._share = side_by_side("pressed") * np.array(shares)
         speed = side_by_side("speed_ms")
-        knots = np.array(knots_ms)
-        place = np.clip(
-            np.searchsorted(knots, speed, "right") - 1, 0, len(knots) - 2
-        )
-        into = (speed - knots[place]) / np.diff(knots)[place]
-        self._place, self._into = place, np.clip(into, 0.0, 1.0)
+        low, high = held_ms
+        self._into = np.clip((speed - low) / (high - low), 0.0, 1.0)
         still = np.array([loss.still for loss in losses])
         end = np.array([loss.blend_end_ms for loss in losses])
         rising = np.clip(speed / end, 0.0, 1.0)
         self._blend = STEP_S * (still + (1.0 - still) * rising)
-        self._radiation = (
-            STEP_S
-            * (1.0 - rising)
-            * np.array([loss.radiation_w_k4 for loss in losses])
-        )
+        radiation = np.array([loss.radiation_w_k4 for loss in losses])
+        self._radiation = STEP_S * (1.0 - rising) * radiation
         self._capacities = HeatCapacities(
             losses, [loss.rate_form for loss in losses]
         )
@@ -319,17 +309,17 @@ class BrakedLanes:
     def march(self, values: Matrix) -> Matrix:
         """Return the discs [K], (steps, windows, m), of m sets of *values*.
 
-        *values* (m, k + 2): S at each knot [1/s], the factor on the heat,
-        and that on the resistances.
+        *values* (m, 4): S at both speeds [1/s], the factor on the heat, and
+        that on the resistances.
         """
-        s, heat, resist = values[:, :-2], values[:, -2], values[:, -1]
+        low, high, heat, resist = values.T
         rows = np.arange(self.count)[:, None]
         now = np.repeat(self.measured_k[0][:, None], len(values), axis=1)
         out = np.empty((len(self.measured_k), *now.shape))
         for step in range(len(out)):
             out[step] = now
-            place, into = self._place[step], self._into[step][:, None]
-            rate = s[:, place].T * (1.0 - into) + s[:, place + 1].T * into
+            into = self._into[step][:, None]
+            rate = low * (1.0 - into) + high * into
             work = self._lost_j[step][:, None] - (
                 resist * self._resisted_j[step][:, None]
             )
@@ -338,14 +328,8 @@ class BrakedLanes:
             strength = self._capacities.factor(rows, per_capacity)
             ambient = self._ambient_k[step][:, None]
             beside = self._radiation[step][:, None] * (now**4 - ambient**4)
-            now = (
-                now
-                + (work - beside) * per_capacity
-                - rate
-                * strength
-                * self._blend[step][:, None]
-                * (now - ambient)
-            )
+            loss = rate * strength * self._blend[step][:, None]
+            now = now + (work - beside) * per_capacity - loss * (now - ambient)
             now = np.clip(now, LOWEST_K, HIGHEST_K)
         return out
 
@@ -383,19 +367,19 @@ def _axle(
             f"{3.6 * high:.0f} km/h only, nothing over speed to be found"
         )
         raise LogError(msg)
-    knots = [low, high]
-    first = np.maximum(loss.configured(np.array(knots)), _LEAST_PER_S)
+    ends = low, high
+    first = np.maximum(loss.configured(np.array(ends)), _LEAST_PER_S)
     start = np.log([*first, 1.0, _START_RESIST])
     times = sorted({w.place for w in windows})
     number = np.array([times.index(w.place) for w in windows])
-    whole = BrakedLanes(windows, discs, knots)
+    whole = BrakedLanes(windows, discs, ends)
     joint = whole.fit(start)
     shape = whole.measured_k.shape
     fitted, held = 0.0, np.empty(shape)
     for half in (0, 1):
         inside = number % 2 == half
         chosen = [w for w, on in zip(windows, inside, strict=True) if on]
-        own = BrakedLanes(chosen, discs, knots).fit(joint.x)
+        own = BrakedLanes(chosen, discs, ends).fit(joint.x)
         fitted += 2.0 * own.cost
         held[:, ~inside] = whole.left(own.x[None])[0][:, ~inside]
     values = np.exp(joint.x)

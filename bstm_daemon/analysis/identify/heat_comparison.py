@@ -17,12 +17,13 @@ import numpy as np
 
 from bstm_daemon.analysis.identify.brake_samples import Span, applications
 from bstm_daemon.analysis.identify.coasting import work_j
+from bstm_daemon.analysis.identify.driving import resistance_n
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from bstm_daemon.analysis.identify.driving import Driving
-    from bstm_daemon.analysis.statistics.series import Column, Mask
+    from bstm_daemon.analysis.statistics.series import Column, Mask, Matrix
     from bstm_daemon.config.sections import Config
     from bstm_daemon.replay.results import Results
 
@@ -157,7 +158,8 @@ def compare_heat(
     """
     columns = results.columns
     time_s = columns["time_s"] - driving.channels.recording.start_s
-    steps_s = np.diff(time_s, prepend=time_s[0] - _step_s(time_s))
+    usual_s = float(np.median(np.diff(time_s))) if len(time_s) > 1 else 0.1
+    steps_s = np.diff(time_s, prepend=time_s[0] - usual_s)
     steps_s = np.where((steps_s > 0.0) & (steps_s < 1.0), steps_s, 0.0)
     power, absent = _powers(results, driving, config, fused, time_s)
     energy = {
@@ -165,20 +167,18 @@ def compare_heat(
         for name, value in power.items()
     }
     speed = np.nan_to_num(columns["speed_ms"])
-    pressure = _pressure(results)
+    pressure = _by_corner(results, "pressure_pa").max(axis=0, initial=0.0)
     if driving.pressures:
         braking = pressure > config.heat.brake_on_pressure_pa
     else:
         braking = np.nan_to_num(power.get("fb", np.zeros(len(time_s)))) > 0.0
     braking &= speed > 0.0
-    spans = applications(time_s, speed, braking)
-    stops = []
-    for span in spans:
-        stop = _stop(span, time_s, pressure, energy, driving, results)
-        if max(abs(v) for v in (*stop.energy_j.values(), 0.0)) > (
-            LEAST_ENERGY_J
-        ):
-            stops.append(stop)
+    stops = [
+        stop
+        for span in applications(time_s, speed, braking)
+        if (stop := _stop(span, time_s, pressure, energy, driving, results))
+        and any(abs(one) > LEAST_ENERGY_J for one in stop.energy_j.values())
+    ]
     return HeatComparison(
         time_s,
         speed,
@@ -193,16 +193,11 @@ def compare_heat(
     )
 
 
-def _step_s(time_s: Column) -> float:
-    return float(np.median(np.diff(time_s))) if len(time_s) > 1 else 0.1
-
-
-def _pressure(results: Results) -> Column:
-    total = np.zeros(len(results))
-    for name in results.corners:
-        own = np.nan_to_num(results.columns[f"{name}.pressure_pa"])
-        total = np.maximum(total, own)
-    return total
+def _by_corner(results: Results, column: str) -> Matrix:
+    """Return *column* of each corner, (corners, n), 0 where unknown."""
+    return np.nan_to_num(
+        [results.columns[f"{name}.{column}"] for name in results.corners]
+    )
 
 
 def _powers(
@@ -215,16 +210,16 @@ def _powers(
     """Return the power of each source [W], and why others are absent."""
     power, absent = {}, {}
     if driving.pressures:
-        power["ff"] = _summed(results, "brake_power_ff_w")
+        power["ff"] = _by_corner(results, "brake_power_ff_w").sum(axis=0)
     else:
         absent["ff"] = "no brake pressure in this log"
     torque_known = bool(driving.channels.alive(["powertrain_torque"]))
     if torque_known or config.heat.assume_powertrain_torque_nm is not None:
-        power["fb"] = _summed(results, "brake_power_fb_w")
+        power["fb"] = _by_corner(results, "brake_power_fb_w").sum(axis=0)
     else:
         absent["fb"] = "no torque at the wheels in this log"
     if fused is not None:
-        power["fused"] = _summed(fused, "brake_power_w")
+        power["fused"] = _by_corner(fused, "brake_power_w").sum(axis=0)
     else:
         absent["fused"] = "no heat mode 'fused' for this car and version"
     if driving.channels.alive(["brake_torque"]):
@@ -235,13 +230,6 @@ def _powers(
     else:
         absent["can"] = "no role brake_torque in this log"
     return power, absent
-
-
-def _summed(results: Results, column: str) -> Column:
-    total = np.zeros(len(results))
-    for name in results.corners:
-        total += np.nan_to_num(results.columns[f"{name}.{column}"])
-    return total
 
 
 def _stop(
@@ -256,14 +244,15 @@ def _stop(
     end_s = float(time_s[span.last]) + AFTER_S
     rows = np.searchsorted(time_s, (begin_s, end_s))
     first, last = max(int(rows[0]) - 1, 0), min(int(rows[1]), len(time_s) - 1)
+    begin_s, end_s = float(time_s[first]), float(time_s[last])
     return HeatStop(
         span.first,
         span.last,
-        float(time_s[first]),
-        float(time_s[last]),
+        begin_s,
+        end_s,
         float(np.mean(pressure_pa[span.points])),
         {n: float(e[last] - e[first]) for n, e in energy_j.items()},
-        _balance(driving, float(time_s[first]), float(time_s[last])),
+        _balance(driving, begin_s, end_s),
         _initial_c(results, span.first),
     )
 
@@ -274,15 +263,10 @@ def _balance(driving: Driving, begin_s: float, end_s: float) -> Balance:
     part = slice(int(ends[0]), int(ends[1]))
     known = np.isfinite(driving.speed_ms[part])
     if not len(known) or known.mean() < LEAST_KNOWN:
-        return Balance(nan, nan, nan, nan, nan, nan)
+        return Balance(*[nan] * 6)
     time_s = driving.time_s[part]
     speed = np.interp(time_s, time_s[known], driving.speed_ms[part][known])
     car = driving.vehicle
-    resistance = np.where(
-        speed > 0.0,
-        (car.quadratic * speed + car.linear) * speed + car.constant,
-        0.0,
-    )
     slope = np.zeros(len(speed))
     if driving.has_accelerometer:
         slope = np.nan_to_num(driving.slope_ms2[part])
@@ -292,7 +276,7 @@ def _balance(driving: Driving, begin_s: float, end_s: float) -> Balance:
         from_ms,
         to_ms,
         car.kinetic_energy_j(from_ms) - car.kinetic_energy_j(to_ms),
-        work_j(resistance, speed),
+        work_j(resistance_n(car, speed), speed),
         work_j(car.mass_kg * slope, speed),
         work_j(drive + driving.external_n[part], speed),
     )
