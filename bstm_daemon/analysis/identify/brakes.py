@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
     from bstm_daemon.analysis.identify.brake_samples import BrakeStop
     from bstm_daemon.analysis.identify.driving import Driving
-    from bstm_daemon.analysis.statistics.series import Column, Indices
+    from bstm_daemon.analysis.statistics.series import Column, Indices, Mask
     from bstm_daemon.config.sections import Config
 
 LEAST_SAMPLES: Final = 12
@@ -339,32 +339,26 @@ def table_of(stops: Sequence[BrakeStop]) -> Table:
 
 def settled(
     table: Table, pushout_pa: float | None
-) -> tuple[Column, tuple[bool, bool], Column, float]:
+) -> tuple[Column, Mask, Column, float]:
     """Fit with the leans that stand out.
 
     Returns the parameters (scale, push-out, lean on speed, on pressure), which
     leans are in, the standard errors, and the residual [N].
     """
-    leans = (True, pushout_pa is None)
-    spans = tuple(float(np.ptp(x)) for x in table.leaning())
+    leans = np.array([True, pushout_pa is None])
+    spans = np.ptp(table.leaning(), axis=1)
     while True:
         fit = fit_table(table, pushout_pa, leans)
         errors = errors_of(table, pushout_pa, leans)
-        kept = (
-            leans[0] and _stands_out(fit[2], errors[2], spans[0]),
-            leans[1] and _stands_out(fit[3], errors[3], spans[1]),
-        )
-        if kept == leans:
+        size, error = np.abs(fit[2:]), errors[2:]
+        clear = (size > SIGMAS * error) & (size * spans > LEAST_LEAN)
+        weak = leans & ~clear
+        if not weak.any():
             rest = table.force_n - model(table, fit)
             return fit, leans, errors, float(np.sqrt(np.mean(rest**2)))
         # the weaker one first: without it the other may stand out
-        weak = [i for i in (0, 1) if leans[i] and not kept[i]]
-        drop = min(weak, key=lambda i: abs(fit[2 + i] / (errors[2 + i] or 1)))
-        leans = (leans[0] and drop != 0, leans[1] and drop != 1)
-
-
-def _stands_out(lean: float, error: float, span: float) -> bool:
-    return abs(lean) > SIGMAS * error and abs(lean) * span > LEAST_LEAN
+        ratio = size / np.where(error > 0.0, error, 1.0)
+        leans[np.where(weak, ratio, np.inf).argmin()] = False
 
 
 def model(table: Table, parameters: Column) -> Column:
@@ -376,16 +370,11 @@ def model(table: Table, parameters: Column) -> Column:
     return np.asarray(scale * pushing * factor)
 
 
-def fit_table(
-    table: Table, pushout_pa: float | None, leans: tuple[bool, bool]
-) -> Column:
+def fit_table(table: Table, pushout_pa: float | None, leans: Mask) -> Column:
     """Solve for (scale, push-out, leans): linear but for their product."""
     weight = table.weights()
-    x_speed, x_pressure = table.leaning()
     pushout = 0.0 if pushout_pa is None else pushout_pa
-    used = [
-        x for x, on in zip((x_speed, x_pressure), leans, strict=True) if on
-    ]
+    used = [x for x, on in zip(table.leaning(), leans, strict=True) if on]
     result = np.zeros(4)
     for _ in range(ROUNDS):
         pushing = table.gain * (table.pressure_pa - pushout)
@@ -401,13 +390,11 @@ def fit_table(
         if pushout_pa is None:
             pushout = -found[1] / scale
         result[:2] = scale, pushout
-        result[2:][list(leans)] = np.array(found[len(first) :]) / scale
+        result[2:][leans] = np.array(found[len(first) :]) / scale
     return result
 
 
-def errors_of(
-    table: Table, pushout_pa: float | None, leans: tuple[bool, bool]
-) -> Column:
+def errors_of(table: Table, pushout_pa: float | None, leans: Mask) -> Column:
     """Return standard errors by leaving out one stop, or a tenth, at a time.
 
     Samples of a stop err alike, so that stops and not samples count.
