@@ -25,6 +25,7 @@ RUN_HEAD: Final = (
     *("climb", "left over", "v rms"),
 )
 VALUE_HEAD: Final = ("value", "found", "+-", "configured", "verdict")
+BALANCE: Final = ("from_ms", "to_ms", "kinetic_j", "climb_j", "drive_j")
 _DIRECTIONS: Final = {1: "up", -1: "down", 0: "-"}
 
 
@@ -51,9 +52,9 @@ def run_rows(result: CoastDown) -> list[tuple[str, ...]]:
             f"{3.6 * run.speed_ms[0]:.0f} to {3.6 * run.speed_ms[-1]:.0f}",
             _DIRECTIONS[run.direction],
             f"{100 * run.grade:+.2f} %",
-            f"{run.kinetic_j / 1e3:.1f} kJ",
-            f"{run.resistance_j / 1e3:.1f} kJ",
-            f"{run.climb_j / 1e3:.1f} kJ",
+            f"{run.balance.kinetic_j / 1e3:.1f} kJ",
+            f"{run.balance.drag_j / 1e3:.1f} kJ",
+            f"{run.balance.climb_j / 1e3:.1f} kJ",
             f"{100 * run.miss:+.2f} %",
             f"{3.6 * run.residual_rms_ms:.2f} km/h",
         )
@@ -94,15 +95,15 @@ def coast_down_json(result: CoastDown) -> dict[str, Any]:
         "runs": [
             picked(
                 run,
-                *("direction", "grade", "kinetic_j", "resistance_j"),
-                *("climb_j", "drive_j"),
+                *("direction", "grade"),
+                **{key: f"balance.{key}" for key in BALANCE},
+                resistance_j="balance.drag_j",
                 log="stretch.driving.name",
                 start_s="stretch.start_s",
                 duration_s="stretch.duration_s",
                 energy_left_over="miss",
                 speed_rms_ms="residual_rms_ms",
             )
-            | {"from_ms": run.speed_ms[0], "to_ms": run.speed_ms[-1]}
             for run in result.runs
         ],
     }

@@ -15,6 +15,7 @@ import numpy as np
 
 from bstm_daemon.analysis.identify.driving import (
     CONTROL,
+    Span,
     flagged,
     resistance_n,
 )
@@ -68,19 +69,6 @@ CORNERING_MS2: Final = 1.5
 
 EVERY: Final = 2 * HALF
 """Grid points from sample to sample: windows that do not overlap."""
-
-
-@dataclass(frozen=True, slots=True)
-class Span:
-    """Points ``first`` to ``last``, both included, of a time axis."""
-
-    first: int
-    last: int
-
-    @property
-    def points(self) -> slice:
-        """The points as a slice."""
-        return slice(self.first, self.last + 1)
 
 
 def applications(

@@ -12,8 +12,10 @@ import numpy as np
 
 from bstm_daemon.analysis.identify.driving import (
     CONTROL,
+    Balance,
+    Span,
+    balance_of,
     flagged,
-    resistance_n,
 )
 from bstm_daemon.analysis.quality.limits import GRID_S
 from bstm_daemon.analysis.statistics.series import Column, Mask, runs
@@ -42,17 +44,10 @@ CORNERING_MS2: Final = 0.5
 
 
 @dataclass(frozen=True, slots=True)
-class Stretch:
-    """Grid points ``first`` to ``last`` (both included) of a coast-down."""
+class Stretch(Span):
+    """Grid points of a coast-down."""
 
     driving: Driving
-    first: int
-    last: int
-
-    @property
-    def points(self) -> slice:
-        """The points as a slice."""
-        return slice(self.first, self.last + 1)
 
     @property
     def start_s(self) -> float:
@@ -86,7 +81,7 @@ def coasting(driving: Driving) -> tuple[list[Stretch], str]:
         speed = driving.speed_ms[begin : end + 1]
         if float(speed[0] - speed[-1]) < LEAST_FALL_MS:
             continue
-        found.append(Stretch(driving, begin, end))
+        found.append(Stretch(begin, end, driving))
     words.append(
         f"in {len(found)} pieces of {SHORTEST_S:g} s or more that lose "
         f"{LEAST_FALL_MS * 3.6:.0f} km/h or more"
@@ -134,10 +129,7 @@ class Run:
 
     ``time_s`` since its start, ``speed_ms``, ``theory_ms`` with the values
     found, ``configured_ms`` with those of the configuration, (n,).
-    ``grade`` is its mean, uphill positive. Energies [J] of Eq 4.5: what the
-    car lost of its kinetic energy, the work of the resistances, of the climb
-    and of the drive line; ``miss`` is what is left over as a share of the
-    first.
+    ``grade`` is its mean, uphill positive.
     """
 
     stretch: Stretch
@@ -147,16 +139,12 @@ class Run:
     speed_ms: Column
     theory_ms: Column
     configured_ms: Column
-    kinetic_j: float
-    resistance_j: float
-    climb_j: float
-    drive_j: float
+    balance: Balance
 
     @property
     def miss(self) -> float:
         """What Eq 4.5 leaves over, as a share of the kinetic energy."""
-        left_j = self.kinetic_j - self.resistance_j - self.climb_j
-        return (left_j + self.drive_j) / self.kinetic_j
+        return self.balance.brake_j / self.balance.kinetic_j
 
     @property
     def residual_rms_ms(self) -> float:
@@ -195,11 +183,7 @@ def run_of(
         speed,
         theory(car, speed, traction, slope_ms2),
         theory(driving.vehicle, speed, traction, slope_ms2),
-        car.kinetic_energy_j(float(speed[0]))
-        - car.kinetic_energy_j(float(speed[-1])),
-        work_j(resistance_n(car, speed), speed),
-        work_j(car.mass_kg * slope_ms2, speed),
-        work_j(traction, speed),
+        balance_of(car, speed, slope_ms2, traction),
     )
 
 
@@ -223,9 +207,3 @@ def theory(
         middle = v + 0.5 * GRID_S * rate(v)
         v = max(v + GRID_S * rate(middle), 0.0)
     return result
-
-
-def work_j(force_n: Column, speed_ms: Column) -> float:
-    """Return the integral of force times speed over the grid (Eq 4.3)."""
-    power = np.nan_to_num(force_n * speed_ms)
-    return float((power[1:] + power[:-1]).sum()) * 0.5 * GRID_S

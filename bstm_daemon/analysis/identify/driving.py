@@ -132,6 +132,63 @@ def resistance_n(car: Vehicle, speed_ms: Column) -> Column:
     return np.where(speed_ms <= 0.0, 0.0, rolling)
 
 
+@dataclass(frozen=True, slots=True)
+class Span:
+    """Points ``first`` to ``last``, both included, of a time axis."""
+
+    first: int
+    last: int
+
+    @property
+    def points(self) -> slice:
+        """The points as a slice."""
+        return slice(self.first, self.last + 1)
+
+
+@dataclass(frozen=True, slots=True)
+class Balance:
+    """Eq 4.5 in the right form: speeds at both ends and the works [J].
+
+    1/2 m_eff (v0^2 - v1^2) = W_brake + W_drag + W_climb - W_drive
+    """
+
+    from_ms: float
+    to_ms: float
+    kinetic_j: float
+    drag_j: float
+    climb_j: float
+    drive_j: float
+
+    @property
+    def brake_j(self) -> float:
+        """W_brake, nan where the speed is not known."""
+        return self.kinetic_j - self.drag_j - self.climb_j + self.drive_j
+
+
+def balance_of(
+    car: Vehicle, speed_ms: Column, slope_ms2: Column, traction_n: Column
+) -> Balance:
+    """Return Eq 4.5 over columns of the grid, (n,) each.
+
+    *slope_ms2* is g sin(grade), *traction_n* the force that drives the car.
+    """
+    from_ms, to_ms = float(speed_ms[0]), float(speed_ms[-1])
+    return Balance(
+        from_ms,
+        to_ms,
+        car.kinetic_energy_j(from_ms) - car.kinetic_energy_j(to_ms),
+        work_j(resistance_n(car, speed_ms), speed_ms),
+        work_j(car.mass_kg * slope_ms2, speed_ms),
+        work_j(traction_n, speed_ms),
+    )
+
+
+def work_j(force_n: Column, speed_ms: Column) -> float:
+    """Return the integral of force times speed over the grid (Eq 4.3)."""
+    power = np.nan_to_num(force_n * speed_ms)
+    return float((power[1:] + power[:-1]).sum()) * 0.5 * GRID_S
+
+
 def driving_of(
     name: str, recording: Recording, config: Config, signal_map: SignalMap
 ) -> Driving:

@@ -2,9 +2,7 @@
 
 Sources are Feed-Forward and Feed-Back as the estimator integrates them, the
 fused power where that heat mode exists, and the bus's own brake torque. Each
-stop is held against its energy balance, Eq 4.5 in the right form:
-
-    1/2 m_eff (v0^2 - v1^2) = W_brake + W_drag + W_climb - W_drive
+stop is held against its energy balance, Eq 4.5.
 """
 
 from __future__ import annotations
@@ -15,14 +13,13 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from bstm_daemon.analysis.identify.brake_samples import Span, applications
-from bstm_daemon.analysis.identify.coasting import work_j
-from bstm_daemon.analysis.identify.driving import resistance_n
+from bstm_daemon.analysis.identify.brake_samples import applications
+from bstm_daemon.analysis.identify.driving import Balance, balance_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from bstm_daemon.analysis.identify.driving import Driving
+    from bstm_daemon.analysis.identify.driving import Driving, Span
     from bstm_daemon.analysis.statistics.series import Column, Mask, Matrix
     from bstm_daemon.config.sections import Config
     from bstm_daemon.replay.results import Results
@@ -47,23 +44,6 @@ LEAST_POWER_W: Final = 1000.0
 LEAST_FORCE_N: Final = 300.0
 LEAST_ENERGY_J: Final = 2000.0
 """Below, a ratio is of noise."""
-
-
-@dataclass(frozen=True, slots=True)
-class Balance:
-    """Eq 4.5 over a stop: speeds at its ends and the works [J]."""
-
-    from_ms: float
-    to_ms: float
-    kinetic_j: float
-    drag_j: float
-    climb_j: float
-    drive_j: float
-
-    @property
-    def brake_j(self) -> float:
-        """W_brake, nan where the speed is not known."""
-        return self.kinetic_j - self.drag_j - self.climb_j + self.drive_j
 
 
 @dataclass(frozen=True, slots=True)
@@ -271,15 +251,7 @@ def _balance(driving: Driving, begin_s: float, end_s: float) -> Balance:
     if driving.has_accelerometer:
         slope = np.nan_to_num(driving.slope_ms2[part])
     drive = np.nan_to_num(driving.torque_nm[part]) / car.wheel_radius_m
-    from_ms, to_ms = float(speed[0]), float(speed[-1])
-    return Balance(
-        from_ms,
-        to_ms,
-        car.kinetic_energy_j(from_ms) - car.kinetic_energy_j(to_ms),
-        work_j(resistance_n(car, speed), speed),
-        work_j(car.mass_kg * slope, speed),
-        work_j(drive + driving.external_n[part], speed),
-    )
+    return balance_of(car, speed, slope, drive + driving.external_n[part])
 
 
 def _initial_c(results: Results, row: int) -> dict[str, float]:
