@@ -67,7 +67,7 @@ def couple_text(role: str) -> str:
 
 def axle_title(axle: AxleCooling | BrakedAxle) -> str:
     """Return the line of text above the table of an axle."""
-    return f'{axle.axle} discs, S in 1e-3 1/s, [cooling] form = "{axle.form}"'
+    return f'{axle.axle} discs, S in 1e-3 1/s, [cooling] form = "{axle.disc.form}"'
 
 
 def point_rows(axle: AxleCooling) -> list[tuple[str, ...]]:
@@ -121,7 +121,7 @@ def axle_lines(axle: AxleCooling) -> list[str]:
                 f"radiation; all of the loss is {1e3 * point.whole:.3f} +- "
                 f"{1e3 * point.whole_error:.3f}e-3 1/s, of which convection "
                 f"is {100 * axle.still:.0f} % (configured "
-                f"{100 * axle.configured_still:.0f} %); this share leans on "
+                f"{100 * axle.disc.still:.0f} %); this share leans on "
                 "the configured emissivity"
             )
         if len(point.by_corner) > 1:
@@ -159,7 +159,7 @@ def cooling_json(result: Cooling) -> dict[str, Any]:
 def _axle_json(axle: AxleCooling) -> dict[str, Any]:
     return picked(
         axle,
-        "form",
+        form="disc.form",
         standstill_convection_fraction="still",
         covariance="fit.covariance",
         residual_k="fit.residual_k",
@@ -318,7 +318,7 @@ def line_rows(axle: BrakedAxle) -> list[tuple[str, ...]]:
             "yes" if axle.driven(speed) else "no: configured, scaled",
         )
         for speed, configured in zip(
-            axle.speeds_ms, axle.configured.tolist(), strict=True
+            axle.disc.speeds_ms, axle.disc.s_per_s, strict=True
         )
     ]
 
@@ -360,12 +360,12 @@ def braked_json(result: BrakedCooling) -> dict[str, Any]:
 
 
 def _braked_json(axle: BrakedAxle) -> dict[str, Any]:
-    values, errors = zip(*map(axle.at, axle.speeds_ms), strict=True)
+    values, errors = zip(*map(axle.at, axle.disc.speeds_ms), strict=True)
     return picked(
         axle,
-        "form",
+        form="disc.form",
         why_not="caveat",
-        speed_ms="speeds_ms",
+        speed_ms="disc.speeds_ms",
         driven_ms="held_ms",
         fitted_rms_k="fitted_k",
         held_out_rms_k="held_k",
@@ -415,7 +415,7 @@ def braked_page(result: BrakedCooling, subtitle: str) -> Page:
 
 
 def _line_plot(axle: BrakedAxle) -> Plot:
-    speeds = np.array(sorted({*axle.speeds_ms, *axle.held_ms}))
+    speeds = np.array(sorted({*axle.disc.speeds_ms, *axle.held_ms}))
     value, error = np.array([axle.at(float(speed)) for speed in speeds]).T
     x = 3.6 * speeds
     band = [
@@ -431,7 +431,10 @@ def _line_plot(axle: BrakedAxle) -> Plot:
         for side in (1, -1)
     ]
     traces = [
-        _configured(3.6 * np.array(axle.speeds_ms), 1e3 * axle.configured),
+        _configured(
+            3.6 * np.array(axle.disc.speeds_ms),
+            1e3 * np.array(axle.disc.s_per_s),
+        ),
         curve(x, 1e3 * value, "found", VERMILION, width=2.4),
         *band,
     ]

@@ -85,11 +85,10 @@ class AxleCooling:
     """
 
     axle: str
-    form: str
+    disc: DiscLoss
     points: tuple[CoolingPoint, ...]
     table: tuple[tuple[float, float, bool], ...]
     still: float | None
-    configured_still: float
     fit: CoolingFit
     other_residual_k: float
 
@@ -199,11 +198,10 @@ def _axle(
         still = min(slowest.value / slowest.whole, 1.0)
     return AxleCooling(
         axle,
-        "rate" if rate_form else "conductance",
+        discs[0],
         tuple(points),
         _table(points, discs[0]),
         still,
-        discs[0].still,
         fit,
         other.residual_k,
     )
@@ -280,9 +278,9 @@ def _remarks(
     for one in axles:
         best = one.fit.residual_k
         if one.other_residual_k * WRONG_FORM < best:
-            other = "conductance" if one.form == "rate" else "rate"
+            other = "conductance" if one.disc.form == "rate" else "rate"
             remarks.append(
-                f'{one.axle}: with [cooling] form = "{one.form}" the fit '
+                f'{one.axle}: with [cooling] form = "{one.disc.form}" the fit '
                 f"misses by {best:.1f} K rms, with {other!r} by "
                 f"{one.other_residual_k:.1f} K. S of one form is not that of "
                 "the other"

@@ -113,13 +113,11 @@ class BrakedAxle:
     """
 
     axle: str
-    form: str
+    disc: DiscLoss
     mean_speed_ms: float
     held_ms: tuple[float, float]
     s_per_s: Column
     covariance: Matrix
-    speeds_ms: tuple[float, ...]
-    configured: Column
     heat: tuple[float, float]
     resist: tuple[float, float]
     fitted_k: float
@@ -141,9 +139,7 @@ class BrakedAxle:
         low, high = self.held_ms
         if not self.driven(speed_ms):
             end = low if speed_ms < low else high
-            there, here = np.interp(
-                [end, speed_ms], self.speeds_ms, self.configured
-            )
+            there, here = self.disc.configured(np.array([end, speed_ms]))
             factor = float(here / max(there, _LEAST_PER_S))
             value, error = self.at(end)
             return value * factor, error * factor
@@ -172,7 +168,7 @@ class BrakedAxle:
             return ()
         return tuple(
             (speed, self.at(speed)[0], self.driven(speed))
-            for speed in self.speeds_ms
+            for speed in self.disc.speeds_ms
         )
 
 
@@ -391,13 +387,11 @@ def _axle(
     errors = np.sqrt(np.diag(spread))
     return BrakedAxle(
         axle,
-        "rate" if loss.rate_form else "conductance",
+        loss,
         float(speeds.mean()),
         (low, high),
         values[:2],
         spread[:2, :2],
-        loss.speeds_ms,
-        loss.configured(np.array(loss.speeds_ms)),
         (float(values[2]), float(errors[2])),
         (float(values[3]), float(errors[3])),
         float(np.sqrt(fitted / held.size)),

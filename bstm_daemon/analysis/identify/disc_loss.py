@@ -51,6 +51,11 @@ class DiscLoss:
     speeds_ms: tuple[float, ...]
     s_per_s: tuple[float, ...]
 
+    @property
+    def form(self) -> str:
+        """The ``[cooling] form`` that S is given in."""
+        return "rate" if self.rate_form else "conductance"
+
     def configured(self, speed_ms: Column | float) -> Column:
         """Return S of the configuration at *speed_ms*, (n,)."""
         return np.asarray(np.interp(speed_ms, self.speeds_ms, self.s_per_s))

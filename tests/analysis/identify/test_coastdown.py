@@ -204,7 +204,9 @@ def test_energy_is_balanced_in_the_right_form(
             / 0.3418**2
             * (run.speed_ms[0] ** 2 - run.speed_ms[-1] ** 2)
         )
-        assert wheels_j / run.balance.kinetic_j == pytest.approx(0.0119, abs=2e-4)
+        assert wheels_j / run.balance.kinetic_j == pytest.approx(
+            0.0119, abs=2e-4
+        )
 
 
 def test_theory_solves_eq_4_2(driving: Reader, logged: Logged) -> None:
