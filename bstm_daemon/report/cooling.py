@@ -67,7 +67,8 @@ def couple_text(role: str) -> str:
 
 def axle_title(axle: AxleCooling | BrakedAxle) -> str:
     """Return the line of text above the table of an axle."""
-    return f'{axle.axle} discs, S in 1e-3 1/s, [cooling] form = "{axle.disc.form}"'
+    form = axle.disc.form
+    return f'{axle.axle} discs, S in 1e-3 1/s, [cooling] form = "{form}"'
 
 
 def point_rows(axle: AxleCooling) -> list[tuple[str, ...]]:
@@ -417,6 +418,7 @@ def braked_page(result: BrakedCooling, subtitle: str) -> Page:
 def _line_plot(axle: BrakedAxle) -> Plot:
     speeds = np.array(sorted({*axle.disc.speeds_ms, *axle.held_ms}))
     value, error = np.array([axle.at(float(speed)) for speed in speeds]).T
+    table = np.array([axle.disc.speeds_ms, axle.disc.s_per_s])
     x = 3.6 * speeds
     band = [
         curve(
@@ -431,10 +433,7 @@ def _line_plot(axle: BrakedAxle) -> Plot:
         for side in (1, -1)
     ]
     traces = [
-        _configured(
-            3.6 * np.array(axle.disc.speeds_ms),
-            1e3 * np.array(axle.disc.s_per_s),
-        ),
+        _configured(3.6 * table[0], 1e3 * table[1]),
         curve(x, 1e3 * value, "found", VERMILION, width=2.4),
         *band,
     ]
