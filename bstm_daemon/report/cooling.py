@@ -244,15 +244,7 @@ def _table_plot(axle: AxleCooling) -> Plot:
     """Plot what was found; at standstill S is all of the loss."""
     driven = [p for p in axle.points if p.speed_ms > 0.0]
     speed = 3.6 * np.array([p.speed_ms for p in axle.points])
-    found = np.array(
-        [p.whole if p.speed_ms <= 0.0 else p.value for p in axle.points]
-    )
-    error = np.array(
-        [
-            p.whole_error if p.speed_ms <= 0.0 else p.standard_error
-            for p in axle.points
-        ]
-    )
+    found, error = np.array([p.loss for p in axle.points]).T
     pairs = np.array([p.ten_pairs for p in axle.points])
     points = cloud(speed, 1e3 * found, "found", VERMILION, size=8)
     points["error_y"] = {

@@ -70,6 +70,13 @@ class CoolingPoint(Value):
     series: tuple[Series, ...]
 
     @property
+    def loss(self) -> tuple[float, float]:
+        """What to configure as S: all of the loss, and its standard error."""
+        if self.speed_ms <= 0.0:
+            return self.whole, self.whole_error
+        return self.value, self.standard_error
+
+    @property
     def residual_k(self) -> float:
         """Root mean square of measurement less model."""
         return rms_k(self.series)
@@ -245,9 +252,7 @@ def _table(
     """
     # at standstill S is the whole loss, of which a fraction is convection
     measured = {
-        point.speed_ms: point.whole if point.speed_ms <= 0.0 else point.value
-        for point in points
-        if point.identified
+        point.speed_ms: point.loss[0] for point in points if point.identified
     }
     if not measured:
         return ()

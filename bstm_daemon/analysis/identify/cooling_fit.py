@@ -14,7 +14,7 @@ from bstm_daemon.analysis.statistics.whitening import likeliest_drift
 from bstm_daemon.model.thermal.brake_corner import REFERENCE_K
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from bstm_daemon.analysis.statistics.series import Column, Matrix
     from bstm_daemon.analysis.statistics.whitening import DriftNoise
@@ -103,33 +103,44 @@ class _Regression:
                 [float(one[0]) for one in self.measured],
             )
         )
-        speeds = [down.bins(down.speed_ms) for down in downs]
-        pads_k = [down.bins(down.pad_k) for down in downs]
-        self._ambient_k = _side_by_side(
-            [down.bins(down.ambient_k) for down in downs], REFERENCE_K
+        of_downs = [
+            (down, loss, speeds_ms[group])
+            for down, loss, group in zip(downs, losses, groups, strict=True)
+        ]
+
+        def side_by_side(
+            bins: Callable[[CoolDown, DiscLoss, float], Column],
+            fill: float = 0.0,
+        ) -> Matrix:
+            """Return *bins* of each cool-down as a column, *fill* below."""
+            matrix = np.full((max(self.lengths), len(downs)), fill)
+            matrix[self.bin, self.down] = np.concatenate(
+                [bins(*one) for one in of_downs]
+            )
+            return matrix
+
+        self._ambient_k = side_by_side(
+            lambda down, *_: down.bins(down.ambient_k), REFERENCE_K
         )
-        self._strength = _side_by_side(
-            [
-                loss.shape(speed, speeds_ms[group])
-                for loss, speed, group in zip(
-                    losses, speeds, groups, strict=True
-                )
-            ]
+        self._strength = side_by_side(
+            lambda down, loss, mean_ms: loss.shape(
+                down.bins(down.speed_ms), mean_ms
+            )
         )
         # without what is beside S, S holds all of the loss
-        self._radiation = beside * _side_by_side(
-            [
-                loss.radiation_w_k4 * loss.radiating(speed)
-                for loss, speed in zip(losses, speeds, strict=True)
-            ]
+        self._radiation = beside * side_by_side(
+            lambda down, loss, _: (
+                loss.radiation_w_k4 * loss.radiating(down.bins(down.speed_ms))
+            )
         )
-        self._pads = beside * _side_by_side(
-            [
-                np.where(np.isfinite(pad_k), loss.pads_w_k4, 0.0)
-                for loss, pad_k in zip(losses, pads_k, strict=True)
-            ]
+        self._pads = beside * side_by_side(
+            lambda down, loss, _: (
+                loss.pads_w_k4 * np.isfinite(down.bins(down.pad_k))
+            )
         )
-        self._pad_k4 = _side_by_side([np.nan_to_num(k) ** 4 for k in pads_k])
+        self._pad_k4 = side_by_side(
+            lambda down, *_: np.nan_to_num(down.bins(down.pad_k)) ** 4
+        )
         self._capacities = HeatCapacities(losses, [rate_form for _ in losses])
 
     def _guess(self, group: int) -> float:
@@ -202,14 +213,6 @@ class _Regression:
             second = step_s * slope(now + first, step)
             now = now + 0.5 * (first + second)
         return out
-
-
-def _side_by_side(columns: Sequence[Column], fill: float = 0.0) -> Matrix:
-    """Return *columns* as one matrix, (longest, columns), *fill* below."""
-    matrix = np.full((max(map(len, columns)), len(columns)), fill)
-    for place, column in enumerate(columns):
-        matrix[: len(column), place] = column
-    return matrix
 
 
 def fit_cooling(
