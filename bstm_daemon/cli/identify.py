@@ -54,7 +54,7 @@ NOTHING_IDENTIFIED: Final = 1
 class Kind(NamedTuple):
     """What is identified: how, and its result in every form."""
 
-    identify: Callable[[list[Driving], Config, argparse.Namespace], Any]
+    identify: Callable[..., Any]
     text: Callable[[Any], str]
     page: Callable[[Any, str], Page]
     data: Callable[[Any], dict[str, Any]]
@@ -64,34 +64,28 @@ class Kind(NamedTuple):
 WHILE_BRAKING: Final = "cooling while braking"
 KINDS: Final = {
     "coastdown": Kind(
-        lambda drivings, config, args: identify_coast_down(
-            drivings,
-            config.vehicle,
-            held={HOLDABLE[name] for name in args.hold},
-            one_way=args.one_way,
-            even_grade=args.even_grade,
-        ),
+        identify_coast_down,
         coastdown.coast_down_text,
         coastdown.coast_down_page,
         coastdown.coast_down_json,
         lambda result, _: coast_down_changes(result),
     ),
     "brakes": Kind(
-        lambda drivings, config, _: identify_brakes(drivings, config),
+        identify_brakes,
         brakes.brakes_text,
         brakes.brakes_page,
         brakes.brakes_json,
         brake_changes,
     ),
     "cooling": Kind(
-        lambda drivings, config, _: identify_cooling(drivings, config),
+        identify_cooling,
         cooling.cooling_text,
         cooling.cooling_page,
         cooling.cooling_json,
         lambda result, config: cooling_changes(result.axles, config),
     ),
     WHILE_BRAKING: Kind(
-        lambda drivings, config, _: identify_while_braking(drivings, config),
+        identify_while_braking,
         cooling.braked_text,
         cooling.braked_page,
         cooling.braked_json,
@@ -152,7 +146,11 @@ def run(args: argparse.Namespace) -> int:
     names = ", ".join(log.name for log in args.logs)
     subtitle = f"{names} · {config.vehicle.id} · {args.config.name}"
     kind = KINDS[WHILE_BRAKING if args.while_braking else args.what]
-    result = kind.identify(drivings, config, args)
+    options: dict[str, Any] = {}
+    if args.what == "coastdown":
+        options["held"] = {HOLDABLE[name] for name in args.hold}
+        options |= {"one_way": args.one_way, "even_grade": args.even_grade}
+    result = kind.identify(drivings, config, **options)
     print(f"{subtitle}\n{kind.text(result)}")
     if args.report:
         write_page(args.report, kind.page(result, subtitle))

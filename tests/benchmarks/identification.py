@@ -107,9 +107,7 @@ def _coast_row(sensors: str, way: str, cars: int) -> tuple[str, ...]:
         read = _driving(
             "coastdown", sensors, seed, car=replace(NOMINAL, **true)
         )
-        found = identify_coast_down(
-            [read], config.vehicle, even_grade=COASTS[way]
-        )
+        found = identify_coast_down([read], config, even_grade=COASTS[way])
         errors = [abs(found.values[k].value - true[k]) for k in KEYS]
         apart.append([errors[0] / true[KEYS[0]], *errors[1:]])
         within += [

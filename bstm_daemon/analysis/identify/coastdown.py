@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
     from bstm_daemon.analysis.identify.driving import Driving
     from bstm_daemon.analysis.statistics.series import Column, Matrix
-    from bstm_daemon.config.sections import VehicleConfig
+    from bstm_daemon.config.sections import Config, VehicleConfig
 
 NAMES: Final = ("drag_area_m2", "friction_ns_m", "rolling_resistance")
 """Keys of ``[vehicle]``, in the order of the fit's columns."""
@@ -89,7 +89,7 @@ class CoastDown:
 
 def identify_coast_down(
     drivings: Sequence[Driving],
-    vehicle: VehicleConfig,
+    config: Config,
     *,
     held: Collection[str] = (),
     one_way: bool = False,
@@ -99,7 +99,7 @@ def identify_coast_down(
 
     Args:
         drivings: the logs.
-        vehicle: the configured values: mass and wheels are taken from it.
+        config: the car; its mass and wheels are taken as they are.
         held: keys of :data:`NAMES` that keep their configured value.
         one_way: the runs do not return on their road, so that nothing tells
             f_r from grade and bias.
@@ -125,6 +125,7 @@ def identify_coast_down(
             )
         raise LogError(msg)
     with_sensor = not even_grade and all(d.has_accelerometer for d in drivings)
+    vehicle = config.vehicle
     fit = fit_windows(stretches, vehicle, held, with_sensor=with_sensor)
     return _result(
         stretches, fit, vehicle, held, tuple(searched), one_way=one_way
