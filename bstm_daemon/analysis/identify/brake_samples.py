@@ -311,7 +311,10 @@ def _usable(
         usable &= lowest > LEAST_PRESSURE_PA
         rate = np.abs(np.gradient(window_mean(pressure), GRID_S))
         usable &= rate < (JUMPING_PA_S if every_stop else STEADY_PA_S)
-    usable &= ~flagged(driving.channels, CONTROL[1 if every_stop else 0 :])
+    control = set(CONTROL)
+    if every_stop:
+        control.remove("abs_active")
+    usable &= ~flagged(driving.channels, control)
     if driving.channels.alive(["yaw_rate"]):
         bend = np.abs(driving.value("yaw_rate") * driving.speed_ms)
         usable &= ~(bend > CORNERING_MS2)

@@ -30,7 +30,7 @@ from bstm_daemon.errors import LogError
 from bstm_daemon.model.heat.feed_back import Vehicle
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable
 
     from bstm_daemon.analysis.quality.recording import Recording
     from bstm_daemon.bus.signals.signal_map import SignalMap
@@ -239,7 +239,7 @@ def driving_of(
     )
 
 
-def flagged(channels: Channels, roles: Sequence[str]) -> Mask:
+def flagged(channels: Channels, roles: Iterable[str]) -> Mask:
     """Return where one of the flags *roles* is set, (n,)."""
     set_flags = np.zeros(len(channels.time_s), bool)
     for role in channels.alive(roles):
