@@ -55,7 +55,7 @@ def speed_text(speed_ms: float) -> str:
     return "parked" if speed_ms <= 0.0 else f"{3.6 * speed_ms:.0f} km/h"
 
 
-def per_mille(s_per_s: float) -> str:
+def s_text(s_per_s: float) -> str:
     """Return S as text, in 1e-3 1/s."""
     return f"{1e3 * s_per_s:.3f}"
 
@@ -76,11 +76,11 @@ def point_rows(axle: AxleCooling) -> list[tuple[str, ...]]:
     return [
         (
             speed_text(point.speed_ms),
-            per_mille(point.value),
-            per_mille(point.standard_error),
-            per_mille(point.ten_pairs),
-            per_mille(point.ten_pairs_spread),
-            per_mille(point.configured),
+            s_text(point.value),
+            s_text(point.standard_error),
+            s_text(point.ten_pairs),
+            s_text(point.ten_pairs_spread),
+            s_text(point.configured),
             str(len(point.series)),
             _range(point),
             f"{point.residual_k:.1f} K",
@@ -101,7 +101,7 @@ def table_rows(axle: AxleCooling) -> list[tuple[str, ...]]:
     return [
         (
             f"{speed:.2f} m/s",
-            per_mille(s),
+            s_text(s),
             "measured" if measured else "configured, scaled by neighbours",
         )
         for speed, s, measured in axle.table
@@ -307,7 +307,7 @@ def line_rows(axle: BrakedAxle) -> list[tuple[str, ...]]:
     return [
         (
             f"{3.6 * speed:.0f} km/h",
-            *(per_mille(s_per_s) for s_per_s in (*axle.at(speed), configured)),
+            *(s_text(s_per_s) for s_per_s in (*axle.at(speed), configured)),
             "yes" if axle.driven(speed) else "no: configured, scaled",
         )
         for speed, configured in zip(
