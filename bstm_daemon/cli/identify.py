@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from bstm_daemon.analysis.identify.brakes import identify_brakes
 from bstm_daemon.analysis.identify.coastdown import NAMES, identify_coast_down
@@ -31,39 +31,67 @@ from bstm_daemon.cli.arguments import (
 from bstm_daemon.cli.progress import Progress
 from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.errors import UsageError
-from bstm_daemon.report.brakes import brakes_json, brakes_page, brakes_text
-from bstm_daemon.report.coastdown import (
-    coast_down_json,
-    coast_down_page,
-    coast_down_text,
-)
-from bstm_daemon.report.cooling import (
-    cooling_json,
-    cooling_page,
-    cooling_text,
-)
-from bstm_daemon.report.cooling_while_braking import (
-    braked_json,
-    braked_page,
-    braked_text,
-)
+from bstm_daemon.report import brakes, coastdown, cooling
 from bstm_daemon.report.json_file import write_json
 from bstm_daemon.report.shell import write_page
 
 if TYPE_CHECKING:
     import argparse
+    from collections.abc import Callable
 
     from bstm_daemon.analysis.identify.driving import Driving
     from bstm_daemon.analysis.identify.writing import Change
     from bstm_daemon.bus.signals.signal_map import SignalMap
     from bstm_daemon.config.sections import Config
+    from bstm_daemon.report.shell import Page
 
 HOLDABLE: Final = dict(
     zip(("drag", "friction", "rolling"), NAMES, strict=True)
 )
-
-
 NOTHING_IDENTIFIED: Final = 1
+
+
+class Kind(NamedTuple):
+    """What is identified: how, and its result in every form."""
+
+    identify: Callable[..., Any]
+    text: Callable[[Any], str]
+    page: Callable[[Any, str], Page]
+    data: Callable[[Any], dict[str, Any]]
+    changes: Callable[[Any, Config], list[Change]]
+
+
+WHILE_BRAKING: Final = "cooling while braking"
+KINDS: Final = {
+    "coastdown": Kind(
+        identify_coast_down,
+        coastdown.coast_down_text,
+        coastdown.coast_down_page,
+        coastdown.coast_down_json,
+        lambda result, _: coast_down_changes(result),
+    ),
+    "brakes": Kind(
+        identify_brakes,
+        brakes.brakes_text,
+        brakes.brakes_page,
+        brakes.brakes_json,
+        brake_changes,
+    ),
+    "cooling": Kind(
+        identify_cooling,
+        cooling.cooling_text,
+        cooling.cooling_page,
+        cooling.cooling_json,
+        lambda result, config: cooling_changes(result.axles, config),
+    ),
+    WHILE_BRAKING: Kind(
+        identify_while_braking,
+        cooling.braked_text,
+        cooling.braked_page,
+        cooling.braked_json,
+        lambda result, config: cooling_changes(result.axles, config),
+    ),
+}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -117,17 +145,21 @@ def run(args: argparse.Namespace) -> int:
     drivings = _drivings(args, config, signal_map)
     names = ", ".join(log.name for log in args.logs)
     subtitle = f"{names} · {config.vehicle.id} · {args.config.name}"
-    identify = {
-        "coastdown": _coast_down,
-        "brakes": _brakes,
-        "cooling": _cooling,
-    }[args.what]
-    data, changes = identify(args, config, drivings, subtitle)
+    kind = KINDS[WHILE_BRAKING if args.while_braking else args.what]
+    options: dict[str, Any] = {}
+    if args.what == "coastdown":
+        options["held"] = {HOLDABLE[name] for name in args.hold}
+        options |= {"one_way": args.one_way, "even_grade": args.even_grade}
+    result = kind.identify(drivings, config, **options)
+    print(f"{subtitle}\n{kind.text(result)}")
+    if args.report:
+        write_page(args.report, kind.page(result, subtitle))
     if args.json:
-        result = {"files": [str(log) for log in args.logs], **data}
-        write_json(args.json, result)
+        files = [str(log) for log in args.logs]
+        write_json(args.json, {"files": files, **kind.data(result)})
     if args.report:
         print(args.report)
+    changes = kind.changes(result, config)
     if args.out is not None:
         _write(args, changes, f"bstm identify {args.what}, {names}")
     return 0 if changes else NOTHING_IDENTIFIED
@@ -161,66 +193,6 @@ def _drivings(
                 driving_of(log.name, recording, config, signal_map)
             )
     return drivings
-
-
-def _coast_down(
-    args: argparse.Namespace,
-    config: Config,
-    drivings: list[Driving],
-    subtitle: str,
-) -> tuple[dict[str, Any], list[Change]]:
-    result = identify_coast_down(
-        drivings,
-        config.vehicle,
-        held={HOLDABLE[name] for name in args.hold},
-        one_way=args.one_way,
-        even_grade=args.even_grade,
-    )
-    print(f"{subtitle}\n{coast_down_text(result)}")
-    if args.report:
-        write_page(args.report, coast_down_page(result, subtitle))
-    return coast_down_json(result), coast_down_changes(result)
-
-
-def _brakes(
-    args: argparse.Namespace,
-    config: Config,
-    drivings: list[Driving],
-    subtitle: str,
-) -> tuple[dict[str, Any], list[Change]]:
-    result = identify_brakes(drivings, config)
-    print(f"{subtitle}\n{brakes_text(result)}")
-    if args.report:
-        write_page(args.report, brakes_page(result, subtitle))
-    return brakes_json(result), brake_changes(result, config)
-
-
-def _cooling(
-    args: argparse.Namespace,
-    config: Config,
-    drivings: list[Driving],
-    subtitle: str,
-) -> tuple[dict[str, Any], list[Change]]:
-    if args.while_braking:
-        return _while_braking(args, config, drivings, subtitle)
-    result = identify_cooling(drivings, config)
-    print(f"{subtitle}\n{cooling_text(result)}")
-    if args.report:
-        write_page(args.report, cooling_page(result, subtitle))
-    return cooling_json(result), cooling_changes(result.axles, config)
-
-
-def _while_braking(
-    args: argparse.Namespace,
-    config: Config,
-    drivings: list[Driving],
-    subtitle: str,
-) -> tuple[dict[str, Any], list[Change]]:
-    result = identify_while_braking(drivings, config)
-    print(f"{subtitle}\n{braked_text(result)}")
-    if args.report:
-        write_page(args.report, braked_page(result, subtitle))
-    return braked_json(result), cooling_changes(result.axles, config)
 
 
 def _write(

@@ -34,18 +34,27 @@ LEAST_SPAN: Final = 0.05
 """A friction axis reaches so far to both sides of the median."""
 
 
+VALUES: Final = (
+    ("friction scale", "scale", "friction_scale", "{:.4f}", 1.0),
+    ("front", "front_scale", "front_scale", "{:.4f}", 1.0),
+    ("rear", "rear_scale", "rear_scale", "{:.4f}", 1.0),
+    ("push-out", "pushout_pa", "pushout_pressure_pa", "{:.3f} bar", 1e-5),
+    ("front share", "front_share", "front_share", "{:.3f}", 1.0),
+    ("exponent of speed", "lean_speed", "speed_exponent", "{:+.3f}", 1.0),
+    (
+        "exponent of pressure",
+        "lean_pressure",
+        "pressure_exponent",
+        "{:+.3f}",
+        1,
+    ),
+    ("hydraulic lag", "lag_s", "lag_s", "{:.2f} s", 1.0),
+)
+"""Each value: name, attribute, key in JSON, form, factor on what is SI."""
+
+
 def brake_rows(result: Brakes) -> list[tuple[str, ...]]:
     """Return name, value, error and verdict of what the brakes have."""
-    rows = [
-        ("friction scale", result.scale, "{:.4f}", 1.0),
-        ("front", result.front_scale, "{:.4f}", 1.0),
-        ("rear", result.rear_scale, "{:.4f}", 1.0),
-        ("push-out", result.pushout_pa, "{:.3f} bar", 1e-5),
-        ("front share", result.front_share, "{:.3f}", 1.0),
-        ("exponent of speed", result.lean_speed, "{:+.3f}", 1.0),
-        ("exponent of pressure", result.lean_pressure, "{:+.3f}", 1.0),
-        ("hydraulic lag", result.lag_s, "{:.2f} s", 1.0),
-    ]
     return [
         (
             name,
@@ -55,8 +64,8 @@ def brake_rows(result: Brakes) -> list[tuple[str, ...]]:
             number(found.standard_error * factor, 2),
             "identified" if found.identified else f"not: {found.caveat}",
         )
-        for name, found, form, factor in rows
-        if found is not None
+        for name, attribute, _, form, factor in VALUES
+        if (found := getattr(result, attribute)) is not None
     ]
 
 
@@ -93,14 +102,15 @@ def stop_rows(result: Brakes) -> list[tuple[str, ...]]:
 
 def brakes_text(result: Brakes) -> str:
     """Return the result as text for the screen."""
-    rows = brake_rows(result)
+    rows, samples = brake_rows(result), result.samples
     identified = [row for row in rows if row[3] == "identified"]
     lines = columns(
         [("value", "found", "+-"), *(row[:3] for row in identified)]
     )
     lines.append(
-        f"at {3.6 * result.speed_ms:.0f} km/h and "
-        f"{result.pressure_pa / 1e5:.1f} bar; {result.samples} samples, "
+        f"at {3.6 * samples.speed_mean_ms:.0f} km/h and "
+        f"{samples.pressure_mean_pa / 1e5:.1f} bar; "
+        f"{len(samples.stop)} samples, "
         f"residual {result.residual_n:.0f} N; the released pressure reads "
         f"{result.rest_pa / 1e5:+.3f} bar"
     )
@@ -112,14 +122,7 @@ def brakes_text(result: Brakes) -> str:
 def brakes_json(result: Brakes) -> dict[str, Any]:
     """Return the result as plain data, SI."""
     found = {
-        "friction_scale": result.scale,
-        "front_scale": result.front_scale,
-        "rear_scale": result.rear_scale,
-        "pushout_pressure_pa": result.pushout_pa,
-        "front_share": result.front_share,
-        "speed_exponent": result.lean_speed,
-        "pressure_exponent": result.lean_pressure,
-        "lag_s": result.lag_s,
+        key: getattr(result, attribute) for _, attribute, key, *_ in VALUES
     }
     return {
         name: one
@@ -130,11 +133,12 @@ def brakes_json(result: Brakes) -> dict[str, Any]:
     } | {
         **picked(
             result,
-            *("residual_n", "samples", "searched", "remarks"),
+            *("residual_n", "searched", "remarks"),
             released_pressure_pa="rest_pa",
-            at_speed_ms="speed_ms",
-            at_pressure_pa="pressure_pa",
+            at_speed_ms="samples.speed_mean_ms",
+            at_pressure_pa="samples.pressure_mean_pa",
         ),
+        "samples": len(result.samples.stop),
         "stops": [
             picked(
                 stop,
@@ -150,16 +154,14 @@ def brakes_json(result: Brakes) -> dict[str, Any]:
 
 def brakes_page(result: Brakes, subtitle: str) -> Page:
     """Return the page of the brakes: values, friction, stops."""
+    rows = brake_rows(result)
+    values = [
+        (*row[:3], "yes" if row[3] == "identified" else "no") for row in rows
+    ]
     sections = [
         Section(
             "Brakes",
-            Table(
-                ("value", "found", "+-", "identified"),
-                [
-                    (*row[:3], "yes" if row[3] == "identified" else "no")
-                    for row in brake_rows(result)
-                ],
-            ),
+            Table(("value", "found", "+-", "identified"), values),
             lines=[*brake_doubts(result), *result.searched, *result.remarks],
         ),
         Section(
@@ -168,7 +170,7 @@ def brakes_page(result: Brakes, subtitle: str) -> Page:
             note="Friction over its configured value: brake force from "
             "motion over that of Eq 4.1 at the pressure less push-out. The "
             "line and the value hold at "
-            f"{3.6 * result.speed_ms:.0f} km/h.",
+            f"{3.6 * result.samples.speed_mean_ms:.0f} km/h.",
         ),
         Section("Stops", Table(STOP_HEAD, stop_rows(result))),
     ]
@@ -191,21 +193,14 @@ def brakes_page(result: Brakes, subtitle: str) -> Page:
 
 
 def _friction_plots(result: Brakes) -> list[tuple[str, Plot]]:
-    stops = result.stops
-    pressure = np.concatenate([stop.pressure_pa for stop in stops]) / 1e5
-    speed = 3.6 * np.concatenate([stop.speed_ms for stop in stops])
-    ratio = np.concatenate([result.ratio(stop) for stop in stops])
-    before = np.concatenate(
-        [
-            np.full(
-                len(stop.since_s),
-                np.mean(list(stop.initial_c.values()))
-                if stop.initial_c
-                else np.nan,
-            )
-            for stop in stops
-        ]
-    )
+    stops, samples = result.stops, result.samples
+    pressure, speed = samples.pressure_pa / 1e5, 3.6 * samples.speed_ms
+    ratio = result.ratio(samples)
+    discs_c = [
+        np.mean(list(stop.initial_c.values())) if stop.initial_c else np.nan
+        for stop in stops
+    ]
+    before = np.array(discs_c)[samples.stop]
     y_title = "friction over configured"
     axis = {"range": wide_range(ratio, LEAST_SPAN)}
     within = [
@@ -230,15 +225,9 @@ def _friction_plots(result: Brakes) -> list[tuple[str, Plot]]:
         ("pressure", "pressure [bar]", pressure, speed, "km/h"),
     ]
     if np.isfinite(before).any():
-        quantities.append(
-            (
-                "the discs' temperature before the stop",
-                "measured disc before the stop [°C]",
-                before,
-                pressure,
-                "bar",
-            )
-        )
+        name = "the discs' temperature before the stop"
+        x_title = "measured disc before the stop [°C]"
+        quantities.append((name, x_title, before, pressure, "bar"))
     for name, x_title, x, shade, unit in quantities:
         points = cloud(x, ratio, "", shade=shade, shade_title=unit)
         drawn = plot([points], x_title, y_title, yaxis=axis)
@@ -247,16 +236,14 @@ def _friction_plots(result: Brakes) -> list[tuple[str, Plot]]:
 
 
 def _force_plot(result: Brakes) -> Plot:
-    stops = result.stops
-    pressure = np.concatenate([stop.pressure_pa for stop in stops]) / 1e5
-    force = np.concatenate([stop.force_n for stop in stops]) / 1e3
-    gain = stops[0].gain
+    samples = result.samples
+    pressure, gain = samples.pressure_pa / 1e5, samples.gain
     whole = np.array([0.0, pressure.max()])
     ends = np.array([result.pushout_pa.value / 1e5, pressure.max()])
     line = 1e2 * result.scale.value * gain * (ends - ends[0])
     return plot(
         [
-            cloud(pressure, force, "samples", BLUE),
+            cloud(pressure, samples.force_n / 1e3, "samples", BLUE),
             curve(
                 whole,
                 1e2 * gain * whole,

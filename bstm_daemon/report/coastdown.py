@@ -12,7 +12,7 @@ from bstm_daemon.report.timescale import clock
 
 if TYPE_CHECKING:
     from bstm_daemon.analysis.identify.coastdown import CoastDown
-    from bstm_daemon.analysis.identify.coastdown_run import Run
+    from bstm_daemon.analysis.identify.coasting import Run
     from bstm_daemon.report.plots import Plot
 
 UNITS: Final = {
@@ -25,6 +25,7 @@ RUN_HEAD: Final = (
     *("climb", "left over", "v rms"),
 )
 VALUE_HEAD: Final = ("value", "found", "+-", "configured", "verdict")
+BALANCE: Final = ("from_ms", "to_ms", "kinetic_j", "climb_j", "drive_j")
 _DIRECTIONS: Final = {1: "up", -1: "down", 0: "-"}
 
 
@@ -32,13 +33,13 @@ def value_rows(result: CoastDown) -> list[tuple[str, ...]]:
     """Return name, value, error, configured and verdict of each value."""
     return [
         (
-            one.name,
-            f"{number(one.value)} {UNITS[one.name]}",
+            name,
+            f"{number(one.value)} {UNITS[name]}",
             number(one.standard_error, 2),
             number(one.configured),
             "identified" if one.identified else one.caveat,
         )
-        for one in result.values
+        for name, one in result.values.items()
     ]
 
 
@@ -51,9 +52,9 @@ def run_rows(result: CoastDown) -> list[tuple[str, ...]]:
             f"{3.6 * run.speed_ms[0]:.0f} to {3.6 * run.speed_ms[-1]:.0f}",
             _DIRECTIONS[run.direction],
             f"{100 * run.grade:+.2f} %",
-            f"{run.kinetic_j / 1e3:.1f} kJ",
-            f"{run.resistance_j / 1e3:.1f} kJ",
-            f"{run.climb_j / 1e3:.1f} kJ",
+            f"{run.balance.kinetic_j / 1e3:.1f} kJ",
+            f"{run.balance.drag_j / 1e3:.1f} kJ",
+            f"{run.balance.climb_j / 1e3:.1f} kJ",
             f"{100 * run.miss:+.2f} %",
             f"{3.6 * run.residual_rms_ms:.2f} km/h",
         )
@@ -83,26 +84,26 @@ def coast_down_json(result: CoastDown) -> dict[str, Any]:
     """Return the result as plain data, SI."""
     return own_fields(result, "bias_ms2") | {
         "values": {
-            one.name: picked(
+            name: picked(
                 one,
                 *("value", "standard_error", "configured", "identified"),
                 why_not="caveat",
             )
-            for one in result.values
+            for name, one in result.values.items()
         },
         "accelerometer_bias_ms2": result.bias_ms2,
         "runs": [
             picked(
                 run,
-                *("direction", "grade", "kinetic_j", "resistance_j"),
-                *("climb_j", "drive_j"),
+                *("direction", "grade"),
+                **{key: f"balance.{key}" for key in BALANCE},
+                resistance_j="balance.drag_j",
                 log="stretch.driving.name",
                 start_s="stretch.start_s",
                 duration_s="stretch.duration_s",
                 energy_left_over="miss",
                 speed_rms_ms="residual_rms_ms",
             )
-            | {"from_ms": run.speed_ms[0], "to_ms": run.speed_ms[-1]}
             for run in result.runs
         ],
     }
@@ -136,8 +137,8 @@ def coast_down_page(result: CoastDown, subtitle: str) -> Page:
         ),
     ]
     tiles = [
-        (number(one.value), f"{one.name} +- {number(one.standard_error, 2)}")
-        for one in result.values
+        (number(one.value), f"{name} +- {number(one.standard_error, 2)}")
+        for name, one in result.values.items()
     ]
     tiles.append((f"{100 * worst:.2f} %", "energy left over, worst run"))
     return Page("Coast-down", sections, tiles, subtitle=subtitle)

@@ -1,4 +1,7 @@
-"""``bstm identify cooling``: its result in words, as page and as JSON."""
+"""``bstm identify cooling``: its results in words, as page and as JSON.
+
+Those of cool-downs, and those of whole drives (``--while-braking``).
+"""
 
 from __future__ import annotations
 
@@ -7,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from bstm_daemon.analysis.identify.cooling_while_braking import WINDOW_S
 from bstm_daemon.report.json_file import picked
 from bstm_daemon.report.plots import (
     BLACK,
@@ -17,17 +21,25 @@ from bstm_daemon.report.plots import (
     cloud,
     curve,
     plot,
+    time_plot,
 )
 from bstm_daemon.report.shell import Page, Section, Table
 from bstm_daemon.report.text import columns, number, wrapped
 from bstm_daemon.units import KELVIN_OFFSET
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
     from bstm_daemon.analysis.identify.cooling import (
         AxleCooling,
         Cooling,
         CoolingPoint,
     )
+    from bstm_daemon.analysis.identify.cooling_while_braking import (
+        BrakedAxle,
+        BrakedCooling,
+    )
+    from bstm_daemon.analysis.statistics.series import Column
     from bstm_daemon.report.plots import Plot
 
 HEAD: Final = (
@@ -35,6 +47,7 @@ HEAD: Final = (
     *("cool-downs", "disc", "rms", "verdict"),
 )
 TABLE_HEAD: Final = ("speed", "S", "from")
+LINE_HEAD: Final = ("speed", "S", "+-", "configured", "driven")
 
 
 def speed_text(speed_ms: float) -> str:
@@ -42,16 +55,32 @@ def speed_text(speed_ms: float) -> str:
     return "parked" if speed_ms <= 0.0 else f"{3.6 * speed_ms:.0f} km/h"
 
 
+def s_text(s_per_s: float) -> str:
+    """Return S as text, in 1e-3 1/s."""
+    return f"{1e3 * s_per_s:.3f}"
+
+
+def couple_text(role: str) -> str:
+    """Return the name of the thermocouple of *role*."""
+    return role.removeprefix("temp_").replace("_", " ")
+
+
+def axle_title(axle: AxleCooling | BrakedAxle) -> str:
+    """Return the line of text above the table of an axle."""
+    form = axle.disc.form
+    return f'{axle.axle} discs, S in 1e-3 1/s, [cooling] form = "{form}"'
+
+
 def point_rows(axle: AxleCooling) -> list[tuple[str, ...]]:
     """Return a row a speed, of :data:`HEAD`; S in 1e-3 1/s."""
     return [
         (
             speed_text(point.speed_ms),
-            f"{1e3 * point.value:.3f}",
-            f"{1e3 * point.standard_error:.3f}",
-            f"{1e3 * point.ten_pairs:.3f}",
-            f"{1e3 * point.ten_pairs_spread:.3f}",
-            f"{1e3 * point.configured:.3f}",
+            s_text(point.value),
+            s_text(point.standard_error),
+            s_text(point.ten_pairs),
+            s_text(point.ten_pairs_spread),
+            s_text(point.configured),
             str(len(point.series)),
             _range(point),
             f"{point.residual_k:.1f} K",
@@ -72,7 +101,7 @@ def table_rows(axle: AxleCooling) -> list[tuple[str, ...]]:
     return [
         (
             f"{speed:.2f} m/s",
-            f"{1e3 * s:.3f}",
+            s_text(s),
             "measured" if measured else "configured, scaled by neighbours",
         )
         for speed, s, measured in axle.table
@@ -93,7 +122,7 @@ def axle_lines(axle: AxleCooling) -> list[str]:
                 f"radiation; all of the loss is {1e3 * point.whole:.3f} +- "
                 f"{1e3 * point.whole_error:.3f}e-3 1/s, of which convection "
                 f"is {100 * axle.still:.0f} % (configured "
-                f"{100 * axle.configured_still:.0f} %); this share leans on "
+                f"{100 * axle.disc.still:.0f} %); this share leans on "
                 "the configured emissivity"
             )
         if len(point.by_corner) > 1:
@@ -113,10 +142,7 @@ def cooling_text(result: Cooling) -> str:
     """Return the result as text for the screen; S in 1e-3 1/s."""
     lines = []
     for axle in result.axles:
-        lines.append(
-            f'{axle.axle} discs, S in 1e-3 1/s, [cooling] form = "{axle.form}"'
-        )
-        lines += columns([HEAD, *point_rows(axle)])
+        lines += [axle_title(axle), *columns([HEAD, *point_rows(axle)])]
         lines += wrapped(axle_lines(axle))
         if axle.table:
             lines += ["", *columns([TABLE_HEAD, *table_rows(axle)])]
@@ -134,7 +160,7 @@ def cooling_json(result: Cooling) -> dict[str, Any]:
 def _axle_json(axle: AxleCooling) -> dict[str, Any]:
     return picked(
         axle,
-        "form",
+        form="disc.form",
         standstill_convection_fraction="still",
         covariance="fit.covariance",
         residual_k="fit.residual_k",
@@ -191,80 +217,58 @@ def cooling_page(result: Cooling, subtitle: str) -> Page:
 
 
 def _sections(axle: AxleCooling) -> list[Section]:
-    sections = [
-        Section(
-            f"{axle.axle.capitalize()} discs: S over speed (Eq 4.12), "
-            "1e-3 1/s",
-            Table(HEAD, point_rows(axle)),
-            plots=(("S over speed", _table_plot(axle)),),
-            lines=axle_lines(axle),
-            note="Bars: two standard errors. Ten pairs: the thesis's average "
-            "over the pairs of five measurements, radiation included.",
-            across=1,
-        ),
-    ]
-    if axle.table:
-        sections.append(
-            Section(
-                f"{axle.axle.capitalize()} discs: the table to configure, "
-                "1e-3 1/s",
-                Table(TABLE_HEAD, table_rows(axle)),
-            )
-        )
-    sections.append(
-        Section(
-            f"{axle.axle.capitalize()} discs: cool-downs (thesis figures "
-            "4.11 and 4.12)",
-            plots=[
-                pair for point in axle.points for pair in _point_plots(point)
-            ],
-            note="Coloured: measured. Black: Eq 4.12 with the S found. "
-            "Dotted: with the ten-pair average.",
-        )
+    name = f"{axle.axle.capitalize()} discs"
+    found = Section(
+        f"{name}: S over speed (Eq 4.12), 1e-3 1/s",
+        Table(HEAD, point_rows(axle)),
+        plots=(("S over speed", _table_plot(axle)),),
+        lines=axle_lines(axle),
+        note="Bars: two standard errors. Ten pairs: the thesis's average "
+        "over the pairs of five measurements, radiation included.",
+        across=1,
     )
-    return sections
+    configure = Section(
+        f"{name}: the table to configure, 1e-3 1/s",
+        Table(TABLE_HEAD, table_rows(axle)),
+    )
+    curves = Section(
+        f"{name}: cool-downs (thesis figures 4.11 and 4.12)",
+        plots=[pair for point in axle.points for pair in _point_plots(point)],
+        note="Coloured: measured. Black: Eq 4.12 with the S found. "
+        "Dotted: with the ten-pair average.",
+    )
+    return [found, *([configure] if axle.table else []), curves]
 
 
 def _table_plot(axle: AxleCooling) -> Plot:
-    driven = [point for point in axle.points if point.speed_ms > 0.0]
-    parked = [point for point in axle.points if point.speed_ms <= 0.0]
-    speed = 3.6 * np.array([p.speed_ms for p in (*parked, *driven)])
-    found = np.array([p.whole for p in parked] + [p.value for p in driven])
-    error = np.array(
-        [p.whole_error for p in parked] + [p.standard_error for p in driven]
-    )
-    pairs = np.array([p.ten_pairs for p in (*parked, *driven)])
-    configured = np.array([p.configured for p in driven])
+    """Plot what was found; at standstill S is all of the loss."""
+    driven = [p for p in axle.points if p.speed_ms > 0.0]
+    speed = 3.6 * np.array([p.speed_ms for p in axle.points])
+    found, error = np.array([p.loss for p in axle.points]).T
+    pairs = np.array([p.ten_pairs for p in axle.points])
     points = cloud(speed, 1e3 * found, "found", VERMILION, size=8)
     points["error_y"] = {
         "type": "data",
         "array": (2e3 * error).tolist(),
         "color": VERMILION,
     }
-    traces = [
-        points,
-        cloud(speed, 1e3 * pairs, "ten pairs", BLUE, size=8),
-    ]
+    traces = [points, cloud(speed, 1e3 * pairs, "ten pairs", BLUE, size=8)]
     if axle.table:
         x, y = np.array([(s, value) for s, value, _ in axle.table]).T
         traces.append(curve(3.6 * x, 1e3 * y, "table to configure", VERMILION))
     if len(driven) > 1:
-        traces.append(
-            curve(
-                speed[len(parked) :],
-                1e3 * configured,
-                "configured",
-                GREY,
-                dash="5px,3px",
-            )
-        )
-    return plot(
-        traces,
-        "speed [km/h]",
-        "S [1e-3 1/s]",
-        xaxis={"rangemode": "tozero"},
-        yaxis={"rangemode": "tozero"},
-    )
+        x, y = np.array([(p.speed_ms, p.configured) for p in driven]).T
+        traces.append(_configured(3.6 * x, 1e3 * y))
+    return _over_speed(traces, xaxis={"rangemode": "tozero"})
+
+
+def _configured(x: Column, y: Column) -> dict[str, Any]:
+    return curve(x, y, "configured", GREY, dash="5px,3px")
+
+
+def _over_speed(traces: Sequence[dict[str, Any]], **axes: Any) -> Plot:
+    axes["yaxis"] = {"rangemode": "tozero"}
+    return plot(traces, "speed [km/h]", "S [1e-3 1/s]", **axes)
 
 
 def _point_plots(point: CoolingPoint) -> list[tuple[str, Plot]]:
@@ -272,31 +276,21 @@ def _point_plots(point: CoolingPoint) -> list[tuple[str, Plot]]:
     fall, apart = [], []
     for i, one in enumerate(point.series):
         colour = COLOURS[i % len(COLOURS)]
-        name = one.down.role.removeprefix("temp_").replace("_", " ")
+        name = couple_text(one.down.role)
         ambient = one.down.bins(one.down.ambient_k)
         pairs = ambient + (one.measured_k[0] - ambient) * np.exp(
             -point.ten_pairs * (one.time_s - one.time_s[0])
         )
         x = one.time_s
+        measured_c, model_c, pairs_c = (
+            kelvin - KELVIN_OFFSET
+            for kelvin in (one.measured_k, one.model_k, pairs)
+        )
+        black: dict[str, Any] = {"colour": BLACK, "legend": i == 0}
         fall += [
-            curve(x, one.measured_k - KELVIN_OFFSET, name, colour, width=3.0),
-            curve(
-                x,
-                one.model_k - KELVIN_OFFSET,
-                "Eq 4.12",
-                BLACK,
-                width=1.2,
-                legend=i == 0,
-            ),
-            curve(
-                x,
-                pairs - KELVIN_OFFSET,
-                "ten pairs",
-                BLACK,
-                dash="2px,3px",
-                width=1.0,
-                legend=i == 0,
-            ),
+            curve(x, measured_c, name, colour, width=3.0),
+            curve(x, model_c, "Eq 4.12", width=1.2, **black),
+            curve(x, pairs_c, "ten pairs", dash="2px,3px", width=1.0, **black),
         ]
         apart.append(curve(x, one.model_k - one.measured_k, name, colour))
     return [
@@ -306,3 +300,160 @@ def _point_plots(point: CoolingPoint) -> list[tuple[str, Plot]]:
             plot(apart, "time [s]", "residual [K]"),
         ),
     ]
+
+
+def line_rows(axle: BrakedAxle) -> list[tuple[str, ...]]:
+    """Return the line at the configured speeds, S in 1e-3 1/s."""
+    return [
+        (
+            f"{3.6 * speed:.0f} km/h",
+            *(s_text(s_per_s) for s_per_s in (*axle.at(speed), configured)),
+            "yes" if axle.driven(speed) else "no: configured, scaled",
+        )
+        for speed, configured in zip(
+            axle.disc.speeds_ms, axle.disc.s_per_s, strict=True
+        )
+    ]
+
+
+def braked_lines(axle: BrakedAxle) -> list[str]:
+    """Return what else is to be said of an axle."""
+    times = len({window.place for window in axle.windows})
+    couples = len({w.role for w in axle.windows})
+    coldest, hottest = (one - KELVIN_OFFSET for one in axle.range_k)
+    lines = [f"not identified: {axle.caveat}"] if axle.caveat else []
+    lines.append(
+        f"{times} windows of {WINDOW_S:g} s, {couples} thermocouples, "
+        f"{coldest:.0f} to {hottest:.0f} °C: misses by {axle.held_k:.1f} K "
+        f"rms in windows not fitted, {axle.fitted_k:.1f} K in those fitted"
+    )
+    lines.append(
+        f"heat {axle.heat[0]:.2f} +- {axle.heat[1]:.2f} times that of the "
+        f"configured mass and shares; resistances while braking "
+        f"{axle.resist[0]:.2f} +- {axle.resist[1]:.2f} times the configured"
+    )
+    return lines
+
+
+def braked_text(result: BrakedCooling) -> str:
+    """Return the result as text for the screen; S in 1e-3 1/s."""
+    lines = []
+    for axle in result.axles:
+        lines += [axle_title(axle), *columns([LINE_HEAD, *line_rows(axle)])]
+        lines += [*wrapped(braked_lines(axle)), ""]
+    return "\n".join([*lines, *wrapped(result.remarks)])
+
+
+def braked_json(result: BrakedCooling) -> dict[str, Any]:
+    """Return the result as plain data, SI."""
+    return {
+        "axles": {axle.axle: _braked_json(axle) for axle in result.axles},
+        "remarks": result.remarks,
+    }
+
+
+def _braked_json(axle: BrakedAxle) -> dict[str, Any]:
+    values, errors = zip(*map(axle.at, axle.disc.speeds_ms), strict=True)
+    return picked(
+        axle,
+        form="disc.form",
+        why_not="caveat",
+        speed_ms="disc.speeds_ms",
+        driven_ms="held_ms",
+        fitted_rms_k="fitted_k",
+        held_out_rms_k="held_k",
+    ) | {
+        "identified": not axle.caveat,
+        "s_per_s": values,
+        "standard_error": errors,
+        "heat_factor": axle.heat[0],
+        "heat_factor_error": axle.heat[1],
+        "resistance_factor": axle.resist[0],
+        "resistance_factor_error": axle.resist[1],
+        "windows": [
+            picked(window, "log", "role", "start_s", measured_k="disc_k")
+            | {"held_out_model_k": axle.held_model_k[:, i]}
+            for i, window in enumerate(axle.windows)
+        ],
+    }
+
+
+def braked_page(result: BrakedCooling, subtitle: str) -> Page:
+    """Return the page of the discs of whole drives."""
+    sections, tiles = [], []
+    for axle in result.axles:
+        name = f"{axle.axle.capitalize()} discs"
+        tiles += [
+            (f"{axle.held_k:.1f} K", f"{axle.axle}, rms, windows not fitted"),
+            (f"{axle.fitted_k:.1f} K", f"{axle.axle}, rms, windows fitted"),
+        ]
+        sections += [
+            Section(
+                f"{name}: S over speed (Eq 4.12), 1e-3 1/s",
+                Table(LINE_HEAD, line_rows(axle)),
+                plots=(("S over speed", _line_plot(axle)),),
+                lines=(*braked_lines(axle), *result.remarks),
+                across=1,
+            ),
+            Section(
+                f"{name}: measured and predicted",
+                plots=_drive_plots(axle),
+                note="Each window of 90 s is predicted from its first "
+                "measurement by the fit to the other half of the windows.",
+                across=1,
+            ),
+        ]
+    title = "Disc cooling while braking"
+    return Page(title, sections, tiles, subtitle=subtitle)
+
+
+def _line_plot(axle: BrakedAxle) -> Plot:
+    speeds = np.array(sorted({*axle.disc.speeds_ms, *axle.held_ms}))
+    value, error = np.array([axle.at(float(speed)) for speed in speeds]).T
+    table = np.array([axle.disc.speeds_ms, axle.disc.s_per_s])
+    x = 3.6 * speeds
+    band = [
+        curve(
+            x,
+            1e3 * np.maximum(value + side * 2.0 * error, 0.0),
+            "two standard errors",
+            VERMILION,
+            dash="2px,3px",
+            width=1.0,
+            legend=side > 0,
+        )
+        for side in (1, -1)
+    ]
+    traces = [
+        _configured(3.6 * table[0], 1e3 * table[1]),
+        curve(x, 1e3 * value, "found", VERMILION, width=2.4),
+        *band,
+    ]
+    return _over_speed(traces)
+
+
+def _drive_plots(axle: BrakedAxle) -> list[tuple[str, Plot]]:
+    found = []
+    couples: dict[tuple[str, str], list[int]] = {}
+    for i, window in enumerate(axle.windows):
+        couples.setdefault((window.log, window.role), []).append(i)
+    for (log, role), places in couples.items():
+        windows = [axle.windows[i] for i in places]
+
+        def joined(parts: Iterable[Column]) -> Column:
+            # a point without a value breaks the line between windows
+            return np.concatenate([[*part, np.nan] for part in parts])
+
+        x = joined(window.time_s for window in windows)
+        measured = joined(w.disc_k for w in windows) - KELVIN_OFFSET
+        model = joined(axle.held_model_k[:, i] for i in places) - KELVIN_OFFSET
+        known = np.isfinite(x)
+        x = np.interp(np.arange(len(x)), np.flatnonzero(known), x[known])
+        curves = [
+            curve(x, measured, "measured", BLUE, width=2.4),
+            curve(x, model, "predicted", BLACK, width=1.2),
+        ]
+        span = float(x.min()), float(x.max())
+        drawn = time_plot(curves, "disc [°C]", span)
+        found.append((f"{log}: {couple_text(role)}", drawn))
+    return found

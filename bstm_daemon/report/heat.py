@@ -33,8 +33,8 @@ from bstm_daemon.report.timescale import clock
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from bstm_daemon.analysis.identify.driving import Balance
     from bstm_daemon.analysis.identify.heat_comparison import (
-        Balance,
         HeatComparison,
     )
     from bstm_daemon.analysis.identify.stop_friction import StopFriction

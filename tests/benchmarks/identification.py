@@ -107,13 +107,11 @@ def _coast_row(sensors: str, way: str, cars: int) -> tuple[str, ...]:
         read = _driving(
             "coastdown", sensors, seed, car=replace(NOMINAL, **true)
         )
-        found = identify_coast_down(
-            [read], config.vehicle, even_grade=COASTS[way]
-        )
-        errors = [abs(found.value(k).value - true[k]) for k in KEYS]
+        found = identify_coast_down([read], config, even_grade=COASTS[way])
+        errors = [abs(found.values[k].value - true[k]) for k in KEYS]
         apart.append([errors[0] / true[KEYS[0]], *errors[1:]])
         within += [
-            error < 2.0 * found.value(k).standard_error
+            error < 2.0 * found.values[k].standard_error
             for k, error in zip(KEYS, errors, strict=True)
         ]
     return (

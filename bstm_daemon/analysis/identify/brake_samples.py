@@ -1,7 +1,9 @@
 """Brake force from motion beside the pressure of it, stop by stop.
 
-The force is Eq 4.11 less what it says with the brake released just before
-and after: accelerometer bias and errors of the resistances fall out.
+A press and the next one less than two seconds later are one application: the
+thesis's pulsed stops (Fig 4.6) are stops. The force is Eq 4.11 less what it
+says with the brake released just before and after: accelerometer bias and
+errors of the resistances fall out.
 """
 
 from __future__ import annotations
@@ -11,21 +13,36 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from bstm_daemon.analysis.identify.applications import (
-    applications,
-    corner_pressures,
+from bstm_daemon.analysis.identify.driving import (
+    CONTROL,
+    Span,
+    flagged,
+    resistance_n,
 )
 from bstm_daemon.analysis.quality.grid import HALF, window_mean
 from bstm_daemon.analysis.quality.limits import GRID_S, RELEASED_PA
+from bstm_daemon.analysis.statistics.series import (
+    Column,
+    Indices,
+    Mask,
+    runs,
+)
 from bstm_daemon.model.heat.feed_forward import PressureTorque
 from bstm_daemon.roles import CORNERS
 from bstm_daemon.units import KELVIN_OFFSET
 
 if TYPE_CHECKING:
-    from bstm_daemon.analysis.identify.applications import Span
     from bstm_daemon.analysis.identify.driving import Driving
-    from bstm_daemon.analysis.statistics.series import Column, Indices, Mask
     from bstm_daemon.config.sections import Config
+
+JOINED_S: Final = 2.0
+"""Presses closer than this belong to one application."""
+
+SHORTEST_S: Final = 0.4
+"""A shorter press is a touch of the pedal."""
+
+STANDING_MS: Final = 0.5
+"""At or below this nothing slides; sensors with a dead band read 0."""
 
 LOWEST_MS: Final = 2.5
 """Below, the stop itself (a car that rocks back) is in the accelerometer."""
@@ -54,15 +71,67 @@ EVERY: Final = 2 * HALF
 """Grid points from sample to sample: windows that do not overlap."""
 
 
-@dataclass(frozen=True, slots=True)
-class BrakeStop:
-    """The samples of one application, (n,) each, SI.
+def applications(
+    time_s: Column, speed_ms: Column, pressed: Mask
+) -> list[Span]:
+    """Return the applications, by rising time.
 
-    ``since_s`` counts from the press, ``force_n`` is the brake force from
-    motion, ``front_pa`` and ``rear_pa`` mean pressures of the axles (nan: no
-    such corner), ``front_gain`` and ``rear_gain`` brake force over pressure
-    by the configured geometry [N/Pa]. ``initial_c`` has the measured discs'
-    temperatures at the press, by corner.
+    Args:
+        time_s: evenly spaced but for pauses, (n,).
+        speed_ms: of the car, (n,).
+        pressed: whether the brake is on, (n,).
+    """
+    on = pressed & (speed_ms > STANDING_MS)
+    found: list[Span] = []
+    for first, last in runs(on):
+        if found and time_s[first] - time_s[found[-1].last] < JOINED_S:
+            found[-1] = Span(found[-1].first, last)
+        else:
+            found.append(Span(first, last))
+    return [
+        span
+        for span in found
+        if time_s[span.last] - time_s[span.first] >= SHORTEST_S
+    ]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Samples:
+    """Brake force from motion and pressures, (n,) each, SI.
+
+    ``front_pa`` and ``rear_pa`` are mean pressures of the axles,
+    ``front_gain`` and ``rear_gain`` brake force over pressure by the
+    configured geometry [N/Pa]; 0 where no brake of the axle has a pressure.
+    """
+
+    speed_ms: Column
+    force_n: Column
+    front_pa: Column
+    rear_pa: Column
+    front_gain: float
+    rear_gain: float
+
+    @property
+    def gain(self) -> float:
+        """Brake force over pressure of the whole car [N/Pa]."""
+        return self.front_gain + self.rear_gain
+
+    @property
+    def pressure_pa(self) -> Column:
+        """Pressure that gives the nominal force at both axles, (n,)."""
+        weighted = (
+            self.front_gain * self.front_pa + self.rear_gain * self.rear_pa
+        )
+        return np.asarray(weighted / self.gain)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BrakeStop(Samples):
+    """The samples of one application of the brake.
+
+    ``since_s`` (n,) counts from the press, ``zero_n`` is what the force says
+    with the brake released, ``own_zero`` whether around this stop.
+    ``initial_c`` has the measured discs' temperatures at the press, by corner.
     """
 
     log: str
@@ -73,39 +142,7 @@ class BrakeStop:
     zero_n: float
     own_zero: bool
     since_s: Column
-    speed_ms: Column
-    force_n: Column
-    front_pa: Column
-    rear_pa: Column
-    front_gain: float
-    rear_gain: float
     initial_c: dict[str, float]
-
-    @property
-    def gain(self) -> float:
-        """Brake force over pressure of the whole car [N/Pa]."""
-        return self.front_gain + self.rear_gain
-
-    @property
-    def pressure_pa(self) -> Column:
-        """Pressure that gives the nominal force at both axles, (n,)."""
-        weighted = np.zeros(len(self.since_s))
-        for gain, pressure in (
-            (self.front_gain, self.front_pa),
-            (self.rear_gain, self.rear_pa),
-        ):
-            if gain:
-                weighted += gain * pressure
-        return np.asarray(weighted / self.gain)
-
-
-@dataclass(frozen=True, slots=True)
-class Samples:
-    """All stops with samples, and what was searched in words."""
-
-    stops: tuple[BrakeStop, ...]
-    rest_pa: float
-    searched: str
 
 
 def brake_samples(
@@ -114,19 +151,22 @@ def brake_samples(
     lag_s: float = 0.0,
     *,
     every_stop: bool = False,
-) -> Samples:
+) -> tuple[list[BrakeStop], float, str]:
     """Return what *driving* shows of the brakes of *config*.
+
+    The stops with samples, what the released pressure reads [Pa], and what
+    was searched in words.
 
     *lag_s* is the time constant by which the pads follow a circuit's
     pressure; one measured at the wheel has it in it. *every_stop* takes
     those too in which anti-lock control acts, or of which no zero is known:
     their zero is 0.
     """
-    measured = corner_pressures(driving, config)
+    measured = _corner_pressures(driving, config)
     pressures = {
-        name: lagged(pressure, lag_s)
-        if f"wheel_pressure_{name.lower()}" not in driving.pressures
-        else pressure
+        name: pressure
+        if f"wheel_pressure_{name.lower()}" in driving.pressures
+        else lagged(pressure, lag_s)
         for name, pressure in measured.items()
     }
     gains: dict[str, float] = {
@@ -143,42 +183,41 @@ def brake_samples(
     released = _released(driving, top - rest)
     zeros = [_zero(force, released, span) for span in spans]
     known = [zero for zero in zeros if zero is not None]
-    common = float(np.median(known)) if known else None
+    # the grade of one place is no other's: a zero of elsewhere holds only
+    # where the accelerometer has the grade
+    common = 0.0 if every_stop else None
+    if known and driving.has_accelerometer:
+        common = float(np.median(known))
     usable = _usable(driving, measured, every_stop=every_stop)
-    axles = {axle: _axle(axle, pressures, gains) for axle in "FR"}
+    front_pa, front_gain = _axle("F", pressures, gains)
+    rear_pa, rear_gain = _axle("R", pressures, gains)
+    time_s, speed_ms = driving.time_s, driving.speed_ms
     stops, without_zero = [], 0
     for span, zero in zip(spans, zeros, strict=True):
-        # the grade of one place is no other's: a zero of elsewhere holds
-        # only where the accelerometer has the grade
-        other = common if driving.has_accelerometer else None
-        offset = zero if zero is not None else other
-        if offset is None and every_stop:
-            offset = 0.0
+        offset = common if zero is None else zero
         if offset is None:
             without_zero += 1
             continue
-        rows = np.arange(span.first, span.last + 1)
-        rows = rows[usable[rows]]
-        rows = _apart(rows)
+        rows = _apart(span.first + np.flatnonzero(usable[span.points]))
         if not len(rows):
             continue
         stops.append(
             BrakeStop(
-                driving.name,
-                float(driving.time_s[span.first]),
-                float(driving.time_s[span.last] - driving.time_s[span.first]),
-                float(driving.speed_ms[span.first]),
-                float(driving.speed_ms[span.last]),
-                offset,
-                zero is not None,
-                driving.time_s[rows] - driving.time_s[span.first],
-                driving.speed_ms[rows],
-                force[rows] - offset,
-                axles["F"][0][rows],
-                axles["R"][0][rows],
-                axles["F"][1],
-                axles["R"][1],
-                _initial_c(driving, span.first),
+                log=driving.name,
+                start_s=float(time_s[span.first]),
+                duration_s=float(time_s[span.last] - time_s[span.first]),
+                from_ms=float(speed_ms[span.first]),
+                to_ms=float(speed_ms[span.last]),
+                zero_n=offset,
+                own_zero=zero is not None,
+                since_s=time_s[rows] - time_s[span.first],
+                speed_ms=speed_ms[rows],
+                force_n=force[rows] - offset,
+                front_pa=front_pa[rows],
+                rear_pa=rear_pa[rows],
+                front_gain=front_gain,
+                rear_gain=rear_gain,
+                initial_c=_initial_c(driving, span.first),
             )
         )
     count = sum(len(stop.since_s) for stop in stops)
@@ -192,13 +231,13 @@ def brake_samples(
             f", {without_zero} without {LEAST_QUIET_S:g} s of released brake "
             "around them"
         )
-    return Samples(tuple(stops), rest, words)
+    return stops, rest, words
 
 
 def force_n(driving: Driving) -> Column:
     """Return Eq 4.11 on the grid [N], nan where an input is missing."""
-    car, speed = driving.vehicle, driving.speed_ms
-    resistance = (car.quadratic * speed + car.linear) * speed + car.constant
+    car = driving.vehicle
+    resistance = resistance_n(car, driving.speed_ms)
     if driving.has_accelerometer:
         inertia = (
             car.mass_kg * driving.accel_measured_ms2
@@ -272,11 +311,10 @@ def _usable(
         usable &= lowest > LEAST_PRESSURE_PA
         rate = np.abs(np.gradient(window_mean(pressure), GRID_S))
         usable &= rate < (JUMPING_PA_S if every_stop else STEADY_PA_S)
-    control = ["esc_active", "tc_active"]
-    if not every_stop:
-        control.append("abs_active")
-    for role in driving.channels.alive(control):
-        usable &= ~(driving.value(role) > 0.5)
+    control = set(CONTROL)
+    if every_stop:
+        control.remove("abs_active")
+    usable &= ~flagged(driving.channels, control)
     if driving.channels.alive(["yaw_rate"]):
         bend = np.abs(driving.value("yaw_rate") * driving.speed_ms)
         usable &= ~(bend > CORNERING_MS2)
@@ -297,16 +335,12 @@ def _axle(
     axle: str, pressures: dict[str, Column], gains: dict[str, float]
 ) -> tuple[Column, float]:
     """Return the axle's mean pressure by gain, and the sum of its gains."""
-    names = [name for name in CORNERS if name[0] == axle and name in gains]
-    count = len(next(iter(pressures.values()))) if pressures else 0
-    if not names:
-        return np.full(count, np.nan), 0.0
-    total = sum(gains[name] for name in names)
-    summed = sum(
-        (gains[name] * window_mean(pressures[name]) for name in names),
-        start=np.zeros(count),
-    )
-    return summed / total, total
+    total = np.zeros(len(next(iter(pressures.values()), ())))
+    of_axle = {n: gain for n, gain in gains.items() if n[0] == axle}
+    for name, gain in of_axle.items():
+        total = total + gain * window_mean(pressures[name])
+    gain = sum(of_axle.values())
+    return (total / gain if gain else total), gain
 
 
 def _apart(rows: Indices) -> Indices:
@@ -319,11 +353,32 @@ def _apart(rows: Indices) -> Indices:
 
 
 def _initial_c(driving: Driving, first: int) -> dict[str, float]:
-    found = {}
-    for name in CORNERS:
-        role = f"temp_{name.lower()}_disc"
-        if driving.channels.alive([role]):
-            kelvin = float(driving.value(role)[first])
-            if np.isfinite(kelvin):
-                found[name] = kelvin - KELVIN_OFFSET
+    """Return the temperatures [degC] of the measured discs at *first*."""
+    corners = {f"temp_{name.lower()}_disc": name for name in CORNERS}
+    found = {
+        corners[role]: float(driving.value(role)[first]) - KELVIN_OFFSET
+        for role in driving.channels.alive(corners)
+    }
+    return {name: disc for name, disc in found.items() if np.isfinite(disc)}
+
+
+def _corner_pressures(driving: Driving, config: Config) -> dict[str, Column]:
+    """Return the pressure that each corner goes by [Pa], (n,) each.
+
+    Its wheel's own, else that of its circuit, behind the rear table: the
+    rules of the estimator. A corner without any is left out.
+    """
+    known = driving.pressures
+    found: dict[str, Column] = {}
+    for corner in config.corner:
+        own = f"wheel_pressure_{corner.name.lower()}"
+        sources = (own, f"{corner.circuit}_pressure", "primary_pressure")
+        role = next((one for one in sources if one in known), None)
+        if role is None:
+            continue
+        pressure = known[role]
+        table = config.heat.front_pressure_pa, config.heat.rear_pressure_pa
+        if role != own and corner.name[0] == "R" and table[0]:
+            pressure = np.interp(pressure, *table)
+        found[corner.name] = pressure
     return found

@@ -18,23 +18,25 @@ from typing import TYPE_CHECKING, Final, Literal
 
 import numpy as np
 
-from bstm_daemon.analysis.identify.coastdown_fit import (
-    directions_of,
-    fit_windows,
-    middle_of,
+from bstm_daemon.analysis.identify.coasting import (
+    Run,
+    Stretch,
+    coasting,
+    run_of,
 )
-from bstm_daemon.analysis.identify.coastdown_run import Run, run_of
-from bstm_daemon.analysis.identify.coasting import Stretch, coasting
+from bstm_daemon.analysis.identify.value import Value
+from bstm_daemon.analysis.quality.grid import window_mean
+from bstm_daemon.analysis.quality.limits import GRID_S
+from bstm_daemon.analysis.statistics.gls import fit_linear
 from bstm_daemon.errors import LogError
 from bstm_daemon.units import AIR_DENSITY_KG_M3, GRAVITY_MS2
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
 
-    from bstm_daemon.analysis.identify.coastdown_fit import Fit
     from bstm_daemon.analysis.identify.driving import Driving
-    from bstm_daemon.analysis.statistics.series import Column
-    from bstm_daemon.config.sections import VehicleConfig
+    from bstm_daemon.analysis.statistics.series import Column, Matrix
+    from bstm_daemon.config.sections import Config, VehicleConfig
 
 NAMES: Final = ("drag_area_m2", "friction_ns_m", "rolling_resistance")
 """Keys of ``[vehicle]``, in the order of the fit's columns."""
@@ -56,38 +58,25 @@ MOST: Final = {
 }
 """A lorry with a trailer, a bad gearbox, loose sand."""
 
+WINDOW_S: Final = 4.0
+"""The change of speed over it stands out of a quantum of 0.06 m/s."""
+
+APART_MS2: Final = 0.01
+"""Directions whose grades are nearer (0.1 %) are one and the same level
+road."""
+
 Road = Literal["both ways", "one way", "level"]
 
 
 @dataclass(frozen=True, slots=True)
-class Value:
-    """A value of ``[vehicle]`` with what it was and how sure it is.
-
-    ``standard_error`` is nan where the value was held. ``caveat`` says why it
-    is not identified, and is empty where it is.
-    """
-
-    name: str
-    value: float
-    standard_error: float
-    configured: float
-    caveat: str = ""
-
-    @property
-    def identified(self) -> bool:
-        """Whether the runs settle it."""
-        return not self.caveat
-
-
-@dataclass(frozen=True, slots=True)
 class CoastDown:
-    """The result: values, how they hang together, every run.
+    """The result: values by key of ``[vehicle]``, every run.
 
     ``correlation`` (3, 3) is that of drag, C_fric and the constant term, nan
     where held. ``bias_ms2`` is the accelerometer's, None without one.
     """
 
-    values: tuple[Value, ...]
+    values: dict[str, Value]
     correlation: Column
     residual_ms2: float
     windows: int
@@ -97,14 +86,10 @@ class CoastDown:
     searched: tuple[str, ...]
     remarks: tuple[str, ...]
 
-    def value(self, name: str) -> Value:
-        """Return the value of the key *name*."""
-        return next(one for one in self.values if one.name == name)
-
 
 def identify_coast_down(
     drivings: Sequence[Driving],
-    vehicle: VehicleConfig,
+    config: Config,
     *,
     held: Collection[str] = (),
     one_way: bool = False,
@@ -114,7 +99,7 @@ def identify_coast_down(
 
     Args:
         drivings: the logs.
-        vehicle: the configured values: mass and wheels are taken from it.
+        config: the car; its mass and wheels are taken as they are.
         held: keys of :data:`NAMES` that keep their configured value.
         one_way: the runs do not return on their road, so that nothing tells
             f_r from grade and bias.
@@ -131,25 +116,19 @@ def identify_coast_down(
         stretches += found
         searched.append(f"{driving.name}: {words}")
     if not stretches:
-        lines = {d.line_known for d in drivings} - {""}
-        hint = (
-            ""
-            if lines
-            else "; nothing tells whether the engine pulls: map gear, "
-            "clutch_open or powertrain_torque, or declare [heat] "
-            "assume_powertrain_torque_nm"
-        )
-        msg = "no coast-down found. " + "; ".join(searched) + hint
+        msg = "no coast-down found. " + "; ".join(searched)
+        if not any(d.line_known for d in drivings):
+            msg += (
+                "; nothing tells whether the engine pulls: map gear, "
+                "clutch_open or powertrain_torque, or declare [heat] "
+                "assume_powertrain_torque_nm"
+            )
         raise LogError(msg)
     with_sensor = not even_grade and all(d.has_accelerometer for d in drivings)
+    vehicle = config.vehicle
     fit = fit_windows(stretches, vehicle, held, with_sensor=with_sensor)
     return _result(
-        stretches,
-        fit,
-        vehicle,
-        held,
-        tuple(searched),
-        one_way=one_way,
+        stretches, fit, vehicle, held, tuple(searched), one_way=one_way
     )
 
 
@@ -165,45 +144,39 @@ def _result(
     directions = [0] * len(stretches)
     if not one_way:
         directions = directions_of(fit.apparent_ms2)
-    middle, middle_error = middle_of(fit.apparent_ms2, directions)
-    weight = vehicle.mass_kg * GRAVITY_MS2
-    if fit.with_sensor:
-        # the one constant is m (g f_r - bias)
-        constant = float(fit.constant_n[0]) + vehicle.mass_kg * middle
-    else:
-        constant = float(np.mean(fit.constant_n)) + vehicle.mass_kg * middle
-    rolling_error = sqrt(
-        float(fit.errors[2]) ** 2 + (vehicle.mass_kg * middle_error) ** 2
-    )
     road: Road = "both ways" if any(directions) else "level"
+    caveats = dict.fromkeys(NAMES, "")
     if one_way:
         road = "one way"
-    half_rho = 0.5 * AIR_DENSITY_KG_M3
-    rolling = constant / weight
-    rolling_caveat = ""
-    if one_way:
-        rolling_caveat = "the runs do not return: it is one with the grade"
-    if "rolling_resistance" in held:
+        caveats[NAMES[2]] = "the runs do not return: it is one with the grade"
+    middle, middle_error = middle_of(fit.apparent_ms2, directions)
+    mass_kg, weight = vehicle.mass_kg, vehicle.mass_kg * GRAVITY_MS2
+    # with an accelerometer the one constant is m (g f_r - bias)
+    constant = float(
+        fit.constant_n[0] if fit.with_sensor else np.mean(fit.constant_n)
+    )
+    rolling = (constant + mass_kg * middle) / weight
+    rolling_error = sqrt(fit.errors[2] ** 2 + (mass_kg * middle_error) ** 2)
+    if NAMES[2] in held:
         rolling = vehicle.rolling_resistance
-        rolling_error = nan
-        middle = rolling * GRAVITY_MS2 - float(fit.constant_n.mean()) / (
-            vehicle.mass_kg
-        )
-        rolling_caveat = "held"
-    found = {
-        "drag_area_m2": (fit.quadratic / half_rho, fit.errors[0] / half_rho),
-        "friction_ns_m": (fit.linear, fit.errors[1]),
-        "rolling_resistance": (rolling, rolling_error / weight),
-    }
-    values = []
-    for row, (name, (value, error)) in enumerate(found.items()):
-        caveat = rolling_caveat if row == 2 else ""
-        if name in held:
-            caveat, error = "held", nan  # noqa: PLW2901
-        elif not caveat:
-            caveat = _caveat(row, value, float(error), fit)
-        values.append(
-            Value(name, value, float(error), getattr(vehicle, name), caveat)
+        middle = rolling * GRAVITY_MS2 - float(fit.constant_n.mean()) / mass_kg
+    half_rho = 0.5 * AIR_DENSITY_KG_M3
+    found = (
+        (fit.quadratic / half_rho, fit.errors[0] / half_rho),
+        (fit.linear, fit.errors[1]),
+        (rolling, rolling_error / weight),
+    )
+    values = {}
+    for row, (name, (value, error)) in enumerate(
+        zip(NAMES, found, strict=True)
+    ):
+        values[name] = Value(
+            value=value,
+            standard_error=nan if name in held else float(error),
+            configured=getattr(vehicle, name),
+            caveat="held"
+            if name in held
+            else caveats[name] or _caveat(row, value, float(error), fit),
         )
     car = replace(
         stretches[0].driving.vehicle,
@@ -212,23 +185,18 @@ def _result(
         constant=weight * rolling,
     )
     grades = (fit.apparent_ms2 - middle) / GRAVITY_MS2
+    bias_ms2 = middle if fit.with_sensor else None
     return CoastDown(
-        tuple(values),
+        values,
         fit.correlation,
-        fit.residual_n / vehicle.mass_kg,
+        fit.residual_n / mass_kg,
         fit.windows,
         road,
-        middle if fit.with_sensor else None,
+        bias_ms2,
         tuple(
-            run_of(
-                stretch,
-                way,
-                float(grade),
-                car,
-                bias_ms2=middle if fit.with_sensor else None,
-            )
+            run_of(stretch, way, grade, car, bias_ms2=bias_ms2)
             for stretch, way, grade in zip(
-                stretches, directions, grades, strict=True
+                stretches, directions, grades.tolist(), strict=True
             )
         ),
         searched,
@@ -293,3 +261,154 @@ def _remarks(
         "not"
     )
     return tuple(remarks)
+
+
+@dataclass(frozen=True, slots=True)
+class Fit:
+    """Drag [N s2/m2], C_fric [N s/m], constants of the stretches [N].
+
+    ``apparent_ms2`` is each stretch's grade times g plus bias, (s,).
+    """
+
+    quadratic: float
+    linear: float
+    constant_n: Column
+    errors: Column
+    correlation: Column
+    residual_n: float
+    windows: int
+    apparent_ms2: Column
+    with_sensor: bool
+
+
+def _windows(stretches: Sequence[Stretch], *, with_sensor: bool) -> Matrix:
+    """Return run, force [N] and the means of v^2 and v of each window, (4, k).
+
+    The force is what only the resistances explain. With the accelerometer
+    climbing is in its reading, without it stays in.
+    """
+    steps = round(WINDOW_S / GRID_S)
+    rows: list[tuple[float, float, float, float]] = []
+    for number, stretch in enumerate(stretches):
+        driving, car = stretch.driving, stretch.driving.vehicle
+        # over half a second a quantum averages out
+        smooth = window_mean(driving.speed_ms)
+        for first in range(stretch.first, stretch.last - steps + 1, steps):
+            part = slice(first, first + steps + 1)
+            v = driving.speed_ms[part]
+            rate = float(smooth[first + steps] - smooth[first]) / WINDOW_S
+            force = mean(driving.traction_n[part])
+            if with_sensor:
+                force -= car.mass_kg * mean(driving.accel_measured_ms2[part])
+                force -= car.rotating_mass_kg * rate
+            else:
+                force -= car.effective_mass_kg * rate
+            rows.append((number, force, mean(v * v), mean(v)))
+    return np.array(rows, np.float64).T
+
+
+def mean(values: Column) -> float:
+    """Return the mean of *values* over time by trapezoids."""
+    return float(
+        (values[1:-1].sum() + 0.5 * (values[0] + values[-1]))
+        / (len(values) - 1)
+    )
+
+
+def fit_windows(
+    stretches: Sequence[Stretch],
+    vehicle: VehicleConfig,
+    held: Collection[str],
+    *,
+    with_sensor: bool,
+) -> Fit:
+    """Fit the resistances to the windows of *stretches*.
+
+    Args:
+        stretches: the runs.
+        vehicle: mass, and the configured value of what is held.
+        held: keys of ``[vehicle]`` that keep their configured value.
+        with_sensor: take the grade from the accelerometer; else each run has
+            a constant of its own.
+    """
+    run, force, square, linear = _windows(stretches, with_sensor=with_sensor)
+    known = [
+        0.5 * AIR_DENSITY_KG_M3 * vehicle.drag_area_m2,
+        vehicle.friction_ns_m,
+    ]
+    shapes = (square, linear)
+    free = [row for row in (0, 1) if NAMES[row] not in held]
+    for row in {0, 1}.difference(free):
+        force = force - known[row] * shapes[row]
+    constants = np.ones((len(force), 1))
+    if not with_sensor:
+        constants = 1.0 * np.equal.outer(run, np.arange(len(stretches)))
+    fit = fit_linear(
+        np.column_stack([*(shapes[row] for row in free), constants]), force
+    )
+    for row, value in zip(free, fit.estimate.tolist(), strict=False):
+        known[row] = value
+    # of the constants the mean: what f_r follows from
+    mix = np.zeros((3, len(fit.estimate)))
+    mix[free, range(len(free))] = 1.0
+    mix[2, len(free) :] = 1.0 / constants.shape[1]
+    joint = mix @ fit.covariance @ mix.T
+    errors = np.sqrt(np.clip(np.diag(joint), 0.0, None))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        correlation = joint / np.outer(errors, errors)
+    constant = fit.estimate[len(free) :]
+    if with_sensor:
+        apparent = np.array([_apparent_ms2(one) for one in stretches])
+        constant = np.repeat(constant, len(stretches))
+    else:
+        apparent = (constant - constant.mean()) / vehicle.mass_kg
+    return Fit(
+        known[0],
+        known[1],
+        constant,
+        errors,
+        correlation,
+        sqrt(fit.variance),
+        len(force),
+        apparent,
+        with_sensor,
+    )
+
+
+def _apparent_ms2(stretch: Stretch) -> float:
+    """Return the mean of grade times g plus bias over the way."""
+    driving, part = stretch.driving, stretch.points
+    speed = driving.speed_ms[part]
+    apart = driving.slope_ms2[part]
+    return float((apart * speed).sum() / speed.sum())
+
+
+def directions_of(apparent_ms2: Column) -> list[int]:
+    """Return +1 or -1 for each run by its side of the widest gap.
+
+    All 0 where the runs differ by no more than a level road's.
+    """
+    order = np.sort(apparent_ms2)
+    gaps = np.diff(order)
+    if not len(gaps) or gaps.max() < APART_MS2:
+        return [0] * len(apparent_ms2)
+    split = 0.5 * (order[gaps.argmax()] + order[gaps.argmax() + 1])
+    return [1 if one > split else -1 for one in apparent_ms2.tolist()]
+
+
+def middle_of(
+    apparent_ms2: Column, directions: list[int]
+) -> tuple[float, float]:
+    """Return what is grade-free in *apparent_ms2*, and its standard error."""
+    groups = [
+        apparent_ms2[np.array(directions) == way]
+        for way in sorted(set(directions))
+    ]
+    middle = float(np.mean([group.mean() for group in groups]))
+    freedom = sum(len(group) - 1 for group in groups)
+    spread = sum(float(((g - g.mean()) ** 2).sum()) for g in groups)
+    if not freedom:
+        return middle, 0.0
+    variance = spread / freedom
+    share = sum(1.0 / len(group) for group in groups) / len(groups) ** 2
+    return middle, sqrt(variance * share)

@@ -1,4 +1,7 @@
-"""Stretches in which a car coasts: nothing drives it, nothing brakes it."""
+"""Coast-downs: nothing drives the car, nothing brakes it.
+
+Each is held against theory: v(t) of Fig 4.4, energies of Eq 4.5.
+"""
 
 from __future__ import annotations
 
@@ -7,11 +10,20 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from bstm_daemon.analysis.quality.limits import GRID_S, RELEASED_PA
-from bstm_daemon.analysis.statistics.series import Mask, runs
+from bstm_daemon.analysis.identify.driving import (
+    CONTROL,
+    Balance,
+    Span,
+    balance_of,
+    flagged,
+)
+from bstm_daemon.analysis.quality.limits import GRID_S
+from bstm_daemon.analysis.statistics.series import Column, Mask, runs
+from bstm_daemon.units import GRAVITY_MS2
 
 if TYPE_CHECKING:
     from bstm_daemon.analysis.identify.driving import Driving
+    from bstm_daemon.model.heat.feed_back import Vehicle
 
 LOWEST_MS: Final = 2.5
 """Below, wheel sensors with few teeth and a dead band are not trusted."""
@@ -30,21 +42,12 @@ gear or clutch tells; it is known and taken into account."""
 CORNERING_MS2: Final = 0.5
 """Tyres at an angle brake the car."""
 
-_FLAGS: Final = ("abs_active", "esc_active", "tc_active", "park_brake")
-
 
 @dataclass(frozen=True, slots=True)
-class Stretch:
-    """Grid points ``first`` to ``last`` (both included) of a coast-down."""
+class Stretch(Span):
+    """Grid points of a coast-down."""
 
     driving: Driving
-    first: int
-    last: int
-
-    @property
-    def points(self) -> slice:
-        """The points as a slice."""
-        return slice(self.first, self.last + 1)
 
     @property
     def start_s(self) -> float:
@@ -78,7 +81,7 @@ def coasting(driving: Driving) -> tuple[list[Stretch], str]:
         speed = driving.speed_ms[begin : end + 1]
         if float(speed[0] - speed[-1]) < LEAST_FALL_MS:
             continue
-        found.append(Stretch(driving, begin, end))
+        found.append(Stretch(begin, end, driving))
     words.append(
         f"in {len(found)} pieces of {SHORTEST_S:g} s or more that lose "
         f"{LEAST_FALL_MS * 3.6:.0f} km/h or more"
@@ -87,31 +90,25 @@ def coasting(driving: Driving) -> tuple[list[Stretch], str]:
 
 
 def _conditions(driving: Driving) -> list[tuple[str, Mask]]:
-    speed = driving.speed_ms
+    """Return what a coast-down has to fulfil, in words and where it does."""
+    channels, speed = driving.channels, driving.speed_ms
     moving = (speed > LOWEST_MS) & np.isfinite(driving.rate_ms2)
-    steps = [(f"above {LOWEST_MS * 3.6:.0f} km/h", moving)]
-    released = np.ones(len(speed), bool)
-    for pressure in driving.pressures.values():
-        # an unknown pressure is no released brake
-        released &= pressure < RELEASED_PA
-    channels = driving.channels
-    if channels.alive(["brake_switch"]):
-        released &= driving.value("brake_switch") < 0.5
-    for role in channels.alive(_FLAGS):
-        released &= ~(driving.value(role) > 0.5)
+    released = driving.released()
+    released &= ~flagged(channels, (*CONTROL, "park_brake"))
     name = "brakes released"
-    if not driving.pressures and not channels.alive(["brake_switch"]):
-        released[:] = False
+    if not driving.tells_brake:
         name = "brakes known to be released (no pressure, no brake_switch)"
-    steps.append((name, released))
-    steps.append(("drive line open or without torque", _undriven(driving)))
+    steps = [
+        (f"above {LOWEST_MS * 3.6:.0f} km/h", moving),
+        (name, released),
+        ("drive line open or without torque", _undriven(driving)),
+    ]
     if channels.alive(["yaw_rate"]):
         bend = np.abs(driving.value("yaw_rate") * speed) > CORNERING_MS2
         steps.append(("no bend", ~bend))
     if driving.has_accelerometer:
-        steps.append(
-            ("accelerometer there", np.isfinite(driving.accel_measured_ms2))
-        )
+        known = np.isfinite(driving.accel_measured_ms2)
+        steps.append(("accelerometer there", known))
     return steps
 
 
@@ -124,3 +121,89 @@ def _undriven(driving: Driving) -> Mask:
         undriven &= ~(np.abs(driving.value("motor_torque")) > limit_nm)
     undriven &= np.abs(driving.external_n) < DRIVEN_MS2 * mass_kg
     return np.asarray(undriven)
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """One coast-down: measured and in theory.
+
+    ``time_s`` since its start, ``speed_ms``, ``theory_ms`` with the values
+    found, ``configured_ms`` with those of the configuration, (n,).
+    ``grade`` is its mean, uphill positive.
+    """
+
+    stretch: Stretch
+    direction: int
+    grade: float
+    time_s: Column
+    speed_ms: Column
+    theory_ms: Column
+    configured_ms: Column
+    balance: Balance
+
+    @property
+    def miss(self) -> float:
+        """What Eq 4.5 leaves over, as a share of the kinetic energy."""
+        return self.balance.brake_j / self.balance.kinetic_j
+
+    @property
+    def residual_rms_ms(self) -> float:
+        """Root mean square of theory less measurement."""
+        return float(np.sqrt(np.mean((self.theory_ms - self.speed_ms) ** 2)))
+
+
+def run_of(
+    stretch: Stretch,
+    direction: int,
+    grade: float,
+    car: Vehicle,
+    *,
+    bias_ms2: float | None,
+) -> Run:
+    """Return the run of *car*, which has the values found, on *stretch*.
+
+    *grade* is its mean; *bias_ms2* the accelerometer's, None where the grade
+    is even and no accelerometer is used.
+    """
+    driving, part = stretch.driving, stretch.points
+    time_s = driving.time_s[part] - stretch.start_s
+    speed = driving.speed_ms[part]
+    traction = driving.traction_n[part]
+    slope_ms2 = np.full(len(time_s), GRAVITY_MS2 * grade)
+    if bias_ms2 is not None:
+        apart = driving.slope_ms2[part] - bias_ms2
+        # three numbers a run: more would hand the measurement to the theory
+        x = time_s / max(float(time_s[-1]), GRID_S)
+        slope_ms2 = np.polynomial.Polynomial.fit(x, apart, 2)(x)
+    return Run(
+        stretch,
+        direction,
+        grade,
+        time_s,
+        speed,
+        theory(car, speed, traction, slope_ms2),
+        theory(driving.vehicle, speed, traction, slope_ms2),
+        balance_of(car, speed, slope_ms2, traction),
+    )
+
+
+def theory(
+    car: Vehicle, speed_ms: Column, traction_n: Column, slope_ms2: Column
+) -> Column:
+    """Return v(t) of *car* coasting from the first of *speed_ms*, (n,).
+
+    *traction_n* drives it, *slope_ms2* is g sin(grade), both (n,) on the grid.
+    """
+    result = np.empty(len(speed_ms))
+    v = float(speed_ms[0])
+    tractions, slopes = traction_n.tolist(), slope_ms2.tolist()
+    for i in range(len(result)):
+        result[i] = v
+        outer = tractions[i] - car.mass_kg * slopes[i]
+
+        def rate(at: float, outer_n: float = outer) -> float:
+            return (outer_n - car.resistance_n(at)) / car.effective_mass_kg
+
+        middle = v + 0.5 * GRID_S * rate(v)
+        v = max(v + GRID_S * rate(middle), 0.0)
+    return result

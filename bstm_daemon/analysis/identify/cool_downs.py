@@ -11,14 +11,12 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from bstm_daemon.analysis.quality.limits import GRID_S, MOVING_MS, RELEASED_PA
+from bstm_daemon.analysis.quality.limits import GRID_S, MOVING_MS
 from bstm_daemon.analysis.statistics.series import block_means, runs
 from bstm_daemon.roles import CORNERS
 from bstm_daemon.units import KELVIN_OFFSET
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from bstm_daemon.analysis.identify.driving import Driving
     from bstm_daemon.analysis.statistics.series import Column, Mask
 
@@ -44,6 +42,7 @@ WARM_K: Final = 15.0
 FALL_K: Final = 10.0
 """... and must fall by this."""
 
+AXLES: Final = {"F": "front", "R": "rear"}
 COUPLES: Final = ("disc", "disc_2")
 
 
@@ -101,15 +100,14 @@ def slow_of(driving: Driving) -> Slow:
     """Return *driving* by the second with its measured discs."""
     channels = driving.channels
     speed = _with_parked(driving.speed_ms)
-    discs, pads = {}, {}
-    for corner in CORNERS:
-        for node in COUPLES:
-            role = f"temp_{corner.lower()}_{node}"
-            if channels.alive([role]):
-                discs[role] = _by_second(driving.value(role))
-        role = f"temp_{corner.lower()}_pad_front"
-        if channels.alive([role]):
-            pads[corner] = _by_second(driving.value(role))
+
+    def by_second(*nodes: str) -> dict[str, Column]:
+        roles = [f"temp_{c.lower()}_{node}" for c in CORNERS for node in nodes]
+        return {
+            role: _by_second(driving.value(role))
+            for role in channels.alive(roles)
+        }
+
     ambient = np.full(len(driving.time_s), np.nan)
     if channels.alive(["ambient_temperature"]):
         ambient = _held(driving.value("ambient_temperature"))
@@ -121,8 +119,8 @@ def slow_of(driving: Driving) -> Slow:
         _by_second(speed),
         _by_second(ambient),
         _by_second(_free(driving, speed).astype(float)) > 0.99,
-        discs,
-        pads,
+        by_second(*COUPLES),
+        by_second("pad_front"),
     )
 
 
@@ -140,7 +138,9 @@ def cool_downs(slow: Slow) -> tuple[list[CoolDown], str]:
     found = []
     for role, disc in slow.discs.items():
         corner = role.split("_")[1].upper()
-        pad = slow.pads.get(corner, np.full(len(disc), np.nan))
+        pad = slow.pads.get(
+            f"temp_{corner.lower()}_pad_front", np.full(len(disc), np.nan)
+        )
         above = disc - slow.ambient_k
         for first, last in even:
             warm = above[first:last] > WARM_K
@@ -153,18 +153,13 @@ def cool_downs(slow: Slow) -> tuple[list[CoolDown], str]:
                     or excess[:5].mean() - excess[-5:].mean() < FALL_K
                 ):
                     continue
-                start = float(slow.time_s[part][0])
+                time_s = slow.time_s[part]
+                columns = (disc, slow.ambient_k, slow.speed_ms, pad)
                 found.append(
                     CoolDown(
-                        name,
-                        role,
-                        corner,
-                        start,
-                        slow.time_s[part] - start,
-                        disc[part],
-                        slow.ambient_k[part],
-                        slow.speed_ms[part],
-                        pad[part],
+                        *(name, role, corner, float(time_s[0])),
+                        time_s - time_s[0],
+                        *(column[part] for column in columns),
                     )
                 )
     seconds = sum(last - first for first, last in even) * STEP_S
@@ -174,27 +169,14 @@ def cool_downs(slow: Slow) -> tuple[list[CoolDown], str]:
         f"one speed for {SHORTEST_S:g} s or more, {len(found)} times a disc "
         f"{HOT_K:g} K above ambient that falls by {FALL_K:g} K"
     )
-    if not (driving_tells_brake(slow.driving) or found):
+    if not (slow.driving.tells_brake or found):
         words += "; nothing tells that the brake is released while driving"
     return found, words
 
 
-def driving_tells_brake(driving: Driving) -> bool:
-    """Whether a pressure or the brake switch is in the log."""
-    return bool(driving.pressures) or bool(
-        driving.channels.alive(["brake_switch"])
-    )
-
-
 def _free(driving: Driving, speed_ms: Column) -> Mask:
     """Return where nothing has heated the discs for :data:`SETTLING_S`."""
-    known = driving_tells_brake(driving)
-    released = np.full(len(speed_ms), known)
-    for pressure in driving.pressures.values():
-        released &= pressure < RELEASED_PA
-    if driving.channels.alive(["brake_switch"]):
-        released &= driving.value("brake_switch") < 0.5
-    cold = released | (speed_ms < STANDING_MS)
+    cold = driving.released() | (speed_ms < STANDING_MS)
     settling = round(SETTLING_S / GRID_S)
     last_hot = np.maximum.accumulate(
         np.where(cold, -settling - 1, np.arange(len(cold)))
@@ -202,9 +184,7 @@ def _free(driving: Driving, speed_ms: Column) -> Mask:
     return np.asarray(np.arange(len(cold)) - last_hot > settling)
 
 
-def _even(
-    speed_ms: Column, first: int, last: int
-) -> Sequence[tuple[int, int]]:
+def _even(speed_ms: Column, first: int, last: int) -> list[tuple[int, int]]:
     """Return the parts of *first* to *last* at one speed, end excluded."""
     least = round(SHORTEST_S / STEP_S)
     speeds = speed_ms[first : last + 1].tolist()
@@ -212,13 +192,11 @@ def _even(
     at = 0
     while at + least <= len(speeds):
         low = high = speeds[at]
-        end = at + 1
-        while end < len(speeds):
-            low_next = min(low, speeds[end])
-            high_next = max(high, speeds[end])
-            if not _one_speed(low_next, high_next):
-                break
-            low, high = low_next, high_next
+        end = at
+        while end < len(speeds) and _one_speed(
+            min(low, speeds[end]), max(high, speeds[end])
+        ):
+            low, high = min(low, speeds[end]), max(high, speeds[end])
             end += 1
         if end - at >= least and (high < STANDING_MS or low > MOVING_MS):
             found.append((first + at, first + end))
@@ -236,19 +214,11 @@ def _one_speed(low: float, high: float) -> bool:
 
 def _with_parked(speed_ms: Column) -> Column:
     """Return *speed_ms* with 0 where a standing car's bus is silent."""
-    known = np.flatnonzero(np.isfinite(speed_ms))
-    filled = speed_ms.copy()
-    if not len(known):
-        return filled
-    for first, last in runs(~np.isfinite(speed_ms)):
-        before, after = known[known < first][-1:], known[known > last][:1]
-        if (
-            len(before)
-            and speed_ms[before[0]] < STANDING_MS
-            and (not len(after) or speed_ms[after[0]] < STANDING_MS)
-        ):
-            filled[first : last + 1] = 0.0
-    return filled
+    before, after = _held(speed_ms), _held(speed_ms[::-1])[::-1]
+    known = np.isfinite(speed_ms)
+    parked = ~known & np.logical_or.accumulate(known)
+    parked &= (before < STANDING_MS) & (after < STANDING_MS)
+    return np.where(parked, 0.0, speed_ms)
 
 
 def _held(value: Column) -> Column:

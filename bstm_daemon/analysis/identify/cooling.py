@@ -10,24 +10,29 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from bstm_daemon.analysis.identify.cool_downs import (
+    AXLES,
     SPAN_MS,
     SPAN_SHARE,
+    CoolDown,
     cool_downs,
     slow_of,
 )
-from bstm_daemon.analysis.identify.cooling_fit import fit_cooling, rms_k
+from bstm_daemon.analysis.identify.cooling_fit import (
+    CoolingFit,
+    Series,
+    fit_cooling,
+    rms_k,
+)
 from bstm_daemon.analysis.identify.disc_loss import DiscLoss, disc_loss
+from bstm_daemon.analysis.identify.value import Value
 from bstm_daemon.errors import LogError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from bstm_daemon.analysis.identify.cool_downs import CoolDown
-    from bstm_daemon.analysis.identify.cooling_fit import CoolingFit, Series
     from bstm_daemon.analysis.identify.driving import Driving
     from bstm_daemon.config.sections import Config
 
-AXLES: Final = {"F": "front", "R": "rear"}
 POINTS: Final = 5
 """Measurements the thesis takes from a cool-down; ten pairs."""
 
@@ -46,33 +51,30 @@ STANDING_BLEND: Final = 0.02
 radiation."""
 
 
-@dataclass(frozen=True, slots=True)
-class CoolingPoint:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CoolingPoint(Value):
     """S [1/s] at one speed.
 
     ``ten_pairs`` is the thesis's average over the same cool-downs and
     ``ten_pairs_spread`` the standard deviation of its pairs; both hold
     radiation. At standstill ``value`` is the convection beside the configured
     radiation and ``whole`` all of the loss; elsewhere they are one.
-    ``configured`` is what the configuration has in place of ``value``.
     """
 
     speed_ms: float
-    value: float
-    standard_error: float
     whole: float
     whole_error: float
-    configured: float
     ten_pairs: float
     ten_pairs_spread: float
     by_corner: dict[str, tuple[float, float]]
     series: tuple[Series, ...]
-    caveat: str
 
     @property
-    def identified(self) -> bool:
-        """Whether the cool-downs settle it."""
-        return not self.caveat
+    def loss(self) -> tuple[float, float]:
+        """What to configure as S: all of the loss, and its standard error."""
+        if self.speed_ms <= 0.0:
+            return self.whole, self.whole_error
+        return self.value, self.standard_error
 
     @property
     def residual_k(self) -> float:
@@ -90,11 +92,10 @@ class AxleCooling:
     """
 
     axle: str
-    form: str
+    disc: DiscLoss
     points: tuple[CoolingPoint, ...]
     table: tuple[tuple[float, float, bool], ...]
     still: float | None
-    configured_still: float
     fit: CoolingFit
     other_residual_k: float
 
@@ -129,11 +130,11 @@ def identify_cooling(drivings: Sequence[Driving], config: Config) -> Cooling:
     if not downs:
         msg = "no cool-down found. " + "; ".join(searched)
         raise LogError(msg)
-    axles = []
-    for letter, axle in AXLES.items():
-        of_axle = [down for down in downs if down.corner[0] == letter]
-        if of_axle:
-            axles.append(_axle(axle, of_axle, losses))
+    axles = [
+        _axle(axle, of_axle, losses)
+        for letter, axle in AXLES.items()
+        if (of_axle := [down for down in downs if down.corner[0] == letter])
+    ]
     return Cooling(
         tuple(axles), tuple(searched), _remarks(drivings, axles, downs)
     )
@@ -180,35 +181,34 @@ def _axle(
         series = tuple(one for one in fit.series if one.group == group)
         pairs = np.array([ten_pairs(one) for one in series])
         value, error = float(fit.s_per_s[group]), fit.standard_error(group)
+        all_of_it = float(whole.s_per_s[group])
         configured = float(discs[0].configured(speed))
         if speed <= 0.0:
             configured *= discs[0].still
         points.append(
             CoolingPoint(
-                speed,
-                value,
-                error,
-                float(whole.s_per_s[group]),
-                whole.standard_error(group),
-                configured,
-                float(np.nanmean(pairs)),
-                float(np.nanstd(pairs)),
-                fit.by_corner[group],
-                series,
-                _caveat(value, error, float(whole.s_per_s[group])),
+                speed_ms=speed,
+                value=value,
+                standard_error=error,
+                configured=configured,
+                caveat=_caveat(value, error, all_of_it),
+                whole=all_of_it,
+                whole_error=whole.standard_error(group),
+                ten_pairs=float(np.nanmean(pairs)),
+                ten_pairs_spread=float(np.nanstd(pairs)),
+                by_corner=fit.by_corner[group],
+                series=series,
             )
         )
-    still = None
-    standing = points[0]
-    if standing.speed_ms <= 0.0 and standing.identified:
-        still = min(standing.value / standing.whole, 1.0)
+    still, slowest = None, points[0]
+    if slowest.speed_ms <= 0.0 and slowest.identified:
+        still = min(slowest.value / slowest.whole, 1.0)
     return AxleCooling(
         axle,
-        "rate" if rate_form else "conductance",
+        discs[0],
         tuple(points),
         _table(points, discs[0]),
         still,
-        discs[0].still,
         fit,
         other.residual_k,
     )
@@ -250,39 +250,26 @@ def _table(
     A configured point that was not driven is moved by what its neighbours
     moved by, so that the table keeps its shape where nothing was measured.
     """
-    identified = [point for point in points if point.identified]
-    if not identified:
-        return ()
-    speeds = [point.speed_ms for point in identified]
     # at standstill S is the whole loss, of which a fraction is convection
-    measured = [
-        point.whole if point.speed_ms <= 0.0 else point.value
-        for point in identified
-    ]
-    ratios = [
-        value / max(float(disc.configured(speed)), 1e-9)
-        for speed, value in zip(speeds, measured, strict=True)
-    ]
-    moving = [i for i, speed in enumerate(speeds) if speed > 0.0]
-    rows = [
-        (speed, value, True)
-        for speed, value in zip(speeds, measured, strict=True)
-    ]
+    measured = {
+        point.speed_ms: point.loss[0] for point in points if point.identified
+    }
+    if not measured:
+        return ()
+    ratios = {
+        speed: value / max(float(disc.configured(speed)), 1e-9)
+        for speed, value in measured.items()
+        # standstill is another regime: it says nothing of the wind's part
+        if speed > 0.0
+    }
+    rows = [(speed, value, True) for speed, value in measured.items()]
     for speed, value in zip(disc.speeds_ms, disc.s_per_s, strict=True):
         near = max(NEAR_MS, NEAR_SHARE * speed)
-        if any(abs(speed - driven) < near for driven in speeds):
+        if any(abs(speed - driven) < near for driven in measured):
             continue
-        # standstill is another regime: it says nothing of the wind's part
-        used = moving if speed > 0.0 else []
         factor = 1.0
-        if used:
-            factor = float(
-                np.interp(
-                    speed,
-                    [speeds[i] for i in used],
-                    [ratios[i] for i in used],
-                )
-            )
+        if ratios and speed > 0.0:
+            factor = float(np.interp(speed, [*ratios], [*ratios.values()]))
         rows.append((speed, value * factor, False))
     return tuple(sorted(rows))
 
@@ -296,9 +283,9 @@ def _remarks(
     for one in axles:
         best = one.fit.residual_k
         if one.other_residual_k * WRONG_FORM < best:
-            other = "conductance" if one.form == "rate" else "rate"
+            other = "conductance" if one.disc.form == "rate" else "rate"
             remarks.append(
-                f'{one.axle}: with [cooling] form = "{one.form}" the fit '
+                f'{one.axle}: with [cooling] form = "{one.disc.form}" the fit '
                 f"misses by {best:.1f} K rms, with {other!r} by "
                 f"{one.other_residual_k:.1f} K. S of one form is not that of "
                 "the other"

@@ -8,12 +8,13 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from bstm_daemon.analysis.identify.cool_downs import BIN, STEP_S, CoolDown
-from bstm_daemon.analysis.identify.disc_loss import DiscLoss, Lanes
+from bstm_daemon.analysis.identify.disc_loss import DiscLoss, HeatCapacities
 from bstm_daemon.analysis.statistics.gls import solution_operator
 from bstm_daemon.analysis.statistics.whitening import likeliest_drift
+from bstm_daemon.model.thermal.brake_corner import REFERENCE_K
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from bstm_daemon.analysis.statistics.series import Column, Matrix
     from bstm_daemon.analysis.statistics.whitening import DriftNoise
@@ -71,7 +72,10 @@ def rms_k(series: Sequence[Series]) -> float:
 
 
 class _Regression:
-    """Parameters: S of each group, the start of each cool-down."""
+    """Cool-downs marched side by side (Eq 4.12), and their least squares.
+
+    ``values`` are S of each group and the start of each cool-down.
+    """
 
     def __init__(
         self,
@@ -84,25 +88,60 @@ class _Regression:
         beside: bool,
     ) -> None:
         self.downs, self.groups = downs, np.array(groups)
-        self.lanes = Lanes(
-            downs,
-            losses,
-            [speeds_ms[g] for g in groups],
-            rate_form=rate_form,
-            beside=beside,
-        )
         names = list(dict.fromkeys((d.log, d.role) for d in downs))
         self.couple = np.array([names.index((d.log, d.role)) for d in downs])
         self.couples = len(names)
         self.count = len(speeds_ms)
         self.measured = [down.bins(down.disc_k) for down in downs]
-        self.lengths = self.lanes.lengths
+        self.lengths = [len(one) for one in self.measured]
+        # of each row of the regression: its cool-down, its bin in that
+        self.down = np.repeat(np.arange(len(downs)), self.lengths)
+        self.bin = np.concatenate([np.arange(n) for n in self.lengths])
         self.values = np.concatenate(
             (
                 [self._guess(group) for group in range(self.count)],
                 [float(one[0]) for one in self.measured],
             )
         )
+        of_downs = [
+            (down, loss, speeds_ms[group])
+            for down, loss, group in zip(downs, losses, groups, strict=True)
+        ]
+
+        def side_by_side(
+            bins: Callable[[CoolDown, DiscLoss, float], Column],
+            fill: float = 0.0,
+        ) -> Matrix:
+            """Return *bins* of each cool-down as a column, *fill* below."""
+            matrix = np.full((max(self.lengths), len(downs)), fill)
+            matrix[self.bin, self.down] = np.concatenate(
+                [bins(*one) for one in of_downs]
+            )
+            return matrix
+
+        self._ambient_k = side_by_side(
+            lambda down, *_: down.bins(down.ambient_k), REFERENCE_K
+        )
+        self._strength = side_by_side(
+            lambda down, loss, mean_ms: loss.shape(
+                down.bins(down.speed_ms), mean_ms
+            )
+        )
+        # without what is beside S, S holds all of the loss
+        self._radiation = beside * side_by_side(
+            lambda down, loss, _: (
+                loss.radiation_w_k4 * loss.radiating(down.bins(down.speed_ms))
+            )
+        )
+        self._pads = beside * side_by_side(
+            lambda down, loss, _: (
+                loss.pads_w_k4 * np.isfinite(down.bins(down.pad_k))
+            )
+        )
+        self._pad_k4 = side_by_side(
+            lambda down, *_: np.nan_to_num(down.bins(down.pad_k)) ** 4
+        )
+        self._capacities = HeatCapacities(losses, [rate_form for _ in losses])
 
     def _guess(self, group: int) -> float:
         """Return S from both ends of the group's cool-downs (Eq 4.12)."""
@@ -114,38 +153,66 @@ class _Regression:
                 found.append(fall / float(down.time_s[-1]))
         return max(float(np.mean(found)), _LEAST_S)
 
-    def model(self) -> tuple[list[Column], Matrix, Matrix]:
-        """Return the model in bins, its derivatives (n, p), those by offset.
+    def model(self) -> tuple[Column, Matrix, Matrix]:
+        """Return the model in bins (n,), its derivatives (n, p) and (n, c).
 
-        The last, (n, couples), is by what a thermocouple reads too much.
+        The last are by what each of c thermocouples reads too much.
         """
         s, start = self.values[self.groups], self.values[self.count :]
         none = np.zeros(len(self.downs))
         h_s, h_k = np.maximum(1e-3 * s, 1e-8), 0.5
-        out = self.lanes.march(
+        out = self._march(
             np.concatenate((start, start, start, start + h_k)),
             np.concatenate((s, s + h_s, s, s)),
             np.concatenate((none, none, none + h_k, none)),
-            BIN * STEP_S,
         ).reshape(-1, 4, len(self.downs))
-        model = []
-        rows = sum(self.lengths)
-        design = np.zeros((rows, len(self.values)))
-        by_offset = np.zeros((rows, self.couples))
-        at = 0
-        for i, length in enumerate(self.lengths):
-            base, by_s, by_off, by_start = out[:length, :, i].T
-            part = slice(at, at + length)
-            design[part, self.groups[i]] = (by_s - base) / h_s[i]
-            design[part, self.count + i] = (by_start - base) / h_k
-            by_offset[part, self.couple[i]] = (by_off - base) / h_k
-            model.append(base)
-            at += length
-        return model, design, by_offset
+        base, by_s, by_off, by_start = out[self.bin, :, self.down].T
+        rows = np.arange(len(base))
+        design = np.zeros((len(base), len(self.values)))
+        design[rows, self.groups[self.down]] = (by_s - base) / h_s[self.down]
+        design[rows, self.count + self.down] = (by_start - base) / h_k
+        by_offset = np.zeros((len(base), self.couples))
+        by_offset[rows, self.couple[self.down]] = (by_off - base) / h_k
+        return base, design, by_offset
 
-    def left(self, model: Sequence[Column]) -> Column:
+    def left(self, model: Column) -> Column:
         """Return measurement less *model*, all series one after the other."""
-        return np.concatenate(self.measured) - np.concatenate(model)
+        return np.concatenate(self.measured) - model
+
+    def _march(
+        self, start_k: Column, s_per_s: Column, off_k: Column
+    ) -> Column:
+        """Return the bins [K] of every lane, (longest, lanes).
+
+        From *start_k* with *s_per_s*; *off_k* is what the thermocouple reads
+        above ambient once the disc has cooled. All (m * lanes,), the
+        cool-downs repeated m times.
+        """
+        step_s = BIN * STEP_S
+        repeats = len(start_k) // len(self.lengths)
+        lanes = np.tile(np.arange(len(self.lengths)), repeats)
+        ambient_k = self._ambient_k[:, lanes] + off_k
+        strength = self._strength[:, lanes] * s_per_s
+        radiation, pads = self._radiation[:, lanes], self._pads[:, lanes]
+        outer = radiation * ambient_k**4 + pads * self._pad_k4[:, lanes]
+        both = radiation + pads
+
+        def slope(now: Column, step: int) -> Column:
+            per_capacity = self._capacities.inverse(lanes, now)
+            rate = strength[step] * self._capacities.factor(
+                lanes, per_capacity
+            )
+            beside = (both[step] * now**4 - outer[step]) * per_capacity
+            return np.asarray(-rate * (now - ambient_k[step]) - beside)
+
+        out = np.empty((max(self.lengths), len(lanes)))
+        now = np.array(start_k, float)
+        for step in range(len(out)):
+            out[step] = now
+            first = step_s * slope(now, step)
+            second = step_s * slope(now + first, step)
+            now = now + 0.5 * (first + second)
+        return out
 
 
 def fit_cooling(
@@ -169,9 +236,8 @@ def fit_cooling(
         model, design, _ = task.model()
         task.values += solution_operator(design) @ task.left(model)
         # S stays a rate of cooling while the fit is far off
-        task.values[: task.count] = np.maximum(
-            task.values[: task.count], _LEAST_S
-        )
+        s = task.values[: task.count]
+        np.maximum(s, _LEAST_S, out=s)
     model, design, by_offset = task.model()
     left = task.left(model)
     noise, variance = likeliest_drift(task.lengths, BIN * STEP_S, left, design)
@@ -189,14 +255,14 @@ def fit_cooling(
         float(np.sqrt(variance * noise.ratio)),
         noise.drift_s,
         tuple(
-            Series(
-                down,
-                groups[i],
-                down.bins(down.time_s),
-                task.measured[i],
-                model[i],
+            Series(down, group, down.bins(down.time_s), measured, one)
+            for down, group, measured, one in zip(
+                downs,
+                groups,
+                task.measured,
+                np.split(model, np.cumsum(task.lengths)[:-1]),
+                strict=True,
             )
-            for i, down in enumerate(downs)
         ),
     )
 
@@ -209,19 +275,15 @@ def _by_corner(
     variance: float,
 ) -> tuple[dict[str, tuple[float, float]], ...]:
     """Return S of each corner alone, one step from the common one."""
-    pairs = list(
-        dict.fromkeys(
-            (int(group), down.corner)
-            for group, down in zip(task.groups, task.downs, strict=True)
-        )
-    )
+    of_down = [
+        (int(group), down.corner)
+        for group, down in zip(task.groups, task.downs, strict=True)
+    ]
+    pairs = list(dict.fromkeys(of_down))
+    column = np.array([pairs.index(one) for one in of_down])[task.down]
+    rows = np.arange(len(left))
     split = np.zeros((len(left), len(pairs)))
-    at = 0
-    for i, length in enumerate(task.lengths):
-        rows, group = slice(at, at + length), int(task.groups[i])
-        column = pairs.index((group, task.downs[i].corner))
-        split[rows, column] = design[rows, group]
-        at += length
+    split[rows, column] = design[rows, task.groups[task.down]]
     weights = solution_operator(np.hstack((split, design[:, task.count :])))
     step = weights @ left
     errors = np.sqrt(np.diag(variance * noise.covariance_of(weights)))
@@ -229,10 +291,8 @@ def _by_corner(
         {} for _ in range(task.count)
     ]
     for i, (group, corner) in enumerate(pairs):
-        result[group][corner] = (
-            float(task.values[group] + step[i]),
-            float(errors[i]),
-        )
+        value = float(task.values[group] + step[i])
+        result[group][corner] = value, float(errors[i])
     return tuple(result)
 
 

@@ -5,6 +5,10 @@ thesis finds it to be (section 4.4), a factor on the heat and one on the
 resistances are fitted to windows of a drive. What the fit is worth is its
 error on windows that it did not see. A value for each speed of the table
 would take up what the heat misses at speeds that are only braked through.
+
+Steps of a quarter of a second: a race car's stop lasts two. Brake work is
+what the kinetic energy loses and neither resistances, climb nor drive line
+account for (Eq 4.5).
 """
 
 from __future__ import annotations
@@ -14,29 +18,39 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from bstm_daemon.analysis.identify.braked_discs import (
-    WINDOW_S,
-    BrakedLanes,
-    Window,
-    windows_of,
+from bstm_daemon.analysis.identify.cool_downs import AXLES, HOT_K, slow_of
+from bstm_daemon.analysis.identify.disc_loss import (
+    HIGHEST_K,
+    LOWEST_K,
+    DiscLoss,
+    HeatCapacities,
+    disc_loss,
+    share_of_work,
 )
-from bstm_daemon.analysis.identify.cool_downs import slow_of
-from bstm_daemon.analysis.identify.disc_loss import DiscLoss, disc_loss
+from bstm_daemon.analysis.identify.driving import resistance_n
+from bstm_daemon.analysis.quality.limits import GRID_S, RELEASED_PA
 from bstm_daemon.analysis.statistics.levenberg_marquardt import (
     Solution,
     minimise,
 )
 from bstm_daemon.analysis.statistics.resampling import jackknife
+from bstm_daemon.analysis.statistics.series import (
+    Column,
+    Indices,
+    Matrix,
+    block_means,
+)
 from bstm_daemon.errors import LogError
-from bstm_daemon.model.thermal.brake_corner import corner_spec
-from bstm_daemon.model.thermal.partition import pad_share
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from bstm_daemon.analysis.identify.driving import Driving
-    from bstm_daemon.analysis.statistics.series import Column, Indices, Matrix
-    from bstm_daemon.config.sections import Config, CornerConfig
+    from bstm_daemon.config.sections import Config
+
+STEP_S: Final = 0.25
+WINDOW_S: Final = 90.0
+"""Long against a stop and short against the drive: about a lap."""
 
 LEAST_TIMES: Final = 4
 """Windows in time: two to fit, two to judge by."""
@@ -47,9 +61,43 @@ FAINT: Final = 0.2
 ENDS: Final = (0.05, 0.95)
 """Shares of the time below the speeds at which the line is held."""
 
+_POINTS: Final = round(STEP_S / GRID_S)
+_STEPS: Final = round(WINDOW_S / STEP_S)
 _LEAST_SPAN_MS: Final = 3.0
 _LEAST_PER_S: Final = 1e-5
 _START_RESIST: Final = 1.5
+
+
+@dataclass(frozen=True, slots=True)
+class Window:
+    """One thermocouple over :data:`WINDOW_S`, (n,) each, SI.
+
+    ``lost_j`` is the kinetic energy lost in each step less climb and plus
+    the drive line's work, ``resisted_j`` the work of the resistances;
+    ``pressed`` is 0 where the brake is known to be released.
+    """
+
+    log: str
+    role: str
+    corner: str
+    start_s: float
+    disc_k: Column
+    ambient_k: Column
+    speed_ms: Column
+    lost_j: Column
+    resisted_j: Column
+    pressed: Column
+
+    @property
+    def place(self) -> tuple[str, float]:
+        """Log and time, which the thermocouples share."""
+        return self.log, self.start_s
+
+    @property
+    def time_s(self) -> Column:
+        """Time since the start of the log, (n,)."""
+        steps = np.arange(len(self.disc_k), dtype=np.float64)
+        return self.start_s + STEP_S * steps
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,13 +113,11 @@ class BrakedAxle:
     """
 
     axle: str
-    form: str
+    disc: DiscLoss
     mean_speed_ms: float
     held_ms: tuple[float, float]
     s_per_s: Column
     covariance: Matrix
-    speeds_ms: tuple[float, ...]
-    configured: Column
     heat: tuple[float, float]
     resist: tuple[float, float]
     fitted_k: float
@@ -93,9 +139,7 @@ class BrakedAxle:
         low, high = self.held_ms
         if not self.driven(speed_ms):
             end = low if speed_ms < low else high
-            there, here = np.interp(
-                [end, speed_ms], self.speeds_ms, self.configured
-            )
+            there, here = self.disc.configured(np.array([end, speed_ms]))
             factor = float(here / max(there, _LEAST_PER_S))
             value, error = self.at(end)
             return value * factor, error * factor
@@ -124,7 +168,7 @@ class BrakedAxle:
             return ()
         return tuple(
             (speed, self.at(speed)[0], self.driven(speed))
-            for speed in self.speeds_ms
+            for speed in self.disc.speeds_ms
         )
 
 
@@ -144,21 +188,17 @@ def identify_while_braking(
     Raises:
         LogError: too few windows in which all is known and a disc is hot.
     """
-    found = [
-        window
-        for driving in drivings
-        for window in windows_of(driving, slow_of(driving))
-    ]
+    found = [window for driving in drivings for window in windows_of(driving)]
     axles, counts = [], []
-    for letter, axle in (("F", "front"), ("R", "rear")):
-        corners = {c.name: c for c in config.corner if c.name[0] == letter}
+    for letter, axle in AXLES.items():
         discs: dict[str, tuple[DiscLoss, float]] = {
-            name: (loss, _share(config, corner))
-            for name, corner in corners.items()
-            if (loss := disc_loss(config, name)) is not None
+            corner.name: (loss, share_of_work(config, corner))
+            for corner in config.corner
+            if corner.name[0] == letter
+            and (loss := disc_loss(config, corner.name)) is not None
         }
         windows = [window for window in found if window.corner in discs]
-        times = {(w.log, w.start_s) for w in windows}
+        times = {window.place for window in windows}
         counts.append(f"{axle} {len(times)}")
         if len(times) >= LEAST_TIMES:
             axles.append(_axle(axle, windows, discs))
@@ -181,47 +221,132 @@ def identify_while_braking(
     return BrakedCooling(tuple(axles), tuple(remarks))
 
 
-def _share(config: Config, corner: CornerConfig) -> float:
-    """Return the disc's share of the car's brake work, as configured."""
-    front = config.vehicle.front_share
-    of_axle = front if corner.name[0] == "F" else 1.0 - front
-    spec = corner_spec(config, corner)
-    thermal = spec.thermal
-    pads = pad_share(spec.disc_share, thermal.heat_partition_correction_factor)
-    air = thermal.direct_air_fraction
-    return 0.5 * of_axle * (1.0 - air) * (1.0 - pads)
+def windows_of(driving: Driving) -> list[Window]:
+    """Return the windows of *driving* in which everything is known.
+
+    Only those in which the disc is :data:`HOT_K` above ambient at some time.
+    """
+    car, speed, slow = driving.vehicle, driving.speed_ms, slow_of(driving)
+    count = (len(speed) - 1) // _POINTS
+    ends = np.arange(count + 1) * _POINTS
+
+    def per_step(value: Column) -> Column:
+        return block_means(value, _POINTS)[:count]
+
+    pull = np.nan_to_num(driving.torque_nm) / car.wheel_radius_m
+    pull = pull + driving.external_n
+    if driving.has_accelerometer:
+        pull = pull - car.mass_kg * np.nan_to_num(driving.slope_ms2)
+    kinetic = 0.5 * car.effective_mass_kg * speed[ends] ** 2
+    lost = -np.diff(kinetic) + per_step(pull * speed) * STEP_S
+    resisted = per_step(resistance_n(car, speed) * speed) * STEP_S
+    pressed = np.ones(len(speed))
+    if driving.pressures:
+        pressed[driving.highest_pressure_pa() < RELEASED_PA] = 0.0
+    on, mean_speed = per_step(pressed), per_step(speed)
+    ambient = np.interp(driving.time_s[ends[:-1]], slow.time_s, slow.ambient_k)
+    columns = ambient, mean_speed, lost, resisted, on
+    found = []
+    for role in slow.discs:
+        disc = driving.value(role)[ends[:-1]]
+        known = np.isfinite(disc + lost + resisted + mean_speed)
+        for first in range(0, count - _STEPS + 1, _STEPS):
+            part = slice(first, first + _STEPS)
+            hottest_k = (disc[part] - ambient[part]).max()
+            if not known[part].all() or hottest_k < HOT_K:
+                continue
+            found.append(
+                Window(
+                    *(driving.name, role, role.split("_")[1].upper()),
+                    float(driving.time_s[ends[first]]),
+                    *(column[part] for column in (disc, *columns)),
+                )
+            )
+    return found
 
 
-def _lanes(
-    windows: Sequence[Window],
-    discs: Mapping[str, tuple[DiscLoss, float]],
-    knots_ms: Sequence[float],
-) -> BrakedLanes:
-    """Return the march of *windows*, each with its disc and share."""
-    return BrakedLanes(
-        windows,
-        [discs[w.corner][0] for w in windows],
-        knots_ms,
-        [discs[w.corner][1] for w in windows],
-    )
+class BrakedLanes:
+    """Windows marched side by side with brake heat (Eq 2.6, 4.12)."""
 
+    def __init__(
+        self,
+        windows: Sequence[Window],
+        discs: Mapping[str, tuple[DiscLoss, float]],
+        held_ms: tuple[float, float],
+    ) -> None:
+        """Take *windows* and the speeds at which the line of S is held.
 
-def _left(lanes: BrakedLanes, logs: Matrix) -> Matrix:
-    """Return measurement less model at *logs* (k, p), (k, steps, windows)."""
-    model = lanes.march(np.exp(logs))
-    return np.moveaxis(lanes.measured_k[:, :, None] - model, -1, 0)
+        *discs* has disc and share of the work by corner.
+        """
 
+        def side_by_side(name: str) -> Matrix:
+            return np.stack([getattr(one, name) for one in windows], axis=1)
 
-def _fit(lanes: BrakedLanes, start: Column) -> Solution:
-    """Fit the logarithms of the values to all windows of *lanes*."""
-    wide = np.full(len(start), np.inf)
-    return minimise(
-        lambda logs: _left(lanes, logs).reshape(len(logs), -1),
-        start,
-        -wide,
-        wide,
-        converged=1e-6,
-    )
+        losses, shares = zip(*(discs[w.corner] for w in windows), strict=True)
+        self.count = len(windows)
+        self.measured_k = side_by_side("disc_k")
+        self._ambient_k = side_by_side("ambient_k")
+        self._lost_j = side_by_side("lost_j")
+        self._resisted_j = side_by_side("resisted_j")
+        self._share = side_by_side("pressed") * np.array(shares)
+        speed = side_by_side("speed_ms")
+        low, high = held_ms
+        self._into = np.clip((speed - low) / (high - low), 0.0, 1.0)
+        still = np.array([loss.still for loss in losses])
+        end = np.array([loss.blend_end_ms for loss in losses])
+        rising = np.clip(speed / end, 0.0, 1.0)
+        self._blend = STEP_S * (still + (1.0 - still) * rising)
+        radiation = np.array([loss.radiation_w_k4 for loss in losses])
+        self._radiation = STEP_S * (1.0 - rising) * radiation
+        self._capacities = HeatCapacities(
+            losses, [loss.rate_form for loss in losses]
+        )
+
+    def march(self, values: Matrix) -> Matrix:
+        """Return the discs [K], (steps, windows, m), of m sets of *values*.
+
+        *values* (m, 4): S at both speeds [1/s], the factor on the heat, and
+        that on the resistances.
+        """
+        low, high, heat, resist = values.T
+        rows = np.arange(self.count)[:, None]
+        now = np.repeat(self.measured_k[0][:, None], len(values), axis=1)
+        out = np.empty((len(self.measured_k), *now.shape))
+        for step in range(len(out)):
+            out[step] = now
+            into = self._into[step][:, None]
+            rate = low * (1.0 - into) + high * into
+            work = self._lost_j[step][:, None] - (
+                resist * self._resisted_j[step][:, None]
+            )
+            work = np.maximum(work, 0.0) * heat * self._share[step][:, None]
+            per_capacity = self._capacities.inverse(rows, now)
+            strength = self._capacities.factor(rows, per_capacity)
+            ambient = self._ambient_k[step][:, None]
+            beside = self._radiation[step][:, None] * (now**4 - ambient**4)
+            loss = rate * strength * self._blend[step][:, None]
+            now = now + (work - beside) * per_capacity - loss * (now - ambient)
+            now = np.clip(now, LOWEST_K, HIGHEST_K)
+        return out
+
+    def left(self, logs: Matrix) -> Matrix:
+        """Return measurement less model at *logs* (k, p) of the values.
+
+        (k, steps, windows).
+        """
+        model = self.march(np.exp(logs))
+        return np.moveaxis(self.measured_k[:, :, None] - model, -1, 0)
+
+    def fit(self, start: Column) -> Solution:
+        """Fit the logarithms of the values, from *start*."""
+        wide = np.full(len(start), np.inf)
+        return minimise(
+            lambda logs: self.left(logs).reshape(len(logs), -1),
+            start,
+            -wide,
+            wide,
+            converged=1e-6,
+        )
 
 
 def _axle(
@@ -238,27 +363,21 @@ def _axle(
             f"{3.6 * high:.0f} km/h only, nothing over speed to be found"
         )
         raise LogError(msg)
-    knots = [low, high]
-    first = np.maximum(loss.configured(np.array(knots)), _LEAST_PER_S)
+    ends = low, high
+    first = np.maximum(loss.configured(np.array(ends)), _LEAST_PER_S)
     start = np.log([*first, 1.0, _START_RESIST])
-    times = sorted({(w.log, w.start_s) for w in windows})
-    number = np.array([times.index((w.log, w.start_s)) for w in windows])
-    whole = _lanes(windows, discs, knots)
-    joint = _fit(whole, start)
+    times = sorted({w.place for w in windows})
+    number = np.array([times.index(w.place) for w in windows])
+    whole = BrakedLanes(windows, discs, ends)
+    joint = whole.fit(start)
     shape = whole.measured_k.shape
     fitted, held = 0.0, np.empty(shape)
     for half in (0, 1):
         inside = number % 2 == half
-        own = _fit(
-            _lanes(
-                [w for w, on in zip(windows, inside, strict=True) if on],
-                discs,
-                knots,
-            ),
-            joint.x,
-        )
+        chosen = [w for w, on in zip(windows, inside, strict=True) if on]
+        own = BrakedLanes(chosen, discs, ends).fit(joint.x)
         fitted += 2.0 * own.cost
-        held[:, ~inside] = _left(whole, own.x[None])[0][:, ~inside]
+        held[:, ~inside] = whole.left(own.x[None])[0][:, ~inside]
     values = np.exp(joint.x)
     spread = _left_out(
         joint.residuals.reshape(shape),
@@ -268,13 +387,11 @@ def _axle(
     errors = np.sqrt(np.diag(spread))
     return BrakedAxle(
         axle,
-        "rate" if loss.rate_form else "conductance",
+        loss,
         float(speeds.mean()),
         (low, high),
         values[:2],
         spread[:2, :2],
-        loss.speeds_ms,
-        loss.configured(np.array(loss.speeds_ms)),
         (float(values[2]), float(errors[2])),
         (float(values[3]), float(errors[3])),
         float(np.sqrt(fitted / held.size)),

@@ -12,16 +12,21 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from bstm_daemon.model.thermal.brake_corner import PADS, REFERENCE_K
+from bstm_daemon.model.thermal.brake_corner import (
+    PADS,
+    REFERENCE_K,
+    corner_spec,
+)
+from bstm_daemon.model.thermal.partition import pad_share
 from bstm_daemon.model.thermal.properties import disc_heat_capacity
 from bstm_daemon.units import STEFAN_BOLTZMANN_W_M2K4
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from bstm_daemon.analysis.identify.cool_downs import CoolDown
     from bstm_daemon.analysis.statistics.series import Column, Indices
-    from bstm_daemon.config.sections import Config
+    from bstm_daemon.config.sections import Config, CornerConfig
+    from bstm_daemon.model.thermal.brake_corner import CornerSpec
     from bstm_daemon.model.thermal.table import Table
 
 LOWEST_K: Final = 200.0
@@ -45,6 +50,11 @@ class DiscLoss:
     still: float
     speeds_ms: tuple[float, ...]
     s_per_s: tuple[float, ...]
+
+    @property
+    def form(self) -> str:
+        """The ``[cooling] form`` that S is given in."""
+        return "rate" if self.rate_form else "conductance"
 
     def configured(self, speed_ms: Column | float) -> Column:
         """Return S of the configuration at *speed_ms*, (n,)."""
@@ -71,21 +81,15 @@ class DiscLoss:
 
     def heat_capacity_j_k(self, disc_k: Column) -> Column:
         """Return the disc's capacity at *disc_k*, (n,)."""
-        return self.mass_kg * values(self.capacity, disc_k)
-
-
-def values(table: Table, x: Column) -> Column:
-    """Return *table* at *x*, (n,)."""
-    grid = table.x0 + table.dx * np.arange(len(table.values))
-    return np.interp(x, grid, table.values)
+        table = self.capacity
+        grid = table.x0 + table.dx * np.arange(len(table.values))
+        return self.mass_kg * np.interp(disc_k, grid, table.values)
 
 
 def disc_loss(config: Config, corner_name: str) -> DiscLoss | None:
     """Return the disc of the corner of that name, None without one."""
-    for corner in config.corner:
-        if corner.name == corner_name and corner.disc and corner.pad:
-            break
-    else:
+    corner = next((c for c in config.corner if c.name == corner_name), None)
+    if corner is None or corner.disc is None or corner.pad is None:
         return None
     disc, pad = corner.disc, corner.pad
     thermal, cooling = config.thermal_of(corner), config.cooling_of(corner)
@@ -106,6 +110,20 @@ def disc_loss(config: Config, corner_name: str) -> DiscLoss | None:
         tuple(cooling.speed_ms),
         tuple(cooling.s_per_s),
     )
+
+
+def disc_part(spec: CornerSpec) -> float:
+    """Return the part of a brake's work that heats its disc."""
+    thermal = spec.thermal
+    pads = pad_share(spec.disc_share, thermal.heat_partition_correction_factor)
+    return (1.0 - thermal.direct_air_fraction) * (1.0 - pads)
+
+
+def share_of_work(config: Config, corner: CornerConfig) -> float:
+    """Return the disc's share of the car's brake work, as configured."""
+    front = config.vehicle.front_share
+    of_axle = front if corner.name[0] == "F" else 1.0 - front
+    return 0.5 * of_axle * disc_part(corner_spec(config, corner))
 
 
 class HeatCapacities:
@@ -147,84 +165,3 @@ class HeatCapacities:
         """
         reference = self._reference[discs]
         return np.where(reference > 0.0, reference * inverse, 1.0)
-
-
-class Lanes:
-    """Cool-downs marched side by side (Eq 4.12)."""
-
-    def __init__(
-        self,
-        downs: Sequence[CoolDown],
-        losses: Sequence[DiscLoss],
-        speeds_ms: Sequence[float],
-        *,
-        rate_form: bool,
-        beside: bool = True,
-    ) -> None:
-        """Take *downs*, their discs and the speed S is given at, one each.
-
-        *rate_form* and the other form are those of ``[cooling] form``.
-        Without *beside*, S holds all of the loss, radiation too.
-        """
-        columns = [
-            (down.bins(down.ambient_k), down.bins(down.speed_ms), pad)
-            for down in downs
-            for pad in (down.bins(down.pad_k),)
-        ]
-        self.lengths = [len(ambient) for ambient, *_ in columns]
-        shape = max(self.lengths), len(downs)
-        self._ambient_k = np.full(shape, REFERENCE_K)
-        self._strength = np.zeros(shape)
-        self._radiation = np.zeros(shape)
-        self._pads = np.zeros(shape)
-        self._pad_k4 = np.zeros(shape)
-        for lane, (loss, mean_ms) in enumerate(
-            zip(losses, speeds_ms, strict=True)
-        ):
-            ambient, speed, pad = columns[lane]
-            part = slice(0, self.lengths[lane])
-            self._ambient_k[part, lane] = ambient
-            self._strength[part, lane] = loss.shape(speed, mean_ms)
-            if not beside:
-                continue
-            self._radiation[part, lane] = loss.radiation_w_k4 * loss.radiating(
-                speed
-            )
-            known = np.isfinite(pad)
-            self._pads[part, lane] = np.where(known, loss.pads_w_k4, 0.0)
-            self._pad_k4[part, lane] = np.where(known, pad, 0.0) ** 4
-        self._capacities = HeatCapacities(losses, [rate_form for _ in losses])
-
-    def march(
-        self, start_k: Column, s_per_s: Column, off_k: Column, step_s: float
-    ) -> Column:
-        """Return temperatures [K] of every lane, (longest, lanes).
-
-        From *start_k* with *s_per_s*, in steps of *step_s*; *off_k* is what
-        the thermocouple reads above ambient once the disc has cooled. All
-        (m * lanes,), the lanes repeated m times.
-        """
-        repeats = len(start_k) // len(self.lengths)
-        lanes = np.tile(np.arange(len(self.lengths)), repeats)
-        ambient_k = self._ambient_k[:, lanes] + off_k
-        strength = self._strength[:, lanes] * s_per_s
-        radiation, pads = self._radiation[:, lanes], self._pads[:, lanes]
-        outer = radiation * ambient_k**4 + pads * self._pad_k4[:, lanes]
-        both = radiation + pads
-
-        def slope(now: Column, step: int) -> Column:
-            per_capacity = self._capacities.inverse(lanes, now)
-            rate = strength[step] * self._capacities.factor(
-                lanes, per_capacity
-            )
-            beside = (both[step] * now**4 - outer[step]) * per_capacity
-            return np.asarray(-rate * (now - ambient_k[step]) - beside)
-
-        out = np.empty((max(self.lengths), len(lanes)))
-        now = np.array(start_k, float)
-        for step in range(len(out)):
-            out[step] = now
-            first = step_s * slope(now, step)
-            second = step_s * slope(now + first, step)
-            now = now + 0.5 * (first + second)
-        return out

@@ -19,16 +19,25 @@ from bstm_daemon.analysis.quality.channels import PRESSURES, Channels
 from bstm_daemon.analysis.quality.finding import Notes
 from bstm_daemon.analysis.quality.frozen import find_frozen_speeds
 from bstm_daemon.analysis.quality.grid import window_mean
-from bstm_daemon.analysis.quality.limits import GRID_S, MOVING_MS
+from bstm_daemon.analysis.quality.limits import (
+    GRID_S,
+    MOVING_MS,
+    RELEASED_PA,
+)
 from bstm_daemon.analysis.quality.speeds import compare_speeds
 from bstm_daemon.analysis.statistics.series import Column, Mask, running_mean
 from bstm_daemon.errors import LogError
 from bstm_daemon.model.heat.feed_back import Vehicle
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from bstm_daemon.analysis.quality.recording import Recording
     from bstm_daemon.bus.signals.signal_map import SignalMap
     from bstm_daemon.config.sections import Config
+
+CONTROL: Final = ("abs_active", "esc_active", "tc_active")
+"""Flags that say that wheels slip."""
 
 PITCH_WINDOW_S: Final = 20.0
 """Grade changes slower than this, body pitch follows at once."""
@@ -94,15 +103,90 @@ class Driving:
 
     def highest_pressure_pa(self) -> Column:
         """Return the highest of the pressures, NaN where none is known."""
-        return highest(list(self.pressures.values()), len(self.time_s))
+        top = np.full(len(self.time_s), np.nan)
+        for pressure in self.pressures.values():
+            top = np.fmax(top, pressure)
+        return top
+
+    @property
+    def tells_brake(self) -> bool:
+        """Whether a pressure or the brake switch is in the log."""
+        return bool(self.pressures or self.channels.alive(["brake_switch"]))
+
+    def released(self) -> Mask:
+        """Return where the brake is known to be released, (n,).
+
+        A pressure that is missing for a while is no released brake.
+        """
+        released = np.full(len(self.time_s), self.tells_brake)
+        for pressure in self.pressures.values():
+            released &= pressure < RELEASED_PA
+        if self.channels.alive(["brake_switch"]):
+            released &= self.value("brake_switch") < 0.5
+        return released
 
 
-def highest(columns: list[Column], count: int) -> Column:
-    """Return the highest of *columns*, (count,), NaN where none is known."""
-    top = np.full(count, np.nan)
-    for column in columns:
-        top = np.fmax(top, column)
-    return top
+def resistance_n(car: Vehicle, speed_ms: Column) -> Column:
+    """Return Eq 4.2 at *speed_ms* (n,), 0 at rest, NaN where unknown."""
+    rolling = (car.quadratic * speed_ms + car.linear) * speed_ms + car.constant
+    return np.where(speed_ms <= 0.0, 0.0, rolling)
+
+
+@dataclass(frozen=True, slots=True)
+class Span:
+    """Points ``first`` to ``last``, both included, of a time axis."""
+
+    first: int
+    last: int
+
+    @property
+    def points(self) -> slice:
+        """The points as a slice."""
+        return slice(self.first, self.last + 1)
+
+
+@dataclass(frozen=True, slots=True)
+class Balance:
+    """Eq 4.5 in the right form: speeds at both ends and the works [J].
+
+    1/2 m_eff (v0^2 - v1^2) = W_brake + W_drag + W_climb - W_drive
+    """
+
+    from_ms: float
+    to_ms: float
+    kinetic_j: float
+    drag_j: float
+    climb_j: float
+    drive_j: float
+
+    @property
+    def brake_j(self) -> float:
+        """W_brake, nan where the speed is not known."""
+        return self.kinetic_j - self.drag_j - self.climb_j + self.drive_j
+
+
+def balance_of(
+    car: Vehicle, speed_ms: Column, slope_ms2: Column, traction_n: Column
+) -> Balance:
+    """Return Eq 4.5 over columns of the grid, (n,) each.
+
+    *slope_ms2* is g sin(grade), *traction_n* the force that drives the car.
+    """
+    from_ms, to_ms = float(speed_ms[0]), float(speed_ms[-1])
+    return Balance(
+        from_ms,
+        to_ms,
+        car.kinetic_energy_j(from_ms) - car.kinetic_energy_j(to_ms),
+        work_j(resistance_n(car, speed_ms), speed_ms),
+        work_j(car.mass_kg * slope_ms2, speed_ms),
+        work_j(traction_n, speed_ms),
+    )
+
+
+def work_j(force_n: Column, speed_ms: Column) -> float:
+    """Return the integral of force times speed over the grid (Eq 4.3)."""
+    power = np.nan_to_num(force_n * speed_ms)
+    return float((power[1:] + power[:-1]).sum()) * 0.5 * GRID_S
 
 
 def driving_of(
@@ -134,7 +218,7 @@ def driving_of(
     accel_measured = np.full(len(rate), np.nan)
     if channels.alive([LONGITUDINAL]) and config.heat.slope != "flat":
         accel_measured = channels.acceleration()
-    gripping = np.where(_slipping(channels), np.nan, rate)
+    gripping = np.where(flagged(channels, CONTROL), np.nan, rate)
     pitch, error = pitch_of(gripping, accel_measured, channels.speed)
     torque, external, known = _drive_line(channels)
     return Driving(
@@ -155,12 +239,12 @@ def driving_of(
     )
 
 
-def _slipping(channels: Channels) -> Mask:
-    """Return where a control system says that wheels slip."""
-    slipping = np.zeros(len(channels.time_s), bool)
-    for role in channels.alive(["abs_active", "esc_active", "tc_active"]):
-        slipping |= channels.value(role) > 0.5
-    return slipping
+def flagged(channels: Channels, roles: Iterable[str]) -> Mask:
+    """Return where one of the flags *roles* is set, (n,)."""
+    set_flags = np.zeros(len(channels.time_s), bool)
+    for role in channels.alive(roles):
+        set_flags |= channels.value(role) > 0.5
+    return set_flags
 
 
 def pitch_of(

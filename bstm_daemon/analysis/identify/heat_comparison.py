@@ -2,9 +2,7 @@
 
 Sources are Feed-Forward and Feed-Back as the estimator integrates them, the
 fused power where that heat mode exists, and the bus's own brake torque. Each
-stop is held against its energy balance, Eq 4.5 in the right form:
-
-    1/2 m_eff (v0^2 - v1^2) = W_brake + W_drag + W_climb - W_drive
+stop is held against its energy balance, Eq 4.5.
 """
 
 from __future__ import annotations
@@ -15,14 +13,14 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from bstm_daemon.analysis.identify.applications import Span, applications
-from bstm_daemon.analysis.identify.coastdown_run import work_j
+from bstm_daemon.analysis.identify.brake_samples import applications
+from bstm_daemon.analysis.identify.driving import Balance, balance_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from bstm_daemon.analysis.identify.driving import Driving
-    from bstm_daemon.analysis.statistics.series import Column, Mask
+    from bstm_daemon.analysis.identify.driving import Driving, Span
+    from bstm_daemon.analysis.statistics.series import Column, Mask, Matrix
     from bstm_daemon.config.sections import Config
     from bstm_daemon.replay.results import Results
 
@@ -46,23 +44,6 @@ LEAST_POWER_W: Final = 1000.0
 LEAST_FORCE_N: Final = 300.0
 LEAST_ENERGY_J: Final = 2000.0
 """Below, a ratio is of noise."""
-
-
-@dataclass(frozen=True, slots=True)
-class Balance:
-    """Eq 4.5 over a stop: speeds at its ends and the works [J]."""
-
-    from_ms: float
-    to_ms: float
-    kinetic_j: float
-    drag_j: float
-    climb_j: float
-    drive_j: float
-
-    @property
-    def brake_j(self) -> float:
-        """W_brake, nan where the speed is not known."""
-        return self.kinetic_j - self.drag_j - self.climb_j + self.drive_j
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,7 +138,8 @@ def compare_heat(
     """
     columns = results.columns
     time_s = columns["time_s"] - driving.channels.recording.start_s
-    steps_s = np.diff(time_s, prepend=time_s[0] - _step_s(time_s))
+    usual_s = float(np.median(np.diff(time_s))) if len(time_s) > 1 else 0.1
+    steps_s = np.diff(time_s, prepend=time_s[0] - usual_s)
     steps_s = np.where((steps_s > 0.0) & (steps_s < 1.0), steps_s, 0.0)
     power, absent = _powers(results, driving, config, fused, time_s)
     energy = {
@@ -165,20 +147,18 @@ def compare_heat(
         for name, value in power.items()
     }
     speed = np.nan_to_num(columns["speed_ms"])
-    pressure = _pressure(results)
+    pressure = _by_corner(results, "pressure_pa").max(axis=0, initial=0.0)
     if driving.pressures:
         braking = pressure > config.heat.brake_on_pressure_pa
     else:
         braking = np.nan_to_num(power.get("fb", np.zeros(len(time_s)))) > 0.0
     braking &= speed > 0.0
-    spans = applications(time_s, speed, braking)
-    stops = []
-    for span in spans:
-        stop = _stop(span, time_s, pressure, energy, driving, results)
-        if max(abs(v) for v in (*stop.energy_j.values(), 0.0)) > (
-            LEAST_ENERGY_J
-        ):
-            stops.append(stop)
+    stops = [
+        stop
+        for span in applications(time_s, speed, braking)
+        if (stop := _stop(span, time_s, pressure, energy, driving, results))
+        and any(abs(one) > LEAST_ENERGY_J for one in stop.energy_j.values())
+    ]
     return HeatComparison(
         time_s,
         speed,
@@ -193,16 +173,11 @@ def compare_heat(
     )
 
 
-def _step_s(time_s: Column) -> float:
-    return float(np.median(np.diff(time_s))) if len(time_s) > 1 else 0.1
-
-
-def _pressure(results: Results) -> Column:
-    total = np.zeros(len(results))
-    for name in results.corners:
-        own = np.nan_to_num(results.columns[f"{name}.pressure_pa"])
-        total = np.maximum(total, own)
-    return total
+def _by_corner(results: Results, column: str) -> Matrix:
+    """Return *column* of each corner, (corners, n), 0 where unknown."""
+    return np.nan_to_num(
+        [results.columns[f"{name}.{column}"] for name in results.corners]
+    )
 
 
 def _powers(
@@ -215,16 +190,16 @@ def _powers(
     """Return the power of each source [W], and why others are absent."""
     power, absent = {}, {}
     if driving.pressures:
-        power["ff"] = _summed(results, "brake_power_ff_w")
+        power["ff"] = _by_corner(results, "brake_power_ff_w").sum(axis=0)
     else:
         absent["ff"] = "no brake pressure in this log"
     torque_known = bool(driving.channels.alive(["powertrain_torque"]))
     if torque_known or config.heat.assume_powertrain_torque_nm is not None:
-        power["fb"] = _summed(results, "brake_power_fb_w")
+        power["fb"] = _by_corner(results, "brake_power_fb_w").sum(axis=0)
     else:
         absent["fb"] = "no torque at the wheels in this log"
     if fused is not None:
-        power["fused"] = _summed(fused, "brake_power_w")
+        power["fused"] = _by_corner(fused, "brake_power_w").sum(axis=0)
     else:
         absent["fused"] = "no heat mode 'fused' for this car and version"
     if driving.channels.alive(["brake_torque"]):
@@ -235,13 +210,6 @@ def _powers(
     else:
         absent["can"] = "no role brake_torque in this log"
     return power, absent
-
-
-def _summed(results: Results, column: str) -> Column:
-    total = np.zeros(len(results))
-    for name in results.corners:
-        total += np.nan_to_num(results.columns[f"{name}.{column}"])
-    return total
 
 
 def _stop(
@@ -256,14 +224,15 @@ def _stop(
     end_s = float(time_s[span.last]) + AFTER_S
     rows = np.searchsorted(time_s, (begin_s, end_s))
     first, last = max(int(rows[0]) - 1, 0), min(int(rows[1]), len(time_s) - 1)
+    begin_s, end_s = float(time_s[first]), float(time_s[last])
     return HeatStop(
         span.first,
         span.last,
-        float(time_s[first]),
-        float(time_s[last]),
+        begin_s,
+        end_s,
         float(np.mean(pressure_pa[span.points])),
         {n: float(e[last] - e[first]) for n, e in energy_j.items()},
-        _balance(driving, float(time_s[first]), float(time_s[last])),
+        _balance(driving, begin_s, end_s),
         _initial_c(results, span.first),
     )
 
@@ -274,28 +243,15 @@ def _balance(driving: Driving, begin_s: float, end_s: float) -> Balance:
     part = slice(int(ends[0]), int(ends[1]))
     known = np.isfinite(driving.speed_ms[part])
     if not len(known) or known.mean() < LEAST_KNOWN:
-        return Balance(nan, nan, nan, nan, nan, nan)
+        return Balance(*[nan] * 6)
     time_s = driving.time_s[part]
     speed = np.interp(time_s, time_s[known], driving.speed_ms[part][known])
     car = driving.vehicle
-    resistance = np.where(
-        speed > 0.0,
-        (car.quadratic * speed + car.linear) * speed + car.constant,
-        0.0,
-    )
     slope = np.zeros(len(speed))
     if driving.has_accelerometer:
         slope = np.nan_to_num(driving.slope_ms2[part])
     drive = np.nan_to_num(driving.torque_nm[part]) / car.wheel_radius_m
-    from_ms, to_ms = float(speed[0]), float(speed[-1])
-    return Balance(
-        from_ms,
-        to_ms,
-        car.kinetic_energy_j(from_ms) - car.kinetic_energy_j(to_ms),
-        work_j(resistance, speed),
-        work_j(car.mass_kg * slope, speed),
-        work_j(drive + driving.external_n[part], speed),
-    )
+    return balance_of(car, speed, slope, drive + driving.external_n[part])
 
 
 def _initial_c(results: Results, row: int) -> dict[str, float]:

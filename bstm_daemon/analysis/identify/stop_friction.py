@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from bstm_daemon.analysis.identify.brake_samples import brake_samples
+from bstm_daemon.analysis.identify.disc_loss import disc_part
 from bstm_daemon.model.heat.feed_forward import PressureTorque
 from bstm_daemon.model.thermal.brake_corner import corner_spec
-from bstm_daemon.model.thermal.partition import pad_share
 from bstm_daemon.model.thermal.properties import disc_heat_capacity
 
 if TYPE_CHECKING:
@@ -79,7 +79,8 @@ def stop_friction(
     if driving.pressures:
         nominal = _nominal(config, "F")
         pushout = max(c.pushout_pressure_pa for c in config.corner)
-        for stop in brake_samples(driving, config, every_stop=True).stops:
+        stops, *_ = brake_samples(driving, config, every_stop=True)
+        for stop in stops:
             pushing = stop.gain * (stop.pressure_pa - pushout)
             within.append(
                 WithinStop(
@@ -94,27 +95,18 @@ def stop_friction(
         for corner in config.disc_corners()
         if driving.channels.alive([f"temp_{corner.name.lower()}_disc"])
     ]
-    if not corners or not driving.pressures:
-        what = "disc temperature" if driving.pressures else "brake pressure"
-        return StopFriction(
-            tuple(within),
-            (),
-            f"no measured {what}: the motion shows front and rear as one",
-        )
-    axles = [
-        found
-        for stop in heat.stops
-        for found in _axles(stop, driving, config, corners)
-    ]
-    why = (
-        ""
-        if axles
-        else (
+    axles: list[AxleFriction] = []
+    if corners and driving.pressures:
+        why = (
             f"no stop of at most {LONGEST_STOP_S:g} s that warms a measured "
             f"disc by {LEAST_RISE_K:g} K"
         )
-    )
-    return StopFriction(tuple(within), tuple(axles), why)
+        for one in heat.stops:
+            axles += _axles(one, driving, config, corners)
+    else:
+        what = "disc temperature" if driving.pressures else "brake pressure"
+        why = f"no measured {what}: the motion shows front and rear as one"
+    return StopFriction(tuple(within), tuple(axles), "" if axles else why)
 
 
 def _initial_of(heat: HeatComparison, start_s: float) -> dict[str, float]:
@@ -126,16 +118,12 @@ def _initial_of(heat: HeatComparison, start_s: float) -> dict[str, float]:
 
 
 def _nominal(config: Config, axle: str) -> float:
-    return float(
-        np.mean(
-            [
-                corner.friction_coefficient
-                for corner in config.corner
-                if corner.name[0] == axle
-            ]
-            or [np.nan]
-        )
-    )
+    of_axle = [
+        corner.friction_coefficient
+        for corner in config.corner
+        if corner.name[0] == axle
+    ]
+    return float(np.mean(of_axle or [np.nan]))
 
 
 def _axles(
@@ -145,9 +133,11 @@ def _axles(
     corners: list[CornerConfig],
 ) -> list[AxleFriction]:
     """Return the friction of the axles in *stop*, none where it shows none."""
-    if stop.end_s - stop.begin_s > LONGEST_STOP_S:
-        return []
-    if not stop.balance.brake_j > LEAST_ENERGY_J or "ff" not in stop.energy_j:
+    if (
+        stop.end_s - stop.begin_s > LONGEST_STOP_S
+        or not stop.balance.brake_j > LEAST_ENERGY_J
+        or "ff" not in stop.energy_j
+    ):
         return []
     heats = {c.name: _disc_heat_j(c, stop, driving, config) for c in corners}
     taken: dict[str, float] = {}
@@ -157,31 +147,24 @@ def _axles(
         if own and known and np.isfinite(known).all():
             # both sides of an axle are alike
             taken[axle] = float(np.mean(known)) * len(own)
+    measured = set(taken)
     if len(taken) == 1:
         (axle,) = taken
         other = "rear" if axle == "front" else "front"
-        rest = stop.balance.brake_j - taken[axle]
-        taken |= {other: rest}
-        measured = {axle}
-    else:
-        measured = set(taken)
+        taken[other] = stop.balance.brake_j - taken[axle]
     found = []
     for axle, energy_j in taken.items():
-        share = _gain_share(config, PARTS[axle])
-        if share <= 0.0:
+        letter = PARTS[axle]
+        forward_j = stop.energy_j["ff"] * _gain_share(config, letter)
+        if forward_j <= 0.0:
             continue
-        forward_j = stop.energy_j["ff"] * share
-        initial = [
-            value
-            for name, value in stop.initial_c.items()
-            if name[0] == PARTS[axle]
-        ]
+        initial = [c for n, c in stop.initial_c.items() if n[0] == letter]
         found.append(
             AxleFriction(
                 axle,
                 stop.begin_s,
-                float(np.mean(initial)) if initial else float("nan"),
-                _nominal(config, PARTS[axle]) * energy_j / forward_j,
+                float(np.mean(initial or [np.nan])),
+                _nominal(config, letter) * energy_j / forward_j,
                 axle in measured,
             )
         )
@@ -218,8 +201,4 @@ def _disc_heat_j(
     stored_j = spec.disc_mass_kg * (
         capacity.integral(end_k) - capacity.integral(start_k)
     )
-    pads = pad_share(
-        spec.disc_share, spec.thermal.heat_partition_correction_factor
-    )
-    to_disc = (1.0 - pads) * (1.0 - spec.thermal.direct_air_fraction)
-    return stored_j / to_disc
+    return stored_j / disc_part(spec)

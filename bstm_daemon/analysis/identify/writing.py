@@ -43,21 +43,15 @@ class Change:
 
     def __str__(self) -> str:
         """Return it as in the file."""
+        where = f"[{self.section}]"
         if self.effect:
             where = f"[[effect]] {self.effect} {self.corner}"
-            return f"{where} {self.key} = {self._text()}"
-        where = (
-            f"[[corner]] {self.corner}"
-            if self.corner
-            else (f"[{self.section}]")
-        )
-        return f"{where} {self.key} = {self._text()}"
-
-    def _text(self) -> str:
-        numbers = self.rounded()
-        if isinstance(numbers, list):
-            return f"[{', '.join(f'{one:.{_DIGITS}g}' for one in numbers)}]"
-        return f"{numbers:.{_DIGITS}g}"
+        elif self.corner:
+            where = f"[[corner]] {self.corner}"
+        several = isinstance(self.value, tuple)
+        numbers = self.value if isinstance(self.value, tuple) else [self.value]
+        text = ", ".join(f"{one:.{_DIGITS}g}" for one in numbers)
+        return f"{where} {self.key} = {f'[{text}]' if several else text}"
 
     def rounded(self) -> float | list[float]:
         """Return the value in the digits that are written."""
@@ -69,8 +63,8 @@ class Change:
 def coast_down_changes(result: CoastDown) -> list[Change]:
     """Return the values that the runs settle."""
     return [
-        Change("vehicle", one.name, one.value)
-        for one in result.values
+        Change("vehicle", name, one.value)
+        for name, one in result.values.items()
         if one.identified
     ]
 
@@ -81,10 +75,10 @@ def brake_changes(result: Brakes, config: Config) -> list[Change]:
     A push-out below 0 is the sensor's zero and can not be configured.
     """
     changes = []
+    pushout = max(round(result.pushout_pa.value), 0)
     for corner in config.corner:
-        axle = result.front_scale
-        if corner.name[0] == "R":
-            axle = result.rear_scale
+        rear = corner.name[0] == "R"
+        axle = result.rear_scale if rear else result.front_scale
         scale = axle if axle.identified else result.scale
         key = "friction_coefficient"
         if corner.type == "drum":
@@ -93,14 +87,11 @@ def brake_changes(result: Brakes, config: Config) -> list[Change]:
             value = getattr(corner, key) * scale.value
             changes.append(Change("corner", key, value, corner.name))
         if result.pushout_pa.identified:
-            pushout = max(round(result.pushout_pa.value), 0)
-            changes.append(
-                Change("corner", "pushout_pressure_pa", pushout, corner.name)
-            )
+            key = "pushout_pressure_pa"
+            changes.append(Change("corner", key, pushout, corner.name))
     if result.front_share.identified:
-        changes.append(
-            Change("vehicle", "front_share", result.front_share.value)
-        )
+        share = result.front_share.value
+        changes.append(Change("vehicle", "front_share", share))
     if result.lag_s.identified and result.lag_s.value > 0.0:
         changes += [
             Change("heat", f"{circuit}_lag_s", result.lag_s.value)
@@ -130,10 +121,9 @@ def cooling_changes(
         corners = [
             c for c in config.corner if c.name[0] == axle.axle[0].upper()
         ]
-        own = axle.axle == "rear" or any(
+        if axle.axle == "rear" or any(
             set(values) & set(corner.cooling) for corner in corners
-        )
-        if own:
+        ):
             changes += [
                 Change("corner", f"cooling.{key}", value, corner.name)
                 for corner in corners
@@ -156,22 +146,15 @@ def _held_tables(
     it had.
     """
     measured = {axle.axle[0].upper() for axle in axles if axle.table}
+    note = "as before, beside another [cooling]"
     changes = []
     for corner in config.corner:
-        if corner.name[0] in measured:
-            continue
-        has = {"speed_ms", "s_per_s"} & set(corner.cooling)
-        if len(has) == 1:
-            (missing,) = {"speed_ms", "s_per_s"} - has
-            value = getattr(config.cooling_of(corner), missing)
+        missing = {"speed_ms", "s_per_s"} - set(corner.cooling)
+        if corner.name[0] not in measured and len(missing) == 1:
+            (key,) = missing
+            value = tuple(getattr(config.cooling_of(corner), key))
             changes.append(
-                Change(
-                    "corner",
-                    f"cooling.{missing}",
-                    tuple(value),
-                    corner.name,
-                    "as before, beside another [cooling]",
-                )
+                Change("corner", f"cooling.{key}", value, corner.name, note)
             )
     return changes
 
@@ -190,20 +173,20 @@ def write_changed(
     """
     with changed_copy(source, target) as document:
         for change in changes:
-            _apply(document, change, change.note or origin)
+            table, key = _place(document, change)
+            _set(table, key, change, change.note or origin)
 
 
-def _apply(document: Any, change: Change, origin: str) -> None:
+def _place(document: Any, change: Change) -> tuple[Any, str]:
+    """Return the table of *document* that holds *change*, and the key in it.
+
+    A table that is not there is made.
+    """
     if change.effect:
-        _set_effect_parameter(
-            document,
-            change.effect,
-            change.corner,
-            change.key,
-            change.rounded(),
-            origin,
-        )
-        return
+        entry = _entry(document, change.effect, change.corner)
+        return entry["parameters"], change.key
+    table = document
+    *outer, key = change.key.split(".")
     if change.corner:
         table = next(
             corner
@@ -211,60 +194,33 @@ def _apply(document: Any, change: Change, origin: str) -> None:
             if corner["name"] == change.corner
         )
     else:
-        if change.section not in document:
-            document[change.section] = {}
-        table = document[change.section]
-    *outer, key = change.key.split(".")
+        outer = [change.section, *outer]
     for name in outer:
         if name not in table:
             table[name] = {}
         table = table[name]
+    return table, key
+
+
+def _set(table: Any, key: str, change: Change, origin: str) -> None:
+    """Set *key* of *table*; its comment says *origin* and what it was."""
     known = table.get(key)
-    said = "" if known is None else known.trivia.comment.lstrip("# ")
-    was = "" if known is None else " ".join(str(known).split())
-    table[key] = change.rounded()
-    words = f"{origin}; was {was} ({said})" if said else origin
-    if known is not None and not said:
-        words = f"{origin}; was {was}"
-    table[key].comment(words)
-
-
-def _set_effect_parameter(
-    document: Any,
-    effect: str,
-    corner: str,
-    key: str,
-    value: float | list[float],
-    origin: str,
-) -> None:
-    """Set parameter *key* of *effect* in *document*, a tomlkit document.
-
-    For *corner*, or all; an effect that only the structure gives gets an
-    entry. The line of the parameters says *origin* and what the value was.
-    """
-    from tomlkit.items import InlineTable  # noqa: PLC0415  (as below)
-
-    table = _entry(document, effect, corner)
-    parameters = table["parameters"]
-    known = parameters.get(key)
     # an inline table has one comment, behind it
-    inline = isinstance(parameters, InlineTable)
-    old = parameters if inline else known
+    inline = isinstance(table, _tomlkit().items.InlineTable)
+    old = table if inline else known
     said = "" if old is None else old.trivia.comment.lstrip("# ")
-    parameters[key] = value
-    was = "typical" if known is None else str(known)
-    words = f"{origin}; was {was}"
-    line = parameters if inline else parameters[key]
+    was = "typical" if change.effect else ""
+    if known is not None:
+        was = " ".join(str(known).split())
+    table[key] = change.rounded()
+    words = f"{origin}; was {was}" if was else origin
+    line = table if inline else table[key]
     line.comment(f"{words} ({said})" if said else words)
 
 
 def _entry(document: Any, effect: str, corner: str) -> Any:
     """Return the entry of *effect* for *corner*, made where there is none."""
-    import tomlkit  # noqa: PLC0415  (of the extra identify)
-
-    if "effect" not in document:
-        document["effect"] = tomlkit.aot()
-    entries: Any = document["effect"]
+    entries = _entries(document)
     own = [one for one in entries if one["name"] == effect]
     for one in own:
         if one.get("corner", "all") == corner:
@@ -273,15 +229,26 @@ def _entry(document: Any, effect: str, corner: str) -> Any:
         if own and own[0].get("corner", "all") == "all":
             _split(document, entries, own[0])
             return _entry(document, effect, corner)
-        one = tomlkit.table()
-        one["name"] = effect
-        if corner != "all":
-            one["corner"] = corner
-        entries.append(one)
+        entries.append(_new_entry(effect, corner))
         one = entries[-1]
     if "parameters" not in one:
-        one["parameters"] = tomlkit.inline_table()
+        one["parameters"] = _tomlkit().inline_table()
     return one
+
+
+def _entries(document: Any) -> Any:
+    """Return the list of ``[[effect]]``, made where there is none."""
+    if "effect" not in document:
+        document["effect"] = _tomlkit().aot()
+    return document["effect"]
+
+
+def _new_entry(effect: str, corner: str) -> Any:
+    table = _tomlkit().table()
+    table["name"] = effect
+    if corner != "all":
+        table["corner"] = corner
+    return table
 
 
 def _split(document: Any, entries: Any, whole: Any) -> None:
@@ -305,28 +272,19 @@ def adopt(source: Path, target: Path, effects: Sequence[EffectConfig]) -> None:
         FileAccessError: *source* is unreadable or *target* unwritable.
     """
     with changed_copy(source, target) as document:
-        import tomlkit  # noqa: PLC0415  (of the extra identify)
-
-        if "effect" not in document:
-            document["effect"] = tomlkit.aot()
+        entries = _entries(document)
         for effect in effects:
-            _put(document["effect"], effect)
+            _put(entries, effect)
 
 
 def _put(entries: Any, effect: EffectConfig) -> None:
     """Add *effect* to *entries*, in the place of its namesake."""
-    import tomlkit  # noqa: PLC0415  (as above)
-
-    table = tomlkit.table()
-    table["name"] = effect.name
-    if effect.corner != "all":
-        table["corner"] = effect.corner
-    table["parameters"] = tomlkit.inline_table()
+    table = _new_entry(effect.name, effect.corner)
+    table["parameters"] = _tomlkit().inline_table()
     for name, value in effect.parameters.items():
         table["parameters"][name] = float(f"{value:.{_DIGITS}g}")
-    table["provenance"] = tomlkit.inline_table()
-    for name, said in effect.provenance.items():
-        table["provenance"][name] = said
+    table["provenance"] = _tomlkit().inline_table()
+    table["provenance"].update(effect.provenance)
     for place, one in enumerate(entries):
         corner = one.get("corner", "all")
         if one["name"] == effect.name and corner == effect.corner:
@@ -345,22 +303,28 @@ def changed_copy(source: Path, target: Path) -> Iterator[Any]:
         MissingExtraError: tomlkit is not installed.
         FileAccessError: *source* is unreadable or *target* unwritable.
     """
-    try:
-        import tomlkit  # noqa: PLC0415  (of the extra identify)
-    except ImportError as error:
-        raise MissingExtraError(
-            package="tomlkit", extra="identify", purpose="-o NEW.toml"
-        ) from error
+    parse, dumps = _tomlkit().parse, _tomlkit().dumps
     try:
         text = source.read_text(encoding="utf-8")
     except OSError as error:
         msg = f"{source}: cannot be read: {error.strerror or error}"
         raise FileAccessError(msg) from error
-    document = tomlkit.parse(text)
+    document = parse(text)
     yield document
     _move_paths(document, source.resolve().parent, target.resolve().parent)
     with replacing(target) as file:
-        file.write_text(tomlkit.dumps(document), encoding="utf-8")
+        file.write_text(dumps(document), encoding="utf-8")
+
+
+def _tomlkit() -> Any:
+    """Return tomlkit, which is of the extra ``identify``."""
+    try:
+        import tomlkit  # noqa: PLC0415
+    except ImportError as error:
+        raise MissingExtraError(
+            package="tomlkit", extra="identify", purpose="-o NEW.toml"
+        ) from error
+    return tomlkit
 
 
 def _move_paths(document: Any, old: Path, new: Path) -> None:
@@ -368,11 +332,7 @@ def _move_paths(document: Any, old: Path, new: Path) -> None:
     if old == new:
         return
     places = [(bus, "dbc") for bus in document.get("bus", [])]
-    places += [
-        (document[section], key)
-        for section, key in _PATHS
-        if section in document
-    ]
+    places += [(document.get(section, {}), key) for section, key in _PATHS]
     for table, key in places:
         path = table.get(key)
         if path is not None and not Path(str(path)).is_absolute():

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from bstm_daemon.analysis.identify.coastdown import identify_coast_down
-from bstm_daemon.analysis.identify.coastdown_run import theory
-from bstm_daemon.analysis.identify.coasting import coasting
+from bstm_daemon.analysis.identify.coasting import coasting, theory
 from bstm_daemon.errors import LogError
 from bstm_daemon.simulation import NOMINAL
 
@@ -73,11 +72,11 @@ def test_values_of_another_car(
 ) -> None:
     """Sensors n1, four runs on a grade of 0.2 %: within three errors."""
     found = identify_coast_down(
-        [driving(logged("coastdown", car=OTHER))], example[0].vehicle
+        [driving(logged("coastdown", car=OTHER))], example[0]
     )
 
-    values = {one.name: one for one in found.values}
-    assert all(one.identified for one in found.values)
+    values = found.values
+    assert all(one.identified for one in found.values.values())
     assert values["drag_area_m2"].value == pytest.approx(0.95, abs=0.035)
     assert values["friction_ns_m"].value == pytest.approx(7.0, abs=0.7)
     assert values["rolling_resistance"].value == pytest.approx(
@@ -104,13 +103,13 @@ def test_even_grade_leaves_the_accelerometer_out(
     """Speeds alone, quantum 0.01 to 0.06 m/s: 3 % of drag."""
     found = identify_coast_down(
         [driving(logged("coastdown", sensors, car=OTHER))],
-        example[0].vehicle,
+        example[0],
         even_grade=True,
     )
 
-    assert found.value("drag_area_m2").value == pytest.approx(0.95, rel=0.03)
-    assert found.value("friction_ns_m").value == pytest.approx(7.0, abs=0.5)
-    assert found.value("rolling_resistance").value == pytest.approx(
+    assert found.values["drag_area_m2"].value == pytest.approx(0.95, rel=0.03)
+    assert found.values["friction_ns_m"].value == pytest.approx(7.0, abs=0.5)
+    assert found.values["rolling_resistance"].value == pytest.approx(
         0.0105, abs=0.0002
     )
     assert found.bias_ms2 is None
@@ -125,15 +124,15 @@ def test_several_logs_are_one_fit(
     # one sensor is on both logs, so the bias is the same
     drivings = [driving(logged(drive, seed=4)) for drive in (there, back)]
 
-    single = identify_coast_down(drivings[:1], example[0].vehicle)
-    both = identify_coast_down(drivings, example[0].vehicle)
+    single = identify_coast_down(drivings[:1], example[0])
+    both = identify_coast_down(drivings, example[0])
 
     true = NOMINAL.rolling_resistance
     assert both.road == "both ways"
-    assert both.value("rolling_resistance").value == pytest.approx(
+    assert both.values["rolling_resistance"].value == pytest.approx(
         true, abs=3e-4
     )
-    assert single.value("rolling_resistance").value == pytest.approx(
+    assert single.values["rolling_resistance"].value == pytest.approx(
         true + 0.005, abs=5e-4
     )
     assert any("taken as level" in text for text in single.remarks)
@@ -143,13 +142,13 @@ def test_one_way_gives_no_rolling_resistance(
     logged: Logged, driving: Reader, example: Example
 ) -> None:
     found = identify_coast_down(
-        [driving(logged("coastdown"))], example[0].vehicle, one_way=True
+        [driving(logged("coastdown"))], example[0], one_way=True
     )
 
-    rolling = found.value("rolling_resistance")
+    rolling = found.values["rolling_resistance"]
     assert not rolling.identified
     assert "grade" in rolling.caveat
-    assert found.value("drag_area_m2").identified
+    assert found.values["drag_area_m2"].identified
 
 
 def test_held_value_stays_and_the_others_gain(
@@ -157,17 +156,17 @@ def test_held_value_stays_and_the_others_gain(
 ) -> None:
     """The thesis's own case: drag is known, f_r and C_fric are tuned."""
     drivings = [driving(logged("coastdown"))]
-    vehicle = example[0].vehicle
+    config = example[0]
 
-    free = identify_coast_down(drivings, vehicle)
-    held = identify_coast_down(drivings, vehicle, held={"drag_area_m2"})
+    free = identify_coast_down(drivings, config)
+    held = identify_coast_down(drivings, config, held={"drag_area_m2"})
 
-    assert held.value("drag_area_m2").value == vehicle.drag_area_m2
-    assert held.value("drag_area_m2").caveat == "held"
-    assert held.value("friction_ns_m").value == pytest.approx(4.0, abs=0.2)
+    assert held.values["drag_area_m2"].value == config.vehicle.drag_area_m2
+    assert held.values["drag_area_m2"].caveat == "held"
+    assert held.values["friction_ns_m"].value == pytest.approx(4.0, abs=0.2)
     assert (
-        held.value("friction_ns_m").standard_error
-        < 0.4 * free.value("friction_ns_m").standard_error
+        held.values["friction_ns_m"].standard_error
+        < 0.4 * free.values["friction_ns_m"].standard_error
     )
 
 
@@ -177,7 +176,7 @@ def test_accelerometer_bias_and_pitch_are_found(
     """n2 pitches by 0.03 rad per g; the bias is the drive's own."""
     log = logged("coastdown", "n2")
     read = driving(log)
-    found = identify_coast_down([read], example[0].vehicle)
+    found = identify_coast_down([read], example[0])
 
     assert read.pitch == pytest.approx(0.03, abs=0.008)
     assert found.bias_ms2 is not None
@@ -193,7 +192,7 @@ def test_energy_is_balanced_in_the_right_form(
 ) -> None:
     """Eq 4.5 with 1/2 J w^2: the wheels' 1.2 % would be seen to miss."""
     found = identify_coast_down(
-        [driving(logged("coastdown", "none"))], example[0].vehicle
+        [driving(logged("coastdown", "none"))], example[0]
     )
 
     for run in found.runs:
@@ -205,7 +204,9 @@ def test_energy_is_balanced_in_the_right_form(
             / 0.3418**2
             * (run.speed_ms[0] ** 2 - run.speed_ms[-1] ** 2)
         )
-        assert wheels_j / run.kinetic_j == pytest.approx(0.0119, abs=2e-4)
+        assert wheels_j / run.balance.kinetic_j == pytest.approx(
+            0.0119, abs=2e-4
+        )
 
 
 def test_theory_solves_eq_4_2(driving: Reader, logged: Logged) -> None:
@@ -226,7 +227,7 @@ def test_no_coast_down_says_what_was_searched(
     drive = driving(logged(CITY))
 
     with pytest.raises(LogError) as caught:
-        identify_coast_down([drive], example[0].vehicle)
+        identify_coast_down([drive], example[0])
 
     text = str(caught.value)
     assert caught.value.exit_code == 65
@@ -240,9 +241,9 @@ def test_short_coast_down_is_no_value(
 ) -> None:
     """From 110 to 70 km/h drag and C_fric are one."""
     short = ONE_WAY.replace("until_speed_kmh = 15.0", "until_speed_kmh = 70")
-    found = identify_coast_down([driving(logged(short))], example[0].vehicle)
+    found = identify_coast_down([driving(logged(short))], example[0])
 
-    assert not any(one.identified for one in found.values)
+    assert not any(one.identified for one in found.values.values())
 
 
 def test_braking_and_pulling_are_no_coasting(

@@ -15,11 +15,12 @@ from bstm_daemon.analysis.identify.cool_downs import (
 from bstm_daemon.analysis.identify.cooling import (
     AxleCooling,
     CoolingPoint,
+    Series,
+    fit_cooling,
     identify_cooling,
     speed_groups,
     ten_pairs,
 )
-from bstm_daemon.analysis.identify.cooling_fit import Series, fit_cooling
 from bstm_daemon.analysis.identify.disc_loss import DiscLoss, disc_loss
 from bstm_daemon.analysis.identify.driving import Driving, driving_of
 from bstm_daemon.analysis.quality.recording import Recording

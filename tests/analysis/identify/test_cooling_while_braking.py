@@ -89,7 +89,7 @@ def test_table_to_configure(found: BrakedAxle, example: Example) -> None:
     assert not rest[2]
     assert not slow[2]
     assert rest[1] / slow[1] == pytest.approx(
-        found.configured[0] / found.configured[1]
+        found.disc.s_per_s[0] / found.disc.s_per_s[1]
     )
     assert rest[1] > 0.0
 

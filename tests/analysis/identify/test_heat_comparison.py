@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from bstm_daemon.analysis.identify.applications import applications
+from bstm_daemon.analysis.identify.brake_samples import applications
 from bstm_daemon.analysis.identify.heat_comparison import (
     HeatComparison,
     compare_heat,
