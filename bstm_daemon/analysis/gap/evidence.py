@@ -73,9 +73,7 @@ def weigh(
     """Return what *signature* does to *residual* (n,)."""
     columns = np.column_stack((residual, signature.linear, signature.curved))
     gram = columns.T @ project(columns)
-    grid = STRENGTHS
-    if signature.either_sign:
-        grid = np.concatenate((-STRENGTHS[::-1], STRENGTHS))
+    grid = strength_grid(either_sign=signature.either_sign)
     weights = strength_prior(grid, either_sign=signature.either_sign)
     gains = _gains(gram, grid)
     top = int(np.argmax(gains))
@@ -94,6 +92,13 @@ def weigh(
         log_evidence,
         DETECTED / float(np.sqrt(slope)),
     )
+
+
+def strength_grid(*, either_sign: bool) -> Column:
+    """Return the strengths that an effect is weighed at, rising."""
+    if either_sign:
+        return np.concatenate((-STRENGTHS[::-1], STRENGTHS))
+    return STRENGTHS
 
 
 def strength_prior(grid: Column, *, either_sign: bool) -> Column:
