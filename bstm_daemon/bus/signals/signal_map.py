@@ -13,6 +13,8 @@ from dataclasses import dataclass, field
 from difflib import get_close_matches
 from typing import TYPE_CHECKING, Final, NamedTuple
 
+import structlog
+
 from bstm_daemon.bus.output.e2e import PROFILE2_BYTES
 from bstm_daemon.bus.output.e2e_profile5 import PROFILE5_BYTES
 from bstm_daemon.bus.signals.dbc import (
@@ -37,6 +39,7 @@ from bstm_daemon.bus.signals.extraction import (
     RawSignal,
     frame_length,
 )
+from bstm_daemon.config.wording import shortened
 from bstm_daemon.errors import ConfigError
 from bstm_daemon.roles import ROLE_INDEX, ROLES, Role
 from bstm_daemon.units import UNITS, Unit
@@ -50,6 +53,8 @@ if TYPE_CHECKING:
     from bstm_daemon.bus.signals.dbc_text import DbcDefect
     from bstm_daemon.config.sections import BusConfig, SignalConfig
     from bstm_daemon.config.service import E2eConfig
+
+_log = structlog.get_logger(__name__)
 
 _LARGEST: Final = sys.float_info.max
 _LONGEST_LIST: Final = 8
@@ -85,6 +90,16 @@ class SignalMap:
             for plan in self.messages.values()
             for output in plan.outputs
         )
+
+
+def log_defects(signal_map: SignalMap) -> None:
+    """Log what had to be overlooked in DBC files, ids given twice loudly."""
+    names = {bus.name: bus.dbc for bus in signal_map.buses}
+    for bus, defects in signal_map.warnings.items():
+        for defect in defects:
+            if defect.same_id or not defect.harmless:
+                log = _log.warning if defect.same_id else _log.info
+                log("dbc_defect", bus=bus, dbc=names[bus], defect=str(defect))
 
 
 def compile_signal_map(
@@ -308,7 +323,8 @@ class Problems:
 
     def add(self, key: str, value: object, reason: str) -> None:
         """Note that the *value* of *key* cannot be, for *reason*."""
-        self.lines.append(f"{self.section} {key} = {value!r}: {reason}")
+        shown = shortened(repr(value))
+        self.lines.append(f"{self.section} {key} = {shown}: {reason}")
 
     def unknown_role(self, name: str) -> None:
         """Note that no role has the *name* of the section."""
