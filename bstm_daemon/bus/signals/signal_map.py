@@ -15,8 +15,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import structlog
 
-from bstm_daemon.bus.output.e2e import PROFILE2_BYTES
-from bstm_daemon.bus.output.e2e_profile5 import PROFILE5_BYTES
+from bstm_daemon.bus.output.e2e import PROFILE2_BYTES, PROFILE5_BYTES
 from bstm_daemon.bus.signals.dbc import (
     UnusableSignalError,
     multiplexers,

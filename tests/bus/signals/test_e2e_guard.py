@@ -8,8 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bstm_daemon.bus.opening import EventLog
-from bstm_daemon.bus.output.e2e import protect
-from bstm_daemon.bus.output.e2e_profile5 import profile5_crc
+from bstm_daemon.bus.output.e2e import profile5_crc, protect
 from bstm_daemon.bus.signals.decoder import Decoder
 from bstm_daemon.bus.signals.e2e_guard import E2eGuard
 from bstm_daemon.bus.signals.extraction import FrameKey
