@@ -1,6 +1,6 @@
 /* Lines of a candump log into columns: the plain lines with a data frame, by
  * the grammar of candump_line.py. Any other line is handed back.
- * bus/logs/candump_scan.py drives it.
+ * bus/logs/candump.py drives it.
  *
  * The text ends in a newline, and no part of a line matches one, so that no
  * loop over characters leaves the text.
