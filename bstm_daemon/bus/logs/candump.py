@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from bstm_daemon.bus.logs.reader import FrameRow, Wanted
-    from bstm_daemon.native.loader import LogExtension
+    from bstm_daemon.native.loader import BusExtension
 
 _CHUNK_BYTES: Final = 2 << 20
 _NAMES_LIMIT: Final = 64
@@ -205,7 +205,7 @@ class CandumpScan:
 
     def __init__(
         self,
-        extension: LogExtension,
+        extension: BusExtension,
         number_of: Callable[[bytes], int],
         why_unwanted: Callable[[int, int, bool], RejectReason | None],
         chunk_bytes: int,
