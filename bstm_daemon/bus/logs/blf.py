@@ -14,7 +14,6 @@ from __future__ import annotations
 import struct
 import zlib
 from datetime import UTC, datetime
-from decimal import Decimal
 from typing import TYPE_CHECKING, Final, NoReturn
 
 from bstm_daemon.bus.logs.reader import FrameReader
@@ -36,8 +35,8 @@ _START: Final = struct.Struct("<40x8H")
 _OBJECT_HEADER: Final = struct.Struct("<4sHHLL")
 _STAMP: Final = struct.Struct("<16xL4xQ")
 """Of both versions of an object's header: unit and stamp."""
-_UNITS_S: Final = {1: Decimal("1e-5")}
-_NANOSECOND: Final = Decimal("1e-9")
+_PER_SECOND: Final = {1: 100_000}
+"""Ticks of a stamp by its unit; of all others nanoseconds."""
 _CONTAINER: Final = struct.Struct("<H6xL4x")
 _CONTAINER_TYPE: Final = 10
 _UNPACKED, _DEFLATED = 0, 2
@@ -218,7 +217,7 @@ def _frame(one: bytes) -> tuple[float, int, int, bytes] | RejectReason:
     if len(data) not in sizes:
         return RejectReason.MALFORMED
     unit, stamp = _STAMP.unpack_from(one)
-    stamp_s = float(Decimal(stamp) * _UNITS_S.get(unit, _NANOSECOND))
+    stamp_s = stamp / _PER_SECOND.get(unit, 1_000_000_000)
     return stamp_s, channel, word, data
 
 

@@ -127,7 +127,7 @@ class CandumpReader(FrameReader):
         if self._scan is None:
             lines = bytes(memoryview(store)[:end]).split(b"\n")[:-1]
             self.lines += len(lines)
-            chunk = self._parse_lines(enumerate(lines, first))
+            chunk = chunk_of(self._rows(enumerate(lines, first)))
         else:
             found = self._scan.read(store, end, first)
             self.lines += found.lines
@@ -135,27 +135,28 @@ class CandumpReader(FrameReader):
                 self.seen[key] += count
                 if reason is not None:
                     self.refused[reason] += count
-            left = self._parse_lines(
-                (line, bytes(store[start:stop]))
-                for start, stop, line in found.pending
+            left = chunk_of(
+                self._rows(
+                    (line, bytes(store[start:stop]))
+                    for start, stop, line in found.pending
+                )
             )
             parts = [part for part in (*found.parts, left) if len(part)]
             chunk = join_in_file_order(parts or [left])
         self.frames += len(chunk)
         return chunk
 
-    def _parse_lines(
+    def _rows(
         self, numbered: Iterable[tuple[int, bytes]]
-    ) -> FrameChunk:
-        rows: list[FrameRow] = []
+    ) -> Iterator[FrameRow]:
         for number, line in numbered:
             found = parse_line(line[:LINE_LIMIT], self._why_unwanted)
             if isinstance(found, RejectReason):
                 self.refuse(found, number)
                 continue
-            channel = self._channel_of[found.interface]
-            rows.append((found.time_us, number, channel, *found[2:]))
-        return chunk_of(rows)
+            time_us, interface, can_id, extended, data = found
+            channel = self._channel_of[interface]
+            yield time_us, number, channel, can_id, extended, data
 
     def _why_unwanted(
         self,

@@ -28,7 +28,7 @@ from bstm_daemon.bus.signals.reject_reason import RejectReason
 from bstm_daemon.errors import FileAccessError, LogError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterable, Iterator
     from pathlib import Path
     from typing import BinaryIO
 
@@ -166,9 +166,9 @@ class FrameReader(ABC):
         """Yield the wanted frames of *rows*, counted, in chunks."""
         more = True
         while more:
-            taken = list(islice(rows, self._chunk_frames))
-            more = len(taken) == self._chunk_frames
-            yield self.wanted_frames(chunk_of(taken))
+            chunk = chunk_of(islice(rows, self._chunk_frames))
+            more = len(chunk) == self._chunk_frames
+            yield self.wanted_frames(chunk)
 
     def wanted_frames(self, chunk: FrameChunk) -> FrameChunk:
         """Return the wanted frames of *chunk*; count them and the others.
@@ -251,10 +251,22 @@ FrameRow = tuple[int, int, int, int, bool, bytes]
 """Stamp [us], line, channel, id, extended, payload of up to 64 bytes."""
 
 
-def chunk_of(rows: Sequence[FrameRow]) -> FrameChunk:
+def chunk_of(rows: Iterable[FrameRow]) -> FrameChunk:
     """Return frames as columns."""
-    columns = zip(*rows, strict=True) if rows else ((),) * 6
-    time_us, line, channel, can_id, extended, data = columns
+    time_us: list[int] = []
+    line: list[int] = []
+    channel: list[int] = []
+    can_id: list[int] = []
+    extended: list[bool] = []
+    data: list[bytes] = []
+    # kept as columns: so many tuples cost time in the garbage collection
+    for row in rows:
+        time_us.append(row[0])
+        line.append(row[1])
+        channel.append(row[2])
+        can_id.append(row[3])
+        extended.append(row[4])
+        data.append(row[5])
     lengths = [len(one) for one in data]
     width = 8 if max(lengths, default=0) <= 8 else 64
     payload = b"".join(one.ljust(width, b"\0") for one in data)

@@ -415,8 +415,9 @@ class TextLogReader(FrameReader):
             if isinstance(found, RejectReason):
                 self.refuse(found, self.lines)
                 continue
-            channel = self.channel(f"can{found.channel}")
-            yield found.time_us, self.lines, channel, *found[2:]
+            time_us, number, can_id, extended, data = found
+            channel = self.channel(f"can{number}")
+            yield time_us, self.lines, channel, can_id, extended, data
 
     def _lines(self, stream: BufferedReader) -> Iterator[str]:
         """Yield and count the lines, of each up to ``LINE_LIMIT`` bytes."""
