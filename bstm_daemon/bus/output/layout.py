@@ -173,8 +173,10 @@ def _getter(path: str) -> Callable[[Any], Any]:
     get = attrgetter(inner)
 
     def of_risk(source: Estimate | CornerEstimate) -> Any:
+        if source.risk is not None:
+            return get(source.risk)
         is_corner = isinstance(source, CornerEstimate)
-        return get(source.risk or (NO_RISK if is_corner else _NO_CAR_RISK))
+        return get(NO_RISK if is_corner else _NO_CAR_RISK)
 
     return of_risk
 
