@@ -16,7 +16,7 @@ from bstm_daemon.estimator.memory import Int64, Machine
 
 if TYPE_CHECKING:
     from bstm_daemon.advice.conditions import Conditions
-    from bstm_daemon.config.advice import AdviceConfig
+    from bstm_daemon.config.estimates import AdviceConfig
 
 STANDING_MS: Final = 0.5
 DRIVING_MS: Final = 1.5

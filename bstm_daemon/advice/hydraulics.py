@@ -10,7 +10,7 @@ from bstm_daemon.estimator.memory import Flag, Int64, Machine, Share
 
 if TYPE_CHECKING:
     from bstm_daemon.advice.conditions import Conditions
-    from bstm_daemon.config.advice import AdviceConfig
+    from bstm_daemon.config.estimates import AdviceConfig
 
 FEEL_RATE_1_S: Final = 0.02
 """Fastest change of the feel: gradual, so that nobody takes it for a fault

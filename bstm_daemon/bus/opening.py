@@ -13,8 +13,7 @@ from collections import Counter
 from typing import TYPE_CHECKING, Final
 
 from bstm_daemon.bus.logs.candump import CandumpReader
-from bstm_daemon.bus.logs.text_formats import is_frame_csv
-from bstm_daemon.bus.logs.text_log import TextLogReader
+from bstm_daemon.bus.logs.text_formats import TextLogReader, is_frame_csv
 from bstm_daemon.bus.signals.columns import ChunkDecoder
 from bstm_daemon.bus.tables.table_plan import TableMap
 from bstm_daemon.errors import FileAccessError, LogError, UsageError

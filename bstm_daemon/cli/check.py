@@ -159,7 +159,7 @@ def _model_problems(path: Path) -> list[str]:
     from bstm_daemon.estimator.corner_model import compile_corner  # noqa: PLC0415
 
     try:
-        config, _ = load_vehicle(path)
+        config, _ = load_vehicle(path, quiet=True)
     except ConfigError as error:
         return error.problems
     problems = []

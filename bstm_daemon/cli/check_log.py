@@ -46,7 +46,7 @@ def check_logs(args: argparse.Namespace, path: Path) -> Checked:
     )
     from bstm_daemon.report.shell import write_page  # noqa: PLC0415
 
-    config, signal_map = load_vehicle(path)
+    config, signal_map = load_vehicle(path, quiet=True)
     with Progress("check") as progress:
         recording = read_recording(
             args.log, signal_map, dict(args.map), progress.show_lines

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import structlog
-
 from bstm_daemon.bus.output.layout import BLOCK_IDS
+from bstm_daemon.bus.signals.signal_map import log_defects
 from bstm_daemon.bus.tables.table_plan import compile_sources
 from bstm_daemon.config.reading import load_config, naming_file
 from bstm_daemon.errors import ConfigError
@@ -18,11 +17,13 @@ if TYPE_CHECKING:
     from bstm_daemon.bus.signals.signal_map import SignalMap
     from bstm_daemon.config.sections import Config
 
-_LOG = structlog.get_logger()
 
-
-def load_vehicle(path: Path) -> tuple[Config, SignalMap]:
+def load_vehicle(
+    path: Path, *, quiet: bool = False
+) -> tuple[Config, SignalMap]:
     """Load the configuration *path* and compile its extraction plan.
+
+    What is overlooked in the DBC files is logged unless *quiet*.
 
     Raises:
         ConfigError: with every problem of file, DBC and effects.
@@ -44,10 +45,8 @@ def load_vehicle(path: Path) -> tuple[Config, SignalMap]:
         collisions = _own_ids_on_the_bus(config, signal_map)
         if collisions:
             raise ConfigError(collisions)
-    for bus, defects in signal_map.warnings.items():
-        for defect in defects:
-            if not defect.harmless:
-                _LOG.info("dbc_defect", bus=bus, defect=str(defect))
+    if not quiet:
+        log_defects(signal_map)
     return config, signal_map
 
 

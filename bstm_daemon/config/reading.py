@@ -14,6 +14,12 @@ from typing import TYPE_CHECKING, Any, Final, get_args, get_origin
 
 from pydantic import ValidationError
 
+from bstm_daemon.config.limits import (
+    TOML_BYTES,
+    TOML_DEPTH,
+    TOML_INTEGER_BITS,
+    read_limited,
+)
 from bstm_daemon.config.rules import Draft, problems_between
 from bstm_daemon.config.sections import Config
 from bstm_daemon.config.wording import hint, problems_of_section, toml_text
@@ -27,6 +33,8 @@ if TYPE_CHECKING:
 
 _REQUIRED: Final = ("vehicle", "bus", "signals", "corner")
 _WITHOUT_DEFAULTS: Final = ("vehicle", "table")
+_TOO_DEEP: Final = f"tables and lists nested deeper than {TOML_DEPTH}"
+_TOO_LARGE: Final = f"an integer of more than {TOML_INTEGER_BITS} bits"
 _POSITION: Final = re.compile(r"(.*) \(at (.*)\)$", re.DOTALL)
 
 
@@ -55,7 +63,7 @@ def read_draft(path: Path) -> tuple[Draft, list[str]]:
 
     Raises:
         FileAccessError: The file is missing or unreadable.
-        ConfigError: It is not TOML.
+        ConfigError: It is not TOML, or beyond a limit.
 
     """
     return draft_of(_read(path))
@@ -85,19 +93,48 @@ def naming_file(path: Path) -> Iterator[None]:
 
 def _read(path: Path) -> dict[str, Any]:
     try:
-        text = path.read_bytes().decode("utf-8")
+        text = read_limited(path, TOML_BYTES).decode("utf-8")
     except OSError as error:
         msg = f"{path}: {error.strerror}, give a readable configuration file"
         raise FileAccessError(msg) from error
     except UnicodeDecodeError as error:
         msg = f"byte {error.start}: is not UTF-8, save the file as UTF-8"
         raise ConfigError([msg]) from error
+    except ValueError as error:
+        raise ConfigError([str(error)]) from error
     try:
-        return tomllib.loads(text)
+        document = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         found = _POSITION.match(str(error))
         reason, place = found.groups() if found else (str(error), "TOML")
         raise ConfigError([f"{place}: {reason}"]) from error
+    except RecursionError as error:
+        raise ConfigError([f"TOML: {_TOO_DEEP}"]) from error
+    except ValueError as error:
+        # of Python's own limit on the digits of a number
+        raise ConfigError([f"TOML: {_TOO_LARGE}"]) from error
+    _require_limits(document)
+    return document
+
+
+def _require_limits(document: dict[str, Any]) -> None:
+    """Refuse what is nested too deep and integers that are too large."""
+    level: list[tuple[str, Any]] = list(document.items())
+    for _ in range(TOML_DEPTH):
+        inner: list[tuple[str, Any]] = []
+        for place, value in level:
+            if isinstance(value, dict):
+                inner += ((f"{place}.{k}", one) for k, one in value.items())
+            elif isinstance(value, list):
+                inner += ((f"{place}[{k}]", v) for k, v in enumerate(value))
+            elif (
+                isinstance(value, int)
+                and value.bit_length() > TOML_INTEGER_BITS
+            ):
+                raise ConfigError([f"{place}: {_TOO_LARGE}"])
+        level = inner
+    if level:
+        raise ConfigError([f"{level[0][0]}: {_TOO_DEEP}"])
 
 
 def _section_names(document: dict[str, Any]) -> Iterator[str]:

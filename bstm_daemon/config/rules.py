@@ -141,13 +141,7 @@ def _signal_problems(role: str, draft: Draft) -> list[str]:
     where = f"[signals.{role}]"
     table = draft.written_signals[role]
     bus, unit = table.get("bus"), table.get("unit")
-    names = draft.bus_names()
-    problems = []
-    if isinstance(bus, str) and bus not in names:
-        problems.append(
-            f"{where} bus = {toml_text(bus)}: no such [[bus]], "
-            f"{hint(bus, names)}"
-        )
+    problems = list(_bus_unknown(where, bus, draft))
     if role not in ROLE_INDEX:
         problems.append(f"{where}: unknown role, {hint(role, ROLE_INDEX)}")
     elif isinstance(unit, str):
@@ -169,6 +163,15 @@ def _signal_problems(role: str, draft: Draft) -> list[str]:
             f"of {kinds}: {fitting}"
         )
     return problems
+
+
+def _bus_unknown(where: str, bus: object, draft: Draft) -> Iterator[str]:
+    names = draft.bus_names()
+    if isinstance(bus, str) and bus not in names:
+        yield (
+            f"{where} bus = {toml_text(bus)}: no such [[bus]], "
+            f"{hint(bus, names)}"
+        )
 
 
 def _tables(value: object) -> list[Table]:
@@ -337,13 +340,7 @@ def _publish_problems(draft: Draft) -> Iterator[str]:
         return
     if publish.enabled and draft.written_signals and not draft.written_buses:
         yield "[publish] enabled = true: needs a [[bus]] to send on"
-    if publish.bus is None:
-        return
-    if publish.bus not in draft.bus_names():
-        yield (
-            f"[publish] bus = {toml_text(publish.bus)}: no such [[bus]], "
-            f"{hint(publish.bus, draft.bus_names())}"
-        )
+    yield from _bus_unknown("[publish]", publish.bus, draft)
 
 
 def _bus_of(name: object, draft: Draft) -> object:
@@ -353,12 +350,9 @@ def _bus_of(name: object, draft: Draft) -> object:
 
 def _e2e_problems(e2e: E2eConfig, draft: Draft) -> Iterator[str]:
     where = f"[[e2e]] {e2e.message}"
-    names = draft.bus_names()
-    if e2e.bus is not None and e2e.bus not in names:
-        yield (
-            f"{where} bus = {toml_text(e2e.bus)}: no such [[bus]], "
-            f"{hint(e2e.bus, names)}"
-        )
+    unknown = list(_bus_unknown(where, e2e.bus, draft))
+    if unknown:
+        yield from unknown
         return
     bus = _bus_of(e2e.bus, draft)
     read = {

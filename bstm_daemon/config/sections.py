@@ -14,9 +14,13 @@ from typing import Annotated, Any, Final, Literal, Self
 
 from pydantic import Discriminator, Field, Tag, model_validator
 
-from bstm_daemon.config.accuracy import AccuracyConfig
-from bstm_daemon.config.advice import AdviceConfig
-from bstm_daemon.config.fluid import FluidConfig, ForecastConfig
+from bstm_daemon.config.estimates import (
+    AccuracyConfig,
+    AdviceConfig,
+    FluidConfig,
+    ForecastConfig,
+    WearConfig,
+)
 from bstm_daemon.config.section import (
     Fraction,
     NotNegative,
@@ -33,7 +37,6 @@ from bstm_daemon.config.service import (
     RecordConfig,
     StateConfig,
 )
-from bstm_daemon.config.wear import WearConfig
 
 Emissivity = Annotated[float, Field(gt=0, le=1)]
 # upper bounds beyond any road vehicle: they find mm, cm2 and mm2 in an SI key

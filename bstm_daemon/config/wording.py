@@ -53,6 +53,11 @@ def toml_text(value: object) -> str:
         text = str(value)
     else:
         text = f"{value}"
+    return shortened(text)
+
+
+def shortened(text: str) -> str:
+    """Return *text*, its end left out when it is long."""
     if len(text) > _SHOWN_CHARACTERS:
         text = text[: _SHOWN_CHARACTERS - 3] + "..."
     return text

@@ -13,7 +13,7 @@ from bstm_daemon.roles import ROLE_INDEX
 from bstm_daemon.units import KELVIN_OFFSET
 
 if TYPE_CHECKING:
-    from bstm_daemon.config.fluid import FluidConfig
+    from bstm_daemon.config.estimates import FluidConfig
     from bstm_daemon.model.risk.vaporisation import Boiling
     from bstm_daemon.model.risk.water import Water
 

@@ -30,16 +30,11 @@ class Kernel(Protocol):
     sample_pass: Callable[..., tuple[int, int, int]]
 
 
-class LogExtension(Protocol):
-    """Reading of logs; all functions take flat buffers."""
+class BusExtension(Protocol):
+    """Reading of logs and of live frames; all functions take flat buffers."""
 
     scan: Callable[..., int]
     extract: Callable[..., tuple[int, int]]
-
-
-class LiveExtension(Protocol):
-    """Reading of live frames; the buffers are flat, too."""
-
     receive: Callable[..., tuple[int, int, int, int, int]]
     place_in_time: Callable[..., tuple[int, int]]
     sort: Callable[..., int]
@@ -77,31 +72,24 @@ def load_kernel(choice: str | None = None) -> Kernel | None:
     return cast("Kernel | None", module)
 
 
-def extension() -> LogExtension | None:
-    """Return the compiled reading of logs, None for the Python form.
+def extension() -> BusExtension | None:
+    """Return the compiled reading of frames, None for the Python form.
 
     Raises:
         UsageError: it is not of these sources.
     """
     if os.environ.get(VARIABLE) == "reference":
         return None
-    return cast("LogExtension | None", load_module("native._log"))
+    return cast("BusExtension | None", load_module("native._bus"))
 
 
-def live_extension() -> LiveExtension | None:
+def live_extension() -> BusExtension | None:
     """Return the compiled reading of live frames, None as :func:`extension`.
 
     Only Linux has the system call that it needs.
-
-    Raises:
-        UsageError: it is not of these sources.
     """
-    if os.environ.get(VARIABLE) == "reference":
-        return None
-    module = load_module("native._live")
-    if not hasattr(module, "receive"):
-        return None
-    return cast("LiveExtension", module)
+    module = extension()
+    return module if hasattr(module, "receive") else None
 
 
 def load_module(name: str) -> Any:

@@ -48,8 +48,12 @@ SOURCES: Final = {
         "native/thermal/kernel.c",
         "native/thermal/march.c",
     ),
-    "native._log": ("native/bus/candump.c", "native/bus/extract.c"),
-    "native._live": ("native/bus/receive.c", "native/bus/records.c"),
+    "native._bus": (
+        "native/bus/candump.c",
+        "native/bus/extract.c",
+        "native/bus/receive.c",
+        "native/bus/records.c",
+    ),
     "simulation._reality": ("simulation/_reality.c",),
 }
 """C files by module. Their hash takes in all headers of their folders."""

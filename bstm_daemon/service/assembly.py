@@ -7,7 +7,11 @@ from typing import TYPE_CHECKING, Final
 
 from bstm_daemon.bus.live.socketcan import SocketcanLink
 from bstm_daemon.bus.output.layout import own_ids
-from bstm_daemon.bus.signals.signal_map import SignalMap, compile_signal_map
+from bstm_daemon.bus.signals.signal_map import (
+    SignalMap,
+    compile_signal_map,
+    log_defects,
+)
 from bstm_daemon.config.reading import load_config, naming_file
 from bstm_daemon.engine import Engine
 from bstm_daemon.errors import ConfigError
@@ -114,6 +118,7 @@ def build_monitor(
             config.vehicle.wheel_radius_m,
             e2e=config.e2e,
         )
+        log_defects(signal_map)
         number = _publish_number(config)
         ids: frozenset[int] = frozenset()
         if number is not None:

@@ -9,7 +9,7 @@ import pytest
 
 from bstm_daemon.advice.conditions import Conditions
 from bstm_daemon.advice.hydraulics import FrontIsolation, PedalFeel
-from bstm_daemon.config.advice import AdviceConfig
+from bstm_daemon.config.estimates import AdviceConfig
 from bstm_daemon.estimate import (
     CornerEstimate,
     CornerRisk,

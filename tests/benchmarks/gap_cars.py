@@ -33,7 +33,7 @@ from bstm_daemon.analysis.matching.tunables import (
 )
 from bstm_daemon.bus.signals.columns import Events
 from bstm_daemon.cli.vehicle import load_vehicle
-from bstm_daemon.config.accuracy import AccuracyConfig
+from bstm_daemon.config.estimates import AccuracyConfig
 from bstm_daemon.config.sections import EffectConfig
 from bstm_daemon.files import shipped_file
 from bstm_daemon.model.effects.catalogue import STRUCTURES

@@ -4,8 +4,10 @@ import json
 from pathlib import Path
 
 import pytest
+from structlog.testing import capture_logs
 
 from bstm_daemon.cli.main import main
+from bstm_daemon.cli.vehicle import load_vehicle
 
 ROOT = Path(__file__).parents[2]
 TOYOTA = ROOT / "config" / "toyota_rav4.toml"
@@ -32,6 +34,33 @@ def test_the_json_has_the_warnings(tmp_path: Path) -> None:
 
     (warning,) = json.loads(result.read_text("utf-8"))["warnings"]
     assert "message 'PCS_HUD'" in warning
+
+
+def test_two_messages_of_one_id_are_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The line has file, id and both names; loading logs it as well."""
+    dbc = (ROOT / "dbc" / "example_vehicle.dbc").read_text("utf-8")
+    (tmp_path / "car.dbc").write_text(f"{dbc}\nBO_ 416 Other: 8 ESC\n")
+    text = (ROOT / "config" / "example_vehicle.toml").read_text("utf-8")
+    path = tmp_path / "car.toml"
+    path.write_text(text.replace("../dbc/example_vehicle.dbc", "car.dbc"))
+
+    assert main(["check", str(path)]) == 0
+
+    printed = capsys.readouterr()
+    (line,) = [
+        line for line in printed.out.splitlines() if line.startswith("warning")
+    ]
+    assert line.startswith("warning: [[bus]] chassis car.dbc: line ")
+    assert "'Other': has the id 0x1A0 of message 'WheelSpeeds'" in line
+    assert not printed.err
+    with capture_logs() as logged:
+        load_vehicle(path)
+    (entry,) = logged
+    assert entry["log_level"] == "warning"
+    assert (entry["bus"], entry["dbc"]) == ("chassis", "car.dbc")
+    assert "has the id 0x1A0 of message 'WheelSpeeds'" in entry["defect"]
 
 
 def test_a_dbc_without_defects_gives_none(

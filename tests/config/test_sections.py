@@ -10,7 +10,7 @@ import pytest
 from pydantic import BaseModel, ValidationError
 
 from bstm_daemon.bus.output.layout import BLOCK_IDS
-from bstm_daemon.config import fluid as config_fluid
+from bstm_daemon.config import estimates as config_estimates
 from bstm_daemon.config import sections as config
 from bstm_daemon.config import service as config_service
 from bstm_daemon.config.wording import allowed
@@ -30,8 +30,8 @@ SECTIONS: dict[str, type[config.Section]] = {
     "`[cooling]`": config.CoolingConfig,
     "`[accuracy]`": config.AccuracyConfig,
     "`[heat]`": config.HeatConfig,
-    "`[fluid]`": config_fluid.FluidConfig,
-    "`[forecast]`": config_fluid.ForecastConfig,
+    "`[fluid]`": config_estimates.FluidConfig,
+    "`[forecast]`": config_estimates.ForecastConfig,
     "`[[effect]]`": config.EffectConfig,
     "`[publish]`": config_service.PublishConfig,
     "`[[e2e]]`": config.E2eConfig,

@@ -4,7 +4,7 @@ from datetime import date
 
 import pytest
 
-from bstm_daemon.config.fluid import FluidConfig
+from bstm_daemon.config.estimates import FluidConfig
 from bstm_daemon.forecast.fluid import (
     CHANGED_ROLE,
     WATER_ROLE,

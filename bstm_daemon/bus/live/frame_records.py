@@ -1,6 +1,6 @@
 """Received frames in one block of memory, for the compiled form.
 
-The compiled code (``live.h``) fills the records, puts them in order and takes
+The compiled code (``bus.h``) fills the records, puts them in order and takes
 their samples; a frame becomes a Python object only on demand.
 """
 
@@ -15,7 +15,7 @@ from bstm_daemon.bus.live.link import DRAIN_LIMIT, Frame
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from bstm_daemon.native.loader import LiveExtension
+    from bstm_daemon.native.loader import BusExtension
 
 _HEAD: Final = struct.Struct("=qqIi4B4x")
 """Stamp [ns], time [us], id, bus; extended, length, error, remote."""
@@ -35,7 +35,7 @@ class FrameRecords:
 
     __slots__ = ("extension", "filled", "ready", "room", "store")
 
-    def __init__(self, extension: LiveExtension, buses: int) -> None:
+    def __init__(self, extension: BusExtension, buses: int) -> None:
         """Make room for a drain of each of *buses* and what it holds back."""
         self.extension: Final = extension
         self.room: Final = 2 * buses * DRAIN_LIMIT

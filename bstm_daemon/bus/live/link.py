@@ -38,6 +38,13 @@ class Frame(NamedTuple):
     is_remote: bool
 
 
+def require_classic(data: bytes) -> None:
+    """Raise :class:`ValueError` where *data* is too long to be sent."""
+    if len(data) > CLASSIC_BYTES:
+        msg = f"a classic frame has at most 8 bytes, {len(data)} given"
+        raise ValueError(msg)
+
+
 class LinkState(Enum):
     """Whether frames can come in."""
 

@@ -18,6 +18,7 @@ from bstm_daemon.bus.live.link import (
     LinkState,
     SendResult,
     Wanted,
+    require_classic,
 )
 from bstm_daemon.bus.signals.extraction import FD_LENGTHS
 from bstm_daemon.errors import ConfigError
@@ -167,9 +168,7 @@ class PortableLink:
         """
         import can  # noqa: PLC0415
 
-        if len(data) > CLASSIC_BYTES:
-            msg = f"a classic frame has at most 8 bytes, {len(data)} given"
-            raise ValueError(msg)
+        require_classic(data)
         if self._bus is None:
             return SendResult.LOST
         message = can.Message(

@@ -17,13 +17,13 @@ from typing import Final
 
 from bstm_daemon.bus.live.frame_records import FrameRecords
 from bstm_daemon.bus.live.link import (
-    CLASSIC_BYTES,
     DRAIN_LIMIT,
     Frame,
     LinkEvent,
     LinkState,
     SendResult,
     Wanted,
+    require_classic,
 )
 from bstm_daemon.bus.live.receiver import (
     ERROR_CLASSES,
@@ -191,14 +191,11 @@ class SocketcanLink:
         frames: list[Frame] = []
         receiver = self._receiver
         if receiver is not None:
-            fault = receiver.receive(frames)
-            if self.state is not LinkState.UP or fault not in _DRAINED:
-                self._settle(
-                    receiver,
-                    lambda: receiver.receive(frames),
-                    fault,
-                    lambda: len(frames),
-                )
+            self._drain(
+                receiver,
+                lambda: receiver.receive(frames),
+                lambda: len(frames),
+            )
         return frames
 
     def drain_records(self, records: FrameRecords, bus: int) -> None:
@@ -210,30 +207,28 @@ class SocketcanLink:
         if receiver is None:
             return
         before = records.filled
-        fault = receiver.receive_records(records, bus, DRAIN_LIMIT)
-        if self.state is LinkState.UP and fault in _DRAINED:
-            return
         end = before + DRAIN_LIMIT
-        self._settle(
+        self._drain(
             receiver,
             lambda: receiver.receive_records(
                 records, bus, end - records.filled
             ),
-            fault,
             lambda: records.filled - before,
         )
 
-    def _settle(
+    def _drain(
         self,
         receiver: FrameReceiver,
-        read_on: Callable[[], int],
-        fault: int,
+        read: Callable[[], int],
         count: Callable[[], int],
     ) -> None:
-        """Draw conclusions from *fault*, which ended the reading, and others.
+        """Read, and draw conclusions from each fault that ends the reading.
 
         *count* gives the number of frames so far.
         """
+        fault = read()
+        if self.state is LinkState.UP and fault in _DRAINED:
+            return
         was_up = self.state is LinkState.UP
         last = 0
         # an error overtakes the frames that came before it: read on
@@ -245,7 +240,7 @@ class SocketcanLink:
                 break
             self._note_fault(receiver, fault)
             last = fault
-            fault = read_on()
+            fault = read()
         if self.state is not LinkState.GONE:
             if count() and not was_up:
                 self._look(receiver)
@@ -273,9 +268,7 @@ class SocketcanLink:
         Raises:
             ValueError: *data* is longer than ``CLASSIC_BYTES``.
         """
-        if len(data) > CLASSIC_BYTES:
-            msg = f"a classic frame has at most 8 bytes, {len(data)} given"
-            raise ValueError(msg)
+        require_classic(data)
         receiver = self._receiver
         if receiver is None or receiver.bus_off:
             return SendResult.LOST

@@ -1,46 +1,42 @@
-"""BLF logs through python-can, which gets the sound CAN objects only.
+"""BLF logs: the CAN objects that are whole, and all others counted.
 
 The interfaces are named ``can0`` and so on, from the first channel.
 
-python-can's reader runs for ever on an object of size zero, reads to the end
-of the file for a negative size and ends with a traceback where the file is
-cut. It gets what :class:`BlfFeed` lets through: the file header and then
-containers with whole CAN frame objects only.
-
 The layout is that of Vector's format as published by the library Vector BLF
 (T. Lorenz): a file header, then objects; an object of type 10 contains
-compressed objects, which may run on into the next one.
+compressed objects, which may run on into the next one. Stamps are computed as
+python-can does, whose reader runs for ever on an object of size zero and ends
+with a traceback where the file is cut.
 """
 
 from __future__ import annotations
 
-import logging
 import struct
 import zlib
-from collections import deque
-from typing import TYPE_CHECKING, Final, NoReturn, Protocol, cast
+from datetime import UTC, datetime
+from typing import TYPE_CHECKING, Final, NoReturn
 
-from can.io.blf import BLFReader
-
-from bstm_daemon.bus.logs.reader import FrameColumns, FrameReader
+from bstm_daemon.bus.logs.reader import FrameReader
+from bstm_daemon.bus.signals.extraction import EXTENDED_MAX, FD_LENGTHS
 from bstm_daemon.bus.signals.reject_reason import RejectReason
 from bstm_daemon.errors import LogError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
-    from typing import BinaryIO
+    from collections.abc import Generator, Iterator
+    from io import BufferedReader
 
-    from can import Message
-
-    from bstm_daemon.bus.logs.reader import Wanted
+    from bstm_daemon.bus.logs.reader import FrameRow
     from bstm_daemon.bus.signals.frame_chunk import FrameChunk
-
-CHUNK_FRAMES: Final = 20_000
 
 _SIGNATURE: Final = b"LOBJ"
 _FILE_HEADER: Final = struct.Struct("<4sL")
+_START: Final = struct.Struct("<40x8H")
+"""Year, month, weekday, day, hour, minute, second, millisecond."""
 _OBJECT_HEADER: Final = struct.Struct("<4sHHLL")
+_STAMP: Final = struct.Struct("<16xL4xQ")
+"""Of both versions of an object's header: unit and stamp."""
+_PER_SECOND: Final = {1: 100_000}
+"""Ticks of a stamp by its unit; of all others nanoseconds."""
 _CONTAINER: Final = struct.Struct("<H6xL4x")
 _CONTAINER_TYPE: Final = 10
 _UNPACKED, _DEFLATED = 0, 2
@@ -48,36 +44,20 @@ _SIZE_LIMIT: Final = 64 << 20
 """Bytes of one object; loggers write containers of 128 kB."""
 _HEADER_SIZES: Final = {1: 32, 2: 40}
 """Bytes of an object's header by its version."""
-_FRAMES: Final = {1: 16, 86: 16, 100: 84, 101: 40}
-"""Fewest bytes behind the header, by type: CAN frame, the same with more
-fields, CAN FD frame and CAN FD frame of variable size."""
-_FD_64: Final = 101
-_FD_64_EXTENSION: Final = 35
+_CLASSIC: Final = struct.Struct("<HBBL8s")
+_FD: Final = struct.Struct("<HBBL5xBB5x64s")
+_FD_64: Final = struct.Struct("<BBBxL4xL19xB4x")
+_FRAMES: Final = {1: _CLASSIC, 86: _CLASSIC, 100: _FD, 101: _FD_64}
+"""Layout behind the header, by type: CAN frame, the same with more fields,
+CAN FD frame and CAN FD frame of variable size, whose bytes follow."""
 _ERRORS: Final = (2, 73, 104)
-
-
-class Source(Protocol):
-    """Where bytes come from."""
-
-    def read(self, size: int, /) -> bytes:
-        """Return up to *size* bytes."""
+_EXTENDED: Final = 1 << 31
 
 
 class BlfReader(FrameReader):
     """Reads the data frames of a BLF log; ``lines`` counts objects."""
 
     counted = "object"
-
-    def __init__(
-        self,
-        path: Path,
-        wanted: Wanted | None = None,
-        *,
-        chunk_frames: int = CHUNK_FRAMES,
-    ) -> None:
-        """Prepare to read *path*, every id of every interface by default."""
-        super().__init__(path, wanted)
-        self._chunk_frames = chunk_frames
 
     def chunks(self) -> Iterator[FrameChunk]:
         """Yield the wanted data frames in file order.
@@ -86,123 +66,60 @@ class BlfReader(FrameReader):
             FileAccessError: The file cannot be read.
             LogError: The log is damaged.
         """
-        # what it logs about single objects is counted here
-        logging.getLogger("can.io").setLevel(logging.ERROR)
-        columns = FrameColumns()
         with self.opened() as stream:
-            feed = BlfFeed(stream, self)
-            messages = iter(BLFReader(cast("BinaryIO", feed)))
-            while (message := self._next(messages)) is not None:
-                line = feed.lines.popleft()
-                reason = _why_refused(message)
-                if reason is not None:
-                    self.refuse(reason, line)
-                    continue
-                columns.add(
-                    round(message.timestamp * 1e6),
-                    line,
-                    self.channel(f"can{message.channel}"),
-                    message.arbitration_id,
-                    message.is_extended_id,
-                    bytes(message.data),
-                )
-                if len(columns) >= self._chunk_frames:
-                    yield self.wanted_frames(columns.chunk())
-                    columns = FrameColumns()
-            yield self.wanted_frames(columns.chunk())
+            start_s = self._start_s(stream)
+            yield from self.in_chunks(self._frames(stream, start_s))
 
-    def _next(self, messages: Iterator[Message]) -> Message | None:
-        try:
-            return next(messages, None)
-        except (ValueError, LookupError, TypeError, OverflowError) as error:
-            raise self.damaged(error) from error
-
-
-def _why_refused(message: Message) -> RejectReason | None:
-    """Return why *message* is no data frame with all of its bytes."""
-    if message.is_error_frame:
-        return RejectReason.ERROR_FRAME
-    # there is no remote frame in CAN FD (ISO 11898-1): python-can makes one
-    # of every FD frame without data
-    if message.is_remote_frame and not message.is_fd:
-        return RejectReason.REMOTE_FRAME
-    size = len(message.data)
-    if message.is_remote_frame or message.is_fd:
-        return None if size <= 64 else RejectReason.MALFORMED
-    # a classic frame may carry a raw DLC of 9 to 15 for its 8 bytes
-    whole = size == min(message.dlc, 8) or size == message.dlc
-    return None if whole else RejectReason.MALFORMED
-
-
-class BlfFeed:
-    """A file for python-can's BLF reader.
-
-    ``lines`` has the numbers of the objects handed over whose frames have
-    not been taken yet; all other objects are counted in the reader.
-    """
-
-    def __init__(self, source: Source, reader: FrameReader) -> None:
-        """Take the file header from *source*.
-
-        Raises :class:`LogError` where there is none.
-        """
-        self.lines: deque[int] = deque()
-        self._source = source
-        self._reader = reader
-        self._tail = b""
-        start = source.read(_FILE_HEADER.size)
+    def _start_s(self, stream: BufferedReader) -> float:
+        """Return when the recording began, from the file header."""
+        start = stream.read(_FILE_HEADER.size)
         if len(start) < _FILE_HEADER.size or not start.startswith(b"LOGG"):
-            msg = f"{reader.path}: has no BLF header"
+            msg = f"{self.path}: has no BLF header"
             raise LogError(msg)
         size = _FILE_HEADER.unpack(start)[1]
         if not 72 <= size <= 4096:
-            msg = f"{reader.path}: damaged BLF header, {size} bytes long"
+            msg = f"{self.path}: damaged BLF header, {size} bytes long"
             raise LogError(msg)
-        rest = source.read(size - len(start))
-        if len(rest) < size - len(start):
-            msg = f"{reader.path}: cut short inside the BLF header"
+        start += stream.read(size - len(start))
+        if len(start) < size:
+            msg = f"{self.path}: cut short inside the BLF header"
             raise LogError(msg)
-        self._store = start + rest
-        self._containers = self._clean()
+        year, month, _, day, *clock, milli = _START.unpack_from(start)
+        try:
+            midnight = datetime(year, month, day, tzinfo=UTC)
+            hour, minute, second = clock
+            began = midnight.replace(
+                hour=hour,
+                minute=minute,
+                second=second,
+                microsecond=milli * 1000,
+            )
+        except ValueError:
+            return 0.0
+        return began.timestamp()
 
-    def read(self, size: int) -> bytes:
-        """Return the next *size* bytes, fewer at the end only."""
-        while len(self._store) < size:
-            container = next(self._containers, None)
-            if container is None:
-                break
-            self._store += container
-        found, self._store = self._store[:size], self._store[size:]
-        return found
-
-    def close(self) -> None:
-        """Do nothing: the source is closed where it was opened."""
-
-    def _clean(self) -> Iterator[bytes]:
-        while True:
-            header = self._source.read(_OBJECT_HEADER.size)
+    def _frames(
+        self, stream: BufferedReader, start_s: float
+    ) -> Iterator[FrameRow]:
+        tail = b""
+        while not self.truncated:
+            header = stream.read(_OBJECT_HEADER.size)
             if len(header) < _OBJECT_HEADER.size:
-                self._reader.truncated |= bool(header) or bool(
-                    self._tail.strip(b"\0")
-                )
+                self.truncated |= bool(header or tail.strip(b"\0"))
                 return
             signature, _, _, size, kind = _OBJECT_HEADER.unpack(header)
             if signature != _SIGNATURE or not (
                 _OBJECT_HEADER.size <= size <= _SIZE_LIMIT
             ):
                 self._fail("no object begins here")
-            body = self._source.read(size - len(header))
-            self._source.read(size % 4)
-            if len(body) < size - len(header):
-                self._reader.truncated = True
+            body = stream.read(size - len(header))
+            stream.read(size % 4)
+            self.truncated |= len(body) < size - len(header)
             if kind == _CONTAINER_TYPE:
-                kept = self._sound_objects(self._unpacked(body))
-                if kept:
-                    yield _container(kept)
+                tail += self._unpacked(body)
+                tail = yield from self._contained(tail, start_s)
             else:
                 self._refuse(RejectReason.NOT_A_FRAME)
-            if self._reader.truncated:
-                return
 
     def _unpacked(self, body: bytes) -> bytes:
         if len(body) < _CONTAINER.size:
@@ -212,75 +129,98 @@ class BlfFeed:
         if method == _UNPACKED:
             return packed
         if method != _DEFLATED:
-            self._fail(f"compression method {method} is not known")
+            reason = f"compression method {method} is not known"
+            self._fail(reason)
         engine = zlib.decompressobj()
-        try:
-            data = engine.decompress(packed, _SIZE_LIMIT)
-        except zlib.error as error:
-            self._fail(str(error))
+        data = engine.decompress(packed, _SIZE_LIMIT)
         if engine.unconsumed_tail:
             self._fail("a container is too large")
         return data
 
-    def _sound_objects(self, data: bytes) -> bytes:
-        data = self._tail + data
-        kept = []
+    def _contained(
+        self, data: bytes, start_s: float
+    ) -> Generator[FrameRow, None, bytes]:
+        """Yield the frames in *data*; return the object that is not whole."""
         place = 0
         while True:
             start = data.find(_SIGNATURE, place, place + 8)
-            if start < 0:
-                if len(data) - place >= 8:
-                    self._fail("no object begins here")
-                break
-            if len(data) - start < _OBJECT_HEADER.size:
-                break
-            _, header, version, size, kind = _OBJECT_HEADER.unpack_from(
-                data, start
-            )
+            if start < 0 and len(data) - place >= 8:
+                self._fail("no object begins here")
+            if start < 0 or len(data) - start < _OBJECT_HEADER.size:
+                return data[place:]
+            size, kind = _OBJECT_HEADER.unpack_from(data, start)[3:]
             if not _OBJECT_HEADER.size <= size <= _SIZE_LIMIT:
                 self._fail(f"an object of {size} bytes")
             if start + size > len(data):
-                break
+                return data[place:]
             place = start + size
             if kind in _ERRORS:
                 self._refuse(RejectReason.ERROR_FRAME)
             elif kind not in _FRAMES:
                 self._refuse(RejectReason.NOT_A_FRAME)
-            elif _is_sound(data[start:place], header, version, kind):
-                self._reader.lines += 1
-                self.lines.append(self._reader.lines)
-                kept.append(data[start:place] + bytes(-size % 4))
             else:
-                self._refuse(RejectReason.MALFORMED)
-        self._tail = data[place:]
-        return b"".join(kept)
-
-    def _refuse(self, reason: RejectReason) -> None:
-        self._reader.lines += 1
-        self._reader.refuse(reason, self._reader.lines)
+                found = _frame(data[start:place])
+                if isinstance(found, RejectReason):
+                    self._refuse(found)
+                    continue
+                self.lines += 1
+                stamp_s, channel, word, payload = found
+                yield (
+                    *(round((stamp_s + start_s) * 1e6), self.lines),
+                    self.channel(f"can{channel - 1}"),
+                    *(word & EXTENDED_MAX, word & _EXTENDED != 0, payload),
+                )
 
     def _fail(self, reason: str) -> NoReturn:
-        raise self._reader.damaged(reason)
+        raise self.damaged(reason)
+
+    def _refuse(self, reason: RejectReason) -> None:
+        self.lines += 1
+        self.refuse(reason, self.lines)
 
 
-def _is_sound(one: bytes, header: int, version: int, kind: int) -> bool:
-    """Whether the object *one* has all bytes of its frame."""
-    if _HEADER_SIZES.get(version) != header:
-        return False
-    if len(one) < header + _FRAMES[kind]:
-        return False
-    if kind == _FD_64:
-        extension = one[header + _FD_64_EXTENSION]
-        return extension == 0 or extension >= header + _FRAMES[kind]
-    return True
-
-
-def _container(objects: bytes) -> bytes:
-    size = _OBJECT_HEADER.size + _CONTAINER.size + len(objects)
-    return (
-        _OBJECT_HEADER.pack(
-            _SIGNATURE, _OBJECT_HEADER.size, 1, size, _CONTAINER_TYPE
+def _frame(one: bytes) -> tuple[float, int, int, bytes] | RejectReason:
+    """Return stamp [s], channel, id with its flag and bytes of an object."""
+    _, header, version, _, kind = _OBJECT_HEADER.unpack_from(one)
+    layout = _FRAMES[kind]
+    if _HEADER_SIZES.get(version) != header or len(one) < header + layout.size:
+        return RejectReason.MALFORMED
+    is_fd = False
+    if layout is _CLASSIC:
+        channel, flags, size, word, data = layout.unpack_from(one, header)
+        is_remote = flags & 0x80 != 0
+        data = data[:size]
+    elif layout is _FD:
+        channel, flags, code, word, fd_flags, valid, data = layout.unpack_from(
+            one, header
         )
-        + _CONTAINER.pack(_UNPACKED, len(objects))
-        + objects
-    )
+        is_remote, is_fd = flags & 0x80 != 0, fd_flags & 1 != 0
+        size, data = _bytes_of(code), data[:valid]
+    else:
+        channel, code, valid, word, flags, extension = layout.unpack_from(
+            one, header
+        )
+        is_remote, is_fd = flags & 0x10 != 0, flags & 0x1000 != 0
+        begin, end = header + layout.size, extension or len(one)
+        if end < begin:
+            return RejectReason.MALFORMED
+        # more bytes may be stated than there are: the others are zero
+        data = one[begin : min(begin + valid, end)].ljust(valid, b"\0")
+        size = _bytes_of(code)
+    if is_remote and not is_fd:
+        return RejectReason.REMOTE_FRAME
+    if is_remote:
+        # there is no remote frame in CAN FD (ISO 11898-1): one without data
+        data = b""
+    # a classic frame may carry a raw DLC of 9 to 15 for its 8 bytes
+    sizes = range(65) if is_fd else (min(size, 8), size)
+    if len(data) not in sizes:
+        return RejectReason.MALFORMED
+    unit, stamp = _STAMP.unpack_from(one)
+    stamp_s = stamp / _PER_SECOND.get(unit, 1_000_000_000)
+    return stamp_s, channel, word, data
+
+
+def _bytes_of(code: int) -> int:
+    """Return the bytes of a length code of CAN FD (ISO 11898-1)."""
+    return FD_LENGTHS[min(code, 15)]

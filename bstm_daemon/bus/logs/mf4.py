@@ -30,13 +30,8 @@ from bstm_daemon.errors import FileAccessError, LogError, MissingExtraError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
-    from pathlib import Path
 
     import numpy.typing as npt
-
-    from bstm_daemon.bus.logs.reader import Wanted
-
-CHUNK_FRAMES: Final = 40_000
 
 _FRAME: Final = "CAN_DataFrame"
 _NEEDED: Final = ("ID", "DataLength", "DataBytes")
@@ -59,17 +54,7 @@ class Mf4Reader(FrameReader):
     """
 
     counted = "record"
-
-    def __init__(
-        self,
-        path: Path,
-        wanted: Wanted | None = None,
-        *,
-        chunk_frames: int = CHUNK_FRAMES,
-    ) -> None:
-        """Prepare to read *path*, every id of every interface by default."""
-        super().__init__(path, wanted)
-        self._chunk_frames = chunk_frames
+    _chunk_frames = 40_000
 
     def chunks(self) -> Iterator[FrameChunk]:
         """Yield the wanted data frames in file order.

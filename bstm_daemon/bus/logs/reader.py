@@ -13,6 +13,7 @@ from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Collection
 from contextlib import contextmanager
+from itertools import islice
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -27,7 +28,7 @@ from bstm_daemon.bus.signals.reject_reason import RejectReason
 from bstm_daemon.errors import FileAccessError, LogError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterable, Iterator
     from pathlib import Path
     from typing import BinaryIO
 
@@ -66,6 +67,8 @@ class FrameReader(ABC):
 
     counted: str = "line"
     """What ``lines`` counts, for messages."""
+
+    _chunk_frames = 20_000
 
     def __init__(self, path: Path, wanted: Wanted | None = None) -> None:
         """Prepare to read *path*, every id of every interface by default."""
@@ -159,6 +162,14 @@ class FrameReader(ABC):
         if len(first) < LINES_KEPT:
             first.append(line)
 
+    def in_chunks(self, rows: Iterator[FrameRow]) -> Iterator[FrameChunk]:
+        """Yield the wanted frames of *rows*, counted, in chunks."""
+        more = True
+        while more:
+            chunk = chunk_of(islice(rows, self._chunk_frames))
+            more = len(chunk) == self._chunk_frames
+            yield self.wanted_frames(chunk)
+
     def wanted_frames(self, chunk: FrameChunk) -> FrameChunk:
         """Return the wanted frames of *chunk*; count them and the others.
 
@@ -236,50 +247,35 @@ class _Unpacked(io.RawIOBase):
         return len(data)
 
 
-class FrameColumns:
-    """Frames on their way into a chunk, one by one."""
+FrameRow = tuple[int, int, int, int, bool, bytes]
+"""Stamp [us], line, channel, id, extended, payload of up to 64 bytes."""
 
-    def __init__(self) -> None:
-        """Begin without frames."""
-        self._time_us: list[int] = []
-        self._line: list[int] = []
-        self._channel: list[int] = []
-        self._can_id: list[int] = []
-        self._extended: list[bool] = []
-        self._data: list[bytes] = []
 
-    def __len__(self) -> int:
-        """Return the number of frames."""
-        return len(self._line)
-
-    def add(
-        self,
-        time_us: int,
-        line: int,
-        channel: int,
-        can_id: int,
-        extended: bool,  # noqa: FBT001  (part of a frame's key)
-        data: bytes,
-    ) -> None:
-        """Add a frame with *data* of up to 64 bytes."""
-        self._time_us.append(time_us)
-        self._line.append(line)
-        self._channel.append(channel)
-        self._can_id.append(can_id)
-        self._extended.append(extended)
-        self._data.append(data)
-
-    def chunk(self) -> FrameChunk:
-        """Return the frames as columns."""
-        lengths = [len(one) for one in self._data]
-        width = 8 if max(lengths, default=0) <= 8 else 64
-        payload = b"".join(one.ljust(width, b"\0") for one in self._data)
-        return FrameChunk(
-            time_us=np.array(self._time_us, np.int64),
-            line=np.array(self._line, np.int64),
-            channel=np.array(self._channel, np.int16),
-            can_id=np.array(self._can_id, np.uint32),
-            extended=np.array(self._extended, np.bool_),
-            length=np.array(lengths, np.uint8),
-            data=np.frombuffer(payload, np.uint8).reshape(-1, width),
-        )
+def chunk_of(rows: Iterable[FrameRow]) -> FrameChunk:
+    """Return frames as columns."""
+    time_us: list[int] = []
+    line: list[int] = []
+    channel: list[int] = []
+    can_id: list[int] = []
+    extended: list[bool] = []
+    data: list[bytes] = []
+    # kept as columns: so many tuples cost time in the garbage collection
+    for row in rows:
+        time_us.append(row[0])
+        line.append(row[1])
+        channel.append(row[2])
+        can_id.append(row[3])
+        extended.append(row[4])
+        data.append(row[5])
+    lengths = [len(one) for one in data]
+    width = 8 if max(lengths, default=0) <= 8 else 64
+    payload = b"".join(one.ljust(width, b"\0") for one in data)
+    return FrameChunk(
+        time_us=np.array(time_us, np.int64),
+        line=np.array(line, np.int64),
+        channel=np.array(channel, np.int16),
+        can_id=np.array(can_id, np.uint32),
+        extended=np.array(extended, np.bool_),
+        length=np.array(lengths, np.uint8),
+        data=np.frombuffer(payload, np.uint8).reshape(-1, width),
+    )

@@ -1,4 +1,9 @@
-"""The lines of an ASC, TRC or python-can CSV log: data frames, or why not.
+"""ASC, TRC and python-can CSV logs: lines that are data frames, or why not.
+
+Interfaces are named after python-can's channel numbers: ``can0`` is the first
+channel, numbered 1 in an ASC or TRC file. A log without channels (CSV, TRC
+before 1.3) has ``can0`` alone. Stamps of an ASC file begin near zero, all
+others are absolute where the file has its start time.
 
 python-can's readers take what looks roughly right, skip other lines without
 a word or end with a traceback. Here every line is either one sound data frame
@@ -12,6 +17,8 @@ from binascii import a2b_base64
 from datetime import UTC, datetime, timedelta
 from typing import TYPE_CHECKING, Final, NamedTuple
 
+from bstm_daemon.bus.logs.candump_line import LINE_LIMIT
+from bstm_daemon.bus.logs.reader import FrameReader
 from bstm_daemon.bus.signals.extraction import (
     EXTENDED_MAX,
     FD_LENGTHS,
@@ -21,7 +28,12 @@ from bstm_daemon.bus.signals.reject_reason import RejectReason
 from bstm_daemon.errors import LogError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
+    from io import BufferedReader
+    from pathlib import Path
+
+    from bstm_daemon.bus.logs.reader import FrameRow, Wanted
+    from bstm_daemon.bus.signals.frame_chunk import FrameChunk
 
 
 class TextFrame(NamedTuple):
@@ -38,8 +50,8 @@ Verdict = TextFrame | RejectReason
 
 _CLASSIC_BYTES: Final = 8
 _DLC_MAX: Final = 15
-_CODES: Final = (*range(9), 12, 16, 20, 24, 32, 48, 64)
-"""Payload bytes of each CAN FD length code (ISO 11898-1)."""
+_CODES: Final = FD_LENGTHS
+"""Payload bytes by the length code (ISO 11898-1)."""
 
 _PS_A_S: Final = 10**12
 """Stamps have at most twelve decimals; their sum is exact in integers."""
@@ -363,3 +375,55 @@ def _micros(seconds: float) -> int:
 def is_frame_csv(first_line: str) -> bool:
     """Whether *first_line* is that of python-can's CSV log of frames."""
     return first_line.strip().lstrip("\ufeff") == _CSV_HEADER
+
+
+_PARSERS: Final[dict[str, type[AscParser | CsvParser | TrcParser]]] = {
+    ".asc": AscParser,
+    ".csv": CsvParser,
+    ".trc": TrcParser,
+}
+"""By the ending of the file, in front of ``.gz`` where it is packed."""
+
+
+class TextLogReader(FrameReader):
+    """Reads a text log by its ending: ``.asc``, ``.csv`` or ``.trc``."""
+
+    def __init__(self, path: Path, wanted: Wanted | None = None) -> None:
+        """Prepare to read *path*, every id of every interface by default."""
+        super().__init__(path, wanted)
+        ending = path.suffixes[-2] if self.is_packed else path.suffix
+        self._parser = _PARSERS[ending.lower()]()
+
+    def chunks(self) -> Iterator[FrameChunk]:
+        """Yield the wanted data frames in file order.
+
+        Raises:
+            FileAccessError: The file cannot be read.
+            LogError: The gzip file is damaged, or the version or the columns
+                of a TRC log are not read.
+        """
+        with self.opened() as stream:
+            yield from self.in_chunks(self._frames(stream))
+
+    def _frames(self, stream: BufferedReader) -> Iterator[FrameRow]:
+        for line in self._lines(stream):
+            try:
+                found = self._parser.parse(line)
+            except LogError as error:
+                msg = f"{self.path}: line {self.lines}: {error}"
+                raise LogError(msg) from error
+            if isinstance(found, RejectReason):
+                self.refuse(found, self.lines)
+                continue
+            time_us, number, can_id, extended, data = found
+            channel = self.channel(f"can{number}")
+            yield time_us, self.lines, channel, can_id, extended, data
+
+    def _lines(self, stream: BufferedReader) -> Iterator[str]:
+        """Yield and count the lines, of each up to ``LINE_LIMIT`` bytes."""
+        while raw := stream.readline(LINE_LIMIT):
+            line = raw.decode("utf-8", "replace")
+            while len(raw) == LINE_LIMIT and not raw.endswith(b"\n"):
+                raw = stream.readline(LINE_LIMIT)
+            self.lines += 1
+            yield line

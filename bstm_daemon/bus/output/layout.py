@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
     from enum import IntEnum
 
-    from bstm_daemon.estimate import CornerRisk, Estimate
+    from bstm_daemon.estimate import Estimate
 
 LAYOUT_VERSION: Final = 3
 """Raised whenever a signal of an existing frame moves or changes meaning."""
@@ -64,8 +64,7 @@ TENTH_HERTZ_US: Final = 10_000_000
 LATER_S: Final = 1e9
 """Beyond the range of any signal."""
 
-_MM: Final = 1e3
-_KM: Final = 1e-3
+_PER_SI: Final = {"mm": 1e3, "km": 1e-3}
 
 # DataIDList[counter] = key xor the masks of the bits set in the counter. The
 # list is linear, so a flipped counter bit changes the CRC in a known way;
@@ -163,32 +162,52 @@ class Frame:
 _NO_CORNER: Final = CornerEstimate()
 
 
+def _getter(path: str) -> Callable[[Any], Any]:
+    """Return what gives the attribute *path*, such as ``risk.peak_k``.
+
+    Without a forecast there is no ``risk``: then it gives that of none.
+    """
+    inner = path.removeprefix("risk.")
+    if inner == path:
+        return attrgetter(path)
+    get = attrgetter(inner)
+
+    def of_risk(source: Estimate | CornerEstimate) -> Any:
+        if source.risk is not None:
+            return get(source.risk)
+        is_corner = isinstance(source, CornerEstimate)
+        return get(NO_RISK if is_corner else _NO_CAR_RISK)
+
+    return of_risk
+
+
 def _code(
-    name: str,
-    start: int,
-    length: int,
-    codes: type[IntEnum],
-    value: Callable[[Any], int],
+    name: str, start: int, length: int, path: str, codes: type[IntEnum]
 ) -> Signal:
     choices = {int(code): code.name.lower() for code in codes}
-    return Signal(name, start, length, value, choices)
+    return Signal(name, start, length, _getter(path), choices)
 
 
 def _quantity(  # noqa: PLR0913  (the columns of the table)
     name: str,
     start: int,
     length: int,
-    value: Callable[[Any], float],
-    *,
+    value: str | Callable[[Any], float],
     scale: float = 1.0,
+    unit: str = "",
+    *,
     offset: float = 0.0,
     maximum: float | None = None,
-    unit: str = "",
 ) -> Signal:
+    """Return a quantity whose *value*, or its path, is in SI."""
+    get = _getter(value) if isinstance(value, str) else value
+    if unit in _PER_SI:
+        in_si, factor = get, _PER_SI[unit]
+        get = lambda source: in_si(source) * factor  # noqa: E731
     top = (1 << length) - 1
     choices = {top: "not_available", top - 1: "error"}
     return Signal(
-        *(name, start, length, value, choices, scale, offset, maximum, unit),
+        *(name, start, length, get, choices, scale, offset, maximum, unit),
         is_quantity=True,
     )
 
@@ -201,50 +220,32 @@ def _flag(name: str, start: int, when_0: str, when_1: str) -> Signal:
 
 
 def _celsius(
-    name: str,
-    start: int,
-    length: int,
-    value: Callable[[Any], float],
-    *,
-    scale: float = 1.0,
+    name: str, start: int, length: int, path: str, scale: float = 1.0
 ) -> Signal:
-    """Return a temperature, whose *value* is in kelvin."""
+    """Return a temperature, whose value is in kelvin."""
+    kelvin = _getter(path)
     return _quantity(
-        *(name, start, length, lambda source: to_celsius(value(source))),
-        scale=scale,
+        *(name, start, length, lambda source: to_celsius(kelvin(source))),
+        *(scale, "degC"),
         offset=-60.0,
-        unit="degC",
     )
 
 
 def _percent(
-    name: str,
-    start: int,
-    length: int,
-    value: Callable[[Any], float],
-    *,
-    scale: float,
+    name: str, start: int, length: int, path: str, scale: float
 ) -> Signal:
-    """Return a share, whose *value* is from 0 to 1."""
+    """Return a share, whose value is from 0 to 1."""
+    share = _getter(path)
     return _quantity(
-        *(name, start, length, lambda source: 100.0 * value(source)),
-        scale=scale,
+        *(name, start, length, lambda source: 100.0 * share(source)),
+        *(scale, "%"),
         maximum=100.0,
-        unit="%",
     )
-
-
-def _risk(corner: CornerEstimate) -> CornerRisk:
-    return corner.risk or NO_RISK
-
-
-def _car_risk(estimate: Estimate) -> CarRisk:
-    return estimate.risk or _NO_CAR_RISK
 
 
 def _safe_in_s(corner: CornerEstimate) -> float:
     """Later than the forecast reaches is the end of the range, no error."""
-    return min(_risk(corner).safe_in_s, LATER_S)
+    return min((corner.risk or NO_RISK).safe_in_s, LATER_S)
 
 
 _NO_CAR_RISK: Final = CarRisk()
@@ -255,136 +256,82 @@ E2E_SIGNALS: Final = (
 )
 
 
-def _header(value: Callable[[Any], int]) -> tuple[Signal, ...]:
-    return (*E2E_SIGNALS, _code("Validity", 12, 4, Validity, value))
+def _header(path: str = "validity") -> tuple[Signal, ...]:
+    return (*E2E_SIGNALS, _code("Validity", 12, 4, path, Validity))
 
 
 TEMPERATURES_SIGNALS: Final = (
-    *_header(lambda c: c.validity),
-    _celsius("Disc", 16, 12, lambda c: c.disc_k, scale=0.5),
-    _celsius("PadFront", 28, 12, lambda c: c.pad_front_k, scale=0.5),
-    _celsius("PadBack", 40, 12, lambda c: c.pad_back_k, scale=0.5),
-    _celsius("Fluid", 52, 12, lambda c: c.fluid_k, scale=0.1),
+    *_header(),
+    _celsius("Disc", 16, 12, "disc_k", 0.5),
+    _celsius("PadFront", 28, 12, "pad_front_k", 0.5),
+    _celsius("PadBack", 40, 12, "pad_back_k", 0.5),
+    _celsius("Fluid", 52, 12, "fluid_k", 0.1),
 )
 
 RISK_SIGNALS: Final = (
-    *_header(lambda c: c.validity),
-    _quantity(
-        *("Margin", 16, 12, lambda c: c.margin_k),
-        scale=0.2,
-        offset=-400.0,
-        unit="K",
-    ),
-    _celsius("WetBoilingPoint", 28, 12, lambda c: c.boiling_k, scale=0.1),
-    _percent(
-        *("Probability", 40, 16, lambda c: _risk(c).probability), scale=0.002
-    ),
-    _code("Level", 56, 4, RiskLevel, lambda c: c.level),
-    _code("FadeLevel", 60, 4, RiskLevel, lambda c: _risk(c).fade),
+    *_header(),
+    _quantity("Margin", 16, 12, "margin_k", 0.2, "K", offset=-400.0),
+    _celsius("WetBoilingPoint", 28, 12, "boiling_k", 0.1),
+    _percent("Probability", 40, 16, "risk.probability", 0.002),
+    _code("Level", 56, 4, "level", RiskLevel),
+    _code("FadeLevel", 60, 4, "risk.fade", RiskLevel),
 )
 
 FORECAST_SIGNALS: Final = (
-    *_header(lambda c: c.validity),
-    _celsius("Peak", 16, 12, lambda c: _risk(c).peak_k, scale=0.1),
-    _quantity(
-        *("PeakIn", 28, 6, lambda c: _risk(c).peak_in_s), scale=30.0, unit="s"
-    ),
-    _quantity("SafeIn", 34, 7, _safe_in_s, scale=60.0, unit="s"),
-    _quantity(
-        *("FluidDeviation", 41, 7, lambda c: _risk(c).fluid_deviation_k),
-        scale=0.5,
-        unit="K",
-    ),
-    _celsius("DutyPeak", 48, 9, lambda c: _risk(c).duty_peak_k),
-    _quantity("Age", 57, 7, lambda c: c.forecast_age_s, unit="s"),
+    *_header(),
+    _celsius("Peak", 16, 12, "risk.peak_k", 0.1),
+    _quantity("PeakIn", 28, 6, "risk.peak_in_s", 30.0, "s"),
+    _quantity("SafeIn", 34, 7, _safe_in_s, 60.0, "s"),
+    _quantity("FluidDeviation", 41, 7, "risk.fluid_deviation_k", 0.5, "K"),
+    _celsius("DutyPeak", 48, 9, "risk.duty_peak_k"),
+    _quantity("Age", 57, 7, "forecast_age_s", 1.0, "s"),
 )
 
 CAR_RISK_SIGNALS: Final = (
-    *_header(lambda e: e.validity),
-    _percent(
-        *("Probability", 16, 10, lambda e: _car_risk(e).probability), scale=0.1
-    ),
-    _percent(
-        *("ProbabilityNow", 26, 10, lambda e: _car_risk(e).probability_now),
-        scale=0.1,
-    ),
-    _code("Level", 36, 4, RiskLevel, lambda e: _car_risk(e).level),
-    _celsius("BoilingPoint", 40, 9, lambda e: _car_risk(e).boiling_k),
-    _celsius("BoilingPointLow", 49, 9, lambda e: _car_risk(e).boiling_low_k),
-    _quantity(
-        *("Water", 58, 6, lambda e: _car_risk(e).water_percent),
-        scale=0.2,
-        unit="%",
-    ),
+    *_header(),
+    _percent("Probability", 16, 10, "risk.probability", 0.1),
+    _percent("ProbabilityNow", 26, 10, "risk.probability_now", 0.1),
+    _code("Level", 36, 4, "risk.level", RiskLevel),
+    _celsius("BoilingPoint", 40, 9, "risk.boiling_k"),
+    _celsius("BoilingPointLow", 49, 9, "risk.boiling_low_k"),
+    _quantity("Water", 58, 6, "risk.water_percent", 0.2, "%"),
 )
 
 ADVICE_SIGNALS: Final = (
-    *_header(lambda e: e.advice.validity),
-    _code("Message", 16, 4, Message, lambda e: e.advice.message),
-    _code("Sound", 20, 2, Sound, lambda e: e.advice.sound),
-    _code("ShiftAdvice", 22, 2, Downshift, lambda e: e.advice.shift_advice),
-    _code(
-        *("GearboxRequest", 24, 2, Downshift),
-        lambda e: e.advice.gearbox_request,
-    ),
-    _code(
-        *("FrontIsolation", 26, 2, Isolation),
-        lambda e: e.advice.front_isolation,
-    ),
-    _code(
-        *("EmergencyAssist", 28, 3, Assist),
-        lambda e: e.advice.emergency_assist,
-    ),
-    _code(
-        *("Intervention", 31, 3, Intervention), lambda e: e.advice.intervention
-    ),
-    _quantity("WaitingTime", 34, 12, lambda e: e.advice.waiting_s, unit="s"),
-    _percent("PedalFeel", 46, 8, lambda e: e.advice.pedal_feel, scale=0.5),
-    _percent(
-        *("DetectorScore", 54, 8, lambda e: e.advice.detector_score), scale=0.5
-    ),
+    *_header("advice.validity"),
+    _code("Message", 16, 4, "advice.message", Message),
+    _code("Sound", 20, 2, "advice.sound", Sound),
+    _code("ShiftAdvice", 22, 2, "advice.shift_advice", Downshift),
+    _code("GearboxRequest", 24, 2, "advice.gearbox_request", Downshift),
+    _code("FrontIsolation", 26, 2, "advice.front_isolation", Isolation),
+    _code("EmergencyAssist", 28, 3, "advice.emergency_assist", Assist),
+    _code("Intervention", 31, 3, "advice.intervention", Intervention),
+    _quantity("WaitingTime", 34, 12, "advice.waiting_s", 1.0, "s"),
+    _percent("PedalFeel", 46, 8, "advice.pedal_feel", 0.5),
+    _percent("DetectorScore", 54, 8, "advice.detector_score", 0.5),
 )
 
 WEAR_SIGNALS: Final = (
-    *_header(lambda c: c.wear.validity),
+    *_header("wear.validity"),
+    _quantity("PadThickness", 16, 12, "wear.thickness_m", 0.01, "mm"),
+    _quantity("PadThicknessStd", 28, 8, "wear.std_m", 0.02, "mm"),
+    _quantity("DiscLoss", 36, 8, "wear.disc_loss_m", 0.02, "mm"),
     _quantity(
-        *("PadThickness", 16, 12, lambda c: c.wear.thickness_m * _MM),
-        scale=0.01,
-        unit="mm",
+        "RemainingDistance", 44, 12, "wear.remaining_distance_m", 50.0, "km"
     ),
-    _quantity(
-        *("PadThicknessStd", 28, 8, lambda c: c.wear.std_m * _MM),
-        scale=0.02,
-        unit="mm",
-    ),
-    _quantity(
-        *("DiscLoss", 36, 8, lambda c: c.wear.disc_loss_m * _MM),
-        scale=0.02,
-        unit="mm",
-    ),
-    _quantity(
-        *("RemainingDistance", 44, 12),
-        lambda c: c.wear.remaining_distance_m * _KM,
-        scale=50.0,
-        unit="km",
-    ),
-    _code("Source", 56, 4, WearSource, lambda c: c.wear.source),
-    _code("Level", 60, 4, WearLevel, lambda c: c.wear.level),
+    _code("Source", 56, 4, "wear.source", WearSource),
+    _code("Level", 60, 4, "wear.level", WearLevel),
 )
 
 STATUS_SIGNALS: Final = (
-    *_header(lambda e: e.validity),
+    *_header(),
     Signal("LayoutVersion", 16, 4, lambda _: LAYOUT_VERSION),
-    _code("State", 20, 4, State, lambda e: e.status.state),
-    _code("HeatMode", 24, 3, HeatMode, lambda e: e.status.heat_mode),
+    _code("State", 20, 4, "status.state", State),
+    _code("HeatMode", 24, 3, "status.heat_mode", HeatMode),
     Signal("CornersModelled", 27, 3, lambda e: len(e.corners)),
     _flag("HistoryKnown", 30, "unknown", "known"),
     _flag("CompiledKernel", 31, "python", "compiled"),
-    _quantity(
-        *("OldestInputAge", 32, 8, lambda e: e.status.oldest_input_age_s),
-        scale=0.1,
-        unit="s",
-    ),
+    _quantity("OldestInputAge", 32, 8, "status.oldest_input_age_s", 0.1, "s"),
     _flag("SpeedStale", 40, "fresh", "stale"),
     _flag("PressureStale", 41, "fresh", "stale"),
     _flag("AccelerationStale", 42, "fresh", "stale"),
@@ -393,8 +340,8 @@ STATUS_SIGNALS: Final = (
     _flag("ClockJump", 45, "none", "jumped"),
     _flag("InputSuspect", 46, "none", "suspect"),
     _flag("HeatSubstituted", 47, "own", "substituted"),
-    _quantity("RejectedFrames", 48, 8, lambda e: e.status.rejected_frames),
-    _quantity("DroppedFrames", 56, 7, lambda e: e.status.dropped_frames),
+    _quantity("RejectedFrames", 48, 8, "status.rejected_frames"),
+    _quantity("DroppedFrames", 56, 7, "status.dropped_frames"),
     _flag("ModelDisagrees", 63, "none", "disagrees"),
 )
 

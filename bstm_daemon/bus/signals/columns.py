@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
     from bstm_daemon.bus.signals.frame_chunk import FrameChunk
     from bstm_daemon.bus.signals.signal_map import SignalMap
-    from bstm_daemon.native.loader import LogExtension
+    from bstm_daemon.native.loader import BusExtension
 
 _FRAME_REASONS: Final = (
     RejectReason.UNKNOWN_INTERFACE,
@@ -146,7 +146,7 @@ class ChunkDecoder:
 
     def _compiled_runs(
         self,
-        compiled: LogExtension,
+        compiled: BusExtension,
         chunk: FrameChunk,
         bus_of_channel: Sequence[int],
     ) -> Events:

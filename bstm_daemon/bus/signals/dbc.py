@@ -7,6 +7,7 @@ signal lies, and each signal is read by itself.
 """
 
 import itertools
+import logging
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,6 +26,7 @@ from bstm_daemon.bus.signals.dbc_text import (
 )
 from bstm_daemon.bus.signals.dbc_values import unavailable_values
 from bstm_daemon.bus.signals.extraction import RawSignal
+from bstm_daemon.config.limits import DBC_BYTES, read_limited
 from bstm_daemon.errors import ConfigError
 
 _LENIENT_HINT: Final = "set strict = false in its [[bus]] to load it anyway"
@@ -62,7 +64,8 @@ def read_dbc(path: Path, *, strict: bool, encoding: str) -> LoadedDbc:
     problems, and for a file that cannot be read or is no DBC.
     """
     try:
-        text, defects = decode_dbc(path.read_bytes(), encoding)
+        content = read_limited(path, DBC_BYTES)
+        text, defects = decode_dbc(content, encoding)
     except OSError as error:
         reason = error.strerror or str(error)
         raise ConfigError([f"{path}: cannot be read: {reason}"]) from error
@@ -70,6 +73,8 @@ def read_dbc(path: Path, *, strict: bool, encoding: str) -> LoadedDbc:
         raise ConfigError(
             [f"{path}: encoding = {encoding!r} is not a known encoding"]
         ) from error
+    except ValueError as error:
+        raise ConfigError([f"{path}: {error}"]) from error
     try:
         database, survey = _load(text)
     except UnsupportedDatabaseFormatError as error:
@@ -209,6 +214,8 @@ def _load(text: str) -> tuple[Database, Survey]:
 
 
 def _parse(text: str) -> Database:
+    # of two messages with one id, which the survey names
+    logging.getLogger("cantools").setLevel(logging.ERROR)
     database = cantools.database.load_string(text, "dbc", strict=False)
     assert isinstance(database, Database)  # noqa: S101
     return database

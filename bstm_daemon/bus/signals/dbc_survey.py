@@ -6,15 +6,21 @@ see. A survey finds both kinds and what to leave out.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
 
 from bstm_daemon.bus.signals.dbc_text import (
     FORMS,
     DbcDefect,
+    Edit,
     Statement,
+    edited,
     statements_of,
-    without,
+)
+from bstm_daemon.config.limits import (
+    COMMENT_CHARACTERS,
+    MESSAGE_BYTES,
+    SIGNAL_BITS,
 )
 
 if TYPE_CHECKING:
@@ -50,19 +56,19 @@ class MessageOutline:
 class Survey:
     """What the statements of a DBC declare, and what is wrong with them.
 
-    ``dropped`` are statements to leave out, ``messages`` what remains. Not
-    *thorough*, only what cantools lets pass unseen is looked for; thorough,
-    every statement must also have its form and refer to what exists.
-    ``missing`` are places where an end has to be put in.
+    ``messages`` are those that are read. Not *thorough*, only what cantools
+    lets pass unseen or is beyond a limit is looked for; thorough, every
+    statement must also have its form and refer to what exists.
     """
 
     def __init__(self, text: str, *, thorough: bool) -> None:
         """Survey *text*."""
         self.messages: list[MessageOutline] = []
-        self.dropped: list[Statement] = []
         self.defects: list[DbcDefect] = []
         self._thorough = thorough
-        self._inserts: dict[int, str] = {}
+        self._edits: list[Edit] = []
+        self._by_name: dict[str, MessageOutline] = {}
+        self._by_id: dict[int, list[MessageOutline]] = {}
         self._silent: set[int] = set()
         self._text = text
         statements = statements_of(text)
@@ -79,23 +85,7 @@ class Survey:
 
     def cleaned(self) -> str:
         """Return the text without what was dropped, with ends put in."""
-        text = self._text
-        for place, insert in sorted(self._inserts.items(), reverse=True):
-            text = f"{text[:place]}{insert}{text[place:]}"
-        moved = [
-            replace(
-                statement,
-                start=self._moved(statement.start),
-                end=self._moved(statement.end),
-            )
-            for statement in self.dropped
-        ]
-        return without(text, moved)
-
-    def _moved(self, place: int) -> int:
-        return place + sum(
-            len(insert) for at, insert in self._inserts.items() if at <= place
-        )
+        return edited(self._text, self._edits)
 
     def _messages(self, statements: list[Statement]) -> None:
         current: MessageOutline | None = None
@@ -111,7 +101,7 @@ class Survey:
                 self._drop(statement, reason, "")
             elif statement.keyword == "SG_":
                 # its message is dropped and named
-                self.dropped.append(statement)
+                self._edits.append(statement.dropped())
 
     def _message(self, statement: Statement) -> MessageOutline | None:
         match = self._match(statement)
@@ -122,29 +112,36 @@ class Survey:
         outline = MessageOutline(int(match[1]), match[2], statement.line)
         if outline.name == _UNASSIGNED:
             # signals of no message: cantools does not read them either
-            self.dropped.append(statement)
+            self._edits.append(statement.dropped())
             return None
-        reason = _id_problem(outline.dbc_id)
-        twin = self._find(name=outline.name)
+        twin = self._by_name.get(outline.name)
         if twin is not None:
             reason = (
                 f"has the name of the message in line {twin.line}, which "
                 "counts: dropped"
             )
+        else:
+            reason = _message_problem(outline.dbc_id, int(match[3]))
         if reason:
             if twin is None or twin.dbc_id != outline.dbc_id:
                 self._silent.add(outline.dbc_id)
             self._drop(statement, reason, outline.name)
             return None
-        twin = self._find(dbc_id=outline.dbc_id)
-        if twin is not None:
+        same_id = self._by_id.setdefault(outline.dbc_id, [])
+        if same_id:
             reason = (
-                f"has the id of message {twin.name!r} in line {twin.line}: "
-                "roles can be read from one of them"
+                f"has the id 0x{outline.dbc_id & ~_EXTENDED:X} of message "
+                f"{same_id[0].name!r} in line {same_id[0].line}: roles can be "
+                "read from one of them"
             )
-            self.defects.append(
-                DbcDefect(statement.line, reason, outline.name, harmless=True)
+            defect = DbcDefect(
+                *(statement.line, reason, outline.name),
+                harmless=True,
+                same_id=True,
             )
+            self.defects.append(defect)
+        same_id.append(outline)
+        self._by_name[outline.name] = outline
         self.messages.append(outline)
         return outline
 
@@ -152,7 +149,8 @@ class Survey:
         match = self._match(statement, message.name)
         if match is None:
             return
-        name, marker, bits = match[1], match[2] or "", int(match[3])
+        name, marker = match[1], match[2] or ""
+        start, bits = int(match[3]), int(match[4])
         if name in message.signals:
             reason = (
                 f"signal {name!r} is declared in line "
@@ -160,6 +158,16 @@ class Survey:
             )
         elif bits == 0:
             reason = f"signal {name!r} has no bits: dropped"
+        elif bits > SIGNAL_BITS:
+            reason = (
+                f"signal {name!r} has {bits} bits, more than {SIGNAL_BITS}: "
+                "dropped"
+            )
+        elif start >= 8 * MESSAGE_BYTES:
+            reason = (
+                f"signal {name!r} begins at bit {start}, beyond "
+                f"{MESSAGE_BYTES} bytes: dropped"
+            )
         else:
             if marker == "m":
                 marker = self._marked_as_head(message, statement, match)
@@ -176,33 +184,37 @@ class Survey:
     ) -> str:
         """Read the mark ``m`` without a number as ``M``."""
         place = statement.start + match.start(2)
-        self._inserts[place] = "M"
-        self.dropped.append(
-            Statement("", place, place + 1, statement.line, "m")
+        self._edits.append((place, place + 1, "M"))
+        reason = (
+            f"signal {match[1]!r} has the mark 'm' without a number: read as "
+            "the multiplexer, 'M'"
         )
-        reason = f"signal {match[1]!r} has the mark 'm' without a number: "
         self.defects.append(
-            DbcDefect(
-                statement.line,
-                f"{reason}read as the multiplexer, 'M'",
-                message.name,
-                (match[1],),
-            )
+            DbcDefect(statement.line, reason, message.name, (match[1],))
         )
         return "M"
 
     def _reference(self, statement: Statement) -> None:
         """Look at a statement about a message or signal declared above."""
+        if statement.keyword == "CM_":
+            size = len(statement.text)
+            if size > COMMENT_CHARACTERS:
+                reason = f"a comment of {size} characters: left out"
+                self._edits.append(statement.dropped())
+                self.defects.append(
+                    DbcDefect(statement.line, reason, harmless=True)
+                )
+                return
         if self._thorough and statement.keyword not in FORMS:
             # nothing that a value is read with
-            self.dropped.append(statement)
+            self._edits.append(statement.dropped())
             return
         match = self._match(statement)
         named = ("VAL_", "SIG_VALTYPE_", "SG_MUL_VAL_")
         if match is None or statement.keyword not in named or not match[1]:
             return
         dbc_id, name = int(match[1]), match[2]
-        owners = [one for one in self.messages if one.dbc_id == dbc_id]
+        owners = self._by_id.get(dbc_id, [])
         owner = next((one for one in owners if name in one.signals), None)
         if owner is not None and statement.keyword == "SG_MUL_VAL_":
             if match[3] in owner.signals:
@@ -212,7 +224,7 @@ class Survey:
         elif owner is not None:
             return
         elif dbc_id in self._silent:
-            self.dropped.append(statement)
+            self._edits.append(statement.dropped())
             return
         else:
             what = "such signal" if owners else f"message with id {dbc_id}"
@@ -233,25 +245,21 @@ class Survey:
         heads = [
             name for name, mark in message.markers.items() if mark[-1:] == "M"
         ]
+        lack = (
+            f"SG_MUL_VAL_ tells which of {', '.join(heads)} it hangs on"
+            if heads
+            else "multiplexer is declared"
+        )
         for name, marker in message.markers.items():
             known = len(heads) == 1 or name in message.parents
             if marker in ("", "M") or known:
                 continue
-            lack = (
-                f"SG_MUL_VAL_ tells which of {', '.join(heads)} it hangs on"
-                if heads
-                else "multiplexer is declared"
-            )
             reason = (
-                f"signal {name!r} is multiplexed ({marker}), but no {lack}: "
-                "dropped"
+                f"signal {name!r} is multiplexed ({_shown(marker)}), but no "
+                f"{lack}: dropped"
             )
-            self._drop(message.signals[name], reason, message.name, name)
-        for name in [n for n in message.signals if self._gone(message, n)]:
-            del message.signals[name]
-
-    def _gone(self, message: MessageOutline, name: str) -> bool:
-        return message.signals[name] in self.dropped
+            statement = message.signals.pop(name)
+            self._drop(statement, reason, message.name, name)
 
     def _match(
         self, statement: Statement, message: str = ""
@@ -271,15 +279,13 @@ class Survey:
         place = statement.start + match.end()
         if match["end"] is None:
             implied = _IMPLIED.get(statement.keyword)
-            self._inserts[place] = " Vector__XXX" if implied else ";"
-            reason = f"{implied or 'the semicolon'} is missing at the end of "
-            self.defects.append(
-                DbcDefect(
-                    statement.line,
-                    f"{reason}{_shown(match[0])}: read all the same",
-                    message,
-                )
+            end = " Vector__XXX" if implied else ";"
+            self._edits.append((place, place, end))
+            reason = (
+                f"{implied or 'the semicolon'} is missing at the end of "
+                f"{_shown(match[0])}: read all the same"
             )
+            self.defects.append(DbcDefect(statement.line, reason, message))
         rest = statement.text[match.end() :]
         if rest.strip(" \t\n;,"):
             blank = len(rest) - len(rest.lstrip())
@@ -289,38 +295,26 @@ class Survey:
             reason = f"cannot be read: {_shown(rest.strip())}: dropped"
             self.defects.append(DbcDefect(line, reason, message))
         if rest.strip():
-            self.dropped.append(
-                Statement("", place, statement.end, statement.line, rest)
-            )
+            self._edits.append((place, statement.end, "\n" * rest.count("\n")))
         return match
 
     def _drop(
         self, statement: Statement, reason: str, message: str, signal: str = ""
     ) -> None:
-        self.dropped.append(statement)
+        self._edits.append(statement.dropped())
         signals = (signal,) if signal else ()
         self.defects.append(
             DbcDefect(statement.line, reason, message, signals)
         )
 
-    def _find(
-        self, *, name: str | None = None, dbc_id: int | None = None
-    ) -> MessageOutline | None:
-        return next(
-            (
-                one
-                for one in self.messages
-                if one.name == name or one.dbc_id == dbc_id
-            ),
-            None,
-        )
 
-
-def _id_problem(dbc_id: int) -> str:
+def _message_problem(dbc_id: int, size: int) -> str:
     extended = dbc_id & _EXTENDED
     bits = 29 if extended else 11
     if (dbc_id ^ extended) >> bits:
         return f"its id {dbc_id} has more than {bits} bits: dropped"
+    if size > MESSAGE_BYTES:
+        return f"has {size} bytes, more than {MESSAGE_BYTES}: dropped"
     return ""
 
 

@@ -18,13 +18,14 @@ from typing import Final
 
 _NUMBER: Final = r"[-+]?\d+\.?\d*(?:[eE][-+]?\d+)?"
 _NAME: Final = r"[A-Za-z_]\w*"
-_TEXT: Final = r'"(?:\\"|[^"])*"'
+_TEXT: Final = r'"[^"\\]*(?:\\"?[^"\\]*)*"'
 _SEMICOLON: Final = r"(?P<end>\s*;)?"
 
 _FORMS: Final[dict[str, str]] = {
-    "BO_": rf"BO_\s+(\d+)\s+({_NAME})\s*:\s*(0|[1-9]\d*)"
+    "BO_": rf"BO_\s+(\d{{1,18}})\s+({_NAME})\s*:\s*(0|[1-9]\d{{0,17}})"
     rf"(?P<end>[ \t]+{_NAME})?",
-    "SG_": rf"SG_\s+({_NAME})(?:\s+(M|m\d*M?))?\s*:\s*\d+\s*\|\s*(\d+)\s*"
+    "SG_": rf"SG_\s+({_NAME})(?:\s+(M|m\d*M?))?\s*:\s*"
+    r"(\d{1,18})\s*\|\s*(\d{1,18})\s*"
     rf"@\s*[01]\s*[-+]\s*\(\s*{_NUMBER}\s*,\s*{_NUMBER}\s*\)\s*"
     rf"\[\s*{_NUMBER}\s*\|\s*{_NUMBER}\s*\]\s*{_TEXT}"
     rf"(?P<end>[ \t]*{_NAME}(?:\s*,\s*{_NAME})*)?",
@@ -87,6 +88,8 @@ class DbcDefect:
     message: str = ""
     signals: tuple[str, ...] = ()
     harmless: bool = False
+    same_id: bool = False
+    """Whether the message shares its id with another one."""
 
     def __str__(self) -> str:
         """Return ``line 12: message 'NAME': reason``."""
@@ -104,6 +107,14 @@ class Statement:
     end: int
     line: int
     text: str
+
+    def dropped(self) -> Edit:
+        """Return the edit that leaves this out; the lines stay."""
+        return self.start, self.end, "\n" * self.text.count("\n")
+
+
+Edit = tuple[int, int, str]
+"""Start, end and what takes their place."""
 
 
 def decode_dbc(data: bytes, encoding: str) -> tuple[str, list[DbcDefect]]:
@@ -157,6 +168,7 @@ def statements_of(text: str) -> list[Statement]:
     """
     text = _without_comments(text)
     found = []
+    line, counted = 1, 0
     match = _START.search(text)
     while match is not None:
         start = match.start(1)
@@ -166,7 +178,8 @@ def statements_of(text: str) -> list[Statement]:
         if inner and not _is_whole(match[1], text[start:end]):
             following, end = inner, inner.start()
         body = text[start:end].rstrip()
-        line = text.count("\n", 0, start) + 1
+        line += text.count("\n", counted, start)
+        counted = start
         found.append(Statement(match[1], start, start + len(body), line, body))
         match = following
     return found
@@ -174,16 +187,17 @@ def statements_of(text: str) -> list[Statement]:
 
 def without(text: str, statements: list[Statement]) -> str:
     """Return *text* with *statements* blank; lines keep their numbers."""
+    return edited(text, [statement.dropped() for statement in statements])
+
+
+def edited(text: str, edits: list[Edit]) -> str:
+    """Return *text* with *edits* made; of two that overlap, the first."""
     pieces: list[str] = []
     done = 0
-    for statement in sorted(statements, key=lambda one: one.start):
-        if statement.start < done:
-            continue
-        pieces += (
-            text[done : statement.start],
-            "\n" * statement.text.count("\n"),
-        )
-        done = statement.end
+    for start, end, new in sorted(edits):
+        if start >= done:
+            pieces += (text[done:start], new)
+            done = end
     return "".join([*pieces, text[done:]])
 
 

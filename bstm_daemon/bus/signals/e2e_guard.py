@@ -8,8 +8,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from bstm_daemon.bus.output.e2e import CheckStatus, Profile2Checker
-from bstm_daemon.bus.output.e2e_profile5 import Profile5Checker
+from bstm_daemon.bus.output.e2e import (
+    Checker,
+    CheckStatus,
+    Profile2Checker,
+    Profile5Checker,
+)
 from bstm_daemon.bus.signals.reject_reason import RejectReason
 
 if TYPE_CHECKING:
@@ -37,7 +41,7 @@ class E2eGuard:
         # looked up with plain tuples, which equal the keys and cost less
         self._checkers: dict[
             tuple[int, int, bool],
-            tuple[int, Profile2Checker | Profile5Checker],
+            tuple[int, Checker],
         ] = {}
         for key, config in signal_map.protected.items():
             length = signal_map.messages[key].length
@@ -66,9 +70,7 @@ class E2eGuard:
         return _REFUSALS.get(status)
 
 
-def _checker(
-    config: E2eConfig, length: int
-) -> Profile2Checker | Profile5Checker:
+def _checker(config: E2eConfig, length: int) -> Checker:
     if config.profile == 2:
         return Profile2Checker(
             config.data_ids, length=length, max_delta=config.max_delta

@@ -16,14 +16,20 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Final
 
+from bstm_daemon.config.limits import (
+    EXPRESSION_CHARACTERS,
+    EXPRESSION_DEPTH,
+    EXPRESSION_TERMS,
+)
+
 _TOKEN: Final = re.compile(
     r"\s*(?:(?P<number>(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)"
     r"|(?P<name>[A-Za-z_]\w*)"
     r"|(?P<sign>[-+*/(),]))",
     re.ASCII,
 )
+_TERMS: Final = ("number", "name")
 _FUNCTIONS: Final = {"abs": (1, 1), "min": (2, 8), "max": (2, 8)}
-_DEPTH_LIMIT: Final = 50
 
 
 class ExpressionError(ValueError):
@@ -61,8 +67,13 @@ def parse_expression(text: str) -> Expression:
     Raises :class:`ExpressionError` with the position (the first character is
     1) of what is wrong, also when *text* names no signal at all.
     """
-    parser = _Parser(text)
-    tree = parser.parse()
+    if len(text) > EXPRESSION_CHARACTERS:
+        msg = (
+            f"has {len(text)} characters, at most {EXPRESSION_CHARACTERS} are "
+            "read"
+        )
+        raise ExpressionError(msg)
+    tree = _Parser(text).parse()
     if not signal_names(tree):
         msg = "names no signal"
         raise ExpressionError(msg)
@@ -129,6 +140,13 @@ class _Parser:
 
     def __init__(self, text: str) -> None:
         self._tokens = _tokenize(text)
+        terms = [at for kind, _, at in self._tokens if kind in _TERMS]
+        if len(terms) > EXPRESSION_TERMS:
+            msg = (
+                f"position {terms[EXPRESSION_TERMS]}: more than "
+                f"{EXPRESSION_TERMS} numbers and names"
+            )
+            raise ExpressionError(msg)
         self._at = 0
         self._depth = 0
 
@@ -140,8 +158,8 @@ class _Parser:
 
     def _sum(self) -> Expression:
         self._depth += 1
-        if self._depth > _DEPTH_LIMIT:
-            self._fail(f"nested deeper than {_DEPTH_LIMIT}")
+        if self._depth > EXPRESSION_DEPTH:
+            self._fail(f"nested deeper than {EXPRESSION_DEPTH}")
         tree = self._product()
         while self._text() in ("+", "-"):
             sign = self._next()

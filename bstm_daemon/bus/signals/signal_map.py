@@ -13,8 +13,9 @@ from dataclasses import dataclass, field
 from difflib import get_close_matches
 from typing import TYPE_CHECKING, Final, NamedTuple
 
-from bstm_daemon.bus.output.e2e import PROFILE2_BYTES
-from bstm_daemon.bus.output.e2e_profile5 import PROFILE5_BYTES
+import structlog
+
+from bstm_daemon.bus.output.e2e import PROFILE2_BYTES, PROFILE5_BYTES
 from bstm_daemon.bus.signals.dbc import (
     UnusableSignalError,
     multiplexers,
@@ -37,8 +38,9 @@ from bstm_daemon.bus.signals.extraction import (
     RawSignal,
     frame_length,
 )
+from bstm_daemon.config.wording import shortened
 from bstm_daemon.errors import ConfigError
-from bstm_daemon.roles import ROLE_INDEX, ROLES, Role
+from bstm_daemon.roles import ROLE_INDEX, ROLES
 from bstm_daemon.units import UNITS, Unit
 
 if TYPE_CHECKING:
@@ -50,6 +52,8 @@ if TYPE_CHECKING:
     from bstm_daemon.bus.signals.dbc_text import DbcDefect
     from bstm_daemon.config.sections import BusConfig, SignalConfig
     from bstm_daemon.config.service import E2eConfig
+
+_log = structlog.get_logger(__name__)
 
 _LARGEST: Final = sys.float_info.max
 _LONGEST_LIST: Final = 8
@@ -87,6 +91,16 @@ class SignalMap:
         )
 
 
+def log_defects(signal_map: SignalMap) -> None:
+    """Log what had to be overlooked in DBC files, ids given twice loudly."""
+    names = {bus.name: bus.dbc for bus in signal_map.buses}
+    for bus, defects in signal_map.warnings.items():
+        for defect in defects:
+            if defect.same_id or not defect.harmless:
+                log = _log.warning if defect.same_id else _log.info
+                log("dbc_defect", bus=bus, dbc=names[bus], defect=str(defect))
+
+
 def compile_signal_map(
     buses: Sequence[BusConfig],
     signals: Mapping[str, SignalConfig],
@@ -99,8 +113,9 @@ def compile_signal_map(
 
     DBC paths are relative to *base*; the first bus is the default one. A
     wheel speed in an angular unit becomes m/s with *wheel_radius_m*. *e2e*
-    protects messages that roles are read from. Raises :class:`ConfigError`
-    with all problems.
+    protects messages that roles are read from. What the rules of the
+    configuration hold true is not looked at again. Raises
+    :class:`ConfigError` with all problems of sources and DBC files.
     """
     compiler = _Compiler(buses, base, wheel_radius_m)
     for role_name, config in signals.items():
@@ -131,22 +146,12 @@ def _protected(
 ) -> dict[FrameKey, E2eConfig]:
     """Return the frames that *e2e* protects; its problems go to *lines*."""
     problems = Problems("[[e2e]]", lines)
-    names = [bus.name for bus in buses]
+    plan_of = {
+        (plan.name, buses[plan.key.bus].name): plan for plan in plans.values()
+    }
     protected: dict[FrameKey, E2eConfig] = {}
     for config in e2e:
-        bus = names[0] if config.bus is None else config.bus
-        plan = next(
-            (
-                plan
-                for plan in plans.values()
-                if plan.name == config.message and names[plan.key.bus] == bus
-            ),
-            None,
-        )
-        if plan is None:
-            reason = f"no role is read from it on the bus {bus!r}"
-            problems.add("message", config.message, reason)
-            continue
+        plan = plan_of[config.message, config.bus or buses[0].name]
         header = PROFILE2_BYTES if config.profile == 2 else PROFILE5_BYTES
         needed = config.offset_bytes + header
         if plan.length < needed:
@@ -155,8 +160,6 @@ def _protected(
                 f"{config.profile} need {needed}"
             )
             problems.add("message", config.message, reason)
-        elif plan.key in protected:
-            problems.add("message", config.message, "is protected twice")
         protected[plan.key] = config
     return protected
 
@@ -196,14 +199,7 @@ class _Compiler:
         self._wheel_radius_m = wheel_radius_m
         self._drafts: dict[FrameKey, _Draft] = {}
         self._databases: dict[str, Database] = {}
-        if not buses:
-            self.problems.append("[[bus]]: none is declared, one is needed")
         for bus in buses:
-            if bus.name in self._databases:
-                self.problems.append(
-                    f"[[bus]] name = {bus.name!r}: declared twice"
-                )
-                continue
             try:
                 loaded = read_dbc(
                     base / bus.dbc, strict=bus.strict, encoding=bus.encoding
@@ -234,15 +230,7 @@ class _Compiler:
     def add(self, role_name: str, config: SignalConfig) -> None:
         """Add the role *role_name*, or the problems it has."""
         problems = Problems(f"[signals.{role_name}]", self.problems)
-        if role_name not in ROLE_INDEX:
-            problems.unknown_role(role_name)
-            return
-        conversion = conversion_of(
-            ROLES[ROLE_INDEX[role_name]],
-            config,
-            self._wheel_radius_m,
-            problems,
-        )
+        conversion = conversion_of(role_name, config, self._wheel_radius_m)
         expression = _expression(config, problems)
         draft = self._draft(config, problems)
         if draft is None or expression is None:
@@ -254,8 +242,6 @@ class _Compiler:
                 conditions = draft.conditions(names)
             except UnusableSignalError as error:
                 problems.add(*_source_key(config), str(error))
-                return
-            if conversion is None:
                 return
             draft.outputs.append(
                 Output(
@@ -271,14 +257,9 @@ class _Compiler:
         self, config: SignalConfig, problems: Problems
     ) -> _Draft | None:
         """Return the draft of the configured message, or note why not."""
-        name = config.bus
         names = [bus.name for bus in self._buses]
-        if name is None and names:
-            name = names[0]
-        if name is not None and name not in names:
-            hint = _nearest(name, names)
-            problems.add("bus", name, f"no [[bus]] has this name{hint}")
-        if name is None or name not in self._databases:
+        name = config.bus or names[0]
+        if name not in self._databases:
             return None
         number = names.index(name)
         message = _message(
@@ -308,12 +289,8 @@ class Problems:
 
     def add(self, key: str, value: object, reason: str) -> None:
         """Note that the *value* of *key* cannot be, for *reason*."""
-        self.lines.append(f"{self.section} {key} = {value!r}: {reason}")
-
-    def unknown_role(self, name: str) -> None:
-        """Note that no role has the *name* of the section."""
-        hint = _nearest(name, ROLE_INDEX)
-        self.lines.append(f"{self.section}: no role has this name{hint}")
+        shown = shortened(repr(value))
+        self.lines.append(f"{self.section} {key} = {shown}: {reason}")
 
 
 class Conversion(NamedTuple):
@@ -327,21 +304,19 @@ class Conversion(NamedTuple):
 
 
 def conversion_of(
-    role: Role, config: SignalConfig, wheel_radius_m: float, problems: Problems
-) -> Conversion | None:
-    """Return the conversion of *role*, or note in *problems* why not.
+    role_name: str, config: SignalConfig, wheel_radius_m: float
+) -> Conversion:
+    """Return the conversion of a role, whose unit fits it.
 
     Args:
-        role: The role.
+        role_name: The role.
         config: Its source.
         wheel_radius_m: Makes a speed of a wheel's angular speed [m].
-        problems: Where a unit that does not fit is noted.
     """
-    unit = _unit(role, config, problems)
-    if unit is None:
-        return None
+    unit = UNITS[config.unit]
+    quantities = ROLES[ROLE_INDEX[role_name]].quantities
     factor = unit.factor
-    if "speed" in role.quantities and unit.quantity == "angular_speed":
+    if "speed" in quantities and unit.quantity == "angular_speed":
         factor *= wheel_radius_m
     return Conversion(
         gain=factor * (config.sign * config.scale),
@@ -407,20 +382,6 @@ def _all_known(
             f"{what}not a signal of message {message.name!r}{hint}",
         )
     return not unknown
-
-
-def _unit(role: Role, config: SignalConfig, problems: Problems) -> Unit | None:
-    unit = UNITS.get(config.unit)
-    if unit is not None and unit.quantity in role.quantities:
-        return unit
-    allowed = ", ".join(
-        name
-        for name, known in UNITS.items()
-        if known.quantity in role.quantities
-    )
-    what = "not a known unit" if unit is None else f"a unit of {unit.quantity}"
-    problems.add("unit", config.unit, f"{what}, allowed: {allowed}")
-    return None
 
 
 def _limit(

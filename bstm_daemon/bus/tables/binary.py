@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bstm_daemon.bus.tables.source import TableChunk
+from bstm_daemon.bus.tables.source import TableChunk, TableSource
 from bstm_daemon.errors import FileAccessError, LogError, MissingExtraError
 
 if TYPE_CHECKING:
@@ -17,32 +19,46 @@ if TYPE_CHECKING:
 
     import numpy.typing as npt
 
-CHUNK_ROWS: Final = 50_000
 
+class _BinarySource(TableSource):
+    """A table that a library of an extra reads."""
 
-class ParquetSource:
-    """A Parquet table (extra ``parquet``)."""
+    _chunk_rows = 50_000
+    _module: str
+    _extra: str
+    _kind: str
 
-    def __init__(self, path: Path, *, chunk_rows: int = CHUNK_ROWS) -> None:
+    def __init__(self, path: Path) -> None:
         """Open *path*.
 
         Raises :class:`MissingExtraError`, :class:`FileAccessError`,
         :class:`LogError`.
         """
+        super().__init__(path)
         try:
-            import pyarrow.parquet as pq  # noqa: PLC0415  (an extra)
+            library = import_module(self._module)
         except ImportError as error:
             raise MissingExtraError(
-                package="pyarrow",
-                extra="parquet",
-                purpose=f"{path}: a Parquet table",
+                package=self._module.partition(".")[0],
+                extra=self._extra,
+                purpose=f"{path}: {self._kind}",
             ) from error
-        self.truncated = False
-        self.share = 0.0
-        self._path = path
-        self._chunk_rows = chunk_rows
         with _naming_damage(path):
-            self._file = pq.ParquetFile(path)
+            self._open(library)
+
+    @abstractmethod
+    def _open(self, library: Any) -> None:
+        """Open the file and look at its columns."""
+
+
+class ParquetSource(_BinarySource):
+    """A Parquet table (extra ``parquet``)."""
+
+    _module, _extra = "pyarrow.parquet", "parquet"
+    _kind = "a Parquet table"
+
+    def _open(self, library: Any) -> None:
+        self._file = library.ParquetFile(self._path)
 
     def names(self) -> list[str]:
         """Return the names of the columns."""
@@ -105,7 +121,7 @@ class ParquetSource:
         raise LogError(msg)
 
 
-class Hdf5Source:
+class Hdf5Source(_BinarySource):
     """An HDF5 table (extra ``hdf5``).
 
     A column is a one-dimensional data set, a field of a compound one, or a
@@ -114,25 +130,12 @@ class Hdf5Source:
     set, or its last part where only one data set has it.
     """
 
-    def __init__(self, path: Path, *, chunk_rows: int = CHUNK_ROWS) -> None:
-        """Open *path*.
+    _module, _extra = "h5py", "hdf5"
+    _kind = "an HDF5 table"
 
-        Raises :class:`MissingExtraError`, :class:`FileAccessError`,
-        :class:`LogError`.
-        """
-        try:
-            import h5py  # noqa: PLC0415  (an extra)
-        except ImportError as error:
-            raise MissingExtraError(
-                package="h5py", extra="hdf5", purpose=f"{path}: an HDF5 table"
-            ) from error
-        self.truncated = False
-        self.share = 0.0
-        self._path = path
-        self._chunk_rows = chunk_rows
-        with _naming_damage(path):
-            self._file = h5py.File(path, "r")
-            self._columns = self._found(h5py)
+    def _open(self, library: Any) -> None:
+        self._file = library.File(self._path, "r")
+        self._columns = self._found(library)
 
     def names(self) -> list[str]:
         """Return the names of the columns."""

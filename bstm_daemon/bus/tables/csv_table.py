@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final, cast
 import numpy as np
 
 from bstm_daemon.bus.signals.reject_reason import RejectReason
-from bstm_daemon.bus.tables.source import TableChunk
+from bstm_daemon.bus.tables.source import TableChunk, TableSource
 from bstm_daemon.errors import FileAccessError, LogError
 
 if TYPE_CHECKING:
@@ -19,33 +19,29 @@ if TYPE_CHECKING:
     from pathlib import Path
     from typing import BinaryIO
 
-CHUNK_ROWS: Final = 20_000
 _LINE_LIMIT: Final = 1 << 20
 """Bytes of a line that are read."""
 _DELIMITERS: Final = ",;\t|"
 
 
-class CsvSource:
+class CsvSource(TableSource):
     """A CSV table, plain or packed with gzip.
 
     The text is UTF-8, or cp1252 where its header is not.
     """
+
+    _chunk_rows = 20_000
 
     def __init__(
         self,
         path: Path,
         delimiter: str | None,
         refuse: Callable[[RejectReason, int], None],
-        *,
-        chunk_rows: int = CHUNK_ROWS,
     ) -> None:
         """Prepare to read *path*; *refuse* counts rows without cells."""
-        self.truncated = False
-        self.share = 0.0
-        self._path = path
+        super().__init__(path)
         self._delimiter = delimiter
         self._refuse = refuse
-        self._chunk_rows = chunk_rows
 
     def names(self) -> list[str]:
         """Return the names of the columns.

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Mapping
+    from pathlib import Path
 
     import numpy as np
     import numpy.typing as npt
@@ -25,19 +27,26 @@ class TableChunk:
     cells: Mapping[str, list[str] | npt.NDArray[Any]]
 
 
-class TableSource(Protocol):
-    """Reads one table, once.
+class TableSource(ABC):
+    """Reads one table, once, in runs of ``_chunk_rows`` rows.
 
     ``truncated`` marks a file without its end, ``share`` how much of it
     is read, from 0 to 1.
     """
 
-    truncated: bool
-    share: float
+    truncated = False
+    share = 0.0
+    _chunk_rows: int
 
+    def __init__(self, path: Path) -> None:
+        """Prepare to read *path*."""
+        self._path = path
+
+    @abstractmethod
     def names(self) -> list[str]:
         """Return the names of the columns."""
 
+    @abstractmethod
     def chunks(self, columns: Collection[str]) -> Iterator[TableChunk]:
         """Yield the cells of *columns* (names of the table) in order.
 

@@ -10,14 +10,12 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from bstm_daemon.bus.signals.signal_map import (
-    Problems,
     SignalMap,
     compile_signal_map,
     conversion_of,
     timeouts_us,
 )
-from bstm_daemon.errors import ConfigError
-from bstm_daemon.roles import ROLE_INDEX, ROLES
+from bstm_daemon.roles import ROLE_INDEX
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -73,42 +71,24 @@ def compile_sources(
 
     Where no role is a column this is
     :func:`~bstm_daemon.bus.signals.signal_map.compile_signal_map`; a table has
-    no frames that *e2e* could protect. Raises :class:`ConfigError` with all
-    problems.
+    no frames that *e2e* could protect. Raises
+    :class:`~bstm_daemon.errors.ConfigError` with all problems.
     """
-    columns = [role for role, one in signals.items() if one.column is not None]
-    if not columns:
+    if table is None or any(one.column is None for one in signals.values()):
         return compile_signal_map(
             buses, signals, base, wheel_radius_m, e2e=e2e
         )
-    problems = [
-        f"[signals.{role}] column: all roles are columns of a table, or none"
-        for role in signals
-        if role not in columns
-    ]
-    if table is None:
-        problems.append(f"[table]: missing, [signals.{columns[0]}] needs it")
-    outputs = []
-    for name in columns:
-        config = signals[name]
-        section = Problems(f"[signals.{name}]", problems)
-        if name not in ROLE_INDEX:
-            section.unknown_role(name)
-            continue
-        number = ROLE_INDEX[name]
-        conversion = conversion_of(
-            ROLES[number], config, wheel_radius_m, section
-        )
-        if conversion is not None:
-            outputs.append(
-                ColumnOutput(number, config.column or "", *conversion)
-            )
-    if problems or table is None:
-        raise ConfigError(problems)
     return TableMap(
         buses=tuple(buses),
         messages={},
         timeouts_us=timeouts_us(signals),
         table=table,
-        outputs=tuple(outputs),
+        outputs=tuple(
+            ColumnOutput(
+                ROLE_INDEX[name],
+                config.column or "",
+                *conversion_of(name, config, wheel_radius_m),
+            )
+            for name, config in signals.items()
+        ),
     )

@@ -18,8 +18,8 @@ from bstm_daemon.model.thermal.table import Table
 from bstm_daemon.units import KELVIN_OFFSET
 
 if TYPE_CHECKING:
+    from bstm_daemon.config.estimates import WearConfig
     from bstm_daemon.config.sections import Config, CornerConfig
-    from bstm_daemon.config.wear import WearConfig
     from bstm_daemon.model.thermal.network import Factor, Network
 
 DOSE: Final = "wear_dose_j"

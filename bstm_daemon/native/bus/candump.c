@@ -1,6 +1,6 @@
 /* Lines of a candump log into columns: the plain lines with a data frame, by
  * the grammar of candump_line.py. Any other line is handed back.
- * bus/logs/candump_scan.py drives it.
+ * bus/logs/candump.py drives it.
  *
  * The text ends in a newline, and no part of a line matches one, so that no
  * loop over characters leaves the text.
@@ -398,7 +398,7 @@ static const char *wrong_with(const Py_buffer *view, Py_ssize_t end)
     return NULL;
 }
 
-PyDoc_STRVAR(scan_doc,
+const char bstm_scan_doc[] =
 "scan(text, end, names, keys, state, time_us, line, channel, can_id,\n"
 "     extended, length, data, pending)\n\n"
 "Read the lines of text[:end], which ends in a newline, from state[0] on,\n"
@@ -407,9 +407,9 @@ PyDoc_STRVAR(scan_doc,
 "verdict, lines settled; data [n, 8] or [n, 64]. Returns 0 at the end, 1 at\n"
 "an interface not in names, 2 at a key without verdict, 3 where a column is\n"
 "full, 4 at a CAN FD frame where data has 8 columns.\n"
-"ValueError where sizes do not fit.");
+"ValueError where sizes do not fit.";
 
-static PyObject *py_scan(PyObject *Py_UNUSED(self), PyObject *args)
+PyObject *bstm_scan(PyObject *Py_UNUSED(self), PyObject *args)
 {
     PyObject *o[BUFFERS];
     Py_ssize_t end;
@@ -431,27 +431,4 @@ static PyObject *py_scan(PyObject *Py_UNUSED(self), PyObject *args)
         return NULL;
     }
     return PyLong_FromLong(stop);
-}
-
-static PyMethodDef methods[] = {
-    {"scan", py_scan, METH_VARARGS, scan_doc},
-    {"extract", bstm_extract, METH_VARARGS, bstm_extract_doc},
-    {NULL, NULL, 0, NULL},
-};
-
-static struct PyModuleDef module = {
-    PyModuleDef_HEAD_INIT, "_log",
-    "Compiled reading of candump logs and of samples from frames.", -1,
-    methods, NULL, NULL, NULL, NULL,
-};
-
-PyMODINIT_FUNC PyInit__log(void)
-{
-    PyObject *const found = PyModule_Create(&module);
-    if (found != NULL
-        && PyModule_AddStringConstant(found, "SOURCES", BSTM_SOURCES) < 0) {
-        Py_DECREF(found);
-        return NULL;
-    }
-    return found;
 }

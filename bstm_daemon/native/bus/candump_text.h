@@ -2,7 +2,7 @@
 #ifndef BSTM_CANDUMP_TEXT_H
 #define BSTM_CANDUMP_TEXT_H
 
-#include "log.h"
+#include "bus.h"
 
 #include <string.h>
 

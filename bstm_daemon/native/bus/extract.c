@@ -1,7 +1,7 @@
 /* The frames of a log into samples; bus/signals/columns.py drives it. What the
  * plan leaves to decoder.py is handed back, frame by frame.
  */
-#include "log.h"
+#include "bus.h"
 #include "plan.h"
 
 enum { R_UNKNOWN_INTERFACE, R_UNKNOWN_ID, R_WRONG_LENGTH, FRAME_COUNTS };

@@ -3,7 +3,7 @@
  * layouts are those of linux/can.h, and only Linux has recvmmsg.
  */
 #define _GNU_SOURCE
-#include "live.h"
+#include "bus.h"
 
 #include <errno.h>
 #include <string.h>
@@ -199,6 +199,8 @@ PyObject *bstm_receive(PyObject *Py_UNUSED(self), PyObject *args)
 #endif
 
 static PyMethodDef methods[] = {
+    {"scan", bstm_scan, METH_VARARGS, bstm_scan_doc},
+    {"extract", bstm_extract, METH_VARARGS, bstm_extract_doc},
 #ifdef __linux__
     {"receive", bstm_receive, METH_VARARGS, bstm_receive_doc},
 #endif
@@ -210,12 +212,12 @@ static PyMethodDef methods[] = {
 };
 
 static struct PyModuleDef module = {
-    PyModuleDef_HEAD_INIT, "_live",
-    "Compiled reading of live frames and of samples from them.", -1,
+    PyModuleDef_HEAD_INIT, "_bus",
+    "Compiled reading of logs and live frames, and of samples from them.", -1,
     methods, NULL, NULL, NULL, NULL,
 };
 
-PyMODINIT_FUNC PyInit__live(void)
+PyMODINIT_FUNC PyInit__bus(void)
 {
     PyObject *const found = PyModule_Create(&module);
     if (found != NULL

@@ -2,7 +2,7 @@
  * and into samples. service/intake.py and record_decoder.py drive this; what is
  * not plain is handed back to them, frame by frame.
  */
-#include "live.h"
+#include "bus.h"
 #include "plan.h"
 
 #include <stdlib.h>

@@ -29,7 +29,7 @@ from bstm_daemon.native.loader import VARIABLE, live_extension
 
 if TYPE_CHECKING:
     from bstm_daemon.bus.signals.reject_reason import RejectReason
-    from bstm_daemon.native.loader import LiveExtension
+    from bstm_daemon.native.loader import BusExtension
 
 RECORD = struct.Struct("=qqIi4B4x64s")
 BUSES = (
@@ -52,14 +52,14 @@ class Received(NamedTuple):
 
 
 @pytest.fixture(scope="module")
-def live() -> LiveExtension:
+def live() -> BusExtension:
     found = live_extension()
     if found is None:
         pytest.skip("the compiled form is not installed")
     return found
 
 
-def records_of(live: LiveExtension, frames: list[Received]) -> FrameRecords:
+def records_of(live: BusExtension, frames: list[Received]) -> FrameRecords:
     records = FrameRecords(live, 1)
     for index, frame in enumerate(frames):
         RECORD.pack_into(
@@ -92,7 +92,7 @@ def one_by_one(signal_map: SignalMap, frames: list[Received]) -> Outcome:
 
 
 def in_runs(
-    live: LiveExtension, signal_map: SignalMap, frames: list[Received]
+    live: BusExtension, signal_map: SignalMap, frames: list[Received]
 ) -> tuple[Outcome, int]:
     """Return what records give, and how many went one by one."""
     decoder = Decoder(signal_map)
@@ -229,7 +229,7 @@ def traffic(draw: st.DrawFn) -> tuple[SignalMap, list[Received]]:
 @settings(max_examples=120, deadline=None)
 @given(case=traffic())
 def test_records_give_what_their_frames_give(
-    live: LiveExtension, case: tuple[SignalMap, list[Received]]
+    live: BusExtension, case: tuple[SignalMap, list[Received]]
 ) -> None:
     signal_map, frames = case
 
@@ -253,7 +253,7 @@ def plain_map(**protected: Any) -> SignalMap:
 
 
 def test_plain_frames_are_decoded_without_a_look_at_each(
-    live: LiveExtension,
+    live: BusExtension,
 ) -> None:
     frames = [
         Received(n, 0, 0x123, n % 2 == 1, bytes([n] * 8)) for n in range(200)
@@ -267,7 +267,7 @@ def test_plain_frames_are_decoded_without_a_look_at_each(
 
 
 def test_more_samples_than_find_room_come_in_several_runs(
-    live: LiveExtension,
+    live: BusExtension,
 ) -> None:
     frames = [
         Received(n, 0, 0x123, False, bytes([n % 256] * 8)) for n in range(5000)
@@ -283,7 +283,7 @@ def test_more_samples_than_find_room_come_in_several_runs(
     assert found == list(range(5000))
 
 
-def test_a_protected_message_is_left_to_its_guard(live: LiveExtension) -> None:
+def test_a_protected_message_is_left_to_its_guard(live: BusExtension) -> None:
     config = E2eConfig(message="M", profile=2, data_ids=list(range(16)))
     signal_map = plain_map(protected={KEYS[0]: config})
     frames = [Received(n, 0, 0x123, n != 3, bytes([n] * 8)) for n in range(9)]
@@ -296,7 +296,7 @@ def test_a_protected_message_is_left_to_its_guard(live: LiveExtension) -> None:
     assert decoder.decode(records, 4, Counter(), []) == 9
 
 
-def test_only_ready_records_are_decoded(live: LiveExtension) -> None:
+def test_only_ready_records_are_decoded(live: BusExtension) -> None:
     frames = [Received(n, 0, 0x123, False, bytes(8)) for n in range(9)]
     records = records_of(live, frames)
     records.ready = 4
@@ -322,7 +322,7 @@ def test_only_ready_records_are_decoded(live: LiveExtension) -> None:
     ],
 )
 def test_the_compiled_pass_refuses_what_would_lead_outside(
-    live: LiveExtension, place: int, other: Any
+    live: BusExtension, place: int, other: Any
 ) -> None:
     """Its plan is that of a log, which test_columns.py puts to the test."""
     decoder = RecordDecoder(plain_map(), HELD)

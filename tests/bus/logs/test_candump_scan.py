@@ -11,14 +11,14 @@ from bstm_daemon.errors import UsageError
 from bstm_daemon.native.loader import VARIABLE, extension
 from bstm_daemon.native.sources import digest
 
-NAME = "bstm_daemon.native._log"
+NAME = "bstm_daemon.native._bus"
 
 
 def test_the_environment_keeps_to_python(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.delenv(VARIABLE, raising=False)
-    made = SimpleNamespace(SOURCES=digest("native._log"))
+    made = SimpleNamespace(SOURCES=digest("native._bus"))
     monkeypatch.setitem(sys.modules, NAME, made)
     assert extension() is made
 
@@ -41,7 +41,7 @@ def test_a_scan_of_other_sources_is_refused(
     monkeypatch.delenv(VARIABLE, raising=False)
     monkeypatch.setitem(sys.modules, NAME, SimpleNamespace(SOURCES="other"))
 
-    with pytest.raises(UsageError, match="_log was built from other sources"):
+    with pytest.raises(UsageError, match="_bus was built from other sources"):
         extension()
 
 

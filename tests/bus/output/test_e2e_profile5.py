@@ -5,8 +5,11 @@ from cantools.autosar.end_to_end import compute_profile5_crc
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bstm_daemon.bus.output.e2e import CheckStatus
-from bstm_daemon.bus.output.e2e_profile5 import Profile5Checker, profile5_crc
+from bstm_daemon.bus.output.e2e import (
+    CheckStatus,
+    Profile5Checker,
+    profile5_crc,
+)
 
 DATA_ID = 0x1234
 

@@ -241,7 +241,11 @@ def test_two_messages_of_one_id_are_said_and_both_kept(tmp_path: Path) -> None:
     loaded = read_dbc(path, strict=True, encoding="cp1252")
 
     assert list(signals_of(loaded)) == ["BRAKE", "OTHER"]
-    assert "has the id of message 'BRAKE'" in str(loaded.warnings[0])
+    (warning,) = loaded.warnings
+    assert str(warning).startswith(
+        "line 9: message 'OTHER': has the id 0x64 of message 'BRAKE' in line 5"
+    )
+    assert warning.same_id
 
 
 @pytest.mark.parametrize(

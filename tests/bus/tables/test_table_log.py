@@ -15,7 +15,7 @@ from bstm_daemon.bus.signals.reject_reason import RejectReason
 from bstm_daemon.bus.tables.table_log import TableReader
 from bstm_daemon.bus.tables.table_plan import TableMap, compile_sources
 from bstm_daemon.config.sections import SignalConfig, TableConfig
-from bstm_daemon.errors import BstmError, ConfigError, LogError
+from bstm_daemon.errors import BstmError, LogError
 from bstm_daemon.roles import ROLE_INDEX
 
 SIGNALS = {
@@ -458,24 +458,6 @@ def test_frames_and_tables_are_not_taken_for_each_other(
         EventLog(write(tmp_path, "(1.0) can0 1#\n", "a.log"), table_map())
     with pytest.raises(LogError, match="a signal table has no CAN frames"):
         open_log(write(tmp_path, csv_text()))
-
-
-def test_a_plan_is_compiled_with_all_problems() -> None:
-    signals = {
-        "vehicle_speed": SignalConfig(column="v", unit="bar"),
-        "speed": SignalConfig(column="v", unit="km/h"),
-        "yaw_rate": SignalConfig(message="M", signal="S", unit="deg/s"),
-    }
-
-    with pytest.raises(ConfigError) as caught:
-        compile_sources([], signals, None, Path(), 0.3)
-
-    assert [line.partition(":")[0] for line in caught.value.problems] == [
-        "[signals.yaw_rate] column",
-        "[table]",
-        "[signals.vehicle_speed] unit = 'bar'",
-        "[signals.speed]",
-    ]
 
 
 def test_an_angular_wheel_speed_uses_the_radius(tmp_path: Path) -> None:

@@ -4,7 +4,7 @@ from typing import get_args
 
 import pytest
 
-from bstm_daemon.config.fluid import FluidConfig
+from bstm_daemon.config.estimates import FluidConfig
 from bstm_daemon.errors import ConfigError
 from bstm_daemon.model.risk.boiling import BOILING_POINTS, wet_boiling_point_k
 from bstm_daemon.units import to_celsius

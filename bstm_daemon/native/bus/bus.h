@@ -1,8 +1,9 @@
-/* Received frames as records: receive.c fills them, records.c puts them in
- * order of time and takes their samples. frame_records.py has the same layout.
+/* The functions of the module, and received frames as records: receive.c fills
+ * them, records.c puts them in order of time and takes their samples.
+ * frame_records.py has the same layout.
  */
-#ifndef BSTM_LIVE_H
-#define BSTM_LIVE_H
+#ifndef BSTM_BUS_H
+#define BSTM_BUS_H
 
 #include "buffers.h"
 
@@ -31,11 +32,13 @@ static inline Record *bstm_records(const Py_buffer *store, Py_ssize_t first,
     return store->buf;
 }
 
+PyObject *bstm_scan(PyObject *self, PyObject *args);
+PyObject *bstm_extract(PyObject *self, PyObject *args);
 PyObject *bstm_receive(PyObject *self, PyObject *args);
 PyObject *bstm_place_in_time(PyObject *self, PyObject *args);
 PyObject *bstm_sort(PyObject *self, PyObject *args);
 PyObject *bstm_take(PyObject *self, PyObject *args);
-extern const char bstm_receive_doc[], bstm_place_in_time_doc[],
-    bstm_sort_doc[], bstm_take_doc[];
+extern const char bstm_scan_doc[], bstm_extract_doc[], bstm_receive_doc[],
+    bstm_place_in_time_doc[], bstm_sort_doc[], bstm_take_doc[];
 
 #endif

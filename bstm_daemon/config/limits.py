@@ -1,0 +1,50 @@
+"""What is refused because no vehicle needs it: sizes, lengths and depths.
+
+A configuration or a DBC beyond them is damaged, or made to exhaust the
+computer that reads it.
+"""
+
+from __future__ import annotations
+
+import stat
+from typing import TYPE_CHECKING, Final
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+DBC_BYTES: Final = 64 << 20
+TOML_BYTES: Final = 4 << 20
+TOML_DEPTH: Final = 16
+"""Tables and lists inside one another."""
+TOML_INTEGER_BITS: Final = 63
+"""Of a magnitude; TOML promises no more."""
+
+COMMENT_CHARACTERS: Final = 1 << 16
+"""Of one comment of a DBC; a longer one is left out."""
+MESSAGE_BYTES: Final = 4095
+"""What the transport of ISO 15765-2 joins to one message."""
+SIGNAL_BITS: Final = 512
+"""What a CAN FD frame holds."""
+
+EXPRESSION_CHARACTERS: Final = 4096
+EXPRESSION_TERMS: Final = 200
+EXPRESSION_DEPTH: Final = 50
+
+
+def read_limited(path: Path, most_bytes: int) -> bytes:
+    """Return the content of the regular file *path*.
+
+    Raises:
+        OSError: It cannot be read.
+        ValueError: It is no regular file, or longer than *most_bytes*.
+    """
+    kind = path.stat().st_mode
+    if not (stat.S_ISREG(kind) or stat.S_ISDIR(kind)):
+        msg = "is no regular file"
+        raise ValueError(msg)
+    with path.open("rb") as file:
+        content = file.read(most_bytes + 1)
+    if len(content) > most_bytes:
+        msg = f"is longer than {most_bytes >> 20} MiB, the most that is read"
+        raise ValueError(msg)
+    return content
