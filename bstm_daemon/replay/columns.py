@@ -108,7 +108,7 @@ def stream_log(  # noqa: PLR0913
     *,
     overrides: Mapping[str, str] | None = None,
     every_us: int = PUBLISH_US,
-    progress: Callable[[int, float | None], None] | None = None,
+    progress: Callable[[float], None] | None = None,
     state: Mapping[str, Any] | None = None,
     forecast: bool = True,
 ) -> Run:
@@ -121,8 +121,7 @@ def stream_log(  # noqa: PLR0913
         sinks: each gets every row, in stretches as they come.
         overrides: log interface name to bus name.
         every_us: time between two rows [us], a multiple of 100 000.
-        progress: called with the number of lines read so far and the share
-            of the file, None where it is not known.
+        progress: called with the share of the log that is read.
         state: a state file's document; without it the history is unknown.
         forecast: whether there are columns of risk, forecast and advice.
 
@@ -161,7 +160,7 @@ def stream_log(  # noqa: PLR0913
             risks = monitor.add(block)
             builder.add([block], [risks], [advice.add(block, risks)])
         if progress is not None:
-            progress(log.reader.lines, log.share)
+            progress(log.share)
     builder.finish()
     if not builder.rows:
         msg = f"{path}: too short for a row every {every_us * 1e-6:g} s"

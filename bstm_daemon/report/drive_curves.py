@@ -19,7 +19,7 @@ from bstm_daemon.estimate import (
 from bstm_daemon.model.heat.plausibility import FAULTS
 from bstm_daemon.replay.results import ElapsedTime
 from bstm_daemon.report.decimation import Buckets, ThinCurve, validity_spans
-from bstm_daemon.report.drive_statistics import SUMMARY_NODES, front_first
+from bstm_daemon.report.drive_statistics import SUMMARY_NODES
 from bstm_daemon.report.plots import (
     BLACK,
     BLUE,
@@ -223,7 +223,7 @@ class DriveCurves:
     def write(self, rows: Results) -> None:
         """Take *rows*."""
         if not self._corners:
-            for name in front_first(rows.corners):
+            for name in sorted(rows.corners):
                 self._corners[name] = _corner_curves(name)
                 self._pressures[name] = _Curve(
                     "pressure", None, name, f"{name}.pressure_pa", {}

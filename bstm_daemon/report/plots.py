@@ -190,7 +190,7 @@ def plot(
 ) -> Plot:
     """Return *data* over a quantity; *changes* go into the layout."""
     layout = _layout(y_title)
-    layout["xaxis"] |= {"title": {"text": escape(x_title), "standoff": 4}}
+    layout["xaxis"] = axis(x_title)
     return Plot(list(data), _merged(layout, changes))
 
 
@@ -235,6 +235,11 @@ def clock_axis(span_s: tuple[float, float]) -> dict[str, Any]:
         "hoverformat": labels.fine,
         "nticks": 12,
     }
+
+
+def axis(title: str, **changes: Any) -> dict[str, Any]:
+    """Return the layout of an axis with *title*, escaped, and *changes*."""
+    return AXIS | {"title": {"text": escape(title), "standoff": 4}} | changes
 
 
 def right_axis(title: str) -> dict[str, Any]:
@@ -308,5 +313,5 @@ def _layout(y_title: str) -> dict[str, Any]:
         "hovermode": "closest",
         "legend": {"orientation": "h", "x": 0, "y": 1.02, "yanchor": "bottom"},
         "xaxis": dict(AXIS),
-        "yaxis": {**AXIS, "title": {"text": escape(y_title), "standoff": 4}},
+        "yaxis": axis(y_title),
     }

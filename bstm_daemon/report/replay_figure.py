@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from html import escape
 from typing import TYPE_CHECKING, Any, Final
 
-from bstm_daemon.report.drive_statistics import front_first
 from bstm_daemon.report.plots import (
     AXIS,
     GREY,
@@ -123,7 +122,7 @@ def view_corners(
         for name, pair in AXLES
         if all(corner in corners for corner in pair)
     ]
-    singles = [(corner, (corner,)) for corner in front_first(corners)]
+    singles = [(corner, (corner,)) for corner in sorted(corners)]
     return [*axles, *singles] or [("Vehicle", ())]
 
 
