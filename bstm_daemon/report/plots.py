@@ -166,14 +166,12 @@ def node_plots(
         name, colour = one.node.replace("_", " "), NODE_COLOURS[one.node]
         x = one.time_s
         thick = curve(x, one.measured_c, name, colour, width=4.0)
-        temperatures += [
-            thick | {"opacity": 0.4},
-            curve(x, one.model_c, name, colour, legend=False),
-        ]
+        thin = curve(x, one.model_c, name, colour, legend=False)
+        temperatures += [thick | {"opacity": 0.4}, thin]
         if one.before_c is not None:
-            before = curve(x, one.before_c, name, colour, width=1.0)
-            before["line"]["dash"] = "4px,4px"
-            temperatures.append(before | {"showlegend": False})
+            look: dict[str, Any] = {"dash": "4px,4px", "width": 1.0}
+            before = curve(x, one.before_c, name, colour, legend=False, **look)
+            temperatures.append(before)
         errors.append(curve(x, one.error_k, name, colour))
     span = (0.0, max(float(one.time_s[-1]) for one in nodes))
     return (
