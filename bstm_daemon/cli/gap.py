@@ -36,13 +36,14 @@ from bstm_daemon.report.gap import (
     adopted_text,
     advice_json,
     advice_lines,
+    force_json,
+    force_text,
     gap_json,
     gap_text,
     no_advice_line,
     remarks_on,
 )
-from bstm_daemon.report.gap_forces import force_json, force_page, force_text
-from bstm_daemon.report.gap_page import gap_page
+from bstm_daemon.report.gap_page import force_page, gap_page
 from bstm_daemon.simulation import drive_names
 
 if TYPE_CHECKING:

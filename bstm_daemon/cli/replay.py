@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from argparse import ArgumentTypeError
 from contextlib import ExitStack, suppress
+from functools import partial
 from math import isclose, isfinite, nan
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -25,13 +26,18 @@ from bstm_daemon.cli.vehicle import load_vehicle, read_state
 from bstm_daemon.errors import MissingExtraError, UsageError
 from bstm_daemon.files import make_folder
 from bstm_daemon.replay.columns import Run, stream_log
-from bstm_daemon.replay.frames import publish_log
+from bstm_daemon.replay.frames import (
+    publications,
+    publish_channel,
+    write_frames,
+)
 from bstm_daemon.replay.results import csv_file, has_parquet, parquet_file
 from bstm_daemon.report.drive_curves import DriveCurves
 from bstm_daemon.report.drive_statistics import DriveStatistics
 from bstm_daemon.report.replay_page import ReplayFacts, replay_page
 from bstm_daemon.report.screen import summary_table
 from bstm_daemon.report.shell import write_page
+from bstm_daemon.watch.board import Board
 from bstm_daemon.watch.replay_view import DEFAULT_SPEED, watch_log
 from bstm_daemon.watch.view import open_view
 
@@ -97,17 +103,19 @@ def run(args: argparse.Namespace) -> int:
         make_folder(args.out)
     check_targets((args.publish, args.report), ())
     for path, stem in zip(args.logs, stems, strict=True):
+        published = partial(
+            publications,
+            config,
+            signal_map,
+            path,
+            overrides,
+            state,
+            forecast=args.forecast,
+        )
         if view is not None:
-            watch_log(
-                config,
-                signal_map,
-                path,
-                overrides,
-                view=view,
-                speed=args.speed,
-                state=state,
-                forecast=args.forecast,
-            )
+            corners = [corner.name for corner in config.corner]
+            board = Board(config.publish.id_base, corners)
+            watch_log(published(), board, path.name, view, args.speed)
         targets = {
             args.out / f"{stem}.estimates.{form}": form for form in formats
         }
@@ -157,15 +165,8 @@ def run(args: argparse.Namespace) -> int:
             write_page(args.report, page)
             print(args.report)
         if args.publish is not None:
-            count = publish_log(
-                config,
-                signal_map,
-                path,
-                args.publish,
-                overrides,
-                state,
-                forecast=args.forecast,
-            )
+            channel = publish_channel(config)
+            count = write_frames(published(), channel, args.publish)
             print(f"{args.publish}: {count} frames")
     return 0
 

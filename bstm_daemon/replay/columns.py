@@ -32,12 +32,7 @@ from bstm_daemon.model.risk.boiling import wet_boiling_point_k
 from bstm_daemon.replay.results import Collector, Results, ResultsBuilder, Sink
 
 if TYPE_CHECKING:
-    from collections.abc import (
-        Callable,
-        Iterator,
-        Mapping,
-        Sequence,
-    )
+    from collections.abc import Callable, Iterator, Mapping, Sequence
     from pathlib import Path
     from typing import Any
 
@@ -165,10 +160,8 @@ def stream_log(  # noqa: PLR0913
     if not builder.rows:
         msg = f"{path}: too short for a row every {every_us * 1e-6:g} s"
         raise LogError(msg)
-    refused = Counter(
-        {str(reason): count for reason, count in log.reader.refused.items()}
-    )
-    refused.update({str(r): count for r, count in log.counts.items()})
+    refused = Counter({str(why): n for why, n in log.reader.refused.items()})
+    refused.update({str(why): n for why, n in log.counts.items()})
     return Run(
         log.reader.lines,
         log.reader.frames,
@@ -194,12 +187,8 @@ class AdviceSeries:
     def ingest(self, times_us: Any, roles: Any, values: Any) -> None:
         """Take arrays [n]: stamps [us], role numbers, values."""
         kept = np.isin(roles, sorted(self.advisor.roles.names))
-        self._samples += zip(
-            times_us[kept].tolist(),
-            roles[kept].tolist(),
-            values[kept].tolist(),
-            strict=True,
-        )
+        arrays = (times_us[kept], roles[kept], values[kept])
+        self._samples += zip(*(one.tolist() for one in arrays), strict=True)
         stamps = [stamp_us for stamp_us, _, _ in reversed(self._samples)]
         self._earliest_us = [*accumulate(stamps, min)][::-1]
 

@@ -179,6 +179,8 @@ def validity_spans(
         validity: shape (n,), 0 valid, 1 degraded, 2 invalid; NaN is valid.
             Or of an input: 1 suspect, 2 missing.
     """
+    if not len(validity):
+        return []
     codes = np.nan_to_num(validity, nan=0.0).astype(np.int64)
     starts_s = elapsed_s
     if np.count_nonzero(np.diff(codes)) > SPANS_DRAWN:

@@ -192,21 +192,22 @@ def column_of(corner: str | None) -> int:
 
 def x_axis(column: int) -> str:
     """Return plotly's name of the time axis of *column*."""
-    return "x" if column == 0 else f"x{column + 1}"
+    return _numbered("x", column)
 
 
 def y_axis(panel: str, column: int) -> str:
     """Return plotly's name of the value axis of *panel* in *column*."""
-    number = list(PANELS).index(panel) + 1
-    if column == RIGHT:
-        number += len(CORNER_PANELS)
-    return "y" if number == 1 else f"y{number}"
+    place = list(PANELS).index(panel)
+    return _numbered("y", place + (column == RIGHT) * len(CORNER_PANELS))
 
 
 def legend_of(panel: str) -> str:
     """Return plotly's name of the legend beside *panel*."""
-    number = list(PANELS).index(panel) + 1
-    return "legend" if number == 1 else f"legend{number}"
+    return _numbered("legend", list(PANELS).index(panel))
+
+
+def _numbered(kind: str, place: int) -> str:
+    return f"{kind}{place + 1}" if place else kind
 
 
 def view_layout(
@@ -256,24 +257,20 @@ def _grid(
         values = [value for value in trace.y if value is not None]
         low, high = extents.get(place, (0.0, 0.0))
         extents[place] = (min(low, *values), max(high, *values))
-    present = [
-        name for name in PANELS if any(panel == name for panel, _ in extents)
-    ]
-    tops_px: dict[str, int] = {}
+    present = [one for one in PANELS if one in {panel for panel, _ in extents}]
+    # top and bottom of each panel, from the top of the plot
+    edges_px: dict[str, tuple[int, int]] = {}
     used_px = 0
     for i, name in enumerate(present):
         if i:
             used_px += PANEL_GAP_PX
             if present[i - 1] in VEHICLE_PANELS and name in CORNER_PANELS:
                 used_px += TIME_LABELS_PX
-        tops_px[name] = used_px
-        used_px += PANELS[name][1]
+        edges_px[name] = used_px, used_px + PANELS[name][1]
+        used_px = edges_px[name][1]
     rows = {
-        name: (
-            round(1 - (top_px + PANELS[name][1]) / used_px, 5),
-            round(1 - top_px / used_px, 5),
-        )
-        for name, top_px in tops_px.items()
+        name: (round(1 - low_px / used_px, 5), round(1 - top_px / used_px, 5))
+        for name, (top_px, low_px) in edges_px.items()
     }
     sides = sorted({column_of(corner) for corner in corners})
     columns = dict.fromkeys([0, *sides], (0.0, 1.0))
@@ -326,6 +323,7 @@ def _value_axis(panel: str, column: int, grid: _Grid) -> dict[str, Any]:
 
 
 def _time_axis(column: int, lowest_panel: str, grid: _Grid) -> dict[str, Any]:
+    whole = grid.columns[column] == (0.0, 1.0)
     axis = clock_axis((0.0, grid.duration_s)) | {
         "domain": grid.columns[column],
         "anchor": y_axis(lowest_panel, column),
@@ -334,14 +332,13 @@ def _time_axis(column: int, lowest_panel: str, grid: _Grid) -> dict[str, Any]:
         "gridcolor": AXIS["gridcolor"],
         "ticks": "outside",
         "tickcolor": GREY,
-        "nticks": 12 if grid.columns[column] == (0.0, 1.0) else 8,
+        "nticks": 12 if whole else 8,
     }
-    title = axis.pop("title")
     columns = sorted({side for _, side in grid.filled})
     if column != columns[0]:
         axis["matches"] = x_axis(columns[0])
-    if column or columns == [0]:
-        axis["title"] = title
+    if not column and columns != [0]:
+        del axis["title"]
     return axis
 
 
