@@ -31,11 +31,7 @@ from bstm_daemon.model.effects.catalogue import STRUCTURES
 from bstm_daemon.model.effects.catalogue import (
     problems_of as problems_of_effects,
 )
-from bstm_daemon.report.check import (
-    quality_json,
-    quality_page,
-    quality_text,
-)
+from bstm_daemon.report.check import quality_json, quality_page, quality_text
 from bstm_daemon.report.json_file import write_json
 from bstm_daemon.report.shell import write_page
 from bstm_daemon.report.text import table

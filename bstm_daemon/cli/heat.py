@@ -69,10 +69,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _compared(
-    args: argparse.Namespace,
-    log: Path,
-    config: Config,
-    signal_map: SignalMap,
+    args: argparse.Namespace, log: Path, config: Config, signal_map: SignalMap
 ) -> tuple[HeatComparison, StopFriction]:
     overrides = dict(args.map)
     with Progress(f"heat {log.name}") as progress:
@@ -89,10 +86,7 @@ def _compared(
 
 
 def _fused(
-    config: Config,
-    signal_map: SignalMap,
-    log: Path,
-    overrides: dict[str, str],
+    config: Config, signal_map: SignalMap, log: Path, overrides: dict[str, str]
 ) -> Results | None:
     """Return the replay in the mode ``fused``, None where there is none."""
     try:

@@ -49,10 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="serve /metrics and /healthz on 127.0.0.1:PORT",
     )
     parser.add_argument(
-        "--duration",
-        type=float,
-        metavar="S",
-        help="stop after S seconds",
+        "--duration", type=float, metavar="S", help="stop after S seconds"
     )
     add_no_forecast(parser)
     # a service logs what it does; -q logs warnings only, -qq errors

@@ -129,10 +129,7 @@ def _any_of(bits: Bits, rows: npt.NDArray[np.bool_]) -> int:
 
 
 def _finding(
-    name: str,
-    corners: tuple[str, ...],
-    finder: StretchFinder,
-    why: list[str],
+    name: str, corners: tuple[str, ...], finder: StretchFinder, why: list[str]
 ) -> Finding | None:
     held = finder.stretches()
     if held is None or held.total_s < LEAST_S:

@@ -385,7 +385,7 @@ def naming_json(naming: Naming) -> dict[str, Any]:
             )
             | {"probability": naming.odds[one.name]}
             for one in naming.candidates
-        ],
+        ]
     }
 
 

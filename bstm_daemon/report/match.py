@@ -164,10 +164,7 @@ def _fit_json(fit: Refinement) -> dict[str, Any]:
                 standard_deviation="deviation",
                 share_of_prior="share",
             )
-            | {
-                "configured": fit.start[one.key],
-                "reason": one.reason or None,
-            }
+            | {"configured": fit.start[one.key], "reason": one.reason or None}
             for one in verdicts(fit)
         },
         "correlations": np.round(correlations(fit), 4),

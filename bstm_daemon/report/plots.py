@@ -181,10 +181,7 @@ def node_plots(
 
 
 def plot(
-    data: Sequence[dict[str, Any]],
-    x_title: str,
-    y_title: str,
-    **changes: Any,
+    data: Sequence[dict[str, Any]], x_title: str, y_title: str, **changes: Any
 ) -> Plot:
     """Return *data* over a quantity; *changes* go into the layout."""
     layout = _layout(y_title)

@@ -14,28 +14,16 @@ from dataclasses import dataclass
 from html import escape
 from typing import TYPE_CHECKING, Any, Final
 
-from bstm_daemon.report.plots import (
-    AXIS,
-    GREY,
-    base_layout,
-    clock_axis,
-    stamp,
-)
+from bstm_daemon.report.plots import AXIS, GREY, base_layout, clock_axis, stamp
 from bstm_daemon.report.timescale import clock
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from bstm_daemon.report.drive_curves import DriveCurves, Trace
-    from bstm_daemon.report.drive_statistics import (
-        CornerSummary,
-        DriveSummary,
-    )
+    from bstm_daemon.report.drive_statistics import CornerSummary, DriveSummary
 
-AXLES: Final = (
-    ("Front axle", ("FL", "FR")),
-    ("Rear axle", ("RL", "RR")),
-)
+AXLES: Final = (("Front axle", ("FL", "FR")), ("Rear axle", ("RL", "RR")))
 
 PANELS: Final = {
     "speed": ("speed [km/h]", 90),
@@ -71,10 +59,7 @@ VALIDITY_COLOURS: Final = {
 }
 """Shades behind degraded and invalid stretches of an estimate."""
 
-INPUT_COLOURS: Final = {
-    1: "rgba(213,94,0,0.22)",
-    2: VALIDITY_COLOURS[2],
-}
+INPUT_COLOURS: Final = {1: "rgba(213,94,0,0.22)", 2: VALIDITY_COLOURS[2]}
 """Shades behind suspect and missing inputs; see ``DriveCurves``."""
 
 

@@ -98,10 +98,7 @@ class Section:
 
 
 def node_section(
-    heading: str,
-    nodes: Sequence[NodeCurve],
-    error: tuple[str, str],
-    note: str,
+    heading: str, nodes: Sequence[NodeCurve], error: tuple[str, str], note: str
 ) -> Section:
     """Return temperatures of *nodes* above their errors.
 

@@ -165,9 +165,7 @@ class ResultsBuilder:
         return {name: array[keep] for name, array in found.items()}
 
     def _flags_since(
-        self,
-        flags: npt.NDArray[np.int64],
-        keep: npt.NDArray[np.bool_],
+        self, flags: npt.NDArray[np.int64], keep: npt.NDArray[np.bool_]
     ) -> npt.NDArray[np.int64]:
         """Give each row that is kept the bits of those dropped before it.
 
