@@ -92,15 +92,11 @@ def gap_page(
             sections.append(_naming_section(prefix, gap, remarks))
         if gap.advice:
             sections.append(_advice_section(prefix, gap))
-        if gap.shown is not None:
-            sections += _shown_sections(prefix, gap.shown)
+        shown = [] if gap.shown is None else _shown_sections(prefix, gap.shown)
+        maps = []
         if gap.before is not None and gap.after is not None:
-            sections.insert(
-                -len({one.drive for one in gap.shown.curves})
-                if gap.shown
-                else len(sections),
-                _maps_section(prefix, gap.before, gap.after),
-            )
+            maps = [_maps_section(prefix, gap.before, gap.after)]
+        sections += [*shown[:1], *maps, *shown[1:]]
         if gap.located is not None:
             sections.append(_tables_section(prefix, gap.located))
     return Page("Gap", sections, head_tiles(gaps), subtitle=subtitle)

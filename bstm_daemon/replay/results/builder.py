@@ -272,12 +272,12 @@ class ResultsBuilder:
         """Return what is known of the corner *name* of *group*."""
         estimator = self._estimator
         output = publications[_OUTPUT + name]
-        part = {
-            f"{state}_c" if i < group.nodes else state: output[:, i]
-            - (KELVIN_OFFSET if i < group.nodes else 0.0)
-            for i, state in enumerate(group.state_names)
-            if state not in BOUNDARIES
-        }
+        part: dict[str, Column] = {}
+        for i, state in enumerate(group.state_names):
+            if state not in BOUNDARIES and i < group.nodes:
+                part[f"{state}_c"] = output[:, i] - KELVIN_OFFSET
+            elif state not in BOUNDARIES:
+                part[state] = output[:, i]
         boiling_k = wet_boiling_point_k(estimator.config.fluid.grade)
         fluid = output[:, group.state_names.index("fluid")]
         part["margin_k"] = boiling_k - fluid
