@@ -108,16 +108,15 @@ def answer_line(naming: Naming, what: str) -> str:
 
 def answer_tile(naming: Naming) -> tuple[str, str]:
     """Return the answer for the head of a page: a figure, its meaning."""
-    if naming.answer == "nothing":
-        return "nothing visible", "missing effect"
-    if naming.answer == "unknown":
-        return "not in the catalogue", "missing effect"
-    names = " or ".join(naming.names).replace("_", " ")
-    if naming.answer == "undecided":
-        return "not decided", f"missing effect; possible: {names}"
-    if naming.answer == "name":
-        names = names.replace(" or ", " and ")
-    return names, "missing effect"
+    names = [name.replace("_", " ") for name in naming.names]
+    either, meaning = " or ".join(names), "missing effect"
+    return {
+        "nothing": ("nothing visible", meaning),
+        "unknown": ("not in the catalogue", meaning),
+        "undecided": ("not decided", f"{meaning}; possible: {either}"),
+        "class": (either, meaning),
+        "name": (" and ".join(names), meaning),
+    }[naming.answer]
 
 
 def probability_tile(naming: Naming) -> tuple[str, str]:
@@ -315,12 +314,10 @@ def advice_headline(gap: Gap) -> str:
 
 def no_advice_line(gap: Gap) -> str:
     """Return why no drive is advised, and how to ask for one."""
-    naming = gap.naming
-    if naming is not None and naming.answer == "name":
-        names = " and ".join(naming.names)
+    why = "no candidate of the catalogue is left to distinguish"
+    if gap.naming is not None and gap.naming.answer == "name":
+        names = " and ".join(gap.naming.names)
         why = f"{names} named, nothing left to distinguish"
-    else:
-        why = "no candidate of the catalogue is left to distinguish"
     return f"no next drive: {why}; ask with --among EFFECT..."
 
 
@@ -438,17 +435,14 @@ def force_text(gap: ForceGap) -> str:
 
 def force_lines(gap: ForceGap) -> list[str]:
     """Return the answer of the forces, and errors before and after."""
+    pressed_kj, motion_kj = 1e-3 * gap.pressed_j, 1e-3 * gap.motion_j
+    sources = "pressure (Feed-Forward) against motion (Feed-Back)"
+    work = f"{pressed_kj:.0f} kJ by pressure, {motion_kj:.0f} kJ by motion"
     lines = [
-        (
-            "no thermocouple: pressure (Feed-Forward) against motion "
-            f"(Feed-Back), {gap.windows} windows"
-        ),
-        (
-            f"braking work: {1e-3 * gap.pressed_j:.0f} kJ by pressure, "
-            f"{1e-3 * gap.motion_j:.0f} kJ by motion"
-        ),
+        f"no thermocouple: {sources}, {gap.windows} windows",
+        f"braking work: {work}",
+        *naming_lines(gap.naming),
     ]
-    lines += naming_lines(gap.naming)
     for name, strength in gap.strengths.items():
         lines.append(
             f"{name}: strength {strength:.2f} +- {gap.deviations[name]:.2f}"
