@@ -17,6 +17,13 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
 
+def add_path(
+    parser: argparse.ArgumentParser, flag: str, metavar: str, what: str
+) -> None:
+    """Add *flag*, the path of *what*; None where it is not given."""
+    parser.add_argument(flag, type=Path, metavar=metavar, help=what)
+
+
 def add_config(
     parser: argparse.ArgumentParser,
     what: str = "configuration of the vehicle (TOML)",
@@ -24,13 +31,9 @@ def add_config(
     required: bool = True,
 ) -> None:
     """Add ``-c/--config FILE``; ``args.config`` is a path, or None."""
+    flags = "-c", "--config"
     parser.add_argument(
-        "-c",
-        "--config",
-        type=Path,
-        metavar="FILE",
-        required=required,
-        help=what,
+        *flags, type=Path, metavar="FILE", required=required, help=what
     )
 
 
@@ -41,9 +44,8 @@ def add_out(parser: argparse.ArgumentParser, what: str, metavar: str) -> None:
 
 def add_force(parser: argparse.ArgumentParser, metavar: str) -> None:
     """Add ``--force``, which :func:`check_new` asks for."""
-    parser.add_argument(
-        "--force", action="store_true", help=f"replace {metavar} if it exists"
-    )
+    what = f"replace {metavar} if it exists"
+    parser.add_argument("--force", action="store_true", help=what)
 
 
 def add_new_config(parser: argparse.ArgumentParser) -> None:
@@ -55,22 +57,14 @@ def add_new_config(parser: argparse.ArgumentParser) -> None:
 
 def add_json(parser: argparse.ArgumentParser) -> None:
     """Add ``--json FILE``; ``args.json`` may be None."""
-    parser.add_argument(
-        "--json",
-        type=Path,
-        metavar="FILE",
-        help="write the result as JSON to FILE as well",
-    )
+    what = "write the result as JSON to FILE as well"
+    add_path(parser, "--json", "FILE", what)
 
 
 def add_report(parser: argparse.ArgumentParser) -> None:
     """Add ``--report FILE.html``; ``args.report`` may be None."""
-    parser.add_argument(
-        "--report",
-        type=Path,
-        metavar="FILE.html",
-        help="write an HTML report that needs no network",
-    )
+    what = "write an HTML report that needs no network"
+    add_path(parser, "--report", "FILE.html", what)
 
 
 def add_no_forecast(parser: argparse.ArgumentParser) -> None:
@@ -145,7 +139,7 @@ def _interface_and_bus(text: str) -> tuple[str, str]:
     if not (interface and equals):
         msg = (
             f"{text!r} is not IFACE=BUS, such as can0=chassis, or can1= to "
-            f"leave it out"
+            "leave it out"
         )
         raise argparse.ArgumentTypeError(msg)
     return interface, bus

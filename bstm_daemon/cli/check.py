@@ -1,7 +1,6 @@
 """``bstm check``: every problem of a configuration at once, or its summary.
 
-With ``--log`` the signals of a recording are judged as well, see
-:mod:`bstm_daemon.cli.check_log`.
+With ``--log`` the signals of a recording are judged as well.
 """
 
 from __future__ import annotations
@@ -9,6 +8,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from bstm_daemon.analysis.quality.collisions import count_own_frames
+from bstm_daemon.analysis.quality.judge import judge
+from bstm_daemon.analysis.quality.recording import read_recording
+from bstm_daemon.bus.signals.dbc import read_dbc
+from bstm_daemon.bus.signals.signal_map import compile_signal_map
 from bstm_daemon.cli.arguments import (
     add_bus_map,
     add_config,
@@ -16,18 +20,27 @@ from bstm_daemon.cli.arguments import (
     add_report,
     check_targets,
 )
-from bstm_daemon.cli.check_log import check_logs
+from bstm_daemon.cli.log_command import names_of
+from bstm_daemon.cli.progress import Progress
+from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.config.reading import load_config, naming_file, read_draft
 from bstm_daemon.config.rules import usable_e2e, usable_signals
 from bstm_daemon.errors import ConfigError, UsageError
+from bstm_daemon.estimator.corner_model import compile_corner
+from bstm_daemon.model.effects.catalogue import STRUCTURES
+from bstm_daemon.model.effects.catalogue import (
+    problems_of as problems_of_effects,
+)
+from bstm_daemon.report.check import quality_json, quality_page, quality_text
 from bstm_daemon.report.json_file import write_json
-from bstm_daemon.report.text import columns
+from bstm_daemon.report.shell import write_page
+from bstm_daemon.report.text import table
 from bstm_daemon.roles import ROLE_INDEX, ROLES
 
 if TYPE_CHECKING:
     import argparse
-    from collections.abc import Sequence
 
+    from bstm_daemon.analysis.quality.finding import Quality
     from bstm_daemon.config.rules import Draft
     from bstm_daemon.config.sections import Config, CornerConfig, SignalConfig
 
@@ -73,25 +86,63 @@ def run(args: argparse.Namespace) -> int:
     path: Path = args.configuration or args.config
     check_targets((args.json, args.report), (path, *(args.log or ())))
     problems = problems_of(path)
+    result: dict[str, Any] = {"file": str(path), "problems": problems}
     config = None if problems else load_config(path)
-    warnings = dbc_warnings(config, path.parent) if config else []
-    checked = None
-    if config is not None and args.log:
-        checked = check_logs(args, path)
+    usable = True
+    lines: list[str] = []
+    if config is not None:
+        warnings = dbc_warnings(config, path.parent)
+        result["warnings"] = warnings
+        result["configuration"] = config.model_dump(mode="json")
+        if args.log:
+            quality, lines = _judged(args, path)
+            usable = quality.usable
+            files = [str(log) for log in args.log]
+            result["log"] = {"files": files, **quality_json(quality)}
+        else:
+            lines = [summary(config, path)]
+        if warnings:
+            lines += ["", *(f"warning: {warning}" for warning in warnings)]
     if args.json:
-        result: dict[str, Any] = {"file": str(path), "problems": problems}
-        if config is not None:
-            result["warnings"] = warnings
-            result["configuration"] = config.model_dump(mode="json")
-        if checked is not None:
-            result["log"] = checked.data
         write_json(args.json, result)
     if config is None:
         raise ConfigError(problems)
-    print(summary(config, path) if checked is None else checked.text)
-    for number, warning in enumerate(warnings):
-        print(f"{'' if number else chr(10)}warning: {warning}")
-    return 0 if checked is None or checked.usable else 1
+    print("\n".join(lines))
+    return 0 if usable else 1
+
+
+def _judged(args: argparse.Namespace, path: Path) -> tuple[Quality, list[str]]:
+    """Judge ``args.log`` for the configuration *path*, in lines as well.
+
+    Writes ``args.report`` where it is given.
+
+    Raises:
+        LogError: a log cannot be used, or holds none of the wanted ids.
+        FileAccessError: a log cannot be read, the report not be written.
+        MissingExtraError: a report without plotly or jinja2.
+    """
+    config, signal_map = load_vehicle(path, quiet=True)
+    overrides = dict(args.map)
+    with Progress("check") as progress:
+        recording = read_recording(
+            args.log, signal_map, overrides, progress.show
+        )
+    own_frames = count_own_frames(
+        args.log, recording, config, signal_map, overrides
+    )
+    quality = judge(recording, config, signal_map, own_frames)
+    names = names_of(args.log)
+    lines = [f"{names}  ({config.vehicle.id}, {path})", quality_text(quality)]
+    lines += [
+        f"{log}: cut short, its end is missing" for log in recording.truncated
+    ]
+    if args.report:
+        title = f"Signal quality: {names}"
+        subtitle = f"{config.vehicle.id} · {path.name}"
+        page = quality_page(quality, title=title, subtitle=subtitle)
+        write_page(args.report, page)
+        lines.append(str(args.report))
+    return quality, lines
 
 
 def problems_of(path: Path) -> list[str]:
@@ -104,10 +155,6 @@ def problems_of(path: Path) -> list[str]:
         FileAccessError: The file is missing or unreadable.
 
     """
-    from bstm_daemon.model.effects.catalogue import (  # noqa: PLC0415
-        problems_of as problems_of_effects,
-    )
-
     try:
         with naming_file(path):
             draft, problems = read_draft(path)
@@ -120,19 +167,12 @@ def problems_of(path: Path) -> list[str]:
 
 
 def _dbc_problems(draft: Draft, folder: Path) -> list[str]:
-    from bstm_daemon.bus.signals.signal_map import compile_signal_map  # noqa: PLC0415
-
     if not draft.bus:
         return []
     radius_m = draft.vehicle.wheel_radius_m if draft.vehicle else _ANY_RADIUS_M
+    signals, e2e = usable_signals(draft), usable_e2e(draft)
     try:
-        compile_signal_map(
-            draft.bus,
-            usable_signals(draft),
-            folder,
-            radius_m,
-            e2e=usable_e2e(draft),
-        )
+        compile_signal_map(draft.bus, signals, folder, radius_m, e2e=e2e)
     except ConfigError as error:
         return error.problems
     return []
@@ -143,8 +183,6 @@ def dbc_warnings(config: Config, folder: Path) -> list[str]:
 
     DBC paths are relative to *folder*.
     """
-    from bstm_daemon.bus.signals.dbc import read_dbc  # noqa: PLC0415
-
     return [
         f"[[bus]] {bus.name} {bus.dbc}: {defect}"
         for bus in config.bus
@@ -155,9 +193,6 @@ def dbc_warnings(config: Config, folder: Path) -> list[str]:
 
 
 def _model_problems(path: Path) -> list[str]:
-    from bstm_daemon.cli.vehicle import load_vehicle  # noqa: PLC0415
-    from bstm_daemon.estimator.corner_model import compile_corner  # noqa: PLC0415
-
     try:
         config, _ = load_vehicle(path, quiet=True)
     except ConfigError as error:
@@ -175,53 +210,35 @@ def _model_problems(path: Path) -> list[str]:
 def summary(config: Config, path: Path) -> str:
     """Word what the valid *config* of the file *path* makes the model do."""
     vehicle = config.vehicle
+    facts = [
+        ("vehicle", f"{vehicle.id}, {vehicle.mass_kg:g} kg"),
+        ("heat", _heat(config)),
+        ("effects", _effects(config)),
+        ("fluid", _fluid(config)),
+        ("publish", _publish(config)),
+    ]
+    buses = [
+        (
+            bus.name,
+            bus.interface,
+            bus.channel,
+            f"{bus.bitrate or '-'}",
+            bus.dbc,
+        )
+        for bus in config.bus
+    ]
+    signals = [_signal(*item, config) for item in config.signals.items()]
+    corners = [_corner(corner) for corner in config.corner]
     blocks = [
-        f"{path}: no problems",
-        _block(
-            [
-                ("vehicle", f"{vehicle.id}, {vehicle.mass_kg:g} kg"),
-                ("heat", _heat(config)),
-                ("effects", _effects(config)),
-                ("fluid", _fluid(config)),
-                ("publish", _publish(config)),
-            ]
-        ),
-        _block(
-            [
-                ("bus", "interface", "channel", "bitrate", "DBC"),
-                *(
-                    (
-                        bus.name,
-                        bus.interface,
-                        bus.channel,
-                        "-" if bus.bitrate is None else str(bus.bitrate),
-                        bus.dbc,
-                    )
-                    for bus in config.bus
-                ),
-            ]
-        ),
-        _block(
-            [
-                ("role", "source", "unit", "timeout"),
-                *(
-                    _signal(role, signal, config)
-                    for role, signal in config.signals.items()
-                ),
-            ]
-        ),
-        _block(
-            [
-                ("corner", "type", "circuit", "piston", "disc", "pads"),
-                *(_corner(corner) for corner in config.corner),
-            ]
+        table(facts[0], facts[1:]),
+        table(("bus", "interface", "channel", "bitrate", "DBC"), buses),
+        table(("role", "source", "unit", "timeout"), signals),
+        table(
+            ("corner", "type", "circuit", "piston", "disc", "pads"), corners
         ),
     ]
-    return "\n\n".join(blocks)
-
-
-def _block(rows: Sequence[tuple[str, ...]]) -> str:
-    return "\n".join(columns(rows, left=None))
+    head = f"{path}: no problems"
+    return "\n\n".join([head, *("\n".join(block) for block in blocks)])
 
 
 def _heat(config: Config) -> str:
@@ -249,8 +266,6 @@ def _heat(config: Config) -> str:
 
 
 def _effects(config: Config) -> str:
-    from bstm_daemon.model.effects.catalogue import STRUCTURES  # noqa: PLC0415
-
     structure = config.thermal.structure
     shipped = len(STRUCTURES[structure])
     count = f" ({shipped} effects)" if shipped else ""

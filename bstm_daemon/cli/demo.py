@@ -44,6 +44,13 @@ TICK_US = 50_000
 
 ROW_S = 300
 SHOWN = ("FL", "FR")
+COLUMNS = {
+    "disc": ("Temperatures", "Disc"),
+    "pad": ("Temperatures", "PadBack"),
+    "fluid": ("Temperatures", "Fluid"),
+    "left": ("Risk", "Margin"),
+}
+"""Frame and signal of a corner by the heading of its column."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -85,8 +92,6 @@ def run(args: argparse.Namespace) -> int:
         vehicle_id=config.vehicle.id,
         configuration=config_path.name,
         heat_mode=config.heat.mode,
-        lines=0,
-        frames=0,
         refused={str(k): n for k, n in engine.decoder.counts.items()},
         counts=engine.estimator.counts,
         compiled=engine.estimator.compiled,
@@ -182,9 +187,7 @@ def _against_truth(results: Results, driven: SimulatedDrive) -> str:
 
 def _heading() -> str:
     columns = " ".join(
-        f"{corner + ' ' + name:>7}"
-        for corner in SHOWN
-        for name in ("disc", "pad", "fluid", "left")
+        f"{corner + ' ' + name:>7}" for corner in SHOWN for name in COLUMNS
     )
     return (
         f"{'':20}{columns}\n(degC as published on the bus; pad = back of the "
@@ -197,12 +200,7 @@ def _shown(display: Board) -> list[float]:
     return [
         display.value(f"BSTM_{corner}_{frame}", signal)
         for corner in SHOWN
-        for frame, signal in (
-            ("Temperatures", "Disc"),
-            ("Temperatures", "PadBack"),
-            ("Temperatures", "Fluid"),
-            ("Risk", "Margin"),
-        )
+        for frame, signal in COLUMNS.values()
     ]
 
 

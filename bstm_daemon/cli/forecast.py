@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from datetime import UTC, datetime
 from math import isinf
@@ -10,15 +9,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bstm_daemon.cli.arguments import add_config, add_json, check_targets
+from bstm_daemon.cli.vehicle import read_state
 from bstm_daemon.config.reading import load_config
-from bstm_daemon.errors import FileAccessError, UsageError
+from bstm_daemon.errors import UsageError
 from bstm_daemon.estimator.estimator import Estimator
 from bstm_daemon.estimator.memory import StateError
 from bstm_daemon.estimator.state import restore_state
-from bstm_daemon.files import replacing
 from bstm_daemon.forecast.offline_forecast import SHARES, outlook
-from bstm_daemon.report.text import table
-from bstm_daemon.service.state_file import read
+from bstm_daemon.report.json_file import write_json
+from bstm_daemon.report.text import percent, table
 from bstm_daemon.units import to_celsius
 
 if TYPE_CHECKING:
@@ -51,12 +50,8 @@ def run(args: argparse.Namespace) -> int:
     """Print the forecast and write it where that is asked for."""
     check_targets((args.json,), (args.config, args.now))
     config = load_config(args.config)
-    loaded = read(args.now)
-    if loaded.document is None:
-        problem = loaded.problem or f"{args.now}: No such file or directory"
-        msg = f"--now {problem}"
-        raise FileAccessError(msg)
-    vehicle_id = loaded.document.get("vehicle_id")
+    document = read_state(args.now, "--now")
+    vehicle_id = document.get("vehicle_id")
     if vehicle_id != config.vehicle.id:
         msg = (
             f"--now {args.now}: it is of vehicle {vehicle_id!r}, not "
@@ -65,16 +60,14 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError(msg)
     estimator = Estimator(config, {})
     try:
-        restore_state(estimator, loaded.document, resume=False)
+        restore_state(estimator, document, resume=False)
     except StateError as error:
         msg = f"--now {args.now}: the state does not fit: {error}"
         raise UsageError(msg) from error
-    found = outlook(config, estimator, loaded.document)
+    found = outlook(config, estimator, document)
     print("\n".join(_lines(config.vehicle.id, args.now, found)))
     if args.json is not None:
-        with replacing(args.json) as temporary:
-            text = json.dumps(_document(config.vehicle.id, found), indent=1)
-            temporary.write_text(text + "\n", "utf-8")
+        write_json(args.json, _document(config.vehicle.id, found))
         print(args.json)
     return 0
 
@@ -107,10 +100,10 @@ def _row(corner: CornerOutlook) -> tuple[str, ...]:
     return (
         corner.corner,
         f"{to_celsius(corner.fluid_k):.0f} +- {risk.fluid_deviation_k:.0f}",
-        _percent(risk.probability_now),
+        percent(risk.probability_now),
         f"{to_celsius(risk.peak_k):.0f}",
         _minutes(risk.peak_in_s),
-        _percent(risk.probability),
+        percent(risk.probability),
         _minutes(risk.safe_in_s),
         risk.level.name.lower(),
     )
@@ -135,14 +128,8 @@ def _minutes(seconds: float) -> str:
     return f"{hours:.0f} h" if hours < 48.0 else f"{hours / 24.0:.0f} days"
 
 
-def _percent(share: float) -> str:
-    if 0.0 < share < 0.001:
-        return "< 0.1 %"
-    return f"{100.0 * share:.1f} %"
-
-
 def _document(vehicle_id: str, found: Outlook) -> dict[str, Any]:
-    """Return *found* as plain values; None for a time beyond the forecast."""
+    """Return *found* for a JSON file; infinity, a time beyond it, is null."""
     return {
         "vehicle_id": vehicle_id,
         "saved_us": found.saved_us,
@@ -163,9 +150,7 @@ def _document(vehicle_id: str, found: Outlook) -> dict[str, Any]:
                 "level": c.risk.level.name.lower(),
                 "peak_c": _rounded(to_celsius(c.risk.peak_k)),
                 "peak_in_s": _rounded(c.risk.peak_in_s),
-                "safe_in_s": None
-                if isinf(c.risk.safe_in_s)
-                else _rounded(c.risk.safe_in_s),
+                "safe_in_s": _rounded(c.risk.safe_in_s),
             }
             for c in found.corners
         },

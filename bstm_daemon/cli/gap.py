@@ -17,17 +17,13 @@ from bstm_daemon.analysis.gap.workflow import (
     find_gap,
 )
 from bstm_daemon.analysis.identify.writing import adopt
-from bstm_daemon.cli.arguments import (
-    add_bus_map,
-    add_config,
-    add_json,
-    add_new_config,
-    add_report,
-    check_new,
-    check_targets,
+from bstm_daemon.cli.log_command import (
+    add_log_arguments,
+    heading,
+    open_vehicle,
+    write_results,
 )
 from bstm_daemon.cli.progress import Progress
-from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.errors import LogError, UsageError
 from bstm_daemon.model.effects.catalogue import effect_names
 from bstm_daemon.model.heat.needs import (
@@ -40,26 +36,26 @@ from bstm_daemon.report.gap import (
     adopted_text,
     advice_json,
     advice_lines,
+    force_json,
+    force_text,
     gap_json,
     gap_text,
     no_advice_line,
     remarks_on,
 )
-from bstm_daemon.report.gap_forces import force_json, force_page, force_text
-from bstm_daemon.report.gap_page import gap_page
-from bstm_daemon.report.json_file import write_json
-from bstm_daemon.report.shell import write_page
+from bstm_daemon.report.gap_page import force_page, gap_page
 from bstm_daemon.simulation import drive_names
 
 if TYPE_CHECKING:
     import argparse
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from bstm_daemon.analysis.gap.heat_only import ForceGap
     from bstm_daemon.analysis.gap.recording import Recording
     from bstm_daemon.analysis.gap.workflow import Gap
     from bstm_daemon.bus.signals.signal_map import SignalMap
     from bstm_daemon.config.sections import Config
+    from bstm_daemon.report.shell import Page
 
 WRITERS = ("adopt", "show", "run")
 """Steps that fit what they name, so that it can be written."""
@@ -76,16 +72,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="run: all steps; locate: where model and measurement disagree; "
         "gate: whether anything is missing; name: which effect; adopt: fit it "
         "and write it into NEW.toml; show: before and after; advise: which "
-        "drive of a menu would tell what is left apart",
+        "drive of a menu would distinguish what is left",
     )
-    parser.add_argument(
-        "logs",
+    add_log_arguments(
+        parser,
+        "drives; a folder is a record that the service has kept",
         nargs="*",
-        type=Path,
-        metavar="LOG",
-        help="drives; a folder is a record that the service has kept",
+        new_config=True,
     )
-    add_config(parser)
     parser.add_argument(
         "--holdout",
         nargs="+",
@@ -109,34 +103,49 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=[],
         choices=effect_names(),
         metavar="EFFECT",
-        help="what advise is to tell apart; without logs, before any drive",
+        help="what advise is to distinguish; without logs, before any drive",
     )
-    add_new_config(parser)
-    add_json(parser)
-    add_report(parser)
-    add_bus_map(parser)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Search, print, and write what was asked for."""
-    _check(args)
-    config, signal_map = load_vehicle(args.config)
-    if not args.logs:
-        return _before_any_drive(args, config, signal_map)
-    recordings = _read(args, args.logs, config, signal_map)
-    held_out = _read(args, args.holdout, config, signal_map)
-    if not any(one.drive.measured for one in recordings):
-        return _by_forces(args, config, recordings, held_out)
-    lines = _without_temperatures((*recordings, *held_out))
+    """Search, print, and write what was asked for.
+
+    All files are written before a line is printed: who reads may close early.
+    """
+    logs = _check(args)
+    config, signal_map = open_vehicle(args, logs)
+    if args.logs:
+        recordings = _read(args, args.logs, config, signal_map)
+        held_out = _read(args, args.holdout, config, signal_map)
+        by_forces = not any(one.drive.measured for one in recordings)
+        search = _by_forces if by_forces else _by_temperatures
+        lines = search(args, config, recordings, held_out)
+    else:
+        lines = _before_any_drive(args, config, signal_map)
+    print("\n".join(lines))
+    return 0
+
+
+def _by_temperatures(
+    args: argparse.Namespace,
+    config: Config,
+    recordings: list[Recording],
+    held_out: list[Recording],
+) -> list[str]:
+    """Search by thermocouples; return the lines to print."""
+    lines = [
+        f"{one.name}: no measured temperature, left out"
+        for one in (*recordings, *held_out)
+        if not one.drive.measured
+    ]
     recordings = [one for one in recordings if one.drive.measured]
-    if args.holdout:
-        held_out = [one for one in held_out if one.drive.measured]
-        if not held_out:
-            msg = (
-                "--holdout: no measured temperature in these logs (roles "
-                "temp_<corner>_<node>), nothing to show before and after on"
-            )
-            raise LogError(msg)
+    held_out = [one for one in held_out if one.drive.measured]
+    if args.holdout and not held_out:
+        msg = (
+            "--holdout: no measured temperature in these logs (roles "
+            "temp_<corner>_<node>), nothing to show before and after on"
+        )
+        raise LogError(msg)
     for one in (*recordings, *held_out):
         mode = config.heat.mode
         check_heat_inputs(one.name, _seen_roles(one), one.present, mode)
@@ -152,63 +161,18 @@ def run(args: argparse.Namespace) -> int:
         )
     names = ", ".join(one.name for one in recordings)
     remarks = remarks_on(config)
-    lines += [f"{names}  ({config.vehicle.id}, {args.config})", *remarks]
+    lines += [heading(args, config, names), *remarks]
     for gap in gaps:
         lines.append(gap_text(gap))
         if args.step == "advise" and not gap.advice:
             lines.append(f"  {no_advice_line(gap)}")
-    lines += _written(args, [gap_json(gap) for gap in gaps], gaps)
-    lines += _reported(args, gaps, f"{names} · {config.vehicle.id}", remarks)
-    return _told(lines)
-
-
-def _told(lines: Sequence[str]) -> int:
-    """Print *lines*, all files written: who reads may close early."""
-    print("\n".join(lines))
-    return 0
-
-
-def _before_any_drive(
-    args: argparse.Namespace, config: Config, signal_map: SignalMap
-) -> int:
-    """Advise by the model alone."""
-    with Progress("gap") as progress:
-        gap = advise_before(
-            config,
-            present_roles(signal_map),
-            _question(args),
-            progress.show,
-        )
-    return _told(
-        [
-            f"before any drive  ({config.vehicle.id}, {args.config})",
-            f"{', '.join(gap.corners)}:",
-            *(f"  {line}" for line in advice_lines(gap)),
-            *_written(args, [{"advice": advice_json(gap)}], []),
-            *_reported(args, [gap], f"before any drive · {config.vehicle.id}"),
-        ]
+    return lines + _written(
+        args,
+        (names, config.vehicle.id),
+        [gap_json(gap) for gap in gaps],
+        gaps,
+        lambda subtitle: gap_page(gaps, subtitle, remarks),
     )
-
-
-def _question(args: argparse.Namespace) -> Question:
-    """Return what is asked, each drive and effect once."""
-    return Question(
-        tuple(dict.fromkeys(args.menu)), tuple(dict.fromkeys(args.among))
-    )
-
-
-def _reported(
-    args: argparse.Namespace,
-    gaps: Sequence[Gap],
-    subject: str,
-    remarks: Sequence[str] = (),
-) -> list[str]:
-    """Write the page that was asked for; return what to say of it."""
-    if not args.report:
-        return []
-    page = gap_page(gaps, f"{subject} · {args.config.name}", remarks)
-    write_page(args.report, page)
-    return [str(args.report)]
 
 
 def _by_forces(
@@ -216,8 +180,8 @@ def _by_forces(
     config: Config,
     recordings: list[Recording],
     held_out: list[Recording],
-) -> int:
-    """Search without a thermocouple: pressure against motion."""
+) -> list[str]:
+    """Search by pressure against motion; return the lines to print."""
     if args.step in {"locate", "advise"}:
         msg = (
             f"gap {args.step}: no measured temperature in these logs (roles "
@@ -233,16 +197,46 @@ def _by_forces(
         progress.show(0.1)
         gap = find_force_gap(config, recordings, held_out)
     names = ", ".join(one.name for one in recordings)
-    lines = [
-        f"{names}  ({config.vehicle.id}, {args.config})",
+    return [
+        heading(args, config, names),
         force_text(gap),
-        *_written(args, [force_json(gap)], [gap]),
+        *_written(
+            args,
+            (names, config.vehicle.id),
+            [force_json(gap)],
+            [gap],
+            lambda subtitle: force_page(gap, subtitle),
+        ),
     ]
-    if args.report:
-        subtitle = f"{names} · {config.vehicle.id} · {args.config.name}"
-        write_page(args.report, force_page(gap, subtitle))
-        lines.append(str(args.report))
-    return _told(lines)
+
+
+def _before_any_drive(
+    args: argparse.Namespace, config: Config, signal_map: SignalMap
+) -> list[str]:
+    """Advise by the model alone; return the lines to print."""
+    with Progress("gap") as progress:
+        present = present_roles(signal_map)
+        gap = advise_before(config, present, _question(args), progress.show)
+    subject = "before any drive"
+    return [
+        heading(args, config, subject),
+        f"{', '.join(gap.corners)}:",
+        *(f"  {line}" for line in advice_lines(gap)),
+        *_written(
+            args,
+            (subject, config.vehicle.id),
+            [{"advice": advice_json(gap)}],
+            [],
+            lambda subtitle: gap_page([gap], subtitle),
+        ),
+    ]
+
+
+def _question(args: argparse.Namespace) -> Question:
+    """Return what is asked, each drive and effect once."""
+    return Question(
+        tuple(dict.fromkeys(args.menu)), tuple(dict.fromkeys(args.among))
+    )
 
 
 def _seen_roles(recording: Recording) -> set[int]:
@@ -250,16 +244,8 @@ def _seen_roles(recording: Recording) -> set[int]:
     return set(np.unique(recording.events.role).tolist())
 
 
-def _without_temperatures(recordings: Sequence[Recording]) -> list[str]:
-    """Return a line for each that has no thermocouple."""
-    return [
-        f"{one.name}: no measured temperature, left out"
-        for one in recordings
-        if not one.drive.measured
-    ]
-
-
-def _check(args: argparse.Namespace) -> None:
+def _check(args: argparse.Namespace) -> set[Path]:
+    """Refuse arguments that do not go together; return all logs."""
     if not args.logs and not (args.step == "advise" and args.among):
         msg = (
             "gap: give logs; only advise goes without, with --among EFFECT..."
@@ -283,8 +269,7 @@ def _check(args: argparse.Namespace) -> None:
             )
             raise UsageError(msg)
         seen.add(log.resolve())
-    check_new(args.out, force=args.force)
-    check_targets((args.out, args.json, args.report), (args.config, *seen))
+    return seen
 
 
 def _read(
@@ -311,21 +296,22 @@ def _read(
 
 def _written(
     args: argparse.Namespace,
+    subtitle: tuple[str, ...],
     corners: list[dict[str, Any]],
     gaps: Sequence[Gap | ForceGap],
+    page: Callable[[str], Page],
 ) -> list[str]:
-    """Write the result and NEW.toml; return what to say of them."""
-    if args.json:
-        result = {
-            "files": [str(log) for log in args.logs],
-            "held_out": [str(log) for log in args.holdout],
-            "corners": corners,
-        }
-        write_json(args.json, result)
+    """Write NEW.toml, JSON and page; return a line for each."""
+    result = {
+        "files": [str(log) for log in args.logs],
+        "held_out": [str(log) for log in args.holdout],
+        "corners": corners,
+    }
+    lines = write_results(args, subtitle, lambda: result, page)
     if args.out is None:
-        return []
+        return lines
     effects = [effect for gap in gaps for effect in gap.effects()]
     if not effects:
-        return [f"nothing to adopt: {args.out} not written"]
+        return [f"nothing to adopt: {args.out} not written", *lines]
     adopt(args.config, args.out, effects)
-    return [f"{args.out}: {adopted_text(gaps)}"]
+    return [f"{args.out}: {adopted_text(gaps)}", *lines]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from pydantic import ValidationError
@@ -11,24 +10,22 @@ from bstm_daemon.analysis.identify.driving import driving_of
 from bstm_daemon.analysis.identify.heat_comparison import compare_heat
 from bstm_daemon.analysis.identify.stop_friction import stop_friction
 from bstm_daemon.analysis.quality.recording import read_recording
-from bstm_daemon.cli.arguments import (
-    add_bus_map,
-    add_config,
-    add_json,
-    add_report,
-    check_targets,
+from bstm_daemon.cli.log_command import (
+    add_log_arguments,
+    heading,
+    names_of,
+    open_vehicle,
+    write_results,
 )
 from bstm_daemon.cli.progress import Progress
-from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.config.sections import HeatConfig
 from bstm_daemon.errors import LogError
 from bstm_daemon.replay.columns import replay_log
 from bstm_daemon.report.heat import heat_json, heat_page, heat_text
-from bstm_daemon.report.json_file import write_json
-from bstm_daemon.report.shell import write_page
 
 if TYPE_CHECKING:
     import argparse
+    from pathlib import Path
 
     from bstm_daemon.analysis.identify.heat_comparison import HeatComparison
     from bstm_daemon.analysis.identify.stop_friction import StopFriction
@@ -41,58 +38,42 @@ FUSED: Final = "fused"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the logs and where results go."""
-    parser.add_argument(
-        "logs",
-        nargs="+",
-        type=Path,
-        metavar="LOG",
-        help="recorded drive; several are shown side by side",
-    )
-    add_config(parser)
-    add_json(parser)
-    add_report(parser)
-    add_bus_map(parser)
+    add_log_arguments(parser, "recorded drive; several are shown side by side")
 
 
 def run(args: argparse.Namespace) -> int:
     """Compare the sources in every log, print and write the result."""
-    check_targets((args.json, args.report), (args.config, *args.logs))
-    config, signal_map = load_vehicle(args.config)
+    config, signal_map = open_vehicle(args, args.logs)
     drives = []
     for log in args.logs:
         heat, friction = _compared(args, log, config, signal_map)
-        print(f"{log}  ({config.vehicle.id}, {args.config})")
+        print(heading(args, config, log))
         print(heat_text(heat, friction))
         drives.append((log.name, heat, friction))
-    if args.json:
-        result = {
+    for line in write_results(
+        args,
+        (names_of(args.logs), config.vehicle.id),
+        lambda: {
             "logs": [
                 {"file": str(log), **heat_json(heat, friction)}
                 for log, (_, heat, friction) in zip(
                     args.logs, drives, strict=True
                 )
             ]
-        }
-        write_json(args.json, result, indent=None)
-    if args.report:
-        names = ", ".join(name for name, *_ in drives)
-        subtitle = f"{names} · {config.vehicle.id} · {args.config.name}"
-        write_page(args.report, heat_page(drives, subtitle))
-        print(args.report)
+        },
+        lambda subtitle: heat_page(drives, subtitle),
+        indent=None,
+    ):
+        print(line)
     return 0
 
 
 def _compared(
-    args: argparse.Namespace,
-    log: Path,
-    config: Config,
-    signal_map: SignalMap,
+    args: argparse.Namespace, log: Path, config: Config, signal_map: SignalMap
 ) -> tuple[HeatComparison, StopFriction]:
     overrides = dict(args.map)
     with Progress(f"heat {log.name}") as progress:
-        recording = read_recording(
-            [log], signal_map, overrides, progress.show_lines
-        )
+        recording = read_recording([log], signal_map, overrides, progress.show)
         driving = driving_of(log.name, recording, config, signal_map)
         results = replay_log(config, signal_map, log, overrides).results
         fused = _fused(config, signal_map, log, overrides)
@@ -105,10 +86,7 @@ def _compared(
 
 
 def _fused(
-    config: Config,
-    signal_map: SignalMap,
-    log: Path,
-    overrides: dict[str, str],
+    config: Config, signal_map: SignalMap, log: Path, overrides: dict[str, str]
 ) -> Results | None:
     """Return the replay in the mode ``fused``, None where there is none."""
     try:
@@ -118,14 +96,12 @@ def _fused(
         return None
     # what the mode needs besides a speed: a pressure and the torque
     roles = set(config.signals)
-    pressed = any(role.endswith("_pressure") for role in roles) or any(
-        role.startswith("wheel_pressure_") for role in roles
+    pressed = any(
+        role.endswith("_pressure") or role.startswith("wheel_pressure_")
+        for role in roles
     )
-    known = (
-        "powertrain_torque" in roles
-        or heat.assume_powertrain_torque_nm is not None
-    )
-    if not (pressed and known):
+    torque_nm = heat.assume_powertrain_torque_nm
+    if not pressed or ("powertrain_torque" not in roles and torque_nm is None):
         return None
     changed = config.model_copy(update={"heat": heat})
     return replay_log(changed, signal_map, log, overrides).results

@@ -187,7 +187,7 @@ def _drivings(
     with Progress("identify") as progress:
         for log in args.logs:
             recording = read_recording(
-                [log], signal_map, dict(args.map), progress.show_lines
+                [log], signal_map, dict(args.map), progress.show
             )
             drivings.append(
                 driving_of(log.name, recording, config, signal_map)

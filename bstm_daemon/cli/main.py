@@ -53,8 +53,7 @@ class Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         """Print *message* and how to get the usage, and exit with 2."""
         self.exit(
-            EXIT_USAGE,
-            f"{self.prog}: {message}; usage: {self.prog} --help\n",
+            EXIT_USAGE, f"{self.prog}: {message}; usage: {self.prog} --help\n"
         )
 
 
@@ -105,9 +104,7 @@ def _parse(argv: list[str], called: str) -> argparse.Namespace:
         description=f"Brake temperatures from a CAN bus: {NOTICE}.",
     )
     parser.add_argument(
-        "--version",
-        action="version",
-        version=f"bstm {__version__}: {NOTICE}",
+        "--version", action="version", version=f"bstm {__version__}: {NOTICE}"
     )
     _add_verbosity(parser, default=0)
     commands = parser.add_subparsers(

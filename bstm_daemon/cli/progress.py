@@ -4,17 +4,12 @@ from __future__ import annotations
 
 import sys
 import time
-from contextlib import suppress
 from typing import TYPE_CHECKING, Final, Self, TextIO
 
 if TYPE_CHECKING:
-    from pathlib import Path
     from types import TracebackType
 
 _REDRAW_S: Final = 0.1
-_BYTES_PER_LINE: Final = 44
-"""A candump line of eight bytes."""
-
 _ERASE_LINE: Final = "\r\x1b[K"
 
 
@@ -35,27 +30,15 @@ class Progress:
         self._is_terminal = self._stream.isatty()
         self._drawn_at_s = -_REDRAW_S
 
-    def show(self, fraction: float | None) -> None:
-        """Draw that *fraction* (0 to 1) is done, at most every 0.1 s.
-
-        None, where that is not known, is drawn as 0.
-        """
+    def show(self, fraction: float) -> None:
+        """Draw that *fraction* (0 to 1) is done, at most every 0.1 s."""
         if not self._is_terminal:
             return
         now_s = time.monotonic()
         if now_s - self._drawn_at_s < _REDRAW_S:
             return
         self._drawn_at_s = now_s
-        self._write(f"{_ERASE_LINE}{self._label} {fraction or 0.0:4.0%}")
-
-    def show_lines(
-        self, log: Path, lines: int, share: float | None = None
-    ) -> None:
-        """Draw *share* of *log*, or how far *lines* are by its size."""
-        with suppress(OSError):  # the reader of the log reports that
-            size = max(log.stat().st_size, 1)
-            by_size = min(lines * _BYTES_PER_LINE / size, 1.0)
-            self.show(by_size if share is None else share)
+        self._write(f"{_ERASE_LINE}{self._label} {fraction:4.0%}")
 
     def __enter__(self) -> Self:
         """Return the progress line itself."""

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import sys
 from argparse import ArgumentTypeError
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from functools import partial
-from math import inf, isclose, nan
+from math import isclose, isfinite, nan
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,34 +16,34 @@ from bstm_daemon.cli.arguments import (
     add_config,
     add_no_forecast,
     add_out,
+    add_path,
     add_report,
+    check_targets,
     refuse_overwriting,
 )
 from bstm_daemon.cli.progress import Progress
-from bstm_daemon.cli.vehicle import load_vehicle
-from bstm_daemon.errors import (
-    FileAccessError,
-    MissingExtraError,
-    UsageError,
-)
-from bstm_daemon.files import ensure_writable, make_folder
+from bstm_daemon.cli.vehicle import load_vehicle, read_state
+from bstm_daemon.errors import MissingExtraError, UsageError
+from bstm_daemon.files import make_folder
 from bstm_daemon.replay.columns import Run, stream_log
-from bstm_daemon.replay.frames import publish_log
+from bstm_daemon.replay.frames import (
+    publications,
+    publish_channel,
+    write_frames,
+)
 from bstm_daemon.replay.results import csv_file, has_parquet, parquet_file
 from bstm_daemon.report.drive_curves import DriveCurves
 from bstm_daemon.report.drive_statistics import DriveStatistics
 from bstm_daemon.report.replay_page import ReplayFacts, replay_page
 from bstm_daemon.report.screen import summary_table
 from bstm_daemon.report.shell import write_page
-from bstm_daemon.service.state_file import read
+from bstm_daemon.watch.board import Board
 from bstm_daemon.watch.replay_view import DEFAULT_SPEED, watch_log
 from bstm_daemon.watch.view import open_view
 
 if TYPE_CHECKING:
     import argparse
-    from typing import Any
 
-    from bstm_daemon.config.sections import Config
 
 PUBLICATION_S = 0.1
 
@@ -65,19 +65,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="S",
         help="seconds from row to row, a multiple of 0.1 (default: 0.1)",
     )
-    parser.add_argument(
-        "--publish",
-        type=Path,
-        metavar="OUT.log",
-        help="write the frames that the daemon would send as a candump log",
+    what = "write the frames that the daemon would send as a candump log"
+    add_path(parser, "--publish", "OUT.log", what)
+    what = (
+        "state file of the daemon to start from; it is only read (default: "
+        "the brakes' history is unknown)"
     )
-    parser.add_argument(
-        "--state",
-        type=Path,
-        metavar="FILE",
-        help="state file of the daemon to start from; it is only read "
-        "(default: the brakes' history is unknown)",
-    )
+    add_path(parser, "--state", "FILE", what)
     parser.add_argument(
         "--watch",
         action="store_true",
@@ -104,24 +98,24 @@ def run(args: argparse.Namespace) -> int:
     formats = _formats(args.format) if args.out is not None else ()
     config, signal_map = load_vehicle(args.config)
     overrides = dict(args.map)
-    state = None if args.state is None else _state(args.state)
+    state = None if args.state is None else read_state(args.state, "--state")
     if args.out is not None:
         make_folder(args.out)
-    for target in (args.publish, args.report):
-        if target is not None:
-            ensure_writable(target)
+    check_targets((args.publish, args.report), ())
     for path, stem in zip(args.logs, stems, strict=True):
+        published = partial(
+            publications,
+            config,
+            signal_map,
+            path,
+            overrides,
+            state,
+            forecast=args.forecast,
+        )
         if view is not None:
-            watch_log(
-                config,
-                signal_map,
-                path,
-                overrides,
-                view=view,
-                speed=args.speed,
-                state=state,
-                forecast=args.forecast,
-            )
+            corners = [corner.name for corner in config.corner]
+            board = Board(config.publish.id_base, corners)
+            watch_log(published(), board, path.name, view, args.speed)
         targets = {
             args.out / f"{stem}.estimates.{form}": form for form in formats
         }
@@ -142,7 +136,7 @@ def run(args: argparse.Namespace) -> int:
                 [statistics, *drawn, *tables],
                 overrides=overrides,
                 every_us=round(args.every * 1e6),
-                progress=partial(progress.show_lines, path),
+                progress=progress.show,
                 state=state,
                 forecast=args.forecast,
             )
@@ -154,20 +148,25 @@ def run(args: argparse.Namespace) -> int:
         for target in targets:
             print(f"{target}: {statistics.rows} rows")
         if args.report is not None:
-            facts = _facts(args.config, config, path, log_run, remarks)
+            facts = ReplayFacts(
+                title=f"Brake temperatures: {path.name}",
+                log=path.name,
+                vehicle_id=config.vehicle.id,
+                configuration=args.config.name,
+                heat_mode=config.heat.mode,
+                refused=dict(log_run.refused),
+                counts=log_run.counts,
+                compiled=log_run.compiled,
+                warnings=remarks,
+                lines=log_run.lines,
+                frames=log_run.frames,
+            )
             page = replay_page(statistics.summary(), curves, facts)
             write_page(args.report, page)
             print(args.report)
         if args.publish is not None:
-            count = publish_log(
-                config,
-                signal_map,
-                path,
-                args.publish,
-                overrides,
-                state,
-                forecast=args.forecast,
-            )
+            channel = publish_channel(config)
+            count = write_frames(published(), channel, args.publish)
             print(f"{args.publish}: {count} frames")
     return 0
 
@@ -190,38 +189,6 @@ def _check_targets(args: argparse.Namespace, stems: list[str]) -> None:
     ]
     sources = (args.config, args.state, *args.logs)
     refuse_overwriting((args.publish, args.report, *tables), sources)
-
-
-def _state(path: Path) -> dict[str, Any]:
-    """Read the state file *path* and leave it as it is."""
-    loaded = read(path)
-    if loaded.document is None:
-        problem = loaded.problem or f"{path}: No such file or directory"
-        msg = f"--state {problem}"
-        raise FileAccessError(msg)
-    return loaded.document
-
-
-def _facts(
-    config_path: Path,
-    config: Config,
-    path: Path,
-    log_run: Run,
-    remarks: list[str],
-) -> ReplayFacts:
-    return ReplayFacts(
-        title=f"Brake temperatures: {path.name}",
-        log=path.name,
-        vehicle_id=config.vehicle.id,
-        configuration=config_path.name,
-        heat_mode=config.heat.mode,
-        lines=log_run.lines,
-        frames=log_run.frames,
-        refused=dict(log_run.refused),
-        counts=log_run.counts,
-        compiled=log_run.compiled,
-        warnings=tuple(remarks),
-    )
 
 
 def _remarks(
@@ -250,57 +217,56 @@ def _remarks(
     )
     if listed:
         remarks.append(f"refused: {listed}")
-    notes = {
-        "late": "samples out of order, counted from when they came",
-        "dropped": "samples dropped, their stamps far from their neighbours'",
-        "jumps": "jumps of the clock",
-    }
-    remarks += [
-        f"{text}: {log_run.counts[key]}"
-        for key, text in notes.items()
-        if log_run.counts[key]
-    ]
+    for key, text in (
+        ("late", "samples out of order, counted from when they came"),
+        (
+            "dropped",
+            "samples dropped, their stamps far from their neighbours'",
+        ),
+        ("jumps", "jumps of the clock"),
+    ):
+        if log_run.counts[key]:
+            remarks.append(f"{text}: {log_run.counts[key]}")
     return remarks
 
 
 def _formats(asked: str | None) -> tuple[str, ...]:
     if asked == "csv":
         return ("csv",)
-    if asked is None and not has_parquet():
+    if has_parquet():
+        return ("parquet",) if asked == "parquet" else ("csv", "parquet")
+    if asked is None:
         print("CSV only: Parquet needs pip install 'bstm-daemon[parquet]'")
         return ("csv",)
-    if not has_parquet():
-        raise MissingExtraError(
-            package="pyarrow", extra="parquet", purpose=f"--format {asked}"
-        )
-    return ("parquet",) if asked == "parquet" else ("csv", "parquet")
+    raise MissingExtraError(
+        package="pyarrow", extra="parquet", purpose=f"--format {asked}"
+    )
 
 
 def _stem(path: Path) -> str:
-    name = path.name.removesuffix(".gz")
-    return Path(name).stem
+    return Path(path.name.removesuffix(".gz")).stem
+
+
+def _number(text: str) -> float:
+    """Return *text* as a finite number, nan where it is none."""
+    with suppress(ValueError):
+        number = float(text)
+        return number if isfinite(number) else nan
+    return nan
 
 
 def _speed(text: str) -> float:
-    try:
-        speed = float(text)
-    except ValueError:
-        speed = nan
-    if not 0 <= speed < inf:
+    speed = _number(text)
+    if not speed >= 0.0:
         msg = f"{text!r} is not a factor of 0 or more"
         raise ArgumentTypeError(msg)
     return speed
 
 
 def _every_s(text: str) -> float:
-    try:
-        seconds = float(text)
-    except ValueError:
-        seconds = nan
+    seconds = _number(text)
     tenths = seconds / PUBLICATION_S
-    if not (
-        0 < seconds < inf and isclose(tenths, round(tenths), abs_tol=1e-6)
-    ):
+    if not (seconds > 0.0 and isclose(tenths, round(tenths), abs_tol=1e-6)):
         msg = f"{text!r} is not a positive multiple of {PUBLICATION_S} s"
         raise ArgumentTypeError(msg)
     return seconds

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import argparse
 import os
-from pathlib import Path
 
-from bstm_daemon.cli.arguments import add_config, add_no_forecast
+from bstm_daemon.cli.arguments import add_config, add_no_forecast, add_path
 from bstm_daemon.service.assembly import BusOverride
 from bstm_daemon.service.events import ServiceLog
 from bstm_daemon.service.notify import Notifier
@@ -36,12 +35,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=None,
         help="receive CAN FD frames on the first [[bus]]",
     )
-    parser.add_argument(
-        "--state",
-        type=Path,
-        metavar="FILE",
-        help="state file, instead of the configured or default one",
-    )
+    what = "state file, instead of the configured or default one"
+    add_path(parser, "--state", "FILE", what)
     parser.add_argument(
         "--metrics-port",
         type=_port,
@@ -49,10 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="serve /metrics and /healthz on 127.0.0.1:PORT",
     )
     parser.add_argument(
-        "--duration",
-        type=float,
-        metavar="S",
-        help="stop after S seconds",
+        "--duration", type=float, metavar="S", help="stop after S seconds"
     )
     add_no_forecast(parser)
     # a service logs what it does; -q logs warnings only, -qq errors

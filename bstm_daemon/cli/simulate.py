@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bstm_daemon.cli.arguments import add_out, check_targets
+from bstm_daemon.cli.arguments import add_out, add_path, check_targets
 from bstm_daemon.errors import UsageError
 from bstm_daemon.files import shipped_file
 from bstm_daemon.simulation import (
@@ -65,18 +65,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         choices=tuple(vehicle_names()),
         help="the car that drives (default: the drive's own, mostly nominal)",
     )
-    parser.add_argument(
-        "--samples",
-        type=Path,
-        metavar="FILE.npz",
-        help="write the sensors' samples at 100 Hz, without frames",
-    )
-    parser.add_argument(
-        "--truth",
-        type=Path,
-        metavar="FILE.csv",
-        help="write the true temperatures, a row a second, to FILE.csv",
-    )
+    what = "write the sensors' samples at 100 Hz, without frames"
+    add_path(parser, "--samples", "FILE.npz", what)
+    what = "write the true temperatures, a row a second, to FILE.csv"
+    add_path(parser, "--truth", "FILE.csv", what)
     parser.add_argument(
         "--seed",
         type=int,
@@ -94,16 +86,13 @@ def run(args: argparse.Namespace) -> int:
         for name in drive_names():
             print(f"{name:16} {load_drive(name).drive.description}")
         return 0
-    targets = [t for t in (args.out, args.samples, args.truth) if t]
     if args.drive is None or not (args.out or args.samples):
         msg = (
             "simulate needs a DRIVE and -o LOG or --samples FILE "
             "(bstm simulate --list)"
         )
         raise UsageError(msg)
-    if len({target.resolve() for target in targets}) < len(targets):
-        msg = "-o, --samples and --truth must name different files"
-        raise UsageError(msg)
+    targets = (args.out, args.samples, args.truth)
     check_targets(targets, (Path(args.drive),))
     driven = simulate(
         _drive(args.drive),

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from bstm_daemon.bus.output.layout import BLOCK_IDS
 from bstm_daemon.bus.signals.signal_map import log_defects
 from bstm_daemon.bus.tables.table_plan import compile_sources
 from bstm_daemon.config.reading import load_config, naming_file
-from bstm_daemon.errors import ConfigError
+from bstm_daemon.errors import ConfigError, FileAccessError
 from bstm_daemon.model.effects.catalogue import problems_of
+from bstm_daemon.service.state_file import read
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -48,6 +49,20 @@ def load_vehicle(
     if not quiet:
         log_defects(signal_map)
     return config, signal_map
+
+
+def read_state(path: Path, flag: str) -> dict[str, Any]:
+    """Return the state file *path*, given by *flag*, and leave it as it is.
+
+    Raises:
+        FileAccessError: it is missing or unusable.
+    """
+    loaded = read(path)
+    if loaded.document is None:
+        problem = loaded.problem or f"{path}: No such file or directory"
+        msg = f"{flag} {problem}"
+        raise FileAccessError(msg)
+    return loaded.document
 
 
 def _own_ids_on_the_bus(config: Config, signal_map: SignalMap) -> list[str]:

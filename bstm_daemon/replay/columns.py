@@ -28,12 +28,7 @@ from bstm_daemon.model.risk.boiling import wet_boiling_point_k
 from bstm_daemon.replay.results import Collector, Results, ResultsBuilder, Sink
 
 if TYPE_CHECKING:
-    from collections.abc import (
-        Callable,
-        Iterator,
-        Mapping,
-        Sequence,
-    )
+    from collections.abc import Callable, Iterator, Mapping, Sequence
     from pathlib import Path
     from typing import Any
 
@@ -104,7 +99,7 @@ def stream_log(  # noqa: PLR0913
     *,
     overrides: Mapping[str, str] | None = None,
     every_us: int = PUBLISH_US,
-    progress: Callable[[int, float | None], None] | None = None,
+    progress: Callable[[float], None] | None = None,
     state: Mapping[str, Any] | None = None,
     forecast: bool = True,
 ) -> Run:
@@ -117,8 +112,7 @@ def stream_log(  # noqa: PLR0913
         sinks: each gets every row, in stretches as they come.
         overrides: log interface name to bus name.
         every_us: time between two rows [us], a multiple of 100 000.
-        progress: called with the number of lines read so far and the share
-            of the file, None where it is not known.
+        progress: called with the share of the log that is read.
         state: a state file's document; without it the history is unknown.
         forecast: whether there are columns of risk, forecast and advice.
 
@@ -157,15 +151,13 @@ def stream_log(  # noqa: PLR0913
             risks = monitor.add(block)
             builder.add([block], [risks], [advice.add(block, risks)])
         if progress is not None:
-            progress(log.reader.lines, log.share)
+            progress(log.share)
     builder.finish()
     if not builder.rows:
         msg = f"{path}: too short for a row every {every_us * 1e-6:g} s"
         raise LogError(msg)
-    refused = Counter(
-        {str(reason): count for reason, count in log.reader.refused.items()}
-    )
-    refused.update({str(r): count for r, count in log.counts.items()})
+    refused = Counter({str(why): n for why, n in log.reader.refused.items()})
+    refused.update({str(why): n for why, n in log.counts.items()})
     return Run(
         log.reader.lines,
         log.reader.frames,
@@ -191,12 +183,8 @@ class AdviceSeries:
     def ingest(self, times_us: Any, roles: Any, values: Any) -> None:
         """Take arrays [n]: stamps [us], role numbers, values."""
         kept = np.isin(roles, sorted(self.advisor.roles.names))
-        self._samples += zip(
-            times_us[kept].tolist(),
-            roles[kept].tolist(),
-            values[kept].tolist(),
-            strict=True,
-        )
+        arrays = (times_us[kept], roles[kept], values[kept])
+        self._samples += zip(*(one.tolist() for one in arrays), strict=True)
         stamps = [stamp_us for stamp_us, _, _ in reversed(self._samples)]
         self._earliest_us = [*accumulate(stamps, min)][::-1]
 

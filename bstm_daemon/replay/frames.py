@@ -17,7 +17,7 @@ from bstm_daemon.files import replacing
 from bstm_daemon.replay.columns import naming_state
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Iterable, Iterator, Mapping
     from pathlib import Path
 
     from bstm_daemon.bus.signals.signal_map import SignalMap
@@ -31,7 +31,7 @@ Frame = tuple[int, int, int, bool, bytes]
 """Stamp [us], bus number, id, extended, data."""
 
 
-def replayed(
+def publications(
     config: Config,
     signal_map: SignalMap,
     path: Path,
@@ -79,31 +79,19 @@ def replayed(
     yield from engine.parts_of_tick(last_us)
 
 
-def publish_log(  # noqa: PLR0913  (what the replay has too)
-    config: Config,
-    signal_map: SignalMap,
-    path: Path,
-    out: Path,
-    overrides: Mapping[str, str] | None = None,
-    state: Mapping[str, Any] | None = None,
-    *,
-    forecast: bool = True,
+def write_frames(
+    ticks: Iterable[list[Published]], channel: str, out: Path
 ) -> int:
-    """Write the frames that the engine publishes over *path* as candump.
+    """Write the frames of *ticks* as a candump log of *channel*.
 
     Returns:
-        The number of frames written to *out*.
+        The number of frames written to *out*, whole or not at all.
 
     Raises:
-        LogError, FileAccessError, UsageError: as :func:`replayed`; *out* is
-            not writable.
+        FileAccessError: *out* is not writable.
     """
-    channel = publish_channel(config)
     written = 0
     with replacing(out) as temporary, temporary.open("w") as file:
-        ticks = replayed(
-            config, signal_map, path, overrides, state, forecast=forecast
-        )
         for published in ticks:
             file.writelines(_line(channel, frame) for frame in published)
             written += len(published)

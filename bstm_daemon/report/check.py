@@ -1,8 +1,7 @@
-"""``bstm check --log``: the judgement in words, as a page and as JSON."""
+"""``bstm check --log``: the judgement as text, page and JSON."""
 
 from __future__ import annotations
 
-from html import escape
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -11,19 +10,20 @@ from bstm_daemon.analysis.quality.grid import shifted
 from bstm_daemon.analysis.quality.limits import GRID_S
 from bstm_daemon.report.json_file import own_fields, picked
 from bstm_daemon.report.plots import (
-    AXIS,
     BLUE,
     CLOUD_POINTS,
     ORANGE,
     VERMILION,
     Plot,
+    axis,
     cloud,
     curve,
+    right_axis,
     stamp,
     time_plot,
 )
-from bstm_daemon.report.screen import percent
 from bstm_daemon.report.shell import Cell, Page, Section, Table
+from bstm_daemon.report.text import columns, percent, wrapped
 from bstm_daemon.report.timescale import duration
 from bstm_daemon.units import UNITS
 
@@ -36,6 +36,7 @@ if TYPE_CHECKING:
         Quality,
         RoleQuality,
     )
+    from bstm_daemon.analysis.quality.statistics import ChannelStatistics
     from bstm_daemon.analysis.statistics.series import Column
 
 MODE_NAMES: Final = {
@@ -44,6 +45,11 @@ MODE_NAMES: Final = {
     "fused": "fused, both (when the estimator has it)",
     "measured": "measured disc temperature",
 }
+
+_ROLE_HEAD: Final = (
+    *("rate", "min", "max", "unit"),
+    *("longest gap", "gaps", "one value"),
+)
 
 PAIRS_NOTE: Final = (
     "Left: both readings over time. Right: one over the other with the fitted "
@@ -93,14 +99,8 @@ def headline(quality: Quality) -> str:
     """Return the verdict on the configured heat mode as one line."""
     mode = quality.configured_mode
     wrong = sum(1 for finding in quality.findings if finding.wrong)
-    text = (
-        f'usable for heat mode "{mode}"'
-        if quality.usable
-        else f'NOT usable for heat mode "{mode}"'
-    )
-    if wrong:
-        text += f", {wrong} fault{'s' * (wrong != 1)} named"
-    return text
+    text = f'{"" if quality.usable else "NOT "}usable for heat mode "{mode}"'
+    return text + f", {wrong} fault{'s' * (wrong != 1)} named" * bool(wrong)
 
 
 def mode_text(mode: ModeVerdict) -> str:
@@ -111,6 +111,80 @@ def mode_text(mode: ModeVerdict) -> str:
     parts += mode.problems
     parts += [f"note: {remark}" for remark in mode.remarks]
     return "; ".join(parts) or "nothing is missing"
+
+
+def _role_cells(
+    role: RoleQuality, known: ChannelStatistics
+) -> tuple[str, ...]:
+    """Return the figures of a role that is in the log, as _ROLE_HEAD."""
+    return (
+        f"{known.rate_hz:.3g} Hz",
+        f"{role_value(role, known.minimum):.4g}",
+        f"{role_value(role, known.maximum):.4g}",
+        role_unit(role),
+        f"{known.longest_gap_s:.2f} s",
+        str(known.gaps_over_timeout),
+        percent(known.constant_share),
+    )
+
+
+def _findings(quality: Quality, *, wrong: bool) -> list[str]:
+    """Return the findings that are faults, or those that are not."""
+    return [
+        f"{', '.join(one.roles)}: {one.text}" if one.roles else one.text
+        for one in quality.findings
+        if one.fault != "missing" and one.wrong is wrong
+    ]
+
+
+# ------------------------------------------------------------------- text
+
+
+def quality_text(quality: Quality) -> str:
+    """Return *quality* as lines of text: roles, pairs, faults, heat modes."""
+    rows = [
+        (role.role, *_role_cells(role, known))
+        for role in quality.roles
+        if (known := role.statistics) is not None
+    ]
+    absent = [
+        f"{role.role}: {role.why_missing}"
+        for role in quality.roles
+        if role.statistics is None
+    ]
+    modes = [
+        f"{mode.mode}: {'yes' if mode.usable else 'no'}, {mode_text(mode)}"
+        for mode in quality.modes
+    ]
+    blocks = [
+        duration(quality.duration_s),
+        "\n".join(columns([("role", *_ROLE_HEAD), *rows])),
+        _pair_lines(quality.comparisons),
+    ]
+    for heading, lines in (
+        ("not in the log", absent),
+        ("not judged in this log", list(quality.not_judged)),
+        ("to know", _findings(quality, wrong=False)),
+        ("FAULTS", _findings(quality, wrong=True)),
+        ("heat modes", modes),
+    ):
+        if lines:
+            blocks.append("\n".join([heading, *wrapped(lines, "  ", "    ")]))
+    blocks.append(headline(quality))
+    return "\n\n".join(block for block in blocks if block)
+
+
+def _pair_lines(comparisons: Sequence[Comparison]) -> str:
+    """Return the comparisons, each with its figures under its verdict."""
+    lines: list[str] = []
+    for comparison in comparisons:
+        mark = {True: "ok ", False: "BAD", None: " - "}[comparison.agrees]
+        verdict = f"{comparison.title}: {comparison.verdict}"
+        lines += wrapped([verdict], mark=f"{mark} ", indent="    ")
+        figures = [f"{k} {v}" for k, v in fit_text(comparison).items()]
+        if figures:
+            lines.append(f"    {', '.join(figures)}")
+    return "\n".join(lines)
 
 
 # ------------------------------------------------------------------- JSON
@@ -150,22 +224,13 @@ def _role_json(role: RoleQuality) -> dict[str, Any]:
 
 def quality_page(quality: Quality, *, title: str, subtitle: str) -> Page:
     """Return the page: verdict, faults, heat modes, pairs, channels."""
-    named = [one for one in quality.findings if one.fault != "missing"]
     sections = [
         Section(heading, lines=lines, kind=kind)
         for heading, wrong, kind in (
             ("Faults", True, "faults"),
             ("To know", False, "warnings"),
         )
-        if (
-            lines := [
-                f"{', '.join(one.roles)}: {one.text}"
-                if one.roles
-                else one.text
-                for one in named
-                if one.wrong is wrong
-            ]
-        )
+        if (lines := _findings(quality, wrong=wrong))
     ]
     sections.append(Section("Heat modes", _modes(quality)))
     if quality.comparisons:
@@ -228,21 +293,14 @@ def _channels(roles: Sequence[RoleQuality]) -> Section:
         "Channels",
         Table(
             (
-                *("role", "source", "rate", "min", "max", "unit"),
-                *("longest gap", "gaps over timeout", "one value"),
+                "role",
+                "source",
+                *_ROLE_HEAD[:-2],
+                "gaps over timeout",
+                "one value",
             ),
             [
-                (
-                    role.role,
-                    role.source,
-                    f"{known.rate_hz:.3g} Hz",
-                    f"{role_value(role, known.minimum):.4g}",
-                    f"{role_value(role, known.maximum):.4g}",
-                    role_unit(role),
-                    f"{known.longest_gap_s:.2f} s",
-                    str(known.gaps_over_timeout),
-                    percent(known.constant_share),
-                )
+                (role.role, role.source, *_role_cells(role, known))
                 for role in roles
                 if (known := role.statistics) is not None
             ],
@@ -272,31 +330,12 @@ def comparison_plot(comparison: Comparison, duration_s: float) -> Plot:
         | {"yaxis": "y3" if own_axis else "y"},
     ]
     changes: dict[str, Any] = {
-        "xaxis2": {
-            **AXIS,
-            "domain": [0.73, 1.0],
-            "anchor": "y2",
-            "title": {"text": escape(name), "standoff": 4},
-        },
-        "yaxis2": {
-            **AXIS,
-            "anchor": "x2",
-            "title": {
-                "text": escape(_short(comparison.channel_name)),
-                "standoff": 4,
-            },
-        },
+        "xaxis2": axis(name, anchor="y2", domain=[0.73, 1.0]),
+        "yaxis2": axis(_short(comparison.channel_name), anchor="x2"),
     }
     if own_axis:
-        changes["yaxis3"] = {
-            "overlaying": "y",
-            "side": "right",
-            "anchor": "x",
-            "showgrid": False,
-            "tickmode": "auto",
-            "zeroline": False,
-            "title": {"text": escape(comparison.unit), "standoff": 4},
-        }
+        right = right_axis(comparison.unit) | {"anchor": "x"}
+        changes["yaxis3"] = right | {"rangemode": "normal"}
     return time_plot(
         [*curves, *_scatter(comparison, reference, channel)],
         unit,
@@ -346,7 +385,7 @@ def _scatter(
 
 
 def _seen(comparison: Comparison, duration_s: float) -> list[str]:
-    """Return the stretch of time in which both channels are present."""
+    """Return the time in which both channels are present."""
     both = np.isfinite(comparison.reference) & np.isfinite(comparison.channel)
     known_s = comparison.time_s[both]
     if len(known_s) < 2:

@@ -44,36 +44,32 @@ class ThinCurve:
         self._limit = limit
         self._count = 0
         self._bucket_rows = 1
-        self._rows: list[Rows] = []
-        self._x: list[Column] = []
-        self._y: list[Column] = []
-        self._last: tuple[float, float] | None = None
+        # row number, x and y, shape (3, n) each
+        self._parts: list[Column] = []
+        self._last: Column = np.empty((3, 0))
 
     def add(self, x: Column, y: Column) -> None:
         """Add points, each of shape (n,); *y* is NaN where there is none."""
         if not len(x):
             return
-        rows = np.arange(self._count, self._count + len(x))
+        rows = np.arange(self._count, self._count + len(x), dtype=np.float64)
         self._count += len(x)
-        self._last = float(x[-1]), float(y[-1])
-        self._keep(rows, x, y)
-        while sum(map(len, self._rows)) > SPARE * self._limit:
+        points = np.stack([rows, x, y])
+        self._last = points[:, -1:].copy()
+        self._keep(points)
+        while sum(part.shape[1] for part in self._parts) > (
+            SPARE * self._limit
+        ):
             self._bucket_rows *= 2
-            rows, x, y = self._joined()
-            self._rows, self._x, self._y = [], [], []
-            self._keep(rows, x, y)
+            points, self._parts = np.hstack(self._parts), []
+            self._keep(points)
 
     def points(self) -> tuple[Column, Column]:
         """Return x and y of at most as many points as were asked for."""
-        if self._last is None:
-            return np.empty(0), np.empty(0)
-        rows, x, y = self._joined()
-        if rows[-1] != self._count - 1:
-            rows = np.append(rows, self._count - 1)
-            x, y = (
-                np.append(column, end)
-                for column, end in zip((x, y), self._last, strict=True)
-            )
+        points = np.hstack([self._last[:, :0], *self._parts])
+        if self._count and points[0, -1] != self._count - 1:
+            points = np.hstack([points, self._last])
+        rows, x, y = points
         if len(rows) > self._limit:
             # beside the lowest and the highest one for a gap
             a_bucket = 3 if np.isnan(y).any() else 2
@@ -85,25 +81,16 @@ class ThinCurve:
             x, y = x[kept], y[kept]
         return x, y
 
-    def _joined(self) -> tuple[Rows, Column, Column]:
-        return (
-            np.concatenate(self._rows),
-            np.concatenate(self._x),
-            np.concatenate(self._y),
-        )
-
-    def _keep(self, rows: Rows, x: Column, y: Column) -> None:
+    def _keep(self, points: Column) -> None:
         if self._bucket_rows > 1:
-            bucket = rows // self._bucket_rows
-            starts = np.flatnonzero(np.diff(bucket, prepend=-1))
-            kept = _kept(y, starts)
-            if rows[0] == 0:
+            bucket = points[0] // self._bucket_rows
+            kept = _kept(
+                points[2], np.flatnonzero(np.diff(bucket, prepend=-1))
+            )
+            if points[0, 0] == 0:
                 kept = np.union1d(kept, [0])
-            rows, x, y = rows[kept], x[kept], y[kept]
-        self._rows.append(rows)
-        # copies: a view would hold the whole of what it was cut from
-        self._x.append(x.copy())
-        self._y.append(y.copy())
+            points = points[:, kept]
+        self._parts.append(points)
 
 
 def _kept(values: Column, starts: Rows) -> Rows:
@@ -179,6 +166,8 @@ def validity_spans(
         validity: shape (n,), 0 valid, 1 degraded, 2 invalid; NaN is valid.
             Or of an input: 1 suspect, 2 missing.
     """
+    if not len(validity):
+        return []
     codes = np.nan_to_num(validity, nan=0.0).astype(np.int64)
     starts_s = elapsed_s
     if np.count_nonzero(np.diff(codes)) > SPANS_DRAWN:

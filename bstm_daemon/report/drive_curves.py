@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from itertools import combinations
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from itertools import combinations, cycle
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from bstm_daemon.estimate import (
 from bstm_daemon.model.heat.plausibility import FAULTS
 from bstm_daemon.replay.results import ElapsedTime
 from bstm_daemon.report.decimation import Buckets, ThinCurve, validity_spans
-from bstm_daemon.report.drive_statistics import SUMMARY_NODES, front_first
+from bstm_daemon.report.drive_statistics import SUMMARY_NODES
 from bstm_daemon.report.plots import (
     BLACK,
     BLUE,
@@ -82,55 +82,33 @@ SOFTER_PEDAL: Final = 0.995
 """Below it, a pedal factor as published differs from 1."""
 
 
-class _Advice(NamedTuple):
-    """What is advised or requested while ``column`` holds ``code``."""
+_PEDAL_FEEL: Final = "advice_pedal_feel"
 
-    label: str
-    colour: str
-    column: str
-    code: int
-
-    def holds(self, values: Column) -> npt.NDArray[np.bool_]:
-        """Return in which rows of its column, (n,), it is given."""
-        if self.column == "advice_pedal_feel":
-            return np.less(values, SOFTER_PEDAL)
-        return np.equal(values, self.code)
-
-
-_ADVICE: Final = (
-    _Advice(
-        "wait before departure",
-        VERMILION,
-        "advice_message",
-        Message.WAIT_BEFORE_DEPARTURE,
-    ),
-    _Advice("brakes hot", PURPLE, "advice_message", Message.BRAKES_HOT),
-    _Advice("driver: lower gear", BLUE, "advice_shift", Downshift.SHIFT_DOWN),
-    _Advice(
-        "gearbox: lower gear",
-        "#56b4e9",
-        "advice_gearbox",
-        Downshift.SHIFT_DOWN,
-    ),
-    _Advice("softer pedal", ORANGE, "advice_pedal_feel", 1),
-    _Advice(
-        "front brakes isolated",
-        GREEN,
-        "advice_isolation",
-        Isolation.REQUESTED,
-    ),
-    _Advice("emergency assist ready", GREY, "advice_assist", Assist.STANDBY),
-    _Advice("brakes do not answer", BLACK, "advice_assist", Assist.DETECTED),
-    *(
-        _Advice(label, colour, "advice_intervention", code)
-        for label, colour, code in (
-            ("maximum pressure", "#a32c00", Intervention.MAXIMUM_PRESSURE),
-            ("park brake", "#5a3d8a", Intervention.PARK_BRAKE),
-            ("isolate front", "#00573f", Intervention.ISOLATE_FRONT),
-        )
-    ),
-)
-"""From the top; those to the driver first."""
+_ADVICE: Final[dict[str, dict[int, tuple[str, str]]]] = {
+    "advice_message": {
+        Message.WAIT_BEFORE_DEPARTURE: ("wait before departure", VERMILION),
+        Message.BRAKES_HOT: ("brakes hot", PURPLE),
+    },
+    "advice_shift": {Downshift.SHIFT_DOWN: ("driver: lower gear", BLUE)},
+    "advice_gearbox": {
+        Downshift.SHIFT_DOWN: ("gearbox: lower gear", "#56b4e9")
+    },
+    _PEDAL_FEEL: {1: ("softer pedal", ORANGE)},
+    "advice_isolation": {
+        Isolation.REQUESTED: ("front brakes isolated", GREEN)
+    },
+    "advice_assist": {
+        Assist.STANDBY: ("emergency assist ready", GREY),
+        Assist.DETECTED: ("brakes do not answer", BLACK),
+    },
+    "advice_intervention": {
+        Intervention.MAXIMUM_PRESSURE: ("maximum pressure", "#a32c00"),
+        Intervention.PARK_BRAKE: ("park brake", "#5a3d8a"),
+        Intervention.ISOLATE_FRONT: ("isolate front", "#00573f"),
+    },
+}
+"""Label and colour of what is advised or requested, by column and code; from
+the top, those to the driver first."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -213,7 +191,11 @@ class DriveCurves:
         self._starts_s = Buckets(np.minimum)
         self._validity: dict[str, Buckets] = {}
         self._inputs = {name: Buckets(np.maximum) for name in _PANEL_INPUTS}
-        self._advice = [Buckets(np.maximum) for _ in _ADVICE]
+        self._advice = {
+            (column, code): Buckets(np.maximum)
+            for column, codes in _ADVICE.items()
+            for code in codes
+        }
         line = {"color": BLACK, "width": 1.5}
         self._speed = _Curve("speed", None, "speed", "speed_ms", line)
         self._pressures: dict[str, _Curve] = {}
@@ -223,7 +205,7 @@ class DriveCurves:
     def write(self, rows: Results) -> None:
         """Take *rows*."""
         if not self._corners:
-            for name in front_first(rows.corners):
+            for name in sorted(rows.corners):
                 self._corners[name] = _corner_curves(name)
                 self._pressures[name] = _Curve(
                     "pressure", None, name, f"{name}.pressure_pa", {}
@@ -245,9 +227,7 @@ class DriveCurves:
         See :func:`~bstm_daemon.report.decimation.validity_spans`.
         """
         validity = self._validity.get(corner)
-        if validity is None:
-            return []
-        return validity_spans(self._starts_s.values, validity.values)
+        return [] if validity is None else self._spans(validity.values)
 
     def input_spans(self, panel: str) -> list[tuple[int, float, float]]:
         """Return the stretches in which what *panel* shows is uncertain.
@@ -258,19 +238,19 @@ class DriveCurves:
         :func:`~bstm_daemon.report.decimation.validity_spans`.
         """
         inputs = self._inputs.get(panel)
-        codes = np.empty(0) if inputs is None else inputs.values
-        if not len(codes):
-            return []
-        return validity_spans(self._starts_s.values, codes)
+        return [] if inputs is None else self._spans(inputs.values)
 
     def _add(self, columns: dict[str, Column]) -> None:
         elapsed_s = self._time.extend(columns["time_s"])
         self._starts_s.add(elapsed_s)
         self._speed.add(elapsed_s, columns)
-        for advice, active in zip(_ADVICE, self._advice, strict=True):
-            values = columns.get(advice.column)
-            if values is not None:
-                active.add(advice.holds(values).astype(float))
+        for (column, code), active in self._advice.items():
+            if column in columns:
+                values = columns[column]
+                holds = values == code
+                if column == _PEDAL_FEEL:
+                    holds = values < SOFTER_PEDAL
+                active.add(holds.astype(float))
         for name, curves in self._corners.items():
             fluid_c = columns.get(f"{name}.fluid_c")
             margin_k = columns.get(f"{name}.margin_k")
@@ -295,60 +275,58 @@ class DriveCurves:
         """Note which corners do not share a circuit."""
         for pair in combinations(self._pressures, 2):
             one, other = (columns.get(f"{name}.pressure_pa") for name in pair)
-            if pair not in self._differing and not (
-                one is not None
-                and other is not None
-                and np.array_equal(one, other, equal_nan=True)
+            if (
+                one is None
+                or other is None
+                or not np.array_equal(one, other, equal_nan=True)
             ):
                 self._differing.add(pair)
 
     def _pressure_traces(self) -> list[Trace | None]:
         """Return one curve a circuit: corners of equal pressure share it."""
-        circuits: list[list[str]] = []
+        circuits: dict[str, list[str]] = {}
         for name, curve in self._pressures.items():
-            if not len(curve.thin.points()[0]):
-                continue
-            for names in circuits:
-                if (names[0], name) not in self._differing:
-                    names.append(name)
-                    break
-            else:
-                circuits.append([name])
+            if len(curve.thin.points()[0]):
+                shared = (
+                    first
+                    for first in circuits
+                    if (first, name) not in self._differing
+                )
+                circuits.setdefault(next(shared, name), []).append(name)
+        looks = zip(cycle(PRESSURE_COLOURS), cycle(CIRCUIT_DASHES))
         return [
             replace(
-                self._pressures[names[0]],
+                self._pressures[first],
                 label=" ".join(names),
-                line={
-                    "color": PRESSURE_COLOURS[i % len(PRESSURE_COLOURS)],
-                    "dash": CIRCUIT_DASHES[i % len(CIRCUIT_DASHES)],
-                    "width": 1.5,
-                },
+                line={"color": colour, "dash": dash, "width": 1.5},
             ).trace()
-            for i, names in enumerate(circuits)
+            for (first, names), (colour, dash) in zip(
+                circuits.items(), looks, strict=False
+            )
         ]
 
     def _advice_traces(self) -> list[Trace]:
         """Return a bar a kind of advice, one line above the other."""
         given = [
-            pair
-            for pair in zip(_ADVICE, self._advice, strict=True)
-            if pair[1].values.any()
+            (_ADVICE[column][code], active.values)
+            for (column, code), active in self._advice.items()
+            if active.values.any()
         ]
         traces = []
-        for i, (advice, active) in enumerate(given):
+        for i, ((label, colour), values) in enumerate(given):
             line = float(len(given) - i)
             x: list[float] = []
             y: list[float | None] = []
-            spans = validity_spans(self._starts_s.values, active.values)
-            for _, start_s, end_s in spans:
+            for _, start_s, end_s in self._spans(values):
                 x += [round(start_s, 2), round(end_s, 2), round(end_s, 2)]
                 y += [line, line, None]
-            look = {
-                "line": {"color": advice.colour, "width": 7},
-                "hovertemplate": advice.label,
-            }
-            traces.append(Trace("advice", None, advice.label, x, y, look))
+            bar = {"color": colour, "width": 7}
+            look = {"line": bar, "hovertemplate": label}
+            traces.append(Trace("advice", None, label, x, y, look))
         return traces
+
+    def _spans(self, codes: Column) -> list[tuple[int, float, float]]:
+        return validity_spans(self._starts_s.values, codes)
 
 
 def _corner_curves(corner: str) -> list[_Curve]:
@@ -366,25 +344,21 @@ def _corner_curves(corner: str) -> list[_Curve]:
             (panel, label, f"{node}_c", colour, 1.8, {}),
             (panel, f"{label}, measured", measured, colour, 2.4, dots),
         ]
-    steps = {"shape": "hv"}
+    steps, dashes = {"shape": "hv"}, {"dash": "8px,4px"}
     rows += [
         ("fluid", "peak if parked now", "peak_c", VERMILION, 1.3, steps),
         ("fluid", "peak if it goes on", "duty_peak_c", ORANGE, 1.3, steps),
         ("risk", "within 30 min, if parked", "risk", VERMILION, 1.5, {}),
         ("risk", "now", "risk_now", BLUE, 1.5, {}),
+        ("fluid", "wet boiling point", _BOILING_POINT, BLACK, 1.3, dashes),
     ]
-    curves = [
+    return [
         _Curve(
             panel,
             corner,
             label,
-            f"{corner}.{column}",
+            column if column == _BOILING_POINT else f"{corner}.{column}",
             {"color": colour, "width": width, **line},
         )
         for panel, label, column, colour, width, line in rows
     ]
-    boiling = {"color": BLACK, "width": 1.3, "dash": "8px,4px"}
-    limit = _Curve(
-        "fluid", corner, "wet boiling point", _BOILING_POINT, boiling
-    )
-    return [*curves, limit]

@@ -62,21 +62,24 @@ class Peak:
 class CornerSummary:
     """One corner. None stands for what the results do not hold.
 
-    ``energy_j`` is the brake energy that heated the model, ``energy_ff_j``
-    and ``energy_fb_j`` those of the two heat models. ``validity_shares``
-    are fractions of the rows, in the order of :data:`VALIDITY_NAMES`.
+    ``energies_j`` are the brake energy that heated the model, then those by
+    Feed-Forward and Feed-Back. ``validity_shares`` are fractions of the rows,
+    in the order of :data:`VALIDITY_NAMES`.
     """
 
     corner: str
     modelled: bool
     peaks: dict[str, Peak]
     margin_k: float | None
-    margin_time_s: float | None
     wet_boiling_point_c: float | None
-    energy_j: float | None
-    energy_ff_j: float | None
-    energy_fb_j: float | None
+    energies_j: tuple[float | None, ...]
     validity_shares: tuple[float, float, float] | None
+
+    @property
+    def after_stop_s(self) -> float | None:
+        """How long after the stop the fluid peaked, see :class:`Peak`."""
+        fluid = self.peaks.get("fluid")
+        return None if fluid is None else fluid.after_stop_s
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,20 +95,6 @@ class DriveSummary:
     corners: tuple[CornerSummary, ...]
     findings: tuple[Finding, ...] = ()
     """What spoke against the inputs, and when the heat was not known."""
-
-
-def front_first(corners: tuple[str, ...]) -> tuple[str, ...]:
-    """Return *corners* with the front axle first, left before right."""
-    known = ("FL", "FR", "RL", "RR")
-    return tuple(
-        sorted(
-            corners,
-            key=lambda name: (
-                known.index(name) if name in known else len(known),
-                name,
-            ),
-        )
-    )
 
 
 class DriveStatistics:
@@ -132,11 +121,11 @@ class DriveStatistics:
 
     def write(self, rows: Results) -> None:
         """Take *rows*, in stretches of the same length always."""
-        if not self._corners:
+        if not self._corners:  # front left, front right, then the rear
             self._places = rows.corners
             self._corners = {
                 name: _CornerStatistics(name, modelled=name in rows.modelled)
-                for name in front_first(rows.corners)
+                for name in sorted(rows.corners)
             }
         for stretch in rows.stretches():
             self._add(stretch.columns)
@@ -199,7 +188,7 @@ class DriveStatistics:
         standing = (speed_ms <= STANDING_MS).astype(np.float64)
         self._standing_s.add(steps_s, standing)
         self._travelled_m.add(steps_s, speed_ms)
-        self._top_speed_ms.add(speed_ms)
+        self._top_speed_ms.add(speed_ms, self.rows, elapsed_s)
 
 
 class _Integral:
@@ -219,58 +208,43 @@ class _Integral:
 
 
 class _Highest:
-    """The highest number so far and its first row; None without one."""
+    """The highest number so far, its row, time and code of validity."""
 
     def __init__(self) -> None:
         self.value: float | None = None
-
-    def add(self, values: Column) -> int | None:
-        """Return the row among *values* that is the new highest."""
-        known = np.where(np.isfinite(values), values, -np.inf)
-        row = int(known.argmax())
-        found = float(known[row])
-        if found == -np.inf or (
-            self.value is not None and found <= self.value
-        ):
-            return None
-        self.value = found
-        return row
-
-
-class _PeakFinder:
-    """The highest temperature of a node, when and how valid it was."""
-
-    def __init__(self) -> None:
-        self._highest = _Highest()
-        self._row = 0
-        self._time_s = 0.0
-        self._validity = 0
+        self.row = 0
+        self.time_s = 0.0
+        self.validity = 0
 
     def add(
         self,
         values: Column,
         first_row: int,
         elapsed_s: Column,
-        validity: Column | None,
+        validity: Column | None = None,
     ) -> None:
-        row = self._highest.add(values)
-        if row is None:
+        known = np.where(np.isfinite(values), values, -np.inf)
+        row = int(known.argmax())
+        found = float(known[row])
+        if found <= (-np.inf if self.value is None else self.value):
             return
-        self._row = first_row + row
-        self._time_s = float(elapsed_s[row])
+        self.value = found
+        self.row = first_row + row
+        self.time_s = float(elapsed_s[row])
         code = 0.0 if validity is None else float(validity[row])
-        self._validity = 0 if np.isnan(code) else int(code)
+        self.validity = 0 if np.isnan(code) else int(code)
 
     def peak(self, rows: int, stops_s: tuple[float, ...]) -> Peak | None:
-        temperature_c = self._highest.value
-        if temperature_c is None:
+        if self.value is None:
             return None
+        before = [stop for stop in stops_s if stop <= self.time_s]
+        stop_s = (*before[-1:], *stops_s[:1])[:1]
         return Peak(
-            temperature_c=temperature_c,
-            time_s=self._time_s,
-            after_stop_s=_after_stop(self._time_s, stops_s),
-            validity=self._validity,
-            at_end=0 < self._row == rows - 1,
+            temperature_c=self.value,
+            time_s=self.time_s,
+            after_stop_s=self.time_s - stop_s[0] if stop_s else None,
+            validity=self.validity,
+            at_end=0 < self.row == rows - 1,
         )
 
 
@@ -278,10 +252,9 @@ class _CornerStatistics:
     def __init__(self, name: str, *, modelled: bool) -> None:
         self._name = name
         self._modelled = modelled
-        self._peaks = {node: _PeakFinder() for node in SUMMARY_NODES}
+        self._peaks = {node: _Highest() for node in SUMMARY_NODES}
         # the least is the highest of the negative
         self._margin_k = _Highest()
-        self._margin_time_s: float | None = None
         self._boiling_point_c = _Highest()
         self._energies_j = {kind: _Integral() for kind in ("", "_ff", "_fb")}
         self._validity_rows: npt.NDArray[np.int64] | None = None
@@ -293,30 +266,29 @@ class _CornerStatistics:
         elapsed_s: Column,
         steps_s: Column,
     ) -> None:
-        def column(key: str) -> Column | None:
-            return columns.get(f"{self._name}.{key}")
-
-        validity = column("validity")
+        own = {
+            key.removeprefix(f"{self._name}."): column
+            for key, column in columns.items()
+            if key.startswith(f"{self._name}.")
+        }
+        validity = own.get("validity")
         if validity is not None:
             codes = np.arange(len(VALIDITY_NAMES))
             rows = np.count_nonzero(validity[:, None] == codes, axis=0)
             before = 0 if self._validity_rows is None else self._validity_rows
             self._validity_rows = before + rows
         for node, peak in self._peaks.items():
-            values = column(f"{node}_c")
-            if values is not None:
-                peak.add(values, first_row, elapsed_s, validity)
-        margin_k, fluid_c = column("margin_k"), column("fluid_c")
-        if margin_k is not None:
-            row = self._margin_k.add(-margin_k)
-            if row is not None:
-                self._margin_time_s = float(elapsed_s[row])
-            if fluid_c is not None:
-                self._boiling_point_c.add(-(fluid_c + margin_k))
+            if f"{node}_c" in own:
+                peak.add(own[f"{node}_c"], first_row, elapsed_s, validity)
+        if "margin_k" in own:
+            margin_k = own["margin_k"]
+            self._margin_k.add(-margin_k, first_row, elapsed_s)
+            if "fluid_c" in own:
+                boiling_c = own["fluid_c"] + margin_k
+                self._boiling_point_c.add(-boiling_c, first_row, elapsed_s)
         for kind, energy_j in self._energies_j.items():
-            power_w = column(f"brake_power{kind}_w")
-            if power_w is not None:
-                energy_j.add(steps_s, power_w)
+            if f"brake_power{kind}_w" in own:
+                energy_j.add(steps_s, own[f"brake_power{kind}_w"])
 
     def summary(self, rows: int, stops_s: tuple[float, ...]) -> CornerSummary:
         peaks = {
@@ -327,26 +299,14 @@ class _CornerStatistics:
         if self._validity_rows is not None:
             valid, degraded, invalid = (self._validity_rows / rows).tolist()
             shares = valid, degraded, invalid
+        margin_k = self._margin_k.value
+        boiling_c = self._boiling_point_c.value
         return CornerSummary(
             corner=self._name,
             modelled=self._modelled,
             peaks={node: peak for node, peak in peaks.items() if peak},
-            margin_k=_negative(self._margin_k.value),
-            margin_time_s=self._margin_time_s,
-            wet_boiling_point_c=_negative(self._boiling_point_c.value),
-            energy_j=self._energies_j[""].total,
-            energy_ff_j=self._energies_j["_ff"].total,
-            energy_fb_j=self._energies_j["_fb"].total,
+            margin_k=None if margin_k is None else -margin_k,
+            wet_boiling_point_c=None if boiling_c is None else -boiling_c,
+            energies_j=tuple(one.total for one in self._energies_j.values()),
             validity_shares=shares,
         )
-
-
-def _after_stop(time_s: float, stops_s: tuple[float, ...]) -> float | None:
-    if not stops_s:
-        return None
-    before = [stop for stop in stops_s if stop <= time_s]
-    return time_s - (before[-1] if before else stops_s[0])
-
-
-def _negative(value: float | None) -> float | None:
-    return None if value is None else -value

@@ -54,6 +54,7 @@ _SUBJECTS: Final = {
 """By fault: the bit of the first corner, and what may be its cause."""
 
 _NAMED: Final = SUSPECT & ~CAUSES
+_NAMELESS: Final = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,21 +87,22 @@ class FindingCollector:
 
     def __init__(self) -> None:
         """Begin without rows."""
-        self._finders = {name: StretchFinder() for name in _SUBJECTS}
-        self._seen = dict.fromkeys(_SUBJECTS, 0)
-        # causes of which no input has a bit
-        self._nameless = StretchFinder()
-        self._nameless_seen = 0
+        # the last one: causes of which no input has a bit
+        names = [*_SUBJECTS, _NAMELESS]
+        self._finders = {name: StretchFinder() for name in names}
+        self._seen = dict.fromkeys(names, 0)
 
     def add(self, elapsed_s: Column, bits: Bits) -> None:
         """Add rows: time since the first and ``flags``, shape (n,) each."""
         for name, finder in self._finders.items():
-            holds = (bits & FAULTS[name]) != 0
+            if name == _NAMELESS:
+                holds = ((bits & CAUSES) != 0) & ((bits & _NAMED) == 0)
+            else:
+                holds = (bits & FAULTS[name]) != 0
             finder.add(elapsed_s, holds)
-            self._seen[name] |= _any_of(bits, holds)
-        nameless = ((bits & CAUSES) != 0) & ((bits & _NAMED) == 0)
-        self._nameless.add(elapsed_s, nameless)
-        self._nameless_seen |= _any_of(bits, nameless)
+            self._seen[name] |= int(
+                np.bitwise_or.reduce(bits[holds], initial=0)
+            )
 
     def findings(self, corners: tuple[str, ...]) -> tuple[Finding, ...]:
         """Return the findings so far.
@@ -108,33 +110,20 @@ class FindingCollector:
         *corners*: names in the order of the configuration.
         """
         found = []
-        for name, (first, causes) in _SUBJECTS.items():
+        for name, finder in self._finders.items():
+            held = finder.stretches()
+            if held is None or held.total_s < LEAST_S:
+                continue
             seen = self._seen[name]
-            about = (
+            first, causes = _SUBJECTS.get(name, (0, CAUSES))
+            about = tuple(
                 corner
                 for place, corner in enumerate(corners)
                 if seen & first << place
             )
             why = words_of(seen & causes)
-            found.append(
-                _finding(WORDS[name], tuple(about), self._finders[name], why)
-            )
-        why = words_of(self._nameless_seen & CAUSES)
-        found.append(_finding(", ".join(why), (), self._nameless, []))
-        return tuple(finding for finding in found if finding is not None)
-
-
-def _any_of(bits: Bits, rows: npt.NDArray[np.bool_]) -> int:
-    return int(np.bitwise_or.reduce(bits[rows], initial=0))
-
-
-def _finding(
-    name: str,
-    corners: tuple[str, ...],
-    finder: StretchFinder,
-    why: list[str],
-) -> Finding | None:
-    held = finder.stretches()
-    if held is None or held.total_s < LEAST_S:
-        return None
-    return Finding(name, corners, held.total_s, held.first_from_s, tuple(why))
+            subject = WORDS.get(name, ", ".join(why))
+            why = why if name else []
+            times_s = held.total_s, held.first_from_s
+            found.append(Finding(subject, about, *times_s, tuple(why)))
+        return tuple(found)

@@ -1,4 +1,4 @@
-"""``bstm gap``: what was found in words and as JSON."""
+"""``bstm gap``: what temperatures or forces show, in words and as JSON."""
 
 from __future__ import annotations
 
@@ -28,20 +28,12 @@ if TYPE_CHECKING:
 
 CELL_HEAD: Final = ("node", "regime", "bin", "missing heat", "in sd")
 CANDIDATE_HEAD: Final = (
-    "effect",
-    "strength",
-    "sd",
-    "score in sd",
-    "ln Bayes factor",
-    "probability",
+    *("effect", "strength", "sd", "score in sd"),
+    *("ln Bayes factor", "probability"),
 )
 ADVICE_HEAD: Final = (
-    "drive",
-    "min",
-    "right name",
-    "wrong name",
-    "ln Bayes factor",
-    "what it is",
+    *("drive", "min", "right name", "wrong name"),
+    *("ln Bayes factor", "what it is"),
 )
 MODELS: Final = (*BASELINES, EXTENDED, ADOPTED)
 ERROR_HEAD: Final = ("drive", "node", *MODELS)
@@ -59,29 +51,29 @@ SHOWN_CANDIDATES: Final = 8
 
 def gap_text(gap: Gap) -> str:
     """Return what was found as lines for a terminal."""
-    lines = [f"{', '.join(gap.corners)}: {headline(gap)}"]
+    lines: list[str] = []
     if gap.located is not None:
-        lines += [f"  {line}" for line in place_lines(gap.located)]
+        lines += place_lines(gap.located)
     if gap.naming is not None:
-        lines += [f"  {line}" for line in naming_lines(gap.naming)]
-        rows = candidate_rows(gap.naming)
-        lines += [f"  {line}" for line in table(CANDIDATE_HEAD, rows)]
-        lines += [f"  {line}" for line in unnamed_lines(gap)]
+        lines += naming_lines(gap.naming)
+        lines += table(CANDIDATE_HEAD, candidate_rows(gap.naming))
+        lines += unnamed_lines(gap)
         if gap.silent:
-            lines.append(f"  not excited: {', '.join(gap.silent)}")
+            lines.append(f"not excited: {', '.join(gap.silent)}")
     if gap.advice:
-        lines += [f"  {line}" for line in advice_lines(gap)]
+        lines += advice_lines(gap)
     if gap.fit is not None:
         for name, strength in gap.fit.strengths.items():
             low, high = gap.fit.interval(name)
             lines.append(
-                f"  {name}: strength {strength:.2f} +- "
+                f"{name}: strength {strength:.2f} +- "
                 f"{gap.fit.deviations[name]:.2f} with the error of its form, "
                 f"90 % interval {low:.2f} to {high:.2f}"
             )
     if gap.shown is not None:
-        lines += [f"  {line}" for line in shown_lines(gap.shown)]
-    return "\n".join(lines)
+        lines += shown_lines(gap.shown)
+    head = f"{', '.join(gap.corners)}: {headline(gap)}"
+    return "\n  ".join([head, *lines])
 
 
 def remarks_on(config: Config) -> tuple[str, ...]:
@@ -108,7 +100,7 @@ def answer_line(naming: Naming, what: str) -> str:
     return {
         "nothing": f"no missing effect visible (nothing missing: {share})",
         "name": f"missing: {names} (probability {share})",
-        "class": f"missing: one of {names}; {what} cannot tell which",
+        "class": f"missing: one of {names}; {what} cannot distinguish them",
         "unknown": "missing: none of the known effects",
         "undecided": f"something is missing, but not named; possible: {names}",
     }[naming.answer]
@@ -116,16 +108,15 @@ def answer_line(naming: Naming, what: str) -> str:
 
 def answer_tile(naming: Naming) -> tuple[str, str]:
     """Return the answer for the head of a page: a figure, its meaning."""
-    if naming.answer == "nothing":
-        return "nothing visible", "missing effect"
-    if naming.answer == "unknown":
-        return "not in the catalogue", "missing effect"
-    names = " or ".join(naming.names).replace("_", " ")
-    if naming.answer == "undecided":
-        return "not decided", f"missing effect; possible: {names}"
-    if naming.answer == "name":
-        names = names.replace(" or ", " and ")
-    return names, "missing effect"
+    names = [name.replace("_", " ") for name in naming.names]
+    either, meaning = " or ".join(names), "missing effect"
+    return {
+        "nothing": ("nothing visible", meaning),
+        "unknown": ("not in the catalogue", meaning),
+        "undecided": ("not decided", f"{meaning}; possible: {either}"),
+        "class": (either, meaning),
+        "name": (" and ".join(names), meaning),
+    }[naming.answer]
 
 
 def probability_tile(naming: Naming) -> tuple[str, str]:
@@ -164,10 +155,7 @@ def naming_lines(naming: Naming) -> list[str]:
     """Return why the answer is what it is."""
     lines = [naming.reason]
     if naming.answer == "name":
-        lines += [
-            f"{name}: {effect_class(name).description}"
-            for name in naming.names
-        ]
+        lines += [f"{k}: {effect_class(k).description}" for k in naming.names]
     if naming.names or np.isfinite(naming.best_placebo_z):
         lines.append(
             f"explains {100.0 * naming.explained:.0f} % of what all effects "
@@ -190,16 +178,12 @@ def candidate_rows(naming: Naming) -> list[tuple[str, ...]]:
             f"{one.strength:.2f}",
             f"{one.deviation:.2f}",
             f"{one.z:.1f}",
-            signed_zero_free(one.log_evidence),
+            # adding 0.0 turns -0.0 into 0.0
+            f"{round(one.log_evidence, 1) + 0.0:.1f}",
             percent(naming.odds[one.name]),
         )
         for one in naming.candidates[:SHOWN_CANDIDATES]
     ]
-
-
-def signed_zero_free(value: float) -> str:
-    """Return *value* with one decimal, never as -0.0."""
-    return f"{round(value, 1) + 0.0:.1f}"
 
 
 def unnamed_lines(gap: Gap) -> list[str]:
@@ -217,20 +201,19 @@ def reach_lines(naming: Naming) -> list[str]:
 
     Effects that would have to be stronger than they can be come last.
     """
-    ordered = sorted(naming.candidates, key=lambda one: one.reach)
-    near = [one for one in ordered if one.reach <= _strongest(one.name)]
-    far = [one.name for one in ordered if one.reach > _strongest(one.name)]
-    shown = ", ".join(f"{one.name} {one.reach:.2f}" for one in near)
-    lines = [f"could have been shown, from the strength of: {shown or 'none'}"]
+    near, far = [], []
+    for one in sorted(naming.candidates, key=lambda one: one.reach):
+        if one.reach <= effect_class(one.name).parameters()[0].upper:
+            near.append(f"{one.name} {one.reach:.2f}")
+        else:
+            far.append(one.name)
+    shown = ", ".join(near) or "none"
+    lines = [f"could have been shown, from the strength of: {shown}"]
     if far:
         lines.append(
             f"too weak in these drives at any strength: {', '.join(far)}"
         )
     return lines
-
-
-def _strongest(name: str) -> float:
-    return effect_class(name).parameters()[0].upper
 
 
 def cell_rows(cells: Sequence[Cell]) -> list[tuple[str, ...]]:
@@ -249,11 +232,10 @@ def cell_rows(cells: Sequence[Cell]) -> list[tuple[str, ...]]:
 
 def shown_lines(shown: Shown) -> list[str]:
     """Return the shrink factors and how far the tunables moved."""
-    where = "held-out drives" if shown.held_out else "the fitted drives"
     lines = []
     for name in BASELINES:
         one = shown.shrinks[name]
-        text = f"gap on {where}, against {name}: {times(one)}"
+        text = f"gap on {shown_where(shown)}, against {name}: {times(one)}"
         if name in shown.fluid_shrinks:
             text += f", fluid {shown.fluid_shrinks[name].factor:.1f}"
         lines.append(text)
@@ -261,12 +243,16 @@ def shown_lines(shown: Shown) -> list[str]:
     text = f"as adopted, the tunables as configured: {times(one)}"
     if one.factor < 1.0:
         text += "; match them anew (bstm match)"
-    lines.append(text)
     moved = ", ".join(
         f"{name} {bend:.2f}" for name, bend in shown.bends.items() if bend
     )
-    lines.append(f"tunables moved, in deviations of their priors: {moved}")
-    return lines
+    moved = f"tunables moved, in deviations of their priors: {moved}"
+    return [*lines, text, moved]
+
+
+def shown_where(shown: Shown) -> str:
+    """Return which drives before and after are shown on."""
+    return "held-out drives" if shown.held_out else "the fitted drives"
 
 
 def times(shrink: Shrink) -> str:
@@ -288,25 +274,21 @@ def change(shrink: Shrink) -> tuple[str, Shrink]:
 
 def adopted_text(gaps: Sequence[Gap | ForceGap]) -> str:
     """Return what is written into a configuration, in a few words."""
-    said = []
+    found = []
     for gap in gaps:
         names = ", ".join(effect.name for effect in gap.effects())
         if names and gap.naming is not None and gap.naming.answer == "class":
             alike = ", ".join(gap.naming.names)
-            names += f" (one of {alike}; these drives cannot tell which)"
+            names += f" (one of {alike}; these drives cannot distinguish them)"
         if names:
-            said.append(names)
-    return ", ".join(said)
+            found.append(names)
+    return ", ".join(found)
 
 
 def error_rows(shown: Shown) -> list[tuple[str, ...]]:
     """Return the RMS error of each node over each drive, by model."""
     return [
-        (
-            one.drive,
-            one.node,
-            *(f"{one.rms_k[name]:.1f} K" for name in MODELS),
-        )
+        (one.drive, one.node, *(f"{one.rms_k[k]:.1f} K" for k in MODELS))
         for one in shown.errors
     ]
 
@@ -332,13 +314,10 @@ def advice_headline(gap: Gap) -> str:
 
 def no_advice_line(gap: Gap) -> str:
     """Return why no drive is advised, and how to ask for one."""
-    naming = gap.naming
-    if naming is not None and naming.answer == "name":
-        why = (
-            f"{' and '.join(naming.names)} named, nothing left to distinguish"
-        )
-    else:
-        why = "no candidate of the catalogue is left to distinguish"
+    why = "no candidate of the catalogue is left to distinguish"
+    if gap.naming is not None and gap.naming.answer == "name":
+        names = " and ".join(gap.naming.names)
+        why = f"{names} named, nothing left to distinguish"
     return f"no next drive: {why}; ask with --among EFFECT..."
 
 
@@ -403,7 +382,7 @@ def naming_json(naming: Naming) -> dict[str, Any]:
             )
             | {"probability": naming.odds[one.name]}
             for one in naming.candidates
-        ],
+        ]
     }
 
 
@@ -439,4 +418,82 @@ def advice_json(gap: Gap) -> dict[str, Any]:
             )
             for one in gap.advice
         ],
+    }
+
+
+def force_text(gap: ForceGap) -> str:
+    """Return what was found as lines for a terminal."""
+    return "\n  ".join(
+        [
+            f"forces of the whole car: {answer_line(gap.naming, 'forces')}",
+            *force_lines(gap),
+            *table(CANDIDATE_HEAD, candidate_rows(gap.naming)),
+            *sight_lines(gap),
+        ]
+    )
+
+
+def force_lines(gap: ForceGap) -> list[str]:
+    """Return the answer of the forces, and errors before and after."""
+    pressed_kj, motion_kj = 1e-3 * gap.pressed_j, 1e-3 * gap.motion_j
+    sources = "pressure (Feed-Forward) against motion (Feed-Back)"
+    work = f"{pressed_kj:.0f} kJ by pressure, {motion_kj:.0f} kJ by motion"
+    lines = [
+        f"no thermocouple: {sources}, {gap.windows} windows",
+        f"braking work: {work}",
+        *naming_lines(gap.naming),
+    ]
+    for name, strength in gap.strengths.items():
+        lines.append(
+            f"{name}: strength {strength:.2f} +- {gap.deviations[name]:.2f}"
+        )
+    if gap.strengths:
+        kind = "held-out drives" if gap.held_out else "the same drives"
+        lines.append(
+            f"error of the car's acceleration on {kind}, noise taken off: "
+            f"{acceleration(gap.before_ms2)} before, "
+            f"{acceleration(gap.after_ms2)} after"
+        )
+    return lines
+
+
+def acceleration(error_ms2: float) -> str:
+    """Return an error that is left; the search gives 0 within the noise."""
+    return f"{error_ms2:.3f} m/s2" if error_ms2 > 0.0 else "none"
+
+
+def sight_lines(gap: ForceGap) -> list[str]:
+    """Return which effects these forces can show, and which not."""
+    seen = ", ".join(f"{name} {reach:.2f}" for name, reach in gap.seen.items())
+    by_reason: dict[str, list[str]] = {}
+    for name, why in gap.unseen.items():
+        by_reason.setdefault(why.partition(":")[0], []).append(name)
+    return [
+        f"can be seen, from the strength of: {seen or 'none'}",
+        *(
+            f"can not be seen ({why}): {', '.join(names)}"
+            for why, names in by_reason.items()
+        ),
+    ]
+
+
+def force_json(gap: ForceGap) -> dict[str, Any]:
+    """Return everything that was found, for a file."""
+    return {
+        "corners": [],
+        "path": "forces",
+        "recordings": gap.recordings,
+        "windows": gap.windows,
+        "headline": answer_line(gap.naming, "forces"),
+        "naming": naming_json(gap.naming),
+        "strengths": gap.strengths,
+        "strength_deviations": gap.deviations,
+        "can_be_seen_from": gap.seen,
+        "can_not_be_seen": gap.unseen,
+        "shown": {
+            "held_out": gap.held_out,
+            "drives": gap.shown_on,
+            "acceleration_error_ms2": [gap.before_ms2, gap.after_ms2],
+        },
+        "braking_work_j": {"pressure": gap.pressed_j, "motion": gap.motion_j},
     }

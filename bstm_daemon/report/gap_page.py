@@ -19,23 +19,29 @@ from bstm_daemon.report.gap import (
     ERROR_HEAD,
     advice_headline,
     advice_rows,
+    answer_line,
     answer_tile,
     candidate_rows,
     cell_rows,
     change,
     error_rows,
+    force_lines,
     headline,
     naming_lines,
     place_lines,
     probability_tile,
     shown_lines,
+    shown_where,
+    sight_lines,
     strength_tile,
     unnamed_lines,
 )
 from bstm_daemon.report.plots import (
     BLUE,
+    GREY,
     VERMILION,
     Plot,
+    cloud,
     curve,
     plot,
     time_plot,
@@ -45,6 +51,7 @@ from bstm_daemon.report.shell import Page, Section, Table
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from bstm_daemon.analysis.gap.heat_only import ForceCurve, ForceGap
     from bstm_daemon.analysis.gap.holdout_comparison import Curve, Shown
     from bstm_daemon.analysis.gap.locating import Cell, Located
     from bstm_daemon.analysis.gap.naming import Naming
@@ -61,6 +68,11 @@ SCALE: Final = (
     (0.75, "#f4a582"),
     (1.0, "#b2182b"),
 )
+_NAMES_AXIS: Final = {
+    "type": "category",
+    "showgrid": False,
+    "tickmode": "auto",
+}
 MOST_CELLS: Final = 12
 BARS: Final = 10
 WEAK_EVIDENCE: Final = 5.0
@@ -80,15 +92,11 @@ def gap_page(
             sections.append(_naming_section(prefix, gap, remarks))
         if gap.advice:
             sections.append(_advice_section(prefix, gap))
-        if gap.shown is not None:
-            sections += _shown_sections(prefix, gap.shown)
+        shown = [] if gap.shown is None else _shown_sections(prefix, gap.shown)
+        maps = []
         if gap.before is not None and gap.after is not None:
-            sections.insert(
-                -len({one.drive for one in gap.shown.curves})
-                if gap.shown
-                else len(sections),
-                _maps_section(prefix, gap.before, gap.after),
-            )
+            maps = [_maps_section(prefix, gap.before, gap.after)]
+        sections += [*shown[:1], *maps, *shown[1:]]
         if gap.located is not None:
             sections.append(_tables_section(prefix, gap.located))
     return Page("Gap", sections, head_tiles(gaps), subtitle=subtitle)
@@ -145,30 +153,26 @@ def _maps_section(prefix: str, before: Located, after: Located) -> Section:
 
 def heat_map(cells: Sequence[Cell]) -> Plot:
     """Return the map: nodes against regime and temperature of the node."""
-    bins = [
-        name.removesuffix(" °C").replace(" to ", "-")
-        for name in labels(TEMPERATURES_C, "°C")
-    ]
-    written = labels(TEMPERATURES_C, "degC")
+    names = labels(TEMPERATURES_C, "degC")
+    shown = {(cell.regime, cell.bin) for cell in cells}
     columns = [
-        (regime, number)
+        (regime, name)
         for regime in REGIMES
-        for number in range(len(bins))
-        if any(c.regime == regime and c.bin == written[number] for c in cells)
+        for name in names
+        if (regime, name) in shown
     ]
-    nodes = [n for n in ORDER if any(c.node == n for c in cells)]
+    nodes = [n for n in ORDER[::-1] if any(c.node == n for c in cells)]
     by_place = {(c.node, c.regime, c.bin): c for c in cells}
     places = [
-        [by_place.get((node, regime, written[n])) for regime, n in columns]
-        for node in reversed(nodes)
+        [by_place.get((node, *column)) for column in columns] for node in nodes
     ]
     data: dict[str, Any] = {
         "type": "heatmap",
         "x": [
             [regime for regime, _ in columns],
-            [bins[number] for _, number in columns],
+            [_range(name) for _, name in columns],
         ],
-        "y": [n.replace("_", " ") for n in reversed(nodes)],
+        "y": [n.replace("_", " ") for n in nodes],
         "z": [[one and _shade(one.z) for one in row] for row in places],
         "text": [[_kilojoules(one) for one in row] for row in places],
         "texttemplate": "%{text}",
@@ -201,7 +205,7 @@ def heat_map(cells: Sequence[Cell]) -> Plot:
                 "standoff": 12,
             },
         },
-        yaxis={"type": "category", "showgrid": False, "tickmode": "auto"},
+        yaxis=_NAMES_AXIS,
     )
 
 
@@ -210,6 +214,10 @@ def _shade(z: float) -> float:
     size = abs(z) / CLEAR
     shade = 0.25 * size if size < 1.0 else 1.0 - 0.5 / size
     return shade if z >= 0.0 else -shade
+
+
+def _range(name: str) -> str:
+    return name.removesuffix(" degC").replace(" to ", "-")
 
 
 def _kilojoules(cell: Cell | None) -> str:
@@ -223,10 +231,10 @@ def _kilojoules(cell: Cell | None) -> str:
 def _tip(cell: Cell | None) -> str:
     if cell is None:
         return ""
-    place = cell.bin.removesuffix(" degC").replace(" to ", "-")
     return (
-        f"{cell.node} {cell.regime} {place} °C: {1e-3 * cell.energy_j:+.1f} "
-        f"kJ ± {1e-3 * cell.deviation_j:.1f}, {cell.windows} half minutes"
+        f"{cell.node} {cell.regime} {_range(cell.bin)} °C: "
+        f"{1e-3 * cell.energy_j:+.1f} kJ ± {1e-3 * cell.deviation_j:.1f}, "
+        f"{cell.windows} half minutes"
     )
 
 
@@ -234,21 +242,32 @@ def _naming_section(prefix: str, gap: Gap, remarks: Sequence[str]) -> Section:
     naming = gap.naming
     if naming is None:
         return Section(prefix)
-    lines = [*remarks, *naming_lines(naming)]
-    lines += unnamed_lines(gap)
+    lines = [*remarks, *naming_lines(naming), *unnamed_lines(gap)]
     if gap.silent:
         lines.append(f"not excited by these drives: {', '.join(gap.silent)}")
-    return Section(
+    return _candidates(
         f"{prefix}{headline(gap)}",
+        naming,
+        lines,
+        "Every effect is simulated on these drives and fitted together "
+        "with all tunables. A strength of 1 is typical; sd is of the noise "
+        "alone.",
+    )
+
+
+def _candidates(
+    heading: str, naming: Naming, lines: Sequence[str], note: str = ""
+) -> Section:
+    """Return the candidates as a table and as bars, with the answer."""
+    return Section(
+        heading,
         Table(CANDIDATE_HEAD, candidate_rows(naming)),
         plots=(
             ("how far each effect beats 'nothing'", evidence_bars(naming)),
         ),
         lines=lines,
         across=1,
-        note="Every effect is simulated on these drives and fitted together "
-        "with all tunables. A strength of 1 is typical; sd is of the noise "
-        "alone.",
+        note=note,
     )
 
 
@@ -266,22 +285,21 @@ def _advice_section(prefix: str, gap: Gap) -> Section:
 
 def evidence_bars(naming: Naming) -> Plot:
     """Return the log Bayes factor of the likeliest candidates as bars."""
+    # the best is drawn at the top, behind all others
     best = [
         one
-        for one in naming.candidates[:BARS]
+        for one in naming.candidates[:BARS][::-1]
         if one.log_evidence > 0.0 or one is naming.candidates[0]
+    ]
+    colours = [
+        VERMILION if one.name in naming.names else "#9aa5b1" for one in best
     ]
     data = {
         "type": "bar",
         "orientation": "h",
-        "x": [float(f"{one.log_evidence:.4g}") for one in reversed(best)],
-        "y": [escape(one.name.replace("_", " ")) for one in reversed(best)],
-        "marker": {
-            "color": [
-                VERMILION if one.name in naming.names else "#9aa5b1"
-                for one in reversed(best)
-            ]
-        },
+        "x": [float(f"{one.log_evidence:.4g}") for one in best],
+        "y": [escape(one.name.replace("_", " ")) for one in best],
+        "marker": {"color": colours},
         "showlegend": False,
     }
     most = max(one.log_evidence for one in best)
@@ -293,15 +311,14 @@ def evidence_bars(naming: Naming) -> Plot:
         height=110 + 26 * len(best),
         xaxis={"range": [1.05 * least, max(1.05 * most, WEAK_EVIDENCE)]},
         margin={"l": 190},
-        yaxis={"type": "category", "showgrid": False, "tickmode": "auto"},
+        yaxis=_NAMES_AXIS,
     )
 
 
 def _shown_sections(prefix: str, shown: Shown) -> list[Section]:
-    where = "held-out drives" if shown.held_out else "the fitted drives"
     sections = [
         Section(
-            f"{prefix}before and after on {where}",
+            f"{prefix}before and after on {shown_where(shown)}",
             Table(ERROR_HEAD, error_rows(shown)),
             lines=shown_lines(shown),
         )
@@ -345,4 +362,60 @@ def _tables_section(prefix: str, located: Located) -> Section:
         f"{prefix}residual heat by speed, pressure and time",
         Table(CELL_HEAD, cell_rows(cells)[:MOST_CELLS]),
         note="The plainest; all are in the JSON file.",
+    )
+
+
+def force_page(gap: ForceGap, subtitle: str) -> Page:
+    """Return the page of what the forces show."""
+    naming = gap.naming
+    sections = [
+        _candidates(answer_line(naming, "forces"), naming, force_lines(gap)),
+        *(_force_section(one) for one in gap.curves),
+        Section("what forces can show", lines=sight_lines(gap)),
+    ]
+    moved_mj = 1e-6 * gap.motion_j
+    tiles = (
+        answer_tile(naming),
+        probability_tile(naming),
+        *(
+            strength_tile(name, strength, gap.deviations[name])
+            for name, strength in gap.strengths.items()
+        ),
+        (
+            f"{1e-6 * gap.pressed_j:.1f} MJ",
+            f"braking work by pressure; {moved_mj:.1f} MJ by motion",
+        ),
+    )
+    return Page("Gap", sections, tiles, subtitle=subtitle)
+
+
+def _force_section(one: ForceCurve) -> Section:
+    """Return both forces over time, and their difference over the force."""
+    span = (0.0, max(float(one.time_s[-1]), 1.0))
+    motion_kn, pressed_kn = 1e-3 * one.motion_n, 1e-3 * one.pressed_n
+    over_time = [
+        curve(one.time_s, motion_kn, "by motion", BLUE),
+        curve(one.time_s, pressed_kn, "by pressure", VERMILION),
+    ]
+    apart = [cloud(motion_kn, pressed_kn - motion_kn, "", VERMILION)]
+    return Section(
+        f"brake force of the car on {one.drive}",
+        plots=(
+            (
+                "over time",
+                time_plot(over_time, "force [kN]", span, height=340),
+            ),
+            (
+                "how much more by pressure than by motion",
+                plot(
+                    apart,
+                    "force by motion [kN]",
+                    "difference [kN]",
+                    height=340,
+                    yaxis={"zerolinecolor": GREY},
+                ),
+            ),
+        ),
+        note="A point is a window of 1 s or more. With nothing missing the "
+        "difference is nothing at every force.",
     )

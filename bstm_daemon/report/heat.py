@@ -5,7 +5,7 @@ The page has figures 4.5 to 4.10 and 6.1 to 6.3 of the thesis.
 
 from __future__ import annotations
 
-from math import isfinite
+from math import isfinite, nan
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -34,9 +34,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from bstm_daemon.analysis.identify.driving import Balance
-    from bstm_daemon.analysis.identify.heat_comparison import (
-        HeatComparison,
-    )
+    from bstm_daemon.analysis.identify.heat_comparison import HeatComparison
     from bstm_daemon.analysis.identify.stop_friction import StopFriction
     from bstm_daemon.analysis.statistics.series import Column
 
@@ -52,6 +50,13 @@ STOPS_SHOWN: Final = 40
 """Rows on the screen; JSON and page have them all."""
 
 DASH: Final = "-"
+
+SHORT_HEADS: Final = {
+    SOURCES["ff"]: "FF",
+    SOURCES["fb"]: "FB",
+    SOURCES["can"]: "CAN",
+}
+"""Headings of the stops on the screen, where the page has the full name."""
 
 TOTAL_HEAD: Final = ("source", "energy", "to Feed-Back", "to balance", "")
 
@@ -69,46 +74,36 @@ def stop_rows(heat: HeatComparison) -> list[tuple[str, ...]]:
     """Return a row a stop: energies by source, then Eq 4.5 term by term."""
     rows = []
     for i, stop in enumerate(heat.stops):
-        hottest = max(stop.initial_c.values(), default=float("nan"))
+        hottest_c = max(stop.initial_c.values(), default=nan)
+        balance, energy_j = stop.balance, stop.energy_j
+        back_j = energy_j.get("fb", 0.0)
+        ratio = energy_j.get("ff", nan) / back_j if back_j > 0.0 else nan
+        speeds = f"{3.6 * balance.from_ms:.0f}-{3.6 * balance.to_ms:.0f}"
         rows.append(
             (
                 str(i + 1),
                 clock(stop.begin_s),
-                _speeds(stop.balance),
+                speeds if isfinite(balance.brake_j) else DASH,
                 f"{stop.pressure_pa / 1e5:.1f}",
-                f"{hottest:.0f} °C" if isfinite(hottest) else DASH,
+                _figure(hottest_c, ".0f", " °C"),
                 *(
-                    f"{stop.energy_j[name] / 1e3:.0f}"
+                    f"{energy_j[name] / 1e3:.0f}"
                     for name in SOURCES
                     if name in heat.power_w
                 ),
-                *(
-                    f"{value / 1e3:.0f}" if isfinite(value) else DASH
-                    for value in (
-                        stop.balance.brake_j,
-                        stop.balance.kinetic_j,
-                        stop.balance.drag_j,
-                        stop.balance.climb_j,
-                        stop.balance.drive_j,
-                    )
-                ),
-                _ratio(stop.energy_j),
+                _figure(balance.brake_j / 1e3, ".0f"),
+                _figure(balance.kinetic_j / 1e3, ".0f"),
+                _figure(balance.drag_j / 1e3, ".0f"),
+                _figure(balance.climb_j / 1e3, ".0f"),
+                _figure(balance.drive_j / 1e3, ".0f"),
+                _figure(ratio, ".3f"),
             )
         )
     return rows
 
 
-def _speeds(balance: Balance) -> str:
-    if not isfinite(balance.brake_j):
-        return DASH
-    return f"{3.6 * balance.from_ms:.0f}-{3.6 * balance.to_ms:.0f}"
-
-
-def _ratio(energy_j: dict[str, float]) -> str:
-    forward, back = energy_j.get("ff"), energy_j.get("fb")
-    if forward is None or not back or back <= 0.0:
-        return DASH
-    return f"{forward / back:.3f}"
+def _figure(value: float, form: str, unit: str = "") -> str:
+    return f"{value:{form}}{unit}" if isfinite(value) else DASH
 
 
 def total_rows(heat: HeatComparison) -> list[tuple[str, ...]]:
@@ -119,26 +114,20 @@ def total_rows(heat: HeatComparison) -> list[tuple[str, ...]]:
         if key not in heat.power_w:
             rows.append((name, DASH, DASH, DASH, heat.absent[key]))
             continue
-        total = heat.total_j(key)
+        total_j = heat.total_j(key)
         stops = [
             stop.energy_j[key] / stop.balance.brake_j
             for stop in heat.stops
             if stop.balance.brake_j > LEAST_ENERGY_J
         ]
-        rows.append(
-            (
-                name,
-                f"{total / 1e6:.3f} MJ",
-                f"{total / back:.3f}" if back > 0.0 else DASH,
-                f"{np.median(stops):.3f}" if stops else DASH,
-                "",
-            )
-        )
+        to_back = _figure(total_j / back if back > 0.0 else nan, ".3f")
+        to_balance = _figure(np.median(stops) if stops else nan, ".3f")
+        rows.append((name, f"{total_j / 1e6:.3f} MJ", to_back, to_balance, ""))
     return rows
 
 
 def friction_lines(friction: StopFriction) -> list[str]:
-    """Return what is said of friction within the stops."""
+    """Return the friction of the axles within the stops, as lines."""
     lines = []
     if friction.why_no_axles:
         lines.append(f"front and rear friction: {friction.why_no_axles}")
@@ -158,28 +147,20 @@ def heat_text(heat: HeatComparison, friction: StopFriction) -> str:
     """Return the comparison as text for the screen."""
     lines = columns([TOTAL_HEAD, *total_rows(heat)])
     rows = stop_rows(heat)
-    shown = rows[:STOPS_SHOWN]
-    if shown:
-        head = stop_head(heat)
-        short = tuple(
-            {"Feed-Forward": "FF", "Feed-Back": "FB"}.get(name, name)
-            for name in head
-        )
-        short = tuple("CAN" if n == SOURCES["can"] else n for n in short)
+    if rows:
+        head = [SHORT_HEADS.get(name, name) for name in stop_head(heat)]
         lines += ["", "energies of the stops in kJ, Eq 4.5"]
-        lines += columns([short, *shown])
-    if len(rows) > len(shown):
-        lines.append(f"and {len(rows) - len(shown)} more stops")
+        lines += columns([head, *rows[:STOPS_SHOWN]])
+    if len(rows) > STOPS_SHOWN:
+        lines.append(f"and {len(rows) - STOPS_SHOWN} more stops")
     momentary = heat.momentary_ratio()
     if np.isfinite(momentary).any():
-        per_force = heat.pressure_per_force()
-        said = (
-            f"FF/FB while braking: median {np.nanmedian(momentary):.3f}, "
-            f"5 to 95 % {np.nanpercentile(momentary, 5):.3f} to "
-            f"{np.nanpercentile(momentary, 95):.3f}; "
-            f"pressure over force: median {np.nanmedian(per_force):.0f} Pa/N"
+        low, middle, high = np.nanpercentile(momentary, (5, 50, 95))
+        per_force = np.nanmedian(heat.pressure_per_force())
+        lines.append(
+            f"\nFF/FB while braking: median {middle:.3f}, 5 to 95 % {low:.3f} "
+            f"to {high:.3f}; pressure over force: median {per_force:.0f} Pa/N"
         )
-        lines += ["", said]
     lines += wrapped([*friction_lines(friction), *heat.remarks])
     return "\n".join(lines)
 
@@ -305,29 +286,24 @@ def _drive_sections(
                 across=1,
             )
         )
-    chosen = sorted(
-        sorted(
-            range(len(heat.stops)),
-            key=lambda i: -max(heat.stops[i].energy_j.values()),
-        )[:STOPS_DRAWN]
+    by_energy = sorted(
+        range(len(heat.stops)),
+        key=lambda i: -max(heat.stops[i].energy_j.values()),
     )
-    if chosen:
+    if by_energy:
+        note = "Dotted: W_brake of Eq 4.5, where every source should end."
+        if len(heat.stops) > STOPS_DRAWN:
+            note += f" The {STOPS_DRAWN} stops with the most energy."
         sections.append(
             Section(
                 f"{prefix}Stops (thesis figures 4.5, 4.6 and 4.8)",
                 plots=[
                     pair
-                    for i in chosen
+                    for i in sorted(by_energy[:STOPS_DRAWN])
                     for pair in stop_plots(heat, heat.stops[i], i + 1)
                 ],
                 across=3,
-                note="Dotted: W_brake of Eq 4.5, where every source should "
-                "end. "
-                + (
-                    f"The {STOPS_DRAWN} stops with the most energy."
-                    if len(heat.stops) > STOPS_DRAWN
-                    else ""
-                ),
+                note=note,
             )
         )
         sections.append(
@@ -380,24 +356,13 @@ def _side_by_side(
             since = heat.time_s - heat.time_s[known[0]]
             last_s = max(last_s, float(since[known[-1]]))
             part = slice(known[0], known[-1] + 1)
-            data.append(
-                curve(
-                    since[part],
-                    ratio[part],
-                    name,
-                    COLOURS[i % len(COLOURS)],
-                    width=2,
-                )
-            )
+            colour = COLOURS[i % len(COLOURS)]
+            data.append(curve(since[part], ratio[part], name, colour, width=2))
         rows += [(name, *row[:4]) for row in total_rows(heat) if not row[4]]
+    drawn = time_plot(data, "pressure / force [Pa/N]", (0.0, last_s))
     return Section(
         "Logs side by side (thesis figures 4.9 and 4.10)",
         Table(("log", *TOTAL_HEAD[:4]), rows),
-        plots=(
-            (
-                "pressure over brake force since the first press",
-                time_plot(data, "pressure / force [Pa/N]", (0.0, last_s)),
-            ),
-        ),
+        plots=(("pressure over brake force since the first press", drawn),),
         across=1,
     )

@@ -151,30 +151,23 @@ def stop_plots(
         k: np.where(moving, one / speed_ms, np.nan)
         for k, one in power_kw.items()
     }
-    balance = curve(
-        np.array([since[0], since[-1]]),
-        np.full(2, stop.balance.brake_j / 1e3),
-        "Eq 4.5",
-        BLACK,
-        dash="2px,3px",
-    )
+    end_kj = np.full(2, stop.balance.brake_j / 1e3)
+    balance = curve(since[[0, -1]], end_kj, "Eq 4.5", BLACK, dash="2px,3px")
     title = (
         f"stop {number}, {clock(stop.begin_s)}, "
         f"{3.6 * heat.speed_ms[stop.first]:.0f} to "
         f"{3.6 * heat.speed_ms[stop.last]:.0f} km/h, "
         f"{stop.pressure_pa / 1e5:.0f} bar"
     )
+    powers = _by_source(since, power_kw, SHORT)
     energies = [*_by_source(since, energy_kj, SHORT, 2), balance]
+    forces = _by_source(since, force_kn, SHORT)
     return [
         (name, plot(data, "time since the press [s]", y_title))
         for name, data, y_title in (
-            (title, _by_source(since, power_kw, SHORT), "power [kW]"),
+            (title, powers, "power [kW]"),
             ("energy", energies, "energy [kJ]"),
-            (
-                "brake force",
-                _by_source(since, force_kn, SHORT),
-                "brake force [kN]",
-            ),
+            ("brake force", forces, "brake force [kN]"),
         )
     ]
 
@@ -183,17 +176,12 @@ def friction_plots(friction: StopFriction) -> tuple[tuple[str, Plot], ...]:
     """Return friction within and from stop to stop (Fig 4.7)."""
     figures = []
     if friction.within:
-        figures += [
-            ("within the stops", _within(friction)),
-            (
-                "mean of the stop over the hottest disc before it",
-                _means(friction),
-            ),
-        ]
+        means = "mean of the stop over the hottest disc before it"
+        figures.append(("within the stops", _within(friction)))
+        figures.append((means, _means(friction)))
     if friction.axles:
-        figures.append(
-            ("front and rear over the disc before the stop", _axles(friction))
-        )
+        over_disc = "front and rear over the disc before the stop"
+        figures.append((over_disc, _axles(friction)))
     return tuple(figures)
 
 
@@ -220,12 +208,8 @@ def _within(friction: StopFriction) -> Plot:
 
 def _means(friction: StopFriction) -> Plot:
     means = np.array([float(np.mean(o.friction)) for o in friction.within])
-    return plot(
-        [cloud(_hottest(friction), means, "", BLUE, size=8)],
-        "disc before the stop [°C]",
-        "friction coefficient",
-        yaxis=_friction_axis(means),
-    )
+    data = [cloud(_hottest(friction), means, "", BLUE, size=8)]
+    return _over_disc(data, _friction_axis(means))
 
 
 def _axles(friction: StopFriction) -> Plot:
@@ -235,21 +219,15 @@ def _axles(friction: StopFriction) -> Plot:
         if not own:
             continue
         by = "by its discs" if own[0].by_discs else "rest of the balance"
-        clouds.append(
-            cloud(
-                np.array([one.initial_c for one in own]),
-                np.array([one.friction for one in own]),
-                f"{axle}, {by}",
-                colour,
-                size=8,
-            )
-        )
-    return plot(
-        clouds,
-        "disc before the stop [°C]",
-        "friction coefficient",
-        yaxis={"rangemode": "tozero"},
-    )
+        disc_c = np.array([one.initial_c for one in own])
+        values = np.array([one.friction for one in own])
+        clouds.append(cloud(disc_c, values, f"{axle}, {by}", colour, size=8))
+    return _over_disc(clouds, {"rangemode": "tozero"})
+
+
+def _over_disc(data: list[dict[str, Any]], yaxis: dict[str, Any]) -> Plot:
+    title = "disc before the stop [°C]"
+    return plot(data, title, "friction coefficient", yaxis=yaxis)
 
 
 def _hottest(friction: StopFriction) -> Column:
@@ -280,11 +258,9 @@ def _friction_axis(values: Any) -> dict[str, Any]:
 
 
 def _labelled(start_s: float, initial_c: dict[str, float]) -> str:
-    front = [value for name, value in initial_c.items() if name[0] == "F"]
-    rear = [value for name, value in initial_c.items() if name[0] == "R"]
     text = clock(start_s)
-    if front:
-        text += f" F {np.mean(front):.0f}"
-    if rear:
-        text += f" R {np.mean(rear):.0f}"
-    return text + (" °C" if front or rear else "")
+    for side in "FR":
+        own = [value for name, value in initial_c.items() if name[0] == side]
+        if own:
+            text += f" {side} {np.mean(own):.0f}"
+    return text + " °C" * bool(initial_c)

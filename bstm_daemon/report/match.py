@@ -18,12 +18,12 @@ from bstm_daemon.analysis.matching.identifiability import (
 from bstm_daemon.analysis.matching.matcher import curves_of
 from bstm_daemon.analysis.matching.tunables import TUNABLES
 from bstm_daemon.report.json_file import picked
-from bstm_daemon.report.plots import NODE_COLOURS, NodeCurve, node_plots
-from bstm_daemon.report.shell import Page, Section, Table
+from bstm_daemon.report.plots import NODE_COLOURS, NodeCurve
+from bstm_daemon.report.shell import Page, Section, Table, node_section
 from bstm_daemon.report.text import table
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from bstm_daemon.analysis.matching.drives import Drive
     from bstm_daemon.analysis.matching.matcher import Match
@@ -47,17 +47,17 @@ def stage_rows(match: Match) -> list[tuple[str, ...]]:
         if one.why:
             rows.append((*head, "left out", "", "", one.why))
             continue
-        before, after = one.rms_k
-        for key, value in one.values.items():
-            rows.append(
-                (
-                    *head,
-                    short(key),
-                    f"{one.before[key]:.4g}",
-                    f"{value:.4g}",
-                    f"{before:.2f} to {after:.2f}",
-                )
+        rms_k = "{:.2f} to {:.2f}".format(*one.rms_k)
+        rows += [
+            (
+                *head,
+                short(key),
+                f"{one.before[key]:.4g}",
+                f"{value:.4g}",
+                rms_k,
             )
+            for key, value in one.values.items()
+        ]
     return rows
 
 
@@ -78,55 +78,52 @@ def value_rows(fit: Refinement) -> list[tuple[str, ...]]:
 
 def fit_line(fit: Refinement) -> str:
     """Return count of values and RMS by node."""
-    rms = ", ".join(f"{node} {k:.1f}" for node, k in fit.rms_k.items())
-    return f"{len(fit.keys)} free values, {fit.points} points, RMS [K]: {rms}"
+    return (
+        f"{len(fit.keys)} free values, {fit.points} points, RMS [K]: "
+        f"{_by_node(fit.rms_k)}"
+    )
+
+
+def _by_node(rms_k: Mapping[str, float]) -> str:
+    return ", ".join(f"{node} {k:.1f}" for node, k in rms_k.items())
 
 
 def notes(match: Match) -> list[str]:
     """Return remarks: ratios, correlated pairs, held-out drives."""
-    lines = []
-    fit = match.joint
-    for ratio in ratios(fit)[:SHOWN_RATIOS]:
-        sign = "x" if ratio.product else "/"
+    fit, accuracy = match.joint, match.accuracy
+    lines = [
+        f"{short(ratio.first)} {'x' if ratio.product else '/'} "
+        f"{short(ratio.second)} is known to {100.0 * ratio.deviation:.1f} %, "
+        "better than either"
+        for ratio in ratios(fit)[:SHOWN_RATIOS]
+    ]
+    lines += [
+        f"{short(first)} and {short(second)} are correlated {correlation:+.2f}"
+        for first, second, correlation in strong_pairs(fit)
+    ]
+    if accuracy.drives:
         lines.append(
-            f"{short(ratio.first)} {sign} {short(ratio.second)} is known to "
-            f"{100.0 * ratio.deviation:.1f} %, better than either"
-        )
-    for first, second, correlation in strong_pairs(fit):
-        lines.append(
-            f"{short(first)} and {short(second)} are correlated "
-            f"{correlation:+.2f}"
-        )
-    if match.accuracy.drives:
-        rms = ", ".join(
-            f"{node} {k:.1f}" for node, k in match.accuracy.rms_k.items()
-        )
-        lines.append(
-            f"each of {match.accuracy.drives} drives left out in turn: RMS "
-            f"[K] on it: {rms}"
+            f"each of {accuracy.drives} drives left out in turn: RMS [K] on "
+            f"it: {_by_node(accuracy.rms_k)}"
         )
     else:
         lines.append(
             "a single drive: nothing is held out, so [accuracy] is too good"
         )
-    lines += list(match.remarks)
-    return lines
+    return [*lines, *match.remarks]
 
 
 def match_text(match: Match) -> str:
     """Return the whole result for a terminal."""
     lines = [f"corners {', '.join(match.corners)}", ""]
     lines += table(STAGE_HEAD, stage_rows(match))
-    lines += ["", "joint refinement: " + fit_line(match.joint)]
-    lines += table(VALUE_HEAD, value_rows(match.joint))
+    fits = [("joint refinement", match.joint)]
     if match.table_4_1 is not None:
-        lines += [
-            "",
-            "Table 4.1 alone beside it: " + fit_line(match.table_4_1),
-        ]
-        lines += table(VALUE_HEAD, value_rows(match.table_4_1))
-    lines += ["", *notes(match)]
-    return "\n".join(lines)
+        fits.append(("Table 4.1 alone beside it", match.table_4_1))
+    for what, fit in fits:
+        lines += ["", f"{what}: {fit_line(fit)}"]
+        lines += table(VALUE_HEAD, value_rows(fit))
+    return "\n".join([*lines, "", *notes(match)])
 
 
 def match_json(match: Match) -> dict[str, Any]:
@@ -167,10 +164,7 @@ def _fit_json(fit: Refinement) -> dict[str, Any]:
                 standard_deviation="deviation",
                 share_of_prior="share",
             )
-            | {
-                "configured": fit.start[one.key],
-                "reason": one.reason or None,
-            }
+            | {"configured": fit.start[one.key], "reason": one.reason or None}
             for one in verdicts(fit)
         },
         "correlations": np.round(correlations(fit), 4),
@@ -232,15 +226,15 @@ def match_page(
 
 def _correlations(fit: Refinement) -> Table:
     found = correlations(fit)
-    names = [str(i + 1) for i in range(len(fit.keys))]
-    rows = tuple(
+    places = range(len(fit.keys))
+    names = [str(i + 1) for i in places]
+    rows = [
         (
-            f"{i + 1} {short(key)}",
-            *(f"{found[i, j]:+.2f}" if j < i else "" for j in range(i)),
-            *("" for _ in range(len(fit.keys) - i)),
+            f"{i + 1} {short(fit.keys[i])}",
+            *(f"{found[i, j]:+.2f}" if j < i else "" for j in places),
         )
-        for i, key in enumerate(fit.keys)
-    )
+        for i in places
+    ]
     return Table(("value", *names), rows)
 
 
@@ -263,22 +257,17 @@ def _drawn(match: Match, drives: Sequence[Drive]) -> list[Section]:
                 and one.corner == corner
                 and one.couple in NODE_COLOURS
             ]
-            if not own:
-                continue
-            temperatures, errors = node_plots(own, "error [K], mean of 10 s")
-            sections.append(
-                Section(
-                    f"{drive.name}, {corner}: measured and matched (thesis "
-                    "figure 5.2)",
-                    plots=(
-                        ("temperatures", temperatures),
-                        ("matched less measured", errors),
-                    ),
-                    across=1,
-                    note="Thick: measured; thin: matched; dashed: as "
-                    "configured before.",
+            if own:
+                sections.append(
+                    node_section(
+                        f"{drive.name}, {corner}: measured and matched "
+                        "(thesis figure 5.2)",
+                        own,
+                        ("matched less measured", "error [K], mean of 10 s"),
+                        "Thick: measured; thin: matched; dashed: as "
+                        "configured before.",
+                    )
                 )
-            )
     return sections
 
 

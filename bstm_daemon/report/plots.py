@@ -166,14 +166,12 @@ def node_plots(
         name, colour = one.node.replace("_", " "), NODE_COLOURS[one.node]
         x = one.time_s
         thick = curve(x, one.measured_c, name, colour, width=4.0)
-        temperatures += [
-            thick | {"opacity": 0.4},
-            curve(x, one.model_c, name, colour, legend=False),
-        ]
+        thin = curve(x, one.model_c, name, colour, legend=False)
+        temperatures += [thick | {"opacity": 0.4}, thin]
         if one.before_c is not None:
-            before = curve(x, one.before_c, name, colour, width=1.0)
-            before["line"]["dash"] = "4px,4px"
-            temperatures.append(before | {"showlegend": False})
+            look: dict[str, Any] = {"dash": "4px,4px", "width": 1.0}
+            before = curve(x, one.before_c, name, colour, legend=False, **look)
+            temperatures.append(before)
         errors.append(curve(x, one.error_k, name, colour))
     span = (0.0, max(float(one.time_s[-1]) for one in nodes))
     return (
@@ -183,14 +181,11 @@ def node_plots(
 
 
 def plot(
-    data: Sequence[dict[str, Any]],
-    x_title: str,
-    y_title: str,
-    **changes: Any,
+    data: Sequence[dict[str, Any]], x_title: str, y_title: str, **changes: Any
 ) -> Plot:
     """Return *data* over a quantity; *changes* go into the layout."""
     layout = _layout(y_title)
-    layout["xaxis"] |= {"title": {"text": escape(x_title), "standoff": 4}}
+    layout["xaxis"] = axis(x_title)
     return Plot(list(data), _merged(layout, changes))
 
 
@@ -235,6 +230,11 @@ def clock_axis(span_s: tuple[float, float]) -> dict[str, Any]:
         "hoverformat": labels.fine,
         "nticks": 12,
     }
+
+
+def axis(title: str, **changes: Any) -> dict[str, Any]:
+    """Return the layout of an axis with *title*, escaped, and *changes*."""
+    return AXIS | {"title": {"text": escape(title), "standoff": 4}} | changes
 
 
 def right_axis(title: str) -> dict[str, Any]:
@@ -308,5 +308,5 @@ def _layout(y_title: str) -> dict[str, Any]:
         "hovermode": "closest",
         "legend": {"orientation": "h", "x": 0, "y": 1.02, "yanchor": "bottom"},
         "xaxis": dict(AXIS),
-        "yaxis": {**AXIS, "title": {"text": escape(y_title), "standoff": 4}},
+        "yaxis": axis(y_title),
     }

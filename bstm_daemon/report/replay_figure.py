@@ -14,29 +14,16 @@ from dataclasses import dataclass
 from html import escape
 from typing import TYPE_CHECKING, Any, Final
 
-from bstm_daemon.report.drive_statistics import front_first
-from bstm_daemon.report.plots import (
-    AXIS,
-    GREY,
-    base_layout,
-    clock_axis,
-    stamp,
-)
+from bstm_daemon.report.plots import AXIS, GREY, base_layout, clock_axis, stamp
 from bstm_daemon.report.timescale import clock
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from bstm_daemon.report.drive_curves import DriveCurves, Trace
-    from bstm_daemon.report.drive_statistics import (
-        CornerSummary,
-        DriveSummary,
-    )
+    from bstm_daemon.report.drive_statistics import CornerSummary, DriveSummary
 
-AXLES: Final = (
-    ("Front axle", ("FL", "FR")),
-    ("Rear axle", ("RL", "RR")),
-)
+AXLES: Final = (("Front axle", ("FL", "FR")), ("Rear axle", ("RL", "RR")))
 
 PANELS: Final = {
     "speed": ("speed [km/h]", 90),
@@ -72,10 +59,7 @@ VALIDITY_COLOURS: Final = {
 }
 """Shades behind degraded and invalid stretches of an estimate."""
 
-INPUT_COLOURS: Final = {
-    1: "rgba(213,94,0,0.22)",
-    2: VALIDITY_COLOURS[2],
-}
+INPUT_COLOURS: Final = {1: "rgba(213,94,0,0.22)", 2: VALIDITY_COLOURS[2]}
 """Shades behind suspect and missing inputs; see ``DriveCurves``."""
 
 
@@ -123,7 +107,7 @@ def view_corners(
         for name, pair in AXLES
         if all(corner in corners for corner in pair)
     ]
-    singles = [(corner, (corner,)) for corner in front_first(corners)]
+    singles = [(corner, (corner,)) for corner in sorted(corners)]
     return [*axles, *singles] or [("Vehicle", ())]
 
 
@@ -193,21 +177,22 @@ def column_of(corner: str | None) -> int:
 
 def x_axis(column: int) -> str:
     """Return plotly's name of the time axis of *column*."""
-    return "x" if column == 0 else f"x{column + 1}"
+    return _numbered("x", column)
 
 
 def y_axis(panel: str, column: int) -> str:
     """Return plotly's name of the value axis of *panel* in *column*."""
-    number = list(PANELS).index(panel) + 1
-    if column == RIGHT:
-        number += len(CORNER_PANELS)
-    return "y" if number == 1 else f"y{number}"
+    place = list(PANELS).index(panel)
+    return _numbered("y", place + (column == RIGHT) * len(CORNER_PANELS))
 
 
 def legend_of(panel: str) -> str:
     """Return plotly's name of the legend beside *panel*."""
-    number = list(PANELS).index(panel) + 1
-    return "legend" if number == 1 else f"legend{number}"
+    return _numbered("legend", list(PANELS).index(panel))
+
+
+def _numbered(kind: str, place: int) -> str:
+    return f"{kind}{place + 1}" if place else kind
 
 
 def view_layout(
@@ -257,24 +242,20 @@ def _grid(
         values = [value for value in trace.y if value is not None]
         low, high = extents.get(place, (0.0, 0.0))
         extents[place] = (min(low, *values), max(high, *values))
-    present = [
-        name for name in PANELS if any(panel == name for panel, _ in extents)
-    ]
-    tops_px: dict[str, int] = {}
+    present = [one for one in PANELS if one in {panel for panel, _ in extents}]
+    # top and bottom of each panel, from the top of the plot
+    edges_px: dict[str, tuple[int, int]] = {}
     used_px = 0
     for i, name in enumerate(present):
         if i:
             used_px += PANEL_GAP_PX
             if present[i - 1] in VEHICLE_PANELS and name in CORNER_PANELS:
                 used_px += TIME_LABELS_PX
-        tops_px[name] = used_px
-        used_px += PANELS[name][1]
+        edges_px[name] = used_px, used_px + PANELS[name][1]
+        used_px = edges_px[name][1]
     rows = {
-        name: (
-            round(1 - (top_px + PANELS[name][1]) / used_px, 5),
-            round(1 - top_px / used_px, 5),
-        )
-        for name, top_px in tops_px.items()
+        name: (round(1 - low_px / used_px, 5), round(1 - top_px / used_px, 5))
+        for name, (top_px, low_px) in edges_px.items()
     }
     sides = sorted({column_of(corner) for corner in corners})
     columns = dict.fromkeys([0, *sides], (0.0, 1.0))
@@ -327,6 +308,7 @@ def _value_axis(panel: str, column: int, grid: _Grid) -> dict[str, Any]:
 
 
 def _time_axis(column: int, lowest_panel: str, grid: _Grid) -> dict[str, Any]:
+    whole = grid.columns[column] == (0.0, 1.0)
     axis = clock_axis((0.0, grid.duration_s)) | {
         "domain": grid.columns[column],
         "anchor": y_axis(lowest_panel, column),
@@ -335,14 +317,13 @@ def _time_axis(column: int, lowest_panel: str, grid: _Grid) -> dict[str, Any]:
         "gridcolor": AXIS["gridcolor"],
         "ticks": "outside",
         "tickcolor": GREY,
-        "nticks": 12 if grid.columns[column] == (0.0, 1.0) else 8,
+        "nticks": 12 if whole else 8,
     }
-    title = axis.pop("title")
     columns = sorted({side for _, side in grid.filled})
     if column != columns[0]:
         axis["matches"] = x_axis(columns[0])
-    if column or columns == [0]:
-        axis["title"] = title
+    if not column and columns != [0]:
+        del axis["title"]
     return axis
 
 

@@ -14,12 +14,12 @@ from bstm_daemon.report.drive_statistics import (
     Peak,
 )
 from bstm_daemon.report.replay_figure import replay_figure
-from bstm_daemon.report.screen import percent
 from bstm_daemon.report.shell import Cell, Page, Section, Table
+from bstm_daemon.report.text import percent
 from bstm_daemon.report.timescale import HOUR_S, clock, duration, start_text
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     from bstm_daemon.report.drive_curves import DriveCurves
 
@@ -53,12 +53,12 @@ class ReplayFacts:
     vehicle_id: str
     configuration: str
     heat_mode: str
-    lines: int
-    frames: int
     refused: Mapping[str, int]
     counts: Mapping[str, int]
     compiled: bool
-    warnings: tuple[str, ...] = ()
+    warnings: Sequence[str] = ()
+    lines: int = 0
+    frames: int = 0
 
 
 def replay_page(
@@ -152,16 +152,14 @@ def _corners(summary: DriveSummary) -> Table:
 
 
 def _corner_row(corner: CornerSummary, with_hours: bool) -> list[str | Cell]:  # noqa: FBT001
-    fluid = corner.peaks.get("fluid")
-    after_s = None if fluid is None else fluid.after_stop_s
-    energies_j = (corner.energy_j, corner.energy_ff_j, corner.energy_fb_j)
+    after_s = corner.after_stop_s
     shares = corner.validity_shares
     return [
         corner.corner,
         *(_peak(corner.peaks.get(node), with_hours) for node in SUMMARY_NODES),
         DASH if after_s is None else clock(after_s),
         DASH if corner.margin_k is None else f"{corner.margin_k:.0f} K",
-        *(DASH if e is None else f"{e / 1e6:.2f}" for e in energies_j),
+        *(DASH if e is None else f"{e / 1e6:.2f}" for e in corner.energies_j),
         DASH if shares is None else " / ".join(map(percent, shares)),
     ]
 

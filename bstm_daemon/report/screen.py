@@ -10,23 +10,15 @@ from bstm_daemon.report.drive_statistics import (
     CornerSummary,
     DriveSummary,
 )
-from bstm_daemon.report.text import columns, wrapped
+from bstm_daemon.report.text import columns, percent, wrapped
 from bstm_daemon.report.timescale import HOUR_S, clock, duration
 
 VALIDITY_MARKS: Final = (" ", "~", "!")
 """Behind a peak whose estimate is valid, degraded, invalid."""
 
 HEADINGS: Final = (
-    "corner",
-    "disc",
-    "pad front",
-    "pad back",
-    "fluid",
-    "after stop",
-    "margin",
-    "MJ",
-    "FF",
-    "FB",
+    *("corner", "disc", "pad front", "pad back", "fluid"),
+    *("after stop", "margin", "MJ", "FF", "FB"),
 )
 
 
@@ -48,7 +40,7 @@ def summary_table(summary: DriveSummary) -> str:
         "margin to the wet boiling point; brake energy in MJ"
     )
     lines = [_drive_line(summary), caption, *columns(rows)]
-    if any(_peaks_before_stop(corner) for corner in summary.corners):
+    if any((corner.after_stop_s or 0.0) < 0.0 for corner in summary.corners):
         lines.append("after stop, negative: so long before the first stop")
     lines += _validity_lines(summary)
     lines += wrapped([one.text for one in summary.findings], mark="")
@@ -76,25 +68,13 @@ def _cells(corner: CornerSummary, with_hours: bool) -> tuple[str, ...]:  # noqa:
         mark = VALIDITY_MARKS[peak.validity]
         at = clock(peak.time_s, with_hours=with_hours)
         peaks.append(f"{peak.temperature_c:.0f}{mark}{at:>7}")
-    fluid = corner.peaks.get("fluid")
-    after_s = None if fluid is None else fluid.after_stop_s
+    after_s = corner.after_stop_s
     return (
         corner.corner,
         *peaks,
         "-" if after_s is None else clock(after_s),
         "-" if corner.margin_k is None else f"{corner.margin_k:.0f} K",
-        _megajoule(corner.energy_j),
-        _megajoule(corner.energy_ff_j),
-        _megajoule(corner.energy_fb_j),
-    )
-
-
-def _peaks_before_stop(corner: CornerSummary) -> bool:
-    fluid = corner.peaks.get("fluid")
-    return (
-        fluid is not None
-        and fluid.after_stop_s is not None
-        and fluid.after_stop_s < 0.0
+        *map(_megajoule, corner.energies_j),
     )
 
 
@@ -108,8 +88,8 @@ def _megajoule(energy_j: float | None) -> str:
 
 
 def _validity_lines(summary: DriveSummary) -> list[str]:
-    """Say what was valid; corners that agree share a line."""
-    said: dict[str, list[str]] = {}
+    """Return what was valid; corners that agree share a line."""
+    alike: dict[str, list[str]] = {}
     for corner in summary.corners:
         if not corner.modelled:
             text = "no temperatures: not modelled"
@@ -123,8 +103,8 @@ def _validity_lines(summary: DriveSummary) -> list[str]:
                 )
                 if share > 0.0
             )
-        said.setdefault(text, []).append(corner.corner)
-    lines = [f"{' '.join(names)}: {text}" for text, names in said.items()]
+        alike.setdefault(text, []).append(corner.corner)
+    lines = [f"{' '.join(names)}: {text}" for text, names in alike.items()]
     rising = [
         corner.corner
         for corner in summary.corners
@@ -146,13 +126,3 @@ def _validity_lines(summary: DriveSummary) -> list[str]:
         )
         lines.append(f"peak marks: {meaning}")
     return lines
-
-
-def percent(share: float) -> str:
-    """Return *share* in per cent; never 0 or 100 % unless it is."""
-    if 0.0 < share < 0.001:
-        return "< 0.1 %"
-    if 0.999 < share < 1.0:
-        return "> 99.9 %"
-    text = f"{100 * share:.1f}".removesuffix(".0")
-    return f"{text} %"

@@ -17,12 +17,13 @@ from typing import TYPE_CHECKING, Any, Final
 from bstm_daemon import __version__
 from bstm_daemon.errors import MissingExtraError
 from bstm_daemon.files import replacing
-from bstm_daemon.report.plots import EPOCH
+from bstm_daemon.report.json_file import own_fields
+from bstm_daemon.report.plots import EPOCH, node_plots
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from bstm_daemon.report.plots import Plot
+    from bstm_daemon.report.plots import NodeCurve, Plot
     from bstm_daemon.report.replay_figure import Figure
 
 TEMPLATES: Final = Path(__file__).parent / "templates"
@@ -94,6 +95,23 @@ class Section:
     across: int = 2
     kind: str = "plain"
     badge: Cell | None = None
+
+
+def node_section(
+    heading: str, nodes: Sequence[NodeCurve], error: tuple[str, str], note: str
+) -> Section:
+    """Return temperatures of *nodes* above their errors.
+
+    *error* is what the errors are, and the title of their axis.
+    """
+    what, axis_title = error
+    temperatures, errors = node_plots(nodes, axis_title)
+    return Section(
+        heading,
+        plots=(("temperatures", temperatures), (what, errors)),
+        across=1,
+        note=note,
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -185,20 +203,13 @@ def _data(page: Page) -> dict[str, Any]:
     return {
         "epoch": f"{EPOCH.isoformat()}Z",
         "plots": [
-            {"data": plot.data, "layout": plot.layout, "clock": plot.clock}
+            own_fields(plot)
             for section in page.sections
             for _, plot in section.plots
         ],
         "figure": {
             "traces": figures[0].traces,
-            "views": [
-                {
-                    "traces": one.traces,
-                    "named": one.named,
-                    "layout": one.layout,
-                }
-                for one in figures[0].views
-            ],
+            "views": [own_fields(view, "name") for view in figures[0].views],
         }
         if figures
         else None,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -68,21 +68,13 @@ class StretchFinder:
         return self._found_with(self._open_from_s, self._last_s)
 
     def _found_with(self, from_s: float, to_s: float) -> Stretches | None:
-        found = self._found
         length_s = to_s - from_s
         if length_s <= 0.0 or length_s < self._shortest_s:
-            return found
-        if found is None:
-            return Stretches(length_s, length_s, from_s, from_s)
-        longest_s, longest_from_s = found.longest_s, found.longest_from_s
-        if length_s > longest_s:
-            longest_s, longest_from_s = length_s, from_s
-        return Stretches(
-            found.total_s + length_s,
-            longest_s,
-            longest_from_s,
-            found.first_from_s,
-        )
+            return self._found
+        found = self._found or Stretches(0.0, 0.0, from_s, from_s)
+        if length_s > found.longest_s:
+            found = replace(found, longest_s=length_s, longest_from_s=from_s)
+        return replace(found, total_s=found.total_s + length_s)
 
 
 class StopFinder:

@@ -61,3 +61,13 @@ def wrapped(
 def number(value: float, digits: int = 4) -> str:
     """Return *value* with so many digits, a dash where there is none."""
     return f"{value:.{digits}g}" if isfinite(value) else "-"
+
+
+def percent(share: float) -> str:
+    """Return *share* in per cent; never 0 or 100 % unless it is."""
+    if 0.0 < share < 0.001:
+        return "< 0.1 %"
+    if 0.999 < share < 1.0:
+        return "> 99.9 %"
+    text = f"{100 * share:.1f}".removesuffix(".0")
+    return f"{text} %"

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 from bstm_daemon.analysis.matching.verification import LIMITS, coverage, judged
 from bstm_daemon.report.json_file import picked
-from bstm_daemon.report.plots import NodeCurve, node_plots
-from bstm_daemon.report.shell import Page, Section, Table
+from bstm_daemon.report.plots import NodeCurve
+from bstm_daemon.report.shell import Page, Section, Table, node_section
 from bstm_daemon.report.text import table
 
 if TYPE_CHECKING:
@@ -36,9 +36,7 @@ def error_rows(errors: Sequence[NodeErrors]) -> list[tuple[str, ...]]:
     """Return RMS and largest error of each node, RMS by phase [K]."""
     return [
         (
-            one.drive,
-            one.corner,
-            one.node.replace("_", " "),
+            *_place(one),
             f"{one.rms_k:.1f}",
             f"{one.largest_k:.1f}",
             *(
@@ -57,31 +55,30 @@ def peak_rows(errors: Sequence[NodeErrors]) -> list[tuple[str, ...]]:
     """Return height and time of each node's peak."""
     return [
         (
-            one.drive,
-            one.corner,
-            one.node.replace("_", " "),
+            *_place(one),
             f"{one.peak.measured_c:.1f}",
             f"{one.peak.estimated_c:.1f}",
             f"{one.peak.apart_k:+.1f}",
-            "-"
-            if isnan(one.peak.measured_s)
-            else f"{one.peak.measured_s / 60.0:.1f}",
-            "-"
-            if isnan(one.peak.apart_s)
-            else f"{one.peak.apart_s / 60.0:+.1f}",
+            _minutes(one.peak.measured_s, ".1f"),
+            _minutes(one.peak.apart_s, "+.1f"),
         )
         for one in errors
     ]
+
+
+def _place(one: NodeErrors) -> tuple[str, str, str]:
+    return one.drive, one.corner, one.node.replace("_", " ")
+
+
+def _minutes(seconds: float, form: str) -> str:
+    return "-" if isnan(seconds) else format(seconds / 60.0, form)
 
 
 def verdict_rows(verdicts: Sequence[Verdict]) -> list[tuple[str, ...]]:
     """Return a row for each requirement."""
     return [
         (
-            one.limits,
-            one.drive,
-            one.corner,
-            one.what,
+            *(one.limits, one.drive, one.corner, one.what),
             f"{one.value:.1f} of {one.limit:g}",
             "met" if one.passed else "NOT MET",
         )
@@ -118,18 +115,17 @@ def summary_line(errors: Sequence[NodeErrors]) -> str:
 
 def verify_text(errors: Sequence[NodeErrors]) -> str:
     """Return the whole result for a terminal."""
-    blocks = [
-        "error, estimated less measured [K]; by phase RMS / largest",
-        *table(ERROR_HEAD, error_rows(errors)),
-        "",
-        "highest temperatures",
-        *table(PEAK_HEAD, peak_rows(errors)),
-        "",
-        *table(VERDICT_HEAD, verdict_rows(all_verdicts(errors))),
-        "",
-        summary_line(errors),
-    ]
-    return "\n".join(blocks)
+    return "\n".join(
+        [
+            "error, estimated less measured [K]; by phase RMS / largest",
+            *table(ERROR_HEAD, error_rows(errors)),
+            "\nhighest temperatures",
+            *table(PEAK_HEAD, peak_rows(errors)),
+            "",
+            *table(VERDICT_HEAD, verdict_rows(all_verdicts(errors))),
+            f"\n{summary_line(errors)}",
+        ]
+    )
 
 
 def verify_json(errors: Sequence[NodeErrors]) -> dict[str, Any]:
@@ -193,17 +189,13 @@ def verify_page(
             )
             for e in own
         ]
-        temperatures, residuals = node_plots(nodes, "error [K]")
+        heading = f"{drive}, {corner}: measured and estimated"
         sections.append(
-            Section(
-                f"{drive}, {corner}: measured and estimated (thesis "
-                f"{_figure(own)})",
-                plots=(
-                    ("temperatures", temperatures),
-                    ("estimated less measured", residuals),
-                ),
-                across=1,
-                note="Thick: measured; thin: estimated.",
+            node_section(
+                f"{heading} (thesis {_figure(own)})",
+                nodes,
+                ("estimated less measured", "error [K]"),
+                "Thick: measured; thin: estimated.",
             )
         )
     tiles = _tiles(errors, required)
@@ -230,13 +222,11 @@ def _tiles(
     if fluid:
         largest = max(one.largest_k for one in fluid)
         tiles.append((f"{largest:.1f} K", "fluid, largest error"))
-        late = [
-            abs(one.peak.apart_s)
-            for one in fluid
-            if not isnan(one.peak.apart_s)
-        ]
-        if late:
-            tiles.append((f"{max(late) / 60.0:.1f} min", "fluid, peak time"))
+    late = [
+        abs(one.peak.apart_s) for one in fluid if not isnan(one.peak.apart_s)
+    ]
+    if late:
+        tiles.append((f"{max(late) / 60.0:.1f} min", "fluid, peak time"))
     inside, counted = coverage(errors)
     if counted:
         share = f"{100.0 * inside / counted:.0f} %"

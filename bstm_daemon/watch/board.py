@@ -30,6 +30,9 @@ SILENT_CYCLES: Final = 3.5
 and half a cycle of jitter."""
 
 
+E = TypeVar("E", bound="IntEnum")
+
+
 class Received(NamedTuple):
     """A valid frame and when it was received [us]."""
 
@@ -82,13 +85,11 @@ class Board:
             return
         layout = frame.layout
         self._received[layout.name] = Received(layout, time_us, frame.values)
-        if layout.corner is not None:
-            for node in NODES:
-                if node in frame.values:
-                    history = self._histories.setdefault(
-                        (layout.corner, node), History()
-                    )
-                    history.add(time_us, frame.values[node])
+        for node in NODES:
+            if layout.corner is not None and node in frame.values:
+                place = layout.corner, node
+                history = self._histories.setdefault(place, History())
+                history.add(time_us, frame.values[node])
 
     @property
     def corners(self) -> tuple[str, ...]:
@@ -135,57 +136,41 @@ class Board:
 
     def validity(self, frame: str) -> Validity:
         """Return the validity of a frame; an undefined code is invalid."""
-        return _choice(
-            Validity,
-            self.value(frame, "Validity"),
-            Validity.NOT_AVAILABLE,
-            Validity.INVALID,
-        )
+        unset = Validity.NOT_AVAILABLE
+        return self._choice(frame, "Validity", unset, Validity.INVALID)
 
     def risk(self, corner: str) -> RiskLevel:
         """Return the risk level of *corner*."""
-        level = self.value(f"BSTM_{corner}_Risk", "Level")
-        return _choice(RiskLevel, level, RiskLevel.UNKNOWN, RiskLevel.UNKNOWN)
+        return self._choice(f"BSTM_{corner}_Risk", "Level", RiskLevel.UNKNOWN)
 
     @property
     def state(self) -> State:
         """State of the daemon."""
-        state = self.value(STATUS, "State")
-        return _choice(State, state, State.NOT_AVAILABLE, State.NOT_AVAILABLE)
+        return self._choice(STATUS, "State", State.NOT_AVAILABLE)
 
     @property
     def heat_mode(self) -> HeatMode:
         """Source of the brake power."""
-        mode = self.value(STATUS, "HeatMode")
-        return _choice(
-            HeatMode, mode, HeatMode.NOT_AVAILABLE, HeatMode.NOT_AVAILABLE
-        )
+        return self._choice(STATUS, "HeatMode", HeatMode.NOT_AVAILABLE)
 
-    @property
-    def has_suspect_input(self) -> bool:
-        """Whether an input is suspect."""
-        return self.value(STATUS, "InputSuspect") == 1
-
-    @property
-    def has_substituted_heat(self) -> bool:
-        """Whether heat comes from the other source or is unknown."""
-        return self.value(STATUS, "HeatSubstituted") == 1
+    def is_set(self, flag: str) -> bool:
+        """Return whether *flag* of ``BSTM_Status`` is set."""
+        return self.value(STATUS, flag) == 1
 
     @property
     def stale_inputs(self) -> list[str]:
         """Inputs older than their timeout, in lower case."""
-        return [
-            name.lower()
-            for name in INPUTS
-            if self.value(STATUS, f"{name}Stale") == 1
-        ]
+        return [one.lower() for one in INPUTS if self.is_set(f"{one}Stale")]
+
+    def _choice(
+        self, frame: str, signal: str, missing: E, unknown: E | None = None
+    ) -> E:
+        """Return a code as its name; *unknown*, or *missing*, has none."""
+        raw = self.value(frame, signal)
+        if isnan(raw):
+            return missing
+        other = missing if unknown is None else unknown
+        return next((one for one in type(missing) if one == raw), other)
 
 
 _EMPTY: Final = History()
-E = TypeVar("E", bound="IntEnum")
-
-
-def _choice(values: type[E], raw: float, missing: E, unknown: E) -> E:
-    if isnan(raw):
-        return missing
-    return next((value for value in values if value == raw), unknown)

@@ -81,35 +81,29 @@ def text_line(board: Board, now_us: int, source: str) -> str:
         pairs.append(("state", "none"))
     else:
         state = "silent" if is_silent else board.state.name.lower()
+        substituted = board.is_set("HeatSubstituted")
         pairs += [
             ("state", state),
             ("heat", board.heat_mode.name.lower()),
             ("stale", ",".join(board.stale_inputs) or "-"),
-            ("inputs", "suspect" if board.has_suspect_input else "sound"),
-            (
-                "heat_from",
-                "substitute" if board.has_substituted_heat else "own",
-            ),
+            ("inputs", "suspect" if board.is_set("InputSuspect") else "sound"),
+            ("heat_from", "substitute" if substituted else "own"),
         ]
         for name in board.corners:
             pairs += _of_corner(board, now_us, name)
-    return " ".join(f"{key}={value.replace(' ', '_')}" for key, value in pairs)
+    return " ".join(f"{key}={value}".replace(" ", "_") for key, value in pairs)
 
 
 def _of_corner(board: Board, now_us: int, name: str) -> list[tuple[str, str]]:
     frame = f"BSTM_{name}_Temperatures"
     silent = board.silence_s(frame, now_us) is not None
-    nodes = [
-        (
-            f"{name}.{LABELS[node].replace(' ', '_')}_c",
-            number(board.value(frame, node)),
-        )
-        for node in NODES
-    ]
     margin_k = board.value(f"BSTM_{name}_Risk", "Margin")
     validity = board.validity(frame).name.lower()
     return [
-        *nodes,
+        *(
+            (f"{name}.{label}_c", number(board.value(frame, node)))
+            for node, label in LABELS.items()
+        ),
         (f"{name}.margin_k", number(margin_k)),
         (f"{name}.risk", board.risk(name).name.lower()),
         (f"{name}.validity", "silent" if silent else validity),

@@ -72,11 +72,11 @@ def picture(
     head_lines = len(head.wrap(console, console.width))
     body: RenderableType
     if board.wrong_layout is not None:
-        body = Text(
+        wrong = (
             f"frames of layout {board.wrong_layout}, this program reads "
-            f"layout {LAYOUT_VERSION}: no values shown",
-            "red",
+            f"layout {LAYOUT_VERSION}: no values shown"
         )
+        body = Text(wrong, "red")
     elif not board.has_frames:
         body = Text(_no_frames(board))
     else:
@@ -109,19 +109,19 @@ def _head(board: Board, now_us: int, source: str) -> list[tuple[str, str]]:
     else:
         parts.append((_words(state.name), _STATE_STYLES[state]))
     parts.append((f"heat {_words(board.heat_mode.name)}", ""))
-    if board.has_substituted_heat:
+    if board.is_set("HeatSubstituted"):
         parts.append(("heat substituted or unknown", "yellow"))
-    if board.value(STATUS, "HistoryKnown") == 1:
-        parts.append(("history known", ""))
-    else:
-        parts.append(("history unknown", "yellow"))
+    known = board.is_set("HistoryKnown")
+    parts.append(
+        ("history known", "") if known else ("history unknown", "yellow")
+    )
     if board.value(STATUS, "CompiledKernel") == 0:
         parts.append(("Python kernel", ""))
-    if board.value(STATUS, "ClockJump") == 1:
+    if board.is_set("ClockJump"):
         parts.append(("clock jumped", "yellow"))
     stale = ", ".join(board.stale_inputs)
     parts.append((f"stale: {stale}", "red") if stale else ("inputs fresh", ""))
-    if board.has_suspect_input:
+    if board.is_set("InputSuspect"):
         parts.append(("an input is suspect", "yellow"))
     oldest_s = board.value(STATUS, "OldestInputAge")
     parts.append((f"oldest {number(oldest_s)} s", ""))
@@ -159,19 +159,17 @@ def _corners(board: Board, now_us: int, bars: str) -> Table:
     table.add_column(no_wrap=True, overflow="crop")
     for corner in board.corners:
         table.add_column(corner, ratio=1, min_width=6, overflow="fold")
-    rows: dict[str, Callable[[Board, int, str], RenderableType]] = {
+    cells: dict[str, Callable[[Board, int, str], RenderableType]] = {
         "estimate": _estimate,
         "risk": _risk,
         **{
-            LABELS[node]: partial(_temperature, node=node, bars=bars)
-            for node in NODES
+            label: partial(_temperature, node=node, bars=bars)
+            for node, label in LABELS.items()
         },
         "parked": _forecast,
     }
-    for label, cell in rows.items():
-        table.add_row(
-            label, *(cell(board, now_us, corner) for corner in board.corners)
-        )
+    for label, cell in cells.items():
+        table.add_row(label, *(cell(board, now_us, c) for c in board.corners))
     return table
 
 
@@ -182,8 +180,8 @@ def _estimate(board: Board, now_us: int, corner: str) -> Text:
     if silence_s is not None:
         return Text(f"silent for {silence_s:.0f} s", "red")
     validity = board.validity(frame)
-    is_there = validity is not Validity.NOT_AVAILABLE
-    text = _words(validity.name) if is_there else "no value"
+    absent = validity is Validity.NOT_AVAILABLE
+    text = "no value" if absent else _words(validity.name)
     return Text(text, _VALIDITY_STYLES[validity])
 
 
@@ -202,12 +200,10 @@ def _temperature(
     board: Board, now_us: int, corner: str, *, node: str, bars: str
 ) -> Group:
     frame = f"BSTM_{corner}_Temperatures"
-    is_usable = board.silence_s(frame, now_us) is None and board.validity(
-        frame
-    ) in (Validity.VALID, Validity.DEGRADED)
-    value = Text(
-        number(board.value(frame, node)), "bold" if is_usable else "dim"
-    )
+    good = board.validity(frame) in (Validity.VALID, Validity.DEGRADED)
+    is_usable = good and board.silence_s(frame, now_us) is None
+    style = "bold" if is_usable else "dim"
+    value = Text(number(board.value(frame, node)), style)
     if not bars:
         return Group(value)
     return Group(value, _Sparkline(board.history(corner, node), now_us, bars))

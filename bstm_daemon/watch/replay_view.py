@@ -8,16 +8,11 @@ from itertools import chain
 from math import inf
 from typing import TYPE_CHECKING, Final
 
-from bstm_daemon.replay.frames import replayed
-from bstm_daemon.watch.board import Board
-
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-    from pathlib import Path
-    from typing import Any
+    from collections.abc import Iterator
 
-    from bstm_daemon.bus.signals.signal_map import SignalMap
-    from bstm_daemon.config.sections import Config
+    from bstm_daemon.engine import Published
+    from bstm_daemon.watch.board import Board
     from bstm_daemon.watch.lines import LineView
 
 DEFAULT_SPEED: Final = 60.0
@@ -27,49 +22,36 @@ LONGEST_WAIT_S: Final = 1.0
 """Longer gaps, such as a parked hour, are skipped."""
 
 
-def watch_log(  # noqa: PLR0913  (all but the log are about the view)
-    config: Config,
-    signal_map: SignalMap,
-    path: Path,
-    overrides: Mapping[str, str] | None = None,
-    *,
+def watch_log(
+    ticks: Iterator[list[Published]],
+    board: Board,
+    name: str,
     view: LineView,
     speed: float = DEFAULT_SPEED,
-    state: Mapping[str, Any] | None = None,
-    forecast: bool = True,
 ) -> None:
-    """Show the frames that the engine publishes over the log *path*.
+    """Show what is published over a log, tick by tick.
 
     Returns at the end of the log or once the user leaves; on a terminal the
     last picture stays until then.
 
     Args:
-        config: the vehicle.
-        signal_map: its extraction plan.
-        path: a log of CAN frames.
-        overrides: log interface name to bus name.
+        ticks: what becomes due, of
+            :func:`~bstm_daemon.replay.frames.publications`.
+        board: takes the frames.
+        name: of the log.
         view: where to show it.
         speed: seconds of the log per second; 0 is as fast as it goes.
-        state: a state file's document; without it the history is unknown.
-        forecast: whether to publish risk and forecast.
 
     Raises:
-        LogError: the log is unusable, or a signal table.
-        FileAccessError: it can not be read.
+        BstmError: what *ticks* raises.
     """
-    board = Board(
-        config.publish.id_base, [corner.name for corner in config.corner]
-    )
-    ticks = replayed(
-        config, signal_map, path, overrides, state, forecast=forecast
-    )
     # fail on an unreadable log before the screen is taken over
     ahead = next(ticks)
     pace = _Pace(speed, view)
     factor = f"{speed:g}x" if speed else "full speed"
     first_us: int | None = None
     now_us = 0
-    source = path.name
+    source = name
     with suppress(KeyboardInterrupt), view:
         for published in chain([ahead], ticks):
             for time_us, frame in published:
@@ -81,7 +63,7 @@ def watch_log(  # noqa: PLR0913  (all but the log are about the view)
                 first_us = time_us if first_us is None else first_us
                 now_us = time_us
                 at = _clock((now_us - first_us) * 1e-6)
-                source = f"{path.name}  {at}  {factor}"
+                source = f"{name}  {at}  {factor}"
                 board.frame(frame.can_id, frame.data, time_us)
         view.show(board, now_us, f"{source}  end", at_once=True)
         view.linger()

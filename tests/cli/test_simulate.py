@@ -181,7 +181,7 @@ def test_two_results_in_one_file(
 
     assert simulate(drive, "-o", target, "--truth", target) == 2
 
-    assert "different files" in capsys.readouterr().err
+    assert "would overwrite" in capsys.readouterr().err
     assert not target.exists()
 
 

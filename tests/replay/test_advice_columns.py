@@ -11,7 +11,7 @@ from cantools.database import load_file
 
 from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.replay.columns import replay_log
-from bstm_daemon.replay.frames import replayed
+from bstm_daemon.replay.frames import publications
 from bstm_daemon.replay.results.records import ADVICE_COLUMNS
 from bstm_daemon.simulation import simulate
 from bstm_daemon.simulation.drives import parse_drive
@@ -93,7 +93,7 @@ def test_columns_say_what_the_frames_say(
     database = load_file(ROOT / "dbc" / "bstm.dbc")
     message = database.get_message_by_name("BSTM_Advice")
     told: dict[int, dict[str, float]] = {}
-    for part in replayed(*car, log):
+    for part in publications(*car, log):
         for published in part:
             if published.frame.can_id == message.frame_id:
                 told[published.time_us] = message.decode(

@@ -26,7 +26,11 @@ from bstm_daemon.replay.columns import (
     present_roles,
     replay_log,
 )
-from bstm_daemon.replay.frames import publish_log
+from bstm_daemon.replay.frames import (
+    publications,
+    publish_channel,
+    write_frames,
+)
 from bstm_daemon.replay.results import Collector, Results, ResultsBuilder
 from bstm_daemon.roles import CORNERS
 from bstm_daemon.simulation import parse_drive, simulate
@@ -36,6 +40,8 @@ from bstm_daemon.simulation.recorder import write_candump
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from bstm_daemon.bus.signals.signal_map import SignalMap
+    from bstm_daemon.config.sections import Config
     from bstm_daemon.model.thermal.brake_corner import CornerSpec
     from bstm_daemon.model.thermal.network import Network
 
@@ -107,8 +113,16 @@ def published(log: Path) -> Path:
     """Return what the engine publishes over it, as a log."""
     out = log.with_name("published.log")
     config, signal_map = load_vehicle(CAR)
-    assert publish_log(config, signal_map, log, out) > 0
+    assert publish(config, signal_map, log, out) > 0
     return out
+
+
+def publish(
+    config: Config, signal_map: SignalMap, log: Path, out: Path
+) -> int:
+    """Write what a daemon would have sent beside *log*."""
+    ticks = publications(config, signal_map, log)
+    return write_frames(ticks, publish_channel(config), out)
 
 
 def moved(line: str, seconds: float) -> str:
@@ -262,11 +276,11 @@ def test_publication_needs_a_bus_that_exists(
 ) -> None:
     """A wrong [publish] bus stops before anything is written."""
     config, signal_map = load_vehicle(CAR)
-    publish = config.publish.model_copy(update={"bus": "telematics"})
-    config = config.model_copy(update={"publish": publish})
+    section = config.publish.model_copy(update={"bus": "telematics"})
+    config = config.model_copy(update={"publish": section})
 
     with pytest.raises(ConfigError, match="telematics"):
-        publish_log(config, signal_map, log, tmp_path / "out.log")
+        publish(config, signal_map, log, tmp_path / "out.log")
     assert list(tmp_path.iterdir()) == []
 
 
@@ -276,7 +290,7 @@ def test_publication_of_nothing_leaves_nothing(tmp_path: Path) -> None:
     config, signal_map = load_vehicle(CAR)
 
     with pytest.raises(LogError, match="no CAN frame"):
-        publish_log(config, signal_map, log, tmp_path / "out.log")
+        publish(config, signal_map, log, tmp_path / "out.log")
     assert list(tmp_path.iterdir()) == [log]
 
 
@@ -391,7 +405,7 @@ def test_odd_time_stamps(
     config, signal_map = load_vehicle(CAR)
 
     odd = replay_log(config, signal_map, path)
-    publish_log(config, signal_map, path, tmp_path / "out.log")
+    publish(config, signal_map, path, tmp_path / "out.log")
 
     assert odd.counts["jumps"] == counts.get("jumps", 0)
     for name in ("late", "dropped"):

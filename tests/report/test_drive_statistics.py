@@ -11,7 +11,6 @@ from bstm_daemon.report.drive_curves import POINTS_A_TRACE, DriveCurves
 from bstm_daemon.report.drive_statistics import (
     DriveStatistics,
     DriveSummary,
-    front_first,
 )
 from bstm_daemon.report.stretches import Stretches
 
@@ -42,10 +41,7 @@ def _without_energies(summary: DriveSummary) -> DriveSummary:
     return replace(
         summary,
         standing_s=None,
-        corners=tuple(
-            replace(c, energy_j=None, energy_ff_j=None, energy_fb_j=None)
-            for c in summary.corners
-        ),
+        corners=tuple(replace(c, energies_j=()) for c in summary.corners),
     )
 
 
@@ -62,8 +58,7 @@ def test_pieces_add_up(descent: Results, rows: int) -> None:
     assert _without_energies(found) == _without_energies(whole)
     assert found.standing_s == pytest.approx(whole.standing_s)
     for ours, theirs in zip(found.corners, whole.corners, strict=True):
-        assert ours.energy_j == pytest.approx(theirs.energy_j)
-        assert ours.energy_fb_j == pytest.approx(theirs.energy_fb_j)
+        assert ours.energies_j == pytest.approx(theirs.energies_j)
 
 
 def test_equal_stretches_give_equal_bits(descent: Results) -> None:
@@ -141,7 +136,6 @@ def test_descent_in_figures(descent: Results) -> None:
     assert 8 * 60 < fluid.after_stop_s < 20 * 60
     assert not fluid.at_end
     assert left.margin_k == pytest.approx(155.0 - fluid_c.max())
-    assert left.margin_time_s == fluid.time_s
     assert left.wet_boiling_point_c == pytest.approx(155.0)
 
 
@@ -150,9 +144,10 @@ def test_energy_is_the_time_integral_of_the_power(descent: Results) -> None:
     left = summarize(descent).corners[0]
     power_w = descent.columns["FL.brake_power_w"]
 
-    assert left.energy_j == pytest.approx(power_w[1:].sum() * 0.1)
-    assert left.energy_ff_j == left.energy_j
-    assert left.energy_fb_j == pytest.approx(0.85 * left.energy_j, rel=0.01)
+    used_j, forward_j, back_j = left.energies_j
+    assert used_j == pytest.approx(power_w[1:].sum() * 0.1)
+    assert forward_j == used_j
+    assert back_j == pytest.approx(0.85 * used_j, rel=0.01)
 
 
 def test_energy_of_uneven_rows_and_unknown_power() -> None:
@@ -164,9 +159,7 @@ def test_energy_of_uneven_rows_and_unknown_power() -> None:
 
     corner = summarize(Results(columns, ("FL",), ())).corners[0]
 
-    assert corner.energy_j == 120.0
-    assert corner.energy_fb_j is None
-    assert corner.energy_ff_j is None
+    assert corner.energies_j == (120.0, None, None)
 
 
 def test_validity_shares_and_the_code_at_the_peak(descent: Results) -> None:
@@ -190,7 +183,7 @@ def test_a_corner_without_a_model_has_energy_only(descent: Results) -> None:
     assert rear.peaks == {}
     assert rear.margin_k is None
     assert rear.validity_shares is None
-    assert rear.energy_j is not None
+    assert rear.energies_j[0] is not None
 
 
 def test_a_peak_before_the_only_stop_is_negative() -> None:
@@ -230,16 +223,6 @@ def test_results_of_no_length_have_a_summary(rows: int) -> None:
 
     assert summary.duration_s == 0.0
     assert summary.stops_s == ()
-
-
-def test_front_axle_comes_first() -> None:
-    assert front_first(("RR", "FR", "X", "RL", "FL")) == (
-        "FL",
-        "FR",
-        "RL",
-        "RR",
-        "X",
-    )
 
 
 def results_of(flags: list[int], time_s: np.ndarray | None = None) -> Results:

@@ -14,6 +14,7 @@ from bstm_daemon.analysis.gap.workflow import Gap
 from bstm_daemon.model.effects.effect import SIGNED_STRENGTH
 from bstm_daemon.report.gap import (
     MATCH_FIRST,
+    acceleration,
     adopted_text,
     answer_tile,
     candidate_rows,
@@ -22,7 +23,6 @@ from bstm_daemon.report.gap import (
     times,
     unnamed_lines,
 )
-from bstm_daemon.report.gap_forces import acceleration
 from bstm_daemon.report.gap_page import (
     WEAK_EVIDENCE,
     evidence_bars,
@@ -128,7 +128,8 @@ def test_one_of_a_class_is_not_written_as_if_it_were_known() -> None:
 
     assert adopted_text([gap("name")]) == "pad_wear"
     assert adopted_text([gap("class")]) == (
-        "pad_wear (one of pad_wear, wet_disc; these drives cannot tell which)"
+        "pad_wear (one of pad_wear, wet_disc; these drives cannot "
+        "distinguish them)"
     )
 
 

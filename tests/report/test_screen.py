@@ -1,11 +1,10 @@
 """The table on screen."""
 
 import numpy as np
-import pytest
 
 from bstm_daemon.replay.results import Results
 from bstm_daemon.report.drive_statistics import DriveStatistics, DriveSummary
-from bstm_daemon.report.screen import percent, summary_table
+from bstm_daemon.report.screen import summary_table
 
 
 def summarize(results: Results) -> DriveSummary:
@@ -108,18 +107,3 @@ def test_short_drive_that_ends_too_early() -> None:
     assert "1:29" in text
     assert "FL: validity not recorded" in text
     assert "FL: fluid still rising at the end of the log" in text
-
-
-@pytest.mark.parametrize(
-    ("share", "text"),
-    [
-        (0.0, "0 %"),
-        (1.0, "100 %"),
-        (0.978, "97.8 %"),
-        (0.5, "50 %"),
-        (1e-6, "< 0.1 %"),
-        (1 - 1e-6, "> 99.9 %"),
-    ],
-)
-def test_percent_hides_no_rest(share: float, text: str) -> None:
-    assert percent(share) == text

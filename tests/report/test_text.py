@@ -4,7 +4,14 @@ from __future__ import annotations
 
 import pytest
 
-from bstm_daemon.report.text import WIDTH, columns, number, table, wrapped
+from bstm_daemon.report.text import (
+    WIDTH,
+    columns,
+    number,
+    percent,
+    table,
+    wrapped,
+)
 
 ROWS = [("corner", "disc"), ("FL", "7"), ("RL", "412")]
 
@@ -37,3 +44,18 @@ def test_lines_are_broken_at_the_width() -> None:
 )
 def test_number(value: float, text: str) -> None:
     assert number(value) == text
+
+
+@pytest.mark.parametrize(
+    ("share", "text"),
+    [
+        (0.0, "0 %"),
+        (1.0, "100 %"),
+        (0.978, "97.8 %"),
+        (0.5, "50 %"),
+        (1e-6, "< 0.1 %"),
+        (1 - 1e-6, "> 99.9 %"),
+    ],
+)
+def test_percent_hides_no_rest(share: float, text: str) -> None:
+    assert percent(share) == text

@@ -16,7 +16,11 @@ import pytest
 from cantools.database.can import Database
 
 from bstm_daemon.cli.vehicle import load_vehicle
-from bstm_daemon.replay.frames import publish_log
+from bstm_daemon.replay.frames import (
+    publications,
+    publish_channel,
+    write_frames,
+)
 from bstm_daemon.service.state_file import read
 from bstm_daemon.simulation import parse_drive, simulate
 from bstm_daemon.simulation.frames import Encoder
@@ -119,7 +123,8 @@ def test_a_recording_replays_to_the_same_frames(
     document = read(Path(start)).document
     assert document is not None
     out = tmp_path / "replayed.log"
-    publish_log(config, signal_map, others, out, state=document)
+    ticks = publications(config, signal_map, others, state=document)
+    write_frames(ticks, publish_channel(config), out)
 
     # the daemon's frames of a grid line go out after it and before the next
     steps = range(
@@ -136,9 +141,10 @@ def test_a_recording_replays_to_the_same_frames(
 
     # and the log that was played gives the same temperatures
     original = tmp_path / "original.log"
-    publish_log(
-        config, signal_map, log, original, {"can0": "chassis"}, document
+    ticks = publications(
+        config, signal_map, log, {"can0": "chassis"}, document
     )
+    write_frames(ticks, publish_channel(config), original)
     compare_ends(original, live)
 
 

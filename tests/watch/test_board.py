@@ -45,8 +45,8 @@ def test_a_second_of_frames(board: Board, sender: Sender) -> None:
     assert board.state is State.RUNNING
     assert board.heat_mode is HeatMode.FB
     assert board.stale_inputs == ["torque"]
-    assert board.has_suspect_input
-    assert not board.has_substituted_heat
+    assert board.is_set("InputSuspect")
+    assert not board.is_set("HeatSubstituted")
     assert board.history("FL", "Disc").columns(now_us, 1) == [412.5]
     assert board.rejected == 0
 

@@ -10,14 +10,18 @@ import pytest
 
 from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.errors import FileAccessError, LogError
-from bstm_daemon.replay.frames import publish_log
+from bstm_daemon.replay.frames import (
+    publications,
+    publish_channel,
+    write_frames,
+)
 from bstm_daemon.simulation import parse_drive, simulate
 from bstm_daemon.simulation.frames import Encoder
 from bstm_daemon.simulation.recorder import write_candump
 from bstm_daemon.watch import replay_view
 from bstm_daemon.watch.board import Board
 from bstm_daemon.watch.lines import LineView, text_line
-from bstm_daemon.watch.replay_view import watch_log
+from bstm_daemon.watch.replay_view import DEFAULT_SPEED, watch_log
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -49,11 +53,22 @@ SHOW = """
 import sys
 from pathlib import Path
 from bstm_daemon.cli.vehicle import load_vehicle
+from bstm_daemon.replay.frames import publications
+from bstm_daemon.watch.board import Board
 from bstm_daemon.watch.replay_view import watch_log
 from bstm_daemon.watch.view import open_view
-car = load_vehicle(Path(sys.argv[1]))
-watch_log(*car, Path(sys.argv[2]), speed=0.0, view=open_view(sys.stdout))
+config, signal_map = load_vehicle(Path(sys.argv[1]))
+ticks = publications(config, signal_map, Path(sys.argv[2]))
+board = Board(config.publish.id_base)
+watch_log(ticks, board, "stop.log", open_view(sys.stdout), 0.0)
 """
+
+
+def show(path: Path, view: LineView, speed: float = DEFAULT_SPEED) -> None:
+    """Show what the engine publishes over the log *path*."""
+    board = Board(CONFIG.publish.id_base)
+    ticks = publications(CONFIG, SIGNAL_MAP, path)
+    watch_log(ticks, board, path.name, view, speed)
 
 
 @pytest.fixture(scope="module")
@@ -115,11 +130,12 @@ def test_it_shows_what_would_have_been_published(
     log: Path, tmp_path: Path
 ) -> None:
     view = Paced()
-    watch_log(CONFIG, SIGNAL_MAP, log, speed=0.0, view=view)
+    show(log, view, 0.0)
 
     board = Board(CONFIG.publish.id_base)
     out = tmp_path / "out.log"
-    publish_log(CONFIG, SIGNAL_MAP, log, out)
+    ticks = publications(CONFIG, SIGNAL_MAP, log)
+    write_frames(ticks, publish_channel(CONFIG), out)
     for line in out.read_text().splitlines():
         stamp, _, frame = line.split()
         now_us = round(float(stamp.strip("()")) * 1e6)
@@ -138,7 +154,7 @@ def test_it_shows_what_would_have_been_published(
 def test_speed_is_that_of_the_log(log: Path, clock: Clock) -> None:
     view, begin_s = Paced(), clock.now_s
 
-    watch_log(CONFIG, SIGNAL_MAP, log, speed=60.0, view=view)
+    show(log, view, 60.0)
 
     lines = view.stream.getvalue().splitlines()
     seconds = float(pairs(lines[-1])["t_s"]) - float(pairs(lines[0])["t_s"])
@@ -151,7 +167,7 @@ def test_speed_is_that_of_the_log(log: Path, clock: Clock) -> None:
 def test_leaving_ends_it(log: Path, clock: Clock) -> None:
     view = Paced(leave_after=20)
 
-    watch_log(CONFIG, SIGNAL_MAP, log, speed=1.0, view=view)
+    show(log, view, 1.0)
 
     assert len(view.stream.getvalue().splitlines()) <= 4
     assert "end" not in view.stream.getvalue()
@@ -220,6 +236,6 @@ def test_a_log_that_cannot_be_shown(
     view = Paced()
 
     with pytest.raises(error, match=words):
-        watch_log(CONFIG, SIGNAL_MAP, path, view=view)
+        show(path, view)
 
     assert view.stream.getvalue() == ""

@@ -101,7 +101,7 @@ def read_recording(
     overrides: Mapping[str, str] | None = None,
     *,
     thermocouples: bool = True,
-    progress: Callable[[float | None], None] | None = None,
+    progress: Callable[[float], None] | None = None,
 ) -> Recording:
     """Read the log *path*; *thermocouples* is whether it must have some.
 
@@ -122,7 +122,7 @@ def read_recording(
         for events in log.events():
             parts.append(events)
             if progress is not None:
-                progress((number + (log.share or 0.0)) / len(files))
+                progress((number + log.share) / len(files))
     return recorded(
         path.name,
         _joined(parts),

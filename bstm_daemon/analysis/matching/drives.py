@@ -180,7 +180,7 @@ def read_drive(  # noqa: PLR0913
     signal_map: SignalMap,
     overrides: Mapping[str, str] | None = None,
     *,
-    progress: Callable[[float | None], None] | None = None,
+    progress: Callable[[float], None] | None = None,
     estimates: bool = False,
     learned: Sequence[float] | None = None,
 ) -> Drive:
@@ -255,7 +255,7 @@ def read_drives(
     config: Config,
     signal_map: SignalMap,
     overrides: Mapping[str, str] | None = None,
-    progress: Callable[[Path, float | None], None] | None = None,
+    progress: Callable[[float], None] | None = None,
 ) -> list[Drive]:
     """Read logs of one car for matching, in the order they were driven.
 
@@ -268,15 +268,10 @@ def read_drives(
     for _ in range(2 if config.heat.mode == "fused" else 1):
         drives = []
         for path in paths:
-
-            def show(share: float | None, path: Path = path) -> None:
-                if progress is not None:
-                    progress(path, share)
-
             drives.append(
                 read_drive(
                     path, config, signal_map, overrides,
-                    progress=show, learned=learned,
+                    progress=progress, learned=learned,
                 )
             )  # fmt: skip
             learned = drives[-1].learned

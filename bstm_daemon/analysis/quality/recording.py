@@ -68,12 +68,12 @@ def read_recording(
     paths: Sequence[Path],
     signal_map: SignalMap,
     overrides: Mapping[str, str] | None = None,
-    progress: Callable[[Path, int], None] | None = None,
+    progress: Callable[[float], None] | None = None,
 ) -> Recording:
     """Read the logs *paths* for every role of *signal_map*.
 
     *overrides* is log interface to bus name; *progress* is called with the
-    log and the number of its lines read so far. Raises
+    share of a log that is read. Raises
     :class:`~bstm_daemon.errors.LogError` for a log that cannot be used and
     for two logs that hold the same role at the same time, and
     :class:`~bstm_daemon.errors.FileAccessError`.
@@ -87,7 +87,7 @@ def read_recording(
     truncated = []
     for path in paths:
         log = EventLog(path, signal_map, overrides)
-        for role, time_us, value in _columns(log, path, progress):
+        for role, time_us, value in _columns(log, progress):
             parts[role].append((path, time_us, value))
         buses = resolve_interfaces(
             log.reader.interfaces, signal_map.buses, overrides or {}
@@ -117,9 +117,7 @@ def read_recording(
 
 
 def _columns(
-    log: EventLog,
-    path: Path,
-    progress: Callable[[Path, int], None] | None,
+    log: EventLog, progress: Callable[[float], None] | None
 ) -> list[tuple[str, npt.NDArray[np.int64], Column]]:
     """Return role, stamps [us] and values of everything in *log*."""
     chunks: dict[int, list[tuple[npt.NDArray[np.int64], Column]]] = (
@@ -130,7 +128,7 @@ def _columns(
             own = events.role == role
             chunks[role].append((events.time_us[own], events.value[own]))
         if progress is not None:
-            progress(path, log.reader.lines)
+            progress(log.share)
     return [
         (
             ROLES[role].name,

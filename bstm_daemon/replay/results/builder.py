@@ -165,9 +165,7 @@ class ResultsBuilder:
         return {name: array[keep] for name, array in found.items()}
 
     def _flags_since(
-        self,
-        flags: npt.NDArray[np.int64],
-        keep: npt.NDArray[np.bool_],
+        self, flags: npt.NDArray[np.int64], keep: npt.NDArray[np.bool_]
     ) -> npt.NDArray[np.int64]:
         """Give each row that is kept the bits of those dropped before it.
 
@@ -237,12 +235,10 @@ class ResultsBuilder:
             own = parts[name]
             # behind those of the model, whose own power counts
             part = own | self._input_columns(name, rows[:, index], interval_s)
-            part |= own
-            columns |= {f"{name}.{key}": part[key] for key in part}
+            columns |= {f"{name}.{k}": own.get(k, part[k]) for k in part}
+        # copies: a view would hold every channel of the publications
         columns = {
-            # a copy: a view would hold every channel of the publications
-            name: np.array(column[self._before :])
-            for name, column in columns.items()
+            k: np.array(one[self._before :]) for k, one in columns.items()
         }
         return Results(columns, corners, self._modelled)
 
@@ -253,14 +249,15 @@ class ResultsBuilder:
         config = self._estimator.config
         forward = _rate(row[:, _FORWARD], interval_s)
         back = _rate(row[:, _BACK], interval_s)
-        fused = config.heat.mode == "fused"
         power = {"fb": back, "fused": row[:, _POWER]}
         part = {"brake_power_w": power.get(config.heat.mode, forward)}
-        if fused:
+        if config.heat.mode == "fused":
             part["brake_power_std_w"] = row[:, _POWER_STD]
-        part["brake_power_ff_w"] = forward
-        part["brake_power_fb_w"] = back
-        part["pressure_pa"] = row[:, _PRESSURE]
+        part |= {
+            "brake_power_ff_w": forward,
+            "brake_power_fb_w": back,
+            "pressure_pa": row[:, _PRESSURE],
+        }
         for i, node in enumerate(MEASURED_NODES):
             # by the mapping, not the values: the first rows do not know
             # of what comes later
@@ -277,11 +274,9 @@ class ResultsBuilder:
         output = publications[_OUTPUT + name]
         part: dict[str, Column] = {}
         for i, state in enumerate(group.state_names):
-            if state in BOUNDARIES:
-                continue
-            if i < group.nodes:
+            if state not in BOUNDARIES and i < group.nodes:
                 part[f"{state}_c"] = output[:, i] - KELVIN_OFFSET
-            else:
+            elif state not in BOUNDARIES:
                 part[state] = output[:, i]
         boiling_k = wet_boiling_point_k(estimator.config.fluid.grade)
         fluid = output[:, group.state_names.index("fluid")]

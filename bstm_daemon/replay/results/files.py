@@ -24,6 +24,15 @@ GROUP_ROWS: Final = 4096
 """Rows of a Parquet row group: some 3 MB that are held until it is full."""
 
 
+_FORMS: Final = {
+    ("validity", "flags", "_level"): "%.0f",
+    ("thickness_m", "std_m", "loss_m"): "%.7f",
+    ("_c", "_k", "_ms", "_m"): "%.3f",
+    ("_w", "_pa", "_n", "_j", "_s"): "%.1f",
+}
+"""Form of a column's values by the end of its name, the first that fits."""
+
+
 @contextmanager
 def csv_file(path: Path) -> Iterator[Sink]:
     """Give a sink that writes CSV: a header, then a row a publication.
@@ -149,12 +158,6 @@ class _ParquetSink:
 def _format(name: str) -> str:
     if name == "time_s":
         return "%.6f"
-    if name.endswith(("validity", "flags", "_level")):
-        return "%.0f"
-    if name.endswith(("thickness_m", "std_m", "loss_m")):
-        return "%.7f"
-    if name.endswith(("_c", "_k", "_ms", "_m")):
-        return "%.3f"
-    if name.endswith(("_w", "_pa", "_n", "_j", "_s")):
-        return "%.1f"
-    return "%.6g"
+    return next(
+        (form for ends, form in _FORMS.items() if name.endswith(ends)), "%.6g"
+    )

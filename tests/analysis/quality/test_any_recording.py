@@ -8,8 +8,11 @@ from hypothesis import strategies as st
 
 from bstm_daemon.analysis.quality.finding import Quality
 from bstm_daemon.analysis.quality.recording import Recording, Series
-from bstm_daemon.report.check import comparison_plot, quality_json
-from bstm_daemon.report.quality_screen import quality_table
+from bstm_daemon.report.check import (
+    comparison_plot,
+    quality_json,
+    quality_text,
+)
 
 KINDS = st.sampled_from(["constant", "noise", "ramp", "steps", "single"])
 SIZES = st.sampled_from([0.0, 1e-9, 1.0, 30.0, 1e6, -1e6, 1e300])
@@ -64,7 +67,7 @@ def test_no_recording_breaks_the_check(
     for finding in quality.findings:
         if finding.fault != "missing":
             assert set(finding.roles) <= found
-    assert quality_table(quality)
+    assert quality_text(quality)
     assert quality_json(quality)["roles"]
     for comparison in quality.comparisons:
         assert comparison_plot(comparison, end_s).data

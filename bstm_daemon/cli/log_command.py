@@ -1,0 +1,107 @@
+"""What the commands over recorded drives share: arguments and results."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from bstm_daemon.cli.arguments import (
+    add_bus_map,
+    add_config,
+    add_json,
+    add_new_config,
+    add_report,
+    check_new,
+    check_targets,
+)
+from bstm_daemon.cli.vehicle import load_vehicle
+from bstm_daemon.report.json_file import write_json
+from bstm_daemon.report.shell import write_page
+
+if TYPE_CHECKING:
+    import argparse
+    from collections.abc import Callable, Iterable
+
+    from bstm_daemon.bus.signals.signal_map import SignalMap
+    from bstm_daemon.config.sections import Config
+    from bstm_daemon.report.shell import Page
+
+
+def add_log_arguments(
+    parser: argparse.ArgumentParser,
+    what: str = "recorded drive",
+    *,
+    nargs: str = "+",
+    new_config: bool = False,
+) -> None:
+    """Declare the logs, the vehicle and where results go.
+
+    With *new_config* also ``-o NEW.toml`` and ``--force``.
+    """
+    parser.add_argument(
+        "logs", nargs=nargs, type=Path, metavar="LOG", help=what
+    )
+    add_config(parser)
+    if new_config:
+        add_new_config(parser)
+    add_json(parser)
+    add_report(parser)
+    add_bus_map(parser)
+
+
+def open_vehicle(
+    args: argparse.Namespace, logs: Iterable[Path]
+) -> tuple[Config, SignalMap]:
+    """Refuse targets before the work that fills them, load the vehicle.
+
+    Raises:
+        UsageError: a target would overwrite what is read or written.
+        FileAccessError: a target can not be written, a file not be read.
+        ConfigError: of the configuration.
+    """
+    out = getattr(args, "out", None)
+    if out is not None:
+        check_new(out, force=args.force)
+    check_targets((out, args.json, args.report), (args.config, *logs))
+    return load_vehicle(args.config)
+
+
+def names_of(logs: Iterable[Path]) -> str:
+    """Return the names of *logs* in one line."""
+    return ", ".join(log.name for log in logs)
+
+
+def heading(args: argparse.Namespace, config: Config, subject: object) -> str:
+    """Return the line above a result: *subject*, vehicle, configuration."""
+    return f"{subject}  ({config.vehicle.id}, {args.config})"
+
+
+def write_results(
+    args: argparse.Namespace,
+    subtitle: tuple[str, ...],
+    result: Callable[[], dict[str, Any]],
+    page: Callable[[str], Page],
+    indent: int | None = 2,
+) -> list[str]:
+    """Write the JSON file and the page that were asked for.
+
+    Args:
+        args: parsed arguments with ``json``, ``report`` and ``config``.
+        subtitle: parts of the page's subtitle, before the configuration.
+        result: makes what goes into the JSON file.
+        page: makes the page under a subtitle.
+        indent: spaces a level of the JSON file, None for one line.
+
+    Returns:
+        A line for each page that was written.
+
+    Raises:
+        FileAccessError: a file can not be written.
+        MissingExtraError: a page without plotly or jinja2.
+    """
+    if args.json:
+        write_json(args.json, result(), indent)
+    if not args.report:
+        return []
+    write_page(args.report, page(" · ".join((*subtitle, args.config.name))))
+    return [str(args.report)]
