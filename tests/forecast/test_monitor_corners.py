@@ -436,3 +436,25 @@ def test_a_state_without_a_corner_or_time_says_nothing_of_it() -> None:
     for air in (None, (283.15, 0.0, START_US)):
         watched.monitor.resume(None, {"FR": hot}, air)
         assert isnan(watched.monitor.away)
+
+
+def test_a_duty_that_goes_on_is_foreseen_from_the_braking_so_far() -> None:
+    """12 m/s at 8 bar: by its own mean power, and hotter than parked."""
+    watched = Watched("FL")
+    times, roles, values = array("q"), array("i"), array("d")
+    for tenth in range(145):
+        for role, one in ((SPEED, 12.0), (PRESSURE, 8e5)):
+            times.append(START_US + 100_000 * tenth)
+            roles.append(role)
+            values.append(one)
+    (block,) = watched.estimator.advance(times, roles, values)
+    found = watched.monitor.add(block)[-1].corners["FL"]
+
+    duty = watched.monitor._corners[0].duty.conditions(283.15)
+    assert duty.speed_ms == pytest.approx(12.0)
+    assert duty.pressure_pa == pytest.approx(8e5)
+    assert duty.brake_on == pytest.approx(1.0)
+    power_w = block.at(140).channel("FL", "brake_power_w")
+    assert power_w > 1000.0
+    assert duty.power_w == pytest.approx(power_w, rel=1e-6)
+    assert found.duty_peak_k > found.peak_k + 20.0

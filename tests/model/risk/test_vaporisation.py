@@ -168,3 +168,6 @@ def test_mean_probability_is_that_of_every_temperature() -> None:
     assert isnan(found.mean_probability([405.0, float("nan")]))
     assert found.quantile(0.5) == 415.0
     assert found.quantile(1.0) == 430.0
+    narrow = Boiling([400.0, 400.5])
+    assert narrow.probability(400.2) == pytest.approx(0.6)
+    assert narrow.probability(401.0) == 1.0
