@@ -298,6 +298,7 @@ def test_the_gate_is_of_deviations_and_of_nothing(
     assert found.gate_z == pytest.approx(z, rel=1e-3)
     assert (0.05 < found.odds[""] < 0.5) is (z == 4.2)
     assert (found.answer == "name") is named
+    assert (found.answer == "nothing") is (z == 4.2)
     if named:
         assert found.names == (names[3 % len(names)],)
         assert found.probability == found.odds[found.names[0]] > 0.95
