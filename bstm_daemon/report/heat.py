@@ -33,7 +33,6 @@ from bstm_daemon.report.timescale import clock
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from bstm_daemon.analysis.identify.driving import Balance
     from bstm_daemon.analysis.identify.heat_comparison import HeatComparison
     from bstm_daemon.analysis.identify.stop_friction import StopFriction
     from bstm_daemon.analysis.statistics.series import Column

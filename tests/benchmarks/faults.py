@@ -230,7 +230,7 @@ def _fault(name: str) -> Fault:
 
 
 def cases(*, full: bool, thin: int = 4) -> list[Case]:
-    """Return the campaign, whole or a sample, each drive without faults too."""
+    """Return the campaign or a sample, each drive without a fault too."""
     drives = DRIVES if full else DRIVES[:1]
     onsets = ONSETS if full else ONSETS[:1]
     modes = [mode for mode in MODES if mode != "measured"]

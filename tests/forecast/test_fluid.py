@@ -85,3 +85,41 @@ def test_a_resumed_measurement_is_that_of_the_bus() -> None:
     assert again.export() == heard.export()
     again.boiling(TODAY_US)
     assert again.water.median_percent == pytest.approx(3.5)
+
+
+@pytest.mark.parametrize(
+    ("configured", "percent"),
+    [(date(2026, 5, 1), 5.0), (date(2026, 5, 28), 5.0), (None, 5.0),
+     (date(2026, 5, 29), 2.0)],
+)  # fmt: skip
+def test_of_two_measurements_the_later_one_holds(
+    configured: date | None, percent: float
+) -> None:
+    """The bus measured 5 % on 2026-05-28, the workshop 2 % some day."""
+    heard = FluidKnowledge(FluidConfig())
+    heard.ingest(TODAY_US, WATER_ROLE, 0.05)
+    config = FluidConfig(water_percent=2.0, water_measured=configured)
+    again = FluidKnowledge(config)
+    again.resume(heard.export())
+
+    assert again.export()["percent"] == percent
+
+
+def test_a_new_value_counts_on_the_day_of_the_last() -> None:
+    """And the same value on another day, by which it is younger."""
+    knowledge = FluidKnowledge(FluidConfig())
+    found = []
+    for days, share in ((0, 0.02), (0, 0.05), (365, 0.05)):
+        time_us = TODAY_US + days * 86_400_000_000
+        knowledge.ingest(time_us, WATER_ROLE, share)
+        knowledge.boiling(time_us)
+        found.append(knowledge.water.median_percent)
+
+    assert found == pytest.approx([2.0, 5.0, 5.0])
+
+
+def test_a_value_that_is_no_number_is_no_measurement() -> None:
+    knowledge = FluidKnowledge(FluidConfig(water_percent=2.0))
+    knowledge.ingest(TODAY_US, WATER_ROLE, float("nan"))
+
+    assert knowledge.export()["percent"] == 2.0

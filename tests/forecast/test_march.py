@@ -19,6 +19,7 @@ from bstm_daemon.forecast.march import (
     Conditions,
     Course,
     Job,
+    median,
 )
 from bstm_daemon.forecast.members import Ensemble, Spread
 from bstm_daemon.model.risk.vaporisation import Boiling
@@ -167,6 +168,24 @@ def test_the_peak_lies_between_points_where_it_does() -> None:
 
     assert top_k == pytest.approx(110.0 + KELVIN_OFFSET - 0.5 + 0.7, abs=0.2)
     assert 120.0 < top_s < 180.0
+
+
+def test_the_peak_is_that_of_a_parabola_through_three_points() -> None:
+    """Uneven times: 400 - (t - 70)^2 / 100 at 30, 60 and 90 s and others."""
+    times = (0.0, 30.0, 60.0, 90.0, 150.0)
+    series = array("d", [400.0 - (t - 70.0) ** 2 / 100.0 for t in times])
+    found = Course(times, [series]).peak(HORIZON_S)
+    assert found == pytest.approx((400.0, 70.0))
+
+    uneven = (0.0, 20.0, 65.0, 90.0)
+    series = array("d", [400.0 - (t - 70.0) ** 2 / 100.0 for t in uneven])
+    found = Course(uneven, [series]).peak(HORIZON_S)
+    assert found == pytest.approx((400.0, 70.0))
+
+
+def test_the_median_of_an_even_and_an_odd_number() -> None:
+    assert median([3.0, 1.0, 2.0]) == 2.0
+    assert median([4.0, 1.0, 3.0, 2.0]) == 2.5
 
 
 def test_a_fluid_that_cools_peaks_now() -> None:

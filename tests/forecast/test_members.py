@@ -95,3 +95,30 @@ def test_members_follow_another_network_of_the_corner(corner: Program) -> None:
     assert second.draws == first.draws
     for old, new in zip(first.programs, second.programs, strict=True):
         assert new.floats.tolist() == [2.0 * x for x in old.floats]
+
+
+def test_air_and_duty_have_their_spreads(corner: Program) -> None:
+    """1.5 K and 15 % of the brake power, twice as much where degraded."""
+    ensemble = Ensemble(corner, 64, Spread())
+
+    for factor in (1.0, 2.0):
+        air_k = ensemble.ambients_k(290.0, factor)
+        heats = ensemble.heats(factor)
+        assert fmean(air_k) == pytest.approx(290.0)
+        assert stdev(air_k) == pytest.approx(1.5 * factor, rel=0.1)
+        assert fmean(heats) == pytest.approx(1.0)
+        assert stdev(heats) == pytest.approx(0.15 * factor, rel=0.1)
+    assert min(ensemble.heats(20.0)) == 0.0
+
+
+def test_the_spread_that_is_shipped(corner: Program) -> None:
+    """What docs/risk.md says an estimate does not know."""
+    ensemble = Ensemble(corner, 8, Spread())
+
+    def deviation_k(fluid_k: float, factor: float) -> float:
+        return ensemble.fluid_deviation_k(fluid_k, 290.0, factor)
+
+    # 3 % of the heat and 2 % of its own, 1 K at least
+    assert deviation_k(290.0, 1.0) == pytest.approx(1.0)
+    assert deviation_k(390.0, 1.0) == pytest.approx(14.0**0.5)
+    assert deviation_k(390.0, 2.0) == pytest.approx(2.0 * 14.0**0.5)

@@ -227,7 +227,9 @@ STEPS = st.builds(
     Step,
     st.one_of(st.just(50_000), st.integers(0, 200_000)),
     st.sampled_from([0, 0, 0, 30, 40_000]),
-    st.sampled_from([0, 0, 0, 0, 9_000, -3_600_000_000, 3_600_000_000]),
+    st.sampled_from(
+        [0, 0, 0, 0, 9_000, 15_000, -15_000, -3_600_000_000, 3_600_000_000]
+    ),
     st.lists(st.lists(AGES, max_size=12), min_size=3, max_size=3),
 )
 
@@ -265,3 +267,34 @@ def test_records_come_as_frames_do(steps: list[Step]) -> None:
     frames, records = (outcome_of(form, steps) for form in FORMS)
 
     assert records == frames
+
+
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("step_us", [-3_600_000_000, -15_000, 15_000, 10**9])
+def test_stamps_go_on_as_if_the_clock_had_not_been_set(
+    form: str, step_us: int
+) -> None:
+    """A step, small or large, is taken off every later stamp."""
+    clock = SteppedClock()
+    axis = clock.axis()
+    wire = StampedWire()
+    intake = intake_of(form, [wire], axis)
+    begin_us = clock.boot_us
+    clock.offset_us += step_us
+    for _ in range(2):
+        clock.boot_us += 100_000
+        intake.read(axis.read())
+    assert axis.steps == 1
+
+    for number, age_us in enumerate((95_000, 50_000, 30_000)):
+        stamp_us = clock.wall_us + 100_000 - age_us
+        wire.frames.append(
+            Frame(stamp_us * 1000, number, True, b"", False, False)
+        )
+    clock.boot_us += 100_000
+    _, arrivals = intake.read(axis.read())
+
+    assert intake.late == 0
+    assert [at - START_US - begin_us for at, *_ in arrivals] == [
+        300_000 - age_us for age_us in (95_000, 50_000, 30_000)
+    ]

@@ -7,8 +7,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
+from bstm_daemon.analysis.gap import advising
 from bstm_daemon.analysis.gap.advising import (
     MENU,
+    Advice,
     Prospect,
     advise,
     candidate_drive,
@@ -113,6 +115,44 @@ def test_what_is_drawn_is_as_sure_as_it_is_said_to_be() -> None:
 
     assert 0.1 < found.named < 0.95
     assert found.wrong < 0.06
+
+
+@pytest.mark.parametrize(
+    ("short", "long", "first"),
+    [
+        (0.90, 0.91, "short"),
+        (0.885, 0.90, "short"),
+        (0.87, 0.90, "long"),
+        # below 2 % no drive is worth its minutes: the better one
+        (0.010, 0.019, "long"),
+        (0.0, 0.0, "long"),
+    ],
+)
+def test_of_drives_about_as_good_the_shorter_one_is_advised(
+    monkeypatch: pytest.MonkeyPatch, short: float, long: float, first: str
+) -> None:
+    """Two per cent are within chance; of the rest the better one."""
+    odds = {"short": short, "long": long, "poor": 0.0}
+    factors = {"short": 1.0, "long": 2.0, "poor": 0.5}
+    minutes = {"short": 10.0, "long": 60.0, "poor": 5.0}
+
+    def judged(_: object, one: Prospect) -> Advice:
+        return Advice(
+            *(one.drive, one.drive, one.duration_s, odds[one.drive], 0.0),
+            *(factors[one.drive], 0.0),
+        )
+
+    monkeypatch.setattr(advising._Judge, "advice", judged)
+    column = np.ones(10)
+    found = advise(
+        known(-column, column, column),
+        np.ones(2),
+        (TRUE, RIVAL),
+        [drive(name, minutes[name], column, column) for name in odds],
+    )
+
+    assert found[0].drive == first
+    assert [one.drive for one in found][-1] == "poor"
 
 
 def test_the_menu_is_of_drives_that_there_are() -> None:

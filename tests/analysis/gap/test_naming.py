@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import pytest
@@ -21,8 +21,9 @@ from bstm_daemon.analysis.gap.holdout_comparison import (
     REFITTED,
     show,
 )
-from bstm_daemon.analysis.gap.naming import name_effect
+from bstm_daemon.analysis.gap.naming import Naming, name_effect
 from bstm_daemon.analysis.gap.signatures import (
+    Linearised,
     Signature,
     candidates,
     sensed,
@@ -233,3 +234,114 @@ def test_the_fit_finds_strength_and_the_gap_shrinks(
     assert shown.shrinks[CONFIGURED].factor > 3.0
     assert shown.shrinks[CONFIGURED].lower > 1.0
     assert shown.bends[EXTENDED] < 0.3 * shown.bends[REFITTED]
+
+
+ONES: Final = np.ones(2)
+
+
+class Grid:
+    """A layout of 200 points of one drive, white already."""
+
+    prior = ONES
+    drive_names = ("made",)
+
+    def slices(self, drive: int) -> list[slice]:
+        assert drive == 0
+        return [slice(0, 200)]
+
+    def whiten(self, apart_k: Any) -> Any:
+        return apart_k
+
+
+def spike(place: int, height: float = 1.0, width: int = 1) -> Any:
+    """Return *height* in *width* points from *place* on, 0 elsewhere."""
+    column = np.zeros(200)
+    column[place : place + width] = height
+    return column
+
+
+def answer(residual: Any, signatures: dict[str, Any]) -> Naming:
+    """Return the answer where *signatures* could explain *residual*."""
+    zero = np.zeros(200)
+    found = tuple(
+        Signature(name, column, zero, column, either_sign=False)
+        for name, column in signatures.items()
+    )
+    linearised = Linearised(residual, np.zeros((200, 2)), found, (), ())
+    layout: Any = Grid()
+    return name_effect(layout, linearised)
+
+
+@pytest.mark.parametrize(
+    ("z", "others", "strength", "named"),
+    [
+        # plain, and few candidates that chance could have picked
+        (6.0, 1, 1.0, True),
+        # below the 4.1 standard deviations, though likely
+        (4.0, 1, 1.0, False),
+        # above them, but of 30 candidates one far stronger than usual
+        (4.2, 29, 4.0, False),
+        (6.0, 29, 3.5, True),
+    ],
+)
+def test_the_gate_is_of_deviations_and_of_nothing(
+    z: float, others: int, strength: float, *, named: bool
+) -> None:
+    names = effect_names()[: others + 1]
+    columns = {
+        name: spike(5 * i, z / strength) for i, name in enumerate(names)
+    }
+    residual = -strength * columns[names[3 % len(names)]]
+
+    found = answer(residual, columns)
+
+    assert found.gate_z == pytest.approx(z, rel=1e-3)
+    assert (0.05 < found.odds[""] < 0.5) is (z == 4.2)
+    assert (found.answer == "name") is named
+    assert (found.answer == "nothing") is (z == 4.2)
+    if named:
+        assert found.names == (names[3 % len(names)],)
+        assert found.probability == found.odds[found.names[0]] > 0.95
+
+
+def test_an_effect_as_good_at_other_times_is_not_named() -> None:
+    """Twice as much, and for long, where its signature is not."""
+    own = spike(0, 1.0, 20)
+    residual = -1.5 * own - spike(40, 4.0, 120)
+
+    found = answer(residual, {"hub_conduction": own})
+
+    assert found.gate_z == pytest.approx(1.5 * 20**0.5, rel=1e-3)
+    assert found.best_placebo_z == pytest.approx(4.0 * 20**0.5)
+    assert (found.answer, found.names) == ("undecided", ("hub_conduction",))
+    assert found.reason == (
+        "hub_conduction at other times than its own explains as much"
+    )
+    alone = answer(-1.5 * own, {"hub_conduction": own})
+    assert (alone.answer, alone.names) == ("name", ("hub_conduction",))
+    assert alone.best_placebo_z < 0.1
+
+
+@pytest.mark.parametrize(
+    ("cosine", "kind"), [(0.90, "undecided"), (0.93, "undecided"),
+                         (0.96, "class"), (0.99, "class")]
+)  # fmt: skip
+def test_a_class_is_of_signatures_that_are_alike(
+    cosine: float, kind: str
+) -> None:
+    """No twins by declaration; equal evidence for both."""
+    one, other = "hub_conduction", "pad_wear"
+    assert other not in effect_class(one).twins
+    assert one not in effect_class(other).twins
+    apart = np.sqrt(1.0 - cosine**2)
+    columns = {
+        one: spike(3, 6.0),
+        other: 6.0 * (cosine * spike(3) + apart * spike(90)),
+    }
+
+    found = answer(-0.5 * (columns[one] + columns[other]), columns)
+
+    assert found.answer == kind
+    assert set(found.names) == {one, other}
+    assert found.odds[one] == pytest.approx(found.odds[other], rel=0.01)
+    assert ("cosine" in found.reason) is (kind == "class")

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 
+from bstm_daemon.analysis.matching import refine as refine_module
 from bstm_daemon.analysis.matching.identifiability import ratios, verdicts
 from bstm_daemon.analysis.matching.matcher import match_drives
 from bstm_daemon.analysis.matching.problem import FIRST
@@ -18,6 +19,7 @@ from bstm_daemon.analysis.matching.refine import (
     refine,
 )
 from bstm_daemon.analysis.matching.tunables import REFINED, TUNABLES
+from bstm_daemon.analysis.statistics.levenberg_marquardt import Solution
 from bstm_daemon.analysis.statistics.whitening import SensorNoise
 
 if TYPE_CHECKING:
@@ -191,3 +193,111 @@ def test_a_node_that_the_model_misses_is_still_believed() -> None:
     found = learned(FIRST["disc"], wrong, [TIME_S])
 
     assert found.drift_k <= 1.5 * FIRST["disc"].drift_k
+
+
+class Minimiser:
+    """Gives back each start, moved by *shift*, and remembers it."""
+
+    def __init__(self, data: Any, shift: float = 0.0) -> None:
+        self.data = np.asarray(data)
+        self.shift = shift
+        self.starts: list[Any] = []
+        self.noises: list[Any] = []
+
+    def __call__(
+        self, problem: Any, x: Any, lower: Any, upper: Any, show: Any
+    ) -> Solution:
+        self.starts.append(x.copy())
+        self.noises.append(problem.noise)
+        jacobian = np.vstack((self.data, np.diag(1.0 / problem.prior)))
+        found = x + self.shift
+        nothing = np.zeros(len(jacobian))
+        return Solution(found, nothing, jacobian, found > 9e9, 0.0, 7)
+
+
+KEYS = (
+    "thermal.disc_mass_correction_factor",
+    "thermal.fluid_caliper_thermal_capacity_j_k",
+)
+
+
+@pytest.fixture
+def fitted_by(
+    target: Target,
+    made: Callable[..., Drive],
+    monkeypatch: pytest.MonkeyPatch,
+) -> Callable[..., Refinement]:
+    """Return what refines by a minimiser of the test's own."""
+    drives = [made(RIGHT, noise_k=3.0)]
+
+    def refined(minimiser: Minimiser, **given: Any) -> Refinement:
+        monkeypatch.setattr(refine_module, "minimise", minimiser)
+        return refine(target, drives, KEYS, **given)
+
+    return refined
+
+
+def test_a_fit_begins_where_it_is_told(
+    target: Target, fitted_by: Callable[..., Refinement]
+) -> None:
+    """Else at the target's values, which stay what is reported."""
+    own = [target.value(TUNABLES[key]) for key in KEYS]
+    minimiser = Minimiser(np.eye(2), 0.01)
+
+    fit = fitted_by(minimiser, start={KEYS[1]: 1500.0}, rounds=1)
+
+    assert np.exp(minimiser.starts) == pytest.approx(
+        np.array([[own[0], 1500.0]])
+    )
+    assert fit.start == pytest.approx(dict(zip(KEYS, own, strict=True)))
+    assert fit.values == pytest.approx(
+        {KEYS[0]: own[0] * np.exp(0.01), KEYS[1]: 1500.0 * np.exp(0.01)}
+    )
+    plain = Minimiser(np.eye(2))
+    fitted_by(plain, rounds=1)
+    assert np.exp(plain.starts) == pytest.approx(np.array([own]))
+
+
+def test_three_fits_each_from_the_one_before_with_the_noise_it_shows(
+    fitted_by: Callable[..., Refinement],
+) -> None:
+    minimiser = Minimiser(np.eye(2), 0.01)
+    shares: list[float] = []
+
+    fit = fitted_by(minimiser, progress=shares.append)
+
+    assert len(minimiser.starts) == 3
+    assert fit.evaluations == 21
+    steps = np.diff(minimiser.starts, axis=0)
+    assert steps == pytest.approx(np.full((2, 2), 0.01))
+    first, second, third = minimiser.noises
+    assert first["disc"] == FIRST["disc"]
+    assert second["disc"].white_k == pytest.approx(3.0, rel=0.15)
+    assert second["disc"] != third["disc"]
+    assert fit.noise == third
+
+
+def test_covariance_has_the_priors_and_information_has_not(
+    target: Target, fitted_by: Callable[..., Refinement]
+) -> None:
+    """The inverse of J'J and of the priors' precision together."""
+    data = np.array([[3.0, 0.0], [4.0, 2.0], [0.0, 0.0]])
+    prior = [TUNABLES[key].prior for key in KEYS]
+
+    fit = fitted_by(Minimiser(data), rounds=1)
+
+    information = np.array([[25.0, 8.0], [8.0, 4.0]])
+    assert fit.information == pytest.approx(information)
+    assert fit.prior == pytest.approx(np.array(prior))
+    assert fit.covariance @ (
+        information + np.diag(np.array(prior) ** -2.0)
+    ) == (pytest.approx(np.eye(2), abs=1e-12))
+    for i, key in enumerate(KEYS):
+        assert fit.standard_deviation(key) == pytest.approx(
+            target.value(TUNABLES[key]) * fit.covariance[i, i] ** 0.5
+        )
+    # without data a deviation is the prior's
+    blind = fitted_by(Minimiser(np.zeros((3, 2))), rounds=1)
+    assert blind.standard_deviation(KEYS[1]) == pytest.approx(
+        prior[1] * target.value(TUNABLES[KEYS[1]])
+    )

@@ -296,6 +296,43 @@ def test_a_protected_message_is_left_to_its_guard(live: BusExtension) -> None:
     assert decoder.decode(records, 4, Counter(), []) == 9
 
 
+@pytest.mark.parametrize(
+    ("odd", "reason"),
+    [
+        ({"is_remote": True}, "REMOTE_FRAME"),
+        ({"is_error": True}, "ERROR_FRAME"),
+        ({"data": bytes(range(1, 8))}, "WRONG_LENGTH"),
+        ({"data": bytes(range(1, 13))}, "WRONG_LENGTH"),
+        ({"data": b""}, "WRONG_LENGTH"),
+        ({"can_id": 0x124}, "UNKNOWN_ID"),
+        ({"bus": 1}, "UNKNOWN_ID"),
+    ],
+)
+def test_no_sample_comes_of_what_is_no_frame_of_a_message(
+    live: BusExtension, odd: dict[str, Any], reason: str
+) -> None:
+    """Each has bytes that would decode, eight of them or more or less."""
+    whole = bytes(range(1, 9))
+    plain = [Received(n, 0, 0x123, False, whole) for n in range(3)]
+    frames = [plain[0], plain[1]._replace(**odd), plain[2]]
+    records = records_of(live, frames)
+    decoder = RecordDecoder(plain_map(), {})
+
+    assert decoder.decode(records, 0, Counter(), []) == 1
+    assert decoder.times_us[: decoder.count].tolist() == [0, 0]
+    assert decoder.values[: decoder.count].tolist() == [1.5, 1.5]
+    assert decoder.decode(records, 1, Counter(), []) == 1
+    assert decoder.count == 0
+    assert decoder.decode(records, 2, Counter(), []) == 3
+    assert decoder.times_us[: decoder.count].tolist() == [2, 2]
+
+    found, single = in_runs(live, plain_map(), frames)
+    assert single == 1
+    assert [sample[0] for sample in found.samples] == [0, 0, 2, 2]
+    assert found == one_by_one(plain_map(), frames)
+    assert [one.name for one in found.counts if found.counts[one]] == [reason]
+
+
 def test_only_ready_records_are_decoded(live: BusExtension) -> None:
     frames = [Received(n, 0, 0x123, False, bytes(8)) for n in range(9)]
     records = records_of(live, frames)

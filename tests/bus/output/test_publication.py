@@ -25,13 +25,25 @@ from bstm_daemon.bus.output.layout import (
 from bstm_daemon.bus.output.publication import OutputFrame, Publication
 from bstm_daemon.errors import ConfigError
 from bstm_daemon.estimate import (
+    Advice,
+    Assist,
+    CarRisk,
     CornerEstimate,
+    CornerRisk,
+    Downshift,
     Estimate,
     HeatMode,
+    Intervention,
+    Isolation,
+    Message,
     RiskLevel,
+    Sound,
     State,
     Status,
     Validity,
+    WearEstimate,
+    WearLevel,
+    WearSource,
 )
 
 ROOT = Path(__file__).parents[3]
@@ -379,3 +391,166 @@ def test_level_is_sent_in_the_risk_frame(level: RiskLevel) -> None:
     frames = _second(Estimate(0, {"FL": corner}), "FL")
 
     assert _decoded(frames["BSTM_FL_Risk"])["Level"] == level.name.lower()
+
+
+# each signal has its own quantity
+
+EVERYTHING = Estimate(
+    0,
+    {
+        "FR": CornerEstimate(
+            disc_k=700.0,
+            fluid_k=383.15,
+            boiling_k=428.15,
+            validity=Validity.DEGRADED,
+            level=RiskLevel.HIGH,
+            risk=CornerRisk(
+                probability=0.42,
+                probability_now=0.17,
+                level=RiskLevel.CRITICAL,
+                fade=RiskLevel.ELEVATED,
+                fluid_deviation_k=6.5,
+                peak_k=415.65,
+                peak_in_s=540.0,
+                safe_in_s=2460.0,
+                duty_peak_k=466.15,
+                duty_in_s=900.0,
+            ),
+            forecast_age_s=7.0,
+            wear=WearEstimate(
+                thickness_m=8.76e-3,
+                std_m=0.54e-3,
+                disc_loss_m=0.32e-3,
+                remaining_distance_m=12.35e6,
+                source=WearSource.FIRST_INDICATOR,
+                level=WearLevel.CHECK,
+            ),
+        )
+    },
+    advice=Advice(
+        message=Message.WAIT_BEFORE_DEPARTURE,
+        sound=Sound.CHIME,
+        waiting_s=754.0,
+        shift_advice=Downshift.SHIFT_DOWN,
+        gearbox_request=Downshift.NONE,
+        front_isolation=Isolation.REQUESTED,
+        emergency_assist=Assist.DETECTED,
+        intervention=Intervention.ISOLATE_FRONT,
+        pedal_feel=0.8,
+        detector_score=0.35,
+        validity=Validity.VALID,
+    ),
+    risk=CarRisk(
+        probability=0.53,
+        probability_now=0.21,
+        level=RiskLevel.CRITICAL,
+        boiling_k=434.15,
+        boiling_low_k=406.15,
+        water_percent=3.4,
+    ),
+)
+"""Every value is unlike all others."""
+
+
+@pytest.mark.parametrize(
+    ("name", "sent"),
+    [
+        (
+            "FR_Risk",
+            {
+                "Validity": "degraded",
+                "Margin": 45.0,
+                "WetBoilingPoint": 155.0,
+                "Probability": 42.0,
+                "Level": "high",
+                "FadeLevel": "elevated",
+            },
+        ),
+        (
+            "FR_Forecast",
+            {
+                "Validity": "degraded",
+                "Peak": 142.5,
+                "PeakIn": 540,
+                "SafeIn": 2460,
+                "FluidDeviation": 6.5,
+                "DutyPeak": 193,
+                "Age": 7,
+            },
+        ),
+        (
+            "Risk",
+            {
+                "Validity": "degraded",
+                "Probability": 53.0,
+                "ProbabilityNow": 21.0,
+                "Level": "critical",
+                "BoilingPoint": 161,
+                "BoilingPointLow": 133,
+                "Water": 3.4,
+            },
+        ),
+        (
+            "FR_Wear",
+            {
+                "Validity": "valid",
+                "PadThickness": 8.76,
+                "PadThicknessStd": 0.54,
+                "DiscLoss": 0.32,
+                "RemainingDistance": 12350,
+                "Source": "first_indicator",
+                "Level": "check",
+            },
+        ),
+        (
+            "Advice",
+            {
+                "Validity": "valid",
+                "Message": "wait_before_departure",
+                "Sound": "chime",
+                "ShiftAdvice": "shift_down",
+                "GearboxRequest": "none",
+                "FrontIsolation": "requested",
+                "EmergencyAssist": "detected",
+                "Intervention": "isolate_front",
+                "WaitingTime": 754,
+                "PedalFeel": 80.0,
+                "DetectorScore": 35.0,
+            },
+        ),
+    ],
+)
+def test_each_signal_carries_its_own_quantity(
+    name: str, sent: dict[str, Any]
+) -> None:
+    """Risk, forecast, wear and advice as a receiver decodes them."""
+    publication = Publication(["FR"], ID_BASE, requests=True)
+    frames = {one.name: one for one in publication.encode_all(EVERYTHING)}
+
+    found = _decoded(frames[f"BSTM_{name}"])
+
+    assert found.keys() - sent.keys() == {"CRC", "Counter"}
+    for signal, value in sent.items():
+        if isinstance(value, str):
+            assert found[signal] == value, signal
+        else:
+            assert float(found[signal]) == pytest.approx(value), signal
+
+
+def test_safe_beyond_the_forecast_is_the_end_of_the_range() -> None:
+    """Infinite is late, not an error; what nobody knows is no time."""
+    for safe_in_s, sent in ((inf, 7500), (1e12, 7500), (nan, "not_available")):
+        corner = CornerEstimate(risk=CornerRisk(safe_in_s=safe_in_s))
+        frames = _second(Estimate(0, {"FL": corner}), "FL")
+        found = _decoded(frames["BSTM_FL_Forecast"])
+        assert found["SafeIn"] == sent
+
+
+@pytest.mark.parametrize("count", range(5))
+def test_corners_without_a_model_do_not_count(count: int) -> None:
+    """Of a car with four brakes."""
+    corners = dict.fromkeys(CORNERS[:count], CornerEstimate())
+
+    found = _decoded(_second(Estimate(0, corners))["BSTM_Status"])
+
+    assert found["CornersModelled"] == count

@@ -136,6 +136,72 @@ def test_a_spike_is_not_taken(  # noqa: PLR0917
     assert set(held) <= {400.0}
 
 
+DAY_US = 86_400_000_000
+
+
+@pytest.mark.parametrize("days", [-40, 40])
+def test_a_role_is_no_longer_suspect_when_the_clock_is_set(
+    kernel: Kernel | None,
+    start: Callable[..., Run],
+    make_car: Any,
+    days: int,
+) -> None:
+    """Two seconds in all, some before the step and the rest after it."""
+    normal = {"ambient_temperature": 290.0, "vehicle_speed": 5.0}
+    drive = Drive().hold(1.0, **normal).hold(0.05, ambient_temperature=320.0)
+    drive.hold(0.5, **normal)
+    drive.at_us += days * DAY_US
+    drive.hold(4.0, **normal)
+    run = start(make_car(), kernel, *normal).feed(drive.samples)
+
+    assert run.count("jumps") == 1
+    marks = bits(run, FLAGS["temperature_suspect"])
+    assert first_s(marks) == pytest.approx(1.0, abs=0.1)
+    assert marks.count(True) == pytest.approx(2 * STEPS_PER_S, abs=2)
+    assert bits(run, FLAGS["samples_refused"]) == marks
+
+
+@pytest.mark.parametrize("days", [-40, 40])
+def test_a_step_may_be_confirmed_after_the_clock_is_set(
+    kernel: Kernel | None,
+    start: Callable[..., Run],
+    make_car: Any,
+    days: int,
+) -> None:
+    drive = Drive().hold(1.0, vehicle_speed=0.0).hold(0.05, vehicle_speed=50.0)
+    drive.hold(0.1, primary_pressure=0.0)
+    drive.at_us += days * DAY_US
+    drive.hold(0.4, vehicle_speed=50.0)
+    run = start(make_car(), kernel, "vehicle_speed", "primary_pressure").feed(
+        drive.samples
+    )
+
+    assert run.count("jumps") == 1
+    assert run.state.memory().checks.jumps_refused == 1
+    assert run.column("speed_ms")[-1] == pytest.approx(50.0)
+
+
+@pytest.mark.parametrize("days", [-40, 40])
+def test_a_bus_falls_silent_after_the_clock_is_set(
+    kernel: Kernel | None,
+    start: Callable[..., Run],
+    make_car: Any,
+    tick: int,
+    days: int,
+) -> None:
+    """A second after the last sample, by whatever clock."""
+    drive = Drive().hold(1.0, vehicle_speed=5.0)
+    run = start(make_car(), kernel, "vehicle_speed").feed(drive.samples)
+    steps, at_us = len(run.times), drive.at_us + days * DAY_US
+    run.feed([(at_us + EVERY_US * i, tick, 0.0) for i in range(60)])
+
+    assert run.count("jumps") == 1
+    marks = bits(run, FLAGS["silent"])
+    assert not any(marks[: steps + STEPS_PER_S - 2])
+    assert all(marks[steps + STEPS_PER_S + 2 :])
+    assert len(marks) > steps + 2 * STEPS_PER_S
+
+
 def test_a_step_that_is_confirmed_is_taken(
     kernel: Kernel | None, start: Callable[..., Run], make_car: Any
 ) -> None:

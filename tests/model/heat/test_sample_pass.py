@@ -8,14 +8,16 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from bstm_daemon.channels import FLAGS
+from bstm_daemon.model.heat.sample_plan import plan_samples
+from bstm_daemon.roles import ROLE_INDEX
 from bstm_daemon.units import KELVIN_OFFSET
+
+from .conftest import Run
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from bstm_daemon.native.loader import Kernel
-
-    from .conftest import Run
 
 PER_PA = 2.0 * 2.83e-3 * 0.38 * 0.13  # Nm/Pa of the corner
 RADIUS = 0.3418
@@ -308,3 +310,67 @@ def test_ambient_wetness_and_measured_are_held(
     measured = run.column("measured_disc_k")
     assert measured[1:3] == [500.0, 500.0]
     assert all(m != m for m in (measured[0], *measured[4:]))  # noqa: PLR0124
+
+
+def test_motion_gives_its_kinetic_energy_up_exactly(
+    kernel: Kernel | None, start: Callable[..., Run], make_car: Any
+) -> None:
+    """From 20 to 12 m/s in steps of any size: all of it and no more.
+
+    The filter spreads it in time; the mean of its speed over an interval
+    makes the sum that of the kinetic energies at both ends.
+    """
+    car = make_car(
+        vehicle={
+            "rolling_resistance": 0.0,
+            "friction_ns_m": 0.0,
+            "drag_area_m2": 0.0,
+        },
+        heat={"mode": "fb", "slope": "flat"},
+    )
+    run = start(car, kernel, "vehicle_speed", "primary_pressure")
+    at, samples = 0, []
+    for speed, count in ((20.0, 60), (16.0, 4), (15.0, 1), (12.0, 500)):
+        for _ in range(count):
+            at += 20_000
+            samples += [
+                (at, "vehicle_speed", speed),
+                (at, "primary_pressure", 1e6),
+            ]
+    run.feed(samples)
+
+    vehicle = car.vehicle
+    mass_kg = (
+        vehicle.mass_kg
+        + vehicle.wheel_inertia_kg_m2 / vehicle.wheel_radius_m**2
+    )
+    expected = 0.5 * mass_kg * (20.0**2 - 12.0**2)
+    found = run.state.memory().samples.total_fb
+    assert found == pytest.approx(expected, rel=1e-6)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.4, 1.0])
+def test_braking_that_no_pressure_shows_counts_by_its_share(
+    kernel: Kernel | None, make_car: Any, share: float
+) -> None:
+    """Held back against 1000 Nm: force, power and brake on."""
+    car = make_car(heat={**FB, "slope": "flat"})
+    roles = ("vehicle_speed", "powertrain_torque", "primary_pressure")
+    present = {ROLE_INDEX[role]: 500_000 for role in roles}
+    run = Run(
+        plan_samples(car, present, 50_000, unpressed_share=share), kernel
+    )
+    values = dict(zip(roles, (20.0, 1000.0, 0.0), strict=True))
+    run.feed([*held(1.0, **values)])
+
+    drag = (0.35 * 1.2041 * 20.0 + 4.0) * 20.0 + 2194.0 * 9.80665 * 0.014
+    force = 1000.0 / RADIUS - drag
+    assert force > 2000.0
+    assert run.of_car("brake_force_n")[5:] == (
+        pytest.approx([share * force] * len(run.times[5:]))
+    )
+    part = run.plan.numbers.force_share[0]
+    assert run.column("brake_power_w")[-1] == (
+        pytest.approx(part * share * force * 20.0)
+    )
+    assert run.column("brake_on")[-1] == pytest.approx(float(share > 0.0))

@@ -120,6 +120,28 @@ def test_jump_back_moves_the_axis(run: Run) -> None:
     assert grown == pytest.approx(energy, rel=0.02)
 
 
+@pytest.mark.parametrize("days", [-31, -1, 31, 400])
+def test_a_value_is_no_older_after_a_jump(run: Run, days: int) -> None:
+    """Its stamp moves with the axis: 0.5 s more, neither now nor for days."""
+    steps, at = len(run.times), days * 24 * HOUR
+    run.feed([(at + 10_000 * i, BOTH[0], 10.0) for i in range(150)])
+    assert run.codes == [JUMP]
+    for time_us, pressure_pa, missing in zip(
+        run.times[steps:],
+        run.column("pressure_pa")[steps:],
+        run.flag("pressure_missing")[steps:],
+        strict=True,
+    ):
+        since_us = time_us - at
+        # the first stamp of the jump, 10 ms before, was waited for
+        assert missing is (since_us > 510_000)
+        # a step that saw the value die holds it for a part
+        if since_us <= 500_000 and since_us > 50_000:
+            assert pressure_pa == pytest.approx(1e6)
+        if since_us > 560_000:
+            assert pressure_pa == 0.0
+
+
 @pytest.mark.slow
 def test_hours_of_silence_are_marched(run: Run) -> None:
     """Hours ahead, below 12: cold air flows past, step by step."""

@@ -8,6 +8,7 @@ from bstm_daemon.estimate import RiskLevel, Validity
 from bstm_daemon.model.risk.levels import (
     HOLD_US,
     LevelMemory,
+    level_of,
     level_of_margin,
     published_level,
 )
@@ -28,6 +29,7 @@ SECOND_US = 1_000_000
 )
 def test_a_level_rises_at_once(probability: float, level: RiskLevel) -> None:
     assert LevelMemory().by_probability(probability, 0) is level
+    assert level_of(probability) is level
 
 
 def test_a_level_falls_one_at_a_time_after_a_minute_below() -> None:
@@ -48,6 +50,23 @@ def test_between_release_and_limit_nothing_changes() -> None:
     for second in range(300):
         level = memory.by_probability(0.07, second * SECOND_US)
         assert level is RiskLevel.HIGH
+
+
+@pytest.mark.parametrize(
+    ("level", "stays", "falls"),
+    [
+        (RiskLevel.ELEVATED, 0.005, 0.00499),
+        (RiskLevel.HIGH, 0.05, 0.0499),
+        (RiskLevel.CRITICAL, 0.25, 0.2499),
+    ],
+)
+def test_a_level_is_left_below_half_of_where_it_begins(
+    level: RiskLevel, stays: float, falls: float
+) -> None:
+    for probability, after in ((stays, level), (falls, RiskLevel(level - 1))):
+        memory = LevelMemory(level)
+        memory.by_probability(probability, 0)
+        assert memory.by_probability(probability, HOLD_US) is after
 
 
 def test_a_moment_above_begins_the_minute_anew() -> None:

@@ -91,3 +91,83 @@ def test_no_number_is_no_probability() -> None:
 
     assert isnan(found.probability(float("nan")))
     assert found.probability(float("inf")) == 1.0
+
+
+SHARES = (0.05, 0.5, 0.95)
+CAN = Fluid("DOT4", 265.0 + KELVIN_OFFSET, 165.0 + KELVIN_OFFSET)
+KEENS = Fluid("DOT3", 250.0 + KELVIN_OFFSET, 142.3 + KELVIN_OFFSET)
+
+
+@pytest.mark.parametrize(
+    ("fluid", "percent", "celsius"),
+    [
+        # 265 +- 10 degC of a DOT 4 of today, vapour lock 0 to 6 K below
+        (Fluid("DOT4"), 0.0, (245.9, 262.0, 278.8)),
+        (CAN, 0.0, (258.9, 262.0, 265.2)),
+        # at 3.7 % the wet minimum, at most some kelvin above it
+        (Fluid("DOT4"), 3.7, (151.2, 156.3, 164.3)),
+        (CAN, 3.7, (158.7, 162.0, 165.3)),
+        # Keen's 180 and 145 degC with w_0 = 1.0, up to 12 and 3 K more with
+        # the 1.5 of a slower fluid
+        (KEENS, 1.0, (177.3, 184.4, 190.3)),
+        (KEENS, 3.0, (140.1, 143.7, 147.2)),
+        # the form falls by 4 K from 4 to 8 %, the fluid by 0 to 16 K more
+        (CAN, 4.0, (157.5, 160.9, 164.1)),
+        (CAN, 8.0, (139.8, 148.8, 157.5)),
+    ],
+)
+def test_quantiles_at_exactly_so_much_water(
+    fluid: Fluid, percent: float, celsius: tuple[float, ...]
+) -> None:
+    """FMVSS 116 minima, a DOT 4 of today, Keen's vapour lock points."""
+    found = boiling(fluid, Water(percent, 0.0))
+
+    assert [to_celsius(found.quantile(share)) for share in SHARES] == (
+        pytest.approx(celsius, abs=0.1)
+    )
+
+
+@pytest.mark.parametrize(
+    ("grade", "celsius"),
+    [
+        ("DOT3", (127.8, 146.0, 175.6)),
+        ("DOT4", (142.4, 161.4, 193.6)),
+        ("DOT5.1", (167.1, 186.6, 219.9)),
+        ("CLASS6", (151.8, 171.7, 206.2)),
+    ],
+)
+def test_quantiles_of_a_fluid_of_unknown_age(
+    grade: str, celsius: tuple[float, ...]
+) -> None:
+    """Water of 3 % with a spread of 0.55, as the surveys have it."""
+    found = boiling(Fluid(grade), water_of_age(None, "temperate"))
+
+    assert [to_celsius(found.quantile(share)) for share in SHARES] == (
+        pytest.approx(celsius, abs=0.1)
+    )
+
+
+def test_a_new_fluid_never_boils_below_its_grade_s_minimum() -> None:
+    """Vapour lock begins at most 6 K below the 230 degC of a DOT 4."""
+    found = boiling(Fluid("DOT4"), Water(0.0, 0.0))
+
+    assert to_celsius(found.quantile(0.0)) >= 224.0
+
+
+def test_mean_probability_is_that_of_every_temperature() -> None:
+    found = Boiling([400.0, 410.0, 420.0, 430.0])
+
+    assert found.probability(400.0) == 0.0
+    assert found.probability(405.0) == 0.25
+    assert found.probability(425.0) == 0.75
+    assert found.probability(430.5) == 1.0
+    assert found.mean_probability([405.0, 425.0, 440.0]) == (
+        pytest.approx(2.0 / 3.0)
+    )
+    assert isnan(found.mean_probability([]))
+    assert isnan(found.mean_probability([405.0, float("nan")]))
+    assert found.quantile(0.5) == 415.0
+    assert found.quantile(1.0) == 430.0
+    narrow = Boiling([400.0, 400.5])
+    assert narrow.probability(400.2) == pytest.approx(0.6)
+    assert narrow.probability(401.0) == 1.0

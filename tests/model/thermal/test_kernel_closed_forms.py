@@ -18,11 +18,15 @@ from bstm_daemon.model.thermal.brake_corner import (
 )
 from bstm_daemon.model.thermal.kernel import Batch
 from bstm_daemon.model.thermal.network import (
+    Factor,
     Link,
     Memory,
     Network,
     Node,
     Source,
+    difference,
+    mean,
+    radiation,
     value,
 )
 from bstm_daemon.model.thermal.program import compile_network
@@ -270,6 +274,72 @@ def test_node_without_capacity(kernel: Kernel | None) -> None:
     assert march["plate"] == pytest.approx(400.0)
     march.run((700.0, 300.0, 0.0), 1, 0.05)
     assert march["plate"] == pytest.approx(400.0)
+
+
+STEEP = Table(0.0, 1.0, (0.0, 10.0))
+
+
+@pytest.mark.parametrize(
+    ("factor", "conductance_w_k"),
+    [
+        (value("x"), 0.2),
+        (value("x", STEEP), 2.0),
+        (difference("y", "x"), 0.5),
+        (difference("y", "x", STEEP), 5.0),
+        (mean("x", "y"), 0.45),
+        (mean("y", "x", STEEP), 4.5),
+        (radiation("x", "y"), (0.04 + 0.49) * 0.9),
+    ],
+)
+def test_drivers(
+    kernel: Kernel | None, factor: Factor, conductance_w_k: float
+) -> None:
+    """A plate between 1 W/K to 700 K and what is driven to 300 K."""
+    net = Network(
+        ("hot_k", "cold_k", "x", "y"),
+        (
+            Node("hot", 0.0, boundary_input="hot_k"),
+            Node("cold", 0.0, boundary_input="cold_k"),
+            Node("plate", 0.0),
+        ),
+        (
+            Link("h", "hot", "plate", 1.0),
+            Link("c", "plate", "cold", 1.0, (factor,)),
+        ),
+    )
+    march = March(net, kernel, 350.0)
+    march.run((700.0, 300.0, 0.2, 0.7), 2, 0.05)
+    assert march["plate"] == pytest.approx(
+        (700.0 + 300.0 * conductance_w_k) / (1.0 + conductance_w_k), rel=1e-12
+    )
+
+
+@pytest.mark.parametrize("steps", [1, 7])
+@pytest.mark.parametrize(
+    ("start_k", "energy_j", "end_k"),
+    [
+        # 1 J/K up to 300 K, 2 at 400 K, 3 at 500 K and above
+        (550.0, -60.0, 530.0),
+        (550.0, -150.0, 500.0),
+        (550.0, -150.0 - 250.0, 400.0),
+        (550.0, -150.0 - 250.0 - 150.0 - 50.0, 250.0),
+        (250.0, 50.0 + 150.0 + 250.0 + 150.0, 550.0),
+        (450.0, 137.5 + 30.0, 510.0),
+    ],
+)
+def test_heat_walks_the_cells_of_a_capacity(
+    kernel: Kernel | None,
+    steps: int,
+    start_k: float,
+    energy_j: float,
+    end_k: float,
+) -> None:
+    """Into the table and out of it on both sides, in one step or some."""
+    own = Table(300.0, 100.0, (1.0, 2.0, 3.0))
+    net = Network((), (Node("disc", 1.0, own),)).with_extra_heat("disc")
+    march = March(net, kernel, start_k)
+    march.run((energy_j,), steps, 1.0 / steps)
+    assert march["disc"] == pytest.approx(end_k, abs=1e-9)
 
 
 def test_forced_node_follows_and_is_free_at_nan(kernel: Kernel | None) -> None:
