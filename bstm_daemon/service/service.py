@@ -235,10 +235,6 @@ class Service:
         self._log.emit(
             events.CLOCK_STEPPED, step_s=self._axis.last_step_us * 1e-6
         )
-        try:
-            self._persistence.clock_stepped(self._monitor.engine)
-        except StateError as error:
-            self._log.emit(events.STATE_DISCARDED, file="", reason=str(error))
 
     def _note_foreign(self, bus: int, can_id: int) -> None:
         if self._sender.note_foreign(can_id):
