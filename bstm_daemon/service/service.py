@@ -263,7 +263,7 @@ class Service:
         self._log.emit(events.SLEPT, asleep_s=asleep_us * 1e-6)
         engine = self._monitor.engine
         # process the earlier frames; their publications are outdated
-        engine.tick(self._last_us)
+        self._sender.leave_out(engine.tick(self._last_us))
         engine.park(asleep_us)
         self._last_us = until_us
 
@@ -361,7 +361,8 @@ class Service:
     def _new_sender(self) -> Sender:
         bus = self._monitor.publish_bus
         link = None if bus is None else self._intake.links[bus]
-        return Sender(link, self._monitor.own_ids)
+        monitor = self._monitor
+        return Sender(link, monitor.own_ids, monitor.engine.publication)
 
     def _end(self, reason: str) -> None:
         """Send the last frames, save, close."""

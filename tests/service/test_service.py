@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import itertools
 import os
 import signal
 import socket
@@ -257,6 +258,32 @@ def test_without_publish_nothing_is_sent(run: Run, tmp_path: Path) -> None:
 
     assert lines.peer.heard == []
     assert "publishing_started" not in lines.names()
+
+
+def test_a_stall_of_the_loop_leaves_no_gap_in_the_counters(
+    run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    poll = Service._poll_and_report
+    cycles = []
+
+    def stalls(service: Service, now_us: int) -> None:
+        cycles.append(now_us)
+        if len(cycles) % 6 == 0:
+            time.sleep(0.45)
+        poll(service, now_us)
+
+    monkeypatch.setattr(Service, "_poll_and_report", stalls)
+
+    lines = run(lambda peer, _: peer.drive(2.0))
+
+    counters = [
+        message.data[1] & 0x0F
+        for message in lines.peer.heard
+        if message.arbitration_id == ID_BASE
+    ]
+    assert len(cycles) > 6
+    assert len(counters) > 6
+    assert {(b - a) % 16 for a, b in itertools.pairwise(counters)} == {1}
 
 
 def test_a_missing_input_is_told_everywhere(
