@@ -17,7 +17,10 @@ if TYPE_CHECKING:
 PACKAGE = Path(__file__).resolve().parents[1] / "bstm_daemon"
 
 FLOORS = (
-    ("channels", "errors", "estimate", "files", "roles", "units"),
+    (
+        *("channels", "errors", "estimate", "files", "roles"),
+        *("terminal_text", "units"),
+    ),
     ("config", "native"),
     ("bus",),
     ("model", "simulation"),

@@ -12,13 +12,15 @@ import importlib
 import logging
 import os
 import sys
-from typing import TYPE_CHECKING, Final, NoReturn
+from contextlib import redirect_stderr, redirect_stdout
+from typing import TYPE_CHECKING, Any, Final, NoReturn
 
 from bstm_daemon import __version__
 from bstm_daemon.errors import BstmError, ConfigError, FileAccessError
+from bstm_daemon.terminal_text import raw_stream, visible, visible_stream
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import MutableMapping, Sequence
 
 NOTICE: Final = "estimate and advice, not a safety function"
 
@@ -58,7 +60,18 @@ class Parser(argparse.ArgumentParser):
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run ``bstm`` with *argv* and return the exit code."""
+    """Run ``bstm`` with *argv* and return the exit code.
+
+    What it writes on a terminal is visible text, whatever names it shows.
+    """
+    with (
+        redirect_stdout(visible_stream(sys.stdout)),
+        redirect_stderr(visible_stream(sys.stderr)),
+    ):
+        return _main(argv)
+
+
+def _main(argv: Sequence[str] | None) -> int:
     try:
         code = _run(sys.argv[1:] if argv is None else list(argv))
         sys.stdout.flush()
@@ -152,20 +165,39 @@ def _set_up_log(verbosity: int) -> None:
     import structlog  # noqa: PLC0415  (--help does without it)
 
     level = min(max(logging.WARNING - 10 * verbosity, 10), logging.CRITICAL)
-    is_terminal = sys.stderr.isatty()
+    stream = raw_stream(sys.stderr)
+    is_terminal = stream.isatty()
     use_color = is_terminal and not os.environ.get("NO_COLOR")
     structlog.configure(
         wrapper_class=structlog.make_filtering_bound_logger(level),
         processors=[
             structlog.processors.add_log_level,
             structlog.processors.TimeStamper(fmt="iso", utc=True),
-            structlog.dev.ConsoleRenderer(colors=use_color)
-            if is_terminal
-            else structlog.processors.JSONRenderer(),
+            *(
+                (
+                    _visible_fields,
+                    structlog.dev.ConsoleRenderer(colors=use_color),
+                )
+                if is_terminal
+                else (structlog.processors.JSONRenderer(),)
+            ),
         ],
-        logger_factory=lambda *_: structlog.WriteLogger(sys.stderr),
+        logger_factory=lambda *_: structlog.WriteLogger(stream),
         cache_logger_on_first_use=False,
     )
+
+
+def _visible_fields(
+    _: object, __: str, fields: MutableMapping[str, Any]
+) -> MutableMapping[str, Any]:
+    """Return the fields of a log line, the texts in them visible."""
+
+    def shown(value: Any) -> Any:
+        if isinstance(value, list):
+            return [shown(item) for item in value]
+        return visible(value) if isinstance(value, str) else value
+
+    return {key: shown(value) for key, value in fields.items()}
 
 
 if __name__ == "__main__":

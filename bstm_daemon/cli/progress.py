@@ -6,6 +6,8 @@ import sys
 import time
 from typing import TYPE_CHECKING, Final, Self, TextIO
 
+from bstm_daemon.terminal_text import raw_stream
+
 if TYPE_CHECKING:
     from types import TracebackType
 
@@ -26,7 +28,7 @@ class Progress:
     def __init__(self, label: str, stream: TextIO | None = None) -> None:
         """Prepare a line that starts with *label* on *stream* or stderr."""
         self._label = label
-        self._stream = sys.stderr if stream is None else stream
+        self._stream = raw_stream(sys.stderr if stream is None else stream)
         self._is_terminal = self._stream.isatty()
         self._drawn_at_s = -_REDRAW_S
 

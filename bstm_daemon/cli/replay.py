@@ -37,6 +37,7 @@ from bstm_daemon.report.drive_statistics import DriveStatistics
 from bstm_daemon.report.replay_page import ReplayFacts, replay_page
 from bstm_daemon.report.screen import summary_table
 from bstm_daemon.report.shell import write_page
+from bstm_daemon.terminal_text import raw_stream
 from bstm_daemon.watch.board import Board
 from bstm_daemon.watch.replay_view import DEFAULT_SPEED, watch_log
 from bstm_daemon.watch.view import open_view
@@ -94,7 +95,7 @@ def run(args: argparse.Namespace) -> int:
     """Replay every log and write what was asked for."""
     stems = [_stem(path) for path in args.logs]
     _check_targets(args, stems)
-    view = open_view(sys.stdout) if args.watch else None
+    view = open_view(raw_stream(sys.stdout)) if args.watch else None
     formats = _formats(args.format) if args.out is not None else ()
     config, signal_map = load_vehicle(args.config)
     overrides = dict(args.map)

@@ -13,6 +13,7 @@ from bstm_daemon.config.reading import load_config
 from bstm_daemon.config.sections import BusConfig
 from bstm_daemon.config.service import PublishConfig
 from bstm_daemon.errors import ConfigError
+from bstm_daemon.terminal_text import raw_stream
 from bstm_daemon.watch.board import Board
 from bstm_daemon.watch.live import link_of, watch_link
 from bstm_daemon.watch.view import open_view
@@ -63,7 +64,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Show the view until the user leaves."""
-    view = open_view(sys.stdout)
+    view = open_view(raw_stream(sys.stdout))
     config = None if args.config is None else load_config(args.config)
     publish = PublishConfig() if config is None else config.publish
     id_base = publish.id_base if args.id_base is None else args.id_base

@@ -64,12 +64,15 @@ class StateConfig(Section):
 
     ``file`` default: ``<vehicle id>.state`` in ``$STATE_DIRECTORY``, else in
     ``$XDG_STATE_HOME/bstm``. Saved every ``interval_s`` while a node moves
-    by more than 1 K/min, else every ``idle_interval_s``.
+    by more than 1 K/min, else every ``idle_interval_s``. Over a power cut
+    the brakes cool by the wall clock where it is synchronised, or where
+    ``trust_wall_clock`` says that it is always right.
     """
 
     file: Text | None = None
     interval_s: Annotated[float, Field(ge=0.1, le=3600)] = 10.0
     idle_interval_s: Annotated[float, Field(ge=0.1, le=86400)] = 300.0
+    trust_wall_clock: bool = False
 
 
 class DaemonConfig(Section):

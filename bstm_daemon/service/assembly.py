@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import threading
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
@@ -14,16 +16,20 @@ from bstm_daemon.bus.signals.signal_map import (
 )
 from bstm_daemon.config.reading import load_config, naming_file
 from bstm_daemon.engine import Engine
-from bstm_daemon.errors import ConfigError
+from bstm_daemon.errors import BstmError, ConfigError
 from bstm_daemon.service.metrics_output import require_metrics_extra
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
     from pathlib import Path
 
     from bstm_daemon.bus.live.link import Link, Wanted
     from bstm_daemon.config.sections import BusConfig, Config
 
 SOCKETCAN: Final = "socketcan"
+
+BUILD_LIMIT_US: Final = 60_000_000
+"""A configuration that takes longer to build is refused."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,6 +100,68 @@ class Monitor:
         return wanted
 
 
+class MonitorBuild:
+    """A monitor that is being built on a thread, so that the loop goes on."""
+
+    def __init__(self, build: Callable[[], Monitor], now_us: int) -> None:
+        """Begin to *build* at *now_us*.
+
+        Raises:
+            RuntimeError: there can be no more threads.
+        """
+        self._until_us = now_us + BUILD_LIMIT_US
+        self._built: Monitor | Exception = ConfigError(["building it ended"])
+        # a daemon thread: one that never ends does not keep the process
+        self._thread = threading.Thread(
+            target=self._run, args=(build,), name="build", daemon=True
+        )
+        self._thread.start()
+
+    def outcome(self, now_us: int) -> Monitor | None:
+        """Return the monitor, None while it is being built.
+
+        Raises:
+            Exception: whatever ended the building.
+            ConfigError: it takes too long.
+        """
+        if self._thread.is_alive():
+            if now_us < self._until_us:
+                return None
+            limit_s = BUILD_LIMIT_US // 1_000_000
+            msg = f"takes longer than {limit_s} s to build, make it smaller"
+            raise ConfigError([msg])
+        if isinstance(self._built, Exception):
+            raise self._built
+        return self._built
+
+    def _run(self, build: Callable[[], Monitor]) -> None:
+        try:
+            self._built = build()
+        except Exception as error:  # noqa: BLE001  (raised by outcome)
+            self._built = error
+
+
+@contextmanager
+def refusing(path: Path) -> Iterator[None]:
+    """Let every failure inside be an error with a message for the user.
+
+    A file can be wrong in ways that no check foresees: it must end neither a
+    running service nor a start with a traceback.
+
+    Raises:
+        BstmError: as it was raised inside.
+        ConfigError: anything else was.
+    """
+    try:
+        yield
+    except BstmError:
+        raise
+    except Exception as error:
+        reason = " ".join(f"{type(error).__name__} {error}".split())
+        problem = f"{path}: can not be used: {reason}"
+        raise ConfigError([problem]) from error
+
+
 def build_monitor(
     path: Path, override: BusOverride, *, forecast: bool = True
 ) -> Monitor:
@@ -101,9 +169,17 @@ def build_monitor(
 
     Raises:
         FileAccessError: it can not be read.
-        ConfigError: a problem of it, of a DBC or of an effect.
+        ConfigError: a problem of it, of a DBC or of an effect, or that it
+            can not be built for any other reason.
         MissingExtraError: it asks for metrics, prometheus-client is absent.
     """
+    with refusing(path):
+        return _build_monitor(path, override, forecast=forecast)
+
+
+def _build_monitor(
+    path: Path, override: BusOverride, *, forecast: bool
+) -> Monitor:
     config = override.applied(load_config(path))
     if config.metrics.enabled:
         require_metrics_extra("[metrics] enabled = true")

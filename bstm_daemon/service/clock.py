@@ -6,6 +6,7 @@ Slewing bends both alike. Their difference is therefore constant but for steps,
 and a step is what changes it.
 """
 
+import ctypes
 import time
 from collections.abc import Callable
 from functools import partial
@@ -24,6 +25,28 @@ _TRIES: Final = 5
 
 BOOT_ID: Final = Path("/proc/sys/kernel/random/boot_id")
 
+_STA_UNSYNC: Final = 0x40
+
+
+class _Timex(ctypes.Structure):
+    """The beginning of ``struct timex``, adjtimex(2), and room for the rest.
+
+    With ``modes`` 0 the call only reads.
+    """
+
+    _fields_ = (
+        ("modes", ctypes.c_uint),
+        ("offset", ctypes.c_long),
+        ("freq", ctypes.c_long),
+        ("maxerror", ctypes.c_long),
+        ("esterror", ctypes.c_long),
+        ("status", ctypes.c_int),
+        ("rest", ctypes.c_char * 256),
+    )
+
+
+_LIBC: Final = ctypes.CDLL(None)
+
 
 # no Python functions: they are called six times a drain
 wall_clock_ns: Final[Clock] = partial(
@@ -37,6 +60,20 @@ boot_clock_ns: Final[Clock] = partial(
 """It counts suspend and is never set."""
 
 
+def kernel_error_us() -> int | None:
+    """Return how far the wall clock may be from the true time (us).
+
+    It is the bound that whatever synchronises the clock (chrony, ntpd,
+    systemd-timesyncd, phc2sys) keeps in the kernel. None where nothing has
+    synchronised it since the start or since somebody set it, and where the
+    system does not say.
+    """
+    timex = _Timex()
+    if _LIBC.adjtimex(ctypes.byref(timex)) < 0 or timex.status & _STA_UNSYNC:
+        return None
+    return int(timex.maxerror)
+
+
 class SteadyAxis:
     """Microseconds that equal wall time at the start and never step.
 
@@ -47,7 +84,14 @@ class SteadyAxis:
 
     # read after every sleep, when the caches are cold
     __slots__ = (
-        *("_boot_ns", "_kept", "_now_us", "_offset_ns", "_shifts"),
+        *(
+            "_boot_ns",
+            "_error_us",
+            "_kept",
+            "_now_us",
+            "_offset_ns",
+            "_shifts",
+        ),
         *("_since_us", "_start_offset_ns", "_wall_ns"),
         *("last_step_us", "steps"),
     )
@@ -56,8 +100,13 @@ class SteadyAxis:
         self,
         wall_ns: Clock = wall_clock_ns,
         boot_ns: Clock = boot_clock_ns,
+        error_us: Callable[[], int | None] = kernel_error_us,
     ) -> None:
-        """Measure the offset of *wall_ns* from *boot_ns*."""
+        """Measure the offset of *wall_ns* from *boot_ns*.
+
+        *error_us* says how far *wall_ns* may be from the true time.
+        """
+        self._error_us = error_us
         self._wall_ns = wall_ns
         self._boot_ns = boot_ns
         before, wall, after = boot_ns(), wall_ns(), boot_ns()
@@ -129,6 +178,20 @@ class SteadyAxis:
     def wall_of(self, axis_us: int) -> int:
         """Return the wall time (us since 1970), as of today, of *axis_us*."""
         return axis_us + self._shifts[-1]
+
+    def wall_error_us(self) -> int | None:
+        """Return how far :meth:`wall_of` is from the true time at most (us).
+
+        None where nothing vouches for the wall clock. Reads the time as
+        :meth:`read_again` does, between two questions: who sets the clock
+        before the reading ends what the first answer vouched for.
+        """
+        before_us = self._error_us()
+        self.read_again()
+        after_us = self._error_us()
+        if before_us is None or after_us is None:
+            return None
+        return max(before_us, after_us) + STEP_US
 
     def boot_of(self, axis_us: int) -> int:
         """Return the time since boot (us), suspend included, of *axis_us*."""

@@ -72,7 +72,7 @@ RISK_ROSE: Final = Event(
 RISK_FELL: Final = Event("risk_fell", "info", ("corner", "level", "margin_k"))
 
 STATE_LOADED: Final = Event(
-    "state_loaded", "info", ("file", "age_s", "new_nodes")
+    "state_loaded", "info", ("file", "age_s", "exact", "new_nodes")
 )
 PARKED_TIME_CORRECTED: Final = Event(
     "parked_time_corrected", "warning", ("assumed_s", "parked_s")

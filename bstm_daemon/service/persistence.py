@@ -1,14 +1,14 @@
-"""When the state is loaded, saved and corrected; how long the car was parked.
+"""When the state is loaded, saved and corrected.
 
-The time parked is the difference of two clocks. Within one boot of the
-computer that is the time since boot, which nobody sets. Over a power cut it
-is the wall clock, which may be wrong until something sets it: then the
-parked time is corrected once.
+How long the car stood is what :mod:`~bstm_daemon.service.parked_time` makes of
+the clocks. Where the wall clock is synchronised only after the start, the
+parked time is corrected then, once.
 """
 
 from __future__ import annotations
 
 import os
+from dataclasses import asdict
 from math import nan
 from typing import TYPE_CHECKING, Any, Final
 
@@ -16,6 +16,7 @@ from bstm_daemon.estimator.memory import StateError
 from bstm_daemon.estimator.state import keep_input_history
 from bstm_daemon.service import events
 from bstm_daemon.service.clock import boot_id
+from bstm_daemon.service.parked_time import Moment, parked_time
 from bstm_daemon.service.state_file import load, lock, set_aside, state_path
 from bstm_daemon.service.state_writer import StateWriter
 from bstm_daemon.service.status import StateFileStatus
@@ -29,14 +30,14 @@ if TYPE_CHECKING:
     from bstm_daemon.service.events import ServiceLog
 
 CLOCK_SET_US: Final = 1_735_689_600_000_000
-"""2025-01-01: a wall clock before this was never set."""
+"""2025-01-01: nothing vouches for a wall clock before this."""
 
 MOVING_K_PER_S: Final = 1.0 / 60.0
 """While a node is faster than 1 K/min, the short interval applies."""
 
 CORRECTION_LIMIT_US: Final = 3_600_000_000
-"""A clock set later than this after the start corrects nothing: by then the
-initial temperatures no longer matter."""
+"""A clock synchronised later than this after the start corrects nothing: by
+then the initial temperatures no longer matter."""
 
 
 class Persistence:
@@ -64,9 +65,9 @@ class Persistence:
         self._submitted_us: int | None = None
         self._checked: tuple[int, list[float]] | None = None
         self._failures_logged = 0
-        self._start: tuple[dict[str, Any], int, int] | None = None
-        """Restored document, assumed parked time [us] and start time [us],
-        while setting the clock may still correct them."""
+        self._start: tuple[dict[str, Any], Moment, int, int] | None = None
+        """Restored document, its moment, assumed parked time [us] and start
+        time [us], while a synchronised clock may still correct them."""
 
     def resume(self, engine: Engine, now_us: int) -> None:
         """Put the saved state, cooled since, into *engine*; save at once.
@@ -90,63 +91,62 @@ class Persistence:
         self, engine: Engine, document: dict[str, Any], now_us: int
     ) -> str | None:
         """Restore *document*; return why that failed, None if it did not."""
-        parked_us, is_certain = self._parked_us(document, now_us)
+        saved = Moment.saved(document)
+        parked = parked_time(saved, self._moment(engine, now_us))
         try:
-            restored = engine.resume(document, parked_us, now_us)
+            restored = engine.resume(document, parked.us, now_us)
         except StateError as error:
             aside = set_aside(self._file)
             return f"does not fit this car: {error}; {aside}"
         self._log.emit(
             events.STATE_LOADED,
             file=str(self._file),
-            age_s=None if parked_us is None else parked_us * 1e-6,
+            age_s=parked.us * 1e-6,
+            exact=parked.exact,
             new_nodes=list(restored.new),
         )
-        if not is_certain:
-            self._start = document, parked_us or 0, now_us
+        if saved and saved.wall_error_us is not None and not parked.exact:
+            self._start = document, saved, parked.us, now_us
             keep_input_history(engine.estimator)
         return None
 
-    def _parked_us(
-        self, document: dict[str, Any], now_us: int
-    ) -> tuple[int | None, bool]:
-        """Return the time since the save and whether it is certain."""
-        saved_boot_us = document.get("boot_us")
-        if (
-            self._boot_id is not None
-            and document.get("boot_id") == self._boot_id
-            and isinstance(saved_boot_us, int)
-        ):
-            since_us = self._axis.boot_of(now_us) - saved_boot_us
-            return max(since_us, 0), True
-        return self._parked_by_wall_us(document, now_us), False
-
-    def _parked_by_wall_us(
-        self, document: dict[str, Any], at_us: int
-    ) -> int | None:
-        """Return the time from the save to *at_us*, None if unknown."""
-        saved_us = document.get("wall_us")
+    def _moment(self, engine: Engine, at_us: int) -> Moment:
+        """Return *at_us* of the axis by the clocks as they are now."""
+        error_us = self._axis.wall_error_us()
         wall_us = self._axis.wall_of(at_us)
-        if not isinstance(saved_us, int):
-            return None
-        if min(saved_us, wall_us) < CLOCK_SET_US or wall_us < saved_us:
-            return None
-        return wall_us - saved_us
+        if engine.config.state.trust_wall_clock:
+            error_us = 0
+        if wall_us < CLOCK_SET_US:
+            error_us = None
+        boot_us = self._axis.boot_of(at_us)
+        return Moment(self._boot_id, boot_us, wall_us, error_us)
 
-    def clock_stepped(self, engine: Engine) -> None:
-        """Correct the parked time now that the wall clock was set."""
+    def _correct(self, engine: Engine, now_us: int) -> None:
+        """Correct the parked time once the wall clock is synchronised."""
         if self._start is None:
             return
-        document, assumed_us, start_us = self._start
-        parked_us = self._parked_by_wall_us(document, start_us)
-        if parked_us is None:
+        document, saved, assumed_us, start_us = self._start
+        if now_us - start_us > CORRECTION_LIMIT_US:
+            self._start = engine.estimator.input_history = None
+            return
+        parked = parked_time(saved, self._moment(engine, start_us))
+        if not parked.exact:
             return
         self._start = None
-        engine.correct_parked(document, parked_us)
+        if parked.us <= assumed_us:
+            engine.estimator.input_history = None
+            return
+        try:
+            engine.correct_parked(document, parked.us)
+        except StateError as error:
+            self._log.emit(
+                events.STATE_DISCARDED, file=str(self._file), reason=str(error)
+            )
+            return
         self._log.emit(
             events.PARKED_TIME_CORRECTED,
             assumed_s=assumed_us * 1e-6,
-            parked_s=parked_us * 1e-6,
+            parked_s=parked.us * 1e-6,
         )
 
     def reloaded(self, old: Engine, fresh: Engine) -> None:
@@ -160,13 +160,11 @@ class Persistence:
             self._start = None
 
     def poll(self, engine: Engine, now_us: int) -> None:
-        """Save if it is time to."""
+        """Correct the parked time if that is possible, save if it is time."""
         self._report_failures()
+        self._correct(engine, now_us)
         if now_us < self._next_us:
             return
-        if self._start and now_us - self._start[2] > CORRECTION_LIMIT_US:
-            self._start = None
-            engine.estimator.input_history = None
         if self._is_moving(engine, now_us) or self._idle_over(engine, now_us):
             self.save(engine, now_us)
         else:
@@ -186,11 +184,7 @@ class Persistence:
         time_us = document["time_us"]
         if time_us is None:
             time_us = self._axis.read()
-        return document | {
-            "wall_us": self._axis.wall_of(time_us),
-            "boot_us": self._axis.boot_of(time_us),
-            "boot_id": self._boot_id,
-        }
+        return document | asdict(self._moment(engine, time_us))
 
     def status(self, now_us: int) -> StateFileStatus:
         """Return how saving goes."""

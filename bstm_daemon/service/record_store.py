@@ -41,6 +41,9 @@ _MICRO: Final = 1_000_000
 _LAST_STAMP_S: Final = 253_402_300_799
 """The end of the year 9999; later stamps get this time in their name."""
 _GZIP_LEVEL: Final = 6
+_FILE_MODE: Final = 0o640
+_FOLDER_MODE: Final = 0o750
+"""A recording tells where the car was: for owner and group only."""
 _REASON_CHARACTERS: Final = 40
 
 
@@ -174,7 +177,8 @@ class RecordStore:
             return
         source = self._folder / segment.name
         target = record.path / segment.name
-        record.path.mkdir(parents=True, exist_ok=True)
+        for folder in (record.path.parent, record.path):
+            folder.mkdir(_FOLDER_MODE, exist_ok=True)
         if not (source.exists() or target.exists()):
             return
         try:
@@ -214,7 +218,7 @@ class RecordStore:
 
     def _adopt(self) -> None:
         """Take over the files of an earlier run; once only."""
-        self._folder.mkdir(parents=True, exist_ok=True)
+        self._folder.mkdir(_FOLDER_MODE, parents=True, exist_ok=True)
         if self._adopted:
             return
         ring = _segments(self._folder)
@@ -276,7 +280,10 @@ def _time_text(stamp_us: int) -> str:
 def _write_whole(path: Path, data: bytes) -> None:
     part = path.with_name(path.name + _PART)
     try:
-        with part.open("wb") as file:
+        handle = os.open(
+            part, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, _FILE_MODE
+        )
+        with os.fdopen(handle, "wb") as file:
             file.write(data)
             file.flush()
             os.fsync(file.fileno())

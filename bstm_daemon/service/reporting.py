@@ -90,7 +90,10 @@ class ServiceReporter:
             if config.record.folder is not None:
                 folder = monitor.path.parent / config.record.folder
             channels = [bus.channel for bus in config.bus]
-            self._recorder = Recorder(config.record, folder, channels)
+            try:
+                self._recorder = Recorder(config.record, folder, channels)
+            except RuntimeError as error:  # there can be no more threads
+                self._log.emit(events.RECORD_FAILED, error=str(error))
         self._metrics.begin(config.metrics, monitor.path.parent)
         self._collector = StatusCollector(
             monitor, intake, sender, self._axis, self._start_us

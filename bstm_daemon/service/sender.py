@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from bstm_daemon.bus.live.link import Link
-    from bstm_daemon.bus.output.publication import OutputFrame
+    from bstm_daemon.bus.output.publication import OutputFrame, Publication
     from bstm_daemon.engine import Published
 
 NO_ID: Final = -1
@@ -21,13 +21,20 @@ class Sender:
 
     Nothing is queued: a frame that the driver does not take is lost and
     counted, the next publication has newer values. After a stall only the
-    newest frame of each name goes out.
+    newest frame of each name goes out. The end-to-end counters count what
+    goes out, so that a receiver sees no gap where nothing was lost on the bus.
     """
 
-    def __init__(self, link: Link | None, own_ids: frozenset[int]) -> None:
-        """Send on *link*; with None only listen."""
+    def __init__(
+        self,
+        link: Link | None,
+        own_ids: frozenset[int],
+        publication: Publication,
+    ) -> None:
+        """Send what *publication* made on *link*; with None only listen."""
         self._link = link
         self._own_ids = own_ids
+        self._publication = publication
         self.foreign_id = NO_ID
         """The first of our ids that another node sent; sending has ended."""
         self.sent = 0
@@ -51,9 +58,14 @@ class Sender:
 
     def publish(self, published: Sequence[Published]) -> None:
         """Send the newest frame of each name of *published*."""
+        self.leave_out(published)
         if published and self.is_sending:
             newest = {item.frame.name: item.frame for item in published}
-            self.send(newest.values())
+            self.send(map(self._publication.numbered, newest.values()))
+
+    def leave_out(self, published: Sequence[Published]) -> None:
+        """Do not send *published*, which is outdated."""
+        self._publication.take_back(item.frame.name for item in published)
 
     def send(self, frames: Iterable[OutputFrame]) -> None:
         """Send *frames* unless sending has ended."""
@@ -65,3 +77,4 @@ class Sender:
                 self.sent += 1
             else:
                 self.lost += 1
+                self._publication.take_back([frame.name])

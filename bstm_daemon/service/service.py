@@ -15,10 +15,15 @@ from typing import TYPE_CHECKING, Final
 from bstm_daemon import __version__
 from bstm_daemon.bus.live.frame_records import FrameRecords
 from bstm_daemon.errors import BstmError, ConfigError
-from bstm_daemon.estimator.memory import StateError
 from bstm_daemon.estimator.state import RESUMABLE_US
 from bstm_daemon.service import events, wake
-from bstm_daemon.service.assembly import BusOverride, Monitor, build_monitor
+from bstm_daemon.service.assembly import (
+    BusOverride,
+    Monitor,
+    MonitorBuild,
+    build_monitor,
+    refusing,
+)
 from bstm_daemon.service.clock import SteadyAxis
 from bstm_daemon.service.intake import GUARD_US, Intake
 from bstm_daemon.service.persistence import Persistence, state_file
@@ -71,8 +76,12 @@ class Service:
         self._monitor = build_monitor(
             options.config, options.override, forecast=options.forecast
         )
+        self._build: MonitorBuild | None = None
+        """The configuration of a reload under way."""
+        self._reload_asked = False
         self._axis = SteadyAxis()
-        links = self._monitor.links()
+        with refusing(options.config):
+            links = self._monitor.links()
         config = self._monitor.config
         file = state_file(config, options.config.parent, options.state)
         self._persistence = Persistence(file, self._axis, log)
@@ -97,8 +106,8 @@ class Service:
             signals = waiter.wait((deadline_us - self._axis.now_us) * 1e-6)
             if signals & wake.STOP or self._is_over():
                 break
-            if wake.RELOAD in signals:
-                self._reload()
+            self._reload_asked |= wake.RELOAD in signals
+            self._reload()
             if wake.KEEP in signals:
                 self._reporter.keep("request", self._last_us)
             deadline_us = self._cycle(deadline_us)
@@ -236,10 +245,6 @@ class Service:
         self._log.emit(
             events.CLOCK_STEPPED, step_s=self._axis.last_step_us * 1e-6
         )
-        try:
-            self._persistence.clock_stepped(self._monitor.engine)
-        except StateError as error:
-            self._log.emit(events.STATE_DISCARDED, file="", reason=str(error))
 
     def _note_foreign(self, bus: int, can_id: int) -> None:
         if self._sender.note_foreign(can_id):
@@ -258,33 +263,67 @@ class Service:
         self._log.emit(events.SLEPT, asleep_s=asleep_us * 1e-6)
         engine = self._monitor.engine
         # process the earlier frames; their publications are outdated
-        engine.tick(self._last_us)
+        self._sender.leave_out(engine.tick(self._last_us))
         engine.park(asleep_us)
         self._last_us = until_us
 
     def _reload(self) -> None:
-        """Apply the configuration file as it is now, or keep the old one."""
-        links = None
+        """Build the configuration file as it is now, if asked, and apply it.
+
+        Whatever fails, the old one goes on.
+        """
+        if self._build is None and not self._reload_asked:
+            return
         try:
-            fresh = build_monitor(
-                self._options.config,
-                self._options.override,
-                forecast=self._options.forecast,
-            )
-            links = self._links_for(fresh)
-            self._hand_over(fresh)
-            for link in links or ():
-                link.open()
-        except (BstmError, StateError) as error:
-            for link in links or ():
-                link.close()
-            problems = getattr(error, "problems", None) or [str(error)]
+            with refusing(self._options.config):
+                fresh = self._built()
+                if fresh is None:
+                    return
+                links = self._prepared(fresh)
+        except BstmError as error:
+            self._build = None
             self._log.emit(
                 events.CONFIG_REFUSED,
                 config=str(self._options.config),
-                problems=problems,
+                problems=getattr(error, "problems", None) or [str(error)],
             )
             return
+        self._build = None
+        self._apply(fresh, links)
+
+    def _built(self) -> Monitor | None:
+        """Return the new monitor once it is built; begin to, if asked."""
+        now_us = self._axis.now_us
+        if self._build is not None:
+            return self._build.outcome(now_us)
+        self._reload_asked = False
+        options = self._options
+        self._build = MonitorBuild(
+            lambda: build_monitor(
+                options.config, options.override, forecast=options.forecast
+            ),
+            now_us,
+        )
+        return None
+
+    def _prepared(self, fresh: Monitor) -> list[Link] | None:
+        """Let *fresh* take over the brakes; return its links, opened, if new.
+
+        Nothing of the running service changes.
+        """
+        links = self._links_for(fresh)
+        try:
+            self._hand_over(fresh)
+            for link in links or ():
+                link.open()
+        except BaseException:
+            for link in links or ():
+                link.close()
+            raise
+        return links
+
+    def _apply(self, fresh: Monitor, links: list[Link] | None) -> None:
+        """Go on with *fresh*, on *links* where there are new ones."""
         self._persistence.reloaded(self._monitor.engine, fresh.engine)
         self._monitor = fresh
         self._drain_us = round(fresh.config.daemon.drain_s * 1e6)
@@ -322,7 +361,8 @@ class Service:
     def _new_sender(self) -> Sender:
         bus = self._monitor.publish_bus
         link = None if bus is None else self._intake.links[bus]
-        return Sender(link, self._monitor.own_ids)
+        monitor = self._monitor
+        return Sender(link, monitor.own_ids, monitor.engine.publication)
 
     def _end(self, reason: str) -> None:
         """Send the last frames, save, close."""

@@ -7,6 +7,7 @@ from contextlib import AbstractContextManager
 from math import isfinite, isnan
 from typing import TYPE_CHECKING, Final, TextIO
 
+from bstm_daemon.terminal_text import visible
 from bstm_daemon.watch.board import NODES, STATUS
 from bstm_daemon.watch.history import SECOND_US
 
@@ -75,7 +76,7 @@ def text_line(board: Board, now_us: int, source: str) -> str:
 
     Times are in seconds, temperatures in degC, the margin in K.
     """
-    pairs = [("t_s", f"{now_us / SECOND_US:.1f}"), ("source", source)]
+    pairs = [("t_s", f"{now_us / SECOND_US:.1f}"), ("source", visible(source))]
     is_silent = board.silence_s(STATUS, now_us) is not None
     if not board.has_frames or board.wrong_layout is not None:
         pairs.append(("state", "none"))

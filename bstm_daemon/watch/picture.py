@@ -15,6 +15,7 @@ from rich.text import Text
 
 from bstm_daemon.bus.output.layout import LAYOUT_VERSION
 from bstm_daemon.estimate import RiskLevel, State, Validity
+from bstm_daemon.terminal_text import visible
 from bstm_daemon.watch.board import NODES, STATUS
 from bstm_daemon.watch.history import BARS, HISTORY_S, sparkline
 from bstm_daemon.watch.lines import LABELS, number
@@ -96,9 +97,7 @@ def _words(name: str) -> str:
 
 
 def _head(board: Board, now_us: int, source: str) -> list[tuple[str, str]]:
-    # a file name may contain anything, including terminal controls
-    shown = "".join(c if c.isprintable() else "?" for c in source)
-    parts = [("bstm", "bold"), (shown, "dim")]
+    parts = [("bstm", "bold"), (visible(source), "dim")]
     if not board.has_frames or board.wrong_layout is not None:
         return parts
     silence_s = board.silence_s(STATUS, now_us)

@@ -156,7 +156,8 @@ def beside(
         monitor.config, monitor.signal_map, history_known=True, forecast=False
     )
     axis, lines = SteadyAxis(), Lines()
-    intake, sender = Intake(monitor.links(), axis), Sender(None, frozenset())
+    intake = Intake(monitor.links(), axis)
+    sender = Sender(None, frozenset(), monitor.engine.publication)
     reporter = ServiceReporter(ServiceLog(lines), axis, folder, None)
     reporter.begin(monitor, intake, sender)
     collector = StatusCollector(monitor, intake, sender, axis, 0)

@@ -25,6 +25,8 @@ CAR = Path(__file__).parents[2] / "config" / "example_vehicle.toml"
 SECOND = 1_000_000
 HOUR = 3600 * SECOND
 START_US = 1_760_000_000 * SECOND
+UP_US = 30 * SECOND
+"""From power on to the start of the service."""
 NEVER_SET_US = 60 * SECOND
 """A minute after 1970-01-01: a computer without a battery for its clock."""
 
@@ -34,10 +36,14 @@ class Clocks:
 
     def __init__(self) -> None:
         self.wall_us, self.boot_us = START_US, 100 * SECOND
+        self.error_us: int | None = 0
+        """How far the wall clock may be off; None: not synchronised."""
 
     def axis(self) -> SteadyAxis:
         return SteadyAxis(
-            lambda: self.wall_us * 1000, lambda: self.boot_us * 1000
+            lambda: self.wall_us * 1000,
+            lambda: self.boot_us * 1000,
+            lambda: self.error_us,
         )
 
     def run(self, us: int) -> None:
@@ -47,7 +53,12 @@ class Clocks:
     def power_cut(self, us: int, *, wall_us: int | None = None) -> None:
         """Stay off for *us*; the clock may then show *wall_us*."""
         self.wall_us = self.wall_us + us if wall_us is None else wall_us
-        self.boot_us = 30 * SECOND
+        self.boot_us = UP_US
+        self.error_us = None
+
+    def synchronise(self, wall_us: int | None = None) -> None:
+        self.wall_us = self.wall_us if wall_us is None else wall_us
+        self.error_us = 0
 
 
 class Lines:
@@ -68,10 +79,14 @@ class Lines:
 class Box:
     """One run of the service as far as its state goes."""
 
-    def __init__(self, file: Path, clocks: Clocks) -> None:
+    def __init__(
+        self, file: Path, clocks: Clocks, *, trust: bool = False
+    ) -> None:
         self.lines = Lines()
         self.clocks, self.axis = clocks, clocks.axis()
         config, signal_map = load_vehicle(CAR)
+        state = config.state.model_copy(update={"trust_wall_clock": trust})
+        config = config.model_copy(update={"state": state})
         self.engine = Engine(config, signal_map)
         log = ServiceLog(self.lines)
         self.persistence = Persistence(file, self.axis, log)
@@ -114,9 +129,9 @@ def other_boots(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(persistence, "boot_id", _numbered_boots())
 
 
-def hot_stop(file: Path, clocks: Clocks) -> None:
+def hot_stop(file: Path, clocks: Clocks, *, trust: bool = False) -> None:
     """Leave a state with all brakes at 600 K."""
-    box = Box(file, clocks)
+    box = Box(file, clocks, trust=trust)
     box.pass_time(2 * SECOND)
     for batch, _ in box.engine.estimator.batches:
         for member in range(len(batch.programs)):
@@ -130,7 +145,9 @@ def cooled_k(file: Path, parked_us: int) -> float:
     engine = Engine(config, signal_map)
     document = read(file).document
     assert document is not None
-    engine.resume(document, parked_us, document["wall_us"] + parked_us)
+    now_us = document["wall_us"] + parked_us
+    engine.resume(document, parked_us, now_us)
+    engine.tick(now_us)
     return engine.estimator.state("FL")["disc"]
 
 
@@ -143,6 +160,7 @@ def test_an_hour_off_cools_the_brakes(
     assert expected_k < 450.0
     if another_boot:
         clocks.power_cut(HOUR)
+        clocks.synchronise()
     else:
         clocks.run(HOUR)
 
@@ -151,6 +169,7 @@ def test_an_hour_off_cools_the_brakes(
     assert box.disc_k() == pytest.approx(expected_k, abs=0.1)
     assert box.lines.names()[0] == "state_loaded"
     assert box.lines.said[0][1]["age_s"] == pytest.approx(3600.0, abs=0.1)
+    assert box.lines.said[0][1]["exact"]
     box.persistence.close(box.engine)
 
 
@@ -170,45 +189,132 @@ def test_within_a_boot_nobody_can_set_the_parked_time(file: Path) -> None:
 
 
 @pytest.mark.usefixtures("other_boots")
-def test_a_clock_that_was_never_set_is_corrected_once(file: Path) -> None:
+def test_a_clock_synchronised_late_corrects_once(file: Path) -> None:
     clocks = Clocks()
     hot_stop(file, clocks)
-    hot_k = cooled_k(file, 0)
+    hot_k = cooled_k(file, UP_US)
     expected_k = cooled_k(file, 2 * HOUR + 120 * SECOND)
     true_us = clocks.wall_us + 2 * HOUR
     clocks.power_cut(0, wall_us=NEVER_SET_US)
     box = Box(file, clocks)
     assert box.disc_k() == pytest.approx(hot_k, abs=0.1)
+    assert box.lines.said[0][1]["age_s"] == 30.0
+    assert not box.lines.said[0][1]["exact"]
     box.pass_time(120 * SECOND)
 
-    clocks.wall_us = true_us + 120 * SECOND
+    clocks.synchronise(true_us + 120 * SECOND)
     now_us = box.axis.read()
     assert box.axis.steps == 1
-    box.persistence.clock_stepped(box.engine)
+    box.persistence.poll(box.engine, now_us)
     box.engine.tick(now_us + 100_000)
 
     assert box.disc_k() == pytest.approx(expected_k, abs=0.1)
-    assert "parked_time_corrected" in box.lines.names()
+    said = [f for name, f in box.lines.said if name == "parked_time_corrected"]
+    assert len(said) == 1
+    assert said[0]["assumed_s"] == 30.0
+    assert said[0]["parked_s"] == pytest.approx(7200.0, abs=0.1)
     assert box.engine.estimate is not None
     assert box.engine.estimate.status.clock_jump
 
-    clocks.wall_us += HOUR
-    box.axis.read()
+    clocks.synchronise(clocks.wall_us + HOUR)
     before_k = box.disc_k()
-    box.persistence.clock_stepped(box.engine)
+    box.persistence.poll(box.engine, box.axis.read())
     assert box.disc_k() == before_k
     box.persistence.close(box.engine)
 
 
 @pytest.mark.usefixtures("other_boots")
-def test_a_clock_behind_the_save_keeps_the_brakes_hot(file: Path) -> None:
+def test_a_save_by_a_clock_that_was_late_is_not_dated_anew(
+    file: Path,
+) -> None:
+    """Days late at the save, off for five minutes, then set right."""
+    clocks = Clocks()
+    clocks.error_us = None
+    hot_stop(file, clocks)
+    clocks.power_cut(300 * SECOND)
+    box = Box(file, clocks)
+    before_k = box.disc_k()
+
+    clocks.synchronise(clocks.wall_us + 72 * HOUR)
+    box.persistence.poll(box.engine, box.axis.read())
+
+    assert box.disc_k() == before_k
+    assert before_k > 590.0
+    assert "parked_time_corrected" not in box.lines.names()
+    box.persistence.close(box.engine)
+
+
+@pytest.mark.usefixtures("other_boots")
+def test_neither_a_wrong_step_nor_a_small_one_is_the_correction(
+    file: Path,
+) -> None:
     clocks = Clocks()
     hot_stop(file, clocks)
-    clocks.power_cut(HOUR, wall_us=START_US - HOUR)
+    true_us = clocks.wall_us + 600 * SECOND
+    expected_k = cooled_k(file, 600 * SECOND)
+    clocks.power_cut(0)
+    box = Box(file, clocks)
+    before_k = box.disc_k()
+
+    for step_us in (20_000, 72 * HOUR, -72 * HOUR):
+        clocks.wall_us += step_us
+        box.persistence.poll(box.engine, box.axis.read())
+        assert box.disc_k() == before_k
+    assert box.axis.steps == 3
+    clocks.synchronise(true_us)
+    box.persistence.poll(box.engine, box.axis.read())
+
+    assert box.disc_k() == pytest.approx(expected_k, abs=0.1)
+    box.persistence.close(box.engine)
+
+
+@pytest.mark.usefixtures("other_boots")
+@pytest.mark.parametrize("wall_us", [START_US - HOUR, START_US + HOUR])
+def test_a_clock_that_nothing_vouches_for_keeps_the_brakes_hot(
+    file: Path, wall_us: int
+) -> None:
+    clocks = Clocks()
+    hot_stop(file, clocks)
+    expected_k = cooled_k(file, UP_US)
+    clocks.power_cut(HOUR, wall_us=wall_us)
 
     box = Box(file, clocks)
 
-    assert box.disc_k() == pytest.approx(600.0, abs=1.0)
+    assert box.disc_k() == pytest.approx(expected_k, abs=0.1)
+    assert box.disc_k() > 570.0
+    box.persistence.close(box.engine)
+
+
+@pytest.mark.usefixtures("other_boots")
+@pytest.mark.parametrize("wall_us", [None, NEVER_SET_US])
+def test_a_clock_with_a_battery_may_be_trusted(
+    file: Path, wall_us: int | None
+) -> None:
+    """But not before 2025: then the battery was empty."""
+    clocks = Clocks()
+    clocks.error_us = None
+    hot_stop(file, clocks, trust=True)
+    expected_k = cooled_k(file, HOUR if wall_us is None else UP_US)
+    clocks.power_cut(HOUR, wall_us=wall_us)
+
+    box = Box(file, clocks, trust=True)
+
+    assert box.disc_k() == pytest.approx(expected_k, abs=0.1)
+    box.persistence.close(box.engine)
+
+
+@pytest.mark.usefixtures("other_boots")
+def test_after_an_hour_nothing_is_corrected(file: Path) -> None:
+    clocks = Clocks()
+    hot_stop(file, clocks)
+    clocks.power_cut(HOUR, wall_us=NEVER_SET_US)
+    box = Box(file, clocks)
+    assert box.engine.estimator.journal is not None
+
+    clocks.run(HOUR + SECOND)
+    box.persistence.poll(box.engine, box.axis.read())
+
+    assert box.engine.estimator.journal is None
     box.persistence.close(box.engine)
 
 

@@ -325,6 +325,32 @@ def test_an_occasion_is_kept_from_before_to_after(
     assert list(record.parent.iterdir()) == [record]
 
 
+def test_others_read_no_record(tmp_path: Path) -> None:
+    """It tells where the car was."""
+    folder = tmp_path / "record"
+    store = RecordStore(RecordConfig(enabled=True), folder)
+    before = os.umask(0o022)
+    try:
+        segment = store.write(NOON_US, b"(1795262400.000000) can0 110#00\n")
+        store.keep("model", NOON_US)
+    finally:
+        os.umask(before)
+
+    [kept] = (folder / KEPT).iterdir()
+    modes = {
+        path.relative_to(tmp_path): path.stat().st_mode & 0o777
+        for path in (folder, *folder.rglob("*"))
+    }
+    record = Path("record")
+    assert modes == {
+        record: 0o750,
+        record / segment.name: 0o640,
+        record / KEPT: 0o750,
+        record / KEPT / kept.name: 0o750,
+        record / KEPT / kept.name / segment.name: 0o640,
+    }
+
+
 def test_the_same_reason_again_makes_the_record_longer(
     make: Make, tmp_path: Path
 ) -> None:

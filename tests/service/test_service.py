@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import itertools
 import os
 import signal
 import socket
@@ -12,7 +13,8 @@ import weakref
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from types import SimpleNamespace
+from typing import Any
 
 import can
 import pytest
@@ -25,7 +27,9 @@ from bstm_daemon.bus.output.layout import (
     published_frames,
 )
 from bstm_daemon.cli.main import main
+from bstm_daemon.engine import Engine
 from bstm_daemon.errors import ConfigError, StateLockedError
+from bstm_daemon.service import assembly
 from bstm_daemon.service import service as service_module
 from bstm_daemon.service.assembly import BusOverride, Monitor
 from bstm_daemon.service.events import ServiceLog
@@ -33,9 +37,6 @@ from bstm_daemon.service.notify import Notifier
 from bstm_daemon.service.service import Options, Service
 from bstm_daemon.service.state_file import read
 from bstm_daemon.service.wake import SignalWaiter
-
-if TYPE_CHECKING:
-    from bstm_daemon.engine import Engine
 
 ROOT = Path(__file__).parents[2]
 DATABASE = Database()
@@ -66,9 +67,11 @@ class Lines:
     def names(self) -> list[str]:
         return [name for name, _ in self.said]
 
-    def wait_for(self, name: str) -> None:
+    def wait_for(self, name: str, count: int = 1) -> None:
         with self._news:
-            assert self._news.wait_for(lambda: name in self.names(), LIMIT_S)
+            assert self._news.wait_for(
+                lambda: self.names().count(name) >= count, LIMIT_S
+            )
 
 
 class Peer:
@@ -257,6 +260,32 @@ def test_without_publish_nothing_is_sent(run: Run, tmp_path: Path) -> None:
     assert "publishing_started" not in lines.names()
 
 
+def test_a_stall_of_the_loop_leaves_no_gap_in_the_counters(
+    run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    poll = Service._poll_and_report
+    cycles = []
+
+    def stalls(service: Service, now_us: int) -> None:
+        cycles.append(now_us)
+        if len(cycles) % 6 == 0:
+            time.sleep(0.45)
+        poll(service, now_us)
+
+    monkeypatch.setattr(Service, "_poll_and_report", stalls)
+
+    lines = run(lambda peer, _: peer.drive(2.0))
+
+    counters = [
+        message.data[1] & 0x0F
+        for message in lines.peer.heard
+        if message.arbitration_id == ID_BASE
+    ]
+    assert len(cycles) > 6
+    assert len(counters) > 6
+    assert {(b - a) % 16 for a, b in itertools.pairwise(counters)} == {1}
+
+
 def test_a_missing_input_is_told_everywhere(
     run: Run, tmp_path: Path, channel: str
 ) -> None:
@@ -335,6 +364,160 @@ def test_a_reload_keeps_the_brakes_and_a_bad_one_the_configuration(
     ids = {message.arbitration_id for message in lines.peer.heard}
     assert ids <= set(own_ids(0x600, CORNERS))
     assert 0x600 in ids
+
+
+FAILURES = (
+    RecursionError("maximum recursion depth exceeded"),
+    MemoryError(),
+    ValueError("Exceeds the limit (4300 digits)\nfor integer string"),
+    OverflowError("int too large to convert to float"),
+    KeyError("spare"),
+    OSError(5, "Input/output error"),
+    AssertionError(),
+)
+
+
+@pytest.mark.parametrize("part", ["compile_signal_map", "Engine", "links"])
+def test_a_reload_that_fails_in_any_way_leaves_the_old_engine_running(
+    run: Run,
+    tmp_path: Path,
+    channel: str,
+    monkeypatch: pytest.MonkeyPatch,
+    part: str,
+) -> None:
+    path = car(tmp_path, channel)
+    owner: Any = Monitor if part == "links" else assembly
+    works = getattr(owner, part)
+    waiting = list(FAILURES)
+
+    def play(peer: Peer, lines: Lines) -> None:
+        def fail(*_: Any, **__: Any) -> None:
+            raise waiting[0]
+
+        if part == "links":
+            text = path.read_text("utf-8").replace(
+                "drain_s = 0.1", "drain_s = 0.05"
+            )
+            path.write_text(text, "utf-8")
+        for number, _ in enumerate(FAILURES, 1):
+            monkeypatch.setattr(owner, part, fail)
+            os.kill(os.getpid(), signal.SIGHUP)
+            lines.wait_for("config_refused", number)
+            del waiting[0]
+        peer.hear(0.1)
+        peer.heard.clear()
+        peer.drive(0.5)
+        assert any(m.arbitration_id == ID_BASE for m in peer.heard)
+        monkeypatch.setattr(owner, part, works)
+        os.kill(os.getpid(), signal.SIGHUP)
+        lines.wait_for("config_reloaded")
+
+    lines = run(play, config=path)
+
+    refused = [
+        f["problems"] for name, f in lines.said if name == "config_refused"
+    ]
+    assert len(refused) == len(FAILURES)
+    for problems, error in zip(refused, FAILURES, strict=True):
+        [line] = problems
+        assert line.startswith(
+            f"{path}: can not be used: {type(error).__name__}"
+        )
+        assert "\n" not in line
+
+
+def test_a_state_that_the_new_engine_can_not_take_leaves_the_old_one(
+    run: Run, tmp_path: Path, channel: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = car(tmp_path, channel)
+    closed: list[str] = []
+
+    def play(peer: Peer, lines: Lines) -> None:
+        def fail(*_: Any) -> None:
+            raise RecursionError
+
+        text = path.read_text("utf-8").replace(
+            "drain_s = 0.1", "drain_s = 0.05"
+        )
+        path.write_text(text, "utf-8")
+        peer.drive(0.3)
+        monkeypatch.setattr(service_module.Monitor, "links", links)
+        monkeypatch.setattr(Engine, "resume", fail)
+        os.kill(os.getpid(), signal.SIGHUP)
+        lines.wait_for("config_refused")
+        peer.heard.clear()
+        peer.drive(0.3)
+        assert any(m.arbitration_id == ID_BASE for m in peer.heard)
+
+    def links(monitor: Monitor) -> list[Any]:
+        link = SimpleNamespace(close=lambda: closed.append("closed"))
+        return [link for _ in monitor.config.bus]
+
+    lines = run(play, config=path)
+
+    assert (
+        "RecursionError" in dict(lines.said)["config_refused"]["problems"][0]
+    )
+    assert closed == ["closed"]
+
+
+def test_while_a_configuration_is_built_the_cycle_goes_on(
+    run: Run, tmp_path: Path, channel: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A signal meanwhile asks for one more: the file may have changed."""
+    path = car(tmp_path, channel)
+    build = service_module.build_monitor
+    go_on = threading.Event()
+    began = []
+
+    def slow(*args: Any, **options: Any) -> Monitor:
+        began.append(threading.current_thread().name)
+        if len(began) > 1:
+            assert go_on.wait(LIMIT_S)
+        return build(*args, **options)
+
+    monkeypatch.setattr(service_module, "build_monitor", slow)
+
+    def play(peer: Peer, lines: Lines) -> None:
+        peer.drive(0.2)
+        os.kill(os.getpid(), signal.SIGHUP)
+        peer.drive(0.3)
+        os.kill(os.getpid(), signal.SIGHUP)
+        peer.heard.clear()
+        peer.drive(1.0)
+        heard = [m for m in peer.heard if m.arbitration_id == ID_BASE]
+        assert len(heard) >= 7
+        assert "config_reloaded" not in lines.names()
+        go_on.set()
+        lines.wait_for("config_reloaded", 2)
+
+    run(play, config=path)
+
+    assert began == ["MainThread", "build", "build"]
+
+
+@pytest.mark.parametrize("error", FAILURES, ids=lambda e: type(e).__name__)
+def test_a_start_that_fails_in_any_way_ends_with_78(
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    error: Exception,
+) -> None:
+    config = car(tmp_path, "nobody")
+
+    def fail(*_: Any, **__: Any) -> None:
+        raise error
+
+    monkeypatch.setattr(assembly, "compile_signal_map", fail)
+
+    code = main(
+        ["run", "-c", str(config), "--state", str(tmp_path / "car.state")]
+    )
+
+    lines = capsys.readouterr().err.splitlines()
+    assert code == ConfigError.exit_code
+    assert lines[0].startswith(f"{config}: can not be used: ")
+    assert lines[1:] == ["1 problem"]
 
 
 def test_the_collector_passes_over_no_vehicle_and_a_reload_leaves_none(

@@ -43,12 +43,13 @@ def test_the_shipped_unit_has_nothing_to_complain_of(
 
 
 @pytest.mark.parametrize("name", ["bstm.service", "bstm@second.service"])
-def test_the_exposure_is_at_most_0_8(installed: None, name: str) -> None:
+def test_the_exposure_is_at_most_1_2(installed: None, name: str) -> None:
+    """Of that, 0.4 is for asking whether the clock is synchronised."""
     done = run("systemd-analyze", "security", "--no-pager", name)
     [level] = re.findall(
         r"Overall exposure level for .*: ([0-9.]+)", done.stdout
     )
-    assert float(level) <= 0.8
+    assert float(level) <= 1.2
 
 
 def test_an_interpreter_that_the_sandbox_hides_is_refused(

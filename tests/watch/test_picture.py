@@ -222,7 +222,7 @@ def test_bad_frames_are_counted(car: tuple[Board, Sender]) -> None:
 def test_a_file_name_moves_no_cursor(board: Board) -> None:
     line = drawn(board, source="a\x1b[2J\n.log")[0]
 
-    assert line.startswith("bstm  a?[2J?.log ")
+    assert line.startswith(r"bstm  a\x1b[2J\n.log ")
 
 
 def test_a_long_reason_is_told_whole(board: Board) -> None:

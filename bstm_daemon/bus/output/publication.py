@@ -65,6 +65,7 @@ class Publication:
             for frame in published_frames(names)
             if requests or frame.signals is not ADVICE_SIGNALS
         )
+        self._by_name = {frame.name: frame for frame in self._frames}
         self.ids = own_ids(id_base, names)
         self._counters: dict[str, int] = {}
         self.continue_from(counters or {})
@@ -80,6 +81,16 @@ class Publication:
     def counters(self) -> dict[str, int]:
         """The counter (0..15) last sent by frame name, for the state file."""
         return dict(self._counters)
+
+    def take_back(self, names: Iterable[str]) -> None:
+        """Count a frame of each of *names* as never sent."""
+        for name in names:
+            self._counters[name] = (self._counters[name] - 1) % COUNTER_COUNT
+
+    def numbered(self, frame: OutputFrame) -> OutputFrame:
+        """Return *frame*, which was taken back, with the next counter."""
+        layout = self._by_name[frame.name]
+        return frame._replace(data=self._protected(frame.data, layout))
 
     def due(self, time_us: int) -> tuple[str, ...]:
         """Return the names of the frames due at grid time *time_us*."""
@@ -104,11 +115,14 @@ class Publication:
         return [self._output(frame, estimate) for frame in self._frames]
 
     def _output(self, frame: Frame, estimate: Estimate) -> OutputFrame:
-        counter = (self._counters[frame.name] + 1) % COUNTER_COUNT
-        self._counters[frame.name] = counter
         return OutputFrame(
             can_id=self._id_base + frame.id_offset,
             extended=False,
-            data=protect(frame.pack(estimate), counter, frame.data_ids),
+            data=self._protected(frame.pack(estimate), frame),
             name=frame.name,
         )
+
+    def _protected(self, data: bytes | bytearray, frame: Frame) -> bytes:
+        counter = (self._counters[frame.name] + 1) % COUNTER_COUNT
+        self._counters[frame.name] = counter
+        return protect(data, counter, frame.data_ids)
