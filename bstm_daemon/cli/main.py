@@ -165,8 +165,7 @@ def _set_up_log(verbosity: int) -> None:
     import structlog  # noqa: PLC0415  (--help does without it)
 
     level = min(max(logging.WARNING - 10 * verbosity, 10), logging.CRITICAL)
-    stream = raw_stream(sys.stderr)
-    is_terminal = stream.isatty()
+    is_terminal = raw_stream(sys.stderr).isatty()
     use_color = is_terminal and not os.environ.get("NO_COLOR")
     structlog.configure(
         wrapper_class=structlog.make_filtering_bound_logger(level),
@@ -182,7 +181,9 @@ def _set_up_log(verbosity: int) -> None:
                 else (structlog.processors.JSONRenderer(),)
             ),
         ],
-        logger_factory=lambda *_: structlog.WriteLogger(stream),
+        logger_factory=lambda *_: structlog.WriteLogger(
+            raw_stream(sys.stderr)
+        ),
         cache_logger_on_first_use=False,
     )
 

@@ -100,7 +100,7 @@ def test_of_two_measurements_the_later_one_holds(
     heard.ingest(TODAY_US, WATER_ROLE, 0.05)
     config = FluidConfig(water_percent=2.0, water_measured=configured)
     again = FluidKnowledge(config)
-    again.resume(heard.export())
+    again.resume(SavedFluid(**heard.export()))
 
     assert again.export()["percent"] == percent
 

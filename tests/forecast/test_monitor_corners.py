@@ -100,6 +100,19 @@ class Watched:
             state[program.state_names.index(node)] = kelvin
         return state
 
+    def saved(self, states: Mapping[str, list[float]]) -> dict[str, Any]:
+        """Return a state file's document with *states* by corner."""
+        names = self.estimator.programs[self.names[0]].state_names
+        return {
+            "ambient_k": 283.15,
+            "history_left_us": 0,
+            "samples": {},
+            "corners": {
+                corner: dict(zip(names, state, strict=True))
+                for corner, state in states.items()
+            },
+        }
+
     def put(
         self, block: Block, corner: str, from_i: int = 0, **nodes_k: float
     ) -> None:
@@ -275,7 +288,7 @@ def after(
 ) -> tuple[CarRisk, RiskMonitor]:
     """Return the first risk of cold brakes with *raised* levels before."""
     watched = Watched(*validity)
-    watched.monitor.resume(levels(**raised))
+    watched.monitor.resume({"risk": levels(**raised)}, None, START_US)
     block = watched.at_rest(1)
     count = len(block.times_us)
     codes = {n: array("b", [v] * count) for n, v in validity.items()}
@@ -412,7 +425,8 @@ def test_vapour_while_away_within_the_time_it_was_parked() -> None:
             "FR": watched.state(fluid=400.0, **HOT_PADS_K),
         }
         monitor = watched.monitor
-        monitor.resume(None, states, (283.15, parked_s, START_US))
+        parked_us = round(parked_s * 1e6)
+        monitor.resume(watched.saved(states), parked_us, START_US)
         away[parked_s] = monitor.away
         by_corner = [c.level.level for c in monitor._corners]
         hot = parked_s > 60.0
@@ -428,13 +442,14 @@ def test_a_state_without_a_corner_or_time_says_nothing_of_it() -> None:
     """The other corner counts alone; no time away is no vapour."""
     watched = Watched("FL", "FR")
     hot = watched.state(fluid=BOILING_K + 40.0)
-    watched.monitor.resume(None, {"FR": hot}, (283.15, 1.0, START_US))
+    saved = watched.saved({"FR": hot})
+    watched.monitor.resume(saved, 1_000_000, START_US)
     assert watched.monitor.away == 1.0
     assert watched.monitor._corners[0].level == LevelMemory()
 
     watched = Watched("FL", "FR")
-    for air in (None, (283.15, 0.0, START_US)):
-        watched.monitor.resume(None, {"FR": hot}, air)
+    for parked_us in (None, 0):
+        watched.monitor.resume(saved, parked_us, START_US)
         assert isnan(watched.monitor.away)
 
 

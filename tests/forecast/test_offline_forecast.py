@@ -40,7 +40,13 @@ def car(members: int = 8) -> Config:
 
 def saved_with(percent: float | None) -> dict[str, Any]:
     """Return a state file's document whose bus measured *percent*."""
-    document: dict[str, Any] = {"wall_us": SAVED_US, "ambient_k": 283.15}
+    document: dict[str, Any] = {
+        "wall_us": SAVED_US,
+        "ambient_k": 283.15,
+        "history_left_us": 0,
+        "corners": {},
+        "samples": {},
+    }
     if percent is not None:
         knowledge = FluidKnowledge(car().fluid)
         knowledge.ingest(SAVED_US, WATER_ROLE, 0.01 * percent)

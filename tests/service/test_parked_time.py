@@ -127,7 +127,7 @@ class Cooling:
             )
         )
         self.estimator = SimpleNamespace(
-            plan=SimpleNamespace(corners=()), journal=None
+            plan=SimpleNamespace(corners=()), input_history=None
         )
         self.now_us = 0
         self.cooled_us: int | None = None
@@ -141,8 +141,8 @@ class Cooling:
         return SimpleNamespace(new=())
 
     def correct_parked(self, _: Mapping[str, Any], parked_us: int) -> None:
-        assert self.estimator.journal is not None
-        self.estimator.journal = None
+        assert self.estimator.input_history is not None
+        self.estimator.input_history = None
         self.cooled_us = parked_us
 
     def tick(self, now_us: int) -> None:

@@ -309,12 +309,12 @@ def test_after_an_hour_nothing_is_corrected(file: Path) -> None:
     hot_stop(file, clocks)
     clocks.power_cut(HOUR, wall_us=NEVER_SET_US)
     box = Box(file, clocks)
-    assert box.engine.estimator.journal is not None
+    assert box.engine.estimator.input_history is not None
 
     clocks.run(HOUR + SECOND)
     box.persistence.poll(box.engine, box.axis.read())
 
-    assert box.engine.estimator.journal is None
+    assert box.engine.estimator.input_history is None
     box.persistence.close(box.engine)
 
 

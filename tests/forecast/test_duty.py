@@ -8,13 +8,12 @@ from math import exp
 from typing import TYPE_CHECKING, Any, cast
 
 import pytest
-from bstm_daemon.forecast.load_history import MEMORY_S, Duty
 
 from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.estimator.blocks import friction_energies
 from bstm_daemon.estimator.corner_model import compile_corner
 from bstm_daemon.files import shipped_file
-from bstm_daemon.forecast.march import Conditions
+from bstm_daemon.forecast.march import DUTY_MEMORY_S, Conditions, Duty
 
 if TYPE_CHECKING:
     from bstm_daemon.estimator.blocks import Instant
@@ -96,7 +95,7 @@ def test_a_duty_that_lasts_is_what_it_is(program: Program) -> None:
 
 def test_what_is_longer_ago_counts_less(program: Program) -> None:
     """Two minutes each: the first counts exp(-1) of the second."""
-    assert MEMORY_S == 120.0
+    assert DUTY_MEMORY_S == 120.0
     drive = Drive(program).go(121, SLOW, 4e3).go(120, FAST, 1e3)
 
     old = exp(-1.0) / (1.0 + exp(-1.0))
