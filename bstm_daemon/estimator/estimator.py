@@ -27,6 +27,7 @@ from bstm_daemon.estimator.corner_model import (
     corner_model,
 )
 from bstm_daemon.estimator.coupling import Coupling
+from bstm_daemon.estimator.trust import Trust
 from bstm_daemon.estimator.validity import (
     HIGHEST_K,
     needs_of_corners,
@@ -38,7 +39,7 @@ from bstm_daemon.model.effects.corrections import (
     corrections_by_role,
 )
 from bstm_daemon.model.heat.memory import SampleState
-from bstm_daemon.model.heat.sample_pass import SETTLE
+from bstm_daemon.model.heat.sample_pass import SETTLE, SETTLED_US
 from bstm_daemon.model.heat.sample_plan import plan_samples
 from bstm_daemon.model.thermal.kernel import Batch
 from bstm_daemon.model.thermal.settling import settling_time_s
@@ -143,6 +144,12 @@ class Estimator:
         self.settling_s = 0.0 if history_known else longest_s
         self.history_left_steps = round(self.settling_s * 1e6) // STEP_US
         self._needs = needs_of_corners(config, present)
+        self.trust = Trust(
+            self.layout.corners,
+            longest_s,
+            compares=config.heat.mode == "fused",
+            has_switch=ROLE_INDEX["brake_switch"] in present,
+        )
         self._coupling = Coupling(
             self.plan,
             self._kernel,
@@ -301,7 +308,9 @@ class Estimator:
         )
         block.wear.update(self.wear.laws(times, partial(_totals, block)))
         self.history_left_steps -= steps
-        block.validity.update(validities(block, self._needs))
+        block.validity.update(
+            validities(block, self._needs, self.trust, PUBLISH_US * 1e-6)
+        )
         self._reset_impossible()
         return block
 
@@ -375,6 +384,7 @@ class Estimator:
             batch.settle(ambient, member)
         self._coupling.heat_interfaces(self.samples, self.batches)
         self.history_left_steps = 0
+        self.trust.park(SETTLED_US * 1e-6)
 
 
 def _totals(block: Block, corner: str, i: int) -> tuple[float, float]:

@@ -60,6 +60,7 @@ class SavedState(Saved):
     samples: Document
     learned: Any = None
     wear: Document | None = None
+    trust: Document | None = None
 
 
 class SavedSamples(Saved):

@@ -102,6 +102,7 @@ def export_state(estimator: Estimator) -> Document:
             "open_flags": estimator.open_flags,
         },
         "learned": _exported(estimator),
+        "trust": estimator.trust.export(),
     }
 
 
@@ -136,6 +137,12 @@ def restore_state(
         raise StateError(msg)
     learned = _learned(estimator, saved)
     samples = _samples(estimator, saved, learned) if resume else None
+    if saved.trust is not None:
+        try:
+            estimator.trust.restore(saved.trust)
+        except (KeyError, TypeError, ValueError) as error:
+            msg = "trust: not what this version saves"
+            raise StateError(msg) from error
     doses = {n: state[DOSE] for n, state in states.items() if DOSE in state}
     _restore_wear(estimator, saved.wear, doses)
     for batch, member, name in estimator.members():
@@ -216,6 +223,7 @@ def park(
     """
     air_k = _ambient_k(estimator) if ambient_k is None else ambient_k
     _stand(estimator, parked_s, air_k)
+    estimator.trust.park(parked_s)
     learned = estimator.samples.learned()
     estimator.samples = SampleState.new(learned)
     left = estimator.history_left_steps - round(parked_s * 1e6) // STEP_US
@@ -260,6 +268,7 @@ def correct_parked(
     estimator.samples, estimator.open_flags = running
     estimator.wear = wear
     _rebuild(estimator)
+    estimator.trust.park(parked_s + since * STEP_US * 1e-6)
     gone = round(parked_s * 1e6) // STEP_US + since
     left = estimator.history_left_steps - gone
     estimator.history_left_steps = max(left, 0)

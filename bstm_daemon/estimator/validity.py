@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
     from bstm_daemon.config.sections import Config
     from bstm_daemon.estimator.blocks import Block
+    from bstm_daemon.estimator.trust import Trust
 
 
 LOWEST_K: Final = 200.0
@@ -37,14 +38,24 @@ HIGHEST_K: Final = 1800.0
 melting point."""
 
 
+_MOTION: Final = (
+    ("acceleration_longitudinal", "acceleration"),
+    ("powertrain_torque", "torque"),
+)
+_OBSERVED: Final = ("acceleration_scale", "wheel_radius", "pressure_dead")
+"""What the observer of the car finds against an input."""
+
+
 class Needs(NamedTuple):
     """What a corner needs.
 
-    Bits of a step's flags that degrade an estimate or make it invalid;
-    whether its disc must be measured.
+    Bits of a step's flags that degrade an estimate, those among them that
+    speak against its heat, and those that make it invalid; whether its disc
+    must be measured.
     """
 
     degrading: int
+    suspecting: int
     invalidating: int
     measured: bool
 
@@ -59,33 +70,44 @@ def needs_of_corners(
         present: role number to timeout [us] of each mapped role; an input
             that nothing is mapped to is not waited for.
     """
-    return {
-        corner.name: Needs(
-            _inputs(config, present, place) | HEAT_UNCERTAIN << place,
+    found: dict[str, Needs] = {}
+    for place, corner in enumerate(config.corner):
+        suspecting = _suspecting(config, present, place)
+        found[corner.name] = Needs(
+            _missing(config, present, place)
+            | _pressure(config, place)
+            | suspecting
+            | HEAT_UNCERTAIN << place,
+            suspecting,
             HEAT_LOST << place,
             config.heat.mode == "measured",
         )
-        for place, corner in enumerate(config.corner)
-    }
+    return found
 
 
 def validities(
-    block: Block, needs: Mapping[str, Needs]
+    block: Block, needs: Mapping[str, Needs], trust: Trust, step_s: float
 ) -> dict[str, array[int]]:
     """Return the validity of each corner of *block*, one a publication.
 
     Args:
         block: its own validities are not read.
         needs: what each corner needs, by its name.
+        trust: remembers what was found against the heat.
+        step_s: time between two publications [s].
     """
     found = {}
+    of_car = trust.findings(block, step_s)
     for name, (number, place, stride, group) in block.layout.modelled.items():
         output = block.outputs[number]
-        degrading, invalidating, measured = needs[name]
+        degrading, suspecting, invalidating, measured = needs[name]
         codes = array("b")
         for i, flags in enumerate(block.flags):
             first = i * stride + place
             nodes = output[first : first + group.nodes]
+            held = trust.holds(
+                name, step_s, found=of_car[i] or bool(flags & suspecting)
+            )
             # nan fails every comparison, but min and max may pass it over
             if not (
                 isfinite(sum(nodes))
@@ -95,7 +117,8 @@ def validities(
             ):
                 codes.append(Validity.INVALID)
             elif (
-                flags & degrading
+                held
+                or flags & degrading
                 or i < block.known_from
                 or (
                     measured
@@ -109,19 +132,36 @@ def validities(
     return found
 
 
-def _inputs(config: Config, present: Mapping[int, int], place: int) -> int:
-    flags = FLAGS["speed_missing"] | FLAGS["speed_suspect"]
-    if config.heat.mode == "fb":
-        for role, name in (
-            ("acceleration_longitudinal", "acceleration"),
-            ("powertrain_torque", "torque"),
-        ):
+def _missing(config: Config, present: Mapping[int, int], place: int) -> int:
+    flags = FLAGS["speed_missing"]
+    if config.heat.mode != "fb":
+        return flags | CORNER_PRESSURE << place
+    for role, name in _MOTION:
+        if ROLE_INDEX[role] in present:
+            flags |= FLAGS[f"{name}_missing"]
+    return flags
+
+
+def _pressure(config: Config, place: int) -> int:
+    """Return the bit of a suspect pressure, where the heat comes from it."""
+    return 0 if config.heat.mode == "fb" else CORNER_PRESSURE_SUSPECT << place
+
+
+def _suspecting(config: Config, present: Mapping[int, int], place: int) -> int:
+    flags, mode = FLAGS["speed_suspect"], config.heat.mode
+    if mode in {"fb", "fused"}:
+        for role, name in _MOTION:
             if ROLE_INDEX[role] in present:
-                flags |= FLAGS[f"{name}_missing"] | FLAGS[f"{name}_suspect"]
+                flags |= FLAGS[f"{name}_suspect"]
+    if mode == "fb":
         return flags
-    flags |= CORNER_PRESSURE << place
-    flags |= CORNER_PRESSURE_SUSPECT << place
     flags |= WHEEL_SUSPECT << place
-    if config.heat.mode == "measured":
+    if mode == "measured":
         flags |= FLAGS["temperature_suspect"]
+    if mode == "fused":
+        # whether the pressure was wrong is known by the work it explains
+        for name in _OBSERVED:
+            flags |= FLAGS[name]
+    else:
+        flags |= _pressure(config, place)
     return flags

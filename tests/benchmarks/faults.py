@@ -71,6 +71,16 @@ ONSETS: Final = (0.0, 0.35)
 """From the begin, or after this share of the drive."""
 
 
+EARLIEST: Final = 0.1
+"""Onset of holes and steps of the clock, at the earliest."""
+
+_INTERRUPTIONS: Final = {
+    fault.name
+    for fault in FAULTS
+    if fault.name.startswith(("a hole", "the clock"))
+}
+
+
 @dataclass(frozen=True)
 class Case:
     """One run; ``fault`` is a name, or None for a drive without."""
@@ -169,7 +179,9 @@ def judge(case: Case) -> Finding:
     driven = _driven(case.drive, case.sensors, case.seed)
     before = recorded(driven, case.inputs)
     record = before.copy()
-    first = round(case.onset * len(record.stamp_us))
+    # what has not begun to come cannot stop
+    least = EARLIEST if case.fault in _INTERRUPTIONS else 0.0
+    first = round(max(case.onset, least) * len(record.stamp_us))
     if case.fault is not None:
         stream = np.random.default_rng(
             [case.seed, zlib.crc32(case.fault.encode())]

@@ -128,6 +128,13 @@ MOVING_MS: Final = 3.0
 """A speed deviates from the others' median by more than 2 m/s and 20 % of it,
 35 % while braking: the tightest turn gives 15 to 20 %, ABS slip some more."""
 
+SCALE_MS: Final = 8.0
+SCALE_S: Final = 20.0
+SCALE_LIMIT: Final = 0.07
+"""A speed over the median of all, above 8 m/s and filtered over 20 s: bends
+and slip stay within 3 %, a worn or a spare tyre within 5 %, and so does the
+speed that a speedometer shows."""
+
 FROZEN_SPEED_S: Final = 5.0
 FROZEN_SPEED_MS: Final = 3.0
 FROZEN_PRESSURE_S: Final = 30.0

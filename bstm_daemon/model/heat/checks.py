@@ -43,6 +43,9 @@ from bstm_daemon.model.heat.check_rules import (
     REVERSED_MOTION,
     REVERSED_MS2,
     REVERSED_SHARE,
+    SCALE_LIMIT,
+    SCALE_MS,
+    SCALE_S,
     SILENT_US,
     STUCK,
     SWITCH,
@@ -164,6 +167,7 @@ class Checks:
     def close(self, now: Readings) -> int:
         """Judge a step that ends; returns bits of FLAGS."""
         median, count = _median(now.speeds)
+        self._compare_scales(now, median, count)
         self._compare_speeds(now, median, count)
         self._hold_speeds(now, median, count)
         refused = 0
@@ -177,6 +181,19 @@ class Checks:
         flags |= self._speed_flags(now, flags)
         return flags | self._outages(now)
 
+    def _compare_scales(
+        self, now: Readings, median: float, count: int
+    ) -> None:
+        if count < 3 or median < SCALE_MS:
+            return
+        share = 1.0 - exp(-now.dt_s / SCALE_S)
+        for v, speed in enumerate(now.speeds):
+            if not isnan(speed):
+                error = speed / median - 1.0
+                self.m.scale_error[v] += share * (
+                    error - self.m.scale_error[v]
+                )
+
     def _compare_speeds(
         self, now: Readings, median: float, count: int
     ) -> None:
@@ -189,7 +206,9 @@ class Checks:
         for v, speed in enumerate(now.speeds):
             failed = None
             if count >= 3 and not isnan(speed):
-                if abs(speed - median) > allowed:
+                if abs(self.m.scale_error[v]) > SCALE_LIMIT:
+                    failed = True
+                elif abs(speed - median) > allowed:
                     failed = True if agreeing >= 2 else None
                 elif median > MOVING_MS:
                     failed = False
@@ -367,7 +386,12 @@ class Checks:
                 flags |= FLAGS["wheels_contradict"]
             if self.m.speed_stuck_s[v] >= STUCK.comes_s:
                 flags |= FLAGS["stuck"]
-        if pair:
+        # of the wheels and the vehicle's speed nobody knows which is right
+        vehicle = (
+            not isnan(now.speeds[corners])
+            and abs(self.m.scale_error[corners]) > SCALE_LIMIT
+        )
+        if pair or vehicle:
             flags |= FLAGS["speed_suspect"]
         return flags
 

@@ -87,7 +87,7 @@ class CheckMemory:
     [m2/s3]. ``outage_s``: how long a corner's heat was unknown,
     ``aftermath_s``: how long that still counts. ``mark`` is what the others
     were when a value began to be held; ``left_out`` is 1 where a speed does
-    not count.
+    not count. ``scale_error`` is a speed over the median of all, less 1.
     """
 
     last_sample: int
@@ -109,6 +109,7 @@ class CheckMemory:
     outage_s: Corners
     aftermath_s: Corners
     deviation_fault_s: Speeds
+    scale_error: Speeds
     speed_held: Speeds
     speed_held_s: Speeds
     speed_mark: Speeds

@@ -90,6 +90,18 @@ static void compare_pair(Checks *c, const Readings *now, double middle,
     c->m->pair_fault_s = advance(DEVIATION, c->m->pair_fault_s, outcome, now->dt_s);
 }
 
+static void compare_scales(Checks *c, const Readings *now, double middle,
+                           int count)
+{
+    if (count < 3 || middle < SCALE_MS) return;
+    const double share = 1.0 - exp(-now->dt_s / SCALE_S);
+    for (int v = 0; v <= c->corners; v++) {
+        if (isnan(now->speeds[v])) continue;
+        const double error = now->speeds[v] / middle - 1.0;
+        c->m->scale_error[v] += share * (error - c->m->scale_error[v]);
+    }
+}
+
 static void compare_speeds(Checks *c, const Readings *now, double middle,
                            int count)
 {
@@ -101,7 +113,8 @@ static void compare_speeds(Checks *c, const Readings *now, double middle,
     for (int v = 0; v <= c->corners; v++) {
         int outcome = OPEN;
         if (count >= 3 && !isnan(now->speeds[v])) {
-            if (fabs(now->speeds[v] - middle) > allowed)
+            if (fabs(c->m->scale_error[v]) > SCALE_LIMIT) outcome = FAILED;
+            else if (fabs(now->speeds[v] - middle) > allowed)
                 outcome = agreeing >= 2 ? FAILED : OPEN;
             else if (middle > MOVING_MS) outcome = PASSED;
         }
@@ -233,7 +246,10 @@ static int64_t contradictions(const Checks *c, const Readings *now, int count)
             flags |= FLAG_WHEELS_CONTRADICT;
         if (c->m->speed_stuck_s[v] >= STUCK.comes_s) flags |= FLAG_STUCK;
     }
-    if (pair) flags |= FLAG_SPEED_SUSPECT;
+    /* of the wheels and the vehicle's speed nobody knows which is right */
+    const int vehicle = !isnan(now->speeds[c->corners])
+        && fabs(c->m->scale_error[c->corners]) > SCALE_LIMIT;
+    if (pair || vehicle) flags |= FLAG_SPEED_SUSPECT;
     const int without_switch =
         c->m->switch_fault_s >= SWITCH.comes_s && !isnan(now->brake_switch);
     for (int i = 0; i < c->corners + 2; i++) {
@@ -326,6 +342,7 @@ int64_t checks_close(Checks *c, const Readings *now)
 {
     int count;
     const double middle = median(now->speeds, c->corners + 1, &count);
+    compare_scales(c, now, middle, count);
     compare_speeds(c, now, middle, count);
     hold_speeds(c, now, middle, count);
     int64_t refused = 0;

@@ -1,0 +1,191 @@
+"""How long an estimate stays degraded by heat that may have been wrong.
+
+A finding against an input ends with the braking that showed it; the network
+remembers that heat for much longer. So the time with a finding is counted,
+corner by corner, and the corner stays degraded for :data:`MEMORY` times as
+long, at most until its slowest node has forgotten. Two findings are made
+here, from what the pass over samples publishes:
+
+- the bus falls silent while the car drives: braking may go unseen,
+- the work by pressure and the work that heats the brakes differ by more than
+  friction, mass and slope do: one of their inputs is wrong.
+"""
+
+from __future__ import annotations
+
+from math import exp, isfinite
+from typing import TYPE_CHECKING, Any, ClassVar, Final
+
+from bstm_daemon.channels import CHANNELS, FLAGS, VEHICLE_CHANNELS
+from bstm_daemon.estimator.memory import Machine, Number
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from bstm_daemon.estimator.blocks import Block
+
+MEMORY: Final = 30.0
+"""The network's time constants are minutes to an hour; heat that was wrong
+for a minute is gone, but for a hundredth of the disc's, in half an hour."""
+
+LEAST_S: Final = 5.0
+"""Findings of this time in total leave nothing: the disc moves by 1 K/s."""
+
+DROVE_MS: Final = 5.0
+"""A bus that falls silent above this speed is not that of a parked car."""
+
+FORGET_J: Final = 1e6
+LEAST_J: Final = 3e5
+"""Braking work that the two works are compared over, and from which on."""
+
+LEAST_RATIO: Final = 0.6
+MOST_RATIO: Final = 1.75
+"""Work by pressure over the work that heats, of a sound car: linings have
+0.7 to 1.3 of their nominal friction, 0.6 when they fade."""
+
+_SPEED: Final = VEHICLE_CHANNELS.index("speed_ms")
+_POWER: Final = CHANNELS.index("brake_power_w")
+_PRESSED: Final = CHANNELS.index("brake_energy_ff_j")
+_ASSUMED: Final = (
+    FLAGS["pressure_missing"] | FLAGS["clock_jump"] | FLAGS["settled"]
+)
+"""With any of these the work by pressure is not that of the brakes."""
+
+
+class Trust(Machine):
+    """What was found against the heat of each corner, and for how long."""
+
+    MEMORY: ClassVar = {
+        "_found_s": dict[str, Number],
+        "_held_s": dict[str, Number],
+        "_work": tuple[Number, Number],
+        "_speed_ms": Number,
+        "_silent_s": Number,
+    }
+
+    def __init__(
+        self,
+        corners: Sequence[str],
+        settling_s: float,
+        *,
+        compares: bool,
+        has_switch: bool,
+    ) -> None:
+        """Trust all *corners*.
+
+        Args:
+            corners: their names, in the order of a block's rows.
+            settling_s: how long the slowest node remembers [s].
+            compares: whether the heat comes from pressure and motion both, so
+                that the two works can be compared.
+            has_switch: whether a brake switch is mapped: then braking without
+                pressure is an assistant's, unless the switch contradicts.
+        """
+        self._excused = _ASSUMED | (
+            FLAGS["braking_unpressed"] if has_switch else 0
+        )
+        self._settling_s = settling_s
+        self._compares = compares
+        self._found_s = dict.fromkeys(corners, 0.0)
+        self._held_s = dict.fromkeys(corners, 0.0)
+        self._work = 0.0, 0.0
+        self._speed_ms = self._silent_s = 0.0
+        self._pressed_j = -1.0
+
+    def restore(self, saved: Any) -> None:
+        """Take over what :meth:`export` gave, of the same corners.
+
+        Raises:
+            KeyError, TypeError, ValueError: it is nothing of that kind.
+        """
+        corners = self._held_s.keys()
+        super().restore(saved)
+        for memory in (self._found_s, self._held_s):
+            for name in memory.keys() ^ corners:
+                memory[name] = 0.0
+
+    def park(self, seconds: float) -> None:
+        """Let the brakes have stood for *seconds*."""
+        self._pressed_j = -1.0
+        self._speed_ms = self._silent_s = 0.0
+        for name, held_s in self._held_s.items():
+            self._held_s[name] = max(held_s - seconds, 0.0)
+            self._found_s[name] = max(
+                self._found_s[name] - seconds / MEMORY, 0.0
+            )
+
+    def findings(self, block: Block, step_s: float) -> list[bool]:
+        """Return at which publications of *block* the car's heat is doubted.
+
+        Args:
+            block: its validities are not read.
+            step_s: time between two publications [s].
+        """
+        wide, corners = len(VEHICLE_CHANNELS), len(block.layout.corners)
+        size = corners * len(CHANNELS)
+        found = []
+        for i, flags in enumerate(block.flags):
+            if flags & FLAGS["silent"]:
+                self._silent_s += step_s
+            else:
+                self._speed_ms = block.vehicle[i * wide + _SPEED]
+                if self._speed_ms > DROVE_MS:
+                    self._count_hole()
+                self._silent_s = 0.0
+            row = range(i * size, (i + 1) * size, len(CHANNELS))
+            if self._compares:
+                self._add_work(block, row, flags, step_s)
+            unseen = flags & FLAGS["silent"] and self._speed_ms > DROVE_MS
+            found.append(bool(unseen) or self._works_differ())
+        return found
+
+    def _count_hole(self) -> None:
+        """Count a silence that the car was driven in, as it drives after."""
+        if self._silent_s > LEAST_S:
+            for name, found_s in self._found_s.items():
+                self._found_s[name] = found_s + self._silent_s
+                held_s = MEMORY * self._found_s[name]
+                self._held_s[name] = min(held_s, self._settling_s)
+
+    def _add_work(
+        self, block: Block, row: range, flags: int, step_s: float
+    ) -> None:
+        before_j = self._pressed_j
+        self._pressed_j = sum(block.rows[first + _PRESSED] for first in row)
+        if before_j < 0.0 or flags & self._excused:
+            return
+        heat_j = step_s * sum(block.rows[first + _POWER] for first in row)
+        pressed_j = self._pressed_j - before_j
+        if not (heat_j > 0.0 or pressed_j > 0.0):
+            return
+        if isfinite(heat_j + pressed_j):
+            keep = exp(-max(heat_j, pressed_j) / FORGET_J)
+            pressed, heat = self._work
+            self._work = keep * pressed + pressed_j, keep * heat + heat_j
+
+    def _works_differ(self) -> bool:
+        pressed_j, heat_j = self._work
+        if max(pressed_j, heat_j) < LEAST_J:
+            return False
+        return not LEAST_RATIO * heat_j <= pressed_j <= MOST_RATIO * heat_j
+
+    def holds(self, corner: str, step_s: float, *, found: bool) -> bool:
+        """Return whether *corner* is degraded by what was found, now or once.
+
+        Args:
+            corner: its name.
+            step_s: time since the last call for it [s].
+            found: whether anything speaks against its heat now.
+        """
+        found_s, held_s = self._found_s[corner], self._held_s[corner]
+        if found:
+            self._found_s[corner] = found_s = found_s + step_s
+            if found_s > LEAST_S:
+                held_s = max(held_s, MEMORY * found_s)
+                self._held_s[corner] = min(held_s, self._settling_s)
+            return True
+        if found_s > 0.0:
+            self._found_s[corner] = max(found_s - step_s / MEMORY, 0.0)
+        if held_s > 0.0:
+            self._held_s[corner] = max(held_s - step_s, 0.0)
+        return held_s > 0.0
