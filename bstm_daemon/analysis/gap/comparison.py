@@ -107,7 +107,9 @@ class Comparison(Layout):
         """
         configs = [self.config(x, effects) for x in points]
         drives = self.drives(effects)
-        pairs = self.marched()
+        pairs = sorted(
+            {(one.drive, c) for one in self.series for c, _ in one.couples}
+        )
         scales = np.exp(points[:, -1])
         with ThreadPoolExecutor(os.cpu_count()) as pool:
             jobs = {
@@ -123,7 +125,11 @@ class Comparison(Layout):
         }
         parts = []
         for one in self.series:
-            model = self.modelled(one, found)
+            corners = {corner for corner, _ in one.couples}
+            model = np.mean(
+                [found[one.drive, c][one.node][one.steps] for c in corners],
+                axis=0,
+            )
             gain, offset = np.mean(
                 [gains[c].get(name, (1.0, 0.0)) for c, name in one.couples],
                 axis=0,
@@ -132,33 +138,6 @@ class Comparison(Layout):
             # would bias the gain
             parts.append((model - offset) / gain - one.measured_k[:, None])
         return np.concatenate(parts)
-
-    def marched(self) -> list[tuple[int, str]]:
-        """Return drive and corner of every march that the series need."""
-        return sorted(
-            {(one.drive, c) for one in self.series for c, _ in one.couples}
-        )
-
-    @staticmethod
-    def modelled(
-        series: Series,
-        shown: Mapping[tuple[int, str], Mapping[str, Column]],
-    ) -> Column:
-        """Return the mean over corners at the steps of *series*, (n, ...).
-
-        *shown* has temperatures [K] of nodes, (steps, ...), by drive and
-        corner.
-        """
-        corners = {corner for corner, _ in series.couples}
-        return np.asarray(
-            np.mean(
-                [
-                    shown[series.drive, c][series.node][series.steps]
-                    for c in corners
-                ],
-                axis=0,
-            )
-        )
 
     def drives(self, effects: Sequence[EffectConfig] = ()) -> list[Drive]:
         """Return the drives, heated with *effects* where these act on it."""

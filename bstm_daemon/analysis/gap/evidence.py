@@ -73,7 +73,9 @@ def weigh(
     """Return what *signature* does to *residual* (n,)."""
     columns = np.column_stack((residual, signature.linear, signature.curved))
     gram = columns.T @ project(columns)
-    grid = strength_grid(either_sign=signature.either_sign)
+    grid = STRENGTHS
+    if signature.either_sign:
+        grid = np.concatenate((-STRENGTHS[::-1], STRENGTHS))
     weights = strength_prior(grid, either_sign=signature.either_sign)
     gains = _gains(gram, grid)
     top = int(np.argmax(gains))
@@ -92,13 +94,6 @@ def weigh(
         log_evidence,
         DETECTED / float(np.sqrt(slope)),
     )
-
-
-def strength_grid(*, either_sign: bool) -> Column:
-    """Return the strengths that an effect is weighed at, rising."""
-    if either_sign:
-        return np.concatenate((-STRENGTHS[::-1], STRENGTHS))
-    return STRENGTHS
 
 
 def strength_prior(grid: Column, *, either_sign: bool) -> Column:

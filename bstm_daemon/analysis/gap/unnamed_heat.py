@@ -74,7 +74,8 @@ def unnamed_heats(
 def _apart(comparison: Comparison, node: str, regime: str) -> Column:
     shown = {}
     config = comparison.config(comparison.start)
-    for number, name in comparison.marched():
+    pairs = {(s.drive, c) for s in comparison.series for c, _ in s.couples}
+    for number, name in sorted(pairs):
         drive = comparison.recordings[number].drive
         model = model_of(config, name)
         program = compile_network(model.network.with_extra_heat(node))
@@ -92,7 +93,14 @@ def _apart(comparison: Comparison, node: str, regime: str) -> Column:
         }
     return np.concatenate(
         [
-            comparison.modelled(one, shown) - one.measured_k
+            np.mean(
+                [
+                    shown[one.drive, corner][one.node][one.steps]
+                    for corner in {c for c, _ in one.couples}
+                ],
+                axis=0,
+            )
+            - one.measured_k
             for one in comparison.series
         ]
     )

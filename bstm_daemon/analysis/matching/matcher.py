@@ -1,18 +1,11 @@
-"""``bstm match``: stages, then the joint refinement, corner by corner.
-
-And what comes of it: temperatures before and after beside those measured, and
-the changes of the configuration file.
-"""
+"""``bstm match``: stages, then the joint refinement, corner by corner."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
-from bstm_daemon.analysis.identify.writing import Change
-from bstm_daemon.analysis.matching.march import initial_temperatures, march
 from bstm_daemon.analysis.matching.phases import HARD_MS2, hard_stops
-from bstm_daemon.analysis.matching.problem import NODE_OF
 from bstm_daemon.analysis.matching.refine import (
     Accuracy,
     Refinement,
@@ -22,25 +15,20 @@ from bstm_daemon.analysis.matching.refine import (
 from bstm_daemon.analysis.matching.stages import StageResult, run_stages
 from bstm_daemon.analysis.matching.tunables import (
     COOLING,
-    EFFECT,
     S_SPEEDS_MS,
     TABLE_4_1,
     Target,
     refined_keys,
-    split_key,
     targets_of,
     usable,
 )
 from bstm_daemon.errors import LogError
-from bstm_daemon.estimator.corner_model import compile_corner
-from bstm_daemon.units import KELVIN_OFFSET
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from bstm_daemon.analysis.matching.drives import Drive
-    from bstm_daemon.analysis.statistics.series import Column
-    from bstm_daemon.config.sections import Config, CornerConfig
+    from bstm_daemon.config.sections import Config
 
 MUCH_LESS: Final = 0.8
 """A form is worth a word where it leaves so much less of the error."""
@@ -230,139 +218,3 @@ def _match(
         accuracy,
         tuple(remarks),
     )
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Curves:
-    """A thermocouple over a drive: time [s] and temperatures [degC], (n,)."""
-
-    drive: str
-    corner: str
-    couple: str
-    time_s: Column
-    measured_c: Column
-    before_c: Column
-    after_c: Column
-
-
-def curves_of(match: Match, drives: Sequence[Drive]) -> list[Curves]:
-    """Return every thermocouple of *match*'s corners over *drives*."""
-    programs = [
-        compile_corner(one.config, one.corner)
-        for one in (match.before, match.after)
-    ]
-    nodes = {node.name for node in programs[0].network.nodes}
-    found = []
-    for drive in drives:
-        for corner in match.corners:
-            couples = drive.measured.get(corner, {})
-            if not couples:
-                continue
-            initial = initial_temperatures(programs[0], drive, corner)
-            result = march(programs, drive, corner, initial)
-            for name, couple in couples.items():
-                node = NODE_OF.get(name, name)
-                if node in nodes:
-                    both = result[node] - KELVIN_OFFSET
-                    found.append(
-                        Curves(
-                            drive.name,
-                            corner,
-                            name,
-                            drive.time_s,
-                            couple.at(drive.time_s) - KELVIN_OFFSET,
-                            both[:, 0],
-                            both[:, 1],
-                        )
-                    )
-    return found
-
-
-def changes_of(
-    matches: Sequence[Match], config: Config, origin: str
-) -> list[Change]:
-    """Return what *matches* change in *config*, each saying *origin*.
-
-    A value goes where the configuration has it: to ``[thermal]`` or
-    ``[cooling]`` where every corner that reads it there was matched alike,
-    else to the corners themselves.
-    """
-    changes = []
-    for match in matches:
-        for key, value in match.settings().items():
-            section, name = key.split(".", maxsplit=1)
-            sd = match.deviation(key)
-            note = f"{origin}, sd {sd:.2g}"
-            if isinstance(value, tuple):
-                note = f"{origin}, sd {100.0 * sd:.2g} %"
-            if section == EFFECT:
-                changes += _of_effect(name, value, note, config, match)
-                continue
-            own = [
-                corner
-                for corner in config.corner
-                if corner.name in match.corners
-            ]
-            if section in {"thermal", "cooling"} and _shared(
-                section, name, config, match.corners
-            ):
-                changes.append(Change(section, name, value, note=note))
-                continue
-            changes += [
-                Change("corner", key, value, corner.name, note)
-                for corner in own
-            ]
-    changes += _accuracy(matches, origin)
-    return changes
-
-
-def _of_effect(
-    name: str, value: float, note: str, config: Config, match: Match
-) -> list[Change]:
-    """Return entries of ``[[effect]]``: one for all corners, or each its."""
-    effect, parameter = split_key(name)
-    every = {corner.name for corner in config.disc_corners()}
-    corners = ("all",) if set(match.corners) == every else match.corners
-    return [
-        Change(EFFECT, parameter, value, corner, note, effect)
-        for corner in corners
-    ]
-
-
-def _shared(
-    section: str, name: str, config: Config, matched: Sequence[str]
-) -> bool:
-    """Whether only matched corners read the value of the section itself."""
-    readers = {
-        corner.name
-        for corner in config.disc_corners()
-        if name not in _overrides(corner, section)
-    }
-    return readers == set(matched)
-
-
-def _overrides(corner: CornerConfig, section: str) -> dict[str, Any]:
-    return corner.thermal if section == "thermal" else corner.cooling
-
-
-def _accuracy(matches: Sequence[Match], origin: str) -> list[Change]:
-    """Return ``[accuracy]``: the largest of the matched corners."""
-    changes = []
-    nodes: dict[str, list[tuple[float, float, int]]] = {}
-    for match in matches:
-        for node, one in match.accuracy.nodes.items():
-            nodes.setdefault(node, []).append(
-                (one.floor_k, one.share, match.accuracy.drives)
-            )
-    for node in ("disc", "pad_front", "pad_back", "fluid"):
-        if node not in nodes:
-            continue
-        floor, share, drives = max(nodes[node])
-        note = f"{origin}, left over on held-out drives"
-        if not drives:
-            note = f"{origin}, left over on the drive itself: too small"
-        changes += [
-            Change("accuracy", f"{node}_k", floor, note=note),
-            Change("accuracy", f"{node}_share", share, note=note),
-        ]
-    return changes

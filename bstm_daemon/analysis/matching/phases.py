@@ -50,20 +50,23 @@ def soak(drive: Drive, corner: str) -> Mask:
 
 def moving(drive: Drive, corner: str) -> Mask:
     """Return where the car drives for a while, (steps,)."""
-    return _lasting(drive.channel(corner, "speed_ms") >= STANDING_MS, DRIVE_S)
+    found = np.zeros(len(drive), bool)
+    driving = drive.channel(corner, "speed_ms") >= STANDING_MS
+    for first, last in runs(driving):
+        if (last - first + 1) * GRID_S >= DRIVE_S:
+            found[first : last + 1] = True
+    return found
 
 
 def cooling(drive: Drive, corner: str) -> Mask:
     """Return where the car drives a while off the brake, (steps,)."""
-    driving = drive.channel(corner, "speed_ms") >= STANDING_MS
-    return _lasting(driving & ~braking(drive, corner), COOLING_S)
-
-
-def _lasting(mask: Mask, least_s: float) -> Mask:
-    """Return the runs of *mask* that last *least_s* or more, (steps,)."""
-    found = np.zeros(len(mask), bool)
-    for first, last in runs(mask):
-        found[first : last + 1] = (last - first + 1) * GRID_S >= least_s
+    off = ~braking(drive, corner) & (
+        drive.channel(corner, "speed_ms") >= STANDING_MS
+    )
+    found = np.zeros(len(drive), bool)
+    for first, last in runs(off):
+        if (last - first + 1) * GRID_S >= COOLING_S:
+            found[first : last + 1] = True
     return found
 
 

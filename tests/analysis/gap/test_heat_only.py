@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from bstm_daemon.analysis.gap.advising import samples_of
-from bstm_daemon.analysis.gap.force_comparison import forces
+from bstm_daemon.analysis.gap.candidate_drives import samples_of
+from bstm_daemon.analysis.gap.force_balance import forces
 from bstm_daemon.analysis.gap.heat_only import find_force_gap
 from bstm_daemon.analysis.gap.recording import Recording, recorded
 from bstm_daemon.cli.vehicle import load_vehicle
