@@ -5,8 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from bstm_daemon.analysis.gap.candidate_drives import MENU
 from bstm_daemon.analysis.gap.heat_only import find_force_gap
 from bstm_daemon.analysis.gap.recording import read_recording
@@ -139,7 +137,7 @@ def run(args: argparse.Namespace) -> int:
             raise LogError(msg)
     for one in (*recordings, *held_out):
         mode = config.heat.mode
-        check_heat_inputs(one.name, _seen_roles(one), one.present, mode)
+        check_heat_inputs(one.name, one.drive.roles, one.present, mode)
     until = "show" if args.step == "run" else args.step
     with Progress("gap") as progress:
         gaps = find_gap(
@@ -227,8 +225,9 @@ def _by_forces(
         raise UsageError(msg)
     for one in (*recordings, *held_out):
         what = "pressure against motion"
-        seen = _seen_roles(one)
-        check_inputs(one.name, seen, one.present, INPUTS["ff"], what)
+        check_inputs(
+            one.name, one.drive.roles, one.present, INPUTS["ff"], what
+        )
     with Progress("gap") as progress:
         progress.show(0.1)
         gap = find_force_gap(config, recordings, held_out)
@@ -243,11 +242,6 @@ def _by_forces(
         write_page(args.report, force_page(gap, subtitle))
         lines.append(str(args.report))
     return _told(lines)
-
-
-def _seen_roles(recording: Recording) -> set[int]:
-    """Return the roles that *recording* has a sample of."""
-    return set(np.unique(recording.events.role).tolist())
 
 
 def _without_temperatures(recordings: Sequence[Recording]) -> list[str]:
@@ -302,7 +296,6 @@ def _read(
                     config,
                     signal_map,
                     dict(args.map),
-                    thermocouples=False,
                     progress=progress.show,
                 )
             )
