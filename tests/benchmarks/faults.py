@@ -29,7 +29,7 @@ from side_by_side import Goal, Outcome, Table
 from bstm_daemon.channels import MODES
 from bstm_daemon.estimate import Validity
 from bstm_daemon.estimator.estimator import Estimator
-from bstm_daemon.roles import CORNERS, ROLE_INDEX, ROLES
+from bstm_daemon.roles import ROLE_INDEX, ROLES
 from bstm_daemon.simulation import load_drive, simulate
 from bstm_daemon.simulation.profile import SAMPLE_S
 

@@ -10,19 +10,17 @@ from __future__ import annotations
 import os
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from math import ceil
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from bstm_daemon.analysis.gap.noise import Layout, Series
-from bstm_daemon.analysis.matching.drives import GRID_S, Drive
+from bstm_daemon.analysis.gap.noise import Layout
 from bstm_daemon.analysis.matching.march import (
     initial_temperatures,
     march,
     model_of,
 )
-from bstm_daemon.analysis.matching.problem import NODE_OF
+from bstm_daemon.analysis.matching.problem import Series, series_of
 from bstm_daemon.analysis.matching.tunables import TUNABLES, Target
 from bstm_daemon.channels import CHANNELS
 from bstm_daemon.errors import LogError
@@ -32,6 +30,7 @@ from bstm_daemon.model.effects.corrections import corrections_by_role
 from bstm_daemon.roles import ROLE_INDEX
 
 if TYPE_CHECKING:
+    from bstm_daemon.analysis.matching.drives import Drive
     from collections.abc import Mapping, Sequence
 
     from bstm_daemon.analysis.gap.recording import Recording
@@ -191,14 +190,18 @@ class Comparison(Layout):
             drive = recording.drive
             by_node: dict[str, list[tuple[str, str]]] = {}
             for name in self.target.corners:
-                for couple in drive.measured.get(name, {}):
-                    node = NODE_OF.get(couple, couple)
-                    if node in nodes:
-                        by_node.setdefault(node, []).append((name, couple))
+                for couple, node in drive.couples(name, nodes):
+                    by_node.setdefault(node, []).append((name, couple))
             found += [
                 one
                 for node, couples in by_node.items()
-                if (one := _node_series(drive, index, node, couples))
+                if (
+                    one := series_of(
+                        *(drive, index, node, couples),
+                        point_s=POINT_S,
+                        most_points=MOST_POINTS,
+                    )
+                )
             ]
         if not found:
             names = ", ".join(one.name for one in self.recordings)
@@ -255,29 +258,3 @@ def _in_order(parts: Sequence[tuple[Indices, Column]]) -> Column:
     for lanes, shown in parts:
         whole[:, lanes] = shown
     return whole
-
-
-def _node_series(
-    drive: Drive, index: int, node: str, couples: Sequence[tuple[str, str]]
-) -> Series | None:
-    every = ceil(max(POINT_S, drive.duration_s / MOST_POINTS) / GRID_S)
-    steps = np.arange(every - 1, len(drive), every)
-    time_s = drive.time_s[steps]
-    read = np.array(
-        [drive.measured[c][name].at(time_s) for c, name in couples]
-    )
-    known = np.isfinite(read).all(axis=0)
-    if np.count_nonzero(known) < 3:
-        return None
-    measured = read[:, known].mean(axis=0)
-    air = drive.channel(couples[0][0], "ambient_k")[steps[known]]
-    return Series(
-        index,
-        node,
-        tuple(couples),
-        steps[known],
-        time_s[known],
-        measured,
-        np.gradient(measured, time_s[known]),
-        measured - air,
-    )

@@ -11,8 +11,9 @@ import numpy as np
 
 from bstm_daemon.analysis.gap.comparison import with_effects
 from bstm_daemon.analysis.gap.force_balance import Forces, forces
-from bstm_daemon.analysis.gap.noise import Layout, Series
+from bstm_daemon.analysis.gap.noise import Layout
 from bstm_daemon.analysis.matching.march import initial_temperatures, march
+from bstm_daemon.analysis.matching.problem import Series
 from bstm_daemon.analysis.statistics.series import Column, runs
 from bstm_daemon.analysis.statistics.whitening import SensorNoise
 from bstm_daemon.errors import LogError

@@ -23,22 +23,9 @@ from bstm_daemon.analysis.statistics.whitening import SensorNoise
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from bstm_daemon.analysis.statistics.series import Column, Indices, Matrix
+    from bstm_daemon.analysis.matching.problem import Series
+    from bstm_daemon.analysis.statistics.series import Column, Matrix
     from bstm_daemon.config.sections import Config
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Series:
-    """One node over one drive, (n,) each; ``couples`` are (corner, name)."""
-
-    drive: int
-    node: str
-    couples: tuple[tuple[str, str], ...]
-    steps: Indices
-    time_s: Column
-    measured_k: Column
-    slope_k_s: Column
-    rise_k: Column
 
 
 class Layout:

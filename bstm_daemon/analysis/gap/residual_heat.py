@@ -23,7 +23,6 @@ from bstm_daemon.analysis.matching.march import (
     model_of,
 )
 from bstm_daemon.analysis.matching.phases import BRAKING_W, STANDING_MS
-from bstm_daemon.analysis.matching.problem import NODE_OF
 from bstm_daemon.analysis.statistics.series import Column, block_means
 from bstm_daemon.estimator.corner_model import compiled_model
 from bstm_daemon.model.thermal.program import Program, compile_network
@@ -112,10 +111,9 @@ def _measured(
     """Return smoothed temperatures [K] by node, (steps,); NaN in gaps."""
     nodes = {node.name for node in program.network.nodes}
     parts: dict[str, list[Column]] = {}
-    for couple, series in drive.measured.get(corner, {}).items():
-        node = NODE_OF.get(couple, couple)
-        if node in nodes:
-            parts.setdefault(node, []).append(series.at(drive.time_s))
+    for couple, node in drive.couples(corner, nodes):
+        series = drive.measured[corner][couple]
+        parts.setdefault(node, []).append(series.at(drive.time_s))
     width = 2 * SMOOTH_STEPS + 1
     found = {}
     for node, several in parts.items():

@@ -28,8 +28,8 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from bstm_daemon.analysis.gap.comparison import Comparison
-    from bstm_daemon.analysis.gap.noise import Series
     from bstm_daemon.analysis.matching.drives import Drive
+    from bstm_daemon.analysis.matching.problem import Series
     from bstm_daemon.analysis.statistics.evidence import Projector
     from bstm_daemon.analysis.statistics.series import Column
 

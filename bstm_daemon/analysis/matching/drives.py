@@ -32,6 +32,7 @@ from bstm_daemon.units import KELVIN_OFFSET
 if TYPE_CHECKING:
     from collections.abc import (
         Callable,
+        Collection,
         Iterable,
         Iterator,
         Mapping,
@@ -57,6 +58,9 @@ the start by half of what it heats."""
 
 TOUCHING_W: Final = 1.0
 """Pads touch where a brake takes up more."""
+
+NODE_OF: Final = {"disc_2": "disc"}
+"""Thermocouple to node, where the names differ."""
 
 SETTLING_STEP_S: Final = 20.0
 SETTLING_STEPS: Final = 60
@@ -140,6 +144,16 @@ class Drive:
             :, self.corners.index(corner), CHANNELS.index(name)
         ]
         return column
+
+    def couples(
+        self, corner: str, nodes: Collection[str]
+    ) -> list[tuple[str, str]]:
+        """Return thermocouples of *corner* and their nodes, of *nodes*."""
+        pairs = [
+            (name, NODE_OF.get(name, name))
+            for name in self.measured.get(corner, {})
+        ]
+        return [pair for pair in pairs if pair[1] in nodes]
 
     def with_power(
         self, power_w: Mapping[str, Column], *, pressed: bool = False

@@ -16,7 +16,12 @@ import numpy as np
 from bstm_daemon.analysis.matching import phases
 from bstm_daemon.analysis.matching.drives import GRID_S, Drive
 from bstm_daemon.analysis.matching.march import Forced, initial_temperatures
-from bstm_daemon.analysis.matching.problem import Problem, Run, Term, term_of
+from bstm_daemon.analysis.matching.problem import (
+    Problem,
+    Run,
+    Series,
+    series_of,
+)
 from bstm_daemon.analysis.matching.tunables import (
     S_SPEEDS_MS,
     TUNABLES,
@@ -40,112 +45,73 @@ SMOOTH_S: Final = 120.0
 
 @dataclass(frozen=True, slots=True)
 class Stage:
-    """One stage: what is fitted to which node, in which phase.
-
-    ``forced`` are the neighbours that follow their measurement.
-    """
+    """One stage: what is fitted to which node, in which phase."""
 
     title: str
     section: str
     phase: Phase
     node: str
-    forced: tuple[str, ...]
     keys: tuple[str, ...]
 
+    @property
+    def forced(self) -> tuple[str, ...]:
+        """The neighbours that follow their measurement."""
+        return NEIGHBOURS[self.node]
+
+
+NEIGHBOURS: Final[dict[str, tuple[str, ...]]] = {
+    "disc": (),
+    "pad_front": ("disc", "pad_back"),
+    "pad_back": ("pad_front", "fluid"),
+    "fluid": ("pad_back",),
+}
+
+PEAK: Final = "5.1.3 stage 1"
 
 STAGES: Final = (
+    Stage("disc cooling", "4.4", "cooling", "disc", tuple(S_SPEEDS_MS)),
     Stage(
-        "disc cooling",
-        "4.4",
-        "cooling",
-        "disc",
-        (),
-        tuple(S_SPEEDS_MS),
-    ),
-    Stage(
-        "disc in the soak",
-        "5.1.1",
-        "soak",
-        "disc",
-        (),
+        *("disc in the soak", "5.1.1", "soak", "disc"),
         ("cooling.standstill_convection_fraction",),
     ),
     Stage(
-        "pad front in the soak",
-        "5.1.2 stage 1",
-        "soak",
-        "pad_front",
-        ("disc", "pad_back"),
+        *("pad front in the soak", "5.1.2 stage 1", "soak", "pad_front"),
         ("thermal.disc_emissivity", "thermal.pad_emissivity"),
     ),
     Stage(
-        "pad back in the soak",
-        "5.1.2 stage 2",
-        "soak",
-        "pad_back",
-        ("pad_front", "fluid"),
+        *("pad back in the soak", "5.1.2 stage 2", "soak", "pad_back"),
         ("thermal.pad_backplate_thermal_resistance_m2k_w",),
     ),
     Stage(
-        "static convection at the fluid's peak",
-        "5.1.3 stage 1",
-        "soak",
-        "fluid",
-        ("pad_back",),
+        *("static convection at the fluid's peak", PEAK, "soak", "fluid"),
         ("thermal.fluid_static_convection_w_k",),
     ),
     Stage(
-        "capacity of fluid and caliper",
-        "5.1.3 stage 2",
-        "soak",
-        "fluid",
-        ("pad_back",),
+        *("capacity of fluid and caliper", "5.1.3 stage 2", "soak", "fluid"),
         ("thermal.fluid_caliper_thermal_capacity_j_k",),
     ),
     Stage(
-        "heat partition",
-        "5.2.1 stage 1",
-        "normal braking",
-        "pad_front",
-        ("disc", "pad_back"),
+        *("heat partition", "5.2.1 stage 1", "normal braking", "pad_front"),
         ("thermal.heat_partition_correction_factor",),
     ),
     Stage(
-        "disc mass",
-        "5.2.1 stage 2",
-        "normal braking",
-        "disc",
-        (),
+        *("disc mass", "5.2.1 stage 2", "normal braking", "disc"),
         ("thermal.disc_mass_correction_factor",),
     ),
     Stage(
-        "dynamic loss of the pad",
-        "5.2.1 stage 3",
-        "drive",
-        "pad_back",
-        ("pad_front", "fluid"),
+        *("dynamic loss of the pad", "5.2.1 stage 3", "drive", "pad_back"),
         ("thermal.pad_dynamic_convection_ws_m3k",),
     ),
     Stage(
-        "dynamic loss of the fluid",
-        "5.2.1 stage 4",
-        "drive",
-        "fluid",
-        ("pad_back",),
+        *("dynamic loss of the fluid", "5.2.1 stage 4", "drive", "fluid"),
         ("thermal.fluid_dynamic_convection_ws_mk",),
     ),
     Stage(
-        "pads at high temperature",
-        "5.2.2",
-        "hot braking",
-        "pad_front",
-        ("disc", "pad_back"),
+        *("pads at high temperature", "5.2.2", "hot braking", "pad_front"),
         ("thermal.hot_pad_factor",),
     ),
 )
 """The stages in the thesis's order; the S-function comes first."""
-
-PEAK: Final = "5.1.3 stage 1"
 
 STAGE_PRIOR: Final = 10.0
 """A stage follows the measurement, as the thesis does; what was believed
@@ -243,7 +209,7 @@ def _missing(stage: Stage, target: Target, drives: Sequence[Drive]) -> str:
 
 def _isolated(
     stage: Stage, target: Target, drives: Sequence[Drive]
-) -> tuple[list[Run], list[Term], float]:
+) -> tuple[list[Run], list[Series], float]:
     program = compile_corner(target.config, target.corner)
     runs, terms, steps = [], [], 0
     for index, drive in enumerate(drives):
@@ -252,7 +218,8 @@ def _isolated(
             if not {stage.node, *stage.forced} <= couples.keys():
                 continue
             mask = phase_mask(stage.phase, drive, corner, target)
-            term = term_of(drives, index, corner, stage.node, mask)
+            own_couple = ((corner, stage.node),)
+            term = series_of(drive, index, stage.node, own_couple, within=mask)
             if term is None:
                 continue
             series = {

@@ -26,12 +26,13 @@ from bstm_daemon.analysis.gap.naming import (
     UNEXPLAINED,
     name_effect,
 )
-from bstm_daemon.analysis.gap.noise import Layout, Series
+from bstm_daemon.analysis.gap.noise import Layout
 from bstm_daemon.analysis.gap.signatures import Linearised, Signature
 from bstm_daemon.analysis.gap.unnamed_heat import (
     UnnamedHeat,
     missing_evidence,
 )
+from bstm_daemon.analysis.matching.problem import Series
 from bstm_daemon.analysis.statistics.evidence import (
     FREE,
     Projector,

@@ -108,7 +108,7 @@ def test_a_ratio_that_is_known_better_than_its_parts_is_named(
 
     (found,) = ratios(fit)
 
-    assert found.product is (sign < 0.0)
+    assert found.sign == ("x" if sign < 0.0 else "/")
     assert found.deviation == pytest.approx(0.1 * np.sqrt(2.0 * 0.02))
     assert "only together with" in verdicts(fit)[1].reason
 
@@ -178,7 +178,7 @@ def test_white_noise_and_drift_are_learned_apart() -> None:
     rng = np.random.default_rng(1)
     drawn = [lower @ rng.standard_normal(len(TIME_S)) for _ in range(12)]
 
-    found = learned(FIRST["fluid"], drawn, [TIME_S] * 12)
+    found = learned(FIRST["fluid"], [(one, TIME_S) for one in drawn])
 
     assert found.white_k == pytest.approx(1.0, rel=0.25)
     assert found.drift_k == pytest.approx(2.0, rel=0.25)
@@ -188,6 +188,6 @@ def test_a_node_that_the_model_misses_is_still_believed() -> None:
     """Else it would be missed the more from round to round."""
     wrong = [np.full(len(TIME_S), 80.0)]
 
-    found = learned(FIRST["disc"], wrong, [TIME_S])
+    found = learned(FIRST["disc"], [(one, TIME_S) for one in wrong])
 
     assert found.drift_k <= 1.5 * FIRST["disc"].drift_k
