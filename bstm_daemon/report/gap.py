@@ -414,7 +414,14 @@ def _shown_json(shown: Shown) -> dict[str, Any]:
             for name, one in shrinks.items()
         }
 
-    return picked(shown, "held_out", "bends", "errors") | {
+    return picked(shown, "held_out", "bends") | {
+        "errors": [
+            picked(
+                one,
+                *("drive", "node", "rms_k", "peak_error_k", "peak_late_s"),
+            )
+            for one in shown.errors
+        ],
         "shrink": factors(shown.shrinks),
         "fluid_shrink": factors(shown.fluid_shrinks),
         **factors({"adopted": shown.adopted}),

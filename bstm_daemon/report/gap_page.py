@@ -45,7 +45,7 @@ from bstm_daemon.report.shell import Page, Section, Table
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from bstm_daemon.analysis.gap.holdout_comparison import Curve, Shown
+    from bstm_daemon.analysis.gap.holdout_comparison import NodeErrors, Shown
     from bstm_daemon.analysis.gap.locating import Cell, Located
     from bstm_daemon.analysis.gap.naming import Naming
     from bstm_daemon.analysis.gap.workflow import Gap
@@ -84,7 +84,7 @@ def gap_page(
             sections += _shown_sections(prefix, gap.shown)
         if gap.before is not None and gap.after is not None:
             sections.insert(
-                -len({one.drive for one in gap.shown.curves})
+                -len({one.drive for one in gap.shown.errors})
                 if gap.shown
                 else len(sections),
                 _maps_section(prefix, gap.before, gap.after),
@@ -306,8 +306,8 @@ def _shown_sections(prefix: str, shown: Shown) -> list[Section]:
             lines=shown_lines(shown),
         )
     ]
-    for drive in dict.fromkeys(one.drive for one in shown.curves):
-        own = [one for one in shown.curves if one.drive == drive]
+    for drive in dict.fromkeys(one.drive for one in shown.errors):
+        own = [one for one in shown.errors if one.drive == drive]
         sections.append(
             Section(
                 f"{prefix}temperatures on {drive}",
@@ -321,7 +321,7 @@ def _shown_sections(prefix: str, shown: Shown) -> list[Section]:
     return sections
 
 
-def _curves(one: Curve) -> Plot:
+def _curves(one: NodeErrors) -> Plot:
     looks = {
         CONFIGURED: ("#9aa5b1", "solid"),
         BASELINES[1]: ("#b8a05a", "dot"),

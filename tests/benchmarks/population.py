@@ -32,6 +32,7 @@ from bstm_daemon.analysis.matching.verification import (
     compared,
     phases_of,
 )
+from bstm_daemon.channels import CHANNELS
 from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.estimator.corner_model import compile_corner
 from bstm_daemon.files import shipped_file
@@ -75,6 +76,9 @@ KNOWN_TO_THE_OWNER: Final = frozenset(
 )
 """Parameters of the brake that are not drawn: they are on its drawing, as in
 the configuration, or natural constants."""
+
+TOUCHING_W: Final = 1.0
+"""Pads touch where a brake takes up more."""
 
 HEATS: Final = ("known", "fused", "ff")
 
@@ -239,7 +243,11 @@ def _driven(
             / GRID_S
             for corner in drive.corners
         }
-        drive = drive.with_power(power, pressed=True)
+        drive = drive.with_power(power)
+        # the pads touch also where the pressure alone does not tell
+        on = CHANNELS.index("brake_on")
+        for at, corner in enumerate(drive.corners):
+            drive.inputs[power[corner] > TOUCHING_W, at, on] = 1.0
     truth = {
         node: np.interp(
             end_s,

@@ -9,7 +9,7 @@ before the drive.
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -42,27 +42,13 @@ READ_S: Final = 2.0
 """Between two readings of a predicted thermocouple."""
 
 
-@dataclass(frozen=True, slots=True)
-class CandidateDrive:
-    """A drive of the menu: what it is and what the model predicts of it."""
-
-    name: str
-    description: str
-    recording: Recording
-
-    @property
-    def duration_s(self) -> float:
-        """Length of the drive."""
-        return self.recording.drive.duration_s
-
-
 def candidate_drive(
     name: str,
     config: Config,
     present: Mapping[int, int],
     couples: Mapping[str, Sequence[str]],
-) -> CandidateDrive:
-    """Return the menu drive *name* as a recording that *config* predicts.
+) -> tuple[Recording, str]:
+    """Return the menu drive *name* as *config* predicts it, and what it is.
 
     Args:
         name: of a drive of the simulated car.
@@ -86,11 +72,8 @@ def candidate_drive(
         },
     )
     thin = thinned(events)
-    return CandidateDrive(
-        name,
-        simulated.drive.drive.description.partition(": ")[2],
-        Recording(drive, events, present, thin, inputs),
-    )
+    description = simulated.drive.drive.description.partition(": ")[2]
+    return Recording(drive, events, present, thin, inputs), description
 
 
 def samples_of(

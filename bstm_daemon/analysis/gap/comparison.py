@@ -30,10 +30,10 @@ from bstm_daemon.model.effects.corrections import corrections_by_role
 from bstm_daemon.roles import ROLE_INDEX
 
 if TYPE_CHECKING:
-    from bstm_daemon.analysis.matching.drives import Drive
     from collections.abc import Mapping, Sequence
 
     from bstm_daemon.analysis.gap.recording import Recording
+    from bstm_daemon.analysis.matching.drives import Drive
     from bstm_daemon.analysis.statistics.series import Column, Indices
     from bstm_daemon.analysis.statistics.whitening import SensorNoise
     from bstm_daemon.config.sections import Config, EffectConfig
@@ -106,21 +106,36 @@ class Comparison(Layout):
         """
         configs = [self.config(x, effects) for x in points]
         drives = self.drives(effects)
-        pairs = sorted(
-            {(one.drive, c) for one in self.series for c, _ in one.couples}
-        )
         scales = np.exp(points[:, -1])
         with ThreadPoolExecutor(os.cpu_count()) as pool:
             jobs = {
                 pair: pool.submit(
                     self._shown, drives[pair[0]], pair[1], configs, scales
                 )
-                for pair in pairs
+                for pair in self.pairs
             }
             found = {pair: job.result() for pair, job in jobs.items()}
+        return self.less_measured(configs[0], found)
+
+    @property
+    def pairs(self) -> list[tuple[int, str]]:
+        """Number of each drive and corner that has a thermocouple."""
+        return sorted(
+            {(one.drive, c) for one in self.series for c, _ in one.couples}
+        )
+
+    def less_measured(
+        self,
+        config: Config,
+        found: Mapping[tuple[int, str], Mapping[str, Column]],
+    ) -> Column:
+        """Return the residuals [K] (n, k) of what models show.
+
+        *found* is [K] by pair and node, (steps, k); *config* says how its
+        thermocouples read.
+        """
         gains = {
-            c: thermocouple_corrections(configs[0], c)
-            for c in self.target.corners
+            c: thermocouple_corrections(config, c) for c in self.target.corners
         }
         parts = []
         for one in self.series:

@@ -46,11 +46,11 @@ class Forces:
 
     ``pressed_n`` is of the pressure by corner, (corners, n), ``motion_n`` of
     the motion, nan where it is not known; ``first`` is the step that a window
-    begins at, ``braked`` the share of the window
-    with the pressure on, ``rate_ms2`` the change of the speed,
-    ``engine_nm`` what is known of the engine where the torque at the wheels
-    is not, else nan, ``known_torque`` whether the bus has the drive's
-    torque, ``has_accelerometer`` whether it counts.
+    begins at, ``braked`` the share of the window with the pressure on,
+    ``rate_ms2`` the change of the speed, ``engine_nm`` what is known of the
+    engine where the torque at the wheels is not, else nan, ``known_torque``
+    whether the bus has the drive's torque, ``has_accelerometer`` whether it
+    counts.
     """
 
     first: Indices
@@ -58,12 +58,21 @@ class Forces:
     speed_ms: Column
     rate_ms2: Column
     braked: Column
-    pressure_pa: Column
     pressed_n: Column
     motion_n: Column
     engine_nm: Column
     known_torque: bool
     has_accelerometer: bool
+
+    @property
+    def whole_n(self) -> Column:
+        """The force of the pressure, all corners, (n,)."""
+        return np.asarray(self.pressed_n.sum(axis=0))
+
+    @property
+    def metres(self) -> Column:
+        """How far the car goes, by window, (n,)."""
+        return np.asarray(self.speed_ms * np.gradient(self.time_s))
 
 
 def forces(recording: Recording, config: Config) -> Forces:
@@ -103,7 +112,6 @@ def forces(recording: Recording, config: Config) -> Forces:
         on = _step_means(recording, switch)
         if on is not None:
             brake_on = np.maximum(brake_on, np.nan_to_num(on))
-    pressure = inputs[:, :, CHANNELS.index("pressure_pa")].max(axis=1)
 
     def mean(column: Column) -> Column:
         total = _running(column)
@@ -115,7 +123,6 @@ def forces(recording: Recording, config: Config) -> Forces:
         mean(speed),
         (speed[last] - speed[first]) / (every * GRID_S),
         mean(brake_on),
-        mean(pressure),
         ((energy[last] - energy[first]) / length[:, None]).T,
         force,
         mean(engine),

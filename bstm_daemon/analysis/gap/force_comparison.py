@@ -179,48 +179,30 @@ class ForceComparison:
         path = PATHS.get(effect.name)
         if path is not None:
             typical = effect_class(effect.name)(effect.parameters)
-            return np.concatenate(
-                [
-                    path(typical, one, part, self.config)[own]
-                    for one, part, own in zip(
-                        self.recordings, self.parts, self.kept, strict=True
-                    )
-                ]
+            pairs = zip(self.recordings, self.parts, strict=True)
+            return self._counted(
+                [path(typical, one, part, self.config) for one, part in pairs]
             )
         config = with_effects(self.config, [effect])
         parts = [forces(one, config) for one in self.recordings]
         return self._residual(parts) - self.base_n
 
     def _residual(self, parts: Sequence[Forces]) -> Column:
-        return np.concatenate(
-            [
-                (one.pressed_n.sum(axis=0) - one.motion_n)[own]
-                for one, own in zip(parts, self.kept, strict=True)
-            ]
-        )
+        return self._counted([one.whole_n - one.motion_n for one in parts])
+
+    def _counted(self, columns: Sequence[Column]) -> Column:
+        """Return of *columns*, one a recording, the windows that count."""
+        pairs = zip(columns, self.kept, strict=True)
+        return np.concatenate([one[own] for one, own in pairs])
 
     def column(self, name: str) -> Column:
         """Return a column of the windows that count, (n,)."""
-        return np.concatenate(
-            [
-                np.asarray(getattr(one, name))[own]
-                for one, own in zip(self.parts, self.kept, strict=True)
-            ]
-        )
-
-    def pressed_n(self) -> Column:
-        """Return the force of the pressure, all corners, (n,)."""
-        return np.concatenate(
-            [
-                one.pressed_n.sum(axis=0)[own]
-                for one, own in zip(self.parts, self.kept, strict=True)
-            ]
-        )
+        return self._counted([getattr(one, name) for one in self.parts])
 
     def _tunables(self) -> tuple[Column, Column]:
         speed, mass = self.column("speed_ms"), self.vehicle.mass_kg
         columns = [
-            self.pressed_n(),
+            self.column("whole_n"),
             self.vehicle.quadratic * speed**2,
             np.full(len(speed), self.vehicle.constant),
             self.vehicle.linear * speed,
@@ -248,7 +230,7 @@ class ForceComparison:
         for number, (one, own) in enumerate(
             zip(self.parts, self.kept, strict=True)
         ):
-            pressed = one.pressed_n.sum(axis=0)
+            pressed = one.whole_n
             residual = (pressed - one.motion_n)[own]
             quiet = np.diff(residual[one.braked[own] == 0.0])
             if len(quiet) > 10:

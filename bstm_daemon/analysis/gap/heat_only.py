@@ -150,7 +150,7 @@ def find_force_gap(
             ForceCurve(
                 one.name,
                 part.time_s,
-                part.pressed_n.sum(axis=0),
+                part.whole_n,
                 part.motion_n,
             )
             for one, part in zip(recordings, comparison.parts, strict=True)
@@ -255,17 +255,14 @@ def _errors(
 
 def _work(comparison: ForceComparison) -> tuple[float, float]:
     """Return the work of pressure and of motion while braking [J]."""
-    pressed = comparison.pressed_n()
-    motion = comparison.column("motion_n")
+    pressed, motion = (
+        comparison.column("whole_n"),
+        comparison.column("motion_n"),
+    )
     braked = (comparison.column("braked") > 0.0) | (
         motion > comparison.config.heat.brake_on_force_n
     )
-    metres = np.concatenate(
-        [
-            (one.speed_ms * np.gradient(one.time_s))[own]
-            for one, own in zip(comparison.parts, comparison.kept, strict=True)
-        ]
-    )
+    metres = comparison.column("metres")
     return (
         float(np.sum((pressed * metres)[braked])),
         float(np.sum((motion * metres)[braked])),

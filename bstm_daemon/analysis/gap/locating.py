@@ -80,14 +80,13 @@ class Place:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Located:
-    """The map: cells by temperature, and by other drivers; the places."""
+    """The places; the map: cells by temperature, and by other drivers."""
 
+    places: tuple[Place, ...]
     cells: tuple[Cell, ...]
     by_speed: tuple[Cell, ...]
     by_pressure: tuple[Cell, ...]
     by_time: tuple[Cell, ...]
-    places: tuple[Place, ...]
-    heats: tuple[NodeHeat, ...]
 
 
 def locate(
@@ -101,31 +100,26 @@ def locate(
         if corner in recording.drive.measured
         for one in residual_heat(config, recording.drive, corner, number)
     ]
-    cells = _cells(
-        heats,
-        lambda h: np.digitize(h.temperature_k - KELVIN_OFFSET, TEMPERATURES_C),
-        labels(TEMPERATURES_C, "degC"),
-    )
-    return Located(
-        cells,
-        _cells(
-            heats,
+    tables = (
+        (_temperature_bin, labels(TEMPERATURES_C, "degC")),
+        (
             lambda h: np.digitize(3.6 * h.speed_ms, SPEEDS_KMH),
             labels(SPEEDS_KMH, "km/h"),
         ),
-        _cells(
-            heats,
+        (
             lambda h: np.digitize(1e-5 * h.pressure_pa, PRESSURES_BAR),
             labels(PRESSURES_BAR, "bar"),
         ),
-        _cells(
-            heats,
+        (
             lambda h: (h.time_s > 0.5 * h.time_s[-1]).astype(int),
             ("first half", "second half"),
         ),
-        _places(heats),
-        tuple(heats),
     )
+    return Located(_places(heats), *(_cells(heats, *one) for one in tables))
+
+
+def _temperature_bin(heat: NodeHeat) -> Indices:
+    return np.digitize(heat.temperature_k - KELVIN_OFFSET, TEMPERATURES_C)
 
 
 def labels(edges: Sequence[float], unit: str) -> tuple[str, ...]:
@@ -225,11 +219,7 @@ def _strength(
     parts = []
     for number in range(len(TEMPERATURES_C) + 1):
         own = [
-            mask
-            & (
-                np.digitize(one.temperature_k - KELVIN_OFFSET, TEMPERATURES_C)
-                == number
-            )
+            mask & (_temperature_bin(one) == number)
             for one, mask in zip(heats, masks, strict=True)
         ]
         if sum(int(mask.sum()) for mask in own) >= LEAST_WINDOWS:

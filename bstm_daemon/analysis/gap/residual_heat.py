@@ -67,11 +67,6 @@ class NodeHeat:
     speed_ms: Column
     pressure_pa: Column
 
-    @property
-    def deviation_j(self) -> Column:
-        """Standard deviation of each window's heat, (n,)."""
-        return np.asarray(self.draws_j.std(axis=0))
-
 
 def residual_heat(
     config: Config, drive: Drive, corner: str, seed: int = 0
@@ -88,21 +83,9 @@ def residual_heat(
         node: _noise(config, drive, corner, node, series, rng)
         for node, series in measured.items()
     }
-    return [
-        found
-        for node in measured
-        if (
-            found := _node_heat(
-                program,
-                drive,
-                corner,
-                node,
-                measured=measured,
-                initial=initial,
-                noise=noise,
-            )
-        )
-    ]
+    place = (program, drive, corner, initial)
+    heats = [_node_heat(place, node, measured, noise) for node in measured]
+    return [one for one in heats if one is not None]
 
 
 def _measured(
@@ -122,25 +105,23 @@ def _measured(
     return found
 
 
-def _node_heat(  # noqa: PLR0913
-    program: Program,
-    drive: Drive,
-    corner: str,
+def _node_heat(
+    place: tuple[Program, Drive, str, Mapping[str, float]],
     node: str,
-    *,
     measured: Mapping[str, Column],
-    initial: Mapping[str, float],
     noise: Mapping[str, Column],
 ) -> NodeHeat | None:
+    program, drive, corner, initial = place
     steps = len(drive)
     begins = np.arange(0, steps - WINDOW_STEPS + 1, WINDOW_STEPS)
     ends = begins + WINDOW_STEPS - 1
 
     def ended(shifted: str = "", extra_w: float = 0.0) -> Column:
         """Return the node's temperature at the end of each window."""
-        series = {}
-        for name, own in measured.items():
-            series[name] = own + (SHIFT_K if name == shifted else 0.0)
+        series = {
+            name: own + (SHIFT_K if name == shifted else 0.0)
+            for name, own in measured.items()
+        }
         anchored = np.full(steps, np.nan)
         anchored[begins] = series[node][begins]
         series[node] = anchored
@@ -154,26 +135,18 @@ def _node_heat(  # noqa: PLR0913
     base = ended()
     response = (ended(extra_w=PROBE_W) - base) / PROBE_W
     kept = (ended(node) - base) / SHIFT_K
-    from_others = {
-        name: (ended(name) - base) / SHIFT_K
-        for name in measured
-        if name != node
-    }
     duration_s = (WINDOW_STEPS - 1) * GRID_S
     to_heat = duration_s / response
     error = base - measured[node][ends]
     # noise of the node's own two readings and of its neighbours'
     draws = kept * noise[node][:, :-1] - noise[node][:, 1:]
-    for name, slope in from_others.items():
+    for name in (one for one in measured if one != node):
+        slope = (ended(name) - base) / SHIFT_K
         middle = 0.5 * (noise[name][:, :-1] + noise[name][:, 1:])
         draws = draws + slope * middle
     known = np.isfinite(error) & np.isfinite(to_heat)
     if not known.any():
         return None
-    channels = {
-        name: _means(drive.channel(corner, name))
-        for name in ("speed_ms", "pressure_pa")
-    }
     return NodeHeat(
         drive.name,
         corner,
@@ -183,8 +156,10 @@ def _node_heat(  # noqa: PLR0913
         (-draws * to_heat)[:, known],
         regimes(drive, corner)[known],
         _means(measured[node])[known],
-        channels["speed_ms"][known],
-        channels["pressure_pa"][known],
+        *(
+            _means(drive.channel(corner, name))[known]
+            for name in ("speed_ms", "pressure_pa")
+        ),
     )
 
 

@@ -72,45 +72,23 @@ def unnamed_heats(
 
 
 def _apart(comparison: Comparison, node: str, regime: str) -> Column:
+    """Return the residuals [K] with that heat, (n,)."""
     shown = {}
     config = comparison.config(comparison.start)
-    pairs = {(s.drive, c) for s in comparison.series for c, _ in s.couples}
-    for number, name in sorted(pairs):
+    own = {s.drive: s for s in comparison.series if s.node == node}
+    for number, name in comparison.pairs:
         drive = comparison.recordings[number].drive
         model = model_of(config, name)
         program = compile_network(model.network.with_extra_heat(node))
         heat = np.zeros(drive.inputs.shape[:2])
-        own = _series_of(comparison, number, node)
-        if own is not None:
-            heat[:] = _heat_w(drive, name, own, regime)[:, None]
-        heated = drive.with_extra_heat(heat)
-        plain = compiled_model(model)
-        initial = initial_temperatures(plain, drive, name)
-        result = march([program], heated, name, initial)
+        if number in own:
+            heat[:] = _heat_w(drive, name, own[number], regime)[:, None]
+        initial = initial_temperatures(compiled_model(model), drive, name)
+        result = march([program], drive.with_extra_heat(heat), name, initial)
         shown[number, name] = {
-            s.node: result[model.shown(s.node)][:, 0]
-            for s in comparison.series
+            s.node: result[model.shown(s.node)] for s in comparison.series
         }
-    return np.concatenate(
-        [
-            np.mean(
-                [
-                    shown[one.drive, corner][one.node][one.steps]
-                    for corner in {c for c, _ in one.couples}
-                ],
-                axis=0,
-            )
-            - one.measured_k
-            for one in comparison.series
-        ]
-    )
-
-
-def _series_of(comparison: Comparison, drive: int, node: str) -> Series | None:
-    for one in comparison.series:
-        if one.drive == drive and one.node == node:
-            return one
-    return None
+    return comparison.less_measured(config, shown)[:, 0]
 
 
 def _heat_w(drive: Drive, corner: str, series: Series, regime: str) -> Column:

@@ -305,11 +305,13 @@ def _prospects(
     found = []
     prior = np.zeros(0)
     for number, name in enumerate(question.menu):
-        drive = candidate_drive(name, target.config, present, couples)
-        comparison = compare(target, [drive.recording])
+        recording, description = candidate_drive(
+            name, target.config, present, couples
+        )
+        comparison = compare(target, [recording])
         if noise is not None:
             comparison.set_noise({**comparison.noise, **noise})
-        one = prospect(comparison, question.among, drive.description)
+        one = prospect(comparison, question.among, description)
         basis = directions(comparison)
         found.append(replace(one, jacobian=one.jacobian @ basis))
         prior = prior_along(comparison, basis)

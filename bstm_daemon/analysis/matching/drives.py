@@ -56,9 +56,6 @@ BEGIN_S: Final = 5.0
 """The first temperatures are means over this time; who brakes within it shifts
 the start by half of what it heats."""
 
-TOUCHING_W: Final = 1.0
-"""Pads touch where a brake takes up more."""
-
 NODE_OF: Final = {"disc_2": "disc"}
 """Thermocouple to node, where the names differ."""
 
@@ -155,22 +152,15 @@ class Drive:
         ]
         return [pair for pair in pairs if pair[1] in nodes]
 
-    def with_power(
-        self, power_w: Mapping[str, Column], *, pressed: bool = False
-    ) -> Drive:
+    def with_power(self, power_w: Mapping[str, Column]) -> Drive:
         """Return the drive with brake power known otherwise.
 
-        *power_w* gives the mean over each step by corner, (steps,). With
-        *pressed* the pads touch wherever there is some, also where the
-        pressure alone does not tell.
+        *power_w* gives the mean over each step by corner, (steps,).
         """
         inputs = self.inputs.copy()
-        on = CHANNELS.index("brake_on")
         for corner, column in power_w.items():
             at = self.corners.index(corner)
             inputs[:, at, CHANNELS.index("brake_power_w")] = column
-            if pressed:
-                inputs[column > TOUCHING_W, at, on] = 1.0
         return replace(self, inputs=inputs, estimates=None)
 
     def with_extra_heat(self, heat_w: Column) -> Drive:

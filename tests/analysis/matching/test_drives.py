@@ -165,20 +165,6 @@ def test_a_gap_of_a_thermocouple_is_not_bridged() -> None:
     assert np.isnan(found[[1, 3]]).all()
 
 
-def test_who_knows_the_power_knows_that_pads_touch(drive: Drive) -> None:
-    power = np.zeros(len(drive))
-    power[100:120] = 40.0
-
-    as_before = drive.with_power({"FL": power})
-    pressed = drive.with_power({"FL": power}, pressed=True)
-
-    on = drive.channel("FL", "brake_on")
-    assert as_before.channel("FL", "brake_on") == pytest.approx(on)
-    assert pressed.channel("FL", "brake_on")[100:120] == pytest.approx(1.0)
-    rest = np.r_[0:100, 120 : len(drive)]
-    assert pressed.channel("FL", "brake_on")[rest] == pytest.approx(on[rest])
-
-
 def test_a_measured_disc_is_no_heat(log: Path) -> None:
     config, signal_map = load_vehicle(EXAMPLE)
     heat = config.heat.model_copy(update={"mode": "measured"})
