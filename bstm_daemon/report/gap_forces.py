@@ -28,7 +28,8 @@ from bstm_daemon.report.shell import Page, Section, Table
 from bstm_daemon.report.text import table
 
 if TYPE_CHECKING:
-    from bstm_daemon.analysis.gap.heat_only import ForceCurve, ForceGap
+    from bstm_daemon.analysis.gap.force_balance import Forces
+    from bstm_daemon.analysis.gap.heat_only import ForceGap
 
 
 def force_text(gap: ForceGap) -> str:
@@ -142,10 +143,10 @@ def force_page(gap: ForceGap, subtitle: str) -> Page:
     return Page("Gap", sections, tiles, subtitle=subtitle)
 
 
-def _drive_section(one: ForceCurve) -> Section:
+def _drive_section(one: Forces) -> Section:
     """Return both forces over time, and their difference over the force."""
     span = (0.0, max(float(one.time_s[-1]), 1.0))
-    motion_kn, pressed_kn = 1e-3 * one.motion_n, 1e-3 * one.pressed_n
+    motion_kn, pressed_kn = 1e-3 * one.motion_n, 1e-3 * one.whole_n
     over_time = [
         curve(one.time_s, motion_kn, "by motion", BLUE),
         curve(one.time_s, pressed_kn, "by pressure", VERMILION),

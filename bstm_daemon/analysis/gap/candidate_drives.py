@@ -16,11 +16,7 @@ import numpy as np
 
 from bstm_daemon.analysis.gap.recording import Recording, inputs_of, thinned
 from bstm_daemon.analysis.matching.drives import GRID_S, Drive, Thermocouple
-from bstm_daemon.analysis.matching.march import (
-    initial_temperatures,
-    march,
-    model_of,
-)
+from bstm_daemon.analysis.matching.march import march, model_of
 from bstm_daemon.bus.signals.columns import Events
 from bstm_daemon.estimator.corner_model import compiled_model
 from bstm_daemon.model.heat.sample_pass import TICK
@@ -117,10 +113,7 @@ def _predicted(
     config: Config, drive: Drive, corner: str, nodes: Sequence[str]
 ) -> dict[str, Thermocouple]:
     model = model_of(config, corner)
-    program = compiled_model(model)
-    result = march(
-        [program], drive, corner, initial_temperatures(program, drive, corner)
-    )
+    result = march([compiled_model(model)], drive, corner)
     own = {node.name for node in model.network.nodes}
     every = round(READ_S / GRID_S)
     return {

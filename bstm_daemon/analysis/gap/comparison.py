@@ -15,11 +15,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from bstm_daemon.analysis.gap.noise import Layout
-from bstm_daemon.analysis.matching.march import (
-    initial_temperatures,
-    march,
-    model_of,
-)
+from bstm_daemon.analysis.matching.march import march, model_of
 from bstm_daemon.analysis.matching.problem import Series, series_of
 from bstm_daemon.analysis.matching.tunables import TUNABLES, Target
 from bstm_daemon.channels import CHANNELS
@@ -183,12 +179,7 @@ class Comparison(Layout):
             inputs = drive.inputs.copy()
             inputs[:, :, POWER] *= scale
             own = replace(drive, inputs=inputs)
-            result = march(
-                [programs[i] for i in lanes],
-                own,
-                corner,
-                initial_temperatures(programs[lanes[0]], own, corner),
-            )
+            result = march([programs[i] for i in lanes], own, corner)
             for node in nodes:
                 shown = result[models[lanes[0]].shown(node)]
                 found[node].append((lanes, shown))

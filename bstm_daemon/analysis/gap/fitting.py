@@ -80,11 +80,9 @@ class Fit:
             return a - half, min(a + half, 0.0)
         return max(a - half, 0.0), a + half
 
-    def effects(
-        self, provenance: Mapping[str, object] | None = None
-    ) -> list[EffectConfig]:
+    def effects(self) -> list[EffectConfig]:
         """Return the effects as entries of the configuration."""
-        return effect_entries(self.strengths, provenance)
+        return effect_entries(self.strengths)
 
     def bend(self, comparison: Comparison) -> float:
         """Return how far the tunables moved, in deviations of their priors.

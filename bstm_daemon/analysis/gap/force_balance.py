@@ -53,6 +53,7 @@ class Forces:
     counts.
     """
 
+    drive: str
     first: Indices
     time_s: Column
     speed_ms: Column
@@ -118,6 +119,7 @@ def forces(recording: Recording, config: Config) -> Forces:
         return np.asarray((total[last] - total[first]) / (every * GRID_S))
 
     return Forces(
+        recording.name,
         first,
         recording.drive.time_s[first],
         mean(speed),

@@ -12,12 +12,12 @@ import numpy as np
 from bstm_daemon.analysis.gap.comparison import with_effects
 from bstm_daemon.analysis.gap.force_balance import Forces, forces
 from bstm_daemon.analysis.gap.noise import Layout
-from bstm_daemon.analysis.matching.march import initial_temperatures, march
+from bstm_daemon.analysis.matching.march import march
 from bstm_daemon.analysis.matching.problem import Series
 from bstm_daemon.analysis.statistics.series import Column, runs
 from bstm_daemon.analysis.statistics.whitening import SensorNoise
 from bstm_daemon.errors import LogError
-from bstm_daemon.estimator.corner_model import compiled_model, corner_model
+from bstm_daemon.estimator.corner_model import compile_corner
 from bstm_daemon.model.effects.catalogue import effect_class
 from bstm_daemon.model.heat.feed_back import Vehicle
 from bstm_daemon.roles import CORNERS, ROLE_INDEX
@@ -45,11 +45,8 @@ def drag_n(
     span = effect["hot_c"] - COLD_C
     total = np.zeros(len(part.speed_ms))
     for corner in config.disc_corners():
-        model = corner_model(config, corner)
-        program = compiled_model(model)
-        drive = recording.drive
-        start = initial_temperatures(program, drive, corner.name)
-        result = march([program], drive, corner.name, start)
+        program = compile_corner(config, corner)
+        result = march([program], recording.drive, corner.name)
         pad_c = result["pad_back"][part.first, 0] - KELVIN_OFFSET
         hot = np.clip((pad_c - COLD_C) / span, 0.0, 1.0)
         cold = effect["cold_share"]

@@ -30,8 +30,8 @@ from bstm_daemon.model.effects.catalogue import effect_class
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from bstm_daemon.analysis.gap.force_balance import Forces
     from bstm_daemon.analysis.gap.recording import Recording
-    from bstm_daemon.analysis.statistics.series import Column
 
 NOTHING_SEEN: Final = (
     "no effect on the heat input changes the forces of these drives by more "
@@ -43,16 +43,6 @@ SILENT_MS2: Final = 1e-3
 
 WEAK: Final = 2.0
 """From this strength on an effect counts as too weak for these drives."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ForceCurve:
-    """Forces [N] over one drive, (n,) each; nan where not known."""
-
-    drive: str
-    time_s: Column
-    pressed_n: Column
-    motion_n: Column
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,7 +68,7 @@ class ForceGap:
     after_ms2: float
     pressed_j: float
     motion_j: float
-    curves: tuple[ForceCurve, ...] = ()
+    curves: tuple[Forces, ...] = ()
 
     def effects(self) -> list[EffectConfig]:
         """Return what can be adopted, with its provenance."""
@@ -146,15 +136,7 @@ def find_force_gap(
         after,
         pressed,
         motion,
-        tuple(
-            ForceCurve(
-                one.name,
-                part.time_s,
-                part.whole_n,
-                part.motion_n,
-            )
-            for one, part in zip(recordings, comparison.parts, strict=True)
-        ),
+        tuple(comparison.parts),
     )
 
 

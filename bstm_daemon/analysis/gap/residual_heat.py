@@ -17,7 +17,6 @@ import numpy as np
 from bstm_daemon.analysis.gap.noise import noise_of
 from bstm_daemon.analysis.matching.drives import GRID_S, Drive
 from bstm_daemon.analysis.matching.march import (
-    Forced,
     initial_temperatures,
     march,
     model_of,
@@ -129,7 +128,7 @@ def _node_heat(
             np.full(drive.inputs.shape[:2], extra_w)
         )
         heated = compile_network(program.network.with_extra_heat(node))
-        out = march([heated], probed, corner, initial, Forced(series))
+        out = march([heated], probed, corner, initial, series)
         return np.asarray(out[node][ends, 0])
 
     base = ended()

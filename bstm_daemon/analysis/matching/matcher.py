@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 from bstm_daemon.analysis.identify.writing import Change
-from bstm_daemon.analysis.matching.march import initial_temperatures, march
+from bstm_daemon.analysis.matching.march import march
 from bstm_daemon.analysis.matching.phases import HARD_MS2, hard_stops
 from bstm_daemon.analysis.matching.refine import (
     Accuracy,
@@ -251,8 +251,7 @@ def curves_of(match: Match, drive: Drive, corner: str) -> list[Curves]:
     )
     if not couples:
         return []
-    initial = initial_temperatures(programs[0], drive, corner)
-    result = march(programs, drive, corner, initial)
+    result = march(programs, drive, corner)
     return [
         Curves(
             name,

@@ -12,8 +12,6 @@ import numpy as np
 
 from bstm_daemon.analysis.matching.drives import GRID_S, Drive
 from bstm_daemon.analysis.matching.march import (
-    FREE,
-    Forced,
     initial_temperatures,
     march,
 )
@@ -25,7 +23,6 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from bstm_daemon.analysis.statistics.series import Column, Indices, Mask
-    from bstm_daemon.model.thermal.program import Program
 
 POINT_S: Final = 5.0
 """Least time between two points that count; thermocouples cohere longer."""
@@ -76,7 +73,7 @@ class Run:
     drive: int
     corner: str
     initial_k: Mapping[str, float]
-    forced: Forced = FREE
+    forced: Mapping[str, Column] | None = None
 
 
 class Problem:
@@ -109,11 +106,10 @@ class Problem:
         self.keys = tuple(keys)
         self.runs = tuple(runs)
         self.terms = tuple(terms)
-        tunables = [TUNABLES[key] for key in keys]
-        self.start = np.log([target.value(one) for one in tunables])
-        bounds = np.array([one.bounds() for one in tunables]).reshape(-1, 2)
-        self.lower, self.upper = bounds[:, 0], bounds[:, 1]
-        self.prior = np.array([one.prior for one in tunables])
+        self.start = np.log([target.value(TUNABLES[key]) for key in keys])
+        bounds = [TUNABLES[key].bounds() for key in keys]
+        self.lower, self.upper = np.array(bounds).reshape(-1, 2).T
+        self.prior = np.array([TUNABLES[key].prior for key in keys])
         self.set_noise(noise)
 
     def set_noise(self, noise: Mapping[str, SensorNoise]) -> None:
@@ -144,39 +140,24 @@ class Problem:
 
     def residuals_k(self, points: Column) -> list[Column]:
         """Return model less measurement [K] by term, (n, k) each."""
-        programs = self.programs(points)
+        targets = [self.target.changed(self.values(one)) for one in points]
+        programs = [compile_corner(one.config, one.corner) for one in targets]
         found = {}
         with ThreadPoolExecutor(os.cpu_count()) as pool:
-            marches = [
-                pool.submit(self._march, r, programs) for r in self.runs
-            ]
-            for run, result in zip(self.runs, marches, strict=True):
-                found[run.drive, run.corner] = result.result()
+            for run in self.runs:
+                found[run.drive, run.corner] = pool.submit(
+                    march,
+                    programs,
+                    self.drives[run.drive],
+                    run.corner,
+                    run.initial_k,
+                    run.forced,
+                )
         return [
-            found[term.drive, term.corner][term.node][term.steps]
+            found[term.drive, term.corner].result()[term.node][term.steps]
             - term.measured_k[:, None]
             for term in self.terms
         ]
-
-    def programs(self, points: Column) -> list[Program]:
-        """Return the compiled model at *points* (k, p)."""
-        return [
-            compile_corner(changed.config, changed.corner)
-            for changed in (
-                self.target.changed(self.values(point)) for point in points
-            )
-        ]
-
-    def _march(
-        self, run: Run, programs: Sequence[Program]
-    ) -> dict[str, Column]:
-        return march(
-            programs,
-            self.drives[run.drive],
-            run.corner,
-            run.initial_k,
-            run.forced,
-        )
 
 
 def whole_drives(

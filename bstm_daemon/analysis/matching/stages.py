@@ -15,7 +15,7 @@ import numpy as np
 
 from bstm_daemon.analysis.matching import phases
 from bstm_daemon.analysis.matching.drives import GRID_S, Drive
-from bstm_daemon.analysis.matching.march import Forced, initial_temperatures
+from bstm_daemon.analysis.matching.march import initial_temperatures
 from bstm_daemon.analysis.matching.problem import (
     Problem,
     Run,
@@ -227,14 +227,8 @@ def _isolated(
             }
             own = couples[stage.node].at(drive.time_s)
             series[stage.node] = np.where(mask, np.nan, own)
-            runs.append(
-                Run(
-                    index,
-                    corner,
-                    initial_temperatures(program, drive, corner),
-                    Forced(series),
-                )
-            )
+            initial = initial_temperatures(program, drive, corner)
+            runs.append(Run(index, corner, initial, series))
             terms.append(term)
             steps += int(np.count_nonzero(mask))
     return runs, terms, steps * GRID_S

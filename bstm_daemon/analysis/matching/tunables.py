@@ -21,7 +21,7 @@ from bstm_daemon.model.effects.catalogue import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Mapping, Sequence
+    from collections.abc import Callable, Collection, Mapping, Sequence
 
 
 SLOW: Final = "cooling.s_per_s at 36 km/h"
@@ -193,36 +193,34 @@ class Target:
 
     def with_cooling_form(self, form: str) -> Target:
         """Return the target with another ``cooling.form``."""
-        corners = [
-            one.model_copy(update={"cooling": {**one.cooling, "form": form}})
-            if one.name in self.corners
-            else one
-            for one in self.config.corner
-        ]
-        config = self.config.model_copy(update={"corner": corners})
-        return Target(config, self.corners)
+        return self._each(
+            lambda one: one.model_copy(
+                update={"cooling": {**one.cooling, "form": form}}
+            )
+        )
 
     def changed(self, values: dict[str, float]) -> Target:
         """Return the target with *values* by key."""
         prefix = f"{EFFECT}."
         own = {k: v for k, v in values.items() if not k.startswith(prefix)}
-        config = self.config.model_copy(
-            update={
-                "corner": [
-                    self._changed(one, own)
-                    if one.name in self.corners
-                    else one
-                    for one in self.config.corner
-                ]
-            }
-        )
+        target = self._each(lambda one: self._changed(one, own))
         of_effects = {
             key.removeprefix(prefix): value
             for key, value in values.items()
             if key.startswith(prefix)
         }
-        if of_effects:
-            config = with_effect_values(config, self.corners, of_effects)
+        if not of_effects:
+            return target
+        config = with_effect_values(target.config, self.corners, of_effects)
+        return Target(config, self.corners)
+
+    def _each(self, change: Callable[[CornerConfig], CornerConfig]) -> Target:
+        """Return the target with *change* in each of its corners."""
+        corners = [
+            change(one) if one.name in self.corners else one
+            for one in self.config.corner
+        ]
+        config = self.config.model_copy(update={"corner": corners})
         return Target(config, self.corners)
 
     def _changed(
@@ -239,25 +237,12 @@ class Target:
                 parts[section][name] = value
         if S_SPEEDS_MS.keys() & values.keys():
             factors = [values.get(key, 1.0) for key in S_SPEEDS_MS]
-            parts["cooling"]["s_per_s"] = self._s_table(corner, factors)
-        pad = corner.pad
-        if pad is not None:
-            pad = pad.model_copy(update=parts["pad"])
-        return corner.model_copy(
-            update={
-                "thermal": parts["thermal"],
-                "cooling": parts["cooling"],
-                "pad": pad,
-            }
-        )
-
-    def _s_table(
-        self, corner: CornerConfig, factors: list[float]
-    ) -> list[float]:
-        cooling = self.config.cooling_of(corner)
-        speeds = list(S_SPEEDS_MS.values())
-        found = np.interp(cooling.speed_ms, speeds, factors) * cooling.s_per_s
-        return [float(one) for one in found]
+            cooling = self.config.cooling_of(corner)
+            speeds = list(S_SPEEDS_MS.values())
+            at = np.interp(cooling.speed_ms, speeds, factors)
+            parts["cooling"]["s_per_s"] = (at * cooling.s_per_s).tolist()
+        pad = corner.pad and corner.pad.model_copy(update=parts["pad"])
+        return corner.model_copy(update={**parts, "pad": pad})
 
 
 def refined_keys(target: Target) -> tuple[str, ...]:
@@ -278,14 +263,12 @@ def refined_keys(target: Target) -> tuple[str, ...]:
 
 def usable(target: Target, keys: Sequence[str]) -> tuple[list[str], list[str]]:
     """Return which of *keys* can be matched, and why the others can not."""
-    found, remarks = [], []
-    for key in keys:
-        value = target.value(TUNABLES[key])
-        if value > 0.0:
-            found.append(key)
-        else:
-            remarks.append(f"{key} is 0 or a curve: it stays as it is")
-    return found, remarks
+    found = [key for key in keys if target.value(TUNABLES[key]) > 0.0]
+    return found, [
+        f"{key} is 0 or a curve: it stays as it is"
+        for key in keys
+        if key not in found
+    ]
 
 
 def targets_of(
@@ -310,7 +293,11 @@ def targets_of(
                 "pad": {"new_thickness_m", "measured"},
             }
         )
-        looks["effect"] = effects_by_corner(config, corner.name)
+        looks["effect"] = {
+            one.name: dict(one.parameters)
+            for one in effects_of(config)
+            if one.corner in {"all", corner.name}
+        }
         group = corner.name if each else repr(looks)
         groups.setdefault(group, []).append(corner.name)
     return [Target(config, tuple(names)) for names in groups.values()]
@@ -371,12 +358,3 @@ def with_effect_values(
                 )
             )
     return config.model_copy(update={"effect": entries})
-
-
-def effects_by_corner(config: Config, corner: str) -> dict[str, object]:
-    """Return the parameters of each effect of *corner*, by its name."""
-    return {
-        one.name: dict(one.parameters)
-        for one in effects_of(config)
-        if one.corner in {"all", corner}
-    }

@@ -15,7 +15,6 @@ from bstm_daemon.analysis.matching.drives import (
     read_drive,
 )
 from bstm_daemon.analysis.matching.march import (
-    Forced,
     initial_temperatures,
     march,
 )
@@ -148,7 +147,7 @@ def test_a_forced_node_follows_and_is_free_in_gaps(
     series = np.full(len(drive), 400.0)
     series[100:] = np.nan
 
-    found = march([program], drive, "FL", initial, Forced({"fluid": series}))
+    found = march([program], drive, "FL", initial, {"fluid": series})
 
     assert found["fluid"][:100, 0] == pytest.approx(400.0)
     assert np.all(np.diff(found["fluid"][100:, 0]) < 0.0)
