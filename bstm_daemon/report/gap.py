@@ -19,6 +19,7 @@ from bstm_daemon.report.text import table
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from bstm_daemon.analysis.gap.fitting import Fit
     from bstm_daemon.analysis.gap.heat_only import ForceGap
     from bstm_daemon.analysis.gap.holdout_comparison import Shown
     from bstm_daemon.analysis.gap.locating import Cell, Located
@@ -59,29 +60,33 @@ SHOWN_CANDIDATES: Final = 8
 
 def gap_text(gap: Gap) -> str:
     """Return what was found as lines for a terminal."""
-    lines = [f"{', '.join(gap.corners)}: {headline(gap)}"]
+    lines = []
     if gap.located is not None:
-        lines += [f"  {line}" for line in place_lines(gap.located)]
+        lines += place_lines(gap.located)
     if gap.naming is not None:
-        lines += [f"  {line}" for line in naming_lines(gap.naming)]
-        rows = candidate_rows(gap.naming)
-        lines += [f"  {line}" for line in table(CANDIDATE_HEAD, rows)]
-        lines += [f"  {line}" for line in unnamed_lines(gap)]
+        lines += naming_lines(gap.naming)
+        lines += table(CANDIDATE_HEAD, candidate_rows(gap.naming))
+        lines += unnamed_lines(gap)
         if gap.silent:
-            lines.append(f"  not excited: {', '.join(gap.silent)}")
+            lines.append(f"not excited: {', '.join(gap.silent)}")
     if gap.advice:
-        lines += [f"  {line}" for line in advice_lines(gap)]
+        lines += advice_lines(gap)
     if gap.fit is not None:
         for name, strength in gap.fit.strengths.items():
             low, high = gap.fit.interval(name)
             lines.append(
-                f"  {name}: strength {strength:.2f} +- "
+                f"{name}: strength {strength:.2f} +- "
                 f"{gap.fit.deviations[name]:.2f} with the error of its form, "
                 f"90 % interval {low:.2f} to {high:.2f}"
             )
     if gap.shown is not None:
-        lines += [f"  {line}" for line in shown_lines(gap.shown)]
-    return "\n".join(lines)
+        lines += shown_lines(gap.shown)
+    return headed(f"{', '.join(gap.corners)}: {headline(gap)}", lines)
+
+
+def headed(head: str, lines: Sequence[str]) -> str:
+    """Return *lines*, indented, below *head*."""
+    return "\n".join((head, *(f"  {line}" for line in lines)))
 
 
 def remarks_on(config: Config) -> tuple[str, ...]:
@@ -134,12 +139,15 @@ def probability_tile(naming: Naming) -> tuple[str, str]:
     return percent(naming.probability), f"probability{of}"
 
 
-def strength_tile(
-    name: str, strength: float, deviation: float
-) -> tuple[str, str]:
-    """Return a strength for the head of a page."""
-    meaning = f"strength of {name.replace('_', ' ')}, 1 = typical"
-    return f"{strength:.2f} ± {deviation:.2f}", meaning
+def strength_tiles(found: Fit | ForceGap) -> list[tuple[str, str]]:
+    """Return the strengths that were *found* for the head of a page."""
+    return [
+        (
+            f"{strength:.2f} ± {found.deviations[name]:.2f}",
+            f"strength of {name.replace('_', ' ')}, 1 = typical",
+        )
+        for name, strength in found.strengths.items()
+    ]
 
 
 def percent(probability: float) -> str:

@@ -9,12 +9,13 @@ from bstm_daemon.report.gap import (
     answer_line,
     answer_tile,
     candidate_rows,
+    headed,
     naming_json,
     naming_lines,
     probability_tile,
-    strength_tile,
+    strength_tiles,
 )
-from bstm_daemon.report.gap_page import evidence_bars
+from bstm_daemon.report.gap_page import naming_section
 from bstm_daemon.report.plots import (
     BLUE,
     GREY,
@@ -24,7 +25,7 @@ from bstm_daemon.report.plots import (
     plot,
     time_plot,
 )
-from bstm_daemon.report.shell import Page, Section, Table
+from bstm_daemon.report.shell import Page, Section
 from bstm_daemon.report.text import table
 
 if TYPE_CHECKING:
@@ -34,12 +35,14 @@ if TYPE_CHECKING:
 
 def force_text(gap: ForceGap) -> str:
     """Return what was found as lines for a terminal."""
-    lines = [f"forces of the whole car: {answer_line(gap.naming, 'forces')}"]
-    lines += [f"  {line}" for line in force_lines(gap)]
-    rows = candidate_rows(gap.naming)
-    lines += [f"  {line}" for line in table(CANDIDATE_HEAD, rows)]
-    lines += [f"  {line}" for line in sight_lines(gap)]
-    return "\n".join(lines)
+    return headed(
+        f"forces of the whole car: {answer_line(gap.naming, 'forces')}",
+        [
+            *force_lines(gap),
+            *table(CANDIDATE_HEAD, candidate_rows(gap.naming)),
+            *sight_lines(gap),
+        ],
+    )
 
 
 def force_lines(gap: ForceGap) -> list[str]:
@@ -115,15 +118,7 @@ def force_page(gap: ForceGap, subtitle: str) -> Page:
     """Return the page of what the forces show."""
     naming = gap.naming
     sections = [
-        Section(
-            answer_line(gap.naming, "forces"),
-            Table(CANDIDATE_HEAD, candidate_rows(naming)),
-            plots=(
-                ("how far each effect beats 'nothing'", evidence_bars(naming)),
-            ),
-            lines=force_lines(gap),
-            across=1,
-        )
+        naming_section(answer_line(naming, "forces"), naming, force_lines(gap))
     ]
     sections += [_drive_section(one) for one in gap.curves]
     sections.append(Section("what forces can show", lines=sight_lines(gap)))
@@ -131,10 +126,7 @@ def force_page(gap: ForceGap, subtitle: str) -> Page:
     tiles = (
         answer_tile(naming),
         probability_tile(naming),
-        *(
-            strength_tile(name, strength, gap.deviations[name])
-            for name, strength in gap.strengths.items()
-        ),
+        *strength_tiles(gap),
         (
             f"{1e-6 * gap.pressed_j:.1f} MJ",
             f"braking work by pressure; {moved_mj:.1f} MJ by motion",

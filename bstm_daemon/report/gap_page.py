@@ -29,7 +29,7 @@ from bstm_daemon.report.gap import (
     place_lines,
     probability_tile,
     shown_lines,
-    strength_tile,
+    strength_tiles,
     unnamed_lines,
 )
 from bstm_daemon.report.plots import (
@@ -106,10 +106,7 @@ def head_tiles(gaps: Sequence[Gap]) -> list[tuple[str, str]]:
         answer, meaning = answer_tile(gap.naming)
         tiles += [(answer, f"{meaning}{of}"), probability_tile(gap.naming)]
     if gap.fit is not None:
-        tiles += [
-            strength_tile(name, strength, gap.fit.deviations[name])
-            for name, strength in gap.fit.strengths.items()
-        ]
+        tiles += strength_tiles(gap.fit)
     if gap.shown is not None:
         word, one = change(gap.shown.shrinks[CONFIGURED])
         tiles.append(
@@ -238,17 +235,29 @@ def _naming_section(prefix: str, gap: Gap, remarks: Sequence[str]) -> Section:
     lines += unnamed_lines(gap)
     if gap.silent:
         lines.append(f"not excited by these drives: {', '.join(gap.silent)}")
-    return Section(
+    return naming_section(
         f"{prefix}{headline(gap)}",
+        naming,
+        lines,
+        note="Every effect is simulated on these drives and fitted together "
+        "with all tunables. A strength of 1 is typical; sd is of the noise "
+        "alone.",
+    )
+
+
+def naming_section(
+    title: str, naming: Naming, lines: Sequence[str], note: str = ""
+) -> Section:
+    """Return the candidates of *naming* as table and bars, with *lines*."""
+    return Section(
+        title,
         Table(CANDIDATE_HEAD, candidate_rows(naming)),
         plots=(
             ("how far each effect beats 'nothing'", evidence_bars(naming)),
         ),
         lines=lines,
         across=1,
-        note="Every effect is simulated on these drives and fitted together "
-        "with all tunables. A strength of 1 is typical; sd is of the noise "
-        "alone.",
+        note=note,
     )
 
 

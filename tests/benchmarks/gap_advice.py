@@ -22,8 +22,12 @@ from bstm_daemon.analysis.gap.advising import Prospect, advise, members_of
 from bstm_daemon.analysis.gap.candidate_drives import MENU, candidate_drive
 from bstm_daemon.analysis.gap.naming import name_effect
 from bstm_daemon.analysis.gap.noise import Layout
-from bstm_daemon.analysis.gap.signatures import Sensed, candidates, sensed
-from bstm_daemon.analysis.gap.unnamed_heat import UnnamedHeat
+from bstm_daemon.analysis.gap.signatures import (
+    Sensed,
+    UnnamedHeat,
+    candidates,
+    sensed,
+)
 from bstm_daemon.analysis.gap.workflow import compare
 
 if TYPE_CHECKING:

@@ -22,10 +22,11 @@ from bstm_daemon.analysis.gap.signatures import (
     SILENT_K,
     Linearised,
     Sensed,
+    UnnamedHeat,
     candidates,
     sensed,
+    unnamed_heats,
 )
-from bstm_daemon.analysis.gap.unnamed_heat import UnnamedHeat, unnamed_heats
 from bstm_daemon.analysis.gap.workflow import compare
 from bstm_daemon.analysis.matching.drives import NODE_OF
 

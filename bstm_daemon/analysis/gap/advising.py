@@ -17,7 +17,6 @@ import numpy as np
 
 from bstm_daemon.analysis.gap.evidence import (
     NOTHING,
-    STRENGTHS,
     strength_prior,
 )
 from bstm_daemon.analysis.gap.naming import SURE, Naming
@@ -150,11 +149,12 @@ class _Judge:
         size = len(known.residual)
         self._old = [_columns(by_name.get(n), size) for n in self._members]
         self._share = (1.0 - NOTHING) / max(len(by_name), len(members), 1)
-        self._grids = [_grid(name) for name in self._members]
-        self._weights = [
-            strength_prior(grid, either_sign=bool(np.any(grid < 0.0)))
-            for grid in self._grids
+        priors = [
+            strength_prior(either_sign=effect_class(name).either_sign)
+            for name in self._members
         ]
+        self._grids = [grid for grid, _ in priors]
+        self._weights = [weights for _, weights in priors]
         self._draw()
 
     def advice(self, drive: Prospect) -> Advice:
@@ -259,12 +259,6 @@ def _columns(signature: Signature | None, size: int) -> Column:
 def _powers(strengths: Column) -> Column:
     """Return strengths and their squares, (2, n)."""
     return np.vstack((strengths, strengths**2))
-
-
-def _grid(name: str) -> Column:
-    if effect_class(name).either_sign:
-        return np.concatenate((-STRENGTHS[::-1], STRENGTHS))
-    return STRENGTHS
 
 
 def _ordered(odds: dict[str, float]) -> list[tuple[str, float]]:

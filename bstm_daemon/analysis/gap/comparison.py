@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
     from bstm_daemon.analysis.gap.recording import Recording
     from bstm_daemon.analysis.matching.drives import Drive
-    from bstm_daemon.analysis.statistics.series import Column, Indices
+    from bstm_daemon.analysis.statistics.series import Column
     from bstm_daemon.analysis.statistics.whitening import SensorNoise
     from bstm_daemon.config.sections import Config, EffectConfig
 
@@ -170,9 +170,7 @@ class Comparison(Layout):
         models = [model_of(config, corner) for config in configs]
         programs = [compiled_model(model) for model in models]
         nodes = {one.node for one in self.series}
-        found: dict[str, list[tuple[Indices, Column]]] = {
-            node: [] for node in nodes
-        }
+        found = {node: np.empty((len(drive), len(configs))) for node in nodes}
         # lanes share their inputs, so each scale is a march of its own
         for scale in dict.fromkeys(scales.tolist()):
             lanes = np.flatnonzero(scales == scale)
@@ -181,9 +179,8 @@ class Comparison(Layout):
             own = replace(drive, inputs=inputs)
             result = march([programs[i] for i in lanes], own, corner)
             for node in nodes:
-                shown = result[models[lanes[0]].shown(node)]
-                found[node].append((lanes, shown))
-        return {node: _in_order(parts) for node, parts in found.items()}
+                found[node][:, lanes] = result[models[lanes[0]].shown(node)]
+        return found
 
     def _found_series(self) -> tuple[Series, ...]:
         corner = self.target.corner
@@ -256,11 +253,3 @@ def thermocouple_corrections(
         for role, number in ROLE_INDEX.items()
         if role.startswith(prefix) and number in by_role
     }
-
-
-def _in_order(parts: Sequence[tuple[Indices, Column]]) -> Column:
-    width = sum(len(lanes) for lanes, _ in parts)
-    whole = np.empty((len(parts[0][1]), width))
-    for lanes, shown in parts:
-        whole[:, lanes] = shown
-    return whole

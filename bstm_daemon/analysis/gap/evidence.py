@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from bstm_daemon.analysis.gap.unnamed_heat import missing_evidence
 from bstm_daemon.analysis.statistics.evidence import (
     FREE,
     Projector,
@@ -26,7 +25,11 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from bstm_daemon.analysis.gap.noise import Layout
-    from bstm_daemon.analysis.gap.signatures import Linearised, Signature
+    from bstm_daemon.analysis.gap.signatures import (
+        Linearised,
+        Signature,
+        UnnamedHeat,
+    )
     from bstm_daemon.analysis.statistics.series import Column
 
 NOTHING: Final = 0.5
@@ -73,10 +76,7 @@ def weigh(
     """Return what *signature* does to *residual* (n,)."""
     columns = np.column_stack((residual, signature.linear, signature.curved))
     gram = columns.T @ project(columns)
-    grid = STRENGTHS
-    if signature.either_sign:
-        grid = np.concatenate((-STRENGTHS[::-1], STRENGTHS))
-    weights = strength_prior(grid, either_sign=signature.either_sign)
+    grid, weights = strength_prior(either_sign=signature.either_sign)
     gains = _gains(gram, grid)
     top = int(np.argmax(gains))
     best = _refined(gram, grid, top)
@@ -96,14 +96,17 @@ def weigh(
     )
 
 
-def strength_prior(grid: Column, *, either_sign: bool) -> Column:
-    """Return the weights of *grid*, log-normal, summing to 1."""
+def strength_prior(*, either_sign: bool) -> tuple[Column, Column]:
+    """Return strengths and their weights, log-normal, summing to 1."""
+    grid = STRENGTHS
+    if either_sign:
+        grid = np.concatenate((-STRENGTHS[::-1], STRENGTHS))
     logs = (np.log(np.abs(grid)) - LOG_CENTRE) / LOG_WIDTH
     weights = np.exp(-0.5 * logs**2)
     if either_sign:
         # the typical sign is the likelier one
         weights = np.where(grid > 0, 0.75, 0.25) * weights
-    return np.asarray(weights / weights.sum())
+    return grid, np.asarray(weights / weights.sum())
 
 
 def _gains(gram: Column, a: Column) -> Column:
@@ -230,4 +233,45 @@ def unnamed_beside(
     own = [s.at(1.0) for s in linearised.signatures if s.name in names]
     return missing_evidence(
         project.beside(own), linearised.residual, linearised.unknown
+    )
+
+
+def missing_evidence(
+    project: Projector, residual: Column, heats: Sequence[UnnamedHeat]
+) -> float:
+    """Return the log Bayes factor of heat without a name, wherever it is.
+
+    As likely before data: one heat alone, all those of one node, all of
+    them; each place as likely as the other. All at once alone would pay for
+    a dozen strengths where one is missing.
+    """
+    by_node: dict[str, list[Column]] = {}
+    for one in heats:
+        by_node.setdefault(one.node, []).append(one.change)
+    every = [one.change for one in heats]
+    kinds = ([[one] for one in every], list(by_node.values()), [every])
+
+    def of(kind: Sequence[Sequence[Column]]) -> float:
+        return mean_evidence(
+            [_log_evidence(project, residual, changes) for changes in kind]
+        )
+
+    return mean_evidence([of(kind) for kind in kinds])
+
+
+def _log_evidence(
+    project: Projector, residual: Column, changes: Sequence[Column]
+) -> float:
+    """Return the log Bayes factor of *changes* together, strength 1 each."""
+    columns = np.column_stack(changes)
+    return fit_terms(project, residual, columns, 1.0).log_evidence
+
+
+def likeliest(
+    project: Projector, residual: Column, heats: Sequence[UnnamedHeat]
+) -> UnnamedHeat:
+    """Return the one that alone explains most."""
+    return max(
+        heats,
+        key=lambda one: _log_evidence(project, residual, [one.change]),
     )

@@ -18,6 +18,8 @@ from bstm_daemon.analysis.gap.evidence import (
     best_placebo,
     cross_validated,
     explained_share,
+    likeliest,
+    missing_evidence,
     missing_probability,
     probabilities,
     unnamed_beside,
@@ -28,7 +30,6 @@ from bstm_daemon.analysis.gap.joint_effects import (
     pair_evidence,
     search_joint_effects,
 )
-from bstm_daemon.analysis.gap.unnamed_heat import likeliest, missing_evidence
 from bstm_daemon.analysis.statistics.evidence import Projector, mean_evidence
 from bstm_daemon.model.effects.catalogue import effect_class
 

@@ -26,6 +26,7 @@ from bstm_daemon.analysis.gap.naming import Naming, name_effect
 from bstm_daemon.analysis.gap.noise import calibrated, noise_of
 from bstm_daemon.analysis.gap.signatures import Linearised, candidates, sensed
 from bstm_daemon.analysis.matching.tunables import (
+    measured_targets,
     refined_keys,
     targets_of,
     usable,
@@ -131,12 +132,7 @@ def find_gap(
     Raises:
         LogError: no corner with a thermocouple.
     """
-    measured = {corner for one in recordings for corner in one.drive.measured}
-    targets = targets_of(config, sorted(measured))
-    if not targets:
-        msg = "no measured temperature of a disc brake in these recordings"
-        raise LogError(msg)
-
+    targets = measured_targets(config, [one.drive for one in recordings])
     found = []
     for number, target in enumerate(targets):
 

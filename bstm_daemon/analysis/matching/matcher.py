@@ -24,12 +24,11 @@ from bstm_daemon.analysis.matching.tunables import (
     S_SPEEDS_MS,
     TABLE_4_1,
     Target,
+    measured_targets,
     refined_keys,
     split_key,
-    targets_of,
     usable,
 )
-from bstm_daemon.errors import LogError
 from bstm_daemon.estimator.corner_model import compile_corner
 from bstm_daemon.units import KELVIN_OFFSET
 
@@ -112,20 +111,7 @@ def match_drives(
     Raises:
         LogError: no corner has a thermocouple.
     """
-    measured = {
-        corner
-        for drive in drives
-        for corner, couples in drive.measured.items()
-        if couples
-    }
-    targets = targets_of(config, sorted(measured), each=each)
-    if not targets:
-        names = ", ".join(drive.name for drive in drives)
-        msg = (
-            f"{names}: no measured temperature of a disc brake: matching "
-            "needs roles temp_<corner>_<node>"
-        )
-        raise LogError(msg)
+    targets = measured_targets(config, drives, each=each)
     found = []
     for number, target in enumerate(targets):
 

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from bstm_daemon.config.sections import Config, CornerConfig, EffectConfig
+from bstm_daemon.errors import LogError
 from bstm_daemon.model.effects.catalogue import (
     effect_class,
     effect_names,
@@ -23,6 +24,7 @@ from bstm_daemon.model.effects.catalogue import (
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Mapping, Sequence
 
+    from bstm_daemon.analysis.matching.drives import Drive
 
 SLOW: Final = "cooling.s_per_s at 36 km/h"
 MIDDLE: Final = "cooling.s_per_s at 70 km/h"
@@ -301,6 +303,26 @@ def targets_of(
         group = corner.name if each else repr(looks)
         groups.setdefault(group, []).append(corner.name)
     return [Target(config, tuple(names)) for names in groups.values()]
+
+
+def measured_targets(
+    config: Config, drives: Sequence[Drive], *, each: bool = False
+) -> list[Target]:
+    """Return :func:`targets_of` the corners that *drives* measure.
+
+    Raises:
+        LogError: no corner has a thermocouple.
+    """
+    measured = {corner for drive in drives for corner in drive.measured}
+    targets = targets_of(config, sorted(measured), each=each)
+    if not targets:
+        names = ", ".join(drive.name for drive in drives)
+        msg = (
+            f"{names}: no measured temperature of a disc brake: this needs "
+            "roles temp_<corner>_<node>"
+        )
+        raise LogError(msg)
+    return targets
 
 
 def split_key(name: str) -> tuple[str, str]:

@@ -10,6 +10,7 @@ from scipy.stats import multivariate_normal
 
 from bstm_daemon.analysis.gap.evidence import (
     explained_share,
+    missing_evidence,
     missing_probability,
     unnamed_beside,
     weigh,
@@ -27,10 +28,10 @@ from bstm_daemon.analysis.gap.naming import (
     name_effect,
 )
 from bstm_daemon.analysis.gap.noise import Layout
-from bstm_daemon.analysis.gap.signatures import Linearised, Signature
-from bstm_daemon.analysis.gap.unnamed_heat import (
+from bstm_daemon.analysis.gap.signatures import (
+    Linearised,
+    Signature,
     UnnamedHeat,
-    missing_evidence,
 )
 from bstm_daemon.analysis.matching.problem import Series
 from bstm_daemon.analysis.statistics.evidence import (
