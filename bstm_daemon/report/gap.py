@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from bstm_daemon.analysis.gap.fitting import Fit
     from bstm_daemon.analysis.gap.heat_only import ForceGap
     from bstm_daemon.analysis.gap.holdout_comparison import Shown
-    from bstm_daemon.analysis.gap.locating import Cell, Located
     from bstm_daemon.analysis.gap.naming import Naming
+    from bstm_daemon.analysis.gap.residual_heat import Cell, Located
     from bstm_daemon.analysis.gap.workflow import Gap
     from bstm_daemon.config.sections import Config
 

@@ -10,8 +10,11 @@ from bstm_daemon.analysis.gap.holdout_comparison import (
     CONFIGURED,
     EXTENDED,
 )
-from bstm_daemon.analysis.gap.locating import TEMPERATURES_C, labels
-from bstm_daemon.analysis.gap.residual_heat import REGIMES
+from bstm_daemon.analysis.gap.residual_heat import (
+    REGIMES,
+    TEMPERATURES_C,
+    labels,
+)
 from bstm_daemon.report.gap import (
     ADVICE_HEAD,
     CANDIDATE_HEAD,
@@ -46,8 +49,8 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from bstm_daemon.analysis.gap.holdout_comparison import NodeErrors, Shown
-    from bstm_daemon.analysis.gap.locating import Cell, Located
     from bstm_daemon.analysis.gap.naming import Naming
+    from bstm_daemon.analysis.gap.residual_heat import Cell, Located
     from bstm_daemon.analysis.gap.workflow import Gap
 
 ORDER: Final = ("disc", "pad_front", "pad_back", "fluid", "caliper")

@@ -110,9 +110,7 @@ def find_force_gap(
             unseen[one.name] = (
                 f"too weak in these drives: from a strength of {one.reach:.1f}"
             )
-    names: tuple[str, ...] = ()
-    if naming.answer in {"name", "class"}:
-        names = naming.names if naming.answer == "name" else naming.names[:1]
+    names = naming.adoptable
     strengths, deviations = _strengths(comparison, known, names)
     possible = tuple(n for n in names if not _at_bound(n, strengths[n]))
     if naming.answer == "name" and 0 < len(possible) < len(names):

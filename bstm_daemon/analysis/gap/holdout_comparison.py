@@ -17,7 +17,7 @@ import numpy as np
 from bstm_daemon.analysis.gap.comparison import Comparison
 from bstm_daemon.analysis.gap.fitting import Fit, fit, scale_basis
 from bstm_daemon.analysis.statistics.resampling import bootstrap
-from bstm_daemon.analysis.statistics.series import Column, white_noise
+from bstm_daemon.analysis.statistics.series import Column, rms, white_noise
 from bstm_daemon.units import KELVIN_OFFSET
 
 if TYPE_CHECKING:
@@ -191,12 +191,10 @@ def _errors(
     one = there.series[which]
     part = slice(there.edges[which], there.edges[which + 1])
     top = int(np.argmax(one.measured_k))
-    rms, peak, late = {}, {}, {}
+    peak, late = {}, {}
     for name, error in apart.items():
-        own = error[part]
-        model = one.measured_k + own
+        model = one.measured_k + error[part]
         at = int(np.argmax(model))
-        rms[name] = float(np.sqrt(np.mean(own**2)))
         peak[name] = float(model[at] - one.measured_k[top])
         late[name] = float(one.time_s[at] - one.time_s[top])
     measured = one.measured_k - KELVIN_OFFSET
@@ -206,7 +204,7 @@ def _errors(
         one.time_s,
         measured,
         {name: measured + error[part] for name, error in apart.items()},
-        rms,
+        {name: rms(error[part]) for name, error in apart.items()},
         peak,
         late,
     )

@@ -134,6 +134,13 @@ class Naming:
         }
 
     @property
+    def adoptable(self) -> tuple[str, ...]:
+        """What can be fitted and adopted: all named, the best of a class."""
+        return {"name": self.names, "class": self.names[:1]}.get(
+            self.answer, ()
+        )
+
+    @property
     def gate_z(self) -> float:
         """Standard deviations of the best candidate."""
         return max((one.z for one in self.candidates), default=0.0)

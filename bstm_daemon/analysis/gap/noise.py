@@ -13,6 +13,7 @@ missing does not count as noise, and what is noise need not be missing.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from math import hypot
 from typing import TYPE_CHECKING, Final
 
@@ -157,12 +158,13 @@ def calibrated(
     columns = columns_k * prior
     noise = {one.node: layout.noise[one.node] for one in layout.series}
     picked = dict.fromkeys(noise, (1.0, 1.0))
+    places = [slice(*ends, EVERY) for ends in pairwise(layout.edges)]
 
     def parts_of(node: str, factors: tuple[float, float]) -> list[_Part]:
         changed = noise[node].scaled(*factors)
         return [
             _part(one, changed, residual_k[own], columns[own])
-            for one, own in _places(layout)
+            for one, own in zip(layout.series, places, strict=True)
             if one.node == node
         ]
 
@@ -191,13 +193,6 @@ def calibrated(
         node: one.scaled(*picked[node]) if node in picked else one
         for node, one in layout.noise.items()
     }
-
-
-def _places(layout: Layout) -> list[tuple[Series, slice]]:
-    return [
-        (one, slice(layout.edges[i], layout.edges[i + 1], EVERY))
-        for i, one in enumerate(layout.series)
-    ]
 
 
 def _part(

@@ -21,9 +21,9 @@ from bstm_daemon.analysis.gap.fitting import (
     prior_along,
 )
 from bstm_daemon.analysis.gap.holdout_comparison import Shown, show
-from bstm_daemon.analysis.gap.locating import Located, locate
 from bstm_daemon.analysis.gap.naming import Naming, name_effect
 from bstm_daemon.analysis.gap.noise import calibrated, noise_of
+from bstm_daemon.analysis.gap.residual_heat import Located, locate
 from bstm_daemon.analysis.gap.signatures import Linearised, candidates, sensed
 from bstm_daemon.analysis.matching.tunables import (
     measured_targets,
@@ -185,12 +185,9 @@ def _gap(
         until == "show" and naming.answer in {"class", "undecided"}
     ):
         plain = _advised(plain, comparison, known, question, report_share)
-    if until in {"gate", "name", "advise"} or naming.answer not in {
-        "name",
-        "class",
-    }:
+    best = naming.adoptable
+    if until in {"gate", "name", "advise"} or not best:
         return plain
-    best = naming.names if naming.answer == "name" else naming.names[:1]
     start = {
         one.name: one.strength for one in naming.candidates if one.name in best
     }

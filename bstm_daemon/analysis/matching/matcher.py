@@ -260,7 +260,7 @@ def changes_of(
     changes = []
     for match in matches:
         for key, value in match.settings().items():
-            section, name = key.split(".", maxsplit=1)
+            section, name = split_key(key)
             sd = match.deviation(key)
             note = f"{origin}, sd {sd:.2g}"
             if isinstance(value, tuple):

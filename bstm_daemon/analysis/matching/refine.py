@@ -20,7 +20,7 @@ from bstm_daemon.analysis.matching.problem import (
     whole_drives,
 )
 from bstm_daemon.analysis.statistics.levenberg_marquardt import minimise
-from bstm_daemon.analysis.statistics.series import Column, white_std
+from bstm_daemon.analysis.statistics.series import Column, rms, white_std
 from bstm_daemon.analysis.statistics.whitening import DRIFT_S, SensorNoise
 
 if TYPE_CHECKING:
@@ -128,7 +128,7 @@ def refine(  # noqa: PLR0913
         ),
         problem.noise,
         {
-            node: _rms([one for one, _ in own])
+            node: rms(np.concatenate([one for one, _ in own]))
             for node, own in sorted(_by_node(problem, apart).items())
         },
         sum(len(term.steps) for term in terms),
@@ -144,10 +144,6 @@ def _by_node(
     for one, term in zip(apart, problem.terms, strict=True):
         found.setdefault(term.node, []).append((one, term.time_s))
     return found
-
-
-def _rms(parts: Sequence[Column]) -> float:
-    return float(np.sqrt(np.mean(np.concatenate(parts) ** 2)))
 
 
 def learned(
@@ -219,7 +215,7 @@ def held_out(
         {node: fitted(parts) for node, parts in errors.items()},
         len(drives) if len(drives) > 1 else 0,
         {
-            node: _rms([error for error, *_ in parts])
+            node: rms(np.concatenate([error for error, *_ in parts]))
             for node, parts in errors.items()
         },
     )

@@ -76,16 +76,6 @@ class Tunable:
     unit: str
     table_4_1: bool = False
 
-    @property
-    def section(self) -> str:
-        """The section of the configuration."""
-        return self.key.split(".", maxsplit=1)[0]
-
-    @property
-    def name(self) -> str:
-        """The key within its section."""
-        return self.key.split(".", maxsplit=1)[1]
-
     def bounds(self) -> tuple[float, float]:
         """Return the bounds of the logarithm."""
         return log(self.lower), log(self.upper)
@@ -182,14 +172,15 @@ class Target:
         corner = self.corner
         if tunable.key in S_SPEEDS_MS:
             return 1.0
-        if tunable.section == EFFECT:
-            return effect_value(self.config, corner.name, tunable.name)
+        section, name = split_key(tunable.key)
+        if section == EFFECT:
+            return effect_value(self.config, corner.name, name)
         holders: dict[str, Any] = {
             "thermal": self.config.thermal_of(corner),
             "cooling": self.config.cooling_of(corner),
             "pad": corner.pad,
         }
-        value = getattr(holders[tunable.section], tunable.name)
+        value = getattr(holders[section], name)
         # a curve over temperature is not one number
         return float(value) if isinstance(value, int | float) else 0.0
 
@@ -235,7 +226,7 @@ class Target:
         }
         for key, value in values.items():
             if key not in S_SPEEDS_MS:
-                section, name = key.split(".", maxsplit=1)
+                section, name = split_key(key)
                 parts[section][name] = value
         if S_SPEEDS_MS.keys() & values.keys():
             factors = [values.get(key, 1.0) for key in S_SPEEDS_MS]
@@ -326,9 +317,9 @@ def measured_targets(
 
 
 def split_key(name: str) -> tuple[str, str]:
-    """Return effect and parameter of ``<effect>.<parameter>``."""
-    effect, parameter = name.split(".", maxsplit=1)
-    return effect, parameter
+    """Return section and key, or effect and parameter, of a dotted name."""
+    first, _, rest = name.partition(".")
+    return first, rest
 
 
 def effect_value(config: Config, corner: str, name: str) -> float:
@@ -353,7 +344,8 @@ def with_effect_values(
     The effects of *corners* get entries of their own; what others have, by
     an entry for all of them too, stays.
     """
-    names = {split_key(name)[0] for name in values}
+    by_key = {split_key(name): value for name, value in values.items()}
+    names = {effect for effect, _ in by_key}
     entries = [one for one in config.effect if one.name not in names]
     there = [one for one in effects_of(config) if one.name in names]
     for one in there:
@@ -364,8 +356,7 @@ def with_effect_values(
             if corner.name in corners:
                 changed |= {
                     parameter: value
-                    for name, value in values.items()
-                    for effect, parameter in (split_key(name),)
+                    for (effect, parameter), value in by_key.items()
                     if effect == one.name
                 }
             elif one.corner != "all" and one not in config.effect:

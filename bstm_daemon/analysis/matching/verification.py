@@ -11,7 +11,11 @@ import numpy as np
 from bstm_daemon.analysis.matching import phases
 from bstm_daemon.analysis.matching.drives import GRID_S, Drive
 from bstm_daemon.analysis.matching.refine import NodeAccuracy
-from bstm_daemon.analysis.statistics.series import running_mean, white_noise
+from bstm_daemon.analysis.statistics.series import (
+    rms,
+    running_mean,
+    white_noise,
+)
 from bstm_daemon.units import KELVIN_OFFSET
 
 if TYPE_CHECKING:
@@ -248,9 +252,9 @@ def compared(
         estimated,
         error,
         estimated - air_c,
-        _rms(judged) if len(judged) else nan,
+        rms(judged) if len(judged) else nan,
         float(judged.max()) if len(judged) else nan,
-        {name: _rms(one) for name, one in by_phase.items()},
+        {name: rms(one) for name, one in by_phase.items()},
         {name: float(np.abs(one).max()) for name, one in by_phase.items()},
         peak,
         float(np.mean(error[last])),
@@ -323,7 +327,3 @@ def _mean(series: Column, width_s: float) -> Column:
     """Return the running mean over *width_s*, NaN where *series* is, (n,)."""
     mean, _ = running_mean(series, round(0.5 * width_s / ROW_S))
     return np.where(np.isfinite(series), mean, np.nan)
-
-
-def _rms(error: Column) -> float:
-    return float(np.sqrt(np.mean(error**2)))

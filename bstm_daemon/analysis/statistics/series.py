@@ -63,6 +63,11 @@ def white_std(differences: Column, order: int) -> float:
     return size / sqrt(comb(2 * order, order))
 
 
+def rms(values: Column) -> float:
+    """Return the root mean square of *values*, (n,)."""
+    return float(np.sqrt(np.mean(values**2)))
+
+
 def white_noise(values: Column) -> float:
     """Return the standard deviation of the white noise of *values*, (n,).
 
