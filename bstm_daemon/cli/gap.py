@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bstm_daemon.analysis.gap.candidate_drives import MENU
+from bstm_daemon.analysis.gap.advising import MENU
 from bstm_daemon.analysis.gap.heat_only import find_force_gap
 from bstm_daemon.analysis.gap.recording import read_recording
 from bstm_daemon.analysis.gap.workflow import (

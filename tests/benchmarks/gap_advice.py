@@ -18,8 +18,13 @@ from gap_cars import FITTED, Garage, keep, present
 from gap_cases import Case, Evidence, evidence
 from gap_judge import Judged, Result, judged
 
-from bstm_daemon.analysis.gap.advising import Prospect, advise, members_of
-from bstm_daemon.analysis.gap.candidate_drives import MENU, candidate_drive
+from bstm_daemon.analysis.gap.advising import (
+    MENU,
+    Prospect,
+    advise,
+    candidate_drive,
+    members_of,
+)
 from bstm_daemon.analysis.gap.naming import name_effect
 from bstm_daemon.analysis.gap.noise import Layout
 from bstm_daemon.analysis.gap.signatures import (

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from bstm_daemon.analysis.gap.fitting import FORM_ERROR, effect_entries
-from bstm_daemon.analysis.gap.force_comparison import ForceComparison
+from bstm_daemon.analysis.gap.force_balance import ForceComparison
 from bstm_daemon.analysis.gap.naming import Naming, name_effect
 from bstm_daemon.analysis.gap.signatures import (
     Linearised,

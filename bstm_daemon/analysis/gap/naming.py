@@ -15,20 +15,18 @@ import numpy as np
 
 from bstm_daemon.analysis.gap.evidence import (
     Candidate,
+    JointEffects,
     best_placebo,
     cross_validated,
     explained_share,
     likeliest,
     missing_evidence,
     missing_probability,
+    pair_evidence,
     probabilities,
+    search_joint_effects,
     unnamed_beside,
     weigh,
-)
-from bstm_daemon.analysis.gap.joint_effects import (
-    JointEffects,
-    pair_evidence,
-    search_joint_effects,
 )
 from bstm_daemon.analysis.statistics.evidence import Projector, mean_evidence
 from bstm_daemon.model.effects.catalogue import effect_class

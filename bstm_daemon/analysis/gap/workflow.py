@@ -8,8 +8,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bstm_daemon.analysis.gap.advising import advise, members_of, prospect
-from bstm_daemon.analysis.gap.candidate_drives import MENU, candidate_drive
+from bstm_daemon.analysis.gap.advising import (
+    MENU,
+    advise,
+    candidate_drive,
+    members_of,
+    prospect,
+)
 from bstm_daemon.analysis.gap.comparison import Comparison, heats
 from bstm_daemon.analysis.gap.fitting import (
     Fit,

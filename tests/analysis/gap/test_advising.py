@@ -8,14 +8,12 @@ import numpy as np
 import pytest
 
 from bstm_daemon.analysis.gap.advising import (
+    MENU,
     Prospect,
     advise,
+    candidate_drive,
     members_of,
     prospect,
-)
-from bstm_daemon.analysis.gap.candidate_drives import (
-    MENU,
-    candidate_drive,
     samples_of,
 )
 from bstm_daemon.analysis.gap.naming import name_effect

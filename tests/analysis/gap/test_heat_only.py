@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from bstm_daemon.analysis.gap.candidate_drives import samples_of
+from bstm_daemon.analysis.gap.advising import samples_of
 from bstm_daemon.analysis.gap.force_balance import forces
 from bstm_daemon.analysis.gap.heat_only import find_force_gap
 from bstm_daemon.analysis.gap.recording import Recording, recorded
