@@ -92,7 +92,7 @@ def _drives(
             config,
             signal_map,
             dict(args.map),
-            lambda _, share: progress.show(share),
+            progress.show,
         )
 
 

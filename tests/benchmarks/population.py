@@ -236,18 +236,13 @@ def _driven(
     end_s = drive.time_s + drive.start_s - START_STAMP_S
     if setting.heat == "known":
         at_s = np.concatenate(([end_s[0] - GRID_S], end_s))
-        power = {
-            corner: np.diff(
-                np.interp(at_s, recording.time_s, recording.energy_j[corner])
-            )
-            / GRID_S
-            for corner in drive.corners
-        }
-        drive = drive.with_power(power)
         # the pads touch also where the pressure alone does not tell
-        on = CHANNELS.index("brake_on")
+        on, power = CHANNELS.index("brake_on"), CHANNELS.index("brake_power_w")
         for at, corner in enumerate(drive.corners):
-            drive.inputs[power[corner] > TOUCHING_W, at, on] = 1.0
+            energy_j = recording.energy_j[corner]
+            known = np.diff(np.interp(at_s, recording.time_s, energy_j))
+            drive.inputs[:, at, power] = known / GRID_S
+            drive.inputs[known / GRID_S > TOUCHING_W, at, on] = 1.0
     truth = {
         node: np.interp(
             end_s,

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import os
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -18,7 +17,6 @@ from bstm_daemon.analysis.gap.noise import Layout
 from bstm_daemon.analysis.matching.march import march, model_of
 from bstm_daemon.analysis.matching.problem import Series, series_of
 from bstm_daemon.analysis.matching.tunables import TUNABLES, Target
-from bstm_daemon.channels import CHANNELS
 from bstm_daemon.errors import LogError
 from bstm_daemon.estimator.corner_model import compiled_model, corner_model
 from bstm_daemon.model.effects.catalogue import edited_inputs, effect_class
@@ -44,8 +42,6 @@ HEAT_SCALE: Final = "heat scale"
 HEAT_SCALE_PRIOR: Final = 0.05
 """Standard deviation of its logarithm: what friction varies by from day to
 day, and a pressure sensor's offset and gain."""
-
-POWER: Final = CHANNELS.index("brake_power_w")
 
 
 class Comparison(Layout):
@@ -174,9 +170,7 @@ class Comparison(Layout):
         # lanes share their inputs, so each scale is a march of its own
         for scale in dict.fromkeys(scales.tolist()):
             lanes = np.flatnonzero(scales == scale)
-            inputs = drive.inputs.copy()
-            inputs[:, :, POWER] *= scale
-            own = replace(drive, inputs=inputs)
+            own = drive.with_power_times(scale)
             result = march([programs[i] for i in lanes], own, corner)
             for node in nodes:
                 found[node][:, lanes] = result[models[lanes[0]].shown(node)]

@@ -32,6 +32,7 @@ from bstm_daemon.analysis.gap.residual_heat import Located, locate
 from bstm_daemon.analysis.gap.signatures import Linearised, candidates, sensed
 from bstm_daemon.analysis.matching.tunables import (
     measured_targets,
+    over_targets,
     refined_keys,
     targets_of,
     usable,
@@ -138,17 +139,13 @@ def find_gap(
         LogError: no corner with a thermocouple.
     """
     targets = measured_targets(config, [one.drive for one in recordings])
-    found = []
-    for number, target in enumerate(targets):
-
-        def report_share(share: float, number: int = number) -> None:
-            if progress is not None:
-                progress((number + share) / len(targets))
-
-        found.append(
-            _gap(target, recordings, held_out, until, question, report_share)
-        )
-    return found
+    return over_targets(
+        targets,
+        lambda target, report_share: _gap(
+            target, recordings, held_out, until, question, report_share
+        ),
+        progress,
+    )
 
 
 def compare(target: Target, recordings: Sequence[Recording]) -> Comparison:
@@ -203,16 +200,12 @@ def _gap(
         known_k=simulated.jacobian_k,
     )
     report_share(0.85)
-    shown = None
-    maps: tuple[Located | None, Located | None] = (None, None)
-    if until == "show":
-        shown = show(
-            comparison, extended, held_out, known_k=simulated.jacobian_k
-        )
-        maps = _maps(comparison, extended, held_out or recordings)
-    return replace(
-        plain, fit=extended, shown=shown, before=maps[0], after=maps[1]
-    )
+    plain = replace(plain, fit=extended)
+    if until != "show":
+        return plain
+    shown = show(comparison, extended, held_out, known_k=simulated.jacobian_k)
+    before, after = _maps(comparison, extended, held_out or recordings)
+    return replace(plain, shown=shown, before=before, after=after)
 
 
 def _advised(
@@ -328,11 +321,7 @@ def _maps(
     heated = []
     for one in recordings:
         drive = one.heated_by(after) if heat else one.drive
-        power = {
-            corner: scale * drive.channel(corner, "brake_power_w")
-            for corner in drive.corners
-        }
-        heated.append(replace(one, drive=drive.with_power(power)))
+        heated.append(replace(one, drive=drive.with_power_times(scale)))
     return (
         locate(target.config, recordings, target.corners),
         locate(after, heated, target.corners),

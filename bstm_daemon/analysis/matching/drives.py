@@ -152,15 +152,10 @@ class Drive:
         ]
         return [pair for pair in pairs if pair[1] in nodes]
 
-    def with_power(self, power_w: Mapping[str, Column]) -> Drive:
-        """Return the drive with brake power known otherwise.
-
-        *power_w* gives the mean over each step by corner, (steps,).
-        """
+    def with_power_times(self, factor: float) -> Drive:
+        """Return the drive with *factor* times its brake power."""
         inputs = self.inputs.copy()
-        for corner, column in power_w.items():
-            at = self.corners.index(corner)
-            inputs[:, at, CHANNELS.index("brake_power_w")] = column
+        inputs[:, :, CHANNELS.index("brake_power_w")] *= factor
         return replace(self, inputs=inputs, estimates=None)
 
     def with_extra_heat(self, heat_w: Column) -> Drive:
@@ -341,7 +336,7 @@ def read_drives(
     config: Config,
     signal_map: SignalMap,
     overrides: Mapping[str, str] | None = None,
-    progress: Callable[[Path, float | None], None] | None = None,
+    progress: Callable[[float | None], None] | None = None,
 ) -> list[Drive]:
     """Read logs of one car for matching, in the order they were driven.
 
@@ -354,15 +349,10 @@ def read_drives(
     for _ in range(2 if config.heat.mode == "fused" else 1):
         drives = []
         for path in paths:
-
-            def show(share: float | None, path: Path = path) -> None:
-                if progress is not None:
-                    progress(path, share)
-
             drives.append(
                 read_drive(
                     path, config, signal_map, overrides,
-                    progress=show, learned=learned,
+                    progress=progress, learned=learned,
                 )
             )  # fmt: skip
             learned = drives[-1].learned

@@ -25,6 +25,7 @@ from bstm_daemon.analysis.matching.tunables import (
     TABLE_4_1,
     Target,
     measured_targets,
+    over_targets,
     refined_keys,
     split_key,
     usable,
@@ -112,17 +113,13 @@ def match_drives(
         LogError: no corner has a thermocouple.
     """
     targets = measured_targets(config, drives, each=each)
-    found = []
-    for number, target in enumerate(targets):
-
-        def show(share: float, number: int = number) -> None:
-            if progress is not None:
-                progress((number + share) / len(targets))
-
-        found.append(
-            _match(target, drives, only, show, beside=beside and not only)
-        )
-    return found
+    return over_targets(
+        targets,
+        lambda target, show: _match(
+            target, drives, only, show, beside=beside and not only
+        ),
+        progress,
+    )
 
 
 def _other_form(

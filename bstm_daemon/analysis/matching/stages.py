@@ -123,15 +123,13 @@ class StageResult:
     """What a stage gave.
 
     ``values`` by key with ``before``; empty with ``why`` where it was left
-    out. ``rms_k`` is over the phase, before and after; ``duration_s`` is how
-    much of the phase there is.
+    out. ``rms_k`` is over the phase, before and after.
     """
 
     stage: Stage
     values: dict[str, float]
     before: dict[str, float]
     rms_k: tuple[float, float] = (np.nan, np.nan)
-    duration_s: float = 0.0
     why: str = ""
 
 
@@ -165,10 +163,17 @@ def _run(stage: Stage, target: Target, drives: Sequence[Drive]) -> StageResult:
     before = {key: target.value(TUNABLES[key]) for key in keys}
     if not keys:
         return StageResult(stage, {}, before, why="; ".join(remarks))
-    missing = _missing(stage, target, drives)
-    if missing:
-        return StageResult(stage, {}, before, why=missing)
-    runs, terms, duration_s = _isolated(stage, target, drives)
+    there = {
+        couple
+        for drive in drives
+        for corner in target.corners
+        for couple in drive.measured.get(corner, {})
+    }
+    gone = [one for one in (stage.node, *stage.forced) if one not in there]
+    if gone:
+        why = f"no thermocouple for {', '.join(gone)}"
+        return StageResult(stage, {}, before, why=why)
+    runs, terms = _isolated(stage, target, drives)
     if not terms:
         why = f"no {stage.phase} long and warm enough in these drives"
         return StageResult(stage, {}, before, why=why)
@@ -187,31 +192,14 @@ def _run(stage: Stage, target: Target, drives: Sequence[Drive]) -> StageResult:
     points = np.vstack((problem.start, x))
     apart = np.concatenate(problem.residuals_k(points))
     rms = np.sqrt(np.mean(apart**2, axis=0))
-    return StageResult(
-        stage, values, before, (float(rms[0]), float(rms[1])), duration_s
-    )
-
-
-def _missing(stage: Stage, target: Target, drives: Sequence[Drive]) -> str:
-    """Say which thermocouple is nowhere."""
-    needed = (stage.node, *stage.forced)
-    there = {
-        couple
-        for drive in drives
-        for corner in target.corners
-        for couple in drive.measured.get(corner, {})
-    }
-    gone = [node for node in needed if node not in there]
-    if not gone:
-        return ""
-    return f"no thermocouple for {', '.join(gone)}"
+    return StageResult(stage, values, before, (float(rms[0]), float(rms[1])))
 
 
 def _isolated(
     stage: Stage, target: Target, drives: Sequence[Drive]
-) -> tuple[list[Run], list[Series], float]:
+) -> tuple[list[Run], list[Series]]:
     program = compile_corner(target.config, target.corner)
-    runs, terms, steps = [], [], 0
+    runs, terms = [], []
     for index, drive in enumerate(drives):
         for corner in target.corners:
             couples = drive.measured.get(corner, {})
@@ -230,8 +218,7 @@ def _isolated(
             initial = initial_temperatures(program, drive, corner)
             runs.append(Run(index, corner, initial, series))
             terms.append(term)
-            steps += int(np.count_nonzero(mask))
-    return runs, terms, steps * GRID_S
+    return runs, terms
 
 
 def phase_mask(

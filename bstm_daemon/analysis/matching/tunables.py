@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import log
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 import numpy as np
 
@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Mapping, Sequence
 
     from bstm_daemon.analysis.matching.drives import Drive
+
+T = TypeVar("T")
 
 SLOW: Final = "cooling.s_per_s at 36 km/h"
 MIDDLE: Final = "cooling.s_per_s at 70 km/h"
@@ -314,6 +316,23 @@ def measured_targets(
         )
         raise LogError(msg)
     return targets
+
+
+def over_targets(
+    targets: Sequence[Target],
+    work: Callable[[Target, Callable[[float], None]], T],
+    progress: Callable[[float], None] | None,
+) -> list[T]:
+    """Return what *work* makes of each target and its share of *progress*."""
+    found = []
+    for number, target in enumerate(targets):
+
+        def show(share: float, number: int = number) -> None:
+            if progress is not None:
+                progress((number + share) / len(targets))
+
+        found.append(work(target, show))
+    return found
 
 
 def split_key(name: str) -> tuple[str, str]:

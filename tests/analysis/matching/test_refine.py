@@ -59,8 +59,7 @@ def test_a_wrong_form_ends_at_a_bound_and_says_so(
 ) -> None:
     """Half the heat is missing: the disc would have to be too light."""
     drives = [made(RIGHT, scale=1.0)]
-    power = drives[0].channel("FL", "brake_power_w")
-    starved = [drives[0].with_power({"FL": 0.5 * power})]
+    starved = [drives[0].with_power_times(0.5)]
 
     fit = refine(target, starved, ("thermal.disc_mass_correction_factor",))
 
