@@ -125,7 +125,11 @@ def run(args: argparse.Namespace) -> int:
     held_out = _read(args, args.holdout, config, signal_map)
     if not any(one.drive.measured for one in recordings):
         return _by_forces(args, config, recordings, held_out)
-    lines = _without_temperatures((*recordings, *held_out))
+    lines = [
+        f"{one.name}: no measured temperature, left out"
+        for one in (*recordings, *held_out)
+        if not one.drive.measured
+    ]
     recordings = [one for one in recordings if one.drive.measured]
     if args.holdout:
         held_out = [one for one in held_out if one.drive.measured]
@@ -242,15 +246,6 @@ def _by_forces(
         write_page(args.report, force_page(gap, subtitle))
         lines.append(str(args.report))
     return _told(lines)
-
-
-def _without_temperatures(recordings: Sequence[Recording]) -> list[str]:
-    """Return a line for each that has no thermocouple."""
-    return [
-        f"{one.name}: no measured temperature, left out"
-        for one in recordings
-        if not one.drive.measured
-    ]
 
 
 def _check(args: argparse.Namespace) -> None:

@@ -409,7 +409,10 @@ def _pairs(
 ) -> _Pairs:
     strengths = {one.name: one.strength for one in found}
     signatures = linearised.signatures
-    slopes = np.column_stack([_secant(s, strengths) for s in signatures])
+    # the change per strength up to the one that fits alone
+    slopes = np.column_stack(
+        [s.linear + strengths.get(s.name, 1.0) * s.curved for s in signatures]
+    )
     projected = project(slopes)
     gram = slopes.T @ projected
     score = -(projected.T @ linearised.residual)
@@ -461,9 +464,3 @@ def _best_pair(
 
 
 SURE_MEMBER: Final = 0.95
-
-
-def _secant(signature: Signature, strengths: dict[str, float]) -> Column:
-    """Return the change per strength up to the one that fits alone."""
-    a = strengths.get(signature.name, 1.0)
-    return np.asarray(signature.linear + a * signature.curved)

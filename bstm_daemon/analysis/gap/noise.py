@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from bstm_daemon.analysis.matching.verification import accuracy_of
 from bstm_daemon.analysis.statistics.whitening import SensorNoise
 
 if TYPE_CHECKING:
@@ -117,13 +118,11 @@ def noise_of(config: Config, node: str) -> SensorNoise:
     """
     known = config.accuracy
     found = USUAL.get(node, OTHER)
-    floor = getattr(known, f"{node}_k", None)
-    if floor is not None:
-        share = float(getattr(known, f"{node}_share"))
+    if (own := accuracy_of(config, node)) is not None:
         found = replace(
             found,
-            drift_k=min(max(float(floor), LEAST_K), LARGEST * found.drift_k),
-            share=min(share, LARGEST * found.share),
+            drift_k=min(max(own.floor_k, LEAST_K), LARGEST * found.drift_k),
+            share=min(own.share, LARGEST * found.share),
         )
     return replace(
         found,

@@ -132,16 +132,14 @@ def ratios(fit: Refinement) -> list[Ratio]:
     return sorted(found, key=lambda one: one.deviation)
 
 
-def strong_pairs(
-    fit: Refinement, least: float = TWINS
-) -> Sequence[tuple[str, str, float]]:
-    """Return pairs of values with a correlation of at least *least*."""
+def strong_pairs(fit: Refinement) -> Sequence[tuple[str, str, float]]:
+    """Return pairs of values with a correlation from :data:`TWINS` on."""
     found = correlations(fit)
     return sorted(
         (
             (fit.keys[i], fit.keys[j], float(found[i, j]))
             for i, j in combinations(range(len(fit.keys)), 2)
-            if abs(found[i, j]) >= least
+            if abs(found[i, j]) >= TWINS
         ),
         key=lambda pair: -abs(pair[2]),
     )

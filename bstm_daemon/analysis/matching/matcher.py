@@ -306,16 +306,15 @@ def _shared(
 def _accuracy(matches: Sequence[Match], origin: str) -> list[Change]:
     """Return ``[accuracy]``: the largest of the matched corners."""
     changes = []
-    nodes: dict[str, list[tuple[float, float, int]]] = {}
-    for match in matches:
-        for node, one in match.accuracy.nodes.items():
-            nodes.setdefault(node, []).append(
-                (one.floor_k, one.share, match.accuracy.drives)
-            )
     for node in ("disc", "pad_front", "pad_back", "fluid"):
-        if node not in nodes:
+        found = [
+            (one.floor_k, one.share, match.accuracy.drives)
+            for match in matches
+            if (one := match.accuracy.nodes.get(node)) is not None
+        ]
+        if not found:
             continue
-        floor, share, drives = max(nodes[node])
+        floor, share, drives = max(found)
         note = f"{origin}, left over on held-out drives"
         if not drives:
             note = f"{origin}, left over on the drive itself: too small"

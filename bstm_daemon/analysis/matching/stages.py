@@ -41,6 +41,7 @@ Phase = Literal["soak", "drive", "cooling", "normal braking", "hot braking"]
 
 SMOOTH_S: Final = 120.0
 """The fluid's peak is that of a mean over so long."""
+HALF: Final = round(0.5 * SMOOTH_S / GRID_S)
 
 
 @dataclass(frozen=True, slots=True)
@@ -266,7 +267,7 @@ def _static_convection(
                 at = fluid_peak(drive, corner, first, last)
                 if at is None:
                     continue
-                around = slice(at - _half(), at + _half() + 1)
+                around = slice(at - HALF, at + HALF + 1)
                 time_s = drive.time_s[around]
                 fluid = np.nanmean(couples["fluid"].at(time_s))
                 back = np.nanmean(couples["pad_back"].at(time_s))
@@ -287,17 +288,13 @@ def fluid_peak(drive: Drive, corner: str, first: int, last: int) -> int | None:
     """
     span = slice(first, last + 1)
     fluid = drive.measured[corner]["fluid"].at(drive.time_s[span])
-    width = 2 * _half() + 1
+    width = 2 * HALF + 1
     if len(fluid) < 3 * width or not np.isfinite(fluid).any():
         return None
     smooth = np.convolve(fluid, np.full(width, 1.0 / width), "valid")
     if not np.isfinite(smooth).any():
         return None
-    at = int(np.nanargmax(smooth)) + _half()
+    at = int(np.nanargmax(smooth)) + HALF
     rise = fluid[at] - drive.channel(corner, "ambient_k")[first + at]
     inside = width < at < len(fluid) - width
     return first + at if inside and rise > phases.WARM_K else None
-
-
-def _half() -> int:
-    return round(0.5 * SMOOTH_S / GRID_S)
