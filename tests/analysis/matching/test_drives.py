@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -19,7 +20,7 @@ from bstm_daemon.analysis.matching.march import (
     march,
 )
 from bstm_daemon.cli.vehicle import load_vehicle
-from bstm_daemon.errors import UsageError
+from bstm_daemon.errors import LogError, UsageError
 from bstm_daemon.estimator.corner_model import compile_corner
 from bstm_daemon.simulation import SimulatedDrive, simulate
 from bstm_daemon.simulation.drives import parse_drive
@@ -162,6 +163,26 @@ def test_a_gap_of_a_thermocouple_is_not_bridged() -> None:
 
     assert found[[0, 2]] == pytest.approx([300.5, 360.5])
     assert np.isnan(found[[1, 3]]).all()
+
+
+def test_a_kept_record_is_its_segments_in_order(
+    drive: Drive, log: Path, tmp_path: Path
+) -> None:
+    lines = log.read_bytes().splitlines(keepends=True)
+    half = len(lines) // 2
+    for name, part in (("1", lines[:half]), ("2", lines[half:])):
+        with gzip.open(tmp_path / f"{name}.log.gz", "wb") as stream:
+            stream.writelines(part)
+
+    found = read_drive(tmp_path, *load_vehicle(EXAMPLE))
+
+    assert np.array_equal(found.inputs, drive.inputs, equal_nan=True)
+    assert found.start_s == drive.start_s
+
+
+def test_a_folder_without_segments_is_no_record(tmp_path: Path) -> None:
+    with pytest.raises(LogError, match="no segment of a record"):
+        read_drive(tmp_path, *load_vehicle(EXAMPLE))
 
 
 def test_a_measured_disc_is_no_heat(log: Path) -> None:
