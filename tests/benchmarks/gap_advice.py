@@ -18,12 +18,21 @@ from gap_cars import FITTED, Garage, keep, present
 from gap_cases import Case, Evidence, evidence
 from gap_judge import Judged, Result, judged
 
-from bstm_daemon.analysis.gap.advising import Prospect, advise, members_of
-from bstm_daemon.analysis.gap.candidate_drives import MENU, candidate_drive
+from bstm_daemon.analysis.gap.advising import (
+    MENU,
+    Prospect,
+    advise,
+    candidate_drive,
+    members_of,
+)
 from bstm_daemon.analysis.gap.naming import name_effect
-from bstm_daemon.analysis.gap.noise import Layout, Series
-from bstm_daemon.analysis.gap.signatures import Sensed, candidates, sensed
-from bstm_daemon.analysis.gap.unnamed_heat import UnnamedHeat
+from bstm_daemon.analysis.gap.noise import Layout
+from bstm_daemon.analysis.gap.signatures import (
+    Sensed,
+    UnnamedHeat,
+    candidates,
+    sensed,
+)
 from bstm_daemon.analysis.gap.workflow import compare
 
 if TYPE_CHECKING:
@@ -31,6 +40,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from bstm_daemon.analysis.gap.recording import Recording
+    from bstm_daemon.analysis.matching.problem import Series
 
 START: Final = "simalp"
 OPEN: Final = ("nothing", "class", "undecided")
@@ -108,8 +118,10 @@ def _prospect(
             ).recording.drive.measured.items()
             if corner in garage.target.corners
         }
-        drive = candidate_drive(name, garage.target.config, present(), couples)
-        told = _told(garage, drive.recording, drive.description)
+        told = _told(
+            garage,
+            *candidate_drive(name, garage.target.config, present(), couples),
+        )
         keep(kept, pickle.dumps(told))
     told = pickle.loads(kept.read_bytes())  # noqa: S301  (own)
     layout = Layout(told.series, one.layout.noise, one.layout.prior, (name,))

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from bstm_daemon.analysis.gap.candidate_drives import MENU
+from bstm_daemon.analysis.gap.advising import MENU
 from bstm_daemon.analysis.gap.comparison import HEAT_SCALE_PRIOR
 from bstm_daemon.analysis.gap.recording import Recording, recorded
 from bstm_daemon.analysis.gap.signatures import Sensed, candidates, sensed

@@ -3,7 +3,8 @@
 No thermocouple is needed: what the pressure says (Feed-Forward, Eq 4.1) and
 what the motion says (Feed-Back, Eq 4.11) differ where either lacks something.
 Motion counts with the brakes released, too: there both must be nothing, which
-is what parts an error of the motion from one of the friction.
+is what parts an error of the motion from one of the friction. Friction as a
+whole, the resistances and the body's pitch are the tunables of the residual.
 """
 
 from __future__ import annotations
@@ -13,17 +14,29 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from bstm_daemon.analysis.gap.comparison import with_effects
+from bstm_daemon.analysis.gap.noise import Layout
 from bstm_daemon.analysis.matching.drives import GRID_S
+from bstm_daemon.analysis.matching.march import march
+from bstm_daemon.analysis.matching.problem import Series
+from bstm_daemon.analysis.statistics.series import Column, runs
+from bstm_daemon.analysis.statistics.whitening import SensorNoise
 from bstm_daemon.channels import CHANNELS
-from bstm_daemon.model.effects.catalogue import edited_inputs
+from bstm_daemon.errors import LogError
+from bstm_daemon.estimator.corner_model import compile_corner
+from bstm_daemon.model.effects.catalogue import edited_inputs, effect_class
 from bstm_daemon.model.effects.corrections import corrections_by_role
 from bstm_daemon.model.heat.feed_back import Vehicle
-from bstm_daemon.roles import ROLE_INDEX
+from bstm_daemon.roles import CORNERS, ROLE_INDEX
+from bstm_daemon.units import GRAVITY_MS2, KELVIN_OFFSET
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from bstm_daemon.analysis.gap.recording import Recording
     from bstm_daemon.analysis.statistics.series import Column, Indices
-    from bstm_daemon.config.sections import Config
+    from bstm_daemon.config.sections import Config, EffectConfig
+    from bstm_daemon.model.effects.effect import Effect
 
 WINDOW_S: Final = 1.0
 MOST_WINDOWS: Final = 1500
@@ -46,24 +59,34 @@ class Forces:
 
     ``pressed_n`` is of the pressure by corner, (corners, n), ``motion_n`` of
     the motion, nan where it is not known; ``first`` is the step that a window
-    begins at, ``braked`` the share of the window
-    with the pressure on, ``rate_ms2`` the change of the speed,
-    ``engine_nm`` what is known of the engine where the torque at the wheels
-    is not, else nan, ``known_torque`` whether the bus has the drive's
-    torque, ``has_accelerometer`` whether it counts.
+    begins at, ``braked`` the share of the window with the pressure on,
+    ``rate_ms2`` the change of the speed, ``engine_nm`` what is known of the
+    engine where the torque at the wheels is not, else nan, ``known_torque``
+    whether the bus has the drive's torque, ``has_accelerometer`` whether it
+    counts.
     """
 
+    drive: str
     first: Indices
     time_s: Column
     speed_ms: Column
     rate_ms2: Column
     braked: Column
-    pressure_pa: Column
     pressed_n: Column
     motion_n: Column
     engine_nm: Column
     known_torque: bool
     has_accelerometer: bool
+
+    @property
+    def whole_n(self) -> Column:
+        """The force of the pressure, all corners, (n,)."""
+        return np.asarray(self.pressed_n.sum(axis=0))
+
+    @property
+    def metres(self) -> Column:
+        """How far the car goes, by window, (n,)."""
+        return np.asarray(self.speed_ms * np.gradient(self.time_s))
 
 
 def forces(recording: Recording, config: Config) -> Forces:
@@ -103,19 +126,18 @@ def forces(recording: Recording, config: Config) -> Forces:
         on = _step_means(recording, switch)
         if on is not None:
             brake_on = np.maximum(brake_on, np.nan_to_num(on))
-    pressure = inputs[:, :, CHANNELS.index("pressure_pa")].max(axis=1)
 
     def mean(column: Column) -> Column:
         total = _running(column)
         return np.asarray((total[last] - total[first]) / (every * GRID_S))
 
     return Forces(
+        recording.name,
         first,
         recording.drive.time_s[first],
         mean(speed),
         (speed[last] - speed[first]) / (every * GRID_S),
         mean(brake_on),
-        mean(pressure),
         ((energy[last] - energy[first]) / length[:, None]).T,
         force,
         mean(engine),
@@ -196,3 +218,245 @@ def _step_means(recording: Recording, number: int) -> Column | None:
     return np.where(
         has, found, np.where(near, value[np.maximum(last, 0)], np.nan)
     )
+
+
+COLD_C: Final = 20.0
+
+PLAIN_MS2: Final = 0.1
+SHORTEST: Final = 4.0
+"""Braking that no pressure reports: so much, over so many windows, or harder
+and shorter."""
+
+
+def drag_n(
+    effect: Effect, recording: Recording, part: Forces, config: Config
+) -> Column:
+    """Return the drag of released pads; hot ones rub more."""
+    span = effect["hot_c"] - COLD_C
+    total = np.zeros(len(part.speed_ms))
+    for corner in config.disc_corners():
+        program = compile_corner(config, corner)
+        result = march([program], recording.drive, corner.name)
+        pad_c = result["pad_back"][part.first, 0] - KELVIN_OFFSET
+        hot = np.clip((pad_c - COLD_C) / span, 0.0, 1.0)
+        cold = effect["cold_share"]
+        total += cold + (1.0 - cold) * hot
+    newton = effect.strength * effect["torque_nm"]
+    newton /= config.vehicle.wheel_radius_m
+    return np.asarray(newton * total * (1.0 - part.braked))
+
+
+def bedded_n(
+    effect: Effect,
+    recording: Recording,  # noqa: ARG001
+    part: Forces,
+    config: Config,  # noqa: ARG001
+) -> Column:
+    """Return what friction loses while linings take up their first heat."""
+    seconds = np.gradient(part.time_s)
+    taken_j = np.cumsum(part.pressed_n * part.speed_ms * seconds, axis=1)
+    drop = min(effect.strength * effect["drop"], 0.95)
+    lost = drop * (1.0 - np.exp(-taken_j / effect["bedding_energy_j"]))
+    return np.asarray(-(lost * part.pressed_n).sum(axis=0))
+
+
+def unpressed_n(
+    effect: Effect,
+    recording: Recording,  # noqa: ARG001
+    part: Forces,
+    config: Config,
+) -> Column:
+    """Return the force of brakings that no pressure reports.
+
+    A braking is a stretch of windows with the brake released and more force
+    than :data:`PLAIN_MS2`, too long and too strong for noise, which so does
+    not explain itself. The windows that it begins and ends in belong to it.
+    """
+    least = PLAIN_MS2 * config.vehicle.mass_kg
+    motion = np.nan_to_num(part.motion_n)
+    own = (part.braked < 0.5) & (motion > least)
+    found = np.zeros(len(motion))
+    for first, last in runs(own):
+        if motion[first : last + 1].sum() >= SHORTEST * least:
+            whole = slice(max(first - 1, 0), last + 2)
+            released = 1.0 - part.braked[whole]
+            found[whole] = np.maximum(motion[whole], 0.0) * released
+    return np.asarray(effect.strength * found)
+
+
+PATHS: Final = {
+    "residual_drag": drag_n,
+    "friction_history": bedded_n,
+    "brake_without_pressure": unpressed_n,
+}
+"""Effects whose force is not formed by the pass over samples."""
+
+TELLING: Final = (
+    "brake_switch",
+    "primary_pressure",
+    "secondary_pressure",
+    *(f"wheel_pressure_{corner.lower()}" for corner in CORNERS),
+)
+"""Roles that show whether the brake is released."""
+
+FRICTION: Final = 0.08
+RESISTANCE: Final = 0.15
+PITCH: Final = 0.03
+ENGINE_MS2: Final = 0.3
+"""Priors: friction from day to day, drag and rolling, pitch [rad/g], and
+what an engine of unknown torque brakes."""
+
+ENGINE_NM: Final = 3.0
+LOW_GEAR: Final = 10.0
+"""Error of the engine's torque, and wheel turns of the engine, at the most
+while it coasts: what it may brake where only its own torque is known."""
+
+DRIFT_MS2: Final = 0.03
+LEAST_MS2: Final = 0.02
+GRADE: Final = 0.02
+"""Wind that comes and goes; accelerometer noise at the least; the road's
+slope where no accelerometer measures it."""
+
+SHARE: Final = 0.03
+LAG_S: Final = 0.05
+QUICK_S: Final = 0.1
+"""Of a braking's force: scatter of friction, and timing of the signals."""
+
+
+class ForceComparison:
+    """Force residuals of recordings: pressure less motion.
+
+    Only windows count in which both are known.
+    """
+
+    def __init__(
+        self, config: Config, recordings: Sequence[Recording]
+    ) -> None:
+        """Take what is compared.
+
+        Raises:
+            LogError: no window in which the motion shows a force.
+        """
+        self.config, self.recordings = config, tuple(recordings)
+        self.vehicle = Vehicle.of_config(config.vehicle)
+        self.parts = [forces(one, config) for one in recordings]
+        self.kept = [_kept(one) for one in self.parts]
+        if not any(own.any() for own in self.kept):
+            names = ", ".join(one.name for one in recordings)
+            msg = (
+                f"{names}: no brake force from the motion: this needs speed, "
+                "and torque or [heat] assume_powertrain_torque_nm"
+            )
+            raise LogError(msg)
+        self.base_n = self._residual(self.parts)
+        columns, self.prior = self._tunables()
+        self.layout = self._layout()
+        self.jacobian_n = columns
+
+    @property
+    def knows_released(self) -> bool:
+        """Whether the bus reports that the driver's brake is released."""
+        return all(
+            any(ROLE_INDEX[name] in one.present for name in TELLING)
+            for one in self.recordings
+        )
+
+    def changed_n(self, effect: EffectConfig) -> Column:
+        """Return what *effect* changes in the residual, (n,)."""
+        path = PATHS.get(effect.name)
+        if path is not None:
+            typical = effect_class(effect.name)(effect.parameters)
+            pairs = zip(self.recordings, self.parts, strict=True)
+            return self._counted(
+                [path(typical, one, part, self.config) for one, part in pairs]
+            )
+        config = with_effects(self.config, [effect])
+        parts = [forces(one, config) for one in self.recordings]
+        return self._residual(parts) - self.base_n
+
+    def _residual(self, parts: Sequence[Forces]) -> Column:
+        return self._counted([one.whole_n - one.motion_n for one in parts])
+
+    def _counted(self, columns: Sequence[Column]) -> Column:
+        """Return of *columns*, one a recording, the windows that count."""
+        pairs = zip(columns, self.kept, strict=True)
+        return np.concatenate([one[own] for one, own in pairs])
+
+    def column(self, name: str) -> Column:
+        """Return a column of the windows that count, (n,)."""
+        return self._counted([getattr(one, name) for one in self.parts])
+
+    def _tunables(self) -> tuple[Column, Column]:
+        speed, mass = self.column("speed_ms"), self.vehicle.mass_kg
+        columns = [
+            self.column("whole_n"),
+            self.vehicle.quadratic * speed**2,
+            np.full(len(speed), self.vehicle.constant),
+            self.vehicle.linear * speed,
+        ]
+        priors = [FRICTION, RESISTANCE, RESISTANCE, 2.0 * RESISTANCE]
+        if self.parts[0].has_accelerometer:
+            columns.append(mass * self.column("rate_ms2"))
+            priors.append(PITCH)
+        if not self.parts[0].known_torque:
+            columns.append(self._engine_n(mass))
+            priors.append(1.0)
+        return np.column_stack(columns), np.array(priors)
+
+    def _engine_n(self, mass: float) -> Column:
+        """Return what the engine may brake, one standard deviation, (n,)."""
+        engine_nm = np.abs(self.column("engine_nm")) + ENGINE_NM
+        known = engine_nm * LOW_GEAR / self.vehicle.wheel_radius_m
+        unknown = ENGINE_MS2 * mass
+        return np.where(np.isnan(known), unknown, np.minimum(known, unknown))
+
+    def _layout(self) -> Layout:
+        mass = self.vehicle.mass_kg
+        white = LEAST_MS2 * mass
+        series = []
+        for number, (one, own) in enumerate(
+            zip(self.parts, self.kept, strict=True)
+        ):
+            pressed = one.whole_n
+            residual = (pressed - one.motion_n)[own]
+            quiet = np.diff(residual[one.braked[own] == 0.0])
+            if len(quiet) > 10:
+                scatter = 1.05 * float(np.median(np.abs(quiet)))
+                white = max(white, min(scatter, 0.3 * mass))
+            size = np.maximum(pressed, np.nan_to_num(np.abs(one.motion_n)))
+            series.append(
+                Series(
+                    number,
+                    "force",
+                    (),
+                    one.first[own],
+                    one.time_s[own],
+                    residual,
+                    np.gradient(size, one.time_s)[own],
+                    size[own],
+                )
+            )
+        if not self.parts[0].has_accelerometer:
+            white = max(white, GRADE * GRAVITY_MS2 * mass)
+        if not self.parts[0].known_torque:
+            white = max(white, 0.5 * float(np.mean(self._engine_n(mass))))
+        noise = SensorNoise(
+            white, DRIFT_MS2 * mass, SHARE, 0.0, LAG_S, QUICK_S
+        )
+        return Layout(
+            [one for one in series if len(one.time_s)],
+            {"force": noise},
+            self.prior,
+            [one.name for one in self.recordings],
+        )
+
+
+def _kept(part: Forces) -> Column:
+    """Return which windows count: where the motion tells the brakes' force.
+
+    With an unknown torque, a car that is driven shows nothing.
+    """
+    known = np.isfinite(part.motion_n)
+    if part.known_torque:
+        return known
+    return np.asarray(known & (np.nan_to_num(part.motion_n) > 0.0))

@@ -40,33 +40,28 @@ def soak(drive: Drive, corner: str) -> Mask:
     for node in drive.measured.get(corner, {}):
         rise = excess_k(drive, corner, node)
         warm |= np.nan_to_num(rise, nan=0.0) > WARM_K
-    found = np.zeros(len(drive), bool)
-    for first, last in runs(standing):
-        long = (last - first + 1) * GRID_S >= SOAK_S
-        if long and warm[first : last + 1].any():
-            found[first : last + 1] = True
+    found = _lasting(standing, SOAK_S)
+    for first, last in runs(found):
+        found[first : last + 1] = warm[first : last + 1].any()
     return found
 
 
 def moving(drive: Drive, corner: str) -> Mask:
     """Return where the car drives for a while, (steps,)."""
-    found = np.zeros(len(drive), bool)
-    driving = drive.channel(corner, "speed_ms") >= STANDING_MS
-    for first, last in runs(driving):
-        if (last - first + 1) * GRID_S >= DRIVE_S:
-            found[first : last + 1] = True
-    return found
+    return _lasting(drive.channel(corner, "speed_ms") >= STANDING_MS, DRIVE_S)
 
 
 def cooling(drive: Drive, corner: str) -> Mask:
     """Return where the car drives a while off the brake, (steps,)."""
-    off = ~braking(drive, corner) & (
-        drive.channel(corner, "speed_ms") >= STANDING_MS
-    )
-    found = np.zeros(len(drive), bool)
-    for first, last in runs(off):
-        if (last - first + 1) * GRID_S >= COOLING_S:
-            found[first : last + 1] = True
+    driving = drive.channel(corner, "speed_ms") >= STANDING_MS
+    return _lasting(driving & ~braking(drive, corner), COOLING_S)
+
+
+def _lasting(mask: Mask, least_s: float) -> Mask:
+    """Return *mask* without the stretches shorter than *least_s*."""
+    found = np.zeros(len(mask), bool)
+    for first, last in runs(mask):
+        found[first : last + 1] = (last - first + 1) * GRID_S >= least_s
     return found
 
 
@@ -84,9 +79,7 @@ def hard_stops(drive: Drive, corner: str) -> int:
     hard = braking(drive, corner) & (
         np.gradient(speed_ms, GRID_S) <= -HARD_MS2
     )
-    return sum(
-        (last - first + 1) * GRID_S >= HARD_S for first, last in runs(hard)
-    )
+    return len(runs(_lasting(hard, HARD_S)))
 
 
 def excess_k(drive: Drive, corner: str, node: str) -> Column:

@@ -13,12 +13,9 @@ from bstm_daemon.analysis.gap.advising import (
     Advice,
     Prospect,
     advise,
+    candidate_drive,
     members_of,
     prospect,
-)
-from bstm_daemon.analysis.gap.candidate_drives import (
-    MENU,
-    candidate_drive,
     samples_of,
 )
 from bstm_daemon.analysis.gap.naming import name_effect
@@ -212,11 +209,11 @@ def test_the_advised_drive_resolves_what_a_poor_one_does_not(
     ]
     prospects = [
         prospect(
-            compare(Target(config, ("FL",)), [one.recording]),
+            compare(Target(config, ("FL",)), [recording]),
             members,
-            one.description,
+            description,
         )
-        for one in drives
+        for recording, description in drives
     ]
 
     advice = advise(data, comparison.prior, members, prospects)

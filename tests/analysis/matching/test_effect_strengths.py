@@ -9,8 +9,7 @@ import pytest
 
 from bstm_daemon.analysis.identify.writing import Change, write_changed
 from bstm_daemon.analysis.matching.identifiability import verdicts
-from bstm_daemon.analysis.matching.matcher import match_drives
-from bstm_daemon.analysis.matching.settings import changes_of
+from bstm_daemon.analysis.matching.matcher import changes_of, match_drives
 from bstm_daemon.analysis.matching.tunables import (
     REFINED,
     STRENGTHS,
