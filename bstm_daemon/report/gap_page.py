@@ -397,7 +397,7 @@ def _force_section(one: ForceCurve) -> Section:
         curve(one.time_s, motion_kn, "by motion", BLUE),
         curve(one.time_s, pressed_kn, "by pressure", VERMILION),
     ]
-    apart = [cloud(motion_kn, pressed_kn - motion_kn, "", VERMILION)]
+    difference = [cloud(motion_kn, pressed_kn - motion_kn, "", VERMILION)]
     return Section(
         f"brake force of the car on {one.drive}",
         plots=(
@@ -408,7 +408,7 @@ def _force_section(one: ForceCurve) -> Section:
             (
                 "how much more by pressure than by motion",
                 plot(
-                    apart,
+                    difference,
                     "force by motion [kN]",
                     "difference [kN]",
                     height=340,

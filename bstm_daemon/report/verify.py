@@ -203,7 +203,7 @@ def verify_page(
 
 
 def _figure(errors: Sequence[NodeErrors]) -> str:
-    """Return which figures of the thesis show such a drive.
+    """Return which figures of the thesis show this kind of drive.
 
     6.4 to 6.7 differ from 5.2 by the car and its wheels, which no log
     contains; 6.8 is a long drive.

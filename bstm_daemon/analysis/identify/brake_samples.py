@@ -1,9 +1,9 @@
-"""Brake force from motion beside the pressure of it, stop by stop.
+"""Samples of brake force from motion with the pressure, stop by stop.
 
 A press and the next one less than two seconds later are one application: the
-thesis's pulsed stops (Fig 4.6) are stops. The force is Eq 4.11 less what it
-says with the brake released just before and after: accelerometer bias and
-errors of the resistances fall out.
+thesis's pulsed stops (Fig 4.6) are stops. The force is Eq 4.11 less its
+value with the brake released just before and after: accelerometer bias and
+errors of the resistances cancel.
 """
 
 from __future__ import annotations
@@ -198,7 +198,7 @@ def brake_samples(
         if offset is None:
             without_zero += 1
             continue
-        rows = _apart(span.first + np.flatnonzero(usable[span.points]))
+        rows = _spaced(span.first + np.flatnonzero(usable[span.points]))
         if not len(rows):
             continue
         stops.append(
@@ -343,8 +343,8 @@ def _axle(
     return (total / gain if gain else total), gain
 
 
-def _apart(rows: Indices) -> Indices:
-    """Return those of *rows* that are a window apart."""
+def _spaced(rows: Indices) -> Indices:
+    """Return those of *rows* that are at least a window apart."""
     kept: list[int] = []
     for row in rows.tolist():
         if not kept or row - kept[-1] >= EVERY:
@@ -363,7 +363,7 @@ def _initial_c(driving: Driving, first: int) -> dict[str, float]:
 
 
 def _corner_pressures(driving: Driving, config: Config) -> dict[str, Column]:
-    """Return the pressure that each corner goes by [Pa], (n,) each.
+    """Return the pressure of each corner [Pa], (n,) each.
 
     Its wheel's own, else that of its circuit, behind the rear table: the
     rules of the estimator. A corner without any is left out.

@@ -1,7 +1,7 @@
 """Stretches in which a hot disc cools at one speed, without braking.
 
-Everything is on steps of a second: discs are slow, and a mean over a second
-is what a thermocouple says.
+All series have steps of a second: discs are slow, and a thermocouple measures
+about the mean over a second.
 """
 
 from __future__ import annotations
@@ -169,8 +169,8 @@ def cool_downs(slow: Slow) -> tuple[list[CoolDown], str]:
         f"one speed for {SHORTEST_S:g} s or more, {len(found)} times a disc "
         f"{HOT_K:g} K above ambient that falls by {FALL_K:g} K"
     )
-    if not (slow.driving.tells_brake or found):
-        words += "; nothing tells that the brake is released while driving"
+    if not (slow.driving.brake_known or found):
+        words += "; no signal shows that the brake is released while driving"
     return found, words
 
 

@@ -1,4 +1,4 @@
-"""One regression over all cool-downs (Eq 4.12), with errors that hold."""
+"""One regression over all cool-downs (Eq 4.12), with robust errors."""
 
 from __future__ import annotations
 
@@ -67,8 +67,8 @@ class CoolingFit:
 
 def rms_k(series: Sequence[Series]) -> float:
     """Return the root mean square of measurement less model."""
-    apart = [one.measured_k - one.model_k for one in series]
-    return float(np.sqrt(np.mean(np.concatenate(apart) ** 2)))
+    residuals_k = [one.measured_k - one.model_k for one in series]
+    return float(np.sqrt(np.mean(np.concatenate(residuals_k) ** 2)))
 
 
 class _Regression:

@@ -2,12 +2,12 @@
 
 No stretch of one speed is needed: S as a straight line over speed, which the
 thesis finds it to be (section 4.4), a factor on the heat and one on the
-resistances are fitted to windows of a drive. What the fit is worth is its
-error on windows that it did not see. A value for each speed of the table
-would take up what the heat misses at speeds that are only braked through.
+resistances are fitted to windows of a drive. Its quality is the
+error on windows held out of the fit. A value for each speed of the table
+would absorb errors of the heat at speeds that occur only while braking.
 
 Steps of a quarter of a second: a race car's stop lasts two. Brake work is
-what the kinetic energy loses and neither resistances, climb nor drive line
+the loss of kinetic energy that resistances, climb and drive line do not
 account for (Eq 4.5).
 """
 
@@ -102,7 +102,7 @@ class Window:
 
 @dataclass(frozen=True, slots=True)
 class BrakedAxle:
-    """What a drive shows about an axle's discs.
+    """Results of a drive for an axle's discs.
 
     S is a line through ``s_per_s`` at the two ``held_ms`` with
     ``covariance``, from leaving out one window at a time. ``heat`` is the
@@ -174,7 +174,7 @@ class BrakedAxle:
 
 @dataclass(frozen=True, slots=True)
 class BrakedCooling:
-    """What the drives of all logs show."""
+    """Results from the drives of all logs."""
 
     axles: tuple[BrakedAxle, ...]
     remarks: tuple[str, ...]
@@ -211,8 +211,8 @@ def identify_while_braking(
     remarks = [f"{d.name}: {text}" for d in drivings for text in d.remarks]
     if not all(driving.line_known for driving in drivings):
         remarks.append(
-            "nothing tells what the engine does: whatever slows the car "
-            "beyond its resistances is taken as brake"
+            "no signal shows what the engine does: whatever slows the car "
+            "beyond its resistances is taken as braking"
         )
     remarks.append(
         "heat and heat capacity are one: the factor on the heat is that of "

@@ -2,7 +2,7 @@
 
 Sources are Feed-Forward and Feed-Back as the estimator integrates them, the
 fused power where that heat mode exists, and the bus's own brake torque. Each
-stop is held against its energy balance, Eq 4.5.
+stop is compared with its energy balance, Eq 4.5.
 """
 
 from __future__ import annotations
@@ -51,9 +51,10 @@ class HeatStop:
     """A brake application.
 
     ``first`` and ``last`` are rows, both included, of the application,
-    ``begin_s`` and ``end_s`` what energies [J] are taken over: by source in
-    ``energy_j``, the others in ``balance``. ``initial_c`` are the discs'
-    temperatures at the press, measured where they are, else estimated.
+    ``begin_s`` and ``end_s`` the times between which energies [J] are
+    integrated: by source in ``energy_j``, the others in ``balance``.
+    ``initial_c`` are the discs' temperatures at the press, measured if
+    possible, else estimated.
     """
 
     first: int

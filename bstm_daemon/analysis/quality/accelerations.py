@@ -1,4 +1,4 @@
-"""The accelerometers against the wheels: thesis figure 4.3 as a test."""
+"""Checks of the accelerometers against the wheels (thesis figure 4.3)."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _DRIFT_WINDOW_S: Final = 30.0
 _TOLERANCE: Final = Tolerance(
     limits.ACCELERATION_SCALE, limits.ACCELERATION_OFFSET_MS2, unit=0.2
 )
-"""Units of acceleration are a factor of 9.8 apart: 20 % tells them."""
+"""Units of acceleration differ by a factor of 9.8: 20 % separates them."""
 
 _SPEED_UNIT: Final = 0.1
 _SPEED_UNIT_LEAST: Final = 2.0
@@ -62,7 +62,7 @@ def compare_accelerations(channels: Channels, notes: Notes) -> None:
     """Compare both accelerometers with the speeds, name what is wrong."""
     if channels.alive([LONGITUDINAL]):
         if channels.on_stand:
-            notes.skip(f"{LONGITUDINAL}: the car stood, wheels tell nothing")
+            notes.skip(f"{LONGITUDINAL}: the car stood, wheels show nothing")
         elif channels.speed_roles:
             _longitudinal(channels, notes)
         else:

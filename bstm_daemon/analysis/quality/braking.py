@@ -1,4 +1,4 @@
-"""Pressure against what it does: deceleration, brake switch, brake force."""
+"""Checks of pressure against deceleration, brake switch and brake force."""
 
 from __future__ import annotations
 

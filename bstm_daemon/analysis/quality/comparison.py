@@ -41,7 +41,7 @@ class Fit:
 
     ``scale_low`` and ``scale_high`` bound the scale; ``correlation`` is that
     of all samples, ``residual_rms`` that of the kept ones, in the channel's
-    unit. ``lag_s`` is None where no sharp change tells it. ``samples``
+    unit. ``lag_s`` is None if no sharp change determines it. ``samples``
     counts common grid points, ``outliers`` the share left out.
     """
 

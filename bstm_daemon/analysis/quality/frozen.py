@@ -1,4 +1,4 @@
-"""Channels that stand still while what they measure does not."""
+"""Detection of channels that are frozen while the measured quantity moves."""
 
 from __future__ import annotations
 
@@ -111,7 +111,7 @@ def _car_stood(channels: Channels, turning: Column) -> bool:
 
 
 class _SpeedContradiction:
-    """Says how the other speeds show that one can not stand still."""
+    """Evidence from the other speeds that a constant one is frozen."""
 
     def __init__(self, channels: Channels, role: str) -> None:
         self._channels = channels

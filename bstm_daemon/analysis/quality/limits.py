@@ -93,10 +93,10 @@ FROZEN_S: Final = 5.0
 """Shortest run of one exact value that is called frozen."""
 
 FROZEN_SPEED_MS: Final = 3.0
-"""... while the other speeds moved away by this much."""
+"""Least change of the other speeds during such a run."""
 
 FROZEN_ACCELERATION_MS2: Final = 2.0
-"""... while the speeds changed at rates this far apart."""
+"""Least range of the speeds' rates of change during such a run."""
 
 FROZEN_STEPS: Final = 20
 """A channel seen moving in this many different values has the resolution to
@@ -150,7 +150,7 @@ TEMPERATURE_RATE_K_S: Final = {
 at most."""
 
 DISC_WORK_MS2S: Final = 100.0
-"""Brake work over mass [m2/s2] that a disc must feel: a stop from 50 km/h, 10
+"""Brake work over mass [m2/s2] that must heat a disc: a stop from 50 km/h, 10
 K or more at the front of any car."""
 
 YAW_SPREAD_RAD_S: Final = 0.05

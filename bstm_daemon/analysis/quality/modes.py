@@ -113,7 +113,7 @@ class _Judge:
             usable=False,
             problems=(
                 *verdict.problems,
-                "axles disagree: the wheels do not tell the car's motion",
+                "axles disagree: the wheels do not show the car's motion",
             ),
             missing=verdict.missing,
             remarks=verdict.remarks,

@@ -1,4 +1,4 @@
-"""Brake pressures against each other and against the car's motion."""
+"""Checks of brake pressures against each other and the car's motion."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ def _attribute(
                         (first[0], role),
                         f"{first[0]} and {role} disagree "
                         f"({judged[0].verdict}): one is wrong and this log "
-                        "does not tell which",
+                        "does not show which",
                     )
                 )
     for role in first:

@@ -163,7 +163,7 @@ def _ambiguous(groups: list[tuple[str, ...]], listed: str) -> Finding:
         "ambiguous",
         roles,
         f"speeds disagree, {listed}: one side is wrong and this log does "
-        "not tell which",
+        "not show which",
     )
 
 

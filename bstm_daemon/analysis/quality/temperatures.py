@@ -1,4 +1,4 @@
-"""Measured brake temperatures against what a brake can do."""
+"""Checks of measured brake temperatures for what is possible in a brake."""
 
 from __future__ import annotations
 

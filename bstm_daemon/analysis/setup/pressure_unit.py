@@ -77,8 +77,8 @@ def assumed_unit(motion: Motion, pressure: Samples) -> AssumedUnit | None:
     for_1_ms2 = float(
         np.median(-column[braking][slowing] / change_ms2[slowing])
     )
-    unit = min(_UNITS, key=lambda one: _apart(for_1_ms2, one))
-    is_usual = _apart(for_1_ms2, unit) <= _DECADES
+    unit = min(_UNITS, key=lambda one: _distance(for_1_ms2, one))
+    is_usual = _distance(for_1_ms2, unit) <= _DECADES
     if not is_usual or top * UNITS[unit].factor > _HIGHEST_PA:
         return None
     return AssumedUnit(
@@ -89,6 +89,6 @@ def assumed_unit(motion: Motion, pressure: Samples) -> AssumedUnit | None:
     )
 
 
-def _apart(for_1_ms2: float, unit: str) -> float:
+def _distance(for_1_ms2: float, unit: str) -> float:
     """Return the decades between a pressure in *unit* and the usual one."""
     return abs(log10(for_1_ms2 * UNITS[unit].factor / _USUAL_PA))

@@ -77,9 +77,9 @@ class SensorNoise:
         above the air; without it ``share`` does not count.
         """
         rise = np.zeros(len(time_s)) if rise_k is None else rise_k
-        apart = np.abs(np.subtract.outer(time_s, time_s))
+        delta_s = np.abs(np.subtract.outer(time_s, time_s))
         drift = np.hypot(self.drift_k, self.share * rise)
-        found = np.outer(drift, drift) * np.exp(-apart / DRIFT_S)
+        found = np.outer(drift, drift) * np.exp(-delta_s / DRIFT_S)
         found += self.offset_k**2
         found += self.lag_s**2 * np.outer(slope_k_s, slope_k_s)
         steep = np.maximum(slope_k_s**2, _mean_square_slope(time_s, rise))
@@ -133,8 +133,8 @@ class DriftNoise:
         lower = {}
         for length in set(lengths):
             steps = np.arange(length)
-            apart_s = np.abs(np.subtract.outer(steps, steps)) * step_s
-            covariance = np.eye(length) + ratio * np.exp(-apart_s / drift_s)
+            delta_s = np.abs(np.subtract.outer(steps, steps)) * step_s
+            covariance = np.eye(length) + ratio * np.exp(-delta_s / drift_s)
             lower[length] = np.asarray(np.linalg.cholesky(covariance))
         return cls(tuple(lengths), ratio, drift_s, lower)
 

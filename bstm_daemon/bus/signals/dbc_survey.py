@@ -246,7 +246,7 @@ class Survey:
             name for name, mark in message.markers.items() if mark[-1:] == "M"
         ]
         lack = (
-            f"SG_MUL_VAL_ tells which of {', '.join(heads)} it hangs on"
+            f"SG_MUL_VAL_ names which of {', '.join(heads)} selects it"
             if heads
             else "multiplexer is declared"
         )
