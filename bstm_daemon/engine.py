@@ -75,7 +75,7 @@ _ROLES: Final = {
     "torque": ("powertrain_torque",),
     "ambient": ("ambient_temperature",),
 }
-"""Inputs that may be left out: one that nothing is mapped to is not stale."""
+"""Optional inputs: one without a mapped role is not stale."""
 
 
 class SavedCounters(Saved):
@@ -140,7 +140,7 @@ class Engine:
         self.estimate: Estimate | None = None
         """What was published last."""
         self.blocks: list[Block] = []
-        """The estimates of the last tick, for whoever tabulates them."""
+        """The estimates of the last tick, for tables."""
         self.risks: list[list[CarRisk]] | None = None
         """The risk at each publication of these; None without a forecast."""
         self._times = array("q")

@@ -76,7 +76,7 @@ _NAMES_AXIS: Final = {
 MOST_CELLS: Final = 12
 BARS: Final = 10
 WEAK_EVIDENCE: Final = 5.0
-"""The axis of the bars ends no earlier: what is next to nothing looks so."""
+"""Least end of the bars' axis, so that weak evidence looks weak."""
 
 
 def gap_page(

@@ -25,11 +25,11 @@ ERROR_HEAD = (
 )
 PEAK_HEAD = (
     *("drive", "corner", "node", "measured [degC]", "estimated [degC]"),
-    *("apart [K]", "at [min]", "apart [min]"),
+    *("difference [K]", "at [min]", "difference [min]"),
 )
 VERDICT_HEAD = ("limits", "drive", "corner", "requirement", "value", "verdict")
 LONG_S: Final = 7200.0
-"""Of the drive of figure 6.8."""
+"""Least duration of a drive as long as that of figure 6.8."""
 
 
 def error_rows(errors: Sequence[NodeErrors]) -> list[tuple[str, ...]]:

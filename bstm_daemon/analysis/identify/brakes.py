@@ -247,7 +247,7 @@ def _result(
 
 
 def _caveat(scale: Value, pushout: Value, scatter: float) -> str:
-    """Say why nothing is identified; empty if something is.
+    """Return why nothing is identified; empty if something is.
 
     *scatter* is the residual over the mean force.
     """
@@ -302,7 +302,7 @@ class Table(Samples):
     pressure_mean_pa: float
 
     def chosen(self, rows: Indices) -> Table:
-        """Return the samples *rows*, around the same means."""
+        """Return the samples *rows*, with the same reference means."""
         columns: dict[str, Any] = {
             name: getattr(self, name)[rows] for name in (*COLUMNS, "stop")
         }
@@ -356,7 +356,7 @@ def settled(
         if not weak.any():
             rest = table.force_n - model(table, fit)
             return fit, leans, errors, float(np.sqrt(np.mean(rest**2)))
-        # the weaker one first: without it the other may stand out
+        # the weaker one first: without it the other may be significant
         ratio = size / np.where(error > 0.0, error, 1.0)
         leans[np.where(weak, ratio, np.inf).argmin()] = False
 
@@ -371,7 +371,7 @@ def model(table: Table, parameters: Column) -> Column:
 
 
 def fit_table(table: Table, pushout_pa: float | None, leans: Mask) -> Column:
-    """Solve for (scale, push-out, leans): linear but for their product."""
+    """Solve for (scale, push-out, leans): linear except for their product."""
     weight = table.weights()
     pushout = 0.0 if pushout_pa is None else pushout_pa
     used = [x for x, on in zip(table.leaning(), leans, strict=True) if on]
@@ -397,7 +397,7 @@ def fit_table(table: Table, pushout_pa: float | None, leans: Mask) -> Column:
 def errors_of(table: Table, pushout_pa: float | None, leans: Mask) -> Column:
     """Return standard errors by leaving out one stop, or a tenth, at a time.
 
-    Samples of a stop err alike, so that stops and not samples count.
+    Errors within a stop are correlated, so that stops and not samples count.
     """
     groups = table.stop
     if len(np.unique(groups)) < 4:

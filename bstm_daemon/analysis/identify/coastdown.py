@@ -7,7 +7,7 @@ Least squares of
 over windows of a few seconds: the change of speed over a window is exact, no
 derivative is taken. An accelerometer reads ``dv/dt + g sin(grade) + bias``
 and gives the shape of the grade. Its bias, or without it each run's grade, is
-one constant with f_r; runs in both directions of one road settle it.
+one constant with f_r; runs in both directions of one road separate them.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ MOST: Final = {
     "friction_ns_m": 200.0,
     "rolling_resistance": 0.1,
 }
-"""A lorry with a trailer, a bad gearbox, loose sand."""
+"""Upper bounds: a lorry with a trailer, a bad gearbox, loose sand."""
 
 WINDOW_S: Final = 4.0
 """Long enough for a change of speed well above a quantum of 0.06 m/s."""
@@ -147,7 +147,9 @@ def _result(
     caveats = dict.fromkeys(NAMES, "")
     if one_way:
         road = "one way"
-        caveats[NAMES[2]] = "the runs do not return: it is one with the grade"
+        caveats[NAMES[2]] = (
+            "the runs do not return: inseparable from the grade"
+        )
     middle, middle_error = middle_of(fit.apparent_ms2, directions)
     mass_kg, weight = vehicle.mass_kg, vehicle.mass_kg * GRAVITY_MS2
     # with an accelerometer the one constant is m (g f_r - bias)
@@ -204,7 +206,7 @@ def _result(
 
 
 def _caveat(row: int, value: float, error: float, fit: Fit) -> str:
-    """Say why a value is not identified; empty if it is."""
+    """Return why a value is not identified; empty if it is."""
     if fit.windows < LEAST_WINDOWS:
         return f"{fit.windows} windows only, {LEAST_WINDOWS} needed"
     tied = [
@@ -283,8 +285,8 @@ class Fit:
 def _windows(stretches: Sequence[Stretch], *, with_sensor: bool) -> Matrix:
     """Return run, force [N] and the means of v^2 and v of each window, (4, k).
 
-    The force is what only the resistances explain. With the accelerometer
-    climbing is in its reading, without it stays in.
+    The force is that of the resistances. With the accelerometer climbing is
+    subtracted, without it is included.
     """
     steps = round(WINDOW_S / GRID_S)
     rows: list[tuple[float, float, float, float]] = []
@@ -347,7 +349,7 @@ def fit_windows(
     )
     for row, value in zip(free, fit.estimate.tolist(), strict=False):
         known[row] = value
-    # of the constants the mean: what f_r follows from
+    # f_r follows from the mean of the constants
     mix = np.zeros((3, len(fit.estimate)))
     mix[free, range(len(free))] = 1.0
     mix[2, len(free) :] = 1.0 / constants.shape[1]

@@ -26,21 +26,21 @@ if TYPE_CHECKING:
     from bstm_daemon.model.heat.feed_back import Vehicle
 
 LOWEST_MS: Final = 2.5
-"""Below, wheel sensors with few teeth and a dead band are not trusted."""
+"""Lowest speed: below it wheel sensors with few teeth are not reliable."""
 
 SHORTEST_S: Final = 15.0
 LEAST_FALL_MS: Final = 4.0
-"""A stretch must last and slow the car so far, else noise outweighs it."""
+"""Least time and loss of speed of a stretch, to exceed the noise."""
 
 SETTLING_S: Final = 1.5
-"""Left out at both ends: drive line and body swing, filters settle."""
+"""Time left out at both ends, while drive line, body and filters settle."""
 
 DRIVEN_MS2: Final = 0.05
 """Torque at the wheels over the mass up to which the car counts as coasting if
 no gear or clutch signal shows it; it is known and taken into account."""
 
 CORNERING_MS2: Final = 0.5
-"""Tyres at an angle brake the car."""
+"""Largest lateral acceleration, as cornering tyres brake the car."""
 
 
 @dataclass(frozen=True, slots=True)

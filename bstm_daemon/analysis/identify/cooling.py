@@ -58,7 +58,7 @@ class CoolingPoint(Value):
     ``ten_pairs`` is the thesis's average over the same cool-downs and
     ``ten_pairs_spread`` the standard deviation of its pairs; both hold
     radiation. At standstill ``value`` is the convection beside the configured
-    radiation and ``whole`` all of the loss; elsewhere they are one.
+    radiation and ``whole`` all of the loss; elsewhere they are equal.
     """
 
     speed_ms: float
@@ -71,7 +71,7 @@ class CoolingPoint(Value):
 
     @property
     def loss(self) -> tuple[float, float]:
-        """What to configure as S: all of the loss, and its standard error."""
+        """The S to configure: all of the loss, and its standard error."""
         if self.speed_ms <= 0.0:
             return self.whole, self.whole_error
         return self.value, self.standard_error
@@ -86,7 +86,7 @@ class CoolingPoint(Value):
 class AxleCooling:
     """The S-function of an axle's discs.
 
-    ``table`` is what to configure: (speed [m/s], S [1/s], whether measured)
+    ``table`` is to be configured: (speed [m/s], S [1/s], whether measured)
     by rising speed; ``still`` the convection fraction at standstill, None
     where it was not measured.
     """
@@ -247,8 +247,8 @@ def _table(
 ) -> tuple[tuple[float, float, bool], ...]:
     """Return the table to configure: driven speeds, the others scaled.
 
-    A configured point that was not driven is moved by what its neighbours
-    moved by, so that the table keeps its shape where nothing was measured.
+    A configured point that was not driven is scaled as its neighbours, so
+    that the table keeps its shape where nothing was measured.
     """
     # at standstill S is the whole loss, of which a fraction is convection
     measured = {
@@ -259,7 +259,7 @@ def _table(
     ratios = {
         speed: value / max(float(disc.configured(speed)), 1e-9)
         for speed, value in measured.items()
-        # standstill is another regime: it says nothing of the wind's part
+        # standstill is another regime, which does not show the wind's part
         if speed > 0.0
     }
     rows = [(speed, value, True) for speed, value in measured.items()]

@@ -50,13 +50,13 @@ if TYPE_CHECKING:
 
 STEP_S: Final = 0.25
 WINDOW_S: Final = 90.0
-"""Long against a stop and short against the drive: about a lap."""
+"""Length of a window, longer than a stop and short within a drive: a lap."""
 
 LEAST_TIMES: Final = 4
-"""Windows in time: two to fit, two to judge by."""
+"""Least number of windows: two to fit, two to validate."""
 
 FAINT: Final = 0.2
-"""A larger share of standard error, at the mean speed, is no value."""
+"""Largest relative standard error of S at the mean speed."""
 
 ENDS: Final = (0.05, 0.95)
 """Shares of the time below the speeds at which the line is held."""
@@ -133,8 +133,8 @@ class BrakedAxle:
     def at(self, speed_ms: float) -> tuple[float, float]:
         """Return S at *speed_ms* and its standard error.
 
-        Beyond the line's ends, the configured S moved by what the end moved
-        by: a line carried on may have no cooling at rest.
+        Beyond the line's ends, the configured S scaled as at the end: an
+        extrapolated line may have no cooling at rest.
         """
         low, high = self.held_ms
         if not self.driven(speed_ms):
@@ -150,11 +150,11 @@ class BrakedAxle:
 
     @property
     def still(self) -> None:
-        """The standstill fraction is not looked for."""
+        """None: the standstill fraction is not identified."""
 
     @property
     def caveat(self) -> str:
-        """Why the line is not settled; empty if it is."""
+        """Why the line is not identified; empty if it is."""
         value, error = self.at(self.mean_speed_ms)
         if error > FAINT * value:
             share = 100.0 * error / max(value, 1e-9)
@@ -408,8 +408,8 @@ def _axle(
 def _left_out(left: Matrix, slopes: Matrix, number: Indices) -> Matrix:
     """Return the covariance, leaving out one time at a time (jackknife).
 
-    A window is one number however many steps it has: what it misses is
-    missed all along.
+    A window counts once however many steps it has: its errors are
+    correlated throughout.
     """
     size = slopes.shape[-1]
     count = int(number.max()) + 1

@@ -65,7 +65,7 @@ class DiscLoss:
 
         The blend of the standstill model, and the configured slope of S over
         the small changes of speed. 1 at standstill, where the factor on S
-        and the blend are one number.
+        and the blend can not be separated.
         """
         if mean_ms <= 0.0:
             return np.ones(len(speed_ms))

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from bstm_daemon.config.sections import Config
 
 CONTROL: Final = ("abs_active", "esc_active", "tc_active")
-"""Flags that say that wheels slip."""
+"""Flags that indicate wheel slip."""
 
 PITCH_WINDOW_S: Final = 20.0
 """Grade changes slower than this, body pitch follows at once."""
@@ -46,8 +46,8 @@ PITCH_RATE_MS2: Final = 0.5
 """Changes of speed that pitch the body well beyond the road's own."""
 
 HARDEST_MS2: Final = 3.5
-"""Beyond, tyres slip: the wheels' speed is no longer the car's, which looks
-like pitch."""
+"""Hardest change of speed used; beyond it tyres slip, which looks like pitch.
+"""
 
 PITCH_LEAST_S: Final = 10.0
 PITCH_SIGMAS: Final = 3.0
@@ -116,7 +116,7 @@ class Driving:
     def released(self) -> Mask:
         """Return where the brake is known to be released, (n,).
 
-        A pressure that is missing for a while is no released brake.
+        A missing pressure does not count as a released brake.
         """
         released = np.full(len(self.time_s), self.brake_known)
         for pressure in self.pressures.values():
@@ -279,7 +279,7 @@ def pitch_of(
 
 
 def _fast(value: Column, half: int) -> Column:
-    """Return *value* less its mean over *half* points each side, if whole."""
+    """Return *value* less its mean over *half* points each side; NaN at ends."""
     mean, count = running_mean(value, half)
     return np.where(count == 2 * half + 1, value - mean, np.nan)
 

@@ -34,8 +34,8 @@ SOURCES: Final = {
 
 BEFORE_S: Final = 0.3
 AFTER_S: Final = 1.5
-"""A stop's energies are taken from so long before to so long after it: the
-body's and the filter's tail belong to it."""
+"""Time before and after a stop over which its energies are integrated, to
+include the transients of body and filter."""
 
 LEAST_KNOWN: Final = 0.9
 """Share of a stop in which the speed has to be known."""
@@ -43,7 +43,7 @@ LEAST_KNOWN: Final = 0.9
 LEAST_POWER_W: Final = 1000.0
 LEAST_FORCE_N: Final = 300.0
 LEAST_ENERGY_J: Final = 2000.0
-"""Below, a ratio is of noise."""
+"""Least energy for a ratio; below it noise dominates."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -29,13 +29,13 @@ if TYPE_CHECKING:
     from bstm_daemon.config.sections import Config, CornerConfig
 
 LONGEST_STOP_S: Final = 15.0
-"""In a longer stop the disc loses what its rise then misses."""
+"""Longest stop; in a longer one the disc loses heat before its peak."""
 
 SETTLING_S: Final = 4.0
-"""The disc's heat spreads so long before its peak is read."""
+"""Time for the disc's heat to spread before its peak is read."""
 
 LEAST_RISE_K: Final = 10.0
-"""A smaller rise is a thermocouple's noise."""
+"""Least rise, above a thermocouple's noise."""
 
 LEAST_ENERGY_J: Final = 50e3
 PARTS: Final = {"front": "F", "rear": "R"}

@@ -19,17 +19,17 @@ LONGEST_LAG_S: Final = 2.0
 """Search range of the cross-correlation; a GNSS receiver is late by 1 s."""
 
 LAG_S: Final = 0.25
-"""Later than this, pressure meets a speed that a hard stop has changed by
-more than 2 m/s. Filters and lines on a car take 20 to 100 ms."""
+"""Largest lag; during a larger one a hard stop changes the speed by more than
+2 m/s. Filters and lines on a car take 20 to 100 ms."""
 
 LAG_CORRELATION: Final = 0.7
 """A weaker peak of the cross-correlation gives no lag."""
 
 UNRELATED: Final = 0.5
-"""Two readings of one quantity with a weaker correlation are not that."""
+"""Readings with a weaker correlation are not of one quantity."""
 
 UNIT_TOLERANCE: Final = 0.06
-"""How near a scale must be to the ratio of two units to be called one; the
+"""Tolerance of a scale that is taken as the ratio of two units; the
 nearest wrong pair, mph for km/h (1.61) and Feed-Forward's 1.5, is at 7 %."""
 
 ENOUGH_S: Final = 5.0
@@ -43,14 +43,14 @@ SPEED_FLOOR_MS: Final = 0.5
 """A difference of speeds that is no outlier: bends, slip, quantum."""
 
 ACCELERATION_FLOOR_MS2: Final = 1.0
-"""The same for accelerations: a grade of 10 %."""
+"""A difference of accelerations that is no outlier: a grade of 10 %."""
 
 PRESSURE_FLOOR_PA: Final = 2e5
-"""The same for pressures, and 10 % of hard braking."""
+"""A difference of pressures that is no outlier: 10 % of hard braking."""
 
 SPEED_SCALE: Final = 1.06
-"""Larger is a wrong wheel size or scale: heat by speed errs alike. Worn and
-new tyres differ by 2 %, a spare wheel by 5 %."""
+"""A larger ratio is a wrong wheel size or scale, with the same error of the
+heat. Worn and new tyres differ by 2 %, a spare wheel by 5 %."""
 
 SPEED_OFFSET_MS: Final = 0.6
 """Wheel sensors read 0 below 0.4 m/s; beyond that it is no dead band."""
@@ -81,7 +81,7 @@ PRESSED_PA: Final = 3e5
 """Pads are on at this pressure (push-out is 0.5 to 1 bar)."""
 
 RELEASED_PA: Final = 0.5e5
-"""Below half a bar nobody brakes."""
+"""Below this pressure the brake is released."""
 
 MOVING_MS: Final = 2.0
 """Below this, wheel sensors and difference quotients are not trusted."""
@@ -106,14 +106,14 @@ MISSING_SHARE: Final = 0.1
 """Share of the bus's time without a valid value that is named."""
 
 MISSING_FAILS: Final = 0.5
-"""... and above which the channel is of no use."""
+"""Share of missing time above which the channel is not usable."""
 
 FORCE_RATIO: Final = 2.0
 """Feed-Forward over Feed-Back energy: friction coefficient (0.3 to 0.5),
 mass and torque errors together stay below 2."""
 
 FORCE_UNIT_TOLERANCE: Final = 0.3
-"""... and blur a unit mistake by as much."""
+"""Relative error of Feed-Forward over Feed-Back in a test for a wrong unit."""
 
 FORCE_MS2: Final = 0.5
 """Mean braking, as a deceleration, that resistances cannot fake."""
@@ -160,7 +160,7 @@ SIDE_CORRELATION: Final = 0.6
 """Wheel differences follow the yaw rate this well in bends."""
 
 WIDEST_TRACK_M: Final = 2.5
-"""... and by no more than a track."""
+"""Widest track that the wheel differences in bends may imply."""
 
 STAND_RESPONSE: Final = 0.3
 """Share of the turning wheels' dv/dt that the accelerometer must show for the

@@ -60,7 +60,7 @@ def compare_speeds(channels: Channels, notes: Notes) -> None:
 
 
 def family(role: str) -> str:
-    """Return what shares a source with *role*: the wheels are one."""
+    """Return the roles that share a source with *role*: all wheels do."""
     return "wheels" if role in WHEELS else role
 
 

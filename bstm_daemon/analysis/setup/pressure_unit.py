@@ -22,12 +22,12 @@ if TYPE_CHECKING:
 
 _UNITS: Final = ("bar", "MPa", "kPa", "Pa")
 _USUAL_PA: Final = 10e5
-"""Pressure for 1 m/s2."""
+"""Usual pressure for 1 m/s2."""
 
 _DECADES: Final = 0.5
 _HIGHEST_PA: Final = 300e5
 _HARDEST_MS2: Final = 12.0
-"""More is a wheel that locks or stands on rollers, not a car that brakes."""
+"""Hardest braking; more is a wheel that locks or stands on rollers."""
 
 _LEVELS: Final = 8
 _REST: Final = 0.02

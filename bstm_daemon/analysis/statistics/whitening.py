@@ -23,11 +23,10 @@ DRIFT_S: Final = 300.0
 """Correlation time of drift and of what the model leaves out."""
 
 DRIFTS_S: Final = (30.0, 100.0, 300.0)
-"""Correlation times that residuals are searched for; a longer one is an
-offset."""
+"""Correlation times of drift that are tried; a longer one is an offset."""
 
 DRIFT_TO_WHITE: Final = (0.0, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0)
-"""Likewise, variance of the drift over that of the white noise."""
+"""Ratios of drift variance to white variance that are tried."""
 
 _LEAST_K2: Final = 1e-8
 

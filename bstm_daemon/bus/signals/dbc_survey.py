@@ -1,4 +1,4 @@
-"""What the statements of a DBC declare, and what is wrong with them.
+"""Survey of a DBC: the declarations of its statements, and their defects.
 
 cantools reads a file as a whole or not at all, and some defects it does not
 see. A survey finds both kinds and what to leave out.
