@@ -1,4 +1,4 @@
-"""``bstm gap``: find what the model lacks, name it, add it, show it."""
+"""``bstm gap``: find, name, add and show an effect that the model lacks."""
 
 from __future__ import annotations
 

@@ -279,7 +279,7 @@ def pitch_of(
 
 
 def _fast(value: Column, half: int) -> Column:
-    """Return *value* less its mean over *half* points each side; NaN at ends."""
+    """Return *value* less its mean over *half* points each side, else NaN."""
     mean, count = running_mean(value, half)
     return np.where(count == 2 * half + 1, value - mean, np.nan)
 

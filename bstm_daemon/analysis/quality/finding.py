@@ -156,7 +156,7 @@ class Notes:
         )  # fmt: skip
 
     def skip(self, text: str) -> None:
-        """Say what this log does not allow to judge, and why."""
+        """Note a check that this log does not allow, and why."""
         self.not_judged.append(text)
 
 

@@ -56,14 +56,14 @@ SPEED_OFFSET_MS: Final = 0.6
 """Wheel sensors read 0 below 0.4 m/s; beyond that it is no dead band."""
 
 ACCELERATION_SPREAD_MS2: Final = 0.3
-"""Standard deviation of dv/dt that stands out of bias and grade."""
+"""Least standard deviation of dv/dt, above that of bias and grade."""
 
 ACCELERATION_SCALE: Final = 1.25
 """Pitch under braking alone gives 3 %, and a 10 % grade that comes with
 braking 10 % or more: only what is beyond is the sensor's."""
 
 ACCELERATION_OFFSET_MS2: Final = 2.0
-"""More than any road's grade (20 %) can explain."""
+"""An offset above that of any road's grade (20 %)."""
 
 PRESSURE_SPAN_PA: Final = 5e5
 """Pressures must range over 5 bar: friction of seals and valves is 0.5."""
@@ -87,7 +87,7 @@ MOVING_MS: Final = 2.0
 """Below this, wheel sensors and difference quotients are not trusted."""
 
 DRIVING_MS2: Final = 0.3
-"""A car that gains speed like this is not being braked."""
+"""Acceleration above which the car is not braked."""
 
 FROZEN_S: Final = 5.0
 """Shortest run of one exact value that is called frozen."""
@@ -119,14 +119,14 @@ FORCE_MS2: Final = 0.5
 """Mean braking, as a deceleration, that resistances cannot fake."""
 
 MISWIRED: Final = 0.98
-"""A temperature that follows a pressure this closely is its line: a brake
-part integrates heat and cannot cool as the pedal is released."""
+"""A temperature with this correlation to a pressure is miswired: a brake part
+integrates heat and cannot cool as the pedal is released."""
 
 MISWIRED_PRESSES: Final = 3
-"""Presses of the pedal that have to be followed."""
+"""Presses of the pedal needed for that verdict."""
 
 COLDER_K: Final = 15.0
-"""A brake part below ambient by more: evaporation gives 5 to 10 K."""
+"""Largest plausible fall below ambient: evaporation gives 5 to 10 K."""
 
 TEMPERATURE_RANGE_K: Final = {
     "disc": (223.0, 1400.0),

@@ -1,4 +1,4 @@
-"""Which heat modes a log allows, and what each of them lacks."""
+"""Which heat modes a log allows, and what is missing for the others."""
 
 from __future__ import annotations
 

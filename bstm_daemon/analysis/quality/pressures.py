@@ -137,7 +137,7 @@ def _name(
 
 
 def check_resting(channels: Channels, notes: Notes) -> None:
-    """Name pressures that are negative, or not zero while nobody brakes."""
+    """Name pressures that are negative, or not zero with no braking."""
     for role in channels.alive(PRESSURES):
         value = channels.value(role)
         value = value[np.isfinite(value)]

@@ -48,7 +48,7 @@ class AssumedUnit:
 
 
 def assumed_unit(motion: Motion, pressure: Samples) -> AssumedUnit | None:
-    """Return the likely unit of *pressure*, None if it behaves like none.
+    """Return the likely unit of *pressure*, None if unlike a pressure.
 
     Args:
         motion: the car's.
