@@ -296,7 +296,7 @@ class Engine:
 
         Args:
             document: what :meth:`export_state` gave.
-            parked_us: time since then [us]; None where no clock can tell,
+            parked_us: time since then [us]; None if no clock knows it,
                 then the brakes are as hot as they were.
             now_us: time now on the axis of the stamps [us].
 

@@ -17,7 +17,7 @@ FEEL_RATE_1_S: Final = 0.02
 (thesis, 7.2.3)."""
 
 REAR_SPARE_K: Final = 20.0
-"""Least difference of margin by which the rear brakes may take over."""
+"""Least excess of the rear margin over the front one to brake at the rear."""
 
 
 class PedalFeel(Machine):

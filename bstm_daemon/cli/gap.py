@@ -110,7 +110,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Search, print, and write what was asked for.
 
-    All files are written before a line is printed: who reads may close early.
+    All files are written before a line is printed: the reader may stop early.
     """
     logs = _check(args)
     config, signal_map = open_vehicle(args, logs)

@@ -41,7 +41,7 @@ def summary_table(summary: DriveSummary) -> str:
     )
     lines = [_drive_line(summary), caption, *columns(rows)]
     if any((corner.after_stop_s or 0.0) < 0.0 for corner in summary.corners):
-        lines.append("after stop, negative: so long before the first stop")
+        lines.append("after stop, negative: time before the first stop")
     lines += _validity_lines(summary)
     lines += wrapped([one.text for one in summary.findings], mark="")
     return "\n".join(lines)

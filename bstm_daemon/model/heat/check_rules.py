@@ -136,7 +136,7 @@ FROZEN_PRESSURE_PA: Final = 3e5
 MOVES_S: Final = 1.0
 """A value is frozen if it is bit-identical for ``FROZEN_*_S`` while the car's
 speed changed by ``FROZEN_*_MS``, a pressure only above ``FROZEN_PRESSURE_PA``.
-"""
+One that changed within ``MOVES_S`` is moving."""
 
 SWITCH_PRESSURE_PA: Final = 5e5
 SWITCH_MS: Final = 1.0

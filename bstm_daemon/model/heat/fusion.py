@@ -53,8 +53,8 @@ STEEPEST_MS2: Final = 2.0
 """Braking without pressure counts after ``SILENT_BEFORE_S`` above
 ``SILENT_SPEED_MS`` and beyond ``SILENT_STDS`` standard deviations
 (``ASSUMED_STDS`` if the torque is only assumed and the bias never learned);
-its energy from its start on is included. The measured acceleration less the
-rate of speed is that of a slope of 20 % at most."""
+its energy from its start on is included. Beyond ``STEEPEST_MS2``, a slope of
+20 %, between acceleration and rate of speed it does not count."""
 
 SLIP_FORWARD: Final = 0.08
 SLIPPING: Final = 0.06
@@ -266,7 +266,7 @@ def _describe(run: Inputs, now: Readings, flags: int) -> Step:
 
 
 def _tare_pressures(run: Inputs, s: Step) -> None:
-    """Follow what the pressures read while nobody brakes."""
+    """Filter the offsets of the pressure sensors, brake released."""
     if isnan(s.brake_switch):
         released = s.drive > TARE_DRIVE_MS2
     else:

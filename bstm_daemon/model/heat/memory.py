@@ -86,8 +86,8 @@ class CheckMemory:
     last minutes of acceleration times gain of speed, and of the gain's square
     [m2/s3]. ``outage_s``: how long a corner's heat was unknown,
     ``aftermath_s``: how long that still has an effect. ``mark`` is the speed
-    when a value was first held; ``left_out`` is 1 for a speed that is not
-    used.
+    of the others when a value was first held; ``left_out`` is 1 for a speed
+    that is not used.
     """
 
     last_sample: int

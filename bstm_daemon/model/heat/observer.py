@@ -417,7 +417,7 @@ class Observer:
         m.pressed_s = m.pressed_s + s.dt_s if s.pressed else 0.0
 
     def _widen_mass(self, s: Step) -> None:
-        """Widen the mass after a stop: people and luggage get in and out."""
+        """Raise the variance of the mass after a stop: its load may change."""
         m = self.m
         if s.speed <= STANDING_MS:
             m.stood_s += s.dt_s

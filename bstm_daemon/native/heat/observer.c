@@ -293,7 +293,7 @@ static void keep_times(ObserverMemory *m, const Step *s)
     m->pressed_s = s->pressed ? m->pressed_s + s->dt_s : 0.0;
 }
 
-/* Widen the mass after a stop: people and luggage get in and out. */
+/* Raise the variance of the mass after a stop: its load may change. */
 static void widen_mass(ObserverMemory *m, const Step *s)
 {
     if (s->speed > STANDING_MS) {
