@@ -25,7 +25,7 @@ ERROR_HEAD = (
 )
 PEAK_HEAD = (
     *("drive", "corner", "node", "measured [degC]", "estimated [degC]"),
-    *("difference [K]", "at [min]", "difference [min]"),
+    *("error [K]", "at [min]", "error [min]"),
 )
 VERDICT_HEAD = ("limits", "drive", "corner", "requirement", "value", "verdict")
 LONG_S: Final = 7200.0

@@ -1,4 +1,4 @@
-"""One time axis for a drive, whatever the wall clock does.
+"""Steady time axis of a drive, independent of steps of the wall clock.
 
 Frames are stamped by the kernel in wall time, which jumps when NTP or a
 person *sets* it. The time since boot never does, and runs on through suspend.

@@ -123,8 +123,8 @@ class Checker(ABC):
       counter as the new last one, so that it is back in step with the next
       frame (``SyncCounterInit`` above 0).
 
-    Silence is not seen here: the age of the last ``OK`` frame is the
-    caller's to watch.
+    Silence is not detected here: the caller watches the age of the last
+    ``OK`` frame.
     """
 
     _modulo: int

@@ -244,7 +244,7 @@ def _percent(
 
 
 def _safe_in_s(corner: CornerEstimate) -> float:
-    """Later than the forecast reaches is the end of the range, no error."""
+    """A time beyond the forecast is the end of the range, not an error."""
     return min((corner.risk or NO_RISK).safe_in_s, LATER_S)
 
 
