@@ -1,4 +1,4 @@
-"""``bstm gap``: find what the model lacks, name it, add it, show it."""
+"""``bstm gap``: find, name, add and show an effect that the model lacks."""
 
 from __future__ import annotations
 
@@ -106,7 +106,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Search, print, and write what was asked for.
 
-    All files are written before a line is printed: who reads may close early.
+    All files are written before a line is printed: the reader may stop early.
     """
     logs = _check(args)
     config, signal_map = open_vehicle(args, logs)

@@ -80,7 +80,7 @@ _NAMES_AXIS: Final = {
 MOST_CELLS: Final = 12
 BARS: Final = 10
 WEAK_EVIDENCE: Final = 5.0
-"""The axis of the bars ends no earlier: what is next to nothing looks so."""
+"""Least end of the bars' axis, so that weak evidence looks weak."""
 
 
 def gap_page(
@@ -395,7 +395,7 @@ def _force_section(one: Forces) -> Section:
         curve(one.time_s, motion_kn, "by motion", BLUE),
         curve(one.time_s, pressed_kn, "by pressure", VERMILION),
     ]
-    apart = [cloud(motion_kn, pressed_kn - motion_kn, "", VERMILION)]
+    difference = [cloud(motion_kn, pressed_kn - motion_kn, "", VERMILION)]
     return Section(
         f"brake force of the car on {one.drive}",
         plots=(
@@ -406,7 +406,7 @@ def _force_section(one: Forces) -> Section:
             (
                 "how much more by pressure than by motion",
                 plot(
-                    apart,
+                    difference,
                     "force by motion [kN]",
                     "difference [kN]",
                     height=340,

@@ -136,7 +136,7 @@ static void hold_speeds(Checks *c, const Readings *now, double middle,
 
 static void hold_pressures(Checks *c, const Readings *now, int64_t refused)
 {
-    /* what noise made of the speed is no driving */
+    /* a change of a suspect speed does not count as driving */
     const int unsure = (refused & FLAG_SPEED_SUSPECT) != 0;
     for (int i = 0; i < c->corners + 2; i++) {
         const double pressure = now->pressures[i];
@@ -256,7 +256,7 @@ static int suspect(const Checks *c, int64_t now, int role)
     return c->plan->timeout[role] >= 0.0 && now <= c->t->until[role];
 }
 
-/* Bits of the roles that have refused samples of late. */
+/* Bits of the roles with recently rejected samples. */
 static int64_t held_flags(const Checks *c, const Readings *now)
 {
     int64_t flags = FLAG_SAMPLES_REFUSED;
@@ -277,7 +277,7 @@ static int64_t held_flags(const Checks *c, const Readings *now)
     return flags;
 }
 
-/* The speed is suspect where no sound speed is left. */
+/* The bit of a suspect speed: no sound one is left. */
 static int64_t speed_flags(const Checks *c, const Readings *now, int64_t flags)
 {
     const int last = c->corners;
@@ -291,7 +291,7 @@ static int64_t speed_flags(const Checks *c, const Readings *now, int64_t flags)
     return present ? FLAG_SPEED_SUSPECT : 0;
 }
 
-/* Bits of what is done where the heat of a corner is not known. */
+/* Time the outages of each corner's heat; returns their bits. */
 static int64_t outages(Checks *c, const Readings *now)
 {
     int64_t flags = 0;

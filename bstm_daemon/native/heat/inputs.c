@@ -42,8 +42,8 @@ void inputs_init(Inputs *p, SampleMemoryInts *times,
     for (int i = 0; i < corners; i++) p->wheel[i] = p->target[i] = 0.0;
 }
 
-/* Which wheels, and whether the vehicle's speed, are believed: those that the
- * others contradict are not, unless none is left. */
+/* Which wheels, and whether the vehicle speed, are used: those that the others
+ * contradict are not, unless none is left. */
 static int believed(const Inputs *p, int *counts, int vehicle)
 {
     const double *left_out = p->checks.m->left_out;
