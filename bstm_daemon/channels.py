@@ -25,7 +25,7 @@ CHANNELS: Final = (
     "brake_power_std_w",
     *(f"measured_{node}_k" for node in MEASURED_NODES),
 )
-"""A corner's columns of a step row: means over the step, but for the running
+"""A corner's columns of a step row: means over the step, except the running
 energies since the start and ``measured_*`` (held, nan where not present)."""
 
 MEASURED_FROM: Final = len(CHANNELS) - len(MEASURED_NODES)
@@ -48,12 +48,12 @@ VEHICLE_CHANNELS: Final = (
     "flags",
 )
 """The vehicle's columns of a step row; distance counts from the start, the
-age is that of the mandatory input that is silent longest."""
+age is that of the oldest mandatory input."""
 
 LEARNED_CHANNELS: Final = VEHICLE_CHANNELS[
     VEHICLE_CHANNELS.index("grade") : VEHICLE_CHANNELS.index("flags")
 ]
-"""Those that the observer of the car fills."""
+"""Channels that the vehicle observer fills."""
 
 FLAGS: Final = {
     "speed_missing": 1,
@@ -87,11 +87,11 @@ FLAGS: Final = {
 ``docs/validity.md`` says when each is set."""
 
 CORNER_PRESSURE: Final = 128
-"""Shifted by the corner's place: the pressure of that corner is missing."""
+"""Bit of corner 0, shifted by the corner's index: its pressure is missing."""
 
 WHEEL_SUSPECT: Final = 1 << 24
 CORNER_PRESSURE_SUSPECT: Final = 1 << 28
 HEAT_LOST: Final = 1 << 32
 HEAT_UNCERTAIN: Final = 1 << 36
-"""Likewise: the wheel's speed is suspect; the pressure that the corner goes
-by is; its heat is unknown, and has been for too long; it was of late."""
+"""Bits of corner 0, shifted likewise: its wheel speed is suspect; the pressure
+it uses is suspect; its heat has been unknown for too long; it recently was."""

@@ -75,7 +75,7 @@ _ROLES: Final = {
     "torque": ("powertrain_torque",),
     "ambient": ("ambient_temperature",),
 }
-"""Inputs that may be left out: one that nothing is mapped to is not stale."""
+"""Optional inputs: one without a mapped role is not stale."""
 
 
 class SavedCounters(Saved):
@@ -140,7 +140,7 @@ class Engine:
         self.estimate: Estimate | None = None
         """What was published last."""
         self.blocks: list[Block] = []
-        """The estimates of the last tick, for whoever tabulates them."""
+        """The estimates of the last tick, for tables."""
         self.risks: list[list[CarRisk]] | None = None
         """The risk at each publication of these; None without a forecast."""
         self._times = array("q")
@@ -296,7 +296,7 @@ class Engine:
 
         Args:
             document: what :meth:`export_state` gave.
-            parked_us: time since then [us]; None where no clock can tell,
+            parked_us: time since then [us]; None if no clock knows it,
                 then the brakes are as hot as they were.
             now_us: time now on the axis of the stamps [us].
 

@@ -1,7 +1,7 @@
-"""What an estimate is: codes, and records of one publication.
+"""Estimates: the codes and records of one publication.
 
 Model, estimator, forecast and advice fill these records; frames, tables,
-metrics and screens are views of them. All SI, temperatures in kelvin,
+metrics and screens show them. All SI, temperatures in kelvin,
 probabilities 0 to 1; NaN is unknown.
 """
 
@@ -67,12 +67,12 @@ class RiskLevel(IntEnum):
 
 
 class WearSource(IntEnum):
-    """What the lining thickness rests on."""
+    """Basis of the lining thickness."""
 
     CONFIGURED = 0
     """The configured thickness, worn on at the expected rate."""
     NEW_PADS = 1
-    """``pads_new`` was seen; the rate is expected, or of the set before."""
+    """``pads_new`` was seen; the rate is expected, or of the previous set."""
     FIRST_INDICATOR = 2
     """The rate is that of the first millimetre (Eq 4.20)."""
     SECOND_INDICATOR = 3
@@ -81,7 +81,7 @@ class WearSource(IntEnum):
 
 
 class WearLevel(IntEnum):
-    """What the lining thickness asks for."""
+    """Action that the lining thickness requires."""
 
     OK = 0
     CHECK = 1
@@ -155,7 +155,7 @@ class WearEstimate:
 
     @property
     def validity(self) -> Validity:
-        """Degraded while it rests on the configuration alone."""
+        """Degraded while it is based on the configuration alone."""
         if self.source is WearSource.NOT_AVAILABLE:
             return Validity.NOT_AVAILABLE
         if self.source is WearSource.CONFIGURED:
@@ -196,7 +196,7 @@ class CarRisk:
 
     ``boiling_low_k`` is the point that 1 % of such fluids boil below,
     ``boiling_k`` their median; ``water_percent`` the median of the water.
-    ``forecast_us`` is the data time of the forecast that all this rests on,
+    ``forecast_us`` is the data time of the underlying forecast,
     None before the first; ``members`` is the size of its ensemble.
     """
 
@@ -275,11 +275,11 @@ class Status:
     """The daemon itself. Counts are totals since the start.
 
     A ``*_stale`` flag says that an input of that kind, which the heat mode
-    uses, is older than its time-out; ``input_suspect`` that something speaks
-    against an input, used or not; ``heat_substituted`` that the heat of a
-    corner is from the source that the heat mode does not name, or unknown;
-    ``model_disagrees`` that estimates and measurements are further apart than
-    a sound model's.
+    uses, is older than its time-out; ``input_suspect`` that an input is
+    suspect, used or not; ``heat_substituted`` that the heat of a corner is
+    from the other source than the heat mode's, or unknown;
+    ``model_disagrees`` that residuals against measurements exceed the
+    tolerance of a sound model.
     """
 
     state: State = State.NOT_AVAILABLE

@@ -1,7 +1,7 @@
-"""The roles a CAN signal can play, and which quantity each one is.
+"""The roles of signals, and the quantity of each.
 
-A role is what the model needs, whatever a car's DBC calls it. The index of a
-role in :data:`ROLES` is its number in sample streams and in the compiled
+A role is an input of the model, whatever its name in a car's DBC. Its index
+in :data:`ROLES` is its number in sample streams and in the compiled
 per-sample pass, so the order below is part of the interface with it.
 """
 
@@ -27,9 +27,8 @@ class Role:
     """A role: its name, quantities it may be given in, and default ageing.
 
     ``timeout_s`` is how long a value counts as present after its frame. A
-    speed over ground, which the wheels do not make, has ``ground_lag_s``:
-    how late its receiver may be. It is compared with theirs and replaces
-    none of them.
+    speed over ground has ``ground_lag_s``, the largest delay of its receiver.
+    It is compared with the wheel speeds and does not replace them.
     """
 
     name: str
@@ -97,7 +96,7 @@ GROUND_LAG_S: Final[dict[str, float]] = {
     for role in ROLES
     if role.ground_lag_s is not None
 }
-"""How late each speed over ground may be [s]."""
+"""Largest delay of each speed over ground [s]."""
 
 GROUND_SPEED_ROLES: Final = tuple(ROLE_INDEX[name] for name in GROUND_LAG_S)
-"""Their role numbers."""
+"""Role numbers of the speeds over ground."""

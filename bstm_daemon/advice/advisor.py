@@ -21,9 +21,9 @@ if TYPE_CHECKING:
 
 
 class Advisor:
-    """The machines of :mod:`bstm_daemon.advice`, side by side.
+    """All state machines of :mod:`bstm_daemon.advice`.
 
-    They know the time of the data only, so a replay gives the same advice.
+    They use the time of the data only, so a replay gives the same advice.
     """
 
     def __init__(self, config: Config, timeouts_us: Mapping[int, int]) -> None:
@@ -36,7 +36,7 @@ class Advisor:
         self._config = config
         self._timeouts_us = timeouts_us
         self.roles = HeldRoles(timeouts_us, ROLE_INDEX)
-        """What samples of the driver's roles are noted in."""
+        """Holds the samples of the driver's roles."""
         self.departure = Departure(config.advice)
         self.descent = Descent(config)
         self.pedal = PedalFeel(config.advice)
@@ -61,7 +61,7 @@ class Advisor:
         }
 
     def restore(self, saved: Mapping[str, Any]) -> None:
-        """Go on where :meth:`export` gave *saved*, within the same drive.
+        """Continue from *saved*, of :meth:`export`, within the same drive.
 
         Raises:
             KeyError, TypeError, ValueError: it is nothing of that kind; this
@@ -72,7 +72,7 @@ class Advisor:
         self.roles.restore(saved["roles"])
 
     def resumed(self, saved: Any) -> Advisor:
-        """Return one that goes on where :meth:`export` gave *saved*.
+        """Return one that continues from *saved*, of :meth:`export`.
 
         Within the same drive; one that begins parked where *saved* is
         nothing of that kind.

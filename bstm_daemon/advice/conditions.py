@@ -1,7 +1,7 @@
-"""What advice is given by: the brakes' state, the car's motion, the driver.
+"""Inputs of the advice: the brakes' state, the car's motion, the driver.
 
-Plain values, so that whatever estimates them can be exchanged. All SI; NaN is
-unknown.
+Plain values, so that the estimator behind them can be exchanged. All SI; NaN
+is unknown.
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ DRIVER_ROLES: Final = (
     "abs_active",
     "esc_active",
 )
-"""Roles that advice reads besides the estimate."""
+"""Roles that advice reads in addition to the estimate."""
 
 FAR_US: Final = 10_000_000
-"""A sample stamped further ahead is one of a clock that went wrong."""
+"""A sample stamped further ahead has a wrong time."""
 
 
 class HeldRoles:
@@ -99,12 +99,11 @@ class HeldRoles:
 
 @dataclass(frozen=True, slots=True)
 class Conditions:
-    """Everything at one publication.
+    """Inputs of the advice at one publication.
 
-    ``corners`` are those with a thermal model, ``pressures_pa`` of all, NaN
-    where one is not known;
-    ``brake_power_w`` is that of all brakes; ``driver`` holds the fresh values
-    of the roles of :data:`DRIVER_ROLES`.
+    ``corners`` are those with a thermal model, ``pressures_pa`` those of all
+    corners, NaN if unknown; ``brake_power_w`` is that of all brakes;
+    ``driver`` holds the fresh values of the roles of :data:`DRIVER_ROLES`.
     """
 
     time_us: int
@@ -126,7 +125,7 @@ class Conditions:
 
     @property
     def is_unsure(self) -> bool:
-        """Whether the level of some corner is not known."""
+        """Whether the level of any corner is unknown."""
         return any(
             corner.level is RiskLevel.UNKNOWN or not corner.validity.is_usable
             for corner in self.corners.values()
@@ -170,8 +169,8 @@ class Conditions:
     def margin_k(self, axle: str = "") -> float:
         """Smallest margin of usable corners [K], of an *axle* "F" or "R".
 
-        Infinite where there is none: a brake without a thermal model is no
-        reason to ask for anything.
+        Infinite if there is none: a brake without a thermal model causes no
+        request.
         """
         return min(filter(isfinite, self._margins_k(axle)), default=inf)
 
@@ -193,7 +192,7 @@ def conditions_at(
     corners: Mapping[str, CornerEstimate],
     driver: Mapping[str, float],
 ) -> Conditions:
-    """Return what advice is given by at one publication.
+    """Return the inputs of the advice at one publication.
 
     Args:
         instant: the publication.
@@ -208,7 +207,7 @@ def conditions_at(
         nan if missing else instant.vehicle("speed_ms"),
         sum(instant.channel(name, "brake_power_w") for name in names),
         {
-            # the model takes one that is missing as 0; advice must not
+            # the model takes a missing one as 0; advice must not
             name: nan
             if instant.flags & CORNER_PRESSURE << place
             else instant.channel(name, "pressure_pa")

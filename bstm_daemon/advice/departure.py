@@ -1,4 +1,4 @@
-"""P1 and P2: a message before departure, and a sound with it.
+"""P1 and P2: a message before departure, with a sound.
 
 Fluid boils minutes after the car has parked, so the driver is asked to wait
 when about to leave, by a text with a time; a lamp while driving would only
@@ -20,7 +20,8 @@ if TYPE_CHECKING:
 
 STANDING_MS: Final = 0.5
 DRIVING_MS: Final = 1.5
-"""Below and above: the car stands, drives; between them nothing changes."""
+"""The car stands below the first speed and drives above the second; between
+them nothing changes."""
 
 CHIME_US: Final = 3_000_000
 
@@ -98,5 +99,5 @@ class Departure(Machine):
         if now.level in (RiskLevel.HIGH, RiskLevel.CRITICAL):
             return Message.WAIT_BEFORE_DEPARTURE
         waiting = self.message is Message.WAIT_BEFORE_DEPARTURE
-        # what is not known any more has not become safe
+        # a level that is now unknown has not become safe
         return self.message if waiting and now.is_unsure else Message.NONE

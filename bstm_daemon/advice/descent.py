@@ -1,8 +1,8 @@
 """P3 and A4: engine braking on a descent.
 
-Braking that takes the car's own kinetic energy ends by itself. What is left of
-the brake power when that is taken off comes from the slope: if it stays high,
-the gear is too high (thesis, 7.2.2 and 7.2.4).
+Braking that takes the car's own kinetic energy ends by itself. The rest of the
+brake power comes from the slope: if it stays high, the gear is too high
+(thesis, 7.2.2 and 7.2.4).
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from bstm_daemon.config.sections import Config
 
 SLOWEST_MS: Final = 3.0
-"""Below it a lower gear brakes no more."""
+"""Below this speed a lower gear gives no more braking."""
 
 RELEASE_SHARE: Final = 0.5
 """The advice ends when the power has fallen to this share."""
@@ -35,7 +35,7 @@ SETTLE_US: Final = 8_000_000
 
 
 class Descent(Machine):
-    """Low-passed power of the slope, and what it asks for."""
+    """Low-pass of the slope's power, and the advice and request it causes."""
 
     MEMORY: ClassVar = {
         "slope_power_w": Number,
@@ -46,7 +46,7 @@ class Descent(Machine):
     }
 
     def __init__(self, config: Config) -> None:
-        """Begin on the level."""
+        """Begin on a level road."""
         self._config = config.advice
         self._mass_kg = config.vehicle.mass_kg
         self.slope_power_w = 0.0
@@ -85,7 +85,7 @@ class Descent(Machine):
         )
         share = 1.0 - exp(-dt_s / self._config.descent_window_s)
         power_w = now.brake_power_w - kinetic_w
-        # gaining speed is no braking that the slope would ask for
+        # braking while speed rises is not caused by the slope
         if now.brake_power_w <= 0.0:
             power_w = 0.0
         self.slope_power_w += share * (power_w - self.slope_power_w)

@@ -30,33 +30,34 @@ if TYPE_CHECKING:
     from bstm_daemon.config.sections import Config
 
 MOVING_MS: Final = 1.0
-"""A car that stands decelerates no more."""
+"""A car at standstill does not decelerate any more."""
 
 SMOOTHING_S: Final = 0.2
 """Time constant of pressure and deceleration: hydraulics and sensor."""
 
 ANSWERED: Final = 0.6
 UNANSWERED: Final = 0.2
-"""Share of the expected deceleration: it is as it should be; it is missing."""
+"""Shares of the expected deceleration: the response is normal above the first
+and missing below the second."""
 
 FAR: Final = (0.5, 0.8)
-"""Pedal travel, of the whole: from where on it is far down, and wholly so."""
+"""Shares of the pedal travel between which "far down" rises from 0 to 1."""
 
 UNSURE: Final = 0.7
 """Weight of a score whose slope is not known."""
 
 ANXIOUS: Final = 0.25
-"""What a fast pedal adds to a rule that holds."""
+"""Share that a fast pedal adds to a rule that holds."""
 
 POSSIBLE: Final = 0.01
-"""Probability of vaporisation from which on it counts as possible."""
+"""Probability of vaporisation above which it counts as possible."""
 
 RELEASED_PA: Final = 2.0e5
-"""Below it the driver brakes no more."""
+"""Below this pressure the driver does not brake any more."""
 
 
 class EmergencyAssist(Machine):
-    """Standby, detector, and which of three interventions to ask for."""
+    """Standby, detector, and the choice of one of three interventions."""
 
     MEMORY: ClassVar = {
         "state": Assist,
@@ -116,7 +117,7 @@ class EmergencyAssist(Machine):
         return self.state, self._intervention(now), self.score
 
     def _observe(self, now: Conditions) -> float:
-        """Filter what is measured; return the weight of its sureness."""
+        """Filter the measurements; return the weight of the deceleration."""
         travel = now.driver.get("brake_pedal_travel")
         last, self._last = self._last, (now.time_us, now.speed_ms, travel)
         if last is None or not 0 < now.time_us - last[0] <= 1_000_000:
@@ -143,7 +144,7 @@ class EmergencyAssist(Machine):
         rate = 0.0
         if travel is not None and last[2] is not None:
             rate = (travel - last[2]) / dt_s
-        # a kick of the pedal is remembered for as long as it takes to answer
+        # a kick of the pedal counts for as long as the brakes take to respond
         self._pedal_rate = max(rate, self._pedal_rate * exp(-dt_s))
         return sure
 
@@ -154,7 +155,7 @@ class EmergencyAssist(Machine):
         limit_pa = self._config.detector_pressure_pa
         highest_pa = now.highest_pressure_pa
         if not isfinite(highest_pa):
-            # what is not measured is neither large nor small
+            # an unknown value is neither large nor small
             return 0.0
         large = _rising(highest_pa, 0.5 * limit_pa, limit_pa)
         answer = (
@@ -172,7 +173,7 @@ class EmergencyAssist(Machine):
         return min(rule * (1.0 + ANXIOUS * anxious), 1.0)
 
     def _is_over(self, now: Conditions) -> bool:
-        """Whether the driver brakes no more, or the car has come to rest."""
+        """Whether the driver has released the pedal or the car has stopped."""
         braking = (
             now.highest_pressure_pa > RELEASED_PA
             or now.flag("brake_switch") is True

@@ -1,4 +1,4 @@
-"""A3 and A5: the pedal's feel, and front wheels off the hydraulics."""
+"""A3 and A5: pedal feel, and isolation of the front wheels' hydraulics."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ if TYPE_CHECKING:
     from bstm_daemon.config.estimates import AdviceConfig
 
 FEEL_RATE_1_S: Final = 0.02
-"""Fastest change of the feel: gradual, so that nobody takes it for a fault
+"""Fastest change of the feel, slow so that nobody takes it for a fault
 (thesis, 7.2.3)."""
 
 REAR_SPARE_K: Final = 20.0
-"""Rear brakes take over only if they are further from boiling by this."""
+"""Least excess of the rear margin over the front one to brake at the rear."""
 
 
 class PedalFeel(Machine):
-    """A factor that falls as the fluid nears its worst-case boiling point."""
+    """Factor of pedal feel; it falls as the fluid nears worst-case boiling."""
 
     MEMORY: ClassVar = {"_feel": Share, "_last_us": Int64 | None}
 
@@ -54,10 +54,10 @@ class PedalFeel(Machine):
 class FrontIsolation(Machine):
     """Braking by the rear wheels alone, so that the front ones cool.
 
-    Needs no boiling point but the worst case: the fluid is kept below it
+    Needs only the worst-case boiling point: the fluid is kept below it
     whatever its age (thesis, 7.2.5). Only at moderate speed, with no
     intervention of the stability systems, and while the rear brakes are
-    known to have more to spare.
+    known to have more margin.
     """
 
     MEMORY: ClassVar = {"_requested": Flag}

@@ -1,1 +1,1 @@
-"""What a person does with recordings: judge, identify, match, explain."""
+"""Analysis of recordings: judge, identify, match, explain."""

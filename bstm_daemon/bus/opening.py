@@ -43,7 +43,7 @@ FORMATS: Final = (
     ".trc and python-can's .csv, each also with .gz behind, .mf4, and signal "
     "tables (.csv, .tsv, .parquet, .h5, .hdf5)"
 )
-"""What can be read, for messages."""
+"""Readable formats, for messages."""
 
 _MAGIC: Final = {
     ".blf": (b"LOGG",),
@@ -52,10 +52,10 @@ _MAGIC: Final = {
     ".h5": (b"\x89HDF\r\n\x1a\n",),
     ".hdf5": (b"\x89HDF\r\n\x1a\n",),
 }
-"""How a binary file begins, by its ending."""
+"""First bytes of a binary file, by its ending."""
 _TEXTS: Final = (".asc", ".trc", ".csv", ".tsv")
 _PACKED: Final = (".blf", *_TEXTS)
-"""Endings that may have ``.gz`` behind, besides candump's."""
+"""Endings that ``.gz`` may follow, besides candump's."""
 _MESSAGES: Final = (".asc", ".blf", ".trc")
 _OTHER_ENDINGS: Final = frozenset(
     {

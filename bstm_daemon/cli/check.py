@@ -45,7 +45,8 @@ if TYPE_CHECKING:
     from bstm_daemon.config.sections import Config, CornerConfig, SignalConfig
 
 _ANY_RADIUS_M = 0.3
-"""Finds DBC problems when [vehicle] has none to give; enters no result."""
+"""Wheel radius for finding DBC problems if ``[vehicle]`` has none; not in any
+result."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

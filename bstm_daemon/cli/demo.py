@@ -1,6 +1,6 @@
 """``bstm demo``: a descent and a hot soak on an embedded bus, time-warped.
 
-Three parties share a virtual bus, as they would share a wire: the simulated
+Three parties share a virtual bus: the simulated
 car sends its frames, the monitor listens and publishes, and a display reads
 what was published.
 """

@@ -1,11 +1,9 @@
-"""``bstm gap``: find what the model lacks, name it, add it, show it."""
+"""``bstm gap``: find, name, add and show an effect that the model lacks."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-
-import numpy as np
 
 from bstm_daemon.analysis.gap.advising import MENU
 from bstm_daemon.analysis.gap.heat_only import find_force_gap
@@ -34,15 +32,13 @@ from bstm_daemon.model.heat.needs import (
 from bstm_daemon.replay.columns import present_roles
 from bstm_daemon.report.gap import (
     adopted_text,
-    advice_json,
     advice_lines,
-    force_json,
     force_text,
-    gap_json,
     gap_text,
     no_advice_line,
     remarks_on,
 )
+from bstm_daemon.report.gap_json import advice_json, force_json, gap_json
 from bstm_daemon.report.gap_page import force_page, gap_page
 from bstm_daemon.simulation import drive_names
 
@@ -110,7 +106,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Search, print, and write what was asked for.
 
-    All files are written before a line is printed: who reads may close early.
+    All files are written before a line is printed: the reader may stop early.
     """
     logs = _check(args)
     config, signal_map = open_vehicle(args, logs)
@@ -148,7 +144,7 @@ def _by_temperatures(
         raise LogError(msg)
     for one in (*recordings, *held_out):
         mode = config.heat.mode
-        check_heat_inputs(one.name, _seen_roles(one), one.present, mode)
+        check_heat_inputs(one.name, one.drive.roles, one.present, mode)
     until = "show" if args.step == "run" else args.step
     with Progress("gap") as progress:
         gaps = find_gap(
@@ -191,8 +187,9 @@ def _by_forces(
         raise UsageError(msg)
     for one in (*recordings, *held_out):
         what = "pressure against motion"
-        seen = _seen_roles(one)
-        check_inputs(one.name, seen, one.present, INPUTS["ff"], what)
+        check_inputs(
+            one.name, one.drive.roles, one.present, INPUTS["ff"], what
+        )
     with Progress("gap") as progress:
         progress.show(0.1)
         gap = find_force_gap(config, recordings, held_out)
@@ -239,11 +236,6 @@ def _question(args: argparse.Namespace) -> Question:
     )
 
 
-def _seen_roles(recording: Recording) -> set[int]:
-    """Return the roles that *recording* has a sample of."""
-    return set(np.unique(recording.events.role).tolist())
-
-
 def _check(args: argparse.Namespace) -> set[Path]:
     """Refuse arguments that do not go together; return all logs."""
     if not args.logs and not (args.step == "advise" and args.among):
@@ -287,7 +279,6 @@ def _read(
                     config,
                     signal_map,
                     dict(args.map),
-                    thermocouples=False,
                     progress=progress.show,
                 )
             )

@@ -138,7 +138,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Identify, print and write what was asked for.
 
-    The result is 1 where the logs settle no value.
+    The result is 1 if no value is identified.
     """
     _check(args)
     config, signal_map = load_vehicle(args.config)

@@ -1,4 +1,4 @@
-"""What the commands over recorded drives share: arguments and results."""
+"""Arguments and results shared by the commands over recorded drives."""
 
 from __future__ import annotations
 

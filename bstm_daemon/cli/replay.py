@@ -195,7 +195,7 @@ def _check_targets(args: argparse.Namespace, stems: list[str]) -> None:
 def _remarks(
     log_run: Run, statistics: DriveStatistics, heat_mode: str
 ) -> list[str]:
-    """What the reader of a result has to know of its input."""
+    """Return the remarks on the input that the reader of a result needs."""
     hours = log_run.settling_s / 3600
     remarks = []
     if hours > 0:

@@ -1,4 +1,4 @@
-"""From a configuration file to what the estimator needs."""
+"""Reads a configuration file into the inputs of the estimator."""
 
 from __future__ import annotations
 

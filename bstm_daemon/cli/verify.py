@@ -1,4 +1,4 @@
-"""``bstm verify``: the model judged on drives with thermocouples."""
+"""``bstm verify``: verification on drives with thermocouples."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is made of temperatures: accuracy, fluid, forecast, advice and wear."""
+"""Sections on top of temperatures: accuracy, fluid, forecast, advice, wear."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ USUAL_DRIFT_K: Final = 1.0
 
 
 class AccuracyConfig(Section):
-    """``[accuracy]``: what a matched model leaves over, by ``bstm match``.
+    """``[accuracy]``: residuals of a matched model, from ``bstm match``.
 
     Standard deviation of a node's estimate: ``_k`` and ``_share`` of its rise
     above the air, in quadrature. The last two describe the thermocouples, by
@@ -84,8 +84,8 @@ class FluidConfig(Section):
 class ForecastConfig(Section):
     """``[forecast]``: the ensemble, and the limits of disc and pads.
 
-    ``uncertainty`` widens or narrows what the ensemble takes for unknown of
-    the model; the limits are where elevated, high and critical begin.
+    ``uncertainty`` scales the model uncertainty of the ensemble; the limits
+    are where elevated, high and critical begin.
     """
 
     members: Annotated[int, Field(ge=8, le=256)] = 64

@@ -1,4 +1,4 @@
-"""What is refused because no vehicle needs it: sizes, lengths and depths.
+"""Limits of sizes, lengths and depths that no vehicle needs to exceed.
 
 A configuration or a DBC beyond them is damaged, or made to exhaust the
 computer that reads it.
@@ -15,16 +15,16 @@ if TYPE_CHECKING:
 DBC_BYTES: Final = 64 << 20
 TOML_BYTES: Final = 4 << 20
 TOML_DEPTH: Final = 16
-"""Tables and lists inside one another."""
+"""Deepest nesting of tables and lists."""
 TOML_INTEGER_BITS: Final = 63
-"""Of a magnitude; TOML promises no more."""
+"""Bits of an integer's magnitude; TOML guarantees no more."""
 
 COMMENT_CHARACTERS: Final = 1 << 16
-"""Of one comment of a DBC; a longer one is left out."""
+"""Longest comment of a DBC; a longer one is left out."""
 MESSAGE_BYTES: Final = 4095
-"""What the transport of ISO 15765-2 joins to one message."""
+"""Longest message of the transport protocol ISO 15765-2."""
 SIGNAL_BITS: Final = 512
-"""What a CAN FD frame holds."""
+"""Bits of a CAN FD frame."""
 
 EXPRESSION_CHARACTERS: Final = 4096
 EXPRESSION_TERMS: Final = 200

@@ -86,9 +86,9 @@ def _form_of_property(value: object) -> str:
 
 LINING_HEAT_CAPACITY_J_KGK: Final = (500.0, 2500.0)
 LINING_CONDUCTIVITY_W_MK: Final = (0.3, 8.0)
-"""What linings have, from cold to glowing: 800 to 1300 J/kgK and 0.5 to 3 W/mK
-are typical, 5 W/mK of metallic ones. A matched value beyond stands in for
-something else that the model lacks."""
+"""Ranges of linings, from cold to glowing: 800 to 1300 J/kgK and 0.5 to 3
+W/mK are typical, 5 W/mK of metallic ones. A matched value beyond stands in
+for something else that the model lacks."""
 
 LiningHeatCapacity = Annotated[
     Annotated[float, Field(ge=500.0, le=2500.0), Tag("number")]

@@ -1,4 +1,4 @@
-"""Estimates as flat arrays, and where each number of a publication lies."""
+"""Blocks of estimates as flat arrays, and the layout of a publication."""
 
 from __future__ import annotations
 
@@ -88,9 +88,9 @@ class Block:
     flags: array[int]
     validity: dict[str, array[int]]
     known_from: int
-    """The first publication at which the start no longer matters."""
+    """The first publication on which the start has no effect."""
     wear: dict[str, Laws]
-    """Per corner of a thermal model: from which publication which law."""
+    """Per corner of a thermal model: wear laws, each from a publication on."""
 
     def at(self, i: int) -> Instant:
         """Return a view of publication *i*."""
@@ -99,7 +99,7 @@ class Block:
 
 @dataclass(frozen=True, slots=True)
 class Instant:
-    """One publication of a block; a view, which copies what is asked for."""
+    """One publication of a block: a view that copies on access."""
 
     block: Block
     i: int
@@ -116,7 +116,7 @@ class Instant:
 
     @property
     def history_known(self) -> bool:
-        """Whether the start no longer matters."""
+        """Whether the start temperature has no effect any more."""
         return self.i >= self.block.known_from
 
     def vehicle(self, channel: str) -> float:

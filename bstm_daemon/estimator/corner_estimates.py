@@ -1,4 +1,4 @@
-"""From one publication of a block to the estimate of each corner."""
+"""Estimates of the corners at one publication of a block."""
 
 from __future__ import annotations
 

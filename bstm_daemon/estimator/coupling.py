@@ -1,8 +1,8 @@
-"""Rows of the pass over samples, and the march of the brakes over them.
+"""Coupling of the pass over samples and the march of the thermal networks.
 
-Without a friction law power knows nothing of temperature: as many rows as
-there is room for are formed, then marched. With one the two go hand in hand,
-and the pass gets the temperatures on whole multiples of
+Without a friction law power does not depend on temperature: as many rows as
+fit are computed, then marched. With one the two alternate, and the pass gets
+the temperatures on whole multiples of
 :data:`COUPLING_US`, however the samples are cut into calls.
 """
 
@@ -33,7 +33,7 @@ multiples of this; in a hard stop it rises by 4 K in between."""
 
 
 class Coupling:
-    """Room for rows, and what fills and marches it."""
+    """Buffer of rows, with the pass that fills and the march that reads it."""
 
     def __init__(
         self,
@@ -68,7 +68,7 @@ class Coupling:
         self._space = self._rows_from(0, room)
 
     def phase(self, first: int = 0) -> int:
-        """Steps from row *first* to the next output, that one counted."""
+        """Return the steps from row *first* to the next output, inclusive."""
         return -(self.times[first] // self.plan.step_us) % self._every + 1
 
     def fill(
@@ -129,7 +129,7 @@ class Coupling:
     ) -> None:
         """Give the friction laws the mean of disc and face of the pads.
 
-        *anew*: also those that know one already.
+        *anew*: also those that have one already.
         """
         order = self.plan.corners
         for batch, names in batches:
@@ -143,7 +143,7 @@ class Coupling:
                 state.heat_interface(corner, 0.5 * (own[disc] + own[pad]))
 
     def _until(self, line_us: int, state: SampleState) -> int:
-        """Rows up to the next whole multiple of *line_us*, that one too."""
+        """Return the rows up to the next multiple of *line_us*, inclusive."""
         now, ends_us = state.times[:2]
         if now == NEVER:
             return 1

@@ -1,8 +1,8 @@
-"""Samples in, estimates out: the one path for live, replay and matching.
+"""The estimator: samples to estimates, for live, replay and matching.
 
 :meth:`Estimator.advance` is called with one row live and with whole columns
 in replay; chunking never changes the numbers, because the pass over samples
-and the march of the network are sequential and keep their whole memory in
+and the march of the network are sequential and keep all their memory in
 this object.
 """
 
@@ -66,13 +66,13 @@ if TYPE_CHECKING:
     Floats: TypeAlias = Sequence[float] | npt.NDArray[Any]
 
 STEP_US: Final = 50_000
-"""The grid: whole multiples of this in the frames' own time."""
+"""Step of the grid, in the frames' own time."""
 
 PUBLISH_US: Final = 100_000
-"""Publication on whole multiples of this."""
+"""Period of publication."""
 
 ROWS: Final = 4096
-"""Steps marched at a time; bounds memory, changes no number."""
+"""Steps marched at a time; it limits memory and does not change results."""
 
 
 class Estimator:
@@ -160,9 +160,9 @@ class Estimator:
         self.wear = CarWear(config, present)
         self.open_flags = 0
         self.input_history: InputHistory | None = None
-        """Takes the rows of every step, where it is asked for."""
+        """Callback for the rows of every step, or None."""
         self.resets = 0
-        """Corners that had to start anew, since the start."""
+        """Count of corners reset since the start."""
 
     @property
     def compiled(self) -> bool:
@@ -171,7 +171,7 @@ class Estimator:
 
     @property
     def history_known(self) -> bool:
-        """Whether the start no longer matters."""
+        """Whether the start temperature has no effect any more."""
         return self.history_left_steps <= 0
 
     @property
@@ -237,8 +237,8 @@ class Estimator:
         """As :meth:`advance`, a block at a time: a gap of hours is many.
 
         Yields:
-            What :meth:`advance` returns; all must be taken before the next
-            samples are given.
+            The blocks of :meth:`advance`; all must be consumed before the
+            next samples.
         """
         index, count = 0, len(times_us)
         if self._corrections:
@@ -283,7 +283,7 @@ class Estimator:
         return groups
 
     def _block(self, steps: int, outputs: Outputs) -> Block:
-        """Keep what the publications of *steps* marched rows need."""
+        """Return the publications of *steps* marched rows."""
         every = PUBLISH_US // STEP_US
         coupling = self._coupling
         phase = coupling.phase()
@@ -315,9 +315,9 @@ class Estimator:
         return block
 
     def _reset_impossible(self) -> None:
-        """Let a corner that no brake can be in start anew, history unknown.
+        """Reset corners in an impossible state, with history unknown.
 
-        A node that is no number would stay so for ever.
+        A node that is NaN would stay so for ever.
         """
         for batch, member, _ in self.members():
             program = batch.programs[member]
@@ -334,7 +334,7 @@ class Estimator:
             self.resets += 1
 
     def _fit_to_wear(self, row: int) -> None:
-        """Let the networks follow linings and discs that became thinner.
+        """Rebuild the networks of linings and discs that became thinner.
 
         *row* is the last step; new linings are as warm as its air.
         """
@@ -352,7 +352,7 @@ class Estimator:
     def _published_flags(
         self, steps: int, phase: int, every: int
     ) -> array[int]:
-        """Bits of all steps up to each publication since the last one."""
+        """Return per publication the bits of all steps since the last one."""
         wide = len(VEHICLE_CHANNELS)
         flags = array("q")
         for step, bits in enumerate(
@@ -365,11 +365,11 @@ class Estimator:
         return flags
 
     def _known_from(self, phase: int, every: int) -> int:
-        """Index of the first publication whose start no longer matters."""
+        """Return the first publication on which the start has no effect."""
         return max(-(-(self.history_left_steps - phase) // every), 0)
 
     def _settling_time_s(self) -> float:
-        """How long the slowest brake of this car remembers a hot start."""
+        """Return how long a hot start affects the slowest brake [s]."""
         air_k = self.config.vehicle.ambient_c + KELVIN_OFFSET
         row = array("d", channels_at_rest(air_k).values())
         return settling_time_s(

@@ -1,4 +1,4 @@
-"""What the thermal models were given since a moment, in brief."""
+"""Averaged inputs of the thermal models since a given time."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""What a state file may hold: the kinds of its values and of its parts.
+"""Types and models that validate the content of a state file.
 
-A file may hold anything, so nothing of it is used before it was read by one
-of the models below, or by the :class:`Machine` whose memory it is.
+A file may hold anything, so nothing of it is used before one of the models
+below, or the :class:`Machine` whose memory it is, has validated it.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class StateError(ValueError):
 
 
 class Saved(BaseModel):
-    """Base of the models; keys that one does not have are not of it."""
+    """Base of the models; unknown keys are ignored."""
 
 
 class SavedState(Saved):

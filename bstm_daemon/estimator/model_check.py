@@ -1,10 +1,10 @@
-"""Whether the running model agrees with what is measured, all the time.
+"""Continuous check of the running model against measurements.
 
-Two running statistics. Feed-Forward against Feed-Back: the braking work that
-pressure and motion imply, over the last megajoule or so. Thermocouples,
-where roles map them: the mean over two minutes of measured less estimated.
-What is beyond what a sound model errs by is a gap; ``bstm gap`` names it from
-the record.
+It keeps two running statistics. Feed-Forward against Feed-Back: the braking
+work from pressure less that from motion, over the last megajoule or so.
+Thermocouples, if they are mapped: the mean residual over two minutes. A
+residual beyond the tolerance of a sound model is a gap; ``bstm gap`` finds
+its cause in the record.
 """
 
 from __future__ import annotations
@@ -32,23 +32,23 @@ if TYPE_CHECKING:
 
 FORGET_J: Final = 1e6
 LEAST_J: Final = 3e5
-"""Braking work that the forces are compared over, and from which on."""
+"""Braking work over which forces are averaged, and least work to compare."""
 
 TRIAL_S: Final = 5.0
-"""Braking work counts once nothing was found against an input for so long
-after it: what is wrong with one may take that long to be seen."""
+"""Braking work counts if no input became suspect within this time after it: a
+fault may take that long to be detected."""
 
 FORCE_COMES: Final = 0.3
 FORCE_GOES: Final = 0.2
-"""Difference of the works over the larger: friction varies by a tenth, mass
-and accelerometer take as much."""
+"""Thresholds with hysteresis of the relative difference of the works: friction
+varies by a tenth, mass and accelerometer add as much."""
 
 MEMORY_S: Final = 120.0
 KNOWN_S: Final = 120.0
 NODE_OF: Final = {"disc_2": "disc"}
 SIGMAS: Final = 3.0
 GOES: Final = 0.6
-"""Of the tolerance, below which a thermocouple agrees again."""
+"""Share of the tolerance below which a thermocouple agrees again."""
 
 USUAL: Final[dict[str, tuple[float, float]]] = {
     "disc": (10.0, 0.06),
@@ -57,8 +57,8 @@ USUAL: Final[dict[str, tuple[float, float]]] = {
     "fluid": (3.0, 0.05),
     "caliper": (3.0, 0.05),
 }
-"""Standard deviation [K] and share of the rise of a model that nobody has
-matched, by node; ``[accuracy]`` takes its place."""
+"""Standard deviation of an unmatched model by node: [K] and share of the rise;
+``[accuracy]`` overrides it."""
 
 _UNKNOWN: Final = (
     FLAGS["speed_missing"]
@@ -73,18 +73,18 @@ _UNKNOWN: Final = (
     | FLAGS["settled"]
     | FLAGS["silent"]
 )
-"""With any of these one of the two works is not known."""
+"""With any of these one of the two works is unknown."""
 
 NO_WORK: Final = (0.0, 0.0, 0.0)
-"""Work by pressure less work by motion, the larger one of them [J]; for how
-long it was gathered [s]."""
+"""Work from pressure less work from motion and the larger of the two [J]; time
+over which they were summed [s]."""
 
 
 @dataclass
 class Couple(Machine):
-    """One thermocouple and how far the model is from it.
+    """One thermocouple and its mean residual.
 
-    ``node`` is what it measures, ``shown_node`` the node of the model there.
+    ``node`` is the one it measures, ``shown_node`` the model's node there.
     """
 
     MEMORY: ClassVar = {
@@ -107,18 +107,18 @@ class Couple(Machine):
         """Corner and node."""
         return f"{self.corner} {self.node}"
 
-    def take(self, apart_k: float, rise_k: float, dt_s: float) -> None:
-        """Take *apart_k*, measured less estimated, of the last *dt_s*."""
-        if not isfinite(apart_k):
+    def take(self, residual_k: float, rise_k: float, dt_s: float) -> None:
+        """Take *residual_k*, measured less estimated, of the last *dt_s*."""
+        if not isfinite(residual_k):
             self.mean_k, self.known_s = nan, 0.0
             self.disagrees = False
             return
         if not isfinite(self.mean_k):
             self.mean_k, self.known_s = 0.0, 0.0
         self.known_s += dt_s
-        # at first of all there was: the first one is no more than the rest
+        # at first the plain mean, so that the first value has no extra weight
         share = dt_s / min(self.known_s, MEMORY_S)
-        self.mean_k += (apart_k - self.mean_k) * min(share, 1.0)
+        self.mean_k += (residual_k - self.mean_k) * min(share, 1.0)
         tolerance = SIGMAS * hypot(self.floor_k, self.share * rise_k)
         if self.disagrees:
             tolerance *= GOES
@@ -128,7 +128,7 @@ class Couple(Machine):
 
 
 class ModelCheck(Machine):
-    """Watches the estimates of one car, publication by publication."""
+    """Model check of one car, publication by publication."""
 
     MEMORY: ClassVar = {
         "_before": tuple[Int64, Number, Number] | None,
@@ -149,7 +149,7 @@ class ModelCheck(Machine):
         self._before: tuple[int, float, float] | None = None
         self._apart_j = self._work_j = self._braked_j = 0.0
         self._forces_disagree = False
-        # what is on trial, and what was before it
+        # work on trial, and the work before it
         self._young: tuple[float, float, float] = NO_WORK
         self._ripe: tuple[float, float, float] = NO_WORK
 
@@ -159,10 +159,10 @@ class ModelCheck(Machine):
         return super().export() | {"couples": couples}
 
     def restore(self, saved: Mapping[str, Any]) -> None:
-        """Go on where :meth:`export` was called, within the same drive.
+        """Continue from :meth:`export`, within the same drive.
 
         Raises:
-            KeyError, TypeError, ValueError: it is nothing of that kind.
+            KeyError, TypeError, ValueError: it is not of that form.
         """
         super().restore(saved)
         for one in self.couples:
@@ -181,7 +181,7 @@ class ModelCheck(Machine):
 
     @property
     def disagreements(self) -> tuple[str, ...]:
-        """What disagrees: ``heat``, or a corner and node."""
+        """Disagreements: ``heat``, or a corner and node."""
         found = ["heat"] if self._forces_disagree else []
         found += [one.name for one in self.couples if one.disagrees]
         return tuple(found)
@@ -189,7 +189,7 @@ class ModelCheck(Machine):
     def take(self, instant: Instant) -> None:
         """Take one publication, in the order of time.
 
-        Thermocouples count from where the start no longer matters.
+        Thermocouples count from when the start has no effect any more.
         """
 
         def total(channel: str) -> float:
@@ -225,24 +225,24 @@ class ModelCheck(Machine):
     def _take_work(
         self, pressed_j: float, moved_j: float, dt_s: float
     ) -> None:
-        apart_j, work_j, lasted_s = self._young
+        difference_j, work_j, lasted_s = self._young
         larger = max(pressed_j, moved_j)
         if larger > 0.0 and isfinite(pressed_j - moved_j):
-            apart_j += pressed_j - moved_j
+            difference_j += pressed_j - moved_j
             work_j += larger
-        self._young = apart_j, work_j, lasted_s + dt_s
+        self._young = difference_j, work_j, lasted_s + dt_s
         if lasted_s + dt_s >= TRIAL_S:
             self._count_work(*self._ripe[:2])
             self._ripe, self._young = self._young, NO_WORK
 
-    def _count_work(self, apart_j: float, work_j: float) -> None:
+    def _count_work(self, difference_j: float, work_j: float) -> None:
         if not work_j > 0.0:
             return
-        # as if it had come evenly, forgotten meanwhile
+        # as if the work came evenly, with fading during it
         share = work_j / FORGET_J
         keep = exp(-share)
         taken = (1.0 - keep) / share
-        self._apart_j = keep * self._apart_j + taken * apart_j
+        self._apart_j = keep * self._apart_j + taken * difference_j
         self._work_j = keep * self._work_j + taken * work_j
         self._braked_j += work_j
         limit = FORCE_GOES if self._forces_disagree else FORCE_COMES
@@ -256,8 +256,9 @@ class ModelCheck(Machine):
             measured_k = instant.channel(one.corner, f"measured_{one.node}_k")
             ambient_k = instant.channel(one.corner, "ambient_k")
             shown_k = instant.state(one.corner)[one.shown_node]
-            apart_k = measured_k - shown_k if instant.history_known else nan
-            one.take(apart_k, shown_k - ambient_k, dt_s)
+            known = instant.history_known
+            residual_k = measured_k - shown_k if known else nan
+            one.take(residual_k, shown_k - ambient_k, dt_s)
 
 
 def _couples(

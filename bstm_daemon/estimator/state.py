@@ -1,10 +1,10 @@
-"""What a restart carries over: the estimator's memory as plain values.
+"""State of the estimator as plain values, to save and restore it.
 
 :func:`export_state` gives a document of names and numbers;
 :func:`restore_state` takes it back into an estimator that may have been
-configured anew: nodes carry over by name, new ones start at the mean of
-their neighbours. :func:`park` lets brakes stand; :func:`correct_parked` is for
-a clock that is right only later, and needs :func:`keep_input_history` before.
+reconfigured: nodes carry over by name, new ones start at the mean of their
+neighbours. :func:`park` lets the brakes cool; :func:`correct_parked` is for a
+clock that is set right later, and needs :func:`keep_input_history` before.
 """
 
 from __future__ import annotations
@@ -44,29 +44,29 @@ if TYPE_CHECKING:
     from bstm_daemon.model.thermal.network import Network
 
 RESUMABLE_US: Final = 60_000_000
-"""A pause up to this is marched on the grid as a silent bus is, so that a
-replay from the same state gives the same bits; a longer one by
-:func:`park`."""
+"""A pause up to this is marched on the grid like a silent bus, so that a
+replay from the same state gives the same bits; a longer one by :func:`park`.
+"""
 
 SAME_AXIS_US: Final = 10_000
-"""Time axes that differ by less are one: two clocks can not be read at
-once."""
+"""Largest difference of time axes that count as one: two clocks can not be
+read at once."""
 
 PARKED_STEPS: Final = ((60.0, 1.0), (1800.0, 10.0), (float("inf"), 60.0))
 """Step [s] by time parked [s]: the scheme damps any step, and within a
 minute the fast nodes have come to rest."""
 
 AT_REST_K: Final = 0.01
-"""Closer than this to the air everywhere, nothing cools any more."""
+"""A brake with all nodes closer than this to the air counts as cold."""
 
 
 @dataclass(frozen=True, slots=True)
 class Restored:
-    """How a document fitted: ``corner.node`` names carried over and new.
+    """Result of a restore: ``corner.node`` names carried over and new.
 
-    ``resumed``: the pass over samples goes on where it was, with every
-    value and its age; otherwise its inputs begin anew. ``learned``: what was
-    learned of the car was taken over.
+    ``resumed``: the pass over samples continues where it was, with every
+    value and its age; otherwise it starts without inputs. ``learned``: the
+    learned parameters of the car were taken over.
     """
 
     carried: tuple[str, ...]
@@ -112,9 +112,9 @@ def restore_state(
     """Put *document* into *estimator*, which has not marched yet.
 
     Args:
-        estimator: the estimator of today's configuration.
-        document: what :func:`export_state` gave.
-        resume: go on with the samples too, where their layout is the same.
+        estimator: the estimator of the present configuration.
+        document: the result of :func:`export_state`.
+        resume: continue with the samples too, if their layout is the same.
 
     Raises:
         StateError: a value is missing, of the wrong kind or no possible
@@ -148,7 +148,7 @@ def restore_state(
     for batch, member, name in estimator.members():
         state = estimator.state(name) | states.get(name, {})
         batch.state[batch.part(member)] = array("d", state.values())
-    # a corner of which nothing is known is as after any first start
+    # a corner without saved values is as after a first start
     if all(name in saved.corners for name in estimator.programs):
         left_s = max(saved.history_left_us * 1e-6, 0.0)
         left_s = min(left_s, LONGEST_SETTLING_S)
@@ -175,13 +175,13 @@ def resume_state(
 
     Args:
         estimator: has not marched yet.
-        document: what :func:`export_state` gave.
-        parked_us: time since then [us]; None where no clock can tell, then
-            the brakes are as hot as they were.
+        document: the result of :func:`export_state`.
+        parked_us: time since then [us]; None if no clock knows it: then the
+            brakes are as hot as they were.
         now_us: time now on the axis of the stamps [us].
 
     Raises:
-        StateError: it is no state of this car; nothing was taken.
+        StateError: it is no state of this car; nothing was changed.
     """
     saved, own = checked(SavedState, document), estimator.config.vehicle.id
     if saved.vehicle_id != own:
@@ -217,9 +217,9 @@ def parked_before_us(document: Mapping[str, Any], first_us: int) -> int | None:
 def park(
     estimator: Estimator, parked_s: float, ambient_k: float | None = None
 ) -> None:
-    """Let every brake stand for *parked_s* seconds; inputs begin anew.
+    """Let every brake cool for *parked_s* seconds and reset the inputs.
 
-    The air has *ambient_k* [K], by default the last known.
+    The air is at *ambient_k* [K], by default the last known.
     """
     air_k = _ambient_k(estimator) if ambient_k is None else ambient_k
     _stand(estimator, parked_s, air_k)
@@ -239,7 +239,7 @@ def keep_input_history(estimator: Estimator) -> None:
 def correct_parked(
     estimator: Estimator, document: Mapping[str, Any], parked_s: float
 ) -> None:
-    """Let brakes have stood *parked_s*, known only after the restart.
+    """Correct the parked time to *parked_s*, known only after the restart.
 
     *document* was restored with another parked time and
     :func:`keep_input_history` called; what has happened since is marched
@@ -322,7 +322,7 @@ def _restore_wear(
 
 
 def _rebuild(estimator: Estimator) -> None:
-    """Let every network be the one that the wear was followed to."""
+    """Build every network for the worn lining and disc."""
     for batch, member, name in estimator.members():
         corner = estimator.wear.built_corner(name)
         program = compile_corner(estimator.config, corner)
@@ -381,7 +381,7 @@ def _samples(
 ) -> tuple[SampleState, int] | None:
     """Return the saved pass over samples; None of another layout.
 
-    Without *learned*, of another car or none, the observer begins anew.
+    Without *learned*, of another car or none, the observer is reset.
     """
     if saved.samples.get("layout") != _layout(estimator):
         return None
@@ -403,7 +403,7 @@ def _samples(
 
 
 def _exported(estimator: Estimator) -> Document | None:
-    """What was learned of the car, and for which configuration."""
+    """Return the learned parameters and the configuration they belong to."""
     learned = estimator.samples.learned()
     if learned is None or learned_fault(learned) is not None:
         return None
@@ -414,10 +414,10 @@ def _exported(estimator: Estimator) -> Document | None:
 
 
 def _learned(estimator: Estimator, state: SavedState) -> list[float] | None:
-    """What *state* has learned, None where it does not hold here.
+    """Return the learned parameters in *state*, None if they do not apply.
 
-    It is of no use to a car configured otherwise, and none to a model that
-    does not learn; what can not have been learned is not taken.
+    They do not apply to a car with other nominal values or to a model that
+    does not learn; impossible values are rejected.
     """
     try:
         saved = SavedLearned.model_validate(state.learned)
@@ -433,7 +433,7 @@ def _learned(estimator: Estimator, state: SavedState) -> list[float] | None:
 
 
 def _nominal(estimator: Estimator) -> list[float]:
-    """What the learned numbers are relative to."""
+    """Return the nominal values to which the learned ones are relative."""
     vehicle = Vehicle.of_config(estimator.config.vehicle)
     return [
         *(vehicle.mass_kg, vehicle.rotating_mass_kg, vehicle.wheel_radius_m),
@@ -442,7 +442,7 @@ def _nominal(estimator: Estimator) -> list[float]:
 
 
 def _layout(estimator: Estimator) -> str:
-    """Name everything that decides what an array's entries mean."""
+    """Return all that determines the meaning of an array's entries."""
     roles = ",".join(role.name for role in ROLES)
     corners = ",".join(estimator.plan.corners)
     return f"{PLAN_LAYOUT};{STEP_US};{corners};{roles}"

@@ -1,1 +1,1 @@
-"""What the brakes will do: ensembles of the thermal model run ahead."""
+"""Forecast of the brakes: ensembles of the thermal model marched ahead."""

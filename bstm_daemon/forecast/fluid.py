@@ -24,11 +24,11 @@ _DAY: Final = timedelta(days=1)
 _YEAR_DAYS: Final = 365.25
 _EPOCH: Final = date(1970, 1, 1)
 _FIRST_DAY: Final = date(2000, 1, 1)
-"""Data time before it is no calendar's: a log that begins at 0."""
+"""Data time before this is not a date: a log that begins at 0."""
 
 
 class SavedFluid(Saved):
-    """What the bus reported of the fluid, in a saved state."""
+    """Reports of the bus about the fluid, in a saved state."""
 
     changed: date | None = None
     percent: Number | None = None
@@ -37,7 +37,7 @@ class SavedFluid(Saved):
 
 
 class FluidKnowledge:
-    """What is known of the fluid at a time of the data; recomputed by day."""
+    """Knowledge of the fluid at a time of the data; recomputed daily."""
 
     def __init__(self, config: FluidConfig) -> None:
         """Begin with what is configured."""
@@ -92,8 +92,8 @@ class FluidKnowledge:
     def resume(self, saved: SavedFluid) -> None:
         """Take back what :meth:`export` gave.
 
-        A change that the configuration has and the state has not, or an
-        older one, is news of the workshop's: the configuration holds.
+        If the configuration has a later fluid change than the state, it is
+        new from the workshop: the configuration applies.
         """
         changed, own = saved.changed, self._config.changed
         if own is not None and (changed is None or changed < own):

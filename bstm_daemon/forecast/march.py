@@ -1,7 +1,7 @@
-"""An ensemble marched ahead a few steps at a time, parked or on a duty.
+"""March of an ensemble into the future in small portions, parked or on duty.
 
-Parked brakes change slowly and the scheme damps any step, so the steps grow
-with the time ahead; the tests hold them against a march of 0.05 s.
+Parked brakes change slowly and the scheme is stable at any step, so the steps
+grow with the time ahead; the tests compare them with a march of 0.05 s.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from bstm_daemon.native.loader import Kernel
 
 HORIZON_S: Final = 1800.0
-"""Vapour within this time after now is what the risk speaks of."""
+"""Horizon of the risk: it is that of vapour within this time."""
 
 PARKED_STEPS: Final = (
     *((5.0,) * 6),
@@ -36,11 +36,11 @@ PARKED_STEPS: Final = (
 """Steps ahead [s]: 30 min to the horizon, then 1 h to see it safe again."""
 
 DUTY_STEPS: Final = (*((5.0,) * 6), *((10.0,) * 9), *((30.0,) * 56))
-"""Steps of a duty that goes on [s], up to the horizon."""
+"""Steps of a continued duty [s], up to the horizon."""
 
 
 class Conditions(NamedTuple):
-    """What acts on a corner from now on; powers in W, all else SI.
+    """Inputs of a corner from now on; powers in W, all else SI.
 
     At rest all but ``ambient_k`` is 0.
     """
@@ -53,23 +53,23 @@ class Conditions(NamedTuple):
 
 
 DUTY_MEMORY_S: Final = 120.0
-"""What is longer ago counts less than 1/e: a few bends of a descent."""
+"""Time constant of the duty's means: a few bends of a descent."""
 
 _DUTY_CHANNELS: Final = ("speed_ms", "pressure_pa", "brake_on")
 
 
 class Duty:
-    """Fading means of speed, pressure, braking and brake power."""
+    """Exponentially fading means of speed, pressure, braking and power."""
 
     def __init__(self, program: Program) -> None:
-        """Watch the corner of *program*."""
+        """Start without data for the corner of *program*."""
         self._sources = friction_energies(program)
         self._last: tuple[int, float] | None = None
         self._means = [0.0] * 4
         self._weight = 0.0
 
     def restart(self) -> None:
-        """Forget everything: there is no telling what was meanwhile."""
+        """Forget everything after a gap in the data."""
         self._last, self._means, self._weight = None, [0.0] * 4, 0.0
 
     def add(self, instant: Instant, corner: str) -> None:
@@ -95,14 +95,14 @@ class Duty:
         self._weight = keep * self._weight + (1.0 - keep)
 
     def conditions(self, ambient_k: float) -> Conditions:
-        """Return the duty as conditions that last."""
+        """Return the duty as constant conditions."""
         weight = self._weight or 1.0
         speed, pressure, brake_on, power = (m / weight for m in self._means)
         return Conditions(ambient_k, speed, pressure, brake_on, power)
 
 
 class Course(NamedTuple):
-    """What the members' fluid did.
+    """Course of the members' fluid temperature.
 
     ``times_s`` of the points, the first 0; ``fluid_k`` one series a member.
     """
@@ -134,7 +134,7 @@ class Course(NamedTuple):
     def safe_in_s(self, boiling: Boiling, limit: float) -> float:
         """Return when the probability of vapour stays below *limit* [s].
 
-        Infinite where that is not within the time marched.
+        Infinite if that is not within the time marched.
         """
         last = len(self.times_s) - 1
         if self.probability(last, boiling) >= limit:
@@ -143,7 +143,7 @@ class Course(NamedTuple):
         low, high = mean.index(max(mean)), last
         if self.probability(low, boiling) < limit:
             return 0.0
-        # past its top the fluid only cools
+        # after its peak the fluid only cools
         while high - low > 1:
             middle = (low + high) // 2
             if self.probability(middle, boiling) >= limit:
@@ -171,7 +171,7 @@ class Course(NamedTuple):
 
 
 class Job:
-    """One corner's ensemble on its way ahead."""
+    """March of one corner's ensemble, in progress."""
 
     def __init__(
         self,
@@ -183,7 +183,7 @@ class Job:
         *,
         factor: float,
     ) -> None:
-        """Start *ensemble* on its way.
+        """Start the march of *ensemble*.
 
         Args:
             ensemble: of one corner.
@@ -214,7 +214,7 @@ class Job:
 
     @property
     def finished(self) -> bool:
-        """Whether the course is there."""
+        """Whether the course is complete."""
         return self._done == len(self._steps)
 
     def advance(self, limit: int) -> None:
@@ -236,7 +236,7 @@ class Job:
             self._done += count
 
     def course(self) -> Course:
-        """Return what the members' fluid did so far."""
+        """Return the course of the members' fluid so far."""
         times = accumulate(self._steps[: self._done], initial=0.0)
         return Course(tuple(times), self._fluid)
 
@@ -293,7 +293,7 @@ def _top(
 ) -> tuple[float, float]:
     """Return the highest temperature of *series* and its time.
 
-    NaN both, where it began at no number.
+    Both are NaN if it began with NaN.
     """
     best = max(series)
     if isnan(best):

@@ -1,8 +1,8 @@
-"""The members of an ensemble: one corner, as it may really be.
+"""The members of an ensemble: perturbed models of one corner.
 
 A member is the compiled network of the corner with conductances, capacities
-and the present temperatures changed by drawn factors. It stays a member of
-the corner's structure, so the kernel marches all of them as lanes.
+and the present temperatures multiplied by drawn factors. It keeps the corner's
+structure, so the kernel marches all of them as lanes.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ if TYPE_CHECKING:
 
 
 class Spread(NamedTuple):
-    """Standard deviations of what an estimate does not know.
+    """Standard deviations of the uncertain quantities of an estimate.
 
     All are shares but ``ambient_k`` and ``fluid_floor_k`` [K]. ``heat`` is
     the brake heat so far, common to all nodes and corners, ``duty_heat`` that
-    of the duty to come; ``fluid`` what the fluid alone is off by. The others
+    of the duty to come; ``fluid`` the error of the fluid alone. The others
     are of the model from now on: resistance of backplate and shim, losses of
     the fluid's lump and of the disc, conduction in the lining, exchange of
     disc and pad, capacity of the fluid's lump.
@@ -51,10 +51,10 @@ class Spread(NamedTuple):
 
 AXES: Final = Spread._fields
 LOWEST_FACTOR: Final = 0.2
-"""No conductance and no capacity falls further, however wide the spread."""
+"""Lower bound of the factors on conductances and capacities."""
 
 DEGRADED_FACTOR: Final = 2.0
-"""A degraded estimate is taken as so much less certain."""
+"""Factor on the spread of a degraded estimate."""
 
 
 class Ensemble:
@@ -85,9 +85,9 @@ class Ensemble:
         ]
 
     def of(self, program: Program) -> Ensemble:
-        """Return the same members of *program*: itself where it is its own.
+        """Return the same members for *program*; itself if that is unchanged.
 
-        The networks of worn linings take the place of those before.
+        The networks of worn linings replace the previous ones.
         """
         if program is self.program:
             return self
@@ -98,8 +98,8 @@ class Ensemble:
     ) -> array[float]:
         """Return the members' states around *state*, [count, state] flat.
 
-        *factor* widens the spread; what is above *ambient_k* is off by a
-        share, because that is what the heat so far has made of it.
+        *factor* widens the spread; the rise above *ambient_k* has a relative
+        error, because it is proportional to the heat so far.
         """
         spread = self.spread
         found = array("d")
@@ -143,7 +143,7 @@ class Ensemble:
 
 
 def _places(program: Program) -> list[tuple[int, str]]:
-    """Return numbers of *program* and what each is uncertain by."""
+    """Return numbers of *program* and the uncertainty of each."""
     net = program.network
     capacities = [
         (i, "fluid_capacity")
@@ -164,7 +164,7 @@ def _changed(
     draw: dict[str, float],
     spread: Spread,
 ) -> array[float]:
-    """Return the numbers of *program* as the member *draw* has them."""
+    """Return the numbers of *program* for the member *draw*."""
     floats = program.floats[:]
     for place, axis in places:
         floats[place] *= _factor(draw, spread, axis)
@@ -177,7 +177,7 @@ def _factor(draw: dict[str, float], spread: Spread, axis: str) -> float:
 
 
 def _axis(net: Network, link: Link) -> str | None:
-    """Return what the conductance of *link* is uncertain by, if known."""
+    """Return the uncertainty of the conductance of *link*, if any."""
     ends = {link.a, link.b}
     air = any(net.node(end).boundary_input == "ambient_k" for end in ends)
     pads = sum(end.startswith("pad_") for end in ends)

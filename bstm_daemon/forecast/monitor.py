@@ -1,11 +1,11 @@
-"""Risk and forecast along the publications, live and in replay alike.
+"""Risk monitor: risk and forecast at each publication, live and in replay.
 
 :class:`RiskMonitor` takes the estimator's blocks and gives a
 :class:`CarRisk` a publication. Everything in it happens on the grid of data
 time, so a recording gives the same risk as the bus it was recorded on, to
-the last byte, and however a stream is cut: once a second the risk of now,
-every :data:`GRID_US` and when the car stops a forecast, half a corner of it a
-publication.
+the last byte, however the stream is cut: once a second the present risk,
+every :data:`GRID_US` and when the car stops a forecast, computed in portions
+of half a corner a publication.
 """
 
 from __future__ import annotations
@@ -53,10 +53,10 @@ if TYPE_CHECKING:
 
 SECOND_US: Final = 1_000_000
 GRID_US: Final = 10 * SECOND_US
-"""A forecast begins on whole multiples of this in data time."""
+"""Interval of the forecasts, in data time."""
 
 PYTHON_MEMBERS: Final = 8
-"""Members without the compiled kernel."""
+"""Number of members without the compiled kernel."""
 
 PYTHON_STEPS: Final = 1
 COMPILED_STEPS: Final = 50
@@ -65,16 +65,16 @@ compiled kernel; without it one, so that no publication waits."""
 
 DROVE_MS: Final = 2.0
 STOPPED_MS: Final = 0.3
-"""A car that drove faster and is now slower has stopped."""
+"""Below this speed a car that has driven faster has stopped."""
 
 FLUID_ROLES: Final = (CHANGED_ROLE, WATER_ROLE)
 
 GAP_US: Final = 2 * SECOND_US
-"""After such a gap of publications everything begins anew."""
+"""After a longer gap of publications the monitor starts again."""
 
 
 class SavedRisk(Saved):
-    """What :meth:`RiskMonitor.export` gives."""
+    """Result of :meth:`RiskMonitor.export`."""
 
     fluid: SavedFluid | None = None
     levels: dict[str, tuple[RiskLevel, Int64 | None]] = Field(
@@ -83,7 +83,7 @@ class SavedRisk(Saved):
 
     @classmethod
     def of(cls, document: Mapping[str, Any]) -> SavedRisk:
-        """Return that of the state *document*; an empty one of a bad one."""
+        """Return the one in the state *document*; empty if it is not valid."""
         try:
             return cls.model_validate(document.get("risk"))
         except ValidationError:
@@ -107,7 +107,7 @@ class _Corner:
 
 @dataclass(slots=True)
 class _Forecast:
-    """A forecast between its begin and its end, some publications later.
+    """A forecast in progress, spread over several publications.
 
     ``states`` and the like are one a corner; ``at_stop``: the car had just
     stopped. ``index`` counts corners that are done, first all of them parked,
@@ -216,7 +216,7 @@ class RiskMonitor:
         self._stopped = self._stopped or stopped
         running = self._forecast
         # the result of an earlier stop is published first: in slow traffic
-        # and pure Python there would be no forecast else
+        # and pure Python there would otherwise be no forecast
         waits = running is not None and (
             running.at_stop and not running.published
         )
@@ -228,7 +228,7 @@ class RiskMonitor:
         return self._published(instant)
 
     def _begin_anew(self) -> None:
-        """Forget what was foreseen before a gap; levels fall as usual."""
+        """Drop the forecast after a gap; levels fall as usual."""
         self._forecast, self._forecast_us = None, None
         self._ahead, self._stopped = nan, False
         for corner in self._corners:
@@ -237,7 +237,7 @@ class RiskMonitor:
             corner.record = CornerRisk()
 
     def _update_now(self, instant: Instant) -> None:
-        """Update what is known of now."""
+        """Update the present risk."""
         boiling = self.fluid.boiling(instant.time_us)
         for corner in self._corners:
             name, time_us = corner.name, instant.time_us
@@ -301,7 +301,7 @@ class RiskMonitor:
         )
 
     def _work(self, forecast: _Forecast) -> None:
-        """Do one publication's share of *forecast*."""
+        """Compute one publication's portion of *forecast*."""
         count = len(self._corners)
         if forecast.index == count and not forecast.published:
             self._commit(forecast)
@@ -312,7 +312,7 @@ class RiskMonitor:
         if forecast.job is None:
             program = self._programs[corner.name]
             if corner.ensemble.program is not program:
-                # as much work as a forecast: a publication of its own
+                # as much work as a portion of forecast: in its own publication
                 corner.ensemble = corner.ensemble.of(program)
                 return
             conditions = forecast.conditions[place]
@@ -340,7 +340,7 @@ class RiskMonitor:
             self._forecast = None
 
     def _commit(self, forecast: _Forecast) -> None:
-        """Publish what happens if the car parks."""
+        """Publish the forecast if the car parks."""
         forecast.published = True
         boiling = forecast.boiling
         self._forecast_us = forecast.time_us
@@ -366,7 +366,7 @@ class RiskMonitor:
     def _commit_duty(
         self, forecast: _Forecast, corner: _Corner, course: Course
     ) -> None:
-        """Publish what happens to *corner* if its duty goes on."""
+        """Publish the forecast of *corner* if its duty continues."""
         corner.record = replace(
             corner.record,
             duty_peak_k=course.peak(HORIZON_S)[0],
@@ -426,9 +426,9 @@ class RiskMonitor:
     def resume(
         self, document: Mapping[str, Any], parked_us: int | None, now_us: int
     ) -> None:
-        """Go on from *document*, a state that the estimator has taken.
+        """Continue from *document*, a state that the estimator has restored.
 
-        Before the first publication; a risk that can not be read is left out.
+        Call it before the first publication; an unreadable risk is ignored.
 
         Args:
             document: the state.
@@ -451,7 +451,7 @@ class RiskMonitor:
     def _look_back(
         self, saved: SavedState, parked_s: float, now_us: int
     ) -> None:
-        """Find whether vapour formed while nobody watched."""
+        """Compute the probability of vapour while the computer was off."""
         ambient_k = saved.ambient_k
         if ambient_k is None:
             ambient_k = self._ambient_k

@@ -1,4 +1,4 @@
-"""The forecast of a saved state, all at once: what a workshop asks for."""
+"""Forecast of a saved state in one call, for a workshop."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ SHARES: Final = (0.01, 0.5, 0.99)
 
 
 class CornerOutlook(NamedTuple):
-    """A corner if the car stays parked from the save on.
+    """Forecast of a corner if the car stays parked from the save on.
 
     ``risk`` has no duty and no level of fade.
     """
@@ -42,7 +42,7 @@ class CornerOutlook(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Outlook:
-    """What follows from a saved state.
+    """Forecast of all corners from a saved state.
 
     ``saved_us`` is its wall time [us since 1970], None where it has none;
     ``boiling_k`` are the quantiles :data:`SHARES`. The levels are those that
@@ -61,7 +61,7 @@ class Outlook:
 def outlook(
     config: Config, estimator: Estimator, document: Mapping[str, Any]
 ) -> Outlook:
-    """Return what the brakes of *estimator* will do, parked.
+    """Return the forecast of the parked brakes of *estimator*.
 
     *document* is the state file's that they were restored from.
     """

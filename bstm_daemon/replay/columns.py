@@ -1,8 +1,8 @@
-"""A recorded log at full speed: the estimator over columns.
+"""Replay of a recorded log at full speed: the estimator over columns.
 
 :func:`stream_log` decodes whole chunks with NumPy and hands rows of results
-to sinks, :func:`replay_log` keeps them in memory. Frame by frame, as the
-daemon does it, goes :mod:`bstm_daemon.replay.frames`.
+to sinks, :func:`replay_log` keeps them in memory.
+:mod:`bstm_daemon.replay.frames` runs frame by frame, as the daemon does.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class Run:
     ``refused`` counts lines, frames and samples by reason; ``counts`` has
     the estimator's own: late and dropped samples, clock jumps. ``truncated``
     is set for a gzip file without its end. ``settling_s`` is how long the
-    unknown start matters.
+    unknown start has an effect.
     """
 
     lines: int

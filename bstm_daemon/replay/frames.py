@@ -1,4 +1,4 @@
-"""A log frame by frame through the engine, as the daemon beside it did.
+"""Replay of a log frame by frame through the engine, as in the daemon.
 
 The frames that come out are those that a daemon on the recorded bus would
 have sent: with the daemon's start state the same, byte for byte.
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from bstm_daemon.engine import Published
 
 TICK_US: Final = 50_000
-"""As the live service ticks by default; how often changes no number."""
+"""Tick of the live service by default; it does not change results."""
 
 Frame = tuple[int, int, int, bool, bytes]
 """Stamp [us], bus number, id, extended, data."""

@@ -1,1 +1,1 @@
-"""What a replay gave, for people: a table on screen and an HTML page."""
+"""Results for people: text on screen, HTML pages and JSON files."""

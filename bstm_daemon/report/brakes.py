@@ -31,7 +31,7 @@ STOP_HEAD: Final = (
     *("disc before", "zero"),
 )
 LEAST_SPAN: Final = 0.05
-"""A friction axis reaches so far to both sides of the median."""
+"""Least half width of a friction axis, as a share of the median."""
 
 
 VALUES: Final = (

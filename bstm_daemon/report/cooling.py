@@ -273,7 +273,7 @@ def _over_speed(traces: Sequence[dict[str, Any]], **axes: Any) -> Plot:
 
 def _point_plots(point: CoolingPoint) -> list[tuple[str, Plot]]:
     title = speed_text(point.speed_ms)
-    fall, apart = [], []
+    fall, residuals = [], []
     for i, one in enumerate(point.series):
         colour = COLOURS[i % len(COLOURS)]
         name = couple_text(one.down.role)
@@ -292,12 +292,12 @@ def _point_plots(point: CoolingPoint) -> list[tuple[str, Plot]]:
             curve(x, model_c, "Eq 4.12", width=1.2, **black),
             curve(x, pairs_c, "ten pairs", dash="2px,3px", width=1.0, **black),
         ]
-        apart.append(curve(x, one.model_k - one.measured_k, name, colour))
+        residuals.append(curve(x, one.model_k - one.measured_k, name, colour))
     return [
         (title, plot(fall, "time [s]", "disc [°C]")),
         (
             f"{title}: Eq 4.12 less measurement",
-            plot(apart, "time [s]", "residual [K]"),
+            plot(residuals, "time [s]", "residual [K]"),
         ),
     ]
 

@@ -1,4 +1,4 @@
-"""Fewer points for a plot, with every peak kept, of a series as it grows.
+"""Decimation of a growing series for a plot, with every peak kept.
 
 A bucket of neighbouring rows is replaced by its lowest and its highest one
 (the core of M4, Jugel et al. 2014, PVLDB 7(10)): on a screen with fewer

@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     Column = npt.NDArray[np.float64]
 
 POINTS_A_TRACE: Final = 4000
-"""Twice the columns of a large screen: what a curve can show of itself."""
+"""Points of a curve: twice the columns of a large screen."""
 
 PRESSURE_COLOURS: Final = (BLUE, ORANGE, GREEN, PURPLE)
 CIRCUIT_DASHES: Final = ("solid", "5px,3px", "2px,3px", "8px,3px,2px,3px")

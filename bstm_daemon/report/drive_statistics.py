@@ -1,4 +1,4 @@
-"""A drive in few numbers: peaks, margin, brake energy, validity.
+"""Statistics of a drive: peaks, margin, brake energy, validity.
 
 The table on the screen and the HTML page say the same because both take it
 from here. Times are seconds since the first row.
@@ -32,13 +32,13 @@ if TYPE_CHECKING:
     Column = npt.NDArray[np.float64]
 
 SHORTEST_GAP_S: Final = 1.0
-"""An input that is missing for less is a late frame."""
+"""Shortest gap of an input; a shorter one is a late frame."""
 
 SUMMARY_NODES: Final = ("disc", "pad_front", "pad_back", "fluid")
 """Nodes whose peaks a summary holds."""
 
 VALIDITY_NAMES: Final = ("valid", "degraded", "invalid")
-"""What the codes 0, 1 and 2 of a validity column mean."""
+"""Names of the codes 0, 1 and 2 of a validity column."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +94,7 @@ class DriveSummary:
     stops_s: tuple[float, ...]
     corners: tuple[CornerSummary, ...]
     findings: tuple[Finding, ...] = ()
-    """What spoke against the inputs, and when the heat was not known."""
+    """Suspect inputs, and when the heat was not known."""
 
 
 class DriveStatistics:

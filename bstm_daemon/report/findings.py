@@ -1,8 +1,7 @@
-"""What spoke against the inputs of a drive, and when its heat was not known.
+"""Findings of a drive: suspect inputs, and heat that was not known.
 
-A finding is an input that was suspect, with what was found against it
-meanwhile, or heat that was not that of the heat mode; see
-``docs/validity.md``.
+A finding is an input that was suspect, with the faults found meanwhile, or
+heat that was not that of the heat mode; see ``docs/validity.md``.
 """
 
 from __future__ import annotations
@@ -30,7 +29,7 @@ if TYPE_CHECKING:
     Column = npt.NDArray[np.float64]
 
 LEAST_S: Final = 1.0
-"""What held for less in all is not worth a word."""
+"""Least total duration of a finding that is reported."""
 
 _REFUSED: Final = FLAGS["samples_refused"]
 _STUCK: Final = FLAGS["stuck"]

@@ -10,8 +10,11 @@ from bstm_daemon.analysis.gap.holdout_comparison import (
     CONFIGURED,
     EXTENDED,
 )
-from bstm_daemon.analysis.gap.locating import TEMPERATURES_C, labels
-from bstm_daemon.analysis.gap.residual_heat import REGIMES
+from bstm_daemon.analysis.gap.residual_heat import (
+    REGIMES,
+    TEMPERATURES_C,
+    labels,
+)
 from bstm_daemon.report.gap import (
     ADVICE_HEAD,
     CANDIDATE_HEAD,
@@ -33,7 +36,7 @@ from bstm_daemon.report.gap import (
     shown_lines,
     shown_where,
     sight_lines,
-    strength_tile,
+    strength_tiles,
     unnamed_lines,
 )
 from bstm_daemon.report.plots import (
@@ -51,10 +54,11 @@ from bstm_daemon.report.shell import Page, Section, Table
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from bstm_daemon.analysis.gap.heat_only import ForceCurve, ForceGap
-    from bstm_daemon.analysis.gap.holdout_comparison import Curve, Shown
-    from bstm_daemon.analysis.gap.locating import Cell, Located
+    from bstm_daemon.analysis.gap.force_balance import Forces
+    from bstm_daemon.analysis.gap.heat_only import ForceGap
+    from bstm_daemon.analysis.gap.holdout_comparison import NodeErrors, Shown
     from bstm_daemon.analysis.gap.naming import Naming
+    from bstm_daemon.analysis.gap.residual_heat import Cell, Located
     from bstm_daemon.analysis.gap.workflow import Gap
 
 ORDER: Final = ("disc", "pad_front", "pad_back", "fluid", "caliper")
@@ -76,7 +80,7 @@ _NAMES_AXIS: Final = {
 MOST_CELLS: Final = 12
 BARS: Final = 10
 WEAK_EVIDENCE: Final = 5.0
-"""The axis of the bars ends no earlier: what is next to nothing looks so."""
+"""Least end of the bars' axis, so that weak evidence looks weak."""
 
 
 def gap_page(
@@ -114,10 +118,7 @@ def head_tiles(gaps: Sequence[Gap]) -> list[tuple[str, str]]:
         answer, meaning = answer_tile(gap.naming)
         tiles += [(answer, f"{meaning}{of}"), probability_tile(gap.naming)]
     if gap.fit is not None:
-        tiles += [
-            strength_tile(name, strength, gap.fit.deviations[name])
-            for name, strength in gap.fit.strengths.items()
-        ]
+        tiles += strength_tiles(gap.fit)
     if gap.shown is not None:
         word, one = change(gap.shown.shrinks[CONFIGURED])
         tiles.append(
@@ -323,8 +324,8 @@ def _shown_sections(prefix: str, shown: Shown) -> list[Section]:
             lines=shown_lines(shown),
         )
     ]
-    for drive in dict.fromkeys(one.drive for one in shown.curves):
-        own = [one for one in shown.curves if one.drive == drive]
+    for drive in dict.fromkeys(one.drive for one in shown.errors):
+        own = [one for one in shown.errors if one.drive == drive]
         sections.append(
             Section(
                 f"{prefix}temperatures on {drive}",
@@ -338,7 +339,7 @@ def _shown_sections(prefix: str, shown: Shown) -> list[Section]:
     return sections
 
 
-def _curves(one: Curve) -> Plot:
+def _curves(one: NodeErrors) -> Plot:
     looks = {
         CONFIGURED: ("#9aa5b1", "solid"),
         BASELINES[1]: ("#b8a05a", "dot"),
@@ -377,10 +378,7 @@ def force_page(gap: ForceGap, subtitle: str) -> Page:
     tiles = (
         answer_tile(naming),
         probability_tile(naming),
-        *(
-            strength_tile(name, strength, gap.deviations[name])
-            for name, strength in gap.strengths.items()
-        ),
+        *strength_tiles(gap),
         (
             f"{1e-6 * gap.pressed_j:.1f} MJ",
             f"braking work by pressure; {moved_mj:.1f} MJ by motion",
@@ -389,15 +387,15 @@ def force_page(gap: ForceGap, subtitle: str) -> Page:
     return Page("Gap", sections, tiles, subtitle=subtitle)
 
 
-def _force_section(one: ForceCurve) -> Section:
+def _force_section(one: Forces) -> Section:
     """Return both forces over time, and their difference over the force."""
     span = (0.0, max(float(one.time_s[-1]), 1.0))
-    motion_kn, pressed_kn = 1e-3 * one.motion_n, 1e-3 * one.pressed_n
+    motion_kn, pressed_kn = 1e-3 * one.motion_n, 1e-3 * one.whole_n
     over_time = [
         curve(one.time_s, motion_kn, "by motion", BLUE),
         curve(one.time_s, pressed_kn, "by pressure", VERMILION),
     ]
-    apart = [cloud(motion_kn, pressed_kn - motion_kn, "", VERMILION)]
+    difference = [cloud(motion_kn, pressed_kn - motion_kn, "", VERMILION)]
     return Section(
         f"brake force of the car on {one.drive}",
         plots=(
@@ -408,7 +406,7 @@ def _force_section(one: ForceCurve) -> Section:
             (
                 "how much more by pressure than by motion",
                 plot(
-                    apart,
+                    difference,
                     "force by motion [kN]",
                     "difference [kN]",
                     height=340,

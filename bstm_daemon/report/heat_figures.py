@@ -54,7 +54,7 @@ _COLD: Final = (0, 114, 178)
 _HOT: Final = (213, 94, 0)
 
 LEAST_SPAN: Final = 0.15
-"""A friction axis reaches so far to both sides of the median."""
+"""Least half width of a friction axis, as a share of the median."""
 
 
 def _by_source(

@@ -15,7 +15,7 @@ from bstm_daemon.analysis.matching.identifiability import (
     strong_pairs,
     verdicts,
 )
-from bstm_daemon.analysis.matching.matcher import curves_of
+from bstm_daemon.analysis.matching.matcher import Match, curves_of
 from bstm_daemon.analysis.matching.tunables import TUNABLES
 from bstm_daemon.report.json_file import picked
 from bstm_daemon.report.plots import NODE_COLOURS, NodeCurve
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from bstm_daemon.analysis.matching.drives import Drive
-    from bstm_daemon.analysis.matching.matcher import Match
     from bstm_daemon.analysis.matching.refine import Refinement
 
 STAGE_HEAD = ("stage", "section", "value", "before", "matched", "RMS [K]")
@@ -92,7 +91,7 @@ def notes(match: Match) -> list[str]:
     """Return remarks: ratios, correlated pairs, held-out drives."""
     fit, accuracy = match.joint, match.accuracy
     lines = [
-        f"{short(ratio.first)} {'x' if ratio.product else '/'} "
+        f"{short(ratio.first)} {ratio.sign} "
         f"{short(ratio.second)} is known to {100.0 * ratio.deviation:.1f} %, "
         "better than either"
         for ratio in ratios(fit)[:SHOWN_RATIOS]
@@ -240,22 +239,19 @@ def _correlations(fit: Refinement) -> Table:
 
 def _drawn(match: Match, drives: Sequence[Drive]) -> list[Section]:
     sections = []
-    curves = curves_of(match, drives)
     for drive in drives:
         for corner in match.corners:
             own = [
                 NodeCurve(
                     one.couple,
-                    one.time_s,
+                    drive.time_s,
                     one.measured_c,
                     one.after_c,
                     _smooth(one.after_c - one.measured_c),
                     one.before_c,
                 )
-                for one in curves
-                if one.drive == drive.name
-                and one.corner == corner
-                and one.couple in NODE_COLOURS
+                for one in curves_of(match, drive, corner)
+                if one.couple in NODE_COLOURS
             ]
             if own:
                 sections.append(

@@ -297,7 +297,7 @@ def _value_axis(panel: str, column: int, grid: _Grid) -> dict[str, Any]:
         axis |= {"showgrid": False, "zeroline": False}
     sides = [side for side in (LEFT, RIGHT) if (panel, side) in grid.filled]
     if column and sides == [LEFT, RIGHT]:
-        # one scale: what is hotter looks hotter
+        # one scale for both sides
         low = min(grid.filled[panel, side][0] for side in sides)
         high = max(grid.filled[panel, side][1] for side in sides)
         space = HEADROOM * (high - low or 1.0)

@@ -42,7 +42,7 @@ PLOT_NOTE: Final = (
 
 @dataclass(frozen=True)
 class ReplayFacts:
-    """What a page shows of a replay besides its results.
+    """Facts about a replay besides its results.
 
     ``refused`` counts lines, frames and samples by reason, ``counts`` what
     the estimator saw (late, dropped, jumps).

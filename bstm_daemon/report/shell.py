@@ -116,7 +116,7 @@ def node_section(
 
 @dataclass(frozen=True, slots=True)
 class Page:
-    """What a command has to show.
+    """Content of a command's page.
 
     ``tiles`` above the sections are pairs of a figure and its meaning,
     ``verdict`` the answer in one line.

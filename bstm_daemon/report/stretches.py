@@ -1,4 +1,4 @@
-"""When something held during a drive: how long, since when; and its stops."""
+"""Stretches of a drive in which a condition holds, and its stops."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ if TYPE_CHECKING:
     Column = npt.NDArray[np.float64]
 
 STANDING_MS: Final = 0.5
-"""At or below this a vehicle stands: wheel-speed sensors fall silent there."""
+"""At or below this a vehicle stands, as wheel-speed sensors stop there."""
 
 MOVING_MS: Final = 1.0
-"""Above this it has driven off; between the two it does what it did."""
+"""Above this it has driven off; between the two its state does not change."""
 
 SHORTEST_STOP_S: Final = 10.0
-"""A stop that lasts less (a crossing) is no heat soak."""
+"""Shortest stop with a heat soak; a shorter one is a crossing."""
 
 
 @dataclass(frozen=True, slots=True)
 class Stretches:
-    """How long something held in all, at the longest, and from when."""
+    """Total and longest duration of a condition, and its first start."""
 
     total_s: float
     longest_s: float

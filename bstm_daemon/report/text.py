@@ -18,7 +18,7 @@ def columns(rows: Sequence[Sequence[str]], left: int | None = 1) -> list[str]:
 
     Args:
         rows: the heading, if any, then the rows; all of one length.
-        left: so many columns are aligned to the left, the others to the
+        left: number of columns aligned to the left, the others are to the
             right; None aligns all to the left.
     """
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
@@ -59,7 +59,7 @@ def wrapped(
 
 
 def number(value: float, digits: int = 4) -> str:
-    """Return *value* with so many digits, a dash where there is none."""
+    """Return *value* with *digits* significant digits, a dash for none."""
     return f"{value:.{digits}g}" if isfinite(value) else "-"
 
 

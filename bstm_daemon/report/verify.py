@@ -25,11 +25,11 @@ ERROR_HEAD = (
 )
 PEAK_HEAD = (
     *("drive", "corner", "node", "measured [degC]", "estimated [degC]"),
-    *("apart [K]", "at [min]", "apart [min]"),
+    *("error [K]", "at [min]", "error [min]"),
 )
 VERDICT_HEAD = ("limits", "drive", "corner", "requirement", "value", "verdict")
 LONG_S: Final = 7200.0
-"""Of the drive of figure 6.8."""
+"""Least duration of a drive as long as that of figure 6.8."""
 
 
 def error_rows(errors: Sequence[NodeErrors]) -> list[tuple[str, ...]]:
@@ -203,7 +203,7 @@ def verify_page(
 
 
 def _figure(errors: Sequence[NodeErrors]) -> str:
-    """Return which figures of the thesis show such a drive.
+    """Return which figures of the thesis show this kind of drive.
 
     6.4 to 6.7 differ from 5.2 by the car and its wheels, which no log
     contains; 6.8 is a long drive.

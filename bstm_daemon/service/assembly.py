@@ -1,4 +1,4 @@
-"""What a configuration file makes of the service: car, buses, engine."""
+"""Builds the parts of the service from a configuration: car, buses, engine."""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
-"""One time axis for a drive, whatever the wall clock does.
+"""Steady time axis of a drive, independent of steps of the wall clock.
 
 Frames are stamped by the kernel in wall time, which jumps when NTP or a
 person *sets* it. The time since boot never does, and runs on through suspend.
-Slewing bends both alike. Their difference is therefore constant but for steps,
-and a step is what changes it.
+Slewing affects both alike. Their difference is therefore constant except for
+steps.
 """
 
 import ctypes
@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Final
 
 Clock = Callable[[], int]
-"""A reading in ns."""
+"""A reading [ns]."""
 
 STEP_US: Final = 10_000
 """A change of wall time against boot time above this is a step."""
@@ -64,9 +64,9 @@ def kernel_error_us() -> int | None:
     """Return how far the wall clock may be from the true time (us).
 
     It is the bound that whatever synchronises the clock (chrony, ntpd,
-    systemd-timesyncd, phc2sys) keeps in the kernel. None where nothing has
-    synchronised it since the start or since somebody set it, and where the
-    system does not say.
+    systemd-timesyncd, phc2sys) keeps in the kernel. None if nothing has
+    synchronised it since the start or since it was set by hand, or if the
+    system does not report it.
     """
     timex = _Timex()
     if _LIBC.adjtimex(ctypes.byref(timex)) < 0 or timex.status & _STA_UNSYNC:
@@ -182,9 +182,9 @@ class SteadyAxis:
     def wall_error_us(self) -> int | None:
         """Return how far :meth:`wall_of` is from the true time at most (us).
 
-        None where nothing vouches for the wall clock. Reads the time as
-        :meth:`read_again` does, between two questions: who sets the clock
-        before the reading ends what the first answer vouched for.
+        None if the wall clock is not synchronised. The time is read as by
+        :meth:`read_again`, between two queries of the error, so that a step
+        before the reading is noticed.
         """
         before_us = self._error_us()
         self.read_again()

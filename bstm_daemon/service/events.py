@@ -1,4 +1,4 @@
-"""What the live service logs: one event name per fact, with its fields.
+"""Log events of the live service: one name per fact, with its fields.
 
 :mod:`bstm_daemon.cli.main` formats them, as text on a terminal and as JSON
 lines elsewhere. Here are the names that log searches may rely on, and the

@@ -1,4 +1,4 @@
-"""From the links to the engine: frames of all buses in time order."""
+"""Intake of frames: merges those of all links in time order."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _EVER_US: Final = -(2**63)
 
 
 class Intake:
-    """Drains the links and holds back what may not be in order yet.
+    """Drains the links and holds back frames that may not be in order yet.
 
     Where all links are SocketCAN interfaces and the compiled form is
     available, frames stay C records until one has to be examined.

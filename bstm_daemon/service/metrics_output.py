@@ -1,4 +1,4 @@
-"""Where the metrics go: a file, a page, both or neither."""
+"""Output of the metrics: a file, a page, both or neither."""
 
 from __future__ import annotations
 

@@ -32,7 +32,7 @@ STALE_S: Final = 30.0
 SILENCE_S: Final = 2.0
 """A client that sends or takes nothing for this long is disconnected."""
 MOST_CONNECTIONS: Final = 16
-"""One more, and the oldest connection ends: slow clients keep nobody out."""
+"""With one more, the oldest connection ends: slow clients block nobody."""
 
 
 class MetricsServer:

@@ -1,9 +1,9 @@
-"""How long the car stood, as far as the clocks prove it.
+"""Parked time of the car, as far as the clocks prove it.
 
-The brakes may cool for no longer than the car stood: what is not proven keeps
-them hot. Within one boot of the computer the time since boot proves it, which
-nobody sets. Over a power cut there are two proofs: the computer has been up
-since, and the wall clock where something vouches for it at both ends.
+The brakes may cool for no longer than the car stood: time that is not proven
+keeps them hot. Within one boot of the computer the time since boot proves it,
+which nobody sets. Over a power cut there are two proofs: the uptime since, and
+the wall clock if it was synchronised at both ends.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ class Moment:
     """An instant by every clock of the computer.
 
     ``wall_error_us`` is how far the wall clock may be from the true time;
-    None where nothing vouches for it. ``boot_id`` is None where the system
+    None if it is not synchronised. ``boot_id`` is None where the system
     does not name its boots.
     """
 

@@ -1,7 +1,7 @@
-"""When the state is loaded, saved and corrected.
+"""Loads, saves and corrects the state of the running service.
 
-How long the car stood is what :mod:`~bstm_daemon.service.parked_time` makes of
-the clocks. Where the wall clock is synchronised only after the start, the
+:mod:`~bstm_daemon.service.parked_time` computes the parked time from the
+clocks. Where the wall clock is synchronised only after the start, the
 parked time is corrected then, once.
 """
 
@@ -30,14 +30,14 @@ if TYPE_CHECKING:
     from bstm_daemon.service.events import ServiceLog
 
 CLOCK_SET_US: Final = 1_735_689_600_000_000
-"""2025-01-01: nothing vouches for a wall clock before this."""
+"""2025-01-01; a wall clock before this is not set."""
 
 MOVING_K_PER_S: Final = 1.0 / 60.0
-"""While a node is faster than 1 K/min, the short interval applies."""
+"""While a node changes faster than 1 K/min, the short interval applies."""
 
 CORRECTION_LIMIT_US: Final = 3_600_000_000
 """A clock synchronised later than this after the start corrects nothing: by
-then the initial temperatures no longer matter."""
+then the initial temperatures have no effect any more."""
 
 
 class Persistence:
@@ -187,7 +187,7 @@ class Persistence:
         return document | asdict(self._moment(engine, time_us))
 
     def status(self, now_us: int) -> StateFileStatus:
-        """Return how saving goes."""
+        """Return the status of the state file."""
         outcome = self._writer.outcome()
         age_s = nan
         if outcome.saved_us is not None:

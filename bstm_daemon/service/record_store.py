@@ -3,8 +3,8 @@
 ``<start>-<number>.log.gz`` is a segment: one gzip file of candump text that
 begins at the UTC time ``<start>``; the numbers rise in the order of writing,
 also over restarts and where the clock is set back. ``kept/<time>-<reason>/``
-has the segments around an occasion. Segments are written beside, synced and
-then named, so that every file with such a name is whole.
+has the segments around an occasion. Segments are written under another
+name, synced and renamed, so that every file of this name is whole.
 
 Everything here blocks on the disk and belongs on a thread of its own.
 """
@@ -43,7 +43,7 @@ _LAST_STAMP_S: Final = 253_402_300_799
 _GZIP_LEVEL: Final = 6
 _FILE_MODE: Final = 0o640
 _FOLDER_MODE: Final = 0o750
-"""A recording tells where the car was: for owner and group only."""
+"""A recording shows where the car was: for owner and group only."""
 _REASON_CHARACTERS: Final = 40
 
 

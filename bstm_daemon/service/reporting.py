@@ -1,4 +1,4 @@
-"""What the service reports of itself: log events, status line, record.
+"""Reports of the service: log events, status line, record.
 
 Once a second it compares the status with the one before and logs what has
 changed. Nothing here influences the estimate.

@@ -1,7 +1,7 @@
 """An independent reality: a car, its brakes and its bus, as test data.
 
 Shares no physics code and no property table with the estimator, so that
-agreement between the two is earned. Entry points: :func:`load_drive`,
+agreement between the two is evidence. Entry points: :func:`load_drive`,
 :func:`simulate`, :func:`march_lanes` and the recorder.
 """
 

@@ -5,8 +5,8 @@ Inverse longitudinal dynamics along the given speed, all samples at once::
     m_eff dv/dt = T_pt / R + F_ext - F_brake - F_res,   m_eff = m + J / R^2
     F_res = m g (sin + f_r cos) + 1/2 rho CdA v^2 + C v
 
-The driver brakes with what is left after engine drag, the engine or the
-pusher supplies what is missing.
+The driver brakes with the force beyond engine drag; the engine or the
+pusher supplies a missing one.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from bstm_daemon.simulation.profile import Course
     from bstm_daemon.simulation.vehicle import CarParameters
 
-# a driver does not touch the pedal for less
+# a driver does not press the pedal for less
 _LEAST_BRAKE_N = 20.0
 
 

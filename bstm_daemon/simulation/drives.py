@@ -1,4 +1,4 @@
-"""Drives as data: what the car is made to do, read from TOML.
+"""Drives as data, read from TOML: speeds, braking and surroundings.
 
 A drive is a table ``[drive]`` and a list ``[[segment]]``. A segment is one of
 

@@ -92,7 +92,7 @@ LOGGER_SIGNALS: Final[dict[str, dict[str, str]]] = {
         ("B", (("Fluid", "fluid"), ("Caliper", "caliper"))),
     )
 }
-"""The same for the measuring system's messages."""
+"""Layout of the measuring system's messages."""
 
 
 class SentFrame(NamedTuple):

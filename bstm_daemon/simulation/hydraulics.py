@@ -1,7 +1,7 @@
 """Brake hydraulics: from the driver's demand to the wheels and back.
 
-Two circuits cross the car: FL and RR hang on the primary piston, FR and RL on
-the secondary one, which the primary pushes and which therefore answers later.
+Two circuits cross the car: FL and RR are on the primary piston, FR and RL on
+the secondary one, which the primary pushes and which therefore lags.
 """
 
 from __future__ import annotations

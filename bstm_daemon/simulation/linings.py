@@ -1,4 +1,4 @@
-"""What changes in the linings: their friction, pyrolysis and wear.
+"""Changes of the linings: friction, pyrolysis and wear.
 
 The forms of friction are an S-shaped fade with temperature, falls with speed
 and pressure that level off, and a bedding that runs out hyperbolically with

@@ -1,4 +1,4 @@
-"""What goes into a march of brake corners and what comes out of it."""
+"""Inputs and results of a march of brake corners."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _MEASURED_DEPTH: Final = 0.15
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Inputs:
-    """What acts on the corners during one step, each (lanes,) or (1,).
+    """Inputs of the corners during one step, each (lanes,) or (1,).
 
     ``power_w`` is friction power, ``contact`` the fraction of the step with
     pressed pads, ``pumping_pa_s`` the mean of the absolute pressure rate.
@@ -49,13 +49,14 @@ INPUT_NAMES: Final = tuple(field.name for field in fields(Inputs))
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LaneInputs(Inputs):
-    """What acts on a batch, constant over each of n steps.
+    """Inputs of a batch, constant over each of n steps.
 
     Shapes: ``step_s`` (n,), ``keep`` (n,) bool, the rest (n, lanes) or
     (n, 1). ``power_w`` is the friction power at nominal mu. With
     ``corners_per_car`` k > 0 the lanes come in cars of k and each car's total
     power is what its driver demands: where mu falls the pressure rises and
-    the corners share anew. With 0 the pressure is given and power follows mu.
+    the corners share the power again. With 0 the pressure is given and power
+    follows mu.
     """
 
     step_s: Array
@@ -63,7 +64,7 @@ class LaneInputs(Inputs):
     corners_per_car: int = 0
 
     def at(self, step: int) -> Inputs:
-        """Return what acts during *step*."""
+        """Return the inputs of *step*."""
         return Inputs(**{n: getattr(self, n)[step] for n in INPUT_NAMES})
 
 

@@ -75,7 +75,7 @@ class SimulatedDrive:
     Hz). ``truth`` maps ``<corner>.<node>`` to the real temperatures [K],
     (m,). ``brake_power_w`` (n, 4) is the real friction power of FL, FR, RL,
     RR, ``brake_energy_j`` (m, 4) its integral. ``bus_on`` and ``logger_on``
-    (n,) tell which frames are sent.
+    (n,) mark which frames are sent.
     """
 
     drive: Drive

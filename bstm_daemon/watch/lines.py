@@ -31,7 +31,7 @@ class LineView(AbstractContextManager["LineView"]):
 
     @property
     def has_left(self) -> bool:
-        """Whether the user wants to leave; of lines nobody can."""
+        """Whether the user wants to leave: never, in a view of lines."""
         return False
 
     def show(

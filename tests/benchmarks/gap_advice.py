@@ -26,9 +26,13 @@ from bstm_daemon.analysis.gap.advising import (
     members_of,
 )
 from bstm_daemon.analysis.gap.naming import name_effect
-from bstm_daemon.analysis.gap.noise import Layout, Series
-from bstm_daemon.analysis.gap.signatures import Sensed, candidates, sensed
-from bstm_daemon.analysis.gap.unnamed_heat import UnnamedHeat
+from bstm_daemon.analysis.gap.noise import Layout
+from bstm_daemon.analysis.gap.signatures import (
+    Sensed,
+    UnnamedHeat,
+    candidates,
+    sensed,
+)
 from bstm_daemon.analysis.gap.workflow import compare
 
 if TYPE_CHECKING:
@@ -36,6 +40,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from bstm_daemon.analysis.gap.recording import Recording
+    from bstm_daemon.analysis.matching.problem import Series
 
 START: Final = "simalp"
 OPEN: Final = ("nothing", "class", "undecided")
@@ -113,8 +118,10 @@ def _prospect(
             ).recording.drive.measured.items()
             if corner in garage.target.corners
         }
-        drive = candidate_drive(name, garage.target.config, present(), couples)
-        told = _told(garage, drive.recording, drive.description)
+        told = _told(
+            garage,
+            *candidate_drive(name, garage.target.config, present(), couples),
+        )
         keep(kept, pickle.dumps(told))
     told = pickle.loads(kept.read_bytes())  # noqa: S301  (own)
     layout = Layout(told.series, one.layout.noise, one.layout.prior, (name,))

@@ -22,12 +22,13 @@ from bstm_daemon.analysis.gap.signatures import (
     SILENT_K,
     Linearised,
     Sensed,
+    UnnamedHeat,
     candidates,
     sensed,
+    unnamed_heats,
 )
-from bstm_daemon.analysis.gap.unnamed_heat import UnnamedHeat, unnamed_heats
 from bstm_daemon.analysis.gap.workflow import compare
-from bstm_daemon.analysis.matching.problem import NODE_OF
+from bstm_daemon.analysis.matching.drives import NODE_OF
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -36,8 +37,8 @@ if TYPE_CHECKING:
     import numpy.typing as npt
 
     from bstm_daemon.analysis.gap.comparison import Comparison
-    from bstm_daemon.analysis.gap.noise import Series
     from bstm_daemon.analysis.gap.recording import Recording
+    from bstm_daemon.analysis.matching.problem import Series
     from bstm_daemon.analysis.statistics.whitening import SensorNoise
 
 CARS: Final = 6

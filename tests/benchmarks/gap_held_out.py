@@ -134,9 +134,7 @@ def _tunables(right: Sequence[Result]) -> list[tuple[str, ...]]:
 def fit_of(one: Result) -> Fit:
     """Return what was fitted as far as strengths go."""
     own = one.shown
-    return Fit(
-        np.zeros(0), own["strengths"], own["noise_deviations"], np.nan, 0
-    )
+    return Fit(np.zeros(0), own["strengths"], own["noise_deviations"], np.nan)
 
 
 def _strengths(right: Sequence[Result]) -> list[tuple[str, ...]]:

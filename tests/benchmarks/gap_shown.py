@@ -28,11 +28,11 @@ from bstm_daemon.analysis.gap.holdout_comparison import (
     EXTENDED,
     REFITTED,
     baseline_fits,
-    noise_variance,
     show,
 )
 from bstm_daemon.analysis.gap.workflow import compare
 from bstm_daemon.analysis.statistics.evidence import Projector
+from bstm_daemon.analysis.statistics.series import white_noise
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -159,9 +159,9 @@ def _squares(
     squares: dict[str, dict[str, float]] = {}
     noise: dict[str, float] = {}
     points: dict[str, int] = {}
-    for curve in figures.curves:
+    for curve in figures.errors:
         count = len(curve.measured_c)
-        own = noise_variance(curve.measured_c) * count
+        own = white_noise(curve.measured_c) ** 2 * count
         noise[curve.node] = noise.get(curve.node, 0.0) + own
         points[curve.node] = points.get(curve.node, 0) + count
         for model, values in curve.model_c.items():

@@ -32,6 +32,7 @@ from bstm_daemon.analysis.matching.verification import (
     compared,
     phases_of,
 )
+from bstm_daemon.channels import CHANNELS
 from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.estimator.corner_model import compile_corner
 from bstm_daemon.files import shipped_file
@@ -75,6 +76,9 @@ KNOWN_TO_THE_OWNER: Final = frozenset(
 )
 """Parameters of the brake that are not drawn: they are on its drawing, as in
 the configuration, or natural constants."""
+
+TOUCHING_W: Final = 1.0
+"""Pads touch where a brake takes up more."""
 
 HEATS: Final = ("known", "fused", "ff")
 
@@ -232,14 +236,13 @@ def _driven(
     end_s = drive.time_s + drive.start_s - START_STAMP_S
     if setting.heat == "known":
         at_s = np.concatenate(([end_s[0] - GRID_S], end_s))
-        power = {
-            corner: np.diff(
-                np.interp(at_s, recording.time_s, recording.energy_j[corner])
-            )
-            / GRID_S
-            for corner in drive.corners
-        }
-        drive = drive.with_power(power, pressed=True)
+        # the pads touch also where the pressure alone does not tell
+        on, power = CHANNELS.index("brake_on"), CHANNELS.index("brake_power_w")
+        for at, corner in enumerate(drive.corners):
+            energy_j = recording.energy_j[corner]
+            known = np.diff(np.interp(at_s, recording.time_s, energy_j))
+            drive.inputs[:, at, power] = known / GRID_S
+            drive.inputs[known / GRID_S > TOUCHING_W, at, on] = 1.0
     truth = {
         node: np.interp(
             end_s,

@@ -44,9 +44,7 @@ pytestmark = [
 
 def test_toyota_brakes_without_pressure() -> None:
     config, signal_map = load_vehicle(ROOT / "config" / "toyota_rav4.toml")
-    recording = read_recording(
-        TOYOTA, config, signal_map, {"can1": ""}, thermocouples=False
-    )
+    recording = read_recording(TOYOTA, config, signal_map, {"can1": ""})
 
     found = find_force_gap(config, [recording])
 

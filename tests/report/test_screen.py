@@ -86,7 +86,7 @@ def test_a_peak_before_the_first_stop_is_explained() -> None:
     def results() -> Results:
         return Results(columns, ("FL",), ("FL",))
 
-    note = "after stop, negative: so long before the first stop"
+    note = "after stop, negative: time before the first stop"
 
     early = summary_table(summarize(results())).splitlines()
     columns["FL.fluid_c"] = 90.0 - np.abs(elapsed_s - 500.0) / 10.0

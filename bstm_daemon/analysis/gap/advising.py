@@ -8,8 +8,7 @@ together as it would be. Counted is how often the true candidate is named.
 
 The driver and the car of each menu drive are the simulated ones: speed,
 pressure and torque of every sample. What thermocouples would then show is
-the model's own prediction, never the simulated brake's: advice is given
-before the drive.
+the model's own prediction, never the simulated brake's.
 """
 
 from __future__ import annotations
@@ -23,18 +22,13 @@ import numpy as np
 
 from bstm_daemon.analysis.gap.evidence import (
     NOTHING,
-    strength_grid,
     strength_prior,
 )
 from bstm_daemon.analysis.gap.naming import SURE, Naming
 from bstm_daemon.analysis.gap.recording import Recording, inputs_of, thinned
 from bstm_daemon.analysis.gap.signatures import sensitivities, signature_of
 from bstm_daemon.analysis.matching.drives import GRID_S, Drive, Thermocouple
-from bstm_daemon.analysis.matching.march import (
-    initial_temperatures,
-    march,
-    model_of,
-)
+from bstm_daemon.analysis.matching.march import march, model_of
 from bstm_daemon.analysis.statistics.evidence import Projector
 from bstm_daemon.bus.signals.columns import Events
 from bstm_daemon.estimator.corner_model import compiled_model
@@ -51,122 +45,6 @@ if TYPE_CHECKING:
     from bstm_daemon.analysis.statistics.series import Column
     from bstm_daemon.config.sections import Config
     from bstm_daemon.simulation.simulate import SimulatedDrive
-
-MENU: Final = tuple(f"m{number:02d}" for number in range(1, 16))
-
-EVERY: Final = 10
-"""Of the simulation's samples at 100 Hz one in so many is kept."""
-
-READ_S: Final = 2.0
-"""Between two readings of a predicted thermocouple."""
-
-
-@dataclass(frozen=True, slots=True)
-class CandidateDrive:
-    """A drive of the menu: what it is and what the model predicts of it."""
-
-    name: str
-    description: str
-    recording: Recording
-
-    @property
-    def duration_s(self) -> float:
-        """Length of the drive."""
-        return self.recording.drive.duration_s
-
-
-def candidate_drive(
-    name: str,
-    config: Config,
-    present: Mapping[int, int],
-    couples: Mapping[str, Sequence[str]],
-) -> CandidateDrive:
-    """Return the menu drive *name* as a recording that *config* predicts.
-
-    Args:
-        name: of a drive of the simulated car.
-        config: the model.
-        present: role number to timeout [us] of what this car's bus has.
-        couples: thermocouples by corner.
-
-    Raises:
-        UsageError: no such drive.
-    """
-    simulated = simulate(load_drive(name), sensors="none", seed=0)
-    events = samples_of(simulated, present)
-    inputs, corners = inputs_of(config, present, events)
-    start_s = float(events.time_us[0]) * 1e-6
-    empty = Drive(name, start_s, corners, inputs, {})
-    drive = replace(
-        empty,
-        measured={
-            corner: _predicted(config, empty, corner, nodes)
-            for corner, nodes in couples.items()
-        },
-    )
-    thin = thinned(events)
-    return CandidateDrive(
-        name,
-        simulated.drive.drive.description.partition(": ")[2],
-        Recording(drive, events, present, thin, inputs),
-    )
-
-
-def samples_of(
-    drive: SimulatedDrive,
-    present: Mapping[int, int],
-    *,
-    temperatures: bool = False,
-) -> Events:
-    """Return what a simulated car's sensors say, in order of time.
-
-    Roles of *present* only; thermocouples where *temperatures* are wanted.
-    """
-    bus = np.asarray(drive.bus_on)[::EVERY]
-    time_s = drive.time_s[::EVERY][bus]
-    parts = [
-        (time_s, ROLE_INDEX[name], np.asarray(values)[::EVERY][bus])
-        for name, values in drive.roles.items()
-        if ROLE_INDEX[name] in present
-    ]
-    # a bus may sleep where the drive goes on
-    parts.append((drive.slow_time_s, TICK, np.zeros(len(drive.slow_time_s))))
-    if temperatures:
-        on = np.interp(drive.slow_time_s, drive.time_s, drive.logger_on) > 0.5
-        parts += [
-            (drive.slow_time_s[on], ROLE_INDEX[name], values[on])
-            for name, values in drive.temperatures.items()
-            if ROLE_INDEX[name] in present
-        ]
-    stamps = np.concatenate(
-        [np.rint(time * 1e6).astype(np.int64) for time, _, _ in parts]
-    )
-    order = np.argsort(stamps, kind="stable")
-    roles = np.concatenate(
-        [np.full(len(time), role, np.int32) for time, role, _ in parts]
-    )
-    values = np.concatenate([value for _, _, value in parts])
-    return Events(stamps[order], roles[order], values[order], Counter())
-
-
-def _predicted(
-    config: Config, drive: Drive, corner: str, nodes: Sequence[str]
-) -> dict[str, Thermocouple]:
-    model = model_of(config, corner)
-    program = compiled_model(model)
-    result = march(
-        [program], drive, corner, initial_temperatures(program, drive, corner)
-    )
-    own = {node.name for node in model.network.nodes}
-    every = round(READ_S / GRID_S)
-    return {
-        node: Thermocouple(
-            drive.time_s[::every], result[model.shown(node)][::every, 0]
-        )
-        for node in nodes
-        if node in own
-    }
-
 
 WORLDS: Final = 400
 """Worlds drawn for each drive: odds are good to 2 %."""
@@ -286,14 +164,12 @@ class _Judge:
         size = len(known.residual)
         self._old = [_columns(by_name.get(n), size) for n in self._members]
         self._share = (1.0 - NOTHING) / max(len(by_name), len(members), 1)
-        self._grids = [
-            strength_grid(either_sign=effect_class(name).either_sign)
+        priors = [
+            strength_prior(either_sign=effect_class(name).either_sign)
             for name in self._members
         ]
-        self._weights = [
-            strength_prior(grid, either_sign=bool(np.any(grid < 0.0)))
-            for grid in self._grids
-        ]
+        self._grids = [grid for grid, _ in priors]
+        self._weights = [weights for _, weights in priors]
         self._draw()
 
     def advice(self, drive: Prospect) -> Advice:
@@ -404,3 +280,99 @@ def _ordered(odds: dict[str, float]) -> list[tuple[str, float]]:
     return sorted(
         ((name, p) for name, p in odds.items() if name), key=lambda o: -o[1]
     )
+
+
+MENU: Final = tuple(f"m{number:02d}" for number in range(1, 16))
+
+EVERY: Final = 10
+"""Of the simulation's samples at 100 Hz one in so many is kept."""
+
+READ_S: Final = 2.0
+"""Between two readings of a predicted thermocouple."""
+
+
+def candidate_drive(
+    name: str,
+    config: Config,
+    present: Mapping[int, int],
+    couples: Mapping[str, Sequence[str]],
+) -> tuple[Recording, str]:
+    """Return the menu drive *name* as *config* predicts it, and what it is.
+
+    Args:
+        name: of a drive of the simulated car.
+        config: the model.
+        present: role number to timeout [us] of what this car's bus has.
+        couples: thermocouples by corner.
+
+    Raises:
+        UsageError: no such drive.
+    """
+    simulated = simulate(load_drive(name), sensors="none", seed=0)
+    events = samples_of(simulated, present)
+    inputs, corners = inputs_of(config, present, events)
+    start_s = float(events.time_us[0]) * 1e-6
+    empty = Drive(name, start_s, corners, inputs, {})
+    drive = replace(
+        empty,
+        measured={
+            corner: _predicted(config, empty, corner, nodes)
+            for corner, nodes in couples.items()
+        },
+    )
+    thin = thinned(events)
+    description = simulated.drive.drive.description.partition(": ")[2]
+    return Recording(drive, events, present, thin, inputs), description
+
+
+def samples_of(
+    drive: SimulatedDrive,
+    present: Mapping[int, int],
+    *,
+    temperatures: bool = False,
+) -> Events:
+    """Return what a simulated car's sensors say, in order of time.
+
+    Roles of *present* only; thermocouples where *temperatures* are wanted.
+    """
+    bus = np.asarray(drive.bus_on)[::EVERY]
+    time_s = drive.time_s[::EVERY][bus]
+    parts = [
+        (time_s, ROLE_INDEX[name], np.asarray(values)[::EVERY][bus])
+        for name, values in drive.roles.items()
+        if ROLE_INDEX[name] in present
+    ]
+    # a bus may sleep where the drive goes on
+    parts.append((drive.slow_time_s, TICK, np.zeros(len(drive.slow_time_s))))
+    if temperatures:
+        on = np.interp(drive.slow_time_s, drive.time_s, drive.logger_on) > 0.5
+        parts += [
+            (drive.slow_time_s[on], ROLE_INDEX[name], values[on])
+            for name, values in drive.temperatures.items()
+            if ROLE_INDEX[name] in present
+        ]
+    stamps = np.concatenate(
+        [np.rint(time * 1e6).astype(np.int64) for time, _, _ in parts]
+    )
+    order = np.argsort(stamps, kind="stable")
+    roles = np.concatenate(
+        [np.full(len(time), role, np.int32) for time, role, _ in parts]
+    )
+    values = np.concatenate([value for _, _, value in parts])
+    return Events(stamps[order], roles[order], values[order], Counter())
+
+
+def _predicted(
+    config: Config, drive: Drive, corner: str, nodes: Sequence[str]
+) -> dict[str, Thermocouple]:
+    model = model_of(config, corner)
+    result = march([compiled_model(model)], drive, corner)
+    own = {node.name for node in model.network.nodes}
+    every = round(READ_S / GRID_S)
+    return {
+        node: Thermocouple(
+            drive.time_s[::every], result[model.shown(node)][::every, 0]
+        )
+        for node in nodes
+        if node in own
+    }

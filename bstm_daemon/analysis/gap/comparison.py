@@ -9,22 +9,14 @@ from __future__ import annotations
 
 import os
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
-from math import ceil
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from bstm_daemon.analysis.gap.noise import Layout, Series
-from bstm_daemon.analysis.matching.drives import GRID_S, Drive
-from bstm_daemon.analysis.matching.march import (
-    initial_temperatures,
-    march,
-    model_of,
-)
-from bstm_daemon.analysis.matching.problem import NODE_OF
+from bstm_daemon.analysis.gap.noise import Layout
+from bstm_daemon.analysis.matching.march import march, model_of
+from bstm_daemon.analysis.matching.problem import Series, series_of
 from bstm_daemon.analysis.matching.tunables import TUNABLES, Target
-from bstm_daemon.channels import CHANNELS
 from bstm_daemon.errors import LogError
 from bstm_daemon.estimator.corner_model import compiled_model, corner_model
 from bstm_daemon.model.effects.catalogue import edited_inputs, effect_class
@@ -35,7 +27,8 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from bstm_daemon.analysis.gap.recording import Recording
-    from bstm_daemon.analysis.statistics.series import Column, Indices
+    from bstm_daemon.analysis.matching.drives import Drive
+    from bstm_daemon.analysis.statistics.series import Column
     from bstm_daemon.analysis.statistics.whitening import SensorNoise
     from bstm_daemon.config.sections import Config, EffectConfig
 
@@ -49,8 +42,6 @@ HEAT_SCALE: Final = "heat scale"
 HEAT_SCALE_PRIOR: Final = 0.05
 """Standard deviation of its logarithm: what friction varies by from day to
 day, and a pressure sensor's offset and gain."""
-
-POWER: Final = CHANNELS.index("brake_power_w")
 
 
 class Comparison(Layout):
@@ -107,23 +98,44 @@ class Comparison(Layout):
         """
         configs = [self.config(x, effects) for x in points]
         drives = self.drives(effects)
-        pairs = self.marched()
         scales = np.exp(points[:, -1])
         with ThreadPoolExecutor(os.cpu_count()) as pool:
             jobs = {
                 pair: pool.submit(
                     self._shown, drives[pair[0]], pair[1], configs, scales
                 )
-                for pair in pairs
+                for pair in self.pairs
             }
             found = {pair: job.result() for pair, job in jobs.items()}
+        return self.less_measured(configs[0], found)
+
+    @property
+    def pairs(self) -> list[tuple[int, str]]:
+        """Number of each drive and corner that has a thermocouple."""
+        return sorted(
+            {(one.drive, c) for one in self.series for c, _ in one.couples}
+        )
+
+    def less_measured(
+        self,
+        config: Config,
+        found: Mapping[tuple[int, str], Mapping[str, Column]],
+    ) -> Column:
+        """Return the residuals [K] (n, k) of what models show.
+
+        *found* is [K] by pair and node, (steps, k); *config* says how its
+        thermocouples read.
+        """
         gains = {
-            c: thermocouple_corrections(configs[0], c)
-            for c in self.target.corners
+            c: thermocouple_corrections(config, c) for c in self.target.corners
         }
         parts = []
         for one in self.series:
-            model = self.modelled(one, found)
+            corners = {corner for corner, _ in one.couples}
+            model = np.mean(
+                [found[one.drive, c][one.node][one.steps] for c in corners],
+                axis=0,
+            )
             gain, offset = np.mean(
                 [gains[c].get(name, (1.0, 0.0)) for c, name in one.couples],
                 axis=0,
@@ -132,33 +144,6 @@ class Comparison(Layout):
             # would bias the gain
             parts.append((model - offset) / gain - one.measured_k[:, None])
         return np.concatenate(parts)
-
-    def marched(self) -> list[tuple[int, str]]:
-        """Return drive and corner of every march that the series need."""
-        return sorted(
-            {(one.drive, c) for one in self.series for c, _ in one.couples}
-        )
-
-    @staticmethod
-    def modelled(
-        series: Series,
-        shown: Mapping[tuple[int, str], Mapping[str, Column]],
-    ) -> Column:
-        """Return the mean over corners at the steps of *series*, (n, ...).
-
-        *shown* has temperatures [K] of nodes, (steps, ...), by drive and
-        corner.
-        """
-        corners = {corner for corner, _ in series.couples}
-        return np.asarray(
-            np.mean(
-                [
-                    shown[series.drive, c][series.node][series.steps]
-                    for c in corners
-                ],
-                axis=0,
-            )
-        )
 
     def drives(self, effects: Sequence[EffectConfig] = ()) -> list[Drive]:
         """Return the drives, heated with *effects* where these act on it."""
@@ -181,25 +166,15 @@ class Comparison(Layout):
         models = [model_of(config, corner) for config in configs]
         programs = [compiled_model(model) for model in models]
         nodes = {one.node for one in self.series}
-        found: dict[str, list[tuple[Indices, Column]]] = {
-            node: [] for node in nodes
-        }
+        found = {node: np.empty((len(drive), len(configs))) for node in nodes}
         # lanes share their inputs, so each scale is a march of its own
         for scale in dict.fromkeys(scales.tolist()):
             lanes = np.flatnonzero(scales == scale)
-            inputs = drive.inputs.copy()
-            inputs[:, :, POWER] *= scale
-            own = replace(drive, inputs=inputs)
-            result = march(
-                [programs[i] for i in lanes],
-                own,
-                corner,
-                initial_temperatures(programs[lanes[0]], own, corner),
-            )
+            own = drive.with_power_times(scale)
+            result = march([programs[i] for i in lanes], own, corner)
             for node in nodes:
-                shown = result[models[lanes[0]].shown(node)]
-                found[node].append((lanes, shown))
-        return {node: _in_order(parts) for node, parts in found.items()}
+                found[node][:, lanes] = result[models[lanes[0]].shown(node)]
+        return found
 
     def _found_series(self) -> tuple[Series, ...]:
         corner = self.target.corner
@@ -212,14 +187,18 @@ class Comparison(Layout):
             drive = recording.drive
             by_node: dict[str, list[tuple[str, str]]] = {}
             for name in self.target.corners:
-                for couple in drive.measured.get(name, {}):
-                    node = NODE_OF.get(couple, couple)
-                    if node in nodes:
-                        by_node.setdefault(node, []).append((name, couple))
+                for couple, node in drive.couples(name, nodes):
+                    by_node.setdefault(node, []).append((name, couple))
             found += [
                 one
                 for node, couples in by_node.items()
-                if (one := _node_series(drive, index, node, couples))
+                if (
+                    one := series_of(
+                        *(drive, index, node, couples),
+                        point_s=POINT_S,
+                        most_points=MOST_POINTS,
+                    )
+                )
             ]
         if not found:
             names = ", ".join(one.name for one in self.recordings)
@@ -268,37 +247,3 @@ def thermocouple_corrections(
         for role, number in ROLE_INDEX.items()
         if role.startswith(prefix) and number in by_role
     }
-
-
-def _in_order(parts: Sequence[tuple[Indices, Column]]) -> Column:
-    width = sum(len(lanes) for lanes, _ in parts)
-    whole = np.empty((len(parts[0][1]), width))
-    for lanes, shown in parts:
-        whole[:, lanes] = shown
-    return whole
-
-
-def _node_series(
-    drive: Drive, index: int, node: str, couples: Sequence[tuple[str, str]]
-) -> Series | None:
-    every = ceil(max(POINT_S, drive.duration_s / MOST_POINTS) / GRID_S)
-    steps = np.arange(every - 1, len(drive), every)
-    time_s = drive.time_s[steps]
-    read = np.array(
-        [drive.measured[c][name].at(time_s) for c, name in couples]
-    )
-    known = np.isfinite(read).all(axis=0)
-    if np.count_nonzero(known) < 3:
-        return None
-    measured = read[:, known].mean(axis=0)
-    air = drive.channel(couples[0][0], "ambient_k")[steps[known]]
-    return Series(
-        index,
-        node,
-        tuple(couples),
-        steps[known],
-        time_s[known],
-        measured,
-        np.gradient(measured, time_s[known]),
-        measured - air,
-    )

@@ -4,6 +4,12 @@ Residuals are whitened, the tunables x (p,) have their priors, the strength a
 a prior of its own. All of x is integrated out in closed form (generalised
 least squares), a on a grid, so an effect that the tunables can imitate gains
 nothing by it.
+
+Of more than one effect at once, forward search alone fails where the mixture
+of two looks like a third one, so all pairs are weighed together; each of a
+pair must be plain beside the other. A first effect whose form is not exact
+leaves residuals that another can take up: a further one must explain a share
+of what the first does.
 """
 
 from __future__ import annotations
@@ -14,7 +20,6 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from bstm_daemon.analysis.gap.unnamed_heat import missing_evidence
 from bstm_daemon.analysis.statistics.evidence import (
     FREE,
     Projector,
@@ -26,8 +31,12 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from bstm_daemon.analysis.gap.noise import Layout
-    from bstm_daemon.analysis.gap.signatures import Linearised, Signature
-    from bstm_daemon.analysis.statistics.series import Column
+    from bstm_daemon.analysis.gap.signatures import (
+        Linearised,
+        Signature,
+        UnnamedHeat,
+    )
+    from bstm_daemon.analysis.statistics.series import Column, Indices
 
 NOTHING: Final = 0.5
 """Probability that nothing is missing, before data."""
@@ -73,8 +82,7 @@ def weigh(
     """Return what *signature* does to *residual* (n,)."""
     columns = np.column_stack((residual, signature.linear, signature.curved))
     gram = columns.T @ project(columns)
-    grid = strength_grid(either_sign=signature.either_sign)
-    weights = strength_prior(grid, either_sign=signature.either_sign)
+    grid, weights = strength_prior(either_sign=signature.either_sign)
     gains = _gains(gram, grid)
     top = int(np.argmax(gains))
     best = _refined(gram, grid, top)
@@ -94,21 +102,17 @@ def weigh(
     )
 
 
-def strength_grid(*, either_sign: bool) -> Column:
-    """Return the strengths that an effect is weighed at, rising."""
+def strength_prior(*, either_sign: bool) -> tuple[Column, Column]:
+    """Return strengths and their weights, log-normal, summing to 1."""
+    grid = STRENGTHS
     if either_sign:
-        return np.concatenate((-STRENGTHS[::-1], STRENGTHS))
-    return STRENGTHS
-
-
-def strength_prior(grid: Column, *, either_sign: bool) -> Column:
-    """Return the weights of *grid*, log-normal, summing to 1."""
+        grid = np.concatenate((-STRENGTHS[::-1], STRENGTHS))
     logs = (np.log(np.abs(grid)) - LOG_CENTRE) / LOG_WIDTH
     weights = np.exp(-0.5 * logs**2)
     if either_sign:
         # the typical sign is the likelier one
         weights = np.where(grid > 0, 0.75, 0.25) * weights
-    return np.asarray(weights / weights.sum())
+    return grid, np.asarray(weights / weights.sum())
 
 
 def _gains(gram: Column, a: Column) -> Column:
@@ -236,3 +240,227 @@ def unnamed_beside(
     return missing_evidence(
         project.beside(own), linearised.residual, linearised.unknown
     )
+
+
+def missing_evidence(
+    project: Projector, residual: Column, heats: Sequence[UnnamedHeat]
+) -> float:
+    """Return the log Bayes factor of heat without a name, wherever it is.
+
+    As likely before data: one heat alone, all those of one node, all of
+    them; each place as likely as the other. All at once alone would pay for
+    a dozen strengths where one is missing.
+    """
+    by_node: dict[str, list[Column]] = {}
+    for one in heats:
+        by_node.setdefault(one.node, []).append(one.change)
+    every = [one.change for one in heats]
+    kinds = ([[one] for one in every], list(by_node.values()), [every])
+
+    def of(kind: Sequence[Sequence[Column]]) -> float:
+        return mean_evidence(
+            [_log_evidence(project, residual, changes) for changes in kind]
+        )
+
+    return mean_evidence([of(kind) for kind in kinds])
+
+
+def _log_evidence(
+    project: Projector, residual: Column, changes: Sequence[Column]
+) -> float:
+    """Return the log Bayes factor of *changes* together, strength 1 each."""
+    columns = np.column_stack(changes)
+    return fit_terms(project, residual, columns, 1.0).log_evidence
+
+
+def likeliest(
+    project: Projector, residual: Column, heats: Sequence[UnnamedHeat]
+) -> UnnamedHeat:
+    """Return the one that alone explains most."""
+    return max(
+        heats,
+        key=lambda one: _log_evidence(project, residual, [one.change]),
+    )
+
+
+NEXT_EVIDENCE: Final = 5.0
+NEXT_Z: Final = 4.2
+NEXT_SHARE: Final = 0.1
+"""A further effect needs this log Bayes factor, these standard deviations
+beside the others, and this share of the first one's gain."""
+
+MOST_EFFECTS: Final = 3
+THIRD_Z: Final = 6.0
+"""A third one must be plainer still."""
+
+
+@dataclass(frozen=True, slots=True)
+class JointEffects:
+    """Effects that are plain beside each other, the best first.
+
+    ``leftover`` is the best one that is not. ``share`` is the probability of
+    a pair among all pairs, ``sure`` those of its members that nearly all
+    probable pairs have; of a single effect 1 and itself.
+    """
+
+    chosen: tuple[Candidate, ...]
+    leftover: Candidate | None
+    share: float
+    sure: tuple[str, ...]
+
+
+def search_joint_effects(
+    project: Projector, linearised: Linearised, found: Sequence[Candidate]
+) -> JointEffects:
+    """Return which of *found*, best first, act together."""
+    search = _Search(project, linearised, found[0].gain)
+    chosen = [found[0]]
+    share = 1.0
+    sure: tuple[str, ...] = (found[0].name,)
+    pair, share_of_pair, in_most = _best_pair(project, linearised, found)
+    if pair:
+        both = [
+            search.beside([one for one in pair if one != name], [name])[0]
+            for name in pair
+        ]
+        if all(map(search.plain, both)):
+            chosen = sorted(both, key=lambda one: -one.gain)
+            share, sure = share_of_pair, in_most
+    leftover = None
+    while True:
+        rest = search.beside([one.name for one in chosen])
+        if not rest:
+            break
+        leftover = rest[0]
+        least_z = THIRD_Z if len(chosen) > 1 else NEXT_Z
+        if (
+            len(chosen) == MOST_EFFECTS
+            or leftover.z < least_z
+            or not search.plain(leftover)
+        ):
+            break
+        chosen.append(leftover)
+        sure = (*sure, leftover.name)
+    return JointEffects(tuple(chosen), leftover, share, sure)
+
+
+class _Search:
+    """Weighs effects beside others."""
+
+    def __init__(
+        self, project: Projector, linearised: Linearised, first_gain: float
+    ) -> None:
+        self._project = project
+        self._linearised = linearised
+        self._first_gain = first_gain
+        self._by_name = {one.name: one for one in linearised.signatures}
+
+    def beside(
+        self, others: Sequence[str], names: Sequence[str] | None = None
+    ) -> list[Candidate]:
+        """Return *names* (all) weighed with *others* free, best first."""
+        project = self._project.beside(
+            [self._by_name[name].at(1.0) for name in others]
+        )
+        found = [
+            weigh(project, self._linearised.residual, self._by_name[name])
+            for name in (names or self._by_name)
+            if name not in others
+        ]
+        return sorted(found, key=lambda one: -one.log_evidence)
+
+    def plain(self, one: Candidate) -> bool:
+        """Whether *one* is more than what the others' forms leave."""
+        return (
+            one.log_evidence >= NEXT_EVIDENCE
+            and one.z >= NEXT_Z
+            and one.gain >= NEXT_SHARE * self._first_gain
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Pairs:
+    """All pairs (i, j), (k,) each: what both explain and how probable it is.
+
+    ``logs`` are log Bayes factors, minus infinity where physics forbids a
+    strength.
+    """
+
+    i: Indices
+    j: Indices
+    gains: Column
+    logs: Column
+
+
+def pair_evidence(
+    project: Projector, linearised: Linearised, found: Sequence[Candidate]
+) -> float:
+    """Return the log Bayes factor of two effects, whichever, against none.
+
+    All pairs are as likely before data.
+    """
+    if len(linearised.signatures) < 2:
+        return -np.inf
+    return mean_evidence(_pairs(project, linearised, found).logs)
+
+
+def _pairs(
+    project: Projector, linearised: Linearised, found: Sequence[Candidate]
+) -> _Pairs:
+    strengths = {one.name: one.strength for one in found}
+    signatures = linearised.signatures
+    # the change per strength up to the one that fits alone
+    slopes = np.column_stack(
+        [s.linear + strengths.get(s.name, 1.0) * s.curved for s in signatures]
+    )
+    projected = project(slopes)
+    gram = slopes.T @ projected
+    score = -(projected.T @ linearised.residual)
+    i, j = np.triu_indices(len(signatures), 1)
+    own_i = gram[i, i] + FREE**-2
+    own_j = gram[j, j] + FREE**-2
+    determinant = own_i * own_j - gram[i, j] ** 2
+    a_i = (own_j * score[i] - gram[i, j] * score[j]) / determinant
+    a_j = (own_i * score[j] - gram[i, j] * score[i]) / determinant
+    either = np.array([one.either_sign for one in signatures])
+    allowed = ((a_i > 0.0) | either[i]) & ((a_j > 0.0) | either[j])
+    # no brake has an effect of many times its typical strength
+    allowed &= np.maximum(abs(a_i), abs(a_j)) <= STRENGTHS[-1]
+    gains = 0.5 * (a_i * score[i] + a_j * score[j])
+    # what a strength that is well known costs
+    logs = gains - 0.5 * np.log(determinant * FREE**4)
+    return _Pairs(i, j, gains, np.where(allowed, logs, -np.inf))
+
+
+def _best_pair(
+    project: Projector, linearised: Linearised, found: Sequence[Candidate]
+) -> tuple[tuple[str, ...], float, tuple[str, ...]]:
+    """Return the pair that explains most, its share, its sure members."""
+    signatures = linearised.signatures
+    if len(signatures) < 2:
+        return (), 0.0, ()
+    pairs = _pairs(project, linearised, found)
+    i, j = pairs.i, pairs.j
+    # two that stand in for the best one must explain more than it does
+    best = [k for k, one in enumerate(signatures) if one.name == found[0].name]
+    more = (
+        np.isin(i, best)
+        | np.isin(j, best)
+        | (pairs.gains >= (1.0 + NEXT_SHARE) * found[0].gain)
+    )
+    logs = np.where(more, pairs.logs, -np.inf)
+    top = int(np.argmax(logs))
+    if not np.isfinite(logs[top]):
+        return (), 0.0, ()
+    weights = np.exp(logs - logs[top])
+    weights /= weights.sum()
+    names = (signatures[i[top]].name, signatures[j[top]].name)
+    sure = tuple(
+        signatures[k].name
+        for k in (i[top], j[top])
+        if weights[(i == k) | (j == k)].sum() >= SURE_MEMBER
+    )
+    return names, float(weights[top]), sure
+
+
+SURE_MEMBER: Final = 0.95

@@ -54,15 +54,13 @@ class Fit:
 
     ``x`` (p,) are the logarithms of the tunables, ``strengths`` by effect
     and their ``noise_deviations``, what noise and tunables leave open;
-    ``cost`` half the whitened sum of squares with the priors, ``points`` how
-    many residuals there are.
+    ``cost`` half the whitened sum of squares with the priors.
     """
 
     x: Column
     strengths: dict[str, float]
     noise_deviations: dict[str, float]
     cost: float
-    points: int
 
     @property
     def deviations(self) -> dict[str, float]:
@@ -82,11 +80,9 @@ class Fit:
             return a - half, min(a + half, 0.0)
         return max(a - half, 0.0), a + half
 
-    def effects(
-        self, provenance: Mapping[str, object] | None = None
-    ) -> list[EffectConfig]:
+    def effects(self) -> list[EffectConfig]:
         """Return the effects as entries of the configuration."""
-        return effect_entries(self.strengths, provenance)
+        return effect_entries(self.strengths)
 
     def bend(self, comparison: Comparison) -> float:
         """Return how far the tunables moved, in deviations of their priors.
@@ -110,11 +106,6 @@ def effect_entries(
         )
         for name, strength in strengths.items()
     ]
-
-
-def whole_basis(comparison: Comparison) -> Column:
-    """Return the directions of all tunables, (p, p)."""
-    return np.eye(len(comparison.keys))
 
 
 def scale_basis(comparison: Comparison) -> Column:
@@ -156,13 +147,13 @@ def directions(comparison: Comparison) -> Column:
     asked about.
     """
     keys = comparison.keys
-    whole = whole_basis(comparison)
+    whole = np.eye(len(comparison.keys))
     if not is_flat(comparison.target):
         return whole
-    tied = [i for i, key in enumerate(keys) if key in S_SPEEDS_MS]
-    others = [i for i in range(len(keys)) if i not in tied]
-    if not tied:
+    tied = [key in S_SPEEDS_MS for key in keys]
+    if not any(tied):
         return whole
+    others = np.flatnonzero(~np.array(tied))
     return np.column_stack((whole[:, tied].sum(axis=1), whole[:, others]))
 
 
@@ -210,24 +201,22 @@ def fit(
             without the effects; saves time.
     """
     if basis is None:
-        basis = whole_basis(comparison)
+        basis = np.eye(len(comparison.keys))
     names = list(start)
     x, a = comparison.start.copy(), np.array([start[n] for n in names])
     lower, upper = _strength_bounds(names, a)
     best: tuple[float, Column, Column] | None = None
     covariance = np.zeros((0, 0))
-    points = 0
     rough = None if known_k is None else comparison.whiten(known_k)
     for iteration in range(ITERATIONS):
-        apart, jacobian = _residuals(
-            comparison,
-            x,
-            _effects(names, a),
-            # without effects they hold at the start only
-            rough if iteration < (ITERATIONS - 1 if names else 1) else None,
-        )
+        effects = _effects(names, a)
+        # without effects the known ones hold at the start only
+        if rough is not None and iteration < (ITERATIONS - 1 if names else 1):
+            apart = comparison.residuals_k(x[None], effects)[:, 0]
+            jacobian = rough
+        else:
+            apart, jacobian = sensitivities(comparison, x, effects)
         residual = comparison.whiten(apart)
-        points = len(residual)
         cost = _cost(comparison, residual, x, a, priors=priors)
         if best is None or cost < best[0]:
             best = (cost, x, a)
@@ -265,20 +254,7 @@ def fit(
         dict(zip(names, a.tolist(), strict=True)),
         dict(zip(names, deviations.tolist(), strict=True)),
         cost,
-        points,
     )
-
-
-def _residuals(
-    comparison: Comparison,
-    x: Column,
-    effects: Sequence[EffectConfig],
-    rough: Column | None,
-) -> tuple[Column, Column]:
-    """Return residuals [K] and whitened sensitivities, *rough* ones if any."""
-    if rough is None:
-        return sensitivities(comparison, x, effects)
-    return comparison.residuals_k(x[None], effects)[:, 0], rough
 
 
 def _effects(names: Sequence[str], a: Column) -> list[EffectConfig]:

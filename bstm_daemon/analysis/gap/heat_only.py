@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from bstm_daemon.analysis.gap.fitting import FORM_ERROR, effect_entries
-from bstm_daemon.analysis.gap.force_comparison import ForceComparison
+from bstm_daemon.analysis.gap.force_balance import ForceComparison
 from bstm_daemon.analysis.gap.naming import Naming, name_effect
 from bstm_daemon.analysis.gap.signatures import (
     Linearised,
@@ -30,8 +30,8 @@ from bstm_daemon.model.effects.catalogue import effect_class
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from bstm_daemon.analysis.gap.force_balance import Forces
     from bstm_daemon.analysis.gap.recording import Recording
-    from bstm_daemon.analysis.statistics.series import Column
 
 NOTHING_SEEN: Final = (
     "no effect on the heat input changes the forces of these drives by more "
@@ -43,16 +43,6 @@ SILENT_MS2: Final = 1e-3
 
 WEAK: Final = 2.0
 """From this strength on an effect counts as too weak for these drives."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ForceCurve:
-    """Forces [N] over one drive, (n,) each; nan where not known."""
-
-    drive: str
-    time_s: Column
-    pressed_n: Column
-    motion_n: Column
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,7 +68,7 @@ class ForceGap:
     after_ms2: float
     pressed_j: float
     motion_j: float
-    curves: tuple[ForceCurve, ...] = ()
+    curves: tuple[Forces, ...] = ()
 
     def effects(self) -> list[EffectConfig]:
         """Return what can be adopted, with its provenance."""
@@ -120,9 +110,7 @@ def find_force_gap(
             unseen[one.name] = (
                 f"too weak in these drives: from a strength of {one.reach:.1f}"
             )
-    names: tuple[str, ...] = ()
-    if naming.answer in {"name", "class"}:
-        names = naming.names if naming.answer == "name" else naming.names[:1]
+    names = naming.adoptable
     strengths, deviations = _strengths(comparison, known, names)
     possible = tuple(n for n in names if not _at_bound(n, strengths[n]))
     if naming.answer == "name" and 0 < len(possible) < len(names):
@@ -146,15 +134,7 @@ def find_force_gap(
         after,
         pressed,
         motion,
-        tuple(
-            ForceCurve(
-                one.name,
-                part.time_s,
-                part.pressed_n.sum(axis=0),
-                part.motion_n,
-            )
-            for one, part in zip(recordings, comparison.parts, strict=True)
-        ),
+        tuple(comparison.parts),
     )
 
 
@@ -255,17 +235,14 @@ def _errors(
 
 def _work(comparison: ForceComparison) -> tuple[float, float]:
     """Return the work of pressure and of motion while braking [J]."""
-    pressed = comparison.pressed_n()
-    motion = comparison.column("motion_n")
+    pressed, motion = (
+        comparison.column("whole_n"),
+        comparison.column("motion_n"),
+    )
     braked = (comparison.column("braked") > 0.0) | (
         motion > comparison.config.heat.brake_on_force_n
     )
-    metres = np.concatenate(
-        [
-            (one.speed_ms * np.gradient(one.time_s))[own]
-            for one, own in zip(comparison.parts, comparison.kept, strict=True)
-        ]
-    )
+    metres = comparison.column("metres")
     return (
         float(np.sum((pressed * metres)[braked])),
         float(np.sum((motion * metres)[braked])),

@@ -17,7 +17,7 @@ import numpy as np
 from bstm_daemon.analysis.gap.comparison import Comparison
 from bstm_daemon.analysis.gap.fitting import Fit, fit, scale_basis
 from bstm_daemon.analysis.statistics.resampling import bootstrap
-from bstm_daemon.analysis.statistics.series import Column, white_std
+from bstm_daemon.analysis.statistics.series import Column, rms, white_noise
 from bstm_daemon.units import KELVIN_OFFSET
 
 if TYPE_CHECKING:
@@ -51,26 +51,21 @@ class Shrink:
     upper: float
 
 
-@dataclass(frozen=True, slots=True)
-class DriveErrors:
-    """One node over one drive, by model: RMS and errors at the peak."""
-
-    drive: str
-    node: str
-    rms_k: Mapping[str, float]
-    peak_error_k: Mapping[str, float]
-    peak_late_s: Mapping[str, float]
-
-
 @dataclass(frozen=True, slots=True, eq=False)
-class Curve:
-    """One node over one drive: measured and modelled [degC], (n,) each."""
+class NodeErrors:
+    """One node over one drive: measured and, by model, modelled [degC].
+
+    Series are (n,); RMS and errors at the peak are by model too.
+    """
 
     drive: str
     node: str
     time_s: Column
     measured_c: Column
     model_c: Mapping[str, Column]
+    rms_k: Mapping[str, float]
+    peak_error_k: Mapping[str, float]
+    peak_late_s: Mapping[str, float]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,9 +82,7 @@ class Shown:
     shrinks: Mapping[str, Shrink]
     fluid_shrinks: Mapping[str, Shrink]
     adopted: Shrink
-    errors: tuple[DriveErrors, ...]
-    curves: tuple[Curve, ...]
-    fits: Mapping[str, Fit]
+    errors: tuple[NodeErrors, ...]
     moved: Mapping[str, Column]
     bends: Mapping[str, float]
     keys: tuple[str, ...]
@@ -100,7 +93,7 @@ def baseline_fits(
 ) -> dict[str, Fit]:
     """Return the models without the effect, fitted to *comparison*."""
     return {
-        CONFIGURED: Fit(comparison.start, {}, {}, np.nan, 0),
+        CONFIGURED: Fit(comparison.start, {}, {}, np.nan),
         SCALED: fit(
             comparison,
             {},
@@ -109,17 +102,6 @@ def baseline_fits(
             known_k=known_k,
         ),
         REFITTED: fit(comparison, {}, known_k=known_k),
-    }
-
-
-def with_extended(
-    comparison: Comparison, baselines: Mapping[str, Fit], extended: Fit
-) -> dict[str, Fit]:
-    """Return *baselines* and the two models with the effect."""
-    return {
-        **baselines,
-        EXTENDED: extended,
-        ADOPTED: replace(extended, x=comparison.start),
     }
 
 
@@ -136,9 +118,11 @@ def show(
     *baselines* are models fitted before, by :func:`baseline_fits`;
     *known_k* (n, p) is as for :func:`fit`.
     """
-    fits = with_extended(
-        comparison, baselines or baseline_fits(comparison, known_k), extended
-    )
+    fits = {
+        **(baselines or baseline_fits(comparison, known_k)),
+        EXTENDED: extended,
+        ADOPTED: replace(extended, x=comparison.start),
+    }
     there = comparison
     if held_out:
         there = Comparison(
@@ -163,8 +147,6 @@ def show(
         },
         _shrink(there, apart, CONFIGURED, everything, ADOPTED),
         tuple(_errors(there, apart, i) for i in everything),
-        tuple(_curve(there, apart, i) for i in everything),
-        fits,
         {name: one.x - comparison.start for name, one in fits.items()},
         {name: one.bend(comparison) for name, one in fits.items()},
         comparison.keys,
@@ -183,7 +165,7 @@ def _shrink(
     for i in which:
         one = there.series[i]
         part = slice(there.edges[i], there.edges[i + 1])
-        variance = noise_variance(one.measured_k)
+        variance = white_noise(one.measured_k) ** 2
         block = (one.time_s // BLOCK_S).astype(int)
         for number in np.unique(block):
             own = block == number
@@ -203,39 +185,26 @@ def _factor(sums: Column) -> float:
     )
 
 
-def noise_variance(measured_k: Column) -> float:
-    """Return the white variance of a series, from its second differences."""
-    return white_std(np.diff(measured_k, 2), 2) ** 2
-
-
 def _errors(
     there: Comparison, apart: Mapping[str, Column], which: int
-) -> DriveErrors:
+) -> NodeErrors:
     one = there.series[which]
     part = slice(there.edges[which], there.edges[which + 1])
     top = int(np.argmax(one.measured_k))
-    rms, peak, late = {}, {}, {}
+    peak, late = {}, {}
     for name, error in apart.items():
-        own = error[part]
-        model = one.measured_k + own
+        model = one.measured_k + error[part]
         at = int(np.argmax(model))
-        rms[name] = float(np.sqrt(np.mean(own**2)))
         peak[name] = float(model[at] - one.measured_k[top])
         late[name] = float(one.time_s[at] - one.time_s[top])
-    name = there.recordings[one.drive].name
-    return DriveErrors(name, one.node, rms, peak, late)
-
-
-def _curve(
-    there: Comparison, apart: Mapping[str, Column], which: int
-) -> Curve:
-    one = there.series[which]
-    part = slice(there.edges[which], there.edges[which + 1])
     measured = one.measured_k - KELVIN_OFFSET
-    return Curve(
+    return NodeErrors(
         there.recordings[one.drive].name,
         one.node,
         one.time_s,
         measured,
         {name: measured + error[part] for name, error in apart.items()},
+        {name: rms(error[part]) for name, error in apart.items()},
+        peak,
+        late,
     )

@@ -15,20 +15,19 @@ import numpy as np
 
 from bstm_daemon.analysis.gap.evidence import (
     Candidate,
+    JointEffects,
     best_placebo,
     cross_validated,
     explained_share,
+    likeliest,
+    missing_evidence,
     missing_probability,
+    pair_evidence,
     probabilities,
+    search_joint_effects,
     unnamed_beside,
     weigh,
 )
-from bstm_daemon.analysis.gap.joint_effects import (
-    JointEffects,
-    pair_evidence,
-    search_joint_effects,
-)
-from bstm_daemon.analysis.gap.unnamed_heat import likeliest, missing_evidence
 from bstm_daemon.analysis.statistics.evidence import Projector, mean_evidence
 from bstm_daemon.model.effects.catalogue import effect_class
 
@@ -37,7 +36,6 @@ if TYPE_CHECKING:
 
     from bstm_daemon.analysis.gap.noise import Layout
     from bstm_daemon.analysis.gap.signatures import Linearised, Signature
-    from bstm_daemon.analysis.statistics.series import Column
 
 Answer = Literal["nothing", "name", "class", "unknown", "undecided"]
 
@@ -105,6 +103,22 @@ class Naming:
         """Whether something is missing."""
         return self.answer != "nothing"
 
+    def answered(
+        self,
+        answer: Answer,
+        names: Sequence[str],
+        probability: float,
+        reason: str,
+    ) -> Naming:
+        """Return it with another answer."""
+        return replace(
+            self,
+            answer=answer,
+            names=tuple(names),
+            probability=probability,
+            reason=reason,
+        )
+
     def provenance(self, name: str) -> dict[str, Any]:
         """Return how sure *name* is, and what else it may be.
 
@@ -118,6 +132,13 @@ class Naming:
         }
 
     @property
+    def adoptable(self) -> tuple[str, ...]:
+        """What can be fitted and adopted: all named, the best of a class."""
+        return {"name": self.names, "class": self.names[:1]}.get(
+            self.answer, ()
+        )
+
+    @property
     def gate_z(self) -> float:
         """Standard deviations of the best candidate."""
         return max((one.z for one in self.candidates), default=0.0)
@@ -126,7 +147,13 @@ class Naming:
 def name_effect(layout: Layout, linearised: Linearised) -> Naming:
     """Return what *linearised* says is missing."""
     project = Projector(linearised.jacobian, layout.prior)
-    found = _weighed(project, linearised.residual, linearised.signatures)
+    found = sorted(
+        (
+            weigh(project, linearised.residual, one)
+            for one in linearised.signatures
+        ),
+        key=lambda one: -one.log_evidence,
+    )
     odds = probabilities(found)
     nothing = Naming(
         "nothing",
@@ -137,7 +164,14 @@ def name_effect(layout: Layout, linearised: Linearised) -> Naming:
         "no effect of the catalogue changes the temperatures of these drives "
         "by more than they are uncertain, the tunables re-fitted",
     )
-    nothing = _with_unknown(nothing, project, linearised)
+    if heats := linearised.unknown:
+        place = likeliest(project, linearised.residual, heats)
+        evidence = missing_evidence(project, linearised.residual, heats)
+        nothing = replace(
+            nothing,
+            unknown_evidence=evidence,
+            unknown_place=f"{place.node}, {place.regime}",
+        )
     best = found[0] if found else None
     if best and odds[""] <= GATE_NOTHING and best.z >= GATE_Z:
         return _named(layout, project, linearised, nothing)
@@ -158,12 +192,8 @@ def _unnamed(
     if missing < SOMETHING:
         return nothing
     if of_one < max(ways):
-        return replace(
-            nothing,
-            answer="unknown",
-            probability=missing,
-            reason="no effect of the catalogue alone explains it",
-        )
+        reason = "no effect of the catalogue alone explains it"
+        return nothing.answered("unknown", (), missing, reason)
     members: list[str] = []
     for one in found:
         members.append(one.name)
@@ -172,17 +202,15 @@ def _unnamed(
         ):
             break
     best = next(s for s in linearised.signatures if s.name == found[0].name)
-    return replace(
+    weighed = replace(
         nothing,
-        answer="undecided",
-        names=tuple(members),
-        probability=missing,
-        reason="no effect is plain enough to be named",
         explained=explained_share(project, linearised, found[:1])[0],
         best_placebo_z=best_placebo(
             layout, project, linearised.residual, best
         ),
     )
+    reason = "no effect is plain enough to be named"
+    return weighed.answered("undecided", members, missing, reason)
 
 
 def _named(
@@ -208,12 +236,7 @@ def _named(
     alone = len(several.chosen) == 1
 
     def unknown(reason: str) -> Naming:
-        return replace(
-            common,
-            answer="unknown",
-            probability=1.0 - odds[""],
-            reason=reason,
-        )
+        return common.answered("unknown", (), 1.0 - odds[""], reason)
 
     if (
         explained < (EXPLAINED if alone else EXPLAINED_TOGETHER)
@@ -230,12 +253,9 @@ def _named(
             f"{how} {100 * explained:.0f} % of what all together could"
         )
     if placebo > best.z:
-        return replace(
-            common,
-            answer="undecided",
-            names=(best.name,),
-            probability=odds[best.name],
-            reason=f"{best.name} at other times than its own explains as much",
+        reason = f"{best.name} at other times than its own explains as much"
+        return common.answered(
+            "undecided", (best.name,), odds[best.name], reason
         )
     worst = min(validated, key=lambda name: validated[name], default="")
     if alone and worst and validated[worst] < -AGAINST:
@@ -261,44 +281,14 @@ def _together(common: Naming, several: JointEffects) -> Naming:
     names = tuple(one.name for one in several.chosen)
     sure = tuple(name for name in names if name in several.sure)
     if sure == names:
-        return replace(
-            common,
-            answer="name",
-            names=names,
-            probability=several.share,
-            reason=f"together they explain {100 * common.explained:.0f} %",
-        )
+        reason = f"together they explain {100 * common.explained:.0f} %"
+        return common.answered("name", names, several.share, reason)
     rest = ", ".join(name for name in names if name not in sure)
     if sure:
-        return replace(
-            common,
-            answer="name",
-            names=sure,
-            probability=SURE,
-            reason=f"and another one, perhaps {rest}",
-        )
-    return replace(
-        common,
-        answer="undecided",
-        names=names,
-        probability=several.share,
-        reason="several effects at once, in more than one way",
-    )
-
-
-def _with_unknown(
-    naming: Naming, project: Projector, linearised: Linearised
-) -> Naming:
-    """Add what heat without a name explains."""
-    heats = linearised.unknown
-    if not heats:
-        return naming
-    place = likeliest(project, linearised.residual, heats)
-    return replace(
-        naming,
-        unknown_evidence=missing_evidence(project, linearised.residual, heats),
-        unknown_place=f"{place.node}, {place.regime}",
-    )
+        reason = f"and another one, perhaps {rest}"
+        return common.answered("name", sure, SURE, reason)
+    reason = "several effects at once, in more than one way"
+    return common.answered("undecided", names, several.share, reason)
 
 
 def _single(
@@ -309,13 +299,8 @@ def _single(
 ) -> Naming:
     odds = common.odds
     if odds[best.name] >= SURE:
-        return replace(
-            common,
-            answer="name",
-            names=(best.name,),
-            probability=odds[best.name],
-            reason=effect_class(best.name).signature,
-        )
+        reason = effect_class(best.name).signature
+        return common.answered("name", (best.name,), odds[best.name], reason)
     members = [best.name]
     total = odds[best.name]
     for one in common.candidates[1:]:
@@ -333,26 +318,14 @@ def _single(
         )
         if declared or abs(alike) >= ALIKE:
             why.append(f"{name} (signatures alike, cosine {alike:.2f})")
-    all_alike = len(why) == len(members) - 1
-    return replace(
-        common,
-        answer="class" if all_alike else "undecided",
-        names=tuple(members),
-        probability=total,
-        reason=(
-            f"these drives do not tell {best.name} from {', '.join(why)}"
-            if all_alike
-            else "several effects of different kinds explain it; another "
-            "drive must tell"
-        ),
+    if len(why) == len(members) - 1:
+        reason = f"these drives do not tell {best.name} from {', '.join(why)}"
+        return common.answered("class", members, total, reason)
+    reason = (
+        "several effects of different kinds explain it; another drive must "
+        "tell"
     )
-
-
-def _weighed(
-    project: Projector, residual: Column, signatures: Sequence[Signature]
-) -> list[Candidate]:
-    found = [weigh(project, residual, one) for one in signatures]
-    return sorted(found, key=lambda one: -one.log_evidence)
+    return common.answered("undecided", members, total, reason)
 
 
 def cosine(project: Projector, a: Signature, b: Signature) -> float:

@@ -13,32 +13,21 @@ missing does not count as noise, and what is noise need not be missing.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from math import hypot
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from bstm_daemon.analysis.matching.verification import accuracy_of
 from bstm_daemon.analysis.statistics.whitening import SensorNoise
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from bstm_daemon.analysis.statistics.series import Column, Indices, Matrix
+    from bstm_daemon.analysis.matching.problem import Series
+    from bstm_daemon.analysis.statistics.series import Column, Matrix
     from bstm_daemon.config.sections import Config
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Series:
-    """One node over one drive, (n,) each; ``couples`` are (corner, name)."""
-
-    drive: int
-    node: str
-    couples: tuple[tuple[str, str], ...]
-    steps: Indices
-    time_s: Column
-    measured_k: Column
-    slope_k_s: Column
-    rise_k: Column
 
 
 class Layout:
@@ -129,13 +118,11 @@ def noise_of(config: Config, node: str) -> SensorNoise:
     """
     known = config.accuracy
     found = USUAL.get(node, OTHER)
-    floor = getattr(known, f"{node}_k", None)
-    if floor is not None:
-        share = float(getattr(known, f"{node}_share"))
+    if (own := accuracy_of(config, node)) is not None:
         found = replace(
             found,
-            drift_k=min(max(float(floor), LEAST_K), LARGEST * found.drift_k),
-            share=min(share, LARGEST * found.share),
+            drift_k=min(max(own.floor_k, LEAST_K), LARGEST * found.drift_k),
+            share=min(own.share, LARGEST * found.share),
         )
     return replace(
         found,
@@ -170,12 +157,13 @@ def calibrated(
     columns = columns_k * prior
     noise = {one.node: layout.noise[one.node] for one in layout.series}
     picked = dict.fromkeys(noise, (1.0, 1.0))
+    places = [slice(*ends, EVERY) for ends in pairwise(layout.edges)]
 
     def parts_of(node: str, factors: tuple[float, float]) -> list[_Part]:
         changed = noise[node].scaled(*factors)
         return [
             _part(one, changed, residual_k[own], columns[own])
-            for one, own in _places(layout)
+            for one, own in zip(layout.series, places, strict=True)
             if one.node == node
         ]
 
@@ -204,13 +192,6 @@ def calibrated(
         node: one.scaled(*picked[node]) if node in picked else one
         for node, one in layout.noise.items()
     }
-
-
-def _places(layout: Layout) -> list[tuple[Series, slice]]:
-    return [
-        (one, slice(layout.edges[i], layout.edges[i + 1], EVERY))
-        for i, one in enumerate(layout.series)
-    ]
 
 
 def _part(

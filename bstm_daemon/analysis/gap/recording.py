@@ -7,7 +7,7 @@ estimator's pass forms from the samples: so the samples are kept.
 from __future__ import annotations
 
 from array import array
-from collections import Counter, defaultdict
+from collections import Counter
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Final
 
@@ -15,22 +15,19 @@ import numpy as np
 
 from bstm_daemon.analysis.matching.drives import (
     Drive,
-    Rows,
-    begin_as_measured,
-    thermocouples_of,
+    drive_of,
+    grid_inputs,
+    log_events,
 )
-from bstm_daemon.bus.opening import EventLog
 from bstm_daemon.bus.signals.columns import Events
 from bstm_daemon.channels import CHANNELS
-from bstm_daemon.errors import LogError, UsageError
 from bstm_daemon.estimator.blocks import Block
 from bstm_daemon.estimator.corner_model import corner_model
-from bstm_daemon.estimator.estimator import STEP_US, Estimator
+from bstm_daemon.estimator.estimator import Estimator
 from bstm_daemon.replay.columns import present_roles
-from bstm_daemon.roles import ROLES
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Iterator, Mapping
     from pathlib import Path
 
     from bstm_daemon.analysis.statistics.series import Column
@@ -40,17 +37,8 @@ if TYPE_CHECKING:
 PIECE: Final = 1 << 20
 """Samples that the estimator takes at a time."""
 
-SEGMENT: Final = ".log.gz"
-"""Ending of the files of a kept record."""
-
 THIN_S: Final = 0.1
 """Time between samples of one role, where effects are tried."""
-
-KEPT_ROLES: Final = frozenset(
-    number
-    for number, role in enumerate(ROLES)
-    if role.name.startswith("temp_")
-)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,16 +60,13 @@ class Recording:
         """Name of the log."""
         return self.drive.name
 
-    def inputs(self, config: Config) -> Column:
-        """Return the inputs of the thermal model as *config* forms them.
+    def thin_inputs_of(self, config: Config) -> Column:
+        """Return what *config* forms from the ``thin`` samples.
 
         (steps, corners, channels), on the steps of ``drive``.
         """
-        return _like(self.drive, _pass(config, self.present, self.events))
-
-    def thin_inputs_of(self, config: Config) -> Column:
-        """Return likewise what *config* forms from the ``thin`` samples."""
-        return _like(self.drive, _pass(config, self.present, self.thin))
+        rows, _ = inputs_of(config, self.present, self.thin)
+        return _like(self.drive, rows)
 
     def heated_by(self, config: Config) -> Drive:
         """Return the drive as *config* heats it.
@@ -100,86 +85,38 @@ def read_recording(
     signal_map: SignalMap,
     overrides: Mapping[str, str] | None = None,
     *,
-    thermocouples: bool = True,
     progress: Callable[[float], None] | None = None,
 ) -> Recording:
-    """Read the log *path*; *thermocouples* is whether it must have some.
-
-    A folder is a record that the service has kept: its segments in order.
+    """Read the log *path*, or the folder of a record that was kept.
 
     Raises:
-        LogError: unusable, too short or without thermocouples.
+        LogError: unusable or too short, or its clock jumps.
         FileAccessError: it cannot be read.
         UsageError: the heat mode is ``measured``.
     """
-    files = sorted(path.glob(f"*{SEGMENT}")) if path.is_dir() else [path]
-    if not files:
-        msg = f"{path}: no segment of a record (*{SEGMENT}) in this folder"
-        raise LogError(msg)
-    parts = []
-    for number, file in enumerate(files):
-        log = EventLog(file, signal_map, overrides)
-        for events in log.events():
-            parts.append(events)
-            if progress is not None:
-                progress((number + log.share) / len(files))
-    return recorded(
-        path.name,
-        _joined(parts),
-        config,
-        present_roles(signal_map),
-        thermocouples=thermocouples,
+    parts = list(log_events(path, signal_map, overrides, progress))
+    events = Events(
+        np.concatenate([one.time_us for one in parts]),
+        np.concatenate([one.role for one in parts]),
+        np.concatenate([one.value for one in parts]),
+        Counter(),
     )
+    return recorded(path.name, events, config, present_roles(signal_map))
 
 
 def recorded(
-    name: str,
-    events: Events,
-    config: Config,
-    present: Mapping[int, int],
-    *,
-    thermocouples: bool = True,
+    name: str, events: Events, config: Config, present: Mapping[int, int]
 ) -> Recording:
     """Return the recording of *events*.
 
-    *thermocouples* is whether it must have some.
-
     Raises:
-        LogError: too short or without thermocouples.
+        LogError: too short, or the clock jumps.
         UsageError: the heat mode is ``measured``.
     """
-    if config.heat.mode == "measured":
-        msg = (
-            '[heat] mode = "measured" forces the disc; a gap needs brake '
-            "power: choose another mode"
-        )
-        raise UsageError(msg)
-    if not len(events):
-        msg = f"{name}: no samples of the roles that are mapped"
-        raise LogError(msg)
-    inputs = _pass(config, present, events)
-    if not len(inputs):
-        msg = f"{name}: too short"
-        raise LogError(msg)
-    start_s = int(events.time_us[0]) // STEP_US * STEP_US * 1e-6
-    corners = Estimator(config, present).plan.corners
-    temperatures: dict[int, list[tuple[Column, Column]]] = defaultdict(list)
-    for role in KEPT_ROLES & set(np.unique(events.role).tolist()):
-        own = events.role == role
-        temperatures[role].append(
-            (events.time_us[own] * 1e-6, events.value[own])
-        )
-    measured = thermocouples_of(temperatures, corners, start_s)
-    if thermocouples and not measured:
-        msg = (
-            f"{name}: no measured temperature: a gap needs roles "
-            "temp_<corner>_<node>"
-        )
-        raise LogError(msg)
-    drive = Drive(name, start_s, corners, inputs, measured)
+    drive = drive_of(name, _Heating(config, present), _pieces(events))
     thin = thinned(events)
-    thin_inputs = _like(drive, _pass(config, present, thin))
-    return Recording(drive, events, present, thin, thin_inputs)
+    rows, _ = inputs_of(config, present, thin)
+    return Recording(drive, events, present, thin, _like(drive, rows))
 
 
 def thinned(events: Events) -> Events:
@@ -202,8 +139,9 @@ def inputs_of(
 
     (steps, corners, channels), as ``Drive.inputs`` has them.
     """
-    corners = Estimator(config, present).plan.corners
-    return _pass(config, present, events), corners
+    estimator = _Heating(config, present)
+    inputs = grid_inputs(estimator, _pieces(events))
+    return inputs, estimator.plan.corners
 
 
 def _like(drive: Drive, rows: Column) -> Column:
@@ -218,12 +156,12 @@ def _like(drive: Drive, rows: Column) -> Column:
 class _Heating(Estimator):
     """An estimator whose rows are wanted and whose estimates are not."""
 
-    def leave_nodes(self) -> None:
+    def __init__(self, config: Config, present: Mapping[int, int]) -> None:
         """March no temperatures where no friction depends on them."""
-        corners = self.config.disc_corners()
+        super().__init__(config, dict(present))
         if all(
-            set(corner_model(self.config, one).friction.temperature) == {1.0}
-            for one in corners
+            set(corner_model(config, one).friction.temperature) == {1.0}
+            for one in config.disc_corners()
         ):
             self.batches = []
             self._coupling.coupled = False
@@ -247,34 +185,12 @@ class _Heating(Estimator):
         )
 
 
-def _pass(
-    config: Config, present: Mapping[int, int], events: Events
-) -> Column:
-    estimator = _Heating(config, dict(present))
-    rows = Rows(len(estimator.plan.corners))
-    estimator.input_history = rows
-    begin_as_measured(estimator, events)
-    estimator.leave_nodes()
+def _pieces(events: Events) -> Iterator[Events]:
     for first in range(0, len(events), PIECE):
         part = slice(first, first + PIECE)
-        estimator.advance(
-            events.time_us[part], events.role[part], events.value[part]
+        yield Events(
+            events.time_us[part],
+            events.role[part],
+            events.value[part],
+            Counter(),
         )
-    if estimator.counts["jumps"]:
-        msg = "the log's clock jumps; split it there"
-        raise LogError(msg)
-    return np.concatenate(rows.parts or [np.zeros((0, 1, 1))])
-
-
-def _joined(parts: list[Events]) -> Events:
-    if not parts:
-        none = np.zeros(0)
-        return Events(
-            none.astype(np.int64), none.astype(np.int32), none, Counter()
-        )
-    return Events(
-        np.concatenate([one.time_us for one in parts]),
-        np.concatenate([one.role for one in parts]),
-        np.concatenate([one.value for one in parts]),
-        Counter(),
-    )

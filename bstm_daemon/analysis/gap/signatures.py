@@ -2,6 +2,12 @@
 
 A finite strength is simulated, not a derivative: many effects begin at a
 threshold. Between and beyond the strengths simulated, a parabola through 0.
+
+And of heat that no effect of the catalogue brings, the open set. For each node
+and regime a heat flow into the node that follows its excess over the air, or
+the brake power at the disc while braking. Together they stand for whatever is
+missing there, without a name. They decide whether anything is missing that no
+named effect explains.
 """
 
 from __future__ import annotations
@@ -11,21 +17,31 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from bstm_daemon.analysis.gap.unnamed_heat import UnnamedHeat, unnamed_heats
+from bstm_daemon.analysis.gap.residual_heat import REGIMES
+from bstm_daemon.analysis.matching.march import (
+    initial_temperatures,
+    march,
+    model_of,
+)
+from bstm_daemon.analysis.matching.phases import BRAKING_W, STANDING_MS
 from bstm_daemon.analysis.statistics.levenberg_marquardt import STEP
 from bstm_daemon.config.sections import Config, EffectConfig
 from bstm_daemon.errors import ConfigError
+from bstm_daemon.estimator.corner_model import compiled_model
 from bstm_daemon.model.effects.catalogue import (
     effect_class,
     effect_names,
     effects_of,
 )
+from bstm_daemon.model.thermal.program import compile_network
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
     from bstm_daemon.analysis.gap.comparison import Comparison
     from bstm_daemon.analysis.gap.noise import Layout
+    from bstm_daemon.analysis.matching.drives import Drive
+    from bstm_daemon.analysis.matching.problem import Series
     from bstm_daemon.analysis.statistics.series import Column
 
 NETWORK_STRENGTHS: Final = (0.5, 1.5)
@@ -34,6 +50,19 @@ HEAT_STRENGTHS: Final = (1.0,)
 
 SILENT_K: Final = 1e-3
 """A candidate that nowhere changes the model by more is not excited."""
+
+TYPICAL_W_K: Final = {
+    "disc": 2.0,
+    "pad_front": 1.0,
+    "pad_back": 0.4,
+    "fluid": 0.4,
+}
+"""Heat per kelvin above the air that counts as strength 1."""
+
+OF_BRAKING: Final = 0.05
+"""Share of the brake power at the disc, likewise."""
+
+OTHER_W_K: Final = 0.4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,6 +82,15 @@ class Signature:
     def at(self, strength: float) -> Column:
         """Return the change at *strength*, (n,)."""
         return np.asarray(strength * self.linear + strength**2 * self.curved)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class UnnamedHeat:
+    """A heat flow at a node in a regime; ``change`` (n,) of the residuals."""
+
+    node: str
+    regime: str
+    change: Column
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -197,3 +235,54 @@ def _terms_k(comparison: Comparison, name: str, base: Column) -> Column | None:
     terms = np.linalg.lstsq(matrix, np.array(changes), rcond=None)[0]
     curved = terms[1] if len(a) > 1 else 0.0 * terms[0]
     return np.array((terms[0], curved))
+
+
+def unnamed_heats(
+    comparison: Comparison, base_k: Column
+) -> tuple[UnnamedHeat, ...]:
+    """Return what each would change in the residuals *base_k* (n,) [K]."""
+    nodes = list(dict.fromkeys(one.node for one in comparison.series))
+    found = []
+    for node in nodes:
+        for regime in REGIMES:
+            apart = _apart(comparison, node, regime)
+            change = apart - base_k
+            if float(np.abs(change).max()) > 1e-3:
+                found.append(UnnamedHeat(node, regime, change))
+    return tuple(found)
+
+
+def _apart(comparison: Comparison, node: str, regime: str) -> Column:
+    """Return the residuals [K] with that heat, (n,)."""
+    shown = {}
+    config = comparison.config(comparison.start)
+    own = {s.drive: s for s in comparison.series if s.node == node}
+    for number, name in comparison.pairs:
+        drive = comparison.recordings[number].drive
+        model = model_of(config, name)
+        program = compile_network(model.network.with_extra_heat(node))
+        heat = np.zeros(drive.inputs.shape[:2])
+        if number in own:
+            heat[:] = _heat_w(drive, name, own[number], regime)[:, None]
+        initial = initial_temperatures(compiled_model(model), drive, name)
+        result = march([program], drive.with_extra_heat(heat), name, initial)
+        shown[number, name] = {
+            s.node: result[model.shown(s.node)] for s in comparison.series
+        }
+    return comparison.less_measured(config, shown)[:, 0]
+
+
+def _heat_w(drive: Drive, corner: str, series: Series, regime: str) -> Column:
+    power = drive.channel(corner, "brake_power_w")
+    braking = power > BRAKING_W
+    moving = drive.channel(corner, "speed_ms") > STANDING_MS
+    if regime == "braking" and series.node == "disc":
+        return np.asarray(OF_BRAKING * power * braking)
+    mask = {
+        "braking": braking,
+        "driving": moving & ~braking,
+        "parked": ~moving & ~braking,
+    }[regime]
+    rise = np.interp(drive.time_s, series.time_s, series.rise_k)
+    typical = TYPICAL_W_K.get(series.node, OTHER_W_K)
+    return np.asarray(typical * rise * mask)

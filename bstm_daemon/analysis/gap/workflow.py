@@ -26,11 +26,13 @@ from bstm_daemon.analysis.gap.fitting import (
     prior_along,
 )
 from bstm_daemon.analysis.gap.holdout_comparison import Shown, show
-from bstm_daemon.analysis.gap.locating import Located, locate
 from bstm_daemon.analysis.gap.naming import Naming, name_effect
 from bstm_daemon.analysis.gap.noise import calibrated, noise_of
+from bstm_daemon.analysis.gap.residual_heat import Located, locate
 from bstm_daemon.analysis.gap.signatures import Linearised, candidates, sensed
 from bstm_daemon.analysis.matching.tunables import (
+    measured_targets,
+    over_targets,
     refined_keys,
     targets_of,
     usable,
@@ -136,23 +138,14 @@ def find_gap(
     Raises:
         LogError: no corner with a thermocouple.
     """
-    measured = {corner for one in recordings for corner in one.drive.measured}
-    targets = targets_of(config, sorted(measured))
-    if not targets:
-        msg = "no measured temperature of a disc brake in these recordings"
-        raise LogError(msg)
-
-    found = []
-    for number, target in enumerate(targets):
-
-        def report_share(share: float, number: int = number) -> None:
-            if progress is not None:
-                progress((number + share) / len(targets))
-
-        found.append(
-            _gap(target, recordings, held_out, until, question, report_share)
-        )
-    return found
+    targets = measured_targets(config, [one.drive for one in recordings])
+    return over_targets(
+        targets,
+        lambda target, report_share: _gap(
+            target, recordings, held_out, until, question, report_share
+        ),
+        progress,
+    )
 
 
 def compare(target: Target, recordings: Sequence[Recording]) -> Comparison:
@@ -194,12 +187,9 @@ def _gap(
         until == "show" and naming.answer in {"class", "undecided"}
     ):
         plain = _advised(plain, comparison, known, question, report_share)
-    if until in {"gate", "name", "advise"} or naming.answer not in {
-        "name",
-        "class",
-    }:
+    best = naming.adoptable
+    if until in {"gate", "name", "advise"} or not best:
         return plain
-    best = naming.names if naming.answer == "name" else naming.names[:1]
     start = {
         one.name: one.strength for one in naming.candidates if one.name in best
     }
@@ -210,16 +200,12 @@ def _gap(
         known_k=simulated.jacobian_k,
     )
     report_share(0.85)
-    shown = None
-    maps: tuple[Located | None, Located | None] = (None, None)
-    if until == "show":
-        shown = show(
-            comparison, extended, held_out, known_k=simulated.jacobian_k
-        )
-        maps = _maps(comparison, extended, held_out or recordings)
-    return replace(
-        plain, fit=extended, shown=shown, before=maps[0], after=maps[1]
-    )
+    plain = replace(plain, fit=extended)
+    if until != "show":
+        return plain
+    shown = show(comparison, extended, held_out, known_k=simulated.jacobian_k)
+    before, after = _maps(comparison, extended, held_out or recordings)
+    return replace(plain, shown=shown, before=before, after=after)
 
 
 def _advised(
@@ -310,11 +296,13 @@ def _prospects(
     found = []
     prior = np.zeros(0)
     for number, name in enumerate(question.menu):
-        drive = candidate_drive(name, target.config, present, couples)
-        comparison = compare(target, [drive.recording])
+        recording, description = candidate_drive(
+            name, target.config, present, couples
+        )
+        comparison = compare(target, [recording])
         if noise is not None:
             comparison.set_noise({**comparison.noise, **noise})
-        one = prospect(comparison, question.among, drive.description)
+        one = prospect(comparison, question.among, description)
         basis = directions(comparison)
         found.append(replace(one, jacobian=one.jacobian @ basis))
         prior = prior_along(comparison, basis)
@@ -333,11 +321,7 @@ def _maps(
     heated = []
     for one in recordings:
         drive = one.heated_by(after) if heat else one.drive
-        power = {
-            corner: scale * drive.channel(corner, "brake_power_w")
-            for corner in drive.corners
-        }
-        heated.append(replace(one, drive=drive.with_power(power)))
+        heated.append(replace(one, drive=drive.with_power_times(scale)))
     return (
         locate(target.config, recordings, target.corners),
         locate(after, heated, target.corners),

@@ -1,1 +1,1 @@
-"""What a drive shows about the car: resistances, friction, stops."""
+"""Identification of the car from drives: resistances, friction, cooling."""

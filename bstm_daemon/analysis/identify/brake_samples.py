@@ -1,9 +1,9 @@
-"""Brake force from motion beside the pressure of it, stop by stop.
+"""Samples of brake force from motion with the pressure, stop by stop.
 
 A press and the next one less than two seconds later are one application: the
-thesis's pulsed stops (Fig 4.6) are stops. The force is Eq 4.11 less what it
-says with the brake released just before and after: accelerometer bias and
-errors of the resistances fall out.
+thesis's pulsed stops (Fig 4.6) are stops. The force is Eq 4.11 less its
+value with the brake released just before and after: accelerometer bias and
+errors of the resistances cancel.
 """
 
 from __future__ import annotations
@@ -42,28 +42,29 @@ SHORTEST_S: Final = 0.4
 """A shorter press is a touch of the pedal."""
 
 STANDING_MS: Final = 0.5
-"""At or below this nothing slides; sensors with a dead band read 0."""
+"""At or below this speed nothing slides; sensors with a dead band read 0."""
 
 LOWEST_MS: Final = 2.5
-"""Below, the stop itself (a car that rocks back) is in the accelerometer."""
+"""Lowest speed of a sample; below it the accelerometer includes the jerk of
+the stop."""
 
 LEAST_PRESSURE_PA: Final = 2e5
-"""Whole windows above it: below, seals and springs decide."""
+"""Lowest pressure of a window; below it seals and springs dominate."""
 
 STEADY_PA_S: Final = 15e5
-"""Pressure that changes faster is ahead of the pads: lines and valves."""
+"""Fastest change of pressure in a sample; a faster one leads the pads."""
 
 JUMPING_PA_S: Final = 60e5
-"""... and where every stop is shown, hard ones too."""
+"""Fastest change of pressure if every stop is shown, hard ones too."""
 
 AROUND_S: Final = 12.0
 QUIET_S: Final = 1.0
 LEAST_QUIET_S: Final = 1.5
-"""The released brake is looked at so far before and after a stop, but for
-the time next to it, and for at least so long."""
+"""Time before and after a stop in which the released brake is measured, gap to
+the stop, and least time measured."""
 
 DRIVEN_MS2: Final = 0.4
-"""Strong torque has an error of its own: no zero is taken there."""
+"""Largest drive at which a zero is taken; strong torque adds its own error."""
 
 CORNERING_MS2: Final = 1.5
 
@@ -129,7 +130,7 @@ class Samples:
 class BrakeStop(Samples):
     """The samples of one application of the brake.
 
-    ``since_s`` (n,) counts from the press, ``zero_n`` is what the force says
+    ``since_s`` (n,) counts from the press, ``zero_n`` is the force measured
     with the brake released, ``own_zero`` whether around this stop.
     ``initial_c`` has the measured discs' temperatures at the press, by corner.
     """
@@ -152,13 +153,13 @@ def brake_samples(
     *,
     every_stop: bool = False,
 ) -> tuple[list[BrakeStop], float, str]:
-    """Return what *driving* shows of the brakes of *config*.
+    """Return the brake samples of *driving* with the brakes of *config*.
 
-    The stops with samples, what the released pressure reads [Pa], and what
-    was searched in words.
+    The stops with samples, the reading of the released pressure [Pa], and
+    what was searched in words.
 
     *lag_s* is the time constant by which the pads follow a circuit's
-    pressure; one measured at the wheel has it in it. *every_stop* takes
+    pressure; one measured at the wheel includes it. *every_stop* takes
     those too in which anti-lock control acts, or of which no zero is known:
     their zero is 0.
     """
@@ -183,7 +184,7 @@ def brake_samples(
     released = _released(driving, top - rest)
     zeros = [_zero(force, released, span) for span in spans]
     known = [zero for zero in zeros if zero is not None]
-    # the grade of one place is no other's: a zero of elsewhere holds only
+    # the grade differs from place to place: a zero of elsewhere holds only
     # where the accelerometer has the grade
     common = 0.0 if every_stop else None
     if known and driving.has_accelerometer:
@@ -198,7 +199,7 @@ def brake_samples(
         if offset is None:
             without_zero += 1
             continue
-        rows = _apart(span.first + np.flatnonzero(usable[span.points]))
+        rows = _spaced(span.first + np.flatnonzero(usable[span.points]))
         if not len(rows):
             continue
         stops.append(
@@ -249,7 +250,7 @@ def force_n(driving: Driving) -> Column:
 
 
 def lagged(value: Column, lag_s: float) -> Column:
-    """Return *value*, (n,), behind a first-order lag; NaN starts it anew."""
+    """Return *value*, (n,), behind a first-order lag; NaN restarts it."""
     if lag_s <= 0.0:
         return value
     gain = 1.0 - float(np.exp(-GRID_S / lag_s))
@@ -262,7 +263,7 @@ def lagged(value: Column, lag_s: float) -> Column:
 
 
 def _rest_pa(driving: Driving, top: Column) -> float:
-    """Return what the pressure reads with the brake surely released.
+    """Return the reading of the pressure with the brake certainly released.
 
     The car gains speed, or rolls at the lowest pressures of the log.
     """
@@ -276,7 +277,7 @@ def _rest_pa(driving: Driving, top: Column) -> float:
 
 
 def _released(driving: Driving, top: Column) -> Mask:
-    """Return where the brake is off and the force should be nothing."""
+    """Return where the brake is off and the force should be zero."""
     car = driving.vehicle
     limit_n = DRIVEN_MS2 * car.mass_kg
     released = (top < 0.5 * RELEASED_PA) & (driving.speed_ms > LOWEST_MS)
@@ -304,7 +305,7 @@ def _zero(force: Column, released: Mask, span: Span) -> float | None:
 def _usable(
     driving: Driving, pressures: dict[str, Column], *, every_stop: bool
 ) -> Mask:
-    """Return where force and pressure belong together."""
+    """Return where force and pressure correspond."""
     usable = driving.speed_ms > LOWEST_MS
     for pressure in pressures.values():
         lowest = _lowest_around(pressure)
@@ -343,8 +344,8 @@ def _axle(
     return (total / gain if gain else total), gain
 
 
-def _apart(rows: Indices) -> Indices:
-    """Return those of *rows* that are a window apart."""
+def _spaced(rows: Indices) -> Indices:
+    """Return those of *rows* that are at least a window apart."""
     kept: list[int] = []
     for row in rows.tolist():
         if not kept or row - kept[-1] >= EVERY:
@@ -363,7 +364,7 @@ def _initial_c(driving: Driving, first: int) -> dict[str, float]:
 
 
 def _corner_pressures(driving: Driving, config: Config) -> dict[str, Column]:
-    """Return the pressure that each corner goes by [Pa], (n,) each.
+    """Return the pressure of each corner [Pa], (n,) each.
 
     Its wheel's own, else that of its circuit, behind the rear table: the
     rules of the estimator. A corner without any is left out.

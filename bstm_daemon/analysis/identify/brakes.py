@@ -2,13 +2,13 @@
 
 Least squares of ``F = s sum K (p - p0)`` over samples of many stops, K the
 configured geometry of Eq 4.1: s is what the configured friction has to be
-multiplied by, p0 the pressure of the signal at which braking begins. Where
-friction leans on speed or pressure, the exponents of either are added (Rhee
+multiplied by, p0 the pressure of the signal at which braking begins. If
+friction depends on speed or pressure, the exponents of either are added (Rhee
 1974, SAE 740415: F = K p^a v^b, here to first order), else its curvature would
 look like a push-out.
 
-With one pressure for both axles the car's motion shows their sum only. Where
-their pressures part, ``F = s_f K_f (p_f - p0) + s_r K_r (p_r - p0)`` is
+With one pressure for both axles the car's motion shows their sum only. If
+their pressures differ, ``F = s_f K_f (p_f - p0) + s_r K_r (p_r - p0)`` is
 linear in both scales and in one constant.
 """
 
@@ -36,44 +36,44 @@ if TYPE_CHECKING:
 
 LEAST_SAMPLES: Final = 12
 PRESSURE_SPREAD_PA: Final = 3e5
-"""From the 10th to the 90th percentile of the pressures: tells push-out from
-friction. A few samples of the press itself are no spread."""
+"""Least difference of the 10th and 90th percentile of the pressures, below
+which push-out and friction can not be separated."""
 
 RELATIVE_ERROR: Final = 0.1
 PUSHOUT_ERROR_PA: Final = 0.5e5
-"""A value with a larger standard error, of scale or push-out, is not given."""
+"""Largest standard errors of a scale (relative) and a push-out to report."""
 
 LOWEST_PUSHOUT_PA: Final = -1e5
-"""No sensor's zero is lower: then something else brakes the car."""
+"""No sensor's zero is lower; a lower result means that something else brakes
+the car."""
 
 SCATTER: Final = 0.2
-"""Residual over mean force from which pressure is not what brakes."""
+"""Residual over mean force above which something else than pressure brakes."""
 
 LAGS_S: Final = (0.0, 0.05, 0.1, 0.15, 0.2, 0.3)
 """Time constants of the hydraulics that are tried."""
 
 LAG_GAIN: Final = 0.8
-"""A lag is one if it brings the weighted residual below this share."""
+"""A lag is accepted if it reduces the weighted residual below this share."""
 
 
 FLOOR_N: Final = 100.0
 SHARE: Final = 0.03
-"""What a sample may err by: noise and grade, and friction itself."""
+"""Standard deviation of a sample: noise and grade [N], friction [share]."""
 
 SIGMAS: Final = 3.0
-"""A lean on speed or pressure must stand out so far."""
+"""Least exponent of speed or pressure, in standard errors."""
 
 LEAST_LEAN: Final = 0.01
-"""... and change friction by so much over the range of the samples."""
+"""Least change of friction by an exponent over the range of the samples."""
 
 ROUNDS: Final = 12
 
 PARTS: Final = 10
-"""Errors come from leaving out one such part of the samples at a time, where
-there are too few stops for that."""
+"""Parts of the samples for the jackknife if there are too few stops."""
 
 AXLE_SPREAD: Final = 0.05
-"""Spread of rear over front pressure that tells the axles apart."""
+"""Least spread of rear over front pressure to separate the axles."""
 
 AXLE_ERROR: Final = 0.05
 """Largest standard error of a front share that is identified."""
@@ -85,12 +85,12 @@ AXLE_VALUES: Final = ("front", "rear", "total", "share", "pushout")
 
 @dataclass(frozen=True, slots=True)
 class Brakes:
-    """What the stops show about the brakes.
+    """Brake parameters identified from the stops.
 
     ``scale`` is the factor on the configured friction coefficients (of
     ``front_scale`` and ``rear_scale`` on those of an axle), at the means of
     ``samples``; ``lean_speed`` and ``lean_pressure`` are the exponents
-    that friction has there, None where none shows. ``pushout_pa`` is in
+    of friction there, None if not significant. ``pushout_pa`` is in
     the signal's own zero, which reads ``rest_pa`` with the brake released.
     ``front_share`` is the front axle's share of the brake force at equal
     pressure.
@@ -156,7 +156,7 @@ def _stops(
         hint = (
             ""
             if driving.line_known
-            else "; nothing tells the torque at the wheels"
+            else "; the torque at the wheels is unknown"
         )
         searched.append(f"{driving.name}: {words}{hint}")
     return stops, searched, rests
@@ -247,7 +247,7 @@ def _result(
 
 
 def _caveat(scale: Value, pushout: Value, scatter: float) -> str:
-    """Say why nothing is identified; empty if something is.
+    """Return why nothing is identified; empty if something is.
 
     *scatter* is the residual over the mean force.
     """
@@ -302,7 +302,7 @@ class Table(Samples):
     pressure_mean_pa: float
 
     def chosen(self, rows: Indices) -> Table:
-        """Return the samples *rows*, around the same means."""
+        """Return the samples *rows*, with the same reference means."""
         columns: dict[str, Any] = {
             name: getattr(self, name)[rows] for name in (*COLUMNS, "stop")
         }
@@ -356,7 +356,7 @@ def settled(
         if not weak.any():
             rest = table.force_n - model(table, fit)
             return fit, leans, errors, float(np.sqrt(np.mean(rest**2)))
-        # the weaker one first: without it the other may stand out
+        # the weaker one first: without it the other may be significant
         ratio = size / np.where(error > 0.0, error, 1.0)
         leans[np.where(weak, ratio, np.inf).argmin()] = False
 
@@ -371,7 +371,7 @@ def model(table: Table, parameters: Column) -> Column:
 
 
 def fit_table(table: Table, pushout_pa: float | None, leans: Mask) -> Column:
-    """Solve for (scale, push-out, leans): linear but for their product."""
+    """Solve for (scale, push-out, leans): linear except for their product."""
     weight = table.weights()
     pushout = 0.0 if pushout_pa is None else pushout_pa
     used = [x for x, on in zip(table.leaning(), leans, strict=True) if on]
@@ -397,7 +397,7 @@ def fit_table(table: Table, pushout_pa: float | None, leans: Mask) -> Column:
 def errors_of(table: Table, pushout_pa: float | None, leans: Mask) -> Column:
     """Return standard errors by leaving out one stop, or a tenth, at a time.
 
-    Samples of a stop err alike, so that stops and not samples count.
+    Errors within a stop are correlated, so that stops and not samples count.
     """
     groups = table.stop
     if len(np.unique(groups)) < 4:
@@ -411,7 +411,7 @@ def errors_of(table: Table, pushout_pa: float | None, leans: Mask) -> Column:
 def fit_axles(
     table: Table, config: Config, pushout_pa: float | None
 ) -> tuple[dict[str, Value], float]:
-    """Fit the axles of *config* apart; *pushout_pa* is held if given.
+    """Fit the axles of *config* separately; *pushout_pa* is held if given.
 
     Returns the values of :data:`AXLE_VALUES`, ``total`` being the scale of
     both axles at equal pressure, and the residual [N].
@@ -474,7 +474,7 @@ def _solve_axles(table: Table, pushout_pa: float | None) -> Column:
 
 
 def _why_not(table: Table, config: Config) -> str:
-    """Say why front and rear can not be told apart; empty if they can."""
+    """Return why front and rear can not be separated; empty if they can."""
     if not table.front_gain or not table.rear_gain:
         return "brakes of one axle only have a pressure"
     ratio = table.rear_pa / table.front_pa
@@ -488,8 +488,8 @@ def _why_not(table: Table, config: Config) -> str:
     )
     if not any(role.startswith("wheel_pressure_") for role in config.signals):
         text += (
-            ". Wheel pressures that part (brake force distribution, one "
-            "circuit bled) would tell; wheel slip would need the tyres' "
+            ". Wheel pressures that differ (brake force distribution, one "
+            "circuit bled) would show it; wheel slip would need the tyres' "
             "stiffness"
         )
     return text

@@ -7,7 +7,7 @@ Least squares of
 over windows of a few seconds: the change of speed over a window is exact, no
 derivative is taken. An accelerometer reads ``dv/dt + g sin(grade) + bias``
 and gives the shape of the grade. Its bias, or without it each run's grade, is
-one constant with f_r; runs in both directions of one road settle it.
+one constant with f_r; runs in both directions of one road separate them.
 """
 
 from __future__ import annotations
@@ -45,25 +45,24 @@ FAINT: Final = 0.5
 """A value with a larger relative standard error is not identified."""
 
 TIED: Final = 0.995
-"""Two values with a larger correlation can not be told apart; from 100 down
+"""Two values with a larger correlation can not be separated; from 100 down
 to 15 km/h it is 0.98, from 60 to 40 above 0.999."""
 
 LEAST_WINDOWS: Final = 12
-"""Fewer leave the residual, and with it every error, to chance."""
+"""With fewer the residual, and with it every standard error, is unreliable."""
 
 MOST: Final = {
     "drag_area_m2": 20.0,
     "friction_ns_m": 200.0,
     "rolling_resistance": 0.1,
 }
-"""A lorry with a trailer, a bad gearbox, loose sand."""
+"""Upper bounds: a lorry with a trailer, a bad gearbox, loose sand."""
 
 WINDOW_S: Final = 4.0
-"""The change of speed over it stands out of a quantum of 0.06 m/s."""
+"""Long enough for a change of speed well above a quantum of 0.06 m/s."""
 
-APART_MS2: Final = 0.01
-"""Directions whose grades are nearer (0.1 %) are one and the same level
-road."""
+LEVEL_MS2: Final = 0.01
+"""Directions whose grades differ by less (0.1 %) are of one level road."""
 
 Road = Literal["both ways", "one way", "level"]
 
@@ -101,8 +100,8 @@ def identify_coast_down(
         drivings: the logs.
         config: the car; its mass and wheels are taken as they are.
         held: keys of :data:`NAMES` that keep their configured value.
-        one_way: the runs do not return on their road, so that nothing tells
-            f_r from grade and bias.
+        one_way: the runs do not return on their road, so that f_r can not be
+            separated from grade and bias.
         even_grade: the grade is one constant for each run; the
             accelerometer and its noise are left out.
 
@@ -119,7 +118,7 @@ def identify_coast_down(
         msg = "no coast-down found. " + "; ".join(searched)
         if not any(d.line_known for d in drivings):
             msg += (
-                "; nothing tells whether the engine pulls: map gear, "
+                "; no signal shows whether the engine pulls: map gear, "
                 "clutch_open or powertrain_torque, or declare [heat] "
                 "assume_powertrain_torque_nm"
             )
@@ -148,7 +147,9 @@ def _result(
     caveats = dict.fromkeys(NAMES, "")
     if one_way:
         road = "one way"
-        caveats[NAMES[2]] = "the runs do not return: it is one with the grade"
+        caveats[NAMES[2]] = (
+            "the runs do not return: inseparable from the grade"
+        )
     middle, middle_error = middle_of(fit.apparent_ms2, directions)
     mass_kg, weight = vehicle.mass_kg, vehicle.mass_kg * GRAVITY_MS2
     # with an accelerometer the one constant is m (g f_r - bias)
@@ -205,7 +206,7 @@ def _result(
 
 
 def _caveat(row: int, value: float, error: float, fit: Fit) -> str:
-    """Say why a value is not identified; empty if it is."""
+    """Return why a value is not identified; empty if it is."""
     if fit.windows < LEAST_WINDOWS:
         return f"{fit.windows} windows only, {LEAST_WINDOWS} needed"
     tied = [
@@ -214,9 +215,9 @@ def _caveat(row: int, value: float, error: float, fit: Fit) -> str:
         if other != row and abs(fit.correlation[row, other]) > TIED
     ]
     if tied:
-        return f"can not be told from {' and '.join(tied)}: more speeds needed"
+        return f"inseparable from {' and '.join(tied)}: more speeds needed"
     if not 0.0 <= value <= MOST[NAMES[row]]:
-        return f"{value:.3g} can not be: something else slows the car"
+        return f"{value:.3g} is impossible: something else slows the car"
     if error > FAINT * value:
         return f"standard error of {100 * error / (value or 1e-30):.0f} %"
     return ""
@@ -244,7 +245,7 @@ def _remarks(
             "run, is 0.001 of f_r"
         )
     else:
-        remarks.append("f_r is not told from grade and accelerometer bias")
+        remarks.append("f_r includes grade and accelerometer bias")
     if not with_sensor:
         remarks.append(
             "the accelerometer is not used: the grade is one constant for "
@@ -284,8 +285,8 @@ class Fit:
 def _windows(stretches: Sequence[Stretch], *, with_sensor: bool) -> Matrix:
     """Return run, force [N] and the means of v^2 and v of each window, (4, k).
 
-    The force is what only the resistances explain. With the accelerometer
-    climbing is in its reading, without it stays in.
+    The force is that of the resistances. With the accelerometer climbing is
+    subtracted, without it is included.
     """
     steps = round(WINDOW_S / GRID_S)
     rows: list[tuple[float, float, float, float]] = []
@@ -348,7 +349,7 @@ def fit_windows(
     )
     for row, value in zip(free, fit.estimate.tolist(), strict=False):
         known[row] = value
-    # of the constants the mean: what f_r follows from
+    # f_r follows from the mean of the constants
     mix = np.zeros((3, len(fit.estimate)))
     mix[free, range(len(free))] = 1.0
     mix[2, len(free) :] = 1.0 / constants.shape[1]
@@ -379,8 +380,8 @@ def _apparent_ms2(stretch: Stretch) -> float:
     """Return the mean of grade times g plus bias over the way."""
     driving, part = stretch.driving, stretch.points
     speed = driving.speed_ms[part]
-    apart = driving.slope_ms2[part]
-    return float((apart * speed).sum() / speed.sum())
+    slope_ms2 = driving.slope_ms2[part]
+    return float((slope_ms2 * speed).sum() / speed.sum())
 
 
 def directions_of(apparent_ms2: Column) -> list[int]:
@@ -390,7 +391,7 @@ def directions_of(apparent_ms2: Column) -> list[int]:
     """
     order = np.sort(apparent_ms2)
     gaps = np.diff(order)
-    if not len(gaps) or gaps.max() < APART_MS2:
+    if not len(gaps) or gaps.max() < LEVEL_MS2:
         return [0] * len(apparent_ms2)
     split = 0.5 * (order[gaps.argmax()] + order[gaps.argmax() + 1])
     return [1 if one > split else -1 for one in apparent_ms2.tolist()]

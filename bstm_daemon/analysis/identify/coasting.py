@@ -1,6 +1,6 @@
-"""Coast-downs: nothing drives the car, nothing brakes it.
+"""Coast-downs: stretches in which nothing drives or brakes the car.
 
-Each is held against theory: v(t) of Fig 4.4, energies of Eq 4.5.
+Each is compared with theory: v(t) of Fig 4.4, energies of Eq 4.5.
 """
 
 from __future__ import annotations
@@ -26,21 +26,21 @@ if TYPE_CHECKING:
     from bstm_daemon.model.heat.feed_back import Vehicle
 
 LOWEST_MS: Final = 2.5
-"""Below, wheel sensors with few teeth and a dead band are not trusted."""
+"""Lowest speed: below it wheel sensors with few teeth are not reliable."""
 
 SHORTEST_S: Final = 15.0
 LEAST_FALL_MS: Final = 4.0
-"""A stretch must last and slow the car so far, else noise outweighs it."""
+"""Least time and loss of speed of a stretch, to exceed the noise."""
 
 SETTLING_S: Final = 1.5
-"""Left out at both ends: drive line and body swing, filters settle."""
+"""Time left out at both ends, while drive line, body and filters settle."""
 
 DRIVEN_MS2: Final = 0.05
-"""Torque at the wheels over the mass that still counts as coasting where no
-gear or clutch tells; it is known and taken into account."""
+"""Torque at the wheels over the mass up to which the car counts as coasting if
+no gear or clutch signal shows it; it is known and taken into account."""
 
 CORNERING_MS2: Final = 0.5
-"""Tyres at an angle brake the car."""
+"""Largest lateral acceleration, as cornering tyres brake the car."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,7 +96,7 @@ def _conditions(driving: Driving) -> list[tuple[str, Mask]]:
     released = driving.released()
     released &= ~flagged(channels, (*CONTROL, "park_brake"))
     name = "brakes released"
-    if not driving.tells_brake:
+    if not driving.brake_known:
         name = "brakes known to be released (no pressure, no brake_switch)"
     steps = [
         (f"above {LOWEST_MS * 3.6:.0f} km/h", moving),
@@ -171,10 +171,10 @@ def run_of(
     traction = driving.traction_n[part]
     slope_ms2 = np.full(len(time_s), GRAVITY_MS2 * grade)
     if bias_ms2 is not None:
-        apart = driving.slope_ms2[part] - bias_ms2
+        grade_ms2 = driving.slope_ms2[part] - bias_ms2
         # three numbers a run: more would hand the measurement to the theory
         x = time_s / max(float(time_s[-1]), GRID_S)
-        slope_ms2 = np.polynomial.Polynomial.fit(x, apart, 2)(x)
+        slope_ms2 = np.polynomial.Polynomial.fit(x, grade_ms2, 2)(x)
     return Run(
         stretch,
         direction,

@@ -1,7 +1,7 @@
 """Stretches in which a hot disc cools at one speed, without braking.
 
-Everything is on steps of a second: discs are slow, and a mean over a second
-is what a thermocouple says.
+All series have steps of a second: discs are slow, and a thermocouple measures
+about the mean over a second.
 """
 
 from __future__ import annotations
@@ -22,25 +22,26 @@ if TYPE_CHECKING:
 
 STEP_S: Final = 1.0
 BIN: Final = 5
-"""Steps to a mean, which a regression takes as one reading."""
+"""Steps averaged to one reading of the regression."""
 
 SETTLING_S: Final = 10.0
-"""After braking: the disc's inside and the thermocouple follow its face."""
+"""Settling time after braking, until the disc's inside and the thermocouple
+have followed its face."""
 
 SHORTEST_S: Final = 60.0
 STANDING_MS: Final = 0.3
 SPAN_MS: Final = 1.2
 SPAN_SHARE: Final = 0.08
-"""A speed counts as one within the wider of these, from least to most."""
+"""Widest range of speed within a cool-down: the larger of the two."""
 
 HOT_K: Final = 40.0
-"""A disc must be so far above ambient at the start ..."""
+"""Least temperature above ambient at the start of a cool-down."""
 
 WARM_K: Final = 15.0
-"""... and is followed down to here, where ambient's error outweighs it ..."""
+"""Temperature above ambient at which it ends: ambient's error dominates."""
 
 FALL_K: Final = 10.0
-"""... and must fall by this."""
+"""Least fall of temperature in a cool-down."""
 
 AXLES: Final = {"F": "front", "R": "rear"}
 COUPLES: Final = ("disc", "disc_2")
@@ -169,8 +170,8 @@ def cool_downs(slow: Slow) -> tuple[list[CoolDown], str]:
         f"one speed for {SHORTEST_S:g} s or more, {len(found)} times a disc "
         f"{HOT_K:g} K above ambient that falls by {FALL_K:g} K"
     )
-    if not (slow.driving.tells_brake or found):
-        words += "; nothing tells that the brake is released while driving"
+    if not (slow.driving.brake_known or found):
+        words += "; no signal shows that the brake is released while driving"
     return found, words
 
 

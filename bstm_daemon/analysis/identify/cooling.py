@@ -37,18 +37,18 @@ POINTS: Final = 5
 """Measurements the thesis takes from a cool-down; ten pairs."""
 
 FAINT: Final = 0.2
-"""A larger share of standard error is no value."""
+"""A value with a larger relative standard error is not identified."""
 
 WRONG_FORM: Final = 3.0
-"""The other form is named where it leaves this much less."""
+"""The other form is named if it reduces the residual by this factor."""
 
 NEAR_SHARE: Final = 0.1
 NEAR_MS: Final = 1.0
-"""A point of the table so near a speed that was driven gives way to it."""
+"""A point of the table this near to a speed that was driven is dropped."""
 
 STANDING_BLEND: Final = 0.02
-"""Least S at standstill, as a share of the whole loss, to be told from the
-radiation."""
+"""Least S at standstill, as a share of the whole loss, to be separable from
+the radiation."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,7 +58,7 @@ class CoolingPoint(Value):
     ``ten_pairs`` is the thesis's average over the same cool-downs and
     ``ten_pairs_spread`` the standard deviation of its pairs; both hold
     radiation. At standstill ``value`` is the convection beside the configured
-    radiation and ``whole`` all of the loss; elsewhere they are one.
+    radiation and ``whole`` all of the loss; elsewhere they are equal.
     """
 
     speed_ms: float
@@ -71,7 +71,7 @@ class CoolingPoint(Value):
 
     @property
     def loss(self) -> tuple[float, float]:
-        """What to configure as S: all of the loss, and its standard error."""
+        """The S to configure: all of the loss, and its standard error."""
         if self.speed_ms <= 0.0:
             return self.whole, self.whole_error
         return self.value, self.standard_error
@@ -86,7 +86,7 @@ class CoolingPoint(Value):
 class AxleCooling:
     """The S-function of an axle's discs.
 
-    ``table`` is what to configure: (speed [m/s], S [1/s], whether measured)
+    ``table`` is to be configured: (speed [m/s], S [1/s], whether measured)
     by rising speed; ``still`` the convection fraction at standstill, None
     where it was not measured.
     """
@@ -102,7 +102,7 @@ class AxleCooling:
 
 @dataclass(frozen=True, slots=True)
 class Cooling:
-    """What the cool-downs of all logs show."""
+    """Results from the cool-downs of all logs."""
 
     axles: tuple[AxleCooling, ...]
     searched: tuple[str, ...]
@@ -145,7 +145,7 @@ def speed_groups(
 ) -> tuple[list[int], list[float]]:
     """Return the group of each of *downs* and each group's mean speed.
 
-    Speeds no further apart than one cool-down's own may be are one.
+    Speeds that differ by no more than those within a cool-down are one group.
     """
     speeds = np.array([0.0 if d.standing else d.mean_speed_ms for d in downs])
     order = np.argsort(speeds, kind="stable")
@@ -153,8 +153,8 @@ def speed_groups(
     number, first = 0, float(speeds[order[0]])
     for place in order.tolist():
         speed = float(speeds[place])
-        apart = speed - first > max(SPAN_MS, SPAN_SHARE * speed)
-        if apart or (first == 0.0 < speed):
+        is_next = speed - first > max(SPAN_MS, SPAN_SHARE * speed)
+        if is_next or (first == 0.0 < speed):
             number, first = number + 1, speed
         groups[place] = number
     means = [
@@ -223,10 +223,10 @@ def ten_pairs(series: Series) -> list[float]:
     places = np.linspace(0, len(above) - 1, POINTS).round().astype(int)
     found = []
     for a, b in combinations(places.tolist(), 2):
-        apart_s = float(series.time_s[b] - series.time_s[a])
-        usable = apart_s > 0.0 and above[a] > 0.0 and above[b] > 0.0
+        dt_s = float(series.time_s[b] - series.time_s[a])
+        usable = dt_s > 0.0 and above[a] > 0.0 and above[b] > 0.0
         found.append(
-            float(np.log(above[a] / above[b])) / apart_s if usable else nan
+            float(np.log(above[a] / above[b])) / dt_s if usable else nan
         )
     return found
 
@@ -247,8 +247,8 @@ def _table(
 ) -> tuple[tuple[float, float, bool], ...]:
     """Return the table to configure: driven speeds, the others scaled.
 
-    A configured point that was not driven is moved by what its neighbours
-    moved by, so that the table keeps its shape where nothing was measured.
+    A configured point that was not driven is scaled as its neighbours, so
+    that the table keeps its shape where nothing was measured.
     """
     # at standstill S is the whole loss, of which a fraction is convection
     measured = {
@@ -259,7 +259,7 @@ def _table(
     ratios = {
         speed: value / max(float(disc.configured(speed)), 1e-9)
         for speed, value in measured.items()
-        # standstill is another regime: it says nothing of the wind's part
+        # standstill is another regime, which does not show the wind's part
         if speed > 0.0
     }
     rows = [(speed, value, True) for speed, value in measured.items()]

@@ -1,4 +1,4 @@
-"""One regression over all cool-downs (Eq 4.12), with errors that hold."""
+"""One regression over all cool-downs (Eq 4.12), with robust errors."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 
 OFFSET_K: Final = 3.0
 """Spread of a thermocouple against the ambient sensor: type K class 2 is
-+-2.5 K, ambient sensors +-2 K. It is not fitted, what the model misses would
-go there, but its part is in the errors."""
++-2.5 K, ambient sensors +-2 K. It is not fitted, as it would absorb
+model errors, but it counts in the standard errors."""
 
 ROUNDS: Final = 6
 _LEAST_S: Final = 1e-7
@@ -67,8 +67,8 @@ class CoolingFit:
 
 def rms_k(series: Sequence[Series]) -> float:
     """Return the root mean square of measurement less model."""
-    apart = [one.measured_k - one.model_k for one in series]
-    return float(np.sqrt(np.mean(np.concatenate(apart) ** 2)))
+    residuals_k = [one.measured_k - one.model_k for one in series]
+    return float(np.sqrt(np.mean(np.concatenate(residuals_k) ** 2)))
 
 
 class _Regression:
@@ -127,7 +127,7 @@ class _Regression:
                 down.bins(down.speed_ms), mean_ms
             )
         )
-        # without what is beside S, S holds all of the loss
+        # without separate radiation S holds all of the loss
         self._radiation = beside * side_by_side(
             lambda down, loss, _: (
                 loss.radiation_w_k4 * loss.radiating(down.bins(down.speed_ms))
@@ -156,7 +156,7 @@ class _Regression:
     def model(self) -> tuple[Column, Matrix, Matrix]:
         """Return the model in bins (n,), its derivatives (n, p) and (n, c).
 
-        The last are by what each of c thermocouples reads too much.
+        The last are with respect to the offset of each of c thermocouples.
         """
         s, start = self.values[self.groups], self.values[self.count :]
         none = np.zeros(len(self.downs))
@@ -299,9 +299,9 @@ def _by_corner(
 def _scattered(
     covariance: Matrix, by_corner: Sequence[dict[str, tuple[float, float]]]
 ) -> Matrix:
-    """Return *covariance*, wider where corners part by more than it says.
+    """Return *covariance*, widened where corners differ significantly.
 
-    A value for both sides is then uncertain by their half difference.
+    A value for both sides is then uncertain by half their difference.
     """
     factor = np.ones(len(by_corner))
     for group, corners in enumerate(by_corner):

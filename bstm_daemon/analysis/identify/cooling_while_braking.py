@@ -2,12 +2,12 @@
 
 No stretch of one speed is needed: S as a straight line over speed, which the
 thesis finds it to be (section 4.4), a factor on the heat and one on the
-resistances are fitted to windows of a drive. What the fit is worth is its
-error on windows that it did not see. A value for each speed of the table
-would take up what the heat misses at speeds that are only braked through.
+resistances are fitted to windows of a drive. Its quality is the
+error on windows held out of the fit. A value for each speed of the table
+would absorb errors of the heat at speeds that occur only while braking.
 
 Steps of a quarter of a second: a race car's stop lasts two. Brake work is
-what the kinetic energy loses and neither resistances, climb nor drive line
+the loss of kinetic energy that resistances, climb and drive line do not
 account for (Eq 4.5).
 """
 
@@ -50,13 +50,13 @@ if TYPE_CHECKING:
 
 STEP_S: Final = 0.25
 WINDOW_S: Final = 90.0
-"""Long against a stop and short against the drive: about a lap."""
+"""Length of a window, longer than a stop and short within a drive: a lap."""
 
 LEAST_TIMES: Final = 4
-"""Windows in time: two to fit, two to judge by."""
+"""Least number of windows: two to fit, two to validate."""
 
 FAINT: Final = 0.2
-"""A larger share of standard error, at the mean speed, is no value."""
+"""Largest relative standard error of S at the mean speed."""
 
 ENDS: Final = (0.05, 0.95)
 """Shares of the time below the speeds at which the line is held."""
@@ -102,7 +102,7 @@ class Window:
 
 @dataclass(frozen=True, slots=True)
 class BrakedAxle:
-    """What a drive shows about an axle's discs.
+    """Results of a drive for an axle's discs.
 
     S is a line through ``s_per_s`` at the two ``held_ms`` with
     ``covariance``, from leaving out one window at a time. ``heat`` is the
@@ -133,8 +133,8 @@ class BrakedAxle:
     def at(self, speed_ms: float) -> tuple[float, float]:
         """Return S at *speed_ms* and its standard error.
 
-        Beyond the line's ends, the configured S moved by what the end moved
-        by: a line carried on may have no cooling at rest.
+        Beyond the line's ends, the configured S scaled as at the end: an
+        extrapolated line may have no cooling at rest.
         """
         low, high = self.held_ms
         if not self.driven(speed_ms):
@@ -150,11 +150,11 @@ class BrakedAxle:
 
     @property
     def still(self) -> None:
-        """The standstill fraction is not looked for."""
+        """None: the standstill fraction is not identified."""
 
     @property
     def caveat(self) -> str:
-        """Why the line is not settled; empty if it is."""
+        """Why the line is not identified; empty if it is."""
         value, error = self.at(self.mean_speed_ms)
         if error > FAINT * value:
             share = 100.0 * error / max(value, 1e-9)
@@ -174,7 +174,7 @@ class BrakedAxle:
 
 @dataclass(frozen=True, slots=True)
 class BrakedCooling:
-    """What the drives of all logs show."""
+    """Results from the drives of all logs."""
 
     axles: tuple[BrakedAxle, ...]
     remarks: tuple[str, ...]
@@ -211,8 +211,8 @@ def identify_while_braking(
     remarks = [f"{d.name}: {text}" for d in drivings for text in d.remarks]
     if not all(driving.line_known for driving in drivings):
         remarks.append(
-            "nothing tells what the engine does: whatever slows the car "
-            "beyond its resistances is taken as brake"
+            "no signal shows what the engine does: whatever slows the car "
+            "beyond its resistances is taken as braking"
         )
     remarks.append(
         "heat and heat capacity are one: the factor on the heat is that of "
@@ -408,8 +408,8 @@ def _axle(
 def _left_out(left: Matrix, slopes: Matrix, number: Indices) -> Matrix:
     """Return the covariance, leaving out one time at a time (jackknife).
 
-    A window is one number however many steps it has: what it misses is
-    missed all along.
+    A window counts once however many steps it has: its errors are
+    correlated throughout.
     """
     size = slopes.shape[-1]
     count = int(number.max()) + 1

@@ -1,8 +1,8 @@
-"""What a disc loses besides S: the terms of the estimator's disc model.
+"""Heat losses of a disc besides S: the terms of the estimator's disc model.
 
 A cool-down is followed with the configured disc (mass, heat capacity,
 emissivity, standstill blend), so that the S found is the S the estimator
-uses: radiation at standstill is taken off, not fitted a second time.
+uses: radiation at standstill is subtracted, not fitted a second time.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ class DiscLoss:
 
         The blend of the standstill model, and the configured slope of S over
         the small changes of speed. 1 at standstill, where the factor on S
-        and the blend are one number.
+        and the blend can not be separated.
         """
         if mean_ms <= 0.0:
             return np.ones(len(speed_ms))

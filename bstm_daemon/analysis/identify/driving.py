@@ -1,7 +1,7 @@
 """The motion of a recorded car on one time grid, as identification needs it.
 
 Speeds and accelerometer go through the checks of ``bstm check --log`` first:
-a channel that contradicts the others is left out and said, not fitted.
+a channel that contradicts the others is left out and reported, not fitted.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from bstm_daemon.config.sections import Config
 
 CONTROL: Final = ("abs_active", "esc_active", "tc_active")
-"""Flags that say that wheels slip."""
+"""Flags that indicate wheel slip."""
 
 PITCH_WINDOW_S: Final = 20.0
 """Grade changes slower than this, body pitch follows at once."""
@@ -46,8 +46,8 @@ PITCH_RATE_MS2: Final = 0.5
 """Changes of speed that pitch the body well beyond the road's own."""
 
 HARDEST_MS2: Final = 3.5
-"""Beyond, tyres slip: the wheels' speed is no longer the car's, which looks
-like pitch."""
+"""Hardest change of speed used; beyond it tyres slip, which looks like pitch.
+"""
 
 PITCH_LEAST_S: Final = 10.0
 PITCH_SIGMAS: Final = 3.0
@@ -109,16 +109,16 @@ class Driving:
         return top
 
     @property
-    def tells_brake(self) -> bool:
+    def brake_known(self) -> bool:
         """Whether a pressure or the brake switch is in the log."""
         return bool(self.pressures or self.channels.alive(["brake_switch"]))
 
     def released(self) -> Mask:
         """Return where the brake is known to be released, (n,).
 
-        A pressure that is missing for a while is no released brake.
+        A missing pressure does not count as a released brake.
         """
-        released = np.full(len(self.time_s), self.tells_brake)
+        released = np.full(len(self.time_s), self.brake_known)
         for pressure in self.pressures.values():
             released &= pressure < RELEASED_PA
         if self.channels.alive(["brake_switch"]):
@@ -253,18 +253,20 @@ def pitch_of(
     """Return the body's pitch and its standard error, m/s2 a m/s2.
 
     An accelerometer reads ``dv/dt + g sin(grade) + bias + pitch dv/dt``.
-    Grade and bias change slowly, so the fast part of what it reads
-    beyond ``rate`` over that of ``rate`` is the pitch. 0 where it is not seen.
+    Grade and bias change slowly, so the pitch is the slope of the fast part
+    of its difference to ``rate`` over that of ``rate``. 0 if not significant.
     """
-    apart = accel_measured_ms2 - rate_ms2
+    excess_ms2 = accel_measured_ms2 - rate_ms2
     half = round(PITCH_WINDOW_S / GRID_S / 2)
-    fast_apart, fast_rate = (_fast(one, half) for one in (apart, rate_ms2))
-    used = np.isfinite(fast_apart + fast_rate) & (speed_ms > MOVING_MS)
+    fast_excess, fast_rate = (
+        _fast(one, half) for one in (excess_ms2, rate_ms2)
+    )
+    used = np.isfinite(fast_excess + fast_rate) & (speed_ms > MOVING_MS)
     used &= np.abs(fast_rate) > PITCH_RATE_MS2
     used &= np.abs(rate_ms2) < HARDEST_MS2
     if np.count_nonzero(used) * GRID_S < PITCH_LEAST_S:
         return 0.0, np.nan
-    x, y = fast_rate[used], fast_apart[used]
+    x, y = fast_rate[used], fast_excess[used]
     slope = float(x @ y / (x @ x))
     # points half a second apart are independent, those between are not
     independent = max(len(x) * GRID_S / 0.5, 3.0)
@@ -277,13 +279,13 @@ def pitch_of(
 
 
 def _fast(value: Column, half: int) -> Column:
-    """Return *value* less its mean over *half* points each side, if whole."""
+    """Return *value* less its mean over *half* points each side, else NaN."""
     mean, count = running_mean(value, half)
     return np.where(count == 2 * half + 1, value - mean, np.nan)
 
 
 def _drive_line(channels: Channels) -> tuple[Column, Column, str]:
-    """Return torque at the wheels, external force, and what tells of them.
+    """Return torque at the wheels, external force, and their source in words.
 
     An open line has no torque, whatever its signal's zero is.
     """

@@ -2,7 +2,7 @@
 
 Sources are Feed-Forward and Feed-Back as the estimator integrates them, the
 fused power where that heat mode exists, and the bus's own brake torque. Each
-stop is held against its energy balance, Eq 4.5.
+stop is compared with its energy balance, Eq 4.5.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ SOURCES: Final = {
 
 BEFORE_S: Final = 0.3
 AFTER_S: Final = 1.5
-"""A stop's energies are taken from so long before to so long after it: the
-body's and the filter's tail belong to it."""
+"""Time before and after a stop over which its energies are integrated, to
+include the transients of body and filter."""
 
 LEAST_KNOWN: Final = 0.9
 """Share of a stop in which the speed has to be known."""
@@ -43,7 +43,7 @@ LEAST_KNOWN: Final = 0.9
 LEAST_POWER_W: Final = 1000.0
 LEAST_FORCE_N: Final = 300.0
 LEAST_ENERGY_J: Final = 2000.0
-"""Below, a ratio is of noise."""
+"""Least energy for a ratio; below it noise dominates."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,9 +51,10 @@ class HeatStop:
     """A brake application.
 
     ``first`` and ``last`` are rows, both included, of the application,
-    ``begin_s`` and ``end_s`` what energies [J] are taken over: by source in
-    ``energy_j``, the others in ``balance``. ``initial_c`` are the discs'
-    temperatures at the press, measured where they are, else estimated.
+    ``begin_s`` and ``end_s`` the times between which energies [J] are
+    integrated: by source in ``energy_j``, the others in ``balance``.
+    ``initial_c`` are the discs' temperatures at the press, measured if
+    possible, else estimated.
     """
 
     first: int

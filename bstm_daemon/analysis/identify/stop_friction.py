@@ -1,8 +1,8 @@
 """Friction within and from stop to stop, front and rear (thesis Fig 4.7).
 
-Within a stop the car's motion shows one friction for all brakes. What an
-axle's brakes took of a stop's energy shows in their discs: mass times the
-integral of c_p over the measured rise, over the disc's share of the heat.
+Within a stop the car's motion shows one friction for all brakes. An axle's
+share of a stop's energy follows from its discs: mass times the integral of
+c_p over the measured rise, over the disc's share of the heat.
 The axle without thermocouples gets the rest of the energy balance.
 """
 
@@ -29,13 +29,13 @@ if TYPE_CHECKING:
     from bstm_daemon.config.sections import Config, CornerConfig
 
 LONGEST_STOP_S: Final = 15.0
-"""In a longer stop the disc loses what its rise then misses."""
+"""Longest stop; in a longer one the disc loses heat before its peak."""
 
 SETTLING_S: Final = 4.0
-"""The disc's heat spreads so long before its peak is read."""
+"""Time for the disc's heat to spread before its peak is read."""
 
 LEAST_RISE_K: Final = 10.0
-"""A smaller rise is a thermocouple's noise."""
+"""Least rise, above a thermocouple's noise."""
 
 LEAST_ENERGY_J: Final = 50e3
 PARTS: Final = {"front": "F", "rear": "R"}
@@ -64,7 +64,7 @@ class AxleFriction:
 
 @dataclass(frozen=True, slots=True)
 class StopFriction:
-    """Both, and why there are no axles where there are none."""
+    """Friction within and between stops, and why the axles' may be missing."""
 
     within: tuple[WithinStop, ...]
     axles: tuple[AxleFriction, ...]

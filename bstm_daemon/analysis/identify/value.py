@@ -1,4 +1,4 @@
-"""A value that drives show, how sure it is, and why it is none."""
+"""An identified value, its standard error, and why it is missing."""
 
 from __future__ import annotations
 

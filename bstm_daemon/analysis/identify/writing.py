@@ -1,4 +1,4 @@
-"""Identified values into a copy of the configuration, comments kept."""
+"""Writes identified values into a commented copy of the configuration."""
 
 from __future__ import annotations
 

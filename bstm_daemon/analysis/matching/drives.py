@@ -26,17 +26,25 @@ from bstm_daemon.model.thermal.program import Program, compile_network
 from bstm_daemon.native.loader import load_kernel
 from bstm_daemon.replay.columns import present_roles
 from bstm_daemon.replay.results import Collector, Results, ResultsBuilder
-from bstm_daemon.roles import MEASURED_NODES, ROLES
+from bstm_daemon.roles import MEASURED_NODES, ROLE_INDEX, ROLES
 from bstm_daemon.units import KELVIN_OFFSET
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import (
+        Callable,
+        Collection,
+        Iterable,
+        Iterator,
+        Mapping,
+        Sequence,
+    )
     from pathlib import Path
 
     from bstm_daemon.analysis.statistics.series import Column
     from bstm_daemon.bus.signals.columns import Events
     from bstm_daemon.bus.signals.signal_map import SignalMap
     from bstm_daemon.config.sections import Config
+    from bstm_daemon.estimator.blocks import Block
 
 GRID_S: Final = 0.5
 """Step of matching. Energies are exact at any step, as inputs are means."""
@@ -48,14 +56,24 @@ BEGIN_S: Final = 5.0
 """The first temperatures are means over this time; who brakes within it shifts
 the start by half of what it heats."""
 
-TOUCHING_W: Final = 1.0
-"""Pads touch where a brake takes up more."""
+NODE_OF: Final = {"disc_2": "disc"}
+"""Thermocouple to node, where the names differ."""
 
 SETTLING_STEP_S: Final = 20.0
 SETTLING_STEPS: Final = 60
 """Measured nodes are held so long for the others to follow."""
 
 STEPS_A_ROW: Final = round(GRID_S * 1e6) // STEP_US
+
+SEGMENT: Final = ".log.gz"
+"""Ending of the files of a kept record."""
+
+THERMOCOUPLES: Final = frozenset(
+    number
+    for number, role in enumerate(ROLES)
+    if role.name.startswith("temp_")
+)
+"""Numbers of their roles."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,7 +108,8 @@ class Drive:
     pass, means over :data:`GRID_S`; ``corners`` names their second axis.
     ``measured`` has the thermocouples by corner and node. ``estimates`` are
     the estimator's own, where they were asked for; their ``time_s`` counts
-    from ``start_s``. ``learned`` is what fused heat had learned at the end.
+    from ``start_s``. ``learned`` is what fused heat had learned at the end,
+    ``roles`` the numbers of those that the log has a sample of.
     """
 
     name: str
@@ -100,6 +119,7 @@ class Drive:
     measured: Mapping[str, Mapping[str, Thermocouple]]
     estimates: Results | None = field(default=None, repr=False)
     learned: Sequence[float] | None = None
+    roles: frozenset[int] = frozenset()
 
     def __len__(self) -> int:
         """Return the number of steps."""
@@ -122,22 +142,20 @@ class Drive:
         ]
         return column
 
-    def with_power(
-        self, power_w: Mapping[str, Column], *, pressed: bool = False
-    ) -> Drive:
-        """Return the drive with brake power known otherwise.
+    def couples(
+        self, corner: str, nodes: Collection[str]
+    ) -> list[tuple[str, str]]:
+        """Return thermocouples of *corner* and their nodes, of *nodes*."""
+        pairs = [
+            (name, NODE_OF.get(name, name))
+            for name in self.measured.get(corner, {})
+        ]
+        return [pair for pair in pairs if pair[1] in nodes]
 
-        *power_w* gives the mean over each step by corner, (steps,). With
-        *pressed* the pads touch wherever there is some, also where the
-        pressure alone does not tell.
-        """
+    def with_power_times(self, factor: float) -> Drive:
+        """Return the drive with *factor* times its brake power."""
         inputs = self.inputs.copy()
-        on = CHANNELS.index("brake_on")
-        for corner, column in power_w.items():
-            at = self.corners.index(corner)
-            inputs[:, at, CHANNELS.index("brake_power_w")] = column
-            if pressed:
-                inputs[column > TOUCHING_W, at, on] = 1.0
+        inputs[:, :, CHANNELS.index("brake_power_w")] *= factor
         return replace(self, inputs=inputs, estimates=None)
 
     def with_extra_heat(self, heat_w: Column) -> Drive:
@@ -165,14 +183,6 @@ class Rows(InputHistory):
         groups = new[:whole].reshape(-1, STEPS_A_ROW, *self._shape)
         self.parts.append(groups.mean(axis=1))
 
-    def inputs(self, path: Path | str) -> Column:
-        """Return all rows; raises LogError where *path* gave none."""
-        found = np.concatenate(self.parts or [np.zeros((0, *self._shape))])
-        if not len(found):
-            msg = f"{path}: too short to match"
-            raise LogError(msg)
-        return found
-
 
 def read_drive(  # noqa: PLR0913
     path: Path,
@@ -189,65 +199,136 @@ def read_drive(  # noqa: PLR0913
     *learned* is what earlier drives taught of the car, for fused heat.
 
     Raises:
-        LogError: unusable, without thermocouples or what its heat is formed
-            from, or its clock jumps.
+        LogError: unusable, without what its heat is formed from, or its clock
+            jumps.
         FileAccessError: it cannot be read.
         UsageError: the heat mode is ``measured``.
     """
-    if config.heat.mode == "measured":
-        msg = (
-            '[heat] mode = "measured" forces the disc; matching needs brake '
-            "power: choose another mode"
-        )
-        raise UsageError(msg)
-    log = EventLog(path, signal_map, overrides)
     present = present_roles(signal_map)
     estimator = Estimator(config, present)
     if learned is not None:
         estimator.samples = SampleState.new(learned)
-    rows = Rows(len(estimator.plan.corners))
-    estimator.input_history = rows
     kept = Collector()
     builder = ResultsBuilder(estimator, [kept])
+    drive = drive_of(
+        path.name,
+        estimator,
+        log_events(path, signal_map, overrides, progress),
+        builder if estimates else None,
+    )
+    check_heat_inputs(str(path), drive.roles, present, config.heat.mode)
+    if not estimates:
+        return drive
+    builder.finish()
+    return replace(drive, estimates=_since(kept.results(), drive.start_s))
+
+
+def log_events(
+    path: Path,
+    signal_map: SignalMap,
+    overrides: Mapping[str, str] | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> Iterator[Events]:
+    """Yield the samples of the log *path*.
+
+    A folder is a record that the service has kept: its segments in order.
+
+    Raises:
+        LogError: unusable.
+        FileAccessError: it cannot be read.
+    """
+    files = sorted(path.glob(f"*{SEGMENT}")) if path.is_dir() else [path]
+    if not files:
+        msg = f"{path}: no segment of a record (*{SEGMENT}) in this folder"
+        raise LogError(msg)
+    for number, file in enumerate(files):
+        log = EventLog(file, signal_map, overrides)
+        for events in log.events():
+            yield events
+            if progress is not None:
+                progress((number + log.share) / len(files))
+
+
+def drive_of(
+    name: str,
+    estimator: Estimator,
+    parts: Iterable[Events],
+    builder: ResultsBuilder | None = None,
+) -> Drive:
+    """Return the drive *name* that *estimator* forms of *parts*.
+
+    *builder* takes its estimates.
+
+    Raises:
+        LogError: the samples span no step, or their clock jumps.
+        UsageError: the heat mode is ``measured``.
+    """
+    if estimator.config.heat.mode == "measured":
+        msg = (
+            '[heat] mode = "measured" forces the disc; this needs brake '
+            "power: choose another mode"
+        )
+        raise UsageError(msg)
     temperatures: dict[int, list[tuple[Column, Column]]] = defaultdict(list)
-    wanted = {
-        number for number, role in enumerate(ROLES) if role.name[:5] == "temp_"
-    }
-    first_us = None
     seen: set[int] = set()
-    for events in log.events():
-        if first_us is None and len(events.time_us):
+    first_us: int | None = None
+
+    def take(events: Events, blocks: list[Block]) -> None:
+        nonlocal first_us
+        if first_us is None and len(events):
             first_us = int(events.time_us[0])
-            begin_as_measured(estimator, events)
-        blocks = estimator.advance(events.time_us, events.role, events.value)
-        if estimates:
-            builder.add(blocks)
         roles = set(np.unique(events.role).tolist())
-        seen |= roles
-        for role in wanted & roles:
+        seen.update(roles)
+        for role in THERMOCOUPLES & roles:
             own = events.role == role
             temperatures[role].append(
                 (events.time_us[own] * 1e-6, events.value[own])
             )
-        if progress is not None:
-            progress(log.share)
+        if builder is not None:
+            builder.add(blocks)
+
+    inputs = grid_inputs(estimator, parts, take)
     if estimator.counts["jumps"]:
-        msg = f"{path}: its clock jumps; split the log there to match it"
+        msg = f"{name}: its clock jumps; split the log there"
         raise LogError(msg)
-    check_heat_inputs(str(path), seen, present, config.heat.mode)
+    if not len(inputs):
+        msg = f"{name}: too short"
+        raise LogError(msg)
     # the estimator's steps end on whole multiples of theirs
     start_s = (first_us or 0) // STEP_US * STEP_US * 1e-6
-    if estimates:
-        builder.finish()
+    corners = estimator.plan.corners
     return Drive(
-        path.name,
+        name,
         start_s,
-        estimator.plan.corners,
-        rows.inputs(path),
-        thermocouples_of(temperatures, estimator.plan.corners, start_s),
-        _since(kept.results(), start_s) if estimates else None,
-        estimator.samples.learned(),
+        corners,
+        inputs,
+        thermocouples_of(temperatures, corners, start_s),
+        learned=estimator.samples.learned(),
+        roles=frozenset(seen),
     )
+
+
+def grid_inputs(
+    estimator: Estimator,
+    parts: Iterable[Events],
+    take: Callable[[Events, list[Block]], None] | None = None,
+) -> Column:
+    """Return ``Drive.inputs`` as *estimator* forms them of *parts*.
+
+    It begins at the temperatures measured first; *take* gets each part and
+    the blocks of estimates.
+    """
+    rows = Rows(len(estimator.plan.corners))
+    estimator.input_history = rows
+    begun = False
+    for events in parts:
+        if not begun and len(events):
+            begun = True
+            begin_as_measured(estimator, events)
+        blocks = estimator.advance(events.time_us, events.role, events.value)
+        if take is not None:
+            take(events, blocks)
+    return np.concatenate(rows.parts or [np.zeros((0, 1, 1))])
 
 
 def read_drives(
@@ -283,11 +364,10 @@ def begin_as_measured(estimator: Estimator, events: Events) -> None:
 
     A match, and what judges it, is of the model, not of a guessed start.
     """
-    numbers = {role.name: number for number, role in enumerate(ROLES)}
     soon = events.time_us <= events.time_us[0] + round(BEGIN_S * 1e6)
 
     def first(role: str) -> float:
-        own = soon & (events.role == numbers[role])
+        own = soon & (events.role == ROLE_INDEX[role])
         return float(np.mean(events.value[own])) if own.any() else np.nan
 
     air_k = first("ambient_temperature")
@@ -347,12 +427,12 @@ def thermocouples_of(
 
     Times [s] of the samples are stamps; those returned count from *start_s*.
     """
-    numbers = {role.name: number for number, role in enumerate(ROLES)}
     found: dict[str, dict[str, Thermocouple]] = {}
     for corner in corners:
         own = {}
         for node in MEASURED_NODES:
-            parts = temperatures.get(numbers[f"temp_{corner.lower()}_{node}"])
+            role = ROLE_INDEX[f"temp_{corner.lower()}_{node}"]
+            parts = temperatures.get(role)
             if parts:
                 time_s = np.concatenate([time for time, _ in parts]) - start_s
                 value = np.concatenate([value for _, value in parts])

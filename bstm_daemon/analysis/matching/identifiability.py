@@ -58,18 +58,17 @@ class Verdict:
 class Ratio:
     """Two values whose ratio or product the drives know better than either.
 
-    ``deviation`` is relative.
+    ``sign`` is ``x`` or ``/``, ``deviation`` is relative.
     """
 
     first: str
+    sign: str
     second: str
-    product: bool
     deviation: float
 
     def __str__(self) -> str:
         """Return it in words."""
-        sign = "x" if self.product else "/"
-        return f"{self.first} {sign} {self.second}"
+        return f"{self.first} {self.sign} {self.second}"
 
 
 def verdicts(fit: Refinement) -> list[Verdict]:
@@ -124,26 +123,23 @@ def ratios(fit: Refinement) -> list[Ratio]:
     for i, j in combinations(range(len(fit.keys)), 2):
         if {fit.keys[i], fit.keys[j]} & set(fit.at_bound):
             continue
-        product = bool(cov[i, j] < 0.0)
-        sign = 1.0 if product else -1.0
-        together = cov[i, i] + cov[j, j] + sign * 2.0 * cov[i, j]
+        sign = "x" if cov[i, j] < 0.0 else "/"
+        together = cov[i, i] + cov[j, j] - 2.0 * abs(cov[i, j])
         deviation = float(np.sqrt(max(together, 0.0)))
         least = float(np.sqrt(min(cov[i, i], cov[j, j])))
         if deviation < RATIO_GAIN * least:
-            found.append(Ratio(fit.keys[i], fit.keys[j], product, deviation))
+            found.append(Ratio(fit.keys[i], sign, fit.keys[j], deviation))
     return sorted(found, key=lambda one: one.deviation)
 
 
-def strong_pairs(
-    fit: Refinement, least: float = TWINS
-) -> Sequence[tuple[str, str, float]]:
-    """Return pairs of values with a correlation of at least *least*."""
+def strong_pairs(fit: Refinement) -> Sequence[tuple[str, str, float]]:
+    """Return pairs of values with a correlation from :data:`TWINS` on."""
     found = correlations(fit)
     return sorted(
         (
             (fit.keys[i], fit.keys[j], float(found[i, j]))
             for i, j in combinations(range(len(fit.keys)), 2)
-            if abs(found[i, j]) >= least
+            if abs(found[i, j]) >= TWINS
         ),
         key=lambda pair: -abs(pair[2]),
     )

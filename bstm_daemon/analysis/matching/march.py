@@ -6,7 +6,6 @@ to others meanwhile: drives and corners run in threads.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -19,7 +18,7 @@ from bstm_daemon.analysis.matching.drives import (
 )
 from bstm_daemon.estimator.corner_model import corner_model
 from bstm_daemon.model.thermal.kernel import Batch
-from bstm_daemon.model.thermal.program import Program, compile_network
+from bstm_daemon.model.thermal.program import compile_network
 from bstm_daemon.native.loader import load_kernel
 
 if TYPE_CHECKING:
@@ -29,30 +28,10 @@ if TYPE_CHECKING:
     from bstm_daemon.analysis.statistics.series import Column
     from bstm_daemon.config.sections import Config
     from bstm_daemon.model.effects.model import CornerModel
+    from bstm_daemon.model.thermal.program import Program
 
 STRETCH_STEPS: Final = 4096
 """Steps given to the kernel at a time."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Forced:
-    """Nodes that follow a series: node to [K] at each step's end, (steps,).
-
-    A node is free where its series is NaN.
-    """
-
-    series: Mapping[str, Column]
-
-    def program(self, program: Program) -> Program:
-        """Return *program* with these nodes forced."""
-        network = program.network
-        for node in self.series:
-            network = network.with_forced(node)
-        return compile_network(network)
-
-
-FREE: Final = Forced({})
-"""Nothing is forced."""
 
 
 def initial_temperatures(
@@ -83,8 +62,8 @@ def march(
     programs: Sequence[Program],
     drive: Drive,
     corner: str,
-    initial_k: Mapping[str, float],
-    forced: Forced = FREE,
+    initial_k: Mapping[str, float] | None = None,
+    forced: Mapping[str, Column] | None = None,
 ) -> dict[str, Column]:
     """March variants of *corner* over *drive*.
 
@@ -92,16 +71,22 @@ def march(
         programs: one a variant, of one structure, without forced nodes.
         drive: its inputs.
         corner: whose inputs.
-        initial_k: temperatures [K] at the start, by node.
-        forced: nodes held to a series.
+        initial_k: temperatures [K] at the start, by node; as measured.
+        forced: nodes that follow a series, [K] at each step's end, (steps,);
+            free where it is NaN.
 
     Returns:
         Temperatures [K] by node, (steps, variants).
     """
+    if initial_k is None:
+        initial_k = initial_temperatures(programs[0], drive, corner)
     inputs = drive.inputs[:, drive.corners.index(corner)]
-    if forced.series:
-        programs = [forced.program(one) for one in programs]
-        inputs = np.column_stack((inputs, *forced.series.values()))
+    if forced:
+        networks = [one.network for one in programs]
+        for node in forced:
+            networks = [one.with_forced(node) for one in networks]
+        programs = [compile_network(one) for one in networks]
+        inputs = np.column_stack((inputs, *forced.values()))
     batch = Batch(
         programs, 0.0, [0] * len(programs), kernel=load_kernel(), sets=1
     )

@@ -1,7 +1,6 @@
 """``bstm match``: stages, then the joint refinement, corner by corner.
 
-And what comes of it: temperatures before and after beside those measured, and
-the changes of the configuration file.
+And what comes of it: changes of the configuration file, curves.
 """
 
 from __future__ import annotations
@@ -10,9 +9,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 from bstm_daemon.analysis.identify.writing import Change
-from bstm_daemon.analysis.matching.march import initial_temperatures, march
+from bstm_daemon.analysis.matching.march import march
 from bstm_daemon.analysis.matching.phases import HARD_MS2, hard_stops
-from bstm_daemon.analysis.matching.problem import NODE_OF
 from bstm_daemon.analysis.matching.refine import (
     Accuracy,
     Refinement,
@@ -26,12 +24,12 @@ from bstm_daemon.analysis.matching.tunables import (
     S_SPEEDS_MS,
     TABLE_4_1,
     Target,
+    measured_targets,
+    over_targets,
     refined_keys,
     split_key,
-    targets_of,
     usable,
 )
-from bstm_daemon.errors import LogError
 from bstm_daemon.estimator.corner_model import compile_corner
 from bstm_daemon.units import KELVIN_OFFSET
 
@@ -40,7 +38,7 @@ if TYPE_CHECKING:
 
     from bstm_daemon.analysis.matching.drives import Drive
     from bstm_daemon.analysis.statistics.series import Column
-    from bstm_daemon.config.sections import Config, CornerConfig
+    from bstm_daemon.config.sections import Config
 
 MUCH_LESS: Final = 0.8
 """A form is worth a word where it leaves so much less of the error."""
@@ -114,39 +112,22 @@ def match_drives(
     Raises:
         LogError: no corner has a thermocouple.
     """
-    measured = {
-        corner
-        for drive in drives
-        for corner, couples in drive.measured.items()
-        if couples
-    }
-    targets = targets_of(config, sorted(measured), each=each)
-    if not targets:
-        names = ", ".join(drive.name for drive in drives)
-        msg = (
-            f"{names}: no measured temperature of a disc brake: matching "
-            "needs roles temp_<corner>_<node>"
-        )
-        raise LogError(msg)
-    found = []
-    for number, target in enumerate(targets):
-
-        def show(share: float, number: int = number) -> None:
-            if progress is not None:
-                progress((number + share) / len(targets))
-
-        found.append(
-            _match(target, drives, only, show, beside=beside and not only)
-        )
-    return found
+    targets = measured_targets(config, drives, each=each)
+    return over_targets(
+        targets,
+        lambda target, show: _match(
+            target, drives, only, show, beside=beside and not only
+        ),
+        progress,
+    )
 
 
 def _other_form(
     target: Target, drives: Sequence[Drive], joint: Refinement
-) -> list[str]:
+) -> str:
     """Say where the other form of cooling leaves much less of the disc."""
     if "disc" not in joint.rms_k:
-        return []
+        return ""
     form = target.config.cooling_of(target.corner).form
     other = "conductance" if form == "rate" else "rate"
     fit = refine(
@@ -155,15 +136,14 @@ def _other_form(
     )  # fmt: skip
     before, after = joint.rms_k["disc"], fit.rms_k["disc"]
     if after > MUCH_LESS * before:
-        return []
-    said = (
+        return ""
+    return (
         f'cooling.form = "{other}" would leave {after:.1f} K of the disc '
         f"instead of {before:.1f} K: set it and match again"
     )
-    return [said]
 
 
-def _no_hard_stop(target: Target, drives: Sequence[Drive]) -> list[str]:
+def _no_hard_stop(target: Target, drives: Sequence[Drive]) -> str:
     """Say where the drives have no hard stop: drags alone fit wrongly."""
     if any(
         hard_stops(drive, corner)
@@ -171,12 +151,11 @@ def _no_hard_stop(target: Target, drives: Sequence[Drive]) -> list[str]:
         for corner in target.corners
         if corner in drive.corners
     ):
-        return []
-    said = (
+        return ""
+    return (
         f"no hard stop ({HARD_MS2:g} m/s2) in these drives: the values fit "
         "drags and may be wrong in stops"
     )
-    return [said]
 
 
 def _match(
@@ -217,13 +196,15 @@ def _match(
         target, drives, joint, lambda share: show(0.8 + 0.2 * share)
     )
     if not only:
-        remarks += _other_form(target, drives, joint)
-        remarks += _no_hard_stop(target, drives)
-    after = target.changed(joint.values)
+        found = (
+            _other_form(target, drives, joint),
+            _no_hard_stop(target, drives),
+        )
+        remarks += [remark for remark in found if remark]
     return Match(
         target.corners,
         target,
-        after,
+        target.changed(joint.values),
         tuple(stages),
         joint,
         thesis,
@@ -234,48 +215,34 @@ def _match(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Curves:
-    """A thermocouple over a drive: time [s] and temperatures [degC], (n,)."""
+    """A thermocouple over a drive, (n,) each: temperatures [degC]."""
 
-    drive: str
-    corner: str
     couple: str
-    time_s: Column
     measured_c: Column
     before_c: Column
     after_c: Column
 
 
-def curves_of(match: Match, drives: Sequence[Drive]) -> list[Curves]:
-    """Return every thermocouple of *match*'s corners over *drives*."""
+def curves_of(match: Match, drive: Drive, corner: str) -> list[Curves]:
+    """Return each thermocouple of *corner*, and the model as it was and is."""
     programs = [
         compile_corner(one.config, one.corner)
         for one in (match.before, match.after)
     ]
-    nodes = {node.name for node in programs[0].network.nodes}
-    found = []
-    for drive in drives:
-        for corner in match.corners:
-            couples = drive.measured.get(corner, {})
-            if not couples:
-                continue
-            initial = initial_temperatures(programs[0], drive, corner)
-            result = march(programs, drive, corner, initial)
-            for name, couple in couples.items():
-                node = NODE_OF.get(name, name)
-                if node in nodes:
-                    both = result[node] - KELVIN_OFFSET
-                    found.append(
-                        Curves(
-                            drive.name,
-                            corner,
-                            name,
-                            drive.time_s,
-                            couple.at(drive.time_s) - KELVIN_OFFSET,
-                            both[:, 0],
-                            both[:, 1],
-                        )
-                    )
-    return found
+    couples = drive.couples(
+        corner, {node.name for node in programs[0].network.nodes}
+    )
+    if not couples:
+        return []
+    result = march(programs, drive, corner)
+    return [
+        Curves(
+            name,
+            drive.measured[corner][name].at(drive.time_s) - KELVIN_OFFSET,
+            *(result[node] - KELVIN_OFFSET).T,
+        )
+        for name, node in couples
+    ]
 
 
 def changes_of(
@@ -290,7 +257,7 @@ def changes_of(
     changes = []
     for match in matches:
         for key, value in match.settings().items():
-            section, name = key.split(".", maxsplit=1)
+            section, name = split_key(key)
             sd = match.deviation(key)
             note = f"{origin}, sd {sd:.2g}"
             if isinstance(value, tuple):
@@ -298,19 +265,14 @@ def changes_of(
             if section == EFFECT:
                 changes += _of_effect(name, value, note, config, match)
                 continue
-            own = [
-                corner
-                for corner in config.corner
-                if corner.name in match.corners
-            ]
             if section in {"thermal", "cooling"} and _shared(
                 section, name, config, match.corners
             ):
                 changes.append(Change(section, name, value, note=note))
                 continue
             changes += [
-                Change("corner", key, value, corner.name, note)
-                for corner in own
+                Change("corner", key, value, corner, note)
+                for corner in match.corners
             ]
     changes += _accuracy(matches, origin)
     return changes
@@ -336,28 +298,23 @@ def _shared(
     readers = {
         corner.name
         for corner in config.disc_corners()
-        if name not in _overrides(corner, section)
+        if name not in getattr(corner, section)
     }
     return readers == set(matched)
-
-
-def _overrides(corner: CornerConfig, section: str) -> dict[str, Any]:
-    return corner.thermal if section == "thermal" else corner.cooling
 
 
 def _accuracy(matches: Sequence[Match], origin: str) -> list[Change]:
     """Return ``[accuracy]``: the largest of the matched corners."""
     changes = []
-    nodes: dict[str, list[tuple[float, float, int]]] = {}
-    for match in matches:
-        for node, one in match.accuracy.nodes.items():
-            nodes.setdefault(node, []).append(
-                (one.floor_k, one.share, match.accuracy.drives)
-            )
     for node in ("disc", "pad_front", "pad_back", "fluid"):
-        if node not in nodes:
+        found = [
+            (one.floor_k, one.share, match.accuracy.drives)
+            for match in matches
+            if (one := match.accuracy.nodes.get(node)) is not None
+        ]
+        if not found:
             continue
-        floor, share, drives = max(nodes[node])
+        floor, share, drives = max(found)
         note = f"{origin}, left over on held-out drives"
         if not drives:
             note = f"{origin}, left over on the drive itself: too small"

@@ -40,11 +40,9 @@ def soak(drive: Drive, corner: str) -> Mask:
     for node in drive.measured.get(corner, {}):
         rise = excess_k(drive, corner, node)
         warm |= np.nan_to_num(rise, nan=0.0) > WARM_K
-    found = np.zeros(len(drive), bool)
-    for first, last in runs(standing):
-        long = (last - first + 1) * GRID_S >= SOAK_S
-        if long and warm[first : last + 1].any():
-            found[first : last + 1] = True
+    found = _lasting(standing, SOAK_S)
+    for first, last in runs(found):
+        found[first : last + 1] = warm[first : last + 1].any()
     return found
 
 
@@ -60,7 +58,7 @@ def cooling(drive: Drive, corner: str) -> Mask:
 
 
 def _lasting(mask: Mask, least_s: float) -> Mask:
-    """Return the runs of *mask* that last *least_s* or more, (steps,)."""
+    """Return *mask* without the stretches shorter than *least_s*."""
     found = np.zeros(len(mask), bool)
     for first, last in runs(mask):
         found[first : last + 1] = (last - first + 1) * GRID_S >= least_s
@@ -81,9 +79,7 @@ def hard_stops(drive: Drive, corner: str) -> int:
     hard = braking(drive, corner) & (
         np.gradient(speed_ms, GRID_S) <= -HARD_MS2
     )
-    return sum(
-        (last - first + 1) * GRID_S >= HARD_S for first, last in runs(hard)
-    )
+    return len(runs(_lasting(hard, HARD_S)))
 
 
 def excess_k(drive: Drive, corner: str, node: str) -> Column:

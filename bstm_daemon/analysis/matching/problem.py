@@ -12,8 +12,6 @@ import numpy as np
 
 from bstm_daemon.analysis.matching.drives import GRID_S, Drive
 from bstm_daemon.analysis.matching.march import (
-    FREE,
-    Forced,
     initial_temperatures,
     march,
 )
@@ -25,7 +23,6 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from bstm_daemon.analysis.statistics.series import Column, Indices, Mask
-    from bstm_daemon.model.thermal.program import Program
 
 POINT_S: Final = 5.0
 """Least time between two points that count; thermocouples cohere longer."""
@@ -45,29 +42,28 @@ disc reaches 20 K (thesis section 3.2)."""
 OTHER: Final = SensorNoise(1.0, 5.0, 0.0, 3.0, quick_s=3.0)
 """Of any other node."""
 
-NODE_OF: Final = {"disc_2": "disc"}
-"""Thermocouple to node, where the names differ."""
-
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Term:
-    """One thermocouple over one drive, (n,) each.
+class Series:
+    """One node over one drive, (n,) each; ``couples`` are (corner, name).
 
-    ``steps`` are the indices of the drive's steps that count.
+    ``steps`` are the indices of the drive's steps that count, ``rise_k`` is
+    above the air.
     """
 
     drive: int
-    corner: str
-    couple: str
+    node: str
+    couples: tuple[tuple[str, str], ...]
     steps: Indices
     time_s: Column
     measured_k: Column
     slope_k_s: Column
+    rise_k: Column
 
     @property
-    def node(self) -> str:
-        """The node that it measures."""
-        return NODE_OF.get(self.couple, self.couple)
+    def corner(self) -> str:
+        """The corner of the first thermocouple."""
+        return self.couples[0][0]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -77,7 +73,7 @@ class Run:
     drive: int
     corner: str
     initial_k: Mapping[str, float]
-    forced: Forced = FREE
+    forced: Mapping[str, Column] | None = None
 
 
 class Problem:
@@ -92,7 +88,7 @@ class Problem:
         drives: Sequence[Drive],
         keys: Sequence[str],
         runs: Sequence[Run],
-        terms: Sequence[Term],
+        terms: Sequence[Series],
         noise: Mapping[str, SensorNoise],
     ) -> None:
         """Take what to march and to compare.
@@ -110,11 +106,10 @@ class Problem:
         self.keys = tuple(keys)
         self.runs = tuple(runs)
         self.terms = tuple(terms)
-        tunables = [TUNABLES[key] for key in keys]
-        self.start = np.log([target.value(one) for one in tunables])
-        bounds = np.array([one.bounds() for one in tunables]).reshape(-1, 2)
-        self.lower, self.upper = bounds[:, 0], bounds[:, 1]
-        self.prior = np.array([one.prior for one in tunables])
+        self.start = np.log([target.value(TUNABLES[key]) for key in keys])
+        bounds = [TUNABLES[key].bounds() for key in keys]
+        self.lower, self.upper = np.array(bounds).reshape(-1, 2).T
+        self.prior = np.array([TUNABLES[key].prior for key in keys])
         self.set_noise(noise)
 
     def set_noise(self, noise: Mapping[str, SensorNoise]) -> None:
@@ -145,44 +140,29 @@ class Problem:
 
     def residuals_k(self, points: Column) -> list[Column]:
         """Return model less measurement [K] by term, (n, k) each."""
-        programs = self.programs(points)
+        targets = [self.target.changed(self.values(one)) for one in points]
+        programs = [compile_corner(one.config, one.corner) for one in targets]
         found = {}
         with ThreadPoolExecutor(os.cpu_count()) as pool:
-            marches = [
-                pool.submit(self._march, r, programs) for r in self.runs
-            ]
-            for run, result in zip(self.runs, marches, strict=True):
-                found[run.drive, run.corner] = result.result()
+            for run in self.runs:
+                found[run.drive, run.corner] = pool.submit(
+                    march,
+                    programs,
+                    self.drives[run.drive],
+                    run.corner,
+                    run.initial_k,
+                    run.forced,
+                )
         return [
-            found[term.drive, term.corner][term.node][term.steps]
+            found[term.drive, term.corner].result()[term.node][term.steps]
             - term.measured_k[:, None]
             for term in self.terms
         ]
 
-    def programs(self, points: Column) -> list[Program]:
-        """Return the compiled model at *points* (k, p)."""
-        return [
-            compile_corner(changed.config, changed.corner)
-            for changed in (
-                self.target.changed(self.values(point)) for point in points
-            )
-        ]
-
-    def _march(
-        self, run: Run, programs: Sequence[Program]
-    ) -> dict[str, Column]:
-        return march(
-            programs,
-            self.drives[run.drive],
-            run.corner,
-            run.initial_k,
-            run.forced,
-        )
-
 
 def whole_drives(
     target: Target, drives: Sequence[Drive]
-) -> tuple[list[Run], list[Term]]:
+) -> tuple[list[Run], list[Series]]:
     """Return every drive of the target's corners, nothing forced."""
     program = compile_corner(target.config, target.corner)
     nodes = {node.name for node in program.network.nodes}
@@ -190,10 +170,9 @@ def whole_drives(
     for index, drive in enumerate(drives):
         for corner in target.corners:
             own = [
-                term
-                for couple in drive.measured.get(corner, {})
-                if NODE_OF.get(couple, couple) in nodes
-                and (term := term_of(drives, index, corner, couple))
+                one
+                for couple, node in drive.couples(corner, nodes)
+                if (one := series_of(drive, index, node, ((corner, couple),)))
             ]
             if own:
                 initial = initial_temperatures(program, drive, corner)
@@ -202,35 +181,47 @@ def whole_drives(
     return runs, terms
 
 
-def term_of(
-    drives: Sequence[Drive],
+def series_of(  # noqa: PLR0913
+    drive: Drive,
     index: int,
-    corner: str,
-    couple: str,
+    node: str,
+    couples: Sequence[tuple[str, str]],
+    *,
     within: Mask | None = None,
-) -> Term | None:
-    """Return what counts of a thermocouple, None where nothing does.
+    point_s: float = POINT_S,
+    most_points: int = MOST_POINTS,
+) -> Series | None:
+    """Return what counts of a node, None where nothing does.
 
-    *within* (steps,) masks the drive's steps.
+    Args:
+        drive: the drive, the one of number *index*.
+        index: its number.
+        node: of the model.
+        couples: corner and name of its thermocouples; their mean counts.
+        within: masks the drive's steps, (steps,).
+        point_s: least time between two points.
+        most_points: at most so many.
     """
-    drive = drives[index]
-    every = ceil(max(POINT_S, drive.duration_s / MOST_POINTS) / GRID_S)
+    every = ceil(max(point_s, drive.duration_s / most_points) / GRID_S)
     steps = np.arange(every - 1, len(drive), every)
     if within is not None:
         steps = steps[within[steps]]
     time_s = drive.time_s[steps]
-    thermocouple = drive.measured[corner][couple]
-    measured = thermocouple.at(time_s)
-    known = np.isfinite(measured)
+    read = np.array(
+        [drive.measured[corner][name].at(time_s) for corner, name in couples]
+    )
+    known = np.isfinite(read).all(axis=0)
     if np.count_nonzero(known) < 3:
         return None
-    slope = np.gradient(measured[known], time_s[known])
-    return Term(
+    measured = read[:, known].mean(axis=0)
+    air = drive.channel(couples[0][0], "ambient_k")[steps[known]]
+    return Series(
         index,
-        corner,
-        couple,
+        node,
+        tuple(couples),
         steps[known],
         time_s[known],
-        measured[known],
-        slope,
+        measured,
+        np.gradient(measured, time_s[known]),
+        measured - air,
     )

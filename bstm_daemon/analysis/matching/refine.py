@@ -20,7 +20,7 @@ from bstm_daemon.analysis.matching.problem import (
     whole_drives,
 )
 from bstm_daemon.analysis.statistics.levenberg_marquardt import minimise
-from bstm_daemon.analysis.statistics.series import Column, white_std
+from bstm_daemon.analysis.statistics.series import Column, rms, white_std
 from bstm_daemon.analysis.statistics.whitening import DRIFT_S, SensorNoise
 
 if TYPE_CHECKING:
@@ -107,8 +107,12 @@ def refine(  # noqa: PLR0913
         evaluations += found.evaluations
         apart = [one[:, 0] for one in problem.residuals_k(x[None])]
         if number < rounds - 1:
-            problem.set_noise(_learned(problem, apart))
-    nodes = sorted({term.node for term in terms})
+            problem.set_noise(
+                {
+                    node: learned(FIRST.get(node, OTHER), own)
+                    for node, own in _by_node(problem, apart).items()
+                }
+            )
     data = found.jacobian[: -len(keys)]
     information = data.T @ data
     precision = information + np.diag(problem.prior**-2.0)
@@ -124,54 +128,31 @@ def refine(  # noqa: PLR0913
         ),
         problem.noise,
         {
-            node: float(
-                np.sqrt(
-                    np.mean(
-                        np.concatenate(
-                            [
-                                one**2
-                                for one, term in zip(apart, terms, strict=True)
-                                if term.node == node
-                            ]
-                        )
-                    )
-                )
-            )
-            for node in nodes
+            node: rms(np.concatenate([one for one, _ in own]))
+            for node, own in sorted(_by_node(problem, apart).items())
         },
         sum(len(term.steps) for term in terms),
         evaluations,
     )
 
 
-def _learned(
+def _by_node(
     problem: Problem, apart: Sequence[Column]
-) -> dict[str, SensorNoise]:
-    nodes = {term.node for term in problem.terms}
-    found = {}
-    for node in nodes:
-        own = [
-            (one, term.time_s)
-            for one, term in zip(apart, problem.terms, strict=True)
-            if term.node == node
-        ]
-        first = FIRST.get(node, OTHER)
-        found[node] = learned(
-            first, [r for r, _ in own], [time for _, time in own]
-        )
+) -> dict[str, list[tuple[Column, Column]]]:
+    """Return residuals and times of each series, by node."""
+    found: dict[str, list[tuple[Column, Column]]] = {}
+    for one, term in zip(apart, problem.terms, strict=True):
+        found.setdefault(term.node, []).append((one, term.time_s))
     return found
 
 
 def learned(
-    noise: SensorNoise, residuals: Sequence[Column], time_s: Sequence[Column]
+    noise: SensorNoise, series: Sequence[tuple[Column, Column]]
 ) -> SensorNoise:
-    """Return *noise* with what *residuals* of a fit show, (n,) each."""
-    total = np.concatenate(residuals)
+    """Return *noise* with what a fit's residuals and times show, (n,) each."""
+    total = np.concatenate([one for one, _ in series])
     steps = np.concatenate(
-        [
-            np.diff(one)[np.diff(at) < DRIFT_S / 10.0]
-            for one, at in zip(residuals, time_s, strict=True)
-        ]
+        [np.diff(one)[np.diff(at) < DRIFT_S / 10.0] for one, at in series]
     )
     # jumps at stops are drift of the model, not noise
     white = white_std(steps, 1) if len(steps) else 1.0
@@ -234,9 +215,7 @@ def held_out(
         {node: fitted(parts) for node, parts in errors.items()},
         len(drives) if len(drives) > 1 else 0,
         {
-            node: float(
-                np.sqrt(np.mean(np.concatenate([e for e, *_ in parts]) ** 2))
-            )
+            node: rms(np.concatenate([error for error, *_ in parts]))
             for node, parts in errors.items()
         },
     )
@@ -254,13 +233,9 @@ def _left_over(
     x = np.log([[values[key] for key in joint.keys]])
     found: dict[str, list[tuple[Column, Column, float]]] = {}
     for term, apart in zip(terms, problem.residuals_k(x), strict=True):
-        air = drive.channel(term.corner, "ambient_k")[term.steps]
+        white_k = problem.noise[term.node].white_k
         found.setdefault(term.node, []).append(
-            (
-                apart[:, 0],
-                term.measured_k - air,
-                problem.noise[term.node].white_k,
-            )
+            (apart[:, 0], term.rise_k, white_k)
         )
     return found
 

@@ -15,8 +15,13 @@ import numpy as np
 
 from bstm_daemon.analysis.matching import phases
 from bstm_daemon.analysis.matching.drives import GRID_S, Drive
-from bstm_daemon.analysis.matching.march import Forced, initial_temperatures
-from bstm_daemon.analysis.matching.problem import Problem, Run, Term, term_of
+from bstm_daemon.analysis.matching.march import initial_temperatures
+from bstm_daemon.analysis.matching.problem import (
+    Problem,
+    Run,
+    Series,
+    series_of,
+)
 from bstm_daemon.analysis.matching.tunables import (
     S_SPEEDS_MS,
     TUNABLES,
@@ -36,116 +41,78 @@ Phase = Literal["soak", "drive", "cooling", "normal braking", "hot braking"]
 
 SMOOTH_S: Final = 120.0
 """The fluid's peak is that of a mean over so long."""
+HALF: Final = round(0.5 * SMOOTH_S / GRID_S)
 
 
 @dataclass(frozen=True, slots=True)
 class Stage:
-    """One stage: what is fitted to which node, in which phase.
-
-    ``forced`` are the neighbours that follow their measurement.
-    """
+    """One stage: what is fitted to which node, in which phase."""
 
     title: str
     section: str
     phase: Phase
     node: str
-    forced: tuple[str, ...]
     keys: tuple[str, ...]
 
+    @property
+    def forced(self) -> tuple[str, ...]:
+        """The neighbours that follow their measurement."""
+        return NEIGHBOURS[self.node]
+
+
+NEIGHBOURS: Final[dict[str, tuple[str, ...]]] = {
+    "disc": (),
+    "pad_front": ("disc", "pad_back"),
+    "pad_back": ("pad_front", "fluid"),
+    "fluid": ("pad_back",),
+}
+
+PEAK: Final = "5.1.3 stage 1"
 
 STAGES: Final = (
+    Stage("disc cooling", "4.4", "cooling", "disc", tuple(S_SPEEDS_MS)),
     Stage(
-        "disc cooling",
-        "4.4",
-        "cooling",
-        "disc",
-        (),
-        tuple(S_SPEEDS_MS),
-    ),
-    Stage(
-        "disc in the soak",
-        "5.1.1",
-        "soak",
-        "disc",
-        (),
+        *("disc in the soak", "5.1.1", "soak", "disc"),
         ("cooling.standstill_convection_fraction",),
     ),
     Stage(
-        "pad front in the soak",
-        "5.1.2 stage 1",
-        "soak",
-        "pad_front",
-        ("disc", "pad_back"),
+        *("pad front in the soak", "5.1.2 stage 1", "soak", "pad_front"),
         ("thermal.disc_emissivity", "thermal.pad_emissivity"),
     ),
     Stage(
-        "pad back in the soak",
-        "5.1.2 stage 2",
-        "soak",
-        "pad_back",
-        ("pad_front", "fluid"),
+        *("pad back in the soak", "5.1.2 stage 2", "soak", "pad_back"),
         ("thermal.pad_backplate_thermal_resistance_m2k_w",),
     ),
     Stage(
-        "static convection at the fluid's peak",
-        "5.1.3 stage 1",
-        "soak",
-        "fluid",
-        ("pad_back",),
+        *("static convection at the fluid's peak", PEAK, "soak", "fluid"),
         ("thermal.fluid_static_convection_w_k",),
     ),
     Stage(
-        "capacity of fluid and caliper",
-        "5.1.3 stage 2",
-        "soak",
-        "fluid",
-        ("pad_back",),
+        *("capacity of fluid and caliper", "5.1.3 stage 2", "soak", "fluid"),
         ("thermal.fluid_caliper_thermal_capacity_j_k",),
     ),
     Stage(
-        "heat partition",
-        "5.2.1 stage 1",
-        "normal braking",
-        "pad_front",
-        ("disc", "pad_back"),
+        *("heat partition", "5.2.1 stage 1", "normal braking", "pad_front"),
         ("thermal.heat_partition_correction_factor",),
     ),
     Stage(
-        "disc mass",
-        "5.2.1 stage 2",
-        "normal braking",
-        "disc",
-        (),
+        *("disc mass", "5.2.1 stage 2", "normal braking", "disc"),
         ("thermal.disc_mass_correction_factor",),
     ),
     Stage(
-        "dynamic loss of the pad",
-        "5.2.1 stage 3",
-        "drive",
-        "pad_back",
-        ("pad_front", "fluid"),
+        *("dynamic loss of the pad", "5.2.1 stage 3", "drive", "pad_back"),
         ("thermal.pad_dynamic_convection_ws_m3k",),
     ),
     Stage(
-        "dynamic loss of the fluid",
-        "5.2.1 stage 4",
-        "drive",
-        "fluid",
-        ("pad_back",),
+        *("dynamic loss of the fluid", "5.2.1 stage 4", "drive", "fluid"),
         ("thermal.fluid_dynamic_convection_ws_mk",),
     ),
     Stage(
-        "pads at high temperature",
-        "5.2.2",
-        "hot braking",
-        "pad_front",
-        ("disc", "pad_back"),
+        *("pads at high temperature", "5.2.2", "hot braking", "pad_front"),
         ("thermal.hot_pad_factor",),
     ),
 )
 """The stages in the thesis's order; the S-function comes first."""
-
-PEAK: Final = "5.1.3 stage 1"
 
 STAGE_PRIOR: Final = 10.0
 """A stage follows the measurement, as the thesis does; what was believed
@@ -157,15 +124,13 @@ class StageResult:
     """What a stage gave.
 
     ``values`` by key with ``before``; empty with ``why`` where it was left
-    out. ``rms_k`` is over the phase, before and after; ``duration_s`` is how
-    much of the phase there is.
+    out. ``rms_k`` is over the phase, before and after.
     """
 
     stage: Stage
     values: dict[str, float]
     before: dict[str, float]
     rms_k: tuple[float, float] = (np.nan, np.nan)
-    duration_s: float = 0.0
     why: str = ""
 
 
@@ -199,10 +164,17 @@ def _run(stage: Stage, target: Target, drives: Sequence[Drive]) -> StageResult:
     before = {key: target.value(TUNABLES[key]) for key in keys}
     if not keys:
         return StageResult(stage, {}, before, why="; ".join(remarks))
-    missing = _missing(stage, target, drives)
-    if missing:
-        return StageResult(stage, {}, before, why=missing)
-    runs, terms, duration_s = _isolated(stage, target, drives)
+    there = {
+        couple
+        for drive in drives
+        for corner in target.corners
+        for couple in drive.measured.get(corner, {})
+    }
+    gone = [one for one in (stage.node, *stage.forced) if one not in there]
+    if gone:
+        why = f"no thermocouple for {', '.join(gone)}"
+        return StageResult(stage, {}, before, why=why)
+    runs, terms = _isolated(stage, target, drives)
     if not terms:
         why = f"no {stage.phase} long and warm enough in these drives"
         return StageResult(stage, {}, before, why=why)
@@ -221,38 +193,22 @@ def _run(stage: Stage, target: Target, drives: Sequence[Drive]) -> StageResult:
     points = np.vstack((problem.start, x))
     apart = np.concatenate(problem.residuals_k(points))
     rms = np.sqrt(np.mean(apart**2, axis=0))
-    return StageResult(
-        stage, values, before, (float(rms[0]), float(rms[1])), duration_s
-    )
-
-
-def _missing(stage: Stage, target: Target, drives: Sequence[Drive]) -> str:
-    """Say which thermocouple is nowhere."""
-    needed = (stage.node, *stage.forced)
-    there = {
-        couple
-        for drive in drives
-        for corner in target.corners
-        for couple in drive.measured.get(corner, {})
-    }
-    gone = [node for node in needed if node not in there]
-    if not gone:
-        return ""
-    return f"no thermocouple for {', '.join(gone)}"
+    return StageResult(stage, values, before, (float(rms[0]), float(rms[1])))
 
 
 def _isolated(
     stage: Stage, target: Target, drives: Sequence[Drive]
-) -> tuple[list[Run], list[Term], float]:
+) -> tuple[list[Run], list[Series]]:
     program = compile_corner(target.config, target.corner)
-    runs, terms, steps = [], [], 0
+    runs, terms = [], []
     for index, drive in enumerate(drives):
         for corner in target.corners:
             couples = drive.measured.get(corner, {})
             if not {stage.node, *stage.forced} <= couples.keys():
                 continue
             mask = phase_mask(stage.phase, drive, corner, target)
-            term = term_of(drives, index, corner, stage.node, mask)
+            own_couple = ((corner, stage.node),)
+            term = series_of(drive, index, stage.node, own_couple, within=mask)
             if term is None:
                 continue
             series = {
@@ -260,17 +216,10 @@ def _isolated(
             }
             own = couples[stage.node].at(drive.time_s)
             series[stage.node] = np.where(mask, np.nan, own)
-            runs.append(
-                Run(
-                    index,
-                    corner,
-                    initial_temperatures(program, drive, corner),
-                    Forced(series),
-                )
-            )
+            initial = initial_temperatures(program, drive, corner)
+            runs.append(Run(index, corner, initial, series))
             terms.append(term)
-            steps += int(np.count_nonzero(mask))
-    return runs, terms, steps * GRID_S
+    return runs, terms
 
 
 def phase_mask(
@@ -318,7 +267,7 @@ def _static_convection(
                 at = fluid_peak(drive, corner, first, last)
                 if at is None:
                     continue
-                around = slice(at - _half(), at + _half() + 1)
+                around = slice(at - HALF, at + HALF + 1)
                 time_s = drive.time_s[around]
                 fluid = np.nanmean(couples["fluid"].at(time_s))
                 back = np.nanmean(couples["pad_back"].at(time_s))
@@ -339,17 +288,13 @@ def fluid_peak(drive: Drive, corner: str, first: int, last: int) -> int | None:
     """
     span = slice(first, last + 1)
     fluid = drive.measured[corner]["fluid"].at(drive.time_s[span])
-    width = 2 * _half() + 1
+    width = 2 * HALF + 1
     if len(fluid) < 3 * width or not np.isfinite(fluid).any():
         return None
     smooth = np.convolve(fluid, np.full(width, 1.0 / width), "valid")
     if not np.isfinite(smooth).any():
         return None
-    at = int(np.nanargmax(smooth)) + _half()
+    at = int(np.nanargmax(smooth)) + HALF
     rise = fluid[at] - drive.channel(corner, "ambient_k")[first + at]
     inside = width < at < len(fluid) - width
     return first + at if inside and rise > phases.WARM_K else None
-
-
-def _half() -> int:
-    return round(0.5 * SMOOTH_S / GRID_S)

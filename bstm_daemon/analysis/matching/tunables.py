@@ -9,11 +9,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import log
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 import numpy as np
 
 from bstm_daemon.config.sections import Config, CornerConfig, EffectConfig
+from bstm_daemon.errors import LogError
 from bstm_daemon.model.effects.catalogue import (
     effect_class,
     effect_names,
@@ -21,8 +22,11 @@ from bstm_daemon.model.effects.catalogue import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Mapping, Sequence
+    from collections.abc import Callable, Collection, Mapping, Sequence
 
+    from bstm_daemon.analysis.matching.drives import Drive
+
+T = TypeVar("T")
 
 SLOW: Final = "cooling.s_per_s at 36 km/h"
 MIDDLE: Final = "cooling.s_per_s at 70 km/h"
@@ -73,16 +77,6 @@ class Tunable:
     prior: float
     unit: str
     table_4_1: bool = False
-
-    @property
-    def section(self) -> str:
-        """The section of the configuration."""
-        return self.key.split(".", maxsplit=1)[0]
-
-    @property
-    def name(self) -> str:
-        """The key within its section."""
-        return self.key.split(".", maxsplit=1)[1]
 
     def bounds(self) -> tuple[float, float]:
         """Return the bounds of the logarithm."""
@@ -180,49 +174,48 @@ class Target:
         corner = self.corner
         if tunable.key in S_SPEEDS_MS:
             return 1.0
-        if tunable.section == EFFECT:
-            return effect_value(self.config, corner.name, tunable.name)
+        section, name = split_key(tunable.key)
+        if section == EFFECT:
+            return effect_value(self.config, corner.name, name)
         holders: dict[str, Any] = {
             "thermal": self.config.thermal_of(corner),
             "cooling": self.config.cooling_of(corner),
             "pad": corner.pad,
         }
-        value = getattr(holders[tunable.section], tunable.name)
+        value = getattr(holders[section], name)
         # a curve over temperature is not one number
         return float(value) if isinstance(value, int | float) else 0.0
 
     def with_cooling_form(self, form: str) -> Target:
         """Return the target with another ``cooling.form``."""
-        corners = [
-            one.model_copy(update={"cooling": {**one.cooling, "form": form}})
-            if one.name in self.corners
-            else one
-            for one in self.config.corner
-        ]
-        config = self.config.model_copy(update={"corner": corners})
-        return Target(config, self.corners)
+        return self._each(
+            lambda one: one.model_copy(
+                update={"cooling": {**one.cooling, "form": form}}
+            )
+        )
 
     def changed(self, values: dict[str, float]) -> Target:
         """Return the target with *values* by key."""
         prefix = f"{EFFECT}."
         own = {k: v for k, v in values.items() if not k.startswith(prefix)}
-        config = self.config.model_copy(
-            update={
-                "corner": [
-                    self._changed(one, own)
-                    if one.name in self.corners
-                    else one
-                    for one in self.config.corner
-                ]
-            }
-        )
+        target = self._each(lambda one: self._changed(one, own))
         of_effects = {
             key.removeprefix(prefix): value
             for key, value in values.items()
             if key.startswith(prefix)
         }
-        if of_effects:
-            config = with_effect_values(config, self.corners, of_effects)
+        if not of_effects:
+            return target
+        config = with_effect_values(target.config, self.corners, of_effects)
+        return Target(config, self.corners)
+
+    def _each(self, change: Callable[[CornerConfig], CornerConfig]) -> Target:
+        """Return the target with *change* in each of its corners."""
+        corners = [
+            change(one) if one.name in self.corners else one
+            for one in self.config.corner
+        ]
+        config = self.config.model_copy(update={"corner": corners})
         return Target(config, self.corners)
 
     def _changed(
@@ -235,29 +228,16 @@ class Target:
         }
         for key, value in values.items():
             if key not in S_SPEEDS_MS:
-                section, name = key.split(".", maxsplit=1)
+                section, name = split_key(key)
                 parts[section][name] = value
         if S_SPEEDS_MS.keys() & values.keys():
             factors = [values.get(key, 1.0) for key in S_SPEEDS_MS]
-            parts["cooling"]["s_per_s"] = self._s_table(corner, factors)
-        pad = corner.pad
-        if pad is not None:
-            pad = pad.model_copy(update=parts["pad"])
-        return corner.model_copy(
-            update={
-                "thermal": parts["thermal"],
-                "cooling": parts["cooling"],
-                "pad": pad,
-            }
-        )
-
-    def _s_table(
-        self, corner: CornerConfig, factors: list[float]
-    ) -> list[float]:
-        cooling = self.config.cooling_of(corner)
-        speeds = list(S_SPEEDS_MS.values())
-        found = np.interp(cooling.speed_ms, speeds, factors) * cooling.s_per_s
-        return [float(one) for one in found]
+            cooling = self.config.cooling_of(corner)
+            speeds = list(S_SPEEDS_MS.values())
+            at = np.interp(cooling.speed_ms, speeds, factors)
+            parts["cooling"]["s_per_s"] = (at * cooling.s_per_s).tolist()
+        pad = corner.pad and corner.pad.model_copy(update=parts["pad"])
+        return corner.model_copy(update={**parts, "pad": pad})
 
 
 def refined_keys(target: Target) -> tuple[str, ...]:
@@ -278,14 +258,12 @@ def refined_keys(target: Target) -> tuple[str, ...]:
 
 def usable(target: Target, keys: Sequence[str]) -> tuple[list[str], list[str]]:
     """Return which of *keys* can be matched, and why the others can not."""
-    found, remarks = [], []
-    for key in keys:
-        value = target.value(TUNABLES[key])
-        if value > 0.0:
-            found.append(key)
-        else:
-            remarks.append(f"{key} is 0 or a curve: it stays as it is")
-    return found, remarks
+    found = [key for key in keys if target.value(TUNABLES[key]) > 0.0]
+    return found, [
+        f"{key} is 0 or a curve: it stays as it is"
+        for key in keys
+        if key not in found
+    ]
 
 
 def targets_of(
@@ -310,16 +288,57 @@ def targets_of(
                 "pad": {"new_thickness_m", "measured"},
             }
         )
-        looks["effect"] = effects_by_corner(config, corner.name)
+        looks["effect"] = {
+            one.name: dict(one.parameters)
+            for one in effects_of(config)
+            if one.corner in {"all", corner.name}
+        }
         group = corner.name if each else repr(looks)
         groups.setdefault(group, []).append(corner.name)
     return [Target(config, tuple(names)) for names in groups.values()]
 
 
+def measured_targets(
+    config: Config, drives: Sequence[Drive], *, each: bool = False
+) -> list[Target]:
+    """Return :func:`targets_of` the corners that *drives* measure.
+
+    Raises:
+        LogError: no corner has a thermocouple.
+    """
+    measured = {corner for drive in drives for corner in drive.measured}
+    targets = targets_of(config, sorted(measured), each=each)
+    if not targets:
+        names = ", ".join(drive.name for drive in drives)
+        msg = (
+            f"{names}: no measured temperature of a disc brake: this needs "
+            "roles temp_<corner>_<node>"
+        )
+        raise LogError(msg)
+    return targets
+
+
+def over_targets(
+    targets: Sequence[Target],
+    work: Callable[[Target, Callable[[float], None]], T],
+    progress: Callable[[float], None] | None,
+) -> list[T]:
+    """Return what *work* makes of each target and its share of *progress*."""
+    found = []
+    for number, target in enumerate(targets):
+
+        def show(share: float, number: int = number) -> None:
+            if progress is not None:
+                progress((number + share) / len(targets))
+
+        found.append(work(target, show))
+    return found
+
+
 def split_key(name: str) -> tuple[str, str]:
-    """Return effect and parameter of ``<effect>.<parameter>``."""
-    effect, parameter = name.split(".", maxsplit=1)
-    return effect, parameter
+    """Return section and key, or effect and parameter, of a dotted name."""
+    first, _, rest = name.partition(".")
+    return first, rest
 
 
 def effect_value(config: Config, corner: str, name: str) -> float:
@@ -344,7 +363,8 @@ def with_effect_values(
     The effects of *corners* get entries of their own; what others have, by
     an entry for all of them too, stays.
     """
-    names = {split_key(name)[0] for name in values}
+    by_key = {split_key(name): value for name, value in values.items()}
+    names = {effect for effect, _ in by_key}
     entries = [one for one in config.effect if one.name not in names]
     there = [one for one in effects_of(config) if one.name in names]
     for one in there:
@@ -355,8 +375,7 @@ def with_effect_values(
             if corner.name in corners:
                 changed |= {
                     parameter: value
-                    for name, value in values.items()
-                    for effect, parameter in (split_key(name),)
+                    for (effect, parameter), value in by_key.items()
                     if effect == one.name
                 }
             elif one.corner != "all" and one not in config.effect:
@@ -371,12 +390,3 @@ def with_effect_values(
                 )
             )
     return config.model_copy(update={"effect": entries})
-
-
-def effects_by_corner(config: Config, corner: str) -> dict[str, object]:
-    """Return the parameters of each effect of *corner*, by its name."""
-    return {
-        one.name: dict(one.parameters)
-        for one in effects_of(config)
-        if one.corner in {"all", corner}
-    }

@@ -11,7 +11,11 @@ import numpy as np
 from bstm_daemon.analysis.matching import phases
 from bstm_daemon.analysis.matching.drives import GRID_S, Drive
 from bstm_daemon.analysis.matching.refine import NodeAccuracy
-from bstm_daemon.analysis.statistics.series import running_mean, white_std
+from bstm_daemon.analysis.statistics.series import (
+    rms,
+    running_mean,
+    white_noise,
+)
 from bstm_daemon.units import KELVIN_OFFSET
 
 if TYPE_CHECKING:
@@ -59,14 +63,13 @@ NINETY: Final = 1.6449
 class Peak:
     """The highest temperature: measured and estimated [degC], when [s].
 
-    ``apart_s`` is nan where the curve does not rise to it and fall from it
-    within the record.
+    ``apart_s``, estimated less measured time, is nan where a curve does not
+    rise to it and fall from it within the record.
     """
 
     measured_c: float
     estimated_c: float
     measured_s: float
-    estimated_s: float
     apart_s: float
 
     @property
@@ -192,7 +195,7 @@ def _errors(
             for name, mask in phases_of(drive, corner).items()
         },
         accuracy,
-        _white_k(couple.temperature_k),
+        white_noise(couple.temperature_k),
     )
 
 
@@ -239,6 +242,9 @@ def compared(
             bool(abs(error[row]) <= NINETY * deviation[row]) for row in rows
         )
     last = time_s > time_s[-1] - LAST_S
+    by_phase = {
+        name: error[mask] for name, mask in masks.items() if mask.any()
+    }
     return NodeErrors(
         *head,
         time_s,
@@ -246,18 +252,10 @@ def compared(
         estimated,
         error,
         estimated - air_c,
-        float(np.sqrt(np.mean(judged**2))) if len(judged) else nan,
+        rms(judged) if len(judged) else nan,
         float(judged.max()) if len(judged) else nan,
-        {
-            name: float(np.sqrt(np.mean(error[mask] ** 2)))
-            for name, mask in masks.items()
-            if mask.any()
-        },
-        {
-            name: float(np.abs(error[mask]).max())
-            for name, mask in masks.items()
-            if mask.any()
-        },
+        {name: rms(one) for name, one in by_phase.items()},
+        {name: float(np.abs(one).max()) for name, one in by_phase.items()},
         peak,
         float(np.mean(error[last])),
         covered,
@@ -273,7 +271,6 @@ def peak_of(
         float(np.max(measured_c)),
         float(np.max(estimated_c)),
         tops[0],
-        tops[1],
         tops[1] - tops[0],
     )
 
@@ -298,24 +295,22 @@ def judged(errors: Sequence[NodeErrors], limits: Limits) -> list[Verdict]:
         asked: list[tuple[str, float, float]] = []
         if one.node == "fluid":
             asked = [
-                (
-                    "fluid, largest error [K]",
-                    one.largest_k,
-                    limits.fluid_max_k,
-                ),
-                ("fluid, RMS [K]", one.rms_k, limits.fluid_rms_k),
-                ("fluid, peak time [s]", one.peak.apart_s, limits.peak_s),
+                ("largest error [K]", one.largest_k, limits.fluid_max_k),
+                ("RMS [K]", one.rms_k, limits.fluid_rms_k),
+                ("peak time [s]", one.peak.apart_s, limits.peak_s),
             ]
             if one.duration_s >= LONG_S:
-                asked.append(
-                    ("fluid, last 20 min [K]", one.last_k, limits.last_k)
-                )
+                asked.append(("last 20 min [K]", one.last_k, limits.last_k))
         elif one.node == "disc":
-            asked = [("disc, RMS [K]", one.rms_k, limits.disc_rms_k)]
+            asked = [("RMS [K]", one.rms_k, limits.disc_rms_k)]
         elif one.node == "pad_back":
-            asked = [("pad back, RMS [K]", one.rms_k, limits.pad_back_rms_k)]
+            asked = [("RMS [K]", one.rms_k, limits.pad_back_rms_k)]
+        node = one.node.replace("_", " ")
         found += [
-            Verdict(limits.name, one.drive, one.corner, what, value, limit)
+            Verdict(
+                *(limits.name, one.drive, one.corner, f"{node}, {what}"),
+                *(value, limit),
+            )
             for what, value, limit in asked
             if not (isnan(value) or isnan(limit))
         ]
@@ -332,10 +327,3 @@ def _mean(series: Column, width_s: float) -> Column:
     """Return the running mean over *width_s*, NaN where *series* is, (n,)."""
     mean, _ = running_mean(series, round(0.5 * width_s / ROW_S))
     return np.where(np.isfinite(series), mean, np.nan)
-
-
-def _white_k(temperature_k: Column) -> float:
-    """Return the thermocouple's white noise from sample to sample."""
-    if len(temperature_k) < 3:
-        return 0.0
-    return white_std(np.diff(temperature_k, 2), 2)

@@ -1,4 +1,4 @@
-"""The accelerometers against the wheels: thesis figure 4.3 as a test."""
+"""Checks of the accelerometers against the wheels (thesis figure 4.3)."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ _DRIFT_WINDOW_S: Final = 30.0
 _TOLERANCE: Final = Tolerance(
     limits.ACCELERATION_SCALE, limits.ACCELERATION_OFFSET_MS2, unit=0.2
 )
-"""Units of acceleration are a factor of 9.8 apart: 20 % tells them."""
+"""Units of acceleration differ by a factor of 9.8: 20 % separates them."""
 
 _SPEED_UNIT: Final = 0.1
 _SPEED_UNIT_LEAST: Final = 2.0
-"""The speeds are blamed for 3.6 and 2.24 (km/h, mph and m/s); 1.6 is left to
-the accelerometer, whose scale may be anything."""
+"""Ratios of 3.6 and 2.24 (km/h, mph and m/s) are attributed to the speeds, 1.6
+to the accelerometer, whose scale may be anything."""
 
 
 def fit_acceleration(channels: Channels) -> Fit | None:
@@ -49,7 +49,7 @@ def fit_acceleration(channels: Channels) -> Fit | None:
 def _active(channels: Channels) -> Mask:
     """Return where speed changes, a second around it included.
 
-    Hours of cruising would else outvote the few stops.
+    Hours of cruising would otherwise outweigh the few stops.
     """
     rate = channels.speed_rate()
     busy = np.abs(rate) > limits.ACCELERATION_SPREAD_MS2
@@ -59,10 +59,10 @@ def _active(channels: Channels) -> Mask:
 
 
 def compare_accelerations(channels: Channels, notes: Notes) -> None:
-    """Compare both accelerometers with the speeds, name what is wrong."""
+    """Compare both accelerometers with the speeds and report the faults."""
     if channels.alive([LONGITUDINAL]):
         if channels.on_stand:
-            notes.skip(f"{LONGITUDINAL}: the car stood, wheels tell nothing")
+            notes.skip(f"{LONGITUDINAL}: the car stood, wheels show nothing")
         elif channels.speed_roles:
             _longitudinal(channels, notes)
         else:

@@ -1,4 +1,4 @@
-"""Left against right: in a bend the outer wheel is the faster one."""
+"""Check for swapped sides: in a bend the outer wheel is the faster one."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Pressure against what it does: deceleration, brake switch, brake force."""
+"""Checks of pressure against deceleration, brake switch and brake force."""
 
 from __future__ import annotations
 
@@ -209,7 +209,7 @@ def _judge_force(
 
 
 def compare_switch(channels: Channels, notes: Notes) -> None:
-    """Compare the brake switch with the pressure, or what stands for it."""
+    """Compare the brake switch with the pressure or a substitute for it."""
     if not channels.alive([_SWITCH]):
         return
     roles = channels.alive(PRESSURES)

@@ -119,7 +119,7 @@ class Channels:
     ) -> str | None:
         """Return the unit that *role* seems to be in, None if no unit does.
 
-        It reads *scale* times what it should in the configured one.
+        It reads *scale* times the true value in the configured one.
         """
         configured, factor = self.unit(role)
         quantity = UNITS[configured].quantity

@@ -1,4 +1,4 @@
-"""Two readings of one quantity: scale, offset, lag, correlation, residual.
+"""Fit of two readings of one quantity: scale, offset, lag, correlation.
 
 The scale is that of the geometric mean line, which treats both channels
 alike: ordinary regression would blame noise of the reference on the scale.
@@ -41,7 +41,7 @@ class Fit:
 
     ``scale_low`` and ``scale_high`` bound the scale; ``correlation`` is that
     of all samples, ``residual_rms`` that of the kept ones, in the channel's
-    unit. ``lag_s`` is None where no sharp change tells it. ``samples``
+    unit. ``lag_s`` is None if no sharp change determines it. ``samples``
     counts common grid points, ``outliers`` the share left out.
     """
 
@@ -115,7 +115,7 @@ def fit_channels(
 
 
 def find_lag(reference: Column, channel: Column) -> float | None:
-    """Return by how much *channel* is late [s], None where it is not clear.
+    """Return the lag of *channel* [s], None if it is not clear.
 
     The peak of the cross-correlation of the changes over 0.5 s, to a part of
     a grid step by a parabola through it and its neighbours.
@@ -197,7 +197,7 @@ def _correlation(x: Column, y: Column) -> float | None:
 
 
 def _kept(x: Column, y: Column, floor: float) -> Mask:
-    """Return which points lie near the line of most of them."""
+    """Return the inliers: points near the line of the majority."""
     slope = _start_slope(x, y)
     offset = float(np.median(y - slope * x))
     kept = np.ones(len(x), np.bool_)

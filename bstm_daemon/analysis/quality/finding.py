@@ -1,4 +1,4 @@
-"""What a check of a log can say, as data."""
+"""Findings of the checks of a log, as data."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ _VALUES: Final = {"unit", "scale", "offset", "unrelated"}
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """A fault that is named.
+    """A fault with a name.
 
     ``roles`` are the channels it concerns; ``wrong`` means that their values
     must not be used, otherwise it is worth knowing only.
@@ -57,7 +57,7 @@ class Comparison:
     """Two readings of one quantity side by side.
 
     ``agrees`` is None where the log does not allow a verdict; ``verdict``
-    says so in words. ``time_s``, ``reference`` and ``channel``, (n,), are
+    has the words. ``time_s``, ``reference`` and ``channel``, (n,), are
     what was compared, in SI; for people both are divided by ``unit_si`` to
     ``unit``, a reference of another quantity by ``reference_si``.
     """
@@ -156,7 +156,7 @@ class Notes:
         )  # fmt: skip
 
     def skip(self, text: str) -> None:
-        """Say what this log does not allow to judge, and why."""
+        """Note a check that this log does not allow, and why."""
         self.not_judged.append(text)
 
 

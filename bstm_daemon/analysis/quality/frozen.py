@@ -1,4 +1,4 @@
-"""Channels that stand still while what they measure does not."""
+"""Detection of channels that are frozen while the measured quantity moves."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def find_frozen(
 def _without_standing_axle(
     channels: Channels, notes: Notes, roles: list[str]
 ) -> list[str]:
-    """Take out an axle that stands because the car is on a stand."""
+    """Leave out an axle at rest because the car is on a test stand."""
     for name, wheels in _AXLES.items():
         others = [role for role in roles if role not in wheels]
         if not (set(wheels) <= set(roles) and others):
@@ -91,7 +91,7 @@ def _without_standing_axle(
 
 
 def _car_stood(channels: Channels, turning: Column) -> bool:
-    """Whether the accelerometer knows nothing of the turning wheels."""
+    """Whether the accelerometer shows no motion while wheels turn."""
     if not channels.alive(["acceleration_longitudinal"]):
         return False
     rate = difference_quotient(turning)
@@ -111,7 +111,7 @@ def _car_stood(channels: Channels, turning: Column) -> bool:
 
 
 class _SpeedContradiction:
-    """Says how the other speeds show that one can not stand still."""
+    """Evidence from the other speeds that a constant one is frozen."""
 
     def __init__(self, channels: Channels, role: str) -> None:
         self._channels = channels
@@ -159,7 +159,7 @@ class _SpeedContradiction:
 
 
 def _inside(channels: Channels, run: Run, value: Column) -> Column:
-    """Return *value* in *run* but for its ends, where a late one differs."""
+    """Return *value* in *run* except at its ends, where a late one differs."""
     first_s, last_s = run.start_s + _END_S, run.end_s - _END_S
     here = (channels.time_s >= first_s) & (channels.time_s <= last_s)
     inside = value[here]

@@ -61,7 +61,7 @@ def judge(
     notes = Notes()
     roles = _roles(recording, config, signal_map, notes)
     channels = Channels(recording, config, signal_map.timeouts_us)
-    # values beyond sense overflow: the fits then say nothing
+    # absurd values overflow: the fits are then unusable
     with np.errstate(over="ignore", invalid="ignore"):
         _compare(channels, notes)
     note_collisions(recording, config, own_frames or {}, notes)

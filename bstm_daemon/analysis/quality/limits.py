@@ -19,17 +19,17 @@ LONGEST_LAG_S: Final = 2.0
 """Search range of the cross-correlation; a GNSS receiver is late by 1 s."""
 
 LAG_S: Final = 0.25
-"""Later than this, pressure meets a speed that a hard stop has changed by
-more than 2 m/s. Filters and lines on a car take 20 to 100 ms."""
+"""Largest lag; during a larger one a hard stop changes the speed by more than
+2 m/s. Filters and lines on a car take 20 to 100 ms."""
 
 LAG_CORRELATION: Final = 0.7
 """A weaker peak of the cross-correlation gives no lag."""
 
 UNRELATED: Final = 0.5
-"""Two readings of one quantity with a weaker correlation are not that."""
+"""Readings with a weaker correlation are not of one quantity."""
 
 UNIT_TOLERANCE: Final = 0.06
-"""How near a scale must be to the ratio of two units to be called one; the
+"""Tolerance of a scale that is taken as the ratio of two units; the
 nearest wrong pair, mph for km/h (1.61) and Feed-Forward's 1.5, is at 7 %."""
 
 ENOUGH_S: Final = 5.0
@@ -43,27 +43,27 @@ SPEED_FLOOR_MS: Final = 0.5
 """A difference of speeds that is no outlier: bends, slip, quantum."""
 
 ACCELERATION_FLOOR_MS2: Final = 1.0
-"""The same for accelerations: a grade of 10 %."""
+"""A difference of accelerations that is no outlier: a grade of 10 %."""
 
 PRESSURE_FLOOR_PA: Final = 2e5
-"""The same for pressures, and 10 % of hard braking."""
+"""A difference of pressures that is no outlier: 10 % of hard braking."""
 
 SPEED_SCALE: Final = 1.06
-"""Larger is a wrong wheel size or scale: heat by speed errs alike. Worn and
-new tyres differ by 2 %, a spare wheel by 5 %."""
+"""A larger ratio is a wrong wheel size or scale, with the same error of the
+heat. Worn and new tyres differ by 2 %, a spare wheel by 5 %."""
 
 SPEED_OFFSET_MS: Final = 0.6
 """Wheel sensors read 0 below 0.4 m/s; beyond that it is no dead band."""
 
 ACCELERATION_SPREAD_MS2: Final = 0.3
-"""Standard deviation of dv/dt that stands out of bias and grade."""
+"""Least standard deviation of dv/dt, above that of bias and grade."""
 
 ACCELERATION_SCALE: Final = 1.25
 """Pitch under braking alone gives 3 %, and a 10 % grade that comes with
 braking 10 % or more: only what is beyond is the sensor's."""
 
 ACCELERATION_OFFSET_MS2: Final = 2.0
-"""More than any road's grade (20 %) can explain."""
+"""An offset above that of any road's grade (20 %)."""
 
 PRESSURE_SPAN_PA: Final = 5e5
 """Pressures must range over 5 bar: friction of seals and valves is 0.5."""
@@ -81,22 +81,22 @@ PRESSED_PA: Final = 3e5
 """Pads are on at this pressure (push-out is 0.5 to 1 bar)."""
 
 RELEASED_PA: Final = 0.5e5
-"""Below half a bar nobody brakes."""
+"""Below this pressure the brake is released."""
 
 MOVING_MS: Final = 2.0
 """Below this, wheel sensors and difference quotients are not trusted."""
 
 DRIVING_MS2: Final = 0.3
-"""A car that gains speed like this is not being braked."""
+"""Acceleration above which the car is not braked."""
 
 FROZEN_S: Final = 5.0
 """Shortest run of one exact value that is called frozen."""
 
 FROZEN_SPEED_MS: Final = 3.0
-"""... while the other speeds moved away by this much."""
+"""Least change of the other speeds during such a run."""
 
 FROZEN_ACCELERATION_MS2: Final = 2.0
-"""... while the speeds changed at rates this far apart."""
+"""Least range of the speeds' rates of change during such a run."""
 
 FROZEN_STEPS: Final = 20
 """A channel seen moving in this many different values has the resolution to
@@ -106,27 +106,27 @@ MISSING_SHARE: Final = 0.1
 """Share of the bus's time without a valid value that is named."""
 
 MISSING_FAILS: Final = 0.5
-"""... and above which the channel is of no use."""
+"""Share of missing time above which the channel is not usable."""
 
 FORCE_RATIO: Final = 2.0
 """Feed-Forward over Feed-Back energy: friction coefficient (0.3 to 0.5),
 mass and torque errors together stay below 2."""
 
 FORCE_UNIT_TOLERANCE: Final = 0.3
-"""... and blur a unit mistake by as much."""
+"""Relative error of Feed-Forward over Feed-Back in a test for a wrong unit."""
 
 FORCE_MS2: Final = 0.5
 """Mean braking, as a deceleration, that resistances cannot fake."""
 
 MISWIRED: Final = 0.98
-"""A temperature that follows a pressure this closely is its line: a brake
-part integrates heat and cannot cool as the pedal is released."""
+"""A temperature with this correlation to a pressure is miswired: a brake part
+integrates heat and cannot cool as the pedal is released."""
 
 MISWIRED_PRESSES: Final = 3
-"""Presses of the pedal that have to be followed."""
+"""Presses of the pedal needed for that verdict."""
 
 COLDER_K: Final = 15.0
-"""A brake part below ambient by more: evaporation gives 5 to 10 K."""
+"""Largest plausible fall below ambient: evaporation gives 5 to 10 K."""
 
 TEMPERATURE_RANGE_K: Final = {
     "disc": (223.0, 1400.0),
@@ -150,7 +150,7 @@ TEMPERATURE_RATE_K_S: Final = {
 at most."""
 
 DISC_WORK_MS2S: Final = 100.0
-"""Brake work over mass [m2/s2] that a disc must feel: a stop from 50 km/h, 10
+"""Brake work over mass [m2/s2] that must heat a disc: a stop from 50 km/h, 10
 K or more at the front of any car."""
 
 YAW_SPREAD_RAD_S: Final = 0.05
@@ -160,7 +160,7 @@ SIDE_CORRELATION: Final = 0.6
 """Wheel differences follow the yaw rate this well in bends."""
 
 WIDEST_TRACK_M: Final = 2.5
-"""... and by no more than a track."""
+"""Widest track that the wheel differences in bends may imply."""
 
 STAND_RESPONSE: Final = 0.3
 """Share of the turning wheels' dv/dt that the accelerometer must show for the

@@ -1,4 +1,4 @@
-"""Which heat modes a log allows, and what each of them lacks."""
+"""Which heat modes a log allows, and what is missing for the others."""
 
 from __future__ import annotations
 
@@ -113,7 +113,7 @@ class _Judge:
             usable=False,
             problems=(
                 *verdict.problems,
-                "axles disagree: the wheels do not tell the car's motion",
+                "axles disagree: the wheels do not show the car's motion",
             ),
             missing=verdict.missing,
             remarks=verdict.remarks,

@@ -1,4 +1,4 @@
-"""From a fit to a fault with a name, or to plain agreement."""
+"""Verdict on a fit: a named fault, or agreement."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Tolerance:
-    """What two readings may differ by; offsets in SI."""
+    """Tolerated differences of two readings; offsets in SI."""
 
     scale: float
     offset: float
@@ -29,7 +29,7 @@ class Tolerance:
 
 @dataclass(frozen=True, slots=True)
 class Naming:
-    """The faults that a fit shows, each with its words."""
+    """Faults that a fit shows, with their texts."""
 
     faults: tuple[tuple[Fault, str], ...] = ()
     why_not_judged: str = ""

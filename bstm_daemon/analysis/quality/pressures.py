@@ -1,4 +1,4 @@
-"""Brake pressures against each other and against the car's motion."""
+"""Checks of brake pressures against each other and the car's motion."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ def _attribute(
                         (first[0], role),
                         f"{first[0]} and {role} disagree "
                         f"({judged[0].verdict}): one is wrong and this log "
-                        "does not tell which",
+                        "does not show which",
                     )
                 )
     for role in first:
@@ -137,7 +137,7 @@ def _name(
 
 
 def check_resting(channels: Channels, notes: Notes) -> None:
-    """Name pressures that are negative, or not zero while nobody brakes."""
+    """Name pressures that are negative, or not zero with no braking."""
     for role in channels.alive(PRESSURES):
         value = channels.value(role)
         value = value[np.isfinite(value)]

@@ -33,7 +33,7 @@ _PAIRS: Final = (
 
 
 def compare_speeds(channels: Channels, notes: Notes) -> None:
-    """Compare every speed, name the wrong ones, settle the car's speed."""
+    """Compare every speed, report wrong ones, set the car's speed."""
     roles = channels.alive(SPEEDS)
     if not roles:
         return
@@ -60,7 +60,7 @@ def compare_speeds(channels: Channels, notes: Notes) -> None:
 
 
 def family(role: str) -> str:
-    """Return what shares a source with *role*: the wheels are one."""
+    """Return the roles that share a source with *role*: all wheels do."""
     return "wheels" if role in WHEELS else role
 
 
@@ -115,7 +115,7 @@ class _Table:
 def _trusted(
     channels: Channels, table: _Table, groups: list[tuple[str, ...]]
 ) -> tuple[str, ...] | None:
-    """Return the group to believe, None where nothing decides.
+    """Return the group to trust, None if undecided.
 
     Each source has one vote (the wheels, the vehicle, each over ground); the
     accelerometer decides before them where it follows one group and no other.
@@ -163,7 +163,7 @@ def _ambiguous(groups: list[tuple[str, ...]], listed: str) -> Finding:
         "ambiguous",
         roles,
         f"speeds disagree, {listed}: one side is wrong and this log does "
-        "not tell which",
+        "not show which",
     )
 
 
@@ -213,7 +213,7 @@ def _write_comparisons(
 
 
 def note_unjudged(channels: Channels, notes: Notes) -> None:
-    """Say which speeds have nothing to be compared with."""
+    """Note the speeds without another one to compare with."""
     roles = channels.alive(SPEEDS)
     if len(roles) == 1:
         notes.skip(f"{roles[0]}: the only speed, nothing to compare it with")

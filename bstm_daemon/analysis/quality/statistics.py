@@ -1,4 +1,4 @@
-"""What can be said of one channel alone: rate, range, gaps, constant runs."""
+"""Statistics of a single channel: rate, range, gaps, constant runs."""
 
 from __future__ import annotations
 

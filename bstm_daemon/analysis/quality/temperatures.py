@@ -1,4 +1,4 @@
-"""Measured brake temperatures against what a brake can do."""
+"""Checks of measured brake temperatures for what is possible in a brake."""
 
 from __future__ import annotations
 
@@ -202,7 +202,7 @@ def _work(channels: Channels, notes: Notes, role: str) -> None:
 
 
 def _left_right(channels: Channels, notes: Notes, roles: list[str]) -> None:
-    """Show left beside right; no verdict, brakes do differ."""
+    """Show left beside right, without a verdict, as brakes differ."""
     for left in roles:
         right = left.replace("l_", "r_", 1)
         if left.split("_")[1][1] != "l" or right not in roles:

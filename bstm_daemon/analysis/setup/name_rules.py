@@ -1,4 +1,4 @@
-"""What the name, unit and comment of a DBC signal say about its role.
+"""Rules that find the role of a DBC signal from name, unit and comment.
 
 Names are split into words (:mod:`bstm_daemon.analysis.setup.words`) and
 compared with the rules of ``_data/names.toml``. A match is a proposal; a log

@@ -22,12 +22,12 @@ if TYPE_CHECKING:
 
 _UNITS: Final = ("bar", "MPa", "kPa", "Pa")
 _USUAL_PA: Final = 10e5
-"""Pressure for 1 m/s2."""
+"""Usual pressure for 1 m/s2."""
 
 _DECADES: Final = 0.5
 _HIGHEST_PA: Final = 300e5
 _HARDEST_MS2: Final = 12.0
-"""More is a wheel that locks or stands on rollers, not a car that brakes."""
+"""Hardest braking; more is a wheel that locks or stands on rollers."""
 
 _LEVELS: Final = 8
 _REST: Final = 0.02
@@ -48,7 +48,7 @@ class AssumedUnit:
 
 
 def assumed_unit(motion: Motion, pressure: Samples) -> AssumedUnit | None:
-    """Return the likely unit of *pressure*, None if it behaves like none.
+    """Return the likely unit of *pressure*, None if unlike a pressure.
 
     Args:
         motion: the car's.
@@ -77,8 +77,8 @@ def assumed_unit(motion: Motion, pressure: Samples) -> AssumedUnit | None:
     for_1_ms2 = float(
         np.median(-column[braking][slowing] / change_ms2[slowing])
     )
-    unit = min(_UNITS, key=lambda one: _apart(for_1_ms2, one))
-    is_usual = _apart(for_1_ms2, unit) <= _DECADES
+    unit = min(_UNITS, key=lambda one: _distance(for_1_ms2, one))
+    is_usual = _distance(for_1_ms2, unit) <= _DECADES
     if not is_usual or top * UNITS[unit].factor > _HIGHEST_PA:
         return None
     return AssumedUnit(
@@ -89,6 +89,6 @@ def assumed_unit(motion: Motion, pressure: Samples) -> AssumedUnit | None:
     )
 
 
-def _apart(for_1_ms2: float, unit: str) -> float:
+def _distance(for_1_ms2: float, unit: str) -> float:
     """Return the decades between a pressure in *unit* and the usual one."""
     return abs(log10(for_1_ms2 * UNITS[unit].factor / _USUAL_PA))

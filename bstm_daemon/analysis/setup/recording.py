@@ -1,4 +1,4 @@
-"""What recorded logs hold of a DBC: which frames come, and their values.
+"""Content of recorded logs for a DBC: which frames come, and their values.
 
 A log may hold several buses. The interface whose frames fit the DBC best, by
 id and length, is taken for the DBC's bus; the others are named and left out.

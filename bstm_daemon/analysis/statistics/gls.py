@@ -18,7 +18,7 @@ SINGULAR: Final = 1e-12
 """Singular values below this share of the largest count as 0."""
 
 MOST_CORRELATED: Final = 0.9
-"""Lag-one correlation that residuals are credited with at most."""
+"""Upper bound of the residuals' lag-one correlation."""
 
 _NOTHING: Final = 1e-300
 

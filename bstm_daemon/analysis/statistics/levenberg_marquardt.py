@@ -17,10 +17,10 @@ if TYPE_CHECKING:
     from bstm_daemon.analysis.statistics.series import Column, Mask
 
 STEP: Final = 0.01
-"""Of a parameter's logarithm, for its sensitivity."""
+"""Step of a parameter's logarithm for finite differences."""
 
 DAMPINGS: Final = (0.0, 1e-2, 1.0, 30.0)
-"""Tried together in each iteration, on the scale of the diagonal."""
+"""Damping factors tried together in each iteration, times the diagonal."""
 
 ITERATIONS: Final = 12
 CONVERGED: Final = 1e-3

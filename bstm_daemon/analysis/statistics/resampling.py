@@ -38,8 +38,8 @@ def jackknife(estimates: Matrix) -> Matrix:
     mean of *estimates*, (g, p).
     """
     count = len(estimates)
-    apart = estimates - estimates.mean(axis=0)
-    return np.asarray((count - 1) / count * apart.T @ apart)
+    deviations = estimates - estimates.mean(axis=0)
+    return np.asarray((count - 1) / count * deviations.T @ deviations)
 
 
 def bootstrap(

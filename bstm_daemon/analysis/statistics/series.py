@@ -61,3 +61,16 @@ def white_std(differences: Column, order: int) -> float:
     """
     size = float(np.median(np.abs(differences))) / 0.6745
     return size / sqrt(comb(2 * order, order))
+
+
+def rms(values: Column) -> float:
+    """Return the root mean square of *values*, (n,)."""
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def white_noise(values: Column) -> float:
+    """Return the standard deviation of the white noise of *values*, (n,).
+
+    From their second differences; 0 for fewer than three.
+    """
+    return white_std(np.diff(values, 2), 2) if len(values) > 2 else 0.0

@@ -23,11 +23,10 @@ DRIFT_S: Final = 300.0
 """Correlation time of drift and of what the model leaves out."""
 
 DRIFTS_S: Final = (30.0, 100.0, 300.0)
-"""Correlation times that residuals are searched for; a longer one is an
-offset."""
+"""Correlation times of drift that are tried; a longer one is an offset."""
 
 DRIFT_TO_WHITE: Final = (0.0, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0)
-"""Likewise, variance of the drift over that of the white noise."""
+"""Ratios of drift variance to white variance that are tried."""
 
 _LEAST_K2: Final = 1e-8
 
@@ -77,9 +76,9 @@ class SensorNoise:
         above the air; without it ``share`` does not count.
         """
         rise = np.zeros(len(time_s)) if rise_k is None else rise_k
-        apart = np.abs(np.subtract.outer(time_s, time_s))
+        delta_s = np.abs(np.subtract.outer(time_s, time_s))
         drift = np.hypot(self.drift_k, self.share * rise)
-        found = np.outer(drift, drift) * np.exp(-apart / DRIFT_S)
+        found = np.outer(drift, drift) * np.exp(-delta_s / DRIFT_S)
         found += self.offset_k**2
         found += self.lag_s**2 * np.outer(slope_k_s, slope_k_s)
         steep = np.maximum(slope_k_s**2, _mean_square_slope(time_s, rise))
@@ -133,8 +132,8 @@ class DriftNoise:
         lower = {}
         for length in set(lengths):
             steps = np.arange(length)
-            apart_s = np.abs(np.subtract.outer(steps, steps)) * step_s
-            covariance = np.eye(length) + ratio * np.exp(-apart_s / drift_s)
+            delta_s = np.abs(np.subtract.outer(steps, steps)) * step_s
+            covariance = np.eye(length) + ratio * np.exp(-delta_s / drift_s)
             lower[length] = np.asarray(np.linalg.cholesky(covariance))
         return cls(tuple(lengths), ratio, drift_s, lower)
 

@@ -1,4 +1,4 @@
-"""What a link to a live bus is: frames in, frames out, and its condition.
+"""Interface of a link to a live bus: receive, send, and its condition.
 
 :class:`~bstm_daemon.bus.live.socketcan.SocketcanLink` reads a kernel
 interface, :class:`~bstm_daemon.bus.live.portable.PortableLink` any adapter
@@ -56,7 +56,7 @@ class LinkState(Enum):
 
 
 class SendResult(Enum):
-    """What became of a frame to send; a lost one is not queued anywhere."""
+    """Result of sending a frame; a lost one is not queued anywhere."""
 
     OK = "ok"
     LOST = "lost"

@@ -36,7 +36,7 @@ wall clock; frames wait for milliseconds.
 """
 
 ECHO_FRAMES: Final = 64
-"""Some adapters give back what is sent (``udp_multicast`` always does): so
+"""Some adapters give back what is sent (``udp_multicast`` always does): this
 many frames are remembered, a second of ours. A frame that is one of them to
 the byte, its counter and check value too, is an echo."""
 

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from bstm_daemon.bus.signals.signal_map import SignalMap
 
 _ROOM: Final = 4096
-"""Samples of one pass; of more frames the rest comes with the next."""
+"""Room for samples of one pass; the rest comes with the next pass."""
 
 
 class RecordDecoder:

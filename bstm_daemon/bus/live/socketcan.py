@@ -53,7 +53,7 @@ _INDEX: Final = struct.Struct("16xi20x")
 _FLAGS: Final = struct.Struct("16xH22x")
 
 _DRAINED: Final = (errno.EAGAIN, 0)
-"""What ends a reading that nothing is wrong with; 0 is the limit."""
+"""Normal ends of a reading; 0 is the limit."""
 
 _LINK_FAULTS: Final = (errno.ENETDOWN, errno.ENODEV, errno.ENXIO)
 

@@ -34,7 +34,7 @@ _START: Final = struct.Struct("<40x8H")
 """Year, month, weekday, day, hour, minute, second, millisecond."""
 _OBJECT_HEADER: Final = struct.Struct("<4sHHLL")
 _STAMP: Final = struct.Struct("<16xL4xQ")
-"""Of both versions of an object's header: unit and stamp."""
+"""Unit and stamp, in both versions of an object's header."""
 _PER_SECOND: Final = {1: 100_000}
 """Ticks of a stamp by its unit; of all others nanoseconds."""
 _CONTAINER: Final = struct.Struct("<H6xL4x")

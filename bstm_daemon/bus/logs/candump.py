@@ -189,7 +189,7 @@ def _fill(stream: BufferedReader, room: memoryview) -> int:
 
 
 class Scanned(NamedTuple):
-    """What the scan made of a text of so many ``lines``.
+    """Result of the scan of a text of ``lines`` lines.
 
     ``counts`` has the lines of each key that were read, and why they are not
     wanted, if so. ``pending`` are the lines left: start, end, line number.

@@ -1,4 +1,4 @@
-"""What every reader of a CAN log offers: chunks of frames, and counts.
+"""Base of the readers of CAN logs: chunks of frames, and counts.
 
 Every line (of a binary log: object or record) ends as a frame handed out or
 under a named reason, so that the counts add up.
@@ -259,7 +259,7 @@ def chunk_of(rows: Iterable[FrameRow]) -> FrameChunk:
     can_id: list[int] = []
     extended: list[bool] = []
     data: list[bytes] = []
-    # kept as columns: so many tuples cost time in the garbage collection
+    # kept as columns: many tuples cost time in the garbage collection
     for row in rows:
         time_us.append(row[0])
         line.append(row[1])

@@ -32,10 +32,10 @@ COUNTER_COUNT: Final = 16
 
 PROFILE2_BYTES: Final = 2
 PROFILE5_BYTES: Final = 3
-"""CRC and counter."""
+"""Bytes of the CRC and counter of Profile 5."""
 
 _CRC_BYTES: Final = 2
-"""Of Profile 5."""
+"""Bytes of the CRC of Profile 5."""
 
 _POLYNOMIAL: Final = 0x2F
 _INITIAL: Final = 0xFF
@@ -53,7 +53,7 @@ _TABLE: Final = bytes(_crc_of_byte(byte) for byte in range(256))
 
 
 class CheckStatus(Enum):
-    """Verdict on one received frame (the Profile 2 states we tell apart)."""
+    """Verdict on one received frame (the distinguished Profile 2 states)."""
 
     OK = "ok"
     REPEATED = "repeated"
@@ -123,8 +123,8 @@ class Checker(ABC):
       counter as the new last one, so that it is back in step with the next
       frame (``SyncCounterInit`` above 0).
 
-    Silence is not seen here: the age of the last ``OK`` frame is the
-    caller's to watch.
+    Silence is not detected here: the caller watches the age of the last
+    ``OK`` frame.
     """
 
     _modulo: int

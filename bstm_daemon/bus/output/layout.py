@@ -62,7 +62,7 @@ ONE_HERTZ_US: Final = 1_000_000
 TENTH_HERTZ_US: Final = 10_000_000
 
 LATER_S: Final = 1e9
-"""Beyond the range of any signal."""
+"""A time beyond the range of any signal."""
 
 _PER_SI: Final = {"mm": 1e3, "km": 1e-3}
 
@@ -95,12 +95,12 @@ class Signal:
 
     @property
     def not_available(self) -> int:
-        """The raw value of a quantity that there is none."""
+        """The raw value of a quantity that is not available."""
         return (1 << self.length) - 1
 
     @property
     def error(self) -> int:
-        """The raw value of a quantity whose value is no number."""
+        """The raw value of a quantity that is in error."""
         return self.not_available - 1
 
     def raw_of(self, source: Estimate | CornerEstimate) -> int:
@@ -244,7 +244,7 @@ def _percent(
 
 
 def _safe_in_s(corner: CornerEstimate) -> float:
-    """Later than the forecast reaches is the end of the range, no error."""
+    """A time beyond the forecast is the end of the range, not an error."""
     return min((corner.risk or NO_RISK).safe_in_s, LATER_S)
 
 

@@ -1,4 +1,4 @@
-"""From an estimate to the frames that are due.
+"""Publication of an estimate: encodes the frames that are due.
 
 Nothing here sends, reads a clock or knows a socket: :class:`Publication`
 turns an :class:`~bstm_daemon.estimate.Estimate` into bytes. Its only state
@@ -71,7 +71,7 @@ class Publication:
         self.continue_from(counters or {})
 
     def continue_from(self, counters: Mapping[str, int]) -> None:
-        """Go on behind *counters*, as :attr:`counters` gave them."""
+        """Continue after *counters*, as :attr:`counters` gave them."""
         self._counters = {
             frame.name: counters.get(frame.name, -1) % COUNTER_COUNT
             for frame in self._frames

@@ -1,8 +1,8 @@
 """Our own frames read back: id, bytes, physical values.
 
 The inverse of :mod:`bstm_daemon.bus.output.publication` over the same table
-(:mod:`bstm_daemon.bus.output.layout`), for whoever sees only what is on the
-bus. A frame that is added to the table is decoded without a change here.
+(:mod:`bstm_daemon.bus.output.layout`), for a reader that sees only the bus.
+A frame that is added to the table is decoded without a change here.
 """
 
 from __future__ import annotations

@@ -172,7 +172,7 @@ def layout_defects(
             (one.name, other.name)
             for one, other in itertools.combinations(message.signals, 2)
             if spans[one.name] & spans[other.name]
-            and not _apart(held[one.name], held[other.name])
+            and not _exclusive(held[one.name], held[other.name])
         ]
         if pairs:
             names = list(dict.fromkeys(itertools.chain(*pairs)))
@@ -269,7 +269,7 @@ def _held(message: Message, name: str) -> dict[str, frozenset[int]]:
         return {}
 
 
-def _apart(
+def _exclusive(
     one: dict[str, frozenset[int]], other: dict[str, frozenset[int]]
 ) -> bool:
     """Whether a multiplexer keeps two signals out of the same frame."""

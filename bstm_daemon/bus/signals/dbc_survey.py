@@ -1,4 +1,4 @@
-"""What the statements of a DBC declare, and what is wrong with them.
+"""Survey of a DBC: the declarations of its statements, and their defects.
 
 cantools reads a file as a whole or not at all, and some defects it does not
 see. A survey finds both kinds and what to leave out.
@@ -246,7 +246,7 @@ class Survey:
             name for name, mark in message.markers.items() if mark[-1:] == "M"
         ]
         lack = (
-            f"SG_MUL_VAL_ tells which of {', '.join(heads)} it hangs on"
+            f"SG_MUL_VAL_ names which of {', '.join(heads)} selects it"
             if heads
             else "multiplexer is declared"
         )

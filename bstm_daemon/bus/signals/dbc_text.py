@@ -1,7 +1,7 @@
 """The text of a DBC before a parser sees it: encoding, statements, defects.
 
 DBC files in the wild are written by hand and by many tools. cantools reads a
-file as a whole or not at all; here it is taken apart into statements, so that
+file as a whole or not at all; here it is split into statements, so that
 one that cannot be read is named with its line and left out, and the rest of
 the file keeps its line numbers.
 

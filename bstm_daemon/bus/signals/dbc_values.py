@@ -20,16 +20,16 @@ _ALONE: Final = frozenset(
         *("notavailable", "notavail", "notvalid"),
     }
 )
-"""Any of these means: no value."""
+"""Words that mean "no value" alone."""
 _DENIED: Final = frozenset({"available", "avail", "valid"})
-"""These mean it behind ``not`` only."""
+"""Words that mean "no value" after ``not`` only."""
 _BESIDE: Final = frozenset(
     {
         *("signal", "sig", "value", "val", "data", "sensor", "measurement"),
         *("indicator", "or", "and", "is"),
     }
 )
-"""What may stand beside them; any other word means something else."""
+"""Words that may stand beside them; any other changes the meaning."""
 _STATES_OF_ONE_BIT: Final = 1
 
 

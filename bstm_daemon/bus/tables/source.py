@@ -1,4 +1,4 @@
-"""What a signal table offers, whatever its file format."""
+"""Interface of a signal table, independent of its file format."""
 
 from __future__ import annotations
 

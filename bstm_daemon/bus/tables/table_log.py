@@ -47,7 +47,7 @@ class TableReader:
     with a time and ``refused`` the other rows by reason, so that they add
     up. ``counts`` has the refused cells: unreadable numbers and values out
     of range. ``first_refused`` keeps the first line numbers (of a binary
-    table the row numbers) of each reason, cells included. ``time`` tells
+    table the row numbers) of each reason, cells included. ``time`` has
     unit and laps. ``interfaces`` and ``seen`` are empty: a table has no
     frames.
     """

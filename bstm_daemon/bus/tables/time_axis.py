@@ -31,7 +31,7 @@ _NAMES: Final = {
 _EPOCHS: Final = (("us", 1e14), ("ms", 1e11), ("s", 1e8))
 """Counts since 1970 from 1973 on, by unit."""
 _STEPS: Final = (("us", 2000.0), ("ms", 5.0))
-"""Shortest usual step from row to row; a row in 5 s is none of a drive."""
+"""Shortest usual step from row to row; a drive has more than a row in 5 s."""
 
 
 class TimeAxis:

@@ -130,7 +130,7 @@ def apply_effects(
 
 
 def edited_inputs(config: Config) -> InputModel:
-    """What brake power is formed from, with the effects of *config* in it."""
+    """Return the inputs of the brake power, with the effects of *config*."""
     inputs = InputModel(config)
     for effect in _staged(effects_of(config)):
         cls = effect_class(effect.name)

@@ -1,4 +1,4 @@
-"""Samples with what effects know of their sensors taken off."""
+"""Correction of samples for the sensor errors of effects."""
 
 from __future__ import annotations
 

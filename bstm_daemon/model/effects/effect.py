@@ -1,4 +1,4 @@
-"""What an effect is: a name, parameters with bounds, an edit of the model."""
+"""Base class of effects: a name, parameters with bounds, a model edit."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What effects edit: one corner's model, and the inputs of the whole car."""
+"""Models that effects edit: one corner's, and the inputs of the whole car."""
 
 from __future__ import annotations
 
@@ -106,7 +106,7 @@ class CornerModel:
 
 @dataclass(frozen=True, slots=True)
 class Correction:
-    """What a reading of a role truly means: ``gain * reading + offset``.
+    """Correction of the samples of a role: ``gain * reading + offset``.
 
     In the SI unit of the role, before any other use of the sample.
     """
@@ -118,12 +118,12 @@ class Correction:
 
 @dataclass(frozen=True, slots=True)
 class InputModel:
-    """What brake power is formed from.
+    """Inputs of the brake power.
 
-    ``config`` is what the pass over samples is planned from (the file's own,
+    ``config`` is the configuration for the pass over samples (the file's own,
     edited), ``corrections`` apply to the samples in order,
-    ``unpressed_share`` is how much counts of a braking that is felt while no
-    pressure tells of it.
+    ``unpressed_share`` is the share of the braking without pressure that is
+    counted as heat.
     """
 
     config: Config

@@ -18,8 +18,8 @@ FASTEST_MS = 120.0
 """End of the tables over speed."""
 
 NEGLIGIBLE = 1e-6
-"""Below this strength a part that would be stiff or weak without end is as
-good as absent."""
+"""Least strength; below it a part would be singular and is as good as absent.
+"""
 
 RELEASED = Table(0.0, 1.0, (1.0, 0.0))
 """1 with the brake off, 0 with it on, over ``brake_on``."""

@@ -1,14 +1,14 @@
-"""What inputs can physically be, and when one speaks against another.
+"""Thresholds of the input checks: range, rate of change, plausibility.
 
-A sample outside its range is not taken. Neither is one that lies further from
-the last one than ``step + rate * time between the two``, unless the next
+A sample outside its range is rejected. So is one that differs from the last
+one by more than ``step + rate * time between the two``, unless the next
 sample confirms it. The limits are far beyond what a driver or a control
-system does, so that what they stop is no measurement.
+system does, so that nothing they reject is a measurement.
 
-A check of whole steps is a number of seconds: it rises while the check fails,
-and from ``comes_s`` on the input is suspect; then it must pass for ``goes_s``
-before the input counts as sound again. Where a check can not be made, the
-number stays. ``docs/validity.md`` has all of them in tables, with reasons.
+A check that is made once a step counts seconds: the count rises while the
+check fails, and from ``comes_s`` on the input is suspect; then the check must
+pass for ``goes_s`` before the input counts as sound again. While a check can
+not be made, the count stays. ``docs/validity.md`` lists all with reasons.
 """
 
 from __future__ import annotations
@@ -80,19 +80,19 @@ def limits_of(role: str) -> Limits:
 
 
 LIMITS: Final = tuple(limits_of(role.name) for role in ROLES)
-"""Limits by role number: of those that the pass computes with."""
+"""Limits by role number."""
 
 
 HOLD_US: Final = 2_000_000
-"""How long a role is suspect after a sample that was not taken."""
+"""How long a role is suspect after a rejected sample."""
 
 SILENT_US: Final = 1_000_000
-"""No sample of any role for longer: the bus sleeps, the car is parked."""
+"""Without any sample for longer, the bus sleeps and the car is parked."""
 
 
 @dataclass(frozen=True, slots=True)
 class Hysteresis:
-    """After how long a failing check comes, and a passing one goes [s]."""
+    """Time a check must fail to set a fault, and pass to clear it [s]."""
 
     comes_s: float
     goes_s: float
@@ -100,7 +100,7 @@ class Hysteresis:
     def advance(
         self, fault_s: float, dt_s: float, *, failed: bool | None
     ) -> float:
-        """Return the seconds a step later; *failed* is None if not known."""
+        """Return the count [s] a step later; *failed* is None if unknown."""
         if failed is None:
             return fault_s
         latched = fault_s >= self.comes_s
@@ -141,22 +141,24 @@ FROZEN_PRESSURE_S: Final = 30.0
 FROZEN_PRESSURE_MS: Final = 5.0
 FROZEN_PRESSURE_PA: Final = 3e5
 MOVES_S: Final = 1.0
-"""Bit-identical for so long while the car's speed changed by so much."""
+"""A value is frozen if it is bit-identical for ``FROZEN_*_S`` while the car's
+speed changed by ``FROZEN_*_MS``, a pressure only above ``FROZEN_PRESSURE_PA``.
+One that changed within ``MOVES_S`` is moving."""
 
 SWITCH_PRESSURE_PA: Final = 5e5
 SWITCH_MS: Final = 1.0
 
 INERTIA_FILTER_S: Final = 2.0
 INERTIA_MS2: Final = 4.0
-"""3 m/s2 and 1 m/s2 for a slope of 10 %, which the accelerometer shows."""
+"""3 m/s2, and 1 m/s2 for a slope of 10 %, which the accelerometer measures."""
 
 REVERSED_MEMORY_S: Final = 120.0
 REVERSED_MS2: Final = 2.0
 REVERSED_MOTION: Final = 40.0
 REVERSED_SHARE: Final = 0.2
-"""Where the speed gains more than 2 m/s2, which 20 % of slope can not undo,
-acceleration times gain is summed: negative means the wrong way round. 40
-m2/s3 are 10 s of 2 m/s2, or 2.5 s of 4."""
+"""While the speed rises by more than 2 m/s2, which a slope of 20 % can not
+cancel, acceleration times rate of speed is summed: a negative sum means a
+wrong sign. 40 m2/s3 are 10 s of 2 m/s2, or 2.5 s of 4."""
 
 STANDING_MS: Final = 0.5
 PARKING_MS: Final = 5.0
@@ -164,5 +166,5 @@ PARKING_MS: Final = 5.0
 
 OUTAGE_S: Final = 10.0
 OUTAGE_MEMORY: Final = 30.0
-"""Unknown heat for longer makes an estimate invalid; it counts for so many
-times as long."""
+"""Unknown heat for longer than ``OUTAGE_S`` makes an estimate invalid; its
+effect lasts ``OUTAGE_MEMORY`` times as long as the outage."""

@@ -1,4 +1,4 @@
-"""Checks of the inputs against physics, each other and their own past.
+"""Input checks: range, rate of change, plausibility against each other.
 
 The pure-Python form of ``native/heat/checks.c``; both do the same operations
 in the same order. :meth:`Checks.admit` judges one sample, :meth:`Checks.close`
@@ -63,13 +63,14 @@ if TYPE_CHECKING:
 
 @dataclass(slots=True)
 class Readings:
-    """What the pass knows at the end of a step; nan for what is missing.
+    """Inputs at the end of a step; nan for those that are missing.
 
     ``speeds``: absolute, wheels in corner order, then the vehicle's;
     ``pressures``: primary, secondary, then wheels; ``acceleration`` along
-    the motion; ``pressure_of``: per corner the place in ``pressures`` that
-    its pressure comes from; ``heat_known`` and ``at_risk`` per corner:
-    whether its power is known, and whether there may be some.
+    the motion; ``intervenes``: any system slows or spins single wheels;
+    ``pressure_of``: per corner the index in ``pressures`` of
+    the one that it uses; ``heat_known`` and ``at_risk`` per corner: whether
+    its power is known, and whether there may be any.
     """
 
     now: int
@@ -79,6 +80,7 @@ class Readings:
     braking: bool
     brake_switch: float
     esc_active: float
+    intervenes: bool
     acceleration: float
     speeds: Sequence[float]
     pressures: Sequence[float]
@@ -89,7 +91,7 @@ class Readings:
 
 @dataclass(frozen=True, slots=True)
 class Watched:
-    """Role numbers by what they are."""
+    """Role numbers of the checked inputs by kind."""
 
     speeds: Sequence[int]
     pressures: Sequence[int]
@@ -104,13 +106,13 @@ class Checks:
     def __init__(
         self, watched: Watched, plan: PlanNumbers, memory: CheckMemory
     ) -> None:
-        """Watch the roles *watched* of *plan*."""
+        """Check the roles *watched* of *plan*."""
         self.watched, self.plan, self.m = watched, plan, memory
 
     def admit(
         self, at_us: int, role: int, value: float, last: float, since: int
     ) -> bool:
-        """Whether *value* is a sample of *role*.
+        """Return whether *value* is accepted as a sample of *role*.
 
         *last* is the role's present value and *since* its stamp [us], NEVER
         where there is none or the order of the two is not known: then only
@@ -149,7 +151,7 @@ class Checks:
         self.m.suspect_until = max(self.m.suspect_until, self.m.until[role])
 
     def shift(self, ahead_us: int) -> None:
-        """Move the axis, as the clock was set."""
+        """Shift all stamps after a clock jump."""
         for stamps in (self.m.jump_stamp, self.m.until):
             for role, stamp in enumerate(stamps):
                 if stamp != NEVER:
@@ -165,7 +167,7 @@ class Checks:
             self.m.outage_s[c] = self.m.aftermath_s[c] = 0.0
 
     def close(self, now: Readings) -> int:
-        """Judge a step that ends; returns bits of FLAGS."""
+        """Check a finished step; return bits of FLAGS."""
         median, count = _median(now.speeds)
         self._compare_scales(now, median, count)
         self._compare_speeds(now, median, count)
@@ -184,7 +186,8 @@ class Checks:
     def _compare_scales(
         self, now: Readings, median: float, count: int
     ) -> None:
-        if count < 3 or median < SCALE_MS:
+        # an intervention slows single wheels for many seconds
+        if count < 3 or median < SCALE_MS or now.intervenes:
             return
         share = 1.0 - exp(-now.dt_s / SCALE_S)
         for v, speed in enumerate(now.speeds):
@@ -237,7 +240,7 @@ class Checks:
 
     def _hold_speeds(self, now: Readings, median: float, count: int) -> None:
         for v, speed in enumerate(now.speeds):
-            # of two, the other; of three and more a median stands still
+            # of two, the other; of three or more the median is constant
             # only where most of them do
             other = 2.0 * median - speed if count == 2 else median
             if isnan(speed) or speed != self.m.speed_held[v]:
@@ -264,7 +267,7 @@ class Checks:
             )
 
     def _hold_pressures(self, now: Readings, refused: int) -> None:
-        # what noise made of the speed is no driving
+        # a change of a suspect speed does not count as driving
         unsure = bool(refused & FLAGS["speed_suspect"])
         for i, pressure in enumerate(now.pressures):
             if isnan(pressure) or pressure != self.m.pressure_held[i]:
@@ -403,7 +406,7 @@ class Checks:
         return flags
 
     def _held_flags(self, now: Readings) -> int:
-        """Bits of the roles that have refused samples of late."""
+        """Bits of the roles with recently rejected samples."""
         flags = 0
         watched = self.watched
         for c, role in enumerate(watched.speeds[:-1]):
@@ -427,7 +430,7 @@ class Checks:
         return self.plan.timeout[role] >= 0.0 and now <= self.m.until[role]
 
     def _speed_flags(self, now: Readings, flags: int) -> int:
-        """The speed is suspect where no sound speed is left."""
+        """Return the bit of a suspect speed: no sound one is left."""
         last = len(now.speeds) - 1
         if not isnan(now.speeds[last]) and self.m.left_out[last] == 0.0:
             return 0
@@ -441,7 +444,7 @@ class Checks:
         return FLAGS["speed_suspect"] if present else 0
 
     def _outages(self, now: Readings) -> int:
-        """Bits of what is done where the heat of a corner is not known."""
+        """Time the outages of each corner's heat; return their bits."""
         flags = 0
         silent = (
             self.m.last_sample == NEVER
@@ -470,7 +473,7 @@ class Checks:
 
 
 def _median(values: Sequence[float]) -> tuple[float, int]:
-    """Median and count of the numbers among *values*; 0 of none."""
+    """Median and count of the values that are not nan; 0 if there are none."""
     known = sorted(value for value in values if not isnan(value))
     count = len(known)
     if count == 0:

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Vehicle:
-    """What Feed-Back knows of the car: masses and resistances.
+    """Masses and resistances of the car for Feed-Back.
 
     ``quadratic``, ``linear`` and ``constant`` are the terms of Eq 4.2,
     ``F_drag = 1/2 Cd A rho v^2 + C_fric v + m g f_r`` [N s2/m2, N s/m, N].
@@ -47,7 +47,7 @@ class Vehicle:
 
     @property
     def effective_mass_kg(self) -> float:
-        """M + J / R^2: what resists a change of speed."""
+        """M + J / R^2, the inertia against a change of speed."""
         return self.mass_kg + self.rotating_mass_kg
 
     def resistance_n(self, speed_ms: float) -> float:

@@ -1,4 +1,4 @@
-"""The friction of a brake over its nominal one: a law mu(T, p, v).
+"""Friction law mu(T, p, v) of a brake, relative to its nominal friction.
 
 A factor each for the temperature between disc and pads, the pressure and the
 sliding speed, as tables on fixed grids, so that the pass over samples
@@ -36,7 +36,7 @@ class FrictionLaw:
     speed: tuple[float, ...] = _ONES
 
     def __post_init__(self) -> None:
-        """Refuse what is no friction.
+        """Check the tables.
 
         Raises:
             ValueError: a table of another length, or with a factor that is

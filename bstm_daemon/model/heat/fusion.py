@@ -1,11 +1,11 @@
-"""Brake power of each corner out of pressure and motion.
+"""Brake power of each corner, fused from pressure and motion.
 
 The pure-Python form of ``native/heat/fusion.c``; both do the same operations
-in the same order. Feed-Forward gives the shape in time and over the corners,
-the friction that the observer has learned from the motion its magnitude.
-Where the motion shows braking without pressure, it alone gives the power;
-where the motion shows nothing, the pressure does, with what was learned.
-Torque of engine and motor is taken off before: it never heats a brake.
+in the same order. Feed-Forward gives the distribution over time and corners,
+the friction that the observer has learned from the motion gives the magnitude.
+If the motion shows braking without pressure, the power is from motion alone;
+if the motion is not usable, it is from pressure and the learned friction.
+Torque of engine and motor is subtracted first: it never heats a brake.
 """
 
 from __future__ import annotations
@@ -43,31 +43,32 @@ if TYPE_CHECKING:
     from bstm_daemon.model.heat.inputs import Inputs
 
 BRAKING_S: Final = 0.3
-"""Filter of the measured braking before it counts as one without pressure."""
+"""Time constant of the measured braking in the test for one unpressed."""
 
 SILENT_BEFORE_S: Final = 0.5
 SILENT_SPEED_MS: Final = 1.5
 SILENT_STDS: Final = 3.0
 ASSUMED_STDS: Final = 2.0
 STEEPEST_MS2: Final = 2.0
-"""Braking without pressure must be measured for so long, at such a speed, and
-beyond so many standard deviations (fewer where the torque is only assumed and
-the bias never learned); its energy since it began is not lost. What
-is felt beyond the change of speed is a slope of 20 % at most."""
+"""Braking without pressure counts after ``SILENT_BEFORE_S`` above
+``SILENT_SPEED_MS`` and beyond ``SILENT_STDS`` standard deviations
+(``ASSUMED_STDS`` if the torque is only assumed and the bias never learned);
+its energy from its start on is included. Beyond ``STEEPEST_MS2``, a slope of
+20 %, between acceleration and rate of speed it does not count."""
 
 SLIP_FORWARD: Final = 0.08
 SLIPPING: Final = 0.06
 STAND_TURNS_MS: Final = 3.0
-"""A wheel spins beyond the first share; all turn alike within the second; on
-a stand some turn faster while others stand."""
+"""A wheel slips forward above the first ratio; all turn alike within the
+second; on a test stand some turn faster than this while others stand."""
 
 MODEL_SHARE: Final = 0.015
 ABS_SHARE: Final = 0.12
 ASSIST_SHARE: Final = 0.15
 SINGLE_SHARE: Final = 0.6
-"""Standard deviations as shares: of the model with everything learned; where
-anti-lock modulates; where the share of the corners is assumed; where single
-wheels are braked and no pressure tells how, or the torque is assumed."""
+"""Relative standard deviations: of the model with everything learned; while
+ABS modulates; if the shares of the corners are assumed; if single wheels are
+braked at unknown pressure, or the torque is assumed."""
 
 ABS_LOW: Final = 0.2
 ABS_HIGH: Final = 1.5
@@ -76,11 +77,11 @@ GRADE_NOISE: Final = 0.02
 TARE_PA: Final = 3e4
 TARE_S: Final = 5.0
 TARE_DRIVE_MS2: Final = 0.3
-"""A pressure read while nobody brakes is its sensor's offset, up to 0.3 bar;
-where no switch tells, nobody brakes who drives on with 0.3 m/s2."""
+"""A pressure read with the brake released is its sensor's offset, up to 0.3
+bar; without a brake switch, drive of 0.3 m/s2 shows that it is released."""
 
 FLAG_SHIFT: Final = 40
-"""The observer's bits in those of a step."""
+"""Position of the observer's bits in the flags of a step."""
 
 _ACCELERATION: Final = ROLE_INDEX["acceleration_longitudinal"]
 _TORQUE: Final = ROLE_INDEX["powertrain_torque"]
@@ -105,12 +106,13 @@ UNSURE: Final = (
     | FLAGS["acceleration_suspect"]
     | FLAGS["torque_suspect"]
 )
-"""The motion shows nothing of the brakes: a push, a scale, an input."""
+"""With any of these the motion does not measure the braking: an external
+force, a wrong scale, a suspect input."""
 
 
 @dataclass(frozen=True, slots=True)
 class Fused:
-    """A step's power and standard deviation per corner [W].
+    """Power of a step and its standard deviation per corner [W].
 
     ``learned`` are the vehicle's channels from the grade on.
     """
@@ -122,7 +124,7 @@ class Fused:
 
 
 def accumulate_motion(run: Inputs, h: float, v: float) -> None:
-    """Add what the values held for *h* seconds show of the motion."""
+    """Add *h* seconds of the held values to the sums of the motion."""
     plan, m = run.plan, run.observer.m
     m.sum_drag += (plan.quadratic * v + plan.linear) * v / plan.mass_kg * h
     if (
@@ -201,9 +203,9 @@ def fuse(run: Inputs, now: Readings, flags: int) -> Fused:
 
 
 def _torque_std(s: Step, ratio: float) -> float:
-    """Standard deviation of what drives the car [m/s2].
+    """Standard deviation of the driving acceleration [m/s2].
 
-    Of the driveline's torque the retarding one is known worst.
+    The retarding torque of the driveline is the least accurate.
     """
     if not s.torque_known:
         return ASSUMED_TORQUE_STD
@@ -264,7 +266,7 @@ def _describe(run: Inputs, now: Readings, flags: int) -> Step:
 
 
 def _tare_pressures(run: Inputs, s: Step) -> None:
-    """Follow what the pressures read while nobody brakes."""
+    """Filter the offsets of the pressure sensors, brake released."""
     if isnan(s.brake_switch):
         released = s.drive > TARE_DRIVE_MS2
     else:

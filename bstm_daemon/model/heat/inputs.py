@@ -1,4 +1,4 @@
-"""What counts of the inputs at a time: values, speeds and pressures.
+"""Current inputs of the pass: valid values, speeds, pressures, heat source.
 
 The pure-Python form of ``native/heat/inputs.c``; both do the same operations
 in the same order.
@@ -50,11 +50,11 @@ _AMBIENT: Final = ROLE_INDEX["ambient_temperature"]
 
 
 class Inputs:
-    """The inputs of a plan with the memory of the pass.
+    """The current inputs of a plan, with the memory of the pass.
 
     ``plan`` are its numbers and ``m`` the memory of the samples; ``speed``,
     ``wheel``, ``target`` (pressures) and the like hold from one sample to the
-    next and are formed anew where ``stale``.
+    next and are computed again when ``stale``.
     """
 
     def __init__(self, plan: SamplePlan, memory: SampleMemory) -> None:
@@ -119,7 +119,7 @@ class Inputs:
         )
 
     def refresh(self) -> None:
-        """Form speeds and pressures from the values that count now."""
+        """Compute speeds and pressures from the values that are valid now."""
         value = self.m.value
         counts = [self.valid(role) for role in self.wheel_role]
         by_vehicle = vehicle = self.valid(_SPEED)
@@ -136,7 +136,7 @@ class Inputs:
             self.speed = abs(signed)
         else:
             self.speed = total / count if count else 0.0
-        # in reverse what points forward pushes against the motion
+        # in reverse a forward force acts against the motion
         self.heading = -1.0 if signed < 0.0 else 1.0
         self.speed_known = count > 0 or vehicle
         self.wheel = [
@@ -156,7 +156,7 @@ class Inputs:
     def _believed(
         self, present: list[bool], *, vehicle: bool
     ) -> tuple[list[bool], bool]:
-        """Which wheels, and whether the vehicle's speed, are believed.
+        """Return which wheels, and whether the vehicle speed, are used.
 
         Those that the others contradict are not, unless none is left.
         """
@@ -168,7 +168,7 @@ class Inputs:
         return present, vehicle
 
     def _refresh_pressures(self) -> None:
-        """Form each corner's pressure: its own, its circuit's or axle's."""
+        """Set each corner's pressure: its own, its circuit's or axle's."""
         value, observed = self.m.value, self.observer.m
         by_secondary = self.valid(_SECONDARY)
         tare = observed.tare_primary
@@ -187,7 +187,7 @@ class Inputs:
             self.target[c] = max(0.0, pressure)
 
     def _rear_pressure(self, front: float) -> float:
-        """Return what the valve lets through to the rear axle [Pa]."""
+        """Return the rear axle's pressure behind the valve [Pa]."""
         x, y = self.table
         last = self.plan.points - 1
         if front <= x[0]:
@@ -200,7 +200,7 @@ class Inputs:
         return y[i] + (front - x[i]) / (x[i + 1] - x[i]) * (y[i + 1] - y[i])
 
     def input_age_s(self) -> float:
-        """Age of the mandatory input that is silent longest; nan before it."""
+        """Age of the oldest mandatory input; nan until all have a sample."""
         speed = self._newest(_SPEED, self.wheel_role)
         pressure = max(
             self._newest(_PRIMARY, self.pressure_role),
@@ -298,6 +298,9 @@ class Inputs:
             or max(self.target, default=0.0) > self.plan.on_pressure_pa,
             brake_switch=brake_switch,
             esc_active=self.vehicle("esc_active", 0.0),
+            intervenes=self.vehicle("abs_active", 0.0) > 0.0
+            or self.vehicle("esc_active", 0.0) > 0.0
+            or self.vehicle("tc_active", 0.0) > 0.0,
             acceleration=self.heading * self.reading(_ACCELERATION),
             speeds=[
                 abs(self.reading(role)) for role in (*self.wheel_role, _SPEED)
@@ -312,7 +315,7 @@ class Inputs:
         )
 
     def _pressure_of(self, c: int) -> int:
-        """Place among the pressures of the one that corner *c* goes by."""
+        """Index of the pressure that corner *c* uses."""
         if self.valid(self.pressure_role[c]):
             return 2 + c
         if self.plan.secondary[c] and self.valid(_SECONDARY):

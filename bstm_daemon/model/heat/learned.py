@@ -1,4 +1,4 @@
-"""What is learned of the car: states, covariances, and how they change.
+"""Learned parameters of the car: states, covariances and Kalman updates.
 
 The pure-Python form of ``native/heat/learned.c``; both do the same operations
 in the same order.
@@ -28,13 +28,13 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 MOTION: Final = ("mass_ratio", "bias", "drag_ratio", "gain")
-"""Configured mass over the mass; bias of the accelerometer less g f_r
-[m/s2]; drag over that of the configuration, times ``mass_ratio``; what is
-measured of a change of speed beyond it (body pitch, scale)."""
+"""Configured over actual mass; bias of the accelerometer less g f_r [m/s2];
+actual over configured drag, times ``mass_ratio``; measured over actual change
+of speed, less 1 (body pitch, scale)."""
 
 FRICTION: Final = ("level", "speed", "pressure", "drift")
 """ln of friction over Feed-Forward's: at 10 m/s and 10 bar; exponents of
-speed and of pressure; what passes within minutes (temperature, bedding)."""
+speed and of pressure; drift within minutes (temperature, bedding)."""
 
 MASS, BIAS, DRAG, GAIN = range(len(MOTION))
 LEVEL, SPEED, PRESSURE, DRIFT = range(len(MOTION), len(MOTION + FRICTION))
@@ -77,13 +77,13 @@ class Learned:
         return found
 
     def copy(self) -> Learned:
-        """Return a copy that later changes leave alone."""
+        """Return an independent copy."""
         return Learned(
             self.x[:], self.cov[:], self.rolling_error, self.rolling_var
         )
 
     def begin(self, rolling: float) -> None:
-        """Begin anew; *rolling* is the configured g f_r [m/s2]."""
+        """Reset to the prior; *rolling* is the configured g f_r [m/s2]."""
         self.x = [0.0] * STATES
         self.cov = [0.0] * (STATES * STATES)
         self.x[MASS] = self.x[DRAG] = 1.0
@@ -142,14 +142,14 @@ class Learned:
                 )
 
     def add_process_noise(self, first: int, last: int, seconds: float) -> None:
-        """Let variances grow, not beyond what they began with."""
+        """Add process noise to the variances, up to those of the prior."""
         for i in range(first, last):
             own = i * STATES + i
             if self.cov[own] < P0_STD[i] * P0_STD[i]:
                 self.cov[own] += Q[i] * Q[i] * seconds
 
     def plausible(self) -> bool:
-        """Whether everything is a number and has a variance."""
+        """Whether all states are finite and all variances positive."""
         total = 0.0
         for number in self.numbers():
             total += number
@@ -161,11 +161,10 @@ class Learned:
 
 
 def published_variance(variance: float, prior_var: float) -> float:
-    """Return a filter's variance as the heat has it.
+    """Return a filter's variance as it is published with the heat.
 
-    *prior_var* is that before anything was learned: as long as little is, the
-    variance is published as it is, and :data:`~.observer_rules.CAUTION` of
-    it in the end.
+    *prior_var* is that of the prior: a variance close to it is published
+    unchanged, a small one times :data:`~.observer_rules.CAUTION`.
     """
     unlearned = min(variance / prior_var, 1.0)
     return variance * (CAUTION + (1.0 - CAUTION) * unlearned)
@@ -179,7 +178,7 @@ def clipped(value: float, low: float, high: float) -> float:
 
 
 def friction_row(speed: float, pressure_pa: float) -> list[float]:
-    """Return by how much each state counts in ln of the friction."""
+    """Return the measurement row of ln friction, an entry per state."""
     v = max(speed, 1.0)
     p = max(pressure_pa, 5e4)
     h = [0.0] * STATES
@@ -211,10 +210,10 @@ def product(x: Sequence[float], h: Sequence[float]) -> float:
 
 
 def learned_fault(learned: Sequence[float]) -> str | None:
-    """Return why *learned* can not have been learned, or None.
+    """Return why *learned* is not a possible result, or None.
 
     *learned* as :data:`LEARNED_NAMES` has it: in bounds, the covariance
-    symmetric, positive definite and no wider than at the first start.
+    symmetric, positive definite and no larger than the prior.
     """
     if len(learned) != len(LEARNED_NAMES):
         return f"{len(learned)} numbers instead of {len(LEARNED_NAMES)}"

@@ -44,10 +44,10 @@ class PassMemory:
 
     ``now``, ``grid`` (the end of the open step) and ``pending`` (a jump that
     waits to be confirmed) are stamps [us]; ``late``, ``dropped`` and ``jumps``
-    count. ``interface_k``, between disc and pads, is what the friction law
-    goes by: ``next_interface_k``, which the thermal model gave last (0 before
-    any), as it was when the step began. So it does not matter in how many
-    calls the samples come.
+    count. ``interface_k``, between disc and pads, is the temperature of the
+    friction law: ``next_interface_k``, the thermal model's latest (0 before
+    any), as it was when the step began. So the result does not depend on how
+    the samples are split into calls.
     """
 
     now: int
@@ -77,17 +77,18 @@ class PassMemory:
 
 @dataclass(slots=True)
 class CheckMemory:
-    """What the checks of inputs remember.
+    """Memory of the input checks.
 
     ``last_sample`` of any role and ``suspect_until``, the end of the last
     hold, are stamps [us]; per role ``jump_stamp`` and ``jump_value`` of a
-    jump that waits to be confirmed. What ends in ``_fault_s`` are seconds
+    jump that waits to be confirmed. Fields ``*_fault_s`` count the seconds
     that a check has failed. ``agreement`` and ``motion`` are sums over the
     last minutes of acceleration times gain of speed, and of the gain's square
     [m2/s3]. ``outage_s``: how long a corner's heat was unknown,
-    ``aftermath_s``: how long that still counts. ``mark`` is what the others
-    were when a value began to be held; ``left_out`` is 1 where a speed does
-    not count. ``scale_error`` is a speed over the median of all, less 1.
+    ``aftermath_s``: how long that still has an effect. ``mark`` is the speed
+    of the others when a value was first held; ``left_out`` is 1 for a speed
+    that is not used. ``scale_error`` is a speed over the median of all, less
+    1.
     """
 
     last_sample: int
@@ -123,7 +124,7 @@ class CheckMemory:
 
 @dataclass(slots=True)
 class ObserverMemory:
-    """What the observer of the car remembers.
+    """Memory of the vehicle observer.
 
     Accelerations and forces over the configured mass are in m/s2, so that the
     states have the size of 1. ``recent`` and ``earlier`` are copies of what
@@ -216,7 +217,7 @@ def _new_memory(learned: Sequence[float] | None) -> SampleMemory:
         observer.started = 1.0
         observer.radius_ratio = [1.0] * PER_GROUND_SPEED.entries
         observer.last_speed = UNKNOWN
-        # somebody may have got in
+        # people may have got in
         observer.stood_s = 2.0 * STOOD_S
     return memory
 
@@ -231,7 +232,7 @@ _VALUE: Final = layout.first(SampleMemory, "samples.value")
 
 @dataclass(slots=True)
 class SampleState:
-    """All that the pass remembers, as the arrays that both forms share.
+    """The whole memory of the pass, as the arrays that both forms share.
 
     ``times`` and ``numbers`` are the integers and the floats of
     :class:`SampleMemory`; ``flags`` are pending bits for the next row (clock
@@ -269,7 +270,7 @@ class SampleState:
         self.numbers[:] = array("d", numbers)
 
     def exported(self, corners: int) -> tuple[list[int], list[float]]:
-        """Return times and numbers of a car of *corners*, none unused."""
+        """Return the times and numbers used by a car of *corners*."""
         return (
             [self.times[i] for i in _used(int, corners)],
             [self.numbers[i] for i in _used(float, corners)],
@@ -297,27 +298,27 @@ class SampleState:
         return state
 
     def learned(self) -> list[float] | None:
-        """Return what the observer has learned, None before any step."""
+        """Return the learned numbers, None before any step."""
         if self.numbers[_STARTED] == 0.0:
             return None
         size = layout.size(Learned, float)
         return list(self.numbers[_KNOWN : _KNOWN + size])
 
     def unlearn(self) -> None:
-        """Let the observer begin anew at the next step."""
+        """Reset the observer at the next step."""
         self.numbers[_STARTED] = 0.0
 
     def heat_interface(self, corner: int, interface_k: float) -> None:
-        """Give the friction law the temperature between disc and pads.
+        """Set the friction law's temperature between disc and pads.
 
-        It counts from the next step on, or at once where none was known.
+        It applies from the next step on, or at once if none was known.
         """
         self.numbers[_NEXT + corner] = interface_k
         if not self.numbers[_INTERFACE + corner] > 0.0:
             self.numbers[_INTERFACE + corner] = interface_k
 
     def interface_k(self, corner: int) -> float:
-        """Return what :meth:`heat_interface` was given last, 0 before."""
+        """Return the last value of :meth:`heat_interface`, 0 before any."""
         return self.numbers[_NEXT + corner]
 
     def last_value(self, role: int) -> float | None:

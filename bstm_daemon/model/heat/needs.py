@@ -1,8 +1,8 @@
-"""What a heat mode needs of a recorded drive.
+"""Inputs that a heat mode needs of a recorded drive.
 
-The estimator goes on without speed or pressure, as a car must: it takes what
-it can get and calls the result degraded. Whoever compares a drive with what
-was measured would take the difference for something else.
+The estimator continues without speed or pressure, as it must in a car, and
+marks the result as degraded. A comparison with measurements would attribute
+the difference to something else, so it refuses such a drive.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ INPUTS: Final = {
     "fused": ("speed", "pressure"),
     "measured": ("speed", "pressure"),
 }
-"""Inputs without which a heat mode goes on only by assumption."""
+"""Inputs without which a heat mode has to make assumptions."""
 
 
 def check_inputs(
@@ -54,7 +54,7 @@ def check_inputs(
 def check_heat_inputs(
     log: str, seen: Container[int], mapped: Iterable[int], heat_mode: str
 ) -> None:
-    """Refuse *log* where it has nothing of what *heat_mode* needs.
+    """Refuse *log* if an input that *heat_mode* needs is missing.
 
     Raises:
         LogError: an input is missing.

@@ -1,4 +1,4 @@
-"""The car as its motion shows it: mass, bias, drag, pitch and friction.
+"""Vehicle observer: mass, bias, drag, pitch and friction from the motion.
 
 The pure-Python form of ``native/heat/observer.c``; both do the same operations
 in the same order. An accelerometer measures ``dv/dt + g sin(theta)`` and its
@@ -7,14 +7,14 @@ bias b, so that the balance of forces needs no grade::
     accel = mu u - sigma D(v) + b' + k dv/dt - braking
     u = T / (R m0) + F_ext / m0 - J / (R^2 m0) dv/dt,  b' = b - g f_r
 
-with mu = m0 / m, m0 and D of the configuration. Unbraked half seconds teach
-mu, b', sigma and k by a Kalman filter. Braked ones teach ln of the friction
-over Feed-Forward's, ``level + a ln(v/10) + c ln(p/10 bar) + drift``, by a
-Schmidt-Kalman filter: the motion's states are not changed by the brakes, but
-their errors count, and what is learned of them later corrects the friction.
-What counts against an input (an accelerometer of a wrong scale, a wheel
-radius that no speed over ground confirms, a pressure that never is, a force
-from outside) is reported, and nothing is learned from it.
+with mu = m0 / m, m0 and D of the configuration. A Kalman filter estimates mu,
+b', sigma and k from unbraked half seconds. A Schmidt-Kalman filter estimates
+ln of the friction over Feed-Forward's, ``level + a ln(v/10) + c ln(p/10 bar) +
+drift``, from braked ones: they do not change the states of the motion, but
+consider their errors, and later updates of those states correct the friction.
+A fault of an input (a wrong scale of the accelerometer, a wheel radius that
+contradicts the speed over ground, a pressure that is never there, an external
+force) is reported, and nothing is learned from it.
 """
 
 from __future__ import annotations
@@ -114,14 +114,14 @@ class Observer:
     ) -> tuple[float, float]:
         """Deceleration by the brakes [m/s2] and its standard deviation.
 
-        Times the mass it is the force; the mass's error is not in it.
+        Times the mass it is the force; the error of the mass is not included.
         """
         h = [drive - self.rotating * rate, 1.0, -drag, rate, *NO_FRICTION]
         std = sqrt(quadratic(self.m.known.cov, h))
         return product(self.m.known.x, h) - accel, std
 
     def begin(self) -> None:
-        """Begin anew, from what the configuration says."""
+        """Start again from the configured values."""
         m = zeros(ObserverMemory)
         m.resets, m.brake_sum = self.m.resets, self.m.brake_sum
         m.known.begin(self.rolling)
@@ -133,7 +133,7 @@ class Observer:
         self.m = m
 
     def observe(self, s: Step) -> int:
-        """Learn from a step that ends; returns bits of what was found."""
+        """Update the filters with a finished step; return bits of findings."""
         m = self.m
         if m.started == 0.0:
             self.begin()
@@ -185,7 +185,7 @@ class Observer:
         m.copy_age_s = 0.0
 
     def _forget_drive(self) -> None:
-        """Forget this drive: it rests on a wrong scale."""
+        """Forget this drive: its data have a wrong scale."""
         self.m.earlier = self.m.first.copy()
         self._roll_back()
 
@@ -260,7 +260,7 @@ class Observer:
             return
         white = ACCEL_NOISE / braking
         wind = WIND_SHARE * (self.m.known.x[DRAG] * drag) / braking
-        # an error of the motion's states is one of the friction for good
+        # an error of the motion's states stays in the friction
         h[MASS] = -(drive - self.rotating * rate) / braking
         h[BIAS] = -1.0 / braking
         h[DRAG] = drag / braking
@@ -282,7 +282,7 @@ class Observer:
         self.m.known.update(FIRST_FRICTION, h, innovation, noise)
 
     def _decay_drift(self, dt_s: float) -> None:
-        """The friction's passing part fades; all else walks slowly."""
+        """Let the drift of the friction decay; add noise to all else."""
         keep = exp(-dt_s / DRIFT_S)
         cov = self.m.known.cov
         self.m.known.add_process_noise(FIRST_FRICTION, STATES, dt_s)
@@ -295,7 +295,7 @@ class Observer:
         )
 
     def _learn_gain(self, s: Step, *, learns: bool) -> None:
-        """Pitch and scale: what is accel when the speed's rate changes."""
+        """Compare changes of accel with those of dv/dt: pitch and scale."""
         m = self.m
         rate = m.rate - m.slow_rate
         more = m.accel_measured - m.rate - (m.slow_accel - m.slow_rate)
@@ -356,7 +356,7 @@ class Observer:
     def _accumulate_window(
         self, s: Step, kind: float, first_speed: float
     ) -> bool:
-        """Sum half seconds of one kind; whether one is complete."""
+        """Sum half a second of one kind; return whether it is complete."""
         m = self.m
         if kind != m.window_kind or kind == WINDOW_NONE:
             m.window_kind = kind
@@ -398,7 +398,7 @@ class Observer:
         return WINDOW_NONE
 
     def _keep_times(self, s: Step) -> None:
-        """How long nothing has disturbed, and the brake is on or off."""
+        """Update the times since a disturbance, of brake on and brake off."""
         m = self.m
         shifted = s.gear != m.last_gear or s.clutch != m.last_clutch
         m.last_gear, m.last_clutch = s.gear, s.clutch
@@ -417,7 +417,7 @@ class Observer:
         m.pressed_s = m.pressed_s + s.dt_s if s.pressed else 0.0
 
     def _widen_mass(self, s: Step) -> None:
-        """People and luggage get in and out while the car stands."""
+        """Raise the variance of the mass after a stop: its load may change."""
         m = self.m
         if s.speed <= STANDING_MS:
             m.stood_s += s.dt_s
@@ -430,7 +430,7 @@ class Observer:
         m.stood_s = 0.0
 
     def _watch_pressure(self, s: Step) -> None:
-        """Count hard braking again and again without pressure, ever."""
+        """Sum the time of hard braking since the last pressure."""
         m = self.m
         if s.brake_n > 0.0:
             m.unpressed_s = 0.0
@@ -448,10 +448,10 @@ class Observer:
             m.unpressed_s += s.dt_s
 
     def _follow_grade(self, s: Step) -> None:
-        """Filter the sine of the road; learn bias and g f_r from its height.
+        """Filter the sine of the grade; learn bias and g f_r from the height.
 
-        The balance of forces shows the bias less g f_r; the height that was
-        climbed shows the bias alone.
+        The balance of forces gives the bias less g f_r; the height gained
+        gives the bias alone.
         """
         m, known = self.m, self.m.known
         bias = known.x[BIAS] + self.rolling + known.rolling_error

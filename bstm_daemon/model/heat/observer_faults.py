@@ -1,8 +1,8 @@
-"""What counts against the observer's inputs, as its memory shows it.
+"""Fault detection on the inputs of the vehicle observer.
 
-The pure-Python form of ``native/heat/observer_faults.c``. Each is reported
-and nothing is learned from it: an accelerometer of a wrong scale, a wheel
-radius that no speed over ground confirms, a force from outside.
+The pure-Python form of ``native/heat/observer_faults.c``. The faults are
+reported and stop the learning: a wrong scale of the accelerometer, a wheel
+radius that contradicts the speed over ground, an external force.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ if TYPE_CHECKING:
 
 @dataclass(slots=True)
 class Step:
-    """What a step was: means over it, nan where not known.
+    """Mean inputs of one step; nan if unknown.
 
-    ``accel`` is what the accelerometer measures, ``drive`` what drives the
-    car and ``drag`` what the air and the bearings take, both over the
-    configured mass [m/s2]; ``brake_n`` Feed-Forward's force. ``steady``: no
-    intervention, no slip, nothing suspect.
+    ``accel`` is the accelerometer; ``drive`` the driving force and ``drag``
+    that of air and bearings, both over the configured mass [m/s2];
+    ``brake_n`` Feed-Forward's force. ``steady``: no intervention, no slip, no
+    suspect input.
     """
 
     dt_s: float
@@ -52,7 +52,7 @@ class Step:
 
 
 def findings(m: ObserverMemory) -> int:
-    """Return the bits of what counts against the inputs."""
+    """Return the bits of the faults found."""
     found = 0
     if m.external_held_s > 0.0:
         found |= rules.EXTERNAL_SUSPECTED
@@ -66,7 +66,7 @@ def findings(m: ObserverMemory) -> int:
 
 
 def implausible_gain(m: ObserverMemory) -> bool:
-    """Whether the accelerometer shows changes of speed wrongly scaled."""
+    """Whether the accelerometer scales changes of speed wrongly."""
     square, product = m.gain_square, m.gain_product
     return square > rules.GAIN_SQUARE_LEAST and (
         product < rules.GAIN_LOW * square or product > rules.GAIN_HIGH * square
@@ -74,7 +74,7 @@ def implausible_gain(m: ObserverMemory) -> bool:
 
 
 def motion_unmeasured(m: ObserverMemory) -> bool:
-    """Whether it does not show them at all: wheels on a stand."""
+    """Whether it does not measure them at all: wheels on a test stand."""
     square = m.gain_square
     return (
         square > rules.GAIN_SQUARE_LEAST
@@ -90,7 +90,7 @@ def implausible_radius(m: ObserverMemory) -> bool:
 
 
 def compare_radius(m: ObserverMemory, s: Step) -> None:
-    """Follow the wheels' speed over each of those over ground."""
+    """Filter the ratio of wheel speed to each speed over ground."""
     if not s.steady:
         return
     share = 1.0 - exp(-s.dt_s / rules.RADIUS_S)

@@ -1,6 +1,6 @@
-"""Constants of the observer of the car, and of what it learns.
+"""Constants of the vehicle observer: priors, noise, bounds, thresholds.
 
-``docs/heat.md`` has them in tables.
+``docs/heat.md`` lists them in tables.
 """
 
 from __future__ import annotations
@@ -8,59 +8,60 @@ from __future__ import annotations
 from typing import Final
 
 P0_STD: Final = (0.2, 0.15, 0.3, 0.02, 0.25, 0.08, 0.08, 0.02)
-"""Standard deviations of the states before anything is learned: mass 20 %,
-bias 0.15 m/s2, drag 30 %, pitch 2 % of a change of speed, friction 25 %, its
-exponents 0.08, and what of it passes 2 %."""
+"""Prior standard deviations of the states: mass 20 %, bias 0.15 m/s2, drag
+30 %, pitch 2 % of a change of speed, friction 25 %, its exponents 0.08, and
+its drift 2 %."""
 
 Q: Final = (1e-4, 3e-4, 2e-2, 1e-5, 5e-4, 1e-4, 1e-4, 0.0)
-"""Process noise: by how much each may change within a second (square root of
-the variance a second): wind turns with the road, which by drag is another one
-within the minute; pads bed in."""
+"""Process noise of each state (square root of the variance per second): a bend
+turns the car against the wind, so that the drag changes within a minute; pads
+bed in."""
 
 MIN_STATE: Final = (0.5, -0.9, 0.2, -0.15, -1.1, -0.4, -0.4, -0.4)
 MAX_STATE: Final = (2.0, 0.6, 3.0, 0.25, 0.7, 0.4, 0.4, 0.4)
 """Bounds of the states."""
 
 PITCH: Final = 0.02
-"""Body pitch of a usual car: measured beyond a change of speed."""
+"""Share of a change of speed that the body pitch of a usual car adds."""
 
 ROLLING_STD: Final = 0.02
-"""Error of the configured g f_r: 0.002 of rolling resistance [m/s2]."""
+"""Prior standard deviation of the configured g f_r [m/s2]: 0.002 of rolling
+resistance."""
 
 LOAD_STD: Final = 0.03
 STOOD_S: Final = 30.0
-"""After so long a stand the mass may have changed by so much."""
+"""Standard deviation of the mass ratio added by a stop of ``STOOD_S``."""
 
 ACCEL_NOISE: Final = 0.05
 TORQUE_NOISE: Final = 0.03
 DRAG_TORQUE_NOISE: Final = 0.15
 ASSUMED_TORQUE_STD: Final = 0.2
-"""Noise of half a second [m/s2], of driving torque and of engine drag
-[share]; how wrong an assumed torque may be [m/s2]."""
+"""Standard deviations: of the acceleration over half a second [m/s2], of
+driving torque and of engine drag [share], of an assumed torque [m/s2]."""
 
 CORRELATED_WINDOWS: Final = 8.0
 CORRELATED_GAIN_WINDOWS: Final = 30.0
-"""Windows in a row that share one error: gusts, bumps, torque maps; and where
-roads level off before a bend, so does the scale seem to change."""
+"""Consecutive windows whose errors are correlated: gusts, bumps, torque maps;
+for the gain more, as a road that levels off before a bend looks like one."""
 
 WIND_SHARE: Final = 0.4
-"""Of the drag, which a gust may add or take."""
+"""Standard deviation of the drag by gusts [share]."""
 
 MODEL_NOISE: Final = 0.05
-"""How far a window of braking is from the form of the friction."""
+"""Standard deviation of ln friction in a window about the friction model."""
 
 CAUTION: Final = 0.2
-"""Share of the learned variance that the heat has: the filters take the errors
-of drag and pitch for lasting ones, while over a drive these change sign. From
-the development cars of the population."""
+"""Share of the filter's variance that is published with the heat: the filters
+take errors of drag and pitch as constant, while over a drive these change
+sign. Fitted to the development cars of the population."""
 
 OUTLIER: Final = 4.0
 IDLE_OUTLIER: Final = 2.5
 IDLE_DRIVE_MS2: Final = 0.15
 EXTERNAL_MS2: Final = 0.35
-"""Beyond so many standard deviations nothing is learned. Without torque
-(less than IDLE_DRIVE_MS2) no slope makes the accelerometer show a gain of
-speed: there fewer suffice for a push."""
+"""Innovations beyond OUTLIER standard deviations are not learned from. With
+less drive than IDLE_DRIVE_MS2 no slope makes the accelerometer measure a gain
+of speed: there IDLE_OUTLIER are enough for an external force."""
 
 WINDOW_S: Final = 0.5
 LEAST_SPEED_MS: Final = 4.0
@@ -69,9 +70,9 @@ CALM_S: Final = 1.0
 RELEASED_S: Final = 0.7
 PRESSED_S: Final = 0.4
 LEAST_BRAKE_N: Final = 150.0
-"""Learned from is what is calm for CALM_S (straight, no gear change, no slip,
-no intervention, nothing suspect) and unbraked for RELEASED_S, or braked for
-PRESSED_S: by then chassis and tyres are wound up."""
+"""The filters use windows that follow CALM_S of calm driving (straight, no
+gear change, slip, intervention or suspect input) with the brake off for
+RELEASED_S or on for PRESSED_S, when chassis and tyres have settled."""
 
 RATE_S: Final = 0.5
 SLOW_RATE_S: Final = 4.0
@@ -80,30 +81,31 @@ ROUGHNESS_S: Final = 10.0
 ROUGHNESS_MS2: Final = 1.5
 GAIN_RATE_MS2: Final = 0.4
 GAIN_NOISE: Final = 0.12
-"""Filters between which a change of speed is compared with what is measured,
-and how long they must have run: begun in mid-braking they differ by
-themselves. A speed whose steps are rougher (whole mph, once a second) shows
-nothing."""
+"""Time constants of the band-pass in which the rate of speed is compared with
+the accelerometer, and how long it must have run, as a start in mid-braking
+leaves a transient. A speed with coarser steps than ROUGHNESS_MS2 (whole mph,
+once a second) is not used."""
 
 GAIN_LOW: Final = -0.2
 GAIN_HIGH: Final = 0.2
 UNMEASURED: Final = -0.6
 GAIN_SQUARE_LEAST: Final = 20.0
 GAIN_SQUARE_MOST: Final = 60.0
-"""The share measured beyond a change of speed: outside GAIN_LOW and GAIN_HIGH
-the scale is wrong, below UNMEASURED it is not measured at all. Least and most
-sum of squares [m2/s4] that it rests on."""
+"""The gain is measured over actual change of speed, less 1: outside GAIN_LOW
+to GAIN_HIGH the scale is wrong, below UNMEASURED nothing is measured. Least
+and most sum of squares [m2/s4] that it is computed from."""
 
 DRIFT_S: Final = 60.0
 COPY_S: Final = 60.0
-"""Memory of what passes of the friction; age of the copies that a suspicion
-goes back to, once to twice as old."""
+"""Time constant of the friction's drift; interval of the copies to which a
+suspicion rolls back, which makes them one to two intervals old."""
 
 EXTERNAL_S: Final = 2.0
 EXTERNAL_HOLD_S: Final = 30.0
 EXTERNAL_SHARE: Final = 0.4
-"""Contradiction until an external force is suspected, agreement until it no
-longer is; braking surely below this share of what the pressure says."""
+"""Time of contradiction that sets the suspicion of an external force, and of
+agreement that clears it; the braking contradicts if it is significantly below
+this share of Feed-Forward's."""
 
 GRADE_S: Final = 0.3
 HEIGHT_PATH_M: Final = 1000.0
@@ -115,15 +117,15 @@ FORM_LIMIT: Final = 1.5
 
 RADIUS_S: Final = 60.0
 RADIUS_LIMIT: Final = 0.05
-"""Wheels and a speed over ground disagree by more."""
+"""Relative difference of wheel and ground speed above which they disagree."""
 
 DEAD_MS2: Final = 2.0
 DEAD_S: Final = 6.0
-"""Braked as hard for so long, and no pressure in between."""
+"""Least deceleration and its duration without any pressure."""
 
 EXTERNAL_SUSPECTED: Final = 1
 OBSERVER_RESET: Final = 2
 GAIN_SUSPECT: Final = 4
 RADIUS_SUSPECT: Final = 8
 PRESSURE_DEAD: Final = 16
-"""What the observer finds in a step, bits."""
+"""Bits of what the observer finds in a step."""

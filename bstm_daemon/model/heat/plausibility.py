@@ -1,4 +1,4 @@
-"""Findings about the inputs in groups and in plain words."""
+"""Flags of input faults in groups, and their texts for the user."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ FAULTS: Final = {
     "heat_lost": _ANY_CORNER * HEAT_LOST,
     "heat_doubt": _ANY_CORNER * HEAT_UNCERTAIN,
 }
-"""Bits by what is wrong with the inputs or the heat, of any corner."""
+"""Bits of each fault of the inputs or the heat, of any corner."""
 
 CAUSES: Final = (
     FLAGS["samples_refused"]
@@ -38,8 +38,8 @@ CAUSES: Final = (
     | FLAGS["wheels_contradict"]
     | FLAGS["acceleration_contradicts"]
 )
-"""What counts against an input. A vehicle speed that is left out, while a
-wheel is sound, has no other bit."""
+"""Faults that make an input suspect. They are the only bits of a vehicle speed
+that is left out while a wheel speed is sound."""
 
 SUSPECT: Final = (
     CAUSES
@@ -51,7 +51,7 @@ SUSPECT: Final = (
     | FAULTS["wheel_speed_suspect"]
     | _ANY_CORNER * CORNER_PRESSURE_SUSPECT
 )
-"""An input is suspect, whether the heat mode goes by it or not."""
+"""An input is suspect, whether the heat mode uses it or not."""
 
 SUBSTITUTED: Final = FLAGS["heat_substituted"] | FLAGS["heat_unknown"]
 """The heat of a corner is from the other source, or from none."""
@@ -79,13 +79,13 @@ WORDS: Final = {
     "silent": "bus silent",
     "external_force_suspected": "external force suspected, nothing learned",
     "observer_reset": "learned vehicle data reset",
-    "acceleration_scale": "acceleration wrongly scaled or not felt",
+    "acceleration_scale": "acceleration wrongly scaled or not measured",
     "wheel_radius": "wheel speed disagrees with satellite speed",
-    "pressure_dead": "braking without pressure again and again",
-    "braking_unpressed": "braking that no pressure tells of",
+    "pressure_dead": "repeated braking without any pressure",
+    "braking_unpressed": "braking without measured pressure",
     "wheel_speed_suspect": "wheel speed suspect",
     "heat_lost": "heat unknown for too long",
-    "heat_doubt": "unknown heat still felt",
+    "heat_doubt": "unknown heat still has an effect",
 }
 """Each of :data:`FLAGS` and :data:`FAULTS` in plain words."""
 

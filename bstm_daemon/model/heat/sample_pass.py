@@ -4,7 +4,7 @@ Samples (time, role, value) arrive in the order of the log or the bus. Between
 two samples every value is held; energy and distance are integrated at sample
 rate and handed to the estimator's step as means, because sampling the power
 at the steps would cost 1 K on the disc. One row or a million give the same
-bits: the whole memory of the pass is :class:`SampleState`. The compiled form
+bits: all memory of the pass is in :class:`SampleState`. The compiled form
 is ``native/heat/sample_pass.c``; both do the same operations in the same
 order.
 
@@ -53,14 +53,15 @@ CONFIRM_US: Final = 10_000_000
 LIMIT_US: Final = 2**60
 
 TAIL: Final = 4.0
-"""Time constants of the speed filter that Feed-Back runs on after release."""
+"""Time for which Feed-Back continues after release, in time constants of the
+speed filter."""
 
 _UNLEARNED: Final = (nan,) * len(LEARNED_CHANNELS)
 _ACCELERATION: Final = ROLE_INDEX["acceleration_longitudinal"]
 _AMBIENT: Final = ROLE_INDEX["ambient_temperature"]
 
 TICK: Final = -1
-"""The role number of a tick: time passes, nothing is sampled."""
+"""Role number of a tick, which moves time and carries no sample."""
 
 DONE: Final = 0
 FULL: Final = 1
@@ -190,7 +191,7 @@ class _Pass(Inputs):
         return SETTLE if settled else JUMP
 
     def _start_axis(self, time_us: int) -> None:
-        """Let the open step start anew at *time_us*."""
+        """Restart the open step at *time_us*."""
         self.m.now = time_us
         self.m.grid = (time_us // self.plan.step_us + 1) * self.plan.step_us
         self._clear()
@@ -208,10 +209,10 @@ class _Pass(Inputs):
         return DONE
 
     def take(self, time_us: int, role: int, value: float) -> None:
-        """Let *role* have *value* from now on, if it is a sample.
+        """Set *role* to *value* from now on, if the checks admit it.
 
-        Only a number is one, and only one that the checks admit; how fast a
-        late one came from the one before is not known.
+        NaN is rejected. The rate of change of a late sample is unknown and
+        not checked.
         """
         if not isfinite(value):
             return
@@ -224,7 +225,7 @@ class _Pass(Inputs):
             self.m.stamp[role] = at_us
 
     def _integrate(self, time_us: int) -> None:
-        """Hold all values from now to *time_us* and add up."""
+        """Integrate the held values from now to *time_us*."""
         if time_us <= self.m.now:
             return
         if self.stale:
@@ -240,7 +241,7 @@ class _Pass(Inputs):
         else:
             pressed = force_s > self.plan.on_force_n * h
         if pressed:
-            # the filtered speed still falls when the brake has let go
+            # the filtered speed still falls after the brake is released
             whole = inertia_kg > self.plan.rotating_kg
             self.m.tail_s = TAIL * self.plan.filter_s if whole else 0.0
         braked = impulse * v - inertia_kg * (gained * middle)
@@ -265,12 +266,12 @@ class _Pass(Inputs):
         self.m.now = time_us
 
     def _integrate_corners(self, h: float) -> float:
-        """Add up each corner's Feed-Forward; the highest mean pressure."""
+        """Integrate Feed-Forward; return the highest mean pressure."""
         highest = 0.0
         plan, m = self.plan, self.m
         for c, target in enumerate(self.target):
             lag_s = plan.lag_s[c]
-            # a pressure measured at the wheel has the lag in it
+            # a pressure measured at the wheel includes the lag
             if lag_s > 0.0 and not self.valid(self.pressure_role[c]):
                 decay = exp(-h / lag_s)
                 behind = m.lagged_pa[c] - target
@@ -303,7 +304,7 @@ class _Pass(Inputs):
             self.m.filtered_speed = UNKNOWN
             return 0.0, v
         if self.m.filtered_speed < 0.0:
-            # a speed that appears is not an acceleration
+            # the first speed after a gap is not an acceleration
             self.m.filtered_speed = v
             return 0.0, v
         before = self.m.filtered_speed
@@ -313,7 +314,7 @@ class _Pass(Inputs):
         )
 
     def _outer_impulse(self, h: float, v: float) -> tuple[float, float]:
-        """All of Eq 4.11 but the change of speed, times *h* [N s].
+        """Eq 4.11 without the change of speed, times *h* [N s].
 
         The accelerometer measures the change of the car's own speed and the
         slope; then only the wheels' inertia is left to the filtered speed.
@@ -338,7 +339,7 @@ class _Pass(Inputs):
         """Write the row of the step that ends now and start the next."""
         plan, m = self.plan, self.m
         dt_s = plan.step_us * 1e-6
-        # the air of a silent car is nearer the last one than the default
+        # on a silent bus the last air temperature is better than the default
         known = self.mapped(_AMBIENT) and m.stamp[_AMBIENT] != NEVER
         ambient_k = m.value[_AMBIENT] if known else plan.ambient_k
         wetness = min(max(self.vehicle("rain", 0.0), 0.0), 1.0)
@@ -404,11 +405,11 @@ class _Pass(Inputs):
         m.grid += plan.step_us
         self._clear()
         m.interface_k[:] = m.next_interface_k
-        # a value may have aged out: speeds and pressures are formed anew
+        # a value may have timed out: compute speeds and pressures again
         self.stale = True
 
     def _clear(self) -> None:
-        """Start the sums of a step anew."""
+        """Reset the sums of a step."""
         m, observed = self.m, self.observer.m
         m.unpressed_j = m.speed_sum = m.force_sum = m.energy_fb = 0.0
         for c in range(self.corners):

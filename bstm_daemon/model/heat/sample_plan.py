@@ -29,16 +29,16 @@ PLAN_LAYOUT: Final = 5
 """
 
 NOT_MAPPED: Final = float("-inf")
-"""Timeout of a role that no signal has."""
+"""Timeout of a role without a signal."""
 
 
 @dataclass(slots=True)
 class PlanNumbers:
-    """Numbers of a plan; lists per corner are filled as far as there are any.
+    """Numbers of a plan; of lists per corner only the first entries are used.
 
-    ``place`` is that of the corner in :data:`~bstm_daemon.roles.CORNERS`,
-    ``secondary`` whether it is of the secondary circuit; ``points`` are those
-    of the rear axle's pressure table. The timeouts are in us.
+    ``place`` is the corner's index in :data:`~bstm_daemon.roles.CORNERS`,
+    ``secondary`` whether it is on the secondary circuit; ``points`` counts
+    those of the rear axle's pressure table. The timeouts are in us.
     """
 
     corners: int
@@ -73,10 +73,10 @@ class PlanNumbers:
 
 @dataclass(frozen=True, slots=True)
 class SamplePlan:
-    """The numbers of the pass, as such and as the arrays of both forms.
+    """The plan of the pass, as numbers and as the arrays of both forms.
 
-    ``floats`` goes on with the table of the rear axle's pressure (front, then
-    rear) and with each corner's friction law, where there are any.
+    ``floats`` continues with the table of the rear axle's pressure (front,
+    then rear) and with each corner's friction law, if there are any.
     """
 
     numbers: PlanNumbers
@@ -103,10 +103,10 @@ def plan_samples(
         config: the configuration.
         present: role number to timeout [us], for each role that is mapped.
         step_us: the estimator's step [us].
-        settling_s: the longest that any past heat counts [s].
+        settling_s: the longest time that past heat has an effect [s].
         laws: friction of corners by name, where it is not nominal.
-        unpressed_share: how much counts of a braking that the motion shows
-            while no pressure does.
+        unpressed_share: share of the braking without pressure that is counted
+            as heat.
     """
     vehicle = Vehicle.of_config(config.vehicle)
     heat = config.heat
@@ -130,7 +130,7 @@ def plan_samples(
     n.on_force_n = heat.brake_on_force_n
     n.filter_s = heat.derivative_filter_s
     n.settling_s = settling_s
-    # the fused power finds such braking by itself
+    # the fused power includes such braking already
     n.unpressed_share = 0.0 if heat.mode == "fused" else unpressed_share
     for c, corner in enumerate(config.corner):
         secondary = corner.circuit == "secondary"

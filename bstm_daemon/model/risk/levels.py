@@ -1,4 +1,4 @@
-"""From a probability or a temperature to a level, with hysteresis."""
+"""Risk levels from a probability or a temperature, with hysteresis."""
 
 from __future__ import annotations
 
@@ -14,16 +14,17 @@ if TYPE_CHECKING:
     from bstm_daemon.estimate import Validity
 
 PROBABILITIES: Final = (0.01, 0.1, 0.5)
-"""Probability of vapour at which elevated, high and critical begin."""
+"""Thresholds of the probability of vapour: elevated, high, critical."""
 
 RELEASE: Final = 0.5
-"""A level is left below this share of the probability it begins at."""
+"""A level is released below this share of its threshold."""
 
 HOLD_US: Final = 60_000_000
-"""A level falls by one after so long below: a red light is no level."""
+"""Time below the release threshold before a level falls by one; longer than a
+red light."""
 
 COOLED_K: Final = 20.0
-"""A level of temperature is left so far below where it begins."""
+"""Hysteresis of a level by temperature."""
 
 ELEVATED_MARGIN_K: Final = 40.0
 """The fluid estimate may be off by 30 K over a whole descent (thesis, section
@@ -57,7 +58,7 @@ class LevelMemory:
     def by_probability(self, probability: float, time_us: int) -> RiskLevel:
         """Take the *probability* at *time_us* and return the level."""
         reached = level_of(probability)
-        # nan is not below: what is not known lowers no level
+        # nan is not below: an unknown value lowers no level
         stays = not probability < RELEASE * PROBABILITIES[self.level - 1]
         return self._move(reached, time_us, stays=stays)
 

@@ -1,4 +1,4 @@
-"""The boiling point as a distribution, and what it makes of a temperature.
+"""Distribution of the boiling point, and probability of vapour from it.
 
 The boiling point falls with the water ``w`` [% by mass] from the dry one to
 near the wet one,
@@ -37,19 +37,20 @@ FASTEST_PERCENT: Final = 1.0
 """Range of w_0: Keen's fluids 1.0; borate esters (DOT 4) are slower."""
 
 DRY_EXCESS_K: Final = (35.0, 10.0)
-"""Mean and deviation of a new fluid above its grade's dry minimum: a DOT 4
-of today boils at 265 degC, not 230. Never below the minimum."""
+"""Mean and standard deviation of a new fluid's boiling point above its grade's
+dry minimum: today's DOT 4 boils at 265 degC, not 230. Never below it."""
 
 WET_EXCESS_K: Final = 6.0
-"""Deviation of the half-normal by which a fluid's wet boiling point lies
-above its grade's minimum."""
+"""Standard deviation of the half-normal excess of a fluid's wet boiling point
+over its grade's minimum."""
 
 KNOWN_CAN_K: Final = 1.0
-"""Deviation of boiling points that are given for the fluid at hand."""
+"""Standard deviation of boiling points that are given for the fluid used."""
 
 BEYOND_PERCENT: Final = 4.0
 BEYOND_K_PERCENT: Final = 4.0
-"""Above this water the boiling point falls by up to so much a percent."""
+"""Water [%] above which the boiling point falls further, and by how many
+kelvin a percent at most."""
 
 VAPOUR_LOCK_K: Final = (0.0, 6.0)
 """Range by which vapour lock begins below the boiling point."""
@@ -61,10 +62,10 @@ _STANDARD: Final = NormalDist()
 
 
 class Fluid(NamedTuple):
-    """What is known of a fluid beside its water.
+    """Known properties of a fluid except its water.
 
-    ``dry_k`` and ``wet_k`` are those of the fluid at hand where they are
-    known, otherwise None: then the grade's minima hold.
+    ``dry_k`` and ``wet_k`` are the boiling points of this fluid if known,
+    otherwise None: then the grade's minima apply.
     """
 
     grade: str
@@ -117,7 +118,7 @@ class Boiling:
 
 @lru_cache(maxsize=8)
 def boiling(fluid: Fluid, water: Water) -> Boiling:
-    """Return when *fluid* with *water* in it forms vapour."""
+    """Return the distribution of the vapour point of *fluid* with *water*."""
     return Boiling(
         [_drawn(fluid, water, point) for point in unit_draws(DRAWS, 6)]
     )

@@ -1,13 +1,13 @@
-"""How much water the fluid holds, as a distribution.
+"""Distribution of the water content of the brake fluid.
 
-Brake fluid takes up water through hoses and reservoir. Age alone tells
+Brake fluid takes up water through hoses and reservoir. Age alone says
 little: Keen (TRRL LR 903, 1979) found more than half of 1000 cars at 3 % or
 above and no firm relation with age; in a survey of 1720 cars a fifth held 5 %
 or more. Both fit a lognormal of median 3 % and spread 0.55, which stands for
 a fluid of unknown age. With a known change the median follows the uptake
 that is usually quoted, 1.5 % after a year, 2.5 % after two and 3.5 % after
-four, with a spread of 0.45. These are assumptions, not measurements of the
-car at hand; a measured value replaces them.
+four, with a spread of 0.45. These are assumptions, not measurements of this
+car; a measured value replaces them.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ UNKNOWN_AGE: Final = (3.0, 0.55)
 """Median [%] and spread of the logarithm where nothing is known."""
 
 LEAST_PERCENT: Final = 0.05
-"""No fluid in a car is drier."""
+"""Lower bound: no fluid in a car is drier."""
 
 
 class Water(NamedTuple):

@@ -1,4 +1,4 @@
-"""How long a brake remembers an unknown start."""
+"""Settling time: how long an unknown start affects a brake."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ if TYPE_CHECKING:
 
 HOT_START_K: Final = 150.0
 SETTLED_K: Final = 5.0
-"""An unknown start no longer shows once a parked brake that began
+"""An unknown start has no effect any more once a parked brake that began
 ``HOT_START_K`` above the air would be within ``SETTLED_K`` of it."""
 
 STEP_S: Final = 60.0
 LONGEST_SETTLING_S: Final = 24 * 3600.0
-"""Marched in coarse steps (the scheme damps any step), not beyond a day."""
+"""Limit of the settling time: the march in coarse steps ends after a day."""
 
 
 def settling_time_s(

@@ -22,28 +22,27 @@ if TYPE_CHECKING:
     from bstm_daemon.model.wear.law import WearLaw
 
 REFIT_US: Final = 60_000_000
-"""Networks follow on whole multiples of this."""
+"""Interval at which worn networks are rebuilt."""
 
 REFIT_M: Final = 5.0e-5
-"""A lining or disc thinner by this is worth a network of its own: half a
-percent of a new lining, well below what a switch resolves."""
+"""Least wear for a rebuilt network: half a percent of a new lining, well below
+the resolution of a switch."""
 
 THINNEST_M: Final = 5.0e-4
 LEAST_MASS: Final = 0.2
-"""What the model keeps of a lining, and of a disc's mass, whatever the
-estimate says."""
+"""Least lining thickness, and least share of a disc's mass, in the model."""
 
 KNOWN_DISTANCE_M: Final = 50_000.0
-"""A remaining distance is given once this was driven on the pads."""
+"""Least distance on the pads before a remaining distance is reported."""
 
 CONFIRMED: Final = 2
-"""Samples in a row that make a switch's level."""
+"""Consecutive equal samples that confirm a switch."""
 
 MOST_EVENTS: Final = 64
-"""Events kept for later; more are of a clock that went wrong."""
+"""Most events kept for later; more come from a wrong clock."""
 
 Laws = tuple[tuple[int, "WearLaw"], ...]
-"""From which publication of a block on which law holds."""
+"""Wear laws, each with the publication of a block from which it applies."""
 
 
 class _Event(NamedTuple):
@@ -54,7 +53,7 @@ class _Event(NamedTuple):
 
 
 class Refit(NamedTuple):
-    """A network to be built: the corner as worn, and how it came to that."""
+    """A network to be built: the worn corner, and the kind of change."""
 
     corner: CornerConfig
     change: Change
@@ -93,7 +92,7 @@ class CarWear:
             for name, pad in self.pads.items()
         }
         self.worn_heat_j = dict.fromkeys(self.pads, 0.0)
-        """Heat above the air that left with worn mass, or came with new."""
+        """Heat above ambient that left with worn mass or came with new [J]."""
 
     def note(self, times_us: Any, roles: Any, values: Any) -> None:
         """Take the samples of the switches, [n] each.
@@ -152,7 +151,7 @@ class CarWear:
         moved = max(
             abs(a - b) for a, b in zip(now, self._built[name], strict=True)
         )
-        # nan, of a dose that is no number, is no wear
+        # a nan dose gives no wear
         if not moved >= REFIT_M:
             return None
         change, pad.change = pad.change, Change.WORN
@@ -271,7 +270,7 @@ class CarWear:
     ) -> None:
         if event.on:
             pad.happened(event.role, dose_j, distance_m, seen=event.seen)
-        # what is off bounds the lining from below, whatever came before
+        # an indicator that is off bounds the lining from below
         for role, level in self._levels.items():
             if level is False:
                 pad.off(role, dose_j)

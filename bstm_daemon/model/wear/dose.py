@@ -27,7 +27,7 @@ DISTANCE: Final = "wear_distance_m"
 
 PADS: Final = 2
 PRESSURE_LIMIT_PA: Final = 4.0e7
-"""Upper end of the table over pressure: hydraulics burst there."""
+"""Upper end of the table over pressure, where hydraulics burst."""
 
 DOSE_LIMIT_J: Final = 1.0e13
 DISTANCE_LIMIT_M: Final = 1.0e10
@@ -39,7 +39,7 @@ _HOT_STEP_K: Final = 5.0
 def with_wear_memories(
     net: Network, config: Config, corner: CornerConfig
 ) -> Network:
-    """Let *net*, the network of *corner*, remember its wear dose.
+    """Add the memory of its wear dose to *net*, the network of *corner*.
 
     Raises:
         NetworkError: it has no node ``pad_front``.

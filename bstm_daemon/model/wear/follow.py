@@ -1,4 +1,4 @@
-"""Between the estimator's arrays and wear: doses out, new networks in."""
+"""Interface of estimator and wear: reads doses, installs worn networks."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ if TYPE_CHECKING:
 def exchange(
     batch: Batch, member: int, program: Program, change: Change, air_k: float
 ) -> float:
-    """Let *member* of *batch* go on with *program*, after *change*.
+    """Replace the network of *member* of *batch* by *program*, after *change*.
 
-    What is worn leaves with its heat; new linings come as warm as the air;
-    what was only learned moves no heat. Temperatures that are no numbers
-    stay so: such an estimate is invalid, and begins anew.
+    Worn material leaves with its heat; new linings are at air temperature; a
+    corrected estimate of wear moves no heat. NaN temperatures stay NaN: such
+    an estimate is invalid and will be reset.
 
     Returns:
         The heat above *air_k* [K] that left the corner [J].
@@ -54,7 +54,7 @@ def keep_totals(
 ) -> None:
     """Put the doses of *state* into *fresh*, a start of the same *names*.
 
-    A lining is not new because its temperature is unknown.
+    The dose is kept even if temperatures are unknown.
     """
     for key in (DOSE, DISTANCE):
         at = names.index(key)

@@ -1,4 +1,4 @@
-"""The linings of one corner: what events say of them, and what is learned."""
+"""Linings of one corner: wear law from events, and the learned rate."""
 
 from __future__ import annotations
 
@@ -24,26 +24,26 @@ ROLES: Final = ("pads_new", "pad_worn_1mm", "pad_2mm_left")
 """The switches of section 4.6, by role."""
 
 RATE_BOUND: Final = 10.0
-"""A rate learned further from the expected one than this factor is a switch
-that does not belong to these pads."""
+"""Largest factor between learned and expected rate; beyond it the switch does
+not belong to these pads."""
 
 NEW_WITHIN_M: Final = 1.0e-4
-"""A configured thickness this close to that of new pads is one of new pads."""
+"""A configured thickness this close to that of new pads means new pads."""
 
 
 class Change(Enum):
-    """How a lining came to be other than the network was built for."""
+    """Why a lining differs from the one its network was built for."""
 
     WORN = auto()
     CORRECTED = auto()
-    """It was so before: something was learned of it."""
+    """The estimate was corrected; the lining itself did not change."""
     FITTED = auto()
-    """New ones."""
+    """New linings were fitted."""
 
 
 @dataclass(frozen=True, slots=True)
 class Configured:
-    """What the configuration says of a corner's linings and disc; SI."""
+    """Configured values of a corner's linings and disc; SI."""
 
     thickness_m: float
     new_thickness_m: float
@@ -71,7 +71,7 @@ class Configured:
 
     @property
     def entry(self) -> list[Any]:
-        """What a person enters; a change of it is a new measurement."""
+        """A value entered by a person; a change of it is a new measurement."""
         return [self.thickness_m, self.measured, self.disc_worn_m]
 
 
@@ -83,13 +83,13 @@ class PadWear:
         self._wear = config.wear
         self.configured = Configured.of_corner(config, corner)
         self.learned_rate_m_j: float | None = None
-        """The rate of the set before, or of this one."""
+        """The rate of the previous set, or of this one."""
         self.new_dose_j: float | None = None
         self.first_dose_j: float | None = None
         self.law = self._configured_law(0.0, self.configured.disc_worn_m)
         self.begin_dose_j = 0.0
         self.begin_distance_m = 0.0
-        """Where the driving that a remaining distance goes by began."""
+        """Start of the driving from which the remaining distance follows."""
         self.change = Change.WORN
         """The last change that the network has not followed yet."""
 
@@ -103,8 +103,8 @@ class PadWear:
             dose_j: the corner's dose then [J].
             distance_m: the distance driven then [m].
             seen: whether the switch was seen to change; one that is on from
-                the first moment shows where the lining is at most, not when
-                it came there.
+                the first moment gives an upper bound of the lining, not the
+                time when it was reached.
         """
         if role == "pads_new":
             if seen:
@@ -112,7 +112,7 @@ class PadWear:
             return
         at_m = self._indicator_m(role)
         if self.law.highest_m <= at_m:
-            # on again, a loose contact: these linings are past it already
+            # a loose contact: these linings have passed it already
             return
         law = self.law.moved_to(dose_j)
         self.change = Change.CORRECTED
@@ -147,7 +147,7 @@ class PadWear:
         self.law = law
 
     def off(self, role: str, dose_j: float) -> None:
-        """Take it that the indicator of *role* is there and off.
+        """Take the indicator of *role* as present and off.
 
         The lining is thicker than where it would come on.
         """
@@ -155,12 +155,12 @@ class PadWear:
             return
         at_m = self._indicator_m(role)
         law = self.law.moved_to(dose_j)
-        # a configured thickness below it is a person's word against it
+        # a configured thickness below it contradicts the indicator
         if law.highest_m > at_m and law.thickness_m >= at_m:
             self.law = replace(law, lowest_m=max(law.lowest_m, at_m))
 
     def configure(self, entry: list[Any], dose_j: float) -> None:
-        """Take what the configuration says now, if it is not *entry*.
+        """Take the configured thickness if it differs from *entry*.
 
         A thickness that is the same as when the state was saved was known
         then; a new one is a measurement made now.
@@ -239,10 +239,10 @@ class PadWear:
         return new_m - self._wear.first_indicator_worn_m
 
     def _expected(self) -> tuple[float, float]:
-        """Rate and spread of a set of which nothing was seen yet.
+        """Return rate and spread of a set without any event yet.
 
-        The thesis takes it that a driver stays the same through a pad's
-        life; here the next set begins with what the last one taught.
+        The thesis assumes that the driver does not change during a pad's
+        life; here the next set starts with the rate learned from the last.
         """
         if self.learned_rate_m_j is not None:
             return self.learned_rate_m_j, self._wear.learned_spread
@@ -266,7 +266,7 @@ class PadWear:
         )
 
     def _learned(self, role: str, dose_j: float) -> float | None:
-        """Return the rate that the event teaches, None if it can not."""
+        """Return the rate learned from the event, None if there is none."""
         wear = self._wear
         new_m = self.configured.new_thickness_m
         worn_m = wear.first_indicator_worn_m

@@ -40,7 +40,7 @@ static inline uint64_t bstm_little(const uint8_t *at)
         | (uint64_t)at[7] << 56;
 }
 
-/* Whether a CAN FD frame can have so many bytes (ISO 11898-1). */
+/* Whether a CAN FD frame can have this many bytes (ISO 11898-1). */
 static inline int bstm_is_fd_length(unsigned length)
 {
     return length <= 8 || length == 12 || length == 16 || length == 20

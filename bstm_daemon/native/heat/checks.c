@@ -93,7 +93,8 @@ static void compare_pair(Checks *c, const Readings *now, double middle,
 static void compare_scales(Checks *c, const Readings *now, double middle,
                            int count)
 {
-    if (count < 3 || middle < SCALE_MS) return;
+    /* an intervention slows single wheels for many seconds */
+    if (count < 3 || middle < SCALE_MS || now->intervenes) return;
     const double share = 1.0 - exp(-now->dt_s / SCALE_S);
     for (int v = 0; v <= c->corners; v++) {
         if (isnan(now->speeds[v])) continue;
@@ -149,7 +150,7 @@ static void hold_speeds(Checks *c, const Readings *now, double middle,
 
 static void hold_pressures(Checks *c, const Readings *now, int64_t refused)
 {
-    /* what noise made of the speed is no driving */
+    /* a change of a suspect speed does not count as driving */
     const int unsure = (refused & FLAG_SPEED_SUSPECT) != 0;
     for (int i = 0; i < c->corners + 2; i++) {
         const double pressure = now->pressures[i];
@@ -272,7 +273,7 @@ static int suspect(const Checks *c, int64_t now, int role)
     return c->plan->timeout[role] >= 0.0 && now <= c->t->until[role];
 }
 
-/* Bits of the roles that have refused samples of late. */
+/* Bits of the roles with recently rejected samples. */
 static int64_t held_flags(const Checks *c, const Readings *now)
 {
     int64_t flags = FLAG_SAMPLES_REFUSED;
@@ -293,7 +294,7 @@ static int64_t held_flags(const Checks *c, const Readings *now)
     return flags;
 }
 
-/* The speed is suspect where no sound speed is left. */
+/* The bit of a suspect speed: no sound one is left. */
 static int64_t speed_flags(const Checks *c, const Readings *now, int64_t flags)
 {
     const int last = c->corners;
@@ -307,7 +308,7 @@ static int64_t speed_flags(const Checks *c, const Readings *now, int64_t flags)
     return present ? FLAG_SPEED_SUSPECT : 0;
 }
 
-/* Bits of what is done where the heat of a corner is not known. */
+/* Time the outages of each corner's heat; returns their bits. */
 static int64_t outages(Checks *c, const Readings *now)
 {
     int64_t flags = 0;

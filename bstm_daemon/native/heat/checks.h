@@ -1,5 +1,5 @@
-/* Checks of the inputs: model/heat/checks.py says what they do; both forms do
- * the same operations in the same order. Nothing here knows Python.
+/* Input checks, described in model/heat/checks.py; both forms do the same
+ * operations in the same order. Nothing here knows Python.
  */
 #ifndef BSTM_CHECKS_H
 #define BSTM_CHECKS_H
@@ -17,11 +17,11 @@ typedef struct {
     int acceleration_role, torque_role, temperature_role[MAX_TEMPERATURES];
 } Checks;
 
-/* What the pass knows at the end of a step; nan for what is missing. */
+/* Inputs at the end of a step; nan for those that are missing. */
 typedef struct {
     int64_t now;
     double dt_s, speed, brake_switch, esc_active, acceleration;
-    int speed_known, braking;
+    int speed_known, braking, intervenes;
     double speeds[MAX_SPEEDS], pressures[MAX_PRESSURES];
     int pressure_of[MAX_CORNERS], heat_known[MAX_CORNERS];
     int at_risk[MAX_CORNERS];
@@ -33,11 +33,11 @@ static inline int checks_jumped(int role, double change, int64_t time_us)
     return fabs(change) > l->step + l->rate_per_s * ((double)time_us * 1e-6);
 }
 
-/* Whether a value that is out of range or jumped is a sample all the same. */
+/* Whether a value that is out of range or has jumped is accepted after all. */
 int checks_admit_unusual(Checks *c, int64_t at, int role, double value);
 
-/* Whether value is a sample of role; last counts since `since` or NEVER. In
- * the header, because nearly every sample ends here. */
+/* Whether value is accepted as a sample of role; `since` is the stamp of last,
+ * or NEVER. In the header, because nearly every sample ends here. */
 static inline int checks_admit(Checks *c, int64_t at, int role, double value,
                                double last, int64_t since)
 {
@@ -52,7 +52,7 @@ static inline int checks_admit(Checks *c, int64_t at, int role, double value,
 void checks_shift(Checks *c, int64_t ahead);
 void checks_settle(Checks *c);
 
-/* Judge a step that ends; returns bits of the flags. */
+/* Check a finished step; returns bits of the flags. */
 int64_t checks_close(Checks *c, const Readings *now);
 
 #endif

@@ -1,4 +1,4 @@
-/* The friction of a brake over its nominal one: model/heat/friction_law.py. */
+/* Friction of a brake over its nominal one, as model/heat/friction_law.py. */
 #ifndef BSTM_FRICTION_LAW_H
 #define BSTM_FRICTION_LAW_H
 

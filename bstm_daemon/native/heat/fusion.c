@@ -56,7 +56,7 @@ static int without_pressure(const Inputs *p, int c, int pressed)
     return !pressed || p->observer.m->brake_sum[c] <= 0.0;
 }
 
-/* What the pressures read while nobody brakes. */
+/* Offsets of the pressure sensors, read with the brake released. */
 static void tare_pressures(Inputs *p, const Step *s)
 {
     ObserverMemory *m = p->observer.m;
@@ -120,7 +120,7 @@ static void describe(const Inputs *p, const Readings *now, int64_t flags,
         && !(some && none && !s->wheel_pressures);
 }
 
-/* How a force without pressure falls on the corners [shares]. */
+/* Shares of the corners in a brake force without pressure. */
 static void divide(const Inputs *p, const Readings *now, int pressed,
                    double *part)
 {
@@ -168,7 +168,7 @@ static double unpressed(Inputs *p, const Step *s, double excess, double slow,
     return power > 0.0 ? power : 0.0;
 }
 
-/* What is learned, as the vehicle's channels from the grade on. */
+/* The learned values as the vehicle's channels from the grade on. */
 static void learned_channels(const Observer *o, const Step *s, double *channel)
 {
     const Learned *k = &o->m->known;
@@ -192,7 +192,7 @@ static void learned_channels(const Observer *o, const Step *s, double *channel)
     *channel = sqrt(k->cov[DRAG * STATES + DRAG]) / ratio;
 }
 
-/* Standard deviation of what drives the car [m/s2]. */
+/* Standard deviation of the driving acceleration [m/s2]. */
 static double torque_std(const Step *s, double ratio)
 {
     if (!s->torque_known) return ASSUMED_TORQUE_STD;

@@ -1,12 +1,12 @@
-/* Brake power of each corner out of pressure and motion: model/heat/fusion.py
- * says what it does; both forms do the same operations in the same order.
+/* Brake power of each corner, fused from pressure and motion; described in
+ * model/heat/fusion.py; both forms do the same operations in the same order.
  */
 #ifndef BSTM_FUSION_H
 #define BSTM_FUSION_H
 
 #include "inputs.h"
 
-/* A step's power and standard deviation per corner [W]. */
+/* Power of a step and its standard deviation per corner [W]. */
 typedef struct {
     int64_t flags;
     double power[MAX_CORNERS], power_std[MAX_CORNERS];

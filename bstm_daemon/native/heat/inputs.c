@@ -42,8 +42,8 @@ void inputs_init(Inputs *p, SampleMemoryInts *times,
     for (int i = 0; i < corners; i++) p->wheel[i] = p->target[i] = 0.0;
 }
 
-/* Which wheels, and whether the vehicle's speed, are believed: those that the
- * others contradict are not, unless none is left. */
+/* Which wheels, and whether the vehicle speed, are used: those that the others
+ * contradict are not, unless none is left. */
 static int believed(const Inputs *p, int *counts, int vehicle)
 {
     const double *left_out = p->checks.m->left_out;
@@ -214,6 +214,9 @@ void inputs_readings(const Inputs *p, double dt_s, const int *source,
     now->speed_known = p->speed_known;
     now->brake_switch = inputs_reading(p, ROLE_BRAKE_SWITCH);
     now->esc_active = inputs_vehicle(p, ROLE_ESC_ACTIVE, 0.0);
+    now->intervenes = inputs_vehicle(p, ROLE_ABS_ACTIVE, 0.0) > 0.0
+        || now->esc_active > 0.0
+        || inputs_vehicle(p, ROLE_TC_ACTIVE, 0.0) > 0.0;
     now->acceleration =
         p->heading * inputs_reading(p, ROLE_ACCELERATION_LONGITUDINAL);
     now->braking = now->brake_switch > 0.0;

@@ -1,5 +1,5 @@
-/* What counts of the inputs at a time: model/heat/inputs.py says what it does;
- * both forms do the same operations in the same order.
+/* Current inputs of the pass, described in model/heat/inputs.py; both forms do
+ * the same operations in the same order.
  */
 #ifndef BSTM_INPUTS_H
 #define BSTM_INPUTS_H
@@ -52,7 +52,7 @@ static inline int inputs_corner_known(const Inputs *p, int c)
             && inputs_valid(p, ROLE_SECONDARY_PRESSURE));
 }
 
-/* The rest is set by whoever checks what comes from Python. */
+/* The rest is set by the caller, which checks the values from Python. */
 void inputs_init(Inputs *p, SampleMemoryInts *times,
                  SampleMemoryFloats *numbers);
 void inputs_refresh(Inputs *p);
@@ -61,7 +61,7 @@ int inputs_feed_back_known(const Inputs *p);
 void inputs_heat_sources(const Inputs *p, int *source, int *at_risk);
 int64_t inputs_missing(const Inputs *p);
 
-/* All of what the checks need but at_risk. */
+/* All that the checks need except at_risk. */
 void inputs_readings(const Inputs *p, double dt_s, const int *source,
                      Readings *now);
 

@@ -1,4 +1,4 @@
-/* What is learned of the car: model/heat/learned.py says what this does; both
+/* Learned parameters of the car, described in model/heat/learned.py; both
  * forms do the same operations in the same order.
  */
 #ifndef BSTM_LEARNED_H

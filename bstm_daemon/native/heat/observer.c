@@ -12,7 +12,7 @@ double observer_braking(const Observer *o, double accel, double drive,
     return learned_product(o->m->known.x, h) - accel;
 }
 
-/* Begin anew, from what the configuration says. */
+/* Start again from the configured values. */
 static void begin(Observer *o)
 {
     ObserverMemory *m = o->m, fresh = {.resets = m->resets};
@@ -41,7 +41,7 @@ static void roll_back(ObserverMemory *m)
     m->copy_age_s = 0.0;
 }
 
-/* Forget this drive: it rests on a wrong scale. */
+/* Forget this drive: its data have a wrong scale. */
 static void forget_drive(ObserverMemory *m)
 {
     m->earlier = m->first;
@@ -112,7 +112,7 @@ static void learn_friction(Observer *o, double accel, double drive,
     if (m->external_held_s > 0.0 || braking < 0.3 * ff_decel) return;
     const double white = ACCEL_NOISE / braking;
     const double wind = WIND_SHARE * (m->known.x[DRAG] * drag) / braking;
-    /* an error of the motion's states is one of the friction for good */
+    /* an error of the motion's states stays in the friction */
     h[MASS] = -(drive - o->rotating * rate) / braking;
     h[BIAS] = -1.0 / braking;
     h[DRAG] = drag / braking;
@@ -126,7 +126,7 @@ static void learn_friction(Observer *o, double accel, double drive,
     learned_update(&m->known, FIRST_FRICTION, h, innovation, noise);
 }
 
-/* The friction's passing part fades; all else walks slowly. */
+/* Let the drift of the friction decay; add noise to all else. */
 static void decay_drift(ObserverMemory *m, double dt_s)
 {
     const double keep = exp(-dt_s / DRIFT_S);
@@ -141,7 +141,7 @@ static void decay_drift(ObserverMemory *m, double dt_s)
         * (P0_STD[DRIFT] * P0_STD[DRIFT]);
 }
 
-/* Pitch and scale: what is measured when the speed's rate changes. */
+/* Compare changes of accel with those of dv/dt: pitch and scale. */
 static void learn_gain(Observer *o, const Step *s, int learns)
 {
     ObserverMemory *m = o->m;
@@ -231,7 +231,7 @@ static void follow_grade(Observer *o, const Step *s)
     m->known.rolling_var += 1e-6;
 }
 
-/* Sums over half seconds of one kind; returns whether one is complete. */
+/* Sum half a second of one kind; returns whether it is complete. */
 static int accumulate_window(ObserverMemory *m, const Step *s, double kind,
                              double first_speed)
 {
@@ -277,7 +277,7 @@ static double window_kind(const ObserverMemory *m, const Step *s)
     return WINDOW_NONE;
 }
 
-/* How long nothing has disturbed, and the brake is on or off. */
+/* Update the times since a disturbance, of brake on and brake off. */
 static void keep_times(ObserverMemory *m, const Step *s)
 {
     const int shifted =
@@ -293,7 +293,7 @@ static void keep_times(ObserverMemory *m, const Step *s)
     m->pressed_s = s->pressed ? m->pressed_s + s->dt_s : 0.0;
 }
 
-/* People and luggage get in and out while the car stands. */
+/* Raise the variance of the mass after a stop: its load may change. */
 static void widen_mass(ObserverMemory *m, const Step *s)
 {
     if (s->speed > STANDING_MS) {
@@ -306,7 +306,7 @@ static void widen_mass(ObserverMemory *m, const Step *s)
     } else m->stood_s += s->dt_s;
 }
 
-/* Hard braking again and again, and no pressure ever. */
+/* Sum the time of hard braking since the last pressure. */
 static void watch_pressure(Observer *o, const Step *s)
 {
     ObserverMemory *m = o->m;

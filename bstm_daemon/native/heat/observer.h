@@ -1,5 +1,5 @@
-/* The observer of the car: model/heat/observer.py says what it does; both
- * forms do the same operations in the same order.
+/* The vehicle observer, described in model/heat/observer.py; both forms do
+ * the same operations in the same order.
  */
 #ifndef BSTM_OBSERVER_H
 #define BSTM_OBSERVER_H
@@ -12,7 +12,7 @@ typedef struct {
     ObserverMemory *m;
 } Observer;
 
-/* Learn from a step that ends; returns bits of what was found. */
+/* Update the filters with a finished step; returns bits of findings. */
 int observer_observe(Observer *o, const Step *s);
 
 /* Deceleration by the brakes [m/s2] and its standard deviation. */

@@ -1,5 +1,6 @@
-/* What counts against the observer's inputs: model/heat/observer_faults.py
- * says what it does; both forms do the same operations in the same order.
+/* Fault detection on the observer's inputs, described in
+ * model/heat/observer_faults.py; both forms do the same operations in the same
+ * order.
  */
 #ifndef BSTM_OBSERVER_FAULTS_H
 #define BSTM_OBSERVER_FAULTS_H

@@ -24,7 +24,7 @@ static double filter_speed(Inputs *p, double h, double v, double *middle)
     return m->filtered_speed - before;
 }
 
-/* All of Eq 4.11 but the change of speed, times h; that change acts on
+/* Eq 4.11 without the change of speed, times h; that change acts on
  * *inertia_kg. */
 static double outer_impulse(const Inputs *p, double h, double v,
                             double *inertia_kg)
@@ -48,7 +48,7 @@ static double outer_impulse(const Inputs *p, double h, double v,
     return impulse;
 }
 
-/* Add up each corner's Feed-Forward; returns the highest mean pressure. */
+/* Integrate Feed-Forward; returns the highest mean pressure. */
 static double integrate_corners(Inputs *p, double h)
 {
     const PlanNumbersFloats *f = p->plan;
@@ -57,7 +57,7 @@ static double integrate_corners(Inputs *p, double h)
     for (int c = 0; c < p->corners; c++) {
         const double target = p->target[c], lag_s = f->lag_s[c];
         double pressure;
-        /* a pressure measured at the wheel has the lag in it */
+        /* a pressure measured at the wheel includes the lag */
         if (lag_s > 0.0 && !inputs_valid(p, p->pressure_role[c])) {
             const double decay = exp(-h / lag_s);
             const double behind = m->lagged_pa[c] - target;
@@ -87,7 +87,7 @@ static double integrate_corners(Inputs *p, double h)
     return highest;
 }
 
-/* Hold all values from now to time_us and add up. */
+/* Integrate the held values from now to time_us. */
 static void integrate(Inputs *p, int64_t time_us)
 {
     const PlanNumbersFloats *f = p->plan;
@@ -125,7 +125,7 @@ static void integrate(Inputs *p, int64_t time_us)
     p->t->now = time_us;
 }
 
-/* Start the sums of a step anew. */
+/* Reset the sums of a step. */
 static void clear(Inputs *p)
 {
     PassMemoryFloats *m = p->m;
@@ -150,7 +150,7 @@ static void close_step(Pass *pass)
     inputs_readings(p, dt_s, source, &now);
     int64_t flags = *pass->flags | inputs_missing(p);
     flags |= checks_close(&p->checks, &now);
-    /* the air of a silent car is nearer the last one than the default */
+    /* on a silent bus the last air temperature is better than the default */
     const double ambient_k = inputs_mapped(p, air) && p->t->stamp[air] != NEVER
         ? m->value[air] : p->plan->ambient_k;
     double wetness = inputs_vehicle(p, ROLE_RAIN, 0.0);
@@ -207,11 +207,11 @@ static void close_step(Pass *pass)
     p->t->grid += p->options->step_us;
     clear(p);
     memcpy(m->interface_k, m->next_interface_k, sizeof m->interface_k);
-    /* a value may have aged out: speeds and pressures are formed anew */
+    /* a value may have timed out: compute speeds and pressures again */
     p->stale = 1;
 }
 
-/* Let the open step start anew at time_us. */
+/* Restart the open step at time_us. */
 static void start_axis(Inputs *p, int64_t time_us)
 {
     const int64_t step_us = p->options->step_us;
@@ -283,7 +283,7 @@ static int move_to(Pass *pass, int64_t time_us)
     return move_axis(pass, time_us, ahead);
 }
 
-/* How fast a late sample came from the one before is not known. */
+/* The rate of change of a late sample is unknown and not checked. */
 static void take(Inputs *p, int64_t time_us, int role, double value)
 {
     if (!isfinite(value)) return;

@@ -1,4 +1,4 @@
-/* The pass over samples: model/heat/sample_pass.py says what it does; both
+/* The pass over samples, described in model/heat/sample_pass.py; both
  * forms do the same operations in the same order. sample_bind.c checks what
  * comes from Python.
  */
@@ -17,7 +17,7 @@ typedef struct {
     ptrdiff_t room, steps;
 } Pass;
 
-/* Take samples until they or the rows end; returns the next one's index. */
+/* Consume samples until they or the rows end; returns the next one's index. */
 ptrdiff_t sample_pass(Pass *p, const int64_t *times, const int32_t *roles,
                       const double *values, ptrdiff_t index, ptrdiff_t count,
                       int *code);

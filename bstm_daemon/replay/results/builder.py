@@ -1,4 +1,4 @@
-"""From an estimator's blocks to rows of named columns."""
+"""Builds rows of named columns from an estimator's blocks."""
 
 from __future__ import annotations
 
@@ -169,7 +169,7 @@ class ResultsBuilder:
     ) -> npt.NDArray[np.int64]:
         """Give each row that is kept the bits of those dropped before it.
 
-        A finding between two rows would show nowhere else.
+        Otherwise a finding between two rows would be lost.
         """
         gathered = flags.copy()
         gathered[0] |= self._open_flags

@@ -11,12 +11,9 @@ import pytest
 from bstm_daemon.analysis.gap.comparison import with_effects
 from bstm_daemon.analysis.gap.fitting import effect_entries
 from bstm_daemon.analysis.gap.recording import Recording
-from bstm_daemon.analysis.matching.tunables import Target
 from bstm_daemon.bus.signals.columns import Events
-from bstm_daemon.cli.vehicle import load_vehicle
-from bstm_daemon.native.loader import load_kernel
 
-from ...made_drives import EXAMPLE, driven  # noqa: TID252  (no package)
+from ...made_drives import driven  # noqa: TID252  (no package)
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -31,26 +28,6 @@ PROFILE: Final = (
     (14.0, 5000.0, 400.0),
     (0.0, 0.0, 1800.0),
 )
-
-
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """An hour of data, dozens of times over, takes pure Python minutes."""
-    if load_kernel() is None:
-        for item in items:
-            if "gap" in item.path.parts:
-                item.add_marker(pytest.mark.slow)
-
-
-@pytest.fixture(scope="session")
-def config() -> Config:
-    """Return the example car."""
-    return load_vehicle(EXAMPLE)[0]
-
-
-@pytest.fixture(scope="session")
-def target(config: Config) -> Target:
-    """Return its front left corner."""
-    return Target(config, ("FL",))
 
 
 @pytest.fixture(scope="session")

@@ -209,11 +209,11 @@ def test_the_advised_drive_resolves_what_a_poor_one_does_not(
     ]
     prospects = [
         prospect(
-            compare(Target(config, ("FL",)), [one.recording]),
+            compare(Target(config, ("FL",)), [recording]),
             members,
-            one.description,
+            description,
         )
-        for one in drives
+        for recording, description in drives
     ]
 
     advice = advise(data, comparison.prior, members, prospects)

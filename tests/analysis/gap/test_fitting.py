@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def fitted(strength: float, noise: float) -> Fit:
-    return Fit(np.zeros(1), {"a": strength}, {"a": noise}, 0.0, 1)
+    return Fit(np.zeros(1), {"a": strength}, {"a": noise}, 0.0)
 
 
 def test_a_form_that_differs_is_in_the_deviation() -> None:

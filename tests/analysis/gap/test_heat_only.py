@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from bstm_daemon.analysis.gap.advising import samples_of
-from bstm_daemon.analysis.gap.force_comparison import forces
+from bstm_daemon.analysis.gap.force_balance import forces
 from bstm_daemon.analysis.gap.heat_only import find_force_gap
 from bstm_daemon.analysis.gap.recording import Recording, recorded
 from bstm_daemon.cli.vehicle import load_vehicle
@@ -47,7 +47,6 @@ def driven(
         samples_of(simulated, present),
         config,
         present,
-        thermocouples=False,
     )
 
 
@@ -138,7 +137,6 @@ def test_released_or_not_must_be_known() -> None:
         samples_of(simulated, blind),
         config,
         blind,
-        thermocouples=False,
     )
 
     found = find_force_gap(config, [recording])
@@ -154,9 +152,7 @@ def test_without_torque_there_is_no_force() -> None:
     blind = {role: us for role, us in present.items() if role != torque}
     heat = config.heat.model_copy(update={"assume_powertrain_torque_nm": None})
     config = config.model_copy(update={"heat": heat})
-    recording = recorded(
-        "x", samples_of(simulated, blind), config, blind, thermocouples=False
-    )
+    recording = recorded("x", samples_of(simulated, blind), config, blind)
 
     with pytest.raises(LogError, match="torque"):
         find_force_gap(config, [recording])

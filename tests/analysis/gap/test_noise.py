@@ -10,11 +10,11 @@ import pytest
 from bstm_daemon.analysis.gap.noise import (
     USUAL,
     Layout,
-    Series,
     calibrated,
     noise_of,
 )
 from bstm_daemon.analysis.gap.signatures import Sensed
+from bstm_daemon.analysis.matching.problem import Series
 from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.files import shipped_file
 

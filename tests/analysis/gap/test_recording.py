@@ -15,6 +15,7 @@ from bstm_daemon.analysis.gap.recording import Recording, inputs_of, recorded
 from bstm_daemon.bus.signals.columns import Events
 from bstm_daemon.channels import CHANNELS
 from bstm_daemon.cli.vehicle import load_vehicle
+from bstm_daemon.estimator.estimator import Estimator
 from bstm_daemon.files import shipped_file
 from bstm_daemon.replay.columns import present_roles
 from bstm_daemon.roles import ROLE_INDEX
@@ -62,10 +63,10 @@ def test_heat_does_not_need_the_temperatures(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     on = with_effects(config, effect_entries({name: 1.0}))
-    alone = short.inputs(on)
-    monkeypatch.setattr(module._Heating, "leave_nodes", lambda _: None)
+    alone, _ = inputs_of(on, short.present, short.events)
+    monkeypatch.setattr(module._Heating, "__init__", Estimator.__init__)
 
-    whole = short.inputs(on)
+    whole, _ = inputs_of(on, short.present, short.events)
 
     assert np.array_equal(alone, whole, equal_nan=True)
     assert not np.array_equal(alone, short.drive.inputs, equal_nan=True)

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from bstm_daemon.analysis.gap.locating import locate
 from bstm_daemon.analysis.gap.residual_heat import (
     REGIMES,
+    locate,
     regimes,
     residual_heat,
 )

@@ -388,7 +388,7 @@ def test_parked_with_ignition_off_is_standstill(
     ("roles", "words"),
     [
         (DISCS[:3], "no measured disc temperature in this log"),
-        ([DISCS[0], *DISCS[2:]], "nothing tells that the brake is released"),
+        ([DISCS[0], *DISCS[2:]], "no signal shows that the brake is released"),
     ],
 )
 def test_what_is_missing_is_said(

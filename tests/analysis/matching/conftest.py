@@ -7,12 +7,8 @@ from typing import TYPE_CHECKING, Final
 import pytest
 
 from bstm_daemon.analysis.matching.drives import GRID_S
-from bstm_daemon.analysis.matching.tunables import Target
-from bstm_daemon.cli.vehicle import load_vehicle
-from bstm_daemon.native.loader import load_kernel
 
 from ...made_drives import (  # noqa: TID252  (tests are no package)
-    EXAMPLE,
     NODES,
     Profile,
     driven,
@@ -22,7 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
     from bstm_daemon.analysis.matching.drives import Drive
-    from bstm_daemon.config.sections import Config
+    from bstm_daemon.analysis.matching.tunables import Target
 
 PROFILE: Final = (
     (10.0, 0.0, 20.0),
@@ -34,26 +30,6 @@ PROFILE: Final = (
     (14.0, 5000.0, 400.0),
     (0.0, 0.0, 2700.0),
 )
-
-
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """An hour of data, dozens of times over, takes pure Python minutes."""
-    if load_kernel() is None:
-        for item in items:
-            if "matching" in item.path.parts:
-                item.add_marker(pytest.mark.slow)
-
-
-@pytest.fixture(scope="session")
-def config() -> Config:
-    """Return the example car."""
-    return load_vehicle(EXAMPLE)[0]
-
-
-@pytest.fixture(scope="session")
-def target(config: Config) -> Target:
-    """Return its front left corner."""
-    return Target(config, ("FL",))
 
 
 @pytest.fixture(scope="session")

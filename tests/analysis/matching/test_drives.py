@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,12 +16,11 @@ from bstm_daemon.analysis.matching.drives import (
     read_drive,
 )
 from bstm_daemon.analysis.matching.march import (
-    Forced,
     initial_temperatures,
     march,
 )
 from bstm_daemon.cli.vehicle import load_vehicle
-from bstm_daemon.errors import UsageError
+from bstm_daemon.errors import LogError, UsageError
 from bstm_daemon.estimator.corner_model import compile_corner
 from bstm_daemon.simulation import SimulatedDrive, simulate
 from bstm_daemon.simulation.drives import parse_drive
@@ -148,7 +148,7 @@ def test_a_forced_node_follows_and_is_free_in_gaps(
     series = np.full(len(drive), 400.0)
     series[100:] = np.nan
 
-    found = march([program], drive, "FL", initial, Forced({"fluid": series}))
+    found = march([program], drive, "FL", initial, {"fluid": series})
 
     assert found["fluid"][:100, 0] == pytest.approx(400.0)
     assert np.all(np.diff(found["fluid"][100:, 0]) < 0.0)
@@ -165,18 +165,24 @@ def test_a_gap_of_a_thermocouple_is_not_bridged() -> None:
     assert np.isnan(found[[1, 3]]).all()
 
 
-def test_who_knows_the_power_knows_that_pads_touch(drive: Drive) -> None:
-    power = np.zeros(len(drive))
-    power[100:120] = 40.0
+def test_a_kept_record_is_its_segments_in_order(
+    drive: Drive, log: Path, tmp_path: Path
+) -> None:
+    lines = log.read_bytes().splitlines(keepends=True)
+    half = len(lines) // 2
+    for name, part in (("1", lines[:half]), ("2", lines[half:])):
+        with gzip.open(tmp_path / f"{name}.log.gz", "wb") as stream:
+            stream.writelines(part)
 
-    as_before = drive.with_power({"FL": power})
-    pressed = drive.with_power({"FL": power}, pressed=True)
+    found = read_drive(tmp_path, *load_vehicle(EXAMPLE))
 
-    on = drive.channel("FL", "brake_on")
-    assert as_before.channel("FL", "brake_on") == pytest.approx(on)
-    assert pressed.channel("FL", "brake_on")[100:120] == pytest.approx(1.0)
-    rest = np.r_[0:100, 120 : len(drive)]
-    assert pressed.channel("FL", "brake_on")[rest] == pytest.approx(on[rest])
+    assert np.array_equal(found.inputs, drive.inputs, equal_nan=True)
+    assert found.start_s == drive.start_s
+
+
+def test_a_folder_without_segments_is_no_record(tmp_path: Path) -> None:
+    with pytest.raises(LogError, match="no segment of a record"):
+        read_drive(tmp_path, *load_vehicle(EXAMPLE))
 
 
 def test_a_measured_disc_is_no_heat(log: Path) -> None:

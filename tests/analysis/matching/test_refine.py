@@ -61,8 +61,7 @@ def test_a_wrong_form_ends_at_a_bound_and_says_so(
 ) -> None:
     """Half the heat is missing: the disc would have to be too light."""
     drives = [made(RIGHT, scale=1.0)]
-    power = drives[0].channel("FL", "brake_power_w")
-    starved = [drives[0].with_power({"FL": 0.5 * power})]
+    starved = [drives[0].with_power_times(0.5)]
 
     fit = refine(target, starved, ("thermal.disc_mass_correction_factor",))
 
@@ -110,7 +109,7 @@ def test_a_ratio_that_is_known_better_than_its_parts_is_named(
 
     (found,) = ratios(fit)
 
-    assert found.product is (sign < 0.0)
+    assert found.sign == ("x" if sign < 0.0 else "/")
     assert found.deviation == pytest.approx(0.1 * np.sqrt(2.0 * 0.02))
     assert "only together with" in verdicts(fit)[1].reason
 
@@ -180,7 +179,7 @@ def test_white_noise_and_drift_are_learned_apart() -> None:
     rng = np.random.default_rng(1)
     drawn = [lower @ rng.standard_normal(len(TIME_S)) for _ in range(12)]
 
-    found = learned(FIRST["fluid"], drawn, [TIME_S] * 12)
+    found = learned(FIRST["fluid"], [(one, TIME_S) for one in drawn])
 
     assert found.white_k == pytest.approx(1.0, rel=0.25)
     assert found.drift_k == pytest.approx(2.0, rel=0.25)
@@ -190,7 +189,7 @@ def test_a_node_that_the_model_misses_is_still_believed() -> None:
     """Else it would be missed the more from round to round."""
     wrong = [np.full(len(TIME_S), 80.0)]
 
-    found = learned(FIRST["disc"], wrong, [TIME_S])
+    found = learned(FIRST["disc"], [(one, TIME_S) for one in wrong])
 
     assert found.drift_k <= 1.5 * FIRST["disc"].drift_k
 

@@ -158,7 +158,7 @@ CASES = {
         + ' SG_ two M : 8|8@1+ (1,0) [0|0] "" X\n'
         + ' SG_ leaf m1 : 16|8@1+ (1,0) [0|0] "" X\n',
         {"MUX": ["one", "two"]},
-        ["'leaf' is multiplexed (m1), but no SG_MUL_VAL_ tells which of one"],
+        ["'leaf' is multiplexed (m1), but no SG_MUL_VAL_ names which of one"],
     ),
     "multiplexer that is not there": (
         HEAD

@@ -1,4 +1,4 @@
-"""What is missing although no effect of the catalogue explains it."""
+"""What is missing though no effect explains it; two effects at once."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from bstm_daemon.analysis.gap.evidence import (
+    JointEffects,
     explained_share,
+    missing_evidence,
     missing_probability,
-    unnamed_beside,
-    weigh,
-)
-from bstm_daemon.analysis.gap.joint_effects import (
     pair_evidence,
     search_joint_effects,
+    unnamed_beside,
+    weigh,
 )
 from bstm_daemon.analysis.gap.naming import (
     AGAINST,
@@ -26,12 +26,13 @@ from bstm_daemon.analysis.gap.naming import (
     UNEXPLAINED,
     name_effect,
 )
-from bstm_daemon.analysis.gap.noise import Layout, Series
-from bstm_daemon.analysis.gap.signatures import Linearised, Signature
-from bstm_daemon.analysis.gap.unnamed_heat import (
+from bstm_daemon.analysis.gap.noise import Layout
+from bstm_daemon.analysis.gap.signatures import (
+    Linearised,
+    Signature,
     UnnamedHeat,
-    missing_evidence,
 )
+from bstm_daemon.analysis.matching.problem import Series
 from bstm_daemon.analysis.statistics.evidence import (
     FREE,
     Projector,
@@ -40,6 +41,7 @@ from bstm_daemon.analysis.statistics.evidence import (
 from bstm_daemon.analysis.statistics.whitening import SensorNoise
 
 POINTS = 300
+MIXED_POINTS = 400
 DRIVES = 2
 NAMES = ("hub_conduction", "gap_conduction", "pad_wear", "disc_hat")
 WHITE = SensorNoise(1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -248,3 +250,66 @@ def test_an_effect_that_another_drive_contradicts_is_not_named(
     assert (named.answer, named.names) == ("name", (own.name,))
     assert min(refused.cross_validated.values()) < -AGAINST
     assert refused.answer == "unknown"
+
+
+def signature(name: str, change: np.ndarray) -> Signature:
+    return Signature(name, change, 0.0 * change, change, either_sign=False)
+
+
+@pytest.fixture
+def columns() -> dict[str, np.ndarray]:
+    rng = np.random.default_rng(11)
+    found = {
+        name: rng.normal(0.0, 1.0, MIXED_POINTS)
+        for name in ("a", "b", "other")
+    }
+    # neither is missing, but alone it explains more than each that is
+    own = rng.normal(0.0, 0.3, MIXED_POINTS)
+    found["mixture"] = 0.7 * (found["a"] + found["b"]) + own
+    return found
+
+
+def searched(
+    columns: dict[str, np.ndarray], strengths: dict[str, float]
+) -> JointEffects:
+    rng = np.random.default_rng(12)
+    residual = rng.normal(0.0, 1.0, MIXED_POINTS)
+    for name, strength in strengths.items():
+        residual = residual - strength * columns[name]
+    signatures = tuple(signature(*one) for one in columns.items())
+    linearised = Linearised(
+        residual, rng.normal(0.0, 1.0, (MIXED_POINTS, 2)), signatures, (), ()
+    )
+    project = Projector(linearised.jacobian, PRIOR)
+    found = sorted(
+        (weigh(project, residual, one) for one in signatures),
+        key=lambda one: -one.log_evidence,
+    )
+    return search_joint_effects(project, linearised, found)
+
+
+def test_a_wrong_first_pick_is_undone(columns: dict[str, np.ndarray]) -> None:
+    found = searched(columns, {"a": 1.2, "b": 0.8})
+
+    assert {one.name for one in found.chosen} == {"a", "b"}
+    assert set(found.sure) == {"a", "b"}
+    assert found.share > 0.9
+
+
+def test_one_effect_stays_alone(columns: dict[str, np.ndarray]) -> None:
+    found = searched(columns, {"a": 1.0})
+
+    assert [one.name for one in found.chosen] == ["a"]
+    assert found.sure == ("a",)
+    assert found.leftover is not None
+
+
+def test_what_is_small_beside_the_first_is_not_added(
+    columns: dict[str, np.ndarray],
+) -> None:
+    found = searched(columns, {"a": 3.0, "other": 0.4})
+
+    assert [one.name for one in found.chosen] == ["a"]
+    assert found.leftover is not None
+    assert found.leftover.name == "other"
+    assert found.leftover.z > 4.2

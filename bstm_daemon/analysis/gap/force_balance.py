@@ -1,10 +1,10 @@
-"""Residuals without a thermocouple: force of the pressure, of the motion.
+"""The car's brake force by pressure and by motion, side by side.
 
-What the pressure says (Feed-Forward, Eq 4.1) and what the motion says
-(Feed-Back, Eq 4.11) differ where either lacks something. Motion counts with
-the brakes released, too: there both must be nothing, which is what parts an
-error of the motion from one of the friction. Friction as a whole, the
-resistances and the body's pitch are the tunables.
+No thermocouple is needed: what the pressure says (Feed-Forward, Eq 4.1) and
+what the motion says (Feed-Back, Eq 4.11) differ where either lacks something.
+Motion counts with the brakes released, too: there both must be nothing, which
+is what parts an error of the motion from one of the friction. Friction as a
+whole, the resistances and the body's pitch are the tunables of the residual.
 """
 
 from __future__ import annotations
@@ -15,14 +15,15 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from bstm_daemon.analysis.gap.comparison import with_effects
-from bstm_daemon.analysis.gap.noise import Layout, Series
+from bstm_daemon.analysis.gap.noise import Layout
 from bstm_daemon.analysis.matching.drives import GRID_S
-from bstm_daemon.analysis.matching.march import initial_temperatures, march
+from bstm_daemon.analysis.matching.march import march
+from bstm_daemon.analysis.matching.problem import Series
 from bstm_daemon.analysis.statistics.series import Column, runs
 from bstm_daemon.analysis.statistics.whitening import SensorNoise
 from bstm_daemon.channels import CHANNELS
 from bstm_daemon.errors import LogError
-from bstm_daemon.estimator.corner_model import compiled_model, corner_model
+from bstm_daemon.estimator.corner_model import compile_corner
 from bstm_daemon.model.effects.catalogue import edited_inputs, effect_class
 from bstm_daemon.model.effects.corrections import corrections_by_role
 from bstm_daemon.model.heat.feed_back import Vehicle
@@ -33,7 +34,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from bstm_daemon.analysis.gap.recording import Recording
-    from bstm_daemon.analysis.statistics.series import Indices
+    from bstm_daemon.analysis.statistics.series import Column, Indices
     from bstm_daemon.config.sections import Config, EffectConfig
     from bstm_daemon.model.effects.effect import Effect
 
@@ -58,24 +59,34 @@ class Forces:
 
     ``pressed_n`` is of the pressure by corner, (corners, n), ``motion_n`` of
     the motion, nan where it is not known; ``first`` is the step that a window
-    begins at, ``braked`` the share of the window
-    with the pressure on, ``rate_ms2`` the change of the speed,
-    ``engine_nm`` what is known of the engine where the torque at the wheels
-    is not, else nan, ``known_torque`` whether the bus has the drive's
-    torque, ``has_accelerometer`` whether it counts.
+    begins at, ``braked`` the share of the window with the pressure on,
+    ``rate_ms2`` the change of the speed, ``engine_nm`` what is known of the
+    engine where the torque at the wheels is not, else nan, ``known_torque``
+    whether the bus has the drive's torque, ``has_accelerometer`` whether it
+    counts.
     """
 
+    drive: str
     first: Indices
     time_s: Column
     speed_ms: Column
     rate_ms2: Column
     braked: Column
-    pressure_pa: Column
     pressed_n: Column
     motion_n: Column
     engine_nm: Column
     known_torque: bool
     has_accelerometer: bool
+
+    @property
+    def whole_n(self) -> Column:
+        """The force of the pressure, all corners, (n,)."""
+        return np.asarray(self.pressed_n.sum(axis=0))
+
+    @property
+    def metres(self) -> Column:
+        """How far the car goes, by window, (n,)."""
+        return np.asarray(self.speed_ms * np.gradient(self.time_s))
 
 
 def forces(recording: Recording, config: Config) -> Forces:
@@ -115,19 +126,18 @@ def forces(recording: Recording, config: Config) -> Forces:
         on = _step_means(recording, switch)
         if on is not None:
             brake_on = np.maximum(brake_on, np.nan_to_num(on))
-    pressure = inputs[:, :, CHANNELS.index("pressure_pa")].max(axis=1)
 
     def mean(column: Column) -> Column:
         total = _running(column)
         return np.asarray((total[last] - total[first]) / (every * GRID_S))
 
     return Forces(
+        recording.name,
         first,
         recording.drive.time_s[first],
         mean(speed),
         (speed[last] - speed[first]) / (every * GRID_S),
         mean(brake_on),
-        mean(pressure),
         ((energy[last] - energy[first]) / length[:, None]).T,
         force,
         mean(engine),
@@ -225,11 +235,8 @@ def drag_n(
     span = effect["hot_c"] - COLD_C
     total = np.zeros(len(part.speed_ms))
     for corner in config.disc_corners():
-        model = corner_model(config, corner)
-        program = compiled_model(model)
-        drive = recording.drive
-        start = initial_temperatures(program, drive, corner.name)
-        result = march([program], drive, corner.name, start)
+        program = compile_corner(config, corner)
+        result = march([program], recording.drive, corner.name)
         pad_c = result["pad_back"][part.first, 0] - KELVIN_OFFSET
         hot = np.clip((pad_c - COLD_C) / span, 0.0, 1.0)
         cold = effect["cold_share"]
@@ -359,48 +366,30 @@ class ForceComparison:
         path = PATHS.get(effect.name)
         if path is not None:
             typical = effect_class(effect.name)(effect.parameters)
-            return np.concatenate(
-                [
-                    path(typical, one, part, self.config)[own]
-                    for one, part, own in zip(
-                        self.recordings, self.parts, self.kept, strict=True
-                    )
-                ]
+            pairs = zip(self.recordings, self.parts, strict=True)
+            return self._counted(
+                [path(typical, one, part, self.config) for one, part in pairs]
             )
         config = with_effects(self.config, [effect])
         parts = [forces(one, config) for one in self.recordings]
         return self._residual(parts) - self.base_n
 
     def _residual(self, parts: Sequence[Forces]) -> Column:
-        return np.concatenate(
-            [
-                (one.pressed_n.sum(axis=0) - one.motion_n)[own]
-                for one, own in zip(parts, self.kept, strict=True)
-            ]
-        )
+        return self._counted([one.whole_n - one.motion_n for one in parts])
+
+    def _counted(self, columns: Sequence[Column]) -> Column:
+        """Return of *columns*, one a recording, the windows that count."""
+        pairs = zip(columns, self.kept, strict=True)
+        return np.concatenate([one[own] for one, own in pairs])
 
     def column(self, name: str) -> Column:
         """Return a column of the windows that count, (n,)."""
-        return np.concatenate(
-            [
-                np.asarray(getattr(one, name))[own]
-                for one, own in zip(self.parts, self.kept, strict=True)
-            ]
-        )
-
-    def pressed_n(self) -> Column:
-        """Return the force of the pressure, all corners, (n,)."""
-        return np.concatenate(
-            [
-                one.pressed_n.sum(axis=0)[own]
-                for one, own in zip(self.parts, self.kept, strict=True)
-            ]
-        )
+        return self._counted([getattr(one, name) for one in self.parts])
 
     def _tunables(self) -> tuple[Column, Column]:
         speed, mass = self.column("speed_ms"), self.vehicle.mass_kg
         columns = [
-            self.pressed_n(),
+            self.column("whole_n"),
             self.vehicle.quadratic * speed**2,
             np.full(len(speed), self.vehicle.constant),
             self.vehicle.linear * speed,
@@ -428,7 +417,7 @@ class ForceComparison:
         for number, (one, own) in enumerate(
             zip(self.parts, self.kept, strict=True)
         ):
-            pressed = one.pressed_n.sum(axis=0)
+            pressed = one.whole_n
             residual = (pressed - one.motion_n)[own]
             quiet = np.diff(residual[one.braked[own] == 0.0])
             if len(quiet) > 10:
