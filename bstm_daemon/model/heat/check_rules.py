@@ -131,9 +131,9 @@ MOVING_MS: Final = 3.0
 SCALE_MS: Final = 8.0
 SCALE_S: Final = 20.0
 SCALE_LIMIT: Final = 0.07
-"""A speed over the median of all, above 8 m/s and filtered over 20 s: bends
-and slip stay within 3 %, a worn or a spare tyre within 5 %, and so does the
-speed that a speedometer shows."""
+"""A speed over the median of all, filtered over 20 s while one is above 8 m/s:
+bends and slip stay within 3 %, a worn or a spare tyre within 5 %, and so does
+the speed that a speedometer shows."""
 
 FROZEN_SPEED_S: Final = 5.0
 FROZEN_SPEED_MS: Final = 3.0

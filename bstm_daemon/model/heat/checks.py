@@ -47,6 +47,7 @@ from bstm_daemon.model.heat.check_rules import (
     SCALE_MS,
     SCALE_S,
     SILENT_US,
+    STANDING_MS,
     STUCK,
     SWITCH,
     SWITCH_MS,
@@ -186,8 +187,19 @@ class Checks:
     def _compare_scales(
         self, now: Readings, median: float, count: int
     ) -> None:
-        # an intervention slows single wheels for many seconds
-        if count < 3 or median < SCALE_MS or now.intervenes:
+        highest = 0.0
+        lowest = median
+        for speed in now.speeds:
+            highest = max(highest, speed)
+            lowest = min(lowest, speed)
+        # one that stands is dead, which is another check's; an intervention
+        # slows single wheels for many seconds
+        if (
+            count < 3
+            or lowest <= STANDING_MS
+            or highest < SCALE_MS
+            or now.intervenes
+        ):
             return
         share = 1.0 - exp(-now.dt_s / SCALE_S)
         for v, speed in enumerate(now.speeds):

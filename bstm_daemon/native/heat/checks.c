@@ -93,8 +93,16 @@ static void compare_pair(Checks *c, const Readings *now, double middle,
 static void compare_scales(Checks *c, const Readings *now, double middle,
                            int count)
 {
-    /* an intervention slows single wheels for many seconds */
-    if (count < 3 || middle < SCALE_MS || now->intervenes) return;
+    double highest = 0.0, lowest = middle;
+    for (int v = 0; v <= c->corners; v++) {
+        if (now->speeds[v] > highest) highest = now->speeds[v];
+        if (now->speeds[v] < lowest) lowest = now->speeds[v];
+    }
+    /* one that stands is dead, which is another check's; an intervention
+       slows single wheels for many seconds */
+    if (count < 3 || lowest <= STANDING_MS || highest < SCALE_MS
+        || now->intervenes)
+        return;
     const double share = 1.0 - exp(-now->dt_s / SCALE_S);
     for (int v = 0; v <= c->corners; v++) {
         if (isnan(now->speeds[v])) continue;

@@ -411,6 +411,19 @@ def test_wheels_against_the_vehicle_s_speed(
     assert not any(bits(run, WHEEL_SUSPECT * 15))
 
 
+def test_half_of_a_low_speed(
+    kernel: Kernel | None, start: Callable[..., Run], four: Callable[..., Any]
+) -> None:
+    """The highest speed says whether the car is in a narrow bend."""
+    drive = Drive().hold(60.0, **wheels(7.0), vehicle_speed=7.9)
+    run = start(four(), kernel, *WHEELS, "vehicle_speed").feed(drive.samples)
+    assert not any(bits(run, FLAGS["speed_suspect"]))
+
+    drive = Drive().hold(60.0, **wheels(7.0), vehicle_speed=8.1)
+    run = start(four(), kernel, *WHEELS, "vehicle_speed").feed(drive.samples)
+    assert bits(run, FLAGS["speed_suspect"])[-1]
+
+
 def test_an_intervention_is_no_wrong_scale(
     kernel: Kernel | None, start: Callable[..., Run], four: Callable[..., Any]
 ) -> None:
