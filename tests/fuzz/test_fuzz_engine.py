@@ -39,7 +39,9 @@ DEFECTS = {
     ),
     "a state is not checked": (
         "from bstm_daemon.estimator import state\n"
-        "state._number = lambda value, key: float(value)\n"
+        "def broken(model, document, *where):\n"
+        "    return model.model_construct(**document)\n"
+        "state.checked = broken\n"
     ),
     "a wrong configuration is not worded": (
         "load = engine_fuzz.load_config\n"
