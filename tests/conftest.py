@@ -75,11 +75,15 @@ def car_config(*corners: CornerConfig, **sections: Any) -> Config:
         "wheel_inertia_kg_m2": 3.0809,
         **sections.pop("vehicle", {}),
     }
+    heat = sections.pop("heat", {})
+    if isinstance(heat, dict):
+        heat = {"mode": "ff", **heat}
     return Config(
         vehicle=VehicleConfig(**vehicle),
         bus=[],
         signals={},
         corner=list(corners or (corner_config(),)),
+        heat=heat,
         **sections,
     )
 

@@ -18,6 +18,7 @@ from bstm_daemon.cli.log_command import (
     write_results,
 )
 from bstm_daemon.cli.progress import Progress
+from bstm_daemon.config.heat_modes import heat_mode_problems
 from bstm_daemon.config.sections import HeatConfig
 from bstm_daemon.errors import LogError
 from bstm_daemon.replay.columns import replay_log
@@ -94,14 +95,7 @@ def _fused(
         heat = HeatConfig.model_validate(section)
     except ValidationError:
         return None
-    # what the mode needs besides a speed: a pressure and the torque
-    roles = set(config.signals)
-    pressed = any(
-        role.endswith("_pressure") or role.startswith("wheel_pressure_")
-        for role in roles
-    )
-    torque_nm = heat.assume_powertrain_torque_nm
-    if not pressed or ("powertrain_torque" not in roles and torque_nm is None):
+    if any(heat_mode_problems(heat, config.corner, config.signals.keys())):
         return None
     changed = config.model_copy(update={"heat": heat})
     return replay_log(changed, signal_map, log, overrides).results

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from pydantic import ValidationError
 
+from bstm_daemon.config.heat_modes import heat_mode_problems
 from bstm_daemon.config.sections import CoolingConfig, ThermalConfig
 from bstm_daemon.config.wording import (
     hint,
@@ -18,7 +19,7 @@ from bstm_daemon.config.wording import (
     problems_of_section,
     toml_text,
 )
-from bstm_daemon.roles import CORNERS, ROLE_INDEX, ROLES
+from bstm_daemon.roles import ROLE_INDEX, ROLES
 from bstm_daemon.units import UNITS
 
 if TYPE_CHECKING:
@@ -268,61 +269,10 @@ def _heat_problems(draft: Draft) -> Iterator[str]:
         return
     # a misspelt role has its own message already
     roles = {
-        role if role in ROLE_INDEX else nearest(role, ROLE_INDEX)
+        role if role in ROLE_INDEX else nearest(role, ROLE_INDEX) or role
         for role in draft.written_signals
     }
-    where = f'[heat] mode = "{draft.heat.mode}":'
-    if draft.heat.mode == "measured":
-        temperatures = [
-            f"temp_{name.lower()}_disc"
-            for name in CORNERS
-            if name in draft.corner_names()
-        ]
-        if roles.isdisjoint(temperatures):
-            yield (
-                f"{where} needs a disc temperature, configure one of "
-                f"{_sections(temperatures)}"
-            )
-        return
-    speeds = ["vehicle_speed", *(f"wheel_speed_{c.lower()}" for c in CORNERS)]
-    if roles.isdisjoint(speeds):
-        yield f"{where} needs a speed, configure one of {_sections(speeds)}"
-    if draft.heat.mode in {"ff", "fused"}:
-        for corner in draft.corner:
-            pressures = _pressure_roles(corner)
-            if corner.type == "disc" and roles.isdisjoint(pressures):
-                yield (
-                    f"{where} needs a pressure for corner {corner.name}, "
-                    f"configure one of {_sections(pressures)}"
-                )
-    if draft.heat.mode == "fused" and (
-        "acceleration_longitudinal" not in roles
-    ):
-        yield (
-            f"{where} needs the acceleration to learn from, configure "
-            "[signals.acceleration_longitudinal]"
-        )
-    if (
-        draft.heat.mode in {"fb", "fused"}
-        and "powertrain_torque" not in roles
-        and draft.heat.assume_powertrain_torque_nm is None
-    ):
-        yield (
-            f"{where} needs the torque at the wheels, configure "
-            "[signals.powertrain_torque] or declare "
-            "assume_powertrain_torque_nm (0.0 = coasting while braking)"
-        )
-
-
-def _pressure_roles(corner: CornerConfig) -> list[str]:
-    roles = ["primary_pressure", f"wheel_pressure_{corner.name.lower()}"]
-    if corner.circuit == "secondary":
-        roles.insert(1, "secondary_pressure")
-    return roles
-
-
-def _sections(roles: Iterable[str]) -> str:
-    return ", ".join(f"[signals.{role}]" for role in roles)
+    yield from heat_mode_problems(draft.heat, draft.corner, roles)
 
 
 def _effect_problems(draft: Draft) -> Iterator[str]:

@@ -21,6 +21,7 @@ from bstm_daemon.config.estimates import (
     ForecastConfig,
     WearConfig,
 )
+from bstm_daemon.config.heat_modes import automatic_mode
 from bstm_daemon.config.section import (
     Fraction,
     NotNegative,
@@ -424,7 +425,7 @@ class CornerConfig(Section):
 class HeatConfig(Section):
     """``[heat]``: which brake power heats the model, and how it is formed."""
 
-    mode: Literal["ff", "fb", "fused", "measured"] = "ff"
+    mode: Literal["auto", "ff", "fb", "fused", "measured"] = "auto"
     brake_on_pressure_pa: NotNegative = 1.0e5
     brake_on_force_n: NotNegative = 300.0
     primary_lag_s: NotNegative = 0.0
@@ -457,7 +458,7 @@ class EffectConfig(Section):
 
 
 class Config(Section):
-    """A whole configuration file."""
+    """A whole configuration file; its heat mode is never "auto"."""
 
     vehicle: VehicleConfig
     bus: list[BusConfig] = []
@@ -479,6 +480,15 @@ class Config(Section):
     daemon: DaemonConfig = DaemonConfig()
     record: RecordConfig = RecordConfig()
     metrics: MetricsConfig = MetricsConfig()
+
+    @model_validator(mode="after")
+    def _heat_mode_is_chosen(self) -> Self:
+        if self.heat.mode == "auto":
+            mode = automatic_mode(self.heat, self.corner, self.signals.keys())
+            heat = self.heat.model_copy(update={"mode": mode})
+            # a section is frozen once it is made, which it is not yet
+            object.__setattr__(self, "heat", heat)
+        return self
 
     def thermal_of(self, corner: CornerConfig) -> ThermalConfig:
         """Merge ``[thermal]`` with the overrides of *corner*."""

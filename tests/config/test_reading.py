@@ -286,6 +286,7 @@ def test_enough_roles_for_the_heat_mode(
 def test_secondary_pressure_serves_its_circuit_only(tmp_path: Path) -> None:
     """A corner of the primary circuit still needs its own pressure."""
     text = BASE.replace("primary_pressure", "secondary_pressure") + REAR
+    text += '[heat]\nmode = "ff"\n'
 
     assert problems(tmp_path, text) == [
         (

@@ -341,6 +341,7 @@ def test_corner_overrides_single_keys() -> None:
                 corner(name="RR", type="drum", disc=None, pad=None),
             ],
             "thermal": {"pad_emissivity": 0.9},
+            "heat": {"mode": "ff"},
         }
     )
 

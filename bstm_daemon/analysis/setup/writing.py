@@ -23,11 +23,11 @@ _MISSED_FRAMES: Final = 5
 _IDS_SHOWN: Final = 24
 _FEED_FORWARD: Final = """\
 [heat]
-mode = "ff"                   # pressure x friction x speed (Eq 4.1)
+mode = "auto"                 # pressure, and motion where all is mapped
 brake_on_pressure_pa = 1.0e5  # Pa; typical, replace"""
 _FEED_BACK: Final = """\
 [heat]
-mode = "fb"                   # motion of the car (Eq 4.11): no sure pressure
+mode = "auto"                 # motion of the car: no sure pressure
 brake_on_force_n = 300.0      # N; typical, replace"""
 _ASSUMPTION: Final = """\
 # No sure torque at the wheels, so an assumption: 0.0 = the car coasts while it

@@ -1,0 +1,108 @@
+"""Which heat modes the configured roles allow, and which "auto" is."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+from bstm_daemon.roles import CORNERS
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Sequence
+    from collections.abc import Set as AbstractSet
+
+    from bstm_daemon.config.sections import CornerConfig, HeatConfig
+
+AUTOMATIC: Final = ("fused", "ff", "fb")
+"""What "auto" tries, in this order: pressure and motion check each other; the
+pressure alone knows where the heat goes; measured discs hold the model at what
+is to be estimated, which is no default."""
+
+
+def automatic_mode(
+    heat: HeatConfig, corners: Sequence[CornerConfig], roles: AbstractSet[str]
+) -> str:
+    """Return the heat mode that "auto" is with *roles* configured.
+
+    Raises:
+        ValueError: no mode has its inputs.
+    """
+    for mode in AUTOMATIC:
+        if not [*_missing(mode, heat, corners, roles)]:
+            return mode
+    raise ValueError("; ".join(heat_mode_problems(heat, corners, roles)))
+
+
+def heat_mode_problems(
+    heat: HeatConfig, corners: Sequence[CornerConfig], roles: AbstractSet[str]
+) -> Iterator[str]:
+    """Name each input that the heat mode needs and *roles* do not have."""
+    where = f'[heat] mode = "{heat.mode}":'
+    if heat.mode != "auto":
+        for problem in _missing(heat.mode, heat, corners, roles):
+            yield f"{where} {problem}"
+        return
+    missing = {m: [*_missing(m, heat, corners, roles)] for m in AUTOMATIC}
+    if all(missing.values()):
+        pressure, torque = missing["ff"], missing["fb"]
+        for problem in pressure:
+            yield f"{where} {problem}"
+        if not set(pressure) <= set(torque):
+            for problem in torque:
+                if problem not in pressure:
+                    yield f"{where} or {problem}"
+
+
+def _missing(
+    mode: str,
+    heat: HeatConfig,
+    corners: Sequence[CornerConfig],
+    roles: AbstractSet[str],
+) -> Iterator[str]:
+    if mode == "measured":
+        names = {corner.name for corner in corners}
+        temperatures = [
+            f"temp_{name.lower()}_disc" for name in CORNERS if name in names
+        ]
+        if roles.isdisjoint(temperatures):
+            yield (
+                "needs a disc temperature, configure one of "
+                f"{_sections(temperatures)}"
+            )
+        return
+    speeds = ["vehicle_speed", *(f"wheel_speed_{c.lower()}" for c in CORNERS)]
+    if roles.isdisjoint(speeds):
+        yield f"needs a speed, configure one of {_sections(speeds)}"
+    if mode in {"ff", "fused"}:
+        for corner in corners:
+            pressures = _pressure_roles(corner)
+            if corner.type == "disc" and roles.isdisjoint(pressures):
+                yield (
+                    f"needs a pressure for corner {corner.name}, configure "
+                    f"one of {_sections(pressures)}"
+                )
+    if mode == "fused" and "acceleration_longitudinal" not in roles:
+        yield (
+            "needs the acceleration to learn from, configure "
+            "[signals.acceleration_longitudinal]"
+        )
+    if (
+        mode in {"fb", "fused"}
+        and "powertrain_torque" not in roles
+        and heat.assume_powertrain_torque_nm is None
+    ):
+        yield (
+            "needs the torque at the wheels, configure "
+            "[signals.powertrain_torque] or declare "
+            "assume_powertrain_torque_nm (0.0 = coasting while braking)"
+        )
+
+
+def _pressure_roles(corner: CornerConfig) -> list[str]:
+    roles = ["primary_pressure", f"wheel_pressure_{corner.name.lower()}"]
+    if corner.circuit == "secondary":
+        roles.insert(1, "secondary_pressure")
+    return roles
+
+
+def _sections(roles: Iterable[str]) -> str:
+    return ", ".join(f"[signals.{role}]" for role in roles)
