@@ -86,7 +86,7 @@ def test_flat_road_is_said(
 ) -> None:
     """Feed-Back without an accelerometer knows no grade, and says so."""
     path = edited(
-        ('mode = "ff"', 'mode = "fb"\nassume_powertrain_torque_nm = 0.0'),
+        ('mode = "auto"', 'mode = "fb"\nassume_powertrain_torque_nm = 0.0'),
         ("[signals.acceleration_longitudinal]", "[signals.pitch]"),
         ('unit = "m/s2"\nscale', 'unit = "rad"\nscale'),
     )

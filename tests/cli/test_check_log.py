@@ -59,7 +59,7 @@ def turned(tmp_path: Path) -> Path:
             'signal = "AccelLongitudinal"\nunit = "m/s2"',
             'signal = "AccelLongitudinal"\nunit = "m/s2"\nsign = -1',
         ),
-        ('mode = "ff"', 'mode = "fb"'),
+        ('mode = "auto"', 'mode = "fb"'),
     ):
         assert old in text
         text = text.replace(old, new, 1)
@@ -76,7 +76,7 @@ def test_good_log(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert "FAULTS" not in out
     assert "ok  wheel_speed_fl against vehicle_speed: agrees" in out
     assert "ff: yes" in out
-    assert out.rstrip().endswith('usable for heat mode "ff"')
+    assert out.rstrip().endswith('usable for heat mode "fused"')
     assert all(len(line) <= 110 for line in out.splitlines())
 
 

@@ -128,7 +128,7 @@ def test_toyota_motion_finds_what_pressure_misses(
     car = fused(
         TOYOTA,
         TOYOTA_LOG,
-        ('mode = "fb" ', f"{FUSED} "),
+        ('mode = "auto" ', f"{FUSED} "),
         ("[signals.brake_switch]", RESTING),
         without="can1",
     )
@@ -149,7 +149,7 @@ def test_toyota_motion_finds_what_pressure_misses(
 
 SUBARU = "config/subaru_wrx_sti.toml"
 SUBARU_LOG = "subaru-wrx-sti-candump/*.log"
-COASTING = ('mode = "ff" ', f"{FUSED}\nassume_powertrain_torque_nm = 0.0 ")
+COASTING = ('mode = "auto" ', f"{FUSED}\nassume_powertrain_torque_nm = 0.0 ")
 AS_PUBLISHED = ("scale = 0.6667\nsign = -1\n", "")
 
 
