@@ -370,7 +370,7 @@ def test_state_and_history(frames: list[Frame]) -> None:
         "known",
     )
     assert str(last["Validity"]) == "valid"
-    assert str(last["HeatMode"]) == "ff"
+    assert str(last["HeatMode"]) == "fused"
 
 
 def test_stale_is_only_what_the_heat_mode_uses(frames: list[Frame]) -> None:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from pydantic import ValidationError
-
 from bstm_daemon.analysis.identify.driving import driving_of
 from bstm_daemon.analysis.identify.heat_comparison import compare_heat
 from bstm_daemon.analysis.identify.stop_friction import stop_friction
@@ -18,8 +16,7 @@ from bstm_daemon.cli.log_command import (
     write_results,
 )
 from bstm_daemon.cli.progress import Progress
-from bstm_daemon.config.heat_modes import heat_mode_problems
-from bstm_daemon.config.sections import HeatConfig
+from bstm_daemon.config.heat import heat_mode_problems
 from bstm_daemon.errors import LogError
 from bstm_daemon.replay.columns import replay_log
 from bstm_daemon.report.heat import heat_json, heat_page, heat_text
@@ -77,7 +74,11 @@ def _compared(
         recording = read_recording([log], signal_map, overrides, progress.show)
         driving = driving_of(log.name, recording, config, signal_map)
         results = replay_log(config, signal_map, log, overrides).results
-        fused = _fused(config, signal_map, log, overrides)
+        fused = (
+            results
+            if config.heat.mode == FUSED
+            else _fused(config, signal_map, log, overrides)
+        )
     heat = compare_heat(results, driving, config, fused)
     if not heat.power_w:
         why = "; ".join(heat.absent.values())
@@ -90,11 +91,7 @@ def _fused(
     config: Config, signal_map: SignalMap, log: Path, overrides: dict[str, str]
 ) -> Results | None:
     """Return the replay in the mode ``fused``, None where there is none."""
-    try:
-        section = {**config.heat.model_dump(), "mode": FUSED}
-        heat = HeatConfig.model_validate(section)
-    except ValidationError:
-        return None
+    heat = config.heat.model_copy(update={"mode": FUSED})
     if any(heat_mode_problems(heat, config.corner, config.signals.keys())):
         return None
     changed = config.model_copy(update={"heat": heat})

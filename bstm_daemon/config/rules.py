@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from pydantic import ValidationError
 
-from bstm_daemon.config.heat_modes import heat_mode_problems
+from bstm_daemon.config.heat import HeatConfig, heat_mode_problems
 from bstm_daemon.config.sections import CoolingConfig, ThermalConfig
 from bstm_daemon.config.wording import (
     hint,
@@ -29,7 +29,6 @@ if TYPE_CHECKING:
         BusConfig,
         CornerConfig,
         EffectConfig,
-        HeatConfig,
         SignalConfig,
         VehicleConfig,
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field
@@ -28,3 +29,18 @@ def require(condition: bool, message: str) -> None:  # noqa: FBT001
     """Raise :class:`ValueError` with *message* unless *condition*."""
     if not condition:
         raise ValueError(message)
+
+
+def check_curve(
+    x: list[float], y: list[float], x_name: str, y_name: str
+) -> None:
+    """Raise :class:`ValueError` unless *x* and *y* are points, *x* rising."""
+    require(
+        len(x) == len(y) and len(x) > 1,
+        f"{x_name!r} and {y_name!r} need the same length, at least 2: "
+        f"{len(x)} and {len(y)} given",
+    )
+    require(
+        all(a < b for a, b in itertools.pairwise(x)),
+        f"{x_name!r} must rise from point to point",
+    )

@@ -8,7 +8,6 @@ models and words the problems. ``docs/reference.md`` lists every key.
 from __future__ import annotations
 
 import codecs
-import itertools
 from datetime import date  # noqa: TC003  (pydantic resolves it at run time)
 from typing import Annotated, Any, Final, Literal, Self
 
@@ -21,13 +20,14 @@ from bstm_daemon.config.estimates import (
     ForecastConfig,
     WearConfig,
 )
-from bstm_daemon.config.heat_modes import automatic_mode
+from bstm_daemon.config.heat import HeatConfig, automatic_mode
 from bstm_daemon.config.section import (
     Fraction,
     NotNegative,
     Positive,
     Section,
     Text,
+    check_curve,
     require,
 )
 from bstm_daemon.config.service import (
@@ -55,20 +55,6 @@ def _place(corner_name: str) -> tuple[str, str]:
     return axle, "left" if corner_name[1] == "L" else "right"
 
 
-def _check_curve(
-    x: list[float], y: list[float], x_name: str, y_name: str
-) -> None:
-    require(
-        len(x) == len(y) and len(x) > 1,
-        f"{x_name!r} and {y_name!r} need the same length, at least 2: "
-        f"{len(x)} and {len(y)} given",
-    )
-    require(
-        all(a < b for a, b in itertools.pairwise(x)),
-        f"{x_name!r} must rise from point to point",
-    )
-
-
 class Curve(Section):
     """A material property over temperature, linear between the points."""
 
@@ -77,7 +63,7 @@ class Curve(Section):
 
     @model_validator(mode="after")
     def _points_fit(self) -> Self:
-        _check_curve(self.temperature_c, self.value, "temperature_c", "value")
+        check_curve(self.temperature_c, self.value, "temperature_c", "value")
         return self
 
 
@@ -347,7 +333,7 @@ class CoolingConfig(Section):
 
     @model_validator(mode="after")
     def _points_fit(self) -> Self:
-        _check_curve(self.speed_ms, self.s_per_s, "speed_ms", "s_per_s")
+        check_curve(self.speed_ms, self.s_per_s, "speed_ms", "s_per_s")
         return self
 
 
@@ -418,32 +404,6 @@ class CornerConfig(Section):
                 f"both pads, 2 x 'pad.area_m2' = {2.0 * pad_m2:g}, must be "
                 f"at most 'disc.swept_area_m2' = {swept_m2:g}, both faces "
                 "together",
-            )
-        return self
-
-
-class HeatConfig(Section):
-    """``[heat]``: which brake power heats the model, and how it is formed."""
-
-    mode: Literal["auto", "ff", "fb", "fused", "measured"] = "auto"
-    brake_on_pressure_pa: NotNegative = 1.0e5
-    brake_on_force_n: NotNegative = 300.0
-    primary_lag_s: NotNegative = 0.0
-    secondary_lag_s: NotNegative = 0.0
-    derivative_filter_s: Positive = 0.3
-    slope: Literal["accelerometer", "flat"] = "accelerometer"
-    assume_powertrain_torque_nm: float | None = None
-    front_pressure_pa: list[NotNegative] = []
-    rear_pressure_pa: list[NotNegative] = []
-
-    @model_validator(mode="after")
-    def _table_fits(self) -> Self:
-        if self.front_pressure_pa or self.rear_pressure_pa:
-            _check_curve(
-                self.front_pressure_pa,
-                self.rear_pressure_pa,
-                "front_pressure_pa",
-                "rear_pressure_pa",
             )
         return self
 

@@ -61,6 +61,7 @@ class Trust(Machine):
         "_work": tuple[Number, Number],
         "_speed_ms": Number,
         "_silent_s": Number,
+        "_pressed_j": Number,
     }
 
     def __init__(
@@ -152,7 +153,9 @@ class Trust(Machine):
     ) -> None:
         before_j = self._pressed_j
         self._pressed_j = sum(block.rows[first + _PRESSED] for first in row)
-        if before_j < 0.0 or flags & self._excused:
+        # the sum begins anew where the pass over samples does
+        began = not 0.0 <= before_j <= self._pressed_j
+        if began or flags & self._excused:
             return
         heat_j = step_s * sum(block.rows[first + _POWER] for first in row)
         pressed_j = self._pressed_j - before_j

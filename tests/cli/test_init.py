@@ -61,7 +61,7 @@ def test_every_role_of_the_example_car_is_found(
     assert all(
         (one.sign, one.scale) == (1, 1.0) for one in config.signals.values()
     )
-    assert config.heat.mode == "ff"
+    assert config.heat.mode == "fused"
     assert config.bus[0].strict
     assert config.bus[0].channel == "can0"
 

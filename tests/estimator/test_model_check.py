@@ -290,9 +290,10 @@ def test_what_is_found_wrong_is_no_disagreement(tmp_path: Path) -> None:
 
 
 def test_pressure_and_motion_that_differ_are_noticed(tmp_path: Path) -> None:
-    """Pads that grip less than configured: the forces tell."""
+    """Pads that grip less than configured, which mode fused would learn."""
     weak = ("friction_coefficient = 0.38", "friction_coefficient = 0.65")
-    seen = beside(tmp_path, car(tmp_path, weak), STOPS, Effects())
+    path = car(tmp_path, weak, ('mode = "auto"', 'mode = "ff"'))
+    seen = beside(tmp_path, path, STOPS, Effects())
 
     assert seen.flags[-1] == "disagrees"
     assert seen.lines.of("model_disagrees") == [{"what": "heat"}]

@@ -27,7 +27,7 @@ mode = "auto"                 # pressure, and motion where all is mapped
 brake_on_pressure_pa = 1.0e5  # Pa; typical, replace"""
 _FEED_BACK: Final = """\
 [heat]
-mode = "auto"                 # motion of the car: no sure pressure
+mode = $mode # motion of the car: no sure pressure
 brake_on_force_n = 300.0      # N; typical, replace"""
 _ASSUMPTION: Final = """\
 # No sure torque at the wheels, so an assumption: 0.0 = the car coasts while it
@@ -159,9 +159,13 @@ def _keys(one: Candidate) -> list[str]:
 def _heat(proposal: Proposal) -> str:
     if proposal.ready("primary_pressure"):
         return _FEED_FORWARD
+    # a pressure that is mapped but not read would be waited for
+    waits = any(one.role == "primary_pressure" for one in proposal.sure)
+    mode = '"fb"  ' if waits else '"auto"'
+    text = Template(_FEED_BACK).substitute(mode=f"{mode:22}")
     if proposal.ready("powertrain_torque"):
-        return _FEED_BACK
-    return f"{_FEED_BACK}\n{_ASSUMPTION}"
+        return text
+    return f"{text}\n{_ASSUMPTION}"
 
 
 def _comment(text: str) -> str:

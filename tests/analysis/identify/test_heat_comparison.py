@@ -16,7 +16,7 @@ from bstm_daemon.analysis.identify.stop_friction import (
     StopFriction,
     stop_friction,
 )
-from bstm_daemon.config.sections import HeatConfig
+from bstm_daemon.config.heat import HeatConfig
 from bstm_daemon.replay.columns import replay_log
 
 if TYPE_CHECKING:
@@ -44,7 +44,7 @@ def compared(logged: Logged, driving: Reader, example: Example) -> Compared:
         path = logged(drive, sensors, **options)
         config, plan = example
         config = config.model_copy(
-            update={"heat": HeatConfig(derivative_filter_s=0.3)}
+            update={"heat": HeatConfig(mode="ff", derivative_filter_s=0.3)}
         )
         read = driving(path)
         results = replay_log(config, plan, path, forecast=False).results
@@ -192,6 +192,8 @@ def test_fused_power_is_shown_where_it_is_given(
 ) -> None:
     """A replay handed over as fused stands beside the others."""
     config, plan = example
+    heat_config = config.heat.model_copy(update={"mode": "ff"})
+    config = config.model_copy(update={"heat": heat_config})
     path = logged("idiada-step")
     results = replay_log(config, plan, path, forecast=False).results
     heat = compare_heat(results, driving(path), config, results)

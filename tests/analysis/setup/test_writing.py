@@ -10,6 +10,7 @@ from cantools.database.can import Database
 from bstm_daemon.analysis.setup.proposal import propose
 from bstm_daemon.analysis.setup.recording import Recording
 from bstm_daemon.analysis.setup.writing import configuration_text, notes_of
+from bstm_daemon.config.heat import automatic_mode
 from bstm_daemon.config.reading import draft_of
 from bstm_daemon.errors import ConfigError
 
@@ -36,6 +37,16 @@ def text_of(database: Database, name: str = "car.dbc") -> str:
         (["SPEED m/s", "BRAKE %"], "fb", 0.0),
         (["SPEED m/s", "WheelTorque Nm"], "fb", None),
         (["WS_FL rad/s", "BrakePressure bar"], "ff", None),
+        (
+            [
+                "SPEED m/s",
+                "BrakePressure bar",
+                "WheelTorque Nm",
+                "LongAccel m/s2",
+            ],
+            "fused",
+            None,
+        ),
     ],
 )
 def test_the_mode_follows_what_is_sure(
@@ -45,7 +56,10 @@ def test_the_mode_follows_what_is_sure(
 
     assert problems == []
     assert draft.heat is not None
-    assert draft.heat.mode == mode
+    assert draft.heat.mode == "auto"
+    assert (
+        automatic_mode(draft.heat, draft.corner, draft.signals.keys()) == mode
+    )
     assert draft.heat.assume_powertrain_torque_nm == assumed
 
 

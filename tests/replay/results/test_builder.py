@@ -15,6 +15,7 @@ from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.estimator.estimator import Estimator
 from bstm_daemon.replay.columns import present_roles, replay_log
 from bstm_daemon.replay.results import Collector, Results, ResultsBuilder
+from bstm_daemon.replay.results.builder import LEARNED
 from bstm_daemon.replay.results.records import (
     ADVICE_COLUMNS,
     CAR_COLUMNS,
@@ -45,6 +46,7 @@ QUANTITIES = (
     "disc_loss_m",
     "validity",
     *CORNER_COLUMNS,
+    "brake_power_std_w",
     "brake_power_ff_w",
     "brake_power_fb_w",
     "pressure_pa",
@@ -55,7 +57,13 @@ MEASURED = ("disc", "disc_2", "pad_front", "pad_back", "fluid", "caliper")
 def test_columns(results: Results) -> None:
     """Names and order; measured ones only where something was measured."""
     expected = ["time_s", "speed_ms", "distance_m", "brake_force_fb_n"]
-    expected += ["flags", *CAR_COLUMNS, "forecast_age_s", *ADVICE_COLUMNS]
+    expected += [
+        "flags",
+        *LEARNED,
+        *CAR_COLUMNS,
+        "forecast_age_s",
+        *ADVICE_COLUMNS,
+    ]
     for corner in CORNERS:
         expected += [f"{corner}.{quantity}" for quantity in QUANTITIES]
         if corner[0] == "F":
@@ -155,6 +163,7 @@ def test_a_drum_has_power_and_no_temperature(
     names = {n for n in results.columns if n.startswith("RR.")}
     assert names == {
         "RR.brake_power_w",
+        "RR.brake_power_std_w",
         "RR.brake_power_ff_w",
         "RR.brake_power_fb_w",
         "RR.pressure_pa",

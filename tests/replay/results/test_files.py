@@ -84,6 +84,7 @@ def test_both_files_hold_the_same(results: Results, tmp_path: Path) -> None:
         "std_m": 5e-8,
         "loss_m": 5e-8,
         "_s": 0.05,
+        "_kg": 5e-3,
     }
     for name, column in results.columns.items():
         binary = table.column(name).to_numpy()

@@ -6,8 +6,11 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from bstm_daemon.config.heat_modes import automatic_mode, heat_mode_problems
-from bstm_daemon.config.sections import HeatConfig
+from bstm_daemon.config.heat import (
+    HeatConfig,
+    automatic_mode,
+    heat_mode_problems,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -1,16 +1,22 @@
-"""Which heat modes the configured roles allow, and which "auto" is."""
+"""``[heat]``, which heat modes the roles allow, and which "auto" is."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, Literal, Protocol, Self
 
+from pydantic import model_validator
+
+from bstm_daemon.config.section import (
+    NotNegative,
+    Positive,
+    Section,
+    check_curve,
+)
 from bstm_daemon.roles import CORNERS
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
     from collections.abc import Set as AbstractSet
-
-    from bstm_daemon.config.sections import CornerConfig, HeatConfig
 
 AUTOMATIC: Final = ("fused", "ff", "fb")
 """What "auto" tries, in this order: pressure and motion check each other; the
@@ -18,8 +24,50 @@ pressure alone knows where the heat goes; measured discs hold the model at what
 is to be estimated, which is no default."""
 
 
+class WheelBrake(Protocol):
+    """What of a ``[[corner]]`` decides on its inputs."""
+
+    @property
+    def name(self) -> str:
+        """FL, FR, RL or RR."""
+
+    @property
+    def type(self) -> str:
+        """Disc or drum."""
+
+    @property
+    def circuit(self) -> str:
+        """Primary or secondary."""
+
+
+class HeatConfig(Section):
+    """``[heat]``: which brake power heats the model, and how it is formed."""
+
+    mode: Literal["auto", "ff", "fb", "fused", "measured"] = "auto"
+    brake_on_pressure_pa: NotNegative = 1.0e5
+    brake_on_force_n: NotNegative = 300.0
+    primary_lag_s: NotNegative = 0.0
+    secondary_lag_s: NotNegative = 0.0
+    derivative_filter_s: Positive = 0.3
+    slope: Literal["accelerometer", "flat"] = "accelerometer"
+    assume_powertrain_torque_nm: float | None = None
+    front_pressure_pa: list[NotNegative] = []
+    rear_pressure_pa: list[NotNegative] = []
+
+    @model_validator(mode="after")
+    def _table_fits(self) -> Self:
+        if self.front_pressure_pa or self.rear_pressure_pa:
+            check_curve(
+                self.front_pressure_pa,
+                self.rear_pressure_pa,
+                "front_pressure_pa",
+                "rear_pressure_pa",
+            )
+        return self
+
+
 def automatic_mode(
-    heat: HeatConfig, corners: Sequence[CornerConfig], roles: AbstractSet[str]
+    heat: HeatConfig, corners: Sequence[WheelBrake], roles: AbstractSet[str]
 ) -> str:
     """Return the heat mode that "auto" is with *roles* configured.
 
@@ -33,7 +81,7 @@ def automatic_mode(
 
 
 def heat_mode_problems(
-    heat: HeatConfig, corners: Sequence[CornerConfig], roles: AbstractSet[str]
+    heat: HeatConfig, corners: Sequence[WheelBrake], roles: AbstractSet[str]
 ) -> Iterator[str]:
     """Name each input that the heat mode needs and *roles* do not have."""
     where = f'[heat] mode = "{heat.mode}":'
@@ -55,7 +103,7 @@ def heat_mode_problems(
 def _missing(
     mode: str,
     heat: HeatConfig,
-    corners: Sequence[CornerConfig],
+    corners: Sequence[WheelBrake],
     roles: AbstractSet[str],
 ) -> Iterator[str]:
     if mode == "measured":
@@ -97,7 +145,7 @@ def _missing(
         )
 
 
-def _pressure_roles(corner: CornerConfig) -> list[str]:
+def _pressure_roles(corner: WheelBrake) -> list[str]:
     roles = ["primary_pressure", f"wheel_pressure_{corner.name.lower()}"]
     if corner.circuit == "secondary":
         roles.insert(1, "secondary_pressure")
