@@ -35,7 +35,11 @@ def _quiet(every: Sequence[Result], _: Sequence[Result]) -> list[Figure]:
             0.0075, 0.05, at_most=True,
         ),
         Figure(
-            "S0, anything reported", share(every, said), 0.01, 0.05, at_most=True
+            "S0, anything reported",
+            share(every, said),
+            0.01,
+            0.05,
+            at_most=True,
         ),
     ]  # fmt: skip
 
