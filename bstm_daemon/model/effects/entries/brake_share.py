@@ -24,7 +24,10 @@ class BrakeShare(Effect):
     number = 35
     kind = "heat"
     description = "The front brakes do more of the work than assumed."
-    signature = "All heat input, front and rear in opposite ways, while braking; the force of the whole car agrees."
+    signature = (
+        "All heat input, front and rear in opposite ways, while braking; the "
+        "force of the whole car agrees."
+    )
     twins = ("mass_error", "accelerometer_bias", "powertrain_torque_error")
     either_sign = True
     own_parameters = (

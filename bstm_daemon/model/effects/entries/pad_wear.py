@@ -26,7 +26,10 @@ class PadWear(Effect):
 
     number = 21
     description = "Worn linings conduct heat to the fluid faster."
-    signature = "Pad back and fluid, sooner and hotter; pad front less; grows over many drives with their heat."
+    signature = (
+        "Pad back and fluid, sooner and hotter; pad front less; grows over "
+        "many drives with their heat."
+    )
     twins = ("shim_contact", "pad_conductivity")
     own_parameters = (
         Parameter("worn_m", "m", 0.0, 0.02, 4.5e-3, "lost of the lining"),
