@@ -312,7 +312,7 @@ def test_a_column_stands_alone(key: str) -> None:
         ({}, "needs either 'time'"),
         ({"time": "t", "rate_hz": 50}, "needs either 'time'"),
         ({"rate_hz": 50, "time_unit": "s"}, "'time_unit' needs 'time'"),
-        ({"time": "t", "name": "n"}, "'name' and 'value' go together"),
+        ({"time": "t", "name": "n"}, "'name' and 'value' are used together"),
         ({"rate_hz": 5, "name": "n", "value": "v"}, "need a column 'time'"),
         ({"time": "t", "delimiter": ", "}, "must be one character"),
     ],
