@@ -85,8 +85,8 @@ def add_bus_map(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="IFACE=BUS",
-        help="read frames of the log's interface IFACE as those of [[bus]] "
-        "BUS, with an empty BUS not at all; may be repeated",
+        help="assign frames of the log's interface IFACE to [[bus]] BUS, or "
+        "ignore them with an empty BUS; may be repeated",
     )
 
 
@@ -103,7 +103,10 @@ def refuse_overwriting(
         if target is None:
             continue
         if target.resolve() in taken:
-            msg = f"{target}: would overwrite what is read or written here"
+            msg = (
+                f"{target}: would overwrite a file that is read or written "
+                "here"
+            )
             raise UsageError(msg)
         taken.add(target.resolve())
 

@@ -65,7 +65,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="LOG",
-        help="judge the signals of this log as well; may be repeated for the "
+        help="check the signals of this log as well; may be repeated for the "
         "parts of one recording",
     )
     add_bus_map(parser)
@@ -82,7 +82,7 @@ def run(args: argparse.Namespace) -> int:
         msg = "check needs one configuration: bstm check CONFIG"
         raise UsageError(msg)
     if (args.report or args.map) and not args.log:
-        msg = "--report and --map go with --log LOG"
+        msg = "--report and --map need --log LOG"
         raise UsageError(msg)
     path: Path = args.configuration or args.config
     check_targets((args.json, args.report), (path, *(args.log or ())))
@@ -247,7 +247,7 @@ def _heat(config: Config) -> str:
     if heat.mode == "ff":
         return "ff, from brake pressure and friction"
     if heat.mode == "measured":
-        return "measured, the disc temperature is given"
+        return "measured, the disc temperature is an input"
     way = (
         "fused, pressure and motion, the vehicle learned"
         if heat.mode == "fused"
@@ -262,7 +262,7 @@ def _heat(config: Config) -> str:
         heat.slope == "flat"
         or "acceleration_longitudinal" not in config.signals
     )
-    road = "; the road is taken as flat" if is_flat else ""
+    road = "; the road is assumed flat" if is_flat else ""
     return f"{way}{assumed}{road}"
 
 

@@ -62,7 +62,7 @@ def run(args: argparse.Namespace) -> int:
     try:
         restore_state(estimator, document, resume=False)
     except StateError as error:
-        msg = f"--now {args.now}: the state does not fit: {error}"
+        msg = f"--now {args.now}: the state does not match: {error}"
         raise UsageError(msg) from error
     found = outlook(config, estimator, document)
     print("\n".join(_lines(config.vehicle.id, args.now, found)))

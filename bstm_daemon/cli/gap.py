@@ -68,7 +68,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="run: all steps; locate: where model and measurement disagree; "
         "gate: whether anything is missing; name: which effect; adopt: fit it "
         "and write it into NEW.toml; show: before and after; advise: which "
-        "drive of a menu would distinguish what is left",
+        "drive of a menu would separate the remaining candidates",
     )
     add_log_arguments(
         parser,
@@ -82,7 +82,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         default=[],
         metavar="LOG",
-        help="drives that nothing is fitted to, for before and after",
+        help="drives not used for fitting, for before and after",
     )
     parser.add_argument(
         "--menu",
@@ -90,7 +90,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=list(MENU),
         choices=drive_names(),
         metavar="DRIVE",
-        help="drives that advise asks about, those of bstm simulate --list "
+        help="drives that advise compares, from bstm simulate --list "
         "(m01 to m15)",
     )
     parser.add_argument(
@@ -99,7 +99,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=[],
         choices=effect_names(),
         metavar="EFFECT",
-        help="what advise is to distinguish; without logs, before any drive",
+        help="effects that advise should separate; also without logs, before "
+        "any drive",
     )
 
 
@@ -139,7 +140,7 @@ def _by_temperatures(
     if args.holdout and not held_out:
         msg = (
             "--holdout: no measured temperature in these logs (roles "
-            "temp_<corner>_<node>), nothing to show before and after on"
+            "temp_<corner>_<node>), so there is no before and after to show"
         )
         raise LogError(msg)
     for one in (*recordings, *held_out):
@@ -181,8 +182,8 @@ def _by_forces(
     if args.step in {"locate", "advise"}:
         msg = (
             f"gap {args.step}: no measured temperature in these logs (roles "
-            "temp_<corner>_<node>); without one there are gate, name, adopt, "
-            "show and run, by forces"
+            "temp_<corner>_<node>); without one only gate, name, adopt, show "
+            "and run work, from forces"
         )
         raise UsageError(msg)
     for one in (*recordings, *held_out):
@@ -240,17 +241,20 @@ def _check(args: argparse.Namespace) -> set[Path]:
     """Refuse arguments that do not go together; return all logs."""
     if not args.logs and not (args.step == "advise" and args.among):
         msg = (
-            "gap: give logs; only advise goes without, with --among EFFECT..."
+            "gap: logs are required; only advise works without, with --among "
+            "EFFECT..."
         )
         raise UsageError(msg)
     if args.step == "adopt" and args.out is None:
         msg = "gap adopt: give -o NEW.toml"
         raise UsageError(msg)
     if args.out is not None and args.step not in WRITERS:
-        msg = f"gap {args.step}: -o goes with {', '.join(WRITERS)}"
+        msg = f"gap {args.step}: -o is an option of {', '.join(WRITERS)}"
         raise UsageError(msg)
     if args.holdout and args.step not in SHOWERS:
-        msg = f"gap {args.step}: --holdout goes with {', '.join(SHOWERS)}"
+        msg = (
+            f"gap {args.step}: --holdout is an option of {', '.join(SHOWERS)}"
+        )
         raise UsageError(msg)
     seen: set[Path] = set()
     for log in (*args.logs, *args.holdout):

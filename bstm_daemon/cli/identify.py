@@ -121,8 +121,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--even-grade",
         action="store_true",
-        help="coastdown: the grade is even along each run; leaves the "
-        "accelerometer and its noise out",
+        help="coastdown: the grade is constant along each run; the noisy "
+        "accelerometer is not used",
     )
     parser.add_argument(
         "--while-braking",
@@ -169,10 +169,10 @@ def _check(args: argparse.Namespace) -> None:
     if args.what != "coastdown" and (
         args.hold or args.one_way or args.even_grade
     ):
-        msg = "--hold, --one-way and --even-grade go with coastdown"
+        msg = "--hold, --one-way and --even-grade are options of coastdown"
         raise UsageError(msg)
     if args.what != "cooling" and args.while_braking:
-        msg = "--while-braking goes with cooling"
+        msg = "--while-braking is an option of cooling"
         raise UsageError(msg)
     check_new(args.out, force=args.force)
     check_targets(

@@ -28,7 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         required=True,
         metavar="CAR.dbc",
-        help="what the car's frames mean",
+        help="DBC of the car's frames",
     )
     parser.add_argument(
         "--log",
@@ -36,8 +36,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="LOG",
-        help="recorded drive that confirms or refutes what names suggest, "
-        "with some braking in it; may be repeated",
+        help="recorded drive with some braking, to check the choice by names; "
+        "may be repeated",
     )
     add_out(parser, "configuration to write", "CAR.toml")
     add_force(parser, "CAR.toml")

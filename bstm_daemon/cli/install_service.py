@@ -57,7 +57,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--force",
         action="store_true",
-        help="replace units that are there and differ",
+        help="replace existing units that differ",
     )
     parser.add_argument(
         "--dry-run",

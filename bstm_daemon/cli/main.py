@@ -42,7 +42,7 @@ COMMANDS: Final[dict[str, str]] = {
     "identify": "find the car's resistances and brake friction in drives",
     "heat": "compare the brake heat of Feed-Forward, Feed-Back and the bus",
     "match": "match the model to drives with measured temperatures",
-    "verify": "judge the model on drives with measured temperatures",
+    "verify": "verify the model on drives with measured temperatures",
     "gap": "find, name and add the effect that the model lacks",
     "install-service": "write the systemd units of the live service",
 }

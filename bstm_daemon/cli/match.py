@@ -42,7 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--each",
         action="store_true",
-        help="match left and right by themselves, though configured alike",
+        help="match left and right separately, even if configured alike",
     )
 
 

@@ -219,7 +219,7 @@ def _remarks(
     if listed:
         remarks.append(f"refused: {listed}")
     for key, text in (
-        ("late", "samples out of order, counted from when they came"),
+        ("late", "samples out of order, used from their arrival"),
         (
             "dropped",
             "samples dropped, their stamps far from their neighbours'",

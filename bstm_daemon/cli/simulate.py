@@ -43,7 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--preset",
         default="plain",
-        help="what the simulated car's brakes do: plain or road "
+        help="effects of the simulated car's brakes: plain or road "
         "(default: plain)",
     )
     parser.add_argument(
@@ -51,7 +51,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="NAME=STRENGTH",
-        help="switch one effect besides the preset's; 0 is off, 1 typical; "
+        help="switch one effect in addition to the preset's; 0 is off, 1 "
+        "typical; "
         "may be repeated",
     )
     parser.add_argument(

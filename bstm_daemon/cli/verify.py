@@ -38,7 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default="thesis",
         help="which limits decide the exit code (default %(default)s): fluid "
         "within 30 K and its peak within 5 min; floor and goal are narrower "
-        "and judge disc, pad and drift too",
+        "and include disc, pad and drift",
     )
 
 

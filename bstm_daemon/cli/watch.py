@@ -37,8 +37,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--interface",
         type=_name,
         metavar="IFACE",
-        help="python-can interface (default: that of CONFIG, of python-can's "
-        "own configuration, or socketcan)",
+        help="python-can interface (default: from CONFIG, python-can's own "
+        "configuration, or socketcan)",
     )
     parser.add_argument(
         "--channel",
@@ -51,7 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--bitrate",
         type=_bitrate,
         metavar="BIT/S",
-        help="bitrate, where the interface takes it from its user",
+        help="bitrate, for interfaces that need it",
     )
     parser.add_argument(
         "--id-base",

@@ -147,7 +147,7 @@ def _section_names(document: dict[str, Any]) -> Iterator[str]:
         elif isinstance(value, list):
             problem = f"[[{name}]]: unknown section"
         else:
-            problem = f"{name} = {toml_text(value)}: stands before any section"
+            problem = f"{name} = {toml_text(value)}: is before any section"
         yield f"{problem}, {hint(name, known)}"
     for name in _REQUIRED:
         needless = name == "bus" and _only_columns(document.get("signals"))

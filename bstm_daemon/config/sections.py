@@ -195,11 +195,11 @@ class TableConfig(Section):
         )
         require(
             self.time_unit is None or self.time is not None,
-            "'time_unit' goes with 'time'",
+            "'time_unit' needs 'time'",
         )
         require(
             (self.name is None) == (self.value is None),
-            "'name' and 'value' go together: one value a row",
+            "'name' and 'value' are used together: one value a row",
         )
         require(
             self.name is None or self.rate_hz is None,
@@ -285,8 +285,8 @@ class PadConfig(Section):
         new_m = self.new_thickness_m
         require(
             new_m is None or self.thickness_m <= new_m,
-            f"'thickness_m' = {self.thickness_m:g}, what is left, must be at "
-            f"most 'new_thickness_m' = {new_m or 0.0:g}",
+            f"'thickness_m' = {self.thickness_m:g}, the remaining lining, "
+            f"must be at most 'new_thickness_m' = {new_m or 0.0:g}",
         )
         return self
 

@@ -54,7 +54,7 @@ class E2eConfig(Section):
             )
             require(
                 self.offset_bytes == 0,
-                "'offset_bytes' goes with profile 5; profile 2 begins at 0",
+                "'offset_bytes' is for profile 5; profile 2 begins at 0",
             )
         return self
 

@@ -215,7 +215,7 @@ def naming_state() -> Iterator[None]:
     try:
         yield
     except StateError as error:
-        msg = f"--state: the state does not fit: {error}"
+        msg = f"--state: the state does not match: {error}"
         raise UsageError(msg) from error
 
 

@@ -168,8 +168,8 @@ def brakes_page(result: Brakes, subtitle: str) -> Page:
             "Friction",
             plots=_friction_plots(result),
             note="Friction over its configured value: brake force from "
-            "motion over that of Eq 4.1 at the pressure less push-out. The "
-            "line and the value hold at "
+            "motion over that of Eq 4.1 at the pressure minus push-out. The "
+            "line and the value apply at "
             f"{3.6 * result.samples.speed_mean_ms:.0f} km/h.",
         ),
         Section("Stops", Table(STOP_HEAD, stop_rows(result))),

@@ -131,9 +131,10 @@ def coast_down_page(result: CoastDown, subtitle: str) -> Page:
         Section(
             "Energy (Eq 4.5 and 4.6)",
             Table(RUN_HEAD, run_rows(result)),
-            note="Kinetic energy lost, 1/2 m v2 + 1/2 J w2, is the work of "
-            "the resistances, of the climb and of what drives; left over is "
-            "the rest as a share of the kinetic energy.",
+            note="The lost kinetic energy, 1/2 m v2 + 1/2 J w2, is the work "
+            "of the resistances and of the climb minus that of the drive "
+            "line; left over is the remainder as a share of the kinetic "
+            "energy.",
         ),
     ]
     tiles = [
@@ -163,7 +164,7 @@ def _run_plots(i: int, run: Run) -> list[tuple[str, Plot]]:
             plot(speeds, "time [s]", "speed [km/h]"),
         ),
         (
-            f"run {i + 1}: theory less measurement",
+            f"run {i + 1}: theory minus measurement",
             plot(residuals, "time [s]", "residual [km/h]"),
         ),
     ]

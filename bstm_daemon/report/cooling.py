@@ -118,12 +118,12 @@ def axle_lines(axle: AxleCooling) -> list[str]:
     for point in axle.points:
         if point.speed_ms <= 0.0 and axle.still is not None:
             lines.append(
-                f"parked, S is the convection beside the configured "
-                f"radiation; all of the loss is {1e3 * point.whole:.3f} +- "
+                "parked, S is the convection without the configured "
+                f"radiation; the total loss is {1e3 * point.whole:.3f} +- "
                 f"{1e3 * point.whole_error:.3f}e-3 1/s, of which convection "
                 f"is {100 * axle.still:.0f} % (configured "
-                f"{100 * axle.disc.still:.0f} %); this share leans on "
-                "the configured emissivity"
+                f"{100 * axle.disc.still:.0f} %); this share depends on the "
+                "configured emissivity"
             )
         if len(point.by_corner) > 1:
             sides = ", ".join(
@@ -132,7 +132,7 @@ def axle_lines(axle: AxleCooling) -> list[str]:
             )
             lines.append(f"{speed_text(point.speed_ms)}: {sides}")
     lines.append(
-        f"what is left over: noise {number(axle.fit.noise_k, 2)} K, drift "
+        f"residual: noise {number(axle.fit.noise_k, 2)} K, drift "
         f"{number(axle.fit.drift_k, 2)} K over {axle.fit.drift_s:g} s"
     )
     return lines
@@ -296,7 +296,7 @@ def _point_plots(point: CoolingPoint) -> list[tuple[str, Plot]]:
     return [
         (title, plot(fall, "time [s]", "disc [°C]")),
         (
-            f"{title}: Eq 4.12 less measurement",
+            f"{title}: Eq 4.12 minus measurement",
             plot(residuals, "time [s]", "residual [K]"),
         ),
     ]

@@ -347,7 +347,14 @@ def _corner_curves(corner: str) -> list[_Curve]:
     steps, dashes = {"shape": "hv"}, {"dash": "8px,4px"}
     rows += [
         ("fluid", "peak if parked now", "peak_c", VERMILION, 1.3, steps),
-        ("fluid", "peak if it goes on", "duty_peak_c", ORANGE, 1.3, steps),
+        (
+            "fluid",
+            "peak if the duty continues",
+            "duty_peak_c",
+            ORANGE,
+            1.3,
+            steps,
+        ),
         ("risk", "within 30 min, if parked", "risk", VERMILION, 1.5, {}),
         ("risk", "now", "risk_now", BLUE, 1.5, {}),
         ("fluid", "wet boiling point", _BOILING_POINT, BLACK, 1.3, dashes),

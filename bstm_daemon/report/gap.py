@@ -33,17 +33,17 @@ CANDIDATE_HEAD: Final = (
 )
 ADVICE_HEAD: Final = (
     *("drive", "min", "right name", "wrong name"),
-    *("ln Bayes factor", "what it is"),
+    *("ln Bayes factor", "description"),
 )
 MODELS: Final = (*BASELINES, EXTENDED, ADOPTED)
 ERROR_HEAD: Final = ("drive", "node", *MODELS)
 MATCH_FIRST: Final = (
-    "the tunables, within their priors, can take up the residual heat: match "
-    "the model to these drives (bstm match) and ask again"
+    "the tunables, within their priors, can explain the residual heat: match "
+    "the model to these drives (bstm match) and search again"
 )
 UNMATCHED: Final = (
-    "no [accuracy] in the configuration: what bstm match would mend may be "
-    "taken for an effect"
+    "no [accuracy] in the configuration: an error that bstm match would "
+    "correct may be mistaken for an effect"
 )
 SHOWN_PLACES: Final = 4
 SHOWN_CANDIDATES: Final = 8
@@ -245,7 +245,7 @@ def shown_lines(shown: Shown) -> list[str]:
     one = shown.adopted
     text = f"as adopted, the tunables as configured: {times(one)}"
     if one.factor < 1.0:
-        text += "; match them anew (bstm match)"
+        text += "; match them again (bstm match)"
     moved = ", ".join(
         f"{name} {bend:.2f}" for name, bend in shown.bends.items() if bend
     )
@@ -368,7 +368,7 @@ def force_lines(gap: ForceGap) -> list[str]:
     if gap.strengths:
         kind = "held-out drives" if gap.held_out else "the same drives"
         lines.append(
-            f"error of the car's acceleration on {kind}, noise taken off: "
+            f"error of the car's acceleration on {kind}, without noise: "
             f"{acceleration(gap.before_ms2)} before, "
             f"{acceleration(gap.after_ms2)} after"
         )
@@ -387,9 +387,9 @@ def sight_lines(gap: ForceGap) -> list[str]:
     for name, why in gap.unseen.items():
         by_reason.setdefault(why.partition(":")[0], []).append(name)
     return [
-        f"can be seen, from the strength of: {seen or 'none'}",
+        f"detectable, from a strength of: {seen or 'none'}",
         *(
-            f"can not be seen ({why}): {', '.join(names)}"
+            f"not detectable ({why}): {', '.join(names)}"
             for why, names in by_reason.items()
         ),
     ]

@@ -133,11 +133,11 @@ def _map_section(prefix: str, located: Located) -> Section:
         plots=(("", heat_map(located.cells)),),
         lines=place_lines(located),
         across=1,
-        note="Heat that the model lacks at a part while its measured "
-        "neighbours are held to their thermocouples. Red: the real part "
-        "takes up more heat than the model gives it; blue: less. Pale: within "
-        f"{CLEAR:g} standard deviations of what sensors and the form of the "
-        "model explain. Mean of the corners.",
+        note="Heat that the model lacks at a part, with its measured "
+        "neighbours held at their thermocouples. Red: the real part gets more "
+        "heat than in the model; blue: less. Pale: within "
+        f"{CLEAR:g} standard deviations of the errors of sensors and model "
+        "form. Mean of the corners.",
     )
 
 
@@ -202,7 +202,7 @@ def heat_map(cells: Sequence[Cell]) -> Plot:
             "tickangle": 0,
             "tickfont": {"size": 10.5},
             "title": {
-                "text": "temperature of the part [°C], what the car does",
+                "text": "temperature of the part [°C], regime",
                 "standoff": 12,
             },
         },
@@ -264,7 +264,10 @@ def _candidates(
         heading,
         Table(CANDIDATE_HEAD, candidate_rows(naming)),
         plots=(
-            ("how far each effect beats 'nothing'", evidence_bars(naming)),
+            (
+                "evidence of each effect against 'nothing'",
+                evidence_bars(naming),
+            ),
         ),
         lines=lines,
         across=1,
@@ -277,9 +280,9 @@ def _advice_section(prefix: str, gap: Gap) -> Section:
         f"{prefix}which drive next",
         Table(ADVICE_HEAD, advice_rows(gap)),
         lines=(advice_headline(gap),),
-        note="Cars are drawn at random from what these drives leave open; "
+        note="Cars are drawn at random from the posterior of these drives; "
         "each drive is simulated with the model itself, with its noise, and "
-        "searched. The Bayes factor is that of the true effect over its best "
+        "searched. The Bayes factor compares the true effect with its best "
         f"rival; now it is {gap.advice[0].now:+.1f}.",
     )
 
@@ -333,7 +336,7 @@ def _shown_sections(prefix: str, shown: Shown) -> list[Section]:
                     (one.node.replace("_", " "), _curves(one)) for one in own
                 ),
                 note="Black: measured. Orange: with the effect, tunables "
-                "re-fitted; what is adopted leaves them as configured.",
+                "re-fitted; the adopted effect leaves them as configured.",
             )
         )
     return sections
@@ -372,7 +375,7 @@ def force_page(gap: ForceGap, subtitle: str) -> Page:
     sections = [
         _candidates(answer_line(naming, "forces"), naming, force_lines(gap)),
         *(_force_section(one) for one in gap.curves),
-        Section("what forces can show", lines=sight_lines(gap)),
+        Section("visible in forces", lines=sight_lines(gap)),
     ]
     moved_mj = 1e-6 * gap.motion_j
     tiles = (
@@ -415,5 +418,5 @@ def _force_section(one: Forces) -> Section:
             ),
         ),
         note="A point is a window of 1 s or more. With nothing missing the "
-        "difference is nothing at every force.",
+        "difference is zero at every force.",
     )

@@ -309,9 +309,9 @@ def _drive_sections(
             Section(
                 f"{prefix}Energy balance of the stops [kJ] (Eq 4.5)",
                 Table(stop_head(heat), stop_rows(heat)),
-                note="Balance = kinetic - drag - climb + drive. Climb is "
-                "what the accelerometer shows beyond the change of speed: the "
-                "grade, its own bias, and the slip of braked tyres.",
+                note="Balance = kinetic - drag - climb + drive. Climb is the "
+                "accelerometer's reading minus dv/dt: the grade, its bias, "
+                "and the slip of braked tyres.",
             )
         )
     figures = friction_plots(friction)
@@ -321,11 +321,11 @@ def _drive_sections(
                 f"{prefix}Friction coefficient (thesis figure 4.7)",
                 plots=figures,
                 lines=friction_lines(friction),
-                note="Within a stop: brake force from motion over what Eq "
-                "4.1 gives for a friction of 1; one value for the whole car. "
-                "Front and rear: mean of a stop, by the heat in the measured "
-                "discs; an axle without one has the rest of the balance and "
-                "with it every error of mass and grade.",
+                note="Within a stop: brake force from motion over that of Eq "
+                "4.1 for a friction of 1; one value for the whole car. "
+                "Front and rear: mean of a stop, from the heat in the "
+                "measured discs; an axle without one gets the rest of the "
+                "balance, including every error of mass and grade.",
             )
         )
     return sections

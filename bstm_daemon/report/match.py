@@ -107,7 +107,8 @@ def notes(match: Match) -> list[str]:
         )
     else:
         lines.append(
-            "a single drive: nothing is held out, so [accuracy] is too good"
+            "a single drive: nothing is held out, so [accuracy] is too "
+            "optimistic"
         )
     return [*lines, *match.remarks]
 
@@ -118,7 +119,7 @@ def match_text(match: Match) -> str:
     lines += table(STAGE_HEAD, stage_rows(match))
     fits = [("joint refinement", match.joint)]
     if match.table_4_1 is not None:
-        fits.append(("Table 4.1 alone beside it", match.table_4_1))
+        fits.append(("Table 4.1 alone, for comparison", match.table_4_1))
     for what, fit in fits:
         lines += ["", f"{what}: {fit_line(fit)}"]
         lines += table(VALUE_HEAD, value_rows(fit))
@@ -191,7 +192,7 @@ def match_page(
                 Table(VALUE_HEAD, value_rows(match.joint)),
                 lines=(fit_line(match.joint), *notes(match)),
                 note="sd: standard deviation after the fit; of prior: as a "
-                "share of what was believed before. Values without the name "
+                "share of the prior's. Values without the name "
                 "of a section are keys of [thermal].",
             ),
             Section(
@@ -259,7 +260,7 @@ def _drawn(match: Match, drives: Sequence[Drive]) -> list[Section]:
                         f"{drive.name}, {corner}: measured and matched "
                         "(thesis figure 5.2)",
                         own,
-                        ("matched less measured", "error [K], mean of 10 s"),
+                        ("matched minus measured", "error [K], mean of 10 s"),
                         "Thick: measured; thin: matched; dashed: as "
                         "configured before.",
                     )

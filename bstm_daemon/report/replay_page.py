@@ -75,7 +75,7 @@ def replay_page(
     ]
     if warnings:
         known = Section(
-            "To know of this replay", lines=warnings, kind="warnings"
+            "Notes on this replay", lines=warnings, kind="warnings"
         )
         sections.insert(0, known)
     subtitle = [

@@ -117,7 +117,7 @@ def verify_text(errors: Sequence[NodeErrors]) -> str:
     """Return the whole result for a terminal."""
     return "\n".join(
         [
-            "error, estimated less measured [K]; by phase RMS / largest",
+            "error, estimated minus measured [K]; by phase RMS / largest",
             *table(ERROR_HEAD, error_rows(errors)),
             "\nhighest temperatures",
             *table(PEAK_HEAD, peak_rows(errors)),
@@ -170,14 +170,15 @@ def verify_page(
             "Verdict",
             Table(VERDICT_HEAD, verdict_rows(missed)) if missed else None,
             lines=(summary_line(errors),),
-            note="Only what is not met is listed. thesis: section 1.3; floor "
+            note="Only limits that are not met are listed. thesis: section "
+            "1.3; floor "
             "and goal: the project's own, narrower limits.",
         ),
         Section(
-            "Error, estimated less measured [K]",
+            "Error, estimated minus measured [K]",
             Table(ERROR_HEAD, error_rows(errors)),
-            note="By phase RMS / largest. Pad back and fluid are measured as "
-            "means over 30 s; the disc is judged below 650 degC.",
+            note="By phase RMS / largest. Pad back and fluid are compared as "
+            "means over 30 s, the disc below 650 degC.",
         ),
         Section("Highest temperatures", Table(PEAK_HEAD, peak_rows(errors))),
     ]
@@ -194,7 +195,7 @@ def verify_page(
             node_section(
                 f"{heading} (thesis {_figure(own)})",
                 nodes,
-                ("estimated less measured", "error [K]"),
+                ("estimated minus measured", "error [K]"),
                 "Thick: measured; thin: estimated.",
             )
         )

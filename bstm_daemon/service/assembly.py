@@ -158,7 +158,7 @@ def refusing(path: Path) -> Iterator[None]:
         raise
     except Exception as error:
         reason = " ".join(f"{type(error).__name__} {error}".split())
-        problem = f"{path}: can not be used: {reason}"
+        problem = f"{path}: cannot be used: {reason}"
         raise ConfigError([problem]) from error
 
 

@@ -41,7 +41,7 @@ _GAUGES: Final[Rows] = (
     (
         "force_difference_ratio",
         "force_difference",
-        "Braking work by pressure less that by motion, over the larger.",
+        "Braking work by pressure minus work by motion, over the larger.",
     ),
     ("publishing", "is_publishing", "1 if frames are being sent."),
     ("state_age_seconds", "state_file.age_s", "Time since the last save."),
@@ -85,7 +85,7 @@ _BUS_COUNTERS: Final[Rows] = (
     ("bus_frames", "frames", "Frames received."),
     ("bus_dropped_frames", "dropped", "Frames not read in time."),
     ("bus_sent_frames", "sent", "Frames sent."),
-    ("bus_send_lost_frames", "send_lost", "Frames the driver did not take."),
+    ("bus_send_lost_frames", "send_lost", "Frames the driver did not accept."),
 )
 
 
@@ -140,7 +140,7 @@ def _of_service(status: ServiceStatus) -> Iterator[Metric]:
     )
     yield _gauge(
         "input_fault",
-        "What is wrong with the inputs or the heat: 1 if it is there.",
+        "Fault of the inputs or the heat: 1 if present.",
         {(name,): name in status.faults for name in FAULTS},
         "fault",
     )
@@ -150,13 +150,13 @@ def _of_service(status: ServiceStatus) -> Iterator[Metric]:
     )
     yield _gauge(
         "model_disagrees",
-        "1: the model is further from what is measured than it should be.",
+        "1: the model differs from the measurement by more than it should.",
         {(what,): what in status.disagreements for what in subjects},
         "what",
     )
     yield _gauge(
         "temperature_residual_celsius",
-        "Running mean of measured less estimated temperature.",
+        "Running mean of measured minus estimated temperature.",
         status.residuals_k,
         *("corner", "node"),
     )
@@ -230,7 +230,7 @@ def _of_forecast(status: ServiceStatus) -> Iterator[Metric]:
     )
     yield _gauge(
         "boiling_point_celsius",
-        "Boiling point: median, and what 1 % of such fluids lie below.",
+        "Boiling point: median and 1 % quantile.",
         {
             ("0.5",): to_celsius(risk.boiling_k),
             ("0.01",): to_celsius(risk.boiling_low_k),

@@ -241,7 +241,7 @@ def lock(path: Path) -> StateLock:
     except BlockingIOError as error:
         msg = (
             f"{path}: in use by {_holder(file)} ({place.name}); stop it, or "
-            "give this instance a state file of its own"
+            "give this instance its own state file"
         )
         os.close(file)
         raise StateLockedError(msg) from error

@@ -110,7 +110,7 @@ class ServiceStatus:
     disagreements: tuple[str, ...] = ()
     """What the model disagrees with: ``heat``, or corner and thermocouple."""
     force_difference: float = nan
-    """Braking work by pressure less that by motion, over the larger."""
+    """Braking work by pressure minus work by motion, over the larger."""
     residuals_k: Mapping[tuple[str, str], float] = field(default_factory=dict)
     """Running mean of measured less estimated, by corner and node."""
     is_publishing: bool = False

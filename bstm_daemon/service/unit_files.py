@@ -174,7 +174,8 @@ def require_plain(path: Path) -> Path:
     text = os.path.abspath(path)  # noqa: PTH100
     if not _PLAIN.fullmatch(text):
         msg = (
-            f"{text}: blanks and special characters can not stand in a unit; "
+            f"{text}: blanks and special characters are not allowed in a "
+            "unit; "
             "choose another path"
         )
         raise UsageError(msg)

@@ -135,7 +135,7 @@ def _head(board: Board, now_us: int, source: str) -> list[tuple[str, str]]:
 
 def _no_frames(board: Board) -> str:
     if board.rejected:
-        return f"{board.rejected} frames with our ids, none of them ours"
+        return f"{board.rejected} frames with these ids from another sender"
     return (
         f"no frame yet with an id from 0x{board.ids[0]:X} to "
         f"0x{board.ids[-1]:X}: does a daemon with [publish] enabled = true "

@@ -231,7 +231,7 @@ def run(*, full: bool) -> Outcome:
 def goals(results: Sequence[Result]) -> list[Goal]:
     """Return the levels below which something has broken."""
     by_name = {one.name: one.share for one in figures(results)}
-    quiet = 1.0 - by_name["S0, anything said"].value
+    quiet = 1.0 - by_name["S0, anything reported"].value
     named = by_name["S1, right name or class of two"].value
     honest = 1.0 - by_name["S1, wrong single name, all cases"].value
     return [

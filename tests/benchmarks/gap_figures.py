@@ -35,7 +35,11 @@ def _quiet(every: Sequence[Result], _: Sequence[Result]) -> list[Figure]:
             0.0075, 0.05, at_most=True,
         ),
         Figure(
-            "S0, anything said", share(every, said), 0.01, 0.05, at_most=True
+            "S0, anything reported",
+            share(every, said),
+            0.01,
+            0.05,
+            at_most=True,
         ),
     ]  # fmt: skip
 
@@ -48,7 +52,7 @@ def _open(_: Sequence[Result], clear: Sequence[Result]) -> list[Figure]:
             0.90, 0.70,
         ),
         Figure(
-            "SO, limit: anything seen by all other effects and heats",
+            "SO, limit: anything detected by all other effects and heats",
             share(clear, lambda o: o.limit),
         ),
         Figure(
@@ -71,9 +75,9 @@ def _poor(every: Sequence[Result], _: Sequence[Result]) -> list[Figure]:
 def _road(every: Sequence[Result], _: Sequence[Result]) -> list[Figure]:
     named = [o for o in every if o.answer in {"name", "class"}]
     return [
-        Figure("road, anything said", share(every, said)),
+        Figure("road, anything reported", share(every, said)),
         Figure(
-            "road, every name given is on",
+            "road, every named effect is on",
             share(named, lambda o: set(o.names) <= set(ROAD_EFFECTS)),
             1.0, 0.9,
         ),
@@ -96,7 +100,7 @@ def _single(every: Sequence[Result], clear: Sequence[Result]) -> list[Figure]:
             share(clear, lambda o: o.score), 0.95, 0.85,
         ),
         Figure(
-            "S1, limit: told the exact form of the true kind",
+            "S1, limit: exact form of the true kind known",
             share(clear, lambda o: o.limit),
         ),
         Figure(
@@ -124,7 +128,7 @@ def _single(every: Sequence[Result], clear: Sequence[Result]) -> list[Figure]:
         Figure("localisation, F1 of node and phase", _located(clear), 0.95,
                0.85),
         Figure(
-            "localisation, right where anything is said",
+            "localisation, right where anything is reported",
             share(list(filter(said, clear)), lambda o: o.right_place),
         ),
     ]  # fmt: skip
@@ -140,7 +144,7 @@ def _unheard(_: Sequence[Result], clear: Sequence[Result]) -> list[Figure]:
             0.90, 0.70,
         ),
         Figure(
-            "SU, limit: anything seen by all effects and heats",
+            "SU, limit: anything detected by all effects and heats",
             share(clear, lambda o: o.limit),
         ),
         Figure(
@@ -256,7 +260,7 @@ def _controls(by: Mapping[str, Sequence[Result]]) -> list[Figure]:
     if by.get("absent"):
         found.append(
             Figure(
-                "control, strength 0: something said",
+                "control, strength 0: something reported",
                 share(by["absent"], said), 0.01, 0.05, at_most=True,
             )
         )  # fmt: skip

@@ -71,7 +71,7 @@ class Figure:
         if self._reaches(high if self.at_most else low, self.goal):
             return "met"
         if self._reaches(self.share.value, self.goal):
-            return "reached, too few cases to tell"
+            return "reached, too few cases to be certain"
         if self.floor is not None and self._reaches(
             self.share.value, self.floor
         ):

@@ -448,7 +448,7 @@ def _temperatures(found: list[Descent]) -> Table:
     within = f"{near:.0%}, {soon:.0%}"
     return Table(
         "Fluid of the hottest corner",
-        ("error of", "mean", "deviation", "90 % within", "told deviation"),
+        ("error of", "mean", "deviation", "90 % within", "stated deviation"),
         (
             row("peak if parked, K", peak, 1.0, f"{spread.mean():.1f}"),
             (

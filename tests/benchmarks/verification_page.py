@@ -29,50 +29,49 @@ HEAD: Final = """# Verification
 Written by `tests/benchmarks/verification.py --full --out`; do not edit. How
 to match and verify a car: [matching.md](matching.md). Everything here is
 simulated: the reality shares no physics code with the estimator
-([reality.md](reality.md)), but no figure below was measured on a car. On one
-the 20 K between two thermocouples of a disc bound what can be proved.
+([reality.md](reality.md)), but no figure below was measured on a car. On a
+real car the 20 K between two thermocouples of a disc limit the verification.
 
 Goals and floors are those of the project; the thesis asks for fluid within
-30 K and its peak within 5 min (section 1.3). A population is ten cars with
-every parameter of the brake that is not on its drawing drawn +-10 % around
-the nominal one, each matched on `simalp` and `rich` and judged on five drives
-that it was not matched on: `alpine-descent`, `city`, `ams` (ten hard stops),
-`grossglockner`, `long-run` (2 h 50 min). *Unmatched* is the configuration
-that was matched once, on the nominal car. The interval is that of
-`[accuracy]`, learned from the held-out drives of one half of the cars and
-counted on the other, once a drive and node at the peak and at fixed times.
-With the structure `extended` the strengths of its seven thermal effects are
-matched too. The two structures on the other's preset are not asked to meet the
-goals and stand at the end: what `thesis` leaves on `road` is the gap between
-model and car that `bstm gap` looks for; `extended` on `plain` keeps paths that
-this reality lacks (on the nominal car the gap ends at its lower bound, 0.05,
-the split of caliper and fluid at 0.55). Each section says its commit; one of
-another than the others was not measured anew.
+30 K and its peak within 5 min (section 1.3). A population is ten cars, every
+brake parameter that is not on a drawing drawn +-10 % around the nominal car.
+Each is matched on `simalp` and `rich` and verified on five other drives:
+`alpine-descent`, `city`, `ams` (ten hard stops), `grossglockner`, `long-run`
+(2 h 50 min). *Unmatched* is the configuration matched once, on the nominal
+car. The 90 % interval uses an `[accuracy]` from the held-out drives of one
+half of the cars and is counted on the other half, once per drive and node at
+the peak and at fixed times. With the structure `extended` the strengths of
+its seven thermal effects are matched too. The two structures on the other's
+preset, at the end, need not meet the goals: the errors of `thesis` on `road`
+are the gap between model and car that `bstm gap` explains; `extended` on
+`plain` keeps paths that this reality lacks (on the nominal car the gap ends at
+its lower bound, 0.05, the split of caliper and fluid at 0.55). Each section
+states its commit; sections with another commit were not measured again.
 
-Known heat also tells when the pads touch; else a pressure does, and the last
-tenths of a bar are within its sensor's offset. Sensors are a car's own: an
-accelerometer has one bias in all drives, and fused heat begins each with what
-it learned on `rich`. Half-worn pads have the thickness that their indicator
-tells.
+Known heat also shows when the pads touch; otherwise a pressure does, and the
+last tenths of a bar are within its sensor's offset. Each car keeps its
+sensors: the accelerometer has one bias in all drives, and fused heat starts
+each with what it learned on `rich`. Half-worn pads have the thickness of
+their indicator.
 
-Where heat comes from pressure by a friction that fades (`extended`, fused) it
-depends on the model's temperatures. A drive is then read with the file that is
-judged on it, as `bstm verify` does, and a match forms the heat of its drives a
-second time with what it found, as `bstm match` does. Known heat beside fused
-tells what of an error is the heat's.
+With friction fade (`extended`, fused) the heat from pressure depends on the
+model's temperatures. A drive is then read with the configuration being
+verified, as in `bstm verify`, and a match computes the heat of its drives a
+second time with its result, as in `bstm match`. The comparison of known and
+fused heat shows the part of an error that is due to the heat.
 
-What is left is mostly in `ams`, ten hard stops and a soak; known heat leaves
-less. In a stop the faces of a disc run up to 115 K ahead of its lump, and the
-friction that fades is told the lump: the front axle takes 67.5 to 68.0 % of
-the heat there and is given about 1 % of it too much, while the heat of the
-whole car is 0.8 % too small. Heat of a front brake, two development cars read
-with their matched files: `simalp` 1.1 % too much, `rich`, `ams` and
+The remaining errors are mostly in `ams`, ten hard stops and a soak; with known
+heat they are smaller. In a stop the disc faces are up to 115 K hotter than the
+lumped disc, whose temperature the friction law uses: the front axle takes 67.5
+to 68.0 % of the heat and is assigned about 1 % too much of it, while the heat
+of the whole car is 0.8 % too small. Heat of a front brake, two development
+cars read with their matched files: `simalp` 1.1 % too much, `rich`, `ams` and
 `alpine-descent` within 0.3 %. Conductivity and heat capacity of the lining are
 drawn and not matched: refining the conductivity was no gain on development
 cars ([matching.md](matching.md)).
 
-The start is known: estimates begin as measured. `cooling.form` is
-`"conductance"`: with the thesis's `"rate"` the disc of this reality can not be
+Estimates start at the measured temperatures. `cooling.form` is
+`"conductance"`: with the thesis's `"rate"` the disc of this reality cannot be
 matched as well ([matching.md](matching.md)).
 """
 

@@ -92,7 +92,7 @@ def test_flat_road_is_said(
     )
 
     assert main(["check", str(path)]) == 0
-    assert "the road is taken as flat" in capsys.readouterr().out
+    assert "the road is assumed flat" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

@@ -99,7 +99,7 @@ def test_coast_down(
     out, err = capsys.readouterr()
     assert (code, err) == (0, "")
     assert "drag_area_m2" in out
-    assert "taken as one road driven both ways" in out
+    assert "assumed to be one road driven both ways" in out
     assert all(len(line) <= 110 for line in out.splitlines())
     data = json.loads(result.read_text("utf-8"))
     drag = data["values"]["drag_area_m2"]
@@ -290,7 +290,7 @@ def test_wrong_use(
     for what in ("brakes", "coastdown"):
         words = [*common, "--while-braking"]
         assert main(["identify", what, log, *words]) == 2
-        assert "goes with cooling" in capsys.readouterr().err
+        assert "an option of cooling" in capsys.readouterr().err
     assert main(["identify", "cooling-fan", log, *common]) == 2
     capsys.readouterr()
     before = logs["coastdown"].read_bytes()

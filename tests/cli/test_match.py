@@ -136,7 +136,7 @@ def test_the_page_has_figure_5_2(matched: Path) -> None:
     page = (matched / "match.html").read_text("utf-8")
 
     assert "thesis figure 5.2" in page
-    assert "matched less measured" in page
+    assert "matched minus measured" in page
 
 
 def test_the_matched_car_is_verified(

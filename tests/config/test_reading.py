@@ -194,7 +194,7 @@ def test_key_before_any_section(tmp_path: Path) -> None:
     found = problems(tmp_path, f"mass_kg = 3\n{BASE}")
 
     assert len(found) == 1
-    assert found[0].startswith("mass_kg = 3: stands before any section")
+    assert found[0].startswith("mass_kg = 3: is before any section")
 
 
 def test_empty_file_names_what_is_needed(tmp_path: Path) -> None:

@@ -311,8 +311,8 @@ def test_a_column_stands_alone(key: str) -> None:
     [
         ({}, "needs either 'time'"),
         ({"time": "t", "rate_hz": 50}, "needs either 'time'"),
-        ({"rate_hz": 50, "time_unit": "s"}, "'time_unit' goes with 'time'"),
-        ({"time": "t", "name": "n"}, "'name' and 'value' go together"),
+        ({"rate_hz": 50, "time_unit": "s"}, "'time_unit' needs 'time'"),
+        ({"time": "t", "name": "n"}, "'name' and 'value' are used together"),
         ({"rate_hz": 5, "name": "n", "value": "v"}, "need a column 'time'"),
         ({"time": "t", "delimiter": ", "}, "must be one character"),
     ],

@@ -88,7 +88,7 @@ def test_errors_for_the_user_pass_and_others_become_one_line() -> None:
 
     assert passed.value is known
     assert made.value.problems == [
-        "car.toml: can not be used: ValueError too many digits"
+        "car.toml: cannot be used: ValueError too many digits"
     ]
     with pytest.raises(KeyboardInterrupt), refusing(path):
         raise KeyboardInterrupt

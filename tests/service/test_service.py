@@ -421,7 +421,7 @@ def test_a_reload_that_fails_in_any_way_leaves_the_old_engine_running(
     for problems, error in zip(refused, FAILURES, strict=True):
         [line] = problems
         assert line.startswith(
-            f"{path}: can not be used: {type(error).__name__}"
+            f"{path}: cannot be used: {type(error).__name__}"
         )
         assert "\n" not in line
 
@@ -516,7 +516,7 @@ def test_a_start_that_fails_in_any_way_ends_with_78(
 
     lines = capsys.readouterr().err.splitlines()
     assert code == ConfigError.exit_code
-    assert lines[0].startswith(f"{config}: can not be used: ")
+    assert lines[0].startswith(f"{config}: cannot be used: ")
     assert lines[1:] == ["1 problem"]
 
 

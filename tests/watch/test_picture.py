@@ -197,7 +197,8 @@ def test_no_frames_yet(board: Board) -> None:
 def test_another_daemon_or_none_of_ours(board: Board) -> None:
     board.frame(0x5B0, bytes(8), 0)
 
-    assert "1 frames with our ids, none of them ours" in " ".join(drawn(board))
+    said = " ".join(drawn(board))
+    assert "1 frames with these ids from another sender" in said
 
 
 def test_another_layout_shows_no_values(car: tuple[Board, Sender]) -> None:

@@ -319,11 +319,13 @@ def _single(
         if declared or abs(alike) >= ALIKE:
             why.append(f"{name} (signatures alike, cosine {alike:.2f})")
     if len(why) == len(members) - 1:
-        reason = f"these drives do not tell {best.name} from {', '.join(why)}"
+        reason = (
+            f"these drives do not separate {best.name} from {', '.join(why)}"
+        )
         return common.answered("class", members, total, reason)
     reason = (
         "several effects of different kinds explain it; another drive must "
-        "tell"
+        "decide"
     )
     return common.answered("undecided", members, total, reason)
 

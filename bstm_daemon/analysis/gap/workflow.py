@@ -268,7 +268,10 @@ def advise_before(
             couples[corner.name] = nodes
     targets = targets_of(config, sorted(couples))
     if not targets:
-        msg = "no role temp_<corner>_<node> is mapped: nothing would tell"
+        msg = (
+            "no role temp_<corner>_<node> is mapped: there is nothing to "
+            "compare"
+        )
         raise LogError(msg)
     target = targets[0]
     own = {name: couples[name] for name in target.corners}

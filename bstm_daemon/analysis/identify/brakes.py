@@ -205,7 +205,7 @@ def _result(
         caveat = (
             f"the pressures spread by {_spread_pa(table) / 1e5:.1f} bar only "
             f"({PRESSURE_SPREAD_PA / 1e5:g} needed): the configured "
-            f"{held_pa / 1e5:g} bar is taken"
+            f"{held_pa / 1e5:g} bar is used"
         )
         pushout = replace(pushout, standard_error=nan, caveat=caveat)
     axles, axle_residual = fit_axles(table, config, held_pa)
@@ -273,22 +273,22 @@ def _remarks(
     borrowed = sum(not stop.own_zero for stop in stops)
     if borrowed:
         remarks.append(
-            f"{borrowed} stops have no released brake around them; their "
-            "zero is that of the others"
+            f"{borrowed} stops have no released brake around them; they use "
+            "the zero of the others"
         )
     if not all(d.has_accelerometer for d in drivings):
         remarks.append(
-            "no accelerometer: the grade is taken as that around each stop"
+            "no accelerometer: the grade is assumed as around each stop"
         )
     remarks += [
-        f"{d.name}: the body pitches by {d.pitch:.3f} m/s2 a m/s2, taken off "
-        "the accelerometer"
+        f"{d.name}: the body pitches by {d.pitch:.3f} m/s2 a m/s2, subtracted "
+        "from the accelerometer"
         for d in drivings
         if d.pitch > 0.0
     ]
     remarks.append(
-        "the mass is given: the friction scale is in proportion to it. "
-        "Tyre slip (1 to 2 % of the energy) is counted as brake"
+        "the mass is an input: the friction scale is proportional to it. "
+        "Tyre slip (1 to 2 % of the energy) counts as braking"
     )
     return tuple(remarks)
 

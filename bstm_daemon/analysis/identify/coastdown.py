@@ -118,7 +118,8 @@ def identify_coast_down(
         msg = "no coast-down found. " + "; ".join(searched)
         if not any(d.line_known for d in drivings):
             msg += (
-                "; no signal shows whether the engine pulls: map gear, "
+                "; no signal shows whether the engine drives the car: map "
+                "gear, "
                 "clutch_open or powertrain_torque, or declare [heat] "
                 "assume_powertrain_torque_nm"
             )
@@ -235,13 +236,13 @@ def _remarks(
     if road == "both ways":
         there = directions.count(1)
         remarks.append(
-            f"taken as one road driven both ways, {there} runs up and "
+            f"assumed to be one road driven both ways, {there} runs up and "
             f"{directions.count(-1)} down: its grade cancels. Runs that do "
             "not return on their road: --one-way"
         )
     elif road == "level":
         remarks.append(
-            "the road is taken as level: 0.1 % of grade, the same in every "
+            "the road is assumed level: 0.1 % of grade, the same in every "
             "run, is 0.001 of f_r"
         )
     else:
@@ -254,11 +255,11 @@ def _remarks(
     pitches = [d for d in drivings if with_sensor and d.pitch > 0.0]
     remarks += [
         f"{d.name}: the body pitches by {d.pitch:.3f} m/s2 a m/s2 (standard "
-        f"error {d.pitch_error:.3f}), taken off the accelerometer"
+        f"error {d.pitch_error:.3f}), subtracted from the accelerometer"
         for d in pitches
     ]
     remarks.append(
-        "the mass is given: drag and C_fric are in proportion to it, f_r is "
+        "the mass is an input: drag and C_fric are proportional to it, f_r is "
         "not"
     )
     return tuple(remarks)

@@ -148,7 +148,7 @@ class Run:
 
     @property
     def residual_rms_ms(self) -> float:
-        """Root mean square of theory less measurement."""
+        """Root mean square of theory minus measurement."""
         return float(np.sqrt(np.mean((self.theory_ms - self.speed_ms) ** 2)))
 
 

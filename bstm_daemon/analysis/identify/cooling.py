@@ -287,8 +287,7 @@ def _remarks(
             remarks.append(
                 f'{one.axle}: with [cooling] form = "{one.disc.form}" the fit '
                 f"misses by {best:.1f} K rms, with {other!r} by "
-                f"{one.other_residual_k:.1f} K. S of one form is not that of "
-                "the other"
+                f"{one.other_residual_k:.1f} K. S of the two forms differs"
             )
         if any(not point.speed_ms for point in one.points) and any(
             not np.isfinite(down.pad_k).all()
@@ -296,11 +295,11 @@ def _remarks(
             if down.standing and down.corner[0].lower() == one.axle[0]
         ):
             remarks.append(
-                f"{one.axle}: no measured pad front at standstill: what disc "
-                "and pads exchange is in S"
+                f"{one.axle}: no measured pad front at standstill: S includes "
+                "the exchange of disc and pads"
             )
     remarks.append(
-        "the errors hold drift of the thermocouples and of the model, the "
+        "the errors include drift of the thermocouples and of the model, the "
         "sides' difference, and 3 K of offset between disc and ambient sensor"
     )
     return tuple(remarks)

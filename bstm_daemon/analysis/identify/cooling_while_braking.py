@@ -211,12 +211,12 @@ def identify_while_braking(
     remarks = [f"{d.name}: {text}" for d in drivings for text in d.remarks]
     if not all(driving.line_known for driving in drivings):
         remarks.append(
-            "no signal shows what the engine does: whatever slows the car "
-            "beyond its resistances is taken as braking"
+            "no signal shows what the engine does: all deceleration beyond "
+            "the resistances counts as braking"
         )
     remarks.append(
-        "heat and heat capacity are one: the factor on the heat is that of "
-        "mass, shares and capacity together"
+        "heat and heat capacity cannot be separated: the factor on the heat "
+        "covers mass, shares and capacity together"
     )
     return BrakedCooling(tuple(axles), tuple(remarks))
 
@@ -360,7 +360,7 @@ def _axle(
     if high - low < _LEAST_SPAN_MS:
         msg = (
             f"{axle} discs: speeds from {3.6 * low:.0f} to "
-            f"{3.6 * high:.0f} km/h only, nothing over speed to be found"
+            f"{3.6 * high:.0f} km/h only, too narrow for S over speed"
         )
         raise LogError(msg)
     ends = low, high

@@ -105,7 +105,10 @@ def stop_friction(
             axles += _axles(one, driving, config, corners)
     else:
         what = "disc temperature" if driving.pressures else "brake pressure"
-        why = f"no measured {what}: the motion shows front and rear as one"
+        why = (
+            f"no measured {what}: the motion only shows the sum of front and "
+            "rear"
+        )
     return StopFriction(tuple(within), tuple(axles), "" if axles else why)
 
 

@@ -106,7 +106,7 @@ def match_drives(
         drives: what was recorded.
         only: ``cooling`` for what another rim changes, else everything.
         each: match corners by themselves that are configured alike.
-        beside: fit Table 4.1 alone beside it.
+        beside: fit Table 4.1 alone, for comparison.
         progress: called with the share that is done.
 
     Raises:
@@ -315,9 +315,9 @@ def _accuracy(matches: Sequence[Match], origin: str) -> list[Change]:
         if not found:
             continue
         floor, share, drives = max(found)
-        note = f"{origin}, left over on held-out drives"
+        note = f"{origin}, residual on held-out drives"
         if not drives:
-            note = f"{origin}, left over on the drive itself: too small"
+            note = f"{origin}, residual on the drive itself: too small"
         changes += [
             Change("accuracy", f"{node}_k", floor, note=note),
             Change("accuracy", f"{node}_share", share, note=note),

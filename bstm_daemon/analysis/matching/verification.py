@@ -63,7 +63,7 @@ NINETY: Final = 1.6449
 class Peak:
     """The highest temperature: measured and estimated [degC], when [s].
 
-    ``apart_s``, estimated less measured time, is nan where a curve does not
+    ``apart_s``, estimated minus measured time, is nan where a curve does not
     rise to it and fall from it within the record.
     """
 

@@ -34,7 +34,9 @@ def compare_sides(channels: Channels, notes: Notes) -> None:
     if not pairs:
         return
     if not channels.alive(["yaw_rate"]):
-        notes.skip("left and right wheels: no yaw rate, swapping is not seen")
+        notes.skip(
+            "left and right wheels: no yaw rate, swapping is not detected"
+        )
         return
     yaw = channels.value("yaw_rate")
     turning = np.abs(yaw) > limits.YAW_SPREAD_RAD_S
@@ -42,7 +44,7 @@ def compare_sides(channels: Channels, notes: Notes) -> None:
     if np.count_nonzero(turning) * limits.GRID_S < limits.ENOUGH_S:
         notes.skip(
             "left and right wheels: hardly a bend in this log, swapping is "
-            "not seen"
+            "not detected"
         )
         return
     signs: dict[str, tuple[float, tuple[str, str]]] = {}
@@ -115,7 +117,7 @@ def compare_axles(channels: Channels, notes: Notes) -> None:
         return
     subject = "front and rear wheels"
     if not channels.alive(["yaw_rate"]):
-        notes.skip(f"{subject}: no yaw rate, swapping is not seen")
+        notes.skip(f"{subject}: no yaw rate, swapping is not detected")
         return
     fl, fr, rl, rr = (channels.value(wheel) for wheel in wheels)
     front, rear = 0.5 * (fl + fr), 0.5 * (rl + rr)
@@ -125,7 +127,7 @@ def compare_axles(channels: Channels, notes: Notes) -> None:
     tight = known & (np.abs(yaw) > limits.TIGHT_YAW_RAD_S)
     if np.count_nonzero(tight) * limits.GRID_S < limits.ENOUGH_S:
         notes.skip(
-            f"{subject}: no tight bend in this log, swapping is not seen"
+            f"{subject}: no tight bend in this log, swapping is not detected"
         )
         return
     slow = known & (rear < 2.0 * float(np.max(rear[tight])))
@@ -140,7 +142,9 @@ def compare_axles(channels: Channels, notes: Notes) -> None:
         and 1.0 < abs(wheelbase2) < 36.0
     )
     if not clear:
-        notes.skip(f"{subject}: no difference in bends, swapping is not seen")
+        notes.skip(
+            f"{subject}: no difference in bends, swapping is not detected"
+        )
     elif wheelbase2 < 0.0:
         notes.findings.append(
             Finding(

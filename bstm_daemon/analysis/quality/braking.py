@@ -195,7 +195,7 @@ def _judge_force(
     if why:
         return f"not judged: {why}", None, None
     if mean_back < -limits.FORCE_MS2 * mass_kg:
-        text = "the car is driven on while this pressure says it brakes"
+        text = "the car drives on while this pressure indicates braking"
         return text, False, "unrelated"
     if fits:
         return f"agrees, {text}", True, None

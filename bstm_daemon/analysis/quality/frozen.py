@@ -48,7 +48,7 @@ def find_frozen(
         def moved(run: Run, least: float = least) -> str:
             inside = _inside(channels, run, reference)
             if len(inside) and np.ptp(inside) >= least:
-                return "while what it should follow moves"
+                return "while its reference moves"
             return ""
 
         _name_runs(channels, notes, role, moved)

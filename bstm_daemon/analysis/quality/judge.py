@@ -170,5 +170,5 @@ def _why_missing(
     )
     return (
         f"{frames} frames {where} ({plan.name}), none with a value (in this "
-        f"log: {refused or 'none refused'}; the DBC says {plan.length} bytes)"
+        f"log: {refused or 'none refused'}; the DBC has {plan.length} bytes)"
     )

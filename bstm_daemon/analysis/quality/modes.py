@@ -104,7 +104,7 @@ class _Judge:
         if heat.slope == "accelerometer" and _ACCELEROMETER in self._found:
             read.append(_ACCELEROMETER)
         else:
-            remarks.append("the road is taken as flat")
+            remarks.append("the road is assumed flat")
         verdict = self._verdict("fb", read, missing, remarks)
         if not self._standing:
             return verdict

@@ -168,7 +168,7 @@ def _work(channels: Channels, notes: Notes, role: str) -> None:
     pressures = channels.alive(near)
     series = channels.series[role]
     if not pressures or not channels.speed_roles or channels.on_stand:
-        notes.skip(f"{role}: no pressure and speed to hold it against")
+        notes.skip(f"{role}: no pressure and speed to compare it with")
         return
     braking = channels.value(pressures[0]) > limits.PRESSED_PA
     braking &= channels.speed > limits.MOVING_MS

@@ -159,8 +159,7 @@ def _judged(
     if match.message.name in recording.lengths:
         unread = (
             f"its frames have {recording.lengths[match.message.name]} bytes, "
-            f"the DBC says {match.message.length}: refused until the DBC says "
-            "the same"
+            f"the DBC has {match.message.length}: rejected until they agree"
         )
     sure = not match.caveat and bool(match.unit)
     reasons = [match.caveat, verdict.reason]

@@ -70,7 +70,7 @@ def configuration_text(
         sure.insert(0, speed)
     blocks = [_active(one) for one in sure]
     if unsure:
-        title = "Unsure. Remove the '#' of what you know to be right."
+        title = "Unsure. Remove the '#' where the role is right."
         blocks.append(_comment(title))
         blocks += [_inactive(one) for one in unsure]
     return Template(_TEMPLATE.read_text("utf-8")).substitute(

@@ -244,7 +244,7 @@ def _multiplexer(message: Message, signal: Signal) -> Signal:
         heads = [one for one in message.signals if fits(one.name)]
         if len(heads) == 1:
             return heads[0]
-    msg = f"signal {signal.name!r} hangs on {name!r}, which is not there"
+    msg = f"signal {signal.name!r} hangs on {name!r}, which does not exist"
     raise UnusableSignalError(msg)
 
 

@@ -129,7 +129,7 @@ class TableReader:
             if name not in names:
                 problems.append(f"{key} = {name!r}{_nearest(name, names)}")
             elif names.count(name) > 1:
-                problems.append(f"{key} = {name!r} stands there twice")
+                problems.append(f"{key} = {name!r} occurs twice")
         if problems:
             msg = f"{self.path}: no such column: {'; '.join(problems)}"
             raise LogError(msg)

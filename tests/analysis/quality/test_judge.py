@@ -214,7 +214,9 @@ def test_swapping_without_yaw_rate_is_not_guessed(
     quality = judged(without(swapped(clean, front), "yaw_rate"))
 
     assert named(quality) == []
-    assert any("swapping is not seen" in text for text in quality.not_judged)
+    assert any(
+        "swapping is not detected" in text for text in quality.not_judged
+    )
 
 
 def test_temperature_on_a_pressure_line(

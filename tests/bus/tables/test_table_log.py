@@ -384,7 +384,7 @@ def test_points_in_time_of_a_parquet_table(tmp_path: Path) -> None:
             {"time": "time"},
             r"\[table\] time = 'time', the nearest name is 'tim'",
         ),
-        ("t,v,v,p,b\n", {}, "'v' stands there twice"),
+        ("t,v,v,p,b\n", {}, "'v' occurs twice"),
         ("t,v,p,b\n", {}, "the table has no row"),
         ("t,v,p,b\n0,,,\n", {}, "no sample in 1 rows .all empty"),
         ("t,v,p,b\nx,1,1,1\n", {}, "1 malformed, first in line 2"),

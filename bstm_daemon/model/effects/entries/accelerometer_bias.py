@@ -22,7 +22,7 @@ class AccelerometerBias(Effect):
     twins = ("mass_error", "powertrain_torque_error", "brake_share")
     either_sign = True
     own_parameters = (
-        Parameter("bias_ms2", "m/s2", 0.0, 0.5, 0.08, "read too much"),
+        Parameter("bias_ms2", "m/s2", 0.0, 0.5, 0.08, "reads too high"),
     )
 
     def edit_inputs(self, inputs: InputModel) -> InputModel:

@@ -34,7 +34,7 @@ class AmbientHeatSoak(Effect):
     either_sign = True
     stage = LAST
     own_parameters = (
-        Parameter("excess_k", "K", 0.5, 30.0, 8.0, "read too much, at last"),
+        Parameter("excess_k", "K", 0.5, 30.0, 8.0, "reads too high, finally"),
         Parameter("time_s", "s", 60.0, 3600.0, 400.0, "to 63 % of it"),
     )
 

@@ -13,7 +13,7 @@ class BackplateLoss(Effect):
     """
 
     number = 22
-    description = "The backplates' edges lose heat to the air, parked too."
+    description = "The backplates' edges lose heat to the air, also parked."
     signature = (
         "Pad back, at any time, with its excess over the air; no speed."
     )

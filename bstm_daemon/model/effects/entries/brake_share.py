@@ -26,12 +26,12 @@ class BrakeShare(Effect):
     description = "The front brakes do more of the work than assumed."
     signature = (
         "All heat input, front and rear in opposite ways, while braking; the "
-        "force of the whole car fits."
+        "force of the whole car agrees."
     )
     twins = ("mass_error", "accelerometer_bias", "powertrain_torque_error")
     either_sign = True
     own_parameters = (
-        Parameter("share", "1", 0.0, 0.5, 0.1, "more of the front's share"),
+        Parameter("share", "1", 0.0, 0.5, 0.1, "added to the front's share"),
     )
 
     def edit_inputs(self, inputs: InputModel) -> InputModel:

@@ -23,7 +23,7 @@ class BrakeWithoutPressure(Effect):
 
     number = 39
     kind = "heat"
-    description = "Something else than the pedal presses the brakes."
+    description = "Something other than the pedal applies the brakes."
     signature = (
         "All heat input, while the car is braked by more than its resistance "
         "and no pressure is there; by the motion only."

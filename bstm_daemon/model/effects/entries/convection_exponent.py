@@ -17,7 +17,7 @@ class ConvectionExponent(Effect):
     """
 
     number = 12
-    description = "The wind cools the disc more steeply with speed."
+    description = "Cooling of the disc rises more steeply with speed."
     signature = (
         "Disc, driving: too hot above and too cold below one speed, "
         "proportional to the excess over the air."
@@ -25,7 +25,7 @@ class ConvectionExponent(Effect):
     twins = ("disc_radiation_driving", "residual_drag")
     either_sign = True
     own_parameters = (
-        Parameter("exponent", "1", 0.0, 0.5, 0.18, "more than S has"),
+        Parameter("exponent", "1", 0.0, 0.5, 0.18, "in addition to S"),
     )
 
     def edit_network(self, model: CornerModel) -> Network:

@@ -25,7 +25,7 @@ class DiscCapacityHot(Effect):
     """
 
     number = 10
-    description = "Near 750 degC iron takes up heat without getting hotter."
+    description = "Near 750 degC iron absorbs heat without getting hotter."
     signature = (
         "Disc, proportional to its change of temperature, above 650 degC, "
         "heating and cooling alike."

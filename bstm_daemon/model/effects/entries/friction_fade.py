@@ -17,7 +17,7 @@ class FrictionFade(Effect):
 
     number = 1
     kind = "heat"
-    description = "Hot brakes grip less: friction falls above about 350 degC."
+    description = "Hot brakes fade: friction falls above about 350 degC."
     signature = (
         "All heat input of a corner in proportion, while braking only, beyond "
         "a temperature of the interface; needs Feed-Forward."

@@ -21,7 +21,7 @@ class FrictionHistory(Effect):
     number = 4
     kind = "heat"
     description = (
-        "Friction of new pads falls as they take up heat for the first time."
+        "Friction of new pads falls with the heat they absorb at first."
     )
     signature = (
         "All heat input of a corner in proportion, while braking only; early "

@@ -16,7 +16,7 @@ class FrictionPressure(Effect):
 
     number = 3
     kind = "heat"
-    description = "Linings grip less the harder they are pressed."
+    description = "Friction falls with pressure."
     signature = (
         "All heat input of a corner in proportion, while braking only, with "
         "pressure; needs Feed-Forward."

@@ -16,7 +16,7 @@ class FrictionSpeed(Effect):
 
     number = 2
     kind = "heat"
-    description = "Linings grip less the faster they slide."
+    description = "Friction falls with sliding speed."
     signature = (
         "All heat input of a corner in proportion, while braking only, with "
         "speed; needs Feed-Forward."

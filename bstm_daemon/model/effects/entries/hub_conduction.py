@@ -13,7 +13,7 @@ class HubConduction(Effect):
     """
 
     number = 14
-    description = "The hub takes up heat of the disc and gives it back late."
+    description = "The hub absorbs heat of the disc and returns it later."
     signature = (
         "Disc, at any time, with a memory of 20 to 40 minutes; no speed."
     )

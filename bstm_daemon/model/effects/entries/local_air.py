@@ -35,10 +35,8 @@ class LocalAir(Effect):
     twins = ("disc_caliper_radiation",)
     stage = LAST
     own_parameters = (
-        Parameter("opening_m2", "m2", 1e-3, 0.2, 0.02, "takes in the wind"),
-        Parameter(
-            "parked_w_k", "W/K", 1.0, 100.0, 13.0, "carried off at rest"
-        ),
+        Parameter("opening_m2", "m2", 1e-3, 0.2, 0.02, "admits the wind"),
+        Parameter("parked_w_k", "W/K", 1.0, 100.0, 13.0, "removed at rest"),
     )
 
     def edit_network(self, model: CornerModel) -> Network:

@@ -16,7 +16,7 @@ class MassError(Effect):
 
     number = 34
     kind = "heat"
-    description = "The car weighs more than the configuration says."
+    description = "The car is heavier than configured."
     signature = (
         "All heat input in proportion, while braking, most in stops from "
         "speed; needs Feed-Back."

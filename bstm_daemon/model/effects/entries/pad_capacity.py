@@ -26,7 +26,7 @@ class PadCapacity(Effect):
     """
 
     number = 19
-    description = "Hot linings take more heat for each kelvin than cold ones."
+    description = "The heat capacity of linings rises with temperature."
     signature = (
         "Pad front and pad back, proportional to their change of temperature, "
         "with the lining's temperature."

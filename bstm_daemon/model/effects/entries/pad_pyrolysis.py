@@ -17,12 +17,12 @@ class PadPyrolysis(Effect):
     """
 
     number = 20
-    description = "The lining's binder decomposes, once, and takes up heat."
+    description = "The lining's binder decomposes once and absorbs heat."
     signature = (
         "Pad front, first heating above about 350 degC only, irreversible."
     )
     own_parameters = (
-        Parameter("heat_j", "J", 100.0, 2e5, 3.5e4, "taken up in all"),
+        Parameter("heat_j", "J", 100.0, 2e5, 3.5e4, "absorbed in total"),
         Parameter("onset_c", "degC", 250.0, 500.0, 370.0, "half rate"),
         Parameter("rate_per_s", "1/s", 1e-4, 0.1, 5e-3, "rate when hot"),
     )

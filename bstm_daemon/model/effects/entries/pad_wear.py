@@ -25,10 +25,10 @@ class PadWear(Effect):
     """
 
     number = 21
-    description = "Worn linings let the heat through faster."
+    description = "Worn linings conduct heat to the fluid faster."
     signature = (
         "Pad back and fluid, sooner and hotter; pad front less; grows over "
-        "many drives with the heat they took."
+        "many drives with their heat."
     )
     twins = ("shim_contact", "pad_conductivity")
     own_parameters = (

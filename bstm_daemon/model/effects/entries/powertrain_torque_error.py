@@ -15,7 +15,7 @@ class PowertrainTorqueError(Effect):
 
     number = 36
     kind = "heat"
-    description = "Engine drag brakes less or more than the signal says."
+    description = "Engine drag is less or more than the torque signal."
     signature = (
         "All heat input, while braking with the clutch closed, with the "
         "engine's drag and speed; needs Feed-Back."
@@ -23,8 +23,8 @@ class PowertrainTorqueError(Effect):
     twins = ("accelerometer_bias", "mass_error", "brake_share")
     either_sign = True
     own_parameters = (
-        Parameter("share", "1", 0.0, 0.18, 0.08, "of the torque not read"),
-        Parameter("offset_nm", "Nm", -200.0, 200.0, 12.0, "read too much"),
+        Parameter("share", "1", 0.0, 0.18, 0.08, "of the torque, missing"),
+        Parameter("offset_nm", "Nm", -200.0, 200.0, 12.0, "reads too high"),
     )
 
     def edit_inputs(self, inputs: InputModel) -> InputModel:

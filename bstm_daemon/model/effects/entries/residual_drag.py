@@ -18,7 +18,7 @@ class ResidualDrag(Effect):
 
     number = 7
     kind = "heat"
-    description = "Pads that do not let go keep heating the disc."
+    description = "Pads that do not release keep heating the disc."
     signature = (
         "Disc, a little pad front, driving with the brake off, with speed; "
         "more after the brake was used."

@@ -27,7 +27,7 @@ class ThermocoupleOffset(Effect):
     twins = ("thermocouple_lag",)
     either_sign = True
     own_parameters = (
-        Parameter("offset_k", "K", 0.0, 60.0, 9.0, "read too much"),
+        Parameter("offset_k", "K", 0.0, 60.0, 9.0, "reads too high"),
         Parameter("gain", "1", 0.0, 0.15, 0.02, "of the excess over 20 degC"),
     )
 
