@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
     import numpy.typing as npt
 
+WATER_C: Final = 100.0
 WET_PERCENT: Final = 3.7
 """Water [% by mass] of a humidified fluid: 49 CFR 571.116, S6.2."""
 
@@ -171,13 +172,14 @@ class Published:
         """Return where it would boil [K] with so much water.
 
         It has the form of the curve and passes through both points of the
-        can.
+        can, and never boils below water.
         """
         shape = _shape(self.curve.points)
         can = self.can
         dry, wet = shape(can.dry_percent), shape(can.wet_percent)
         share = (shape(percent) - wet) / (dry - wet)
-        return KELVIN_OFFSET + can.wet_c + (can.dry_c - can.wet_c) * share
+        celsius = can.wet_c + (can.dry_c - can.wet_c) * share
+        return KELVIN_OFFSET + max(celsius, WATER_C)
 
     def of_form(self, curve: Curve) -> Published:
         """Return the fluid between its own dry and wet point by *curve*."""
