@@ -325,7 +325,7 @@ def _by_heat(found: list[Descent]) -> dict[str, list[Descent]]:
     shifted = [d for d in found if d.engine_n >= ENGINE_N[0]]
     over = [d for d in shifted if d.judgement.truth.disc_k > HOTTEST_DISC_K]
     return {
-        "never near 700 degC": [d for d in found if d.engine_n < ENGINE_N[0]],
+        "never above 700 degC": [d for d in found if d.engine_n < ENGINE_N[0]],
         **{
             f"held by {engine_n:.0f} N of the engine": [
                 d for d in shifted if d.engine_n == engine_n and d not in over

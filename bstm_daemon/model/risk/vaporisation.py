@@ -8,7 +8,7 @@ near the wet one,
 with ``T_inf`` such that T_b(3.7 %) is the wet boiling point; Keen's vapour
 lock points (250, 180, 145 degC at 0, 1, 3 %) follow the form with w_0 = 1.0
 %, others are slower. Above 4 % the form is an upper bound: there it falls on
-by up to 4 K a percent, but nothing boils below water. All at ambient pressure:
+by up to 6 K a percent, but nothing boils below water. All at ambient pressure:
 vapour forms when the pedal is released or the car is parked. Vapour lock
 begins some kelvin below the equilibrium reflux boiling point that standards
 speak of.
@@ -51,9 +51,10 @@ KNOWN_CAN_K: Final = 1.0
 """Standard deviation of boiling points that are given for the fluid used."""
 
 BEYOND_PERCENT: Final = 4.0
-BEYOND_K_PERCENT: Final = 4.0
+BEYOND_K_PERCENT: Final = 6.0
 """Water [%] above which the boiling point falls further, and by how many
-kelvin a percent at most."""
+kelvin a percent at most: the scale of MISCO's refractometer for DOT 3 ends at
+118 degC and 6 % of water, 12 K below the form with its w_0."""
 
 WATER_K: Final = 373.15
 """Boiling point of water: no fluid with water in it boils below."""
