@@ -328,18 +328,16 @@ def _by_preset(found: list[Descent]) -> dict[str, list[Descent]]:
 
 def _by_heat(found: list[Descent]) -> dict[str, list[Descent]]:
     """Return descents by what their drivers did about the disc."""
-    shifted = [d for d in found if d.engine_n >= ENGINE_N[0]]
-    over = [d for d in shifted if d.judgement.truth.disc_k > HOTTEST_DISC_K]
-    return {
-        "never above 700 degC": [d for d in found if d.engine_n < ENGINE_N[0]],
-        **{
-            f"held by {engine_n:.0f} N of the engine": [
-                d for d in shifted if d.engine_n == engine_n and d not in over
-            ]
-            for engine_n in ENGINE_N
-        },
-        "out of range: above 700 degC in the lowest gear": over,
-    }
+    names = ["never above 700 degC"]
+    names += [f"held by {n:.0f} N of the engine" for n in ENGINE_N]
+    names += ["out of range: above 700 degC in the lowest gear"]
+    groups: dict[str, list[Descent]] = {name: [] for name in names}
+    for d in found:
+        gear = sum(d.engine_n >= n for n in ENGINE_N)
+        # what an engine could not hold is in the lowest gear
+        over = d.judgement.truth.disc_k > HOTTEST_DISC_K
+        groups[names[gear + over]].append(d)
+    return groups
 
 
 def _groups(title: str, groups: dict[str, list[Descent]]) -> Table:
