@@ -5,13 +5,14 @@ what comes after: its load, the road and the driver, the pads' wear and, on
 *another day*, what has changed since the match (``SINCE``). The brakes are
 marched by the simulated reality, which shares no physics code with the
 estimator; the daemon gets speed, pressure and outside air with errors of
-sensors.
+sensors. Where a disc gets near 700 degC the driver brakes with the engine.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Final
+from math import inf
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 from risk_fleet import GROUPS, JUDGED, FleetCar, scaled
@@ -27,15 +28,13 @@ if TYPE_CHECKING:
 
     import numpy.typing as npt
 
-    from bstm_daemon.config.sections import Config
     from bstm_daemon.simulation.march import LaneResult
     from bstm_daemon.simulation.parameters import CornerParameters
-    from bstm_daemon.simulation.vehicle import CarParameters
 
     Column = npt.NDArray[np.float64]
 
 DRIVE_S: Final = 1920
-"""Time before the stop that is marched; shorter drives stand first."""
+"""Longest drive before the stop."""
 
 SOAK_STEP_S: Final = 2.0
 HORIZON_S: Final = 1800.0
@@ -57,39 +56,92 @@ friction of the lining, air at caliper and disc. The daemon does not know."""
 HOTTEST_DISC_K: Final = 973.15
 """Beyond 700 degC a driver has had no brake for long."""
 
+SHIFTS_K: Final = HOTTEST_DISC_K - 20.0
+"""Temperature of the disc at which its driver shifts down."""
+
+ENGINE_N: Final = (500.0, 900.0, 1300.0)
+"""Drag of the engine at the wheels in lower and lower gears. The last one is
+the second gear: 55 N m of drag, 8 to 1, 0.34 m of wheel."""
+
+DRIVE_KEPT_S: Final = 5
+"""Interval at which temperatures before the stop are looked at."""
+
 AMBIENT_SENSOR_K: Final = 1.0
 PRESSURE_OFFSET_PA: Final = 0.05e5
 PRESSURE_QUANTUM_PA: Final = 0.1e5
 SPEED_QUANTUM_MS: Final = 0.03
 
 
+class Drive(NamedTuple):
+    """A drive, a value a second, the last one before the stop.
+
+    ``need_n`` is the force that holds the car's speed, ``drag_n`` the
+    engine's part of it, ``pulses`` the brake's on and off.
+    """
+
+    speed_ms: Column
+    need_n: Column
+    drag_n: Column
+    pulses: Column
+
+    @property
+    def force_n(self) -> Column:
+        """Force that is left to the brakes."""
+        return np.maximum(self.need_n - self.drag_n, 0.0) * self.pulses
+
+    def shifted(self, from_s: float, drag_n: float) -> Drive:
+        """Return the drive with a lower gear from *from_s* on."""
+        late = np.arange(len(self.drag_n)) >= from_s
+        return self._replace(
+            drag_n=np.maximum(self.drag_n, np.where(late, drag_n, 0.0))
+        )
+
+
 @dataclass(frozen=True, slots=True)
 class Case:
-    """One descent; arrays a value a second, the last one before the stop."""
+    """A car on a drive; ``error_pa`` is that of its pressure sensor."""
 
-    car: CarParameters
-    config: Config
+    one: FleetCar
     ambient_k: float
-    speed_ms: Column
-    pressure_pa: Column
-    power_w: Column
+    drive: Drive
     sensed_ambient_k: float
-    sensed_pressure_pa: Column
-    sensed_speed_ms: Column
+    error_pa: Column
+
+    def sensed_speed_ms(self) -> Column:
+        """Return what the speed's sensor makes of the drive."""
+        return np.round(self.drive.speed_ms / SPEED_QUANTUM_MS) * (
+            SPEED_QUANTUM_MS
+        )
+
+    def sensed_pressure_pa(self, pressure_pa: Column) -> Column:
+        """Return what the pressure's sensor makes of *pressure_pa*."""
+        steps = np.round((pressure_pa + self.error_pa) / PRESSURE_QUANTUM_PA)
+        told = np.maximum(steps * PRESSURE_QUANTUM_PA, 0.0)
+        return np.where(pressure_pa > 0, told, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
 class Truth:
-    """The fluid of the judged corners after the stop, [m, corner], every 2 s.
+    """What a drive really came to; ``time_s`` counts from the stop.
 
-    ``stop_k`` is that at the stop, ``time_s`` counts from it; ``disc_k`` is
-    the hottest disc at the stop.
+    ``fluid_k`` [m, corner] are the judged corners from the stop on,
+    ``hottest_k`` and ``disc_k`` the hottest fluid of all and the hottest disc
+    before the stop, ``shifts_s`` the second in which it passed
+    :data:`SHIFTS_K`, inf: none. ``pressure_pa`` is what the driver pressed,
+    a value a second.
     """
 
     time_s: Column
     fluid_k: Column
-    stop_k: Column
+    hottest_k: float
     disc_k: float
+    shifts_s: float
+    pressure_pa: Column
+
+    @property
+    def stop_k(self) -> Column:
+        """The fluid at the stop."""
+        return self.fluid_k[0]
 
 
 def draw_case(
@@ -97,14 +149,16 @@ def draw_case(
 ) -> Case:
     """Return a descent of one of *cars* with a driver of its own."""
     mass_kg = rng.uniform(2000.0, 2800.0)
-    car, config = draw_car(rng, cars, mass_kg, another_day=another_day)
+    car = draw_car(rng, cars, mass_kg, another_day=another_day)
     speed_ms, slope = _course(rng)
     accel = np.gradient(speed_ms)
-    drag = rng.uniform(0.0, 350.0)
-    need = -car.resistance(speed_ms, slope) - car.effective_mass_kg * accel
-    force = np.maximum(need - drag, 0.0) * _pulses(rng, len(speed_ms))
+    drag_n = rng.uniform(0.0, 350.0)
+    need_n = -car.car.resistance(speed_ms, slope)
+    need_n -= car.car.effective_mass_kg * accel
+    pulses = _pulses(rng, len(speed_ms))
     ambient_k = KELVIN_OFFSET + rng.uniform(5.0, 38.0)
-    return sensed(rng, car, config, ambient_k, speed_ms, force)
+    drag = np.full(len(speed_ms), drag_n)
+    return sensed(rng, car, ambient_k, Drive(speed_ms, need_n, drag, pulses))
 
 
 def draw_car(
@@ -113,8 +167,8 @@ def draw_car(
     mass_kg: float,
     *,
     another_day: bool,
-) -> tuple[CarParameters, Config]:
-    """Return one of *cars* with worn pads, and its configuration."""
+) -> FleetCar:
+    """Return one of *cars* with worn pads, configured to match."""
     one = cars[int(rng.integers(len(cars)))]
     left = rng.uniform(*LINING_LEFT)
     since = {
@@ -144,75 +198,64 @@ def draw_car(
     config = one.config.model_copy(
         update={"corner": corners, "vehicle": vehicle}
     )
-    return car, config
+    return FleetCar(car, one.preset, config)
 
 
 def sensed(
-    rng: np.random.Generator,
-    car: CarParameters,
-    config: Config,
-    ambient_k: float,
-    speed_ms: Column,
-    force_n: Column,
+    rng: np.random.Generator, one: FleetCar, ambient_k: float, drive: Drive
 ) -> Case:
-    """Return the case of a car that brakes with *force_n*, as it is sensed."""
-    # what the pedal asks for: the gains are those of today's friction
-    pressure = force_n / car.gains.sum()
-    offset = PRESSURE_OFFSET_PA * rng.standard_normal()
-    noisy = pressure + np.where(pressure > 0, offset, 0.0)
-    noisy += rng.uniform(-0.5, 0.5, len(noisy)) * PRESSURE_QUANTUM_PA
-    told = np.round(noisy / PRESSURE_QUANTUM_PA) * PRESSURE_QUANTUM_PA
+    """Return the case of a car on its way, with the errors of its sensors."""
+    seconds = len(drive.speed_ms)
+    dither = rng.uniform(-0.5, 0.5, seconds) * PRESSURE_QUANTUM_PA
     return Case(
-        car,
-        config,
+        one,
         ambient_k,
-        speed_ms,
-        pressure,
-        force_n * speed_ms,
+        drive,
         ambient_k + AMBIENT_SENSOR_K * rng.standard_normal(),
-        np.where(pressure > 0, np.maximum(told, 0.0), 0.0),
-        np.round(speed_ms / SPEED_QUANTUM_MS) * SPEED_QUANTUM_MS,
+        PRESSURE_OFFSET_PA * rng.standard_normal() + dither,
     )
 
 
-def march_truth(cases: list[Case], preset: str = "plain") -> list[Truth]:
-    """Return what the fluid of each case really does after its stop."""
-    steps = DRIVE_S + round(HORIZON_S / SOAK_STEP_S)
-    step_s = np.ones(steps)
-    step_s[DRIVE_S:] = SOAK_STEP_S
-    keep = np.zeros(steps, bool)
-    keep[DRIVE_S - 1 :] = True
-    result = _marched(cases, preset, step_s, keep, DRIVE_S)
-    time_s = result.time_s - DRIVE_S
-    fluid = result.nodes["fluid"].reshape(len(time_s), len(cases), -1)
-    disc = result.nodes["disc_mean"][0].reshape(len(cases), -1).max(axis=1)
-    return [
-        Truth(time_s, fluid[:, i].copy(), fluid[0, i].copy(), float(disc[i]))
-        for i in range(len(cases))
-    ]
+def driven(
+    cases: Sequence[Case], horizon_s: float = HORIZON_S
+) -> list[tuple[Case, Truth]]:
+    """Drive *cases* and let them park; return them as they were driven.
 
-
-def march_drive(case: Case, preset: str = "plain") -> tuple[float, float]:
-    """Return the hottest fluid and the hottest disc [K] of a drive.
+    A driver whose disc gets too hot takes the highest gear that keeps it
+    below :data:`HOTTEST_DISC_K`, from when it passed :data:`SHIFTS_K` on; the
+    lowest one where none does.
 
     Raises ArithmeticError where the march went astray.
     """
-    steps = len(case.speed_ms)
-    step_s, keep = np.ones(steps), np.ones(steps, bool)
-    result = _marched([case], preset, step_s, keep, steps)
-    fluid, disc = result.nodes["fluid"], result.nodes["disc_mean"]
-    return float(fluid.max()), float(disc.max())
+    found = _marched(cases, horizon_s)
+    for drag_n in ENGINE_N:
+        hot = [
+            number
+            for number, (_, truth) in enumerate(found)
+            if truth.disc_k > HOTTEST_DISC_K
+        ]
+        again = [
+            replace(case, drive=case.drive.shifted(truth.shifts_s, drag_n))
+            for case, truth in (found[number] for number in hot)
+        ]
+        for number, one in zip(hot, _marched(again, horizon_s), strict=True):
+            found[number] = one
+    return found
 
 
 def _marched(
-    cases: list[Case],
-    preset: str,
-    step_s: Column,
-    keep: npt.NDArray[np.bool_],
-    drive_s: int,
-) -> LaneResult:
-    """March *cases* side by side; their drives end after *drive_s* steps."""
-    steps, lanes = len(step_s), len(JUDGED) * len(cases)
+    cases: Sequence[Case], horizon_s: float
+) -> list[tuple[Case, Truth]]:
+    """March *cases* side by side; shorter drives stand first."""
+    if not cases:
+        return []
+    drive_s = max(len(case.drive.speed_ms) for case in cases)
+    steps = drive_s + round(horizon_s / SOAK_STEP_S)
+    step_s = np.ones(steps)
+    step_s[drive_s:] = SOAK_STEP_S
+    keep = np.ones(steps, bool)
+    keep[:drive_s] = np.arange(1 - drive_s, 1) % DRIVE_KEPT_S == 0
+    lanes = len(JUDGED) * len(cases)
     places = [ALL_CORNERS.index(name) for name in JUDGED]
     columns = {
         name: np.zeros((steps, lanes))
@@ -222,17 +265,20 @@ def _marched(
     corners: list[CornerParameters] = []
     for i, case in enumerate(cases):
         at = slice(len(JUDGED) * i, len(JUDGED) * (i + 1))
-        first = drive_s - len(case.speed_ms)
-        gains = case.car.gains
-        share = gains[places] / gains.sum()
-        columns["speed"][first:drive_s, at] = case.speed_ms[:, None]
-        columns["power"][first:drive_s, at] = case.power_w[:, None] * share
-        columns["pressure"][first:drive_s, at] = case.pressure_pa[:, None]
+        speed_ms, force_n = case.drive.speed_ms, case.drive.force_n
+        rows = slice(drive_s - len(speed_ms), drive_s)
+        gains = case.one.car.gains
+        pressure_pa = force_n / gains.sum()
+        columns["speed"][rows, at] = speed_ms[:, None]
+        columns["power"][rows, at] = (pressure_pa * speed_ms)[:, None] * gains[
+            places
+        ]
+        columns["pressure"][rows, at] = pressure_pa[:, None]
         ambient[:, at] = case.ambient_k
-        corners += [case.car.corners[place] for place in places]
+        corners += [case.one.car.corners[place] for place in places]
     result = march_lanes(
         corners,
-        [preset_effects(preset)] * lanes,
+        [preset_effects(case.one.preset) for case in cases for _ in JUDGED],
         LaneInputs(
             step_s=step_s,
             keep=keep,
@@ -250,7 +296,37 @@ def _marched(
     if not np.isfinite(result.nodes["disc_mean"]).all():
         msg = "the reality's march went astray"
         raise ArithmeticError(msg)
-    return result
+    # what the driver pressed: more where friction has faded
+    pressed_pa = columns["pressure"] / result.friction
+    return [
+        (case, _truth(result, drive_s, i, pressed_pa, case))
+        for i, case in enumerate(cases)
+    ]
+
+
+def _truth(
+    result: LaneResult,
+    drive_s: int,
+    number: int,
+    pressed_pa: Column,
+    case: Case,
+) -> Truth:
+    """Return what is kept of *case*, the march's *number*."""
+    lanes = slice(len(JUDGED) * number, len(JUDGED) * (number + 1))
+    time_s = result.time_s - drive_s
+    stop = int(np.searchsorted(time_s, 0.0))
+    fluid_k = result.nodes["fluid"][:, lanes]
+    disc_k = result.nodes["disc_mean"][: stop + 1, lanes].max(axis=1)
+    hot = disc_k > SHIFTS_K
+    seconds = len(case.drive.speed_ms)
+    return Truth(
+        time_s[stop:],
+        fluid_k[stop:].copy(),
+        float(fluid_k.max()),
+        float(disc_k.max()),
+        float(time_s[hot.argmax()]) + seconds if hot.any() else inf,
+        pressed_pa[drive_s - seconds : drive_s, lanes.start].copy(),
+    )
 
 
 def _course(rng: np.random.Generator) -> tuple[Column, Column]:

@@ -1,10 +1,10 @@
 """A fleet of cars, each set up as a car is: drawn, driven twice, matched.
 
-Every car has brakes of its own. Its configuration is the example's with the
-disc's mass from the drawing; all else is what `bstm match` makes of the
+Every car has brakes of its own; half of the cars are of the preset *plain*,
+half of *road*. Its configuration is the example's with the disc's mass from
+the drawing; all else of the front axle is what `bstm match` makes of the
 drives *simalp* and *rich*, recorded as CAN frames with the errors of its
-sensors, heat from pressure. At the rear thermocouples of the same kind are
-read beside the frames: the example car's DBC has front ones only.
+sensors, heat from pressure.
 """
 
 from __future__ import annotations
@@ -16,29 +16,20 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from population import KNOWN_TO_THE_OWNER, MATCHED_ON
+from population import KNOWN_TO_THE_OWNER, MATCHED_ON, Driven, matched
 from recordings import SENSORS, encoder
 
-from bstm_daemon.analysis.matching.drives import Thermocouple, read_drive
-from bstm_daemon.analysis.matching.refine import refine
-from bstm_daemon.analysis.matching.tunables import REFINED, Target, usable
+from bstm_daemon.analysis.matching.drives import read_drive
+from bstm_daemon.analysis.matching.tunables import Target
 from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.files import shipped_file
-from bstm_daemon.roles import MEASURED_NODES
 from bstm_daemon.simulation import NOMINAL, load_drive, simulate
-from bstm_daemon.simulation.frames import START_STAMP_S
-from bstm_daemon.simulation.parameters import preset_effects
 from bstm_daemon.simulation.recorder import write_candump
-from bstm_daemon.simulation.sensors import sensor_suite
 
 if TYPE_CHECKING:
-    from bstm_daemon.analysis.matching.drives import Drive
     from bstm_daemon.config.sections import Config
     from bstm_daemon.simulation.parameters import CornerParameters
     from bstm_daemon.simulation.vehicle import CarParameters
-
-CORNERS: Final = ("FL", "RL")
-"""One of each axle; the other side is the same."""
 
 JUDGED: Final = ("FL",)
 """Corners that descents are judged by: those that may be the hottest. Of 100
@@ -78,24 +69,27 @@ LEAST_VANES: Final = 0.05
 Where the cheeks outweigh the ring there is no such disc: its march breaks
 down, and the car is drawn again."""
 
-AXLES: Final = (("FL", "FR"), ("RL", "RR"))
+FRONT: Final = ("FL", "FR")
 STRUCTURES: Final = {"plain": "thesis", "road": "extended"}
-"""Structure of the model on each preset of the reality."""
+"""Structure of the model on each preset of the reality; cars take turns."""
 
 
 @dataclass(frozen=True, slots=True)
 class FleetCar:
-    """A car and the configuration that matching gave it."""
+    """A car, its preset, and the configuration that matching gave it."""
 
     car: CarParameters
+    preset: str
     config: Config
 
 
-def fleet(
-    count: int, seed: int, preset: str = "plain", cache: Path | None = None
-) -> list[FleetCar]:
+def fleet(count: int, seed: int, cache: Path | None = None) -> list[FleetCar]:
     """Return *count* matched cars; *cache* keeps them one a file."""
-    return [_kept((seed, i), preset, cache) for i in range(count)]
+    presets = tuple(STRUCTURES)
+    return [
+        _kept((seed, number), presets[number % len(presets)], cache)
+        for number in range(count)
+    ]
 
 
 def _kept(seed: tuple[int, int], preset: str, cache: Path | None) -> FleetCar:
@@ -110,19 +104,27 @@ def _kept(seed: tuple[int, int], preset: str, cache: Path | None) -> FleetCar:
     return made
 
 
-def matched_car(seed: tuple[int, int], preset: str = "plain") -> FleetCar:
-    """Draw a car and match it."""
+def matched_car(seed: tuple[int, int], preset: str) -> FleetCar:
+    """Draw a car and match its front axle."""
     rng = np.random.default_rng(seed)
     car, ring = _drawn_car(rng)
-    config = _unmatched(ring, STRUCTURES[preset])
+    target = Target(_unmatched(ring, STRUCTURES[preset]), FRONT)
     number = int(rng.integers(1 << 30))
-    drives = [_driven(n, car, config, preset, number) for n in MATCHED_ON]
-    for corners in AXLES:
-        target = Target(config, corners)
-        keys, _ = usable(target, REFINED)
-        config = target.changed(refine(target, drives, keys).values).config
-    kept = [c for c in config.corner if c.name in CORNERS]
-    return FleetCar(car, config.model_copy(update={"corner": kept}))
+    signal_map = load_vehicle(shipped_file("config/example_vehicle.toml"))[1]
+    fit = None
+    with tempfile.TemporaryDirectory() as folder:
+        paths = [
+            _recorded(Path(folder), name, car, preset, number)
+            for name in MATCHED_ON
+        ]
+        # heat of a friction law follows the temperatures of the match
+        for _ in range(1 if preset == "plain" else 2):
+            drives = [
+                Driven(read_drive(path, target.config, signal_map), {})
+                for path in paths
+            ]
+            target, fit = matched(target, drives, after=fit)
+    return FleetCar(car, preset, target.config)
 
 
 def _drawn_car(rng: np.random.Generator) -> tuple[CarParameters, float]:
@@ -192,32 +194,13 @@ def scaled(
     return replace(corner, **changes)
 
 
-def _driven(
-    name: str, car: CarParameters, config: Config, preset: str, seed: int
-) -> Drive:
-    """Return a drive through CAN frames, with rear thermocouples."""
+def _recorded(
+    folder: Path, name: str, car: CarParameters, preset: str, seed: int
+) -> Path:
+    """Drive and return the log of the CAN frames."""
     whole = simulate(
         load_drive(name), car, preset=preset, sensors=SENSORS, seed=seed
     )
-    signal_map = load_vehicle(shipped_file("config/example_vehicle.toml"))[1]
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / f"{name}.log"
-        write_candump(path, whole, encoder())
-        drive = read_drive(path, config, signal_map)
-    suite = sensor_suite(SENSORS, preset_effects(preset), seed)
-    time_s = whole.slow_time_s + START_STAMP_S - drive.start_s
-    rear = {
-        corner: {
-            node: Thermocouple(
-                time_s,
-                suite.read(
-                    f"temp_{corner.lower()}_{node}",
-                    whole.truth[f"{corner}.{node}"],
-                    1.0,
-                ),
-            )
-            for node in MEASURED_NODES
-        }
-        for corner in AXLES[1]
-    }
-    return replace(drive, measured={**drive.measured, **rear})
+    path = folder / f"{name}.log"
+    write_candump(path, whole, encoder())
+    return path

@@ -16,7 +16,6 @@ from bstm_daemon.roles import ROLE_INDEX
 if TYPE_CHECKING:
     import numpy.typing as npt
 
-    from bstm_daemon.config.sections import Config
     from bstm_daemon.model.risk.vaporisation import Boiling
 
     Column = npt.NDArray[np.float64]
@@ -55,8 +54,9 @@ class Judgement:
         return sum(map(boiling.probability, worst)) / len(worst)
 
 
-def estimating(case: Case, config: Config) -> tuple[Estimator, RiskMonitor]:
-    """Return estimator and risk of *config*, cold in the air of *case*."""
+def estimating(case: Case) -> tuple[Estimator, RiskMonitor]:
+    """Return estimator and risk of its car, cold in the air of *case*."""
+    config = case.one.config
     estimator = Estimator(
         config,
         {ROLE_INDEX[role]: TIMEOUT_US for role in ROLES},
@@ -68,9 +68,10 @@ def estimating(case: Case, config: Config) -> tuple[Estimator, RiskMonitor]:
 
 def judged(case: Case, truth: Truth) -> Judgement:
     """Run the daemon's estimator and risk over *case* up to the stop."""
-    estimator, monitor = estimating(case, case.config)
-    times_us, numbers, values = samples(case)
-    stop_us = START_US + (len(case.speed_ms) - BEFORE_STOP_S) * 1_000_000
+    estimator, monitor = estimating(case)
+    times_us, numbers, values = samples(case, truth)
+    drive_s = len(case.drive.speed_ms)
+    stop_us = START_US + (drive_s - BEFORE_STOP_S) * 1_000_000
     cut = int(np.searchsorted(times_us, stop_us))
     estimator.advance(times_us[:cut], numbers[:cut], values[:cut])
     risk = None
@@ -104,15 +105,16 @@ def boiled_at_s(truth: Truth, boiling_k: float) -> float:
 
 
 def samples(
-    case: Case,
+    case: Case, truth: Truth
 ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int32], Column]:
     """Return times [us], role numbers and values of what *case* senses."""
-    count = (len(case.speed_ms) + 1) * SAMPLES_S
+    drive_s = len(case.drive.speed_ms)
+    count = (drive_s + 1) * SAMPLES_S
     at_s = np.arange(count) / SAMPLES_S
-    seconds = np.arange(len(case.speed_ms)) + 0.5
-    speed = np.interp(at_s, seconds, case.sensed_speed_ms)
-    place = np.minimum(at_s.astype(int), len(seconds) - 1)
-    pressure = case.sensed_pressure_pa[place]
+    seconds = np.arange(drive_s) + 0.5
+    speed = np.interp(at_s, seconds, case.sensed_speed_ms())
+    place = np.minimum(at_s.astype(int), drive_s - 1)
+    pressure = case.sensed_pressure_pa(truth.pressure_pa)[place]
     ambient = np.full(count, case.sensed_ambient_k)
     values = np.stack([speed, pressure, ambient], axis=1).ravel()
     numbers = np.tile([ROLE_INDEX[role] for role in ROLES], count)

@@ -1,6 +1,7 @@
 """Mixed driving: how often the daemon warns where nothing boils.
 
 No trip is left out: a march of the reality that goes astray is an error.
+Drivers brake with the engine near 700 degC, as on the descents.
 """
 
 from __future__ import annotations
@@ -9,7 +10,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from risk_cases import HORIZON_S, Case, draw_car, march_drive, sensed
+from risk_cases import HORIZON_S, Case, Drive, Truth, draw_car, driven, sensed
 from risk_fleet import JUDGED, FleetCar
 from risk_fluids import draw_fluid
 from risk_judge import START_US, estimating, samples
@@ -159,22 +160,22 @@ def _span(kelvin: list[float]) -> str:
 
 
 def _driven(rng: np.random.Generator, case: Case, mountain: bool) -> Trip:  # noqa: FBT001
-    fluid_k, disc_k = march_drive(case)
-    peaks, at_s = _worst_peaks(case)
-    parked_k = march_drive(_parked(case, at_s))[0]
+    ((case, truth),) = driven([case], 0.0)
+    peaks, at_s = _worst_peaks(case, truth)
+    ((_, parked),) = driven([_parked(case, at_s)], 0.0)
     fluids = [draw_fluid(rng) for _ in range(FLUIDS)]
     # at that forecast the oracle knows both courses
-    known_k = max(parked_k, fluid_k)
+    known_k = max(parked.hottest_k, truth.hottest_k)
     return Trip(
-        float(case.speed_ms.sum()) / 1000.0,
+        float(case.drive.speed_ms.sum()) / 1000.0,
         mountain,
         float(peaks.mean()),
-        parked_k,
-        fluid_k,
-        disc_k,
-        sum(fluid_k >= fluid.boiling_k for fluid in fluids),
+        parked.hottest_k,
+        truth.hottest_k,
+        truth.disc_k,
+        sum(truth.hottest_k >= fluid.boiling_k for fluid in fluids),
         *(
-            _judged(fluids, peaks, fluid_k, known_k, given=given)
+            _judged(fluids, peaks, truth.hottest_k, known_k, given=given)
             for given in (False, True)
         ),
     )
@@ -201,11 +202,11 @@ def _judged(
     return Judged(warned, nor_parked, oracle, found)
 
 
-def _worst_peaks(case: Case) -> tuple[Column, int]:
+def _worst_peaks(case: Case, truth: Truth) -> tuple[Column, int]:
     """Return the members' peaks of the hottest forecast, and when [s]."""
-    estimator, monitor = estimating(case, case.config)
+    estimator, monitor = estimating(case)
     worst, at_s = np.zeros(1), 0
-    times, numbers, values = samples(case)
+    times, numbers, values = samples(case, truth)
     ends = np.arange(times[0], times[-1] + 10_000_000, 10_000_000)
     cuts = np.searchsorted(times, ends).tolist()
     for part in map(slice, cuts[:-1], cuts[1:]):
@@ -226,16 +227,10 @@ def _worst_peaks(case: Case) -> tuple[Column, int]:
 
 def _parked(case: Case, at_s: int) -> Case:
     """Return *case* as if the car had parked after *at_s*."""
-
-    def cut(column: Column) -> Column:
-        return np.concatenate((column[:at_s], np.zeros(PARKED_S)))
-
-    return replace(
-        case,
-        speed_ms=cut(case.speed_ms),
-        pressure_pa=cut(case.pressure_pa),
-        power_w=cut(case.power_w),
-    )
+    rest = np.zeros(PARKED_S)
+    drive = Drive(*(np.append(column[:at_s], rest) for column in case.drive))
+    # no one reads its sensors
+    return replace(case, drive=drive)
 
 
 def _trip(
@@ -245,21 +240,19 @@ def _trip(
 ) -> Case:
     """Return an hour of town, country and motorway over hills, or a pass."""
     mass_kg = rng.uniform(*MASS_KG)
-    car, config = draw_car(rng, cars, mass_kg, another_day=True)
-    speed, hills, drag = _pass_road(rng) if mountain else _hour(rng)
-    need = -car.resistance(speed, np.arctan(hills))
-    need -= car.effective_mass_kg * np.gradient(speed)
-    force = np.where(speed > 0.0, np.maximum(need - drag, 0.0), 0.0)
-    ambient_k = KELVIN_OFFSET + rng.uniform(-5.0, 36.0)
+    one = draw_car(rng, cars, mass_kg, another_day=True)
+    speed, hills, drag_n = _pass_road(rng) if mountain else _hour(rng)
+    need = -one.car.resistance(speed, np.arctan(hills))
+    need -= one.car.effective_mass_kg * np.gradient(speed)
+    drag = np.full(len(speed), drag_n)
     rest = np.zeros(PARKED_S)
-    return sensed(
-        rng,
-        car,
-        config,
-        ambient_k,
-        np.concatenate((speed, rest)),
-        np.concatenate((force, rest)),
+    drive = Drive(
+        *(
+            np.append(column, rest)
+            for column in (speed, need, drag, (speed > 0.0).astype(float))
+        )
     )
+    return sensed(rng, one, KELVIN_OFFSET + rng.uniform(-5.0, 36.0), drive)
 
 
 def _hour(rng: np.random.Generator) -> tuple[Column, Column, float]:

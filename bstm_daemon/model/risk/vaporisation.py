@@ -7,10 +7,11 @@ near the wet one,
 
 with ``T_inf`` such that T_b(3.7 %) is the wet boiling point; Keen's vapour
 lock points (250, 180, 145 degC at 0, 1, 3 %) follow the form with w_0 = 1.0
-%. Above 4 % the form is an upper bound: there it falls on by up to 4 K a
-percent. All at ambient pressure: vapour forms when the pedal is released or
-the car is parked. Vapour lock begins some kelvin below the equilibrium
-reflux boiling point that standards speak of.
+%, others are slower. Above 4 % the form is an upper bound: there it falls on
+by up to 6 K a percent, but nothing boils below water. All at ambient pressure:
+vapour forms when the pedal is released or the car is parked. Vapour lock
+begins some kelvin below the equilibrium reflux boiling point that standards
+speak of.
 """
 
 from __future__ import annotations
@@ -32,9 +33,11 @@ if TYPE_CHECKING:
 WET_WATER_PERCENT: Final = 3.7
 """Water of a fluid humidified as FMVSS 116 S6.2 asks."""
 
-SLOWEST_PERCENT: Final = 1.5
+SLOWEST_PERCENT: Final = 3.0
 FASTEST_PERCENT: Final = 1.0
-"""Range of w_0: Keen's fluids 1.0; borate esters (DOT 4) are slower."""
+"""Range of w_0: Keen's fluids 1.0; a maker of refractometers (MISCO, 'When To
+Change Your Brake Fluid') has 255, 180, 160 degC at 0, 2, 3 % for DOT 3, which
+is 2.5, and 255, 210, 187 degC for DOT 4, which is slower still."""
 
 DRY_EXCESS_K: Final = (35.0, 10.0)
 """Mean and standard deviation of a new fluid's boiling point above its grade's
@@ -48,9 +51,13 @@ KNOWN_CAN_K: Final = 1.0
 """Standard deviation of boiling points that are given for the fluid used."""
 
 BEYOND_PERCENT: Final = 4.0
-BEYOND_K_PERCENT: Final = 4.0
+BEYOND_K_PERCENT: Final = 6.0
 """Water [%] above which the boiling point falls further, and by how many
-kelvin a percent at most."""
+kelvin a percent at most: the scale of MISCO's refractometer for DOT 3 ends at
+118 degC and 6 % of water, 12 K below the form with its w_0."""
+
+WATER_K: Final = 373.15
+"""Boiling point of water: no fluid with water in it boils below."""
 
 VAPOUR_LOCK_K: Final = (0.0, 6.0)
 """Range by which vapour lock begins below the boiling point."""
@@ -155,4 +162,4 @@ def _drawn(fluid: Fluid, water: Water, shares: tuple[float, ...]) -> float:
     beyond = max(percent - BEYOND_PERCENT, 0.0)
     point_k -= BEYOND_K_PERCENT * by_beyond * beyond
     low, high = VAPOUR_LOCK_K
-    return point_k - (low + (high - low) * by_lock)
+    return max(point_k, WATER_K) - (low + (high - low) * by_lock)
