@@ -158,7 +158,7 @@ def test_frames_longer_than_the_dbc_says_are_pointed_out(
 
     assert "primary_pressure" in config.signals
     assert config.heat.mode == "fb"
-    assert "NOT READ: its frames have 8 bytes, the DBC says 4" in " ".join(
+    assert "NOT READ: its frames have 8 bytes, the DBC has 4" in " ".join(
         out.read_text("utf-8").replace("#", "").split()
     )
 

@@ -135,7 +135,7 @@ def test_several_logs_are_one_fit(
     assert single.values["rolling_resistance"].value == pytest.approx(
         true + 0.005, abs=5e-4
     )
-    assert any("taken as level" in text for text in single.remarks)
+    assert any("assumed level" in text for text in single.remarks)
 
 
 def test_one_way_gives_no_rolling_resistance(
