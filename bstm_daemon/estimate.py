@@ -8,7 +8,7 @@ probabilities 0 to 1; NaN is unknown.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from enum import IntEnum
+from enum import IntEnum, IntFlag
 from math import isfinite, nan
 from typing import TYPE_CHECKING, Final
 
@@ -28,6 +28,47 @@ class Validity(IntEnum):
     def is_usable(self) -> bool:
         """Whether anything may be concluded from the estimate."""
         return self <= Validity.DEGRADED
+
+
+class Reason(IntFlag):
+    """Why an estimate is not valid; it is valid exactly where there is none.
+
+    The bits are those of frames and result columns.
+    """
+
+    START_UNKNOWN = 1
+    """The temperatures at the start still have an effect."""
+    INPUT_MISSING = 2
+    INPUT_SUSPECT = 4
+    """Something speaks against an input now, or did against the heat that the
+    brake still has."""
+    HEAT_UNKNOWN = 8
+    """The brake was, or may have been, heated by what nobody knows."""
+    UNVERIFIED = 16
+    """Nothing checks an input that the heat mode goes by."""
+    MODEL_DISAGREES = 32
+    """Measurements are, or were, far from the estimate."""
+    IMPOSSIBLE = 64
+    """The estimate is no temperature that a brake has."""
+
+    @property
+    def words(self) -> tuple[str, ...]:
+        """The reasons in plain words, in the order of their bits."""
+        return tuple(REASON_WORDS[one] for one in self)
+
+
+REASON_WORDS: Final = {
+    Reason.START_UNKNOWN: "start unknown",
+    Reason.INPUT_MISSING: "input missing",
+    Reason.INPUT_SUSPECT: "input suspect",
+    Reason.HEAT_UNKNOWN: "heat unknown",
+    Reason.UNVERIFIED: "input unverified",
+    Reason.MODEL_DISAGREES: "model disagrees",
+    Reason.IMPOSSIBLE: "impossible temperature",
+}
+"""Each reason in words, wherever one is shown."""
+
+NO_REASON: Final = Reason(0)
 
 
 class State(IntEnum):
@@ -227,7 +268,8 @@ class CornerEstimate:
 
     ``boiling_k`` is the boiling point of a wet fluid of the grade. ``level``
     is that of the risk, without a forecast that of the margin; without one
-    ``risk`` is None. ``forecast_age_s`` is the age of the forecast.
+    ``risk`` is None. ``forecast_age_s`` is the age of the forecast;
+    ``reasons`` are those why the estimate is not valid.
     """
 
     disc_k: float = nan
@@ -236,6 +278,7 @@ class CornerEstimate:
     fluid_k: float = nan
     boiling_k: float = nan
     validity: Validity = Validity.NOT_AVAILABLE
+    reasons: Reason = NO_REASON
     level: RiskLevel = RiskLevel.UNKNOWN
     risk: CornerRisk | None = None
     forecast_age_s: float = nan

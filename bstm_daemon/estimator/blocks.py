@@ -8,7 +8,7 @@ from math import nan
 from typing import TYPE_CHECKING, Final
 
 from bstm_daemon.channels import CHANNELS, VEHICLE_CHANNELS
-from bstm_daemon.estimate import Validity
+from bstm_daemon.estimate import Reason, Validity
 
 if TYPE_CHECKING:
     from array import array
@@ -77,7 +77,8 @@ class Block:
     ``outputs`` per group [n, corners of the group, size]: node temperatures
     [K] and memories, then the running energy of each heat source [J];
     ``flags`` [n], the bits of all steps since the last publication;
-    ``validity`` per corner of a thermal model [n]. All flat.
+    ``validity`` and ``reasons``, bits of Reason, per corner of a thermal
+    model [n]. All flat.
     """
 
     layout: BlockLayout
@@ -87,6 +88,7 @@ class Block:
     outputs: tuple[array[float], ...]
     flags: array[int]
     validity: dict[str, array[int]]
+    reasons: dict[str, array[int]]
     known_from: int
     """The first publication on which the start has no effect."""
     wear: dict[str, Laws]
@@ -147,6 +149,10 @@ class Instant:
     def validity(self, corner: str) -> Validity:
         """Return how far the estimate of *corner* may be relied on."""
         return Validity(self.block.validity[corner][self.i])
+
+    def reasons(self, corner: str) -> Reason:
+        """Return why the estimate of *corner* is not valid."""
+        return Reason(self.block.reasons[corner][self.i])
 
     def _row(self, corner: str) -> int:
         layout = self.block.layout

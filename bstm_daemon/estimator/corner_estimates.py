@@ -52,6 +52,7 @@ def corner_estimates(
             fluid_k=state["fluid"],
             boiling_k=boiling_k,
             validity=validity,
+            reasons=instant.reasons(name),
             level=level,
             risk=corner_risk,
             forecast_age_s=age_s,

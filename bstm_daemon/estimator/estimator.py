@@ -30,8 +30,8 @@ from bstm_daemon.estimator.coupling import Coupling
 from bstm_daemon.estimator.trust import Trust
 from bstm_daemon.estimator.validity import (
     HIGHEST_K,
+    judge,
     needs_of_corners,
-    validities,
 )
 from bstm_daemon.model.effects.catalogue import edited_inputs
 from bstm_daemon.model.effects.corrections import (
@@ -303,14 +303,13 @@ class Estimator:
         block = Block(
             *(self.layout, times, rows, vehicle, outputs, flags),
             validity={},
+            reasons={},
             known_from=known_from,
             wear={},
         )
         block.wear.update(self.wear.laws(times, partial(_totals, block)))
         self.history_left_steps -= steps
-        block.validity.update(
-            validities(block, self._needs, self.trust, PUBLISH_US * 1e-6)
-        )
+        judge(block, self._needs, self.trust, PUBLISH_US * 1e-6)
         self._reset_impossible()
         return block
 

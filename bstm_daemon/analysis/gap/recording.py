@@ -181,7 +181,11 @@ class _Heating(Estimator):
         self._reset_impossible()
         none = array("d")
         return Block(
-            *(self.layout, array("q"), none, none, (), array("q"), {}, 0, {})
+            *(self.layout, array("q"), none, none, (), array("q")),
+            validity={},
+            reasons={},
+            known_from=0,
+            wear={},
         )
 
 

@@ -201,6 +201,7 @@ def _in_pieces(block: Block, rows: int) -> list[Block]:
             outputs=tuple(part(output, first) for output in block.outputs),
             flags=part(block.flags, first),
             validity={n: part(v, first) for n, v in block.validity.items()},
+            reasons={n: part(v, first) for n, v in block.reasons.items()},
         )
         for first in range(0, count, rows)
     ]
