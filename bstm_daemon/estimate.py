@@ -71,6 +71,24 @@ REASON_WORDS: Final = {
 NO_REASON: Final = Reason(0)
 
 
+class Input(IntFlag):
+    """Kinds of inputs that a heat mode goes by; the bits are the frames'."""
+
+    SPEED = 1
+    PRESSURE = 2
+    ACCELERATION = 4
+    TORQUE = 8
+    TEMPERATURE = 16
+
+    @property
+    def words(self) -> tuple[str, ...]:
+        """The inputs in plain words, in the order of their bits."""
+        return tuple(str(one.name).lower() for one in self)
+
+
+NO_INPUT: Final = Input(0)
+
+
 class State(IntEnum):
     """What the daemon is doing; without input: no wanted sample for 1 s."""
 
@@ -322,7 +340,8 @@ class Status:
     suspect, used or not; ``heat_substituted`` that the heat of a corner is
     from the other source than the heat mode's, or unknown;
     ``model_disagrees`` that residuals against measurements exceed the
-    tolerance of a sound model.
+    tolerance of a sound model. ``unverified`` are the inputs of any corner
+    that no mapped role can check.
     """
 
     state: State = State.NOT_AVAILABLE
@@ -341,6 +360,7 @@ class Status:
     input_suspect: bool = False
     heat_substituted: bool = False
     model_disagrees: bool = False
+    unverified: Input = NO_INPUT
 
 
 @dataclass(frozen=True, slots=True)

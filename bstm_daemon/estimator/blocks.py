@@ -78,7 +78,8 @@ class Block:
     [K] and memories, then the running energy of each heat source [J];
     ``flags`` [n], the bits of all steps since the last publication;
     ``validity`` and ``reasons``, bits of Reason, per corner of a thermal
-    model [n]. All flat.
+    model [n]; ``disagrees`` [n], whether the model disagrees with what is
+    measured. All flat.
     """
 
     layout: BlockLayout
@@ -89,6 +90,7 @@ class Block:
     flags: array[int]
     validity: dict[str, array[int]]
     reasons: dict[str, array[int]]
+    disagrees: array[int]
     known_from: int
     """The first publication on which the start has no effect."""
     wear: dict[str, Laws]
@@ -120,6 +122,11 @@ class Instant:
     def history_known(self) -> bool:
         """Whether the start temperature has no effect any more."""
         return self.i >= self.block.known_from
+
+    @property
+    def model_disagrees(self) -> bool:
+        """Whether the model disagrees with what is measured."""
+        return bool(self.block.disagrees[self.i])
 
     def vehicle(self, channel: str) -> float:
         """Return *channel* of VEHICLE_CHANNELS."""

@@ -27,6 +27,7 @@ from bstm_daemon.estimator.corner_model import (
     corner_model,
 )
 from bstm_daemon.estimator.coupling import Coupling
+from bstm_daemon.estimator.model_check import ModelCheck
 from bstm_daemon.estimator.trust import Trust
 from bstm_daemon.estimator.validity import (
     HIGHEST_K,
@@ -150,6 +151,7 @@ class Estimator:
             compares=config.heat.mode == "fused",
             has_switch=ROLE_INDEX["brake_switch"] in present,
         )
+        self.model_check = ModelCheck(config, self.layout, present, longest_s)
         self._coupling = Coupling(
             self.plan,
             self._kernel,
@@ -304,12 +306,18 @@ class Estimator:
             *(self.layout, times, rows, vehicle, outputs, flags),
             validity={},
             reasons={},
+            disagrees=array("b"),
             known_from=known_from,
             wear={},
         )
         block.wear.update(self.wear.laws(times, partial(_totals, block)))
         self.history_left_steps -= steps
-        judge(block, self._needs, self.trust, PUBLISH_US * 1e-6)
+        judge(
+            block,
+            self._needs,
+            (self.trust, self.model_check),
+            PUBLISH_US * 1e-6,
+        )
         self._reset_impossible()
         return block
 
@@ -384,6 +392,7 @@ class Estimator:
         self._coupling.heat_interfaces(self.samples, self.batches)
         self.history_left_steps = 0
         self.trust.park(SETTLED_US * 1e-6)
+        self.model_check.park(SETTLED_US * 1e-6)
 
 
 def _totals(block: Block, corner: str, i: int) -> tuple[float, float]:

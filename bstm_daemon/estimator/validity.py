@@ -21,6 +21,7 @@ from bstm_daemon.channels import (
     WHEEL_SUSPECT,
 )
 from bstm_daemon.estimate import Reason, Validity
+from bstm_daemon.estimator.verified import unverified_inputs
 from bstm_daemon.roles import ROLE_INDEX
 
 if TYPE_CHECKING:
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
 
     from bstm_daemon.config.sections import Config
     from bstm_daemon.estimator.blocks import Block
+    from bstm_daemon.estimator.model_check import ModelCheck
     from bstm_daemon.estimator.trust import Trust
 
 
@@ -51,7 +53,8 @@ class Needs(NamedTuple):
     Bits of a step's flags: those of an input that is missing, those that
     speak against one now, and those among them that speak against the heat,
     which the brake remembers; whether its heat was unknown, and for too
-    long. Whether its disc must be measured.
+    long. Whether its disc must be measured, and whether an input that it
+    goes by is unverified.
     """
 
     missing: int
@@ -60,6 +63,7 @@ class Needs(NamedTuple):
     uncertain: int
     lost: int
     measured: bool
+    unverified: bool
 
 
 def needs_of_corners(
@@ -73,6 +77,7 @@ def needs_of_corners(
             that nothing is mapped to is not waited for.
     """
     found: dict[str, Needs] = {}
+    unverified = unverified_inputs(config, present)
     for place, corner in enumerate(config.corner):
         remembered = _remembered(config, present, place)
         found[corner.name] = Needs(
@@ -82,22 +87,29 @@ def needs_of_corners(
             uncertain=HEAT_UNCERTAIN << place,
             lost=HEAT_LOST << place,
             measured=config.heat.mode == "measured",
+            unverified=bool(unverified[corner.name]),
         )
     return found
 
 
 def judge(
-    block: Block, needs: Mapping[str, Needs], trust: Trust, step_s: float
+    block: Block,
+    needs: Mapping[str, Needs],
+    checks: tuple[Trust, ModelCheck],
+    step_s: float,
 ) -> None:
     """Fill in validity and reasons of *block*.
 
     Args:
         block: of the next publications.
         needs: what each corner needs, by its name.
-        trust: remembers what was found against the heat.
+        checks: what remembers findings against the heat, and against the
+            estimates.
         step_s: time between two publications [s].
     """
+    trust, model_check = checks
     of_car = trust.findings(block, step_s)
+    strong = model_check.findings(block)
     for name, (number, place, stride, group) in block.layout.modelled.items():
         output = block.outputs[number]
         need = needs[name]
@@ -110,7 +122,7 @@ def judge(
                 step_s,
                 found=of_car[i] or bool(flags & need.remembered),
             )
-            why = 0
+            why = Reason.UNVERIFIED.value if need.unverified else 0
             if i < block.known_from:
                 why |= Reason.START_UNKNOWN.value
             if flags & need.missing or (
@@ -122,6 +134,8 @@ def judge(
                 why |= Reason.INPUT_SUSPECT.value
             if flags & (need.uncertain | need.lost):
                 why |= Reason.HEAT_UNKNOWN.value
+            if model_check.holds(name, step_s, found=name in strong[i]):
+                why |= Reason.MODEL_DISAGREES.value
             # nan fails every comparison, but min and max may pass it over
             if not (
                 isfinite(sum(nodes))

@@ -135,6 +135,10 @@ def stream_log(  # noqa: PLR0913
             parked_us = parked_before_us(state, first_us)
             with naming_state():
                 resumed = resume_state(estimator, state, parked_us, first_us)
+                estimator.model_check.resume(
+                    state,
+                    None if resumed.resumed else (parked_us or 0) * 1e-6,
+                )
                 if monitor is not None:
                     monitor.resume(state, parked_us, first_us)
             if resumed.resumed:

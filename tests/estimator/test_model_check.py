@@ -256,7 +256,9 @@ def test_a_sound_model_raises_nothing(tmp_path: Path) -> None:
 
     assert set(seen.flags) == {"none"}
     assert seen.lines.of("model_disagrees") == []
-    assert abs(seen.monitor.engine.model_check.force_difference) < 0.1
+    assert (
+        abs(seen.monitor.engine.estimator.model_check.force_difference) < 0.1
+    )
     assert 'bstm_model_disagrees{what="heat"} 0.0' in seen.metrics
     assert not (tmp_path / "record" / "kept").exists()
 
@@ -286,7 +288,9 @@ def test_what_is_found_wrong_is_no_disagreement(tmp_path: Path) -> None:
     assert found
     assert {"fault": "pressure suspect"} in seen.lines.of("input_fault")
     assert {"what": "heat"} not in seen.lines.of("model_disagrees")
-    assert abs(seen.monitor.engine.model_check.force_difference) < 0.1
+    assert (
+        abs(seen.monitor.engine.estimator.model_check.force_difference) < 0.1
+    )
 
 
 def test_pressure_and_motion_that_differ_are_noticed(tmp_path: Path) -> None:
@@ -297,7 +301,7 @@ def test_pressure_and_motion_that_differ_are_noticed(tmp_path: Path) -> None:
 
     assert seen.flags[-1] == "disagrees"
     assert seen.lines.of("model_disagrees") == [{"what": "heat"}]
-    assert seen.monitor.engine.model_check.force_difference > 0.3
+    assert seen.monitor.engine.estimator.model_check.force_difference > 0.3
     assert kept(tmp_path).name.endswith("-model")
 
 

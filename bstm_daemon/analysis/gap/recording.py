@@ -184,6 +184,7 @@ class _Heating(Estimator):
             *(self.layout, array("q"), none, none, (), array("q")),
             validity={},
             reasons={},
+            disagrees=array("b"),
             known_from=0,
             wear={},
         )

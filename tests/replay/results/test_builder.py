@@ -202,6 +202,7 @@ def _in_pieces(block: Block, rows: int) -> list[Block]:
             flags=part(block.flags, first),
             validity={n: part(v, first) for n, v in block.validity.items()},
             reasons={n: part(v, first) for n, v in block.reasons.items()},
+            disagrees=part(block.disagrees, first),
         )
         for first in range(0, count, rows)
     ]
