@@ -8,8 +8,6 @@ service, replay and tests are thin shells around these two.
 from __future__ import annotations
 
 from array import array
-from functools import reduce
-from operator import or_
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from bstm_daemon.advice.advisor import Advisor
@@ -19,7 +17,6 @@ from bstm_daemon.bus.signals.decoder import Decoder
 from bstm_daemon.bus.signals.e2e_guard import E2eGuard
 from bstm_daemon.channels import FLAGS
 from bstm_daemon.estimate import (
-    NO_INPUT,
     CornerEstimate,
     Estimate,
     HeatMode,
@@ -36,7 +33,7 @@ from bstm_daemon.estimator.state import (
     park,
     resume_state,
 )
-from bstm_daemon.estimator.verified import unverified_inputs
+from bstm_daemon.estimator.verified import unverified_of_car
 from bstm_daemon.forecast.monitor import RiskMonitor
 from bstm_daemon.model.heat.plausibility import SUBSTITUTED, SUSPECT
 from bstm_daemon.model.heat.sample_pass import TICK
@@ -153,10 +150,7 @@ class Engine:
         self.dropped_frames = 0
         """Frames lost before they came here, as the shell counts them."""
         self._stale = _stale_flags(config.heat.mode, roles)
-        by_corner = unverified_inputs(config, roles)
-        self.unverified = reduce(
-            or_, (by_corner[n] for n in self.estimator.programs), NO_INPUT
-        )
+        self.unverified = unverified_of_car(config, roles)
         """Inputs that no mapped role can check."""
 
     def frame(  # noqa: PLR0913

@@ -62,9 +62,9 @@ REASON_WORDS: Final = {
     Reason.INPUT_MISSING: "input missing",
     Reason.INPUT_SUSPECT: "input suspect",
     Reason.HEAT_UNKNOWN: "heat unknown",
-    Reason.UNVERIFIED: "input unverified",
+    Reason.UNVERIFIED: "unverified",
     Reason.MODEL_DISAGREES: "model disagrees",
-    Reason.IMPOSSIBLE: "impossible temperature",
+    Reason.IMPOSSIBLE: "impossible",
 }
 """Each reason in words, wherever one is shown."""
 

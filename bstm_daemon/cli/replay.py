@@ -24,6 +24,7 @@ from bstm_daemon.cli.arguments import (
 from bstm_daemon.cli.progress import Progress
 from bstm_daemon.cli.vehicle import load_vehicle, read_state
 from bstm_daemon.errors import MissingExtraError, UsageError
+from bstm_daemon.estimator.verified import unverified_of_car
 from bstm_daemon.files import make_folder
 from bstm_daemon.replay.columns import Run, stream_log
 from bstm_daemon.replay.frames import (
@@ -143,7 +144,9 @@ def run(args: argparse.Namespace) -> int:
             )
         print(f"{path}  ({config.vehicle.id}, {args.config})")
         print(summary_table(statistics.summary()))
-        remarks = _remarks(log_run, statistics, config.heat.mode)
+        unverified = unverified_of_car(config, signal_map.roles())
+        remarks = [f"nothing checks the {one}" for one in unverified.words]
+        remarks += _remarks(log_run, statistics, config.heat.mode)
         for line in remarks:
             print(line)
         for target in targets:

@@ -10,9 +10,11 @@ and with it every corner that goes by it.
 
 from __future__ import annotations
 
+from functools import reduce
+from operator import or_
 from typing import TYPE_CHECKING, Final, NamedTuple
 
-from bstm_daemon.estimate import Input
+from bstm_daemon.estimate import NO_INPUT, Input
 from bstm_daemon.roles import CORNERS, GROUND_LAG_S, MEASURED_NODES, ROLES
 
 if TYPE_CHECKING:
@@ -85,6 +87,7 @@ CHECKS: Final = (
 )
 """All checks that verify an input of a heat mode, but for thermocouples."""
 
+NOTHING: Final = "nothing: unverified, its corners are degraded"
 THERMOCOUPLES: Final = "measured temperatures"
 """A thermocouple of a corner contradicts whatever heats it wrongly."""
 
@@ -157,10 +160,41 @@ def unverified_inputs(
     roles = {ROLES[number].name for number in present}
     found: dict[str, Input] = {}
     for corner in config.corner:
-        by = verified_by(config, roles, corner.name)
-        unverified = Input(0)
-        for one, checks in by.items():
-            if not checks:
-                unverified |= one
-        found[corner.name] = unverified
+        found[corner.name] = NO_INPUT
+        for one, by in verified_by(config, roles, corner.name).items():
+            if not by:
+                found[corner.name] |= one
     return found
+
+
+def unverified_of_car(config: Config, present: Collection[int]) -> Input:
+    """Return the inputs that nothing verifies at any corner with a model.
+
+    Args:
+        config: the vehicle.
+        present: numbers of the mapped roles.
+    """
+    by_corner = unverified_inputs(config, present)
+    modelled = (by_corner[one.name] for one in config.disc_corners())
+    return reduce(or_, modelled, NO_INPUT)
+
+
+def verification_table(
+    config: Config, roles: Collection[str]
+) -> list[tuple[str, str, str]]:
+    """Return rows of input, corners, and what verifies it there.
+
+    Args:
+        config: the vehicle.
+        roles: names of the mapped roles.
+    """
+    alike: dict[tuple[Input, tuple[str, ...]], list[str]] = {}
+    for corner in config.disc_corners():
+        for item in verified_by(config, roles, corner.name).items():
+            alike.setdefault(item, []).append(corner.name)
+    return [
+        (one.words[0], " ".join(names), "; ".join(by) or NOTHING)
+        for (one, by), names in sorted(
+            alike.items(), key=lambda item: item[0][0]
+        )
+    ]

@@ -10,7 +10,14 @@ from dataclasses import dataclass, field
 from math import isfinite, nan
 from typing import TYPE_CHECKING, Final
 
-from bstm_daemon.estimate import HeatMode, RiskLevel, State, Validity
+from bstm_daemon.estimate import (
+    NO_REASON,
+    HeatMode,
+    Reason,
+    RiskLevel,
+    State,
+    Validity,
+)
 from bstm_daemon.model.heat.plausibility import WORDS
 from bstm_daemon.units import to_celsius
 
@@ -46,6 +53,7 @@ class CornerStatus:
     margin_k: float = nan
     risk: RiskLevel = RiskLevel.UNKNOWN
     validity: Validity = Validity.NOT_AVAILABLE
+    reasons: Reason = NO_REASON
     forecast: CornerRisk | None = None
 
 

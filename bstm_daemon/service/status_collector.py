@@ -142,7 +142,12 @@ def _corner(engine: Engine, name: str) -> CornerStatus:
         return CornerStatus(nodes_k)
     corner = engine.estimate.corners[name]
     return CornerStatus(
-        nodes_k, corner.margin_k, corner.level, corner.validity, corner.risk
+        nodes_k,
+        corner.margin_k,
+        corner.level,
+        corner.validity,
+        corner.reasons,
+        corner.risk,
     )
 
 

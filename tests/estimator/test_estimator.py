@@ -282,7 +282,7 @@ def test_validity(car: Any) -> None:
 
 
 @pytest.mark.parametrize("start_k", [100.0, 5000.0])
-def test_impossible_temperatures_are_invalid(car: Any, start_k: float) -> None:
+def test_impossibles_are_invalid(car: Any, start_k: float) -> None:
     """Outside any brake's range no estimate counts."""
     (block,) = feed(
         Estimator(car, PRESENT, history_known=True, initial_k=start_k),

@@ -245,7 +245,7 @@ def test_a_clock_set_late_corrects_a_car_that_braked(config: Config) -> None:
     )
 
 
-def test_impossible_temperatures_begin_anew(config: Config) -> None:
+def test_impossibles_begin_anew(config: Config) -> None:
     estimator = hot_car(config)
     document = export_state(estimator)
     fresh = copy_of(estimator, document)

@@ -45,6 +45,7 @@ QUANTITIES = (
     "pad_thickness_std_m",
     "disc_loss_m",
     "validity",
+    "reasons",
     *CORNER_COLUMNS,
     "brake_power_std_w",
     "brake_power_ff_w",
