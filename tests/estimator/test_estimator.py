@@ -70,6 +70,9 @@ def joined(blocks: list[Block]) -> tuple[Any, ...]:
             outputs.setdefault(group, array("d")).extend(output)
         for corner, valid in block.validity.items():
             validity.setdefault(corner, array("b")).extend(valid)
+            own = validity.setdefault(f"{corner} reasons", array("B"))
+            own.extend(block.reasons[corner])
+        validity.setdefault("", array("b")).extend(block.disagrees)
     return (
         *(times.tolist(), rows.tobytes(), vehicle.tobytes(), flags.tolist()),
         {group: output.tobytes() for group, output in outputs.items()},
@@ -155,6 +158,7 @@ def test_more_steps_than_one_march_holds(fast: Kernel, car: Any) -> None:
     assert found[0] == list(range(100_000, 600 * SECOND + 1, 100_000))
 
 
+@pytest.mark.usefixtures("all_verified")
 def test_history_is_known_from_its_moment_on(fast: Kernel, car: Any) -> None:
     """Validity does not depend on how the stream is cut either."""
     assert fast is not None
@@ -266,6 +270,7 @@ def test_temperatures_hold_the_energy(form: str, make_car: Any) -> None:
     assert energy > 1e5
 
 
+@pytest.mark.usefixtures("all_verified")
 def test_validity(car: Any) -> None:
     """Degraded while the start is unknown or a mandatory input is missing."""
     unknown = Estimator(car, PRESENT)

@@ -11,7 +11,6 @@ import pytest
 
 from bstm_daemon.bus.output.publication import Publication
 from bstm_daemon.estimate import (
-    NO_INPUT,
     NO_REASON,
     REASON_WORDS,
     CornerEstimate,
@@ -19,7 +18,6 @@ from bstm_daemon.estimate import (
     Reason,
     Validity,
 )
-from bstm_daemon.estimator import validity
 from bstm_daemon.estimator.estimator import Estimator
 from bstm_daemon.model.heat.sample_pass import TICK
 from bstm_daemon.roles import ROLE_INDEX
@@ -34,14 +32,8 @@ SECOND = 1_000_000
 TIMEOUT_US = 500_000
 
 
-@pytest.fixture(autouse=True)
-def _all_verified(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Leave the other reasons: few roles are mapped here."""
-    monkeypatch.setattr(
-        validity,
-        "unverified_inputs",
-        lambda config, _: {corner.name: NO_INPUT for corner in config.corner},
-    )
+# few roles are mapped here
+pytestmark = pytest.mark.usefixtures("all_verified")
 
 
 def validity_of(
