@@ -13,9 +13,9 @@ from __future__ import annotations
 from contextlib import suppress
 from dataclasses import dataclass
 from math import exp, hypot, isfinite, nan
-from typing import TYPE_CHECKING, Any, ClassVar, Final
+from typing import TYPE_CHECKING, Any, ClassVar, Final, NamedTuple
 
-from bstm_daemon.channels import CHANNELS, FLAGS
+from bstm_daemon.channels import CHANNELS, FLAGS, VEHICLE_CHANNELS
 from bstm_daemon.estimator.memory import (
     AnyNumber,
     Flag,
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Mapping
 
     from bstm_daemon.config.sections import Config
-    from bstm_daemon.estimator.blocks import Block, BlockLayout, Instant
+    from bstm_daemon.estimator.blocks import Block, BlockLayout
 
 FORGET_J: Final = 1e6
 LEAST_J: Final = 3e5
@@ -48,6 +48,9 @@ varies by a tenth, mass and accelerometer add as much."""
 FORCE_STRONG: Final = 0.4
 """From here on the heat is wrong by more than linings explain; the estimate
 is degraded until the works agree to within :data:`FORCE_COMES`."""
+
+EVERY_US: Final = 1_000_000
+"""Thermocouples are compared on whole seconds."""
 
 MEMORY_S: Final = 120.0
 KNOWN_S: Final = 120.0
@@ -88,6 +91,7 @@ _UNKNOWN: Final = (
 _FF: Final = CHANNELS.index("brake_energy_ff_j")
 _FB: Final = CHANNELS.index("brake_energy_fb_j")
 _POWER: Final = CHANNELS.index("brake_power_w")
+_SCALE: Final = VEHICLE_CHANNELS.index("friction_scale")
 _NOWHERE: Final[frozenset[str]] = frozenset()
 
 NO_WORK: Final = (0.0, 0.0, 0.0)
@@ -174,6 +178,7 @@ class ModelCheck(Machine):
         """
         self._fused = config.heat.mode == "fused"
         self.couples = _couples(config, layout, roles)
+        self._places = [_place(one, layout) for one in self.couples]
         self._unknown = _UNKNOWN
         if self._fused and ROLE_INDEX["brake_switch"] in roles:
             # an assistant's: there is no pressure to compare
@@ -181,7 +186,10 @@ class ModelCheck(Machine):
         self._trust = Trust(
             layout.corners, settling_s, compares=False, has_switch=False
         )
+        self._remembers = False
         self._all = frozenset(layout.corners)
+        self._strong = _NOWHERE
+        self._disagrees = False
         self._before: tuple[int, float, float] | None = None
         self._apart_j = self._work_j = self._braked_j = 0.0
         self._forces_disagree = self._forces_strongly = False
@@ -207,7 +215,12 @@ class ModelCheck(Machine):
         for one in self.couples:
             if one.name in saved["couples"]:
                 one.restore(saved["couples"][one.name])
-        self._trust.restore(saved["trust"])
+        self._restore_trust(saved["trust"])
+        self._summarize()
+
+    def _restore_trust(self, saved: Any) -> None:
+        self._trust.restore(saved)
+        self._remembers = True
 
     def resume(
         self, document: Mapping[str, Any], parked_s: float | None
@@ -225,7 +238,7 @@ class ModelCheck(Machine):
             if parked_s is None:
                 self.restore(saved)
             else:
-                self._trust.restore(saved["trust"])
+                self._restore_trust(saved["trust"])
                 self.park(parked_s)
 
     def park(self, seconds: float) -> None:
@@ -249,33 +262,39 @@ class ModelCheck(Machine):
         found += [one.name for one in self.couples if one.disagrees]
         return tuple(found)
 
-    @property
-    def strong_corners(self) -> frozenset[str]:
-        """Corners that are far from what is measured now."""
-        if self._forces_strongly:
-            return self._all
-        if not any(one.strongly for one in self.couples):
-            return _NOWHERE
-        return frozenset(one.corner for one in self.couples if one.strongly)
-
     def findings(self, block: Block) -> list[frozenset[str]]:
-        """Return :attr:`strong_corners` at each publication of *block*.
+        """Return the corners far from what is measured, by publication.
+
+        Thermocouples count from when the start has no effect any more.
 
         Args:
             block: the next publications; its ``disagrees`` is filled in, its
                 validities are not read.
         """
-        wide, corners = len(CHANNELS), len(block.layout.corners)
-        size = wide * corners
+        wide = len(CHANNELS)
+        size = wide * len(block.layout.corners)
+        moved_by = _POWER if self._fused else _FB
         found = []
         for i, time_us in enumerate(block.times_us):
             first, end = i * size, (i + 1) * size
             pressed = sum(block.rows[first + _FF : end : wide])
-            moved_by = _POWER if self._fused else _FB
             moved = sum(block.rows[first + moved_by : end : wide])
-            self._take(block.at(i), time_us, pressed, moved)
-            block.disagrees.append(bool(self.disagreements))
-            found.append(self.strong_corners)
+            before, self._before = self._before, (time_us, pressed, moved)
+            dt_s = 0.0 if before is None else (time_us - before[0]) * 1e-6
+            if before is not None and 0.0 < dt_s < 1.0:
+                if block.flags[i] & self._unknown:
+                    self._young = self._ripe = NO_WORK
+                elif self._fused:
+                    scale = block.vehicle[i * len(VEHICLE_CHANNELS) + _SCALE]
+                    pressed = scale * (pressed - before[1])
+                    self._take_work(pressed, moved * dt_s, dt_s)
+                else:
+                    pressed, moved = pressed - before[1], moved - before[2]
+                    self._take_work(pressed, moved, dt_s)
+            if self.couples and time_us % EVERY_US == 0:
+                self._take_couples(block, i)
+            block.disagrees.append(self._disagrees)
+            found.append(self._strong)
         return found
 
     def holds(self, corner: str, step_s: float, *, found: bool) -> bool:
@@ -283,32 +302,10 @@ class ModelCheck(Machine):
 
         As :meth:`~bstm_daemon.estimator.trust.Trust.holds`.
         """
+        if not (found or self._remembers):
+            return False
+        self._remembers = True
         return self._trust.holds(corner, step_s, found=found)
-
-    def _take(
-        self, instant: Instant, time_us: int, pressed: float, moved: float
-    ) -> None:
-        """Take one publication, in the order of time.
-
-        Thermocouples count from when the start has no effect any more.
-        """
-        if self._before is not None:
-            then_us, old_pressed, old_moved = self._before
-            dt_s = (time_us - then_us) * 1e-6
-            if 0.0 < dt_s < 1.0:
-                if instant.flags & self._unknown:
-                    self._young = self._ripe = NO_WORK
-                elif self._fused:
-                    scale = instant.vehicle("friction_scale")
-                    self._take_work(
-                        scale * (pressed - old_pressed), moved * dt_s, dt_s
-                    )
-                else:
-                    self._take_work(
-                        pressed - old_pressed, moved - old_moved, dt_s
-                    )
-                self._take_couples(instant, dt_s)
-        self._before = time_us, pressed, moved
 
     def _take_work(
         self, pressed_j: float, moved_j: float, dt_s: float
@@ -341,15 +338,57 @@ class ModelCheck(Machine):
         self._forces_strongly = difference > (
             FORCE_COMES if self._forces_strongly else FORCE_STRONG
         )
+        self._summarize()
 
-    def _take_couples(self, instant: Instant, dt_s: float) -> None:
-        for one in self.couples:
-            measured_k = instant.channel(one.corner, f"measured_{one.node}_k")
-            ambient_k = instant.channel(one.corner, "ambient_k")
-            shown_k = instant.state(one.corner)[one.shown_node]
-            known = instant.history_known
-            residual_k = measured_k - shown_k if known else nan
-            one.take(residual_k, shown_k - ambient_k, dt_s)
+    def _take_couples(self, block: Block, i: int) -> None:
+        known, dt_s = i >= block.known_from, EVERY_US * 1e-6
+        size = len(CHANNELS) * len(block.layout.corners)
+        row = block.rows[i * size : (i + 1) * size]
+        taken = False
+        for one, place in zip(self.couples, self._places, strict=True):
+            measured_k = row[place.measured]
+            if known and isfinite(measured_k):
+                output = block.outputs[place.group]
+                shown_k = output[place.shown + i * place.stride]
+                rise_k = shown_k - row[place.ambient]
+                one.take(measured_k - shown_k, rise_k, dt_s)
+                taken = True
+            elif one.known_s > 0.0:
+                one.take(nan, 0.0, dt_s)
+                taken = True
+        if taken:
+            self._summarize()
+
+    def _summarize(self) -> None:
+        """Hold what the publications say until it changes."""
+        self._disagrees = bool(self.disagreements)
+        self._strong = self._all if self._forces_strongly else _NOWHERE
+        if not self._forces_strongly and self.couples:
+            self._strong = frozenset(
+                one.corner for one in self.couples if one.strongly
+            )
+
+
+class _Place(NamedTuple):
+    """Where a thermocouple stands in a block's rows, its node in outputs."""
+
+    measured: int
+    ambient: int
+    group: int
+    shown: int
+    stride: int
+
+
+def _place(one: Couple, layout: BlockLayout) -> _Place:
+    first = layout.rows[one.corner]
+    number, member, stride, group = layout.modelled[one.corner]
+    return _Place(
+        first + CHANNELS.index(f"measured_{one.node}_k"),
+        first + CHANNELS.index("ambient_k"),
+        number,
+        member + group.state_names.index(one.shown_node),
+        stride,
+    )
 
 
 def _couples(
