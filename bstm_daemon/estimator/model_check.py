@@ -45,9 +45,10 @@ FORCE_GOES: Final = 0.2
 """Thresholds with hysteresis of the relative difference of the works: friction
 varies by a tenth, mass and accelerometer add as much."""
 
-FORCE_STRONG: Final = 0.4
-"""From here on the heat is wrong by more than linings explain; the estimate
-is degraded until the works agree to within :data:`FORCE_COMES`."""
+FORCE_STRONG: Final = 0.6
+FORCE_STRONG_GOES: Final = 0.4
+"""Likewise of a difference that degrades the estimate: faded linings make
+40 %, brakes that modulate on ice 50 %."""
 
 EVERY_US: Final = 1_000_000
 """Thermocouples are compared on whole seconds."""
@@ -336,7 +337,7 @@ class ModelCheck(Machine):
             FORCE_GOES if self._forces_disagree else FORCE_COMES
         )
         self._forces_strongly = difference > (
-            FORCE_COMES if self._forces_strongly else FORCE_STRONG
+            FORCE_STRONG_GOES if self._forces_strongly else FORCE_STRONG
         )
         self._summarize()
 

@@ -63,13 +63,8 @@ CHECKS: Final = (
         ("fused",),
         ((2, _SPEEDS), (1, tuple(GROUND_LAG_S))),
     ),
+    # in ff and fb a pressure that reads zero ends Feed-Back too
     Check(Input.PRESSURE, "motion and torque", ("fused",), ((1, (_TORQUE,)),)),
-    Check(
-        Input.PRESSURE,
-        "motion and torque",
-        ("ff",),
-        ((1, _SPEEDS), (1, (_ACCELERATION,)), (1, (_TORQUE,))),
-    ),
     Check(Input.ACCELERATION, "changes of speed", ("fused",)),
     Check(
         Input.ACCELERATION,
@@ -103,7 +98,7 @@ def inputs_of(config: Config, roles: Collection[str]) -> tuple[Input, ...]:
     if mode == "measured":
         return (Input.TEMPERATURE,)
     found = [Input.SPEED]
-    if mode in {"ff", "fused"}:
+    if mode != "fb" or any(role in roles for role in _PRESSURES):
         found.append(Input.PRESSURE)
     if mode in {"fb", "fused"}:
         if config.heat.slope == "accelerometer" and _ACCELERATION in roles:
