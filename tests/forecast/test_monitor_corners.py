@@ -45,9 +45,10 @@ HOT_PADS_K = dict.fromkeys(
 )
 """They heat the fluid for some minutes more."""
 
-pytestmark = pytest.mark.skipif(
-    load_kernel() is None, reason="minutes in pure Python"
-)
+pytestmark = [
+    pytest.mark.usefixtures("all_verified"),
+    pytest.mark.skipif(load_kernel() is None, reason="minutes in pure Python"),
+]
 
 
 def car(*names: str) -> Config:
