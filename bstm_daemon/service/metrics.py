@@ -18,7 +18,13 @@ from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily
 from prometheus_client.registry import Collector
 
 from bstm_daemon.bus.live.link import LinkEvent, LinkState
-from bstm_daemon.estimate import REASON_WORDS, RiskLevel, State, Validity
+from bstm_daemon.estimate import (
+    REASON_WORDS,
+    Input,
+    RiskLevel,
+    State,
+    Validity,
+)
 from bstm_daemon.model.heat.plausibility import FAULTS
 from bstm_daemon.units import to_celsius
 
@@ -143,6 +149,12 @@ def _of_service(status: ServiceStatus) -> Iterator[Metric]:
         "Fault of the inputs or the heat: 1 if present.",
         {(name,): name in status.faults for name in FAULTS},
         "fault",
+    )
+    yield _gauge(
+        "input_unverified",
+        "Whether no mapped role can check the input: 1 if so.",
+        {(one.words[0],): one in status.unverified for one in Input},
+        "input",
     )
     subjects = (
         "heat",

@@ -11,8 +11,10 @@ from math import isfinite, nan
 from typing import TYPE_CHECKING, Final
 
 from bstm_daemon.estimate import (
+    NO_INPUT,
     NO_REASON,
     HeatMode,
+    Input,
     Reason,
     RiskLevel,
     State,
@@ -115,6 +117,8 @@ class ServiceStatus:
     faults: tuple[str, ...] = ()
     """What is wrong with the inputs or the heat: names of
     :data:`~bstm_daemon.model.heat.plausibility.FAULTS`."""
+    unverified: Input = NO_INPUT
+    """Inputs that no mapped role can check."""
     disagreements: tuple[str, ...] = ()
     """What the model disagrees with: ``heat``, or corner and thermocouple."""
     force_difference: float = nan
@@ -145,6 +149,8 @@ def status_line(status: ServiceStatus) -> str:
     parts = [status.state.name.lower()]
     parts += [bus.reason for bus in status.buses.values() if bus.reason]
     parts += [WORDS[name] for name in status.faults if name in _IN_LINE]
+    if status.unverified:
+        parts.append(f"unverified: {', '.join(status.unverified.words)}")
     if status.disagreements:
         parts.append(f"model disagrees: {', '.join(status.disagreements)}")
     parts += _hottest(status.corners)

@@ -71,6 +71,7 @@ class StatusCollector:
             heat_mode=engine.heat_mode,
             history_known=published is not None and published.history_known,
             faults=fault_names(flags),
+            unverified=engine.unverified,
             disagreements=engine.estimator.model_check.disagreements,
             force_difference=engine.estimator.model_check.force_difference,
             residuals_k={

@@ -8,7 +8,7 @@ from math import nan
 import pytest
 
 from bstm_daemon.bus.live.link import LinkState
-from bstm_daemon.estimate import RiskLevel, State, Validity
+from bstm_daemon.estimate import Input, RiskLevel, State, Validity
 from bstm_daemon.service.status import (
     BusStatus,
     CornerStatus,
@@ -73,6 +73,15 @@ def test_suspect_inputs_and_foreign_heat_are_told() -> None:
 
     assert line.startswith("running, wheel speed suspect, heat unknown, disc ")
     assert "stuck" not in line
+
+
+def test_what_nothing_checks_is_in_the_line() -> None:
+    """It degrades the estimate all the time."""
+    unverified = Input.SPEED | Input.PRESSURE
+
+    line = status_line(replace(RUNNING, unverified=unverified))
+
+    assert line.startswith("running, unverified: speed, pressure, disc ")
 
 
 def test_no_number_is_not_shown() -> None:
