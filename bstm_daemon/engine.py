@@ -99,6 +99,7 @@ class Engine:
         signal_map: SignalMap,
         *,
         history_known: bool = False,
+        initial_k: float | None = None,
         forecast: bool = True,
     ) -> None:
         """Build the engine of *config*.
@@ -106,8 +107,10 @@ class Engine:
         Args:
             config: the vehicle.
             signal_map: its extraction plan.
-            history_known: whether the brakes are known to be at ambient
-                temperature before the first frame.
+            history_known: whether the brakes are known to be at *initial_k*
+                before the first frame.
+            initial_k: temperature [K] at the start; default: the configured
+                ambient.
             forecast: whether risk and forecast are made; without them the
                 level is that of the margin.
 
@@ -120,7 +123,7 @@ class Engine:
         self._guard = E2eGuard(signal_map)
         present = {role: timeouts[role] for role in roles}
         self.estimator = Estimator(
-            config, present, history_known=history_known
+            config, present, history_known=history_known, initial_k=initial_k
         )
         self.risk = RiskMonitor(config, self.estimator) if forecast else None
         self.publication = Publication(

@@ -235,11 +235,16 @@ class CornerRisk:
     present duty goes on to the horizon and ``duty_in_s`` the time until
     vapour is likely then, infinite for never. Times count from
     :attr:`CarRisk.forecast_us`.
+
+    As long as the start is unknown all of it is of the hot bound, so at most
+    as given. ``sure_level`` is then unknown unless the estimate, which began
+    cold, is raised too or the bound is normal.
     """
 
     probability: float = nan
     probability_now: float = nan
     level: RiskLevel = RiskLevel.UNKNOWN
+    sure_level: RiskLevel = RiskLevel.UNKNOWN
     fade: RiskLevel = RiskLevel.UNKNOWN
     fluid_deviation_k: float = nan
     peak_k: float = nan
@@ -286,8 +291,10 @@ class CornerEstimate:
 
     ``boiling_k`` is the boiling point of a wet fluid of the grade. ``level``
     is that of the risk, without a forecast that of the margin; without one
-    ``risk`` is None. ``forecast_age_s`` is the age of the forecast;
-    ``reasons`` are those why the estimate is not valid.
+    ``risk`` is None. As long as the start is unknown it is of the hot bound,
+    and what alarms anybody goes by ``sure_level``, see :class:`CornerRisk`.
+    ``forecast_age_s`` is the age of the forecast; ``reasons`` are those why
+    the estimate is not valid.
     """
 
     disc_k: float = nan
@@ -298,6 +305,7 @@ class CornerEstimate:
     validity: Validity = Validity.NOT_AVAILABLE
     reasons: Reason = NO_REASON
     level: RiskLevel = RiskLevel.UNKNOWN
+    sure_level: RiskLevel = RiskLevel.UNKNOWN
     risk: CornerRisk | None = None
     forecast_age_s: float = nan
     wear: WearEstimate = NO_WEAR
@@ -326,7 +334,7 @@ class CornerEstimate:
 
     def is_at_least(self, level: RiskLevel) -> bool:
         """Return whether the level is known to be *level* or worse."""
-        return self.validity.is_usable and self.level.severity >= (
+        return self.validity.is_usable and self.sure_level.severity >= (
             level.severity
         )
 

@@ -91,8 +91,11 @@ class Block:
     validity: dict[str, array[int]]
     reasons: dict[str, array[int]]
     disagrees: array[int]
-    known_from: int
-    """The first publication on which the start has no effect."""
+    known_from: dict[str, int]
+    """Per corner of a thermal model: the first publication on which the start
+    has no effect."""
+    bounds: tuple[array[float], ...]
+    """As ``outputs``, from the hot start; empty where no start was unknown."""
     wear: dict[str, Laws]
     """Per corner of a thermal model: wear laws, each from a publication on."""
 
@@ -120,8 +123,12 @@ class Instant:
 
     @property
     def history_known(self) -> bool:
-        """Whether the start temperature has no effect any more."""
-        return self.i >= self.block.known_from
+        """Whether the start of no corner has an effect any more."""
+        return all(map(self.start_known, self.block.layout.modelled))
+
+    def start_known(self, corner: str) -> bool:
+        """Whether the start of *corner* has no effect any more."""
+        return self.i >= self.block.known_from[corner]
 
     @property
     def model_disagrees(self) -> bool:
@@ -142,16 +149,25 @@ class Instant:
         first = self._row(corner)
         return self.block.rows[first : first + len(CHANNELS)]
 
-    def output(self, corner: str) -> array[float]:
-        """Return state and running energies of *corner*."""
+    def output(self, corner: str, *, hottest: bool = False) -> array[float]:
+        """Return state and running energies of *corner*.
+
+        Args:
+            corner: its name.
+            hottest: of the hot bound, as long as the start is unknown.
+        """
         number, first, stride, group = self.block.layout.modelled[corner]
         first += self.i * stride
-        return self.block.outputs[number][first : first + group.size]
+        bounded = hottest and not self.start_known(corner)
+        outputs = self.block.bounds if bounded else self.block.outputs
+        return outputs[number][first : first + group.size]
 
-    def state(self, corner: str) -> dict[str, float]:
-        """Return nodes [K] and memories of *corner* by name."""
+    def state(self, corner: str, *, hottest: bool = False) -> dict[str, float]:
+        """Return nodes [K] and memories by name; Args as of :meth:`output`."""
         names = self.block.layout.modelled[corner][3].state_names
-        return dict(zip(names, self.output(corner), strict=False))
+        return dict(
+            zip(names, self.output(corner, hottest=hottest), strict=False)
+        )
 
     def validity(self, corner: str) -> Validity:
         """Return how far the estimate of *corner* may be relied on."""

@@ -342,12 +342,13 @@ class ModelCheck(Machine):
         self._summarize()
 
     def _take_couples(self, block: Block, i: int) -> None:
-        known, dt_s = i >= block.known_from, EVERY_US * 1e-6
+        dt_s = EVERY_US * 1e-6
         size = len(CHANNELS) * len(block.layout.corners)
         row = block.rows[i * size : (i + 1) * size]
         taken = False
         for one, place in zip(self.couples, self._places, strict=True):
             measured_k = row[place.measured]
+            known = i >= block.known_from[one.corner]
             if known and isfinite(measured_k):
                 output = block.outputs[place.group]
                 shown_k = output[place.shown + i * place.stride]

@@ -123,7 +123,7 @@ def judge(
                 found=of_car[i] or bool(flags & need.remembered),
             )
             why = Reason.UNVERIFIED.value if need.unverified else 0
-            if i < block.known_from:
+            if i < block.known_from[name]:
                 why |= Reason.START_UNKNOWN.value
             if flags & need.missing or (
                 need.measured

@@ -266,23 +266,24 @@ class ServiceReporter:
                     reasons=", ".join(corner.reasons.words),
                 )
             before = self._levels.get(name, RiskLevel.UNKNOWN)
-            if corner.risk is before:
+            risk = corner.sure_risk
+            if risk is before:
                 continue
-            self._levels[name] = corner.risk
-            known = RiskLevel.UNKNOWN not in {before, corner.risk}
-            rose = corner.risk in {RiskLevel.ELEVATED, *KEPT_LEVELS}
+            self._levels[name] = risk
+            known = RiskLevel.UNKNOWN not in {before, risk}
+            rose = risk in {RiskLevel.ELEVATED, *KEPT_LEVELS}
             if known:
-                rose = corner.risk > before
+                rose = risk > before
             self._log.emit(
                 events.RISK_ROSE if rose else events.RISK_FELL,
                 corner=name,
-                level=corner.risk.name.lower(),
+                level=risk.name.lower(),
                 # JSON has no NaN
                 margin_k=round(corner.margin_k, 1)
                 if isfinite(corner.margin_k)
                 else None,
             )
-            if rose and corner.risk in KEPT_LEVELS:
+            if rose and risk in KEPT_LEVELS:
                 self.keep("risk", now_us)
 
     def _report_losses(self, now_us: int) -> None:

@@ -48,7 +48,8 @@ class CornerStatus:
 
     ``nodes_k`` is the temperature [K] by node name, ``margin_k`` the wet
     boiling point minus that of the fluid; NaN where there is none.
-    ``forecast`` is None where there is none.
+    ``forecast`` is None where there is none; ``sure_risk`` is unknown where
+    only the hot bound of an unknown start is raised.
     """
 
     nodes_k: Mapping[str, float]
@@ -57,6 +58,7 @@ class CornerStatus:
     validity: Validity = Validity.NOT_AVAILABLE
     reasons: Reason = NO_REASON
     forecast: CornerRisk | None = None
+    sure_risk: RiskLevel = RiskLevel.UNKNOWN
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,9 +155,11 @@ def status_line(status: ServiceStatus) -> str:
         parts.append(f"unverified: {', '.join(status.unverified.words)}")
     if status.disagreements:
         parts.append(f"model disagrees: {', '.join(status.disagreements)}")
-    parts += _hottest(status.corners)
+    most = "" if status.history_known else "at most "
+    parts += _hottest(status.corners, most)
     if status.risk is not None and isfinite(status.risk.probability):
-        parts.append(f"vapour {100.0 * status.risk.probability:.1f} %")
+        percent = 100.0 * status.risk.probability
+        parts.append(f"vapour {most}{percent:.1f} %")
         if not status.compiled_kernel:
             parts.append(f"{status.forecast_members} members")
     if not status.history_known:
@@ -168,7 +172,7 @@ def status_line(status: ServiceStatus) -> str:
     return ", ".join(parts)
 
 
-def _hottest(corners: Mapping[str, CornerStatus]) -> list[str]:
+def _hottest(corners: Mapping[str, CornerStatus], most: str) -> list[str]:
     parts = []
     for node, label in (("disc", "disc"), ("fluid", "fluid")):
         hottest = max(
@@ -183,11 +187,11 @@ def _hottest(corners: Mapping[str, CornerStatus]) -> list[str]:
             kelvin, name = hottest
             parts.append(f"{label} {name} {to_celsius(kelvin):.0f} degC")
     if corners:
-        parts.append(_risk(list(corners.values())))
+        parts.append(_risk(list(corners.values()), most))
     return parts
 
 
-def _risk(corners: Sequence[CornerStatus]) -> str:
+def _risk(corners: Sequence[CornerStatus], most: str) -> str:
     known = [
         corner.risk
         for corner in corners
@@ -202,4 +206,6 @@ def _risk(corners: Sequence[CornerStatus]) -> str:
         corner.margin_k for corner in corners if isfinite(corner.margin_k)
     ]
     margin = f", margin {min(margins):.0f} K" if margins else ""
-    return f"risk {worst.name.lower()}{margin}"
+    if worst is RiskLevel.UNKNOWN:
+        most = ""
+    return f"risk {most}{worst.name.lower()}{margin}"

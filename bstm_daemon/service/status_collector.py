@@ -149,6 +149,7 @@ def _corner(engine: Engine, name: str) -> CornerStatus:
         corner.validity,
         corner.reasons,
         corner.risk,
+        corner.sure_level,
     )
 
 

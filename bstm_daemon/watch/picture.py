@@ -115,7 +115,9 @@ def _head(board: Board, now_us: int, source: str) -> list[tuple[str, str]]:
         parts.append(("heat substituted or unknown", "yellow"))
     known = board.is_set("HistoryKnown")
     parts.append(
-        ("history known", "") if known else ("history unknown", "yellow")
+        ("history known", "")
+        if known
+        else ("history unknown: risk at most as shown", "yellow")
     )
     if board.value(STATUS, "CompiledKernel") == 0:
         parts.append(("Python kernel", ""))

@@ -14,7 +14,6 @@ from cantools.database.can import Database
 from bstm_daemon.bus.live.link import Frame
 from bstm_daemon.bus.opening import open_log
 from bstm_daemon.cli.main import main
-from bstm_daemon.engine import Engine
 from bstm_daemon.estimate import Reason, Validity
 from bstm_daemon.estimator.estimator import Estimator
 from bstm_daemon.estimator.model_check import Couple
@@ -160,9 +159,6 @@ def beside(
         log, simulated, Encoder(ROOT / "dbc" / "example_vehicle.dbc")
     )
     monitor = build_monitor(path, BusOverride(), forecast=False)
-    cold = Engine(
-        monitor.config, monitor.signal_map, history_known=True, forecast=False
-    )
     axis, lines = SteadyAxis(), Lines()
     intake = Intake(monitor.links(), axis)
     sender = Sender(None, frozenset(), monitor.engine.publication)
@@ -170,7 +166,7 @@ def beside(
     reporter.begin(monitor, intake, sender)
     collector = StatusCollector(monitor, intake, sender, axis, 0)
     engine, flags = monitor.engine, []
-    engine.estimator.history_left_steps = cold.estimator.history_left_steps
+    engine.estimator.start.end()
     status = DATABASE.get_message_by_name("BSTM_Status")
     next_us = tick_us = first_us = 0
     for chunk in open_log(log).chunks():

@@ -67,9 +67,7 @@ class Sender:
             validity=self.validity,
             reasons=self.reasons,
             level=published_level(
-                level_of_margin(155.0 - fluid_c),
-                self.validity,
-                history_known=self.status["history_known"],
+                level_of_margin(155.0 - fluid_c), self.validity
             ),
         )
         frames = self.publication.encode(
