@@ -45,7 +45,7 @@ DESCENT_MS: Final = 9.0
 """Speed of the hottest descent: 32 km/h, the slowest of ``docs/risk.md``; the
 slower, the less air cools the caliper of a disc that hot."""
 
-_DESCENT: Final = 180, 120.0
+_DESCENT: Final = 96, 20.0
 _SOAK: Final = 180, 20.0
 """Steps and their length [s]: 6 h down bring every node to rest, and parked
 each has its peak within the hour."""
@@ -242,10 +242,8 @@ def _descended(
     net = program.network.edit_node(
         "disc", lambda node: replace(node, boundary_input="measured_disc_k")
     )
-    batch = Batch([compile_network(net)], disc_k, [0], kernel, 1)
-    for i, node in enumerate(net.nodes):
-        if node.boundary_input == "ambient_k":
-            batch.state[i] = air_k
+    batch = Batch([compile_network(net)], air_k, [0], kernel, 1)
+    batch.state[program.state_names.index("disc")] = disc_k
     given_off = [
         (i, 1.0 if link.a == "disc" else -1.0)
         for i, link in enumerate(net.links)

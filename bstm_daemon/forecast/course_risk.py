@@ -13,7 +13,13 @@ from dataclasses import dataclass, field, replace
 from math import isnan, nan
 from typing import TYPE_CHECKING, Final
 
-from bstm_daemon.estimate import CarRisk, CornerRisk, RiskLevel, Validity
+from bstm_daemon.estimate import (
+    CarRisk,
+    CornerRisk,
+    Reason,
+    RiskLevel,
+    Validity,
+)
 from bstm_daemon.forecast.march import (
     DUTY_STEPS,
     HORIZON_S,
@@ -163,10 +169,15 @@ class CourseRisk:
         """Return the ensemble of each corner."""
         return {c.name: c.ensemble for c in self._corners}
 
-    def advance(self, instant: Instant, share: int = 1) -> CarRisk:
+    def advance(
+        self, instant: Instant, share: int = 1, *, duty: bool = True
+    ) -> CarRisk:
         """Return the risk at *instant*, the next publication.
 
-        *share* divides the part of a forecast that is computed.
+        Args:
+            instant: the publication.
+            share: divides the part of a forecast that is computed.
+            duty: whether it goes on to what comes if the duty continues.
         """
         time_us = instant.time_us
         if self._last_us is None or not (
@@ -193,7 +204,7 @@ class CourseRisk:
         if at_stop or due or first:
             self._begin(instant, at_stop=at_stop)
         if self._forecast is not None:
-            self._work(self._forecast, share)
+            self._work(self._forecast, share, duty=duty)
         return self._published(instant)
 
     def _begin_anew(self) -> None:
@@ -215,7 +226,7 @@ class CourseRisk:
             deviation_k = corner.ensemble.fluid_deviation_k(
                 state["fluid"],
                 instant.channel(name, "ambient_k"),
-                _factor(instant.validity(name)),
+                self._factor(instant, name),
             )
             corner.now_k = [
                 state["fluid"] + deviation_k * draw
@@ -254,6 +265,14 @@ class CourseRisk:
             corners={c.name: c.record for c in self._corners},
         )
 
+    def _factor(self, instant: Instant, corner: str) -> float:
+        """Return how much less certain *corner* is than a valid estimate."""
+        why = instant.reasons(corner)
+        if self._is_bound:
+            # as high as the start may make it already
+            why &= ~Reason.START_UNKNOWN
+        return DEGRADED_FACTOR if why else 1.0
+
     def _begin(self, instant: Instant, *, at_stop: bool) -> None:
         self._stopped = self._stopped and not at_stop
         names = [corner.name for corner in self._corners]
@@ -267,16 +286,18 @@ class CourseRisk:
                 c.duty.conditions(instant.channel(c.name, "ambient_k"))
                 for c in self._corners
             ],
-            [_factor(instant.validity(name)) for name in names],
+            [self._factor(instant, name) for name in names],
             self._fluid.boiling(instant.time_us),
             at_stop,
         )
 
-    def _work(self, forecast: _Forecast, share: int) -> None:
+    def _work(self, forecast: _Forecast, share: int, *, duty: bool) -> None:
         """Compute one publication's portion of *forecast*."""
         count = len(self._corners)
         if forecast.index == count and not forecast.published:
             self._commit(forecast)
+            if not duty:
+                self._forecast = None
             return
         place = forecast.index % count
         corner = self._corners[place]
@@ -422,7 +443,3 @@ class CourseRisk:
 def _hottest(series: Sequence[Sequence[float]]) -> list[float]:
     """Return the hottest corner of each member; *series* one a corner."""
     return [max(values) for values in zip(*series, strict=True)]
-
-
-def _factor(validity: Validity) -> float:
-    return 1.0 if validity == Validity.VALID else DEGRADED_FACTOR

@@ -106,8 +106,9 @@ class RiskMonitor:
         if self._bound is None:
             self._bound = self._of_bound()
         # half as fast, so that no publication has more to do
-        least = self.course.advance(instant, share=2)
         most = self._bound.advance(instant, share=2)
+        # only its level of a car that parks is wanted
+        least = self.course.advance(instant, share=2, duty=False)
         if self._last is not None:
             *of, published = self._last
             if of[0] is least and of[1] is most:
