@@ -212,15 +212,13 @@ def _start_remarks(start: str, known_s: float) -> list[str]:
         return ["start cold: as cold as the air, because --start says so"]
     if not known_s > 0.0:
         return []
-    until = (
-        "start not known to the end"
-        if isinf(known_s)
-        else f"start known after {known_s / 60.0:.0f} min"
-    )
+    known, until = "start not known to the end", "throughout"
+    if not isinf(known_s):
+        known, until = f"start known after {known_s / 60.0:.0f} min", "before"
     return [
         (
-            f"the brakes' temperatures before the log are unknown: {until}, "
-            "until then degraded and the risk at most as given (--start cold "
+            f"the brakes' temperatures before the log are unknown: {known}; "
+            f"{until} degraded, and the risk at most as given (--start cold "
             "where the brakes were cold)"
         )
     ]
