@@ -17,6 +17,7 @@ from bstm_daemon.bus.opening import EventLog
 from bstm_daemon.bus.output.layout import ADVICE_OFFSET, own_ids
 from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.errors import ConfigError, FileAccessError, LogError
+from bstm_daemon.estimate import Reason
 from bstm_daemon.estimator.estimator import Estimator
 from bstm_daemon.forecast.monitor import RiskMonitor
 from bstm_daemon.native.loader import load_kernel
@@ -115,6 +116,38 @@ def published(log: Path) -> Path:
     config, signal_map = load_vehicle(CAR)
     assert publish(config, signal_map, log, out) > 0
     return out
+
+
+@pytest.mark.skipif(load_kernel() is None, reason="half an hour of data")
+def test_when_the_start_was_known_is_counted_from_the_first_estimate(
+    tmp_path: Path,
+) -> None:
+    """Its minutes are those after which no row has the reason any more."""
+    path = tmp_path / "motorway.log"
+    motorway = """
+[drive]
+name = "motorway"
+description = "light brakes in much air"
+[[segment]]
+speed_kmh = 108.0
+rate_ms2 = 4.0
+gear = 5
+duration_s = 1500.0
+"""
+    write_candump(path, simulate(parse_drive(motorway, "motorway")), ENCODER)
+    light = load_vehicle(ROOT / "tests" / "golden" / "alpine.toml")
+
+    found = replay_log(*light, path, every_us=1_000_000, forecast=False)
+
+    assert 15.0 < found.start_known_s / 60.0 < 25.0
+    time_s = found.results.columns["time_s"]
+    for corner in found.results.modelled:
+        why = found.results.columns[f"{corner}.reasons"].astype(int)
+        unknown = time_s[(why & Reason.START_UNKNOWN) != 0]
+        assert unknown[-1] - time_s[0] <= found.start_known_s
+    assert unknown[-1] - time_s[0] == pytest.approx(
+        found.start_known_s, abs=2.0
+    )
 
 
 def publish(
