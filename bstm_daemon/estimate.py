@@ -236,9 +236,9 @@ class CornerRisk:
     vapour is likely then, infinite for never. Times count from
     :attr:`CarRisk.forecast_us`.
 
-    As long as the start is unknown all of it is of the hot bound, so at most
-    as given. ``sure_level`` is then unknown unless the estimate, which began
-    cold, is raised too or the bound is normal.
+    As long as the start is unknown all of it but the deviation is of the hot
+    bound, so at most as given. ``sure_level`` is then unknown unless the
+    estimate, which began cold, is raised too or the bound is normal.
     """
 
     probability: float = nan

@@ -119,6 +119,8 @@ class RiskMonitor:
             else replace(
                 most.corners[name],
                 sure_level=sure_level(risk.level, most.corners[name].level),
+                # of the temperature that is published, the estimate's
+                fluid_deviation_k=risk.fluid_deviation_k,
             )
             for name, risk in least.corners.items()
         }
