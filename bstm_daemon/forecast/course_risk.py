@@ -267,11 +267,12 @@ class CourseRisk:
 
     def _factor(self, instant: Instant, corner: str) -> float:
         """Return how much less certain *corner* is than a valid estimate."""
-        why = instant.reasons(corner)
-        if self._is_bound:
-            # as high as the start may make it already
-            why &= ~Reason.START_UNKNOWN
-        return DEGRADED_FACTOR if why else 1.0
+        # the bound is as high already as the start may make it
+        is_bounded = (
+            self._is_bound and instant.reasons(corner) is Reason.START_UNKNOWN
+        )
+        is_valid = instant.validity(corner) is Validity.VALID
+        return 1.0 if is_valid or is_bounded else DEGRADED_FACTOR
 
     def _begin(self, instant: Instant, *, at_stop: bool) -> None:
         self._stopped = self._stopped and not at_stop
