@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from array import array
 from dataclasses import replace
+from math import isfinite
 from typing import TYPE_CHECKING, Final
 
 from bstm_daemon.estimator.blocks import channels_at_rest
@@ -231,6 +232,9 @@ def hottest_k(
     peaks_k = {
         name: max(down[i], *parked[i::size]) for i, name in enumerate(nodes)
     }
+    if not isfinite(sum(down) + sum(parked)):
+        # a network that can not be marched so far is as hot as its disc
+        peaks_k = dict.fromkeys(nodes, disc_k)
     # the last stop may have heated the face of the linings like the disc
     return peaks_k | {"pad_front": disc_k}
 

@@ -182,6 +182,25 @@ def test_a_restart_goes_on_with_the_same_bits(
         assert export_state(second) == export_state(whole)
 
 
+def test_a_restart_keeps_every_bit_of_the_bound(
+    make_car: Any, compiled: Kernel
+) -> None:
+    assert compiled is not None
+    samples = drive(600)
+    whole = Estimator(make_car(), PRESENT)
+    fed(whole, samples)
+    first, second = (Estimator(make_car(), PRESENT) for _ in range(2))
+    first.advance(*(column[:600] for column in samples))
+    document = json.loads(json.dumps(export_state(first)))
+    assert restore_state(second, document, resume=True).resumed
+
+    fed(second, samples, 600)
+
+    assert export_state(second) == export_state(whole)
+    bound = export_state(second)["start_bound"]
+    assert bound["FL"]["fluid"] > second.state("FL")["fluid"] + 50.0
+
+
 def test_a_state_without_a_corner_leaves_its_start_unknown(
     cars: list[Any],
 ) -> None:
@@ -261,3 +280,13 @@ def test_both_forms_find_the_same_hottest_start(
     assert hottest_k(program, 950.0, AIR_K, None) == hottest_k(
         program, 950.0, AIR_K, compiled
     )
+
+
+def test_a_network_that_can_not_be_marched_is_as_hot_as_its_disc(
+    make_car: Any,
+) -> None:
+    program = Estimator(make_car(), PRESENT).programs["FL"]
+
+    hottest = hottest_k(program, 900.0, float("nan"), load_kernel())
+
+    assert set(hottest.values()) == {900.0}

@@ -232,6 +232,11 @@ def test_a_clock_set_late_corrects_a_car_that_stood(
 
     for node, kelvin in right.state("FL").items():
         assert wrong.state("FL")[node] == pytest.approx(kelvin, abs=0.05)
+    bound = right.start.states()["FL"]
+    for node, kelvin in bound.items():
+        found_k = wrong.start.states()["FL"][node]
+        assert found_k == pytest.approx(kelvin, abs=0.1), node
+    assert bound["fluid"] > right.state("FL")["fluid"] + 10.0
 
 
 def test_a_clock_set_late_corrects_a_car_that_braked(config: Config) -> None:

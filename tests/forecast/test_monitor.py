@@ -226,6 +226,22 @@ def test_levels_of_the_bound_go_over_a_restart() -> None:
     assert bound.level is RiskLevel.CRITICAL
 
 
+def test_vapour_while_away_counts_for_the_bound_alone() -> None:
+    """The estimate was cold, a brake as hot as the bound was not."""
+    config = car()
+    first = Estimator(config, MAPPED)
+    second = Estimator(config, MAPPED)
+    restore_state(second, export_state(first), resume=False)
+    monitor = RiskMonitor(config, second)
+
+    monitor.resume(export_state(first), 600_000_000, START_US)
+
+    levels = {name: one.level for name, one in monitor.memories().items()}
+    assert levels["bound.car"] is RiskLevel.CRITICAL
+    assert levels["bound.FL.fluid"] is RiskLevel.CRITICAL
+    assert levels["car"] is levels["FL.fluid"] is RiskLevel.NORMAL
+
+
 def test_hot_brakes_raise_the_levels() -> None:
     """A wet fluid on a hard descent: elevated before the stop, then more."""
     config = car()
