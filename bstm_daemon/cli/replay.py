@@ -212,14 +212,15 @@ def _start_remarks(start: str, known_s: float) -> list[str]:
         return ["start cold: as cold as the air, because --start says so"]
     if not known_s > 0.0:
         return []
-    known, until = "start not known to the end", "throughout"
+    known, until = "start not known by the end of the log", "throughout"
     if not isinf(known_s):
-        known, until = f"start known after {known_s / 60.0:.0f} min", "before"
+        known = f"start known after {known_s / 60.0:.0f} min"
+        until = "until then"
     return [
         (
             f"the brakes' temperatures before the log are unknown: {known}; "
-            f"{until} degraded, and the risk at most as given (--start cold "
-            "where the brakes were cold)"
+            f"degraded and the risk an upper bound {until} (--start cold if "
+            "the brakes were cold)"
         )
     ]
 

@@ -189,7 +189,7 @@ def test_a_start_that_stays_unknown_is_said(
 
     assert replay(log, "--report", report, "--no-forecast") == 0
 
-    said = "start not known to the end; throughout degraded"
+    said = "start not known by the end of the log; degraded and the risk an"
     assert said in capsys.readouterr().out
     assert said in report.read_text(encoding="utf-8")
 
