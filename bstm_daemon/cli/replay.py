@@ -155,7 +155,9 @@ def run(args: argparse.Namespace) -> int:
         print(f"{path}  ({config.vehicle.id}, {args.config})")
         print(summary_table(statistics.summary()))
         unverified = unverified_of_car(config, signal_map.roles())
-        remarks = [f"nothing checks the {one}" for one in unverified.words]
+        remarks = [
+            f"unverified: nothing checks the {one}" for one in unverified.words
+        ]
         remarks += _start_remarks(args.start, log_run.start_known_s)
         remarks += _remarks(log_run, statistics, config.heat.mode)
         for line in remarks:

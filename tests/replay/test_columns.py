@@ -293,6 +293,25 @@ def test_published_temperatures_are_the_estimates(
     assert compared > 4 * 5 * len(plain.results) - 100
 
 
+def test_published_reasons_are_those_of_the_table(
+    published: Path, plain: Replay
+) -> None:
+    """The bits of every corner, in each row."""
+    columns = plain.results.columns
+    message = DATABASE.get_message_by_name("BSTM_Reasons")
+    sent = {}
+    for at_us, _, can_id, data in frames_of(published):
+        if can_id == message.frame_id:
+            values = message.decode(data, decode_choices=False)
+            assert isinstance(values, dict)
+            sent[at_us] = [values[f"Reasons{corner}"] for corner in CORNERS]
+
+    rows = np.column_stack([columns[f"{c}.reasons"] for c in CORNERS])
+    for at_s, row in zip(columns["time_s"].tolist(), rows, strict=True):
+        assert sent[round(at_s * 1e6)] == row.tolist()
+    assert {Reason.START_UNKNOWN} <= set(rows.ravel().astype(int).tolist())
+
+
 def test_publication_covers_the_whole_log(
     published: Path, plain: Replay
 ) -> None:
