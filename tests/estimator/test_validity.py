@@ -206,13 +206,15 @@ def test_an_unknown_start_is_a_reason_until_it_settles(
 ) -> None:
     """It ends long before a parked brake would have come to rest."""
     assert compiled is not None
-    config = front(cooling={"speed_ms": [0.0, 9.0], "s_per_s": [0.1, 0.1]})
+    cooling = {"speed_ms": [0.0, 9.0], "s_per_s": [0.005, 0.005]}
+    thermal = {"fluid_dynamic_convection_ws_mk": 0.5}
+    config = front(cooling=cooling, thermal=thermal)
 
-    found = over_spans(config, [(600.0, MOVING)])
+    found = over_spans(config, [(1500.0, MOVING)])
 
     assert reasons_in(found, "FR") == [Reason.START_UNKNOWN, NO_REASON]
     minutes = found["FR why"].count(1) / PUBLISHED_PER_S / 60.0
-    assert minutes == pytest.approx(7.4, abs=0.1)
+    assert minutes == pytest.approx(18.8, abs=0.1)
     assert Estimator(config, {}).settling_s > 3600.0
 
 
