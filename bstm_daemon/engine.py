@@ -8,7 +8,6 @@ service, replay and tests are thin shells around these two.
 from __future__ import annotations
 
 from array import array
-from contextlib import suppress
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from bstm_daemon.advice.advisor import Advisor
@@ -28,13 +27,13 @@ from bstm_daemon.estimate import (
 from bstm_daemon.estimator.corner_estimates import corner_estimates
 from bstm_daemon.estimator.estimator import STEP_US, Estimator
 from bstm_daemon.estimator.memory import Int64, Saved, checked
-from bstm_daemon.estimator.model_check import ModelCheck
 from bstm_daemon.estimator.state import (
     correct_parked,
     export_state,
     park,
     resume_state,
 )
+from bstm_daemon.estimator.verified import unverified_of_car
 from bstm_daemon.forecast.monitor import RiskMonitor
 from bstm_daemon.model.heat.plausibility import SUBSTITUTED, SUSPECT
 from bstm_daemon.model.heat.sample_pass import TICK
@@ -100,6 +99,7 @@ class Engine:
         signal_map: SignalMap,
         *,
         history_known: bool = False,
+        initial_k: float | None = None,
         forecast: bool = True,
     ) -> None:
         """Build the engine of *config*.
@@ -107,8 +107,10 @@ class Engine:
         Args:
             config: the vehicle.
             signal_map: its extraction plan.
-            history_known: whether the brakes are known to be at ambient
-                temperature before the first frame.
+            history_known: whether the brakes are known to be at *initial_k*
+                before the first frame.
+            initial_k: temperature [K] at the start; default: the configured
+                ambient.
             forecast: whether risk and forecast are made; without them the
                 level is that of the margin.
 
@@ -121,7 +123,7 @@ class Engine:
         self._guard = E2eGuard(signal_map)
         present = {role: timeouts[role] for role in roles}
         self.estimator = Estimator(
-            config, present, history_known=history_known
+            config, present, history_known=history_known, initial_k=initial_k
         )
         self.risk = RiskMonitor(config, self.estimator) if forecast else None
         self.publication = Publication(
@@ -129,7 +131,6 @@ class Engine:
             config.publish.id_base,
             requests=config.publish.requests,
         )
-        self.model_check = ModelCheck(config, self.estimator, roles)
         self._advisor = Advisor(config, present)
         self._record_decoder = RecordDecoder(
             signal_map, self._advisor.roles.names
@@ -152,6 +153,8 @@ class Engine:
         self.dropped_frames = 0
         """Frames lost before they came here, as the shell counts them."""
         self._stale = _stale_flags(config.heat.mode, roles)
+        self.unverified = unverified_of_car(config, roles)
+        """Inputs that no mapped role can check."""
 
     def frame(  # noqa: PLR0913
         self,
@@ -284,7 +287,7 @@ class Engine:
         return {
             "counters": self.publication.counters,
             "advice": self._advisor.export(),
-            "model_check": self.model_check.export(),
+            "model_check": self.estimator.model_check.export(),
             **export_state(self.estimator),
             **({} if self.risk is None else {"risk": self.risk.export()}),
         }
@@ -308,10 +311,10 @@ class Engine:
         self.publication.continue_from(counters)
         if restored.resumed and "advice" in document:
             self._advisor = self._advisor.resumed(document["advice"])
-        if restored.resumed and "model_check" in document:
-            # one that can not be read begins anew
-            with suppress(KeyError, TypeError, ValueError, AttributeError):
-                self.model_check.restore(document["model_check"])
+        self.estimator.model_check.resume(
+            document,
+            None if restored.resumed else max(parked_us or 0, 0) * 1e-6,
+        )
         if self.risk is not None:
             self.risk.resume(document, parked_us, now_us)
         return restored
@@ -333,6 +336,7 @@ class Engine:
         The inputs begin anew.
         """
         park(self.estimator, parked_us * 1e-6)
+        self.estimator.model_check.park(parked_us * 1e-6)
 
     def _pass_grid_line(self, time_us: int) -> None:
         """Let time pass up to the last grid line before *time_us*.
@@ -367,7 +371,6 @@ class Engine:
         """Move on to publication *i* of *block* and return its estimate."""
         instant = block.at(i)
         self._count_rejected(instant.time_us, FOREVER_US)
-        self.model_check.take(instant)
         risk = None if self.risks is None else self.risks[0][i]
         corners = corner_estimates(
             instant, self._boiling_k, risk, self.estimator.wear
@@ -399,7 +402,8 @@ class Engine:
             clock_jump=bool(flags & FLAGS["clock_jump"]),
             input_suspect=bool(flags & SUSPECT),
             heat_substituted=bool(flags & SUBSTITUTED),
-            model_disagrees=bool(self.model_check.disagreements),
+            model_disagrees=instant.model_disagrees,
+            unverified=self.unverified,
             **{
                 f"{name}_stale": bool(flags & bit)
                 for name, bit in self._stale.items()

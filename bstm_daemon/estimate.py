@@ -8,7 +8,7 @@ probabilities 0 to 1; NaN is unknown.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from enum import IntEnum
+from enum import IntEnum, IntFlag
 from math import isfinite, nan
 from typing import TYPE_CHECKING, Final
 
@@ -28,6 +28,65 @@ class Validity(IntEnum):
     def is_usable(self) -> bool:
         """Whether anything may be concluded from the estimate."""
         return self <= Validity.DEGRADED
+
+
+class Reason(IntFlag):
+    """Why an estimate is not valid; it is valid exactly where there is none.
+
+    The bits are those of frames and result columns.
+    """
+
+    START_UNKNOWN = 1
+    """The temperatures at the start still have an effect."""
+    INPUT_MISSING = 2
+    INPUT_SUSPECT = 4
+    """Something speaks against an input now, or did against the heat that the
+    brake still has."""
+    HEAT_UNKNOWN = 8
+    """The brake was, or may have been, heated by what nobody knows."""
+    UNVERIFIED = 16
+    """Nothing checks an input that the heat mode goes by."""
+    MODEL_DISAGREES = 32
+    """Measurements are, or were, far from the estimate."""
+    IMPOSSIBLE = 64
+    """The estimate is no temperature that a brake has."""
+
+    @property
+    def words(self) -> tuple[str, ...]:
+        """The reasons in plain words, in the order of their bits."""
+        return tuple(REASON_WORDS[one] for one in self)
+
+
+REASON_WORDS: Final = {
+    Reason.START_UNKNOWN: "start unknown",
+    Reason.INPUT_MISSING: "input missing",
+    Reason.INPUT_SUSPECT: "input suspect",
+    Reason.HEAT_UNKNOWN: "heat unknown",
+    Reason.UNVERIFIED: "unverified",
+    Reason.MODEL_DISAGREES: "model disagrees",
+    Reason.IMPOSSIBLE: "impossible",
+}
+"""Each reason in words, wherever one is shown."""
+
+NO_REASON: Final = Reason(0)
+
+
+class Input(IntFlag):
+    """Kinds of inputs that a heat mode goes by; the bits are the frames'."""
+
+    SPEED = 1
+    PRESSURE = 2
+    ACCELERATION = 4
+    TORQUE = 8
+    TEMPERATURE = 16
+
+    @property
+    def words(self) -> tuple[str, ...]:
+        """The inputs in plain words, in the order of their bits."""
+        return tuple(str(one.name).lower() for one in self)
+
+
+NO_INPUT: Final = Input(0)
 
 
 class State(IntEnum):
@@ -176,11 +235,16 @@ class CornerRisk:
     present duty goes on to the horizon and ``duty_in_s`` the time until
     vapour is likely then, infinite for never. Times count from
     :attr:`CarRisk.forecast_us`.
+
+    As long as the start is unknown all of it but the deviation is of the hot
+    bound, so at most as given. ``sure_level`` is then unknown unless the
+    estimate, which began cold, is raised too or the bound is normal.
     """
 
     probability: float = nan
     probability_now: float = nan
     level: RiskLevel = RiskLevel.UNKNOWN
+    sure_level: RiskLevel = RiskLevel.UNKNOWN
     fade: RiskLevel = RiskLevel.UNKNOWN
     fluid_deviation_k: float = nan
     peak_k: float = nan
@@ -227,7 +291,10 @@ class CornerEstimate:
 
     ``boiling_k`` is the boiling point of a wet fluid of the grade. ``level``
     is that of the risk, without a forecast that of the margin; without one
-    ``risk`` is None. ``forecast_age_s`` is the age of the forecast.
+    ``risk`` is None. As long as the start is unknown it is of the hot bound,
+    and what alarms anybody goes by ``sure_level``, see :class:`CornerRisk`.
+    ``forecast_age_s`` is the age of the forecast; ``reasons`` are those why
+    the estimate is not valid.
     """
 
     disc_k: float = nan
@@ -236,7 +303,9 @@ class CornerEstimate:
     fluid_k: float = nan
     boiling_k: float = nan
     validity: Validity = Validity.NOT_AVAILABLE
+    reasons: Reason = NO_REASON
     level: RiskLevel = RiskLevel.UNKNOWN
+    sure_level: RiskLevel = RiskLevel.UNKNOWN
     risk: CornerRisk | None = None
     forecast_age_s: float = nan
     wear: WearEstimate = NO_WEAR
@@ -265,7 +334,7 @@ class CornerEstimate:
 
     def is_at_least(self, level: RiskLevel) -> bool:
         """Return whether the level is known to be *level* or worse."""
-        return self.validity.is_usable and self.level.severity >= (
+        return self.validity.is_usable and self.sure_level.severity >= (
             level.severity
         )
 
@@ -279,7 +348,8 @@ class Status:
     suspect, used or not; ``heat_substituted`` that the heat of a corner is
     from the other source than the heat mode's, or unknown;
     ``model_disagrees`` that residuals against measurements exceed the
-    tolerance of a sound model.
+    tolerance of a sound model. ``unverified`` are the inputs of any corner
+    that no mapped role can check.
     """
 
     state: State = State.NOT_AVAILABLE
@@ -298,6 +368,7 @@ class Status:
     input_suspect: bool = False
     heat_substituted: bool = False
     model_disagrees: bool = False
+    unverified: Input = NO_INPUT
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,6 +8,8 @@ import pytest
 from hypothesis import settings
 
 from bstm_daemon.config.sections import Config, CornerConfig, VehicleConfig
+from bstm_daemon.estimate import NO_INPUT
+from bstm_daemon.estimator import validity
 from bstm_daemon.model.thermal.brake_corner import CornerSpec, corner_spec
 from bstm_daemon.native.loader import VARIABLE, Kernel, load_module
 
@@ -85,6 +87,16 @@ def car_config(*corners: CornerConfig, **sections: Any) -> Config:
         corner=list(corners or (corner_config(),)),
         heat=heat,
         **sections,
+    )
+
+
+@pytest.fixture
+def all_verified(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Take every input as verified: the other reasons alone count."""
+    monkeypatch.setattr(
+        validity,
+        "unverified_inputs",
+        lambda config, _: {corner.name: NO_INPUT for corner in config.corner},
     )
 
 

@@ -117,7 +117,7 @@ class Conditions:
     def level(self) -> RiskLevel:
         """The worst level of a usable corner; unknown if there is none."""
         usable = [
-            c.level for c in self.corners.values() if c.validity.is_usable
+            c.sure_level for c in self.corners.values() if c.validity.is_usable
         ]
         return max(
             usable, key=lambda one: one.severity, default=RiskLevel.UNKNOWN
@@ -127,7 +127,8 @@ class Conditions:
     def is_unsure(self) -> bool:
         """Whether the level of any corner is unknown."""
         return any(
-            corner.level is RiskLevel.UNKNOWN or not corner.validity.is_usable
+            corner.sure_level is RiskLevel.UNKNOWN
+            or not corner.validity.is_usable
             for corner in self.corners.values()
         )
 

@@ -91,6 +91,9 @@ class EmergencyAssist(Machine):
             corner.is_at_least(RiskLevel.ELEVATED)
             or (
                 corner.validity.is_usable
+                # where only the bound of an unknown start is raised, a car
+                # that is cold is no less likely
+                and corner.sure_level is not RiskLevel.UNKNOWN
                 and (corner.risk or NO_RISK).probability >= POSSIBLE
             )
             for corner in now.corners.values()

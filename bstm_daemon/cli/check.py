@@ -6,7 +6,7 @@ With ``--log`` the signals of a recording are judged as well.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 from bstm_daemon.analysis.quality.collisions import count_own_frames
 from bstm_daemon.analysis.quality.judge import judge
@@ -27,6 +27,7 @@ from bstm_daemon.config.reading import load_config, naming_file, read_draft
 from bstm_daemon.config.rules import usable_e2e, usable_signals
 from bstm_daemon.errors import ConfigError, UsageError
 from bstm_daemon.estimator.corner_model import compile_corner
+from bstm_daemon.estimator.verified import verification_table
 from bstm_daemon.model.effects.catalogue import STRUCTURES
 from bstm_daemon.model.effects.catalogue import (
     problems_of as problems_of_effects,
@@ -43,6 +44,8 @@ if TYPE_CHECKING:
     from bstm_daemon.analysis.quality.finding import Quality
     from bstm_daemon.config.rules import Draft
     from bstm_daemon.config.sections import Config, CornerConfig, SignalConfig
+
+VERIFIED_HEAD: Final = ("input", "corners", "verified by")
 
 _ANY_RADIUS_M = 0.3
 """Wheel radius for finding DBC problems if ``[vehicle]`` has none; not in any
@@ -102,6 +105,10 @@ def run(args: argparse.Namespace) -> int:
             result["log"] = {"files": files, **quality_json(quality)}
         else:
             lines = [summary(config, path)]
+            result["verified_by"] = [
+                dict(zip(VERIFIED_HEAD, row, strict=True))
+                for row in verification_table(config, config.signals)
+            ]
         if warnings:
             lines += ["", *(f"warning: {warning}" for warning in warnings)]
     if args.json:
@@ -237,6 +244,7 @@ def summary(config: Config, path: Path) -> str:
         table(
             ("corner", "type", "circuit", "piston", "disc", "pads"), corners
         ),
+        table(VERIFIED_HEAD, verification_table(config, config.signals)),
     ]
     head = f"{path}: no problems"
     return "\n\n".join([head, *("\n".join(block) for block in blocks)])

@@ -42,6 +42,7 @@ DRIVE = "alpine-descent"
 TICK_US = 50_000
 """The estimator's own step: a shorter tick would only cost time here."""
 
+START = "start cold: the car stood overnight (bstm replay --start cold)"
 ROW_S = 300
 SHOWN = ("FL", "FR")
 COLUMNS = {
@@ -68,7 +69,7 @@ def run(args: argparse.Namespace) -> int:
     print(f"simulated drive: {load_drive(DRIVE).drive.description}")
     driven = simulate(load_drive(DRIVE))
     display = Board(config.publish.id_base)
-    # the simulated car stood overnight: its brakes are as cold as the air
+    print(START)
     engine = Engine(config, signal_map, history_known=True)
     rows, statistics, curves = Collector(), DriveStatistics(), DriveCurves()
     print(_heading())
@@ -95,7 +96,7 @@ def run(args: argparse.Namespace) -> int:
         refused={str(k): n for k, n in engine.decoder.counts.items()},
         counts=engine.estimator.counts,
         compiled=engine.estimator.compiled,
-        warnings=("Simulated data: no car was driven.",),
+        warnings=("Simulated data: no car was driven.", START),
     )
     page = replay_page(statistics.summary(), curves, facts)
     write_page(folder / "report.html", page)

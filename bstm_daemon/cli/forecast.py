@@ -74,7 +74,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _lines(vehicle_id: str, path: Path, found: Outlook) -> list[str]:
     low, middle, _ = (to_celsius(kelvin) for kelvin in found.boiling_k)
-    known = "known" if found.history_known else "unknown: may be hotter"
+    known = "known" if found.history_known else "unknown: at most as below"
     water = (
         f"fluid: {found.water_percent:.1f} % water (median), boils at "
         f"{middle:.0f} degC (median), 1 % of such fluids below {low:.0f} degC"

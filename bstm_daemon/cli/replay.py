@@ -6,7 +6,7 @@ import sys
 from argparse import ArgumentTypeError
 from contextlib import ExitStack, suppress
 from functools import partial
-from math import isclose, isfinite, nan
+from math import isclose, isfinite, isinf, nan
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -24,6 +24,7 @@ from bstm_daemon.cli.arguments import (
 from bstm_daemon.cli.progress import Progress
 from bstm_daemon.cli.vehicle import load_vehicle, read_state
 from bstm_daemon.errors import MissingExtraError, UsageError
+from bstm_daemon.estimator.verified import unverified_of_car
 from bstm_daemon.files import make_folder
 from bstm_daemon.replay.columns import Run, stream_log
 from bstm_daemon.replay.frames import (
@@ -44,6 +45,8 @@ from bstm_daemon.watch.view import open_view
 
 if TYPE_CHECKING:
     import argparse
+
+    from bstm_daemon.replay.columns import StartState
 
 
 PUBLICATION_S = 0.1
@@ -68,11 +71,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     what = "write the frames that the daemon would send as a candump log"
     add_path(parser, "--publish", "OUT.log", what)
-    what = (
-        "state file of the daemon to start from; it is only read (default: "
-        "the brakes' history is unknown)"
+    start = parser.add_mutually_exclusive_group()
+    start.add_argument(
+        "--start",
+        choices=("unknown", "cold"),
+        default="unknown",
+        help="how warm the brakes are where the log begins: as cold as the "
+        "air, or unknown, and degraded until that has no effect any more "
+        "(default: %(default)s)",
     )
-    add_path(parser, "--state", "FILE", what)
+    what = "state file of the daemon to start from; it is only read"
+    start.add_argument("--state", type=Path, metavar="FILE", help=what)
     parser.add_argument(
         "--watch",
         action="store_true",
@@ -99,7 +108,9 @@ def run(args: argparse.Namespace) -> int:
     formats = _formats(args.format) if args.out is not None else ()
     config, signal_map = load_vehicle(args.config)
     overrides = dict(args.map)
-    state = None if args.state is None else read_state(args.state, "--state")
+    state: StartState = "cold" if args.start == "cold" else None
+    if args.state is not None:
+        state = read_state(args.state, "--state")
     if args.out is not None:
         make_folder(args.out)
     check_targets((args.publish, args.report), ())
@@ -143,7 +154,12 @@ def run(args: argparse.Namespace) -> int:
             )
         print(f"{path}  ({config.vehicle.id}, {args.config})")
         print(summary_table(statistics.summary()))
-        remarks = _remarks(log_run, statistics, config.heat.mode)
+        unverified = unverified_of_car(config, signal_map.roles())
+        remarks = [
+            f"unverified: nothing checks the {one}" for one in unverified.words
+        ]
+        remarks += _start_remarks(args.start, log_run.start_known_s)
+        remarks += _remarks(log_run, statistics, config.heat.mode)
         for line in remarks:
             print(line)
         for target in targets:
@@ -192,18 +208,30 @@ def _check_targets(args: argparse.Namespace, stems: list[str]) -> None:
     refuse_overwriting((args.publish, args.report, *tables), sources)
 
 
+def _start_remarks(start: str, known_s: float) -> list[str]:
+    """Return what the reader must know of the temperatures at the begin."""
+    if start == "cold":
+        return ["start cold: as cold as the air, because --start says so"]
+    if not known_s > 0.0:
+        return []
+    known, until = "start not known by the end of the log", "throughout"
+    if not isinf(known_s):
+        known = f"start known after {known_s / 60.0:.0f} min"
+        until = "until then"
+    return [
+        (
+            f"the brakes' temperatures before the log are unknown: {known}; "
+            f"degraded and the risk an upper bound {until} (--start cold if "
+            "the brakes were cold)"
+        )
+    ]
+
+
 def _remarks(
     log_run: Run, statistics: DriveStatistics, heat_mode: str
 ) -> list[str]:
     """Return the remarks on the input that the reader of a result needs."""
-    hours = log_run.settling_s / 3600
-    remarks = []
-    if hours > 0:
-        remarks.append(
-            f"the brakes' temperatures before the log are unknown: degraded "
-            f"for its first {hours:.1f} h"
-        )
-    remarks += [
+    remarks = [
         f"{name} missing for {gap.total_s:.0f} s, longest "
         f"{gap.longest_s:.0f} s from {gap.longest_from_s:.0f} s on: marked "
         f"degraded"

@@ -8,7 +8,7 @@ from math import nan
 from typing import TYPE_CHECKING, Final
 
 from bstm_daemon.channels import CHANNELS, VEHICLE_CHANNELS
-from bstm_daemon.estimate import Validity
+from bstm_daemon.estimate import Reason, Validity
 
 if TYPE_CHECKING:
     from array import array
@@ -77,7 +77,9 @@ class Block:
     ``outputs`` per group [n, corners of the group, size]: node temperatures
     [K] and memories, then the running energy of each heat source [J];
     ``flags`` [n], the bits of all steps since the last publication;
-    ``validity`` per corner of a thermal model [n]. All flat.
+    ``validity`` and ``reasons``, bits of Reason, per corner of a thermal
+    model [n]; ``disagrees`` [n], whether the model disagrees with what is
+    measured. All flat.
     """
 
     layout: BlockLayout
@@ -87,8 +89,13 @@ class Block:
     outputs: tuple[array[float], ...]
     flags: array[int]
     validity: dict[str, array[int]]
-    known_from: int
-    """The first publication on which the start has no effect."""
+    reasons: dict[str, array[int]]
+    disagrees: array[int]
+    known_from: dict[str, int]
+    """Per corner of a thermal model: the first publication on which the start
+    has no effect."""
+    bounds: tuple[array[float], ...]
+    """As ``outputs``, from the hot start; empty where no start was unknown."""
     wear: dict[str, Laws]
     """Per corner of a thermal model: wear laws, each from a publication on."""
 
@@ -116,8 +123,17 @@ class Instant:
 
     @property
     def history_known(self) -> bool:
-        """Whether the start temperature has no effect any more."""
-        return self.i >= self.block.known_from
+        """Whether the start of no corner has an effect any more."""
+        return all(map(self.start_known, self.block.layout.modelled))
+
+    def start_known(self, corner: str) -> bool:
+        """Whether the start of *corner* has no effect any more."""
+        return self.i >= self.block.known_from[corner]
+
+    @property
+    def model_disagrees(self) -> bool:
+        """Whether the model disagrees with what is measured."""
+        return bool(self.block.disagrees[self.i])
 
     def vehicle(self, channel: str) -> float:
         """Return *channel* of VEHICLE_CHANNELS."""
@@ -133,20 +149,33 @@ class Instant:
         first = self._row(corner)
         return self.block.rows[first : first + len(CHANNELS)]
 
-    def output(self, corner: str) -> array[float]:
-        """Return state and running energies of *corner*."""
+    def output(self, corner: str, *, hottest: bool = False) -> array[float]:
+        """Return state and running energies of *corner*.
+
+        Args:
+            corner: its name.
+            hottest: of the hot bound, as long as the start is unknown.
+        """
         number, first, stride, group = self.block.layout.modelled[corner]
         first += self.i * stride
-        return self.block.outputs[number][first : first + group.size]
+        bounded = hottest and not self.start_known(corner)
+        outputs = self.block.bounds if bounded else self.block.outputs
+        return outputs[number][first : first + group.size]
 
-    def state(self, corner: str) -> dict[str, float]:
-        """Return nodes [K] and memories of *corner* by name."""
+    def state(self, corner: str, *, hottest: bool = False) -> dict[str, float]:
+        """Return nodes [K] and memories by name; Args as of :meth:`output`."""
         names = self.block.layout.modelled[corner][3].state_names
-        return dict(zip(names, self.output(corner), strict=False))
+        return dict(
+            zip(names, self.output(corner, hottest=hottest), strict=False)
+        )
 
     def validity(self, corner: str) -> Validity:
         """Return how far the estimate of *corner* may be relied on."""
         return Validity(self.block.validity[corner][self.i])
+
+    def reasons(self, corner: str) -> Reason:
+        """Return why the estimate of *corner* is not valid."""
+        return Reason(self.block.reasons[corner][self.i])
 
     def _row(self, corner: str) -> int:
         layout = self.block.layout

@@ -6,7 +6,11 @@ from math import nan
 from typing import TYPE_CHECKING
 
 from bstm_daemon.estimate import NO_WEAR, CornerEstimate, WearEstimate
-from bstm_daemon.model.risk.levels import level_of_margin, published_level
+from bstm_daemon.model.risk.levels import (
+    level_of_margin,
+    published_level,
+    sure_level,
+)
 from bstm_daemon.model.wear.dose import DISTANCE, DOSE
 
 if TYPE_CHECKING:
@@ -38,13 +42,16 @@ def corner_estimates(
         validity = instant.validity(name)
         corner_risk = None if risk is None else risk.corners[name]
         if corner_risk is not None:
-            level = corner_risk.level
+            level, sure = corner_risk.level, corner_risk.sure_level
         else:
-            level = published_level(
-                level_of_margin(boiling_k - state["fluid"]),
-                validity,
-                history_known=instant.history_known,
+            least, level = (
+                published_level(level_of_margin(boiling_k - kelvin), validity)
+                for kelvin in (
+                    state["fluid"],
+                    instant.state(name, hottest=True)["fluid"],
+                )
             )
+            sure = sure_level(least, level)
         found[name] = CornerEstimate(
             disc_k=state["disc"],
             pad_front_k=state["pad_front"],
@@ -52,7 +59,9 @@ def corner_estimates(
             fluid_k=state["fluid"],
             boiling_k=boiling_k,
             validity=validity,
+            reasons=instant.reasons(name),
             level=level,
+            sure_level=sure,
             risk=corner_risk,
             forecast_age_s=age_s,
             wear=NO_WEAR

@@ -27,11 +27,13 @@ from bstm_daemon.estimator.corner_model import (
     corner_model,
 )
 from bstm_daemon.estimator.coupling import Coupling
+from bstm_daemon.estimator.model_check import ModelCheck
+from bstm_daemon.estimator.start import StartBound
 from bstm_daemon.estimator.trust import Trust
 from bstm_daemon.estimator.validity import (
     HIGHEST_K,
+    judge,
     needs_of_corners,
-    validities,
 )
 from bstm_daemon.model.effects.catalogue import edited_inputs
 from bstm_daemon.model.effects.corrections import (
@@ -116,14 +118,15 @@ class Estimator:
             for name, model in models.items()
             if not model.friction.nominal
         }
-        longest_s = self._settling_time_s()
+        self.settling_s = self._settling_time_s()
+        """How long the slowest brake remembers heat [s]."""
         inputs = edited_inputs(config)
         self._corrections = corrections_by_role(inputs.corrections)
         self.plan = plan_samples(
             inputs.config,
             present,
             STEP_US,
-            longest_s,
+            self.settling_s,
             laws,
             inputs.unpressed_share,
         )
@@ -141,14 +144,18 @@ class Estimator:
                 for batch, names in self.batches
             ),
         )
-        self.settling_s = 0.0 if history_known else longest_s
-        self.history_left_steps = round(self.settling_s * 1e6) // STEP_US
+        self.start = StartBound(self.batches, config, self._kernel)
+        if not history_known:
+            self.start.begin(self.programs)
         self._needs = needs_of_corners(config, present)
         self.trust = Trust(
             self.layout.corners,
-            longest_s,
+            self.settling_s,
             compares=config.heat.mode == "fused",
             has_switch=ROLE_INDEX["brake_switch"] in present,
+        )
+        self.model_check = ModelCheck(
+            config, self.layout, present, self.settling_s
         )
         self._coupling = Coupling(
             self.plan,
@@ -171,8 +178,8 @@ class Estimator:
 
     @property
     def history_known(self) -> bool:
-        """Whether the start temperature has no effect any more."""
-        return self.history_left_steps <= 0
+        """Whether the start of no corner has an effect any more."""
+        return not self.start.unknown
 
     @property
     def counts(self) -> dict[str, int]:
@@ -248,8 +255,10 @@ class Estimator:
             times_us, roles = _plain(times_us), _plain(roles)
             values = _plain(values)
         while index < count:
+            # the bounds have no names: no friction law goes by them
+            batches = [*self.batches, *((b, ()) for b in self.start.batches)]
             index, steps, code, outputs = self._coupling.fill(
-                self.samples, self.batches, times_us, roles, values, index
+                self.samples, batches, times_us, roles, values, index
             )
             if steps:
                 block = self._block(steps, outputs)
@@ -299,27 +308,36 @@ class Estimator:
             rows.extend(coupling.rows[step * row : (step + 1) * row])
             vehicle.extend(coupling.vehicle[step * wide : (step + 1) * wide])
         flags = self._published_flags(steps, phase, every)
-        known_from = self._known_from(phase, every)
+        groups = len(self.batches)
+        outputs, bounds = outputs[:groups], outputs[groups:]
+        known_from = self.start.known_from(
+            self.layout, outputs, bounds, len(times)
+        )
         block = Block(
             *(self.layout, times, rows, vehicle, outputs, flags),
             validity={},
+            reasons={},
+            disagrees=array("b"),
             known_from=known_from,
+            bounds=bounds,
             wear={},
         )
         block.wear.update(self.wear.laws(times, partial(_totals, block)))
-        self.history_left_steps -= steps
-        block.validity.update(
-            validities(block, self._needs, self.trust, PUBLISH_US * 1e-6)
+        judge(
+            block,
+            self._needs,
+            (self.trust, self.model_check),
+            PUBLISH_US * 1e-6,
         )
         self._reset_impossible()
         return block
 
     def _reset_impossible(self) -> None:
-        """Reset corners in an impossible state, with history unknown.
+        """Reset corners in an impossible state, with their start unknown.
 
         A node that is NaN would stay so for ever.
         """
-        for batch, member, _ in self.members():
+        for batch, member, name in self.members():
             program = batch.programs[member]
             state = batch.state[batch.part(member)]
             nodes = state[: len(program.network.nodes)]
@@ -329,8 +347,7 @@ class Estimator:
             fresh = program.initial_state(air_k)
             keep_totals(fresh, program.state_names, state)
             batch.state[batch.part(member)] = fresh
-            settling_s = self.settling_s or self._settling_time_s()
-            self.history_left_steps = round(settling_s * 1e6) // STEP_US
+            self.start.begin([name])
             self.resets += 1
 
     def _fit_to_wear(self, row: int) -> None:
@@ -345,6 +362,7 @@ class Estimator:
             if refit is not None:
                 program = compile_corner(self.config, refit.corner)
                 self.programs[name] = program
+                self.start.exchange(name, program, refit.change, air_k)
                 self.wear.worn_heat_j[name] += exchange(
                     batch, member, program, refit.change, air_k
                 )
@@ -364,10 +382,6 @@ class Estimator:
                 self.open_flags = 0
         return flags
 
-    def _known_from(self, phase: int, every: int) -> int:
-        """Return the first publication on which the start has no effect."""
-        return max(-(-(self.history_left_steps - phase) // every), 0)
-
     def _settling_time_s(self) -> float:
         """Return how long a hot start affects the slowest brake [s]."""
         air_k = self.config.vehicle.ambient_c + KELVIN_OFFSET
@@ -383,8 +397,9 @@ class Estimator:
         for batch, member, _ in self.members():
             batch.settle(ambient, member)
         self._coupling.heat_interfaces(self.samples, self.batches)
-        self.history_left_steps = 0
+        self.start.end()
         self.trust.park(SETTLED_US * 1e-6)
+        self.model_check.park(SETTLED_US * 1e-6)
 
 
 def _totals(block: Block, corner: str, i: int) -> tuple[float, float]:

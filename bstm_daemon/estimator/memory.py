@@ -54,7 +54,9 @@ class SavedState(Saved):
     vehicle_id: str | None = None
     time_us: Int64 | None = None
     wall_us: Int64 | None = None
-    history_left_us: Number
+    start_bound: dict[str, dict[str, Number]] = {}
+    history_left_us: Number = 0.0
+    """Of a file without ``start_bound``: above 0 where no start is known."""
     ambient_k: Number | None = None
     corners: dict[str, dict[str, Number]]
     samples: Document

@@ -4,16 +4,18 @@ It keeps two running statistics. Feed-Forward against Feed-Back: the braking
 work from pressure less that from motion, over the last megajoule or so.
 Thermocouples, if they are mapped: the mean residual over two minutes. A
 residual beyond the tolerance of a sound model is a gap; ``bstm gap`` finds
-its cause in the record.
+its cause in the record. Far beyond it the estimate is not valid, and stays so
+while the brake remembers.
 """
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 from math import exp, hypot, isfinite, nan
-from typing import TYPE_CHECKING, Any, ClassVar, Final
+from typing import TYPE_CHECKING, Any, ClassVar, Final, NamedTuple
 
-from bstm_daemon.channels import FLAGS
+from bstm_daemon.channels import CHANNELS, FLAGS, VEHICLE_CHANNELS
 from bstm_daemon.estimator.memory import (
     AnyNumber,
     Flag,
@@ -21,14 +23,14 @@ from bstm_daemon.estimator.memory import (
     Machine,
     Number,
 )
+from bstm_daemon.estimator.trust import Trust
 from bstm_daemon.roles import MEASURED_NODES, ROLE_INDEX
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping
 
     from bstm_daemon.config.sections import Config
-    from bstm_daemon.estimator.blocks import Instant
-    from bstm_daemon.estimator.estimator import Estimator
+    from bstm_daemon.estimator.blocks import Block, BlockLayout
 
 FORGET_J: Final = 1e6
 LEAST_J: Final = 3e5
@@ -43,12 +45,24 @@ FORCE_GOES: Final = 0.2
 """Thresholds with hysteresis of the relative difference of the works: friction
 varies by a tenth, mass and accelerometer add as much."""
 
+FORCE_STRONG: Final = 0.6
+FORCE_STRONG_GOES: Final = 0.4
+"""Likewise of a difference that degrades the estimate: faded linings make
+40 %, brakes that modulate on ice 50 %."""
+
+EVERY_US: Final = 1_000_000
+"""Thermocouples are compared on whole seconds."""
+
 MEMORY_S: Final = 120.0
 KNOWN_S: Final = 120.0
 NODE_OF: Final = {"disc_2": "disc"}
 SIGMAS: Final = 3.0
 GOES: Final = 0.6
 """Share of the tolerance below which a thermocouple agrees again."""
+
+STRONG: Final = 1.5
+"""Multiple of the tolerance from which on the corner is degraded, until the
+residual is within the tolerance."""
 
 USUAL: Final[dict[str, tuple[float, float]]] = {
     "disc": (10.0, 0.06),
@@ -75,6 +89,12 @@ _UNKNOWN: Final = (
 )
 """With any of these one of the two works is unknown."""
 
+_FF: Final = CHANNELS.index("brake_energy_ff_j")
+_FB: Final = CHANNELS.index("brake_energy_fb_j")
+_POWER: Final = CHANNELS.index("brake_power_w")
+_SCALE: Final = VEHICLE_CHANNELS.index("friction_scale")
+_NOWHERE: Final[frozenset[str]] = frozenset()
+
 NO_WORK: Final = (0.0, 0.0, 0.0)
 """Work from pressure less work from motion and the larger of the two [J]; time
 over which they were summed [s]."""
@@ -91,6 +111,7 @@ class Couple(Machine):
         "mean_k": AnyNumber,
         "known_s": Number,
         "disagrees": Flag,
+        "strongly": Flag,
     }
 
     corner: str
@@ -101,6 +122,7 @@ class Couple(Machine):
     mean_k: float = nan
     known_s: float = 0.0
     disagrees: bool = False
+    strongly: bool = False
 
     @property
     def name(self) -> str:
@@ -111,7 +133,7 @@ class Couple(Machine):
         """Take *residual_k*, measured less estimated, of the last *dt_s*."""
         if not isfinite(residual_k):
             self.mean_k, self.known_s = nan, 0.0
-            self.disagrees = False
+            self.disagrees = self.strongly = False
             return
         if not isfinite(self.mean_k):
             self.mean_k, self.known_s = 0.0, 0.0
@@ -120,11 +142,10 @@ class Couple(Machine):
         share = dt_s / min(self.known_s, MEMORY_S)
         self.mean_k += (residual_k - self.mean_k) * min(share, 1.0)
         tolerance = SIGMAS * hypot(self.floor_k, self.share * rise_k)
-        if self.disagrees:
-            tolerance *= GOES
-        self.disagrees = (
-            self.known_s >= KNOWN_S and abs(self.mean_k) > tolerance
-        )
+        excess = abs(self.mean_k) / tolerance
+        known = self.known_s >= KNOWN_S
+        self.disagrees = known and excess > (GOES if self.disagrees else 1.0)
+        self.strongly = known and excess > (1.0 if self.strongly else STRONG)
 
 
 class ModelCheck(Machine):
@@ -136,19 +157,43 @@ class ModelCheck(Machine):
         "_work_j": Number,
         "_braked_j": Number,
         "_forces_disagree": Flag,
+        "_forces_strongly": Flag,
         "_young": tuple[AnyNumber, Number, Number],
         "_ripe": tuple[AnyNumber, Number, Number],
     }
 
     def __init__(
-        self, config: Config, estimator: Estimator, roles: Collection[int]
+        self,
+        config: Config,
+        layout: BlockLayout,
+        roles: Collection[int],
+        settling_s: float,
     ) -> None:
-        """Find out what is measured; *roles* are those that are mapped."""
+        """Find out what is measured.
+
+        Args:
+            config: the vehicle.
+            layout: of the blocks to come.
+            roles: numbers of the mapped roles.
+            settling_s: how long the slowest node remembers [s].
+        """
         self._fused = config.heat.mode == "fused"
-        self.couples = _couples(config, estimator, roles)
+        self.couples = _couples(config, layout, roles)
+        self._places = [_place(one, layout) for one in self.couples]
+        self._unknown = _UNKNOWN
+        if self._fused and ROLE_INDEX["brake_switch"] in roles:
+            # an assistant's: there is no pressure to compare
+            self._unknown |= FLAGS["braking_unpressed"]
+        self._trust = Trust(
+            layout.corners, settling_s, compares=False, has_switch=False
+        )
+        self._remembers = False
+        self._all = frozenset(layout.corners)
+        self._strong = _NOWHERE
+        self._disagrees = False
         self._before: tuple[int, float, float] | None = None
         self._apart_j = self._work_j = self._braked_j = 0.0
-        self._forces_disagree = False
+        self._forces_disagree = self._forces_strongly = False
         # work on trial, and the work before it
         self._young: tuple[float, float, float] = NO_WORK
         self._ripe: tuple[float, float, float] = NO_WORK
@@ -156,7 +201,10 @@ class ModelCheck(Machine):
     def export(self) -> dict[str, Any]:
         """Return the memory as plain values that JSON knows."""
         couples = {one.name: one.export() for one in self.couples}
-        return super().export() | {"couples": couples}
+        return super().export() | {
+            "couples": couples,
+            "trust": self._trust.export(),
+        }
 
     def restore(self, saved: Mapping[str, Any]) -> None:
         """Continue from :meth:`export`, within the same drive.
@@ -168,6 +216,35 @@ class ModelCheck(Machine):
         for one in self.couples:
             if one.name in saved["couples"]:
                 one.restore(saved["couples"][one.name])
+        self._restore_trust(saved["trust"])
+        self._summarize()
+
+    def _restore_trust(self, saved: Any) -> None:
+        self._trust.restore(saved)
+        self._remembers = True
+
+    def resume(
+        self, document: Mapping[str, Any], parked_s: float | None
+    ) -> None:
+        """Continue from the state *document*, as far as it can be read.
+
+        Args:
+            document: of a state file.
+            parked_s: time since then [s], 0 if it is not known; None
+                continues the same drive.
+        """
+        # one that can not be read begins anew
+        with suppress(KeyError, TypeError, ValueError, AttributeError):
+            saved = document["model_check"]
+            if parked_s is None:
+                self.restore(saved)
+            else:
+                self._restore_trust(saved["trust"])
+                self.park(parked_s)
+
+    def park(self, seconds: float) -> None:
+        """Let the brakes have stood for *seconds*."""
+        self._trust.park(seconds)
 
     @property
     def force_difference(self) -> float:
@@ -186,41 +263,50 @@ class ModelCheck(Machine):
         found += [one.name for one in self.couples if one.disagrees]
         return tuple(found)
 
-    def take(self, instant: Instant) -> None:
-        """Take one publication, in the order of time.
+    def findings(self, block: Block) -> list[frozenset[str]]:
+        """Return the corners far from what is measured, by publication.
 
         Thermocouples count from when the start has no effect any more.
+
+        Args:
+            block: the next publications; its ``disagrees`` is filled in, its
+                validities are not read.
         """
-
-        def total(channel: str) -> float:
-            return sum(
-                instant.channel(name, channel)
-                for name in instant.block.layout.corners
-            )
-
-        time_us = instant.time_us
-        pressed = total("brake_energy_ff_j")
-        pressed_scale = 1.0
-        if self._fused:
-            moved = total("brake_power_w")
-            pressed_scale = instant.vehicle("friction_scale")
-        else:
-            moved = total("brake_energy_fb_j")
-        if self._before is not None:
-            then_us, old_pressed, old_moved = self._before
-            dt_s = (time_us - then_us) * 1e-6
-            by_motion = moved * dt_s if self._fused else moved - old_moved
-            if 0.0 < dt_s < 1.0:
-                if instant.flags & _UNKNOWN:
+        wide = len(CHANNELS)
+        size = wide * len(block.layout.corners)
+        moved_by = _POWER if self._fused else _FB
+        found = []
+        for i, time_us in enumerate(block.times_us):
+            first, end = i * size, (i + 1) * size
+            pressed = sum(block.rows[first + _FF : end : wide])
+            moved = sum(block.rows[first + moved_by : end : wide])
+            before, self._before = self._before, (time_us, pressed, moved)
+            dt_s = 0.0 if before is None else (time_us - before[0]) * 1e-6
+            if before is not None and 0.0 < dt_s < 1.0:
+                if block.flags[i] & self._unknown:
                     self._young = self._ripe = NO_WORK
+                elif self._fused:
+                    scale = block.vehicle[i * len(VEHICLE_CHANNELS) + _SCALE]
+                    pressed = scale * (pressed - before[1])
+                    self._take_work(pressed, moved * dt_s, dt_s)
                 else:
-                    self._take_work(
-                        pressed_scale * (pressed - old_pressed),
-                        by_motion,
-                        dt_s,
-                    )
-                self._take_couples(instant, dt_s)
-        self._before = time_us, pressed, moved
+                    pressed, moved = pressed - before[1], moved - before[2]
+                    self._take_work(pressed, moved, dt_s)
+            if self.couples and time_us % EVERY_US == 0:
+                self._take_couples(block, i)
+            block.disagrees.append(self._disagrees)
+            found.append(self._strong)
+        return found
+
+    def holds(self, corner: str, step_s: float, *, found: bool) -> bool:
+        """Return whether *corner* is degraded by a strong disagreement.
+
+        As :meth:`~bstm_daemon.estimator.trust.Trust.holds`.
+        """
+        if not (found or self._remembers):
+            return False
+        self._remembers = True
+        return self._trust.holds(corner, step_s, found=found)
 
     def _take_work(
         self, pressed_j: float, moved_j: float, dt_s: float
@@ -245,32 +331,78 @@ class ModelCheck(Machine):
         self._apart_j = keep * self._apart_j + taken * difference_j
         self._work_j = keep * self._work_j + taken * work_j
         self._braked_j += work_j
-        limit = FORCE_GOES if self._forces_disagree else FORCE_COMES
-        difference = self.force_difference
-        self._forces_disagree = (
-            isfinite(difference) and abs(difference) > limit
+        # nan fails every comparison
+        difference = abs(self.force_difference)
+        self._forces_disagree = difference > (
+            FORCE_GOES if self._forces_disagree else FORCE_COMES
         )
+        self._forces_strongly = difference > (
+            FORCE_STRONG_GOES if self._forces_strongly else FORCE_STRONG
+        )
+        self._summarize()
 
-    def _take_couples(self, instant: Instant, dt_s: float) -> None:
-        for one in self.couples:
-            measured_k = instant.channel(one.corner, f"measured_{one.node}_k")
-            ambient_k = instant.channel(one.corner, "ambient_k")
-            shown_k = instant.state(one.corner)[one.shown_node]
-            known = instant.history_known
-            residual_k = measured_k - shown_k if known else nan
-            one.take(residual_k, shown_k - ambient_k, dt_s)
+    def _take_couples(self, block: Block, i: int) -> None:
+        dt_s = EVERY_US * 1e-6
+        size = len(CHANNELS) * len(block.layout.corners)
+        row = block.rows[i * size : (i + 1) * size]
+        taken = False
+        for one, place in zip(self.couples, self._places, strict=True):
+            measured_k = row[place.measured]
+            known = i >= block.known_from[one.corner]
+            if known and isfinite(measured_k):
+                output = block.outputs[place.group]
+                shown_k = output[place.shown + i * place.stride]
+                rise_k = shown_k - row[place.ambient]
+                one.take(measured_k - shown_k, rise_k, dt_s)
+                taken = True
+            elif one.known_s > 0.0:
+                one.take(nan, 0.0, dt_s)
+                taken = True
+        if taken:
+            self._summarize()
+
+    def _summarize(self) -> None:
+        """Hold what the publications say until it changes."""
+        self._disagrees = bool(self.disagreements)
+        self._strong = self._all if self._forces_strongly else _NOWHERE
+        if not self._forces_strongly and self.couples:
+            self._strong = frozenset(
+                one.corner for one in self.couples if one.strongly
+            )
+
+
+class _Place(NamedTuple):
+    """Where a thermocouple stands in a block's rows, its node in outputs."""
+
+    measured: int
+    ambient: int
+    group: int
+    shown: int
+    stride: int
+
+
+def _place(one: Couple, layout: BlockLayout) -> _Place:
+    first = layout.rows[one.corner]
+    number, member, stride, group = layout.modelled[one.corner]
+    return _Place(
+        first + CHANNELS.index(f"measured_{one.node}_k"),
+        first + CHANNELS.index("ambient_k"),
+        number,
+        member + group.state_names.index(one.shown_node),
+        stride,
+    )
 
 
 def _couples(
-    config: Config, estimator: Estimator, roles: Collection[int]
+    config: Config, layout: BlockLayout, roles: Collection[int]
 ) -> list[Couple]:
     found = []
-    for group in estimator.groups:
+    for group in layout.groups:
         for corner in group.corners:
             for couple in MEASURED_NODES:
                 role = ROLE_INDEX.get(f"temp_{corner.lower()}_{couple}")
                 node = NODE_OF.get(couple, couple)
-                forced = config.heat.mode == "measured" and node == "disc"
+                forced = config.heat.mode == "measured" and couple == "disc"
                 if (
                     role not in roles
                     or node not in group.state_names

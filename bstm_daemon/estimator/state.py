@@ -31,8 +31,8 @@ from bstm_daemon.model.heat.feed_back import Vehicle
 from bstm_daemon.model.heat.learned import LEARNED_NAMES, learned_fault
 from bstm_daemon.model.heat.memory import NEVER, SampleState
 from bstm_daemon.model.heat.sample_plan import PLAN_LAYOUT
-from bstm_daemon.model.thermal.settling import LONGEST_SETTLING_S
 from bstm_daemon.model.wear.dose import DOSE
+from bstm_daemon.model.wear.pads import Change
 from bstm_daemon.roles import ROLE_INDEX, ROLES
 from bstm_daemon.units import KELVIN_OFFSET
 
@@ -86,11 +86,11 @@ def export_state(estimator: Estimator) -> Document:
     return {
         "vehicle_id": estimator.config.vehicle.id,
         "time_us": None if now == NEVER else now,
-        "history_left_us": max(estimator.history_left_steps, 0) * STEP_US,
         "ambient_k": _ambient_k(estimator),
         "corners": {
             name: estimator.state(name) for name in estimator.programs
         },
+        "start_bound": estimator.start.states(),
         "wear": estimator.wear.export(),
         "samples": {
             "layout": _layout(estimator),
@@ -121,7 +121,7 @@ def restore_state(
             temperature; the estimator is as before.
     """
     saved = checked(SavedState, document)
-    states, carried, new = {}, [], []
+    states, bounds, carried, new = {}, {}, [], []
     for name, program in estimator.programs.items():
         values = saved.corners.get(name)
         if values is None:
@@ -130,6 +130,10 @@ def restore_state(
         nodes = [node.name for node in program.network.nodes]
         _check_nodes(name, nodes, values)
         states[name] = _completed(program.network, values)
+        bound = saved.start_bound.get(name)
+        if bound is not None:
+            _check_nodes(name, nodes, bound)
+            bounds[name] = _completed(program.network, bound)
         carried += [f"{name}.{key}" for key in nodes if key in values]
         new += [f"{name}.{key}" for key in nodes if key not in values]
     if not carried:
@@ -148,11 +152,11 @@ def restore_state(
     for batch, member, name in estimator.members():
         state = estimator.state(name) | states.get(name, {})
         batch.state[batch.part(member)] = array("d", state.values())
+    estimator.start.end()
+    estimator.start.begin(bounds.keys(), bounds)
     # a corner without saved values is as after a first start
-    if all(name in saved.corners for name in estimator.programs):
-        left_s = max(saved.history_left_us * 1e-6, 0.0)
-        left_s = min(left_s, LONGEST_SETTLING_S)
-        estimator.history_left_steps = round(left_s * 1e6) // STEP_US
+    known = states.keys() if saved.history_left_us <= 0.0 else set()
+    estimator.start.begin(estimator.programs.keys() - known - bounds.keys())
     if samples is not None:
         estimator.samples, estimator.open_flags = samples
     else:
@@ -224,10 +228,9 @@ def park(
     air_k = _ambient_k(estimator) if ambient_k is None else ambient_k
     _stand(estimator, parked_s, air_k)
     estimator.trust.park(parked_s)
+    estimator.start.compare()
     learned = estimator.samples.learned()
     estimator.samples = SampleState.new(learned)
-    left = estimator.history_left_steps - round(parked_s * 1e6) // STEP_US
-    estimator.history_left_steps = max(left, 0)
 
 
 def keep_input_history(estimator: Estimator) -> None:
@@ -259,24 +262,22 @@ def correct_parked(
     wear = estimator.wear
     restore_state(estimator, document, resume=False)
     _stand(estimator, parked_s, air_k)
-    for batch, _ in estimator.batches:
+    for batch in _batches(estimator):
         ledger = batch.ledger[:]
         for steps, row in rows:
             batch.march(row, 1, steps * STEP_US * 1e-6)
         batch.ledger[:] = ledger
+    estimator.start.compare()
     since = sum(steps for steps, _ in rows)
     estimator.samples, estimator.open_flags = running
     estimator.wear = wear
     _rebuild(estimator)
     estimator.trust.park(parked_s + since * STEP_US * 1e-6)
-    gone = round(parked_s * 1e6) // STEP_US + since
-    left = estimator.history_left_steps - gone
-    estimator.history_left_steps = max(left, 0)
 
 
 def _stand(estimator: Estimator, seconds: float, air_k: float) -> None:
     row = array("d", channels_at_rest(air_k).values())
-    for batch, _ in estimator.batches:
+    for batch in _batches(estimator):
         ledger = batch.ledger[:]
         inputs = row * batch.sets
         for step_s in _steps(seconds):
@@ -284,6 +285,11 @@ def _stand(estimator: Estimator, seconds: float, air_k: float) -> None:
             if step_s == PARKED_STEPS[-1][1] and _at_rest(batch, air_k):
                 break
         batch.ledger[:] = ledger
+
+
+def _batches(estimator: Estimator) -> list[Batch]:
+    """Return the batches of the estimate and those of the hot bound."""
+    return [batch for batch, _ in estimator.batches] + estimator.start.batches
 
 
 def _steps(seconds: float) -> Iterator[float]:
@@ -327,6 +333,7 @@ def _rebuild(estimator: Estimator) -> None:
         corner = estimator.wear.built_corner(name)
         program = compile_corner(estimator.config, corner)
         batch.replace(member, program)
+        estimator.start.exchange(name, program, Change.CORRECTED, air_k=0.0)
         estimator.programs[name] = program
 
 

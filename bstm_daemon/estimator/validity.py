@@ -1,10 +1,9 @@
 """What an estimate needs, corner by corner, to be valid.
 
-An estimate is *valid*; *degraded* where an input that the heat mode goes by
-is missing or suspect, its heat comes from the other source, or its start or
-heat was unknown and is still felt; *invalid* where its heat has been unknown
-for too long, or it is no temperature of a brake. ``docs/validity.md`` has
-the answers in a table.
+An estimate is *valid* where no :class:`~bstm_daemon.estimate.Reason` speaks
+against it; *invalid* where its heat has been unknown for too long, or it is
+no temperature of a brake; else *degraded*. ``docs/validity.md`` has the
+reasons in a table.
 """
 
 from __future__ import annotations
@@ -21,7 +20,8 @@ from bstm_daemon.channels import (
     HEAT_UNCERTAIN,
     WHEEL_SUSPECT,
 )
-from bstm_daemon.estimate import Validity
+from bstm_daemon.estimate import Reason, Validity
+from bstm_daemon.estimator.verified import unverified_inputs
 from bstm_daemon.roles import ROLE_INDEX
 
 if TYPE_CHECKING:
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
     from bstm_daemon.config.sections import Config
     from bstm_daemon.estimator.blocks import Block
+    from bstm_daemon.estimator.model_check import ModelCheck
     from bstm_daemon.estimator.trust import Trust
 
 
@@ -49,15 +50,20 @@ _OBSERVED: Final = ("acceleration_scale", "wheel_radius", "pressure_dead")
 class Needs(NamedTuple):
     """What a corner needs.
 
-    Bits of a step's flags that degrade an estimate, those among them that
-    speak against its heat, and those that make it invalid; whether its disc
-    must be measured.
+    Bits of a step's flags: those of an input that is missing, those that
+    speak against one now, and those among them that speak against the heat,
+    which the brake remembers; whether its heat was unknown, and for too
+    long. Whether its disc must be measured, and whether an input that it
+    goes by is unverified.
     """
 
-    degrading: int
-    suspecting: int
-    invalidating: int
+    missing: int
+    suspect: int
+    remembered: int
+    uncertain: int
+    lost: int
     measured: bool
+    unverified: bool
 
 
 def needs_of_corners(
@@ -71,65 +77,78 @@ def needs_of_corners(
             that nothing is mapped to is not waited for.
     """
     found: dict[str, Needs] = {}
+    unverified = unverified_inputs(config, present)
     for place, corner in enumerate(config.corner):
-        suspecting = _suspecting(config, present, place)
+        remembered = _remembered(config, present, place)
         found[corner.name] = Needs(
-            _missing(config, present, place)
-            | _pressure(config, place)
-            | suspecting
-            | HEAT_UNCERTAIN << place,
-            suspecting,
-            HEAT_LOST << place,
-            config.heat.mode == "measured",
+            missing=_missing(config, present, place),
+            suspect=_pressure(config, place) | remembered,
+            remembered=remembered,
+            uncertain=HEAT_UNCERTAIN << place,
+            lost=HEAT_LOST << place,
+            measured=config.heat.mode == "measured",
+            unverified=bool(unverified[corner.name]),
         )
     return found
 
 
-def validities(
-    block: Block, needs: Mapping[str, Needs], trust: Trust, step_s: float
-) -> dict[str, array[int]]:
-    """Return the validity of each corner of *block*, one a publication.
+def judge(
+    block: Block,
+    needs: Mapping[str, Needs],
+    checks: tuple[Trust, ModelCheck],
+    step_s: float,
+) -> None:
+    """Fill in validity and reasons of *block*.
 
     Args:
-        block: its own validities are not read.
+        block: of the next publications.
         needs: what each corner needs, by its name.
-        trust: remembers what was found against the heat.
+        checks: what remembers findings against the heat, and against the
+            estimates.
         step_s: time between two publications [s].
     """
-    found = {}
+    trust, model_check = checks
     of_car = trust.findings(block, step_s)
+    strong = model_check.findings(block)
     for name, (number, place, stride, group) in block.layout.modelled.items():
         output = block.outputs[number]
-        degrading, suspecting, invalidating, measured = needs[name]
-        codes = array("b")
+        need = needs[name]
+        validity, reasons = array("b"), array("B")
         for i, flags in enumerate(block.flags):
             first = i * stride + place
             nodes = output[first : first + group.nodes]
             held = trust.holds(
-                name, step_s, found=of_car[i] or bool(flags & suspecting)
+                name,
+                step_s,
+                found=of_car[i] or bool(flags & need.remembered),
             )
+            why = Reason.UNVERIFIED.value if need.unverified else 0
+            if i < block.known_from[name]:
+                why |= Reason.START_UNKNOWN.value
+            if flags & need.missing or (
+                need.measured
+                and isnan(block.at(i).channel(name, "measured_disc_k"))
+            ):
+                why |= Reason.INPUT_MISSING.value
+            if held or flags & need.suspect:
+                why |= Reason.INPUT_SUSPECT.value
+            if flags & (need.uncertain | need.lost):
+                why |= Reason.HEAT_UNKNOWN.value
+            if model_check.holds(name, step_s, found=name in strong[i]):
+                why |= Reason.MODEL_DISAGREES.value
             # nan fails every comparison, but min and max may pass it over
             if not (
                 isfinite(sum(nodes))
                 and min(nodes) > LOWEST_K
                 and max(nodes) < HIGHEST_K
-                and not flags & invalidating
             ):
-                codes.append(Validity.INVALID)
-            elif (
-                held
-                or flags & degrading
-                or i < block.known_from
-                or (
-                    measured
-                    and isnan(block.at(i).channel(name, "measured_disc_k"))
-                )
-            ):
-                codes.append(Validity.DEGRADED)
+                why |= Reason.IMPOSSIBLE.value
+            reasons.append(why)
+            if why & Reason.IMPOSSIBLE.value or flags & need.lost:
+                validity.append(Validity.INVALID)
             else:
-                codes.append(Validity.VALID)
-        found[name] = codes
-    return found
+                validity.append(Validity.DEGRADED if why else Validity.VALID)
+        block.validity[name], block.reasons[name] = validity, reasons
 
 
 def _missing(config: Config, present: Mapping[int, int], place: int) -> int:
@@ -147,7 +166,7 @@ def _pressure(config: Config, place: int) -> int:
     return 0 if config.heat.mode == "fb" else CORNER_PRESSURE_SUSPECT << place
 
 
-def _suspecting(config: Config, present: Mapping[int, int], place: int) -> int:
+def _remembered(config: Config, present: Mapping[int, int], place: int) -> int:
     flags, mode = FLAGS["speed_suspect"], config.heat.mode
     if mode in {"fb", "fused"}:
         for role, name in _MOTION:

@@ -5,17 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
-from bstm_daemon.estimate import CornerRisk, Validity
+from bstm_daemon.estimate import CornerRisk
 from bstm_daemon.estimator.memory import SavedState, checked
+from bstm_daemon.forecast.course_risk import PYTHON_MEMBERS
 from bstm_daemon.forecast.fluid import FluidKnowledge
 from bstm_daemon.forecast.march import HORIZON_S, parked_course
 from bstm_daemon.forecast.members import DEGRADED_FACTOR, Ensemble, Spread
-from bstm_daemon.forecast.monitor import PYTHON_MEMBERS, SavedRisk
-from bstm_daemon.model.risk.levels import (
-    PROBABILITIES,
-    level_of,
-    published_level,
-)
+from bstm_daemon.forecast.monitor import SavedRisk
+from bstm_daemon.model.risk.levels import PROBABILITIES, level_of
 from bstm_daemon.native.loader import load_kernel
 from bstm_daemon.units import KELVIN_OFFSET
 
@@ -32,7 +29,8 @@ SHARES: Final = (0.01, 0.5, 0.99)
 class CornerOutlook(NamedTuple):
     """Forecast of a corner if the car stays parked from the save on.
 
-    ``risk`` has no duty and no level of fade.
+    Of the hot bound where the start is unknown. ``risk`` has no duty and no
+    level of fade.
     """
 
     corner: str
@@ -79,10 +77,11 @@ def outlook(
     members = config.forecast.members if kernel else PYTHON_MEMBERS
     spread = Spread().scaled(config.forecast.uncertainty)
     factor = 1.0 if known else DEGRADED_FACTOR
+    bounds = estimator.start.states()
     corners = []
     for name in (c.name for c in config.disc_corners()):
         ensemble = Ensemble(estimator.programs[name], members, spread)
-        state = estimator.state(name)
+        state = bounds.get(name) or estimator.state(name)
         course = parked_course(
             ensemble, kernel, list(state.values()), air_k, factor
         )
@@ -91,9 +90,7 @@ def outlook(
         risk = CornerRisk(
             probability=probability,
             probability_now=course.probability(0, boiling),
-            level=published_level(
-                level_of(probability), Validity.VALID, history_known=known
-            ),
+            level=level_of(probability),
             fluid_deviation_k=ensemble.fluid_deviation_k(
                 state["fluid"], air_k, factor
             ),

@@ -9,10 +9,12 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from collections import Counter
+from collections.abc import Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import accumulate
-from typing import TYPE_CHECKING
+from math import inf, isinf, nan
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -20,22 +22,30 @@ from bstm_daemon.advice.advisor import Advisor
 from bstm_daemon.bus.opening import EventLog
 from bstm_daemon.errors import LogError, UsageError
 from bstm_daemon.estimator.corner_estimates import corner_estimates
-from bstm_daemon.estimator.estimator import PUBLISH_US, STEP_US, Estimator
+from bstm_daemon.estimator.estimator import PUBLISH_US, Estimator
 from bstm_daemon.estimator.memory import StateError
 from bstm_daemon.estimator.state import parked_before_us, resume_state
+from bstm_daemon.estimator.validity import HIGHEST_K, LOWEST_K
 from bstm_daemon.forecast.monitor import RiskMonitor
 from bstm_daemon.model.risk.boiling import wet_boiling_point_k
 from bstm_daemon.replay.results import Collector, Results, ResultsBuilder, Sink
+from bstm_daemon.roles import ROLE_INDEX
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Sequence
     from pathlib import Path
-    from typing import Any
+    from typing import Any, Literal, TypeAlias
 
     from bstm_daemon.bus.signals.signal_map import SignalMap
     from bstm_daemon.config.sections import Config
     from bstm_daemon.estimate import Advice, CarRisk
     from bstm_daemon.estimator.blocks import Block
+
+    StartState: TypeAlias = Mapping[str, Any] | Literal["cold"] | None
+
+
+AIR_SAMPLES: Final = 10
+"""Values that the temperature of a cold start is the median of."""
 
 
 @dataclass(frozen=True)
@@ -44,8 +54,9 @@ class Run:
 
     ``refused`` counts lines, frames and samples by reason; ``counts`` has
     the estimator's own: late and dropped samples, clock jumps. ``truncated``
-    is set for a gzip file without its end. ``settling_s`` is how long the
-    unknown start has an effect.
+    is set for a gzip file without its end. ``start_known_s`` is the time
+    after the first estimate from which on the start has no effect any more,
+    0 where it was known and infinite where it stays unknown.
     """
 
     lines: int
@@ -54,7 +65,7 @@ class Run:
     counts: dict[str, int]
     compiled: bool
     truncated: bool
-    settling_s: float
+    start_known_s: float
 
 
 @dataclass(frozen=True)
@@ -100,7 +111,7 @@ def stream_log(  # noqa: PLR0913
     overrides: Mapping[str, str] | None = None,
     every_us: int = PUBLISH_US,
     progress: Callable[[float], None] | None = None,
-    state: Mapping[str, Any] | None = None,
+    state: StartState = None,
     forecast: bool = True,
 ) -> Run:
     """Run the estimator over the log *path*, rows going to *sinks*.
@@ -113,7 +124,8 @@ def stream_log(  # noqa: PLR0913
         overrides: log interface name to bus name.
         every_us: time between two rows [us], a multiple of 100 000.
         progress: called with the share of the log that is read.
-        state: a state file's document; without it the history is unknown.
+        state: a state file's document; ``"cold"`` for brakes as cold as the
+            air; None for an unknown start.
         forecast: whether there are columns of risk, forecast and advice.
 
     Raises:
@@ -124,27 +136,24 @@ def stream_log(  # noqa: PLR0913
     """
     log = EventLog(path, signal_map, overrides)
     present = present_roles(signal_map)
-    estimator = Estimator(config, present)
+    cold = state == "cold"
+    air_k = first_air_k(signal_map, path, overrides) if cold else None
+    estimator = Estimator(config, present, history_known=cold, initial_k=air_k)
     monitor = RiskMonitor(config, estimator) if forecast else None
     advice = AdviceSeries(config, present)
     builder = ResultsBuilder(estimator, sinks, every_us)
-    settling_s = None if state is not None else estimator.settling_s
+    start = _Start()
     for events in log.events():
-        if settling_s is None and state is not None and len(events.time_us):
+        if isinstance(state, Mapping) and len(events.time_us):
             first_us = int(events.time_us[0])
-            parked_us = parked_before_us(state, first_us)
-            with naming_state():
-                resumed = resume_state(estimator, state, parked_us, first_us)
-                if monitor is not None:
-                    monitor.resume(state, parked_us, first_us)
-            if resumed.resumed:
-                advice.advisor = advice.advisor.resumed(state.get("advice"))
-            settling_s = estimator.history_left_steps * STEP_US * 1e-6
+            _resume(state, first_us, estimator, monitor, advice)
+            state = None
         samples = events.time_us, events.role, events.value
         if monitor is not None:
             monitor.ingest(*samples)
             advice.ingest(*samples)
         for block in estimator.blocks(*samples):
+            start.add(block)
             if monitor is None:
                 builder.add([block])
                 continue
@@ -165,8 +174,62 @@ def stream_log(  # noqa: PLR0913
         estimator.counts,
         estimator.compiled,
         log.reader.truncated,
-        settling_s or 0.0,
+        start.known_s,
     )
+
+
+def _resume(
+    state: Mapping[str, Any],
+    first_us: int,
+    estimator: Estimator,
+    monitor: RiskMonitor | None,
+    advice: AdviceSeries,
+) -> None:
+    """Put *state* into all that a log is run through, from *first_us* on."""
+    parked_us = parked_before_us(state, first_us)
+    with naming_state():
+        resumed = resume_state(estimator, state, parked_us, first_us)
+        estimator.model_check.resume(
+            state, None if resumed.resumed else (parked_us or 0) * 1e-6
+        )
+        if monitor is not None:
+            monitor.resume(state, parked_us, first_us)
+    if resumed.resumed:
+        advice.advisor = advice.advisor.resumed(state.get("advice"))
+
+
+class _Start:
+    """When the start came to have no effect any more, see :class:`Run`."""
+
+    def __init__(self) -> None:
+        self.known_s = inf
+        self._begun_us: int | None = None
+
+    def add(self, block: Block) -> None:
+        if self._begun_us is None:
+            self._begun_us = block.times_us[0]
+        known = max(block.known_from.values(), default=0)
+        if isinf(self.known_s) and known < len(block.times_us):
+            self.known_s = (block.times_us[known] - self._begun_us) * 1e-6
+
+
+def first_air_k(
+    signal_map: SignalMap, path: Path, overrides: Mapping[str, str] | None
+) -> float | None:
+    """Return the air's temperature [K] where the log *path* begins.
+
+    The median of the first values is used, because one may be wrong; None
+    where the log's first samples have none.
+    """
+    role = ROLE_INDEX["ambient_temperature"]
+    if role not in signal_map.roles():
+        return None
+    for events in EventLog(path, signal_map, overrides).events():
+        if len(events.time_us):
+            values = events.value[events.role == role][:AIR_SAMPLES]
+            found = float(np.median(values)) if len(values) else nan
+            return found if LOWEST_K < found < HIGHEST_K else None
+    return None
 
 
 class AdviceSeries:

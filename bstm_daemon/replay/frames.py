@@ -6,23 +6,25 @@ have sent: with the daemon's start state the same, byte for byte.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from itertools import chain
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 from bstm_daemon.bus.opening import NOT_READ, open_log, resolve_interfaces
 from bstm_daemon.engine import Engine
 from bstm_daemon.errors import ConfigError, LogError
 from bstm_daemon.estimator.state import parked_before_us
 from bstm_daemon.files import replacing
-from bstm_daemon.replay.columns import naming_state
+from bstm_daemon.replay.columns import first_air_k, naming_state
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping
+    from collections.abc import Iterable, Iterator
     from pathlib import Path
 
     from bstm_daemon.bus.signals.signal_map import SignalMap
     from bstm_daemon.config.sections import Config
     from bstm_daemon.engine import Published
+    from bstm_daemon.replay.columns import StartState
 
 TICK_US: Final = 50_000
 """Tick of the live service by default; it does not change results."""
@@ -36,7 +38,7 @@ def publications(
     signal_map: SignalMap,
     path: Path,
     overrides: Mapping[str, str] | None = None,
-    state: Mapping[str, Any] | None = None,
+    state: StartState = None,
     *,
     forecast: bool = True,
 ) -> Iterator[list[Published]]:
@@ -47,7 +49,7 @@ def publications(
         signal_map: its extraction plan.
         path: a log of CAN frames.
         overrides: log interface name to bus name.
-        state: a state file's document; without it the history is unknown.
+        state: as of :func:`~bstm_daemon.replay.columns.stream_log`.
         forecast: whether risk and forecast are made.
 
     Yields:
@@ -58,14 +60,21 @@ def publications(
         FileAccessError: it can not be read.
         UsageError: *state* is no state of this car.
     """
-    engine = Engine(config, signal_map, forecast=forecast)
+    cold = state == "cold"
+    engine = Engine(
+        config,
+        signal_map,
+        history_known=cold,
+        initial_k=first_air_k(signal_map, path, overrides) if cold else None,
+        forecast=forecast,
+    )
     frames = _frames(path, signal_map, overrides or {})
     first = next(frames, None)
     if first is None:
         msg = f"{path}: no CAN frame"
         raise LogError(msg)
     last_us = first[0]
-    if state is not None:
+    if isinstance(state, Mapping):
         parked_us = parked_before_us(state, last_us)
         with naming_state():
             engine.resume(state, parked_us, last_us)

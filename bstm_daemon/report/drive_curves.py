@@ -10,11 +10,13 @@ import numpy as np
 
 from bstm_daemon.channels import FLAGS
 from bstm_daemon.estimate import (
+    REASON_WORDS,
     Assist,
     Downshift,
     Intervention,
     Isolation,
     Message,
+    Reason,
 )
 from bstm_daemon.model.heat.plausibility import FAULTS
 from bstm_daemon.replay.results import ElapsedTime
@@ -111,6 +113,17 @@ _ADVICE: Final[dict[str, dict[int, tuple[str, str]]]] = {
 the top, those to the driver first."""
 
 
+_REASON_COLOURS: Final = {
+    Reason.START_UNKNOWN: GREY,
+    Reason.INPUT_MISSING: BLACK,
+    Reason.INPUT_SUSPECT: ORANGE,
+    Reason.HEAT_UNKNOWN: PURPLE,
+    Reason.UNVERIFIED: BLUE,
+    Reason.MODEL_DISAGREES: VERMILION,
+    Reason.IMPOSSIBLE: GREEN,
+}
+
+
 @dataclass(frozen=True, slots=True)
 class Trace:
     """A curve of a panel: ``corner`` is None where it is the vehicle's.
@@ -182,7 +195,8 @@ class DriveCurves:
     """A sink that keeps what the plots draw; columns may be missing.
 
     Panels are ``speed`` [km/h], ``pressure`` [bar], ``advice`` [number of the
-    line], ``power`` [kW], ``temperature`` and ``fluid`` [degC], ``risk`` [%].
+    line], ``power`` [kW], ``temperature`` and ``fluid`` [degC], ``reasons``
+    [number of the line], ``risk`` [%].
     """
 
     def __init__(self) -> None:
@@ -201,6 +215,7 @@ class DriveCurves:
         self._pressures: dict[str, _Curve] = {}
         self._differing: set[tuple[str, str]] = set()
         self._corners: dict[str, list[_Curve]] = {}
+        self._reasons: dict[str, dict[Reason, Buckets]] = {}
 
     def write(self, rows: Results) -> None:
         """Take *rows*."""
@@ -217,8 +232,9 @@ class DriveCurves:
         """Return every curve that there are numbers for."""
         traces = [self._speed.trace(), *self._pressure_traces()]
         traces += self._advice_traces()
-        for curves in self._corners.values():
+        for name, curves in self._corners.items():
             traces += [curve.trace() for curve in curves]
+            traces += self._reason_traces(name)
         return [trace for trace in traces if trace is not None]
 
     def spans(self, corner: str) -> list[tuple[int, float, float]]:
@@ -259,10 +275,7 @@ class DriveCurves:
                 known = {**columns, _BOILING_POINT: fluid_c + margin_k}
             for curve in (*curves, self._pressures[name]):
                 curve.add(elapsed_s, known)
-            validity = columns.get(f"{name}.validity")
-            if validity is not None and len(validity):
-                track = self._validity.setdefault(name, Buckets(np.maximum))
-                track.add(np.nan_to_num(validity, nan=0.0))
+            self._add_validity(name, columns)
         if "flags" in columns:
             bits = columns["flags"].astype(np.int64)
             for panel, (suspect, missing) in _PANEL_INPUTS.items():
@@ -270,6 +283,23 @@ class DriveCurves:
                 codes[(bits & missing) != 0] = 2.0
                 self._inputs[panel].add(codes)
         self._compare_pressures(columns)
+
+    def _add_validity(
+        self, corner: str, columns: Mapping[str, Column]
+    ) -> None:
+        """Add validity and reasons of *corner*, if it has any."""
+        validity = columns.get(f"{corner}.validity")
+        if validity is not None and len(validity):
+            track = self._validity.setdefault(corner, Buckets(np.maximum))
+            track.add(np.nan_to_num(validity, nan=0.0))
+        reasons = columns.get(f"{corner}.reasons")
+        if reasons is not None and len(reasons):
+            bits = np.nan_to_num(reasons).astype(np.int64)
+            tracks = self._reasons.setdefault(
+                corner, {one: Buckets(np.maximum) for one in REASON_WORDS}
+            )
+            for one, active in tracks.items():
+                active.add((bits & one != 0).astype(float))
 
     def _compare_pressures(self, columns: Mapping[str, Column]) -> None:
         """Note which corners do not share a circuit."""
@@ -312,6 +342,24 @@ class DriveCurves:
             for (column, code), active in self._advice.items()
             if active.values.any()
         ]
+        return self._bars("advice", None, given)
+
+    def _reason_traces(self, corner: str) -> list[Trace]:
+        """Return a bar a reason why *corner* is not valid."""
+        given = [
+            ((REASON_WORDS[one], _REASON_COLOURS[one]), active.values)
+            for one, active in self._reasons.get(corner, {}).items()
+            if active.values.any()
+        ]
+        return self._bars("reasons", corner, given)
+
+    def _bars(
+        self,
+        panel: str,
+        corner: str | None,
+        given: list[tuple[tuple[str, str], Column]],
+    ) -> list[Trace]:
+        """Return a bar for each label and colour, where its values hold."""
         traces = []
         for i, ((label, colour), values) in enumerate(given):
             line = float(len(given) - i)
@@ -322,7 +370,7 @@ class DriveCurves:
                 y += [line, line, None]
             bar = {"color": colour, "width": 7}
             look = {"line": bar, "hovertemplate": label}
-            traces.append(Trace("advice", None, label, x, y, look))
+            traces.append(Trace(panel, corner, label, x, y, look))
         return traces
 
     def _spans(self, codes: Column) -> list[tuple[int, float, float]]:

@@ -14,7 +14,7 @@ import numpy as np
 from bstm_daemon.channels import FLAGS
 from bstm_daemon.model.heat.needs import INPUTS
 from bstm_daemon.replay.results import ElapsedTime, Results
-from bstm_daemon.report.findings import FindingCollector
+from bstm_daemon.report.findings import FindingCollector, ReasonCollector
 from bstm_daemon.report.stretches import (
     STANDING_MS,
     StopFinder,
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     import numpy.typing as npt
 
-    from bstm_daemon.report.findings import Finding
+    from bstm_daemon.report.findings import Finding, ReasonTime
 
     Column = npt.NDArray[np.float64]
 
@@ -95,6 +95,8 @@ class DriveSummary:
     corners: tuple[CornerSummary, ...]
     findings: tuple[Finding, ...] = ()
     """Suspect inputs, and when the heat was not known."""
+    reasons: tuple[ReasonTime, ...] = ()
+    """Why estimates were not valid, the longest first."""
 
 
 class DriveStatistics:
@@ -110,6 +112,7 @@ class DriveStatistics:
             for name in sorted({n for names in INPUTS.values() for n in names})
         }
         self._findings = FindingCollector()
+        self._reasons = ReasonCollector()
         # in the order of the configuration, as the bits of the flags
         self._places: tuple[str, ...] = ()
         self._stops = StopFinder()
@@ -153,6 +156,7 @@ class DriveStatistics:
                 for corner in self._corners.values()
             ),
             findings=self._findings.findings(self._places),
+            reasons=self._reasons.times(),
         )
 
     def _add(self, columns: Mapping[str, Column]) -> None:
@@ -169,6 +173,12 @@ class DriveStatistics:
             for name, gap in self._gaps.items():
                 gap.add(elapsed_s, (bits & FLAGS[f"{name}_missing"]) != 0)
             self._findings.add(elapsed_s, bits)
+        reasons = {
+            name: columns[f"{name}.reasons"]
+            for name in self._corners
+            if f"{name}.reasons" in columns
+        }
+        self._reasons.add(elapsed_s, reasons)
         if "speed_ms" in columns:
             self._add_speed(elapsed_s, steps_s, columns["speed_ms"])
         if "distance_m" in columns:

@@ -18,11 +18,16 @@ from bstm_daemon.channels import (
     HEAT_UNCERTAIN,
     WHEEL_SUSPECT,
 )
+from bstm_daemon.estimate import REASON_WORDS
 from bstm_daemon.model.heat.plausibility import CAUSES, FAULTS, SUSPECT, WORDS
 from bstm_daemon.model.heat.plausibility import reasons as words_of
 from bstm_daemon.report.stretches import StretchFinder
+from bstm_daemon.report.text import percent
+from bstm_daemon.report.timescale import clock, duration
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     import numpy.typing as npt
 
     Bits = npt.NDArray[np.int64]
@@ -126,3 +131,66 @@ class FindingCollector:
             times_s = held.total_s, held.first_from_s
             found.append(Finding(subject, about, *times_s, tuple(why)))
         return tuple(found)
+
+
+@dataclass(frozen=True, slots=True)
+class ReasonTime:
+    """A reason why estimates were not valid: how long, since when, where.
+
+    ``share`` is that of the drive's duration.
+    """
+
+    words: str
+    corners: tuple[str, ...]
+    total_s: float
+    share: float
+    from_s: float
+
+    @property
+    def text(self) -> str:
+        """The reason in one line."""
+        return (
+            f"{self.words} for {duration(self.total_s)} "
+            f"({percent(self.share)}), from {clock(self.from_s)} on: "
+            f"{' '.join(self.corners)}"
+        )
+
+
+class ReasonCollector:
+    """Adds up why the estimates of a growing drive were not valid."""
+
+    def __init__(self) -> None:
+        """Begin without rows."""
+        self._finders = {one: StretchFinder() for one in REASON_WORDS}
+        self._corners: dict[int, set[str]] = {
+            one: set() for one in self._finders
+        }
+        self._elapsed_s = 0.0
+
+    def add(self, elapsed_s: Column, reasons: Mapping[str, Column]) -> None:
+        """Add rows: time since the first, and bits by corner; (n,) each."""
+        for one, finder in self._finders.items():
+            holds = np.zeros(len(elapsed_s), bool)
+            for corner, bits in reasons.items():
+                own = (np.nan_to_num(bits).astype(np.int64) & one) != 0
+                if own.any():
+                    self._corners[one].add(corner)
+                holds |= own
+            finder.add(elapsed_s, holds)
+        if len(elapsed_s):
+            self._elapsed_s = float(elapsed_s[-1])
+
+    def times(self) -> tuple[ReasonTime, ...]:
+        """Return the reasons so far, the longest first."""
+        found = [
+            ReasonTime(
+                REASON_WORDS[one],
+                tuple(sorted(self._corners[one])),
+                held.total_s,
+                held.total_s / self._elapsed_s,
+                held.first_from_s,
+            )
+            for one, finder in self._finders.items()
+            if (held := finder.stretches()) is not None
+        ]
+        return tuple(sorted(found, key=lambda one: -one.total_s))

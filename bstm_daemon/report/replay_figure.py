@@ -32,12 +32,13 @@ PANELS: Final = {
     "power": ("brake power [kW]", 140),
     "temperature": ("temperature [°C]", 320),
     "fluid": ("brake fluid temperature [°C]", 240),
+    "reasons": ("not valid because of", 70),
     "risk": ("probability of vapour [%]", 120),
 }
 """Title and height [px] of each panel, from the top."""
 
 VEHICLE_PANELS: Final = ("speed", "pressure", "advice")
-CORNER_PANELS: Final = ("power", "temperature", "fluid", "risk")
+CORNER_PANELS: Final = ("power", "temperature", "fluid", "reasons", "risk")
 LEFT: Final = 1
 RIGHT: Final = 2
 RIGHT_CORNERS: Final = ("FR", "RR")
@@ -290,7 +291,7 @@ def _value_axis(panel: str, column: int, grid: _Grid) -> dict[str, Any]:
         **AXIS,
         "nticks": max(5, PANELS[panel][1] // 35),
     }
-    if panel == "advice":
+    if panel in {"advice", "reasons"}:
         # lines, not values: the legend has their names
         highest = grid.filled[panel, column][1]
         axis |= {"range": [0.3, highest + 0.7], "showticklabels": False}

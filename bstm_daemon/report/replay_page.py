@@ -68,6 +68,7 @@ def replay_page(
     warnings = (*facts.warnings, *(one.text for one in summary.findings))
     sections = [
         Section("Summary", _corners(summary), note=_corners_note(summary)),
+        *_reasons(summary),
         Section(
             "Plots", figure=replay_figure(curves, summary), note=PLOT_NOTE
         ),
@@ -172,6 +173,25 @@ def _peak(peak: Peak | None, with_hours: bool) -> str | Cell:  # noqa: FBT001
         text += f" ({VALIDITY_NAMES[peak.validity]})"
     at = clock(peak.time_s, with_hours=with_hours)
     return Cell(text, f"{at}, still rising" if peak.at_end else at)
+
+
+def _reasons(summary: DriveSummary) -> list[Section]:
+    """Return why estimates were not valid, if there was a reason."""
+    if not summary.reasons:
+        return []
+    with_hours = summary.duration_s >= HOUR_S
+    rows = [
+        [
+            one.words,
+            duration(one.total_s),
+            percent(one.share),
+            clock(one.from_s, with_hours=with_hours),
+            " ".join(one.corners),
+        ]
+        for one in summary.reasons
+    ]
+    head = ("reason", "time", "of the drive", "from", "corners")
+    return [Section("Why estimates are not valid", Table(head, rows))]
 
 
 def _corners_note(summary: DriveSummary) -> str:

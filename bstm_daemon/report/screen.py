@@ -28,8 +28,8 @@ def summary_table(summary: DriveSummary) -> str:
     Per corner the peak temperature [degC] of each node and when it was, how
     long after the stop the fluid peaked, the least margin to the wet boiling
     point [K], and the brake energy [MJ]: as it heated the model, by
-    Feed-Forward, by Feed-Back. Below the table what was valid, which
-    inputs were suspect, and when the heat was not known.
+    Feed-Forward, by Feed-Back. Below the table what was valid and why the
+    rest was not, which inputs were suspect, and when the heat was not known.
     """
     with_hours = summary.duration_s >= HOUR_S
     rows: list[tuple[str, ...]] = [HEADINGS]
@@ -43,6 +43,9 @@ def summary_table(summary: DriveSummary) -> str:
     if any((corner.after_stop_s or 0.0) < 0.0 for corner in summary.corners):
         lines.append("after stop, negative: time before the first stop")
     lines += _validity_lines(summary)
+    if summary.reasons:
+        lines.append("not valid because of")
+        lines += wrapped([one.text for one in summary.reasons])
     lines += wrapped([one.text for one in summary.findings], mark="")
     return "\n".join(lines)
 

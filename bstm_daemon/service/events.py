@@ -64,8 +64,10 @@ MODEL_DISAGREES: Final = Event("model_disagrees", "warning", ("what",))
 MODEL_AGREES: Final = Event("model_agrees", "info", ("what",))
 CLOCK_STEPPED: Final = Event("clock_stepped", "warning", ("step_s",))
 VALIDITY_CHANGED: Final = Event(
-    "validity_changed", "info", ("corner", "validity")
+    "validity_changed", "info", ("corner", "validity", "reasons")
 )
+INPUTS_UNVERIFIED: Final = Event("inputs_unverified", "warning", ("inputs",))
+"""Nothing can check these inputs: what goes by them is degraded."""
 RISK_ROSE: Final = Event(
     "risk_rose", "warning", ("corner", "level", "margin_k")
 )

@@ -18,7 +18,13 @@ from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily
 from prometheus_client.registry import Collector
 
 from bstm_daemon.bus.live.link import LinkEvent, LinkState
-from bstm_daemon.estimate import RiskLevel, State, Validity
+from bstm_daemon.estimate import (
+    REASON_WORDS,
+    Input,
+    RiskLevel,
+    State,
+    Validity,
+)
 from bstm_daemon.model.heat.plausibility import FAULTS
 from bstm_daemon.units import to_celsius
 
@@ -144,6 +150,12 @@ def _of_service(status: ServiceStatus) -> Iterator[Metric]:
         {(name,): name in status.faults for name in FAULTS},
         "fault",
     )
+    yield _gauge(
+        "input_unverified",
+        "Whether no mapped role can check the input: 1 if so.",
+        {(one.words[0],): one in status.unverified for one in Input},
+        "input",
+    )
     subjects = (
         "heat",
         *(f"{corner} {node}" for corner, node in status.residuals_k),
@@ -195,6 +207,16 @@ def _of_corners(status: ServiceStatus) -> Iterator[Metric]:
         "Whether the estimate may be used: 1 for the present validity.",
         _states(Validity, {(n,): c.validity for n, c in corners.items()}),
         *("corner", "validity"),
+    )
+    yield _gauge(
+        "not_valid_reason",
+        "Why the estimate is not valid: 1 if the reason is there.",
+        {
+            (name, str(one.name).lower()): one in corner.reasons
+            for name, corner in corners.items()
+            for one in REASON_WORDS
+        },
+        *("corner", "reason"),
     )
 
 

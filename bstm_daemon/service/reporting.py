@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Final
 from bstm_daemon.bus.live.link import LinkEvent, LinkState
 from bstm_daemon.bus.signals.reject_reason import RejectReason
 from bstm_daemon.channels import FLAGS
-from bstm_daemon.estimate import RiskLevel, Validity
+from bstm_daemon.estimate import RiskLevel
 from bstm_daemon.model.heat.plausibility import reasons
 from bstm_daemon.service import events
 from bstm_daemon.service.metrics_output import MetricsOutput
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from bstm_daemon.bus.live.link import Frame, Link
+    from bstm_daemon.estimate import Reason, Validity
     from bstm_daemon.service.assembly import Monitor
     from bstm_daemon.service.clock import SteadyAxis
     from bstm_daemon.service.events import Event, ServiceLog
@@ -72,7 +73,7 @@ class ServiceReporter:
         self._refused: Counter[str] = Counter()
         self._faults: set[str] = set()
         self._disagreements: set[str] = set()
-        self._validity: dict[str, Validity] = {}
+        self._validity: dict[str, tuple[Validity, Reason]] = {}
         self._levels: dict[str, RiskLevel] = {}
         self._flags = self._reported_flags = 0
         self._resets = self._send_lost = 0
@@ -98,6 +99,10 @@ class ServiceReporter:
         self._collector = StatusCollector(
             monitor, intake, sender, self._axis, self._start_us
         )
+        unverified = monitor.engine.unverified
+        if unverified:
+            inputs = ", ".join(unverified.words)
+            self._log.emit(events.INPUTS_UNVERIFIED, inputs=inputs)
         self._links = {}
         self._refused = Counter()
         self._resets = self._send_lost = 0
@@ -251,31 +256,34 @@ class ServiceReporter:
 
     def _report_corners(self, status: ServiceStatus, now_us: int) -> None:
         for name, corner in status.corners.items():
-            if self._validity.get(name) != corner.validity:
-                self._validity[name] = corner.validity
+            validity = corner.validity, corner.reasons
+            if self._validity.get(name) != validity:
+                self._validity[name] = validity
                 self._log.emit(
                     events.VALIDITY_CHANGED,
                     corner=name,
                     validity=corner.validity.name.lower(),
+                    reasons=", ".join(corner.reasons.words),
                 )
             before = self._levels.get(name, RiskLevel.UNKNOWN)
-            if corner.risk is before:
+            risk = corner.sure_risk
+            if risk is before:
                 continue
-            self._levels[name] = corner.risk
-            known = RiskLevel.UNKNOWN not in {before, corner.risk}
-            rose = corner.risk in {RiskLevel.ELEVATED, *KEPT_LEVELS}
+            self._levels[name] = risk
+            known = RiskLevel.UNKNOWN not in {before, risk}
+            rose = risk in {RiskLevel.ELEVATED, *KEPT_LEVELS}
             if known:
-                rose = corner.risk > before
+                rose = risk > before
             self._log.emit(
                 events.RISK_ROSE if rose else events.RISK_FELL,
                 corner=name,
-                level=corner.risk.name.lower(),
+                level=risk.name.lower(),
                 # JSON has no NaN
                 margin_k=round(corner.margin_k, 1)
                 if isfinite(corner.margin_k)
                 else None,
             )
-            if rose and corner.risk in KEPT_LEVELS:
+            if rose and risk in KEPT_LEVELS:
                 self.keep("risk", now_us)
 
     def _report_losses(self, now_us: int) -> None:

@@ -10,7 +10,16 @@ from dataclasses import dataclass, field
 from math import isfinite, nan
 from typing import TYPE_CHECKING, Final
 
-from bstm_daemon.estimate import HeatMode, RiskLevel, State, Validity
+from bstm_daemon.estimate import (
+    NO_INPUT,
+    NO_REASON,
+    HeatMode,
+    Input,
+    Reason,
+    RiskLevel,
+    State,
+    Validity,
+)
 from bstm_daemon.model.heat.plausibility import WORDS
 from bstm_daemon.units import to_celsius
 
@@ -39,14 +48,17 @@ class CornerStatus:
 
     ``nodes_k`` is the temperature [K] by node name, ``margin_k`` the wet
     boiling point minus that of the fluid; NaN where there is none.
-    ``forecast`` is None where there is none.
+    ``forecast`` is None where there is none; ``sure_risk`` is unknown where
+    only the hot bound of an unknown start is raised.
     """
 
     nodes_k: Mapping[str, float]
     margin_k: float = nan
     risk: RiskLevel = RiskLevel.UNKNOWN
     validity: Validity = Validity.NOT_AVAILABLE
+    reasons: Reason = NO_REASON
     forecast: CornerRisk | None = None
+    sure_risk: RiskLevel = RiskLevel.UNKNOWN
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,6 +119,8 @@ class ServiceStatus:
     faults: tuple[str, ...] = ()
     """What is wrong with the inputs or the heat: names of
     :data:`~bstm_daemon.model.heat.plausibility.FAULTS`."""
+    unverified: Input = NO_INPUT
+    """Inputs that no mapped role can check."""
     disagreements: tuple[str, ...] = ()
     """What the model disagrees with: ``heat``, or corner and thermocouple."""
     force_difference: float = nan
@@ -137,11 +151,15 @@ def status_line(status: ServiceStatus) -> str:
     parts = [status.state.name.lower()]
     parts += [bus.reason for bus in status.buses.values() if bus.reason]
     parts += [WORDS[name] for name in status.faults if name in _IN_LINE]
+    if status.unverified:
+        parts.append(f"unverified: {', '.join(status.unverified.words)}")
     if status.disagreements:
         parts.append(f"model disagrees: {', '.join(status.disagreements)}")
-    parts += _hottest(status.corners)
+    most = "" if status.history_known else "at most "
+    parts += _hottest(status.corners, most)
     if status.risk is not None and isfinite(status.risk.probability):
-        parts.append(f"vapour {100.0 * status.risk.probability:.1f} %")
+        percent = 100.0 * status.risk.probability
+        parts.append(f"vapour {most}{percent:.1f} %")
         if not status.compiled_kernel:
             parts.append(f"{status.forecast_members} members")
     if not status.history_known:
@@ -154,7 +172,7 @@ def status_line(status: ServiceStatus) -> str:
     return ", ".join(parts)
 
 
-def _hottest(corners: Mapping[str, CornerStatus]) -> list[str]:
+def _hottest(corners: Mapping[str, CornerStatus], most: str) -> list[str]:
     parts = []
     for node, label in (("disc", "disc"), ("fluid", "fluid")):
         hottest = max(
@@ -169,11 +187,11 @@ def _hottest(corners: Mapping[str, CornerStatus]) -> list[str]:
             kelvin, name = hottest
             parts.append(f"{label} {name} {to_celsius(kelvin):.0f} degC")
     if corners:
-        parts.append(_risk(list(corners.values())))
+        parts.append(_risk(list(corners.values()), most))
     return parts
 
 
-def _risk(corners: Sequence[CornerStatus]) -> str:
+def _risk(corners: Sequence[CornerStatus], most: str) -> str:
     known = [
         corner.risk
         for corner in corners
@@ -188,4 +206,6 @@ def _risk(corners: Sequence[CornerStatus]) -> str:
         corner.margin_k for corner in corners if isfinite(corner.margin_k)
     ]
     margin = f", margin {min(margins):.0f} K" if margins else ""
-    return f"risk {worst.name.lower()}{margin}"
+    if worst is RiskLevel.UNKNOWN:
+        most = ""
+    return f"risk {most}{worst.name.lower()}{margin}"

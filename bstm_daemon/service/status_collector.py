@@ -71,11 +71,12 @@ class StatusCollector:
             heat_mode=engine.heat_mode,
             history_known=published is not None and published.history_known,
             faults=fault_names(flags),
-            disagreements=engine.model_check.disagreements,
-            force_difference=engine.model_check.force_difference,
+            unverified=engine.unverified,
+            disagreements=engine.estimator.model_check.disagreements,
+            force_difference=engine.estimator.model_check.force_difference,
             residuals_k={
                 (one.corner, one.node): one.mean_k
-                for one in engine.model_check.couples
+                for one in engine.estimator.model_check.couples
             },
             is_publishing=self._sender.is_sending,
             risk=None if estimate is None else estimate.risk,
@@ -142,7 +143,13 @@ def _corner(engine: Engine, name: str) -> CornerStatus:
         return CornerStatus(nodes_k)
     corner = engine.estimate.corners[name]
     return CornerStatus(
-        nodes_k, corner.margin_k, corner.level, corner.validity, corner.risk
+        nodes_k,
+        corner.margin_k,
+        corner.level,
+        corner.validity,
+        corner.reasons,
+        corner.risk,
+        corner.sure_level,
     )
 
 

@@ -6,9 +6,22 @@ from math import isnan, nan
 from typing import TYPE_CHECKING, Final, NamedTuple, TypeVar
 
 from bstm_daemon.bus.output.e2e import CheckStatus
-from bstm_daemon.bus.output.layout import CORNERS, LAYOUT_VERSION
+from bstm_daemon.bus.output.layout import (
+    CORNERS,
+    LAYOUT_VERSION,
+    UNKNOWN_REASONS,
+)
 from bstm_daemon.bus.output.published import PublishedDecoder
-from bstm_daemon.estimate import HeatMode, RiskLevel, State, Validity
+from bstm_daemon.estimate import (
+    NO_INPUT,
+    NO_REASON,
+    HeatMode,
+    Input,
+    Reason,
+    RiskLevel,
+    State,
+    Validity,
+)
 from bstm_daemon.watch.history import SECOND_US, History
 
 if TYPE_CHECKING:
@@ -18,6 +31,7 @@ if TYPE_CHECKING:
     from bstm_daemon.bus.output.layout import Frame
 
 STATUS: Final = "BSTM_Status"
+REASONS: Final = "BSTM_Reasons"
 
 NODES: Final = ("Disc", "PadFront", "PadBack", "Fluid")
 """Signals of ``BSTM_<corner>_Temperatures``, hottest first."""
@@ -138,6 +152,18 @@ class Board:
         """Return the validity of a frame; an undefined code is invalid."""
         unset = Validity.NOT_AVAILABLE
         return self._choice(frame, "Validity", unset, Validity.INVALID)
+
+    def reasons(self, corner: str) -> Reason:
+        """Return why *corner* is not valid, as far as it was received."""
+        raw = self.value(REASONS, f"Reasons{corner}")
+        unknown = isnan(raw) or raw == UNKNOWN_REASONS
+        return NO_REASON if unknown else Reason(int(raw))
+
+    @property
+    def unverified(self) -> Input:
+        """Inputs that no mapped role can check."""
+        raw = self.value(REASONS, "Unverified")
+        return NO_INPUT if isnan(raw) else Input(int(raw))
 
     def risk(self, corner: str) -> RiskLevel:
         """Return the risk level of *corner*."""

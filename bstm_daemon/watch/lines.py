@@ -89,6 +89,7 @@ def text_line(board: Board, now_us: int, source: str) -> str:
             ("stale", ",".join(board.stale_inputs) or "-"),
             ("inputs", "suspect" if board.is_set("InputSuspect") else "sound"),
             ("heat_from", "substitute" if substituted else "own"),
+            ("unverified", ",".join(board.unverified.words) or "-"),
         ]
         for name in board.corners:
             pairs += _of_corner(board, now_us, name)
@@ -108,4 +109,5 @@ def _of_corner(board: Board, now_us: int, name: str) -> list[tuple[str, str]]:
         (f"{name}.margin_k", number(margin_k)),
         (f"{name}.risk", board.risk(name).name.lower()),
         (f"{name}.validity", "silent" if silent else validity),
+        (f"{name}.reasons", ",".join(board.reasons(name).words) or "-"),
     ]

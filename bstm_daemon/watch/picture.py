@@ -83,6 +83,9 @@ def picture(
     else:
         # heading, estimate, risk, two a node, forecast in up to three, foot
         rows = 3 + 2 * len(NODES) + 3 + 1
+        rows += max(
+            (len(board.reasons(c).words) for c in board.corners), default=0
+        )
         has_room = head_lines + rows <= console.height
         body = _corners(board, now_us, bars if has_room else "")
     screen = Layout()
@@ -112,7 +115,9 @@ def _head(board: Board, now_us: int, source: str) -> list[tuple[str, str]]:
         parts.append(("heat substituted or unknown", "yellow"))
     known = board.is_set("HistoryKnown")
     parts.append(
-        ("history known", "") if known else ("history unknown", "yellow")
+        ("history known", "")
+        if known
+        else ("history unknown: risk at most as shown", "yellow")
     )
     if board.value(STATUS, "CompiledKernel") == 0:
         parts.append(("Python kernel", ""))
@@ -122,6 +127,9 @@ def _head(board: Board, now_us: int, source: str) -> list[tuple[str, str]]:
     parts.append((f"stale: {stale}", "red") if stale else ("inputs fresh", ""))
     if board.is_set("InputSuspect"):
         parts.append(("an input is suspect", "yellow"))
+    if board.unverified:
+        inputs = ", ".join(board.unverified.words)
+        parts.append((f"unverified: {inputs}", "yellow"))
     oldest_s = board.value(STATUS, "OldestInputAge")
     parts.append((f"oldest {number(oldest_s)} s", ""))
     for label in ("Rejected", "Dropped"):
@@ -181,7 +189,10 @@ def _estimate(board: Board, now_us: int, corner: str) -> Text:
     validity = board.validity(frame)
     absent = validity is Validity.NOT_AVAILABLE
     text = "no value" if absent else _words(validity.name)
-    return Text(text, _VALIDITY_STYLES[validity])
+    style = _VALIDITY_STYLES[validity]
+    return Text("\n", style).join(
+        Text(line, style) for line in (text, *board.reasons(corner).words)
+    )
 
 
 def _risk(board: Board, now_us: int, corner: str) -> Text:

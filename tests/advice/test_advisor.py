@@ -115,6 +115,27 @@ def test_advice_needs_the_second_switch() -> None:
     assert len(values(run(engine(), frames), "BSTM_Advice")) == 3
 
 
+@pytest.mark.parametrize("forecast", [True, False])
+def test_an_unknown_start_is_at_most_critical_and_alarms_nobody(
+    *, forecast: bool
+) -> None:
+    """The bound may boil; that brakes are hot is not known by it."""
+    frames = list(drive(0.0, 12.0, 0.0, 0.0))
+    found = run(engine(history_known=False, forecast=forecast), frames)
+
+    assert values(found, "BSTM_FL_Risk")[-1]["Level"] == "critical"
+    assert values(found, "BSTM_FL_Temperatures")[-1]["Fluid"] < 30.0
+    for advice in values(found, "BSTM_Advice"):
+        assert (advice["Message"], advice["Sound"]) == ("none", "none")
+
+
+def test_hot_brakes_alarm_though_the_start_is_unknown() -> None:
+    """The estimate began cold, and it is hot."""
+    found = hot_parked(engine(history_known=False), fluid_k=470.0)
+
+    assert found[-1]["Message"] == "wait_before_departure"
+
+
 def test_a_descent_asks_for_a_lower_gear() -> None:
     """The example car has a manual gearbox; 36 km/h and 10 bar held."""
     found = values(run(engine(), drive(0.0, 60.0, 36.0, 10.0)), "BSTM_Advice")

@@ -30,7 +30,7 @@ def waiting(
 ) -> CornerEstimate:
     """Return a corner that is safe *safe_in_s* from now."""
     return CornerEstimate(
-        level=level,
+        sure_level=level,
         risk=CornerRisk(safe_in_s=safe_in_s + 30.0),
         forecast_age_s=30.0,
         validity=validity,

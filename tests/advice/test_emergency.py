@@ -53,7 +53,7 @@ class Brakes:
         due_ms2 = torque_nm / 0.3418 / 2194.0
         corners = {
             name: CornerEstimate(
-                level=level if name in hot else RiskLevel.NORMAL,
+                sure_level=level if name in hot else RiskLevel.NORMAL,
                 validity=Validity.VALID,
             )
             for name in NAMES

@@ -70,6 +70,10 @@ def test_summary_names_sources_and_corners(
     assert (
         "FL disc primary 3 x 9.2 cm2 8 kg grey-iron 10 mm, 10 slabs" in lines
     )
+    assert (
+        "pressure FL FR RL RR nothing: unverified, its corners are degraded"
+        in lines
+    )
 
 
 def test_summary_says_what_is_assumed(
@@ -208,6 +212,11 @@ def test_json_of_a_good_file(tmp_path: Path) -> None:
     assert data["problems"] == []
     assert data["configuration"]["vehicle"]["mass_kg"] == 1640.0
     assert data["configuration"]["cooling"]["blend_end_ms"] == 5.0
+    assert data["verified_by"][0] == {
+        "input": "speed",
+        "corners": "FL FR RL RR",
+        "verified by": "other speeds and acceleration",
+    }
 
 
 def test_json_of_a_bad_file(edited: Edited, tmp_path: Path) -> None:

@@ -31,7 +31,7 @@ def state(tmp_path: Path) -> Path:
         corner |= {key: 600.0 for key in corner if key.startswith("pad_")}
         corner |= {"disc": 900.0, "fluid": 390.0, "backplate": 480.0}
     path = tmp_path / "car.state"
-    document |= {"wall_us": 1_760_000_000_000_000, "history_left_us": 0}
+    document |= {"wall_us": 1_760_000_000_000_000}
     path.write_bytes(state_file.encode(document))
     return path
 

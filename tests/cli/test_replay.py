@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import gzip
 import os
 import signal
@@ -158,6 +159,41 @@ def test_report_and_publication(
     assert 'src="http' not in head
 
 
+def test_a_cold_start_is_known_from_the_first_row_on(
+    log: Path,
+    tmp_path: Path,
+    car_with: Callable[..., Path],
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """As cold as the log's air, not the configured one."""
+    car = car_with(("ambient_c = 10.0", "ambient_c = 35.0"))
+    out = tmp_path / "results"
+
+    assert (
+        replay(log, "-o", out, "--start", "cold", "--no-forecast", car=car)
+        == 0
+    )
+
+    assert "start cold: as cold as the air" in capsys.readouterr().out
+    with (out / "stop.estimates.csv").open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert {row["FL.validity"] for row in rows} == {"0"}
+    assert float(rows[0]["FL.fluid_c"]) == pytest.approx(10.0, abs=0.6)
+
+
+def test_a_start_that_stays_unknown_is_said(
+    log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """On the screen and in the head of the report."""
+    report = tmp_path / "report.html"
+
+    assert replay(log, "--report", report, "--no-forecast") == 0
+
+    said = "start not known by the end of the log; degraded and the risk an"
+    assert said in capsys.readouterr().out
+    assert said in report.read_text(encoding="utf-8")
+
+
 def test_every(log: Path, tmp_path: Path) -> None:
     """A row a second, on whole seconds."""
     out = tmp_path / "out"
@@ -197,6 +233,10 @@ def test_usage(
     table = tmp_path / f"{log.stem}.estimates.csv"
     for arguments, words in (
         ((log, twin, "-o", tmp_path / "out"), "the same files"),
+        (
+            (log, "--start", "cold", "--state", tmp_path / "a.state"),
+            "not allowed with argument --start",
+        ),
         ((log, twin, "--publish", tmp_path / "p.log"), "one LOG at a time"),
         ((log, "--format", "xls"), "invalid choice"),
         ((log, "--map", "can0"), "is not IFACE=BUS"),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import random
+from array import array
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -13,9 +14,12 @@ from cantools.database.can import Database
 from bstm_daemon.bus.live.link import Frame
 from bstm_daemon.bus.opening import open_log
 from bstm_daemon.cli.main import main
-from bstm_daemon.engine import Engine
+from bstm_daemon.estimate import Reason, Validity
+from bstm_daemon.estimator.estimator import Estimator
 from bstm_daemon.estimator.model_check import Couple
+from bstm_daemon.model.heat.feed_back import Vehicle
 from bstm_daemon.native.loader import load_kernel
+from bstm_daemon.roles import ROLE_INDEX
 from bstm_daemon.service.assembly import BusOverride, Monitor, build_monitor
 from bstm_daemon.service.clock import SteadyAxis
 from bstm_daemon.service.events import ServiceLog
@@ -32,6 +36,9 @@ from bstm_daemon.simulation.recorder import write_candump
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+
+    from bstm_daemon.config.sections import Config, CornerConfig
+    from bstm_daemon.estimator.blocks import Block
 
 ROOT = Path(__file__).parents[2]
 SECOND = 1_000_000
@@ -152,9 +159,6 @@ def beside(
         log, simulated, Encoder(ROOT / "dbc" / "example_vehicle.dbc")
     )
     monitor = build_monitor(path, BusOverride(), forecast=False)
-    cold = Engine(
-        monitor.config, monitor.signal_map, history_known=True, forecast=False
-    )
     axis, lines = SteadyAxis(), Lines()
     intake = Intake(monitor.links(), axis)
     sender = Sender(None, frozenset(), monitor.engine.publication)
@@ -162,7 +166,7 @@ def beside(
     reporter.begin(monitor, intake, sender)
     collector = StatusCollector(monitor, intake, sender, axis, 0)
     engine, flags = monitor.engine, []
-    engine.estimator.history_left_steps = cold.estimator.history_left_steps
+    engine.estimator.start.end()
     status = DATABASE.get_message_by_name("BSTM_Status")
     next_us = tick_us = first_us = 0
     for chunk in open_log(log).chunks():
@@ -256,7 +260,9 @@ def test_a_sound_model_raises_nothing(tmp_path: Path) -> None:
 
     assert set(seen.flags) == {"none"}
     assert seen.lines.of("model_disagrees") == []
-    assert abs(seen.monitor.engine.model_check.force_difference) < 0.1
+    assert (
+        abs(seen.monitor.engine.estimator.model_check.force_difference) < 0.1
+    )
     assert 'bstm_model_disagrees{what="heat"} 0.0' in seen.metrics
     assert not (tmp_path / "record" / "kept").exists()
 
@@ -286,7 +292,9 @@ def test_what_is_found_wrong_is_no_disagreement(tmp_path: Path) -> None:
     assert found
     assert {"fault": "pressure suspect"} in seen.lines.of("input_fault")
     assert {"what": "heat"} not in seen.lines.of("model_disagrees")
-    assert abs(seen.monitor.engine.model_check.force_difference) < 0.1
+    assert (
+        abs(seen.monitor.engine.estimator.model_check.force_difference) < 0.1
+    )
 
 
 def test_pressure_and_motion_that_differ_are_noticed(tmp_path: Path) -> None:
@@ -297,7 +305,7 @@ def test_pressure_and_motion_that_differ_are_noticed(tmp_path: Path) -> None:
 
     assert seen.flags[-1] == "disagrees"
     assert seen.lines.of("model_disagrees") == [{"what": "heat"}]
-    assert seen.monitor.engine.model_check.force_difference > 0.3
+    assert seen.monitor.engine.estimator.model_check.force_difference > 0.3
     assert kept(tmp_path).name.endswith("-model")
 
 
@@ -328,3 +336,147 @@ def test_a_couple_goes_on_after_a_restart() -> None:
     assert after.disagrees
     with pytest.raises(ValueError, match="valid number"):
         after.restore(before.export() | {"known_s": None})
+
+
+CORNERS = ("FL", "FR", "RL", "RR")
+MOTION = ("acceleration_longitudinal", "powertrain_torque")
+FORMED = ("vehicle_speed", "primary_pressure", *MOTION)
+Spans = list[tuple[float, dict[str, float]]]
+
+
+def marched(config: Config, spans: Spans) -> tuple[Estimator, list[Block]]:
+    """Run held values over (seconds, values by role), start known."""
+    names = sorted({name for _, values in spans for name in values})
+    estimator = Estimator(
+        config,
+        {ROLE_INDEX[name]: 5 * SECOND for name in names},
+        history_known=True,
+    )
+    times, roles, values = array("q"), array("i"), array("d")
+    at_us = 0
+    for seconds, held in spans:
+        for _ in range(round(seconds * 10)):
+            for name, value in held.items():
+                times.append(at_us)
+                roles.append(ROLE_INDEX[name])
+                values.append(value)
+            at_us += SECOND // 10
+    return estimator, estimator.advance(times, roles, values)
+
+
+def disagreeing(blocks: list[Block], corner: str) -> list[bool]:
+    """Whether the model disagrees strongly, at each publication."""
+    bit = Reason.MODEL_DISAGREES
+    return [bool(c & bit) for b in blocks for c in b.reasons[corner]]
+
+
+@pytest.mark.parametrize(
+    ("share", "weak", "strong"),
+    [(1.0, False, False), (0.5, True, False), (0.35, True, True)],
+)
+def test_works_far_apart_degrade_every_corner(
+    steady: Callable[[float], tuple[Config, Spans]],
+    share: float,
+    weak: bool,  # noqa: FBT001
+    strong: bool,  # noqa: FBT001
+) -> None:
+    """Half is a gap of the model, a third is a wrong input."""
+    config, spans = steady(share)
+
+    estimator, blocks = marched(config, spans)
+
+    assert estimator.model_check.force_difference == pytest.approx(
+        share - 1.0, abs=0.02
+    )
+    assert blocks[-1].at(len(blocks[-1].times_us) - 1).model_disagrees is weak
+    for corner in CORNERS:
+        assert disagreeing(blocks, corner)[-1] is strong
+        assert any(disagreeing(blocks, corner)) is strong
+
+
+@pytest.fixture
+def steady(
+    make_car: Callable[..., Config], make_corner: Callable[..., CornerConfig]
+) -> Callable[[float], tuple[Config, Spans]]:
+    """Return the maker of a minute at 20 m/s against the brakes.
+
+    Its argument is the work by pressure over that by motion.
+    """
+    config = make_car(
+        *(make_corner(name) for name in CORNERS), heat={"mode": "ff"}
+    )
+    held = dict(zip(FORMED, (20.0, 20e5, 0.0, 0.0), strict=True))
+
+    def make(share: float) -> tuple[Config, Spans]:
+        _, (block,) = marched(config, [(2.0, held)])
+        pressed_n = (
+            sum(
+                block.at(15).channel(name, "brake_power_w") for name in CORNERS
+            )
+            / 20.0
+        )
+        drag_n = Vehicle.of_config(config.vehicle).resistance_n(20.0)
+        torque = (pressed_n / share + drag_n) * config.vehicle.wheel_radius_m
+        return config, [(60.0, held | {MOTION[1]: torque})]
+
+    return make
+
+
+def test_a_thermocouple_far_off_degrades_its_corner_and_is_remembered(
+    make_car: Callable[..., Config], make_corner: Callable[..., CornerConfig]
+) -> None:
+    """200 K above a cold disc for 150 s; 30 times as long after it."""
+    cooling = {"speed_ms": [0.0, 40.0], "s_per_s": [0.02, 0.02]}
+    config = make_car(
+        *(make_corner(name) for name in ("FL", "FR")),
+        heat={"mode": "ff"},
+        cooling=cooling,
+    )
+    parked = {"vehicle_speed": 0.0, "primary_pressure": 0.0}
+    hot, right = (
+        parked | {"temp_fl_disc": kelvin, "temp_fr_disc": 293.15}
+        for kelvin in (493.15, 293.15)
+    )
+
+    _, blocks = marched(config, [(150.0, hot), (400.0, right)])
+
+    front_left = disagreeing(blocks, "FL")
+    # known from 120 s on; the mean of two minutes then falls to 30 K
+    assert front_left.index(True) / 10 == pytest.approx(120.0, abs=1.0)
+    assert all(front_left[1210:])
+    assert not any(disagreeing(blocks, "FR"))
+    assert blocks[-1].validity["FL"][-1] == Validity.DEGRADED
+
+
+def test_a_strong_disagreement_ends_within_the_tolerance() -> None:
+    """It comes at one and a half times the tolerance of 30 K."""
+    couple = Couple("FL", "disc", "disc", floor_k=10.0, share=0.0)
+    seen = []
+    for residual_k in (40.0, 60.0, 40.0, 20.0):
+        for _ in range(2000):
+            couple.take(residual_k, 0.0, 1.0)
+        seen.append((couple.disagrees, couple.strongly))
+
+    assert seen == [(True, False), (True, True), (True, True), (True, False)]
+
+
+def test_what_disagreed_counts_after_the_car_stood(
+    steady: Callable[[float], tuple[Config, Spans]],
+) -> None:
+    """The state of a parked car: held as long as the brakes remember."""
+    config, spans = steady(0.3)
+    before, _ = marched(config, spans)
+    document = json.loads(
+        json.dumps({"model_check": before.model_check.export()})
+    )
+    after, _ = marched(config, [(0.5, spans[0][1])])
+
+    after.model_check.resume(document, 60.0)
+
+    assert after.model_check.holds("FL", 0.1, found=False)
+    assert after.model_check.disagreements == ()
+    after.model_check.park(1e6)
+    assert not after.model_check.holds("FL", 0.1, found=False)
+    after.model_check.resume(document, None)
+    assert after.model_check.disagreements == ("heat",)
+    after.model_check.resume({"model_check": {"trust": 1}}, None)

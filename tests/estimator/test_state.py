@@ -150,14 +150,22 @@ def test_parking_runs_down_to_the_air_and_no_further(config: Config) -> None:
         assert kelvin == pytest.approx(263.15, abs=0.02)
 
 
-def test_parking_uses_up_the_unknown_history(config: Config) -> None:
+def test_parking_brings_the_bounds_of_an_unknown_start_together(
+    config: Config,
+) -> None:
+    """The bound cools as the estimate does, and then is gone."""
     estimator = hot_car(config)
-    left = estimator.history_left_steps
-    assert left > 72_000
+    bound_k = estimator.start.states()["FL"]["fluid"]
 
     park(estimator, 3600.0)
 
-    assert estimator.history_left_steps == left - 72_000
+    later_k = estimator.start.states()["FL"]["fluid"]
+    assert estimator.state("FL")["fluid"] + 20.0 < later_k < bound_k - 50.0
+    assert not estimator.history_known
+
+    park(estimator, 24 * 3600.0)
+
+    assert estimator.history_known
 
 
 def test_a_new_node_starts_between_its_neighbours(config: Config) -> None:
@@ -224,6 +232,11 @@ def test_a_clock_set_late_corrects_a_car_that_stood(
 
     for node, kelvin in right.state("FL").items():
         assert wrong.state("FL")[node] == pytest.approx(kelvin, abs=0.05)
+    bound = right.start.states()["FL"]
+    for node, kelvin in bound.items():
+        found_k = wrong.start.states()["FL"][node]
+        assert found_k == pytest.approx(kelvin, abs=0.1), node
+    assert bound["fluid"] > right.state("FL")["fluid"] + 10.0
 
 
 def test_a_clock_set_late_corrects_a_car_that_braked(config: Config) -> None:
@@ -245,7 +258,7 @@ def test_a_clock_set_late_corrects_a_car_that_braked(config: Config) -> None:
     )
 
 
-def test_impossible_temperatures_begin_anew(config: Config) -> None:
+def test_impossibles_begin_anew(config: Config) -> None:
     estimator = hot_car(config)
     document = export_state(estimator)
     fresh = copy_of(estimator, document)
@@ -272,7 +285,11 @@ def test_impossible_temperatures_begin_anew(config: Config) -> None:
             {"corners": {"FL": {"disc": "hot"}}},
             'disc = "hot": must be a number',
         ),
-        ({"history_left_us": None}, "history_left_us"),
+        ({"start_bound": None}, "start_bound"),
+        (
+            {"start_bound": {"FL": {"disc": 5.0}}},
+            "no brake's temperature",
+        ),
         ({"samples": None}, "samples = None: must be a table"),
     ],
 )
@@ -308,7 +325,7 @@ def test_flags_of_more_than_64_bits_are_refused(config: Config) -> None:
                 st.sampled_from(
                     [
                         *("corners", "FL", "RL", "disc", "fluid", "samples"),
-                        *("history_left_us", "times", "numbers", "layout"),
+                        *("start_bound", "times", "numbers", "layout"),
                     ]
                 ),
                 inner,

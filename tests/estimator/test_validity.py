@@ -3,13 +3,21 @@
 from __future__ import annotations
 
 from array import array
+from itertools import groupby
 from math import isclose
 from typing import TYPE_CHECKING, Any
 
 import pytest
 
 from bstm_daemon.bus.output.publication import Publication
-from bstm_daemon.estimate import CornerEstimate, Estimate, Validity
+from bstm_daemon.estimate import (
+    NO_REASON,
+    REASON_WORDS,
+    CornerEstimate,
+    Estimate,
+    Reason,
+    Validity,
+)
 from bstm_daemon.estimator.estimator import Estimator
 from bstm_daemon.model.heat.sample_pass import TICK
 from bstm_daemon.roles import ROLE_INDEX
@@ -22,6 +30,10 @@ if TYPE_CHECKING:
 
 SECOND = 1_000_000
 TIMEOUT_US = 500_000
+
+
+# few roles are mapped here
+pytestmark = pytest.mark.usefixtures("all_verified")
 
 
 def validity_of(
@@ -138,7 +150,10 @@ Spans = list[tuple[float, dict[str, float]]]
 def over_spans(
     config: Config, spans: Spans, **options: Any
 ) -> dict[str, list[int]]:
-    """Validity by corner over spans of (seconds, held values)."""
+    """Validity by corner over spans of (seconds, held values).
+
+    The reasons are by corner and " why".
+    """
     names = {name for _, values in spans for name in values}
     present = {ROLE_INDEX[name]: TIMEOUT_US for name in names}
     estimator = Estimator(config, present, **options)
@@ -157,7 +172,77 @@ def over_spans(
     for block in estimator.advance(times, numbers, given):
         for name, codes in block.validity.items():
             found.setdefault(name, []).extend(codes)
+            why = block.reasons[name]
+            assert [c == Validity.VALID for c in codes] == [not w for w in why]
+            found.setdefault(f"{name} why", []).extend(why)
     return found
+
+
+def reasons_in(found: dict[str, list[int]], corner: str) -> list[Reason]:
+    """Different reasons of *corner*, in the order of time."""
+    return [Reason(code) for code, _ in groupby(found[f"{corner} why"])]
+
+
+def test_a_missing_input_and_lost_heat_are_told_apart(
+    front: Callable[..., Config], compiled: Kernel
+) -> None:
+    """The pressure is missing, then the heat unknown; one remains."""
+    assert compiled is not None
+    spans: Spans = [(3.0, BOTH), (12.5, MOVING), (30.0 * 12.0 + 20.0, BOTH)]
+    found = over_spans(front(), spans, history_known=True)
+
+    assert reasons_in(found, "FL") == [
+        NO_REASON,
+        Reason.INPUT_MISSING,
+        Reason.INPUT_MISSING | Reason.HEAT_UNKNOWN,
+        Reason.HEAT_UNKNOWN,
+        NO_REASON,
+    ]
+    assert reasons_in(found, "FR") == [NO_REASON]
+
+
+def test_an_unknown_start_is_a_reason_until_it_settles(
+    front: Callable[..., Config], compiled: Kernel
+) -> None:
+    """It ends long before a parked brake would have come to rest."""
+    assert compiled is not None
+    cooling = {"speed_ms": [0.0, 9.0], "s_per_s": [0.005, 0.005]}
+    thermal = {"fluid_dynamic_convection_ws_mk": 0.5}
+    config = front(cooling=cooling, thermal=thermal)
+
+    found = over_spans(config, [(1500.0, MOVING)])
+
+    assert reasons_in(found, "FR") == [Reason.START_UNKNOWN, NO_REASON]
+    minutes = found["FR why"].count(1) / PUBLISHED_PER_S / 60.0
+    assert minutes == pytest.approx(18.8, abs=0.1)
+    assert Estimator(config, {}).settling_s > 3600.0
+
+
+def test_a_suspect_input_is_a_reason_of_its_own(
+    front: Callable[..., Config],
+) -> None:
+    """A spike of the pressure: suspect for 2 s, not missing."""
+    held = {"vehicle_speed": 20.0, "primary_pressure": 1e5}
+    spike = held | {"primary_pressure": 3e7}
+    spans: Spans = [(1.0, held), (0.05, spike), (4.0, held)]
+
+    found = over_spans(front(), spans, history_known=True)
+
+    assert reasons_in(found, "FL") == [
+        NO_REASON,
+        Reason.INPUT_SUSPECT,
+        NO_REASON,
+    ]
+    assert found["FL why"].count(Reason.INPUT_SUSPECT) in {20, 21}
+
+
+def test_reasons_are_worded_in_the_order_of_their_bits() -> None:
+    """Each has words of its own."""
+    why = Reason.MODEL_DISAGREES | Reason.START_UNKNOWN
+
+    assert why.words == ("start unknown", "model disagrees")
+    assert not NO_REASON.words
+    assert len({REASON_WORDS[one] for one in Reason}) == len(Reason) == 7
 
 
 def test_heat_unknown_for_too_long_is_invalid_then_degraded(

@@ -12,10 +12,11 @@ import pytest
 from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.estimate import RiskLevel, Validity
 from bstm_daemon.estimator.estimator import Estimator
-from bstm_daemon.estimator.state import export_state
+from bstm_daemon.estimator.state import export_state, restore_state
 from bstm_daemon.files import shipped_file
+from bstm_daemon.forecast.course_risk import PYTHON_MEMBERS
 from bstm_daemon.forecast.fluid import CHANGED_ROLE, WATER_ROLE
-from bstm_daemon.forecast.monitor import PYTHON_MEMBERS, RiskMonitor
+from bstm_daemon.forecast.monitor import RiskMonitor
 from bstm_daemon.native.loader import load_kernel
 from bstm_daemon.roles import ROLE_INDEX
 
@@ -156,7 +157,7 @@ def blocks(config: Config, samples: SAMPLES) -> list[Block]:
     return estimator.advance(*samples)
 
 
-def test_never_normal_on_an_invalid_or_unknown_estimate() -> None:
+def test_no_level_of_an_invalid_estimate() -> None:
     """Whatever the probability says."""
     config = car()
     (block,) = blocks(config, drive(5, 5))
@@ -165,19 +166,80 @@ def test_never_normal_on_an_invalid_or_unknown_estimate() -> None:
     )
     assert {r.level for r in monitor.add(block)[20:]} == {RiskLevel.NORMAL}
 
-    unknown = replace(block, known_from=len(block.times_us) + 1)
     invalid = replace(
         block,
         validity={"FL": array("b", [Validity.INVALID] * len(block.times_us))},
     )
-    for doubtful in (unknown, invalid):
-        fresh = RiskMonitor(
-            config, Estimator(config, MAPPED, history_known=True)
-        )
-        for record in fresh.add(doubtful):
-            assert record.level is RiskLevel.UNKNOWN
-            assert record.corners["FL"].level is RiskLevel.UNKNOWN
-            assert record.corners["FL"].fade is RiskLevel.UNKNOWN
+    fresh = RiskMonitor(config, Estimator(config, MAPPED, history_known=True))
+    for record in fresh.add(invalid):
+        assert record.level is RiskLevel.UNKNOWN
+        assert record.corners["FL"].level is RiskLevel.UNKNOWN
+        assert record.corners["FL"].sure_level is RiskLevel.UNKNOWN
+        assert record.corners["FL"].fade is RiskLevel.UNKNOWN
+
+
+def test_an_unknown_start_is_told_by_the_hot_bound() -> None:
+    """The risk is that of a car that was as hot; what is sure is less."""
+    config, samples = car(), drive(25, 15)
+    unknown = Estimator(config, MAPPED)
+    hot = Estimator(config, MAPPED, history_known=True)
+    ((batch, _),) = hot.batches
+    batch.state = array("d", unknown.start.states()["FL"].values())
+    monitor, witness = RiskMonitor(config, unknown), RiskMonitor(config, hot)
+    found: list[CarRisk] = []
+    expected: list[CarRisk] = []
+    for mine, other in zip(
+        unknown.advance(*samples), hot.advance(*samples), strict=True
+    ):
+        found += monitor.add(mine)
+        # as uncertain as what is degraded
+        expected += witness.add(replace(other, validity=mine.validity))
+
+    for one, two in zip(found, expected, strict=True):
+        corner, hottest = one.corners["FL"], two.corners["FL"]
+        assert corner.probability_now == hottest.probability_now
+        assert corner.fluid_deviation_k < hottest.fluid_deviation_k
+        assert corner.sure_level is RiskLevel.UNKNOWN
+    assert found[-1].corners["FL"].peak_k == expected[-1].corners["FL"].peak_k
+    assert found[-1].level is expected[-1].level is RiskLevel.CRITICAL
+    *_, known = run(config, samples)
+    assert known[-1].corners["FL"].sure_level is RiskLevel.NORMAL
+
+
+def test_levels_of_the_bound_go_over_a_restart() -> None:
+    config, samples = car(), drive(25, 15)
+    first = Estimator(config, MAPPED)
+    monitor = RiskMonitor(config, first)
+    for block in first.advance(*samples):
+        monitor.add(block)
+    document = export_state(first) | {"risk": monitor.export()}
+    second = Estimator(config, MAPPED)
+    restore_state(second, document, resume=True)
+
+    resumed = RiskMonitor(config, second)
+    resumed.resume(document, 0, START_US + 40_000_000)
+
+    assert {n: m.level for n, m in resumed.memories().items()} == {
+        n: m.level for n, m in monitor.memories().items()
+    }
+    bound = resumed.memories()["bound.FL.fluid"]
+    assert bound.level is RiskLevel.CRITICAL
+
+
+def test_vapour_while_away_counts_for_the_bound_alone() -> None:
+    """The estimate was cold, a brake as hot as the bound was not."""
+    config = car()
+    first = Estimator(config, MAPPED)
+    second = Estimator(config, MAPPED)
+    restore_state(second, export_state(first), resume=False)
+    monitor = RiskMonitor(config, second)
+
+    monitor.resume(export_state(first), 600_000_000, START_US)
+
+    levels = {name: one.level for name, one in monitor.memories().items()}
+    assert levels["bound.car"] is RiskLevel.CRITICAL
+    assert levels["bound.FL.fluid"] is RiskLevel.CRITICAL
+    assert levels["car"] is levels["FL.fluid"] is RiskLevel.NORMAL
 
 
 def test_hot_brakes_raise_the_levels() -> None:
@@ -315,7 +377,7 @@ def test_levels_and_fluid_go_over_a_restart() -> None:
     again.resume(document, 0, START_US + 20_000_000)
 
     assert again.export() == monitor.export()
-    assert isnan(again.away)
+    assert isnan(again.course.away)
 
 
 def test_vapour_while_the_computer_was_off() -> None:
@@ -331,8 +393,8 @@ def test_vapour_while_the_computer_was_off() -> None:
     again.resume(document, 1_200_000_000, times[-1])
 
     expected = found[-1].corners["FL"].probability
-    assert again.away == pytest.approx(expected, abs=0.1)
-    assert again.away > found[-1].corners["FL"].probability_now
+    assert again.course.away == pytest.approx(expected, abs=0.1)
+    assert again.course.away > found[-1].corners["FL"].probability_now
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.estimate import RiskLevel, Validity
 from bstm_daemon.estimator.estimator import Estimator
 from bstm_daemon.files import shipped_file
-from bstm_daemon.forecast import monitor as monitor_module
+from bstm_daemon.forecast import course_risk
 from bstm_daemon.forecast.march import (
     HORIZON_S,
     Conditions,
@@ -45,9 +45,10 @@ HOT_PADS_K = dict.fromkeys(
 )
 """They heat the fluid for some minutes more."""
 
-pytestmark = pytest.mark.skipif(
-    load_kernel() is None, reason="minutes in pure Python"
-)
+pytestmark = [
+    pytest.mark.usefixtures("all_verified"),
+    pytest.mark.skipif(load_kernel() is None, reason="minutes in pure Python"),
+]
 
 
 def car(*names: str) -> Config:
@@ -105,7 +106,6 @@ class Watched:
         names = self.estimator.programs[self.names[0]].state_names
         return {
             "ambient_k": 283.15,
-            "history_left_us": 0,
             "samples": {},
             "corners": {
                 corner: dict(zip(names, state, strict=True))
@@ -209,7 +209,7 @@ def test_a_late_forecast_does_not_hide_vapour_now(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """It began cold and is told when the fluid boils already."""
-    monkeypatch.setattr(monitor_module, "COMPILED_STEPS", 10)
+    monkeypatch.setattr(course_risk, "COMPILED_STEPS", 10)
     watched = Watched("FL", "FR")
     block = watched.at_rest(6)
     watched.put(block, "FL", 5, fluid=BOILING_K + 40.0)
@@ -232,10 +232,10 @@ def test_a_forecast_speaks_of_half_an_hour() -> None:
     watched.put(block, "FR", fluid=390.0, **HOT_PADS_K)
     found = watched.monitor.add(block)[-1]
     monitor = watched.monitor
-    corner = monitor._corners[1]
+    corner = monitor.course._corners[1]
     course = parked_course(
         corner.ensemble,
-        monitor._kernel,
+        monitor.course._kernel,
         list(block.at(0).state("FR").values()),
         block.at(0).channel("FR", "ambient_k"),
         factor=1.0,
@@ -264,7 +264,7 @@ def test_a_fluid_that_goes_on_to_warm_is_told_up_to_the_horizon(
     rising = Course(
         times, [array("d", [410.0 + i + m for i in range(91)]) for m in (0, 2)]
     )
-    monkeypatch.setattr(monitor_module.Job, "course", lambda _: rising)
+    monkeypatch.setattr(course_risk.Job, "course", lambda _: rising)
     watched = Watched("FL")
     found = watched.monitor.add(watched.at_rest(3))[-1].corners["FL"]
 
@@ -390,7 +390,7 @@ def test_a_hole_ends_the_duty_and_what_was_foreseen() -> None:
     block = watched.at_rest(10)
     monitor = watched.monitor
     monitor.add(block)
-    duties = [corner.duty for corner in monitor._corners]
+    duties = [corner.duty for corner in monitor.course._corners]
     for duty in duties:
         duty._means, duty._weight = [12.0, 8e5, 1.0, 4e3], 1.0
     last_us = block.times_us[-1]
@@ -427,12 +427,12 @@ def test_vapour_while_away_within_the_time_it_was_parked() -> None:
         monitor = watched.monitor
         parked_us = round(parked_s * 1e6)
         monitor.resume(watched.saved(states), parked_us, START_US)
-        away[parked_s] = monitor.away
-        by_corner = [c.level.level for c in monitor._corners]
+        away[parked_s] = monitor.course.away
+        by_corner = [c.level.level for c in monitor.course._corners]
         hot = parked_s > 60.0
         assert by_corner[0] is RiskLevel.NORMAL
         assert (by_corner[1] is RiskLevel.CRITICAL) == hot
-        assert (monitor._level.level is RiskLevel.CRITICAL) == hot
+        assert (monitor.course._level.level is RiskLevel.CRITICAL) == hot
 
     assert away[60.0] < 0.01
     assert away[1200.0] > 0.6
@@ -444,13 +444,13 @@ def test_a_state_without_a_corner_or_time_says_nothing_of_it() -> None:
     hot = watched.state(fluid=BOILING_K + 40.0)
     saved = watched.saved({"FR": hot})
     watched.monitor.resume(saved, 1_000_000, START_US)
-    assert watched.monitor.away == 1.0
-    assert watched.monitor._corners[0].level == LevelMemory()
+    assert watched.monitor.course.away == 1.0
+    assert watched.monitor.course._corners[0].level == LevelMemory()
 
     watched = Watched("FL", "FR")
     for parked_us in (None, 0):
         watched.monitor.resume(saved, parked_us, START_US)
-        assert isnan(watched.monitor.away)
+        assert isnan(watched.monitor.course.away)
 
 
 def test_a_duty_that_goes_on_is_foreseen_from_the_braking_so_far() -> None:
@@ -465,7 +465,7 @@ def test_a_duty_that_goes_on_is_foreseen_from_the_braking_so_far() -> None:
     (block,) = watched.estimator.advance(times, roles, values)
     found = watched.monitor.add(block)[-1].corners["FL"]
 
-    duty = watched.monitor._corners[0].duty.conditions(283.15)
+    duty = watched.monitor.course._corners[0].duty.conditions(283.15)
     assert duty.speed_ms == pytest.approx(12.0)
     assert duty.pressure_pa == pytest.approx(8e5)
     assert duty.brake_on == pytest.approx(1.0)

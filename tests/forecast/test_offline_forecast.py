@@ -43,7 +43,6 @@ def saved_with(percent: float | None) -> dict[str, Any]:
     document: dict[str, Any] = {
         "wall_us": SAVED_US,
         "ambient_k": 283.15,
-        "history_left_us": 0,
         "corners": {},
         "samples": {},
     }
@@ -107,15 +106,18 @@ def test_less_water_is_less_risk() -> None:
     assert probabilities[2] > probabilities[1] + 0.1 > 0.2
 
 
-def test_an_unknown_start_is_twice_as_uncertain_and_never_normal() -> None:
+def test_an_unknown_start_is_told_by_the_hot_bound() -> None:
+    """Its temperature, and twice as uncertain."""
     known, unknown = seen(0.5), seen(0.5, known=False)
 
-    once, twice = (one.corners[0].risk for one in (known, unknown))
+    cool, hot = known.corners[0], unknown.corners[0]
     assert (known.history_known, unknown.history_known) == (True, False)
-    assert twice.fluid_deviation_k == pytest.approx(
-        2.0 * once.fluid_deviation_k
-    )
-    share = (0.03**2 + 0.02**2) ** 0.5 * (440.0 - 283.15)
-    assert once.fluid_deviation_k == pytest.approx((share**2 + 1.0) ** 0.5)
-    assert once.level is RiskLevel.NORMAL
-    assert twice.level is RiskLevel.UNKNOWN
+    bound_k = Estimator(car(), {}).start.states()["FL"]["fluid"]
+    assert hot.fluid_k == bound_k > cool.fluid_k + 50.0
+    for corner, factor in ((cool, 1.0), (hot, 2.0)):
+        share = (0.03**2 + 0.02**2) ** 0.5 * (corner.fluid_k - 283.15)
+        assert corner.risk.fluid_deviation_k == pytest.approx(
+            factor * (share**2 + 1.0) ** 0.5
+        )
+    assert cool.risk.level is RiskLevel.NORMAL
+    assert hot.risk.level is RiskLevel.CRITICAL

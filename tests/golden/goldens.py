@@ -47,7 +47,7 @@ FITTED: Final = 1e-4
 NOTHING: Final = 1e-9
 """Numbers of a result that are smaller than this are not told apart."""
 
-EPISODES: Final = ("flags", "validity", "_level", "advice_")
+EPISODES: Final = ("flags", "validity", "reasons", "_level", "advice_")
 """Columns of kinds, not of amounts: each row is the same or is not."""
 UNITS: Final = {
     "_c": "K",

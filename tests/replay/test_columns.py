@@ -17,6 +17,7 @@ from bstm_daemon.bus.opening import EventLog
 from bstm_daemon.bus.output.layout import ADVICE_OFFSET, own_ids
 from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.errors import ConfigError, FileAccessError, LogError
+from bstm_daemon.estimate import Reason
 from bstm_daemon.estimator.estimator import Estimator
 from bstm_daemon.forecast.monitor import RiskMonitor
 from bstm_daemon.native.loader import load_kernel
@@ -115,6 +116,38 @@ def published(log: Path) -> Path:
     config, signal_map = load_vehicle(CAR)
     assert publish(config, signal_map, log, out) > 0
     return out
+
+
+@pytest.mark.skipif(load_kernel() is None, reason="half an hour of data")
+def test_when_the_start_was_known_is_counted_from_the_first_estimate(
+    tmp_path: Path,
+) -> None:
+    """Its minutes are those after which no row has the reason any more."""
+    path = tmp_path / "motorway.log"
+    motorway = """
+[drive]
+name = "motorway"
+description = "light brakes in much air"
+[[segment]]
+speed_kmh = 108.0
+rate_ms2 = 4.0
+gear = 5
+duration_s = 1500.0
+"""
+    write_candump(path, simulate(parse_drive(motorway, "motorway")), ENCODER)
+    light = load_vehicle(ROOT / "tests" / "golden" / "alpine.toml")
+
+    found = replay_log(*light, path, every_us=1_000_000, forecast=False)
+
+    assert 15.0 < found.start_known_s / 60.0 < 25.0
+    time_s = found.results.columns["time_s"]
+    for corner in found.results.modelled:
+        why = found.results.columns[f"{corner}.reasons"].astype(int)
+        unknown = time_s[(why & Reason.START_UNKNOWN) != 0]
+        assert unknown[-1] - time_s[0] <= found.start_known_s
+    assert unknown[-1] - time_s[0] == pytest.approx(
+        found.start_known_s, abs=2.0
+    )
 
 
 def publish(
@@ -258,6 +291,25 @@ def test_published_temperatures_are_the_estimates(
             assert abs(sent - estimate) <= 0.5 * quantum + 1e-9
             compared += 1
     assert compared > 4 * 5 * len(plain.results) - 100
+
+
+def test_published_reasons_are_those_of_the_table(
+    published: Path, plain: Replay
+) -> None:
+    """The bits of every corner, in each row."""
+    columns = plain.results.columns
+    message = DATABASE.get_message_by_name("BSTM_Reasons")
+    sent = {}
+    for at_us, _, can_id, data in frames_of(published):
+        if can_id == message.frame_id:
+            values = message.decode(data, decode_choices=False)
+            assert isinstance(values, dict)
+            sent[at_us] = [values[f"Reasons{corner}"] for corner in CORNERS]
+
+    rows = np.column_stack([columns[f"{c}.reasons"] for c in CORNERS])
+    for at_s, row in zip(columns["time_s"].tolist(), rows, strict=True):
+        assert sent[round(at_s * 1e6)] == row.tolist()
+    assert {Reason.START_UNKNOWN} <= set(rows.ravel().astype(int).tolist())
 
 
 def test_publication_covers_the_whole_log(

@@ -59,6 +59,9 @@ def corner_columns(
             0.0,
         ),
     }
+    columns["reasons"] = np.select(
+        [columns["validity"] == 1.0, columns["validity"] == 2.0], [4.0, 10.0]
+    )
     for node, offset in zip(NODES, (12.0, -15.0, 6.0, 3.0), strict=True):
         measured = columns[f"{node}_c"] * 1.02 + offset
         measured += rng.normal(0, 1.0, len(elapsed_s))

@@ -16,7 +16,11 @@ from bstm_daemon.channels import (
 from bstm_daemon.model.heat.plausibility import CAUSES, FAULTS, SUSPECT
 from bstm_daemon.replay.results import Results
 from bstm_daemon.report.drive_statistics import DriveStatistics
-from bstm_daemon.report.findings import Finding, FindingCollector
+from bstm_daemon.report.findings import (
+    Finding,
+    FindingCollector,
+    ReasonCollector,
+)
 from bstm_daemon.report.screen import summary_table
 from bstm_daemon.report.text import WIDTH
 
@@ -156,3 +160,38 @@ def test_screen_has_it() -> None:
     assert found.corners == ("FL",)
     assert found.total_s == pytest.approx(50.0)
     assert "a signal is stuck" in found.reasons
+
+
+def test_reasons_add_up_over_corners_the_longest_first() -> None:
+    """A time in which two corners have a reason counts once."""
+    collector = ReasonCollector()
+    unknown = np.nan
+    for first in (0.0, 50.0):
+        elapsed_s = first + 0.1 * (1 + np.arange(500))
+        left = np.where(elapsed_s < 60.05, 1.0, 0.0)
+        right = np.where(elapsed_s < 10.05, 1.0, unknown)
+        right[elapsed_s > 90.05] = 36.0
+        collector.add(elapsed_s, {"FR": right, "FL": left})
+
+    longest, *others = collector.times()
+
+    assert longest.words == "start unknown"
+    assert longest.corners == ("FL", "FR")
+    assert longest.total_s == pytest.approx(60.0)
+    assert longest.share == pytest.approx(0.6)
+    assert longest.text == (
+        "start unknown for 60 s (60 %), from 0:00 on: FL FR"
+    )
+    assert [(one.words, one.corners, one.from_s) for one in others] == [
+        ("input suspect", ("FR",), pytest.approx(90.0)),
+        ("model disagrees", ("FR",), pytest.approx(90.0)),
+    ]
+
+
+def test_a_drive_that_is_valid_has_no_reasons() -> None:
+    """Nor has one without rows."""
+    collector = ReasonCollector()
+    collector.add(np.empty(0), {})
+    collector.add(np.array([0.0, 1.0]), {"FL": np.zeros(2)})
+
+    assert collector.times() == ()

@@ -65,7 +65,7 @@ def test_all_time_axes_of_a_view_move_together(descent: Results) -> None:
 
 def test_left_and_right_share_their_scale(descent: Results) -> None:
     layout = _figure(descent).views[0].layout
-    left, right = layout["yaxis5"], layout["yaxis9"]
+    left, right = layout["yaxis5"], layout["yaxis10"]
 
     assert right["matches"] == "y5"
     assert left["range"] == right["range"]
@@ -139,7 +139,27 @@ def test_shades_mark_doubtful_inputs(descent: Results) -> None:
     ]
     assert shaded("yaxis2", "x") == [("00:05", "00:06", missing)]
     power = [("00:05", "00:06", suspect), ("00:11", "00:13", missing)]
-    assert shaded("yaxis4", "x2") == shaded("yaxis8", "x3") == power
+    assert shaded("yaxis4", "x2") == shaded("yaxis9", "x3") == power
+
+
+def test_a_bar_a_reason_below_the_fluid(descent: Results) -> None:
+    """In the words of the summary, where the estimate is shaded."""
+    curves = DriveCurves()
+    curves.write(descent)
+    traces = [
+        (trace.corner, trace.label, trace.x)
+        for trace in curves.traces()
+        if trace.panel == "reasons"
+    ]
+
+    assert [trace[:2] for trace in traces] == [
+        (corner, words)
+        for corner in ("FL", "FR")
+        for words in ("input missing", "input suspect", "heat unknown")
+    ]
+    missing, suspect, _ = (trace[2] for trace in traces[:3])
+    assert missing[:2] == pytest.approx([900.1, 930.0], abs=0.2)
+    assert suspect[:2] == pytest.approx([300.1, 380.0], abs=0.2)
 
 
 def test_the_fluid_peak_is_labelled(descent: Results) -> None:
@@ -161,7 +181,7 @@ def test_a_corner_without_a_model_says_so(descent: Results) -> None:
     texts = [n["text"] for n in figure.views[0].layout["annotations"]]
 
     assert "<b>FR</b>  temperature [°C]: none, corner not modelled" in texts
-    assert "yaxis9" not in figure.views[0].layout
+    assert "yaxis10" not in figure.views[0].layout
 
 
 def test_names_are_text_in_plotly_too() -> None:

@@ -67,6 +67,8 @@ def test_page_shows_facts_and_figures(page: str) -> None:
         "late samples 4",
         "clock jumps 1",
         "97.8 % / 1.6 % / 0.6 %",
+        "Why estimates are not valid",
+        "heat unknown 30 s 0.6 % 0:15:00 FL FR",
     ):
         assert shown in text
     assert "0 checksum" not in text

@@ -24,6 +24,7 @@ pytestmark = pytest.mark.skipif(
 HOSTILE = "</script><img src=x onerror=\"document.title='taken'\">"
 
 CORNER_CURVES = 3 + 2 * (4 + 1) + 1
+REASONS = 3
 """Powers; four nodes and the fluid again, measured too; boiling point."""
 
 PRESSURES = 3
@@ -118,9 +119,9 @@ def test_page_draws_without_errors_and_keeps_hostile_names_as_text(
     assert 'data-drawn="yes"' in document
     body = document[document.index("<main>") : document.index("</main>")]
     # drawn on two sides and above them, and in the legends
-    in_legends = CORNER_CURVES + PRESSURES
+    in_legends = CORNER_CURVES + REASONS + PRESSURES
     assert body.count('class="js-line"') == (
-        2 * CORNER_CURVES + 1 + PRESSURES + in_legends
+        2 * (CORNER_CURVES + REASONS) + 1 + PRESSURES + in_legends
     )
     assert "<img" not in body
     assert "<title>drive &lt;/script&gt;" in document
@@ -148,7 +149,7 @@ def test_zoom_moves_every_time_axis_and_outlives_a_change_of_view(
     assert len(reset) == 2
     assert set(zoomed) == {"2000-01-01 00:20:00 to 2000-01-01 00:40:00"}
     assert set(reset) == {"2000-01-01 00:00:00.000 to 2000-01-01 01:25:00.000"}
-    assert int(lines) == CORNER_CURVES + 1 + PRESSURES
+    assert int(lines) == CORNER_CURVES + REASONS + 1 + PRESSURES
 
 
 def test_a_drive_known_from_thermocouples_only_is_drawn(

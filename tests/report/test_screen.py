@@ -38,6 +38,12 @@ def test_table_of_the_descent(descent: Results) -> None:
     ]
     assert rear.split()[1:7] == ["-"] * 6
     assert "FL FR: 97.8 % valid, 1.6 % degraded, 0.6 % invalid" in lines
+    begin = lines.index("not valid because of")
+    assert lines[begin + 1 : begin + 4] == [
+        "- input suspect for 80 s (1.6 %), from 5:00 on: FL FR",
+        "- input missing for 30 s (0.6 %), from 15:00 on: FL FR",
+        "- heat unknown for 30 s (0.6 %), from 15:00 on: FL FR",
+    ]
     assert "RL RR: no temperatures: not modelled" in lines
 
 

@@ -8,7 +8,7 @@ from math import nan
 import pytest
 
 from bstm_daemon.bus.live.link import LinkState
-from bstm_daemon.estimate import RiskLevel, State, Validity
+from bstm_daemon.estimate import CarRisk, Input, RiskLevel, State, Validity
 from bstm_daemon.service.status import (
     BusStatus,
     CornerStatus,
@@ -75,6 +75,15 @@ def test_suspect_inputs_and_foreign_heat_are_told() -> None:
     assert "stuck" not in line
 
 
+def test_what_nothing_checks_is_in_the_line() -> None:
+    """It degrades the estimate all the time."""
+    unverified = Input.SPEED | Input.PRESSURE
+
+    line = status_line(replace(RUNNING, unverified=unverified))
+
+    assert line.startswith("running, unverified: speed, pressure, disc ")
+
+
 def test_no_number_is_not_shown() -> None:
     corner = CornerStatus({"disc": nan, "fluid": nan})
 
@@ -106,3 +115,18 @@ def test_the_worst_level_is_shown(
 
 def test_one_line() -> None:
     assert "\n" not in status_line(RUNNING)
+
+
+def test_the_risk_of_an_unknown_start_is_at_most_as_shown() -> None:
+    front = replace(FRONT, risk=RiskLevel.CRITICAL)
+    status = replace(
+        RUNNING,
+        history_known=False,
+        corners={"FL": front, "RL": REAR},
+        risk=CarRisk(probability=0.875),
+    )
+
+    line = status_line(status)
+
+    assert "risk at most critical, margin 58 K" in line
+    assert "vapour at most 87.5 %, history unknown" in line

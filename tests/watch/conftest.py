@@ -18,9 +18,11 @@ import pytest
 
 from bstm_daemon.bus.output.publication import OutputFrame, Publication
 from bstm_daemon.estimate import (
+    NO_REASON,
     CornerEstimate,
     Estimate,
     HeatMode,
+    Reason,
     State,
     Status,
     Validity,
@@ -52,6 +54,7 @@ class Sender:
             "oldest_input_age_s": 0.1,
         }
         self.validity = Validity.VALID
+        self.reasons: Reason = NO_REASON
 
     def frames(self, disc_c: float, fluid_c: float) -> list[OutputFrame]:
         """Return the frames of the next tenth of a second."""
@@ -62,10 +65,9 @@ class Sender:
             fluid_k=fluid_c + KELVIN,
             boiling_k=155.0 + KELVIN,
             validity=self.validity,
+            reasons=self.reasons,
             level=published_level(
-                level_of_margin(155.0 - fluid_c),
-                self.validity,
-                history_known=self.status["history_known"],
+                level_of_margin(155.0 - fluid_c), self.validity
             ),
         )
         frames = self.publication.encode(

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from bstm_daemon.estimate import Validity
+from bstm_daemon.estimate import Input, Reason, Validity
 from bstm_daemon.watch.lines import LineView, number, text_line
 
 if TYPE_CHECKING:
@@ -30,7 +30,9 @@ def test_a_line_a_second(board: Board, sender: Sender) -> None:
 
 def test_the_line_has_everything(board: Board, sender: Sender) -> None:
     sender.status["pressure_stale"] = True
+    sender.status["unverified"] = Input.TORQUE | Input.SPEED
     sender.validity = Validity.DEGRADED
+    sender.reasons = Reason.START_UNKNOWN | Reason.INPUT_SUSPECT
     now_us = sender.feed(board, 1.0, disc_c=412.5, fluid_c=92.0)
 
     fields = dict(
@@ -50,13 +52,16 @@ def test_the_line_has_everything(board: Board, sender: Sender) -> None:
     assert fields["FR.margin_k"] == "63.0"
     assert fields["FR.risk"] == "normal"
     assert fields["FR.validity"] == "degraded"
+    assert fields["FR.reasons"] == "start_unknown,input_suspect"
+    assert fields["unverified"] == "speed,torque"
 
 
 def test_the_line_has_doubts(board: Board, sender: Sender) -> None:
     sender.status |= {"input_suspect": True, "heat_substituted": True}
     line = text_line(board, sender.feed(board, 1.0), "can0")
 
-    assert " inputs=suspect heat_from=substitute " in line
+    assert " inputs=suspect heat_from=substitute unverified=- " in line
+    assert line.endswith(" FR.validity=valid FR.reasons=-")
 
 
 def test_nothing_yet_and_silence(board: Board, sender: Sender) -> None:

@@ -13,7 +13,7 @@ from rich.screen import Screen
 
 from bstm_daemon.bus.output.e2e import protect
 from bstm_daemon.bus.output.layout import data_id_list
-from bstm_daemon.estimate import State, Validity
+from bstm_daemon.estimate import Input, Reason, State, Validity
 from bstm_daemon.watch.board import Board
 from bstm_daemon.watch.history import ASCII_BARS
 from bstm_daemon.watch.picture import picture
@@ -262,6 +262,28 @@ def test_styles_follow_risk_and_validity(car: tuple[Board, Sender]) -> None:
     assert spans["degraded"] == "yellow"
     assert spans["running"] == "green"
     assert spans["600.0"] == "bold"
+
+
+def test_the_reasons_stand_below_the_validity(
+    car: tuple[Board, Sender],
+) -> None:
+    """A line each, in the colour of the validity; the inputs in the head."""
+    board, sender = car
+    sender.validity = Validity.DEGRADED
+    sender.reasons = Reason.UNVERIFIED | Reason.MODEL_DISAGREES
+    sender.status["unverified"] = Input.PRESSURE
+    now_us = sender.feed(board, 1.0)
+
+    console = screen(80, 24)
+    console.print(picture(board, now_us, "can0", console))
+    assert isinstance(console.file, io.StringIO)
+    lines = console.file.getvalue().splitlines()
+
+    first = next(i for i, line in enumerate(lines) if "estimate" in line)
+    assert lines[first].split() == ["estimate", *["degraded"] * 4]
+    assert lines[first + 1].split() == ["unverified"] * 4
+    assert lines[first + 2].split() == ["model", "disagrees"] * 4
+    assert "unverified: pressure" in " ".join(lines[:3])
 
 
 def test_what_is_invalid_is_not_drawn_as_valid(

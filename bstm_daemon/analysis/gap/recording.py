@@ -158,7 +158,7 @@ class _Heating(Estimator):
 
     def __init__(self, config: Config, present: Mapping[int, int]) -> None:
         """March no temperatures where no friction depends on them."""
-        super().__init__(config, dict(present))
+        super().__init__(config, dict(present), history_known=True)
         if all(
             set(corner_model(config, one).friction.temperature) == {1.0}
             for one in config.disc_corners()
@@ -177,11 +177,17 @@ class _Heating(Estimator):
         if self.input_history is not None:
             rows = memoryview(self._coupling.rows)[: steps * wide]
             self.input_history.add(rows, steps)
-        self.history_left_steps -= steps
         self._reset_impossible()
+        self.start.end()
         none = array("d")
         return Block(
-            *(self.layout, array("q"), none, none, (), array("q"), {}, 0, {})
+            *(self.layout, array("q"), none, none, (), array("q")),
+            validity={},
+            reasons={},
+            disagrees=array("b"),
+            known_from={},
+            bounds=(),
+            wear={},
         )
 
 

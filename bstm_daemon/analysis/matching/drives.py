@@ -383,7 +383,7 @@ def begin_as_measured(estimator: Estimator, events: Events) -> None:
             start = settled(estimator.programs[corner], known, air_k)
             for i, temperature_k in enumerate(start.values()):
                 batch.state[member * batch.width + i] = temperature_k
-    estimator.history_left_steps = 0
+    estimator.start.end()
 
 
 def settled(

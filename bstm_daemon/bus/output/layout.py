@@ -22,11 +22,13 @@ from bstm_daemon.bus.output.e2e import COUNTER_COUNT
 from bstm_daemon.errors import ConfigError
 from bstm_daemon.estimate import (
     NO_RISK,
+    REASON_WORDS,
     Assist,
     CarRisk,
     CornerEstimate,
     Downshift,
     HeatMode,
+    Input,
     Intervention,
     Isolation,
     Message,
@@ -60,6 +62,9 @@ MAX_STANDARD_ID: Final = 0x7FF
 TEN_HERTZ_US: Final = 100_000
 ONE_HERTZ_US: Final = 1_000_000
 TENTH_HERTZ_US: Final = 10_000_000
+
+UNKNOWN_REASONS: Final = 0xFF
+"""Reasons of a corner without an estimate."""
 
 LATER_S: Final = 1e9
 """A time beyond the range of any signal."""
@@ -248,6 +253,23 @@ def _safe_in_s(corner: CornerEstimate) -> float:
     return min((corner.risk or NO_RISK).safe_in_s, LATER_S)
 
 
+def _reasons(corner: str, start: int) -> Signal:
+    """Return the bits why the estimate of *corner* is not valid."""
+
+    def bits(estimate: Estimate) -> int:
+        found = estimate.corners.get(corner, _NO_CORNER)
+        absent = found.validity is Validity.NOT_AVAILABLE
+        return UNKNOWN_REASONS if absent else found.reasons
+
+    choices = {int(one): _code_of(text) for one, text in REASON_WORDS.items()}
+    choices |= {0: "none", UNKNOWN_REASONS: "not_available"}
+    return Signal(f"Reasons{corner}", start, 8, bits, choices)
+
+
+def _code_of(words: str) -> str:
+    return words.replace(" ", "_")
+
+
 _NO_CAR_RISK: Final = CarRisk()
 
 E2E_SIGNALS: Final = (
@@ -345,10 +367,20 @@ STATUS_SIGNALS: Final = (
     _flag("ModelDisagrees", 63, "none", "disagrees"),
 )
 
+REASONS_SIGNALS: Final = (
+    *_header(),
+    *(_reasons(corner, 16 + 8 * i) for i, corner in enumerate(CORNERS)),
+    Signal(
+        *("Unverified", 48, 8, attrgetter("status.unverified")),
+        {0: "none"} | {int(one): one.words[0] for one in Input},
+    ),
+)
+
 
 # name, id offset, cycle, phase, signals
 _CAR_FRAMES: Final = (
     ("Status", 0x00, TEN_HERTZ_US, 0, STATUS_SIGNALS),
+    ("Reasons", 0x01, TEN_HERTZ_US, 0, REASONS_SIGNALS),
     ("Advice", ADVICE_OFFSET, ONE_HERTZ_US, 0, ADVICE_SIGNALS),
     ("Risk", 0x03, ONE_HERTZ_US, 900_000, CAR_RISK_SIGNALS),
 )

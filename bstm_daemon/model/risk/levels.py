@@ -108,18 +108,18 @@ def level_of_margin(margin_k: float) -> RiskLevel:
     return RiskLevel(sum(margin_k <= limit for limit in limits))
 
 
-def published_level(
-    level: RiskLevel, validity: Validity, *, history_known: bool
-) -> RiskLevel:
-    """Return *level* as it may be published.
+def published_level(level: RiskLevel, validity: Validity) -> RiskLevel:
+    """Return *level*, unknown where *validity* is not usable."""
+    return level if validity.is_usable else RiskLevel.UNKNOWN
+
+
+def sure_level(least: RiskLevel, most: RiskLevel) -> RiskLevel:
+    """Return the level that is certain between two bounds, else unknown.
 
     Args:
-        level: of the probability, the temperatures or the margin.
-        validity: of the estimate; unknown where that is not usable.
-        history_known: whether the start no longer matters. Else a level is
-            never normal: a car parked hot would be reported cold and safe,
-            while a raised one holds, because an assumed cold start only
-            underestimates.
+        least: from the cold start, which only underestimates: raised it
+            holds, normal it proves nothing of a car that was parked hot.
+        most: from the hot start, which only overestimates: normal it holds.
     """
-    is_unsure = level is RiskLevel.NORMAL and not history_known
-    return RiskLevel.UNKNOWN if is_unsure or not validity.is_usable else level
+    is_sure = least is most or least is not RiskLevel.NORMAL
+    return least if is_sure else RiskLevel.UNKNOWN

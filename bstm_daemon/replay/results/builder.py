@@ -35,8 +35,8 @@ if TYPE_CHECKING:
     Column = npt.NDArray[np.float64]
     Arrays = dict[str, npt.NDArray[Any]]
     """What blocks hold of some publications, each array [n, ...]: times_us,
-    rows, vehicle, flags; output, validity and wear of each corner; risk and
-    advice."""
+    rows, vehicle, flags; output, validity, reasons and wear of each corner;
+    risk and advice."""
 
 BOUNDARIES: Final = ("ambient", "dissolved", DISTANCE)
 """Numbers of every state that are not worth a column of their own."""
@@ -54,6 +54,7 @@ _MEASURED: Final = CHANNELS.index(f"measured_{MEASURED_NODES[0]}_k")
 
 _OUTPUT: Final = "output of "
 _VALIDITY: Final = "validity of "
+_REASONS: Final = "reasons of "
 _WEAR: Final = "wear of "
 
 
@@ -158,6 +159,9 @@ class ResultsBuilder:
                 found[_OUTPUT + name] = outputs[:, member]
                 found[_VALIDITY + name] = np.frombuffer(
                     block.validity[name], np.int8
+                )
+                found[_REASONS + name] = np.frombuffer(
+                    block.reasons[name], np.uint8
                 )
                 found[_WEAR + name] = wear_table(
                     block.wear[name], dose_j[:, member]
@@ -286,8 +290,8 @@ class ResultsBuilder:
         part["brake_power_w"] = _rate(energy_j, interval_s)
         wear = publications[_WEAR + name].T
         part |= dict(zip(WEAR_COLUMNS, wear, strict=True))
-        codes = publications[_VALIDITY + name]
-        part["validity"] = codes.astype(np.float64)
+        for column, key in (("validity", _VALIDITY), ("reasons", _REASONS)):
+            part[column] = publications[key + name].astype(np.float64)
         return part
 
 

@@ -25,7 +25,7 @@ GROUP_ROWS: Final = 4096
 
 
 _FORMS: Final = {
-    ("validity", "flags", "_level"): "%.0f",
+    ("validity", "reasons", "flags", "_level"): "%.0f",
     ("thickness_m", "std_m", "loss_m"): "%.7f",
     ("_c", "_k", "_ms", "_m"): "%.3f",
     ("_w", "_pa", "_n", "_j", "_s"): "%.1f",

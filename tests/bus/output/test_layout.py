@@ -149,8 +149,8 @@ def test_bus_load_is_within_the_contract() -> None:
     load = frames_per_s * _worst_case_bits(8) / 500_000
 
     assert _worst_case_bits(8) == 135
-    assert frames_per_s == pytest.approx(60.4)
-    assert load == pytest.approx(0.016308)
+    assert frames_per_s == pytest.approx(70.4)
+    assert load == pytest.approx(0.019008)
     assert load < 0.03
 
 
@@ -158,4 +158,4 @@ def test_document_states_the_load() -> None:
     """The figure in docs/frames.md is the computed one."""
     text = (ROOT / "docs" / "frames.md").read_text(encoding="utf-8")
 
-    assert "1.63 %" in text
+    assert "1.90 %" in text

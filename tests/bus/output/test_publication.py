@@ -33,9 +33,11 @@ from bstm_daemon.estimate import (
     Downshift,
     Estimate,
     HeatMode,
+    Input,
     Intervention,
     Isolation,
     Message,
+    Reason,
     RiskLevel,
     Sound,
     State,
@@ -64,6 +66,7 @@ corner_snapshots = st.builds(
     fluid_k=any_float,
     boiling_k=any_float,
     level=st.sampled_from(RiskLevel),
+    reasons=st.builds(Reason, st.integers(0, 127)),
     validity=st.sampled_from(Validity),
 )
 status_snapshots = st.builds(
@@ -84,6 +87,7 @@ status_snapshots = st.builds(
     input_suspect=st.booleans(),
     model_disagrees=st.booleans(),
     heat_substituted=st.booleans(),
+    unverified=st.builds(Input, st.integers(0, 31)),
 )
 snapshots = st.builds(
     Estimate,
@@ -261,6 +265,31 @@ def test_status_carries_the_worst_validity_of_the_corners() -> None:
 # when, with which id and counter
 
 
+def test_reasons_are_sent_corner_by_corner() -> None:
+    """Bits in the order of the table; a drum has no estimate to doubt."""
+    corners = {
+        "FL": CornerEstimate(validity=Validity.VALID),
+        "FR": CornerEstimate(
+            validity=Validity.DEGRADED,
+            reasons=Reason.START_UNKNOWN | Reason.MODEL_DISAGREES,
+        ),
+        "RL": CornerEstimate(
+            validity=Validity.INVALID, reasons=Reason.HEAT_UNKNOWN
+        ),
+    }
+    status = Status(unverified=Input.PRESSURE | Input.TEMPERATURE)
+
+    frames = _second(Estimate(0, corners, status))
+
+    sent = _decoded(frames["BSTM_Reasons"])
+    assert sent["Validity"] == "invalid"
+    assert sent["ReasonsFL"] == "none"
+    assert sent["ReasonsFR"] == 33
+    assert sent["ReasonsRL"] == "heat_unknown"
+    assert sent["ReasonsRR"] == "not_available"
+    assert sent["Unverified"] == 18
+
+
 def test_cycles_hold_on_the_grid_and_nothing_is_due_off_it() -> None:
     """10, 1 and 0.1 Hz, over 30 s of 10 ms ticks."""
     publication = Publication(CORNERS, ID_BASE, requests=True)
@@ -285,7 +314,7 @@ def test_no_tick_fills_the_transmit_queue() -> None:
         for time_us in range(0, 10_000_000, 100_000)
     }
 
-    assert counts == {6, 7}
+    assert counts == {7, 8}
 
 
 @given(st.integers(-(2**60), 2**60), st.permutations(CORNERS))
@@ -317,7 +346,7 @@ def test_a_receiver_finds_every_frame_in_sequence_over_a_restart() -> None:
             ]
         counters = publication.counters
 
-    assert len(statuses) == 75 * 5 + 8 * 4 + 7 * 5 + 4
+    assert len(statuses) == 75 * 6 + 8 * 4 + 7 * 5 + 4
     assert set(statuses) == {CheckStatus.OK}
 
 
@@ -325,12 +354,13 @@ def test_counters_start_at_zero_and_forget_foreign_names() -> None:
     """A corner that is no longer modelled leaves nothing behind."""
     publication = Publication(["FL"], ID_BASE, {"BSTM_RR_Risk": 7})
 
-    (status, temperatures, _) = publication.encode(Estimate(0, {}))
+    (status, _, temperatures, _) = publication.encode(Estimate(0, {}))
 
     assert status.data[1] & 0x0F == 0
     assert temperatures.data[1] & 0x0F == 0
     assert set(publication.counters) == {
         "BSTM_Status",
+        "BSTM_Reasons",
         "BSTM_Risk",
         "BSTM_FL_Temperatures",
         "BSTM_FL_Risk",
@@ -377,7 +407,7 @@ def test_own_ids_are_those_sent() -> None:
     assert set(own_ids(ID_BASE, CORNERS)) == sent
     assert Publication(CORNERS, ID_BASE).ids == own_ids(ID_BASE, CORNERS)
     assert own_ids(0x100, ["RR"]) == (
-        *(0x100, 0x102, 0x103),
+        *(0x100, 0x101, 0x102, 0x103),
         *(0x107, 0x10B, 0x10F, 0x113),
     )
 

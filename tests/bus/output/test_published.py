@@ -243,7 +243,7 @@ def test_foreign_ids_are_none_of_ours() -> None:
     decoder = PublishedDecoder(0x100, ["RR"])
 
     assert decoder.ids == (
-        *(0x100, 0x102, 0x103),
+        *(0x100, 0x101, 0x102, 0x103),
         *(0x107, 0x10B, 0x10F, 0x113),
     )
     assert decoder.decode(0x5B0, bytes(8)) is None

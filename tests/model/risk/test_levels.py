@@ -11,6 +11,7 @@ from bstm_daemon.model.risk.levels import (
     level_of,
     level_of_margin,
     published_level,
+    sure_level,
 )
 
 SECOND_US = 1_000_000
@@ -138,15 +139,30 @@ def test_level_of_a_margin(margin_k: float, level: RiskLevel) -> None:
     assert level_of_margin(margin_k) is level
 
 
-@pytest.mark.parametrize("known", [True, False])
 @pytest.mark.parametrize("validity", Validity)
 @pytest.mark.parametrize("level", RiskLevel)
-def test_nothing_is_published_on_a_guess(
-    level: RiskLevel, validity: Validity, *, known: bool
+def test_no_level_of_an_estimate_that_is_not_usable(
+    level: RiskLevel, validity: Validity
 ) -> None:
-    """A raised level holds with a cold start, which underestimates."""
-    published = published_level(level, validity, history_known=known)
-
     usable = validity in {Validity.VALID, Validity.DEGRADED}
-    unsure = level is RiskLevel.NORMAL and not known
-    assert published is (level if usable and not unsure else RiskLevel.UNKNOWN)
+    published = published_level(level, validity)
+
+    assert published is (level if usable else RiskLevel.UNKNOWN)
+
+
+@pytest.mark.parametrize(
+    ("least", "most", "sure"),
+    [
+        (RiskLevel.NORMAL, RiskLevel.NORMAL, RiskLevel.NORMAL),
+        (RiskLevel.NORMAL, RiskLevel.ELEVATED, RiskLevel.UNKNOWN),
+        (RiskLevel.NORMAL, RiskLevel.CRITICAL, RiskLevel.UNKNOWN),
+        (RiskLevel.ELEVATED, RiskLevel.CRITICAL, RiskLevel.ELEVATED),
+        (RiskLevel.CRITICAL, RiskLevel.CRITICAL, RiskLevel.CRITICAL),
+        (RiskLevel.UNKNOWN, RiskLevel.UNKNOWN, RiskLevel.UNKNOWN),
+    ],
+)
+def test_what_is_sure_between_two_bounds(
+    least: RiskLevel, most: RiskLevel, sure: RiskLevel
+) -> None:
+    """Raised by the lower bound, or normal by the upper one."""
+    assert sure_level(least, most) is sure

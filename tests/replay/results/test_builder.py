@@ -45,6 +45,7 @@ QUANTITIES = (
     "pad_thickness_std_m",
     "disc_loss_m",
     "validity",
+    "reasons",
     *CORNER_COLUMNS,
     "brake_power_std_w",
     "brake_power_ff_w",
@@ -201,6 +202,8 @@ def _in_pieces(block: Block, rows: int) -> list[Block]:
             outputs=tuple(part(output, first) for output in block.outputs),
             flags=part(block.flags, first),
             validity={n: part(v, first) for n, v in block.validity.items()},
+            reasons={n: part(v, first) for n, v in block.reasons.items()},
+            disagrees=part(block.disagrees, first),
         )
         for first in range(0, count, rows)
     ]

@@ -1,0 +1,186 @@
+"""Which inputs of which cars nothing checks."""
+
+from __future__ import annotations
+
+from array import array
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+from bstm_daemon.cli.vehicle import load_vehicle
+from bstm_daemon.estimate import NO_INPUT, Input, Reason, Validity
+from bstm_daemon.estimator.estimator import Estimator
+from bstm_daemon.estimator.verified import (
+    THERMOCOUPLES,
+    unverified_inputs,
+    verified_by,
+)
+from bstm_daemon.roles import ROLE_INDEX
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from bstm_daemon.config.sections import Config, CornerConfig
+
+CONFIGS = Path(__file__).parents[2] / "config"
+CORNERS = ("FL", "FR", "RL", "RR")
+WHEELS = tuple(f"wheel_speed_{name.lower()}" for name in CORNERS)
+MOTION = ("acceleration_longitudinal", "powertrain_torque")
+THESIS = (*WHEELS, "primary_pressure", *MOTION)
+
+
+@pytest.fixture
+def car(
+    make_car: Callable[..., Config], make_corner: Callable[..., CornerConfig]
+) -> Callable[..., Config]:
+    """Return the maker of a car with front corners and a heat mode."""
+
+    def make(mode: str, **heat: object) -> Config:
+        corners = [make_corner(name) for name in ("FL", "FR")]
+        return make_car(*corners, heat={"mode": mode, **heat})
+
+    return make
+
+
+def unverified(config: Config, *roles: str) -> Input:
+    """Return what nothing checks at any corner of *config*."""
+    found = NO_INPUT
+    for one in unverified_inputs(
+        config, [ROLE_INDEX[role] for role in roles]
+    ).values():
+        found |= one
+    return found
+
+
+def shipped(name: str) -> Input:
+    """Return what nothing checks at any corner of a shipped car."""
+    config, signal_map = load_vehicle(CONFIGS / name)
+    found = unverified_inputs(config, signal_map.roles())
+    assert len(set(found.values())) == 1
+    return found["FL"]
+
+
+def test_of_the_example_car_nothing_is_unverified() -> None:
+    assert shipped("example_vehicle.toml") == NO_INPUT
+
+
+def test_the_cars_of_the_recordings_are_unverified() -> None:
+    """No torque: neither the pressure nor the acceleration has a witness."""
+    assert shipped("subaru_wrx_sti.toml") == Input.PRESSURE
+    assert shipped("toyota_rav4.toml") == Input.ACCELERATION
+
+
+@pytest.mark.parametrize(
+    ("mode", "roles", "expected"),
+    [
+        # one speed and one pressure
+        (
+            "ff",
+            ("vehicle_speed", "primary_pressure"),
+            Input.SPEED | Input.PRESSURE,
+        ),
+        # the four of the thesis check each other
+        ("fused", THESIS, NO_INPUT),
+        # a pressure that reads zero ends both of their sources
+        ("ff", THESIS, Input.PRESSURE),
+        ("fb", THESIS, Input.PRESSURE),
+        # all wheels may be wrong by the same scale
+        ("ff", (*WHEELS, "primary_pressure"), Input.SPEED | Input.PRESSURE),
+        # one wheel has nothing beside it
+        ("fused", (WHEELS[0], *THESIS[4:]), Input.SPEED),
+        (
+            "fused",
+            ("vehicle_speed", "gnss_speed", *THESIS[4:]),
+            Input.SPEED,
+        ),
+        # a switch knows of too much pressure, not of too little
+        (
+            "ff",
+            (*WHEELS, "primary_pressure", MOTION[0], "brake_switch"),
+            Input.PRESSURE,
+        ),
+        # without pressure nothing else has the brakes' force
+        ("fb", (*WHEELS, *MOTION), Input.ACCELERATION | Input.TORQUE),
+        ("measured", THESIS, Input.TEMPERATURE),
+        ("measured", ("temp_fl_disc", "temp_fr_disc"), Input.TEMPERATURE),
+        (
+            "measured",
+            (
+                "temp_fl_disc",
+                "temp_fl_disc_2",
+                "temp_fr_disc",
+                "temp_fr_fluid",
+            ),
+            NO_INPUT,
+        ),
+    ],
+)
+def test_what_no_mapped_role_contradicts_is_unverified(
+    car: Callable[..., Config],
+    mode: str,
+    roles: tuple[str, ...],
+    expected: Input,
+) -> None:
+    assert unverified(car(mode), *roles) == expected
+
+
+def test_a_declared_torque_verifies_nothing(
+    car: Callable[..., Config],
+) -> None:
+    """The pressure could be half and so the heat."""
+    config = car("fused", assume_powertrain_torque_nm=0.0)
+
+    assert unverified(config, *THESIS[:-1]) == Input.PRESSURE
+
+
+def test_a_flat_road_leaves_fusion_without_motion(
+    car: Callable[..., Config],
+) -> None:
+    """Nothing is formed from the motion: nothing is compared with it."""
+    config = car("fused", slope="flat")
+
+    assert unverified(config, *THESIS) == (
+        Input.SPEED | Input.PRESSURE | Input.TORQUE
+    )
+
+
+def test_a_thermocouple_verifies_its_own_corner(
+    car: Callable[..., Config],
+) -> None:
+    """Whatever heats that brake wrongly is seen there, and only there."""
+    config, roles = car("ff"), ("vehicle_speed", "primary_pressure")
+    roles += ("temp_fl_pad_back",)
+
+    found = unverified_inputs(config, [ROLE_INDEX[role] for role in roles])
+
+    assert found == {"FL": NO_INPUT, "FR": Input.SPEED | Input.PRESSURE}
+    assert verified_by(config, roles, "FL") == {
+        Input.SPEED: (THERMOCOUPLES,),
+        Input.PRESSURE: (THERMOCOUPLES,),
+    }
+
+
+@pytest.mark.parametrize("mode", ["ff", "fused"])
+def test_an_unverified_input_degrades_from_the_start(
+    car: Callable[..., Config], mode: str
+) -> None:
+    """Nothing else is wrong: it is the only reason, and it stays."""
+    roles = [ROLE_INDEX[role] for role in THESIS]
+    estimator = Estimator(
+        car(mode), dict.fromkeys(roles, 500_000), history_known=True
+    )
+    times = array("q")
+    for at_us in range(0, 3_000_000, 20_000):
+        times.extend([at_us] * len(roles))
+    columns = array("i", roles * (len(times) // len(roles)))
+
+    (block,) = estimator.advance(
+        times, columns, array("d", [0.0] * len(times))
+    )
+
+    sound = mode == "fused"
+    expected = Validity.VALID if sound else Validity.DEGRADED
+    assert set(block.validity["FL"][1:]) == {expected}
+    why = {Reason(code) for code in block.reasons["FL"][1:]}
+    assert why == ({Reason(0)} if sound else {Reason.UNVERIFIED})
