@@ -26,20 +26,24 @@ from bstm_daemon.estimator.memory import (
     StateError,
     checked,
 )
+from bstm_daemon.estimator.unseen import COARSE_STEPS, coarse_steps
 from bstm_daemon.estimator.validity import HIGHEST_K, LOWEST_K
 from bstm_daemon.model.heat.feed_back import Vehicle
 from bstm_daemon.model.heat.learned import LEARNED_NAMES, learned_fault
 from bstm_daemon.model.heat.memory import NEVER, SampleState
 from bstm_daemon.model.heat.sample_plan import PLAN_LAYOUT
-from bstm_daemon.model.thermal.settling import LONGEST_SETTLING_S
+from bstm_daemon.model.thermal.settling import (
+    LONGEST_SETTLING_S,
+    SETTLED_K,
+    STEP_S,
+)
 from bstm_daemon.model.wear.dose import DOSE
-from bstm_daemon.roles import ROLE_INDEX, ROLES
-from bstm_daemon.units import KELVIN_OFFSET
+from bstm_daemon.roles import ROLES
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Mapping
 
-    from bstm_daemon.estimator.memory import Document
+    from bstm_daemon.estimator.memory import Document, Machine
     from bstm_daemon.model.thermal.kernel import Batch
     from bstm_daemon.model.thermal.network import Network
 
@@ -51,10 +55,6 @@ replay from the same state gives the same bits; a longer one by :func:`park`.
 SAME_AXIS_US: Final = 10_000
 """Largest difference of time axes that count as one: two clocks can not be
 read at once."""
-
-PARKED_STEPS: Final = ((60.0, 1.0), (1800.0, 10.0), (float("inf"), 60.0))
-"""Step [s] by time parked [s]: the scheme damps any step, and within a
-minute the fast nodes have come to rest."""
 
 AT_REST_K: Final = 0.01
 """A brake with all nodes closer than this to the air counts as cold."""
@@ -87,7 +87,8 @@ def export_state(estimator: Estimator) -> Document:
         "vehicle_id": estimator.config.vehicle.id,
         "time_us": None if now == NEVER else now,
         "history_left_us": max(estimator.history_left_steps, 0) * STEP_US,
-        "ambient_k": _ambient_k(estimator),
+        "ambient_k": estimator.air_k(),
+        "speed_ms": samples.last_speed_ms,
         "corners": {
             name: estimator.state(name) for name in estimator.programs
         },
@@ -103,6 +104,7 @@ def export_state(estimator: Estimator) -> Document:
         },
         "learned": _exported(estimator),
         "trust": estimator.trust.export(),
+        "unseen": estimator.unseen.export(),
     }
 
 
@@ -137,12 +139,12 @@ def restore_state(
         raise StateError(msg)
     learned = _learned(estimator, saved)
     samples = _samples(estimator, saved, learned) if resume else None
-    if saved.trust is not None:
-        try:
-            estimator.trust.restore(saved.trust)
-        except (KeyError, TypeError, ValueError) as error:
-            msg = "trust: not what this version saves"
-            raise StateError(msg) from error
+    for name, machine, own in (
+        ("trust", estimator.trust, saved.trust),
+        ("unseen", estimator.unseen, saved.unseen),
+    ):
+        if own is not None:
+            _restore_machine(name, machine, own)
     doses = {n: state[DOSE] for n, state in states.items() if DOSE in state}
     _restore_wear(estimator, saved.wear, doses)
     for batch, member, name in estimator.members():
@@ -170,8 +172,13 @@ def resume_state(
     document: Mapping[str, Any],
     parked_us: int | None,
     now_us: int,
+    *,
+    proven: bool = True,
 ) -> Restored:
     """Put *document* into *estimator* and let the brakes cool since.
+
+    Where the parked time is not known the start is not either, until the
+    brakes would be cold at a standstill.
 
     Args:
         estimator: has not marched yet.
@@ -179,6 +186,7 @@ def resume_state(
         parked_us: time since then [us]; None if no clock knows it: then the
             brakes are as hot as they were.
         now_us: time now on the axis of the stamps [us].
+        proven: whether the time since then was no longer.
 
     Raises:
         StateError: it is no state of this car; nothing was changed.
@@ -194,11 +202,23 @@ def resume_state(
         and 0 <= parked_us <= RESUMABLE_US
     )
     restored = restore_state(estimator, document, resume=resume)
-    if parked_us is not None and not restored.resumed:
-        air_k = saved.ambient_k
-        if air_k is not None and not LOWEST_K < air_k < HIGHEST_K:
-            air_k = None
-        park(estimator, max(parked_us, 0) * 1e-6, air_k)
+    if restored.resumed:
+        return restored
+    air_k = saved.ambient_k
+    if air_k is None or not LOWEST_K < air_k < HIGHEST_K:
+        air_k = estimator.air_k()
+    stood_us = max(parked_us or 0, 0)
+    saved_us = now_us if saved.time_us is None else saved.time_us
+    estimator.begin_unseen(saved_us, saved.speed_ms)
+    before_us = saved_us - estimator.unseen.since_us
+    park(estimator, stood_us * 1e-6, air_k)
+    is_known = proven and parked_us is not None
+    estimator.unseen.move(now_us - stood_us - before_us, proven=is_known)
+    if not is_known:
+        left_s = _cooling_s(estimator, air_k)
+        estimator.history_left_steps = max(
+            estimator.history_left_steps, round(left_s * 1e6) // STEP_US
+        )
     return restored
 
 
@@ -221,11 +241,14 @@ def park(
 
     The air is at *ambient_k* [K], by default the last known.
     """
-    air_k = _ambient_k(estimator) if ambient_k is None else ambient_k
+    air_k = estimator.air_k() if ambient_k is None else ambient_k
+    estimator.begin_unseen(*estimator.last_seen())
+    estimator.unseen.move(estimator.unseen.since_us, proven=True)
     _stand(estimator, parked_s, air_k)
     estimator.trust.park(parked_s)
     learned = estimator.samples.learned()
     estimator.samples = SampleState.new(learned)
+    estimator.samples.await_speed()
     left = estimator.history_left_steps - round(parked_s * 1e6) // STEP_US
     estimator.history_left_steps = max(left, 0)
 
@@ -254,9 +277,9 @@ def correct_parked(
         raise StateError(msg)
     estimator.input_history = None
     rows = history.closed()
-    air_k = _ambient_k(estimator)
+    air_k = estimator.air_k()
     running = estimator.samples, estimator.open_flags
-    wear = estimator.wear
+    wear, unseen = estimator.wear, estimator.unseen.export()
     restore_state(estimator, document, resume=False)
     _stand(estimator, parked_s, air_k)
     for batch, _ in estimator.batches:
@@ -270,6 +293,10 @@ def correct_parked(
     _rebuild(estimator)
     estimator.trust.park(parked_s + since * STEP_US * 1e-6)
     gone = round(parked_s * 1e6) // STEP_US + since
+    estimator.unseen.restore(unseen)
+    if estimator.unseen.is_parked and rows:
+        begun_us = estimator.samples.times[0] - gone * STEP_US
+        estimator.unseen.move(begun_us, proven=True)
     left = estimator.history_left_steps - gone
     estimator.history_left_steps = max(left, 0)
 
@@ -279,31 +306,49 @@ def _stand(estimator: Estimator, seconds: float, air_k: float) -> None:
     for batch, _ in estimator.batches:
         ledger = batch.ledger[:]
         inputs = row * batch.sets
-        for step_s in _steps(seconds):
+        for step_s in coarse_steps(seconds):
             batch.march(inputs, 1, step_s)
-            if step_s == PARKED_STEPS[-1][1] and _at_rest(batch, air_k):
+            if step_s == COARSE_STEPS[-1][1] and _at_rest(
+                batch, air_k, AT_REST_K
+            ):
                 break
         batch.ledger[:] = ledger
 
 
-def _steps(seconds: float) -> Iterator[float]:
-    """Give steps [s] that add up to *seconds*."""
-    elapsed = 0.0
-    for until, step_s in PARKED_STEPS:
-        while elapsed < min(until, seconds):
-            step = min(step_s, seconds - elapsed)
-            yield step
-            elapsed += step
+def _cooling_s(estimator: Estimator, air_k: float) -> float:
+    """Return how long parked brakes would take to be cold [s]."""
+    row = array("d", channels_at_rest(air_k).values())
+    longest_s = 0.0
+    for batch, _ in estimator.batches:
+        state, ledger = batch.state[:], batch.ledger[:]
+        elapsed_s = 0.0
+        while (
+            not _at_rest(batch, air_k, SETTLED_K)
+            and elapsed_s < LONGEST_SETTLING_S
+        ):
+            batch.march(row * batch.sets, 1, STEP_S)
+            elapsed_s += STEP_S
+        batch.state[:], batch.ledger[:] = state, ledger
+        longest_s = max(longest_s, elapsed_s)
+    return longest_s
 
 
-def _at_rest(batch: Batch, air_k: float) -> bool:
+def _at_rest(batch: Batch, air_k: float, within_k: float) -> bool:
     return all(
-        abs(kelvin - air_k) < AT_REST_K
+        abs(kelvin - air_k) < within_k
         for member, program in enumerate(batch.programs)
         for kelvin in batch.state[batch.part(member)][
             : len(program.network.nodes)
         ]
     )
+
+
+def _restore_machine(name: str, machine: Machine, saved: Document) -> None:
+    try:
+        machine.restore(saved)
+    except (KeyError, TypeError, ValueError) as error:
+        msg = f"{name}: not what this version saves"
+        raise StateError(msg) from error
 
 
 def _restore_wear(
@@ -446,11 +491,3 @@ def _layout(estimator: Estimator) -> str:
     roles = ",".join(role.name for role in ROLES)
     corners = ",".join(estimator.plan.corners)
     return f"{PLAN_LAYOUT};{STEP_US};{corners};{roles}"
-
-
-def _ambient_k(estimator: Estimator) -> float:
-    role = ROLE_INDEX["ambient_temperature"]
-    known = estimator.samples.last_value(role)
-    if known is not None and LOWEST_K < known < HIGHEST_K:
-        return known
-    return estimator.config.vehicle.ambient_c + KELVIN_OFFSET

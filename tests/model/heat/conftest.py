@@ -10,7 +10,8 @@ import pytest
 
 from bstm_daemon.channels import CHANNELS, FLAGS, VEHICLE_CHANNELS
 from bstm_daemon.model.heat.sample_pass import (
-    DONE,
+    JUMP,
+    SETTLE,
     TICK,
     SampleState,
     sample_pass,
@@ -49,7 +50,7 @@ class Run:
         """Consume (time [us], role or TICK, SI value) samples in one call.
 
         The pass is called again where it returns early, as the estimator
-        does; the codes of early returns but FULL are kept.
+        does; the codes of moves of the axis are kept.
         """
         times = array("q", [s[0] for s in samples])
         roles = array("i", [_number(s[1]) for s in samples])
@@ -84,7 +85,7 @@ class Run:
         self.rows.extend(rows[: steps * corners * len(CHANNELS)])
         self.vehicle.extend(vehicle[: steps * len(VEHICLE_CHANNELS)])
         self.times.extend(closed[:steps])
-        if code > DONE + 1:
+        if code in {SETTLE, JUMP}:
             self.codes.append(code)
         return index
 

@@ -1,0 +1,326 @@
+"""Driving that nobody saw: the heat of a hole in the data.
+
+A hole is a silence of the bus, a gap between stamps, a process that was
+stopped or a clock that jumped ahead. While it lasts the brakes cool as in a
+parked car. Where the car drives before it and after it, the networks march
+once more, from where the hole began, with the heat of the load history, and
+each node takes the higher temperature:
+
+- the hottest stretch of the last minutes of driving, as long as the hole; a
+  hole of less than a minute has the energy of a whole one,
+- at least one full stop from the faster of the two speeds,
+- at most what tyres can brake at that speed.
+
+A hole whose length is not known (a clock that may have been set, a parked
+time that no clock proves) is marched until the heat is in balance, and
+nothing is colder than it was before.
+"""
+
+from __future__ import annotations
+
+import operator
+from array import array
+from functools import reduce
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, NamedTuple
+
+from pydantic import Field
+
+from bstm_daemon.channels import CHANNELS
+from bstm_daemon.estimator.blocks import channels_at_rest
+from bstm_daemon.estimator.memory import Flag, Int64, Machine, Number
+from bstm_daemon.model.heat.sample_pass import AHEAD_US
+from bstm_daemon.model.thermal.settling import LONGEST_SETTLING_S
+from bstm_daemon.units import GRAVITY_MS2
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+    from bstm_daemon.estimator.blocks import Block
+    from bstm_daemon.model.thermal.kernel import Batch
+
+DROVE_MS: Final = 5.0
+"""A car above this speed is not about to park, or has not just parked."""
+
+LEAST_S: Final = 5.0
+"""A shorter hole has no heat: the disc moves by 1 K/s."""
+
+MINUTE_S: Final = 60.0
+STRETCH: Final = 10
+"""Minutes of the longest stretch: what a longer hole is heated with."""
+
+KEPT: Final = 30
+"""Minutes of driving that are kept."""
+
+LEAST_SHARE: Final = 0.2
+"""Share of a minute from which on one that is not over counts."""
+
+COARSE_STEPS: Final = ((60.0, 1.0), (1800.0, 10.0), (float("inf"), 60.0))
+"""Step [s] by time marched [s]: the scheme damps any step, and within a
+minute the fast nodes have come to rest."""
+
+_LOAD: Final = ("speed_ms", "pressure_pa", "brake_on", "brake_power_w")
+_WIDE: Final = len(_LOAD)
+_POWER: Final = _LOAD.index("brake_power_w")
+
+_Kelvin = Annotated[Number, Field(gt=200.0, lt=1800.0)]
+_Means = tuple[Number, ...]
+
+
+class Hole(NamedTuple):
+    """A hole that is over.
+
+    How long it lasted [s], the speeds before and after [m/s], whether its
+    heat was added, and whether it was marched as a silence of the bus.
+    """
+
+    seconds: float
+    before_ms: float
+    after_ms: float
+    driven: bool
+    marched: bool
+
+
+class Unseen(Machine):
+    """The load history of a car, and the hole that is open.
+
+    A minute of the history is the mean of each channel of ``_LOAD``, corner
+    by corner.
+    """
+
+    MEMORY: ClassVar[Mapping[str, Any]] = {
+        "_minutes": tuple[_Means, ...],
+        "_sums": _Means,
+        "_count": Annotated[int, Field(strict=True, ge=0)],
+        "_nodes": dict[str, list[_Kelvin]],
+        "_open": Flag,
+        "since_us": Int64,
+        "_before_ms": Number,
+        "_marched": Flag,
+        "_proven": Flag,
+    }
+
+    def __init__(
+        self, shares: Sequence[float], mass_kg: float, minute: int
+    ) -> None:
+        """Begin with no history and no hole.
+
+        Args:
+            shares: each corner's share of the brake force, in the order of
+                a block's rows.
+            mass_kg: of the car.
+            minute: publications in a minute.
+        """
+        self._shares, self._mass_kg, self._minute = shares, mass_kg, minute
+        self._minutes: tuple[_Means, ...] = ()
+        self._sums: _Means = (0.0,) * (_WIDE * len(shares))
+        self._count = 0
+        self._nodes: dict[str, list[float]] = {}
+        self._open = self._marched = self._proven = False
+        self.since_us = 0
+        """Begin of the last hole on the present axis of time [us]."""
+        self._before_ms = 0.0
+        self.driven = 0
+        """Count of the holes that the car was driven in, since the start."""
+
+    def restore(self, saved: Mapping[str, Any]) -> None:
+        """Take over what :meth:`export` gave.
+
+        The history of a car with other corners is left out.
+
+        Raises:
+            KeyError, TypeError, ValueError: it is nothing of that kind.
+        """
+        fresh = self._sums
+        super().restore(saved)
+        wide = len(fresh)
+        if any(len(means) != wide for means in (self._sums, *self._minutes)):
+            self._minutes, self._sums, self._count = (), (0.0,) * wide, 0
+
+    @property
+    def is_open(self) -> bool:
+        """Whether a hole lasts."""
+        return self._open
+
+    @property
+    def is_parked(self) -> bool:
+        """Whether a hole lasts that :meth:`move` dated."""
+        return self._open and not self._marched
+
+    def add(self, block: Block) -> None:
+        """Add the publications of *block* to the history, none in a hole.
+
+        The sums run on from publication to publication, so that a cut
+        between two blocks changes no bit.
+        """
+        if self._open:
+            return
+        size = len(self._shares) * len(CHANNELS)
+        first, count = 0, len(block.times_us)
+        while first < count:
+            last = min(first + self._minute - self._count, count)
+            self._sums = tuple(
+                reduce(operator.add,
+                       block.rows[at + first * size : last * size : size],
+                       total)
+                for total, at in zip(self._sums, _places(self._shares),
+                                     strict=True)
+            )  # fmt: skip
+            self._count += last - first
+            first = last
+            if self._count == self._minute:
+                self._end_minute()
+
+    def _end_minute(self) -> None:
+        means = tuple(total / self._count for total in self._sums)
+        self._sums, self._count = (0.0,) * len(means), 0
+        # the speed of the first corner is that of the car
+        if means and means[0] > DROVE_MS:
+            self._minutes = (*self._minutes, means)[-KEPT:]
+
+    def begin(
+        self, nodes_k: dict[str, list[float]], since_us: int, before_ms: float
+    ) -> None:
+        """Begin a hole, unless one lasts.
+
+        Args:
+            nodes_k: temperatures of the nodes of each corner [K].
+            since_us: the last sample [us].
+            before_ms: the last known speed [m/s].
+        """
+        if not self._open:
+            self._open, self._marched, self._proven = True, True, False
+            self._nodes = nodes_k
+            self.since_us, self._before_ms = since_us, before_ms
+
+    def move(self, since_us: int, *, proven: bool) -> None:
+        """Let the hole have begun at *since_us*, by a clock set anew.
+
+        *proven*: that is certain; else it may have lasted for any time.
+        """
+        if not proven:
+            since_us -= round(LONGEST_SETTLING_S * 1e6)
+        self.since_us, self._marched, self._proven = since_us, False, proven
+
+    def end(
+        self,
+        now_us: int,
+        after_ms: float,
+        batches: Sequence[tuple[Batch, Sequence[str]]],
+        air_k: float,
+    ) -> Hole:
+        """End the hole; give *batches* its heat if the car drove in it.
+
+        Args:
+            now_us: time of the first speed [us].
+            after_ms: that speed [m/s].
+            batches: with the names of their corners.
+            air_k: temperature of the air [K].
+        """
+        seconds = max((now_us - self.since_us) * 1e-6, 0.0)
+        slower_ms, faster_ms = sorted((self._before_ms, after_ms))
+        driven = seconds > LEAST_S and slower_ms > DROVE_MS
+        if driven:
+            self.driven += 1
+            is_known = self._proven or seconds <= AHEAD_US * 1e-6
+            row = self._row(seconds, slower_ms, faster_ms, air_k)
+            for batch, names in batches:
+                self._heat(batch, names, row, seconds, is_known=is_known)
+        self._open, self._nodes = False, {}
+        return Hole(seconds, self._before_ms, after_ms, driven, self._marched)
+
+    def _row(
+        self, seconds: float, slower_ms: float, faster_ms: float, air_k: float
+    ) -> array[float]:
+        """Return the channels of all corners in a hole of *seconds*."""
+        means = self._hottest(seconds)
+        if not means:
+            means = (slower_ms, 0.0, 0.0, 0.0) * len(self._shares)
+        scale = max(MINUTE_S / seconds, 1.0)
+        stop_w = 0.5 * self._mass_kg * faster_ms**2 / seconds
+        powers_w = [
+            max(scale * power_w, share * stop_w)
+            for power_w, share in zip(
+                means[_POWER::_WIDE], self._shares, strict=True
+            )
+        ]
+        most_w = self._mass_kg * GRAVITY_MS2 * max(faster_ms, means[0])
+        limit = min(most_w / max(sum(powers_w), most_w), 1.0)
+        row = array("d")
+        for corner, power_w in enumerate(powers_w):
+            own = means[corner * _WIDE : (corner + 1) * _WIDE]
+            channels = channels_at_rest(air_k)
+            channels |= dict(zip(_LOAD, own, strict=True))
+            channels["brake_power_w"] = limit * power_w
+            row.extend(channels.values())
+        return row
+
+    def _hottest(self, seconds: float) -> _Means:
+        """Return the stretch of the history with the highest power."""
+        minutes = list(self._minutes)
+        if self._count >= LEAST_SHARE * self._minute:
+            minutes.append(tuple(sum_ / self._count for sum_ in self._sums))
+        length = min(-int(-seconds // MINUTE_S), STRETCH, len(minutes))
+        stretches = [
+            tuple(
+                sum(of_channel) / length
+                for of_channel in zip(
+                    *minutes[first : first + length], strict=True
+                )
+            )
+            for first in range(len(minutes) - length + 1 if length else 0)
+        ]
+        return max(
+            stretches, key=lambda means: sum(means[_POWER::_WIDE]), default=()
+        )
+
+    def _heat(
+        self,
+        batch: Batch,
+        names: Sequence[str],
+        row: array[float],
+        seconds: float,
+        *,
+        is_known: bool,
+    ) -> None:
+        """March *batch* from the begin of the hole; keep what is hotter."""
+        parked, ledger = batch.state[:], batch.ledger[:]
+        for member, nodes in _node_places(batch):
+            begun_k = self._nodes.get(names[member], [])
+            if len(begun_k) == nodes.stop - nodes.start:
+                batch.state[nodes] = array("d", begun_k)
+        begun = batch.state[:]
+        for step_s in coarse_steps(min(seconds, LONGEST_SETTLING_S)):
+            batch.march(row, 1, step_s)
+        driven = batch.state[:]
+        for _, nodes in _node_places(batch):
+            for i in range(nodes.start, nodes.stop):
+                parked[i] = max(parked[i], driven[i])
+                if not is_known:
+                    parked[i] = max(parked[i], begun[i])
+        batch.state[:], batch.ledger[:] = parked, ledger
+
+
+def _node_places(batch: Batch) -> Iterator[tuple[int, slice]]:
+    """Give each member and where its nodes are in the state."""
+    for member, program in enumerate(batch.programs):
+        first = batch.part(member).start
+        yield member, slice(first, first + len(program.network.nodes))
+
+
+def coarse_steps(seconds: float) -> Iterator[float]:
+    """Give steps [s] that add up to *seconds*."""
+    elapsed = 0.0
+    for until, step_s in COARSE_STEPS:
+        while elapsed < min(until, seconds):
+            step = min(step_s, seconds - elapsed)
+            yield step
+            elapsed += step
+
+
+def _places(shares: Sequence[float]) -> list[int]:
+    """Return where the channels of the load of each corner are in a row."""
+    return [
+        corner * len(CHANNELS) + CHANNELS.index(name)
+        for corner in range(len(shares))
+        for name in _LOAD
+    ]
