@@ -208,12 +208,16 @@ def resume_state(
     if air_k is None or not LOWEST_K < air_k < HIGHEST_K:
         air_k = estimator.air_k()
     stood_us = max(parked_us or 0, 0)
+    is_known = proven and parked_us is not None
+    # how long a hole had lasted is known by the axis that it began on
+    is_dated = saved.time_us is not None or not estimator.unseen.is_open
     saved_us = now_us if saved.time_us is None else saved.time_us
     estimator.begin_unseen(saved_us, saved.speed_ms)
-    before_us = saved_us - estimator.unseen.since_us
+    before_us = saved_us - estimator.unseen.since_us if is_dated else 0
     park(estimator, stood_us * 1e-6, air_k)
-    is_known = proven and parked_us is not None
-    estimator.unseen.move(now_us - stood_us - before_us, proven=is_known)
+    estimator.unseen.move(
+        now_us - stood_us - before_us, proven=is_known and is_dated
+    )
     if not is_known:
         left_s = _cooling_s(estimator, air_k)
         estimator.history_left_steps = max(
