@@ -123,6 +123,7 @@ class Drive:
         self, seconds: float, *, proven_s: float | None, is_exact: bool
     ) -> Drive:
         """Start again after *seconds*, of which *proven_s* are proven."""
+        self.feed([(self.now_us, TICK, 0.0)])
         document = json.loads(
             json.dumps(export_state(self.estimator), allow_nan=False)
         )
@@ -435,9 +436,9 @@ def test_no_hole_is_colder_than_the_mean_load(
     drives[1].go(hole_s, speed_ms, pressure_pa)
     for drive in drives:
         drive.go(0.1, speed_ms, pressure_pa)
-    # the mean has the first step, of less than a sample, too
+    # in the second until a bus is silent half the heat is missing
     above_k = drives[1].nodes_k()["disc"] - AIR_K
-    assert hotter(drives[0], drives[1], -1.0 - 0.01 * above_k)
+    assert hotter(drives[0], drives[1], -1.0 - 0.02 * above_k)
 
 
 @settings(max_examples=5)
@@ -446,7 +447,13 @@ def test_live_and_replay_are_equal(
     config: Config, parts: list[tuple[str, int]]
 ) -> None:
     """Ticks through the holes, and a few samples at a time."""
-    parts = [part for part in parts if part[0] != "sleep"]
+    # a replay begins with a sample
+    parts = [
+        one
+        for part in parts
+        if part[0] != "sleep"
+        for one in (part, ("drive", 1))
+    ]
     live, replay = Drive(config, ticks=True), Drive(config)
     for drive in (live, replay):
         lead(drive, parts)
