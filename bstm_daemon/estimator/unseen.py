@@ -21,11 +21,12 @@ from __future__ import annotations
 import operator
 from array import array
 from functools import reduce
+from itertools import groupby
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, NamedTuple
 
 from pydantic import Field
 
-from bstm_daemon.channels import CHANNELS
+from bstm_daemon.channels import CHANNELS, FLAGS
 from bstm_daemon.estimator.blocks import channels_at_rest
 from bstm_daemon.estimator.memory import Flag, Int64, Machine, Number
 from bstm_daemon.model.heat.sample_pass import AHEAD_US
@@ -147,28 +148,40 @@ class Unseen(Machine):
         return self._open and not self._marched
 
     def add(self, block: Block) -> None:
-        """Add the publications of *block* to the history, none in a hole.
+        """Add to the history what *block* has with a speed, none in a hole.
 
         The sums run on from publication to publication, so that a cut
         between two blocks changes no bit.
         """
         if self._open:
             return
-        size = len(self._shares) * len(CHANNELS)
-        first, count = 0, len(block.times_us)
-        while first < count:
-            last = min(first + self._minute - self._count, count)
-            self._sums = tuple(
-                reduce(operator.add,
-                       block.rows[at + first * size : last * size : size],
-                       total)
-                for total, at in zip(self._sums, _places(self._shares),
-                                     strict=True)
-            )  # fmt: skip
-            self._count += last - first
+        first = 0
+        for missing, run in groupby(
+            block.flags, FLAGS["speed_missing"].__and__
+        ):
+            last = first + len(list(run))
+            while first < last and not missing:
+                end = min(first + self._minute - self._count, last)
+                self._add(block, first, end)
+                first = end
             first = last
-            if self._count == self._minute:
-                self._end_minute()
+
+    def _add(self, block: Block, first: int, last: int) -> None:
+        """Add publications of *block* that end no later than the minute."""
+        size = len(self._shares) * len(CHANNELS)
+        self._sums = tuple(
+            reduce(
+                operator.add,
+                block.rows[first * size + at : last * size : size],
+                total,
+            )
+            for total, at in zip(
+                self._sums, _places(self._shares), strict=True
+            )
+        )
+        self._count += last - first
+        if self._count == self._minute:
+            self._end_minute()
 
     def _end_minute(self) -> None:
         means = tuple(total / self._count for total in self._sums)
