@@ -333,6 +333,9 @@ class Engine:
         The next publication has its clock-jump flag set.
         """
         correct_parked(self.estimator, document, parked_us * 1e-6)
+        if self.risk is not None:
+            now_us = self.estimator.samples.times[0]
+            self.risk.look_back(document, parked_us, now_us)
         self.estimator.open_flags |= FLAGS["clock_jump"]
 
     def park(self, parked_us: int) -> None:

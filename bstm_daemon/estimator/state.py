@@ -229,13 +229,16 @@ def resume_state(
 def parked_before_us(document: Mapping[str, Any], first_us: int) -> int | None:
     """Return the time from the save to a log's first stamp [us].
 
-    None where the log begins before the save: it is of another drive, and
-    the brakes begin as they were.
+    None where the log begins before the save, being of another drive, or
+    where the wall clock of the save was not synchronised, unless the log goes
+    on at once: then the brakes begin as they were.
     """
     wall_us = document.get("wall_us")
-    if isinstance(wall_us, int) and wall_us <= first_us:
-        return first_us - wall_us
-    return None
+    if not isinstance(wall_us, int) or wall_us > first_us:
+        return None
+    since_us = first_us - wall_us
+    is_right = document.get("wall_error_us") is not None
+    return since_us if is_right or since_us <= RESUMABLE_US else None
 
 
 def park(

@@ -444,14 +444,19 @@ class RiskMonitor:
             if level is not RiskLevel.UNKNOWN:
                 memory.level, memory.below_since_us = level, since_us
         if parked_us is not None and parked_us > 0:
-            self._look_back(
-                checked(SavedState, document), parked_us * 1e-6, now_us
-            )
+            self.look_back(document, parked_us, now_us)
 
-    def _look_back(
-        self, saved: SavedState, parked_s: float, now_us: int
+    def look_back(
+        self, document: Mapping[str, Any], parked_us: int, now_us: int
     ) -> None:
-        """Compute the probability of vapour while the computer was off."""
+        """Compute the probability of vapour while the computer was off.
+
+        Args:
+            document: the state that was saved before.
+            parked_us: time since the save [us].
+            now_us: time now on the axis of the stamps [us].
+        """
+        saved = checked(SavedState, document)
         ambient_k = saved.ambient_k
         if ambient_k is None:
             ambient_k = self._ambient_k
@@ -467,7 +472,7 @@ class RiskMonitor:
             course = parked_course(
                 corner.ensemble, self._kernel, state, ambient_k, factor=1.0
             )
-            peaks = course.peaks_k(parked_s)
+            peaks = course.peaks_k(parked_us * 1e-6)
             corner.level.by_probability(
                 boiling.mean_probability(peaks), now_us
             )

@@ -19,6 +19,7 @@ from bstm_daemon.estimator.state import (
     export_state,
     keep_input_history,
     park,
+    parked_before_us,
     restore_state,
 )
 from bstm_daemon.estimator.validity import HIGHEST_K, LOWEST_K
@@ -243,6 +244,17 @@ def test_a_clock_set_late_corrects_a_car_that_braked(config: Config) -> None:
     assert wrong.state("FL")[DOSE] == pytest.approx(
         right.state("FL")[DOSE], rel=1e-4
     )
+
+
+def test_a_save_by_a_clock_that_was_not_right_dates_no_log() -> None:
+    """But a log that goes on within a minute is of the same axis."""
+    document: dict[str, Any] = {"wall_us": 100 * SECOND}
+    right = document | {"wall_error_us": 0}
+    assert parked_before_us(right, 4000 * SECOND) == 3900 * SECOND
+    assert parked_before_us(document, 4000 * SECOND) is None
+    assert parked_before_us(document, 160 * SECOND) == 60 * SECOND
+    assert parked_before_us(right, 99 * SECOND) is None
+    assert parked_before_us({}, 4000 * SECOND) is None
 
 
 def test_impossible_temperatures_begin_anew(config: Config) -> None:
