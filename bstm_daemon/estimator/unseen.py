@@ -112,6 +112,11 @@ class Unseen(Machine):
             minute: publications in a minute.
         """
         self._shares, self._mass_kg, self._minute = shares, mass_kg, minute
+        self._places = [
+            corner * len(CHANNELS) + CHANNELS.index(name)
+            for corner in range(len(shares))
+            for name in _LOAD
+        ]
         self._minutes: tuple[_Means, ...] = ()
         self._sums: _Means = (0.0,) * (_WIDE * len(shares))
         self._count = 0
@@ -175,9 +180,7 @@ class Unseen(Machine):
                 block.rows[first * size + at : last * size : size],
                 total,
             )
-            for total, at in zip(
-                self._sums, _places(self._shares), strict=True
-            )
+            for total, at in zip(self._sums, self._places, strict=True)
         )
         self._count += last - first
         if self._count == self._minute:
@@ -328,12 +331,3 @@ def coarse_steps(seconds: float) -> Iterator[float]:
             step = min(step_s, seconds - elapsed)
             yield step
             elapsed += step
-
-
-def _places(shares: Sequence[float]) -> list[int]:
-    """Return where the channels of the load of each corner are in a row."""
-    return [
-        corner * len(CHANNELS) + CHANNELS.index(name)
-        for corner in range(len(shares))
-        for name in _LOAD
-    ]
