@@ -6,8 +6,7 @@ parked car. Where the car drives before it and after it, the networks march
 once more, from where the hole began, with the heat of the load history, and
 each node takes the higher temperature:
 
-- the hottest stretch of the last minutes of driving, as long as the hole; a
-  hole of less than a minute has the energy of a whole one,
+- the hottest stretch of the last minutes of driving, as long as the hole,
 - at least one full stop from the faster of the two speeds,
 - at most what tyres can brake at that speed.
 
@@ -51,9 +50,6 @@ STRETCH: Final = 10
 
 KEPT: Final = 30
 """Minutes of driving that are kept."""
-
-LEAST_SHARE: Final = 0.2
-"""Share of a minute from which on one that is not over counts."""
 
 COARSE_STEPS: Final = ((60.0, 1.0), (1800.0, 10.0), (float("inf"), 60.0))
 """Step [s] by time marched [s]: the scheme damps any step, and within a
@@ -251,10 +247,9 @@ class Unseen(Machine):
         means = self._hottest(seconds)
         if not means:
             means = (slower_ms, 0.0, 0.0, 0.0) * len(self._shares)
-        scale = max(MINUTE_S / seconds, 1.0)
         stop_w = 0.5 * self._mass_kg * faster_ms**2 / seconds
         powers_w = [
-            max(scale * power_w, share * stop_w)
+            max(power_w, share * stop_w)
             for power_w, share in zip(
                 means[_POWER::_WIDE], self._shares, strict=True
             )
@@ -273,9 +268,13 @@ class Unseen(Machine):
     def _hottest(self, seconds: float) -> _Means:
         """Return the stretch of the history with the highest power."""
         minutes = list(self._minutes)
-        if self._count >= LEAST_SHARE * self._minute:
-            minutes.append(tuple(sum_ / self._count for sum_ in self._sums))
-        length = min(-int(-seconds // MINUTE_S), STRETCH, len(minutes))
+        length = min(-int(-seconds // MINUTE_S), STRETCH, len(minutes) or 1)
+        if self._count:
+            # the minute that is not over has its energy so far
+            means = [total / self._count for total in self._sums]
+            for at in range(_POWER, len(means), _WIDE):
+                means[at] *= self._count / self._minute
+            minutes.append(tuple(means))
         stretches = [
             tuple(
                 sum(of_channel) / length
@@ -283,7 +282,7 @@ class Unseen(Machine):
                     *minutes[first : first + length], strict=True
                 )
             )
-            for first in range(len(minutes) - length + 1 if length else 0)
+            for first in range(len(minutes) - length + 1)
         ]
         return max(
             stretches, key=lambda means: sum(means[_POWER::_WIDE]), default=()
