@@ -271,6 +271,29 @@ def test_a_car_that_stood_on_one_side_was_parked(
     assert drives[0].nodes_k() == drives[1].nodes_k()
 
 
+@pytest.mark.parametrize("speeds_ms", [(20.0, 0.0), (0.0, 20.0)])
+def test_a_silence_that_may_hide_braking_degrades(
+    config: Config, speeds_ms: tuple[float, float]
+) -> None:
+    """The car came to a stop in it, or set off."""
+    before_ms, after_ms = speeds_ms
+    drive = Drive(config).descend(60.0).go(2.0, before_ms)
+    drive.hole(20.0).go(1.0, after_ms)
+    assert drive.validity() == Validity.DEGRADED
+    drive.go(MEMORY * 20.0 - 30.0, after_ms)
+    assert drive.validity() == Validity.DEGRADED
+    # speeds that jump are suspect for two seconds, too
+    drive.go(100.0, after_ms)
+    assert drive.validity() == Validity.VALID
+
+
+def test_a_car_that_stands_a_day_later_is_cold(config: Config) -> None:
+    drive = Drive(config).descend(300.0).hole(24 * HOUR_S).go(5.0, 0.0)
+    assert drive.validity() == Validity.VALID
+    for kelvin in drive.nodes_k().values():
+        assert kelvin == pytest.approx(AIR_K, abs=0.1)
+
+
 @pytest.mark.parametrize(
     "stop",
     [
