@@ -237,7 +237,8 @@ def parked_before_us(document: Mapping[str, Any], first_us: int) -> int | None:
     if not isinstance(wall_us, int) or wall_us > first_us:
         return None
     since_us = first_us - wall_us
-    is_right = document.get("wall_error_us") is not None
+    # the service notes None; a document without that says nothing against it
+    is_right = document.get("wall_error_us", 0) is not None
     return since_us if is_right or since_us <= RESUMABLE_US else None
 
 

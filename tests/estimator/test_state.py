@@ -248,7 +248,7 @@ def test_a_clock_set_late_corrects_a_car_that_braked(config: Config) -> None:
 
 def test_a_save_by_a_clock_that_was_not_right_dates_no_log() -> None:
     """But a log that goes on within a minute is of the same axis."""
-    document: dict[str, Any] = {"wall_us": 100 * SECOND}
+    document: dict[str, Any] = {"wall_us": 100 * SECOND, "wall_error_us": None}
     right = document | {"wall_error_us": 0}
     assert parked_before_us(right, 4000 * SECOND) == 3900 * SECOND
     assert parked_before_us(document, 4000 * SECOND) is None
