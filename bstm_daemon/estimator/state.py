@@ -139,12 +139,7 @@ def restore_state(
         raise StateError(msg)
     learned = _learned(estimator, saved)
     samples = _samples(estimator, saved, learned) if resume else None
-    for name, machine, own in (
-        ("trust", estimator.trust, saved.trust),
-        ("unseen", estimator.unseen, saved.unseen),
-    ):
-        if own is not None:
-            _restore_machine(name, machine, own)
+    _restore_machines(estimator, saved)
     doses = {n: state[DOSE] for n, state in states.items() if DOSE in state}
     _restore_wear(estimator, saved.wear, doses)
     for batch, member, name in estimator.members():
@@ -351,12 +346,22 @@ def _at_rest(batch: Batch, air_k: float, within_k: float) -> bool:
     )
 
 
-def _restore_machine(name: str, machine: Machine, saved: Document) -> None:
-    try:
-        machine.restore(saved)
-    except (KeyError, TypeError, ValueError) as error:
-        msg = f"{name}: not what this version saves"
-        raise StateError(msg) from error
+def _restore_machines(estimator: Estimator, saved: SavedState) -> None:
+    """Take over the state machines, all or none of them."""
+    machines: tuple[tuple[str, Machine, Document | None], ...] = (
+        ("trust", estimator.trust, saved.trust),
+        ("unseen", estimator.unseen, saved.unseen),
+    )
+    before = [(machine, machine.export()) for _, machine, _ in machines]
+    for name, machine, own in machines:
+        try:
+            if own is not None:
+                machine.restore(own)
+        except (KeyError, TypeError, ValueError) as error:
+            for other, kept in before:
+                other.restore(kept)
+            msg = f"{name}: not what this version saves"
+            raise StateError(msg) from error
 
 
 def _restore_wear(

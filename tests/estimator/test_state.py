@@ -286,6 +286,8 @@ def test_impossible_temperatures_begin_anew(config: Config) -> None:
         ),
         ({"history_left_us": None}, "history_left_us"),
         ({"samples": None}, "samples = None: must be a table"),
+        ({"trust": {}}, "trust: not what this version saves"),
+        ({"unseen": {}}, "unseen: not what this version saves"),
     ],
 )
 def test_what_is_no_state_is_refused_whole(

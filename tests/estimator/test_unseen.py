@@ -78,14 +78,18 @@ class Drive:
             )
 
     def go(
-        self, seconds: float, speed_ms: float = 20.0, pressure_pa: float = 0.0
+        self,
+        seconds: float,
+        speed_ms: float = 20.0,
+        pressure_pa: float = 0.0,
+        every_us: int = 20_000,
     ) -> Drive:
-        """Go on; the samples come every 20 ms."""
+        """Go on; samples come every *every_us* [us]."""
         until_us = self.now_us + round(seconds * 1e6)
         self.feed(
             [
                 (at, role, value)
-                for at in range(self.now_us, until_us, 20_000)
+                for at in range(self.now_us, until_us, every_us)
                 for role, value in ((SPEED, speed_ms), (PRESSURE, pressure_pa))
             ]
         )
@@ -330,7 +334,7 @@ def test_every_kind_of_hole(
     assert not drive.flags() & FLAGS["driven_unseen"]
 
 
-@pytest.mark.parametrize("hours", [2.0, 11.0, 24.0, 29.0 * 24.0])
+@pytest.mark.parametrize("hours", [2.0, 24.0, 29.0 * 24.0])
 def test_a_clock_that_jumps_ahead_cools_nothing(
     config: Config, hours: float
 ) -> None:
@@ -370,7 +374,7 @@ def test_a_night_is_one(config: Config) -> None:
 def test_long_holes_come_to_the_balance_of_the_load(config: Config) -> None:
     """A day that the clocks prove: as hot as by driving on for hours."""
     unseen = Drive(config).descend(900.0).restart(24 * HOUR_S).descend(0.02)
-    seen = Drive(config).descend(2.5 * HOUR_S)
+    seen = Drive(config).go(2.5 * HOUR_S, 20.0, 5e5, every_us=400_000)
     for node, kelvin in seen.nodes_k().items():
         # linings that were hot for a day conduct less
         assert unseen.nodes_k()[node] == pytest.approx(kelvin, abs=25.0)
@@ -389,7 +393,7 @@ def test_a_parked_time_that_is_not_proven_is_no_start(
     assert left_k > (0.9 if proven_s is None else 0.7) * (hot_k - AIR_K)
     assert drive.validity() == Validity.DEGRADED
     for _ in range(5):
-        drive.go(HOUR_S, 0.0)
+        drive.go(HOUR_S, 0.0, every_us=400_000)
     assert drive.validity() == Validity.VALID
 
 
