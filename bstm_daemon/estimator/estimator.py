@@ -443,7 +443,7 @@ class Estimator:
         drove = max(hole.before_ms, hole.after_ms) > DROVE_MS
         if hole.driven or (hole.marched and drove):
             self.trust.count(hole.seconds)
-            if hole.after_ms <= DROVE_MS:
+            if not hole.driven and hole.after_ms <= DROVE_MS:
                 # what it did since is forgotten as in a parked car
                 self.trust.park(hole.seconds)
         if hole.driven:

@@ -2,13 +2,15 @@
 
 A hole is a silence of the bus, a gap between stamps, a process that was
 stopped or a clock that jumped ahead. While it lasts the brakes cool as in a
-parked car. Where the car drives before it and after it, the networks march
-once more, from where the hole began, with the heat of the load history, and
-each node takes the higher temperature:
+parked car. Where the car drives before it and after it, or the bus fell
+silent at speed for less than an hour, the networks march once more, from
+where the hole began, with the heat of the load history, and each node takes
+the higher temperature:
 
-- the hottest stretch of the last minutes of driving, as long as the hole,
-- at least one full stop from the faster of the two speeds,
-- at most what tyres can brake at that speed.
+- in the last ten minutes the hottest stretch of the history as long as that,
+  but at least one full stop from the faster of the two speeds, and at most
+  what tyres can brake at that speed,
+- before them the mean of the history.
 
 A hole whose length is not known (a clock that may have been set, a parked
 time that no clock proves) is marched until the heat is in balance, and
@@ -46,7 +48,7 @@ LEAST_S: Final = 5.0
 
 MINUTE_S: Final = 60.0
 STRETCH: Final = 10
-"""Minutes of the longest stretch: what a longer hole is heated with."""
+"""Minutes of the longest stretch: the disc has forgotten what was before."""
 
 KEPT: Final = 30
 """Minutes of driving that are kept."""
@@ -230,31 +232,46 @@ class Unseen(Machine):
         """
         seconds = max((now_us - self.since_us) * 1e-6, 0.0)
         slower_ms, faster_ms = sorted((self._before_ms, after_ms))
-        driven = seconds > LEAST_S and slower_ms > DROVE_MS
+        is_short = seconds <= AHEAD_US * 1e-6
+        # a bus that falls silent at speed is not that of a car that parks
+        lowest_ms = (
+            self._before_ms if self._marched and is_short else slower_ms
+        )
+        driven = seconds > LEAST_S and lowest_ms > DROVE_MS
         if driven:
             self.driven += 1
-            is_known = self._proven or seconds <= AHEAD_US * 1e-6
-            row = self._row(seconds, slower_ms, faster_ms, air_k)
+            is_known = self._proven or is_short
+            last_s = min(seconds, STRETCH * MINUTE_S)
+            stop_w = 0.5 * self._mass_kg * faster_ms**2 / last_s
+            standing = (slower_ms, 0.0, 0.0, 0.0) * len(self._shares)
+            mean, hottest = self._loads(last_s) or (standing, standing)
+            parts = (
+                (self._row(mean, 0.0, faster_ms, air_k), seconds - last_s),
+                (self._row(hottest, stop_w, faster_ms, air_k), last_s),
+            )
             for batch, names in batches:
-                self._heat(batch, names, row, seconds, is_known=is_known)
+                self._heat(batch, names, parts, is_known=is_known)
         self._open, self._nodes = False, {}
         return Hole(seconds, self._before_ms, after_ms, driven, self._marched)
 
     def _row(
-        self, seconds: float, slower_ms: float, faster_ms: float, air_k: float
+        self, means: _Means, least_w: float, speed_ms: float, air_k: float
     ) -> array[float]:
-        """Return the channels of all corners in a hole of *seconds*."""
-        means = self._hottest(seconds)
-        if not means:
-            means = (slower_ms, 0.0, 0.0, 0.0) * len(self._shares)
-        stop_w = 0.5 * self._mass_kg * faster_ms**2 / seconds
+        """Return the channels of all corners under the load *means*.
+
+        Args:
+            means: as in a minute of the history.
+            least_w: power of the whole car at least [W].
+            speed_ms: speed that tyres brake from [m/s].
+            air_k: temperature of the air [K].
+        """
         powers_w = [
-            max(power_w, share * stop_w)
+            max(power_w, share * least_w)
             for power_w, share in zip(
                 means[_POWER::_WIDE], self._shares, strict=True
             )
         ]
-        most_w = self._mass_kg * GRAVITY_MS2 * max(faster_ms, means[0])
+        most_w = self._mass_kg * GRAVITY_MS2 * max(speed_ms, means[0])
         limit = min(most_w / max(sum(powers_w), most_w), 1.0)
         row = array("d")
         for corner, power_w in enumerate(powers_w):
@@ -265,47 +282,50 @@ class Unseen(Machine):
             row.extend(channels.values())
         return row
 
-    def _hottest(self, seconds: float) -> _Means:
-        """Return the stretch of the history with the highest power."""
+    def _loads(self, seconds: float) -> tuple[_Means, _Means] | None:
+        """Return the mean of the history and its hottest stretch.
+
+        *seconds*: of the stretch. None without any history.
+        """
         minutes = list(self._minutes)
-        length = min(-int(-seconds // MINUTE_S), STRETCH, len(minutes) or 1)
         if self._count:
             # the minute that is not over has its energy so far
             means = [total / self._count for total in self._sums]
             for at in range(_POWER, len(means), _WIDE):
                 means[at] *= self._count / self._minute
             minutes.append(tuple(means))
+        if not minutes:
+            return None
+        whole = len(self._minutes) or 1
+        length = min(-int(-seconds // MINUTE_S), whole)
         stretches = [
-            tuple(
-                sum(of_channel) / length
-                for of_channel in zip(
-                    *minutes[first : first + length], strict=True
-                )
-            )
+            _mean(minutes[first : first + length])
             for first in range(len(minutes) - length + 1)
         ]
-        return max(
-            stretches, key=lambda means: sum(means[_POWER::_WIDE]), default=()
-        )
+        hottest = max(stretches, key=lambda means: sum(means[_POWER::_WIDE]))
+        return _mean(minutes[:whole]), hottest
 
     def _heat(
         self,
         batch: Batch,
         names: Sequence[str],
-        row: array[float],
-        seconds: float,
+        parts: Sequence[tuple[array[float], float]],
         *,
         is_known: bool,
     ) -> None:
-        """March *batch* from the begin of the hole; keep what is hotter."""
+        """March *batch* from the begin of the hole; keep what is hotter.
+
+        *parts*: rows of channels, and for how long [s].
+        """
         parked, ledger = batch.state[:], batch.ledger[:]
         for member, nodes in _node_places(batch):
             begun_k = self._nodes.get(names[member], [])
             if len(begun_k) == nodes.stop - nodes.start:
                 batch.state[nodes] = array("d", begun_k)
         begun = batch.state[:]
-        for step_s in coarse_steps(min(seconds, LONGEST_SETTLING_S)):
-            batch.march(row, 1, step_s)
+        for row, seconds in parts:
+            for step_s in coarse_steps(min(seconds, LONGEST_SETTLING_S)):
+                batch.march(row, 1, step_s)
         driven = batch.state[:]
         for _, nodes in _node_places(batch):
             for i in range(nodes.start, nodes.stop):
@@ -313,6 +333,13 @@ class Unseen(Machine):
                 if not is_known:
                     parked[i] = max(parked[i], begun[i])
         batch.state[:], batch.ledger[:] = parked, ledger
+
+
+def _mean(minutes: Sequence[_Means]) -> _Means:
+    return tuple(
+        sum(of_channel) / len(minutes)
+        for of_channel in zip(*minutes, strict=True)
+    )
 
 
 def _node_places(batch: Batch) -> Iterator[tuple[int, slice]]:

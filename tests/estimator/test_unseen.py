@@ -243,6 +243,21 @@ def test_the_hottest_minutes_count(config: Config) -> None:
     assert disc_k[1] == pytest.approx(disc_k[0], abs=3.0)
 
 
+def test_a_long_hole_ends_with_the_hottest_stretch(config: Config) -> None:
+    """Before that it has the mean: the disc has forgotten which was first."""
+    drives = [Drive(config).descend(600.0).go(900.0) for _ in range(2)]
+    steady = Drive(config).descend(600.0)
+    for drive, hole_s in zip(
+        (*drives, steady), (600, 3000, 3000), strict=True
+    ):
+        drive.hole(hole_s).go(0.02)
+    short, long, hot = (drive.nodes_k() for drive in (*drives, steady))
+    assert long["disc"] == pytest.approx(short["disc"], abs=25.0)
+    assert short["disc"] > AIR_K + 100.0
+    assert long["fluid"] > short["fluid"] + 1.0
+    assert hot["fluid"] > long["fluid"] + 5.0
+
+
 def test_tyres_limit_the_heat(config: Config) -> None:
     """Full braking for a minute and a hole of 6 s: 1 g at 20 m/s."""
     drive = Drive(config).go(60.0, 20.0, 1.5e7)
@@ -263,15 +278,35 @@ def test_tyres_limit_the_heat(config: Config) -> None:
 
 
 @pytest.mark.parametrize(
-    ("before_ms", "after_ms"), [(20.0, 0.0), (4.0, 20.0), (0.0, 0.0)]
+    ("before_ms", "after_ms", "stop"),
+    [
+        (20.0, 0.0, lambda drive: drive.restart(300.0)),
+        (20.0, 0.0, lambda drive: drive.sleep(300.0)),
+        (20.0, 0.0, lambda drive: drive.hole(2 * HOUR_S)),
+        (4.0, 20.0, lambda drive: drive.hole(300.0)),
+        (0.0, 20.0, lambda drive: drive.restart(300.0)),
+        (0.0, 0.0, lambda drive: drive.hole(300.0)),
+    ],
 )
 def test_a_car_that_stood_on_one_side_was_parked(
-    config: Config, before_ms: float, after_ms: float
+    config: Config,
+    before_ms: float,
+    after_ms: float,
+    stop: Callable[[Drive], Drive],
 ) -> None:
-    drives = [Drive(config), blind(config)]
-    for drive in drives:
-        drive.descend(120.0).go(1.0, before_ms).hole(300.0).go(1.0, after_ms)
-        assert not drive.flags() & FLAGS["driven_unseen"]
+    drive = Drive(config).descend(120.0).go(1.0, before_ms)
+    hot_k = drive.nodes_k()["disc"]
+    stop(drive).go(1.0, after_ms)
+    assert not drive.flags() & FLAGS["driven_unseen"]
+    assert drive.nodes_k()["disc"] < hot_k - 20.0
+
+
+def test_a_bus_that_falls_silent_at_speed(config: Config) -> None:
+    """The car came to a stop unseen: as hot as if it still drove."""
+    drives = [Drive(config), Drive(config)]
+    for drive, after_ms in zip(drives, (0.0, 20.0), strict=True):
+        drive.descend(600.0).hole(300.0).go(0.02, after_ms)
+        assert drive.estimator.unseen.driven == 1
     assert drives[0].nodes_k() == drives[1].nodes_k()
 
 
