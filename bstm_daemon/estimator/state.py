@@ -34,8 +34,7 @@ from bstm_daemon.model.heat.memory import NEVER, SampleState
 from bstm_daemon.model.heat.sample_plan import PLAN_LAYOUT
 from bstm_daemon.model.thermal.settling import (
     LONGEST_SETTLING_S,
-    SETTLED_K,
-    STEP_S,
+    cooling_time_s,
 )
 from bstm_daemon.model.wear.dose import DOSE
 from bstm_daemon.roles import ROLES
@@ -214,7 +213,11 @@ def resume_state(
         now_us - stood_us - before_us, proven=is_known and is_dated
     )
     if not is_known:
-        left_s = _cooling_s(estimator, air_k)
+        row = array("d", channels_at_rest(air_k).values())
+        left_s = max(
+            (cooling_time_s(b, row, air_k) for b, _ in estimator.batches),
+            default=0.0,
+        )
         estimator.history_left_steps = max(
             estimator.history_left_steps, round(left_s * 1e6) // STEP_US
         )
@@ -311,34 +314,14 @@ def _stand(estimator: Estimator, seconds: float, air_k: float) -> None:
         inputs = row * batch.sets
         for step_s in coarse_steps(seconds):
             batch.march(inputs, 1, step_s)
-            if step_s == COARSE_STEPS[-1][1] and _at_rest(
-                batch, air_k, AT_REST_K
-            ):
+            if step_s == COARSE_STEPS[-1][1] and _at_rest(batch, air_k):
                 break
         batch.ledger[:] = ledger
 
 
-def _cooling_s(estimator: Estimator, air_k: float) -> float:
-    """Return how long parked brakes would take to be cold [s]."""
-    row = array("d", channels_at_rest(air_k).values())
-    longest_s = 0.0
-    for batch, _ in estimator.batches:
-        state, ledger = batch.state[:], batch.ledger[:]
-        elapsed_s = 0.0
-        while (
-            not _at_rest(batch, air_k, SETTLED_K)
-            and elapsed_s < LONGEST_SETTLING_S
-        ):
-            batch.march(row * batch.sets, 1, STEP_S)
-            elapsed_s += STEP_S
-        batch.state[:], batch.ledger[:] = state, ledger
-        longest_s = max(longest_s, elapsed_s)
-    return longest_s
-
-
-def _at_rest(batch: Batch, air_k: float, within_k: float) -> bool:
+def _at_rest(batch: Batch, air_k: float) -> bool:
     return all(
-        abs(kelvin - air_k) < within_k
+        abs(kelvin - air_k) < AT_REST_K
         for member, program in enumerate(batch.programs)
         for kelvin in batch.state[batch.part(member)][
             : len(program.network.nodes)
