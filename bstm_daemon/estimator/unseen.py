@@ -137,7 +137,8 @@ class Unseen(Machine):
         fresh = self._sums
         super().restore(saved)
         wide = len(fresh)
-        if any(len(means) != wide for means in (self._sums, *self._minutes)):
+        kept = self._sums, *self._minutes
+        if self._count >= self._minute or any(len(m) != wide for m in kept):
             self._minutes, self._sums, self._count = (), (0.0,) * wide, 0
 
     @property
@@ -271,7 +272,7 @@ class Unseen(Machine):
                 means[_POWER::_WIDE], self._shares, strict=True
             )
         ]
-        most_w = self._mass_kg * GRAVITY_MS2 * max(speed_ms, means[0])
+        most_w = self._mass_kg * GRAVITY_MS2 * max(speed_ms, *means[:1])
         limit = min(most_w / max(sum(powers_w), most_w), 1.0)
         row = array("d")
         for corner, power_w in enumerate(powers_w):

@@ -555,6 +555,10 @@ def test_the_history_of_another_car_is_left_out(
     unseen = Unseen([0.3] * 4, MASS_KG, 600)
     unseen.restore(saved)
     assert unseen.export()["_minutes"] == []
+    unseen.restore(
+        saved | {"_minutes": [], "_sums": [0.0] * 16, "_count": 600}
+    )
+    assert unseen.export()["_count"] == 0
     own = Unseen([0.3] * 2, MASS_KG, 600)
     own.restore(saved)
     assert len(own.export()["_minutes"]) == 2
