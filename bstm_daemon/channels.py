@@ -82,6 +82,7 @@ FLAGS: Final = {
     "wheel_radius": 1 << 43,
     "pressure_dead": 1 << 44,
     "braking_unpressed": 1 << 45,
+    "driven_unseen": 1 << 46,
 }
 """Bits of a step's ``flags``; those of pressure and heat are for any corner.
 ``docs/validity.md`` says when each is set."""

@@ -293,7 +293,12 @@ class Engine:
         }
 
     def resume(
-        self, document: Mapping[str, Any], parked_us: int | None, now_us: int
+        self,
+        document: Mapping[str, Any],
+        parked_us: int | None,
+        now_us: int,
+        *,
+        proven: bool = True,
     ) -> Restored:
         """Take over *document* before the first frame and tick.
 
@@ -302,12 +307,15 @@ class Engine:
             parked_us: time since then [us]; None if no clock knows it,
                 then the brakes are as hot as they were.
             now_us: time now on the axis of the stamps [us].
+            proven: whether the time since then was no longer.
 
         Raises:
             StateError: it is no state of this car; nothing was taken.
         """
         counters = checked(SavedCounters, document).counters
-        restored = resume_state(self.estimator, document, parked_us, now_us)
+        restored = resume_state(
+            self.estimator, document, parked_us, now_us, proven=proven
+        )
         self.publication.continue_from(counters)
         if restored.resumed and "advice" in document:
             self._advisor = self._advisor.resumed(document["advice"])
@@ -328,6 +336,9 @@ class Engine:
         The next publication has its clock-jump flag set.
         """
         correct_parked(self.estimator, document, parked_us * 1e-6)
+        if self.risk is not None:
+            now_us = self.estimator.samples.times[0]
+            self.risk.look_back(document, parked_us, now_us)
         self.estimator.open_flags |= FLAGS["clock_jump"]
 
     def park(self, parked_us: int) -> None:

@@ -14,7 +14,7 @@ from itertools import groupby
 from math import isfinite
 from typing import TYPE_CHECKING, Any, Final
 
-from bstm_daemon.channels import CHANNELS, VEHICLE_CHANNELS
+from bstm_daemon.channels import CHANNELS, FLAGS, VEHICLE_CHANNELS
 from bstm_daemon.estimator.blocks import (
     Block,
     BlockLayout,
@@ -30,8 +30,10 @@ from bstm_daemon.estimator.coupling import Coupling
 from bstm_daemon.estimator.model_check import ModelCheck
 from bstm_daemon.estimator.start import StartBound
 from bstm_daemon.estimator.trust import Trust
+from bstm_daemon.estimator.unseen import DROVE_MS, Unseen
 from bstm_daemon.estimator.validity import (
     HIGHEST_K,
+    LOWEST_K,
     judge,
     needs_of_corners,
 )
@@ -40,8 +42,14 @@ from bstm_daemon.model.effects.corrections import (
     corrected,
     corrections_by_role,
 )
-from bstm_daemon.model.heat.memory import SampleState
-from bstm_daemon.model.heat.sample_pass import SETTLE, SETTLED_US
+from bstm_daemon.model.heat.memory import NEVER, SampleState
+from bstm_daemon.model.heat.sample_pass import (
+    BACK,
+    JUMP,
+    LOST,
+    SETTLE,
+    SETTLED_US,
+)
 from bstm_daemon.model.heat.sample_plan import plan_samples
 from bstm_daemon.model.thermal.kernel import Batch
 from bstm_daemon.model.thermal.settling import settling_time_s
@@ -72,6 +80,8 @@ STEP_US: Final = 50_000
 
 PUBLISH_US: Final = 100_000
 """Period of publication."""
+
+MINUTE_US: Final = 60_000_000
 
 ROWS: Final = 4096
 """Steps marched at a time; it limits memory and does not change results."""
@@ -156,6 +166,11 @@ class Estimator:
         )
         self.model_check = ModelCheck(
             config, self.layout, present, self.settling_s
+        )
+        self.unseen = Unseen(
+            self.plan.numbers.force_share[: len(self.plan.corners)],
+            config.vehicle.mass_kg,
+            MINUTE_US // PUBLISH_US,
         )
         self._coupling = Coupling(
             self.plan,
@@ -267,8 +282,18 @@ class Estimator:
                 # after it was taken: within a block the networks are one
                 if self._coupling.times[steps - 1] % REFIT_US == 0:
                     self._fit_to_wear(steps - 1)
-            if code == SETTLE:
-                self._settle()
+            self._follow(code)
+
+    def _follow(self, code: int) -> None:
+        """Do what the pass ended for with *code*."""
+        if code == LOST:
+            self.begin_unseen(*self.last_seen())
+        elif code == SETTLE:
+            self._settle()
+        elif code == JUMP and self.unseen.is_open:
+            self.unseen.move(self.samples.times[0], proven=False)
+        elif code == BACK:
+            self._end_unseen()
 
     def _batches(self, start_k: float) -> list[tuple[Batch, list[str]]]:
         """Group the corners by structure; each group is one batch."""
@@ -323,6 +348,7 @@ class Estimator:
             wear={},
         )
         block.wear.update(self.wear.laws(times, partial(_totals, block)))
+        self.unseen.add(block)
         judge(
             block,
             self._needs,
@@ -390,12 +416,59 @@ class Estimator:
             self.programs.values(), row, air_k, self._kernel
         )
 
+    def air_k(self) -> float:
+        """Return the last known temperature of the air [K]."""
+        known = self.samples.last_value(ROLE_INDEX["ambient_temperature"])
+        if known is not None and LOWEST_K < known < HIGHEST_K:
+            return known
+        return self.config.vehicle.ambient_c + KELVIN_OFFSET
+
+    def last_seen(self) -> tuple[int, float]:
+        """Return the time of the last sample [us] and the speed then."""
+        since_us = self.samples.last_sample_us
+        if since_us == NEVER:
+            since_us = self.samples.times[0]
+        return since_us, self.samples.last_speed_ms
+
+    def begin_unseen(self, since_us: int, before_ms: float) -> None:
+        """Begin a hole in the data, unless one lasts.
+
+        Args:
+            since_us: time of the last sample [us].
+            before_ms: the last known speed [m/s].
+        """
+        nodes_k = {
+            name: list(batch.state[batch.part(member)])[
+                : len(batch.programs[member].network.nodes)
+            ]
+            for batch, member, name in self.members()
+        }
+        self.unseen.begin(nodes_k, since_us, before_ms)
+        self.samples.await_speed()
+
+    def _end_unseen(self) -> None:
+        """End the hole: the first speed after it is known."""
+        hole = self.unseen.end(
+            self.samples.times[0],
+            self.samples.speed_after_ms,
+            self.batches,
+            self.air_k(),
+        )
+        drove = max(hole.before_ms, hole.after_ms) > DROVE_MS
+        if hole.driven or (hole.marched and drove):
+            self.trust.count(hole.seconds)
+            if not hole.driven and hole.after_ms <= DROVE_MS:
+                # what it did since is forgotten as in a parked car
+                self.trust.park(hole.seconds)
+        if hole.driven:
+            self._coupling.heat_interfaces(self.samples, self.batches)
+            self.start.begin(self.start.unknown)
+            self.open_flags |= FLAGS["driven_unseen"]
+
     def _settle(self) -> None:
-        ambient = self.samples.last_value(ROLE_INDEX["ambient_temperature"])
-        if ambient is None:
-            ambient = self.config.vehicle.ambient_c + KELVIN_OFFSET
+        air_k = self.air_k()
         for batch, member, _ in self.members():
-            batch.settle(ambient, member)
+            batch.settle(air_k, member)
         self._coupling.heat_interfaces(self.samples, self.batches)
         self.start.end()
         self.trust.park(SETTLED_US * 1e-6)

@@ -63,6 +63,8 @@ class SavedState(Saved):
     learned: Any = None
     wear: Document | None = None
     trust: Document | None = None
+    unseen: Document | None = None
+    speed_ms: Number = 0.0
 
 
 class SavedSamples(Saved):

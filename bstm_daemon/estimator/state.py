@@ -26,20 +26,21 @@ from bstm_daemon.estimator.memory import (
     StateError,
     checked,
 )
+from bstm_daemon.estimator.unseen import COARSE_STEPS, coarse_steps
 from bstm_daemon.estimator.validity import HIGHEST_K, LOWEST_K
 from bstm_daemon.model.heat.feed_back import Vehicle
 from bstm_daemon.model.heat.learned import LEARNED_NAMES, learned_fault
 from bstm_daemon.model.heat.memory import NEVER, SampleState
 from bstm_daemon.model.heat.sample_plan import PLAN_LAYOUT
+from bstm_daemon.model.thermal.settling import cooling_time_s
 from bstm_daemon.model.wear.dose import DOSE
 from bstm_daemon.model.wear.pads import Change
-from bstm_daemon.roles import ROLE_INDEX, ROLES
-from bstm_daemon.units import KELVIN_OFFSET
+from bstm_daemon.roles import ROLES
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Mapping
 
-    from bstm_daemon.estimator.memory import Document
+    from bstm_daemon.estimator.memory import Document, Machine
     from bstm_daemon.model.thermal.kernel import Batch
     from bstm_daemon.model.thermal.network import Network
 
@@ -51,10 +52,6 @@ replay from the same state gives the same bits; a longer one by :func:`park`.
 SAME_AXIS_US: Final = 10_000
 """Largest difference of time axes that count as one: two clocks can not be
 read at once."""
-
-PARKED_STEPS: Final = ((60.0, 1.0), (1800.0, 10.0), (float("inf"), 60.0))
-"""Step [s] by time parked [s]: the scheme damps any step, and within a
-minute the fast nodes have come to rest."""
 
 AT_REST_K: Final = 0.01
 """A brake with all nodes closer than this to the air counts as cold."""
@@ -86,7 +83,8 @@ def export_state(estimator: Estimator) -> Document:
     return {
         "vehicle_id": estimator.config.vehicle.id,
         "time_us": None if now == NEVER else now,
-        "ambient_k": _ambient_k(estimator),
+        "ambient_k": estimator.air_k(),
+        "speed_ms": samples.last_speed_ms,
         "corners": {
             name: estimator.state(name) for name in estimator.programs
         },
@@ -103,6 +101,7 @@ def export_state(estimator: Estimator) -> Document:
         },
         "learned": _exported(estimator),
         "trust": estimator.trust.export(),
+        "unseen": estimator.unseen.export(),
     }
 
 
@@ -141,12 +140,7 @@ def restore_state(
         raise StateError(msg)
     learned = _learned(estimator, saved)
     samples = _samples(estimator, saved, learned) if resume else None
-    if saved.trust is not None:
-        try:
-            estimator.trust.restore(saved.trust)
-        except (KeyError, TypeError, ValueError) as error:
-            msg = "trust: not what this version saves"
-            raise StateError(msg) from error
+    _restore_machines(estimator, saved)
     doses = {n: state[DOSE] for n, state in states.items() if DOSE in state}
     _restore_wear(estimator, saved.wear, doses)
     for batch, member, name in estimator.members():
@@ -174,8 +168,13 @@ def resume_state(
     document: Mapping[str, Any],
     parked_us: int | None,
     now_us: int,
+    *,
+    proven: bool = True,
 ) -> Restored:
     """Put *document* into *estimator* and let the brakes cool since.
+
+    Where the parked time is not known the estimate is degraded until the
+    brakes would be cold at a standstill.
 
     Args:
         estimator: has not marched yet.
@@ -183,6 +182,7 @@ def resume_state(
         parked_us: time since then [us]; None if no clock knows it: then the
             brakes are as hot as they were.
         now_us: time now on the axis of the stamps [us].
+        proven: whether the time since then was no longer.
 
     Raises:
         StateError: it is no state of this car; nothing was changed.
@@ -198,24 +198,47 @@ def resume_state(
         and 0 <= parked_us <= RESUMABLE_US
     )
     restored = restore_state(estimator, document, resume=resume)
-    if parked_us is not None and not restored.resumed:
-        air_k = saved.ambient_k
-        if air_k is not None and not LOWEST_K < air_k < HIGHEST_K:
-            air_k = None
-        park(estimator, max(parked_us, 0) * 1e-6, air_k)
+    if restored.resumed:
+        return restored
+    air_k = saved.ambient_k
+    if air_k is None or not LOWEST_K < air_k < HIGHEST_K:
+        air_k = estimator.air_k()
+    stood_us = max(parked_us or 0, 0)
+    is_known = proven and parked_us is not None
+    # how long a hole had lasted is known by the axis that it began on
+    is_dated = saved.time_us is not None or not estimator.unseen.is_open
+    saved_us = now_us if saved.time_us is None else saved.time_us
+    estimator.begin_unseen(saved_us, saved.speed_ms)
+    before_us = saved_us - estimator.unseen.since_us if is_dated else 0
+    park(estimator, stood_us * 1e-6, air_k)
+    estimator.unseen.move(
+        now_us - stood_us - before_us, proven=is_known and is_dated
+    )
+    if not is_known:
+        row = array("d", channels_at_rest(air_k).values())
+        estimator.trust.hold(
+            max(
+                (cooling_time_s(b, row, air_k) for b, _ in estimator.batches),
+                default=0.0,
+            )
+        )
     return restored
 
 
 def parked_before_us(document: Mapping[str, Any], first_us: int) -> int | None:
     """Return the time from the save to a log's first stamp [us].
 
-    None where the log begins before the save: it is of another drive, and
-    the brakes begin as they were.
+    None where the log begins before the save, being of another drive, or
+    where the wall clock of the save was not synchronised, unless the log goes
+    on at once: then the brakes begin as they were.
     """
     wall_us = document.get("wall_us")
-    if isinstance(wall_us, int) and wall_us <= first_us:
-        return first_us - wall_us
-    return None
+    if not isinstance(wall_us, int) or wall_us > first_us:
+        return None
+    since_us = first_us - wall_us
+    # the service notes None; a document without that says nothing against it
+    is_right = document.get("wall_error_us", 0) is not None
+    return since_us if is_right or since_us <= RESUMABLE_US else None
 
 
 def park(
@@ -225,12 +248,15 @@ def park(
 
     The air is at *ambient_k* [K], by default the last known.
     """
-    air_k = _ambient_k(estimator) if ambient_k is None else ambient_k
+    air_k = estimator.air_k() if ambient_k is None else ambient_k
+    estimator.begin_unseen(*estimator.last_seen())
+    estimator.unseen.move(estimator.unseen.since_us, proven=True)
     _stand(estimator, parked_s, air_k)
     estimator.trust.park(parked_s)
     estimator.start.compare()
     learned = estimator.samples.learned()
     estimator.samples = SampleState.new(learned)
+    estimator.samples.await_speed()
 
 
 def keep_input_history(estimator: Estimator) -> None:
@@ -257,9 +283,9 @@ def correct_parked(
         raise StateError(msg)
     estimator.input_history = None
     rows = history.closed()
-    air_k = _ambient_k(estimator)
+    air_k = estimator.air_k()
     running = estimator.samples, estimator.open_flags
-    wear = estimator.wear
+    wear, unseen = estimator.wear, estimator.unseen.export()
     restore_state(estimator, document, resume=False)
     _stand(estimator, parked_s, air_k)
     for batch in _batches(estimator):
@@ -273,6 +299,11 @@ def correct_parked(
     estimator.wear = wear
     _rebuild(estimator)
     estimator.trust.park(parked_s + since * STEP_US * 1e-6)
+    gone = round(parked_s * 1e6) // STEP_US + since
+    estimator.unseen.restore(unseen)
+    if estimator.unseen.is_parked and rows:
+        begun_us = estimator.samples.times[0] - gone * STEP_US
+        estimator.unseen.move(begun_us, proven=True)
 
 
 def _stand(estimator: Estimator, seconds: float, air_k: float) -> None:
@@ -280,9 +311,9 @@ def _stand(estimator: Estimator, seconds: float, air_k: float) -> None:
     for batch in _batches(estimator):
         ledger = batch.ledger[:]
         inputs = row * batch.sets
-        for step_s in _steps(seconds):
+        for step_s in coarse_steps(seconds):
             batch.march(inputs, 1, step_s)
-            if step_s == PARKED_STEPS[-1][1] and _at_rest(batch, air_k):
+            if step_s == COARSE_STEPS[-1][1] and _at_rest(batch, air_k):
                 break
         batch.ledger[:] = ledger
 
@@ -290,16 +321,6 @@ def _stand(estimator: Estimator, seconds: float, air_k: float) -> None:
 def _batches(estimator: Estimator) -> list[Batch]:
     """Return the batches of the estimate and those of the hot bound."""
     return [batch for batch, _ in estimator.batches] + estimator.start.batches
-
-
-def _steps(seconds: float) -> Iterator[float]:
-    """Give steps [s] that add up to *seconds*."""
-    elapsed = 0.0
-    for until, step_s in PARKED_STEPS:
-        while elapsed < min(until, seconds):
-            step = min(step_s, seconds - elapsed)
-            yield step
-            elapsed += step
 
 
 def _at_rest(batch: Batch, air_k: float) -> bool:
@@ -310,6 +331,24 @@ def _at_rest(batch: Batch, air_k: float) -> bool:
             : len(program.network.nodes)
         ]
     )
+
+
+def _restore_machines(estimator: Estimator, saved: SavedState) -> None:
+    """Take over the state machines, all or none of them."""
+    machines: tuple[tuple[str, Machine, Document | None], ...] = (
+        ("trust", estimator.trust, saved.trust),
+        ("unseen", estimator.unseen, saved.unseen),
+    )
+    before = [(machine, machine.export()) for _, machine, _ in machines]
+    for name, machine, own in machines:
+        try:
+            if own is not None:
+                machine.restore(own)
+        except (KeyError, TypeError, ValueError) as error:
+            for other, kept in before:
+                other.restore(kept)
+            msg = f"{name}: not what this version saves"
+            raise StateError(msg) from error
 
 
 def _restore_wear(
@@ -453,11 +492,3 @@ def _layout(estimator: Estimator) -> str:
     roles = ",".join(role.name for role in ROLES)
     corners = ",".join(estimator.plan.corners)
     return f"{PLAN_LAYOUT};{STEP_US};{corners};{roles}"
-
-
-def _ambient_k(estimator: Estimator) -> float:
-    role = ROLE_INDEX["ambient_temperature"]
-    known = estimator.samples.last_value(role)
-    if known is not None and LOWEST_K < known < HIGHEST_K:
-        return known
-    return estimator.config.vehicle.ambient_c + KELVIN_OFFSET

@@ -3,12 +3,11 @@
 A finding against an input ends with the braking that showed it; the network
 remembers that heat for much longer. So the time with a finding is counted,
 corner by corner, and the corner stays degraded for :data:`MEMORY` times as
-long, at most until its slowest node has forgotten. Two findings are made
-here, from what the pass over samples publishes:
-
-- the bus falls silent while the car drives: braking may go unseen,
-- the work by pressure and the work that heats the brakes differ by more than
-  friction, mass and slope do: one of their inputs is wrong.
+long, at most until its slowest node has forgotten. A hole in the data that the
+car drove in counts too. One finding is made here, from what the pass over
+samples publishes: the work by pressure and the work that heats the brakes
+differ by more than friction, mass and slope do, so one of their inputs is
+wrong.
 """
 
 from __future__ import annotations
@@ -16,7 +15,7 @@ from __future__ import annotations
 from math import exp, isfinite
 from typing import TYPE_CHECKING, Any, ClassVar, Final
 
-from bstm_daemon.channels import CHANNELS, FLAGS, VEHICLE_CHANNELS
+from bstm_daemon.channels import CHANNELS, FLAGS
 from bstm_daemon.estimator.memory import Machine, Number
 
 if TYPE_CHECKING:
@@ -31,9 +30,6 @@ for a minute is gone, but for a hundredth of the disc's, in half an hour."""
 LEAST_S: Final = 5.0
 """Findings of this time in total leave nothing: the disc moves by 1 K/s."""
 
-DROVE_MS: Final = 5.0
-"""A bus that falls silent above this speed is not that of a parked car."""
-
 FORGET_J: Final = 1e6
 LEAST_J: Final = 3e5
 """Braking work that the two works are compared over, and from which on."""
@@ -43,7 +39,6 @@ MOST_RATIO: Final = 1.75
 """Work by pressure over the work that heats, of a sound car: linings have
 0.7 to 1.3 of their nominal friction, 0.6 when they fade."""
 
-_SPEED: Final = VEHICLE_CHANNELS.index("speed_ms")
 _POWER: Final = CHANNELS.index("brake_power_w")
 _PRESSED: Final = CHANNELS.index("brake_energy_ff_j")
 _ASSUMED: Final = (
@@ -59,8 +54,6 @@ class Trust(Machine):
         "_found_s": dict[str, Number],
         "_held_s": dict[str, Number],
         "_work": tuple[Number, Number],
-        "_speed_ms": Number,
-        "_silent_s": Number,
         "_pressed_j": Number,
     }
 
@@ -90,7 +83,6 @@ class Trust(Machine):
         self._found_s = dict.fromkeys(corners, 0.0)
         self._held_s = dict.fromkeys(corners, 0.0)
         self._work = 0.0, 0.0
-        self._speed_ms = self._silent_s = 0.0
         self._pressed_j = -1.0
 
     def restore(self, saved: Any) -> None:
@@ -99,16 +91,21 @@ class Trust(Machine):
         Raises:
             KeyError, TypeError, ValueError: it is nothing of that kind.
         """
-        corners = self._held_s.keys()
+        corners = [*self._held_s]
         super().restore(saved)
-        for memory in (self._found_s, self._held_s):
-            for name in memory.keys() ^ corners:
-                memory[name] = 0.0
+        found_s, held_s = self._found_s, self._held_s
+        self._found_s = {name: found_s.get(name, 0.0) for name in corners}
+        self._held_s = {name: held_s.get(name, 0.0) for name in corners}
+
+    def hold(self, seconds: float) -> None:
+        """Keep all corners degraded for *seconds* from now on."""
+        for name, held_s in self._held_s.items():
+            longest_s = max(held_s, seconds)
+            self._held_s[name] = min(longest_s, self._settling_s)
 
     def park(self, seconds: float) -> None:
         """Let the brakes have stood for *seconds*."""
         self._pressed_j = -1.0
-        self._speed_ms = self._silent_s = 0.0
         for name, held_s in self._held_s.items():
             self._held_s[name] = max(held_s - seconds, 0.0)
             self._found_s[name] = max(
@@ -122,31 +119,27 @@ class Trust(Machine):
             block: its validities are not read.
             step_s: time between two publications [s].
         """
-        wide, corners = len(VEHICLE_CHANNELS), len(block.layout.corners)
-        size = corners * len(CHANNELS)
+        size = len(block.layout.corners) * len(CHANNELS)
         found = []
         for i, flags in enumerate(block.flags):
-            if flags & FLAGS["silent"]:
-                self._silent_s += step_s
-            else:
-                self._speed_ms = block.vehicle[i * wide + _SPEED]
-                if self._speed_ms > DROVE_MS:
-                    self._count_hole()
-                self._silent_s = 0.0
             row = range(i * size, (i + 1) * size, len(CHANNELS))
             if self._compares:
                 self._add_work(block, row, flags, step_s)
-            unseen = flags & FLAGS["silent"] and self._speed_ms > DROVE_MS
-            found.append(bool(unseen) or self._works_differ())
+            found.append(self._works_differ())
         return found
 
-    def _count_hole(self) -> None:
-        """Count a silence that the car was driven in, as it drives after."""
-        if self._silent_s > LEAST_S:
-            for name, found_s in self._found_s.items():
-                self._found_s[name] = found_s + self._silent_s
-                held_s = MEMORY * self._found_s[name]
-                self._held_s[name] = min(held_s, self._settling_s)
+    def count(self, seconds: float) -> None:
+        """Count *seconds* against the heat of every corner.
+
+        They are a hole in the data that the car drove in, or may have.
+        """
+        for name, held_s in self._held_s.items():
+            found_s = self._found_s[name] + seconds
+            # the slowest node has forgotten what is older
+            found_s = min(found_s, self._settling_s / MEMORY)
+            self._found_s[name] = found_s
+            if found_s > LEAST_S:
+                self._held_s[name] = max(held_s, MEMORY * found_s)
 
     def _add_work(
         self, block: Block, row: range, flags: int, step_s: float

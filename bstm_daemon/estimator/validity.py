@@ -84,7 +84,7 @@ def needs_of_corners(
             missing=_missing(config, present, place),
             suspect=_pressure(config, place) | remembered,
             remembered=remembered,
-            uncertain=HEAT_UNCERTAIN << place,
+            uncertain=HEAT_UNCERTAIN << place | FLAGS["driven_unseen"],
             lost=HEAT_LOST << place,
             measured=config.heat.mode == "measured",
             unverified=bool(unverified[corner.name]),

@@ -166,10 +166,22 @@ class RiskMonitor:
             if level is not RiskLevel.UNKNOWN:
                 memory.level, memory.below_since_us = level, since_us
         if parked_us is not None and parked_us > 0:
-            state = checked(SavedState, document)
-            for course in (self.course, self._bound):
-                if course is not None:
-                    course.look_back(state, parked_us * 1e-6, now_us)
+            self.look_back(document, parked_us, now_us)
+
+    def look_back(
+        self, document: Mapping[str, Any], parked_us: int, now_us: int
+    ) -> None:
+        """Compute the probability of vapour while the computer was off.
+
+        Args:
+            document: the state that was saved before.
+            parked_us: time since the save [us].
+            now_us: time now on the axis of the stamps [us].
+        """
+        state = checked(SavedState, document)
+        for course in (self.course, self._bound):
+            if course is not None:
+                course.look_back(state, parked_us * 1e-6, now_us)
 
     def memories(self) -> dict[str, LevelMemory]:
         """Return the levels that go over a restart, by name."""

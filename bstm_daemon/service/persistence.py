@@ -94,7 +94,9 @@ class Persistence:
         saved = Moment.saved(document)
         parked = parked_time(saved, self._moment(engine, now_us))
         try:
-            restored = engine.resume(document, parked.us, now_us)
+            restored = engine.resume(
+                document, parked.us, now_us, proven=parked.exact
+            )
         except StateError as error:
             aside = set_aside(self._file)
             return f"does not fit this car: {error}; {aside}"
@@ -133,7 +135,8 @@ class Persistence:
         if not parked.exact:
             return
         self._start = None
-        if parked.us <= assumed_us:
+        # the input history has no heat of a hole
+        if parked.us <= assumed_us or engine.estimator.unseen.driven:
             engine.estimator.input_history = None
             return
         try:
@@ -156,6 +159,7 @@ class Persistence:
         """
         if old.estimator.plan.corners == fresh.estimator.plan.corners:
             fresh.estimator.input_history = old.estimator.input_history
+            fresh.estimator.unseen.driven += old.estimator.unseen.driven
         else:
             self._start = None
 

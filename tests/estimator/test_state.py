@@ -19,6 +19,7 @@ from bstm_daemon.estimator.state import (
     export_state,
     keep_input_history,
     park,
+    parked_before_us,
     restore_state,
 )
 from bstm_daemon.estimator.validity import HIGHEST_K, LOWEST_K
@@ -258,6 +259,17 @@ def test_a_clock_set_late_corrects_a_car_that_braked(config: Config) -> None:
     )
 
 
+def test_a_save_by_a_clock_that_was_not_right_dates_no_log() -> None:
+    """But a log that goes on within a minute is of the same axis."""
+    document: dict[str, Any] = {"wall_us": 100 * SECOND, "wall_error_us": None}
+    right = document | {"wall_error_us": 0}
+    assert parked_before_us(right, 4000 * SECOND) == 3900 * SECOND
+    assert parked_before_us(document, 4000 * SECOND) is None
+    assert parked_before_us(document, 160 * SECOND) == 60 * SECOND
+    assert parked_before_us(right, 99 * SECOND) is None
+    assert parked_before_us({}, 4000 * SECOND) is None
+
+
 def test_impossibles_begin_anew(config: Config) -> None:
     estimator = hot_car(config)
     document = export_state(estimator)
@@ -291,6 +303,8 @@ def test_impossibles_begin_anew(config: Config) -> None:
             "no brake's temperature",
         ),
         ({"samples": None}, "samples = None: must be a table"),
+        ({"trust": {}}, "trust: not what this version saves"),
+        ({"unseen": {}}, "unseen: not what this version saves"),
     ],
 )
 def test_what_is_no_state_is_refused_whole(

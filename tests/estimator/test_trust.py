@@ -22,7 +22,6 @@ if TYPE_CHECKING:
 
 STEP_S = 0.1
 SETTLING_S = 3000.0
-SILENT = FLAGS["silent"]
 
 
 def trust_of(*, has_switch: bool = False) -> Trust:
@@ -138,7 +137,6 @@ def test_a_bad_memory_is_refused() -> None:
         ("_found_s", {"FL": "long"}),
         ("_held_s", [1.0]),
         ("_work", [1.0]),
-        ("_speed_ms", None),
     ):
         saved = trust.export() | {key: value}
         with pytest.raises(ValueError, match="validation error"):
@@ -147,22 +145,23 @@ def test_a_bad_memory_is_refused() -> None:
         trust.restore({})
 
 
-def test_a_bus_that_falls_silent_while_the_car_drives() -> None:
-    course = Course().go(1.0, 20.0).go(3.0, 0.0, SILENT)
-    assert course.found(trust_of()) == [False] * 10 + [True] * 30
-
-
-def test_a_parked_car_s_bus_falls_silent() -> None:
-    course = Course().go(1.0, 20.0).go(1.0, 0.3).go(60.0, 0.0, SILENT)
-    assert not any(course.found(trust_of()))
-
-
-def test_who_drives_after_a_silence_may_have_driven_in_it() -> None:
+def test_a_hole_counts_against_every_corner() -> None:
     trust = trust_of()
-    course = Course().go(1.0, 0.0).go(20.0, 0.0, SILENT).go(0.1, 20.0)
-    assert not any(course.found(trust))
-    after = held(trust, [False] * 7000)
-    assert sum(after) * STEP_S == pytest.approx(MEMORY * 20.0, abs=0.2)
+    trust.count(LEAST_S)
+    assert not any(held(trust, [False] * 10))
+    trust.count(15.0)
+    for corner in ("FL", "RL"):
+        after = [trust.holds(corner, STEP_S, found=False) for _ in range(7000)]
+        assert sum(after) * STEP_S == pytest.approx(MEMORY * 20.0, abs=2.0)
+
+
+def test_a_long_hole_is_forgotten_like_the_heat() -> None:
+    """Once it is over a finding of a moment degrades nothing again."""
+    trust = trust_of()
+    trust.count(1e5)
+    after = held(trust, [False] * 31_000)
+    assert sum(after) * STEP_S == pytest.approx(SETTLING_S, abs=0.2)
+    assert held(trust, [True, False]) == [True, False]
 
 
 @pytest.mark.parametrize(

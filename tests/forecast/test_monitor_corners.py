@@ -437,6 +437,15 @@ def test_vapour_while_away_within_the_time_it_was_parked() -> None:
     assert away[60.0] < 0.01
     assert away[1200.0] > 0.6
 
+    # the same where the time is corrected after the start
+    monitor = watched.monitor
+    saved = watched.saved(states)
+    late = Watched("FL", "FR").monitor
+    late.resume(saved, 60_000_000, START_US)
+    late.look_back(saved, 1_200_000_000, START_US + 5_000_000)
+    assert late.course.away == monitor.course.away
+    assert late.course._level.level is RiskLevel.CRITICAL
+
 
 def test_a_state_without_a_corner_or_time_says_nothing_of_it() -> None:
     """The other corner counts alone; no time away is no vapour."""

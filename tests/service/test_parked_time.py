@@ -127,15 +127,23 @@ class Cooling:
             )
         )
         self.estimator = SimpleNamespace(
-            plan=SimpleNamespace(corners=()), input_history=None
+            plan=SimpleNamespace(corners=()),
+            input_history=None,
+            unseen=SimpleNamespace(driven=0),
         )
         self.now_us = 0
         self.cooled_us: int | None = None
         self.parked_us = 0
 
     def resume(
-        self, document: Mapping[str, Any], parked_us: int, _: int
+        self,
+        document: Mapping[str, Any],
+        parked_us: int,
+        _: int,
+        *,
+        proven: bool,
     ) -> SimpleNamespace:
+        self.proven = proven
         self.cooled_us = parked_us
         self.parked_us = self.computer.true_us - document["true_us"]
         return SimpleNamespace(new=())

@@ -224,6 +224,35 @@ def test_a_clock_synchronised_late_corrects_once(file: Path) -> None:
 
 
 @pytest.mark.usefixtures("other_boots")
+@pytest.mark.parametrize("driven", [0, 1])
+def test_a_car_that_drove_while_away_was_not_parked(
+    file: Path, driven: int
+) -> None:
+    """Its heat is not in the history that a correction marches again.
+
+    Until the time is known, hot brakes are degraded.
+    """
+    clocks = Clocks()
+    hot_stop(file, clocks)
+    true_us = clocks.wall_us + 2 * HOUR
+    clocks.power_cut(0, wall_us=NEVER_SET_US)
+    box = Box(file, clocks)
+    box.engine.estimator.unseen.driven = driven
+    held = box.engine.estimator.trust.export()["_held_s"]
+    before_k = box.disc_k()
+
+    clocks.synchronise(true_us)
+    box.persistence.poll(box.engine, box.axis.read())
+
+    corrected = "parked_time_corrected" in box.lines.names()
+    assert corrected is not bool(driven)
+    assert (box.disc_k() < before_k - 50.0) is corrected
+    now = box.engine.estimator.trust.export()["_held_s"]
+    assert (now["FL"] < held["FL"] - HOUR * 1e-6) is corrected
+    box.persistence.close(box.engine)
+
+
+@pytest.mark.usefixtures("other_boots")
 def test_a_save_by_a_clock_that_was_late_is_not_dated_anew(
     file: Path,
 ) -> None:

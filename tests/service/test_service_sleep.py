@@ -181,3 +181,33 @@ def test_a_slow_cycle_costs_no_publication(computer: Computer) -> None:
         assert begin_us < deadline_us <= begin_us + 100_000
     assert [len(times) for times in ticked] == [1] * 8
     assert len(set.union(*ticked)) == 8
+
+
+def test_a_stopped_process_of_a_car_that_drives(computer: Computer) -> None:
+    """SIGSTOP for 75 s at 72 km/h on both sides: said, and not parking."""
+    engine = computer.service._monitor.engine
+    air_k = engine.estimator.air_k()
+    for batch, member, _ in engine.estimator.members():
+        batch.settle(air_k, member)
+    computer.pass_by(75.0)
+    for _ in range(150):
+        computer.pass_by(0.01)
+        computer.frame()
+        computer.cycle()
+
+    faults = [f["fault"] for n, f in computer.lines.said if n == "input_fault"]
+    assert faults.count("driven while nothing was received") == 1
+    slept = [n for n, _ in computer.lines.said if n == "computer_slept"]
+    assert len(slept) == 1
+    # one full stop from 72 km/h; a parked disc stays cold
+    mass_kg = engine.config.vehicle.mass_kg
+    share = engine.estimator.plan.numbers.force_share[2]
+    disc = next(c for c in engine.config.corner if c.name == "RL").disc
+    stop_k = share * 0.5 * mass_kg * 20.0**2 / (disc.mass_kg * 500.0)
+    rise_k = engine.estimator.state("RL")["disc"] - air_k
+    assert 0.5 * stop_k < rise_k < stop_k
+    computer.pass_by(2.0)
+    computer.cycle()
+    computer.cycle()
+    over = [f["fault"] for n, f in computer.lines.said if n.endswith("_over")]
+    assert "driven while nothing was received" in over

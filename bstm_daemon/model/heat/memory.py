@@ -47,7 +47,8 @@ class PassMemory:
     count. ``interface_k``, between disc and pads, is the temperature of the
     friction law: ``next_interface_k``, the thermal model's latest (0 before
     any), as it was when the step began. So the result does not depend on how
-    the samples are split into calls.
+    the samples are split into calls. ``unseen`` is 1 from the begin of a
+    silence to the first speed after it, which is ``speed_after``.
     """
 
     now: int
@@ -65,6 +66,8 @@ class PassMemory:
     total_fb: float
     tail_s: float
     unpressed_j: float
+    unseen: float
+    speed_after: float
     value: Values
     lagged_pa: Corners
     energy_ff: Corners
@@ -228,6 +231,10 @@ _INTERFACE: Final = layout.first(SampleMemory, "samples.interface_k")
 _NEXT: Final = layout.first(SampleMemory, "samples.next_interface_k")
 _STAMP: Final = layout.first(SampleMemory, "samples.stamp")
 _VALUE: Final = layout.first(SampleMemory, "samples.value")
+_UNSEEN: Final = layout.first(SampleMemory, "samples.unseen")
+_SPEED_AFTER: Final = layout.first(SampleMemory, "samples.speed_after")
+_LAST_SPEED: Final = layout.first(SampleMemory, "checks.last_speed")
+_LAST_SAMPLE: Final = layout.first(SampleMemory, "checks.last_sample")
 
 
 @dataclass(slots=True)
@@ -316,6 +323,25 @@ class SampleState:
         self.numbers[_NEXT + corner] = interface_k
         if not self.numbers[_INTERFACE + corner] > 0.0:
             self.numbers[_INTERFACE + corner] = interface_k
+
+    def await_speed(self) -> None:
+        """Let the pass return ``BACK`` at the next speed."""
+        self.numbers[_UNSEEN] = 1.0
+
+    @property
+    def last_sample_us(self) -> int:
+        """Stamp of the newest sample of any role [us], NEVER before any."""
+        return self.times[_LAST_SAMPLE]
+
+    @property
+    def last_speed_ms(self) -> float:
+        """Speed at the last step that knew one, 0 before any."""
+        return self.numbers[_LAST_SPEED]
+
+    @property
+    def speed_after_ms(self) -> float:
+        """The speed that ended the last silence."""
+        return self.numbers[_SPEED_AFTER]
 
     def interface_k(self, corner: int) -> float:
         """Return the last value of :meth:`heat_interface`, 0 before any."""

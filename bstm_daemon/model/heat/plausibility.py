@@ -83,6 +83,7 @@ WORDS: Final = {
     "wheel_radius": "wheel speed disagrees with satellite speed",
     "pressure_dead": "repeated braking without any pressure",
     "braking_unpressed": "braking without measured pressure",
+    "driven_unseen": "driven while nothing was received",
     "wheel_speed_suspect": "wheel speed suspect",
     "heat_lost": "heat unknown for too long",
     "heat_doubt": "unknown heat still has an effect",

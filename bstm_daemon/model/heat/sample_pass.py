@@ -14,6 +14,9 @@ second stamp near the first; the sample that announced it is dropped. Back:
 the axis is set back, nothing is marched. Ahead up to 12 h: a silent bus,
 marched. Up to 30 days: parked, everything settles to ambient. Beyond: the
 clock was set; the axis is moved and nothing cools.
+
+A silence of the bus ends the call twice, as it begins and at the first speed
+after it, so that the estimator can judge whether the car drove meanwhile.
 """
 
 from __future__ import annotations
@@ -68,6 +71,8 @@ FULL: Final = 1
 SETTLE: Final = 2
 JUMP: Final = 3
 DROP: Final = 4
+LOST: Final = 5
+BACK: Final = 6
 
 
 def sample_pass(  # noqa: PLR0913, PLR0917  (the signature of the compiled pass)
@@ -98,7 +103,9 @@ def sample_pass(  # noqa: PLR0913, PLR0917  (the signature of the compiled pass)
         (index of the next sample, steps written, code): ``DONE``; ``FULL``,
         call again with empty rows; ``SETTLE``, the car stood for longer than
         12 h: set the nodes to ambient, then call again; ``JUMP``, the time
-        axis was moved, call again. The steps of one call are contiguous.
+        axis was moved, call again; ``LOST``, the bus fell silent, call again;
+        ``BACK``, this is the first speed after a silence, call again. The
+        steps of one call are contiguous.
     """
     run = _Pass(plan, state)
     run.rows, run.vehicle_rows = rows, vehicle_rows
@@ -110,15 +117,17 @@ def sample_pass(  # noqa: PLR0913, PLR0917  (the signature of the compiled pass)
             run.m.pending, code = NEVER, DONE
         else:
             code = run.move_to(times_us[index])
-        if code == FULL:
+        if code in (FULL, LOST):
             run.store()
-            return index, run.steps, FULL
+            return index, run.steps, code
         if code != DROP and 0 <= roles[index] < len(run.m.value):
             run.take(times_us[index], roles[index], values[index])
         # values age at every sample, wherever the stream is cut into calls
         run.stale = True
         index += 1
-        if code in (SETTLE, JUMP):
+        if code not in (SETTLE, JUMP) and run.is_back():
+            code = BACK
+        if code in (SETTLE, JUMP, BACK):
             run.store()
             return index, run.steps, code
     run.store()
@@ -148,8 +157,8 @@ class _Pass(Inputs):
         """Integrate and close steps up to *time_us*.
 
         Returns:
-            DONE, FULL (nothing taken from this sample yet), SETTLE, JUMP or
-            DROP.
+            DONE, FULL or LOST (nothing taken from this sample yet), SETTLE,
+            JUMP or DROP.
         """
         if abs(time_us) > LIMIT_US:
             self.m.dropped += 1
@@ -173,6 +182,9 @@ class _Pass(Inputs):
             return DROP
         if 0 < ahead <= SETTLED_US:
             return self._march_to(time_us)
+        if 0 < ahead <= CLOCK_SET_US and self.m.unseen == 0.0:
+            self.m.unseen = 1.0
+            return LOST
         return self._move_axis(time_us, ahead)
 
     def _move_axis(self, time_us: int, ahead: int) -> int:
@@ -202,7 +214,8 @@ class _Pass(Inputs):
             if self.steps == len(self.row_times):
                 return FULL
             self._integrate(self.m.grid)
-            self._close()
+            if self._close():
+                return LOST
         if time_us > self.m.now:
             self._integrate(time_us)
         self.m.pending = NEVER
@@ -223,6 +236,18 @@ class _Pass(Inputs):
         if self.checks.admit(at_us, role, value, self.m.value[role], since):
             self.m.value[role] = value
             self.m.stamp[role] = at_us
+
+    def is_back(self) -> bool:
+        """Whether the first speed after a silence has come just now."""
+        if self.m.unseen == 0.0:
+            return False
+        self.refresh()
+        self.stale = True
+        if not self.speed_known:
+            return False
+        self.m.unseen = 0.0
+        self.m.speed_after = self.speed
+        return True
 
     def _integrate(self, time_us: int) -> None:
         """Integrate the held values from now to *time_us*."""
@@ -335,8 +360,12 @@ class _Pass(Inputs):
             return impulse - plan.mass_kg * accel * h, plan.rotating_kg
         return impulse, plan.mass_kg + plan.rotating_kg
 
-    def _close(self) -> None:
-        """Write the row of the step that ends now and start the next."""
+    def _close(self) -> bool:
+        """Write the row of the step that ends now and start the next.
+
+        Returns:
+            Whether the bus fell silent in it.
+        """
         plan, m = self.plan, self.m
         dt_s = plan.step_us * 1e-6
         # on a silent bus the last air temperature is better than the default
@@ -407,6 +436,10 @@ class _Pass(Inputs):
         m.interface_k[:] = m.next_interface_k
         # a value may have timed out: compute speeds and pressures again
         self.stale = True
+        if m.unseen != 0.0 or not flags & FLAGS["silent"]:
+            return False
+        m.unseen = 1.0
+        return True
 
     def _clear(self) -> None:
         """Reset the sums of a step."""

@@ -137,8 +137,9 @@ static void clear(Inputs *p)
     o->sum_time = o->sum_accel = o->sum_drive = o->sum_drag = 0.0;
 }
 
-/* Write the row of the step that ends now and start the next. */
-static void close_step(Pass *pass)
+/* Write the row of the step that ends now and start the next; whether the bus
+ * fell silent in it. */
+static int close_step(Pass *pass)
 {
     Inputs *p = &pass->in;
     PassMemoryFloats *m = p->m;
@@ -209,6 +210,9 @@ static void close_step(Pass *pass)
     memcpy(m->interface_k, m->next_interface_k, sizeof m->interface_k);
     /* a value may have timed out: compute speeds and pressures again */
     p->stale = 1;
+    if (m->unseen != 0.0 || !(flags & FLAG_SILENT)) return 0;
+    m->unseen = 1.0;
+    return 1;
 }
 
 /* Restart the open step at time_us. */
@@ -229,7 +233,7 @@ static int march_to(Pass *pass, int64_t time_us)
     while (p->t->grid <= time_us) {
         if (pass->steps == pass->room) return FULL;
         integrate(p, p->t->grid);
-        close_step(pass);
+        if (close_step(pass)) return LOST;
     }
     integrate(p, time_us);
     p->t->pending = NEVER;
@@ -280,6 +284,10 @@ static int move_to(Pass *pass, int64_t time_us)
         return DROP;
     }
     if (ahead > 0 && ahead <= SETTLED_US) return march_to(pass, time_us);
+    if (ahead > 0 && ahead <= CLOCK_SET_US && p->m->unseen == 0.0) {
+        p->m->unseen = 1.0;
+        return LOST;
+    }
     return move_axis(pass, time_us, ahead);
 }
 
@@ -296,18 +304,33 @@ static void take(Inputs *p, int64_t time_us, int role, double value)
     }
 }
 
+/* Whether the first speed after a silence has come just now. */
+static int is_back(Inputs *p)
+{
+    PassMemoryFloats *m = p->m;
+    if (m->unseen == 0.0) return 0;
+    inputs_refresh(p);
+    p->stale = 1;
+    if (!p->speed_known) return 0;
+    m->unseen = 0.0;
+    m->speed_after = p->speed;
+    return 1;
+}
+
 ptrdiff_t sample_pass(Pass *p, const int64_t *times, const int32_t *roles,
                       const double *values, ptrdiff_t index, ptrdiff_t count,
                       int *code)
 {
     for (; index < count; index++) {
         *code = move_to(p, times[index]);
-        if (*code == FULL) return index;
+        if (*code == FULL || *code == LOST) return index;
         const int role = roles[index];
         if (*code != DROP && role >= 0 && role < ROLES)
             take(&p->in, times[index], role, values[index]);
         p->in.stale = 1;
-        if (*code == SETTLE || *code == JUMP) return index + 1;
+        const int moved = *code == SETTLE || *code == JUMP;
+        if (!moved && is_back(&p->in)) *code = BACK;
+        if (moved || *code == BACK) return index + 1;
     }
     *code = DONE;
     return index;

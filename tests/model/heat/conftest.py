@@ -10,7 +10,10 @@ import pytest
 
 from bstm_daemon.channels import CHANNELS, FLAGS, VEHICLE_CHANNELS
 from bstm_daemon.model.heat.sample_pass import (
-    DONE,
+    BACK,
+    JUMP,
+    LOST,
+    SETTLE,
     TICK,
     SampleState,
     sample_pass,
@@ -40,6 +43,7 @@ class Run:
     vehicle: array[float] = field(default_factory=lambda: array("d"))
     times: array[int] = field(default_factory=lambda: array("q"))
     codes: list[int] = field(default_factory=list)
+    silences: list[tuple[int, int]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         """Begin before the first sample."""
@@ -49,7 +53,8 @@ class Run:
         """Consume (time [us], role or TICK, SI value) samples in one call.
 
         The pass is called again where it returns early, as the estimator
-        does; the codes of early returns but FULL are kept.
+        does; the codes of moves of the axis are kept, and
+        with their time [us] those of silences.
         """
         times = array("q", [s[0] for s in samples])
         roles = array("i", [_number(s[1]) for s in samples])
@@ -84,8 +89,10 @@ class Run:
         self.rows.extend(rows[: steps * corners * len(CHANNELS)])
         self.vehicle.extend(vehicle[: steps * len(VEHICLE_CHANNELS)])
         self.times.extend(closed[:steps])
-        if code > DONE + 1:
+        if code in {SETTLE, JUMP}:
             self.codes.append(code)
+        if code in {LOST, BACK}:
+            self.silences.append((code, self.state.times[0]))
         return index
 
     def column(self, channel: str, corner: int = 0) -> list[float]:

@@ -925,7 +925,7 @@ def test_words() -> None:
         "pressure without brake switch",
         "wheel speed suspect: RL",
     ]
-    assert all(reasons(1 << bit) for bit in range(46))
+    assert all(reasons(1 << bit) for bit in range(47))
 
 
 def test_faults_name_every_bit_once() -> None:
@@ -933,7 +933,7 @@ def test_faults_name_every_bit_once() -> None:
     clock = FLAGS["clock_jump"] | FLAGS["settled"]
     also = 0b1111 * (CORNER_PRESSURE | CORNER_PRESSURE_SUSPECT)
 
-    assert sum(FAULTS.values()) == ((1 << 46) - 1) & ~clock & ~also
+    assert sum(FAULTS.values()) == ((1 << 47) - 1) & ~clock & ~also
     assert FAULTS.keys() <= WORDS.keys()
     assert fault_names(clock) == ()
     assert fault_names(FLAGS["stuck"] | HEAT_LOST << 3) == (

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from bstm_daemon.channels import CHANNELS, VEHICLE_CHANNELS
 from bstm_daemon.model.heat.memory import SampleState
-from bstm_daemon.model.heat.sample_pass import JUMP, SETTLE
+from bstm_daemon.model.heat.sample_pass import BACK, JUMP, LOST, SETTLE
 from bstm_daemon.model.heat.sample_plan import PlanNumbers
 from bstm_daemon.native import layout
 from bstm_daemon.roles import ROLES
@@ -103,6 +103,28 @@ def test_one_odd_stamp_is_dropped(run: Run) -> None:
     assert run.count("jumps") == 0
     assert run.codes == []
     assert max(run.column("speed_ms")) < 11.0
+
+
+def test_a_silence_ends_the_call_twice(run: Run, tick: Any) -> None:
+    """At the first silent step, and at the first speed after it."""
+    run.feed([(30 * SECOND, tick, 0.0), (40 * SECOND, tick, 0.0)])
+    assert run.silences == [(LOST, 2_050_000)]
+    assert run.state.last_sample_us == SECOND
+    assert run.flag("silent").index(True) == run.times.index(2_050_000)
+
+    run.feed([(45 * SECOND, "primary_pressure", 1e6)])
+    assert len(run.silences) == 1
+    assert run.state.last_speed_ms == 10.0
+    run.feed([(46 * SECOND, "vehicle_speed", 7.0)])
+    run.feed([(46 * SECOND + 1, "vehicle_speed", 8.0)])
+    assert run.silences[1:] == [(BACK, 46 * SECOND)]
+    assert run.state.speed_after_ms == 7.0
+
+
+def test_a_long_jump_is_a_silence_before_it_settles(run: Run) -> None:
+    run.feed(driving(100 * HOUR, 10))
+    assert run.silences == [(LOST, SECOND), (BACK, 100 * HOUR + 10_000)]
+    assert run.codes == [SETTLE]
 
 
 def test_jump_back_moves_the_axis(run: Run) -> None:
