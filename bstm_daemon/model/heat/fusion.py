@@ -56,6 +56,11 @@ STEEPEST_MS2: Final = 2.0
 its energy from its start on is included. Beyond ``STEEPEST_MS2``, a slope of
 20 %, between acceleration and rate of speed it does not count."""
 
+MOST_FRICTION: Final = 1.75
+"""Braking by motion over that by pressure and learned friction, beyond which
+the pressure is not that of the brakes: linings have 0.7 to 1.3 of their
+nominal friction, and 0.6 when they fade."""
+
 SLIP_FORWARD: Final = 0.08
 SLIPPING: Final = 0.06
 STAND_TURNS_MS: Final = 3.0
@@ -186,7 +191,7 @@ def fuse(run: Inputs, now: Readings, flags: int) -> Fused:
     single = run.vehicle("tc_active", 0.0) > 0.0 or now.esc_active > 0.0
     guessed = single or not s.torque_known
     vague = SINGLE_SHARE if guessed else ASSIST_SHARE
-    part = _divide(run, now, pressed=s.brake_n > 0.0)
+    part = _divide(run, now, pressed=s.brake_n > 0.0 and not _too_little(run))
     power, power_std = [], []
     for c in range(run.corners):
         pressed = scale * (run.m.energy_ff[c] / s.dt_s)
@@ -306,6 +311,14 @@ def _without_pressure(run: Inputs, c: int, *, pressed: bool) -> bool:
     if run.valid(run.pressure_role[c]):
         return False
     return not pressed or run.observer.m.brake_sum[c] <= 0.0
+
+
+def _too_little(run: Inputs) -> bool:
+    """Whether no corner lacks pressure, but all of them have too little."""
+    m = run.observer.m
+    return m.slow_braking > MOST_FRICTION * m.slow_brake and all(
+        m.brake_sum[c] > 0.0 for c in range(run.corners)
+    )
 
 
 def _divide(run: Inputs, now: Readings, *, pressed: bool) -> Sequence[float]:

@@ -120,6 +120,16 @@ static void describe(const Inputs *p, const Readings *now, int64_t flags,
         && !(some && none && !s->wheel_pressures);
 }
 
+/* Whether no corner lacks pressure, but all of them have too little. */
+static int too_little(const Inputs *p)
+{
+    const ObserverMemory *m = p->observer.m;
+    if (!(m->slow_braking > MOST_FRICTION * m->slow_brake)) return 0;
+    for (int c = 0; c < p->corners; c++)
+        if (!(m->brake_sum[c] > 0.0)) return 0;
+    return 1;
+}
+
 /* Shares of the corners in a brake force without pressure. */
 static void divide(const Inputs *p, const Readings *now, int pressed,
                    double *part)
@@ -249,7 +259,7 @@ Fused fusion_fuse(Inputs *p, const Readings *now, int64_t flags,
     const double vague =
         single || !s.torque_known ? SINGLE_SHARE : ASSIST_SHARE;
     double part[MAX_CORNERS];
-    divide(p, now, s.brake_n > 0.0, part);
+    divide(p, now, s.brake_n > 0.0 && !too_little(p), part);
     for (int c = 0; c < p->corners; c++) {
         const double pressed = scale * (p->m->energy_ff[c] / s.dt_s);
         const double turning = p->speed > 0.0 ? p->wheel[c] / p->speed : 1.0;
