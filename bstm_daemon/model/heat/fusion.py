@@ -39,8 +39,8 @@ from bstm_daemon.units import GRAVITY_MS2
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from bstm_daemon.model.heat.checks import Readings
     from bstm_daemon.model.heat.inputs import Inputs
+    from bstm_daemon.model.heat.readings import Readings
 
 BRAKING_S: Final = 0.3
 """Time constant of the measured braking in the test for one unpressed."""

@@ -88,7 +88,10 @@ class CheckMemory:
     ``aftermath_s``: how long that still has an effect. ``mark`` is the speed
     of the others when a value was first held; ``left_out`` is 1 for a speed
     that is not used. ``scale_error`` is a speed over the median of all, less
-    1.
+    1. Fields ``band_*`` filter the speed's derivative and the accelerometer;
+    ``rate_square``, ``accel_square`` and ``accel_rate`` are sums of their
+    squares and product in the band, ``unmoved_square`` that of the
+    accelerometer while no speed changes [m2/s3].
     """
 
     last_sample: int
@@ -106,6 +109,18 @@ class CheckMemory:
     agreement: float
     motion: float
     reversed_fault_s: float
+    band_speed: float
+    band_s: float
+    band_rate: float
+    band_slow_rate: float
+    band_accel: float
+    band_slow_accel: float
+    rate_square: float
+    accel_square: float
+    accel_rate: float
+    unmoved_square: float
+    unmoved_fault_s: float
+    lowest_code_s: float
     jump_value: Values
     outage_s: Corners
     aftermath_s: Corners
@@ -120,6 +135,7 @@ class CheckMemory:
     pressure_held_s: Pressures
     pressure_mark: Pressures
     pressure_stuck_s: Pressures
+    zero_fault_s: Pressures
 
 
 @dataclass(slots=True)
@@ -210,7 +226,7 @@ def _new_memory(learned: Sequence[float] | None) -> SampleMemory:
     checks.last_sample = checks.suspect_until = NEVER
     checks.jump_stamp = [NEVER] * len(ROLES)
     checks.until = [NEVER] * len(ROLES)
-    checks.slow_speed = UNKNOWN
+    checks.slow_speed = checks.band_speed = UNKNOWN
     if learned is not None:
         observer.known = observer.first = Learned.of(learned)
         observer.recent = observer.earlier = Learned.of(learned)
