@@ -24,6 +24,7 @@ from bstm_daemon.model.heat.learned import (
     STATES,
     published_variance,
 )
+from bstm_daemon.model.heat.motion_checks import wrong_scale
 from bstm_daemon.model.heat.observer_faults import Step
 from bstm_daemon.model.heat.observer_rules import (
     ASSUMED_TORQUE_STD,
@@ -167,6 +168,10 @@ def fuse(run: Inputs, now: Readings, flags: int) -> Fused:
         )
         + MODEL_SHARE * MODEL_SHARE
     )
+    if found & FLAGS["forces_contradict"]:
+        # what was learned may hide heat
+        scale = max(scale, 1.0)
+        found |= FLAGS["acceleration_suspect"] | FLAGS["torque_suspect"]
     std = extra = 0.0
     blind = found & BLIND or flags & UNSURE
     if not isnan(s.accel) and s.forward and not blind:
@@ -267,6 +272,7 @@ def _describe(run: Inputs, now: Readings, flags: int) -> Step:
         wheel_pressures=wheel_pressures,
         torque_known=run.valid(_TORQUE),
         on_stand=not pressed and _on_stand(run),
+        wrong_scale=wrong_scale(run.checks.m),
     )
 
 

@@ -148,7 +148,9 @@ class ObserverMemory:
     of half a second of one kind, ``sum_*`` and ``brake_sum`` (the force by
     pressure [N s]) those of the open step. ``gain_product`` and
     ``gain_square`` are sums of (measured less rate) times rate, and of the
-    rate's square, as rates change.
+    rate's square, as rates change. ``balance_*`` count and sum braking by
+    pressure x and by motion y, their squares and product [m2/s4], over half
+    seconds.
     """
 
     known: Learned
@@ -176,6 +178,12 @@ class ObserverMemory:
     gain_square: float
     radius_ratio: Annotated[list[float], PER_GROUND_SPEED]
     unpressed_s: float
+    balance_count: float
+    balance_x: float
+    balance_y: float
+    balance_xx: float
+    balance_xy: float
+    balance_yy: float
     stood_s: float
     window_kind: float
     window_s: float

@@ -1,5 +1,7 @@
 #include "fusion.h"
 
+#include "motion_checks.h"
+
 void fusion_accumulate_motion(Inputs *p, double h, double v)
 {
     const PlanNumbersFloats *f = p->plan;
@@ -113,6 +115,7 @@ static void describe(const Inputs *p, const Readings *now, int64_t flags,
     if (some) s->pressed = 1;
     s->torque_known = inputs_valid(p, ROLE_POWERTRAIN_TORQUE);
     s->on_stand = !s->pressed && on_stand(p);
+    s->wrong_scale = motion_checks_wrong_scale(p->checks.m);
     const int acts = inputs_vehicle(p, ROLE_ABS_ACTIVE, 0.0) > 0.0
         || now->esc_active > 0.0
         || inputs_vehicle(p, ROLE_TC_ACTIVE, 0.0) > 0.0;
@@ -228,6 +231,11 @@ Fused fusion_fuse(Inputs *p, const Readings *now, int64_t flags,
     variance += learned_published_variance(k->cov[0] / (ratio * ratio),
                                            P0_STD[0] * P0_STD[0])
         + MODEL_SHARE * MODEL_SHARE;
+    if (found & FLAG_FORCES_CONTRADICT) {
+        /* what was learned may hide heat */
+        if (scale < 1.0) scale = 1.0;
+        found |= FLAG_ACCELERATION_SUSPECT | FLAG_TORQUE_SUSPECT;
+    }
     const int blind = (found & BLIND) || (flags & UNSURE);
     if (!isnan(s.accel) && s.forward && !blind) {
         const double ff_decel = s.brake_n / o->mass_kg * ratio * scale;
