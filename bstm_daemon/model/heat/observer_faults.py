@@ -65,7 +65,7 @@ def findings(m: ObserverMemory, s: Step) -> int:
         found |= rules.RADIUS_SUSPECT
     if m.unpressed_s > rules.DEAD_S:
         found |= rules.PRESSURE_DEAD
-    if hidden_braking(m) or implausible_mass(m):
+    if unbalanced(m) or implausible_mass(m):
         found |= rules.FORCES_CONTRADICT
     return found
 
@@ -105,8 +105,8 @@ def compare_forces(m: ObserverMemory, x: float, y: float) -> None:
     m.balance_yy = keep * m.balance_yy + y * y
 
 
-def hidden_braking(m: ObserverMemory) -> bool:
-    """Whether the motion shows too little braking by a constant."""
+def unbalanced(m: ObserverMemory) -> bool:
+    """Whether braking by motion and by pressure differ by a constant."""
     n = m.balance_count
     if n < rules.BALANCE_LEAST:
         return False
@@ -119,8 +119,9 @@ def hidden_braking(m: ObserverMemory) -> bool:
     rest = m.balance_yy / n - mean_y * mean_y - cov * cov / var_x
     var_0 = max(rest, 0.0) * (1.0 + mean_x * mean_x / var_x) / n
     margin = rules.BALANCE_STDS * sqrt(rules.CORRELATED_WINDOWS * var_0)
-    hidden = max(rules.BALANCE_MS2, rules.BALANCE_SHARE * mean_x)
-    return at_0 + margin < -hidden
+    less = max(rules.BALANCE_MS2, rules.BALANCE_SHARE * mean_x)
+    more = max(rules.BALANCE_MORE_MS2, rules.BALANCE_MORE_SHARE * mean_x)
+    return at_0 + margin < -less or at_0 - margin > more
 
 
 def implausible_mass(m: ObserverMemory) -> bool:

@@ -11,8 +11,8 @@ void observer_faults_compare_forces(ObserverMemory *m, double x, double y)
     m->balance_yy = keep * m->balance_yy + y * y;
 }
 
-/* Whether the motion shows too little braking by a constant. */
-static int hidden_braking(const ObserverMemory *m)
+/* Whether braking by motion and by pressure differ by a constant. */
+static int unbalanced(const ObserverMemory *m)
 {
     const double n = m->balance_count;
     if (n < BALANCE_LEAST) return 0;
@@ -25,9 +25,10 @@ static int hidden_braking(const ObserverMemory *m)
     if (rest < 0.0) rest = 0.0;
     const double var_0 = rest * (1.0 + mean_x * mean_x / var_x) / n;
     const double margin = BALANCE_STDS * sqrt(CORRELATED_WINDOWS * var_0);
-    double hidden = BALANCE_MS2;
-    if (BALANCE_SHARE * mean_x > hidden) hidden = BALANCE_SHARE * mean_x;
-    return at_0 + margin < -hidden;
+    double less = BALANCE_SHARE * mean_x, more = BALANCE_MORE_SHARE * mean_x;
+    if (less < BALANCE_MS2) less = BALANCE_MS2;
+    if (more < BALANCE_MORE_MS2) more = BALANCE_MORE_MS2;
+    return at_0 + margin < -less || at_0 - margin > more;
 }
 
 /* Whether less mass was learned than the car has. */
@@ -46,7 +47,7 @@ int observer_faults_findings(const ObserverMemory *m, const Step *s)
     if (observer_faults_implausible_gain(m) || s->wrong_scale) found |= GAIN_SUSPECT;
     if (observer_faults_implausible_radius(m)) found |= RADIUS_SUSPECT;
     if (m->unpressed_s > DEAD_S) found |= PRESSURE_DEAD;
-    if (hidden_braking(m) || implausible_mass(m)) found |= FORCES_CONTRADICT;
+    if (unbalanced(m) || implausible_mass(m)) found |= FORCES_CONTRADICT;
     return found;
 }
 

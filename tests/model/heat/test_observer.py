@@ -13,7 +13,7 @@ from bstm_daemon.model.heat.learned import LEARNED_NAMES, learned_fault
 from bstm_daemon.model.heat.memory import ObserverMemory, SampleState
 from bstm_daemon.model.heat.observer_faults import (
     compare_forces,
-    hidden_braking,
+    unbalanced,
 )
 from bstm_daemon.model.heat.observer_rules import P0_STD
 from bstm_daemon.native.layout import zeros
@@ -392,22 +392,23 @@ def line(n: int, *, offset: float, slope: float = 0.9) -> ObserverMemory:
     return m
 
 
-def test_braking_hidden_by_an_offset() -> None:
+def test_braking_that_an_offset_hides_or_adds() -> None:
     """0.2 m/s2 and 15 % of the braking, over 20 windows of several kinds."""
-    assert hidden_braking(line(40, offset=-0.21))
-    assert not hidden_braking(line(40, offset=-0.19))
-    assert not hidden_braking(line(40, offset=0.5, slope=0.6))
-    assert not hidden_braking(line(19, offset=-0.5))
+    assert unbalanced(line(40, offset=-0.21))
+    assert not unbalanced(line(40, offset=-0.19))
+    assert unbalanced(line(40, offset=0.45))  # 0.35 of 1.25 m/s2
+    assert not unbalanced(line(40, offset=0.42))
+    assert not unbalanced(line(19, offset=-0.5))
     m = zeros(ObserverMemory)
     for i in range(40):
         x = 5.0 + 0.4 * (i % 4)
         compare_forces(m, x, -0.7 + 0.9 * x)
-    assert not hidden_braking(m)  # 12 % of hard stops
+    assert not unbalanced(m)  # 12 % of hard stops
     m = zeros(ObserverMemory)
     for i in range(40):
         x = 1.0 + 0.1 * (i % 4)
         compare_forces(m, x, -0.5 + 0.9 * x)
-    assert not hidden_braking(m)  # all of one kind: no line
+    assert not unbalanced(m)  # all of one kind: no line
 
 
 def test_dead_pressure_is_named(
