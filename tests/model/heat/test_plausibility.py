@@ -590,6 +590,9 @@ def test_air_at_the_lowest_code(
     if comes:
         assert first_s(marks) == pytest.approx(60.0, abs=0.1)
     assert not marks[-1]
+    # the configured one is warmer
+    found = run.column("ambient_k")[65 * STEPS_PER_S]
+    assert found == pytest.approx(293.15 if comes else air_k)
 
 
 # Accelerometer
