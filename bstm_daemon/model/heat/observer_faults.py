@@ -115,13 +115,16 @@ def unbalanced(m: ObserverMemory) -> bool:
     if var_x < rules.BALANCE_SPREAD_MS2 * rules.BALANCE_SPREAD_MS2:
         return False
     cov = m.balance_xy / n - mean_x * mean_y
-    at_0 = mean_y - cov / var_x * mean_x
-    rest = m.balance_yy / n - mean_y * mean_y - cov * cov / var_x
+    slope = cov / var_x
+    at_0 = mean_y - slope * mean_x
+    rest = m.balance_yy / n - mean_y * mean_y - slope * cov
     var_0 = max(rest, 0.0) * (1.0 + mean_x * mean_x / var_x) / n
     margin = rules.BALANCE_STDS * sqrt(rules.CORRELATED_WINDOWS * var_0)
     less = max(rules.BALANCE_MS2, rules.BALANCE_SHARE * mean_x)
     more = max(rules.BALANCE_MORE_MS2, rules.BALANCE_MORE_SHARE * mean_x)
-    return at_0 + margin < -less or at_0 - margin > more
+    if slope < rules.BALANCE_STEEP and at_0 + margin < -less:
+        return True
+    return slope > rules.BALANCE_MORE_FLAT and at_0 - margin > more
 
 
 def implausible_mass(m: ObserverMemory) -> bool:

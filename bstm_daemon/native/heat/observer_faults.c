@@ -20,15 +20,17 @@ static int unbalanced(const ObserverMemory *m)
     const double var_x = m->balance_xx / n - mean_x * mean_x;
     if (var_x < BALANCE_SPREAD_MS2 * BALANCE_SPREAD_MS2) return 0;
     const double cov = m->balance_xy / n - mean_x * mean_y;
-    const double at_0 = mean_y - cov / var_x * mean_x;
-    double rest = m->balance_yy / n - mean_y * mean_y - cov * cov / var_x;
+    const double slope = cov / var_x;
+    const double at_0 = mean_y - slope * mean_x;
+    double rest = m->balance_yy / n - mean_y * mean_y - slope * cov;
     if (rest < 0.0) rest = 0.0;
     const double var_0 = rest * (1.0 + mean_x * mean_x / var_x) / n;
     const double margin = BALANCE_STDS * sqrt(CORRELATED_WINDOWS * var_0);
     double less = BALANCE_SHARE * mean_x, more = BALANCE_MORE_SHARE * mean_x;
     if (less < BALANCE_MS2) less = BALANCE_MS2;
     if (more < BALANCE_MORE_MS2) more = BALANCE_MORE_MS2;
-    return at_0 + margin < -less || at_0 - margin > more;
+    if (slope < BALANCE_STEEP && at_0 + margin < -less) return 1;
+    return slope > BALANCE_MORE_FLAT && at_0 - margin > more;
 }
 
 /* Whether less mass was learned than the car has. */

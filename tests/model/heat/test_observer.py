@@ -398,6 +398,8 @@ def test_braking_that_an_offset_hides_or_adds() -> None:
     assert not unbalanced(line(40, offset=-0.19))
     assert unbalanced(line(40, offset=0.45))  # 0.35 of 1.25 m/s2
     assert not unbalanced(line(40, offset=0.42))
+    assert not unbalanced(line(40, offset=0.6, slope=0.7))  # they fade
+    assert not unbalanced(line(40, offset=-0.5, slope=1.5))  # they recover
     assert not unbalanced(line(19, offset=-0.5))
     m = zeros(ObserverMemory)
     for i in range(40):
