@@ -191,6 +191,11 @@ UNMOVED_S: Final = 30.0
 constant to the bit [m2/s3], with a memory of 30 s, of a car that moves: a
 slope of 12 % that begins within a second."""
 
+TILT_MS2: Final = 0.4
+TILT_S: Final = 5.0
+"""A car that stands does not change its slope: by 4 % it is not loaded, and on
+a lift or a ship its speed does not matter."""
+
 REVERSED_MEMORY_S: Final = 120.0
 REVERSED_MS2: Final = 2.0
 REVERSED_MOTION: Final = 40.0

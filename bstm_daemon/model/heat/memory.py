@@ -91,7 +91,9 @@ class CheckMemory:
     1. Fields ``band_*`` filter the speed's derivative and the accelerometer;
     ``rate_square``, ``accel_square`` and ``accel_rate`` are sums of their
     squares and product in the band, ``unmoved_square`` that of the
-    accelerometer while no speed changes [m2/s3].
+    accelerometer while no speed changes [m2/s3]; ``standing_accel`` is what it
+    measured first while all speeds are 0, ``tilted_s`` for how long it has
+    measured something else, UNKNOWN without such a first.
     """
 
     last_sample: int
@@ -120,6 +122,8 @@ class CheckMemory:
     accel_rate: float
     unmoved_square: float
     unmoved_fault_s: float
+    standing_accel: float
+    tilted_s: float
     lowest_code_s: float
     jump_value: Values
     outage_s: Corners

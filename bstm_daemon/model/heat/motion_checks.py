@@ -33,7 +33,10 @@ from bstm_daemon.model.heat.check_rules import (
     SHARE_LEAST,
     SHARE_LIMIT,
     SHARE_MOST,
+    STANDING_MS,
     STUCK,
+    TILT_MS2,
+    TILT_S,
     UNMOVED_S,
     UNMOVED_SQUARE,
 )
@@ -48,7 +51,7 @@ def compare_motion(m: CheckMemory, now: Readings, *, noise: bool) -> None:
     """Follow speed and accelerometer through a step; *noise*: not to use."""
     if isnan(now.acceleration) or not now.speed_known or noise:
         m.slow_speed = m.band_speed = UNKNOWN
-        m.unmoved_square = 0.0
+        m.unmoved_square, m.tilted_s = 0.0, UNKNOWN
         return
     _compare_inertia(m, now)
     rate = (now.speed - m.band_speed) / now.dt_s
@@ -130,13 +133,19 @@ def _compare_frozen(m: CheckMemory, now: Readings, accel: float) -> None:
         ):
             held_s = m.speed_held_s[v]
     if held_s < FROZEN_SPEED_S:
-        m.unmoved_square = 0.0
+        m.unmoved_square = m.tilted_s = 0.0
+        m.standing_accel = m.band_slow_accel
     else:
         faded = now.dt_s / UNMOVED_S
         m.unmoved_square -= faded * m.unmoved_square
         m.unmoved_square += accel * accel * now.dt_s
+        if m.tilted_s < 0.0:
+            m.standing_accel, m.tilted_s = m.band_slow_accel, 0.0
+        tilt = abs(m.band_slow_accel - m.standing_accel)
+        if now.speed < STANDING_MS and tilt > TILT_MS2:
+            m.tilted_s += now.dt_s
     failed = None
-    if m.unmoved_square > UNMOVED_SQUARE:
+    if m.unmoved_square > UNMOVED_SQUARE or m.tilted_s > TILT_S:
         failed = True
     elif held_s < MOVES_S:
         failed = False

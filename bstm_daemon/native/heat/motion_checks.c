@@ -62,14 +62,24 @@ static void compare_frozen(CheckMemoryFloats *m, const Readings *now,
         if (!isnan(now->speeds[v])
             && (held_s == UNKNOWN || m->speed_held_s[v] < held_s))
             held_s = m->speed_held_s[v];
-    if (held_s < FROZEN_SPEED_S) m->unmoved_square = 0.0;
-    else {
+    if (held_s < FROZEN_SPEED_S) {
+        m->unmoved_square = m->tilted_s = 0.0;
+        m->standing_accel = m->band_slow_accel;
+    } else {
         const double faded = now->dt_s / UNMOVED_S;
         m->unmoved_square -= faded * m->unmoved_square;
         m->unmoved_square += accel * accel * now->dt_s;
+        if (m->tilted_s < 0.0) {
+            m->standing_accel = m->band_slow_accel;
+            m->tilted_s = 0.0;
+        }
+        const double tilt = fabs(m->band_slow_accel - m->standing_accel);
+        if (now->speed < STANDING_MS && tilt > TILT_MS2)
+            m->tilted_s += now->dt_s;
     }
     int outcome = OPEN;
-    if (m->unmoved_square > UNMOVED_SQUARE) outcome = FAILED;
+    if (m->unmoved_square > UNMOVED_SQUARE || m->tilted_s > TILT_S)
+        outcome = FAILED;
     else if (held_s < MOVES_S) outcome = PASSED;
     m->unmoved_fault_s =
         checks_advance(STUCK, m->unmoved_fault_s, outcome, now->dt_s);
@@ -81,6 +91,7 @@ void motion_checks_compare(CheckMemoryFloats *m, const Readings *now,
     if (isnan(now->acceleration) || !now->speed_known || noise) {
         m->slow_speed = m->band_speed = UNKNOWN;
         m->unmoved_square = 0.0;
+        m->tilted_s = UNKNOWN;
         return;
     }
     compare_inertia(m, now);

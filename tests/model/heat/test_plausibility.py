@@ -729,8 +729,10 @@ def test_all_speeds_or_the_accelerometer_by_a_factor(  # noqa: PLR0917
     assert bits(run, FLAGS["acceleration_suspect"]) == marks
 
 
-@pytest.mark.parametrize("held", [0.0, 12.0])
-@pytest.mark.parametrize(("step", "comes"), [(1.5, True), (1.0, False)])
+@pytest.mark.parametrize(
+    ("held", "step", "comes"),
+    [(0.0, 1.5, True), (12.0, 1.5, True), (12.0, 1.0, False)],
+)
 def test_all_speeds_frozen(
     kernel: Kernel | None,
     start: Callable[..., Run],
@@ -761,6 +763,33 @@ def test_all_speeds_frozen(
         assert 8.5 < first_s(marks) < 11.0
         assert marks[20 * STEPS_PER_S]
     assert not marks[-1]
+
+
+@pytest.mark.parametrize(
+    ("accel", "seconds", "comes"),
+    [(0.45, 12.0, True), (0.35, 60.0, False), (0.45, 6.0, False)],
+)
+@pytest.mark.parametrize("speed", [0.0, 10.0])
+def test_a_standing_car_does_not_change_its_slope(  # noqa: PLR0917
+    kernel: Kernel | None,
+    start: Callable[..., Run],
+    make_car: Any,
+    speed: float,
+    accel: float,
+    seconds: float,
+    comes: bool,  # noqa: FBT001
+) -> None:
+    """A gentle start that no speed shows; at constant speed it is a hill."""
+    roles = ("vehicle_speed", "acceleration_longitudinal")
+    drive = Drive()
+    for found, held_s in ((0.0, 8.0), (accel, seconds), (0.0, 10.0)):
+        drive.hold(
+            held_s, vehicle_speed=speed, acceleration_longitudinal=found
+        )
+    run = start(make_car(), kernel, *roles).feed(drive.samples)
+
+    marks = bits(run, FLAGS["speed_suspect"])
+    assert any(marks) is (comes and speed == 0.0)
 
 
 @pytest.mark.parametrize("seed", range(4))
