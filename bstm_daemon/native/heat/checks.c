@@ -4,19 +4,6 @@
 
 #define NO_MOTION (FLAG_SPEED_SUSPECT | FLAG_ACCELERATION_SUSPECT)
 
-double checks_advance(Hysteresis h, double fault_s, int outcome, double dt_s)
-{
-    if (outcome == OPEN) return fault_s;
-    const int latched = fault_s >= h.comes_s;
-    if (outcome == FAILED) {
-        fault_s = fault_s + dt_s;
-        if (latched || fault_s >= h.comes_s) return h.comes_s + h.goes_s;
-        return fault_s;
-    }
-    fault_s = fault_s - dt_s;
-    return fault_s <= (latched ? h.comes_s : 0.0) ? 0.0 : fault_s;
-}
-
 static void hold(Checks *c, int64_t at, int role)
 {
     c->t->until[role] = at + HOLD_US;
@@ -224,6 +211,20 @@ static int64_t pressure_flags(const Checks *c, const Readings *now, int which)
     return flags;
 }
 
+static int64_t motion_flags(const Checks *c, const Readings *now)
+{
+    int64_t flags = 0;
+    if (now->speed_known && motion_checks_all_frozen(c->m))
+        flags |= FLAG_SPEED_SUSPECT | FLAG_STUCK;
+    if (isnan(now->acceleration)) return flags;
+    if (motion_checks_contradicted(c->m))
+        flags |= FLAG_ACCELERATION_SUSPECT | FLAG_ACCELERATION_CONTRADICTS;
+    /* nobody knows which of the two it is */
+    if (now->speed_known && motion_checks_wrong_scale(c->m))
+        flags |= NO_MOTION | FLAG_ACCELERATION_CONTRADICTS;
+    return flags;
+}
+
 /* Bits of the checks of whole steps; absent inputs have none. */
 static int64_t contradictions(const Checks *c, const Readings *now, int count)
 {
@@ -253,17 +254,9 @@ static int64_t contradictions(const Checks *c, const Readings *now, int count)
         if (alone) flags |= FLAG_SWITCH_CONTRADICTS;
         if (stuck || alone || off) flags |= pressure_flags(c, now, i);
     }
-    if (motion_checks_contradicted(c->m) && !isnan(now->acceleration))
-        flags |= FLAG_ACCELERATION_SUSPECT | FLAG_ACCELERATION_CONTRADICTS;
     if (c->m->lowest_code_s >= LOWEST_CODE.comes_s)
         flags |= FLAG_AMBIENT_SUSPECT;
-    if (now->speed_known && motion_checks_all_frozen(c->m))
-        flags |= FLAG_SPEED_SUSPECT | FLAG_STUCK;
-    /* nobody knows which of the two it is */
-    if (now->speed_known && !isnan(now->acceleration)
-        && motion_checks_wrong_scale(c->m))
-        flags |= NO_MOTION | FLAG_ACCELERATION_CONTRADICTS;
-    return flags;
+    return flags | motion_flags(c, now);
 }
 
 static int suspect(const Checks *c, int64_t now, int role)
@@ -352,8 +345,8 @@ int64_t checks_close(Checks *c, const Readings *now)
     hold_pressures(c, now, refused);
     compare_switch(c, now);
     compare_zero(c, now);
-    motion_checks_compare(c->m, now, c->corners + 1,
-                          (refused & NO_MOTION) != 0);
+    motion_checks_compare_motion(c->m, now, c->corners + 1,
+                                 (refused & NO_MOTION) != 0);
     compare_ambient(c, now);
     int64_t flags = contradictions(c, now, count) | refused;
     flags |= speed_flags(c, now, flags);

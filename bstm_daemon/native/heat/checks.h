@@ -30,7 +30,19 @@ typedef struct {
 enum { PASSED, FAILED, OPEN };
 
 /* The count of a check a step later; OPEN: it could not be made. */
-double checks_advance(Hysteresis h, double fault_s, int outcome, double dt_s);
+static inline double checks_advance(Hysteresis h, double fault_s, int outcome,
+                                    double dt_s)
+{
+    if (outcome == OPEN) return fault_s;
+    const int latched = fault_s >= h.comes_s;
+    if (outcome == FAILED) {
+        fault_s = fault_s + dt_s;
+        if (latched || fault_s >= h.comes_s) return h.comes_s + h.goes_s;
+        return fault_s;
+    }
+    fault_s = fault_s - dt_s;
+    return fault_s <= (latched ? h.comes_s : 0.0) ? 0.0 : fault_s;
+}
 
 static inline int checks_jumped(int role, double change, int64_t time_us)
 {

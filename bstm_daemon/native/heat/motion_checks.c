@@ -85,8 +85,8 @@ static void compare_frozen(CheckMemoryFloats *m, const Readings *now,
         checks_advance(STUCK, m->unmoved_fault_s, outcome, now->dt_s);
 }
 
-void motion_checks_compare(CheckMemoryFloats *m, const Readings *now,
-                           int speeds, int noise)
+void motion_checks_compare_motion(CheckMemoryFloats *m, const Readings *now,
+                                  int speeds, int noise)
 {
     if (isnan(now->acceleration) || !now->speed_known || noise) {
         m->slow_speed = m->band_speed = UNKNOWN;
