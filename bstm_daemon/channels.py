@@ -82,7 +82,10 @@ FLAGS: Final = {
     "wheel_radius": 1 << 43,
     "pressure_dead": 1 << 44,
     "braking_unpressed": 1 << 45,
-    "driven_unseen": 1 << 46,
+    "pressure_zero": 1 << 46,
+    "forces_contradict": 1 << 47,
+    "ambient_suspect": 1 << 48,
+    "driven_unseen": 1 << 49,
 }
 """Bits of a step's ``flags``; those of pressure and heat are for any corner.
 ``docs/validity.md`` says when each is set."""

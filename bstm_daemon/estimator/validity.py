@@ -47,6 +47,11 @@ _OBSERVED: Final = ("acceleration_scale", "wheel_radius", "pressure_dead")
 """What the observer of the car finds against an input."""
 
 
+_SURE: Final = FLAGS["pressure_zero"] | FLAGS["ambient_suspect"]
+"""Whatever the heat mode: pressure also says when the motion brakes, and all
+temperatures are above the ambient's."""
+
+
 class Needs(NamedTuple):
     """What a corner needs.
 
@@ -167,7 +172,7 @@ def _pressure(config: Config, place: int) -> int:
 
 
 def _remembered(config: Config, present: Mapping[int, int], place: int) -> int:
-    flags, mode = FLAGS["speed_suspect"], config.heat.mode
+    flags, mode = FLAGS["speed_suspect"] | _SURE, config.heat.mode
     if mode in {"fb", "fused"}:
         for role, name in _MOTION:
             if ROLE_INDEX[role] in present:

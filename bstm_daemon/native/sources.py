@@ -41,6 +41,7 @@ SOURCES: Final = {
         "native/heat/fusion.c",
         "native/heat/inputs.c",
         "native/heat/learned.c",
+        "native/heat/motion_checks.c",
         "native/heat/observer.c",
         "native/heat/observer_faults.c",
         "native/heat/sample_bind.c",

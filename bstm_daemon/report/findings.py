@@ -38,18 +38,26 @@ LEAST_S: Final = 1.0
 
 _REFUSED: Final = FLAGS["samples_refused"]
 _STUCK: Final = FLAGS["stuck"]
+_FORCES: Final = FLAGS["forces_contradict"]
 _WHEELS: Final = _REFUSED | _STUCK | FLAGS["wheels_contradict"]
 
 _SUBJECTS: Final = {
-    "speed_suspect": (0, _WHEELS),
+    "speed_suspect": (0, _WHEELS | FLAGS["acceleration_contradicts"]),
     "wheel_speed_suspect": (WHEEL_SUSPECT, _WHEELS),
     "pressure_suspect": (
         CORNER_PRESSURE_SUSPECT,
-        _REFUSED | _STUCK | FLAGS["switch_contradicts"],
+        _REFUSED
+        | _STUCK
+        | FLAGS["switch_contradicts"]
+        | FLAGS["pressure_zero"],
     ),
-    "acceleration_suspect": (0, _REFUSED | FLAGS["acceleration_contradicts"]),
-    "torque_suspect": (0, _REFUSED),
+    "acceleration_suspect": (
+        0,
+        _REFUSED | _FORCES | FLAGS["acceleration_contradicts"],
+    ),
+    "torque_suspect": (0, _REFUSED | _FORCES),
     "temperature_suspect": (0, _REFUSED),
+    "ambient_suspect": (0, 0),
     "heat_substituted": (0, 0),
     "heat_unknown": (0, 0),
     "heat_lost": (HEAT_LOST, 0),

@@ -40,6 +40,8 @@ DISAGREEMENT: Final = (
     FLAGS["switch_contradicts"]
     | FLAGS["wheels_contradict"]
     | FLAGS["acceleration_contradicts"]
+    | FLAGS["pressure_zero"]
+    | FLAGS["forces_contradict"]
 )
 """Flags that keep the record when they rise."""
 

@@ -27,6 +27,7 @@ ONLY_PYTHON = {
     "fusion": set(),
     "inputs": set(),
     "learned": {"of", "numbers", "copy", "learned_fault", "positive"},
+    "motion_checks": set(),
     "observer": set(),
     "observer_faults": set(),
     "sample_pass": {"store"},
@@ -189,7 +190,7 @@ def test_a_saved_state_has_what_its_car_uses(corners: int) -> None:
 
     back = memory.SampleState.imported(corners, times, numbers, [0])
     assert back.exported(corners) == (times, numbers)
-    assert len(numbers) == 503 + 21 * corners
+    assert len(numbers) == 523 + 22 * corners
     with pytest.raises(ValueError, match="zip"):
         memory.SampleState.imported(corners, times, numbers[:-1], [0])
 

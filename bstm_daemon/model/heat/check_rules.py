@@ -145,12 +145,56 @@ MOVES_S: Final = 1.0
 speed changed by ``FROZEN_*_MS``, a pressure only above ``FROZEN_PRESSURE_PA``.
 One that changed within ``MOVES_S`` is moving."""
 
+ZERO_PA: Final = -0.8e5
+ZERO: Final = Hysteresis(1.0, 300.0)
+"""No brake is below the air's pressure, so a lower reading is an error of the
+sensor's zero, which is there as well while the brake is pressed."""
+
+LOWEST_CODE_K: Final = 233.15
+LOWEST_CODE_WITHIN_K: Final = 0.1
+LOWEST_CODE: Final = Hysteresis(60.0, 10.0)
+"""-40 degC is the code 0 of the usual air temperature: a sensor that is not
+there, or the coldest winter."""
+
 SWITCH_PRESSURE_PA: Final = 5e5
 SWITCH_MS: Final = 1.0
 
 INERTIA_FILTER_S: Final = 2.0
 INERTIA_MS2: Final = 4.0
 """3 m/s2, and 1 m/s2 for a slope of 10 %, which the accelerometer measures."""
+
+BAND_QUICK_S: Final = 0.3
+BAND_SLOW_S: Final = 1.5
+BAND_RESTART_S: Final = 8.0
+BAND_RATE_MS2: Final = 40.0
+BAND_SPEED_MS: Final = 2.0
+BAND_LEAST_MS2: Final = 0.2
+"""Accelerometer and derivative of the speed are compared in this band, in
+which a road changes its slope little; from BAND_LEAST_MS2 of one of them on,
+above BAND_SPEED_MS, not for BAND_RESTART_S after a gap or a leap of the speed,
+faster than any tyre's."""
+
+SHARE_LEAST: Final = 1.6
+SHARE_MOST: Final = 8.0
+SHARE_LIMIT: Final = 1.45
+SHARE_BEYOND: Final = 0.3
+SHARE_CORRELATION: Final = 0.6
+"""One is more than SHARE_LIMIT times the other: noise and slopes that come
+with the changes of speed make up to 1.37. Least and most geometric mean of
+both sums of squares [m2/s3]: 1.6 are three changes by 1 m/s2. Before there are
+as many, the sum of the products beyond the limit, and the square of the
+correlation."""
+
+UNMOVED_SQUARE: Final = 1.0
+UNMOVED_S: Final = 30.0
+"""Sum of squares of the accelerometer in its band while all speeds are
+constant to the bit [m2/s3], with a memory of 30 s, of a car that moves: a
+slope of 12 % that begins within a second."""
+
+TILT_MS2: Final = 0.4
+TILT_S: Final = 5.0
+"""A car that stands does not change its slope: by 4 % it is not loaded, and on
+a lift or a ship its speed does not matter."""
 
 REVERSED_MEMORY_S: Final = 120.0
 REVERSED_MS2: Final = 2.0

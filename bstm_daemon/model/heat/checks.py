@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import exp, isnan
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from bstm_daemon.channels import (
     CORNER_PRESSURE_SUSPECT,
@@ -30,19 +30,14 @@ from bstm_daemon.model.heat.check_rules import (
     FROZEN_SPEED_MS,
     FROZEN_SPEED_S,
     HOLD_US,
-    INERTIA,
-    INERTIA_FILTER_S,
-    INERTIA_MS2,
     LIMITS,
+    LOWEST_CODE,
+    LOWEST_CODE_K,
+    LOWEST_CODE_WITHIN_K,
     MOVES_S,
     MOVING_MS,
     OUTAGE_MEMORY,
     OUTAGE_S,
-    REVERSED,
-    REVERSED_MEMORY_S,
-    REVERSED_MOTION,
-    REVERSED_MS2,
-    REVERSED_SHARE,
     SCALE_LIMIT,
     SCALE_MS,
     SCALE_S,
@@ -52,42 +47,26 @@ from bstm_daemon.model.heat.check_rules import (
     SWITCH,
     SWITCH_MS,
     SWITCH_PRESSURE_PA,
+    ZERO,
+    ZERO_PA,
 )
-from bstm_daemon.model.heat.memory import NEVER, UNKNOWN
+from bstm_daemon.model.heat.memory import NEVER
+from bstm_daemon.model.heat.motion_checks import (
+    all_frozen,
+    compare_motion,
+    contradicted,
+    wrong_scale,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from bstm_daemon.model.heat.memory import CheckMemory
+    from bstm_daemon.model.heat.readings import Readings
     from bstm_daemon.model.heat.sample_plan import PlanNumbers
 
 
-@dataclass(slots=True)
-class Readings:
-    """Inputs at the end of a step; nan for those that are missing.
-
-    ``speeds``: absolute, wheels in corner order, then the vehicle's;
-    ``pressures``: primary, secondary, then wheels; ``acceleration`` along
-    the motion; ``intervenes``: any system slows or spins single wheels;
-    ``pressure_of``: per corner the index in ``pressures`` of
-    the one that it uses; ``heat_known`` and ``at_risk`` per corner: whether
-    its power is known, and whether there may be any.
-    """
-
-    now: int
-    dt_s: float
-    speed: float
-    speed_known: bool
-    braking: bool
-    brake_switch: float
-    esc_active: float
-    intervenes: bool
-    acceleration: float
-    speeds: Sequence[float]
-    pressures: Sequence[float]
-    pressure_of: Sequence[int]
-    heat_known: Sequence[bool]
-    at_risk: Sequence[bool]
+_NO_MOTION: Final = FLAGS["speed_suspect"] | FLAGS["acceleration_suspect"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,7 +158,9 @@ class Checks:
             refused |= self._speed_flags(now, refused)
         self._hold_pressures(now, refused)
         self._compare_switch(now)
-        self._compare_inertia(now, refused)
+        self._compare_zero(now)
+        compare_motion(self.m, now, noise=bool(refused & _NO_MOTION))
+        self._compare_ambient(now)
         flags = self._contradictions(now, count) | refused
         flags |= self._speed_flags(now, flags)
         return flags | self._outages(now)
@@ -322,43 +303,20 @@ class Checks:
             self.m.switch_fault_s, now.dt_s, failed=failed
         )
 
-    def _compare_inertia(self, now: Readings, refused: int) -> None:
-        noise = refused & (
-            FLAGS["speed_suspect"] | FLAGS["acceleration_suspect"]
-        )
-        if isnan(now.acceleration) or not now.speed_known or noise:
-            self.m.slow_speed = UNKNOWN
-            return
-        if self.m.slow_speed < 0.0:
-            self.m.slow_speed = now.speed
-            self.m.slow_acceleration = now.acceleration
-        share = 1.0 - exp(-now.dt_s / INERTIA_FILTER_S)
-        self.m.slow_speed += share * (now.speed - self.m.slow_speed)
-        self.m.slow_acceleration += share * (
-            now.acceleration - self.m.slow_acceleration
-        )
-        gained = (now.speed - self.m.slow_speed) / INERTIA_FILTER_S
-        failed = abs(self.m.slow_acceleration - gained) > INERTIA_MS2
-        self.m.inertia_fault_s = INERTIA.advance(
-            self.m.inertia_fault_s, now.dt_s, failed=failed
-        )
-        self._compare_direction(now.dt_s, gained)
+    def _compare_zero(self, now: Readings) -> None:
+        for i, pressure in enumerate(now.pressures):
+            failed = None if isnan(pressure) else pressure < ZERO_PA
+            self.m.zero_fault_s[i] = ZERO.advance(
+                self.m.zero_fault_s[i], now.dt_s, failed=failed
+            )
 
-    def _compare_direction(self, dt_s: float, gained: float) -> None:
-        faded = dt_s / REVERSED_MEMORY_S
-        self.m.agreement -= faded * self.m.agreement
-        self.m.motion -= faded * self.m.motion
-        if abs(gained) > REVERSED_MS2:
-            self.m.agreement += self.m.slow_acceleration * gained * dt_s
-            self.m.motion += gained * gained * dt_s
+    def _compare_ambient(self, now: Readings) -> None:
         failed = None
-        if self.m.motion > REVERSED_MOTION:
-            if self.m.agreement < -REVERSED_SHARE * self.m.motion:
-                failed = True
-            elif self.m.agreement > REVERSED_SHARE * self.m.motion:
-                failed = False
-        self.m.reversed_fault_s = REVERSED.advance(
-            self.m.reversed_fault_s, dt_s, failed=failed
+        if not isnan(now.ambient_k):
+            above_k = now.ambient_k - LOWEST_CODE_K
+            failed = abs(above_k) < LOWEST_CODE_WITHIN_K
+        self.m.lowest_code_s = LOWEST_CODE.advance(
+            self.m.lowest_code_s, now.dt_s, failed=failed
         )
 
     def _contradictions(self, now: Readings, count: int) -> int:
@@ -372,19 +330,31 @@ class Checks:
                 continue
             stuck = self.m.pressure_stuck_s[i] >= STUCK.comes_s
             alone = switch and i == 0
+            off = self.m.zero_fault_s[i] >= ZERO.comes_s
             if stuck:
                 flags |= FLAGS["stuck"]
             if alone:
                 flags |= FLAGS["switch_contradicts"]
-            if stuck or alone:
+            if off:
+                flags |= FLAGS["pressure_zero"]
+            if stuck or alone or off:
                 flags |= self._pressure_flags(now, i)
-        contradicted = (
-            self.m.inertia_fault_s >= INERTIA.comes_s
-            or self.m.reversed_fault_s >= REVERSED.comes_s
-        )
-        if contradicted and not isnan(now.acceleration):
+        if self.m.lowest_code_s >= LOWEST_CODE.comes_s:
+            flags |= FLAGS["ambient_suspect"]
+        return flags | self._motion_flags(now)
+
+    def _motion_flags(self, now: Readings) -> int:
+        flags = 0
+        if now.speed_known and all_frozen(self.m):
+            flags |= FLAGS["speed_suspect"] | FLAGS["stuck"]
+        if isnan(now.acceleration):
+            return flags
+        if contradicted(self.m):
             flags |= FLAGS["acceleration_suspect"]
             flags |= FLAGS["acceleration_contradicts"]
+        if now.speed_known and wrong_scale(self.m):
+            # nobody knows which of the two it is
+            flags |= _NO_MOTION | FLAGS["acceleration_contradicts"]
         return flags
 
     def _speed_contradictions(self, now: Readings, count: int) -> int:

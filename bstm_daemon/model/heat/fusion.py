@@ -24,6 +24,7 @@ from bstm_daemon.model.heat.learned import (
     STATES,
     published_variance,
 )
+from bstm_daemon.model.heat.motion_checks import wrong_scale
 from bstm_daemon.model.heat.observer_faults import Step
 from bstm_daemon.model.heat.observer_rules import (
     ASSUMED_TORQUE_STD,
@@ -39,8 +40,8 @@ from bstm_daemon.units import GRAVITY_MS2
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from bstm_daemon.model.heat.checks import Readings
     from bstm_daemon.model.heat.inputs import Inputs
+    from bstm_daemon.model.heat.readings import Readings
 
 BRAKING_S: Final = 0.3
 """Time constant of the measured braking in the test for one unpressed."""
@@ -55,6 +56,11 @@ STEEPEST_MS2: Final = 2.0
 (``ASSUMED_STDS`` if the torque is only assumed and the bias never learned);
 its energy from its start on is included. Beyond ``STEEPEST_MS2``, a slope of
 20 %, between acceleration and rate of speed it does not count."""
+
+MOST_FRICTION: Final = 1.75
+"""Braking by motion over that by pressure and learned friction, beyond which
+the pressure is not that of the brakes: linings have 0.7 to 1.3 of their
+nominal friction, and 0.6 when they fade."""
 
 SLIP_FORWARD: Final = 0.08
 SLIPPING: Final = 0.06
@@ -162,6 +168,10 @@ def fuse(run: Inputs, now: Readings, flags: int) -> Fused:
         )
         + MODEL_SHARE * MODEL_SHARE
     )
+    if found & FLAGS["forces_contradict"]:
+        # what was learned may hide heat
+        scale = max(scale, 1.0)
+        found |= FLAGS["acceleration_suspect"] | FLAGS["torque_suspect"]
     std = extra = 0.0
     blind = found & BLIND or flags & UNSURE
     if not isnan(s.accel) and s.forward and not blind:
@@ -186,7 +196,7 @@ def fuse(run: Inputs, now: Readings, flags: int) -> Fused:
     single = run.vehicle("tc_active", 0.0) > 0.0 or now.esc_active > 0.0
     guessed = single or not s.torque_known
     vague = SINGLE_SHARE if guessed else ASSIST_SHARE
-    part = _divide(run, now, pressed=s.brake_n > 0.0)
+    part = _divide(run, now, pressed=s.brake_n > 0.0 and not _too_little(run))
     power, power_std = [], []
     for c in range(run.corners):
         pressed = scale * (run.m.energy_ff[c] / s.dt_s)
@@ -262,6 +272,7 @@ def _describe(run: Inputs, now: Readings, flags: int) -> Step:
         wheel_pressures=wheel_pressures,
         torque_known=run.valid(_TORQUE),
         on_stand=not pressed and _on_stand(run),
+        wrong_scale=wrong_scale(run.checks.m),
     )
 
 
@@ -306,6 +317,14 @@ def _without_pressure(run: Inputs, c: int, *, pressed: bool) -> bool:
     if run.valid(run.pressure_role[c]):
         return False
     return not pressed or run.observer.m.brake_sum[c] <= 0.0
+
+
+def _too_little(run: Inputs) -> bool:
+    """Whether no corner lacks pressure, but all of them have too little."""
+    m = run.observer.m
+    return m.slow_braking > MOST_FRICTION * m.slow_brake and all(
+        m.brake_sum[c] > 0.0 for c in range(run.corners)
+    )
 
 
 def _divide(run: Inputs, now: Readings, *, pressed: bool) -> Sequence[float]:

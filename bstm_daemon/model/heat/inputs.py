@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING, Final
 
 from bstm_daemon.channels import CORNER_PRESSURE, FLAGS, MODES, SLOPES
 from bstm_daemon.model.heat.check_rules import PARKING_MS, STANDING_MS
-from bstm_daemon.model.heat.checks import Checks, Readings, Watched
+from bstm_daemon.model.heat.checks import Checks, Watched
 from bstm_daemon.model.heat.memory import NEVER
 from bstm_daemon.model.heat.observer import Observer
+from bstm_daemon.model.heat.readings import Readings
 from bstm_daemon.roles import MEASURED_NODES, ROLE_INDEX
 
 if TYPE_CHECKING:
@@ -302,6 +303,7 @@ class Inputs:
             or self.vehicle("esc_active", 0.0) > 0.0
             or self.vehicle("tc_active", 0.0) > 0.0,
             acceleration=self.heading * self.reading(_ACCELERATION),
+            ambient_k=self.reading(_AMBIENT),
             speeds=[
                 abs(self.reading(role)) for role in (*self.wheel_role, _SPEED)
             ],

@@ -91,7 +91,12 @@ class CheckMemory:
     ``aftermath_s``: how long that still has an effect. ``mark`` is the speed
     of the others when a value was first held; ``left_out`` is 1 for a speed
     that is not used. ``scale_error`` is a speed over the median of all, less
-    1.
+    1. Fields ``band_*`` filter the speed's derivative and the accelerometer;
+    ``rate_square``, ``accel_square`` and ``accel_rate`` are sums of their
+    squares and product in the band, ``unmoved_square`` that of the
+    accelerometer while no speed changes [m2/s3]; ``standing_accel`` is what it
+    measured first while all speeds are 0, ``tilted_s`` for how long it has
+    measured something else, UNKNOWN without such a first.
     """
 
     last_sample: int
@@ -109,6 +114,20 @@ class CheckMemory:
     agreement: float
     motion: float
     reversed_fault_s: float
+    band_speed: float
+    band_s: float
+    band_rate: float
+    band_slow_rate: float
+    band_accel: float
+    band_slow_accel: float
+    rate_square: float
+    accel_square: float
+    accel_rate: float
+    unmoved_square: float
+    unmoved_fault_s: float
+    standing_accel: float
+    tilted_s: float
+    lowest_code_s: float
     jump_value: Values
     outage_s: Corners
     aftermath_s: Corners
@@ -123,6 +142,7 @@ class CheckMemory:
     pressure_held_s: Pressures
     pressure_mark: Pressures
     pressure_stuck_s: Pressures
+    zero_fault_s: Pressures
 
 
 @dataclass(slots=True)
@@ -135,7 +155,9 @@ class ObserverMemory:
     of half a second of one kind, ``sum_*`` and ``brake_sum`` (the force by
     pressure [N s]) those of the open step. ``gain_product`` and
     ``gain_square`` are sums of (measured less rate) times rate, and of the
-    rate's square, as rates change.
+    rate's square, as rates change. ``balance_*`` count and sum braking by
+    pressure x and by motion y, their squares and product [m2/s4], over half
+    seconds.
     """
 
     known: Learned
@@ -163,6 +185,12 @@ class ObserverMemory:
     gain_square: float
     radius_ratio: Annotated[list[float], PER_GROUND_SPEED]
     unpressed_s: float
+    balance_count: float
+    balance_x: float
+    balance_y: float
+    balance_xx: float
+    balance_xy: float
+    balance_yy: float
     stood_s: float
     window_kind: float
     window_s: float
@@ -213,7 +241,7 @@ def _new_memory(learned: Sequence[float] | None) -> SampleMemory:
     checks.last_sample = checks.suspect_until = NEVER
     checks.jump_stamp = [NEVER] * len(ROLES)
     checks.until = [NEVER] * len(ROLES)
-    checks.slow_speed = UNKNOWN
+    checks.slow_speed = checks.band_speed = UNKNOWN
     if learned is not None:
         observer.known = observer.first = Learned.of(learned)
         observer.recent = observer.earlier = Learned.of(learned)

@@ -39,6 +39,7 @@ from bstm_daemon.model.heat.learned import (
 )
 from bstm_daemon.model.heat.memory import UNKNOWN, ObserverMemory
 from bstm_daemon.model.heat.observer_faults import (
+    compare_forces,
     compare_radius,
     findings,
     implausible_gain,
@@ -153,7 +154,7 @@ class Observer:
             if s.on_stand:
                 self._suspect_external(s.dt_s)
             compare_radius(m, s)
-            if implausible_radius(self.m):
+            if s.wrong_scale or implausible_radius(self.m):
                 self._forget_drive()
             self._watch_pressure(s)
             calm = m.calm_s >= CALM_S
@@ -165,8 +166,8 @@ class Observer:
         if not self.m.known.plausible():
             m.resets += 1.0
             self.begin()
-            return findings(self.m) | OBSERVER_RESET
-        return findings(self.m)
+            return findings(self.m, s) | OBSERVER_RESET
+        return findings(self.m, s)
 
     def _keep_copies(self, dt_s: float) -> None:
         m = self.m
@@ -256,6 +257,7 @@ class Observer:
         # an assumed torque is no measurement
         if not s.torque_known:
             return
+        compare_forces(m, ff_decel, braking)
         if m.external_held_s > 0.0 or braking < 0.3 * ff_decel:
             return
         white = ACCEL_NOISE / braking

@@ -8,10 +8,11 @@ radius that contradicts the speed over ground, an external force.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import exp, isnan
+from math import exp, isnan, sqrt
 from typing import TYPE_CHECKING, Annotated
 
 from bstm_daemon.model.heat import observer_rules as rules
+from bstm_daemon.model.heat.learned import MASS, STATES
 from bstm_daemon.model.heat.memory import PER_GROUND_SPEED
 
 if TYPE_CHECKING:
@@ -25,7 +26,8 @@ class Step:
     ``accel`` is the accelerometer; ``drive`` the driving force and ``drag``
     that of air and bearings, both over the configured mass [m/s2];
     ``brake_n`` Feed-Forward's force. ``steady``: no intervention, no slip, no
-    suspect input.
+    suspect input. ``wrong_scale``: the checks found speed and accelerometer
+    to differ by a factor.
     """
 
     dt_s: float
@@ -49,19 +51,22 @@ class Step:
     wheel_pressures: bool
     torque_known: bool
     on_stand: bool
+    wrong_scale: bool
 
 
-def findings(m: ObserverMemory) -> int:
+def findings(m: ObserverMemory, s: Step) -> int:
     """Return the bits of the faults found."""
     found = 0
     if m.external_held_s > 0.0:
         found |= rules.EXTERNAL_SUSPECTED
-    if implausible_gain(m):
+    if implausible_gain(m) or s.wrong_scale:
         found |= rules.GAIN_SUSPECT
     if implausible_radius(m):
         found |= rules.RADIUS_SUSPECT
     if m.unpressed_s > rules.DEAD_S:
         found |= rules.PRESSURE_DEAD
+    if unbalanced(m) or implausible_mass(m):
+        found |= rules.FORCES_CONTRADICT
     return found
 
 
@@ -86,6 +91,47 @@ def implausible_radius(m: ObserverMemory) -> bool:
     """Whether the wheels disagree with a speed over ground."""
     return any(
         abs(ratio - 1.0) > rules.RADIUS_LIMIT for ratio in m.radius_ratio
+    )
+
+
+def compare_forces(m: ObserverMemory, x: float, y: float) -> None:
+    """Add the braking of a window by pressure *x* and by motion *y* [m/s2]."""
+    keep = 1.0 - 1.0 / rules.BALANCE_WINDOWS
+    m.balance_count = keep * m.balance_count + 1.0
+    m.balance_x = keep * m.balance_x + x
+    m.balance_y = keep * m.balance_y + y
+    m.balance_xx = keep * m.balance_xx + x * x
+    m.balance_xy = keep * m.balance_xy + x * y
+    m.balance_yy = keep * m.balance_yy + y * y
+
+
+def unbalanced(m: ObserverMemory) -> bool:
+    """Whether braking by motion and by pressure differ by a constant."""
+    n = m.balance_count
+    if n < rules.BALANCE_LEAST:
+        return False
+    mean_x, mean_y = m.balance_x / n, m.balance_y / n
+    var_x = m.balance_xx / n - mean_x * mean_x
+    if var_x < rules.BALANCE_SPREAD_MS2 * rules.BALANCE_SPREAD_MS2:
+        return False
+    cov = m.balance_xy / n - mean_x * mean_y
+    slope = cov / var_x
+    at_0 = mean_y - slope * mean_x
+    rest = m.balance_yy / n - mean_y * mean_y - slope * cov
+    var_0 = max(rest, 0.0) * (1.0 + mean_x * mean_x / var_x) / n
+    margin = rules.BALANCE_STDS * sqrt(rules.CORRELATED_WINDOWS * var_0)
+    less = max(rules.BALANCE_MS2, rules.BALANCE_SHARE * mean_x)
+    more = max(rules.BALANCE_MORE_MS2, rules.BALANCE_MORE_SHARE * mean_x)
+    if slope < rules.BALANCE_STEEP and at_0 + margin < -less:
+        return True
+    return slope > rules.BALANCE_MORE_FLAT and at_0 - margin > more
+
+
+def implausible_mass(m: ObserverMemory) -> bool:
+    """Whether less mass was learned than the car has."""
+    ratio, cov = m.known.x[MASS], m.known.cov[MASS * STATES + MASS]
+    return m.started != 0.0 and (
+        ratio - rules.MASS_STDS * sqrt(cov) > 1.0 / rules.LEAST_MASS
     )
 
 

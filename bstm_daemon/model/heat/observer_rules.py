@@ -123,9 +123,34 @@ DEAD_MS2: Final = 2.0
 DEAD_S: Final = 6.0
 """Least deceleration and its duration without any pressure."""
 
+BALANCE_WINDOWS: Final = 120.0
+BALANCE_LEAST: Final = 20.0
+BALANCE_SPREAD_MS2: Final = 0.25
+BALANCE_MS2: Final = 0.2
+BALANCE_SHARE: Final = 0.15
+BALANCE_MORE_MS2: Final = 0.3
+BALANCE_MORE_SHARE: Final = 0.35
+BALANCE_STEEP: Final = 1.4
+BALANCE_MORE_FLAT: Final = 0.8
+BALANCE_STDS: Final = 2.5
+"""Braking by motion is a straight line over that by pressure, with a memory of
+BALANCE_WINDOWS. Where the line is known (windows, spread of the braking by
+pressure) and at no pressure is below 0 by more than BALANCE_MS2 and
+BALANCE_SHARE of the mean braking by pressure, torque or accelerometer have an
+offset and hide heat: a push-out of 1 bar makes 0.1 m/s2. Above 0 by the second
+pair it is the pressure that lacks something: linings that lose friction under
+pressure make 0.2 of the mean. A line too steep or too flat for sound linings
+is none: their friction changed from stop to stop, as it fades and recovers."""
+
+LEAST_MASS: Final = 0.65
+MASS_STDS: Final = 2.0
+"""A car without its load has 0.7 of the configured mass or more; a lower one
+is learned from a torque that reads too little."""
+
 EXTERNAL_SUSPECTED: Final = 1
 OBSERVER_RESET: Final = 2
 GAIN_SUSPECT: Final = 4
 RADIUS_SUSPECT: Final = 8
 PRESSURE_DEAD: Final = 16
+FORCES_CONTRADICT: Final = 128
 """Bits of what the observer finds in a step."""

@@ -37,6 +37,8 @@ CAUSES: Final = (
     | FLAGS["switch_contradicts"]
     | FLAGS["wheels_contradict"]
     | FLAGS["acceleration_contradicts"]
+    | FLAGS["pressure_zero"]
+    | FLAGS["forces_contradict"]
 )
 """Faults that make an input suspect. They are the only bits of a vehicle speed
 that is left out while a wheel speed is sound."""
@@ -48,6 +50,7 @@ SUSPECT: Final = (
     | FLAGS["acceleration_suspect"]
     | FLAGS["torque_suspect"]
     | FLAGS["temperature_suspect"]
+    | FLAGS["ambient_suspect"]
     | FAULTS["wheel_speed_suspect"]
     | _ANY_CORNER * CORNER_PRESSURE_SUSPECT
 )
@@ -83,6 +86,9 @@ WORDS: Final = {
     "wheel_radius": "wheel speed disagrees with satellite speed",
     "pressure_dead": "repeated braking without any pressure",
     "braking_unpressed": "braking without measured pressure",
+    "pressure_zero": "zero of a pressure sensor off",
+    "forces_contradict": "torque, brakes and acceleration contradict",
+    "ambient_suspect": "ambient temperature suspect",
     "driven_unseen": "driven while nothing was received",
     "wheel_speed_suspect": "wheel speed suspect",
     "heat_lost": "heat unknown for too long",

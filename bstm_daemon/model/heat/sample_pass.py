@@ -381,6 +381,8 @@ class _Pass(Inputs):
         flags = self.flags | self.missing()
         now = self.readings(dt_s, sources, at_risk)
         flags |= self.checks.close(now)
+        if flags & FLAGS["ambient_suspect"]:
+            ambient_k = max(ambient_k, plan.ambient_k)
         fused = None
         if plan.mode == MODE_FUSED:
             fused = fuse(self, now, flags)

@@ -1,19 +1,8 @@
 #include "checks.h"
 
-enum { PASSED, FAILED, OPEN };
+#include "motion_checks.h"
 
-static double advance(Hysteresis h, double fault_s, int outcome, double dt_s)
-{
-    if (outcome == OPEN) return fault_s;
-    const int latched = fault_s >= h.comes_s;
-    if (outcome == FAILED) {
-        fault_s = fault_s + dt_s;
-        if (latched || fault_s >= h.comes_s) return h.comes_s + h.goes_s;
-        return fault_s;
-    }
-    fault_s = fault_s - dt_s;
-    return fault_s <= (latched ? h.comes_s : 0.0) ? 0.0 : fault_s;
-}
+#define NO_MOTION (FLAG_SPEED_SUSPECT | FLAG_ACCELERATION_SUSPECT)
 
 static void hold(Checks *c, int64_t at, int role)
 {
@@ -87,7 +76,7 @@ static void compare_pair(Checks *c, const Readings *now, double middle,
     int outcome = OPEN;
     if (high - low > DEVIATION_MS + share * high) outcome = FAILED;
     else if (middle > MOVING_MS) outcome = PASSED;
-    c->m->pair_fault_s = advance(DEVIATION, c->m->pair_fault_s, outcome, now->dt_s);
+    c->m->pair_fault_s = checks_advance(DEVIATION, c->m->pair_fault_s, outcome, now->dt_s);
 }
 
 static void compare_scales(Checks *c, const Readings *now, double middle,
@@ -127,7 +116,7 @@ static void compare_speeds(Checks *c, const Readings *now, double middle,
                 outcome = agreeing >= 2 ? FAILED : OPEN;
             else if (middle > MOVING_MS) outcome = PASSED;
         }
-        c->m->deviation_fault_s[v] = advance(DEVIATION, c->m->deviation_fault_s[v], outcome, now->dt_s);
+        c->m->deviation_fault_s[v] = checks_advance(DEVIATION, c->m->deviation_fault_s[v], outcome, now->dt_s);
     }
     if (count == 2) compare_pair(c, now, middle, share);
 }
@@ -150,7 +139,7 @@ static void hold_speeds(Checks *c, const Readings *now, double middle,
                      && fabs(other - c->m->speed_mark[v]) > FROZEN_SPEED_MS)
                 outcome = FAILED;
         }
-        c->m->speed_stuck_s[v] = advance(STUCK, c->m->speed_stuck_s[v], outcome, now->dt_s);
+        c->m->speed_stuck_s[v] = checks_advance(STUCK, c->m->speed_stuck_s[v], outcome, now->dt_s);
         c->m->left_out[v] = c->m->deviation_fault_s[v] >= DEVIATION.comes_s
             || c->m->speed_stuck_s[v] >= STUCK.comes_s ? 1.0 : 0.0;
     }
@@ -176,7 +165,7 @@ static void hold_pressures(Checks *c, const Readings *now, int64_t refused)
                      && fabs(now->speed - c->m->pressure_mark[i]) > FROZEN_PRESSURE_MS)
                 outcome = FAILED;
         }
-        c->m->pressure_stuck_s[i] = advance(STUCK, c->m->pressure_stuck_s[i], outcome, now->dt_s);
+        c->m->pressure_stuck_s[i] = checks_advance(STUCK, c->m->pressure_stuck_s[i], outcome, now->dt_s);
     }
 }
 
@@ -189,49 +178,29 @@ static void compare_switch(Checks *c, const Readings *now)
         && !isnan(now->brake_switch) && now->esc_active == 0.0)
         outcome = primary > SWITCH_PRESSURE_PA && now->brake_switch == 0.0
             ? FAILED : PASSED;
-    c->m->switch_fault_s = advance(SWITCH, c->m->switch_fault_s, outcome, now->dt_s);
+    c->m->switch_fault_s = checks_advance(SWITCH, c->m->switch_fault_s, outcome, now->dt_s);
 }
 
-static void compare_direction(Checks *c, double dt_s, double gained)
+static void compare_zero(Checks *c, const Readings *now)
 {
-    CheckMemoryFloats *m = c->m;
-    const double faded = dt_s / REVERSED_MEMORY_S;
-    m->agreement -= faded * m->agreement;
-    m->motion -= faded * m->motion;
-    if (fabs(gained) > REVERSED_MS2) {
-        m->agreement += m->slow_acceleration * gained * dt_s;
-        m->motion += gained * gained * dt_s;
+    for (int i = 0; i < c->corners + 2; i++) {
+        const double pressure = now->pressures[i];
+        int outcome = OPEN;
+        if (!isnan(pressure)) outcome = pressure < ZERO_PA ? FAILED : PASSED;
+        c->m->zero_fault_s[i] =
+            checks_advance(ZERO, c->m->zero_fault_s[i], outcome, now->dt_s);
     }
+}
+
+static void compare_ambient(Checks *c, const Readings *now)
+{
     int outcome = OPEN;
-    if (m->motion > REVERSED_MOTION) {
-        if (m->agreement < -REVERSED_SHARE * m->motion) outcome = FAILED;
-        else if (m->agreement > REVERSED_SHARE * m->motion)
-            outcome = PASSED;
+    if (!isnan(now->ambient_k)) {
+        const double above_k = now->ambient_k - LOWEST_CODE_K;
+        outcome = fabs(above_k) < LOWEST_CODE_WITHIN_K ? FAILED : PASSED;
     }
-    m->reversed_fault_s = advance(REVERSED, m->reversed_fault_s, outcome, dt_s);
-}
-
-static void compare_inertia(Checks *c, const Readings *now, int64_t refused)
-{
-    CheckMemoryFloats *m = c->m;
-    const int64_t noise = refused & (FLAG_SPEED_SUSPECT | FLAG_ACCELERATION_SUSPECT);
-    if (isnan(now->acceleration) || !now->speed_known || noise) {
-        m->slow_speed = UNKNOWN;
-        return;
-    }
-    if (m->slow_speed < 0.0) {
-        m->slow_speed = now->speed;
-        m->slow_acceleration = now->acceleration;
-    }
-    const double share = 1.0 - exp(-now->dt_s / INERTIA_FILTER_S);
-    m->slow_speed += share * (now->speed - m->slow_speed);
-    m->slow_acceleration +=
-        share * (now->acceleration - m->slow_acceleration);
-    const double gained = (now->speed - m->slow_speed) / INERTIA_FILTER_S;
-    const int failed = fabs(m->slow_acceleration - gained) > INERTIA_MS2;
-    m->inertia_fault_s = advance(INERTIA, m->inertia_fault_s, failed ? FAILED : PASSED,
-                         now->dt_s);
-    compare_direction(c, now->dt_s, gained);
+    c->m->lowest_code_s =
+        checks_advance(LOWEST_CODE, c->m->lowest_code_s, outcome, now->dt_s);
 }
 
 static int64_t pressure_flags(const Checks *c, const Readings *now, int which)
@@ -239,6 +208,20 @@ static int64_t pressure_flags(const Checks *c, const Readings *now, int which)
     int64_t flags = FLAG_PRESSURE_SUSPECT;
     for (int i = 0; i < c->corners; i++)
         if (now->pressure_of[i] == which) flags |= CORNER_PRESSURE_SUSPECT << i;
+    return flags;
+}
+
+static int64_t motion_flags(const Checks *c, const Readings *now)
+{
+    int64_t flags = 0;
+    if (now->speed_known && motion_checks_all_frozen(c->m))
+        flags |= FLAG_SPEED_SUSPECT | FLAG_STUCK;
+    if (isnan(now->acceleration)) return flags;
+    if (motion_checks_contradicted(c->m))
+        flags |= FLAG_ACCELERATION_SUSPECT | FLAG_ACCELERATION_CONTRADICTS;
+    /* nobody knows which of the two it is */
+    if (now->speed_known && motion_checks_wrong_scale(c->m))
+        flags |= NO_MOTION | FLAG_ACCELERATION_CONTRADICTS;
     return flags;
 }
 
@@ -265,15 +248,15 @@ static int64_t contradictions(const Checks *c, const Readings *now, int count)
         if (isnan(now->pressures[i])) continue;
         const int stuck = c->m->pressure_stuck_s[i] >= STUCK.comes_s;
         const int alone = without_switch && i == 0;
+        const int off = c->m->zero_fault_s[i] >= ZERO.comes_s;
+        if (off) flags |= FLAG_PRESSURE_ZERO;
         if (stuck) flags |= FLAG_STUCK;
         if (alone) flags |= FLAG_SWITCH_CONTRADICTS;
-        if (stuck || alone) flags |= pressure_flags(c, now, i);
+        if (stuck || alone || off) flags |= pressure_flags(c, now, i);
     }
-    const int contradicted = c->m->inertia_fault_s >= INERTIA.comes_s
-        || c->m->reversed_fault_s >= REVERSED.comes_s;
-    if (contradicted && !isnan(now->acceleration))
-        flags |= FLAG_ACCELERATION_SUSPECT | FLAG_ACCELERATION_CONTRADICTS;
-    return flags;
+    if (c->m->lowest_code_s >= LOWEST_CODE.comes_s)
+        flags |= FLAG_AMBIENT_SUSPECT;
+    return flags | motion_flags(c, now);
 }
 
 static int suspect(const Checks *c, int64_t now, int role)
@@ -361,7 +344,10 @@ int64_t checks_close(Checks *c, const Readings *now)
     }
     hold_pressures(c, now, refused);
     compare_switch(c, now);
-    compare_inertia(c, now, refused);
+    compare_zero(c, now);
+    motion_checks_compare_motion(c->m, now, c->corners + 1,
+                                 (refused & NO_MOTION) != 0);
+    compare_ambient(c, now);
     int64_t flags = contradictions(c, now, count) | refused;
     flags |= speed_flags(c, now, flags);
     return flags | outages(c, now);

@@ -1,5 +1,7 @@
 #include "fusion.h"
 
+#include "motion_checks.h"
+
 void fusion_accumulate_motion(Inputs *p, double h, double v)
 {
     const PlanNumbersFloats *f = p->plan;
@@ -113,11 +115,22 @@ static void describe(const Inputs *p, const Readings *now, int64_t flags,
     if (some) s->pressed = 1;
     s->torque_known = inputs_valid(p, ROLE_POWERTRAIN_TORQUE);
     s->on_stand = !s->pressed && on_stand(p);
+    s->wrong_scale = motion_checks_wrong_scale(p->checks.m);
     const int acts = inputs_vehicle(p, ROLE_ABS_ACTIVE, 0.0) > 0.0
         || now->esc_active > 0.0
         || inputs_vehicle(p, ROLE_TC_ACTIVE, 0.0) > 0.0;
     s->steady = !acts && rolls(p) && (flags & SUSPECTS) == 0
         && !(some && none && !s->wheel_pressures);
+}
+
+/* Whether no corner lacks pressure, but all of them have too little. */
+static int too_little(const Inputs *p)
+{
+    const ObserverMemory *m = p->observer.m;
+    if (!(m->slow_braking > MOST_FRICTION * m->slow_brake)) return 0;
+    for (int c = 0; c < p->corners; c++)
+        if (!(m->brake_sum[c] > 0.0)) return 0;
+    return 1;
 }
 
 /* Shares of the corners in a brake force without pressure. */
@@ -218,6 +231,11 @@ Fused fusion_fuse(Inputs *p, const Readings *now, int64_t flags,
     variance += learned_published_variance(k->cov[0] / (ratio * ratio),
                                            P0_STD[0] * P0_STD[0])
         + MODEL_SHARE * MODEL_SHARE;
+    if (found & FLAG_FORCES_CONTRADICT) {
+        /* what was learned may hide heat */
+        if (scale < 1.0) scale = 1.0;
+        found |= FLAG_ACCELERATION_SUSPECT | FLAG_TORQUE_SUSPECT;
+    }
     const int blind = (found & BLIND) || (flags & UNSURE);
     if (!isnan(s.accel) && s.forward && !blind) {
         const double ff_decel = s.brake_n / o->mass_kg * ratio * scale;
@@ -249,7 +267,7 @@ Fused fusion_fuse(Inputs *p, const Readings *now, int64_t flags,
     const double vague =
         single || !s.torque_known ? SINGLE_SHARE : ASSIST_SHARE;
     double part[MAX_CORNERS];
-    divide(p, now, s.brake_n > 0.0, part);
+    divide(p, now, s.brake_n > 0.0 && !too_little(p), part);
     for (int c = 0; c < p->corners; c++) {
         const double pressed = scale * (p->m->energy_ff[c] / s.dt_s);
         const double turning = p->speed > 0.0 ? p->wheel[c] / p->speed : 1.0;

@@ -219,6 +219,7 @@ void inputs_readings(const Inputs *p, double dt_s, const int *source,
         || inputs_vehicle(p, ROLE_TC_ACTIVE, 0.0) > 0.0;
     now->acceleration =
         p->heading * inputs_reading(p, ROLE_ACCELERATION_LONGITUDINAL);
+    now->ambient_k = inputs_reading(p, ROLE_AMBIENT_TEMPERATURE);
     now->braking = now->brake_switch > 0.0;
     now->speeds[corners] = fabs(inputs_reading(p, ROLE_VEHICLE_SPEED));
     now->pressures[0] = inputs_reading(p, ROLE_PRIMARY_PRESSURE);

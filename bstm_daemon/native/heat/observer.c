@@ -109,6 +109,7 @@ static void learn_friction(Observer *o, double accel, double drive,
     release_external(m, WINDOW_S);
     /* an assumed torque is no measurement */
     if (!s->torque_known) return;
+    observer_faults_compare_forces(m, ff_decel, braking);
     if (m->external_held_s > 0.0 || braking < 0.3 * ff_decel) return;
     const double white = ACCEL_NOISE / braking;
     const double wind = WIND_SHARE * (m->known.x[DRAG] * drag) / braking;
@@ -342,7 +343,8 @@ int observer_observe(Observer *o, const Step *s)
         keep_times(m, s);
         if (s->on_stand) suspect_external(m, s->dt_s);
         observer_faults_compare_radius(m, s);
-        if (observer_faults_implausible_radius(m)) forget_drive(m);
+        if (s->wrong_scale || observer_faults_implausible_radius(m))
+            forget_drive(m);
         watch_pressure(o, s);
         learn_gain(o, s, m->calm_s >= CALM_S && m->external_held_s <= 0.0);
         if (accumulate_window(m, s, window_kind(m, s), first_speed))
@@ -355,5 +357,5 @@ int observer_observe(Observer *o, const Step *s)
         begin(o);
         found |= OBSERVER_RESET;
     }
-    return found | observer_faults_findings(m);
+    return found | observer_faults_findings(m, s);
 }

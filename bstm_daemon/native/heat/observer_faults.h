@@ -7,10 +7,11 @@
 
 #include "generated.h"
 
-int observer_faults_findings(const ObserverMemory *m);
+int observer_faults_findings(const ObserverMemory *m, const Step *s);
 int observer_faults_implausible_gain(const ObserverMemory *m);
 int observer_faults_motion_unmeasured(const ObserverMemory *m);
 int observer_faults_implausible_radius(const ObserverMemory *m);
+void observer_faults_compare_forces(ObserverMemory *m, double x, double y);
 void observer_faults_compare_radius(ObserverMemory *m, const Step *s);
 
 #endif

@@ -152,8 +152,10 @@ static int close_step(Pass *pass)
     int64_t flags = *pass->flags | inputs_missing(p);
     flags |= checks_close(&p->checks, &now);
     /* on a silent bus the last air temperature is better than the default */
-    const double ambient_k = inputs_mapped(p, air) && p->t->stamp[air] != NEVER
+    double ambient_k = inputs_mapped(p, air) && p->t->stamp[air] != NEVER
         ? m->value[air] : p->plan->ambient_k;
+    if (flags & FLAG_AMBIENT_SUSPECT && ambient_k < p->plan->ambient_k)
+        ambient_k = p->plan->ambient_k;
     double wetness = inputs_vehicle(p, ROLE_RAIN, 0.0);
     if (wetness < 0.0) wetness = 0.0;
     if (wetness > 1.0) wetness = 1.0;

@@ -113,6 +113,35 @@ def test_no_energy_is_lost_before_it_is_sure(
     assert total == pytest.approx(45e3 * 8.0, rel=0.03)
 
 
+@pytest.mark.parametrize(("share", "counted"), [(1.9, 0.9), (1.6, 0.0)])
+def test_heat_that_a_small_pressure_does_not_explain_is_not_lost(
+    kernel: Kernel | None,
+    fused: Callable[..., Run],
+    share: float,
+    counted: float,
+) -> None:
+    """Braking beyond any friction of the linings falls on all by the share."""
+    run = fused(kernel, *ROLES)
+    pressed_w = 4.0 * PER_PA * 5e5 * 15.0
+    run.feed(
+        steady(
+            ROLES,
+            3.0,
+            **downhill(share * pressed_w / 15.0),
+            primary_pressure=5e5,
+            abs_active=0.0,
+            esc_active=1.0,
+        )
+    )
+
+    extra = counted * pressed_w
+    assert powers(run) == pytest.approx(
+        [0.25 * pressed_w + own * extra for own in (0.35, 0.35, 0.15, 0.15)],
+        rel=0.02,
+    )
+    assert run.flag("braking_unpressed")[-1] is (counted > 0.0)
+
+
 def test_motor_and_engine_heat_no_brake(
     kernel: Kernel | None, fused: Callable[..., Run]
 ) -> None:

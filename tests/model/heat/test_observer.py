@@ -10,8 +10,13 @@ import numpy as np
 import pytest
 
 from bstm_daemon.model.heat.learned import LEARNED_NAMES, learned_fault
-from bstm_daemon.model.heat.memory import SampleState
+from bstm_daemon.model.heat.memory import ObserverMemory, SampleState
+from bstm_daemon.model.heat.observer_faults import (
+    compare_forces,
+    unbalanced,
+)
 from bstm_daemon.model.heat.observer_rules import P0_STD
+from bstm_daemon.native.layout import zeros
 from bstm_daemon.native.loader import load_kernel
 
 if TYPE_CHECKING:
@@ -320,6 +325,92 @@ def test_a_wrong_radius_shows_against_satellites(
 
     assert not any(right.flag("wheel_radius"))
     assert wrong.flag("wheel_radius")[-1]
+
+
+@dataclass
+class Balance:
+    """A drive with several pressures, by a torque and an accelerometer."""
+
+    torque_nm: float = 0.0
+    torque_gain: float = 1.0
+    accel: float = 0.0
+
+    def samples(self) -> list[tuple[int, str, float]]:
+        """Return some minutes of town, braking at 1.5 to 4 m/s2."""
+        driver = Driver(Truth(bias=0.0, friction=1.0, mass_kg=2194.0))
+        found = list(driver.drive(2.0, 1.0))
+        for turn in range(12):
+            found += driver.drive(12.0, 0.1 if turn % 2 else 1.9)
+            found += driver.drive(6.0 - 0.5 * (turn % 4), -1.3 - turn % 3)
+        return [
+            (
+                at,
+                role,
+                {
+                    "powertrain_torque": self.torque_gain * value
+                    + self.torque_nm,
+                    "acceleration_longitudinal": value + self.accel,
+                }.get(role, value),
+            )
+            for at, role, value in found
+        ]
+
+
+@pytest.mark.parametrize(
+    ("fault", "comes"),
+    [
+        (Balance(), False),
+        (Balance(torque_gain=0.8), False),
+        (Balance(torque_gain=0.5), True),
+        (Balance(torque_gain=1.5), False),  # heat is added, none is hidden
+    ],
+)
+def test_less_mass_than_the_car_has_is_named(
+    kernel: Kernel | None,
+    fused: Callable[..., Run],
+    fault: Balance,
+    comes: bool,  # noqa: FBT001
+) -> None:
+    """A torque that reads half teaches half of the mass."""
+    run = fused(kernel).feed(fault.samples())
+
+    assert run.flag("forces_contradict")[-1] is comes
+    assert run.flag("torque_suspect") == run.flag("forces_contradict")
+    if comes:
+        pressed = run.column("brake_energy_ff_j")
+        late = len(pressed) * 2 // 3
+        heat = sum(run.column("brake_power_w")[late:]) * 0.05
+        assert heat >= 0.99 * (pressed[-1] - pressed[late])
+
+
+def line(n: int, *, offset: float, slope: float = 0.9) -> ObserverMemory:
+    """Return the memory after *n* windows along a line."""
+    m = zeros(ObserverMemory)
+    for i in range(n):
+        x = 0.5 + 0.5 * (i % 4)
+        compare_forces(m, x, offset + slope * x)
+    return m
+
+
+def test_braking_that_an_offset_hides_or_adds() -> None:
+    """0.2 m/s2 and 15 % of the braking, over 20 windows of several kinds."""
+    assert unbalanced(line(40, offset=-0.21))
+    assert not unbalanced(line(40, offset=-0.19))
+    assert unbalanced(line(40, offset=0.45))  # 0.35 of 1.25 m/s2
+    assert not unbalanced(line(40, offset=0.42))
+    assert not unbalanced(line(40, offset=0.6, slope=0.7))  # they fade
+    assert not unbalanced(line(40, offset=-0.5, slope=1.5))  # they recover
+    assert not unbalanced(line(19, offset=-0.5))
+    m = zeros(ObserverMemory)
+    for i in range(40):
+        x = 5.0 + 0.4 * (i % 4)
+        compare_forces(m, x, -0.7 + 0.9 * x)
+    assert not unbalanced(m)  # 12 % of hard stops
+    m = zeros(ObserverMemory)
+    for i in range(40):
+        x = 1.0 + 0.1 * (i % 4)
+        compare_forces(m, x, -0.5 + 0.9 * x)
+    assert not unbalanced(m)  # all of one kind: no line
 
 
 def test_dead_pressure_is_named(

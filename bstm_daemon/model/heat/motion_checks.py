@@ -1,0 +1,178 @@
+"""Checks of the accelerometer and of all speeds against each other.
+
+The pure-Python form of ``native/heat/motion_checks.c``; both do the same
+operations in the same order. Speeds that freeze together, or have one wrong
+scale, agree with each other. The accelerometer measures the slope as well, but
+a slope changes slowly: in a band of frequencies both measure the same.
+"""
+
+from __future__ import annotations
+
+from math import exp, isnan
+from typing import TYPE_CHECKING
+
+from bstm_daemon.model.heat.check_rules import (
+    BAND_LEAST_MS2,
+    BAND_QUICK_S,
+    BAND_RATE_MS2,
+    BAND_RESTART_S,
+    BAND_SLOW_S,
+    BAND_SPEED_MS,
+    FROZEN_SPEED_S,
+    INERTIA,
+    INERTIA_FILTER_S,
+    INERTIA_MS2,
+    MOVES_S,
+    REVERSED,
+    REVERSED_MEMORY_S,
+    REVERSED_MOTION,
+    REVERSED_MS2,
+    REVERSED_SHARE,
+    SHARE_BEYOND,
+    SHARE_CORRELATION,
+    SHARE_LEAST,
+    SHARE_LIMIT,
+    SHARE_MOST,
+    STANDING_MS,
+    STUCK,
+    TILT_MS2,
+    TILT_S,
+    UNMOVED_S,
+    UNMOVED_SQUARE,
+)
+from bstm_daemon.model.heat.memory import UNKNOWN
+
+if TYPE_CHECKING:
+    from bstm_daemon.model.heat.memory import CheckMemory
+    from bstm_daemon.model.heat.readings import Readings
+
+
+def compare_motion(m: CheckMemory, now: Readings, *, noise: bool) -> None:
+    """Follow speed and accelerometer through a step; *noise*: not to use."""
+    if isnan(now.acceleration) or not now.speed_known or noise:
+        m.slow_speed = m.band_speed = UNKNOWN
+        m.unmoved_square, m.tilted_s = 0.0, UNKNOWN
+        return
+    _compare_inertia(m, now)
+    rate = (now.speed - m.band_speed) / now.dt_s
+    if m.band_speed < 0.0 or abs(rate) > BAND_RATE_MS2:
+        m.band_accel = m.band_slow_accel = now.acceleration
+        m.band_rate = m.band_slow_rate = m.band_s = rate = 0.0
+    m.band_speed = now.speed
+    quick = 1.0 - exp(-now.dt_s / BAND_QUICK_S)
+    slow = 1.0 - exp(-now.dt_s / BAND_SLOW_S)
+    m.band_rate += quick * (rate - m.band_rate)
+    m.band_accel += quick * (now.acceleration - m.band_accel)
+    m.band_slow_rate += slow * (m.band_rate - m.band_slow_rate)
+    m.band_slow_accel += slow * (m.band_accel - m.band_slow_accel)
+    m.band_s += now.dt_s
+    accel = m.band_accel - m.band_slow_accel
+    _compare_shares(m, now, m.band_rate - m.band_slow_rate, accel)
+    _compare_frozen(m, now, accel)
+
+
+def _compare_inertia(m: CheckMemory, now: Readings) -> None:
+    if m.slow_speed < 0.0:
+        m.slow_speed = now.speed
+        m.slow_acceleration = now.acceleration
+    share = 1.0 - exp(-now.dt_s / INERTIA_FILTER_S)
+    m.slow_speed += share * (now.speed - m.slow_speed)
+    m.slow_acceleration += share * (now.acceleration - m.slow_acceleration)
+    gained = (now.speed - m.slow_speed) / INERTIA_FILTER_S
+    failed = abs(m.slow_acceleration - gained) > INERTIA_MS2
+    m.inertia_fault_s = INERTIA.advance(
+        m.inertia_fault_s, now.dt_s, failed=failed
+    )
+    _compare_direction(m, now.dt_s, gained)
+
+
+def _compare_direction(m: CheckMemory, dt_s: float, gained: float) -> None:
+    faded = dt_s / REVERSED_MEMORY_S
+    m.agreement -= faded * m.agreement
+    m.motion -= faded * m.motion
+    if abs(gained) > REVERSED_MS2:
+        m.agreement += m.slow_acceleration * gained * dt_s
+        m.motion += gained * gained * dt_s
+    failed = None
+    if m.motion > REVERSED_MOTION:
+        if m.agreement < -REVERSED_SHARE * m.motion:
+            failed = True
+        elif m.agreement > REVERSED_SHARE * m.motion:
+            failed = False
+    m.reversed_fault_s = REVERSED.advance(
+        m.reversed_fault_s, dt_s, failed=failed
+    )
+
+
+def _compare_shares(
+    m: CheckMemory, now: Readings, rate: float, accel: float
+) -> None:
+    if (
+        m.band_s < BAND_RESTART_S
+        or now.speed < BAND_SPEED_MS
+        or now.intervenes
+        or (abs(rate) < BAND_LEAST_MS2 and abs(accel) < BAND_LEAST_MS2)
+    ):
+        return
+    m.rate_square += rate * rate * now.dt_s
+    m.accel_square += accel * accel * now.dt_s
+    m.accel_rate += accel * rate * now.dt_s
+    square = m.rate_square * m.accel_square
+    if square > SHARE_MOST * SHARE_MOST:
+        faded = SHARE_MOST * SHARE_MOST / square
+        m.rate_square *= faded
+        m.accel_square *= faded
+        m.accel_rate *= faded
+
+
+def _compare_frozen(m: CheckMemory, now: Readings, accel: float) -> None:
+    held_s = UNKNOWN
+    for v, speed in enumerate(now.speeds):
+        if not isnan(speed) and (
+            held_s == UNKNOWN or m.speed_held_s[v] < held_s
+        ):
+            held_s = m.speed_held_s[v]
+    if held_s < FROZEN_SPEED_S:
+        m.unmoved_square = m.tilted_s = 0.0
+        m.standing_accel = m.band_slow_accel
+    else:
+        faded = now.dt_s / UNMOVED_S
+        m.unmoved_square -= faded * m.unmoved_square
+        m.unmoved_square += accel * accel * now.dt_s
+        if m.tilted_s < 0.0:
+            m.standing_accel, m.tilted_s = m.band_slow_accel, 0.0
+        tilt = abs(m.band_slow_accel - m.standing_accel)
+        if now.speed < STANDING_MS and tilt > TILT_MS2:
+            m.tilted_s += now.dt_s
+    failed = None
+    if m.unmoved_square > UNMOVED_SQUARE or m.tilted_s > TILT_S:
+        failed = True
+    elif held_s < MOVES_S:
+        failed = False
+    m.unmoved_fault_s = STUCK.advance(
+        m.unmoved_fault_s, now.dt_s, failed=failed
+    )
+
+
+def contradicted(m: CheckMemory) -> bool:
+    """Whether the accelerometer contradicts the speed."""
+    return (
+        m.inertia_fault_s >= INERTIA.comes_s
+        or m.reversed_fault_s >= REVERSED.comes_s
+    )
+
+
+def wrong_scale(m: CheckMemory) -> bool:
+    """Whether speed and accelerometer differ by a factor."""
+    square = m.rate_square * m.accel_square
+    beyond = m.accel_rate - SHARE_LIMIT * min(m.rate_square, m.accel_square)
+    enough = square > SHARE_LEAST * SHARE_LEAST
+    return (
+        beyond > (0.0 if enough else SHARE_BEYOND)
+        and m.accel_rate * m.accel_rate > SHARE_CORRELATION * square
+    )
+
+
+def all_frozen(m: CheckMemory) -> bool:
+    """Whether no speed changes although the car moves."""
+    return m.unmoved_fault_s >= STUCK.comes_s

@@ -1,0 +1,38 @@
+"""What the checks and the fusion need of a step."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+
+@dataclass(slots=True)
+class Readings:
+    """Inputs at the end of a step; nan for those that are missing.
+
+    ``speeds``: absolute, wheels in corner order, then the vehicle's;
+    ``pressures``: primary, secondary, then wheels; ``acceleration`` along
+    the motion; ``intervenes``: any system slows or spins single wheels;
+    ``pressure_of``: per corner the index in ``pressures`` of
+    the one that it uses; ``heat_known`` and ``at_risk`` per corner: whether
+    its power is known, and whether there may be any.
+    """
+
+    now: int
+    dt_s: float
+    speed: float
+    speed_known: bool
+    braking: bool
+    brake_switch: float
+    esc_active: float
+    intervenes: bool
+    acceleration: float
+    ambient_k: float
+    speeds: Sequence[float]
+    pressures: Sequence[float]
+    pressure_of: Sequence[int]
+    heat_known: Sequence[bool]
+    at_risk: Sequence[bool]

@@ -1,0 +1,17 @@
+/* Checks of the accelerometer and of all speeds against each other, described
+ * in model/heat/motion_checks.py; both forms do the same operations in the
+ * same order.
+ */
+#ifndef BSTM_MOTION_CHECKS_H
+#define BSTM_MOTION_CHECKS_H
+
+#include "checks.h"
+
+/* Follow speed and accelerometer through a step; noise: not to use. */
+void motion_checks_compare_motion(CheckMemoryFloats *m, const Readings *now,
+                                  int speeds, int noise);
+int motion_checks_contradicted(const CheckMemoryFloats *m);
+int motion_checks_wrong_scale(const CheckMemoryFloats *m);
+int motion_checks_all_frozen(const CheckMemoryFloats *m);
+
+#endif
