@@ -351,16 +351,25 @@ def _instructions(code: CodeType) -> str:
 class _Program(ast.NodeTransformer):
     """Leaves out what does nothing when a program runs."""
 
-    def visit_Expr(self, node: ast.Expr) -> ast.AST:
+    def generic_visit(self, node: ast.AST) -> ast.AST:
+        super().generic_visit(node)
+        if getattr(node, "body", None) == []:
+            node.body = [ast.copy_location(ast.Pass(), node)]
+        return node
+
+    def visit_Pass(self, node: ast.Pass) -> None:
+        return None
+
+    def visit_Expr(self, node: ast.Expr) -> ast.AST | None:
         nothing = isinstance(node.value, ast.Constant | ast.Name)
-        return _nothing(node) if nothing else self.generic_visit(node)
+        return None if nothing else self.generic_visit(node)
 
-    def visit_ImportFrom(self, node: ast.ImportFrom) -> ast.AST:
-        return _nothing(node) if node.module == "__future__" else node
+    def visit_ImportFrom(self, node: ast.ImportFrom) -> ast.AST | None:
+        return None if node.module == "__future__" else node
 
-    def visit_If(self, node: ast.If) -> ast.AST:
+    def visit_If(self, node: ast.If) -> ast.AST | None:
         typing_only = "TYPE_CHECKING" in ast.dump(node.test)
-        return _nothing(node) if typing_only else self.generic_visit(node)
+        return None if typing_only else self.generic_visit(node)
 
     def visit_AnnAssign(self, node: ast.AnnAssign) -> ast.AST:
         node.annotation = ast.copy_location(ast.Constant(None), node)
@@ -373,10 +382,6 @@ class _Program(ast.NodeTransformer):
     def visit_arg(self, node: ast.arg) -> ast.AST:
         node.annotation = None
         return node
-
-
-def _nothing(node: ast.stmt) -> ast.stmt:
-    return ast.copy_location(ast.Pass(), node)
 
 
 def hashed(paths: Iterable[str]) -> str:
