@@ -330,7 +330,9 @@ def _meaning(text: str) -> tuple[str, list[str], set[str]]:
             case ast.Import() | ast.ImportFrom():
                 imports.append(ast.unparse(node))
             case (
-                ast.Name(id=name)
+                ast.FunctionDef(name=name)
+                | ast.arg(arg=name)
+                | ast.Name(id=name)
                 | ast.Attribute(attr=name)
                 | ast.keyword(arg=str(name))
             ):
