@@ -126,8 +126,8 @@ def test_the_larger_of_the_works_is_what_is_compared_with(
 def test_work_of_a_megajoule_ago_counts_less(
     car: Callable[..., Config],
 ) -> None:
-    """1 MJ with 0.2 of difference, then 0.5 MJ with -0.4."""
-    drive = Drive(car()).go(20 * WINDOW, 10e3, 8e3).go(10 * WINDOW, 6e3, 10e3)
+    """1 MJ with 0.2 of difference, then 0.5 MJ with -0.4 in half the time."""
+    drive = Drive(car()).go(20 * WINDOW, 10e3, 8e3).go(5 * WINDOW, 12e3, 20e3)
     drive.go(WINDOW, 0.0, 0.0)  # ends the last trial
 
     old, new = exp(-0.5) * (1.0 - exp(-1.0)), 1.0 - exp(-0.5)
