@@ -415,3 +415,29 @@ def test_strict_refuses_a_public_file_with_the_place(
         read_dbc(path, strict=True, encoding="cp1252")
 
     assert part in caught.value.problems[0]
+
+
+def test_a_comment_beyond_the_limit_is_left_out(tmp_path: Path) -> None:
+    """No reason to refuse the file, as it changes no value."""
+    path = tmp_path / "car.dbc"
+    statement = 'CM_ BO_ 100 "{}";'
+    for size, count in ((65_536, 0), (65_537, 1)):
+        text = statement.format("x" * (size - len(statement) + 2))
+        path.write_text(f"{WHOLE}{text}\n")
+        loaded = read_dbc(path, strict=True, encoding="cp1252")
+
+        assert signals_of(loaded) == {"BRAKE": ["pressure", "pressed"]}
+        found = [(one.line, one.harmless) for one in loaded.warnings]
+        assert found == [(9, True)] * count
+        comment = loaded.database.messages[0].comment
+        assert (comment is None) == bool(count)
+
+
+def test_a_statement_that_is_no_such_is_told_its_form(tmp_path: Path) -> None:
+    path = tmp_path / "car.dbc"
+    path.write_text(f'{WHOLE} SG_ speed : 0|16@1 (1,0) [0|0] "" X\n')
+
+    (warning,) = lenient(path).warnings
+
+    form = 'SG_ name : start|bits@order+ (scale,offset) [min|max] "unit"'
+    assert form in str(warning)
