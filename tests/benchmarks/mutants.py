@@ -70,19 +70,25 @@ class Room:
     tests: tuple[str, ...]
 
 
-def _mirrored(*names: str) -> dict[str, Room]:
-    return {name: Room((f"{name}/**/*.py",), (name,)) for name in names}
+def _mirrored(*names: str, beside: tuple[str, ...] = ()) -> dict[str, Room]:
+    return {
+        name: Room((f"{name}/**/*.py",), (name, *beside)) for name in names
+    }
 
 
 ROOMS: Final = {
-    **_mirrored("forecast", "estimator", "bus/output", "bus/signals"),
-    **_mirrored("model/risk", "model/heat", "model/wear", "model/effects"),
-    **_mirrored("model/thermal", "analysis/gap", "analysis/matching"),
+    **_mirrored("forecast", "bus/output", "bus/signals", "model/risk"),
+    **_mirrored("model/wear", "model/effects"),
+    **_mirrored("model/heat", "model/thermal", beside=("golden",)),
+    **_mirrored("estimator", beside=("golden",)),
+    **_mirrored("analysis/gap", "analysis/matching"),
     "service state": Room(
         ("service/state_*.py", "service/persistence.py"), ("service",)
     ),
-    "native/heat": Room(("native/heat/*.[ch]",), ("model/heat",)),
-    "native/thermal": Room(("native/thermal/*.[ch]",), ("model/thermal",)),
+    "native/heat": Room(("native/heat/*.[ch]",), ("model/heat", "golden")),
+    "native/thermal": Room(
+        ("native/thermal/*.[ch]",), ("model/thermal", "golden")
+    ),
     "native/bus": Room(
         ("native/bus/*.[ch]",), ("bus/signals", "bus/logs", "bus/live")
     ),
