@@ -180,12 +180,14 @@ class Tree:
         Raises:
             RuntimeError: one fails.
         """
-        coverage = self.path / ".coverage"
-        coverage.unlink(missing_ok=True)
+        coverage = self.path / f"coverage-of-{'-'.join(tests)}".replace(
+            "/", "-"
+        )
         code, text = self.python(
             *(*PYTEST, "-vv", "--durations=0", "--durations-min=0"),
             *(f"--cov={PACKAGE}", "--cov-context=test", "--cov-report="),
             *("--cov-fail-under=0", *tests),
+            COVERAGE_FILE=str(coverage),
             PYTHONDONTWRITEBYTECODE="",
         )
         if code:
