@@ -343,7 +343,7 @@ def _meaning(text: str) -> tuple[str, list[str], set[str]]:
                 | ast.keyword(arg=str(name))
             ):
                 names.add(name)
-    tree = _Program().visit(tree)
+    tree = ast.fix_missing_locations(_Program().visit(tree))
     return _instructions(compile(tree, "", "exec")), imports, names
 
 
@@ -362,7 +362,7 @@ class _Program(ast.NodeTransformer):
     def generic_visit(self, node: ast.AST) -> ast.AST:
         super().generic_visit(node)
         if getattr(node, "body", None) == []:
-            node.body = [ast.copy_location(ast.Pass(), node)]
+            node.body = [ast.Pass()]
         return node
 
     def visit_Pass(self, node: ast.Pass) -> None:
@@ -380,7 +380,7 @@ class _Program(ast.NodeTransformer):
         return None if typing_only else self.generic_visit(node)
 
     def visit_AnnAssign(self, node: ast.AnnAssign) -> ast.AST:
-        node.annotation = ast.copy_location(ast.Constant(None), node)
+        node.annotation = ast.Constant(None)
         return self.generic_visit(node)
 
     def visit_FunctionDef(self, node: ast.FunctionDef) -> ast.AST:

@@ -97,3 +97,12 @@ def test_a_flat_table_is_moved_as_a_whole(
     else:
         assert basis.tolist() == np.eye(5).tolist()
         assert along.tolist() == prior.tolist()
+
+
+def test_a_flat_table_that_is_not_fitted_ties_nothing(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(fitting, "is_flat", lambda _: True)
+    made: Any = SimpleNamespace(keys=["a", "b"], target=None)
+
+    assert directions(made).tolist() == np.eye(2).tolist()
