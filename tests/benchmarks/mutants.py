@@ -385,6 +385,9 @@ class _Program(ast.NodeTransformer):
 
     def visit_FunctionDef(self, node: ast.FunctionDef) -> ast.AST:
         node.returns = None
+        match node.body[-1]:
+            case ast.Return(value=None | ast.Constant(value=None)):
+                node.body.pop()
         return self.generic_visit(node)
 
     def visit_arg(self, node: ast.arg) -> ast.AST:
