@@ -181,7 +181,7 @@ def examined(rooms: Sequence[str], count: int) -> Outcome:
 
 def _row(mutant: Mutant) -> tuple[str, str, str]:
     is_, was = (
-        f"`{text.strip() or ' '}`".replace("|", r"\|")
+        f"`{' '.join(text.split()) or ' '}`".replace("|", r"\|")
         for text in (mutant.after, mutant.before)
     )
     return f"{mutant.file}:{mutant.line}", is_, was
