@@ -3,6 +3,8 @@
 import os
 from contextlib import suppress
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -11,10 +13,13 @@ from hypothesis import strategies as st
 from bstm_daemon.bus.signals.dbc import (
     LoadedDbc,
     UnusableSignalError,
+    _layout_defect,
     raw_signal,
     read_dbc,
 )
+from bstm_daemon.bus.signals.dbc_survey import MessageOutline
 from bstm_daemon.bus.signals.dbc_text import (
+    Statement,
     guess_encoding,
     statements_of,
     without,
@@ -441,3 +446,24 @@ def test_a_statement_that_is_no_such_is_told_its_form(tmp_path: Path) -> None:
 
     form = 'SG_ name : start|bits@order+ (scale,offset) [min|max] "unit"'
     assert form in str(warning)
+
+
+def test_a_defect_of_the_layout_is_placed_at_its_signal() -> None:
+    """At its message where the signal is of another name, else nowhere."""
+    message: Any = SimpleNamespace(name="BRAKE")
+    statement = Statement("SG_", 0, 9, 7, "SG_ speed")
+    outline = MessageOutline(100, "BRAKE", 5, {"speed": statement})
+
+    lines = [
+        _layout_defect(message, of, [name, "other"], "overlap").line
+        for of, name in (
+            (outline, "speed"),
+            (outline, "long_name_of_speed"),
+            (None, "speed"),
+        )
+    ]
+
+    assert lines == [7, 5, 0]
+    defect = _layout_defect(message, outline, ["speed", "other"], "overlap")
+    assert str(defect) == "line 7: message 'BRAKE': overlap"
+    assert defect.signals == ("speed", "other")
