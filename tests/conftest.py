@@ -5,7 +5,7 @@ from collections.abc import Callable
 from typing import Any, cast
 
 import pytest
-from hypothesis import settings
+from hypothesis import Phase, settings
 
 from bstm_daemon.config.sections import Config, CornerConfig, VehicleConfig
 from bstm_daemon.estimate import NO_INPUT
@@ -15,12 +15,17 @@ from bstm_daemon.native.loader import VARIABLE, Kernel, load_module
 
 # CI runs the same examples every time, a developer looks for new ones; a busy
 # machine is no defect, so that no example has a deadline. .ci/full searches
-# with --hypothesis-profile thorough
+# with --hypothesis-profile thorough; of a mutant the first failure is enough
 settings.register_profile(
     "ci", derandomize=True, deadline=None, max_examples=40
 )
 settings.register_profile("local", deadline=None, max_examples=40)
 settings.register_profile("thorough", deadline=None, max_examples=1000)
+settings.register_profile(
+    "mutants",
+    settings.get_profile("ci"),
+    phases=(Phase.explicit, Phase.generate),
+)
 settings.load_profile("ci" if os.environ.get("CI") else "local")
 
 # numpy is not imported yet: a worker of pytest has one core, and BLAS threads

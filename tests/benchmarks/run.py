@@ -26,7 +26,7 @@ BENCHMARKS = (
 OTHERS = (
     *("physics", "accuracy", "radau", "memory", "identification"),
     *("structures", "effects", "pad_life", "risk", "risk_cost"),
-    *("matching", "verification", "gap", "faults"),
+    *("matching", "verification", "gap", "faults", "mutants"),
 )
 """Figures without a comparison in time; run when named."""
 

@@ -225,7 +225,7 @@ def test_a_corner_that_begins_anew_is_unknown_alone(
     fed(estimator, drive(2))
     assert estimator.start.unknown == {name}
 
-    (block,) = estimator.advance(
+    *_, block = estimator.advance(
         array("q", [3 * SECOND]), array("i", [TICK]), array("d", [0.0])
     )
 

@@ -211,3 +211,13 @@ def test_an_assistant_brakes_without_the_pedal() -> None:
 def test_limits_are_those_of_linings() -> None:
     """Faded linings press for 1/0.6 of the work that heats."""
     assert 1.0 / 0.6 < MOST_RATIO < 2.0
+
+
+def test_a_long_stand_leaves_nothing() -> None:
+    """Neither a debt of time nor a credit."""
+    trust = trust_of()
+    held(trust, [True] * 200)
+    trust.park(1e6)
+    saved = trust.export()
+    for key in ("_held_s", "_found_s"):
+        assert saved[key] == {"FL": 0.0, "RL": 0.0}

@@ -36,6 +36,8 @@ if TYPE_CHECKING:
 
     from bstm_daemon.config.sections import Config, CornerConfig
 
+pytestmark = pytest.mark.usefixtures("all_verified")
+
 SECOND = 1_000_000
 HOUR_S = 3600.0
 SPEED, PRESSURE = ROLE_INDEX["vehicle_speed"], ROLE_INDEX["primary_pressure"]
@@ -423,7 +425,6 @@ def test_a_parked_time_that_is_not_proven_is_no_start(
     drive = Drive(config).descend(300.0).go(2.0, 0.0)
     hot_k = drive.nodes_k()["disc"]
     drive.start(600.0, proven_s=proven_s, is_exact=False).go(1.0, 0.0)
-    assert not drive.estimator.history_known
     left_k = drive.nodes_k()["disc"] - AIR_K
     assert left_k > (0.9 if proven_s is None else 0.7) * (hot_k - AIR_K)
     assert drive.validity() == Validity.DEGRADED

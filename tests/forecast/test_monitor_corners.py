@@ -482,3 +482,17 @@ def test_a_duty_that_goes_on_is_foreseen_from_the_braking_so_far() -> None:
     assert power_w > 1000.0
     assert duty.power_w == pytest.approx(power_w, rel=1e-6)
     assert found.duty_peak_k > found.peak_k + 20.0
+
+
+def test_a_record_is_the_same_object_until_something_changes() -> None:
+    """Ten publications share one; another validity makes a new one."""
+    watched = Watched("FL")
+    block = watched.at_rest(4)
+    count = len(block.times_us)
+    codes = array("b", [Validity.VALID] * count)
+    codes[25] = Validity.DEGRADED
+    found = watched.monitor.add(replace(block, validity={"FL": codes}))
+
+    changed = [i for i in range(20, 30) if found[i] is not found[i - 1]]
+    whole = [i for i in range(20, 30) if block.times_us[i] % 1_000_000 == 0]
+    assert changed == sorted({25, 26, *whole})

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,6 +19,7 @@ from bstm_daemon.analysis.gap.advising import (
     prospect,
     samples_of,
 )
+from bstm_daemon.analysis.gap.evidence import weigh
 from bstm_daemon.analysis.gap.naming import name_effect
 from bstm_daemon.analysis.gap.recording import recorded
 from bstm_daemon.analysis.gap.signatures import (
@@ -27,8 +29,10 @@ from bstm_daemon.analysis.gap.signatures import (
 )
 from bstm_daemon.analysis.gap.workflow import compare
 from bstm_daemon.analysis.matching.tunables import TUNABLES, Target
+from bstm_daemon.analysis.statistics.evidence import Projector
 from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.files import shipped_file
+from bstm_daemon.model.effects.catalogue import effect_class
 from bstm_daemon.replay.columns import present_roles
 from bstm_daemon.simulation import drive_names, load_drive, simulate
 from bstm_daemon.simulation.parameters import Effects
@@ -234,3 +238,37 @@ def test_the_advised_drive_resolves_what_a_poor_one_does_not(
 
     assert resolved[ADVISED] == 2
     assert resolved[POOR] == 0
+
+
+def test_the_data_so_far_weigh_as_elsewhere() -> None:
+    """Worlds are drawn by the evidence that names an effect."""
+    rng = np.random.default_rng(5)
+    one, two = rng.normal(0.0, 1.0, (2, 60))
+    data = known(0.4 * rng.normal(0.0, 1.0, 60) - 0.8 * one, one, two)
+    prior = np.array([0.5, 2.0])
+    judge = advising._Judge(data, prior, (TRUE, RIVAL))
+    project = Projector(data.jacobian, prior)
+
+    for row, own in enumerate(data.signatures):
+        sign = effect_class(own.name).either_sign
+        expected = weigh(
+            project, data.residual, replace(own, either_sign=sign)
+        )
+        assert judge._logs_now[row, 0] == pytest.approx(expected.log_evidence)
+
+
+def test_odds_and_advantage_of_the_true_one() -> None:
+    """Three to one, and to nothing; half of the chance is nothing's."""
+    column = np.ones(10)
+    data = known(-column, column, column)
+    judge = advising._Judge(data, np.ones(2), (TRUE, RIVAL))
+    worlds = len(judge._which)
+    logs = np.repeat(np.log([[3.0], [1.0]]), worlds, axis=1)
+
+    assert judge._odds(logs)[:, 0].tolist() == pytest.approx(
+        [1 / 2, 1 / 6, 1 / 3]
+    )
+    judge._which = np.zeros(worlds, int)
+    assert judge._advantage(logs) == pytest.approx(np.log(3.0))
+    judge._which = np.ones(worlds, int)
+    assert judge._advantage(logs) == pytest.approx(-np.log(3.0))

@@ -9,12 +9,16 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from bstm_daemon.analysis.gap.evidence import (
+    Candidate,
     JointEffects,
+    cross_validated,
     explained_share,
     missing_evidence,
     missing_probability,
     pair_evidence,
+    probabilities,
     search_joint_effects,
+    strength_prior,
     unnamed_beside,
     weigh,
 )
@@ -313,3 +317,103 @@ def test_what_is_small_beside_the_first_is_not_added(
     assert found.leftover is not None
     assert found.leftover.name == "other"
     assert found.leftover.z > 4.2
+
+
+def inverse_of(known: Linearised) -> np.ndarray:
+    """Return the inverse covariance of the residual, tunables left free."""
+    tunables = known.jacobian * PRIOR
+    return np.linalg.inv(np.eye(len(tunables)) + tunables @ tunables.T)
+
+
+def log_bayes_factor(
+    known: Linearised, own: np.ndarray, *, either_sign: bool
+) -> float:
+    """Return it by the normal densities at every strength of the prior."""
+    inverse = inverse_of(known)
+    grid, weights = strength_prior(either_sign=either_sign)
+    left = known.residual[:, None] + np.outer(own, [0.0, *grid])
+    logs = -0.5 * np.einsum("ig,ij,jg->g", left, inverse, left, optimize=True)
+    return float(np.log(np.sum(weights * np.exp(logs[1:] - logs[0]))))
+
+
+@pytest.mark.parametrize("either_sign", [False, True])
+def test_an_effect_weighs_what_the_densities_do(
+    quiet: Linearised, *, either_sign: bool
+) -> None:
+    """And its strength, deviation and reach are those of the best fit."""
+    one = replace(quiet.signatures[0], either_sign=either_sign)
+    known = replace(quiet, residual=quiet.residual - 1.3 * one.linear)
+    project = Projector(known.jacobian, PRIOR)
+
+    found = weigh(project, known.residual, one)
+
+    assert found.log_evidence == pytest.approx(
+        log_bayes_factor(known, one.linear, either_sign=either_sign), abs=1e-6
+    )
+    inverse = inverse_of(known)
+    slope = one.linear @ inverse @ one.linear
+    best = -(one.linear @ inverse @ known.residual) / slope
+    assert found.strength == pytest.approx(best, abs=0.005)
+    assert found.deviation == pytest.approx(slope**-0.5)
+    assert found.reach == pytest.approx(3.5 * slope**-0.5)
+    assert found.gain == pytest.approx(0.5 * slope * best**2, rel=1e-4)
+    assert found.z == pytest.approx(best * slope**0.5, rel=1e-4)
+
+
+def test_each_drive_is_weighed_by_what_the_others_leave_open(
+    layout: Layout, quiet: Linearised
+) -> None:
+    """Evidence of both drives less that of the other one alone."""
+    one = quiet.signatures[0]
+    known = replace(quiet, residual=quiet.residual - 1.3 * one.linear)
+
+    found = cross_validated(layout, known, one)
+
+    def evidence(part: slice) -> float:
+        some = replace(
+            known,
+            residual=known.residual[part],
+            jacobian=known.jacobian[part],
+        )
+        return log_bayes_factor(some, one.linear[part], either_sign=False)
+
+    whole, first, second = (
+        evidence(part)
+        for part in (slice(None), slice(0, POINTS), slice(POINTS, None))
+    )
+    assert found == pytest.approx(
+        {"a": whole - second, "b": whole - first}, abs=1e-6
+    )
+
+
+def test_strengths_are_log_normal_about_the_typical_one() -> None:
+    """exp(-0.2), and of both signs the typical one thrice as likely."""
+    grid, weights = strength_prior(either_sign=False)
+    assert (grid[0], grid[-1], len(grid)) == (0.05, 4.0, 60)
+    assert weights.sum() == pytest.approx(1.0)
+    assert grid[np.argmax(weights)] == pytest.approx(np.exp(-0.2), rel=0.04)
+    at_one, at_most = np.argmin(np.abs(grid - 1.0)), -1
+    assert weights[at_most] / weights[at_one] == pytest.approx(
+        np.exp(
+            (np.log(grid[at_one]) + 0.2) ** 2 / 1.28
+            - (np.log(4.0) + 0.2) ** 2 / 1.28
+        )
+    )
+
+    both, shares = strength_prior(either_sign=True)
+    assert both.tolist() == [*(-grid[::-1]), *grid]
+    assert shares[60:].tolist() == pytest.approx((0.75 * weights).tolist())
+    assert shares[:60].tolist() == pytest.approx(
+        (0.25 * weights[::-1]).tolist()
+    )
+
+
+def test_probabilities_of_candidates_and_of_nothing() -> None:
+    """Half for nothing before data, the rest shared."""
+    likely = Candidate("a", 1.0, 0.1, 1.0, float(np.log(3.0)), 1.0)
+    even = replace(likely, name="b", log_evidence=0.0)
+
+    assert probabilities([likely, even]) == pytest.approx(
+        {"": 1 / 3, "a": 1 / 2, "b": 1 / 6}
+    )
+    assert probabilities([]) == {"": 1.0}

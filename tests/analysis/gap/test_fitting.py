@@ -2,14 +2,24 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 
-from bstm_daemon.analysis.gap.fitting import FORM_ERROR, NINETY, Fit, fit
+from bstm_daemon.analysis.gap import fitting
+from bstm_daemon.analysis.gap.fitting import (
+    FORM_ERROR,
+    NINETY,
+    Fit,
+    directions,
+    fit,
+    prior_along,
+)
 from bstm_daemon.analysis.gap.signatures import sensed
 from bstm_daemon.analysis.gap.workflow import compare
+from bstm_daemon.analysis.matching.tunables import S_SPEEDS_MS
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -65,3 +75,34 @@ def test_known_sensitivities_lead_to_the_same_fit(
         slow.strengths["gap_conduction"], rel=0.02
     )
     assert quick.cost == pytest.approx(slow.cost, rel=0.02)
+
+
+@pytest.mark.parametrize("flat", [True, False])
+def test_a_flat_table_is_moved_as_a_whole(
+    monkeypatch: pytest.MonkeyPatch, *, flat: bool
+) -> None:
+    """Its factors at three speeds are one coefficient; else each is free."""
+    monkeypatch.setattr(fitting, "is_flat", lambda _: flat)
+    keys = ["pad.conductivity_w_mk", *S_SPEEDS_MS, "unknown"]
+    prior = np.array([0.15, 0.2, 0.2, 0.2, 0.7])
+    made: Any = SimpleNamespace(keys=keys, target=None, prior=prior)
+
+    basis = directions(made)
+    along = prior_along(made, basis)
+
+    if flat:
+        tied = [0.0, 1.0, 1.0, 1.0, 0.0]
+        assert basis.T.tolist() == [tied, *np.eye(5)[[0, 4]].tolist()]
+        assert along.tolist() == [0.2, 0.15, 0.7]
+    else:
+        assert basis.tolist() == np.eye(5).tolist()
+        assert along.tolist() == prior.tolist()
+
+
+def test_a_flat_table_that_is_not_fitted_ties_nothing(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(fitting, "is_flat", lambda _: True)
+    made: Any = SimpleNamespace(keys=["a", "b"], target=None)
+
+    assert directions(made).tolist() == np.eye(2).tolist()

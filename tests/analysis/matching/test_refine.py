@@ -300,3 +300,58 @@ def test_covariance_has_the_priors_and_information_has_not(
     assert blind.standard_deviation(KEYS[1]) == pytest.approx(
         prior[1] * target.value(TUNABLES[KEYS[1]])
     )
+
+
+RISE_K = np.linspace(0.0, 500.0, 101)
+
+
+@pytest.mark.parametrize(
+    ("rise_k", "floor_k", "share", "white_k"),
+    [
+        (RISE_K, 2.0, 0.03, 0.0),
+        # white noise of the thermocouple is not the estimate's
+        (RISE_K, 2.0, 0.03, 3.0),
+        (np.linspace(0.0, 1.0, 11), 2.0, 1.0, 0.0),
+        # a rise that is always the same shows no share
+        (np.full(10, 300.0), 5.0, 0.0, 0.0),
+    ],
+)
+def test_errors_on_a_line_are_fitted_exactly(
+    rise_k: np.ndarray, floor_k: float, share: float, white_k: float
+) -> None:
+    """Of two thermocouples together."""
+    error_k = np.sqrt(floor_k**2 + (share * rise_k) ** 2 + white_k**2)
+    half = len(rise_k) // 2
+    parts = [
+        (error_k[:half], rise_k[:half], white_k),
+        (-error_k[half:], rise_k[half:], white_k),
+    ]
+
+    found = fitted(parts)
+
+    assert found.floor_k == pytest.approx(floor_k)
+    assert found.share == pytest.approx(share, abs=1e-6)
+
+
+def test_an_error_that_falls_with_the_rise_has_no_share() -> None:
+    error_k = np.sqrt(100.0 - 1e-4 * RISE_K**2)
+
+    found = fitted([(error_k, RISE_K, 0.0)])
+
+    assert found.share == 0.0
+    assert found.floor_k == pytest.approx(np.mean(error_k**2) ** 0.5)
+
+
+@pytest.mark.parametrize("rise_k", [RISE_K, np.linspace(0.0, 1.5, 11)])
+def test_a_floor_below_half_a_kelvin_is_half_a_kelvin(
+    rise_k: np.ndarray,
+) -> None:
+    """The share then takes the rest, of a rise of a kelvin at least."""
+    error_k = 1.2 * rise_k
+
+    found = fitted([(error_k, rise_k, 0.0)])
+
+    mean_2 = float(np.mean(rise_k**2))
+    rest = 1.2**2 * mean_2 - 0.25
+    assert found.floor_k == 0.5
+    assert found.share == pytest.approx((rest / max(mean_2, 1.0)) ** 0.5)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
@@ -14,11 +15,15 @@ from bstm_daemon.analysis.matching.tunables import (
     TABLE_4_1,
     TUNABLES,
     Target,
+    measured_targets,
     targets_of,
     usable,
 )
+from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.config.sections import EffectConfig
+from bstm_daemon.errors import LogError
 from bstm_daemon.estimator.corner_model import compile_corner
+from bstm_daemon.files import shipped_file
 from bstm_daemon.model.thermal.program import same_structure
 
 if TYPE_CHECKING:
@@ -100,3 +105,15 @@ def test_or_each_by_itself(config: Config) -> None:
     found = targets_of(config, ["FL", "FR"], each=True)
 
     assert [one.corners for one in found] == [("FL",), ("FR",)]
+
+
+def test_drives_without_a_thermocouple_are_refused() -> None:
+    """The message names the drives and what they lack."""
+    config, _ = load_vehicle(shipped_file("config/example_vehicle.toml"))
+    drives: Any = [
+        SimpleNamespace(name=name, measured={}) for name in ("one", "two")
+    ]
+    with pytest.raises(
+        LogError, match=r"^one, two: .* roles temp_<corner>_<node>$"
+    ):
+        measured_targets(config, drives)

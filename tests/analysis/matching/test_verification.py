@@ -99,3 +99,20 @@ def test_ninety_percent_are_covered_where_the_errors_are_as_said() -> None:
 
     assert counted == 300 * 7
     assert 0.85 < inside / counted < 0.95
+
+
+@pytest.mark.parametrize(("rise_k", "warm"), [(20.05, True), (19.95, False)])
+def test_a_rise_of_less_than_20_k_is_no_peak(
+    rise_k: float, *, warm: bool
+) -> None:
+    """A plateau of 1000 s: its middle, if it is one."""
+    on = (TIME_S > 3000.0) & (TIME_S <= 4000.0)
+    plateau = 10.0 + np.where(on, rise_k, 0.0)
+
+    found = peak_of(TIME_S, plateau, plateau, AIR_C)
+
+    assert isnan(found.measured_s) is not warm
+    if warm:
+        assert found.measured_s == pytest.approx(3500.5, abs=1.0)
+        assert found.apart_s == 0.0
+    assert found.measured_c == 10.0 + rise_k

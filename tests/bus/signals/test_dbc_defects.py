@@ -3,6 +3,8 @@
 import os
 from contextlib import suppress
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -11,10 +13,13 @@ from hypothesis import strategies as st
 from bstm_daemon.bus.signals.dbc import (
     LoadedDbc,
     UnusableSignalError,
+    _layout_defect,
     raw_signal,
     read_dbc,
 )
+from bstm_daemon.bus.signals.dbc_survey import MessageOutline
 from bstm_daemon.bus.signals.dbc_text import (
+    Statement,
     guess_encoding,
     statements_of,
     without,
@@ -415,3 +420,50 @@ def test_strict_refuses_a_public_file_with_the_place(
         read_dbc(path, strict=True, encoding="cp1252")
 
     assert part in caught.value.problems[0]
+
+
+def test_a_comment_beyond_the_limit_is_left_out(tmp_path: Path) -> None:
+    """No reason to refuse the file, as it changes no value."""
+    path = tmp_path / "car.dbc"
+    statement = 'CM_ BO_ 100 "{}";'
+    for size, count in ((65_536, 0), (65_537, 1)):
+        text = statement.format("x" * (size - len(statement) + 2))
+        path.write_text(f"{WHOLE}{text}\n")
+        loaded = read_dbc(path, strict=True, encoding="cp1252")
+
+        assert signals_of(loaded) == {"BRAKE": ["pressure", "pressed"]}
+        found = [(one.line, one.harmless) for one in loaded.warnings]
+        assert found == [(9, True)] * count
+        comment = loaded.database.messages[0].comment
+        assert (comment is None) == bool(count)
+
+
+def test_a_statement_that_is_no_such_is_told_its_form(tmp_path: Path) -> None:
+    path = tmp_path / "car.dbc"
+    path.write_text(f'{WHOLE} SG_ speed : 0|16@1 (1,0) [0|0] "" X\n')
+
+    (warning,) = lenient(path).warnings
+
+    form = 'SG_ name : start|bits@order+ (scale,offset) [min|max] "unit"'
+    assert form in str(warning)
+
+
+def test_a_defect_of_the_layout_is_placed_at_its_signal() -> None:
+    """At its message where the signal is of another name, else nowhere."""
+    message: Any = SimpleNamespace(name="BRAKE")
+    statement = Statement("SG_", 0, 9, 7, "SG_ speed")
+    outline = MessageOutline(100, "BRAKE", 5, {"speed": statement})
+
+    lines = [
+        _layout_defect(message, of, [name, "other"], "overlap").line
+        for of, name in (
+            (outline, "speed"),
+            (outline, "long_name_of_speed"),
+            (None, "speed"),
+        )
+    ]
+
+    assert lines == [7, 5, 0]
+    defect = _layout_defect(message, outline, ["speed", "other"], "overlap")
+    assert str(defect) == "line 7: message 'BRAKE': overlap"
+    assert defect.signals == ("speed", "other")

@@ -146,3 +146,16 @@ def test_any_text_is_a_tree_or_an_error(text: str) -> None:
     else:
         return
     assert said.startswith(("position ", "names no signal"))
+
+
+def test_the_limits_are_what_is_still_read() -> None:
+    """50 levels, the outermost included, and 200 numbers and names."""
+    deep = "(" * 49 + "a" + ")" * 49
+    assert value_of(deep, a=3.0) == 3.0
+    with pytest.raises(ExpressionError, match="nested deeper than 50"):
+        parse_expression(f"({deep})")
+
+    wide = "+".join(["a"] * 200)
+    assert value_of(wide, a=3.0) == 600.0
+    with pytest.raises(ExpressionError, match=r"^position 401: more than 200"):
+        parse_expression(f"{wide}+a")

@@ -14,7 +14,12 @@ from hypothesis import strategies as st
 from bstm_daemon.bus.logs.candump import CandumpReader
 from bstm_daemon.bus.signals.columns import ChunkDecoder, Events
 from bstm_daemon.bus.signals.decoder import Decoder
-from bstm_daemon.bus.signals.extraction import FD_LENGTHS, FrameKey
+from bstm_daemon.bus.signals.extraction import (
+    EXTENDED_MAX,
+    FD_LENGTHS,
+    STANDARD_MAX,
+    FrameKey,
+)
 from bstm_daemon.bus.signals.frame_chunk import FrameChunk
 from bstm_daemon.bus.signals.signal_map import SignalMap, compile_signal_map
 from bstm_daemon.config.sections import BusConfig, SignalConfig
@@ -455,3 +460,8 @@ def compare_chunk(
     assert live == expected
     assert columns == expected
     return len(expected)
+
+
+def test_ids_end_where_iso_11898_ends_them() -> None:
+    """At 11 and 29 bits."""
+    assert (STANDARD_MAX, EXTENDED_MAX) == (2**11 - 1, 2**29 - 1)

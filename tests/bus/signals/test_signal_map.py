@@ -2,10 +2,13 @@
 
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
+from bstm_daemon.bus.signals import signal_map
+from bstm_daemon.bus.signals.dbc_text import DbcDefect
 from bstm_daemon.bus.signals.extraction import Condition, FrameKey, Output
 from bstm_daemon.bus.signals.signal_map import SignalMap, compile_signal_map
 from bstm_daemon.config.sections import BusConfig, SignalConfig
@@ -258,3 +261,38 @@ def test_two_messages_of_one_id_are_a_problem(compile_map: Compile) -> None:
             wheel_speed_fl=source("WHEELS", "FL", "km/h"),
             gear=source("TWIN", "y", "count"),
         )
+
+
+def test_defects_that_change_a_value_are_logged(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """An id given twice as a warning; what is harmless not at all."""
+    lines: list[tuple[str, str, dict[str, Any]]] = []
+    log = SimpleNamespace(
+        **{
+            level: lambda event, level=level, **fields: lines.append(
+                (level, event, fields)
+            )
+            for level in ("info", "warning")
+        }
+    )
+    monkeypatch.setattr(signal_map, "_log", log)
+    found: Any = SimpleNamespace(
+        buses=[SimpleNamespace(name="body", dbc="body.dbc")],
+        warnings={
+            "body": (
+                DbcDefect(3, "a long comment", harmless=True),
+                DbcDefect(7, "dropped", "BRAKE"),
+                DbcDefect(9, "twice", harmless=True, same_id=True),
+            )
+        },
+    )
+
+    signal_map.log_defects(found)
+
+    fields = {"bus": "body", "dbc": "body.dbc"}
+    dropped = {"defect": "line 7: message 'BRAKE': dropped"}
+    assert lines == [
+        ("info", "dbc_defect", fields | dropped),
+        ("warning", "dbc_defect", fields | {"defect": "line 9: twice"}),
+    ]

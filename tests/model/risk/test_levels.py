@@ -166,3 +166,27 @@ def test_what_is_sure_between_two_bounds(
 ) -> None:
     """Raised by the lower bound, or normal by the upper one."""
     assert sure_level(least, most) is sure
+
+
+def test_a_part_is_cooled_just_below_20_k_under_its_limit() -> None:
+    """At 20.0 K below it stays for ever, a little lower it falls."""
+    limits = [(773.0, 873.0, 973.0)]
+    for kelvin, after in ((853.0, RiskLevel.HIGH), (852.95, 1)):
+        memory = LevelMemory(RiskLevel.HIGH)
+        memory.by_temperatures([kelvin], limits, 0)
+        found = memory.by_temperatures([kelvin], limits, HOLD_US)
+        assert found == after
+
+
+def test_a_level_of_probability_is_left_after_a_minute_and_not_before() -> (
+    None
+):
+    """Counted from the first sample below, not from the last one above."""
+    memory = LevelMemory(RiskLevel.CRITICAL)
+    memory.by_probability(0.6, 0)
+    memory.by_probability(0.0, 5 * SECOND_US)
+    late = 5 * SECOND_US + HOLD_US
+
+    assert memory.by_probability(0.0, late - 1) is RiskLevel.CRITICAL
+    assert memory.by_probability(0.0, late) is RiskLevel.HIGH
+    assert memory.below_since_us == late

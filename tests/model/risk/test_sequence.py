@@ -38,3 +38,22 @@ def test_axes_are_not_alike() -> None:
         for other in axes[:i]:
             product = fmean(a * b for a, b in zip(one, other, strict=True))
             assert abs(product) < 0.45
+
+
+def test_draws_of_one_axis_are_multiples_of_the_golden_ratio() -> None:
+    """From the middle on, by 0.618..., and their normal deviates."""
+    assert [point for (point,) in unit_draws(3, 1)] == pytest.approx(
+        [0.11803398875, 0.7360679775, 0.35410196625]
+    )
+    below = -1.184872  # the deviate of 0.118034
+    assert [point for (point,) in normal_draws(3, 1)] == pytest.approx(
+        [below, -below, 0.0], abs=1e-6
+    )
+
+
+def test_draws_of_two_axes_go_by_the_plastic_number() -> None:
+    """x^3 = x + 1 gives 1.3247; the axes advance by 1/x and 1/x^2."""
+    first, second = unit_draws(2, 2)
+
+    assert first == pytest.approx((0.25487766625, 0.06984029099))
+    assert second == pytest.approx((0.00975533249, 0.63968058199))

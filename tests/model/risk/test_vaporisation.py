@@ -194,3 +194,16 @@ def test_mean_probability_is_that_of_every_temperature() -> None:
     narrow = Boiling([400.0, 400.5])
     assert narrow.probability(400.2) == pytest.approx(0.6)
     assert narrow.probability(401.0) == 1.0
+
+
+def test_points_far_apart_and_close_together() -> None:
+    """The last interval is wider, the first one within a table's step."""
+    found = Boiling([400.0, 400.25, 410.0, 450.0])
+
+    assert found.quantile(1.0) == 450.0
+    assert found.quantile(0.9) == pytest.approx(438.0)
+    assert found.quantile(0.5) == pytest.approx(405.125)
+    assert found.probability(400.0) == 0.0
+    assert found.probability(400.5) == pytest.approx(0.375)
+    assert found.probability(449.0) == 0.75
+    assert found.probability(449.5) == pytest.approx(0.875)

@@ -109,3 +109,13 @@ def test_a_measurement_beyond_the_table() -> None:
     assert water_measured(0.1, 0.0, "temperate", 1.0) == (
         pytest.approx((1.4, 0.45 * 1.3 / 1.4))
     )
+
+
+@pytest.mark.parametrize(
+    ("years", "percent"), [(0.1, 0.33), (0.5, 0.85), (1.5, 2.0), (6.0, 4.0)]
+)
+def test_uptake_within_the_first_years(years: float, percent: float) -> None:
+    """Linear from the 0.2 % of a fresh fluid on."""
+    assert water_of_age(years, "temperate").median_percent == (
+        pytest.approx(percent)
+    )

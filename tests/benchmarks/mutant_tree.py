@@ -1,0 +1,217 @@
+"""A copy of the tree in which mutants are built and tested.
+
+The compiled modules are built here too, from the copy's sources and tables and
+with the hash that the loader checks: a mutant of a table that C shares reaches
+both forms, and none is refused for its hash alone.
+"""
+
+from __future__ import annotations
+
+import ast
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+import sysconfig
+from collections import Counter
+from hashlib import sha256
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from coverage import CoverageData
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Sequence
+
+ROOT: Final = Path(__file__).resolve().parents[2]
+PACKAGE: Final = "bstm_daemon"
+
+COMPILE: Final = (
+    *("gcc", "-c", "-O2", "-fPIC", "-fwrapv", "-ffp-contract=off", "-w"),
+    "-Werror=implicit-function-declaration",
+    "-DPy_LIMITED_API=0x030B0000",
+    f"-I{sysconfig.get_path('include')}",
+)
+SHARED: Final = """
+import json
+from bstm_daemon.model.compiled import generated_header
+from bstm_daemon.native.sources import SOURCES, digest
+hashes = {module: digest(module) for module in SOURCES}
+print(json.dumps([generated_header(), SOURCES, hashes]))
+"""
+PYTEST: Final = (
+    *("-m", "pytest", "-q", "-p", "no:cacheprovider"),
+    *("--hypothesis-profile", "mutants"),
+)
+LIMITS: Final = ("prlimit", f"--as={8 << 30}", "timeout", "--kill-after=5")
+"""Memory in bytes; seconds follow. A mutant may ask for all of either."""
+DURATION: Final = re.compile(
+    r"^ *([\d.]+)s (?:setup|call|teardown) +(.+)$", re.MULTILINE
+)
+
+
+class BuildError(Exception):
+    """A mutant that does not compile or import."""
+
+
+class Clean:
+    """What tests take and which lines they execute without a mutant."""
+
+    def __init__(self, output: str, coverage: Path) -> None:
+        """Read pytest's durations and the contexts of *coverage*."""
+        self._seconds: Counter[str] = Counter()
+        for seconds, test in DURATION.findall(output):
+            self._seconds[test] += float(seconds)
+        self._executed = CoverageData(str(coverage))
+        self._executed.read()
+
+    def tests(self, path: Path, line: int) -> list[str]:
+        """Return the tests that execute *line*, those of quick files first.
+
+        All, where it is executed on import, by no test, or is not Python.
+        """
+        found = set()
+        if path.suffix == ".py":
+            begin, end = _statement(path, line)
+            contexts = self._executed.contexts_by_lineno(str(path))
+            for number in range(begin, end + 1):
+                found.update(contexts.get(number, ()))
+        known = {context.rpartition("|")[0] for context in found}
+        chosen = known if known and "" not in known else set(self._seconds)
+        files: Counter[str] = Counter()
+        for test in chosen:
+            files[test.partition("::")[0]] += self._seconds[test]
+        return sorted(chosen, key=lambda t: (files[t.partition("::")[0]], t))
+
+    def seconds(self, tests: Collection[str]) -> float:
+        """Return how long *tests* took."""
+        return sum(self._seconds[test] for test in tests)
+
+
+class Tree:
+    """A copy of all files that git knows or would add; built and clean."""
+
+    def __init__(self, folder: Path) -> None:
+        """Copy the tree into *folder* and build it."""
+        self.path = folder / "tree"
+        self._objects = folder / "objects"
+        self._objects.mkdir()
+        listed = _call(
+            ("git", "ls-files", "--cached", "--others", "--exclude-standard")
+        )
+        for name in listed.splitlines():
+            if (ROOT / name).is_file():
+                (self.path / name).parent.mkdir(parents=True, exist_ok=True)
+                shutil.copy2(ROOT / name, self.path / name)
+        self.instructions = self.build()
+
+    def build(self) -> list[str]:
+        """Build the compiled modules; return the hashes of their objects.
+
+        Raises:
+            BuildError: they do not compile, or the tables do not import.
+        """
+        code, text = self.python("-c", SHARED)
+        if code:
+            raise BuildError(text)
+        header, modules, hashes = json.loads(text)
+        (self._objects / "generated.h").write_text(header, "utf-8")
+        package = self.path / PACKAGE
+        shared = sha256(header.encode())
+        for path in sorted(package.rglob("*.h")):
+            shared.update(path.read_bytes())
+        found = []
+        for module, sources in modules.items():
+            objects = []
+            for source in sources:
+                path = package / source
+                own = "BSTM_SOURCES" in path.read_text("utf-8")
+                # without the hash of the sources, for the comparison
+                same = self._object(path, shared.hexdigest(), "")
+                found.append(sha256(same.read_bytes()).hexdigest())
+                objects.append(
+                    self._object(path, shared.hexdigest(), hashes[module])
+                    if own
+                    else same
+                )
+            library = package / f"{module.replace('.', '/')}.abi3.so"
+            library.unlink(missing_ok=True)
+            _call(("gcc", "-shared", "-o", library, *objects, "-lm"))
+        return found
+
+    def _object(self, source: Path, headers: str, hashed: str) -> Path:
+        text = source.read_bytes()
+        key = sha256(f"{source}{headers}{hashed}".encode() + text).hexdigest()
+        made = self._objects / f"{key}.o"
+        if not made.exists():
+            macro = f'-DBSTM_SOURCES="{hashed}"'
+            include = f"-I{self._objects}"
+            _call((*COMPILE, macro, include, source, "-o", made))
+        return made
+
+    def python(
+        self, *arguments: str, seconds: float = 3600.0, **variables: str
+    ) -> tuple[int, str]:
+        """Return exit code and output of Python in the copy."""
+        done = subprocess.run(
+            (*LIMITS, f"{seconds:.0f}", sys.executable, *arguments),
+            cwd=self.path,
+            env=os.environ
+            | {
+                "BSTM_KERNEL": "compiled",
+                "CI": "1",
+                "PYTHONDONTWRITEBYTECODE": "1",
+                "PYTHONPATH": str(self.path),
+            }
+            | variables,
+            check=False,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            errors="replace",
+        )
+        return done.returncode, done.stdout
+
+    def clean(self, tests: Sequence[str]) -> Clean:
+        """Run *tests* without a mutant.
+
+        Raises:
+            RuntimeError: one fails.
+        """
+        coverage = self.path / f"coverage-of-{'-'.join(tests)}".replace(
+            "/", "-"
+        )
+        code, text = self.python(
+            *(*PYTEST, "-vv", "--durations=0", "--durations-min=0"),
+            *(f"--cov={PACKAGE}", "--cov-context=test", "--cov-report="),
+            *("--cov-fail-under=0", *tests),
+            COVERAGE_FILE=str(coverage),
+            PYTHONDONTWRITEBYTECODE="",
+        )
+        if code:
+            msg = f"tests fail without a mutant:\n{text}"
+            raise RuntimeError(msg)
+        return Clean(text, coverage)
+
+
+def _statement(path: Path, line: int) -> tuple[int, int]:
+    """Return first and last line of the statement, or its head, at *line*."""
+    found = line, line
+    for node in ast.walk(ast.parse(path.read_bytes())):  # inner ones later
+        if isinstance(node, ast.stmt):
+            body = getattr(node, "body", None)
+            last = body[0].lineno - 1 if body else node.end_lineno or 0
+            if node.lineno <= line <= last:
+                found = node.lineno, last
+    return found
+
+
+def _call(command: Sequence[str | Path]) -> str:
+    done = subprocess.run(
+        command, cwd=ROOT, check=False, capture_output=True, text=True
+    )
+    if done.returncode:
+        raise BuildError(done.stderr)
+    return done.stdout
