@@ -430,7 +430,7 @@ def edited(lines: list[str], how: str) -> list[str]:
         ("gap of 5 s", 50, {}),
         pytest.param(
             *("gap of 2 h", 72_000, {"dropped": 5}),
-            marks=pytest.mark.slow,  # 390 000 frames
+            marks=[pytest.mark.slow, pytest.mark.full],  # 390 000 frames
         ),
         ("gap of 3 days", 0, {"dropped": 5, "jumps": 1}),
         ("clock set", 0, {"dropped": 5, "jumps": 1}),

@@ -165,10 +165,13 @@ def test_the_menu_is_of_drives_that_there_are() -> None:
 
 @pytest.fixture(scope="module")
 def target() -> Target:
-    """Return the front of the example car."""
+    """Return the front of the example car, heat by pressure."""
     config = load_vehicle(shipped_file("config/example_vehicle.toml"))[0]
-    cooling = config.cooling.model_copy(update={"form": "conductance"})
-    config = config.model_copy(update={"cooling": cooling})
+    changes = {
+        "heat": config.heat.model_copy(update={"mode": "ff"}),
+        "cooling": config.cooling.model_copy(update={"form": "conductance"}),
+    }
+    config = config.model_copy(update=changes)
     plain = Target(config, ("FL", "FR"))
     return plain.changed(
         {

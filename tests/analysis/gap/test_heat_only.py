@@ -24,10 +24,12 @@ if TYPE_CHECKING:
 
 
 def car() -> tuple[Config, dict[int, int]]:
-    """Return the example car and what its bus has."""
+    """Return the example car, heat by pressure, and what its bus has."""
     config, signal_map = load_vehicle(
         shipped_file("config/example_vehicle.toml")
     )
+    heat = config.heat.model_copy(update={"mode": "ff"})
+    config = config.model_copy(update={"heat": heat})
     return config, present_roles(signal_map)
 
 

@@ -182,7 +182,7 @@ def test_random_cars_and_drives(
 
 
 @pytest.mark.slow
-@settings(max_examples=400, deadline=None, suppress_health_check=TOO_SLOW)
+@settings(deadline=None, suppress_health_check=TOO_SLOW)
 @given(chosen=PLANS, drive=DRIVES)
 def test_many_random_cars_and_drives(
     compiled: Kernel,
