@@ -56,9 +56,6 @@ ENCODER = Encoder(DBC)
 LATER = re.compile("measured|peak")
 """Temperatures that are not there from the first row on."""
 
-# two hours of data take pure Python minutes
-MARKS = [pytest.mark.slow] if load_kernel() is None else []
-
 # front discs reach some 300 degC; drizzle all the way
 DRIVE = """
 [drive]
@@ -486,7 +483,9 @@ def test_odd_time_stamps(
     ("how", "shift_s", "share"),
     [
         ("gap of 5 s", 5.0, (1.3, 1.6)),
-        pytest.param("gap of 2 h", 7200.0, (1.0, 5.0), marks=MARKS),
+        pytest.param(
+            *("gap of 2 h", 7200.0, (1.0, 5.0)), marks=pytest.mark.slow
+        ),
         ("gap of 3 days", 259_200.0, (1.0, 5.0)),
         ("clock set", 1e9, (0.99, 1.01)),
     ],

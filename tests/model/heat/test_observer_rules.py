@@ -57,14 +57,16 @@ def test_what_the_table_of_states_says_beside() -> None:
 
 
 def test_noise_of_a_window() -> None:
-    (said,) = re.findall(r"^A window's noise (.*?):", TEXT, re.MULTILINE)
+    (said,) = re.findall(
+        r"^The noise variance of a window (.*?)\.$", TEXT, re.MULTILINE
+    )
     (own, torque, drag, gusts) = numbers(said.replace("m/s²", ""))
 
     assert own == rules.ACCEL_NOISE
     assert torque == pytest.approx(100.0 * rules.TORQUE_NOISE)
     assert drag == pytest.approx(100.0 * rules.DRAG_TORQUE_NOISE)
     assert gusts == pytest.approx(100.0 * rules.WIND_SHARE)
-    assert "counts eightfold" in said
+    assert "multiplied by eight" in said
     assert rules.CORRELATED_WINDOWS == 8.0
 
 
