@@ -96,6 +96,24 @@ def pads(frames: list[str]) -> dict[str, float]:
     return found
 
 
+def contents(frames: list[str]) -> list[tuple[str, dict[str, Any]]]:
+    """Return what *frames* say.
+
+    The service counts what it sends, and leaves out a cycle that it is late
+    for: then counter and CRC are not the replay's.
+    """
+    database = Database()
+    database.add_dbc_file(ROOT / "dbc" / "bstm.dbc")
+    found = []
+    for frame in frames:
+        can_id, _, data = frame.partition("#")
+        message = database.get_message_by_frame_id(int(can_id, 16))
+        values: Any = message.decode(bytes.fromhex(data))
+        del values["CRC"], values["Counter"]
+        found.append((message.name, values))
+    return found
+
+
 def hot_state(running: Daemon, path: Path) -> Path:
     """End the service; return its state with the discs hot."""
     assert running.end() == 0
@@ -180,7 +198,10 @@ def test_live_it_does_what_replay_says(
     ]
 
     assert len(live) > 5 * 10 * 8
-    assert live == replayed[adopted]
+    assert len(live) > 0.8 * len(replayed[adopted])
+    expected = iter(contents(replayed[adopted]))
+    # in this order; a busy machine may leave out a cycle
+    assert all(frame in expected for frame in contents(live))
     ends = pads(live), pads(replayed[source])
     assert len(ends[0]) == 4
     for name, with_effect_c in ends[0].items():
