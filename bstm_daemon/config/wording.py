@@ -171,7 +171,9 @@ def _compound_kind(node: Schema, schema: Schema) -> str:
         options = (_resolved(option, schema) for option in node["oneOf"])
         return " or ".join(_kind(option, schema) for option in options)
     if node.get("type") == "array":
-        entry = _kind(_resolved(node["items"], schema), schema)
+        # of a tuple the entries are listed
+        items = node.get("items") or node["prefixItems"][0]
+        entry = _kind(_resolved(items, schema), schema)
         return f"a list, each entry {entry}"
     keys = ", ".join(node.get("required", ()))
     return f"a table with {keys}" if keys else "a table"

@@ -46,6 +46,9 @@ DROVE_MS: Final = 5.0
 LEAST_S: Final = 5.0
 """A shorter hole has no heat: the disc moves by 1 K/s."""
 
+FASTEST_MS: Final = 150.0
+"""No sample of a speed is above it (``docs/validity.md``)."""
+
 MINUTE_S: Final = 60.0
 STRETCH: Final = 10
 """Minutes of the longest stretch: the disc has forgotten what was before."""
@@ -232,7 +235,9 @@ class Unseen(Machine):
             air_k: temperature of the air [K].
         """
         seconds = max((now_us - self.since_us) * 1e-6, 0.0)
-        slower_ms, faster_ms = sorted((self._before_ms, after_ms))
+        # a saved speed may be anything
+        before_ms = min(self._before_ms, FASTEST_MS)
+        slower_ms, faster_ms = sorted((before_ms, after_ms))
         is_short = seconds <= AHEAD_US * 1e-6
         # a bus that falls silent at speed is not that of a car that parks
         lowest_ms = (

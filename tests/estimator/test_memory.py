@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from bstm_daemon.advice.advisor import Advisor
 from bstm_daemon.config.reading import load_config
+from bstm_daemon.estimator.memory import SavedSamples, StateError, checked
 from bstm_daemon.files import shipped_file
 
 CONFIG = load_config(shipped_file("config/example_vehicle.toml"))
@@ -100,3 +101,10 @@ def test_what_is_taken_is_given_back(
         again = Advisor(CONFIG, {})
         again.restore(json.loads(json.dumps(advisor.export())))
         assert repr(again.export()) == repr(advisor.export())
+
+
+def test_a_tuple_that_is_none_is_worded() -> None:
+    document = {"times": [], "numbers": [], "flags": 3, "open_flags": 0}
+
+    with pytest.raises(StateError, match="flags = 3: must be a list, each"):
+        checked(SavedSamples, document)

@@ -440,6 +440,19 @@ def test_cold_brakes_are_known_without_a_clock(config: Config) -> None:
     assert drive.validity() == Validity.VALID
 
 
+def test_an_absurd_saved_speed_ends_nothing(config: Config) -> None:
+    """The stop at the end of the hole is one from 150 m/s at most."""
+    drive = Drive(config).descend(60.0)
+    document = export_state(drive.estimator) | {"speed_ms": 1e200}
+    estimator = Estimator(config, PRESENT)
+    now_us = document["time_us"] + 600 * SECOND
+    resume_state(estimator, document, 600 * SECOND, now_us)
+    estimator.advance(
+        array("q", [now_us + SECOND]), array("i", [SPEED]), array("d", [20.0])
+    )
+    assert 300.0 < estimator.state("FL")["disc"] < 1800.0
+
+
 PARTS = st.lists(
     st.tuples(
         st.sampled_from(["drive", "hole", "sleep", "restart", "stand"]),
