@@ -324,7 +324,7 @@ def latencies(published: list[Frame]) -> list[float]:
     most = max(map(len, by_id.values()))
     # the others are those sent once a second
     cycles = [one for one in by_id.values() if len(one) > most / 2]
-    assert len(cycles) == 5, sorted(by_id)
+    assert len(cycles) == 6, sorted(by_id)
     found = []
     for stamps_us in cycles:
         lines = [stamp_us // TEN_HERTZ_US for stamp_us in stamps_us]
