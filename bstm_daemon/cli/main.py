@@ -94,8 +94,13 @@ def _main(argv: Sequence[str] | None) -> int:
 def _run(argv: list[str]) -> int:
     called = next((word for word in argv if not word.startswith("-")), "")
     args = _parse(argv, called)
+    from bstm_daemon.cli.arguments import (  # noqa: PLC0415  (after --help)
+        require_extras,
+    )
+
     offset = getattr(args, "verbosity_offset", 0)
     _set_up_log(args.verbose - args.quiet + offset)
+    require_extras(args)
     code: int = args.run(args)
     return code
 
