@@ -14,7 +14,9 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-BLOCK = re.compile(r"^(<!-- (\w+) -->\n)?```sh\n(.*?)^```$", re.S | re.M)
+BLOCK = re.compile(
+    r"^(<!-- (\w+) -->\n)?```sh\n(.*?)^```$", re.DOTALL | re.MULTILINE
+)
 MARKS = ["demo", "tests", "vehicle"]
 
 
