@@ -33,6 +33,7 @@ EXIT_BROKEN_PIPE: Final = 141
 COMMANDS: Final[dict[str, str]] = {
     "demo": "simulate a descent, estimate it from CAN alone, write a report",
     "init": "propose a configuration from a DBC and recorded logs",
+    "config": "print the JSON schema of the configuration for editors",
     "check": "check a configuration and its DBC files, list every problem",
     "simulate": "write the CAN log of the simulated car on a drive",
     "replay": "estimate brake temperatures from recorded CAN logs",
