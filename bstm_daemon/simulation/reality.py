@@ -148,7 +148,8 @@ def _euler(
     matrix = dt * here.conductance
     own = np.arange(lanes.nodes)
     matrix[:, own, own] += here.capacity_j_k
-    rise: Array = np.linalg.solve(matrix, dt * gain_w[:, :, None])[:, :, 0]
+    found = np.linalg.solve(matrix, dt * gain_w[:, :, None])
+    rise = np.asarray(found[:, :, 0], np.float64)
 
     chain_rise, lump_rise = lanes.split(rise)
     chain_gain, lump_gain = lanes.split(here.capacity_j_k * rise)
