@@ -5,9 +5,9 @@ from __future__ import annotations
 import itertools
 from datetime import date  # noqa: TC003  (pydantic resolves it at run time)
 from math import sqrt
-from typing import Annotated, Final, Literal, Self
+from typing import Annotated, Final, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from bstm_daemon.config.section import (
     Fraction,
@@ -66,8 +66,7 @@ class FluidConfig(Section):
     dry_boiling_point_c: BoilingPoint | None = None
     wet_boiling_point_c: BoilingPoint | None = None
 
-    @model_validator(mode="after")
-    def _points_fit(self) -> Self:
+    def _check(self) -> None:
         dry, wet = self.dry_boiling_point_c, self.wet_boiling_point_c
         if dry is not None and wet is not None:
             require(
@@ -78,7 +77,6 @@ class FluidConfig(Section):
             self.water_measured is None or self.water_percent is not None,
             "'water_measured' is the date of 'water_percent'",
         )
-        return self
 
 
 class ForecastConfig(Section):
@@ -93,8 +91,7 @@ class ForecastConfig(Section):
     disc_limits_c: list[Limit] = [500.0, 600.0, 700.0]
     pad_limits_c: list[Limit] = [400.0, 500.0, 600.0]
 
-    @model_validator(mode="after")
-    def _limits_rise(self) -> Self:
+    def _check(self) -> None:
         for name in ("disc_limits_c", "pad_limits_c"):
             limits = getattr(self, name)
             require(
@@ -103,7 +100,6 @@ class ForecastConfig(Section):
                 f"{name!r} needs three limits that rise: elevated, high, "
                 "critical",
             )
-        return self
 
 
 class AdviceConfig(Section):

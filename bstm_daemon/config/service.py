@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Final, Literal, Self
+from typing import Annotated, Final, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from bstm_daemon.config.section import Positive, Section, Text, require
 
@@ -39,8 +39,7 @@ class E2eConfig(Section):
     offset_bytes: Annotated[int, Field(ge=0, le=61)] = 0
     max_delta: Annotated[int, Field(ge=1, le=14)] = 3
 
-    @model_validator(mode="after")
-    def _ids_fit(self) -> Self:
+    def _check(self) -> None:
         needed = 16 if self.profile == 2 else 1
         require(
             len(self.data_ids) == needed,
@@ -56,7 +55,6 @@ class E2eConfig(Section):
                 self.offset_bytes == 0,
                 "'offset_bytes' is for profile 5; profile 2 begins at 0",
             )
-        return self
 
 
 class StateConfig(Section):
