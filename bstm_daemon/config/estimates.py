@@ -5,9 +5,9 @@ from __future__ import annotations
 import itertools
 from datetime import date  # noqa: TC003  (pydantic resolves it at run time)
 from math import sqrt
-from typing import Annotated, Final, Literal, Self
+from typing import Annotated, Final, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from bstm_daemon.config.section import (
     Fraction,
@@ -89,8 +89,7 @@ class FluidConfig(Section):
     wet_boiling_point_c: BoilingPoint | None = None
     """likewise, at 3.7 % water; below the dry one"""
 
-    @model_validator(mode="after")
-    def _points_fit(self) -> Self:
+    def _check(self) -> None:
         dry, wet = self.dry_boiling_point_c, self.wet_boiling_point_c
         if dry is not None and wet is not None:
             require(
@@ -101,7 +100,6 @@ class FluidConfig(Section):
             self.water_measured is None or self.water_percent is not None,
             "'water_measured' is the date of 'water_percent'",
         )
-        return self
 
 
 class ForecastConfig(Section):
@@ -121,8 +119,7 @@ class ForecastConfig(Section):
     pad_limits_c: list[Limit] = [400.0, 500.0, 600.0]
     """the same, friction face of the pads"""
 
-    @model_validator(mode="after")
-    def _limits_rise(self) -> Self:
+    def _check(self) -> None:
         for name in ("disc_limits_c", "pad_limits_c"):
             limits = getattr(self, name)
             require(
@@ -131,7 +128,6 @@ class ForecastConfig(Section):
                 f"{name!r} needs three limits that rise: elevated, high, "
                 "critical",
             )
-        return self
 
 
 class AdviceConfig(Section):

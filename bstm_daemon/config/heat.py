@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final, Literal, Protocol, Self
-
-from pydantic import model_validator
+from typing import TYPE_CHECKING, Final, Literal, Protocol
 
 from bstm_daemon.config.section import (
     NotNegative,
@@ -68,8 +66,7 @@ class HeatConfig(Section):
     rear_pressure_pa: list[NotNegative] = []
     """rear pressure at each `front_pressure_pa`; empty = equal"""
 
-    @model_validator(mode="after")
-    def _table_fits(self) -> Self:
+    def _check(self) -> None:
         if self.front_pressure_pa or self.rear_pressure_pa:
             check_curve(
                 self.front_pressure_pa,
@@ -77,7 +74,6 @@ class HeatConfig(Section):
                 "front_pressure_pa",
                 "rear_pressure_pa",
             )
-        return self
 
 
 def automatic_mode(

@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import codecs
 from datetime import date  # noqa: TC003  (pydantic resolves it at run time)
-from typing import Annotated, Any, Final, Literal, Self
+from typing import Annotated, Any, Final, Literal
 
-from pydantic import Discriminator, Field, Tag, model_validator
+from pydantic import Discriminator, Field, Tag
 
 from bstm_daemon.config.estimates import (
     AccuracyConfig,
@@ -61,10 +61,8 @@ class Curve(Section):
     temperature_c: list[float]
     value: list[Positive]
 
-    @model_validator(mode="after")
-    def _points_fit(self) -> Self:
+    def _check(self) -> None:
         check_curve(self.temperature_c, self.value, "temperature_c", "value")
-        return self
 
 
 def _form_of_property(value: object) -> str:
@@ -135,14 +133,12 @@ class BusConfig(Section):
     encoding: str = "cp1252"
     """text encoding of the DBC; a byte order mark goes before it"""
 
-    @model_validator(mode="after")
-    def _encoding_exists(self) -> Self:
+    def _check(self) -> None:
         try:
             codecs.lookup(self.encoding)
         except LookupError as error:
             msg = f"no text encoding is called 'encoding' = {self.encoding!r}"
             raise ValueError(msg) from error
-        return self
 
 
 class SignalConfig(Section):
@@ -179,8 +175,7 @@ class SignalConfig(Section):
     max: float | None = None
     """above it, in `unit`, a value is no sample; greater than `min`"""
 
-    @model_validator(mode="after")
-    def _one_source(self) -> Self:
+    def _check(self) -> None:
         if self.column is not None:
             of_a_frame = (self.message, self.signal, self.expression, self.bus)
             require(
@@ -201,7 +196,6 @@ class SignalConfig(Section):
         require(self.scale != 0, "'scale' must not be 0")
         if self.min is not None and self.max is not None:
             require(self.min < self.max, "'min' must be below 'max'")
-        return self
 
 
 class TableConfig(Section):
@@ -226,8 +220,7 @@ class TableConfig(Section):
     value: Text | None = None
     """long format: column with the value"""
 
-    @model_validator(mode="after")
-    def _keys_fit(self) -> Self:
+    def _check(self) -> None:
         require(
             (self.time is None) != (self.rate_hz is None),
             "needs either 'time', the column with the time, or 'rate_hz', "
@@ -249,7 +242,6 @@ class TableConfig(Section):
             self.delimiter is None or len(self.delimiter) == 1,
             f"'delimiter' = {self.delimiter!r} must be one character",
         )
-        return self
 
 
 class DiscConfig(Section):
@@ -286,23 +278,17 @@ class DiscConfig(Section):
     effusivity_heat_capacity_j_kgk: Positive = 460.0
     """for the heat partition (Eq 2.3)"""
 
-    @model_validator(mode="after")
-    def _own_needs_curve(self) -> Self:
+    def _check(self) -> None:
         own = self.material == "own"
         require(
             own == (self.heat_capacity_j_kgk is not None),
             "'heat_capacity_j_kgk' goes with material \"own\" and only there",
         )
-        return self
-
-    @model_validator(mode="after")
-    def _swept_is_a_part(self) -> Self:
         require(
             self.swept_area_m2 <= self.total_area_m2,
             f"'swept_area_m2' = {self.swept_area_m2:g} must be at most "
             f"'total_area_m2' = {self.total_area_m2:g}, which it is a part of",
         )
-        return self
 
 
 class PadConfig(Section):
@@ -331,8 +317,7 @@ class PadConfig(Section):
     conductivity_w_mk: LiningConductivity = 1.2
     """lining; one number or a curve over temperature within the same bounds"""
 
-    @model_validator(mode="after")
-    def _is_a_lining(self) -> Self:
+    def _check(self) -> None:
         for name, unit, (low, high) in (
             ("heat_capacity_j_kgk", "J/(kg K)", LINING_HEAT_CAPACITY_J_KGK),
             ("conductivity_w_mk", "W/(m K)", LINING_CONDUCTIVITY_W_MK),
@@ -344,17 +329,12 @@ class PadConfig(Section):
                     f"{name!r} must stay between {low:g} and {high:g} {unit}, "
                     "no lining is beyond",
                 )
-        return self
-
-    @model_validator(mode="after")
-    def _new_is_thickest(self) -> Self:
         new_m = self.new_thickness_m
         require(
             new_m is None or self.thickness_m <= new_m,
             f"'thickness_m' = {self.thickness_m:g}, the remaining lining, "
             f"must be at most 'new_thickness_m' = {new_m or 0.0:g}",
         )
-        return self
 
 
 class ThermalConfig(Section):
@@ -426,10 +406,8 @@ class CoolingConfig(Section):
     form: Literal["rate", "conductance"] = "rate"
     """S as a rate, or as a conductance that heat capacity divides"""
 
-    @model_validator(mode="after")
-    def _points_fit(self) -> Self:
+    def _check(self) -> None:
         check_curve(self.speed_ms, self.s_per_s, "speed_ms", "s_per_s")
-        return self
 
 
 class CornerConfig(Section):
@@ -487,8 +465,7 @@ class CornerConfig(Section):
     cooling: dict[str, Any] = {}
     """single keys of `[cooling]` for this corner"""
 
-    @model_validator(mode="after")
-    def _parts_fit(self) -> Self:
+    def _check(self) -> None:
         has = self.disc is not None, self.pad is not None
         require(
             has == ((True, True) if self.type == "disc" else (False, False)),
@@ -511,10 +488,6 @@ class CornerConfig(Section):
             self.axle in (None, axle) and self.side in (None, side),
             f"corner {self.name} is {axle} {side}: 'axle' or 'side' differ",
         )
-        return self
-
-    @model_validator(mode="after")
-    def _pads_fit_on_disc(self) -> Self:
         if self.disc is not None and self.pad is not None:
             pad_m2, swept_m2 = self.pad.area_m2, self.disc.swept_area_m2
             require(
@@ -523,7 +496,6 @@ class CornerConfig(Section):
                 f"at most 'disc.swept_area_m2' = {swept_m2:g}, both faces "
                 "together",
             )
-        return self
 
 
 class EffectConfig(Section):
@@ -563,14 +535,12 @@ class Config(Section):
     record: RecordConfig = RecordConfig()
     metrics: MetricsConfig = MetricsConfig()
 
-    @model_validator(mode="after")
-    def _heat_mode_is_chosen(self) -> Self:
+    def _check(self) -> None:
         if self.heat.mode == "auto":
             mode = automatic_mode(self.heat, self.corner, self.signals.keys())
             heat = self.heat.model_copy(update={"mode": mode})
             # a section is frozen once it is made, which it is not yet
             object.__setattr__(self, "heat", heat)
-        return self
 
     def thermal_of(self, corner: CornerConfig) -> ThermalConfig:
         """Merge ``[thermal]`` with the overrides of *corner*."""

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Final, Literal, Self
+from typing import Annotated, Final, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from bstm_daemon.config.section import Positive, Section, Text, require
 
@@ -50,8 +50,7 @@ class E2eConfig(Section):
     """how far the counter may move on from frame to frame, MaxDeltaCounter; 1
     = no frame may be lost"""
 
-    @model_validator(mode="after")
-    def _ids_fit(self) -> Self:
+    def _check(self) -> None:
         needed = 16 if self.profile == 2 else 1
         require(
             len(self.data_ids) == needed,
@@ -67,7 +66,6 @@ class E2eConfig(Section):
                 self.offset_bytes == 0,
                 "'offset_bytes' is for profile 5; profile 2 begins at 0",
             )
-        return self
 
 
 class StateConfig(Section):

@@ -12,13 +12,11 @@ from typing import TYPE_CHECKING, Final
 
 from bstm_daemon.estimate import (
     NO_INPUT,
-    NO_REASON,
+    CornerEstimate,
     HeatMode,
     Input,
-    Reason,
     RiskLevel,
     State,
-    Validity,
 )
 from bstm_daemon.model.heat.plausibility import WORDS
 from bstm_daemon.units import to_celsius
@@ -27,7 +25,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from bstm_daemon.bus.live.link import LinkEvent, LinkState
-    from bstm_daemon.estimate import CarRisk, CornerRisk
+    from bstm_daemon.estimate import CarRisk
 
 _IN_LINE: Final = (
     "speed_suspect",
@@ -46,19 +44,12 @@ _IN_LINE: Final = (
 class CornerStatus:
     """One corner with a thermal model.
 
-    ``nodes_k`` is the temperature [K] by node name, ``margin_k`` the wet
-    boiling point minus that of the fluid; NaN where there is none.
-    ``forecast`` is None where there is none; ``sure_risk`` is unknown where
-    only the hot bound of an unknown start is raised.
+    ``nodes_k`` is the temperature [K] by node name, NaN where there is none,
+    ``estimate`` what was published last.
     """
 
     nodes_k: Mapping[str, float]
-    margin_k: float = nan
-    risk: RiskLevel = RiskLevel.UNKNOWN
-    validity: Validity = Validity.NOT_AVAILABLE
-    reasons: Reason = NO_REASON
-    forecast: CornerRisk | None = None
-    sure_risk: RiskLevel = RiskLevel.UNKNOWN
+    estimate: CornerEstimate = field(default_factory=CornerEstimate)
 
 
 @dataclass(frozen=True, slots=True)
@@ -192,19 +183,14 @@ def _hottest(corners: Mapping[str, CornerStatus], most: str) -> list[str]:
 
 
 def _risk(corners: Sequence[CornerStatus], most: str) -> str:
-    known = [
-        corner.risk
-        for corner in corners
-        if corner.risk is not RiskLevel.UNKNOWN
-    ]
+    estimates = [corner.estimate for corner in corners]
+    known = [c.level for c in estimates if c.level is not RiskLevel.UNKNOWN]
     # one unknown corner does not hide a raised level of another, but neither
     # do three normal ones answer for it
     worst = max(known, default=RiskLevel.UNKNOWN)
     if worst is RiskLevel.NORMAL and len(known) < len(corners):
         worst = RiskLevel.UNKNOWN
-    margins = [
-        corner.margin_k for corner in corners if isfinite(corner.margin_k)
-    ]
+    margins = [c.margin_k for c in estimates if isfinite(c.margin_k)]
     margin = f", margin {min(margins):.0f} K" if margins else ""
     if worst is RiskLevel.UNKNOWN:
         most = ""

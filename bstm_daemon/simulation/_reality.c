@@ -1,6 +1,7 @@
 /* The reality's brake corner, compiled: the maths of the Python modules beside
- * it, one lane after another. The chains are solved by Thomas elimination
- * instead of cyclic reduction; a test holds both together for every effect. */
+ * it, one lane after another. Chains are eliminated before the lumps, where
+ * Python solves for all nodes at once; a test holds both together for every
+ * effect. */
 #define PY_SSIZE_T_CLEAN
 #ifndef Py_LIMITED_API
 #define Py_LIMITED_API 0x030B0000

@@ -1,5 +1,5 @@
-/* One step of a brake corner: the maths of solver.py, linings.py and
- * reality.py. Part of _reality.c. */
+/* One step of a brake corner: the maths of linings.py and reality.py. Part of
+ * _reality.c. */
 #ifndef BSTM_REALITY_STEP_H
 #define BSTM_REALITY_STEP_H
 #include "_reality_paths.h"
