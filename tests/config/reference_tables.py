@@ -9,7 +9,7 @@ import json
 import re
 from pathlib import Path
 
-from bstm_daemon.config import estimates, sections, service
+from bstm_daemon.config import estimates, sections, service, thermal
 from bstm_daemon.config.schema import config_schema, meanings
 from bstm_daemon.config.section import Section
 from bstm_daemon.config.wording import allowed
@@ -26,8 +26,8 @@ SECTIONS: dict[str, type[Section]] = {
     "`[[corner]]`": sections.CornerConfig,
     "`[[corner]]` `disc`": sections.DiscConfig,
     "`[[corner]]` `pad`": sections.PadConfig,
-    "`[thermal]`": sections.ThermalConfig,
-    "`[cooling]`": sections.CoolingConfig,
+    "`[thermal]`": thermal.ThermalConfig,
+    "`[cooling]`": thermal.CoolingConfig,
     "`[accuracy]`": sections.AccuracyConfig,
     "`[heat]`": sections.HeatConfig,
     "`[fluid]`": estimates.FluidConfig,

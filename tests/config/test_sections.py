@@ -12,6 +12,7 @@ from bstm_daemon.bus.output.layout import BLOCK_IDS
 from bstm_daemon.config import sections as config
 from bstm_daemon.config import service as config_service
 from bstm_daemon.config.schema import config_schema
+from bstm_daemon.config.thermal import CoolingConfig, ThermalConfig
 from bstm_daemon.simulation.drives import DriveHead, Segment
 
 from .reference_tables import (
@@ -140,7 +141,7 @@ def test_values_are_final() -> None:
         (config.SignalConfig, "scale"),
         (config.SignalConfig, "max"),
         (config.HeatConfig, "assume_powertrain_torque_nm"),
-        (config.ThermalConfig, "hot_pad_factor"),
+        (ThermalConfig, "hot_pad_factor"),
         (config.FluidConfig, "water_percent"),
     ],
 )
@@ -238,9 +239,9 @@ def test_property_is_a_number_or_a_curve() -> None:
 @pytest.mark.parametrize(
     ("model", "table"),
     [
-        (config.CoolingConfig, {"speed_ms": [0.0, 5.0], "s_per_s": [1e-3]}),
+        (CoolingConfig, {"speed_ms": [0.0, 5.0], "s_per_s": [1e-3]}),
         (
-            config.CoolingConfig,
+            CoolingConfig,
             {"speed_ms": [5.0, 5.0], "s_per_s": [1e-3, 1e-3]},
         ),
         (config.HeatConfig, {"front_pressure_pa": [0.0, 1e6]}),
