@@ -213,26 +213,17 @@ PyDoc_STRVAR(march_doc,
 static PyObject *march(PyObject *self, PyObject *args)
 {
     (void)self;
-    PyObject *objects[BUFFERS];
-    Py_buffer views[BUFFERS];
-    PyObject *result = NULL;
+    Py_buffer v[BUFFERS];
     Py_ssize_t per_car;
-    int pads, held = 0;
-    if (!PyArg_ParseTuple(args, "OOOOOOOOOOin", &objects[0], &objects[1],
-                          &objects[2], &objects[3], &objects[4], &objects[5],
-                          &objects[6], &objects[7], &objects[8], &objects[9],
+    int pads;
+    if (!PyArg_ParseTuple(args, "y*y*y*y*y*w*w*w*w*w*in", &v[TABLE],
+                          &v[DEPTHS], &v[STEP], &v[KEEP], &v[ROWS], &v[STATE],
+                          &v[RECORD], &v[POWERS], &v[FRICTION], &v[LEDGER],
                           &pads, &per_car))
         return NULL;
-    for (; held < BUFFERS; held++) {
-        int flags = held < STATE ? PyBUF_C_CONTIGUOUS
-                                 : PyBUF_C_CONTIGUOUS | PyBUF_WRITABLE;
-        if (PyObject_GetBuffer(objects[held], &views[held], flags))
-            goto done;
-    }
-    result = march_buffers(views, pads, per_car);
-done:
-    while (held-- > 0)
-        PyBuffer_Release(&views[held]);
+    PyObject *const result = march_buffers(v, pads, per_car);
+    for (int i = 0; i < BUFFERS; i++)
+        PyBuffer_Release(&v[i]);
     return result;
 }
 
