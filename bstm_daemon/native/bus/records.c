@@ -1,5 +1,5 @@
 /* Records of received frames: on the axis of the service, in order of time,
- * and into samples. service/intake.py and record_decoder.py drive this; what is
+ * and into samples. service/intake.py and frame_records.py drive this; what is
  * not plain is handed back to them, frame by frame.
  */
 #include "bus.h"
