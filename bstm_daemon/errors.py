@@ -48,7 +48,7 @@ def require_packages(*packages: str, extra: str, purpose: str) -> None:
         MissingExtraError: it is.
     """
     for package in packages:
-        if find_spec(package) is None:
+        if find_spec(package.replace("-", "_")) is None:
             raise MissingExtraError(package, extra, purpose)
 
 

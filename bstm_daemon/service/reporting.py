@@ -21,8 +21,7 @@ from bstm_daemon.model.heat.plausibility import reasons
 from bstm_daemon.service import events
 from bstm_daemon.service.metrics_output import MetricsOutput
 from bstm_daemon.service.recorder import Recorder
-from bstm_daemon.service.status import status_line
-from bstm_daemon.service.status_collector import collected, loop_status
+from bstm_daemon.service.status import collected, loop_status, status_line
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -216,12 +216,6 @@ static double friction_factor(const Corner *c, const State *s, double v,
                 0.05);
 }
 
-static int friction_varies(const Parameters *p)
-{
-    return p->friction_fade != 0.0 || p->friction_speed != 0.0
-           || p->friction_pressure != 0.0 || p->friction_history != 0.0;
-}
-
 static void step(const Corner *c, State *s, const double *in, double dt,
                  double *gained, double *lost)
 {

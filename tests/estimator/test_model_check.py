@@ -27,8 +27,7 @@ from bstm_daemon.service.intake import Intake
 from bstm_daemon.service.metrics import StatusMetrics
 from bstm_daemon.service.reporting import ServiceReporter
 from bstm_daemon.service.sender import Sender
-from bstm_daemon.service.status import StateFileStatus, status_line
-from bstm_daemon.service.status_collector import collected
+from bstm_daemon.service.status import StateFileStatus, collected, status_line
 from bstm_daemon.simulation import parse_drive, simulate
 from bstm_daemon.simulation.frames import Encoder
 from bstm_daemon.simulation.parameters import Effects
