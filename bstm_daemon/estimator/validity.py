@@ -38,6 +38,10 @@ HIGHEST_K: Final = 1800.0
 """An estimate outside can not be true: below any ambient, above iron's
 melting point."""
 
+AMBIENT_S: Final = 3 * 3600.0
+"""Air whose temperature nobody measures may be 10 K warmer after that long:
+a clear morning warms it by 3 K/h. The fluid follows later."""
+
 
 _MOTION: Final = (
     ("acceleration_longitudinal", "acceleration"),
@@ -130,11 +134,14 @@ def judge(
             why = Reason.UNVERIFIED.value if need.unverified else 0
             if i < block.known_from[name]:
                 why |= Reason.START_UNKNOWN.value
-            if flags & need.missing or (
+            sleeps = flags & FLAGS["asleep"]
+            if (flags & need.missing and not sleeps) or (
                 need.measured
                 and isnan(block.at(i).channel(name, "measured_disc_k"))
             ):
                 why |= Reason.INPUT_MISSING.value
+            elif sleeps and block.at(i).vehicle("input_age_s") > AMBIENT_S:
+                why |= Reason.AMBIENT.value
             if held or flags & need.suspect:
                 why |= Reason.INPUT_SUSPECT.value
             if flags & (need.uncertain | need.lost):

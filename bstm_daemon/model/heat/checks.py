@@ -38,6 +38,7 @@ from bstm_daemon.model.heat.check_rules import (
     MOVING_MS,
     OUTAGE_MEMORY,
     OUTAGE_S,
+    PARKED_S,
     SCALE_LIMIT,
     SCALE_MS,
     SCALE_S,
@@ -47,6 +48,7 @@ from bstm_daemon.model.heat.check_rules import (
     SWITCH,
     SWITCH_MS,
     SWITCH_PRESSURE_PA,
+    UNPROVEN_S,
     ZERO,
     ZERO_PA,
 )
@@ -57,6 +59,7 @@ from bstm_daemon.model.heat.motion_checks import (
     contradicted,
     wrong_scale,
 )
+from bstm_daemon.roles import MEASURED_NODES, ROLE_INDEX
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -66,6 +69,7 @@ if TYPE_CHECKING:
     from bstm_daemon.model.heat.sample_plan import PlanNumbers
 
 
+_FIRST_THERMOCOUPLE: Final = ROLE_INDEX[f"temp_fl_{MEASURED_NODES[0]}"]
 _NO_MOTION: Final = FLAGS["speed_suspect"] | FLAGS["acceleration_suspect"]
 
 
@@ -99,6 +103,8 @@ class Checks:
         the range counts.
         """
         self.m.last_sample = at_us
+        if role < _FIRST_THERMOCOUPLE:
+            self.m.last_of_car = at_us
         if value < LIMITS[role].low or value > LIMITS[role].high:
             self.m.out_of_range += 1
             self._hold(at_us, role)
@@ -138,6 +144,8 @@ class Checks:
                     stamps[role] = stamp + ahead_us
         if self.m.last_sample != NEVER:
             self.m.last_sample += ahead_us
+        if self.m.last_of_car != NEVER:
+            self.m.last_of_car += ahead_us
         if self.m.suspect_until != NEVER:
             self.m.suspect_until += ahead_us
 
@@ -163,7 +171,7 @@ class Checks:
         self._compare_ambient(now)
         flags = self._contradictions(now, count) | refused
         flags |= self._speed_flags(now, flags)
-        return flags | self._outages(now)
+        return flags | self._outages(now) | self._sleeps(now)
 
     def _compare_scales(
         self, now: Readings, median: float, count: int
@@ -452,6 +460,23 @@ class Checks:
                 self.m.aftermath_s[c] = max(0.0, aftermath_s)
                 flags |= HEAT_UNCERTAIN << c
         return flags
+
+    def _sleeps(self, now: Readings) -> int:
+        """Return the bit of a bus that sleeps because the car is parked."""
+        m = self.m
+        silent = (
+            m.last_of_car == NEVER or now.now - m.last_of_car > SILENT_US
+        )
+        if now.speed_known and (now.speed > STANDING_MS or now.braking):
+            m.parked_s = 0.0
+        elif now.speed_known and not isnan(now.secured):
+            m.parked_s = m.parked_s + now.dt_s if now.secured > 0.0 else 0.0
+            m.unproven_s = 0.0
+        elif not silent:
+            m.unproven_s += now.dt_s
+            if m.unproven_s > UNPROVEN_S:
+                m.parked_s = 0.0
+        return FLAGS["asleep"] if silent and m.parked_s >= PARKED_S else 0
 
 
 def _median(values: Sequence[float]) -> tuple[float, int]:
