@@ -83,22 +83,23 @@ class CheckMemory:
     """Memory of the input checks.
 
     ``last_sample`` of any role, ``last_of_car`` of any but the thermocouples
-    and ``suspect_until``, the end of the last hold, are stamps [us]; per role ``jump_stamp`` and ``jump_value`` of a
-    jump that waits to be confirmed. Fields ``*_fault_s`` count the seconds
-    that a check has failed. ``agreement`` and ``motion`` are sums over the
-    last minutes of acceleration times gain of speed, and of the gain's square
-    [m2/s3]. ``outage_s``: how long a corner's heat was unknown,
-    ``aftermath_s``: how long that still has an effect. ``mark`` is the speed
-    of the others when a value was first held; ``left_out`` is 1 for a speed
-    that is not used. ``scale_error`` is a speed over the median of all, less
-    1. Fields ``band_*`` filter the speed's derivative and the accelerometer;
-    ``rate_square``, ``accel_square`` and ``accel_rate`` are sums of their
-    squares and product in the band, ``unmoved_square`` that of the
-    accelerometer while no speed changes [m2/s3]; ``standing_accel`` is what it
-    measured first while all speeds are 0, ``tilted_s`` for how long it has
-    measured something else, UNKNOWN without such a first. ``parked_s``: for
-    how long the car was parked when that was last known, ``unproven_s``: for
-    how long its bus has been awake since.
+    and ``suspect_until``, the end of the last hold, are stamps [us]; per role
+    ``jump_stamp`` and ``jump_value`` of a jump that waits to be confirmed.
+    Fields ``*_fault_s`` count the seconds that a check has failed.
+    ``agreement`` and ``motion`` are sums over the last minutes of acceleration
+    times gain of speed, and of the gain's square [m2/s3]. ``outage_s``: how
+    long a corner's heat was unknown, ``aftermath_s``: how long that still has
+    an effect. ``mark`` is the speed of the others when a value was first held;
+    ``left_out`` is 1 for a speed that is not used. ``scale_error`` is a speed
+    over the median of all, less 1. Fields ``band_*`` filter the speed's
+    derivative and the accelerometer; ``rate_square``, ``accel_square`` and
+    ``accel_rate`` are sums of their squares and product in the band,
+    ``unmoved_square`` that of the accelerometer while no speed changes
+    [m2/s3]; ``standing_accel`` is what it measured first while all speeds are
+    0, ``tilted_s`` for how long it has measured something else, UNKNOWN
+    without such a first. ``parked_s``: for how long the car was parked when
+    that was last known, ``unproven_s``: for how long its bus has been awake
+    since.
     """
 
     last_sample: int
