@@ -142,6 +142,23 @@ def test_other_corners_keep_their_strength(
     assert len(names) == len(set(names))
 
 
+def test_entries_of_other_corners_stay_as_they_are(extended: Target) -> None:
+    """What the structure has there gets no entry."""
+    rear = EffectConfig(
+        name="disc_hat", corner="RL", parameters={"strength": 2.0}
+    )
+    config = extended.config.model_copy(update={"effect": [rear]})
+
+    changed = Target(config, ("FL",)).changed({strength_key("disc_hat"): 1.5})
+
+    found = {one.corner: one for one in changed.config.effect}
+    assert {name: one.parameters for name, one in found.items()} == {
+        "FL": {"strength": 1.5},
+        "RL": {"strength": 2.0},
+    }
+    assert {one.name for one in found.values()} == {"disc_hat"}
+
+
 def test_corners_with_different_strengths_are_matched_apart(
     config: Config,
 ) -> None:
