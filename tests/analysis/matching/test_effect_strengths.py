@@ -149,14 +149,19 @@ def test_entries_of_other_corners_stay_as_they_are(extended: Target) -> None:
     )
     config = extended.config.model_copy(update={"effect": [rear]})
 
-    changed = Target(config, ("FL",)).changed({strength_key("disc_hat"): 1.5})
+    values = {strength_key("disc_hat"): 1.5, GAP: 0.5, BRACKET: 0.7}
+    changed = Target(config, ("FL",)).changed(values)
 
-    found = {one.corner: one for one in changed.config.effect}
-    assert {name: one.parameters for name, one in found.items()} == {
-        "FL": {"strength": 1.5},
-        "RL": {"strength": 2.0},
-    }
-    assert {one.name for one in found.values()} == {"disc_hat"}
+    found = [
+        (one.name, one.corner, dict(one.parameters))
+        for one in changed.config.effect
+    ]
+    assert sorted(found, key=str) == [
+        ("bracket_conduction", "FL", {"strength": 0.7}),
+        ("disc_hat", "FL", {"strength": 1.5}),
+        ("disc_hat", "RL", {"strength": 2.0}),
+        ("gap_conduction", "FL", {"strength": 0.5}),
+    ]
 
 
 def test_corners_with_different_strengths_are_matched_apart(
