@@ -115,9 +115,10 @@ def test_the_constants_of_one_node_are_found_from_the_motion() -> None:
     assert found.values == pytest.approx(MOTION, rel=1e-3)
     assert found.rms_k < 0.01
     assert found.heat == "motion"
-    assert found.title == "disc of one node, heat from motion"
+    assert found.title == "disc of one node"
     assert found.constants == (
-        "k 0.1 K s2/m2, a 0.002 1/s, b 0.00025 1/m, c 0.0004 1/m"
+        "heat from motion, k 0.1 K s2/m2, a 0.002 1/s, b 0.00025 1/m, "
+        "c 0.0004 1/m"
     )
 
 
@@ -138,17 +139,9 @@ def test_the_constants_of_disc_and_hat_are_found(
     one, two = baselines([made(right)])["FL"]
 
     assert two.values == pytest.approx(right, rel=1e-3)
-    assert two.title.startswith("disc and hat")
+    assert two.title == "disc and hat"
     assert two.rms_k < 0.01
     assert one.rms_k > 1.0
-
-
-def test_a_pressure_that_explains_nothing_is_not_used() -> None:
-    drive = made(MOTION)
-    pressure = CHANNELS.index("pressure_pa")
-    drive.inputs[:, :, pressure] = 2e6 * np.sin(np.arange(len(drive)))[:, None]
-
-    assert fitted(drive).heat == "motion"
 
 
 def test_the_air_may_change() -> None:
@@ -164,18 +157,23 @@ def test_a_gap_in_the_measurement_counts_for_nothing() -> None:
     found = fitted(gap)
 
     assert found.values == pytest.approx(MOTION, rel=1e-3)
-    # the disc is computed on within the gap
-    assert found.disc_k(gap) == pytest.approx(found.disc_k(whole), abs=1e-9)
+    assert found.rms_on([whole]) < 0.01
 
 
 def test_it_begins_at_the_first_reading() -> None:
-    late = made(MOTION, gap_s=(0.0, 600.0))
-    found = fitted(late)
-    disc_k = found.disc_k(late)
+    """Half a step of the grid is what its time is known to."""
+    found = fitted(made(MOTION, gap_s=(0.0, 600.0)))
 
-    assert found.values == pytest.approx(MOTION, rel=1e-3)
-    assert np.isnan(disc_k[: round(600.0 / GRID_S)]).all()
-    assert np.isfinite(disc_k[round(600.0 / GRID_S) :]).all()
+    assert found.values == pytest.approx(MOTION, rel=0.01)
+    assert found.rms_k < 0.2
+
+
+def test_a_drive_without_a_pressure_leaves_the_motion() -> None:
+    drives = [made(MOTION, name="one"), made(MOTION, seed=2)]
+    drives[0].inputs[:, :, CHANNELS.index("pressure_pa")] = 1e6
+
+    assert baselines(drives)["FL"][0].heat == "motion"
+    assert fitted(drives[0]).heat == "pressure"
 
 
 def test_on_another_drive_it_is_computed_from_the_first_reading_alone() -> (
@@ -207,31 +205,10 @@ def test_several_drives_are_fitted_together() -> None:
         for seed in (1, 2, 3)
     ]
 
-    (found, _) = baselines(drives)["FL"]
+    found, _ = baselines(drives)["FL"]
 
     assert found.values == pytest.approx(MOTION, rel=1e-3)
     assert found.drives == ("drive 1", "drive 2", "drive 3")
-
-
-def test_only_the_chosen_part_counts() -> None:
-    """Of the second half the constants, of the first none."""
-    drive = made(MOTION)
-    couple = drive.measured["FL"]["disc"]
-    wrong = couple.temperature_k.copy()
-    early = (couple.time_s < 900.0) & (couple.time_s > GRID_S)
-    wrong[early] += 50.0
-    drive = replace(
-        drive,
-        measured={"FL": {"disc": Thermocouple(couple.time_s, wrong)}},
-    )
-
-    found = baselines([drive], lambda one: one.time_s >= 900.0)["FL"][0]
-
-    assert found.values == pytest.approx(MOTION, rel=1e-3)
-    assert found.rms_on([drive], lambda one: one.time_s >= 900.0) < 0.01
-    assert found.rms_on(
-        [drive], lambda one: (one.time_s > GRID_S) & (one.time_s < 900.0)
-    ) == pytest.approx(50.0, rel=1e-3)
 
 
 def test_braking_is_resolved_within_the_step() -> None:
@@ -253,8 +230,6 @@ def test_a_corner_without_a_thermocouple_at_its_disc_has_none() -> None:
 
     assert list(baselines([drive])) == ["FL"]
     assert np.isnan(fitted(drive).rms_on([replace(drive, measured={})]))
-    with pytest.raises(ValueError, match="made: no reading of the disc"):
-        fitted(drive).disc_k(replace(drive, measured={}))
 
 
 def test_an_hour_takes_well_below_a_second() -> None:
