@@ -137,8 +137,10 @@ def test_ids_outside_the_dbc_and_other_interfaces_are_said(
     log.write_text("\n".join(lines) + "\n", "ascii")
     out = tmp_path / "car.toml"
 
-    proposed(out, EXAMPLE_DBC, log)
+    config = proposed(out, EXAMPLE_DBC, log)
 
+    assert config.bus[0].ignored_interfaces == ["can1"]
+    assert main(["replay", str(log), "-c", str(out)]) == 0
     said = capsys.readouterr().out
     assert "1 ids in the log are not in the DBC: 7AB." in said
     assert "Interface can1 was left out: 1 of its 1 ids" in said

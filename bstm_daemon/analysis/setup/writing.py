@@ -77,6 +77,7 @@ def configuration_text(
         head=_head(recording, dbc),
         vehicle=_text(dbc.stem),
         channel=_text(recording.interface if recording else "can0"),
+        ignored=_ignored(recording),
         dbc=_text(Path(os.path.relpath(dbc, folder)).as_posix()),
         strict="true" if strict else "false             # it has defects",
         encoding=_text(encoding),
@@ -119,10 +120,17 @@ def notes_of(recording: Recording) -> list[str]:
         )
     notes += [
         f"Interface {name} was left out: {known} of its {ids} ids are in the "
-        f"DBC. Replay with --map {name}=."
+        "DBC. It stands in ignored_interfaces, later commands need no --map."
         for name, (ids, known) in recording.others.items()
     ]
     return notes
+
+
+def _ignored(recording: Recording | None) -> str:
+    if recording is None or not recording.others:
+        return ""
+    names = json.dumps(list(recording.others), ensure_ascii=False)
+    return f"ignored_interfaces = {names}  # of the log, without a DBC\n"
 
 
 def _active(one: Candidate) -> str:
