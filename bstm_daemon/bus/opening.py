@@ -165,8 +165,9 @@ def resolve_interfaces(
 
     *overrides* maps interface names to bus names (``--map IFACE=BUS``) and
     goes before ``[[bus]] channel``, which goes before ``ignored_interfaces``;
-    an empty bus name leaves the interface out (:data:`NOT_READ`). Raises :class:`LogError` listing the names that
-    neither resolves, :class:`UsageError` for an unknown bus name.
+    an empty bus name leaves the interface out (:data:`NOT_READ`). Raises
+    :class:`LogError` listing the names that none resolves,
+    :class:`UsageError` for an unknown bus name.
     """
     numbers = {bus.name: number for number, bus in enumerate(buses)}
     channels = {
