@@ -283,11 +283,13 @@ def _lateral(judge: Judge, value: Series) -> Verdict:
         return Verdict(fits=False, reason=words)
     yaw = judge.known.get("yaw_rate", np.zeros_like(value))
     found = judge.follows(value, yaw * motion.speed_ms, motion.moving)
-    r = found[0] if found is not None else 0.0
+    turning = judge.seconds(motion.moving & (np.abs(yaw) > _TURNING_RAD_S))
+    if found is None or turning < _BENDS_S:
+        return Verdict(fits=True, reason="no bends to compare it in")
     return Verdict(
         fits=True,
-        reason=f"v x yaw rate follows it with r = {r:.2f}",
-        sign=-1 if r < -_FOLLOWS else 1,
+        reason=f"v x yaw rate follows it with r = {found[0]:.2f}",
+        sign=-1 if found[0] < -_FOLLOWS else 1,
     )
 
 
