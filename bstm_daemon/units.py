@@ -5,6 +5,7 @@ quantity, so that a pressure given in ``km/h`` is refused when the
 configuration is loaded, not noticed when a brake is cold.
 """
 
+import re
 from dataclasses import dataclass
 from math import pi
 from typing import Final
@@ -63,6 +64,59 @@ UNITS: Final[dict[str, Unit]] = {
     "count": Unit("count", 1.0),
 }
 """Every unit a configuration may name."""
+
+_WORDS: Final = (
+    (r"^unit_|^[a-z ]*:", ""),
+    (r"percent|prozent|pct", "%"),
+    (r"per|pro(?=h)", "/"),
+    (r"kilomet(er|re)s?", "km"),
+    (r"met(er|re)s?", "m"),
+    (r"miles?", "mi"),
+    (r"newtons?", "n"),
+    (r"radians?", "rad"),
+    (r"°|degrees?", "deg"),
+    (r"celsius", "c"),
+    (r"fahrenheit", "f"),
+    (r"kelvin", "k"),
+    (r"squared?|²", "2"),
+    (r"seconds?|secs?", "s"),
+    (r"hours?|hr", "h"),
+    (r"minutes?", "min"),
+    (r"revolutions?|rev", "1"),
+    (r"[^a-z0-9/%]", ""),
+)
+"""What stands for the words and marks of a unit, replaced in this order."""
+
+_SPELLINGS: Final = {
+    "km/h": "kmh kph kmph km/hou",
+    "mph": "mi/h",
+    "m/s": "mps ms1",
+    "m/s2": "m/s/s mps2 ms2 m/2s m/sonsquar",
+    "deg/s": "degps dps degreofarc/son",
+    "rpm": "1/min u/min min1 r/min",
+    "rad/s": "rads rads/s",
+    "degC": "c degrecelsi",
+    "degF": "f",
+}
+"""Other texts of a unit after that, apart by spaces."""
+
+_KNOWN: Final = {name.lower(): name for name in UNITS} | {
+    text: unit for unit, texts in _SPELLINGS.items() for text in texts.split()
+}
+
+
+def unit_named(text: str) -> str:
+    """Return the name in :data:`UNITS` of the unit that *text* spells.
+
+    ``m/s^2``, ``m/s²`` and ``meters per second squared`` are ``m/s2``. It is
+    "" where *text* spells no unit.
+    """
+    if text in UNITS:
+        return text
+    spelled = text.strip().lower()
+    for pattern, symbol in _WORDS:
+        spelled = re.sub(pattern, symbol, spelled)
+    return _KNOWN.get(spelled, "")
 
 
 def to_celsius(temperature_k: float) -> float:

@@ -124,6 +124,9 @@ class BusConfig(Section):
     """python-can interface"""
     channel: Text = "can0"
     """channel of the interface; also the interface name in logs"""
+    ignored_interfaces: list[Text] = []
+    """interfaces of logs that are left out, as no DBC is for them; an entry
+    `[[bus]]` with `name` and `ignore = true` adds its name here"""
     bitrate: Annotated[int, Field(gt=0)] | None = None
     """bit rate; SocketCAN links are set up outside"""
     fd: bool = False

@@ -8,10 +8,10 @@ import numpy as np
 
 from bstm_daemon.analysis.quality import limits
 from bstm_daemon.analysis.quality.comparison import fit_channels
-from bstm_daemon.analysis.quality.finding import Finding, Notes
 
 if TYPE_CHECKING:
     from bstm_daemon.analysis.quality.channels import Channels
+    from bstm_daemon.analysis.quality.finding import Notes
 
 _AXLES: Final = (
     ("front", "wheel_speed_fl", "wheel_speed_fr"),
@@ -50,7 +50,13 @@ def compare_sides(channels: Channels, notes: Notes) -> None:
     signs: dict[str, tuple[float, tuple[str, str]]] = {}
     for name, left, right in pairs:
         difference = channels.value(right) - channels.value(left)
-        fit = fit_channels(yaw, difference, limits.SPEED_FLOOR_MS)
+        # in reverse the speeds have no sign, and the inner wheel is the faster
+        fit = fit_channels(
+            yaw,
+            difference,
+            limits.SPEED_FLOOR_MS,
+            channels.speed > limits.MOVING_MS,
+        )
         clear = (
             fit is not None
             and abs(fit.correlation) >= limits.SIDE_CORRELATION
@@ -84,25 +90,21 @@ def _name_swapped(
         return
     if len(turned) == len(signs):
         wheels = tuple(w for _, pair in signs.values() for w in pair)
-        notes.findings.append(
-            Finding(
-                "swapped",
-                ("yaw_rate", *wheels),
-                "left and right wheels swapped, or the yaw rate is positive "
-                "to the right: the right wheels are the faster ones as it "
-                "goes negative",
-                wrong=False,
-            )
+        notes.fault(
+            "swapped",
+            ("yaw_rate", *wheels),
+            "left and right wheels swapped, or the yaw rate is positive "
+            "to the right: the right wheels are the faster ones as it "
+            "goes negative",
+            wrong=False,
         )
         return
     for name in sorted(turned):
-        notes.findings.append(
-            Finding(
-                "swapped",
-                signs[name][1],
-                f"left and right {name} wheels are swapped: the inner one "
-                "is the faster in bends, the other axle is right",
-            )
+        notes.fault(
+            "swapped",
+            signs[name][1],
+            f"left and right {name} wheels are swapped: the inner one "
+            "is the faster in bends, the other axle is right",
         )
 
 
@@ -130,27 +132,21 @@ def compare_axles(channels: Channels, notes: Notes) -> None:
             f"{subject}: no tight bend in this log, swapping is not detected"
         )
         return
-    slow = known & (rear < 2.0 * float(np.max(rear[tight])))
-    inputs = np.column_stack((yaw[slow] ** 2, rear[slow] ** 2))
-    (wheelbase2, share), *_ = np.linalg.lstsq(inputs, excess[slow], rcond=None)
-    turned = excess[slow] - share * inputs[:, 1]
-    follows = 0.0
-    if turned.std() > 0.0:
-        follows = float(np.corrcoef(turned, inputs[:, 0])[0, 1])
-    clear = (
-        abs(follows) >= limits.SIDE_CORRELATION
-        and 1.0 < abs(wheelbase2) < 36.0
-    )
+    # medians: in a bend one axle may spin or slide
+    straight = known & (np.abs(yaw) < limits.YAW_SPREAD_RAD_S)
+    share = np.median(excess[straight] / rear[straight] ** 2)
+    turned = excess[tight] - np.nan_to_num(share) * rear[tight] ** 2
+    wheelbase2 = float(np.median(turned / yaw[tight] ** 2))
+    same = float(np.mean(np.sign(turned) == np.sign(wheelbase2)))
+    clear = same >= limits.SAME_SIGN and 1.0 < abs(wheelbase2) < 36.0
     if not clear:
         notes.skip(
             f"{subject}: no difference in bends, swapping is not detected"
         )
     elif wheelbase2 < 0.0:
-        notes.findings.append(
-            Finding(
-                "swapped",
-                tuple(wheels),
-                "front and rear wheels are swapped: the rear ones run on "
-                "the larger circle in bends",
-            )
+        notes.fault(
+            "swapped",
+            tuple(wheels),
+            "front and rear wheels are swapped: the rear ones run on "
+            "the larger circle in bends",
         )

@@ -1,0 +1,305 @@
+"""Whether a signal does in a recording what its role does.
+
+Roles are judged in three stages: what is sure of one is known to the next, as
+a pressure to the brake switch and the engine's speed to gear and clutch. It
+does not matter whether a signal is of a DBC or a column of a table.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from bstm_daemon.analysis.setup.behaviour import Verdict, to_ms, to_si
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    import numpy.typing as npt
+
+    from bstm_daemon.analysis.setup.behaviour import Motion
+    from bstm_daemon.analysis.setup.recording import Samples, Series
+
+    Mask = npt.NDArray[np.bool_]
+
+SPEEDS: Final = ("wheel_speed_", "vehicle_speed")
+_BRAKING: Final = (
+    *("primary_pressure", "secondary_pressure", "wheel_pressure_"),
+    *("brake_torque", "brake_pedal_travel"),
+)
+_FIRST: Final = (
+    *(*SPEEDS, *_BRAKING),
+    *("acceleration_longitudinal", "engine_speed"),
+)
+_MAY_STAY: Final = ("ambient_temperature", "ignition")
+_STILL: Final = ", which shows nothing of it"
+"""Roles of which a constant value is what a drive shows; said of others."""
+
+_ON_THE_MOVE: Final = {
+    "park_brake": (0.0, 0.02),
+    "ignition": (0.9, 1.0),
+    "abs_active": (0.0, 0.5),
+    "esc_active": (0.0, 0.5),
+    "tc_active": (0.0, 0.5),
+}
+"""Share of the time on the move in which a flag is on."""
+
+_RANGES: Final = {
+    "engine_speed": (-1.0, 2100.0),
+    "acceleration_": (-30.0, 30.0),
+    "yaw_rate": (-3.0, 3.0),
+    "pitch": (-0.6, 0.6),
+    "altitude": (-500.0, 9000.0),
+    "ambient_temperature": (213.0, 343.0),
+    "temp_": (200.0, 1500.0),
+}
+"""Range [SI] of the middle 98 % of the values of roles of this beginning."""
+
+_ENOUGH_S: Final = 1.0
+_BENDS_S: Final = 5.0
+_TURNING_RAD_S: Final = 0.05
+_FOLLOWS: Final = 0.6
+_ALONG: Final = 0.8
+_TRACK_M: Final = (0.8, 2.5)
+_AT_WHEELS_KG: Final = (400.0, 5000.0)
+"""Torque at the wheels over radius and acceleration: the mass of a car."""
+
+_BRAKED_MS2: Final = -1.5
+_DRIVEN_MS2: Final = 0.5
+_SHIFT_S: Final = 0.5
+
+
+def stage_of(role: str) -> int:
+    """Return the stage, 0 to 2, in which *role* is judged."""
+    if role.startswith(_FIRST):
+        return 0
+    return 1 if role in ("yaw_rate", "gear") else 2
+
+
+class Judge:
+    """The verdicts on the signals of one recording.
+
+    ``known`` has the sure roles of earlier stages, SI, on the grid of
+    ``motion``; ``radius_m`` is that of a wheel, for angular speeds.
+    """
+
+    def __init__(self, motion: Motion, radius_m: float) -> None:
+        """Judge by *motion*, with no role known."""
+        self.motion = motion
+        self.radius_m = radius_m
+        self.known: dict[str, Series] = {}
+
+    def si(self, role: str, unit: str, samples: Samples) -> Samples:
+        """Return *samples* in SI, angular speeds of wheels in m/s."""
+        if role.startswith(SPEEDS):
+            return to_ms(samples, unit, self.radius_m)
+        return to_si(samples, unit)
+
+    def verdict(self, role: str, unit: str, samples: Samples) -> Verdict:
+        """Judge *samples* in *unit* ("" where it is not known) for *role*."""
+        motion = self.motion
+        if role.startswith(_BRAKING):
+            return motion.pressure_verdict(samples)
+        if unit and role.startswith((*SPEEDS, "gnss_speed")):
+            return motion.speed_verdict(self.si(role, unit, samples))
+        if unit and role == "acceleration_longitudinal":
+            return motion.acceleration_verdict(to_si(samples, unit))
+        return self._other(role, unit, samples)
+
+    def _other(self, role: str, unit: str, samples: Samples) -> Verdict:
+        low, high = float(samples.value.min()), float(samples.value.max())
+        reason = f"{low:g} to {high:g} in the log"
+        if low == high:
+            fits, what = role in _MAY_STAY, "" if role in _MAY_STAY else _STILL
+            return Verdict(
+                fits=fits, reason=f"always {low:g} in the log{what}"
+            )
+        if not unit:
+            return Verdict(fits=True, reason=reason)
+        si = to_si(samples, unit)
+        least, most = np.quantile(si.value, (0.01, 0.99))
+        for start, (lowest, highest) in _RANGES.items():
+            if role.startswith(start) and (least < lowest or most > highest):
+                return Verdict(fits=False, reason=f"{reason}: out of range")
+        value = self.motion.on_grid(si)
+        if role in _ON_THE_MOVE and self.motion.moving.any():
+            lowest, highest = _ON_THE_MOVE[role]
+            share = float(np.mean(value[self.motion.moving] > 0.5))
+            found = Verdict(
+                fits=lowest <= share <= highest,
+                reason=f"on {100 * share:.0f} % of the time on the move",
+            )
+        elif role in _SPECIAL and self.motion.known:
+            found = _SPECIAL[role](self, value)
+        else:
+            return Verdict(fits=True, reason=reason)
+        return replace(found, reason=f"{reason}; {found.reason}")
+
+    def seconds(self, mask: Mask) -> float:
+        """Return how long *mask*, on the grid, is true."""
+        return float(np.count_nonzero(mask)) * self.motion.step_s
+
+    def share_on(self, value: Series, where: Mask) -> float:
+        """Return the share of *where* in which a flag is on, NaN if short."""
+        long = self.seconds(where) > _ENOUGH_S
+        return float(np.mean(value[where] > 0.5)) if long else np.nan
+
+    def follows(
+        self, value: Series, other: Series, where: Mask
+    ) -> tuple[float, float] | None:
+        """Return correlation and ratio of the spreads of *other* to *value*.
+
+        In *where*, both smoothed; None where that is short or one is still.
+        """
+        x, y = (
+            self.motion.smooth(value)[where],
+            self.motion.smooth(other)[where],
+        )
+        if self.seconds(where) < _BENDS_S or min(np.std(x), np.std(y)) == 0.0:
+            return None
+        r = float(np.corrcoef(x, y)[0, 1])
+        return r, float(np.std(y) / np.std(x))
+
+    def braking(self) -> tuple[str, Mask, Mask]:
+        """Return what shows braking, where it is released and where not."""
+        for role in ("primary_pressure", "brake_torque"):
+            if role in self.known:
+                value = self.known[role]
+                low, high = np.quantile(value, 0.05), value.max()
+                part = (value - low) / max(high - low, 1e-9)
+                return role, part < 0.03, part > 0.1
+        change, moving = self.motion.change_ms2, self.motion.moving
+        driven = moving & (change > _DRIVEN_MS2)
+        return "deceleration", driven, moving & (change < _BRAKED_MS2)
+
+
+def _brake_switch(judge: Judge, value: Series) -> Verdict:
+    role, released, pressed = judge.braking()
+    on, off = judge.share_on(value, pressed), judge.share_on(value, released)
+    return Verdict(
+        fits=not (on < 0.7 or off > 0.3),
+        reason=f"on {100 * on:.0f} % of the time braked and {100 * off:.0f} % "
+        f"released, by {role}",
+    )
+
+
+def _gear(judge: Judge, value: Series) -> Verdict:
+    """In a higher gear the engine turns fewer times a metre."""
+    engine = judge.known.get("engine_speed", np.zeros_like(value))
+    motion = judge.motion
+    turns = engine / np.maximum(motion.speed_ms, 1.0)
+    found = {
+        gear: float(np.median(turns[here]))
+        for gear in range(1, 11)
+        for here in (motion.moving & (np.abs(value - gear) < 0.01),)
+        if judge.seconds(here) > _ENOUGH_S
+    }
+    rising = np.diff(list(found.values())) > 0.0
+    return Verdict(
+        fits=int(np.count_nonzero(rising)) * 2 <= len(rising),
+        reason="engine speed over speed "
+        + ", ".join(f"{one:.1f} in {gear}" for gear, one in found.items()),
+    )
+
+
+def _clutch_open(judge: Judge, value: Series) -> Verdict:
+    """Gears change with the clutch open; closed, engine and car are one."""
+    motion, known = judge.motion, judge.known
+    moving, open_ = motion.moving, value > 0.5
+    reach = 2 * round(_SHIFT_S / motion.step_s) + 1
+    gear = known.get("gear", np.zeros_like(value))
+    changing = np.abs(np.gradient(gear)) > 0.0
+    near = np.convolve(changing, np.ones(reach), "same") > 0.5
+    at_shifts = judge.share_on(value, near & moving)
+    between = judge.share_on(value, ~near & moving)
+    engine = np.log(np.maximum(known.get("engine_speed", gear * 0), 30.0))
+    slip = motion.smooth(engine - np.log(np.maximum(motion.speed_ms, 1.0)))
+    slip_1_s = np.abs(np.gradient(slip, motion.step_s))
+    apart, coupled = (
+        float(np.median(slip_1_s[here])) if here.any() else np.nan
+        for here in (open_ & moving, ~open_ & moving)
+    )
+    parts = "engine_speed" in known and apart > max(0.05, 3.0 * coupled)
+    return Verdict(
+        fits=at_shifts > max(0.3, 2.0 * between) or parts,
+        reason=f"open {100 * at_shifts:.0f} % of the time around gear changes "
+        f"and {100 * between:.0f} % else; engine and wheels part by "
+        f"{apart:.2f} a second while it is open, {coupled:.2f} else",
+    )
+
+
+def _torque(judge: Judge, value: Series) -> Verdict:
+    """Torque at the wheels accelerates the mass of a car."""
+    motion = judge.motion
+    free = motion.moving & ~judge.braking()[2]
+    found = judge.follows(value, motion.change_ms2, free)
+    if found is None:
+        return Verdict(fits=True, reason="too little driving to check it with")
+    r, ratio = found
+    mass_kg = 1.0 / (ratio * judge.radius_m)
+    return Verdict(
+        fits=r > _FOLLOWS,
+        reason=f"dv/dt follows it with r = {r:.2f}, as of {mass_kg:.0f} kg if "
+        "at the wheels",
+        proven=r > _ALONG and _AT_WHEELS_KG[0] < mass_kg < _AT_WHEELS_KG[1],
+    )
+
+
+def _wheel_torque(judge: Judge, value: Series) -> Verdict:
+    found = _torque(judge, value)
+    return replace(found, fits=found.proven) if "kg" in found.reason else found
+
+
+def _yaw_rate(judge: Judge, value: Series) -> Verdict:
+    """To the left, the right wheels are the faster ones by yaw times track."""
+    known, moving = judge.known, judge.motion.moving
+    pairs = [
+        known[f"wheel_speed_{axle}r"] - known[f"wheel_speed_{axle}l"]
+        for axle in "fr"
+        if {f"wheel_speed_{axle}r", f"wheel_speed_{axle}l"} <= known.keys()
+    ]
+    turning = judge.seconds(moving & (np.abs(value) > _TURNING_RAD_S))
+    found = (
+        judge.follows(value, np.sum(pairs, axis=0), moving) if pairs else None
+    )
+    if found is None or turning < _BENDS_S or abs(found[0]) < _FOLLOWS:
+        return Verdict(fits=True, reason="the wheels show no bends")
+    sign, track_m = (1 if found[0] > 0 else -1), found[1] / len(pairs)
+    return Verdict(
+        fits=_TRACK_M[0] < track_m < _TRACK_M[1],
+        reason=f"right minus left wheels is {sign * track_m:.2f} m x value",
+        sign=sign,
+    )
+
+
+def _lateral(judge: Judge, value: Series) -> Verdict:
+    """Speed times yaw rate; what follows dv/dt lies along the car."""
+    motion = judge.motion
+    along = judge.follows(value, motion.change_ms2, motion.moving)
+    if along is not None and abs(along[0]) > _ALONG:
+        words = f"along the car: dv/dt follows it with r = {along[0]:.2f}"
+        return Verdict(fits=False, reason=words)
+    yaw = judge.known.get("yaw_rate", np.zeros_like(value))
+    found = judge.follows(value, yaw * motion.speed_ms, motion.moving)
+    turning = judge.seconds(motion.moving & (np.abs(yaw) > _TURNING_RAD_S))
+    if found is None or turning < _BENDS_S:
+        return Verdict(fits=True, reason="no bends to compare it in")
+    return Verdict(
+        fits=True,
+        reason=f"v x yaw rate follows it with r = {found[0]:.2f}",
+        sign=-1 if found[0] < -_FOLLOWS else 1,
+    )
+
+
+_SPECIAL: Final[dict[str, Callable[[Judge, Series], Verdict]]] = {
+    "brake_switch": _brake_switch,
+    "gear": _gear,
+    "clutch_open": _clutch_open,
+    "powertrain_torque": _wheel_torque,
+    "motor_torque": _torque,
+    "engine_torque": _torque,
+    "yaw_rate": _yaw_rate,
+    "acceleration_lateral": _lateral,
+}
