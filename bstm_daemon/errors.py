@@ -41,14 +41,15 @@ class MissingExtraError(UsageError):
         )
 
 
-def require_extra(package: str, extra: str, purpose: str) -> None:
-    """Check that *package* of *extra* is there for *purpose*.
+def require_packages(*packages: str, extra: str, purpose: str) -> None:
+    """Refuse *purpose* where one of the *packages* of *extra* is absent.
 
     Raises:
-        MissingExtraError: it is not installed.
+        MissingExtraError: it is.
     """
-    if find_spec(package.replace("-", "_")) is None:
-        raise MissingExtraError(package, extra, purpose)
+    for package in packages:
+        if find_spec(package.replace("-", "_")) is None:
+            raise MissingExtraError(package, extra, purpose)
 
 
 class LogError(BstmError):

@@ -7,7 +7,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from bstm_daemon.errors import FileAccessError, UsageError, require_extra
+from bstm_daemon.errors import FileAccessError, UsageError, require_packages
 from bstm_daemon.files import replacing
 from bstm_daemon.service import events
 
@@ -36,7 +36,9 @@ class MetricsOutput:
             MissingExtraError: a page, and no prometheus-client.
         """
         if port is not None:
-            require_extra("prometheus-client", "metrics", "--metrics-port")
+            require_packages(
+                "prometheus-client", extra="metrics", purpose="--metrics-port"
+            )
         self._log = log
         self._port = port
         self._metrics: StatusMetrics | None = None

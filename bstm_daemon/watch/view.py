@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from typing import TYPE_CHECKING, Final
 
-from bstm_daemon.errors import require_extra
+from bstm_daemon.errors import require_packages
 from bstm_daemon.watch.lines import LineView
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ def open_view(stream: TextIO) -> LineView:
     if not stream.isatty() or os.environ.get("TERM") in _NO_SCREEN:
         return LineView(stream)
     purpose = "the view on a terminal (| cat gives lines without it)"
-    require_extra("rich", "terminal", purpose)
+    require_packages("rich", extra="terminal", purpose=purpose)
     from bstm_daemon.watch.terminal import (  # noqa: PLC0415  (POSIX, rich)
         TerminalView,
     )
