@@ -50,11 +50,6 @@ PadThickness = Annotated[float, Field(gt=0, le=0.05)]
 CornerName = Literal["FL", "FR", "RL", "RR"]
 
 
-def _place(corner_name: str) -> tuple[str, str]:
-    axle = "front" if corner_name[0] == "F" else "rear"
-    return axle, "left" if corner_name[1] == "L" else "right"
-
-
 class Curve(Section):
     """A material property over temperature, linear between the points."""
 
@@ -413,7 +408,8 @@ class CornerConfig(Section):
                 radii[0] < radii[1],
                 "'swept_inner_radius_m' must be below 'swept_outer_radius_m'",
             )
-        axle, side = _place(self.name)
+        axle = "front" if self.name[0] == "F" else "rear"
+        side = "left" if self.name[1] == "L" else "right"
         require(
             self.axle in (None, axle) and self.side in (None, side),
             f"corner {self.name} is {axle} {side}: 'axle' or 'side' differ",
