@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from math import isnan
-from typing import TYPE_CHECKING
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 
 from bstm_daemon.analysis.matching.baseline import baselines
+from bstm_daemon.analysis.matching.drives import GRID_S, Drive, Thermocouple
 from bstm_daemon.analysis.matching.refine import NodeAccuracy
 from bstm_daemon.analysis.matching.verification import (
     NodeErrors,
@@ -16,15 +18,17 @@ from bstm_daemon.analysis.matching.verification import (
     compared,
     coverage,
     decisive,
+    errors_of,
     held_against,
     judged,
     peak_of,
 )
+from bstm_daemon.channels import CHANNELS
 
 from ...made_drives import lumped  # noqa: TID252
 
 if TYPE_CHECKING:
-    from bstm_daemon.analysis.matching.drives import Drive
+    from bstm_daemon.analysis.matching.tunables import Target
 
 HAT = {"k": 0.1, "a": 2e-3, "b": 2.5e-4, "c": 4e-4, "g": 4e-3, "h": 8e-3}
 TIME_S = np.arange(1.0, 9001.0)
@@ -212,3 +216,38 @@ def test_the_baseline_decides_beside_the_required_limits() -> None:
         "floor",
         "baseline",
     ]
+
+
+def test_an_estimate_is_compared_with_its_own_thermocouple(
+    target: Target,
+) -> None:
+    """Corner and node, the air of the corner, a row a second."""
+    steps = round(900.0 / GRID_S)
+    inputs = np.zeros((steps, 2, len(CHANNELS)))
+    inputs[:, 1, CHANNELS.index("ambient_k")] = (
+        283.15 + np.arange(steps) * 0.01
+    )
+    time_s = np.arange(0.0, 901.0)
+    couple = Thermocouple(time_s, 373.15 + 0.1 * time_s)
+    estimates: Any = SimpleNamespace(
+        columns={"time_s": time_s, "FR.disc_c": 105.0 + 0.1 * time_s}
+    )
+    drive = Drive(
+        *("made.log", 0.0, ("FL", "FR"), inputs, {"FR": {"disc": couple}}),
+        estimates=estimates,
+    )
+
+    (found,) = errors_of(drive, target.config)
+
+    assert (found.drive, found.corner, found.node) == (
+        "made.log",
+        "FR",
+        "disc",
+    )
+    assert found.duration_s == 900.0
+    assert found.time_s.tolist() == list(range(1, 900))
+    assert found.error_k == pytest.approx(np.full(899, 5.0))
+    # the air at the end of each second
+    air_c = 10.0 + 0.01 * (2.0 * found.time_s - 1.0)
+    assert found.rise_k == pytest.approx(105.0 + 0.1 * found.time_s - air_c)
+    assert found.last_k == pytest.approx(5.0)
