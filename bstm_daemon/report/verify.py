@@ -103,7 +103,8 @@ def summary_line(
         one.corner for one in verdicts if one.limits == BASELINE
     }
     if bare:
-        parts.append(f"no baseline at {', '.join(sorted(bare))}: no disc")
+        corners = ", ".join(sorted(bare))
+        parts.append(f"no baseline at {corners}: its disc is not measured")
     inside, counted = coverage(errors)
     if counted:
         parts.append(
