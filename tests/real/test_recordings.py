@@ -15,6 +15,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
+from bstm_daemon.analysis.matching.baseline import baselines
+from bstm_daemon.analysis.matching.drives import read_drive
 from bstm_daemon.analysis.quality.judge import judge
 from bstm_daemon.analysis.quality.recording import read_recording
 from bstm_daemon.channels import WHEEL_SUSPECT
@@ -294,6 +296,22 @@ def test_f1_base_model_is_too_hot(cars: Callable[..., Car]) -> None:
 
     assert np.max(measured.columns["FL.disc_c"]) == pytest.approx(1257, abs=1)
     assert np.max(car.columns["FL.disc_c"]) > 1600.0
+
+
+def test_f1_discs_of_one_node(cars: Callable[..., Car]) -> None:
+    """27 K and 29 K are known of others for their own session."""
+    spain, hungary = (
+        read_drive(car.log, *load_vehicle(car.path))
+        for car in map(cars, ("f1-spain", "f1-hungary"))
+    )
+    of_spain, of_hungary = (baselines([drive]) for drive in (spain, hungary))
+
+    for corner in ("FL", "FR"):
+        one, other = of_spain[corner][0], of_hungary[corner][0]
+        assert one.rms_k == pytest.approx(22.0, abs=3.0)
+        assert other.rms_k == pytest.approx(28.0, abs=5.0)
+        assert one.rms_on([hungary]) == pytest.approx(42.0, abs=4.0)
+        assert other.rms_on([spain]) == pytest.approx(28.0, abs=4.0)
 
 
 # GR86 Cup
