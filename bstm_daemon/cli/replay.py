@@ -150,7 +150,7 @@ def run(args: argparse.Namespace) -> int:
             args.out / f"{stem}.estimates.{form}": form for form in formats
         }
         statistics, curves = DriveStatistics(), DriveCurves()
-        worn = _PublishedNodes()
+        worn = _PublishedNodes(Part.NONE)
         # whole tables or none: all are replaced when the last row is written
         with Progress(f"replay {path.name}") as progress, ExitStack() as files:
             tables = [
@@ -287,9 +287,6 @@ def _remarks(
 class _PublishedNodes(Collector):
     """Keeps the temperatures that are published, and the time."""
 
-    def __init__(self) -> None:
-        super().__init__(Part.NONE)
-
     def write(self, rows: Results) -> None:
         names = {"time_s", *(f"{node}_c" for node in PUBLISHED_NODES)}
         used = {
@@ -309,7 +306,7 @@ def _wear_remarks(
     """
     if not config.wear.model_follows:
         return []
-    still = _PublishedNodes()
+    still = _PublishedNodes(Part.NONE)
     wear = config.wear.model_copy(update={"model_follows": False})
     replayed(config.model_copy(update={"wear": wear}), sinks=[still])
     one, other = worn.results().columns, still.results().columns
