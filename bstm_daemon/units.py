@@ -35,6 +35,7 @@ UNITS: Final[dict[str, Unit]] = {
     "m/s": Unit("speed", 1.0),
     "km/h": Unit("speed", 1 / 3.6),
     "mph": Unit("speed", 0.44704),
+    "kn": Unit("speed", 1852 / 3600),
     "rad/s": Unit("angular_speed", 1.0),
     "deg/s": Unit("angular_speed", pi / 180),
     "rpm": Unit("angular_speed", pi / 30),
@@ -63,6 +64,36 @@ UNITS: Final[dict[str, Unit]] = {
     "count": Unit("count", 1.0),
 }
 """Every unit a configuration may name."""
+
+_TEXTS: Final = {
+    "km/h": "kmh kph kmph kilometerproh kilometerperhour kilometerperhou",
+    "m/s": "mps meterpersecond",
+    "kn": "knot knots kt kts",
+    "m/s2": "meterpersquaresecond meterpersecondsquare meterperseconsquar "
+    "m/s^2 m/s² m/s/s m/s**2 m/(s^2) mps2",
+    "deg/s": "degreofarcpersecon degreepersecond °/s deg/sec degree/s degps",
+    "rpm": "1/min u/min min-1 rev/min",
+    "rad/s": "rads/s rad/sec rads",
+    "Nm": "n·m n*m newtonmeter",
+    "degC": "c °c celsius degrecelsi",
+    "degF": "f °f",
+    "%": "percent pct prozent",
+    "deg": "° degree degrees",
+}
+_BY_TEXT: Final = {name.lower(): name for name in UNITS} | {
+    text: unit for unit, texts in _TEXTS.items() for text in texts.split()
+}
+
+
+def unit_named(text: str) -> str:
+    """Return the name in :data:`UNITS` of a unit written as *text*, or "".
+
+    ``Unit_KiloMeterPerHour``, ``KPH`` and ``[km / h]`` are ``km/h``.
+    """
+    text = "".join(text.split()).strip("[]")
+    if text in UNITS:
+        return text
+    return _BY_TEXT.get(text.lower().removeprefix("unit_"), "")
 
 
 def to_celsius(temperature_k: float) -> float:

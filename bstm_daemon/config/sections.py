@@ -173,14 +173,14 @@ class SignalConfig(Section):
 
 
 class TableConfig(Section):
-    """``[table]``: where a signal table (CSV, Parquet, HDF5) has its time.
+    """``[table]``: where a signal table (CSV, Parquet, ...) has its time.
 
     A table in the long format has one value a row: ``name`` is the column
     with the name of the signal, ``value`` the one with its value.
     """
 
     time: Text | None = None
-    time_unit: Literal["s", "ms", "us", "iso8601"] | None = None
+    time_unit: Literal["s", "ms", "us", "iso8601", "hhmmss"] | None = None
     rate_hz: Positive | None = None
     delimiter: Text | None = None
     name: Text | None = None

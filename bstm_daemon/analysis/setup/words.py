@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from bstm_daemon.roles import CORNERS
-from bstm_daemon.units import UNITS
+from bstm_daemon.units import unit_named
 
 if TYPE_CHECKING:
     from cantools.database.can import Signal
@@ -22,11 +22,6 @@ NAMES: Final[dict[str, Any]] = tomllib.loads(
 )
 """Words of names and units, and what they mean."""
 
-_KNOWN_UNITS: Final = {name.lower(): name for name in UNITS} | {
-    text.strip(): unit
-    for unit, texts in NAMES["units"].items()
-    for text in texts.split(";")
-}
 # words of a name that can stand in for a unit text that is not there
 _NAMED_UNITS: Final = {"kph", "kmh", "mph", "rpm", "rads", "psi", "kpa", "nm"}
 
@@ -50,13 +45,10 @@ _NUMBERED: Final = {"disc", "disk", "ebrake"}
 
 def unit_of(signal: Signal) -> str:
     """Return the configuration's name of the unit of *signal*, or ""."""
-    text = (signal.unit or "").strip()
-    known = UNITS.get(text) and text
-    found = known or _KNOWN_UNITS.get(text.lower().removeprefix("unit_"), "")
-    if found or text:
-        return found
+    if (signal.unit or "").strip():
+        return unit_named(signal.unit or "")
     named = _NAMED_UNITS.intersection(words_of(signal.name))
-    return _KNOWN_UNITS.get(min(named), "") if named else ""
+    return unit_named(min(named)) if named else ""
 
 
 def words_of(name: str) -> list[str]:

@@ -2,16 +2,41 @@
 
 from __future__ import annotations
 
+import re
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
+
+from bstm_daemon.units import unit_named
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator, Mapping
+    from collections.abc import Collection, Iterable, Iterator, Mapping
     from pathlib import Path
 
     import numpy as np
     import numpy.typing as npt
+
+_IN_BRACKETS: Final = re.compile(
+    r".*\S\s*(?:\[([^\[\]]+)\]|\(((?:[^()]|\([^()]*\))+)\))"
+)
+_LAST_WORD: Final = re.compile(r".*[^\s_][\s_](\S{2,}|[gmcCK])")
+
+
+def units_in_names(names: Iterable[str]) -> dict[str, str]:
+    """Return the unit texts in names of columns, by name.
+
+    ``Speed [km/h]`` and ``Speed (km/h)`` have one, known or not, ``speed_kmh``
+    one that is known.
+    """
+    found = {}
+    for name in names:
+        inside = _IN_BRACKETS.fullmatch(name)
+        last = _LAST_WORD.fullmatch(name)
+        if inside:
+            found[name] = (inside[1] or inside[2]).strip()
+        elif last and unit_named(last[1]):
+            found[name] = last[1]
+    return found
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,6 +70,10 @@ class TableSource(ABC):
     @abstractmethod
     def names(self) -> list[str]:
         """Return the names of the columns."""
+
+    def units(self) -> dict[str, str]:
+        """Return the unit texts that the table states, by column."""
+        return units_in_names(self.names())
 
     @abstractmethod
     def chunks(self, columns: Collection[str]) -> Iterator[TableChunk]:

@@ -1,0 +1,195 @@
+"""Tables out of channels with time bases of their own: MF4, AiM XRK and XRZ.
+
+A row is a time at which at least one of the wanted channels has a sample; the
+others have none there. Nothing is interpolated. The wanted channels are held
+in memory.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from contextlib import redirect_stdout
+from dataclasses import dataclass
+from importlib import import_module
+from io import StringIO
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+import structlog
+
+from bstm_daemon.bus.logs.mf4 import quiet_asammdf
+from bstm_daemon.bus.tables.binary import BinarySource, naming_damage
+from bstm_daemon.bus.tables.source import TableChunk, units_in_names
+from bstm_daemon.errors import LogError
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Iterator
+
+    import numpy.typing as npt
+
+    Floats = npt.NDArray[np.float64]
+
+TIME: Final = "time"
+"""Column with the time [s] of each row."""
+
+_MASTERS: Final = (2, 3)
+"""Channel types of MDF 4 that are the time base of a group."""
+_BUS: Final = ("CAN_", "LIN_", "FLX_", "ETH_")
+"""How channels of recorded frames begin."""
+
+_NO_GPS: Final = "NULL pointer"
+"""What libxrk's default reader says of a recording without GPS. Its second
+one, a preview, reads it."""
+
+_log = structlog.get_logger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class _Channel:
+    """Where a library finds a channel, and the unit that the file states."""
+
+    key: Any
+    unit: str
+
+
+class _ChannelSource(BinarySource):
+    """A file of channels by name."""
+
+    _channels: dict[str, _Channel]
+
+    def names(self) -> list[str]:
+        """Return the names of the columns, :data:`TIME` first."""
+        return [TIME, *self._channels]
+
+    def units(self) -> dict[str, str]:
+        """Return the unit texts that the file states, by column."""
+        stated = {n: one.unit for n, one in self._channels.items() if one.unit}
+        return units_in_names(self._channels) | stated | {TIME: "s"}
+
+    def chunks(self, columns: Collection[str]) -> Iterator[TableChunk]:
+        """Yield the cells of *columns*; raises :class:`LogError`."""
+        series: dict[str, tuple[Floats, Floats]] = {}
+        with naming_damage(self._path):
+            for name in columns:
+                if name != TIME:
+                    series[name] = self._numbers(name)
+            self._close()
+        stamps = np.unique(
+            np.concatenate([times for times, _ in series.values()])
+            if series
+            else np.empty(0)
+        )
+        rows = {
+            name: np.searchsorted(stamps, times)
+            for name, (times, _) in series.items()
+        }
+        for begin in range(0, len(stamps), self._chunk_rows):
+            part = stamps[begin : begin + self._chunk_rows]
+            cells = {TIME: part}
+            for name, (_, values) in series.items():
+                place = rows[name] - begin
+                here = (place >= 0) & (place < len(part))
+                cells[name] = np.full(len(part), np.nan)
+                cells[name][place[here]] = values[here]
+            self.share = (begin + len(part)) / len(stamps)
+            lines = np.arange(begin + 1, begin + len(part) + 1)
+            yield TableChunk(len(part), lines, cells)
+
+    def _numbers(self, name: str) -> tuple[Floats, Floats]:
+        times, values = self._read(self._channels[name].key)
+        if values.ndim != 1 or values.dtype.kind not in "biuf":
+            msg = f"{self._path}: column {name!r} has no single numbers"
+            raise LogError(msg)
+        good = np.isfinite(times)
+        return times[good], values[good].astype(np.float64)
+
+    def _close(self) -> None:
+        """Close the file, all that is wanted of it is read."""
+
+    @abstractmethod
+    def _read(self, key: Any) -> tuple[Floats, npt.NDArray[Any]]:
+        """Return times [s] and values of a channel."""
+
+
+class XrkSource(_ChannelSource):
+    """A recording of an AiM logger (extra ``xrk``), from its own zero."""
+
+    _module, _extra = "libxrk", "xrk"
+    _kind = "an AiM recording"
+
+    def _open(self, library: Any) -> None:
+        # the library prints what it does not know of a file
+        with redirect_stdout(StringIO()) as said, np.errstate(all="ignore"):
+            try:
+                tables = library.aim_xrk(str(self._path)).channels
+            except ValueError as error:
+                if _NO_GPS not in str(error):
+                    raise
+                other = import_module("libxrk._aim_xrk_rs")
+                tables = other.aim_xrk(str(self._path)).channels
+        for line in said.getvalue().splitlines():
+            _log.warning("libxrk", log=str(self._path), message=line)
+        if not tables:
+            msg = (
+                f"{self._path}: damaged or no AiM recording: no channel is in "
+                "it"
+            )
+            raise LogError(msg)
+        self._channels = {
+            name: _Channel(
+                (table.column("timecodes"), table.column(name)),
+                library.ChannelMetadata.from_channel_table(table).units,
+            )
+            for name, table in tables.items()
+        }
+
+    def _read(self, key: Any) -> tuple[Floats, npt.NDArray[Any]]:
+        times, values = (column.to_numpy() for column in key)
+        return times / 1000.0, values
+
+
+class Mf4Source(_ChannelSource):
+    """Decoded signals of an MDF 4 file (extra ``mf4``), since 1970.
+
+    A name that several groups have is followed by the number of its group,
+    ``speed#2``. A sample that the file marks invalid is left out, and of a
+    value with a text the number counts.
+    """
+
+    _module, _extra = "asammdf", "mf4"
+    _kind = "an MF4 log"
+
+    def _open(self, library: Any) -> None:
+        with quiet_asammdf():
+            options: dict[str, Any] = {"process_bus_logging": False}
+            self._mdf = library.MDF(self._path, **options)
+        found = [
+            (channel.name, place, number, channel.unit or "")
+            for place, group in enumerate(self._mdf.groups)
+            for number, channel in enumerate(group.channels)
+            if channel.channel_type not in _MASTERS
+            and not channel.name.startswith(_BUS)
+        ]
+        names = [name for name, *_ in found]
+        self._channels = {
+            name if names.count(name) == 1 else f"{name}#{place}": _Channel(
+                (place, number), unit
+            )
+            for name, place, number, unit in found
+        }
+        if not found:
+            msg = (
+                f"{self._path}: no decoded signal in this MF4 file: raw CAN "
+                "frames need [[bus]] with a DBC, and roles with 'message'"
+            )
+            raise LogError(msg)
+
+    def _read(self, key: Any) -> tuple[Floats, npt.NDArray[Any]]:
+        group, index = key
+        raw = self._mdf.get(group=group, index=index, raw=True)
+        signal = raw.physical(ignore_value2text_conversions=True)
+        start_s = self._mdf.header.start_time.timestamp()
+        return signal.timestamps + start_s, signal.samples
+
+    def _close(self) -> None:
+        self._mdf.close()
