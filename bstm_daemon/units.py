@@ -5,6 +5,7 @@ quantity, so that a pressure given in ``km/h`` is refused when the
 configuration is loaded, not noticed when a brake is cold.
 """
 
+import re
 from dataclasses import dataclass
 from math import pi
 from typing import Final
@@ -65,35 +66,59 @@ UNITS: Final[dict[str, Unit]] = {
 }
 """Every unit a configuration may name."""
 
-_TEXTS: Final = {
-    "km/h": "kmh kph kmph kilometerproh kilometerperhour kilometerperhou",
-    "m/s": "mps meterpersecond",
+_WORDS: Final = (
+    (r"^unit_|^[a-z ]*:", ""),
+    (r"percent|prozent|pct", "%"),
+    (r"per|pro(?=h)", "/"),
+    (r"kilomet(er|re)s?", "km"),
+    (r"met(er|re)s?", "m"),
+    (r"miles?", "mi"),
+    (r"newtons?", "n"),
+    (r"radians?", "rad"),
+    (r"°|degrees?", "deg"),
+    (r"celsius", "c"),
+    (r"fahrenheit", "f"),
+    (r"kelvin", "k"),
+    (r"squared?|²", "2"),
+    (r"seconds?|secs?", "s"),
+    (r"hours?|hr", "h"),
+    (r"minutes?", "min"),
+    (r"revolutions?|rev", "1"),
+    (r"[^a-z0-9/%]", ""),
+)
+"""What stands for the words and marks of a unit, replaced in this order."""
+
+_SPELLINGS: Final = {
+    "km/h": "kmh kph kmph km/hou",
+    "mph": "mi/h",
     "kn": "knot knots kt kts",
-    "m/s2": "meterpersquaresecond meterpersecondsquare meterperseconsquar "
-    "m/s^2 m/s² m/s/s m/s**2 m/(s^2) mps2",
-    "deg/s": "degreofarcpersecon degreepersecond °/s deg/sec degree/s degps",
-    "rpm": "1/min u/min min-1 rev/min",
-    "rad/s": "rads/s rad/sec rads",
-    "Nm": "n·m n*m newtonmeter",
-    "degC": "c °c celsius degrecelsi",
-    "degF": "f °f",
-    "%": "percent pct prozent",
-    "deg": "° degree degrees",
+    "m/s": "mps ms1",
+    "m/s2": "m/s/s mps2 ms2 m/2s m/sonsquar",
+    "deg/s": "degps dps degreofarc/son",
+    "rpm": "1/min u/min min1 r/min",
+    "rad/s": "rads rads/s",
+    "degC": "c degrecelsi",
+    "degF": "f",
 }
-_BY_TEXT: Final = {name.lower(): name for name in UNITS} | {
-    text: unit for unit, texts in _TEXTS.items() for text in texts.split()
+"""Other texts of a unit after that, apart by spaces."""
+
+_KNOWN: Final = {name.lower(): name for name in UNITS} | {
+    text: unit for unit, texts in _SPELLINGS.items() for text in texts.split()
 }
 
 
 def unit_named(text: str) -> str:
-    """Return the name in :data:`UNITS` of a unit written as *text*, or "".
+    """Return the name in :data:`UNITS` of the unit that *text* spells.
 
-    ``Unit_KiloMeterPerHour``, ``KPH`` and ``[km / h]`` are ``km/h``.
+    ``m/s^2``, ``m/s²`` and ``meters per second squared`` are ``m/s2``. It is
+    "" where *text* spells no unit.
     """
-    text = "".join(text.split()).strip("[]")
     if text in UNITS:
         return text
-    return _BY_TEXT.get(text.lower().removeprefix("unit_"), "")
+    spelled = text.strip().lower()
+    for pattern, symbol in _WORDS:
+        spelled = re.sub(pattern, symbol, spelled)
+    return _KNOWN.get(spelled, "")
 
 
 def to_celsius(temperature_k: float) -> float:

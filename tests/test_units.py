@@ -4,7 +4,7 @@ from math import isfinite, pi
 
 import pytest
 
-from bstm_daemon.units import UNITS, to_celsius
+from bstm_daemon.units import UNITS, to_celsius, unit_named
 
 
 @pytest.mark.parametrize(
@@ -64,3 +64,23 @@ def test_to_celsius() -> None:
     assert to_celsius(celsius.factor * 155.0 + celsius.offset) == (
         pytest.approx(155.0)
     )
+
+
+@pytest.mark.parametrize(
+    ("unit", "texts"),
+    [
+        ("m/s2", "m/s2; m/s^2; m/s²; m/s/s; m/s**2; m/(s^2); m s-2; M/S^2"),
+        ("m/s2", "meters per second squared; Unit_MeterPerSeconSquar; mps2"),
+        ("Nm", "Nm; N*m; N.m; N-m; N·m; newton meters; torque:N.m"),
+        ("degC", "deg C; °C; degC; C; degrees Celsius; Unit_DegreCelsi"),
+        ("km/h", "km/h; kph; kmh; KPH; km/hr; Unit_KiloMeterPerHour"),
+        ("mph", "MPH; mph; miles per hour; mi/h"),
+        ("rpm", "rpm; 1/min; U/min; min-1; rev/min; revolutions per minute"),
+        ("rad/s", "rad/s; radians/second; rad/sec; rads"),
+        ("deg/s", "°/s; deg/sec; degrees per second; degps"),
+        ("%", "%; percent; Prozent"),
+        ("", "; -; s; ms; V; hPa; furlong; l/h; SED"),
+    ],
+)
+def test_spellings_of_a_unit(unit: str, texts: str) -> None:
+    assert {unit_named(text.strip()) for text in texts.split(";")} == {unit}

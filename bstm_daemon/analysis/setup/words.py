@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 NAMES: Final[dict[str, Any]] = tomllib.loads(
     (Path(__file__).parent / "_data" / "names.toml").read_text("utf-8")
 )
-"""Words of names and units, and what they mean."""
+"""Words of names, and what they mean."""
 
 # words of a name that can stand in for a unit text that is not there
 _NAMED_UNITS: Final = {"kph", "kmh", "mph", "rpm", "rads", "psi", "kpa", "nm"}
@@ -45,10 +45,9 @@ _NUMBERED: Final = {"disc", "disk", "ebrake"}
 
 def unit_of(signal: Signal) -> str:
     """Return the configuration's name of the unit of *signal*, or ""."""
-    if (signal.unit or "").strip():
-        return unit_named(signal.unit or "")
+    text = (signal.unit or "").strip()
     named = _NAMED_UNITS.intersection(words_of(signal.name))
-    return unit_named(min(named)) if named else ""
+    return unit_named(text or min(named, default=""))
 
 
 def words_of(name: str) -> list[str]:
