@@ -34,6 +34,8 @@ TIME: Final = "time"
 
 _MASTERS: Final = (2, 3)
 """Channel types of MDF 4 that are the time base of a group."""
+_LAST_NUMBER: Final = 5
+"""Data types of MDF 4 up to this one are single numbers."""
 _BUS: Final = ("CAN_", "LIN_", "FLX_", "ETH_")
 """How channels of recorded frames begin."""
 
@@ -97,9 +99,6 @@ class _ChannelSource(BinarySource):
 
     def _numbers(self, name: str) -> tuple[Floats, Floats]:
         times, values = self._read(self._channels[name].key)
-        if values.ndim != 1 or values.dtype.kind not in "biuf":
-            msg = f"{self._path}: column {name!r} has no single numbers"
-            raise LogError(msg)
         good = np.isfinite(times)
         return times[good], values[good].astype(np.float64)
 
@@ -152,8 +151,8 @@ class Mf4Source(_ChannelSource):
     """Decoded signals of an MDF 4 file (extra ``mf4``), since 1970.
 
     A name that several groups have is followed by the number of its group,
-    ``speed#2``. A sample that the file marks invalid is left out, and of a
-    value with a text the number counts.
+    ``speed#2``. A sample that the file marks invalid is left out, of a value
+    with a text the number counts, and a channel of texts is no column.
     """
 
     _module, _extra = "asammdf", "mf4"
@@ -168,6 +167,7 @@ class Mf4Source(_ChannelSource):
             for place, group in enumerate(self._mdf.groups)
             for number, channel in enumerate(group.channels)
             if channel.channel_type not in _MASTERS
+            and channel.data_type <= _LAST_NUMBER
             and not channel.name.startswith(_BUS)
         ]
         names = [name for name, *_ in found]

@@ -17,26 +17,27 @@ if TYPE_CHECKING:
     import numpy.typing as npt
 
 _IN_BRACKETS: Final = re.compile(
-    r".*\S\s*(?:\[([^\[\]]+)\]|\(((?:[^()]|\([^()]*\))+)\))"
+    r"(.*\S)\s*(?:\[([^\[\]]+)\]|\(((?:[^()]|\([^()]*\))+)\))"
 )
-_LAST_WORD: Final = re.compile(r".*[^\s_][\s_](\S{2,}|[gmcCK])")
+_LAST_WORD: Final = re.compile(r"(.*[^\s_])[\s_](\S{2,}|[gmcCK])")
+
+
+def split_unit(name: str) -> tuple[str, str]:
+    """Return the name of a column without its unit, and the unit's text.
+
+    ``Speed [km/h]`` and ``Speed (km/h)`` have one, known or not, ``speed_kmh``
+    one that is known; a name without one is returned as it is, with "".
+    """
+    inside = _IN_BRACKETS.fullmatch(name)
+    if inside:
+        return inside[1], (inside[2] or inside[3]).strip()
+    last = _LAST_WORD.fullmatch(name)
+    return (last[1], last[2]) if last and unit_named(last[2]) else (name, "")
 
 
 def units_in_names(names: Iterable[str]) -> dict[str, str]:
-    """Return the unit texts in names of columns, by name.
-
-    ``Speed [km/h]`` and ``Speed (km/h)`` have one, known or not, ``speed_kmh``
-    one that is known.
-    """
-    found = {}
-    for name in names:
-        inside = _IN_BRACKETS.fullmatch(name)
-        last = _LAST_WORD.fullmatch(name)
-        if inside:
-            found[name] = (inside[1] or inside[2]).strip()
-        elif last and unit_named(last[1]):
-            found[name] = last[1]
-    return found
+    """Return the unit texts in names of columns, by name."""
+    return {name: unit for name in names if (unit := split_unit(name)[1])}
 
 
 @dataclass(frozen=True, slots=True)

@@ -128,8 +128,8 @@ class TableReader:
         }
         if table.name is None:
             for output in self._outputs:
-                role = ROLES[output.role].name
-                wanted.setdefault(output.column, f"[signals.{role}] column")
+                key = f"[signals.{_role(output)}] column"
+                wanted.setdefault(output.column, key)
         names = self._source.names()
         problems = []
         for name, key in wanted.items():
@@ -148,7 +148,7 @@ class TableReader:
                     "unit differs from the table's",
                     log=str(self.path),
                     column=output.column,
-                    role=ROLES[output.role].name,
+                    role=_role(output),
                     unit=output.unit,
                     table_unit=text,
                 )
@@ -293,6 +293,11 @@ def open_source(
         return VboSource(path, None, refuse)
     is_tsv = ending == ".tsv"
     return CsvSource(path, delimiter or ("\t" if is_tsv else None), refuse)
+
+
+def _role(output: ColumnOutput) -> str:
+    known = 0 <= output.role < len(ROLES)
+    return ROLES[output.role].name if known else str(output.role)
 
 
 def _at(

@@ -179,7 +179,7 @@ def test_names_and_units_of_mf4(tmp_path: Path) -> None:
     source = Mf4Source(write_mf4(tmp_path / "a.mf4"))
 
     assert source.names() == [
-        *("time", "Speed", "Gear", "Twice#0", "Brake", "Twice#1", "Text")
+        *("time", "Speed", "Gear", "Twice#0", "Brake", "Twice#1")
     ]
     assert source.units() == {
         "time": "s",
@@ -188,10 +188,3 @@ def test_names_and_units_of_mf4(tmp_path: Path) -> None:
         "Brake": "bar",
         "Twice#1": "degC",
     }
-
-
-def test_a_text_is_no_role(tmp_path: Path, samples_of: Reader) -> None:
-    path = write_mf4(tmp_path / "a.mf4")
-
-    with pytest.raises(LogError, match="'Text' has no single numbers"):
-        samples_of(path, {"vehicle_speed": {"column": "Text", "unit": "km/h"}})
