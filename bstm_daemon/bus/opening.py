@@ -185,14 +185,16 @@ def resolve_interfaces(
     """Return the bus number of each interface name.
 
     *overrides* maps interface names to bus names (``--map IFACE=BUS``) and
-    goes before ``[[bus]] channel``; an empty bus name leaves the interface
-    out (:data:`NOT_READ`). Raises :class:`LogError` listing the names that
-    neither resolves, :class:`UsageError` for an unknown bus name.
+    goes before ``[[bus]] channel``, which goes before ``ignored_interfaces``;
+    an empty bus name leaves the interface out (:data:`NOT_READ`). Raises
+    :class:`LogError` listing the names that none resolves,
+    :class:`UsageError` for an unknown bus name.
     """
     numbers = {bus.name: number for number, bus in enumerate(buses)}
     channels = {
         bus.channel: number for number, bus in reversed(list(enumerate(buses)))
     }
+    ignored = {name for bus in buses for name in bus.ignored_interfaces}
     for name, bus in overrides.items():
         if bus and bus not in numbers:
             msg = (
@@ -203,7 +205,9 @@ def resolve_interfaces(
     unresolved = [
         name
         for name in names
-        if name not in overrides and name not in channels
+        if name not in overrides
+        and name not in channels
+        and name not in ignored
     ]
     if unresolved:
         msg = (
@@ -216,7 +220,7 @@ def resolve_interfaces(
     return [
         numbers.get(overrides[name], NOT_READ)
         if name in overrides
-        else channels[name]
+        else channels.get(name, NOT_READ)
         for name in names
     ]
 

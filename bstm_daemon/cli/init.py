@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bstm_daemon.analysis.setup.name_rules import name_matches
+from bstm_daemon.analysis.setup.name_rules import name_matches, unit_matches
 from bstm_daemon.analysis.setup.proposal import propose
 from bstm_daemon.analysis.setup.recording import read_recording
 from bstm_daemon.analysis.setup.writing import configuration_text, notes_of
@@ -54,7 +54,11 @@ def run(args: argparse.Namespace) -> int:
     loaded = read_dbc(args.dbc, strict=False, encoding=encoding)
     database = loaded.database
     recording = (
-        read_recording(args.log, database, name_matches(database))
+        read_recording(
+            args.log,
+            database,
+            [*name_matches(database), *unit_matches(database)],
+        )
         if args.log
         else None
     )
@@ -81,6 +85,8 @@ def run(args: argparse.Namespace) -> int:
         print(f"  {one.role:26} {_worded(one)}")
     for one in proposal.unsure:
         print(f"? {one.role:26} {_worded(one)}")
+    for role, count in proposal.more.items():
+        print(f"? {role:26} {count} more, less likely")
     print(
         "Every value marked 'typical, replace' stands for one of your car; "
         f"bstm check {out} accepts the file as it is."

@@ -105,12 +105,17 @@ class VehicleConfig(Section):
 
 
 class BusConfig(Section):
-    """``[[bus]]``: one CAN bus and the DBC that describes it."""
+    """``[[bus]]``: one CAN bus and the DBC that describes it.
+
+    ``ignored_interfaces`` are those of a log with several buses that the
+    configuration has no DBC for.
+    """
 
     name: Text
     dbc: Text
     interface: Text = "socketcan"
     channel: Text = "can0"
+    ignored_interfaces: list[Text] = []
     bitrate: Annotated[int, Field(gt=0)] | None = None
     fd: bool = False
     strict: bool = True

@@ -257,6 +257,21 @@ def test_interfaces_resolve_by_map_then_by_channel() -> None:
     assert numbers == [0, 0, 0, NOT_READ]
 
 
+def test_ignored_interfaces_need_no_map() -> None:
+    """A map and a channel of that name go before."""
+    buses = (
+        BUSES[0].model_copy(
+            update={"ignored_interfaces": ["can8", "can9", BUSES[0].channel]}
+        ),
+        *BUSES[1:],
+    )
+    names = [BUSES[0].channel, "can8", "can9"]
+
+    numbers = resolve_interfaces(names, buses, {"can9": BUSES[1].name})
+
+    assert numbers == [0, NOT_READ, 1]
+
+
 def test_unresolved_interfaces_are_all_listed() -> None:
     with pytest.raises(LogError, match=r"interface can5, can6 .*--map can5="):
         resolve_interfaces(["can0", "can5", "can6"], BUSES, {})

@@ -11,6 +11,8 @@ from bstm_daemon.config.reading import load_config
 from bstm_daemon.config.sections import Config
 from bstm_daemon.model.heat.feed_forward import PressureTorque
 
+from .. import ford_like  # noqa: TID252  (tests are no package)
+
 ROOT = Path(__file__).parents[2]
 EXAMPLE_DBC = ROOT / "dbc" / "example_vehicle.dbc"
 REAL = os.environ.get("BSTM_REAL_DATA")
@@ -49,21 +51,59 @@ def sources(config: Config) -> dict[str, tuple[str, ...]]:
     }
 
 
+STILL = {
+    *("acceleration_lateral", "yaw_rate", "motor_torque", "external_force"),
+    *("rain", "abs_active", "esc_active", "tc_active"),
+}
+"""Roles of the example car that are 0 throughout the drive."""
+
+
 def test_every_role_of_the_example_car_is_found(
     tmp_path: Path, drive: Path
 ) -> None:
-    """Each with its unit, unturned and unscaled; and no other."""
+    """Each with its unit, unturned and unscaled; none that is always 0."""
     expected = load_config(ROOT / "config" / "example_vehicle.toml")
+    out = tmp_path / "car.toml"
 
-    config = proposed(tmp_path / "car.toml", EXAMPLE_DBC, drive)
+    config = proposed(out, EXAMPLE_DBC, drive)
 
-    assert sources(config) == sources(expected)
+    assert sources(config) == {
+        role: source
+        for role, source in sources(expected).items()
+        if role not in STILL
+    }
+    text = out.read_text("utf-8")
+    assert all(f"# [signals.{role}]" in text for role in STILL)
     assert all(
         (one.sign, one.scale) == (1, 1.0) for one in config.signals.values()
     )
     assert config.heat.mode == "fused"
     assert config.bus[0].strict
     assert config.bus[0].channel == "can0"
+
+
+def test_a_car_with_several_signals_of_each_kind(tmp_path: Path) -> None:
+    """Measurements before requests, and nothing that does something else.
+
+    The radius follows from angular wheel speeds, the sign of the yaw rate
+    from the wheels in bends.
+    """
+    out = tmp_path / "car.toml"
+    dbc = ford_like.write_dbc(tmp_path / "car.dbc")
+    log = ford_like.write_log(tmp_path / "drive.log")
+
+    config = proposed(out, dbc, log)
+
+    found = {role: one.signal for role, one in config.signals.items()}
+    assert found == ford_like.ROLES
+    assert config.signals["yaw_rate"].sign == -1
+    assert all(one.scale == 1.0 for one in config.signals.values())
+    assert config.vehicle.wheel_radius_m == pytest.approx(
+        ford_like.RADIUS_M, rel=2e-3
+    )
+    text = " ".join(out.read_text("utf-8").replace("# ", "").split())
+    assert "also Accel_Data.VehLongAccelGnd_A_Est" in text
+    assert 'signal = "AbsActv_B"' in text
 
 
 def test_without_a_log_it_is_by_name_and_unit_and_said(
@@ -137,8 +177,10 @@ def test_ids_outside_the_dbc_and_other_interfaces_are_said(
     log.write_text("\n".join(lines) + "\n", "ascii")
     out = tmp_path / "car.toml"
 
-    proposed(out, EXAMPLE_DBC, log)
+    config = proposed(out, EXAMPLE_DBC, log)
 
+    assert config.bus[0].ignored_interfaces == ["can1"]
+    assert main(["replay", str(log), "-c", str(out)]) == 0
     said = capsys.readouterr().out
     assert "1 ids in the log are not in the DBC: 7AB." in said
     assert "Interface can1 was left out: 1 of its 1 ids" in said

@@ -27,6 +27,8 @@ _MOVED_MS: Final = 2.0
 _LONGEST_GRID: Final = 1_000_000
 _SPEED_AGREEMENT: Final = 0.05
 _CORRELATION: Final = 0.7
+_PROVEN: Final = 0.85
+_OFFSET_MS2: Final = 0.5
 _DISTINCT: Final = 3
 # a scale in here may be the road's grade, the noise, or the wheel's radius
 _TRUSTED_SCALE: Final = (0.8, 1.25)
@@ -42,12 +44,16 @@ class Verdict:
         reason: the figures.
         sign: factor of the value, with *scale*.
         scale: factor of the value.
+        proven: true where the figures show the role, whatever the name.
+        flaws: how many things are wrong with a signal that fits.
     """
 
     fits: bool
     reason: str
     sign: int = 1
     scale: float = 1.0
+    proven: bool = False
+    flaws: int = 0
 
 
 class Motion:
@@ -144,7 +150,14 @@ class Motion:
             reason += f": the DBC's scale is off by {1 / scale:.2f}"
         if sign < 0:
             reason += ": positive while the car slows down"
-        return Verdict(fits=True, reason=reason, sign=sign, scale=scale)
+        return Verdict(
+            fits=True,
+            reason=reason,
+            sign=sign,
+            scale=scale,
+            proven=abs(correlation) > _PROVEN,
+            flaws=int(is_off) + int(sign < 0) + int(abs(offset) > _OFFSET_MS2),
+        )
 
     def pressure_verdict(self, pressure: Samples) -> Verdict:
         """Judge a pressure in any unit by when it is there.
@@ -191,13 +204,6 @@ class Motion:
             f"{while_off:.2f} else"
         )
         return Verdict(fits=while_on < while_off + 0.3, reason=reason)
-
-
-def spread(samples: Samples) -> Verdict:
-    """Return the range of any signal."""
-    low, high = float(samples.value.min()), float(samples.value.max())
-    what = f"always {low:g}" if low == high else f"{low:g} to {high:g}"
-    return Verdict(fits=True, reason=f"{what} in the log")
 
 
 def to_ms(samples: Samples, unit: str, wheel_radius_m: float) -> Samples:

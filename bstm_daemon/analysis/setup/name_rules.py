@@ -2,12 +2,12 @@
 
 Names are split into words (:mod:`bstm_daemon.analysis.setup.words`) and
 compared with the rules of ``_data/names.toml``. A match is a proposal; a log
-decides (:mod:`bstm_daemon.analysis.setup.behaviour`).
+decides (:mod:`bstm_daemon.analysis.setup.judging`).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final
 
 from bstm_daemon.analysis.setup.words import NAMES, unit_of, words_of
@@ -26,6 +26,12 @@ if TYPE_CHECKING:
     from cantools.database.can import Database, Message, Signal
 
 
+DERIVED: Final = 1
+REQUEST: Final = 2
+UNNAMED: Final = 3
+"""Levels: derived from others, asked for, of a unit but not of a name."""
+
+
 @dataclass(frozen=True, slots=True)
 class NameMatch:
     """A signal that may play a role.
@@ -37,6 +43,8 @@ class NameMatch:
         unit: a unit of the configuration, or "" where the DBC's unit is not
             one of the role's.
         caveat: why name and unit are not enough, "" where they are.
+        level: 0 for a measurement, then :data:`DERIVED`, :data:`REQUEST` and
+            :data:`UNNAMED`, in the order of preference.
     """
 
     role: str
@@ -44,6 +52,7 @@ class NameMatch:
     signal: Signal
     unit: str
     caveat: str
+    level: int = 0
 
 
 def _expanded(text: str) -> frozenset[str]:
@@ -65,7 +74,8 @@ class _Rule:
         without: words that the name does not have.
         only: the other words that it may have, None for any.
         flag: only a flag plays the role.
-        needs_unit: the signal's unit must be known.
+        needs_unit: the signal's unit must be one of the role.
+        message_without: words that the message's name does not have.
         caveat: why the name is not enough, "" where it is.
     """
 
@@ -75,6 +85,7 @@ class _Rule:
     only: frozenset[str] | None = None
     flag: bool = False
     needs_unit: bool = False
+    message_without: frozenset[str] = frozenset()
     caveat: str = ""
 
     def holds(self, words: Iterable[str]) -> bool:
@@ -89,30 +100,67 @@ class _Rule:
 
 
 def _rule(
-    has: list[str], without: str = "", only: str | None = None, **keys: Any
+    has: list[str],
+    without: str = "",
+    only: str | None = None,
+    message_without: str = "",
+    **keys: Any,
 ) -> _Rule:
     return _Rule(
         has=tuple(map(_expanded, has)),
         without=_expanded(f"$not_measured {without}"),
         only=None if only is None else _expanded(only),
+        message_without=_expanded(message_without),
         **keys,
     )
 
 
 _RULES: Final = tuple(_rule(**keys) for keys in NAMES["rule"])
 _SELECTOR: Final = {"p", "d", "park", "drive"}
+_NOT_MEASURED: Final = _expanded("$not_measured")
+_REQUEST: Final = _expanded("$request")
+_DERIVED: Final = _expanded("$derived")
+_BY_UNIT: Final = {
+    "acceleration": ("acceleration_longitudinal", frozenset[str]()),
+    "torque": ("powertrain_torque", _expanded("$brake steering steer motor")),
+    "pressure": ("primary_pressure", _expanded("$other_pressure")),
+}
+"""The role that a log can show a signal of a quantity to have, whatever its
+name, and words that exclude it."""
 
 
 def name_matches(database: Database) -> list[NameMatch]:
     """Return the roles that readable signals of *database* may play."""
     return [
         match
-        for message in database.messages
-        if message.length <= FD_LENGTHS[-1]
-        for signal in message.signals
-        if _is_readable(message, signal)
+        for message, signal in _readable(database)
         for match in _matches(message, signal)
     ]
+
+
+def unit_matches(database: Database) -> list[NameMatch]:
+    """Return the roles that a log may show, where no name says them."""
+    found = []
+    for message, signal in _readable(database):
+        unit, words = unit_of(signal), set(words_of(signal.name))
+        role, without = _BY_UNIT.get(
+            UNITS[unit].quantity if unit else "", ("", frozenset())
+        )
+        others = _NOT_MEASURED | _REQUEST | without
+        if role and words.isdisjoint(others):
+            caveat = "by its unit and the log, not by its name"
+            found.append(
+                NameMatch(role, message, signal, unit, caveat, UNNAMED)
+            )
+    return found
+
+
+def _readable(database: Database) -> Iterator[tuple[Message, Signal]]:
+    for message in database.messages:
+        if message.length <= FD_LENGTHS[-1]:
+            for signal in message.signals:
+                if _is_readable(message, signal):
+                    yield message, signal
 
 
 def _is_readable(message: Message, signal: Signal) -> bool:
@@ -128,20 +176,31 @@ def _is_readable(message: Message, signal: Signal) -> bool:
 def _matches(message: Message, signal: Signal) -> Iterator[NameMatch]:
     words = words_of(signal.name)
     corner = next((word for word in words if word.upper() in CORNERS), "")
-    is_unit_known = unit_of(signal) in UNITS
+    elsewhere = set(words_of(message.name))
     seen = set()
     for rule in _RULES:
         role = rule.role.format(corner=corner)
         if (
             ("{corner}" in rule.role) == bool(corner)
             and role not in seen
-            and (is_unit_known or not rule.needs_unit)
             and rule.holds(words)
+            and rule.message_without.isdisjoint(elsewhere)
         ):
             match = _match(rule, role, message, signal)
             if match is not None:
                 seen.add(role)
-                yield match
+                yield _levelled(match, {*words, *elsewhere & {"debug"}})
+
+
+def _levelled(match: NameMatch, words: set[str]) -> NameMatch:
+    """Return *match* with the level that the *words* of its name say."""
+    # "sp" is a setpoint, but of speeds the speed
+    request = _REQUEST - ({"sp"} if "speed" in match.role else set())
+    if words & request:
+        caveats = (match.caveat, "its name says a request, no measurement")
+        caveat = ", ".join(filter(None, caveats))
+        return replace(match, caveat=caveat, level=REQUEST)
+    return replace(match, level=DERIVED) if words & _DERIVED else match
 
 
 def _match(
@@ -159,7 +218,9 @@ def _match(
             if "flag" in quantities or percent
             else None
         )
-    if is_flag or (not fits and _is_other_quantity(signal, unit)):
+    if is_flag or (
+        not fits and (rule.needs_unit or _is_other_quantity(signal, unit))
+    ):
         return None
     if fits:
         caveat = _shaft(role, signal, caveat)
@@ -185,7 +246,9 @@ def _is_other_quantity(signal: Signal, unit: str) -> bool:
 
 
 def _texts(signal: Signal) -> set[str]:
-    return {str(text).lower() for text in (signal.choices or {}).values()}
+    """Return the last words of the texts, "d" of ``DI_GEAR_D``."""
+    texts = (words_of(str(one)) for one in (signal.choices or {}).values())
+    return {words[-1] for words in texts if words}
 
 
 def _shaft(role: str, signal: Signal, caveat: str) -> str:

@@ -7,17 +7,19 @@ unsure, with the reason.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Final
 
-from bstm_daemon.analysis.setup.behaviour import (
-    Motion,
-    Verdict,
-    spread,
-    to_ms,
-    to_si,
+import numpy as np
+
+from bstm_daemon.analysis.setup.behaviour import Motion, to_ms
+from bstm_daemon.analysis.setup.judging import SPEEDS, Judge, stage_of
+from bstm_daemon.analysis.setup.name_rules import (
+    REQUEST,
+    UNNAMED,
+    name_matches,
+    unit_matches,
 )
-from bstm_daemon.analysis.setup.name_rules import name_matches
 from bstm_daemon.analysis.setup.pressure_unit import assumed_unit
 from bstm_daemon.roles import ROLE_INDEX
 from bstm_daemon.units import UNITS
@@ -33,8 +35,10 @@ if TYPE_CHECKING:
 TYPICAL_RADIUS_M: Final = 0.32
 """Rolling radius of a passenger car's wheel; enters comparisons only."""
 
-_SPEEDS: Final = ("wheel_speed_", "vehicle_speed")
-_PRESSURES: Final = ("primary_pressure", "secondary_pressure", "wheel_pres")
+MOST_UNSURE: Final = 4
+"""Unsure signals of a role that are shown."""
+
+_RADIUS_M: Final = (0.15, 0.6)
 _GUESSED_UNIT: Final = {"primary_pressure": "bar", "secondary_pressure": "bar"}
 _PROVABLE: Final = ("primary_pressure", "wheel_pressure_")
 """A secondary pressure needs corners that use it, which no log shows."""
@@ -56,6 +60,7 @@ class Candidate:
     scale: float = 1.0
     rate_hz: float = 0.0
     unread: str = ""
+    flaws: int = 0
 
     @property
     def role(self) -> str:
@@ -65,10 +70,16 @@ class Candidate:
 
 @dataclass(frozen=True, slots=True)
 class Proposal:
-    """The outcome: at most one sure candidate a role, and the others."""
+    """The outcome: at most one sure candidate a role, and the others.
+
+    ``more`` counts the unsure ones of a role that are left out;
+    ``radius_m`` is that of the wheels where the log shows it.
+    """
 
     sure: tuple[Candidate, ...]
     unsure: tuple[Candidate, ...]
+    more: dict[str, int] = field(default_factory=dict)
+    radius_m: float | None = None
 
     def roles(self) -> frozenset[str]:
         """Return the names of the sure roles."""
@@ -82,31 +93,57 @@ class Proposal:
 def propose(database: Database, recording: Recording | None) -> Proposal:
     """Propose a signal of *database* for each role that one fits."""
     matches = name_matches(database)
-    motion = _motion(matches, recording) if recording else None
-    judged = [_judged(match, recording, motion) for match in matches]
+    radius_m = None
+    if recording is None:
+        judged = [_by_name(match) for match in matches]
+    else:
+        named = {(_name(one), one.role) for one in matches}
+        matches += [
+            one
+            for one in unit_matches(database)
+            if (_name(one), one.role) not in named
+        ]
+        motion, radius_m = _motion(matches, recording)
+        judged = _by_log(
+            matches, recording, Judge(motion, radius_m or TYPICAL_RADIUS_M)
+        )
     best: dict[str, Candidate] = {}
     owners: dict[tuple[int, bool], str] = {}
+    taken: set[tuple[str, str]] = set()
     for one in sorted(judged, key=_rank):
         message = one.match.message
         key = message.frame_id, message.is_extended_frame
-        # an id that two messages have can be read as one of them only
+        # an id that two messages have can be read as one of them only, and a
+        # signal is one quantity
         if (
             one.role not in best
             and owners.get(key, message.name) == message.name
+            and _source(one) not in taken
         ):
             best[one.role] = _beside(one, judged)
             if one.sure:
                 owners[key] = message.name
+                taken.add(_source(one))
     sure = [one for one in best.values() if one.sure]
-    taken = {_source(one) for one in sure}
-    unsure = [
-        one
-        for one in judged
-        if _source(one) not in taken
-        and (one.role not in best or not best[one.role].sure)
-    ]
+    unsure: dict[str, list[Candidate]] = {}
+    for one in sorted(judged, key=_rank):
+        if _source(one) not in taken and (
+            one.role not in best or not best[one.role].sure
+        ):
+            unsure.setdefault(one.role, []).append(one)
     return Proposal(
-        tuple(sorted(sure, key=_place)), tuple(sorted(unsure, key=_place))
+        tuple(sorted(sure, key=_place)),
+        tuple(
+            one
+            for role in sorted(unsure, key=ROLE_INDEX.__getitem__)
+            for one in unsure[role][:MOST_UNSURE]
+        ),
+        {
+            role: len(found) - MOST_UNSURE
+            for role, found in unsure.items()
+            if len(found) > MOST_UNSURE
+        },
+        radius_m,
     )
 
 
@@ -122,51 +159,101 @@ def _beside(best: Candidate, judged: Iterable[Candidate]) -> Candidate:
     return replace(best, reason=f"{best.reason}; also {', '.join(others)}")
 
 
-def _motion(matches: Iterable[NameMatch], recording: Recording) -> Motion:
+def _motion(
+    matches: Iterable[NameMatch], recording: Recording
+) -> tuple[Motion, float | None]:
     """Return the car's motion from all wheel and vehicle speeds.
 
-    Angular speeds count only where there is no other.
+    The radius that makes angular speeds agree with the others comes with it,
+    None where there are not both; a typical one is taken where all are
+    angular.
     """
     speeds: dict[str, Samples] = {}
     angular: dict[str, Samples] = {}
     for match in matches:
         found = recording.samples.get(_name(match))
-        if found is None or not match.unit or not _is_speed(match):
+        if (
+            found is None
+            or not match.unit
+            or not match.role.startswith(SPEEDS)
+            or match.level == REQUEST
+        ):
             continue
         is_angular = UNITS[match.unit].quantity == "angular_speed"
         target = angular if is_angular else speeds
-        name = ".".join(_name(match))
-        target[name] = to_ms(found, match.unit, TYPICAL_RADIUS_M)
-    moved = [one for one in speeds.values() if one.value.max(initial=0.0) > 0]
-    return Motion(speeds if moved else {**speeds, **angular})
+        target[".".join(_name(match))] = to_ms(found, match.unit, 1.0)
+    motion = Motion(speeds)
+    if not motion.moving.any():
+        radius_m = TYPICAL_RADIUS_M
+        turning = {
+            name: replace(one, value=one.value * radius_m)
+            for name, one in angular.items()
+        }
+        return Motion({**speeds, **turning}), None
+    ratios = [
+        float(np.median(motion.speed_ms[moving] / column[moving]))
+        for one in angular.values()
+        for column in (motion.on_grid(one),)
+        for moving in (motion.moving & (column > 1.0),)
+        if moving.any()
+    ]
+    low, high = _RADIUS_M
+    radii = [ratio for ratio in ratios if low < ratio < high]
+    return motion, round(float(np.median(radii)), 4) if radii else None
 
 
-def _judged(
-    match: NameMatch, recording: Recording | None, motion: Motion | None
-) -> Candidate:
-    guessed = _GUESSED_UNIT.get(match.role, "")
-    unit = match.unit or guessed
-    if recording is None or motion is None:
-        reason = match.caveat or "by name and unit only, no log was given"
-        sure = not match.caveat and bool(match.unit)
-        return Candidate(match, unit, sure, reason)
+def _by_name(match: NameMatch) -> Candidate:
+    return Candidate(
+        match,
+        match.unit or _GUESSED_UNIT.get(match.role, ""),
+        sure=not match.caveat and bool(match.unit),
+        reason=match.caveat or "by name and unit only, no log was given",
+    )
+
+
+def _by_log(
+    matches: Iterable[NameMatch], recording: Recording, judge: Judge
+) -> list[Candidate]:
+    """Judge *matches*, the sure ones of a stage known to the next."""
+    stages: list[list[NameMatch]] = [[], [], []]
+    for match in matches:
+        stages[stage_of(match.role)].append(match)
+    judged: list[Candidate] = []
+    for stage in stages:
+        found = [_judged(match, recording, judge) for match in stage]
+        judged += [
+            one for one in found if one.sure or one.match.level < UNNAMED
+        ]
+        for one in sorted(found, key=_rank, reverse=True):
+            if one.sure:
+                samples = recording.samples[_source(one)]
+                value = samples.value * one.sign * one.scale
+                corrected = replace(samples, value=value)
+                si = judge.si(one.role, one.unit, corrected)
+                judge.known[one.role] = judge.motion.on_grid(si)
+    return judged
+
+
+def _judged(match: NameMatch, recording: Recording, judge: Judge) -> Candidate:
+    unit = match.unit or _GUESSED_UNIT.get(match.role, "")
     found = recording.samples.get(_name(match))
     if found is None:
         reasons = [match.caveat, "its frame is not in the log"]
         return Candidate(match, unit, sure=False, reason=_joined(reasons))
-    verdict = _verdict(match, found, motion)
+    verdict = judge.verdict(match.role, match.unit, found)
     unread = ""
     if match.message.name in recording.lengths:
         unread = (
             f"its frames have {recording.lengths[match.message.name]} bytes, "
             f"the DBC has {match.message.length}: rejected until they agree"
         )
-    sure = not match.caveat and bool(match.unit)
+    proven = verdict.proven and match.level != REQUEST
+    sure = bool(match.unit) and (proven or not match.caveat)
     reasons = [match.caveat, verdict.reason]
     if not match.unit and match.role.startswith(_PROVABLE):
-        assumed = assumed_unit(motion, found)
+        assumed = assumed_unit(judge.motion, found)
         if assumed is not None:
-            unit, sure = assumed.unit, True
+            unit, sure = assumed.unit, match.level != REQUEST
             reasons.append(assumed.reason)
     return Candidate(
         match,
@@ -177,42 +264,26 @@ def _judged(
         scale=verdict.scale,
         rate_hz=found.rate_hz,
         unread=unread,
+        flaws=verdict.flaws,
     )
 
 
-def _verdict(match: NameMatch, samples: Samples, motion: Motion) -> Verdict:
-    if match.role.startswith(_PRESSURES):
-        return motion.pressure_verdict(samples)
-    if match.unit and _is_speed(match):
-        speed = to_ms(samples, match.unit, TYPICAL_RADIUS_M)
-        verdict = motion.speed_verdict(speed)
-        if UNITS[match.unit].quantity == "angular_speed" and not verdict.fits:
-            reason = f"{verdict.reason}, with a radius of {TYPICAL_RADIUS_M} m"
-            return Verdict(fits=False, reason=reason)
-        return verdict
-    if match.role == "acceleration_longitudinal" and match.unit:
-        return motion.acceleration_verdict(to_si(samples, match.unit))
-    return spread(samples)
-
-
-def _rank(one: Candidate) -> tuple[bool, bool, bool, bool, bool, float]:
-    """Sure ones first; then unit, readable, not multiplexed, linear, fast."""
-    is_angular = one.role.startswith(_SPEEDS) and (
+def _rank(one: Candidate) -> tuple[float, ...]:
+    """Sure ones first; then unit, measured, readable, flawless and fast."""
+    is_angular = one.role.startswith(SPEEDS) and (
         one.unit in UNITS and UNITS[one.unit].quantity == "angular_speed"
     )
     is_multiplexed = one.match.signal.multiplexer_signal is not None
     return (
         not one.sure,
         not one.match.unit,
+        one.match.level,
         bool(one.unread),
         is_multiplexed,
         is_angular,
+        one.flaws,
         -one.rate_hz - 0.01 * len(one.match.message.signals),
     )
-
-
-def _is_speed(match: NameMatch) -> bool:
-    return match.role.startswith(_SPEEDS)
 
 
 def _name(match: NameMatch) -> tuple[str, str]:

@@ -9,6 +9,7 @@ from pathlib import Path
 from string import Template
 from typing import TYPE_CHECKING, Final
 
+from bstm_daemon.analysis.setup.proposal import TYPICAL_RADIUS_M
 from bstm_daemon.errors import ConfigError
 from bstm_daemon.roles import ROLE_INDEX, ROLES
 from bstm_daemon.units import UNITS
@@ -76,7 +77,9 @@ def configuration_text(
     return Template(_TEMPLATE.read_text("utf-8")).substitute(
         head=_head(recording, dbc),
         vehicle=_text(dbc.stem),
+        radius=_radius(proposal),
         channel=_text(recording.interface if recording else "can0"),
+        ignored=_ignored(recording),
         dbc=_text(Path(os.path.relpath(dbc, folder)).as_posix()),
         strict="true" if strict else "false             # it has defects",
         encoding=_text(encoding),
@@ -119,10 +122,23 @@ def notes_of(recording: Recording) -> list[str]:
         )
     notes += [
         f"Interface {name} was left out: {known} of its {ids} ids are in the "
-        f"DBC. Replay with --map {name}=."
+        "DBC. It stands in ignored_interfaces, later commands need no --map."
         for name, (ids, known) in recording.others.items()
     ]
     return notes
+
+
+def _radius(proposal: Proposal) -> str:
+    if proposal.radius_m is None:
+        return f"{TYPICAL_RADIUS_M:<10}  # m, rolling; typical, replace"
+    return f"{proposal.radius_m:<10}  # m, rolling; from the speeds of the log"
+
+
+def _ignored(recording: Recording | None) -> str:
+    if recording is None or not recording.others:
+        return ""
+    names = json.dumps(list(recording.others), ensure_ascii=False)
+    return f"ignored_interfaces = {names}  # of the log, without a DBC\n"
 
 
 def _active(one: Candidate) -> str:

@@ -4,6 +4,8 @@ from collections.abc import Callable
 
 import pytest
 from cantools.database.can import Database
+from cantools.database.conversion import BaseConversion
+from cantools.database.namedsignalvalue import NamedSignalValue
 
 from bstm_daemon.analysis.setup import name_rules
 from bstm_daemon.analysis.setup.name_rules import name_matches
@@ -26,6 +28,12 @@ Maker = Callable[..., Database]
         ("LONG_ACCEL m/s^2", "acceleration_longitudinal", "m/s2"),
         ("ACCEL_Y m/s^2", "acceleration_lateral", "m/s2"),
         ("RPM rpm", "engine_speed", "rpm"),
+        ("EngAout_N_Actl RPM", "engine_speed", "rpm"),
+        ("Veh_V_ActlBrk kph", "vehicle_speed", "km/h"),
+        ("WhlSp_FL kph", "wheel_speed_fl", "km/h"),
+        ("VehLongComp_A m/s^2", "acceleration_longitudinal", "m/s2"),
+        ("PrplWhlTot_Tq_Actl N-m", "powertrain_torque", "Nm"),
+        ("PrkBrkActv_B_Actl:1", "park_brake", "bool"),
         ("BRAKE_PRESSED:1", "brake_switch", "bool"),
         ("EBRAKE:1", "park_brake", "bool"),
         ("WheelTorque Nm", "powertrain_torque", "Nm"),
@@ -48,7 +56,8 @@ def test_a_plain_signal_has_one_role(
         "TIRE_PRESSURE_FL bar",
         "OilPressure bar",
         "FanSpeed rpm",
-        "BrakePressureRequest bar",
+        "ClutchAC_B_Stat:1",
+        "ESP_Verz_EPB_aktiv:1",
         "WheelSpeedFL_QF:2",
         "WheelSpeedFL Nm",
         "ACCEL_PEDAL %",
@@ -71,6 +80,10 @@ def test_what_only_sounds_alike_has_none(
         ("RearBrakePressure PSI", "secondary_pressure", "of the rear"),
         ("WhlSpdRR", "wheel_speed_rr", "gives no unit"),
         ("MotorTorque Nm", "motor_torque", "at the wheels"),
+        ("BrakePressureRequest bar", "primary_pressure", "a request"),
+        ("BrkTqRqDrv N-m", "brake_torque", "a request"),
+        ("WhlTqDes Nm", "powertrain_torque", "a request"),
+        ("PrkBrkDecel_Actv:1", "park_brake", "more than a parking brake"),
     ],
 )
 def test_a_doubt_is_said(
@@ -83,6 +96,57 @@ def test_a_doubt_is_said(
     )
 
     assert caveat in match.caveat
+
+
+def test_a_clutch_of_all_wheel_drive_is_named_by_its_message(
+    make_database: Maker,
+) -> None:
+    database = make_database(["Kupplung_offen:1"])
+    assert [one.role for one in name_matches(database)] == ["clutch_open"]
+
+    database.messages[0].name = "Allrad_1"
+
+    assert name_matches(database) == []
+
+
+def test_measured_goes_before_derived_and_asked_for(
+    make_database: Maker,
+) -> None:
+    names = ["BrkTqMeas Nm", "BrkTqEst Nm", "BrkTqRq Nm"]
+
+    levels = [one.level for one in name_matches(make_database(names))]
+
+    assert levels == [0, name_rules.DERIVED, name_rules.REQUEST]
+
+
+def test_a_log_may_show_what_no_name_says(make_database: Maker) -> None:
+    names = [
+        "AY m/s2",
+        "X1 Nm",
+        "X2 bar",
+        "SteerX Nm",
+        "AYRq m/s2",
+        "FUEL bar",
+    ]
+
+    matches = name_rules.unit_matches(make_database(names))
+
+    assert [(one.role, one.signal.name) for one in matches] == [
+        ("acceleration_longitudinal", "AY"),
+        ("powertrain_torque", "X1"),
+        ("primary_pressure", "X2"),
+    ]
+
+
+def test_the_selector_is_no_gear(make_database: Maker) -> None:
+    database = make_database(["DI_gear"])
+    database.messages[0].signals[0].conversion = BaseConversion.factory(
+        choices={1: NamedSignalValue(1, "DI_GEAR_P")}
+    )
+
+    (match,) = name_matches(database)
+
+    assert "selector" in match.caveat
 
 
 def test_a_signal_that_cannot_be_read_is_no_match(
