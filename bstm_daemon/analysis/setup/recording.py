@@ -45,7 +45,7 @@ if TYPE_CHECKING:
 Series = npt.NDArray[np.float64]
 FrameId = tuple[int, bool]
 
-_LARGEST: Final = sys.float_info.max
+LARGEST: Final = sys.float_info.max
 _LOG_GAP_S: Final = 10.0
 
 
@@ -204,8 +204,8 @@ def _message_plan(
                 ),
                 gain=1.0,
                 bias=0.0,
-                low=-_LARGEST,
-                high=_LARGEST,
+                low=-LARGEST,
+                high=LARGEST,
                 flag=False,
             )
         )
