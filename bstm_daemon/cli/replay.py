@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from bstm_daemon.bus.signals.reject_reason import RejectReason
+from bstm_daemon.bus.tables.table_plan import TableMap
 from bstm_daemon.cli.arguments import (
     add_bus_map,
     add_config,
@@ -107,6 +108,12 @@ def run(args: argparse.Namespace) -> int:
     view = open_view(raw_stream(sys.stdout)) if args.watch else None
     formats = _formats(args.format) if args.out is not None else ()
     config, signal_map = load_vehicle(args.config)
+    if isinstance(signal_map, TableMap) and (args.publish or args.watch):
+        msg = (
+            "--publish and --watch replay CAN frames, which a signal table "
+            "has not: take -o DIR or --report PAGE.html, or a log of frames"
+        )
+        raise UsageError(msg)
     overrides = dict(args.map)
     state: StartState = "cold" if args.start == "cold" else None
     if args.state is not None:

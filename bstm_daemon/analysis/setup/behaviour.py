@@ -214,10 +214,10 @@ class Motion:
 def _is_between(grid_s: Series, time_s: Series) -> npt.NDArray[np.bool_]:
     """Return which times have a stamp before and after, close together."""
     stamps = np.sort(time_s)
-    after = np.searchsorted(stamps, grid_s).clip(1, max(len(stamps) - 1, 1))
     if len(stamps) < 2:
         return np.zeros(len(grid_s), np.bool_)
-    return stamps[after] - stamps[after - 1] < _LONGEST_GAP_S
+    after = np.searchsorted(stamps, grid_s).clip(1, len(stamps) - 1)
+    return np.asarray(stamps[after] - stamps[after - 1] < _LONGEST_GAP_S)
 
 
 def to_ms(samples: Samples, unit: str, wheel_radius_m: float) -> Samples:

@@ -10,12 +10,15 @@ from __future__ import annotations
 import re
 from collections import Counter
 from dataclasses import dataclass, field, replace
-from itertools import product
+from itertools import chain, product
+from math import log
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from cantools.database.can import Database, Message, Signal
 
+from bstm_daemon.analysis.setup.behaviour import Motion
+from bstm_daemon.analysis.setup.judging import SPEEDS
 from bstm_daemon.analysis.setup.name_rules import name_matches
 from bstm_daemon.analysis.setup.proposal import Proposal, propose
 from bstm_daemon.analysis.setup.recording import LARGEST, Recording, collect
@@ -29,9 +32,10 @@ from bstm_daemon.errors import LogError
 from bstm_daemon.units import UNITS, unit_named
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
     from pathlib import Path
 
+    from bstm_daemon.analysis.setup.proposal import Candidate
     from bstm_daemon.analysis.setup.recording import Samples
     from bstm_daemon.bus.tables.source import TableSource
 
@@ -46,15 +50,16 @@ _READABLE: Final = 0.9
 _COUNTS: Final = ("#", "-", "gear", "count", "(null)")
 """Texts in place of a unit, of a plain number."""
 
-_STEP_S: Final = 0.5
-_LONGEST_GAP_S: Final = 1.5
-_ENOUGH: Final = 40
-_CORRELATION: Final = 0.6
-_FAST: Final = 75.0
-"""A speed above this is not in m/s."""
+_UNITS_OF: Final = {
+    "vehicle_speed": ("km/h", "mph", "m/s"),
+    "acceleration_longitudinal": ("g", "m/s2"),
+}
+"""Units of a column that states none, the likeliest first."""
 
-_STRONG: Final = 4.0
-"""An acceleration above this is not in g."""
+_ENOUGH_S: Final = 10.0
+_CORRELATION: Final = 0.7
+_AGREEMENT: Final = 1.25
+"""Factor between the two; that of two pairs of units is 1.6 or more."""
 
 
 @dataclass(slots=True)
@@ -112,7 +117,7 @@ def read_table(logs: Sequence[Path]) -> Table:
     events = (TableReader(log, plan).events() for log in logs)
     collect(events, signals, table.recording)
     units = {
-        name: "" if stated.get(column, "") in _COUNTS else stated.get(column)
+        name: "" if stated.get(column) in _COUNTS else stated.get(column, "")
         for name, column in columns.items()
     }
     table.unknown = {
@@ -128,15 +133,14 @@ def read_table(logs: Sequence[Path]) -> Table:
 def propose_for(table: Table) -> Proposal:
     """Propose a column of *table* for each role that one fits."""
     found = propose(table.database, table.recording)
-    sure, unsure = [], list(found.unsure)
+    sure: list[Candidate] = []
+    unsure = list(found.unsure)
     for one in found.sure:
         reason, is_shown = table.assumed.get(one.match.signal.name, ("", True))
-        worded = replace(
-            one, reason="; ".join(filter(None, (reason, one.reason)))
-        )
+        reason = "; ".join(filter(None, (reason, one.reason)))
+        worded = replace(one, reason=reason, sure=is_shown)
         (sure if is_shown else unsure).append(worded)
-    speeds = ("vehicle_speed", "wheel_speed_")
-    if not any(one.role.startswith(speeds) for one in (*sure, *unsure)):
+    if not any(one.role.startswith(SPEEDS) for one in (*sure, *unsure)):
         for one in [one for one in sure if one.role == "gnss_speed"]:
             sure.remove(one)
             match = replace(one.match, role="vehicle_speed")
@@ -145,12 +149,21 @@ def propose_for(table: Table) -> Proposal:
     return replace(found, sure=tuple(sure), unsure=tuple(unsure))
 
 
-def unused_columns(table: Table, proposal: Proposal) -> list[str]:
-    """Return the columns that are proposed for no role."""
+def table_notes(table: Table, proposal: Proposal) -> list[str]:
+    """Return what of *table* is not used or not known, a sentence each."""
     used = {
         one.match.signal.name for one in (*proposal.sure, *proposal.unsure)
     }
-    return [c for name, c in table.columns.items() if name not in used]
+    unused = [c for name, c in table.columns.items() if name not in used]
+    units = [f"{name} in {unit!r}" for name, unit in table.unknown.items()]
+    return [
+        f"{title}: {', '.join(listed)}."
+        for title, listed in (
+            ("Columns without a role", unused),
+            ("Units that are not known", units),
+        )
+        if listed
+    ]
 
 
 def _source_of(log: Path) -> TableSource:
@@ -167,9 +180,9 @@ def _time_of(log: Path, names: Iterable[str], units: dict[str, str]) -> str:
         and not words & _OTHER_TIMES
     ]
     chunk = next(_source_of(log).chunks(likely), None) if likely else None
-    for name in likely if chunk else ():
+    for name, cells in (chunk.cells if chunk else {}).items():
         axis = TimeAxis(None, name, units.get(name, ""))
-        stamps, good = axis.stamps(chunk.cells[name])
+        stamps, good = axis.stamps(cells)
         steps = np.diff(stamps[good])
         if (
             len(steps)
@@ -186,7 +199,7 @@ def _time_of(log: Path, names: Iterable[str], units: dict[str, str]) -> str:
     raise LogError(msg)
 
 
-def _database(recording: Recording, units: dict[str, str | None]) -> Database:
+def _database(recording: Recording, units: Mapping[str, str]) -> Database:
     """Return the columns with samples as signals; 0 and 1 only is a flag."""
     signals = [
         Signal(
@@ -201,83 +214,60 @@ def _database(recording: Recording, units: dict[str, str | None]) -> Database:
     return Database([message], strict=False)
 
 
-def _assume_units(table: Table, units: dict[str, str | None]) -> None:
-    """Give speed and acceleration the unit that they have by each other."""
-    recording = table.recording
-    first = {
-        one.role: one.signal
-        for one in reversed(name_matches(table.database))
-        if one.role in ("vehicle_speed", "acceleration_longitudinal")
-    }
-    speed = first.get("vehicle_speed")
-    accel = first.get("acceleration_longitudinal")
-    choices = []
-    for signal, possible, limit in (
-        (speed, ("km/h", "mph", "m/s"), _FAST),
-        (accel, ("g", "m/s2"), _STRONG),
-    ):
-        if signal is None:
-            choices.append([""])
-        elif units[signal.name]:
-            choices.append([unit_named(units[signal.name] or "")])
-        else:
-            value = recording.samples[_MESSAGE, signal.name].value
-            high = float(np.quantile(np.abs(value), 0.999))
-            above = high > limit
-            keep = possible[:2] if limit == _FAST else possible[1:]
-            choices.append(list(keep if above else possible))
-    shown: list[tuple[str, ...]] = []
-    reason = ""
-    if speed is not None and accel is not None:
-        bounds = _slope(
-            recording.samples[_MESSAGE, speed.name],
-            recording.samples[_MESSAGE, accel.name],
-        )
-        shown = [
-            pair
-            for pair in product(*choices)
-            if all(pair)
-            and bounds[0]
-            < UNITS[pair[1]].factor / UNITS[pair[0]].factor
-            < bounds[1]
+def _assume_units(table: Table, units: Mapping[str, str]) -> None:
+    """Give speed and acceleration units by which one follows the other."""
+    signals: list[Signal] = []
+    choices: list[tuple[str, ...]] = []
+    for role, possible in _UNITS_OF.items():
+        first = [
+            one.signal
+            for one in name_matches(table.database)
+            if one.role == role
+        ][:1]
+        signals += first
+        choices += [
+            (unit_named(units[one.name]),) if units[one.name] else possible
+            for one in first
         ]
-        reason = f"the table states no unit; change of speed over acceleration is {bounds[0]:.3g} to {bounds[1]:.3g} per second"
-    for place, signal in enumerate((speed, accel)):
-        if signal is None or units[signal.name]:
+    shown = _shown(
+        [table.recording.samples[_MESSAGE, one.name] for one in signals],
+        choices,
+    )
+    for place, signal in enumerate(signals):
+        if units[signal.name]:
             continue
-        is_shown = len({pair[place] for pair in shown}) == 1
-        unit = shown[0][place] if is_shown else choices[place][0]
-        signal.unit = unit
-        table.assumed[signal.name] = (
-            (f"{unit}: {reason}", True)
-            if is_shown
-            else (f"no unit is stated, {unit} assumed: check it", False)
+        signal.unit = shown[place] if shown else choices[place][0]
+        reason = (
+            "no unit is stated, but the speed changes as the acceleration says"
+            if shown
+            else f"no unit is stated, {signal.unit} is assumed: check it"
         )
+        table.assumed[signal.name] = reason, bool(shown)
 
 
-def _slope(speed: Samples, accel: Samples) -> tuple[float, float]:
-    """Return bounds of the change of *speed* per second over *accel*.
-
-    The two regressions bound it, as both may be noisy; (0, 0) where they tell
-    nothing. Gaps are left out.
-    """
-    keep = np.concatenate([[True], np.diff(speed.time_s) > 0])
-    times, values = speed.time_s[keep], speed.value[keep]
-    picked = [0]
-    for place, stamp in enumerate(times.tolist()):
-        if stamp - times[picked[-1]] >= _STEP_S:
-            picked.append(place)
-    times, values = times[picked], values[picked]
-    steps = np.diff(times)
-    mean = (accel.value[1:] + accel.value[:-1]) / 2
-    area = np.concatenate([[0.0], np.cumsum(mean * np.diff(accel.time_s))])
-    rows = steps < _LONGEST_GAP_S
-    x = (np.diff(np.interp(times, accel.time_s, area)) / steps)[rows]
-    y = (np.diff(values) / steps)[rows]
-    if len(x) < _ENOUGH or not (np.std(x) and np.std(y)):
-        return 0.0, 0.0
-    r = float(np.corrcoef(x, y)[0, 1])
-    ratio = float(np.std(y) / np.std(x))
-    if abs(r) < _CORRELATION:
-        return 0.0, 0.0
-    return 0.9 * ratio * abs(r), 1.1 * ratio / abs(r)
+def _shown(
+    samples: Sequence[Samples], choices: Sequence[tuple[str, ...]]
+) -> tuple[str, ...]:
+    """Return the units of speed and acceleration that fit, or none."""
+    if len(samples) < 2 or "" in chain.from_iterable(choices):
+        return ()
+    motion = Motion({"": samples[0]})
+    if motion.moving_s < _ENOUGH_S:
+        return ()
+    change = motion.change_ms2[motion.moving]
+    acceleration = motion.smooth(motion.on_grid(samples[1]))[motion.moving]
+    scatter = float(np.std(change)), float(np.std(acceleration))
+    if not all(scatter):
+        return ()
+    correlation = float(np.corrcoef(change, acceleration)[0, 1])
+    # noise in both leaves the ratio of their scatter as it is
+    off = {
+        pair: abs(
+            log(scatter[0] * UNITS[pair[0]].factor)
+            - log(scatter[1] * UNITS[pair[1]].factor)
+        )
+        for pair in product(*choices)
+    }
+    best = min(off, key=lambda pair: off[pair])
+    fits = abs(correlation) > _CORRELATION and off[best] < log(_AGREEMENT)
+    return best if fits else ()
