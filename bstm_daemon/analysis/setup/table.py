@@ -100,7 +100,7 @@ def read_table(logs: Sequence[Path]) -> Table:
     for name in (name for name in count if name and count[name] == 1):
         short = split_unit(name)[0]
         columns[name if short in columns else short] = name
-    time = _time_of(logs[0], list(columns.values()), stated)
+    time = source.time or _time_of(logs[0], columns.values(), stated)
     columns = {n: column for n, column in columns.items() if column != time}
     table = Table(time, columns)
     signals = [(_MESSAGE, name) for name in columns]

@@ -89,11 +89,11 @@ def configuration_text(
             raise ConfigError([msg])
         unsure.remove(speed)
         sure.insert(0, speed)
-    blocks = [_active(one, columns) for one in sure]
+    blocks = [_active(one, _keys(one, columns)) for one in sure]
     if unsure:
         title = "Unsure. Remove the '#' where the role is right."
         blocks.append(_comment(title))
-        blocks += [_inactive(one, columns) for one in unsure]
+        blocks += [_inactive(one, _keys(one, columns)) for one in unsure]
     return Template(_TEMPLATE.read_text("utf-8")).substitute(
         head=_head(recording, origin, notes),
         vehicle=_text(origin.stem),
@@ -183,17 +183,17 @@ def _ignored(recording: Recording | None) -> str:
     return f"ignored_interfaces = {names}  # of the log, without a DBC\n"
 
 
-def _active(one: Candidate, columns: Mapping[str, str] | None) -> str:
+def _active(one: Candidate, keys: list[str]) -> str:
     reason = one.reason if one.sure else f"UNSURE, check: {one.reason}"
     lines = [_comment(_sentence(reason))]
     if one.unread:
         lines.append(_comment(f"NOT READ: {one.unread}."))
-    return "\n".join([*lines, *_keys(one, columns)])
+    return "\n".join([*lines, *keys])
 
 
-def _inactive(one: Candidate, columns: Mapping[str, str] | None) -> str:
-    keys = [f"# {line}" for line in _keys(one, columns)]
-    return "\n".join([_comment(f"? {_sentence(one.reason)}"), *keys])
+def _inactive(one: Candidate, keys: list[str]) -> str:
+    marked = [f"# {line}" for line in keys]
+    return "\n".join([_comment(f"? {_sentence(one.reason)}"), *marked])
 
 
 def _keys(one: Candidate, columns: Mapping[str, str] | None) -> list[str]:

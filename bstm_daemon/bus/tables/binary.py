@@ -104,27 +104,16 @@ class ParquetSource(BinarySource):
             return np.asarray(nanos.to_numpy(zero_copy_only=False))
         if types.is_string(kind) or types.is_large_string(kind):
             return [one or "" for one in array.to_pylist()]
-        if (
-            types.is_integer(kind)
-            or types.is_floating(kind)
-            or types.is_boolean(kind)
-            or types.is_decimal(kind)
-            or types.is_null(kind)
-        ):
-            values = (
-                [
-                    np.nan if one is None else float(one)
-                    for one in array.to_pylist()
-                ]
-                if array.null_count or types.is_decimal(kind)
-                else (array.to_numpy(zero_copy_only=False))
+        try:
+            # what is null becomes nan
+            floats = array.cast("float64", safe=False)
+        except NotImplementedError as error:
+            msg = (
+                f"{self._path}: column {name!r} is of type {kind}, neither "
+                "numbers nor texts nor times"
             )
-            return np.asarray(values, np.float64)
-        msg = (
-            f"{self._path}: column {name!r} is of type {kind}, neither "
-            "numbers nor texts nor times"
-        )
-        raise LogError(msg)
+            raise LogError(msg) from error
+        return np.asarray(floats.to_numpy(zero_copy_only=False))
 
 
 class Hdf5Source(BinarySource):

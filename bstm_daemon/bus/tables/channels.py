@@ -8,8 +8,8 @@ in memory.
 from __future__ import annotations
 
 from abc import abstractmethod
+from collections import Counter
 from contextlib import redirect_stdout
-from dataclasses import dataclass
 from importlib import import_module
 from io import StringIO
 from typing import TYPE_CHECKING, Any, Final
@@ -29,9 +29,6 @@ if TYPE_CHECKING:
 
     Floats = npt.NDArray[np.float64]
 
-TIME: Final = "time"
-"""Column with the time [s] of each row."""
-
 _MASTERS: Final = (2, 3)
 """Channel types of MDF 4 that are the time base of a group."""
 _LAST_NUMBER: Final = 5
@@ -46,40 +43,34 @@ one, a preview, reads it."""
 _log = structlog.get_logger(__name__)
 
 
-@dataclass(frozen=True, slots=True)
-class _Channel:
-    """Where a library finds a channel, and the unit that the file states."""
-
-    key: Any
-    unit: str
-
-
 class _ChannelSource(BinarySource):
-    """A file of channels by name."""
+    """A file of channels, each by its name what :meth:`_read` takes."""
 
-    _channels: dict[str, _Channel]
+    time = "time"
+    _channels: dict[str, Any]
+    _units: dict[str, str]
 
     def names(self) -> list[str]:
-        """Return the names of the columns, :data:`TIME` first."""
-        return [TIME, *self._channels]
+        """Return the names of the columns, the time first."""
+        return [self.time, *self._channels]
 
     def units(self) -> dict[str, str]:
         """Return the unit texts that the file states, by column."""
-        stated = {n: one.unit for n, one in self._channels.items() if one.unit}
-        return units_in_names(self._channels) | stated | {TIME: "s"}
+        return units_in_names(self._channels) | self._units | {self.time: "s"}
 
     def chunks(self, columns: Collection[str]) -> Iterator[TableChunk]:
         """Yield the cells of *columns*; raises :class:`LogError`."""
         series: dict[str, tuple[Floats, Floats]] = {}
         with naming_damage(self._path):
             for name in columns:
-                if name != TIME:
-                    series[name] = self._numbers(name)
+                if name != self.time:
+                    times, values = self._read(self._channels[name])
+                    good = np.isfinite(times)
+                    series[name] = times[good], values[good].astype(np.float64)
             self._close()
+        empty = np.empty(0)
         stamps = np.unique(
-            np.concatenate([times for times, _ in series.values()])
-            if series
-            else np.empty(0)
+            np.concatenate([empty, *(times for times, _ in series.values())])
         )
         rows = {
             name: np.searchsorted(stamps, times)
@@ -87,7 +78,7 @@ class _ChannelSource(BinarySource):
         }
         for begin in range(0, len(stamps), self._chunk_rows):
             part = stamps[begin : begin + self._chunk_rows]
-            cells = {TIME: part}
+            cells = {self.time: part}
             for name, (_, values) in series.items():
                 place = rows[name] - begin
                 here = (place >= 0) & (place < len(part))
@@ -96,11 +87,6 @@ class _ChannelSource(BinarySource):
             self.share = (begin + len(part)) / len(stamps)
             lines = np.arange(begin + 1, begin + len(part) + 1)
             yield TableChunk(len(part), lines, cells)
-
-    def _numbers(self, name: str) -> tuple[Floats, Floats]:
-        times, values = self._read(self._channels[name].key)
-        good = np.isfinite(times)
-        return times[good], values[good].astype(np.float64)
 
     def _close(self) -> None:
         """Close the file, all that is wanted of it is read."""
@@ -129,22 +115,17 @@ class XrkSource(_ChannelSource):
         for line in said.getvalue().splitlines():
             _log.warning("libxrk", log=str(self._path), message=line)
         if not tables:
-            msg = (
-                f"{self._path}: damaged or no AiM recording: no channel is in "
-                "it"
-            )
+            msg = f"{self._path}: damaged or no AiM recording: no channel"
             raise LogError(msg)
-        self._channels = {
-            name: _Channel(
-                (table.column("timecodes"), table.column(name)),
-                library.ChannelMetadata.from_channel_table(table).units,
-            )
-            for name, table in tables.items()
-        }
+        self._channels = {n: (table, n) for n, table in tables.items()}
+        metadata_of = library.ChannelMetadata.from_channel_table
+        units = {n: metadata_of(table).units for n, table in tables.items()}
+        self._units = {name: unit for name, unit in units.items() if unit}
 
     def _read(self, key: Any) -> tuple[Floats, npt.NDArray[Any]]:
-        times, values = (column.to_numpy() for column in key)
-        return times / 1000.0, values
+        table, name = key
+        times_ms = table.column("timecodes").to_numpy()
+        return times_ms / 1000.0, table.column(name).to_numpy()
 
 
 class Mf4Source(_ChannelSource):
@@ -163,20 +144,21 @@ class Mf4Source(_ChannelSource):
             options: dict[str, Any] = {"process_bus_logging": False}
             self._mdf = library.MDF(self._path, **options)
         found = [
-            (channel.name, place, number, channel.unit or "")
+            (channel, place, number)
             for place, group in enumerate(self._mdf.groups)
             for number, channel in enumerate(group.channels)
             if channel.channel_type not in _MASTERS
             and channel.data_type <= _LAST_NUMBER
             and not channel.name.startswith(_BUS)
         ]
-        names = [name for name, *_ in found]
-        self._channels = {
-            name if names.count(name) == 1 else f"{name}#{place}": _Channel(
-                (place, number), unit
-            )
-            for name, place, number, unit in found
-        }
+        count = Counter(channel.name for channel, *_ in found)
+        self._channels, self._units = {}, {}
+        for channel, place, number in found:
+            is_single = count[channel.name] == 1
+            name = channel.name + ("" if is_single else f"#{place}")
+            self._channels[name] = place, number
+            if channel.unit:
+                self._units[name] = channel.unit
         if not found:
             msg = (
                 f"{self._path}: no decoded signal in this MF4 file: raw CAN "

@@ -57,9 +57,11 @@ class TableSource(ABC):
     """Reads one table, once, in runs of ``_chunk_rows`` rows.
 
     ``truncated`` marks a file without its end, ``share`` how much of it
-    is read, from 0 to 1.
+    is read, from 0 to 1. ``time`` is the column that has the time in every
+    file of the format, "" where there is none.
     """
 
+    time = ""
     truncated = False
     share = 0.0
     _chunk_rows: int

@@ -33,6 +33,8 @@ _log = structlog.get_logger(__name__)
 class VboSource(CsvSource):
     """A VBO file; the time is that of day, hhmmss.ss in UTC."""
 
+    time = "time"
+
     def _first(self, raw: Iterator[bytes]) -> list[bytes]:
         first = []
         for line in islice(raw, _HEAD_LINES):

@@ -163,6 +163,25 @@ def test_two_tables_are_joined(tmp_path: Path) -> None:
     assert len(recording.samples["table", "speed"].value) == 2 * len(TIME_S)
 
 
+def test_signals_of_mf4_and_their_time(tmp_path: Path) -> None:
+    asammdf = pytest.importorskip("asammdf")
+    path = tmp_path / "a.mf4"
+    mdf = asammdf.MDF(version="4.11")
+    for name, unit, values in (
+        ("Speed", "km/h", SPEED_MS * 3.6),
+        ("BrakePressure", "bar", BRAKE_BAR),
+    ):
+        mdf.append([asammdf.Signal(values, TIME_S, unit, name)])
+    mdf.save(path)
+    mdf.close()
+
+    table = read_table([path])
+
+    assert table.time == "time"
+    found = {one.role: one.unit for one in propose_for(table).sure}
+    assert found == {"vehicle_speed": "km/h", "primary_pressure": "bar"}
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
