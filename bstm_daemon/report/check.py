@@ -69,6 +69,8 @@ def fit_text(comparison: Comparison) -> dict[str, str]:
     scale = f"{fit.scale * reference_si / comparison.unit_si:.4g}"
     if reference_unit != unit:
         scale += f" {unit} a {reference_unit}"
+    elif fit.leans:
+        scale += f" (median ratio {fit.ratio:.4g})"
     return {
         "scale": scale,
         "offset": f"{fit.offset / comparison.unit_si:+.3g} {unit}",

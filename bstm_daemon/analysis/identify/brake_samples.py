@@ -21,6 +21,7 @@ from bstm_daemon.analysis.identify.driving import (
 )
 from bstm_daemon.analysis.quality.grid import HALF, window_mean
 from bstm_daemon.analysis.quality.limits import GRID_S, RELEASED_PA
+from bstm_daemon.analysis.quality.pressures import released_reading
 from bstm_daemon.analysis.statistics.series import (
     Column,
     Indices,
@@ -177,11 +178,12 @@ def brake_samples(
         if corner.name in pressures
     }
     top = driving.highest_pressure_pa()
-    rest = _rest_pa(driving, top)
+    rest, spread = released_reading(top, driving.speed_ms, driving.rate_ms2)
     pressed = top - rest > config.heat.brake_on_pressure_pa
     spans = applications(driving.time_s, driving.speed_ms, pressed)
     force = force_n(driving)
-    released = _released(driving, top - rest)
+    quiet_pa = max(0.5 * RELEASED_PA, spread)
+    released = _released(driving, top - rest < quiet_pa)
     zeros = [_zero(force, released, span) for span in spans]
     known = [zero for zero in zeros if zero is not None]
     # the grade differs from place to place: a zero of elsewhere holds only
@@ -229,8 +231,10 @@ def brake_samples(
     )
     if without_zero:
         words += (
-            f", {without_zero} without {LEAST_QUIET_S:g} s of released brake "
-            "around them"
+            f", {without_zero} without {LEAST_QUIET_S:g} s around them of "
+            f"released brake (below {(rest + quiet_pa) / 1e5:.2f} bar), above "
+            f"{LOWEST_MS * 3.6:.0f} km/h and driven with at most "
+            f"{DRIVEN_MS2:g} m/s2"
         )
     return stops, rest, words
 
@@ -262,25 +266,11 @@ def lagged(value: Column, lag_s: float) -> Column:
     return result
 
 
-def _rest_pa(driving: Driving, top: Column) -> float:
-    """Return the reading of the pressure with the brake certainly released.
-
-    The car gains speed, or rolls at the lowest pressures of the log.
-    """
-    rolling = (driving.speed_ms > LOWEST_MS) & np.isfinite(top)
-    gaining = rolling & (driving.rate_ms2 > 0.3)
-    chosen = top[gaining] if gaining.any() else top[rolling]
-    if not len(chosen):
-        return 0.0
-    rest = float(np.median(chosen) if gaining.any() else np.min(chosen))
-    return rest if abs(rest) < RELEASED_PA else 0.0
-
-
-def _released(driving: Driving, top: Column) -> Mask:
-    """Return where the brake is off and the force should be zero."""
+def _released(driving: Driving, off: Mask) -> Mask:
+    """Return where the brake is *off* and the force should be zero."""
     car = driving.vehicle
     limit_n = DRIVEN_MS2 * car.mass_kg
-    released = (top < 0.5 * RELEASED_PA) & (driving.speed_ms > LOWEST_MS)
+    released = off & (driving.speed_ms > LOWEST_MS)
     released &= np.abs(driving.torque_nm) / car.wheel_radius_m < limit_n
     released &= np.isfinite(driving.rate_ms2)
     return released

@@ -50,7 +50,13 @@ def compare_sides(channels: Channels, notes: Notes) -> None:
     signs: dict[str, tuple[float, tuple[str, str]]] = {}
     for name, left, right in pairs:
         difference = channels.value(right) - channels.value(left)
-        fit = fit_channels(yaw, difference, limits.SPEED_FLOOR_MS)
+        # in reverse the speeds have no sign, and the inner wheel is the faster
+        fit = fit_channels(
+            yaw,
+            difference,
+            limits.SPEED_FLOOR_MS,
+            channels.speed > limits.MOVING_MS,
+        )
         clear = (
             fit is not None
             and abs(fit.correlation) >= limits.SIDE_CORRELATION
@@ -130,17 +136,13 @@ def compare_axles(channels: Channels, notes: Notes) -> None:
             f"{subject}: no tight bend in this log, swapping is not detected"
         )
         return
-    slow = known & (rear < 2.0 * float(np.max(rear[tight])))
-    inputs = np.column_stack((yaw[slow] ** 2, rear[slow] ** 2))
-    (wheelbase2, share), *_ = np.linalg.lstsq(inputs, excess[slow], rcond=None)
-    turned = excess[slow] - share * inputs[:, 1]
-    follows = 0.0
-    if turned.std() > 0.0:
-        follows = float(np.corrcoef(turned, inputs[:, 0])[0, 1])
-    clear = (
-        abs(follows) >= limits.SIDE_CORRELATION
-        and 1.0 < abs(wheelbase2) < 36.0
-    )
+    # medians: in a bend one axle may spin or slide
+    straight = known & (np.abs(yaw) < limits.YAW_SPREAD_RAD_S)
+    share = np.median(excess[straight] / rear[straight] ** 2)
+    turned = excess[tight] - np.nan_to_num(share) * rear[tight] ** 2
+    wheelbase2 = float(np.median(turned / yaw[tight] ** 2))
+    same = float(np.mean(np.sign(turned) == np.sign(wheelbase2)))
+    clear = same >= limits.SAME_SIGN and 1.0 < abs(wheelbase2) < 36.0
     if not clear:
         notes.skip(
             f"{subject}: no difference in bends, swapping is not detected"

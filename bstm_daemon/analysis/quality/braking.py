@@ -10,6 +10,7 @@ from bstm_daemon.analysis.quality import limits
 from bstm_daemon.analysis.quality.channels import PRESSURES, Channels
 from bstm_daemon.analysis.quality.comparison import Fit, fit_channels
 from bstm_daemon.analysis.quality.grid import window_mean
+from bstm_daemon.analysis.quality.pressures import released_reading
 from bstm_daemon.model.heat.feed_back import Vehicle
 from bstm_daemon.model.heat.feed_forward import PressureTorque
 
@@ -219,7 +220,8 @@ def compare_switch(channels: Channels, notes: Notes) -> None:
     pressure, switch = channels.value(roles[0]), channels.value(_SWITCH)
     known = np.isfinite(switch)
     pressed = (pressure > limits.PRESSED_PA) & known
-    released = (pressure < limits.RELEASED_PA) & known
+    rest, _ = released_reading(pressure, channels.speed, channels.speed_rate())
+    released = (pressure - rest < limits.RELEASED_PA) & known
     counts = [
         np.count_nonzero(mask) * limits.GRID_S for mask in (pressed, released)
     ]

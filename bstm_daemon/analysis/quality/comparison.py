@@ -4,7 +4,9 @@ The scale is that of the geometric mean line, which treats both channels
 alike: ordinary regression would blame noise of the reference on the scale.
 Its bounds are the two ordinary regressions, between which the true scale lies
 whatever the noise of either side (Frisch 1934); a verdict needs the whole
-interval. Outliers are left out by their median deviation.
+interval. Outliers are left out by their median deviation, and a line that
+leans on a minority (wheels that spin in every launch) decides nothing: the
+medians must show the same scale and offset.
 """
 
 from __future__ import annotations
@@ -28,6 +30,9 @@ _OUTLIER: Final = 5.0
 _MAD_TO_SD: Final = 1.4826
 _ROUNDS: Final = 8
 _COARSE: Final = 4
+_LARGE: Final = 0.2
+_FLOORS: Final = 4.0
+_LEANS: Final = 0.03
 _FEWEST: Final = 20
 _LAG_FEWEST: Final = 60
 _BLOCK: Final = round(60.0 / GRID_S)
@@ -41,7 +46,9 @@ class Fit:
 
     ``scale_low`` and ``scale_high`` bound the scale; ``correlation`` is that
     of all samples, ``residual_rms`` that of the kept ones, in the channel's
-    unit. ``lag_s`` is None if no sharp change determines it. ``samples``
+    unit. ``ratio`` is the median of channel over reference, where that is
+    large, ``difference`` that of channel minus reference (plus, where the sign
+    is wrong). ``lag_s`` is None if no sharp change determines it. ``samples``
     counts common grid points, ``outliers`` the share left out.
     """
 
@@ -54,6 +61,8 @@ class Fit:
     residual_rms: float
     samples: int
     outliers: float
+    ratio: float
+    difference: float
 
     @property
     def seconds(self) -> float:
@@ -61,9 +70,21 @@ class Fit:
         return self.samples * GRID_S
 
     def beyond(self, tolerance: float) -> bool:
-        """Whether the scale is outside ``1 / tolerance .. tolerance``."""
-        low, high = sorted((abs(self.scale_low), abs(self.scale_high)))
-        return low > tolerance or high < 1 / tolerance
+        """Whether line and medians are beyond ``1 / tolerance .. tolerance``.
+
+        Both on one side of it.
+        """
+        scales = abs(self.scale_low), abs(self.scale_high), abs(self.ratio)
+        return min(scales) > tolerance or max(scales) < 1 / tolerance
+
+    @property
+    def leans(self) -> bool:
+        """Whether the median ratio differs from the scale by 3 % or more."""
+        return abs(self.ratio / self.scale - 1.0) > _LEANS
+
+    def offset_beyond(self, tolerance: float) -> bool:
+        """Whether line and medians are off by more than *tolerance*."""
+        return min(abs(self.offset), abs(self.difference)) > tolerance
 
 
 def fit_channels(
@@ -101,6 +122,8 @@ def fit_channels(
     scale = float(np.copysign(y_kept.std() / x_kept.std(), inner))
     offset = float(y_kept.mean() - scale * x_kept.mean())
     residual = y_kept - scale * x_kept - offset
+    usual = _LARGE * float(np.percentile(np.abs(x), 95))
+    large = np.abs(x) > min(_FLOORS * floor, max(floor, usual))
     return Fit(
         scale=scale,
         scale_low=scale * abs(inner),
@@ -111,6 +134,8 @@ def fit_channels(
         residual_rms=float(np.sqrt(np.mean(residual**2))),
         samples=len(x),
         outliers=float(1.0 - np.count_nonzero(kept) / len(x)),
+        ratio=float(np.median(y[large] / x[large])) if large.any() else scale,
+        difference=float(np.median(y - np.copysign(x, x * inner))),
     )
 
 

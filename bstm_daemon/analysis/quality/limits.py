@@ -81,7 +81,11 @@ PRESSED_PA: Final = 3e5
 """Pads are on at this pressure (push-out is 0.5 to 1 bar)."""
 
 RELEASED_PA: Final = 0.5e5
-"""Below this pressure the brake is released."""
+"""Below this pressure, above its released reading, the brake is released."""
+
+RESIDUAL_PA: Final = 2e5
+"""Largest reading of a released brake: valves hold 0.4 to 1 bar in the line,
+sensors' zeros add to it."""
 
 MOVING_MS: Final = 2.0
 """Below this, wheel sensors and difference quotients are not trusted."""
@@ -158,6 +162,9 @@ YAW_SPREAD_RAD_S: Final = 0.05
 
 SIDE_CORRELATION: Final = 0.6
 """Wheel differences follow the yaw rate this well in bends."""
+
+SAME_SIGN: Final = 0.8
+"""Share of a bend's samples in which one axle is the faster one."""
 
 WIDEST_TRACK_M: Final = 2.5
 """Widest track that the wheel differences in bends may imply."""

@@ -59,8 +59,9 @@ def name_faults(
     """Name what *fit* shows of *role*, the channel, against a reference.
 
     *why_not* gives a reason of the caller's why nothing can be judged. A
-    scale is only named where the whole interval of the fit is wrong; a sign
-    and a scale may be wrong at once.
+    scale is only named where the whole interval of the fit is wrong, scale and
+    offset where the medians show them too; a sign and a scale may be wrong at
+    once.
     """
     if why_not or fit is None or fit.seconds < limits.ENOUGH_S:
         return Naming(why_not_judged=why_not or "too little in common")
@@ -72,7 +73,7 @@ def name_faults(
         found.append(("sign", "wrong sign"))
     if fit.beyond(tolerance.scale):
         found.append(_scale(channels, role, fit, tolerance))
-    elif abs(fit.offset) > tolerance.offset:
+    elif fit.offset_beyond(tolerance.offset):
         unit, factor = channels.unit(role)
         found.append(("offset", f"offset {fit.offset / factor:+.3g} {unit}"))
     lag_s = fit.lag_s

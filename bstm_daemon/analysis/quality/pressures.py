@@ -21,6 +21,7 @@ from bstm_daemon.analysis.quality.naming import (
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from bstm_daemon.analysis.statistics.series import Column
 
 _REAR: Final = ("secondary_pressure", "wheel_pressure_rl", "wheel_pressure_rr")
 
@@ -134,6 +135,33 @@ def _name(
         limits.PRESSURE_OFFSET_PA,
     )
     return name_faults(channels, other, fit, tolerance, why), fit
+
+
+def released_reading(
+    pressure: Column, speed_ms: Column, rate_ms2: Column
+) -> tuple[float, float]:
+    """Return what a *pressure* reads with the brake certainly released.
+
+    The car gains speed, or rolls at the lowest pressures of the log.
+
+    Args:
+        pressure: of one circuit [Pa], (n,) on the grid, NaN where absent.
+        speed_ms: of the car, (n,).
+        rate_ms2: its change, (n,).
+
+    Returns:
+        The reading and how far it varies upwards [Pa]; 0 where there is none
+        or one that can not be that of a released brake.
+    """
+    rolling = (speed_ms > limits.MOVING_MS) & np.isfinite(pressure)
+    gaining = rolling & (rate_ms2 > limits.DRIVING_MS2)
+    chosen = pressure[gaining if gaining.any() else rolling]
+    if not len(chosen):
+        return 0.0, 0.0
+    rest = float(np.median(chosen) if gaining.any() else np.min(chosen))
+    if abs(rest) > limits.RESIDUAL_PA:
+        return 0.0, 0.0
+    return rest, float(np.percentile(chosen, 95) - rest) * gaining.any()
 
 
 def check_resting(channels: Channels, notes: Notes) -> None:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
+import numpy as np
 import pytest
 
 from bstm_daemon.analysis.identify.brakes import identify_brakes
@@ -178,6 +180,7 @@ parked = true
 duration_s = 4.0
 """
 
+PRIMARY = "primary_pressure"
 WHEELS = tuple(f"wheel_pressure_{c}" for c in ("fl", "fr", "rl", "rr"))
 MOTION = (
     *("vehicle_speed", "acceleration_longitudinal", "powertrain_torque"),
@@ -216,6 +219,59 @@ def test_wheel_pressures_that_part_tell_the_axles(
     assert found.front_share.value == pytest.approx(
         gains[:2].sum() / gains.sum(), abs=0.015
     )
+
+
+def test_the_released_pressure_is_found_from_the_data(
+    simulated: Callable[..., SimulatedDrive],
+    sampled: Callable[..., Recording],
+    example: Example,
+) -> None:
+    """0.4 to 0.7 bar stay in the line: as many stops, the same friction."""
+    config, plan = example
+    recording = sampled(simulated("idiada-step"), *MOTION, PRIMARY)
+    held = recording.series[PRIMARY]
+    wavering = 0.55e5 + 0.15e5 * np.sin(0.3 * held.time_s)
+    residual = replace(
+        recording,
+        series={
+            **recording.series,
+            PRIMARY: replace(held, value=held.value + wavering),
+        },
+    )
+
+    none, some = (
+        identify_brakes([driving_of("step", one, config, plan)], config)
+        for one in (recording, residual)
+    )
+
+    assert some.rest_pa == pytest.approx(0.55e5, abs=0.15e5)
+    assert len(some.stops) == len(none.stops)
+    assert some.scale.value == pytest.approx(none.scale.value, rel=0.01)
+
+
+def test_what_is_missing_around_the_stops_is_said(
+    simulated: Callable[..., SimulatedDrive],
+    sampled: Callable[..., Recording],
+    example: Example,
+) -> None:
+    """Under torque throughout: no zero of the released brake."""
+    config, plan = example
+    recording = sampled(simulated("idiada-step"), *MOTION, PRIMARY)
+    torque = recording.series["powertrain_torque"]
+    driven = replace(torque, value=np.full_like(torque.value, 900.0))
+    series = {**recording.series, "powertrain_torque": driven}
+    for role in ("gear", "clutch_open", "acceleration_longitudinal"):
+        del series[role]
+    motion = driving_of(
+        "step", replace(recording, series=series), config, plan
+    )
+
+    with pytest.raises(
+        LogError,
+        match=r"without 1\.5 s around them of released brake \(below 0\.\d+ "
+        r"bar\), above 9 km/h and driven with at most 0\.4 m/s2",
+    ):
+        identify_brakes([motion], config)
 
 
 def test_accelerometer_bias_is_no_friction(

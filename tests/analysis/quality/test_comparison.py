@@ -62,6 +62,39 @@ def test_outliers_do_not_move_the_line() -> None:
     assert fit.outliers == pytest.approx(1 / 7, abs=0.02)
 
 
+@pytest.mark.parametrize("spin", [0.08, 0.3])
+def test_spin_in_launches_is_no_scale(spin: float) -> None:
+    """The line leans on it, half of the samples do not show it."""
+    launch = np.arange(0.0, 30.0, 0.2)
+    cruise = np.repeat([4.0, 6.0, 7.0, 5.0], 80)
+    true = np.tile(np.concatenate((launch, cruise)), 4)
+    spinning = np.tile(
+        np.concatenate((np.full(len(launch), spin), np.zeros(len(cruise)))), 4
+    )
+
+    fit = fit_channels(true * (1.0 + spinning), true, 0.5)
+
+    assert fit is not None
+    assert fit.scale < 1 / 1.06
+    assert fit.ratio == pytest.approx(1.0)
+    assert fit.leans
+    assert not fit.beyond(1.06)
+    assert not fit.offset_beyond(0.6)
+
+
+@pytest.mark.parametrize(("scale", "offset"), [(1.1, 0.0), (1.0, 2.0)])
+def test_a_wrong_scale_or_offset_is_in_line_and_medians(
+    scale: float, offset: float
+) -> None:
+    fit = fit_channels(DRIVE, scale * DRIVE + offset, 0.5)
+
+    assert fit is not None
+    assert fit.beyond(1.06) == (scale != 1.0)
+    assert fit.scale == pytest.approx(scale)
+    assert fit.difference > 0.6
+    assert fit.offset_beyond(0.6) == (offset != 0.0)
+
+
 def test_nothing_to_fit() -> None:
     constant = np.full(len(DRIVE), 3.0)
     absent = np.full(len(DRIVE), np.nan)

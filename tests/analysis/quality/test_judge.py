@@ -206,6 +206,76 @@ def test_swapped_axles(clean: Recording, judged: Judge) -> None:
     assert named(quality) == [("swapped", WHEELS)]
 
 
+@pytest.mark.parametrize("share", [0.08, 0.3])
+def test_wheels_that_spin_in_launches_are_no_fault(
+    clean: Recording, judged: Judge, share: float
+) -> None:
+    """Driven wheels, and the speed that is taken from them, in every launch.
+
+    Half of the time, in slow driving, all agree.
+    """
+    launch, slowing = np.arange(0.0, 30.0, 0.08), np.arange(30.0, 0.0, -0.16)
+    parts = [launch, slowing, np.full(1000, 6.0), np.full(200, 3.0)]
+    spin = [share, 0.0, 0.0, 0.0]
+    sizes = [len(part) for part in parts]
+    true = np.tile(np.concatenate(parts), 8)
+    spun = true * (1.0 + np.tile(np.repeat(spin, sizes), 8))
+    time_s = np.arange(len(true)) * 0.02
+    rng = np.random.default_rng(3)
+    series = {
+        role: Series(time_s, value + rng.normal(0.0, 0.03, len(true)))
+        for role, value in {
+            "vehicle_speed": spun,
+            **dict.fromkeys(WHEELS[:2], true),
+            **dict.fromkeys(WHEELS[2:], spun),
+        }.items()
+    }
+
+    quality = judged(Recording(series, float(time_s[-1]), {}, {}))
+
+    assert not [text for text in quality.findings if text.wrong]
+
+
+def test_a_residual_pressure_is_a_released_brake(
+    clean: Recording, judged: Judge
+) -> None:
+    """0.55 to 0.85 bar, which a threshold of 0.5 bar takes for pressed."""
+    wavering = {
+        role: lambda time_s, value: value + 0.7e5 + 0.15e5 * np.sin(time_s)
+        for role in (PRIMARY, SECONDARY)
+    }
+
+    quality = judged(changed(clean, **wavering))
+    inverted = judged(
+        changed(clean, **wavering, brake_switch=lambda _, value: 1.0 - value)
+    )
+
+    assert named(quality) == []
+    assert named(inverted) == [("sign", ("brake_switch",))]
+
+
+def test_reversing_is_no_swapping(clean: Recording, judged: Judge) -> None:
+    """In reverse the inner wheel's speed, without a sign, is the larger."""
+    time_s = np.arange(0.0, 90.0, 0.02)
+    reverse = time_s < 20.0
+    velocity = np.where(reverse, -1.5, 15.0 + 3.0 * np.sin(time_s))
+    yaw = np.where(reverse, 0.5, 0.07 * (np.sin(0.2 * time_s) > 0.0))
+    series = {
+        wheel: Series(
+            time_s,
+            np.abs(velocity + (-0.8 if wheel[-1] == "l" else 0.8) * yaw),
+        )
+        for wheel in WHEELS
+    }
+    series["yaw_rate"] = Series(time_s, yaw)
+
+    quality = judged(Recording(series, 90.0, {}, {}))
+
+    assert not any(fault == "swapped" for fault, _ in named(quality))
+    tracks = [one.verdict for one in quality.comparisons if "yaw" in one.title]
+    assert tracks == ["agrees, track 1.60 m"] * 2
+
+
 def test_swapping_without_yaw_rate_is_not_guessed(
     clean: Recording, judged: Judge
 ) -> None:
