@@ -36,7 +36,6 @@ UNITS: Final[dict[str, Unit]] = {
     "m/s": Unit("speed", 1.0),
     "km/h": Unit("speed", 1 / 3.6),
     "mph": Unit("speed", 0.44704),
-    "kn": Unit("speed", 1852 / 3600),
     "rad/s": Unit("angular_speed", 1.0),
     "deg/s": Unit("angular_speed", pi / 180),
     "rpm": Unit("angular_speed", pi / 30),
@@ -91,7 +90,6 @@ _WORDS: Final = (
 _SPELLINGS: Final = {
     "km/h": "kmh kph kmph km/hou",
     "mph": "mi/h",
-    "kn": "knot knots kt kts",
     "m/s": "mps ms1",
     "m/s2": "m/s/s mps2 ms2 m/2s m/sonsquar",
     "deg/s": "degps dps degreofarc/son",
