@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 from bstm_daemon.analysis.setup.name_rules import name_matches, unit_matches
 from bstm_daemon.analysis.setup.proposal import propose
@@ -30,7 +30,6 @@ if TYPE_CHECKING:
     import argparse
 
     from bstm_daemon.analysis.setup.proposal import Candidate, Proposal
-    from bstm_daemon.analysis.setup.recording import Recording
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -61,15 +60,15 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError(msg)
     out: Path = args.out
     check_new(out, force=args.force)
-    found = _from_table(args.log) if args.dbc is None else _from_dbc(args)
-    proposal, recording = found.proposal, found.recording
+    made = _from_table(args.log) if args.dbc is None else _from_dbc(args)
+    proposal, text, notes = made
     with replacing(out) as file:
-        file.write_text(found.text, "utf-8")
-    for note in found.notes:
+        file.write_text(text, "utf-8")
+    for note in notes:
         print(note)
     print(
         f"{out}: {len(proposal.sure)} roles, {len(proposal.unsure)} unsure "
-        f"ones as comments{'' if recording else ', by name and unit only'}"
+        f"ones as comments{'' if args.log else ', by name and unit only'}"
     )
     for one in proposal.sure:
         print(f"  {one.role:26} {_worded(one)}")
@@ -84,16 +83,8 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-class _Found(NamedTuple):
-    """A configuration, what it rests on, and what is to be said of it."""
-
-    proposal: Proposal
-    recording: Recording | None
-    text: str
-    notes: list[str]
-
-
-def _from_dbc(args: argparse.Namespace) -> _Found:
+def _from_dbc(args: argparse.Namespace) -> tuple[Proposal, str, list[str]]:
+    """Return proposal, configuration and what is to be said of them."""
     encoding = _encoding(args.dbc)
     loaded = read_dbc(args.dbc, strict=False, encoding=encoding)
     database = loaded.database
@@ -115,10 +106,11 @@ def _from_dbc(args: argparse.Namespace) -> _Found:
         proposal, recording, origin=dbc, source=source, notes=notes
     )
     warnings = [f"{args.dbc}: {warning}" for warning in loaded.warnings]
-    return _Found(proposal, recording, text, warnings + notes)
+    return proposal, text, warnings + notes
 
 
-def _from_table(logs: list[Path]) -> _Found:
+def _from_table(logs: list[Path]) -> tuple[Proposal, str, list[str]]:
+    """Return the same as :func:`_from_dbc`, for a signal table."""
     if not logs:
         msg = "init needs --dbc CAR.dbc, or --log TABLE for a signal table"
         raise UsageError(msg)
@@ -137,7 +129,7 @@ def _from_table(logs: list[Path]) -> _Found:
         notes=notes,
         columns=table.columns,
     )
-    return _Found(proposal, table.recording, text, notes)
+    return proposal, text, notes
 
 
 def _encoding(path: Path) -> str:

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
+from bstm_daemon.bus.tables.cells import numbers
 from bstm_daemon.bus.tables.source import units_in_names
 from bstm_daemon.units import unit_named
 
@@ -23,9 +24,7 @@ HEAD_LINES: Final = 100
 """Lines in which the first values are looked for."""
 
 _DELIMITERS: Final = ",;\t|"
-_NUMBER: Final = re.compile(r"[+-]?(\d+[.,]?\d*|[.,]\d+)([eE][+-]?\d+)?")
-_DATE: Final = re.compile(r"\d{4}-\d\d-\d\d.*|\d+:\d\d(:\d\d)?([.,]\d+)?")
-_WORDS: Final = ("true", "false", "nan", "inf", "-inf")
+_DATE: Final = re.compile(r"\d{4}-\d\d-\d\d.*|\d+:\d\d(:\d\d)?(\.\d+)?")
 _TIME_UNITS: Final = ("s", "sec", "ms", "us")
 _COMMA: Final = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?")
 _THOUSANDS: Final = re.compile(r"[+-]?\d{1,3},\d{3}")
@@ -73,22 +72,17 @@ def read_head(lines: Sequence[str], delimiter: str | None) -> Head:
                 most = len(like) * width
                 best = one, rows, place, first, like
     if best is None:
-        first_line = lines[0] if lines else ""
-        one = delimiter or max(
-            _DELIMITERS, key=lambda each: len(cells_of(first_line, each))
-        )
-        names = cells_of(first_line, one)
+        beginning = lines[0] if lines else ""
+        rows = [cells_of(beginning, one) for one in delimiter or _DELIMITERS]
+        names = max(rows, key=len)
+        one = (delimiter or _DELIMITERS)[rows.index(names)]
         return Head(names, one, units=units_in_names(names))
     one, rows, place, first, like = best
-    names = rows[place]
+    names, below = rows[place], rows[place + 1]
     units = units_in_names(names)
-    below = rows[place + 1]
     if place + 1 < first and _is_units(below):
-        units |= {
-            name: text
-            for name, text in zip(names, below, strict=False)
-            if text
-        }
+        stated = zip(names, below, strict=False)
+        units |= {name: text for name, text in stated if text}
     else:
         # any other row above the values is counted as a damaged one
         first = place + 1
@@ -122,18 +116,15 @@ def _names_above(rows: Sequence[list[str]], first: int) -> int | None:
     return texts[-1] if texts else None
 
 
-def _is_value(cell: str) -> bool:
-    return bool(
-        _NUMBER.fullmatch(cell)
-        or _DATE.fullmatch(cell)
-        or cell.lower() in _WORDS
-    )
-
-
 def _is_values(row: list[str]) -> bool:
     """Whether more than half of the cells that are there are values."""
-    there = [cell for cell in row if cell]
-    return 2 * sum(map(_is_value, there)) > len(there)
+    there = [cell.replace(",", ".") for cell in row if cell]
+    unreadable = numbers(there).unreadable.tolist()
+    values = [
+        not is_text or _DATE.fullmatch(cell)
+        for cell, is_text in zip(there, unreadable, strict=True)
+    ]
+    return 2 * sum(map(bool, values)) > len(there)
 
 
 def _is_units(row: list[str]) -> bool:

@@ -517,7 +517,7 @@ CELL = st.one_of(
 )
 @given(
     rows=st.lists(st.lists(CELL, max_size=6), max_size=12),
-    unit=st.sampled_from([None, "s", "us", "iso8601"]),
+    unit=st.sampled_from([None, "s", "us", "iso8601", "hhmmss"]),
     long=st.booleans(),
 )
 def test_no_cell_escapes_as_an_exception(
