@@ -92,8 +92,8 @@ def open_log(path: Path, wanted: Wanted | None = None) -> FrameReader:
     kind = _kind_of(path)
     if kind == _TABLE:
         msg = (
-            f"{path}: a signal table has no CAN frames; of roles with "
-            "'column' in the configuration it gives the samples"
+            f"{path}: a signal table has no CAN frames: it is read where "
+            "roles have a 'column', which 'bstm init' proposes without --dbc"
         )
         raise LogError(msg)
     if kind == _CANDUMP:

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import given
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from bstm_daemon.bus.tables.csv_head import read_head
@@ -201,6 +201,45 @@ def test_any_table_keeps_names_and_rows(
     assert head.decimal_comma is (point == ",")
     assert head.lines == begin
     assert (head.units.get(names[0]) == "km/h") is has_units
+
+
+@settings(
+    deadline=None,
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
+)
+@given(
+    st.lists(st.floats(-50, 400).map(lambda x: round(x, 3)), min_size=1),
+    st.sampled_from([(",", "."), (";", ","), (",", ",")]),
+    st.sampled_from(["", "Vehicle;;x\n", "a\n\nb,c,d,e\n"]),
+)
+def test_values_that_are_written_are_read(
+    tmp_path: Path,
+    samples_of: Reader,
+    values: list[float],
+    form: tuple[str, str],
+    preamble: str,
+) -> None:
+    delimiter, point = form
+    rows = [
+        delimiter.join(
+            f'"{cell:.4f}"'.replace(".", point) for cell in (n / 10, value)
+        )
+        for n, value in enumerate(values)
+    ]
+    head = delimiter.join(["time [s]", "v"])
+    path = tmp_path / "a.csv"
+    path.write_text(preamble + "\n".join([head, *rows]) + "\n")
+
+    read = samples_of(
+        path,
+        {"vehicle_speed": {"column": "v", "unit": "m/s"}},
+        time="time [s]",
+    )
+
+    assert [value for *_, value in read] == values
+    assert [round(time_s * 10) for time_s, *_ in read] == list(
+        range(len(values))
+    )
 
 
 @given(st.lists(st.text(max_size=30), max_size=12), st.none() | st.just(";"))
