@@ -34,7 +34,17 @@ _FIRST: Final = (
     *("acceleration_longitudinal", "engine_speed"),
 )
 _MAY_STAY: Final = ("ambient_temperature", "ignition")
-"""Roles of which a constant value is what a drive shows."""
+_STILL: Final = ", which shows nothing of it"
+"""Roles of which a constant value is what a drive shows; said of others."""
+
+_ON_THE_MOVE: Final = {
+    "park_brake": (0.0, 0.02),
+    "ignition": (0.9, 1.0),
+    "abs_active": (0.0, 0.5),
+    "esc_active": (0.0, 0.5),
+    "tc_active": (0.0, 0.5),
+}
+"""Share of the time on the move in which a flag is on."""
 
 _RANGES: Final = {
     "engine_speed": (-1.0, 2100.0),
@@ -59,7 +69,6 @@ _AT_WHEELS_KG: Final = (400.0, 5000.0)
 _BRAKED_MS2: Final = -1.5
 _DRIVEN_MS2: Final = 0.5
 _SHIFT_S: Final = 0.5
-_IDLE_RAD_S: Final = 30.0
 
 
 def stage_of(role: str) -> int:
@@ -103,29 +112,55 @@ class Judge:
         low, high = float(samples.value.min()), float(samples.value.max())
         reason = f"{low:g} to {high:g} in the log"
         if low == high:
-            fits = role in _MAY_STAY
-            reason = f"always {low:g} in the log"
-            if not fits:
-                reason += ", which shows nothing of it"
-                return Verdict(fits=False, reason=reason)
+            fits, what = role in _MAY_STAY, "" if role in _MAY_STAY else _STILL
+            return Verdict(
+                fits=fits, reason=f"always {low:g} in the log{what}"
+            )
         if not unit:
             return Verdict(fits=True, reason=reason)
         si = to_si(samples, unit)
-        inner = np.quantile(si.value, (0.01, 0.99))
+        least, most = np.quantile(si.value, (0.01, 0.99))
         for start, (lowest, highest) in _RANGES.items():
-            if role.startswith(start) and (
-                inner[0] < lowest or inner[1] > highest
-            ):
+            if role.startswith(start) and (least < lowest or most > highest):
                 return Verdict(fits=False, reason=f"{reason}: out of range")
-        special = _SPECIAL.get(role)
-        if special is None or not self.motion.known:
+        value = self.motion.on_grid(si)
+        if role in _ON_THE_MOVE and self.motion.moving.any():
+            lowest, highest = _ON_THE_MOVE[role]
+            share = float(np.mean(value[self.motion.moving] > 0.5))
+            found = Verdict(
+                fits=lowest <= share <= highest,
+                reason=f"on {100 * share:.0f} % of the time on the move",
+            )
+        elif role in _SPECIAL and self.motion.known:
+            found = _SPECIAL[role](self, value)
+        else:
             return Verdict(fits=True, reason=reason)
-        found = special(self, self.motion.on_grid(si))
         return replace(found, reason=f"{reason}; {found.reason}")
 
     def seconds(self, mask: Mask) -> float:
         """Return how long *mask*, on the grid, is true."""
         return float(np.count_nonzero(mask)) * self.motion.step_s
+
+    def share_on(self, value: Series, where: Mask) -> float:
+        """Return the share of *where* in which a flag is on, NaN if short."""
+        long = self.seconds(where) > _ENOUGH_S
+        return float(np.mean(value[where] > 0.5)) if long else np.nan
+
+    def follows(
+        self, value: Series, other: Series, where: Mask
+    ) -> tuple[float, float] | None:
+        """Return correlation and ratio of the spreads of *other* to *value*.
+
+        In *where*, both smoothed; None where that is short or one is still.
+        """
+        x, y = (
+            self.motion.smooth(value)[where],
+            self.motion.smooth(other)[where],
+        )
+        if self.seconds(where) < _BENDS_S or min(np.std(x), np.std(y)) == 0.0:
+            return None
+        r = float(np.corrcoef(x, y)[0, 1])
+        return r, float(np.std(y) / np.std(x))
 
     def braking(self) -> tuple[str, Mask, Mask]:
         """Return what shows braking, where it is released and where not."""
@@ -133,80 +168,37 @@ class Judge:
             if role in self.known:
                 value = self.known[role]
                 low, high = np.quantile(value, 0.05), value.max()
-                span = high - low
-                return (
-                    role,
-                    value < low + 0.03 * span,
-                    value > low + 0.1 * span,
-                )
+                part = (value - low) / max(high - low, 1e-9)
+                return role, part < 0.03, part > 0.1
         change, moving = self.motion.change_ms2, self.motion.moving
-        return (
-            "deceleration",
-            moving & (change > _DRIVEN_MS2),
-            moving & (change < _BRAKED_MS2),
-        )
+        driven = moving & (change > _DRIVEN_MS2)
+        return "deceleration", driven, moving & (change < _BRAKED_MS2)
 
 
 def _brake_switch(judge: Judge, value: Series) -> Verdict:
     role, released, pressed = judge.braking()
-    if min(judge.seconds(released), judge.seconds(pressed)) < _ENOUGH_S:
-        return Verdict(fits=True, reason="too little braking to check it with")
-    pressed_on = float(np.mean(value[pressed] > 0.5))
-    released_on = float(np.mean(value[released] > 0.5))
+    on, off = judge.share_on(value, pressed), judge.share_on(value, released)
     return Verdict(
-        fits=pressed_on > 0.7 and released_on < 0.3,
-        reason=f"on {100 * pressed_on:.0f} % of the time braked, "
-        f"{100 * released_on:.0f} % released, by {role}",
-    )
-
-
-def _park_brake(judge: Judge, value: Series) -> Verdict:
-    moving = judge.motion.moving
-    share = float(np.mean(value[moving] > 0.5)) if moving.any() else 0.0
-    return Verdict(
-        fits=share < 0.02,
-        reason=f"on {100 * share:.0f} % of the time on the move",
-    )
-
-
-def _intervention(judge: Judge, value: Series) -> Verdict:
-    """Anti-lock, stability and traction control act now and then, moving."""
-    moving, on = judge.motion.speed_ms > 0.5, value > 0.5
-    share = float(np.mean(on[moving])) if moving.any() else 0.0
-    standing = float(np.mean(~moving[on])) if on.any() else 0.0
-    return Verdict(
-        fits=share < 0.5 and standing < 0.5,
-        reason=f"on {100 * share:.0f} % of the time on the move, "
-        f"{100 * standing:.0f} % of it standing",
-    )
-
-
-def _ignition(judge: Judge, value: Series) -> Verdict:
-    moving = judge.motion.moving
-    share = float(np.mean(value[moving] > 0.5)) if moving.any() else 1.0
-    return Verdict(
-        fits=share > 0.9,
-        reason=f"on {100 * share:.0f} % of the time on the move",
+        fits=not (on < 0.7 or off > 0.3),
+        reason=f"on {100 * on:.0f} % of the time braked and {100 * off:.0f} % "
+        f"released, by {role}",
     )
 
 
 def _gear(judge: Judge, value: Series) -> Verdict:
     """In a higher gear the engine turns fewer times a metre."""
-    engine = judge.known.get("engine_speed")
-    if engine is None:
-        return Verdict(fits=True, reason="no engine speed to compare with")
+    engine = judge.known.get("engine_speed", np.zeros_like(value))
     motion = judge.motion
     turns = engine / np.maximum(motion.speed_ms, 1.0)
-    found = {}
-    for gear in range(1, 11):
-        here = motion.moving & (np.abs(value - gear) < 0.01)
-        if judge.seconds(here) > _ENOUGH_S:
-            found[gear] = float(np.median(turns[here]))
-    if len(found) < 2:
-        return Verdict(fits=True, reason="one gear only on the move")
-    rising = np.diff(list(found.values())) > 0
+    found = {
+        gear: float(np.median(turns[here]))
+        for gear in range(1, 11)
+        for here in (motion.moving & (np.abs(value - gear) < 0.01),)
+        if judge.seconds(here) > _ENOUGH_S
+    }
+    rising = np.diff(list(found.values())) > 0.0
     return Verdict(
-        fits=float(np.mean(rising)) < 0.5,
+        fits=int(np.count_nonzero(rising)) * 2 <= len(rising),
         reason="engine speed over speed "
         + ", ".join(f"{one:.1f} in {gear}" for gear, one in found.items()),
     )
@@ -215,125 +207,94 @@ def _gear(judge: Judge, value: Series) -> Verdict:
 def _clutch_open(judge: Judge, value: Series) -> Verdict:
     """Gears change with the clutch open; closed, engine and car are one."""
     motion, known = judge.motion, judge.known
-    on = value > 0.5
-    words, fits = [], False
-    if "gear" in known:
-        steps = np.flatnonzero(np.abs(np.diff(known["gear"])) > 0.0)
-        near = np.zeros(len(on), np.bool_)
-        reach = round(_SHIFT_S / motion.step_s)
-        for step in steps.tolist():
-            near[max(step - reach, 0) : step + reach] = True
-        here, else_ = near & motion.moving, ~near & motion.moving
-        if here.any() and else_.any():
-            at_shifts, between = (
-                float(on[here].mean()),
-                float(on[else_].mean()),
-            )
-            fits = at_shifts > max(0.3, 2.0 * between)
-            words.append(
-                f"open {100 * at_shifts:.0f} % of the time around gear "
-                f"changes, {100 * between:.0f} % else"
-            )
-    if "engine_speed" in known and not fits:
-        engine = np.log(np.maximum(known["engine_speed"], _IDLE_RAD_S))
-        speed = np.log(np.maximum(motion.speed_ms, 1.0))
-        slip = motion.smooth(engine - speed)
-        slip_1_s = np.abs(np.gradient(slip, motion.step_s))
-        here, else_ = on & motion.moving, ~on & motion.moving
-        if min(judge.seconds(here), judge.seconds(else_)) > _ENOUGH_S:
-            slipping = float(np.median(slip_1_s[here]))
-            coupled = float(np.median(slip_1_s[else_]))
-            fits = slipping > max(0.05, 3.0 * coupled)
-            words.append(
-                f"engine and wheels part by {slipping:.2f} a second while it "
-                f"is open, {coupled:.2f} else"
-            )
-    none = "no change of gear or engine speed to check it with"
-    return Verdict(fits=fits, reason="; ".join(words) or none)
+    moving, open_ = motion.moving, value > 0.5
+    reach = 2 * round(_SHIFT_S / motion.step_s) + 1
+    gear = known.get("gear", np.zeros_like(value))
+    changing = np.abs(np.gradient(gear)) > 0.0
+    near = np.convolve(changing, np.ones(reach), "same") > 0.5
+    at_shifts = judge.share_on(value, near & moving)
+    between = judge.share_on(value, ~near & moving)
+    engine = np.log(np.maximum(known.get("engine_speed", gear * 0), 30.0))
+    slip = motion.smooth(engine - np.log(np.maximum(motion.speed_ms, 1.0)))
+    slip_1_s = np.abs(np.gradient(slip, motion.step_s))
+    apart, coupled = (
+        float(np.median(slip_1_s[here])) if here.any() else np.nan
+        for here in (open_ & moving, ~open_ & moving)
+    )
+    parts = "engine_speed" in known and apart > max(0.05, 3.0 * coupled)
+    return Verdict(
+        fits=at_shifts > max(0.3, 2.0 * between) or parts,
+        reason=f"open {100 * at_shifts:.0f} % of the time around gear changes "
+        f"and {100 * between:.0f} % else; engine and wheels part by "
+        f"{apart:.2f} a second while it is open, {coupled:.2f} else",
+    )
 
 
 def _torque(judge: Judge, value: Series) -> Verdict:
-    """Torque at the wheels accelerates the car's mass."""
+    """Torque at the wheels accelerates the mass of a car."""
     motion = judge.motion
-    _, _, pressed = judge.braking()
-    here = motion.moving & ~pressed
-    x, y = motion.smooth(value)[here], motion.change_ms2[here]
-    if judge.seconds(here) < _BENDS_S or min(np.std(x), np.std(y)) == 0.0:
+    free = motion.moving & ~judge.braking()[2]
+    found = judge.follows(value, motion.change_ms2, free)
+    if found is None:
         return Verdict(fits=True, reason="too little driving to check it with")
-    r = float(np.corrcoef(x, y)[0, 1])
-    mass = float(np.std(x) / np.std(y)) / judge.radius_m
+    r, ratio = found
+    mass_kg = 1.0 / (ratio * judge.radius_m)
     return Verdict(
         fits=r > _FOLLOWS,
-        reason=f"dv/dt follows it with r = {r:.2f}, as of {mass:.0f} kg if at "
-        "the wheels",
-        proven=r > _ALONG and _AT_WHEELS_KG[0] < mass < _AT_WHEELS_KG[1],
+        reason=f"dv/dt follows it with r = {r:.2f}, as of {mass_kg:.0f} kg if "
+        "at the wheels",
+        proven=r > _ALONG and _AT_WHEELS_KG[0] < mass_kg < _AT_WHEELS_KG[1],
     )
 
 
 def _wheel_torque(judge: Judge, value: Series) -> Verdict:
     found = _torque(judge, value)
-    if "kg" not in found.reason:
-        return found
-    return replace(found, fits=found.proven)
+    return replace(found, fits=found.proven) if "kg" in found.reason else found
 
 
 def _yaw_rate(judge: Judge, value: Series) -> Verdict:
     """To the left, the right wheels are the faster ones by yaw times track."""
-    known, motion = judge.known, judge.motion
+    known, moving = judge.known, judge.motion.moving
     pairs = [
         known[f"wheel_speed_{axle}r"] - known[f"wheel_speed_{axle}l"]
         for axle in "fr"
         if {f"wheel_speed_{axle}r", f"wheel_speed_{axle}l"} <= known.keys()
     ]
-    here = motion.moving & (np.abs(value) > _TURNING_RAD_S)
-    if not pairs or judge.seconds(here) < _BENDS_S:
-        return Verdict(fits=True, reason="no bends of wheels to compare with")
-    x = motion.smooth(value)[motion.moving]
-    y = motion.smooth(np.mean(pairs, axis=0))[motion.moving]
-    r = float(np.corrcoef(x, y)[0, 1])
-    track = float(np.std(y) / np.std(x))
-    words = f"right minus left wheels is {np.sign(r) * track:.2f} m x value"
-    if abs(r) < _FOLLOWS:
-        return Verdict(fits=True, reason=f"{words}, r = {r:.2f}: not clear")
-    if r < 0:
-        words += ": positive to the right"
-    fits = _TRACK_M[0] < track < _TRACK_M[1]
-    return Verdict(fits=fits, reason=words, sign=1 if r > 0 else -1)
+    turning = judge.seconds(moving & (np.abs(value) > _TURNING_RAD_S))
+    found = (
+        judge.follows(value, np.sum(pairs, axis=0), moving) if pairs else None
+    )
+    if found is None or turning < _BENDS_S or abs(found[0]) < _FOLLOWS:
+        return Verdict(fits=True, reason="the wheels show no bends")
+    sign, track_m = (1 if found[0] > 0 else -1), found[1] / len(pairs)
+    return Verdict(
+        fits=_TRACK_M[0] < track_m < _TRACK_M[1],
+        reason=f"right minus left wheels is {sign * track_m:.2f} m x value",
+        sign=sign,
+    )
 
 
 def _lateral(judge: Judge, value: Series) -> Verdict:
     """Speed times yaw rate; what follows dv/dt lies along the car."""
     motion = judge.motion
-    column, moving = motion.smooth(value), motion.moving
-    if judge.seconds(moving) > _BENDS_S and np.std(column[moving]) > 0.0:
-        along = float(
-            np.corrcoef(column[moving], motion.change_ms2[moving])[0, 1]
-        )
-        if abs(along) > _ALONG:
-            words = f"follows dv/dt with r = {along:.2f}: it is along the car"
-            return Verdict(fits=False, reason=words)
-    yaw = judge.known.get("yaw_rate")
-    if yaw is None:
-        return Verdict(fits=True, reason="no yaw rate to compare it with")
-    here = moving & (np.abs(yaw) > _TURNING_RAD_S)
-    if judge.seconds(here) < _BENDS_S or np.std(column[here]) == 0.0:
+    along = judge.follows(value, motion.change_ms2, motion.moving)
+    if along is not None and abs(along[0]) > _ALONG:
+        words = f"along the car: dv/dt follows it with r = {along[0]:.2f}"
+        return Verdict(fits=False, reason=words)
+    yaw = judge.known.get("yaw_rate", np.zeros_like(value))
+    found = judge.follows(value, yaw * motion.speed_ms, motion.moving)
+    turning = judge.seconds(motion.moving & (np.abs(yaw) > _TURNING_RAD_S))
+    if found is None or turning < _BENDS_S:
         return Verdict(fits=True, reason="no bends to compare it in")
-    r = float(
-        np.corrcoef(column[moving], (yaw * motion.speed_ms)[moving])[0, 1]
+    return Verdict(
+        fits=True,
+        reason=f"v x yaw rate follows it with r = {found[0]:.2f}",
+        sign=-1 if found[0] < -_FOLLOWS else 1,
     )
-    words = f"follows v x yaw rate with r = {r:.2f}"
-    if abs(r) < _FOLLOWS:
-        return Verdict(fits=True, reason=f"{words}: not clear")
-    return Verdict(fits=True, reason=words, sign=1 if r > 0 else -1)
 
 
 _SPECIAL: Final[dict[str, Callable[[Judge, Series], Verdict]]] = {
     "brake_switch": _brake_switch,
-    "park_brake": _park_brake,
-    "abs_active": _intervention,
-    "esc_active": _intervention,
-    "tc_active": _intervention,
-    "ignition": _ignition,
     "gear": _gear,
     "clutch_open": _clutch_open,
     "powertrain_torque": _wheel_torque,

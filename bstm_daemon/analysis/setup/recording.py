@@ -16,20 +16,12 @@ import numpy.typing as npt
 
 from bstm_daemon.bus.opening import NOT_READ, id_text, open_log
 from bstm_daemon.bus.signals.columns import ChunkDecoder
-from bstm_daemon.bus.signals.dbc import (
-    UnusableSignalError,
-    multiplexers,
-    raw_signal,
-)
 from bstm_daemon.bus.signals.extraction import (
     FD_LENGTHS,
-    Condition,
-    FrameKey,
-    MessagePlan,
     Output,
     frame_length,
 )
-from bstm_daemon.bus.signals.signal_map import SignalMap
+from bstm_daemon.bus.signals.signal_map import MessageDraft, SignalMap
 from bstm_daemon.config.sections import BusConfig
 from bstm_daemon.errors import LogError
 
@@ -165,59 +157,25 @@ def _plan(
     lengths: dict[FrameId, int],
 ) -> SignalMap:
     """Return a plan whose role numbers are positions in *signals*."""
-    plans = {}
-    for (can_id, extended), message in known.items():
-        wanted = [
-            (number, name)
-            for number, (owner, name) in enumerate(signals)
-            if owner == message.name
-        ]
-        length = lengths.get((can_id, extended), frame_length(message.length))
-        plan = _message_plan(message, wanted, length)
-        if plan is not None:
-            plans[FrameKey(0, can_id, extended)] = plan
+    drafts = {key: MessageDraft(message) for key, message in known.items()}
+    of_name = {draft.message.name: draft for draft in drafts.values()}
+    for number, (owner, name) in enumerate(signals):
+        # of two messages of one id, one is read
+        draft = of_name.get(owner)
+        if draft is not None:
+            source = draft.index(name), None, draft.conditions([name])
+            limits = 1.0, 0.0, -LARGEST, LARGEST
+            draft.outputs.append(Output(number, *source, *limits, flag=False))
+    plans = [
+        draft.plan(0, lengths.get(key))
+        for key, draft in drafts.items()
+        if draft.outputs
+    ]
     bus = BusConfig(name="log", dbc="-")
-    return SignalMap(buses=(bus,), messages=plans, timeouts_us=())
-
-
-def _message_plan(
-    message: Message, wanted: list[tuple[int, str]], length: int
-) -> MessagePlan | None:
-    raw = {}
-    outputs = []
-    for number, name in wanted:
-        try:
-            held = multiplexers(message, name)
-            for each in (name, *(parent for parent, _ in held)):
-                raw[each] = raw_signal(message, each)
-        except UnusableSignalError:
-            continue
-        order = list(raw)
-        outputs.append(
-            Output(
-                role=number,
-                index=order.index(name),
-                expression=None,
-                conditions=tuple(
-                    Condition(order.index(parent), values)
-                    for parent, values in held
-                ),
-                gain=1.0,
-                bias=0.0,
-                low=-LARGEST,
-                high=LARGEST,
-                flag=False,
-            )
-        )
-    if not outputs:
-        return None
-    return MessagePlan(
-        key=FrameKey(0, message.frame_id, message.is_extended_frame),
-        name=message.name,
-        length=length,
-        is_fd=message.is_fd,
-        signals=tuple(raw.values()),
-        outputs=tuple(outputs),
+    return SignalMap(
+        buses=(bus,),
+        messages={plan.key: plan for plan in plans},
+        timeouts_us=(),
     )
 
 

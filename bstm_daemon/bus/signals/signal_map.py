@@ -165,8 +165,8 @@ def _protected(
 
 
 @dataclass(slots=True)
-class _Draft:
-    """A message plan that roles are still being added to."""
+class MessageDraft:
+    """A message plan that outputs are still being added to."""
 
     message: Message
     signals: dict[str, RawSignal] = field(default_factory=dict)
@@ -179,12 +179,25 @@ class _Draft:
         return list(self.signals).index(name)
 
     def conditions(self, names: Iterable[str]) -> tuple[Condition, ...]:
+        """Return what multiplexers must read for the signals *names*."""
         found = [
             Condition(self.index(parent), values)
             for name in names
             for parent, values in multiplexers(self.message, name)
         ]
         return tuple(dict.fromkeys(found))
+
+    def plan(self, bus: int, length: int | None = None) -> MessagePlan:
+        """Return the plan on *bus*; *length* instead of the DBC's."""
+        message = self.message
+        return MessagePlan(
+            key=FrameKey(bus, message.frame_id, message.is_extended_frame),
+            name=message.name,
+            length=frame_length(message.length) if length is None else length,
+            is_fd=message.is_fd,
+            signals=tuple(self.signals.values()),
+            outputs=tuple(self.outputs),
+        )
 
 
 class _Compiler:
@@ -197,7 +210,7 @@ class _Compiler:
         self.warnings: dict[str, tuple[DbcDefect, ...]] = {}
         self._buses = buses
         self._wheel_radius_m = wheel_radius_m
-        self._drafts: dict[FrameKey, _Draft] = {}
+        self._drafts: dict[FrameKey, MessageDraft] = {}
         self._databases: dict[str, Database] = {}
         for bus in buses:
             try:
@@ -216,15 +229,7 @@ class _Compiler:
 
     def plans(self) -> dict[FrameKey, MessagePlan]:
         return {
-            key: MessagePlan(
-                key=key,
-                name=draft.message.name,
-                length=frame_length(draft.message.length),
-                is_fd=draft.message.is_fd,
-                signals=tuple(draft.signals.values()),
-                outputs=tuple(draft.outputs),
-            )
-            for key, draft in self._drafts.items()
+            key: draft.plan(key.bus) for key, draft in self._drafts.items()
         }
 
     def add(self, role_name: str, config: SignalConfig) -> None:
@@ -255,7 +260,7 @@ class _Compiler:
 
     def _draft(
         self, config: SignalConfig, problems: Problems
-    ) -> _Draft | None:
+    ) -> MessageDraft | None:
         """Return the draft of the configured message, or note why not."""
         names = [bus.name for bus in self._buses]
         name = config.bus or names[0]
@@ -268,7 +273,7 @@ class _Compiler:
         if message is None:
             return None
         key = FrameKey(number, message.frame_id, message.is_extended_frame)
-        draft = self._drafts.setdefault(key, _Draft(message))
+        draft = self._drafts.setdefault(key, MessageDraft(message))
         if draft.message is not message:
             problems.add(
                 "message",
