@@ -397,7 +397,7 @@ class Engine:
         worst = max(
             map(instant.validity, self.estimator.programs), default=None
         )
-        if flags & FLAGS["silent"]:
+        if flags & (FLAGS["silent"] | FLAGS["asleep"]):
             state = State.NO_INPUT
         else:
             is_well = worst is Validity.VALID

@@ -78,13 +78,11 @@ def heading(args: argparse.Namespace, config: Config, subject: object) -> str:
 
 def wear_remarks(config: Config) -> tuple[str, ...]:
     """Return what to know of wear where the model is fitted to drives."""
-    if not config.wear.model_follows:
-        return ()
     remark = (
         "fitted with linings and discs as configured: [wear] model_follows "
         "holds where the model is replayed or runs"
     )
-    return (remark,)
+    return (remark,) if config.wear.model_follows else ()
 
 
 def write_results(

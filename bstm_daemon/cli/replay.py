@@ -5,10 +5,13 @@ from __future__ import annotations
 import sys
 from argparse import ArgumentTypeError
 from contextlib import ExitStack, suppress
+from dataclasses import replace
 from functools import partial
 from math import isclose, isfinite, isinf, nan
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+import numpy as np
 
 from bstm_daemon.bus.signals.reject_reason import RejectReason
 from bstm_daemon.bus.tables.table_plan import TableMap
@@ -25,6 +28,7 @@ from bstm_daemon.cli.arguments import (
 from bstm_daemon.cli.progress import Progress
 from bstm_daemon.cli.vehicle import load_vehicle, read_state
 from bstm_daemon.errors import MissingExtraError, UsageError
+from bstm_daemon.estimator.start import PUBLISHED_NODES
 from bstm_daemon.estimator.verified import unverified_of_car
 from bstm_daemon.files import make_folder
 from bstm_daemon.replay.columns import Run, stream_log
@@ -33,7 +37,14 @@ from bstm_daemon.replay.frames import (
     publish_channel,
     write_frames,
 )
-from bstm_daemon.replay.results import csv_file, has_parquet, parquet_file
+from bstm_daemon.replay.results import (
+    Collector,
+    Part,
+    Sink,
+    csv_file,
+    has_parquet,
+    parquet_file,
+)
 from bstm_daemon.report.drive_curves import DriveCurves
 from bstm_daemon.report.drive_statistics import DriveStatistics
 from bstm_daemon.report.replay_page import ReplayFacts, replay_page
@@ -47,8 +58,11 @@ from bstm_daemon.watch.view import open_view
 
 if TYPE_CHECKING:
     import argparse
+    from collections.abc import Callable
 
+    from bstm_daemon.config.sections import Config
     from bstm_daemon.replay.columns import StartState
+    from bstm_daemon.replay.results import Results
 
 
 PUBLICATION_S = 0.1
@@ -143,6 +157,7 @@ def run(args: argparse.Namespace) -> int:
             args.out / f"{stem}.estimates.{form}": form for form in formats
         }
         statistics, curves = DriveStatistics(), DriveCurves()
+        worn = _PublishedNodes()
         # whole tables or none: all are replaced when the last row is written
         with Progress(f"replay {path.name}") as progress, ExitStack() as files:
             tables = [
@@ -151,18 +166,21 @@ def run(args: argparse.Namespace) -> int:
                 )
                 for target, form in targets.items()
             ]
-            drawn = [] if args.report is None else [curves]
-            log_run = stream_log(
-                config,
-                signal_map,
-                path,
-                [statistics, *drawn, *tables],
+            sinks: list[Sink] = [statistics, *tables]
+            sinks += [] if args.report is None else [curves]
+            sinks += [worn] if config.wear.model_follows else []
+            replayed = partial(
+                stream_log,
+                signal_map=signal_map,
+                path=path,
                 overrides=overrides,
                 every_us=round(args.every * 1e6),
                 progress=progress.show,
                 state=state,
                 forecast=args.forecast,
             )
+            log_run = replayed(config, sinks=sinks)
+            of_wear = _wear_remarks(config, worn, replayed)
         print(f"{path}  ({config.vehicle.id}, {args.config})")
         print(summary_table(statistics.summary()))
         unverified = unverified_of_car(config, signal_map.roles())
@@ -171,7 +189,7 @@ def run(args: argparse.Namespace) -> int:
         ]
         remarks += _start_remarks(args.start, log_run.start_known_s)
         remarks += _remarks(log_run, statistics, config.heat.mode)
-        remarks += _wear_remarks(log_run, statistics.summary().start_s)
+        remarks += of_wear
         for line in remarks:
             print(line)
         for target in targets:
@@ -195,7 +213,9 @@ def run(args: argparse.Namespace) -> int:
             print(args.report)
         if args.publish is not None:
             channel = publish_channel(config)
-            count = write_frames(published(), channel, args.publish)
+            with Progress(f"publish {path.name}") as progress:
+                ticks = published(progress=progress.show)
+                count = write_frames(ticks, channel, args.publish)
             print(f"{args.publish}: {count} frames")
     return 0
 
@@ -271,18 +291,47 @@ def _remarks(
     return remarks
 
 
-def _wear_remarks(log_run: Run, start_s: float) -> list[str]:
-    """Return what wear did to the temperatures, where the model follows it."""
-    shift = log_run.wear_shift
-    if shift is None or not abs(shift.kelvin) > WEAR_MOVED_K:
+class _PublishedNodes(Collector):
+    """Keeps the temperatures that are published, and the time."""
+
+    def __init__(self) -> None:
+        super().__init__(Part.NONE)
+
+    def write(self, rows: Results) -> None:
+        names = {"time_s", *(f"{node}_c" for node in PUBLISHED_NODES)}
+        used = {
+            name: column
+            for name, column in rows.columns.items()
+            if name.rpartition(".")[2] in names
+        }
+        super().write(replace(rows, columns=used))
+
+
+def _wear_remarks(
+    config: Config, worn: Collector, replayed: Callable[..., Run]
+) -> list[str]:
+    """Return what wear did to the temperatures, where the model follows it.
+
+    Then the log is replayed once more, with linings and discs as configured.
+    """
+    if not config.wear.model_follows:
         return []
-    at = (
-        f"{shift.node} {shift.corner}, {clock(shift.time_us * 1e-6 - start_s)}"
-    )
+    still = _PublishedNodes()
+    wear = config.wear.model_copy(update={"model_follows": False})
+    replayed(config.model_copy(update={"wear": wear}), sinks=[still])
+    one, other = worn.results().columns, still.results().columns
+    time_s = one.pop("time_s")
+    moved_k = np.array([one[name] - other[name] for name in one])
+    sizes_k = np.nan_to_num(np.abs(moved_k))
+    if not sizes_k.max() > WEAR_MOVED_K:
+        return []
+    place, row = np.unravel_index(sizes_k.argmax(), sizes_k.shape)
+    corner, node = [*one][place].removesuffix("_c").split(".")
+    at = clock(time_s[row] - time_s[0])
     return [
         (
-            f"wear moved the estimate by up to {shift.kelvin:+.0f} K ({at}): "
-            "[wear] model_follows = true"
+            f"wear moved the estimate by up to {moved_k[place, row]:+.0f} K "
+            f"({node} {corner}, {at}): [wear] model_follows = true"
         )
     ]
 

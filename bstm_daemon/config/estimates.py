@@ -185,13 +185,12 @@ class WearConfig(Section):
 
     ``law``: ``energy`` (Eq 4.20, 4.21) counts the friction heat that the
     model is given, ``archard`` (Eq 2.13) contact pressure times sliding
-    speed. Both count more above ``hot_from_c`` (Fig 2.7), up to
-    ``hot_limit`` times, which the default reaches at 590 degC: about there
-    measurements of linings of organic matrix end (EuroBrake 2012,
-    EB2012-FM-12: the rate rises with temperature, radically from about 500
-    degC on), and hotter faces wear at that rate. The indicators report of the
-    axle that ``indicators`` names. The thermal model is that of the configured
-    linings and discs, unless ``model_follows``.
+    speed. Both count more above ``hot_from_c`` (Fig 2.7), up to ``hot_limit``
+    times, by default at 590 degC: measurements of linings of organic matrix
+    end about there (EuroBrake 2012, EB2012-FM-12: the rate rises, radically
+    from about 500 degC on), and hotter faces wear at that rate. The indicators
+    report of the axle that ``indicators`` names. The thermal model is that of
+    the configured linings and discs, unless ``model_follows``.
     """
 
     law: Literal["energy", "archard"] = "energy"

@@ -13,9 +13,8 @@
 
 #define STEPS_A_SLICE 512
 
-#define NAME(name) #name,
-static const char *const parameter_names[] = { PARAMETERS(NAME) };
-#define PARAMETER_COUNT ((Py_ssize_t)(sizeof(Parameters) / sizeof(double)))
+#define NAME(name) #name " "
+static const char parameter_names[] = PARAMETERS(NAME);
 
 typedef struct {
     Py_ssize_t lanes, steps, per_car;
@@ -169,25 +168,8 @@ static PyObject *march(PyObject *self, PyObject *args)
     return result;
 }
 
-static PyObject *names(PyObject *self, PyObject *unused)
-{
-    (void)self;
-    (void)unused;
-    PyObject *tuple = PyTuple_New(PARAMETER_COUNT);
-    for (Py_ssize_t i = 0; tuple && i < PARAMETER_COUNT; i++) {
-        PyObject *name = PyUnicode_FromString(parameter_names[i]);
-        if (!name || PyTuple_SetItem(tuple, i, name)) {
-            Py_DECREF(tuple);
-            return NULL;
-        }
-    }
-    return tuple;
-}
-
 static PyMethodDef methods[] = {
     {"march", march, METH_VARARGS, march_doc},
-    {"parameter_names", names, METH_NOARGS,
-     PyDoc_STR("parameter_names()\n--\n\nRows of the parameter table.")},
     {NULL, NULL, 0, NULL},
 };
 
@@ -203,7 +185,9 @@ PyMODINIT_FUNC PyInit__reality(void)
 {
     PyObject *made = PyModule_Create(&module);
     if (made != NULL
-        && PyModule_AddStringConstant(made, "SOURCES", BSTM_SOURCES) < 0)
+        && (PyModule_AddStringConstant(made, "SOURCES", BSTM_SOURCES) < 0
+            || PyModule_AddStringConstant(made, "PARAMETERS",
+                                          parameter_names) < 0))
         Py_CLEAR(made);
     return made;
 }

@@ -62,7 +62,7 @@ def extension() -> ModuleType | None:
         return None
     found = cast("ModuleType | None", load_module("simulation._reality"))
     # the table's rows are named on both sides
-    if found is not None and found.parameter_names() != PARAMETER_NAMES:
+    if found is not None and found.PARAMETERS.split() != [*PARAMETER_NAMES]:
         return None
     return found
 

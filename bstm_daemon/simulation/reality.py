@@ -23,11 +23,7 @@ from bstm_daemon.simulation.lanes import (
     State,
     start_state,
 )
-from bstm_daemon.simulation.linings import (
-    friction_factor,
-    pyrolyse,
-    wear_pads,
-)
+from bstm_daemon.simulation.linings import friction_factor, pyrolyse, wear_pads
 from bstm_daemon.simulation.march import (
     Inputs,
     LaneInputs,

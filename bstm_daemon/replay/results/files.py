@@ -12,6 +12,7 @@ import numpy as np
 
 from bstm_daemon.errors import FileAccessError, require_packages
 from bstm_daemon.files import replacing
+from bstm_daemon.replay.results.rows import Part
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -86,6 +87,8 @@ def _named(path: Path) -> Iterator[None]:
 
 
 class _CsvSink:
+    parts = Part.ALL
+
     def __init__(self, path: Path, file: TextIO) -> None:
         self._path = path
         self._file = file
@@ -106,6 +109,8 @@ class _CsvSink:
 
 
 class _ParquetSink:
+    parts = Part.ALL
+
     def __init__(self, path: Path, temporary: Path) -> None:
         self._path = path
         self._temporary = temporary
