@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import structlog
 
 from bstm_daemon.bus.opening import EventLog
 from bstm_daemon.bus.tables.table_plan import TableMap, compile_sources
@@ -12,6 +13,12 @@ from bstm_daemon.config.sections import SignalConfig, TableConfig
 from bstm_daemon.roles import ROLES
 
 Samples = list[tuple[float, str, float]]
+
+
+@pytest.fixture(autouse=True)
+def every_level() -> None:
+    """Log all, whatever level a command before set."""
+    structlog.reset_defaults()
 
 
 @pytest.fixture
