@@ -64,9 +64,7 @@ class _ChannelSource(BinarySource):
         with naming_damage(self._path):
             for name in columns:
                 if name != self.time:
-                    times, values = self._read(self._channels[name])
-                    good = np.isfinite(times)
-                    series[name] = times[good], values[good].astype(np.float64)
+                    series[name] = self._numbers(name)
             self._close()
         empty = np.empty(0)
         stamps = np.unique(
@@ -87,6 +85,14 @@ class _ChannelSource(BinarySource):
             self.share = (begin + len(part)) / len(stamps)
             lines = np.arange(begin + 1, begin + len(part) + 1)
             yield TableChunk(len(part), lines, cells)
+
+    def _numbers(self, name: str) -> tuple[Floats, Floats]:
+        times, values = self._read(self._channels[name])
+        if values.ndim != 1 or values.dtype.kind not in "biuf":
+            _log.warning("no single numbers", log=str(self._path), column=name)
+            return np.empty(0), np.empty(0)
+        good = np.isfinite(times)
+        return times[good], values[good].astype(np.float64)
 
     def _close(self) -> None:
         """Close the file, all that is wanted of it is read."""

@@ -188,3 +188,21 @@ def test_names_and_units_of_mf4(tmp_path: Path) -> None:
         "Brake": "bar",
         "Twice#1": "degC",
     }
+
+
+def test_an_array_is_no_role_and_is_named(tmp_path: Path) -> None:
+    asammdf = pytest.importorskip("asammdf")
+    path = tmp_path / "a.mf4"
+    mdf = asammdf.MDF(version="4.11")
+    pairs = np.rec.fromarrays([np.ones((3, 2))], dtype=[("Pair", "<f8", (2,))])
+    mdf.append([asammdf.Signal(pairs, np.arange(3.0), name="Pair")])
+    mdf.save(path)
+    mdf.close()
+
+    with capture_logs() as logs:
+        chunks = list(Mf4Source(path).chunks(["time", "Pair"]))
+
+    assert chunks == []
+    assert [(one["event"], one["column"]) for one in logs] == [
+        ("no single numbers", "Pair")
+    ]
