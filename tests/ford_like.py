@@ -216,7 +216,7 @@ def table() -> tuple[Series, Table]:
                 0.1,
                 np.where(gear > 0, wheel_torque / ratio, 0.0),
             ),
-            "GearEngd": ("", 1.0, gear),
+            "GearEngd": ("SED", 1.0, gear),
         },
         "Yaw_Data": {
             "VehYaw_W_Actl": ("degrees/second", 0.01, read["yaw_rate"]),

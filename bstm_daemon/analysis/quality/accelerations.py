@@ -9,7 +9,6 @@ import numpy as np
 from bstm_daemon.analysis.quality import limits
 from bstm_daemon.analysis.quality.channels import Channels, unit_ratio
 from bstm_daemon.analysis.quality.comparison import Fit, fit_channels
-from bstm_daemon.analysis.quality.finding import Finding, Notes
 from bstm_daemon.analysis.quality.grid import HALF
 from bstm_daemon.analysis.quality.naming import (
     Naming,
@@ -20,6 +19,7 @@ from bstm_daemon.analysis.quality.naming import (
 from bstm_daemon.units import GRAVITY_MS2
 
 if TYPE_CHECKING:
+    from bstm_daemon.analysis.quality.finding import Notes
     from bstm_daemon.analysis.statistics.series import Mask
 
 LONGITUDINAL: Final = "acceleration_longitudinal"
@@ -123,13 +123,11 @@ def _blame_speeds(
     channels: Channels, notes: Notes, pair: tuple[str, str], ratio: float
 ) -> None:
     """Name all speeds: no accelerometer is wrong by a unit of speed."""
-    notes.findings.append(
-        Finding(
-            "unit",
-            channels.speed_roles,
-            f"wrong unit: all speeds read {ratio:.3g} times what the "
-            f"accelerometer says, which is {pair[0]} to {pair[1]}",
-        )
+    notes.fault(
+        "unit",
+        channels.speed_roles,
+        f"wrong unit: all speeds read {ratio:.3g} times what the "
+        f"accelerometer says, which is {pair[0]} to {pair[1]}",
     )
 
 

@@ -8,10 +8,10 @@ import numpy as np
 
 from bstm_daemon.analysis.quality import limits
 from bstm_daemon.analysis.quality.comparison import fit_channels
-from bstm_daemon.analysis.quality.finding import Finding, Notes
 
 if TYPE_CHECKING:
     from bstm_daemon.analysis.quality.channels import Channels
+    from bstm_daemon.analysis.quality.finding import Notes
 
 _AXLES: Final = (
     ("front", "wheel_speed_fl", "wheel_speed_fr"),
@@ -90,25 +90,21 @@ def _name_swapped(
         return
     if len(turned) == len(signs):
         wheels = tuple(w for _, pair in signs.values() for w in pair)
-        notes.findings.append(
-            Finding(
-                "swapped",
-                ("yaw_rate", *wheels),
-                "left and right wheels swapped, or the yaw rate is positive "
-                "to the right: the right wheels are the faster ones as it "
-                "goes negative",
-                wrong=False,
-            )
+        notes.fault(
+            "swapped",
+            ("yaw_rate", *wheels),
+            "left and right wheels swapped, or the yaw rate is positive "
+            "to the right: the right wheels are the faster ones as it "
+            "goes negative",
+            wrong=False,
         )
         return
     for name in sorted(turned):
-        notes.findings.append(
-            Finding(
-                "swapped",
-                signs[name][1],
-                f"left and right {name} wheels are swapped: the inner one "
-                "is the faster in bends, the other axle is right",
-            )
+        notes.fault(
+            "swapped",
+            signs[name][1],
+            f"left and right {name} wheels are swapped: the inner one "
+            "is the faster in bends, the other axle is right",
         )
 
 
@@ -148,11 +144,9 @@ def compare_axles(channels: Channels, notes: Notes) -> None:
             f"{subject}: no difference in bends, swapping is not detected"
         )
     elif wheelbase2 < 0.0:
-        notes.findings.append(
-            Finding(
-                "swapped",
-                tuple(wheels),
-                "front and rear wheels are swapped: the rear ones run on "
-                "the larger circle in bends",
-            )
+        notes.fault(
+            "swapped",
+            tuple(wheels),
+            "front and rear wheels are swapped: the rear ones run on "
+            "the larger circle in bends",
         )

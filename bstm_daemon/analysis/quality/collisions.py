@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections import Counter
 from typing import TYPE_CHECKING
 
-from bstm_daemon.analysis.quality.finding import Finding, Notes
 from bstm_daemon.bus.opening import id_text, open_log, resolve_interfaces
 from bstm_daemon.bus.output.e2e import profile2_crc
 from bstm_daemon.bus.output.layout import (
@@ -22,6 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Mapping, Sequence
     from pathlib import Path
 
+    from bstm_daemon.analysis.quality.finding import Notes
     from bstm_daemon.analysis.quality.recording import Recording
     from bstm_daemon.bus.signals.signal_map import SignalMap
     from bstm_daemon.config.sections import Config
@@ -93,25 +93,21 @@ def note_collisions(
     bus = config.bus[_publishing_bus(config)].name
     block = f"[publish] id_base = 0x{config.publish.id_base:X}"
     if foreign:
-        notes.findings.append(
-            Finding(
-                "id-collision",
-                (),
-                f"the log holds {_listed(foreign)} on {bus}, which {block} "
-                "would send: choose another id_base",
-                wrong=False,
-            )
+        notes.fault(
+            "id-collision",
+            (),
+            f"the log holds {_listed(foreign)} on {bus}, which {block} "
+            "would send: choose another id_base",
+            wrong=False,
         )
     if own:
-        notes.findings.append(
-            Finding(
-                "own-frames",
-                (),
-                f"the log holds {_listed(own)} on {bus}, of the block of "
-                f"{block}: these are frames of this daemon, their protection "
-                "is ours",
-                wrong=False,
-            )
+        notes.fault(
+            "own-frames",
+            (),
+            f"the log holds {_listed(own)} on {bus}, of the block of "
+            f"{block}: these are frames of this daemon, their protection "
+            "is ours",
+            wrong=False,
         )
 
 

@@ -120,17 +120,23 @@ class Notes:
     not_judged: list[str] = field(default_factory=list)
 
     def fault(
-        self, fault: Fault, role: str, text: str, *, wrong: bool = True
+        self,
+        fault: Fault,
+        role: str | tuple[str, ...],
+        text: str,
+        *,
+        wrong: bool = True,
     ) -> None:
-        """Name *fault* of the single channel *role*.
+        """Name *fault* of the channel *role*, or of several.
 
-        Of wrong values (unit, scale, offset, unrelated) the first that is
-        found stays: those after it follow from it.
+        Of wrong values (unit, scale, offset, unrelated) of one channel the
+        first that is found stays: those after it follow from it.
         """
-        known = {f.fault for f in self.findings if f.roles == (role,)}
-        if fault in _VALUES and known & _VALUES:
+        roles = (role,) if isinstance(role, str) else role
+        known = {f.fault for f in self.findings if f.roles == roles}
+        if len(roles) == 1 and fault in _VALUES and known & _VALUES:
             return
-        self.findings.append(Finding(fault, (role,), text, wrong))
+        self.findings.append(Finding(fault, roles, text, wrong))
 
     def compare(
         self,

@@ -9,7 +9,6 @@ import numpy as np
 from bstm_daemon.analysis.quality import limits
 from bstm_daemon.analysis.quality.channels import PRESSURES, WHEELS, Channels
 from bstm_daemon.analysis.quality.comparison import spread
-from bstm_daemon.analysis.quality.finding import Finding, Notes
 from bstm_daemon.analysis.quality.grid import difference_quotient, median_of
 from bstm_daemon.analysis.quality.speeds import SPEEDS
 from bstm_daemon.analysis.quality.statistics import Run, constant_runs
@@ -17,6 +16,7 @@ from bstm_daemon.analysis.quality.statistics import Run, constant_runs
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from bstm_daemon.analysis.quality.finding import Notes
     from bstm_daemon.analysis.statistics.series import Column
 
 _END_S: Final = 1.0
@@ -73,16 +73,14 @@ def _without_standing_axle(
             continue
         if _car_stood(channels, turning):
             listed = ", ".join(wheels)
-            notes.findings.append(
-                Finding(
-                    "axles-disagree",
-                    wheels,
-                    f"axles disagree: stand or roller? The {name} wheels "
-                    f"({listed}) stand, the others turn at up to "
-                    f"{3.6 * known.max():.0f} km/h and the accelerometer "
-                    "shows no motion",
-                    wrong=False,
-                )
+            notes.fault(
+                "axles-disagree",
+                wheels,
+                f"axles disagree: stand or roller? The {name} wheels "
+                f"({listed}) stand, the others turn at up to "
+                f"{3.6 * known.max():.0f} km/h and the accelerometer "
+                "shows no motion",
+                wrong=False,
             )
             channels.dead.update(wheels)
             channels.on_stand = True

@@ -9,12 +9,16 @@ from bstm_daemon.analysis.quality.finding import ModeVerdict
 from bstm_daemon.analysis.quality.limits import MISSING_SHARE
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Sequence
 
     from bstm_daemon.analysis.quality.finding import Finding, RoleQuality
     from bstm_daemon.config.sections import Config, CornerConfig
 
 _ACCELEROMETER: Final = "acceleration_longitudinal"
+
+
+Inputs = tuple[list[str], list[str], list[str]]
+"""The roles that a mode reads, what it misses, and remarks."""
 
 
 def mode_verdicts(
@@ -25,14 +29,15 @@ def mode_verdicts(
     """Judge ff, fb, fused and measured, in this order."""
     judge = _Judge(config, roles, findings)
     forward, back = judge.feed_forward(), judge.feed_back()
-    fused = ModeVerdict(
-        "fused",
-        usable=forward.usable and back.usable,
-        problems=tuple(dict.fromkeys(forward.problems + back.problems)),
-        missing=tuple(dict.fromkeys(forward.missing + back.missing)),
-        remarks=tuple(dict.fromkeys(forward.remarks + back.remarks)),
+    read, missing, remarks = (
+        one + other for one, other in zip(forward, back, strict=True)
     )
-    return forward, back, fused, judge.measured()
+    return (
+        judge.verdict("ff", forward),
+        judge.verdict("fb", back),
+        judge.verdict("fused", (read, missing, remarks)),
+        judge.verdict("measured", judge.measured()),
+    )
 
 
 class _Judge:
@@ -51,26 +56,15 @@ class _Judge:
                     words = f"{role} {finding.fault}"
                     self._wrong.setdefault(role, []).append(words)
         self._standing = any(f.fault == "axles-disagree" for f in findings)
-        self._absent = [
-            f"{r.role}: absent {100 * r.statistics.missing_share:.0f} % of "
-            "the time"
+        self._absent = {
+            r.role: f"{r.role}: absent {100 * r.statistics.missing_share:.0f} "
+            "% of the time"
             for r in roles
             if r.statistics is not None
             and r.statistics.missing_share > MISSING_SHARE
-        ]
+        }
 
-    def _problems(self, roles: Iterable[str]) -> list[str]:
-        wanted = list(roles)
-        problems = [
-            text for role in wanted for text in self._wrong.get(role, ())
-        ]
-        return list(dict.fromkeys(problems))
-
-    def _remarks(self, roles: Iterable[str]) -> list[str]:
-        wanted = set(roles)
-        return [text for text in self._absent if text.split(":")[0] in wanted]
-
-    def feed_forward(self) -> ModeVerdict:
+    def feed_forward(self) -> Inputs:
         read = self._speeds()
         missing = [] if read else ["a speed"]
         unfed = []
@@ -82,9 +76,9 @@ class _Judge:
                 read.append(pressure)
         if unfed:
             missing.append(f"a pressure for {' '.join(unfed)}")
-        return self._verdict("ff", read, missing)
+        return read, missing, []
 
-    def feed_back(self) -> ModeVerdict:
+    def feed_back(self) -> Inputs:
         read = self._speeds()
         heat = self._config.heat
         missing = [] if read else ["a speed"]
@@ -105,43 +99,33 @@ class _Judge:
             read.append(_ACCELEROMETER)
         else:
             remarks.append("the road is assumed flat")
-        verdict = self._verdict("fb", read, missing, remarks)
-        if not self._standing:
-            return verdict
-        return ModeVerdict(
-            "fb",
-            usable=False,
-            problems=(
-                *verdict.problems,
-                "axles disagree: the wheels do not show the car's motion",
-            ),
-            missing=verdict.missing,
-            remarks=verdict.remarks,
-        )
+        return read, missing, remarks
 
-    def measured(self) -> ModeVerdict:
+    def measured(self) -> Inputs:
         discs = [
             f"temp_{corner.name.lower()}_disc"
             for corner in self._config.disc_corners()
         ]
         read = [role for role in discs if role in self._found]
-        missing = [] if read else [f"one of {', '.join(discs)}"]
-        return self._verdict("measured", read, missing)
+        return read, [] if read else [f"one of {', '.join(discs)}"], []
 
-    def _verdict(
-        self,
-        mode: str,
-        read: list[str],
-        missing: list[str],
-        remarks: Iterable[str] = (),
-    ) -> ModeVerdict:
-        problems = self._problems(dict.fromkeys(read))
+    def verdict(self, mode: str, inputs: Inputs) -> ModeVerdict:
+        """Return whether *mode* can run on *inputs*."""
+        read, missing, remarks = map(dict.fromkeys, inputs)
+        problems = [
+            text for role in read for text in self._wrong.get(role, ())
+        ]
+        if self._standing and mode in ("fb", "fused"):
+            problems.append(
+                "axles disagree: the wheels do not show the car's motion"
+            )
+        absent = [text for role, text in self._absent.items() if role in read]
         return ModeVerdict(
             mode,
             usable=not (problems or missing),
-            problems=tuple(problems),
+            problems=tuple(dict.fromkeys(problems)),
             missing=tuple(missing),
-            remarks=(*remarks, *self._remarks(read)),
+            remarks=(*remarks, *absent),
         )
 
     def _speeds(self) -> list[str]:

@@ -9,7 +9,6 @@ import numpy as np
 from bstm_daemon.analysis.quality import limits
 from bstm_daemon.analysis.quality.channels import PRESSURES, Channels
 from bstm_daemon.analysis.quality.comparison import Fit, fit_channels
-from bstm_daemon.analysis.quality.finding import Finding, Notes
 from bstm_daemon.analysis.quality.naming import (
     Naming,
     Tolerance,
@@ -21,6 +20,7 @@ from bstm_daemon.analysis.quality.naming import (
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from bstm_daemon.analysis.quality.finding import Notes
     from bstm_daemon.analysis.statistics.series import Column
 
 _REAR: Final = ("secondary_pressure", "wheel_pressure_rl", "wheel_pressure_rr")
@@ -86,14 +86,12 @@ def _attribute(
                     write_faults(notes, other, turned, role)
                     channels.dead.add(other)
             else:
-                notes.findings.append(
-                    Finding(
-                        "ambiguous",
-                        (first[0], role),
-                        f"{first[0]} and {role} disagree "
-                        f"({judged[0].verdict}): one is wrong and this log "
-                        "does not show which",
-                    )
+                notes.fault(
+                    "ambiguous",
+                    (first[0], role),
+                    f"{first[0]} and {role} disagree "
+                    f"({judged[0].verdict}): one is wrong and this log "
+                    "does not show which",
                 )
     for role in first:
         late = [

@@ -10,7 +10,6 @@ from bstm_daemon.analysis.quality import limits
 from bstm_daemon.analysis.quality.accelerations import fit_acceleration
 from bstm_daemon.analysis.quality.channels import WHEELS, Channels
 from bstm_daemon.analysis.quality.comparison import Fit, fit_channels, spread
-from bstm_daemon.analysis.quality.finding import Finding, Notes
 from bstm_daemon.analysis.quality.naming import (
     Naming,
     Tolerance,
@@ -21,6 +20,7 @@ from bstm_daemon.analysis.quality.naming import (
 from bstm_daemon.roles import GROUND_LAG_S
 
 if TYPE_CHECKING:
+    from bstm_daemon.analysis.quality.finding import Notes
     from bstm_daemon.analysis.statistics.series import Column
 
 SPEEDS: Final = ("vehicle_speed", *WHEELS, *GROUND_LAG_S)
@@ -45,7 +45,12 @@ def compare_speeds(channels: Channels, notes: Notes) -> None:
     _write_comparisons(channels, notes, table, roles)
     if trusted is None:
         listed = " against ".join(", ".join(group) for group in groups)
-        notes.findings.append(_ambiguous(groups, listed))
+        notes.fault(
+            "ambiguous",
+            tuple(role for group in groups for role in group),
+            f"speeds disagree, {listed}: one side is wrong and this log does "
+            "not show which",
+        )
         channels.set_speed(roles)
         return
     channels.set_speed(trusted)
@@ -154,16 +159,6 @@ def _accelerometer_follows(channels: Channels, group: tuple[str, ...]) -> bool:
         fit is not None
         and fit.correlation > limits.UNRELATED
         and not fit.beyond(limits.ACCELERATION_SCALE)
-    )
-
-
-def _ambiguous(groups: list[tuple[str, ...]], listed: str) -> Finding:
-    roles = tuple(role for group in groups for role in group)
-    return Finding(
-        "ambiguous",
-        roles,
-        f"speeds disagree, {listed}: one side is wrong and this log does "
-        "not show which",
     )
 
 

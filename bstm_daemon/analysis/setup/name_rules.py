@@ -119,6 +119,7 @@ _RULES: Final = tuple(_rule(**keys) for keys in NAMES["rule"])
 _SELECTOR: Final = {"p", "d", "park", "drive"}
 _NOT_MEASURED: Final = _expanded("$not_measured")
 _REQUEST: Final = _expanded("$request")
+_NO_UNIT: Final = _expanded("$no_unit")
 _DERIVED: Final = _expanded("$derived")
 _BY_UNIT: Final = {
     "acceleration": ("acceleration_longitudinal", frozenset[str]()),
@@ -224,7 +225,7 @@ def _match(
         return None
     if fits:
         caveat = _shaft(role, signal, caveat)
-    elif "count" in quantities and not signal.unit:
+    elif "count" in quantities and (signal.unit or "-").lower() in _NO_UNIT:
         unit = "count"
         if role == "gear" and _SELECTOR.intersection(_texts(signal)):
             caveat = "its texts are those of the selector, not of the gear"

@@ -8,7 +8,6 @@ can be distinguished. The travel of a pedal in % would look alike.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from math import log10
 from typing import TYPE_CHECKING, Final
 
@@ -42,20 +41,15 @@ _ROLLING_MS: Final = 0.5
 _BRAKING_MS2: Final = -0.3
 
 
-@dataclass(frozen=True, slots=True)
-class AssumedUnit:
-    """A unit of the configuration, and the figures that speak for it."""
-
-    unit: str
-    reason: str
-
-
-def assumed_unit(motion: Motion, pressure: Samples) -> AssumedUnit | None:
+def assumed_unit(motion: Motion, pressure: Samples) -> tuple[str, str] | None:
     """Return the likely unit of *pressure*, None if unlike a pressure.
 
     Args:
         motion: the car's.
         pressure: in an unknown unit.
+
+    Returns:
+        The unit, and the figures that speak for it.
     """
     value = pressure.value
     top = float(value.max(initial=0.0))
@@ -85,12 +79,12 @@ def assumed_unit(motion: Motion, pressure: Samples) -> AssumedUnit | None:
     is_usual = _distance(for_1_ms2, unit) <= _DECADES
     if not is_usual or top * UNITS[unit].factor > _HIGHEST_PA:
         return None
-    return AssumedUnit(
-        unit,
+    reason = (
         f"unit assumed from its highest value of {top:g} and {for_1_ms2:.2g} "
         f"for 1 m/s2 of {braking_s:.1f} s of braking: check, the travel of a "
-        "pedal would look alike",
+        "pedal would look alike"
     )
+    return unit, reason
 
 
 def _distance(for_1_ms2: float, unit: str) -> float:

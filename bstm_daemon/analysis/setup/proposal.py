@@ -253,8 +253,8 @@ def _judged(match: NameMatch, recording: Recording, judge: Judge) -> Candidate:
     if not match.unit and match.role.startswith(_PROVABLE):
         assumed = assumed_unit(judge.motion, found)
         if assumed is not None:
-            unit, sure = assumed.unit, match.level != REQUEST
-            reasons.append(assumed.reason)
+            unit, sure = assumed[0], match.level != REQUEST
+            reasons.append(assumed[1])
     return Candidate(
         match,
         unit,

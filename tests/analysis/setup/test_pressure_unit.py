@@ -43,9 +43,9 @@ def test_the_unit_is_the_one_that_slows_a_car(
     found = assumed_unit(motion, series(factor * BAR))
 
     assert found is not None
-    assert found.unit == unit
-    assert f"highest value of {25 * factor:g}" in found.reason
-    assert "for 1 m/s2" in found.reason
+    assert found[0] == unit
+    assert f"highest value of {25 * factor:g}" in found[1]
+    assert "for 1 m/s2" in found[1]
 
 
 @pytest.mark.parametrize(
