@@ -197,7 +197,7 @@ class SignalConfig(Section):
 
 
 class TableConfig(Section):
-    """``[table]``: where a signal table (CSV, Parquet, HDF5) has its time.
+    """``[table]``: where a signal table (CSV, Parquet, ...) has its time.
 
     A table in the long format has one value a row: ``name`` is the column
     with the name of the signal, ``value`` the one with its value.
@@ -205,9 +205,9 @@ class TableConfig(Section):
 
     time: Text | None = None
     """column with the time"""
-    time_unit: Literal["s", "ms", "us", "iso8601"] | None = None
-    """unit of the time; without it found from the column's name and values,
-    and logged"""
+    time_unit: Literal["s", "ms", "us", "iso8601", "hhmmss"] | None = None
+    """unit of the time, `hhmmss` a time of day; without it found from the
+    stated unit, the column's name and its values, and logged"""
     rate_hz: Positive | None = None
     """rows a second, for a table without a time column"""
     delimiter: Text | None = None
