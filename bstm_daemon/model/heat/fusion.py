@@ -15,7 +15,7 @@ from math import exp, isnan, nan, sqrt
 from typing import TYPE_CHECKING, Final
 
 from bstm_daemon.channels import FLAGS
-from bstm_daemon.model.heat.check_rules import STANDING_MS
+from bstm_daemon.model.heat.check_rules import SLIP_FORWARD
 from bstm_daemon.model.heat.inputs import SLOPE_ACCELEROMETER
 from bstm_daemon.model.heat.learned import (
     BIAS,
@@ -62,11 +62,8 @@ MOST_FRICTION: Final = 1.75
 the pressure is not that of the brakes: linings have 0.7 to 1.3 of their
 nominal friction, and 0.6 when they fade."""
 
-SLIP_FORWARD: Final = 0.08
 SLIPPING: Final = 0.06
-STAND_TURNS_MS: Final = 3.0
-"""A wheel slips forward above the first ratio; all turn alike within the
-second; on a test stand some turn faster than this while others stand."""
+"""All wheels turn alike within this ratio."""
 
 MODEL_SHARE: Final = 0.015
 ABS_SHARE: Final = 0.12
@@ -241,11 +238,6 @@ def _describe(run: Inputs, now: Readings, flags: int) -> Step:
         pressure_known = pressure_known and run.corner_known(c)
         wheel_pressures = wheel_pressures and run.valid(run.pressure_role[c])
     pressed = now.brake_switch > 0.0 or some
-    acts = (
-        run.vehicle("abs_active", 0.0) > 0.0
-        or now.esc_active > 0.0
-        or run.vehicle("tc_active", 0.0) > 0.0
-    )
     partial = some and none and not wheel_pressures
     return Step(
         dt_s=dt_s,
@@ -262,7 +254,7 @@ def _describe(run: Inputs, now: Readings, flags: int) -> Step:
         clutch=run.vehicle("clutch_open", 0.0),
         height=run.vehicle("altitude", nan),
         ground_speeds=[run.reading(role) for role in GROUND_SPEED_ROLES],
-        steady=not acts
+        steady=not now.intervenes
         and _rolls(run)
         and flags & SUSPECTS == 0
         and not partial,
@@ -271,7 +263,7 @@ def _describe(run: Inputs, now: Readings, flags: int) -> Step:
         pressure_known=pressure_known,
         wheel_pressures=wheel_pressures,
         torque_known=run.valid(_TORQUE),
-        on_stand=not pressed and _on_stand(run),
+        on_stand=not pressed and run.apart,
         wrong_scale=wrong_scale(run.checks.m),
     )
 
@@ -297,17 +289,6 @@ def _rolls(run: Inputs) -> bool:
     """Whether all wheels turn alike."""
     most = SLIPPING * run.speed
     return all(-most <= wheel - run.speed <= most for wheel in run.wheel)
-
-
-def _on_stand(run: Inputs) -> bool:
-    """Whether some wheels turn while others stand."""
-    high, low = 0.0, STAND_TURNS_MS
-    for role in run.wheel_role:
-        if run.valid(role):
-            own = abs(run.m.value[role])
-            high = max(high, own)
-            low = min(low, own)
-    return high > STAND_TURNS_MS and low < STANDING_MS
 
 
 def _without_pressure(run: Inputs, c: int, *, pressed: bool) -> bool:
