@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 import pytest
 
-from bstm_daemon.roles import CORNERS, ROLE_INDEX, ROLES
+from bstm_daemon.roles import CORNERS, ROLE_INDEX
 from bstm_daemon.simulation.drives import load_drive, parse_drive
 from bstm_daemon.simulation.simulate import simulate
 from bstm_daemon.simulation.vehicle import NOMINAL
@@ -180,17 +180,17 @@ def stuck(share: float) -> Spoil:
 @pytest.mark.parametrize(
     ("name", "spoil", "same"),
     [
-        ("launches", None, True),
-        ("launches", torque(1.1, 300.0), False),
-        ("launches", torque(0.8, 0.0), False),
-        ("launches", drive_torque(1.25), True),
-        ("city", None, True),
-        ("city", torque(1.1, 300.0), False),
-        ("assist", None, True),
+        ("launches", None, 1),
+        ("launches", torque(1.1, 300.0), 0),
+        ("launches", torque(0.8, 0.0), 0),
+        ("launches", drive_torque(1.25), 1),
+        ("city", None, 1),
+        ("city", torque(1.1, 300.0), 0),
+        ("assist", None, 1),
     ],
 )
 def test_no_heat_while_the_pedal_is_released(
-    heat: Callable[..., Heat], name: str, spoil: Spoil | None, same: bool
+    heat: Callable[..., Heat], name: str, spoil: Spoil | None, same: int
 ) -> None:
     """Wheelspin, wrong torque; cruise control shows in the brake torque."""
     found = heat(name, ALL, spoil)
@@ -247,8 +247,9 @@ def test_a_pedal_stuck_at_rest_hides_no_braking(
     # by the second stop, a round of 43 s later
     assert (flagged.index(True) - share * len(flagged)) * STEP_S < 90.0
     assert not any(sound.run.flag("switch_contradicts"))
-    # from the start on it has never shown anything, and counts for nothing
-    least = 1.0 if share == 0.0 else 0.9
+    # one that never showed anything counts for nothing; later it hides light
+    # braking and the begin of hard braking, until it is found
+    least = 1.0 if share == 0.0 else 0.83
     assert found.braking_j > (least - 1e-3) * sound.braking_j
 
 
