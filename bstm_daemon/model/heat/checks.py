@@ -168,17 +168,13 @@ class Checks:
     def _compare_scales(
         self, now: Readings, median: float, count: int
     ) -> None:
-        highest = 0.0
-        lowest = median
-        for speed in now.speeds:
-            highest = max(highest, speed)
-            lowest = min(lowest, speed)
         # one that stands is dead, which is another check's; an intervention
         # slows single wheels for many seconds
+        known = [speed for speed in now.speeds if not isnan(speed)]
         if (
             count < 3
-            or lowest <= STANDING_MS
-            or highest < SCALE_MS
+            or min(known) <= STANDING_MS
+            or max(known) < SCALE_MS
             or now.intervenes
         ):
             return
@@ -195,10 +191,7 @@ class Checks:
     ) -> None:
         share = DEVIATION_BRAKING if now.braking else DEVIATION_SHARE
         allowed = DEVIATION_MS + share * median
-        agreeing = 0
-        for speed in now.speeds:
-            if abs(speed - median) <= allowed:
-                agreeing += 1
+        agreeing = sum(abs(speed - median) <= allowed for speed in now.speeds)
         for v, speed in enumerate(now.speeds):
             failed = None
             if count >= 3 and not isnan(speed):
@@ -217,11 +210,8 @@ class Checks:
     def _compare_pair(
         self, now: Readings, median: float, share: float
     ) -> None:
-        # the median of two is their mean
-        high = low = median
-        for speed in now.speeds:
-            high = max(high, speed)
-            low = min(low, speed)
+        known = [speed for speed in now.speeds if not isnan(speed)]
+        high, low = max(known), min(known)
         failed = None
         if high - low > DEVIATION_MS + share * high:
             failed = True
@@ -403,9 +393,8 @@ class Checks:
             flags |= FLAGS["acceleration_suspect"]
         if self._suspect(now.now, watched.torque):
             flags |= FLAGS["torque_suspect"]
-        for role in watched.temperatures:
-            if self._suspect(now.now, role):
-                flags |= FLAGS["temperature_suspect"]
+        if any(self._suspect(now.now, role) for role in watched.temperatures):
+            flags |= FLAGS["temperature_suspect"]
         return flags | FLAGS["samples_refused"]
 
     def _suspect(self, now: int, role: int) -> bool:

@@ -354,10 +354,8 @@ class Inputs:
     def input_flags(self) -> int:
         """Bits of FLAGS for the inputs that are missing now, or no measure."""
         flags = 0
-        if (
-            self.m.pedal_lost > rules.PEDAL_LOST_MS
-            and not self.pressure_present
-        ):
+        lost = self.m.pedal_lost > rules.PEDAL_LOST_MS
+        if lost and not self.pressure_present:
             flags |= FLAGS["switch_contradicts"]
         if self.on_stand:
             flags |= FLAGS["speed_suspect"] | FLAGS["acceleration_contradicts"]
@@ -367,12 +365,12 @@ class Inputs:
         for c in range(self.corners):
             if not self.corner_known(c):
                 flags |= FLAGS["pressure_missing"] | CORNER_PRESSURE << c
-        if not self.valid(_ACCELERATION):
-            flags |= FLAGS["acceleration_missing"]
-        if not self.valid(_TORQUE):
-            flags |= FLAGS["torque_missing"]
-        if not self.valid(_AMBIENT):
-            flags |= FLAGS["ambient_missing"]
+        for role, name in (
+            (_ACCELERATION, "acceleration_missing"),
+            (_TORQUE, "torque_missing"),
+            (_AMBIENT, "ambient_missing"),
+        ):
+            flags |= 0 if self.valid(role) else FLAGS[name]
         return flags
 
     def readings(

@@ -64,15 +64,23 @@ static double median(const double *value, int n, int *count)
     return 0.5 * (sorted[k / 2 - 1] + sorted[k / 2]);
 }
 
+/* The highest speed and the lowest, on either side of middle. */
+static double highest(const Checks *c, const Readings *now, double middle,
+                      double *low)
+{
+    double high = *low = middle;
+    for (int v = 0; v <= c->corners; v++) {
+        if (now->speeds[v] > high) high = now->speeds[v];
+        if (now->speeds[v] < *low) *low = now->speeds[v];
+    }
+    return high;
+}
+
 static void compare_pair(Checks *c, const Readings *now, double middle,
                          double share)
 {
-    /* the median of two is their mean */
-    double high = middle, low = middle;
-    for (int v = 0; v <= c->corners; v++) {
-        if (now->speeds[v] > high) high = now->speeds[v];
-        if (now->speeds[v] < low) low = now->speeds[v];
-    }
+    double low;
+    const double high = highest(c, now, middle, &low);
     int outcome = OPEN;
     if (high - low > DEVIATION_MS + share * high) outcome = FAILED;
     else if (middle > MOVING_MS) outcome = PASSED;
@@ -82,15 +90,11 @@ static void compare_pair(Checks *c, const Readings *now, double middle,
 static void compare_scales(Checks *c, const Readings *now, double middle,
                            int count)
 {
-    double highest = 0.0, lowest = middle;
-    for (int v = 0; v <= c->corners; v++) {
-        if (now->speeds[v] > highest) highest = now->speeds[v];
-        if (now->speeds[v] < lowest) lowest = now->speeds[v];
-    }
+    double low;
+    const double high = highest(c, now, middle, &low);
     /* one that stands is dead, which is another check's; an intervention
        slows single wheels for many seconds */
-    if (count < 3 || lowest <= STANDING_MS || highest < SCALE_MS
-        || now->intervenes)
+    if (count < 3 || low <= STANDING_MS || high < SCALE_MS || now->intervenes)
         return;
     const double share = 1.0 - exp(-now->dt_s / SCALE_S);
     for (int v = 0; v <= c->corners; v++) {

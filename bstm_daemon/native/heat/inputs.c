@@ -37,13 +37,8 @@ void inputs_init(Inputs *p, SampleMemoryInts *times,
         .m = &numbers->observer,
     };
     p->stale = 1;
-    p->speed_known = p->pressure_present = 0;
     p->pressing_pa = p->plan->on_pressure_pa;
-    p->speed = p->ground_speed = 0.0;
     p->heading = 1.0;
-    p->spinning = p->apart = p->on_stand = 0;
-    p->pedal = PEDAL_UNKNOWN;
-    for (int i = 0; i < corners; i++) p->wheel[i] = p->target[i] = 0.0;
 }
 
 /* Which wheels, and whether the vehicle speed, are used: those that the others

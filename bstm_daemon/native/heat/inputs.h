@@ -53,7 +53,7 @@ static inline int inputs_corner_known(const Inputs *p, int c)
             && inputs_valid(p, ROLE_SECONDARY_PRESSURE));
 }
 
-/* The rest is set by the caller, which checks the values from Python. */
+/* The rest is 0 or set by the caller, which checks the values from Python. */
 void inputs_init(Inputs *p, SampleMemoryInts *times,
                  SampleMemoryFloats *numbers);
 void inputs_refresh(Inputs *p);
