@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import exp, isnan
+from statistics import median
 from typing import TYPE_CHECKING, Final
 
 from bstm_daemon.channels import (
@@ -148,10 +149,10 @@ class Checks:
 
     def close(self, now: Readings) -> int:
         """Check a finished step; return bits of FLAGS."""
-        median, count = _median(now.speeds)
-        self._compare_scales(now, median, count)
-        self._compare_speeds(now, median, count)
-        self._hold_speeds(now, median, count)
+        middle, count = _median(now.speeds)
+        self._compare_scales(now, middle, count)
+        self._compare_speeds(now, middle, count)
+        self._hold_speeds(now, middle, count)
         refused = 0
         if now.now <= self.m.suspect_until:
             refused = self._held_flags(now)
@@ -166,7 +167,7 @@ class Checks:
         return flags | self._outages(now)
 
     def _compare_scales(
-        self, now: Readings, median: float, count: int
+        self, now: Readings, middle: float, count: int
     ) -> None:
         # one that stands is dead, which is another check's; an intervention
         # slows single wheels for many seconds
@@ -181,51 +182,51 @@ class Checks:
         share = 1.0 - exp(-now.dt_s / SCALE_S)
         for v, speed in enumerate(now.speeds):
             if not isnan(speed):
-                error = speed / median - 1.0
+                error = speed / middle - 1.0
                 self.m.scale_error[v] += share * (
                     error - self.m.scale_error[v]
                 )
 
     def _compare_speeds(
-        self, now: Readings, median: float, count: int
+        self, now: Readings, middle: float, count: int
     ) -> None:
         share = DEVIATION_BRAKING if now.braking else DEVIATION_SHARE
-        allowed = DEVIATION_MS + share * median
-        agreeing = sum(abs(speed - median) <= allowed for speed in now.speeds)
+        allowed = DEVIATION_MS + share * middle
+        agreeing = sum(abs(speed - middle) <= allowed for speed in now.speeds)
         for v, speed in enumerate(now.speeds):
             failed = None
             if count >= 3 and not isnan(speed):
                 if abs(self.m.scale_error[v]) > SCALE_LIMIT:
                     failed = True
-                elif abs(speed - median) > allowed:
+                elif abs(speed - middle) > allowed:
                     failed = True if agreeing >= 2 else None
-                elif median > MOVING_MS:
+                elif middle > MOVING_MS:
                     failed = False
             self.m.deviation_fault_s[v] = DEVIATION.advance(
                 self.m.deviation_fault_s[v], now.dt_s, failed=failed
             )
         if count == 2:
-            self._compare_pair(now, median, share)
+            self._compare_pair(now, middle, share)
 
     def _compare_pair(
-        self, now: Readings, median: float, share: float
+        self, now: Readings, middle: float, share: float
     ) -> None:
         known = [speed for speed in now.speeds if not isnan(speed)]
         high, low = max(known), min(known)
         failed = None
         if high - low > DEVIATION_MS + share * high:
             failed = True
-        elif median > MOVING_MS:
+        elif middle > MOVING_MS:
             failed = False
         self.m.pair_fault_s = DEVIATION.advance(
             self.m.pair_fault_s, now.dt_s, failed=failed
         )
 
-    def _hold_speeds(self, now: Readings, median: float, count: int) -> None:
+    def _hold_speeds(self, now: Readings, middle: float, count: int) -> None:
         for v, speed in enumerate(now.speeds):
-            # of two, the other; of three or more the median is constant
+            # of two, the other; of three or more the middle is constant
             # only where most of them do
-            other = 2.0 * median - speed if count == 2 else median
+            other = 2.0 * middle - speed if count == 2 else middle
             if isnan(speed) or speed != self.m.speed_held[v]:
                 self.m.speed_held[v] = 0.0 if isnan(speed) else speed
                 self.m.speed_held_s[v] = 0.0
@@ -445,11 +446,5 @@ class Checks:
 
 def _median(values: Sequence[float]) -> tuple[float, int]:
     """Median and count of the values that are not nan; 0 if there are none."""
-    known = sorted(value for value in values if not isnan(value))
-    count = len(known)
-    if count == 0:
-        return 0.0, 0
-    middle = count // 2
-    if count % 2:
-        return known[middle], count
-    return 0.5 * (known[middle - 1] + known[middle]), count
+    known = [value for value in values if not isnan(value)]
+    return (median(known), len(known)) if known else (0.0, 0)

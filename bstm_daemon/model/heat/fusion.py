@@ -226,19 +226,13 @@ def _describe(run: Inputs, now: Readings, flags: int) -> Step:
     yaw = abs(run.vehicle("yaw_rate", 0.0)) * run.speed
     side = abs(run.vehicle("acceleration_lateral", 0.0))
     brake_n = highest = 0.0
-    pressure_known = wheel_pressures = True
-    some = none = False
     for c in range(run.corners):
-        brake_n += run.observer.m.brake_sum[c] / dt_s
+        brake_n += m.brake_sum[c] / dt_s
         highest = max(highest, run.m.pressure_sum[c] / dt_s)
-        if run.m.on_time[c] > 0.0:
-            some = True
-        else:
-            none = True
-        pressure_known = pressure_known and run.corner_known(c)
-        wheel_pressures = wheel_pressures and run.valid(run.pressure_role[c])
-    pressed = now.brake_switch > 0.0 or some
-    partial = some and none and not wheel_pressures
+    braked = [time_s > 0.0 for time_s in run.m.on_time[: run.corners]]
+    wheel_pressures = all(run.valid(role) for role in run.pressure_role)
+    pressed = now.brake_switch > 0.0 or any(braked)
+    partial = any(braked) and not all(braked) and not wheel_pressures
     return Step(
         dt_s=dt_s,
         speed=run.m.speed_sum / dt_s,
@@ -260,7 +254,7 @@ def _describe(run: Inputs, now: Readings, flags: int) -> Step:
         and not partial,
         forward=run.heading > 0.0,
         pressed=pressed,
-        pressure_known=pressure_known,
+        pressure_known=all(run.corner_known(c) for c in range(run.corners)),
         wheel_pressures=wheel_pressures,
         torque_known=run.valid(_TORQUE),
         on_stand=not pressed and run.apart,
@@ -270,11 +264,8 @@ def _describe(run: Inputs, now: Readings, flags: int) -> Step:
 
 def _tare_pressures(run: Inputs, s: Step) -> None:
     """Filter the offsets of the pressure sensors, brake released."""
-    if isnan(s.brake_switch):
-        released = s.drive > TARE_DRIVE_MS2
-    else:
-        released = not s.brake_switch > 0.0
-    if not released:
+    switch, drives = s.brake_switch, s.drive > TARE_DRIVE_MS2
+    if not (drives if isnan(switch) else switch <= 0.0):
         return
     m = run.observer.m
     share = 1.0 - exp(-s.dt_s / TARE_S)
@@ -325,12 +316,9 @@ def _divide(run: Inputs, now: Readings, *, pressed: bool) -> Sequence[float]:
         slipping += slip[c]
     part = []
     for c in range(run.corners):
-        share = run.plan.force_share[c]
-        part.append(
-            share if _without_pressure(run, c, pressed=pressed) else 0.0
-        )
-        if slipping > 0.01:
-            part[c] = slip[c]
+        without = _without_pressure(run, c, pressed=pressed)
+        share = run.plan.force_share[c] if without else 0.0
+        part.append(slip[c] if slipping > 0.01 else share)
         total += part[c]
     return [own / total if total > 0.0 else 0.0 for own in part]
 

@@ -244,10 +244,8 @@ class Inputs:
             return
         fast, slow = self._axles(counts)
         # an axle at rest may be two dead sensors
-        if (
-            slow > rules.STANDING_MS
-            and fast > (1.0 + rules.SLIP_FORWARD) * slow
-        ):
+        slips = fast > (1.0 + rules.SLIP_FORWARD) * slow
+        if slips and slow > rules.STANDING_MS:
             self.spinning = True
             self.ground_speed = min(self.speed, slow)
 
@@ -320,14 +318,10 @@ class Inputs:
         """
         plan = self.plan
         feed_back = self.feed_back_known()
-        complete = (
-            self.speed_known
-            and (self.valid(_TORQUE) or not self.mapped(_TORQUE))
-            and (
-                plan.slope != SLOPE_ACCELEROMETER
-                or not self.mapped(_ACCELERATION)
-                or self.valid(_ACCELERATION)
-            )
+        felt = plan.slope == SLOPE_ACCELEROMETER
+        needed = (_TORQUE, _ACCELERATION) if felt else (_TORQUE,)
+        complete = self.speed_known and all(
+            self.valid(role) or not self.mapped(role) for role in needed
         )
         sources, at_risk = [], []
         for c in range(self.corners):
