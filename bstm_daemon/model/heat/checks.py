@@ -211,8 +211,7 @@ class Checks:
     def _compare_pair(
         self, now: Readings, middle: float, share: float
     ) -> None:
-        known = [speed for speed in now.speeds if not isnan(speed)]
-        high, low = max(known), min(known)
+        low, high = sorted(speed for speed in now.speeds if not isnan(speed))
         failed = None
         if high - low > DEVIATION_MS + share * high:
             failed = True

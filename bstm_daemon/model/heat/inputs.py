@@ -353,8 +353,7 @@ class Inputs:
             flags |= FLAGS["switch_contradicts"]
         if self.on_stand:
             flags |= FLAGS["speed_suspect"] | FLAGS["acceleration_contradicts"]
-        wheels = any(self.valid(role) for role in self.wheel_role)
-        if not (wheels or self.valid(_SPEED)):
+        if not any(self.valid(role) for role in (*self.wheel_role, _SPEED)):
             flags |= FLAGS["speed_missing"]
         for c in range(self.corners):
             if not self.corner_known(c):

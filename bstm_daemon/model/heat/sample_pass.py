@@ -352,7 +352,10 @@ class _Pass(Inputs):
         """
         plan, m = self.plan, self.m
         torque_nm = self.vehicle("powertrain_torque", plan.assumed_torque_nm)
-        drive = max(self.heading * torque_nm / plan.radius_m, 0.0)
+        motor_nm = self.heading * self.vehicle("motor_torque", 0.0)
+        # Eq 4.11 takes what the motor recovers for braking
+        drive_nm = max(self.heading * torque_nm, 0.0) - min(motor_nm, 0.0)
+        drive = drive_nm / plan.radius_m
         shown = (force_s / h - drive) / plan.mass_kg
         share = 1.0 - exp(-h / rules.PEDAL_S)
         m.decel_shown += share * (shown - m.decel_shown)

@@ -89,9 +89,8 @@ static void describe(const Inputs *p, const Readings *now, int64_t flags,
     s->pressure_known = s->wheel_pressures = 1;
     int some = 0, none = 0;
     for (int c = 0; c < p->corners; c++) {
-        const double brake_n = p->observer.m->brake_sum[c] / dt_s;
         const double pressure = p->m->pressure_sum[c] / dt_s;
-        s->brake_n += brake_n;
+        s->brake_n += m->brake_sum[c] / dt_s;
         if (pressure > s->pressure_pa) s->pressure_pa = pressure;
         if (p->m->on_time[c] > 0.0) some = 1;
         else none = 1;

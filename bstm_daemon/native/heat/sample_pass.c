@@ -32,8 +32,10 @@ static int brakes(const Inputs *p, double h, double force_s)
     PassMemoryFloats *m = p->m;
     const double torque =
         inputs_vehicle(p, ROLE_POWERTRAIN_TORQUE, f->assumed_torque_nm);
-    double drive = p->heading * torque / f->radius_m;
-    if (drive < 0.0) drive = 0.0;
+    const double motor = p->heading * inputs_vehicle(p, ROLE_MOTOR_TORQUE, 0.0);
+    /* Eq 4.11 takes what the motor recovers for braking */
+    double drive = p->heading * torque > 0.0 ? p->heading * torque : 0.0;
+    drive = (drive - (motor < 0.0 ? motor : 0.0)) / f->radius_m;
     const double shown = (force_s / h - drive) / f->mass_kg;
     m->decel_shown += (1.0 - exp(-h / PEDAL_S)) * (shown - m->decel_shown);
     if (p->pedal == PEDAL_BRAKES) {

@@ -280,3 +280,31 @@ def test_interventions_count_though_the_pedal_rests(
 
     assert always.released_j == pytest.approx(bare.released_j, rel=0.05)
     assert found.braking_j == pytest.approx(always.braking_j, rel=0.02)
+
+
+@pytest.mark.parametrize("seen", [True, False])
+def test_what_a_motor_recovers_is_no_braking_of_a_pedal_at_rest(
+    kernel: Kernel | None,
+    start: Callable[..., Run],
+    make_car: Any,
+    make_corner: Any,
+    seen: bool,  # noqa: FBT001
+) -> None:
+    """2.5 m/s2 by the motor alone, with the accelerator released."""
+    car = make_car(
+        *(make_corner(name) for name in CORNERS), heat={"mode": "fb"}
+    )
+    roles = ("vehicle_speed", MOTION[-1], TORQUE, "motor_torque", PEDAL[0])
+    run = start(car, kernel, *roles)
+    for i in range(800):
+        braked = seen and i < 100
+        accel = -0.3 if braked or i < 100 else -2.8
+        motor = 0.0 if i < 100 else -2.5 * 2194.0 * 0.3418
+        values = (20.0, accel - braked, 0.0, motor, float(braked))
+        at_us = 50_000 * i
+        run.feed([(at_us, *one) for one in zip(roles, values, strict=True)])
+
+    power = run.column("brake_power_w")
+    assert (max(power[:90]) > 1e3) is seen
+    assert max(power[120:]) == 0.0
+    assert not any(run.flag("switch_contradicts"))
