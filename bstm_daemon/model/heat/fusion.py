@@ -126,9 +126,9 @@ class Fused:
     learned: list[float]
 
 
-def accumulate_motion(run: Inputs, h: float, v: float) -> None:
+def accumulate_motion(run: Inputs, h: float) -> None:
     """Add *h* seconds of the held values to the sums of the motion."""
-    plan, m = run.plan, run.observer.m
+    plan, m, v = run.plan, run.observer.m, run.speed
     m.sum_drag += (plan.quadratic * v + plan.linear) * v / plan.mass_kg * h
     if (
         not run.valid(_ACCELERATION)
@@ -306,9 +306,8 @@ def _divide(run: Inputs, now: Readings, *, pressed: bool) -> Sequence[float]:
     total = slipping = 0.0
     slip = []
     for c in range(run.corners):
-        slip_share = 0.0
-        if run.speed > 0.0:
-            slip_share = (run.speed - run.wheel[c]) / run.speed
+        v = run.speed
+        slip_share = (v - run.wheel[c]) / v if v > 0.0 else 0.0
         own = -slip_share - SLIP_FORWARD if spins else slip_share
         if own < 0.0 or not single:
             own = 0.0

@@ -6,7 +6,7 @@ in the same order.
 
 from __future__ import annotations
 
-from math import nan
+from math import isnan, nan
 from typing import TYPE_CHECKING, Final
 
 from bstm_daemon.channels import CORNER_PRESSURE, FLAGS, MODES, SLOPES
@@ -56,6 +56,8 @@ _TORQUE: Final = ROLE_INDEX["powertrain_torque"]
 _SWITCH: Final = ROLE_INDEX["brake_switch"]
 _TRAVEL: Final = ROLE_INDEX["brake_pedal_travel"]
 BRAKE_TORQUE_ROLE: Final = ROLE_INDEX["brake_torque"]
+_PARK_BRAKE: Final = ROLE_INDEX["park_brake"]
+_IGNITION: Final = ROLE_INDEX["ignition"]
 _AMBIENT: Final = ROLE_INDEX["ambient_temperature"]
 
 
@@ -283,24 +285,18 @@ class Inputs:
 
     def input_age_s(self) -> float:
         """Age of the oldest mandatory input; nan until all have a sample."""
-        speed = self._newest(_SPEED, self.wheel_role)
-        pressure = max(
-            self._newest(_PRIMARY, self.pressure_role),
-            self._newest(_SECONDARY, ()),
-        )
+        speed = self._newest(_SPEED, *self.wheel_role)
+        pressure = self._newest(_PRIMARY, _SECONDARY, *self.pressure_role)
         mapped = self.plan.pressure_mapped
         oldest = min(speed, pressure) if mapped else speed
         if oldest == NEVER:
             return nan
         return (self.m.now - oldest) * 1e-6
 
-    def _newest(self, role: int, others: Sequence[int]) -> int:
-        """Newest stamp of *role* and *others*, of those that are mapped."""
-        stamp = self.m.stamp
-        return max(
-            (stamp[r] for r in (role, *others) if self.mapped(r)),
-            default=NEVER,
-        )
+    def _newest(self, *roles: int) -> int:
+        """Newest stamp of *roles*, of those that are mapped."""
+        stamps = (self.m.stamp[r] for r in roles if self.mapped(r))
+        return max(stamps, default=NEVER)
 
     def feed_back_known(self) -> bool:
         """Whether the motion gives the braking at all."""
@@ -381,6 +377,7 @@ class Inputs:
             brake_switch=brake_switch,
             esc_active=self.vehicle("esc_active", 0.0),
             intervenes=self._intervenes(),
+            secured=self._secured(),
             acceleration=self.heading * self.reading(_ACCELERATION),
             ambient_k=self.reading(_AMBIENT),
             speeds=[
@@ -394,6 +391,13 @@ class Inputs:
             heat_known=[source != NONE for source in sources],
             at_risk=at_risk,
         )
+
+    def _secured(self) -> float:
+        """Return 1 if the car is secured against rolling, nan: unknown."""
+        brake, ignition = self.reading(_PARK_BRAKE), self.reading(_IGNITION)
+        if brake > 0.0 or ignition == 0.0:
+            return 1.0
+        return nan if isnan(brake) and isnan(ignition) else 0.0
 
     def _pressure_of(self, c: int) -> int:
         """Index of the pressure that corner *c* uses."""

@@ -66,6 +66,7 @@ speed filter."""
 _UNLEARNED: Final = (nan,) * len(LEARNED_CHANNELS)
 _ACCELERATION: Final = ROLE_INDEX["acceleration_longitudinal"]
 _TORQUE: Final = ROLE_INDEX["powertrain_torque"]
+_LOST: Final = FLAGS["silent"] | FLAGS["asleep"]
 _AMBIENT: Final = ROLE_INDEX["ambient_temperature"]
 
 TICK: Final = -1
@@ -235,9 +236,8 @@ class _Pass(Inputs):
         if not isfinite(value):
             return
         at_us = max(time_us, self.m.now)
-        since = NEVER
-        if at_us == time_us and self.valid(role):
-            since = self.m.stamp[role]
+        in_order = at_us == time_us and self.valid(role)
+        since = self.m.stamp[role] if in_order else NEVER
         if self.checks.admit(at_us, role, value, self.m.value[role], since):
             self.m.value[role] = value
             self.m.stamp[role] = at_us
@@ -290,7 +290,7 @@ class _Pass(Inputs):
         if not pressed:
             self.m.tail_s = max(self.m.tail_s - h, 0.0)
         if self.plan.mode == MODE_FUSED:
-            accumulate_motion(self, h, self.speed)
+            accumulate_motion(self, h)
         self.m.speed_sum += self.speed * h
         self.m.distance += self.speed * h
         self.m.now = time_us
@@ -484,7 +484,7 @@ class _Pass(Inputs):
         m.interface_k[:] = m.next_interface_k
         # a value may have timed out: compute speeds and pressures again
         self.stale = True
-        if m.unseen != 0.0 or not flags & FLAGS["silent"]:
+        if m.unseen != 0.0 or not flags & _LOST:
             return False
         m.unseen = 1.0
         return True

@@ -38,6 +38,7 @@ void checks_shift(Checks *c, int64_t ahead)
         if (c->t->until[r] != NEVER) c->t->until[r] += ahead;
     }
     if (c->t->last_sample != NEVER) c->t->last_sample += ahead;
+    if (c->t->last_of_car != NEVER) c->t->last_of_car += ahead;
     if (c->t->suspect_until != NEVER) c->t->suspect_until += ahead;
 }
 
@@ -64,23 +65,15 @@ static double median(const double *value, int n, int *count)
     return 0.5 * (sorted[k / 2 - 1] + sorted[k / 2]);
 }
 
-/* The highest speed and the lowest, on either side of middle. */
-static double highest(const Checks *c, const Readings *now, double middle,
-                      double *low)
-{
-    double high = *low = middle;
-    for (int v = 0; v <= c->corners; v++) {
-        if (now->speeds[v] > high) high = now->speeds[v];
-        if (now->speeds[v] < *low) *low = now->speeds[v];
-    }
-    return high;
-}
-
 static void compare_pair(Checks *c, const Readings *now, double middle,
                          double share)
 {
-    double low;
-    const double high = highest(c, now, middle, &low);
+    /* the median of two is their mean */
+    double high = middle, low = middle;
+    for (int v = 0; v <= c->corners; v++) {
+        if (now->speeds[v] > high) high = now->speeds[v];
+        if (now->speeds[v] < low) low = now->speeds[v];
+    }
     int outcome = OPEN;
     if (high - low > DEVIATION_MS + share * high) outcome = FAILED;
     else if (middle > MOVING_MS) outcome = PASSED;
@@ -90,11 +83,15 @@ static void compare_pair(Checks *c, const Readings *now, double middle,
 static void compare_scales(Checks *c, const Readings *now, double middle,
                            int count)
 {
-    double low;
-    const double high = highest(c, now, middle, &low);
+    double highest = 0.0, lowest = middle;
+    for (int v = 0; v <= c->corners; v++) {
+        if (now->speeds[v] > highest) highest = now->speeds[v];
+        if (now->speeds[v] < lowest) lowest = now->speeds[v];
+    }
     /* one that stands is dead, which is another check's; an intervention
        slows single wheels for many seconds */
-    if (count < 3 || low <= STANDING_MS || high < SCALE_MS || now->intervenes)
+    if (count < 3 || lowest <= STANDING_MS || highest < SCALE_MS
+        || now->intervenes)
         return;
     const double share = 1.0 - exp(-now->dt_s / SCALE_S);
     for (int v = 0; v <= c->corners; v++) {
@@ -334,6 +331,24 @@ static int64_t outages(Checks *c, const Readings *now)
     return flags;
 }
 
+/* The bit of a bus that sleeps because the car is parked. */
+static int64_t sleeps(Checks *c, const Readings *now)
+{
+    CheckMemoryFloats *m = c->m;
+    const int64_t last = c->t->last_of_car;
+    const int silent = last == NEVER || now->now - last > SILENT_US;
+    if (now->speed_known && (now->speed > STANDING_MS || now->braking)) {
+        m->parked_s = 0.0;
+    } else if (now->speed_known && !isnan(now->secured)) {
+        m->parked_s = now->secured > 0.0 ? m->parked_s + now->dt_s : 0.0;
+        m->unproven_s = 0.0;
+    } else if (!silent) {
+        m->unproven_s += now->dt_s;
+        if (m->unproven_s > UNPROVEN_S) m->parked_s = 0.0;
+    }
+    return silent && m->parked_s >= PARKED_S ? FLAG_ASLEEP : 0;
+}
+
 int64_t checks_close(Checks *c, const Readings *now)
 {
     int count;
@@ -354,5 +369,5 @@ int64_t checks_close(Checks *c, const Readings *now)
     compare_ambient(c, now);
     int64_t flags = contradictions(c, now, count) | refused;
     flags |= speed_flags(c, now, flags);
-    return flags | outages(c, now);
+    return flags | outages(c, now) | sleeps(c, now);
 }

@@ -2,8 +2,9 @@
 
 #include "motion_checks.h"
 
-void fusion_accumulate_motion(Inputs *p, double h, double v)
+void fusion_accumulate_motion(Inputs *p, double h)
 {
+    const double v = p->speed;
     const PlanNumbersFloats *f = p->plan;
     ObserverMemory *m = p->observer.m;
     const int acceleration = ROLE_ACCELERATION_LONGITUDINAL;

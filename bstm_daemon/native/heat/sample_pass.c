@@ -157,8 +157,7 @@ static void integrate(Inputs *p, int64_t time_us)
         const double left = m->tail_s - h;
         m->tail_s = left > 0.0 ? left : 0.0;
     }
-    if (p->options->mode == MODE_FUSED)
-        fusion_accumulate_motion(p, h, p->speed);
+    if (p->options->mode == MODE_FUSED) fusion_accumulate_motion(p, h);
     m->speed_sum += p->speed * h;
     m->distance += p->speed * h;
     p->t->now = time_us;
@@ -254,7 +253,7 @@ static int close_step(Pass *pass)
     memcpy(m->interface_k, m->next_interface_k, sizeof m->interface_k);
     /* a value may have timed out: compute speeds and pressures again */
     p->stale = 1;
-    if (m->unseen != 0.0 || !(flags & FLAG_SILENT)) return 0;
+    if (m->unseen != 0.0 || !(flags & (FLAG_SILENT | FLAG_ASLEEP))) return 0;
     m->unseen = 1.0;
     return 1;
 }
