@@ -187,7 +187,7 @@ static int close_step(Pass *pass)
     Readings now;
     inputs_heat_sources(p, source, now.at_risk);
     inputs_readings(p, dt_s, source, &now);
-    int64_t flags = *pass->flags | inputs_flags(p);
+    int64_t flags = *pass->flags | inputs_input_flags(p);
     flags |= checks_close(&p->checks, &now);
     /* on a silent bus the last air temperature is better than the default */
     double ambient_k = inputs_mapped(p, air) && p->t->stamp[air] != NEVER
