@@ -32,7 +32,8 @@ static int brakes(const Inputs *p, double h, double force_s)
     PassMemoryFloats *m = p->m;
     const double torque =
         inputs_vehicle(p, ROLE_POWERTRAIN_TORQUE, f->assumed_torque_nm);
-    const double motor = p->heading * inputs_vehicle(p, ROLE_MOTOR_TORQUE, 0.0);
+    const double motor =
+        p->heading * inputs_vehicle(p, ROLE_MOTOR_TORQUE, 0.0);
     /* Eq 4.11 takes what the motor recovers for braking */
     double drive = p->heading * torque > 0.0 ? p->heading * torque : 0.0;
     drive = (drive - (motor < 0.0 ? motor : 0.0)) / f->radius_m;
