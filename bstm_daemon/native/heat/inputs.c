@@ -255,7 +255,7 @@ void inputs_heat_sources(const Inputs *p, int *source, int *at_risk)
     }
 }
 
-int64_t inputs_flags(const Inputs *p)
+int64_t inputs_input_flags(const Inputs *p)
 {
     int64_t flags = 0;
     if (p->m->pedal_lost > PEDAL_LOST_MS && !p->pressure_present)

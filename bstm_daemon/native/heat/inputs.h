@@ -60,7 +60,7 @@ void inputs_refresh(Inputs *p);
 double inputs_input_age_s(const Inputs *p);
 int inputs_feed_back_known(const Inputs *p);
 void inputs_heat_sources(const Inputs *p, int *source, int *at_risk);
-int64_t inputs_flags(const Inputs *p);
+int64_t inputs_input_flags(const Inputs *p);
 
 /* All that the checks need except at_risk. */
 void inputs_readings(const Inputs *p, double dt_s, const int *source,

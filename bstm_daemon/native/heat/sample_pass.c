@@ -32,7 +32,8 @@ static int brakes(const Inputs *p, double h, double force_s)
     PassMemoryFloats *m = p->m;
     const double torque =
         inputs_vehicle(p, ROLE_POWERTRAIN_TORQUE, f->assumed_torque_nm);
-    const double motor = p->heading * inputs_vehicle(p, ROLE_MOTOR_TORQUE, 0.0);
+    const double motor =
+        p->heading * inputs_vehicle(p, ROLE_MOTOR_TORQUE, 0.0);
     /* Eq 4.11 takes what the motor recovers for braking */
     double drive = p->heading * torque > 0.0 ? p->heading * torque : 0.0;
     drive = (drive - (motor < 0.0 ? motor : 0.0)) / f->radius_m;
@@ -187,7 +188,7 @@ static int close_step(Pass *pass)
     Readings now;
     inputs_heat_sources(p, source, now.at_risk);
     inputs_readings(p, dt_s, source, &now);
-    int64_t flags = *pass->flags | inputs_flags(p);
+    int64_t flags = *pass->flags | inputs_input_flags(p);
     flags |= checks_close(&p->checks, &now);
     /* on a silent bus the last air temperature is better than the default */
     double ambient_k = inputs_mapped(p, air) && p->t->stamp[air] != NEVER
