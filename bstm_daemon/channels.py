@@ -86,6 +86,7 @@ FLAGS: Final = {
     "forces_contradict": 1 << 47,
     "ambient_suspect": 1 << 48,
     "driven_unseen": 1 << 49,
+    "asleep": 1 << 50,
 }
 """Bits of a step's ``flags``; those of pressure and heat are for any corner.
 ``docs/validity.md`` says when each is set."""

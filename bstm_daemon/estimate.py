@@ -50,6 +50,8 @@ class Reason(IntFlag):
     """Measurements are, or were, far from the estimate."""
     IMPOSSIBLE = 64
     """The estimate is no temperature that a brake has."""
+    AMBIENT = 128
+    """The car sleeps for so long that the air may have become warmer."""
 
     @property
     def words(self) -> tuple[str, ...]:
@@ -65,6 +67,7 @@ REASON_WORDS: Final = {
     Reason.UNVERIFIED: "unverified",
     Reason.MODEL_DISAGREES: "model disagrees",
     Reason.IMPOSSIBLE: "impossible",
+    Reason.AMBIENT: "ambient",
 }
 """Each reason in words, wherever one is shown."""
 

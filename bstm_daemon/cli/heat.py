@@ -18,7 +18,8 @@ from bstm_daemon.cli.log_command import (
 from bstm_daemon.cli.progress import Progress
 from bstm_daemon.config.heat import heat_mode_problems
 from bstm_daemon.errors import LogError
-from bstm_daemon.replay.columns import replay_log
+from bstm_daemon.replay.columns import stream_log
+from bstm_daemon.replay.results import Collector, Part
 from bstm_daemon.report.heat import heat_json, heat_page, heat_text
 
 if TYPE_CHECKING:
@@ -32,6 +33,9 @@ if TYPE_CHECKING:
     from bstm_daemon.replay.results import Results
 
 FUSED: Final = "fused"
+
+READ: Final = 0.1
+"""Share of the work that is reading the log for its motion."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -70,16 +74,30 @@ def _compared(
     args: argparse.Namespace, log: Path, config: Config, signal_map: SignalMap
 ) -> tuple[HeatComparison, StopFriction]:
     overrides = dict(args.map)
+    fused = _fused(config)
+    cars = [config]
+    if fused is not None and fused is not config:
+        cars.append(fused)
+    found: list[Results] = []
     with Progress(f"heat {log.name}") as progress:
-        recording = read_recording([log], signal_map, overrides, progress.show)
-        driving = driving_of(log.name, recording, config, signal_map)
-        results = replay_log(config, signal_map, log, overrides).results
-        fused = (
-            results
-            if config.heat.mode == FUSED
-            else _fused(config, signal_map, log, overrides)
+        recording = read_recording(
+            [log], signal_map, overrides, progress.part(0.0, READ)
         )
-    heat = compare_heat(results, driving, config, fused)
+        driving = driving_of(log.name, recording, config, signal_map)
+        share = (1.0 - READ) / len(cars)
+        for car in cars:
+            begin = READ + len(found) * share
+            # no validity and no forecast: neither is shown
+            rows = Collector(Part.NONE)
+            stream_log(
+                *(car, signal_map, log, [rows]),
+                overrides=overrides,
+                progress=progress.part(begin, begin + share),
+            )
+            found.append(rows.results())
+    heat = compare_heat(
+        found[0], driving, config, None if fused is None else found[-1]
+    )
     if not heat.power_w:
         why = "; ".join(heat.absent.values())
         msg = f"{log}: no source of brake heat: {why}"
@@ -87,12 +105,11 @@ def _compared(
     return heat, stop_friction(driving, config, heat)
 
 
-def _fused(
-    config: Config, signal_map: SignalMap, log: Path, overrides: dict[str, str]
-) -> Results | None:
-    """Return the replay in the mode ``fused``, None where there is none."""
+def _fused(config: Config) -> Config | None:
+    """Return *config* in the mode ``fused``, None where there is none."""
+    if config.heat.mode == FUSED:
+        return config
     heat = config.heat.model_copy(update={"mode": FUSED})
     if any(heat_mode_problems(heat, config.corner, config.signals.keys())):
         return None
-    changed = config.model_copy(update={"heat": heat})
-    return replay_log(changed, signal_map, log, overrides).results
+    return config.model_copy(update={"heat": heat})

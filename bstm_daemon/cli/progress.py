@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Final, Self, TextIO
 from bstm_daemon.terminal_text import raw_stream
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from types import TracebackType
 
 _REDRAW_S: Final = 0.1
@@ -41,6 +42,10 @@ class Progress:
             return
         self._drawn_at_s = now_s
         self._write(f"{_ERASE_LINE}{self._label} {fraction:4.0%}")
+
+    def part(self, begin: float, end: float) -> Callable[[float], None]:
+        """Return :meth:`show` for a part of the work, *begin* to *end*."""
+        return lambda fraction: self.show(begin + (end - begin) * fraction)
 
     def __enter__(self) -> Self:
         """Return the progress line itself."""

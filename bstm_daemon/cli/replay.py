@@ -5,10 +5,13 @@ from __future__ import annotations
 import sys
 from argparse import ArgumentTypeError
 from contextlib import ExitStack, suppress
+from dataclasses import replace
 from functools import partial
 from math import isclose, isfinite, isinf, nan
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+import numpy as np
 
 from bstm_daemon.bus.signals.reject_reason import RejectReason
 from bstm_daemon.cli.arguments import (
@@ -24,6 +27,7 @@ from bstm_daemon.cli.arguments import (
 from bstm_daemon.cli.progress import Progress
 from bstm_daemon.cli.vehicle import load_vehicle, read_state
 from bstm_daemon.errors import MissingExtraError, UsageError
+from bstm_daemon.estimator.start import PUBLISHED_NODES
 from bstm_daemon.estimator.verified import unverified_of_car
 from bstm_daemon.files import make_folder
 from bstm_daemon.replay.columns import Run, stream_log
@@ -32,12 +36,20 @@ from bstm_daemon.replay.frames import (
     publish_channel,
     write_frames,
 )
-from bstm_daemon.replay.results import csv_file, has_parquet, parquet_file
+from bstm_daemon.replay.results import (
+    Collector,
+    Part,
+    Sink,
+    csv_file,
+    has_parquet,
+    parquet_file,
+)
 from bstm_daemon.report.drive_curves import DriveCurves
 from bstm_daemon.report.drive_statistics import DriveStatistics
 from bstm_daemon.report.replay_page import ReplayFacts, replay_page
 from bstm_daemon.report.screen import summary_table
 from bstm_daemon.report.shell import write_page
+from bstm_daemon.report.timescale import clock
 from bstm_daemon.terminal_text import raw_stream
 from bstm_daemon.watch.board import Board
 from bstm_daemon.watch.replay_view import DEFAULT_SPEED, watch_log
@@ -45,11 +57,17 @@ from bstm_daemon.watch.view import open_view
 
 if TYPE_CHECKING:
     import argparse
+    from collections.abc import Callable
 
+    from bstm_daemon.config.sections import Config
     from bstm_daemon.replay.columns import StartState
+    from bstm_daemon.replay.results import Results
 
 
 PUBLICATION_S = 0.1
+
+WEAR_MOVED_K = 5.0
+"""Wear that moves the estimate by more is worth a line."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -132,6 +150,7 @@ def run(args: argparse.Namespace) -> int:
             args.out / f"{stem}.estimates.{form}": form for form in formats
         }
         statistics, curves = DriveStatistics(), DriveCurves()
+        worn = _PublishedNodes()
         # whole tables or none: all are replaced when the last row is written
         with Progress(f"replay {path.name}") as progress, ExitStack() as files:
             tables = [
@@ -140,18 +159,21 @@ def run(args: argparse.Namespace) -> int:
                 )
                 for target, form in targets.items()
             ]
-            drawn = [] if args.report is None else [curves]
-            log_run = stream_log(
-                config,
-                signal_map,
-                path,
-                [statistics, *drawn, *tables],
+            sinks: list[Sink] = [statistics, *tables]
+            sinks += [] if args.report is None else [curves]
+            sinks += [worn] if config.wear.model_follows else []
+            replayed = partial(
+                stream_log,
+                signal_map=signal_map,
+                path=path,
                 overrides=overrides,
                 every_us=round(args.every * 1e6),
                 progress=progress.show,
                 state=state,
                 forecast=args.forecast,
             )
+            log_run = replayed(config, sinks=sinks)
+            of_wear = _wear_remarks(config, worn, replayed)
         print(f"{path}  ({config.vehicle.id}, {args.config})")
         print(summary_table(statistics.summary()))
         unverified = unverified_of_car(config, signal_map.roles())
@@ -160,6 +182,7 @@ def run(args: argparse.Namespace) -> int:
         ]
         remarks += _start_remarks(args.start, log_run.start_known_s)
         remarks += _remarks(log_run, statistics, config.heat.mode)
+        remarks += of_wear
         for line in remarks:
             print(line)
         for target in targets:
@@ -183,7 +206,9 @@ def run(args: argparse.Namespace) -> int:
             print(args.report)
         if args.publish is not None:
             channel = publish_channel(config)
-            count = write_frames(published(), channel, args.publish)
+            with Progress(f"publish {path.name}") as progress:
+                ticks = published(progress=progress.show)
+                count = write_frames(ticks, channel, args.publish)
             print(f"{args.publish}: {count} frames")
     return 0
 
@@ -257,6 +282,51 @@ def _remarks(
         if log_run.counts[key]:
             remarks.append(f"{text}: {log_run.counts[key]}")
     return remarks
+
+
+class _PublishedNodes(Collector):
+    """Keeps the temperatures that are published, and the time."""
+
+    def __init__(self) -> None:
+        super().__init__(Part.NONE)
+
+    def write(self, rows: Results) -> None:
+        names = {"time_s", *(f"{node}_c" for node in PUBLISHED_NODES)}
+        used = {
+            name: column
+            for name, column in rows.columns.items()
+            if name.rpartition(".")[2] in names
+        }
+        super().write(replace(rows, columns=used))
+
+
+def _wear_remarks(
+    config: Config, worn: Collector, replayed: Callable[..., Run]
+) -> list[str]:
+    """Return what wear did to the temperatures, where the model follows it.
+
+    Then the log is replayed once more, with linings and discs as configured.
+    """
+    if not config.wear.model_follows:
+        return []
+    still = _PublishedNodes()
+    wear = config.wear.model_copy(update={"model_follows": False})
+    replayed(config.model_copy(update={"wear": wear}), sinks=[still])
+    one, other = worn.results().columns, still.results().columns
+    time_s = one.pop("time_s")
+    moved_k = np.array([one[name] - other[name] for name in one])
+    sizes_k = np.nan_to_num(np.abs(moved_k))
+    if not sizes_k.max() > WEAR_MOVED_K:
+        return []
+    place, row = np.unravel_index(sizes_k.argmax(), sizes_k.shape)
+    corner, node = [*one][place].removesuffix("_c").split(".")
+    at = clock(time_s[row] - time_s[0])
+    return [
+        (
+            f"wear moved the estimate by up to {moved_k[place, row]:+.0f} K "
+            f"({node} {corner}, {at}): [wear] model_follows = true"
+        )
+    ]
 
 
 def _formats(asked: str | None) -> tuple[str, ...]:

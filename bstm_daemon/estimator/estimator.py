@@ -97,6 +97,7 @@ class Estimator:
         *,
         history_known: bool = False,
         initial_k: float | None = None,
+        judged: bool = True,
     ) -> None:
         """Build the model of *config*.
 
@@ -107,6 +108,7 @@ class Estimator:
                 *initial_k* before the first sample.
             initial_k: starting temperature [K]; default: the configured
                 ambient.
+            judged: whether the validity of each estimate is wanted.
 
         Raises:
             ConfigError: the configuration asks for a part, effect or share
@@ -164,6 +166,7 @@ class Estimator:
             compares=config.heat.mode == "fused",
             has_switch=ROLE_INDEX["brake_switch"] in present,
         )
+        self._judged = judged
         self.model_check = ModelCheck(
             config, self.layout, present, self.settling_s
         )
@@ -277,7 +280,7 @@ class Estimator:
             )
             if steps:
                 block = self._block(steps, outputs)
-                if len(block.times_us):
+                if block is not None and len(block.times_us):
                     yield block
                 # after it was taken: within a block the networks are one
                 if self._coupling.times[steps - 1] % REFIT_US == 0:
@@ -316,8 +319,8 @@ class Estimator:
             groups.append((batch, names))
         return groups
 
-    def _block(self, steps: int, outputs: Outputs) -> Block:
-        """Return the publications of *steps* marched rows."""
+    def _block(self, steps: int, outputs: Outputs) -> Block | None:
+        """Return the publications of *steps* marched rows, if wanted."""
         every = PUBLISH_US // STEP_US
         coupling = self._coupling
         phase = coupling.phase()
@@ -349,12 +352,9 @@ class Estimator:
         )
         block.wear.update(self.wear.laws(times, partial(_totals, block)))
         self.unseen.add(block)
-        judge(
-            block,
-            self._needs,
-            (self.trust, self.model_check),
-            PUBLISH_US * 1e-6,
-        )
+        if self._judged:
+            checks = self.trust, self.model_check
+            judge(block, self._needs, checks, PUBLISH_US * 1e-6)
         self._reset_impossible()
         return block
 

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from bstm_daemon.config.sections import Config
-    from bstm_daemon.estimator.blocks import Block
+    from bstm_daemon.estimator.blocks import Block, Instant
     from bstm_daemon.estimator.model_check import ModelCheck
     from bstm_daemon.estimator.trust import Trust
 
@@ -37,6 +37,10 @@ LOWEST_K: Final = 200.0
 HIGHEST_K: Final = 1800.0
 """An estimate outside can not be true: below any ambient, above iron's
 melting point."""
+
+AMBIENT_S: Final = 3 * 3600.0
+"""Air whose temperature nobody measures may be 10 K warmer after that long:
+a clear morning warms it by 3 K/h. The fluid follows later."""
 
 
 _MOTION: Final = (
@@ -130,11 +134,8 @@ def judge(
             why = Reason.UNVERIFIED.value if need.unverified else 0
             if i < block.known_from[name]:
                 why |= Reason.START_UNKNOWN.value
-            if flags & need.missing or (
-                need.measured
-                and isnan(block.at(i).channel(name, "measured_disc_k"))
-            ):
-                why |= Reason.INPUT_MISSING.value
+            if flags & need.missing or need.measured:
+                why |= _missing_input(block.at(i), name, need)
             if held or flags & need.suspect:
                 why |= Reason.INPUT_SUSPECT.value
             if flags & (need.uncertain | need.lost):
@@ -154,6 +155,17 @@ def judge(
             else:
                 validity.append(Validity.DEGRADED if why else Validity.VALID)
         block.validity[name], block.reasons[name] = validity, reasons
+
+
+def _missing_input(now: Instant, corner: str, need: Needs) -> int:
+    """Return the reason of an input that is missing, if it counts."""
+    sleeps = now.flags & FLAGS["asleep"]
+    if (now.flags & need.missing and not sleeps) or (
+        need.measured and isnan(now.channel(corner, "measured_disc_k"))
+    ):
+        return Reason.INPUT_MISSING.value
+    is_old = sleeps and now.vehicle("input_age_s") > AMBIENT_S
+    return Reason.AMBIENT.value if is_old else 0
 
 
 def _missing(config: Config, present: Mapping[int, int], place: int) -> int:

@@ -197,10 +197,7 @@ class Job:
         self._done = 0
         self._ensemble = ensemble
         self._batch = Batch(
-            ensemble.programs,
-            conditions.ambient_k,
-            None,
-            kernel,
+            ensemble.programs, conditions.ambient_k, None, kernel
         )
         self._batch.state = ensemble.states(
             state, conditions.ambient_k, factor
@@ -258,9 +255,7 @@ def parked_course(
 
 
 def _inputs(
-    ensemble: Ensemble,
-    conditions: Conditions,
-    factor: float,
+    ensemble: Ensemble, conditions: Conditions, factor: float
 ) -> array[float]:
     """Return one step's rows, a row a member."""
     rows = array("d")

@@ -28,7 +28,13 @@ from bstm_daemon.estimator.state import parked_before_us, resume_state
 from bstm_daemon.estimator.validity import HIGHEST_K, LOWEST_K
 from bstm_daemon.forecast.monitor import RiskMonitor
 from bstm_daemon.model.risk.boiling import wet_boiling_point_k
-from bstm_daemon.replay.results import Collector, Results, ResultsBuilder, Sink
+from bstm_daemon.replay.results import (
+    Collector,
+    Part,
+    Results,
+    ResultsBuilder,
+    Sink,
+)
 from bstm_daemon.roles import ROLE_INDEX
 
 if TYPE_CHECKING:
@@ -120,13 +126,14 @@ def stream_log(  # noqa: PLR0913
         config: the vehicle.
         signal_map: its extraction plan.
         path: a log.
-        sinks: each gets every row, in stretches as they come.
+        sinks: each gets every row, in stretches as they come, with all parts
+            that one of them uses; no other is computed.
         overrides: log interface name to bus name.
         every_us: time between two rows [us], a multiple of 100 000.
         progress: called with the share of the log that is read.
         state: a state file's document; ``"cold"`` for brakes as cold as the
             air; None for an unknown start.
-        forecast: whether there are columns of risk, forecast and advice.
+        forecast: whether a sink may have risk, forecast and advice.
 
     Raises:
         LogError: the log is unusable, holds none of the wanted ids, or is
@@ -138,7 +145,15 @@ def stream_log(  # noqa: PLR0913
     present = present_roles(signal_map)
     cold = state == "cold"
     air_k = first_air_k(signal_map, path, overrides) if cold else None
-    estimator = Estimator(config, present, history_known=cold, initial_k=air_k)
+    parts = {part for sink in sinks for part in sink.parts}
+    estimator = Estimator(
+        config,
+        present,
+        history_known=cold,
+        initial_k=air_k,
+        judged=bool(parts),
+    )
+    forecast &= Part.FORECAST in parts
     monitor = RiskMonitor(config, estimator) if forecast else None
     advice = AdviceSeries(config, present)
     builder = ResultsBuilder(estimator, sinks, every_us)

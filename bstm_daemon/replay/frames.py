@@ -18,7 +18,7 @@ from bstm_daemon.files import replacing
 from bstm_daemon.replay.columns import first_air_k, naming_state
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Callable, Iterable, Iterator
     from pathlib import Path
 
     from bstm_daemon.bus.signals.signal_map import SignalMap
@@ -33,7 +33,7 @@ Frame = tuple[int, int, int, bool, bytes]
 """Stamp [us], bus number, id, extended, data."""
 
 
-def publications(
+def publications(  # noqa: PLR0913
     config: Config,
     signal_map: SignalMap,
     path: Path,
@@ -41,6 +41,7 @@ def publications(
     state: StartState = None,
     *,
     forecast: bool = True,
+    progress: Callable[[float], None] | None = None,
 ) -> Iterator[list[Published]]:
     """Run the engine over the log *path*, tick by tick.
 
@@ -51,6 +52,7 @@ def publications(
         overrides: log interface name to bus name.
         state: as of :func:`~bstm_daemon.replay.columns.stream_log`.
         forecast: whether risk and forecast are made.
+        progress: called with the share of the log that is read.
 
     Yields:
         What became due; a gap of hours comes in parts.
@@ -68,7 +70,7 @@ def publications(
         initial_k=first_air_k(signal_map, path, overrides) if cold else None,
         forecast=forecast,
     )
-    frames = _frames(path, signal_map, overrides or {})
+    frames = _frames(path, signal_map, overrides or {}, progress)
     first = next(frames, None)
     if first is None:
         msg = f"{path}: no CAN frame"
@@ -121,7 +123,10 @@ def publish_channel(config: Config) -> str:
 
 
 def _frames(
-    path: Path, signal_map: SignalMap, overrides: Mapping[str, str]
+    path: Path,
+    signal_map: SignalMap,
+    overrides: Mapping[str, str],
+    progress: Callable[[float], None] | None,
 ) -> Iterator[Frame]:
     reader = open_log(path, None)
     for chunk in reader.chunks():
@@ -140,6 +145,8 @@ def _frames(
             if buses[place] != NOT_READ:
                 payload = data[:length].tobytes()
                 yield time_us, buses[place], can_id, extended, payload
+        if progress is not None:
+            progress(reader.share)
 
 
 def _line(channel: str, published: Published) -> str:

@@ -19,7 +19,7 @@ from bstm_daemon.estimate import (
     Reason,
 )
 from bstm_daemon.model.heat.plausibility import FAULTS
-from bstm_daemon.replay.results import ElapsedTime
+from bstm_daemon.replay.results import ElapsedTime, Part
 from bstm_daemon.report.decimation import Buckets, ThinCurve, validity_spans
 from bstm_daemon.report.drive_statistics import SUMMARY_NODES
 from bstm_daemon.report.plots import (
@@ -198,6 +198,8 @@ class DriveCurves:
     line], ``power`` [kW], ``temperature`` and ``fluid`` [degC], ``reasons``
     [number of the line], ``risk`` [%].
     """
+
+    parts = Part.ALL
 
     def __init__(self) -> None:
         """Begin without rows."""

@@ -13,7 +13,7 @@ import numpy as np
 
 from bstm_daemon.channels import FLAGS
 from bstm_daemon.model.heat.needs import INPUTS
-from bstm_daemon.replay.results import ElapsedTime, Results
+from bstm_daemon.replay.results import ElapsedTime, Part, Results
 from bstm_daemon.report.findings import FindingCollector, ReasonCollector
 from bstm_daemon.report.stretches import (
     STANDING_MS,
@@ -101,6 +101,8 @@ class DriveSummary:
 
 class DriveStatistics:
     """A sink that keeps what a summary needs; columns may be missing."""
+
+    parts = Part.VALIDITY
 
     def __init__(self) -> None:
         """Begin without rows."""

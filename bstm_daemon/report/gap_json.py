@@ -76,8 +76,7 @@ def _shown_json(shown: Shown) -> dict[str, Any]:
     return picked(shown, "held_out", "bends") | {
         "errors": [
             picked(
-                one,
-                *("drive", "node", "rms_k", "peak_error_k", "peak_late_s"),
+                one, *("drive", "node", "rms_k", "peak_error_k", "peak_late_s")
             )
             for one in shown.errors
         ],

@@ -16,7 +16,6 @@ segment holds for that segment only. ``docs/reality.md`` lists the keys.
 from __future__ import annotations
 
 import tomllib
-from importlib import resources
 from typing import TYPE_CHECKING, Annotated, Literal, Self
 
 from pydantic import (
@@ -27,11 +26,11 @@ from pydantic import (
     model_validator,
 )
 
-from bstm_daemon.errors import ConfigError, FileAccessError, UsageError
+from bstm_daemon.errors import ConfigError, FileAccessError
+from bstm_daemon.simulation.vehicle import packaged, packaged_text
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
-    from importlib.resources.abc import Traversable
     from pathlib import Path
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
@@ -192,17 +191,9 @@ def _flatten(
             yield from _flatten(segment.segment, f"{here}.segment")
 
 
-def _folder() -> Traversable:
-    return resources.files("bstm_daemon.simulation") / "_data" / "drives"
-
-
 def drive_names() -> list[str]:
     """Return the names of the drives that come with the package, sorted."""
-    return sorted(
-        entry.name.removesuffix(".toml")
-        for entry in _folder().iterdir()
-        if entry.name.endswith(".toml")
-    )
+    return list(packaged("drives"))
 
 
 def load_drive(name: str) -> Drive:
@@ -210,11 +201,7 @@ def load_drive(name: str) -> Drive:
 
     Raises :class:`~bstm_daemon.errors.UsageError` for an unknown name.
     """
-    if name not in drive_names():
-        msg = f"no drive {name!r}: one of {', '.join(drive_names())}"
-        raise UsageError(msg)
-    source = _folder() / f"{name}.toml"
-    return parse_drive(source.read_text(encoding="utf-8"), f"{name}.toml")
+    return parse_drive(packaged_text("drives", name), f"{name}.toml")
 
 
 def read_drive(path: Path) -> Drive:

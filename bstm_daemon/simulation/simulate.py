@@ -256,10 +256,7 @@ def nominal_power(course: Course, motion: Motion) -> Array:
 
 
 def step_inputs(
-    course: Course,
-    motion: Motion,
-    ambient_k: Array,
-    resolution: Resolution,
+    course: Course, motion: Motion, ambient_k: Array, resolution: Resolution
 ) -> LaneInputs:
     """Return the reality's inputs: means of the samples over its steps.
 

@@ -185,17 +185,33 @@ _CAR_KEYS = {f.name for f in fields(CarParameters)} - {"front", "rear"}
 _CORNER_KEYS = {f.name for f in fields(CornerParameters)} - {"wheel_radius_m"}
 
 
-def _folder() -> Traversable:
-    return resources.files("bstm_daemon.simulation") / "_data" / "vehicles"
+def packaged(kind: str) -> dict[str, Traversable]:
+    """Return the packaged ``drives`` or ``vehicles`` by name, sorted."""
+    folder = resources.files("bstm_daemon.simulation") / "_data" / kind
+    found = {
+        entry.name.removesuffix(".toml"): entry
+        for entry in folder.iterdir()
+        if entry.name.endswith(".toml")
+    }
+    return dict(sorted(found.items()))
+
+
+def packaged_text(kind: str, name: str) -> str:
+    """Return the text of the packaged *name* of *kind*.
+
+    Raises :class:`~bstm_daemon.errors.UsageError` for an unknown name.
+    """
+    known = packaged(kind)
+    if name not in known:
+        what = kind.removesuffix("s")
+        msg = f"no {what} {name!r}: one of {', '.join(known)}"
+        raise UsageError(msg)
+    return known[name].read_text(encoding="utf-8")
 
 
 def vehicle_names() -> list[str]:
     """Return the names of the packaged cars, sorted."""
-    return sorted(
-        entry.name.removesuffix(".toml")
-        for entry in _folder().iterdir()
-        if entry.name.endswith(".toml")
-    )
+    return list(packaged("vehicles"))
 
 
 def load_vehicle(name: str) -> CarParameters:
@@ -203,11 +219,7 @@ def load_vehicle(name: str) -> CarParameters:
 
     Raises :class:`~bstm_daemon.errors.UsageError` for an unknown name.
     """
-    if name not in vehicle_names():
-        msg = f"no vehicle {name!r}: one of {', '.join(vehicle_names())}"
-        raise UsageError(msg)
-    text = (_folder() / f"{name}.toml").read_text(encoding="utf-8")
-    return parse_vehicle(text, f"{name}.toml")
+    return parse_vehicle(packaged_text("vehicles", name), f"{name}.toml")
 
 
 def parse_vehicle(text: str, file: str) -> CarParameters:

@@ -37,6 +37,15 @@ def test_terminal_sees_label_and_share() -> None:
     assert stream.getvalue() == drawn + "\r\x1b[K"
 
 
+def test_a_part_of_the_work_is_its_share_of_the_line() -> None:
+    stream = Terminal()
+
+    with Progress("heat", stream) as progress:
+        progress.part(0.2, 0.6)(0.5)
+
+    assert "heat  40%" in stream.getvalue()
+
+
 def test_redraws_are_rare() -> None:
     """Many calls in a row draw once."""
     stream = Terminal()

@@ -251,6 +251,10 @@ def test_a_clock_set_late_corrects_a_car_that_braked(config: Config) -> None:
     assert before_k > 50.0
 
     correct_parked(wrong, document, 3600.0)
+    # once: what comes now is after the start that is known
+    assert wrong.input_history is None
+    with pytest.raises(StateError, match="no input history was kept"):
+        correct_parked(wrong, document, 3600.0)
 
     for node, kelvin in nodes_k(right).items():
         assert wrong.state("FL")[node] == pytest.approx(kelvin, abs=1.0)

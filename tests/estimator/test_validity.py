@@ -242,7 +242,7 @@ def test_reasons_are_worded_in_the_order_of_their_bits() -> None:
 
     assert why.words == ("start unknown", "model disagrees")
     assert not NO_REASON.words
-    assert len({REASON_WORDS[one] for one in Reason}) == len(Reason) == 7
+    assert len({REASON_WORDS[one] for one in Reason}) == len(Reason) == 8
 
 
 def test_heat_unknown_for_too_long_is_invalid_then_degraded(
@@ -287,10 +287,145 @@ def test_an_outage_is_not_felt_beyond_the_settling(
 
 
 def test_silence_alone_is_never_invalid(front: Callable[..., Config]) -> None:
-    """Ignition off: a car that cools, degraded."""
+    """Nobody knows that this car stands: it cools, degraded."""
     found = over_spans(front(), [(2.0, BOTH), (40.0, {})], history_known=True)
 
     assert set(found["FL"][30:]) == {Validity.DEGRADED}
+
+
+PARKED = {"vehicle_speed": 0.0, "primary_pressure": 0.0, "park_brake": 1.0}
+
+
+def sleeping(config: Config, spans: Spans) -> list[Reason]:
+    """Different reasons of a corner over *spans*, after a short drive."""
+    drive = PARKED | {"vehicle_speed": 2.0, "park_brake": 0.0}
+    found = over_spans(config, [(2.0, drive), *spans], history_known=True)
+    return reasons_in(found, "FL")
+
+
+@pytest.mark.parametrize(
+    "parked",
+    [
+        PARKED,
+        {"vehicle_speed": 0.0, "primary_pressure": 0.0, "ignition": 0.0},
+    ],
+)
+@pytest.mark.parametrize("mode", ["ff", "fused"])
+def test_a_parked_car_with_a_sleeping_bus_is_valid(
+    front: Callable[..., Config], parked: dict[str, float], mode: str
+) -> None:
+    """Degraded only until the silence is known: 0.5 to 1 s after the end."""
+    config = front(heat={"mode": mode})
+    drive = parked | {"vehicle_speed": 2.0, "ignition": 1.0}
+    spans: Spans = [(2.0, drive), (61.0, parked), (60.0, {})]
+
+    found = over_spans(config, spans, history_known=True)
+
+    assert reasons_in(found, "FL") == [
+        NO_REASON,
+        Reason.INPUT_MISSING,
+        NO_REASON,
+    ]
+    assert found["FL why"].count(Reason.INPUT_MISSING) in {5, 6}
+
+
+@pytest.mark.parametrize(
+    ("seconds", "other"),
+    [
+        (59.0, {}),
+        (61.0, {"park_brake": 0.0}),
+        (61.0, {"park_brake": 0.0, "ignition": 1.0}),
+        (61.0, {"primary_pressure": 1e6}),
+        (61.0, {"brake_switch": 1.0}),
+        (61.0, {"vehicle_speed": 0.6}),
+    ],
+)
+def test_a_silence_of_a_car_that_may_drive_off_is_degraded(
+    front: Callable[..., Config], seconds: float, other: dict[str, float]
+) -> None:
+    """A short stop, no parking brake, a foot on the pedal, not at rest."""
+    spans: Spans = [(61.0, PARKED), (1.0, PARKED | other)]
+    if seconds < 60.0:
+        spans = [(seconds, PARKED)]
+
+    found = sleeping(front(), [*spans, (60.0, {})])
+
+    assert found == [NO_REASON, Reason.INPUT_MISSING]
+
+
+@pytest.mark.parametrize(("seconds", "valid"), [(1.9, True), (2.2, False)])
+def test_the_messages_of_a_bus_that_goes_to_sleep_end_together(
+    front: Callable[..., Config], seconds: float, valid: object
+) -> None:
+    """Nobody knows whether a car without a speed stands still."""
+    awake = {"park_brake": 1.0, "primary_pressure": 0.0}
+
+    found = sleeping(front(), [(61.0, PARKED), (seconds, awake), (60.0, {})])
+
+    assert (found[-1] is NO_REASON) is valid
+    assert found[1] is Reason.INPUT_MISSING
+
+
+def test_a_sleeping_bus_that_wakes_without_a_speed_proves_nothing(
+    front: Callable[..., Config],
+) -> None:
+    """One that wakes with it does, from the first speed on."""
+    parked: Spans = [(61.0, PARKED), (10.0, {})]
+    awake = {"primary_pressure": 0.0, "park_brake": 1.0}
+
+    unknown = sleeping(front(), [*parked, (4.0, awake), (10.0, {})])
+    known = sleeping(front(), [*parked, (4.0, PARKED), (10.0, {})])
+
+    missing = Reason.INPUT_MISSING
+    assert unknown == [NO_REASON, missing, NO_REASON, missing]
+    assert known[-1] is NO_REASON
+
+
+def test_thermocouples_of_a_logger_are_not_the_bus_of_the_car(
+    front: Callable[..., Config],
+) -> None:
+    """They go on while the car sleeps; in mode measured they must."""
+    hot = {"temp_fl_disc": 400.0, "temp_fr_disc": 400.0}
+    config = front(heat={"mode": "measured"})
+    parked: Spans = [(2.0, PARKED | hot), (61.0, PARKED | hot)]
+
+    asleep = over_spans(config, [*parked, (20.0, hot)], history_known=True)
+    cut = over_spans(config, [*parked, (20.0, {})], history_known=True)
+
+    assert asleep["FL"][-1] == Validity.VALID
+    assert cut["FL"][-1] == Validity.DEGRADED
+
+
+def test_air_that_nobody_measures_degrades_after_hours(
+    front: Callable[..., Config], compiled: Kernel
+) -> None:
+    """It may have warmed by 10 K; after three hours, with its own reason."""
+    assert compiled is not None
+    hours = 3.1
+    spans: Spans = [(61.0, PARKED), (hours * 3600.0, {})]
+
+    found = over_spans(front(), spans, history_known=True)
+
+    assert reasons_in(found, "FL") == [
+        NO_REASON,
+        Reason.INPUT_MISSING,
+        NO_REASON,
+        Reason.AMBIENT,
+    ]
+    late_s = found["FL why"].count(Reason.AMBIENT) / PUBLISHED_PER_S
+    assert late_s == pytest.approx(0.1 * 3600.0, abs=0.5)
+    assert Reason.AMBIENT.words == ("ambient",)
+
+
+def test_a_parked_car_that_is_back_at_speed_was_driven(
+    front: Callable[..., Config],
+) -> None:
+    """Its bus was cut: what it did meanwhile is remembered."""
+    drive = PARKED | {"vehicle_speed": 20.0, "park_brake": 0.0}
+
+    found = sleeping(front(), [(61.0, PARKED), (60.0, {}), (10.0, drive)])
+
+    assert found[-1] is Reason.INPUT_SUSPECT
 
 
 def test_feed_back_that_stands_in_is_degraded(

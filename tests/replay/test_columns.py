@@ -26,13 +26,19 @@ from bstm_daemon.replay.columns import (
     Replay,
     present_roles,
     replay_log,
+    stream_log,
 )
 from bstm_daemon.replay.frames import (
     publications,
     publish_channel,
     write_frames,
 )
-from bstm_daemon.replay.results import Collector, Results, ResultsBuilder
+from bstm_daemon.replay.results import Collector, Part, Results, ResultsBuilder
+from bstm_daemon.replay.results.records import (
+    ADVICE_COLUMNS,
+    CAR_COLUMNS,
+    CORNER_COLUMNS,
+)
 from bstm_daemon.roles import CORNERS
 from bstm_daemon.simulation import parse_drive, simulate
 from bstm_daemon.simulation.frames import Encoder
@@ -145,6 +151,27 @@ duration_s = 1500.0
     assert unknown[-1] - time_s[0] == pytest.approx(
         found.start_known_s, abs=2.0
     )
+
+
+@pytest.mark.parametrize("parts", [Part.NONE, Part.VALIDITY])
+def test_only_the_parts_that_a_sink_uses(
+    log: Path, plain: Replay, parts: Part
+) -> None:
+    """The others change no bit of the rest."""
+    one, other = Collector(Part.NONE), Collector(parts)
+
+    stream_log(*load_vehicle(CAR), log, [one, other])
+
+    found = one.results().columns
+    assert found.keys() == other.results().columns.keys()
+    every = plain.results.columns
+    assert all(found[k].tobytes() == every[k].tobytes() for k in found)
+    absent = {name.rpartition(".")[2] for name in every.keys() - found.keys()}
+    forecast = {
+        *(*CORNER_COLUMNS, *CAR_COLUMNS, *ADVICE_COLUMNS, "forecast_age_s"),
+    }
+    validity = {"validity", "reasons"} if parts is Part.NONE else set()
+    assert absent == forecast | validity
 
 
 def publish(

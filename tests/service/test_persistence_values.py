@@ -142,3 +142,34 @@ def test_the_age_of_the_last_save(
 
     assert isnan(never.age_s)
     assert (then.saves, then.failures, then.age_s) == (4, 2, 90.0)
+
+
+def running(*corners: str, driven: int = 0) -> Any:
+    """Return an engine as far as a reload concerns it."""
+    return SimpleNamespace(
+        estimator=SimpleNamespace(
+            plan=SimpleNamespace(corners=corners),
+            input_history=object(),
+            unseen=SimpleNamespace(driven=driven),
+        )
+    )
+
+
+@pytest.mark.parametrize(
+    ("corners", "same"),
+    [(("FL", "RR"), True), (("FL",), False), (("RL", "RR"), False)],
+)
+def test_a_reload_keeps_the_history_of_the_same_corners(
+    box: Box, corners: tuple[str, ...], *, same: bool
+) -> None:
+    """And counts the holes of both; another car corrects nothing."""
+    old, fresh = running("FL", "RR", driven=3), running(*corners, driven=2)
+    own = fresh.estimator.input_history
+    start = box.persistence._start = object()  # type: ignore[assignment]
+
+    box.persistence.reloaded(old, fresh)
+
+    history = old.estimator.input_history if same else own
+    assert fresh.estimator.input_history is history
+    assert fresh.estimator.unseen.driven == (5 if same else 2)
+    assert box.persistence._start is (start if same else None)

@@ -20,10 +20,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from bstm_daemon.analysis.gap.evidence import (
-    NOTHING,
-    strength_prior,
-)
+from bstm_daemon.analysis.gap.evidence import NOTHING, strength_prior
 from bstm_daemon.analysis.gap.naming import SURE, Naming
 from bstm_daemon.analysis.gap.recording import Recording, inputs_of, thinned
 from bstm_daemon.analysis.gap.signatures import sensitivities, signature_of
@@ -105,9 +102,7 @@ def members_of(naming: Naming, silent: Sequence[str]) -> tuple[str, ...]:
 
 
 def prospect(
-    comparison: Comparison,
-    names: Sequence[str],
-    description: str,
+    comparison: Comparison, names: Sequence[str], description: str
 ) -> Prospect:
     """Return what *names* would do on the one drive of *comparison*."""
     drive = comparison.recordings[0].drive

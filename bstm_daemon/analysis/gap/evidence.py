@@ -149,10 +149,7 @@ def missing_probability(evidence: Sequence[float]) -> float:
 
 
 def best_placebo(
-    layout: Layout,
-    project: Projector,
-    residual: Column,
-    signature: Signature,
+    layout: Layout, project: Projector, residual: Column, signature: Signature
 ) -> float:
     """Return the largest score of the signature at other times."""
     rng = np.random.default_rng(7)
@@ -278,8 +275,7 @@ def likeliest(
 ) -> UnnamedHeat:
     """Return the one that alone explains most."""
     return max(
-        heats,
-        key=lambda one: _log_evidence(project, residual, [one.change]),
+        heats, key=lambda one: _log_evidence(project, residual, [one.change])
     )
 
 

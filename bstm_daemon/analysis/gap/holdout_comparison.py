@@ -126,10 +126,7 @@ def show(
     there = comparison
     if held_out:
         there = Comparison(
-            comparison.target,
-            held_out,
-            comparison.keys[:-1],
-            comparison.noise,
+            comparison.target, held_out, comparison.keys[:-1], comparison.noise
         )
     apart = {
         name: there.residuals_k(one.x[None], one.effects())[:, 0]

@@ -292,10 +292,7 @@ def _together(common: Naming, several: JointEffects) -> Naming:
 
 
 def _single(
-    common: Naming,
-    project: Projector,
-    linearised: Linearised,
-    best: Candidate,
+    common: Naming, project: Projector, linearised: Linearised, best: Candidate
 ) -> Naming:
     odds = common.odds
     if odds[best.name] >= SURE:

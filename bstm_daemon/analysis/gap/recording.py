@@ -6,7 +6,6 @@ estimator's pass forms from the samples: so the samples are kept.
 
 from __future__ import annotations
 
-from array import array
 from collections import Counter
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Final
@@ -21,7 +20,6 @@ from bstm_daemon.analysis.matching.drives import (
 )
 from bstm_daemon.bus.signals.columns import Events
 from bstm_daemon.channels import CHANNELS
-from bstm_daemon.estimator.blocks import Block
 from bstm_daemon.estimator.corner_model import corner_model
 from bstm_daemon.estimator.estimator import Estimator
 from bstm_daemon.replay.columns import present_roles
@@ -33,6 +31,7 @@ if TYPE_CHECKING:
     from bstm_daemon.analysis.statistics.series import Column
     from bstm_daemon.bus.signals.signal_map import SignalMap
     from bstm_daemon.config.sections import Config
+    from bstm_daemon.estimator.coupling import Outputs
 
 PIECE: Final = 1 << 20
 """Samples that the estimator takes at a time."""
@@ -140,7 +139,7 @@ def inputs_of(
     (steps, corners, channels), as ``Drive.inputs`` has them.
     """
     estimator = _Heating(config, present)
-    inputs = grid_inputs(estimator, _pieces(events))
+    inputs, _ = grid_inputs(estimator, _pieces(events))
     return inputs, estimator.plan.corners
 
 
@@ -166,7 +165,7 @@ class _Heating(Estimator):
             self.batches = []
             self._coupling.coupled = False
 
-    def _block(self, steps: int, outputs: tuple[array[float], ...]) -> Block:
+    def _block(self, steps: int, outputs: Outputs) -> None:
         """Keep the rows; judging each estimate would take most of the time.
 
         Temperatures that no brake can have begin anew, as live: friction
@@ -179,16 +178,6 @@ class _Heating(Estimator):
             self.input_history.add(rows, steps)
         self._reset_impossible()
         self.start.end()
-        none = array("d")
-        return Block(
-            *(self.layout, array("q"), none, none, (), array("q")),
-            validity={},
-            reasons={},
-            disagrees=array("b"),
-            known_from={},
-            bounds=(),
-            wear={},
-        )
 
 
 def _pieces(events: Events) -> Iterator[Events]:

@@ -194,10 +194,7 @@ def _gap(
         one.name: one.strength for one in naming.candidates if one.name in best
     }
     extended = fit(
-        comparison,
-        start,
-        directions(comparison),
-        known_k=simulated.jacobian_k,
+        comparison, start, directions(comparison), known_k=simulated.jacobian_k
     )
     report_share(0.85)
     plain = replace(plain, fit=extended)
@@ -276,11 +273,7 @@ def advise_before(
     target = targets[0]
     own = {name: couples[name] for name in target.corners}
     prospects, prior = _prospects(
-        target,
-        present,
-        own,
-        question,
-        progress or (lambda _: None),
+        target, present, own, question, progress or (lambda _: None)
     )
     none = Linearised(np.zeros(0), np.zeros((0, len(prior))), (), (), ())
     found = advise(none, prior, question.among, prospects)

@@ -109,7 +109,9 @@ class Drive:
     ``measured`` has the thermocouples by corner and node. ``estimates`` are
     the estimator's own, where they were asked for; their ``time_s`` counts
     from ``start_s``. ``learned`` is what fused heat had learned at the end,
-    ``roles`` the numbers of those that the log has a sample of.
+    ``roles`` the numbers of those that the log has a sample of. ``speed_ms``
+    (steps, n) is the speed at the n estimator steps of each step, of which
+    ``inputs`` has the mean; n is 0 where they were not kept.
     """
 
     name: str
@@ -120,6 +122,7 @@ class Drive:
     estimates: Results | None = field(default=None, repr=False)
     learned: Sequence[float] | None = None
     roles: frozenset[int] = frozenset()
+    speed_ms: Column = field(default_factory=lambda: np.zeros((0, 0)))
 
     def __len__(self) -> int:
         """Return the number of steps."""
@@ -173,6 +176,7 @@ class Rows(InputHistory):
         self._shape = (corners, len(CHANNELS))
         self._rest = np.zeros((0, *self._shape))
         self.parts: list[Column] = []
+        self.speeds: list[Column] = []
 
     def add(self, rows: memoryview, steps: int) -> None:
         """Take *steps* rows."""
@@ -182,6 +186,7 @@ class Rows(InputHistory):
         self._rest = new[whole:].copy()
         groups = new[:whole].reshape(-1, STEPS_A_ROW, *self._shape)
         self.parts.append(groups.mean(axis=1))
+        self.speeds.append(groups[:, :, 0, CHANNELS.index("speed_ms")].copy())
 
 
 def read_drive(  # noqa: PLR0913
@@ -287,7 +292,7 @@ def drive_of(
         if builder is not None:
             builder.add(blocks)
 
-    inputs = grid_inputs(estimator, parts, take)
+    inputs, speed_ms = grid_inputs(estimator, parts, take)
     if estimator.counts["jumps"]:
         msg = f"{name}: its clock jumps; split the log there"
         raise LogError(msg)
@@ -305,6 +310,7 @@ def drive_of(
         thermocouples_of(temperatures, corners, start_s),
         learned=estimator.samples.learned(),
         roles=frozenset(seen),
+        speed_ms=speed_ms,
     )
 
 
@@ -312,8 +318,8 @@ def grid_inputs(
     estimator: Estimator,
     parts: Iterable[Events],
     take: Callable[[Events, list[Block]], None] | None = None,
-) -> Column:
-    """Return ``Drive.inputs`` as *estimator* forms them of *parts*.
+) -> tuple[Column, Column]:
+    """Return ``inputs`` and ``speed_ms`` of a drive that *parts* make.
 
     It begins at the temperatures measured first; *take* gets each part and
     the blocks of estimates.
@@ -328,7 +334,9 @@ def grid_inputs(
         blocks = estimator.advance(events.time_us, events.role, events.value)
         if take is not None:
             take(events, blocks)
-    return np.concatenate(rows.parts or [np.zeros((0, 1, 1))])
+    if not rows.parts:
+        return np.zeros((0, 1, 1)), np.zeros((0, 0))
+    return np.concatenate(rows.parts), np.concatenate(rows.speeds)
 
 
 def read_drives(

@@ -378,7 +378,7 @@ def with_effect_values(
                     for (effect, parameter), value in by_key.items()
                     if effect == one.name
                 }
-            elif one.corner != "all" and one not in config.effect:
+            elif one not in config.effect:
                 # the structure's own, unchanged
                 continue
             entries.append(

@@ -192,9 +192,7 @@ class SocketcanLink:
         receiver = self._receiver
         if receiver is not None:
             self._drain(
-                receiver,
-                lambda: receiver.receive(frames),
-                lambda: len(frames),
+                receiver, lambda: receiver.receive(frames), lambda: len(frames)
             )
         return frames
 

@@ -65,19 +65,13 @@ class PublishedDecoder:
         )
         self._checkers = {
             can_id: Profile2Checker(
-                frame.data_ids,
-                length=FRAME_BYTES,
-                max_delta=MAX_COUNTER_DELTA,
+                frame.data_ids, length=FRAME_BYTES, max_delta=MAX_COUNTER_DELTA
             )
             for can_id, frame in self._frames.items()
         }
 
     def decode(
-        self,
-        can_id: int,
-        data: bytes | bytearray,
-        *,
-        extended: bool = False,
+        self, can_id: int, data: bytes | bytearray, *, extended: bool = False
     ) -> PublishedFrame | None:
         """Return the frame, or None where *can_id* is none of ours.
 

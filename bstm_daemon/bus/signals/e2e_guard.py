@@ -39,10 +39,7 @@ class E2eGuard:
     def __init__(self, signal_map: SignalMap) -> None:
         """Expect what ``signal_map.protected`` declares."""
         # looked up with plain tuples, which equal the keys and cost less
-        self._checkers: dict[
-            tuple[int, int, bool],
-            tuple[int, Checker],
-        ] = {}
+        self._checkers: dict[tuple[int, int, bool], tuple[int, Checker]] = {}
         for key, config in signal_map.protected.items():
             length = signal_map.messages[key].length
             self._checkers[key] = length, _checker(config, length)

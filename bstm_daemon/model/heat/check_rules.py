@@ -208,6 +208,16 @@ STANDING_MS: Final = 0.5
 PARKING_MS: Final = 5.0
 """A car whose speed is lost above this has not just been parked."""
 
+PARKED_S: Final = 60.0
+"""A car that stood for that long, its brake released and its parking brake
+applied or ignition off, is parked: few stops in traffic are as long, and none
+is all of it."""
+
+UNPROVEN_S: Final = 2.5
+"""The bus of a parked car may be awake for that long without a speed or what
+secures it: its messages end within 2 s, the speed times out 0.5 s after its
+last one and the silence is known after 1 s."""
+
 OUTAGE_S: Final = 10.0
 OUTAGE_MEMORY: Final = 30.0
 """Unknown heat for longer than ``OUTAGE_S`` makes an estimate invalid; its

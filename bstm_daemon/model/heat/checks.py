@@ -38,6 +38,7 @@ from bstm_daemon.model.heat.check_rules import (
     MOVING_MS,
     OUTAGE_MEMORY,
     OUTAGE_S,
+    PARKED_S,
     SCALE_LIMIT,
     SCALE_MS,
     SCALE_S,
@@ -47,6 +48,7 @@ from bstm_daemon.model.heat.check_rules import (
     SWITCH,
     SWITCH_MS,
     SWITCH_PRESSURE_PA,
+    UNPROVEN_S,
     ZERO,
     ZERO_PA,
 )
@@ -57,6 +59,7 @@ from bstm_daemon.model.heat.motion_checks import (
     contradicted,
     wrong_scale,
 )
+from bstm_daemon.roles import MEASURED_NODES, ROLE_INDEX
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -66,6 +69,7 @@ if TYPE_CHECKING:
     from bstm_daemon.model.heat.sample_plan import PlanNumbers
 
 
+_FIRST_THERMOCOUPLE: Final = ROLE_INDEX[f"temp_fl_{MEASURED_NODES[0]}"]
 _NO_MOTION: Final = FLAGS["speed_suspect"] | FLAGS["acceleration_suspect"]
 
 
@@ -99,6 +103,8 @@ class Checks:
         the range counts.
         """
         self.m.last_sample = at_us
+        if role < _FIRST_THERMOCOUPLE:
+            self.m.last_of_car = at_us
         if value < LIMITS[role].low or value > LIMITS[role].high:
             self.m.out_of_range += 1
             self._hold(at_us, role)
@@ -138,6 +144,8 @@ class Checks:
                     stamps[role] = stamp + ahead_us
         if self.m.last_sample != NEVER:
             self.m.last_sample += ahead_us
+        if self.m.last_of_car != NEVER:
+            self.m.last_of_car += ahead_us
         if self.m.suspect_until != NEVER:
             self.m.suspect_until += ahead_us
 
@@ -163,42 +171,32 @@ class Checks:
         self._compare_ambient(now)
         flags = self._contradictions(now, count) | refused
         flags |= self._speed_flags(now, flags)
-        return flags | self._outages(now)
+        return flags | self._outages(now) | self._sleeps(now)
 
     def _compare_scales(
         self, now: Readings, median: float, count: int
     ) -> None:
-        highest = 0.0
-        lowest = median
-        for speed in now.speeds:
-            highest = max(highest, speed)
-            lowest = min(lowest, speed)
         # one that stands is dead, which is another check's; an intervention
         # slows single wheels for many seconds
         if (
             count < 3
-            or lowest <= STANDING_MS
-            or highest < SCALE_MS
+            or min([median, *now.speeds]) <= STANDING_MS
+            or max([0.0, *now.speeds]) < SCALE_MS
             or now.intervenes
         ):
             return
         share = 1.0 - exp(-now.dt_s / SCALE_S)
+        scales = self.m.scale_error
         for v, speed in enumerate(now.speeds):
             if not isnan(speed):
-                error = speed / median - 1.0
-                self.m.scale_error[v] += share * (
-                    error - self.m.scale_error[v]
-                )
+                scales[v] += share * (speed / median - 1.0 - scales[v])
 
     def _compare_speeds(
         self, now: Readings, median: float, count: int
     ) -> None:
         share = DEVIATION_BRAKING if now.braking else DEVIATION_SHARE
         allowed = DEVIATION_MS + share * median
-        agreeing = 0
-        for speed in now.speeds:
-            if abs(speed - median) <= allowed:
-                agreeing += 1
+        agreeing = sum(abs(speed - median) <= allowed for speed in now.speeds)
         for v, speed in enumerate(now.speeds):
             failed = None
             if count >= 3 and not isnan(speed):
@@ -218,10 +216,7 @@ class Checks:
         self, now: Readings, median: float, share: float
     ) -> None:
         # the median of two is their mean
-        high = low = median
-        for speed in now.speeds:
-            high = max(high, speed)
-            low = min(low, speed)
+        high, low = max([median, *now.speeds]), min([median, *now.speeds])
         failed = None
         if high - low > DEVIATION_MS + share * high:
             failed = True
@@ -232,60 +227,60 @@ class Checks:
         )
 
     def _hold_speeds(self, now: Readings, median: float, count: int) -> None:
+        m = self.m
         for v, speed in enumerate(now.speeds):
             # of two, the other; of three or more the median is constant
             # only where most of them do
             other = 2.0 * median - speed if count == 2 else median
-            if isnan(speed) or speed != self.m.speed_held[v]:
-                self.m.speed_held[v] = 0.0 if isnan(speed) else speed
-                self.m.speed_held_s[v] = 0.0
-                self.m.speed_mark[v] = 0.0 if isnan(other) else other
+            if isnan(speed) or speed != m.speed_held[v]:
+                m.speed_held[v] = 0.0 if isnan(speed) else speed
+                m.speed_held_s[v] = 0.0
+                m.speed_mark[v] = 0.0 if isnan(other) else other
             else:
-                self.m.speed_held_s[v] += now.dt_s
+                m.speed_held_s[v] += now.dt_s
             failed = None
             if count >= 2 and not isnan(speed):
-                if self.m.speed_held_s[v] < MOVES_S:
+                if m.speed_held_s[v] < MOVES_S:
                     failed = False
                 elif (
-                    self.m.speed_held_s[v] >= FROZEN_SPEED_S
-                    and abs(other - self.m.speed_mark[v]) > FROZEN_SPEED_MS
+                    m.speed_held_s[v] >= FROZEN_SPEED_S
+                    and abs(other - m.speed_mark[v]) > FROZEN_SPEED_MS
                 ):
                     failed = True
-            self.m.speed_stuck_s[v] = STUCK.advance(
-                self.m.speed_stuck_s[v], now.dt_s, failed=failed
+            m.speed_stuck_s[v] = STUCK.advance(
+                m.speed_stuck_s[v], now.dt_s, failed=failed
             )
-            self.m.left_out[v] = float(
-                self.m.deviation_fault_s[v] >= DEVIATION.comes_s
-                or self.m.speed_stuck_s[v] >= STUCK.comes_s
+            m.left_out[v] = float(
+                m.deviation_fault_s[v] >= DEVIATION.comes_s
+                or m.speed_stuck_s[v] >= STUCK.comes_s
             )
 
     def _hold_pressures(self, now: Readings, refused: int) -> None:
+        m = self.m
         # a change of a suspect speed does not count as driving
         unsure = bool(refused & FLAGS["speed_suspect"])
         for i, pressure in enumerate(now.pressures):
-            if isnan(pressure) or pressure != self.m.pressure_held[i]:
-                self.m.pressure_held[i] = 0.0 if isnan(pressure) else pressure
-                self.m.pressure_held_s[i] = 0.0
-                self.m.pressure_mark[i] = now.speed
+            if isnan(pressure) or pressure != m.pressure_held[i]:
+                m.pressure_held[i] = 0.0 if isnan(pressure) else pressure
+                m.pressure_held_s[i] = 0.0
+                m.pressure_mark[i] = now.speed
             else:
-                self.m.pressure_held_s[i] += now.dt_s
+                m.pressure_held_s[i] += now.dt_s
             if unsure:
-                self.m.pressure_mark[i] = now.speed
+                m.pressure_mark[i] = now.speed
             failed = None
             if not isnan(pressure) and now.speed_known:
-                if (
-                    pressure <= FROZEN_PRESSURE_PA
-                    or self.m.pressure_held_s[i] < MOVES_S
-                ):
+                held_s = m.pressure_held_s[i]
+                driven_ms = abs(now.speed - m.pressure_mark[i])
+                if pressure <= FROZEN_PRESSURE_PA or held_s < MOVES_S:
                     failed = False
                 elif (
-                    self.m.pressure_held_s[i] >= FROZEN_PRESSURE_S
-                    and abs(now.speed - self.m.pressure_mark[i])
-                    > FROZEN_PRESSURE_MS
+                    held_s >= FROZEN_PRESSURE_S
+                    and driven_ms > FROZEN_PRESSURE_MS
                 ):
                     failed = True
-            self.m.pressure_stuck_s[i] = STUCK.advance(
-                self.m.pressure_stuck_s[i], now.dt_s, failed=failed
+            m.pressure_stuck_s[i] = STUCK.advance(
+                m.pressure_stuck_s[i], now.dt_s, failed=failed
             )
 
     def _compare_switch(self, now: Readings) -> None:
@@ -428,10 +423,8 @@ class Checks:
     def _outages(self, now: Readings) -> int:
         """Time the outages of each corner's heat; return their bits."""
         flags = 0
-        silent = (
-            self.m.last_sample == NEVER
-            or now.now - self.m.last_sample > SILENT_US
-        )
+        last = self.m.last_sample
+        silent = last == NEVER or now.now - last > SILENT_US
         if silent:
             flags |= FLAGS["silent"]
         if now.speed_known:
@@ -452,6 +445,21 @@ class Checks:
                 self.m.aftermath_s[c] = max(0.0, aftermath_s)
                 flags |= HEAT_UNCERTAIN << c
         return flags
+
+    def _sleeps(self, now: Readings) -> int:
+        """Return the bit of a bus that sleeps because the car is parked."""
+        m = self.m
+        silent = m.last_of_car == NEVER or now.now - m.last_of_car > SILENT_US
+        if now.speed_known and (now.speed > STANDING_MS or now.braking):
+            m.parked_s = 0.0
+        elif now.speed_known and not isnan(now.secured):
+            m.parked_s = m.parked_s + now.dt_s if now.secured > 0.0 else 0.0
+            m.unproven_s = 0.0
+        elif not silent:
+            m.unproven_s += now.dt_s
+            if m.unproven_s > UNPROVEN_S:
+                m.parked_s = 0.0
+        return FLAGS["asleep"] if silent and m.parked_s >= PARKED_S else 0
 
 
 def _median(values: Sequence[float]) -> tuple[float, int]:

@@ -6,7 +6,7 @@ in the same order.
 
 from __future__ import annotations
 
-from math import nan
+from math import isnan, nan
 from typing import TYPE_CHECKING, Final
 
 from bstm_daemon.channels import CORNER_PRESSURE, FLAGS, MODES, SLOPES
@@ -47,6 +47,8 @@ _PRIMARY: Final = ROLE_INDEX["primary_pressure"]
 _SECONDARY: Final = ROLE_INDEX["secondary_pressure"]
 _ACCELERATION: Final = ROLE_INDEX["acceleration_longitudinal"]
 _TORQUE: Final = ROLE_INDEX["powertrain_torque"]
+_PARK_BRAKE: Final = ROLE_INDEX["park_brake"]
+_IGNITION: Final = ROLE_INDEX["ignition"]
 _AMBIENT: Final = ROLE_INDEX["ambient_temperature"]
 
 
@@ -302,6 +304,7 @@ class Inputs:
             intervenes=self.vehicle("abs_active", 0.0) > 0.0
             or self.vehicle("esc_active", 0.0) > 0.0
             or self.vehicle("tc_active", 0.0) > 0.0,
+            secured=self._secured(),
             acceleration=self.heading * self.reading(_ACCELERATION),
             ambient_k=self.reading(_AMBIENT),
             speeds=[
@@ -315,6 +318,13 @@ class Inputs:
             heat_known=[source != NONE for source in sources],
             at_risk=at_risk,
         )
+
+    def _secured(self) -> float:
+        """Return 1 if the car is secured against rolling, nan: unknown."""
+        brake, ignition = self.reading(_PARK_BRAKE), self.reading(_IGNITION)
+        if brake > 0.0 or ignition == 0.0:
+            return 1.0
+        return nan if isnan(brake) and isnan(ignition) else 0.0
 
     def _pressure_of(self, c: int) -> int:
         """Index of the pressure that corner *c* uses."""

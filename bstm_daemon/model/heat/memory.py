@@ -82,24 +82,28 @@ class PassMemory:
 class CheckMemory:
     """Memory of the input checks.
 
-    ``last_sample`` of any role and ``suspect_until``, the end of the last
-    hold, are stamps [us]; per role ``jump_stamp`` and ``jump_value`` of a
-    jump that waits to be confirmed. Fields ``*_fault_s`` count the seconds
-    that a check has failed. ``agreement`` and ``motion`` are sums over the
-    last minutes of acceleration times gain of speed, and of the gain's square
-    [m2/s3]. ``outage_s``: how long a corner's heat was unknown,
-    ``aftermath_s``: how long that still has an effect. ``mark`` is the speed
-    of the others when a value was first held; ``left_out`` is 1 for a speed
-    that is not used. ``scale_error`` is a speed over the median of all, less
-    1. Fields ``band_*`` filter the speed's derivative and the accelerometer;
-    ``rate_square``, ``accel_square`` and ``accel_rate`` are sums of their
-    squares and product in the band, ``unmoved_square`` that of the
-    accelerometer while no speed changes [m2/s3]; ``standing_accel`` is what it
-    measured first while all speeds are 0, ``tilted_s`` for how long it has
-    measured something else, UNKNOWN without such a first.
+    ``last_sample`` of any role, ``last_of_car`` of any but the thermocouples
+    and ``suspect_until``, the end of the last hold, are stamps [us]; per role
+    ``jump_stamp`` and ``jump_value`` of a jump that waits to be confirmed.
+    Fields ``*_fault_s`` count the seconds that a check has failed.
+    ``agreement`` and ``motion`` are sums over the last minutes of acceleration
+    times gain of speed, and of the gain's square [m2/s3]. ``outage_s``: how
+    long a corner's heat was unknown, ``aftermath_s``: how long that still has
+    an effect. ``mark`` is the speed of the others when a value was first held;
+    ``left_out`` is 1 for a speed that is not used. ``scale_error`` is a speed
+    over the median of all, less 1. Fields ``band_*`` filter the speed's
+    derivative and the accelerometer; ``rate_square``, ``accel_square`` and
+    ``accel_rate`` are sums of their squares and product in the band,
+    ``unmoved_square`` that of the accelerometer while no speed changes
+    [m2/s3]; ``standing_accel`` is what it measured first while all speeds are
+    0, ``tilted_s`` for how long it has measured something else, UNKNOWN
+    without such a first. ``parked_s``: for how long the car was parked when
+    that was last known, ``unproven_s``: for how long its bus has been awake
+    since.
     """
 
     last_sample: int
+    last_of_car: int
     suspect_until: int
     out_of_range: int
     jumps_refused: int
@@ -128,6 +132,8 @@ class CheckMemory:
     standing_accel: float
     tilted_s: float
     lowest_code_s: float
+    parked_s: float
+    unproven_s: float
     jump_value: Values
     outage_s: Corners
     aftermath_s: Corners
@@ -238,7 +244,8 @@ def _new_memory(learned: Sequence[float] | None) -> SampleMemory:
     samples.now = samples.grid = samples.pending = NEVER
     samples.stamp = [NEVER] * len(ROLES)
     samples.filtered_speed = UNKNOWN
-    checks.last_sample = checks.suspect_until = NEVER
+    checks.last_sample = checks.last_of_car = NEVER
+    checks.suspect_until = NEVER
     checks.jump_stamp = [NEVER] * len(ROLES)
     checks.until = [NEVER] * len(ROLES)
     checks.slow_speed = checks.band_speed = UNKNOWN

@@ -90,6 +90,7 @@ WORDS: Final = {
     "forces_contradict": "torque, brakes and acceleration contradict",
     "ambient_suspect": "ambient temperature suspect",
     "driven_unseen": "driven while nothing was received",
+    "asleep": "bus asleep, car parked",
     "wheel_speed_suspect": "wheel speed suspect",
     "heat_lost": "heat unknown for too long",
     "heat_doubt": "unknown heat still has an effect",

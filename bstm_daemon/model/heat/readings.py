@@ -14,6 +14,7 @@ class Readings:
     """Inputs at the end of a step; nan for those that are missing.
 
     ``speeds``: absolute, wheels in corner order, then the vehicle's;
+    ``secured``: 1 if the parking brake is applied or the ignition off, else 0;
     ``pressures``: primary, secondary, then wheels; ``acceleration`` along
     the motion; ``intervenes``: any system slows or spins single wheels;
     ``pressure_of``: per corner the index in ``pressures`` of
@@ -29,6 +30,7 @@ class Readings:
     brake_switch: float
     esc_active: float
     intervenes: bool
+    secured: float
     acceleration: float
     ambient_k: float
     speeds: Sequence[float]

@@ -61,6 +61,7 @@ speed filter."""
 
 _UNLEARNED: Final = (nan,) * len(LEARNED_CHANNELS)
 _ACCELERATION: Final = ROLE_INDEX["acceleration_longitudinal"]
+_LOST: Final = FLAGS["silent"] | FLAGS["asleep"]
 _AMBIENT: Final = ROLE_INDEX["ambient_temperature"]
 
 TICK: Final = -1
@@ -438,7 +439,7 @@ class _Pass(Inputs):
         m.interface_k[:] = m.next_interface_k
         # a value may have timed out: compute speeds and pressures again
         self.stale = True
-        if m.unseen != 0.0 or not flags & FLAGS["silent"]:
+        if m.unseen != 0.0 or not flags & _LOST:
             return False
         m.unseen = 1.0
         return True

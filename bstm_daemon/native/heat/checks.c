@@ -38,6 +38,7 @@ void checks_shift(Checks *c, int64_t ahead)
         if (c->t->until[r] != NEVER) c->t->until[r] += ahead;
     }
     if (c->t->last_sample != NEVER) c->t->last_sample += ahead;
+    if (c->t->last_of_car != NEVER) c->t->last_of_car += ahead;
     if (c->t->suspect_until != NEVER) c->t->suspect_until += ahead;
 }
 
@@ -330,6 +331,24 @@ static int64_t outages(Checks *c, const Readings *now)
     return flags;
 }
 
+/* The bit of a bus that sleeps because the car is parked. */
+static int64_t sleeps(Checks *c, const Readings *now)
+{
+    CheckMemoryFloats *m = c->m;
+    const int64_t last = c->t->last_of_car;
+    const int silent = last == NEVER || now->now - last > SILENT_US;
+    if (now->speed_known && (now->speed > STANDING_MS || now->braking)) {
+        m->parked_s = 0.0;
+    } else if (now->speed_known && !isnan(now->secured)) {
+        m->parked_s = now->secured > 0.0 ? m->parked_s + now->dt_s : 0.0;
+        m->unproven_s = 0.0;
+    } else if (!silent) {
+        m->unproven_s += now->dt_s;
+        if (m->unproven_s > UNPROVEN_S) m->parked_s = 0.0;
+    }
+    return silent && m->parked_s >= PARKED_S ? FLAG_ASLEEP : 0;
+}
+
 int64_t checks_close(Checks *c, const Readings *now)
 {
     int count;
@@ -350,5 +369,5 @@ int64_t checks_close(Checks *c, const Readings *now)
     compare_ambient(c, now);
     int64_t flags = contradictions(c, now, count) | refused;
     flags |= speed_flags(c, now, flags);
-    return flags | outages(c, now);
+    return flags | outages(c, now) | sleeps(c, now);
 }

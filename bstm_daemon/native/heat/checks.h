@@ -20,7 +20,8 @@ typedef struct {
 /* Inputs at the end of a step; nan for those that are missing. */
 typedef struct {
     int64_t now;
-    double dt_s, speed, brake_switch, esc_active, acceleration, ambient_k;
+    double dt_s, speed, brake_switch, esc_active, secured, acceleration;
+    double ambient_k;
     int speed_known, braking, intervenes;
     double speeds[MAX_SPEEDS], pressures[MAX_PRESSURES];
     int pressure_of[MAX_CORNERS], heat_known[MAX_CORNERS];
@@ -59,6 +60,7 @@ static inline int checks_admit(Checks *c, int64_t at, int role, double value,
                                double last, int64_t since)
 {
     c->t->last_sample = at;
+    if (role < ROLE_TEMP_FL_DISC) c->t->last_of_car = at;
     if (value < LIMITS[role].low || value > LIMITS[role].high
         || (since != NEVER && checks_jumped(role, value - last, at - since)))
         return checks_admit_unusual(c, at, role, value);

@@ -197,6 +197,14 @@ int64_t inputs_missing(const Inputs *p)
     return flags;
 }
 
+static double secured(const Inputs *p)
+{
+    const double brake = inputs_reading(p, ROLE_PARK_BRAKE);
+    const double ignition = inputs_reading(p, ROLE_IGNITION);
+    if (brake > 0.0 || ignition == 0.0) return 1.0;
+    return isnan(brake) && isnan(ignition) ? (double)NAN : 0.0;
+}
+
 static int pressure_of(const Inputs *p, int c)
 {
     if (inputs_valid(p, p->pressure_role[c])) return 2 + c;
@@ -217,6 +225,7 @@ void inputs_readings(const Inputs *p, double dt_s, const int *source,
     now->intervenes = inputs_vehicle(p, ROLE_ABS_ACTIVE, 0.0) > 0.0
         || now->esc_active > 0.0
         || inputs_vehicle(p, ROLE_TC_ACTIVE, 0.0) > 0.0;
+    now->secured = secured(p);
     now->acceleration =
         p->heading * inputs_reading(p, ROLE_ACCELERATION_LONGITUDINAL);
     now->ambient_k = inputs_reading(p, ROLE_AMBIENT_TEMPERATURE);

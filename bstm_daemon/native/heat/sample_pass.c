@@ -212,7 +212,7 @@ static int close_step(Pass *pass)
     memcpy(m->interface_k, m->next_interface_k, sizeof m->interface_k);
     /* a value may have timed out: compute speeds and pressures again */
     p->stale = 1;
-    if (m->unseen != 0.0 || !(flags & FLAG_SILENT)) return 0;
+    if (m->unseen != 0.0 || !(flags & (FLAG_SILENT | FLAG_ASLEEP))) return 0;
     m->unseen = 1.0;
     return 1;
 }

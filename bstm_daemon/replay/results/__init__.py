@@ -14,6 +14,7 @@ from bstm_daemon.replay.results.files import (
 from bstm_daemon.replay.results.rows import (
     Collector,
     ElapsedTime,
+    Part,
     Results,
     Sink,
 )
@@ -21,6 +22,7 @@ from bstm_daemon.replay.results.rows import (
 __all__ = [
     "Collector",
     "ElapsedTime",
+    "Part",
     "Results",
     "ResultsBuilder",
     "Sink",

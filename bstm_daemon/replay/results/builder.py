@@ -157,12 +157,9 @@ class ResultsBuilder:
             dose_j = outputs[:, :, group.state_names.index(DOSE)]
             for member, name in enumerate(group.corners):
                 found[_OUTPUT + name] = outputs[:, member]
-                found[_VALIDITY + name] = np.frombuffer(
-                    block.validity[name], np.int8
-                )
-                found[_REASONS + name] = np.frombuffer(
-                    block.reasons[name], np.uint8
-                )
+                if block.validity:
+                    found[_VALIDITY + name] = np.array(block.validity[name])
+                    found[_REASONS + name] = np.array(block.reasons[name])
                 found[_WEAR + name] = wear_table(
                     block.wear[name], dose_j[:, member]
                 )
@@ -291,7 +288,8 @@ class ResultsBuilder:
         wear = publications[_WEAR + name].T
         part |= dict(zip(WEAR_COLUMNS, wear, strict=True))
         for column, key in (("validity", _VALIDITY), ("reasons", _REASONS)):
-            part[column] = publications[key + name].astype(np.float64)
+            if key + name in publications:
+                part[column] = publications[key + name].astype(np.float64)
         return part
 
 

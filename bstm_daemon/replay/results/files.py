@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from bstm_daemon.errors import FileAccessError, MissingExtraError
+from bstm_daemon.errors import FileAccessError, require_packages
 from bstm_daemon.files import replacing
+from bstm_daemon.replay.results.rows import Part
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -58,10 +59,7 @@ def parquet_file(path: Path) -> Iterator[Sink]:
         MissingExtraError: pyarrow is not installed.
         FileAccessError: *path* can not be written.
     """
-    if not has_parquet():
-        raise MissingExtraError(
-            package="pyarrow", extra="parquet", purpose="--format parquet"
-        )
+    require_packages("pyarrow", extra="parquet", purpose="--format parquet")
     with replacing(path) as temporary:
         sink = _ParquetSink(path, temporary)
         try:
@@ -89,6 +87,8 @@ def _named(path: Path) -> Iterator[None]:
 
 
 class _CsvSink:
+    parts = Part.ALL
+
     def __init__(self, path: Path, file: TextIO) -> None:
         self._path = path
         self._file = file
@@ -109,6 +109,8 @@ class _CsvSink:
 
 
 class _ParquetSink:
+    parts = Part.ALL
+
     def __init__(self, path: Path, temporary: Path) -> None:
         self._path = path
         self._temporary = temporary

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import Flag, auto
 from typing import TYPE_CHECKING, Final, Protocol
 
 import numpy as np
@@ -46,8 +47,23 @@ class Results:
             yield Results(part, self.corners, self.modelled)
 
 
+class Part(Flag):
+    """Columns that take most of a replay's time, made for who uses them."""
+
+    NONE = 0
+    VALIDITY = auto()
+    """``validity`` and ``reasons`` of the corners."""
+    FORECAST = auto()
+    """Risk, forecast and advice, which go by the validity."""
+    ALL = VALIDITY | FORECAST
+
+
 class Sink(Protocol):
     """Takes rows as they come, in order, all of the same columns."""
+
+    @property
+    def parts(self) -> Part:
+        """What it uses of that which is made only on demand."""
 
     def write(self, rows: Results, /) -> None:
         """Take *rows*; they stay as they are afterwards."""
@@ -56,19 +72,20 @@ class Sink(Protocol):
 class Collector:
     """Keeps every row in memory."""
 
-    def __init__(self) -> None:
-        """Begin without rows."""
-        self._parts: list[Results] = []
+    def __init__(self, parts: Part = Part.ALL) -> None:
+        """Begin without rows; they shall have *parts*."""
+        self.parts = parts
+        self._rows: list[Results] = []
 
     def write(self, rows: Results) -> None:
         """Keep *rows*."""
-        self._parts.append(rows)
+        self._rows.append(rows)
 
     def results(self) -> Results:
         """Return all rows so far as one; there must have been some."""
-        first = self._parts[0]
+        first = self._rows[0]
         columns = {
-            name: np.concatenate([part.columns[name] for part in self._parts])
+            name: np.concatenate([part.columns[name] for part in self._rows])
             for name in first.columns
         }
         return Results(columns, first.corners, first.modelled)

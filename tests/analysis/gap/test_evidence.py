@@ -27,6 +27,7 @@ from bstm_daemon.analysis.gap.naming import (
     EXPLAINED,
     GATE_Z,
     SOMETHING,
+    SURE,
     UNEXPLAINED,
     name_effect,
 )
@@ -154,7 +155,13 @@ def test_below_the_gate_an_effect_is_likely_and_not_named(
     weak = name_effect(layout, moved(layout, quiet, {NAMES[0]: 3.9}))
     plain = name_effect(layout, moved(layout, quiet, {NAMES[0]: 4.6}))
 
+    odds = [weak.odds[name] for name in weak.names]
+    enough = SURE * (1.0 - weak.odds[""])
+
     assert weak.answer == "undecided"
+    # no more of them than it takes
+    assert sum(odds) >= enough > sum(odds[:-1])
+    assert len(odds) < len(NAMES)
     assert weak.names[0] == NAMES[0]
     assert SOMETHING <= weak.probability < 1.0
     assert weak.explained > 0.5
@@ -181,6 +188,34 @@ def test_a_pair_weighs_what_its_normal_strengths_do(
 
     assert pair_evidence(project, known, found) == pytest.approx(
         with_pair - without, abs=1e-6
+    )
+
+
+@pytest.mark.parametrize("known_of", [2, 1])
+def test_a_pair_has_the_change_up_to_the_strengths_that_fit(
+    layout: Layout, quiet: Linearised, known_of: int
+) -> None:
+    """Those of each one alone; 1 where that is not known."""
+    curved = tuple(
+        replace(one, curved=0.1 * one.linear, either_sign=True)
+        for one in quiet.signatures[:2]
+    )
+    known = moved(layout, replace(quiet, signatures=curved), {NAMES[0]: 5.0})
+    project = Projector(known.jacobian, layout.prior)
+    found = [weigh(project, known.residual, one) for one in curved]
+    strengths = [one.strength for one in found[:known_of]] + [1.0]
+    straight = tuple(
+        replace(s, linear=s.linear + strength * s.curved, curved=0 * s.curved)
+        for s, strength in zip(curved, strengths, strict=False)
+    )
+
+    expected = pair_evidence(
+        project, replace(known, signatures=straight), found
+    )
+
+    assert max(abs(one.strength - 1.0) for one in found) > 0.1
+    assert pair_evidence(project, known, found[:known_of]) == pytest.approx(
+        expected
     )
 
 

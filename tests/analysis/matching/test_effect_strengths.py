@@ -142,6 +142,28 @@ def test_other_corners_keep_their_strength(
     assert len(names) == len(set(names))
 
 
+def test_entries_of_other_corners_stay_as_they_are(extended: Target) -> None:
+    """What the structure has there gets no entry."""
+    rear = EffectConfig(
+        name="disc_hat", corner="RL", parameters={"strength": 2.0}
+    )
+    config = extended.config.model_copy(update={"effect": [rear]})
+
+    values = {strength_key("disc_hat"): 1.5, GAP: 0.5, BRACKET: 0.7}
+    changed = Target(config, ("FL",)).changed(values)
+
+    found = [
+        (one.name, one.corner, dict(one.parameters))
+        for one in changed.config.effect
+    ]
+    assert sorted(found, key=str) == [
+        ("bracket_conduction", "FL", {"strength": 0.7}),
+        ("disc_hat", "FL", {"strength": 1.5}),
+        ("disc_hat", "RL", {"strength": 2.0}),
+        ("gap_conduction", "FL", {"strength": 0.5}),
+    ]
+
+
 def test_corners_with_different_strengths_are_matched_apart(
     config: Config,
 ) -> None:

@@ -3,19 +3,27 @@
 from __future__ import annotations
 
 from math import isnan
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 
+from bstm_daemon.analysis.matching.drives import GRID_S, Drive, Thermocouple
 from bstm_daemon.analysis.matching.refine import NodeAccuracy
 from bstm_daemon.analysis.matching.verification import (
     LIMITS,
     NodeErrors,
     compared,
     coverage,
+    errors_of,
     judged,
     peak_of,
 )
+from bstm_daemon.channels import CHANNELS
+
+if TYPE_CHECKING:
+    from bstm_daemon.analysis.matching.tunables import Target
 
 TIME_S = np.arange(1.0, 9001.0)
 AIR_C = np.full(len(TIME_S), 10.0)
@@ -116,3 +124,38 @@ def test_a_rise_of_less_than_20_k_is_no_peak(
         assert found.measured_s == pytest.approx(3500.5, abs=1.0)
         assert found.apart_s == 0.0
     assert found.measured_c == 10.0 + rise_k
+
+
+def test_an_estimate_is_compared_with_its_own_thermocouple(
+    target: Target,
+) -> None:
+    """Corner and node, the air of the corner, a row a second."""
+    steps = round(900.0 / GRID_S)
+    inputs = np.zeros((steps, 2, len(CHANNELS)))
+    inputs[:, 1, CHANNELS.index("ambient_k")] = (
+        283.15 + np.arange(steps) * 0.01
+    )
+    time_s = np.arange(0.0, 901.0)
+    couple = Thermocouple(time_s, 373.15 + 0.1 * time_s)
+    estimates: Any = SimpleNamespace(
+        columns={"time_s": time_s, "FR.disc_c": 105.0 + 0.1 * time_s}
+    )
+    drive = Drive(
+        *("made.log", 0.0, ("FL", "FR"), inputs, {"FR": {"disc": couple}}),
+        estimates=estimates,
+    )
+
+    (found,) = errors_of(drive, target.config)
+
+    assert (found.drive, found.corner, found.node) == (
+        "made.log",
+        "FR",
+        "disc",
+    )
+    assert found.duration_s == 900.0
+    assert found.time_s.tolist() == list(range(1, 900))
+    assert found.error_k == pytest.approx(np.full(899, 5.0))
+    # the air at the end of each second
+    air_c = 10.0 + 0.01 * (2.0 * found.time_s - 1.0)
+    assert found.rise_k == pytest.approx(105.0 + 0.1 * found.time_s - air_c)
+    assert found.last_k == pytest.approx(5.0)

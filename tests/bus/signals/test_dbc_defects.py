@@ -444,8 +444,10 @@ def test_a_statement_that_is_no_such_is_told_its_form(tmp_path: Path) -> None:
 
     (warning,) = lenient(path).warnings
 
-    form = 'SG_ name : start|bits@order+ (scale,offset) [min|max] "unit"'
-    assert form in str(warning)
+    form = (
+        'SG_ name : start|bits@order+ (scale,offset) [min|max] "unit" receiver'
+    )
+    assert f"(form: {form})" in str(warning)
 
 
 def test_a_defect_of_the_layout_is_placed_at_its_signal() -> None:

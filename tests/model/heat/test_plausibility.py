@@ -1112,7 +1112,7 @@ def test_faults_name_every_bit_once() -> None:
     clock = FLAGS["clock_jump"] | FLAGS["settled"]
     also = 0b1111 * (CORNER_PRESSURE | CORNER_PRESSURE_SUSPECT)
 
-    assert sum(FAULTS.values()) == ((1 << 50) - 1) & ~clock & ~also
+    assert sum(FAULTS.values()) == ((1 << 51) - 1) & ~clock & ~also
     assert FAULTS.keys() <= WORDS.keys()
     assert fault_names(clock) == ()
     assert fault_names(FLAGS["stuck"] | HEAT_LOST << 3) == (

@@ -18,7 +18,7 @@ from bstm_daemon.native import layout
 from bstm_daemon.roles import ROLES
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
 
     from bstm_daemon.native.loader import Kernel
 
@@ -119,6 +119,81 @@ def test_a_silence_ends_the_call_twice(run: Run, tick: Any) -> None:
     run.feed([(46 * SECOND + 1, "vehicle_speed", 8.0)])
     assert run.silences[1:] == [(BACK, 46 * SECOND)]
     assert run.state.speed_after_ms == 7.0
+
+
+PARKED = {"vehicle_speed": 0.0, "park_brake": 1.0, "temp_fl_disc": 350.0}
+
+
+def parked(
+    last_us: Mapping[str, int], tick: int
+) -> list[tuple[int, str | int, float]]:
+    """Return a parked car every 100 ms until *last_us*; ticks for 80 s."""
+    found: list[tuple[int, str | int, float]] = []
+    for at in range(0, 80 * SECOND, 100_000):
+        found.append((at, tick, 0.0))
+        found += [
+            (at, role, value)
+            for role, value in PARKED.items()
+            if at <= last_us[role]
+        ]
+    return found
+
+
+def test_a_bus_sleeps_after_a_minute_parked(
+    kernel: Kernel | None, start: Callable[..., Run], make_car: Any, tick: int
+) -> None:
+    """The thermocouples of a logger go on; the silence ends the call."""
+    run = start(make_car(), kernel, *PARKED)
+    ends = dict.fromkeys(PARKED, 80 * SECOND)
+    ends |= {"vehicle_speed": 60 * SECOND, "park_brake": 61 * SECOND}
+    run.feed(parked(ends, tick))
+
+    assert run.silences == [(LOST, 62_050_000)]
+    asleep = run.flag("asleep")
+    assert run.times[asleep.index(True)] == 62_050_000
+    assert all(asleep[asleep.index(True) :])
+    assert not any(run.flag("silent"))
+    run.feed([(80 * SECOND, "vehicle_speed", 0.0), (81 * SECOND, tick, 0.0)])
+    assert run.silences[1:] == [(BACK, 80 * SECOND)]
+    assert not any(run.flag("asleep")[-19:])
+
+
+def test_a_clock_that_is_set_wakes_no_sleeping_bus(
+    kernel: Kernel | None, start: Callable[..., Run], make_car: Any, tick: int
+) -> None:
+    """The stamps move with it: no message has come."""
+    run = start(make_car(), kernel, *PARKED)
+    run.feed(parked(dict.fromkeys(PARKED, 62 * SECOND), tick))
+    back = -500 * SECOND
+    run.feed([(back + i * SECOND, tick, 0.0) for i in range(9)])
+
+    assert run.codes == [JUMP]
+    assert run.flag("asleep")[-1]
+
+
+@settings(deadline=None, max_examples=10)
+@given(
+    seconds=st.lists(st.floats(58.0, 66.0), min_size=3, max_size=3),
+    braked=st.sampled_from([0.0, 0.0, 1.0]),
+)
+def test_both_forms_agree_on_what_sleeps(
+    compiled: Kernel,
+    start: Callable[..., Run],
+    make_car: Any,
+    seconds: list[float],
+    braked: float,
+) -> None:
+    """Whatever ends when, to the bit."""
+    ends = {
+        role: round(s * SECOND)
+        for role, s in zip(PARKED, seconds, strict=True)
+    }
+    samples = [(0, "brake_switch", braked), *parked(ends, -1)]
+    forms = [
+        start(make_car(), form, "brake_switch", *PARKED).feed(samples)
+        for form in (None, compiled)
+    ]
+    assert forms[0].bits() == forms[1].bits()
 
 
 def test_a_long_jump_is_a_silence_before_it_settles(run: Run) -> None:
