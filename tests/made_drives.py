@@ -1,4 +1,7 @@
-"""Drives of one corner made by the model itself: its values are known."""
+"""Drives of one corner whose values are known.
+
+Made by the model itself, or by a disc of one or two nodes.
+"""
 
 from __future__ import annotations
 
@@ -13,13 +16,16 @@ from bstm_daemon.channels import CHANNELS
 from bstm_daemon.estimator.corner_model import compile_corner
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
+
+    import numpy.typing as npt
 
     from bstm_daemon.config.sections import Config
 
 EXAMPLE: Final = Path(__file__).parents[1] / "config" / "example_vehicle.toml"
 NODES: Final = ("disc", "pad_front", "pad_back", "fluid")
 AIR_K: Final = 285.0
+LUMPED_START_K: Final = 350.0
 
 Profile = tuple[tuple[float, float, float], ...]
 """Stretches of speed [m/s], brake power [W], duration [s]."""
@@ -66,3 +72,84 @@ def driven(
         for node in nodes
     }
     return Drive(name, 0.0, ("FL",), rows, {"FL": couples})
+
+
+def stops(seconds: float, seed: int = 1) -> npt.NDArray[np.float64]:
+    """Return a speed on the grid, (n,): stops from many speeds, and rests."""
+    rng = np.random.default_rng(seed)
+    speed = [0.0]
+    while len(speed) < seconds / GRID_S:
+        top = rng.uniform(15.0, 45.0)
+        speed += list(np.arange(0.0, top, 1.0)) + [top] * 40
+        speed += list(np.arange(top, 0.0, -rng.uniform(1.5, 4.0)))
+        speed += [0.0] * int(rng.integers(5, 60))
+    return np.array(speed[: round(seconds / GRID_S)])
+
+
+def lumped(
+    values: Mapping[str, float],
+    seconds: float = 1800.0,
+    *,
+    seed: int = 1,
+    name: str = "made",
+    within: int = 1,
+    corners: tuple[str, ...] = ("FL",),
+    air_k: npt.NDArray[np.float64] | float = 290.0,
+    gap_s: tuple[float, float] | None = None,
+) -> Drive:
+    """Return a drive whose FL disc follows the equations exactly.
+
+    They are solved by the midpoint rule in steps of 50 ms. With a c the heat
+    is from the motion, seen *within* times in each step of the grid, else
+    there is a pressure.
+    """
+    fine = np.interp(
+        np.arange(0.0, seconds, GRID_S / within),
+        np.arange(0.0, seconds, GRID_S),
+        stops(seconds, seed),
+    )
+    rate = np.gradient(fine, GRID_S / within)
+    on = rate < -2.0
+    speed = fine.reshape(-1, within).mean(axis=1)
+    air = np.broadcast_to(air_k, speed.shape)
+    rows = np.zeros((len(speed), len(corners), len(CHANNELS)))
+    rows[:, :, CHANNELS.index("speed_ms")] = speed[:, None]
+    rows[:, :, CHANNELS.index("ambient_k")] = air[:, None]
+    if "c" in values:
+        lost = -(rate + values["c"] * fine**2) * fine
+        heat = np.where(on, np.maximum(lost, 0.0), 0.0)
+        heat = heat.reshape(-1, within).mean(axis=1)
+    else:
+        rng = np.random.default_rng(seed)
+        pressure = np.where(on, rng.uniform(5e5, 4e6, len(speed)), 0.0)
+        rows[:, :, CHANNELS.index("pressure_pa")] = pressure[:, None]
+        heat = pressure * speed
+    heat *= values["k"]
+    cooling = values["a"] + values["b"] * speed
+    g, h = values.get("g", 0.0), values.get("h", 0.0)
+    disc = hat = LUMPED_START_K
+    found, small = np.empty(len(speed)), 10
+    step_s = GRID_S / small
+    for i in range(len(speed)):
+        for _ in range(small if i else 0):
+            half = 0.5 * step_s
+            loss = cooling[i] * (disc - air[i]) + g * (disc - hat)
+            middle = disc + half * (heat[i] - loss)
+            middle_hat = hat + half * h * (disc - hat)
+            loss = cooling[i] * (middle - air[i]) + g * (middle - middle_hat)
+            disc += step_s * (heat[i] - loss)
+            hat += step_s * h * (middle - middle_hat)
+        found[i] = disc
+    time_s = GRID_S * np.arange(1.0, len(speed) + 1.0)
+    keep = np.ones(len(speed), bool)
+    if gap_s is not None:
+        keep = (time_s < gap_s[0]) | (time_s > gap_s[1])
+    couple = Thermocouple(time_s[keep], found[keep])
+    return Drive(
+        name,
+        0.0,
+        corners,
+        rows,
+        {"FL": {"disc": couple}},
+        speed_ms=fine.reshape(-1, within),
+    )

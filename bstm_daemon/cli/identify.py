@@ -150,7 +150,8 @@ def run(args: argparse.Namespace) -> int:
     if args.what == "coastdown":
         options["held"] = {HOLDABLE[name] for name in args.hold}
         options |= {"one_way": args.one_way, "even_grade": args.even_grade}
-    result = kind.identify(drivings, config, **options)
+    with Progress(f"identify {args.what}"):
+        result = kind.identify(drivings, config, **options)
     print(f"{subtitle}\n{kind.text(result)}")
     if args.report:
         write_page(args.report, kind.page(result, subtitle))

@@ -14,7 +14,6 @@ from bstm_daemon.cli.log_command import (
     heading,
     names_of,
     open_vehicle,
-    wear_remarks,
     write_results,
 )
 from bstm_daemon.cli.progress import Progress
@@ -59,8 +58,6 @@ def run(args: argparse.Namespace) -> int:
         matches = _matches(args, config, drives)
     names = names_of(args.logs)
     print(heading(args, config, names))
-    for remark in wear_remarks(config):
-        print(remark)
     for match in matches:
         print(match_text(match))
     origin = f"matched, {names}, {time.strftime('%Y-%m-%d')}"

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from bstm_daemon.analysis.matching.drives import read_drive
+from bstm_daemon.analysis.matching.drives import read_drive, read_drives
 from bstm_daemon.analysis.matching.verification import (
     LIMITS,
+    decisive,
     errors_of,
+    held_against,
     judged,
 )
 from bstm_daemon.cli.log_command import (
@@ -24,6 +28,7 @@ from bstm_daemon.report.verify import verify_json, verify_page, verify_text
 if TYPE_CHECKING:
     import argparse
 
+    from bstm_daemon.analysis.matching.drives import Drive
     from bstm_daemon.analysis.matching.verification import NodeErrors
 
 FAILED: Final = 1
@@ -40,12 +45,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "within 30 K and its peak within 5 min; floor and goal are narrower "
         "and include disc, pad and drift",
     )
+    parser.add_argument(
+        "--matched-on",
+        nargs="+",
+        type=Path,
+        default=[],
+        metavar="LOG",
+        help="drives of the match: the baseline, a disc of one node, is "
+        "fitted to them and not to the other LOGs",
+    )
 
 
 def run(args: argparse.Namespace) -> int:
-    """Judge, print and write; 1 where a required limit is not met."""
-    config, signal_map = open_vehicle(args, args.logs)
-    errors: list[NodeErrors] = []
+    """Judge, print and write; 1 where a limit is not met."""
+    config, signal_map = open_vehicle(args, [*args.logs, *args.matched_on])
+    verified: list[tuple[Drive, list[NodeErrors]]] = []
     learned = None
     for log in args.logs:
         with Progress(f"verify {log.name}") as progress:
@@ -66,11 +80,16 @@ def run(args: argparse.Namespace) -> int:
                 "roles temp_<corner>_<node>"
             )
             raise LogError(msg)
-        errors += found
+        verified.append((replace(drive, estimates=None), found))
+    errors = [one for _, found in verified for one in found]
+    matched_on = read_drives(
+        args.matched_on, config, signal_map, dict(args.map)
+    )
+    verdicts = judged(errors) + held_against(verified, matched_on)
     names = names_of(args.logs)
     print(heading(args, config, names))
-    print(verify_text(errors))
-    passed = all(one.passed for one in judged(errors, LIMITS[args.require]))
+    print(verify_text(errors, verdicts))
+    passed = all(one.passed for one in decisive(verdicts, args.require))
     for line in write_results(
         args,
         (names, config.vehicle.id),
@@ -78,9 +97,9 @@ def run(args: argparse.Namespace) -> int:
             "files": [str(log) for log in args.logs],
             "required": args.require,
             "passed": passed,
-            **verify_json(errors),
+            **verify_json(errors, verdicts),
         },
-        lambda subtitle: verify_page(errors, args.require, subtitle),
+        lambda subtitle: verify_page(errors, verdicts, args.require, subtitle),
     ):
         print(line)
     return 0 if passed else FAILED

@@ -50,7 +50,7 @@ def load_config(path: Path) -> Config:
 
     """
     with naming_file(path):
-        document = _read(path)
+        document = with_ignored_buses(_read(path))
         _, problems = draft_of(document)
         if problems:
             raise ConfigError(problems)
@@ -66,7 +66,7 @@ def read_draft(path: Path) -> tuple[Draft, list[str]]:
         ConfigError: It is not TOML, or beyond a limit.
 
     """
-    return draft_of(_read(path))
+    return draft_of(with_ignored_buses(_read(path)))
 
 
 def draft_of(document: dict[str, Any]) -> tuple[Draft, list[str]]:
@@ -79,6 +79,30 @@ def draft_of(document: dict[str, Any]) -> tuple[Draft, list[str]]:
     draft = Draft(document, **{name: valid[name] for name in names})
     problems.extend(problems_between(draft))
     return draft, problems
+
+
+def with_ignored_buses(document: dict[str, Any]) -> dict[str, Any]:
+    """Return *document* with its ``[[bus]]`` of ``ignore = true`` merged.
+
+    Their names become ``ignored_interfaces`` of the first other bus.
+    """
+    buses = document.get("bus")
+    if not isinstance(buses, list):
+        return document
+    read, names = [], []
+    for bus in buses:
+        if isinstance(bus, dict) and bus == {
+            "name": bus.get("name"),
+            "ignore": True,
+        }:
+            names.append(bus["name"])
+        else:
+            read.append(bus)
+    if not (names and read and isinstance(read[0], dict)):
+        return document
+    listed = read[0].get("ignored_interfaces", [])
+    first = read[0] | {"ignored_interfaces": [*listed, *names]}
+    return document | {"bus": [first, *read[1:]]}
 
 
 @contextmanager

@@ -50,11 +50,6 @@ PadThickness = Annotated[float, Field(gt=0, le=0.05)]
 CornerName = Literal["FL", "FR", "RL", "RR"]
 
 
-def _place(corner_name: str) -> tuple[str, str]:
-    axle = "front" if corner_name[0] == "F" else "rear"
-    return axle, "left" if corner_name[1] == "L" else "right"
-
-
 class Curve(Section):
     """A material property over temperature, linear between the points."""
 
@@ -125,8 +120,8 @@ class BusConfig(Section):
     channel: Text = "can0"
     """channel of the interface; also the interface name in logs"""
     ignored_interfaces: list[Text] = []
-    """interfaces of logs that are left out: no DBC is for them.
-    `bstm init` writes it, `--map` goes before it"""
+    """interfaces of logs that are left out, as no DBC is for them; an entry
+    `[[bus]]` with `name` and `ignore = true` adds its name here"""
     bitrate: Annotated[int, Field(gt=0)] | None = None
     """bit rate; SocketCAN links are set up outside"""
     fd: bool = False
@@ -202,7 +197,7 @@ class SignalConfig(Section):
 
 
 class TableConfig(Section):
-    """``[table]``: where a signal table (CSV, Parquet, HDF5) has its time.
+    """``[table]``: where a signal table (CSV, Parquet, ...) has its time.
 
     A table in the long format has one value a row: ``name`` is the column
     with the name of the signal, ``value`` the one with its value.
@@ -210,9 +205,9 @@ class TableConfig(Section):
 
     time: Text | None = None
     """column with the time"""
-    time_unit: Literal["s", "ms", "us", "iso8601"] | None = None
-    """unit of the time; without it found from the column's name and values,
-    and logged"""
+    time_unit: Literal["s", "ms", "us", "iso8601", "hhmmss"] | None = None
+    """unit of the time, `hhmmss` a time of day; without it found from the
+    stated unit, the column's name and its values, and logged"""
     rate_hz: Positive | None = None
     """rows a second, for a table without a time column"""
     delimiter: Text | None = None
@@ -413,7 +408,8 @@ class CornerConfig(Section):
                 radii[0] < radii[1],
                 "'swept_inner_radius_m' must be below 'swept_outer_radius_m'",
             )
-        axle, side = _place(self.name)
+        axle = "front" if self.name[0] == "F" else "rear"
+        side = "left" if self.name[1] == "L" else "right"
         require(
             self.axle in (None, axle) and self.side in (None, side),
             f"corner {self.name} is {axle} {side}: 'axle' or 'side' differ",

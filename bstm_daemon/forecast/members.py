@@ -167,13 +167,9 @@ def _changed(
     """Return the numbers of *program* for the member *draw*."""
     floats = program.floats[:]
     for place, axis in places:
-        floats[place] *= _factor(draw, spread, axis)
+        width: float = getattr(spread, axis)
+        floats[place] *= max(1.0 + width * draw[axis], LOWEST_FACTOR)
     return floats
-
-
-def _factor(draw: dict[str, float], spread: Spread, axis: str) -> float:
-    width: float = getattr(spread, axis)
-    return max(1.0 + width * draw[axis], LOWEST_FACTOR)
 
 
 def _axis(net: Network, link: Link) -> str | None:

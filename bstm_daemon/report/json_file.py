@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import fields
-from operator import attrgetter
+from operator import attrgetter, methodcaller
 from typing import TYPE_CHECKING, Any
 
 from pydantic_core import to_json
@@ -43,11 +43,10 @@ def write_json(path: Path, result: object, indent: int | None = 2) -> None:
         FileAccessError: *path* can not be written.
     """
     text = to_json(
-        result, indent=indent, inf_nan_mode="null", fallback=_from_numpy
+        result,
+        indent=indent,
+        inf_nan_mode="null",
+        fallback=methodcaller("tolist"),
     )
     with replacing(path) as temporary:
         temporary.write_bytes(text + b"\n")
-
-
-def _from_numpy(value: Any) -> Any:
-    return value.tolist()

@@ -6,9 +6,15 @@ The page has figures 5.2 and 6.4 to 6.8 of the thesis.
 from __future__ import annotations
 
 from math import isnan
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
-from bstm_daemon.analysis.matching.verification import LIMITS, coverage, judged
+from bstm_daemon.analysis.matching.verification import (
+    BASELINE,
+    LIMITS,
+    LONG_S,
+    coverage,
+    decisive,
+)
 from bstm_daemon.report.json_file import picked
 from bstm_daemon.report.plots import NodeCurve
 from bstm_daemon.report.shell import Page, Section, Table, node_section
@@ -28,8 +34,6 @@ PEAK_HEAD = (
     *("error [K]", "at [min]", "error [min]"),
 )
 VERDICT_HEAD = ("limits", "drive", "corner", "requirement", "value", "verdict")
-LONG_S: Final = 7200.0
-"""Least duration of a drive as long as that of figure 6.8."""
 
 
 def error_rows(errors: Sequence[NodeErrors]) -> list[tuple[str, ...]]:
@@ -79,29 +83,28 @@ def verdict_rows(verdicts: Sequence[Verdict]) -> list[tuple[str, ...]]:
     return [
         (
             *(one.limits, one.drive, one.corner, one.what),
-            f"{one.value:.1f} of {one.limit:g}",
+            f"{one.value:.1f} of {one.limit:.3g}",
             "met" if one.passed else "NOT MET",
         )
         for one in verdicts
     ]
 
 
-def all_verdicts(errors: Sequence[NodeErrors]) -> list[Verdict]:
-    """Return the verdicts of every set of limits."""
-    return [
-        verdict
-        for limits in LIMITS.values()
-        for verdict in judged(errors, limits)
-    ]
-
-
-def summary_line(errors: Sequence[NodeErrors]) -> str:
+def summary_line(
+    errors: Sequence[NodeErrors], verdicts: Sequence[Verdict]
+) -> str:
     """Return which sets of limits are met, and the coverage."""
     parts = []
-    for limits in LIMITS.values():
-        verdicts = judged(errors, limits)
-        met = sum(one.passed for one in verdicts)
-        parts.append(f"{limits.name}: {met} of {len(verdicts)} met")
+    for name in (*LIMITS, BASELINE):
+        own = [one for one in verdicts if one.limits == name]
+        met = sum(one.passed for one in own)
+        parts.append(f"{name}: {met} of {len(own)} met")
+    bare = {one.corner for one in errors} - {
+        one.corner for one in verdicts if one.limits == BASELINE
+    }
+    if bare:
+        corners = ", ".join(sorted(bare))
+        parts.append(f"no baseline at {corners}: its disc is not measured")
     inside, counted = coverage(errors)
     if counted:
         parts.append(
@@ -113,7 +116,9 @@ def summary_line(errors: Sequence[NodeErrors]) -> str:
     return "; ".join(parts)
 
 
-def verify_text(errors: Sequence[NodeErrors]) -> str:
+def verify_text(
+    errors: Sequence[NodeErrors], verdicts: Sequence[Verdict]
+) -> str:
     """Return the whole result for a terminal."""
     return "\n".join(
         [
@@ -122,13 +127,15 @@ def verify_text(errors: Sequence[NodeErrors]) -> str:
             "\nhighest temperatures",
             *table(PEAK_HEAD, peak_rows(errors)),
             "",
-            *table(VERDICT_HEAD, verdict_rows(all_verdicts(errors))),
-            f"\n{summary_line(errors)}",
+            *table(VERDICT_HEAD, verdict_rows(verdicts)),
+            f"\n{summary_line(errors, verdicts)}",
         ]
     )
 
 
-def verify_json(errors: Sequence[NodeErrors]) -> dict[str, Any]:
+def verify_json(
+    errors: Sequence[NodeErrors], verdicts: Sequence[Verdict]
+) -> dict[str, Any]:
     """Return the result as plain data; null where a number is not known."""
     inside, counted = coverage(errors)
     return {
@@ -152,7 +159,7 @@ def verify_json(errors: Sequence[NodeErrors]) -> dict[str, Any]:
                 requirement="what",
                 met="passed",
             )
-            for one in all_verdicts(errors)
+            for one in verdicts
         ],
         "covered": inside,
         "counted": counted,
@@ -160,19 +167,23 @@ def verify_json(errors: Sequence[NodeErrors]) -> dict[str, Any]:
 
 
 def verify_page(
-    errors: Sequence[NodeErrors], required: str, subtitle: str
+    errors: Sequence[NodeErrors],
+    verdicts: Sequence[Verdict],
+    required: str,
+    subtitle: str,
 ) -> Page:
     """Return the page of *errors*: verdicts, errors, peaks, every drive."""
-    verdicts = all_verdicts(errors)
-    missed = [one for one in verdicts if not one.passed]
+    shown = [
+        one for one in verdicts if one.limits == BASELINE or not one.passed
+    ]
     sections = [
         Section(
             "Verdict",
-            Table(VERDICT_HEAD, verdict_rows(missed)) if missed else None,
-            lines=(summary_line(errors),),
-            note="Only limits that are not met are listed. thesis: section "
-            "1.3; floor "
-            "and goal: the project's own, narrower limits.",
+            Table(VERDICT_HEAD, verdict_rows(shown)) if shown else None,
+            lines=(summary_line(errors, verdicts),),
+            note="Of the limits only those that are not met. thesis: section "
+            "1.3; floor and goal: the project's own, narrower limits; "
+            "baseline: a fit to the measured disc, without the model.",
         ),
         Section(
             "Error, estimated minus measured [K]",
@@ -199,7 +210,7 @@ def verify_page(
                 "Thick: measured; thin: estimated.",
             )
         )
-    tiles = _tiles(errors, required)
+    tiles = _tiles(errors, verdicts, required)
     return Page("Verification", sections, tiles, subtitle=subtitle)
 
 
@@ -214,10 +225,9 @@ def _figure(errors: Sequence[NodeErrors]) -> str:
 
 
 def _tiles(
-    errors: Sequence[NodeErrors], required: str
+    errors: Sequence[NodeErrors], verdicts: Sequence[Verdict], required: str
 ) -> list[tuple[str, str]]:
-    verdicts = judged(errors, LIMITS[required])
-    passed = all(one.passed for one in verdicts)
+    passed = all(one.passed for one in decisive(verdicts, required))
     tiles = [("met" if passed else "NOT MET", f"limits: {required}")]
     fluid = [one for one in errors if one.node == "fluid"]
     if fluid:

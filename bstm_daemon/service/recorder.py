@@ -92,7 +92,6 @@ class Recorder:
         self._text_limit = min(
             _TEXT_LIMIT, config.ring_bytes // 4, config.kept_bytes // 4
         )
-        self._heads: dict[tuple[int, int, bool], str] = {}
         self._buffer = bytearray()
         self._buffered = 0
         self._start_us = 0
@@ -119,13 +118,11 @@ class Recorder:
         *,
         is_error: bool = False,
         is_remote: bool = False,
-        is_fd: bool = False,
     ) -> None:
         """Record one frame of bus number *bus*, stamped *stamp_us* [us].
 
-        The stamp is wall time, 0 or more. More than 8 bytes are CAN FD
-        whatever *is_fd* says; bit rate switch and error state of an FD frame
-        are not recorded.
+        The stamp is wall time, 0 or more. More than 8 bytes are CAN FD; bit
+        rate switch and error state of an FD frame are not recorded.
         """
         if self._buffered:
             elapsed_us = stamp_us - self._start_us
@@ -137,20 +134,15 @@ class Recorder:
                 self._hand_over()
         if not self._buffered:
             self._start_us = stamp_us
+        digits = f"{can_id:08X}" if extended else f"{can_id:03X}"
         if is_error:
-            bits = can_id & EXTENDED_MAX | ERROR_FLAG
-            head = f") {self._names[bus]} {bits:08X}#"
-        else:
-            found = self._heads.get((bus, can_id, extended))
-            head = found or self._head(bus, can_id, extended=extended)
-        if is_remote:
-            text = "R"
-        elif is_fd or len(data) > _CLASSIC_BYTES:
-            text = f"#0{data.hex().upper()}"
-        else:
-            text = data.hex().upper()
+            digits = f"{can_id & EXTENDED_MAX | ERROR_FLAG:08X}"
+        text = "R" if is_remote else data.hex().upper()
+        if len(data) > _CLASSIC_BYTES and not is_remote:
+            text = f"#0{text}"
         seconds, micros = divmod(stamp_us, _MICRO)
-        self._buffer += f"({seconds}.{micros:06d}{head}{text}\n".encode()
+        place = f"({seconds}.{micros:06d}) {self._names[bus]}"
+        self._buffer += f"{place} {digits}#{text}\n".encode()
         self._buffered += 1
 
     def tick(self, stamp_us: int) -> None:
@@ -212,12 +204,6 @@ class Recorder:
             self._changed.notify_all()
         self._thread.join(max(0.0, deadline_s - time.monotonic()))
         return self.outcome()
-
-    def _head(self, bus: int, can_id: int, *, extended: bool) -> str:
-        digits = f"{can_id:08X}" if extended else f"{can_id:03X}"
-        head = f") {self._names[bus]} {digits}#"
-        self._heads[bus, can_id, extended] = head
-        return head
 
     def _hand_over(self) -> None:
         """Pass the buffer to the thread; if too many wait, drop the oldest."""

@@ -128,7 +128,6 @@ class ServiceReporter:
                 time_us,
                 is_error=frame.is_error,
                 is_remote=frame.is_remote,
-                is_fd=self._monitor.config.bus[bus].fd and len(frame.data) > 8,
             )
 
     def keep(self, reason: str, time_us: int) -> None:

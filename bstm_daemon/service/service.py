@@ -140,7 +140,9 @@ class Service:
         """Do everything that is due; return when the next cycle is."""
         begin_us = self._axis.read()
         if self._axis.steps != self._steps_seen:
-            self._note_step()
+            self._steps_seen = self._axis.steps
+            step_s = self._axis.last_step_us * 1e-6
+            self._log.emit(events.CLOCK_STEPPED, step_s=step_s)
         until_us, arrivals = self._intake.read(begin_us)
         engine = self._monitor.engine
         self._ingest(arrivals)
@@ -239,12 +241,6 @@ class Service:
             self._notifier.watchdog()
         line = (begin_us - GUARD_US) // self._drain_us + 1
         return line * self._drain_us + GUARD_US
-
-    def _note_step(self) -> None:
-        self._steps_seen = self._axis.steps
-        self._log.emit(
-            events.CLOCK_STEPPED, step_s=self._axis.last_step_us * 1e-6
-        )
 
     def _note_foreign(self, bus: int, can_id: int) -> None:
         if self._sender.note_foreign(can_id):

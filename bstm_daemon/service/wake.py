@@ -6,10 +6,7 @@ import select
 import signal
 import socket
 from contextlib import suppress
-from typing import TYPE_CHECKING, Final, Self
-
-if TYPE_CHECKING:
-    from types import FrameType
+from typing import Final, Self
 
 STOP: Final = frozenset({signal.SIGTERM, signal.SIGINT})
 RELOAD: Final = signal.SIGHUP
@@ -36,7 +33,8 @@ class SignalWaiter:
             writer.fileno(), warn_on_full_buffer=False
         )
         self._before = {
-            number: signal.signal(number, _nothing)
+            # through to the wake-up socket only
+            number: signal.signal(number, lambda *_: None)
             for number in (*STOP, RELOAD, KEEP)
         }
         return self
@@ -58,7 +56,3 @@ class SignalWaiter:
             while chunk := self._reader.recv(64):
                 numbers.update(chunk)
         return frozenset(numbers)
-
-
-def _nothing(number: int, frame: FrameType | None) -> None:
-    """Let the signal through to the wake-up socket only."""

@@ -147,6 +147,7 @@ def test_the_matched_car_is_verified(
             *("verify", str(log), "-c", str(matched / "new.toml")),
             *("--require", "floor", "--json", str(matched / "verify.json")),
             *("--report", str(matched / "verify.html")),
+            *("--matched-on", str(log)),
         ]
     )
 
@@ -155,6 +156,17 @@ def test_the_matched_car_is_verified(
     data = json.loads((matched / "verify.json").read_text("utf-8"))
     assert data["passed"] is True
     assert data["counted"] > 0
+    baseline = [v for v in data["verdicts"] if v["limits"] == "baseline"]
+    assert [(v["corner"], v["requirement"]) for v in baseline] == [
+        (corner, f"disc, RMS [K], {rival}")
+        for corner in ("FL", "FR")
+        for rival in (
+            "disc of one node fitted to others",
+            "disc and hat fitted to others",
+            "3 x disc of one node fitted to it",
+        )
+    ]
+    assert baseline[2]["limit"] == pytest.approx(3 * baseline[0]["limit"])
     assert "figures 5.2, 6.4 to 6.7" in (matched / "verify.html").read_text(
         "utf-8"
     )

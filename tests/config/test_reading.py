@@ -422,3 +422,15 @@ def test_any_document_gets_worded_problems(document: dict[str, Any]) -> None:
 
     assert found
     assert all(line and "\n" not in line for line in found)
+
+
+def test_a_bus_that_is_ignored_is_an_interface_left_out(
+    tmp_path: Path,
+) -> None:
+    """It has no DBC and is no bus of the car."""
+    ignored = '[[bus]]\nname = "can7"\nignore = true\n\n[[bus]]'
+
+    config = load_config(write(tmp_path, BASE.replace("[[bus]]", ignored, 1)))
+
+    assert config.bus[0].ignored_interfaces == ["can7"]
+    assert "can7" not in [bus.name for bus in config.bus]

@@ -29,20 +29,13 @@ if TYPE_CHECKING:
     from bstm_daemon.analysis.statistics.series import Column
 
 BRAKING_MS2: Final = 2.0
-UNITS: Final = {"a": "1/s", "b": "1/m", "c": "1/m", "g": "1/s", "h": "1/s"}
-K_UNITS: Final = {"pressure": "K/(Pa m)", "motion": "K s2/m2"}
 K_STARTS: Final = {
     "pressure": (3e-8, 1e-7, 3e-7, 1e-6),
     "motion": (0.03, 0.1, 0.3, 1.0),
 }
-STARTS: Final = {
-    "a": (1e-3, 3e-3, 1e-2),
-    "b": (1e-4, 3e-4, 1e-3),
-    "c": (3e-4, 1e-3, 3e-3),
-    "g": (1e-3, 3e-3, 1e-2),
-    "h": (1e-3, 3e-3, 1e-2),
-}
-"""The fit begins at the best of all combinations."""
+RATES: Final = (1e-3, 3e-3, 1e-2)
+STARTS: Final = {"a": RATES, "b": (1e-4, 3e-4, 1e-3), "c": (3e-4, 1e-3, 3e-3)}
+"""The fit begins at the best of all combinations; g and h begin as a does."""
 
 RANGE: Final = (1e-10, 10.0)
 """Of every constant: no more than a guard of the arithmetic."""
@@ -57,8 +50,9 @@ DAMPINGS: Final = (0.0, 1e-4, 1e-3, 1e-2, 0.1, 1.0, 30.0)
 class Baseline:
     """A disc fitted to the drives named ``drives``.
 
-    ``values`` has its constants by name, ``heat`` is "pressure" or "motion",
-    ``rms_k`` the error on the drives it was fitted to.
+    ``values`` has its constants by name: k in K/(Pa m) where ``heat`` is
+    "pressure" and in K s2/m2 where it is "motion", a, g, h in 1/s, b, c in
+    1/m. ``rms_k`` is the error on the drives it was fitted to.
     """
 
     corner: str
@@ -71,13 +65,6 @@ class Baseline:
     def title(self) -> str:
         """The form in words."""
         return "disc and hat" if "g" in self.values else "disc of one node"
-
-    @property
-    def constants(self) -> str:
-        """The constants with their units, and what the heat is formed from."""
-        units = {"k": K_UNITS[self.heat], **UNITS}
-        values = [f"{n} {x:.3g} {units[n]}" for n, x in self.values.items()]
-        return ", ".join((f"heat from {self.heat}", *values))
 
     def rms_on(self, drives: Sequence[Drive]) -> float:
         """Return the error on *drives* [K], nan where nothing is measured."""
@@ -194,7 +181,7 @@ def _fitted(runs: Sequence[_Run], one: Baseline | None = None) -> Baseline:
     starts = [K_STARTS[heat], *(STARTS[name] for name in names[1:])]
     if one is not None:
         starts = [(value,) for value in one.values.values()]
-        names, starts = names + "gh", [*starts, STARTS["g"], STARTS["h"]]
+        names, starts = names + "gh", [*starts, RATES, RATES]
 
     def residuals(points: Column) -> Column:
         sets = dict(zip(names, np.exp(points.T), strict=True))

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import product
 from math import isnan, nan
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from bstm_daemon.analysis.matching import phases
+from bstm_daemon.analysis.matching.baseline import baselines
 from bstm_daemon.analysis.matching.drives import GRID_S, Drive
 from bstm_daemon.analysis.matching.refine import NodeAccuracy
 from bstm_daemon.analysis.statistics.series import (
@@ -54,6 +56,11 @@ WARM_K: Final = 20.0
 
 FIXED_S: Final = tuple(60.0 * minute for minute in (10, 20, 30, 45, 60, 90))
 """Times at which coverage is counted, besides the peak."""
+
+BASELINE: Final = "baseline"
+OWN_FACTOR: Final = 3.0
+"""A baseline fitted to the drive it is held against has an advantage: on other
+drives it errs 1.1 to 8 times as much, 1.6 times in the median."""
 
 NINETY: Final = 1.6449
 """Standard deviations to each side that hold 90 % of a normal error."""
@@ -288,33 +295,75 @@ def _top_s(time_s: Column, series_c: Column, air_c: Column) -> float:
     return 0.5 * float(time_s[first] + time_s[last])
 
 
-def judged(errors: Sequence[NodeErrors], limits: Limits) -> list[Verdict]:
-    """Return every requirement of *limits* on *errors*."""
+def judged(errors: Sequence[NodeErrors]) -> list[Verdict]:
+    """Return every requirement of all :data:`LIMITS` on *errors*."""
     found = []
-    for one in errors:
-        asked: list[tuple[str, float, float]] = []
-        if one.node == "fluid":
-            asked = [
+    for limits, one in product(LIMITS.values(), errors):
+        last_k = one.last_k if one.duration_s >= LONG_S else nan
+        asked = {
+            "fluid": (
                 ("largest error [K]", one.largest_k, limits.fluid_max_k),
                 ("RMS [K]", one.rms_k, limits.fluid_rms_k),
                 ("peak time [s]", one.peak.apart_s, limits.peak_s),
-            ]
-            if one.duration_s >= LONG_S:
-                asked.append(("last 20 min [K]", one.last_k, limits.last_k))
-        elif one.node == "disc":
-            asked = [("RMS [K]", one.rms_k, limits.disc_rms_k)]
-        elif one.node == "pad_back":
-            asked = [("RMS [K]", one.rms_k, limits.pad_back_rms_k)]
+                ("last 20 min [K]", last_k, limits.last_k),
+            ),
+            "disc": (("RMS [K]", one.rms_k, limits.disc_rms_k),),
+            "pad_back": (("RMS [K]", one.rms_k, limits.pad_back_rms_k),),
+        }
         node = one.node.replace("_", " ")
         found += [
             Verdict(
                 *(limits.name, one.drive, one.corner, f"{node}, {what}"),
                 *(value, limit),
             )
-            for what, value, limit in asked
+            for what, value, limit in asked.get(one.node, ())
             if not (isnan(value) or isnan(limit))
         ]
     return found
+
+
+def held_against(
+    verified: Sequence[tuple[Drive, Sequence[NodeErrors]]],
+    matched_on: Sequence[Drive] = (),
+) -> list[Verdict]:
+    """Return whether the model's disc errs less than the baselines.
+
+    Those fitted to other drives, and one node fitted to the drive itself; a
+    disc and hat can follow any single drive. At any temperature.
+
+    Args:
+        verified: drives, and the model's errors on them.
+        matched_on: the other drives; else the others of *verified*.
+    """
+    fixed = baselines(matched_on)
+    found = []
+    for drive, errors in verified:
+        others = [one for one, _ in verified if one is not drive]
+        fits, own = fixed or baselines(others), baselines([drive])
+        for one in errors:
+            if one.node != "disc":
+                continue
+            rivals = [
+                (f"{fit.title} fitted to others", fit.rms_on([drive]))
+                for fit in fits.get(one.corner, ())
+            ]
+            for fit in own.get(one.corner, ())[:1]:
+                name = f"{OWN_FACTOR:g} x {fit.title} fitted to it"
+                rivals.append((name, OWN_FACTOR * fit.rms_k))
+            found += [
+                Verdict(
+                    *(BASELINE, drive.name, one.corner),
+                    *(f"disc, RMS [K], {name}", rms(one.error_k), limit_k),
+                )
+                for name, limit_k in rivals
+                if not isnan(limit_k)
+            ]
+    return found
+
+
+def decisive(verdicts: Sequence[Verdict], required: str) -> list[Verdict]:
+    """Return those of the *required* limits, and of the baseline."""
+    return [one for one in verdicts if one.limits in {required, BASELINE}]
 
 
 def coverage(errors: Sequence[NodeErrors]) -> tuple[int, int]:

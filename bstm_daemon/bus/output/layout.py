@@ -261,13 +261,11 @@ def _reasons(corner: str, start: int) -> Signal:
         absent = found.validity is Validity.NOT_AVAILABLE
         return UNKNOWN_REASONS if absent else found.reasons
 
-    choices = {int(one): _code_of(text) for one, text in REASON_WORDS.items()}
+    choices = {
+        int(one): text.replace(" ", "_") for one, text in REASON_WORDS.items()
+    }
     choices |= {0: "none", UNKNOWN_REASONS: "not_available"}
     return Signal(f"Reasons{corner}", start, 8, bits, choices)
-
-
-def _code_of(words: str) -> str:
-    return words.replace(" ", "_")
 
 
 _NO_CAR_RISK: Final = CarRisk()

@@ -10,7 +10,6 @@ from collections.abc import Callable, Sequence
 from typing import Any, Final
 
 from bstm_daemon.bus.signals.expression import (
-    Expression,
     evaluate,
     signal_names,
 )
@@ -171,9 +170,10 @@ class _MessageDecoder:
             if missing and not sources.isdisjoint(missing):
                 counts[RejectReason.NOT_AVAILABLE] += 1
                 continue
-            physical = (
-                values[index] if tree is None else self._run(tree, values)
-            )
+            physical = values[index]
+            if tree is not None:
+                named = zip(self._names, map(float, values), strict=True)
+                physical = evaluate(tree, dict(named))
             gain, bias = line
             low, high = limits
             value = gain * physical + bias
@@ -251,10 +251,6 @@ class _MessageDecoder:
                 raw = (bits ^ sign) - sign
             values.append(raw if scale is None else raw * scale + offset)
         return values
-
-    def _run(self, tree: Expression, values: Sequence[float]) -> float:
-        named = zip(self._names, map(float, values), strict=True)
-        return evaluate(tree, dict(named))
 
 
 def _holds(conditions: Sequence[Condition], values: Sequence[float]) -> bool:

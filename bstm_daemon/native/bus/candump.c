@@ -44,18 +44,17 @@ typedef struct {
     int second_digits, fraction_digits, id_digits;
 } Shape;
 
-/* Read what stands before the payload, in a text up to `end`; 0 where it is no
- * header. */
-static int read_header(const uint8_t *at, const uint8_t *end, Header *h)
+/* Read what stands before the payload; 0 where it is no header. */
+static int read_header(const uint8_t *at, Header *h)
 {
     if (*at++ != '(') return 0;
     h->seconds = at;
-    at = skip_digits(at, end);
+    while (is_digit(*at)) at++;
     if (at - h->seconds < 1 || at - h->seconds > SECOND_DIGITS) return 0;
     h->second_digits = (int)(at - h->seconds);
     if (*at++ != '.') return 0;
     h->fraction = at;
-    at = skip_digits(at, end);
+    while (is_digit(*at)) at++;
     if (at - h->fraction < 1 || at - h->fraction > FRACTION_DIGITS) return 0;
     h->fraction_digits = (int)(at - h->fraction);
     if (*at++ != ')') return 0;
@@ -289,7 +288,7 @@ static int scan(const Py_buffer *view, Py_ssize_t end)
             tried++;
         }
         const uint8_t *newline = NULL;
-        if (!settled && read_header(start, stop_at, &h)
+        if (!settled && read_header(start, &h)
             && h.payload - start <= LINE_LIMIT && is_data_id(&h)) {
             channel = find_name(view[NAMES].buf, view[NAMES].len, &h);
             if (channel < 0 && !state[S_NAMES_FULL]) {
@@ -353,9 +352,10 @@ static int scan(const Py_buffer *view, Py_ssize_t end)
             }
             if (settled) entry[K_COUNT]++;
         }
-        if (newline == NULL)
-            newline = find_newline(settled ? h.payload : start, stop_at,
-                                   readable);
+        if (newline == NULL) {
+            const uint8_t *const from = settled ? h.payload : start;
+            newline = memchr(from, '\n', (size_t)(stop_at - from));
+        }
         if (!settled) {
             int64_t *const row = pending + left++ * PENDING_FIELDS;
             const Py_ssize_t size = newline - start;

@@ -25,42 +25,6 @@ static inline int ends_name(uint8_t c)
     return c == ' ' || (c >= '\t' && c <= '\r') || c == '#';
 }
 
-/* Behind the digits at `at`, 8 of them at once where that many are in the
- * text, which ends at `end`. */
-static inline const uint8_t *skip_digits(const uint8_t *at,
-                                         const uint8_t *end)
-{
-    while (end - at >= 8) {
-        const uint64_t word = bstm_little(at);
-        /* a carry out of a byte comes only from one that is no digit */
-        const uint64_t above = word + BSTM_EACH(0x46);
-        const uint64_t below = word - BSTM_EACH('0');
-        if ((word | above | below) & BSTM_EACH(0x80)) break;
-        at += 8;
-    }
-    while (is_digit(*at)) at++;
-    return at;
-}
-
-/* The first newline from `at` on: one stands before `end`, and the bytes up
- * to `readable`, behind it, may be read. */
-static inline const uint8_t *find_newline(const uint8_t *at,
-                                          const uint8_t *end,
-                                          const uint8_t *readable)
-{
-    while (readable - at >= 8) {
-        const uint64_t word = bstm_little(at) ^ BSTM_EACH('\n');
-        /* the lowest byte marked is the first that is 0 */
-        const uint64_t zero = (word - BSTM_EACH(1)) & ~word & BSTM_EACH(0x80);
-        if (zero) {
-            const uint64_t below = ((zero & (0 - zero)) - 1) & BSTM_EACH(1);
-            return at + (below * BSTM_EACH(1) >> 56) - 1;
-        }
-        at += 8;
-    }
-    return memchr(at, '\n', (size_t)(end - at));
-}
-
 /* The number in 8 digits, the first lowest: pairs, then fours, then eight. */
 static inline int64_t eight_digits(uint64_t word)
 {

@@ -5,7 +5,7 @@
 #ifndef BSTM_PLAN_H
 #define BSTM_PLAN_H
 
-#include "buffers.h"
+#include "bus.h"
 
 #include <math.h>
 #include <string.h>

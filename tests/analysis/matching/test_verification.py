@@ -9,22 +9,28 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
+from bstm_daemon.analysis.matching.baseline import baselines
 from bstm_daemon.analysis.matching.drives import GRID_S, Drive, Thermocouple
 from bstm_daemon.analysis.matching.refine import NodeAccuracy
 from bstm_daemon.analysis.matching.verification import (
-    LIMITS,
     NodeErrors,
+    Verdict,
     compared,
     coverage,
+    decisive,
     errors_of,
+    held_against,
     judged,
     peak_of,
 )
 from bstm_daemon.channels import CHANNELS
 
+from ...made_drives import lumped  # noqa: TID252
+
 if TYPE_CHECKING:
     from bstm_daemon.analysis.matching.tunables import Target
 
+HAT = {"k": 0.1, "a": 2e-3, "b": 2.5e-4, "c": 4e-4, "g": 4e-3, "h": 8e-3}
 TIME_S = np.arange(1.0, 9001.0)
 AIR_C = np.full(len(TIME_S), 10.0)
 HILL_C = 10.0 + 120.0 * np.exp(-(((TIME_S - 3000.0) / 1500.0) ** 2))
@@ -71,15 +77,15 @@ def test_errors_by_phase() -> None:
 
 
 def test_the_thesis_asks_for_30_k_and_5_min() -> None:
-    within = judged([of("fluid", LATER_C)], LIMITS["thesis"])
-    beyond = judged([of("fluid", HILL_C + 31.0)], LIMITS["thesis"])
+    within = decisive(judged([of("fluid", LATER_C)]), "thesis")
+    beyond = decisive(judged([of("fluid", HILL_C + 31.0)]), "thesis")
 
     assert [one.passed for one in within] == [True, True]
     assert [one.passed for one in beyond] == [False, True]
 
 
 def test_narrower_limits_judge_more() -> None:
-    late = judged([of("fluid", LATER_C)], LIMITS["goal"])
+    late = decisive(judged([of("fluid", LATER_C)]), "goal")
     missed = {one.what for one in late if not one.passed}
 
     assert "fluid, peak time [s]" in missed
@@ -124,6 +130,92 @@ def test_a_rise_of_less_than_20_k_is_no_peak(
         assert found.measured_s == pytest.approx(3500.5, abs=1.0)
         assert found.apart_s == 0.0
     assert found.measured_c == 10.0 + rise_k
+
+
+def disc_errors(drive: Drive, off_k: float) -> NodeErrors:
+    """Return the errors of a model that is *off_k* off the disc."""
+    time_s = drive.time_s[1::2]
+    measured = drive.measured["FL"]["disc"].at(time_s) - 273.15
+    return compared(
+        (drive.name, "FL", "disc", drive.duration_s),
+        (time_s, measured, measured + off_k, np.full(len(time_s), 17.0)),
+        {},
+        None,
+    )
+
+
+def rivals(
+    pairs: list[tuple[Drive, list[NodeErrors]]], *on: Drive
+) -> dict[tuple[str, str], Verdict]:
+    """Return the verdicts by drive and baseline."""
+    found = held_against(pairs, on)
+    assert all(one.limits == "baseline" for one in found)
+    return {
+        (one.drive, one.what.removeprefix("disc, RMS [K], ")): one
+        for one in found
+    }
+
+
+ONE = "disc of one node fitted to others"
+TWO = "disc and hat fitted to others"
+OWN = "3 x disc of one node fitted to it"
+
+
+def test_a_model_is_held_against_what_other_drives_give() -> None:
+    """One node misses the hat, so that 1 K of the model is better."""
+    drives = [lumped(HAT, name="a"), lumped(HAT, seed=2, name="b")]
+
+    found = rivals([(drive, [disc_errors(drive, 1.0)]) for drive in drives])
+
+    assert list(found) == [
+        (name, what) for name in "ab" for what in (ONE, TWO, OWN)
+    ]
+    assert [one.value for one in found.values()] == pytest.approx([1.0] * 6)
+    fit, _ = baselines([drives[1]])["FL"]
+    assert found["a", ONE].limit == pytest.approx(fit.rms_on([drives[0]]))
+    assert found["a", ONE].limit > 3.0
+    assert found["a", ONE].passed
+    assert not found["a", TWO].passed
+
+
+def test_one_drive_alone_is_its_own_rival_three_times() -> None:
+    """A fit to the drive itself has an advantage."""
+    drive = lumped(HAT)
+    fit, _ = baselines([drive])["FL"]
+
+    for factor, met in ((2.9, True), (3.1, False)):
+        errors = disc_errors(drive, factor * fit.rms_k)
+        (found,) = rivals([(drive, [errors])]).values()
+        assert found.what.endswith(OWN)
+        assert found.limit == pytest.approx(3.0 * fit.rms_k)
+        assert found.passed is met
+
+
+def test_the_drives_of_the_match_are_the_others() -> None:
+    drive, of_match = lumped(HAT), lumped(HAT, 900.0, seed=2)
+    fit, _ = baselines([of_match])["FL"]
+
+    found = rivals([(drive, [disc_errors(drive, 1.0)])], of_match)
+
+    assert found["made", ONE].limit == pytest.approx(fit.rms_on([drive]))
+
+
+def test_only_a_measured_disc_has_a_baseline() -> None:
+    drive = lumped(HAT, 600.0)
+
+    assert not held_against([(drive, [of("fluid", LATER_C)])])
+
+
+def test_the_baseline_decides_beside_the_required_limits() -> None:
+    verdicts = [
+        Verdict(limits, "drive", "FL", "what", 1.0, 2.0)
+        for limits in ("thesis", "floor", "baseline")
+    ]
+
+    assert [one.limits for one in decisive(verdicts, "floor")] == [
+        "floor",
+        "baseline",
+    ]
 
 
 def test_an_estimate_is_compared_with_its_own_thermocouple(

@@ -1,0 +1,43 @@
+"""What is said of verdicts, in a line."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bstm_daemon.analysis.matching.verification import (
+    NodeErrors,
+    Verdict,
+    compared,
+)
+from bstm_daemon.report.verify import summary_line, verdict_rows
+
+
+def of(corner: str, node: str) -> NodeErrors:
+    time_s = np.arange(1.0, 100.0)
+    return compared(
+        ("drive", corner, node, 100.0),
+        (time_s, *(np.full(len(time_s), 50.0) for _ in range(3))),
+        {},
+        None,
+    )
+
+
+def test_the_baseline_is_counted_and_a_missing_one_named() -> None:
+    verdicts = [
+        Verdict("thesis", "drive", "FL", "fluid, largest", 3.0, 30.0),
+        Verdict("baseline", "drive", "FL", "disc, RMS [K]", 9.0, 26.75),
+        Verdict("baseline", "drive", "FL", "disc, RMS [K]", 9.0, 8.0),
+    ]
+    errors = [of("FL", "disc"), of("FL", "fluid"), of("FR", "fluid")]
+
+    line = summary_line(errors, verdicts)
+
+    assert "thesis: 1 of 1 met" in line
+    assert "floor: 0 of 0 met" in line
+    assert "baseline: 1 of 2 met" in line
+    assert "no baseline at FR: its disc is not measured" in line
+    assert [row[-2:] for row in verdict_rows(verdicts)] == [
+        ("3.0 of 30", "met"),
+        ("9.0 of 26.8", "met"),
+        ("9.0 of 8", "NOT MET"),
+    ]
