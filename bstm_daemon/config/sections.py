@@ -217,6 +217,8 @@ class DiscConfig(Section):
 
     ``mass_kg`` is the mass that takes part in heating (the ring),
     ``swept_area_m2`` both friction faces, ``total_area_m2`` what radiates.
+    ``heat_capacity_exponent`` says how much of its material's rise of the
+    heat capacity over that at 20 degC it has: 1 all, 0 none.
     """
 
     model: str = "lumped"
@@ -227,6 +229,7 @@ class DiscConfig(Section):
         "grey-iron"
     )
     heat_capacity_j_kgk: Curve | None = None
+    heat_capacity_exponent: Annotated[float, Field(ge=0, le=2)] = 1.0
     conductivity_w_mk: Positive = 50.0
     density_kg_m3: Positive = 7200.0
     worn_m: Annotated[float, Field(ge=0, le=0.01)] = 0.0

@@ -14,11 +14,13 @@ import numpy as np
 
 from bstm_daemon.model.thermal.brake_corner import (
     PADS,
-    REFERENCE_K,
     corner_spec,
 )
 from bstm_daemon.model.thermal.partition import pad_share
-from bstm_daemon.model.thermal.properties import disc_heat_capacity
+from bstm_daemon.model.thermal.properties import (
+    REFERENCE_K,
+    disc_heat_capacity,
+)
 from bstm_daemon.units import STEFAN_BOLTZMANN_W_M2K4
 
 if TYPE_CHECKING:
