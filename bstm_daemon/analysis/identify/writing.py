@@ -160,12 +160,17 @@ def _held_tables(
 
 
 def write_changed(
-    source: Path, target: Path, changes: Sequence[Change], origin: str
+    source: Path,
+    target: Path,
+    changes: Sequence[Change],
+    origin: str,
+    verdict: str = "",
 ) -> None:
     """Write *source* with *changes* as *target*, whole or not at all.
 
     Everything else stays as it is, comments too; each changed line says
-    *origin*. Paths are made relative to the new file's folder.
+    *origin*, and the last one of the file *verdict*. Paths are made relative
+    to the new file's folder.
 
     Raises:
         MissingExtraError: tomlkit is not installed.
@@ -175,6 +180,8 @@ def write_changed(
         for change in changes:
             table, key = _place(document, change)
             _set(table, key, change, change.note or origin)
+        if verdict:
+            document.add(_tomlkit().comment(f"{origin}: {verdict}"))
 
 
 def _place(document: Any, change: Change) -> tuple[Any, str]:

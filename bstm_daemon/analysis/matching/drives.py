@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     )
     from pathlib import Path
 
+    from bstm_daemon.analysis.matching.power_by_drag import PowerByDrag
     from bstm_daemon.analysis.statistics.series import Column
     from bstm_daemon.bus.signals.columns import Events
     from bstm_daemon.bus.signals.signal_map import SignalMap
@@ -109,7 +110,8 @@ class Drive:
     ``measured`` has the thermocouples by corner and node. ``estimates`` are
     the estimator's own, where they were asked for; their ``time_s`` counts
     from ``start_s``. ``learned`` is what fused heat had learned at the end,
-    ``roles`` the numbers of those that the log has a sample of.
+    ``roles`` the numbers of those that the log has a sample of. ``by_drag``
+    replaces the brake power of ``inputs`` where drag is to be found.
     """
 
     name: str
@@ -120,6 +122,7 @@ class Drive:
     estimates: Results | None = field(default=None, repr=False)
     learned: Sequence[float] | None = None
     roles: frozenset[int] = frozenset()
+    by_drag: PowerByDrag | None = field(default=None, repr=False)
 
     def __len__(self) -> int:
         """Return the number of steps."""
@@ -152,11 +155,52 @@ class Drive:
         ]
         return [pair for pair in pairs if pair[1] in nodes]
 
+    def power_w(self, corner: str, configs: Sequence[Config]) -> Column | None:
+        """Return the brake power for the drag of each of *configs*.
+
+        (steps, configs); None: that of ``inputs``, whatever the drag.
+        """
+        if self.by_drag is None:
+            return None
+        areas = [one.vehicle.drag_area_m2 for one in configs]
+        return self.by_drag.at(self.corners.index(corner), areas)
+
+    def part(self, first: int, last: int) -> Drive:
+        """Return the steps from *first* up to *last*, as a drive."""
+        if (first, last) == (0, len(self)):
+            return self
+        begin_s = GRID_S * first
+        end_s = GRID_S * last
+
+        def cut(couple: Thermocouple) -> Thermocouple:
+            inside = (couple.time_s >= begin_s) & (couple.time_s <= end_s)
+            return Thermocouple(
+                couple.time_s[inside] - begin_s, couple.temperature_k[inside]
+            )
+
+        measured = {
+            corner: {
+                node: own
+                for node, couple in couples.items()
+                if len((own := cut(couple)).time_s)
+            }
+            for corner, couples in self.measured.items()
+        }
+        return replace(
+            self,
+            name=f"{self.name} from {begin_s:.0f} to {end_s:.0f} s",
+            start_s=self.start_s + begin_s,
+            inputs=self.inputs[first:last],
+            measured={c: own for c, own in measured.items() if own},
+            estimates=None,
+            by_drag=self.by_drag and self.by_drag.part(slice(first, last)),
+        )
+
     def with_power_times(self, factor: float) -> Drive:
         """Return the drive with *factor* times its brake power."""
         inputs = self.inputs.copy()
         inputs[:, :, CHANNELS.index("brake_power_w")] *= factor
-        return replace(self, inputs=inputs, estimates=None)
+        return replace(self, inputs=inputs, estimates=None, by_drag=None)
 
     def with_extra_heat(self, heat_w: Column) -> Drive:
         """Return the drive with one more channel, (steps, corners) [W]."""
