@@ -45,7 +45,7 @@ def initial_temperatures(
 
     Measured nodes as measured, the others as they settle beside them.
     """
-    at_s = np.arange(0.0, BEGIN_S, GRID_S)
+    at_s = np.arange(0.0, BEGIN_S, GRID_S) + GRID_S
     nodes = {node.name for node in program.network.nodes}
     held = {}
     for node, couple in drive.measured.get(corner, {}).items():
@@ -53,8 +53,9 @@ def initial_temperatures(
         first = first[np.isfinite(first)]
         if node in nodes and len(first):
             # who brakes hard is at no mean
-            steady = np.ptp(first) < STEADY_K
-            held[node] = float(first.mean() if steady else first[0])
+            if np.ptp(first) > STEADY_K:
+                first = couple.temperature_k[:1]
+            held[node] = float(first.mean())
     ambient_k = float(drive.channel(corner, "ambient_k")[0])
     return settled(program, held, ambient_k)
 
