@@ -11,7 +11,7 @@ from array import array
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from bstm_daemon.advice.advisor import Advisor
-from bstm_daemon.bus.live.record_decoder import RecordDecoder
+from bstm_daemon.bus.live.frame_records import RecordDecoder
 from bstm_daemon.bus.output.publication import OutputFrame, Publication
 from bstm_daemon.bus.signals.decoder import Decoder
 from bstm_daemon.bus.signals.e2e_guard import E2eGuard

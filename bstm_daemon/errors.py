@@ -15,6 +15,8 @@ The command line prints it to stderr and ends with ``exit_code``; nothing else
 in the package turns an exception into an exit code.
 """
 
+from importlib.util import find_spec
+
 
 class BstmError(Exception):
     """Base of every error with a message meant for the user."""
@@ -37,6 +39,17 @@ class MissingExtraError(UsageError):
             f"{purpose} needs the package {package!r}: "
             f"pip install 'bstm-daemon[{extra}]'"
         )
+
+
+def require_packages(*packages: str, extra: str, purpose: str) -> None:
+    """Refuse *purpose* where one of the *packages* of *extra* is absent.
+
+    Raises:
+        MissingExtraError: it is.
+    """
+    for package in packages:
+        if find_spec(package.replace("-", "_")) is None:
+            raise MissingExtraError(package, extra, purpose)
 
 
 class LogError(BstmError):

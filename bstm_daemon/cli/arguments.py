@@ -10,7 +10,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bstm_daemon.errors import UsageError
+from bstm_daemon.errors import UsageError, require_packages
 from bstm_daemon.files import ensure_writable
 
 if TYPE_CHECKING:
@@ -52,6 +52,7 @@ def add_new_config(parser: argparse.ArgumentParser) -> None:
     """Add ``-o/--out NEW.toml`` and ``--force``."""
     what = "write the values into a copy of the configuration"
     add_out(parser, what, "NEW.toml")
+    parser.set_defaults(out_is_config=True)
     add_force(parser, "NEW.toml")
 
 
@@ -88,6 +89,22 @@ def add_bus_map(parser: argparse.ArgumentParser) -> None:
         help="assign frames of the log's interface IFACE to [[bus]] BUS, or "
         "ignore them with an empty BUS; may be repeated",
     )
+
+
+def require_extras(args: argparse.Namespace) -> None:
+    """Refuse outputs whose packages are absent, before any work.
+
+    Raises:
+        MissingExtraError: one is.
+    """
+    if getattr(args, "report", None):
+        from bstm_daemon.report.shell import (  # noqa: PLC0415  (heavy)
+            require_page_packages,
+        )
+
+        require_page_packages()
+    if getattr(args, "out_is_config", False) and args.out:
+        require_packages("tomlkit", extra="identify", purpose="-o NEW.toml")
 
 
 def refuse_overwriting(

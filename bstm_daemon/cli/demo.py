@@ -1,8 +1,7 @@
-"""``bstm demo``: a descent and a hot soak on an embedded bus, time-warped.
+"""``bstm demo``: a descent and a hot soak on embedded buses, time-warped.
 
-Three parties share a virtual bus: the simulated
-car sends its frames, the monitor listens and publishes, and a display reads
-what was published.
+The simulated car sends its frames on one virtual bus, the monitor listens
+there and publishes on another, where a display reads what was published.
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ from bstm_daemon.report.drive_curves import DriveCurves
 from bstm_daemon.report.drive_statistics import DriveStatistics
 from bstm_daemon.report.replay_page import ReplayFacts, replay_page
 from bstm_daemon.report.screen import summary_table
-from bstm_daemon.report.shell import write_page
+from bstm_daemon.report.shell import require_page_packages, write_page
 from bstm_daemon.simulation import SimulatedDrive, load_drive, simulate
 from bstm_daemon.simulation.frames import START_STAMP_S, Encoder, frames
 from bstm_daemon.watch.board import Board
@@ -37,19 +36,24 @@ if TYPE_CHECKING:
     import argparse
     from collections.abc import Iterator
 
-CHANNEL = "bstm-demo"
+CAR, DISPLAY = "bstm-demo-car", "bstm-demo-display"
+"""The buses. On one alone, the display would receive the car's frames too."""
+
 DRIVE = "alpine-descent"
-TICK_US = 50_000
-"""The estimator's own step: a shorter tick would only cost time here."""
+END_S = 40 * 60
+"""The fluid's peak is behind; the rest of the hour of parking only cools."""
+
+TICK_US = 1_000_000
+"""What is published does not depend on it: each frame has its own time."""
 
 START = "start cold: the car stood overnight (bstm replay --start cold)"
 ROW_S = 300
-SHOWN = ("FL", "FR")
+SHOWN = ("FL", "RL")
 COLUMNS = {
     "disc": ("Temperatures", "Disc"),
     "pad": ("Temperatures", "PadBack"),
     "fluid": ("Temperatures", "Fluid"),
-    "left": ("Risk", "Margin"),
+    "margin": ("Risk", "Margin"),
 }
 """Frame and signal of a corner by the heading of its column."""
 
@@ -64,10 +68,15 @@ def run(args: argparse.Namespace) -> int:
     folder = args.out or Path("bstm-demo")
     make_folder(folder)
     ensure_writable(folder / "report.html")
+    require_page_packages()
     config_path = shipped_file("config/example_vehicle.toml")
     config, signal_map = load_vehicle(config_path)
-    print(f"simulated drive: {load_drive(DRIVE).drive.description}")
-    driven = simulate(load_drive(DRIVE))
+    drive = load_drive(DRIVE)
+    print(
+        f"the first {END_S // 60} min of a simulated drive: "
+        f"{drive.drive.description}"
+    )
+    driven = simulate(drive)
     display = Board(config.publish.id_base)
     print(START)
     engine = Engine(config, signal_map, history_known=True)
@@ -75,14 +84,16 @@ def run(args: argparse.Namespace) -> int:
     print(_heading())
     with (
         csv_file(folder / "estimates.csv") as table,
-        _bus() as car,
-        _bus() as monitor,
-        _bus() as screen,
+        _bus(CAR) as car,
+        _bus(CAR) as monitor,
+        _bus(DISPLAY) as publisher,
+        _bus(DISPLAY) as screen,
     ):
         builder = ResultsBuilder(
             engine.estimator, [rows, statistics, curves, table]
         )
-        _drive(driven, engine, builder, display, (car, monitor, screen))
+        buses = car, monitor, publisher, screen
+        _drive(driven, engine, builder, display, buses)
         builder.finish()
     print()
     print(summary_table(statistics.summary()))
@@ -110,13 +121,13 @@ def _drive(
     engine: Engine,
     builder: ResultsBuilder,
     display: Board,
-    buses: tuple[can.BusABC, can.BusABC, can.BusABC],
+    buses: tuple[can.BusABC, can.BusABC, can.BusABC, can.BusABC],
 ) -> None:
     """Run the three parties through the drive, as fast as they go."""
-    car, monitor, screen = buses
+    car, monitor, publisher, screen = buses
     encoder = Encoder(shipped_file("dbc/example_vehicle.dbc"))
     start_us = round(START_STAMP_S * 1e6)
-    end_us = start_us + round(len(driven.time_s) * 1e4)
+    end_us = start_us + END_S * 1_000_000
     pending = iter(frames(driven, encoder))
     frame = next(pending, None)
     next_row_us = start_us
@@ -144,7 +155,7 @@ def _drive(
                 )
             for published in engine.tick(now_us):
                 out = published.frame
-                monitor.send(
+                publisher.send(
                     can.Message(
                         timestamp=published.time_us * 1e-6,
                         arbitration_id=out.can_id,
@@ -155,8 +166,6 @@ def _drive(
             builder.add(engine.blocks, engine.risks)
             for message in _drained(screen):
                 display.frame(message.arbitration_id, message.data, now_us)
-            for _ in _drained(car):
-                pass
             values = _shown(display)
             if now_us >= next_row_us and not any(map(isnan, values)):
                 moving = driven.course.speed_ms[
@@ -164,7 +173,7 @@ def _drive(
                 ]
                 minutes = (now_us - start_us) / 60e6
                 what = "driving" if moving > 0 else "parked"
-                cells = " ".join(f"{value:7.0f}" for value in values)
+                cells = " ".join(f"{value:9.0f}" for value in values)
                 print(f"{minutes:5.0f} min  {what:8} {cells}")
                 next_row_us += ROW_S * 1_000_000
             progress.show((now_us - start_us) / (end_us - start_us))
@@ -188,11 +197,11 @@ def _against_truth(results: Results, driven: SimulatedDrive) -> str:
 
 def _heading() -> str:
     columns = " ".join(
-        f"{corner + ' ' + name:>7}" for corner in SHOWN for name in COLUMNS
+        f"{corner + ' ' + name:>9}" for corner in SHOWN for name in COLUMNS
     )
     return (
         f"{'':20}{columns}\n(degC as published on the bus; pad = back of the "
-        f"pad; left = K to the wet boiling point)"
+        f"pad; margin = K to boiling with wet fluid)"
     )
 
 
@@ -205,9 +214,9 @@ def _shown(display: Board) -> list[float]:
     ]
 
 
-def _bus() -> can.BusABC:
+def _bus(channel: str) -> can.BusABC:
     return can.Bus(
-        interface="virtual", channel=CHANNEL, preserve_timestamps=True
+        interface="virtual", channel=channel, preserve_timestamps=True
     )
 
 

@@ -76,6 +76,17 @@ def heading(args: argparse.Namespace, config: Config, subject: object) -> str:
     return f"{subject}  ({config.vehicle.id}, {args.config})"
 
 
+def wear_remarks(config: Config) -> tuple[str, ...]:
+    """Return what to know of wear where the model is fitted to drives."""
+    if not config.wear.model_follows:
+        return ()
+    remark = (
+        "fitted with linings and discs as configured: [wear] model_follows "
+        "holds where the model is replayed or runs"
+    )
+    return (remark,)
+
+
 def write_results(
     args: argparse.Namespace,
     subtitle: tuple[str, ...],

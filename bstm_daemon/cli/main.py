@@ -33,6 +33,7 @@ EXIT_BROKEN_PIPE: Final = 141
 COMMANDS: Final[dict[str, str]] = {
     "demo": "simulate a descent, estimate it from CAN alone, write a report",
     "init": "propose a configuration from a DBC and recorded logs",
+    "config": "print the JSON schema of the configuration for editors",
     "check": "check a configuration and its DBC files, list every problem",
     "simulate": "write the CAN log of the simulated car on a drive",
     "replay": "estimate brake temperatures from recorded CAN logs",
@@ -94,8 +95,13 @@ def _main(argv: Sequence[str] | None) -> int:
 def _run(argv: list[str]) -> int:
     called = next((word for word in argv if not word.startswith("-")), "")
     args = _parse(argv, called)
+    from bstm_daemon.cli.arguments import (  # noqa: PLC0415  (after --help)
+        require_extras,
+    )
+
     offset = getattr(args, "verbosity_offset", 0)
     _set_up_log(args.verbose - args.quiet + offset)
+    require_extras(args)
     code: int = args.run(args)
     return code
 

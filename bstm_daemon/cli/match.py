@@ -15,6 +15,7 @@ from bstm_daemon.cli.log_command import (
     heading,
     names_of,
     open_vehicle,
+    wear_remarks,
     write_results,
 )
 from bstm_daemon.cli.progress import Progress
@@ -74,6 +75,8 @@ def run(args: argparse.Namespace) -> int:
     verdict = "; ".join(headline(match) for match in matches)
     print(verdict)
     print(heading(args, config, names))
+    for remark in wear_remarks(config):
+        print(remark)
     for match in matches:
         print(match_text(match))
     origin = f"matched, {names}, {time.strftime('%Y-%m-%d')}"

@@ -38,6 +38,7 @@ from bstm_daemon.report.drive_statistics import DriveStatistics
 from bstm_daemon.report.replay_page import ReplayFacts, replay_page
 from bstm_daemon.report.screen import summary_table
 from bstm_daemon.report.shell import write_page
+from bstm_daemon.report.timescale import clock
 from bstm_daemon.terminal_text import raw_stream
 from bstm_daemon.watch.board import Board
 from bstm_daemon.watch.replay_view import DEFAULT_SPEED, watch_log
@@ -50,6 +51,9 @@ if TYPE_CHECKING:
 
 
 PUBLICATION_S = 0.1
+
+WEAR_MOVED_K = 5.0
+"""Wear that moves the estimate by more is worth a line."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -160,6 +164,7 @@ def run(args: argparse.Namespace) -> int:
         ]
         remarks += _start_remarks(args.start, log_run.start_known_s)
         remarks += _remarks(log_run, statistics, config.heat.mode)
+        remarks += _wear_remarks(log_run, statistics.summary().start_s)
         for line in remarks:
             print(line)
         for target in targets:
@@ -257,6 +262,22 @@ def _remarks(
         if log_run.counts[key]:
             remarks.append(f"{text}: {log_run.counts[key]}")
     return remarks
+
+
+def _wear_remarks(log_run: Run, start_s: float) -> list[str]:
+    """Return what wear did to the temperatures, where the model follows it."""
+    shift = log_run.wear_shift
+    if shift is None or not abs(shift.kelvin) > WEAR_MOVED_K:
+        return []
+    at = (
+        f"{shift.node} {shift.corner}, {clock(shift.time_us * 1e-6 - start_s)}"
+    )
+    return [
+        (
+            f"wear moved the estimate by up to {shift.kelvin:+.0f} K ({at}): "
+            "[wear] model_follows = true"
+        )
+    ]
 
 
 def _formats(asked: str | None) -> tuple[str, ...]:

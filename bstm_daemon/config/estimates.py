@@ -5,9 +5,9 @@ from __future__ import annotations
 import itertools
 from datetime import date  # noqa: TC003  (pydantic resolves it at run time)
 from math import sqrt
-from typing import Annotated, Final, Literal, Self
+from typing import Annotated, Final, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from bstm_daemon.config.section import (
     Fraction,
@@ -21,10 +21,13 @@ BoilingPoint = Annotated[float, Field(ge=100, le=400)]
 Limit = Annotated[float, Field(ge=100, le=1200)]
 Margin = Annotated[float, Field(ge=0, le=150)]
 Speed = Annotated[float, Field(ge=0, le=40)]
-SpecificWear = Annotated[float, Field(gt=0, le=1e-10)]
-"""Volume per friction energy [m3/J]; linings lie near 1e-13."""
 Spread = Annotated[float, Field(gt=0, le=2)]
 Depth = Annotated[float, Field(gt=0, le=0.02)]
+
+WEAR_LIMIT_M3_J: Final = 2e-11
+"""Largest volume worn per friction energy. GB 5763-1998, after JIS D
+4411-1993, allows a lining 0.5e-13 at 100 degC and 3.5e-13 at 350 degC; the
+limit is fifty times that, for poor linings and drives that stand for many."""
 
 USUAL_DRIFT_K: Final = 1.0
 """Drift of a thermocouple that the accuracy of models includes already."""
@@ -39,15 +42,28 @@ class AccuracyConfig(Section):
     """
 
     disc_k: Positive | None = None
+    """floor of the disc; without it no interval"""
     disc_share: NotNegative = 0.0
+    """share of the disc's rise"""
     pad_front_k: Positive | None = None
+    """as of the disc, at the pad's face"""
     pad_front_share: NotNegative = 0.0
+    """as of the disc"""
     pad_back_k: Positive | None = None
+    """as of the disc, at the pad's back"""
     pad_back_share: NotNegative = 0.0
+    """as of the disc"""
     fluid_k: Positive | None = None
+    """as of the disc, in the fluid"""
     fluid_share: NotNegative = 0.0
+    """as of the disc"""
     thermocouple_offset_k: NotNegative = 0.0
+    """what a junction reads too much, always the same; from its data sheet
+    (type K of class 2, IEC 60584-1: at most 2.5 K, so 1.4). Where it is more
+    than some K, `bstm gap` and the live comparison have to know it"""
     thermocouple_drift_k: NotNegative = 0.0
+    """what its reading drifts over minutes, likewise; `bstm gap` and the live
+    comparison expect 1 K of it anyway"""
 
     def drift_beyond_usual_k(self) -> float:
         """Return the drift beyond that of a usual thermocouple, sd [K]."""
@@ -58,16 +74,25 @@ class FluidConfig(Section):
     """``[fluid]``: the brake fluid's grade and age."""
 
     grade: Literal["DOT3", "DOT4", "DOT5.1", "CLASS6"] = "DOT4"
+    """decides the boiling point"""
     changed: date | None = None
+    """day of the last change; the role `fluid_changed` tells a later one"""
     climate: Literal["dry", "temperate", "humid"] = "temperate"
+    """how fast the fluid takes up water"""
     water_percent: Annotated[float, Field(ge=0, le=10)] | None = None
+    """measured water content; the role `fluid_water_percent` tells a later
+    one"""
     water_measured: date | None = None
+    """day of that measurement; what the fluid took up since is added"""
     water_accuracy: Annotated[float, Field(gt=0, le=1)] = 0.1
+    """standard deviation of a measurement over its value"""
     dry_boiling_point_c: BoilingPoint | None = None
+    """of the fluid at hand, from its data sheet; without it the grade's
+    minimum and what fluids usually have above it"""
     wet_boiling_point_c: BoilingPoint | None = None
+    """likewise, at 3.7 % water; below the dry one"""
 
-    @model_validator(mode="after")
-    def _points_fit(self) -> Self:
+    def _check(self) -> None:
         dry, wet = self.dry_boiling_point_c, self.wet_boiling_point_c
         if dry is not None and wet is not None:
             require(
@@ -78,7 +103,6 @@ class FluidConfig(Section):
             self.water_measured is None or self.water_percent is not None,
             "'water_measured' is the date of 'water_percent'",
         )
-        return self
 
 
 class ForecastConfig(Section):
@@ -89,12 +113,16 @@ class ForecastConfig(Section):
     """
 
     members: Annotated[int, Field(ge=8, le=256)] = 64
+    """members of the ensemble; 8 without the compiled kernel"""
     uncertainty: Positive = 1.0
+    """factor on what the ensemble takes as unknown of a matched model; more
+    for one that is not"""
     disc_limits_c: list[Limit] = [500.0, 600.0, 700.0]
+    """elevated, high and critical begin, rising"""
     pad_limits_c: list[Limit] = [400.0, 500.0, 600.0]
+    """the same, friction face of the pads"""
 
-    @model_validator(mode="after")
-    def _limits_rise(self) -> Self:
+    def _check(self) -> None:
         for name in ("disc_limits_c", "pad_limits_c"):
             limits = getattr(self, name)
             require(
@@ -103,7 +131,6 @@ class ForecastConfig(Section):
                 f"{name!r} needs three limits that rise: elevated, high, "
                 "critical",
             )
-        return self
 
 
 class AdviceConfig(Section):
@@ -115,23 +142,42 @@ class AdviceConfig(Section):
     """
 
     while_driving: bool = False
+    """a message while driving too, when the level is critical"""
     sound: bool = True
+    """a chime when the message before departure appears"""
     parked_after_s: Annotated[float, Field(ge=1, le=3600)] = 60.0
+    """a car that stands longer is parked; the ignition off parks it at once"""
     gearbox: Literal["none", "manual", "automatic"] = "none"
+    """who is asked for a lower gear: nobody, the driver (P3), the gearbox
+    (A4)"""
     descent_power_w: Positive = 5000.0
+    """brake power from the slope above which braking is excessive"""
     descent_window_s: Annotated[float, Field(ge=5, le=600)] = 40.0
+    """time constant of that power"""
     shift_below_rpm: Positive = 3500.0
+    """no lower gear at a higher engine speed"""
     pedal_feel_from_k: Margin = 60.0
+    """margin below which the pedal becomes softer (A3)"""
     pedal_feel_least: Fraction = 0.5
+    """factor at the boiling point"""
     isolation_margin_k: Margin = 10.0
+    """margin of a front brake below which its isolation is asked for (A5)"""
     isolation_hysteresis_k: Margin = 10.0
+    """further margin until the request ends"""
     isolation_speed_ms: Speed = 14.0
+    """no such request above"""
     brake_split: Literal["front-rear", "diagonal"] = "diagonal"
+    """which brakes share a circuit (A6)"""
     park_brake_speed_ms: Speed = 6.0
+    """the parking brake is asked for below only"""
     detector_pressure_pa: Positive = 2.0e6
+    """pressure that is large without a doubt"""
     detector_pedal_rate_1_s: Positive = 1.0
+    """pedal speed that is fast without a doubt, whole travels a second"""
     detector_score: Annotated[float, Field(ge=0.1, le=1)] = 0.6
+    """score at which the brakes count as not answering"""
     detector_hold_s: Annotated[float, Field(ge=0.1, le=5)] = 0.5
+    """and for how long"""
 
 
 class WearConfig(Section):
@@ -139,22 +185,45 @@ class WearConfig(Section):
 
     ``law``: ``energy`` (Eq 4.20, 4.21) counts the friction heat that the
     model is given, ``archard`` (Eq 2.13) contact pressure times sliding
-    speed. Both count more above ``hot_from_c`` (Fig 2.7). The indicators
-    report of the axle that ``indicators`` names.
+    speed. Both count more above ``hot_from_c`` (Fig 2.7), up to
+    ``hot_limit`` times, which the default reaches at 590 degC: about there
+    measurements of linings of organic matrix end (EuroBrake 2012,
+    EB2012-FM-12: the rate rises with temperature, radically from about 500
+    degC on), and hotter faces wear at that rate. The indicators report of the
+    axle that ``indicators`` names. The thermal model is that of the configured
+    linings and discs, unless ``model_follows``.
     """
 
     law: Literal["energy", "archard"] = "energy"
-    pad_wear_m3_j: SpecificWear = 3.0e-13
-    disc_wear_m3_j: Annotated[float, Field(ge=0, le=1e-10)] = 1.0e-13
+    """the friction heat of the estimate (Eq 4.20, 4.21), or contact pressure
+    times sliding speed (Eq 2.13)"""
+    pad_wear_m3_j: Annotated[float, Field(gt=0, le=WEAR_LIMIT_M3_J)] = 3.0e-13
+    """expected lining volume worn per joule, both pads"""
+    disc_wear_m3_j: Annotated[float, Field(ge=0, le=WEAR_LIMIT_M3_J)] = 1.0e-13
+    """the disc's, both faces"""
     rate_spread: Spread = 0.5
+    """relative standard deviation of the expected rate"""
     learned_spread: Spread = 0.15
+    """of a rate that indicators taught"""
     hot_from_c: Annotated[float, Field(ge=100, le=700)] = 320.0
+    """friction face above which a joule wears more (Fig 2.7)"""
     hot_doubling_k: Annotated[float, Field(ge=10, le=1000)] = 90.0
-    hot_limit: Annotated[float, Field(ge=1, le=1000)] = 30.0
+    """rise of temperature that doubles the wear"""
+    hot_limit: Annotated[float, Field(ge=1, le=10)] = 8.0
+    """most that a joule counts, held above the temperature where it is
+    reached"""
     indicators: Literal["front", "rear", "all"] = "front"
+    """axle whose pads `pads_new`, `pad_worn_1mm` and `pad_2mm_left` tell of"""
     first_indicator_worn_m: Depth = 0.001
+    """worn when `pad_worn_1mm` comes"""
     second_indicator_left_m: Depth = 0.002
+    """left when `pad_2mm_left` comes"""
     indicator_std_m: Positive = 1.0e-4
+    """standard deviation of an indicator, and of new pads"""
     configured_std_m: Positive = 5.0e-4
+    """standard deviation of `pad.thickness_m`"""
     limit_m: Depth = 0.002
-    model_follows: bool = True
+    """thickness at which pads are worn"""
+    model_follows: bool = False
+    """whether slabs and disc mass of the thermal model follow, in every
+    command that replays or runs; else they stay as configured"""

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final, Literal, Protocol, Self
-
-from pydantic import model_validator
+from typing import TYPE_CHECKING, Final, Literal, Protocol
 
 from bstm_daemon.config.section import (
     NotNegative,
@@ -44,18 +42,31 @@ class HeatConfig(Section):
     """``[heat]``: which brake power heats the model, and how it is formed."""
 
     mode: Literal["auto", "ff", "fb", "fused", "measured"] = "auto"
+    """Feed-Forward (pressure), Feed-Back (motion), both with the vehicle
+    learned, or given temperatures; `auto` is the first of `fused`, `ff` and
+    `fb` that has what it needs, `bstm check` says which"""
     brake_on_pressure_pa: NotNegative = 1.0e5
+    """pressure above which the brake counts as on"""
     brake_on_force_n: NotNegative = 300.0
+    """brake force above which it counts as on without a pressure"""
     primary_lag_s: NotNegative = 0.0
+    """delay of wheel pressure behind the primary signal"""
     secondary_lag_s: NotNegative = 0.0
+    """the same for corners of the secondary circuit"""
     derivative_filter_s: Positive = 0.3
+    """time constant of the speed's derivative"""
     slope: Literal["accelerometer", "flat"] = "accelerometer"
+    """road grade from the accelerometer, or none; flat while no accelerometer
+    is there"""
     assume_powertrain_torque_nm: float | None = None
+    """torque at the wheels while `powertrain_torque` is absent: a declared
+    assumption, 0.0 = coasting"""
     front_pressure_pa: list[NotNegative] = []
+    """front pressure of a proportioning valve's table, rising"""
     rear_pressure_pa: list[NotNegative] = []
+    """rear pressure at each `front_pressure_pa`; empty = equal"""
 
-    @model_validator(mode="after")
-    def _table_fits(self) -> Self:
+    def _check(self) -> None:
         if self.front_pressure_pa or self.rear_pressure_pa:
             check_curve(
                 self.front_pressure_pa,
@@ -63,7 +74,6 @@ class HeatConfig(Section):
                 "front_pressure_pa",
                 "rear_pressure_pa",
             )
-        return self
 
 
 def automatic_mode(

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from pydantic import ValidationError
 
 from bstm_daemon.config.heat import HeatConfig, heat_mode_problems
-from bstm_daemon.config.sections import CoolingConfig, ThermalConfig
+from bstm_daemon.config.thermal import CoolingConfig, ThermalConfig
 from bstm_daemon.config.wording import (
     hint,
     nearest,

@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import codecs
 from datetime import date  # noqa: TC003  (pydantic resolves it at run time)
-from typing import Annotated, Any, Final, Literal, Self
+from typing import Annotated, Any, Final, Literal
 
-from pydantic import Discriminator, Field, Tag, model_validator
+from pydantic import Discriminator, Field, Tag
 
 from bstm_daemon.config.estimates import (
     AccuracyConfig,
@@ -38,8 +38,8 @@ from bstm_daemon.config.service import (
     RecordConfig,
     StateConfig,
 )
+from bstm_daemon.config.thermal import CoolingConfig, ThermalConfig
 
-Emissivity = Annotated[float, Field(gt=0, le=1)]
 # upper bounds beyond any road vehicle: they find mm, cm2 and mm2 in an SI key
 Radius = Annotated[float, Field(gt=0, le=0.5)]
 PistonArea = Annotated[float, Field(gt=0, le=0.02)]
@@ -61,10 +61,8 @@ class Curve(Section):
     temperature_c: list[float]
     value: list[Positive]
 
-    @model_validator(mode="after")
-    def _points_fit(self) -> Self:
+    def _check(self) -> None:
         check_curve(self.temperature_c, self.value, "temperature_c", "value")
-        return self
 
 
 def _form_of_property(value: object) -> str:
@@ -94,36 +92,53 @@ class VehicleConfig(Section):
     """``[vehicle]``: what Feed-Back needs of the car (Eq 4.2, 4.11)."""
 
     id: Text
+    """name of the vehicle in results and state"""
     mass_kg: Annotated[float, Field(ge=100, le=60_000)]
+    """mass as driven, load included"""
     wheel_radius_m: Annotated[float, Field(ge=0.1, le=1)]
+    """rolling radius; torque at the wheels to force, angular wheel speed to
+    speed"""
     wheel_inertia_kg_m2: NotNegative = 3.0
+    """inertia of all wheels and brake discs together (Eq 4.6)"""
     drag_area_m2: NotNegative = 0.7
+    """drag coefficient times frontal area, Cd A (Eq 4.2)"""
     friction_ns_m: NotNegative = 4.0
+    """speed-proportional friction C_fric (Eq 4.2)"""
     rolling_resistance: NotNegative = 0.014
+    """rolling resistance coefficient f_r (Eq 4.2)"""
     front_share: Fraction = 0.7
+    """share of the brake force at the front axle; Feed-Back splits by it"""
     ambient_c: Annotated[float, Field(ge=-60, le=70)] = 20.0
+    """air temperature until the role `ambient_temperature` has a value; of a
+    bus that fell silent the last one is kept"""
 
 
 class BusConfig(Section):
     """``[[bus]]``: one CAN bus and the DBC that describes it."""
 
     name: Text
+    """name that signals refer to"""
     dbc: Text
+    """DBC file, relative to the configuration's folder"""
     interface: Text = "socketcan"
+    """python-can interface"""
     channel: Text = "can0"
+    """channel of the interface; also the interface name in logs"""
     bitrate: Annotated[int, Field(gt=0)] | None = None
+    """bit rate; SocketCAN links are set up outside"""
     fd: bool = False
+    """open the channel for CAN FD"""
     strict: bool = True
+    """refuse a DBC with defects, see below"""
     encoding: str = "cp1252"
+    """text encoding of the DBC; a byte order mark goes before it"""
 
-    @model_validator(mode="after")
-    def _encoding_exists(self) -> Self:
+    def _check(self) -> None:
         try:
             codecs.lookup(self.encoding)
         except LookupError as error:
             msg = f"no text encoding is called 'encoding' = {self.encoding!r}"
             raise ValueError(msg) from error
-        return self
 
 
 class SignalConfig(Section):
@@ -135,20 +150,32 @@ class SignalConfig(Section):
     """
 
     message: str | None = None
+    """DBC message that carries the value"""
     signal: str | None = None
+    """DBC signal; or `expression`"""
     expression: str | None = None
+    """`+ - * / ( )`, numbers, `abs min max` and signals of `message`"""
     column: Text | None = None
+    """column of a signal table, or the name in its column `name`; then no
+    `message`, `signal`, `expression`, `bus`"""
     bus: str | None = None
+    """name of a `[[bus]]`; without it the first one"""
     unit: str
+    """unit of the scaled value, see Units; overrides the DBC's unit text"""
     sign: Literal[1, -1] = 1
+    """-1 turns the direction"""
     scale: float = 1.0
+    """factor on the DBC's physical value; not 0"""
     offset: float = 0.0
+    """added after `scale`, in `unit`"""
     timeout_s: Positive | None = None
+    """how long a value counts as present; without it the role's own"""
     min: float | None = None
+    """below it, in `unit`, a value is no sample"""
     max: float | None = None
+    """above it, in `unit`, a value is no sample; greater than `min`"""
 
-    @model_validator(mode="after")
-    def _one_source(self) -> Self:
+    def _check(self) -> None:
         if self.column is not None:
             of_a_frame = (self.message, self.signal, self.expression, self.bus)
             require(
@@ -169,7 +196,6 @@ class SignalConfig(Section):
         require(self.scale != 0, "'scale' must not be 0")
         if self.min is not None and self.max is not None:
             require(self.min < self.max, "'min' must be below 'max'")
-        return self
 
 
 class TableConfig(Section):
@@ -180,14 +206,21 @@ class TableConfig(Section):
     """
 
     time: Text | None = None
+    """column with the time"""
     time_unit: Literal["s", "ms", "us", "iso8601"] | None = None
+    """unit of the time; without it found from the column's name and values,
+    and logged"""
     rate_hz: Positive | None = None
+    """rows a second, for a table without a time column"""
     delimiter: Text | None = None
+    """one character between the cells of a CSV table; without it comma,
+    semicolon, tab or vertical bar, as the header has it"""
     name: Text | None = None
+    """long format, one value a row: column with the name of the signal"""
     value: Text | None = None
+    """long format: column with the value"""
 
-    @model_validator(mode="after")
-    def _keys_fit(self) -> Self:
+    def _check(self) -> None:
         require(
             (self.time is None) != (self.rate_hz is None),
             "needs either 'time', the column with the time, or 'rate_hz', "
@@ -209,7 +242,6 @@ class TableConfig(Section):
             self.delimiter is None or len(self.delimiter) == 1,
             f"'delimiter' = {self.delimiter!r} must be one character",
         )
-        return self
 
 
 class DiscConfig(Section):
@@ -222,54 +254,75 @@ class DiscConfig(Section):
     """
 
     model: str = "lumped"
+    """`lumped`, or `module:function` of your own"""
     mass_kg: DiscMass
+    """mass that takes part in heating: the ring"""
     swept_area_m2: DiscArea
+    """swept ring, both faces together; at least the two pads' area"""
     total_area_m2: DiscArea
+    """area that radiates, the part under the pads included; at least the swept
+    ring"""
     material: Literal["grey-iron", "grey-iron-smooth", "pure-iron", "own"] = (
         "grey-iron"
     )
+    """heat capacity over temperature: a built-in curve, with or without the
+    peak near 750 °C, or `own`"""
     heat_capacity_j_kgk: Curve | None = None
+    """curve for `material = "own"`: `{temperature_c = [...], value =
+    [...]}`"""
     heat_capacity_exponent: Annotated[float, Field(ge=0, le=2)] = 1.0
+    """how much of that curve's rise over its value at 20 °C the disc has: 1
+    all, 0 a constant capacity"""
     conductivity_w_mk: Positive = 50.0
+    """for the heat partition (Eq 2.3)"""
     density_kg_m3: Positive = 7200.0
+    """for the heat partition (Eq 2.3) and the mass of what is worn"""
     worn_m: Annotated[float, Field(ge=0, le=0.01)] = 0.0
+    """thickness lost, both faces, when `mass_kg` was what it says; a changed
+    number is a new measurement ([wear.md](wear.md))"""
     effusivity_heat_capacity_j_kgk: Positive = 460.0
+    """for the heat partition (Eq 2.3)"""
 
-    @model_validator(mode="after")
-    def _own_needs_curve(self) -> Self:
+    def _check(self) -> None:
         own = self.material == "own"
         require(
             own == (self.heat_capacity_j_kgk is not None),
             "'heat_capacity_j_kgk' goes with material \"own\" and only there",
         )
-        return self
-
-    @model_validator(mode="after")
-    def _swept_is_a_part(self) -> Self:
         require(
             self.swept_area_m2 <= self.total_area_m2,
             f"'swept_area_m2' = {self.swept_area_m2:g} must be at most "
             f"'total_area_m2' = {self.total_area_m2:g}, which it is a part of",
         )
-        return self
 
 
 class PadConfig(Section):
     """``corner.pad``: one of the two equal pads of a corner."""
 
     model: str = "slabs"
+    """`slabs`, or `module:function` of your own"""
     area_m2: PadArea
+    """one pad's friction face"""
     thickness_m: PadThickness
+    """remaining lining; a changed number is a new measurement
+    ([wear.md](wear.md))"""
     new_thickness_m: PadThickness | None = None
+    """lining of new pads, at least `thickness_m`; without it `thickness_m`"""
     measured: date | None = None
+    """day on which `thickness_m` was measured; another day makes the same
+    number a new measurement"""
     slabs: Annotated[int, Field(ge=1, le=60)] = 10
+    """layers through the lining (Eq 4.15 to 4.17)"""
     surface_cells: Literal["half", "full"] = "half"
+    """half cells at the surfaces, or full cells as the thesis has"""
     density_kg_m3: Positive = 2300.0
+    """lining"""
     heat_capacity_j_kgk: LiningHeatCapacity = 1000.0
+    """lining; one number or a curve over temperature within the same bounds"""
     conductivity_w_mk: LiningConductivity = 1.2
+    """lining; one number or a curve over temperature within the same bounds"""
 
-    @model_validator(mode="after")
-    def _is_a_lining(self) -> Self:
+    def _check(self) -> None:
         for name, unit, (low, high) in (
             ("heat_capacity_j_kgk", "J/(kg K)", LINING_HEAT_CAPACITY_J_KGK),
             ("conductivity_w_mk", "W/(m K)", LINING_CONDUCTIVITY_W_MK),
@@ -281,63 +334,12 @@ class PadConfig(Section):
                     f"{name!r} must stay between {low:g} and {high:g} {unit}, "
                     "no lining is beyond",
                 )
-        return self
-
-    @model_validator(mode="after")
-    def _new_is_thickest(self) -> Self:
         new_m = self.new_thickness_m
         require(
             new_m is None or self.thickness_m <= new_m,
             f"'thickness_m' = {self.thickness_m:g}, the remaining lining, "
             f"must be at most 'new_thickness_m' = {new_m or 0.0:g}",
         )
-        return self
-
-
-class ThermalConfig(Section):
-    """``[thermal]``: Table 4.1 and the switches between forms of an equation.
-
-    Conductances and capacities are those of one corner (both pads).
-    """
-
-    structure: Literal["thesis", "extended"] = "thesis"
-    disc_mass_correction_factor: Positive = 1.0
-    heat_partition_correction_factor: NotNegative = 1.0
-    disc_emissivity: Emissivity = 0.55
-    pad_emissivity: Emissivity = 0.85
-    pad_backplate_thermal_resistance_m2k_w: Positive = 4e-3
-    pad_dynamic_convection_ws_m3k: NotNegative = 2.0
-    pad_dynamic_convection_exponent: Annotated[float, Field(ge=0, le=2)] = 1.0
-    pad_static_loss_w_k: NotNegative = 0.0
-    hammerhead_sink: Literal["ambient", "fluid"] = "ambient"
-    backplate_thermal_capacity_j_k: NotNegative = 0.0
-    fluid_model: str = "lump"
-    fluid_static_convection_w_k: NotNegative = 1.5
-    fluid_caliper_thermal_capacity_j_k: Positive = 2600.0
-    fluid_dynamic_convection_ws_mk: NotNegative = 0.15
-    hot_pad_threshold_c: Positive = 400.0
-    hot_pad_factor: Fraction = 0.6
-    hot_pad_width_k: Positive = 20.0
-    direct_air_fraction: Fraction = 0.0
-    gap_conductance_w_m2k: NotNegative = 0.0
-    disc_pad_radiation: Literal["grey-plates", "product"] = "grey-plates"
-
-
-class CoolingConfig(Section):
-    """``[cooling]``: the S-function of Eq 4.12 and the standstill blend."""
-
-    speed_ms: list[NotNegative] = [0.0, 5.0, 10.0, 13.89, 19.44, 25.0, 41.67]
-    s_per_s: list[NotNegative] = [
-        *(4.0e-4, 1.0e-3, 1.6e-3, 2.0e-3, 2.7e-3, 3.4e-3, 5.4e-3)
-    ]
-    standstill_convection_fraction: Fraction = 0.4
-    blend_end_ms: Positive = 5.0
-    form: Literal["rate", "conductance"] = "rate"
-
-    @model_validator(mode="after")
-    def _points_fit(self) -> Self:
-        check_curve(self.speed_ms, self.s_per_s, "speed_ms", "s_per_s")
-        return self
 
 
 class CornerConfig(Section):
@@ -350,30 +352,52 @@ class CornerConfig(Section):
     """
 
     name: CornerName
+    """front or rear, left or right"""
     type: Literal["disc", "drum"] = "disc"
+    """a drum gets brake power but no temperatures"""
     axle: Literal["front", "rear"] | None = None
+    """may repeat what `name` says"""
     side: Literal["left", "right"] | None = None
+    """may repeat what `name` says"""
     circuit: Literal["primary", "secondary"] = "primary"
+    """hydraulic circuit; `secondary` uses `secondary_pressure` if it is
+    there"""
     caliper: Literal["floating", "fixed"] = "floating"
+    """for people; the piston count decides"""
     piston_area_m2: PistonArea
+    """area of one piston (mean if they differ)"""
     piston_count: Annotated[int, Field(ge=1, le=6)] = 1
+    """pistons on one side of the disc"""
     effective_radius_m: Radius | None = None
+    """radius at which friction acts; needed unless the swept radii are
+    given"""
     swept_inner_radius_m: Radius | None = None
+    """inner radius of the swept ring"""
     swept_outer_radius_m: Radius | None = None
+    """outer radius of the swept ring; greater than the inner"""
     pressure_distribution: Literal["uniform-wear", "uniform-pressure"] = (
         "uniform-wear"
     )
+    """how the effective radius follows from the swept radii"""
     friction_coefficient: Positive = 0.38
+    """pad on disc (Eq 4.1)"""
     drum_brake_factor: Positive = 2.0
+    """C*, shoe friction over spreading force; drum only"""
     efficiency: Annotated[float, Field(gt=0, le=1)] = 1.0
+    """hydraulic to clamp force"""
     pushout_pressure_pa: NotNegative = 0.0
+    """pressure at which the pads begin to press"""
     disc: DiscConfig | None = None
+    """table, see below; disc corners only"""
     pad: PadConfig | None = None
+    """table, see below; disc corners only"""
     thermal: dict[str, Any] = {}
+    """single keys of `[thermal]` for this corner, `thermal.disc_emissivity =
+    0.6`"""
     cooling: dict[str, Any] = {}
+    """single keys of `[cooling]` for this corner"""
 
-    @model_validator(mode="after")
-    def _parts_fit(self) -> Self:
+    def _check(self) -> None:
         has = self.disc is not None, self.pad is not None
         require(
             has == ((True, True) if self.type == "disc" else (False, False)),
@@ -396,10 +420,6 @@ class CornerConfig(Section):
             self.axle in (None, axle) and self.side in (None, side),
             f"corner {self.name} is {axle} {side}: 'axle' or 'side' differ",
         )
-        return self
-
-    @model_validator(mode="after")
-    def _pads_fit_on_disc(self) -> Self:
         if self.disc is not None and self.pad is not None:
             pad_m2, swept_m2 = self.pad.area_m2, self.disc.swept_area_m2
             require(
@@ -408,16 +428,19 @@ class CornerConfig(Section):
                 f"at most 'disc.swept_area_m2' = {swept_m2:g}, both faces "
                 "together",
             )
-        return self
 
 
 class EffectConfig(Section):
     """``[[effect]]``: one effect of the catalogue, for one corner or all."""
 
     name: Text
+    """name of the effect in the catalogue"""
     corner: Literal["FL", "FR", "RL", "RR", "all"] = "all"
+    """one corner, or all"""
     parameters: dict[str, float] = {}
+    """numbers the effect takes, `strength` among them (1 = typical)"""
     provenance: dict[str, Any] = {}
+    """where the values come from; kept, not used"""
 
 
 class Config(Section):
@@ -444,14 +467,12 @@ class Config(Section):
     record: RecordConfig = RecordConfig()
     metrics: MetricsConfig = MetricsConfig()
 
-    @model_validator(mode="after")
-    def _heat_mode_is_chosen(self) -> Self:
+    def _check(self) -> None:
         if self.heat.mode == "auto":
             mode = automatic_mode(self.heat, self.corner, self.signals.keys())
             heat = self.heat.model_copy(update={"mode": mode})
             # a section is frozen once it is made, which it is not yet
             object.__setattr__(self, "heat", heat)
-        return self
 
     def thermal_of(self, corner: CornerConfig) -> ThermalConfig:
         """Merge ``[thermal]`` with the overrides of *corner*."""

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Final, Literal, Self
+from typing import Annotated, Final, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from bstm_daemon.config.section import Positive, Section, Text, require
 
@@ -18,9 +18,13 @@ class PublishConfig(Section):
     """``[publish]``: frames out; nothing is sent unless ``enabled``."""
 
     enabled: bool = False
+    """send frames; without it the daemon only listens"""
     bus: str | None = None
+    """name of a `[[bus]]`; without it the first one"""
     id_base: Annotated[int, Field(ge=0, le=0x800 - PUBLISHED_IDS)] = 0x5B0
+    """first of the 20 standard ids that belong to the daemon; default 0x5B0"""
     requests: bool = False
+    """also send advice and requests to other controllers"""
 
 
 class E2eConfig(Section):
@@ -33,14 +37,20 @@ class E2eConfig(Section):
     """
 
     message: Text
+    """DBC message that is protected"""
     profile: Literal[2, 5]
+    """profile of AUTOSAR E2E"""
     data_ids: list[DataId]
+    """profile 2: 16 of 0 to 255, the DataIDList; profile 5: one, the DataID"""
     bus: str | None = None
+    """name of a `[[bus]]`; without it the first one"""
     offset_bytes: Annotated[int, Field(ge=0, le=61)] = 0
+    """profile 5: where the CRC begins"""
     max_delta: Annotated[int, Field(ge=1, le=14)] = 3
+    """how far the counter may move on from frame to frame, MaxDeltaCounter; 1
+    = no frame may be lost"""
 
-    @model_validator(mode="after")
-    def _ids_fit(self) -> Self:
+    def _check(self) -> None:
         needed = 16 if self.profile == 2 else 1
         require(
             len(self.data_ids) == needed,
@@ -56,7 +66,6 @@ class E2eConfig(Section):
                 self.offset_bytes == 0,
                 "'offset_bytes' is for profile 5; profile 2 begins at 0",
             )
-        return self
 
 
 class StateConfig(Section):
@@ -70,9 +79,17 @@ class StateConfig(Section):
     """
 
     file: Text | None = None
+    """path, relative to the configuration's folder; without it `<vehicle
+    id>.state` in `$STATE_DIRECTORY`, else in `$XDG_STATE_HOME/bstm`
+    (`~/.local/state/bstm`)"""
     interval_s: Annotated[float, Field(ge=0.1, le=3600)] = 10.0
+    """saved this often while a node moves by more than 1 K/min"""
     idle_interval_s: Annotated[float, Field(ge=0.1, le=86400)] = 300.0
+    """saved this often otherwise"""
     trust_wall_clock: bool = False
+    """over a power cut the brakes cool by the wall clock where the kernel
+    calls it synchronised (NTP, PTP); `true`: it is always right, kept by a
+    battery"""
 
 
 class DaemonConfig(Section):
@@ -83,8 +100,12 @@ class DaemonConfig(Section):
     """
 
     drain_s: Annotated[float, Field(ge=0.001, le=0.1)] = 0.1
+    """the buses are read this often"""
     reopen_s: Annotated[float, Field(ge=0.05, le=60)] = 1.0
+    """a missing interface is looked for this often"""
     receive_buffer_bytes: Annotated[int, Field(ge=4096, le=10**8)] = 2**22
+    """what the kernel is asked to hold for each bus; it gives at most
+    `net.core.rmem_max`, the value it gave is logged"""
 
 
 class RecordConfig(Section):
@@ -97,12 +118,20 @@ class RecordConfig(Section):
     """
 
     enabled: bool = False
+    """record"""
     folder: Text | None = None
+    """path, relative to the configuration's folder; without it `record` beside
+    the state file"""
     segment_s: Annotated[float, Field(ge=1, le=3600)] = 60.0
+    """time in one file"""
     ring_bytes: Annotated[int, Field(ge=2**16)] = 64 * 2**20
+    """all files of the ring together"""
     kept_bytes: Annotated[int, Field(ge=2**16)] = 256 * 2**20
+    """all that is kept aside together"""
     before_s: Positive = 600.0
+    """what is kept aside reaches back this far"""
     after_s: Positive = 600.0
+    """and goes on this long"""
 
 
 class MetricsConfig(Section):
@@ -113,5 +142,9 @@ class MetricsConfig(Section):
     """
 
     enabled: bool = False
+    """write it"""
     file: Text | None = None
+    """path, relative to the configuration's folder; without it `bstm.prom` in
+    `$RUNTIME_DIRECTORY`, and without that variable no file"""
     interval_s: Annotated[float, Field(ge=0.5, le=3600)] = 10.0
+    """written this often"""

@@ -29,6 +29,7 @@ from bstm_daemon.estimator.validity import HIGHEST_K, LOWEST_K
 from bstm_daemon.forecast.monitor import RiskMonitor
 from bstm_daemon.model.risk.boiling import wet_boiling_point_k
 from bstm_daemon.replay.results import Collector, Results, ResultsBuilder, Sink
+from bstm_daemon.replay.wear_shift import WearComparison
 from bstm_daemon.roles import ROLE_INDEX
 
 if TYPE_CHECKING:
@@ -40,6 +41,7 @@ if TYPE_CHECKING:
     from bstm_daemon.config.sections import Config
     from bstm_daemon.estimate import Advice, CarRisk
     from bstm_daemon.estimator.blocks import Block
+    from bstm_daemon.replay.wear_shift import WearShift
 
     StartState: TypeAlias = Mapping[str, Any] | Literal["cold"] | None
 
@@ -56,7 +58,8 @@ class Run:
     the estimator's own: late and dropped samples, clock jumps. ``truncated``
     is set for a gzip file without its end. ``start_known_s`` is the time
     after the first estimate from which on the start has no effect any more,
-    0 where it was known and infinite where it stays unknown.
+    0 where it was known and infinite where it stays unknown. ``wear_shift``
+    is what following the wear changed, None where the model does not.
     """
 
     lines: int
@@ -66,6 +69,7 @@ class Run:
     compiled: bool
     truncated: bool
     start_known_s: float
+    wear_shift: WearShift | None
 
 
 @dataclass(frozen=True)
@@ -139,6 +143,9 @@ def stream_log(  # noqa: PLR0913
     cold = state == "cold"
     air_k = first_air_k(signal_map, path, overrides) if cold else None
     estimator = Estimator(config, present, history_known=cold, initial_k=air_k)
+    wear = WearComparison(
+        estimator, present, history_known=cold, initial_k=air_k
+    )
     monitor = RiskMonitor(config, estimator) if forecast else None
     advice = AdviceSeries(config, present)
     builder = ResultsBuilder(estimator, sinks, every_us)
@@ -146,13 +153,14 @@ def stream_log(  # noqa: PLR0913
     for events in log.events():
         if isinstance(state, Mapping) and len(events.time_us):
             first_us = int(events.time_us[0])
-            _resume(state, first_us, estimator, monitor, advice)
+            estimators = estimator, *wear.beside
+            _resume(state, first_us, estimators, monitor, advice)
             state = None
         samples = events.time_us, events.role, events.value
         if monitor is not None:
             monitor.ingest(*samples)
             advice.ingest(*samples)
-        for block in estimator.blocks(*samples):
+        for block in wear.blocks(*samples):
             start.add(block)
             if monitor is None:
                 builder.add([block])
@@ -175,23 +183,25 @@ def stream_log(  # noqa: PLR0913
         estimator.compiled,
         log.reader.truncated,
         start.known_s,
+        wear.shift,
     )
 
 
 def _resume(
     state: Mapping[str, Any],
     first_us: int,
-    estimator: Estimator,
+    estimators: Sequence[Estimator],
     monitor: RiskMonitor | None,
     advice: AdviceSeries,
 ) -> None:
     """Put *state* into all that a log is run through, from *first_us* on."""
     parked_us = parked_before_us(state, first_us)
     with naming_state():
-        resumed = resume_state(estimator, state, parked_us, first_us)
-        estimator.model_check.resume(
-            state, None if resumed.resumed else (parked_us or 0) * 1e-6
-        )
+        for estimator in estimators:
+            resumed = resume_state(estimator, state, parked_us, first_us)
+            estimator.model_check.resume(
+                state, None if resumed.resumed else (parked_us or 0) * 1e-6
+            )
         if monitor is not None:
             monitor.resume(state, parked_us, first_us)
     if resumed.resumed:

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from bstm_daemon import __version__
-from bstm_daemon.errors import MissingExtraError
+from bstm_daemon.errors import require_packages
 from bstm_daemon.files import replacing
 from bstm_daemon.report.json_file import own_fields
 from bstm_daemon.report.plots import EPOCH, node_plots
@@ -141,6 +141,17 @@ def write_page(path: Path, page: Page) -> None:
         temporary.write_text(text, encoding="utf-8")
 
 
+def require_page_packages() -> None:
+    """Refuse a page before the work for it.
+
+    Raises:
+        MissingExtraError: plotly or jinja2 is not installed.
+    """
+    require_packages(
+        "plotly", "jinja2", extra="report", purpose="the HTML report"
+    )
+
+
 def render(page: Page) -> str:
     """Return *page* as HTML.
 
@@ -148,18 +159,14 @@ def render(page: Page) -> str:
         MissingExtraError: plotly or jinja2 is not installed.
         ValueError: a plot holds NaN or infinity.
     """
-    try:
-        from jinja2 import (  # noqa: PLC0415
-            Environment,
-            FileSystemLoader,
-            StrictUndefined,
-        )
-        from plotly.offline import get_plotlyjs  # noqa: PLC0415
-    except ImportError as error:
-        package = (error.name or "plotly").partition(".")[0]
-        raise MissingExtraError(
-            package, "report", "the HTML report"
-        ) from error
+    require_page_packages()
+    from jinja2 import (  # noqa: PLC0415  (an extra)
+        Environment,
+        FileSystemLoader,
+        StrictUndefined,
+    )
+    from plotly.offline import get_plotlyjs  # noqa: PLC0415  (an extra)
+
     # a parser ends the element at this mark even inside a string
     library = get_plotlyjs().replace("</script", r"<\/script")
     style, script = (

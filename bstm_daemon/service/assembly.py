@@ -16,8 +16,7 @@ from bstm_daemon.bus.signals.signal_map import (
 )
 from bstm_daemon.config.reading import load_config, naming_file
 from bstm_daemon.engine import Engine
-from bstm_daemon.errors import BstmError, ConfigError
-from bstm_daemon.service.metrics_output import require_metrics_extra
+from bstm_daemon.errors import BstmError, ConfigError, require_packages
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -182,7 +181,8 @@ def _build_monitor(
 ) -> Monitor:
     config = override.applied(load_config(path))
     if config.metrics.enabled:
-        require_metrics_extra("[metrics] enabled = true")
+        purpose = "[metrics] enabled = true"
+        require_packages("prometheus-client", extra="metrics", purpose=purpose)
     with naming_file(path):
         if not config.bus:
             problem = "[[bus]]: none, a live service needs one"

@@ -180,6 +180,7 @@ def _of_service(status: ServiceStatus) -> Iterator[Metric]:
 
 def _of_corners(status: ServiceStatus) -> Iterator[Metric]:
     corners = status.corners
+    estimates = {name: one.estimate for name, one in corners.items()}
     yield _gauge(
         "temperature_celsius",
         "Estimated temperature of a node of a brake.",
@@ -193,27 +194,27 @@ def _of_corners(status: ServiceStatus) -> Iterator[Metric]:
     yield _gauge(
         "boiling_margin_celsius",
         "Wet boiling point of the fluid minus its temperature.",
-        {(name,): corner.margin_k for name, corner in corners.items()},
+        {(name,): one.margin_k for name, one in estimates.items()},
         "corner",
     )
     yield _gauge(
         "risk",
         "How close the fluid is to boiling: 1 for the present level.",
-        _states(RiskLevel, {(n,): c.risk for n, c in corners.items()}),
+        _states(RiskLevel, {(n,): c.level for n, c in estimates.items()}),
         *("corner", "level"),
     )
     yield _gauge(
         "validity",
         "Whether the estimate may be used: 1 for the present validity.",
-        _states(Validity, {(n,): c.validity for n, c in corners.items()}),
+        _states(Validity, {(n,): c.validity for n, c in estimates.items()}),
         *("corner", "validity"),
     )
     yield _gauge(
         "not_valid_reason",
         "Why the estimate is not valid: 1 if the reason is there.",
         {
-            (name, str(one.name).lower()): one in corner.reasons
-            for name, corner in corners.items()
+            (name, str(one.name).lower()): one in estimate.reasons
+            for name, estimate in estimates.items()
             for one in REASON_WORDS
         },
         *("corner", "reason"),
@@ -222,9 +223,9 @@ def _of_corners(status: ServiceStatus) -> Iterator[Metric]:
 
 def _of_forecast(status: ServiceStatus) -> Iterator[Metric]:
     forecasts = {
-        (name,): corner.forecast
+        (name,): forecast
         for name, corner in status.corners.items()
-        if corner.forecast is not None
+        if (forecast := corner.estimate.risk) is not None
     }
     for name, attribute, text in _FORECAST_GAUGES:
         values = {key: getattr(f, attribute) for key, f in forecasts.items()}

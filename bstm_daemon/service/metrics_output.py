@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import os
 from contextlib import suppress
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from bstm_daemon.errors import FileAccessError, MissingExtraError, UsageError
+from bstm_daemon.errors import FileAccessError, UsageError, require_packages
 from bstm_daemon.files import replacing
 from bstm_daemon.service import events
 
@@ -21,17 +20,6 @@ if TYPE_CHECKING:
 
 FILE_MODE: Final = 0o644
 """node_exporter runs as another user and must read the file."""
-
-
-def require_metrics_extra(purpose: str) -> None:
-    """Check that prometheus-client is there for *purpose*.
-
-    Raises:
-        MissingExtraError: it is not installed.
-    """
-    package = "prometheus-client"
-    if find_spec(package.replace("-", "_")) is None:
-        raise MissingExtraError(package, "metrics", purpose)
 
 
 class MetricsOutput:
@@ -48,7 +36,9 @@ class MetricsOutput:
             MissingExtraError: a page, and no prometheus-client.
         """
         if port is not None:
-            require_metrics_extra("--metrics-port")
+            require_packages(
+                "prometheus-client", extra="metrics", purpose="--metrics-port"
+            )
         self._log = log
         self._port = port
         self._metrics: StatusMetrics | None = None

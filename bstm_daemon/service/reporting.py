@@ -7,6 +7,7 @@ changed. Nothing here influences the estimate.
 from __future__ import annotations
 
 from collections import Counter
+from dataclasses import replace
 from functools import reduce
 from math import isfinite
 from operator import or_
@@ -20,8 +21,7 @@ from bstm_daemon.model.heat.plausibility import reasons
 from bstm_daemon.service import events
 from bstm_daemon.service.metrics_output import MetricsOutput
 from bstm_daemon.service.recorder import Recorder
-from bstm_daemon.service.status import status_line
-from bstm_daemon.service.status_collector import StatusCollector
+from bstm_daemon.service.status import collected, loop_status, status_line
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -98,9 +98,6 @@ class ServiceReporter:
             except RuntimeError as error:  # there can be no more threads
                 self._log.emit(events.RECORD_FAILED, error=str(error))
         self._metrics.begin(config.metrics, monitor.path.parent)
-        self._collector = StatusCollector(
-            monitor, intake, sender, self._axis, self._start_us
-        )
         unverified = monitor.engine.unverified
         if unverified:
             inputs = ", ".join(unverified.words)
@@ -154,8 +151,13 @@ class ServiceReporter:
 
     def report(self, state_file: StateFileStatus, now_us: int) -> None:
         """Log what changed; update status line and metrics."""
-        status = self._collector.status(
-            self._flags, state_file, self._lag_us, self._longest_us, now_us
+        status = replace(
+            collected(self._monitor, self._intake, self._sender, self._flags),
+            clock_steps=self._axis.steps,
+            state_file=state_file,
+            loop=loop_status(
+                *(self._lag_us, self._longest_us, now_us - self._start_us)
+            ),
         )
         self._report_links(now_us)
         self._report_inputs(now_us)
@@ -258,17 +260,18 @@ class ServiceReporter:
 
     def _report_corners(self, status: ServiceStatus, now_us: int) -> None:
         for name, corner in status.corners.items():
-            validity = corner.validity, corner.reasons
+            estimate = corner.estimate
+            validity = estimate.validity, estimate.reasons
             if self._validity.get(name) != validity:
                 self._validity[name] = validity
                 self._log.emit(
                     events.VALIDITY_CHANGED,
                     corner=name,
-                    validity=corner.validity.name.lower(),
-                    reasons=", ".join(corner.reasons.words),
+                    validity=estimate.validity.name.lower(),
+                    reasons=", ".join(estimate.reasons.words),
                 )
             before = self._levels.get(name, RiskLevel.UNKNOWN)
-            risk = corner.sure_risk
+            risk = estimate.sure_level
             if risk is before:
                 continue
             self._levels[name] = risk
@@ -281,8 +284,8 @@ class ServiceReporter:
                 corner=name,
                 level=risk.name.lower(),
                 # JSON has no NaN
-                margin_k=round(corner.margin_k, 1)
-                if isfinite(corner.margin_k)
+                margin_k=round(estimate.margin_k, 1)
+                if isfinite(estimate.margin_k)
                 else None,
             )
             if rose and risk in KEPT_LEVELS:

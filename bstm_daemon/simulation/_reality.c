@@ -1,6 +1,7 @@
 /* The reality's brake corner, compiled: the maths of the Python modules beside
- * it, one lane after another. The chains are solved by Thomas elimination
- * instead of cyclic reduction; a test holds both together for every effect. */
+ * it, one lane after another. Chains are eliminated before the lumps, where
+ * Python solves for all nodes at once; a test holds both together for every
+ * effect. */
 #define PY_SSIZE_T_CLEAN
 #ifndef Py_LIMITED_API
 #define Py_LIMITED_API 0x030B0000
@@ -18,8 +19,8 @@ static const char *const parameter_names[] = { PARAMETERS(NAME) };
 
 typedef struct {
     Py_ssize_t lanes, steps, per_car;
-    int pads, cheeks, varies;
-    Corner *corners;
+    int varies;
+    const Corner *corners;
     State *states;
     const double *step_s, *rows;
     const unsigned char *keep;
@@ -81,34 +82,6 @@ static void advance(Batch *b, Py_ssize_t i)
     }
 }
 
-/* state of a lane in a row: t, lump_t, e, lump_e, pad_m, charred, friction */
-static double *move(double *row, double *member, size_t count, int load)
-{
-    if (load)
-        memcpy(member, row, sizeof(double) * count);
-    else
-        memcpy(row, member, sizeof(double) * count);
-    return row + count;
-}
-
-static void exchange_states(Batch *b, double *row, int load)
-{
-    for (Py_ssize_t lane = 0; lane < b->lanes; lane++) {
-        State *s = &b->states[lane];
-        size_t n = (size_t)b->corners[lane].nodes;
-        for (int side = 0; side < SIDES; side++)
-            row = move(row, s->t[side], n, load);
-        row = move(row, s->lump_t, LUMPS, load);
-        for (int side = 0; side < SIDES; side++)
-            row = move(row, s->e[side], n, load);
-        row = move(row, s->lump_e, LUMPS, load);
-        row = move(row, s->pad_m, SIDES, load);
-        for (int side = 0; side < SIDES; side++)
-            row = move(row, s->charred[side], (size_t)b->pads, load);
-        row = move(row, &s->friction_j, 1, load);
-    }
-}
-
 static int run(Batch *b)
 {
     int interrupted = 0;
@@ -125,20 +98,26 @@ static int run(Batch *b)
     return interrupted;
 }
 
-enum { TABLE, DEPTHS, STEP, KEEP, ROWS, STATE, RECORD, POWERS, FRICTION,
-       LEDGER, BUFFERS };
+enum { CORNERS, STEP, KEEP, ROWS, STATE, RECORD, POWERS, FRICTION, LEDGER,
+       BUFFERS };
 
-static int check_sizes(const Py_buffer *v, Py_ssize_t lanes,
-                       Py_ssize_t steps, int pads, int cheeks)
+static int check_sizes(const Py_buffer *v, Py_ssize_t lanes, Py_ssize_t steps)
 {
-    const Py_ssize_t word = sizeof(double), nodes = 1 + pads + cheeks;
-    Py_ssize_t kept = 0;
+    const Py_ssize_t word = sizeof(double);
+    const Corner *const corners = v[CORNERS].buf;
+    Py_ssize_t kept = 0, nodes = lanes ? corners->nodes : 0;
+    for (Py_ssize_t lane = 0; lane < lanes; lane++)
+        if (corners[lane].nodes != nodes || nodes > MAX_NODES || nodes < 3
+            || corners[lane].pads < 2 || corners[lane].cheeks < 1
+            || corners[lane].surface != corners[lane].pads + 1
+            || corners[lane].surface + corners[lane].cheeks != nodes)
+            nodes = -1;
     for (Py_ssize_t i = 0; i < v[KEEP].len; i++)
         kept += ((const unsigned char *)v[KEEP].buf)[i] != 0;
-    Py_ssize_t row = SIDES * (2 * nodes + 1 + pads) + 2 * LUMPS + 1;
     const Py_ssize_t wanted[BUFFERS] = {
-        PARAMETER_COUNT * lanes * word, cheeks * word, steps * word, steps,
-        steps * INPUTS * lanes * word, lanes * row * word,
+        nodes < 0 ? 0 : lanes * (Py_ssize_t)sizeof(Corner), steps * word,
+        steps, steps * INPUTS * lanes * word,
+        lanes * (Py_ssize_t)sizeof(State),
         kept * lanes * (SIDES * nodes + LUMPS) * word, steps * lanes * word,
         steps * lanes * word, 2 * lanes * word,
     };
@@ -152,31 +131,27 @@ static int check_sizes(const Py_buffer *v, Py_ssize_t lanes,
     return 0;
 }
 
-static PyObject *march_buffers(Py_buffer *v, int pads, Py_ssize_t per_car)
+PyDoc_STRVAR(march_doc,
+"march(corners, step_s, keep, rows, state, record, power, friction, ledger,\n"
+"      varies, corners_per_car)\n--\n\n"
+"March a batch in place; buffers are described in compiled.py.");
+
+static PyObject *march(PyObject *self, PyObject *args)
 {
-    const Py_ssize_t word = sizeof(double);
+    (void)self;
+    Py_buffer v[BUFFERS];
     Batch b = {0};
     PyObject *result = NULL;
-    b.cheeks = (int)(v[DEPTHS].len / word);
-    b.pads = pads;
-    b.steps = v[STEP].len / word;
-    b.lanes = v[LEDGER].len / (2 * word);
-    b.per_car = per_car;
-    if (pads < 2 || b.cheeks < 1 || 1 + pads + b.cheeks > MAX_NODES) {
-        PyErr_Format(PyExc_ValueError, "a mesh has at most %d nodes a side",
-                     MAX_NODES);
+    if (!PyArg_ParseTuple(args, "y*y*y*y*w*w*w*w*w*pn", &v[CORNERS], &v[STEP],
+                          &v[KEEP], &v[ROWS], &v[STATE], &v[RECORD],
+                          &v[POWERS], &v[FRICTION], &v[LEDGER], &b.varies,
+                          &b.per_car))
         return NULL;
-    }
-    if (check_sizes(v, b.lanes, b.steps, pads, b.cheeks))
-        return NULL;
-    size_t lanes = (size_t)b.lanes;
-    b.corners = calloc(lanes, sizeof(Corner));
-    b.states = calloc(lanes, sizeof(State));
-    b.now = calloc(lanes * (INPUTS + 1), sizeof(double));
-    if (!b.corners || !b.states || !b.now) {
-        PyErr_NoMemory();
-        goto done;
-    }
+    b.steps = v[KEEP].len;
+    b.lanes = v[CORNERS].len / (Py_ssize_t)sizeof(Corner);
+    b.now = calloc((size_t)b.lanes * (INPUTS + 1), sizeof(double));
+    b.corners = v[CORNERS].buf;
+    b.states = v[STATE].buf;
     b.step_s = v[STEP].buf;
     b.rows = v[ROWS].buf;
     b.keep = v[KEEP].buf;
@@ -184,54 +159,13 @@ static PyObject *march_buffers(Py_buffer *v, int pads, Py_ssize_t per_car)
     b.power = v[POWERS].buf;
     b.friction = v[FRICTION].buf;
     b.ledger = v[LEDGER].buf;
-    for (Py_ssize_t lane = 0; lane < b.lanes; lane++) {
-        Corner *c = &b.corners[lane];
-        double *p = (double *)&c->p;
-        for (Py_ssize_t k = 0; k < PARAMETER_COUNT; k++)
-            p[k] = ((const double *)v[TABLE].buf)[k * b.lanes + lane];
-        build(c, v[DEPTHS].buf, b.cheeks, pads);
-        b.varies |= friction_varies(&c->p);
-    }
-    exchange_states(&b, v[STATE].buf, 1);
-    if (!run(&b)) {
-        exchange_states(&b, v[STATE].buf, 0);
+    if (b.now == NULL)
+        PyErr_NoMemory();
+    else if (!check_sizes(v, b.lanes, b.steps) && !run(&b))
         result = Py_NewRef(Py_None);
-    }
-done:
-    free(b.corners);
-    free(b.states);
     free(b.now);
-    return result;
-}
-
-PyDoc_STRVAR(march_doc,
-"march(table, depths, step_s, keep, rows, state, record, power, friction,\n"
-"      ledger, pad_nodes, corners_per_car)\n--\n\n"
-"March a batch in place; buffers are described in compiled.py.");
-
-static PyObject *march(PyObject *self, PyObject *args)
-{
-    (void)self;
-    PyObject *objects[BUFFERS];
-    Py_buffer views[BUFFERS];
-    PyObject *result = NULL;
-    Py_ssize_t per_car;
-    int pads, held = 0;
-    if (!PyArg_ParseTuple(args, "OOOOOOOOOOin", &objects[0], &objects[1],
-                          &objects[2], &objects[3], &objects[4], &objects[5],
-                          &objects[6], &objects[7], &objects[8], &objects[9],
-                          &pads, &per_car))
-        return NULL;
-    for (; held < BUFFERS; held++) {
-        int flags = held < STATE ? PyBUF_C_CONTIGUOUS
-                                 : PyBUF_C_CONTIGUOUS | PyBUF_WRITABLE;
-        if (PyObject_GetBuffer(objects[held], &views[held], flags))
-            goto done;
-    }
-    result = march_buffers(views, pads, per_car);
-done:
-    while (held-- > 0)
-        PyBuffer_Release(&views[held]);
+    for (int i = 0; i < BUFFERS; i++)
+        PyBuffer_Release(&v[i]);
     return result;
 }
 

@@ -2,6 +2,7 @@
  * _reality.c. */
 #ifndef BSTM_REALITY_PATHS_H
 #define BSTM_REALITY_PATHS_H
+#include <stdint.h>
 #include <string.h>
 
 #include "_reality_materials.h"
@@ -16,17 +17,17 @@ enum { SPEED, POWER, PRESSURE, CONTACT, AMBIENT, WETNESS, PUMPING, INPUTS };
 
 static const double SIGMA = 5.670374419e-8;
 
+/* compiled.py has the same layout of both */
 typedef struct {
     Parameters p;
-    int pads, cheeks, nodes, surface;
     double cheek_kg[MAX_NODES], gap_m[MAX_NODES];
-    double centre_kg, backplate_j_k;
-    double lump_j_k[LUMPS];
+    double centre_kg, backplate_j_k, lump_j_k[LUMPS];
+    int32_t pads, cheeks, nodes, surface;
 } Corner;
 
 typedef struct {
-    double t[SIDES][MAX_NODES], e[SIDES][MAX_NODES];
-    double lump_t[LUMPS], lump_e[LUMPS];
+    double t[SIDES][MAX_NODES], lump_t[LUMPS];
+    double e[SIDES][MAX_NODES], lump_e[LUMPS];
     double pad_m[SIDES], charred[SIDES][MAX_NODES], friction_j;
 } State;
 
@@ -54,35 +55,6 @@ static double pad_kg(const Corner *c, const State *s, int side, int i)
 {
     return pad_weight(c, i)
            * (c->p.pad_density_kg_m3 * c->p.pad_area_m2 * s->pad_m[side]);
-}
-
-static void build(Corner *c, const double *depths, int cheeks, int pads)
-{
-    const Parameters *p = &c->p;
-    double thickness = p->cheek_thickness_m * (1.0 - 0.08 * p->disc_wear);
-    double cheek_kg = p->iron_density_kg_m3 * p->face_area_m2 * thickness;
-    double fresh = p->iron_density_kg_m3 * p->face_area_m2
-                   * p->cheek_thickness_m;
-    c->pads = pads;
-    c->cheeks = cheeks;
-    c->surface = 1 + pads;
-    c->nodes = 1 + pads + cheeks;
-    for (int i = 0; i < cheeks; i++) {
-        double next = i + 1 < cheeks ? depths[i + 1] : 1.0;
-        double from = i ? (depths[i - 1] + depths[i]) / 2 : 0.0;
-        double to = i + 1 < cheeks ? (depths[i] + next) / 2 : 1.0;
-        c->cheek_kg[i] = (to - from) * cheek_kg;
-        c->gap_m[i] = (next - depths[i]) * thickness;
-    }
-    c->centre_kg = p->ring_mass_kg - 2 * fresh;
-    c->backplate_j_k = 7850.0 * 480.0 * p->backplate_area_m2
-                       * p->backplate_thickness_m;
-    const double lumps[LUMPS] = {
-        0.0, p->hat_capacity_j_k, p->hub_capacity_j_k,
-        p->piston_capacity_j_k, p->fluid_capacity_j_k, p->body_capacity_j_k,
-        p->finger_capacity_j_k, p->bracket_capacity_j_k, p->air_capacity_j_k,
-    };
-    memcpy(c->lump_j_k, lumps, sizeof lumps);
 }
 
 static void capacities(const Corner *c, const State *s, Paths *h)

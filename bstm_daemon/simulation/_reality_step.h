@@ -1,5 +1,5 @@
-/* One step of a brake corner: the maths of solver.py, linings.py and
- * reality.py. Part of _reality.c. */
+/* One step of a brake corner: the maths of linings.py and reality.py. Part of
+ * _reality.c. */
 #ifndef BSTM_REALITY_STEP_H
 #define BSTM_REALITY_STEP_H
 #include "_reality_paths.h"
@@ -214,12 +214,6 @@ static double friction_factor(const Corner *c, const State *s, double v,
                     * (1.0 - 0.15 * p->friction_pressure * press)
                     * (1.0 - 0.25 * p->friction_history * bedded),
                 0.05);
-}
-
-static int friction_varies(const Parameters *p)
-{
-    return p->friction_fade != 0.0 || p->friction_speed != 0.0
-           || p->friction_pressure != 0.0 || p->friction_history != 0.0;
 }
 
 static void step(const Corner *c, State *s, const double *in, double dt,

@@ -117,7 +117,8 @@ class Lanes:
         )
         self.surface = self.pad.stop
         self.chain_nodes = self.cheek.stop
-        self.ports = [0, self.surface, self.chain_nodes - 1]
+        self.first_lump = 2 * self.chain_nodes
+        self.nodes = self.first_lump + len(LUMPS)
 
         pad_weight = np.full(mesh.pad_nodes, 1.0 / (mesh.pad_nodes - 1))
         pad_weight[[0, -1]] /= 2
@@ -166,6 +167,16 @@ class Lanes:
         self.shields = bool(np.any(p.dust_shield))
         self.bump = p.disc_capacity_hot
         self.boils = bool(np.any(p.fluid_latent_heat))
+
+    def joined(self, chain: Array, lumps: Array) -> Array:
+        """Return all nodes of each lane, chain by chain, (lanes, nodes)."""
+        chains = chain.transpose(2, 1, 0).reshape(self.count, -1)
+        return np.concatenate((chains, lumps.T), axis=1)
+
+    def split(self, nodes: Array) -> tuple[Array, Array]:
+        """Return the chain and the lump array that were joined."""
+        chains = nodes[:, : self.first_lump].reshape(self.count, 2, -1)
+        return chains.transpose(2, 1, 0), nodes[:, self.first_lump :].T
 
     def pad_kg(self, state: State) -> Array:
         """Return the mass of every lining node [kg], (nodes, 2, lanes)."""

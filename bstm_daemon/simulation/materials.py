@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 Array = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.intp]
 
 REFERENCE_K: Final = 293.15
 """Temperature at which specific enthalpies are 0."""

@@ -34,7 +34,7 @@ from bstm_daemon.units import STEFAN_BOLTZMANN_W_M2K4
 
 if TYPE_CHECKING:
     from bstm_daemon.simulation.march import Inputs
-    from bstm_daemon.simulation.materials import Array
+    from bstm_daemon.simulation.materials import Array, Indices
 
 _STEEL_CONDUCTIVITY_W_MK = 48.0
 _VENT_HALF_GAP_M = 0.004
@@ -95,25 +95,19 @@ _DAMPER_WS_M = 1.5
 
 @dataclass(slots=True)
 class Paths:
-    """Conductances [W/K] and sources [W] at one instant.
+    """Conductances [W/K], sources [W] and capacities [J/K] at one instant.
 
-    Shapes: ``link`` (n - 1, 2, lanes); ``coupling`` (lanes, 6, lumps), port
-    to lump, ports ordered side by side; ``between`` (lanes, lumps, lumps)
-    Laplacian of the lumps; ``surface_out`` (2, lanes) and ``lump_out``
-    (lumps, lanes) to the ambient; ``lump_gain_w`` (lumps, lanes) what is
-    not of the brake; sources and capacities [J/K] by node.
+    ``conductance`` (lanes, nodes, nodes) times the excess over the ambient is
+    what leaves each node, ``to_ambient`` (lanes, nodes) the part of it that
+    leaves the corner; ``source_w`` and ``capacity_j_k`` are (lanes, nodes),
+    ``heat_in_w`` (lanes,) is the friction's.
     """
 
-    link: Array
-    coupling: Array
-    between: Array
-    surface_out: Array
-    lump_out: Array
-    chain_source: Array
+    conductance: Array
+    to_ambient: Array
+    source_w: Array
     heat_in_w: Array
-    lump_gain_w: Array
-    chain_capacity: Array
-    lump_capacity: Array
+    capacity_j_k: Array
 
 
 def _radiation(a_k: Array, b_k: Array, exchange_m2: Array | float) -> Array:
@@ -139,34 +133,35 @@ def radiating_share(speed_ms: Array, driving: Array) -> Array:
 def paths(lanes: Lanes, state: State, inputs: Inputs) -> Paths:
     """Return all conductances and sources of *state* under *inputs*."""
     p = lanes.p
-    t_surface = state.chain_k[lanes.surface]
-    t_front = state.chain_k[lanes.surface - 1]
-    link = _chain_links(lanes, state, inputs, t_front, t_surface)
     v = inputs.speed_ms
-    cooling = _cooling(lanes, state, v)
-    coupling = _couplings(lanes, state, inputs, cooling[0])
-    between = _lump_links(lanes, v, cooling[1])
+    faces, vent = _cooling(lanes, state, v)
+    matrix = np.zeros((lanes.count, lanes.nodes, lanes.nodes))
+    for side, link in enumerate(_chain_links(lanes, state, inputs)):
+        nodes = lanes.chain_nodes * side + np.arange(lanes.chain_nodes)
+        _join(matrix, nodes[:-1], nodes[1:], link)
+    _join_chains_to_lumps(lanes, state, inputs, faces, matrix)
+    _join_lumps(lanes, v, vent, matrix)
     if lanes.shields:
-        _shield(lanes, state, v, coupling, between)
+        _shield(lanes, state, v, matrix)
     radiates = radiating_share(v, p.disc_radiation_driving)
-    surface_out = _radiation(
-        t_surface,
+    chain_out = np.zeros_like(state.chain_k)
+    chain_out[lanes.surface] = _radiation(
+        state.chain_k[lanes.surface],
         inputs.ambient_k,
         p.face_emissivity * p.face_air_area_m2 * radiates,
     )
     lump_out = _ambient_links(lanes, state, inputs, radiates)
+    to_ambient = lanes.joined(chain_out, lump_out)
+    # what a node gives to all others
+    own = np.arange(lanes.nodes)
+    matrix[:, own, own] = to_ambient - matrix.sum(axis=2)
     chain_source, heat_in = _sources(lanes, state, inputs)
     return Paths(
-        link,
-        coupling,
-        between,
-        surface_out,
-        lump_out,
-        chain_source,
+        matrix,
+        to_ambient,
+        lanes.joined(chain_source, _damper_power(lanes, v)),
         heat_in,
-        _damper_power(lanes, v),
-        lanes.chain_capacity(state),
-        lanes.lump_capacity(state),
+        lanes.joined(lanes.chain_capacity(state), lanes.lump_capacity(state)),
     )
 
 
@@ -189,16 +184,11 @@ def _cooling(lanes: Lanes, state: State, v: Array) -> tuple[Array, Array]:
     return faces, vent
 
 
-def _chain_links(
-    lanes: Lanes,
-    state: State,
-    inputs: Inputs,
-    t_front: Array,
-    t_surface: Array,
-) -> Array:
+def _chain_links(lanes: Lanes, state: State, inputs: Inputs) -> Array:
+    """Return the links along each chain, (2, lanes, chain nodes - 1)."""
     p = lanes.p
-    nodes = lanes.chain_nodes
-    link = np.empty((nodes - 1, 2, lanes.count))
+    t_front, t_surface = state.chain_k[lanes.surface - 1 : lanes.surface + 1]
+    link = np.empty((lanes.chain_nodes - 1, 2, lanes.count))
     link[0] = p.backplate_area_m2 / (
         p.backplate_thickness_m / (2 * _STEEL_CONDUCTIVITY_W_MK)
     )
@@ -229,14 +219,13 @@ def _chain_links(
         / (inputs.pressure_pa + _CONTACT_PA)
     )
     link[lanes.surface - 1] = interface
-    return link
+    return link.transpose(1, 2, 0)
 
 
-def _couplings(
-    lanes: Lanes, state: State, inputs: Inputs, faces: Array
-) -> Array:
+def _join_chains_to_lumps(
+    lanes: Lanes, state: State, inputs: Inputs, faces: Array, matrix: Array
+) -> None:
     p = lanes.p
-    coupling = np.zeros((lanes.count, 6, len(LUMPS)))
     shim = p.pad_area_m2 / p.shim_resistance_m2k_w
     loose = (
         _SHIM_LOOSE * p.shim_contact * np.exp(-inputs.pressure_pa / _SHIM_PA)
@@ -263,23 +252,24 @@ def _couplings(
     bridge = materials.iron_conductivity(cheek_k) / to_vanes_per_m
     t_surface = state.chain_k[lanes.surface]
     for side, behind, bypass in ((0, PISTON, BODY), (1, FINGER, FINGER)):
-        back, surface, last = 3 * side, 3 * side + 1, 3 * side + 2
-        coupling[:, back, behind] = shim
-        coupling[:, back, bypass] += across[side]
-        coupling[:, back, BRACKET] = bracket
-        coupling[:, back, AIR] = loss[side]
-        coupling[:, surface, AIR] = faces[side]
-        coupling[:, surface, bypass] = _radiation(
-            t_surface[side],
-            state.lump_k[bypass],
-            p.face_emissivity * _VIEW_OF_DISC_M2 * p.disc_caliper_radiation,
-        )
-        coupling[:, last, CENTRE] = bridge[side]
-    return coupling
+        back = lanes.chain_nodes * side
+        surface, last = back + lanes.surface, back + lanes.chain_nodes - 1
+        view = p.face_emissivity * _VIEW_OF_DISC_M2 * p.disc_caliper_radiation
+        bypass_k = state.lump_k[bypass]
+        for node, lump, conductance in (
+            (back, behind, shim),
+            (back, bypass, across[side]),
+            (back, BRACKET, bracket),
+            (back, AIR, loss[side]),
+            (surface, AIR, faces[side]),
+            (surface, bypass, _radiation(t_surface[side], bypass_k, view)),
+            (last, CENTRE, bridge[side]),
+        ):
+            _join(matrix, node, lanes.first_lump + lump, conductance)
 
 
-def _lump_links(lanes: Lanes, v: Array, vent: Array) -> Array:
-    p = lanes.p
+def _join_lumps(lanes: Lanes, v: Array, vent: Array, matrix: Array) -> None:
+    p, first = lanes.p, lanes.first_lump
     split = p.caliper_fluid_split
     caliper = mixed(p.caliper_natural_w_k, p.caliper_forced_w_k * v**0.7)
     pairs = (
@@ -293,22 +283,18 @@ def _lump_links(lanes: Lanes, v: Array, vent: Array) -> Array:
         (BODY, AIR, 0.6 * caliper),
         (FINGER, AIR, 0.4 * caliper),
     )
-    matrix = np.zeros((lanes.count, len(LUMPS), len(LUMPS)))
     for a, b, conductance in pairs:
-        _join(matrix, a, b, conductance)
-    return matrix
+        _join(matrix, first + a, first + b, conductance)
 
 
-def _join(matrix: Array, a: int, b: int, conductance: Array) -> None:
+def _join(
+    matrix: Array, a: Indices | int, b: Indices | int, conductance: Array
+) -> None:
     matrix[:, a, b] -= conductance
     matrix[:, b, a] -= conductance
-    matrix[:, a, a] += conductance
-    matrix[:, b, b] += conductance
 
 
-def _shield(
-    lanes: Lanes, state: State, v: Array, coupling: Array, between: Array
-) -> None:
+def _shield(lanes: Lanes, state: State, v: Array, matrix: Array) -> None:
     """Add the dust shield behind the piston's face.
 
     A sheet of steel behind the disc, bolted to the caliper's lug. Face and
@@ -326,9 +312,10 @@ def _shield(
     )
     away = _SHEET_M2 * (_SHEET_W_M2K + _SHEET_BLOWN_W_M2K * blown)
     share = lanes.p.dust_shield / (near + _LUG_W_K + away)
-    coupling[:, 1, BODY] += share * near * _LUG_W_K
-    coupling[:, 1, AIR] += share * near * away
-    _join(between, BODY, AIR, share * _LUG_W_K * away)
+    body, air = lanes.first_lump + BODY, lanes.first_lump + AIR
+    _join(matrix, lanes.surface, body, share * near * _LUG_W_K)
+    _join(matrix, lanes.surface, air, share * near * away)
+    _join(matrix, body, air, share * _LUG_W_K * away)
 
 
 def _duct_loss(lanes: Lanes, centre_k: Array, v: Array) -> Array:

@@ -19,7 +19,6 @@ from bstm_daemon.simulation.lanes import (
     CENTRE,
     FLUID,
     HAT,
-    LUMPS,
     Lanes,
     State,
     start_state,
@@ -40,7 +39,6 @@ from bstm_daemon.simulation.march import (
 )
 from bstm_daemon.simulation.network import Paths, paths
 from bstm_daemon.simulation.parameters import DEFAULT_MESH
-from bstm_daemon.simulation.solver import Arrow, solve_arrow
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -144,63 +142,30 @@ def _euler(
     lanes: Lanes, state: State, here: Paths, inputs: Inputs, dt: float
 ) -> tuple[State, Array]:
     """One linearly implicit step; returns state and heat out [J]."""
-    chain_k, lump_k = state.chain_k, state.lump_k
-    ambient = inputs.ambient_k
-    surface = lanes.surface
-    at_ports = chain_k[lanes.ports].transpose(2, 1, 0).reshape(-1, 6)
-    lumps_first = lump_k.T
-    to_lumps = here.coupling.sum(axis=2)
-    from_ports = here.coupling.sum(axis=1)
+    excess = lanes.joined(state.chain_k, state.lump_k)
+    excess -= inputs.ambient_k[:, None]
+    gain_w = here.source_w - (here.conductance @ excess[:, :, None])[:, :, 0]
+    matrix = dt * here.conductance
+    own = np.arange(lanes.nodes)
+    matrix[:, own, own] += here.capacity_j_k
+    found = np.linalg.solve(matrix, dt * gain_w[:, :, None])
+    rise = np.asarray(found[:, :, 0], np.float64)
 
-    flow = here.link * (chain_k[1:] - chain_k[:-1])
-    gain = here.chain_source.copy()
-    gain[:-1] += flow
-    gain[1:] -= flow
-    port_gain = (here.coupling @ lumps_first[:, :, None])[:, :, 0]
-    port_gain -= to_lumps * at_ports
-    gain[lanes.ports] += port_gain.reshape(-1, 2, 3).T
-    gain[surface] -= here.surface_out * (chain_k[surface] - ambient)
-    lump_gain = (at_ports[:, None, :] @ here.coupling)[:, 0, :]
-    lump_gain -= from_ports * lumps_first
-    lump_gain -= (here.between @ lumps_first[:, :, None])[:, :, 0]
-    lump_gain = lump_gain.T - here.lump_out * (lump_k - ambient)
-    lump_gain += here.lump_gain_w
-
-    capacity, lump_capacity = here.chain_capacity, here.lump_capacity
-    diagonal = capacity.copy()
-    diagonal[:-1] += dt * here.link
-    diagonal[1:] += dt * here.link
-    diagonal[lanes.ports] += dt * to_lumps.reshape(-1, 2, 3).T
-    diagonal[surface] += dt * here.surface_out
-    matrix = dt * here.between
-    index = np.arange(len(LUMPS))
-    matrix[:, index, index] += (
-        lump_capacity + dt * here.lump_out
-    ).T + dt * from_ports
-    rise, lump_rise = solve_arrow(
-        Arrow(
-            diagonal,
-            dt * here.link,
-            dt * here.coupling,
-            matrix,
-            lanes.ports,
-        ),
-        dt * gain,
-        dt * lump_gain,
-    )
+    chain_rise, lump_rise = lanes.split(rise)
+    chain_gain, lump_gain = lanes.split(here.capacity_j_k * rise)
     settled = _settle(
         lanes,
-        replace(state, chain_k=chain_k + rise, lump_k=lump_k + lump_rise),
-        state.chain_j + capacity * rise,
-        state.lump_j + lump_capacity * lump_rise,
+        replace(
+            state,
+            chain_k=state.chain_k + chain_rise,
+            lump_k=state.lump_k + lump_rise,
+        ),
+        state.chain_j + chain_gain,
+        state.lump_j + lump_gain,
     )
-    out = here.surface_out * (chain_k[surface] + rise[surface] - ambient)
-    lump_out = here.lump_out * (lump_k + lump_rise - ambient)
-    lost = out.sum(axis=0) + lump_out.sum(axis=0) + here.heat_in_w
-    lost -= here.chain_source.sum(axis=(0, 1))
     # heat of other parts is a loss below 0: friction is all that comes in
-    lost -= here.lump_gain_w.sum(axis=0)
-    return settled, dt * lost
+    lost = (here.to_ambient * (excess + rise) - here.source_w).sum(axis=1)
+    return settled, dt * (lost + here.heat_in_w)
 
 
 def _settle(lanes: Lanes, near: State, chain_j: Array, lump_j: Array) -> State:

@@ -12,8 +12,6 @@ from bstm_daemon.watch.board import NODES, STATUS
 from bstm_daemon.watch.history import SECOND_US
 
 if TYPE_CHECKING:
-    from types import TracebackType
-
     from bstm_daemon.watch.board import Board
 
 LABELS: Final = dict(
@@ -55,12 +53,7 @@ class LineView(AbstractContextManager["LineView"]):
     def linger(self) -> None:
         """Stay until the user leaves, where there is one."""
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         """Leave the stream open: it is the caller's."""
 
 

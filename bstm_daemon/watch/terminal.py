@@ -25,7 +25,7 @@ from bstm_daemon.watch.lines import LineView
 from bstm_daemon.watch.picture import picture
 
 if TYPE_CHECKING:
-    from types import FrameType, TracebackType
+    from types import FrameType
 
     from bstm_daemon.watch.board import Board
 
@@ -127,12 +127,7 @@ class TerminalView(LineView):
         self._take()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         """Give the terminal back."""
         self._give_back()
         for number, handler in self._handlers.items():

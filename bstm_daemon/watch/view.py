@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import os
-from importlib.util import find_spec
 from typing import TYPE_CHECKING, Final
 
-from bstm_daemon.errors import MissingExtraError
+from bstm_daemon.errors import require_packages
 from bstm_daemon.watch.lines import LineView
 
 if TYPE_CHECKING:
@@ -26,11 +25,8 @@ def open_view(stream: TextIO) -> LineView:
     """
     if not stream.isatty() or os.environ.get("TERM") in _NO_SCREEN:
         return LineView(stream)
-    if find_spec("rich") is None:
-        purpose = "the view on a terminal (| cat gives lines without it)"
-        raise MissingExtraError(
-            package="rich", extra="terminal", purpose=purpose
-        )
+    purpose = "the view on a terminal (| cat gives lines without it)"
+    require_packages("rich", extra="terminal", purpose=purpose)
     from bstm_daemon.watch.terminal import (  # noqa: PLC0415  (POSIX, rich)
         TerminalView,
     )

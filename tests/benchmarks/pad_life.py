@@ -326,11 +326,14 @@ def _pieces(inputs: LaneInputs) -> Iterator[LaneInputs]:
 
 
 def car(pace: float, **wear: Any) -> Config:
-    """Return the example car's front left brake; expects *pace*."""
+    """Return the example car's front left brake; expects *pace*.
+
+    The model follows the wear, unless *wear* says otherwise.
+    """
     config = load_config(shipped_file("config/example_vehicle.toml"))
     expected = config.wear.pad_wear_m3_j * pace
     changed = config.wear.model_copy(
-        update={"pad_wear_m3_j": expected, **wear}
+        update={"pad_wear_m3_j": expected, "model_follows": True, **wear}
     )
     return config.model_copy(
         update={"wear": changed, "corner": config.corner[:1]}
@@ -404,10 +407,12 @@ PACES: Final = {"calm": 4.0, "brisk": 1.0, "hard": 1.0}
 """Quick lives: where no face is hot, faster wear changes nothing else."""
 
 HEARD: Final = {
-    "no switch": (),
-    "pads_new, pad_worn_1mm": SWITCHES[:2],
-    "all three": SWITCHES,
+    "no switch": ((), True),
+    "pads_new, pad_worn_1mm": (SWITCHES[:2], True),
+    "all three": (SWITCHES, True),
+    "all three, not followed": (SWITCHES, False),
 }
+"""The switches, and whether the thermal model follows the wear."""
 
 
 def run(*, full: bool) -> Outcome:
@@ -419,9 +424,11 @@ def run(*, full: bool) -> Outcome:
         rows += [
             (
                 f"{driver.name}, {name}",
-                *cells(estimate(truth, car(pace), roles)),
+                *cells(
+                    estimate(truth, car(pace, model_follows=follows), roles)
+                ),
             )
-            for name, roles in HEARD.items()
+            for name, (roles, follows) in HEARD.items()
         ]
     return Outcome(
         "Pad lives",

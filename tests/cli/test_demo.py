@@ -44,13 +44,13 @@ def test_demo(tmp_path: Path) -> None:
     rows = re.findall(
         r"^ +(\d+) min +(driving|parked) +(.*)$", result.stdout, re.MULTILINE
     )
-    assert [int(row[0]) for row in rows] == list(range(0, 86, 5))
+    assert [int(row[0]) for row in rows] == list(range(0, 41, 5))
     assert {row[1] for row in rows} == {"driving", "parked"}
     values = [[float(cell) for cell in row[2].split()] for row in rows]
     assert {len(row) for row in values} == {8}
     assert max(row[0] for row in values) > 450.0
     peaks = re.findall(
-        r"F[LR] +([\d.]+) / +([\d.]+) degC +at +([\d.]+) / +([\d.]+) min",
+        r"[FR]L +([\d.]+) / +([\d.]+) degC +at +([\d.]+) / +([\d.]+) min",
         result.stdout,
     )
     assert len(peaks) == 2
@@ -69,4 +69,4 @@ def test_demo(tmp_path: Path) -> None:
     assert not re.search(r"https?://|@import", markup)
     assert not re.search(r"<script[^>]+src|<link[^>]+href", page)
     with (folder / "estimates.csv").open(newline="") as file:
-        assert sum(1 for _ in csv.reader(file)) > 50_000
+        assert sum(1 for _ in csv.reader(file)) >= 24_000

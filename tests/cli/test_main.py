@@ -238,3 +238,24 @@ def test_commands_are_found_in_their_table_only() -> None:
     """No other module of the room can be called by its name."""
     assert "progress" not in entry.COMMANDS
     assert main(["progress"]) == 2
+
+
+@pytest.mark.parametrize(
+    ("package", "argv"),
+    [
+        ("plotly", ["verify", "a.log", "--report", "a.html"]),
+        ("jinja2", ["gap", "run", "a.log", "--report", "a.html"]),
+        ("tomlkit", ["match", "a.log", "-o", "a.toml"]),
+        ("tomlkit", ["gap", "run", "a.log", "-o", "a.toml"]),
+    ],
+)
+def test_an_absent_package_is_named_before_any_file_is_read(
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    package: str,
+    argv: list[str],
+) -> None:
+    monkeypatch.setitem(sys.modules, package, None)
+
+    assert main([*argv, "-c", "a.toml"]) == 2
+    assert f"needs the package '{package}'" in capsys.readouterr().err

@@ -3,45 +3,25 @@
 import json
 import math
 import re
-from pathlib import Path
 from typing import Any
 
 import pytest
 from pydantic import BaseModel, ValidationError
 
 from bstm_daemon.bus.output.layout import BLOCK_IDS
-from bstm_daemon.config import estimates as config_estimates
 from bstm_daemon.config import sections as config
 from bstm_daemon.config import service as config_service
-from bstm_daemon.config.wording import allowed
+from bstm_daemon.config.schema import config_schema
+from bstm_daemon.config.thermal import CoolingConfig, ThermalConfig
 from bstm_daemon.simulation.drives import DriveHead, Segment
 
-REFERENCE = Path(__file__).parents[2] / "docs" / "reference.md"
-
-SECTIONS: dict[str, type[config.Section]] = {
-    "`[vehicle]`": config.VehicleConfig,
-    "`[[bus]]`": config.BusConfig,
-    "`[signals.<role>]`": config.SignalConfig,
-    "`[table]`": config.TableConfig,
-    "`[[corner]]`": config.CornerConfig,
-    "`[[corner]]` `disc`": config.DiscConfig,
-    "`[[corner]]` `pad`": config.PadConfig,
-    "`[thermal]`": config.ThermalConfig,
-    "`[cooling]`": config.CoolingConfig,
-    "`[accuracy]`": config.AccuracyConfig,
-    "`[heat]`": config.HeatConfig,
-    "`[fluid]`": config_estimates.FluidConfig,
-    "`[forecast]`": config_estimates.ForecastConfig,
-    "`[[effect]]`": config.EffectConfig,
-    "`[publish]`": config_service.PublishConfig,
-    "`[[e2e]]`": config.E2eConfig,
-    "`[wear]`": config.WearConfig,
-    "`[advice]`": config.AdviceConfig,
-    "`[state]`": config.StateConfig,
-    "`[daemon]`": config.DaemonConfig,
-    "`[record]`": config.RecordConfig,
-    "`[metrics]`": config.MetricsConfig,
-}
+from .reference_tables import (
+    REFERENCE,
+    SCHEMA,
+    SECTIONS,
+    schema_text,
+    with_tables,
+)
 
 DISC = {"mass_kg": 7.5, "swept_area_m2": 0.085, "total_area_m2": 0.14}
 PAD = {"area_m2": 6.5e-3, "thickness_m": 0.011}
@@ -96,30 +76,29 @@ def test_reference_has_every_section() -> None:
     assert len(SECTIONS) == len(config.Config.model_fields) + 2
 
 
-@pytest.mark.parametrize("heading", SECTIONS)
-def test_reference_lists_every_key(heading: str) -> None:
-    """Keys and allowed values in the reference are those of the model."""
-    model = SECTIONS[heading]
-    expected = {key: allowed(model, key) for key in model.model_fields}
-    found = {key: kind for key, (kind, _) in documented(heading).items()}
+def test_the_reference_has_the_keys_of_the_models() -> None:
+    """Keys, allowed values, defaults and meanings; the command is there."""
+    text = REFERENCE.read_text(encoding="utf-8")
 
-    assert expected == found
+    assert with_tables(text) == text
 
 
-@pytest.mark.parametrize("heading", SECTIONS)
-def test_reference_gives_every_default(heading: str) -> None:
-    """Defaults in the reference are those of the model."""
-    model = SECTIONS[heading]
-    expected = {
-        key: "required" if field.is_required() else field.get_default()
-        for key, field in model.model_fields.items()
-    }
-    found = {
-        key: default if default == "required" else written(default)
-        for key, (_, default) in documented(heading).items()
-    }
+def test_the_shipped_schema_is_that_of_the_models() -> None:
+    assert SCHEMA.read_text(encoding="utf-8") == schema_text()
 
-    assert expected == found
+
+def test_the_schema_describes_and_bounds_a_key() -> None:
+    """What an editor shows, and refuses as the daemon would."""
+    schema = config_schema()
+    part = schema["$defs"]["VehicleConfig"]["properties"]["ambient_c"]
+
+    assert (part["minimum"], part["maximum"]) == (-60, 70)
+    assert part["description"].startswith("air temperature until the role")
+    roles = schema["properties"]["signals"]["propertyNames"]["enum"]
+    assert "primary_pressure" in roles
+    described = json.dumps(schema).count('"description"')
+    keys = sum(len(model.model_fields) for model in SECTIONS.values())
+    assert described >= keys
 
 
 @pytest.mark.parametrize(
@@ -162,7 +141,7 @@ def test_values_are_final() -> None:
         (config.SignalConfig, "scale"),
         (config.SignalConfig, "max"),
         (config.HeatConfig, "assume_powertrain_torque_nm"),
-        (config.ThermalConfig, "hot_pad_factor"),
+        (ThermalConfig, "hot_pad_factor"),
         (config.FluidConfig, "water_percent"),
     ],
 )
@@ -260,9 +239,9 @@ def test_property_is_a_number_or_a_curve() -> None:
 @pytest.mark.parametrize(
     ("model", "table"),
     [
-        (config.CoolingConfig, {"speed_ms": [0.0, 5.0], "s_per_s": [1e-3]}),
+        (CoolingConfig, {"speed_ms": [0.0, 5.0], "s_per_s": [1e-3]}),
         (
-            config.CoolingConfig,
+            CoolingConfig,
             {"speed_ms": [5.0, 5.0], "s_per_s": [1e-3, 1e-3]},
         ),
         (config.HeatConfig, {"front_pressure_pa": [0.0, 1e6]}),

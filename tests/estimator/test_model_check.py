@@ -27,8 +27,7 @@ from bstm_daemon.service.intake import Intake
 from bstm_daemon.service.metrics import StatusMetrics
 from bstm_daemon.service.reporting import ServiceReporter
 from bstm_daemon.service.sender import Sender
-from bstm_daemon.service.status import StateFileStatus, status_line
-from bstm_daemon.service.status_collector import StatusCollector
+from bstm_daemon.service.status import StateFileStatus, collected, status_line
 from bstm_daemon.simulation import parse_drive, simulate
 from bstm_daemon.simulation.frames import Encoder
 from bstm_daemon.simulation.parameters import Effects
@@ -164,7 +163,6 @@ def beside(
     sender = Sender(None, frozenset(), monitor.engine.publication)
     reporter = ServiceReporter(ServiceLog(lines), axis, folder, None)
     reporter.begin(monitor, intake, sender)
-    collector = StatusCollector(monitor, intake, sender, axis, 0)
     engine, flags = monitor.engine, []
     engine.estimator.start.end()
     status = DATABASE.get_message_by_name("BSTM_Status")
@@ -199,7 +197,7 @@ def beside(
                 0,
                 Frame(stamp_us * 1000, can_id, False, data, False, False),
             )
-    told = collector.status(0, StateFileStatus(), 0, 0, next_us)
+    told = collected(monitor, intake, sender, 0)
     reporter.close()
     intake.close()
     metrics = StatusMetrics()

@@ -93,7 +93,8 @@ def test_how_samples_are_cut_changes_nothing() -> None:
 def test_networks_of_worn_linings_change_nothing_by_the_cut() -> None:
     """Exchanged on the minute; a forecast goes by those of its time."""
     config = car()
-    wear = config.wear.model_copy(update={"pad_wear_m3_j": 1e-10})
+    followed = {"pad_wear_m3_j": 1e-10, "model_follows": True}
+    wear = config.wear.model_copy(update=followed)
     worn = config.model_copy(update={"wear": wear})
     samples = drive(65, 15)
     _, estimator, _, whole = run(worn, samples)

@@ -15,6 +15,7 @@ from prometheus_client.parser import text_string_to_metric_families
 from bstm_daemon.bus.live.link import LinkEvent, LinkState
 from bstm_daemon.estimate import (
     CarRisk,
+    CornerEstimate,
     CornerRisk,
     HeatMode,
     Input,
@@ -52,17 +53,20 @@ STATUS = ServiceStatus(
     corners={
         "FL": CornerStatus(
             {"disc": 673.15, "pad_1": 500.0, "fluid": 373.15},
-            margin_k=55.0,
-            risk=RiskLevel.ELEVATED,
-            validity=Validity.DEGRADED,
-            reasons=Reason.INPUT_MISSING | Reason.UNVERIFIED,
-            forecast=CornerRisk(
-                probability=0.25,
-                fade=RiskLevel.HIGH,
-                fluid_deviation_k=5.5,
-                peak_k=403.15,
-                peak_in_s=600.0,
-                safe_in_s=inf,
+            CornerEstimate(
+                fluid_k=373.15,
+                boiling_k=428.15,
+                level=RiskLevel.ELEVATED,
+                validity=Validity.DEGRADED,
+                reasons=Reason.INPUT_MISSING | Reason.UNVERIFIED,
+                risk=CornerRisk(
+                    probability=0.25,
+                    fade=RiskLevel.HIGH,
+                    fluid_deviation_k=5.5,
+                    peak_k=403.15,
+                    peak_in_s=600.0,
+                    safe_in_s=inf,
+                ),
             ),
         ),
         "RR": CornerStatus({"disc": nan, "fluid": nan}),

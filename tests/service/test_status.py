@@ -8,7 +8,14 @@ from math import nan
 import pytest
 
 from bstm_daemon.bus.live.link import LinkState
-from bstm_daemon.estimate import CarRisk, Input, RiskLevel, State, Validity
+from bstm_daemon.estimate import (
+    CarRisk,
+    CornerEstimate,
+    Input,
+    RiskLevel,
+    State,
+    Validity,
+)
 from bstm_daemon.service.status import (
     BusStatus,
     CornerStatus,
@@ -16,17 +23,15 @@ from bstm_daemon.service.status import (
     status_line,
 )
 
-FRONT = CornerStatus(
-    {"disc": 685.15, "fluid": 365.15},
-    margin_k=62.4,
-    risk=RiskLevel.NORMAL,
+NORMAL = CornerEstimate(
+    fluid_k=365.15,
+    boiling_k=427.55,
+    level=RiskLevel.NORMAL,
     validity=Validity.VALID,
 )
+FRONT = CornerStatus({"disc": 685.15, "fluid": 365.15}, NORMAL)
 REAR = CornerStatus(
-    {"disc": 500.0, "fluid": 370.0},
-    margin_k=57.6,
-    risk=RiskLevel.NORMAL,
-    validity=Validity.VALID,
+    {"disc": 500.0, "fluid": 370.0}, replace(NORMAL, fluid_k=369.95)
 )
 RUNNING = ServiceStatus(
     "1.2.3",
@@ -106,7 +111,7 @@ def test_the_worst_level_is_shown(
     levels: tuple[RiskLevel, RiskLevel], shown: str
 ) -> None:
     corners = {
-        name: replace(FRONT, risk=level)
+        name: CornerStatus(FRONT.nodes_k, replace(NORMAL, level=level))
         for name, level in zip(("FL", "FR"), levels, strict=True)
     }
 
@@ -118,7 +123,8 @@ def test_one_line() -> None:
 
 
 def test_the_risk_of_an_unknown_start_is_at_most_as_shown() -> None:
-    front = replace(FRONT, risk=RiskLevel.CRITICAL)
+    critical = replace(NORMAL, level=RiskLevel.CRITICAL)
+    front = CornerStatus(FRONT.nodes_k, critical)
     status = replace(
         RUNNING,
         history_known=False,

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import io
 import os
+import sys
 
 import pytest
 
 from bstm_daemon.errors import MissingExtraError
-from bstm_daemon.watch import view
 from bstm_daemon.watch.lines import LineView
 from bstm_daemon.watch.view import open_view
 
@@ -31,7 +31,7 @@ def test_a_terminal_that_cannot_move_its_cursor_gets_lines(
 def test_a_screen_needs_rich(monkeypatch: pytest.MonkeyPatch) -> None:
     master, slave = os.openpty()
     monkeypatch.setenv("TERM", "xterm")
-    monkeypatch.setattr(view, "find_spec", lambda _: None)
+    monkeypatch.setitem(sys.modules, "rich", None)
 
     with (
         os.fdopen(slave, "w") as stream,

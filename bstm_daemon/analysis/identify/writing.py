@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from bstm_daemon.errors import FileAccessError, MissingExtraError
+from bstm_daemon.errors import FileAccessError, require_packages
 from bstm_daemon.files import replacing
 
 if TYPE_CHECKING:
@@ -325,12 +325,9 @@ def changed_copy(source: Path, target: Path) -> Iterator[Any]:
 
 def _tomlkit() -> Any:
     """Return tomlkit, which is of the extra ``identify``."""
-    try:
-        import tomlkit  # noqa: PLC0415
-    except ImportError as error:
-        raise MissingExtraError(
-            package="tomlkit", extra="identify", purpose="-o NEW.toml"
-        ) from error
+    require_packages("tomlkit", extra="identify", purpose="-o NEW.toml")
+    import tomlkit  # noqa: PLC0415
+
     return tomlkit
 
 

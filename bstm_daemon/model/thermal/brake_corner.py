@@ -45,13 +45,12 @@ if TYPE_CHECKING:
 
     from bstm_daemon.config.sections import (
         Config,
-        CoolingConfig,
         CornerConfig,
         Curve,
         DiscConfig,
         PadConfig,
-        ThermalConfig,
     )
+    from bstm_daemon.config.thermal import CoolingConfig, ThermalConfig
 
 PADS: Final = 2
 """Pads of a corner."""

@@ -29,8 +29,10 @@ REFIT_M: Final = 5.0e-5
 the resolution of a switch."""
 
 THINNEST_M: Final = 5.0e-4
-LEAST_MASS: Final = 0.2
-"""Least lining thickness, and least share of a disc's mass, in the model."""
+LEAST_MASS: Final = 0.8
+"""Least lining thickness, and least share of a disc's mass, in the model. The
+discard thickness of discs is about a tenth below that of new ones; a disc that
+seems to have lost twice as much was replaced, or its rate is wrong."""
 
 KNOWN_DISTANCE_M: Final = 50_000.0
 """Least distance on the pads before a remaining distance is reported."""

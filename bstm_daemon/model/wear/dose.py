@@ -10,6 +10,7 @@ only where the heat is not from the pressure or mu is not the configured one.
 
 from __future__ import annotations
 
+from math import ceil, log2
 from typing import TYPE_CHECKING, Final
 
 from bstm_daemon.model.heat.feed_forward import PressureTorque
@@ -65,22 +66,20 @@ def with_wear_memories(
 def hot_wear(wear: WearConfig) -> Table:
     """Weight of a joule over the temperature [K] of the friction face.
 
-    1 up to ``hot_from_c``, doubling every ``hot_doubling_k`` above, at most
-    ``hot_limit``: the shape of Fig 2.7.
+    1 up to ``hot_from_c``, doubling every ``hot_doubling_k`` above, the shape
+    of Fig 2.7; at ``hot_limit`` the table ends and the weight is held. So no
+    temperature, however wrong, wears more than ``hot_limit`` times the
+    friction energy.
     """
-    start_k = wear.hot_from_c + KELVIN_OFFSET
-    points = 2
-    weight = 1.0
-    while weight < wear.hot_limit and points < 1000:
-        weight = 2.0 ** (points * _HOT_STEP_K / wear.hot_doubling_k)
-        points += 1
+    rise_k = wear.hot_doubling_k * log2(wear.hot_limit)
+    weights = (
+        2.0 ** (i * _HOT_STEP_K / wear.hot_doubling_k)
+        for i in range(max(ceil(rise_k / _HOT_STEP_K), 1) + 1)
+    )
     return Table(
-        start_k,
+        wear.hot_from_c + KELVIN_OFFSET,
         _HOT_STEP_K,
-        tuple(
-            min(2.0 ** (i * _HOT_STEP_K / wear.hot_doubling_k), wear.hot_limit)
-            for i in range(points)
-        ),
+        tuple(min(weight, wear.hot_limit) for weight in weights),
     )
 
 

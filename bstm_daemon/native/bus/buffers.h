@@ -7,27 +7,23 @@
 
 #include <stdint.h>
 
-/* Contiguous buffers of the objects, writable where asked, with items of the
- * given width. Returns -1 with an exception and nothing held on failure. */
-static inline int bstm_log_buffers(int n, PyObject **object,
-                                   const int *writable, const int *wide,
-                                   Py_buffer *view)
+static inline void bstm_release(int n, Py_buffer *view)
 {
-    for (int i = 0; i < n; i++) {
-        const int flags = writable[i] ? PyBUF_CONTIG : PyBUF_CONTIG_RO;
-        int bad = PyObject_GetBuffer(object[i], &view[i], flags) < 0;
-        if (!bad && view[i].itemsize != wide[i]) {
+    for (int i = 0; i < n; i++) PyBuffer_Release(&view[i]);
+}
+
+/* Whether buffers have items of the given widths; -1 with an exception and
+ * nothing held where one has not. */
+static inline int bstm_widths(int n, Py_buffer *view, const int *wide)
+{
+    for (int i = 0; i < n; i++)
+        if (view[i].itemsize != wide[i]) {
             PyErr_Format(PyExc_ValueError,
                          "buffer %d holds items of %zd bytes, not %d", i,
                          view[i].itemsize, wide[i]);
-            PyBuffer_Release(&view[i]);
-            bad = 1;
-        }
-        if (bad) {
-            while (i-- > 0) PyBuffer_Release(&view[i]);
+            bstm_release(n, view);
             return -1;
         }
-    }
     return 0;
 }
 

@@ -411,21 +411,20 @@ const char bstm_scan_doc[] =
 
 PyObject *bstm_scan(PyObject *Py_UNUSED(self), PyObject *args)
 {
-    PyObject *o[BUFFERS];
-    Py_ssize_t end;
-    if (!PyArg_ParseTuple(args, "OnOOOOOOOOOOO", &o[TEXT], &end, &o[NAMES],
-                          &o[KEYS], &o[STATE], &o[TIME], &o[LINE],
-                          &o[CHANNEL], &o[ID], &o[EXTENDED], &o[LENGTH],
-                          &o[DATA], &o[PENDING]))
-        return NULL;
-    static const int writable[BUFFERS] = {0, 0, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1};
     static const int wide[BUFFERS] = {1, 1, 8, 8, 8, 8, 2, 4, 1, 1, 1, 8};
     Py_buffer view[BUFFERS];
-    if (bstm_log_buffers(BUFFERS, o, writable, wide, view) < 0) return NULL;
+    Py_ssize_t end;
+    if (!PyArg_ParseTuple(args, "y*ny*w*w*w*w*w*w*w*w*w*w*", &view[TEXT],
+                          &end, &view[NAMES], &view[KEYS], &view[STATE],
+                          &view[TIME], &view[LINE], &view[CHANNEL], &view[ID],
+                          &view[EXTENDED], &view[LENGTH], &view[DATA],
+                          &view[PENDING])
+        || bstm_widths(BUFFERS, view, wide) < 0)
+        return NULL;
     const char *const wrong = wrong_with(view, end);
     /* the lock is kept, so that the text does not change meanwhile */
     const int stop = wrong == NULL ? scan(view, end) : 0;
-    for (int i = 0; i < BUFFERS; i++) PyBuffer_Release(&view[i]);
+    bstm_release(BUFFERS, view);
     if (wrong != NULL) {
         PyErr_SetString(PyExc_ValueError, wrong);
         return NULL;

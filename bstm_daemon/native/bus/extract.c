@@ -90,30 +90,27 @@ const char bstm_extract_doc[] =
 
 PyObject *bstm_extract(PyObject *Py_UNUSED(self), PyObject *args)
 {
-    PyObject *o[BUFFERS], *tables;
-    Place place;
-    if (!PyArg_ParseTuple(args, "OnnOOOOOOOOOOOO", &tables, &place.at,
-                          &place.samples, &o[E_CHANNEL], &o[E_ID],
-                          &o[E_EXTENDED], &o[E_LENGTH], &o[E_TIME],
-                          &o[E_DATA], &o[E_BUSES], &o[E_TIMES], &o[E_ROLES],
-                          &o[E_VALUES], &o[E_FRAME_COUNTS],
-                          &o[E_SAMPLE_COUNTS]))
-        return NULL;
-    static const int writable[BUFFERS] = {
-        [E_TIMES] = 1, [E_ROLES] = 1, [E_VALUES] = 1, [E_FRAME_COUNTS] = 1,
-        [E_SAMPLE_COUNTS] = 1};
     static const int wide[BUFFERS] = {2, 4, 1, 1, 8, 1, 8, 8, 4, 8, 8, 8};
+    PyObject *tables;
     Py_buffer view[BUFFERS];
+    Place place;
     Plan plan;
-    if (hold_plan(tables, &plan) < 0) return NULL;
-    if (bstm_log_buffers(BUFFERS, o, writable, wide, view) < 0) {
-        release_plan(&plan);
+    if (!PyArg_ParseTuple(args, "Onny*y*y*y*y*y*y*w*w*w*w*w*", &tables,
+                          &place.at, &place.samples, &view[E_CHANNEL],
+                          &view[E_ID], &view[E_EXTENDED], &view[E_LENGTH],
+                          &view[E_TIME], &view[E_DATA], &view[E_BUSES],
+                          &view[E_TIMES], &view[E_ROLES], &view[E_VALUES],
+                          &view[E_FRAME_COUNTS], &view[E_SAMPLE_COUNTS])
+        || bstm_widths(BUFFERS, view, wide) < 0)
+        return NULL;
+    if (hold_plan(tables, &plan) < 0) {
+        bstm_release(BUFFERS, view);
         return NULL;
     }
     const char *wrong = wrong_with(view, &place);
     if (wrong == NULL) wrong = extract(view, &plan, &place);
-    for (int i = 0; i < BUFFERS; i++) PyBuffer_Release(&view[i]);
-    release_plan(&plan);
+    bstm_release(BUFFERS, view);
+    bstm_release(PLAN_BUFFERS, plan.view);
     if (wrong != NULL) {
         PyErr_SetString(PyExc_ValueError, wrong);
         return NULL;

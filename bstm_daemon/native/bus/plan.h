@@ -216,26 +216,20 @@ static inline const char *wrong_with_plan(const Plan *p)
     return NULL;
 }
 
-static inline void release_plan(Plan *p)
-{
-    for (int i = 0; i < PLAN_BUFFERS; i++) PyBuffer_Release(&p->view[i]);
-}
-
 /* Hold the buffers of the tuple `tables`; -1 with an exception and nothing
  * held where they are no plan. */
 static inline int hold_plan(PyObject *tables, Plan *p)
 {
-    static const int writable[PLAN_BUFFERS] = {0};
     static const int wide[PLAN_BUFFERS] = {4, 8, 4, 8, 8, 8, 8, 8, 1};
-    PyObject *o[PLAN_BUFFERS];
+    Py_buffer *const v = p->view;
     if (PyTuple_Size(tables) != PLAN_BUFFERS) {
         if (!PyErr_Occurred())
             PyErr_SetString(PyExc_ValueError, "the plan has other tables");
         return -1;
     }
-    for (Py_ssize_t i = 0; i < PLAN_BUFFERS; i++)
-        o[i] = PyTuple_GetItem(tables, i);
-    if (bstm_log_buffers(PLAN_BUFFERS, o, writable, wide, p->view) < 0)
+    if (!PyArg_ParseTuple(tables, "y*y*y*y*y*y*y*y*y*", v, v + 1, v + 2,
+                          v + 3, v + 4, v + 5, v + 6, v + 7, v + 8)
+        || bstm_widths(PLAN_BUFFERS, v, wide) < 0)
         return -1;
     p->standard = p->view[PLAN_STANDARD].buf;
     p->messages = p->view[PLAN_MESSAGES].buf;
@@ -252,7 +246,7 @@ static inline int hold_plan(PyObject *tables, Plan *p)
     const char *const wrong = wrong_with_plan(p);
     if (wrong == NULL) return 0;
     PyErr_SetString(PyExc_ValueError, wrong);
-    release_plan(p);
+    bstm_release(PLAN_BUFFERS, p->view);
     return -1;
 }
 

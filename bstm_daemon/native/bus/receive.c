@@ -164,17 +164,16 @@ const char bstm_receive_doc[] =
 
 PyObject *bstm_receive(PyObject *Py_UNUSED(self), PyObject *args)
 {
-    PyObject *o[2];
+    static const int wide[2] = {1, 4};
+    Py_buffer view[2];
     Py_ssize_t first;
     int bus;
     Drain d = {.drops = -1};
-    if (!PyArg_ParseTuple(args, "iOnniO", &d.fd, &o[0], &first, &d.limit,
-                          &bus, &o[1]))
+    if (!PyArg_ParseTuple(args, "iw*nniz*", &d.fd, &view[0], &first, &d.limit,
+                          &bus, &view[1]))
         return NULL;
-    static const int writable[2] = {1, 0}, wide[2] = {1, 4};
-    Py_buffer view[2];
-    const int buffers = o[1] == Py_None ? 1 : 2;
-    if (bstm_log_buffers(buffers, o, writable, wide, view) < 0) return NULL;
+    const int buffers = view[1].obj == NULL ? 1 : 2;
+    if (bstm_widths(buffers, view, wide) < 0) return NULL;
     const int is_sum = first >= 0 && d.limit >= 0
         && d.limit <= PY_SSIZE_T_MAX - first;
     Record *const records =
@@ -191,7 +190,7 @@ PyObject *bstm_receive(PyObject *Py_UNUSED(self), PyObject *args)
         drain(&d);
         Py_END_ALLOW_THREADS
     }
-    for (int i = 0; i < buffers; i++) PyBuffer_Release(&view[i]);
+    bstm_release(buffers, view);
     if (records == NULL) return NULL;
     return Py_BuildValue("ninnL", d.frames, d.fault, d.malformed, d.errors,
                          (long long)d.drops);

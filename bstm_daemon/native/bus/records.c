@@ -1,5 +1,5 @@
 /* Records of received frames: on the axis of the service, in order of time,
- * and into samples. service/intake.py and record_decoder.py drive this; what is
+ * and into samples. service/intake.py and frame_records.py drive this; what is
  * not plain is handed back to them, frame by frame.
  */
 #include "bus.h"
@@ -24,23 +24,20 @@ const char bstm_place_in_time_doc[] =
 
 PyObject *bstm_place_in_time(PyObject *Py_UNUSED(self), PyObject *args)
 {
-    PyObject *o[1];
+    Py_buffer store;
     Py_ssize_t at, end, late = 0;
     long long shift, low, high, latest, passed;
-    if (!PyArg_ParseTuple(args, "OnnLLLLL", &o[0], &at, &end, &shift, &low,
+    if (!PyArg_ParseTuple(args, "w*nnLLLLL", &store, &at, &end, &shift, &low,
                           &high, &latest, &passed))
         return NULL;
-    static const int writable[1] = {1}, wide[1] = {1};
-    Py_buffer view[1];
-    if (bstm_log_buffers(1, o, writable, wide, view) < 0) return NULL;
-    Record *const records = bstm_records(&view[0], at, end);
+    Record *const records = bstm_records(&store, at, end);
     for (; records != NULL && at < end; at++) {
         const int64_t time_us = micros(records[at].stamp_ns) - shift;
         if (time_us < low || time_us > high || time_us > latest) break;
         late += time_us < passed;
         records[at].time_us = time_us < passed ? passed : time_us;
     }
-    PyBuffer_Release(&view[0]);
+    PyBuffer_Release(&store);
     if (records == NULL) return NULL;
     return Py_BuildValue("nn", at, late);
 }
@@ -90,20 +87,17 @@ const char bstm_sort_doc[] =
 
 PyObject *bstm_sort(PyObject *Py_UNUSED(self), PyObject *args)
 {
-    PyObject *o[1];
+    Py_buffer store;
     Py_ssize_t count;
     long long until;
-    if (!PyArg_ParseTuple(args, "OnL", &o[0], &count, &until)) return NULL;
-    static const int writable[1] = {1}, wide[1] = {1};
-    Py_buffer view[1];
-    if (bstm_log_buffers(1, o, writable, wide, view) < 0) return NULL;
-    Record *const records = bstm_records(&view[0], 0, count);
+    if (!PyArg_ParseTuple(args, "w*nL", &store, &count, &until)) return NULL;
+    Record *const records = bstm_records(&store, 0, count);
     int failed = 0;
     if (records != NULL) {
         failed = merge_runs(records, count);
         while (count > 0 && records[count - 1].time_us > until) count--;
     }
-    PyBuffer_Release(&view[0]);
+    PyBuffer_Release(&store);
     if (records == NULL) return NULL;
     if (failed) return PyErr_NoMemory();
     return PyLong_FromSsize_t(count);
@@ -183,21 +177,20 @@ const char bstm_take_doc[] =
 
 PyObject *bstm_take(PyObject *Py_UNUSED(self), PyObject *args)
 {
-    PyObject *o[TAKE_BUFFERS], *tables;
+    static const int wide[TAKE_BUFFERS] = {1, 8, 4, 8, 8};
+    PyObject *tables;
+    Py_buffer view[TAKE_BUFFERS];
     Py_ssize_t end;
     Taken t = {NULL, NULL, 0, 0};
-    if (!PyArg_ParseTuple(args, "OnnOOOOOO!O!", &o[T_STORE], &t.at, &end,
-                          &tables, &o[T_TIMES], &o[T_ROLES], &o[T_VALUES],
-                          &o[T_COUNT], &PyTuple_Type, &t.names, &PyList_Type,
-                          &t.held))
-        return NULL;
-    static const int writable[TAKE_BUFFERS] = {0, 1, 1, 1, 1};
-    static const int wide[TAKE_BUFFERS] = {1, 8, 4, 8, 8};
-    Py_buffer view[TAKE_BUFFERS];
     Plan plan;
-    if (hold_plan(tables, &plan) < 0) return NULL;
-    if (bstm_log_buffers(TAKE_BUFFERS, o, writable, wide, view) < 0) {
-        release_plan(&plan);
+    if (!PyArg_ParseTuple(args, "y*nnOw*w*w*w*O!O!", &view[T_STORE], &t.at,
+                          &end, &tables, &view[T_TIMES], &view[T_ROLES],
+                          &view[T_VALUES], &view[T_COUNT], &PyTuple_Type,
+                          &t.names, &PyList_Type, &t.held)
+        || bstm_widths(TAKE_BUFFERS, view, wide) < 0)
+        return NULL;
+    if (hold_plan(tables, &plan) < 0) {
+        bstm_release(TAKE_BUFFERS, view);
         return NULL;
     }
     int failed = -1;
@@ -206,8 +199,8 @@ PyObject *bstm_take(PyObject *Py_UNUSED(self), PyObject *args)
         if (wrong == NULL) failed = take(view, &plan, end, &t);
         else PyErr_SetString(PyExc_ValueError, wrong);
     }
-    for (int i = 0; i < TAKE_BUFFERS; i++) PyBuffer_Release(&view[i]);
-    release_plan(&plan);
+    bstm_release(TAKE_BUFFERS, view);
+    bstm_release(PLAN_BUFFERS, plan.view);
     if (failed) return NULL;
     return Py_BuildValue("nn", t.at, t.samples);
 }

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from bstm_daemon.errors import FileAccessError, MissingExtraError
+from bstm_daemon.errors import FileAccessError, require_packages
 from bstm_daemon.files import replacing
 
 if TYPE_CHECKING:
@@ -58,10 +58,7 @@ def parquet_file(path: Path) -> Iterator[Sink]:
         MissingExtraError: pyarrow is not installed.
         FileAccessError: *path* can not be written.
     """
-    if not has_parquet():
-        raise MissingExtraError(
-            package="pyarrow", extra="parquet", purpose="--format parquet"
-        )
+    require_packages("pyarrow", extra="parquet", purpose="--format parquet")
     with replacing(path) as temporary:
         sink = _ParquetSink(path, temporary)
         try:

@@ -101,7 +101,8 @@ def test_temperatures_of_no_brake_begin_anew(config: Config) -> None:
         for corner in fading.corner
         if corner.disc is not None
     ]
-    wear = fading.wear.model_copy(update={"pad_wear_m3_j": 3e-11})
+    followed = {"pad_wear_m3_j": 3e-11, "model_follows": True}
+    wear = fading.wear.model_copy(update=followed)
     light = fading.model_copy(update={"corner": corners, "wear": wear})
     held = {
         "vehicle_speed": 60.0,

@@ -52,11 +52,14 @@ def car(
 ) -> Config:
     """Return linings that lose about 2 mm a minute of braking."""
     pad = {"area_m2": 6.5e-3, "thickness_m": 0.009, "new_thickness_m": 0.011}
-    return make_car(
+    # no configuration may say so
+    rates = {"pad_wear_m3_j": 8e-11, "disc_wear_m3_j": 4e-11}
+    car = make_car(
         make_corner("FL", pad=pad),
         make_corner("RL", pad=pad),
-        wear={"pad_wear_m3_j": 8e-11, "disc_wear_m3_j": 4e-11},
+        wear={"model_follows": True},
     )
+    return car.model_copy(update={"wear": car.wear.model_copy(update=rates)})
 
 
 def braking(seconds: float, start_us: int = 0) -> list[Sample]:
@@ -243,11 +246,16 @@ def test_energy_closes_with_what_is_worn(car: Config) -> None:
     )
 
 
-def test_without_following_the_model_stays(
-    car: Config, make_car: Callable[..., Config]
-) -> None:
-    wear = car.wear.model_copy(update={"model_follows": False})
-    still = car.model_copy(update={"wear": wear})
+@pytest.fixture
+def still(car: Config, make_car: Callable[..., Config]) -> Config:
+    """Return the same car with what ``model_follows`` is by default."""
+    default = make_car().wear.model_follows
+    wear = car.wear.model_copy(update={"model_follows": default})
+    return car.model_copy(update={"wear": wear})
+
+
+def test_without_following_the_model_stays(still: Config) -> None:
+    """Wear is estimated, and comes to its warning, all the same."""
     estimator = Estimator(still, PRESENT, history_known=True)
     first = estimator.programs["FL"]
 
@@ -260,6 +268,44 @@ def test_without_following_the_model_stays(
         )
         < 0.008
     )
+    worn = estimator.wear
+    law = worn.pads["FL"].law
+    levels = [
+        worn.estimate("FL", law, worn_m / law.rate_m_j, 1e5).level
+        for worn_m in (1e-3, 5e-3, 8e-3)
+    ]
+    assert levels == [WearLevel.OK, WearLevel.CHECK, WearLevel.WORN]
+
+
+def test_a_state_of_worn_networks_without_following(
+    car: Config, still: Config
+) -> None:
+    """Temperatures and wear go on, in networks as configured."""
+    worn = Estimator(car, PRESENT, history_known=True)
+    feed(worn, [*braking(65.0), (65 * SECOND, TICK, 0.0)])
+    document = json.loads(json.dumps(export_state(worn)))
+    estimator = Estimator(still, PRESENT)
+    configured = estimator.programs["FL"].floats
+
+    restore_state(estimator, document, resume=True)
+
+    assert worn.programs["FL"].floats != configured
+    assert estimator.programs["FL"].floats == configured
+    assert estimator.state("FL") == worn.state("FL")
+    assert estimator.wear.pads["FL"].law == worn.wear.pads["FL"].law
+
+
+def test_a_disc_keeps_most_of_its_mass(car: Config) -> None:
+    """A fifth, however much the estimate says it has lost."""
+    estimator = Estimator(car, PRESENT, history_known=True)
+    disc = car.corner[0].disc
+    assert disc is not None
+
+    refit = estimator.wear.refit("FL", 1e9)
+
+    assert refit is not None
+    assert refit.corner.disc is not None
+    assert refit.corner.disc.mass_kg == pytest.approx(0.8 * disc.mass_kg)
 
 
 def test_new_linings_are_as_warm_as_the_air(car: Config) -> None:

@@ -88,7 +88,38 @@ def test_a_hot_face_wears_more(make_car: Callable[..., Any]) -> None:
     assert weight(320.0 + 273.15) == 1.0
     assert weight(410.0 + 273.15) == pytest.approx(2.0, rel=1e-3)
     assert weight(500.0 + 273.15) == pytest.approx(4.0, rel=1e-3)
-    assert weight(1500.0) == pytest.approx(30.0)
+    # held where measurements end, however hot the model becomes
+    assert weight(590.0 + 273.15) == weight(1500.0) == weight(3000.0) == 8.0
+
+
+@pytest.mark.parametrize(
+    ("doubling_k", "limit", "half_k"),
+    [(90.0, 10.0, 90.0), (1000.0, 1.0, 500.0), (10.0, 1.5, 2.5)],
+)
+def test_the_weight_ends_at_its_limit(
+    make_car: Callable[..., Any],
+    doubling_k: float,
+    limit: float,
+    half_k: float,
+) -> None:
+    hot = {"hot_doubling_k": doubling_k, "hot_limit": limit}
+    weight = hot_wear(make_car(wear=hot).wear)
+
+    assert 1.0 <= weight(320.0 + 273.15 + half_k) <= limit
+    assert weight(weight.x1 - 5.1) < limit or limit == 1.0
+    assert weight(weight.x1) == weight(1e6) == limit
+
+
+def test_no_temperature_wears_more_than_the_limit_allows(
+    make_car: Callable[..., Any], kernel: Kernel | None
+) -> None:
+    """A brake that glows white: at most 8 times its energy."""
+    car = make_car()
+    energy_j = 0.35 * MASS_KG * 90.0**2 / 2
+
+    dose_j = stop(car, kernel, 90.0)[DOSE]
+
+    assert energy_j < dose_j <= 8.0 * energy_j
 
 
 def test_archard_counts_pressure_times_sliding_speed(

@@ -11,8 +11,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bstm_daemon.bus.live.frame_records import RECORD_BYTES, FrameRecords
-from bstm_daemon.bus.live.record_decoder import RecordDecoder
+from bstm_daemon.bus.live.frame_records import (
+    RECORD_BYTES,
+    FrameRecords,
+    RecordDecoder,
+)
 from bstm_daemon.bus.signals.decoder import Decoder
 from bstm_daemon.bus.signals.expression import parse_expression
 from bstm_daemon.bus.signals.extraction import (

@@ -1,0 +1,27 @@
+"""``bstm config``: what editors need to know of the configuration."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING
+
+from bstm_daemon.config.schema import config_schema
+
+if TYPE_CHECKING:
+    import argparse
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare what is asked for."""
+    parser.add_argument(
+        "what",
+        choices=("schema",),
+        help="schema: print the JSON schema, by which an editor completes and "
+        "checks a file whose first line is #:schema FILE",
+    )
+
+
+def run(_: argparse.Namespace) -> int:
+    """Print the schema."""
+    print(json.dumps(config_schema(), indent=1, ensure_ascii=False))
+    return 0
