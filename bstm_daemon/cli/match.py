@@ -6,9 +6,10 @@ import time
 from typing import TYPE_CHECKING, Final
 
 from bstm_daemon.analysis.identify.writing import write_changed
+from bstm_daemon.analysis.matching.changes import changes_of
 from bstm_daemon.analysis.matching.coarse import guesses_of, read_as_guessed
 from bstm_daemon.analysis.matching.drives import read_drives
-from bstm_daemon.analysis.matching.matcher import changes_of, match_drives
+from bstm_daemon.analysis.matching.matcher import match_drives
 from bstm_daemon.analysis.matching.tunables import Target
 from bstm_daemon.cli.log_command import (
     add_log_arguments,

@@ -120,6 +120,8 @@ def headline(match: Match) -> str:
             for node, after in accuracy.rms_k.items()
         )
         text = f"{what}: RMS on {accuracy.left_out}, left out: {change}"
+        if accuracy.baseline_k > 0.0:
+            text += f" (a disc of one node: {accuracy.baseline_k:.1f} K)"
     if match.verdict:
         why = "; ".join(map(short, match.verdict))
         text += f": a part of the model may be missing: run bstm gap ({why})"
@@ -148,6 +150,7 @@ def match_json(match: Match) -> dict[str, Any]:
         left_out="accuracy.left_out",
         held_out_before_k="accuracy.before_k",
         held_out_rms_k="accuracy.rms_k",
+        baseline_rms_k="accuracy.baseline_k",
         accuracy="accuracy.nodes",
     ) | {
         "stages": [

@@ -140,7 +140,7 @@ def inputs_of(
     (steps, corners, channels), as ``Drive.inputs`` has them.
     """
     estimator = _Heating(config, present)
-    inputs = grid_inputs(estimator, _pieces(events))
+    inputs, _ = grid_inputs(estimator, _pieces(events))
     return inputs, estimator.plan.corners
 
 

@@ -110,7 +110,9 @@ class Drive:
     ``measured`` has the thermocouples by corner and node. ``estimates`` are
     the estimator's own, where they were asked for; their ``time_s`` counts
     from ``start_s``. ``learned`` is what fused heat had learned at the end,
-    ``roles`` the numbers of those that the log has a sample of. ``by_drag``
+    ``roles`` the numbers of those that the log has a sample of. ``speed_ms``
+    (steps, n) is the speed at the n estimator steps of each step, of which
+    ``inputs`` has the mean; n is 0 where they were not kept. ``by_drag``
     replaces the brake power of ``inputs`` where drag is to be found.
     """
 
@@ -122,6 +124,7 @@ class Drive:
     estimates: Results | None = field(default=None, repr=False)
     learned: Sequence[float] | None = None
     roles: frozenset[int] = frozenset()
+    speed_ms: Column = field(default_factory=lambda: np.zeros((0, 0)))
     by_drag: PowerByDrag | None = field(default=None, repr=False)
 
     def __len__(self) -> int:
@@ -169,29 +172,23 @@ class Drive:
         """Return the steps from *first* up to *last*, as a drive."""
         if (first, last) == (0, len(self)):
             return self
-        begin_s = GRID_S * first
-        end_s = GRID_S * last
-
-        def cut(couple: Thermocouple) -> Thermocouple:
-            inside = (couple.time_s >= begin_s) & (couple.time_s <= end_s)
-            return Thermocouple(
-                couple.time_s[inside] - begin_s, couple.temperature_k[inside]
-            )
-
-        measured = {
-            corner: {
-                node: own
-                for node, couple in couples.items()
-                if len((own := cut(couple)).time_s)
-            }
-            for corner, couples in self.measured.items()
-        }
+        begin_s, end_s = GRID_S * first, GRID_S * last
+        measured: dict[str, dict[str, Thermocouple]] = {}
+        for corner, couples in self.measured.items():
+            for node, couple in couples.items():
+                at = couple.time_s
+                inside = (at >= begin_s) & (at <= end_s)
+                if inside.any():
+                    measured.setdefault(corner, {})[node] = Thermocouple(
+                        at[inside] - begin_s, couple.temperature_k[inside]
+                    )
         return replace(
             self,
             name=f"{self.name} from {begin_s:.0f} to {end_s:.0f} s",
             start_s=self.start_s + begin_s,
             inputs=self.inputs[first:last],
-            measured={c: own for c, own in measured.items() if own},
+            speed_ms=self.speed_ms[first:last],
+            measured=measured,
             estimates=None,
             by_drag=self.by_drag and self.by_drag.part(slice(first, last)),
         )
@@ -217,6 +214,7 @@ class Rows(InputHistory):
         self._shape = (corners, len(CHANNELS))
         self._rest = np.zeros((0, *self._shape))
         self.parts: list[Column] = []
+        self.speeds: list[Column] = []
 
     def add(self, rows: memoryview, steps: int) -> None:
         """Take *steps* rows."""
@@ -226,6 +224,7 @@ class Rows(InputHistory):
         self._rest = new[whole:].copy()
         groups = new[:whole].reshape(-1, STEPS_A_ROW, *self._shape)
         self.parts.append(groups.mean(axis=1))
+        self.speeds.append(groups[:, :, 0, CHANNELS.index("speed_ms")].copy())
 
 
 def read_drive(  # noqa: PLR0913
@@ -331,7 +330,7 @@ def drive_of(
         if builder is not None:
             builder.add(blocks)
 
-    inputs = grid_inputs(estimator, parts, take)
+    inputs, speed_ms = grid_inputs(estimator, parts, take)
     if estimator.counts["jumps"]:
         msg = f"{name}: its clock jumps; split the log there"
         raise LogError(msg)
@@ -349,6 +348,7 @@ def drive_of(
         thermocouples_of(temperatures, corners, start_s),
         learned=estimator.samples.learned(),
         roles=frozenset(seen),
+        speed_ms=speed_ms,
     )
 
 
@@ -356,8 +356,8 @@ def grid_inputs(
     estimator: Estimator,
     parts: Iterable[Events],
     take: Callable[[Events, list[Block]], None] | None = None,
-) -> Column:
-    """Return ``Drive.inputs`` as *estimator* forms them of *parts*.
+) -> tuple[Column, Column]:
+    """Return ``inputs`` and ``speed_ms`` of a drive that *parts* make.
 
     It begins at the temperatures measured first; *take* gets each part and
     the blocks of estimates.
@@ -372,7 +372,9 @@ def grid_inputs(
         blocks = estimator.advance(events.time_us, events.role, events.value)
         if take is not None:
             take(events, blocks)
-    return np.concatenate(rows.parts or [np.zeros((0, 1, 1))])
+    if not rows.parts:
+        return np.zeros((0, 1, 1)), np.zeros((0, 0))
+    return np.concatenate(rows.parts), np.concatenate(rows.speeds)
 
 
 def read_drives(

@@ -6,10 +6,12 @@ And what comes of it: changes of the configuration file, curves.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import isnan, log, nan
+from math import log, nan
 from typing import TYPE_CHECKING, Any, Final
 
-from bstm_daemon.analysis.identify.writing import Change
+import numpy as np
+
+from bstm_daemon.analysis.matching.baseline import baselines
 from bstm_daemon.analysis.matching.coarse import (
     CAPACITY,
     FILTER,
@@ -37,14 +39,12 @@ from bstm_daemon.analysis.matching.stages import StageResult, run_stages
 from bstm_daemon.analysis.matching.tunables import (
     COOLING,
     DRAG,
-    EFFECT,
     NODES_MS,
     TABLE_4_1,
     Target,
     measured_targets,
     over_targets,
     refined_keys,
-    split_key,
     usable,
 )
 from bstm_daemon.estimator.corner_model import compile_corner
@@ -67,6 +67,9 @@ FAR: Final = 3.0
 FAR_ABOVE: Final = 2.0
 ABOVE_K: Final = 3.0
 """An error beside the fit's, times and plus, that is another drive's own."""
+
+ABOVE_BASELINE_K: Final = 1.0
+"""A disc of one node is better from so much on."""
 
 CHOSEN: Final[dict[str, Callable[[Target], float]]] = {
     CAPACITY: exponent_of,
@@ -312,7 +315,7 @@ def _left_out(
     folds = folds_of(readings[0].drives)
     before: dict[str, list[tuple[Column, Column]]] = {}
     after: dict[str, list[tuple[Column, Column]]] = {}
-    names = []
+    names, simple_k = [], []
     for number, (pieces, left) in enumerate(folds):
         found = search(target, [one.of(pieces) for one in readings])
         drives = found.reading.drives
@@ -325,6 +328,12 @@ def _left_out(
         (drive,) = unseen.of([left]).drives
         (plain,) = readings[0].of([left]).drives
         names.append(plain.name)
+        simple = baselines(readings[0].of(pieces).drives)
+        simple_k += [
+            simple[corner][0].rms_on([plain])
+            for corner in target.corners
+            if corner in simple
+        ]
         for errors, one, on in (
             (before, target, plain),
             (after, found.target.changed(fit.values), drive),
@@ -348,6 +357,7 @@ def _left_out(
         " and ".join(names),
         rms_of(before),
         rms_of(after),
+        float(np.sqrt(np.nanmean(np.square(simple_k or [np.nan])))),
     )
 
 
@@ -372,6 +382,12 @@ def _doubts(
                 f"{node} {left_k:.1f} K on what was left out, "
                 f"{there_k:.1f} K in the fit"
             )
+    disc_k = accuracy.rms_k.get("disc", 0.0)
+    if disc_k > accuracy.baseline_k + ABOVE_BASELINE_K:
+        yield (
+            f"disc {disc_k:.1f} K on what was left out, a disc of one node "
+            f"{accuracy.baseline_k:.1f} K"
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -407,86 +423,3 @@ def curves_of(match: Match, drive: Drive, corner: str) -> list[Curves]:
         )
         for name, node in couples
     ]
-
-
-def changes_of(
-    matches: Sequence[Match], config: Config, origin: str
-) -> list[Change]:
-    """Return what *matches* change in *config*, each saying *origin*.
-
-    A value goes where the configuration has it: to ``[thermal]`` or
-    ``[cooling]`` where every corner that reads it there was matched alike,
-    else to the corners themselves.
-    """
-    changes = []
-    for match in matches:
-        for key, value in match.settings().items():
-            section, name = split_key(key)
-            sd = match.deviation(key)
-            note = origin if isnan(sd) else f"{origin}, sd {sd:.2g}"
-            if key == "cooling.s_per_s":
-                note = f"{origin}, sd {100.0 * sd:.2g} %"
-            if section == EFFECT:
-                changes += _of_effect(name, value, note, config, match)
-                continue
-            if section in {"vehicle", "heat"}:
-                changes.append(Change(section, name, value, note=note))
-                continue
-            if section in {"thermal", "cooling"} and _shared(
-                section, name, config, match.corners
-            ):
-                changes.append(Change(section, name, value, note=note))
-                continue
-            changes += [
-                Change("corner", key, value, corner, note)
-                for corner in match.corners
-            ]
-    changes += _accuracy(matches, origin)
-    return changes
-
-
-def _of_effect(
-    name: str, value: float, note: str, config: Config, match: Match
-) -> list[Change]:
-    """Return entries of ``[[effect]]``: one for all corners, or each its."""
-    effect, parameter = split_key(name)
-    every = {corner.name for corner in config.disc_corners()}
-    corners = ("all",) if set(match.corners) == every else match.corners
-    return [
-        Change(EFFECT, parameter, value, corner, note, effect)
-        for corner in corners
-    ]
-
-
-def _shared(
-    section: str, name: str, config: Config, matched: Sequence[str]
-) -> bool:
-    """Whether only matched corners read the value of the section itself."""
-    readers = {
-        corner.name
-        for corner in config.disc_corners()
-        if name not in getattr(corner, section)
-    }
-    return readers == set(matched)
-
-
-def _accuracy(matches: Sequence[Match], origin: str) -> list[Change]:
-    """Return ``[accuracy]``: the largest of the matched corners."""
-    changes = []
-    for node in ("disc", "pad_front", "pad_back", "fluid"):
-        found = [
-            (one.floor_k, one.share, match.accuracy.left_out)
-            for match in matches
-            if (one := match.accuracy.nodes.get(node)) is not None
-        ]
-        if not found:
-            continue
-        floor, share, left_out = max(found)
-        note = f"{origin}, residual on what was left out"
-        if not left_out:
-            note = f"{origin}, residual on the drive itself: too small"
-        changes += [
-            Change("accuracy", f"{node}_k", floor, note=note),
-            Change("accuracy", f"{node}_share", share, note=note),
-        ]
-    return changes

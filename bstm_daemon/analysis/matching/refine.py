@@ -193,7 +193,8 @@ class Accuracy:
 
     ``drives`` were left out in turn, 0: a part of the only one, named in
     ``left_out``; where that is empty, nothing could be. ``before_k`` and
-    ``rms_k`` are the RMS there, as configured and fitted without it.
+    ``rms_k`` are the RMS there, as configured and fitted without it, and
+    ``baseline_k`` that of a disc of one node fitted to the same.
     """
 
     nodes: Mapping[str, NodeAccuracy]
@@ -201,6 +202,7 @@ class Accuracy:
     left_out: str
     before_k: Mapping[str, float]
     rms_k: Mapping[str, float]
+    baseline_k: float = np.nan
 
 
 LEAST_S: Final = 240.0

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from bstm_daemon.analysis.statistics.series import Column, Mask
 
@@ -42,7 +42,7 @@ class Solution:
     evaluations: int
 
 
-def minimise(
+def minimise(  # noqa: PLR0913
     function: Callable[[Column], Column],
     start: Column,
     lower: Column,
@@ -50,6 +50,8 @@ def minimise(
     progress: Callable[[int, float], None] | None = None,
     *,
     converged: float = CONVERGED,
+    iterations: int = ITERATIONS,
+    dampings: Sequence[float] = DAMPINGS,
 ) -> Solution:
     """Minimise the sum of squares of *function*.
 
@@ -61,14 +63,18 @@ def minimise(
         progress: called with each iteration and its cost.
         converged: relative fall of the cost, and a tenth of the longest
             step, at which it is done.
+        iterations: at most.
+        dampings: tried together in each iteration, times the diagonal.
     """
     x = np.clip(start, lower, upper)
     evaluations = 0
     residuals, jacobian, held = _linearised(function, x, lower, upper)
     cost = 0.5 * float(residuals @ residuals)
-    for iteration in range(1, ITERATIONS + 1):
+    for iteration in range(1, iterations + 1):
         evaluations += len(x) + 1
-        trials = _trials(x, residuals, jacobian, held, lower, upper)
+        trials = _trials(
+            x, residuals, jacobian, held, (lower, upper), dampings
+        )
         values = function(trials)
         evaluations += len(trials)
         costs = 0.5 * np.einsum("kn,kn->k", values, values)
@@ -113,8 +119,8 @@ def _trials(
     residuals: Column,
     jacobian: Column,
     held: Mask,
-    lower: Column,
-    upper: Column,
+    bounds: tuple[Column, Column],
+    dampings: Sequence[float],
 ) -> Column:
     """Return the points to try, (k, p), inside the bounds."""
     free = ~held
@@ -123,9 +129,9 @@ def _trials(
     gradient = part.T @ residuals
     scale = np.maximum(np.diag(normal), 1e-12)
     points = []
-    for damping in DAMPINGS:
+    for damping in dampings:
         step = np.zeros(len(x))
         matrix = normal + np.diag(damping * scale + 1e-12 * scale)
         step[free] = -np.linalg.lstsq(matrix, gradient, rcond=None)[0]
-        points.append(np.clip(x + np.clip(step, -1.0, 1.0), lower, upper))
+        points.append(np.clip(x + np.clip(step, -1.0, 1.0), *bounds))
     return np.array(points)

@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING
 import pytest
 
 from bstm_daemon.analysis.identify.writing import Change, write_changed
+from bstm_daemon.analysis.matching.changes import changes_of
 from bstm_daemon.analysis.matching.coarse import Reading
 from bstm_daemon.analysis.matching.identifiability import verdicts
-from bstm_daemon.analysis.matching.matcher import changes_of, match_drives
+from bstm_daemon.analysis.matching.matcher import match_drives
 from bstm_daemon.analysis.matching.tunables import (
     REFINED,
     STRENGTHS,
