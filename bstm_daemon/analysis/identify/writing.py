@@ -21,6 +21,9 @@ if TYPE_CHECKING:
     from bstm_daemon.analysis.identify.cooling_while_braking import BrakedAxle
     from bstm_daemon.config.sections import Config, EffectConfig
 
+KNOWN: Final = 0.2
+"""Largest relative standard error of a factor that is handed on."""
+
 _DIGITS: Final = 5
 _PATHS: Final = (("state", "file"), ("record", "folder"), ("metrics", "file"))
 
@@ -134,6 +137,37 @@ def cooling_changes(
                 Change("cooling", key, value) for key, value in values.items()
             ]
             changes += _held_tables(axles, config)
+    return changes
+
+
+def braked_changes(
+    axles: Sequence[BrakedAxle], config: Config
+) -> list[Change]:
+    """Return the tables, and the factors that heat and resistances need.
+
+    The factor on the heat goes to the mass of the discs, which it is one
+    with; that on the resistances of the first axle to all three of them.
+    """
+    changes = cooling_changes(axles, config)
+    for axle in axles:
+        heat, error = axle.heat
+        if axle.table and error < KNOWN * heat:
+            key = "disc_mass_correction_factor"
+            changes += [
+                Change(
+                    *("corner", f"thermal.{key}"),
+                    getattr(config.thermal_of(corner), key) / heat,
+                    corner.name,
+                )
+                for corner in config.corner
+                if corner.name[0] == axle.axle[0].upper()
+            ]
+    resist, error = axles[0].resist
+    if axles[0].table and error < KNOWN * resist:
+        changes += [
+            Change("vehicle", key, getattr(config.vehicle, key) * resist)
+            for key in ("drag_area_m2", "friction_ns_m", "rolling_resistance")
+        ]
     return changes
 
 

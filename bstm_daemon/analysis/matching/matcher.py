@@ -22,8 +22,10 @@ from bstm_daemon.analysis.matching.coarse import (
     exponent_of,
     search,
 )
+from bstm_daemon.analysis.matching.identifiability import KNOWN
 from bstm_daemon.analysis.matching.march import march
 from bstm_daemon.analysis.matching.phases import HARD_MS2, hard_stops
+from bstm_daemon.analysis.matching.problem import FIRST, OTHER
 from bstm_daemon.analysis.matching.refine import (
     ROUNDS,
     Accuracy,
@@ -47,6 +49,7 @@ from bstm_daemon.analysis.matching.tunables import (
     refined_keys,
     usable,
 )
+from bstm_daemon.analysis.statistics.series import rms
 from bstm_daemon.estimator.corner_model import compile_corner
 from bstm_daemon.units import KELVIN_OFFSET
 
@@ -67,6 +70,9 @@ FAR: Final = 3.0
 FAR_ABOVE: Final = 2.0
 ABOVE_K: Final = 3.0
 """An error beside the fit's, times and plus, that is another drive's own."""
+
+RISE_SHARE: Final = 0.05
+"""Of its rise above the air, an error in the fit that a lump may have."""
 
 ABOVE_BASELINE_K: Final = 1.0
 """A disc of one node is better from so much on."""
@@ -256,7 +262,7 @@ def _match(
         thesis,
         accuracy,
         tuple(remark for remark in remarks if remark),
-        tuple(_doubts(joint, accuracy, rms_by_node(after, drives))),
+        tuple(_doubts(joint, accuracy, _errors(after, drives))),
     )
 
 
@@ -295,13 +301,15 @@ def _keys(
     return keys, [*remarks, why]
 
 
-def rms_by_node(target: Target, drives: Sequence[Drive]) -> dict[str, float]:
-    """Return the RMS error [K] of *target* on all of *drives* by node."""
+def _errors(
+    target: Target, drives: Sequence[Drive]
+) -> dict[str, list[tuple[Column, Column]]]:
+    """Return errors and rises of *target* on all of *drives* by node."""
     found: dict[str, list[tuple[Column, Column]]] = {}
     for drive in drives:
         for node, parts in errors_of(target, drive).items():
             found.setdefault(node, []).extend(parts)
-    return rms_of(found)
+    return found
 
 
 def _left_out(
@@ -341,13 +349,7 @@ def _left_out(
             for node, parts in errors_of(one, on).items():
                 errors.setdefault(node, []).extend(parts)
         show((number + 1) / len(folds))
-    seen = after or {
-        node: parts
-        for drive in readings[0].drives
-        for node, parts in errors_of(
-            target.changed(joint.values), drive
-        ).items()
-    }
+    seen = after or _errors(target.changed(joint.values), readings[0].drives)
     return Accuracy(
         {
             node: fitted([(*part, white_k(joint, node)) for part in parts])
@@ -362,18 +364,32 @@ def _left_out(
 
 
 def _doubts(
-    joint: Refinement, accuracy: Accuracy, fit_k: Mapping[str, float]
+    joint: Refinement,
+    accuracy: Accuracy,
+    errors: Mapping[str, Sequence[tuple[Column, Column]]],
 ) -> Iterator[str]:
     """Say why a part of the model may be missing, nothing where it is not."""
-    for key in joint.at_bound:
-        yield f"{key} at its bound {joint.values[key]:.3g}"
+    known = np.sqrt(np.diag(joint.covariance)) < KNOWN * joint.prior
     for i, key in enumerate(joint.keys):
         moved = log(joint.values[key] / joint.start[key]) / joint.prior[i]
-        if abs(moved) > FAR and key not in joint.at_bound:
+        # what the drives say nothing of may lie at a bound by chance
+        if key in joint.at_bound and known[i]:
+            yield f"{key} at its bound {joint.values[key]:.3g}"
+        elif abs(moved) > FAR:
             yield (
                 f"{key} from {joint.start[key]:.3g} to "
                 f"{joint.values[key]:.3g}, {abs(moved):.1f} times what such "
                 "brakes differ by"
+            )
+    fit_k = rms_of(errors)
+    for node, parts in errors.items():
+        rise_k = rms(np.concatenate([rise for _, rise in parts]))
+        usual_k = FAR * FIRST.get(node, OTHER).drift_k
+        most_k = max(usual_k, RISE_SHARE * rise_k)
+        if fit_k[node] > most_k:
+            yield (
+                f"{node} {fit_k[node]:.1f} K in the fit, where sensor and "
+                f"lump explain {most_k:.1f} K"
             )
     for node, left_k in accuracy.rms_k.items():
         there_k = fit_k.get(node, left_k)

@@ -20,7 +20,7 @@ from bstm_daemon.model.effects.catalogue import (
     effect_names,
     effects_of,
 )
-from bstm_daemon.model.thermal.brake_corner import cooling_at
+from bstm_daemon.model.thermal.brake_corner import cooling_beyond
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Mapping, Sequence
@@ -292,10 +292,9 @@ class Target:
                 parts["cooling"]["speed_ms"] = points
             factors = [values.get(key, 1.0) for key in keys]
             at = np.interp(points, speeds, factors) * values.get(LEVEL, 1.0)
-            beyond = [cooling_at(cooling, speed) for speed in more]
-            parts["cooling"]["s_per_s"] = (
-                at * (cooling.s_per_s + beyond)
-            ).tolist()
+            x, y = cooling.speed_ms, cooling.s_per_s
+            beyond = [cooling_beyond(x, y, speed) for speed in more]
+            parts["cooling"]["s_per_s"] = (at * (y + beyond)).tolist()
         pad = corner.pad and corner.pad.model_copy(update=parts["pad"])
         return corner.model_copy(update={**parts, "pad": pad})
 

@@ -8,7 +8,6 @@ brake power is split once, in :func:`_heat_sources`, and nothing is lost.
 
 from __future__ import annotations
 
-from bisect import bisect_right
 from dataclasses import dataclass, replace
 from functools import partial
 from importlib import import_module
@@ -166,17 +165,14 @@ def build_corner(
         raise ConfigError([msg]) from error
 
 
-def cooling_at(cooling: CoolingConfig, speed_ms: float) -> float:
-    """Return S [1/s] at *speed_ms*: linear within the table.
+def cooling_beyond(
+    x: Sequence[float], y: Sequence[float], speed_ms: float
+) -> float:
+    """Return S [1/s] above the last speed of the table *x* [m/s], *y* [1/s].
 
-    Beyond its last point by the power law of the last two, as forced
-    convection rises with speed, with an exponent from 0 to 1.
+    By the power law of the last two points, as forced convection rises with
+    speed, with an exponent from 0 to 1.
     """
-    x, y = cooling.speed_ms, cooling.s_per_s
-    if speed_ms <= x[-1]:
-        at = min(bisect_right(x, speed_ms, 1), len(x) - 1)
-        into = max(speed_ms - x[at - 1], 0.0) / (x[at] - x[at - 1])
-        return y[at - 1] + into * (y[at] - y[at - 1])
     exponent = 0.0
     if x[-2] > 0.0 and y[-1] > y[-2] > 0.0:
         exponent = min(log(y[-1] / y[-2]) / log(x[-1] / x[-2]), 1.0)
@@ -188,8 +184,9 @@ def cooling_at(cooling: CoolingConfig, speed_ms: float) -> float:
 
 def cooling_table(cooling: CoolingConfig) -> Table:
     """Return S [1/s] over speed up to :data:`SPEED_LIMIT_MS`."""
-    table = Table.from_points(cooling.speed_ms, cooling.s_per_s)
-    return table.continued(partial(cooling_at, cooling), SPEED_LIMIT_MS)
+    x, y = cooling.speed_ms, cooling.s_per_s
+    beyond = partial(cooling_beyond, x, y)
+    return Table.from_points(x, y).continued(beyond, SPEED_LIMIT_MS)
 
 
 def lumped_disc(net: Network, spec: CornerSpec) -> Network:
