@@ -163,17 +163,19 @@ class BrakedAxle:
 
     @property
     def table(self) -> tuple[tuple[float, float, bool], ...]:
-        """S at the configured speeds, and whether they were driven.
-
-        And at the line's end where that is beyond them.
-        """
+        """S at :attr:`speeds_ms`, and whether they were driven."""
         if self.caveat:
             return ()
-        speeds, top = self.disc.speeds_ms, self.held_ms[1]
         return tuple(
             (speed, self.at(speed)[0], self.driven(speed))
-            for speed in (*speeds, *([top] if top > speeds[-1] else []))
+            for speed in self.speeds_ms
         )
+
+    @property
+    def speeds_ms(self) -> tuple[float, ...]:
+        """The configured speeds, and the line's end where it is beyond."""
+        speeds, top = self.disc.speeds_ms, self.held_ms[1]
+        return (*speeds, top) if top > speeds[-1] else speeds
 
     @property
     def beyond(self) -> float:

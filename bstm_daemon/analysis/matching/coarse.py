@@ -76,10 +76,16 @@ DRIVEN_SHARE: Final = 0.05
 """Least share of the time above the middle between two speeds for the upper
 one to be matched."""
 
-POINT_S: Final = 1.0
-MOST_POINTS: Final = 2000
+FINE_S: Final = 1.0
+FINE_POINTS: Final = 2000
+"""Points of discs alone; those of fast discs say more than one each 5 s."""
+
+COHERENT: Final = 4.5
+"""A residual goes on for some 20 s, so that as many points say what one does:
+their noise counts so many times."""
+
 WHITE_K: Final = 30.0
-"""Standard deviation of a residual against priors."""
+"""Standard deviation of a residual against priors in the search."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -295,7 +301,7 @@ class _Discs:
         self, target: Target, drives: Sequence[Drive], keys: Sequence[str]
     ) -> None:
         runs, terms = whole_drives(
-            target, drives, point_s=POINT_S, most_points=MOST_POINTS
+            target, drives, point_s=FINE_S, most_points=FINE_POINTS
         )
         self.terms = [one for one in terms if one.node == "disc"]
         there = {(one.drive, one.corner) for one in self.terms}
@@ -304,7 +310,6 @@ class _Discs:
 
     def __call__(self, points: Column) -> Column:
         apart = np.concatenate(self.problem.residuals_k(points)).T / WHITE_K
-        # one of the many points of a second each says what ten say
         prior = (points - self.problem.start) / self.problem.prior
         return np.concatenate((apart, prior), axis=1)
 
@@ -321,7 +326,9 @@ class _Discs:
         return rms(left[:, 0]), problem.values(x)
 
     def noise(self, values: Mapping[str, float]) -> dict[str, SensorNoise]:
-        """Return white noise of the size of what is left."""
+        """Return white noise of what is left, for points of one second."""
         x = np.log([[values[key] for key in self.problem.keys]])
         left_k = rms(np.concatenate(self.problem.residuals_k(x))[:, 0])
-        return {"disc": SensorNoise(2.0 * left_k, 0.0, 0.0, 0.0, 0.0, 0.0)}
+        return {
+            "disc": SensorNoise(COHERENT * left_k, 0.0, 0.0, 0.0, 0.0, 0.0)
+        }

@@ -15,6 +15,8 @@ from bstm_daemon.analysis.matching.baseline import baselines
 from bstm_daemon.analysis.matching.coarse import (
     CAPACITY,
     FILTER,
+    FINE_POINTS,
+    FINE_S,
     OF_DISC,
     Found,
     Reading,
@@ -282,9 +284,17 @@ def _refined(
     Of discs alone with the search's plain noise: their errors are those of
     the heat, and the fit with least error is asked for. *noise* is known.
     """
-    noise = found.noise if found.noise and _discs_only(keys) else noise
+    drives = found.reading.drives
+    if found.noise and _discs_only(keys):
+        return refine(
+            *(found.target, drives, keys, show),
+            noise=found.noise,
+            rounds=1,
+            point_s=FINE_S,
+            most_points=FINE_POINTS,
+        )
     return refine(
-        *(found.target, found.reading.drives, keys, show),
+        *(found.target, drives, keys, show),
         start=start,
         noise=noise,
         rounds=1 if noise else ROUNDS,

@@ -16,7 +16,9 @@ import numpy as np
 from bstm_daemon.analysis.matching.drives import GRID_S
 from bstm_daemon.analysis.matching.problem import (
     FIRST,
+    MOST_POINTS,
     OTHER,
+    POINT_S,
     Problem,
     whole_drives,
 )
@@ -78,6 +80,8 @@ def refine(  # noqa: PLR0913
     start: Mapping[str, float] | None = None,
     noise: Mapping[str, SensorNoise] | None = None,
     rounds: int = ROUNDS,
+    point_s: float = POINT_S,
+    most_points: int = MOST_POINTS,
 ) -> Refinement:
     """Fit *keys* of *target* to all of *drives*.
 
@@ -89,8 +93,12 @@ def refine(  # noqa: PLR0913
         start: values to begin from, by key; else those of *target*.
         noise: what is known of residuals, by node.
         rounds: fits, after each but the last the noise is learned.
+        point_s: least time between two points that count.
+        most_points: of a thermocouple over a drive, at most.
     """
-    runs, terms = whole_drives(target, drives)
+    runs, terms = whole_drives(
+        target, drives, point_s=point_s, most_points=most_points
+    )
     problem = Problem(target, drives, keys, runs, terms, noise or {})
     x = problem.start.copy()
     for i, key in enumerate(keys):
