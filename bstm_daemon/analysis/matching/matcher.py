@@ -59,6 +59,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from bstm_daemon.analysis.matching.drives import Drive
+    from bstm_daemon.analysis.matching.refine import Errors
     from bstm_daemon.analysis.statistics.series import Column
     from bstm_daemon.analysis.statistics.whitening import SensorNoise
     from bstm_daemon.config.sections import Config
@@ -246,8 +247,10 @@ def _match(
             start=start,
         )
     after = found.target.changed(joint.values)
+    errors = _errors(after, drives)
     accuracy = _left_out(
-        target, readings, joint, only, lambda share: show(0.8 + 0.2 * share)
+        *(target, readings, joint, only, errors),
+        lambda share: show(0.8 + 0.2 * share),
     )
     remarks += found.remarks
     if not only:
@@ -264,7 +267,7 @@ def _match(
         thesis,
         accuracy,
         tuple(remark for remark in remarks if remark),
-        tuple(_doubts(joint, accuracy, _errors(after, drives))),
+        tuple(_doubts(joint, accuracy, errors)),
     )
 
 
@@ -311,11 +314,9 @@ def _keys(
     return keys, [*remarks, why]
 
 
-def _errors(
-    target: Target, drives: Sequence[Drive]
-) -> dict[str, list[tuple[Column, Column]]]:
+def _errors(target: Target, drives: Sequence[Drive]) -> Errors:
     """Return errors and rises of *target* on all of *drives* by node."""
-    found: dict[str, list[tuple[Column, Column]]] = {}
+    found: Errors = {}
     for drive in drives:
         for node, parts in errors_of(target, drive).items():
             found.setdefault(node, []).extend(parts)
@@ -327,12 +328,13 @@ def _left_out(
     readings: Sequence[Reading],
     joint: Refinement,
     only: str,
+    fit_errors: Errors,
     show: Callable[[float], None],
 ) -> Accuracy:
     """Return what is left on drives, or a part, that a fit has not seen."""
     folds = folds_of(readings[0].drives)
-    before: dict[str, list[tuple[Column, Column]]] = {}
-    after: dict[str, list[tuple[Column, Column]]] = {}
+    before: Errors = {}
+    after: Errors = {}
     names, simple_k = [], []
     for number, (pieces, left) in enumerate(folds):
         found = search(target, [one.of(pieces) for one in readings])
@@ -359,7 +361,11 @@ def _left_out(
             for node, parts in errors_of(one, on).items():
                 errors.setdefault(node, []).extend(parts)
         show((number + 1) / len(folds))
-    seen = after or _errors(target.changed(joint.values), readings[0].drives)
+    seen = {node: list(parts) for node, parts in after.items()}
+    if len(folds) < 2:
+        # a last third alone may hold a soak and no stop
+        for node, parts in fit_errors.items():
+            seen.setdefault(node, []).extend(parts)
     return Accuracy(
         {
             node: fitted([(*part, white_k(joint, node)) for part in parts])
@@ -376,7 +382,7 @@ def _left_out(
 def _doubts(
     joint: Refinement,
     accuracy: Accuracy,
-    errors: Mapping[str, Sequence[tuple[Column, Column]]],
+    errors: Errors,
 ) -> Iterator[str]:
     """Say why a part of the model may be missing, nothing where it is not."""
     known = np.sqrt(np.diag(joint.covariance)) < KNOWN * joint.prior

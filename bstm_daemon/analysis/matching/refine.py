@@ -32,6 +32,9 @@ if TYPE_CHECKING:
     from bstm_daemon.analysis.matching.drives import Drive
     from bstm_daemon.analysis.matching.tunables import Target
 
+    Errors = dict[str, list[tuple[Column, Column]]]
+    """Error and rise above the air of each thermocouple by node."""
+
 ROUNDS: Final = 3
 """Fits, each with the noise that the one before has shown."""
 
@@ -241,15 +244,13 @@ def folds_of(drives: Sequence[Drive]) -> list[tuple[list[Piece], Piece]]:
     return [([(0, slice(0, cut))], (0, slice(cut, steps)))]
 
 
-def errors_of(
-    target: Target, drive: Drive
-) -> dict[str, list[tuple[Column, Column]]]:
+def errors_of(target: Target, drive: Drive) -> Errors:
     """Return error and rise above the air of each thermocouple by node."""
     runs, terms = whole_drives(
         target, [drive], point_s=GRID_S, most_points=len(drive)
     )
     problem = Problem(target, [drive], (), runs, terms, None)
-    found: dict[str, list[tuple[Column, Column]]] = {}
+    found: Errors = {}
     for term, apart in zip(
         terms, problem.residuals_k(np.zeros((1, 0))), strict=True
     ):
@@ -263,9 +264,7 @@ def white_k(fit: Refinement, node: str) -> float:
     return min(fit.noise[node].white_k, usual) if node in fit.noise else usual
 
 
-def rms_of(
-    errors: Mapping[str, Sequence[tuple[Column, Column]]],
-) -> dict[str, float]:
+def rms_of(errors: Errors) -> dict[str, float]:
     """Return the RMS of errors as of :func:`errors_of`, by node."""
     return {
         node: rms(np.concatenate([error for error, *_ in parts]))
