@@ -10,6 +10,7 @@ import os
 from pathlib import Path
 from typing import Final
 
+import numpy as np
 import pytest
 
 from bstm_daemon.analysis.matching.baseline import baselines
@@ -79,7 +80,7 @@ def test_no_worse_than_a_disc_of_one_node(
         for one in readings
         if one.filter_s == match.after.config.heat.derivative_filter_s
     )
-    simple = baselines(match.drives)
+    simple, both = baselines(match.drives), []
     for corner in ("FL", "FR"):
         own = Target(match.after.config, (corner,))
         (fit_k,) = rms_of(errors_of(own, match.drives[0])).values()
@@ -90,7 +91,13 @@ def test_no_worse_than_a_disc_of_one_node(
             f"one node {of_one_node.rms_k:.1f}, "
             f"{of_one_node.rms_on([held]):.1f} K"
         )
-        assert fit_k < of_one_node.rms_k
-        assert held_k < of_one_node.rms_on([held])
+        one_node_k = of_one_node.rms_on([held])
+        # matched together, left and right may be 1 K off what each could be
+        assert fit_k < of_one_node.rms_k + 1.0
+        assert held_k < one_node_k + 1.0
+        both.append((fit_k, of_one_node.rms_k, held_k, one_node_k))
         if not half:
             assert held_k < MOST_HELD_K[fitted, other]
+    fit_k, simple_k, held_k, one_node_k = np.sqrt(np.mean(np.square(both), 0))
+    assert fit_k < simple_k
+    assert held_k < one_node_k

@@ -256,15 +256,16 @@ def search(target: Target, readings: Sequence[Reading]) -> Found:
     exponents = [exponent_of(target)]
     if CAPACITY in target.guessed:
         exponents.append(0.0)
-    least_k, best = np.inf, Found(target, first, {})
+    tried = []
     for exponent, reading in product(exponents, readings):
         start = _with_form(target, exponent, reading)
         fit = _Discs(start, reading.drives, keys)
         left_k, values = fit.solved()
-        if left_k < MUCH_LESS * least_k:
-            found = start.changed(values)
-            least_k, best = left_k, Found(found, reading, fit.noise(values))
-    return best
+        found = start.changed(values)
+        tried.append((left_k, Found(found, reading, fit.noise(values))))
+    best = min(tried, key=lambda one: one[0])
+    # as configured, where another form is hardly better
+    return best[1] if best[0] < MUCH_LESS * tried[0][0] else tried[0][1]
 
 
 def _keys(target: Target, drives: Sequence[Drive]) -> list[str]:

@@ -71,8 +71,10 @@ FAR: Final = 3.0
 """Deviations of its prior that a value moves only for what is missing."""
 
 FAR_ABOVE: Final = 2.0
-ABOVE_K: Final = 3.0
-"""An error beside the fit's, times and plus, that is another drive's own."""
+ABOVE_K: Final = 6.0
+ABOVE_SHARE: Final = 0.03
+"""An error beside the fit's, times, and plus the larger of kelvins and a share
+of the rise, that is another drive's own."""
 
 RISE_SHARE: Final = 0.05
 """Of its rise above the air, an error in the fit that a lump may have."""
@@ -407,12 +409,13 @@ def _doubts(
                 f"{node} {fit_k[node]:.1f} K in the fit, where sensor and "
                 f"lump explain {most_k:.1f} K"
             )
-    for node, left_k in accuracy.rms_k.items():
-        there_k = fit_k.get(node, left_k)
-        if left_k > FAR_ABOVE * there_k + ABOVE_K:
+        left_k = accuracy.rms_k.get(node, 0.0)
+        if left_k > FAR_ABOVE * fit_k[node] + max(
+            ABOVE_K, ABOVE_SHARE * rise_k
+        ):
             yield (
                 f"{node} {left_k:.1f} K on what was left out, "
-                f"{there_k:.1f} K in the fit"
+                f"{fit_k[node]:.1f} K in the fit"
             )
     disc_k = accuracy.rms_k.get("disc", 0.0)
     if disc_k > accuracy.baseline_k + ABOVE_BASELINE_K:
