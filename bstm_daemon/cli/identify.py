@@ -14,6 +14,7 @@ from bstm_daemon.analysis.identify.cooling_while_braking import (
 from bstm_daemon.analysis.identify.driving import driving_of
 from bstm_daemon.analysis.identify.writing import (
     brake_changes,
+    braked_changes,
     coast_down_changes,
     cooling_changes,
     write_changed,
@@ -89,7 +90,7 @@ KINDS: Final = {
         cooling.braked_text,
         cooling.braked_page,
         cooling.braked_json,
-        lambda result, config: cooling_changes(result.axles, config),
+        lambda result, config: braked_changes(result.axles, config),
     ),
 }
 

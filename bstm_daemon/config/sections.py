@@ -247,6 +247,8 @@ class DiscConfig(Section):
 
     ``mass_kg`` is the mass that takes part in heating (the ring),
     ``swept_area_m2`` both friction faces, ``total_area_m2`` what radiates.
+    ``heat_capacity_exponent`` says how much of its material's rise of the
+    heat capacity over that at 20 degC it has: 1 all, 0 none.
     """
 
     model: str = "lumped"
@@ -266,6 +268,9 @@ class DiscConfig(Section):
     heat_capacity_j_kgk: Curve | None = None
     """curve for `material = "own"`: `{temperature_c = [...], value =
     [...]}`"""
+    heat_capacity_exponent: Annotated[float, Field(ge=0, le=2)] = 1.0
+    """how much of that curve's rise over its value at 20 °C the disc has: 1
+    all, 0 a constant capacity"""
     conductivity_w_mk: Positive = 50.0
     """for the heat partition (Eq 2.3)"""
     density_kg_m3: Positive = 7200.0

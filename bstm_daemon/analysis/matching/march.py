@@ -16,6 +16,7 @@ from bstm_daemon.analysis.matching.drives import (
     flat,
     settled,
 )
+from bstm_daemon.channels import CHANNELS
 from bstm_daemon.estimator.corner_model import corner_model
 from bstm_daemon.model.thermal.kernel import Batch
 from bstm_daemon.model.thermal.program import compile_network
@@ -29,6 +30,9 @@ if TYPE_CHECKING:
     from bstm_daemon.config.sections import Config
     from bstm_daemon.model.effects.model import CornerModel
     from bstm_daemon.model.thermal.program import Program
+
+STEADY_K: Final = 10.0
+"""First temperatures that spread less are joined to their mean."""
 
 STRETCH_STEPS: Final = 4096
 """Steps given to the kernel at a time."""
@@ -46,8 +50,12 @@ def initial_temperatures(
     held = {}
     for node, couple in drive.measured.get(corner, {}).items():
         first = couple.at(at_s)
-        if node in nodes and np.isfinite(first).any():
-            held[node] = float(np.nanmean(first))
+        first = first[np.isfinite(first)]
+        if node in nodes and len(first):
+            # who brakes hard is at no mean
+            if np.ptp(first) > STEADY_K:
+                first = couple.temperature_k[:1]
+            held[node] = float(first.mean())
     ambient_k = float(drive.channel(corner, "ambient_k")[0])
     return settled(program, held, ambient_k)
 
@@ -64,6 +72,7 @@ def march(
     corner: str,
     initial_k: Mapping[str, float] | None = None,
     forced: Mapping[str, Column] | None = None,
+    power_w: Column | None = None,
 ) -> dict[str, Column]:
     """March variants of *corner* over *drive*.
 
@@ -74,6 +83,7 @@ def march(
         initial_k: temperatures [K] at the start, by node; as measured.
         forced: nodes that follow a series, [K] at each step's end, (steps,);
             free where it is NaN.
+        power_w: brake power of each variant, (steps, variants); as *drive*.
 
     Returns:
         Temperatures [K] by node, (steps, variants).
@@ -87,9 +97,12 @@ def march(
             networks = [one.with_forced(node) for one in networks]
         programs = [compile_network(one) for one in networks]
         inputs = np.column_stack((inputs, *forced.values()))
-    batch = Batch(
-        programs, 0.0, [0] * len(programs), kernel=load_kernel(), sets=1
-    )
+    sets = [0] * len(programs)
+    if power_w is not None:
+        sets = list(range(len(programs)))
+        inputs = np.repeat(inputs[:, None], len(programs), axis=1)
+        inputs[:, :, CHANNELS.index("brake_power_w")] = power_w
+    batch = Batch(programs, 0.0, sets, kernel=load_kernel())
     names = [node.name for node in programs[0].network.nodes]
     for member in range(len(programs)):
         for i, name in enumerate(names):
