@@ -126,12 +126,8 @@ def _compare_shares(
 
 
 def _compare_frozen(m: CheckMemory, now: Readings, accel: float) -> None:
-    held_s = UNKNOWN
-    for v, speed in enumerate(now.speeds):
-        if not isnan(speed) and (
-            held_s == UNKNOWN or m.speed_held_s[v] < held_s
-        ):
-            held_s = m.speed_held_s[v]
+    known = (v for v, speed in enumerate(now.speeds) if not isnan(speed))
+    held_s = min((m.speed_held_s[v] for v in known), default=UNKNOWN)
     if held_s < FROZEN_SPEED_S:
         m.unmoved_square = m.tilted_s = 0.0
         m.standing_accel = m.band_slow_accel
