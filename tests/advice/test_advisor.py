@@ -245,7 +245,8 @@ def test_advice_that_is_none_begins_parked(advice: object) -> None:
     document |= {"advice": advice}
     second = engine(history_known=False)
 
-    second.resume(document, 0, START_US + 2 * SECOND)
+    restored = second.resume(document, 0, document["time_us"])
 
+    assert restored.resumed
     assert second.export_state()["advice"] == engine().export_state()["advice"]
     assert run(second, drive(2.0, 4.0, 36.0, 10.0))
