@@ -144,6 +144,7 @@ class SignalConfig(Section):
     scale: float = 1.0
     offset: float = 0.0
     timeout_s: Positive | None = None
+    depth_m: Annotated[float, Field(ge=0, le=0.05)] | None = None
     min: float | None = None
     max: float | None = None
 
