@@ -168,6 +168,9 @@ class SignalConfig(Section):
     """added after `scale`, in `unit`"""
     timeout_s: Positive | None = None
     """how long a value counts as present; without it the role's own"""
+    depth_m: Annotated[float, Field(ge=0, le=0.05)] | None = None
+    """of a temperature of a disc or of a pad's front: depth of the
+    thermocouple below the friction face, for `bstm match` and `bstm gap`"""
     min: float | None = None
     """below it, in `unit`, a value is no sample"""
     max: float | None = None

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from bstm_daemon.analysis.matching.placement import node_at, placements
 from bstm_daemon.bus.opening import EventLog
 from bstm_daemon.channels import CHANNELS
 from bstm_daemon.errors import LogError, UsageError
@@ -40,6 +41,7 @@ if TYPE_CHECKING:
     )
     from pathlib import Path
 
+    from bstm_daemon.analysis.matching.placement import Placement
     from bstm_daemon.analysis.matching.power_by_drag import PowerByDrag
     from bstm_daemon.analysis.statistics.series import Column
     from bstm_daemon.bus.signals.columns import Events
@@ -114,6 +116,7 @@ class Drive:
     (steps, n) is the speed at the n estimator steps of each step, of which
     ``inputs`` has the mean; n is 0 where they were not kept. ``by_drag``
     replaces the brake power of ``inputs`` where drag is to be found.
+    ``placed`` has the thermocouples, by corner and node, whose depth is known.
     """
 
     name: str
@@ -126,6 +129,7 @@ class Drive:
     roles: frozenset[int] = frozenset()
     speed_ms: Column = field(default_factory=lambda: np.zeros((0, 0)))
     by_drag: PowerByDrag | None = field(default=None, repr=False)
+    placed: Mapping[str, Mapping[str, Placement]] = field(default_factory=dict)
 
     def __len__(self) -> int:
         """Return the number of steps."""
@@ -346,6 +350,7 @@ def drive_of(
         corners,
         inputs,
         thermocouples_of(temperatures, corners, start_s),
+        placed=placements(estimator.config),
         learned=estimator.samples.learned(),
         roles=frozenset(seen),
         speed_ms=speed_ms,
@@ -419,10 +424,16 @@ def begin_as_measured(estimator: Estimator, events: Events) -> None:
     air_k = first("ambient_temperature")
     if np.isnan(air_k):
         air_k = estimator.config.vehicle.ambient_c + KELVIN_OFFSET
+    placed = placements(estimator.config)
     for batch, names in estimator.batches:
         for member, corner in enumerate(names):
+            nodes = [
+                node.name for node in estimator.programs[corner].network.nodes
+            ]
             held = {
-                node: first(f"temp_{corner.lower()}_{node}")
+                node_at(node, placed.get(corner, {}), nodes): first(
+                    f"temp_{corner.lower()}_{node}"
+                )
                 for node in MEASURED_NODES
             }
             known = {n: k for n, k in held.items() if np.isfinite(k)}

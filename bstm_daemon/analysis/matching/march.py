@@ -16,6 +16,7 @@ from bstm_daemon.analysis.matching.drives import (
     flat,
     settled,
 )
+from bstm_daemon.analysis.matching.placement import InPad, node_at
 from bstm_daemon.channels import CHANNELS
 from bstm_daemon.estimator.corner_model import corner_model
 from bstm_daemon.model.thermal.kernel import Batch
@@ -56,6 +57,8 @@ def initial_temperatures(
             if np.ptp(first) > STEADY_K:
                 first = couple.temperature_k[:1]
             held[node] = float(first.mean())
+    placed = drive.placed.get(corner, {})
+    held = {node_at(one, placed, nodes): k for one, k in held.items()}
     ambient_k = float(drive.channel(corner, "ambient_k")[0])
     return settled(program, held, ambient_k)
 
@@ -86,12 +89,16 @@ def march(
         power_w: brake power of each variant, (steps, variants); as *drive*.
 
     Returns:
-        Temperatures [K] by node, (steps, variants).
+        Temperatures [K] by node, (steps, variants); of a thermocouple whose
+        depth is configured those at its place.
     """
     if initial_k is None:
         initial_k = initial_temperatures(programs[0], drive, corner)
     inputs = drive.inputs[:, drive.corners.index(corner)]
+    placed = drive.placed.get(corner, {})
+    names = [node.name for node in programs[0].network.nodes]
     if forced:
+        forced = {node_at(one, placed, names): k for one, k in forced.items()}
         networks = [one.network for one in programs]
         for node in forced:
             networks = [one.with_forced(node) for one in networks]
@@ -103,7 +110,6 @@ def march(
         inputs = np.repeat(inputs[:, None], len(programs), axis=1)
         inputs[:, :, CHANNELS.index("brake_power_w")] = power_w
     batch = Batch(programs, 0.0, sets, kernel=load_kernel())
-    names = [node.name for node in programs[0].network.nodes]
     for member in range(len(programs)):
         for i, name in enumerate(names):
             batch.state[member * batch.width + i] = initial_k[name]
@@ -114,4 +120,13 @@ def march(
         out = batch.march(flat(part), len(part), GRID_S)
         shaped = np.frombuffer(out).reshape(len(part), len(programs), size)
         kept[first : first + len(part)] = shaped[:, :, : len(names)]
-    return {name: kept[:, :, i] for i, name in enumerate(names)}
+    found = {name: kept[:, :, i] for i, name in enumerate(names)}
+    own = drive.channel(corner, "brake_power_w")[:, None]
+    power_w = own if power_w is None else power_w
+    return found | {
+        couple: place.reading(found)
+        if isinstance(place, InPad)
+        else found[couple]
+        + np.stack([place.excess_k(one, GRID_S) for one in power_w.T], axis=1)
+        for couple, place in placed.items()
+    }
