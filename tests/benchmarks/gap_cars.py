@@ -22,8 +22,8 @@ from bstm_daemon.analysis.gap.comparison import HEAT_SCALE_PRIOR
 from bstm_daemon.analysis.gap.recording import Recording, recorded
 from bstm_daemon.analysis.gap.signatures import Sensed, candidates, sensed
 from bstm_daemon.analysis.gap.workflow import compare
-from bstm_daemon.analysis.matching.drives import thermocouples_of
 from bstm_daemon.analysis.matching.refine import refine
+from bstm_daemon.analysis.matching.thermocouples import thermocouples_of
 from bstm_daemon.analysis.matching.tunables import (
     TUNABLES,
     Target,

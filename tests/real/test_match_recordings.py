@@ -34,6 +34,7 @@ MOST_HELD_K: Final = {(0, 1): 42.0, (1, 0): 31.0}
 
 pytestmark = [
     pytest.mark.real,
+    pytest.mark.slow,
     pytest.mark.skipif(
         DATA is None or not F1.exists(),
         reason="BSTM_REAL_DATA does not name the folder of the recordings",

@@ -24,8 +24,9 @@ from bstm_daemon.analysis.gap.evidence import NOTHING, strength_prior
 from bstm_daemon.analysis.gap.naming import SURE, Naming
 from bstm_daemon.analysis.gap.recording import Recording, inputs_of, thinned
 from bstm_daemon.analysis.gap.signatures import sensitivities, signature_of
-from bstm_daemon.analysis.matching.drives import GRID_S, Drive, Thermocouple
+from bstm_daemon.analysis.matching.drives import GRID_S, Drive
 from bstm_daemon.analysis.matching.march import march, model_of
+from bstm_daemon.analysis.matching.thermocouples import Thermocouple
 from bstm_daemon.analysis.statistics.evidence import Projector
 from bstm_daemon.bus.signals.columns import Events
 from bstm_daemon.estimator.corner_model import compiled_model

@@ -14,7 +14,14 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from bstm_daemon.analysis.matching.placement import node_at, placements
+from bstm_daemon.analysis.matching.thermocouples import (
+    NODE_OF,
+    THERMOCOUPLES,
+    Thermocouple,
+    node_at,
+    placements,
+    thermocouples_of,
+)
 from bstm_daemon.bus.opening import EventLog
 from bstm_daemon.channels import CHANNELS
 from bstm_daemon.errors import LogError, UsageError
@@ -27,7 +34,7 @@ from bstm_daemon.model.thermal.program import Program, compile_network
 from bstm_daemon.native.loader import load_kernel
 from bstm_daemon.replay.columns import present_roles
 from bstm_daemon.replay.results import Collector, Results, ResultsBuilder
-from bstm_daemon.roles import MEASURED_NODES, ROLE_INDEX, ROLES
+from bstm_daemon.roles import MEASURED_NODES, ROLE_INDEX
 from bstm_daemon.units import KELVIN_OFFSET
 
 if TYPE_CHECKING:
@@ -41,8 +48,8 @@ if TYPE_CHECKING:
     )
     from pathlib import Path
 
-    from bstm_daemon.analysis.matching.placement import Placement
     from bstm_daemon.analysis.matching.power_by_drag import PowerByDrag
+    from bstm_daemon.analysis.matching.thermocouples import Placement
     from bstm_daemon.analysis.statistics.series import Column
     from bstm_daemon.bus.signals.columns import Events
     from bstm_daemon.bus.signals.signal_map import SignalMap
@@ -52,15 +59,9 @@ if TYPE_CHECKING:
 GRID_S: Final = 0.5
 """Step of matching. Energies are exact at any step, as inputs are means."""
 
-LONGEST_GAP_S: Final = 5.0
-"""Between two samples of a thermocouple that are joined by a line."""
-
 BEGIN_S: Final = 5.0
 """The first temperatures are means over this time; who brakes within it shifts
 the start by half of what it heats."""
-
-NODE_OF: Final = {"disc_2": "disc"}
-"""Thermocouple to node, where the names differ."""
 
 SETTLING_STEP_S: Final = 20.0
 SETTLING_STEPS: Final = 60
@@ -70,37 +71,6 @@ STEPS_A_ROW: Final = round(GRID_S * 1e6) // STEP_US
 
 SEGMENT: Final = ".log.gz"
 """Ending of the files of a kept record."""
-
-THERMOCOUPLES: Final = frozenset(
-    number
-    for number, role in enumerate(ROLES)
-    if role.name.startswith("temp_")
-)
-"""Numbers of their roles."""
-
-
-@dataclass(frozen=True, slots=True)
-class Thermocouple:
-    """Samples of one thermocouple: since the drive's start [s], and [K]."""
-
-    time_s: Column
-    temperature_k: Column
-
-    def at(self, time_s: Column) -> Column:
-        """Return the temperature at *time_s*, (n,); NaN within a gap."""
-        value = np.asarray(
-            np.interp(time_s, self.time_s, self.temperature_k), np.float64
-        )
-        after = np.searchsorted(self.time_s, time_s)
-        last = len(self.time_s) - 1
-        right = self.time_s[np.minimum(after, last)]
-        left = self.time_s[np.maximum(after - 1, 0)]
-        inside = (time_s >= self.time_s[0] - GRID_S) & (
-            time_s <= self.time_s[-1] + GRID_S
-        )
-        near = inside & (right - left <= LONGEST_GAP_S)
-        value[~near] = np.nan
-        return value
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -473,31 +443,6 @@ def flat(rows: Column) -> array[float]:
     numbers = array("d")
     numbers.frombytes(rows.tobytes())
     return numbers
-
-
-def thermocouples_of(
-    temperatures: Mapping[int, list[tuple[Column, Column]]],
-    corners: tuple[str, ...],
-    start_s: float,
-) -> dict[str, dict[str, Thermocouple]]:
-    """Return thermocouples by corner and node, of samples by role number.
-
-    Times [s] of the samples are stamps; those returned count from *start_s*.
-    """
-    found: dict[str, dict[str, Thermocouple]] = {}
-    for corner in corners:
-        own = {}
-        for node in MEASURED_NODES:
-            role = ROLE_INDEX[f"temp_{corner.lower()}_{node}"]
-            parts = temperatures.get(role)
-            if parts:
-                time_s = np.concatenate([time for time, _ in parts]) - start_s
-                value = np.concatenate([value for _, value in parts])
-                order = np.argsort(time_s, kind="stable")
-                own[node] = Thermocouple(time_s[order], value[order])
-        if own:
-            found[corner] = own
-    return found
 
 
 def _since(results: Results, start_s: float) -> Results:

@@ -16,7 +16,7 @@ from bstm_daemon.analysis.matching.drives import (
     flat,
     settled,
 )
-from bstm_daemon.analysis.matching.placement import InPad, node_at
+from bstm_daemon.analysis.matching.thermocouples import InPad, node_at
 from bstm_daemon.channels import CHANNELS
 from bstm_daemon.estimator.corner_model import corner_model
 from bstm_daemon.model.thermal.kernel import Batch

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from bstm_daemon.analysis.setup.behaviour import Verdict, to_ms, to_si
+from bstm_daemon.roles import GROUND_LAG_S
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -105,7 +106,7 @@ class Judge:
         motion = self.motion
         if role.startswith(_BRAKING):
             return motion.pressure_verdict(samples)
-        if unit and role.startswith((*SPEEDS, "gnss_speed")):
+        if unit and role.startswith((*SPEEDS, *GROUND_LAG_S)):
             return motion.speed_verdict(self.si(role, unit, samples))
         if unit and role == "acceleration_longitudinal":
             return motion.acceleration_verdict(to_si(samples, unit))

@@ -29,6 +29,7 @@ from bstm_daemon.bus.tables.table_plan import ColumnOutput, TableMap
 from bstm_daemon.bus.tables.time_axis import TimeAxis
 from bstm_daemon.config.sections import TableConfig
 from bstm_daemon.errors import LogError
+from bstm_daemon.roles import GROUND_LAG_S
 from bstm_daemon.units import UNITS, unit_named
 
 if TYPE_CHECKING:
@@ -141,7 +142,7 @@ def propose_for(table: Table) -> Proposal:
         worded = replace(one, reason=reason, sure=is_shown)
         (sure if is_shown else unsure).append(worded)
     if not any(one.role.startswith(SPEEDS) for one in (*sure, *unsure)):
-        for one in [one for one in sure if one.role == "gnss_speed"]:
+        for one in [one for one in sure if one.role in GROUND_LAG_S]:
             sure.remove(one)
             match = replace(one.match, role="vehicle_speed")
             reason = f"of a receiver, so it lags; {one.reason}"

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from bstm_daemon.analysis.matching.baseline import Baseline, baselines
-from bstm_daemon.analysis.matching.drives import GRID_S, Drive, Thermocouple
+from bstm_daemon.analysis.matching.drives import GRID_S, Drive
+from bstm_daemon.analysis.matching.thermocouples import Thermocouple
 from bstm_daemon.channels import CHANNELS
 
 from ...made_drives import lumped as made  # noqa: TID252

@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from bstm_daemon.analysis.matching.baseline import baselines
-from bstm_daemon.analysis.matching.drives import GRID_S, Drive, Thermocouple
+from bstm_daemon.analysis.matching.drives import GRID_S, Drive
 from bstm_daemon.analysis.matching.refine import NodeAccuracy
+from bstm_daemon.analysis.matching.thermocouples import Thermocouple
 from bstm_daemon.analysis.matching.verification import (
     NodeErrors,
     Verdict,

@@ -12,7 +12,7 @@ from bstm_daemon.analysis.matching.march import (
     initial_temperatures,
     march,
 )
-from bstm_daemon.analysis.matching.placement import (
+from bstm_daemon.analysis.matching.thermocouples import (
     InDisc,
     InPad,
     node_at,

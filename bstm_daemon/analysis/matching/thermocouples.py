@@ -1,4 +1,4 @@
-"""Where a thermocouple lies below the friction face, and what is there.
+"""Thermocouples: what they read, and where below the friction face they lie.
 
 A lining has a gradient of tens of kelvin a millimetre: its temperature is
 read between the slabs. The disc is one node; while a brake works, a cheek is
@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from bstm_daemon.model.thermal.brake_corner import corner_spec
+from bstm_daemon.roles import MEASURED_NODES, ROLE_INDEX, ROLES
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping
@@ -26,10 +27,50 @@ if TYPE_CHECKING:
     from bstm_daemon.config.sections import Config
     from bstm_daemon.model.thermal.brake_corner import CornerSpec
 
+LONGEST_GAP_S: Final = 5.0
+"""Between two samples of a thermocouple that are joined by a line."""
+
+EDGE_S: Final = 0.5
+"""Its first and last sample hold so far beyond, a step of matching."""
+
+NODE_OF: Final = {"disc_2": "disc"}
+"""Thermocouple to node, where the names differ."""
+
+THERMOCOUPLES: Final = frozenset(
+    number
+    for number, role in enumerate(ROLES)
+    if role.name.startswith("temp_")
+)
+"""Numbers of their roles."""
+
 PAD: Final = "pad_front"
 
 MEMORY_STEPS: Final = 24
 """What came before so many steps has no part in the profile of a disc."""
+
+
+@dataclass(frozen=True, slots=True)
+class Thermocouple:
+    """Samples of one thermocouple: since the drive's start [s], and [K]."""
+
+    time_s: Column
+    temperature_k: Column
+
+    def at(self, time_s: Column) -> Column:
+        """Return the temperature at *time_s*, (n,); NaN within a gap."""
+        value = np.asarray(
+            np.interp(time_s, self.time_s, self.temperature_k), np.float64
+        )
+        after = np.searchsorted(self.time_s, time_s)
+        last = len(self.time_s) - 1
+        right = self.time_s[np.minimum(after, last)]
+        left = self.time_s[np.maximum(after - 1, 0)]
+        inside = (time_s >= self.time_s[0] - EDGE_S) & (
+            time_s <= self.time_s[-1] + EDGE_S
+        )
+        near = inside & (right - left <= LONGEST_GAP_S)
+        value[~near] = np.nan
+        return value
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,3 +160,28 @@ def pad_nodes(names: Collection[str]) -> list[str]:
     slabs = [name for name in names if name.removeprefix("pad_").isdigit()]
     slabs.sort(key=lambda name: int(name.removeprefix("pad_")))
     return [PAD, *slabs, "pad_back"]
+
+
+def thermocouples_of(
+    temperatures: Mapping[int, list[tuple[Column, Column]]],
+    corners: tuple[str, ...],
+    start_s: float,
+) -> dict[str, dict[str, Thermocouple]]:
+    """Return thermocouples by corner and node, of samples by role number.
+
+    Times [s] of the samples are stamps; those returned count from *start_s*.
+    """
+    found: dict[str, dict[str, Thermocouple]] = {}
+    for corner in corners:
+        own = {}
+        for node in MEASURED_NODES:
+            role = ROLE_INDEX[f"temp_{corner.lower()}_{node}"]
+            parts = temperatures.get(role)
+            if parts:
+                time_s = np.concatenate([time for time, _ in parts]) - start_s
+                value = np.concatenate([value for _, value in parts])
+                order = np.argsort(time_s, kind="stable")
+                own[node] = Thermocouple(time_s[order], value[order])
+        if own:
+            found[corner] = own
+    return found
