@@ -17,7 +17,7 @@ from side_by_side import Table
 from bstm_daemon.analysis.gap.holdout_comparison import BASELINES, EXTENDED
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
 BINS: Final = ((0.3, 0.5), (0.5, 0.8), (0.8, 1.25), (1.25, 2.0))
 """Of strength."""
@@ -119,6 +119,30 @@ def confusion(results: Sequence[Result]) -> list[tuple[str, ...]]:
         ]
         rows.append((effect, str(sum(counts.values())), "; ".join(texts)))
     return rows
+
+
+def named(
+    by_label: Mapping[str, Sequence[Result]],
+) -> Table:
+    """Return of each effect of S1, by column: named, detectable, cases."""
+    rows: dict[str, list[str]] = defaultdict(lambda: ["-"] * len(by_label))
+    for column, results in enumerate(by_label.values()):
+        by: dict[str, list[Result]] = defaultdict(list)
+        for one in results:
+            if one.group == "S1":
+                by[one.effect].append(one)
+        for effect, own in by.items():
+            detectable = [o for o in own if o.detectable]
+            right = sum(
+                o.answer in {"name", "class"} and effect in o.names
+                for o in detectable
+            )
+            rows[effect][column] = f"{right}, {len(detectable)}, {len(own)}"
+    return Table(
+        "",
+        ("hidden: named, detectable, cases", *by_label),
+        tuple((effect, *cells) for effect, cells in sorted(rows.items())),
+    )
 
 
 def rivals(results: Sequence[Result]) -> list[tuple[str, ...]]:
