@@ -202,4 +202,4 @@ def costs(seconds: Sequence[Sequence[float | None]]) -> str:
             texts.append(
                 f"{label} {median(known):.1f} s, at most {max(known):.1f} s"
             )
-    return f"CPU time a case: {';\n'.join(texts)}."
+    return "CPU time a case: " + ";\n".join(texts) + "."

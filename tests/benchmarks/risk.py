@@ -11,6 +11,7 @@ import argparse
 import json
 import pickle
 import sys
+import textwrap
 from dataclasses import asdict, dataclass, field
 from functools import partial
 from pathlib import Path
@@ -591,7 +592,7 @@ def write(outcome: Outcome, path: Path) -> None:
     """Put the tables of *outcome* between the marks of *path*."""
     before, _, rest = path.read_text("utf-8").partition(BEGIN)
     _, _, after = rest.partition(END)
-    figures = [BEGIN, "", outcome.about, ""]
+    figures = [BEGIN, "", textwrap.fill(outcome.about, 90), ""]
     for table in outcome.tables:
         figures += [f"**{table.title}**", "", _row(table.header)]
         figures += [_row(("---",) * len(table.header))]
