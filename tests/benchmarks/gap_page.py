@@ -24,19 +24,31 @@ if TYPE_CHECKING:
 BEGIN: Final = "<!-- gap benchmark -->"
 END: Final = "<!-- end of gap benchmark -->"
 
-ELSEWHERE: Final = ("figures", "held-out drives, right names", "answers")
-"""Tables that worlds have side by side."""
+PRINTED: Final = (
+    *("figures", "held-out drives, right names", "answers"),
+    *("against strength", "stated probability"),
+)
+"""Tables that a run prints and the page has shorter or side by side."""
+
+MINOR: Final = (
+    "S1, twins in these data: true class, no false name",
+    "localisation, right where anything is reported",
+    "SO, none of the known",
+    "SU, none of the known",
+    "ST, structural twins: no false single name",
+    "AD, several left: named after the advised drive",
+    "AD, several left: named after one at random",
+    "AD, nothing seen yet: named after the advised drive",
+    "AD, nothing seen yet: named after one at random",
+)
+"""Figures that a run prints and the page leaves out."""
 
 CHIEF: Final = (
-    "S0, a name or class although nothing is hidden",
     "S0, anything reported",
     "S1, right name or class of two",
-    "S1, something is missing",
     "S1, wrong single name, all cases",
     "localisation, F1 of node and phase",
     "SO, true kind unknown: none of the known, or right place",
-    "SU, in no catalogue: none of the known, or right place",
-    "SX, one drive: no false single name",
     "S2, both and only both",
 )
 """Figures of other sensors."""
@@ -128,7 +140,7 @@ def alone(
         costs(seconds),
     ]
     for table in tables(results):
-        if table.title in ELSEWHERE:
+        if table.title in PRINTED:
             continue
         parts += [f"**{table.title}**", markdown(table)]
     return parts
@@ -158,7 +170,8 @@ def shares(
 
     Args:
         by_label: Results of each column.
-        chief: Names of the figures to take; all if empty.
+        chief: Names of the figures to take; all but the minor ones
+            if empty.
         interval: Whether the first column has the intervals of its shares.
     """
     of = {
@@ -166,7 +179,9 @@ def shares(
         for column, results in by_label.items()
     }
     names = chief or tuple(
-        dict.fromkeys(name for found in of.values() for name in found)
+        name
+        for name in dict.fromkeys(n for found in of.values() for n in found)
+        if name not in MINOR
     )
     rows = []
     for name in names:

@@ -124,7 +124,10 @@ def confusion(results: Sequence[Result]) -> list[tuple[str, ...]]:
 def named(
     by_label: Mapping[str, Sequence[Result]],
 ) -> Table:
-    """Return of each effect of S1, by column: named, detectable, cases."""
+    """Return named and detectable of each effect of S1, by column.
+
+    Without the effects that are detectable in no case.
+    """
     rows: dict[str, list[str]] = defaultdict(lambda: ["-"] * len(by_label))
     for column, results in enumerate(by_label.values()):
         by: dict[str, list[Result]] = defaultdict(list)
@@ -137,10 +140,11 @@ def named(
                 o.answer in {"name", "class"} and effect in o.names
                 for o in detectable
             )
-            rows[effect][column] = f"{right}, {len(detectable)}, {len(own)}"
+            if detectable:
+                rows[effect][column] = f"{right} of {len(detectable)}"
     return Table(
         "",
-        ("hidden: named, detectable, cases", *by_label),
+        ("hidden: named of detectable", *by_label),
         tuple((effect, *cells) for effect, cells in sorted(rows.items())),
     )
 

@@ -78,6 +78,14 @@ KM_PASSES_PART: Final = 125.0
 DOCUMENT: Final = Path(__file__).parents[2] / "docs" / "risk.md"
 BEGIN: Final = "<!-- figures -->"
 END: Final = "<!-- end of figures -->"
+PRINTED: Final = (
+    *("Cars", "Hot discs", "Passes alone"),
+    "Levels at the stop, another day",
+    "DOT 4 fluids of any age that boil below",
+    "Ideal judge: temperatures known, boiling point but for an error",
+    "What leaves the boiling point open, water given",
+)
+"""Tables of a run that the document sums up in words."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -594,6 +602,8 @@ def write(outcome: Outcome, path: Path) -> None:
     _, _, after = rest.partition(END)
     figures = [BEGIN, "", textwrap.fill(outcome.about, 90), ""]
     for table in outcome.tables:
+        if table.title in PRINTED:
+            continue
         figures += [f"**{table.title}**", "", _row(table.header)]
         figures += [_row(("---",) * len(table.header))]
         figures += [_row(row) for row in table.rows]
