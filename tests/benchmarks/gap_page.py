@@ -14,7 +14,7 @@ from gap_cars import World
 from gap_figures import figures
 from gap_held_out import worth
 from gap_judge import Result
-from gap_tables import markdown, named, tables
+from gap_tables import WAYS, markdown, named, rivals, tables
 from side_by_side import Table
 
 if TYPE_CHECKING:
@@ -27,6 +27,7 @@ END: Final = "<!-- end of gap benchmark -->"
 PRINTED: Final = (
     *("figures", "held-out drives, right names", "answers"),
     *("against strength", "stated probability"),
+    "other ways, same cases and library",
 )
 """Tables that a run prints and the page has shorter or side by side."""
 
@@ -124,6 +125,8 @@ def side_by_side(by_world: Mapping[World, Sequence[Result]]) -> list[str]:
         shares(both | own, interval=True),
         "### Held-out drives, right names",
         markdown(Table("", columns, worth(results))),
+        "### Other ways, same cases and library",
+        markdown(Table("", WAYS, tuple(rivals(results)))),
         "### Effects, one hidden",
         markdown(named(own)),
     ]

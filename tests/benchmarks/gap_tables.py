@@ -28,6 +28,16 @@ FALSE_ALARMS: Final = 0.0075
 """At which the limits of detection are told: the goal of S0."""
 
 
+WAYS: Final = (
+    "way",
+    "detectable, effect-free",
+    "right, detectable",
+    "wrong name, all hidden",
+    "named, effect-free",
+)
+"""Columns of other ways."""
+
+
 def limit(
     results: Sequence[Result], distance2: Callable[[Result], float]
 ) -> str:
@@ -220,13 +230,7 @@ def tables(results: Sequence[Result]) -> list[Table]:
         ),
         (
             "other ways, same cases and library",
-            (
-                "way",
-                "detectable, effect-free",
-                "right, detectable",
-                "wrong name, all hidden",
-                "named, effect-free",
-            ),
+            WAYS,
             rivals(results),
         ),
         ("answers", ("hidden", "cases", "answered"), confusion(results)),
