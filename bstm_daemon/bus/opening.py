@@ -41,7 +41,7 @@ NOT_READ: Final = -1
 FORMATS: Final = (
     "read are candump -l text logs (.log, any other ending), .asc, .blf, "
     ".trc and python-can's .csv, each also with .gz behind, .mf4, and signal "
-    "tables (.csv, .tsv, .parquet, .h5, .hdf5)"
+    "tables (.csv, .tsv, .vbo, .xrk, .xrz, .mf4, .parquet, .h5, .hdf5)"
 )
 """Readable formats, for messages."""
 
@@ -53,13 +53,25 @@ _MAGIC: Final = {
     ".hdf5": (b"\x89HDF\r\n\x1a\n",),
 }
 """First bytes of a binary file, by its ending."""
-_TEXTS: Final = (".asc", ".trc", ".csv", ".tsv")
+_TEXTS: Final = (".asc", ".trc", ".csv", ".tsv", ".vbo")
 _PACKED: Final = (".blf", *_TEXTS)
 """Endings that ``.gz`` may follow, besides candump's."""
 _MESSAGES: Final = (".asc", ".blf", ".trc")
+_AIM: Final = (".xrk", ".xrz")
+_TABLES: Final = (
+    *(".tsv", ".vbo", ".parquet", ".h5", ".hdf5"),
+    *_AIM,
+)
+_EXPORTS: Final = {
+    ".ld": "in MoTeC i2 export the data as CSV",
+    ".drk": "in RaceStudio export the data as CSV",
+    ".mdf": "save it as MDF 4 (.mf4)",
+    ".dat": "save it as MDF 4 (.mf4)",
+}
+"""What to do with a file that is not read, by its ending."""
 _OTHER_ENDINGS: Final = frozenset(
     {
-        *(".mat", ".mdf", ".dat", ".db", ".xlsx", ".xls", ".json", ".zip"),
+        *(".mat", ".db", ".xlsx", ".xls", ".json", ".zip"),
         *(".pcap", ".pcapng", ".xz", ".bz2", ".zst", ".feather", ".bin"),
     }
 )
@@ -80,8 +92,8 @@ def open_log(path: Path, wanted: Wanted | None = None) -> FrameReader:
     kind = _kind_of(path)
     if kind == _TABLE:
         msg = (
-            f"{path}: a signal table has no CAN frames; of roles with "
-            "'column' in the configuration it gives the samples"
+            f"{path}: a signal table has no CAN frames: it is read where "
+            "roles have a 'column', which 'bstm init' proposes without --dbc"
         )
         raise LogError(msg)
     if kind == _CANDUMP:
@@ -95,6 +107,14 @@ def open_log(path: Path, wanted: Wanted | None = None) -> FrameReader:
 
         return BlfReader(path, wanted)
     return TextLogReader(path, wanted)
+
+
+def is_table(path: Path) -> bool:
+    """Whether *path* can be a signal table; an MF4 file may be either.
+
+    Raises as :func:`open_log`.
+    """
+    return _kind_of(path) in (_TABLE, ".mf4")
 
 
 def _kind_of(path: Path) -> str:
@@ -120,15 +140,16 @@ def _kind_of(path: Path) -> str:
         return ending if _has_frames(path, is_gzip=is_gzip) else _TABLE
     if ending in _MESSAGES or ending == ".mf4":
         return ending
-    is_table = ending in (".tsv", ".parquet", ".h5", ".hdf5")
-    return _TABLE if is_table else _CANDUMP
+    return _TABLE if ending in _TABLES else _CANDUMP
 
 
 def _wrong(head: bytes, ending: str, *, is_gzip: bool, has_gz: bool) -> str:
     """Return why a file that begins so is not read, or nothing."""
     begins = _MAGIC.get(ending, ())
     reason = ""
-    if ending in _OTHER_ENDINGS:
+    if ending in _EXPORTS:
+        reason = f"{ending} files are not read, {_EXPORTS[ending]}"
+    elif ending in _OTHER_ENDINGS:
         reason = f"{ending} files are not read"
     elif is_gzip != has_gz:
         reason = (
@@ -136,11 +157,11 @@ def _wrong(head: bytes, ending: str, *, is_gzip: bool, has_gz: bool) -> str:
             if is_gzip
             else "has the ending .gz but is no gzip file"
         )
-    elif is_gzip and begins and ending not in _PACKED:
+    elif is_gzip and ending in (*_MAGIC, *_AIM) and ending not in _PACKED:
         reason = f"{ending} files packed with gzip are not read"
     elif begins and not is_gzip and not head.startswith(begins):
         reason = f"has the ending {ending} but does not begin like one"
-    elif not begins and not is_gzip and b"\0" in head:
+    elif not begins and ending not in _AIM and not is_gzip and b"\0" in head:
         reason = "not a text log"
     return reason
 
@@ -217,7 +238,7 @@ def _open_frames(path: Path, wanted: Wanted) -> FrameReader:
 def _open_table(path: Path, table_map: TableMap) -> TableReader:
     from bstm_daemon.bus.tables.table_log import TableReader  # noqa: PLC0415
 
-    if _kind_of(path) != _TABLE:
+    if not is_table(path):
         msg = (
             f"{path}: is a log of CAN frames, but the roles of the "
             "configuration are columns of a table"

@@ -19,7 +19,6 @@ from bstm_daemon.cli.log_command import (
     add_log_arguments,
     heading,
     open_vehicle,
-    wear_remarks,
     write_results,
 )
 from bstm_daemon.cli.progress import Progress
@@ -158,7 +157,7 @@ def _by_temperatures(
             progress=progress.show,
         )
     names = ", ".join(one.name for one in recordings)
-    remarks = (*remarks_on(config), *wear_remarks(config))
+    remarks = remarks_on(config)
     lines += [heading(args, config, names), *remarks]
     for gap in gaps:
         lines.append(gap_text(gap))

@@ -14,6 +14,7 @@ from bstm_daemon.analysis.identify.cooling_while_braking import (
 from bstm_daemon.analysis.identify.driving import driving_of
 from bstm_daemon.analysis.identify.writing import (
     brake_changes,
+    braked_changes,
     coast_down_changes,
     cooling_changes,
     write_changed,
@@ -89,7 +90,7 @@ KINDS: Final = {
         cooling.braked_text,
         cooling.braked_page,
         cooling.braked_json,
-        lambda result, config: cooling_changes(result.axles, config),
+        lambda result, config: braked_changes(result.axles, config),
     ),
 }
 
@@ -150,7 +151,8 @@ def run(args: argparse.Namespace) -> int:
     if args.what == "coastdown":
         options["held"] = {HOLDABLE[name] for name in args.hold}
         options |= {"one_way": args.one_way, "even_grade": args.even_grade}
-    result = kind.identify(drivings, config, **options)
+    with Progress(f"identify {args.what}"):
+        result = kind.identify(drivings, config, **options)
     print(f"{subtitle}\n{kind.text(result)}")
     if args.report:
         write_page(args.report, kind.page(result, subtitle))

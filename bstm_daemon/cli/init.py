@@ -1,4 +1,4 @@
-"""``bstm init``: a first configuration from a DBC and, optionally, logs."""
+"""``bstm init``: a first configuration from a DBC and logs, or a table."""
 
 from __future__ import annotations
 
@@ -8,7 +8,18 @@ from typing import TYPE_CHECKING
 from bstm_daemon.analysis.setup.name_rules import name_matches, unit_matches
 from bstm_daemon.analysis.setup.proposal import propose
 from bstm_daemon.analysis.setup.recording import read_recording
-from bstm_daemon.analysis.setup.writing import configuration_text, notes_of
+from bstm_daemon.analysis.setup.table import (
+    propose_for,
+    read_table,
+    table_notes,
+)
+from bstm_daemon.analysis.setup.writing import (
+    bus_section,
+    configuration_text,
+    notes_of,
+    table_section,
+)
+from bstm_daemon.bus.opening import is_table
 from bstm_daemon.bus.signals.dbc import read_dbc
 from bstm_daemon.bus.signals.dbc_text import guess_encoding
 from bstm_daemon.cli.arguments import add_force, add_out, check_new
@@ -18,7 +29,7 @@ from bstm_daemon.files import replacing
 if TYPE_CHECKING:
     import argparse
 
-    from bstm_daemon.analysis.setup.proposal import Candidate
+    from bstm_daemon.analysis.setup.proposal import Candidate, Proposal
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -26,9 +37,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--dbc",
         type=Path,
-        required=True,
         metavar="CAR.dbc",
-        help="DBC of the car's frames",
+        help="DBC of the car's frames; a signal table needs none",
     )
     parser.add_argument(
         "--log",
@@ -50,36 +60,15 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError(msg)
     out: Path = args.out
     check_new(out, force=args.force)
-    encoding = _encoding(args.dbc)
-    loaded = read_dbc(args.dbc, strict=False, encoding=encoding)
-    database = loaded.database
-    recording = (
-        read_recording(
-            args.log,
-            database,
-            [*name_matches(database), *unit_matches(database)],
-        )
-        if args.log
-        else None
-    )
-    proposal = propose(database, recording)
-    text = configuration_text(
-        proposal,
-        recording,
-        dbc=args.dbc.resolve(),
-        folder=out.resolve().parent,
-        strict=all(one.harmless for one in loaded.warnings),
-        encoding=encoding,
-    )
+    made = _from_table(args.log) if args.dbc is None else _from_dbc(args)
+    proposal, text, notes = made
     with replacing(out) as file:
         file.write_text(text, "utf-8")
-    for warning in loaded.warnings:
-        print(f"{args.dbc}: {warning}")
-    for note in notes_of(recording) if recording else ():
+    for note in notes:
         print(note)
     print(
         f"{out}: {len(proposal.sure)} roles, {len(proposal.unsure)} unsure "
-        f"ones as comments{'' if recording else ', by name and unit only'}"
+        f"ones as comments{'' if args.log else ', by name and unit only'}"
     )
     for one in proposal.sure:
         print(f"  {one.role:26} {_worded(one)}")
@@ -92,6 +81,55 @@ def run(args: argparse.Namespace) -> int:
         f"bstm check {out} accepts the file as it is."
     )
     return 0
+
+
+def _from_dbc(args: argparse.Namespace) -> tuple[Proposal, str, list[str]]:
+    """Return proposal, configuration and what is to be said of them."""
+    encoding = _encoding(args.dbc)
+    loaded = read_dbc(args.dbc, strict=False, encoding=encoding)
+    database = loaded.database
+    matches = [*name_matches(database), *unit_matches(database)]
+    recording = (
+        read_recording(args.log, database, matches) if args.log else None
+    )
+    proposal = propose(database, recording)
+    notes = notes_of(recording) if recording else []
+    dbc = args.dbc.resolve()
+    source = bus_section(
+        recording,
+        dbc=dbc,
+        folder=args.out.resolve().parent,
+        strict=all(one.harmless for one in loaded.warnings),
+        encoding=encoding,
+    )
+    text = configuration_text(
+        proposal, recording, origin=dbc, source=source, notes=notes
+    )
+    warnings = [f"{args.dbc}: {warning}" for warning in loaded.warnings]
+    return proposal, text, warnings + notes
+
+
+def _from_table(logs: list[Path]) -> tuple[Proposal, str, list[str]]:
+    """Return the same as :func:`_from_dbc`, for a signal table."""
+    if not logs:
+        msg = "init needs --dbc CAR.dbc, or --log TABLE for a signal table"
+        raise UsageError(msg)
+    for log in logs:
+        if not is_table(log):
+            msg = f"{log}: a log of CAN frames needs --dbc CAR.dbc"
+            raise UsageError(msg)
+    table = read_table(logs)
+    proposal = propose_for(table)
+    notes = table_notes(table, proposal)
+    text = configuration_text(
+        proposal,
+        table.recording,
+        origin=logs[0],
+        source=table_section(table.time),
+        notes=notes,
+        columns=table.columns,
+    )
+    return proposal, text, notes
 
 
 def _encoding(path: Path) -> str:

@@ -76,15 +76,6 @@ def heading(args: argparse.Namespace, config: Config, subject: object) -> str:
     return f"{subject}  ({config.vehicle.id}, {args.config})"
 
 
-def wear_remarks(config: Config) -> tuple[str, ...]:
-    """Return what to know of wear where the model is fitted to drives."""
-    remark = (
-        "fitted with linings and discs as configured: [wear] model_follows "
-        "holds where the model is replayed or runs"
-    )
-    return (remark,) if config.wear.model_follows else ()
-
-
 def write_results(
     args: argparse.Namespace,
     subtitle: tuple[str, ...],

@@ -3,31 +3,40 @@
 from __future__ import annotations
 
 import time
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from bstm_daemon.analysis.identify.writing import write_changed
+from bstm_daemon.analysis.matching.changes import changes_of
+from bstm_daemon.analysis.matching.coarse import guesses_of, read_as_guessed
 from bstm_daemon.analysis.matching.drives import read_drives
-from bstm_daemon.analysis.matching.matcher import changes_of, match_drives
+from bstm_daemon.analysis.matching.matcher import match_drives
 from bstm_daemon.analysis.matching.tunables import Target
 from bstm_daemon.cli.log_command import (
     add_log_arguments,
     heading,
     names_of,
     open_vehicle,
-    wear_remarks,
     write_results,
 )
 from bstm_daemon.cli.progress import Progress
 from bstm_daemon.estimator.corner_model import corner_model
-from bstm_daemon.report.match import match_json, match_page, match_text
+from bstm_daemon.report.match import (
+    headline,
+    match_json,
+    match_page,
+    match_text,
+)
 
 if TYPE_CHECKING:
     import argparse
 
-    from bstm_daemon.analysis.matching.drives import Drive
+    from bstm_daemon.analysis.matching.coarse import Reading
     from bstm_daemon.analysis.matching.matcher import Match
     from bstm_daemon.bus.signals.signal_map import SignalMap
     from bstm_daemon.config.sections import Config
+
+
+PART_MISSING: Final = 1
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -48,25 +57,30 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Match, print, and write what was asked for."""
+    """Match, print, and write what was asked for.
+
+    The result is 1 if a part of the model may be missing.
+    """
     config, signal_map = open_vehicle(args, args.logs)
-    drives = _drives(args, config, signal_map)
+    guessed = guesses_of(args.config)
+    readings = _readings(args, config, signal_map, guessed)
     again = _follows_temperature(config)
-    matches = _matches(args, config, drives, beside=not again)
+    matches = _matches(args, config, readings, guessed, beside=not again)
     if again:
         # friction is that at the temperatures of the matched model
-        drives = _drives(args, _matched(config, matches), signal_map)
-        matches = _matches(args, config, drives)
+        matched = _matched(config, matches)
+        readings = _readings(args, matched, signal_map, frozenset())
+        matches = _matches(args, config, readings, guessed)
     names = names_of(args.logs)
+    verdict = "; ".join(headline(match) for match in matches)
+    print(verdict)
     print(heading(args, config, names))
-    for remark in wear_remarks(config):
-        print(remark)
     for match in matches:
         print(match_text(match))
     origin = f"matched, {names}, {time.strftime('%Y-%m-%d')}"
     changes = changes_of(matches, config, origin)
     if args.out is not None:
-        write_changed(args.config, args.out, changes, origin)
+        write_changed(args.config, args.out, changes, origin, verdict)
         print(f"{args.out}: {len(changes)} values")
     for line in write_results(
         args,
@@ -76,32 +90,42 @@ def run(args: argparse.Namespace) -> int:
             "corners": [match_json(match) for match in matches],
             "changes": [str(change) for change in changes],
         },
-        lambda subtitle: match_page(matches, drives, subtitle),
+        lambda subtitle: match_page(matches, subtitle),
     ):
         print(line)
-    return 0
+    return PART_MISSING if any(match.verdict for match in matches) else 0
 
 
-def _drives(
-    args: argparse.Namespace, config: Config, signal_map: SignalMap
-) -> list[Drive]:
+def _readings(
+    args: argparse.Namespace,
+    config: Config,
+    signal_map: SignalMap,
+    guessed: frozenset[str],
+) -> list[Reading]:
+    """Read the logs, as often as what is guessed of their heat asks for."""
     with Progress("read") as progress:
-        return read_drives(
-            args.logs, config, signal_map, dict(args.map), progress.show
+        return read_as_guessed(
+            config,
+            guessed,
+            lambda one: read_drives(
+                args.logs, one, signal_map, dict(args.map), progress.show
+            ),
         )
 
 
 def _matches(
     args: argparse.Namespace,
     config: Config,
-    drives: list[Drive],
+    readings: list[Reading],
+    guessed: frozenset[str],
     *,
     beside: bool = True,
 ) -> list[Match]:
     with Progress("match") as progress:
         return match_drives(
             config,
-            drives,
+            readings,
+            guessed=guessed,
             only=args.only,
             each=args.each,
             beside=beside,

@@ -48,7 +48,9 @@ class Progress:
         return lambda fraction: self.show(begin + (end - begin) * fraction)
 
     def __enter__(self) -> Self:
-        """Return the progress line itself."""
+        """Draw the line and return it."""
+        if self._is_terminal:
+            self._write(f"{_ERASE_LINE}{self._label}   0%")
         return self
 
     def __exit__(

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from bstm_daemon.bus.signals.reject_reason import RejectReason
+from bstm_daemon.bus.tables.table_plan import TableMap
 from bstm_daemon.cli.arguments import (
     add_bus_map,
     add_config,
@@ -59,6 +60,7 @@ if TYPE_CHECKING:
     import argparse
     from collections.abc import Callable
 
+    from bstm_daemon.bus.signals.signal_map import SignalMap
     from bstm_daemon.config.sections import Config
     from bstm_daemon.replay.columns import StartState
     from bstm_daemon.replay.results import Results
@@ -124,7 +126,7 @@ def run(args: argparse.Namespace) -> int:
     _check_targets(args, stems)
     view = open_view(raw_stream(sys.stdout)) if args.watch else None
     formats = _formats(args.format) if args.out is not None else ()
-    config, signal_map = load_vehicle(args.config)
+    config, signal_map = _vehicle(args)
     overrides = dict(args.map)
     state: StartState = "cold" if args.start == "cold" else None
     if args.state is not None:
@@ -150,7 +152,7 @@ def run(args: argparse.Namespace) -> int:
             args.out / f"{stem}.estimates.{form}": form for form in formats
         }
         statistics, curves = DriveStatistics(), DriveCurves()
-        worn = _PublishedNodes()
+        worn = _PublishedNodes(Part.NONE)
         # whole tables or none: all are replaced when the last row is written
         with Progress(f"replay {path.name}") as progress, ExitStack() as files:
             tables = [
@@ -211,6 +213,18 @@ def run(args: argparse.Namespace) -> int:
                 count = write_frames(ticks, channel, args.publish)
             print(f"{args.publish}: {count} frames")
     return 0
+
+
+def _vehicle(args: argparse.Namespace) -> tuple[Config, SignalMap]:
+    """Load the vehicle; a signal table has no frames to replay one by one."""
+    config, signal_map = load_vehicle(args.config)
+    if isinstance(signal_map, TableMap) and (args.publish or args.watch):
+        msg = (
+            "--publish and --watch replay CAN frames, which a signal table "
+            "has not: take -o DIR or --report PAGE.html, or a log of frames"
+        )
+        raise UsageError(msg)
+    return config, signal_map
 
 
 def _check_targets(args: argparse.Namespace, stems: list[str]) -> None:
@@ -287,9 +301,6 @@ def _remarks(
 class _PublishedNodes(Collector):
     """Keeps the temperatures that are published, and the time."""
 
-    def __init__(self) -> None:
-        super().__init__(Part.NONE)
-
     def write(self, rows: Results) -> None:
         names = {"time_s", *(f"{node}_c" for node in PUBLISHED_NODES)}
         used = {
@@ -309,7 +320,7 @@ def _wear_remarks(
     """
     if not config.wear.model_follows:
         return []
-    still = _PublishedNodes()
+    still = _PublishedNodes(Part.NONE)
     wear = config.wear.model_copy(update={"model_follows": False})
     replayed(config.model_copy(update={"wear": wear}), sinks=[still])
     one, other = worn.results().columns, still.results().columns

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from bstm_daemon.cli.arguments import add_out, add_path, check_targets
+from bstm_daemon.cli.progress import Progress
 from bstm_daemon.errors import UsageError
 from bstm_daemon.files import shipped_file
 from bstm_daemon.simulation import (
@@ -95,17 +96,21 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError(msg)
     targets = (args.out, args.samples, args.truth)
     check_targets(targets, (Path(args.drive),))
-    driven = simulate(
-        _drive(args.drive),
-        load_vehicle(args.vehicle) if args.vehicle else None,
-        preset=_effects(args.preset, args.effect),
-        sensors=args.sensors,
-        seed=args.seed,
-    )
+    with Progress("simulate") as progress:
+        driven = simulate(
+            _drive(args.drive),
+            load_vehicle(args.vehicle) if args.vehicle else None,
+            preset=_effects(args.preset, args.effect),
+            sensors=args.sensors,
+            seed=args.seed,
+        )
+        show = progress.part(0.35, 1.0)
+        show(0.0)
+        if args.out is not None:
+            encoder = Encoder(shipped_file("dbc/example_vehicle.dbc"))
+            frames = write_candump(args.out, driven, encoder, progress=show)
     minutes = float(driven.time_s[-1]) / 60.0
     if args.out is not None:
-        encoder = Encoder(shipped_file("dbc/example_vehicle.dbc"))
-        frames = write_candump(args.out, driven, encoder)
         print(f"{args.out}: {frames} frames, {minutes:.1f} min")
     if args.samples is not None:
         write_samples(args.samples, driven)

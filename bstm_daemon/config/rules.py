@@ -142,6 +142,11 @@ def _signal_problems(role: str, draft: Draft) -> list[str]:
     table = draft.written_signals[role]
     bus, unit = table.get("bus"), table.get("unit")
     problems = list(_bus_unknown(where, bus, draft))
+    if "depth_m" in table and not role.endswith(("_disc", "_pad_front")):
+        problems.append(
+            f"{where} depth_m: only a temperature of a disc or of a pad's "
+            "front has a depth below the friction face"
+        )
     if role not in ROLE_INDEX:
         problems.append(f"{where}: unknown role, {hint(role, ROLE_INDEX)}")
     elif isinstance(unit, str):

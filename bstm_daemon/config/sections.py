@@ -168,6 +168,9 @@ class SignalConfig(Section):
     """added after `scale`, in `unit`"""
     timeout_s: Positive | None = None
     """how long a value counts as present; without it the role's own"""
+    depth_m: Annotated[float, Field(ge=0, le=0.05)] | None = None
+    """of a temperature of a disc or of a pad's front: depth of the
+    thermocouple below the friction face, for `bstm match` and `bstm gap`"""
     min: float | None = None
     """below it, in `unit`, a value is no sample"""
     max: float | None = None
@@ -197,7 +200,7 @@ class SignalConfig(Section):
 
 
 class TableConfig(Section):
-    """``[table]``: where a signal table (CSV, Parquet, HDF5) has its time.
+    """``[table]``: where a signal table (CSV, Parquet, ...) has its time.
 
     A table in the long format has one value a row: ``name`` is the column
     with the name of the signal, ``value`` the one with its value.
@@ -205,9 +208,9 @@ class TableConfig(Section):
 
     time: Text | None = None
     """column with the time"""
-    time_unit: Literal["s", "ms", "us", "iso8601"] | None = None
-    """unit of the time; without it found from the column's name and values,
-    and logged"""
+    time_unit: Literal["s", "ms", "us", "iso8601", "hhmmss"] | None = None
+    """unit of the time, `hhmmss` a time of day; without it found from the
+    stated unit, the column's name and its values, and logged"""
     rate_hz: Positive | None = None
     """rows a second, for a table without a time column"""
     delimiter: Text | None = None
@@ -247,6 +250,8 @@ class DiscConfig(Section):
 
     ``mass_kg`` is the mass that takes part in heating (the ring),
     ``swept_area_m2`` both friction faces, ``total_area_m2`` what radiates.
+    ``heat_capacity_exponent`` says how much of its material's rise of the
+    heat capacity over that at 20 degC it has: 1 all, 0 none.
     """
 
     model: str = "lumped"
@@ -266,6 +271,9 @@ class DiscConfig(Section):
     heat_capacity_j_kgk: Curve | None = None
     """curve for `material = "own"`: `{temperature_c = [...], value =
     [...]}`"""
+    heat_capacity_exponent: Annotated[float, Field(ge=0, le=2)] = 1.0
+    """how much of that curve's rise over its value at 20 °C the disc has: 1
+    all, 0 a constant capacity"""
     conductivity_w_mk: Positive = 50.0
     """for the heat partition (Eq 2.3)"""
     density_kg_m3: Positive = 7200.0

@@ -221,13 +221,9 @@ class Estimator:
         Raises:
             KeyError: *corner* has no thermal model.
         """
-        names = self.programs[corner].state_names
-        batch, member = next(
-            (batch, member)
-            for batch, member, name in self.members()
-            if name == corner
-        )
-        return dict(zip(names, batch.state[batch.part(member)], strict=True))
+        found = {name: (batch, i) for batch, i, name in self.members()}
+        batch, member = found[corner]
+        return batch.named_state(member)
 
     def members(self) -> Iterator[tuple[Batch, int, str]]:
         """Give batch, place in it and name of each corner with a model."""

@@ -97,10 +97,7 @@ class StartBound:
             if name not in corners:
                 continue
             self.unknown.add(name)
-            program, part = own.programs[member], own.part(member)
-            state = dict(
-                zip(program.state_names, own.state[part], strict=True)
-            )
+            program, state = own.programs[member], own.named_state(member)
             if saved is not None and name in saved:
                 state |= saved[name]
             else:
@@ -108,7 +105,7 @@ class StartBound:
                     program, self._disc_k, self._air_k, self._kernel
                 )
                 state |= {k: max(state[k], v) for k, v in hottest.items()}
-            bound.state[part] = array("d", state.values())
+            bound.state[own.part(member)] = array("d", state.values())
 
     def end(self) -> None:
         """Take every start as known."""
@@ -118,13 +115,7 @@ class StartBound:
     def states(self) -> dict[str, dict[str, float]]:
         """Return nodes [K] and memories of the bound where it is needed."""
         return {
-            name: dict(
-                zip(
-                    bound.programs[member].state_names,
-                    bound.state[bound.part(member)],
-                    strict=True,
-                )
-            )
+            name: bound.named_state(member)
             for _, bound, member, name in self._members()
             if name in self.unknown
         }

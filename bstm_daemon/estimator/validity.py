@@ -22,7 +22,7 @@ from bstm_daemon.channels import (
 )
 from bstm_daemon.estimate import Reason, Validity
 from bstm_daemon.estimator.verified import unverified_inputs
-from bstm_daemon.roles import ROLE_INDEX
+from bstm_daemon.roles import ROLE_INDEX, ROLES
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -190,7 +190,9 @@ def _remembered(config: Config, present: Mapping[int, int], place: int) -> int:
             if ROLE_INDEX[role] in present:
                 flags |= FLAGS[f"{name}_suspect"]
     if mode == "fb":
-        return flags
+        # where a pressure says when the brakes are on, no switch does
+        pressed = any("pressure" in ROLES[n].quantities for n in present)
+        return flags if pressed else flags | FLAGS["switch_contradicts"]
     flags |= WHEEL_SUSPECT << place
     if mode == "measured":
         flags |= FLAGS["temperature_suspect"]

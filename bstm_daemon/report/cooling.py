@@ -307,12 +307,16 @@ def line_rows(axle: BrakedAxle) -> list[tuple[str, ...]]:
     return [
         (
             f"{3.6 * speed:.0f} km/h",
-            *(s_text(s_per_s) for s_per_s in (*axle.at(speed), configured)),
+            *(
+                s_text(s_per_s)
+                for s_per_s in (
+                    *axle.at(speed),
+                    float(axle.disc.configured(speed)),
+                )
+            ),
             "yes" if axle.driven(speed) else "no: configured, scaled",
         )
-        for speed, configured in zip(
-            axle.disc.speeds_ms, axle.disc.s_per_s, strict=True
-        )
+        for speed in axle.speeds_ms
     ]
 
 
@@ -353,12 +357,12 @@ def braked_json(result: BrakedCooling) -> dict[str, Any]:
 
 
 def _braked_json(axle: BrakedAxle) -> dict[str, Any]:
-    values, errors = zip(*map(axle.at, axle.disc.speeds_ms), strict=True)
+    values, errors = zip(*map(axle.at, axle.speeds_ms), strict=True)
     return picked(
         axle,
         form="disc.form",
         why_not="caveat",
-        speed_ms="disc.speeds_ms",
+        speed_ms="speeds_ms",
         driven_ms="held_ms",
         fitted_rms_k="fitted_k",
         held_out_rms_k="held_k",

@@ -25,7 +25,6 @@ from bstm_daemon.report.text import table
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from bstm_daemon.analysis.matching.drives import Drive
     from bstm_daemon.analysis.matching.refine import Refinement
 
 STAGE_HEAD = ("stage", "section", "value", "before", "matched", "RMS [K]")
@@ -100,17 +99,33 @@ def notes(match: Match) -> list[str]:
         f"{short(first)} and {short(second)} are correlated {correlation:+.2f}"
         for first, second, correlation in strong_pairs(fit)
     ]
-    if accuracy.drives:
+    if not accuracy.left_out:
         lines.append(
-            f"each of {accuracy.drives} drives left out in turn: RMS [K] on "
-            f"it: {_by_node(accuracy.rms_k)}"
-        )
-    else:
-        lines.append(
-            "a single drive: nothing is held out, so [accuracy] is too "
+            "a single drive, too short to leave a part out: [accuracy] is too "
             "optimistic"
         )
     return [*lines, *match.remarks]
+
+
+def headline(match: Match) -> str:
+    """Return RMS before and after on what was left out, and the verdict."""
+    accuracy = match.accuracy
+    what = ", ".join(match.corners)
+    text = (
+        f"{what}: nothing left out, {_by_node(match.joint.rms_k)} K in the fit"
+    )
+    if accuracy.left_out:
+        change = ", ".join(
+            f"{node} {accuracy.before_k[node]:.1f} to {after:.1f} K"
+            for node, after in accuracy.rms_k.items()
+        )
+        text = f"{what}: RMS on {accuracy.left_out}, left out: {change}"
+        if accuracy.baseline_k > 0.0:
+            text += f" (a disc of one node: {accuracy.baseline_k:.1f} K)"
+    if match.verdict:
+        why = "; ".join(map(short, match.verdict))
+        text += f": a part of the model may be missing: run bstm gap ({why})"
+    return text
 
 
 def match_text(match: Match) -> str:
@@ -130,9 +145,12 @@ def match_json(match: Match) -> dict[str, Any]:
     """Return the result for machines; covariances are of logarithms."""
     return picked(
         match,
-        *("corners", "remarks"),
+        *("corners", "remarks", "verdict"),
         held_out_drives="accuracy.drives",
+        left_out="accuracy.left_out",
+        held_out_before_k="accuracy.before_k",
         held_out_rms_k="accuracy.rms_k",
+        baseline_rms_k="accuracy.baseline_k",
         accuracy="accuracy.nodes",
     ) | {
         "stages": [
@@ -179,10 +197,8 @@ def _fit_json(fit: Refinement) -> dict[str, Any]:
     }
 
 
-def match_page(
-    matches: Sequence[Match], drives: Sequence[Drive], subtitle: str
-) -> Page:
-    """Return the page of what *matches* found in *drives*."""
+def match_page(matches: Sequence[Match], subtitle: str) -> Page:
+    """Return the page of what *matches* found."""
     sections = []
     for match in matches:
         prefix = f"{', '.join(match.corners)}: "
@@ -190,7 +206,7 @@ def match_page(
             Section(
                 f"{prefix}matched values",
                 Table(VALUE_HEAD, value_rows(match.joint)),
-                lines=(fit_line(match.joint), *notes(match)),
+                lines=(headline(match), fit_line(match.joint), *notes(match)),
                 note="sd: standard deviation after the fit; of prior: as a "
                 "share of the prior's. Values without the name "
                 "of a section are keys of [thermal].",
@@ -216,7 +232,7 @@ def match_page(
                 _correlations(match.joint),
             )
         )
-        sections += _drawn(match, drives)
+        sections += _drawn(match)
     tiles = [
         (f"{value:.1f} K", f"RMS {node.replace('_', ' ')}")
         for node, value in matches[0].joint.rms_k.items()
@@ -238,9 +254,9 @@ def _correlations(fit: Refinement) -> Table:
     return Table(("value", *names), rows)
 
 
-def _drawn(match: Match, drives: Sequence[Drive]) -> list[Section]:
+def _drawn(match: Match) -> list[Section]:
     sections = []
-    for drive in drives:
+    for drive in match.drives:
         for corner in match.corners:
             own = [
                 NodeCurve(

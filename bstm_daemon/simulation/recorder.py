@@ -13,6 +13,7 @@ from bstm_daemon.simulation.profile import SAMPLE_S
 from bstm_daemon.units import KELVIN_OFFSET
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from pathlib import Path
 
     from bstm_daemon.simulation.simulate import SimulatedDrive
@@ -27,11 +28,13 @@ def write_candump(
     *,
     channel: str = "can0",
     start_stamp_s: float = START_STAMP_S,
+    progress: Callable[[float], None] = lambda _: None,
 ) -> int:
     """Write *drive* as a candump log to *path*; returns the frames written.
 
-    The file appears whole or not at all. Raises
-    :class:`~bstm_daemon.errors.FileAccessError` if it cannot be written.
+    The file appears whole or not at all; *progress* is called with the share
+    that is written. Raises :class:`~bstm_daemon.errors.FileAccessError` if it
+    cannot be written.
     """
     streams = encoder.streams(drive)
     heads = [f" {channel} {s.frame_id:03X}#" for s in streams]
@@ -48,6 +51,7 @@ def write_candump(
             if len(lines) == _LINES_A_WRITE:
                 file.writelines(lines)
                 lines.clear()
+                progress(stamp_us * 1e-6 / drive.time_s[-1])
         file.writelines(lines)
     return count
 

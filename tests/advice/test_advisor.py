@@ -232,13 +232,21 @@ def test_a_restart_goes_on_with_the_same_bytes(cut_s: float) -> None:
     assert second.export_state() == whole.export_state()
 
 
-@pytest.mark.parametrize("advice", [None, {}, {"machines": 5}, "parked"])
+@pytest.mark.parametrize(
+    "advice", [None, {}, {"machines": 5}, "parked", "half"]
+)
 def test_advice_that_is_none_begins_parked(advice: object) -> None:
     first = engine()
     run(first, drive(0.0, 2.0, 36.0, 10.0))
-    document = first.export_state() | {"advice": advice}
+    document = first.export_state()
+    if advice == "half":
+        # what it could be restored from is not taken either
+        advice = document["advice"] | {"roles": 5}
+    document |= {"advice": advice}
     second = engine(history_known=False)
 
-    second.resume(document, 0, START_US + 2 * SECOND)
+    restored = second.resume(document, 0, document["time_us"])
 
+    assert restored.resumed
+    assert second.export_state()["advice"] == engine().export_state()["advice"]
     assert run(second, drive(2.0, 4.0, 36.0, 10.0))

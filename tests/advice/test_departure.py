@@ -109,6 +109,15 @@ def test_long_standing_is_parked_without_an_ignition_signal() -> None:
     assert story.tell(2.0, 0.0, RiskLevel.HIGH, ignition=None)[0] is WAIT
 
 
+def test_long_standing_between_two_publications_is_parked() -> None:
+    """No publication need be at the minute itself."""
+    story = Story(parked_after_s=0.25 + 1.0)
+    story.tell(5.0, 10.0, RiskLevel.HIGH, ignition=None)
+
+    assert story.tell(1.3, 0.0, RiskLevel.HIGH, ignition=None)[0] is NONE
+    assert story.tell(0.1, 0.0, RiskLevel.HIGH, ignition=None)[0] is WAIT
+
+
 def test_creeping_is_neither_standing_nor_driving() -> None:
     story = Story()
     story.tell(5.0, 1.0, RiskLevel.NORMAL)

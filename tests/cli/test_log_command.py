@@ -11,10 +11,8 @@ from bstm_daemon.cli.log_command import (
     heading,
     names_of,
     open_vehicle,
-    wear_remarks,
     write_results,
 )
-from bstm_daemon.config.reading import load_config
 from bstm_daemon.errors import UsageError
 from bstm_daemon.report.shell import Page
 
@@ -49,16 +47,6 @@ def test_a_configuration_that_exists_wants_force(tmp_path: Path) -> None:
         args, config, names_of([Path("a/b.log"), Path("c.log")])
     ) == (f"b.log, c.log  ({config.vehicle.id}, {CAR})")
     assert signal_map.buses
-
-
-def test_what_is_fitted_does_not_follow_the_wear() -> None:
-    """Said where the model would follow it elsewhere."""
-    config = load_config(CAR)
-    wear = config.wear.model_copy(update={"model_follows": True})
-
-    assert wear_remarks(config) == ()
-    (remark,) = wear_remarks(config.model_copy(update={"wear": wear}))
-    assert remark.startswith("fitted with linings and discs as configured")
 
 
 def test_only_what_was_asked_for_is_made_and_written(tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from bstm_daemon.analysis.matching.coarse import Reading
 from bstm_daemon.analysis.matching.drives import read_drives
 from bstm_daemon.analysis.matching.matcher import match_drives
 from bstm_daemon.cli.main import main
@@ -126,6 +127,10 @@ def test_json_has_what_the_screen_says(matched: Path) -> None:
     assert front["table_4_1"]["free_values"] == 9
     assert len(front["joint"]["covariance"]) == 12
     assert front["held_out_drives"] == 0
+    # a single drive: its last third
+    assert front["left_out"].startswith("own.log from ")
+    assert set(front["held_out_before_k"]) == set(front["held_out_rms_k"])
+    assert front["verdict"] == []
     partition = next(
         one for one in front["stages"] if one["title"] == "heat partition"
     )
@@ -245,7 +250,9 @@ def test_heat_is_formed_anew_with_the_matched_temperatures(
     by, found = config, []
     for _ in range(2):
         drives = read_drives([log], by, signal_map)
-        (match,) = match_drives(config, drives, only="cooling", beside=False)
+        (match,) = match_drives(
+            config, [Reading(None, drives)], only="cooling", beside=False
+        )
         by = match.after.config
         found.append(by.cooling_of(by.corner[0]).s_per_s)
     new = load_config(tmp_path / "config" / "new.toml")

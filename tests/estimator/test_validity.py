@@ -236,6 +236,29 @@ def test_a_suspect_input_is_a_reason_of_its_own(
     assert found["FL why"].count(Reason.INPUT_SUSPECT) in {20, 21}
 
 
+@pytest.mark.parametrize(
+    ("more", "last"),
+    [({}, Reason.INPUT_SUSPECT), ({"primary_pressure": 2e6}, NO_REASON)],
+    ids=["no pressure", "pressure"],
+)
+def test_a_pedal_that_shows_no_braking_is_suspect_without_a_pressure(
+    front: Callable[..., Config], more: dict[str, float], last: Reason
+) -> None:
+    """20 m/s of braking beyond drag in 7 s; a pressure would say it all."""
+    held = {"vehicle_speed": 20.0, "acceleration_longitudinal": -3.5}
+    heat = {"mode": "fb", "assume_powertrain_torque_nm": 0.0}
+
+    found = over_spans(
+        front(heat=heat),
+        [(9.0, held | {"brake_switch": 0.0} | more)],
+        history_known=True,
+    )
+
+    why = found["FL why"]
+    assert not any(why[: 5 * PUBLISHED_PER_S])
+    assert why[-1] == last.value
+
+
 def test_reasons_are_worded_in_the_order_of_their_bits() -> None:
     """Each has words of its own."""
     why = Reason.MODEL_DISAGREES | Reason.START_UNKNOWN

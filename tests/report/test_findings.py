@@ -82,7 +82,7 @@ def test_a_reason_stays_with_its_input() -> None:
     assert wheel.corners == ("RL",)
     assert wheel.reasons == ("wheel speeds contradict each other",)
     assert pressure.corners == ("RR",)
-    assert pressure.reasons == ("pressure without brake switch",)
+    assert pressure.reasons == ("braking without brake switch",)
 
 
 def test_heat_of_another_source_and_of_none() -> None:

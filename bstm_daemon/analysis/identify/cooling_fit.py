@@ -11,7 +11,7 @@ from bstm_daemon.analysis.identify.cool_downs import BIN, STEP_S, CoolDown
 from bstm_daemon.analysis.identify.disc_loss import DiscLoss, HeatCapacities
 from bstm_daemon.analysis.statistics.gls import solution_operator
 from bstm_daemon.analysis.statistics.whitening import likeliest_drift
-from bstm_daemon.model.thermal.brake_corner import REFERENCE_K
+from bstm_daemon.model.thermal.properties import REFERENCE_K
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

@@ -163,13 +163,25 @@ class BrakedAxle:
 
     @property
     def table(self) -> tuple[tuple[float, float, bool], ...]:
-        """S at the configured speeds, and whether they were driven."""
+        """S at :attr:`speeds_ms`, and whether they were driven."""
         if self.caveat:
             return ()
         return tuple(
             (speed, self.at(speed)[0], self.driven(speed))
-            for speed in self.disc.speeds_ms
+            for speed in self.speeds_ms
         )
+
+    @property
+    def speeds_ms(self) -> tuple[float, ...]:
+        """The configured speeds, and the line's end where it is beyond."""
+        speeds, top = self.disc.speeds_ms, self.held_ms[1]
+        return (*speeds, top) if top > speeds[-1] else speeds
+
+    @property
+    def beyond(self) -> float:
+        """Share of the time above the last configured speed."""
+        speed = np.concatenate([one.speed_ms for one in self.windows])
+        return float(np.mean(speed > self.disc.speeds_ms[-1]))
 
 
 @dataclass(frozen=True, slots=True)
@@ -214,6 +226,12 @@ def identify_while_braking(
             "no signal shows what the engine does: all deceleration beyond "
             "the resistances counts as braking"
         )
+    remarks += [
+        f"{axle.axle}: {100.0 * axle.beyond:.0f} % of the time is faster than "
+        f"the table, which ends at {3.6 * axle.disc.speeds_ms[-1]:.0f} km/h"
+        for axle in axles
+        if axle.beyond > 0.0
+    ]
     remarks.append(
         "heat and heat capacity cannot be separated: the factor on the heat "
         "covers mass, shares and capacity together"

@@ -14,11 +14,14 @@ import numpy as np
 
 from bstm_daemon.model.thermal.brake_corner import (
     PADS,
-    REFERENCE_K,
+    cooling_beyond,
     corner_spec,
 )
 from bstm_daemon.model.thermal.partition import pad_share
-from bstm_daemon.model.thermal.properties import disc_heat_capacity
+from bstm_daemon.model.thermal.properties import (
+    REFERENCE_K,
+    disc_heat_capacity,
+)
 from bstm_daemon.units import STEFAN_BOLTZMANN_W_M2K4
 
 if TYPE_CHECKING:
@@ -58,7 +61,12 @@ class DiscLoss:
 
     def configured(self, speed_ms: Column | float) -> Column:
         """Return S of the configuration at *speed_ms*, (n,)."""
-        return np.asarray(np.interp(speed_ms, self.speeds_ms, self.s_per_s))
+        x, y = self.speeds_ms, self.s_per_s
+        speed = np.asarray(speed_ms, np.float64)
+        end, twice = (cooling_beyond(x, y, n * x[-1]) for n in (1.0, 2.0))
+        power = np.log2(twice / end) if end > 0.0 else 0.0
+        ratio = np.maximum(speed / x[-1], 1.0)
+        return np.asarray(np.interp(speed, x, y) * ratio**power)
 
     def shape(self, speed_ms: Column, mean_ms: float) -> Column:
         """Return the factor on S at *mean_ms* at each speed, (n,).

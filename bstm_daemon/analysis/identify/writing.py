@@ -21,6 +21,9 @@ if TYPE_CHECKING:
     from bstm_daemon.analysis.identify.cooling_while_braking import BrakedAxle
     from bstm_daemon.config.sections import Config, EffectConfig
 
+KNOWN: Final = 0.2
+"""Largest relative standard error of a factor that is handed on."""
+
 _DIGITS: Final = 5
 _PATHS: Final = (("state", "file"), ("record", "folder"), ("metrics", "file"))
 
@@ -137,6 +140,37 @@ def cooling_changes(
     return changes
 
 
+def braked_changes(
+    axles: Sequence[BrakedAxle], config: Config
+) -> list[Change]:
+    """Return the tables, and the factors that heat and resistances need.
+
+    The factor on the heat goes to the mass of the discs, which it is one
+    with; that on the resistances of the first axle to all three of them.
+    """
+    changes = cooling_changes(axles, config)
+    for axle in axles:
+        heat, error = axle.heat
+        if axle.table and error < KNOWN * heat:
+            key = "disc_mass_correction_factor"
+            changes += [
+                Change(
+                    *("corner", f"thermal.{key}"),
+                    getattr(config.thermal_of(corner), key) / heat,
+                    corner.name,
+                )
+                for corner in config.corner
+                if corner.name[0] == axle.axle[0].upper()
+            ]
+    resist, error = axles[0].resist
+    if axles[0].table and error < KNOWN * resist:
+        changes += [
+            Change("vehicle", key, getattr(config.vehicle, key) * resist)
+            for key in ("drag_area_m2", "friction_ns_m", "rolling_resistance")
+        ]
+    return changes
+
+
 def _held_tables(
     axles: Sequence[AxleCooling | BrakedAxle], config: Config
 ) -> list[Change]:
@@ -160,12 +194,17 @@ def _held_tables(
 
 
 def write_changed(
-    source: Path, target: Path, changes: Sequence[Change], origin: str
+    source: Path,
+    target: Path,
+    changes: Sequence[Change],
+    origin: str,
+    verdict: str = "",
 ) -> None:
     """Write *source* with *changes* as *target*, whole or not at all.
 
     Everything else stays as it is, comments too; each changed line says
-    *origin*. Paths are made relative to the new file's folder.
+    *origin*, and the last one of the file *verdict*. Paths are made relative
+    to the new file's folder.
 
     Raises:
         MissingExtraError: tomlkit is not installed.
@@ -175,6 +214,8 @@ def write_changed(
         for change in changes:
             table, key = _place(document, change)
             _set(table, key, change, change.note or origin)
+        if verdict:
+            document.add(_tomlkit().comment(f"{origin}: {verdict}"))
 
 
 def _place(document: Any, change: Change) -> tuple[Any, str]:

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from bstm_daemon.analysis.matching.placement import node_at, placements
 from bstm_daemon.bus.opening import EventLog
 from bstm_daemon.channels import CHANNELS
 from bstm_daemon.errors import LogError, UsageError
@@ -40,6 +41,8 @@ if TYPE_CHECKING:
     )
     from pathlib import Path
 
+    from bstm_daemon.analysis.matching.placement import Placement
+    from bstm_daemon.analysis.matching.power_by_drag import PowerByDrag
     from bstm_daemon.analysis.statistics.series import Column
     from bstm_daemon.bus.signals.columns import Events
     from bstm_daemon.bus.signals.signal_map import SignalMap
@@ -111,7 +114,9 @@ class Drive:
     from ``start_s``. ``learned`` is what fused heat had learned at the end,
     ``roles`` the numbers of those that the log has a sample of. ``speed_ms``
     (steps, n) is the speed at the n estimator steps of each step, of which
-    ``inputs`` has the mean; n is 0 where they were not kept.
+    ``inputs`` has the mean; n is 0 where they were not kept. ``by_drag``
+    replaces the brake power of ``inputs`` where drag is to be found.
+    ``placed`` has the thermocouples, by corner and node, whose depth is known.
     """
 
     name: str
@@ -123,6 +128,8 @@ class Drive:
     learned: Sequence[float] | None = None
     roles: frozenset[int] = frozenset()
     speed_ms: Column = field(default_factory=lambda: np.zeros((0, 0)))
+    by_drag: PowerByDrag | None = field(default=None, repr=False)
+    placed: Mapping[str, Mapping[str, Placement]] = field(default_factory=dict)
 
     def __len__(self) -> int:
         """Return the number of steps."""
@@ -155,11 +162,46 @@ class Drive:
         ]
         return [pair for pair in pairs if pair[1] in nodes]
 
+    def power_w(self, corner: str, configs: Sequence[Config]) -> Column | None:
+        """Return the brake power for the drag of each of *configs*.
+
+        (steps, configs); None: that of ``inputs``, whatever the drag.
+        """
+        if self.by_drag is None:
+            return None
+        areas = [one.vehicle.drag_area_m2 for one in configs]
+        return self.by_drag.at(self.corners.index(corner), areas)
+
+    def part(self, first: int, last: int) -> Drive:
+        """Return the steps from *first* up to *last*, as a drive."""
+        if (first, last) == (0, len(self)):
+            return self
+        begin_s, end_s = GRID_S * first, GRID_S * last
+        measured: dict[str, dict[str, Thermocouple]] = {}
+        for corner, couples in self.measured.items():
+            for node, couple in couples.items():
+                at = couple.time_s
+                inside = (at >= begin_s) & (at <= end_s)
+                if inside.any():
+                    measured.setdefault(corner, {})[node] = Thermocouple(
+                        at[inside] - begin_s, couple.temperature_k[inside]
+                    )
+        return replace(
+            self,
+            name=f"{self.name} from {begin_s:.0f} to {end_s:.0f} s",
+            start_s=self.start_s + begin_s,
+            inputs=self.inputs[first:last],
+            speed_ms=self.speed_ms[first:last],
+            measured=measured,
+            estimates=None,
+            by_drag=self.by_drag and self.by_drag.part(slice(first, last)),
+        )
+
     def with_power_times(self, factor: float) -> Drive:
         """Return the drive with *factor* times its brake power."""
         inputs = self.inputs.copy()
         inputs[:, :, CHANNELS.index("brake_power_w")] *= factor
-        return replace(self, inputs=inputs, estimates=None)
+        return replace(self, inputs=inputs, estimates=None, by_drag=None)
 
     def with_extra_heat(self, heat_w: Column) -> Drive:
         """Return the drive with one more channel, (steps, corners) [W]."""
@@ -308,6 +350,7 @@ def drive_of(
         corners,
         inputs,
         thermocouples_of(temperatures, corners, start_s),
+        placed=placements(estimator.config),
         learned=estimator.samples.learned(),
         roles=frozenset(seen),
         speed_ms=speed_ms,
@@ -381,10 +424,16 @@ def begin_as_measured(estimator: Estimator, events: Events) -> None:
     air_k = first("ambient_temperature")
     if np.isnan(air_k):
         air_k = estimator.config.vehicle.ambient_c + KELVIN_OFFSET
+    placed = placements(estimator.config)
     for batch, names in estimator.batches:
         for member, corner in enumerate(names):
+            nodes = [
+                node.name for node in estimator.programs[corner].network.nodes
+            ]
             held = {
-                node: first(f"temp_{corner.lower()}_{node}")
+                node_at(node, placed.get(corner, {}), nodes): first(
+                    f"temp_{corner.lower()}_{node}"
+                )
                 for node in MEASURED_NODES
             }
             known = {n: k for n, k in held.items() if np.isfinite(k)}

@@ -16,6 +16,8 @@ from bstm_daemon.analysis.matching.drives import (
     flat,
     settled,
 )
+from bstm_daemon.analysis.matching.placement import InPad, node_at
+from bstm_daemon.channels import CHANNELS
 from bstm_daemon.estimator.corner_model import corner_model
 from bstm_daemon.model.thermal.kernel import Batch
 from bstm_daemon.model.thermal.program import compile_network
@@ -29,6 +31,9 @@ if TYPE_CHECKING:
     from bstm_daemon.config.sections import Config
     from bstm_daemon.model.effects.model import CornerModel
     from bstm_daemon.model.thermal.program import Program
+
+STEADY_K: Final = 10.0
+"""First temperatures that spread less are joined to their mean."""
 
 STRETCH_STEPS: Final = 4096
 """Steps given to the kernel at a time."""
@@ -46,8 +51,14 @@ def initial_temperatures(
     held = {}
     for node, couple in drive.measured.get(corner, {}).items():
         first = couple.at(at_s)
-        if node in nodes and np.isfinite(first).any():
-            held[node] = float(np.nanmean(first))
+        first = first[np.isfinite(first)]
+        if node in nodes and len(first):
+            # who brakes hard is at no mean
+            if np.ptp(first) > STEADY_K:
+                first = couple.temperature_k[:1]
+            held[node] = float(first.mean())
+    placed = drive.placed.get(corner, {})
+    held = {node_at(one, placed, nodes): k for one, k in held.items()}
     ambient_k = float(drive.channel(corner, "ambient_k")[0])
     return settled(program, held, ambient_k)
 
@@ -64,6 +75,7 @@ def march(
     corner: str,
     initial_k: Mapping[str, float] | None = None,
     forced: Mapping[str, Column] | None = None,
+    power_w: Column | None = None,
 ) -> dict[str, Column]:
     """March variants of *corner* over *drive*.
 
@@ -74,23 +86,30 @@ def march(
         initial_k: temperatures [K] at the start, by node; as measured.
         forced: nodes that follow a series, [K] at each step's end, (steps,);
             free where it is NaN.
+        power_w: brake power of each variant, (steps, variants); as *drive*.
 
     Returns:
-        Temperatures [K] by node, (steps, variants).
+        Temperatures [K] by node, (steps, variants); of a thermocouple whose
+        depth is configured those at its place.
     """
     if initial_k is None:
         initial_k = initial_temperatures(programs[0], drive, corner)
     inputs = drive.inputs[:, drive.corners.index(corner)]
+    placed = drive.placed.get(corner, {})
+    names = [node.name for node in programs[0].network.nodes]
     if forced:
+        forced = {node_at(one, placed, names): k for one, k in forced.items()}
         networks = [one.network for one in programs]
         for node in forced:
             networks = [one.with_forced(node) for one in networks]
         programs = [compile_network(one) for one in networks]
         inputs = np.column_stack((inputs, *forced.values()))
-    batch = Batch(
-        programs, 0.0, [0] * len(programs), kernel=load_kernel(), sets=1
-    )
-    names = [node.name for node in programs[0].network.nodes]
+    sets = [0] * len(programs)
+    if power_w is not None:
+        sets = list(range(len(programs)))
+        inputs = np.repeat(inputs[:, None], len(programs), axis=1)
+        inputs[:, :, CHANNELS.index("brake_power_w")] = power_w
+    batch = Batch(programs, 0.0, sets, kernel=load_kernel())
     for member in range(len(programs)):
         for i, name in enumerate(names):
             batch.state[member * batch.width + i] = initial_k[name]
@@ -101,4 +120,13 @@ def march(
         out = batch.march(flat(part), len(part), GRID_S)
         shaped = np.frombuffer(out).reshape(len(part), len(programs), size)
         kept[first : first + len(part)] = shaped[:, :, : len(names)]
-    return {name: kept[:, :, i] for i, name in enumerate(names)}
+    found = {name: kept[:, :, i] for i, name in enumerate(names)}
+    own = drive.channel(corner, "brake_power_w")[:, None]
+    power_w = own if power_w is None else power_w
+    return found | {
+        couple: place.reading(found)
+        if isinstance(place, InPad)
+        else found[couple]
+        + np.stack([place.excess_k(one, GRID_S) for one in power_w.T], axis=1)
+        for couple, place in placed.items()
+    }

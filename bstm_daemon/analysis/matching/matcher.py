@@ -6,104 +6,165 @@ And what comes of it: changes of the configuration file, curves.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import log, nan
 from typing import TYPE_CHECKING, Any, Final
 
-from bstm_daemon.analysis.identify.writing import Change
+import numpy as np
+
+from bstm_daemon.analysis.matching.baseline import baselines
+from bstm_daemon.analysis.matching.coarse import (
+    CAPACITY,
+    FILTER,
+    FINE_POINTS,
+    FINE_S,
+    OF_DISC,
+    Found,
+    Reading,
+    driven_keys,
+    exponent_of,
+    search,
+)
+from bstm_daemon.analysis.matching.identifiability import KNOWN
 from bstm_daemon.analysis.matching.march import march
 from bstm_daemon.analysis.matching.phases import HARD_MS2, hard_stops
+from bstm_daemon.analysis.matching.problem import FIRST, OTHER
 from bstm_daemon.analysis.matching.refine import (
+    ROUNDS,
     Accuracy,
     Refinement,
-    held_out,
+    errors_of,
+    fitted,
+    folds_of,
     refine,
+    rms_of,
+    white_k,
 )
 from bstm_daemon.analysis.matching.stages import StageResult, run_stages
 from bstm_daemon.analysis.matching.tunables import (
     COOLING,
-    EFFECT,
-    S_SPEEDS_MS,
+    DRAG,
+    NODES_MS,
     TABLE_4_1,
     Target,
     measured_targets,
     over_targets,
     refined_keys,
-    split_key,
     usable,
 )
+from bstm_daemon.analysis.statistics.series import rms
 from bstm_daemon.estimator.corner_model import compile_corner
 from bstm_daemon.units import KELVIN_OFFSET
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from bstm_daemon.analysis.matching.drives import Drive
+    from bstm_daemon.analysis.matching.refine import Errors
     from bstm_daemon.analysis.statistics.series import Column
+    from bstm_daemon.analysis.statistics.whitening import SensorNoise
     from bstm_daemon.config.sections import Config
 
 MUCH_LESS: Final = 0.8
 """A form is worth a word where it leaves so much less of the error."""
+
+FAR: Final = 3.0
+"""Deviations of its prior that a value moves only for what is missing."""
+
+FAR_ABOVE: Final = 2.0
+ABOVE_K: Final = 6.0
+ABOVE_SHARE: Final = 0.03
+"""An error beside the fit's, times, and plus the larger of kelvins and a share
+of the rise, that is another drive's own."""
+
+RISE_SHARE: Final = 0.05
+"""Of its rise above the air, an error in the fit that a lump may have."""
+
+ABOVE_BASELINE_K: Final = 1.0
+"""A disc of one node is better from so much on."""
+
+CHOSEN: Final[dict[str, Callable[[Target], float]]] = {
+    CAPACITY: exponent_of,
+    FILTER: lambda one: one.config.heat.derivative_filter_s,
+}
+"""What the coarse search chooses beside the values that are fitted."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Match:
     """The match of corners that are alike.
 
-    ``before`` and ``after`` are the configurations; ``table_4_1`` is the
-    refinement of the thesis's own parameters alone, from the same start.
-    ``accuracy`` is what the fit leaves over on drives that it did not see,
-    where there are two or more.
+    ``before`` and ``after`` are the configurations, ``start`` what the coarse
+    search made of the first; ``table_4_1`` is the refinement of the thesis's
+    own parameters alone, from the same start. ``drives`` have the heat as the
+    search chose to form it. ``accuracy`` is what the fit leaves over on what
+    it did not see, ``verdict`` why it is not to be trusted, empty where it
+    is.
     """
 
     corners: tuple[str, ...]
     before: Target
+    start: Target
     after: Target
+    drives: Sequence[Drive]
     stages: tuple[StageResult, ...]
     joint: Refinement
     table_4_1: Refinement | None
     accuracy: Accuracy
     remarks: tuple[str, ...]
+    verdict: tuple[str, ...]
 
     def settings(self) -> dict[str, Any]:
         """Return the keys of the configuration and their matched values."""
-        corner = self.after.corner
-        cooling = self.after.config.cooling_of(corner)
+        before, after = self.before, self.after
+        old = before.config.cooling_of(before.corner)
+        new = after.config.cooling_of(after.corner)
         found: dict[str, Any] = {
             key: value
             for key, value in self.joint.values.items()
-            if key not in S_SPEEDS_MS
+            if key not in NODES_MS
         }
-        if S_SPEEDS_MS.keys() & self.joint.values.keys():
-            found["cooling.s_per_s"] = tuple(cooling.s_per_s)
+        if NODES_MS.keys() & self.joint.values.keys():
+            if new.speed_ms != old.speed_ms:
+                found["cooling.speed_ms"] = tuple(new.speed_ms)
+            found["cooling.s_per_s"] = tuple(new.s_per_s)
+        for key, of in CHOSEN.items():
+            if of(after) != of(before):
+                found[key] = of(after)
         return found
 
     def deviation(self, key: str) -> float:
         """Return the standard deviation of a key of :meth:`settings`.
 
-        That of the S-table is relative, its larger factor's.
+        That of the S-table is relative, its larger factor's; nan for what was
+        chosen, not fitted.
         """
         if key == "cooling.s_per_s":
             return max(
                 self.joint.standard_deviation(one) / self.joint.values[one]
-                for one in S_SPEEDS_MS
+                for one in NODES_MS
                 if one in self.joint.values
             )
+        if key not in self.joint.values:
+            return nan
         return self.joint.standard_deviation(key)
 
 
-def match_drives(
+def match_drives(  # noqa: PLR0913
     config: Config,
-    drives: Sequence[Drive],
+    readings: Sequence[Reading],
     *,
+    guessed: frozenset[str] = frozenset(),
     only: str = "",
     each: bool = False,
     beside: bool = True,
     progress: Callable[[float], None] | None = None,
 ) -> list[Match]:
-    """Match *config* to *drives*, all corners with thermocouples.
+    """Match *config* to *readings*, all corners with thermocouples.
 
     Args:
         config: the vehicle.
-        drives: what was recorded.
+        readings: what was recorded, first as configured.
+        guessed: tunables whose configured values nobody has measured.
         only: ``cooling`` for what another rim changes, else everything.
         each: match corners by themselves that are configured alike.
         beside: fit Table 4.1 alone, for comparison.
@@ -112,11 +173,13 @@ def match_drives(
     Raises:
         LogError: no corner has a thermocouple.
     """
-    targets = measured_targets(config, drives, each=each)
+    targets = measured_targets(
+        config, readings[0].drives, each=each, guessed=guessed
+    )
     return over_targets(
         targets,
         lambda target, show: _match(
-            target, drives, only, show, beside=beside and not only
+            target, readings, only, show, beside=beside and not only
         ),
         progress,
     )
@@ -160,57 +223,206 @@ def _no_hard_stop(target: Target, drives: Sequence[Drive]) -> str:
 
 def _match(
     target: Target,
-    drives: Sequence[Drive],
+    readings: Sequence[Reading],
     only: str,
     show: Callable[[float], None],
     *,
     beside: bool,
 ) -> Match:
-    keys, remarks = usable(
-        target, COOLING if only == "cooling" else refined_keys(target)
-    )
+    found = search(target, readings)
+    drives = found.reading.drives
+    keys, remarks = _keys(found.target, drives, only)
     start, stages = run_stages(
-        target,
+        found.target,
         drives,
         COOLING if only == "cooling" else None,
         lambda share: show(0.3 * share),
+        without=OF_DISC if found.noise else frozenset(),
     )
-    joint = refine(
-        target,
-        drives,
-        keys,
-        lambda share: show(0.3 + 0.3 * share),
-        start=start,
-    )
+    joint = _refined(found, keys, start, lambda one: show(0.3 + 0.3 * one))
     thesis = None
-    if beside:
-        own, _ = usable(target, TABLE_4_1)
+    if beside and not _discs_only(keys):
+        own, _ = usable(found.target, TABLE_4_1)
         thesis = refine(
-            target,
-            drives,
-            own,
+            *(found.target, drives, own),
             lambda share: show(0.6 + 0.2 * share),
             start=start,
         )
-    accuracy = held_out(
-        target, drives, joint, lambda share: show(0.8 + 0.2 * share)
+    after = found.target.changed(joint.values)
+    errors = _errors(after, drives)
+    accuracy = _left_out(
+        *(target, readings, joint, only, errors),
+        lambda share: show(0.8 + 0.2 * share),
     )
+    remarks += found.remarks
     if not only:
-        found = (
-            _other_form(target, drives, joint),
-            _no_hard_stop(target, drives),
-        )
-        remarks += [remark for remark in found if remark]
+        of_form = _other_form(found.target, drives, joint)
+        remarks += [of_form, _no_hard_stop(target, drives)]
     return Match(
         target.corners,
         target,
-        target.changed(joint.values),
+        found.target,
+        after,
+        drives,
         tuple(stages),
         joint,
         thesis,
         accuracy,
-        tuple(remarks),
+        tuple(remark for remark in remarks if remark),
+        tuple(_doubts(joint, accuracy, errors)),
     )
+
+
+def _discs_only(keys: Sequence[str]) -> bool:
+    return OF_DISC | {DRAG} >= set(keys)
+
+
+def _refined(
+    found: Found,
+    keys: Sequence[str],
+    start: Mapping[str, float],
+    show: Callable[[float], None] | None = None,
+    noise: Mapping[str, SensorNoise] | None = None,
+) -> Refinement:
+    """Return the refinement of *keys* from what the search found.
+
+    Of discs alone with the search's plain noise: their errors are those of
+    the heat, and the fit with least error is asked for. *noise* is known.
+    """
+    drives = found.reading.drives
+    if found.noise and _discs_only(keys):
+        return refine(
+            *(found.target, drives, keys, show),
+            noise=found.noise,
+            rounds=1,
+            point_s=FINE_S,
+            most_points=FINE_POINTS,
+        )
+    return refine(
+        *(found.target, drives, keys, show),
+        start=start,
+        noise=noise,
+        rounds=1 if noise else ROUNDS,
+    )
+
+
+def _keys(
+    target: Target, drives: Sequence[Drive], only: str
+) -> tuple[list[str], list[str]]:
+    """Return what is refined, and what is said of the rest."""
+    wanted = COOLING if only == "cooling" else refined_keys(target)
+    wanted, why = driven_keys(target, drives, wanted)
+    keys, remarks = usable(target, wanted)
+    return keys, [*remarks, why]
+
+
+def _errors(target: Target, drives: Sequence[Drive]) -> Errors:
+    """Return errors and rises of *target* on all of *drives* by node."""
+    found: Errors = {}
+    for drive in drives:
+        for node, parts in errors_of(target, drive).items():
+            found.setdefault(node, []).extend(parts)
+    return found
+
+
+def _left_out(
+    target: Target,
+    readings: Sequence[Reading],
+    joint: Refinement,
+    only: str,
+    fit_errors: Errors,
+    show: Callable[[float], None],
+) -> Accuracy:
+    """Return what is left on drives, or a part, that a fit has not seen."""
+    folds = folds_of(readings[0].drives)
+    before: Errors = {}
+    after: Errors = {}
+    names, simple_k = [], []
+    for number, (pieces, left) in enumerate(folds):
+        found = search(target, [one.of(pieces) for one in readings])
+        drives = found.reading.drives
+        keys = _keys(found.target, drives, only)[0]
+        start = {} if found.noise else joint.values
+        fit = _refined(found, keys, start, None, joint.noise)
+        unseen = next(
+            one for one in readings if one.filter_s == found.reading.filter_s
+        )
+        (drive,) = unseen.of([left]).drives
+        (plain,) = readings[0].of([left]).drives
+        names.append(plain.name)
+        simple = baselines(readings[0].of(pieces).drives)
+        simple_k += [
+            simple[corner][0].rms_on([plain])
+            for corner in target.corners
+            if corner in simple
+        ]
+        for errors, one, on in (
+            (before, target, plain),
+            (after, found.target.changed(fit.values), drive),
+        ):
+            for node, parts in errors_of(one, on).items():
+                errors.setdefault(node, []).extend(parts)
+        show((number + 1) / len(folds))
+    seen = {node: list(parts) for node, parts in after.items()}
+    if len(folds) < 2:
+        # a last third alone may hold a soak and no stop
+        for node, parts in fit_errors.items():
+            seen.setdefault(node, []).extend(parts)
+    return Accuracy(
+        {
+            node: fitted([(*part, white_k(joint, node)) for part in parts])
+            for node, parts in seen.items()
+        },
+        len(folds) if len(folds) > 1 else 0,
+        " and ".join(names),
+        rms_of(before),
+        rms_of(after),
+        float(np.sqrt(np.nanmean(np.square(simple_k or [np.nan])))),
+    )
+
+
+def _doubts(
+    joint: Refinement,
+    accuracy: Accuracy,
+    errors: Errors,
+) -> Iterator[str]:
+    """Say why a part of the model may be missing, nothing where it is not."""
+    known = np.sqrt(np.diag(joint.covariance)) < KNOWN * joint.prior
+    for i, key in enumerate(joint.keys):
+        moved = log(joint.values[key] / joint.start[key]) / joint.prior[i]
+        # what the drives say nothing of may lie at a bound by chance
+        if key in joint.at_bound and known[i]:
+            yield f"{key} at its bound {joint.values[key]:.3g}"
+        elif abs(moved) > FAR:
+            yield (
+                f"{key} from {joint.start[key]:.3g} to "
+                f"{joint.values[key]:.3g}, {abs(moved):.1f} times what such "
+                "brakes differ by"
+            )
+    fit_k = rms_of(errors)
+    for node, parts in errors.items():
+        rise_k = rms(np.concatenate([rise for _, rise in parts]))
+        usual_k = FAR * FIRST.get(node, OTHER).drift_k
+        most_k = max(usual_k, RISE_SHARE * rise_k)
+        if fit_k[node] > most_k:
+            yield (
+                f"{node} {fit_k[node]:.1f} K in the fit, where sensor and "
+                f"lump explain {most_k:.1f} K"
+            )
+        left_k = accuracy.rms_k.get(node, 0.0)
+        if left_k > FAR_ABOVE * fit_k[node] + max(
+            ABOVE_K, ABOVE_SHARE * rise_k
+        ):
+            yield (
+                f"{node} {left_k:.1f} K on what was left out, "
+                f"{fit_k[node]:.1f} K in the fit"
+            )
+    disc_k = accuracy.rms_k.get("disc", 0.0)
+    if disc_k > accuracy.baseline_k + ABOVE_BASELINE_K:
+        yield (
+            f"disc {disc_k:.1f} K on what was left out, a disc of one node "
+            f"{accuracy.baseline_k:.1f} K"
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -234,7 +446,10 @@ def curves_of(match: Match, drive: Drive, corner: str) -> list[Curves]:
     )
     if not couples:
         return []
-    result = march(programs, drive, corner)
+    configs = [match.before.config, match.after.config]
+    result = march(
+        programs, drive, corner, power_w=drive.power_w(corner, configs)
+    )
     return [
         Curves(
             name,
@@ -243,83 +458,3 @@ def curves_of(match: Match, drive: Drive, corner: str) -> list[Curves]:
         )
         for name, node in couples
     ]
-
-
-def changes_of(
-    matches: Sequence[Match], config: Config, origin: str
-) -> list[Change]:
-    """Return what *matches* change in *config*, each saying *origin*.
-
-    A value goes where the configuration has it: to ``[thermal]`` or
-    ``[cooling]`` where every corner that reads it there was matched alike,
-    else to the corners themselves.
-    """
-    changes = []
-    for match in matches:
-        for key, value in match.settings().items():
-            section, name = split_key(key)
-            sd = match.deviation(key)
-            note = f"{origin}, sd {sd:.2g}"
-            if isinstance(value, tuple):
-                note = f"{origin}, sd {100.0 * sd:.2g} %"
-            if section == EFFECT:
-                changes += _of_effect(name, value, note, config, match)
-                continue
-            if section in {"thermal", "cooling"} and _shared(
-                section, name, config, match.corners
-            ):
-                changes.append(Change(section, name, value, note=note))
-                continue
-            changes += [
-                Change("corner", key, value, corner, note)
-                for corner in match.corners
-            ]
-    changes += _accuracy(matches, origin)
-    return changes
-
-
-def _of_effect(
-    name: str, value: float, note: str, config: Config, match: Match
-) -> list[Change]:
-    """Return entries of ``[[effect]]``: one for all corners, or each its."""
-    effect, parameter = split_key(name)
-    every = {corner.name for corner in config.disc_corners()}
-    corners = ("all",) if set(match.corners) == every else match.corners
-    return [
-        Change(EFFECT, parameter, value, corner, note, effect)
-        for corner in corners
-    ]
-
-
-def _shared(
-    section: str, name: str, config: Config, matched: Sequence[str]
-) -> bool:
-    """Whether only matched corners read the value of the section itself."""
-    readers = {
-        corner.name
-        for corner in config.disc_corners()
-        if name not in getattr(corner, section)
-    }
-    return readers == set(matched)
-
-
-def _accuracy(matches: Sequence[Match], origin: str) -> list[Change]:
-    """Return ``[accuracy]``: the largest of the matched corners."""
-    changes = []
-    for node in ("disc", "pad_front", "pad_back", "fluid"):
-        found = [
-            (one.floor_k, one.share, match.accuracy.drives)
-            for match in matches
-            if (one := match.accuracy.nodes.get(node)) is not None
-        ]
-        if not found:
-            continue
-        floor, share, drives = max(found)
-        note = f"{origin}, residual on held-out drives"
-        if not drives:
-            note = f"{origin}, residual on the drive itself: too small"
-        changes += [
-            Change("accuracy", f"{node}_k", floor, note=note),
-            Change("accuracy", f"{node}_share", share, note=note),
-        ]
-    return changes

@@ -15,13 +15,13 @@ from bstm_daemon.analysis.matching.march import (
     initial_temperatures,
     march,
 )
-from bstm_daemon.analysis.matching.tunables import TUNABLES, Target
 from bstm_daemon.analysis.statistics.whitening import SensorNoise
 from bstm_daemon.estimator.corner_model import compile_corner
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from bstm_daemon.analysis.matching.tunables import Target
     from bstm_daemon.analysis.statistics.series import Column, Indices, Mask
 
 POINT_S: Final = 5.0
@@ -89,7 +89,7 @@ class Problem:
         keys: Sequence[str],
         runs: Sequence[Run],
         terms: Sequence[Series],
-        noise: Mapping[str, SensorNoise],
+        noise: Mapping[str, SensorNoise] | None,
     ) -> None:
         """Take what to march and to compare.
 
@@ -99,18 +99,20 @@ class Problem:
             keys: the tunables.
             runs: one for each drive and corner of *terms*.
             terms: what counts.
-            noise: by node; else :data:`FIRST`.
+            noise: by node; else :data:`FIRST`. None whitens nothing.
         """
         self.target = target
         self.drives = drives
         self.keys = tuple(keys)
         self.runs = tuple(runs)
         self.terms = tuple(terms)
-        self.start = np.log([target.value(TUNABLES[key]) for key in keys])
-        bounds = [TUNABLES[key].bounds() for key in keys]
+        tunables = [target.tunable(key) for key in keys]
+        self.start = np.log([target.value(one) for one in tunables])
+        bounds = [one.bounds() for one in tunables]
         self.lower, self.upper = np.array(bounds).reshape(-1, 2).T
-        self.prior = np.array([TUNABLES[key].prior for key in keys])
-        self.set_noise(noise)
+        self.prior = np.array([one.prior for one in tunables])
+        if noise is not None:
+            self.set_noise(noise)
 
     def set_noise(self, noise: Mapping[str, SensorNoise]) -> None:
         """Whiten with *noise* from now on."""
@@ -142,6 +144,7 @@ class Problem:
         """Return model less measurement [K] by term, (n, k) each."""
         targets = [self.target.changed(self.values(one)) for one in points]
         programs = [compile_corner(one.config, one.corner) for one in targets]
+        configs = [one.config for one in targets]
         found = {}
         with ThreadPoolExecutor(os.cpu_count()) as pool:
             for run in self.runs:
@@ -152,6 +155,7 @@ class Problem:
                     run.corner,
                     run.initial_k,
                     run.forced,
+                    self.drives[run.drive].power_w(run.corner, configs),
                 )
         return [
             found[term.drive, term.corner].result()[term.node][term.steps]
@@ -161,7 +165,11 @@ class Problem:
 
 
 def whole_drives(
-    target: Target, drives: Sequence[Drive]
+    target: Target,
+    drives: Sequence[Drive],
+    *,
+    point_s: float = POINT_S,
+    most_points: int = MOST_POINTS,
 ) -> tuple[list[Run], list[Series]]:
     """Return every drive of the target's corners, nothing forced."""
     program = compile_corner(target.config, target.corner)
@@ -172,7 +180,13 @@ def whole_drives(
             own = [
                 one
                 for couple, node in drive.couples(corner, nodes)
-                if (one := series_of(drive, index, node, ((corner, couple),)))
+                if (
+                    one := series_of(
+                        *(drive, index, node, ((corner, couple),)),
+                        point_s=point_s,
+                        most_points=most_points,
+                    )
+                )
             ]
             if own:
                 initial = initial_temperatures(program, drive, corner)

@@ -13,9 +13,12 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from bstm_daemon.analysis.matching.drives import GRID_S
 from bstm_daemon.analysis.matching.problem import (
     FIRST,
+    MOST_POINTS,
     OTHER,
+    POINT_S,
     Problem,
     whole_drives,
 )
@@ -28,6 +31,9 @@ if TYPE_CHECKING:
 
     from bstm_daemon.analysis.matching.drives import Drive
     from bstm_daemon.analysis.matching.tunables import Target
+
+    Errors = dict[str, list[tuple[Column, Column]]]
+    """Error and rise above the air of each thermocouple by node."""
 
 ROUNDS: Final = 3
 """Fits, each with the noise that the one before has shown."""
@@ -77,6 +83,8 @@ def refine(  # noqa: PLR0913
     start: Mapping[str, float] | None = None,
     noise: Mapping[str, SensorNoise] | None = None,
     rounds: int = ROUNDS,
+    point_s: float = POINT_S,
+    most_points: int = MOST_POINTS,
 ) -> Refinement:
     """Fit *keys* of *target* to all of *drives*.
 
@@ -88,8 +96,12 @@ def refine(  # noqa: PLR0913
         start: values to begin from, by key; else those of *target*.
         noise: what is known of residuals, by node.
         rounds: fits, after each but the last the noise is learned.
+        point_s: least time between two points that count.
+        most_points: of a thermocouple over a drive, at most.
     """
-    runs, terms = whole_drives(target, drives)
+    runs, terms = whole_drives(
+        target, drives, point_s=point_s, most_points=most_points
+    )
     problem = Problem(target, drives, keys, runs, terms, noise or {})
     x = problem.start.copy()
     for i, key in enumerate(keys):
@@ -109,7 +121,7 @@ def refine(  # noqa: PLR0913
         if number < rounds - 1:
             problem.set_noise(
                 {
-                    node: learned(FIRST.get(node, OTHER), own)
+                    node: learned(_first(problem.noise[node], node), own)
                     for node, own in _by_node(problem, apart).items()
                 }
             )
@@ -133,6 +145,13 @@ def refine(  # noqa: PLR0913
         },
         sum(len(term.steps) for term in terms),
         evaluations,
+    )
+
+
+def _first(noise: SensorNoise, node: str) -> SensorNoise:
+    """Return what is believed of *node* before residuals, lag as known."""
+    return replace(
+        FIRST.get(node, OTHER), lag_s=noise.lag_s, quick_s=noise.quick_s
     )
 
 
@@ -181,63 +200,76 @@ class NodeAccuracy:
 
 @dataclass(frozen=True, slots=True)
 class Accuracy:
-    """By node; ``drives`` held-out drives have shown it, 0: none could."""
+    """By node, from what was left out of the fit.
+
+    ``drives`` were left out in turn, 0: a part of the only one, named in
+    ``left_out``; where that is empty, nothing could be. ``before_k`` and
+    ``rms_k`` are the RMS there, as configured and fitted without it, and
+    ``baseline_k`` that of a disc of one node fitted to the same.
+    """
 
     nodes: Mapping[str, NodeAccuracy]
     drives: int
+    left_out: str
+    before_k: Mapping[str, float]
     rms_k: Mapping[str, float]
+    baseline_k: float = np.nan
 
 
-def held_out(
-    target: Target,
-    drives: Sequence[Drive],
-    joint: Refinement,
-    progress: Callable[[float], None] | None = None,
-) -> Accuracy:
-    """Return what *joint*, fitted without it, leaves on each of *drives*.
+LEAST_S: Final = 240.0
+"""A shorter drive has no part to leave out."""
 
-    With a single drive that is what it leaves on this one.
+HELD_SHARE: Final = 1.0 / 3.0
+"""Last part of a single drive that is left out."""
+
+Piece = tuple[int, slice]
+"""Number of a drive, and its steps."""
+
+
+def folds_of(drives: Sequence[Drive]) -> list[tuple[list[Piece], Piece]]:
+    """Return what is fitted and what is left out, once for each way.
+
+    Each drive in turn; of a single one its last third, if it is long enough.
     """
-    errors: dict[str, list[tuple[Column, Column, float]]] = {}
-    for number, drive in enumerate(drives):
-        values = joint.values
-        others = [one for one in drives if one is not drive]
-        if others:
-            values = refine(
-                target, others, joint.keys, start=joint.values,
-                noise=joint.noise, rounds=1,
-            ).values  # fmt: skip
-        for node, parts in _left_over(target, drive, values, joint).items():
-            errors.setdefault(node, []).extend(parts)
-        if progress is not None:
-            progress((number + 1) / len(drives))
-    return Accuracy(
-        {node: fitted(parts) for node, parts in errors.items()},
-        len(drives) if len(drives) > 1 else 0,
-        {
-            node: rms(np.concatenate([error for error, *_ in parts]))
-            for node, parts in errors.items()
-        },
+    whole = slice(None)
+    if len(drives) > 1:
+        every = range(len(drives))
+        return [
+            ([(i, whole) for i in every if i != j], (j, whole)) for j in every
+        ]
+    steps = len(drives[0])
+    if drives[0].duration_s < LEAST_S:
+        return []
+    cut = round((1.0 - HELD_SHARE) * steps)
+    return [([(0, slice(0, cut))], (0, slice(cut, steps)))]
+
+
+def errors_of(target: Target, drive: Drive) -> Errors:
+    """Return error and rise above the air of each thermocouple by node."""
+    runs, terms = whole_drives(
+        target, [drive], point_s=GRID_S, most_points=len(drive)
     )
-
-
-def _left_over(
-    target: Target,
-    drive: Drive,
-    values: dict[str, float],
-    joint: Refinement,
-) -> dict[str, list[tuple[Column, Column, float]]]:
-    """Return error, rise and white noise of each thermocouple by node."""
-    runs, terms = whole_drives(target, [drive])
-    problem = Problem(target, [drive], joint.keys, runs, terms, joint.noise)
-    x = np.log([[values[key] for key in joint.keys]])
-    found: dict[str, list[tuple[Column, Column, float]]] = {}
-    for term, apart in zip(terms, problem.residuals_k(x), strict=True):
-        white_k = problem.noise[term.node].white_k
-        found.setdefault(term.node, []).append(
-            (apart[:, 0], term.rise_k, white_k)
-        )
+    problem = Problem(target, [drive], (), runs, terms, None)
+    found: Errors = {}
+    for term, apart in zip(
+        terms, problem.residuals_k(np.zeros((1, 0))), strict=True
+    ):
+        found.setdefault(term.node, []).append((apart[:, 0], term.rise_k))
     return found
+
+
+def white_k(fit: Refinement, node: str) -> float:
+    """Return the thermocouple's own noise [K], none of the estimate's."""
+    usual = FIRST.get(node, OTHER).white_k
+    return min(fit.noise[node].white_k, usual) if node in fit.noise else usual
+
+
+def rms_of(errors: Errors) -> dict[str, float]:
+    """Return the RMS of errors as of :func:`errors_of`, by node."""
+    return {
+        node: rms(np.concatenate([error for error, *_ in parts]))
+        for node, parts in sorted(errors.items())
+    }
 
 
 def fitted(parts: Sequence[tuple[Column, Column, float]]) -> NodeAccuracy:

@@ -34,7 +34,7 @@ from bstm_daemon.estimator.corner_model import compile_corner
 from bstm_daemon.units import KELVIN_OFFSET
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Collection, Sequence
 
 
 Phase = Literal["soak", "drive", "cooling", "normal braking", "hot braking"]
@@ -139,8 +139,12 @@ def run_stages(
     drives: Sequence[Drive],
     only: Sequence[str] | None = None,
     progress: Callable[[float], None] | None = None,
+    *,
+    without: Collection[str] = (),
 ) -> tuple[dict[str, float], list[StageResult]]:
     """Match *target* stage by stage; *only* limits the keys.
+
+    Stages of a key that is *without* are left: it is found already.
 
     Returns:
         The values by key, and what each stage did.
@@ -149,6 +153,8 @@ def run_stages(
     values: dict[str, float] = {}
     for number, stage in enumerate(STAGES):
         if only is not None and not set(stage.keys) <= set(only):
+            continue
+        if set(stage.keys) & set(without):
             continue
         result = _run(stage, target, drives)
         results.append(result)

@@ -7,7 +7,7 @@ configured value; it says how far a brake of the same design may lie from it.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import log
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
@@ -20,6 +20,7 @@ from bstm_daemon.model.effects.catalogue import (
     effect_names,
     effects_of,
 )
+from bstm_daemon.model.thermal.brake_corner import cooling_beyond
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Mapping, Sequence
@@ -34,6 +35,21 @@ FAST: Final = "cooling.s_per_s at 150 km/h"
 S_SPEEDS_MS: Final = {SLOW: 10.0, MIDDLE: 19.44, FAST: 41.67}
 """The S-table is matched by factors at three speeds, linear between them,
 constant outside; at standstill the fraction stands for it."""
+
+BEYOND_MS: Final = {
+    "cooling.s_per_s at 230 km/h": 63.89,
+    "cooling.s_per_s at 320 km/h": 88.89,
+}
+"""Further ones, for cars that are driven there."""
+
+NODES_MS: Final = S_SPEEDS_MS | BEYOND_MS
+
+LEVEL: Final = "cooling.s_per_s"
+"""A factor on the whole table, where it is only a guess."""
+
+DRAG: Final = "vehicle.drag_area_m2"
+MASS: Final = "thermal.disc_mass_correction_factor"
+STILL: Final = "cooling.standstill_convection_fraction"
 
 EFFECT: Final = "effect"
 """Section of the keys ``effect.<name>.<parameter>``."""
@@ -86,9 +102,7 @@ class Tunable:
 TUNABLES: Final[dict[str, Tunable]] = {
     one.key: one
     for one in (
-        Tunable(
-            "thermal.disc_mass_correction_factor", 0.7, 1.5, 0.08, "-", True
-        ),
+        Tunable(MASS, 0.7, 1.5, 0.08, "-", True),
         Tunable(
             "thermal.heat_partition_correction_factor", 0.3, 3, 0.15, "-", True
         ),
@@ -114,7 +128,10 @@ TUNABLES: Final[dict[str, Tunable]] = {
             *(0.003, 2.0, 0.5, "Ws/(m K)", True),
         ),
         *(Tunable(key, 0.3, 3.0, 0.2, "factor") for key in S_SPEEDS_MS),
-        Tunable("cooling.standstill_convection_fraction", 0.05, 1.0, 0.3, "-"),
+        *(Tunable(key, 0.3, 3.0, 0.2, "factor") for key in BEYOND_MS),
+        Tunable(LEVEL, 0.03, 30.0, 1.5, "factor"),
+        Tunable(DRAG, 0.1, 30.0, 1.0, "m2"),
+        Tunable(STILL, 0.05, 1.0, 0.3, "-"),
         Tunable("thermal.hot_pad_factor", 0.3, 1.0, 0.2, "-"),
         Tunable(
             "thermal.backplate_thermal_capacity_j_k", 50, 1500, 0.2, "J/K"
@@ -132,12 +149,20 @@ TUNABLES: Final[dict[str, Tunable]] = {
 }
 """Every tunable by its key."""
 
+GUESSED: Final = {
+    MASS: (0.02, 20.0, 1.0),
+    **dict.fromkeys(NODES_MS, (0.1, 10.0, 0.3)),
+}
+"""Bounds and prior of what nobody has measured: the disc of a race car weighs
+a quarter of the typical one, and what is wrong of mass, share, friction and
+capacity comes out as this mass."""
+
 TABLE_4_1: Final = tuple(k for k, one in TUNABLES.items() if one.table_4_1)
 """The thesis's own."""
 
 COOLING: Final = (
     *S_SPEEDS_MS,
-    "cooling.standstill_convection_fraction",
+    STILL,
     "thermal.fluid_static_convection_w_k",
     "thermal.fluid_dynamic_convection_ws_mk",
 )
@@ -146,7 +171,7 @@ COOLING: Final = (
 REFINED: Final = (
     *(key for key in TABLE_4_1 if key != "thermal.pad_emissivity"),
     *S_SPEEDS_MS,
-    "cooling.standstill_convection_fraction",
+    STILL,
 )
 """What the joint refinement changes. Of the two emissivities only their
 combination shows between disc and pad, and the disc's shows elsewhere too."""
@@ -156,11 +181,13 @@ combination shows between disc and pad, and the disc's shows elsewhere too."""
 class Target:
     """Corners that are matched together: alike in everything but the side.
 
-    Their configuration is that of ``corner``, the first of them.
+    Their configuration is that of ``corner``, the first of them; ``guessed``
+    are the tunables whose values in it nobody has measured.
     """
 
     config: Config
     corners: tuple[str, ...]
+    guessed: frozenset[str] = frozenset()
 
     @property
     def corner(self) -> CornerConfig:
@@ -172,7 +199,7 @@ class Target:
     def value(self, tunable: Tunable) -> float:
         """Return what *tunable* is now; factors on a table are 1."""
         corner = self.corner
-        if tunable.key in S_SPEEDS_MS:
+        if tunable.key in {*NODES_MS, LEVEL}:
             return 1.0
         section, name = split_key(tunable.key)
         if section == EFFECT:
@@ -181,10 +208,19 @@ class Target:
             "thermal": self.config.thermal_of(corner),
             "cooling": self.config.cooling_of(corner),
             "pad": corner.pad,
+            "vehicle": self.config.vehicle,
         }
         value = getattr(holders[section], name)
         # a curve over temperature is not one number
         return float(value) if isinstance(value, int | float) else 0.0
+
+    def tunable(self, key: str) -> Tunable:
+        """Return the tunable *key* with the bounds and prior it has here."""
+        one = TUNABLES[key]
+        if key not in self.guessed or key not in GUESSED:
+            return one
+        lower, upper, prior = GUESSED[key]
+        return replace(one, lower=lower, upper=upper, prior=prior)
 
     def with_cooling_form(self, form: str) -> Target:
         """Return the target with another ``cooling.form``."""
@@ -194,11 +230,27 @@ class Target:
             )
         )
 
+    def with_disc(self, **values: float) -> Target:
+        """Return the target with *values* of its discs."""
+        return self._each(
+            lambda one: one.model_copy(
+                update={
+                    "disc": one.disc and one.disc.model_copy(update=values)
+                }
+            )
+        )
+
     def changed(self, values: dict[str, float]) -> Target:
         """Return the target with *values* by key."""
         prefix = f"{EFFECT}."
         own = {k: v for k, v in values.items() if not k.startswith(prefix)}
         target = self._each(lambda one: self._changed(one, own))
+        if DRAG in own:
+            vehicle = self.config.vehicle.model_copy(
+                update={"drag_area_m2": own.pop(DRAG)}
+            )
+            config = target.config.model_copy(update={"vehicle": vehicle})
+            target = replace(target, config=config)
         of_effects = {
             key.removeprefix(prefix): value
             for key, value in values.items()
@@ -207,7 +259,7 @@ class Target:
         if not of_effects:
             return target
         config = with_effect_values(target.config, self.corners, of_effects)
-        return Target(config, self.corners)
+        return replace(target, config=config)
 
     def _each(self, change: Callable[[CornerConfig], CornerConfig]) -> Target:
         """Return the target with *change* in each of its corners."""
@@ -216,7 +268,7 @@ class Target:
             for one in self.config.corner
         ]
         config = self.config.model_copy(update={"corner": corners})
-        return Target(config, self.corners)
+        return replace(self, config=config)
 
     def _changed(
         self, corner: CornerConfig, values: dict[str, float]
@@ -227,15 +279,22 @@ class Target:
             "pad": {},
         }
         for key, value in values.items():
-            if key not in S_SPEEDS_MS:
+            if key not in {*NODES_MS, LEVEL, DRAG}:
                 section, name = split_key(key)
                 parts[section][name] = value
-        if S_SPEEDS_MS.keys() & values.keys():
-            factors = [values.get(key, 1.0) for key in S_SPEEDS_MS]
+        if {*NODES_MS, LEVEL} & values.keys():
             cooling = self.config.cooling_of(corner)
-            speeds = list(S_SPEEDS_MS.values())
-            at = np.interp(cooling.speed_ms, speeds, factors)
-            parts["cooling"]["s_per_s"] = (at * cooling.s_per_s).tolist()
+            keys = [k for k in NODES_MS if k in S_SPEEDS_MS or k in values]
+            speeds = [NODES_MS[key] for key in keys]
+            more = [one for one in speeds if one > cooling.speed_ms[-1]]
+            points = cooling.speed_ms + more
+            if more:
+                parts["cooling"]["speed_ms"] = points
+            factors = [values.get(key, 1.0) for key in keys]
+            at = np.interp(points, speeds, factors) * values.get(LEVEL, 1.0)
+            x, y = cooling.speed_ms, cooling.s_per_s
+            beyond = [cooling_beyond(x, y, speed) for speed in more]
+            parts["cooling"]["s_per_s"] = (at * (y + beyond)).tolist()
         pad = corner.pad and corner.pad.model_copy(update=parts["pad"])
         return corner.model_copy(update={**parts, "pad": pad})
 
@@ -267,7 +326,11 @@ def usable(target: Target, keys: Sequence[str]) -> tuple[list[str], list[str]]:
 
 
 def targets_of(
-    config: Config, measured: Sequence[str], *, each: bool = False
+    config: Config,
+    measured: Sequence[str],
+    *,
+    each: bool = False,
+    guessed: frozenset[str] = frozenset(),
 ) -> list[Target]:
     """Return the corners with thermocouples, those alike together.
 
@@ -295,11 +358,15 @@ def targets_of(
         }
         group = corner.name if each else repr(looks)
         groups.setdefault(group, []).append(corner.name)
-    return [Target(config, tuple(names)) for names in groups.values()]
+    return [Target(config, tuple(names), guessed) for names in groups.values()]
 
 
 def measured_targets(
-    config: Config, drives: Sequence[Drive], *, each: bool = False
+    config: Config,
+    drives: Sequence[Drive],
+    *,
+    each: bool = False,
+    guessed: frozenset[str] = frozenset(),
 ) -> list[Target]:
     """Return :func:`targets_of` the corners that *drives* measure.
 
@@ -307,7 +374,7 @@ def measured_targets(
         LogError: no corner has a thermocouple.
     """
     measured = {corner for drive in drives for corner in drive.measured}
-    targets = targets_of(config, sorted(measured), each=each)
+    targets = targets_of(config, sorted(measured), each=each, guessed=guessed)
     if not targets:
         names = ", ".join(drive.name for drive in drives)
         msg = (

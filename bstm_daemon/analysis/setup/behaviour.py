@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+import numpy.typing as npt
 
 from bstm_daemon.units import UNITS
 
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
 
 _STEP_S: Final = 0.05
 _SMOOTH_S: Final = 0.5
+_LONGEST_GAP_S: Final = 2.0
 _MOVING_MS: Final = 3.0
 _MOVED_MS: Final = 2.0
 _LONGEST_GRID: Final = 1_000_000
@@ -60,7 +62,7 @@ class Motion:
     """Speed of the car and its change on one grid, from several signals.
 
     It is the median of the signals; one that stays at zero while others move
-    does not count.
+    does not count. ``seen`` marks where the grid is in no gap of them.
     """
 
     def __init__(self, speeds: Mapping[str, Samples]) -> None:
@@ -77,7 +79,10 @@ class Motion:
         self.speed_ms: Series = (
             np.median(moved, axis=0) if moved else np.zeros_like(self.grid_s)
         )
-        self.moving = self.speed_ms > _MOVING_MS
+        self.seen = np.zeros(len(self.grid_s), np.bool_)
+        for one in speeds.values():
+            self.seen |= _is_between(self.grid_s, one.time_s)
+        self.moving = self.seen & (self.speed_ms > _MOVING_MS)
         self.change_ms2: Series = (
             np.gradient(self.smooth(self.speed_ms), step)
             if self.known
@@ -147,7 +152,7 @@ class Motion:
         is_off = bounds[1] < low or bounds[0] > high
         scale = round(abs(slope), 3) if is_off else 1.0
         if is_off:
-            reason += f": the DBC's scale is off by {1 / scale:.2f}"
+            reason += f": the stated scale is off by {1 / scale:.2f}"
         if sign < 0:
             reason += ": positive while the car slows down"
         return Verdict(
@@ -186,7 +191,7 @@ class Motion:
         share = (
             float(np.mean(applied[self.moving])) if self.moving.any() else 0.0
         )
-        standing = applied & ~self.moving
+        standing = applied & self.seen & ~self.moving
         standing_s = float(np.count_nonzero(standing)) * self.step_s
         reason = (
             f"{rest:g} to {top:g}, applied {100 * share:.0f} % of the time on "
@@ -204,6 +209,15 @@ class Motion:
             f"{while_off:.2f} else"
         )
         return Verdict(fits=while_on < while_off + 0.3, reason=reason)
+
+
+def _is_between(grid_s: Series, time_s: Series) -> npt.NDArray[np.bool_]:
+    """Return which times have a stamp before and after, close together."""
+    stamps = np.sort(time_s)
+    if len(stamps) < 2:
+        return np.zeros(len(grid_s), np.bool_)
+    after = np.searchsorted(stamps, grid_s).clip(1, len(stamps) - 1)
+    return np.asarray(stamps[after] - stamps[after - 1] < _LONGEST_GAP_S)
 
 
 def to_ms(samples: Samples, unit: str, wheel_radius_m: float) -> Samples:

@@ -69,6 +69,9 @@ _AT_WHEELS_KG: Final = (400.0, 5000.0)
 _BRAKED_MS2: Final = -1.5
 _DRIVEN_MS2: Final = 0.5
 _SHIFT_S: Final = 0.5
+_IDLE_RAD_S: Final = 30.0
+_APART_1_S: Final = 0.2
+"""Relative change of engine speed over speed that no gear gives."""
 
 
 def stage_of(role: str) -> int:
@@ -169,7 +172,7 @@ class Judge:
                 value = self.known[role]
                 low, high = np.quantile(value, 0.05), value.max()
                 part = (value - low) / max(high - low, 1e-9)
-                return role, part < 0.03, part > 0.1
+                return role, part < 0.01, part > 0.1
         change, moving = self.motion.change_ms2, self.motion.moving
         driven = moving & (change > _DRIVEN_MS2)
         return "deceleration", driven, moving & (change < _BRAKED_MS2)
@@ -205,44 +208,59 @@ def _gear(judge: Judge, value: Series) -> Verdict:
 
 
 def _clutch_open(judge: Judge, value: Series) -> Verdict:
-    """Gears change with the clutch open; closed, engine and car are one."""
+    """Gears change and the car stands with the clutch open.
+
+    Closed, engine and wheels turn together.
+    """
     motion, known = judge.motion, judge.known
-    moving, open_ = motion.moving, value > 0.5
+    moving, still = motion.moving, np.zeros_like(value)
+    gear, engine = known.get("gear", still), known.get("engine_speed", still)
     reach = 2 * round(_SHIFT_S / motion.step_s) + 1
-    gear = known.get("gear", np.zeros_like(value))
     changing = np.abs(np.gradient(gear)) > 0.0
     near = np.convolve(changing, np.ones(reach), "same") > 0.5
-    at_shifts = judge.share_on(value, near & moving)
-    between = judge.share_on(value, ~near & moving)
-    engine = np.log(np.maximum(known.get("engine_speed", gear * 0), 30.0))
-    slip = motion.smooth(engine - np.log(np.maximum(motion.speed_ms, 1.0)))
-    slip_1_s = np.abs(np.gradient(slip, motion.step_s))
-    apart, coupled = (
-        float(np.median(slip_1_s[here])) if here.any() else np.nan
-        for here in (open_ & moving, ~open_ & moving)
+    running = engine > _IDLE_RAD_S
+    slip = np.log(np.maximum(engine, 1.0) / np.maximum(motion.speed_ms, 1.0))
+    slip_1_s = np.abs(np.gradient(motion.smooth(slip), motion.step_s))
+    apart = running & moving & (slip_1_s > _APART_1_S)
+    shares = {
+        "around gear changes": judge.share_on(value, near & moving),
+        "while engine and wheels part": judge.share_on(value, apart),
+        "standing": judge.share_on(value, running & (motion.speed_ms < 0.3)),
+    }
+    else_ = judge.share_on(value, moving & ~near & ~apart)
+    words = ", ".join(
+        f"{100 * share:.0f} % of the time {when}"
+        for when, share in shares.items()
+        if np.isfinite(share)
     )
-    parts = "engine_speed" in known and apart > max(0.05, 3.0 * coupled)
     return Verdict(
-        fits=at_shifts > max(0.3, 2.0 * between) or parts,
-        reason=f"open {100 * at_shifts:.0f} % of the time around gear changes "
-        f"and {100 * between:.0f} % else; engine and wheels part by "
-        f"{apart:.2f} a second while it is open, {coupled:.2f} else",
+        fits=any(
+            share > max(least, 2.5 * else_)
+            for least, share in zip(
+                (0.3, 0.3, 0.7), shares.values(), strict=True
+            )
+        ),
+        reason=f"open {words}, {100 * else_:.0f} % else"
+        if words
+        else "no change of gear or engine speed to check it with",
     )
 
 
 def _torque(judge: Judge, value: Series) -> Verdict:
     """Torque at the wheels accelerates the mass of a car."""
-    motion = judge.motion
-    free = motion.moving & ~judge.braking()[2]
-    found = judge.follows(value, motion.change_ms2, free)
+    # with the grade in it, where it is known
+    change_ms2 = judge.motion.change_ms2
+    accel = judge.known.get("acceleration_longitudinal", change_ms2)
+    free = judge.motion.moving & ~judge.braking()[2]
+    found = judge.follows(value, accel, free)
     if found is None:
         return Verdict(fits=True, reason="too little driving to check it with")
     r, ratio = found
     mass_kg = 1.0 / (ratio * judge.radius_m)
     return Verdict(
         fits=r > _FOLLOWS,
-        reason=f"dv/dt follows it with r = {r:.2f}, as of {mass_kg:.0f} kg if "
-        "at the wheels",
+        reason=f"acceleration follows it, r = {r:.2f}, as of {mass_kg:.0f} "
+        "kg if at the wheels",
         proven=r > _ALONG and _AT_WHEELS_KG[0] < mass_kg < _AT_WHEELS_KG[1],
     )
 

@@ -232,9 +232,9 @@ def _match(
     else:
         unit = ""
         stated = (
-            f"its unit in the DBC is {signal.unit!r}"
+            f"its stated unit is {signal.unit!r}"
             if signal.unit
-            else "the DBC gives no unit"
+            else "no unit is stated"
         )
         caveat = ", ".join(filter(None, (caveat, stated)))
     return NameMatch(role, message, signal, unit, caveat)

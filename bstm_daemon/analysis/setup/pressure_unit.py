@@ -28,6 +28,9 @@ _HIGHEST_PA: Final = 300e5
 _HARDEST_MS2: Final = 12.0
 """Hardest braking; more is a wheel that locks or stands on rollers."""
 
+_RARE: Final = 0.1
+"""Share of harder braking that may be the noise of the speed."""
+
 _LEVELS: Final = 8
 _REST: Final = 0.02
 _APPLIED: Final = 0.05
@@ -59,14 +62,15 @@ def assumed_unit(motion: Motion, pressure: Samples) -> tuple[str, str] | None:
         return None
     column = motion.on_grid(pressure)
     applied = column > _APPLIED * top
-    rolling = motion.speed_ms > _ROLLING_MS
+    rolling = motion.seen & (motion.speed_ms > _ROLLING_MS)
     braking = applied & rolling
     braking_s = float(np.count_nonzero(braking)) * motion.step_s
     if braking_s < _ENOUGH_S or float(np.mean(applied[rolling])) > _MOST:
         return None
     change_ms2 = motion.change_ms2[braking]
     slowing = change_ms2 < _BRAKING_MS2
-    if float(np.mean(slowing)) < _SLOWING or change_ms2.min() < -_HARDEST_MS2:
+    hardest_ms2 = -float(np.quantile(change_ms2, _RARE))
+    if float(np.mean(slowing)) < _SLOWING or hardest_ms2 > _HARDEST_MS2:
         return None
     for_1_ms2 = float(
         np.median(-column[braking][slowing] / change_ms2[slowing])

@@ -26,17 +26,18 @@ from bstm_daemon.config.sections import BusConfig
 from bstm_daemon.errors import LogError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Iterable, Iterator, Sequence
     from pathlib import Path
 
     from cantools.database.can import Database, Message
 
     from bstm_daemon.analysis.setup.name_rules import NameMatch
+    from bstm_daemon.bus.signals.columns import Events
 
 Series = npt.NDArray[np.float64]
 FrameId = tuple[int, bool]
 
-_LARGEST: Final = sys.float_info.max
+LARGEST: Final = sys.float_info.max
 _LOG_GAP_S: Final = 10.0
 
 
@@ -163,7 +164,7 @@ def _plan(
         draft = of_name.get(owner)
         if draft is not None:
             source = draft.index(name), None, draft.conditions([name])
-            limits = 1.0, 0.0, -_LARGEST, _LARGEST
+            limits = 1.0, 0.0, -LARGEST, LARGEST
             draft.outputs.append(Output(number, *source, *limits, flag=False))
     plans = [
         draft.plan(0, lengths.get(key))
@@ -186,25 +187,44 @@ def _read_samples(
 ) -> None:
     decoder = ChunkDecoder(plan)
     ids = frozenset((key.can_id, key.extended) for key in plan.messages)
+
+    def events_of(log: Path) -> Iterator[Events]:
+        reader = open_log(
+            log, lambda name: ids if name == recording.interface else None
+        )
+        for chunk in reader.chunks():
+            buses = [
+                0 if name == recording.interface else NOT_READ
+                for name in reader.interfaces
+            ]
+            yield decoder.decode(chunk, buses)
+
+    collect(map(events_of, logs), signals, recording)
+
+
+def collect(
+    logs: Iterable[Iterable[Events]],
+    signals: Sequence[tuple[str, str]],
+    recording: Recording,
+) -> None:
+    """Add the samples of *logs* to *recording*, joined one after the other.
+
+    Args:
+        logs: the events of each log; role numbers are positions in *signals*.
+        signals: names of message and signal.
+        recording: gets ``samples`` and ``duration_s``.
+    """
     times: list[list[Series]] = [[] for _ in signals]
     values: list[list[Series]] = [[] for _ in signals]
     # a log may begin before the one read ahead of it: laid end to end
     begin_s = 0.0
     for log in logs:
-        reader = open_log(
-            log, lambda name: ids if name == recording.interface else None
-        )
         first_us: int | None = None
         last_s = begin_s
-        for chunk in reader.chunks():
-            if not len(chunk):
+        for events in log:
+            if not len(events):
                 continue
-            first_us = int(chunk.time_us[0]) if first_us is None else first_us
-            buses = [
-                0 if name == recording.interface else NOT_READ
-                for name in reader.interfaces
-            ]
-            events = decoder.decode(chunk, buses)
+            first_us = int(events.time_us[0]) if first_us is None else first_us
             stamps_s = (events.time_us - first_us) * 1e-6 + begin_s
             last_s = max(last_s, float(stamps_s.max(initial=last_s)))
             for number in np.unique(events.role).tolist():

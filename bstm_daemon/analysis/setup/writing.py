@@ -15,6 +15,8 @@ from bstm_daemon.roles import ROLE_INDEX, ROLES
 from bstm_daemon.units import UNITS
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
     from bstm_daemon.analysis.setup.proposal import Candidate, Proposal
     from bstm_daemon.analysis.setup.recording import Recording
 
@@ -34,6 +36,16 @@ _ASSUMPTION: Final = """\
 # No sure torque at the wheels, so an assumption: 0.0 = the car coasts while it
 # brakes. Engine braking then counts as brake heat.
 assume_powertrain_torque_nm = 0.0  # Nm; typical, replace"""
+_BUS: Final = """\
+[[bus]]
+name = "car"
+interface = "socketcan"
+channel = $channel
+# bitrate = 500000          # bit/s; a SocketCAN link is set up outside
+dbc = $dbc
+strict = $strict
+encoding = $encoding
+$ignored"""
 _SPEEDS: Final = ("vehicle_speed", "wheel_speed_")
 
 
@@ -41,15 +53,24 @@ def configuration_text(
     proposal: Proposal,
     recording: Recording | None,
     *,
-    dbc: Path,
-    folder: Path,
-    strict: bool,
-    encoding: str,
+    origin: Path,
+    source: str,
+    notes: Iterable[str] = (),
+    columns: Mapping[str, str] | None = None,
 ) -> str:
-    """Return the configuration for *proposal*, as a file of *folder*.
+    """Return the configuration for *proposal*.
 
-    Raises :class:`ConfigError` where no signal can be the car's speed: no
-    configuration would be complete.
+    Args:
+        proposal: the roles.
+        recording: what they were looked at in, None without a log.
+        origin: the DBC or the table that they are of.
+        source: the section of the bus or of the table.
+        notes: what is not used or not explained, a sentence each.
+        columns: of a table, the column of each signal.
+
+    Raises:
+        ConfigError: no signal can be the car's speed, no configuration would
+            be complete.
     """
     sure, unsure = list(proposal.sure), list(proposal.unsure)
     if not any(one.role.startswith(_SPEEDS) for one in sure):
@@ -63,49 +84,71 @@ def configuration_text(
         )
         if speed is None:
             msg = (
-                f"{dbc}: no signal has name and unit of a speed, without one "
-                "there is no estimate: write the configuration by hand"
+                f"{origin}: no signal has name and unit of a speed, without "
+                "one there is no estimate: write the configuration by hand"
             )
             raise ConfigError([msg])
         unsure.remove(speed)
         sure.insert(0, speed)
-    blocks = [_active(one) for one in sure]
+    blocks = [_active(one, _keys(one, columns)) for one in sure]
     if unsure:
         title = "Unsure. Remove the '#' where the role is right."
         blocks.append(_comment(title))
-        blocks += [_inactive(one) for one in unsure]
+        blocks += [_inactive(one, _keys(one, columns)) for one in unsure]
     return Template(_TEMPLATE.read_text("utf-8")).substitute(
-        head=_head(recording, dbc),
-        vehicle=_text(dbc.stem),
+        head=_head(recording, origin, notes),
+        vehicle=_text(origin.stem),
         radius=_radius(proposal),
-        channel=_text(recording.interface if recording else "can0"),
-        ignored=_ignored(recording),
-        dbc=_text(Path(os.path.relpath(dbc, folder)).as_posix()),
-        strict="true" if strict else "false             # it has defects",
-        encoding=_text(encoding),
+        source=source,
         signals="\n\n".join(blocks),
         heat=_heat(proposal),
     )
 
 
-def _head(recording: Recording | None, dbc: Path) -> str:
-    origin = (
-        f"Proposed by 'bstm init' from {dbc.name}. What is marked 'typical, "
-        "replace' is no value of this car: estimates are an order of "
-        "magnitude until it is. docs/reference.md explains every key."
+def bus_section(
+    recording: Recording | None,
+    *,
+    dbc: Path,
+    folder: Path,
+    strict: bool,
+    encoding: str,
+) -> str:
+    """Return the section of the bus of *dbc*, as a file of *folder* has it."""
+    return Template(_BUS).substitute(
+        channel=_text(recording.interface if recording else "can0"),
+        ignored=_ignored(recording),
+        dbc=_text(Path(os.path.relpath(dbc, folder)).as_posix()),
+        strict="true" if strict else "false             # it has defects",
+        encoding=_text(encoding),
     )
-    lines = [origin]
+
+
+def table_section(time: str) -> str:
+    """Return the section of a table whose column *time* has the time."""
+    return f"[table]\ntime = {_text(time)}"
+
+
+def _head(
+    recording: Recording | None, origin: Path, notes: Iterable[str]
+) -> str:
+    title = (
+        f"Proposed by 'bstm init' from {origin.name}. What is marked "
+        "'typical, replace' is no value of this car: estimates are an order "
+        "of magnitude until it is. docs/reference.md explains every key."
+    )
+    lines = [title]
     if recording is None:
         lines.append(
             "No log was given: the signals are chosen by name and unit only, "
             "nothing is checked."
         )
         return "\n#\n".join(map(_comment, lines))
+    where = f", interface {recording.interface}" if recording.interface else ""
     lines.append(
-        f"The signals were looked at in {recording.duration_s:.0f} s of log, "
-        f"interface {recording.interface}."
+        f"The signals were looked at in {recording.duration_s:.0f} s of "
+        f"log{where}."
     )
-    lines += notes_of(recording)
+    lines += notes
     return "\n#\n".join(map(_comment, lines))
 
 
@@ -144,24 +187,28 @@ def _ignored(recording: Recording | None) -> str:
     )
 
 
-def _active(one: Candidate) -> str:
+def _active(one: Candidate, keys: list[str]) -> str:
     reason = one.reason if one.sure else f"UNSURE, check: {one.reason}"
     lines = [_comment(_sentence(reason))]
     if one.unread:
         lines.append(_comment(f"NOT READ: {one.unread}."))
-    return "\n".join([*lines, *_keys(one)])
+    return "\n".join([*lines, *keys])
 
 
-def _inactive(one: Candidate) -> str:
-    keys = [f"# {line}" for line in _keys(one)]
-    return "\n".join([_comment(f"? {_sentence(one.reason)}"), *keys])
+def _inactive(one: Candidate, keys: list[str]) -> str:
+    marked = [f"# {line}" for line in keys]
+    return "\n".join([_comment(f"? {_sentence(one.reason)}"), *marked])
 
 
-def _keys(one: Candidate) -> list[str]:
+def _keys(one: Candidate, columns: Mapping[str, str] | None) -> list[str]:
+    message, signal = one.match.message.name, one.match.signal.name
     lines = [
         f"[signals.{one.role}]",
-        f"message = {_text(one.match.message.name)}",
-        f"signal = {_text(one.match.signal.name)}",
+        *(
+            [f"message = {_text(message)}", f"signal = {_text(signal)}"]
+            if columns is None
+            else [f"column = {_text(columns[signal])}"]
+        ),
         f"unit = {_text(one.unit or '?')}",
     ]
     if one.scale != 1.0:

@@ -145,13 +145,15 @@ class DriftNoise:
 
     def whiten(self, value: Matrix) -> Matrix:
         """Return *value* (n, ...), all series one after the other, white."""
-        parts = np.split(value, np.cumsum(self.lengths)[:-1])
-        return np.concatenate(
-            [
-                np.linalg.solve(self.lower[length], part)
-                for length, part in zip(self.lengths, parts, strict=True)
-            ]
-        )
+        flat = value.reshape(len(value), -1)
+        parts = np.split(flat, np.cumsum(self.lengths)[:-1])
+        for length, lower in self.lower.items():
+            # side by side: the factorisation is what takes the time
+            own = [i for i, one in enumerate(self.lengths) if one == length]
+            white = np.linalg.solve(lower, np.hstack([parts[i] for i in own]))
+            for i, part in zip(own, np.split(white, len(own), 1), strict=True):
+                parts[i] = part
+        return np.concatenate(parts).reshape(value.shape)
 
     def covariance_of(self, operator: Matrix) -> Matrix:
         """Return the covariance of *operator* (p, n) times the noise."""
@@ -189,8 +191,9 @@ def _restricted(
     noise: DriftNoise, residual: Column, design: Matrix
 ) -> tuple[float, float]:
     """Return the restricted log likelihood and the white variance."""
-    x = noise.whiten(design / column_size(design))
-    y = noise.whiten(residual)
+    design = design / column_size(design)
+    both = noise.whiten(np.column_stack((design, residual)))
+    x, y = both[:, :-1], both[:, -1]
     normal = x.T @ x
     step = np.linalg.pinv(normal, rcond=SINGULAR, hermitian=True) @ (x.T @ y)
     free = max(len(y) - x.shape[1], 1)

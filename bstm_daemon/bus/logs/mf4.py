@@ -83,13 +83,13 @@ class Mf4Reader(FrameReader):
         except OSError as error:
             msg = f"{self.path}: cannot be read: {error.strerror or error}"
             raise FileAccessError(msg) from error
-        with _quiet():
+        with quiet_asammdf():
             try:
                 # the ids of all frames are not needed beforehand
                 options: dict[str, Any] = {"process_bus_logging": False}
                 return MDF(self.path, **options)
             except Exception as error:  # noqa: BLE001  (raises anything)
-                problem = _worded(error)
+                problem = worded_damage(error)
             gc.collect()
         msg = f"{self.path}: damaged: {problem}"
         raise LogError(msg)
@@ -100,7 +100,7 @@ class Mf4Reader(FrameReader):
         if not groups:
             msg = (
                 f"{self.path}: no bus logging in this MF4 file (channel "
-                f"group {_FRAME}): only raw CAN frames are read"
+                f"group {_FRAME}): its signals are read by roles with 'column'"
             )
             raise LogError(msg)
         total = max(sum(group.count for group in groups), 1)
@@ -152,11 +152,11 @@ class Mf4Reader(FrameReader):
         try:
             yield
         except Exception as error:  # asammdf raises anything on damage
-            raise self.damaged(_worded(error)) from error
+            raise self.damaged(worded_damage(error)) from error
 
 
 @contextmanager
-def _quiet() -> Iterator[None]:
+def quiet_asammdf() -> Iterator[None]:
     """Keep asammdf's messages about a damaged file off the terminal.
 
     It leaves a half-built object behind whose finalizer raises as well.
@@ -170,7 +170,8 @@ def _quiet() -> Iterator[None]:
         sys.unraisablehook = hook
 
 
-def _worded(error: Exception) -> str:
+def worded_damage(error: Exception) -> str:
+    """Return what a library raised, with its type."""
     return f"{type(error).__name__}: {error}".rstrip(": ")
 
 

@@ -10,8 +10,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from bstm_daemon.bus.logs.mf4 import worded_damage
 from bstm_daemon.bus.tables.source import TableChunk, TableSource
-from bstm_daemon.errors import FileAccessError, LogError, MissingExtraError
+from bstm_daemon.errors import (
+    BstmError,
+    FileAccessError,
+    LogError,
+    MissingExtraError,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator
@@ -20,7 +26,7 @@ if TYPE_CHECKING:
     import numpy.typing as npt
 
 
-class _BinarySource(TableSource):
+class BinarySource(TableSource):
     """A table that a library of an extra reads."""
 
     _chunk_rows = 50_000
@@ -43,7 +49,7 @@ class _BinarySource(TableSource):
                 extra=self._extra,
                 purpose=f"{path}: {self._kind}",
             ) from error
-        with _naming_damage(path):
+        with naming_damage(path):
             self._open(library)
 
     @abstractmethod
@@ -51,7 +57,7 @@ class _BinarySource(TableSource):
         """Open the file and look at its columns."""
 
 
-class ParquetSource(_BinarySource):
+class ParquetSource(BinarySource):
     """A Parquet table (extra ``parquet``)."""
 
     _module, _extra = "pyarrow.parquet", "parquet"
@@ -72,7 +78,7 @@ class ParquetSource(_BinarySource):
             self._chunk_rows, columns=list(columns)
         )
         while True:
-            with _naming_damage(self._path):
+            with naming_damage(self._path):
                 batch = next(batches, None)
                 if batch is None:
                     break
@@ -98,30 +104,19 @@ class ParquetSource(_BinarySource):
             return np.asarray(nanos.to_numpy(zero_copy_only=False))
         if types.is_string(kind) or types.is_large_string(kind):
             return [one or "" for one in array.to_pylist()]
-        if (
-            types.is_integer(kind)
-            or types.is_floating(kind)
-            or types.is_boolean(kind)
-            or types.is_decimal(kind)
-            or types.is_null(kind)
-        ):
-            values = (
-                [
-                    np.nan if one is None else float(one)
-                    for one in array.to_pylist()
-                ]
-                if array.null_count or types.is_decimal(kind)
-                else (array.to_numpy(zero_copy_only=False))
+        try:
+            # what is null becomes nan
+            floats = array.cast("float64", safe=False)
+        except NotImplementedError as error:
+            msg = (
+                f"{self._path}: column {name!r} is of type {kind}, neither "
+                "numbers nor texts nor times"
             )
-            return np.asarray(values, np.float64)
-        msg = (
-            f"{self._path}: column {name!r} is of type {kind}, neither "
-            "numbers nor texts nor times"
-        )
-        raise LogError(msg)
+            raise LogError(msg) from error
+        return np.asarray(floats.to_numpy(zero_copy_only=False))
 
 
-class Hdf5Source(_BinarySource):
+class Hdf5Source(BinarySource):
     """An HDF5 table (extra ``hdf5``).
 
     A column is a one-dimensional data set, a field of a compound one, or a
@@ -154,7 +149,7 @@ class Hdf5Source(_BinarySource):
         total = next(iter(sizes.values()), 0)
         for start in range(0, total, self._chunk_rows):
             end = min(start + self._chunk_rows, total)
-            with _naming_damage(self._path):
+            with naming_damage(self._path):
                 cells = {
                     name: self._columns[name].read(slice(start, end))
                     for name in columns
@@ -259,23 +254,15 @@ def _text(one: object) -> str:
 
 
 @contextmanager
-def _naming_damage(path: Path) -> Iterator[None]:
+def naming_damage(path: Path) -> Iterator[None]:
     """Name *path* in what a library raises of a file."""
     try:
         yield
-    except LogError:
+    except BstmError:
         raise
     except FileNotFoundError as error:
         msg = f"{path}: cannot be read: {error.strerror or error}"
         raise FileAccessError(msg) from error
-    except (
-        ArithmeticError,
-        LookupError,
-        OSError,
-        RuntimeError,
-        TypeError,
-        ValueError,
-        NotImplementedError,
-    ) as error:
-        msg = f"{path}: damaged: {error}"
+    except Exception as error:  # they raise anything on damage
+        msg = f"{path}: damaged: {worded_damage(error)}"
         raise LogError(msg) from error

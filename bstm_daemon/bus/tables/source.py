@@ -2,16 +2,42 @@
 
 from __future__ import annotations
 
+import re
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
+
+from bstm_daemon.units import unit_named
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator, Mapping
+    from collections.abc import Collection, Iterable, Iterator, Mapping
     from pathlib import Path
 
     import numpy as np
     import numpy.typing as npt
+
+_IN_BRACKETS: Final = re.compile(
+    r"(.*\S)\s*(?:\[([^\[\]]+)\]|\(((?:[^()]|\([^()]*\))+)\))"
+)
+_LAST_WORD: Final = re.compile(r"(.*[^\s_])[\s_](\S{2,}|[gmcCK])")
+
+
+def split_unit(name: str) -> tuple[str, str]:
+    """Return the name of a column without its unit, and the unit's text.
+
+    ``Speed [km/h]`` and ``Speed (km/h)`` have one, known or not, ``speed_kmh``
+    one that is known; a name without one is returned as it is, with "".
+    """
+    inside = _IN_BRACKETS.fullmatch(name)
+    if inside:
+        return inside[1], (inside[2] or inside[3]).strip()
+    last = _LAST_WORD.fullmatch(name)
+    return (last[1], last[2]) if last and unit_named(last[2]) else (name, "")
+
+
+def units_in_names(names: Iterable[str]) -> dict[str, str]:
+    """Return the unit texts in names of columns, by name."""
+    return {name: unit for name in names if (unit := split_unit(name)[1])}
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,9 +57,11 @@ class TableSource(ABC):
     """Reads one table, once, in runs of ``_chunk_rows`` rows.
 
     ``truncated`` marks a file without its end, ``share`` how much of it
-    is read, from 0 to 1.
+    is read, from 0 to 1. ``time`` is the column that has the time in every
+    file of the format, "" where there is none.
     """
 
+    time = ""
     truncated = False
     share = 0.0
     _chunk_rows: int
@@ -45,6 +73,10 @@ class TableSource(ABC):
     @abstractmethod
     def names(self) -> list[str]:
         """Return the names of the columns."""
+
+    def units(self) -> dict[str, str]:
+        """Return the unit texts that the table states, by column."""
+        return units_in_names(self.names())
 
     @abstractmethod
     def chunks(self, columns: Collection[str]) -> Iterator[TableChunk]:

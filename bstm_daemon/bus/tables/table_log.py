@@ -19,21 +19,36 @@ import structlog
 from bstm_daemon.bus.logs.reader import LINES_KEPT
 from bstm_daemon.bus.signals.columns import Events
 from bstm_daemon.bus.signals.reject_reason import RejectReason
-from bstm_daemon.bus.tables.binary import Hdf5Source, ParquetSource
+from bstm_daemon.bus.tables.binary import (
+    BinarySource,
+    Hdf5Source,
+    ParquetSource,
+)
 from bstm_daemon.bus.tables.cells import numbers, texts
+from bstm_daemon.bus.tables.channels import Mf4Source, XrkSource
 from bstm_daemon.bus.tables.csv_table import CsvSource
 from bstm_daemon.bus.tables.time_axis import TimeAxis
+from bstm_daemon.bus.tables.vbo import VboSource
 from bstm_daemon.errors import LogError
 from bstm_daemon.roles import ROLES
+from bstm_daemon.units import UNITS, unit_named
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
     import numpy.typing as npt
 
     from bstm_daemon.bus.tables.source import TableChunk, TableSource
     from bstm_daemon.bus.tables.table_plan import ColumnOutput, TableMap
 
+_BINARY: Final[dict[str, type[BinarySource]]] = {
+    ".h5": Hdf5Source,
+    ".hdf5": Hdf5Source,
+    ".mf4": Mf4Source,
+    ".parquet": ParquetSource,
+    ".xrk": XrkSource,
+    ".xrz": XrkSource,
+}
 _NAMES_KEPT: Final = 1000
 _NAMES_SHOWN: Final = 12
 
@@ -64,8 +79,11 @@ class TableReader:
         self.first_refused: dict[RejectReason, list[int]] = {}
         self._table = table_map.table
         self._outputs = table_map.outputs
-        self.time = TimeAxis(self._table.time_unit, self._table.time or "")
-        self._source = self._opened()
+        self._source = open_source(path, self._table.delimiter, self._refuse)
+        column = self._table.time or ""
+        self._units = self._source.units()
+        stated = self._units.get(column, "")
+        self.time = TimeAxis(self._table.time_unit, column, stated)
         self._named: Counter[str] = Counter()
 
     @property
@@ -96,17 +114,6 @@ class TableReader:
             msg = f"{self.path}: {self._why_empty()}"
             raise LogError(msg)
 
-    def _opened(self) -> TableSource:
-        ending = self.path.suffix.lower()
-        if ending == ".parquet":
-            return ParquetSource(self.path)
-        if ending in (".h5", ".hdf5"):
-            return Hdf5Source(self.path)
-        is_tsv = Path(self.path.name.lower().removesuffix(".gz")).suffix
-        default = "\t" if is_tsv == ".tsv" else None
-        delimiter = self._table.delimiter or default
-        return CsvSource(self.path, delimiter, self._refuse)
-
     def _columns(self) -> list[str]:
         """Return the columns to read; all must be there, once."""
         table = self._table
@@ -121,8 +128,8 @@ class TableReader:
         }
         if table.name is None:
             for output in self._outputs:
-                role = ROLES[output.role].name
-                wanted.setdefault(output.column, f"[signals.{role}] column")
+                key = f"[signals.{_role(output)}] column"
+                wanted.setdefault(output.column, key)
         names = self._source.names()
         problems = []
         for name, key in wanted.items():
@@ -133,6 +140,18 @@ class TableReader:
         if problems:
             msg = f"{self.path}: no such column: {'; '.join(problems)}"
             raise LogError(msg)
+        for output in self._outputs:
+            text = self._units.get(output.column, "")
+            stated = unit_named(text)
+            if stated and output.unit and UNITS[stated] != UNITS[output.unit]:
+                _log.warning(
+                    "unit differs from the table's",
+                    log=str(self.path),
+                    column=output.column,
+                    role=_role(output),
+                    unit=output.unit,
+                    table_unit=text,
+                )
         return list(wanted)
 
     def _events(self, chunk: TableChunk) -> Events:
@@ -248,6 +267,37 @@ class TableReader:
             )
             text += f": {expected} expected, {seen} seen"
         return text
+
+
+def open_source(
+    path: Path,
+    delimiter: str | None,
+    refuse: Callable[[RejectReason, int], None],
+) -> TableSource:
+    """Return the source of the table *path*, by its ending.
+
+    Args:
+        path: the file.
+        delimiter: between the cells of a CSV table, None to find it.
+        refuse: counts rows of a text without cells, with their line.
+
+    Raises:
+        FileAccessError: it cannot be read.
+        LogError: it is damaged.
+        MissingExtraError: a package is missing.
+    """
+    ending = Path(path.name.lower().removesuffix(".gz")).suffix
+    if ending in _BINARY:
+        return _BINARY[ending](path)
+    if ending == ".vbo":
+        return VboSource(path, None, refuse)
+    is_tsv = ending == ".tsv"
+    return CsvSource(path, delimiter or ("\t" if is_tsv else None), refuse)
+
+
+def _role(output: ColumnOutput) -> str:
+    known = 0 <= output.role < len(ROLES)
+    return ROLES[output.role].name if known else str(output.role)
 
 
 def _at(

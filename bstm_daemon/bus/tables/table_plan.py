@@ -7,7 +7,7 @@ no frames: :func:`compile_sources` gives the one or the other.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from bstm_daemon.bus.signals.signal_map import (
     SignalMap,
@@ -28,13 +28,16 @@ if TYPE_CHECKING:
     )
     from bstm_daemon.config.service import E2eConfig
 
+_UNMEASURED: Final = ("bool", "count")
+
 
 @dataclass(frozen=True, slots=True)
 class ColumnOutput:
     """One role out of a column: ``si = gain * cell + bias``.
 
     A value outside ``low .. high`` (SI, both inclusive) is no sample;
-    ``flag`` makes 1.0 of anything but zero.
+    ``flag`` makes 1.0 of anything but zero. ``unit`` is the configured one, ""
+    where it does not say what the cells are in: a flag, a number, own scale.
     """
 
     role: int
@@ -44,6 +47,7 @@ class ColumnOutput:
     low: float
     high: float
     flag: bool
+    unit: str = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -88,7 +92,13 @@ def compile_sources(
                 ROLE_INDEX[name],
                 config.column or "",
                 *conversion_of(name, config, wheel_radius_m),
+                unit=_unit_of_cells(config),
             )
             for name, config in signals.items()
         ),
     )
+
+
+def _unit_of_cells(config: SignalConfig) -> str:
+    is_plain = config.scale == 1.0 and not config.offset
+    return config.unit if is_plain and config.unit not in _UNMEASURED else ""

@@ -1,4 +1,4 @@
-"""The time of a signal table: unit, dates, and laps that begin at zero."""
+"""The time of a signal table: unit, dates, clocks, laps that begin at zero."""
 
 from __future__ import annotations
 
@@ -14,11 +14,14 @@ if TYPE_CHECKING:
     import numpy.typing as npt
 
     Booleans = npt.NDArray[np.bool_]
+    Floats = npt.NDArray[np.float64]
     Integers = npt.NDArray[np.int64]
 
 NEAR_ZERO_US: Final = 1_000_000
 """A lap begins at most this late; it ends more than this later."""
 
+_DAY_US: Final = 86_400_000_000
+_CLOCK: Final = re.compile(r"\d\d?:\d\d:\d\d(\.\d*)?")
 _PER_UNIT_US: Final = {"s": 1e6, "ms": 1e3, "us": 1.0}
 _LARGEST_US: Final = 2**62
 _EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
@@ -37,13 +40,19 @@ _STEPS: Final = (("us", 2000.0), ("ms", 5.0))
 class TimeAxis:
     """Turns the cells of a time column into microseconds, chunk by chunk.
 
+    A clock (``hhmmss``) goes on after midnight.
     ``unit`` is the configured or found one, ``found_by`` says how it was
     found, or is empty; ``laps_joined`` counts the times it began anew.
     """
 
-    def __init__(self, unit: str | None, column: str) -> None:
-        """Expect *unit*, or find it out from the first cells of *column*."""
+    def __init__(self, unit: str | None, column: str, stated: str) -> None:
+        """Expect *unit*, or what the table has *stated*.
+
+        If neither is known, it is found out from the name and the first cells
+        of *column*.
+        """
         self.unit = unit
+        self._stated = stated
         self.found_by = ""
         self.laps_joined = 0
         self._column = column
@@ -64,17 +73,25 @@ class TimeAxis:
         if unit == "iso8601":
             return _dates(texts(cells))
         with np.errstate(all="ignore"):
-            us = numbers(cells).value * _PER_UNIT_US[unit]
+            if unit == "hhmmss":
+                join, us = self._past_midnight, _clock_us(cells)
+            else:
+                join = self._joined
+                us = numbers(cells).value * _PER_UNIT_US[unit]
             good = np.abs(us) < _LARGEST_US
             stamps = np.where(good, np.round(us), 0).astype(np.int64)
-        stamps[good] = self._joined(stamps[good])
+        stamps[good] = join(stamps[good])
         return stamps, good
 
     def _found_unit(self, cells: list[str] | npt.NDArray[Any]) -> str:
+        stated = self._stated.lower().strip("[]")
+        if stated == "hhmmss" or stated in _NAMES:
+            return self._find(_NAMES.get(stated, stated), "the table's unit")
         found = numbers(cells)
         real = found.value[np.isfinite(found.value)]
         if np.count_nonzero(found.unreadable) > len(real):
-            return self._find("iso8601", "its cells")
+            is_clock = any(map(_CLOCK.fullmatch, texts(cells)))
+            return self._find("hhmmss" if is_clock else "iso8601", "its cells")
         words = re.split(r"[^0-9A-Za-zµ]+", self._column)
         for word in words:
             if word.lower() in _NAMES:
@@ -94,6 +111,17 @@ class TimeAxis:
     def _find(self, unit: str, reason: str) -> str:
         self.unit, self.found_by = unit, reason
         return unit
+
+    def _past_midnight(self, raw_us: Integers) -> Integers:
+        """Return times of day as one time that goes on after midnight."""
+        if not len(raw_us):
+            return raw_us
+        last = raw_us[0] if self._last_raw_us is None else self._last_raw_us
+        back = np.diff(raw_us, prepend=last) < -_DAY_US // 2
+        along = self._offset_us + _DAY_US * np.cumsum(back)
+        self._offset_us = int(along[-1])
+        self._last_raw_us = int(raw_us[-1])
+        return raw_us + along
 
     def _joined(self, raw_us: Integers) -> Integers:
         """Return *raw_us* with each new lap set behind the one before it."""
@@ -119,6 +147,18 @@ class TimeAxis:
         self._offset_us = int(along[-1])
         self._last_raw_us = int(raw_us[-1])
         return raw_us + along
+
+
+def _clock_us(cells: list[str] | npt.NDArray[Any]) -> Floats:
+    """Return times of day, 095237.60 or 09:52:37.60, in us."""
+    if isinstance(cells, list):
+        cells = [cell.replace(":", "") for cell in cells]
+    clock = numbers(cells).value
+    minutes, second = np.divmod(clock, 100.0)
+    hour, minute = np.divmod(minutes, 100.0)
+    good = (clock >= 0) & (hour < 24) & (minute < 60) & (second < 61)
+    whole = 3600.0 * hour + 60.0 * minute + second
+    return np.where(good, whole * 1e6, np.nan)
 
 
 def _dates(cells: list[str]) -> tuple[Integers, Booleans]:

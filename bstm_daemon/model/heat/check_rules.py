@@ -204,6 +204,35 @@ REVERSED_SHARE: Final = 0.2
 cancel, acceleration times rate of speed is summed: a negative sum means a
 wrong sign. 40 m2/s3 are 10 s of 2 m/s2, or 2.5 s of 4."""
 
+PEDAL_REST: Final = 0.005
+TORQUE_REST: Final = 0.25
+"""A pedal rests below 5 mm or 0.5 %; the bus's own brake torque below this
+share of ``brake_on_force_n``, as it reads too little."""
+
+PEDAL_S: Final = 0.3
+PEDAL_LOW_MS2: Final = 0.5
+PEDAL_MORE_MS2: Final = 1.5
+ENGINE_MS2: Final = 0.7
+SLOPE_MS2: Final = 1.0
+PEDAL_LOST_MS: Final = 20.0
+"""Braking by motion, filtered over PEDAL_S, while the pedal is at rest. Up to
+the first it may be errors of drag and accelerometer, by the second more it is
+the brakes; without a measured torque there is engine braking, without an
+accelerometer a slope of 10 %. Once so much speed is lost at rest, the pedal
+does not show all braking."""
+
+DRIVE_ERROR: Final = 0.15
+SLIP_FORWARD: Final = 0.08
+"""What a drive torque may be wrong by [share]; a wheel slips forward above the
+second ratio."""
+
+STAND_TURNS_MS: Final = 1.0
+STAND_MOTION: Final = 8.0
+STAND_SHARE: Final = 0.25
+"""A car is on a test stand where one axle turns faster than the first while
+the other stands, and a live accelerometer shows less than STAND_SHARE of the
+changes of its speed, in the sums of REVERSED_MS2: from 2 s of 2 m/s2 on."""
+
 STANDING_MS: Final = 0.5
 PARKING_MS: Final = 5.0
 """A car whose speed is lost above this has not just been parked."""

@@ -8,6 +8,7 @@ what holds at the end of a step; limits and thresholds are those of
 
 from __future__ import annotations
 
+import statistics
 from dataclasses import dataclass
 from math import exp, isnan
 from typing import TYPE_CHECKING, Final
@@ -398,9 +399,8 @@ class Checks:
             flags |= FLAGS["acceleration_suspect"]
         if self._suspect(now.now, watched.torque):
             flags |= FLAGS["torque_suspect"]
-        for role in watched.temperatures:
-            if self._suspect(now.now, role):
-                flags |= FLAGS["temperature_suspect"]
+        if any(self._suspect(now.now, role) for role in watched.temperatures):
+            flags |= FLAGS["temperature_suspect"]
         return flags | FLAGS["samples_refused"]
 
     def _suspect(self, now: int, role: int) -> bool:
@@ -464,11 +464,5 @@ class Checks:
 
 def _median(values: Sequence[float]) -> tuple[float, int]:
     """Median and count of the values that are not nan; 0 if there are none."""
-    known = sorted(value for value in values if not isnan(value))
-    count = len(known)
-    if count == 0:
-        return 0.0, 0
-    middle = count // 2
-    if count % 2:
-        return known[middle], count
-    return 0.5 * (known[middle - 1] + known[middle]), count
+    known = [value for value in values if not isnan(value)]
+    return (statistics.median(known), len(known)) if known else (0.0, 0)

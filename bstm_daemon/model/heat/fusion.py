@@ -15,7 +15,7 @@ from math import exp, isnan, nan, sqrt
 from typing import TYPE_CHECKING, Final
 
 from bstm_daemon.channels import FLAGS
-from bstm_daemon.model.heat.check_rules import STANDING_MS
+from bstm_daemon.model.heat.check_rules import SLIP_FORWARD
 from bstm_daemon.model.heat.inputs import SLOPE_ACCELEROMETER
 from bstm_daemon.model.heat.learned import (
     BIAS,
@@ -62,11 +62,8 @@ MOST_FRICTION: Final = 1.75
 the pressure is not that of the brakes: linings have 0.7 to 1.3 of their
 nominal friction, and 0.6 when they fade."""
 
-SLIP_FORWARD: Final = 0.08
 SLIPPING: Final = 0.06
-STAND_TURNS_MS: Final = 3.0
-"""A wheel slips forward above the first ratio; all turn alike within the
-second; on a test stand some turn faster than this while others stand."""
+"""All wheels turn alike within this ratio."""
 
 MODEL_SHARE: Final = 0.015
 ABS_SHARE: Final = 0.12
@@ -129,9 +126,9 @@ class Fused:
     learned: list[float]
 
 
-def accumulate_motion(run: Inputs, h: float, v: float) -> None:
+def accumulate_motion(run: Inputs, h: float) -> None:
     """Add *h* seconds of the held values to the sums of the motion."""
-    plan, m = run.plan, run.observer.m
+    plan, m, v = run.plan, run.observer.m, run.speed
     m.sum_drag += (plan.quadratic * v + plan.linear) * v / plan.mass_kg * h
     if (
         not run.valid(_ACCELERATION)
@@ -229,24 +226,13 @@ def _describe(run: Inputs, now: Readings, flags: int) -> Step:
     yaw = abs(run.vehicle("yaw_rate", 0.0)) * run.speed
     side = abs(run.vehicle("acceleration_lateral", 0.0))
     brake_n = highest = 0.0
-    pressure_known = wheel_pressures = True
-    some = none = False
     for c in range(run.corners):
-        brake_n += run.observer.m.brake_sum[c] / dt_s
+        brake_n += m.brake_sum[c] / dt_s
         highest = max(highest, run.m.pressure_sum[c] / dt_s)
-        if run.m.on_time[c] > 0.0:
-            some = True
-        else:
-            none = True
-        pressure_known = pressure_known and run.corner_known(c)
-        wheel_pressures = wheel_pressures and run.valid(run.pressure_role[c])
-    pressed = now.brake_switch > 0.0 or some
-    acts = (
-        run.vehicle("abs_active", 0.0) > 0.0
-        or now.esc_active > 0.0
-        or run.vehicle("tc_active", 0.0) > 0.0
-    )
-    partial = some and none and not wheel_pressures
+    braked = [time_s > 0.0 for time_s in run.m.on_time[: run.corners]]
+    wheel_pressures = all(run.valid(role) for role in run.pressure_role)
+    pressed = now.brake_switch > 0.0 or any(braked)
+    partial = any(braked) and not all(braked) and not wheel_pressures
     return Step(
         dt_s=dt_s,
         speed=run.m.speed_sum / dt_s,
@@ -262,27 +248,24 @@ def _describe(run: Inputs, now: Readings, flags: int) -> Step:
         clutch=run.vehicle("clutch_open", 0.0),
         height=run.vehicle("altitude", nan),
         ground_speeds=[run.reading(role) for role in GROUND_SPEED_ROLES],
-        steady=not acts
+        steady=not now.intervenes
         and _rolls(run)
         and flags & SUSPECTS == 0
         and not partial,
         forward=run.heading > 0.0,
         pressed=pressed,
-        pressure_known=pressure_known,
+        pressure_known=all(run.corner_known(c) for c in range(run.corners)),
         wheel_pressures=wheel_pressures,
         torque_known=run.valid(_TORQUE),
-        on_stand=not pressed and _on_stand(run),
+        on_stand=not pressed and run.apart,
         wrong_scale=wrong_scale(run.checks.m),
     )
 
 
 def _tare_pressures(run: Inputs, s: Step) -> None:
     """Filter the offsets of the pressure sensors, brake released."""
-    if isnan(s.brake_switch):
-        released = s.drive > TARE_DRIVE_MS2
-    else:
-        released = not s.brake_switch > 0.0
-    if not released:
+    switch, drives = s.brake_switch, s.drive > TARE_DRIVE_MS2
+    if not (drives if isnan(switch) else switch <= 0.0):
         return
     m = run.observer.m
     share = 1.0 - exp(-s.dt_s / TARE_S)
@@ -297,17 +280,6 @@ def _rolls(run: Inputs) -> bool:
     """Whether all wheels turn alike."""
     most = SLIPPING * run.speed
     return all(-most <= wheel - run.speed <= most for wheel in run.wheel)
-
-
-def _on_stand(run: Inputs) -> bool:
-    """Whether some wheels turn while others stand."""
-    high, low = 0.0, STAND_TURNS_MS
-    for role in run.wheel_role:
-        if run.valid(role):
-            own = abs(run.m.value[role])
-            high = max(high, own)
-            low = min(low, own)
-    return high > STAND_TURNS_MS and low < STANDING_MS
 
 
 def _without_pressure(run: Inputs, c: int, *, pressed: bool) -> bool:
@@ -334,9 +306,8 @@ def _divide(run: Inputs, now: Readings, *, pressed: bool) -> Sequence[float]:
     total = slipping = 0.0
     slip = []
     for c in range(run.corners):
-        slip_share = 0.0
-        if run.speed > 0.0:
-            slip_share = (run.speed - run.wheel[c]) / run.speed
+        v = run.speed
+        slip_share = (v - run.wheel[c]) / v if v > 0.0 else 0.0
         own = -slip_share - SLIP_FORWARD if spins else slip_share
         if own < 0.0 or not single:
             own = 0.0
@@ -344,12 +315,9 @@ def _divide(run: Inputs, now: Readings, *, pressed: bool) -> Sequence[float]:
         slipping += slip[c]
     part = []
     for c in range(run.corners):
-        share = run.plan.force_share[c]
-        part.append(
-            share if _without_pressure(run, c, pressed=pressed) else 0.0
-        )
-        if slipping > 0.01:
-            part[c] = slip[c]
+        without = _without_pressure(run, c, pressed=pressed)
+        share = run.plan.force_share[c] if without else 0.0
+        part.append(slip[c] if slipping > 0.01 else share)
         total += part[c]
     return [own / total if total > 0.0 else 0.0 for own in part]
 

@@ -10,9 +10,10 @@ from math import isnan, nan
 from typing import TYPE_CHECKING, Final
 
 from bstm_daemon.channels import CORNER_PRESSURE, FLAGS, MODES, SLOPES
-from bstm_daemon.model.heat.check_rules import PARKING_MS, STANDING_MS
+from bstm_daemon.model.heat import check_rules as rules
 from bstm_daemon.model.heat.checks import Checks, Watched
-from bstm_daemon.model.heat.memory import NEVER
+from bstm_daemon.model.heat.memory import NEVER, UNKNOWN
+from bstm_daemon.model.heat.motion_checks import stand_shown
 from bstm_daemon.model.heat.observer import Observer
 from bstm_daemon.model.heat.readings import Readings
 from bstm_daemon.roles import MEASURED_NODES, ROLE_INDEX
@@ -34,6 +35,11 @@ NONE: Final = 2
 """Where a corner's power comes from: the configured mode's source, the other
 one, or neither."""
 
+PEDAL_UNKNOWN: Final = 0
+PEDAL_AT_REST: Final = 1
+PEDAL_BRAKES: Final = 2
+"""What brake switch, pedal travel and the bus's brake torque show together."""
+
 LIGHT_PRESSURE_PA: Final = 2e4
 """Pressure counts from here on while the brake switch is on (mode fused)."""
 
@@ -47,6 +53,9 @@ _PRIMARY: Final = ROLE_INDEX["primary_pressure"]
 _SECONDARY: Final = ROLE_INDEX["secondary_pressure"]
 _ACCELERATION: Final = ROLE_INDEX["acceleration_longitudinal"]
 _TORQUE: Final = ROLE_INDEX["powertrain_torque"]
+_SWITCH: Final = ROLE_INDEX["brake_switch"]
+_TRAVEL: Final = ROLE_INDEX["brake_pedal_travel"]
+BRAKE_TORQUE_ROLE: Final = ROLE_INDEX["brake_torque"]
 _PARK_BRAKE: Final = ROLE_INDEX["park_brake"]
 _IGNITION: Final = ROLE_INDEX["ignition"]
 _AMBIENT: Final = ROLE_INDEX["ambient_temperature"]
@@ -57,7 +66,9 @@ class Inputs:
 
     ``plan`` are its numbers and ``m`` the memory of the samples; ``speed``,
     ``wheel``, ``target`` (pressures) and the like hold from one sample to the
-    next and are computed again when ``stale``.
+    next and are computed again when ``stale``. ``ground_speed`` is that of
+    the axle that grips while the other one is ``spinning``; axles ``apart``:
+    one turns, the other stands.
     """
 
     def __init__(self, plan: SamplePlan, memory: SampleMemory) -> None:
@@ -92,6 +103,9 @@ class Inputs:
         self.speed = 0.0
         self.speed_known = self.pressure_present = False
         self.heading = 1.0
+        self.ground_speed, self.spinning = 0.0, False
+        self.apart = self.on_stand = False
+        self.pedal = PEDAL_UNKNOWN
         self.wheel = [0.0] * self.corners
         self.target = [0.0] * self.corners
 
@@ -142,11 +156,18 @@ class Inputs:
         # in reverse a forward force acts against the motion
         self.heading = -1.0 if signed < 0.0 else 1.0
         self.speed_known = count > 0 or vehicle
-        self.wheel = [
-            abs(value[role]) if own else self.speed
-            for own, role in zip(counts, self.wheel_role, strict=True)
-        ]
+        fast, slow = self._axles([self.valid(r) for r in self.wheel_role])
+        resting = 0.0 <= slow < rules.STANDING_MS
+        self.apart = resting and fast > rules.STAND_TURNS_MS
+        self.on_stand = resting and stand_shown(self.checks.m)
+        for c, role in enumerate(self.wheel_role):
+            turning = abs(value[role])
+            # there a wheel at rest is no dead sensor
+            rests = turning < rules.STANDING_MS and self.valid(role)
+            known = counts[c] or (self.on_stand and rests)
+            self.wheel[c] = turning if known else self.speed
         self._refresh_pressures()
+        self._refresh_ground_speed(counts)
         # the foot is on the pedal: fusion counts the lightest pressure
         self.pressing_pa = self.plan.on_pressure_pa
         if (
@@ -169,6 +190,66 @@ class Inputs:
         if by_vehicle or any(wheels):
             return wheels, by_vehicle
         return present, vehicle
+
+    def _axles(self, counts: Sequence[bool]) -> tuple[float, float]:
+        """Return the mean speed of the faster and the slower axle [m/s].
+
+        *counts*: which wheels count; both are UNKNOWN where an axle has none.
+        """
+        total, count = [0.0, 0.0], [0, 0]
+        for c, role in enumerate(self.wheel_role):
+            if counts[c]:
+                axle = int(self.plan.place[c] >= 2)
+                total[axle] += abs(self.m.value[role])
+                count[axle] += 1
+        if count[0] == 0 or count[1] == 0:
+            return UNKNOWN, UNKNOWN
+        front, rear = total[0] / count[0], total[1] / count[1]
+        return max(front, rear), min(front, rear)
+
+    def _intervenes(self) -> bool:
+        """Whether any system slows or spins single wheels."""
+        return any(
+            self.vehicle(f"{name}_active", 0.0) > 0.0
+            for name in ("abs", "esc", "tc")
+        )
+
+    def _pedal(self) -> int:
+        """What shows braking where no pressure does."""
+        found = PEDAL_UNKNOWN
+        least_nm = (
+            rules.TORQUE_REST * self.plan.on_force_n * self.plan.radius_m
+        )
+        for role, least in (
+            (_SWITCH, 0.0),
+            (_TRAVEL, rules.PEDAL_REST),
+            (BRAKE_TORQUE_ROLE, least_nm),
+        ):
+            if self.valid(role):
+                if abs(self.m.value[role]) > least:
+                    return PEDAL_BRAKES
+                found = PEDAL_AT_REST
+        # the torque shows what an intervention brakes, the pedal does not
+        covered = self.valid(BRAKE_TORQUE_ROLE) and self.m.pedal_seen != 0.0
+        if self._intervenes() and not covered:
+            return PEDAL_UNKNOWN
+        return found
+
+    def _refresh_ground_speed(self, counts: Sequence[bool]) -> None:
+        """Set the speed without the axle that the engine spins."""
+        self.pedal = self._pedal()
+        self.ground_speed, self.spinning = self.speed, False
+        torque_nm = self.heading * self.vehicle("powertrain_torque", 0.0)
+        # the driven axle slips forward, not the braked one back
+        drives = torque_nm > 0.0 and not self._intervenes()
+        if self.pressure_present or self.pedal == PEDAL_BRAKES or not drives:
+            return
+        fast, slow = self._axles(counts)
+        # an axle at rest may be two dead sensors
+        slips = fast > (1.0 + rules.SLIP_FORWARD) * slow
+        if slips and slow > rules.STANDING_MS:
+            self.spinning = True
+            self.ground_speed = min(self.speed, slow)
 
     def _refresh_pressures(self) -> None:
         """Set each corner's pressure: its own, its circuit's or axle's."""
@@ -204,24 +285,18 @@ class Inputs:
 
     def input_age_s(self) -> float:
         """Age of the oldest mandatory input; nan until all have a sample."""
-        speed = self._newest(_SPEED, self.wheel_role)
-        pressure = max(
-            self._newest(_PRIMARY, self.pressure_role),
-            self._newest(_SECONDARY, ()),
-        )
+        speed = self._newest(_SPEED, *self.wheel_role)
+        pressure = self._newest(_PRIMARY, _SECONDARY, *self.pressure_role)
         mapped = self.plan.pressure_mapped
         oldest = min(speed, pressure) if mapped else speed
         if oldest == NEVER:
             return nan
         return (self.m.now - oldest) * 1e-6
 
-    def _newest(self, role: int, others: Sequence[int]) -> int:
-        """Newest stamp of *role* and *others*, of those that are mapped."""
-        stamp = self.m.stamp
-        return max(
-            (stamp[r] for r in (role, *others) if self.mapped(r)),
-            default=NEVER,
-        )
+    def _newest(self, *roles: int) -> int:
+        """Newest stamp of *roles*, of those that are mapped."""
+        stamps = (self.m.stamp[r] for r in roles if self.mapped(r))
+        return max(stamps, default=NEVER)
 
     def feed_back_known(self) -> bool:
         """Whether the motion gives the braking at all."""
@@ -239,14 +314,10 @@ class Inputs:
         """
         plan = self.plan
         feed_back = self.feed_back_known()
-        complete = (
-            self.speed_known
-            and (self.valid(_TORQUE) or not self.mapped(_TORQUE))
-            and (
-                plan.slope != SLOPE_ACCELEROMETER
-                or not self.mapped(_ACCELERATION)
-                or self.valid(_ACCELERATION)
-            )
+        felt = plan.slope == SLOPE_ACCELEROMETER
+        needed = (_TORQUE, _ACCELERATION) if felt else (_TORQUE,)
+        complete = self.speed_known and all(
+            self.valid(role) or not self.mapped(role) for role in needed
         )
         sources, at_risk = [], []
         for c in range(self.corners):
@@ -263,28 +334,32 @@ class Inputs:
                 other = feed_back
             sources.append(OWN if own else OTHER if other else NONE)
             if self.speed_known:
-                at_risk.append(self.speed > STANDING_MS)
+                at_risk.append(self.speed > rules.STANDING_MS)
             elif pressure:
                 at_risk.append(self.target[c] > plan.on_pressure_pa)
             else:
-                at_risk.append(self.checks.m.last_speed > PARKING_MS)
+                at_risk.append(self.checks.m.last_speed > rules.PARKING_MS)
         return sources, at_risk
 
-    def missing(self) -> int:
-        """Bits of FLAGS for the inputs that are missing now."""
+    def input_flags(self) -> int:
+        """Bits of FLAGS for the inputs that are missing now, or no measure."""
         flags = 0
-        wheels = any(self.valid(role) for role in self.wheel_role)
-        if not (wheels or self.valid(_SPEED)):
+        lost = self.m.pedal_lost > rules.PEDAL_LOST_MS
+        if lost and not self.pressure_present:
+            flags |= FLAGS["switch_contradicts"]
+        if self.on_stand:
+            flags |= FLAGS["speed_suspect"] | FLAGS["acceleration_contradicts"]
+        if not any(self.valid(role) for role in (*self.wheel_role, _SPEED)):
             flags |= FLAGS["speed_missing"]
         for c in range(self.corners):
             if not self.corner_known(c):
                 flags |= FLAGS["pressure_missing"] | CORNER_PRESSURE << c
-        if not self.valid(_ACCELERATION):
-            flags |= FLAGS["acceleration_missing"]
-        if not self.valid(_TORQUE):
-            flags |= FLAGS["torque_missing"]
-        if not self.valid(_AMBIENT):
-            flags |= FLAGS["ambient_missing"]
+        for role, name in (
+            (_ACCELERATION, "acceleration_missing"),
+            (_TORQUE, "torque_missing"),
+            (_AMBIENT, "ambient_missing"),
+        ):
+            flags |= 0 if self.valid(role) else FLAGS[name]
         return flags
 
     def readings(
@@ -301,9 +376,7 @@ class Inputs:
             or max(self.target, default=0.0) > self.plan.on_pressure_pa,
             brake_switch=brake_switch,
             esc_active=self.vehicle("esc_active", 0.0),
-            intervenes=self.vehicle("abs_active", 0.0) > 0.0
-            or self.vehicle("esc_active", 0.0) > 0.0
-            or self.vehicle("tc_active", 0.0) > 0.0,
+            intervenes=self._intervenes(),
             secured=self._secured(),
             acceleration=self.heading * self.reading(_ACCELERATION),
             ambient_k=self.reading(_AMBIENT),

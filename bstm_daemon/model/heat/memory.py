@@ -49,6 +49,9 @@ class PassMemory:
     any), as it was when the step began. So the result does not depend on how
     the samples are split into calls. ``unseen`` is 1 from the begin of a
     silence to the first speed after it, which is ``speed_after``.
+    ``decel_shown`` is the low-passed braking that needs no drive [m/s2],
+    ``pedal_lost`` the speed lost by it while the pedal was at rest [m/s],
+    ``pedal_seen`` 1 once the pedal has shown braking, 0 once it has not.
     """
 
     now: int
@@ -68,6 +71,9 @@ class PassMemory:
     unpressed_j: float
     unseen: float
     speed_after: float
+    decel_shown: float
+    pedal_lost: float
+    pedal_seen: float
     value: Values
     lagged_pa: Corners
     energy_ff: Corners
@@ -97,7 +103,8 @@ class CheckMemory:
     ``unmoved_square`` that of the accelerometer while no speed changes
     [m2/s3]; ``standing_accel`` is what it measured first while all speeds are
     0, ``tilted_s`` for how long it has measured something else, UNKNOWN
-    without such a first. ``parked_s``: for how long the car was parked when
+    without such a first. ``accel_held_s``: how long the accelerometer has
+    read ``accel_held``. ``parked_s``: for how long the car was parked when
     that was last known, ``unproven_s``: for how long its bus has been awake
     since.
     """
@@ -131,6 +138,8 @@ class CheckMemory:
     unmoved_fault_s: float
     standing_accel: float
     tilted_s: float
+    accel_held: float
+    accel_held_s: float
     lowest_code_s: float
     parked_s: float
     unproven_s: float

@@ -33,6 +33,8 @@ from bstm_daemon.model.heat.check_rules import (
     SHARE_LEAST,
     SHARE_LIMIT,
     SHARE_MOST,
+    STAND_MOTION,
+    STAND_SHARE,
     STANDING_MS,
     STUCK,
     TILT_MS2,
@@ -49,15 +51,19 @@ if TYPE_CHECKING:
 
 def compare_motion(m: CheckMemory, now: Readings, *, noise: bool) -> None:
     """Follow speed and accelerometer through a step; *noise*: not to use."""
+    if now.acceleration != m.accel_held:
+        m.accel_held, m.accel_held_s = now.acceleration, 0.0
+    m.accel_held_s += now.dt_s
     if isnan(now.acceleration) or not now.speed_known or noise:
         m.slow_speed = m.band_speed = UNKNOWN
         m.unmoved_square, m.tilted_s = 0.0, UNKNOWN
         return
-    _compare_inertia(m, now)
     rate = (now.speed - m.band_speed) / now.dt_s
     if m.band_speed < 0.0 or abs(rate) > BAND_RATE_MS2:
+        m.slow_speed = UNKNOWN
         m.band_accel = m.band_slow_accel = now.acceleration
         m.band_rate = m.band_slow_rate = m.band_s = rate = 0.0
+    _compare_inertia(m, now)
     m.band_speed = now.speed
     quick = 1.0 - exp(-now.dt_s / BAND_QUICK_S)
     slow = 1.0 - exp(-now.dt_s / BAND_SLOW_S)
@@ -126,12 +132,8 @@ def _compare_shares(
 
 
 def _compare_frozen(m: CheckMemory, now: Readings, accel: float) -> None:
-    held_s = UNKNOWN
-    for v, speed in enumerate(now.speeds):
-        if not isnan(speed) and (
-            held_s == UNKNOWN or m.speed_held_s[v] < held_s
-        ):
-            held_s = m.speed_held_s[v]
+    known = (v for v, speed in enumerate(now.speeds) if not isnan(speed))
+    held_s = min((m.speed_held_s[v] for v in known), default=UNKNOWN)
     if held_s < FROZEN_SPEED_S:
         m.unmoved_square = m.tilted_s = 0.0
         m.standing_accel = m.band_slow_accel
@@ -151,6 +153,16 @@ def _compare_frozen(m: CheckMemory, now: Readings, accel: float) -> None:
         failed = False
     m.unmoved_fault_s = STUCK.advance(
         m.unmoved_fault_s, now.dt_s, failed=failed
+    )
+
+
+def stand_shown(m: CheckMemory) -> bool:
+    """Whether a live accelerometer shows none of the changes of speed."""
+    return (
+        m.accel_held_s < FROZEN_SPEED_S
+        and m.slow_speed >= 0.0
+        and m.motion > STAND_MOTION
+        and abs(m.agreement) < STAND_SHARE * m.motion
     )
 
 

@@ -1,6 +1,6 @@
 """Constants of the vehicle observer: priors, noise, bounds, thresholds.
 
-``docs/heat.md`` lists them in tables.
+``docs/heat-input.md`` lists them in tables.
 """
 
 from __future__ import annotations

@@ -74,7 +74,7 @@ WORDS: Final = {
     "temperature_suspect": "temperature suspect",
     "samples_refused": "impossible values or jumps refused",
     "stuck": "a signal is stuck",
-    "switch_contradicts": "pressure without brake switch",
+    "switch_contradicts": "braking without brake switch",
     "wheels_contradict": "wheel speeds contradict each other",
     "acceleration_contradicts": "acceleration contradicts the speed",
     "heat_substituted": "heat from the other source",

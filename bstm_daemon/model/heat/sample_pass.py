@@ -26,12 +26,16 @@ from math import exp, isfinite, nan
 from typing import TYPE_CHECKING, Final
 
 from bstm_daemon.channels import FLAGS, LEARNED_CHANNELS
+from bstm_daemon.model.heat import check_rules as rules
 from bstm_daemon.model.heat.friction_law import friction_factor
 from bstm_daemon.model.heat.fusion import accumulate_motion, fuse
 from bstm_daemon.model.heat.inputs import (
+    BRAKE_TORQUE_ROLE,
     MODE_FB,
     MODE_FUSED,
     OTHER,
+    PEDAL_AT_REST,
+    PEDAL_BRAKES,
     SLOPE_ACCELEROMETER,
     Inputs,
 )
@@ -61,6 +65,7 @@ speed filter."""
 
 _UNLEARNED: Final = (nan,) * len(LEARNED_CHANNELS)
 _ACCELERATION: Final = ROLE_INDEX["acceleration_longitudinal"]
+_TORQUE: Final = ROLE_INDEX["powertrain_torque"]
 _LOST: Final = FLAGS["silent"] | FLAGS["asleep"]
 _AMBIENT: Final = ROLE_INDEX["ambient_temperature"]
 
@@ -231,9 +236,8 @@ class _Pass(Inputs):
         if not isfinite(value):
             return
         at_us = max(time_us, self.m.now)
-        since = NEVER
-        if at_us == time_us and self.valid(role):
-            since = self.m.stamp[role]
+        in_order = at_us == time_us and self.valid(role)
+        since = self.m.stamp[role] if in_order else NEVER
         if self.checks.admit(at_us, role, value, self.m.value[role], since):
             self.m.value[role] = value
             self.m.stamp[role] = at_us
@@ -257,7 +261,7 @@ class _Pass(Inputs):
         if self.stale:
             self.refresh()
         h = (time_us - self.m.now) * 1e-6
-        v = self.speed
+        v = self.ground_speed
         highest = self._integrate_corners(h)
         gained, middle = self._filter_speed(h, v)
         impulse, inertia_kg = self._outer_impulse(h, v)
@@ -265,7 +269,7 @@ class _Pass(Inputs):
         if self.pressure_present:
             pressed = highest > self.pressing_pa
         else:
-            pressed = force_s > self.plan.on_force_n * h
+            pressed = self._brakes(h, force_s)
         if pressed:
             # the filtered speed still falls after the brake is released
             whole = inertia_kg > self.plan.rotating_kg
@@ -286,9 +290,9 @@ class _Pass(Inputs):
         if not pressed:
             self.m.tail_s = max(self.m.tail_s - h, 0.0)
         if self.plan.mode == MODE_FUSED:
-            accumulate_motion(self, h, v)
-        self.m.speed_sum += v * h
-        self.m.distance += v * h
+            accumulate_motion(self, h)
+        self.m.speed_sum += self.speed * h
+        self.m.distance += self.speed * h
         self.m.now = time_us
 
     def _integrate_corners(self, h: float) -> float:
@@ -329,15 +333,53 @@ class _Pass(Inputs):
         if not self.speed_known:
             self.m.filtered_speed = UNKNOWN
             return 0.0, v
-        if self.m.filtered_speed < 0.0:
-            # the first speed after a gap is not an acceleration
-            self.m.filtered_speed = v
+        if self.m.filtered_speed < 0.0 or self.spinning:
+            # neither the first speed after a gap nor slip is an acceleration
+            self.m.filtered_speed, self.m.tail_s = v, 0.0
             return 0.0, v
         before = self.m.filtered_speed
         self.m.filtered_speed = v + (before - v) * exp(-h / self.plan.filter_s)
         return self.m.filtered_speed - before, 0.5 * (
             before + self.m.filtered_speed
         )
+
+    def _brakes(self, h: float, force_s: float) -> bool:
+        """Whether the motion brakes by *force_s* [N s], without a pressure.
+
+        With the pedal at rest only what needs no drive counts, where it is
+        more than errors of torque and drag; all of that until the pedal has
+        shown braking for once, and after too much of it at rest.
+        """
+        plan, m = self.plan, self.m
+        torque_nm = self.vehicle("powertrain_torque", plan.assumed_torque_nm)
+        motor_nm = self.heading * self.vehicle("motor_torque", 0.0)
+        # Eq 4.11 takes what the motor recovers for braking
+        drive_nm = max(self.heading * torque_nm, 0.0) - min(motor_nm, 0.0)
+        drive = drive_nm / plan.radius_m
+        shown = (force_s / h - drive) / plan.mass_kg
+        share = 1.0 - exp(-h / rules.PEDAL_S)
+        m.decel_shown += share * (shown - m.decel_shown)
+        if self.pedal == PEDAL_BRAKES:
+            m.pedal_seen, m.pedal_lost = 1.0, 0.0
+            return force_s > plan.on_force_n * h
+        error = 1.0 if self.spinning else rules.DRIVE_ERROR
+        enough = force_s > (plan.on_force_n + error * drive) * h
+        if self.pedal != PEDAL_AT_REST:
+            return enough
+        felt = plan.slope == SLOPE_ACCELEROMETER and self.valid(_ACCELERATION)
+        low = rules.PEDAL_LOW_MS2 + (0.0 if felt else rules.SLOPE_MS2)
+        engine = 0.0 if self.valid(_TORQUE) else rules.ENGINE_MS2
+        high = low + rules.PEDAL_MORE_MS2 + engine
+        least = low + engine if m.pedal_seen != 0.0 else high
+        if m.decel_shown > least and self.speed > rules.SWITCH_MS:
+            m.pedal_lost += m.decel_shown * h
+        if m.pedal_lost > rules.PEDAL_LOST_MS:
+            m.pedal_seen = 0.0
+        if m.pedal_seen == 0.0:
+            return force_s > (plan.on_force_n + drive) * h
+        # assistants brake without the pedal; the torque shows them
+        least = high if self.valid(BRAKE_TORQUE_ROLE) else low
+        return enough and m.decel_shown > least
 
     def _outer_impulse(self, h: float, v: float) -> tuple[float, float]:
         """Eq 4.11 without the change of speed, times *h* [N s].
@@ -379,7 +421,7 @@ class _Pass(Inputs):
         speed = m.speed_sum / dt_s
         m.total_fb += energy
         sources, at_risk = self.heat_sources()
-        flags = self.flags | self.missing()
+        flags = self.flags | self.input_flags()
         now = self.readings(dt_s, sources, at_risk)
         flags |= self.checks.close(now)
         if flags & FLAGS["ambient_suspect"]:
@@ -392,11 +434,14 @@ class _Pass(Inputs):
         for c, measured in enumerate(self.measured_roles):
             power_ff = m.energy_ff[c] / dt_s
             share = plan.force_share[c]
-            chosen = power_ff + share * (unpressed / dt_s)
+            # a disc at rest turns no motion into heat
+            rests = self.on_stand and self.wheel[c] < rules.STANDING_MS
+            moved = 0.0 if rests else share
+            chosen = power_ff + moved * (unpressed / dt_s)
             if fused is not None:
                 chosen = fused.power[c]
             elif (plan.mode == MODE_FB) is (sources[c] != OTHER):
-                chosen = share * power_fb
+                chosen = moved * power_fb
             if sources[c] == OTHER and at_risk[c]:
                 flags |= FLAGS["heat_substituted"]
             m.total_ff[c] += m.energy_ff[c]

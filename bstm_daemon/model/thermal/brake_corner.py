@@ -9,8 +9,10 @@ brake power is split once, in :func:`_heat_sources`, and nothing is lost.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from importlib import import_module
 from itertools import pairwise
+from math import log
 from typing import TYPE_CHECKING, Final
 
 from bstm_daemon.errors import ConfigError
@@ -30,6 +32,7 @@ from bstm_daemon.model.thermal.partition import (
     pad_share,
 )
 from bstm_daemon.model.thermal.properties import (
+    REFERENCE_K,
     curve_table,
     disc_heat_capacity,
 )
@@ -59,9 +62,6 @@ shim, lies between plate and piston. (6 mm of steel, 1.2e-4 m2K/W, of
 PLATE_J_M2K: Final = 26e3
 """Heat capacity of a backplate for each m2 of lining: 6 mm of steel, 7850
 kg/m3, 480 J/kgK, on 1.15 times the lining's area."""
-
-REFERENCE_K: Final = 293.15
-"""Temperature at which a cooling form with constant h A takes cp."""
 
 SPEED_LIMIT_MS: Final = 120.0
 """Upper end of tables over speed."""
@@ -165,6 +165,30 @@ def build_corner(
         raise ConfigError([msg]) from error
 
 
+def cooling_beyond(
+    x: Sequence[float], y: Sequence[float], speed_ms: float
+) -> float:
+    """Return S [1/s] above the last speed of the table *x* [m/s], *y* [1/s].
+
+    By the power law of the last two points, as forced convection rises with
+    speed, with an exponent from 0 to 1.
+    """
+    exponent = 0.0
+    if x[-2] > 0.0 and y[-1] > y[-2] > 0.0:
+        exponent = min(log(y[-1] / y[-2]) / log(x[-1] / x[-2]), 1.0)
+    elif x[-2] == 0.0 and y[-1] > y[-2]:
+        # a straight line from rest on has no second point of a power
+        exponent = 1.0 - y[-2] / y[-1]
+    return float(y[-1] * (speed_ms / x[-1]) ** exponent)
+
+
+def cooling_table(cooling: CoolingConfig) -> Table:
+    """Return S [1/s] over speed up to :data:`SPEED_LIMIT_MS`."""
+    x, y = cooling.speed_ms, cooling.s_per_s
+    beyond = partial(cooling_beyond, x, y)
+    return Table.from_points(x, y).continued(beyond, SPEED_LIMIT_MS)
+
+
 def lumped_disc(net: Network, spec: CornerSpec) -> Network:
     """Disc as one lump (Eq 2.5) cooled by the S-function (Eq 4.12).
 
@@ -179,7 +203,7 @@ def lumped_disc(net: Network, spec: CornerSpec) -> Network:
     """
     cooling = spec.cooling
     capacity = disc_heat_capacity(spec.disc)
-    speed = Table.from_points(cooling.speed_ms, cooling.s_per_s)
+    speed = cooling_table(cooling)
     still = cooling.standstill_convection_fraction
     blend = Table(0.0, cooling.blend_end_ms, (still, 1.0))
     radiating = Table(0.0, cooling.blend_end_ms, (1.0, 0.0))

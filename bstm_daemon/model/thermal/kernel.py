@@ -73,6 +73,11 @@ class Batch:
         """Return which entries of ``state`` are those of *member*."""
         return slice(member * self.width, (member + 1) * self.width)
 
+    def named_state(self, member: int) -> dict[str, float]:
+        """Return nodes [K] and memories of *member* by name."""
+        names = self.programs[member].state_names
+        return dict(zip(names, self.state[self.part(member)], strict=True))
+
     def replace(self, member: int, program: Program) -> None:
         """Let *member* go on with the numbers of *program*; its state stays.
 

@@ -13,6 +13,11 @@ if TYPE_CHECKING:
     from bstm_daemon.config.sections import Curve, DiscConfig
 
 
+REFERENCE_K: Final = 293.15
+"""Temperature at which a cooling form with constant h A takes cp, and that a
+curve keeps whatever its exponent."""
+
+
 def _celsius_table(
     temperature_c: Sequence[float], value: Sequence[float]
 ) -> Table:
@@ -43,12 +48,24 @@ GREY_IRON_SMOOTH_HEAT_CAPACITY_J_KGK: Final = _celsius_table(
 def disc_heat_capacity(disc: DiscConfig) -> Table:
     """Specific heat [J/kgK] over temperature [K] of the configured disc."""
     if disc.heat_capacity_j_kgk is not None:
-        return curve_table(disc.heat_capacity_j_kgk)
-    if disc.material == "pure-iron":
-        return PURE_IRON_HEAT_CAPACITY_J_KGK
-    if disc.material == "grey-iron-smooth":
-        return GREY_IRON_SMOOTH_HEAT_CAPACITY_J_KGK
-    return GREY_IRON_HEAT_CAPACITY_J_KGK
+        table = curve_table(disc.heat_capacity_j_kgk)
+    elif disc.material == "pure-iron":
+        table = PURE_IRON_HEAT_CAPACITY_J_KGK
+    elif disc.material == "grey-iron-smooth":
+        table = GREY_IRON_SMOOTH_HEAT_CAPACITY_J_KGK
+    else:
+        table = GREY_IRON_HEAT_CAPACITY_J_KGK
+    if disc.heat_capacity_exponent == 1.0:
+        return table
+    first = table(REFERENCE_K)
+    return Table(
+        table.x0,
+        table.dx,
+        tuple(
+            first * (one / first) ** disc.heat_capacity_exponent
+            for one in table.values
+        ),
+    )
 
 
 def curve_table(curve: Curve) -> Table:

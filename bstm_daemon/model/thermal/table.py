@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import pairwise
-from math import isfinite
+from math import ceil, isfinite
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -116,6 +116,20 @@ class Table:
                 weight = 0.0
             values.append(y[segment] + weight * (y[segment + 1] - y[segment]))
         return cls(x[0], dx, tuple(values))
+
+    def continued(
+        self, function: Callable[[float], float], x1: float
+    ) -> Table:
+        """Go on with *function* of x to *x1* or just beyond it.
+
+        Not a bit moves up to the last point that is there.
+        """
+        more = max(ceil((x1 - self.x1) / self.dx), 0)
+        count = len(self.values)
+        beyond = (
+            function(self.x0 + (count + i) * self.dx) for i in range(more)
+        )
+        return Table(self.x0, self.dx, (*self.values, *beyond))
 
     def times(self, other: Table) -> Table:
         """Pointwise product with *other*, on the finer of the two grids.

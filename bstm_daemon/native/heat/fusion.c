@@ -2,8 +2,9 @@
 
 #include "motion_checks.h"
 
-void fusion_accumulate_motion(Inputs *p, double h, double v)
+void fusion_accumulate_motion(Inputs *p, double h)
 {
+    const double v = p->speed;
     const PlanNumbersFloats *f = p->plan;
     ObserverMemory *m = p->observer.m;
     const int acceleration = ROLE_ACCELERATION_LONGITUDINAL;
@@ -34,20 +35,6 @@ static int rolls(const Inputs *p)
             return 0;
     }
     return 1;
-}
-
-/* Whether some wheels turn while others stand and nothing brakes them. */
-static int on_stand(const Inputs *p)
-{
-    double high = 0.0, low = STAND_TURNS_MS;
-    for (int c = 0; c < p->corners; c++) {
-        const int role = p->wheel_role[c];
-        if (!inputs_valid(p, role)) continue;
-        const double own = fabs(p->m->value[role]);
-        if (own > high) high = own;
-        if (own < low) low = own;
-    }
-    return high > STAND_TURNS_MS && low < STANDING_MS;
 }
 
 /* Whether the corner has no pressure, though others may have. */
@@ -103,9 +90,8 @@ static void describe(const Inputs *p, const Readings *now, int64_t flags,
     s->pressure_known = s->wheel_pressures = 1;
     int some = 0, none = 0;
     for (int c = 0; c < p->corners; c++) {
-        const double brake_n = p->observer.m->brake_sum[c] / dt_s;
         const double pressure = p->m->pressure_sum[c] / dt_s;
-        s->brake_n += brake_n;
+        s->brake_n += m->brake_sum[c] / dt_s;
         if (pressure > s->pressure_pa) s->pressure_pa = pressure;
         if (p->m->on_time[c] > 0.0) some = 1;
         else none = 1;
@@ -114,12 +100,9 @@ static void describe(const Inputs *p, const Readings *now, int64_t flags,
     }
     if (some) s->pressed = 1;
     s->torque_known = inputs_valid(p, ROLE_POWERTRAIN_TORQUE);
-    s->on_stand = !s->pressed && on_stand(p);
+    s->on_stand = !s->pressed && p->apart;
     s->wrong_scale = motion_checks_wrong_scale(p->checks.m);
-    const int acts = inputs_vehicle(p, ROLE_ABS_ACTIVE, 0.0) > 0.0
-        || now->esc_active > 0.0
-        || inputs_vehicle(p, ROLE_TC_ACTIVE, 0.0) > 0.0;
-    s->steady = !acts && rolls(p) && (flags & SUSPECTS) == 0
+    s->steady = !now->intervenes && rolls(p) && (flags & SUSPECTS) == 0
         && !(some && none && !s->wheel_pressures);
 }
 

@@ -12,7 +12,7 @@ typedef struct {
     double power[MAX_CORNERS], power_std[MAX_CORNERS];
 } Fused;
 
-void fusion_accumulate_motion(Inputs *p, double h, double v);
+void fusion_accumulate_motion(Inputs *p, double h);
 
 /* Learn from the step that ends and give each corner's power; the vehicle's
  * channels from the grade on are written into *learned. */

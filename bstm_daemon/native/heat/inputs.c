@@ -1,5 +1,7 @@
 #include "inputs.h"
 
+#include "motion_checks.h"
+
 void inputs_init(Inputs *p, SampleMemoryInts *times,
                  SampleMemoryFloats *numbers)
 {
@@ -35,11 +37,8 @@ void inputs_init(Inputs *p, SampleMemoryInts *times,
         .m = &numbers->observer,
     };
     p->stale = 1;
-    p->speed_known = p->pressure_present = 0;
     p->pressing_pa = p->plan->on_pressure_pa;
-    p->speed = 0.0;
     p->heading = 1.0;
-    for (int i = 0; i < corners; i++) p->wheel[i] = p->target[i] = 0.0;
 }
 
 /* Which wheels, and whether the vehicle speed, are used: those that the others
@@ -89,14 +88,80 @@ static void refresh_pressures(Inputs *p)
     }
 }
 
+/* Mean speed of the faster axle, and of the slower one, of the wheels that
+ * count; UNKNOWN where an axle has none. */
+static double axles(const Inputs *p, const int *counts, double *slow)
+{
+    double total[2] = {0.0, 0.0};
+    int count[2] = {0, 0};
+    for (int c = 0; c < p->corners; c++) {
+        if (!counts[c]) continue;
+        const int axle = p->options->place[c] >= 2;
+        total[axle] += fabs(p->m->value[p->wheel_role[c]]);
+        count[axle]++;
+    }
+    if (count[0] == 0 || count[1] == 0) return *slow = UNKNOWN;
+    const double front = total[0] / (double)count[0];
+    const double rear = total[1] / (double)count[1];
+    *slow = front < rear ? front : rear;
+    return front < rear ? rear : front;
+}
+
+/* Whether any system slows or spins single wheels. */
+static int intervenes(const Inputs *p)
+{
+    return inputs_vehicle(p, ROLE_ABS_ACTIVE, 0.0) > 0.0
+        || inputs_vehicle(p, ROLE_ESC_ACTIVE, 0.0) > 0.0
+        || inputs_vehicle(p, ROLE_TC_ACTIVE, 0.0) > 0.0;
+}
+
+/* What shows braking where no pressure does. */
+static int pedal(const Inputs *p)
+{
+    const int roles[] = {ROLE_BRAKE_SWITCH, ROLE_BRAKE_PEDAL_TRAVEL,
+                         ROLE_BRAKE_TORQUE};
+    const double least[] = {
+        0.0, PEDAL_REST,
+        TORQUE_REST * p->plan->on_force_n * p->plan->radius_m};
+    int found = PEDAL_UNKNOWN;
+    for (int i = 0; i < 3; i++) {
+        if (!inputs_valid(p, roles[i])) continue;
+        if (fabs(p->m->value[roles[i]]) > least[i]) return PEDAL_BRAKES;
+        found = PEDAL_AT_REST;
+    }
+    /* the torque shows what an intervention brakes, the pedal does not */
+    const int covered =
+        inputs_valid(p, ROLE_BRAKE_TORQUE) && p->m->pedal_seen != 0.0;
+    if (intervenes(p) && !covered) return PEDAL_UNKNOWN;
+    return found;
+}
+
+/* The speed without the axle that the engine spins. */
+static void refresh_ground_speed(Inputs *p, const int *counts)
+{
+    p->pedal = pedal(p);
+    p->ground_speed = p->speed;
+    p->spinning = 0;
+    const double torque = inputs_vehicle(p, ROLE_POWERTRAIN_TORQUE, 0.0);
+    const int drives = p->heading * torque > 0.0 && !intervenes(p);
+    if (p->pressure_present || p->pedal == PEDAL_BRAKES || !drives) return;
+    double slow;
+    const double fast = axles(p, counts, &slow);
+    /* an axle at rest may be two dead sensors */
+    if (slow > STANDING_MS && fast > (1.0 + SLIP_FORWARD) * slow) {
+        p->spinning = 1;
+        p->ground_speed = p->speed < slow ? p->speed : slow;
+    }
+}
+
 void inputs_refresh(Inputs *p)
 {
     const double *value = p->m->value;
     double total = 0.0, along = 0.0;
-    int count = 0, counts[MAX_CORNERS];
+    int count = 0, present[MAX_CORNERS], counts[MAX_CORNERS];
     const int vehicle = inputs_valid(p, ROLE_VEHICLE_SPEED);
     for (int c = 0; c < p->corners; c++)
-        counts[c] = inputs_valid(p, p->wheel_role[c]);
+        present[c] = counts[c] = inputs_valid(p, p->wheel_role[c]);
     const int by_vehicle = believed(p, counts, vehicle);
     for (int c = 0; c < p->corners; c++) {
         if (!counts[c]) continue;
@@ -110,9 +175,20 @@ void inputs_refresh(Inputs *p)
     } else p->speed = count ? total / (double)count : 0.0;
     p->heading = along < 0.0 ? -1.0 : 1.0;
     p->speed_known = count > 0 || vehicle;
-    for (int c = 0; c < p->corners; c++)
-        p->wheel[c] = counts[c] ? fabs(value[p->wheel_role[c]]) : p->speed;
+    double slow;
+    const double fast = axles(p, present, &slow);
+    const int resting = 0.0 <= slow && slow < STANDING_MS;
+    p->apart = resting && fast > STAND_TURNS_MS;
+    p->on_stand = resting && motion_checks_stand_shown(p->checks.m);
+    for (int c = 0; c < p->corners; c++) {
+        const double turning = fabs(value[p->wheel_role[c]]);
+        /* there a wheel at rest is no dead sensor */
+        const int rests = turning < STANDING_MS && present[c];
+        const int known = counts[c] || (p->on_stand && rests);
+        p->wheel[c] = known ? turning : p->speed;
+    }
     refresh_pressures(p);
+    refresh_ground_speed(p, counts);
     /* the foot is on the pedal: fusion counts the lightest pressure */
     p->pressing_pa = p->plan->on_pressure_pa;
     if (p->options->mode == MODE_FUSED && p->pressing_pa > LIGHT_PRESSURE_PA
@@ -179,9 +255,13 @@ void inputs_heat_sources(const Inputs *p, int *source, int *at_risk)
     }
 }
 
-int64_t inputs_missing(const Inputs *p)
+int64_t inputs_input_flags(const Inputs *p)
 {
     int64_t flags = 0;
+    if (p->m->pedal_lost > PEDAL_LOST_MS && !p->pressure_present)
+        flags |= FLAG_SWITCH_CONTRADICTS;
+    if (p->on_stand)
+        flags |= FLAG_SPEED_SUSPECT | FLAG_ACCELERATION_CONTRADICTS;
     int speed = inputs_valid(p, ROLE_VEHICLE_SPEED);
     for (int c = 0; c < p->corners && !speed; c++)
         speed = inputs_valid(p, p->wheel_role[c]);
@@ -222,9 +302,7 @@ void inputs_readings(const Inputs *p, double dt_s, const int *source,
     now->speed_known = p->speed_known;
     now->brake_switch = inputs_reading(p, ROLE_BRAKE_SWITCH);
     now->esc_active = inputs_vehicle(p, ROLE_ESC_ACTIVE, 0.0);
-    now->intervenes = inputs_vehicle(p, ROLE_ABS_ACTIVE, 0.0) > 0.0
-        || now->esc_active > 0.0
-        || inputs_vehicle(p, ROLE_TC_ACTIVE, 0.0) > 0.0;
+    now->intervenes = intervenes(p);
     now->secured = secured(p);
     now->acceleration =
         p->heading * inputs_reading(p, ROLE_ACCELERATION_LONGITUDINAL);

@@ -18,7 +18,8 @@ typedef struct {
     Checks checks;
     Observer observer;
     int stale, speed_known, pressure_present;
-    double pressing_pa, speed, heading;
+    int spinning, apart, on_stand, pedal;
+    double pressing_pa, speed, ground_speed, heading;
     double wheel[MAX_CORNERS], target[MAX_CORNERS];
 } Inputs;
 
@@ -52,14 +53,14 @@ static inline int inputs_corner_known(const Inputs *p, int c)
             && inputs_valid(p, ROLE_SECONDARY_PRESSURE));
 }
 
-/* The rest is set by the caller, which checks the values from Python. */
+/* The rest is 0 or set by the caller, which checks the values from Python. */
 void inputs_init(Inputs *p, SampleMemoryInts *times,
                  SampleMemoryFloats *numbers);
 void inputs_refresh(Inputs *p);
 double inputs_input_age_s(const Inputs *p);
 int inputs_feed_back_known(const Inputs *p);
 void inputs_heat_sources(const Inputs *p, int *source, int *at_risk);
-int64_t inputs_missing(const Inputs *p);
+int64_t inputs_input_flags(const Inputs *p);
 
 /* All that the checks need except at_risk. */
 void inputs_readings(const Inputs *p, double dt_s, const int *source,

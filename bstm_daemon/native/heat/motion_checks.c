@@ -88,18 +88,24 @@ static void compare_frozen(CheckMemoryFloats *m, const Readings *now,
 void motion_checks_compare_motion(CheckMemoryFloats *m, const Readings *now,
                                   int speeds, int noise)
 {
+    if (now->acceleration != m->accel_held) {
+        m->accel_held = now->acceleration;
+        m->accel_held_s = 0.0;
+    }
+    m->accel_held_s += now->dt_s;
     if (isnan(now->acceleration) || !now->speed_known || noise) {
         m->slow_speed = m->band_speed = UNKNOWN;
         m->unmoved_square = 0.0;
         m->tilted_s = UNKNOWN;
         return;
     }
-    compare_inertia(m, now);
     double rate = (now->speed - m->band_speed) / now->dt_s;
     if (m->band_speed < 0.0 || fabs(rate) > BAND_RATE_MS2) {
+        m->slow_speed = UNKNOWN;
         m->band_accel = m->band_slow_accel = now->acceleration;
         m->band_rate = m->band_slow_rate = m->band_s = rate = 0.0;
     }
+    compare_inertia(m, now);
     m->band_speed = now->speed;
     const double quick = 1.0 - exp(-now->dt_s / BAND_QUICK_S);
     const double slow = 1.0 - exp(-now->dt_s / BAND_SLOW_S);
@@ -111,6 +117,13 @@ void motion_checks_compare_motion(CheckMemoryFloats *m, const Readings *now,
     const double accel = m->band_accel - m->band_slow_accel;
     compare_shares(m, now, m->band_rate - m->band_slow_rate, accel);
     compare_frozen(m, now, speeds, accel);
+}
+
+int motion_checks_stand_shown(const CheckMemoryFloats *m)
+{
+    return m->accel_held_s < FROZEN_SPEED_S && m->slow_speed >= 0.0
+        && m->motion > STAND_MOTION
+        && fabs(m->agreement) < STAND_SHARE * m->motion;
 }
 
 int motion_checks_contradicted(const CheckMemoryFloats *m)

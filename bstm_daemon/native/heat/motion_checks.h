@@ -10,6 +10,7 @@
 /* Follow speed and accelerometer through a step; noise: not to use. */
 void motion_checks_compare_motion(CheckMemoryFloats *m, const Readings *now,
                                   int speeds, int noise);
+int motion_checks_stand_shown(const CheckMemoryFloats *m);
 int motion_checks_contradicted(const CheckMemoryFloats *m);
 int motion_checks_wrong_scale(const CheckMemoryFloats *m);
 int motion_checks_all_frozen(const CheckMemoryFloats *m);

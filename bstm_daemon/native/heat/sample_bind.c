@@ -68,7 +68,7 @@ PyObject *bstm_sample_pass(PyObject *Py_UNUSED(self), PyObject *args)
     static const int wide[BUFFERS] = {8, 8, 8, 8, 4, 8, 4, 8, 8, 8, 8};
     Py_buffer view[BUFFERS];
     if (bstm_buffers(BUFFERS, object, writable, wide, view) < 0) return NULL;
-    Pass p;
+    Pass p = {0};
     int code = DONE;
     const char *wrong = bind(&p, view);
     const Py_ssize_t count = view[5].len / 8;

@@ -14,14 +14,53 @@ static double filter_speed(Inputs *p, double h, double v, double *middle)
         m->filtered_speed = UNKNOWN;
         return 0.0;
     }
-    if (m->filtered_speed < 0.0) {
+    if (m->filtered_speed < 0.0 || p->spinning) {
         m->filtered_speed = v;
+        m->tail_s = 0.0;
         return 0.0;
     }
     const double before = m->filtered_speed;
     m->filtered_speed = v + (before - v) * exp(-h / p->plan->filter_s);
     *middle = 0.5 * (before + m->filtered_speed);
     return m->filtered_speed - before;
+}
+
+/* Whether the motion brakes by force_s [N s], without a pressure. */
+static int brakes(const Inputs *p, double h, double force_s)
+{
+    const PlanNumbersFloats *f = p->plan;
+    PassMemoryFloats *m = p->m;
+    const double torque =
+        inputs_vehicle(p, ROLE_POWERTRAIN_TORQUE, f->assumed_torque_nm);
+    const double motor =
+        p->heading * inputs_vehicle(p, ROLE_MOTOR_TORQUE, 0.0);
+    /* Eq 4.11 takes what the motor recovers for braking */
+    double drive = p->heading * torque > 0.0 ? p->heading * torque : 0.0;
+    drive = (drive - (motor < 0.0 ? motor : 0.0)) / f->radius_m;
+    const double shown = (force_s / h - drive) / f->mass_kg;
+    m->decel_shown += (1.0 - exp(-h / PEDAL_S)) * (shown - m->decel_shown);
+    if (p->pedal == PEDAL_BRAKES) {
+        m->pedal_seen = 1.0;
+        m->pedal_lost = 0.0;
+        return force_s > f->on_force_n * h;
+    }
+    const double error = p->spinning ? 1.0 : DRIVE_ERROR;
+    const int enough = force_s > (f->on_force_n + error * drive) * h;
+    if (p->pedal != PEDAL_AT_REST) return enough;
+    const int felt = p->options->slope == SLOPE_ACCELEROMETER
+        && inputs_valid(p, ROLE_ACCELERATION_LONGITUDINAL);
+    const double low = PEDAL_LOW_MS2 + (felt ? 0.0 : SLOPE_MS2);
+    const double engine =
+        inputs_valid(p, ROLE_POWERTRAIN_TORQUE) ? 0.0 : ENGINE_MS2;
+    const double high = low + PEDAL_MORE_MS2 + engine;
+    double least = m->pedal_seen != 0.0 ? low + engine : high;
+    if (m->decel_shown > least && p->speed > SWITCH_MS)
+        m->pedal_lost += m->decel_shown * h;
+    if (m->pedal_lost > PEDAL_LOST_MS) m->pedal_seen = 0.0;
+    if (m->pedal_seen == 0.0) return force_s > (f->on_force_n + drive) * h;
+    /* assistants brake without the pedal; the torque shows them */
+    least = inputs_valid(p, ROLE_BRAKE_TORQUE) ? high : low;
+    return enough && m->decel_shown > least;
 }
 
 /* Eq 4.11 without the change of speed, times h; that change acts on
@@ -95,14 +134,14 @@ static void integrate(Inputs *p, int64_t time_us)
     if (time_us <= p->t->now) return;
     if (p->stale) inputs_refresh(p);
     const double h = (double)(time_us - p->t->now) * 1e-6;
-    const double v = p->speed;
+    const double v = p->ground_speed;
     double middle, inertia_kg;
     const double highest = integrate_corners(p, h);
     const double gained = filter_speed(p, h, v, &middle);
     const double impulse = outer_impulse(p, h, v, &inertia_kg);
     const double force_s = impulse - inertia_kg * gained;
     const int pressed = p->pressure_present ? highest > p->pressing_pa
-                                            : force_s > f->on_force_n * h;
+                                            : brakes(p, h, force_s);
     if (pressed)
         m->tail_s = inertia_kg > f->rotating_kg ? TAIL * f->filter_s : 0.0;
     const double braked = impulse * v - inertia_kg * (gained * middle);
@@ -119,9 +158,9 @@ static void integrate(Inputs *p, int64_t time_us)
         const double left = m->tail_s - h;
         m->tail_s = left > 0.0 ? left : 0.0;
     }
-    if (p->options->mode == MODE_FUSED) fusion_accumulate_motion(p, h, v);
-    m->speed_sum += v * h;
-    m->distance += v * h;
+    if (p->options->mode == MODE_FUSED) fusion_accumulate_motion(p, h);
+    m->speed_sum += p->speed * h;
+    m->distance += p->speed * h;
     p->t->now = time_us;
 }
 
@@ -149,7 +188,7 @@ static int close_step(Pass *pass)
     Readings now;
     inputs_heat_sources(p, source, now.at_risk);
     inputs_readings(p, dt_s, source, &now);
-    int64_t flags = *pass->flags | inputs_missing(p);
+    int64_t flags = *pass->flags | inputs_input_flags(p);
     flags |= checks_close(&p->checks, &now);
     /* on a silent bus the last air temperature is better than the default */
     double ambient_k = inputs_mapped(p, air) && p->t->stamp[air] != NEVER
@@ -177,10 +216,13 @@ static int close_step(Pass *pass)
     for (int c = 0; c < p->corners; c++, row += CHANNELS) {
         const double power_ff = m->energy_ff[c] / dt_s;
         const double share = p->plan->force_share[c];
-        double chosen = power_ff + share * (unpressed / dt_s);
+        /* a disc at rest turns no motion into heat */
+        const double moved =
+            p->on_stand && p->wheel[c] < STANDING_MS ? 0.0 : share;
+        double chosen = power_ff + moved * (unpressed / dt_s);
         if (fuses) chosen = fused.power[c];
         else if ((p->options->mode == MODE_FB) == (source[c] != OTHER))
-            chosen = share * power_fb;
+            chosen = moved * power_fb;
         if (source[c] == OTHER && now.at_risk[c])
             flags |= FLAG_HEAT_SUBSTITUTED;
         m->total_ff[c] += m->energy_ff[c];

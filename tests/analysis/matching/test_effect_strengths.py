@@ -8,8 +8,10 @@ from typing import TYPE_CHECKING
 import pytest
 
 from bstm_daemon.analysis.identify.writing import Change, write_changed
+from bstm_daemon.analysis.matching.changes import changes_of
+from bstm_daemon.analysis.matching.coarse import Reading
 from bstm_daemon.analysis.matching.identifiability import verdicts
-from bstm_daemon.analysis.matching.matcher import changes_of, match_drives
+from bstm_daemon.analysis.matching.matcher import match_drives
 from bstm_daemon.analysis.matching.tunables import (
     REFINED,
     STRENGTHS,
@@ -63,7 +65,9 @@ def match(extended: Target, made: Callable[..., Drive]) -> Match:
         target=extended,
         nodes=("disc", "pad_front", "pad_back", "fluid", "caliper"),
     )
-    return match_drives(extended.config, [drive], beside=False)[0]
+    return match_drives(
+        extended.config, [Reading(None, [drive])], beside=False
+    )[0]
 
 
 @pytest.mark.slow

@@ -8,17 +8,24 @@ import numpy as np
 import pytest
 
 from bstm_daemon.analysis.matching import refine as refine_module
+from bstm_daemon.analysis.matching.coarse import Reading
 from bstm_daemon.analysis.matching.identifiability import ratios, verdicts
 from bstm_daemon.analysis.matching.matcher import match_drives
 from bstm_daemon.analysis.matching.problem import FIRST
 from bstm_daemon.analysis.matching.refine import (
     Refinement,
+    errors_of,
     fitted,
-    held_out,
+    folds_of,
     learned,
     refine,
+    rms_of,
 )
-from bstm_daemon.analysis.matching.tunables import REFINED, TUNABLES
+from bstm_daemon.analysis.matching.tunables import (
+    MASS,
+    REFINED,
+    TUNABLES,
+)
 from bstm_daemon.analysis.statistics.levenberg_marquardt import Solution
 from bstm_daemon.analysis.statistics.whitening import SensorNoise
 
@@ -114,21 +121,22 @@ def test_a_ratio_that_is_known_better_than_its_parts_is_named(
     assert "only together with" in verdicts(fit)[1].reason
 
 
-def test_held_out_drives_show_what_a_fit_does_not(
+def test_what_was_left_out_shows_what_a_fit_does_not(
     target: Target, made: Callable[..., Drive]
 ) -> None:
     """Two drives that contradict each other fit together half-way."""
+    discs = {"nodes": ("disc",)}
     drives = [
-        made(RIGHT, "one", noise_k=0.3),
-        made({**RIGHT, "thermal.disc_mass_correction_factor": 1.2}, "two"),
+        made(RIGHT, "one", noise_k=0.3, **discs),
+        made({**RIGHT, MASS: 1.2}, "two", **discs),
     ]
-    keys = ("thermal.disc_mass_correction_factor",)
-    fit = refine(target, drives, keys)
 
-    found = held_out(target, drives, fit)
+    (match,) = match_drives(target.config, [Reading(None, drives)])
 
-    assert found.drives == 2
-    assert found.rms_k["disc"] > 1.3 * fit.rms_k["disc"]
+    accuracy = match.accuracy
+    assert accuracy.drives == 2
+    assert accuracy.left_out == "one and two"
+    assert accuracy.rms_k["disc"] > 1.3 * match.joint.rms_k["disc"]
 
 
 @pytest.mark.slow
@@ -140,7 +148,9 @@ def test_the_other_form_of_cooling_is_named_where_it_fits(
     drive = made(target=right)
 
     wrong, of_right = (
-        match_drives(one.config, [drive], beside=False)[0].remarks
+        match_drives(one.config, [Reading(None, [drive])], beside=False)[
+            0
+        ].remarks
         for one in (target, right)
     )
 
@@ -148,13 +158,30 @@ def test_the_other_form_of_cooling_is_named_where_it_fits(
     assert not any("would leave" in one for one in of_right)
 
 
-def test_a_single_drive_holds_nothing_out(
+def test_of_a_single_drive_the_last_third_is_left_out(
     target: Target, made: Callable[..., Drive]
 ) -> None:
-    drives = [made(RIGHT)]
-    fit = refine(target, drives, ("thermal.disc_mass_correction_factor",))
+    drive = made(RIGHT)
+    steps = len(drive)
 
-    assert held_out(target, drives, fit).drives == 0
+    (((fitted_on,), left),) = folds_of([drive])
+
+    assert fitted_on == (0, slice(0, round(steps * 2 / 3)))
+    assert left == (0, slice(round(steps * 2 / 3), steps))
+    assert not folds_of([drive.part(0, 300)])
+
+
+def test_the_right_values_leave_nothing_of_a_part(
+    target: Target, made: Callable[..., Drive]
+) -> None:
+    """It begins at what is measured there; other nodes settle beside that."""
+    drive = made(RIGHT)
+    part = drive.part(len(drive) // 2, len(drive))
+
+    left_k = rms_of(errors_of(target.changed(RIGHT), part))
+
+    assert left_k.keys() == {"disc", "pad_front", "pad_back", "fluid"}
+    assert max(left_k.values()) < 0.5
 
 
 def test_floor_and_share_are_told_apart() -> None:

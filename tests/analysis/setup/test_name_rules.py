@@ -75,10 +75,10 @@ def test_what_only_sounds_alike_has_none(
 @pytest.mark.parametrize(
     ("signal", "role", "caveat"),
     [
-        ("BRAKE %", "primary_pressure", "its unit in the DBC is '%'"),
-        ("BRAKE_PRESSURE", "primary_pressure", "gives no unit"),
+        ("BRAKE %", "primary_pressure", "its stated unit is '%'"),
+        ("BRAKE_PRESSURE", "primary_pressure", "no unit is stated"),
         ("RearBrakePressure PSI", "secondary_pressure", "of the rear"),
-        ("WhlSpdRR", "wheel_speed_rr", "gives no unit"),
+        ("WhlSpdRR", "wheel_speed_rr", "no unit is stated"),
         ("MotorTorque Nm", "motor_torque", "at the wheels"),
         ("BrakePressureRequest bar", "primary_pressure", "a request"),
         ("BrkTqRqDrv N-m", "brake_torque", "a request"),

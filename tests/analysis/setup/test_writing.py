@@ -9,7 +9,11 @@ from cantools.database.can import Database
 
 from bstm_daemon.analysis.setup.proposal import propose
 from bstm_daemon.analysis.setup.recording import Recording
-from bstm_daemon.analysis.setup.writing import configuration_text, notes_of
+from bstm_daemon.analysis.setup.writing import (
+    bus_section,
+    configuration_text,
+    notes_of,
+)
 from bstm_daemon.config.heat import automatic_mode
 from bstm_daemon.config.reading import draft_of
 from bstm_daemon.errors import ConfigError
@@ -19,13 +23,12 @@ Maker = Callable[..., Database]
 
 def text_of(database: Database, name: str = "car.dbc") -> str:
     folder = Path("/somewhere")
+    dbc = folder / "dbc" / name
+    source = bus_section(
+        None, dbc=dbc, folder=folder / "config", strict=False, encoding="utf-8"
+    )
     return configuration_text(
-        propose(database, None),
-        None,
-        dbc=folder / "dbc" / name,
-        folder=folder / "config",
-        strict=False,
-        encoding="utf-8",
+        propose(database, None), None, origin=dbc, source=source
     )
 
 
@@ -94,12 +97,7 @@ def test_without_a_sure_speed_the_best_guess_is_marked(
     assert proposal.sure == ()
 
     text = configuration_text(
-        proposal,
-        None,
-        dbc=tmp_path / "a.dbc",
-        folder=tmp_path,
-        strict=True,
-        encoding="utf-8",
+        proposal, None, origin=tmp_path / "a.dbc", source=""
     )
 
     assert "UNSURE, check: its frame is not in the log" in text

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from structlog.testing import capture_logs
 
 from bstm_daemon.bus.opening import EventLog, open_log
 from bstm_daemon.bus.signals.reject_reason import RejectReason
@@ -263,6 +264,11 @@ def test_the_first_lines_are_kept_whatever_column_they_are_in(
         ("t", ["2023-11-14T22:13:20.5Z"], "iso8601", [1_700_000_000_500_000]),
         ("t", ["2023-11-15 00:13:20.5+02:00", "2023-11-14T22:13:20.5"],
          "iso8601", [1_700_000_000_500_000] * 2),
+        ("t", ["23:59:59.5", "0:00:00"], "hhmmss",
+         [86_399_500_000, 86_400_000_000]),
+        ("clock [hhmmss]", ["095237.6", "95238"], "hhmmss",
+         [35_557_600_000, 35_558_000_000]),
+        ("t (sec)", ["0", "900"], "s", [0, 900_000_000]),
     ],
 )  # fmt: skip
 def test_the_time_unit_is_found(
@@ -284,6 +290,29 @@ def test_the_time_unit_is_found(
     assert found[0].time.unit == unit
     assert found[0].time.found_by
     assert not given_unit[0].time.found_by
+
+
+@pytest.mark.parametrize(
+    ("column", "role", "warned"),
+    [
+        ("v [mph]", {"unit": "km/h"}, True),
+        ("v_bar", {"unit": "km/h"}, True),
+        ("v [kmh]", {"unit": "km/h"}, False),
+        ("v [furlong]", {"unit": "km/h"}, False),
+        ("v [mph]", {"unit": "km/h", "scale": 1.609}, False),
+        ("v", {"unit": "km/h"}, False),
+    ],
+)
+def test_a_unit_that_differs_from_the_tables_is_logged(
+    tmp_path: Path, column: str, role: dict[str, Any], *, warned: bool
+) -> None:
+    plan = table_map({"vehicle_speed": {"column": column} | role})
+
+    with capture_logs() as logs:
+        samples(write(tmp_path, f"t,{column}\n0,36\n"), plan)
+
+    assert [one["column"] for one in logs] == [column] * warned
+    assert all("unit differs" in one["event"] for one in logs)
 
 
 def test_laps_that_begin_at_zero_are_joined(tmp_path: Path) -> None:
@@ -488,7 +517,7 @@ CELL = st.one_of(
 )
 @given(
     rows=st.lists(st.lists(CELL, max_size=6), max_size=12),
-    unit=st.sampled_from([None, "s", "us", "iso8601"]),
+    unit=st.sampled_from([None, "s", "us", "iso8601", "hhmmss"]),
     long=st.booleans(),
 )
 def test_no_cell_escapes_as_an_exception(

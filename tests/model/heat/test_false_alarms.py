@@ -193,7 +193,7 @@ def test_an_accelerometer_turned_round_is_found_on_a_track(
 def test_wheels_that_stand_on_a_stand_count_as_dead(
     flags_of: Callable[..., Any],
 ) -> None:
-    """Three speeds agree; what a stand is, the pass can not know."""
+    """Three speeds agree; a stand is shown by the accelerometer later."""
     flags, columns = flags_of(
         "tests/real/gt86_stand.toml", "gt86-on-stand-candump/*.log"
     )

@@ -178,6 +178,33 @@ def test_a_spinning_wheel_takes_what_traction_control_brakes(
     assert run.column("brake_power_std_w", 0)[-1] > 0.5 * found[0]
 
 
+def test_spinning_wheels_share_by_what_they_slip_beyond_a_sound_tyre(
+    kernel: Kernel | None, fused: Callable[..., Run]
+) -> None:
+    """8 % of slip are the tyre's; 12 and 32 % beyond it are braked."""
+    run = fused(kernel, *ROLES)
+    run.feed(
+        steady(
+            ROLES,
+            4.0,
+            v=6.0,
+            wheel_speed_fl=1.2 * 6.0,
+            wheel_speed_fr=1.4 * 6.0,
+            wheel_speed_rl=1.07 * 6.0,
+            powertrain_torque=(2500.0 + resistance_n(6.0)) * 0.3418,
+            tc_active=1.0,
+        )
+    )
+
+    shares = [
+        p / (w * 6.0 * 2500.0)
+        for p, w in zip(powers(run), (1.2, 1.4, 1, 1), strict=True)
+    ]
+    assert shares == pytest.approx(
+        [0.12 / 0.44, 0.32 / 0.44, 0.0, 0.0], rel=0.02
+    )
+
+
 def test_pressures_at_the_wheels_say_which_one_is_braked(
     kernel: Kernel | None, fused: Callable[..., Run]
 ) -> None:

@@ -1101,7 +1101,7 @@ def test_words() -> None:
     assert reasons(flags) == [
         "speed missing",
         "pressure suspect",
-        "pressure without brake switch",
+        "braking without brake switch",
         "wheel speed suspect: RL",
     ]
     assert all(reasons(1 << bit) for bit in range(50))

@@ -163,3 +163,14 @@ def test_refused_points(x: list[float], y: list[float]) -> None:
     """Too few, unequal or not rising."""
     with pytest.raises(ValueError, match=r"need the same|must rise"):
         Table.from_points(x, y)
+
+
+def test_a_continued_table_keeps_every_bit_of_what_was_there() -> None:
+    table = Table.from_points([0.0, 5.0, 13.89, 41.67], [1.0, 2.0, 4.0, 9.0])
+
+    longer = table.continued(lambda x: 9.0 * x / 41.67, 120.0)
+
+    assert longer.values[: len(table.values)] == table.values
+    assert longer.x1 >= 120.0
+    assert longer(100.0) == pytest.approx(9.0 * 100.0 / 41.67)
+    assert all(longer(x) == table(x) for x in (0.0, 3.3, 20.0, 41.66))

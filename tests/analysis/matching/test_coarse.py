@@ -1,0 +1,149 @@
+"""The search for what is only guessed, on a sparse drive of known values."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+import pytest
+
+from bstm_daemon.analysis.matching.coarse import (
+    CAPACITY,
+    FILTER,
+    Reading,
+    driven_keys,
+    guesses_of,
+    search,
+)
+from bstm_daemon.analysis.matching.matcher import match_drives
+from bstm_daemon.analysis.matching.power_by_drag import PowerByDrag
+from bstm_daemon.analysis.matching.tunables import (
+    BEYOND_MS,
+    DRAG,
+    LEVEL,
+    MASS,
+    NODES_MS,
+    REFINED,
+    Target,
+)
+from bstm_daemon.channels import CHANNELS
+from bstm_daemon.report.match import headline
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from bstm_daemon.analysis.matching.drives import Drive
+
+PROFILE: Final = (
+    (20.0, 0.0, 20.0),
+    *((40.0, 40000.0, 8.0), (20.0, 0.0, 40.0), (80.0, 0.0, 30.0)) * 6,
+    (30.0, 20000.0, 10.0),
+    (10.0, 0.0, 60.0),
+)
+GUESSED: Final = frozenset({MASS, LEVEL, DRAG, *NODES_MS})
+RIGHT: Final = {MASS: 0.4, LEVEL: 5.0}
+
+
+@pytest.fixture
+def sparse(made: Callable[..., Drive]) -> Drive:
+    """A light disc that is cooled well; of the car's drag nothing is known.
+
+    Its power is that of 0.8 m2; a smaller drag would leave more of it.
+    """
+    drive = made(RIGHT, profile=PROFILE, nodes=("disc",), noise_k=0.5)
+    power = drive.inputs[:, :, CHANNELS.index("brake_power_w")]
+    areas = np.array([0.4, 0.8, 1.6])
+    braked = power > 0.0
+    powers = [power + braked * 1e4 * (0.8 - area) for area in areas]
+    inputs = drive.inputs.copy()
+    inputs[:, :, CHANNELS.index("brake_power_w")] = powers[0]
+    by_drag = PowerByDrag(areas, np.array(powers))
+    return replace(drive, inputs=inputs, by_drag=by_drag)
+
+
+@pytest.fixture
+def guessing(target: Target) -> Target:
+    vehicle = target.config.vehicle.model_copy(update={"drag_area_m2": 0.4})
+    config = target.config.model_copy(update={"vehicle": vehicle})
+    return replace(target, config=config, guessed=GUESSED)
+
+
+def test_mass_cooling_and_drag_are_found_from_afar(
+    guessing: Target, sparse: Drive
+) -> None:
+    (match,) = match_drives(
+        guessing.config, [Reading(None, [sparse])], guessed=GUESSED
+    )
+
+    after = match.after
+    thermal = after.config.thermal_of(after.corner)
+    assert thermal.disc_mass_correction_factor == pytest.approx(0.4, rel=0.05)
+    assert after.config.vehicle.drag_area_m2 == pytest.approx(0.8, rel=0.1)
+    old = guessing.config.cooling_of(guessing.corner)
+    new = after.config.cooling_of(after.corner)
+    at = old.speed_ms.index(19.44)
+    assert new.s_per_s[at] == pytest.approx(5.0 * old.s_per_s[at], rel=0.1)
+    accuracy = match.accuracy
+    assert accuracy.rms_k["disc"] < 8.0
+    assert accuracy.before_k["disc"] > 5.0 * accuracy.rms_k["disc"]
+    assert accuracy.left_out.startswith("made from ")
+    assert not match.verdict
+
+
+def test_what_discs_do_not_show_is_left_out_and_named(
+    guessing: Target, sparse: Drive
+) -> None:
+    keys, why = driven_keys(guessing, [sparse], REFINED)
+
+    assert set(keys) <= {MASS, DRAG, *NODES_MS, *REFINED}
+    assert not any("fluid" in key or "pad" in key for key in keys)
+    assert "thermal.fluid_caliper_thermal_capacity_j_k" in why
+    # a third of the time at 288 km/h
+    assert set(BEYOND_MS) <= set(keys)
+
+
+def test_nothing_is_searched_where_nothing_is_guessed(
+    target: Target, sparse: Drive
+) -> None:
+    plain = replace(sparse, by_drag=None)
+
+    found = search(target, [Reading(None, [plain])])
+
+    assert found.target is target
+    assert not found.noise
+
+
+def test_a_value_at_its_bound_is_no_success(
+    target: Target, made: Callable[..., Drive]
+) -> None:
+    """Half the heat is missing: the disc would have to be too light."""
+    drive = made(nodes=("disc",)).with_power_times(0.5)
+
+    (match,) = match_drives(target.config, [Reading(None, [drive])])
+
+    assert any("at its bound 0.7" in one for one in match.verdict)
+    assert "run bstm gap" in headline(match)
+    assert headline(match).startswith("FL: RMS on made from ")
+
+
+def test_guesses_stand_in_comments_and_missing_lines(tmp_path: Path) -> None:
+    path = tmp_path / "car.toml"
+    path.write_text(
+        "[vehicle]\n"
+        "drag_area_m2 = 0.7  # m2; typical, replace\n"
+        "[[corner]]\n"
+        "disc.mass_kg = 6.0  # kg, weighed\n"
+    )
+
+    assert guesses_of(path) == {DRAG, LEVEL, FILTER, *NODES_MS}
+
+    path.write_text(
+        "[[corner]]\n"
+        "disc.mass_kg = 6.0  # kg, typical, replace\n"
+        "[heat]\nderivative_filter_s = 0.3\n"
+        "[cooling]\ns_per_s = [1.0]  # typically\n"
+    )
+
+    assert guesses_of(path) == {MASS, CAPACITY}
