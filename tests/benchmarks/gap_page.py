@@ -14,8 +14,7 @@ from gap_cars import World
 from gap_figures import figures
 from gap_held_out import worth
 from gap_judge import Result
-from gap_shares import HEADER
-from gap_tables import markdown, tables
+from gap_tables import WAYS, markdown, named, rivals, tables
 from side_by_side import Table
 
 if TYPE_CHECKING:
@@ -24,6 +23,36 @@ if TYPE_CHECKING:
 
 BEGIN: Final = "<!-- gap benchmark -->"
 END: Final = "<!-- end of gap benchmark -->"
+
+PRINTED: Final = (
+    *("figures", "held-out drives, right names", "answers"),
+    *("against strength", "stated probability"),
+    "other ways, same cases and library",
+)
+"""Tables that a run prints and the page has shorter or side by side."""
+
+MINOR: Final = (
+    "S1, twins in these data: true class, no false name",
+    "localisation, right where anything is reported",
+    "SO, none of the known",
+    "SU, none of the known",
+    "ST, structural twins: no false single name",
+    "AD, several left: named after the advised drive",
+    "AD, several left: named after one at random",
+    "AD, nothing seen yet: named after the advised drive",
+    "AD, nothing seen yet: named after one at random",
+)
+"""Figures that a run prints and the page leaves out."""
+
+CHIEF: Final = (
+    "S0, anything reported",
+    "S1, right name or class of two",
+    "S1, wrong single name, all cases",
+    "localisation, F1 of node and phase",
+    "SO, true kind unknown: none of the known, or right place",
+    "S2, both and only both",
+)
+"""Figures of other sensors."""
 
 
 def write(folder: Path, file: Path, split: str, search: str) -> None:
@@ -58,21 +87,26 @@ def write(folder: Path, file: Path, split: str, search: str) -> None:
         BEGIN,
         (
             f"Of {time.strftime('%Y-%m-%d')}, commit {commit}, split {split}: "
-            f"{sum(count.values())} simulated cases. Shares with 95 % "
-            "intervals of Wilson."
+            f"{sum(count.values())} simulated cases.\n"
+            "Shares with 95 % intervals of Wilson."
         ),
     ]
     aside = {w: own for w, own in by_world.items() if is_aside(w)}
-    if aside:
-        table = compared(aside)
-        parts += [f"### {table.title}", markdown(table)]
-        parts += [f"{label(w)}: {costs(seconds[w])}" for w in aside]
-    main = [w for w in by_world if w not in aside and not w.always_on]
-    if len(main) > 1:
-        parts += together({world: by_world[world] for world in main})
+    main = {
+        w: own
+        for w, own in by_world.items()
+        if w not in aside and not w.always_on
+    }
+    parts += side_by_side(main)
+    for world, results in main.items():
+        parts += alone(world, results, seconds[world])
+    parts += ["### All effects at once", "`road` with `thesis`."]
     for world, results in by_world.items():
-        if world not in aside:
-            parts += alone(world, results, count[world], seconds[world])
+        if world.always_on:
+            parts.append(shares({label(world): results}))
+    if aside:
+        columns = {label(w): own for w, own in aside.items()}
+        parts += ["### Other sensors", shares(columns, CHIEF)]
     parts.append(END)
     text = file.read_text("utf-8")
     before, _, rest = text.partition(BEGIN)
@@ -80,46 +114,39 @@ def write(folder: Path, file: Path, split: str, search: str) -> None:
     file.write_text(before + "\n\n".join(parts) + after, "utf-8")
 
 
+def side_by_side(by_world: Mapping[World, Sequence[Result]]) -> list[str]:
+    """Return figures of all main worlds, together and each alone."""
+    own = {f"`{w.preset}`, `{w.structure}`": r for w, r in by_world.items()}
+    both = {"together": [one for r in own.values() for one in r]}
+    results = both["together"]
+    columns = ("figure", "cases", "found", "goal")
+    return [
+        "### Figures",
+        shares(both | own, interval=True),
+        "### Held-out drives, right names",
+        markdown(Table("", columns, worth(results))),
+        "### Other ways, same cases and library",
+        markdown(Table("", WAYS, tuple(rivals(results)))),
+        "### Effects, one hidden",
+        markdown(named(own)),
+    ]
+
+
 def alone(
     world: World,
     results: Sequence[Result],
-    count: int,
     seconds: Sequence[Sequence[float | None]],
 ) -> list[str]:
-    """Return all tables of one world."""
-    title = f"`{world.preset}` with structure `{world.structure}`"
+    """Return the tables of one world that are not beside those of others."""
     parts = [
-        f"### {title}, sensors `{world.sensors}`: {count} cases",
+        f"### `{world.preset}` with structure `{world.structure}`",
         costs(seconds),
     ]
     for table in tables(results):
+        if table.title in PRINTED:
+            continue
         parts += [f"**{table.title}**", markdown(table)]
     return parts
-
-
-def together(by_world: Mapping[World, Sequence[Result]]) -> list[str]:
-    """Return the figures of the main worlds as one."""
-    names = " and ".join(
-        f"`{w.preset}` with `{w.structure}`" for w in by_world
-    )
-    results = [one for own in by_world.values() for one in own]
-    rows = [one.row() for one in figures(results)]
-    return [
-        f"### {names} together, sensors `{World().sensors}`",
-        "**figures**",
-        # controls compare answers within a world
-        markdown(
-            Table(
-                "figures",
-                HEADER,
-                tuple(r for r in rows if not r[0].startswith("control")),
-            )
-        ),
-        "**held-out drives, right names**",
-        markdown(
-            Table("", ("figure", "cases", "found", "goal"), worth(results))
-        ),
-    ]
 
 
 def is_aside(world: World) -> bool:
@@ -136,28 +163,49 @@ def label(world: World) -> str:
     return text
 
 
-def compared(by_world: Mapping[World, Sequence[Result]]) -> Table:
-    """Return the figures of worlds side by side."""
+def shares(
+    by_label: Mapping[str, Sequence[Result]],
+    chief: Sequence[str] = (),
+    *,
+    interval: bool = False,
+) -> str:
+    """Return the figures side by side, in a Markdown table.
+
+    Args:
+        by_label: Results of each column.
+        chief: Names of the figures to take; all but the minor ones
+            if empty.
+        interval: Whether the first column has the intervals of its shares.
+    """
     of = {
-        world: {one.name: one for one in figures(results)}
-        for world, results in by_world.items()
+        column: {one.name: one for one in figures(results)}
+        for column, results in by_label.items()
     }
-    names = dict.fromkeys(name for found in of.values() for name in found)
+    names = chief or tuple(
+        name
+        for name in dict.fromkeys(n for found in of.values() for n in found)
+        if name not in MINOR
+    )
     rows = []
     for name in names:
-        cells = []
-        for found in of.values():
+        cells, goal = [], "-"
+        for column, found in enumerate(of.values()):
             one = found.get(name)
-            if one is None or not one.share.count:
+            # controls compare answers within a world
+            mixed = name.startswith("control") and interval and not column
+            if one is None or not one.share.count or mixed:
                 cells.append("-")
-            else:
-                cells.append(f"{one.share} of {one.share.count}")
-        rows.append((name, *cells))
-    return Table(
-        "other sensors, stratified cases",
-        ("figure", *map(label, of)),
-        tuple(rows),
-    )
+                continue
+            goal = one.row()[3]
+            value = (
+                str(one.share)
+                if interval and not column
+                else f"{100 * one.share.value:.1f} %"
+            )
+            cells.append(f"{value} of {one.share.count}")
+        if any(cell != "-" for cell in cells):
+            rows.append((name, goal, *cells))
+    return markdown(Table("", ("figure", "goal", *of), tuple(rows)))
 
 
 def costs(seconds: Sequence[Sequence[float | None]]) -> str:
@@ -172,4 +220,4 @@ def costs(seconds: Sequence[Sequence[float | None]]) -> str:
             texts.append(
                 f"{label} {median(known):.1f} s, at most {max(known):.1f} s"
             )
-    return f"CPU time a case: {'; '.join(texts)}."
+    return "CPU time a case: " + ";\n".join(texts) + "."

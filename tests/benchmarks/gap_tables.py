@@ -17,7 +17,7 @@ from side_by_side import Table
 from bstm_daemon.analysis.gap.holdout_comparison import BASELINES, EXTENDED
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
 BINS: Final = ((0.3, 0.5), (0.5, 0.8), (0.8, 1.25), (1.25, 2.0))
 """Of strength."""
@@ -26,6 +26,16 @@ MODELS: Final = (*BASELINES, EXTENDED, "nothing hidden, re-fitted")
 
 FALSE_ALARMS: Final = 0.0075
 """At which the limits of detection are told: the goal of S0."""
+
+
+WAYS: Final = (
+    "way",
+    "detectable, effect-free",
+    "right, detectable",
+    "wrong name, all hidden",
+    "named, effect-free",
+)
+"""Columns of other ways."""
 
 
 def limit(
@@ -121,6 +131,34 @@ def confusion(results: Sequence[Result]) -> list[tuple[str, ...]]:
     return rows
 
 
+def named(
+    by_label: Mapping[str, Sequence[Result]],
+) -> Table:
+    """Return named and detectable of each effect of S1, by column.
+
+    Without the effects that are detectable in no case.
+    """
+    rows: dict[str, list[str]] = defaultdict(lambda: ["-"] * len(by_label))
+    for column, results in enumerate(by_label.values()):
+        by: dict[str, list[Result]] = defaultdict(list)
+        for one in results:
+            if one.group == "S1":
+                by[one.effect].append(one)
+        for effect, own in by.items():
+            detectable = [o for o in own if o.detectable]
+            right = sum(
+                o.answer in {"name", "class"} and effect in o.names
+                for o in detectable
+            )
+            if detectable:
+                rows[effect][column] = f"{right} of {len(detectable)}"
+    return Table(
+        "",
+        ("hidden: named of detectable", *by_label),
+        tuple((effect, *cells) for effect, cells in sorted(rows.items())),
+    )
+
+
 def rivals(results: Sequence[Result]) -> list[tuple[str, ...]]:
     """Return this search beside other ways, on the same cases."""
     rows = []
@@ -192,13 +230,7 @@ def tables(results: Sequence[Result]) -> list[Table]:
         ),
         (
             "other ways, same cases and library",
-            (
-                "way",
-                "detectable, effect-free",
-                "right, detectable",
-                "wrong name, all hidden",
-                "named, effect-free",
-            ),
+            WAYS,
             rivals(results),
         ),
         ("answers", ("hidden", "cases", "answered"), confusion(results)),

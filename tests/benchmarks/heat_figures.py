@@ -127,20 +127,12 @@ def by_preset(found: list[Found]) -> Table:
                 name,
                 str(len(own)),
                 *(both(of(own, kind, "fused")) for kind in TESTS),
-                *(both(of(own, kind, "ff")) for kind in TESTS),
-                *(both(of(own, kind, "fb")) for kind in TESTS),
             )
         )
     return Table(
-        "Error of the heat by preset and sensors, %, median / 95th percentile",
-        (
-            *("part", "cars"),
-            *(
-                f"{way} {kind}"
-                for way in ("fused", "FF", "FB")
-                for kind in TESTS
-            ),
-        ),
+        "Error of fused heat by preset and sensors, %, "
+        "median / 95th percentile",
+        ("part", "cars", *TESTS),
         tuple(rows),
     )
 

@@ -13,6 +13,7 @@ import hashlib
 import json
 import os
 import sys
+import textwrap
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -53,6 +54,8 @@ SOURCES: Final = (
 
 BEGIN: Final = "<!-- population -->"
 END: Final = "<!-- end of population -->"
+WIDTH: Final = 98
+"""Of lines of text."""
 
 
 def run(*, full: bool) -> Outcome:
@@ -135,10 +138,11 @@ def write(document: Path, outcome: dict[str, Any]) -> None:
         msg = f"{document}: no {BEGIN} and {END}"
         raise ValueError(msg)
     taken = outcome["conditions"]
-    lines = [outcome["about"], ""]
+    lines = [textwrap.fill(outcome["about"], WIDTH), ""]
     lines += [f"{taken['date']}, commit {taken['commit']}.", ""]
     for table in outcome["tables"]:
-        lines += [f"{table['title']}:", "", *markdown(table), ""]
+        title = textwrap.fill(f"{table['title']}:", WIDTH)
+        lines += [title, "", *markdown(table), ""]
     body = "\n".join(lines)
     document.write_text(f"{head}{BEGIN}\n\n{body}\n{END}{tail_}", "utf-8")
 

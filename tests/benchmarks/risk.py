@@ -11,6 +11,7 @@ import argparse
 import json
 import pickle
 import sys
+import textwrap
 from dataclasses import asdict, dataclass, field
 from functools import partial
 from pathlib import Path
@@ -77,6 +78,14 @@ KM_PASSES_PART: Final = 125.0
 DOCUMENT: Final = Path(__file__).parents[2] / "docs" / "risk.md"
 BEGIN: Final = "<!-- figures -->"
 END: Final = "<!-- end of figures -->"
+PRINTED: Final = (
+    *("Cars", "Hot discs", "Passes alone"),
+    "Levels at the stop, another day",
+    "DOT 4 fluids of any age that boil below",
+    "Ideal judge: temperatures known, boiling point but for an error",
+    "What leaves the boiling point open, water given",
+)
+"""Tables of a run that the document sums up in words."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -591,8 +600,10 @@ def write(outcome: Outcome, path: Path) -> None:
     """Put the tables of *outcome* between the marks of *path*."""
     before, _, rest = path.read_text("utf-8").partition(BEGIN)
     _, _, after = rest.partition(END)
-    figures = [BEGIN, "", outcome.about, ""]
+    figures = [BEGIN, "", textwrap.fill(outcome.about, 90), ""]
     for table in outcome.tables:
+        if table.title in PRINTED:
+            continue
         figures += [f"**{table.title}**", "", _row(table.header)]
         figures += [_row(("---",) * len(table.header))]
         figures += [_row(row) for row in table.rows]
