@@ -121,7 +121,12 @@ def test_frames_without_a_dbc_say_what_to_do(
     [
         (
             "f1-five-channel/Hungary.converted.csv",
-            {"vehicle_speed": "km/h", "ambient_temperature": "degC"},
+            {
+                "vehicle_speed": "km/h",
+                "ambient_temperature": "degC",
+                "temp_fl_disc": "degC",
+                "temp_fr_disc": "degC",
+            },
         ),
         (
             "gr86-cup-barber/*.csv",

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from bstm_daemon.analysis.setup.behaviour import Verdict, to_ms, to_si
-from bstm_daemon.roles import GROUND_LAG_S
+from bstm_daemon.roles import CORNERS, GROUND_LAG_S
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -69,6 +69,7 @@ _AT_WHEELS_KG: Final = (400.0, 5000.0)
 
 _BRAKED_MS2: Final = -1.5
 _DRIVEN_MS2: Final = 0.5
+_HEATING_K_S: Final = 1.0
 _SHIFT_S: Final = 0.5
 _IDLE_RAD_S: Final = 30.0
 _APART_1_S: Final = 0.2
@@ -312,7 +313,30 @@ def _lateral(judge: Judge, value: Series) -> Verdict:
     )
 
 
+def _disc_temperature(judge: Judge, value: Series) -> Verdict:
+    """A disc gets hotter while the car is braked, on the whole colder else.
+
+    That shows it; a disc that hardly got warm shows nothing.
+    """
+    _, _, pressed = judge.braking()
+    moving = judge.motion.moving
+    rise_k_s = np.gradient(value, judge.motion.step_s)
+    if (
+        min(judge.seconds(pressed), judge.seconds(moving & ~pressed))
+        < _BENDS_S
+    ):
+        return Verdict(fits=True, reason="hardly any braking")
+    braked = float(np.mean(rise_k_s[pressed]))
+    free = float(np.mean(rise_k_s[moving & ~pressed]))
+    return Verdict(
+        fits=True,
+        reason=f"{braked:+.1f} K/s braked, {free:+.1f} K/s else",
+        proven=braked > _HEATING_K_S and free < 0.0,
+    )
+
+
 _SPECIAL: Final[dict[str, Callable[[Judge, Series], Verdict]]] = {
+    **{f"temp_{one.lower()}_disc": _disc_temperature for one in CORNERS},
     "brake_switch": _brake_switch,
     "gear": _gear,
     "clutch_open": _clutch_open,

@@ -203,3 +203,19 @@ def test_what_others_are_judged_by_comes_first() -> None:
     roles = ("primary_pressure", "wheel_speed_fl", "gear", "clutch_open")
 
     assert [stage_of(role) for role in roles] == [0, 0, 1, 2]
+
+
+def test_a_disc_gets_hot_while_braked_and_cools_else(
+    verdict: Judged,
+) -> None:
+    """20 K/s braked, but at its edges, -2 K/s else; the air's temperature shows nothing."""
+    rise_k_s = np.where(CHANGE_MS2 < -1.5, 20.0, -2.0)
+    disc_c = 200.0 + np.cumsum(rise_k_s) * 0.02
+    air_c = 20.0 + 0.01 * TIME_S
+
+    disc = verdict("temp_fl_disc", disc_c, "degC")
+
+    assert disc.proven
+    assert disc.reason.endswith("+19.8 K/s braked, -2.0 K/s else")
+    assert not verdict("temp_fl_disc", air_c, "degC").proven
+    assert not verdict("temp_fl_disc", 400.0 - disc_c, "degC").proven
