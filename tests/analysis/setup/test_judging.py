@@ -208,7 +208,7 @@ def test_what_others_are_judged_by_comes_first() -> None:
 def test_a_disc_gets_hot_while_braked_and_cools_else(
     verdict: Judged,
 ) -> None:
-    """20 K/s braked, but at its edges, -2 K/s else; the air's temperature shows nothing."""
+    """20 K/s braked, a little less at the edges; air shows nothing."""
     rise_k_s = np.where(CHANGE_MS2 < -1.5, 20.0, -2.0)
     disc_c = 200.0 + np.cumsum(rise_k_s) * 0.02
     air_c = 20.0 + 0.01 * TIME_S
