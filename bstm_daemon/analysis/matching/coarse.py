@@ -76,6 +76,9 @@ DRIVEN_SHARE: Final = 0.05
 """Least share of the time above the middle between two speeds for the upper
 one to be matched."""
 
+SAID_SHARE: Final = 0.005
+"""Share of the time beyond the table from which on it is said."""
+
 FINE_S: Final = 1.0
 FINE_POINTS: Final = 2000
 """Points of discs alone; those of fast discs say more than one each 5 s."""
@@ -147,12 +150,12 @@ def from_motion(config: Config) -> bool:
 
 def driven_keys(
     target: Target, drives: Sequence[Drive], keys: Sequence[str]
-) -> tuple[tuple[str, ...], str]:
-    """Return those of *keys* that *drives* can show, and what is left out.
+) -> tuple[tuple[str, ...], list[str]]:
+    """Return those of *keys* that *drives* can show, and remarks on the rest.
 
     With no thermocouple but in discs that is the disc alone: what pads and
     fluid do can not be known. With speeds beyond the table S gets further
-    points.
+    points; the share of the time that is faster still is said.
     """
     there = {
         couple
@@ -160,16 +163,15 @@ def driven_keys(
         for corner in target.corners
         for couple in drive.measured.get(corner, {})
     }
-    found, why = tuple(keys), ""
+    found, why = tuple(keys), []
     if there <= {"disc", "disc_2"}:
         found = tuple(key for key in keys if key in OF_DISC)
         out = [key for key in keys if key not in OF_DISC]
-        why = (
-            "no thermocouple but in discs: left out, and as configured: "
-            + ", ".join(out)
-            if out
-            else ""
-        )
+        if out:
+            why.append(
+                "no thermocouple but in discs: left out, and as configured: "
+                + ", ".join(out)
+            )
     speed = np.concatenate(
         [drive.channel(target.corner.name, "speed_ms") for drive in drives]
     )
@@ -180,6 +182,17 @@ def driven_keys(
         for key, least in zip(BEYOND_MS, between, strict=True)
         if FAST in found and np.mean(speed > least) > DRIVEN_SHARE
     ]
+    end_ms = max(
+        target.config.cooling_of(target.corner).speed_ms[-1],
+        *(NODES_MS[key] for key in (FAST, *more)),
+    )
+    share = float(np.mean(speed > end_ms))
+    if FAST in found and share > SAID_SHARE:
+        why.append(
+            f"{100.0 * share:.0f} % of the time is faster than the cooling "
+            f"table's last point, {3.6 * end_ms:.0f} km/h: beyond it a power "
+            "law"
+        )
     if any(one.by_drag for one in drives):
         more.append(DRAG)
     return (*found, *more), why

@@ -313,7 +313,7 @@ def _keys(
     wanted = COOLING if only == "cooling" else refined_keys(target)
     wanted, why = driven_keys(target, drives, wanted)
     keys, remarks = usable(target, wanted)
-    return keys, [*remarks, why]
+    return keys, [*remarks, *why]
 
 
 def _errors(target: Target, drives: Sequence[Drive]) -> Errors:

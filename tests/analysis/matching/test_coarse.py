@@ -99,9 +99,24 @@ def test_what_discs_do_not_show_is_left_out_and_named(
 
     assert set(keys) <= {MASS, DRAG, *NODES_MS, *REFINED}
     assert not any("fluid" in key or "pad" in key for key in keys)
-    assert "thermal.fluid_caliper_thermal_capacity_j_k" in why
+    (left_out,) = why
+    assert "thermal.fluid_caliper_thermal_capacity_j_k" in left_out
     # a third of the time at 288 km/h
     assert set(BEYOND_MS) <= set(keys)
+
+
+def test_the_share_of_time_beyond_the_cooling_table_is_said(
+    guessing: Target, sparse: Drive
+) -> None:
+    """A fifth of the drive at 100 m/s, beyond the point at 320 km/h."""
+    inputs = sparse.inputs.copy()
+    fast = len(inputs) // 5
+    inputs[:fast, :, CHANNELS.index("speed_ms")] = 100.0
+
+    _, why = driven_keys(guessing, [replace(sparse, inputs=inputs)], REFINED)
+
+    assert why[-1].startswith("20 % of the time is faster than")
+    assert "320 km/h" in why[-1]
 
 
 def test_nothing_is_searched_where_nothing_is_guessed(
