@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 from collections import defaultdict
+from dataclasses import replace
 from statistics import median
 from typing import TYPE_CHECKING, Final
 
@@ -14,6 +15,7 @@ from gap_cars import World
 from gap_figures import figures
 from gap_held_out import worth
 from gap_judge import Result
+from gap_shares import Figure, Share
 from gap_tables import WAYS, markdown, named, rivals, tables
 from side_by_side import Table
 
@@ -23,6 +25,9 @@ if TYPE_CHECKING:
 
 BEGIN: Final = "<!-- gap benchmark -->"
 END: Final = "<!-- end of gap benchmark -->"
+
+CONTROL: Final = "control"
+"""How the names of controls begin."""
 
 PRINTED: Final = (
     *("figures", "held-out drives, right names", "answers"),
@@ -97,15 +102,15 @@ def write(folder: Path, file: Path, split: str, search: str) -> None:
         for w, own in by_world.items()
         if w not in aside and not w.always_on
     }
-    parts += side_by_side(main)
+    parts += together(main)
     for world, results in main.items():
         parts += alone(world, results, seconds[world])
     parts += ["### All effects at once", "`road` with `thesis`."]
     for world, results in by_world.items():
         if world.always_on:
-            parts.append(shares({label(world): results}))
+            parts.append(shares({label(world): figures(results)}))
     if aside:
-        columns = {label(w): own for w, own in aside.items()}
+        columns = {label(w): figures(own) for w, own in aside.items()}
         parts += ["### Other sensors", shares(columns, CHIEF)]
     parts.append(END)
     text = file.read_text("utf-8")
@@ -114,15 +119,14 @@ def write(folder: Path, file: Path, split: str, search: str) -> None:
     file.write_text(before + "\n\n".join(parts) + after, "utf-8")
 
 
-def side_by_side(by_world: Mapping[World, Sequence[Result]]) -> list[str]:
-    """Return figures of all main worlds, together and each alone."""
+def together(by_world: Mapping[World, Sequence[Result]]) -> list[str]:
+    """Return the tables of all main worlds together."""
     own = {f"`{w.preset}`, `{w.structure}`": r for w, r in by_world.items()}
-    both = {"together": [one for r in own.values() for one in r]}
-    results = both["together"]
+    results = [one for r in own.values() for one in r]
     columns = ("figure", "cases", "found", "goal")
     return [
         "### Figures",
-        shares(both | own, interval=True),
+        shares({"found": pooled(own)}, interval=True),
         "### Held-out drives, right names",
         markdown(Table("", columns, worth(results))),
         "### Other ways, same cases and library",
@@ -163,23 +167,45 @@ def label(world: World) -> str:
     return text
 
 
+def pooled(own: Mapping[str, Sequence[Result]]) -> list[Figure]:
+    """Return the figures of all worlds together.
+
+    Controls compare answers within a world, so their shares are added up.
+    """
+    both = [one for results in own.values() for one in results]
+    found = {
+        one.name: one
+        for one in figures(both)
+        if not one.name.startswith(CONTROL)
+    }
+    for one in (f for results in own.values() for f in figures(results)):
+        if one.name.startswith(CONTROL):
+            before = found.get(one.name, replace(one, share=Share(0.0, 0)))
+            total = Share(
+                before.share.hits + one.share.hits,
+                before.share.count + one.share.count,
+            )
+            found[one.name] = replace(one, share=total)
+    return list(found.values())
+
+
 def shares(
-    by_label: Mapping[str, Sequence[Result]],
+    by_label: Mapping[str, Sequence[Figure]],
     chief: Sequence[str] = (),
     *,
     interval: bool = False,
 ) -> str:
-    """Return the figures side by side, in a Markdown table.
+    """Return figures side by side, in a Markdown table.
 
     Args:
-        by_label: Results of each column.
+        by_label: Figures of each column.
         chief: Names of the figures to take; all but the minor ones
             if empty.
-        interval: Whether the first column has the intervals of its shares.
+        interval: Whether the shares have their intervals.
     """
     of = {
-        column: {one.name: one for one in figures(results)}
-        for column, results in by_label.items()
+        column: {one.name: one for one in found}
+        for column, found in by_label.items()
     }
     names = chief or tuple(
         name
@@ -189,17 +215,15 @@ def shares(
     rows = []
     for name in names:
         cells, goal = [], "-"
-        for column, found in enumerate(of.values()):
+        for found in of.values():
             one = found.get(name)
-            # controls compare answers within a world
-            mixed = name.startswith("control") and interval and not column
-            if one is None or not one.share.count or mixed:
+            if one is None or not one.share.count:
                 cells.append("-")
                 continue
             goal = one.row()[3]
             value = (
                 str(one.share)
-                if interval and not column
+                if interval
                 else f"{100 * one.share.value:.1f} %"
             )
             cells.append(f"{value} of {one.share.count}")

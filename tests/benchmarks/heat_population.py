@@ -57,6 +57,9 @@ END: Final = "<!-- end of population -->"
 WIDTH: Final = 98
 """Of lines of text."""
 
+PRINTED: Final = ("Error of fused heat by preset", "False alarms")
+"""How tables of a run begin that the document sums up in words."""
+
 
 def run(*, full: bool) -> Outcome:
     """Examine the population, quick or full."""
@@ -141,6 +144,8 @@ def write(document: Path, outcome: dict[str, Any]) -> None:
     lines = [textwrap.fill(outcome["about"], WIDTH), ""]
     lines += [f"{taken['date']}, commit {taken['commit']}.", ""]
     for table in outcome["tables"]:
+        if table["title"].startswith(PRINTED):
+            continue
         title = textwrap.fill(f"{table['title']}:", WIDTH)
         lines += [title, "", *markdown(table), ""]
     body = "\n".join(lines)
