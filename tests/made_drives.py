@@ -26,6 +26,8 @@ EXAMPLE: Final = Path(__file__).parents[1] / "config" / "example_vehicle.toml"
 NODES: Final = ("disc", "pad_front", "pad_back", "fluid")
 AIR_K: Final = 285.0
 LUMPED_START_K: Final = 350.0
+PA_W: Final = 50.0
+"""Pressure of a made drive over its brake power."""
 
 Profile = tuple[tuple[float, float, float], ...]
 """Stretches of speed [m/s], brake power [W], duration [s]."""
@@ -57,6 +59,7 @@ def driven(
         rows[:, 0, CHANNELS.index(channel)] = column * factor
     power = rows[:, 0, CHANNELS.index("brake_power_w")]
     rows[:, 0, CHANNELS.index("brake_on")] = power > 0.0
+    rows[:, 0, CHANNELS.index("pressure_pa")] = PA_W * power
     empty = Drive(name, 0.0, ("FL",), rows, {"FL": {}})
     program = compile_corner(config, config.corner[0])
     start = {node.name: AIR_K for node in program.network.nodes}

@@ -40,6 +40,7 @@ from bstm_daemon.analysis.matching.refine import (
     white_k,
 )
 from bstm_daemon.analysis.matching.stages import StageResult, run_stages
+from bstm_daemon.analysis.matching.structure import with_additions
 from bstm_daemon.analysis.matching.tunables import (
     COOLING,
     DRAG,
@@ -178,7 +179,7 @@ def match_drives(  # noqa: PLR0913
     )
     return over_targets(
         targets,
-        lambda target, show: _match(
+        lambda target, show: _with_additions(
             target, readings, only, show, beside=beside and not only
         ),
         progress,
@@ -218,6 +219,29 @@ def _no_hard_stop(target: Target, drives: Sequence[Drive]) -> str:
     return (
         f"no hard stop ({HARD_MS2:g} m/s2) in these drives: the values fit "
         "drags and may be wrong in stops"
+    )
+
+
+def _with_additions(
+    target: Target,
+    readings: Sequence[Reading],
+    only: str,
+    show: Callable[[float], None],
+    *,
+    beside: bool,
+) -> Match:
+    """Match *target*, and once more with what a doubtful match may lack."""
+    plain = _match(
+        *(target, readings, only, lambda one: show(0.5 * one)), beside=beside
+    )
+    if only or not plain.verdict:
+        return plain
+    return with_additions(
+        plain,
+        lambda trial: _match(
+            *(trial, readings, only, lambda one: show(0.5 + 0.5 * one)),
+            beside=False,
+        ),
     )
 
 

@@ -73,6 +73,12 @@ ANY: Final = (0.05, 5.0, 0.5)
 """Of any other effect's strength; the upper bound is the catalogue's."""
 
 
+CONTACT: Final = "contact_conductance"
+CONDUCTANCE: Final = f"{EFFECT}.{CONTACT}.conductance_w_m2k"
+"""The effect whose conductance is matched instead of its strength: what cars
+have differs tenfold."""
+
+
 def strength_key(effect: str) -> str:
     """Return the key of the strength of *effect*."""
     return f"{EFFECT}.{effect}.strength"
@@ -143,8 +149,10 @@ TUNABLES: Final[dict[str, Tunable]] = {
         *(
             Tunable(strength_key(name), *STRENGTHS.get(name, ANY), "x typical")
             for name in effect_names()
-            if effect_class(name).kind == "thermal"
+            if effect_class(name).kind == "thermal" and name != CONTACT
         ),
+        # rough faces: 1e3 to 1e4 W/m2K are known, and a tenth of it
+        Tunable(CONDUCTANCE, 10.0, 2e4, 1.2, "W/(m2 K)"),
     )
 }
 """Every tunable by its key."""
@@ -182,12 +190,14 @@ class Target:
     """Corners that are matched together: alike in everything but the side.
 
     Their configuration is that of ``corner``, the first of them; ``guessed``
-    are the tunables whose values in it nobody has measured.
+    are the tunables whose values in it nobody has measured, ``free`` those
+    that are refined beside the usual ones.
     """
 
     config: Config
     corners: tuple[str, ...]
     guessed: frozenset[str] = frozenset()
+    free: tuple[str, ...] = ()
 
     @property
     def corner(self) -> CornerConfig:
@@ -312,7 +322,7 @@ def refined_keys(target: Target) -> tuple[str, ...]:
         for key, one in TUNABLES.items()
         if key.startswith(prefix) and target.value(one) > 0.0
     )
-    return (*REFINED, *strengths)
+    return (*REFINED, *target.free, *strengths)
 
 
 def usable(target: Target, keys: Sequence[str]) -> tuple[list[str], list[str]]:
