@@ -10,7 +10,7 @@ from bstm_daemon.analysis.matching.changes import changes_of
 from bstm_daemon.analysis.matching.coarse import guesses_of, read_as_guessed
 from bstm_daemon.analysis.matching.drives import read_drives
 from bstm_daemon.analysis.matching.matcher import match_drives
-from bstm_daemon.analysis.matching.tunables import Target
+from bstm_daemon.analysis.matching.tunables import DRAG, Target
 from bstm_daemon.cli.log_command import (
     add_log_arguments,
     heading,
@@ -29,6 +29,7 @@ from bstm_daemon.report.match import (
 
 if TYPE_CHECKING:
     import argparse
+    from collections.abc import Sequence
 
     from bstm_daemon.analysis.matching.coarse import Reading
     from bstm_daemon.analysis.matching.matcher import Match
@@ -66,6 +67,12 @@ def run(args: argparse.Namespace) -> int:
     readings = _readings(args, config, signal_map, guessed)
     again = _follows_temperature(config)
     matches = _matches(args, config, readings, guessed, beside=not again)
+    near_m2 = [
+        one.joint.values[DRAG] for one in matches if DRAG in one.joint.values
+    ]
+    if near_m2:
+        readings = _readings(args, config, signal_map, guessed, near_m2)
+        matches = _matches(args, config, readings, guessed)
     if again:
         # friction is that at the temperatures of the matched model
         matched = _matched(config, matches)
@@ -101,6 +108,7 @@ def _readings(
     config: Config,
     signal_map: SignalMap,
     guessed: frozenset[str],
+    near_m2: Sequence[float] = (),
 ) -> list[Reading]:
     """Read the logs, as often as what is guessed of their heat asks for."""
     with Progress("read") as progress:
@@ -110,6 +118,7 @@ def _readings(
             lambda one: read_drives(
                 args.logs, one, signal_map, dict(args.map), progress.show
             ),
+            near_m2,
         )
 
 

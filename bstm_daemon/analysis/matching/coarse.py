@@ -55,6 +55,10 @@ CAPACITY: Final = "disc.heat_capacity_exponent"
 DRAG_FACTORS: Final = (0.5, 1.0, 1.5, 2.2, 3.3, 5.0, 7.5, 11.0, 16.0)
 """Drag areas that the drives are read with, as a share of the configured."""
 
+NEAR_FACTORS: Final = (0.8, 0.88, 0.94, 1.0, 1.06, 1.12, 1.2)
+"""Areas around one that was found between two of the former: half-way
+between those the power is wrong by some percent, here by tenths."""
+
 FILTERS_S: Final = (0.1, 0.02)
 """Filters of the acceleration tried beside the configured one: at 400 K/s a
 third of a second of delay is more than the model's other errors."""
@@ -202,25 +206,31 @@ def read_as_guessed(
     config: Config,
     guessed: frozenset[str],
     read: Callable[[Config], Sequence[Drive]],
+    near_m2: Sequence[float] = (),
 ) -> list[Reading]:
     """Return what *read* gives of *config*, first as configured.
 
     Where the heat comes from the motion alone and the drag area is a guess,
     also with others, and with other filters of the acceleration if that is.
+    Power is interpolated between the areas: where the car's is known to be
+    near *near_m2*, they are read closely around it instead.
     """
     if DRAG not in guessed or not from_motion(config):
         return [Reading(None, read(config))]
     found = []
     area_m2 = config.vehicle.drag_area_m2
+    areas_m2 = {factor * area_m2 for factor in DRAG_FACTORS}
+    if near_m2:
+        areas_m2 = {one * near for one in NEAR_FACTORS for near in near_m2}
     for filter_s in (None, *(FILTERS_S if FILTER in guessed else ())):
         heat = config.heat
         if filter_s is not None:
             heat = heat.model_copy(update={"derivative_filter_s": filter_s})
         of_area = {}
-        for factor in DRAG_FACTORS:
-            area = {"drag_area_m2": factor * area_m2}
+        for tried_m2 in {area_m2, *areas_m2}:
+            area = {"drag_area_m2": tried_m2}
             vehicle = config.vehicle.model_copy(update=area)
-            of_area[factor * area_m2] = read(
+            of_area[tried_m2] = read(
                 config.model_copy(update={"heat": heat, "vehicle": vehicle})
             )
         drives = [
