@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from bstm_daemon.analysis.matching.curves import curves_of
 from bstm_daemon.analysis.matching.identifiability import (
     correlations,
     ratios,
     strong_pairs,
     verdicts,
 )
-from bstm_daemon.analysis.matching.matcher import Match, curves_of
 from bstm_daemon.analysis.matching.tunables import TUNABLES
 from bstm_daemon.report.json_file import picked
 from bstm_daemon.report.plots import NODE_COLOURS, NodeCurve
@@ -25,6 +25,7 @@ from bstm_daemon.report.text import table
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from bstm_daemon.analysis.matching.matcher import Match
     from bstm_daemon.analysis.matching.refine import Refinement
 
 STAGE_HEAD = ("stage", "section", "value", "before", "matched", "RMS [K]")

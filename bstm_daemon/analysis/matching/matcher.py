@@ -5,7 +5,7 @@ And what comes of it: changes of the configuration file, curves.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import log, nan
 from typing import TYPE_CHECKING, Any, Final
 
@@ -25,7 +25,6 @@ from bstm_daemon.analysis.matching.coarse import (
     search,
 )
 from bstm_daemon.analysis.matching.identifiability import KNOWN
-from bstm_daemon.analysis.matching.march import march
 from bstm_daemon.analysis.matching.phases import HARD_MS2, hard_stops
 from bstm_daemon.analysis.matching.problem import FIRST, OTHER
 from bstm_daemon.analysis.matching.refine import (
@@ -40,8 +39,13 @@ from bstm_daemon.analysis.matching.refine import (
     white_k,
 )
 from bstm_daemon.analysis.matching.stages import StageResult, run_stages
-from bstm_daemon.analysis.matching.structure import with_additions
+from bstm_daemon.analysis.matching.structure import (
+    KEPT,
+    share_left,
+    with_contact,
+)
 from bstm_daemon.analysis.matching.tunables import (
+    CONTACT,
     COOLING,
     DRAG,
     NODES_MS,
@@ -53,15 +57,12 @@ from bstm_daemon.analysis.matching.tunables import (
     usable,
 )
 from bstm_daemon.analysis.statistics.series import rms
-from bstm_daemon.estimator.corner_model import compile_corner
-from bstm_daemon.units import KELVIN_OFFSET
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from bstm_daemon.analysis.matching.drives import Drive
     from bstm_daemon.analysis.matching.refine import Errors
-    from bstm_daemon.analysis.statistics.series import Column
     from bstm_daemon.analysis.statistics.whitening import SensorNoise
     from bstm_daemon.config.sections import Config
 
@@ -234,14 +235,28 @@ def _with_additions(
     plain = _match(
         *(target, readings, only, lambda one: show(0.5 * one)), beside=beside
     )
-    if only or not plain.verdict:
+    trial = with_contact(target, plain.drives)
+    if only or not plain.verdict or trial is None:
         return plain
-    return with_additions(
-        plain,
-        lambda trial: _match(
-            *(trial, readings, only, lambda one: show(0.5 + 0.5 * one)),
-            beside=False,
-        ),
+    more = _match(
+        *(trial, readings, only, lambda one: show(0.5 + 0.5 * one)),
+        beside=False,
+    )
+    left = share_left(plain.accuracy.rms_k, more.accuracy.rms_k)
+    what = (
+        f"heat through the contact of disc and pads ({CONTACT}), with k and "
+        f"cp of the lining, leaves {left:.2f} times the error on what was "
+        "left out"
+    )
+    if left > KEPT:
+        note = f"{what}: not added"
+        return replace(plain, remarks=(*plain.remarks, note))
+    return replace(
+        more,
+        before=target,
+        table_4_1=plain.table_4_1,
+        accuracy=replace(more.accuracy, before_k=plain.accuracy.before_k),
+        remarks=(*more.remarks, f"{what}: added"),
     )
 
 
@@ -447,38 +462,3 @@ def _doubts(
             f"disc {disc_k:.1f} K on what was left out, a disc of one node "
             f"{accuracy.baseline_k:.1f} K"
         )
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Curves:
-    """A thermocouple over a drive, (n,) each: temperatures [degC]."""
-
-    couple: str
-    measured_c: Column
-    before_c: Column
-    after_c: Column
-
-
-def curves_of(match: Match, drive: Drive, corner: str) -> list[Curves]:
-    """Return each thermocouple of *corner*, and the model as it was and is."""
-    programs = [
-        compile_corner(one.config, one.corner)
-        for one in (match.before, match.after)
-    ]
-    couples = drive.couples(
-        corner, {node.name for node in programs[0].network.nodes}
-    )
-    if not couples:
-        return []
-    configs = [match.before.config, match.after.config]
-    result = march(
-        programs, drive, corner, power_w=drive.power_w(corner, configs)
-    )
-    return [
-        Curves(
-            name,
-            drive.measured[corner][name].at(drive.time_s) - KELVIN_OFFSET,
-            *(result[node] - KELVIN_OFFSET).T,
-        )
-        for name, node in couples
-    ]

@@ -18,10 +18,9 @@ from bstm_daemon.config.sections import EffectConfig
 from bstm_daemon.model.effects.catalogue import effects_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
 
     from bstm_daemon.analysis.matching.drives import Drive
-    from bstm_daemon.analysis.matching.matcher import Match
     from bstm_daemon.analysis.matching.tunables import Target
 
 FIRST_W_M2K: Final = 500.0
@@ -34,33 +33,7 @@ KEPT: Final = 0.9
 """An addition stays where it leaves so much less of the error."""
 
 
-def with_additions(
-    plain: Match, match_again: Callable[[Target], Match]
-) -> Match:
-    """Return the better of *plain* and a match with what it may lack."""
-    trial = _with_contact(plain.before, plain.drives)
-    if trial is None:
-        return plain
-    more = match_again(trial)
-    left = _share_left(plain.accuracy.rms_k, more.accuracy.rms_k)
-    what = (
-        f"heat through the contact of disc and pads ({CONTACT}), with k and "
-        f"cp of the lining, leaves {left:.2f} times the error on what was "
-        "left out"
-    )
-    if left > KEPT:
-        note = f"{what}: not added"
-        return replace(plain, remarks=(*plain.remarks, note))
-    return replace(
-        more,
-        before=plain.before,
-        table_4_1=plain.table_4_1,
-        accuracy=replace(more.accuracy, before_k=plain.accuracy.before_k),
-        remarks=(*more.remarks, f"{what}: added"),
-    )
-
-
-def _with_contact(target: Target, drives: Sequence[Drive]) -> Target | None:
+def with_contact(target: Target, drives: Sequence[Drive]) -> Target | None:
     """Return *target* with heat between disc and pads through their contact.
 
     None where it has that already, or where no drive has thermocouples on
@@ -83,7 +56,7 @@ def _with_contact(target: Target, drives: Sequence[Drive]) -> Target | None:
     return replace(target, config=config, free=LINING)
 
 
-def _share_left(
+def share_left(
     before_k: Mapping[str, float], after_k: Mapping[str, float]
 ) -> float:
     """Return the geometric mean over nodes of what is left of an error."""

@@ -1,0 +1,50 @@
+"""Measured and modelled temperatures of a match over a drive."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from bstm_daemon.analysis.matching.march import march
+from bstm_daemon.estimator.corner_model import compile_corner
+from bstm_daemon.units import KELVIN_OFFSET
+
+if TYPE_CHECKING:
+    from bstm_daemon.analysis.matching.drives import Drive
+    from bstm_daemon.analysis.matching.matcher import Match
+    from bstm_daemon.analysis.statistics.series import Column
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Curves:
+    """A thermocouple over a drive, (n,) each: temperatures [degC]."""
+
+    couple: str
+    measured_c: Column
+    before_c: Column
+    after_c: Column
+
+
+def curves_of(match: Match, drive: Drive, corner: str) -> list[Curves]:
+    """Return each thermocouple of *corner*, and the model as it was and is."""
+    programs = [
+        compile_corner(one.config, one.corner)
+        for one in (match.before, match.after)
+    ]
+    couples = drive.couples(
+        corner, {node.name for node in programs[0].network.nodes}
+    )
+    if not couples:
+        return []
+    configs = [match.before.config, match.after.config]
+    result = march(
+        programs, drive, corner, power_w=drive.power_w(corner, configs)
+    )
+    return [
+        Curves(
+            name,
+            drive.measured[corner][name].at(drive.time_s) - KELVIN_OFFSET,
+            *(result[node] - KELVIN_OFFSET).T,
+        )
+        for name, node in couples
+    ]
