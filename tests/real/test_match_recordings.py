@@ -52,7 +52,7 @@ def halves(session: str, folder: Path) -> tuple[Path, Path]:
     ("fitted", "other"),
     [
         (SPAIN, HUNGARY),
-        (HUNGARY, SPAIN),
+        pytest.param(HUNGARY, SPAIN, marks=pytest.mark.full),
         pytest.param(SPAIN, "", marks=pytest.mark.full),
         pytest.param(HUNGARY, "", marks=pytest.mark.full),
     ],
