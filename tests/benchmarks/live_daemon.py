@@ -10,7 +10,10 @@ from __future__ import annotations
 import socket
 import sys
 
-EXTRAS = ("asammdf", "h5py", "pandas", "plotly", "pyarrow", "scipy")
+EXTRAS = (
+    *("asammdf", "h5py", "jinja2", "libxrk", "pandas", "plotly"),
+    *("prometheus_client", "pyarrow", "rich", "scipy", "tomlkit"),
+)
 
 
 def main() -> int:
