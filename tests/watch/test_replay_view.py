@@ -202,10 +202,11 @@ def test_on_a_terminal(
 ) -> None:
     started = terminal(width, 24, SHOW, CAR, log)
     started.until("speed  end")
-    lines = started.lines
     started.press(b"q")
+    ended = started.ended()
+    lines = started.lines
 
-    assert started.ended() == 0
+    assert ended == 0
     assert ["FL", "FR", "RL", "RR"] in [line.split() for line in lines]
     assert any(line.count("critical") == 4 for line in lines)
     assert any("\u2581" in line for line in lines)
