@@ -27,6 +27,7 @@ FLOORS = (
     ("estimator",),
     ("advice", "forecast"),
     ("engine",),
+    ("feed",),
     ("replay", "service"),
     ("analysis",),
     ("watch",),

@@ -33,6 +33,7 @@ from bstm_daemon.config.section import (
 from bstm_daemon.config.service import (
     DaemonConfig,
     E2eConfig,
+    FeedConfig,
     MetricsConfig,
     PublishConfig,
     RecordConfig,
@@ -468,6 +469,7 @@ class Config(Section):
     daemon: DaemonConfig = DaemonConfig()
     record: RecordConfig = RecordConfig()
     metrics: MetricsConfig = MetricsConfig()
+    feed: FeedConfig = FeedConfig()
 
     def _check(self) -> None:
         if self.heat.mode == "auto":
