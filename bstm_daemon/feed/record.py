@@ -54,7 +54,8 @@ class RecordWriter:
                 corner.pad.new_thickness_m or corner.pad.thickness_m,
                 config.wear.limit_m,
             )
-            for corner in config.disc_corners()
+            for corner in config.corner
+            if corner.pad is not None
         }
         self._head = (
             f'{{"schema":"{SCHEMA}","version":{VERSION},'
