@@ -8,13 +8,12 @@ from threading import Event
 from typing import TYPE_CHECKING
 
 from bstm_daemon.cli.arguments import add_path
-from bstm_daemon.errors import FileAccessError, UsageError, require_packages
+from bstm_daemon.errors import UsageError, require_packages
 from bstm_daemon.feed.reader import DEFAULT_SOCKET, records
+from bstm_daemon.files import read_secret
 
 if TYPE_CHECKING:
     import argparse
-
-OTHERS_READ = 0o007
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -70,7 +69,7 @@ def run(args: argparse.Namespace) -> int:
             load_section,
         )
 
-        _require_private(args.credentials)
+        read_secret(args.credentials)
         credentials = load_section(args.credentials, MqttFile)
     url = args.broker or credentials.broker
     if url is None:
@@ -88,14 +87,3 @@ def run(args: argparse.Namespace) -> int:
         signal.signal(number, lambda *_: stop.set())
     bridge.run(records(args.feed, stop))
     return 0
-
-
-def _require_private(path: Path) -> None:
-    try:
-        mode = path.stat().st_mode
-    except OSError as error:
-        msg = f"{path}: {error.strerror}"
-        raise FileAccessError(msg) from error
-    if mode & OTHERS_READ:
-        msg = f"{path}: every user can read the password (chmod o= {path})"
-        raise UsageError(msg)

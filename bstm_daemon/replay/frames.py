@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from bstm_daemon.bus.signals.signal_map import SignalMap
     from bstm_daemon.config.sections import Config
     from bstm_daemon.engine import Published
+    from bstm_daemon.estimate import Estimate
     from bstm_daemon.replay.columns import StartState
 
 TICK_US: Final = 50_000
@@ -62,15 +63,47 @@ def publications(  # noqa: PLR0913
         FileAccessError: it can not be read.
         UsageError: *state* is no state of this car.
     """
+    engine = _engine(config, signal_map, path, overrides, state, forecast)
+    frames = _frames(path, signal_map, overrides or {}, progress)
+    yield from _ticks(engine, frames, path, state)
+
+
+def estimates(
+    config: Config,
+    signal_map: SignalMap,
+    path: Path,
+    overrides: Mapping[str, str] | None = None,
+    state: StartState = None,
+) -> Iterator[Estimate]:
+    """Run as :func:`publications`; yield the newest estimate of each tick."""
+    engine = _engine(config, signal_map, path, overrides, state, forecast=True)
+    frames = _frames(path, signal_map, overrides or {}, None)
+    for published in _ticks(engine, frames, path, state):
+        if published and engine.estimate is not None:
+            yield engine.estimate
+
+
+def _engine(
+    config: Config,
+    signal_map: SignalMap,
+    path: Path,
+    overrides: Mapping[str, str] | None,
+    state: StartState,
+    forecast: bool,  # noqa: FBT001
+) -> Engine:
     cold = state == "cold"
-    engine = Engine(
+    return Engine(
         config,
         signal_map,
         history_known=cold,
         initial_k=first_air_k(signal_map, path, overrides) if cold else None,
         forecast=forecast,
     )
-    frames = _frames(path, signal_map, overrides or {}, progress)
+
+
+def _ticks(
+    engine: Engine, frames: Iterator[Frame], path: Path, state: StartState
+) -> Iterator[list[Published]]:
     first = next(frames, None)
     if first is None:
         msg = f"{path}: no CAN frame"
