@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import hmac
+import socket
 from ipaddress import ip_address
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
@@ -15,7 +16,6 @@ from urllib.parse import urlsplit
 
 from tornado.httpserver import HTTPServer
 from tornado.iostream import StreamClosedError
-from tornado.netutil import bind_sockets
 from tornado.web import Application, HTTPError, RequestHandler
 
 from bstm_daemon.errors import UsageError
@@ -140,15 +140,14 @@ class _File(_Handler):
 class _Events(_Handler):
     """Server-sent events: the newest, as often as the client takes one."""
 
-    open = 0
-
     async def get(self) -> None:
-        if _Events.open >= MOST_PAGES:
+        pages: set[_Events] = self.settings["pages"]
+        if len(pages) >= MOST_PAGES:
             raise HTTPError(503, reason="Too many pages are open")
         live: Live = self.settings["live"]
         self.set_header("Content-Type", "text/event-stream")
         seen = self.request.headers.get("Last-Event-ID", "")
-        _Events.open += 1
+        pages.add(self)
         try:
             while True:
                 event = live.event(seen)
@@ -163,7 +162,7 @@ class _Events(_Handler):
         except StreamClosedError:
             pass
         finally:
-            _Events.open -= 1
+            pages.remove(self)
 
 
 class _Missing(_Handler):
@@ -190,6 +189,7 @@ async def serve(
     Raises:
         UsageError: the address is taken or not ours.
     """
+    pages: set[_Events] = set()
     guard = {"listen": listen, "token": token}
     application = Application(
         [
@@ -199,6 +199,7 @@ async def serve(
         default_handler_class=_Missing,
         default_handler_args=guard,
         live=live,
+        pages=pages,
         log_function=lambda _: None,
     )
     server = HTTPServer(
@@ -208,15 +209,21 @@ async def serve(
         idle_connection_timeout=60.0,
     )
     try:
-        sockets = bind_sockets(listen.port, listen.host)
+        own = socket.create_server(
+            listen,
+            family=socket.AF_INET6 if ":" in listen.host else socket.AF_INET,
+        )
     except OSError as error:
         msg = f"--listen {listen.host}:{listen.port}: {error.strerror}"
         raise UsageError(msg) from error
-    server.add_sockets(sockets)
-    ready(sockets[0].getsockname()[1])
+    own.setblocking(False)
+    server.add_socket(own)
+    ready(own.getsockname()[1])
     await stop.wait()
     server.stop()
     await server.close_all_connections()
+    while pages:  # noqa: ASYNC110  (each ends as it writes)
+        await asyncio.sleep(EVENT_S / 10)
 
 
 def _equal(given: str, token: str) -> bool:

@@ -162,6 +162,7 @@ class Feed:
             self._news.notify()
 
     def __iter__(self) -> Iterator[Any]:
+        """Yield what was added, as it comes."""
         while True:
             with self._news:
                 self._news.wait_for(lambda: self._items)
