@@ -35,12 +35,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help=f"socket of the live service (default: {DEFAULT_SOCKET})",
     )
     parser.add_argument(
-        "--prefix",
-        default="bstm",
-        metavar="TOPIC",
-        help="first part of every topic (default: bstm)",
-    )
-    parser.add_argument(
         "--every",
         type=float,
         default=1.0,
@@ -61,29 +55,25 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Publish until SIGTERM or SIGINT."""
     require_packages("paho", extra="mqtt", purpose="bstm bridge mqtt")
-    from bstm_daemon.feed.mqtt import Bridge, MqttFile  # noqa: PLC0415  (extra)
+    from bstm_daemon.config.reading import load_section  # noqa: PLC0415
+    from bstm_daemon.feed.mqtt import MqttFile, run_bridge  # noqa: PLC0415
 
     credentials = MqttFile()
     if args.credentials is not None:
-        from bstm_daemon.config.reading import (  # noqa: PLC0415  (slow)
-            load_section,
-        )
-
         read_secret(args.credentials)
         credentials = load_section(args.credentials, MqttFile)
     url = args.broker or credentials.broker
     if url is None:
         msg = "bridge mqtt: needs --broker, or 'broker' in --credentials FILE"
         raise UsageError(msg)
-    bridge = Bridge(
-        url,
-        credentials,
-        prefix=args.prefix,
-        interval_s=args.every,
-        discovery=args.discovery,
-    )
     stop = Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: stop.set())
-    bridge.run(records(args.feed, stop))
+    run_bridge(
+        records(args.feed, stop),
+        url,
+        credentials,
+        interval_s=args.every,
+        discovery=args.discovery,
+    )
     return 0

@@ -18,13 +18,14 @@ from bstm_daemon.feed.live import Live
 from bstm_daemon.feed.reader import DEFAULT_SOCKET, records
 from bstm_daemon.feed.record import RecordWriter
 from bstm_daemon.files import read_secret
-from bstm_daemon.replay.frames import estimates
+from bstm_daemon.replay.frames import publications
 from bstm_daemon.watch.replay_view import Pace
 
 if TYPE_CHECKING:
     import argparse
     from collections.abc import Iterator
 
+    from bstm_daemon.engine import Engine
     from bstm_daemon.feed.reader import Record
     from bstm_daemon.replay.columns import StartState
 
@@ -134,9 +135,14 @@ def _log(
     writer = RecordWriter(config)
     pace = Pace(args.speed, stop.wait)
     start: StartState = "cold" if args.start == "cold" else None
-    for estimate in estimates(
-        config, signal_map, args.log, dict(args.map), start
+    engines: list[Engine] = []
+    for published in publications(
+        *(config, signal_map, args.log, dict(args.map), start),
+        built=engines.append,
     ):
+        estimate = engines[0].estimate
+        if not published or estimate is None:
+            continue
         pace.wait(estimate.time_us)
         if stop.is_set():
             return

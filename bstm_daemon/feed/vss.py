@@ -29,6 +29,13 @@ TEMPERATURES: Final = {
 }
 """Leaf of a wheel to field of the feed."""
 
+UNITS: Final = {
+    **dict.fromkeys(TEMPERATURES, "°C"),
+    **dict.fromkeys(("VapourProbability", "PadWear"), "%"),
+    "BoilingMargin": "K",
+}
+"""Leaves that are numbers, with their units."""
+
 Values = dict[str, Any]
 
 _USABLE: Final = ("valid", "degraded")

@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from bstm_daemon.bus.signals.signal_map import SignalMap
     from bstm_daemon.config.sections import Config
     from bstm_daemon.engine import Published
-    from bstm_daemon.estimate import Estimate
     from bstm_daemon.replay.columns import StartState
 
 TICK_US: Final = 50_000
@@ -43,6 +42,7 @@ def publications(  # noqa: PLR0913
     *,
     forecast: bool = True,
     progress: Callable[[float], None] | None = None,
+    built: Callable[[Engine], None] | None = None,
 ) -> Iterator[list[Published]]:
     """Run the engine over the log *path*, tick by tick.
 
@@ -54,6 +54,7 @@ def publications(  # noqa: PLR0913
         state: as of :func:`~bstm_daemon.replay.columns.stream_log`.
         forecast: whether risk and forecast are made.
         progress: called with the share of the log that is read.
+        built: called with the engine, whose estimate is that of each tick.
 
     Yields:
         What became due; a gap of hours comes in parts.
@@ -63,47 +64,17 @@ def publications(  # noqa: PLR0913
         FileAccessError: it can not be read.
         UsageError: *state* is no state of this car.
     """
-    engine = _engine(config, signal_map, path, overrides, state, forecast)
-    frames = _frames(path, signal_map, overrides or {}, progress)
-    yield from _ticks(engine, frames, path, state)
-
-
-def estimates(
-    config: Config,
-    signal_map: SignalMap,
-    path: Path,
-    overrides: Mapping[str, str] | None = None,
-    state: StartState = None,
-) -> Iterator[Estimate]:
-    """Run as :func:`publications`; yield the newest estimate of each tick."""
-    engine = _engine(config, signal_map, path, overrides, state, forecast=True)
-    frames = _frames(path, signal_map, overrides or {}, None)
-    for published in _ticks(engine, frames, path, state):
-        if published and engine.estimate is not None:
-            yield engine.estimate
-
-
-def _engine(
-    config: Config,
-    signal_map: SignalMap,
-    path: Path,
-    overrides: Mapping[str, str] | None,
-    state: StartState,
-    forecast: bool,  # noqa: FBT001
-) -> Engine:
     cold = state == "cold"
-    return Engine(
+    engine = Engine(
         config,
         signal_map,
         history_known=cold,
         initial_k=first_air_k(signal_map, path, overrides) if cold else None,
         forecast=forecast,
     )
-
-
-def _ticks(
-    engine: Engine, frames: Iterator[Frame], path: Path, state: StartState
-) -> Iterator[list[Published]]:
+    if built is not None:
+        built(engine)
+    frames = _frames(path, signal_map, overrides or {}, progress)
     first = next(frames, None)
     if first is None:
         msg = f"{path}: no CAN frame"
