@@ -152,6 +152,7 @@ def test_zoom_moves_every_time_axis_and_outlives_a_change_of_view(
     assert int(lines) == CORNER_CURVES + REASONS + 1 + PRESSURES
 
 
+@pytest.mark.slow
 def test_a_drive_known_from_thermocouples_only_is_drawn(
     tmp_path: Path, descent: Results
 ) -> None:
