@@ -29,12 +29,12 @@ from bstm_daemon.cli.arguments import (
     check_new,
     check_targets,
 )
+from bstm_daemon.cli.log_command import write_pages
 from bstm_daemon.cli.progress import Progress
 from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.errors import UsageError
 from bstm_daemon.report import brakes, coastdown, cooling
 from bstm_daemon.report.json_file import write_json
-from bstm_daemon.report.shell import write_page
 
 if TYPE_CHECKING:
     import argparse
@@ -154,13 +154,12 @@ def run(args: argparse.Namespace) -> int:
     with Progress(f"identify {args.what}"):
         result = kind.identify(drivings, config, **options)
     print(f"{subtitle}\n{kind.text(result)}")
-    if args.report:
-        write_page(args.report, kind.page(result, subtitle))
+    pages = write_pages(args, lambda: kind.page(result, subtitle))
     if args.json:
         files = [str(log) for log in args.logs]
         write_json(args.json, {"files": files, **kind.data(result)})
-    if args.report:
-        print(args.report)
+    for line in pages:
+        print(line)
     changes = kind.changes(result, config)
     if args.out is not None:
         _write(args, changes, f"bstm identify {args.what}, {names}")

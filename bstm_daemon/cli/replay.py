@@ -25,6 +25,7 @@ from bstm_daemon.cli.arguments import (
     check_targets,
     refuse_overwriting,
 )
+from bstm_daemon.cli.log_command import write_pages
 from bstm_daemon.cli.progress import Progress
 from bstm_daemon.cli.vehicle import load_vehicle, read_state
 from bstm_daemon.errors import MissingExtraError, UsageError
@@ -49,7 +50,6 @@ from bstm_daemon.report.drive_curves import DriveCurves
 from bstm_daemon.report.drive_statistics import DriveStatistics
 from bstm_daemon.report.replay_page import ReplayFacts, replay_page
 from bstm_daemon.report.screen import summary_table
-from bstm_daemon.report.shell import write_page
 from bstm_daemon.report.timescale import clock
 from bstm_daemon.terminal_text import raw_stream
 from bstm_daemon.watch.board import Board
@@ -162,7 +162,7 @@ def run(args: argparse.Namespace) -> int:
                 for target, form in targets.items()
             ]
             sinks: list[Sink] = [statistics, *tables]
-            sinks += [] if args.report is None else [curves]
+            sinks += [curves] if args.report or args.figures else []
             sinks += [worn] if config.wear.model_follows else []
             replayed = partial(
                 stream_log,
@@ -189,7 +189,7 @@ def run(args: argparse.Namespace) -> int:
             print(line)
         for target in targets:
             print(f"{target}: {statistics.rows} rows")
-        if args.report is not None:
+        if args.report or args.figures:
             facts = ReplayFacts(
                 title=f"Brake temperatures: {path.name}",
                 log=path.name,
@@ -203,9 +203,11 @@ def run(args: argparse.Namespace) -> int:
                 lines=log_run.lines,
                 frames=log_run.frames,
             )
-            page = replay_page(statistics.summary(), curves, facts)
-            write_page(args.report, page)
-            print(args.report)
+            summary = statistics.summary()
+            for line in write_pages(
+                args, partial(replay_page, summary, curves, facts)
+            ):
+                print(line)
         if args.publish is not None:
             channel = publish_channel(config)
             with Progress(f"publish {path.name}") as progress:
@@ -230,9 +232,12 @@ def _vehicle(args: argparse.Namespace) -> tuple[Config, SignalMap]:
 def _check_targets(args: argparse.Namespace, stems: list[str]) -> None:
     """Refuse targets that would overwrite each other or what is read."""
     if len(args.logs) > 1 and (
-        args.publish or args.report or args.watch or args.state
+        args.publish or args.report or args.figures or args.watch or args.state
     ):
-        msg = "--publish, --report, --state and --watch take one LOG at a time"
+        msg = (
+            "--publish, --report, --figures, --state and --watch take one LOG "
+            "at a time"
+        )
         raise UsageError(msg)
     if args.out is not None and len(set(stems)) < len(stems):
         msg = f"two logs would write the same files in {args.out}: {stems}"
