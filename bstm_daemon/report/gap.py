@@ -34,7 +34,7 @@ CANDIDATE_HEAD: Final = (
     *("ln Bayes factor", "probability"),
 )
 ADVICE_HEAD: Final = (
-    *("drive", "min", "right name", "wrong name"),
+    *("drive", "min", "right name", "a minute", "wrong name"),
     *("ln Bayes factor", "description"),
 )
 MODELS: Final = (*BASELINES, EXTENDED, ADOPTED)
@@ -377,8 +377,9 @@ def advice_headline(gap: Gap) -> str:
     if len(gap.members) > 1:
         names = f"the right one of {names}"
     return (
-        f"next drive: {best.drive}, {best.description}; with it {names} "
-        f"would be named in {100.0 * best.named:.0f} % of cases"
+        f"next drive, most right names a minute: {best.drive}, "
+        f"{best.description}; with it {names} would be named in "
+        f"{100.0 * best.named:.0f} % of cases"
     )
 
 
@@ -398,6 +399,7 @@ def advice_rows(gap: Gap) -> list[tuple[str, ...]]:
             one.drive,
             f"{one.duration_s / 60.0:.0f}",
             f"{100.0 * one.named:.0f} %",
+            f"{100.0 * one.named_per_min:.1f} %",
             f"{100.0 * one.wrong:.0f} %",
             f"{one.log_bayes_factor:+.1f}",
             one.description,
