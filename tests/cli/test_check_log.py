@@ -275,4 +275,4 @@ def test_report_draws_every_plot(log: Path, tmp_path: Path) -> None:
     assert 'data-drawn="yes"' in dom
     body = dom[: dom.index('<script type="application/json"')]
     plots = body.count("js-plotly-plot")
-    assert plots == body.count('<div class="plot">') > 10
+    assert plots == body.count('<div class="plot">') > 20

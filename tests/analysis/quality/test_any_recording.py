@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from bstm_daemon.analysis.quality.finding import Quality
 from bstm_daemon.analysis.quality.recording import Recording, Series
 from bstm_daemon.report.check import (
-    comparison_plot,
+    comparison_plots,
     quality_json,
     quality_text,
 )
@@ -71,4 +71,5 @@ def test_no_recording_breaks_the_check(
     assert quality_text(quality)
     assert quality_json(quality)["roles"]
     for comparison in quality.comparisons:
-        assert comparison_plot(comparison, end_s).data
+        (_, over_time), _ = comparison_plots(comparison, end_s)
+        assert over_time.data
