@@ -11,7 +11,6 @@ from bstm_daemon.analysis.identify.cooling import identify_cooling
 from bstm_daemon.analysis.identify.cooling_while_braking import (
     identify_while_braking,
 )
-from bstm_daemon.analysis.identify.driving import driving_of
 from bstm_daemon.analysis.identify.writing import (
     brake_changes,
     braked_changes,
@@ -19,7 +18,6 @@ from bstm_daemon.analysis.identify.writing import (
     cooling_changes,
     write_changed,
 )
-from bstm_daemon.analysis.quality.recording import read_recording
 from bstm_daemon.cli.arguments import (
     add_bus_map,
     add_config,
@@ -29,6 +27,7 @@ from bstm_daemon.cli.arguments import (
     check_new,
     check_targets,
 )
+from bstm_daemon.cli.log_command import read_drivings
 from bstm_daemon.cli.progress import Progress
 from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.errors import UsageError
@@ -40,9 +39,7 @@ if TYPE_CHECKING:
     import argparse
     from collections.abc import Callable
 
-    from bstm_daemon.analysis.identify.driving import Driving
     from bstm_daemon.analysis.identify.writing import Change
-    from bstm_daemon.bus.signals.signal_map import SignalMap
     from bstm_daemon.config.sections import Config
     from bstm_daemon.report.shell import Page
 
@@ -143,7 +140,7 @@ def run(args: argparse.Namespace) -> int:
     """
     _check(args)
     config, signal_map = load_vehicle(args.config)
-    drivings = _drivings(args, config, signal_map)
+    drivings = read_drivings(args, config, signal_map)
     names = ", ".join(log.name for log in args.logs)
     subtitle = f"{names} · {config.vehicle.id} · {args.config.name}"
     kind = KINDS[WHILE_BRAKING if args.while_braking else args.what]
@@ -180,21 +177,6 @@ def _check(args: argparse.Namespace) -> None:
     check_targets(
         (args.out, args.json, args.report), (args.config, *args.logs)
     )
-
-
-def _drivings(
-    args: argparse.Namespace, config: Config, signal_map: SignalMap
-) -> list[Driving]:
-    drivings = []
-    with Progress("identify") as progress:
-        for log in args.logs:
-            recording = read_recording(
-                [log], signal_map, dict(args.map), progress.show
-            )
-            drivings.append(
-                driving_of(log.name, recording, config, signal_map)
-            )
-    return drivings
 
 
 def _write(

@@ -3,8 +3,13 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
+from bstm_daemon.analysis.identify.guessed import (
+    identified_guesses,
+    with_changes,
+)
 from bstm_daemon.analysis.identify.writing import write_changed
 from bstm_daemon.analysis.matching.changes import changes_of
 from bstm_daemon.analysis.matching.coarse import guesses_of, read_as_guessed
@@ -16,6 +21,7 @@ from bstm_daemon.cli.log_command import (
     heading,
     names_of,
     open_vehicle,
+    read_drivings,
     write_results,
 )
 from bstm_daemon.cli.progress import Progress
@@ -64,6 +70,11 @@ def run(args: argparse.Namespace) -> int:
     """
     config, signal_map = open_vehicle(args, args.logs)
     guessed = guesses_of(args.config)
+    by_forces, why_not = identified_guesses(
+        config, guessed, lambda: read_drivings(args, config, signal_map)
+    )
+    config = with_changes(config, by_forces)
+    guessed -= {f"{one.section}.{one.key}" for one in by_forces}
     readings = _readings(args, config, signal_map, guessed)
     again = _follows_temperature(config)
     matches = _matches(args, config, readings, guessed, beside=not again)
@@ -82,10 +93,20 @@ def run(args: argparse.Namespace) -> int:
     verdict = "; ".join(headline(match) for match in matches)
     print(verdict)
     print(heading(args, config, names))
+    for change in by_forces:
+        print(f"  by forces, before the match: {change}")
+    for reason in why_not:
+        print(f"  by forces: {reason}")
     for match in matches:
         print(match_text(match))
     origin = f"matched, {names}, {time.strftime('%Y-%m-%d')}"
     changes = changes_of(matches, config, origin)
+    places = {(one.section, one.key, one.corner) for one in changes}
+    changes += [
+        replace(one, note=f"by forces, {names}")
+        for one in by_forces
+        if (one.section, one.key, one.corner) not in places
+    ]
     if args.out is not None:
         write_changed(args.config, args.out, changes, origin, verdict)
         print(f"{args.out}: {len(changes)} values")

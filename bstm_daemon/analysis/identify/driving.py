@@ -24,6 +24,7 @@ from bstm_daemon.analysis.quality.limits import (
     MOVING_MS,
     RELEASED_PA,
 )
+from bstm_daemon.analysis.quality.pressures import released_reading
 from bstm_daemon.analysis.quality.speeds import compare_speeds
 from bstm_daemon.analysis.statistics.series import Column, Mask, running_mean
 from bstm_daemon.errors import LogError
@@ -116,11 +117,13 @@ class Driving:
     def released(self) -> Mask:
         """Return where the brake is known to be released, (n,).
 
-        A missing pressure does not count as a released brake.
+        A missing pressure does not count as a released brake; one that rests
+        above 0 is released there.
         """
         released = np.full(len(self.time_s), self.brake_known)
         for pressure in self.pressures.values():
-            released &= pressure < RELEASED_PA
+            rest, _ = released_reading(pressure, self.speed_ms, self.rate_ms2)
+            released &= pressure - rest < RELEASED_PA
         if self.channels.alive(["brake_switch"]):
             released &= self.value("brake_switch") < 0.5
         return released
