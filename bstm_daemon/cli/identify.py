@@ -11,6 +11,7 @@ from bstm_daemon.analysis.identify.cooling import identify_cooling
 from bstm_daemon.analysis.identify.cooling_while_braking import (
     identify_while_braking,
 )
+from bstm_daemon.analysis.identify.driving import read_drivings
 from bstm_daemon.analysis.identify.writing import (
     brake_changes,
     braked_changes,
@@ -27,7 +28,6 @@ from bstm_daemon.cli.arguments import (
     check_new,
     check_targets,
 )
-from bstm_daemon.cli.log_command import read_drivings
 from bstm_daemon.cli.progress import Progress
 from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.errors import UsageError
@@ -140,7 +140,10 @@ def run(args: argparse.Namespace) -> int:
     """
     _check(args)
     config, signal_map = load_vehicle(args.config)
-    drivings = read_drivings(args, config, signal_map)
+    with Progress("identify") as progress:
+        drivings = read_drivings(
+            args.logs, config, signal_map, dict(args.map), progress.show
+        )
     names = ", ".join(log.name for log in args.logs)
     subtitle = f"{names} · {config.vehicle.id} · {args.config.name}"
     kind = KINDS[WHILE_BRAKING if args.while_braking else args.what]
