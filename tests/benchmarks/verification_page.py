@@ -52,6 +52,15 @@ the friction law uses.
 """
 
 TITLE: Final = re.compile(r"^## Structure (.+)$", re.MULTILINE)
+SHOWN_WHOLE: Final = (
+    "thesis on plain, heat known",
+    "extended on road, heat fused",
+)
+"""Settings whose single cases are shown: the thesis's, and a usual car's."""
+
+CHAPTER_6: Final = re.compile(
+    r"^Chapter 6, structure.*?(?=^#|^What|\Z)", re.MULTILINE | re.DOTALL
+)
 RE_MATCHED: Final = re.compile(
     r"^What re-matching car 2 moved.*?(?=^#|^[A-Z]|\Z)",
     re.MULTILINE | re.DOTALL,
@@ -75,10 +84,12 @@ class Sections:
     def take(self, name: str, lines: Sequence[str]) -> None:
         """Put *lines* as the section *name*, and write the document."""
         body = "\n".join(lines).strip()
+        if name not in SHOWN_WHOLE:
+            body = CHAPTER_6.sub("", body)
         if name != self.names[0]:
             # of what a second car moves one table is enough
-            body = RE_MATCHED.sub("", body).strip()
-        self.body[name] = body
+            body = RE_MATCHED.sub("", body)
+        self.body[name] = body.strip()
         if self.path is not None:
             self.path.write_text(self.text(), "utf-8")
 
