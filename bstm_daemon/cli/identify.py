@@ -10,6 +10,7 @@ from bstm_daemon.analysis.identify.cooling import identify_cooling
 from bstm_daemon.analysis.identify.cooling_while_braking import (
     identify_while_braking,
 )
+from bstm_daemon.analysis.identify.driving import read_drivings
 from bstm_daemon.analysis.identify.writing import (
     brake_changes,
     braked_changes,
@@ -21,7 +22,6 @@ from bstm_daemon.cli.log_command import (
     add_log_arguments,
     names_of,
     open_vehicle,
-    read_drivings,
     write_results,
 )
 from bstm_daemon.cli.progress import Progress
@@ -128,7 +128,10 @@ def run(args: argparse.Namespace) -> int:
     """
     _check(args)
     config, signal_map = open_vehicle(args, args.logs)
-    drivings = read_drivings(args, config, signal_map)
+    with Progress("identify") as progress:
+        drivings = read_drivings(
+            args.logs, config, signal_map, dict(args.map), progress.show
+        )
     names = names_of(args.logs)
     subject = names, config.vehicle.id
     kind = KINDS[WHILE_BRAKING if args.while_braking else args.what]

@@ -5,8 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bstm_daemon.analysis.identify.driving import driving_of
-from bstm_daemon.analysis.quality.recording import read_recording
 from bstm_daemon.cli.arguments import (
     add_bus_map,
     add_config,
@@ -16,7 +14,6 @@ from bstm_daemon.cli.arguments import (
     check_new,
     check_targets,
 )
-from bstm_daemon.cli.progress import Progress
 from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.report.figures import write_figures
 from bstm_daemon.report.json_file import write_json
@@ -26,7 +23,6 @@ if TYPE_CHECKING:
     import argparse
     from collections.abc import Callable, Iterable
 
-    from bstm_daemon.analysis.identify.driving import Driving
     from bstm_daemon.bus.signals.signal_map import SignalMap
     from bstm_daemon.config.sections import Config
     from bstm_daemon.report.shell import Page
@@ -69,28 +65,6 @@ def open_vehicle(
         check_new(out, force=args.force)
     check_targets((out, args.json, args.report), (args.config, *logs))
     return load_vehicle(args.config)
-
-
-def read_drivings(
-    args: argparse.Namespace, config: Config, signal_map: SignalMap
-) -> list[Driving]:
-    """Return the motion in each of the logs of *args*.
-
-    Raises:
-        LogError: a log holds no usable speed.
-    """
-    with Progress("identify") as progress:
-        return [
-            driving_of(
-                log.name,
-                read_recording(
-                    [log], signal_map, dict(args.map), progress.show
-                ),
-                config,
-                signal_map,
-            )
-            for log in args.logs
-        ]
 
 
 def names_of(logs: Iterable[Path]) -> str:

@@ -26,13 +26,15 @@ from bstm_daemon.analysis.quality.limits import (
     RELEASED_PA,
 )
 from bstm_daemon.analysis.quality.pressures import released_reading
+from bstm_daemon.analysis.quality.recording import read_recording
 from bstm_daemon.analysis.quality.speeds import compare_speeds
 from bstm_daemon.analysis.statistics.series import Column, Mask, running_mean
 from bstm_daemon.errors import LogError
 from bstm_daemon.model.heat.feed_back import Vehicle
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Callable, Iterable, Mapping, Sequence
+    from pathlib import Path
 
     from bstm_daemon.analysis.quality.recording import Recording
     from bstm_daemon.bus.signals.signal_map import SignalMap
@@ -185,6 +187,29 @@ def work_j(force_n: Column, speed_ms: Column) -> float:
     """Return the integral of force times speed over the grid (Eq 4.3)."""
     power = np.nan_to_num(force_n * speed_ms)
     return float((power[1:] + power[:-1]).sum()) * 0.5 * GRID_S
+
+
+def read_drivings(
+    logs: Sequence[Path],
+    config: Config,
+    signal_map: SignalMap,
+    overrides: Mapping[str, str] | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> list[Driving]:
+    """Return the motion in each of *logs*.
+
+    Raises:
+        LogError: a log holds no usable speed.
+    """
+    return [
+        driving_of(
+            log.name,
+            read_recording([log], signal_map, overrides, progress),
+            config,
+            signal_map,
+        )
+        for log in logs
+    ]
 
 
 def driving_of(
