@@ -31,7 +31,7 @@ FLOORS = (
     ("analysis",),
     ("watch",),
     ("report",),
-    ("cli",),
+    ("api", "cli"),
 )
 """The entries of the package, from the ground up. An entry imports from floors
 below its own and from itself; the ground also from its own floor."""

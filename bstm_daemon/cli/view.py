@@ -6,6 +6,7 @@ import asyncio
 import json
 import signal
 import threading
+import webbrowser
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -44,6 +45,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--start", choices=("cold", "unknown"), help=what)
     what = f"ADDRESS:PORT where the page is served (default: {ADDRESS})"
     parser.add_argument("--listen", default=ADDRESS, help=what)
+    what = "open the page in this computer's browser"
+    parser.add_argument("--open", action="store_true", help=what)
     what = "file with the token that a page beyond this computer must give"
     add_path(parser, "--token", "FILE", what)
     add_bus_map(parser)
@@ -82,6 +85,8 @@ def run(args: argparse.Namespace) -> int:
         def ready(port: int) -> None:
             host = f"[{guard.host}]" if ":" in guard.host else guard.host
             print(f"page: http://{host}:{port}/", flush=True)
+            if args.open:
+                webbrowser.open(f"http://{host}:{port}/")
             threading.Thread(target=read, name="feed", daemon=True).start()
 
         await serve(live, guard, end, ready)

@@ -22,8 +22,8 @@ from bstm_daemon.config.limits import (
 )
 from bstm_daemon.config.rules import Draft, problems_between
 from bstm_daemon.config.sections import Config
-from bstm_daemon.config.wording import hint, problems_of_section, toml_text
-from bstm_daemon.errors import ConfigError, FileAccessError
+from bstm_daemon.config.wording import problems_of_section, toml_text
+from bstm_daemon.errors import ConfigError, FileAccessError, hint
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
