@@ -57,11 +57,7 @@ def run(args: argparse.Namespace) -> int:
     require_packages("tornado", extra="view", purpose="bstm view")
     from bstm_daemon.feed.view import Guard, serve  # noqa: PLC0415  (extra)
 
-    token = None if args.token is None else read_secret(args.token).strip()
-    if token is not None and len(token) < SHORTEST_TOKEN:
-        msg = f"{args.token}: a token has at least {SHORTEST_TOKEN} characters"
-        raise UsageError(msg)
-    guard = Guard.of(args.listen, token)
+    guard = Guard.of(args.listen, args.token and _token(args.token))
     stop = threading.Event()
     place = args.log or _socket(args)
     source = _replayed(args, stop) if args.log else records(place, stop)
@@ -96,6 +92,14 @@ def run(args: argparse.Namespace) -> int:
     if failed:
         raise failed[0]
     return 0
+
+
+def _token(path: Path) -> str:
+    token = read_secret(path).strip()
+    if len(token) < SHORTEST_TOKEN:
+        msg = f"{path}: a token has at least {SHORTEST_TOKEN} characters"
+        raise UsageError(msg)
+    return token
 
 
 def _socket(args: argparse.Namespace) -> Path:
