@@ -21,11 +21,11 @@ HEAD = (
     "which everything that is compared takes its turn (`tests/benchmarks/`). "
     "Absolute times move by up to a factor of two with the load of a machine; "
     "the ratios hold, and goals are set on ratios. A goal's tolerance is the "
-    "part that may be missing before `.ci/run` fails. A section shows three "
+    "part that may be missing before `.ci/run` fails. A section shows two "
     "tables; `python tests/benchmarks/run.py NAME --full` prints all.\n"
 )
 
-SHOWN_TABLES = 3
+SHOWN_TABLES = 2
 
 
 def main(arguments: list[str] | None = None) -> int:
