@@ -53,7 +53,7 @@ def sentences_of(page: Path) -> list[int]:
             if not line.startswith(("|", "#", "    ", "<!--"))
         ]
         blocks.append(" ".join(lines))
-    ends = re.compile(r"(?<=[.:;?!])[)*`\"]*\s+")
+    ends = re.compile(r"(?<=[.?!])[)*`\"]*\s+")
     return [
         count
         for block in blocks
