@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from bstm_daemon.analysis.identify.brakes import identify_brakes
@@ -20,21 +19,16 @@ from bstm_daemon.analysis.identify.writing import (
     write_changed,
 )
 from bstm_daemon.analysis.quality.recording import read_recording
-from bstm_daemon.cli.arguments import (
-    add_bus_map,
-    add_config,
-    add_json,
-    add_new_config,
-    add_report,
-    check_new,
-    check_targets,
+from bstm_daemon.cli.log_command import (
+    add_log_arguments,
+    heading,
+    names_of,
+    open_vehicle,
+    write_results,
 )
-from bstm_daemon.cli.log_command import write_pages
 from bstm_daemon.cli.progress import Progress
-from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.errors import UsageError
 from bstm_daemon.report import brakes, coastdown, cooling
-from bstm_daemon.report.json_file import write_json
 
 if TYPE_CHECKING:
     import argparse
@@ -104,9 +98,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "in neutral; brakes: friction scale, push-out and axle shares from "
         "stops; cooling: S over speed from measured discs that cool",
     )
-    parser.add_argument("logs", nargs="+", type=Path, metavar="LOG")
-    add_config(parser)
-    add_new_config(parser)
+    add_log_arguments(parser, new_config=True)
     parser.add_argument(
         "--hold",
         action="append",
@@ -131,9 +123,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="cooling: S as a line over speed from whole drives, with heat "
         "from the car's motion",
     )
-    add_json(parser)
-    add_report(parser)
-    add_bus_map(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -142,10 +131,9 @@ def run(args: argparse.Namespace) -> int:
     The result is 1 if no value is identified.
     """
     _check(args)
-    config, signal_map = load_vehicle(args.config)
+    config, signal_map = open_vehicle(args, args.logs)
     drivings = _drivings(args, config, signal_map)
-    names = ", ".join(log.name for log in args.logs)
-    subtitle = f"{names} · {config.vehicle.id} · {args.config.name}"
+    names = names_of(args.logs)
     kind = KINDS[WHILE_BRAKING if args.while_braking else args.what]
     options: dict[str, Any] = {}
     if args.what == "coastdown":
@@ -153,12 +141,15 @@ def run(args: argparse.Namespace) -> int:
         options |= {"one_way": args.one_way, "even_grade": args.even_grade}
     with Progress(f"identify {args.what}"):
         result = kind.identify(drivings, config, **options)
-    print(f"{subtitle}\n{kind.text(result)}")
-    pages = write_pages(args, lambda: kind.page(result, subtitle))
-    if args.json:
-        files = [str(log) for log in args.logs]
-        write_json(args.json, {"files": files, **kind.data(result)})
-    for line in pages:
+    print(heading(args, config, names))
+    print(kind.text(result))
+    files = [str(log) for log in args.logs]
+    for line in write_results(
+        args,
+        (names, config.vehicle.id),
+        lambda: {"files": files, **kind.data(result)},
+        lambda subtitle: kind.page(result, subtitle),
+    ):
         print(line)
     changes = kind.changes(result, config)
     if args.out is not None:
@@ -175,10 +166,6 @@ def _check(args: argparse.Namespace) -> None:
     if args.what != "cooling" and args.while_braking:
         msg = "--while-braking is an option of cooling"
         raise UsageError(msg)
-    check_new(args.out, force=args.force)
-    check_targets(
-        (args.out, args.json, args.report), (args.config, *args.logs)
-    )
 
 
 def _drivings(
