@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import can
 
 from bstm_daemon.cli.arguments import add_out
+from bstm_daemon.cli.live_demo import run_live
 from bstm_daemon.cli.progress import Progress
 from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.engine import Engine
@@ -62,11 +63,19 @@ COLUMNS = {
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``bstm demo``."""
     add_out(parser, "folder for report and table (default: bstm-demo)", "DIR")
+    parser.add_argument(
+        "--live",
+        action="store_true",
+        help="at the car's own pace instead: simulated car, service and "
+        "display as three processes on a virtual bus, until Ctrl-C or q",
+    )
 
 
 def run(args: argparse.Namespace) -> int:
     """Simulate, listen, publish, display, report."""
     folder = args.out or Path("bstm-demo")
+    if args.live:
+        return run_live(folder, DRIVE)
     make_folder(folder)
     ensure_writable(folder / "report.html")
     require_page_packages()

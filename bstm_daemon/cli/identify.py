@@ -10,7 +10,7 @@ from bstm_daemon.analysis.identify.cooling import identify_cooling
 from bstm_daemon.analysis.identify.cooling_while_braking import (
     identify_while_braking,
 )
-from bstm_daemon.analysis.identify.driving import driving_of
+from bstm_daemon.analysis.identify.driving import read_drivings
 from bstm_daemon.analysis.identify.writing import (
     brake_changes,
     braked_changes,
@@ -18,10 +18,8 @@ from bstm_daemon.analysis.identify.writing import (
     cooling_changes,
     write_changed,
 )
-from bstm_daemon.analysis.quality.recording import read_recording
 from bstm_daemon.cli.log_command import (
     add_log_arguments,
-    heading,
     names_of,
     open_vehicle,
     write_results,
@@ -34,9 +32,7 @@ if TYPE_CHECKING:
     import argparse
     from collections.abc import Callable
 
-    from bstm_daemon.analysis.identify.driving import Driving
     from bstm_daemon.analysis.identify.writing import Change
-    from bstm_daemon.bus.signals.signal_map import SignalMap
     from bstm_daemon.config.sections import Config
     from bstm_daemon.report.shell import Page
 
@@ -132,8 +128,12 @@ def run(args: argparse.Namespace) -> int:
     """
     _check(args)
     config, signal_map = open_vehicle(args, args.logs)
-    drivings = _drivings(args, config, signal_map)
+    with Progress("identify") as progress:
+        drivings = read_drivings(
+            args.logs, config, signal_map, dict(args.map), progress.show
+        )
     names = names_of(args.logs)
+    subject = names, config.vehicle.id
     kind = KINDS[WHILE_BRAKING if args.while_braking else args.what]
     options: dict[str, Any] = {}
     if args.what == "coastdown":
@@ -141,12 +141,12 @@ def run(args: argparse.Namespace) -> int:
         options |= {"one_way": args.one_way, "even_grade": args.even_grade}
     with Progress(f"identify {args.what}"):
         result = kind.identify(drivings, config, **options)
-    print(heading(args, config, names))
+    print(" · ".join((*subject, args.config.name)))
     print(kind.text(result))
     files = [str(log) for log in args.logs]
     for line in write_results(
         args,
-        (names, config.vehicle.id),
+        subject,
         lambda: {"files": files, **kind.data(result)},
         lambda subtitle: kind.page(result, subtitle),
     ):
@@ -166,21 +166,6 @@ def _check(args: argparse.Namespace) -> None:
     if args.what != "cooling" and args.while_braking:
         msg = "--while-braking is an option of cooling"
         raise UsageError(msg)
-
-
-def _drivings(
-    args: argparse.Namespace, config: Config, signal_map: SignalMap
-) -> list[Driving]:
-    drivings = []
-    with Progress("identify") as progress:
-        for log in args.logs:
-            recording = read_recording(
-                [log], signal_map, dict(args.map), progress.show
-            )
-            drivings.append(
-                driving_of(log.name, recording, config, signal_map)
-            )
-    return drivings
 
 
 def _write(

@@ -20,8 +20,11 @@ HEAD = (
     "which everything that is compared takes its turn (`tests/benchmarks/`). "
     "Absolute times move by up to a factor of two with the load of a machine; "
     "the ratios hold, and goals are set on ratios. A goal's tolerance is the "
-    "part that may be missing before `.ci/run` fails.\n"
+    "part that may be missing before `.ci/run` fails. A section shows three "
+    "tables; `python tests/benchmarks/run.py NAME --full` prints all.\n"
 )
+
+SHOWN_TABLES = 3
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -59,7 +62,7 @@ def section(outcome: dict[str, Any]) -> str:
         f"{taken['date']}, commit {taken['commit']}; {taken['machine']}.",
         "",
     ]
-    for table in outcome["tables"]:
+    for table in outcome["tables"][:SHOWN_TABLES]:
         lines += [f"{table['title']}:", "", *markdown(table), ""]
     if outcome["goals"]:
         goals = [

@@ -277,6 +277,7 @@ def test_a_dark_screen_has_a_dark_page(
     assert found["line"] == "rgb(230, 237, 243)"
 
 
+@pytest.mark.slow
 def test_a_drive_known_from_thermocouples_only_is_drawn(
     tmp_path: Path, descent: Results
 ) -> None:

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 
 import numpy as np
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from bstm_daemon.analysis.quality.finding import Quality
@@ -47,6 +47,7 @@ CHANNELS = st.lists(
 
 @settings(max_examples=60, deadline=None)
 @given(CHANNELS)
+@example([(32, "constant", 1e300, 10.0, 0), (33, "constant", 0.0, 10.0, 0)])
 def test_no_recording_breaks_the_check(
     role_names: list[str],
     judged: Callable[[Recording], Quality],
