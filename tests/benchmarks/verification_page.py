@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING, Final
 
-from measurements import markdown
+from measurements import markdown, wrapped
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -103,7 +103,7 @@ class Sections:
                 "",
                 *markdown(self._summary(there)),
                 "",
-                ABOUT,
+                wrapped(ABOUT),
                 "",
                 *(
                     f"## Structure {name}\n\n{self.body[name]}\n"
