@@ -66,14 +66,9 @@ def new_client(url: str, credentials: MqttFile) -> Client:
         FileAccessError: a certificate can not be read.
     """
     parts = urlsplit(url)
-    try:
-        port = parts.port or PORTS[parts.scheme]
-    except (KeyError, ValueError) as error:
+    host = parts.hostname
+    if parts.scheme not in PORTS or not host or parts.path not in {"", "/"}:
         msg = f"--broker {url}: must be mqtts://HOST[:PORT] or mqtt://..."
-        raise UsageError(msg) from error
-    host = parts.hostname or ""
-    if not host or parts.path not in {"", "/"}:
-        msg = f"--broker {url}: needs a host and nothing behind the port"
         raise UsageError(msg)
     if parts.username or parts.password:
         msg = "--broker: username and password belong into --credentials FILE"
@@ -90,6 +85,11 @@ def new_client(url: str, credentials: MqttFile) -> Client:
     client.max_queued_messages_set(MOST_KEPT)
     # any number is slept for, though paho's hint says a whole one
     client.reconnect_delay_set(*BACK_OFF_S)  # type: ignore[arg-type]
+    try:
+        port = parts.port or PORTS[parts.scheme]
+    except ValueError as error:
+        msg = f"--broker {url}: {error}"
+        raise UsageError(msg) from error
     client.connect_async(host, port, KEEP_ALIVE_S)
     return client
 

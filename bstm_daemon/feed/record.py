@@ -1,8 +1,7 @@
 """One publication as a line of JSON; ``docs/connected.md`` has its fields.
 
-Formed ten times a second on the thread of the live service: the numbers of a
-corner are written by one format. ``null`` is unknown, ``"beyond"`` a time
-beyond the forecast.
+Formed ten times a second on the thread of the live service: written, not
+serialised. ``null`` is unknown, ``"beyond"`` a time beyond the forecast.
 """
 
 from __future__ import annotations
@@ -26,20 +25,6 @@ SCHEMA: Final = "bstm.feed"
 VERSION: Final = 1
 """Raised where a field changes its meaning or goes."""
 
-_CORNER: Final = (
-    '"%s":{"validity":"%s","reasons":%s,"level":"%s","sure_level":"%s",'
-    '"disc_c":%.1f,"pad_front_c":%.1f,"pad_back_c":%.1f,"fluid_c":%.1f,'
-    '"boiling_c":%.1f,"margin_k":%.1f,"probability":%.4g,'
-    '"peak_c":%.1f,"peak_in_s":%.0f,"waiting_s":%.0f,"fade":"%s",'
-    '"pad_mm":%.2f,"pad_wear_percent":%.1f,"wear_level":"%s",'
-    '"wear_validity":"%s"}'
-)
-_CAR: Final = (
-    '"time_s":%.1f,"validity":"%s","state":"%s","heat_mode":"%s",'
-    '"history_known":%s,"level":"%s","probability":%.4g,"boiling_low_c":%.1f,'
-    '"advice":{"validity":"%s","message":"%s","sound":"%s",'
-    '"shift_advice":"%s","emergency_assist":"%s","waiting_s":%.0f}'
-)
 _NO_NUMBER: Final = re.compile(r":-?(?:nan|inf)\b")
 _NO_CAR_RISK: Final = CarRisk()
 
@@ -49,14 +34,12 @@ class RecordWriter:
 
     def __init__(self, config: Config) -> None:
         """Take the car's name and the linings' limits from *config*."""
-        self._linings: dict[str, tuple[float, float]] = {
-            corner.name: (
-                corner.pad.new_thickness_m or corner.pad.thickness_m,
-                config.wear.limit_m,
-            )
+        self._new_m: dict[str, float] = {
+            corner.name: corner.pad.new_thickness_m or corner.pad.thickness_m
             for corner in config.corner
             if corner.pad is not None
         }
+        self._limit_m = config.wear.limit_m
         self._head = (
             f'{{"schema":"{SCHEMA}","version":{VERSION},'
             f'"vehicle":{json.dumps(config.vehicle.id)},"seq":'
@@ -65,7 +48,7 @@ class RecordWriter:
     def line(self, estimate: Estimate, seq: int = 0) -> bytes:
         """Return *estimate* as a line with the number *seq*."""
         corners = ",".join(
-            self._corner(name, corner)
+            f'"{name}":{{{self._corner(name, corner)}}}'
             for name, corner in estimate.corners.items()
         )
         body = f'{_car(estimate)},"corners":{{{corners}}}}}\n'
@@ -73,37 +56,36 @@ class RecordWriter:
         return f"{self._head}{seq},{body}".encode()
 
     def _corner(self, name: str, corner: CornerEstimate) -> str:
-        risk = corner.risk or NO_RISK
-        wear = corner.wear
-        return _CORNER % (
-            name,
-            word(corner.validity),
-            _reasons(corner.reasons),
-            word(corner.level),
-            word(corner.sure_level),
-            to_celsius(corner.disc_k),
-            to_celsius(corner.pad_front_k),
-            to_celsius(corner.pad_back_k),
-            to_celsius(corner.fluid_k),
-            to_celsius(corner.boiling_k),
-            corner.margin_k,
-            risk.probability,
-            to_celsius(risk.peak_k),
-            max(risk.peak_in_s - corner.forecast_age_s, 0.0),
-            corner.waiting_s,
-            word(risk.fade),
-            1e3 * wear.thickness_m,
-            wear_percent(wear.thickness_m, *self._linings.get(name, _NONE)),
-            word(wear.level),
-            word(wear.validity),
+        risk, wear = corner.risk or NO_RISK, corner.wear
+        worn = wear_percent(
+            wear.thickness_m, self._new_m.get(name, nan), self._limit_m
+        )
+        peak_in_s = max(risk.peak_in_s - corner.forecast_age_s, 0.0)
+        return (
+            f'"validity":"{word(corner.validity)}",'
+            f'"reasons":{_reasons(corner.reasons)},'
+            f'"level":"{word(corner.level)}",'
+            f'"sure_level":"{word(corner.sure_level)}",'
+            f'"disc_c":{to_celsius(corner.disc_k):.1f},'
+            f'"pad_front_c":{to_celsius(corner.pad_front_k):.1f},'
+            f'"pad_back_c":{to_celsius(corner.pad_back_k):.1f},'
+            f'"fluid_c":{to_celsius(corner.fluid_k):.1f},'
+            f'"boiling_c":{to_celsius(corner.boiling_k):.1f},'
+            f'"margin_k":{corner.margin_k:.1f},'
+            f'"probability":{risk.probability:.4g},'
+            f'"peak_c":{to_celsius(risk.peak_k):.1f},'
+            f'"peak_in_s":{peak_in_s:.0f},'
+            f'"waiting_s":{corner.waiting_s:.0f},'
+            f'"fade":"{word(risk.fade)}",'
+            f'"pad_mm":{1e3 * wear.thickness_m:.2f},'
+            f'"pad_wear_percent":{worn:.1f},'
+            f'"wear_level":"{word(wear.level)}",'
+            f'"wear_validity":"{word(wear.validity)}"'
         )
 
 
-_NONE: Final = (nan, nan)
-
-
 def wear_percent(thickness_m: float, new_m: float, limit_m: float) -> float:
-    """Return the wear of a lining [%]: 0 is new, 100 worn (COVESA VSS).
+    """Return the wear [%] of a lining, 0 is new and 100 worn (COVESA VSS).
 
     Args:
         thickness_m: of the lining now [m].
@@ -134,19 +116,19 @@ def _reasons(reasons: Reason) -> str:
 def _car(estimate: Estimate) -> str:
     status, advice = estimate.status, estimate.advice
     risk = estimate.risk or _NO_CAR_RISK
-    return _CAR % (
-        estimate.time_us * 1e-6,
-        word(estimate.validity),
-        word(status.state),
-        word(status.heat_mode),
-        "true" if status.history_known else "false",
-        word(risk.level),
-        risk.probability,
-        to_celsius(risk.boiling_low_k),
-        word(advice.validity),
-        word(advice.message),
-        word(advice.sound),
-        word(advice.shift_advice),
-        word(advice.emergency_assist),
-        advice.waiting_s,
+    return (
+        f'"time_s":{estimate.time_us * 1e-6:.1f},'
+        f'"validity":"{word(estimate.validity)}",'
+        f'"state":"{word(status.state)}",'
+        f'"heat_mode":"{word(status.heat_mode)}",'
+        f'"history_known":{json.dumps(status.history_known)},'
+        f'"level":"{word(risk.level)}",'
+        f'"probability":{risk.probability:.4g},'
+        f'"boiling_low_c":{to_celsius(risk.boiling_low_k):.1f},'
+        f'"advice":{{"validity":"{word(advice.validity)}",'
+        f'"message":"{word(advice.message)}",'
+        f'"sound":"{word(advice.sound)}",'
+        f'"shift_advice":"{word(advice.shift_advice)}",'
+        f'"emergency_assist":"{word(advice.emergency_assist)}",'
+        f'"waiting_s":{advice.waiting_s:.0f}}}'
     )

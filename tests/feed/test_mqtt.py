@@ -519,9 +519,9 @@ def test_another_vehicle_has_topics_of_its_own(
     ("url", "words"),
     [
         ("http://broker", "mqtts://HOST"),
-        ("mqtts://broker:port", "mqtts://HOST"),
-        ("mqtts://", "needs a host"),
-        ("mqtts://broker/topic", "nothing behind"),
+        ("mqtts://broker:port", "port"),
+        ("mqtts://", "mqtts://HOST"),
+        ("mqtts://broker/topic", "mqtts://HOST"),
         ("mqtts://car:secret@broker", "--credentials"),
         ("mqtt://broker", "needs mqtts"),
     ],
