@@ -26,7 +26,7 @@ FLOORS = (
     ("model", "simulation"),
     ("estimator",),
     ("advice", "forecast"),
-    ("engine",),
+    ("engine", "feed"),
     ("replay", "service"),
     ("analysis",),
     ("watch",),

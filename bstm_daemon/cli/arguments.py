@@ -70,9 +70,11 @@ def add_json(parser: argparse.ArgumentParser) -> None:
 
 
 def add_report(parser: argparse.ArgumentParser) -> None:
-    """Add ``--report FILE.html``; ``args.report`` may be None."""
+    """Add ``--report FILE.html`` and ``--figures DIR``; both may be None."""
     what = "write an HTML report that needs no network"
     add_path(parser, "--report", "FILE.html", what)
+    what = "write each plot of the report as PNG and SVG into DIR"
+    add_path(parser, "--figures", "DIR", what)
 
 
 def add_no_forecast(parser: argparse.ArgumentParser) -> None:
@@ -110,6 +112,12 @@ def require_extras(args: argparse.Namespace) -> None:
         )
 
         require_page_packages()
+    if getattr(args, "figures", None):
+        from bstm_daemon.report.figures import (  # noqa: PLC0415  (heavy)
+            require_figure_packages,
+        )
+
+        require_figure_packages()
     if getattr(args, "out_is_config", False) and args.out:
         require_packages("tomlkit", extra="identify", purpose="-o NEW.toml")
 

@@ -48,6 +48,7 @@ TICK_US = 1_000_000
 """What is published does not depend on it: each frame has its own time."""
 
 START = "start cold: the car stood overnight (bstm replay --start cold)"
+SENSORS = "simulated sensor"
 ROW_S = 300
 SHOWN = ("FL", "RL")
 COLUMNS = {
@@ -89,7 +90,11 @@ def run(args: argparse.Namespace) -> int:
     display = Board(config.publish.id_base)
     print(START)
     engine = Engine(config, signal_map, history_known=True)
-    rows, statistics, curves = Collector(), DriveStatistics(), DriveCurves()
+    rows, statistics, curves = (
+        Collector(),
+        DriveStatistics(),
+        DriveCurves(SENSORS),
+    )
     print(_heading())
     with (
         csv_file(folder / "estimates.csv") as table,
@@ -117,6 +122,7 @@ def run(args: argparse.Namespace) -> int:
         counts=engine.estimator.counts,
         compiled=engine.estimator.compiled,
         warnings=("Simulated data: no car was driven.", START),
+        sensors=SENSORS,
     )
     page = replay_page(statistics.summary(), curves, facts)
     write_page(folder / "report.html", page)

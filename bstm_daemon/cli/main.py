@@ -44,6 +44,8 @@ COMMANDS: Final[dict[str, str]] = {
     "replay": "estimate brake temperatures from recorded CAN logs",
     "run": "monitor a live CAN bus, publish temperatures and risk",
     "watch": "show the published temperatures live in the terminal",
+    "view": "show the estimates live as a page in a browser",
+    "bridge": "publish the estimates to an MQTT broker",
     "forecast": "forecast the brake fluid of the parked car from a state file",
     "identify": "find the car's resistances and brake friction in drives",
     "heat": "compare the brake heat of Feed-Forward, Feed-Back and the bus",

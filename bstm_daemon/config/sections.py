@@ -34,6 +34,7 @@ from bstm_daemon.config.section import (
 from bstm_daemon.config.service import (
     DaemonConfig,
     E2eConfig,
+    FeedConfig,
     MetricsConfig,
     PublishConfig,
     RecordConfig,
@@ -474,6 +475,7 @@ class Config(Section):
     daemon: DaemonConfig = DaemonConfig()
     record: RecordConfig = RecordConfig()
     metrics: MetricsConfig = MetricsConfig()
+    feed: FeedConfig = FeedConfig()
 
     def _check(self) -> None:
         if self.heat.mode == "auto":

@@ -41,6 +41,7 @@ SECTIONS: dict[str, type[Section]] = {
     "`[daemon]`": sections.DaemonConfig,
     "`[record]`": sections.RecordConfig,
     "`[metrics]`": sections.MetricsConfig,
+    "`[feed]`": service.FeedConfig,
 }
 
 ROW = re.compile(r"^\| `(\w+)` \| ([^|]+) \|.*\|$", re.MULTILINE)

@@ -15,6 +15,7 @@ from bstm_daemon.analysis.quality.accelerations import (
     LONGITUDINAL,
     compare_accelerations,
 )
+from bstm_daemon.analysis.quality.braking import resistance_n
 from bstm_daemon.analysis.quality.channels import PRESSURES, Channels
 from bstm_daemon.analysis.quality.finding import Notes
 from bstm_daemon.analysis.quality.frozen import find_frozen_speeds
@@ -129,12 +130,6 @@ class Driving:
         if self.channels.alive(["brake_switch"]):
             released &= self.value("brake_switch") < 0.5
         return released
-
-
-def resistance_n(car: Vehicle, speed_ms: Column) -> Column:
-    """Return Eq 4.2 at *speed_ms* (n,), 0 at rest, NaN where unknown."""
-    rolling = (car.quadratic * speed_ms + car.linear) * speed_ms + car.constant
-    return np.where(speed_ms <= 0.0, 0.0, rolling)
 
 
 @dataclass(frozen=True, slots=True)
