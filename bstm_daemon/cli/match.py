@@ -5,10 +5,11 @@ from __future__ import annotations
 import time
 from typing import TYPE_CHECKING, Final
 
-from bstm_daemon.analysis.identify.writing import write_changed
+from bstm_daemon.analysis.identify.writing import Entries, write_changed
 from bstm_daemon.analysis.matching.changes import changes_of
 from bstm_daemon.analysis.matching.coarse import guesses_of, read_as_guessed
 from bstm_daemon.analysis.matching.drives import read_drives
+from bstm_daemon.analysis.matching.learned import learned
 from bstm_daemon.analysis.matching.matcher import match_drives
 from bstm_daemon.analysis.matching.tunables import DRAG, Target
 from bstm_daemon.cli.log_command import (
@@ -87,7 +88,10 @@ def run(args: argparse.Namespace) -> int:
     origin = f"matched, {names}, {time.strftime('%Y-%m-%d')}"
     changes = changes_of(matches, config, origin)
     if args.out is not None:
-        write_changed(args.config, args.out, changes, origin, verdict)
+        write_changed(
+            *(args.config, args.out, changes, origin, verdict),
+            Entries(matched=[learned(match) for match in matches]),
+        )
         print(f"{args.out}: {len(changes)} values")
     for line in write_results(
         args,

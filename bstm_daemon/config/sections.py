@@ -18,6 +18,7 @@ from bstm_daemon.config.estimates import (
     AdviceConfig,
     FluidConfig,
     ForecastConfig,
+    MatchedConfig,
     WearConfig,
 )
 from bstm_daemon.config.heat import HeatConfig, automatic_mode
@@ -445,6 +446,23 @@ class EffectConfig(Section):
     """where the values come from; kept, not used"""
 
 
+class ChangeConfig(Section):
+    """``[[change]]``: a value of this car that changed since its match.
+
+    The values themselves stand where they always do; this says which of them
+    moved, when and why.
+    """
+
+    name: Text
+    """what changed"""
+    corner: Literal["FL", "FR", "RL", "RR", "all"] = "all"
+    """one corner, or all"""
+    factor: Positive
+    """the value over that of the match"""
+    provenance: dict[str, Any] = {}
+    """where it comes from; kept, not used"""
+
+
 class Config(Section):
     """A whole configuration file; its heat mode is never "auto"."""
 
@@ -456,11 +474,13 @@ class Config(Section):
     thermal: ThermalConfig = ThermalConfig()
     cooling: CoolingConfig = CoolingConfig()
     accuracy: AccuracyConfig = AccuracyConfig()
+    matched: list[MatchedConfig] = []
     heat: HeatConfig = HeatConfig()
     fluid: FluidConfig = FluidConfig()
     wear: WearConfig = WearConfig()
     forecast: ForecastConfig = ForecastConfig()
     effect: list[EffectConfig] = []
+    change: list[ChangeConfig] = []
     publish: PublishConfig = PublishConfig()
     advice: AdviceConfig = AdviceConfig()
     e2e: list[E2eConfig] = []

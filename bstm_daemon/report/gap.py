@@ -6,8 +6,15 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from bstm_daemon.analysis.gap.changes import (
+    factor_of,
+    is_change,
+    largest,
+    name_of,
+    said,
+    said_percent,
+)
 from bstm_daemon.analysis.gap.holdout_comparison import (
-    ADOPTED,
     BASELINES,
     EXTENDED,
     Shrink,
@@ -18,6 +25,7 @@ from bstm_daemon.report.text import table
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from bstm_daemon.analysis.gap.evidence import Candidate
     from bstm_daemon.analysis.gap.fitting import Fit
     from bstm_daemon.analysis.gap.heat_only import ForceGap
     from bstm_daemon.analysis.gap.holdout_comparison import Shown
@@ -35,7 +43,7 @@ ADVICE_HEAD: Final = (
     *("drive", "min", "right name", "wrong name"),
     *("ln Bayes factor", "description"),
 )
-MODELS: Final = (*BASELINES, EXTENDED, ADOPTED)
+MODELS: Final = (*BASELINES, EXTENDED)
 ERROR_HEAD: Final = ("drive", "node", *MODELS)
 MATCH_FIRST: Final = (
     "the tunables, within their priors, can explain the residual heat: match "
@@ -65,6 +73,13 @@ def gap_text(gap: Gap) -> str:
     if gap.fit is not None:
         for name, strength in gap.fit.strengths.items():
             low, high = gap.fit.interval(name)
+            if is_change(name):
+                ends = [said_percent(name, end) for end in (low, high)]
+                lines.append(
+                    f"{said(name, strength)} (90 % interval {ends[0]} to "
+                    f"{ends[1]})"
+                )
+                continue
             lines.append(
                 f"{name}: strength {strength:.2f} +- "
                 f"{gap.fit.deviations[name]:.2f} with the error of its form, "
@@ -95,21 +110,36 @@ def headline(gap: Gap) -> str:
 
 def answer_line(naming: Naming, what: str) -> str:
     """Return the answer of *naming*, found in *what*, in one line."""
-    names = ", ".join(naming.names)
+    names = ", ".join(called(naming, name) for name in naming.names)
     share = percent(naming.probability)
+    which = "missing" if any_effect(naming) else "changed"
     return {
         "nothing": f"no missing effect visible (nothing missing: {share})",
-        "name": f"missing: {names} (probability {share})",
-        "class": f"missing: one of {names}; {what} cannot distinguish them",
+        "name": f"{which}: {names} (probability {share})",
+        "class": f"{which}: one of {names}; {what} cannot distinguish them",
         "unknown": "missing: none of the known effects",
         "undecided": f"something is missing, but not named; possible: {names}",
     }[naming.answer]
 
 
+def any_effect(naming: Naming) -> bool:
+    """Whether an effect is among the names, or there are none."""
+    return not naming.names or not all(map(is_change, naming.names))
+
+
+def called(naming: Naming, name: str) -> str:
+    """Return what *name* is called in an answer: a change in plain words."""
+    if not is_change(name):
+        return name
+    own = next(one for one in naming.candidates if one.name == name)
+    return said(name, own.strength, cause=len(naming.names) == 1)
+
+
 def answer_tile(naming: Naming) -> tuple[str, str]:
     """Return the answer for the head of a page: a figure, its meaning."""
-    names = [name.replace("_", " ") for name in naming.names]
-    either, meaning = " or ".join(names), "missing effect"
+    names = [called(naming, name).replace("_", " ") for name in naming.names]
+    either = " or ".join(names)
+    meaning = "missing effect" if any_effect(naming) else "change"
     return {
         "nothing": ("nothing visible", meaning),
         "unknown": ("not in the catalogue", meaning),
@@ -132,6 +162,8 @@ def strength_tiles(found: Fit | ForceGap) -> list[tuple[str, str]]:
             f"{strength:.2f} ± {found.deviations[name]:.2f}",
             f"strength of {name.replace('_', ' ')}, 1 = typical",
         )
+        if not is_change(name)
+        else (said_percent(name, strength), name_of(name))
         for name, strength in found.strengths.items()
     ]
 
@@ -158,7 +190,11 @@ def naming_lines(naming: Naming) -> list[str]:
     """Return why the answer is what it is."""
     lines = [naming.reason]
     if naming.answer == "name":
-        lines += [f"{k}: {effect_class(k).description}" for k in naming.names]
+        lines += [
+            f"{k}: {effect_class(k).description}"
+            for k in naming.names
+            if not is_change(k)
+        ]
     if naming.names or np.isfinite(naming.best_placebo_z):
         lines.append(
             f"explains {100.0 * naming.explained:.0f} % of what all effects "
@@ -177,9 +213,7 @@ def candidate_rows(naming: Naming) -> list[tuple[str, ...]]:
     """Return a row for each of the likeliest candidates."""
     return [
         (
-            one.name,
-            f"{one.strength:.2f}",
-            f"{one.deviation:.2f}",
+            *strength_cells(one),
             f"{one.z:.1f}",
             # adding 0.0 turns -0.0 into 0.0
             f"{round(one.log_evidence, 1) + 0.0:.1f}",
@@ -187,6 +221,18 @@ def candidate_rows(naming: Naming) -> list[tuple[str, ...]]:
         )
         for one in naming.candidates[:SHOWN_CANDIDATES]
     ]
+
+
+def strength_cells(one: Candidate) -> tuple[str, str, str]:
+    """Return name, strength and its deviation; of a change its percents."""
+    if not is_change(one.name):
+        return one.name, f"{one.strength:.2f}", f"{one.deviation:.2f}"
+    deviation = 100.0 * (factor_of(one.name, one.deviation) - 1.0)
+    return (
+        name_of(one.name),
+        said_percent(one.name, one.strength),
+        f"{deviation:.0f} %",
+    )
 
 
 def unnamed_lines(gap: Gap) -> list[str]:
@@ -206,10 +252,14 @@ def reach_lines(naming: Naming) -> list[str]:
     """
     near, far = [], []
     for one in sorted(naming.candidates, key=lambda one: one.reach):
-        if one.reach <= effect_class(one.name).parameters()[0].upper:
-            near.append(f"{one.name} {one.reach:.2f}")
+        if one.reach > largest(one.name):
+            far.append(name_of(one.name))
+        elif is_change(one.name):
+            near.append(
+                f"{name_of(one.name)} {said_percent(one.name, one.reach)}"
+            )
         else:
-            far.append(one.name)
+            near.append(f"{one.name} {one.reach:.2f}")
     shown = ", ".join(near) or "none"
     lines = [f"could have been shown, from the strength of: {shown}"]
     if far:
@@ -242,15 +292,13 @@ def shown_lines(shown: Shown) -> list[str]:
         if name in shown.fluid_shrinks:
             text += f", fluid {shown.fluid_shrinks[name].factor:.1f}"
         lines.append(text)
-    one = shown.adopted
-    text = f"as adopted, the tunables as configured: {times(one)}"
-    if one.factor < 1.0:
-        text += "; match them again (bstm match)"
     moved = ", ".join(
         f"{name} {bend:.2f}" for name, bend in shown.bends.items() if bend
     )
     moved = f"tunables moved, in deviations of their priors: {moved}"
-    return [*lines, text, moved]
+    if not shown.better:
+        lines.append("what was found does not make the gap smaller there")
+    return [*lines, moved]
 
 
 def shown_where(shown: Shown) -> str:
@@ -279,9 +327,9 @@ def adopted_text(gaps: Sequence[Gap | ForceGap]) -> str:
     """Return what is written into a configuration, in a few words."""
     found = []
     for gap in gaps:
-        names = ", ".join(effect.name for effect in gap.effects())
+        names = ", ".join(map(name_of, gap.adopted))
         if names and gap.naming is not None and gap.naming.answer == "class":
-            alike = ", ".join(gap.naming.names)
+            alike = ", ".join(map(name_of, gap.naming.names))
             names += f" (one of {alike}; these drives cannot distinguish them)"
         if names:
             found.append(names)

@@ -82,7 +82,9 @@ def weigh(
     """Return what *signature* does to *residual* (n,)."""
     columns = np.column_stack((residual, signature.linear, signature.curved))
     gram = columns.T @ project(columns)
-    grid, weights = strength_prior(either_sign=signature.either_sign)
+    grid, weights = strength_prior(
+        either_sign=signature.either_sign, even=signature.even
+    )
     gains = _gains(gram, grid)
     top = int(np.argmax(gains))
     best = _refined(gram, grid, top)
@@ -102,14 +104,19 @@ def weigh(
     )
 
 
-def strength_prior(*, either_sign: bool) -> tuple[Column, Column]:
-    """Return strengths and their weights, log-normal, summing to 1."""
+def strength_prior(
+    *, either_sign: bool, even: bool = False
+) -> tuple[Column, Column]:
+    """Return strengths and their weights, log-normal, summing to 1.
+
+    Both signs are as likely where that is *even*.
+    """
     grid = STRENGTHS
     if either_sign:
         grid = np.concatenate((-STRENGTHS[::-1], STRENGTHS))
     logs = (np.log(np.abs(grid)) - LOG_CENTRE) / LOG_WIDTH
     weights = np.exp(-0.5 * logs**2)
-    if either_sign:
+    if either_sign and not even:
         # the typical sign is the likelier one
         weights = np.where(grid > 0, 0.75, 0.25) * weights
     return grid, np.asarray(weights / weights.sum())

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 
+from bstm_daemon.analysis.gap.changes import is_change, twins_of
 from bstm_daemon.analysis.gap.evidence import (
     Candidate,
     JointEffects,
@@ -296,7 +297,11 @@ def _single(
 ) -> Naming:
     odds = common.odds
     if odds[best.name] >= SURE:
-        reason = effect_class(best.name).signature
+        reason = (
+            "a value that the match had otherwise explains it"
+            if is_change(best.name)
+            else effect_class(best.name).signature
+        )
         return common.answered("name", (best.name,), odds[best.name], reason)
     members = [best.name]
     total = odds[best.name]
@@ -309,10 +314,7 @@ def _single(
     why = []
     for name in members[1:]:
         alike = cosine(project, by_name[best.name], by_name[name])
-        declared = (
-            name in effect_class(best.name).twins
-            or best.name in effect_class(name).twins
-        )
+        declared = name in twins_of(best.name) or best.name in twins_of(name)
         if declared or abs(alike) >= ALIKE:
             why.append(f"{name} (signatures alike, cosine {alike:.2f})")
     if len(why) == len(members) - 1:

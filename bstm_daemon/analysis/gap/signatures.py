@@ -17,6 +17,11 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from bstm_daemon.analysis.gap.changes import (
+    either_sign,
+    is_change,
+    strength_of,
+)
 from bstm_daemon.analysis.gap.residual_heat import REGIMES
 from bstm_daemon.analysis.matching.march import (
     initial_temperatures,
@@ -25,7 +30,6 @@ from bstm_daemon.analysis.matching.march import (
 )
 from bstm_daemon.analysis.matching.phases import BRAKING_W, STANDING_MS
 from bstm_daemon.analysis.statistics.levenberg_marquardt import STEP
-from bstm_daemon.config.sections import Config, EffectConfig
 from bstm_daemon.errors import ConfigError
 from bstm_daemon.estimator.corner_model import compiled_model
 from bstm_daemon.model.effects.catalogue import (
@@ -43,9 +47,11 @@ if TYPE_CHECKING:
     from bstm_daemon.analysis.matching.drives import Drive
     from bstm_daemon.analysis.matching.problem import Series
     from bstm_daemon.analysis.statistics.series import Column
+    from bstm_daemon.config.sections import Config, EffectConfig
 
-NETWORK_STRENGTHS: Final = (0.5, 1.5)
-HEAT_STRENGTHS: Final = (1.0,)
+NETWORK_STRENGTHS: Final[tuple[float, ...]] = (0.5, 1.5)
+HEAT_STRENGTHS: Final[tuple[float, ...]] = (1.0,)
+CHANGE_STRENGTHS: Final[tuple[float, ...]] = (-0.5, 0.5)
 """Strengths simulated; the heat needs a pass over all samples for each."""
 
 SILENT_K: Final = 1e-3
@@ -70,7 +76,8 @@ class Signature:
     """Change of the residuals [K] with the strength a: ``a s1 + a^2 s2``.
 
     ``linear`` and ``curved`` (n,) are whitened; ``kelvin`` (n,) is the change
-    at strength 1.
+    at strength 1. Of a change since the match no sign is the typical one:
+    ``even``.
     """
 
     name: str
@@ -78,6 +85,7 @@ class Signature:
     curved: Column
     kelvin: Column
     either_sign: bool
+    even: bool = False
 
     def at(self, strength: float) -> Column:
         """Return the change at *strength*, (n,)."""
@@ -151,7 +159,7 @@ class Sensed:
 
 def candidates(config: Config) -> list[str]:
     """Return the effects that *config* does not have yet."""
-    present = {one.name for one in effects_of(config)}
+    present = {one.name for one in effects_of(config) if strength_of(one)}
     return [name for name in effect_names() if name not in present]
 
 
@@ -163,6 +171,7 @@ def sensed(
     """Return residuals and sensitivities in kelvin at its start."""
     base, jacobian = _sensitivities_k(comparison, comparison.start)
     found, silent = {}, []
+    names = [*names, *comparison.trials]
     for number, name in enumerate(names):
         terms = _terms_k(comparison, name, base)
         if terms is None:
@@ -203,7 +212,8 @@ def _signature(layout: Layout, name: str, terms: Column) -> Signature:
         layout.whiten(terms[0]),
         layout.whiten(terms[1]),
         terms.sum(axis=0),
-        effect_class(name).either_sign,
+        either_sign(name),
+        is_change(name),
     )
 
 
@@ -217,13 +227,17 @@ def _sensitivities_k(
 
 
 def _terms_k(comparison: Comparison, name: str, base: Column) -> Column | None:
-    kind = effect_class(name).kind
-    strengths = HEAT_STRENGTHS if kind == "heat" else NETWORK_STRENGTHS
+    if is_change(name):
+        strengths = CHANGE_STRENGTHS
+    elif effect_class(name).kind == "heat":
+        strengths = HEAT_STRENGTHS
+    else:
+        strengths = NETWORK_STRENGTHS
     changes = []
     for strength in strengths:
-        effect = EffectConfig(name=name, parameters={"strength": strength})
+        x, effects = comparison.placed(comparison.start, {name: strength})
         try:
-            apart = comparison.residuals_k(comparison.start[None], [effect])
+            apart = comparison.residuals_k(x[None], effects)
         except ConfigError:
             # it does not fit this structure
             return None
