@@ -98,6 +98,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="name effects though no bstm match is in the configuration",
     )
     parser.add_argument(
+        "--form",
+        action="store_true",
+        help="also name what the model lacked already when it was matched, "
+        "not only what is new since",
+    )
+    parser.add_argument(
         "--menu",
         nargs="+",
         default=list(MENU),
@@ -161,6 +167,9 @@ def _by_temperatures(
         mode = config.heat.mode
         check_heat_inputs(one.name, one.drive.roles, one.present, mode)
     until = "show" if args.step == "run" else args.step
+    if args.form:
+        bare = [one.model_copy(update={"form": {}}) for one in config.matched]
+        config = config.model_copy(update={"matched": bare})
     unmatched = (
         until != "locate"
         and not args.anyway

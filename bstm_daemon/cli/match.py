@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
+from bstm_daemon.analysis.gap.form import with_form
+from bstm_daemon.analysis.gap.recording import read_recording
+from bstm_daemon.analysis.gap.workflow import compare
 from bstm_daemon.analysis.identify.writing import Entries, write_changed
-from bstm_daemon.analysis.matching.changes import changes_of
+from bstm_daemon.analysis.matching.changes import changes_of, learned
 from bstm_daemon.analysis.matching.coarse import guesses_of, read_as_guessed
 from bstm_daemon.analysis.matching.drives import read_drives
-from bstm_daemon.analysis.matching.learned import learned
 from bstm_daemon.analysis.matching.matcher import match_drives
 from bstm_daemon.analysis.matching.tunables import DRAG, Target
 from bstm_daemon.cli.log_command import (
@@ -35,6 +38,7 @@ if TYPE_CHECKING:
     from bstm_daemon.analysis.matching.coarse import Reading
     from bstm_daemon.analysis.matching.matcher import Match
     from bstm_daemon.bus.signals.signal_map import SignalMap
+    from bstm_daemon.config.estimates import MatchedConfig
     from bstm_daemon.config.sections import Config
 
 
@@ -90,7 +94,7 @@ def run(args: argparse.Namespace) -> int:
     if args.out is not None:
         write_changed(
             *(args.config, args.out, changes, origin, verdict),
-            Entries(matched=[learned(match) for match in matches]),
+            Entries(matched=_learned(args, matches, signal_map)),
         )
         print(f"{args.out}: {len(changes)} values")
     for line in write_results(
@@ -105,6 +109,25 @@ def run(args: argparse.Namespace) -> int:
     ):
         print(line)
     return PART_MISSING if any(match.verdict for match in matches) else 0
+
+
+def _learned(
+    args: argparse.Namespace, matches: list[Match], signal_map: SignalMap
+) -> list[MatchedConfig]:
+    """Return what *matches* hand on, with what their form lacks."""
+    found = []
+    for match in matches:
+        known = learned(match)
+        config = match.after.config.model_copy(update={"matched": [known]})
+        target = replace(match.after, config=config)
+        with Progress("form") as progress:
+            recordings = [
+                read_recording(log, config, signal_map, dict(args.map))
+                for log in args.logs
+            ]
+            comparison = compare(target, recordings)
+            found.append(with_form(known, comparison, progress.show))
+    return found
 
 
 def _readings(

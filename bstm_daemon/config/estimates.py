@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 from datetime import date  # noqa: TC003  (pydantic resolves it at run time)
 from math import sqrt
-from typing import Annotated, Final, Literal
+from typing import Annotated, Any, Final, Literal
 
 from pydantic import Field
 
@@ -91,6 +91,9 @@ class MatchedConfig(Section):
     """error that the fit itself left, by node: the form of the model"""
     form_share: dict[str, NotNegative] = {}
     """likewise, share of the rise above the air, in quadrature"""
+    form: dict[str, float] = {}
+    """the same in terms of the catalogue: how far values and strengths of
+    effects and heats would lie off, were the form theirs"""
     drives: Annotated[int, Field(ge=1)] = 1
     """number of drives that were fitted"""
     left_out: str = ""
@@ -108,6 +111,23 @@ class MatchedConfig(Section):
             all(row[-1] > 0.0 for row in self.factor),
             "the last number of each row of 'factor' must be above 0",
         )
+
+
+class ChangeConfig(Section):
+    """``[[change]]``: a value of this car that changed since its match.
+
+    The values themselves stand where they always do; this says which of them
+    moved, when and why.
+    """
+
+    name: Text
+    """what changed"""
+    corner: Literal["FL", "FR", "RL", "RR", "all"] = "all"
+    """one corner, or all"""
+    factor: Positive
+    """the value over that of the match"""
+    provenance: dict[str, Any] = {}
+    """where it comes from; kept, not used"""
 
 
 class FluidConfig(Section):

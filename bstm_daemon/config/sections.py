@@ -16,6 +16,7 @@ from pydantic import Discriminator, Field, Tag
 from bstm_daemon.config.estimates import (
     AccuracyConfig,
     AdviceConfig,
+    ChangeConfig,
     FluidConfig,
     ForecastConfig,
     MatchedConfig,
@@ -444,23 +445,6 @@ class EffectConfig(Section):
     """numbers the effect takes, `strength` among them (1 = typical)"""
     provenance: dict[str, Any] = {}
     """where the values come from; kept, not used"""
-
-
-class ChangeConfig(Section):
-    """``[[change]]``: a value of this car that changed since its match.
-
-    The values themselves stand where they always do; this says which of them
-    moved, when and why.
-    """
-
-    name: Text
-    """what changed"""
-    corner: Literal["FL", "FR", "RL", "RR", "all"] = "all"
-    """one corner, or all"""
-    factor: Positive
-    """the value over that of the match"""
-    provenance: dict[str, Any] = {}
-    """where it comes from; kept, not used"""
 
 
 class Config(Section):

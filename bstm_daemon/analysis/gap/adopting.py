@@ -19,9 +19,13 @@ from bstm_daemon.analysis.gap.changes import (
 )
 from bstm_daemon.analysis.gap.fitting import HEAT_CHANGE, effect_entries
 from bstm_daemon.analysis.identify.writing import Change, Entries
-from bstm_daemon.analysis.matching.changes import settings_of, value_changes
-from bstm_daemon.analysis.matching.learned import entry, entry_of
-from bstm_daemon.config.sections import ChangeConfig
+from bstm_daemon.analysis.matching.changes import value_changes
+from bstm_daemon.analysis.matching.learned import (
+    entry,
+    entry_of,
+    settings_of,
+)
+from bstm_daemon.config.estimates import ChangeConfig
 
 if TYPE_CHECKING:
     from bstm_daemon.analysis.gap.comparison import Comparison

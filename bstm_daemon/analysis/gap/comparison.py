@@ -52,7 +52,7 @@ class Comparison(Layout):
 
     ``keys`` are the tunables, :data:`HEAT_SCALE` last, ``covariance`` (p, p)
     what is known of their logarithms, ``trials`` which changes of a matched
-    target are asked for.
+    target are asked for, ``form_k`` (n,) or 0 what is added to residuals.
     """
 
     def __init__(
@@ -80,6 +80,7 @@ class Comparison(Layout):
         self.covariance[-1, -1] = HEAT_SCALE_PRIOR**2
         self.precision = np.linalg.inv(self.covariance)
         self.matched = entry_of(target.config, target.corners[0]) is not None
+        self.form_k: Column | float = 0.0
         self.trials = trials(target.config, self.keys) if self.matched else {}
         super().__init__(
             self._found_series(),
@@ -166,7 +167,9 @@ class Comparison(Layout):
             # correct the model, not the measurement: scaling the noisy reading
             # would bias the gain
             parts.append((model - offset) / gain - one.measured_k[:, None])
-        return np.concatenate(parts)
+        return np.asarray(
+            np.concatenate(parts) + np.reshape(self.form_k, (-1, 1))
+        )
 
     def drives(self, effects: Sequence[EffectConfig] = ()) -> list[Drive]:
         """Return the drives, heated with *effects* where these act on it."""

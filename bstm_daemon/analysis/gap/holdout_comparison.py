@@ -124,11 +124,12 @@ def show(
         **(baselines or baseline_fits(comparison, known_k)),
         EXTENDED: replace(extended, x=extended.written_x),
     }
-    there = comparison
-    if held_out:
-        there = Comparison(
-            comparison.target, held_out, comparison.keys[:-1], comparison.noise
-        )
+    there = Comparison(
+        comparison.target,
+        held_out or comparison.recordings,
+        comparison.keys[:-1],
+        comparison.noise,
+    )
     apart = {
         name: there.residuals_k(one.x[None], one.effects())[:, 0]
         for name, one in fits.items()

@@ -23,6 +23,7 @@ from bstm_daemon.analysis.gap.fitting import (
     fit,
     prior_along,
 )
+from bstm_daemon.analysis.gap.form import form_k
 from bstm_daemon.analysis.gap.holdout_comparison import Shown, show
 from bstm_daemon.analysis.gap.naming import Naming, name_effect
 from bstm_daemon.analysis.gap.noise import Layout, calibrated, noise_of
@@ -165,7 +166,12 @@ def _gap(
         lambda share: report_share(0.1 + 0.6 * share),
     )
     basis = directions(comparison)
-    turned = replace(simulated, jacobian_k=simulated.jacobian_k @ basis)
+    comparison.form_k = form_k(comparison, simulated)
+    turned = replace(
+        simulated,
+        base_k=simulated.base_k + comparison.form_k,
+        jacobian_k=simulated.jacobian_k @ basis,
+    )
     layout = Layout(
         comparison.series,
         comparison.noise,

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from bstm_daemon.config.sections import ChangeConfig
+from bstm_daemon.config.estimates import ChangeConfig
 from bstm_daemon.errors import FileAccessError, require_packages
 from bstm_daemon.files import replacing
 

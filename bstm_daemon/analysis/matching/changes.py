@@ -5,14 +5,17 @@ from __future__ import annotations
 from math import isnan
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from bstm_daemon.analysis.identify.writing import Change
-from bstm_daemon.analysis.matching.tunables import EFFECT, NODES_MS, split_key
+from bstm_daemon.analysis.matching.learned import entry, short
+from bstm_daemon.analysis.matching.tunables import EFFECT, split_key
+from bstm_daemon.config.estimates import MatchedConfig
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from bstm_daemon.analysis.matching.matcher import Match
-    from bstm_daemon.analysis.matching.tunables import Target
     from bstm_daemon.config.sections import Config
 
 
@@ -34,23 +37,30 @@ def changes_of(
     return changes
 
 
-def settings_of(
-    before: Target, after: Target, values: Mapping[str, float]
-) -> dict[str, Any]:
-    """Return the keys of the configuration and their values in *after*.
-
-    *values* are the tunables that *after* differs from *before* by.
-    """
-    old = before.config.cooling_of(before.corner)
-    new = after.config.cooling_of(after.corner)
-    found: dict[str, Any] = {
-        key: value for key, value in values.items() if key not in NODES_MS
-    }
-    if NODES_MS.keys() & values.keys():
-        if new.speed_ms != old.speed_ms:
-            found["cooling.speed_ms"] = tuple(new.speed_ms)
-        found["cooling.s_per_s"] = tuple(new.s_per_s)
-    return found
+def learned(match: Match) -> MatchedConfig:
+    """Return the table of *match*."""
+    joint = match.joint
+    covariance = joint.misfit * joint.covariance
+    if len(match.accuracy.shifts):
+        shifts = match.accuracy.shifts
+        covariance = covariance + shifts.T @ shifts / len(shifts)
+    beyond = np.sqrt(np.diag(covariance)) / joint.prior
+    scale = 1.0 / np.maximum(beyond, 1.0)
+    return entry(
+        match.after,
+        joint.keys,
+        covariance * np.outer(scale, scale),
+        MatchedConfig(
+            corners=list(match.corners),
+            names=[],
+            values=[],
+            factor=[],
+            form_k={n: short(a.floor_k) for n, a in match.form.items()},
+            form_share={n: short(a.share) for n, a in match.form.items()},
+            drives=len(match.drives),
+            left_out=match.accuracy.left_out,
+        ),
+    )
 
 
 def value_changes(

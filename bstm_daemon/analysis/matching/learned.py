@@ -7,25 +7,26 @@ the prior.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from bstm_daemon.analysis.matching.tunables import (
     LEVEL,
+    MIDDLE,
     NODES_MS,
+    S_SPEEDS_MS,
     TUNABLES,
     refined_keys,
     usable,
 )
-from bstm_daemon.config.estimates import MatchedConfig
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
-    from bstm_daemon.analysis.matching.matcher import Match
     from bstm_daemon.analysis.matching.tunables import Target
     from bstm_daemon.analysis.statistics.series import Column
+    from bstm_daemon.config.estimates import MatchedConfig
     from bstm_daemon.config.sections import Config
 
 SAME: Final = 1e-3
@@ -35,42 +36,33 @@ DAY_TO_DAY: Final = 0.03
 """Standard deviation of a value's logarithm from drive to drive, at least:
 weather, and how pads lie."""
 
-LEVEL_MS: Final = 19.44
-
 
 def value_of(target: Target, key: str) -> float:
     """Return the value of *key*; of the cooling table its S at the speed."""
     if key in NODES_MS or key == LEVEL:
         table = target.config.cooling_of(target.corner)
-        speed_ms = NODES_MS.get(key, LEVEL_MS)
+        speed_ms = NODES_MS.get(key, S_SPEEDS_MS[MIDDLE])
         return float(np.interp(speed_ms, table.speed_ms, table.s_per_s))
     return target.value(TUNABLES[key])
 
 
-def learned(match: Match) -> MatchedConfig:
-    """Return the table of *match*."""
-    joint = match.joint
-    covariance = joint.misfit * joint.covariance
-    if len(match.accuracy.shifts):
-        shifts = match.accuracy.shifts
-        covariance = covariance + shifts.T @ shifts / len(shifts)
-    beyond = np.sqrt(np.diag(covariance)) / joint.prior
-    scale = 1.0 / np.maximum(beyond, 1.0)
-    return entry(
-        match.after,
-        joint.keys,
-        covariance * np.outer(scale, scale),
-        MatchedConfig(
-            corners=list(match.corners),
-            names=[],
-            values=[],
-            factor=[],
-            form_k={n: _short(a.floor_k) for n, a in match.form.items()},
-            form_share={n: _short(a.share) for n, a in match.form.items()},
-            drives=len(match.drives),
-            left_out=match.accuracy.left_out,
-        ),
-    )
+def settings_of(
+    before: Target, after: Target, values: Mapping[str, float]
+) -> dict[str, Any]:
+    """Return the keys of the configuration and their values in *after*.
+
+    *values* are the tunables that *after* differs from *before* by.
+    """
+    old = before.config.cooling_of(before.corner)
+    new = after.config.cooling_of(after.corner)
+    found: dict[str, Any] = {
+        key: value for key, value in values.items() if key not in NODES_MS
+    }
+    if NODES_MS.keys() & values.keys():
+        if new.speed_ms != old.speed_ms:
+            found["cooling.speed_ms"] = tuple(new.speed_ms)
+        found["cooling.s_per_s"] = tuple(new.s_per_s)
+    return found
 
 
 def entry(
@@ -84,16 +76,17 @@ def entry(
     return like.model_copy(
         update={
             "names": list(keys),
-            "values": [_short(value_of(target, key)) for key in keys],
+            "values": [short(value_of(target, key)) for key in keys],
             "factor": [
-                [_short(one) for one in row[: i + 1].tolist()]
+                [short(one) for one in row[: i + 1].tolist()]
                 for i, row in enumerate(factor)
             ],
         }
     )
 
 
-def _short(value: float) -> float:
+def short(value: float) -> float:
+    """Return *value* in the digits that are written."""
     return float(f"{value:.5g}")
 
 

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from bstm_daemon.analysis.matching.baseline import baselines
-from bstm_daemon.analysis.matching.changes import settings_of
 from bstm_daemon.analysis.matching.coarse import (
     CAPACITY,
     FILTER,
@@ -26,7 +25,7 @@ from bstm_daemon.analysis.matching.coarse import (
     search,
 )
 from bstm_daemon.analysis.matching.identifiability import KNOWN
-from bstm_daemon.analysis.matching.learned import value_of
+from bstm_daemon.analysis.matching.learned import settings_of, value_of
 from bstm_daemon.analysis.matching.phases import HARD_MS2, hard_stops
 from bstm_daemon.analysis.matching.problem import FIRST, OTHER
 from bstm_daemon.analysis.matching.refine import (
