@@ -53,6 +53,9 @@ UNMATCHED: Final = (
     "no [accuracy] in the configuration: an error that bstm match would "
     "correct may be mistaken for an effect"
 )
+WIDE: Final = 2.5
+"""Deviation of a change that says nothing."""
+
 SHOWN_PLACES: Final = 4
 SHOWN_CANDIDATES: Final = 8
 
@@ -67,7 +70,8 @@ def gap_text(gap: Gap) -> str:
         lines += table(CANDIDATE_HEAD, candidate_rows(gap.naming))
         lines += unnamed_lines(gap)
         if gap.silent:
-            lines.append(f"not excited: {', '.join(gap.silent)}")
+            silent = ", ".join(map(name_of, gap.silent))
+            lines.append(f"not excited: {silent}")
     if gap.advice:
         lines += advice_lines(gap)
     if gap.fit is not None:
@@ -227,11 +231,11 @@ def strength_cells(one: Candidate) -> tuple[str, str, str]:
     """Return name, strength and its deviation; of a change its percents."""
     if not is_change(one.name):
         return one.name, f"{one.strength:.2f}", f"{one.deviation:.2f}"
-    deviation = 100.0 * (factor_of(one.name, one.deviation) - 1.0)
+    deviation = 100.0 * (factor_of(one.name, min(one.deviation, WIDE)) - 1.0)
     return (
         name_of(one.name),
         said_percent(one.name, one.strength),
-        f"{deviation:.0f} %",
+        f"{deviation:.0f} %" if one.deviation < WIDE else "unknown",
     )
 
 
@@ -240,7 +244,7 @@ def unnamed_lines(gap: Gap) -> list[str]:
     if gap.naming is None or gap.naming.found:
         return []
     lines = reach_lines(gap.naming)
-    if gap.located is not None and gap.located.places:
+    if gap.located is not None and gap.located.places and not gap.matched:
         lines.insert(0, MATCH_FIRST)
     return lines
 

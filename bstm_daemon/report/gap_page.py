@@ -5,6 +5,7 @@ from __future__ import annotations
 from html import escape
 from typing import TYPE_CHECKING, Any, Final
 
+from bstm_daemon.analysis.gap.changes import name_of
 from bstm_daemon.analysis.gap.holdout_comparison import (
     BASELINES,
     CONFIGURED,
@@ -121,9 +122,7 @@ def head_tiles(gaps: Sequence[Gap]) -> list[tuple[str, str]]:
         tiles += strength_tiles(gap.fit)
     if gap.shown is not None:
         word, one = change(gap.shown.shrinks[CONFIGURED])
-        tiles.append(
-            (f"{one.factor:.1f} x", f"{word} gap, tunables re-fitted")
-        )
+        tiles.append((f"{one.factor:.1f} x", f"{word} gap, as written"))
     return tiles
 
 
@@ -146,7 +145,7 @@ def _maps_section(prefix: str, before: Located, after: Located) -> Section:
         f"{prefix}the map of the same drives, before and after",
         plots=(
             ("as configured", heat_map(before.cells)),
-            ("with the effect", heat_map(after.cells)),
+            ("as written", heat_map(after.cells)),
         ),
         across=1,
     )
@@ -245,7 +244,8 @@ def _naming_section(prefix: str, gap: Gap, remarks: Sequence[str]) -> Section:
         return Section(prefix)
     lines = [*remarks, *naming_lines(naming), *unnamed_lines(gap)]
     if gap.silent:
-        lines.append(f"not excited by these drives: {', '.join(gap.silent)}")
+        silent = ", ".join(map(name_of, gap.silent))
+        lines.append(f"not excited by these drives: {silent}")
     return _candidates(
         f"{prefix}{headline(gap)}",
         naming,
@@ -302,7 +302,7 @@ def evidence_bars(naming: Naming) -> Plot:
         "type": "bar",
         "orientation": "h",
         "x": [float(f"{one.log_evidence:.4g}") for one in best],
-        "y": [escape(one.name.replace("_", " ")) for one in best],
+        "y": [escape(name_of(one.name).replace("_", " ")) for one in best],
         "marker": {"color": colours},
         "showlegend": False,
     }
@@ -335,8 +335,8 @@ def _shown_sections(prefix: str, shown: Shown) -> list[Section]:
                 plots=tuple(
                     (one.node.replace("_", " "), _curves(one)) for one in own
                 ),
-                note="Black: measured. Orange: with the effect, tunables "
-                "re-fitted; the adopted effect leaves them as configured.",
+                note="Black: measured. Orange: as written, the effect or "
+                "change with all tunables re-fitted.",
             )
         )
     return sections

@@ -97,10 +97,10 @@ KINDS: Final[dict[str, Kind]] = {
         "disc rusted",
         ("thermal.disc_emissivity",),
     ),
-    "backplate_resistance": Kind(
-        "thermal resistance between lining and backplate",
-        "other pads",
-        "lining coming loose",
+    "shim_resistance": Kind(
+        "thermal resistance from the lining over backplate and shim",
+        "shim worn, degraded or missing",
+        "shim added, lining coming loose",
         (BACKPLATE,),
     ),
     "pad_air": Kind(
@@ -110,9 +110,9 @@ KINDS: Final[dict[str, Kind]] = {
         (PAD_AIR,),
     ),
     "piston_contact": Kind(
-        "conductance from backplate to fluid and caliper",
-        "shim or insulating piston fitted",
-        "shim worn, degraded or missing",
+        "conductance from piston and caliper to the fluid and the air",
+        "insulating piston, caliper covered",
+        "other piston, caliper cleaned",
         (FLUID_CONTACT,),
     ),
     "caliper_capacity": Kind(

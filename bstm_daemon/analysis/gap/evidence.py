@@ -215,11 +215,11 @@ def explained_share(
     """
     names = {one.name for one in chosen}
     own = np.column_stack(
-        [s.at(1.0) for s in linearised.signatures if s.name in names]
+        [s.column for s in linearised.signatures if s.name in names]
     )
     everything = np.column_stack(
         [
-            *(s.at(1.0) for s in linearised.signatures),
+            *(s.column for s in linearised.signatures),
             *(one.change for one in linearised.unknown),
         ]
     )
@@ -240,7 +240,7 @@ def unnamed_beside(
     if not linearised.unknown:
         return np.inf
     names = {one.name for one in chosen}
-    own = [s.at(1.0) for s in linearised.signatures if s.name in names]
+    own = [s.column for s in linearised.signatures if s.name in names]
     return missing_evidence(
         project.beside(own), linearised.residual, linearised.unknown
     )
@@ -363,7 +363,7 @@ class _Search:
     ) -> list[Candidate]:
         """Return *names* (all) weighed with *others* free, best first."""
         project = self._project.beside(
-            [self._by_name[name].at(1.0) for name in others]
+            [self._by_name[name].column for name in others]
         )
         found = [
             weigh(project, self._linearised.residual, self._by_name[name])

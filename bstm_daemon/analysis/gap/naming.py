@@ -145,8 +145,13 @@ class Naming:
         return max((one.z for one in self.candidates), default=0.0)
 
 
-def name_effect(layout: Layout, linearised: Linearised) -> Naming:
-    """Return what *linearised* says is missing."""
+def name_effect(
+    layout: Layout, linearised: Linearised, *, alone: bool = False
+) -> Naming:
+    """Return what *linearised* says is missing.
+
+    With *alone* it is one effect at most, or a class.
+    """
     project = Projector(linearised.jacobian, layout.prior)
     found = sorted(
         (
@@ -175,7 +180,7 @@ def name_effect(layout: Layout, linearised: Linearised) -> Naming:
         )
     best = found[0] if found else None
     if best and odds[""] <= GATE_NOTHING and best.z >= GATE_Z:
-        return _named(layout, project, linearised, nothing)
+        return _named(layout, project, linearised, nothing, alone=alone)
     return _unnamed(layout, project, linearised, nothing)
 
 
@@ -215,7 +220,12 @@ def _unnamed(
 
 
 def _named(
-    layout: Layout, project: Projector, linearised: Linearised, nothing: Naming
+    layout: Layout,
+    project: Projector,
+    linearised: Linearised,
+    nothing: Naming,
+    *,
+    alone: bool,
 ) -> Naming:
     """Return what it is that is missing, the gate passed."""
     found, odds = nothing.candidates, nothing.odds
@@ -225,7 +235,9 @@ def _named(
         layout, project, linearised.residual, by_name[best.name]
     )
     validated = cross_validated(layout, linearised, by_name[best.name])
-    several = search_joint_effects(project, linearised, found)
+    several = JointEffects((best,), None, 1.0, (best.name,))
+    if not alone:
+        several = search_joint_effects(project, linearised, found)
     explained, left = explained_share(project, linearised, several.chosen)
     common = replace(
         nothing,
@@ -331,7 +343,7 @@ def _single(
 
 def cosine(project: Projector, a: Signature, b: Signature) -> float:
     """Return how alike *a* and *b* are, the tunables projected out."""
-    one, two = a.at(1.0), b.at(1.0)
+    one, two = a.column, b.column
     pa, pb = project(one), project(two)
     size = float(one @ pa) * float(two @ pb)
     return float(one @ pb) / sqrt(max(size, 1e-30))

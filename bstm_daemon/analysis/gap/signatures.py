@@ -12,7 +12,7 @@ named effect explains.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -77,7 +77,7 @@ class Signature:
 
     ``linear`` and ``curved`` (n,) are whitened; ``kelvin`` (n,) is the change
     at strength 1. Of a change since the match no sign is the typical one:
-    ``even``.
+    ``even``. ``near`` is the strength that it is simulated about.
     """
 
     name: str
@@ -86,6 +86,12 @@ class Signature:
     kelvin: Column
     either_sign: bool
     even: bool = False
+    near: float = 1.0
+
+    @property
+    def column(self) -> Column:
+        """The change for each unit of strength, (n,), near where it is."""
+        return self.at(self.near) / self.near
 
     def at(self, strength: float) -> Column:
         """Return the change at *strength*, (n,)."""
@@ -121,7 +127,8 @@ class Sensed:
     """The same in kelvin, as simulated.
 
     ``base_k`` (n,) and ``jacobian_k`` (n, p); ``terms_k`` by effect the
-    linear and the curved one, (2, n); heats without a name in kelvin.
+    linear and the curved one, (2, n); heats without a name in kelvin;
+    ``near`` what strengths are simulated about, where that is not 1.
     """
 
     base_k: Column
@@ -129,6 +136,7 @@ class Sensed:
     terms_k: Mapping[str, Column]
     silent: tuple[str, ...]
     unknown_k: tuple[UnnamedHeat, ...]
+    near: Mapping[str, float] = field(default_factory=dict)
 
     def columns_k(self) -> Column:
         """Return all that could explain the residuals, (n, p + k)."""
@@ -146,7 +154,7 @@ class Sensed:
             layout.whiten(self.base_k),
             layout.whiten(self.jacobian_k),
             tuple(
-                _signature(layout, name, terms)
+                _signature(layout, name, terms, self.near.get(name, 1.0))
                 for name, terms in self.terms_k.items()
             ),
             self.silent,
@@ -185,6 +193,27 @@ def sensed(
     )
 
 
+def sharpened(
+    comparison: Comparison, simulated: Sensed, at: Mapping[str, float]
+) -> Sensed:
+    """Return *simulated* with the signatures *at* strengths simulated there.
+
+    A parabola through small changes says little of large ones.
+    """
+    plain_k = simulated.base_k - comparison.form_k
+    found = {
+        name: terms
+        for name, a in at.items()
+        if (terms := _terms_k(comparison, name, plain_k, (0.5 * a, a)))
+        is not None
+    }
+    return replace(
+        simulated,
+        terms_k={**simulated.terms_k, **found},
+        near={**simulated.near, **{name: at[name] for name in found}},
+    )
+
+
 def sensitivities(
     comparison: Comparison, x: Column, effects: Sequence[EffectConfig] = ()
 ) -> tuple[Column, Column]:
@@ -206,7 +235,9 @@ def signature_of(
     return _signature(comparison, name, terms)
 
 
-def _signature(layout: Layout, name: str, terms: Column) -> Signature:
+def _signature(
+    layout: Layout, name: str, terms: Column, near: float = 1.0
+) -> Signature:
     return Signature(
         name,
         layout.whiten(terms[0]),
@@ -214,6 +245,7 @@ def _signature(layout: Layout, name: str, terms: Column) -> Signature:
         terms.sum(axis=0),
         either_sign(name),
         is_change(name),
+        near,
     )
 
 
@@ -226,13 +258,13 @@ def _sensitivities_k(
     return apart[:, 0], (apart[:, 1:] - apart[:, :1]) / steps
 
 
-def _terms_k(comparison: Comparison, name: str, base: Column) -> Column | None:
-    if is_change(name):
-        strengths = CHANGE_STRENGTHS
-    elif effect_class(name).kind == "heat":
-        strengths = HEAT_STRENGTHS
-    else:
-        strengths = NETWORK_STRENGTHS
+def _terms_k(
+    comparison: Comparison,
+    name: str,
+    base: Column,
+    strengths: tuple[float, ...] = (),
+) -> Column | None:
+    strengths = strengths or _strengths(name)
     changes = []
     for strength in strengths:
         x, effects = comparison.placed(comparison.start, {name: strength})
@@ -249,6 +281,14 @@ def _terms_k(comparison: Comparison, name: str, base: Column) -> Column | None:
     terms = np.linalg.lstsq(matrix, np.array(changes), rcond=None)[0]
     curved = terms[1] if len(a) > 1 else 0.0 * terms[0]
     return np.array((terms[0], curved))
+
+
+def _strengths(name: str) -> tuple[float, ...]:
+    """Return the strengths at which *name* is simulated at first."""
+    if is_change(name):
+        return CHANGE_STRENGTHS
+    on_heat = effect_class(name).kind == "heat"
+    return HEAT_STRENGTHS if on_heat else NETWORK_STRENGTHS
 
 
 def unnamed_heats(

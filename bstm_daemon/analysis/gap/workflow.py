@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -15,7 +15,9 @@ from bstm_daemon.analysis.gap.advising import (
     members_of,
     prospect,
 )
+from bstm_daemon.analysis.gap.changes import is_change
 from bstm_daemon.analysis.gap.comparison import Comparison, heats
+from bstm_daemon.analysis.gap.evidence import NEXT_EVIDENCE, NEXT_SHARE
 from bstm_daemon.analysis.gap.fitting import (
     Fit,
     askable,
@@ -28,7 +30,12 @@ from bstm_daemon.analysis.gap.holdout_comparison import Shown, show
 from bstm_daemon.analysis.gap.naming import Naming, name_effect
 from bstm_daemon.analysis.gap.noise import Layout, calibrated, noise_of
 from bstm_daemon.analysis.gap.residual_heat import Located, locate
-from bstm_daemon.analysis.gap.signatures import Linearised, candidates, sensed
+from bstm_daemon.analysis.gap.signatures import (
+    Linearised,
+    candidates,
+    sensed,
+    sharpened,
+)
 from bstm_daemon.analysis.identify.writing import NO_ENTRIES
 from bstm_daemon.analysis.matching.learned import entry_of, known_keys
 from bstm_daemon.analysis.matching.tunables import (
@@ -61,6 +68,10 @@ class Question:
 
 ANY = Question()
 
+LEADING: Final = 4
+LARGE: Final = 0.7
+"""Changes at the head of the list that are larger are simulated again."""
+
 STEPS = ("locate", "gate", "name", "adopt", "show", "advise")
 
 
@@ -73,7 +84,8 @@ class Gap:
     drives do not excite. ``fit`` and ``shown`` are None where nothing was
     named, ``located`` and ``naming`` where they were not asked for.
     ``advice`` is which drive would tell ``members`` apart, the best first;
-    ``values`` and ``entries`` are what a file gets.
+    ``values`` and ``entries`` are what a file gets; ``matched`` is whether
+    the configuration says what its match learned.
     """
 
     corners: tuple[str, ...]
@@ -90,6 +102,7 @@ class Gap:
     members: tuple[str, ...] = ()
     values: tuple[Change, ...] = ()
     entries: Entries = NO_ENTRIES
+    matched: bool = False
 
     @property
     def adopted(self) -> tuple[str, ...]:
@@ -182,18 +195,35 @@ def _gap(
     comparison.set_noise(layout.noise)
     known = turned.whitened(layout)
     naming = name_effect(layout, known)
+    done: dict[str, float] = {}
+    while far := _far(naming, done):
+        turned = sharpened(comparison, turned, far)
+        known = turned.whitened(layout)
+        naming = name_effect(layout, known)
+        done |= far
+    if len(naming.adoptable) > 1 and done:
+        first = naming.candidates[0]
+        fits = [
+            fit(comparison, start, basis, known_k=simulated.jacobian_k)
+            for start in (
+                {first.name: first.strength},
+                _starts(naming),
+            )
+        ]
+        gain = fits[0].cost - fits[1].cost
+        if gain < max(NEXT_EVIDENCE, NEXT_SHARE * first.gain):
+            naming = name_effect(layout, known, alone=True)
     plain = Gap(target.corners, names, points, located, naming, known.silent)
+    plain = replace(plain, matched=comparison.matched)
     if until == "advise" or (
         until == "show" and naming.answer in {"class", "undecided"}
     ):
         plain = _advised(plain, comparison, known, question, report_share)
-    best = naming.adoptable
-    if until in {"gate", "name", "advise"} or not best:
+    if until in {"gate", "name", "advise"} or not naming.adoptable:
         return plain
-    start = {
-        one.name: one.strength for one in naming.candidates if one.name in best
-    }
-    extended = fit(comparison, start, basis, known_k=simulated.jacobian_k)
+    extended = fit(
+        comparison, _starts(naming), basis, known_k=simulated.jacobian_k
+    )
     report_share(0.85)
     values, entries = written(comparison, extended, naming)
     plain = replace(plain, fit=extended, values=tuple(values), entries=entries)
@@ -203,6 +233,28 @@ def _gap(
         return plain
     before, after = _maps(comparison, extended, held_out or recordings)
     return replace(plain, before=before, after=after)
+
+
+def _starts(naming: Naming) -> dict[str, float]:
+    """Return what can be adopted, and the strengths that a fit begins at."""
+    return {
+        one.name: one.strength
+        for one in naming.candidates
+        if one.name in naming.adoptable
+    }
+
+
+def _far(naming: Naming, done: Mapping[str, float]) -> dict[str, float]:
+    """Return changes that are large and not simulated as large, by name."""
+    leading = {one.name for one in naming.candidates[:LEADING]}
+    return {
+        one.name: one.strength
+        for one in naming.candidates
+        if is_change(one.name)
+        and one.name in leading.union(naming.names)
+        and abs(one.strength) > LARGE
+        and one.name not in done
+    }
 
 
 def _advised(
