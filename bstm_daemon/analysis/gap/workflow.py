@@ -25,7 +25,7 @@ from bstm_daemon.analysis.gap.fitting import (
     fit,
     prior_along,
 )
-from bstm_daemon.analysis.gap.form import form_k
+from bstm_daemon.analysis.gap.form import daily, form_k
 from bstm_daemon.analysis.gap.holdout_comparison import Shown, show
 from bstm_daemon.analysis.gap.naming import Naming, name_effect
 from bstm_daemon.analysis.gap.noise import Layout, calibrated, noise_of
@@ -180,16 +180,19 @@ def _gap(
     )
     basis = directions(comparison)
     comparison.form_k = form_k(comparison, simulated)
+    jacobian_k = simulated.jacobian_k @ basis
+    prior = prior_along(comparison, basis)
+    if comparison.matched:
+        columns_k, deviations = daily(simulated)
+        jacobian_k = np.column_stack((jacobian_k, columns_k))
+        prior = np.concatenate((prior, deviations))
     turned = replace(
         simulated,
         base_k=simulated.base_k + comparison.form_k,
-        jacobian_k=simulated.jacobian_k @ basis,
+        jacobian_k=jacobian_k,
     )
     layout = Layout(
-        comparison.series,
-        comparison.noise,
-        prior_along(comparison, basis),
-        comparison.drive_names,
+        comparison.series, comparison.noise, prior, comparison.drive_names
     )
     layout.set_noise(calibrated(layout, turned.base_k, turned.columns_k()))
     comparison.set_noise(layout.noise)
@@ -218,7 +221,8 @@ def _gap(
     if until == "advise" or (
         until == "show" and naming.answer in {"class", "undecided"}
     ):
-        plain = _advised(plain, comparison, known, question, report_share)
+        own = replace(known, jacobian=known.jacobian[:, : basis.shape[1]])
+        plain = _advised(plain, comparison, own, question, report_share)
     if until in {"gate", "name", "advise"} or not naming.adoptable:
         return plain
     extended = fit(
