@@ -325,3 +325,23 @@ def test_advice_before_any_drive_has_a_page(
     out = capsys.readouterr().out
     assert "with it gap_conduction would be named" in out
     assert str(page) in out
+
+
+@pytest.mark.slow  # two drives of 85 and 100 min
+def test_where_nothing_is_hidden_the_shipped_match_says_nothing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The workflow of README.md without an effect."""
+    logs = [tmp_path / f"{name}.log" for name in ("simalp", "rich")]
+    for log in logs:
+        asked = ["simulate", log.stem, "-o", str(log), "--sensors", "n2"]
+        assert main(asked) == 0
+    matched = ROOT / "config" / "example_matched.toml"
+    result = tmp_path / "gap.json"
+    asked = ["gap", "name", *map(str, logs), "-c", str(matched)]
+
+    assert main([*asked, "--json", str(result)]) == 0
+
+    assert "no missing effect visible" in capsys.readouterr().out
+    (found,) = json.loads(result.read_text("utf-8"))["corners"]
+    assert found["naming"]["names"] == []

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,9 +15,7 @@ from bstm_daemon.analysis.gap.advising import (
     members_of,
     prospect,
 )
-from bstm_daemon.analysis.gap.changes import is_change
 from bstm_daemon.analysis.gap.comparison import Comparison, heats
-from bstm_daemon.analysis.gap.evidence import NEXT_EVIDENCE, NEXT_SHARE
 from bstm_daemon.analysis.gap.fitting import (
     Fit,
     askable,
@@ -25,16 +23,14 @@ from bstm_daemon.analysis.gap.fitting import (
     fit,
     prior_along,
 )
-from bstm_daemon.analysis.gap.form import daily, form_k
 from bstm_daemon.analysis.gap.holdout_comparison import Shown, show
-from bstm_daemon.analysis.gap.naming import Naming, name_effect
-from bstm_daemon.analysis.gap.noise import Layout, calibrated, noise_of
+from bstm_daemon.analysis.gap.noise import noise_of
 from bstm_daemon.analysis.gap.residual_heat import Located, locate
+from bstm_daemon.analysis.gap.searching import search, starts
 from bstm_daemon.analysis.gap.signatures import (
     Linearised,
     candidates,
     sensed,
-    sharpened,
 )
 from bstm_daemon.analysis.identify.writing import NO_ENTRIES
 from bstm_daemon.analysis.matching.learned import entry_of, known_keys
@@ -50,6 +46,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
     from bstm_daemon.analysis.gap.advising import Advice, Prospect
+    from bstm_daemon.analysis.gap.naming import Naming
     from bstm_daemon.analysis.gap.recording import Recording
     from bstm_daemon.analysis.identify.writing import Change, Entries
     from bstm_daemon.analysis.matching.tunables import Target
@@ -67,10 +64,6 @@ class Question:
 
 
 ANY = Question()
-
-LEADING: Final = 4
-LARGE: Final = 0.7
-"""Changes at the head of the list that are larger are simulated again."""
 
 STEPS = ("locate", "gate", "name", "adopt", "show", "advise")
 
@@ -179,43 +172,7 @@ def _gap(
         lambda share: report_share(0.1 + 0.6 * share),
     )
     basis = directions(comparison)
-    comparison.form_k = form_k(comparison, simulated)
-    jacobian_k = simulated.jacobian_k @ basis
-    prior = prior_along(comparison, basis)
-    if comparison.matched:
-        columns_k, deviations = daily(simulated)
-        jacobian_k = np.column_stack((jacobian_k, columns_k))
-        prior = np.concatenate((prior, deviations))
-    turned = replace(
-        simulated,
-        base_k=simulated.base_k + comparison.form_k,
-        jacobian_k=jacobian_k,
-    )
-    layout = Layout(
-        comparison.series, comparison.noise, prior, comparison.drive_names
-    )
-    layout.set_noise(calibrated(layout, turned.base_k, turned.columns_k()))
-    comparison.set_noise(layout.noise)
-    known = turned.whitened(layout)
-    naming = name_effect(layout, known)
-    done: dict[str, float] = {}
-    while far := _far(naming, done):
-        turned = sharpened(comparison, turned, far)
-        known = turned.whitened(layout)
-        naming = name_effect(layout, known)
-        done |= far
-    if len(naming.adoptable) > 1 and done:
-        first = naming.candidates[0]
-        fits = [
-            fit(comparison, start, basis, known_k=simulated.jacobian_k)
-            for start in (
-                {first.name: first.strength},
-                _starts(naming),
-            )
-        ]
-        gain = fits[0].cost - fits[1].cost
-        if gain < max(NEXT_EVIDENCE, NEXT_SHARE * first.gain):
-            naming = name_effect(layout, known, alone=True)
+    known, naming = search(comparison, simulated, basis)
     plain = Gap(target.corners, names, points, located, naming, known.silent)
     plain = replace(plain, matched=comparison.matched)
     if until == "advise" or (
@@ -225,9 +182,8 @@ def _gap(
         plain = _advised(plain, comparison, own, question, report_share)
     if until in {"gate", "name", "advise"} or not naming.adoptable:
         return plain
-    extended = fit(
-        comparison, _starts(naming), basis, known_k=simulated.jacobian_k
-    )
+    start = starts(naming)
+    extended = fit(comparison, start, basis, known_k=simulated.jacobian_k)
     report_share(0.85)
     values, entries = written(comparison, extended, naming)
     plain = replace(plain, fit=extended, values=tuple(values), entries=entries)
@@ -237,28 +193,6 @@ def _gap(
         return plain
     before, after = _maps(comparison, extended, held_out or recordings)
     return replace(plain, before=before, after=after)
-
-
-def _starts(naming: Naming) -> dict[str, float]:
-    """Return what can be adopted, and the strengths that a fit begins at."""
-    return {
-        one.name: one.strength
-        for one in naming.candidates
-        if one.name in naming.adoptable
-    }
-
-
-def _far(naming: Naming, done: Mapping[str, float]) -> dict[str, float]:
-    """Return changes that are large and not simulated as large, by name."""
-    leading = {one.name for one in naming.candidates[:LEADING]}
-    return {
-        one.name: one.strength
-        for one in naming.candidates
-        if is_change(one.name)
-        and one.name in leading.union(naming.names)
-        and abs(one.strength) > LARGE
-        and one.name not in done
-    }
 
 
 def _advised(
