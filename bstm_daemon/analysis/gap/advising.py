@@ -318,7 +318,7 @@ def candidate_drive(
     )
     thin = thinned(events)
     description = simulated.drive.drive.description.partition(": ")[2]
-    return Recording(drive, events, present, thin, inputs), description
+    return Recording(drive, present, thin, inputs), description
 
 
 def samples_of(

@@ -51,6 +51,6 @@ def made(config: Config) -> Callable[..., Recording]:
             np.zeros(0, np.int64), np.zeros(0, np.int32), np.zeros(0),
             Counter(),
         )  # fmt: skip
-        return Recording(drive, none, {}, none, drive.inputs)
+        return Recording(drive, {}, none, drive.inputs)
 
     return make
