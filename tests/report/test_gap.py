@@ -16,6 +16,7 @@ from bstm_daemon.report.gap import (
     MATCH_FIRST,
     acceleration,
     adopted_text,
+    answer_line,
     answer_tile,
     candidate_rows,
     probability_tile,
@@ -123,7 +124,7 @@ def test_one_of_a_class_is_not_written_as_if_it_were_known() -> None:
         found: Any = SimpleNamespace(
             naming=naming(answer, candidate("pad_wear"), candidate("wet_disc"))
         )
-        found.effects = lambda: [SimpleNamespace(name="pad_wear")]
+        found.adopted = ("pad_wear",)
         return cast("Gap", found)
 
     assert adopted_text([gap("name")]) == "pad_wear"
@@ -144,3 +145,37 @@ def test_next_to_no_evidence_looks_like_it() -> None:
 
     assert weak.layout["xaxis"]["range"] == [0.0, WEAK_EVIDENCE]
     assert strong.layout["xaxis"]["range"][1] > 260.0
+
+
+def test_a_change_is_no_missing_effect() -> None:
+    air = Candidate("change.disc_air", -0.8, 0.2, 9.0, 12.0, 0.5)
+    changed = naming("name", air)
+
+    assert answer_line(changed, "this data") == (
+        "changed: convection from the disc to the wheel well -27 % since the "
+        "match: rim or wheel cover closed, cooling duct blocked? "
+        "(probability 80.0 %)"
+    )
+    assert answer_tile(changed)[1] == "change"
+    (row,) = candidate_rows(changed)
+    assert row[:3] == (
+        "convection from the disc to the wheel well",
+        "-27 %",
+        "8 %",
+    )
+    (near,) = reach_lines(changed)
+    assert near.endswith("convection from the disc to the wheel well +22 %")
+    both = naming("name", air, candidate("pad_wear"))
+    assert answer_line(both, "this data").startswith(
+        "missing: convection from the disc to the wheel well -27 % since the "
+        "match, pad_wear ("
+    )
+
+
+def test_a_matched_car_is_not_sent_back_to_the_match() -> None:
+    hot: Any = SimpleNamespace(places=(1,))
+    found = naming("nothing", candidate("pad_wear"))
+
+    gap = Gap(("FL",), (), 1, hot, found, matched=True)
+
+    assert MATCH_FIRST not in unnamed_lines(gap)
