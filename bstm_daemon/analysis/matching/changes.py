@@ -8,7 +8,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bstm_daemon.analysis.identify.writing import Change
-from bstm_daemon.analysis.matching.learned import entry, short
+from bstm_daemon.analysis.matching.learned import (
+    entry,
+    known_covariance,
+    known_keys,
+    short,
+)
 from bstm_daemon.analysis.matching.tunables import EFFECT, split_key
 from bstm_daemon.config.estimates import MatchedConfig
 
@@ -38,7 +43,10 @@ def changes_of(
 
 
 def learned(match: Match) -> MatchedConfig:
-    """Return the table of *match*."""
+    """Return the table of *match*.
+
+    What it did not fit stays as known as it was.
+    """
     joint = match.joint
     covariance = joint.misfit * joint.covariance
     if len(match.accuracy.shifts):
@@ -46,10 +54,16 @@ def learned(match: Match) -> MatchedConfig:
         covariance = covariance + shifts.T @ shifts / len(shifts)
     beyond = np.sqrt(np.diag(covariance)) / joint.prior
     scale = 1.0 / np.maximum(beyond, 1.0)
+    others = [key for key in known_keys(match.after) if key not in joint.keys]
+    keys = [*joint.keys, *others]
+    whole = known_covariance(match.after, keys)
+    count = len(joint.keys)
+    whole[:count], whole[:, :count] = 0.0, 0.0
+    whole[:count, :count] = covariance * np.outer(scale, scale)
     return entry(
         match.after,
-        joint.keys,
-        covariance * np.outer(scale, scale),
+        keys,
+        whole,
         MatchedConfig(
             corners=list(match.corners),
             names=[],
