@@ -7,19 +7,14 @@ is the logarithm of the factor over :data:`STEP`.
 
 from __future__ import annotations
 
+import tomllib
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from bstm_daemon.analysis.matching.tunables import (
-    CONDUCTANCE,
-    EFFECT,
-    MASS,
-    NODES_MS,
-    STILL,
-    split_key,
-)
+from bstm_daemon.analysis.matching.tunables import EFFECT, split_key
 from bstm_daemon.model.effects.catalogue import effect_class, effects_of
 
 if TYPE_CHECKING:
@@ -54,109 +49,11 @@ class Kind:
     keys: tuple[str, ...]
 
 
-AIR: Final = tuple(NODES_MS)
-PAD_AIR: Final = "thermal.pad_dynamic_convection_ws_m3k"
-FLUID_AIR: Final = "thermal.fluid_dynamic_convection_ws_mk"
-FLUID_CONTACT: Final = "thermal.fluid_static_convection_w_k"
-BACKPLATE: Final = "thermal.pad_backplate_thermal_resistance_m2k_w"
-
 KINDS: Final[dict[str, Kind]] = {
-    "disc_air": Kind(
-        "convection from the disc to the wheel well",
-        "rim or wheel cover closed, cooling duct blocked",
-        "more open rim, cooling duct, dust shield missing",
-        AIR,
-    ),
-    "wheel_air": Kind(
-        "convection from disc, pads and caliper to the wheel well",
-        "rim or wheel cover closed, cooling duct blocked",
-        "more open rim, cooling duct, dust shield missing",
-        (*AIR, PAD_AIR, FLUID_AIR),
-    ),
-    "standing_air": Kind(
-        "convection from the disc while standing",
-        "wheel well sheltered",
-        "wind, fan",
-        (STILL,),
-    ),
-    "disc_mass": Kind(
-        "heat capacity of the disc",
-        "disc worn",
-        "thicker or heavier disc fitted",
-        (MASS,),
-    ),
-    "heat_into_pads": Kind(
-        "share of the friction heat that goes into the pads",
-        "pads worn or of another lining",
-        "pads of another lining",
-        ("thermal.heat_partition_correction_factor",),
-    ),
-    "disc_emissivity": Kind(
-        "emissivity of the disc",
-        "disc ground bright",
-        "disc rusted",
-        ("thermal.disc_emissivity",),
-    ),
-    "shim_resistance": Kind(
-        "thermal resistance from the lining over backplate and shim",
-        "shim worn, degraded or missing",
-        "shim added, lining coming loose",
-        (BACKPLATE,),
-    ),
-    "pad_air": Kind(
-        "convection from the pads",
-        "caliper covered or dirty",
-        "cooling duct to the caliper",
-        (PAD_AIR,),
-    ),
-    "piston_contact": Kind(
-        "conductance from piston and caliper to the fluid and the air",
-        "insulating piston, caliper covered",
-        "other piston, caliper cleaned",
-        (FLUID_CONTACT,),
-    ),
-    "caliper_capacity": Kind(
-        "heat capacity of fluid and caliper",
-        "lighter caliper",
-        "heavier caliper",
-        ("thermal.fluid_caliper_thermal_capacity_j_k",),
-    ),
-    "caliper_air": Kind(
-        "convection from the caliper",
-        "caliper covered or dirty",
-        "cooling duct to the caliper",
-        (FLUID_AIR,),
-    ),
-    "hot_pads": Kind(
-        "heat into hot pads",
-        "lining burnt out",
-        "lining renewed",
-        ("thermal.hot_pad_factor",),
-    ),
-    "lining_conductivity": Kind(
-        "conductivity of the lining",
-        "other pads, or crumbling ones",
-        "other pads",
-        ("pad.conductivity_w_mk",),
-    ),
-    "lining_capacity": Kind(
-        "heat capacity of the lining",
-        "pads worn or of another lining",
-        "pads of another lining",
-        ("pad.heat_capacity_j_kgk",),
-    ),
-    "contact": Kind(
-        "conductance of the contact of disc and pads",
-        "glazed or tapered pads",
-        "pads bedded in",
-        (CONDUCTANCE,),
-    ),
-    "brake_heat": Kind(
-        "brake heat for the same braking",
-        "friction lower: glazed, wet or green pads",
-        "friction higher: pads bedded in, or a brake that drags",
-        (HEAT_SCALE,),
-    ),
+    name: Kind(one["what"], one["less"], one["more"], tuple(one["keys"]))
+    for name, one in tomllib.loads(
+        (Path(__file__).parent / "_data" / "changes.toml").read_text("utf-8")
+    ).items()
 }
 """By name, without :data:`PREFIX`."""
 

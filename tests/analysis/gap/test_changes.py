@@ -11,6 +11,7 @@ import pytest
 from bstm_daemon.analysis.gap import form, workflow
 from bstm_daemon.analysis.gap.changes import (
     HEAT_SCALE,
+    KINDS,
     STEP,
     factor_of,
     said,
@@ -117,6 +118,11 @@ def test_an_effect_on_the_heat_that_the_model_has_can_change(
     assert not trials(off, ())
     assert "friction_fade" in candidates(off)
     assert "friction_fade" not in candidates(fading)
+
+
+def test_every_kind_is_of_tunables() -> None:
+    for kind in KINDS.values():
+        assert set(kind.keys) <= {*TUNABLES, HEAT_SCALE}
 
 
 def test_a_change_is_said_in_plain_words() -> None:
