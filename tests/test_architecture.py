@@ -26,12 +26,12 @@ FLOORS = (
     ("model", "simulation"),
     ("estimator",),
     ("advice", "forecast"),
-    ("engine",),
+    ("engine", "feed"),
     ("replay", "service"),
     ("analysis",),
     ("watch",),
     ("report",),
-    ("cli",),
+    ("api", "cli"),
 )
 """The entries of the package, from the ground up. An entry imports from floors
 below its own and from itself; the ground also from its own floor."""

@@ -34,11 +34,11 @@ from bstm_daemon.replay.columns import present_roles
 from bstm_daemon.report.gap import (
     adopted_text,
     advice_lines,
-    force_text,
     gap_text,
     no_advice_line,
     remarks_on,
 )
+from bstm_daemon.report.gap_forces import force_text
 from bstm_daemon.report.gap_json import advice_json, force_json, gap_json
 from bstm_daemon.report.gap_page import force_page, gap_page
 from bstm_daemon.simulation import drive_names
@@ -284,6 +284,12 @@ def _question(args: argparse.Namespace) -> Question:
 
 def _check(args: argparse.Namespace) -> set[Path]:
     """Refuse arguments that do not go together; return all logs."""
+    if not args.logs and args.holdout:
+        msg = (
+            "gap: --holdout took every LOG that follows it: the drives to fit "
+            "stand before it, gap run LOG... --holdout LOG..."
+        )
+        raise UsageError(msg)
     if not args.logs and not (args.step == "advise" and args.among):
         msg = (
             "gap: logs are required; only advise works without, with --among "

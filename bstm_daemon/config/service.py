@@ -134,6 +134,20 @@ class RecordConfig(Section):
     """and goes on this long"""
 
 
+class FeedConfig(Section):
+    """``[feed]``: publications as JSON lines on a local Unix socket.
+
+    Without ``socket`` there is none. Members of ``group`` may read it beside
+    the user of the service; by default of the group that it runs as.
+    """
+
+    socket: Text | None = None
+    """path of the socket, such as `/run/bstm/feed.sock`, relative to the
+    configuration's folder; without it there is no feed"""
+    group: Text | None = None
+    """group whose members may read it; without it the one of the service"""
+
+
 class MetricsConfig(Section):
     """``[metrics]``: a text file for node_exporter's textfile collector.
 

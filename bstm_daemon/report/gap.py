@@ -16,9 +16,11 @@ from bstm_daemon.analysis.gap.changes import (
 )
 from bstm_daemon.analysis.gap.holdout_comparison import (
     BASELINES,
+    CONFIGURED,
     EXTENDED,
     Shrink,
 )
+from bstm_daemon.analysis.statistics.series import rms
 from bstm_daemon.model.effects.catalogue import effect_class
 from bstm_daemon.report.text import table
 
@@ -40,7 +42,7 @@ CANDIDATE_HEAD: Final = (
     *("ln Bayes factor", "probability"),
 )
 ADVICE_HEAD: Final = (
-    *("drive", "min", "right name", "wrong name"),
+    *("drive", "min", "right name", "a minute", "wrong name"),
     *("ln Bayes factor", "description"),
 )
 MODELS: Final = (*BASELINES, EXTENDED)
@@ -110,6 +112,62 @@ def headline(gap: Gap) -> str:
     if gap.naming.answer == "unknown":
         text += f", heat at {gap.naming.unknown_place}"
     return text
+
+
+def sentence(gap: Gap) -> str:
+    """Return what was found for a person: where, why, what it changes."""
+    parts = []
+    if gap.located is not None and gap.located.places:
+        place = gap.located.places[0]
+        where = f"the {place.node.replace('_', ' ')}"
+        if place.other:
+            where = f"between {where} and the {place.other.replace('_', ' ')}"
+        else:
+            where = f"at {where}"
+        energy_kj = 1e-3 * abs(place.energy_j)
+        lack = "too little" if place.energy_j > 0.0 else "too much"
+        parts.append(
+            f"while {place.regime} the model has {energy_kj:.0f} kJ {lack} "
+            f"heat {where}"
+        )
+    if gap.naming is not None:
+        parts.append(cause(gap.naming))
+    if gap.shown is not None:
+        before, after = (
+            rms(np.array([one.rms_k[k] for one in gap.shown.errors]))
+            for k in (CONFIGURED, EXTENDED)
+        )
+        move = "falls" if after < before else "rises"
+        parts.append(
+            f"with it the error on {shown_where(gap.shown)} {move} from "
+            f"{before:.1f} to {after:.1f} K"
+        )
+    if gap.advice:
+        parts.append(advice_headline(gap))
+    return as_sentence(parts)
+
+
+def cause(naming: Naming) -> str:
+    """Return the likely cause in words that need no catalogue."""
+    causes = []
+    for name in naming.names:
+        text = called(naming, name)
+        if not is_change(name):
+            text = effect_class(name).description
+        causes.append(f"{text[0].lower()}{text[1:]}".rstrip(".?"))
+    return {
+        "nothing": "no missing effect is visible",
+        "name": f"likely cause: {' and '.join(causes)}",
+        "class": f"likely cause, not to be told apart: {' or '.join(causes)}",
+        "unknown": "none of the known effects explains it",
+        "undecided": "the drives do not decide which effect is missing",
+    }[naming.answer]
+
+
+def as_sentence(parts: Sequence[str]) -> str:
+    """Return *parts* as one sentence."""
+    text = "; ".join(parts) or "nothing was searched"
+    return f"{text[0].upper()}{text[1:]}."
 
 
 def answer_line(naming: Naming, what: str) -> str:
@@ -362,8 +420,9 @@ def advice_headline(gap: Gap) -> str:
     if len(gap.members) > 1:
         names = f"the right one of {names}"
     return (
-        f"next drive: {best.drive}, {best.description}; with it {names} "
-        f"would be named in {100.0 * best.named:.0f} % of cases"
+        f"next drive, most right names a minute: {best.drive}, "
+        f"{best.description}; with it {names} would be named in "
+        f"{100.0 * best.named:.0f} % of cases"
     )
 
 
@@ -383,65 +442,10 @@ def advice_rows(gap: Gap) -> list[tuple[str, ...]]:
             one.drive,
             f"{one.duration_s / 60.0:.0f}",
             f"{100.0 * one.named:.0f} %",
+            f"{100.0 * one.named_per_min:.1f} %",
             f"{100.0 * one.wrong:.0f} %",
             f"{one.log_bayes_factor:+.1f}",
             one.description,
         )
         for one in gap.advice
-    ]
-
-
-def force_text(gap: ForceGap) -> str:
-    """Return what was found as lines for a terminal."""
-    return "\n  ".join(
-        [
-            f"forces of the whole car: {answer_line(gap.naming, 'forces')}",
-            *force_lines(gap),
-            *table(CANDIDATE_HEAD, candidate_rows(gap.naming)),
-            *sight_lines(gap),
-        ]
-    )
-
-
-def force_lines(gap: ForceGap) -> list[str]:
-    """Return the answer of the forces, and errors before and after."""
-    pressed_kj, motion_kj = 1e-3 * gap.pressed_j, 1e-3 * gap.motion_j
-    sources = "pressure (Feed-Forward) against motion (Feed-Back)"
-    work = f"{pressed_kj:.0f} kJ by pressure, {motion_kj:.0f} kJ by motion"
-    lines = [
-        f"no thermocouple: {sources}, {gap.windows} windows",
-        f"braking work: {work}",
-        *naming_lines(gap.naming),
-    ]
-    for name, strength in gap.strengths.items():
-        lines.append(
-            f"{name}: strength {strength:.2f} +- {gap.deviations[name]:.2f}"
-        )
-    if gap.strengths:
-        kind = "held-out drives" if gap.held_out else "the same drives"
-        lines.append(
-            f"error of the car's acceleration on {kind}, without noise: "
-            f"{acceleration(gap.before_ms2)} before, "
-            f"{acceleration(gap.after_ms2)} after"
-        )
-    return lines
-
-
-def acceleration(error_ms2: float) -> str:
-    """Return an error that is left; the search gives 0 within the noise."""
-    return f"{error_ms2:.3f} m/s2" if error_ms2 > 0.0 else "none"
-
-
-def sight_lines(gap: ForceGap) -> list[str]:
-    """Return which effects these forces can show, and which not."""
-    seen = ", ".join(f"{name} {reach:.2f}" for name, reach in gap.seen.items())
-    by_reason: dict[str, list[str]] = {}
-    for name, why in gap.unseen.items():
-        by_reason.setdefault(why.partition(":")[0], []).append(name)
-    return [
-        f"detectable, from a strength of: {seen or 'none'}",
-        *(
-            f"not detectable ({why}): {', '.join(names)}"
-            for why, names in by_reason.items()
-        ),
     ]

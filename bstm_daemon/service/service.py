@@ -25,6 +25,7 @@ from bstm_daemon.service.assembly import (
     refusing,
 )
 from bstm_daemon.service.clock import SteadyAxis
+from bstm_daemon.service.feed_output import FeedOutput
 from bstm_daemon.service.intake import GUARD_US, Intake
 from bstm_daemon.service.persistence import Persistence, state_file
 from bstm_daemon.service.reporting import ServiceReporter
@@ -90,6 +91,7 @@ class Service:
         self._reporter = ServiceReporter(
             log, self._axis, file.parent, options.metrics_port
         )
+        self._feed = FeedOutput(log)
         self._dropped = 0
         """Frames lost on links that a reload has replaced."""
         self._start_us = self._last_us = self._axis.read()
@@ -133,6 +135,7 @@ class Service:
             link.open()
         self._persistence.resume(monitor.engine, self._axis.read())
         self._reporter.begin(monitor, self._intake, self._sender)
+        self._feed.begin(monitor.config, monitor.path.parent)
         self._notifier.ready()
         _freeze_heap()
 
@@ -154,6 +157,8 @@ class Service:
         )
         published = engine.tick(until_us)
         self._sender.publish(published)
+        if published:
+            self._feed.publish(engine.estimate, begin_us)
         self._reporter.note_flags()
         self._persistence.poll(engine, begin_us)
         self._poll_and_report(begin_us)
@@ -328,6 +333,7 @@ class Service:
             self._intake.replace(links)
         self._sender = self._new_sender()
         self._reporter.begin(fresh, self._intake, self._sender)
+        self._feed.begin(fresh.config, fresh.path.parent)
         _freeze_heap()
         self._log.emit(events.CONFIG_RELOADED, config=str(fresh.path))
 
@@ -369,6 +375,7 @@ class Service:
         self._sender.send(engine.stop_frames())
         self._persistence.close(engine)
         self._intake.close()
+        self._feed.close()
         self._reporter.close()
 
 
