@@ -51,6 +51,7 @@ from bstm_daemon.report.replay_page import ReplayFacts, replay_page
 from bstm_daemon.report.screen import summary_table
 from bstm_daemon.report.shell import write_page
 from bstm_daemon.report.timescale import clock
+from bstm_daemon.service.state_file import encode, save
 from bstm_daemon.terminal_text import raw_stream
 from bstm_daemon.watch.board import Board
 from bstm_daemon.watch.replay_view import DEFAULT_SPEED, watch_log
@@ -58,10 +59,11 @@ from bstm_daemon.watch.view import open_view
 
 if TYPE_CHECKING:
     import argparse
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
     from bstm_daemon.bus.signals.signal_map import SignalMap
     from bstm_daemon.config.sections import Config
+    from bstm_daemon.engine import Published
     from bstm_daemon.replay.columns import StartState
     from bstm_daemon.replay.results import Results
 
@@ -102,6 +104,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     what = "state file of the daemon to start from; it is only read"
     start.add_argument("--state", type=Path, metavar="FILE", help=what)
+    what = "write the state at the end of the log, for the drive after it"
+    add_path(parser, "--state-out", "FILE", what)
     parser.add_argument(
         "--watch",
         action="store_true",
@@ -133,7 +137,7 @@ def run(args: argparse.Namespace) -> int:
         state = read_state(args.state, "--state")
     if args.out is not None:
         make_folder(args.out)
-    check_targets((args.publish, args.report), ())
+    check_targets((args.publish, args.report, args.state_out), ())
     for path, stem in zip(args.logs, stems, strict=True):
         published = partial(
             publications,
@@ -189,6 +193,9 @@ def run(args: argparse.Namespace) -> int:
             print(line)
         for target in targets:
             print(f"{target}: {statistics.rows} rows")
+        if args.state_out is not None:
+            save(args.state_out, encode(log_run.state))
+            print(args.state_out)
         if args.report is not None:
             facts = ReplayFacts(
                 title=f"Brake temperatures: {path.name}",
@@ -208,11 +215,21 @@ def run(args: argparse.Namespace) -> int:
             print(args.report)
         if args.publish is not None:
             channel = publish_channel(config)
-            with Progress(f"publish {path.name}") as progress:
-                ticks = published(progress=progress.show)
-                count = write_frames(ticks, channel, args.publish)
-            print(f"{args.publish}: {count} frames")
+            _publish(published, path.name, channel, args.publish)
     return 0
+
+
+def _publish(
+    published: Callable[..., Iterator[list[Published]]],
+    name: str,
+    channel: str,
+    out: Path,
+) -> None:
+    """Write the frames of the log *name* to *out*."""
+    with Progress(f"publish {name}") as progress:
+        ticks = published(progress=progress.show)
+        count = write_frames(ticks, channel, out)
+    print(f"{out}: {count} frames")
 
 
 def _vehicle(args: argparse.Namespace) -> tuple[Config, SignalMap]:
@@ -229,10 +246,12 @@ def _vehicle(args: argparse.Namespace) -> tuple[Config, SignalMap]:
 
 def _check_targets(args: argparse.Namespace, stems: list[str]) -> None:
     """Refuse targets that would overwrite each other or what is read."""
-    if len(args.logs) > 1 and (
-        args.publish or args.report or args.watch or args.state
-    ):
-        msg = "--publish, --report, --state and --watch take one LOG at a time"
+    of_one = args.publish, args.report, args.watch, args.state, args.state_out
+    if len(args.logs) > 1 and any(of_one):
+        msg = (
+            "--publish, --report, --watch, --state and --state-out take one "
+            "LOG at a time"
+        )
         raise UsageError(msg)
     if args.out is not None and len(set(stems)) < len(stems):
         msg = f"two logs would write the same files in {args.out}: {stems}"
@@ -244,7 +263,8 @@ def _check_targets(args: argparse.Namespace, stems: list[str]) -> None:
         if args.out is not None
     ]
     sources = (args.config, args.state, *args.logs)
-    refuse_overwriting((args.publish, args.report, *tables), sources)
+    targets = args.publish, args.report, args.state_out, *tables
+    refuse_overwriting(targets, sources)
 
 
 def _start_remarks(start: str, known_s: float) -> list[str]:
