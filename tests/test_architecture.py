@@ -31,6 +31,7 @@ FLOORS = (
     ("analysis",),
     ("watch",),
     ("report",),
+    ("fleet",),
     ("cli",),
 )
 """The entries of the package, from the ground up. An entry imports from floors

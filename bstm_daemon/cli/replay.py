@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import sys
 from argparse import ArgumentTypeError
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
-from math import isclose, isfinite, isinf, nan
+from math import isinf
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,11 +18,13 @@ from bstm_daemon.bus.tables.table_plan import TableMap
 from bstm_daemon.cli.arguments import (
     add_bus_map,
     add_config,
+    add_every,
     add_no_forecast,
     add_out,
     add_path,
     add_report,
     check_targets,
+    finite,
     refuse_overwriting,
 )
 from bstm_daemon.cli.progress import Progress
@@ -68,8 +70,6 @@ if TYPE_CHECKING:
     from bstm_daemon.replay.results import Results
 
 
-PUBLICATION_S = 0.1
-
 WEAR_MOVED_K = 5.0
 """Wear that moves the estimate by more is worth a line."""
 
@@ -84,13 +84,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         choices=("csv", "parquet", "both"),
         help="files in DIR (default: both, CSV alone without pyarrow)",
     )
-    parser.add_argument(
-        "--every",
-        type=_every_s,
-        default=PUBLICATION_S,
-        metavar="S",
-        help="seconds from row to row, a multiple of 0.1 (default: 0.1)",
-    )
+    add_every(parser)
     what = "write the frames that the daemon would send as a candump log"
     add_path(parser, "--publish", "OUT.log", what)
     start = parser.add_mutually_exclusive_group()
@@ -377,26 +371,9 @@ def _stem(path: Path) -> str:
     return Path(path.name.removesuffix(".gz")).stem
 
 
-def _number(text: str) -> float:
-    """Return *text* as a finite number, nan where it is none."""
-    with suppress(ValueError):
-        number = float(text)
-        return number if isfinite(number) else nan
-    return nan
-
-
 def _speed(text: str) -> float:
-    speed = _number(text)
+    speed = finite(text)
     if not speed >= 0.0:
         msg = f"{text!r} is not a factor of 0 or more"
         raise ArgumentTypeError(msg)
     return speed
-
-
-def _every_s(text: str) -> float:
-    seconds = _number(text)
-    tenths = seconds / PUBLICATION_S
-    if not (seconds > 0.0 and isclose(tenths, round(tenths), abs_tol=1e-6)):
-        msg = f"{text!r} is not a positive multiple of {PUBLICATION_S} s"
-        raise ArgumentTypeError(msg)
-    return seconds

@@ -1,0 +1,360 @@
+"""One drive of a lake: the task that a worker runs."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from bstm_daemon.errors import FileAccessError, LogError, UsageError
+from bstm_daemon.estimate import Reason
+from bstm_daemon.estimator.memory import after_unseen_drive
+from bstm_daemon.files import make_folder, replacing
+from bstm_daemon.fleet.lake import (
+    Drive,
+    Lake,
+    Options,
+    Receipt,
+    hash_of_config,
+    hash_of_file,
+    key_of,
+    program,
+)
+from bstm_daemon.model.wear.table import WEAR_COLUMNS
+from bstm_daemon.replay.columns import stream_log
+from bstm_daemon.replay.results import Part, Results, parquet_file
+from bstm_daemon.replay.vehicle import load_vehicle
+from bstm_daemon.report.drive_statistics import (
+    SUMMARY_NODES,
+    VALIDITY_NAMES,
+    DriveStatistics,
+)
+from bstm_daemon.service import state_file
+
+if TYPE_CHECKING:
+    import numpy.typing as npt
+
+    from bstm_daemon.bus.signals.signal_map import SignalMap
+    from bstm_daemon.config.sections import Config
+    from bstm_daemon.replay.columns import Run
+    from bstm_daemon.replay.results import Sink
+    from bstm_daemon.report.drive_statistics import CornerSummary
+
+MADE: Final = 0
+SKIPPED: Final = 1
+FAILED: Final = 2
+FOREIGN: Final = 3
+"""What a task returns: a number, so that a worker that is lost takes no result
+with it. FOREIGN: the worker runs another program."""
+
+OF_CAR: Final = ("time_s", "speed_ms", "risk")
+OF_CORNER: Final = (
+    *("disc_c", "pad_front_c", "pad_back_c", "fluid_c", "margin_k"),
+    *("risk", "validity", "reasons"),
+)
+"""Columns of the estimates in a lake."""
+
+RESOLUTION: Final = 64.0
+"""Temperatures, margins and speeds are kept in steps of 1/64 K and 1/64 m/s:
+finer ones are noise, and take most of the space."""
+_STEPPED: Final = ("_c", "_k", "_ms")
+
+RISKS: Final = ("risk", "risk_start_known")
+"""The highest of a drive, and of the time in which its start has no effect."""
+
+_CORNER_NUMBERS: Final = (
+    *(f"{node}_peak_c" for node in SUMMARY_NODES),
+    *("margin_k", "brake_energy_j"),
+    *RISKS,
+    *VALIDITY_NAMES,
+    *WEAR_COLUMNS,
+)
+LEARNED: Final = ("mass_kg", "friction_scale", "drag_scale", "accel_bias_ms2")
+
+
+@dataclass(frozen=True)
+class Job:
+    """A drive to replay behind *previous*, None for the first of a car.
+
+    ``program`` is that of the client, ``config_hash`` of the configuration
+    when the client read it.
+    """
+
+    root: str
+    drive: Drive
+    previous: Drive | None
+    options: Options
+    config_hash: str
+    program: dict[str, str]
+
+
+def replay_drive(job: Job) -> int:
+    """Replay the drive of *job*, write its results and then its receipt.
+
+    Returns:
+        MADE, SKIPPED, FAILED or FOREIGN.
+    """
+    if job.program != program():
+        return FOREIGN
+    lake, drive = Lake(Path(job.root)), job.drive
+    receipt = _begun(lake, job)
+    key = ""
+    try:
+        _check_unchanged(drive)
+        log_hash = hash_of_file(Path(drive.log))
+        key = key_of(
+            receipt.previous, drive, log_hash, job.config_hash, job.options
+        )
+        receipt = replace(receipt, log_hash=log_hash)
+        found = lake.receipt(drive)
+        if found is not None and lake.is_made(drive, found, key):
+            kept = replace(found, size=drive.size, mtime_ns=drive.mtime_ns)
+            lake.write_receipt(drive, kept)
+            return SKIPPED
+        lake.clear(drive)
+        document = _state_before(lake, job.previous)
+        last_us = _make(lake, job, document, receipt)
+    except Exception as error:  # noqa: BLE001  (a log may hold anything)
+        is_log = isinstance(error, LogError)
+        text = str(error) if is_log else f"{type(error).__name__}: {error}"
+        failed = replace(receipt, message=text, key=key if is_log else "")
+        _fail(lake, job, failed)
+        return FAILED
+    made = replace(receipt, key=key, outcome="done", last_us=last_us)
+    lake.write_receipt(drive, made)
+    return MADE
+
+
+def fail_drive(job: Job, message: str) -> None:
+    """Note that the drive of *job* failed, so that the next one can follow."""
+    lake = Lake(Path(job.root))
+    _fail(lake, job, replace(_begun(lake, job), message=message))
+
+
+def _begun(lake: Lake, job: Job) -> Receipt:
+    """Return the receipt of the drive of *job* before anything is known."""
+    drive = job.drive
+    before = lake.receipt(job.previous) if job.previous else None
+    return Receipt(
+        key="",
+        previous=before.key if before else "",
+        log=drive.log,
+        log_hash="",
+        size=drive.size,
+        mtime_ns=drive.mtime_ns,
+        outcome="failed",
+        message=None,
+        first_us=drive.first_us,
+        last_us=before.last_us if before else None,
+        after_hole=before is not None and before.outcome == "failed",
+        options=job.options,
+        program=program(),
+    )
+
+
+def _check_unchanged(drive: Drive) -> None:
+    try:
+        stat = Path(drive.log).stat()
+    except OSError as error:
+        msg = f"{drive.log}: {error.strerror}"
+        raise FileAccessError(msg) from error
+    if (stat.st_size, stat.st_mtime_ns) != (drive.size, drive.mtime_ns):
+        msg = f"{drive.log}: has changed since 'bstm fleet plan'"
+        raise FileAccessError(msg)
+
+
+def _state_before(lake: Lake, previous: Drive | None) -> dict[str, Any] | None:
+    """Return the state that the drive behind *previous* begins from.
+
+    None where no drive of the car before it could be replayed.
+
+    Raises:
+        FileAccessError: it is unusable.
+    """
+    if previous is None:
+        return None
+    loaded = state_file.read(lake.state(previous))
+    if loaded.problem:
+        raise FileAccessError(loaded.problem)
+    return loaded.document
+
+
+def _fail(lake: Lake, job: Job, receipt: Receipt) -> None:
+    """Leave the state before the drive, as after a drive that nobody saw."""
+    drive = job.drive
+    lake.clear(drive)
+    try:
+        document = _state_before(lake, job.previous)
+    except FileAccessError:
+        document = None
+    if document is not None:
+        marked = after_unseen_drive(document)
+        state_file.save(lake.state(drive), state_file.encode(marked))
+    lake.write_receipt(drive, receipt)
+
+
+@lru_cache(maxsize=8)
+def _vehicle(config: str, expected: str) -> tuple[Config, SignalMap]:
+    """Return the vehicle of *config*, whose hash is as *expected*."""
+    if hash_of_config(Path(config)) != expected:
+        msg = f"{config}: has changed since this run began"
+        raise UsageError(msg)
+    return load_vehicle(Path(config), quiet=True)
+
+
+def _make(
+    lake: Lake, job: Job, document: dict[str, Any] | None, receipt: Receipt
+) -> int:
+    """Write estimates, row and state of the drive; return its last stamp."""
+    drive = job.drive
+    if drive.problem is not None:
+        raise LogError(drive.problem)
+    if receipt.last_us is not None and receipt.last_us >= drive.first_us:
+        before = job.previous.log if job.previous else ""
+        msg = (
+            f"{drive.log}: begins before the end of a log before it: {before}"
+        )
+        raise LogError(msg)
+    config, signal_map = _vehicle(drive.config, job.config_hash)
+    estimates, row, state = lake.files(drive)
+    make_folder(estimates.parent)
+    make_folder(row.parent)
+    statistics = DriveStatistics()
+    with parquet_file(estimates) as table:
+        rows = _LakeRows(table, forecast=job.options.forecast)
+        run = stream_log(
+            config,
+            signal_map,
+            Path(drive.log),
+            [statistics, rows],
+            overrides=json.loads(drive.map),
+            every_us=job.options.every_us,
+            state=document,
+            forecast=job.options.forecast,
+        )
+    _write_row(row, _row(drive, statistics, rows, run, receipt))
+    state_file.save(state, state_file.encode(run.state))
+    last_us: int = run.state["time_us"]
+    return last_us
+
+
+class _LakeRows:
+    """Passes the columns of a lake on; keeps what a drive's row has."""
+
+    def __init__(self, table: Sink, *, forecast: bool) -> None:
+        self.parts = Part.ALL if forecast else Part.VALIDITY
+        self.last: dict[str, float] = {}
+        self.most: dict[str, float] = {}
+        self._table = table
+
+    def write(self, rows: Results) -> None:
+        names: list[str] = [n for n in OF_CAR if n in rows.columns]
+        names += [
+            f"{corner}.{name}"
+            for corner in rows.modelled
+            for name in OF_CORNER
+            if f"{corner}.{name}" in rows.columns
+        ]
+        kept = {name: rows.columns[name] for name in names}
+        for corner in rows.modelled:
+            if f"{corner}.risk" in kept:
+                risk = kept[f"{corner}.risk"]
+                why = kept[f"{corner}.reasons"].astype(int)
+                known = why & Reason.START_UNKNOWN == 0
+                self._note_most(f"{corner}.risk", risk)
+                self._note_most(f"{corner}.risk_start_known", risk[known])
+        for name, column in kept.items():
+            if name.endswith(_STEPPED):
+                kept[name] = np.round(column * RESOLUTION) / RESOLUTION
+        self.last |= {n: float(c[-1]) for n, c in rows.columns.items()}
+        self._table.write(replace(rows, columns=kept))
+
+    def _note_most(self, name: str, column: npt.NDArray[np.float64]) -> None:
+        known = column[np.isfinite(column)]
+        if len(known):
+            most = self.most.get(name, 0.0)
+            self.most[name] = max(most, float(known.max()))
+
+
+def _row(
+    drive: Drive,
+    statistics: DriveStatistics,
+    rows: _LakeRows,
+    run: Run,
+    receipt: Receipt,
+) -> dict[str, Any]:
+    """Return the one row about *drive*."""
+    summary = statistics.summary()
+    corners = [_corner(one, rows) for one in summary.corners if one.modelled]
+    refused = {k: int(v) for k, v in sorted(run.refused.items()) if v}
+    return {
+        "log": drive.log,
+        "name": drive.name,
+        "type": drive.type,
+        "begin": datetime.fromtimestamp(drive.first_us * 1e-6, UTC),
+        "duration_s": summary.duration_s,
+        "distance_m": summary.distance_m,
+        "top_speed_ms": summary.top_speed_ms,
+        "after_hole": receipt.after_hole,
+        "start_known_s": run.start_known_s,
+        "truncated": run.truncated,
+        "refused": sum(refused.values()),
+        "refused_by_reason": json.dumps(refused),
+        "clock_jumps": run.counts["jumps"],
+        "findings": [one.text for one in summary.findings],
+        "reasons": [one.text for one in summary.reasons],
+        **{name: _number(rows.last.get(name)) for name in LEARNED},
+        "corners": corners,
+    }
+
+
+def _corner(one: CornerSummary, rows: _LakeRows) -> dict[str, Any]:
+    peaks = {
+        f"{node}_peak_c": peak.temperature_c
+        for node, peak in one.peaks.items()
+    }
+    fluid = one.peaks.get("fluid")
+    shares = one.validity_shares or (None, None, None)
+    return {
+        **{
+            n: _number(rows.last.get(f"{one.corner}.{n}"))
+            for n in WEAR_COLUMNS
+        },
+        **dict(zip(VALIDITY_NAMES, shares, strict=True)),
+        **peaks,
+        "corner": one.corner,
+        "fluid_peak_validity": fluid.validity if fluid else None,
+        "margin_k": one.margin_k,
+        **{n: rows.most.get(f"{one.corner}.{n}") for n in RISKS},
+        "brake_energy_j": one.energies_j[0],
+    }
+
+
+def _number(value: float | None) -> float | None:
+    return value if value is not None and np.isfinite(value) else None
+
+
+def _write_row(path: Path, row: dict[str, Any]) -> None:
+    import pyarrow as pa  # noqa: PLC0415  (an extra)
+    from pyarrow import parquet  # noqa: PLC0415
+
+    real, whole, text = pa.float64(), pa.int64(), pa.string()
+    corner = {"corner": text, "fluid_peak_validity": whole}
+    corner |= dict.fromkeys(_CORNER_NUMBERS, real)
+    kinds = {
+        "begin": pa.timestamp("us", tz="UTC"),
+        "corners": pa.list_(pa.struct(list(corner.items()))),
+        **dict.fromkeys(("log", "name", "type", "refused_by_reason"), text),
+        **dict.fromkeys(("after_hole", "truncated"), pa.bool_()),
+        **dict.fromkeys(("refused", "clock_jumps"), whole),
+        **dict.fromkeys(("findings", "reasons"), pa.list_(text)),
+    }
+    schema = pa.schema([(name, kinds.get(name, real)) for name in row])
+    with replacing(path) as temporary:
+        table = pa.Table.from_pylist([row], schema)
+        parquet.write_table(table, temporary, compression="zstd")
