@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import csv
+import json
+import os
 import time
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, redirect_stdout
+from io import StringIO
 from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -16,6 +19,7 @@ from bstm_daemon.cli.arguments import (
     add_path,
     check_targets,
 )
+from bstm_daemon.cli.main import main
 from bstm_daemon.cli.progress import Progress
 from bstm_daemon.errors import StateLockedError
 from bstm_daemon.files import make_folder, replacing
@@ -29,6 +33,8 @@ from bstm_daemon.fleet.plan import Plan, add_logs
 from bstm_daemon.fleet.query import ask, shipped
 from bstm_daemon.fleet.run import Run
 from bstm_daemon.fleet.vehicles import Fleet
+from bstm_daemon.report.fleet import FleetFacts, fleet_page
+from bstm_daemon.report.shell import require_page_packages, write_page
 from bstm_daemon.report.text import table, wrapped
 from bstm_daemon.report.timescale import duration
 from bstm_daemon.service.state_file import lock
@@ -95,6 +101,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     status = steps.add_parser("status", help="what is done, waits or failed")
     _add_lake(status)
     status.set_defaults(step=_status)
+    report = steps.add_parser("report", help="write the page of the fleet")
+    _add_lake(report)
+    add_out(report, "page (default: LAKE/report.html)", "FILE.html")
+    report.add_argument(
+        "--pages",
+        type=int,
+        default=0,
+        metavar="N",
+        help="replay the N worst drives for pages of their own, which the "
+        "page leads to (default: %(default)s)",
+    )
+    report.set_defaults(step=_report)
     query = steps.add_parser("query", help="ask the results in SQL")
     _add_lake(query)
     query.add_argument(
@@ -179,6 +197,56 @@ def _status(args: argparse.Namespace) -> int:
         print(f"{args.lake}: {plan.cars()} cars, {_counts(outcome)}")
     _list("not replayed", outcome.failures)
     return EXIT_FAILED if outcome.failures else 0
+
+
+def _report(args: argparse.Namespace) -> int:
+    require_page_packages()
+    lake = Lake(args.lake)
+    out = args.out or lake.root / "report.html"
+    check_targets([out], ())
+    with closing(Plan(lake)) as plan:
+        outcome = Run(lake, plan, None).look()
+        cars, dates, worst = (
+            ask(lake, name).as_rows() for name in ("cars", "dates", "worst")
+        )
+        found = {}
+        for row in worst[: args.pages]:
+            drive = (row["vehicle"], row["name"])
+            page = _drive_page(lake, plan, *drive)
+            if page is not None:
+                found[drive] = os.path.relpath(page, out.parent)
+    title = f"Brakes of the fleet: {lake.root.resolve().name}"
+    failures, waiting = outcome.failures, outcome.waiting
+    facts = FleetFacts(title, cars, dates, worst, found, failures, waiting)
+    write_page(out, fleet_page(facts))
+    print(out)
+    return 0
+
+
+def _drive_page(
+    lake: Lake, plan: Plan, vehicle: str, name: str
+) -> Path | None:
+    """Replay a drive as it was for a page; None where that is impossible."""
+    before = None
+    for drive in plan.chain(vehicle):
+        receipt = lake.receipt(drive)
+        if drive.name == name and receipt is not None:
+            page = lake.page(drive)
+            make_folder(page.parent)
+            pairs = json.loads(drive.map).items()
+            arguments = [
+                *("replay", drive.log, "-c", drive.config),
+                *("--report", str(page)),
+                *(() if receipt.options.forecast else ("--no-forecast",)),
+                *(f"--map={one}={bus}" for one, bus in pairs),
+            ]
+            if before is not None and lake.state(before).exists():
+                arguments += ["--state", str(lake.state(before))]
+            with redirect_stdout(StringIO()):
+                code = main(arguments)
+            return page if code == 0 else None
+        before = drive
+    return None
 
 
 def _query(args: argparse.Namespace) -> int:

@@ -81,13 +81,14 @@ LEARNED: Final = ("mass_kg", "friction_scale", "drag_scale", "accel_bias_ms2")
 class Job:
     """A drive to replay behind *previous*, None for the first of a car.
 
-    ``program`` is that of the client, ``config_hash`` of the configuration
-    when the client read it.
+    ``previous_key`` is the key of that one, empty without. ``program`` is
+    that of the client, ``config_hash`` that of the configuration then.
     """
 
     root: str
     drive: Drive
     previous: Drive | None
+    previous_key: str
     options: Options
     config_hash: str
     program: dict[str, str]
@@ -108,7 +109,7 @@ def replay_drive(job: Job) -> int:
         _check_unchanged(drive)
         log_hash = hash_of_file(Path(drive.log))
         key = key_of(
-            receipt.previous, drive, log_hash, job.config_hash, job.options
+            job.previous_key, drive, log_hash, job.config_hash, job.options
         )
         receipt = replace(receipt, log_hash=log_hash)
         found = lake.receipt(drive)
@@ -142,14 +143,11 @@ def _begun(lake: Lake, job: Job) -> Receipt:
     before = lake.receipt(job.previous) if job.previous else None
     return Receipt(
         key="",
-        previous=before.key if before else "",
-        log=drive.log,
         log_hash="",
         size=drive.size,
         mtime_ns=drive.mtime_ns,
         outcome="failed",
         message=None,
-        first_us=drive.first_us,
         last_us=before.last_us if before else None,
         after_hole=before is not None and before.outcome == "failed",
         options=job.options,

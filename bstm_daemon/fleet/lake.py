@@ -71,14 +71,11 @@ class Receipt:
     """
 
     key: str
-    previous: str
-    log: str
     log_hash: str
     size: int
     mtime_ns: int
     outcome: str
     message: str | None
-    first_us: int
     last_us: int | None
     after_hole: bool
     options: Options
@@ -172,6 +169,11 @@ class Lake:
     def row(self, drive: Drive) -> Path:
         """Return where the one row about *drive* is."""
         return self._of("drives", drive) / f"{drive.name}.parquet"
+
+    def page(self, drive: Drive) -> Path:
+        """Return where the page of *drive* is, if it was asked for."""
+        folder = self.root / "pages" / safe_name(drive.vehicle)
+        return folder / f"{drive.name}.html"
 
     def state(self, drive: Drive) -> Path:
         """Return where the state at the end of *drive* is."""

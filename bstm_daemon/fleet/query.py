@@ -32,6 +32,10 @@ class Answer(NamedTuple):
     names: list[str]
     rows: list[tuple[Any, ...]]
 
+    def as_rows(self) -> list[dict[str, Any]]:
+        """Return the rows as values by column."""
+        return [dict(zip(self.names, row, strict=True)) for row in self.rows]
+
 
 def shipped() -> dict[str, dict[str, str]]:
     """Return the shipped questions by name: ``what`` they ask and ``sql``."""

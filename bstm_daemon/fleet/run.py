@@ -199,6 +199,7 @@ class Run:
                         str(self._lake.root.resolve()),
                         drive,
                         chain.before,
+                        chain.key,
                         self._options,
                         config_hash,
                         program(),

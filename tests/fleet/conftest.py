@@ -76,18 +76,19 @@ class Made:
 
     def replay(self, car: str, **options: Any) -> list[int]:
         """Replay the chain of *car* here, and return what each task did."""
-        before = None
+        before, key = None, ""
         codes = []
         for drive in self.chain(car):
             made = Options(100_000, forecast=False)
             config_hash = hash_of_config(Path(drive.config))
             job = Job(
-                *(str(self.lake.root), drive, before, made),
+                *(str(self.lake.root), drive, before, key, made),
                 config_hash,
                 options.get("program", program()),
             )
             codes.append(replay_drive(job))
-            before = drive
+            receipt = self.lake.receipt(drive)
+            before, key = drive, receipt.key if receipt else ""
         return codes
 
     def files(self) -> dict[str, bytes]:
