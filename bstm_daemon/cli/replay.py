@@ -149,7 +149,9 @@ def run(args: argparse.Namespace) -> int:
         targets = {
             args.out / f"{stem}.estimates.{form}": form for form in formats
         }
-        statistics, curves = DriveStatistics(), DriveCurves()
+        # a state has the forecast's memory, whatever else is written
+        parts = Part.ALL if args.state_out else Part.VALIDITY
+        statistics, curves = DriveStatistics(parts), DriveCurves()
         worn = _PublishedNodes(Part.NONE)
         # whole tables or none: all are replaced when the last row is written
         with Progress(f"replay {path.name}") as progress, ExitStack() as files:
@@ -187,9 +189,7 @@ def run(args: argparse.Namespace) -> int:
             print(line)
         for target in targets:
             print(f"{target}: {statistics.rows} rows")
-        if args.state_out is not None:
-            save(args.state_out, encode(log_run.state))
-            print(args.state_out)
+        _save_state(args.state_out, log_run)
         if args.report is not None:
             facts = ReplayFacts(
                 title=f"Brake temperatures: {path.name}",
@@ -211,6 +211,12 @@ def run(args: argparse.Namespace) -> int:
             channel = publish_channel(config)
             _publish(published, path.name, channel, args.publish)
     return 0
+
+
+def _save_state(path: Path | None, log_run: Run) -> None:
+    if path is not None:
+        save(path, encode(log_run.state))
+        print(path)
 
 
 def _publish(
