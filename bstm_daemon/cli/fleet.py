@@ -23,11 +23,7 @@ from bstm_daemon.cli.main import main
 from bstm_daemon.cli.progress import Progress
 from bstm_daemon.errors import StateLockedError
 from bstm_daemon.files import make_folder, replacing
-from bstm_daemon.fleet.cluster import (
-    local_cluster,
-    remote_cluster,
-    require_fleet,
-)
+from bstm_daemon.fleet.cluster import connect, require_fleet
 from bstm_daemon.fleet.lake import Lake, Options
 from bstm_daemon.fleet.plan import Plan, add_logs
 from bstm_daemon.fleet.query import ask, shipped
@@ -177,11 +173,7 @@ def _replay(args: argparse.Namespace) -> int:
         first = next(chains, None)
         if first is not None:
             tls = args.tls_ca, args.tls_cert, args.tls_key
-            with (
-                remote_cluster(args.scheduler, tls)
-                if args.scheduler
-                else local_cluster(args.jobs)
-            ) as client:
+            with connect(args.scheduler, args.jobs, tls) as client:
                 replayed.execute(client, chain([first], chains), show)
     spent_s = time.monotonic() - begun_s
     outcome = replayed.outcome

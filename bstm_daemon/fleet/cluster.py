@@ -20,66 +20,55 @@ WAIT_S: Final = 30.0
 
 
 @contextmanager
-def local_cluster(jobs: int | None) -> Iterator[Any]:
-    """Give a ``distributed.Client`` of *jobs* processes, or one a core.
-
-    Raises:
-        MissingExtraError: the extra ``fleet`` is not installed.
-    """
-    require_fleet()
-    from distributed import Client, LocalCluster  # noqa: PLC0415  (an extra)
-
-    with (
-        LocalCluster(
-            n_workers=jobs,
-            threads_per_worker=1,
-            host="127.0.0.1",
-            dashboard_address=None,
-            silence_logs=logging.CRITICAL,
-        ) as cluster,
-        Client(cluster, set_as_default=False) as client,
-    ):
-        yield client
-
-
-@contextmanager
-def remote_cluster(
-    address: str, tls: tuple[Path | None, Path | None, Path | None]
+def connect(
+    address: str | None,
+    jobs: int | None,
+    tls: tuple[Path | None, Path | None, Path | None],
 ) -> Iterator[Any]:
-    """Give a ``distributed.Client`` of the scheduler at *address*.
+    """Give a ``distributed.Client``.
 
     Args:
-        address: ``tls://HOST:PORT``, or ``tcp://`` on this machine.
+        address: of a scheduler, ``tls://HOST:PORT`` or ``tcp://`` on this
+            machine; None starts workers here.
+        jobs: processes here, None for one a core.
         tls: certificate of the authority, own certificate and key; without
             them those of Dask's configuration.
 
     Raises:
-        MissingExtraError: the extra ``fleet`` is not installed.
         UsageError: the address is refused, or workers run another program.
         BstmError: no scheduler or no worker answers.
     """
-    require_fleet()
-    check_address(address)
-    from distributed import Client, Security  # noqa: PLC0415  (an extra)
+    from distributed import (  # noqa: PLC0415  (an extra)
+        Client,
+        LocalCluster,
+        Security,
+    )
 
-    security = None
-    if address.startswith("tls://"):
-        authority, certificate, key = (
-            None if path is None else str(path) for path in tls
-        )
-        given = {
-            "tls_ca_file": authority,
-            "tls_client_cert": certificate,
-            "tls_client_key": key,
-        }
-        security = Security(
-            require_encryption=True, **{k: v for k, v in given.items() if v}
-        )
+    if address is None:
+        with (
+            LocalCluster(
+                n_workers=jobs,
+                threads_per_worker=1,
+                host="127.0.0.1",
+                dashboard_address=None,
+                silence_logs=logging.CRITICAL,
+            ) as cluster,
+            Client(cluster, set_as_default=False) as client,
+        ):
+            yield client
+        return
+    check_address(address)
+    names = "tls_ca_file", "tls_client_cert", "tls_client_key"
+    files = {n: str(file) for n, file in zip(names, tls, strict=True) if file}
+    is_tls = address.startswith("tls://")
     try:
         client = Client(
-            address, security=security, timeout=WAIT_S, set_as_default=False
+            address,
+            security=Security(require_encryption=is_tls, **files),
+            timeout=WAIT_S,
+            set_as_default=False,
         )
-    except (OSError, TimeoutError, TypeError, ValueError) as error:
+    except (OSError, TypeError, ValueError) as error:
         msg = f"--scheduler {address}: no answer: {error}"
         raise BstmError(msg) from error
     with client:

@@ -163,27 +163,26 @@ class Lake:
     def estimates(self, drive: Drive) -> Path:
         """Return where the rows of *drive* are, by the day of its begin."""
         day = datetime.fromtimestamp(drive.first_us * 1e-6, UTC).date()
-        folder = self._of("estimates", drive) / f"date={day}"
+        folder = self._folder(drive, "estimates", "vehicle=") / f"date={day}"
         return folder / f"{drive.name}.parquet"
 
     def row(self, drive: Drive) -> Path:
         """Return where the one row about *drive* is."""
-        return self._of("drives", drive) / f"{drive.name}.parquet"
+        return self._folder(drive, "drives", "vehicle=") / (
+            f"{drive.name}.parquet"
+        )
 
     def page(self, drive: Drive) -> Path:
         """Return where the page of *drive* is, if it was asked for."""
-        folder = self.root / "pages" / safe_name(drive.vehicle)
-        return folder / f"{drive.name}.html"
+        return self._folder(drive, "pages") / f"{drive.name}.html"
 
     def state(self, drive: Drive) -> Path:
         """Return where the state at the end of *drive* is."""
-        folder = self.root / "state" / safe_name(drive.vehicle)
-        return folder / f"{drive.name}.state"
+        return self._folder(drive, "state") / f"{drive.name}.state"
 
     def receipt_path(self, drive: Drive) -> Path:
         """Return where the receipt of *drive* is."""
-        folder = self.root / "receipts" / safe_name(drive.vehicle)
-        return folder / f"{drive.name}.json"
+        return self._folder(drive, "receipts") / f"{drive.name}.json"
 
     def files(self, drive: Drive) -> tuple[Path, ...]:
         """Return the files of *drive* once it is done, without receipt."""
@@ -243,14 +242,13 @@ class Lake:
             for leftover in path.parent.glob(f".{path.name}.*"):
                 leftover.unlink(missing_ok=True)
         # of another day if the begin was corrected
-        days = self._of("estimates", drive).glob(
-            f"date=*/{drive.name}.parquet"
-        )
-        for path in (*days, self.row(drive), self.state(drive)):
+        days = self._folder(drive, "estimates", "vehicle=")
+        estimates = days.glob(f"date=*/{drive.name}.parquet")
+        for path in (*estimates, self.row(drive), self.state(drive)):
             path.unlink(missing_ok=True)
 
-    def _of(self, kind: str, drive: Drive) -> Path:
-        return self.root / kind / f"vehicle={safe_name(drive.vehicle)}"
+    def _folder(self, drive: Drive, kind: str, mark: str = "") -> Path:
+        return self.root / kind / f"{mark}{safe_name(drive.vehicle)}"
 
 
 def _hash(parts: Iterable[Any]) -> str:

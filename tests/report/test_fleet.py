@@ -1,4 +1,4 @@
-"""The page of a fleet: its figures, its links, and no more rows than needed."""
+"""The page of a fleet: its figures, links, and no rows without end."""
 
 from __future__ import annotations
 
