@@ -103,56 +103,76 @@ def replay_drive(job: Job) -> int:
     if job.program != program():
         return FOREIGN
     lake, drive = Lake(Path(job.root)), job.drive
-    receipt = _begun(lake, job)
-    key = ""
+    key = log_hash = ""
     try:
         _check_unchanged(drive)
         log_hash = hash_of_file(Path(drive.log))
         key = key_of(
             job.previous_key, drive, log_hash, job.config_hash, job.options
         )
-        receipt = replace(receipt, log_hash=log_hash)
         found = lake.receipt(drive)
         if found is not None and lake.is_made(drive, found, key):
-            kept = replace(found, size=drive.size, mtime_ns=drive.mtime_ns)
-            lake.write_receipt(drive, kept)
+            _write_receipt(
+                lake, job, (key, log_hash), found.last_us, found.message
+            )
             return SKIPPED
         lake.clear(drive)
-        document = _state_before(lake, job.previous)
-        last_us = _make(lake, job, document, receipt)
+        last_us = _make(lake, job)
     except Exception as error:  # noqa: BLE001  (a log may hold anything)
-        is_log = isinstance(error, LogError)
-        text = str(error) if is_log else f"{type(error).__name__}: {error}"
-        failed = replace(receipt, message=text, key=key if is_log else "")
-        _fail(lake, job, failed)
+        if isinstance(error, LogError):
+            fail_drive(job, str(error), key, log_hash)
+        else:
+            fail_drive(job, f"{type(error).__name__}: {error}")
         return FAILED
-    made = replace(receipt, key=key, outcome="done", last_us=last_us)
-    lake.write_receipt(drive, made)
+    _write_receipt(lake, job, (key, log_hash), last_us)
     return MADE
 
 
-def fail_drive(job: Job, message: str) -> None:
-    """Note that the drive of *job* failed, so that the next one can follow."""
-    lake = Lake(Path(job.root))
-    _fail(lake, job, replace(_begun(lake, job), message=message))
+def fail_drive(
+    job: Job, message: str, key: str = "", log_hash: str = ""
+) -> None:
+    """Note that the drive of *job* failed, so that the next one can follow.
 
-
-def _begun(lake: Lake, job: Job) -> Receipt:
-    """Return the receipt of the drive of *job* before anything is known."""
-    drive = job.drive
+    The state before it becomes that behind it, as after a drive that nobody
+    saw.
+    """
+    lake, drive = Lake(Path(job.root)), job.drive
+    lake.clear(drive)
+    try:
+        document = _state_before(lake, job.previous)
+    except FileAccessError:
+        document = None
+    if document is not None:
+        marked = after_unseen_drive(document)
+        state_file.save(lake.state(drive), state_file.encode(marked))
     before = lake.receipt(job.previous) if job.previous else None
-    return Receipt(
-        key="",
-        log_hash="",
-        size=drive.size,
-        mtime_ns=drive.mtime_ns,
-        outcome="failed",
-        message=None,
-        last_us=before.last_us if before else None,
-        after_hole=before is not None and before.outcome == "failed",
-        options=job.options,
-        program=program(),
+    last_us = before.last_us if before else None
+    _write_receipt(lake, job, (key, log_hash), last_us, message)
+
+
+def _write_receipt(
+    lake: Lake,
+    job: Job,
+    hashes: tuple[str, str],
+    last_us: int | None,
+    message: str | None = None,
+) -> None:
+    """Write the receipt of *job*, failed where there is a *message*.
+
+    *hashes* are the key, empty where a new attempt may end otherwise, and
+    that of the log.
+    """
+    drive = job.drive
+    receipt = Receipt(
+        *hashes,
+        drive.size,
+        drive.mtime_ns,
+        message,
+        last_us,
+        job.options,
+        program(),
     )
+    lake.write_receipt(drive, receipt)
 
 
 def _check_unchanged(drive: Drive) -> None:
@@ -182,20 +202,6 @@ def _state_before(lake: Lake, previous: Drive | None) -> dict[str, Any] | None:
     return loaded.document
 
 
-def _fail(lake: Lake, job: Job, receipt: Receipt) -> None:
-    """Leave the state before the drive, as after a drive that nobody saw."""
-    drive = job.drive
-    lake.clear(drive)
-    try:
-        document = _state_before(lake, job.previous)
-    except FileAccessError:
-        document = None
-    if document is not None:
-        marked = after_unseen_drive(document)
-        state_file.save(lake.state(drive), state_file.encode(marked))
-    lake.write_receipt(drive, receipt)
-
-
 @lru_cache(maxsize=8)
 def _vehicle(config: str, expected: str) -> tuple[Config, SignalMap]:
     """Return the vehicle of *config*, whose hash is as *expected*."""
@@ -205,19 +211,19 @@ def _vehicle(config: str, expected: str) -> tuple[Config, SignalMap]:
     return load_vehicle(Path(config), quiet=True)
 
 
-def _make(
-    lake: Lake, job: Job, document: dict[str, Any] | None, receipt: Receipt
-) -> int:
+def _make(lake: Lake, job: Job) -> int:
     """Write estimates, row and state of the drive; return its last stamp."""
-    drive = job.drive
+    drive, previous = job.drive, job.previous
     if drive.problem is not None:
         raise LogError(drive.problem)
-    if receipt.last_us is not None and receipt.last_us >= drive.first_us:
-        before = job.previous.log if job.previous else ""
+    before = lake.receipt(previous) if previous else None
+    if previous and before and (before.last_us or 0) >= drive.first_us:
         msg = (
-            f"{drive.log}: begins before the end of a log before it: {before}"
+            f"{drive.log}: begins before the end of a log before it: "
+            f"{previous.log}"
         )
         raise LogError(msg)
+    document = _state_before(lake, previous)
     config, signal_map = _vehicle(drive.config, job.config_hash)
     estimates, row, state = lake.files(drive)
     make_folder(estimates.parent)
@@ -235,7 +241,8 @@ def _make(
             state=document,
             forecast=job.options.forecast,
         )
-    _write_row(row, _row(drive, statistics, rows, run, receipt))
+    after_hole = before is not None and before.message is not None
+    _write_row(row, _row(drive, statistics, rows, run, after_hole=after_hole))
     state_file.save(state, state_file.encode(run.state))
     last_us: int = run.state["time_us"]
     return last_us
@@ -284,7 +291,8 @@ def _row(
     statistics: DriveStatistics,
     rows: _LakeRows,
     run: Run,
-    receipt: Receipt,
+    *,
+    after_hole: bool,
 ) -> dict[str, Any]:
     """Return the one row about *drive*."""
     summary = statistics.summary()
@@ -298,7 +306,7 @@ def _row(
         "duration_s": summary.duration_s,
         "distance_m": summary.distance_m,
         "top_speed_ms": summary.top_speed_ms,
-        "after_hole": receipt.after_hole,
+        "after_hole": after_hole,
         "start_known_s": run.start_known_s,
         "truncated": run.truncated,
         "refused": sum(refused.values()),

@@ -63,21 +63,18 @@ class Drive:
 
 @dataclass(frozen=True)
 class Receipt:
-    """What became of a drive.
+    """What became of a drive: done, or failed where there is a ``message``.
 
-    ``key`` is empty where a new attempt may end otherwise. ``outcome`` is
-    ``done`` or ``failed``, ``last_us`` the last stamp [us], ``after_hole``
-    whether the car was driven unseen since the drive that it continues.
+    ``key`` is empty where a new attempt may end otherwise, ``last_us`` the
+    last stamp [us].
     """
 
     key: str
     log_hash: str
     size: int
     mtime_ns: int
-    outcome: str
     message: str | None
     last_us: int | None
-    after_hole: bool
     options: Options
     program: dict[str, str]
 
@@ -208,7 +205,7 @@ class Lake:
     def is_made(self, drive: Drive, receipt: Receipt, key: str) -> bool:
         """Whether what *receipt* says of *drive* was made by *key*."""
         return receipt.key == key != "" and (
-            receipt.outcome == "failed"
+            receipt.message is not None
             or all(path.exists() for path in self.files(drive))
         )
 

@@ -178,8 +178,9 @@ class Run:
         if code == FOREIGN:
             msg = "a worker has come that runs another program than this one"
             raise UsageError(msg)
-        self.outcome.made += code != FAILED
-        self._pass(chain, job.drive, self._lake.receipt(job.drive))
+        receipt = self._lake.receipt(job.drive)
+        self.outcome.made += receipt is not None and receipt.message is None
+        self._pass(chain, job.drive, receipt)
 
     def _advance(self, chain: Chain) -> bool:
         """Move on to the first drive that is to be made, if there is one."""
@@ -205,7 +206,7 @@ class Run:
                         program(),
                     )
                 return True
-            self.outcome.current += receipt.outcome == "done"
+            self.outcome.current += receipt.message is None
             self._pass(chain, drive, receipt)
         return False
 
@@ -213,7 +214,7 @@ class Run:
         self, chain: Chain, drive: Drive, receipt: Receipt | None
     ) -> None:
         """Take *drive*, whose receipt is *receipt*, as the one before."""
-        if receipt is None or receipt.outcome == "failed":
+        if receipt is None or receipt.message is not None:
             message = receipt.message if receipt else "its receipt is gone"
             line = f"{drive.vehicle} {drive.name}: {message}"
             self.outcome.failures.append(line)

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 from pydantic import Field, ValidationError
 
@@ -65,8 +64,7 @@ class Vehicles(Section):
         return (self.id or found["vehicle"]) if found else None
 
 
-@dataclass(frozen=True)
-class Assignment:
+class Assignment(NamedTuple):
     """The car of a log: its name, configuration, type and interfaces."""
 
     vehicle: str
@@ -86,18 +84,15 @@ class Fleet:
             ConfigError: with every problem in it.
         """
         self._folder = path.resolve().parent
+        self._vehicles: list[Vehicles] = []
         with naming_file(path):
             document = read_toml(path)
+            tables = document.pop("vehicle", None)
             problems = [
-                f"{key}: unknown, [[vehicle]] tables are allowed here"
-                for key in document
-                if key != "vehicle"
+                f"{key}: unknown, only [[vehicle]]" for key in document
             ]
-            tables = document.get("vehicle")
             if not isinstance(tables, list) or not tables:
-                problems.append("needs a [[vehicle]] table")
-                tables = []
-            self._vehicles = []
+                raise ConfigError([*problems, "needs a [[vehicle]] table"])
             for number, table in enumerate(tables, start=1):
                 where = f"[[vehicle]] number {number}"
                 try:
@@ -112,9 +107,9 @@ class Fleet:
         for one in self._vehicles:
             vehicle = one.vehicle_of(log)
             if vehicle is not None:
-                name = one.config.replace(PLACEHOLDER, vehicle)
-                config = self._folder / name
-                return Assignment(
-                    vehicle, config, one.type or config.stem, one.map
+                config = self._folder / one.config.replace(
+                    PLACEHOLDER, vehicle
                 )
+                kind = one.type or config.stem
+                return Assignment(vehicle, config, kind, one.map)
         return None

@@ -150,7 +150,7 @@ class NoCluster:
     def done(self, job: Job) -> int:
         drive = job.drive
         receipt = Receipt(
-            *(f"{drive.name}", "", 1, 1, "done", None, drive.first_us, False),
+            *(f"{drive.name}", "", 1, 1, None, drive.first_us),
             *(job.options, {}),
         )
         self.lake.write_receipt(drive, receipt)

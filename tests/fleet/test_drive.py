@@ -110,14 +110,14 @@ def test_a_corrupt_log_costs_itself_and_the_chain_goes_on(
 
     first, bad, last = fleet.chain("car0")
     receipt = fleet.lake.receipt(bad)
-    assert receipt.outcome == "failed"
     assert "drive1.log" in receipt.message
     assert not fleet.lake.estimates(bad).exists()
     good = state_file.read(fleet.lake.state(first)).document
     marked = state_file.read(fleet.lake.state(bad)).document
     assert marked["corners"] == good["corners"]
     assert marked["drove_unseen"] is True
-    assert fleet.lake.receipt(last).after_hole
+    (row,) = pq.ParquetFile(fleet.lake.row(last)).read().to_pylist()
+    assert row["after_hole"]
     rows = columns_of(fleet.lake.estimates(last))
     reasons = rows["FL.reasons"].astype(int)
     for reason in (Reason.START_UNKNOWN, Reason.INPUT_SUSPECT):
@@ -161,7 +161,8 @@ def test_a_log_that_changed_since_the_plan_is_not_replayed(
 
     fleet.plan()
     assert fleet.replay("car0") == [MADE, MADE]
-    assert not fleet.lake.receipt(fleet.chain("car0")[1]).after_hole
+    row = pq.ParquetFile(fleet.lake.row(fleet.chain("car0")[1])).read()
+    assert row["after_hole"].to_pylist() == [False]
 
 
 def test_a_touched_log_is_read_but_not_replayed(
