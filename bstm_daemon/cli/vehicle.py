@@ -1,4 +1,4 @@
-"""Files that a command is given: the configuration and a state."""
+"""The vehicle and its state, from the files that arguments name."""
 
 from __future__ import annotations
 

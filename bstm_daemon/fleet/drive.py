@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import lru_cache
 from pathlib import Path
@@ -27,7 +27,13 @@ from bstm_daemon.fleet.lake import (
 )
 from bstm_daemon.model.wear.table import WEAR_COLUMNS
 from bstm_daemon.replay.columns import stream_log
-from bstm_daemon.replay.results import Part, Results, parquet_file
+from bstm_daemon.replay.results import (
+    WRITERS,
+    Chosen,
+    Part,
+    Results,
+    is_one_of_few,
+)
 from bstm_daemon.replay.vehicle import load_vehicle
 from bstm_daemon.report.drive_statistics import (
     SUMMARY_NODES,
@@ -42,7 +48,6 @@ if TYPE_CHECKING:
     from bstm_daemon.bus.signals.signal_map import SignalMap
     from bstm_daemon.config.sections import Config
     from bstm_daemon.replay.columns import Run
-    from bstm_daemon.replay.results import Sink
     from bstm_daemon.report.drive_statistics import CornerSummary
 
 MADE: Final = 0
@@ -51,18 +56,6 @@ FAILED: Final = 2
 FOREIGN: Final = 3
 """What a task returns: a number, so that a worker that is lost takes no result
 with it. FOREIGN: the worker runs another program."""
-
-OF_CAR: Final = ("time_s", "speed_ms", "risk")
-OF_CORNER: Final = (
-    *("disc_c", "pad_front_c", "pad_back_c", "fluid_c", "margin_k"),
-    *("risk", "validity", "reasons"),
-)
-"""Columns of the estimates in a lake."""
-
-RESOLUTION: Final = 64.0
-"""Temperatures, margins and speeds are kept in steps of 1/64 K and 1/64 m/s:
-finer ones are noise, and take most of the space."""
-_STEPPED: Final = ("_c", "_k", "_ms")
 
 RISKS: Final = ("risk", "risk_start_known")
 """The highest of a drive, and of the time in which its start has no effect."""
@@ -229,55 +222,49 @@ def _make(lake: Lake, job: Job) -> int:
     make_folder(estimates.parent)
     make_folder(row.parent)
     statistics = DriveStatistics()
-    with parquet_file(estimates) as table:
-        rows = _LakeRows(table, forecast=job.options.forecast)
+    extremes = _Extremes(forecast=job.options.forecast)
+    with WRITERS["parquet"](estimates) as table:
         run = stream_log(
             config,
             signal_map,
             Path(drive.log),
-            [statistics, rows],
+            [Chosen(table, _is_kept)],
             overrides=json.loads(drive.map),
             every_us=job.options.every_us,
             state=document,
             forecast=job.options.forecast,
+            summaries=[statistics, extremes],
         )
     after_hole = before is not None and before.message is not None
-    _write_row(row, _row(drive, statistics, rows, run, after_hole=after_hole))
+    _write_row(
+        row, _row(drive, statistics, extremes, run, after_hole=after_hole)
+    )
     state_file.save(state, state_file.encode(run.state))
     last_us: int = run.state["time_us"]
     return last_us
 
 
-class _LakeRows:
-    """Passes the columns of a lake on; keeps what a drive's row has."""
+def _is_kept(name: str) -> bool:
+    return is_one_of_few(name) or name.endswith("reasons")
 
-    def __init__(self, table: Sink, *, forecast: bool) -> None:
+
+class _Extremes:
+    """Keeps the last row, and the highest risks."""
+
+    def __init__(self, *, forecast: bool) -> None:
         self.parts = Part.ALL if forecast else Part.VALIDITY
         self.last: dict[str, float] = {}
         self.most: dict[str, float] = {}
-        self._table = table
 
     def write(self, rows: Results) -> None:
-        names: list[str] = [n for n in OF_CAR if n in rows.columns]
-        names += [
-            f"{corner}.{name}"
-            for corner in rows.modelled
-            for name in OF_CORNER
-            if f"{corner}.{name}" in rows.columns
-        ]
-        kept = {name: rows.columns[name] for name in names}
-        for corner in rows.modelled:
-            if f"{corner}.risk" in kept:
-                risk = kept[f"{corner}.risk"]
-                why = kept[f"{corner}.reasons"].astype(int)
-                known = why & Reason.START_UNKNOWN == 0
-                self._note_most(f"{corner}.risk", risk)
-                self._note_most(f"{corner}.risk_start_known", risk[known])
-        for name, column in kept.items():
-            if name.endswith(_STEPPED):
-                kept[name] = np.round(column * RESOLUTION) / RESOLUTION
-        self.last |= {n: float(c[-1]) for n, c in rows.columns.items()}
-        self._table.write(replace(rows, columns=kept))
+        columns = rows.columns
+        self.last |= {n: float(c[-1]) for n, c in columns.items()}
+        for corner in rows.modelled if "risk" in columns else ():
+            risk = columns[f"{corner}.risk"]
+            why = columns[f"{corner}.reasons"].astype(int)
+            known = why & Reason.START_UNKNOWN == 0
+            self._note_most(f"{corner}.risk", risk)
+            self._note_most(f"{corner}.risk_start_known", risk[known])
 
     def _note_most(self, name: str, column: npt.NDArray[np.float64]) -> None:
         known = column[np.isfinite(column)]
@@ -289,7 +276,7 @@ class _LakeRows:
 def _row(
     drive: Drive,
     statistics: DriveStatistics,
-    rows: _LakeRows,
+    rows: _Extremes,
     run: Run,
     *,
     after_hole: bool,
@@ -319,7 +306,7 @@ def _row(
     }
 
 
-def _corner(one: CornerSummary, rows: _LakeRows) -> dict[str, Any]:
+def _corner(one: CornerSummary, rows: _Extremes) -> dict[str, Any]:
     peaks = {
         f"{node}_peak_c": peak.temperature_c
         for node, peak in one.peaks.items()

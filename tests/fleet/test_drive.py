@@ -15,8 +15,6 @@ from bstm_daemon.fleet.drive import (
     FAILED,
     FOREIGN,
     MADE,
-    OF_CORNER,
-    RESOLUTION,
     SKIPPED,
 )
 from bstm_daemon.service import state_file
@@ -62,21 +60,19 @@ def test_a_chain_equals_the_chain_by_hand(
         estimates, row, state = fleet.lake.files(drive)
         assert state.read_bytes() == before.read_bytes()
         found = columns_of(estimates)
-        assert {n.partition(".")[2] for n in found} - {""} == {
-            name for name in OF_CORNER if name != "risk"
+        assert {n.partition(".")[2] for n in found} >= {
+            *("disc_c", "pad_front_c", "pad_back_c", "fluid_c"),
+            *("margin_k", "validity", "reasons"),
         }
         for name, column in found.items():
-            fine = expected[name].astype(np.float64)
-            if name.endswith(("_c", "_k", "_ms")):
-                fine = np.round(fine * RESOLUTION) / RESOLUTION
-            np.testing.assert_allclose(column, fine, rtol=1e-6, atol=1e-5)
+            np.testing.assert_array_equal(column, expected[name])
         (one,) = pq.ParquetFile(row).read().to_pylist()
         corner = next(c for c in one["corners"] if c["corner"] == "FL")
         assert corner["disc_peak_c"] == pytest.approx(
-            np.max(expected["FL.disc_c"]), abs=1e-4
+            np.max(expected["FL.disc_c"]), abs=0.01
         )
         assert corner["margin_k"] == pytest.approx(
-            np.min(expected["FL.margin_k"]), abs=1e-4
+            np.min(expected["FL.margin_k"]), abs=0.01
         )
         assert one["distance_m"] == pytest.approx(
             np.ptp(expected["distance_m"]), abs=0.1

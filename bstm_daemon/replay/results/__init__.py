@@ -7,19 +7,23 @@ figures and curves of a report. No sink has to hold them all.
 
 from bstm_daemon.replay.results.builder import ResultsBuilder
 from bstm_daemon.replay.results.files import (
+    WRITERS,
     csv_file,
-    has_parquet,
-    parquet_file,
+    require_format,
 )
 from bstm_daemon.replay.results.rows import (
+    Chosen,
     Collector,
     ElapsedTime,
     Part,
     Results,
     Sink,
+    is_one_of_few,
 )
 
 __all__ = [
+    "WRITERS",
+    "Chosen",
     "Collector",
     "ElapsedTime",
     "Part",
@@ -27,6 +31,6 @@ __all__ = [
     "ResultsBuilder",
     "Sink",
     "csv_file",
-    "has_parquet",
-    "parquet_file",
+    "is_one_of_few",
+    "require_format",
 ]
