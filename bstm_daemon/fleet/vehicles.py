@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import re
 from functools import cached_property
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Final, NamedTuple
 
-from pydantic import Field, ValidationError
+from pydantic import Field
 
-from bstm_daemon.config.reading import naming_file, read_toml
+from bstm_daemon.config.reading import load_section
 from bstm_daemon.config.section import Section, Text, require
-from bstm_daemon.config.wording import problems_of_section
-from bstm_daemon.errors import ConfigError
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -64,6 +62,12 @@ class Vehicles(Section):
         return (self.id or found["vehicle"]) if found else None
 
 
+class FleetFile(Section):
+    """The file."""
+
+    vehicle: Annotated[list[Vehicles], Field(min_length=1)]
+
+
 class Assignment(NamedTuple):
     """The car of a log: its name, configuration, type and interfaces."""
 
@@ -84,23 +88,7 @@ class Fleet:
             ConfigError: with every problem in it.
         """
         self._folder = path.resolve().parent
-        self._vehicles: list[Vehicles] = []
-        with naming_file(path):
-            document = read_toml(path)
-            tables = document.pop("vehicle", None)
-            problems = [
-                f"{key}: unknown, only [[vehicle]]" for key in document
-            ]
-            if not isinstance(tables, list) or not tables:
-                raise ConfigError([*problems, "needs a [[vehicle]] table"])
-            for number, table in enumerate(tables, start=1):
-                where = f"[[vehicle]] number {number}"
-                try:
-                    self._vehicles.append(Vehicles.model_validate(table))
-                except ValidationError as error:
-                    problems += problems_of_section(error, Vehicles, where)
-            if problems:
-                raise ConfigError(problems)
+        self._vehicles = load_section(path, FleetFile).vehicle
 
     def assign(self, log: Path) -> Assignment | None:
         """Return the car of *log*, an absolute path: the first that fits."""

@@ -71,9 +71,9 @@ config = "cars/{vehicle}.toml"
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("", "needs a [[vehicle]] table"),
-        ("vehicle = 3", "needs a [[vehicle]] table"),
-        ("cars = 3", "cars: unknown"),
+        ("", "vehicle: missing"),
+        ("vehicle = 3", "must be a list"),
+        ("cars = 3", "cars = 3: unknown key"),
         (
             '[[vehicle]]\nlogs = "*.log"\nconfig = "a.toml"',
             "needs {vehicle} once",
@@ -84,7 +84,7 @@ config = "cars/{vehicle}.toml"
         ),
         (
             '[[vehicle]]\nlogs = "{vehicle}.log"\nconfg = "a.toml"',
-            "[[vehicle]] number 1",
+            "did you mean 'config'",
         ),
     ],
 )
