@@ -605,7 +605,7 @@ def write(outcome: Outcome, path: Path) -> None:
         if table.title in PRINTED:
             continue
         figures += [f"**{table.title}**", "", _row(table.header)]
-        figures += [_row(("---",) * len(table.header))]
+        figures += ["|---" * len(table.header) + "|"]
         figures += [_row(row) for row in table.rows]
         figures.append("")
     path.write_text(before + "\n".join([*figures, END]) + after, "utf-8")
