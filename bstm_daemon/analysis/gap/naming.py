@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 
+from bstm_daemon.analysis.gap.changes import is_change, twins_of
 from bstm_daemon.analysis.gap.evidence import (
     Candidate,
     JointEffects,
@@ -145,8 +146,13 @@ class Naming:
         return max((one.z for one in self.candidates), default=0.0)
 
 
-def name_effect(layout: Layout, linearised: Linearised) -> Naming:
-    """Return what *linearised* says is missing."""
+def name_effect(
+    layout: Layout, linearised: Linearised, *, alone: bool = False
+) -> Naming:
+    """Return what *linearised* says is missing.
+
+    With *alone* it is one effect at most, or a class.
+    """
     project = Projector(linearised.jacobian, layout.prior)
     found = sorted(
         (
@@ -175,7 +181,7 @@ def name_effect(layout: Layout, linearised: Linearised) -> Naming:
         )
     best = found[0] if found else None
     if best and odds[""] <= GATE_NOTHING and best.z >= GATE_Z:
-        return _named(layout, project, linearised, nothing)
+        return _named(layout, project, linearised, nothing, alone=alone)
     return _unnamed(layout, project, linearised, nothing)
 
 
@@ -215,7 +221,12 @@ def _unnamed(
 
 
 def _named(
-    layout: Layout, project: Projector, linearised: Linearised, nothing: Naming
+    layout: Layout,
+    project: Projector,
+    linearised: Linearised,
+    nothing: Naming,
+    *,
+    alone: bool,
 ) -> Naming:
     """Return what it is that is missing, the gate passed."""
     found, odds = nothing.candidates, nothing.odds
@@ -225,7 +236,9 @@ def _named(
         layout, project, linearised.residual, by_name[best.name]
     )
     validated = cross_validated(layout, linearised, by_name[best.name])
-    several = search_joint_effects(project, linearised, found)
+    several = JointEffects((best,), None, 1.0, (best.name,))
+    if not alone:
+        several = search_joint_effects(project, linearised, found)
     explained, left = explained_share(project, linearised, several.chosen)
     common = replace(
         nothing,
@@ -297,7 +310,11 @@ def _single(
 ) -> Naming:
     odds = common.odds
     if odds[best.name] >= SURE:
-        reason = effect_class(best.name).signature
+        reason = (
+            "a value that the match had otherwise explains it"
+            if is_change(best.name)
+            else effect_class(best.name).signature
+        )
         return common.answered("name", (best.name,), odds[best.name], reason)
     members = [best.name]
     total = odds[best.name]
@@ -310,10 +327,7 @@ def _single(
     why = []
     for name in members[1:]:
         alike = cosine(project, by_name[best.name], by_name[name])
-        declared = (
-            name in effect_class(best.name).twins
-            or best.name in effect_class(name).twins
-        )
+        declared = name in twins_of(best.name) or best.name in twins_of(name)
         if declared or abs(alike) >= ALIKE:
             why.append(f"{name} (signatures alike, cosine {alike:.2f})")
     if len(why) == len(members) - 1:
@@ -330,7 +344,7 @@ def _single(
 
 def cosine(project: Projector, a: Signature, b: Signature) -> float:
     """Return how alike *a* and *b* are, the tunables projected out."""
-    one, two = a.at(1.0), b.at(1.0)
+    one, two = a.column, b.column
     pa, pb = project(one), project(two)
     size = float(one @ pa) * float(two @ pb)
     return float(one @ pb) / sqrt(max(size, 1e-30))
