@@ -81,6 +81,8 @@ END: Final = "<!-- end of figures -->"
 PRINTED: Final = (
     *("Cars", "Hot discs", "Passes alone"),
     "Levels at the stop, another day",
+    "Fluid of the hottest corner, another day",
+    "Published fluids that boil below the daemon's points",
     "DOT 4 fluids of any age that boil below",
     "Ideal judge: temperatures known, boiling point but for an error",
     "What leaves the boiling point open, water given",
