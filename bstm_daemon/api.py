@@ -161,7 +161,7 @@ def find_gap(
     vehicle: Vehicle,
     holdout: Iterable[File] = (),
 ) -> list[Gap]:
-    """Find the effect that a matched model lacks, as ``bstm gap run --anyway``.
+    """Find the effect that a model lacks, as ``bstm gap run --anyway``.
 
     Args:
         logs: drives with measured temperatures.
