@@ -161,7 +161,7 @@ def find_gap(
     vehicle: Vehicle,
     holdout: Iterable[File] = (),
 ) -> list[Gap]:
-    """Find the effect that a matched model lacks, as ``bstm gap run`` does.
+    """Find the effect that a model lacks, as ``bstm gap run --anyway``.
 
     Args:
         logs: drives with measured temperatures.
@@ -169,8 +169,8 @@ def find_gap(
         holdout: drives that are not fitted, for before and after.
 
     Returns:
-        What was found on each set of corners that are alike; ``effects()``
-        are the entries ``[[effect]]`` that close the gap.
+        What was found on each set of corners that are alike; ``adopted``
+        names the effects that close the gap.
 
     Raises:
         LogError: a log is unusable, or none has a thermocouple.

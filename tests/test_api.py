@@ -128,7 +128,7 @@ def test_the_blocks_of_the_page_run(
     out = capsys.readouterr().out
     estimated, true = re.findall(r"(\d+) degC", out)
     assert abs(int(estimated) - int(true)) <= 30
-    assert "('FL', 'FR') ['gap_conduction']" in out
+    assert "('FL', 'FR') ('gap_conduction',)" in out
 
 
 @pytest.mark.slow

@@ -103,7 +103,13 @@ def write(folder: Path, file: Path, split: str, search: str) -> None:
         if w not in aside and not w.always_on
     }
     parts += together(main)
-    rest = ["### Effects, one hidden", markdown(named_in(main))]
+    everyone = [one for own in main.values() for one in own]
+    rest = [
+        "### Other ways, same cases and library",
+        markdown(Table("", WAYS, tuple(rivals(everyone)))),
+        "### Effects, one hidden",
+        markdown(named_in(main)),
+    ]
     for world, results in main.items():
         rest += alone(world, results, seconds[world])
     rest += ["### All effects at once", "`road` with `thesis`."]
@@ -139,8 +145,6 @@ def together(by_world: Mapping[World, Sequence[Result]]) -> list[str]:
         shares({"found": pooled(own)}, interval=True),
         "### Held-out drives, right names",
         markdown(Table("", columns, worth(results))),
-        "### Other ways, same cases and library",
-        markdown(Table("", WAYS, tuple(rivals(results)))),
     ]
 
 

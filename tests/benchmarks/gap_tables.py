@@ -242,10 +242,11 @@ def tables(results: Sequence[Result]) -> list[Table]:
 
 def markdown(table: Table) -> str:
     """Return *table* as Markdown."""
-    rows = [table.header, ("---",) * len(table.header), *table.rows]
-    lines = ["| " + " | ".join(r.replace("|", "or") for r in row) + " |"
-             for row in rows]  # fmt: skip
-    return "\n".join(lines)
+    head, *rows = (
+        "| " + " | ".join(cell.replace("|", "or") for cell in row) + " |"
+        for row in (table.header, *table.rows)
+    )
+    return "\n".join([head, "|---" * len(table.header) + "|", *rows])
 
 
 __all__ = ["DETECTABLE", "Figure", "figures", "markdown", "tables"]

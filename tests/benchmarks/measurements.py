@@ -94,11 +94,10 @@ def section(outcome: dict[str, Any]) -> str:
 
 def markdown(table: dict[str, Any]) -> list[str]:
     """Return the lines of *table*; all columns but the first to the right."""
-    rule = ["---", *["---:"] * (len(table["header"]) - 1)]
-    return [
-        f"| {' | '.join(row)} |"
-        for row in (table["header"], rule, *table["rows"])
-    ]
+    head, *rows = (
+        f"| {' | '.join(row)} |" for row in (table["header"], *table["rows"])
+    )
+    return [head, f"|---{'|---:' * (len(table['header']) - 1)}|", *rows]
 
 
 if __name__ == "__main__":

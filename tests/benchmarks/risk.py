@@ -81,6 +81,8 @@ END: Final = "<!-- end of figures -->"
 PRINTED: Final = (
     *("Cars", "Hot discs", "Passes alone"),
     "Levels at the stop, another day",
+    "Fluid of the hottest corner, another day",
+    "Published fluids that boil below the daemon's points",
     "DOT 4 fluids of any age that boil below",
     "Ideal judge: temperatures known, boiling point but for an error",
     "What leaves the boiling point open, water given",
@@ -605,7 +607,7 @@ def write(outcome: Outcome, path: Path) -> None:
         if table.title in PRINTED:
             continue
         figures += [f"**{table.title}**", "", _row(table.header)]
-        figures += [_row(("---",) * len(table.header))]
+        figures += ["|---" * len(table.header) + "|"]
         figures += [_row(row) for row in table.rows]
         figures.append("")
     path.write_text(before + "\n".join([*figures, END]) + after, "utf-8")
