@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from bstm_daemon.errors import UsageError, require_packages
-from bstm_daemon.files import ensure_writable
+from bstm_daemon.files import ensure_writable, make_folder
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -128,8 +128,12 @@ def add_bus_map(parser: argparse.ArgumentParser) -> None:
 def require_extras(args: argparse.Namespace) -> None:
     """Refuse outputs whose packages are absent, before any work.
 
+    The folder of figures is made.
+
     Raises:
-        MissingExtraError: one is.
+        MissingExtraError: a package is absent.
+        UsageError: there is no Chromium for figures.
+        FileAccessError: their folder can not be made.
     """
     if getattr(args, "report", None):
         from bstm_daemon.report.shell import (  # noqa: PLC0415  (heavy)
@@ -143,6 +147,7 @@ def require_extras(args: argparse.Namespace) -> None:
         )
 
         require_figure_packages()
+        make_folder(args.figures)
     if getattr(args, "out_is_config", False) and args.out:
         require_packages("tomlkit", extra="identify", purpose="-o NEW.toml")
 

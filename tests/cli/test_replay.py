@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import gzip
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -242,6 +243,37 @@ def test_mf4_is_one_of_the_formats(
     assert path.read_bytes()[:3] == b"MDF"
     assert f"{path}: " in capsys.readouterr().out
     assert not list(tmp_path.glob("*.csv"))
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(
+    shutil.which("chromium") is None, reason="no chromium on PATH"
+)
+def test_figures_are_those_of_the_report(
+    log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Also without the report itself."""
+    folder = tmp_path / "figures"
+    assert replay(log, "--figures", folder, "--no-forecast") == 0
+
+    names = sorted(path.name for path in folder.iterdir())
+    assert names[:2] == [
+        *("01-the-drive-speed-km-h.png", "01-the-drive-speed-km-h.svg")
+    ]
+    assert f"{folder}: {len(names)} figures" in capsys.readouterr().out
+
+
+@pytest.mark.skipif(
+    shutil.which("chromium") is None, reason="no chromium on PATH"
+)
+def test_a_folder_of_figures_is_refused_before_the_work(
+    log: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert replay(log, "--figures", log / "figures") == 74
+
+    said = capsys.readouterr()
+    assert "cannot be created" in said.err
+    assert said.out == ""
 
 
 # what is wrong with the call
