@@ -106,9 +106,10 @@ def replay_drive(job: Job) -> int:
         )
         found = lake.receipt(drive)
         if found is not None and lake.is_made(drive, found, key):
-            _write_receipt(
-                lake, job, (key, log_hash), found.last_us, found.message
-            )
+            if (found.size, found.mtime_ns) != (drive.size, drive.mtime_ns):
+                _write_receipt(
+                    lake, job, (key, log_hash), found.last_us, found.message
+                )
             return SKIPPED
         lake.clear(drive)
         last_us = _make(lake, job)
