@@ -14,6 +14,7 @@ import numpy as np
 from bstm_daemon.errors import FileAccessError, LogError, UsageError
 from bstm_daemon.estimate import Reason
 from bstm_daemon.estimator.memory import after_unseen_drive
+from bstm_daemon.estimator.start import PUBLISHED_NODES
 from bstm_daemon.files import make_folder, replacing
 from bstm_daemon.fleet.lake import (
     Drive,
@@ -105,9 +106,10 @@ def replay_drive(job: Job) -> int:
         )
         found = lake.receipt(drive)
         if found is not None and lake.is_made(drive, found, key):
-            _write_receipt(
-                lake, job, (key, log_hash), found.last_us, found.message
-            )
+            if (found.size, found.mtime_ns) != (drive.size, drive.mtime_ns):
+                _write_receipt(
+                    lake, job, (key, log_hash), found.last_us, found.message
+                )
             return SKIPPED
         lake.clear(drive)
         last_us = _make(lake, job)
@@ -245,7 +247,11 @@ def _make(lake: Lake, job: Job) -> int:
 
 
 def _is_kept(name: str) -> bool:
-    return is_one_of_few(name) or name.endswith("reasons")
+    """Whether the column *name* is in a lake: of the nodes the published."""
+    own = name.rpartition(".")[2]
+    if own.endswith("_c"):
+        return own.removesuffix("_c") in PUBLISHED_NODES
+    return is_one_of_few(name) or own == "reasons"
 
 
 class _Extremes:

@@ -65,7 +65,14 @@ class Processes:
             log.unlink(missing_ok=True)
             self.scheduler = self.start(
                 *("scheduler", "distributed.cli.dask_scheduler"),
-                *("--host", "127.0.0.1", "--port", "0", "--no-dashboard"),
+                *(
+                    "--host",
+                    "127.0.0.1",
+                    "--port",
+                    "0",
+                    "--dashboard-address",
+                    "127.0.0.1:0",
+                ),
             )
             found = wait_for(
                 lambda: re.search(rb"tcp://127.0.0.1:\d+", log.read_bytes())
@@ -75,7 +82,13 @@ class Processes:
         while len(self.workers) < WORKERS:
             worker = self.start(
                 *("workers", "distributed.cli.dask_worker", self.address),
-                *("--nthreads", "1", "--no-nanny", "--no-dashboard"),
+                *(
+                    "--nthreads",
+                    "1",
+                    "--no-nanny",
+                    "--dashboard-address",
+                    "127.0.0.1:0",
+                ),
                 *("--host", "127.0.0.1", "--death-timeout", "20"),
             )
             self.workers.append(worker)

@@ -28,7 +28,7 @@ def client() -> Iterator[Any]:
         processes=False,
         n_workers=1,
         threads_per_worker=1,
-        dashboard_address=None,
+        dashboard_address="127.0.0.1:0",
         set_as_default=False,
     ) as found:
         yield found

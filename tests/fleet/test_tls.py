@@ -130,14 +130,14 @@ def test_two_workers_in_namespaces_of_their_own(
     tls = certificates(tmp_path)
     start(
         *("scheduler", "distributed.cli.dask_scheduler", "--protocol", "tls"),
-        *("--port", str(PORT), "--no-dashboard", *tls),
+        *("--port", str(PORT), "--dashboard-address", "127.0.0.1:0", *tls),
     )
     for name, own, here in namespaces:
         wait_for_port(here)
         start(
             *(name, "distributed.cli.dask_worker", f"tls://{here}:{PORT}"),
             *("--host", own, "--nthreads", "1", "--no-nanny"),
-            *("--no-dashboard", *tls),
+            *("--dashboard-address", "127.0.0.1:0", *tls),
             inside=("ip", "netns", "exec", name),
         )
     here = namespaces[0][2]
