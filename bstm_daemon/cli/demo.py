@@ -69,13 +69,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="at the car's own pace instead: simulated car, service and "
         "display as three processes on a virtual bus, until Ctrl-C or q",
     )
+    what = "with --live: the display is a page in the browser"
+    parser.add_argument("--view", action="store_true", help=what)
 
 
 def run(args: argparse.Namespace) -> int:
     """Simulate, listen, publish, display, report."""
     folder = args.out or Path("bstm-demo")
     if args.live:
-        return run_live(folder, DRIVE)
+        return run_live(folder, DRIVE, page=args.view)
     make_folder(folder)
     ensure_writable(folder / "report.html")
     require_page_packages()

@@ -39,12 +39,16 @@ GROUP: Final = "239.74.163.2"
 """Of the range that no router forwards (RFC 2365)."""
 
 CYCLE_S: Final = 0.005
+_PAGE: Final = ("view", "--open", "--listen", "127.0.0.1:0")
+
 PATIENCE_S: Final = 3.0
 """A process that was asked to end by the terminal itself needs less."""
 
 
-def run_live(folder: Path, drive: str) -> int:
+def run_live(folder: Path, drive: str, *, page: bool = False) -> int:
     """Show *drive* live until the user leaves; the service's log in *folder*.
+
+    With *page* the display is one in the browser.
 
     Raises:
         MissingExtraError: msgpack or rich is absent.
@@ -52,7 +56,8 @@ def run_live(folder: Path, drive: str) -> int:
         BstmError: there is no multicast here, or the service ended.
     """
     purpose = "demo --live"
-    require_packages("msgpack", "rich", extra="all", purpose=purpose)
+    shown = "tornado" if page else "rich"
+    require_packages("msgpack", shown, extra="all", purpose=purpose)
     make_folder(folder)
     log = folder / "live.log"
     driven = simulate(load_drive(drive))
@@ -77,7 +82,7 @@ def run_live(folder: Path, drive: str) -> int:
             stderr=to_log,
         )
         display = subprocess.Popen(  # noqa: S603
-            [*command, "watch", "-c", car], env=env
+            [*command, *(_PAGE if page else ["watch"]), "-c", car], env=env
         )
         try:
             with suppress(KeyboardInterrupt):
@@ -153,6 +158,7 @@ def _configuration(folder: Path) -> Path:
         (r'(\[\[bus\]\][^[]*?interface = )"socketcan"', rf'\1"{INTERFACE}"'),
         (r'(\[\[bus\]\][^[]*?channel = )"can0"', rf'\1"{GROUP}"'),
         (r"(\[publish\][^[]*?enabled = )false", r"\1true"),
+        (r'# (socket = )"[^"]*"', r'\1"feed.sock"'),
     ):
         text = re.sub(old, new, text)
     target = folder / source.name

@@ -137,15 +137,12 @@ class RecordConfig(Section):
 class FeedConfig(Section):
     """``[feed]``: publications as JSON lines on a local Unix socket.
 
-    Without ``socket`` there is none. Members of ``group`` may read it beside
-    the user of the service; by default of the group that it runs as.
+    Without ``socket`` there is none. User and group of the service read it.
     """
 
     socket: Text | None = None
     """path of the socket, such as `/run/bstm/feed.sock`, relative to the
     configuration's folder; without it there is no feed"""
-    group: Text | None = None
-    """group whose members may read it; without it the one of the service"""
 
 
 class MetricsConfig(Section):

@@ -6,22 +6,19 @@ import json
 import threading
 import time
 from collections import deque
-from itertools import takewhile
 from math import inf
 from typing import TYPE_CHECKING, Final
+
+from bstm_daemon.feed.vss import USABLE
+from bstm_daemon.roles import CORNERS
 
 if TYPE_CHECKING:
     from bstm_daemon.feed.reader import Record
 
-HISTORY_S: Final = 3600
 BIN_S: Final = 2
-"""Width of a point of the curves: a screen has no more than 1800 of them."""
+"""Width of a point of the curves; an hour of them is a screen's width."""
 
 CURVES: Final = ("disc_c", "fluid_c")
-CORNERS: Final = ("FL", "FR", "RL", "RR")
-
-Point = list[float | None]
-"""Start of the bin, then each corner of each curve."""
 
 
 class Live:
@@ -32,9 +29,11 @@ class Live:
         self._source = source
         self._lock = threading.Lock()
         self._record: Record | None = None
-        self._points: deque[Point] = deque(maxlen=HISTORY_S // BIN_S)
-        self._epoch = 0
-        self._count = 0
+        self._points: deque[tuple[float, list[float | None]]] = deque(
+            maxlen=3600 // BIN_S
+        )
+        """Start of each bin, and the corners of each curve."""
+        self._epoch = self._count = 0
         self._taken_s = 0.0
 
     def take(self, record: Record) -> None:
@@ -45,31 +44,31 @@ class Live:
         """
         begin_s = record["time_s"] // BIN_S * BIN_S
         values = [
-            corner[curve] if corner and corner["validity"] in _SHOWN else None
+            corner[curve] if corner and corner["validity"] in USABLE else None
             for curve in CURVES
             for corner in map(record["corners"].get, CORNERS)
         ]
         with self._lock:
-            self._record = record
+            self._record, self._taken_s = record, time.monotonic()
             self._count += 1
-            self._taken_s = time.monotonic()
-            if self._points and begin_s < (self._points[-1][0] or 0.0):
+            last_s, last = self._points[-1] if self._points else (-inf, [])
+            if begin_s == last_s:
+                self._points.pop()
+                values = [*map(_hotter, last, values)]
+            elif begin_s < last_s:
                 self._points.clear()
                 self._epoch += 1
-            if self._points and begin_s == self._points[-1][0]:
-                last = self._points[-1]
-                last[1:] = map(_hotter, last[1:], values)
-            else:
-                self._points.append([begin_s, *values])
+            self._points.append((begin_s, values))
 
     def event(self, seen: str) -> tuple[str, str] | None:
-        """Return the next event for a client that has *seen* one, as JSON.
+        """Return the next event for a client that has *seen* one.
 
         Args:
             seen: the id of its last event; empty, or anything, for none.
 
         Returns:
-            The id and the text, with the points since; None if nothing came.
+            The id and the text, JSON with the points since; None if nothing
+            came.
         """
         epoch, _, rest = seen.partition(":")
         since, _, count = rest.partition(":")
@@ -78,25 +77,20 @@ class Live:
                 return None
             goes_on = epoch == str(self._epoch) and since.isdigit()
             since_s = float(since) if goes_on else -inf
-            newest = takewhile(
-                lambda point: (point[0] or 0.0) >= since_s,
-                reversed(self._points),
-            )
-            points = [*newest][::-1]
-            last_s = int(points[-1][0] or 0) if points else 0
-            text = json.dumps(
-                {
-                    "source": self._source,
-                    "record": self._record,
-                    "age_s": round(time.monotonic() - self._taken_s, 2),
-                    "points": points,
-                    "reset": not goes_on,
-                }
-            )
-            return f"{self._epoch}:{last_s}:{self._count}", text
-
-
-_SHOWN: Final = ("valid", "degraded")
+            event = {
+                "source": self._source,
+                "record": self._record,
+                "age_s": round(time.monotonic() - self._taken_s, 2),
+                "points": [
+                    [at_s, *values]
+                    for at_s, values in self._points
+                    if at_s >= since_s
+                ],
+                "reset": not goes_on,
+            }
+            last_s = self._points[-1][0] if self._points else 0.0
+            found = f"{self._epoch}:{last_s:.0f}:{self._count}"
+        return found, json.dumps(event)
 
 
 def _hotter(one: float | None, other: float | None) -> float | None:

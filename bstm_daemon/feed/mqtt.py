@@ -223,7 +223,6 @@ def run_bridge(
     feed: Iterable[Record | None],
     url: str,
     credentials: MqttFile,
-    *,
     interval_s: float = 1.0,
     discovery: str | None = None,
 ) -> None:

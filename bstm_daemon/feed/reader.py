@@ -15,14 +15,11 @@ if TYPE_CHECKING:
     from threading import Event
 
 DEFAULT_SOCKET: Final = "/run/bstm/feed.sock"
-
 SILENT_S: Final = 1.5
 """Without a line for as long, nothing is known: the service sends ten a
 second."""
 
-RETRY_S: Final = (0.2, 2.0)
-"""Pause before the first and, doubled each time, later attempts."""
-
+RETRY_S: Final = 0.5
 LONGEST: Final = 65536
 """Bytes of a line; more is no feed."""
 
@@ -39,20 +36,13 @@ def records(path: Path, stop: Event) -> Iterator[Record | None]:
     Raises:
         UsageError: what is sent there is no feed of this version.
     """
-    pause_s = RETRY_S[0]
     while not stop.is_set():
-        with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as connection:
+        with socket.socket(socket.AF_UNIX) as connection:
             connection.settimeout(SILENT_S)
-            try:
-                connection.connect(str(path))
-            except OSError:
-                yield None
-            else:
-                for record in _lines(connection, stop):
-                    pause_s = RETRY_S[0]
-                    yield record
-        stop.wait(pause_s)
-        pause_s = min(2.0 * pause_s, RETRY_S[1])
+            if connection.connect_ex(str(path)) == 0:
+                yield from _lines(connection, stop)
+        yield None
+        stop.wait(RETRY_S)
 
 
 def _lines(connection: socket.socket, stop: Event) -> Iterator[Record | None]:
@@ -64,15 +54,13 @@ def _lines(connection: socket.socket, stop: Event) -> Iterator[Record | None]:
             yield None
             continue
         except OSError:
-            received = b""
-        *lines, rest = (rest + received).split(b"\n")
-        for line in lines:
-            yield parsed(line)
-        if len(rest) > LONGEST:
-            parsed(rest)
-        if not received:
-            yield None
             return
+        if not received:
+            return
+        *lines, rest = (rest + received).split(b"\n")
+        if len(rest) > LONGEST:
+            lines.append(rest)  # which is refused
+        yield from map(parsed, lines)
 
 
 def parsed(line: bytes) -> Record:
@@ -82,7 +70,7 @@ def parsed(line: bytes) -> Record:
         UsageError: it is none, or of another version.
     """
     try:
-        record = json.loads(line)
+        record: Record = json.loads(line)
         found = record["schema"], record["version"]
     except (ValueError, KeyError, TypeError) as error:
         msg = f"not a feed of bstm: {line[:60]!r}"
@@ -93,4 +81,4 @@ def parsed(line: bytes) -> Record:
             f"{SCHEMA} version {VERSION}: install the same version"
         )
         raise UsageError(msg)
-    return record  # type: ignore[no-any-return]
+    return record

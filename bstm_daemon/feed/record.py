@@ -61,18 +61,16 @@ class RecordWriter:
             f'{{"schema":"{SCHEMA}","version":{VERSION},'
             f'"vehicle":{json.dumps(config.vehicle.id)},"seq":'
         )
-        self._seq = 0
 
-    def line(self, estimate: Estimate) -> bytes:
-        """Return *estimate* as a line with the next sequence number."""
-        self._seq += 1
+    def line(self, estimate: Estimate, seq: int = 0) -> bytes:
+        """Return *estimate* as a line with the number *seq*."""
         corners = ",".join(
             self._corner(name, corner)
             for name, corner in estimate.corners.items()
         )
         body = f'{_car(estimate)},"corners":{{{corners}}}}}\n'
         body = _NO_NUMBER.sub(":null", body.replace('_s":inf', '_s":"beyond"'))
-        return f"{self._head}{self._seq},{body}".encode()
+        return f"{self._head}{seq},{body}".encode()
 
     def _corner(self, name: str, corner: CornerEstimate) -> str:
         risk = corner.risk or NO_RISK

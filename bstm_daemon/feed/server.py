@@ -7,20 +7,21 @@ rest of a line that was begun is sent first.
 
 from __future__ import annotations
 
-import grp
-import os
 import socket
-import stat
 from contextlib import suppress
 from typing import TYPE_CHECKING, Final
 
-from bstm_daemon.errors import FileAccessError
+from bstm_daemon.feed.record import RecordWriter
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from pathlib import Path
 
+    from bstm_daemon.config.sections import Config
+    from bstm_daemon.estimate import Estimate
+
 SOCKET_MODE: Final = 0o660
-"""Owner and group connect; nobody else learns where the car is."""
+"""Owner and group connect; nobody else learns how the car is driven."""
 
 MOST_READERS: Final = 64
 """With one more, the one that has been stalled longest is disconnected."""
@@ -29,111 +30,127 @@ BUFFER_BYTES: Final = 8192
 """Asked of the kernel for each reader: some lines, so that one that comes
 back after a stall soon has the newest."""
 
+RETRY_US: Final = 1_000_000
+"""Time between attempts to open the socket."""
+
 
 class _Reader:
     """A connection, and the rest of the line that it has not taken yet."""
 
     def __init__(self, connection: socket.socket) -> None:
+        connection.setblocking(False)
+        connection.setsockopt(
+            socket.SOL_SOCKET, socket.SO_SNDBUF, BUFFER_BYTES
+        )
         self.connection = connection
-        self._rest = b""
         self.stalled = 0
         """Lines in a row that it did not take."""
+        self._rest = b""
 
     def send(self, line: bytes) -> bool:
         """Send the rest of the last line, then *line*; whether it is there."""
+        self.stalled += 1
         try:
             if self._rest:
                 self._rest = self._rest[self.connection.send(self._rest) :]
-            if self._rest:
-                self.stalled += 1
-                return True
-            self._rest = line[self.connection.send(line) :]
-            self.stalled = 0
+            if not self._rest:
+                self._rest = line[self.connection.send(line) :]
+                self.stalled = 0
         except BlockingIOError:
-            self.stalled += 1
+            pass
         except OSError:  # it has gone
             return False
         return True
 
 
 class FeedServer:
-    """Listens at a path until closed."""
+    """Publishes on the socket of ``[feed]``, where there is one.
 
-    def __init__(self, path: Path, group: str | None = None) -> None:
-        """Listen at *path*, for the members of *group* as well.
+    A folder that is missing and a path that is taken are reported and tried
+    again: neither ends the service.
+    """
 
-        Raises:
-            FileAccessError: the folder is missing or not writable, another
-                file or process is at *path*, or the group is none of ours.
-        """
-        self.path = path
+    def __init__(self, failed: Callable[[str], None]) -> None:
+        """Report to *failed* why the socket can not be opened."""
+        self._failed = failed
+        self._path: Path | None = None
+        self._socket: socket.socket | None = None
         self._readers: list[_Reader] = []
-        self._socket = socket.socket(
-            socket.AF_UNIX, socket.SOCK_STREAM | socket.SOCK_NONBLOCK
-        )
-        try:
-            _remove_left(path)
-            self._socket.bind(str(path))
-            path.chmod(SOCKET_MODE)
-            if group is not None:
-                os.chown(path, -1, grp.getgrnam(group).gr_gid)
-            self._socket.listen(MOST_READERS)
-        except (OSError, KeyError) as error:
-            self._socket.close()
-            reason = getattr(error, "strerror", None) or error
-            msg = f"[feed] socket = {path}: {reason}"
-            raise FileAccessError(msg) from error
+        self._retry_us = self._seq = 0
 
-    @property
-    def has_readers(self) -> bool:
-        """Whether a line would reach anybody; takes who is waiting."""
-        with suppress(OSError):  # nobody more, or no more descriptors
-            while True:
-                connection, _ = self._socket.accept()
-                connection.setblocking(False)
-                connection.setsockopt(
-                    socket.SOL_SOCKET, socket.SO_SNDBUF, BUFFER_BYTES
-                )
-                self._readers.append(_Reader(connection))
-        while len(self._readers) > MOST_READERS:
-            worst = max(self._readers, key=lambda reader: reader.stalled)
-            self._drop(worst)
-        return bool(self._readers)
+    def begin(self, config: Config, folder: Path) -> None:
+        """Apply *config*, whose path is relative to *folder*.
 
-    def send(self, line: bytes) -> None:
-        """Send *line* to every reader that takes it; never waits."""
-        for reader in [*self._readers]:
-            if not reader.send(line):
-                self._drop(reader)
+        Readers stay connected where the socket is the same.
+        """
+        self._writer = RecordWriter(config)
+        name = config.feed.socket
+        path = None if name is None else folder / name
+        if path != self._path:
+            self.close()
+            self._path, self._retry_us = path, 0
+
+    def publish(self, estimate: Estimate | None, now_us: int) -> None:
+        """Send *estimate* to the readers there are at *now_us*."""
+        if self._path is None or estimate is None:
+            return
+        if self._socket is None and now_us >= self._retry_us:
+            self._retry_us = now_us + RETRY_US
+            try:
+                self._socket = _listening(self._path)
+            except OSError as error:
+                self._failed(f"{self._path}: {error.strerror or error}")
+        if self._socket is not None and self._accepted(self._socket):
+            self._seq += 1
+            line = self._writer.line(estimate, self._seq)
+            for reader in [*self._readers]:
+                if not reader.send(line):
+                    self._drop(reader)
 
     def close(self) -> None:
         """Disconnect all and remove the socket."""
         for reader in [*self._readers]:
             self._drop(reader)
-        self._socket.close()
-        with suppress(OSError):  # a folder that went away or read-only
-            self.path.unlink(missing_ok=True)
+        if self._socket is not None and self._path is not None:
+            self._socket.close()
+            self._socket = None
+            with suppress(OSError):  # a folder that went away or read-only
+                self._path.unlink(missing_ok=True)
+
+    def _accepted(self, own: socket.socket) -> bool:
+        """Take who is waiting; whether there is any reader."""
+        with suppress(OSError):  # nobody more, or no more descriptors
+            while True:
+                self._readers.append(_Reader(own.accept()[0]))
+        while len(self._readers) > MOST_READERS:
+            self._drop(max(self._readers, key=lambda one: one.stalled))
+        return bool(self._readers)
 
     def _drop(self, reader: _Reader) -> None:
         self._readers.remove(reader)
         reader.connection.close()
 
 
-def _remove_left(path: Path) -> None:
-    """Remove the socket of a service that did not end in order.
+def _listening(path: Path) -> socket.socket:
+    """Return a socket at *path*, in place of one that a dead service left.
 
     Raises:
-        FileExistsError: something listens there, or it is no socket.
+        OSError: the folder is missing or not writable, or a file or another
+            service is there.
     """
-    with suppress(FileNotFoundError):
-        if not stat.S_ISSOCK(path.lstat().st_mode):
-            msg = "a file is there that is no socket"
-            raise FileExistsError(msg)
-        with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
-            try:
-                probe.connect(str(path))
-            except ConnectionRefusedError:
-                path.unlink()
-            else:
+    if path.is_socket():
+        with socket.socket(socket.AF_UNIX) as probe:
+            if probe.connect_ex(str(path)) == 0:
                 msg = "another service listens there"
                 raise FileExistsError(msg)
+        path.unlink()
+    own = socket.socket(socket.AF_UNIX)
+    try:
+        own.setblocking(False)
+        own.bind(str(path))
+        path.chmod(SOCKET_MODE)
+        own.listen(MOST_READERS)
+    except OSError:
+        own.close()
+        raise
+    return own

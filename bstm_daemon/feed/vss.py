@@ -38,7 +38,7 @@ UNITS: Final = {
 
 Values = dict[str, Any]
 
-_USABLE: Final = ("valid", "degraded")
+USABLE: Final = ("valid", "degraded")
 
 
 def branches(record: Record) -> dict[str, Values]:
@@ -48,7 +48,7 @@ def branches(record: Record) -> dict[str, Values]:
         WHEELS[name]: {"time_s": time_s, **wheel_values(corner)}
         for name, corner in record["corners"].items()
     }
-    usable = record["validity"] in _USABLE
+    usable = record["validity"] in USABLE
     found[CAR] = {
         "time_s": time_s,
         "Validity": record["validity"].upper(),
@@ -61,9 +61,9 @@ def branches(record: Record) -> dict[str, Values]:
 
 def wheel_values(corner: Values) -> Values:
     """Return the leaves of one wheel's brake."""
-    usable = corner["validity"] in _USABLE
+    usable = corner["validity"] in USABLE
     worn = corner["pad_wear_percent"]
-    has_wear = corner["wear_validity"] in _USABLE
+    has_wear = corner["wear_validity"] in USABLE
     return {
         "Validity": corner["validity"].upper(),
         "Reasons": corner["reasons"],

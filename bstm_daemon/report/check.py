@@ -52,7 +52,7 @@ _ROLE_HEAD: Final = (
 )
 
 PAIRS_NOTE: Final = (
-    "Left: both readings over time. Right: one over the other with the fitted "
+    "First both readings over time, then one over the other with the fitted "
     "line, without the lag. Scale, offset and rms residual are those of the "
     "channel against the reference; a positive lag means that the channel is "
     "late."

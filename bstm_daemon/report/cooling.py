@@ -426,12 +426,11 @@ def braked_page(result: BrakedCooling, subtitle: str) -> Page:
                 across=1,
             ),
         ]
-    misses = ", ".join(
-        f"{axle.held_k:.1f} K ({axle.axle})" for axle in result.axles
-    )
-    lead = (
-        "The line of S over speed predicts the discs of drives that it was "
-        f"not fitted to, window by window, with an error of {misses}."
+    lead = " ".join(
+        f"The line of S over speed predicts the {axle.axle} discs to "
+        f"{axle.held_k:.1f} K in windows that it was not fitted to"
+        f"{'; not identified: ' * bool(axle.caveat)}{axle.caveat}."
+        for axle in result.axles
     )
     title = "Disc cooling while braking"
     return Page(title, sections, tiles, lead, subtitle=subtitle)

@@ -16,6 +16,7 @@ from bstm_daemon import __version__
 from bstm_daemon.bus.live.frame_records import FrameRecords
 from bstm_daemon.errors import BstmError, ConfigError
 from bstm_daemon.estimator.state import RESUMABLE_US
+from bstm_daemon.feed.server import FeedServer
 from bstm_daemon.service import events, wake
 from bstm_daemon.service.assembly import (
     BusOverride,
@@ -25,7 +26,6 @@ from bstm_daemon.service.assembly import (
     refusing,
 )
 from bstm_daemon.service.clock import SteadyAxis
-from bstm_daemon.service.feed_output import FeedOutput
 from bstm_daemon.service.intake import GUARD_US, Intake
 from bstm_daemon.service.persistence import Persistence, state_file
 from bstm_daemon.service.reporting import ServiceReporter
@@ -91,7 +91,7 @@ class Service:
         self._reporter = ServiceReporter(
             log, self._axis, file.parent, options.metrics_port
         )
-        self._feed = FeedOutput(log)
+        self._feed = FeedServer(self._note_feed)
         self._dropped = 0
         """Frames lost on links that a reload has replaced."""
         self._start_us = self._last_us = self._axis.read()
@@ -246,6 +246,11 @@ class Service:
             self._notifier.watchdog()
         line = (begin_us - GUARD_US) // self._drain_us + 1
         return line * self._drain_us + GUARD_US
+
+    def _note_feed(self, error: str) -> None:
+        self._log.repeat(
+            events.FEED_FAILED, "feed", self._last_us * 1e-6, error=error
+        )
 
     def _note_foreign(self, bus: int, can_id: int) -> None:
         if self._sender.note_foreign(can_id):

@@ -12,10 +12,9 @@ from typing import TYPE_CHECKING, Final
 
 from side_by_side import Goal, Outcome, Table
 
+from bstm_daemon.feed.server import FeedServer
 from bstm_daemon.files import shipped_file
 from bstm_daemon.service.assembly import BusOverride, build_monitor
-from bstm_daemon.service.events import ServiceLog
-from bstm_daemon.service.feed_output import FeedOutput
 
 if TYPE_CHECKING:
     from bstm_daemon.estimate import Estimate
@@ -52,7 +51,7 @@ def run(*, full: bool) -> Outcome:
         with tempfile.TemporaryDirectory() as folder, ExitStack() as stack:
             path = Path(folder) / "feed.sock"
             feed = monitor.config.feed.model_copy(update={"socket": str(path)})
-            output = FeedOutput(ServiceLog())
+            output = FeedServer(print)
             used = monitor.config.model_copy(update={"feed": feed})
             output.begin(used, Path(folder))
             stack.callback(output.close)
@@ -75,7 +74,7 @@ def run(*, full: bool) -> Outcome:
         )
     return Outcome(
         "The feed",
-        "CPU time of `FeedOutput.publish`, the whole of what the feed adds "
+        "CPU time of `FeedServer.publish`, the whole of what the feed adds "
         "to the thread of the service, at ten publications a second.",
         [
             Goal(
@@ -110,7 +109,7 @@ def reader(path: Path) -> socket.socket:
 
 
 def measured(
-    output: FeedOutput,
+    output: FeedServer,
     estimate: Estimate,
     readers: list[socket.socket],
     rounds: int,

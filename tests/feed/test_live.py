@@ -9,9 +9,10 @@ import pytest
 
 from bstm_daemon.config.sections import Config
 from bstm_daemon.estimate import Estimate
-from bstm_daemon.feed.live import HISTORY_S, Live
+from bstm_daemon.feed.live import Live
 from bstm_daemon.feed.record import RecordWriter
 
+HISTORY_S = 3600
 START_S = 1_700_000_000.0
 
 

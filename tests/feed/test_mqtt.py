@@ -557,8 +557,9 @@ def test_the_command_publishes_a_feed_until_it_is_stopped(
     file = tmp_path / "mqtt.toml"
     file.write_text(f'broker = "mqtt://localhost:{broker.port}"\n')
     file.chmod(0o600)
-    server = FeedServer(socket_path)
-    writer = RecordWriter(config)
+    section = config.feed.model_copy(update={"socket": str(socket_path)})
+    server = FeedServer(pytest.fail)
+    server.begin(config.model_copy(update={"feed": section}), tmp_path)
     process = subprocess.Popen(
         [
             *(sys.executable, "-m", "bstm_daemon.cli.main"),
@@ -570,8 +571,7 @@ def test_the_command_publishes_a_feed_until_it_is_stopped(
     subscriber = Subscriber(broker.port)
 
     def published() -> bool:
-        if server.has_readers:
-            server.send(writer.line(estimate(0)))
+        server.publish(estimate(0), 0)
         return bool(subscriber.of(TOPIC))
 
     wait_for(published, "not published")

@@ -1,8 +1,10 @@
 """The reader of a feed: follows it over ends, silence and strangers."""
 
 import json
+import socket
 import threading
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -18,14 +20,22 @@ from bstm_daemon.feed.server import FeedServer
 Make = Callable[[int], Estimate]
 
 
-def next_line(server: FeedServer, feed: object, line: bytes) -> object:
-    """Send *line* once the reader is there, and return what it yields."""
+def opened(config: Config, path: Path) -> FeedServer:
+    feed = config.feed.model_copy(update={"socket": str(path)})
+    server = FeedServer(pytest.fail)
+    server.begin(config.model_copy(update={"feed": feed}), path.parent)
+    return server
+
+
+def next_line(server: FeedServer, feed: object, estimate: Estimate) -> object:
+    """Publish *estimate* once the reader is there, and return what it has."""
     found: list[object] = []
     thread = threading.Thread(target=lambda: found.append(next(feed)))  # type: ignore[call-overload]
     thread.start()
-    while not server.has_readers:
+    while not server._readers:
+        server._accepted(server._socket)  # type: ignore[arg-type]
         thread.join(0.01)
-    server.send(line)
+    server.publish(estimate, 0)
     thread.join(10.0)
     return found[0]
 
@@ -36,31 +46,36 @@ def test_records_come_again_after_the_service_has_restarted(
     socket_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(reader_module, "RETRY_S", (0.01, 0.02))
-    writer = RecordWriter(config)
+    monkeypatch.setattr(reader_module, "RETRY_S", 0.01)
     feed = records(socket_path, threading.Event())
     assert next(feed) is None, "there is no service"
 
     for _ in range(2):
-        server = FeedServer(socket_path)
-        line = writer.line(estimate(1))
-        while (found := next_line(server, feed, line)) is None:
+        server = opened(config, socket_path)
+        server.publish(estimate(1), 0)
+        while (found := next_line(server, feed, estimate(1))) is None:
             pass
+        assert isinstance(found, dict)
+        line = RecordWriter(config).line(estimate(1), found["seq"])
         assert found == json.loads(line)
         server.close()
         assert next(feed) is None, "it has ended"
 
 
 def test_silence_is_reported(
-    socket_path: Path, monkeypatch: pytest.MonkeyPatch
+    config: Config,
+    estimate: Make,
+    socket_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(reader_module, "SILENT_S", 0.01)
-    server = FeedServer(socket_path)
+    server = opened(config, socket_path)
+    server.publish(estimate(0), 0)
     feed = records(socket_path, threading.Event())
 
     assert [next(feed), next(feed)] == [None, None]
 
-    assert server.has_readers, "it stays connected"
+    assert server._accepted(server._socket), "it stays connected"  # type: ignore[arg-type]
     server.close()
 
 
@@ -90,21 +105,20 @@ def test_what_is_no_feed_of_this_version_is_refused(
 
 
 def test_an_endless_line_is_no_feed(socket_path: Path) -> None:
-    server = FeedServer(socket_path)
     feed = records(socket_path, threading.Event())
-    failed: list[BaseException] = []
+    with socket.socket(socket.AF_UNIX) as stranger:
+        stranger.bind(str(socket_path))
+        stranger.listen()
 
-    def read() -> None:
-        try:
+        def send() -> None:
+            connection, _ = stranger.accept()
+            with connection, suppress(OSError):
+                while True:
+                    connection.sendall(b"x" * 4096)
+
+        thread = threading.Thread(target=send)
+        thread.start()
+        with pytest.raises(UsageError, match="not a feed"):
             next(feed)
-        except UsageError as error:
-            failed.append(error)
-
-    thread = threading.Thread(target=read)
-    thread.start()
-    while thread.is_alive():
-        if server.has_readers:
-            server.send(b"x" * 4096)
-        thread.join(0.001)
-    server.close()
-    assert len(failed) == 1
+        feed.close()  # type: ignore[attr-defined]
+        thread.join(10.0)

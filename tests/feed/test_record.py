@@ -24,9 +24,8 @@ def test_a_line_has_every_value_of_the_car_and_its_corners(
     config: Config, estimate: Make
 ) -> None:
     writer = RecordWriter(config)
-    writer.line(estimate(0))
 
-    line = writer.line(estimate(3))
+    line = writer.line(estimate(3), 2)
 
     assert line.endswith(b"}\n")
     record = json.loads(line)

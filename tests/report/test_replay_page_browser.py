@@ -8,13 +8,24 @@ from html import unescape
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
+from bstm_daemon.analysis.gap.residual_heat import Cell
 from bstm_daemon.replay.results import Results
 from bstm_daemon.report.drive_curves import DriveCurves
 from bstm_daemon.report.drive_statistics import DriveStatistics
+from bstm_daemon.report.gap_page import heat_map
+from bstm_daemon.report.plots import (
+    BLUE,
+    cloud,
+    curve,
+    plot,
+    right_axis,
+    time_plot,
+)
 from bstm_daemon.report.replay_page import ReplayFacts, replay_page
-from bstm_daemon.report.shell import render
+from bstm_daemon.report.shell import Page, Section, render
 
 CHROMIUM = next(
     filter(None, map(shutil.which, ("chromium", "chromium-browser"))), None
@@ -76,7 +87,8 @@ async function probe() {
     if (!plot.checkVisibility()) continue;
     const box = (part) => plot.querySelector(part)?.getBoundingClientRect();
     const whole = plot.getBoundingClientRect();
-    const panel = box(".nsewdrag"), legend = box(".legend .bg");
+    const panel = box(".nsewdrag");
+    const legend = box(".legend .bg") || box(".infolayer .colorbar");
     if (!legend) continue;
     const beside = legend.left >= panel.right - 1;
     const below = legend.top >= panel.bottom + 10;
@@ -87,7 +99,8 @@ async function probe() {
   }
   return { width: innerWidth, page: document.documentElement.scrollWidth,
     back: getComputedStyle(document.body).backgroundColor,
-    line: getComputedStyle(document.querySelector(".js-line")).stroke,
+    line: document.querySelector(".js-line")
+      && getComputedStyle(document.querySelector(".js-line")).stroke,
     overlaps };
 }
 """
@@ -214,6 +227,39 @@ def test_nothing_overprints_and_nothing_is_wider_than_the_page(
     assert len(found["overlaps"]) >= PANELS["RL"]
     for beside, below, above, inside in found["overlaps"]:
         assert below if width == 400 else beside or above
+        assert inside
+
+
+@pytest.mark.slow
+def test_every_kind_of_plot_fits_a_small_screen(tmp_path: Path) -> None:
+    """Many names, a second axis, shades with a scale, a map, bars."""
+    x = np.linspace(0.0, 300.0, 50)
+    names = [f"wheel speed of corner number {i} [km/h]" for i in range(6)]
+    lines = [curve(x, i * x, name, BLUE) for i, name in enumerate(names)]
+    right = curve(x, x, "speed", BLUE, second=True)
+    cells = [
+        Cell("pad_front", regime, name, 1e5, 1e3, 9)
+        for regime in ("braking", "driving", "parked")
+        for name in ("< 100 degC", "100 to 200 degC", "> 450 degC")
+    ]
+    drawn = {
+        "names": time_plot(lines, "speed [km/h]", (0.0, 300.0)),
+        "axes": time_plot(
+            [*lines, right], "km/h", (0.0, 300.0), yaxis2=right_axis("kW")
+        ),
+        "shades": plot(
+            [cloud(x, x, "", shade=x, shade_title="bar")], "x", "y"
+        ),
+        "map": heat_map(cells),
+    }
+    page = render(Page("all", [Section("", plots=[*drawn.items()])]))
+
+    found = _probed(page, LOOK, tmp_path / "page.html", width_px=400)
+
+    assert found["page"] <= 400
+    assert len(found["overlaps"]) == len(drawn)
+    for _, below, _, inside in found["overlaps"]:
+        assert below
         assert inside
 
 

@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import errno
+import json
+import os
 import re
 import socket
+import subprocess
 import sys
+import urllib.request
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -86,6 +90,43 @@ def test_the_display_shows_a_brake_that_gets_hot(
     log = (tmp_path / "live.log").read_text(encoding="utf-8")
     assert '"event": "service_stopping"' in log
     assert '"level": "error"' not in log
+
+
+@pytest.mark.slow
+def test_the_display_may_be_a_page(multicast: None, tmp_path: Path) -> None:
+    """Its browser is a program that ends at once."""
+    demo = subprocess.Popen(
+        [
+            sys.executable,
+            "-c",
+            MAIN,
+            "demo",
+            "--live",
+            "--view",
+            "-o",
+            tmp_path,
+        ],
+        env={**os.environ, "BROWSER": "true"},
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    assert demo.stdout is not None
+    found = re.search(r"http\S+", demo.stdout.readline())
+    assert found is not None
+    discs: list[float] = []
+    with urllib.request.urlopen(f"{found[0]}events", timeout=60.0) as events:  # noqa: S310
+        while not discs or discs[-1] < 14.0:
+            line = events.readline()
+            if line.startswith(b"data: "):
+                record = json.loads(line[6:])["record"]
+                discs += [record["corners"]["FL"]["disc_c"]] if record else []
+    assert discs[0] < 12.0
+    # a service manager ends the first process alone
+    demo.terminate()
+    assert demo.wait(60.0) == 0
+    demo.stdout.close()
+    log = (tmp_path / "live.log").read_text(encoding="utf-8")
+    assert '"event": "service_stopping"' in log
 
 
 @pytest.mark.slow

@@ -45,7 +45,7 @@ FORM_ERROR: Final = 0.23
 """Share of a strength that its standard deviation has beside the noise: the
 form of a real effect is not the catalogue's, so that strength 1 is not quite
 the same in both. Learned on the split `development` of the benchmark of
-hidden effects (docs/gap.md)."""
+hidden effects (docs/evidence-gap.md)."""
 
 FLAT: Final = 1e-3
 """Relative difference of a table's values that are one constant."""

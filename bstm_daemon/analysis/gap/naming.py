@@ -46,7 +46,8 @@ SURE: Final = 0.95
 GATE_Z: Final = 4.1
 """Standard deviations of the best candidate from which there is a gap. With
 39 candidates chance reaches it once in 1000 searches; the form of the model
-takes effect-free cars up to 3.8, right names begin at 5.2 (`docs/gap.md`)."""
+takes effect-free cars up to 3.8, right names begin at 5.2
+(`docs/evidence-gap.md`)."""
 
 GATE_NOTHING: Final = 0.05
 """And nothing missing must be less probable than this."""
@@ -58,7 +59,7 @@ tell them apart."""
 SOMETHING: Final = 0.88
 """Probability from which something is missing though nothing can be named:
 one effect, two that stand in for one, or heat without a name, as likely each
-before data. Effect-free cars reach 0.84 (`docs/gap.md`)."""
+before data. Effect-free cars reach 0.84 (`docs/evidence-gap.md`)."""
 
 EXPLAINED: Final = 0.6
 EXPLAINED_TOGETHER: Final = 0.91
@@ -68,7 +69,7 @@ the log-likelihood left besides chance, no name is given if heat without a
 name is likely beside it: what else is left is noise of another form. The
 second share is of several: two or three can imitate much of one that the
 catalogue lacks. Where forms alone differ, as they do of every real effect,
-right ones reach 0.92 with as much left (`docs/gap.md`)."""
+right ones reach 0.92 with as much left (`docs/evidence-gap.md`)."""
 
 AGAINST: Final = 3.0
 """Log Bayes factor by which a drive, predicted by the others, may speak

@@ -1,7 +1,7 @@
 "use strict";
 // Draws what the page's JSON says; it reads data, so no data becomes code.
 const DARK = { "#1f2328": "#e6edf3", "#000000": "#e6edf3",
-  "#e6e8eb": "#30363d", "#ffffff": "#161b22", "#0072b2": "#56a8e0",
+  "#e6e8eb": "#30363d", "#ffffff": "#161b22", "#f7f7f7": "#2d333b", "#0072b2": "#56a8e0",
   "#a32c00": "#e5603a", "#5a3d8a": "#a98be0", "#00573f": "#4fbf9f",
   "rgba(255,255,255,0.6)": "rgba(22,27,34,0.6)" };
 const NARROW_PX = 700, LEGEND_LINE_PX = 20, COLOUR_BAR_PX = 64, SHORT = 4;
