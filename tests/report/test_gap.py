@@ -214,7 +214,7 @@ def test_colour_and_text_of_a_cell_are_the_same_heat_in_order() -> None:
 
 
 def test_a_change_is_no_missing_effect() -> None:
-    air = Candidate("change.disc_air", -0.8, 0.2, 9.0, 12.0, 0.5)
+    air = Candidate("change.disc_air", -0.45, 0.1, 9.0, 12.0, 0.5)
     changed = naming("name", air)
 
     assert answer_line(changed, "this data") == (
@@ -227,10 +227,10 @@ def test_a_change_is_no_missing_effect() -> None:
     assert row[:3] == (
         "convection from the disc to the wheel well",
         "-27 %",
-        "8 %",
+        "7 %",
     )
     (near,) = reach_lines(changed)
-    assert near.endswith("convection from the disc to the wheel well +22 %")
+    assert near.endswith("convection from the disc to the wheel well +42 %")
     both = naming("name", air, candidate("pad_wear"))
     assert answer_line(both, "this data").startswith(
         "missing: convection from the disc to the wheel well -27 % since the "

@@ -29,7 +29,7 @@ PREFIX: Final = "change."
 HEAT_SCALE: Final = "heat scale"
 """Key of the tunable that scales all brake power: friction as a whole."""
 
-STEP: Final = 0.4
+STEP: Final = 0.7
 """Logarithm of a value's factor that counts as strength 1, either way."""
 
 HEAT_STEP: Final = 0.2

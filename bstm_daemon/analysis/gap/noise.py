@@ -117,8 +117,9 @@ def noise_of(
 ) -> SensorNoise:
     """Return the noise of *node*: what ``[accuracy]`` knows, else usual.
 
-    With *form* drift is what the match itself left: values that are not
-    known are no error of the form, and have their own covariance.
+    With *form* drift is what the match itself left, at least the usual: a
+    fit knows little of drives that it has not seen. What its values may be
+    off by has their covariance.
 
     Offset and drift of the junctions add to what the model is off by.
     """
@@ -127,8 +128,8 @@ def noise_of(
     if form is not None and node in form.form_k:
         found = replace(
             found,
-            drift_k=max(form.form_k[node], LEAST_K),
-            share=form.form_share.get(node, 0.0),
+            drift_k=max(form.form_k[node], found.drift_k),
+            share=max(form.form_share.get(node, 0.0), found.share),
         )
     elif (own := accuracy_of(config, node)) is not None:
         found = replace(

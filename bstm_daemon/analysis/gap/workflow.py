@@ -52,7 +52,7 @@ if TYPE_CHECKING:
     from bstm_daemon.analysis.matching.tunables import Target
     from bstm_daemon.analysis.statistics.series import Column
     from bstm_daemon.analysis.statistics.whitening import SensorNoise
-    from bstm_daemon.config.sections import Config
+    from bstm_daemon.config.sections import Config, EffectConfig
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,6 +96,10 @@ class Gap:
     values: tuple[Change, ...] = ()
     entries: Entries = NO_ENTRIES
     matched: bool = False
+
+    def effects(self) -> list[EffectConfig]:
+        """Return the effects that can be adopted, with their provenance."""
+        return list(self.entries.effects)
 
     @property
     def adopted(self) -> tuple[str, ...]:

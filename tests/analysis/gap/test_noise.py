@@ -16,6 +16,7 @@ from bstm_daemon.analysis.gap.noise import (
 from bstm_daemon.analysis.gap.signatures import Sensed
 from bstm_daemon.analysis.matching.problem import Series
 from bstm_daemon.cli.vehicle import load_vehicle
+from bstm_daemon.config.estimates import MatchedConfig
 from bstm_daemon.files import shipped_file
 
 if TYPE_CHECKING:
@@ -60,6 +61,27 @@ def test_accuracy_of_the_match_is_taken() -> None:
     assert noise_of(matched, "disc").drift_k == 4.0
     assert noise_of(matched, "disc").share == 0.03
     assert noise_of(matched, "fluid").drift_k == 2.0 * USUAL["fluid"].drift_k
+
+
+def test_drift_is_what_the_match_left_and_at_least_the_usual(
+    config: Config,
+) -> None:
+    """What a fit leaves on its own drives says little of others."""
+    form = MatchedConfig(
+        corners=["FL"],
+        names=[],
+        values=[],
+        factor=[],
+        form_k={"disc": 30.0, "fluid": 0.1},
+        form_share={"disc": 0.001, "fluid": 0.03},
+    )
+
+    disc, fluid = (noise_of(config, one, form) for one in ("disc", "fluid"))
+
+    assert (disc.drift_k, disc.share) == (30.0, USUAL["disc"].share)
+    assert (fluid.drift_k, fluid.share) == (USUAL["fluid"].drift_k, 0.03)
+    other = noise_of(config, "pad_back", form)
+    assert other == noise_of(config, "pad_back")
 
 
 def test_offsets_of_the_junctions_add_to_the_models() -> None:
