@@ -29,7 +29,7 @@ FLOORS = (
     ("engine",),
     ("replay", "service"),
     ("analysis",),
-    ("watch",),
+    ("exchange", "watch"),
     ("report",),
     ("cli",),
 )

@@ -45,6 +45,7 @@ COMMANDS: Final[dict[str, str]] = {
     "match": "match the model to drives with measured temperatures",
     "verify": "verify the model on drives with measured temperatures",
     "gap": "find, name and add the effect that the model lacks",
+    "fmu": "export the model as an FMU for other simulation tools",
     "install-service": "write the systemd units of the live service",
 }
 """Command to its line in the overview, in that order."""
