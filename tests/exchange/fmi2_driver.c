@@ -33,6 +33,12 @@ int main(void)
             }
             if (fmi2DoStep(a[i], t, 0.05, fmi2True)) return 4;
         }
+    printf("2000 steps\n");
+    for (unsigned r = 0; r < FMU_VARIABLES; r++) {
+        double x;
+        if (fmi2GetReal(a[0], &r, 1, &x)) return 8;
+        if (FMU_VARIABLE[r].kind == VARIABLE_STATE) printf("%.17g\n", x);
+    }
     fmi2FMUstate saved = NULL, copy = NULL;
     size_t size;
     if (fmi2GetFMUstate(a[0], &saved) || fmi2SerializedFMUstateSize(a[0], saved, &size)) return 5;
@@ -49,6 +55,5 @@ int main(void)
         fmi2Reset(a[i]);
         fmi2FreeInstance(a[i]);
     }
-    printf("2000 steps\n");
     return 0;
 }

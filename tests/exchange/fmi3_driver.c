@@ -33,6 +33,12 @@ int main(void)
             }
             if (fmi3DoStep(a[i], t, 0.05, fmi3True, &event, &end, &early, &last)) return 4;
         }
+    printf("2000 steps\n");
+    for (unsigned r = 0; r < FMU_VARIABLES; r++) {
+        double x;
+        if (fmi3GetFloat64(a[0], &r, 1, &x, 1)) return 8;
+        if (FMU_VARIABLE[r].kind == VARIABLE_STATE) printf("%.17g\n", x);
+    }
     fmi3FMUState saved = NULL, copy = NULL;
     size_t size;
     if (fmi3GetFMUState(a[0], &saved) || fmi3SerializedFMUStateSize(a[0], saved, &size)) return 5;
@@ -49,6 +55,5 @@ int main(void)
         fmi3Reset(a[i]);
         fmi3FreeInstance(a[i]);
     }
-    printf("2000 steps\n");
     return 0;
 }
