@@ -397,8 +397,16 @@ def driven(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["FL", "car"])
-@pytest.mark.parametrize("fmi", [2, 3])
+@pytest.mark.parametrize(
+    ("name", "fmi"),
+    [
+        ("car", 2),
+        *(
+            pytest.param(*one, marks=pytest.mark.full)
+            for one in (("FL", 2), ("FL", 3), ("car", 3))
+        ),
+    ],
+)
 def test_the_sources_are_clean_with_standard_headers_and_sanitizers(
     fmu_file: Callable[[str, int], Path], tmp_path: Path, name: str, fmi: int
 ) -> None:
@@ -415,6 +423,7 @@ WINE = shutil.which("wine64") or "/usr/lib/wine/wine64"
 
 
 @pytest.mark.slow
+@pytest.mark.full
 @pytest.mark.parametrize(
     ("build", "run"),
     [
