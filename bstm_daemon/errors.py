@@ -15,7 +15,17 @@ The command line prints it to stderr and ends with ``exit_code``; nothing else
 in the package turns an exception into an exit code.
 """
 
+from __future__ import annotations
+
+import difflib
 from importlib.util import find_spec
+from typing import TYPE_CHECKING, Final
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+LISTED_NAMES: Final = 12
+"""Longer lists of names are left to the documentation."""
 
 
 class BstmError(Exception):
@@ -79,3 +89,29 @@ class ConfigError(BstmError):
         """Keep the *problems*, one complete line each."""
         super().__init__("\n".join(problems))
         self.problems = problems
+
+
+def nearest(name: str, known: Iterable[str]) -> str | None:
+    """Return the known name that *name* was most probably meant to be."""
+    found = difflib.get_close_matches(name, list(known), n=1, cutoff=0.6)
+    return found[0] if found else None
+
+
+def hint(
+    name: str,
+    known: Iterable[str],
+    elsewhere: str = "docs/reference.md lists them",
+) -> str:
+    """Return which of the *known* names was meant, or which there are.
+
+    Where they are too many to be listed, *elsewhere* says who lists them.
+    """
+    names = sorted(known)
+    meant = nearest(name, names)
+    if meant is not None:
+        return f"did you mean '{meant}'?"
+    if not names:
+        return "there are none"
+    if len(names) > LISTED_NAMES:
+        return elsewhere
+    return "known are " + ", ".join(names)

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import errno
 import os
+import stat
 import sys
 import tempfile
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bstm_daemon.errors import FileAccessError
+from bstm_daemon.errors import FileAccessError, UsageError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -99,6 +100,27 @@ def make_folder(path: Path) -> None:
     except OSError as error:
         msg = f"{path}: cannot be created: {error.strerror or error}"
         raise FileAccessError(msg) from error
+
+
+def read_secret(path: Path) -> str:
+    """Return the text of *path*, which other users can not read.
+
+    Its group may: systemd hands credentials over in such files.
+
+    Raises:
+        FileAccessError: it can not be read.
+        UsageError: others can read it too.
+    """
+    try:
+        mode = path.stat().st_mode
+        text = path.read_text("utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        msg = f"{path}: {getattr(error, 'strerror', None) or error}"
+        raise FileAccessError(msg) from error
+    if mode & stat.S_IRWXO:
+        msg = f"{path}: every user can read this secret (chmod o= {path})"
+        raise UsageError(msg)
+    return text
 
 
 def _umask() -> int:

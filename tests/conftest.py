@@ -1,12 +1,14 @@
 """Fixtures shared by all tests: both forms of the kernel, a car."""
 
+import functools
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any, cast
 
 import pytest
 from hypothesis import Phase, settings
 
+from bstm_daemon.bus.signals import dbc
 from bstm_daemon.config.sections import Config, CornerConfig, VehicleConfig
 from bstm_daemon.estimate import NO_INPUT
 from bstm_daemon.estimator import validity
@@ -31,6 +33,17 @@ settings.load_profile("ci" if os.environ.get("CI") else "local")
 # numpy is not imported yet: a worker of pytest has one core, and BLAS threads
 # that wait for each other would take the other worker's
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+
+@pytest.fixture(scope="session", autouse=True)
+def parsed_once() -> Iterator[None]:
+    """Let cantools, which is slow, parse each text of a DBC once.
+
+    Nothing changes a database that is loaded.
+    """
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(dbc, "_parse", functools.cache(dbc._parse))
+        yield
 
 
 @pytest.fixture(scope="session")

@@ -1,7 +1,8 @@
 """The README's blocks, run in their order as a reader would run them.
 
 The marked ones are run elsewhere: ``demo`` and ``tests`` by ``.ci/run``, which
-makes their environments, ``vehicle`` by the suite on a real vcan.
+makes their environments, ``live`` by ``tests/watch/test_live_demo.py`` on a
+terminal, ``vehicle`` by the suite on a real vcan.
 """
 
 import os
@@ -17,7 +18,7 @@ ROOT = Path(__file__).parents[1]
 BLOCK = re.compile(
     r"^(<!-- (\w+) -->\n)?```sh\n(.*?)^```$", re.DOTALL | re.MULTILINE
 )
-MARKS = ["demo", "tests", "vehicle"]
+MARKS = ["demo", "live", "tests", "vehicle"]
 
 
 def blocks() -> list[tuple[str, str]]:

@@ -15,7 +15,10 @@ from bstm_daemon.config.sections import Config
 
 ROOT: Final = Path(__file__).resolve().parents[1]
 PACKAGE: Final = ROOT / "bstm_daemon"
-DOCUMENT: Final = (ROOT / "docs" / "thesis.md").read_text(encoding="utf-8")
+DOCUMENT: Final = "\n".join(
+    (ROOT / name).read_text(encoding="utf-8")
+    for name in ("docs/thesis.md", "tests/thesis_sections.md")
+)
 
 EQUATIONS: Final = [
     *("2.1", "2.2a", "2.2b", "2.2c"),

@@ -8,13 +8,20 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from bstm_daemon.errors import UsageError, require_packages
 from bstm_daemon.files import ensure_writable
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
+
+LOG_ENDINGS: Final = frozenset(
+    {
+        *(".log", ".asc", ".blf", ".trc", ".csv", ".tsv", ".mf4", ".gz"),
+        *(".vbo", ".xrk", ".xrz", ".parquet", ".h5", ".hdf5"),
+    }
+)
 
 
 def add_path(
@@ -63,9 +70,11 @@ def add_json(parser: argparse.ArgumentParser) -> None:
 
 
 def add_report(parser: argparse.ArgumentParser) -> None:
-    """Add ``--report FILE.html``; ``args.report`` may be None."""
+    """Add ``--report FILE.html`` and ``--figures DIR``; both may be None."""
     what = "write an HTML report that needs no network"
     add_path(parser, "--report", "FILE.html", what)
+    what = "write each plot of the report as PNG and SVG into DIR"
+    add_path(parser, "--figures", "DIR", what)
 
 
 def add_no_forecast(parser: argparse.ArgumentParser) -> None:
@@ -103,8 +112,40 @@ def require_extras(args: argparse.Namespace) -> None:
         )
 
         require_page_packages()
+    if getattr(args, "figures", None):
+        from bstm_daemon.report.figures import (  # noqa: PLC0415  (heavy)
+            require_figure_packages,
+        )
+
+        require_figure_packages()
     if getattr(args, "out_is_config", False) and args.out:
         require_packages("tomlkit", extra="identify", purpose="-o NEW.toml")
+
+
+def refuse_swapped(args: argparse.Namespace) -> None:
+    """Refuse a log in the place of the configuration, and the reverse.
+
+    Raises:
+        UsageError: by the endings of the names one stands there.
+    """
+    configs = (
+        getattr(args, "configuration", None),
+        getattr(args, "config", None),
+    )
+    for path in filter(None, configs):
+        if LOG_ENDINGS.intersection(path.suffixes):
+            msg = (
+                f"{path}: this is a log, not a configuration (TOML), which "
+                "is given with -c"
+            )
+            raise UsageError(msg)
+    for path in getattr(args, "logs", ()):
+        if path.suffix == ".toml":
+            msg = (
+                f"{path}: this is a configuration, not a log; configurations "
+                "are given with -c"
+            )
+            raise UsageError(msg)
 
 
 def refuse_overwriting(

@@ -20,7 +20,7 @@ from bstm_daemon.cli.arguments import (
     add_report,
     check_targets,
 )
-from bstm_daemon.cli.log_command import names_of
+from bstm_daemon.cli.log_command import names_of, write_pages
 from bstm_daemon.cli.progress import Progress
 from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.config.reading import load_config, naming_file, read_draft
@@ -34,7 +34,6 @@ from bstm_daemon.model.effects.catalogue import (
 )
 from bstm_daemon.report.check import quality_json, quality_page, quality_text
 from bstm_daemon.report.json_file import write_json
-from bstm_daemon.report.shell import write_page
 from bstm_daemon.report.text import table
 from bstm_daemon.roles import ROLE_INDEX, ROLES
 
@@ -84,8 +83,8 @@ def run(args: argparse.Namespace) -> int:
     if (args.configuration is None) == (args.config is None):
         msg = "check needs one configuration: bstm check CONFIG"
         raise UsageError(msg)
-    if (args.report or args.map) and not args.log:
-        msg = "--report and --map need --log LOG"
+    if (args.report or args.figures or args.map) and not args.log:
+        msg = "--report, --figures and --map need --log LOG"
         raise UsageError(msg)
     path: Path = args.configuration or args.config
     check_targets((args.json, args.report), (path, *(args.log or ())))
@@ -144,12 +143,11 @@ def _judged(args: argparse.Namespace, path: Path) -> tuple[Quality, list[str]]:
     lines += [
         f"{log}: cut short, its end is missing" for log in recording.truncated
     ]
-    if args.report:
-        title = f"Signal quality: {names}"
-        subtitle = f"{config.vehicle.id} · {path.name}"
-        page = quality_page(quality, title=title, subtitle=subtitle)
-        write_page(args.report, page)
-        lines.append(str(args.report))
+    title = f"Signal quality: {names}"
+    subtitle = f"{config.vehicle.id} · {path.name}"
+    lines += write_pages(
+        args, lambda: quality_page(quality, title=title, subtitle=subtitle)
+    )
     return quality, lines
 
 

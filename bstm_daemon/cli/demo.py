@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import can
 
 from bstm_daemon.cli.arguments import add_out
+from bstm_daemon.cli.live_demo import run_live
 from bstm_daemon.cli.progress import Progress
 from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.engine import Engine
@@ -47,6 +48,7 @@ TICK_US = 1_000_000
 """What is published does not depend on it: each frame has its own time."""
 
 START = "start cold: the car stood overnight (bstm replay --start cold)"
+SENSORS = "simulated sensor"
 ROW_S = 300
 SHOWN = ("FL", "RL")
 COLUMNS = {
@@ -61,11 +63,21 @@ COLUMNS = {
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``bstm demo``."""
     add_out(parser, "folder for report and table (default: bstm-demo)", "DIR")
+    parser.add_argument(
+        "--live",
+        action="store_true",
+        help="at the car's own pace instead: simulated car, service and "
+        "display as three processes on a virtual bus, until Ctrl-C or q",
+    )
+    what = "with --live: the display is a page in the browser"
+    parser.add_argument("--view", action="store_true", help=what)
 
 
 def run(args: argparse.Namespace) -> int:
     """Simulate, listen, publish, display, report."""
     folder = args.out or Path("bstm-demo")
+    if args.live:
+        return run_live(folder, DRIVE, page=args.view)
     make_folder(folder)
     ensure_writable(folder / "report.html")
     require_page_packages()
@@ -80,7 +92,11 @@ def run(args: argparse.Namespace) -> int:
     display = Board(config.publish.id_base)
     print(START)
     engine = Engine(config, signal_map, history_known=True)
-    rows, statistics, curves = Collector(), DriveStatistics(), DriveCurves()
+    rows, statistics, curves = (
+        Collector(),
+        DriveStatistics(),
+        DriveCurves(SENSORS),
+    )
     print(_heading())
     with (
         csv_file(folder / "estimates.csv") as table,
@@ -108,6 +124,7 @@ def run(args: argparse.Namespace) -> int:
         counts=engine.estimator.counts,
         compiled=engine.estimator.compiled,
         warnings=("Simulated data: no car was driven.", START),
+        sensors=SENSORS,
     )
     page = replay_page(statistics.summary(), curves, facts)
     write_page(folder / "report.html", page)

@@ -239,6 +239,12 @@ def _question(args: argparse.Namespace) -> Question:
 
 def _check(args: argparse.Namespace) -> set[Path]:
     """Refuse arguments that do not go together; return all logs."""
+    if not args.logs and args.holdout:
+        msg = (
+            "gap: --holdout took every LOG that follows it: the drives to fit "
+            "stand before it, gap run LOG... --holdout LOG..."
+        )
+        raise UsageError(msg)
     if not args.logs and not (args.step == "advise" and args.among):
         msg = (
             "gap: logs are required; only advise works without, with --among "

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from bstm_daemon.analysis.identify.brakes import identify_brakes
@@ -11,7 +10,7 @@ from bstm_daemon.analysis.identify.cooling import identify_cooling
 from bstm_daemon.analysis.identify.cooling_while_braking import (
     identify_while_braking,
 )
-from bstm_daemon.analysis.identify.driving import driving_of
+from bstm_daemon.analysis.identify.driving import read_drivings
 from bstm_daemon.analysis.identify.writing import (
     brake_changes,
     braked_changes,
@@ -19,30 +18,21 @@ from bstm_daemon.analysis.identify.writing import (
     cooling_changes,
     write_changed,
 )
-from bstm_daemon.analysis.quality.recording import read_recording
-from bstm_daemon.cli.arguments import (
-    add_bus_map,
-    add_config,
-    add_json,
-    add_new_config,
-    add_report,
-    check_new,
-    check_targets,
+from bstm_daemon.cli.log_command import (
+    add_log_arguments,
+    names_of,
+    open_vehicle,
+    write_results,
 )
 from bstm_daemon.cli.progress import Progress
-from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.errors import UsageError
 from bstm_daemon.report import brakes, coastdown, cooling
-from bstm_daemon.report.json_file import write_json
-from bstm_daemon.report.shell import write_page
 
 if TYPE_CHECKING:
     import argparse
     from collections.abc import Callable
 
-    from bstm_daemon.analysis.identify.driving import Driving
     from bstm_daemon.analysis.identify.writing import Change
-    from bstm_daemon.bus.signals.signal_map import SignalMap
     from bstm_daemon.config.sections import Config
     from bstm_daemon.report.shell import Page
 
@@ -104,9 +94,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "in neutral; brakes: friction scale, push-out and axle shares from "
         "stops; cooling: S over speed from measured discs that cool",
     )
-    parser.add_argument("logs", nargs="+", type=Path, metavar="LOG")
-    add_config(parser)
-    add_new_config(parser)
+    add_log_arguments(parser, new_config=True)
     parser.add_argument(
         "--hold",
         action="append",
@@ -131,9 +119,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="cooling: S as a line over speed from whole drives, with heat "
         "from the car's motion",
     )
-    add_json(parser)
-    add_report(parser)
-    add_bus_map(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -142,10 +127,13 @@ def run(args: argparse.Namespace) -> int:
     The result is 1 if no value is identified.
     """
     _check(args)
-    config, signal_map = load_vehicle(args.config)
-    drivings = _drivings(args, config, signal_map)
-    names = ", ".join(log.name for log in args.logs)
-    subtitle = f"{names} · {config.vehicle.id} · {args.config.name}"
+    config, signal_map = open_vehicle(args, args.logs)
+    with Progress("identify") as progress:
+        drivings = read_drivings(
+            args.logs, config, signal_map, dict(args.map), progress.show
+        )
+    names = names_of(args.logs)
+    subject = names, config.vehicle.id
     kind = KINDS[WHILE_BRAKING if args.while_braking else args.what]
     options: dict[str, Any] = {}
     if args.what == "coastdown":
@@ -153,14 +141,16 @@ def run(args: argparse.Namespace) -> int:
         options |= {"one_way": args.one_way, "even_grade": args.even_grade}
     with Progress(f"identify {args.what}"):
         result = kind.identify(drivings, config, **options)
-    print(f"{subtitle}\n{kind.text(result)}")
-    if args.report:
-        write_page(args.report, kind.page(result, subtitle))
-    if args.json:
-        files = [str(log) for log in args.logs]
-        write_json(args.json, {"files": files, **kind.data(result)})
-    if args.report:
-        print(args.report)
+    print(" · ".join((*subject, args.config.name)))
+    print(kind.text(result))
+    files = [str(log) for log in args.logs]
+    for line in write_results(
+        args,
+        subject,
+        lambda: {"files": files, **kind.data(result)},
+        lambda subtitle: kind.page(result, subtitle),
+    ):
+        print(line)
     changes = kind.changes(result, config)
     if args.out is not None:
         _write(args, changes, f"bstm identify {args.what}, {names}")
@@ -176,25 +166,6 @@ def _check(args: argparse.Namespace) -> None:
     if args.what != "cooling" and args.while_braking:
         msg = "--while-braking is an option of cooling"
         raise UsageError(msg)
-    check_new(args.out, force=args.force)
-    check_targets(
-        (args.out, args.json, args.report), (args.config, *args.logs)
-    )
-
-
-def _drivings(
-    args: argparse.Namespace, config: Config, signal_map: SignalMap
-) -> list[Driving]:
-    drivings = []
-    with Progress("identify") as progress:
-        for log in args.logs:
-            recording = read_recording(
-                [log], signal_map, dict(args.map), progress.show
-            )
-            drivings.append(
-                driving_of(log.name, recording, config, signal_map)
-            )
-    return drivings
 
 
 def _write(

@@ -13,6 +13,7 @@ from bstm_daemon.cli.arguments import add_config
 from bstm_daemon.errors import UsageError
 from bstm_daemon.files import shipped_file
 from bstm_daemon.service.unit_files import (
+    COMPANIONS,
     CONFIG_FOLDER,
     DEFAULT_CONFIG,
     UNIT_FOLDER,
@@ -55,6 +56,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="add the drop-in that serves metrics on 127.0.0.1:PORT",
     )
     parser.add_argument(
+        "--with",
+        dest="companions",
+        action="append",
+        choices=COMPANIONS,
+        default=[],
+        help="add the unit of the live page or of the MQTT bridge; may be "
+        "repeated",
+    )
+    parser.add_argument(
         "--force",
         action="store_true",
         help="replace existing units that differ",
@@ -74,6 +84,7 @@ def run(args: argparse.Namespace) -> int:
         _config(args.config, args.instance),
         args.instance,
         args.metrics_port,
+        tuple(args.companions),
     )
     files = unit.files(args.out)
     if args.dry_run:
@@ -131,9 +142,12 @@ def _print_next_steps(unit: ServiceUnit) -> None:
             f"  put the configuration at {unit.config}, its DBC files beside "
             "it, readable for all"
         )
+    names = " ".join(
+        [unit.name, *(f"bstm-{name}" for name in unit.companions)]
+    )
     print(
         f"  {unit.program} check {unit.config}\n"
         "  systemctl daemon-reload\n"
-        f"  systemctl enable --now {unit.name}\n"
+        f"  systemctl enable --now {names}\n"
         f"Bit rate and receive buffer of the bus: {examples}/README.md"
     )

@@ -15,6 +15,7 @@ from bstm_daemon.cli.arguments import (
     check_targets,
 )
 from bstm_daemon.cli.vehicle import load_vehicle
+from bstm_daemon.report.figures import write_figures
 from bstm_daemon.report.json_file import write_json
 from bstm_daemon.report.shell import write_page
 
@@ -83,7 +84,7 @@ def write_results(
     page: Callable[[str], Page],
     indent: int | None = 2,
 ) -> list[str]:
-    """Write the JSON file and the page that were asked for.
+    """Write the JSON file, the page and the figures that were asked for.
 
     Args:
         args: parsed arguments with ``json``, ``report`` and ``config``.
@@ -93,15 +94,43 @@ def write_results(
         indent: spaces a level of the JSON file, None for one line.
 
     Returns:
-        A line for each page that was written.
+        A line for the page and one for the figures.
 
     Raises:
         FileAccessError: a file can not be written.
-        MissingExtraError: a page without plotly or jinja2.
+        MissingExtraError: a package for the page is not installed.
     """
     if args.json:
         write_json(args.json, result(), indent)
-    if not args.report:
-        return []
-    write_page(args.report, page(" · ".join((*subtitle, args.config.name))))
-    return [str(args.report)]
+    under = " · ".join((*subtitle, args.config.name))
+    return write_pages(args, lambda: page(under))
+
+
+def write_pages(
+    args: argparse.Namespace, page: Callable[[], Page]
+) -> list[str]:
+    """Write the report and the figures that were asked for.
+
+    Args:
+        args: parsed arguments of :func:`add_report`.
+        page: makes the page.
+
+    Returns:
+        A line for the report and one for the figures.
+
+    Raises:
+        FileAccessError: a file can not be written.
+        MissingExtraError: a package for them is not installed.
+        UsageError: there is no Chromium for the figures.
+    """
+    lines: list[str] = []
+    if not (args.report or args.figures):
+        return lines
+    made = page()
+    if args.report:
+        write_page(args.report, made)
+        lines.append(str(args.report))
+    if args.figures:
+        files = write_figures(args.figures, made)
+        lines.append(f"{args.figures}: {len(files)} figures")
+    return lines

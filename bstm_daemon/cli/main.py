@@ -16,11 +16,16 @@ from contextlib import redirect_stderr, redirect_stdout
 from typing import TYPE_CHECKING, Any, Final, NoReturn
 
 from bstm_daemon import __version__
-from bstm_daemon.errors import BstmError, ConfigError, FileAccessError
+from bstm_daemon.errors import (
+    BstmError,
+    ConfigError,
+    FileAccessError,
+    hint,
+)
 from bstm_daemon.terminal_text import raw_stream, visible, visible_stream
 
 if TYPE_CHECKING:
-    from collections.abc import MutableMapping, Sequence
+    from collections.abc import Collection, MutableMapping, Sequence
 
 NOTICE: Final = "estimate and advice, not a safety function"
 
@@ -39,6 +44,8 @@ COMMANDS: Final[dict[str, str]] = {
     "replay": "estimate brake temperatures from recorded CAN logs",
     "run": "monitor a live CAN bus, publish temperatures and risk",
     "watch": "show the published temperatures live in the terminal",
+    "view": "show the estimates live as a page in a browser",
+    "bridge": "publish the estimates to an MQTT broker",
     "forecast": "forecast the brake fluid of the parked car from a state file",
     "identify": "find the car's resistances and brake friction in drives",
     "heat": "compare the brake heat of Feed-Forward, Feed-Back and the bus",
@@ -47,12 +54,34 @@ COMMANDS: Final[dict[str, str]] = {
     "gap": "find, name and add the effect that the model lacks",
     "fmu": "export the model as an FMU for other simulation tools",
     "install-service": "write the systemd units of the live service",
+    "shell": "print the completion of a shell, or the man page",
 }
 """Command to its line in the overview, in that order."""
 
 
 class Parser(argparse.ArgumentParser):
-    """Reports wrong arguments in one line."""
+    """Reports wrong arguments in one line; options stand anywhere."""
+
+    _is_mixing = False
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """Parse; options and files of a command may stand in any order."""
+        if self._is_mixing or self._subparsers is not None:
+            return super().parse_known_args(args, namespace)
+        # argparse calls this method again, for options and for files
+        self._is_mixing = True
+        try:
+            return self.parse_known_intermixed_args(args, namespace)
+        finally:
+            self._is_mixing = False
+
+    def _check_value(self, action: argparse.Action, value: Any) -> None:
+        """Say which of the choices was probably meant."""
+        if action.choices is None or value in action.choices:
+            return
+        known = [str(choice) for choice in action.choices]
+        message = f"no {value!r}: {hint(str(value), known, ', '.join(known))}"
+        raise argparse.ArgumentError(action, message)
 
     def error(self, message: str) -> NoReturn:
         """Print *message* and how to get the usage, and exit with 2."""
@@ -97,11 +126,13 @@ def _run(argv: list[str]) -> int:
     called = next((word for word in argv if not word.startswith("-")), "")
     args = _parse(argv, called)
     from bstm_daemon.cli.arguments import (  # noqa: PLC0415  (after --help)
+        refuse_swapped,
         require_extras,
     )
 
     offset = getattr(args, "verbosity_offset", 0)
     _set_up_log(args.verbose - args.quiet + offset)
+    refuse_swapped(args)
     require_extras(args)
     code: int = args.run(args)
     return code
@@ -118,7 +149,11 @@ def _worded(error: BstmError | OSError) -> str:
 
 
 def _parse(argv: list[str], called: str) -> argparse.Namespace:
-    """Parse *argv*; only the module of the *called* command is imported."""
+    return parser_of({called}).parse_args(argv)
+
+
+def parser_of(called: Collection[str]) -> Parser:
+    """Return the parser; only modules of *called* commands are imported."""
     parser = Parser(
         prog="bstm",
         description=f"Brake temperatures from a CAN bus: {NOTICE}.",
@@ -134,7 +169,7 @@ def _parse(argv: list[str], called: str) -> argparse.Namespace:
         subparser = commands.add_parser(
             name, help=summary, description=f"{summary}."
         )
-        if name == called:
+        if name in called:
             module = importlib.import_module(
                 f"bstm_daemon.cli.{name.replace('-', '_')}"
             )
@@ -142,7 +177,7 @@ def _parse(argv: list[str], called: str) -> argparse.Namespace:
             subparser.set_defaults(run=module.run)
             # keep the options that stood before the command
             _add_verbosity(subparser, default=argparse.SUPPRESS)
-    return parser.parse_args(argv)
+    return parser
 
 
 def _add_verbosity(

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 from bstm_daemon.analysis.identify.writing import write_changed
 from bstm_daemon.analysis.matching.changes import changes_of
-from bstm_daemon.analysis.matching.coarse import guesses_of, read_as_guessed
-from bstm_daemon.analysis.matching.drives import read_drives
-from bstm_daemon.analysis.matching.matcher import match_drives
-from bstm_daemon.analysis.matching.tunables import DRAG, Target
+from bstm_daemon.analysis.matching.coarse import guesses_of
+from bstm_daemon.analysis.matching.workflow import match_logs
 from bstm_daemon.cli.log_command import (
     add_log_arguments,
     heading,
@@ -19,7 +18,6 @@ from bstm_daemon.cli.log_command import (
     write_results,
 )
 from bstm_daemon.cli.progress import Progress
-from bstm_daemon.estimator.corner_model import corner_model
 from bstm_daemon.report.match import (
     headline,
     match_json,
@@ -29,12 +27,6 @@ from bstm_daemon.report.match import (
 
 if TYPE_CHECKING:
     import argparse
-    from collections.abc import Sequence
-
-    from bstm_daemon.analysis.matching.coarse import Reading
-    from bstm_daemon.analysis.matching.matcher import Match
-    from bstm_daemon.bus.signals.signal_map import SignalMap
-    from bstm_daemon.config.sections import Config
 
 
 PART_MISSING: Final = 1
@@ -64,28 +56,35 @@ def run(args: argparse.Namespace) -> int:
     """
     config, signal_map = open_vehicle(args, args.logs)
     guessed = guesses_of(args.config)
-    readings = _readings(args, config, signal_map, guessed)
-    again = _follows_temperature(config)
-    matches = _matches(args, config, readings, guessed, beside=not again)
-    near_m2 = [
-        one.joint.values[DRAG] for one in matches if DRAG in one.joint.values
-    ]
-    if near_m2:
-        readings = _readings(args, config, signal_map, guessed, near_m2)
-        matches = _matches(args, config, readings, guessed)
-    if again:
-        # friction is that at the temperatures of the matched model
-        matched = _matched(config, matches)
-        readings = _readings(args, matched, signal_map, frozenset())
-        matches = _matches(args, config, readings, guessed)
+    with Progress("match") as progress:
+        config, matches, by_forces, why_not = match_logs(
+            args.logs,
+            config,
+            signal_map,
+            guessed,
+            overrides=dict(args.map),
+            only=args.only,
+            each=args.each,
+            progress=progress.show,
+        )
     names = names_of(args.logs)
     verdict = "; ".join(headline(match) for match in matches)
     print(verdict)
     print(heading(args, config, names))
+    for change in by_forces:
+        print(f"  by forces, before the match: {change}")
+    for reason in why_not:
+        print(f"  by forces: {reason}")
     for match in matches:
         print(match_text(match))
     origin = f"matched, {names}, {time.strftime('%Y-%m-%d')}"
     changes = changes_of(matches, config, origin)
+    places = {(one.section, one.key, one.corner) for one in changes}
+    changes += [
+        replace(one, note=f"by forces, {names}")
+        for one in by_forces
+        if (one.section, one.key, one.corner) not in places
+    ]
     if args.out is not None:
         write_changed(args.config, args.out, changes, origin, verdict)
         print(f"{args.out}: {len(changes)} values")
@@ -101,59 +100,3 @@ def run(args: argparse.Namespace) -> int:
     ):
         print(line)
     return PART_MISSING if any(match.verdict for match in matches) else 0
-
-
-def _readings(
-    args: argparse.Namespace,
-    config: Config,
-    signal_map: SignalMap,
-    guessed: frozenset[str],
-    near_m2: Sequence[float] = (),
-) -> list[Reading]:
-    """Read the logs, as often as what is guessed of their heat asks for."""
-    with Progress("read") as progress:
-        return read_as_guessed(
-            config,
-            guessed,
-            lambda one: read_drives(
-                args.logs, one, signal_map, dict(args.map), progress.show
-            ),
-            near_m2,
-        )
-
-
-def _matches(
-    args: argparse.Namespace,
-    config: Config,
-    readings: list[Reading],
-    guessed: frozenset[str],
-    *,
-    beside: bool = True,
-) -> list[Match]:
-    with Progress("match") as progress:
-        return match_drives(
-            config,
-            readings,
-            guessed=guessed,
-            only=args.only,
-            each=args.each,
-            beside=beside,
-            progress=progress.show,
-        )
-
-
-def _follows_temperature(config: Config) -> bool:
-    """Whether heat comes from pressure by a friction that knows fade."""
-    laws = [
-        corner_model(config, one).friction for one in config.disc_corners()
-    ]
-    return config.heat.mode != "fb" and any(
-        set(law.temperature) != {1.0} for law in laws
-    )
-
-
-def _matched(config: Config, matches: list[Match]) -> Config:
-    for match in matches:
-        target = Target(config, match.corners)
-        config = target.changed(match.joint.values).config
-    return config

@@ -5,7 +5,6 @@ from __future__ import annotations
 import sys
 from argparse import ArgumentTypeError
 from contextlib import ExitStack, suppress
-from dataclasses import replace
 from functools import partial
 from math import isclose, isfinite, isinf, nan
 from pathlib import Path
@@ -25,6 +24,7 @@ from bstm_daemon.cli.arguments import (
     check_targets,
     refuse_overwriting,
 )
+from bstm_daemon.cli.log_command import write_pages
 from bstm_daemon.cli.progress import Progress
 from bstm_daemon.cli.vehicle import load_vehicle, read_state
 from bstm_daemon.errors import MissingExtraError, UsageError
@@ -38,18 +38,17 @@ from bstm_daemon.replay.frames import (
     write_frames,
 )
 from bstm_daemon.replay.results import (
+    WRITERS,
+    Chosen,
     Collector,
     Part,
     Sink,
-    csv_file,
-    has_parquet,
-    parquet_file,
+    require_format,
 )
 from bstm_daemon.report.drive_curves import DriveCurves
 from bstm_daemon.report.drive_statistics import DriveStatistics
 from bstm_daemon.report.replay_page import ReplayFacts, replay_page
 from bstm_daemon.report.screen import summary_table
-from bstm_daemon.report.shell import write_page
 from bstm_daemon.report.timescale import clock
 from bstm_daemon.terminal_text import raw_stream
 from bstm_daemon.watch.board import Board
@@ -63,7 +62,6 @@ if TYPE_CHECKING:
     from bstm_daemon.bus.signals.signal_map import SignalMap
     from bstm_daemon.config.sections import Config
     from bstm_daemon.replay.columns import StartState
-    from bstm_daemon.replay.results import Results
 
 
 PUBLICATION_S = 0.1
@@ -79,15 +77,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_out(parser, "folder for the estimates (default: none written)", "DIR")
     parser.add_argument(
         "--format",
-        choices=("csv", "parquet", "both"),
-        help="files in DIR (default: both, CSV alone without pyarrow)",
+        choices=(*WRITERS, "both"),
+        help="files in DIR (default: both CSV and Parquet, CSV alone without "
+        "pyarrow); mf4 is on the log's own time",
+    )
+    parser.add_argument(
+        "--columns",
+        choices=("all", "few"),
+        default="all",
+        help="columns of these files: all, or speed, temperatures, margin, "
+        "risk and validity (default: %(default)s)",
     )
     parser.add_argument(
         "--every",
         type=_every_s,
         default=PUBLICATION_S,
         metavar="S",
-        help="seconds from row to row, a multiple of 0.1 (default: 0.1)",
+        help="seconds from row to row of these files, a multiple of 0.1 "
+        "(default: 0.1)",
     )
     what = "write the frames that the daemon would send as a candump log"
     add_path(parser, "--publish", "OUT.log", what)
@@ -127,7 +134,6 @@ def run(args: argparse.Namespace) -> int:
     view = open_view(raw_stream(sys.stdout)) if args.watch else None
     formats = _formats(args.format) if args.out is not None else ()
     config, signal_map = _vehicle(args)
-    overrides = dict(args.map)
     state: StartState = "cold" if args.start == "cold" else None
     if args.state is not None:
         state = read_state(args.state, "--state")
@@ -140,7 +146,7 @@ def run(args: argparse.Namespace) -> int:
             config,
             signal_map,
             path,
-            overrides,
+            dict(args.map),
             state,
             forecast=args.forecast,
         )
@@ -151,61 +157,7 @@ def run(args: argparse.Namespace) -> int:
         targets = {
             args.out / f"{stem}.estimates.{form}": form for form in formats
         }
-        statistics, curves = DriveStatistics(), DriveCurves()
-        worn = _PublishedNodes(Part.NONE)
-        # whole tables or none: all are replaced when the last row is written
-        with Progress(f"replay {path.name}") as progress, ExitStack() as files:
-            tables = [
-                files.enter_context(
-                    csv_file(target) if form == "csv" else parquet_file(target)
-                )
-                for target, form in targets.items()
-            ]
-            sinks: list[Sink] = [statistics, *tables]
-            sinks += [] if args.report is None else [curves]
-            sinks += [worn] if config.wear.model_follows else []
-            replayed = partial(
-                stream_log,
-                signal_map=signal_map,
-                path=path,
-                overrides=overrides,
-                every_us=round(args.every * 1e6),
-                progress=progress.show,
-                state=state,
-                forecast=args.forecast,
-            )
-            log_run = replayed(config, sinks=sinks)
-            of_wear = _wear_remarks(config, worn, replayed)
-        print(f"{path}  ({config.vehicle.id}, {args.config})")
-        print(summary_table(statistics.summary()))
-        unverified = unverified_of_car(config, signal_map.roles())
-        remarks = [
-            f"unverified: nothing checks the {one}" for one in unverified.words
-        ]
-        remarks += _start_remarks(args.start, log_run.start_known_s)
-        remarks += _remarks(log_run, statistics, config.heat.mode)
-        remarks += of_wear
-        for line in remarks:
-            print(line)
-        for target in targets:
-            print(f"{target}: {statistics.rows} rows")
-        if args.report is not None:
-            facts = ReplayFacts(
-                title=f"Brake temperatures: {path.name}",
-                log=path.name,
-                vehicle_id=config.vehicle.id,
-                configuration=args.config.name,
-                heat_mode=config.heat.mode,
-                refused=dict(log_run.refused),
-                counts=log_run.counts,
-                compiled=log_run.compiled,
-                warnings=remarks,
-                lines=log_run.lines,
-                frames=log_run.frames,
-            )
-            page = replay_page(statistics.summary(), curves, facts)
-            write_page(args.report, page)
-            print(args.report)
+        _replay(args, path, (config, signal_map), state, targets)
         if args.publish is not None:
             channel = publish_channel(config)
             with Progress(f"publish {path.name}") as progress:
@@ -213,6 +165,74 @@ def run(args: argparse.Namespace) -> int:
                 count = write_frames(ticks, channel, args.publish)
             print(f"{args.publish}: {count} frames")
     return 0
+
+
+def _replay(
+    args: argparse.Namespace,
+    path: Path,
+    vehicle: tuple[Config, SignalMap],
+    state: StartState,
+    targets: dict[Path, str],
+) -> None:
+    """Replay the log *path* into *targets*, print and draw what it shows.
+
+    *targets* is the format by file.
+    """
+    config, signal_map = vehicle
+    drawn = bool(args.report or args.figures)
+    statistics, curves = DriveStatistics(), DriveCurves()
+    worn = Collector(Part.NONE)
+    # whole tables or none: all are replaced when the last row is written
+    with Progress(f"replay {path.name}") as progress, ExitStack() as files:
+        tables = [
+            files.enter_context(WRITERS[form](target))
+            for target, form in targets.items()
+        ]
+        if args.columns == "few":
+            tables = [Chosen(table, is_one_of_few) for table in tables]
+        summaries: list[Sink] = [statistics, *[curves] * drawn]
+        if config.wear.model_follows:
+            summaries.append(Chosen(worn, _is_published))
+        replayed = partial(
+            stream_log,
+            signal_map=signal_map,
+            path=path,
+            overrides=dict(args.map),
+            every_us=round(args.every * 1e6),
+            progress=progress.show,
+            state=state,
+            forecast=args.forecast,
+        )
+        log_run = replayed(config, sinks=tables, summaries=summaries)
+        of_wear = _wear_remarks(config, worn, replayed)
+    summary = statistics.summary()
+    print(f"{path}  ({config.vehicle.id}, {args.config})")
+    print(summary_table(summary))
+    unverified = unverified_of_car(config, signal_map.roles())
+    remarks = [
+        *(f"unverified: nothing checks the {one}" for one in unverified.words),
+        *_start_remarks(args.start, log_run.start_known_s),
+        *_remarks(log_run, statistics, config.heat.mode),
+        *of_wear,
+    ]
+    lines = [*remarks, *(f"{one}: {log_run.rows} rows" for one in targets)]
+    for line in lines:
+        print(line)
+    facts = ReplayFacts(
+        title=f"Brake temperatures: {path.name}",
+        log=path.name,
+        vehicle_id=config.vehicle.id,
+        configuration=args.config.name,
+        heat_mode=config.heat.mode,
+        refused=dict(log_run.refused),
+        counts=log_run.counts,
+        compiled=log_run.compiled,
+        warnings=remarks,
+        lines=log_run.lines,
+        frames=log_run.frames,
+    )
+    for line in write_pages(args, lambda: replay_page(summary, curves, facts)):
+        print(line)
 
 
 def _vehicle(args: argparse.Namespace) -> tuple[Config, SignalMap]:
@@ -230,9 +250,12 @@ def _vehicle(args: argparse.Namespace) -> tuple[Config, SignalMap]:
 def _check_targets(args: argparse.Namespace, stems: list[str]) -> None:
     """Refuse targets that would overwrite each other or what is read."""
     if len(args.logs) > 1 and (
-        args.publish or args.report or args.watch or args.state
+        args.publish or args.report or args.figures or args.watch or args.state
     ):
-        msg = "--publish, --report, --state and --watch take one LOG at a time"
+        msg = (
+            "--publish, --report, --figures, --state and --watch take one LOG "
+            "at a time"
+        )
         raise UsageError(msg)
     if args.out is not None and len(set(stems)) < len(stems):
         msg = f"two logs would write the same files in {args.out}: {stems}"
@@ -240,7 +263,7 @@ def _check_targets(args: argparse.Namespace, stems: list[str]) -> None:
     tables = [
         args.out / f"{stem}.estimates.{form}"
         for stem in stems
-        for form in ("csv", "parquet")
+        for form in WRITERS
         if args.out is not None
     ]
     sources = (args.config, args.state, *args.logs)
@@ -298,17 +321,16 @@ def _remarks(
     return remarks
 
 
-class _PublishedNodes(Collector):
-    """Keeps the temperatures that are published, and the time."""
+def is_one_of_few(name: str) -> bool:
+    """Whether the column *name* is one that a collection of drives needs."""
+    ends = ("_c", "margin_k", "risk", "risk_now", "risk_level", "validity")
+    return name in {"time_s", "speed_ms"} or name.endswith(ends)
 
-    def write(self, rows: Results) -> None:
-        names = {"time_s", *(f"{node}_c" for node in PUBLISHED_NODES)}
-        used = {
-            name: column
-            for name, column in rows.columns.items()
-            if name.rpartition(".")[2] in names
-        }
-        super().write(replace(rows, columns=used))
+
+def _is_published(name: str) -> bool:
+    """Whether the column *name* is the time or a published temperature."""
+    nodes = {f"{node}_c" for node in PUBLISHED_NODES}
+    return name.rpartition(".")[2] in {"time_s", *nodes}
 
 
 def _wear_remarks(
@@ -320,9 +342,13 @@ def _wear_remarks(
     """
     if not config.wear.model_follows:
         return []
-    still = _PublishedNodes(Part.NONE)
+    still = Collector(Part.NONE)
     wear = config.wear.model_copy(update={"model_follows": False})
-    replayed(config.model_copy(update={"wear": wear}), sinks=[still])
+    replayed(
+        config.model_copy(update={"wear": wear}),
+        sinks=(),
+        summaries=[Chosen(still, _is_published)],
+    )
     one, other = worn.results().columns, still.results().columns
     time_s = one.pop("time_s")
     moved_k = np.array([one[name] - other[name] for name in one])
@@ -341,16 +367,21 @@ def _wear_remarks(
 
 
 def _formats(asked: str | None) -> tuple[str, ...]:
-    if asked == "csv":
-        return ("csv",)
-    if has_parquet():
-        return ("parquet",) if asked == "parquet" else ("csv", "parquet")
-    if asked is None:
+    """Return the endings of the files that were *asked* for.
+
+    Raises:
+        MissingExtraError: the package of one is not installed.
+    """
+    forms = ("csv", "parquet") if asked in {None, "both"} else (str(asked),)
+    try:
+        for form in forms:
+            require_format(form)
+    except MissingExtraError:
+        if asked is not None:
+            raise
         print("CSV only: Parquet needs pip install 'bstm-daemon[parquet]'")
         return ("csv",)
-    raise MissingExtraError(
-        package="pyarrow", extra="parquet", purpose=f"--format {asked}"
-    )
+    return forms
 
 
 def _stem(path: Path) -> str:

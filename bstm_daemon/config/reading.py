@@ -10,7 +10,7 @@ import re
 import tomllib
 from contextlib import contextmanager
 from dataclasses import fields
-from typing import TYPE_CHECKING, Any, Final, get_args, get_origin
+from typing import TYPE_CHECKING, Any, Final, TypeVar, get_args, get_origin
 
 from pydantic import ValidationError
 
@@ -22,14 +22,16 @@ from bstm_daemon.config.limits import (
 )
 from bstm_daemon.config.rules import Draft, problems_between
 from bstm_daemon.config.sections import Config
-from bstm_daemon.config.wording import hint, problems_of_section, toml_text
-from bstm_daemon.errors import ConfigError, FileAccessError
+from bstm_daemon.config.wording import problems_of_section, toml_text
+from bstm_daemon.errors import ConfigError, FileAccessError, hint
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
     from bstm_daemon.config.section import Section
+
+S = TypeVar("S", bound="Section")
 
 _REQUIRED: Final = ("vehicle", "bus", "signals", "corner")
 _WITHOUT_DEFAULTS: Final = ("vehicle", "table")
@@ -56,6 +58,21 @@ def load_config(path: Path) -> Config:
             raise ConfigError(problems)
     written = {name: value for name, value in document.items() if value}
     return Config.model_validate(written)
+
+
+def load_section(path: Path, model: type[S]) -> S:
+    """Read a file that is one section of its own, such as the bridge's.
+
+    Raises:
+        FileAccessError: The file is missing or unreadable.
+        ConfigError: With one line for every problem.
+    """
+    problems: list[str] = []
+    with naming_file(path):
+        section = _validated(_read(path), model, "", problems)
+        if section is None:
+            raise ConfigError([problem.strip() for problem in problems])
+    return section
 
 
 def read_draft(path: Path) -> tuple[Draft, list[str]]:
@@ -233,8 +250,8 @@ def _label(table: object, number: int) -> str:
 
 
 def _validated(
-    table: object, model: type[Section], where: str, problems: list[str]
-) -> Section | None:
+    table: object, model: type[S], where: str, problems: list[str]
+) -> S | None:
     try:
         return model.model_validate(table)
     except ValidationError as error:

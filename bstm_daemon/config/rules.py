@@ -14,11 +14,10 @@ from pydantic import ValidationError
 from bstm_daemon.config.heat import HeatConfig, heat_mode_problems
 from bstm_daemon.config.thermal import CoolingConfig, ThermalConfig
 from bstm_daemon.config.wording import (
-    hint,
-    nearest,
     problems_of_section,
     toml_text,
 )
+from bstm_daemon.errors import hint, nearest
 from bstm_daemon.roles import ROLE_INDEX, ROLES
 from bstm_daemon.units import UNITS
 

@@ -33,6 +33,8 @@ def config_schema() -> dict[str, Any]:
     schema["properties"]["signals"]["propertyNames"] = {
         "enum": [role.name for role in ROLES]
     }
+    # of a corner the one gives the other
+    schema["$defs"]["CornerConfig"]["required"].remove("piston_area_m2")
     by_name = {one.__name__: one for one in _sections(Section)}
     for name, part in schema["$defs"].items():
         if name in by_name:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import itertools
-from typing import Annotated, Self
+from math import pi
+from typing import Annotated, Any, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
@@ -37,6 +38,23 @@ def require(condition: bool, message: str) -> None:  # noqa: FBT001
     """Raise :class:`ValueError` with *message* unless *condition*."""
     if not condition:
         raise ValueError(message)
+
+
+def with_piston_area(given: Any) -> Any:
+    """Return a corner's keys with the area of a piston of given diameter.
+
+    Raises:
+        ValueError: the area is there too, and another.
+    """
+    diameter_mm = given.get("piston_diameter_mm")
+    if not isinstance(diameter_mm, int | float) or not diameter_mm > 0:
+        return given
+    area_m2 = pi / 4.0 * (diameter_mm * 1e-3) ** 2
+    require(
+        given.get("piston_area_m2", area_m2) == area_m2,
+        "give 'piston_area_m2' or 'piston_diameter_mm', not both",
+    )
+    return given | {"piston_area_m2": area_m2}
 
 
 def check_curve(

@@ -11,7 +11,7 @@ import codecs
 from datetime import date  # noqa: TC003  (pydantic resolves it at run time)
 from typing import Annotated, Any, Final, Literal
 
-from pydantic import Discriminator, Field, Tag
+from pydantic import Discriminator, Field, Tag, model_validator
 
 from bstm_daemon.config.estimates import (
     AccuracyConfig,
@@ -29,10 +29,12 @@ from bstm_daemon.config.section import (
     Text,
     check_curve,
     require,
+    with_piston_area,
 )
 from bstm_daemon.config.service import (
     DaemonConfig,
     E2eConfig,
+    FeedConfig,
     MetricsConfig,
     PublishConfig,
     RecordConfig,
@@ -43,6 +45,7 @@ from bstm_daemon.config.thermal import CoolingConfig, ThermalConfig
 # upper bounds beyond any road vehicle: they find mm, cm2 and mm2 in an SI key
 Radius = Annotated[float, Field(gt=0, le=0.5)]
 PistonArea = Annotated[float, Field(gt=0, le=0.02)]
+PistonDiameter = Annotated[float, Field(gt=0, le=159)]
 DiscArea = Annotated[float, Field(gt=0, le=1)]
 DiscMass = Annotated[float, Field(gt=0, le=100)]
 PadArea = Annotated[float, Field(gt=0, le=0.05)]
@@ -366,7 +369,9 @@ class CornerConfig(Section):
     caliper: Literal["floating", "fixed"] = "floating"
     """for people; the piston count decides"""
     piston_area_m2: PistonArea
-    """area of one piston (mean if they differ)"""
+    """area of one piston (mean if they differ); or its diameter"""
+    piston_diameter_mm: PistonDiameter | None = None
+    """diameter of one piston, as cast on the caliper, instead of its area"""
     piston_count: Annotated[int, Field(ge=1, le=6)] = 1
     """pistons on one side of the disc"""
     effective_radius_m: Radius | None = None
@@ -397,6 +402,8 @@ class CornerConfig(Section):
     0.6`"""
     cooling: dict[str, Any] = {}
     """single keys of `[cooling]` for this corner"""
+
+    _area = model_validator(mode="before")(with_piston_area)
 
     def _check(self) -> None:
         has = self.disc is not None, self.pad is not None
@@ -468,6 +475,7 @@ class Config(Section):
     daemon: DaemonConfig = DaemonConfig()
     record: RecordConfig = RecordConfig()
     metrics: MetricsConfig = MetricsConfig()
+    feed: FeedConfig = FeedConfig()
 
     def _check(self) -> None:
         if self.heat.mode == "auto":

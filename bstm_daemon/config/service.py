@@ -134,6 +134,17 @@ class RecordConfig(Section):
     """and goes on this long"""
 
 
+class FeedConfig(Section):
+    """``[feed]``: publications as JSON lines on a local Unix socket.
+
+    Without ``socket`` there is none. User and group of the service read it.
+    """
+
+    socket: Text | None = None
+    """path of the socket, such as `/run/bstm/feed.sock`, relative to the
+    configuration's folder; without it there is no feed"""
+
+
 class MetricsConfig(Section):
     """``[metrics]``: a text file for node_exporter's textfile collector.
 

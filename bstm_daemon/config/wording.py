@@ -7,14 +7,13 @@ models themselves so that a message and a model cannot differ.
 
 from __future__ import annotations
 
-import difflib
 import json
 from math import isfinite
 from typing import TYPE_CHECKING, Any, Final
 
-if TYPE_CHECKING:
-    from collections.abc import Iterable
+from bstm_daemon.errors import hint
 
+if TYPE_CHECKING:
     from pydantic import BaseModel, ValidationError
     from pydantic_core import ErrorDetails
 
@@ -24,7 +23,6 @@ _RANGE_ERRORS: Final = frozenset(
     {"greater_than", "greater_than_equal", "less_than", "less_than_equal"}
 )
 _SHOWN_CHARACTERS: Final = 60
-_LISTED_NAMES: Final = 12
 
 
 def problems_of_section(
@@ -61,25 +59,6 @@ def shortened(text: str) -> str:
     if len(text) > _SHOWN_CHARACTERS:
         text = text[: _SHOWN_CHARACTERS - 3] + "..."
     return text
-
-
-def nearest(name: str, known: Iterable[str]) -> str | None:
-    """Return the known name that *name* was most probably meant to be."""
-    found = difflib.get_close_matches(name, list(known), n=1, cutoff=0.6)
-    return found[0] if found else None
-
-
-def hint(name: str, known: Iterable[str]) -> str:
-    """Return which name was meant, or which there are."""
-    names = sorted(known)
-    meant = nearest(name, names)
-    if meant is not None:
-        return f"did you mean '{meant}'?"
-    if not names:
-        return "there are none"
-    if len(names) > _LISTED_NAMES:
-        return "docs/reference.md lists them"
-    return "known are " + ", ".join(names)
 
 
 def _word(detail: ErrorDetails, schema: Schema, where: str) -> str:

@@ -62,7 +62,8 @@ class Run:
     the estimator's own: late and dropped samples, clock jumps. ``truncated``
     is set for a gzip file without its end. ``start_known_s`` is the time
     after the first estimate from which on the start has no effect any more,
-    0 where it was known and infinite where it stays unknown.
+    0 where it was known and infinite where it stays unknown. ``rows`` are
+    those of the sinks.
     """
 
     lines: int
@@ -72,6 +73,7 @@ class Run:
     compiled: bool
     truncated: bool
     start_known_s: float
+    rows: int
 
 
 @dataclass(frozen=True)
@@ -119,6 +121,7 @@ def stream_log(  # noqa: PLR0913
     progress: Callable[[float], None] | None = None,
     state: StartState = None,
     forecast: bool = True,
+    summaries: Sequence[Sink] = (),
 ) -> Run:
     """Run the estimator over the log *path*, rows going to *sinks*.
 
@@ -134,6 +137,7 @@ def stream_log(  # noqa: PLR0913
         state: a state file's document; ``"cold"`` for brakes as cold as the
             air; None for an unknown start.
         forecast: whether a sink may have risk, forecast and advice.
+        summaries: sinks that get a row a publication, whatever *every_us*.
 
     Raises:
         LogError: the log is unusable, holds none of the wanted ids, or is
@@ -145,7 +149,7 @@ def stream_log(  # noqa: PLR0913
     present = present_roles(signal_map)
     cold = state == "cold"
     air_k = first_air_k(signal_map, path, overrides) if cold else None
-    parts = {part for sink in sinks for part in sink.parts}
+    parts = {part for sink in (*sinks, *summaries) for part in sink.parts}
     estimator = Estimator(
         config,
         present,
@@ -156,7 +160,7 @@ def stream_log(  # noqa: PLR0913
     forecast &= Part.FORECAST in parts
     monitor = RiskMonitor(config, estimator) if forecast else None
     advice = AdviceSeries(config, present)
-    builder = ResultsBuilder(estimator, sinks, every_us)
+    builders = _builders(estimator, sinks, every_us, summaries)
     start = _Start()
     for events in log.events():
         if isinstance(state, Mapping) and len(events.time_us):
@@ -169,15 +173,17 @@ def stream_log(  # noqa: PLR0913
             advice.ingest(*samples)
         for block in estimator.blocks(*samples):
             start.add(block)
-            if monitor is None:
-                builder.add([block])
-                continue
-            risks = monitor.add(block)
-            builder.add([block], [risks], [advice.add(block, risks)])
+            more: list[list[Sequence[Any]]] = []
+            if monitor is not None:
+                risks = monitor.add(block)
+                more = [[risks], [advice.add(block, risks)]]
+            for builder in builders:
+                builder.add([block], *more)
         if progress is not None:
             progress(log.share)
-    builder.finish()
-    if not builder.rows:
+    for builder in builders:
+        builder.finish()
+    if not builders[0].rows:
         msg = f"{path}: too short for a row every {every_us * 1e-6:g} s"
         raise LogError(msg)
     refused = Counter({str(why): n for why, n in log.reader.refused.items()})
@@ -190,6 +196,7 @@ def stream_log(  # noqa: PLR0913
         estimator.compiled,
         log.reader.truncated,
         start.known_s,
+        builders[0].rows,
     )
 
 
@@ -211,6 +218,21 @@ def _resume(
             monitor.resume(state, parked_us, first_us)
     if resumed.resumed:
         advice.advisor = advice.advisor.resumed(state.get("advice"))
+
+
+def _builders(
+    estimator: Estimator,
+    sinks: Sequence[Sink],
+    every_us: int,
+    summaries: Sequence[Sink],
+) -> list[ResultsBuilder]:
+    """Return the builder of the rows of *sinks*, then that of summaries."""
+    if every_us == PUBLISH_US:
+        return [ResultsBuilder(estimator, [*sinks, *summaries], every_us)]
+    return [
+        ResultsBuilder(estimator, sinks, every_us),
+        ResultsBuilder(estimator, summaries),
+    ]
 
 
 class _Start:

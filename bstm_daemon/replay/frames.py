@@ -42,6 +42,7 @@ def publications(  # noqa: PLR0913
     *,
     forecast: bool = True,
     progress: Callable[[float], None] | None = None,
+    built: Callable[[Engine], None] | None = None,
 ) -> Iterator[list[Published]]:
     """Run the engine over the log *path*, tick by tick.
 
@@ -53,6 +54,7 @@ def publications(  # noqa: PLR0913
         state: as of :func:`~bstm_daemon.replay.columns.stream_log`.
         forecast: whether risk and forecast are made.
         progress: called with the share of the log that is read.
+        built: called with the engine, whose estimate is that of each tick.
 
     Yields:
         What became due; a gap of hours comes in parts.
@@ -70,6 +72,8 @@ def publications(  # noqa: PLR0913
         initial_k=first_air_k(signal_map, path, overrides) if cold else None,
         forecast=forecast,
     )
+    if built is not None:
+        built(engine)
     frames = _frames(path, signal_map, overrides or {}, progress)
     first = next(frames, None)
     if first is None:

@@ -158,12 +158,14 @@ def brakes_page(result: Brakes, subtitle: str) -> Page:
     values = [
         (*row[:3], "yes" if row[3] == "identified" else "no") for row in rows
     ]
+    identified = [row[:2] for row in rows if row[3] == "identified"]
+    found = ", ".join(f"{name} {value}" for name, value in identified)
+    lead = (
+        f"{len(result.stops)} stops identify: {found}."
+        if identified
+        else f"{len(result.stops)} stops identify no value of the brakes."
+    )
     sections = [
-        Section(
-            "Brakes",
-            Table(("value", "found", "+-", "identified"), values),
-            lines=[*brake_doubts(result), *result.searched, *result.remarks],
-        ),
         Section(
             "Friction",
             plots=_friction_plots(result),
@@ -172,7 +174,12 @@ def brakes_page(result: Brakes, subtitle: str) -> Page:
             "line and the value apply at "
             f"{3.6 * result.samples.speed_mean_ms:.0f} km/h.",
         ),
-        Section("Stops", Table(STOP_HEAD, stop_rows(result))),
+        Section(
+            "Brakes",
+            Table(("value", "found", "+-", "identified"), values),
+            lines=[*brake_doubts(result), *result.searched, *result.remarks],
+        ),
+        Section("Stops", Table(STOP_HEAD, stop_rows(result)), folded=True),
     ]
     pushout, front = result.pushout_pa, result.front_share
     tiles = (
@@ -189,7 +196,7 @@ def brakes_page(result: Brakes, subtitle: str) -> Page:
             "front share" + ("" if front.identified else ", configured"),
         ),
     )
-    return Page("Brakes", sections, tiles, subtitle=subtitle)
+    return Page("Brakes", sections, tiles, lead, subtitle=subtitle)
 
 
 def _friction_plots(result: Brakes) -> list[tuple[str, Plot]]:

@@ -15,9 +15,9 @@ from bstm_daemon.report.plots import (
     ORANGE,
     VERMILION,
     Plot,
-    axis,
     cloud,
     curve,
+    plot,
     right_axis,
     stamp,
     time_plot,
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 MODE_NAMES: Final = {
     "ff": "ff, Feed-Forward from pressure",
     "fb": "fb, Feed-Back from motion",
-    "fused": "fused, both (when the estimator has it)",
+    "fused": "fused, both",
     "measured": "measured disc temperature",
 }
 
@@ -52,7 +52,7 @@ _ROLE_HEAD: Final = (
 )
 
 PAIRS_NOTE: Final = (
-    "Left: both readings over time. Right: one over the other with the fitted "
+    "First both readings over time, then one over the other with the fitted "
     "line, without the lag. Scale, offset and rms residual are those of the "
     "channel against the reference; a positive lag means that the channel is "
     "late."
@@ -252,7 +252,10 @@ def quality_page(quality: Quality, *, title: str, subtitle: str) -> Page:
     return Page(
         title,
         sections,
-        verdict=Cell(headline(quality), tone=_tone(quality.usable)),
+        lead=Cell(
+            f"This recording is {headline(quality)}.",
+            tone=_tone(quality.usable),
+        ),
         subtitle=f"{subtitle} · {duration(quality.duration_s)}",
     )
 
@@ -283,9 +286,8 @@ def _pair(comparison: Comparison, duration_s: float) -> Section:
     return Section(
         comparison.title,
         lines=() if verdict == "agrees" else (verdict,),
-        plots=(("", comparison_plot(comparison, duration_s)),),
+        plots=comparison_plots(comparison, duration_s),
         note=" · ".join(f"{k} {v}" for k, v in fit_text(comparison).items()),
-        across=1,
         badge=Cell(badges[agrees], tone=_tone(agrees)),
     )
 
@@ -317,8 +319,10 @@ def _channels(roles: Sequence[RoleQuality]) -> Section:
     )
 
 
-def comparison_plot(comparison: Comparison, duration_s: float) -> Plot:
-    """Return both channels over time, and one over the other."""
+def comparison_plots(
+    comparison: Comparison, duration_s: float
+) -> list[tuple[str, Plot]]:
+    """Return both channels over time, then one over the other."""
     unit, unit_si = comparison.reference_scale
     reference = comparison.reference / unit_si
     channel = comparison.channel / comparison.unit_si
@@ -328,30 +332,23 @@ def comparison_plot(comparison: Comparison, duration_s: float) -> Plot:
     time_s = comparison.time_s
     curves = [
         curve(time_s, reference, name, BLUE, width=2.2),
-        curve(time_s, channel, other, ORANGE, width=1.3)
-        | {"yaxis": "y3" if own_axis else "y"},
+        curve(time_s, channel, other, ORANGE, width=1.3, second=own_axis),
     ]
-    changes: dict[str, Any] = {
-        "xaxis2": axis(name, anchor="y2", domain=[0.73, 1.0]),
-        "yaxis2": axis(_short(comparison.channel_name), anchor="x2"),
-    }
+    changes: dict[str, Any] = {}
     if own_axis:
-        right = right_axis(comparison.unit) | {"anchor": "x"}
-        changes["yaxis3"] = right | {"rangemode": "normal"}
-    return time_plot(
-        [*curves, *_scatter(comparison, reference, channel)],
+        right = right_axis(comparison.unit)
+        changes["yaxis2"] = right | {"rangemode": "normal"}
+    over_time = time_plot(
+        curves,
         unit,
         (0.0, duration_s),
-        height=250,
         hovermode="x unified",
-        margin={"l": 56, "r": 12, "t": 26, "b": 42},
-        xaxis={
-            "domain": [0.0, 0.6],
-            "range": _seen(comparison, duration_s),
-            "nticks": 9,
-        },
+        xaxis={"range": _seen(comparison, duration_s), "nticks": 9},
         **changes,
     )
+    points = _scatter(comparison, reference, channel)
+    beside = plot(points, name, _short(comparison.channel_name))
+    return [("over time", over_time), ("one over the other", beside)]
 
 
 def _scatter(
@@ -382,8 +379,7 @@ def _scatter(
                 fit.scale * ends * comparison.reference_scale[1] + fit.offset
             ) / comparison.unit_si
         found.append(curve(ends, line, "", VERMILION, legend=False))
-    beside = {"xaxis": "x2", "yaxis": "y2", "hoverinfo": "skip"}
-    return [one | beside for one in found]
+    return [one | {"hoverinfo": "skip"} for one in found]
 
 
 def _seen(comparison: Comparison, duration_s: float) -> list[str]:

@@ -20,6 +20,11 @@ UNITS: Final = {
     "friction_ns_m": "N s/m",
     "rolling_resistance": "-",
 }
+WORDS: Final = {
+    "drag_area_m2": "the drag area is",
+    "friction_ns_m": "the friction that grows with speed",
+    "rolling_resistance": "the rolling resistance",
+}
 RUN_HEAD: Final = (
     *("run", "from", "km/h", "direction", "grade", "kinetic", "resistance"),
     *("climb", "left over", "v rms"),
@@ -112,12 +117,17 @@ def coast_down_json(result: CoastDown) -> dict[str, Any]:
 def coast_down_page(result: CoastDown, subtitle: str) -> Page:
     """Return the page of the coast-down: values, runs, energies."""
     worst = max((abs(run.miss) for run in result.runs), default=0.0)
+    found = [
+        f"{WORDS[name]} {number(one.value)} {UNITS[name]}".removesuffix(" -")
+        for name, one in result.values.items()
+        if one.identified
+    ]
+    lead = (
+        f"From {len(result.runs)} runs in neutral: "
+        f"{', '.join(found) or 'no resistance is identified'}; in the worst "
+        f"run {100 * worst:.2f} % of the energy is left over."
+    )
     sections = [
-        Section(
-            "Resistances (Eq 4.2)",
-            Table(VALUE_HEAD, value_rows(result)),
-            lines=result.remarks,
-        ),
         Section(
             "Speed over time, measured and in theory (thesis figure 4.4)",
             plots=[
@@ -129,12 +139,18 @@ def coast_down_page(result: CoastDown, subtitle: str) -> Page:
             "grade as three numbers a run. Grey: with the configured values.",
         ),
         Section(
+            "Resistances (Eq 4.2)",
+            Table(VALUE_HEAD, value_rows(result)),
+            lines=result.remarks,
+        ),
+        Section(
             "Energy (Eq 4.5 and 4.6)",
             Table(RUN_HEAD, run_rows(result)),
             note="The lost kinetic energy, 1/2 m v2 + 1/2 J w2, is the work "
             "of the resistances and of the climb minus that of the drive "
             "line; left over is the remainder as a share of the kinetic "
             "energy.",
+            folded=True,
         ),
     ]
     tiles = [
@@ -142,7 +158,7 @@ def coast_down_page(result: CoastDown, subtitle: str) -> Page:
         for name, one in result.values.items()
     ]
     tiles.append((f"{100 * worst:.2f} %", "energy left over, worst run"))
-    return Page("Coast-down", sections, tiles, subtitle=subtitle)
+    return Page("Coast-down", sections, tiles, lead, subtitle=subtitle)
 
 
 def _run_plots(i: int, run: Run) -> list[tuple[str, Plot]]:

@@ -213,7 +213,26 @@ def cooling_page(result: Cooling, subtitle: str) -> Page:
         for point in axle.points
         if point.identified
     ]
-    return Page("Disc cooling", sections, tiles[:8], subtitle=subtitle)
+    lead = " ".join(map(_sentence, result.axles))
+    return Page("Disc cooling", sections, tiles[:8], lead, subtitle=subtitle)
+
+
+def _sentence(axle: AxleCooling) -> str:
+    """Return for a person how fast the discs of *axle* cool."""
+    known = [point for point in axle.points if point.identified]
+    if not known:
+        return (
+            f"No cool-down of the {axle.axle} discs was long and steady "
+            "enough to identify S."
+        )
+    ends = " to ".join(
+        f"{s_text(point.value)} ({speed_text(point.speed_ms)})"
+        for point in (known[0], *known[1:][-1:])
+    )
+    return (
+        f"The {axle.axle} discs cool with S = {ends} in 1e-3 1/s, identified "
+        f"at {len(known)} of {len(axle.points)} speeds."
+    )
 
 
 def _sections(axle: AxleCooling) -> list[Section]:
@@ -407,8 +426,14 @@ def braked_page(result: BrakedCooling, subtitle: str) -> Page:
                 across=1,
             ),
         ]
+    lead = " ".join(
+        f"The line of S over speed predicts the {axle.axle} discs to "
+        f"{axle.held_k:.1f} K in windows that it was not fitted to"
+        f"{'; not identified: ' * bool(axle.caveat)}{axle.caveat}."
+        for axle in result.axles
+    )
     title = "Disc cooling while braking"
-    return Page(title, sections, tiles, subtitle=subtitle)
+    return Page(title, sections, tiles, lead, subtitle=subtitle)
 
 
 def _line_plot(axle: BrakedAxle) -> Plot:

@@ -164,7 +164,7 @@ def validity_spans(
     Args:
         elapsed_s: shape (n,), rising.
         validity: shape (n,), 0 valid, 1 degraded, 2 invalid; NaN is valid.
-            Or of an input: 1 suspect, 2 missing.
+            Or of an input: 1 parked, 2 suspect, 3 missing.
     """
     if not len(validity):
         return []

@@ -9,9 +9,11 @@ import numpy as np
 from bstm_daemon.analysis.gap.holdout_comparison import (
     ADOPTED,
     BASELINES,
+    CONFIGURED,
     EXTENDED,
     Shrink,
 )
+from bstm_daemon.analysis.statistics.series import rms
 from bstm_daemon.model.effects.catalogue import effect_class
 from bstm_daemon.report.text import table
 
@@ -32,7 +34,7 @@ CANDIDATE_HEAD: Final = (
     *("ln Bayes factor", "probability"),
 )
 ADVICE_HEAD: Final = (
-    *("drive", "min", "right name", "wrong name"),
+    *("drive", "min", "right name", "a minute", "wrong name"),
     *("ln Bayes factor", "description"),
 )
 MODELS: Final = (*BASELINES, EXTENDED, ADOPTED)
@@ -91,6 +93,71 @@ def headline(gap: Gap) -> str:
     if gap.naming.answer == "unknown":
         text += f", heat at {gap.naming.unknown_place}"
     return text
+
+
+def sentence(gap: Gap) -> str:
+    """Return what was found for a person: where, why, what it changes."""
+    parts = []
+    if gap.located is not None and gap.located.places:
+        place = gap.located.places[0]
+        where = f"the {place.node.replace('_', ' ')}"
+        if place.other:
+            where = f"between {where} and the {place.other.replace('_', ' ')}"
+        else:
+            where = f"at {where}"
+        energy_kj = 1e-3 * abs(place.energy_j)
+        lack = "too little" if place.energy_j > 0.0 else "too much"
+        parts.append(
+            f"while {place.regime} the model has {energy_kj:.0f} kJ {lack} "
+            f"heat {where}"
+        )
+    if gap.naming is not None:
+        parts.append(_cause(gap.naming))
+    if gap.shown is not None:
+        before, after = (
+            rms(np.array([one.rms_k[k] for one in gap.shown.errors]))
+            for k in (CONFIGURED, ADOPTED)
+        )
+        move = "falls" if after < before else "rises"
+        parts.append(
+            f"with it the error on {shown_where(gap.shown)} {move} from "
+            f"{before:.1f} to {after:.1f} K"
+        )
+    if gap.advice:
+        parts.append(advice_headline(gap))
+    return _sentence(parts)
+
+
+def force_sentence(gap: ForceGap) -> str:
+    """Return what the forces show for a person."""
+    ratio = gap.pressed_j / gap.motion_j if gap.motion_j else np.nan
+    work = f"pressure shows {ratio:.2f} of the braking work by motion"
+    parts = [work, _cause(gap.naming)]
+    if gap.strengths:
+        where = "held-out drives" if gap.held_out else "the same drives"
+        parts.append(
+            f"with it the error of the acceleration on {where} goes from "
+            f"{acceleration(gap.before_ms2)} to {acceleration(gap.after_ms2)}"
+        )
+    return _sentence(parts)
+
+
+def _cause(naming: Naming) -> str:
+    """Return the likely cause in words that need no catalogue."""
+    texts = [effect_class(name).description for name in naming.names]
+    causes = [f"{text[0].lower()}{text[1:]}".rstrip(".") for text in texts]
+    return {
+        "nothing": "no missing effect is visible",
+        "name": f"likely cause: {' and '.join(causes)}",
+        "class": f"likely cause, not to be told apart: {' or '.join(causes)}",
+        "unknown": "none of the known effects explains it",
+        "undecided": "the drives do not decide which effect is missing",
+    }[naming.answer]
+
+
+def _sentence(parts: Sequence[str]) -> str:
+    text = "; ".join(parts) or "nothing was searched"
+    return f"{text[0].upper()}{text[1:]}."
 
 
 def answer_line(naming: Naming, what: str) -> str:
@@ -310,8 +377,9 @@ def advice_headline(gap: Gap) -> str:
     if len(gap.members) > 1:
         names = f"the right one of {names}"
     return (
-        f"next drive: {best.drive}, {best.description}; with it {names} "
-        f"would be named in {100.0 * best.named:.0f} % of cases"
+        f"next drive, most right names a minute: {best.drive}, "
+        f"{best.description}; with it {names} would be named in "
+        f"{100.0 * best.named:.0f} % of cases"
     )
 
 
@@ -331,6 +399,7 @@ def advice_rows(gap: Gap) -> list[tuple[str, ...]]:
             one.drive,
             f"{one.duration_s / 60.0:.0f}",
             f"{100.0 * one.named:.0f} %",
+            f"{100.0 * one.named_per_min:.1f} %",
             f"{100.0 * one.wrong:.0f} %",
             f"{one.log_bayes_factor:+.1f}",
             one.description,

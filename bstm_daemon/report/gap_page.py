@@ -6,6 +6,7 @@ from html import escape
 from typing import TYPE_CHECKING, Any, Final
 
 from bstm_daemon.analysis.gap.holdout_comparison import (
+    ADOPTED,
     BASELINES,
     CONFIGURED,
     EXTENDED,
@@ -29,10 +30,12 @@ from bstm_daemon.report.gap import (
     change,
     error_rows,
     force_lines,
+    force_sentence,
     headline,
     naming_lines,
     place_lines,
     probability_tile,
+    sentence,
     shown_lines,
     shown_where,
     sight_lines,
@@ -40,8 +43,11 @@ from bstm_daemon.report.gap import (
     unnamed_lines,
 )
 from bstm_daemon.report.plots import (
+    BLACK,
     BLUE,
+    GREEN,
     GREY,
+    ORANGE,
     VERMILION,
     Plot,
     cloud,
@@ -63,7 +69,7 @@ if TYPE_CHECKING:
 
 ORDER: Final = ("disc", "pad_front", "pad_back", "fluid", "caliper")
 CLEAR: Final = 3.0
-"""Standard deviations from which a cell of the map has its full colour."""
+"""Standard deviations from which a cell of the map has a colour."""
 
 SCALE: Final = (
     (0.0, "#2166ac"),
@@ -86,32 +92,44 @@ WEAK_EVIDENCE: Final = 5.0
 def gap_page(
     gaps: Sequence[Gap], subtitle: str, remarks: Sequence[str] = ()
 ) -> Page:
-    """Return the page of *gaps*, with *remarks* beside each answer."""
+    """Return the page of *gaps*, with *remarks* beside each answer.
+
+    The curves before and after come first, statistics are folded.
+    """
     sections = []
     for gap in gaps:
         prefix = f"{', '.join(gap.corners)}: "
+        if gap.shown is not None:
+            sections += _curve_sections(prefix, gap.shown)
         if gap.located is not None:
             sections.append(_map_section(prefix, gap.located))
+        if gap.before is not None and gap.after is not None:
+            sections.append(_maps_section(prefix, gap.before, gap.after))
         if gap.naming is not None:
-            sections.append(_naming_section(prefix, gap, remarks))
+            sections += _naming_sections(prefix, gap, remarks)
         if gap.advice:
             sections.append(_advice_section(prefix, gap))
-        shown = [] if gap.shown is None else _shown_sections(prefix, gap.shown)
-        maps = []
-        if gap.before is not None and gap.after is not None:
-            maps = [_maps_section(prefix, gap.before, gap.after)]
-        sections += [*shown[:1], *maps, *shown[1:]]
+        if gap.shown is not None:
+            sections.append(_errors_section(prefix, gap.shown))
         if gap.located is not None:
             sections.append(_tables_section(prefix, gap.located))
-    return Page("Gap", sections, head_tiles(gaps), subtitle=subtitle)
+    first = _first(gaps)
+    lead = f"{', '.join(first.corners)}: {sentence(first)}"
+    tiles = head_tiles(gaps)
+    return Page("Gap", sections, tiles, lead, subtitle=subtitle)
+
+
+def _first(gaps: Sequence[Gap]) -> Gap:
+    """Return the first of *gaps* that lacks something, else the first."""
+    found = [
+        one for one in gaps if one.naming is not None and one.naming.found
+    ]
+    return (*found, *gaps)[0]
 
 
 def head_tiles(gaps: Sequence[Gap]) -> list[tuple[str, str]]:
     """Return the answer's tiles, of the first corners that lack something."""
-    found = [
-        one for one in gaps if one.naming is not None and one.naming.found
-    ]
-    gap = (*found, *gaps)[0]
+    gap = _first(gaps)
     of = f", {', '.join(gap.corners)}" if len(gaps) > 1 else ""
     tiles = []
     if gap.naming is not None:
@@ -120,73 +138,70 @@ def head_tiles(gaps: Sequence[Gap]) -> list[tuple[str, str]]:
     if gap.fit is not None:
         tiles += strength_tiles(gap.fit)
     if gap.shown is not None:
-        word, one = change(gap.shown.shrinks[CONFIGURED])
-        tiles.append(
-            (f"{one.factor:.1f} x", f"{word} gap, tunables re-fitted")
-        )
+        word, one = change(gap.shown.adopted)
+        tiles.append((f"{one.factor:.1f} x", f"{word} gap, as written"))
     return tiles
 
 
 def _map_section(prefix: str, located: Located) -> Section:
     return Section(
         f"{prefix}where the heat is missing",
-        plots=(("", heat_map(located.cells)),),
+        plots=(("missing heat [kJ]", heat_map(located.cells)),),
         lines=place_lines(located),
-        across=1,
         note="Heat that the model lacks at a part, with its measured "
         "neighbours held at their thermocouples. Red: the real part gets more "
-        "heat than in the model; blue: less. Pale: within "
+        "heat than in the model; blue: less. A dot: within "
         f"{CLEAR:g} standard deviations of the errors of sensors and model "
         "form. Mean of the corners.",
     )
 
 
 def _maps_section(prefix: str, before: Located, after: Located) -> Section:
+    cells = (*before.cells, *after.cells)
     return Section(
         f"{prefix}the map of the same drives, before and after",
         plots=(
-            ("as configured", heat_map(before.cells)),
-            ("with the effect", heat_map(after.cells)),
+            ("as configured [kJ]", heat_map(before.cells, cells)),
+            ("with the effect [kJ]", heat_map(after.cells, cells)),
         ),
-        across=1,
+        folded=True,
     )
 
 
-def heat_map(cells: Sequence[Cell]) -> Plot:
-    """Return the map: nodes against regime and temperature of the node."""
-    names = labels(TEMPERATURES_C, "degC")
-    shown = {(cell.regime, cell.bin) for cell in cells}
-    columns = [
-        (regime, name)
-        for regime in REGIMES
-        for name in names
-        if (regime, name) in shown
-    ]
-    nodes = [n for n in ORDER[::-1] if any(c.node == n for c in cells)]
+def heat_map(cells: Sequence[Cell], scale: Sequence[Cell] = ()) -> Plot:
+    """Return the map: regime and temperature of the node against nodes.
+
+    Colour and text are both the missing heat [kJ]; the ends of the colours
+    are the largest of *scale*, or of *cells*.
+    """
     by_place = {(c.node, c.regime, c.bin): c for c in cells}
-    places = [
-        [by_place.get((node, *column)) for column in columns] for node in nodes
+    nodes = [n for n in ORDER if any(c.node == n for c in cells)]
+    # the first row is drawn at the bottom
+    rows = [
+        (regime, name)
+        for regime in REGIMES[::-1]
+        for name in labels(TEMPERATURES_C, "degC")[::-1]
+        if any((c.regime, c.bin) == (regime, name) for c in cells)
     ]
+    places = [[by_place.get((n, *row)) for n in nodes] for row in rows]
+    shown_kj = [abs(_clear_kj(c)) for c in scale or cells]
+    most_kj = max(*shown_kj, 1.0) if shown_kj else 1.0
     data: dict[str, Any] = {
         "type": "heatmap",
-        "x": [
-            [regime for regime, _ in columns],
-            [_range(name) for _, name in columns],
-        ],
-        "y": [n.replace("_", " ") for n in nodes],
-        "z": [[one and _shade(one.z) for one in row] for row in places],
+        "x": [n.replace("_", "<br>") for n in nodes],
+        "y": [f"{regime} {_range(name)} °C" for regime, name in rows],
+        "z": [[one and _clear_kj(one) for one in row] for row in places],
         "text": [[_kilojoules(one) for one in row] for row in places],
         "texttemplate": "%{text}",
         "hovertext": [[_tip(one) for one in row] for row in places],
         "hoverinfo": "text",
-        "zmin": -1.0,
-        "zmax": 1.0,
+        "zmin": -most_kj,
+        "zmax": most_kj,
         "xgap": 2,
         "ygap": 2,
         "colorscale": [list(pair) for pair in SCALE],
         "colorbar": {
-            "tickvals": [-1.0, -0.5, 0.0, 0.5, 1.0],
-            "ticktext": ["too much", "", "as measured", "", "missing"],
+            "title": {"text": "missing heat [kJ]", "side": "right"},
             "thickness": 12,
         },
     }
@@ -194,27 +209,16 @@ def heat_map(cells: Sequence[Cell]) -> Plot:
         [data],
         "",
         "",
-        height=130 + 62 * len(nodes),
-        margin={"l": 90, "b": 90},
-        xaxis={
-            "type": "multicategory",
-            "showgrid": False,
-            "tickangle": 0,
-            "tickfont": {"size": 10.5},
-            "title": {
-                "text": "temperature of the part [°C], regime",
-                "standoff": 12,
-            },
-        },
+        height=90 + 26 * len(rows),
+        margin={"l": 130},
+        xaxis=_NAMES_AXIS,
         yaxis=_NAMES_AXIS,
     )
 
 
-def _shade(z: float) -> float:
-    """Return the colour of *z*: full only well beyond :data:`CLEAR`."""
-    size = abs(z) / CLEAR
-    shade = 0.25 * size if size < 1.0 else 1.0 - 0.5 / size
-    return shade if z >= 0.0 else -shade
+def _clear_kj(cell: Cell) -> float:
+    """Return the missing heat, 0 where it is not clear."""
+    return round(1e-3 * cell.energy_j, 1) if abs(cell.z) >= CLEAR else 0.0
 
 
 def _range(name: str) -> str:
@@ -224,9 +228,7 @@ def _range(name: str) -> str:
 def _kilojoules(cell: Cell | None) -> str:
     if cell is None:
         return ""
-    if abs(cell.z) < CLEAR:
-        return "·"
-    return f"{1e-3 * cell.energy_j:+.0f} kJ"
+    return f"{_clear_kj(cell):+.0f}" if abs(cell.z) >= CLEAR else "·"
 
 
 def _tip(cell: Cell | None) -> str:
@@ -239,15 +241,18 @@ def _tip(cell: Cell | None) -> str:
     )
 
 
-def _naming_section(prefix: str, gap: Gap, remarks: Sequence[str]) -> Section:
+def _naming_sections(
+    prefix: str, gap: Gap, remarks: Sequence[str]
+) -> list[Section]:
     naming = gap.naming
     if naming is None:
-        return Section(prefix)
+        return []
     lines = [*remarks, *naming_lines(naming), *unnamed_lines(gap)]
     if gap.silent:
         lines.append(f"not excited by these drives: {', '.join(gap.silent)}")
     return _candidates(
-        f"{prefix}{headline(gap)}",
+        prefix,
+        headline(gap),
         naming,
         lines,
         "Every effect is simulated on these drives and fitted together "
@@ -257,22 +262,28 @@ def _naming_section(prefix: str, gap: Gap, remarks: Sequence[str]) -> Section:
 
 
 def _candidates(
-    heading: str, naming: Naming, lines: Sequence[str], note: str = ""
-) -> Section:
-    """Return the candidates as a table and as bars, with the answer."""
-    return Section(
-        heading,
-        Table(CANDIDATE_HEAD, candidate_rows(naming)),
-        plots=(
-            (
-                "evidence of each effect against 'nothing'",
-                evidence_bars(naming),
-            ),
+    prefix: str,
+    heading: str,
+    naming: Naming,
+    lines: Sequence[str],
+    note: str = "",
+) -> list[Section]:
+    """Return the candidates as bars, and folded the statistics of each."""
+    title = "evidence of each effect against 'nothing'"
+    return [
+        Section(
+            f"{prefix}{heading}",
+            plots=((title, evidence_bars(naming)),),
+            across=1,
         ),
-        lines=lines,
-        across=1,
-        note=note,
-    )
+        Section(
+            f"{prefix}statistics of the candidates",
+            Table(CANDIDATE_HEAD, candidate_rows(naming)),
+            lines=lines,
+            note=note,
+            folded=True,
+        ),
+    ]
 
 
 def _advice_section(prefix: str, gap: Gap) -> Section:
@@ -319,42 +330,52 @@ def evidence_bars(naming: Naming) -> Plot:
     )
 
 
-def _shown_sections(prefix: str, shown: Shown) -> list[Section]:
-    sections = [
+def _errors_section(prefix: str, shown: Shown) -> Section:
+    return Section(
+        f"{prefix}errors on {shown_where(shown)}, by model",
+        Table(ERROR_HEAD, error_rows(shown)),
+        lines=shown_lines(shown),
+        folded=True,
+    )
+
+
+def _curve_sections(prefix: str, shown: Shown) -> list[Section]:
+    drives = dict.fromkeys(one.drive for one in shown.errors)
+    return [
         Section(
-            f"{prefix}before and after on {shown_where(shown)}",
-            Table(ERROR_HEAD, error_rows(shown)),
-            lines=shown_lines(shown),
+            f"{prefix}before and after on {drive}",
+            plots=tuple(
+                (_before_and_after(one), _curves(one))
+                for one in shown.errors
+                if one.drive == drive
+            ),
+            note="Before: as configured. After: with the effect as it is "
+            "written, the tunables as configured. Click a pale name for the "
+            "other models.",
         )
+        for drive in drives
     ]
-    for drive in dict.fromkeys(one.drive for one in shown.errors):
-        own = [one for one in shown.errors if one.drive == drive]
-        sections.append(
-            Section(
-                f"{prefix}temperatures on {drive}",
-                plots=tuple(
-                    (one.node.replace("_", " "), _curves(one)) for one in own
-                ),
-                note="Black: measured. Orange: with the effect, tunables "
-                "re-fitted; the adopted effect leaves them as configured.",
-            )
-        )
-    return sections
+
+
+def _before_and_after(one: NodeErrors) -> str:
+    before_k, after_k = one.rms_k[CONFIGURED], one.rms_k[ADOPTED]
+    node = one.node.replace("_", " ")
+    return f"{node}: RMS error {before_k:.1f} K before, {after_k:.1f} K after"
 
 
 def _curves(one: NodeErrors) -> Plot:
     looks = {
-        CONFIGURED: ("#9aa5b1", "solid"),
-        BASELINES[1]: ("#b8a05a", "dot"),
-        BASELINES[2]: (BLUE, "dash"),
-        EXTENDED: (VERMILION, "solid"),
+        CONFIGURED: ("before", GREY, "solid"),
+        ADOPTED: ("after", VERMILION, "solid"),
+        BASELINES[1]: (BASELINES[1], ORANGE, "dot"),
+        BASELINES[2]: (BASELINES[2], BLUE, "dash"),
+        EXTENDED: (f"{EXTENDED}, tunables re-fitted", GREEN, "dash"),
     }
-    data = [
-        curve(one.time_s, one.measured_c, "measured", "#000000", width=2.6)
-    ]
+    data = [curve(one.time_s, one.measured_c, "measured", BLACK, width=2.6)]
     data += [
-        curve(one.time_s, one.model_c[name], name, colour, dash=dash)
-        for name, (colour, dash) in looks.items()
+        curve(one.time_s, one.model_c[key], name, colour, dash=dash)
+        | ({} if key in {CONFIGURED, ADOPTED} else {"visible": "legendonly"})
+        for key, (name, colour, dash) in looks.items()
     ]
     span = (0.0, float(one.time_s[-1]))
     return time_plot(data, "temperature [°C]", span, height=320)
@@ -366,6 +387,7 @@ def _tables_section(prefix: str, located: Located) -> Section:
         f"{prefix}residual heat by speed, pressure and time",
         Table(CELL_HEAD, cell_rows(cells)[:MOST_CELLS]),
         note="The plainest; all are in the JSON file.",
+        folded=True,
     )
 
 
@@ -373,9 +395,11 @@ def force_page(gap: ForceGap, subtitle: str) -> Page:
     """Return the page of what the forces show."""
     naming = gap.naming
     sections = [
-        _candidates(answer_line(naming, "forces"), naming, force_lines(gap)),
         *(_force_section(one) for one in gap.curves),
-        Section("visible in forces", lines=sight_lines(gap)),
+        *_candidates(
+            "", answer_line(naming, "forces"), naming, force_lines(gap)
+        ),
+        Section("visible in forces", lines=sight_lines(gap), folded=True),
     ]
     moved_mj = 1e-6 * gap.motion_j
     tiles = (
@@ -387,7 +411,8 @@ def force_page(gap: ForceGap, subtitle: str) -> Page:
             f"braking work by pressure; {moved_mj:.1f} MJ by motion",
         ),
     )
-    return Page("Gap", sections, tiles, subtitle=subtitle)
+    lead = force_sentence(gap)
+    return Page("Gap", sections, tiles, lead, subtitle=subtitle)
 
 
 def _force_section(one: Forces) -> Section:

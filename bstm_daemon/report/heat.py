@@ -57,6 +57,25 @@ SHORT_HEADS: Final = {
 }
 """Headings of the stops on the screen, where the page has the full name."""
 
+NAMES: Final = {
+    "ff": "pressure (Feed-Forward)",
+    "fb": "motion (Feed-Back)",
+    "can": "the bus's brake torque",
+}
+"""The sources in the first sentence of the page."""
+
+AGREE: Final = 0.1
+"""Share by which two sources of heat may differ and still agree."""
+
+ADVICE: Final = {
+    "ff": "the pad friction, the pressure's zero or the piston area is off "
+    "(bstm identify brakes)",
+    "can": "the torque of the bus is not all of the brake torque of this "
+    "car; check its unit and scale in the DBC, and whether it is of one "
+    "wheel, of one axle or of regeneration alone, before using it",
+}
+"""What to do where a source differs from motion."""
+
 TOTAL_HEAD: Final = ("source", "energy", "to Feed-Back", "to balance", "")
 
 
@@ -243,7 +262,30 @@ def heat_page(
             for key, name in SOURCES.items()
             if key in heat.power_w
         ]
-    return Page("Brake heat by source", sections, tiles, subtitle=subtitle)
+    lead = " ".join(sentence(heat) for _, heat, _ in drives)
+    return Page(
+        "Brake heat by source", sections, tiles, lead, subtitle=subtitle
+    )
+
+
+def sentence(heat: HeatComparison) -> str:
+    """Return for a person whether the sources of heat agree."""
+    totals_j = {key: heat.total_j(key) for key in heat.power_w}
+    known = [
+        f"{NAMES[key]} {total_j / 1e6:.2f} MJ"
+        for key, total_j in totals_j.items()
+        if key in NAMES
+    ]
+    text = f"Brake heat of the drive by {', by '.join(known)}."
+    back_j = totals_j.get("fb", 0.0)
+    if not back_j > LEAST_ENERGY_J:
+        return text
+    for key, advice in ADVICE.items():
+        if key in totals_j:
+            ratio = totals_j[key] / back_j
+            text += f" By {NAMES[key]} it is {ratio:.2f} of that by motion"
+            text += "." if abs(ratio - 1.0) <= AGREE else f": {advice}."
+    return text
 
 
 def _drive_sections(
@@ -309,6 +351,7 @@ def _drive_sections(
             Section(
                 f"{prefix}Energy balance of the stops [kJ] (Eq 4.5)",
                 Table(stop_head(heat), stop_rows(heat)),
+                folded=True,
                 note="Balance = kinetic - drag - climb + drive. Climb is the "
                 "accelerometer's reading minus dv/dt: the grade, its bias, "
                 "and the slip of braked tyres.",

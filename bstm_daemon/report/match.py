@@ -204,19 +204,22 @@ def match_page(matches: Sequence[Match], subtitle: str) -> Page:
     for match in matches:
         prefix = f"{', '.join(match.corners)}: "
         sections += [
+            *_drawn(match),
             Section(
                 f"{prefix}matched values",
                 Table(VALUE_HEAD, value_rows(match.joint)),
-                lines=(headline(match), fit_line(match.joint), *notes(match)),
+                lines=(fit_line(match.joint), *notes(match)),
                 note="sd: standard deviation after the fit; of prior: as a "
                 "share of the prior's. Values without the name "
                 "of a section are keys of [thermal].",
+                folded=True,
             ),
             Section(
                 f"{prefix}stages (thesis chapter 5)",
                 Table(STAGE_HEAD, stage_rows(match)),
                 note="Neighbours of the fitted part follow their measured "
                 "temperatures; the joint refinement begins at these values.",
+                folded=True,
             ),
         ]
         if match.table_4_1 is not None:
@@ -225,20 +228,47 @@ def match_page(matches: Sequence[Match], subtitle: str) -> Page:
                     f"{prefix}Table 4.1 alone",
                     Table(VALUE_HEAD, value_rows(match.table_4_1)),
                     lines=(fit_line(match.table_4_1),),
+                    folded=True,
                 )
             )
         sections.append(
             Section(
                 f"{prefix}correlations of the matched values",
                 _correlations(match.joint),
+                folded=True,
             )
         )
-        sections += _drawn(match)
     tiles = [
-        (f"{value:.1f} K", f"RMS {node.replace('_', ' ')}")
+        (f"{value:.1f} K", f"RMS {node.replace('_', ' ')} in the fit")
         for node, value in matches[0].joint.rms_k.items()
     ]
-    return Page("Match", sections, tiles, subtitle=subtitle)
+    lead = ". ".join(sentence(match) for match in matches)
+    return Page("Match", sections, tiles, f"{lead}.", subtitle=subtitle)
+
+
+def sentence(match: Match) -> str:
+    """Return for a person what the match changed, without the last dot."""
+    accuracy = match.accuracy
+    what = ", ".join(match.corners)
+    if accuracy.left_out:
+        change = ", ".join(
+            f"{node.replace('_', ' ')} from {accuracy.before_k[node]:.1f} "
+            f"to {after:.1f} K"
+            for node, after in accuracy.rms_k.items()
+        )
+        text = (
+            f"{what}: on what the fit did not use ({accuracy.left_out}) the "
+            f"RMS error changed: {change}"
+        )
+    else:
+        text = (
+            f"{what}: the model follows the drives of the fit to "
+            f"{_by_node(match.joint.rms_k)} K; nothing was left out to prove "
+            "it"
+        )
+    if match.verdict:
+        text += ". A part of the model may be missing: run bstm gap"
+    return text
 
 
 def _correlations(fit: Refinement) -> Table:

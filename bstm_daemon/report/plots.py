@@ -30,6 +30,7 @@ VERMILION: Final = "#d55e00"
 PURPLE: Final = "#cc79a7"
 BLACK: Final = "#1f2328"
 GREY: Final = "#8c959f"
+PAPER: Final = "#ffffff"
 COLOURS: Final = (BLUE, VERMILION, GREEN, ORANGE, PURPLE, BLACK)
 
 NODE_COLOURS: Final = {
@@ -60,12 +61,16 @@ _DIGITS: Final = 5
 class Plot:
     """A panel: plotly traces and layout.
 
-    With ``clock``, x is in seconds and shown as min:s.
+    With ``clock``, x is in seconds and shown as min:s. The time axes of
+    ``linked`` plots move together. ``view`` is the choice of the reader that
+    shows it, "" where it is always shown.
     """
 
     data: list[dict[str, Any]]
     layout: dict[str, Any]
     clock: bool = False
+    linked: bool = False
+    view: str = ""
 
 
 def curve(  # noqa: PLR0913
@@ -288,7 +293,7 @@ def _merged(layout: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
     return layout
 
 
-def base_layout(height_px: int, font_px: float) -> dict[str, Any]:
+def _base_layout(height_px: int, font_px: float) -> dict[str, Any]:
     """Return the looks that every plot has."""
     return {
         "height": height_px,
@@ -297,13 +302,14 @@ def base_layout(height_px: int, font_px: float) -> dict[str, Any]:
             "size": font_px,
             "color": BLACK,
         },
-        "paper_bgcolor": "#ffffff",
-        "plot_bgcolor": "#ffffff",
+        "paper_bgcolor": "rgba(0,0,0,0)",
+        "plot_bgcolor": "rgba(0,0,0,0)",
+        "hoverlabel": {"bgcolor": PAPER},
     }
 
 
 def _layout(y_title: str) -> dict[str, Any]:
-    return base_layout(HEIGHT_PX, 11.5) | {
+    return _base_layout(HEIGHT_PX, 11.5) | {
         "margin": {"l": 62, "r": 24, "t": 30, "b": 44},
         "hovermode": "closest",
         "legend": {"orientation": "h", "x": 0, "y": 1.02, "yanchor": "bottom"},

@@ -1,58 +1,64 @@
-"""The plots of a replay as data for plotly.js: traces, and a layout a view.
+"""The plots of a replay: panels of the vehicle, of all corners, of each one.
 
-A view shows an axle, left beside right, or one corner over the full width.
-Every curve is in the page once and tied to the axes of its side; a view says
-which are seen and where the axes lie. All time axes move together.
-
-Panels are stacked; the vehicle's (speed, pressure, advice) span the width, a
-corner's stand in the column of its side: 1 left, 2 right, 0 the vehicle's.
+The panels of the vehicle (speed, pressure, advice) are always shown. Below
+them the reader chooses a view: the corners side by side in one panel a
+quantity, or everything about one corner. All time axes are as wide as one
+another and move together, so that a stop can be followed down.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import replace
 from html import escape
+from itertools import cycle
 from typing import TYPE_CHECKING, Any, Final
 
-from bstm_daemon.report.plots import AXIS, GREY, base_layout, clock_axis, stamp
+from bstm_daemon.report.plots import (
+    COLOURS,
+    GREY,
+    Plot,
+    stamp,
+    time_plot,
+)
 from bstm_daemon.report.timescale import clock
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
 
     from bstm_daemon.report.drive_curves import DriveCurves, Trace
     from bstm_daemon.report.drive_statistics import CornerSummary, DriveSummary
 
-AXLES: Final = (("Front axle", ("FL", "FR")), ("Rear axle", ("RL", "RR")))
+Titled = tuple[str, Plot]
 
 PANELS: Final = {
-    "speed": ("speed [km/h]", 90),
-    "pressure": ("brake pressure [bar]", 90),
-    "advice": ("advice and requests", 90),
-    "power": ("brake power [kW]", 140),
-    "temperature": ("temperature [°C]", 320),
-    "fluid": ("brake fluid temperature [°C]", 240),
+    "speed": ("speed [km/h]", 80),
+    "pressure": ("brake pressure [bar]", 80),
+    "advice": ("advice and requests", 80),
+    "margin": ("margin of the fluid to wet boiling [K]", 150),
+    "temperature": ("temperature [°C]", 300),
+    "fluid": ("brake fluid temperature [°C]", 220),
+    "power": ("brake power [kW]", 120),
     "reasons": ("not valid because of", 70),
-    "risk": ("probability of vapour [%]", 120),
+    "risk": ("probability of vapour [%]", 110),
 }
 """Title and height [px] of each panel, from the top."""
 
 VEHICLE_PANELS: Final = ("speed", "pressure", "advice")
-CORNER_PANELS: Final = ("power", "temperature", "fluid", "reasons", "risk")
-LEFT: Final = 1
-RIGHT: Final = 2
-RIGHT_CORNERS: Final = ("FR", "RR")
 
-MARGIN_PX: Final = {"l": 52, "r": 190, "t": 28, "b": 46}
-PANEL_GAP_PX: Final = 34
-TIME_LABELS_PX: Final = 20
-"""More gap where the vehicle's time axis has its figures."""
+OVERVIEW: Final = "All corners"
+OVERVIEW_CURVES: Final = {
+    "margin": ("margin", PANELS["margin"][0]),
+    "temperature": ("disc", "disc temperature [°C]"),
+    "fluid": ("fluid", PANELS["fluid"][0]),
+    "power": ("used", PANELS["power"][0]),
+}
+"""By panel the curve of a corner that stands beside those of the others, and
+the title."""
 
-COLUMN_GAP: Final = 0.05
-"""Between left and right, as a share of the width."""
+# fixed: a long legend would make its panel narrower than those above
+MARGIN_PX: Final = {"l": 52, "r": 214, "t": 6, "b": 22, "autoexpand": False}
 
-HEADROOM: Final = 0.05
-"""Above the highest point, as a share of the axis."""
+PARKED, SUSPECT, MISSING = 1, 2, 3
 
 VALIDITY_COLOURS: Final = {
     1: "rgba(240,200,40,0.28)",
@@ -60,315 +66,142 @@ VALIDITY_COLOURS: Final = {
 }
 """Shades behind degraded and invalid stretches of an estimate."""
 
-INPUT_COLOURS: Final = {1: "rgba(213,94,0,0.22)", 2: VALIDITY_COLOURS[2]}
-"""Shades behind suspect and missing inputs; see ``DriveCurves``."""
+INPUT_COLOURS: Final = {
+    PARKED: "rgba(0,114,178,0.13)",
+    SUSPECT: "rgba(213,94,0,0.22)",
+    MISSING: VALIDITY_COLOURS[2],
+}
+"""Shades behind inputs; see :meth:`DriveCurves.input_spans`."""
 
-
-@dataclass(frozen=True, slots=True)
-class View:
-    """A choice of the reader.
-
-    ``traces`` are the numbers of the curves it shows, ``named`` those of
-    them that have a line in a legend.
-    """
-
-    name: str
-    traces: list[int]
-    named: list[int]
-    layout: dict[str, Any]
-
-
-@dataclass(frozen=True, slots=True)
-class Figure:
-    """Plotly traces with ``x`` in elapsed seconds, and the views on them."""
-
-    traces: list[dict[str, Any]]
-    views: list[View]
-
-
-def replay_figure(curves: DriveCurves, summary: DriveSummary) -> Figure:
-    """Return the figure of a drive; names of curves are HTML-escaped."""
-    traces = curves.traces()
-    present = tuple(corner.corner for corner in summary.corners)
-    return Figure(
-        [_plotly_trace(trace) for trace in traces],
-        [
-            _view(name, corners, traces, curves, summary)
-            for name, corners in view_corners(present)
-        ],
-    )
-
-
-def view_corners(
-    corners: tuple[str, ...],
-) -> list[tuple[str, tuple[str, ...]]]:
-    """Return name and corners of each view, axles first, front first."""
-    axles = [
-        (name, pair)
-        for name, pair in AXLES
-        if all(corner in corners for corner in pair)
-    ]
-    singles = [(corner, (corner,)) for corner in sorted(corners)]
-    return [*axles, *singles] or [("Vehicle", ())]
-
-
-def _group(trace: Trace) -> str:
-    return f"{trace.panel} {trace.label}"
-
-
-def _plotly_trace(trace: Trace) -> dict[str, Any]:
-    column = column_of(trace.corner)
-    return {
-        "type": "scatter",
-        "mode": "lines",
-        "name": escape(trace.label),
-        "x": trace.x,
-        "y": trace.y,
-        "xaxis": x_axis(column),
-        "yaxis": y_axis(trace.panel, column),
-        "legend": legend_of(trace.panel),
-        "legendgroup": escape(_group(trace)),
-        **trace.look,
-    }
-
-
-def _view(
-    name: str,
-    corners: tuple[str, ...],
-    traces: Sequence[Trace],
-    curves: DriveCurves,
-    summary: DriveSummary,
-) -> View:
-    numbers = [
-        i
-        for i, trace in enumerate(traces)
-        if trace.corner is None or trace.corner in corners
-    ]
-    seen = [traces[i] for i in numbers]
-    # a legend line stands for both sides; the lone speed needs none
-    named: dict[str, int] = {}
-    for i, trace in zip(numbers, seen, strict=True):
-        if trace.panel != "speed":
-            named.setdefault(_group(trace), i)
-    return View(
-        name,
-        numbers,
-        list(named.values()),
-        view_layout(corners, seen, curves, summary),
-    )
-
-
-@dataclass(frozen=True, slots=True)
-class _Grid:
-    """The places of a view: rows and columns as shares of the plot."""
-
-    rows: dict[str, tuple[float, float]]
-    columns: dict[int, tuple[float, float]]
-    filled: dict[tuple[str, int], tuple[float, float]]
-    height_px: int
-    duration_s: float
-
-
-def column_of(corner: str | None) -> int:
-    """Return 0 for the vehicle, 1 for the left, 2 for the right side."""
-    if corner is None:
-        return 0
-    return RIGHT if corner in RIGHT_CORNERS else LEFT
-
-
-def x_axis(column: int) -> str:
-    """Return plotly's name of the time axis of *column*."""
-    return _numbered("x", column)
-
-
-def y_axis(panel: str, column: int) -> str:
-    """Return plotly's name of the value axis of *panel* in *column*."""
-    place = list(PANELS).index(panel)
-    return _numbered("y", place + (column == RIGHT) * len(CORNER_PANELS))
-
-
-def legend_of(panel: str) -> str:
-    """Return plotly's name of the legend beside *panel*."""
-    return _numbered("legend", list(PANELS).index(panel))
-
-
-def _numbered(kind: str, place: int) -> str:
-    return f"{kind}{place + 1}" if place else kind
-
-
-def view_layout(
-    corners: tuple[str, ...],
-    seen: Sequence[Trace],
-    curves: DriveCurves,
-    summary: DriveSummary,
-) -> dict[str, Any]:
-    """Return the plotly layout of a view on *corners* with traces *seen*."""
-    grid = _grid(corners, seen, summary.duration_s)
-    layout = base_layout(grid.height_px, 12) | {
-        "margin": MARGIN_PX,
-        "hovermode": "x unified",
-        "hoversubplots": "axis",
-        "hoverlabel": {"bgcolor": "rgba(255,255,255,0.94)"},
-        "annotations": [],
-        "shapes": [],
-    }
-    shown = [None, *(c for c in summary.corners if c.corner in corners)]
-    for corner in shown:
-        layout["annotations"] += _titles(corner, grid)
-        if corner is not None:
-            layout["annotations"] += _fluid_peak(corner, grid)
-        layout["shapes"] += _shades(curves, corner, grid)
-    for column in (0, LEFT, RIGHT):
-        layout |= _axes(column, grid)
-    for panel, (_, top) in grid.rows.items():
-        layout[legend_of(panel)] = {
-            "x": 1.01,
-            "xanchor": "left",
-            "y": top,
-            "yanchor": "top",
-            "tracegroupgap": 0,
-            "font": {"size": 11.5},
-            "bgcolor": "rgba(255,255,255,0)",
-        }
-    return layout
-
-
-def _grid(
-    corners: tuple[str, ...], seen: Sequence[Trace], duration_s: float
-) -> _Grid:
-    """Stack the panels that have a curve, side by side where it takes two."""
-    extents: dict[tuple[str, int], tuple[float, float]] = {}
-    for trace in seen:
-        place = (trace.panel, column_of(trace.corner))
-        values = [value for value in trace.y if value is not None]
-        low, high = extents.get(place, (0.0, 0.0))
-        extents[place] = (min(low, *values), max(high, *values))
-    present = [one for one in PANELS if one in {panel for panel, _ in extents}]
-    # top and bottom of each panel, from the top of the plot
-    edges_px: dict[str, tuple[int, int]] = {}
-    used_px = 0
-    for i, name in enumerate(present):
-        if i:
-            used_px += PANEL_GAP_PX
-            if present[i - 1] in VEHICLE_PANELS and name in CORNER_PANELS:
-                used_px += TIME_LABELS_PX
-        edges_px[name] = used_px, used_px + PANELS[name][1]
-        used_px = edges_px[name][1]
-    rows = {
-        name: (round(1 - low_px / used_px, 5), round(1 - top_px / used_px, 5))
-        for name, (top_px, low_px) in edges_px.items()
-    }
-    sides = sorted({column_of(corner) for corner in corners})
-    columns = dict.fromkeys([0, *sides], (0.0, 1.0))
-    if sides == [LEFT, RIGHT]:
-        half = (1 - COLUMN_GAP) / 2
-        columns |= {LEFT: (0.0, half), RIGHT: (1 - half, 1.0)}
-    height_px = used_px + MARGIN_PX["t"] + MARGIN_PX["b"]
-    return _Grid(rows, columns, extents, height_px, duration_s)
-
-
-def _axes(column: int, grid: _Grid) -> dict[str, Any]:
-    """Return the axes of *column* that have a curve.
-
-    An axis that is declared but has none spoils the clipping of others.
-    """
-    panels = VEHICLE_PANELS if column == 0 else CORNER_PANELS
-    filled = [panel for panel in panels if (panel, column) in grid.filled]
-    axes = {
-        y_axis(panel, column): _value_axis(panel, column, grid)
-        for panel in filled
-    }
-    if filled:
-        axes[x_axis(column)] = _time_axis(column, filled[-1], grid)
-    return {f"{name[0]}axis{name[1:]}": axis for name, axis in axes.items()}
-
-
-def _value_axis(panel: str, column: int, grid: _Grid) -> dict[str, Any]:
-    axis: dict[str, Any] = {
-        "anchor": x_axis(column),
-        "domain": grid.rows[panel],
-        "rangemode": "tozero",
-        **AXIS,
-        "nticks": max(5, PANELS[panel][1] // 35),
-    }
-    if panel in {"advice", "reasons"}:
-        # lines, not values: the legend has their names
-        highest = grid.filled[panel, column][1]
-        axis |= {"range": [0.3, highest + 0.7], "showticklabels": False}
-        axis |= {"showgrid": False, "zeroline": False}
-    sides = [side for side in (LEFT, RIGHT) if (panel, side) in grid.filled]
-    if column and sides == [LEFT, RIGHT]:
-        # one scale for both sides
-        low = min(grid.filled[panel, side][0] for side in sides)
-        high = max(grid.filled[panel, side][1] for side in sides)
-        space = HEADROOM * (high - low or 1.0)
-        axis["range"] = [low - space if low < 0.0 else 0.0, high + space]
-        if column == RIGHT:
-            axis["matches"] = y_axis(panel, LEFT)
-    return axis
-
-
-def _time_axis(column: int, lowest_panel: str, grid: _Grid) -> dict[str, Any]:
-    whole = grid.columns[column] == (0.0, 1.0)
-    axis = clock_axis((0.0, grid.duration_s)) | {
-        "domain": grid.columns[column],
-        "anchor": y_axis(lowest_panel, column),
-        "showline": True,
-        "linecolor": GREY,
-        "gridcolor": AXIS["gridcolor"],
-        "ticks": "outside",
-        "tickcolor": GREY,
-        "nticks": 12 if whole else 8,
-    }
-    columns = sorted({side for _, side in grid.filled})
-    if column != columns[0]:
-        axis["matches"] = x_axis(columns[0])
-    if not column and columns != [0]:
-        del axis["title"]
-    return axis
-
-
-def _titles(corner: CornerSummary | None, grid: _Grid) -> list[dict[str, Any]]:
-    """Return the headings of a column's panels, or why one is empty."""
-    column = column_of(corner.corner if corner else None)
-    titles = []
-    for panel in CORNER_PANELS if corner else VEHICLE_PANELS:
-        if panel not in grid.rows:
-            continue
-        text = PANELS[panel][0]
-        if corner is not None:
-            text = f"<b>{escape(corner.corner)}</b>  {text}"
-        if (panel, column) not in grid.filled:
-            text += ": none"
-            if corner is not None and not corner.modelled:
-                text += ", corner not modelled"
-        titles.append(
-            {
-                "text": text,
-                "x": grid.columns[column][0],
-                "xref": "paper",
-                "xanchor": "left",
-                "y": grid.rows[panel][1],
-                "yref": "paper",
-                "yanchor": "bottom",
-                "yshift": 3,
-                "showarrow": False,
-                "font": {"size": 12.5},
-            }
-        )
-    return titles
-
+KEYS: Final = (
+    ("degraded", "degraded estimate"),
+    ("suspect", "suspect input, heat of the other source"),
+    ("invalid", "invalid estimate, missing input, unknown heat"),
+    ("parked", "parked, bus asleep: nothing is missing"),
+)
+"""Shades by the class that the page has for them, and what they mean."""
 
 _LABEL_ABOVE_C: Final = 70.0
 """A colder peak has its label above, a hotter one below: down there is the
 time axis, up there the boiling point, 140 degC at least."""
 
 
-def _fluid_peak(corner: CornerSummary, grid: _Grid) -> list[dict[str, Any]]:
+def drive_plots(curves: DriveCurves, summary: DriveSummary) -> list[Titled]:
+    """Return the plots of a drive with their titles, from the top."""
+    traces = curves.traces()
+    by_place: dict[tuple[str | None, str], list[Trace]] = {}
+    for trace in traces:
+        by_place.setdefault((trace.corner, trace.panel), []).append(trace)
+    drawn = [
+        (
+            PANELS[panel][0],
+            _panel(panel, by_place[None, panel], curves, summary),
+        )
+        for panel in VEHICLE_PANELS
+        if (None, panel) in by_place
+    ]
+    if len(summary.corners) > 1:
+        drawn += _overview(by_place, curves, summary)
+    for corner in summary.corners:
+        own = [
+            (panel, by_place.get((corner.corner, panel))) for panel in PANELS
+        ]
+        drawn += [
+            (
+                f"{corner.corner}: {PANELS[panel][0]}",
+                _panel(panel, found, curves, summary, corner),
+            )
+            for panel, found in own
+            if found
+        ]
+    return drawn
+
+
+def _overview(
+    by_place: dict[tuple[str | None, str], list[Trace]],
+    curves: DriveCurves,
+    summary: DriveSummary,
+) -> list[Titled]:
+    """Return a panel a quantity with a curve for each corner."""
+    drawn = []
+    looks = zip(COLOURS, cycle(("solid", "6px,4px")), strict=False)
+    lines = [{"color": c, "dash": dash, "width": 2.0} for c, dash in looks]
+    for panel, (label, title) in OVERVIEW_CURVES.items():
+        found = [
+            replace(
+                trace,
+                label=one.corner,
+                look={
+                    "line": line,
+                    "hovertemplate": trace.look["hovertemplate"],
+                },
+            )
+            for one, line in zip(summary.corners, lines, strict=False)
+            for trace in by_place.get((one.corner, panel), ())
+            if trace.label == label
+        ]
+        if found:
+            plot = _panel(panel, found, curves, summary)
+            drawn.append((title, replace(plot, view=OVERVIEW)))
+    return drawn
+
+
+def _panel(
+    panel: str,
+    traces: Sequence[Trace],
+    curves: DriveCurves,
+    summary: DriveSummary,
+    corner: CornerSummary | None = None,
+) -> Plot:
+    """Return *traces* over the time of the drive, with their shades."""
+    height_px = PANELS[panel][1]
+    axis: dict[str, Any] = {
+        "rangemode": "tozero",
+        "nticks": max(4, height_px // 35),
+    }
+    if panel in {"advice", "reasons"}:
+        # lines, not values: the legend has their names
+        highest = max(y for trace in traces for y in trace.y if y is not None)
+        axis = {"range": [0.3, highest + 0.7], "showticklabels": False}
+        axis |= {"showgrid": False, "zeroline": False}
+    notes = (
+        []
+        if corner is None or panel != "fluid"
+        else _fluid_peak(corner, summary)
+    )
+    drawn = time_plot(
+        [
+            {
+                "type": "scatter",
+                "mode": "lines",
+                "name": escape(trace.label),
+                "x": trace.x,
+                "y": trace.y,
+                "showlegend": panel != "speed",
+                **trace.look,
+            }
+            for trace in traces
+        ],
+        "",
+        (0.0, summary.duration_s),
+        height=height_px + MARGIN_PX["t"] + MARGIN_PX["b"],
+        margin=MARGIN_PX,
+        hovermode="x unified",
+        legend={"orientation": "v", "x": 1.01, "y": 1.0, "yanchor": "top"},
+        xaxis={"title": {"text": ""}},
+        yaxis=axis,
+        annotations=notes,
+        shapes=_shades(panel, curves, corner),
+    )
+    return replace(drawn, linked=True, view=corner.corner if corner else "")
+
+
+def _fluid_peak(
+    corner: CornerSummary, summary: DriveSummary
+) -> list[dict[str, Any]]:
     """Return the label of the fluid's peak: how hot, how long after."""
-    column = column_of(corner.corner)
     peak = corner.peaks.get("fluid")
-    if peak is None or ("fluid", column) not in grid.filled:
+    if peak is None:
         return []
     text = f"{peak.temperature_c:.0f} °C"
     if peak.after_stop_s is not None and peak.after_stop_s > 0.0:
@@ -379,12 +212,10 @@ def _fluid_peak(corner: CornerSummary, grid: _Grid) -> list[dict[str, Any]]:
         {
             "text": text,
             "x": stamp(peak.time_s),
-            "xref": x_axis(column),
             "y": peak.temperature_c,
-            "yref": y_axis("fluid", column),
             "ax": 0,
             "ay": -62 if peak.temperature_c < _LABEL_ABOVE_C else 62,
-            "xanchor": _inward(peak.time_s, grid.duration_s),
+            "xanchor": _inward(peak.time_s, summary.duration_s),
             "arrowhead": 2,
             "arrowsize": 0.9,
             "arrowwidth": 1,
@@ -404,34 +235,24 @@ def _inward(time_s: float, duration_s: float) -> str:
 
 
 def _shades(
-    curves: DriveCurves, corner: CornerSummary | None, grid: _Grid
+    panel: str, curves: DriveCurves, corner: CornerSummary | None
 ) -> list[dict[str, Any]]:
     """Return the shades of doubtful inputs and of doubtful estimates."""
-    column = column_of(corner.corner if corner else None)
-    spans = [
-        (panel, span, INPUT_COLOURS)
-        for panel in (("power",) if corner else VEHICLE_PANELS)
-        for span in curves.input_spans(panel)
-    ]
-    if corner:
-        spans += [
-            (panel, span, VALIDITY_COLOURS)
-            for span in curves.spans(corner.corner)
-            for panel in ("temperature", "fluid")
-        ]
+    spans: Iterable[tuple[int, float, float]] = curves.input_spans(panel)
+    colours = INPUT_COLOURS
+    if corner and panel in {"margin", "temperature", "fluid"}:
+        spans, colours = curves.spans(corner.corner), VALIDITY_COLOURS
     return [
         {
             "type": "rect",
-            "xref": x_axis(column),
             "yref": "paper",
             "x0": stamp(start_s),
             "x1": stamp(end_s),
-            "y0": grid.rows[panel][0],
-            "y1": grid.rows[panel][1],
+            "y0": 0,
+            "y1": 1,
             "line": {"width": 0},
             "fillcolor": colours[code],
             "layer": "below",
         }
-        for panel, (code, start_s, end_s), colours in spans
-        if (panel, column) in grid.filled
+        for code, start_s, end_s in spans
     ]

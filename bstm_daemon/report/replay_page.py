@@ -13,7 +13,7 @@ from bstm_daemon.report.drive_statistics import (
     DriveSummary,
     Peak,
 )
-from bstm_daemon.report.replay_figure import replay_figure
+from bstm_daemon.report.replay_figure import KEYS, drive_plots
 from bstm_daemon.report.shell import Cell, Page, Section, Table
 from bstm_daemon.report.text import percent
 from bstm_daemon.report.timescale import HOUR_S, clock, duration, start_text
@@ -35,9 +35,16 @@ DASH: Final = "\N{EN DASH}"
 
 PLOT_NOTE: Final = (
     "Drag to zoom: all time axes follow. Double-click for the whole drive. "
-    "Click a name at the right to hide its curve. Solid: estimate; dotted in "
-    "the same colour: measured."
+    "Click a name to hide its curve. Solid: estimate; dotted in the same "
+    "colour: "
 )
+
+NEAR_K: Final = 30.0
+"""A margin below it is worth a warning colour."""
+
+DOUBTFUL: Final = 0.01
+"""Share of a drive that is not valid from which on the first sentence has
+it."""
 
 
 @dataclass(frozen=True)
@@ -59,6 +66,7 @@ class ReplayFacts:
     warnings: Sequence[str] = ()
     lines: int = 0
     frames: int = 0
+    sensors: str = "measured"
 
 
 def replay_page(
@@ -66,19 +74,27 @@ def replay_page(
 ) -> Page:
     """Return the page of a replay."""
     warnings = (*facts.warnings, *(one.text for one in summary.findings))
+    bare = [one.corner for one in summary.corners if not one.modelled]
+    note = f"{PLOT_NOTE}{facts.sensors}."
+    if bare:
+        note += f" {', '.join(bare)}: not modelled, no temperatures."
     sections = [
+        Section(
+            "The drive",
+            keys=KEYS,
+            plots=drive_plots(curves, summary),
+            across=1,
+            note=note,
+        ),
         Section("Summary", _corners(summary), note=_corners_note(summary)),
         *_reasons(summary),
-        Section(
-            "Plots", figure=replay_figure(curves, summary), note=PLOT_NOTE
-        ),
-        Section("Replay", facts=_facts(facts, summary)),
+        Section("Replay", facts=_facts(facts, summary), folded=True),
     ]
     if warnings:
         known = Section(
             "Notes on this replay", lines=warnings, kind="warnings"
         )
-        sections.insert(0, known)
+        sections.insert(1, known)
     subtitle = [
         facts.vehicle_id,
         start_text(summary.start_s),
@@ -90,25 +106,47 @@ def replay_page(
         facts.title,
         sections,
         _tiles(summary),
+        _lead(summary),
         subtitle=" · ".join(filter(None, subtitle)),
     )
+
+
+def _lead(summary: DriveSummary) -> str | Cell:
+    """Return what the drive did to the brake fluid, in a sentence or two."""
+    known = [c for c in summary.corners if "fluid" in c.peaks]
+    if not known:
+        return "No temperature of a brake fluid was estimated."
+    corner = max(known, key=lambda c: c.peaks["fluid"].temperature_c)
+    peak = corner.peaks["fluid"]
+    when = _when(peak, summary.duration_s >= HOUR_S)
+    text = (
+        f"The brake fluid was hottest at {corner.corner}, "
+        f"{peak.temperature_c:.0f} °C, {when}"
+    )
+    if peak.validity:
+        text += " estimate"
+    margins = [c.margin_k for c in known if c.margin_k is not None]
+    tone = ""
+    if margins:
+        least_k = min(margins)
+        tone = "bad" if least_k < NEAR_K else "good"
+        if least_k < 0.0:
+            text += f": {-least_k:.0f} K above the boiling point of wet fluid"
+        else:
+            text += f": {least_k:.0f} K were left to boiling with wet fluid"
+    shares = [c.validity_shares for c in known if c.validity_shares]
+    doubtful = max((1.0 - share[0] for share in shares), default=0.0)
+    if doubtful > DOUBTFUL:
+        text += f". Not valid for {percent(doubtful)} of the drive"
+        if summary.reasons:
+            text += f", mostly because of: {summary.reasons[0].words}"
+    return Cell(f"{text}.", tone=tone)
 
 
 def _tiles(summary: DriveSummary) -> list[tuple[str, str]]:
     """Return the extremes over all corners."""
     with_hours = summary.duration_s >= HOUR_S
     tiles = []
-    for node, heading in (
-        ("disc", "hottest disc"),
-        ("pad_back", "hottest pad back"),
-        ("fluid", "hottest fluid"),
-    ):
-        known = [one for one in summary.corners if node in one.peaks]
-        if known:
-            corner = max(known, key=lambda c: c.peaks[node].temperature_c)
-            peak = corner.peaks[node]
-            text = f"{heading}, {corner.corner} {_when(peak, with_hours)}"
-            tiles.append((f"{peak.temperature_c:.0f} °C", text))
     margins = [
         (one.margin_k, one)
         for one in summary.corners
@@ -120,6 +158,17 @@ def _tiles(summary: DriveSummary) -> list[tuple[str, str]]:
         if corner.wet_boiling_point_c is not None:
             text += f" ({corner.wet_boiling_point_c:.0f} °C)"
         tiles.append((f"{margin_k:.0f} K", text))
+    for node, heading in (
+        ("fluid", "hottest fluid"),
+        ("pad_back", "hottest pad back"),
+        ("disc", "hottest disc"),
+    ):
+        known = [one for one in summary.corners if node in one.peaks]
+        if known:
+            corner = max(known, key=lambda c: c.peaks[node].temperature_c)
+            peak = corner.peaks[node]
+            text = f"{heading}, {corner.corner} {_when(peak, with_hours)}"
+            tiles.append((f"{peak.temperature_c:.0f} °C", text))
     return tiles
 
 
@@ -140,14 +189,15 @@ def _corners(summary: DriveSummary) -> Table:
     with_hours = summary.duration_s >= HOUR_S
     return Table(
         (
-            *("corner", "disc", "pad front", "pad back", "fluid"),
-            *("after stop", "margin", "used", "FF", "FB"),
+            *("corner", "margin", "disc", "pad front", "pad back", "fluid"),
+            *("after stop", "used", "FF", "FB"),
             "degraded / invalid",
         ),
         [_corner_row(corner, with_hours) for corner in summary.corners],
         (
-            *(("", 1), ("peak [°C] and when", 4), ("fluid peak", 1)),
-            *(("least", 1), ("brake energy [MJ]", 3), ("rows valid /", 1)),
+            *(("", 1), ("least", 1), ("peak [°C] and when", 4)),
+            *(("fluid peak", 1), ("brake energy [MJ]", 3)),
+            ("rows valid /", 1),
         ),
     )
 
@@ -157,9 +207,9 @@ def _corner_row(corner: CornerSummary, with_hours: bool) -> list[str | Cell]:  #
     shares = corner.validity_shares
     return [
         corner.corner,
+        DASH if corner.margin_k is None else f"{corner.margin_k:.0f} K",
         *(_peak(corner.peaks.get(node), with_hours) for node in SUMMARY_NODES),
         DASH if after_s is None else clock(after_s),
-        DASH if corner.margin_k is None else f"{corner.margin_k:.0f} K",
         *(DASH if e is None else f"{e / 1e6:.2f}" for e in corner.energies_j),
         DASH if shares is None else " / ".join(map(percent, shares)),
     ]
@@ -191,7 +241,8 @@ def _reasons(summary: DriveSummary) -> list[Section]:
         for one in summary.reasons
     ]
     head = ("reason", "time", "of the drive", "from", "corners")
-    return [Section("Why estimates are not valid", Table(head, rows))]
+    heading = "Why estimates are not valid"
+    return [Section(heading, Table(head, rows), folded=True)]
 
 
 def _corners_note(summary: DriveSummary) -> str:

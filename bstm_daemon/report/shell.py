@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from bstm_daemon.report.plots import NodeCurve, Plot
-    from bstm_daemon.report.replay_figure import Figure
 
 TEMPLATES: Final = Path(__file__).parent / "templates"
 
@@ -80,21 +79,28 @@ def is_words(cell: str | Cell) -> bool:
 class Section:
     """A part of a page, drawn in the order of the fields.
 
-    ``facts`` are pairs of label and text, ``plots`` of title and plot, of
-    which ``across`` stand side by side, 1 to 3. ``kind`` is ``plain``,
-    ``warnings`` or ``faults``; a page has at most one ``figure``.
+    ``facts`` are pairs of label and text, ``keys`` of a shade and its
+    meaning, ``plots`` of title and plot, of which ``across`` stand side by
+    side, 1 to 3. ``kind`` is ``plain``, ``warnings`` or ``faults``. What is
+    ``folded`` shows its heading until the reader opens it.
     """
 
     heading: str
     table: Table | None = None
     facts: Sequence[tuple[str, str]] = ()
     lines: Sequence[str] = ()
-    figure: Figure | None = None
+    keys: Sequence[tuple[str, str]] = ()
     plots: Sequence[tuple[str, Plot]] = ()
     note: str = ""
     across: int = 2
     kind: str = "plain"
     badge: Cell | None = None
+    folded: bool = False
+
+    @property
+    def views(self) -> list[str]:
+        """The choices of the reader: each shows some of the plots."""
+        return [*dict.fromkeys(p.view for _, p in self.plots if p.view)]
 
 
 def node_section(
@@ -118,14 +124,14 @@ def node_section(
 class Page:
     """Content of a command's page.
 
-    ``tiles`` above the sections are pairs of a figure and its meaning,
-    ``verdict`` the answer in one line.
+    ``lead`` is the answer in a sentence for a person, ``tiles`` below it are
+    pairs of a figure and its meaning.
     """
 
     title: str
     sections: Sequence[Section]
     tiles: Sequence[tuple[str, str]] = ()
-    verdict: Cell | None = None
+    lead: str | Cell = ""
     subtitle: str = field(default="", kw_only=True)
 
 
@@ -206,18 +212,11 @@ def _hash_source(script: str) -> str:
 
 def _data(page: Page) -> dict[str, Any]:
     """Return what the page's script draws."""
-    figures = [one.figure for one in page.sections if one.figure is not None]
     return {
         "epoch": f"{EPOCH.isoformat()}Z",
         "plots": [
-            own_fields(plot)
+            own_fields(plot, "view")
             for section in page.sections
             for _, plot in section.plots
         ],
-        "figure": {
-            "traces": figures[0].traces,
-            "views": [own_fields(view, "name") for view in figures[0].views],
-        }
-        if figures
-        else None,
     }

@@ -93,6 +93,7 @@ CONFIG_RELOADED: Final = Event("config_reloaded", "info", ("config",))
 CONFIG_REFUSED: Final = Event(
     "config_refused", "error", ("config", "problems")
 )
+FEED_FAILED: Final = Event("feed_failed", "warning", ("error",))
 METRICS_FAILED: Final = Event("metrics_failed", "warning", ("error",))
 LATE_US: Final = 100_000
 """A cycle that takes longer misses a publication."""

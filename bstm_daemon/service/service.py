@@ -16,6 +16,7 @@ from bstm_daemon import __version__
 from bstm_daemon.bus.live.frame_records import FrameRecords
 from bstm_daemon.errors import BstmError, ConfigError
 from bstm_daemon.estimator.state import RESUMABLE_US
+from bstm_daemon.feed.server import FeedServer
 from bstm_daemon.service import events, wake
 from bstm_daemon.service.assembly import (
     BusOverride,
@@ -90,6 +91,7 @@ class Service:
         self._reporter = ServiceReporter(
             log, self._axis, file.parent, options.metrics_port
         )
+        self._feed = FeedServer(self._note_feed)
         self._dropped = 0
         """Frames lost on links that a reload has replaced."""
         self._start_us = self._last_us = self._axis.read()
@@ -133,6 +135,7 @@ class Service:
             link.open()
         self._persistence.resume(monitor.engine, self._axis.read())
         self._reporter.begin(monitor, self._intake, self._sender)
+        self._feed.begin(monitor.config, monitor.path.parent)
         self._notifier.ready()
         _freeze_heap()
 
@@ -154,6 +157,8 @@ class Service:
         )
         published = engine.tick(until_us)
         self._sender.publish(published)
+        if published:
+            self._feed.publish(engine.estimate, begin_us)
         self._reporter.note_flags()
         self._persistence.poll(engine, begin_us)
         self._poll_and_report(begin_us)
@@ -242,6 +247,11 @@ class Service:
         line = (begin_us - GUARD_US) // self._drain_us + 1
         return line * self._drain_us + GUARD_US
 
+    def _note_feed(self, error: str) -> None:
+        self._log.repeat(
+            events.FEED_FAILED, "feed", self._last_us * 1e-6, error=error
+        )
+
     def _note_foreign(self, bus: int, can_id: int) -> None:
         if self._sender.note_foreign(can_id):
             self._log.emit(
@@ -328,6 +338,7 @@ class Service:
             self._intake.replace(links)
         self._sender = self._new_sender()
         self._reporter.begin(fresh, self._intake, self._sender)
+        self._feed.begin(fresh.config, fresh.path.parent)
         _freeze_heap()
         self._log.emit(events.CONFIG_RELOADED, config=str(fresh.path))
 
@@ -369,6 +380,7 @@ class Service:
         self._sender.send(engine.stop_frames())
         self._persistence.close(engine)
         self._intake.close()
+        self._feed.close()
         self._reporter.close()
 
 

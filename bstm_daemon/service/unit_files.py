@@ -41,6 +41,9 @@ HIDDEN: Final = {
 }
 """Folders that the service can not see, and what hides them."""
 
+COMPANIONS: Final = ("view", "mqtt")
+"""Units that read the feed of the service."""
+
 UNIT_MODE: Final = 0o644
 
 _PACKAGES: Final = (
@@ -94,6 +97,8 @@ class ServiceUnit:
     config: Path = DEFAULT_CONFIG
     instance: str | None = None
     metrics_port: int | None = None
+    companions: tuple[str, ...] = ()
+    """Units beside the service, of :data:`COMPANIONS`."""
 
     @property
     def name(self) -> str:
@@ -105,7 +110,7 @@ class ServiceUnit:
         )
 
     def files(self, folder: Path) -> list[UnitFile]:
-        """Return the unit, and the drop-in where metrics are asked for.
+        """Return the unit, a drop-in for metrics, and the companions.
 
         Raises:
             UsageError: an instance or a port that can not be.
@@ -130,6 +135,10 @@ class ServiceUnit:
                     _drop_in(self.metrics_port),
                 )
             )
+        for name in self.companions:
+            unit = f"bstm-{name}.service"
+            text = _shipped(unit).replace(PROGRAM, self.program)
+            files.append(UnitFile(folder / unit, text))
         return files
 
 

@@ -34,7 +34,7 @@ from dataclasses import dataclass, fields, replace
 from math import pi
 from typing import Final
 
-from bstm_daemon.errors import UsageError
+from bstm_daemon.errors import UsageError, hint
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -188,7 +188,8 @@ class Effects:
         a strength outside 0 to :data:`STRONGEST`.
         """
         if name not in (*EFFECT_NAMES, *UNHEARD_NAMES):
-            msg = f"no effect {name!r}: one of {', '.join(EFFECT_NAMES)}"
+            known = hint(name, EFFECT_NAMES, "docs/effects.md lists them")
+            msg = f"no effect {name!r}: {known}"
             raise UsageError(msg)
         if not 0.0 <= strength <= STRONGEST:
             msg = (
@@ -236,7 +237,7 @@ def preset_effects(name: str) -> Effects:
     try:
         return PRESETS[name]
     except KeyError:
-        msg = f"no preset {name!r}: one of {', '.join(PRESETS)}"
+        msg = f"no preset {name!r}: {hint(name, PRESETS)}"
         raise UsageError(msg) from None
 
 

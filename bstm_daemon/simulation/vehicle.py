@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 
-from bstm_daemon.errors import ConfigError, UsageError
+from bstm_daemon.errors import ConfigError, UsageError, hint
 from bstm_daemon.simulation.parameters import (
     FRONT,
     REAR,
@@ -204,7 +204,8 @@ def packaged_text(kind: str, name: str) -> str:
     known = packaged(kind)
     if name not in known:
         what = kind.removesuffix("s")
-        msg = f"no {what} {name!r}: one of {', '.join(known)}"
+        known_names = hint(name, known, "bstm simulate --list has them")
+        msg = f"no {what} {name!r}: {known_names}"
         raise UsageError(msg)
     return known[name].read_text(encoding="utf-8")
 

@@ -9,7 +9,7 @@ from math import inf
 from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
 
     from bstm_daemon.engine import Published
     from bstm_daemon.watch.board import Board
@@ -47,7 +47,7 @@ def watch_log(
     """
     # fail on an unreadable log before the screen is taken over
     ahead = next(ticks)
-    pace = _Pace(speed, view)
+    pace = Pace(speed, view.pause)
     factor = f"{speed:g}x" if speed else "full speed"
     first_us: int | None = None
     now_us = 0
@@ -69,12 +69,13 @@ def watch_log(
         view.linger()
 
 
-class _Pace:
+class Pace:
     """Holds the log to a multiple of real time, by absolute deadlines."""
 
-    def __init__(self, speed: float, view: LineView) -> None:
+    def __init__(self, speed: float, pause: Callable[[float], object]) -> None:
+        """Let *pause* wait; *speed* 0 is as fast as it goes."""
         self._speed = speed
-        self._view = view
+        self._pause = pause
         self._shift_s = -inf
 
     def wait(self, time_us: int) -> None:
@@ -91,7 +92,7 @@ class _Pace:
         if not 0.0 <= ahead_s <= LONGEST_WAIT_S:
             ahead_s = LONGEST_WAIT_S if 0.0 < ahead_s < inf else 0.0
             self._shift_s = now_s + ahead_s - log_s
-        self._view.pause(ahead_s)
+        self._pause(ahead_s)
 
 
 def _clock(seconds: float) -> str:

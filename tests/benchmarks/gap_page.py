@@ -103,20 +103,30 @@ def write(folder: Path, file: Path, split: str, search: str) -> None:
         if w not in aside and not w.always_on
     }
     parts += together(main)
+    rest = ["### Effects, one hidden", markdown(named_in(main))]
     for world, results in main.items():
-        parts += alone(world, results, seconds[world])
-    parts += ["### All effects at once", "`road` with `thesis`."]
+        rest += alone(world, results, seconds[world])
+    rest += ["### All effects at once", "`road` with `thesis`."]
     for world, results in by_world.items():
         if world.always_on:
-            parts.append(shares({label(world): figures(results)}))
+            rest.append(shares({label(world): figures(results)}))
+    # what a reader does not decide by is printed only
+    sys.stdout.write("\n\n".join(rest) + "\n")
     if aside:
         columns = {label(w): figures(own) for w, own in aside.items()}
         parts += ["### Other sensors", shares(columns, CHIEF)]
     parts.append(END)
     text = file.read_text("utf-8")
-    before, _, rest = text.partition(BEGIN)
-    _, _, after = rest.partition(END)
+    before, _, old = text.partition(BEGIN)
+    _, _, after = old.partition(END)
     file.write_text(before + "\n\n".join(parts) + after, "utf-8")
+
+
+def named_in(by_world: Mapping[World, Sequence[Result]]) -> Table:
+    """Return which effects were named where each was hidden alone."""
+    return named(
+        {f"`{w.preset}`, `{w.structure}`": r for w, r in by_world.items()}
+    )
 
 
 def together(by_world: Mapping[World, Sequence[Result]]) -> list[str]:
@@ -131,8 +141,6 @@ def together(by_world: Mapping[World, Sequence[Result]]) -> list[str]:
         markdown(Table("", columns, worth(results))),
         "### Other ways, same cases and library",
         markdown(Table("", WAYS, tuple(rivals(results)))),
-        "### Effects, one hidden",
-        markdown(named(own)),
     ]
 
 

@@ -57,7 +57,13 @@ END: Final = "<!-- end of population -->"
 WIDTH: Final = 98
 """Of lines of text."""
 
-PRINTED: Final = ("Error of fused heat by preset", "False alarms")
+PRINTED: Final = (
+    "Error of fused heat by preset",
+    "False alarms",
+    "Between two drives",
+    "Error of the road",
+    "Errors within their 90",
+)
 """How tables of a run begin that the document sums up in words."""
 
 

@@ -12,7 +12,8 @@ import sys
 
 EXTRAS = (
     *("asammdf", "h5py", "jinja2", "libxrk", "pandas", "plotly"),
-    *("prometheus_client", "pyarrow", "rich", "scipy", "tomlkit"),
+    *("paho", "prometheus_client", "pyarrow", "rich", "scipy", "tomlkit"),
+    "tornado",
 )
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+import textwrap
 from pathlib import Path
 from typing import Any
 
@@ -20,8 +21,11 @@ HEAD = (
     "which everything that is compared takes its turn (`tests/benchmarks/`). "
     "Absolute times move by up to a factor of two with the load of a machine; "
     "the ratios hold, and goals are set on ratios. A goal's tolerance is the "
-    "part that may be missing before `.ci/run` fails.\n"
+    "part that may be missing before `.ci/run` fails. A section shows two "
+    "tables; `python tests/benchmarks/run.py NAME --full` prints all.\n"
 )
+
+SHOWN_TABLES = 2
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -35,9 +39,19 @@ def main(arguments: list[str] | None = None) -> int:
         for path in args.files
         for outcome in json.loads(path.read_text("utf-8")).values()
     ]
-    text = "\n".join([HEAD, *(section(outcome) for outcome in found)])
+    text = "\n".join(
+        [f"{wrapped(HEAD)}\n", *(section(outcome) for outcome in found)]
+    )
     args.out.write_text(text, "utf-8")
     return 0
+
+
+def wrapped(text: str) -> str:
+    """Return the paragraphs of *text* in lines of at most 99 characters."""
+    return "\n\n".join(
+        textwrap.fill(part, 99, break_on_hyphens=False)
+        for part in text.split("\n\n")
+    )
 
 
 def verdict(goal: dict[str, Any]) -> str:
@@ -54,13 +68,15 @@ def section(outcome: dict[str, Any]) -> str:
     lines = [
         f"## {outcome['title']}",
         "",
-        outcome["about"],
+        wrapped(outcome["about"]),
         "",
-        f"{taken['date']}, commit {taken['commit']}; {taken['machine']}.",
+        wrapped(
+            f"{taken['date']}, commit {taken['commit']}; {taken['machine']}."
+        ),
         "",
     ]
-    for table in outcome["tables"]:
-        lines += [f"{table['title']}:", "", *markdown(table), ""]
+    for table in outcome["tables"][:SHOWN_TABLES]:
+        lines += [wrapped(f"{table['title']}:"), "", *markdown(table), ""]
     if outcome["goals"]:
         goals = [
             (

@@ -19,10 +19,9 @@ from bstm_daemon.files import shipped_file
 from bstm_daemon.native.loader import load_kernel
 from bstm_daemon.replay.columns import present_roles
 from bstm_daemon.replay.results import (
+    WRITERS,
     Collector,
     ResultsBuilder,
-    csv_file,
-    parquet_file,
 )
 from bstm_daemon.report.drive_statistics import DriveStatistics
 
@@ -188,8 +187,8 @@ def replay_stages(
     summary = statistics.summary()
     out = path.with_suffix(".out")
     for stage, opened in (
-        ("write CSV", csv_file),
-        ("write Parquet", parquet_file),
+        ("write CSV", WRITERS["csv"]),
+        ("write Parquet", WRITERS["parquet"]),
     ):
         spend(stage, partial(_write, opened, out, results))
     hottest = summary.corners[0].peaks["disc"].temperature_c

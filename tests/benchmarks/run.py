@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 BENCHMARKS = (
     *("kernel", "sample_pass", "reality", "log_decode", "replay"),
-    *("live", "heat_population"),
+    *("live", "feed", "heat_population"),
 )
 OTHERS = (
     *("physics", "accuracy", "radau", "memory", "identification"),

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from conditions import conditions
-from measurements import markdown
+from measurements import markdown, wrapped
 from population import (
     CORNER,
     HELD_OUT,
@@ -398,7 +398,7 @@ def main() -> int:
             lines: list[str] = [measured, ""]
             for table, _ in tables_of(setting, args.full, args.cars):
                 data = {"header": table.header, "rows": table.rows}
-                lines += [f"{table.title}:", "", *markdown(data), ""]
+                lines += [wrapped(f"{table.title}:"), "", *markdown(data), ""]
                 # what is there is kept if the rest is interrupted
                 sections.take(str(setting), lines)
     if args.out is None:

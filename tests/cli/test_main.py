@@ -259,3 +259,71 @@ def test_an_absent_package_is_named_before_any_file_is_read(
 
     assert main([*argv, "-c", "a.toml"]) == 2
     assert f"needs the package '{package}'" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("argv", "text"),
+    [
+        (["chekc"], "did you mean 'check'?"),
+        (["gap", "rnu", "a.log", "-c", "a.toml"], "did you mean 'run'?"),
+        (["config", "schemma"], "did you mean 'schema'?"),
+        (["shell", "fish"], "known are bash, man, tcsh, zsh"),
+        (["simulate", "simlap", "-o", "a"], "did you mean 'simalp'?"),
+        (
+            ["simulate", "simalp", "-o", "a", "--effect", "disc_hta=1"],
+            "did you mean 'disc_hat'?",
+        ),
+        (
+            ["gap", "advise", "-c", "a.toml", "--among", "disc_hta"],
+            "did you mean 'disc_hat'?",
+        ),
+        (
+            ["gap", "advise", "-c", "a.toml", "--menu", "simlap"],
+            "did you mean 'simalp'?",
+        ),
+        (["check", "a.log"], "a.log: this is a log, not a configuration"),
+        (
+            ["replay", "a.toml", "-c", "a.mf4"],
+            "a.mf4: this is a log, not a configuration",
+        ),
+        (
+            ["match", "a.toml", "-c", "a.toml"],
+            "a.toml: this is a configuration, not a log",
+        ),
+        (
+            ["gap", "run", "-c", "a.toml", "--holdout", "a.log", "b.log"],
+            "gap: --holdout took every LOG that follows it",
+        ),
+    ],
+)
+def test_a_mistake_is_answered_with_what_was_meant(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    argv: list[str],
+    text: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+
+    assert main(argv) == 2
+
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.count("\n") == 1
+    assert text in err
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    "argv",
+    [
+        ["gap", "run", "--report", "a.html", "a.log", "-c", "a.toml", "b.log"],
+        ["-v", "gap", "-c", "a.toml", "run", "a.log", "b.log", "-q"],
+        ["match", "a.log", "-c", "a.toml", "b.log"],
+    ],
+)
+def test_options_stand_anywhere_among_the_logs(argv: list[str]) -> None:
+    args = entry.parser_of({"gap", "match"}).parse_args(argv)
+
+    assert args.logs == [Path("a.log"), Path("b.log")]
+    assert args.config == Path("a.toml")

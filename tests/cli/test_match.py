@@ -276,7 +276,7 @@ def test_without_what_heat_is_formed_from_nothing_is_matched(
 ) -> None:
     """Without a speed the disc was off by 364 K, without a pressure by 17."""
     bare = tmp_path / "bare.log"
-    lines = log.read_text("ascii").splitlines(keepends=True)
+    lines = log.read_text("ascii").splitlines(keepends=True)[:200_000]
     bare.write_text(
         "".join(
             line for line in lines if not any(part in line for part in frames)

@@ -205,6 +205,45 @@ def test_every(log: Path, tmp_path: Path) -> None:
     assert 8 <= len(stamps) <= 15
 
 
+def test_every_changes_the_table_alone(
+    log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The summary is of every publication."""
+    said = []
+    for every in ("0.1", "1", "5"):
+        assert replay(log, "-o", tmp_path, "--every", every) == 0
+        lines = capsys.readouterr().out.splitlines()
+        said.append([one for one in lines if not one.endswith(" rows")])
+
+    assert said[0] == said[1] == said[2]
+    assert len(said[0]) >= 8
+
+
+def test_few_columns_are_those_of_a_collection(
+    log: Path, tmp_path: Path
+) -> None:
+    arguments = ("-o", tmp_path, "--format", "csv", "--columns", "few")
+    assert replay(log, *arguments) == 0
+
+    text = (tmp_path / "stop.estimates.csv").read_text()
+    names = text.splitlines()[0].split(",")
+    assert names[:2] == ["time_s", "speed_ms"]
+    own = {name.removeprefix("FL.") for name in names if name[:3] == "FL."}
+    assert {"disc_c", "fluid_c", "margin_k", "risk", "validity"} <= own
+    assert not {"pressure_pa", "brake_power_w", "reasons", "flags"} & own
+
+
+def test_mf4_is_one_of_the_formats(
+    log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert replay(log, "-o", tmp_path, "--format", "mf4") == 0
+
+    path = tmp_path / "stop.estimates.mf4"
+    assert path.read_bytes()[:3] == b"MDF"
+    assert f"{path}: " in capsys.readouterr().out
+    assert not list(tmp_path.glob("*.csv"))
+
+
 # what is wrong with the call
 
 

@@ -41,9 +41,20 @@ SECTIONS: dict[str, type[Section]] = {
     "`[daemon]`": sections.DaemonConfig,
     "`[record]`": sections.RecordConfig,
     "`[metrics]`": sections.MetricsConfig,
+    "`[feed]`": service.FeedConfig,
 }
 
 ROW = re.compile(r"^\| `(\w+)` \| ([^|]+) \|.*\|$", re.MULTILINE)
+SIGNS = (
+    ("a list, each entry ", "list of "),
+    ("a text, not empty|a text", "text"),
+    ("a whole number", "whole,"),
+    (r"a number (?=greater|from|\S+ or more)", ""),
+    (r"greater than (\S+) and at most", r"> \1 to"),
+    ("greater than", ">"),
+    (r"(\S+) or more", r"≥ \1"),
+    (r"from (?=\S+ to )", ""),
+)
 HEAD = "| key | unit | allowed | default | meaning |\n|---|---|---|---|---|\n"
 
 
@@ -73,9 +84,16 @@ def row(model: type[Section], key: str, units: dict[str, str]) -> str:
     if not field.is_required():
         value = field.get_default(call_default_factory=True)
         default = "none" if value is None else f"`{json.dumps(value)}`"
-    cells = units.get(key, "-"), allowed(model, key), default
+    cells = units.get(key, "-"), short(allowed(model, key)), default
     text = meanings(model)[key].replace("|", r"\|")
     return f"| `{key}` | {' | '.join(cells)} | {text} |\n"
+
+
+def short(text: str) -> str:
+    """Return what a key may be as signs: ``> 0 to 2`` for a number."""
+    for pattern, sign in SIGNS:
+        text = re.sub(pattern, sign, text)
+    return text
 
 
 def schema_text() -> str:

@@ -329,3 +329,23 @@ def test_corner_overrides_single_keys() -> None:
     assert (thermal.disc_emissivity, thermal.pad_emissivity) == (0.7, 0.9)
     assert whole.cooling_of(front).standstill_convection_fraction == 0.3
     assert whole.disc_corners() == [front]
+
+
+def test_a_piston_is_given_by_its_area_or_its_diameter() -> None:
+    """57 mm are 25.5 cm2; a configuration that was written out reads back."""
+    given = {k: v for k, v in CORNER.items() if k != "piston_area_m2"}
+
+    corner = config.CornerConfig.model_validate(
+        given | {"piston_diameter_mm": 57.0}
+    )
+
+    assert corner.piston_area_m2 == pytest.approx(2.5518e-3, rel=1e-4)
+    assert config.CornerConfig.model_validate(corner.model_dump()) == corner
+    with pytest.raises(ValidationError, match="not both"):
+        config.CornerConfig.model_validate(
+            CORNER | {"piston_diameter_mm": 57.0}
+        )
+    with pytest.raises(ValidationError, match="piston_diameter_mm"):
+        config.CornerConfig.model_validate(given | {"piston_diameter_mm": -57})
+    with pytest.raises(ValidationError, match="piston_area_m2"):
+        config.CornerConfig.model_validate(given)

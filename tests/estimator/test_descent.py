@@ -78,8 +78,8 @@ def logs(
     scope="module",
     params=[
         ("simalp", "ff"),
-        ("alpine-descent", "ff"),
-        ("simalp", "fb"),
+        pytest.param(("alpine-descent", "ff"), marks=pytest.mark.slow),
+        pytest.param(("simalp", "fb"), marks=pytest.mark.slow),
         ("alpine-descent", "fb"),
     ],
     ids="-".join,

@@ -204,7 +204,12 @@ def test_a_pushed_car_with_the_role_is_weighed() -> None:
 
 
 @pytest.mark.parametrize(
-    "fault", ["swapped", "stuck", "reversed", "half", "in-g"]
+    "fault",
+    [
+        *("stuck", "half", "in-g"),
+        pytest.param("swapped", marks=pytest.mark.slow),
+        pytest.param("reversed", marks=pytest.mark.slow),
+    ],
 )
 def test_a_wrong_accelerometer_is_named_and_not_learned_away(
     fault: str,

@@ -84,7 +84,7 @@ class Drive:
         seconds: float,
         speed_ms: float = 20.0,
         pressure_pa: float = 0.0,
-        every_us: int = 20_000,
+        every_us: int = 50_000,
     ) -> Drive:
         """Go on; samples come every *every_us* [us]."""
         until_us = self.now_us + round(seconds * 1e6)
@@ -262,7 +262,7 @@ def test_a_long_hole_ends_with_the_hottest_stretch(config: Config) -> None:
 
 def test_tyres_limit_the_heat(config: Config) -> None:
     """Full braking for a minute and a hole of 6 s: 1 g at 20 m/s."""
-    drive = Drive(config).go(60.0, 20.0, 1.5e7)
+    drive = Drive(config).go(60.0, 20.0, 1.5e7, every_us=20_000)
     for batch, member, _ in drive.estimator.members():
         batch.settle(AIR_K, member)
     drive.hole(6.0).go(0.02)

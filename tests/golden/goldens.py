@@ -22,9 +22,11 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import cantools
 import numpy as np
-import pyarrow.parquet as pq
 
 from bstm_daemon.cli.main import main as bstm
+from bstm_daemon.cli.vehicle import load_vehicle, read_state
+from bstm_daemon.replay.columns import stream_log
+from bstm_daemon.replay.results.rows import Collector
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -166,22 +168,35 @@ def run(*arguments: str) -> None:
 def replayed(
     recording: Recording, folder: Path, *options: str, every_s: float = 0.0
 ) -> Replayed:
-    """Return the replay of *recording*, written to *folder* on the way."""
+    """Return the replay of *recording*, its frames through *folder*.
+
+    Estimates are those before a table rounds them.
+    """
     frames = folder / "frames.log"
     state = (
         [] if recording.state is None else ["--state", str(recording.state)]
     )
+    every_s = every_s or recording.every_s
     run(
         *("replay", str(recording.log), "-c", str(recording.config)),
-        *("--every", str(every_s or recording.every_s), *state),
-        *("-o", str(folder), "--format", "parquet"),
-        *("--publish", str(frames), *options),
+        *("--every", str(every_s), *state, "-o", str(folder)),
+        *("--format", "csv", "--publish", str(frames), *options),
     )
-    table = pq.read_table(folder / f"{recording.name}.estimates.parquet")
+    config, signal_map = load_vehicle(recording.config)
+    rows = Collector()
+    stream_log(
+        config,
+        signal_map,
+        recording.log,
+        [rows],
+        every_us=round(every_s * 1e6),
+        state=recording.state and read_state(recording.state, "--state"),
+        forecast="--no-forecast" not in options,
+    )
     return Replayed(
         {
-            name: table[name].to_numpy().astype(np.float64)
-            for name in table.column_names
+            name: np.asarray(column, np.float64)
+            for name, column in rows.results().columns.items()
         },
         frames.read_text(encoding="ascii").splitlines(),
     )

@@ -89,7 +89,7 @@ def fused(tmp_path: Path) -> Callable[..., Fused]:
         if isinstance(log, str):
             log = next(Path(str(REAL)).glob(log))
         overrides = {without: ""} if without else {}
-        found = replay_log(loaded, signal_map, log, overrides)
+        found = replay_log(loaded, signal_map, log, overrides, forecast=False)
         return Fused(found.results.columns, loaded.vehicle.mass_kg)
 
     return replay

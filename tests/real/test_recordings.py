@@ -107,6 +107,9 @@ USABLE = {
 }
 """The heat modes that check allows."""
 
+SHORT = {"canedge", "gt86", "subaru", "tesla-03-05", "tesla-03-10", "toyota"}
+"""Sets over which the forecast, most of the work, takes seconds."""
+
 
 @dataclass(frozen=True)
 class Car:
@@ -128,7 +131,9 @@ class Car:
 
     @functools.cached_property
     def replay(self) -> Replay:
-        return replay_log(*load_vehicle(self.path), self.log, self.overrides)
+        return replay_log(
+            *load_vehicle(self.path), self.log, self.overrides, forecast=False
+        )
 
     @property
     def columns(self) -> dict[str, Series]:
@@ -228,10 +233,23 @@ def test_check_and_replay_take_every_recording(
 
     assert code == (0 if car.config.heat.mode in USABLE[name] else 1)
     assert car.usable == USABLE[name]
+    if name not in SHORT:
+        without.append("--no-forecast")
     assert main(["replay", str(car.log), "-c", str(car.path), *without]) == 0
     for column in car.columns:
         if column.endswith(("disc_c", "power_w", "speed_ms")):
             assert np.isfinite(car.columns[column]).all(), column
+
+
+@pytest.mark.slow
+@pytest.mark.full
+@pytest.mark.parametrize("name", sorted(SETS.keys() - SHORT))
+def test_the_forecast_takes_every_recording(
+    cars: Callable[..., Car], name: str
+) -> None:
+    car = cars(name)
+
+    assert main(["replay", str(car.log), "-c", str(car.path)]) == 0
 
 
 # CANedge

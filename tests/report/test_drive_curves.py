@@ -6,8 +6,7 @@ import pytest
 from bstm_daemon.replay.results import Results
 from bstm_daemon.report.drive_curves import POINTS_A_TRACE, DriveCurves, Trace
 from bstm_daemon.report.drive_statistics import DriveStatistics
-from bstm_daemon.report.plots import stamp
-from bstm_daemon.report.replay_figure import replay_figure, y_axis
+from bstm_daemon.report.replay_figure import drive_plots
 
 
 def _traces(results: Results) -> list[Trace]:
@@ -165,19 +164,23 @@ def test_panel_stands_under_the_pressure(descent: Results) -> None:
     curves, statistics = DriveCurves(), DriveStatistics()
     curves.write(rows)
     statistics.write(rows)
-    figure = replay_figure(curves, statistics.summary())
-    layout = figure.views[0].layout
-    domains = {
-        panel: layout[y_axis(panel, 0).replace("y", "yaxis")]["domain"]
-        for panel in ("pressure", "advice")
-    }
+    plots = drive_plots(curves, statistics.summary())
+    titles = [title for title, _ in plots]
 
-    assert domains["advice"][1] < domains["pressure"][0]
-    named = [figure.traces[i]["name"] for i in figure.views[0].named]
-    assert "wait before departure" in named
-    axis = layout["xaxis"]
-    assert axis["anchor"] == y_axis("advice", 0)
-    assert axis["range"][0] == stamp(0.0)
+    place = titles.index("advice and requests")
+    assert titles[place - 1] == "brake pressure [bar]"
+    names = [one["name"] for one in plots[place][1].data]
+    assert "wait before departure" in names
+
+
+def test_sensors_are_called_what_they_are(descent: Results) -> None:
+    """Those of a simulated car measured nothing."""
+    curves = DriveCurves("simulated sensor")
+    curves.write(descent)
+    labels = {trace.label for trace in curves.traces()}
+
+    assert "disc, simulated sensor" in labels
+    assert not any("measured" in label for label in labels)
 
 
 @pytest.mark.slow

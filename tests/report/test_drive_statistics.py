@@ -77,8 +77,8 @@ def test_equal_stretches_give_equal_bits(descent: Results) -> None:
 def test_doubtful_inputs_are_held_in_few_buckets(descent: Results) -> None:
     """In any pieces the same; a row in a day of rows is found again."""
     flags = np.zeros(len(descent))
-    flags[20_000] = FLAGS["pressure_suspect"]
-    flags[20_001] = FLAGS["pressure_missing"]
+    flags[10_000] = FLAGS["pressure_suspect"]
+    flags[10_001] = FLAGS["pressure_missing"]
     with_flags = replace(descent, columns={**descent.columns, "flags": flags})
     whole, pieces, long = DriveCurves(), DriveCurves(), DriveCurves()
     whole.write(with_flags)
@@ -91,10 +91,10 @@ def test_doubtful_inputs_are_held_in_few_buckets(descent: Results) -> None:
 
     assert whole.input_spans("speed") == []
     assert whole.input_spans("pressure") == pieces.input_spans("pressure")
-    assert [code for code, _, _ in whole.input_spans("pressure")] == [1, 2]
+    assert [code for code, _, _ in whole.input_spans("pressure")] == [2, 3]
     (span,) = long.input_spans("pressure")
-    assert span[0] == 2
-    assert span[1] <= 3 * 5400.0 + 2000.0 < span[2]
+    assert span[0] == 3
+    assert span[1] <= 3 * 5400.0 + 1000.0 < span[2]
 
 
 def test_curves_of_any_pieces_keep_every_peak(descent: Results) -> None:

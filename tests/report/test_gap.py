@@ -8,8 +8,13 @@ from typing import Any, cast
 import pytest
 
 from bstm_daemon.analysis.gap.evidence import Candidate
-from bstm_daemon.analysis.gap.holdout_comparison import Shrink
+from bstm_daemon.analysis.gap.holdout_comparison import (
+    ADOPTED,
+    CONFIGURED,
+    Shrink,
+)
 from bstm_daemon.analysis.gap.naming import Answer, Naming
+from bstm_daemon.analysis.gap.residual_heat import Cell, Place
 from bstm_daemon.analysis.gap.workflow import Gap
 from bstm_daemon.model.effects.effect import SIGNED_STRENGTH
 from bstm_daemon.report.gap import (
@@ -20,6 +25,7 @@ from bstm_daemon.report.gap import (
     candidate_rows,
     probability_tile,
     reach_lines,
+    sentence,
     times,
     unnamed_lines,
 )
@@ -27,6 +33,7 @@ from bstm_daemon.report.gap_page import (
     WEAK_EVIDENCE,
     evidence_bars,
     head_tiles,
+    heat_map,
 )
 
 
@@ -144,3 +151,63 @@ def test_next_to_no_evidence_looks_like_it() -> None:
 
     assert weak.layout["xaxis"]["range"] == [0.0, WEAK_EVIDENCE]
     assert strong.layout["xaxis"]["range"][1] > 260.0
+
+
+def shown(before_k: float, after_k: float) -> Any:
+    """Return one node over one held-out drive, before and after."""
+    rms_k = {CONFIGURED: before_k, ADOPTED: after_k}
+    return SimpleNamespace(
+        held_out=True,
+        errors=(SimpleNamespace(rms_k=rms_k),),
+        adopted=Shrink(1.6, 1.2, 2.2),
+        shrinks={CONFIGURED: Shrink(2.4, 1.7, 3.6)},
+    )
+
+
+def test_the_page_begins_with_a_sentence_for_a_person() -> None:
+    place = Place("pad_front", "", "parked", 301e3, 11.6)
+    link = Place("disc", "pad_front", "driving", -122e3, 3.7)
+    named = naming("name", candidate("gap_conduction"))
+
+    def gap(place: Place, found: Naming) -> Gap:
+        located: Any = SimpleNamespace(places=(place,))
+        parts = ("FL",), (), 1, located, found
+        return Gap(*parts, shown=shown(6.4, 4.5))
+
+    assert sentence(gap(place, named)) == (
+        "While parked the model has 301 kJ too little heat at the pad front; "
+        "likely cause: the narrow gap of a released brake still conducts "
+        "heat; with it the error on held-out drives falls from 6.4 to 4.5 K."
+    )
+    assert sentence(gap(link, naming("unknown"))).startswith(
+        "While driving the model has 122 kJ too much heat between the disc "
+        "and the pad front; none of the known effects explains it;"
+    )
+
+
+def test_the_tile_is_of_what_is_written() -> None:
+    """Not of the re-fitted tunables, which no file has."""
+    found = naming("name", candidate("pad_wear"))
+    gap = Gap(("FL",), (), 1, None, found, shown=shown(6.4, 4.5))
+
+    assert head_tiles([gap])[-1] == ("1.6 x", "smaller gap, as written")
+
+
+def test_colour_and_text_of_a_cell_are_the_same_heat_in_order() -> None:
+    cells = [
+        Cell("disc", "parked", "200 to 300 degC", -80e3, 1e3, 9),
+        Cell("disc", "braking", "> 450 degC", 40e3, 1e3, 9),
+        Cell("disc", "braking", "< 100 degC", 7e3, 5e3, 9),
+        Cell("fluid", "braking", "< 100 degC", 20e3, 1e3, 9),
+    ]
+
+    (drawn,) = heat_map(cells).data
+
+    # plotly draws the first row at the bottom
+    assert drawn["y"][::-1] == [
+        *("braking < 100 °C", "braking > 450 °C", "parked 200-300 °C")
+    ]
+    assert drawn["z"][::-1] == [[0.0, 20.0], [40.0, None], [-80.0, None]]
+    assert drawn["text"][::-1] == [["·", "+20"], ["+40", ""], ["-80", ""]]
+    assert (drawn["zmin"], drawn["zmax"]) == (-80.0, 80.0)
+    assert "kJ" in drawn["colorbar"]["title"]["text"]

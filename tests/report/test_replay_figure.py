@@ -1,7 +1,4 @@
-"""Views: which curves, on which axes."""
-
-from itertools import pairwise
-from typing import Any
+"""Panels of a drive: which curves, in which view, with which shades."""
 
 import numpy as np
 import pytest
@@ -10,110 +7,89 @@ from bstm_daemon.channels import FLAGS, WHEEL_SUSPECT
 from bstm_daemon.replay.results import Results
 from bstm_daemon.report.drive_curves import DriveCurves
 from bstm_daemon.report.drive_statistics import DriveStatistics
+from bstm_daemon.report.plots import Plot
 from bstm_daemon.report.replay_figure import (
     INPUT_COLOURS,
-    Figure,
-    replay_figure,
-    view_corners,
+    MISSING,
+    OVERVIEW,
+    PARKED,
+    SUSPECT,
+    drive_plots,
 )
 
 
-def _figure(results: Results) -> Figure:
+def _plots(results: Results) -> list[tuple[str, Plot]]:
     curves, statistics = DriveCurves(), DriveStatistics()
     curves.write(results)
     statistics.write(results)
-    return replay_figure(curves, statistics.summary())
+    return drive_plots(curves, statistics.summary())
 
 
-def _axes(layout: dict[str, Any], letter: str) -> dict[str, Any]:
-    return {
-        key.replace("axis", ""): value
-        for key, value in layout.items()
-        if key.startswith(f"{letter}axis")
-    }
+def _plot(results: Results, title: str) -> Plot:
+    (found,) = [plot for name, plot in _plots(results) if name == title]
+    return found
 
 
-def test_axles_come_first_then_corners() -> None:
-    names = [name for name, _ in view_corners(("RL", "FL", "FR", "RR"))]
-
-    assert names == ["Front axle", "Rear axle", "FL", "FR", "RL", "RR"]
-    assert view_corners(("FL", "RL")) == [("FL", ("FL",)), ("RL", ("RL",))]
-    assert view_corners(()) == [("Vehicle", ())]
-
-
-def test_every_view_has_an_axis_for_each_of_its_curves(
+def test_the_vehicle_stands_above_all_corners_and_each_one(
     descent: Results,
 ) -> None:
-    """Declared axes are the used ones: plotly draws others askew."""
-    figure = _figure(descent)
+    """The margin first, in every view."""
+    plots = _plots(descent)
+    views = [plot.view for _, plot in plots]
 
-    for view in figure.views:
-        traces = [figure.traces[i] for i in view.traces]
-        assert {t["xaxis"] for t in traces} == set(_axes(view.layout, "x"))
-        assert {t["yaxis"] for t in traces} == set(_axes(view.layout, "y"))
-        assert {figure.traces[i]["legend"] for i in view.named} <= set(
-            view.layout
-        )
-
-
-def test_all_time_axes_of_a_view_move_together(descent: Results) -> None:
-    for view in _figure(descent).views:
-        first, *others = _axes(view.layout, "x").items()
-        assert first[0] == "x"
-        assert all(axis["matches"] == "x" for _, axis in others)
+    assert list(dict.fromkeys(views)) == [
+        *("", OVERVIEW, "FL", "FR", "RL", "RR")
+    ]
+    assert [name for name, plot in plots if not plot.view] == [
+        *("speed [km/h]", "brake pressure [bar]")
+    ]
+    for view in (OVERVIEW, "FL", "FR"):
+        first = next(name for name, plot in plots if plot.view == view)
+        assert first.endswith("margin of the fluid to wet boiling [K]")
 
 
-def test_left_and_right_share_their_scale(descent: Results) -> None:
-    layout = _figure(descent).views[0].layout
-    left, right = layout["yaxis5"], layout["yaxis10"]
+def test_all_time_axes_are_alike_and_move_together(descent: Results) -> None:
+    """So a stop can be followed down from the speed."""
+    plots = [plot for _, plot in _plots(descent)]
 
-    assert right["matches"] == "y5"
-    assert left["range"] == right["range"]
-    assert left["range"][1] > descent.columns["FL.disc_measured_c"][::10].max()
-    assert layout["xaxis2"]["domain"][1] < layout["xaxis3"]["domain"][0]
-
-
-def test_panels_do_not_overlap_and_run_downwards(descent: Results) -> None:
-    for view in _figure(descent).views:
-        domains = sorted(
-            {
-                tuple(axis["domain"])
-                for axis in _axes(view.layout, "y").values()
-            }
-        )
-        for lower, upper in pairwise(domains):
-            assert lower[1] < upper[0]
-        speed = view.layout["yaxis"]["domain"]
-        assert speed == domains[-1]
+    assert all(plot.linked and plot.clock for plot in plots)
+    assert len({str(plot.layout["xaxis"]) for plot in plots}) == 1
+    assert len({str(plot.layout["margin"]) for plot in plots}) == 1
+    assert not plots[0].layout["margin"]["autoexpand"]
 
 
-def test_a_legend_line_stands_for_both_sides(descent: Results) -> None:
-    figure = _figure(descent)
-    front = figure.views[0]
-    names = [figure.traces[i]["legendgroup"] for i in front.named]
+def test_corners_stand_in_one_panel(descent: Results) -> None:
+    drawn = _plot(descent, "disc temperature [°C]")
+    looks = [(one["name"], one["line"]["dash"]) for one in drawn.data]
 
-    assert len(names) == len(set(names))
-    assert {figure.traces[i]["legendgroup"] for i in front.traces} == {
-        *names,
-        "speed speed",
-    }
+    # the right side is dashed: it often covers the left one
+    assert looks == [("FL", "solid"), ("FR", "6px,4px")]
+    assert max(y for y in drawn.data[0]["y"] if y) == pytest.approx(
+        descent.columns["FL.disc_c"].max(), abs=0.05
+    )
 
 
 def test_shades_mark_what_is_not_valid(descent: Results) -> None:
-    shapes = _figure(descent).views[0].layout["shapes"]
-    left = [shape for shape in shapes if shape["xref"] == "x2"]
+    for panel in ("temperature [°C]", "brake fluid temperature [°C]"):
+        shapes = _plot(descent, f"FL: {panel}").layout["shapes"]
 
-    # a degraded and an invalid stretch, each in two panels
-    assert len(left) == 4
-    assert {shape["x0"] for shape in left} == {
-        "2000-01-01 00:05:00.100",
-        "2000-01-01 00:15:00.100",
-    }
-    assert len({shape["fillcolor"] for shape in left}) == 2
+        # a degraded and an invalid stretch
+        assert [shape["x0"] for shape in shapes] == [
+            "2000-01-01 00:05:00.100",
+            "2000-01-01 00:15:00.100",
+        ]
+        assert len({shape["fillcolor"] for shape in shapes}) == 2
+
+
+def _shaded(results: Results, title: str) -> list[tuple[str, str, str]]:
+    return [
+        (shape["x0"][11:16], shape["x1"][11:16], shape["fillcolor"])
+        for shape in _plot(results, title).layout["shapes"]
+    ]
 
 
 def test_shades_mark_doubtful_inputs(descent: Results) -> None:
-    """Each behind its own panel; power on both sides."""
+    """Each behind its own panel; power of every corner."""
     flags = np.zeros(len(descent))
     flags[1000:2000] = FLAGS["speed_suspect"]
     flags[3000:4000] = FLAGS["pressure_missing"] | FLAGS["heat_substituted"]
@@ -122,66 +98,63 @@ def test_shades_mark_doubtful_inputs(descent: Results) -> None:
     columns = {**descent.columns, "flags": flags}
     results = Results(columns, descent.corners, descent.modelled)
 
-    layout = _figure(results).views[0].layout
-
-    def shaded(panel: str, axis: str) -> list[tuple[str, str, str]]:
-        _, top = layout[panel]["domain"]
-        return [
-            (shape["x0"][11:16], shape["x1"][11:16], shape["fillcolor"])
-            for shape in layout["shapes"]
-            if (shape["xref"], shape["y1"]) == (axis, top)
-        ]
-
-    suspect, missing = INPUT_COLOURS[1], INPUT_COLOURS[2]
-    assert shaded("yaxis", "x") == [
+    suspect, missing = INPUT_COLOURS[SUSPECT], INPUT_COLOURS[MISSING]
+    assert _shaded(results, "speed [km/h]") == [
         ("00:01", "00:03", suspect),
         ("00:08", "00:10", suspect),
     ]
-    assert shaded("yaxis2", "x") == [("00:05", "00:06", missing)]
+    assert _shaded(results, "brake pressure [bar]") == [
+        ("00:05", "00:06", missing)
+    ]
     power = [("00:05", "00:06", suspect), ("00:11", "00:13", missing)]
-    assert shaded("yaxis4", "x2") == shaded("yaxis9", "x3") == power
+    for corner in ("FL: ", "FR: ", ""):
+        assert _shaded(results, f"{corner}brake power [kW]") == power
 
 
-def test_a_bar_a_reason_below_the_fluid(descent: Results) -> None:
+def test_a_parked_car_whose_bus_sleeps_lacks_nothing(
+    descent: Results,
+) -> None:
+    """Unless the estimates are no longer valid for it."""
+    flags = np.zeros(len(descent))
+    flags[18_000:24_000] = FLAGS["speed_missing"]
+    columns = {**descent.columns, "flags": flags}
+    validity = columns["FL.validity"].copy()
+    validity[21_000:24_000] = 1.0
+    columns["FL.validity"] = validity
+    results = Results(columns, descent.corners, descent.modelled)
+
+    assert _shaded(results, "speed [km/h]") == [
+        ("00:30", "00:35", INPUT_COLOURS[PARKED]),
+        ("00:35", "00:40", INPUT_COLOURS[MISSING]),
+    ]
+
+
+def test_a_bar_a_reason(descent: Results) -> None:
     """In the words of the summary, where the estimate is shaded."""
-    curves = DriveCurves()
-    curves.write(descent)
-    traces = [
-        (trace.corner, trace.label, trace.x)
-        for trace in curves.traces()
-        if trace.panel == "reasons"
-    ]
+    bars = _plot(descent, "FL: not valid because of").data
 
-    assert [trace[:2] for trace in traces] == [
-        (corner, words)
-        for corner in ("FL", "FR")
-        for words in ("input missing", "input suspect", "heat unknown")
+    assert [bar["name"] for bar in bars] == [
+        *("input missing", "input suspect", "heat unknown")
     ]
-    missing, suspect, _ = (trace[2] for trace in traces[:3])
+    missing, suspect, _ = (bar["x"] for bar in bars)
     assert missing[:2] == pytest.approx([900.1, 930.0], abs=0.2)
     assert suspect[:2] == pytest.approx([300.1, 380.0], abs=0.2)
 
 
 def test_the_fluid_peak_is_labelled(descent: Results) -> None:
-    notes = _figure(descent).views[0].layout["annotations"]
+    drawn = _plot(descent, "FL: brake fluid temperature [°C]")
 
-    (left,) = [note for note in notes if note.get("yref") == "y6"]
-    assert left["text"] == "129 °C<br>10:29 after the stop"
-    assert left["x"] == "2000-01-01 00:35:29.300"
+    (note,) = drawn.layout["annotations"]
+    assert note["text"] == "129 °C<br>10:29 after the stop"
+    assert note["x"] == "2000-01-01 00:35:29.300"
 
 
-def test_a_corner_without_a_model_says_so(descent: Results) -> None:
-    results = Results(descent.columns, descent.corners, ("FL",))
-    columns = {
-        key: column
-        for key, column in results.columns.items()
-        if not key.startswith("FR.") or "power" in key
-    }
-    figure = _figure(Results(columns, ("FL", "FR"), ("FL",)))
-    texts = [n["text"] for n in figure.views[0].layout["annotations"]]
+def test_a_corner_without_a_model_has_power_alone(descent: Results) -> None:
+    titles = [name for name, _ in _plots(descent)]
 
-    assert "<b>FR</b>  temperature [°C]: none, corner not modelled" in texts
-    assert "yaxis10" not in figure.views[0].layout
+    assert [one for one in titles if one.startswith("RL")] == [
+        "RL: brake power [kW]"
+    ]
 
 
 def test_names_are_text_in_plotly_too() -> None:
@@ -190,19 +163,19 @@ def test_names_are_text_in_plotly_too() -> None:
     columns = {
         "time_s": np.arange(3.0),
         f"{corner}.disc_c": np.arange(3.0),
+        "FL.disc_c": np.arange(3.0),
         f"{corner}.pressure_pa": np.arange(3.0),
     }
 
-    figure = _figure(Results(columns, (corner,), (corner,)))
+    plots = _plots(Results(columns, (corner, "FL"), (corner, "FL")))
 
-    drawn = [figure.traces, *(view.layout for view in figure.views)]
-    assert "<a" not in str(drawn)
-    assert "&lt;a" in str(figure.views[0].layout["annotations"])
-    assert "&lt;a" in str(figure.traces)
+    drawn = str([(plot.data, plot.layout) for _, plot in plots])
+    assert "<a" not in drawn
+    assert "&lt;a" in drawn
 
 
 @pytest.mark.parametrize("rows", [0, 1, 2])
-def test_results_of_no_length_have_a_figure(rows: int) -> None:
+def test_results_of_no_length_have_plots(rows: int) -> None:
     columns = {
         "time_s": np.arange(rows, dtype=float),
         "speed_ms": np.zeros(rows),
@@ -211,7 +184,7 @@ def test_results_of_no_length_have_a_figure(rows: int) -> None:
         "FL.validity": np.full(rows, 2.0),
     }
 
-    figure = _figure(Results(columns, ("FL",), ("FL",)))
+    plots = _plots(Results(columns, ("FL",), ("FL",)))
 
-    assert len(figure.views) == 1
-    assert bool(figure.traces) == bool(rows)
+    assert bool(plots) == bool(rows)
+    assert OVERVIEW not in {plot.view for _, plot in plots}

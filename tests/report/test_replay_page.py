@@ -62,6 +62,9 @@ def test_page_shows_facts_and_figures(page: str) -> None:
         "607 °C",
         "hottest fluid, FL 10:29 after the stop",
         "least margin to wet boiling, FL (155 °C)",
+        "The brake fluid was hottest at FL, 129 °C, 10:29 after the stop",
+        "26 K were left to boiling with wet fluid. Not valid for 2.2 %",
+        "RL, RR: not modelled, no temperatures.",
         "refused: 3 wrong length",
         "1 234 567",
         "late samples 4",
@@ -106,7 +109,8 @@ def test_hostile_names_stay_text(descent: Results) -> None:
     drive, _, _ = _scripts(page)
     assert any(
         "&lt;img" in trace["name"]
-        for trace in json.loads(drive)["figure"]["traces"]
+        for plot in json.loads(drive)["plots"]
+        for trace in plot["data"]
     )
     assert _text(page).count(HOSTILE) >= 10
 

@@ -5,6 +5,7 @@ import hashlib
 import json
 import re
 import sys
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -78,8 +79,15 @@ def hostile() -> str:
                     ),
                     facts=[(HOSTILE, HOSTILE)],
                     lines=[HOSTILE],
+                    keys=[("invalid", HOSTILE)],
                     plots=[
-                        (HOSTILE, plot([curve(x, x, HOSTILE, "#0")], "", ""))
+                        (
+                            HOSTILE,
+                            replace(
+                                plot([curve(x, x, HOSTILE, "#0")], "", ""),
+                                view=HOSTILE,
+                            ),
+                        )
                     ],
                     note=HOSTILE,
                     badge=Cell(HOSTILE),
@@ -106,7 +114,7 @@ def test_hostile_names_stay_text(hostile: str) -> None:
         if name.startswith("on")
     ]
     # as often as a part has it, the title twice
-    assert "".join(reader.text).count(HOSTILE) == 20
+    assert "".join(reader.text).count(HOSTILE) == 22
 
 
 def test_json_can_not_leave_its_element(hostile: str) -> None:
@@ -177,6 +185,21 @@ def test_a_column_of_figures_stays_one_with_a_reason_in_it() -> None:
     assert '<th class="number">b</th>' in page
     assert f'<td class="words">{why}</td>' in page
     assert page.count('<td class="number">') == 2
+
+
+def test_statistics_are_folded_and_the_rest_is_open() -> None:
+    sections = [
+        Section("the answer", lines=["seen"]),
+        Section("statistics", lines=["unseen"], folded=True),
+    ]
+
+    page = render(Page("", sections, lead="It fits."))
+
+    before, folded = page.split("<details><summary>")
+    assert "<li>seen</li>" in before
+    assert "It fits.</p>" in before
+    assert folded.index("statistics") < folded.index("</summary>")
+    assert folded.index("unseen") < folded.index("</details>")
 
 
 def test_written_page_is_whole_and_the_same_each_time(tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import itertools
+import json
 import os
 import signal
 import socket
@@ -241,6 +242,64 @@ def test_the_next_run_goes_on_where_the_last_one_ended(
     assert "state_loaded" in lines.names()
     gap = lines.peer.own("BSTM_Status")[0]["Counter"] - counter
     assert gap % 16 >= 1
+
+
+def test_the_feed_has_what_the_frames_have(run: Run, tmp_path: Path) -> None:
+    path = tmp_path / "feed.sock"
+    name = "test_the_feed_has_what_the_frames_have"
+    config = car(
+        tmp_path,
+        name,
+        ('# socket = "/run/bstm/feed.sock"', f'socket = "{path}"'),
+    )
+    records: list[dict[str, Any]] = []
+
+    def play(peer: Peer, lines: Lines) -> None:
+        driving = threading.Thread(target=peer.drive, args=(1.5,))
+        driving.start()
+        with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as feed:
+            feed.settimeout(LIMIT_S)
+            while feed.connect_ex(str(path)):
+                driving.join(0.01)
+            driving.join()
+            with feed.makefile() as text:
+                records.extend(json.loads(text.readline()) for _ in range(3))
+
+    lines = run(play, config=config)
+
+    assert [one["seq"] for one in records] == sorted(
+        one["seq"] for one in records
+    )
+    last = records[-1]
+    assert last["vehicle"] == "example-vehicle"
+    assert last["corners"]["FL"]["disc_c"] == pytest.approx(10.0, abs=0.6)
+    assert last["corners"]["FL"]["validity"] == "degraded"
+    assert "feed_failed" not in lines.names()
+    assert not path.exists(), "it goes with the service"
+
+
+def test_a_feed_that_cannot_be_opened_ends_nothing(
+    run: Run, tmp_path: Path
+) -> None:
+    name = "test_a_feed_that_cannot_be_opened_ends_nothing"
+    path = tmp_path / "missing" / "feed.sock"
+    config = car(
+        tmp_path,
+        name,
+        ('# socket = "/run/bstm/feed.sock"', f'socket = "{path}"'),
+    )
+
+    def play(peer: Peer, lines: Lines) -> None:
+        lines.wait_for("feed_failed")
+        path.parent.mkdir()
+        end_s = time.monotonic() + LIMIT_S
+        while not path.exists() and time.monotonic() < end_s:
+            peer.hear(0.05)
+        assert path.is_socket(), "it is tried again"
+
+    lines = run(play, config=config)
+
+    assert lines.peer.own("BSTM_Status")
 
 
 def test_without_publish_nothing_is_sent(run: Run, tmp_path: Path) -> None:

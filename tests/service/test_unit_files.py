@@ -15,6 +15,7 @@ from bstm_daemon.errors import (
     UsageError,
 )
 from bstm_daemon.service.unit_files import (
+    COMPANIONS,
     DEFAULT_CONFIG,
     HIDDEN,
     PROGRAM,
@@ -29,6 +30,7 @@ from bstm_daemon.service.unit_files import (
 
 FOLDER = Path(__file__).parents[2] / "systemd"
 UNITS = ("bstm.service", "bstm@.service")
+BESIDE = tuple(f"bstm-{name}.service" for name in COMPANIONS)
 SANDBOX = "# -- Sandbox."
 DIRECTIVE = re.compile(r"([A-Z]\w+)=(.*)")
 
@@ -69,7 +71,7 @@ def open_folder(
     return tmp_path
 
 
-@pytest.mark.parametrize("name", UNITS)
+@pytest.mark.parametrize("name", [*UNITS, *BESIDE])
 def test_every_line_of_the_sandbox_says_what_it_breaks(name: str) -> None:
     lines = sandbox(name)
     assert len(lines) > 30
@@ -98,6 +100,56 @@ def test_every_line_of_the_sandbox_says_what_it_breaks(name: str) -> None:
 )
 def test_keys(name: str, key: str, value: str) -> None:
     assert values(name, key) == [value]
+
+
+@pytest.mark.parametrize("name", BESIDE)
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("Restart", "on-failure"),
+        ("RestartPreventExitStatus", "2 78"),
+        ("Group", "bstm-feed"),
+        ("DynamicUser", "yes"),
+        ("CapabilityBoundingSet", ""),
+        ("MemoryDenyWriteExecute", "yes"),
+        ("ProtectSystem", "strict"),
+        # no CAN: no frame is sent from there
+        ("RestrictAddressFamilies", "AF_UNIX AF_INET AF_INET6"),
+    ],
+)
+def test_keys_of_what_reads_the_feed(name: str, key: str, value: str) -> None:
+    assert values(name, key) == [value]
+
+
+@pytest.mark.parametrize("name", [*UNITS, *BESIDE])
+@pytest.mark.parametrize("key", ["BindsTo", "Requires", "PartOf", "Requisite"])
+def test_the_end_of_one_unit_is_none_of_another(name: str, key: str) -> None:
+    assert values(name, key) == []
+
+
+def test_the_page_is_for_this_computer_only() -> None:
+    assert values("bstm-view.service", "IPAddressDeny") == ["any"]
+    assert values("bstm-view.service", "IPAddressAllow") == ["localhost"]
+    assert "--listen" not in values("bstm-view.service", "ExecStart")[0]
+
+
+def test_the_password_is_a_credential() -> None:
+    name = "bstm-mqtt.service"
+    credential = "mqtt.toml:/etc/bstm/mqtt.toml"
+    assert values(name, "LoadCredential") == [credential]
+    [command] = values(name, "ExecStart")
+    assert "--credentials ${CREDENTIALS_DIRECTORY}/mqtt.toml" in command
+
+
+def test_what_reads_the_feed_is_installed_on_request() -> None:
+    unit = ServiceUnit("/py -m x", companions=COMPANIONS)
+    _, *found = unit.files(Path("/units"))
+    assert [file.path for file in found] == [
+        Path("/units") / name for name in BESIDE
+    ]
+    for file in found:
+        assert "ExecStart=/py -m x " in file.text
+        assert PROGRAM not in file.text
 
 
 @pytest.mark.parametrize("name", UNITS)

@@ -22,8 +22,8 @@ def test_packaged_drives_load_under_their_names() -> None:
         assert load_drive(name).name == name
 
 
-def test_unknown_name_lists_the_known() -> None:
-    with pytest.raises(UsageError, match="simalp"):
+def test_unknown_name_says_where_the_known_are() -> None:
+    with pytest.raises(UsageError, match="simulate --list has them"):
         load_drive("nordschleife")
 
 

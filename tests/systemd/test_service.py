@@ -1,6 +1,7 @@
 """The live service under systemd: installed, started, driven, disturbed."""
 
 import contextlib
+import itertools
 import json
 import os
 import re
@@ -399,3 +400,116 @@ def test_the_sysctl_file_gives_the_whole_receive_buffer(service: Unit) -> None:
         )
     finally:
         key.write_text(before)
+
+
+FEED = Path("/run/bstm/feed.sock")
+
+
+@pytest.fixture
+def with_feed(service: Unit) -> Iterator[Unit]:
+    """Return the service with a feed, page and bridge beside it, started."""
+    text = CONFIG.read_text()
+    CONFIG.write_text(text.replace('# socket = "/run', 'socket = "/run'))
+    # nobody listens there: the bridge waits
+    (CONFIG.parent / "mqtt.toml").write_text('broker = "mqtt://127.0.0.1:9"\n')
+    (CONFIG.parent / "mqtt.toml").chmod(0o600)
+    run(BSTM, "install-service", "--with", "view", "--with", "mqtt")
+    run("systemctl", "daemon-reload")
+    service.control("start")
+    until(FEED.exists, service)
+    yield service
+    for name in ("bstm-view", "bstm-mqtt"):
+        run("systemctl", "stop", name)
+        (UNITS / f"{name}.service").unlink()
+    run("systemctl", "daemon-reload")
+
+
+def page() -> int:
+    """Return the status of the page; 0 where there is none."""
+    try:
+        with urllib.request.urlopen(
+            "http://127.0.0.1:8080/", timeout=DEADLINE_S
+        ) as answer:
+            return int(answer.status)
+    except OSError:
+        return 0
+
+
+def test_the_feed_is_for_its_group_only(with_feed: Unit) -> None:
+    status = FEED.stat()
+    assert status.st_mode & 0o777 == 0o660
+    assert status.st_uid >= FIRST_DYNAMIC_USER
+    code = f"import socket;socket.socket(1).connect({str(FEED)!r})"
+    refused = run(sys.executable, "-c", code, user=NOBODY, check=False)
+    assert "PermissionError" in refused.stderr
+    run(sys.executable, "-c", code, user=NOBODY, group=status.st_gid)
+
+
+@pytest.mark.parametrize("name", ["bstm-view.service", "bstm-mqtt.service"])
+def test_the_units_beside_the_service_are_sound(
+    with_feed: Unit, name: str
+) -> None:
+    done = run("systemd-analyze", "verify", name)
+    assert (done.stdout, done.stderr) == ("", "")
+    run("systemctl", "start", name)
+    found = run("systemd-analyze", "security", name, "--no-pager").stdout
+    exposure = re.search(r"Overall exposure level.*: ([\d.]+)", found)
+    assert exposure is not None
+    assert float(exposure[1]) <= 1.9, found
+
+
+def test_page_and_bridge_that_die_change_no_frame(
+    with_feed: Unit, unit_named: Callable[[str], Unit]
+) -> None:
+    process = with_feed.property("MainPID")
+    beside = [unit_named(f"bstm-{name}.service") for name in ("view", "mqtt")]
+    for unit in beside:
+        unit.control("start")
+    view, bridge = beside
+    until(lambda: page() == 200, view)
+    listening = run("ss", "-Hltn").stdout.split()
+    assert [word for word in listening if word.endswith(":8080")] == [
+        "127.0.0.1:8080"
+    ]
+    before = counters()
+    for unit in beside:
+        unit.control("kill", check=True)
+        unit.control("stop")
+    for unit in beside:
+        unit.control("start")
+    until(lambda: page() == 200, view)
+    for unit in beside:
+        run("systemctl", "kill", "-s", "KILL", unit.name)
+    until(lambda: bridge.property("NRestarts") == "1", bridge)
+    until(lambda: page() == 200, view)
+    after = counters()
+
+    assert with_feed.property("MainPID") == process
+    assert with_feed.property("NRestarts") == "0"
+    # frame after frame, each with the next counter
+    for seen in (before, after):
+        steps = [(b - a) % 16 for a, b in itertools.pairwise(seen)]
+        assert steps == [1] * len(steps)
+
+
+def counters() -> list[int]:
+    """Return the counters of the next frames of BSTM_Status."""
+    found = run("candump", "-L", "-n", "12", f"vcan0,{ID_BASE:X}:7FF").stdout
+    return [
+        bytes.fromhex(line.split("#")[1])[1] & 0xF
+        for line in found.splitlines()
+    ]
+
+
+def test_the_service_outlives_and_precedes_what_reads_it(
+    service: Unit, with_feed: Unit, unit_named: Callable[[str], Unit]
+) -> None:
+    view = unit_named("bstm-view.service")
+    view.control("start")
+    until(lambda: page() == 200, view)
+    with_feed.control("stop")
+    assert not FEED.exists()
+    assert page() == 200, "the page stays, and says that there is no data"
+    with_feed.control("start")
+    until(FEED.exists, with_feed)
+    assert view.property("NRestarts") == "0"

@@ -175,7 +175,7 @@ def test_leaving_ends_it(log: Path, clock: Clock) -> None:
 
 def test_a_jump_of_the_log_is_not_waited_for(clock: Clock) -> None:
     view = Paced()
-    pace = replay_view._Pace(2.0, view)
+    pace = replay_view.Pace(2.0, view.pause)
     stamps_us = [0, 100_000, 3_600_000_000, 3_600_100_000, 50_000, 150_000]
 
     for time_us in stamps_us:
@@ -186,7 +186,7 @@ def test_a_jump_of_the_log_is_not_waited_for(clock: Clock) -> None:
 
 def test_what_took_too_long_is_not_made_up_for(clock: Clock) -> None:
     view = Paced()
-    pace = replay_view._Pace(1.0, view)
+    pace = replay_view.Pace(1.0, view.pause)
 
     pace.wait(0)
     clock.now_s += 30.0

@@ -53,8 +53,9 @@ MOST_MEMBERS: Final = 8
 LEAST_ODDS: Final = 0.005
 """Candidates that are less probable than this are not asked about."""
 
-ALIKE: Final = 0.02
-"""Of two drives whose odds differ by less the shorter one is better."""
+LEAST_NAMED: Final = 0.02
+"""A drive that names the right candidate less often than the odds are good to
+is behind the others, however short it is."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,6 +74,11 @@ class Advice:
     wrong: float
     log_bayes_factor: float
     now: float
+
+    @property
+    def named_per_min(self) -> float:
+        """``named`` for each minute that is driven."""
+        return 60.0 * self.named / self.duration_s
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -124,6 +130,8 @@ def advise(
 ) -> tuple[Advice, ...]:
     """Return what each drive would show, the best first.
 
+    The best names the right candidate most often for each minute driven.
+
     Args:
         known: the data so far.
         prior: standard deviations of the tunables' logarithms, (p,).
@@ -132,17 +140,13 @@ def advise(
     """
     judge = _Judge(known, prior, members)
     found = [judge.advice(one) for one in prospects]
-    best = max((one.named for one in found), default=0.0)
-    return tuple(
-        sorted(
-            found,
-            key=lambda one: (
-                (0, one.duration_s, 0.0)
-                if one.named >= max(best - ALIKE, ALIKE)
-                else (1, -one.named, -one.log_bayes_factor)
-            ),
-        )
-    )
+
+    def rank(one: Advice) -> tuple[bool, float, float]:
+        poor = one.named < LEAST_NAMED
+        worth = one.named if poor else one.named_per_min
+        return poor, -worth, -one.log_bayes_factor
+
+    return tuple(sorted(found, key=rank))
 
 
 class _Judge:

@@ -17,8 +17,8 @@ from bstm_daemon.analysis.identify.driving import (
     CONTROL,
     Span,
     flagged,
-    resistance_n,
 )
+from bstm_daemon.analysis.quality.braking import brake_force_n
 from bstm_daemon.analysis.quality.grid import HALF, window_mean
 from bstm_daemon.analysis.quality.limits import GRID_S, RELEASED_PA
 from bstm_daemon.analysis.quality.pressures import released_reading
@@ -241,16 +241,14 @@ def brake_samples(
 
 def force_n(driving: Driving) -> Column:
     """Return Eq 4.11 on the grid [N], nan where an input is missing."""
-    car = driving.vehicle
-    resistance = resistance_n(car, driving.speed_ms)
-    if driving.has_accelerometer:
-        inertia = (
-            car.mass_kg * driving.accel_measured_ms2
-            + car.rotating_mass_kg * driving.rate_ms2
-        )
-    else:
-        inertia = car.effective_mass_kg * driving.rate_ms2
-    return np.asarray(driving.traction_n - resistance - inertia)
+    accel_ms2 = driving.accel_measured_ms2
+    return brake_force_n(
+        driving.vehicle,
+        driving.speed_ms,
+        driving.rate_ms2,
+        accel_ms2 if driving.has_accelerometer else None,
+        driving.traction_n,
+    )
 
 
 def lagged(value: Column, lag_s: float) -> Column:

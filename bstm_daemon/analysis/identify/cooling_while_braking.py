@@ -27,7 +27,7 @@ from bstm_daemon.analysis.identify.disc_loss import (
     disc_loss,
     share_of_work,
 )
-from bstm_daemon.analysis.identify.driving import resistance_n
+from bstm_daemon.analysis.quality.braking import resistance_n
 from bstm_daemon.analysis.quality.limits import GRID_S, RELEASED_PA
 from bstm_daemon.analysis.statistics.levenberg_marquardt import (
     Solution,

@@ -15,6 +15,7 @@ from bstm_daemon.analysis.quality.accelerations import (
     LONGITUDINAL,
     compare_accelerations,
 )
+from bstm_daemon.analysis.quality.braking import resistance_n
 from bstm_daemon.analysis.quality.channels import PRESSURES, Channels
 from bstm_daemon.analysis.quality.finding import Notes
 from bstm_daemon.analysis.quality.frozen import find_frozen_speeds
@@ -24,13 +25,16 @@ from bstm_daemon.analysis.quality.limits import (
     MOVING_MS,
     RELEASED_PA,
 )
+from bstm_daemon.analysis.quality.pressures import released_reading
+from bstm_daemon.analysis.quality.recording import read_recording
 from bstm_daemon.analysis.quality.speeds import compare_speeds
 from bstm_daemon.analysis.statistics.series import Column, Mask, running_mean
 from bstm_daemon.errors import LogError
 from bstm_daemon.model.heat.feed_back import Vehicle
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Callable, Iterable, Mapping, Sequence
+    from pathlib import Path
 
     from bstm_daemon.analysis.quality.recording import Recording
     from bstm_daemon.bus.signals.signal_map import SignalMap
@@ -116,20 +120,16 @@ class Driving:
     def released(self) -> Mask:
         """Return where the brake is known to be released, (n,).
 
-        A missing pressure does not count as a released brake.
+        A missing pressure does not count as a released brake; one that rests
+        above 0 is released there.
         """
         released = np.full(len(self.time_s), self.brake_known)
         for pressure in self.pressures.values():
-            released &= pressure < RELEASED_PA
+            rest, _ = released_reading(pressure, self.speed_ms, self.rate_ms2)
+            released &= pressure - rest < RELEASED_PA
         if self.channels.alive(["brake_switch"]):
             released &= self.value("brake_switch") < 0.5
         return released
-
-
-def resistance_n(car: Vehicle, speed_ms: Column) -> Column:
-    """Return Eq 4.2 at *speed_ms* (n,), 0 at rest, NaN where unknown."""
-    rolling = (car.quadratic * speed_ms + car.linear) * speed_ms + car.constant
-    return np.where(speed_ms <= 0.0, 0.0, rolling)
 
 
 @dataclass(frozen=True, slots=True)
@@ -187,6 +187,29 @@ def work_j(force_n: Column, speed_ms: Column) -> float:
     """Return the integral of force times speed over the grid (Eq 4.3)."""
     power = np.nan_to_num(force_n * speed_ms)
     return float((power[1:] + power[:-1]).sum()) * 0.5 * GRID_S
+
+
+def read_drivings(
+    logs: Sequence[Path],
+    config: Config,
+    signal_map: SignalMap,
+    overrides: Mapping[str, str] | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> list[Driving]:
+    """Return the motion in each of *logs*.
+
+    Raises:
+        LogError: a log holds no usable speed.
+    """
+    return [
+        driving_of(
+            log.name,
+            read_recording([log], signal_map, overrides, progress),
+            config,
+            signal_map,
+        )
+        for log in logs
+    ]
 
 
 def driving_of(

@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from bstm_daemon.analysis.identify.guessed import BY_FORCES
 from bstm_daemon.analysis.matching.power_by_drag import PowerByDrag
 from bstm_daemon.analysis.matching.problem import (
     Problem,
@@ -131,9 +132,7 @@ def guesses_of(path: Path) -> frozenset[str]:
         own = (one.get(name, {}) for one in (document, *corners))
         return any(key in one for one in own)
 
-    found = set()
-    if "vehicle.drag_area_m2" in said:
-        found.add(DRAG)
+    found = said & BY_FORCES
     if "corner.disc.mass_kg" in said and not given(*MASS.split(".")):
         found.add(MASS)
         if not given(*CAPACITY.split(".")):

@@ -107,20 +107,39 @@ def feed_forward_n(channels: Channels, role: str) -> Column:
     return total / config.vehicle.wheel_radius_m
 
 
+def resistance_n(car: Vehicle, speed_ms: Column) -> Column:
+    """Return Eq 4.2 at *speed_ms* (n,), 0 at rest, NaN where unknown."""
+    rolling = (car.quadratic * speed_ms + car.linear) * speed_ms + car.constant
+    return np.where(speed_ms <= 0.0, 0.0, rolling)
+
+
+def brake_force_n(
+    car: Vehicle,
+    speed_ms: Column,
+    rate_ms2: Column,
+    accel_measured_ms2: Column | None,
+    traction_n: Column,
+) -> Column:
+    """Return Eq 4.11 with the external force of Eq 4.7, (n,) [N].
+
+    Args:
+        car: its masses and resistances.
+        speed_ms: of the car, (n,).
+        rate_ms2: its change, (n,).
+        accel_measured_ms2: the accelerometer, which includes the slope, (n,);
+            None for a flat road.
+        traction_n: force of powertrain and outside that drives the car, (n,).
+    """
+    accel_ms2 = rate_ms2 if accel_measured_ms2 is None else accel_measured_ms2
+    inertia = car.mass_kg * accel_ms2 + car.rotating_mass_kg * rate_ms2
+    return np.asarray(traction_n - resistance_n(car, speed_ms) - inertia)
+
+
 def feed_back_n(channels: Channels) -> Column:
     """Return the brake force [N] of Eq 4.11 from the car's motion."""
     config = channels.config
     vehicle = Vehicle.of_config(config.vehicle)
-    speed, rate = channels.speed, channels.speed_rate()
-    inertia = vehicle.effective_mass_kg * rate
-    if _has_slope(channels):
-        inertia = (
-            vehicle.mass_kg * channels.acceleration()
-            + vehicle.rotating_mass_kg * rate
-        )
-    resistance = (
-        vehicle.quadratic * speed + vehicle.linear
-    ) * speed + vehicle.constant
+    speed = channels.speed
     torque = np.zeros(len(speed))
     if channels.alive(["powertrain_torque"]):
         torque = window_mean(channels.value("powertrain_torque"))
@@ -129,8 +148,12 @@ def feed_back_n(channels: Channels) -> Column:
     push = np.zeros(len(speed))
     if channels.alive(["external_force"]):
         push = window_mean(channels.value("external_force"))
-    return np.asarray(
-        torque / vehicle.wheel_radius_m + push - resistance - inertia
+    return brake_force_n(
+        vehicle,
+        speed,
+        channels.speed_rate(),
+        channels.acceleration() if _has_slope(channels) else None,
+        torque / vehicle.wheel_radius_m + push,
     )
 
 

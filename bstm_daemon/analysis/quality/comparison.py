@@ -80,7 +80,7 @@ class Fit:
     @property
     def leans(self) -> bool:
         """Whether the median ratio differs from the scale by 3 % or more."""
-        return abs(self.ratio / self.scale - 1.0) > _LEANS
+        return abs(self.ratio - self.scale) > _LEANS * abs(self.scale)
 
     def offset_beyond(self, tolerance: float) -> bool:
         """Whether line and medians are off by more than *tolerance*."""

@@ -21,7 +21,7 @@ from bstm_daemon.bus.live.link import (
     require_classic,
 )
 from bstm_daemon.bus.signals.extraction import FD_LENGTHS
-from bstm_daemon.errors import ConfigError
+from bstm_daemon.errors import ConfigError, hint
 
 if TYPE_CHECKING:
     import can
@@ -82,10 +82,15 @@ class PortableLink:
                 channel=config.channel, interface=config.interface, **options
             )
         except (can.CanInterfaceNotImplementedError, ValueError) as error:
+            known = can.VALID_INTERFACES
+            why = str(error)
+            if config.interface not in known:
+                others = "python-can's documentation lists them"
+                why += f", {hint(config.interface, known, others)}"
             problem = (
                 f"[[bus]] {config.name!r}: python-can cannot use "
                 f"'interface' = {config.interface!r} with "
-                f"'channel' = {config.channel!r}: {error}"
+                f"'channel' = {config.channel!r}: {why}"
             )
             raise ConfigError([problem]) from error
         except (can.CanError, OSError) as error:

@@ -7,7 +7,7 @@ import math
 import struct
 from collections import Counter
 from collections.abc import Callable, Sequence
-from typing import Any, Final
+from typing import Final
 
 from bstm_daemon.bus.signals.expression import (
     evaluate,
@@ -85,7 +85,7 @@ class Decoder:
 class _MessageDecoder:
     """A message plan laid out so that a frame costs few look-ups."""
 
-    __slots__ = ("_gaps", "_names", "_outputs", "_plain", "_signals", "length")
+    __slots__ = ("_gaps", "_names", "_outputs", "_signals", "length")
 
     def __init__(self, plan: MessagePlan) -> None:
         self.length = plan.length
@@ -120,39 +120,10 @@ class _MessageDecoder:
             )
             for output in plan.outputs
         ]
-        self._plain = None if self._gaps else self._in_one_pass(plan)
-
-    def _in_one_pass(self, plan: MessagePlan) -> list[tuple[Any, ...]] | None:
-        """Return signal and output in one row each, where no more is to do.
-
-        None where a sample takes more than one signal of its own.
-        """
-        rows = []
-        for output in plan.outputs:
-            if output.conditions or output.expression is not None:
-                return None
-            signal = plan.signals[output.index]
-            if signal.floating:
-                return None
-            big, shift, mask, sign, _, scale, offset = self._signals[
-                output.index
-            ]
-            # integers times one plus nothing are themselves
-            line = (1, 0) if scale is None else (scale, offset)
-            rows.append(
-                (
-                    *(big, shift, mask, sign, *line),
-                    *(output.gain, output.bias, output.low, output.high),
-                    *(output.role, output.flag),
-                )
-            )
-        return rows
 
     def decode(
         self, data: Payload, counts: Counter[RejectReason]
     ) -> Sequence[Sample]:
-        if self._plain is not None:
-            return self._decode_plain(self._plain, data, counts)
         values = self._physical(data)
         missing = self._missing(data) if self._gaps else ()
         samples = []
@@ -182,40 +153,6 @@ class _MessageDecoder:
                 samples.append((role, float(value != 0) if flag else value))
             elif math.isnan(value):
                 counts[RejectReason.NOT_A_NUMBER] += 1
-            else:
-                counts[RejectReason.OUT_OF_RANGE] += 1
-        return samples
-
-    @staticmethod
-    def _decode_plain(
-        rows: list[tuple[Any, ...]],
-        data: Payload,
-        counts: Counter[RejectReason],
-    ) -> Sequence[Sample]:
-        """Decode numbers that need no more than a line: most of them."""
-        little = int.from_bytes(data, "little")
-        big = int.from_bytes(data, "big")
-        samples = []
-        for (
-            is_big,
-            shift,
-            mask,
-            sign,
-            scale,
-            offset,
-            gain,
-            bias,
-            low,
-            high,
-            role,
-            flag,
-        ) in rows:
-            bits = ((big if is_big else little) >> shift) & mask
-            if sign:
-                bits = (bits ^ sign) - sign
-            value = gain * (bits * scale + offset) + bias
-            if low <= value <= high:
-                samples.append((role, float(value != 0) if flag else value))
             else:
                 counts[RejectReason.OUT_OF_RANGE] += 1
         return samples

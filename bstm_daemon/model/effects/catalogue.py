@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from difflib import get_close_matches
 from functools import cache
 from importlib import import_module
 from pkgutil import iter_modules
 from typing import TYPE_CHECKING, Final
 
 from bstm_daemon.config.sections import EffectConfig
+from bstm_daemon.errors import hint
 from bstm_daemon.model.effects import entries
 from bstm_daemon.model.effects.effect import Effect
 from bstm_daemon.model.effects.model import CornerModel, InputModel
@@ -74,12 +74,10 @@ def problems_of(effects: Sequence[EffectConfig]) -> list[str]:
         try:
             cls = effect_class(effect.name)
         except KeyError:
-            near = get_close_matches(effect.name, effect_names(), 1)
-            hint = f"did you mean {near[0]!r}? " if near else ""
-            found.append(
-                f"[[effect]] name = {effect.name!r}: {hint}"
-                f"known effects: {', '.join(effect_names())}"
+            known = hint(
+                effect.name, effect_names(), "docs/effects.md lists them"
             )
+            found.append(f"[[effect]] name = {effect.name!r}: {known}")
             continue
         found += [
             f"{where} {text}" for text in cls.problems(effect.parameters)

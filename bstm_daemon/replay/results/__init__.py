@@ -7,11 +7,12 @@ figures and curves of a report. No sink has to hold them all.
 
 from bstm_daemon.replay.results.builder import ResultsBuilder
 from bstm_daemon.replay.results.files import (
+    WRITERS,
     csv_file,
-    has_parquet,
-    parquet_file,
+    require_format,
 )
 from bstm_daemon.replay.results.rows import (
+    Chosen,
     Collector,
     ElapsedTime,
     Part,
@@ -20,6 +21,8 @@ from bstm_daemon.replay.results.rows import (
 )
 
 __all__ = [
+    "WRITERS",
+    "Chosen",
     "Collector",
     "ElapsedTime",
     "Part",
@@ -27,6 +30,5 @@ __all__ = [
     "ResultsBuilder",
     "Sink",
     "csv_file",
-    "has_parquet",
-    "parquet_file",
+    "require_format",
 ]

@@ -54,6 +54,12 @@ ADVICE_COLUMNS: Final = {
 }
 """Attribute of an :class:`~bstm_daemon.estimate.Advice` by column."""
 
+ADVICE_CODES: Final = (
+    *("advice_message", "advice_shift", "advice_gearbox"),
+    *("advice_isolation", "advice_assist", "advice_intervention"),
+)
+"""Those of them that are codes."""
+
 
 def record_columns(
     attributes: Mapping[str, str], records: Sequence[object]

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Flag, auto
 from typing import TYPE_CHECKING, Final, Protocol
 
 import numpy as np
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
 
     import numpy.typing as npt
 
@@ -89,6 +89,25 @@ class Collector:
             for name in first.columns
         }
         return Results(columns, first.corners, first.modelled)
+
+
+class Chosen:
+    """Hands on the columns of rows that are wanted."""
+
+    def __init__(self, sink: Sink, wanted: Callable[[str], bool]) -> None:
+        """Hand those on to *sink* whose names are *wanted*."""
+        self.parts = sink.parts
+        self._sink = sink
+        self._wanted = wanted
+
+    def write(self, rows: Results) -> None:
+        """Take *rows*."""
+        columns = {
+            name: column
+            for name, column in rows.columns.items()
+            if self._wanted(name)
+        }
+        self._sink.write(replace(rows, columns=columns))
 
 
 class ElapsedTime:

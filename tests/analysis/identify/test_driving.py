@@ -90,3 +90,20 @@ def test_a_turned_accelerometer_is_left_out_and_said(
 
     assert not read.has_accelerometer
     assert any("acceleration_longitudinal" in one for one in read.remarks)
+
+
+def test_a_pressure_that_rests_above_zero_is_released_there(
+    simulated: Callable[..., SimulatedDrive],
+    sampled: Callable[..., Recording],
+    example: tuple[Config, SignalMap],
+) -> None:
+    config, plan = example
+    roles = ("vehicle_speed", "primary_pressure")
+    recording = sampled(simulated("coastdown"), *roles)
+    as_is = driving_of("as it is", recording, config, plan).released()
+    recording.series["primary_pressure"].value[:] += 0.7e5
+
+    shifted = driving_of("shifted", recording, config, plan).released()
+
+    assert as_is.mean() > 0.5
+    assert (shifted == as_is).mean() > 0.99

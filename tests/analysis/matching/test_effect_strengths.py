@@ -179,6 +179,7 @@ def test_corners_with_different_strengths_are_matched_apart(
     assert [one.corners for one in found] == [("FL",), ("FR",)]
 
 
+@pytest.mark.slow
 def test_matched_strengths_become_entries_of_the_file(
     match: Match, extended: Target, tmp_path: Path
 ) -> None:

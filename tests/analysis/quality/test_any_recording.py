@@ -3,13 +3,13 @@
 from collections.abc import Callable
 
 import numpy as np
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from bstm_daemon.analysis.quality.finding import Quality
 from bstm_daemon.analysis.quality.recording import Recording, Series
 from bstm_daemon.report.check import (
-    comparison_plot,
+    comparison_plots,
     quality_json,
     quality_text,
 )
@@ -47,6 +47,7 @@ CHANNELS = st.lists(
 
 @settings(max_examples=60, deadline=None)
 @given(CHANNELS)
+@example([(32, "constant", 1e300, 10.0, 0), (33, "constant", 0.0, 10.0, 0)])
 def test_no_recording_breaks_the_check(
     role_names: list[str],
     judged: Callable[[Recording], Quality],
@@ -70,4 +71,5 @@ def test_no_recording_breaks_the_check(
     assert quality_text(quality)
     assert quality_json(quality)["roles"]
     for comparison in quality.comparisons:
-        assert comparison_plot(comparison, end_s).data
+        (_, over_time), _ = comparison_plots(comparison, end_s)
+        assert over_time.data

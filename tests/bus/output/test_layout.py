@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -113,7 +114,7 @@ def test_signals_do_not_overlap_and_stay_in_the_frame(frame: Frame) -> None:
     assert max(used) < 64
 
 
-def test_document_names_every_frame_with_offset_and_data_ids() -> None:
+def test_document_names_every_frame_with_offset_and_signals() -> None:
     """docs/frames.md is what people implement a receiver from."""
     text = (ROOT / "docs" / "frames.md").read_text(encoding="utf-8")
     rows = {
@@ -122,13 +123,31 @@ def test_document_names_every_frame_with_offset_and_data_ids() -> None:
         if line.startswith("|")
     }
 
+    offsets = text.partition("## Conventions")[0]
     for frame in FRAMES:
-        offset = f"0x{frame.id_offset:02X}"
-        ids = " ".join(f"{data_id:02X}" for data_id in frame.data_ids)
-        assert (frame.name, offset, ids) in rows
+        _, corner, *kind = frame.name.split("_")
+        name = f"BSTM_<corner>_{kind[0]}" if kind else frame.name
+        (row,) = (line for line in offsets.splitlines() if f"`{name}`" in line)
+        assert (
+            f"`0x{frame.id_offset:02X}`{f' {corner}' if kind else ''}" in row
+        )
         for signal in frame.signals:
             place = f"{signal.start}", f"{signal.length}"
             assert any(row[:3] == (signal.name, *place) for row in rows)
+
+
+def test_document_has_the_rule_of_the_data_ids() -> None:
+    text = (ROOT / "docs" / "frames.md").read_text(encoding="utf-8")
+    rule = text.partition("Entry c, counter")[2].partition(". ")[0]
+    masks = [int(mask, 16) for mask in re.findall(r"0x[0-9A-F]{2}", rule)]
+
+    assert len(masks) == 4
+    for frame in FRAMES:
+        for counter, data_id in enumerate(frame.data_ids):
+            expected = frame.id_offset
+            for bit, mask in enumerate(masks):
+                expected ^= mask if counter >> bit & 1 else 0
+            assert data_id == expected
 
 
 def _worst_case_bits(data_bytes: int) -> int:

@@ -1,21 +1,16 @@
 """Live frames: what is refused, and what becomes a sample."""
 
 import math
-import struct
 import subprocess
 import sys
-from collections.abc import Sequence
 from pathlib import Path
-from random import Random
 
 import pytest
 
-from bstm_daemon.bus.signals.decoder import Decoder, Sample
+from bstm_daemon.bus.signals.decoder import Decoder
 from bstm_daemon.bus.signals.reject_reason import RejectReason
 from bstm_daemon.bus.signals.signal_map import compile_signal_map
-from bstm_daemon.config.reading import load_config
 from bstm_daemon.config.sections import BusConfig, SignalConfig
-from bstm_daemon.files import shipped_file
 from bstm_daemon.roles import ROLE_INDEX
 
 DBC = """VERSION ""
@@ -104,32 +99,6 @@ def test_frames_refused_whole_are_told_from_unwanted_ones(
     decoder.decode(0, 256, False, b"", is_remote=True)
     decoder.decode(0, 4, False, payload(1), is_error=True)
     assert decoder.rejected == 3
-
-
-def test_one_pass_gives_the_bits_of_the_general_way() -> None:
-    """Most messages are decoded in one pass, which must not show."""
-    path = shipped_file("config/example_vehicle.toml")
-    config = load_config(path)
-    plan = compile_signal_map(config.bus, config.signals, path.parent, 0.3)
-    quick, general = Decoder(plan), Decoder(plan)
-    ways = [message._plain for message in quick._messages.values()]
-    assert any(way is not None for way in ways)
-    for message in general._messages.values():
-        message._plain = None
-    random = Random(1)  # noqa: S311
-
-    for key, message_plan in plan.messages.items():
-        for _ in range(300):
-            data = random.randbytes(message_plan.length)
-            assert packed(quick.decode(*key, data)) == packed(
-                general.decode(*key, data)
-            )
-    assert quick.counts == general.counts
-    assert quick.counts[RejectReason.OUT_OF_RANGE]
-
-
-def packed(samples: Sequence[Sample]) -> list[tuple[int, bytes]]:
-    return [(role, struct.pack("d", value)) for role, value in samples]
 
 
 def test_limits_are_inclusive(decoder: Decoder) -> None:

@@ -12,6 +12,8 @@ from bstm_daemon.model.heat import observer_rules as rules
 TEXT = (Path(__file__).parents[3] / "docs" / "heat-input.md").read_text(
     encoding="utf-8"
 )
+FLAT = re.sub(r"(?<!\n)\n(?!\n)", " ", TEXT)
+"""Each paragraph in one line."""
 PLACES = {
     "μ": (0,),
     "b'": (1,),
@@ -58,7 +60,7 @@ def test_what_the_table_of_states_says_beside() -> None:
 
 def test_noise_of_a_window() -> None:
     (said,) = re.findall(
-        r"^The noise variance of a window (.*?)\.$", TEXT, re.MULTILINE
+        r"^The noise variance of a window (.*?)\.\n\n", FLAT, re.MULTILINE
     )
     (own, torque, drag, gusts) = numbers(said.replace("m/s²", ""))
 

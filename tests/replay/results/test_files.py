@@ -11,16 +11,25 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
+from bstm_daemon.cli.replay import is_one_of_few
 from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.errors import FileAccessError, LogError, MissingExtraError
 from bstm_daemon.replay.columns import stream_log
 from bstm_daemon.replay.results import (
+    Chosen,
     Results,
     csv_file,
-    has_parquet,
+    require_format,
+)
+from bstm_daemon.replay.results.files import (
+    GROUP_ROWS,
+    TIMESTAMP,
+    mf4_file,
     parquet_file,
 )
-from bstm_daemon.replay.results.files import GROUP_ROWS
+from bstm_daemon.simulation import load_drive, simulate
+from bstm_daemon.simulation.frames import Encoder
+from bstm_daemon.simulation.recorder import write_candump
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -36,7 +45,8 @@ import resource, signal, sys
 from pathlib import Path
 import numpy as np
 from bstm_daemon.errors import FileAccessError
-from bstm_daemon.replay.results import Results, csv_file, parquet_file
+from bstm_daemon.replay.results import Results, csv_file
+from bstm_daemon.replay.results.files import parquet_file
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))
 folder = Path(sys.argv[1])
@@ -58,41 +68,121 @@ def read_csv(path: Path) -> dict[str, npt.NDArray[np.float64]]:
     return dict(zip(names, table.T, strict=True))
 
 
-def test_both_files_hold_the_same(results: Results, tmp_path: Path) -> None:
-    """CSV to its digits, Parquet to the bit; the same names in one order."""
+def steps(name: str) -> tuple[float, float]:
+    """Return how far CSV and the binary files may be from the estimate."""
+    digits = {
+        "_c": (5e-4, 5e-3),
+        "_k": (5e-4, 5e-3),
+        "_ms": (5e-4, 5e-4),
+        **dict.fromkeys(("_w", "_pa", "_n", "_j", "_s"), (0.05, 0.05)),
+        **dict.fromkeys(("thickness_m", "std_m", "loss_m"), (5e-8, 5e-8)),
+        "_kg": (5e-3, 5e-3),
+    }
+    found = (d for end, d in digits.items() if name.endswith(end))
+    return next(found, (5e-4, 5e-4))
+
+
+def test_all_files_hold_the_same(results: Results, tmp_path: Path) -> None:
+    """To their digits; the same names in one order."""
+    from asammdf import MDF  # noqa: PLC0415
     from pyarrow import parquet  # noqa: PLC0415
 
     with (
         csv_file(tmp_path / "r.csv") as text_table,
         parquet_file(tmp_path / "r.parquet") as binary_table,
+        mf4_file(tmp_path / "r.mf4") as measurement,
     ):
         text_table.write(results)
         binary_table.write(results)
+        for stretch in results.stretches():
+            measurement.write(stretch)
 
     text = read_csv(tmp_path / "r.csv")
     table = parquet.read_table(tmp_path / "r.parquet")
-    assert table.column_names == list(text) == list(results.columns)
-    digits = {
-        "_c": 5e-4,
-        "_k": 5e-4,
-        "_ms": 5e-4,
-        "_w": 0.05,
-        "_pa": 0.05,
-        "_n": 0.05,
-        "_j": 0.05,
-        "thickness_m": 5e-8,
-        "std_m": 5e-8,
-        "loss_m": 5e-8,
-        "_s": 0.05,
-        "_kg": 5e-3,
-    }
+    assert list(text) == list(results.columns)
+    assert table.column_names == [TIMESTAMP, *results.columns]
+    with MDF(tmp_path / "r.mf4") as mdf:
+        start_s = mdf.start_time.timestamp()
+        signals = {one.name: one for one in mdf.iter_channels()}
+    assert set(signals) == {*results.columns} - {"time_s"}
     for name, column in results.columns.items():
-        binary = table.column(name).to_numpy()
-        assert np.array_equal(binary, column, equal_nan=True), name
-        near = next(
-            (d for end, d in digits.items() if name.endswith(end)), 5e-4
-        )
+        near, stored = steps(name)
+        # a float of single precision has 24 bits
+        stored += 1e-7 * np.nanmax(np.abs(column), initial=0.0)
+        binary = table.column(name).to_numpy(zero_copy_only=False)
         np.testing.assert_allclose(text[name], column, atol=1.01 * near)
+        np.testing.assert_allclose(binary, column, atol=1.01 * stored)
+        if name == "time_s":
+            continue
+        signal = signals[name]
+        values = signal.samples.astype(float)
+        if signal.invalidation_bits is not None:
+            values[np.asarray(signal.invalidation_bits)] = np.nan
+        np.testing.assert_array_equal(values, binary)
+        at_s = start_s + signal.timestamps
+        np.testing.assert_allclose(at_s, results.columns["time_s"], atol=1e-6)
+
+
+def test_parquet_says_what_its_columns_are(
+    results: Results, tmp_path: Path
+) -> None:
+    from pyarrow import parquet  # noqa: PLC0415
+
+    with parquet_file(tmp_path / "r.parquet") as table:
+        table.write(results)
+
+    file = parquet.ParquetFile(tmp_path / "r.parquet")
+    schema = file.schema_arrow
+    assert schema.metadata[b"program"].startswith(b"bstm-daemon ")
+    assert [
+        (name, str(schema.field(name).type), schema.field(name).metadata)
+        for name in ("time_s", "FL.disc_c", "FL.validity", "risk_level")
+    ] == [
+        ("time_s", "double", {b"unit": b"s"}),
+        ("FL.disc_c", "float", {b"unit": b"degC"}),
+        ("FL.validity", "int16", {b"unit": b""}),
+        ("risk_level", "int16", {b"unit": b""}),
+    ]
+    assert str(schema.field(TIMESTAMP).type) == "timestamp[us, tz=UTC]"
+    first = file.read([TIMESTAMP]).column(0)[0].as_py().timestamp()
+    assert first == pytest.approx(results.columns["time_s"][0], abs=1e-6)
+    group = file.metadata.row_group(0)
+    encodings = {
+        group.column(i).path_in_schema: group.column(i).encodings
+        for i in range(group.num_columns)
+    }
+    assert "BYTE_STREAM_SPLIT" in encodings["FL.disc_c"]
+    assert "DELTA_BINARY_PACKED" in encodings["flags"]
+
+
+def test_a_temperature_has_no_digits_of_its_unit(tmp_path: Path) -> None:
+    """284.45 K less 273.15 is 11.300000000000011 in double precision."""
+    from pyarrow import parquet  # noqa: PLC0415
+
+    columns = {"time_s": np.zeros(1), "FL.disc_c": np.array([284.45 - 273.15])}
+    with parquet_file(tmp_path / "r.parquet") as table:
+        table.write(Results(columns, ("FL",), ("FL",)))
+
+    (cell,) = parquet.read_table(tmp_path / "r.parquet").column("FL.disc_c")
+    assert str(np.float32(cell.as_py())) == "11.3"
+
+
+@pytest.mark.slow
+@pytest.mark.full
+def test_85_minutes_of_parquet_are_small(tmp_path: Path, car: Path) -> None:
+    """19.7 MB in double precision; the log takes as much."""
+    path = tmp_path / "simalp.log"
+    encoder = Encoder(car.parents[1] / "dbc" / "example_vehicle.dbc")
+    write_candump(path, simulate(load_drive("simalp"), sensors="n2"), encoder)
+    with (
+        parquet_file(tmp_path / "all") as table,
+        parquet_file(tmp_path / "few") as few,
+    ):
+        chosen = Chosen(few, is_one_of_few)
+        stream_log(*load_vehicle(car), path, [table, chosen])
+
+    assert (tmp_path / "all").stat().st_size < 4_000_000
+    assert (tmp_path / "few").stat().st_size < 2_000_000
 
 
 def test_csv_has_an_empty_cell_for_what_is_not_there(
@@ -130,7 +220,8 @@ def test_parquet_without_pyarrow(
     """The extra is named; nothing is written."""
     monkeypatch.setitem(sys.modules, "pyarrow", None)
 
-    assert not has_parquet()
+    with pytest.raises(MissingExtraError):
+        require_format("parquet")
     with (
         pytest.raises(MissingExtraError, match=r"bstm-daemon\[parquet\]"),
         parquet_file(tmp_path / "r.parquet"),
@@ -184,7 +275,10 @@ def test_results_without_a_row_are_columns(tmp_path: Path) -> None:
 
     assert (tmp_path / "r.csv").read_text() == "time_s,speed_ms,FL.disc_c\n"
     table = parquet.read_table(tmp_path / "r.parquet")
-    assert (len(table), table.column_names) == (0, list(results.columns))
+    assert (len(table), table.column_names) == (
+        0,
+        [TIMESTAMP, *results.columns],
+    )
 
 
 def _begin_and_fail(

@@ -1,0 +1,58 @@
+"""``bstm bridge mqtt``: the feed, published to an MQTT broker."""
+
+from __future__ import annotations
+
+import signal
+from pathlib import Path
+from threading import Event
+from typing import TYPE_CHECKING
+
+from bstm_daemon.cli.arguments import add_path
+from bstm_daemon.config.reading import load_section
+from bstm_daemon.errors import UsageError, require_packages
+from bstm_daemon.feed.reader import DEFAULT_SOCKET, records
+from bstm_daemon.files import read_secret
+
+if TYPE_CHECKING:
+    import argparse
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the kind of bridge, the feed and the broker."""
+    parser.add_argument("kind", choices=["mqtt"], help="kind of broker")
+    what = "mqtts://HOST[:PORT], or mqtt:// without TLS; default: of FILE"
+    parser.add_argument("--broker", metavar="URL", help=what)
+    what = "TOML with broker, username, password, ca_file, cert_file, key_file"
+    add_path(parser, "--credentials", "FILE", what)
+    what = f"socket of the live service (default: {DEFAULT_SOCKET})"
+    add_path(parser, "--feed", "SOCKET", what)
+    what = "seconds between two publications (default: 1; 0 is all)"
+    parser.add_argument(
+        "--every", type=float, default=1.0, metavar="S", help=what
+    )
+    what = "announce the values to Home Assistant (default: homeassistant)"
+    parser.add_argument(
+        "--discovery", nargs="?", const="homeassistant", help=what
+    )
+    parser.set_defaults(verbosity_offset=1)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Publish until SIGTERM or SIGINT."""
+    require_packages("paho", extra="mqtt", purpose="bstm bridge mqtt")
+    from bstm_daemon.feed.mqtt import MqttFile, run_bridge  # noqa: PLC0415
+
+    credentials = MqttFile()
+    if args.credentials is not None:
+        read_secret(args.credentials)
+        credentials = load_section(args.credentials, MqttFile)
+    url = args.broker or credentials.broker
+    if url is None:
+        msg = "bridge mqtt: needs --broker, or 'broker' in --credentials FILE"
+        raise UsageError(msg)
+    stop = Event()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda *_: stop.set())
+    feed = records(args.feed or Path(DEFAULT_SOCKET), stop)
+    run_bridge(feed, url, credentials, args.every, args.discovery)
+    return 0

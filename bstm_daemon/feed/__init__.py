@@ -1,0 +1,1 @@
+"""Estimates for readers beside the bus: local feed, live page, MQTT bridge."""
