@@ -31,6 +31,7 @@ FLOORS = (
     ("analysis",),
     ("exchange", "watch"),
     ("report",),
+    ("fleet",),
     ("api", "cli"),
 )
 """The entries of the package, from the ground up. An entry imports from floors
@@ -81,8 +82,8 @@ FORBIDDEN = {
 physics with the estimator; physics, estimate and what follows from it know
 no CAN."""
 
-MOST_ENTRIES = 27
-MOST_ARROWS = 140
+MOST_ENTRIES = 28
+MOST_ARROWS = 151
 
 
 def modules() -> dict[str, Path]:

@@ -16,7 +16,7 @@ ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 PAGES = sorted(DOCS.glob("**/*.md"))
 GUIDES = (
-    *("tutorial", "how-to", "identify", "matching", "signal-quality"),
+    *("tutorial", "how-to", "identify", "matching", "signal-quality", "gap"),
     *("python", "live", "observing"),
 )
 """Pages for users; what was tested is on the pages of evidence."""

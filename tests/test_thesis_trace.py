@@ -17,7 +17,7 @@ ROOT: Final = Path(__file__).resolve().parents[1]
 PACKAGE: Final = ROOT / "bstm_daemon"
 DOCUMENT: Final = "\n".join(
     (ROOT / name).read_text(encoding="utf-8")
-    for name in ("docs/thesis.md", "tests/thesis_sections.md")
+    for name in ("docs/thesis.md", "tests/thesis_trace.md")
 )
 
 EQUATIONS: Final = [

@@ -7,6 +7,8 @@
 from __future__ import annotations
 
 import argparse
+from contextlib import suppress
+from math import isclose, isfinite, nan
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -22,6 +24,9 @@ LOG_ENDINGS: Final = frozenset(
         *(".vbo", ".xrk", ".xrz", ".parquet", ".h5", ".hdf5"),
     }
 )
+
+
+PUBLICATION_S = 0.1
 
 
 def add_path(
@@ -85,6 +90,26 @@ def add_no_forecast(parser: argparse.ArgumentParser) -> None:
         action="store_false",
         help="leave out risk and forecast",
     )
+
+
+def add_every(parser: argparse.ArgumentParser) -> None:
+    """Add ``--every S``, a whole number of publications."""
+    parser.add_argument(
+        "--every",
+        type=_every_s,
+        default=PUBLICATION_S,
+        metavar="S",
+        help="seconds from row to row of the files, a multiple of 0.1 "
+        "(default: 0.1)",
+    )
+
+
+def finite(text: str) -> float:
+    """Return *text* as a finite number, nan where it is none."""
+    with suppress(ValueError):
+        number = float(text)
+        return number if isfinite(number) else nan
+    return nan
 
 
 def add_bus_map(parser: argparse.ArgumentParser) -> None:
@@ -193,6 +218,15 @@ def check_new(target: Path | None, *, force: bool) -> None:
     if target is not None and target.exists() and not force:
         msg = f"{target}: exists already, give --force to replace it"
         raise UsageError(msg)
+
+
+def _every_s(text: str) -> float:
+    seconds = finite(text)
+    tenths = seconds / PUBLICATION_S
+    if not (seconds > 0.0 and isclose(tenths, round(tenths), abs_tol=1e-6)):
+        msg = f"{text!r} is not a positive multiple of {PUBLICATION_S} s"
+        raise argparse.ArgumentTypeError(msg)
+    return seconds
 
 
 def _interface_and_bus(text: str) -> tuple[str, str]:

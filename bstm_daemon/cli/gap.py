@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 from bstm_daemon.analysis.gap.advising import MENU
 from bstm_daemon.analysis.gap.heat_only import find_force_gap
@@ -14,7 +14,8 @@ from bstm_daemon.analysis.gap.workflow import (
     advise_before,
     find_gap,
 )
-from bstm_daemon.analysis.identify.writing import adopt
+from bstm_daemon.analysis.identify.writing import Entries, write_changed
+from bstm_daemon.analysis.matching.learned import entry_of
 from bstm_daemon.cli.log_command import (
     add_log_arguments,
     heading,
@@ -33,11 +34,11 @@ from bstm_daemon.replay.columns import present_roles
 from bstm_daemon.report.gap import (
     adopted_text,
     advice_lines,
-    force_text,
     gap_text,
     no_advice_line,
     remarks_on,
 )
+from bstm_daemon.report.gap_forces import force_text
 from bstm_daemon.report.gap_json import advice_json, force_json, gap_json
 from bstm_daemon.report.gap_page import force_page, gap_page
 from bstm_daemon.simulation import drive_names
@@ -55,6 +56,13 @@ if TYPE_CHECKING:
 
 WRITERS = ("adopt", "show", "run")
 """Steps that fit what they name, so that it can be written."""
+
+FAILED: Final = 1
+
+NOT_MATCHED: Final = (
+    "not matched: names are not given; run bstm match on drives without the "
+    "fault, or give --anyway"
+)
 
 SHOWERS = ("show", "run")
 """Steps that show before and after."""
@@ -85,6 +93,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="drives not used for fitting, for before and after",
     )
     parser.add_argument(
+        "--anyway",
+        action="store_true",
+        help="name effects though no bstm match is in the configuration",
+    )
+    parser.add_argument(
+        "--form",
+        action="store_true",
+        help="also name what the model lacked already when it was matched, "
+        "not only what is new since",
+    )
+    parser.add_argument(
         "--menu",
         nargs="+",
         default=list(MENU),
@@ -111,16 +130,17 @@ def run(args: argparse.Namespace) -> int:
     """
     logs = _check(args)
     config, signal_map = open_vehicle(args, logs)
+    code = 0
     if args.logs:
         recordings = _read(args, args.logs, config, signal_map)
         held_out = _read(args, args.holdout, config, signal_map)
         by_forces = not any(one.drive.measured for one in recordings)
         search = _by_forces if by_forces else _by_temperatures
-        lines = search(args, config, recordings, held_out)
+        lines, code = search(args, config, recordings, held_out)
     else:
         lines = _before_any_drive(args, config, signal_map)
     print("\n".join(lines))
-    return 0
+    return code
 
 
 def _by_temperatures(
@@ -128,8 +148,8 @@ def _by_temperatures(
     config: Config,
     recordings: list[Recording],
     held_out: list[Recording],
-) -> list[str]:
-    """Search by thermocouples; return the lines to print."""
+) -> tuple[list[str], int]:
+    """Search by thermocouples; return the lines to print and the result."""
     lines = [
         f"{one.name}: no measured temperature, left out"
         for one in (*recordings, *held_out)
@@ -147,6 +167,16 @@ def _by_temperatures(
         mode = config.heat.mode
         check_heat_inputs(one.name, one.drive.roles, one.present, mode)
     until = "show" if args.step == "run" else args.step
+    if args.form:
+        bare = [one.model_copy(update={"form": {}}) for one in config.matched]
+        config = config.model_copy(update={"matched": bare})
+    unmatched = (
+        until != "locate"
+        and not args.anyway
+        and _unmatched(config, recordings)
+    )
+    if unmatched:
+        until = "locate"
     with Progress("gap") as progress:
         gaps = find_gap(
             config,
@@ -159,16 +189,30 @@ def _by_temperatures(
     names = ", ".join(one.name for one in recordings)
     remarks = remarks_on(config)
     lines += [heading(args, config, names), *remarks]
+    if unmatched:
+        lines.append(NOT_MATCHED)
     for gap in gaps:
         lines.append(gap_text(gap))
         if args.step == "advise" and not gap.advice:
             lines.append(f"  {no_advice_line(gap)}")
-    return lines + _written(
+    lines += _written(
         args,
         (names, config.vehicle.id),
         [gap_json(gap) for gap in gaps],
         gaps,
         lambda subtitle: gap_page(gaps, subtitle, remarks),
+    )
+    failed = unmatched or any(gap.worse for gap in gaps)
+    return lines, FAILED if failed else 0
+
+
+def _unmatched(config: Config, recordings: Sequence[Recording]) -> bool:
+    """Whether any corner with a thermocouple was not matched."""
+    measured = {one for each in recordings for one in each.drive.measured}
+    return any(
+        entry_of(config, corner.name) is None
+        for corner in config.disc_corners()
+        if corner.name in measured
     )
 
 
@@ -177,8 +221,8 @@ def _by_forces(
     config: Config,
     recordings: list[Recording],
     held_out: list[Recording],
-) -> list[str]:
-    """Search by pressure against motion; return the lines to print."""
+) -> tuple[list[str], int]:
+    """Search by pressure against motion; return lines and the result."""
     if args.step in {"locate", "advise"}:
         msg = (
             f"gap {args.step}: no measured temperature in these logs (roles "
@@ -195,7 +239,7 @@ def _by_forces(
         progress.show(0.1)
         gap = find_force_gap(config, recordings, held_out)
     names = ", ".join(one.name for one in recordings)
-    return [
+    lines = [
         heading(args, config, names),
         force_text(gap),
         *_written(
@@ -206,6 +250,7 @@ def _by_forces(
             lambda subtitle: force_page(gap, subtitle),
         ),
     ]
+    return lines, FAILED if gap.worse else 0
 
 
 def _before_any_drive(
@@ -311,8 +356,16 @@ def _written(
     lines = write_results(args, subtitle, lambda: result, page)
     if args.out is None:
         return lines
-    effects = [effect for gap in gaps for effect in gap.effects()]
-    if not effects:
+    if not any(gap.adopted for gap in gaps):
         return [f"nothing to adopt: {args.out} not written", *lines]
-    adopt(args.config, args.out, effects)
+    if any(gap.worse for gap in gaps) and not args.force:
+        why = "it does not make the gap smaller (--force writes it)"
+        return [f"{args.out} not written: {why}", *lines]
+    entries = Entries(
+        [one for gap in gaps for one in gap.entries.effects],
+        [one for gap in gaps for one in gap.entries.changes],
+        [one for gap in gaps for one in gap.entries.matched],
+    )
+    values = [one for gap in gaps for one in gap.values]
+    write_changed(args.config, args.out, values, "bstm gap", "", entries)
     return [f"{args.out}: {adopted_text(gaps)}", *lines]

@@ -6,8 +6,11 @@ import time
 from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
-from bstm_daemon.analysis.identify.writing import write_changed
-from bstm_daemon.analysis.matching.changes import changes_of
+from bstm_daemon.analysis.gap.form import with_form
+from bstm_daemon.analysis.gap.recording import read_recording
+from bstm_daemon.analysis.gap.workflow import compare
+from bstm_daemon.analysis.identify.writing import Entries, write_changed
+from bstm_daemon.analysis.matching.changes import changes_of, learned
 from bstm_daemon.analysis.matching.coarse import guesses_of
 from bstm_daemon.analysis.matching.workflow import match_logs
 from bstm_daemon.cli.log_command import (
@@ -27,6 +30,10 @@ from bstm_daemon.report.match import (
 
 if TYPE_CHECKING:
     import argparse
+
+    from bstm_daemon.analysis.matching.matcher import Match
+    from bstm_daemon.bus.signals.signal_map import SignalMap
+    from bstm_daemon.config.estimates import MatchedConfig
 
 
 PART_MISSING: Final = 1
@@ -86,7 +93,10 @@ def run(args: argparse.Namespace) -> int:
         if (one.section, one.key, one.corner) not in places
     ]
     if args.out is not None:
-        write_changed(args.config, args.out, changes, origin, verdict)
+        write_changed(
+            *(args.config, args.out, changes, origin, verdict),
+            Entries(matched=_learned(args, matches, signal_map)),
+        )
         print(f"{args.out}: {len(changes)} values")
     for line in write_results(
         args,
@@ -100,3 +110,22 @@ def run(args: argparse.Namespace) -> int:
     ):
         print(line)
     return PART_MISSING if any(match.verdict for match in matches) else 0
+
+
+def _learned(
+    args: argparse.Namespace, matches: list[Match], signal_map: SignalMap
+) -> list[MatchedConfig]:
+    """Return what *matches* hand on, with what their form lacks."""
+    found = []
+    for match in matches:
+        known = learned(match)
+        config = match.after.config.model_copy(update={"matched": [known]})
+        target = replace(match.after, config=config)
+        with Progress("form") as progress:
+            recordings = [
+                read_recording(log, config, signal_map, dict(args.map))
+                for log in args.logs
+            ]
+            comparison = compare(target, recordings)
+            found.append(with_form(known, comparison, progress.show))
+    return found

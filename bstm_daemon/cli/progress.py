@@ -33,15 +33,20 @@ class Progress:
         self._is_terminal = self._stream.isatty()
         self._drawn_at_s = -_REDRAW_S
 
-    def show(self, fraction: float) -> None:
-        """Draw that *fraction* (0 to 1) is done, at most every 0.1 s."""
+    def show(self, fraction: float, detail: str = "") -> None:
+        """Draw that *fraction* (0 to 1) is done, at most every 0.1 s.
+
+        *detail* stands behind it.
+        """
         if not self._is_terminal:
             return
         now_s = time.monotonic()
         if now_s - self._drawn_at_s < _REDRAW_S:
             return
         self._drawn_at_s = now_s
-        self._write(f"{_ERASE_LINE}{self._label} {fraction:4.0%}")
+        self._write(
+            f"{_ERASE_LINE}{self._label} {fraction:4.0%} {detail}".rstrip()
+        )
 
     def part(self, begin: float, end: float) -> Callable[[float], None]:
         """Return :meth:`show` for a part of the work, *begin* to *end*."""

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import sys
 from argparse import ArgumentTypeError
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from functools import partial
-from math import isclose, isfinite, isinf, nan
+from math import isinf
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,11 +17,13 @@ from bstm_daemon.bus.tables.table_plan import TableMap
 from bstm_daemon.cli.arguments import (
     add_bus_map,
     add_config,
+    add_every,
     add_no_forecast,
     add_out,
     add_path,
     add_report,
     check_targets,
+    finite,
     refuse_overwriting,
 )
 from bstm_daemon.cli.log_command import write_pages
@@ -43,6 +45,7 @@ from bstm_daemon.replay.results import (
     Collector,
     Part,
     Sink,
+    is_one_of_few,
     require_format,
 )
 from bstm_daemon.report.drive_curves import DriveCurves
@@ -50,6 +53,7 @@ from bstm_daemon.report.drive_statistics import DriveStatistics
 from bstm_daemon.report.replay_page import ReplayFacts, replay_page
 from bstm_daemon.report.screen import summary_table
 from bstm_daemon.report.timescale import clock
+from bstm_daemon.service.state_file import encode, save
 from bstm_daemon.terminal_text import raw_stream
 from bstm_daemon.watch.board import Board
 from bstm_daemon.watch.replay_view import DEFAULT_SPEED, watch_log
@@ -63,8 +67,6 @@ if TYPE_CHECKING:
     from bstm_daemon.config.sections import Config
     from bstm_daemon.replay.columns import StartState
 
-
-PUBLICATION_S = 0.1
 
 WEAR_MOVED_K = 5.0
 """Wear that moves the estimate by more is worth a line."""
@@ -88,14 +90,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="columns of these files: all, or speed, temperatures, margin, "
         "risk and validity (default: %(default)s)",
     )
-    parser.add_argument(
-        "--every",
-        type=_every_s,
-        default=PUBLICATION_S,
-        metavar="S",
-        help="seconds from row to row of these files, a multiple of 0.1 "
-        "(default: 0.1)",
-    )
+    add_every(parser)
     what = "write the frames that the daemon would send as a candump log"
     add_path(parser, "--publish", "OUT.log", what)
     start = parser.add_mutually_exclusive_group()
@@ -109,6 +104,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     what = "state file of the daemon to start from; it is only read"
     start.add_argument("--state", type=Path, metavar="FILE", help=what)
+    what = "write the state at the end of the log, for the drive after it"
+    add_path(parser, "--state-out", "FILE", what)
     parser.add_argument(
         "--watch",
         action="store_true",
@@ -139,7 +136,7 @@ def run(args: argparse.Namespace) -> int:
         state = read_state(args.state, "--state")
     if args.out is not None:
         make_folder(args.out)
-    check_targets((args.publish, args.report), ())
+    check_targets((args.publish, args.report, args.state_out), ())
     for path, stem in zip(args.logs, stems, strict=True):
         published = partial(
             publications,
@@ -180,7 +177,9 @@ def _replay(
     """
     config, signal_map = vehicle
     drawn = bool(args.report or args.figures)
-    statistics, curves = DriveStatistics(), DriveCurves()
+    # a state has the forecast's memory, whatever else is written
+    parts = Part.ALL if args.state_out else Part.VALIDITY
+    statistics, curves = DriveStatistics(parts), DriveCurves()
     worn = Collector(Part.NONE)
     # whole tables or none: all are replaced when the last row is written
     with Progress(f"replay {path.name}") as progress, ExitStack() as files:
@@ -218,6 +217,9 @@ def _replay(
     lines = [*remarks, *(f"{one}: {log_run.rows} rows" for one in targets)]
     for line in lines:
         print(line)
+    if args.state_out is not None:
+        save(args.state_out, encode(log_run.state))
+        print(args.state_out)
     facts = ReplayFacts(
         title=f"Brake temperatures: {path.name}",
         log=path.name,
@@ -249,12 +251,12 @@ def _vehicle(args: argparse.Namespace) -> tuple[Config, SignalMap]:
 
 def _check_targets(args: argparse.Namespace, stems: list[str]) -> None:
     """Refuse targets that would overwrite each other or what is read."""
-    if len(args.logs) > 1 and (
-        args.publish or args.report or args.figures or args.watch or args.state
-    ):
+    written = args.publish, args.report, args.state_out
+    of_one = *written, args.figures, args.watch, args.state
+    if len(args.logs) > 1 and any(of_one):
         msg = (
-            "--publish, --report, --figures, --state and --watch take one LOG "
-            "at a time"
+            "--publish, --report, --figures, --watch, --state and --state-out "
+            "take one LOG at a time"
         )
         raise UsageError(msg)
     if args.out is not None and len(set(stems)) < len(stems):
@@ -267,7 +269,7 @@ def _check_targets(args: argparse.Namespace, stems: list[str]) -> None:
         if args.out is not None
     ]
     sources = (args.config, args.state, *args.logs)
-    refuse_overwriting((args.publish, args.report, *tables), sources)
+    refuse_overwriting((*written, *tables), sources)
 
 
 def _start_remarks(start: str, known_s: float) -> list[str]:
@@ -319,12 +321,6 @@ def _remarks(
         if log_run.counts[key]:
             remarks.append(f"{text}: {log_run.counts[key]}")
     return remarks
-
-
-def is_one_of_few(name: str) -> bool:
-    """Whether the column *name* is one that a collection of drives needs."""
-    ends = ("_c", "margin_k", "risk", "risk_now", "risk_level", "validity")
-    return name in {"time_s", "speed_ms"} or name.endswith(ends)
 
 
 def _is_published(name: str) -> bool:
@@ -388,26 +384,9 @@ def _stem(path: Path) -> str:
     return Path(path.name.removesuffix(".gz")).stem
 
 
-def _number(text: str) -> float:
-    """Return *text* as a finite number, nan where it is none."""
-    with suppress(ValueError):
-        number = float(text)
-        return number if isfinite(number) else nan
-    return nan
-
-
 def _speed(text: str) -> float:
-    speed = _number(text)
+    speed = finite(text)
     if not speed >= 0.0:
         msg = f"{text!r} is not a factor of 0 or more"
         raise ArgumentTypeError(msg)
     return speed
-
-
-def _every_s(text: str) -> float:
-    seconds = _number(text)
-    tenths = seconds / PUBLICATION_S
-    if not (seconds > 0.0 and isclose(tenths, round(tenths), abs_tol=1e-6)):
-        msg = f"{text!r} is not a positive multiple of {PUBLICATION_S} s"
-        raise ArgumentTypeError(msg)
-    return seconds

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 from datetime import date  # noqa: TC003  (pydantic resolves it at run time)
 from math import sqrt
-from typing import Annotated, Final, Literal
+from typing import Annotated, Any, Final, Literal
 
 from pydantic import Field
 
@@ -14,6 +14,7 @@ from bstm_daemon.config.section import (
     NotNegative,
     Positive,
     Section,
+    Text,
     require,
 )
 
@@ -68,6 +69,65 @@ class AccuracyConfig(Section):
     def drift_beyond_usual_k(self) -> float:
         """Return the drift beyond that of a usual thermocouple, sd [K]."""
         return sqrt(max(self.thermocouple_drift_k**2 - USUAL_DRIFT_K**2, 0.0))
+
+
+class MatchedConfig(Section):
+    """``[[matched]]``: what ``bstm match`` learned of corners that are alike.
+
+    `bstm gap` takes it as prior and noise. A value that was edited since
+    counts as never matched.
+    """
+
+    corners: list[Text]
+    """corners that were matched together"""
+    names: list[Text]
+    """the fitted values, as dotted keys"""
+    values: list[Positive]
+    """what they were then; of the cooling table its S at that speed"""
+    factor: list[list[float]]
+    """lower Cholesky factor of the covariance of their logarithms, row by
+    row, each as long as its number"""
+    form_k: dict[str, NotNegative] = {}
+    """error that the fit itself left, by node: the form of the model"""
+    form_share: dict[str, NotNegative] = {}
+    """likewise, share of the rise above the air, in quadrature"""
+    form: dict[str, float] = {}
+    """the same in terms of the catalogue: how far values and strengths of
+    effects and heats would lie off, were the form theirs"""
+    drives: Annotated[int, Field(ge=1)] = 1
+    """number of drives that were fitted"""
+    left_out: str = ""
+    """drives that were left out in turn, to judge the fit"""
+
+    def _check(self) -> None:
+        count = len(self.names)
+        require(
+            len(self.values) == count == len(self.factor)
+            and all(len(row) == i + 1 for i, row in enumerate(self.factor)),
+            "'names', 'values' and 'factor' need the same length, row i of "
+            "'factor' i numbers",
+        )
+        require(
+            all(row[-1] > 0.0 for row in self.factor),
+            "the last number of each row of 'factor' must be above 0",
+        )
+
+
+class ChangeConfig(Section):
+    """``[[change]]``: a value of this car that changed since its match.
+
+    The values themselves stand where they always do; this says which of them
+    moved, when and why.
+    """
+
+    name: Text
+    """what changed"""
+    corner: Literal["FL", "FR", "RL", "RR", "all"] = "all"
+    """one corner, or all"""
+    factor: Positive
+    """the value over that of the match"""
+    provenance: dict[str, Any] = {}
+    """where it comes from; kept, not used"""
 
 
 class FluidConfig(Section):

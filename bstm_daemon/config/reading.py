@@ -52,7 +52,7 @@ def load_config(path: Path) -> Config:
 
     """
     with naming_file(path):
-        document = with_ignored_buses(_read(path))
+        document = with_ignored_buses(read_toml(path))
         _, problems = draft_of(document)
         if problems:
             raise ConfigError(problems)
@@ -69,7 +69,7 @@ def load_section(path: Path, model: type[S]) -> S:
     """
     problems: list[str] = []
     with naming_file(path):
-        section = _validated(_read(path), model, "", problems)
+        section = _validated(read_toml(path), model, "", problems)
         if section is None:
             raise ConfigError([problem.strip() for problem in problems])
     return section
@@ -83,7 +83,7 @@ def read_draft(path: Path) -> tuple[Draft, list[str]]:
         ConfigError: It is not TOML, or beyond a limit.
 
     """
-    return draft_of(with_ignored_buses(_read(path)))
+    return draft_of(with_ignored_buses(read_toml(path)))
 
 
 def draft_of(document: dict[str, Any]) -> tuple[Draft, list[str]]:
@@ -132,7 +132,13 @@ def naming_file(path: Path) -> Iterator[None]:
         raise ConfigError(lines) from error
 
 
-def _read(path: Path) -> dict[str, Any]:
+def read_toml(path: Path) -> dict[str, Any]:
+    """Return the document of the TOML file *path*.
+
+    Raises:
+        FileAccessError: it is missing or unreadable.
+        ConfigError: it is no TOML, or beyond the limits.
+    """
     try:
         text = read_limited(path, TOML_BYTES).decode("utf-8")
     except OSError as error:

@@ -16,8 +16,10 @@ from pydantic import Discriminator, Field, Tag, model_validator
 from bstm_daemon.config.estimates import (
     AccuracyConfig,
     AdviceConfig,
+    ChangeConfig,
     FluidConfig,
     ForecastConfig,
+    MatchedConfig,
     WearConfig,
 )
 from bstm_daemon.config.heat import HeatConfig, automatic_mode
@@ -433,9 +435,8 @@ class CornerConfig(Section):
             pad_m2, swept_m2 = self.pad.area_m2, self.disc.swept_area_m2
             require(
                 2.0 * pad_m2 <= swept_m2,
-                f"both pads, 2 x 'pad.area_m2' = {2.0 * pad_m2:g}, must be "
-                f"at most 'disc.swept_area_m2' = {swept_m2:g}, both faces "
-                "together",
+                f"2 pads x 'pad.area_m2' = {2.0 * pad_m2:g}, must be at most "
+                f"'disc.swept_area_m2' = {swept_m2:g}, both faces together",
             )
 
 
@@ -463,11 +464,13 @@ class Config(Section):
     thermal: ThermalConfig = ThermalConfig()
     cooling: CoolingConfig = CoolingConfig()
     accuracy: AccuracyConfig = AccuracyConfig()
+    matched: list[MatchedConfig] = []
     heat: HeatConfig = HeatConfig()
     fluid: FluidConfig = FluidConfig()
     wear: WearConfig = WearConfig()
     forecast: ForecastConfig = ForecastConfig()
     effect: list[EffectConfig] = []
+    change: list[ChangeConfig] = []
     publish: PublishConfig = PublishConfig()
     advice: AdviceConfig = AdviceConfig()
     e2e: list[E2eConfig] = []

@@ -57,6 +57,8 @@ class SavedState(Saved):
     start_bound: dict[str, dict[str, Number]] = {}
     history_left_us: Number = 0.0
     """Of a file without ``start_bound``: above 0 where no start is known."""
+    drove_unseen: Flag = False
+    """Whether the car was driven after it, nobody knows how."""
     ambient_k: Number | None = None
     corners: dict[str, dict[str, Number]]
     samples: Document
@@ -65,6 +67,21 @@ class SavedState(Saved):
     trust: Document | None = None
     unseen: Document | None = None
     speed_ms: Number = 0.0
+
+
+def after_unseen_drive(document: Mapping[str, Any]) -> Document:
+    """Return the state *document* of a car that was driven unseen since.
+
+    What was learned of the car and its wear stay; how hot its brakes are is
+    unknown, and so is when the drive ended.
+    """
+    unknown: Document = {"wall_us": None, "start_bound": {}}
+    return {
+        **document,
+        **unknown,
+        "history_left_us": 1.0,
+        "drove_unseen": True,
+    }
 
 
 class SavedSamples(Saved):

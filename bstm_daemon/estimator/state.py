@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from math import isfinite, nan
 from typing import TYPE_CHECKING, Any, Final
 
-from bstm_daemon.channels import CHANNELS
+from bstm_daemon.channels import CHANNELS, FLAGS
 from bstm_daemon.estimator.blocks import channels_at_rest
 from bstm_daemon.estimator.corner_model import compile_corner
 from bstm_daemon.estimator.estimator import STEP_US, Estimator
@@ -200,6 +200,8 @@ def resume_state(
     restored = restore_state(estimator, document, resume=resume)
     if restored.resumed:
         return restored
+    if saved.drove_unseen:
+        estimator.open_flags |= FLAGS["driven_unseen"]
     air_k = saved.ambient_k
     if air_k is None or not LOWEST_K < air_k < HIGHEST_K:
         air_k = estimator.air_k()

@@ -1,1 +1,1 @@
-"""The model for other tools: as an FMU, as a readable graph."""
+"""The model for other tools, as an FMU."""

@@ -24,7 +24,11 @@ from bstm_daemon.errors import LogError, UsageError
 from bstm_daemon.estimator.corner_estimates import corner_estimates
 from bstm_daemon.estimator.estimator import PUBLISH_US, Estimator
 from bstm_daemon.estimator.memory import StateError
-from bstm_daemon.estimator.state import parked_before_us, resume_state
+from bstm_daemon.estimator.state import (
+    export_state,
+    parked_before_us,
+    resume_state,
+)
 from bstm_daemon.estimator.validity import HIGHEST_K, LOWEST_K
 from bstm_daemon.forecast.monitor import RiskMonitor
 from bstm_daemon.model.risk.boiling import wet_boiling_point_k
@@ -63,7 +67,8 @@ class Run:
     is set for a gzip file without its end. ``start_known_s`` is the time
     after the first estimate from which on the start has no effect any more,
     0 where it was known and infinite where it stays unknown. ``rows`` are
-    those of the sinks.
+    those of the sinks. ``state`` is the document of a state file, at the
+    log's last sample.
     """
 
     lines: int
@@ -74,6 +79,7 @@ class Run:
     truncated: bool
     start_known_s: float
     rows: int
+    state: dict[str, Any]
 
 
 @dataclass(frozen=True)
@@ -147,7 +153,7 @@ def stream_log(  # noqa: PLR0913
     """
     log = EventLog(path, signal_map, overrides)
     present = present_roles(signal_map)
-    cold = state == "cold"
+    begin, cold = state, state == "cold"
     air_k = first_air_k(signal_map, path, overrides) if cold else None
     parts = {part for sink in (*sinks, *summaries) for part in sink.parts}
     estimator = Estimator(
@@ -197,7 +203,34 @@ def stream_log(  # noqa: PLR0913
         log.reader.truncated,
         start.known_s,
         builders[0].rows,
+        _state_after(begin, estimator, monitor, advice),
     )
+
+
+def _state_after(
+    begin: StartState,
+    estimator: Estimator,
+    monitor: RiskMonitor | None,
+    advice: AdviceSeries,
+) -> dict[str, Any]:
+    """Return what the daemon would save, its clock being that of the log.
+
+    What only a forecast follows is taken over from *begin* without one, but
+    for the levels and the advice: those are of the time then.
+    """
+    document = {
+        "counters": {},
+        "model_check": estimator.model_check.export(),
+        **export_state(estimator),
+    }
+    clocks = {"boot_id": None, "boot_us": 0, "wall_error_us": 0}
+    document |= clocks | {"wall_us": document["time_us"]}
+    if monitor is not None:
+        document["advice"] = advice.advisor.export()
+        document["risk"] = monitor.export()
+    elif isinstance(begin, Mapping) and isinstance(begin.get("risk"), dict):
+        document["risk"] = begin["risk"] | {"levels": {}}
+    return document
 
 
 def _resume(

@@ -102,10 +102,9 @@ class DriveSummary:
 class DriveStatistics:
     """A sink that keeps what a summary needs; columns may be missing."""
 
-    parts = Part.VALIDITY
-
-    def __init__(self) -> None:
-        """Begin without rows."""
+    def __init__(self, parts: Part = Part.VALIDITY) -> None:
+        """Begin without rows; they shall have *parts*."""
+        self.parts = parts
         self.rows = 0
         self._start_s = 0.0
         self._time = ElapsedTime()

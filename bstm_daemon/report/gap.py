@@ -6,8 +6,15 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from bstm_daemon.analysis.gap.changes import (
+    factor_of,
+    is_change,
+    largest,
+    name_of,
+    said,
+    said_percent,
+)
 from bstm_daemon.analysis.gap.holdout_comparison import (
-    ADOPTED,
     BASELINES,
     CONFIGURED,
     EXTENDED,
@@ -20,6 +27,7 @@ from bstm_daemon.report.text import table
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from bstm_daemon.analysis.gap.evidence import Candidate
     from bstm_daemon.analysis.gap.fitting import Fit
     from bstm_daemon.analysis.gap.heat_only import ForceGap
     from bstm_daemon.analysis.gap.holdout_comparison import Shown
@@ -37,7 +45,7 @@ ADVICE_HEAD: Final = (
     *("drive", "min", "right name", "a minute", "wrong name"),
     *("ln Bayes factor", "description"),
 )
-MODELS: Final = (*BASELINES, EXTENDED, ADOPTED)
+MODELS: Final = (*BASELINES, EXTENDED)
 ERROR_HEAD: Final = ("drive", "node", *MODELS)
 MATCH_FIRST: Final = (
     "the tunables, within their priors, can explain the residual heat: match "
@@ -47,6 +55,9 @@ UNMATCHED: Final = (
     "no [accuracy] in the configuration: an error that bstm match would "
     "correct may be mistaken for an effect"
 )
+WIDE: Final = 2.5
+"""Deviation of a change that says nothing."""
+
 SHOWN_PLACES: Final = 4
 SHOWN_CANDIDATES: Final = 8
 
@@ -61,12 +72,20 @@ def gap_text(gap: Gap) -> str:
         lines += table(CANDIDATE_HEAD, candidate_rows(gap.naming))
         lines += unnamed_lines(gap)
         if gap.silent:
-            lines.append(f"not excited: {', '.join(gap.silent)}")
+            silent = ", ".join(map(name_of, gap.silent))
+            lines.append(f"not excited: {silent}")
     if gap.advice:
         lines += advice_lines(gap)
     if gap.fit is not None:
         for name, strength in gap.fit.strengths.items():
             low, high = gap.fit.interval(name)
+            if is_change(name):
+                ends = [said_percent(name, end) for end in (low, high)]
+                lines.append(
+                    f"{said(name, strength)} (90 % interval {ends[0]} to "
+                    f"{ends[1]})"
+                )
+                continue
             lines.append(
                 f"{name}: strength {strength:.2f} +- "
                 f"{gap.fit.deviations[name]:.2f} with the error of its form, "
@@ -112,11 +131,11 @@ def sentence(gap: Gap) -> str:
             f"heat {where}"
         )
     if gap.naming is not None:
-        parts.append(_cause(gap.naming))
+        parts.append(cause(gap.naming))
     if gap.shown is not None:
         before, after = (
             rms(np.array([one.rms_k[k] for one in gap.shown.errors]))
-            for k in (CONFIGURED, ADOPTED)
+            for k in (CONFIGURED, EXTENDED)
         )
         move = "falls" if after < before else "rises"
         parts.append(
@@ -125,27 +144,17 @@ def sentence(gap: Gap) -> str:
         )
     if gap.advice:
         parts.append(advice_headline(gap))
-    return _sentence(parts)
+    return as_sentence(parts)
 
 
-def force_sentence(gap: ForceGap) -> str:
-    """Return what the forces show for a person."""
-    ratio = gap.pressed_j / gap.motion_j if gap.motion_j else np.nan
-    work = f"pressure shows {ratio:.2f} of the braking work by motion"
-    parts = [work, _cause(gap.naming)]
-    if gap.strengths:
-        where = "held-out drives" if gap.held_out else "the same drives"
-        parts.append(
-            f"with it the error of the acceleration on {where} goes from "
-            f"{acceleration(gap.before_ms2)} to {acceleration(gap.after_ms2)}"
-        )
-    return _sentence(parts)
-
-
-def _cause(naming: Naming) -> str:
+def cause(naming: Naming) -> str:
     """Return the likely cause in words that need no catalogue."""
-    texts = [effect_class(name).description for name in naming.names]
-    causes = [f"{text[0].lower()}{text[1:]}".rstrip(".") for text in texts]
+    causes = []
+    for name in naming.names:
+        text = called(naming, name)
+        if not is_change(name):
+            text = effect_class(name).description
+        causes.append(f"{text[0].lower()}{text[1:]}".rstrip(".?"))
     return {
         "nothing": "no missing effect is visible",
         "name": f"likely cause: {' and '.join(causes)}",
@@ -155,28 +164,44 @@ def _cause(naming: Naming) -> str:
     }[naming.answer]
 
 
-def _sentence(parts: Sequence[str]) -> str:
+def as_sentence(parts: Sequence[str]) -> str:
+    """Return *parts* as one sentence."""
     text = "; ".join(parts) or "nothing was searched"
     return f"{text[0].upper()}{text[1:]}."
 
 
 def answer_line(naming: Naming, what: str) -> str:
     """Return the answer of *naming*, found in *what*, in one line."""
-    names = ", ".join(naming.names)
+    names = ", ".join(called(naming, name) for name in naming.names)
     share = percent(naming.probability)
+    which = "missing" if any_effect(naming) else "changed"
     return {
         "nothing": f"no missing effect visible (nothing missing: {share})",
-        "name": f"missing: {names} (probability {share})",
-        "class": f"missing: one of {names}; {what} cannot distinguish them",
+        "name": f"{which}: {names} (probability {share})",
+        "class": f"{which}: one of {names}; {what} cannot distinguish them",
         "unknown": "missing: none of the known effects",
         "undecided": f"something is missing, but not named; possible: {names}",
     }[naming.answer]
 
 
+def any_effect(naming: Naming) -> bool:
+    """Whether an effect is among the names, or there are none."""
+    return not naming.names or not all(map(is_change, naming.names))
+
+
+def called(naming: Naming, name: str) -> str:
+    """Return what *name* is called in an answer: a change in plain words."""
+    if not is_change(name):
+        return name
+    own = next(one for one in naming.candidates if one.name == name)
+    return said(name, own.strength, cause=len(naming.names) == 1)
+
+
 def answer_tile(naming: Naming) -> tuple[str, str]:
     """Return the answer for the head of a page: a figure, its meaning."""
-    names = [name.replace("_", " ") for name in naming.names]
-    either, meaning = " or ".join(names), "missing effect"
+    names = [called(naming, name).replace("_", " ") for name in naming.names]
+    either = " or ".join(names)
+    meaning = "missing effect" if any_effect(naming) else "change"
     return {
         "nothing": ("nothing visible", meaning),
         "unknown": ("not in the catalogue", meaning),
@@ -199,6 +224,8 @@ def strength_tiles(found: Fit | ForceGap) -> list[tuple[str, str]]:
             f"{strength:.2f} ± {found.deviations[name]:.2f}",
             f"strength of {name.replace('_', ' ')}, 1 = typical",
         )
+        if not is_change(name)
+        else (said_percent(name, strength), name_of(name))
         for name, strength in found.strengths.items()
     ]
 
@@ -225,7 +252,11 @@ def naming_lines(naming: Naming) -> list[str]:
     """Return why the answer is what it is."""
     lines = [naming.reason]
     if naming.answer == "name":
-        lines += [f"{k}: {effect_class(k).description}" for k in naming.names]
+        lines += [
+            f"{k}: {effect_class(k).description}"
+            for k in naming.names
+            if not is_change(k)
+        ]
     if naming.names or np.isfinite(naming.best_placebo_z):
         lines.append(
             f"explains {100.0 * naming.explained:.0f} % of what all effects "
@@ -244,9 +275,7 @@ def candidate_rows(naming: Naming) -> list[tuple[str, ...]]:
     """Return a row for each of the likeliest candidates."""
     return [
         (
-            one.name,
-            f"{one.strength:.2f}",
-            f"{one.deviation:.2f}",
+            *strength_cells(one),
             f"{one.z:.1f}",
             # adding 0.0 turns -0.0 into 0.0
             f"{round(one.log_evidence, 1) + 0.0:.1f}",
@@ -256,12 +285,24 @@ def candidate_rows(naming: Naming) -> list[tuple[str, ...]]:
     ]
 
 
+def strength_cells(one: Candidate) -> tuple[str, str, str]:
+    """Return name, strength and its deviation; of a change its percents."""
+    if not is_change(one.name):
+        return one.name, f"{one.strength:.2f}", f"{one.deviation:.2f}"
+    deviation = 100.0 * (factor_of(one.name, min(one.deviation, WIDE)) - 1.0)
+    return (
+        name_of(one.name),
+        said_percent(one.name, one.strength),
+        f"{deviation:.0f} %" if one.deviation < WIDE else "unknown",
+    )
+
+
 def unnamed_lines(gap: Gap) -> list[str]:
     """Return what to make of a search that found nothing."""
     if gap.naming is None or gap.naming.found:
         return []
     lines = reach_lines(gap.naming)
-    if gap.located is not None and gap.located.places:
+    if gap.located is not None and gap.located.places and not gap.matched:
         lines.insert(0, MATCH_FIRST)
     return lines
 
@@ -273,10 +314,14 @@ def reach_lines(naming: Naming) -> list[str]:
     """
     near, far = [], []
     for one in sorted(naming.candidates, key=lambda one: one.reach):
-        if one.reach <= effect_class(one.name).parameters()[0].upper:
-            near.append(f"{one.name} {one.reach:.2f}")
+        if one.reach > largest(one.name):
+            far.append(name_of(one.name))
+        elif is_change(one.name):
+            near.append(
+                f"{name_of(one.name)} {said_percent(one.name, one.reach)}"
+            )
         else:
-            far.append(one.name)
+            near.append(f"{one.name} {one.reach:.2f}")
     shown = ", ".join(near) or "none"
     lines = [f"could have been shown, from the strength of: {shown}"]
     if far:
@@ -309,15 +354,13 @@ def shown_lines(shown: Shown) -> list[str]:
         if name in shown.fluid_shrinks:
             text += f", fluid {shown.fluid_shrinks[name].factor:.1f}"
         lines.append(text)
-    one = shown.adopted
-    text = f"as adopted, the tunables as configured: {times(one)}"
-    if one.factor < 1.0:
-        text += "; match them again (bstm match)"
     moved = ", ".join(
         f"{name} {bend:.2f}" for name, bend in shown.bends.items() if bend
     )
     moved = f"tunables moved, in deviations of their priors: {moved}"
-    return [*lines, text, moved]
+    if not shown.better:
+        lines.append("what was found does not make the gap smaller there")
+    return [*lines, moved]
 
 
 def shown_where(shown: Shown) -> str:
@@ -346,9 +389,9 @@ def adopted_text(gaps: Sequence[Gap | ForceGap]) -> str:
     """Return what is written into a configuration, in a few words."""
     found = []
     for gap in gaps:
-        names = ", ".join(effect.name for effect in gap.effects())
+        names = ", ".join(map(name_of, gap.adopted))
         if names and gap.naming is not None and gap.naming.answer == "class":
-            alike = ", ".join(gap.naming.names)
+            alike = ", ".join(map(name_of, gap.naming.names))
             names += f" (one of {alike}; these drives cannot distinguish them)"
         if names:
             found.append(names)
@@ -405,60 +448,4 @@ def advice_rows(gap: Gap) -> list[tuple[str, ...]]:
             one.description,
         )
         for one in gap.advice
-    ]
-
-
-def force_text(gap: ForceGap) -> str:
-    """Return what was found as lines for a terminal."""
-    return "\n  ".join(
-        [
-            f"forces of the whole car: {answer_line(gap.naming, 'forces')}",
-            *force_lines(gap),
-            *table(CANDIDATE_HEAD, candidate_rows(gap.naming)),
-            *sight_lines(gap),
-        ]
-    )
-
-
-def force_lines(gap: ForceGap) -> list[str]:
-    """Return the answer of the forces, and errors before and after."""
-    pressed_kj, motion_kj = 1e-3 * gap.pressed_j, 1e-3 * gap.motion_j
-    sources = "pressure (Feed-Forward) against motion (Feed-Back)"
-    work = f"{pressed_kj:.0f} kJ by pressure, {motion_kj:.0f} kJ by motion"
-    lines = [
-        f"no thermocouple: {sources}, {gap.windows} windows",
-        f"braking work: {work}",
-        *naming_lines(gap.naming),
-    ]
-    for name, strength in gap.strengths.items():
-        lines.append(
-            f"{name}: strength {strength:.2f} +- {gap.deviations[name]:.2f}"
-        )
-    if gap.strengths:
-        kind = "held-out drives" if gap.held_out else "the same drives"
-        lines.append(
-            f"error of the car's acceleration on {kind}, without noise: "
-            f"{acceleration(gap.before_ms2)} before, "
-            f"{acceleration(gap.after_ms2)} after"
-        )
-    return lines
-
-
-def acceleration(error_ms2: float) -> str:
-    """Return an error that is left; the search gives 0 within the noise."""
-    return f"{error_ms2:.3f} m/s2" if error_ms2 > 0.0 else "none"
-
-
-def sight_lines(gap: ForceGap) -> list[str]:
-    """Return which effects these forces can show, and which not."""
-    seen = ", ".join(f"{name} {reach:.2f}" for name, reach in gap.seen.items())
-    by_reason: dict[str, list[str]] = {}
-    for name, why in gap.unseen.items():
-        by_reason.setdefault(why.partition(":")[0], []).append(name)
-    return [
-        f"detectable, from a strength of: {seen or 'none'}",
-        *(
-            f"not detectable ({why}): {', '.join(names)}"
-            for why, names in by_reason.items()
-        ),
     ]

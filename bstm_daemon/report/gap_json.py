@@ -82,7 +82,6 @@ def _shown_json(shown: Shown) -> dict[str, Any]:
         ],
         "shrink": factors(shown.shrinks),
         "fluid_shrink": factors(shown.fluid_shrinks),
-        **factors({"adopted": shown.adopted}),
         "moved": {
             name: dict(zip(shown.keys, moved, strict=True))
             for name, moved in shown.moved.items()

@@ -5,8 +5,8 @@ from __future__ import annotations
 from html import escape
 from typing import TYPE_CHECKING, Any, Final
 
+from bstm_daemon.analysis.gap.changes import name_of
 from bstm_daemon.analysis.gap.holdout_comparison import (
-    ADOPTED,
     BASELINES,
     CONFIGURED,
     EXTENDED,
@@ -29,8 +29,6 @@ from bstm_daemon.report.gap import (
     cell_rows,
     change,
     error_rows,
-    force_lines,
-    force_sentence,
     headline,
     naming_lines,
     place_lines,
@@ -38,14 +36,17 @@ from bstm_daemon.report.gap import (
     sentence,
     shown_lines,
     shown_where,
-    sight_lines,
     strength_tiles,
     unnamed_lines,
+)
+from bstm_daemon.report.gap_forces import (
+    force_lines,
+    force_sentence,
+    sight_lines,
 )
 from bstm_daemon.report.plots import (
     BLACK,
     BLUE,
-    GREEN,
     GREY,
     ORANGE,
     VERMILION,
@@ -138,7 +139,7 @@ def head_tiles(gaps: Sequence[Gap]) -> list[tuple[str, str]]:
     if gap.fit is not None:
         tiles += strength_tiles(gap.fit)
     if gap.shown is not None:
-        word, one = change(gap.shown.adopted)
+        word, one = change(gap.shown.shrinks[CONFIGURED])
         tiles.append((f"{one.factor:.1f} x", f"{word} gap, as written"))
     return tiles
 
@@ -162,7 +163,7 @@ def _maps_section(prefix: str, before: Located, after: Located) -> Section:
         f"{prefix}the map of the same drives, before and after",
         plots=(
             ("as configured [kJ]", heat_map(before.cells, cells)),
-            ("with the effect [kJ]", heat_map(after.cells, cells)),
+            ("as written [kJ]", heat_map(after.cells, cells)),
         ),
         folded=True,
     )
@@ -249,7 +250,8 @@ def _naming_sections(
         return []
     lines = [*remarks, *naming_lines(naming), *unnamed_lines(gap)]
     if gap.silent:
-        lines.append(f"not excited by these drives: {', '.join(gap.silent)}")
+        silent = ", ".join(map(name_of, gap.silent))
+        lines.append(f"not excited by these drives: {silent}")
     return _candidates(
         prefix,
         headline(gap),
@@ -313,7 +315,7 @@ def evidence_bars(naming: Naming) -> Plot:
         "type": "bar",
         "orientation": "h",
         "x": [float(f"{one.log_evidence:.4g}") for one in best],
-        "y": [escape(one.name.replace("_", " ")) for one in best],
+        "y": [escape(name_of(one.name).replace("_", " ")) for one in best],
         "marker": {"color": colours},
         "showlegend": False,
     }
@@ -349,16 +351,16 @@ def _curve_sections(prefix: str, shown: Shown) -> list[Section]:
                 for one in shown.errors
                 if one.drive == drive
             ),
-            note="Before: as configured. After: with the effect as it is "
-            "written, the tunables as configured. Click a pale name for the "
-            "other models.",
+            note="Before: as configured. After: as it is written, effect or "
+            "change with the tunables fitted beside it. Click a pale name "
+            "for the other models.",
         )
         for drive in drives
     ]
 
 
 def _before_and_after(one: NodeErrors) -> str:
-    before_k, after_k = one.rms_k[CONFIGURED], one.rms_k[ADOPTED]
+    before_k, after_k = one.rms_k[CONFIGURED], one.rms_k[EXTENDED]
     node = one.node.replace("_", " ")
     return f"{node}: RMS error {before_k:.1f} K before, {after_k:.1f} K after"
 
@@ -366,15 +368,14 @@ def _before_and_after(one: NodeErrors) -> str:
 def _curves(one: NodeErrors) -> Plot:
     looks = {
         CONFIGURED: ("before", GREY, "solid"),
-        ADOPTED: ("after", VERMILION, "solid"),
+        EXTENDED: ("after", VERMILION, "solid"),
         BASELINES[1]: (BASELINES[1], ORANGE, "dot"),
         BASELINES[2]: (BASELINES[2], BLUE, "dash"),
-        EXTENDED: (f"{EXTENDED}, tunables re-fitted", GREEN, "dash"),
     }
     data = [curve(one.time_s, one.measured_c, "measured", BLACK, width=2.6)]
     data += [
         curve(one.time_s, one.model_c[key], name, colour, dash=dash)
-        | ({} if key in {CONFIGURED, ADOPTED} else {"visible": "legendonly"})
+        | ({} if key in {CONFIGURED, EXTENDED} else {"visible": "legendonly"})
         for key, (name, colour, dash) in looks.items()
     ]
     span = (0.0, float(one.time_s[-1]))

@@ -36,12 +36,14 @@ pushing the table out of the page."""
 class Cell:
     """A text with a small ``detail`` behind it, coloured by ``tone``.
 
-    Tones are ``good``, ``bad``, ``none``, or empty.
+    Tones are ``good``, ``bad``, ``none``, or empty. ``href`` is the address of
+    the page that the text leads to.
     """
 
     text: str
     detail: str = ""
     tone: str = ""
+    href: str = ""
 
 
 @dataclass(frozen=True, slots=True)

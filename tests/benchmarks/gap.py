@@ -18,7 +18,7 @@ AD  the drive that is advised after one drive, beside every other
     python tests/benchmarks/gap.py --groups stratified --nodes disc fluid \
         --cache FOLDER
     python tests/benchmarks/gap.py --protocol --cache FOLDER \
-        --write docs/gap.md
+        --write docs/evidence-gap.md
 
 What the drives of a case show is kept in the folder, so a run goes on where
 it was stopped; answers are found anew when the search has changed. Cars and

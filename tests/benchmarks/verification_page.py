@@ -52,11 +52,8 @@ the friction law uses.
 """
 
 TITLE: Final = re.compile(r"^## Structure (.+)$", re.MULTILINE)
-SHOWN_WHOLE: Final = (
-    "thesis on plain, heat known",
-    "extended on road, heat fused",
-)
-"""Settings whose single cases are shown: the thesis's, and a usual car's."""
+SHOWN_WHOLE: Final = ("extended on road, heat fused",)
+"""Settings whose single cases are shown: a usual car's."""
 
 CHAPTER_6: Final = re.compile(
     r"^Chapter 6, structure.*?(?=^#|^What|\Z)", re.MULTILINE | re.DOTALL
@@ -86,7 +83,7 @@ class Sections:
         body = "\n".join(lines).strip()
         if name not in SHOWN_WHOLE:
             body = CHAPTER_6.sub("", body)
-        if name != self.names[0]:
+        if name not in SHOWN_WHOLE:
             # of what a second car moves one table is enough
             body = RE_MATCHED.sub("", body)
         self.body[name] = body.strip()

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from bstm_daemon.analysis.gap.holdout_comparison import Shown
 from bstm_daemon.cli.main import EXIT_BROKEN_PIPE, main
 from bstm_daemon.config.reading import load_config
 from bstm_daemon.native.loader import load_kernel
@@ -79,7 +80,7 @@ def test_the_hidden_effect_is_named_adopted_and_used(
 
     code = main(
         [
-            *("gap", "run", str(log), "-c", str(EXAMPLE)),
+            *("gap", "run", str(log), "-c", str(EXAMPLE), "--anyway"),
             *("-o", str(new), "--json", str(result), "--report", str(page)),
         ]
     )
@@ -114,6 +115,40 @@ def pad_error_k(log: Path, config: Path, folder: Path) -> float:
     table = np.genfromtxt(csv, delimiter=",", names=True, deletechars="")
     error = table["FL.pad_front_c"] - table["FL.pad_front_measured_c"]
     return float(np.sqrt(np.nanmean(error[len(error) // 2 :] ** 2)))
+
+
+def test_without_a_match_no_name_is_given(
+    log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    new = tmp_path / "new.toml"
+
+    code = main(["gap", "run", str(log), "-c", str(EXAMPLE), "-o", str(new)])
+
+    assert code == 1
+    out = capsys.readouterr().out
+    assert "not matched: names are not given" in out
+    assert "residual heat at" in out
+    assert "gap_conduction" not in out
+    assert not new.exists()
+
+
+@pytest.mark.slow  # two searches
+def test_what_does_not_shrink_is_not_written(
+    log: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Held out as it may be: the result says so, ``--force`` writes it."""
+    new = tmp_path / "new.toml"
+    asked = ["gap", "adopt", str(log), "-c", str(EXAMPLE), "--anyway"]
+    monkeypatch.setattr(Shown, "better", property(lambda _: False))
+
+    assert main([*asked, "-o", str(new)]) == 1
+    assert "does not make the gap smaller" in capsys.readouterr().out
+    assert not new.exists()
+    assert main([*asked, "-o", str(new), "--force"]) == 1
+    assert [one.name for one in load_config(new).effect] == ["gap_conduction"]
 
 
 def test_locate_alone_names_nothing(
@@ -273,7 +308,7 @@ def test_what_is_not_in_the_log_is_not_taken_for_an_effect(
 def test_advise_says_why_it_advises_nothing(
     log: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert gap("advise", log) == 0
+    assert gap("advise", log, "--anyway") == 0
     out = capsys.readouterr().out
     assert "no next drive: gap_conduction named" in out
 
@@ -290,3 +325,23 @@ def test_advice_before_any_drive_has_a_page(
     out = capsys.readouterr().out
     assert "with it gap_conduction would be named" in out
     assert str(page) in out
+
+
+@pytest.mark.slow  # two drives of 85 and 100 min
+def test_where_nothing_is_hidden_the_shipped_match_says_nothing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The workflow of README.md without an effect."""
+    logs = [tmp_path / f"{name}.log" for name in ("simalp", "rich")]
+    for log in logs:
+        asked = ["simulate", log.stem, "-o", str(log), "--sensors", "n2"]
+        assert main(asked) == 0
+    matched = ROOT / "config" / "example_matched.toml"
+    result = tmp_path / "gap.json"
+    asked = ["gap", "name", *map(str, logs), "-c", str(matched)]
+
+    assert main([*asked, "--json", str(result)]) == 0
+
+    assert "no missing effect visible" in capsys.readouterr().out
+    (found,) = json.loads(result.read_text("utf-8"))["corners"]
+    assert found["naming"]["names"] == []

@@ -277,7 +277,9 @@ def test_usage(
             "not allowed with argument --start",
         ),
         ((log, twin, "--publish", tmp_path / "p.log"), "one LOG at a time"),
-        ((log, "--format", "xls"), "invalid choice"),
+        ((log, twin, "--state-out", tmp_path / "s"), "one LOG at a time"),
+        ((log, "--state-out", log), "would overwrite"),
+        ((log, "--format", "xls"), "no 'xls'"),
         ((log, "--map", "can0"), "is not IFACE=BUS"),
         ((log, "--map", "can0=drive"), "there are: chassis"),
         ((log, "--publish", log), "would overwrite"),
@@ -304,6 +306,40 @@ def test_configuration_and_state_are_not_overwritten(
         assert code == 2
         assert "would overwrite" in capsys.readouterr().err
         assert path.read_text("utf-8") == "kept"
+
+
+def test_a_chain_of_states_equals_one_replay_of_all(
+    log: Path, tmp_path: Path
+) -> None:
+    """Cut in mid-drive and in mid-step: the same rows, the same state."""
+    lines = log.read_bytes().splitlines(keepends=True)
+    cut = len(lines) // 2 + 7
+    parts = [tmp_path / "one.log", tmp_path / "two.log"]
+    parts[0].write_bytes(b"".join(lines[:cut]))
+    parts[1].write_bytes(b"".join(lines[cut:]))
+    states = [tmp_path / f"{n}.state" for n in (0, 1, 2)]
+    options = ("--no-forecast", "--format", "csv", "-o", tmp_path)
+
+    assert replay(log, *options, "--state-out", states[0]) == 0
+    assert replay(parts[0], *options, "--state-out", states[1]) == 0
+    chained = ("--state", states[1], "--state-out", states[2])
+    assert replay(parts[1], *options, *chained) == 0
+
+    assert states[2].read_bytes() == states[0].read_bytes()
+    assert states[1].read_bytes() != states[0].read_bytes()
+    whole, first, second = (
+        path.with_suffix(".estimates.csv").read_text("utf-8").splitlines()
+        for path in (log, *parts)
+    )
+    # distance counts from the start of each log
+    place = whole[0].split(",").index("distance_m")
+    rows = [line.split(",") for line in (*first[1:], *second[1:])]
+    found = [",".join(row[:place] + row[place + 1 :]) for row in rows]
+    expected = [line.split(",") for line in whole[1:]]
+    kept = [",".join(row[:place] + row[place + 1 :]) for row in expected]
+    # the first publication of a log has no interval before it
+    assert len(found) == len(kept) - 1
+    assert set(found) < set(kept)
 
 
 def test_a_report_that_can_not_be_written_is_told_before_the_replay(

@@ -227,7 +227,7 @@ def test_a_hidden_effect_is_noticed_kept_and_named(tmp_path: Path) -> None:
     record, result = kept(tmp_path), tmp_path / "gap.json"
     code = main(
         [
-            *("gap", "name", str(record), "-c", str(seen.car)),
+            *("gap", "name", str(record), "-c", str(seen.car), "--anyway"),
             *("--json", str(result)),
         ]
     )

@@ -7,8 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from bstm_daemon.channels import FLAGS
+from bstm_daemon.estimate import Reason, Validity
 from bstm_daemon.estimator.estimator import Estimator
-from bstm_daemon.estimator.memory import StateError
+from bstm_daemon.estimator.memory import StateError, after_unseen_drive
 from bstm_daemon.estimator.state import (
     export_state,
     parked_before_us,
@@ -155,3 +157,27 @@ def test_steps_grow_with_the_time_parked(
 ) -> None:
     """A second for a minute, ten for half an hour, then a minute."""
     assert list(coarse_steps(seconds)) == steps
+
+
+def test_after_an_unseen_drive_nothing_is_known_of_the_temperatures(
+    config: Config, document: dict[str, Any]
+) -> None:
+    """They begin as they were, bounded by the hottest start, and degraded."""
+    marked = after_unseen_drive(document)
+    now_us = SAVED_US + 30 * SECOND
+    estimator = Estimator(config, PRESENT)
+    assert parked_before_us(marked, now_us) is None
+
+    found = resume_state(estimator, marked, None, now_us)
+
+    assert not found.resumed
+    assert disc_k(estimator) == document["corners"]["FL"]["disc"]
+    assert estimator.start.unknown == set(document["corners"])
+    times = array("q", range(now_us, now_us + SECOND, 100_000))
+    roles, values = array("i", [SPEED] * 10), array("d", [0.0] * 10)
+    first = estimator.advance(times, roles, values)[0]
+    assert first.flags[0] & FLAGS["driven_unseen"]
+    assert not first.flags[1] & FLAGS["driven_unseen"]
+    assert first.reasons["FL"][0] & Reason.HEAT_UNKNOWN
+    assert first.reasons["FL"][1] & Reason.START_UNKNOWN
+    assert first.validity["FL"][1] == Validity.DEGRADED

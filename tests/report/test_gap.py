@@ -9,8 +9,8 @@ import pytest
 
 from bstm_daemon.analysis.gap.evidence import Candidate
 from bstm_daemon.analysis.gap.holdout_comparison import (
-    ADOPTED,
     CONFIGURED,
+    EXTENDED,
     Shrink,
 )
 from bstm_daemon.analysis.gap.naming import Answer, Naming
@@ -19,8 +19,8 @@ from bstm_daemon.analysis.gap.workflow import Gap
 from bstm_daemon.model.effects.effect import SIGNED_STRENGTH
 from bstm_daemon.report.gap import (
     MATCH_FIRST,
-    acceleration,
     adopted_text,
+    answer_line,
     answer_tile,
     candidate_rows,
     probability_tile,
@@ -29,6 +29,7 @@ from bstm_daemon.report.gap import (
     times,
     unnamed_lines,
 )
+from bstm_daemon.report.gap_forces import acceleration
 from bstm_daemon.report.gap_page import (
     WEAK_EVIDENCE,
     evidence_bars,
@@ -130,7 +131,7 @@ def test_one_of_a_class_is_not_written_as_if_it_were_known() -> None:
         found: Any = SimpleNamespace(
             naming=naming(answer, candidate("pad_wear"), candidate("wet_disc"))
         )
-        found.effects = lambda: [SimpleNamespace(name="pad_wear")]
+        found.adopted = ("pad_wear",)
         return cast("Gap", found)
 
     assert adopted_text([gap("name")]) == "pad_wear"
@@ -155,12 +156,11 @@ def test_next_to_no_evidence_looks_like_it() -> None:
 
 def shown(before_k: float, after_k: float) -> Any:
     """Return one node over one held-out drive, before and after."""
-    rms_k = {CONFIGURED: before_k, ADOPTED: after_k}
+    rms_k = {CONFIGURED: before_k, EXTENDED: after_k}
     return SimpleNamespace(
         held_out=True,
         errors=(SimpleNamespace(rms_k=rms_k),),
-        adopted=Shrink(1.6, 1.2, 2.2),
-        shrinks={CONFIGURED: Shrink(2.4, 1.7, 3.6)},
+        shrinks={CONFIGURED: Shrink(1.6, 1.2, 2.2)},
     )
 
 
@@ -211,3 +211,37 @@ def test_colour_and_text_of_a_cell_are_the_same_heat_in_order() -> None:
     assert drawn["text"][::-1] == [["·", "+20"], ["+40", ""], ["-80", ""]]
     assert (drawn["zmin"], drawn["zmax"]) == (-80.0, 80.0)
     assert "kJ" in drawn["colorbar"]["title"]["text"]
+
+
+def test_a_change_is_no_missing_effect() -> None:
+    air = Candidate("change.disc_air", -0.8, 0.2, 9.0, 12.0, 0.5)
+    changed = naming("name", air)
+
+    assert answer_line(changed, "this data") == (
+        "changed: convection from the disc to the wheel well -27 % since the "
+        "match: rim or wheel cover closed, cooling duct blocked? "
+        "(probability 80.0 %)"
+    )
+    assert answer_tile(changed)[1] == "change"
+    (row,) = candidate_rows(changed)
+    assert row[:3] == (
+        "convection from the disc to the wheel well",
+        "-27 %",
+        "8 %",
+    )
+    (near,) = reach_lines(changed)
+    assert near.endswith("convection from the disc to the wheel well +22 %")
+    both = naming("name", air, candidate("pad_wear"))
+    assert answer_line(both, "this data").startswith(
+        "missing: convection from the disc to the wheel well -27 % since the "
+        "match, pad_wear ("
+    )
+
+
+def test_a_matched_car_is_not_sent_back_to_the_match() -> None:
+    hot: Any = SimpleNamespace(places=(1,))
+    found = naming("nothing", candidate("pad_wear"))
+
+    gap = Gap(("FL",), (), 1, hot, found, matched=True)
+
+    assert MATCH_FIRST not in unnamed_lines(gap)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from bstm_daemon.analysis.identify.writing import adopt
+from bstm_daemon.analysis.identify.writing import Entries, write_changed
 from bstm_daemon.config.sections import EffectConfig
 from bstm_daemon.service.assembly import BusOverride, build_monitor
 
@@ -51,7 +51,7 @@ def test_the_service_uses_what_was_adopted(tmp_path: Path) -> None:
         provenance={"source": "bstm gap"},
     )
 
-    adopt(source, target, [found])
+    write_changed(source, target, (), "", "", Entries([found]))
     before, after = map(pad_after_a_minute_k, (source, target))
 
     assert after > before + 20.0

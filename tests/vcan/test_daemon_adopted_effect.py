@@ -141,7 +141,7 @@ def test_live_it_does_what_replay_says(
     log = simulated(tmp_path / "live.log", LIVE, Effects())
     code = main(
         [
-            *("gap", "adopt", f"{hidden}", "-c", f"{source}"),
+            *("gap", "adopt", f"{hidden}", "-c", f"{source}", "--anyway"),
             *("-o", f"{adopted}", "--map", "can0=chassis"),
         ]
     )

@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from bstm_daemon.analysis.gap.changes import either_sign, is_change
 from bstm_daemon.analysis.gap.evidence import NOTHING, strength_prior
 from bstm_daemon.analysis.gap.naming import SURE, Naming
 from bstm_daemon.analysis.gap.recording import Recording, inputs_of, thinned
@@ -30,7 +31,6 @@ from bstm_daemon.analysis.matching.thermocouples import Thermocouple
 from bstm_daemon.analysis.statistics.evidence import Projector
 from bstm_daemon.bus.signals.columns import Events
 from bstm_daemon.estimator.corner_model import compiled_model
-from bstm_daemon.model.effects.catalogue import effect_class
 from bstm_daemon.model.heat.sample_pass import TICK
 from bstm_daemon.roles import ROLE_INDEX
 from bstm_daemon.simulation import load_drive, simulate
@@ -165,7 +165,7 @@ class _Judge:
         self._old = [_columns(by_name.get(n), size) for n in self._members]
         self._share = (1.0 - NOTHING) / max(len(by_name), len(members), 1)
         priors = [
-            strength_prior(either_sign=effect_class(name).either_sign)
+            strength_prior(either_sign=either_sign(name), even=is_change(name))
             for name in self._members
         ]
         self._grids = [grid for grid, _ in priors]
@@ -322,7 +322,7 @@ def candidate_drive(
     )
     thin = thinned(events)
     description = simulated.drive.drive.description.partition(": ")[2]
-    return Recording(drive, events, present, thin, inputs), description
+    return Recording(drive, present, thin, inputs), description
 
 
 def samples_of(

@@ -13,10 +13,16 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from bstm_daemon.analysis.gap.changes import HEAT_SCALE, is_change, trials
 from bstm_daemon.analysis.gap.noise import Layout
+from bstm_daemon.analysis.matching.learned import (
+    entry_of,
+    known_covariance,
+)
 from bstm_daemon.analysis.matching.march import march, model_of
 from bstm_daemon.analysis.matching.problem import Series, series_of
 from bstm_daemon.analysis.matching.tunables import TUNABLES, Target
+from bstm_daemon.config.sections import EffectConfig
 from bstm_daemon.errors import LogError
 from bstm_daemon.estimator.corner_model import compiled_model, corner_model
 from bstm_daemon.model.effects.catalogue import edited_inputs, effect_class
@@ -30,14 +36,11 @@ if TYPE_CHECKING:
     from bstm_daemon.analysis.matching.drives import Drive
     from bstm_daemon.analysis.statistics.series import Column
     from bstm_daemon.analysis.statistics.whitening import SensorNoise
-    from bstm_daemon.config.sections import Config, EffectConfig
+    from bstm_daemon.config.sections import Config
 
 POINT_S: Final = 10.0
 MOST_POINTS: Final = 300
 """Of one node over one drive, and the least time between two."""
-
-HEAT_SCALE: Final = "heat scale"
-"""Key of the tunable that scales all brake power: friction as a whole."""
 
 HEAT_SCALE_PRIOR: Final = 0.05
 """Standard deviation of its logarithm: what friction varies by from day to
@@ -47,7 +50,9 @@ day, and a pressure sensor's offset and gain."""
 class Comparison(Layout):
     """Residuals of a target on recordings.
 
-    ``keys`` are the tunables, :data:`HEAT_SCALE` last.
+    ``keys`` are the tunables, :data:`HEAT_SCALE` last, ``covariance`` (p, p)
+    what is known of their logarithms, ``trials`` which changes of a matched
+    target are asked for, ``form_k`` (n,) or 0 what is added to residuals.
     """
 
     def __init__(
@@ -68,14 +73,19 @@ class Comparison(Layout):
         self.start = np.log(
             [*(target.value(TUNABLES[key]) for key in keys), 1.0]
         )
-        bounds = [TUNABLES[key].bounds() for key in keys] + [(-0.7, 0.7)]
-        self.lower, self.upper = np.array(bounds).T
+        bounds = [target.tunable(key).bounds() for key in keys]
+        self.lower, self.upper = np.array([*bounds, (-0.7, 0.7)]).T
+        self.covariance = np.zeros((len(self.keys), len(self.keys)))
+        self.covariance[:-1, :-1] = known_covariance(target, keys)
+        self.covariance[-1, -1] = HEAT_SCALE_PRIOR**2
+        self.precision = np.linalg.inv(self.covariance)
+        self.matched = entry_of(target.config, target.corners[0]) is not None
+        self.form_k: Column | float = 0.0
+        self.trials = trials(target.config, self.keys) if self.matched else {}
         super().__init__(
             self._found_series(),
             noise,
-            np.array(
-                [*(TUNABLES[key].prior for key in keys), HEAT_SCALE_PRIOR]
-            ),
+            np.sqrt(np.diag(self.covariance)),
             [one.name for one in recordings],
         )
 
@@ -88,6 +98,20 @@ class Comparison(Layout):
         )
         changed = self.target.changed(values).config
         return with_effects(changed, effects)
+
+    def placed(
+        self, x: Column, strengths: Mapping[str, float]
+    ) -> tuple[Column, list[EffectConfig]]:
+        """Return *x* with the changes among *strengths*, and the effects."""
+        effects = []
+        for name, a in strengths.items():
+            if not is_change(name):
+                parameters = {"strength": a}
+                effects.append(EffectConfig(name=name, parameters=parameters))
+                continue
+            x = x + a * self.trials[name].direction
+            effects += self.trials[name].effects_at(a)
+        return np.clip(x, self.lower, self.upper), effects
 
     def residuals_k(
         self, points: Column, effects: Sequence[EffectConfig] = ()
@@ -143,7 +167,9 @@ class Comparison(Layout):
             # correct the model, not the measurement: scaling the noisy reading
             # would bias the gain
             parts.append((model - offset) / gain - one.measured_k[:, None])
-        return np.concatenate(parts)
+        return np.asarray(
+            np.concatenate(parts) + np.reshape(self.form_k, (-1, 1))
+        )
 
     def drives(self, effects: Sequence[EffectConfig] = ()) -> list[Drive]:
         """Return the drives, heated with *effects* where these act on it."""

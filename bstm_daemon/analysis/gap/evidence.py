@@ -82,7 +82,9 @@ def weigh(
     """Return what *signature* does to *residual* (n,)."""
     columns = np.column_stack((residual, signature.linear, signature.curved))
     gram = columns.T @ project(columns)
-    grid, weights = strength_prior(either_sign=signature.either_sign)
+    grid, weights = strength_prior(
+        either_sign=signature.either_sign, even=signature.even
+    )
     gains = _gains(gram, grid)
     top = int(np.argmax(gains))
     best = _refined(gram, grid, top)
@@ -102,14 +104,19 @@ def weigh(
     )
 
 
-def strength_prior(*, either_sign: bool) -> tuple[Column, Column]:
-    """Return strengths and their weights, log-normal, summing to 1."""
+def strength_prior(
+    *, either_sign: bool, even: bool = False
+) -> tuple[Column, Column]:
+    """Return strengths and their weights, log-normal, summing to 1.
+
+    Both signs are as likely where that is *even*.
+    """
     grid = STRENGTHS
     if either_sign:
         grid = np.concatenate((-STRENGTHS[::-1], STRENGTHS))
     logs = (np.log(np.abs(grid)) - LOG_CENTRE) / LOG_WIDTH
     weights = np.exp(-0.5 * logs**2)
-    if either_sign:
+    if either_sign and not even:
         # the typical sign is the likelier one
         weights = np.where(grid > 0, 0.75, 0.25) * weights
     return grid, np.asarray(weights / weights.sum())
@@ -208,11 +215,11 @@ def explained_share(
     """
     names = {one.name for one in chosen}
     own = np.column_stack(
-        [s.at(1.0) for s in linearised.signatures if s.name in names]
+        [s.column for s in linearised.signatures if s.name in names]
     )
     everything = np.column_stack(
         [
-            *(s.at(1.0) for s in linearised.signatures),
+            *(s.column for s in linearised.signatures),
             *(one.change for one in linearised.unknown),
         ]
     )
@@ -233,7 +240,7 @@ def unnamed_beside(
     if not linearised.unknown:
         return np.inf
     names = {one.name for one in chosen}
-    own = [s.at(1.0) for s in linearised.signatures if s.name in names]
+    own = [s.column for s in linearised.signatures if s.name in names]
     return missing_evidence(
         project.beside(own), linearised.residual, linearised.unknown
     )
@@ -356,7 +363,7 @@ class _Search:
     ) -> list[Candidate]:
         """Return *names* (all) weighed with *others* free, best first."""
         project = self._project.beside(
-            [self._by_name[name].at(1.0) for name in others]
+            [self._by_name[name].column for name in others]
         )
         found = [
             weigh(project, self._linearised.residual, self._by_name[name])

@@ -23,6 +23,7 @@ from bstm_daemon.analysis.gap.signatures import (
     Signature,
     candidates,
 )
+from bstm_daemon.analysis.identify.writing import Change, Entries
 from bstm_daemon.analysis.statistics.evidence import FREE, Projector, fit_terms
 from bstm_daemon.config.sections import Config, EffectConfig
 from bstm_daemon.model.effects.catalogue import effect_class
@@ -69,6 +70,26 @@ class ForceGap:
     pressed_j: float
     motion_j: float
     curves: tuple[Forces, ...] = ()
+
+    @property
+    def worse(self) -> bool:
+        """Whether what can be written does not make the gap smaller."""
+        return bool(self.strengths) and self.after_ms2 >= self.before_ms2
+
+    @property
+    def values(self) -> tuple[Change, ...]:
+        """Values to write beside: none."""
+        return ()
+
+    @property
+    def adopted(self) -> tuple[str, ...]:
+        """Names of what can be written."""
+        return tuple(self.strengths)
+
+    @property
+    def entries(self) -> Entries:
+        """What can be adopted, with its provenance."""
+        return Entries(self.effects())
 
     def effects(self) -> list[EffectConfig]:
         """Return what can be adopted, with its provenance."""

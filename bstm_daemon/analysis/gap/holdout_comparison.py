@@ -1,10 +1,10 @@
 """Before and after on drives that no fit has seen.
 
 Four models: as configured; the baseline with its heat and its cooling scaled;
-the baseline with all tunables re-fitted; the model with the effect, tunables
-re-fitted too. And what is adopted: the effect, tunables as configured. A
-shrink factor is the error of one of the first three over that of the fourth,
-the noise of the thermocouples taken off both.
+the baseline with all tunables re-fitted; and what is written: the effect or
+change, tunables re-fitted too. A shrink factor is the error of one of the
+first three over that of the fourth, the noise of the thermocouples taken off
+both.
 """
 
 from __future__ import annotations
@@ -29,9 +29,8 @@ CONFIGURED, SCALED, REFITTED, EXTENDED = (
     "as configured",
     "heat and cooling re-fitted",
     "all tunables re-fitted",
-    "with the effect",
+    "as written",
 )
-ADOPTED: Final = "as adopted"
 BASELINES: Final = (CONFIGURED, SCALED, REFITTED)
 
 BLOCK_S: Final = 300.0
@@ -72,8 +71,7 @@ class NodeErrors:
 class Shown:
     """What the effect does on drives that were not fitted.
 
-    ``shrinks`` and ``fluid_shrinks`` by baseline, ``adopted`` that of what
-    is adopted against what is configured; ``moved`` (p,) are the
+    ``shrinks`` and ``fluid_shrinks`` by baseline; ``moved`` (p,) are the
     changes of the tunables' logarithms by model. Where there was no held-out
     drive, ``held_out`` is false and all of it is of the fitted drives.
     """
@@ -81,11 +79,15 @@ class Shown:
     held_out: bool
     shrinks: Mapping[str, Shrink]
     fluid_shrinks: Mapping[str, Shrink]
-    adopted: Shrink
     errors: tuple[NodeErrors, ...]
     moved: Mapping[str, Column]
     bends: Mapping[str, float]
     keys: tuple[str, ...]
+
+    @property
+    def better(self) -> bool:
+        """Whether what is written errs less than what is configured."""
+        return self.shrinks[CONFIGURED].factor > 1.0
 
 
 def baseline_fits(
@@ -120,14 +122,14 @@ def show(
     """
     fits = {
         **(baselines or baseline_fits(comparison, known_k)),
-        EXTENDED: extended,
-        ADOPTED: replace(extended, x=comparison.start),
+        EXTENDED: replace(extended, x=extended.written_x),
     }
-    there = comparison
-    if held_out:
-        there = Comparison(
-            comparison.target, held_out, comparison.keys[:-1], comparison.noise
-        )
+    there = Comparison(
+        comparison.target,
+        held_out or comparison.recordings,
+        comparison.keys[:-1],
+        comparison.noise,
+    )
     apart = {
         name: there.residuals_k(one.x[None], one.effects())[:, 0]
         for name, one in fits.items()
@@ -142,7 +144,6 @@ def show(
             for name in BASELINES
             if fluid
         },
-        _shrink(there, apart, CONFIGURED, everything, ADOPTED),
         tuple(_errors(there, apart, i) for i in everything),
         {name: one.x - comparison.start for name, one in fits.items()},
         {name: one.bend(comparison) for name, one in fits.items()},
@@ -155,7 +156,6 @@ def _shrink(
     apart: Mapping[str, Column],
     baseline: str,
     which: Sequence[int],
-    improved: str = EXTENDED,
 ) -> Shrink:
     """Return the factor over *which* series, blocks drawn for its interval."""
     before, after, noise = [], [], []
@@ -167,7 +167,7 @@ def _shrink(
         for number in np.unique(block):
             own = block == number
             before.append(np.sum(apart[baseline][part][own] ** 2))
-            after.append(np.sum(apart[improved][part][own] ** 2))
+            after.append(np.sum(apart[EXTENDED][part][own] ** 2))
             noise.append(variance * np.count_nonzero(own))
     sums = np.column_stack((before, after, noise))
     interval = bootstrap(sums, _factor, draws=DRAWS, seed=3)

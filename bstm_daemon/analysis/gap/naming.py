@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 
+from bstm_daemon.analysis.gap.changes import is_change, twins_of
 from bstm_daemon.analysis.gap.evidence import (
     Candidate,
     JointEffects,
@@ -45,7 +46,8 @@ SURE: Final = 0.95
 GATE_Z: Final = 4.1
 """Standard deviations of the best candidate from which there is a gap. With
 39 candidates chance reaches it once in 1000 searches; the form of the model
-takes effect-free cars up to 3.8, right names begin at 5.2 (`docs/gap.md`)."""
+takes effect-free cars up to 3.8, right names begin at 5.2
+(`docs/evidence-gap.md`)."""
 
 GATE_NOTHING: Final = 0.05
 """And nothing missing must be less probable than this."""
@@ -57,7 +59,7 @@ tell them apart."""
 SOMETHING: Final = 0.88
 """Probability from which something is missing though nothing can be named:
 one effect, two that stand in for one, or heat without a name, as likely each
-before data. Effect-free cars reach 0.84 (`docs/gap.md`)."""
+before data. Effect-free cars reach 0.84 (`docs/evidence-gap.md`)."""
 
 EXPLAINED: Final = 0.6
 EXPLAINED_TOGETHER: Final = 0.91
@@ -67,7 +69,7 @@ the log-likelihood left besides chance, no name is given if heat without a
 name is likely beside it: what else is left is noise of another form. The
 second share is of several: two or three can imitate much of one that the
 catalogue lacks. Where forms alone differ, as they do of every real effect,
-right ones reach 0.92 with as much left (`docs/gap.md`)."""
+right ones reach 0.92 with as much left (`docs/evidence-gap.md`)."""
 
 AGAINST: Final = 3.0
 """Log Bayes factor by which a drive, predicted by the others, may speak
@@ -144,8 +146,13 @@ class Naming:
         return max((one.z for one in self.candidates), default=0.0)
 
 
-def name_effect(layout: Layout, linearised: Linearised) -> Naming:
-    """Return what *linearised* says is missing."""
+def name_effect(
+    layout: Layout, linearised: Linearised, *, alone: bool = False
+) -> Naming:
+    """Return what *linearised* says is missing.
+
+    With *alone* it is one effect at most, or a class.
+    """
     project = Projector(linearised.jacobian, layout.prior)
     found = sorted(
         (
@@ -174,7 +181,7 @@ def name_effect(layout: Layout, linearised: Linearised) -> Naming:
         )
     best = found[0] if found else None
     if best and odds[""] <= GATE_NOTHING and best.z >= GATE_Z:
-        return _named(layout, project, linearised, nothing)
+        return _named(layout, project, linearised, nothing, alone=alone)
     return _unnamed(layout, project, linearised, nothing)
 
 
@@ -214,7 +221,12 @@ def _unnamed(
 
 
 def _named(
-    layout: Layout, project: Projector, linearised: Linearised, nothing: Naming
+    layout: Layout,
+    project: Projector,
+    linearised: Linearised,
+    nothing: Naming,
+    *,
+    alone: bool,
 ) -> Naming:
     """Return what it is that is missing, the gate passed."""
     found, odds = nothing.candidates, nothing.odds
@@ -224,7 +236,9 @@ def _named(
         layout, project, linearised.residual, by_name[best.name]
     )
     validated = cross_validated(layout, linearised, by_name[best.name])
-    several = search_joint_effects(project, linearised, found)
+    several = JointEffects((best,), None, 1.0, (best.name,))
+    if not alone:
+        several = search_joint_effects(project, linearised, found)
     explained, left = explained_share(project, linearised, several.chosen)
     common = replace(
         nothing,
@@ -296,7 +310,11 @@ def _single(
 ) -> Naming:
     odds = common.odds
     if odds[best.name] >= SURE:
-        reason = effect_class(best.name).signature
+        reason = (
+            "a value that the match had otherwise explains it"
+            if is_change(best.name)
+            else effect_class(best.name).signature
+        )
         return common.answered("name", (best.name,), odds[best.name], reason)
     members = [best.name]
     total = odds[best.name]
@@ -309,10 +327,7 @@ def _single(
     why = []
     for name in members[1:]:
         alike = cosine(project, by_name[best.name], by_name[name])
-        declared = (
-            name in effect_class(best.name).twins
-            or best.name in effect_class(name).twins
-        )
+        declared = name in twins_of(best.name) or best.name in twins_of(name)
         if declared or abs(alike) >= ALIKE:
             why.append(f"{name} (signatures alike, cosine {alike:.2f})")
     if len(why) == len(members) - 1:
@@ -329,7 +344,7 @@ def _single(
 
 def cosine(project: Projector, a: Signature, b: Signature) -> float:
     """Return how alike *a* and *b* are, the tunables projected out."""
-    one, two = a.at(1.0), b.at(1.0)
+    one, two = a.column, b.column
     pa, pb = project(one), project(two)
     size = float(one @ pa) * float(two @ pb)
     return float(one @ pb) / sqrt(max(size, 1e-30))

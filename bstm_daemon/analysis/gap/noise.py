@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
     from bstm_daemon.analysis.matching.problem import Series
     from bstm_daemon.analysis.statistics.series import Column, Matrix
+    from bstm_daemon.config.estimates import MatchedConfig
     from bstm_daemon.config.sections import Config
 
 
@@ -111,14 +112,25 @@ EVERY: Final = 2
 """Points are thinned by it: what is sought are variances."""
 
 
-def noise_of(config: Config, node: str) -> SensorNoise:
+def noise_of(
+    config: Config, node: str, form: MatchedConfig | None = None
+) -> SensorNoise:
     """Return the noise of *node*: what ``[accuracy]`` knows, else usual.
+
+    With *form* drift is what the match itself left: values that are not
+    known are no error of the form, and have their own covariance.
 
     Offset and drift of the junctions add to what the model is off by.
     """
     known = config.accuracy
     found = USUAL.get(node, OTHER)
-    if (own := accuracy_of(config, node)) is not None:
+    if form is not None and node in form.form_k:
+        found = replace(
+            found,
+            drift_k=max(form.form_k[node], LEAST_K),
+            share=form.form_share.get(node, 0.0),
+        )
+    elif (own := accuracy_of(config, node)) is not None:
         found = replace(
             found,
             drift_k=min(max(own.floor_k, LEAST_K), LARGEST * found.drift_k),

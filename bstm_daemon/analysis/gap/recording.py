@@ -25,7 +25,7 @@ from bstm_daemon.estimator.estimator import Estimator
 from bstm_daemon.replay.columns import present_roles
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
+    from collections.abc import Callable, Iterable, Iterator, Mapping
     from pathlib import Path
 
     from bstm_daemon.analysis.statistics.series import Column
@@ -42,14 +42,14 @@ THIN_S: Final = 0.1
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Recording:
-    """A drive, the samples that it was formed from, and what is present.
+    """A drive, some samples that it was formed from, and what is present.
 
     ``present`` maps the number of each mapped role to its timeout [us];
-    ``thin`` are fewer samples, for trials, and what they give by themselves.
+    ``thin`` are samples for trials, and ``thin_inputs`` what they give by
+    themselves.
     """
 
     drive: Drive
-    events: Events = field(repr=False)
     present: Mapping[int, int] = field(repr=False)
     thin: Events = field(repr=False)
     thin_inputs: Column = field(repr=False)
@@ -93,14 +93,8 @@ def read_recording(
         FileAccessError: it cannot be read.
         UsageError: the heat mode is ``measured``.
     """
-    parts = list(log_events(path, signal_map, overrides, progress))
-    events = Events(
-        np.concatenate([one.time_us for one in parts]),
-        np.concatenate([one.role for one in parts]),
-        np.concatenate([one.value for one in parts]),
-        Counter(),
-    )
-    return recorded(path.name, events, config, present_roles(signal_map))
+    parts = log_events(path, signal_map, overrides, progress)
+    return _formed(path.name, parts, config, present_roles(signal_map))
 
 
 def recorded(
@@ -112,10 +106,35 @@ def recorded(
         LogError: too short, or the clock jumps.
         UsageError: the heat mode is ``measured``.
     """
-    drive = drive_of(name, _Heating(config, present), _pieces(events))
-    thin = thinned(events)
+    return _formed(name, _pieces(events), config, present)
+
+
+def _formed(
+    name: str,
+    parts: Iterable[Events],
+    config: Config,
+    present: Mapping[int, int],
+) -> Recording:
+    """Return the recording of *parts*, of which few samples are kept."""
+    kept: list[Events] = []
+
+    def passed() -> Iterator[Events]:
+        for part in parts:
+            kept.append(thinned(part))
+            yield part
+
+    drive = drive_of(name, _Heating(config, present), passed())
+    # the first in each slot again: parts end within one
+    thin = thinned(
+        Events(
+            np.concatenate([one.time_us for one in kept]),
+            np.concatenate([one.role for one in kept]),
+            np.concatenate([one.value for one in kept]),
+            Counter(),
+        )
+    )
     rows, _ = inputs_of(config, present, thin)
-    return Recording(drive, events, present, thin, _like(drive, rows))
+    return Recording(drive, present, thin, _like(drive, rows))
 
 
 def thinned(events: Events) -> Events:

@@ -12,11 +12,16 @@ named effect explains.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from bstm_daemon.analysis.gap.changes import (
+    either_sign,
+    is_change,
+    strength_of,
+)
 from bstm_daemon.analysis.gap.residual_heat import REGIMES
 from bstm_daemon.analysis.matching.march import (
     initial_temperatures,
@@ -25,7 +30,6 @@ from bstm_daemon.analysis.matching.march import (
 )
 from bstm_daemon.analysis.matching.phases import BRAKING_W, STANDING_MS
 from bstm_daemon.analysis.statistics.levenberg_marquardt import STEP
-from bstm_daemon.config.sections import Config, EffectConfig
 from bstm_daemon.errors import ConfigError
 from bstm_daemon.estimator.corner_model import compiled_model
 from bstm_daemon.model.effects.catalogue import (
@@ -43,9 +47,11 @@ if TYPE_CHECKING:
     from bstm_daemon.analysis.matching.drives import Drive
     from bstm_daemon.analysis.matching.problem import Series
     from bstm_daemon.analysis.statistics.series import Column
+    from bstm_daemon.config.sections import Config, EffectConfig
 
-NETWORK_STRENGTHS: Final = (0.5, 1.5)
-HEAT_STRENGTHS: Final = (1.0,)
+NETWORK_STRENGTHS: Final[tuple[float, ...]] = (0.5, 1.5)
+HEAT_STRENGTHS: Final[tuple[float, ...]] = (1.0,)
+CHANGE_STRENGTHS: Final[tuple[float, ...]] = (-0.5, 0.5)
 """Strengths simulated; the heat needs a pass over all samples for each."""
 
 SILENT_K: Final = 1e-3
@@ -70,7 +76,8 @@ class Signature:
     """Change of the residuals [K] with the strength a: ``a s1 + a^2 s2``.
 
     ``linear`` and ``curved`` (n,) are whitened; ``kelvin`` (n,) is the change
-    at strength 1.
+    at strength 1. Of a change since the match no sign is the typical one:
+    ``even``. ``near`` is the strength that it is simulated about.
     """
 
     name: str
@@ -78,6 +85,13 @@ class Signature:
     curved: Column
     kelvin: Column
     either_sign: bool
+    even: bool = False
+    near: float = 1.0
+
+    @property
+    def column(self) -> Column:
+        """The change for each unit of strength, (n,), near where it is."""
+        return self.at(self.near) / self.near
 
     def at(self, strength: float) -> Column:
         """Return the change at *strength*, (n,)."""
@@ -113,7 +127,8 @@ class Sensed:
     """The same in kelvin, as simulated.
 
     ``base_k`` (n,) and ``jacobian_k`` (n, p); ``terms_k`` by effect the
-    linear and the curved one, (2, n); heats without a name in kelvin.
+    linear and the curved one, (2, n); heats without a name in kelvin;
+    ``near`` what strengths are simulated about, where that is not 1.
     """
 
     base_k: Column
@@ -121,6 +136,7 @@ class Sensed:
     terms_k: Mapping[str, Column]
     silent: tuple[str, ...]
     unknown_k: tuple[UnnamedHeat, ...]
+    near: Mapping[str, float] = field(default_factory=dict)
 
     def columns_k(self) -> Column:
         """Return all that could explain the residuals, (n, p + k)."""
@@ -138,7 +154,7 @@ class Sensed:
             layout.whiten(self.base_k),
             layout.whiten(self.jacobian_k),
             tuple(
-                _signature(layout, name, terms)
+                _signature(layout, name, terms, self.near.get(name, 1.0))
                 for name, terms in self.terms_k.items()
             ),
             self.silent,
@@ -151,7 +167,7 @@ class Sensed:
 
 def candidates(config: Config) -> list[str]:
     """Return the effects that *config* does not have yet."""
-    present = {one.name for one in effects_of(config)}
+    present = {one.name for one in effects_of(config) if strength_of(one)}
     return [name for name in effect_names() if name not in present]
 
 
@@ -163,6 +179,7 @@ def sensed(
     """Return residuals and sensitivities in kelvin at its start."""
     base, jacobian = _sensitivities_k(comparison, comparison.start)
     found, silent = {}, []
+    names = [*names, *comparison.trials]
     for number, name in enumerate(names):
         terms = _terms_k(comparison, name, base)
         if terms is None:
@@ -173,6 +190,27 @@ def sensed(
             progress((number + 1) / len(names))
     return Sensed(
         base, jacobian, found, tuple(silent), unnamed_heats(comparison, base)
+    )
+
+
+def sharpened(
+    comparison: Comparison, simulated: Sensed, at: Mapping[str, float]
+) -> Sensed:
+    """Return *simulated* with the signatures *at* strengths simulated there.
+
+    A parabola through small changes says little of large ones.
+    """
+    plain_k = simulated.base_k - comparison.form_k
+    found = {
+        name: terms
+        for name, a in at.items()
+        if (terms := _terms_k(comparison, name, plain_k, (0.5 * a, a)))
+        is not None
+    }
+    return replace(
+        simulated,
+        terms_k={**simulated.terms_k, **found},
+        near={**simulated.near, **{name: at[name] for name in found}},
     )
 
 
@@ -197,13 +235,17 @@ def signature_of(
     return _signature(comparison, name, terms)
 
 
-def _signature(layout: Layout, name: str, terms: Column) -> Signature:
+def _signature(
+    layout: Layout, name: str, terms: Column, near: float = 1.0
+) -> Signature:
     return Signature(
         name,
         layout.whiten(terms[0]),
         layout.whiten(terms[1]),
         terms.sum(axis=0),
-        effect_class(name).either_sign,
+        either_sign(name),
+        is_change(name),
+        near,
     )
 
 
@@ -216,14 +258,18 @@ def _sensitivities_k(
     return apart[:, 0], (apart[:, 1:] - apart[:, :1]) / steps
 
 
-def _terms_k(comparison: Comparison, name: str, base: Column) -> Column | None:
-    kind = effect_class(name).kind
-    strengths = HEAT_STRENGTHS if kind == "heat" else NETWORK_STRENGTHS
+def _terms_k(
+    comparison: Comparison,
+    name: str,
+    base: Column,
+    strengths: tuple[float, ...] = (),
+) -> Column | None:
+    strengths = strengths or _strengths(name)
     changes = []
     for strength in strengths:
-        effect = EffectConfig(name=name, parameters={"strength": strength})
+        x, effects = comparison.placed(comparison.start, {name: strength})
         try:
-            apart = comparison.residuals_k(comparison.start[None], [effect])
+            apart = comparison.residuals_k(x[None], effects)
         except ConfigError:
             # it does not fit this structure
             return None
@@ -235,6 +281,14 @@ def _terms_k(comparison: Comparison, name: str, base: Column) -> Column | None:
     terms = np.linalg.lstsq(matrix, np.array(changes), rcond=None)[0]
     curved = terms[1] if len(a) > 1 else 0.0 * terms[0]
     return np.array((terms[0], curved))
+
+
+def _strengths(name: str) -> tuple[float, ...]:
+    """Return the strengths at which *name* is simulated at first."""
+    if is_change(name):
+        return CHANGE_STRENGTHS
+    on_heat = effect_class(name).kind == "heat"
+    return HEAT_STRENGTHS if on_heat else NETWORK_STRENGTHS
 
 
 def unnamed_heats(

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from bstm_daemon.analysis.gap.adopting import written
 from bstm_daemon.analysis.gap.advising import (
     MENU,
     advise,
@@ -18,24 +18,26 @@ from bstm_daemon.analysis.gap.advising import (
 from bstm_daemon.analysis.gap.comparison import Comparison, heats
 from bstm_daemon.analysis.gap.fitting import (
     Fit,
-    along,
     askable,
     directions,
-    effect_entries,
     fit,
     prior_along,
 )
 from bstm_daemon.analysis.gap.holdout_comparison import Shown, show
-from bstm_daemon.analysis.gap.naming import Naming, name_effect
-from bstm_daemon.analysis.gap.noise import calibrated, noise_of
+from bstm_daemon.analysis.gap.noise import noise_of
 from bstm_daemon.analysis.gap.residual_heat import Located, locate
-from bstm_daemon.analysis.gap.signatures import Linearised, candidates, sensed
+from bstm_daemon.analysis.gap.searching import search, starts
+from bstm_daemon.analysis.gap.signatures import (
+    Linearised,
+    candidates,
+    sensed,
+)
+from bstm_daemon.analysis.identify.writing import NO_ENTRIES
+from bstm_daemon.analysis.matching.learned import entry_of, known_keys
 from bstm_daemon.analysis.matching.tunables import (
     measured_targets,
     over_targets,
-    refined_keys,
     targets_of,
-    usable,
 )
 from bstm_daemon.errors import LogError
 from bstm_daemon.roles import MEASURED_NODES, ROLE_INDEX
@@ -44,11 +46,13 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
     from bstm_daemon.analysis.gap.advising import Advice, Prospect
+    from bstm_daemon.analysis.gap.naming import Naming
     from bstm_daemon.analysis.gap.recording import Recording
+    from bstm_daemon.analysis.identify.writing import Change, Entries
     from bstm_daemon.analysis.matching.tunables import Target
     from bstm_daemon.analysis.statistics.series import Column
     from bstm_daemon.analysis.statistics.whitening import SensorNoise
-    from bstm_daemon.config.sections import Config, EffectConfig
+    from bstm_daemon.config.sections import Config
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +76,9 @@ class Gap:
     as configured and with the effect. ``silent`` are candidates that the
     drives do not excite. ``fit`` and ``shown`` are None where nothing was
     named, ``located`` and ``naming`` where they were not asked for.
-    ``advice`` is which drive would tell ``members`` apart, the best first.
+    ``advice`` is which drive would tell ``members`` apart, the best first;
+    ``values`` and ``entries`` are what a file gets; ``matched`` is whether
+    the configuration says what its match learned.
     """
 
     corners: tuple[str, ...]
@@ -87,31 +93,19 @@ class Gap:
     after: Located | None = None
     advice: tuple[Advice, ...] = ()
     members: tuple[str, ...] = ()
+    values: tuple[Change, ...] = ()
+    entries: Entries = NO_ENTRIES
+    matched: bool = False
 
-    def effects(self) -> list[EffectConfig]:
-        """Return what can be adopted, with its provenance."""
-        if self.fit is None or self.naming is None:
-            return []
-        found = []
-        for name, strength in self.fit.strengths.items():
-            evidence = next(
-                one.log_evidence
-                for one in self.naming.candidates
-                if one.name == name
-            )
-            provenance: dict[str, Any] = {
-                "source": "bstm gap",
-                "data": list(self.recordings),
-                "date": time.strftime("%Y-%m-%d"),
-                "strength_sd": round(self.fit.deviations[name], 3),
-                "strength_90": [
-                    round(end, 3) for end in self.fit.interval(name)
-                ],
-                **self.naming.provenance(name),
-                "log_bayes_factor": round(evidence, 1),
-            }
-            found += effect_entries({name: strength}, provenance)
-        return found
+    @property
+    def adopted(self) -> tuple[str, ...]:
+        """Names of what can be written."""
+        return () if self.fit is None else tuple(self.fit.strengths)
+
+    @property
+    def worse(self) -> bool:
+        """Whether what can be written does not make the gap smaller."""
+        return self.shown is not None and not self.shown.better
 
 
 def find_gap(
@@ -150,9 +144,11 @@ def find_gap(
 
 def compare(target: Target, recordings: Sequence[Recording]) -> Comparison:
     """Return *target* against *recordings* with the noise of its nodes."""
-    keys, _ = usable(target, refined_keys(target))
-    noise = {node: noise_of(target.config, node) for node in MEASURED_NODES}
-    return Comparison(target, recordings, keys, noise)
+    form = entry_of(target.config, target.corners[0])
+    noise = {
+        node: noise_of(target.config, node, form) for node in MEASURED_NODES
+    }
+    return Comparison(target, recordings, known_keys(target), noise)
 
 
 def _gap(
@@ -175,34 +171,28 @@ def _gap(
         askable(target, candidates(target.config)),
         lambda share: report_share(0.1 + 0.6 * share),
     )
-    comparison.set_noise(
-        calibrated(comparison, simulated.base_k, simulated.columns_k())
-    )
-    layout, known = along(
-        comparison, simulated.whitened(comparison), directions(comparison)
-    )
-    naming = name_effect(layout, known)
+    basis = directions(comparison)
+    known, naming = search(comparison, simulated, basis)
     plain = Gap(target.corners, names, points, located, naming, known.silent)
+    plain = replace(plain, matched=comparison.matched)
     if until == "advise" or (
         until == "show" and naming.answer in {"class", "undecided"}
     ):
-        plain = _advised(plain, comparison, known, question, report_share)
-    best = naming.adoptable
-    if until in {"gate", "name", "advise"} or not best:
+        own = replace(known, jacobian=known.jacobian[:, : basis.shape[1]])
+        plain = _advised(plain, comparison, own, question, report_share)
+    if until in {"gate", "name", "advise"} or not naming.adoptable:
         return plain
-    start = {
-        one.name: one.strength for one in naming.candidates if one.name in best
-    }
-    extended = fit(
-        comparison, start, directions(comparison), known_k=simulated.jacobian_k
-    )
+    start = starts(naming)
+    extended = fit(comparison, start, basis, known_k=simulated.jacobian_k)
     report_share(0.85)
-    plain = replace(plain, fit=extended)
+    values, entries = written(comparison, extended, naming)
+    plain = replace(plain, fit=extended, values=tuple(values), entries=entries)
+    shown = show(comparison, extended, held_out, known_k=simulated.jacobian_k)
+    plain = replace(plain, shown=shown)
     if until != "show":
         return plain
-    shown = show(comparison, extended, held_out, known_k=simulated.jacobian_k)
     before, after = _maps(comparison, extended, held_out or recordings)
-    return replace(plain, shown=shown, before=before, after=after)
+    return replace(plain, before=before, after=after)
 
 
 def _advised(
@@ -311,9 +301,10 @@ def _maps(
 ) -> tuple[Located, Located]:
     """Return the maps of *recordings* before and after."""
     target = comparison.target
-    after = comparison.config(extended.x, extended.effects())
+    x = extended.written_x
+    after = comparison.config(x, extended.effects())
     heat = any(heats(effect, target.config) for effect in extended.effects())
-    scale = float(np.exp(extended.x[-1]))
+    scale = float(np.exp(x[-1]))
     heated = []
     for one in recordings:
         drive = one.heated_by(after) if heat else one.drive

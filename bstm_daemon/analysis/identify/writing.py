@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from bstm_daemon.config.estimates import ChangeConfig
 from bstm_daemon.errors import FileAccessError, require_packages
 from bstm_daemon.files import replacing
 
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from bstm_daemon.analysis.identify.coastdown import CoastDown
     from bstm_daemon.analysis.identify.cooling import AxleCooling
     from bstm_daemon.analysis.identify.cooling_while_braking import BrakedAxle
+    from bstm_daemon.config.estimates import MatchedConfig
     from bstm_daemon.config.sections import Config, EffectConfig
 
 KNOWN: Final = 0.2
@@ -61,6 +63,21 @@ class Change:
         if isinstance(self.value, tuple):
             return [float(f"{one:.{_DIGITS}g}") for one in self.value]
         return float(f"{self.value:.{_DIGITS}g}")
+
+
+@dataclass(frozen=True, slots=True)
+class Entries:
+    """Entries of ``[[effect]]``, ``[[change]]`` and ``[[matched]]``.
+
+    Each takes the place of what is there for the same.
+    """
+
+    effects: Sequence[EffectConfig] = ()
+    changes: Sequence[ChangeConfig] = ()
+    matched: Sequence[MatchedConfig] = ()
+
+
+NO_ENTRIES: Final = Entries()
 
 
 def coast_down_changes(result: CoastDown) -> list[Change]:
@@ -199,6 +216,7 @@ def write_changed(
     changes: Sequence[Change],
     origin: str,
     verdict: str = "",
+    entries: Entries = NO_ENTRIES,
 ) -> None:
     """Write *source* with *changes* as *target*, whole or not at all.
 
@@ -214,6 +232,12 @@ def write_changed(
         for change in changes:
             table, key = _place(document, change)
             _set(table, key, change, change.note or origin)
+        for effect in entries.effects:
+            _put(_entries(document), effect)
+        for one in entries.changes:
+            _put(_entries(document, "change"), one)
+        if entries.matched:
+            _replace_matched(document, entries.matched)
         if verdict:
             document.add(_tomlkit().comment(f"{origin}: {verdict}"))
 
@@ -277,11 +301,11 @@ def _entry(document: Any, effect: str, corner: str) -> Any:
     return one
 
 
-def _entries(document: Any) -> Any:
-    """Return the list of ``[[effect]]``, made where there is none."""
-    if "effect" not in document:
-        document["effect"] = _tomlkit().aot()
-    return document["effect"]
+def _entries(document: Any, section: str = "effect") -> Any:
+    """Return the list of ``[[section]]``, made where there is none."""
+    if section not in document:
+        document[section] = _tomlkit().aot()
+    return document[section]
 
 
 def _new_entry(effect: str, corner: str) -> Any:
@@ -302,33 +326,43 @@ def _split(document: Any, entries: Any, whole: Any) -> None:
     whole["corner"] = names[0]
 
 
-def adopt(source: Path, target: Path, effects: Sequence[EffectConfig]) -> None:
-    """Write *source* with *effects* as *target*, whole or not at all.
+def _replace_matched(document: Any, matched: Sequence[MatchedConfig]) -> None:
+    """Let *matched* be what is known of their corners, a row a line."""
+    tomlkit = _tomlkit()
+    corners = {name for one in matched for name in one.corners}
+    entries = [
+        one
+        for one in document.pop("matched", [])
+        if corners.isdisjoint(one["corners"])
+    ]
+    written = tomlkit.aot()
+    for one in entries:
+        written.append(one)
+    for one in matched:
+        table = tomlkit.table()
+        for key, value in one.model_dump().items():
+            many = isinstance(value, list) and key != "corners"
+            table[key] = tomlkit.item(value)
+            if many:
+                table[key].multiline(multiline=True)
+        written.append(table)
+    document["matched"] = written
 
-    An entry takes the place of its namesake for the same corner; everything
-    else stays as it is. Paths are made relative to the new file's folder.
 
-    Raises:
-        MissingExtraError: tomlkit is not installed.
-        FileAccessError: *source* is unreadable or *target* unwritable.
-    """
-    with changed_copy(source, target) as document:
-        entries = _entries(document)
-        for effect in effects:
-            _put(entries, effect)
-
-
-def _put(entries: Any, effect: EffectConfig) -> None:
-    """Add *effect* to *entries*, in the place of its namesake."""
-    table = _new_entry(effect.name, effect.corner)
-    table["parameters"] = _tomlkit().inline_table()
-    for name, value in effect.parameters.items():
-        table["parameters"][name] = float(f"{value:.{_DIGITS}g}")
+def _put(entries: Any, one: EffectConfig | ChangeConfig) -> None:
+    """Add *one* to *entries*, in the place of its namesake."""
+    table = _new_entry(one.name, one.corner)
+    if isinstance(one, ChangeConfig):
+        table["factor"] = float(f"{one.factor:.{_DIGITS}g}")
+    else:
+        table["parameters"] = _tomlkit().inline_table()
+        for name, value in one.parameters.items():
+            table["parameters"][name] = float(f"{value:.{_DIGITS}g}")
     table["provenance"] = _tomlkit().inline_table()
-    table["provenance"].update(effect.provenance)
-    for place, one in enumerate(entries):
-        corner = one.get("corner", "all")
-        if one["name"] == effect.name and corner == effect.corner:
+    table["provenance"].update(one.provenance)
+    for place, other in enumerate(entries):
+        corner = other.get("corner", "all")
+        if other["name"] == one.name and corner == one.corner:
             entries[place] = table
             return
     entries.append(table)

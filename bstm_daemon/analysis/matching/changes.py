@@ -3,13 +3,22 @@
 from __future__ import annotations
 
 from math import isnan
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from bstm_daemon.analysis.identify.writing import Change
+from bstm_daemon.analysis.matching.learned import (
+    entry,
+    known_covariance,
+    known_keys,
+    short,
+)
 from bstm_daemon.analysis.matching.tunables import EFFECT, split_key
+from bstm_daemon.config.estimates import MatchedConfig
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from bstm_daemon.analysis.matching.matcher import Match
     from bstm_daemon.config.sections import Config
@@ -18,46 +27,94 @@ if TYPE_CHECKING:
 def changes_of(
     matches: Sequence[Match], config: Config, origin: str
 ) -> list[Change]:
-    """Return what *matches* change in *config*, each saying *origin*.
-
-    A value goes where the configuration has it: to ``[thermal]`` or
-    ``[cooling]`` where every corner that reads it there was matched alike,
-    else to the corners themselves.
-    """
+    """Return what *matches* change in *config*, each saying *origin*."""
     changes = []
     for match in matches:
-        for key, value in match.settings().items():
-            section, name = split_key(key)
+        settings = match.settings()
+        notes = {}
+        for key in settings:
             sd = match.deviation(key)
-            note = origin if isnan(sd) else f"{origin}, sd {sd:.2g}"
+            notes[key] = origin if isnan(sd) else f"{origin}, sd {sd:.2g}"
             if key == "cooling.s_per_s":
-                note = f"{origin}, sd {100.0 * sd:.2g} %"
-            if section == EFFECT:
-                changes += _of_effect(name, value, note, config, match)
-                continue
-            if section in {"vehicle", "heat"}:
-                changes.append(Change(section, name, value, note=note))
-                continue
-            if section in {"thermal", "cooling"} and _shared(
-                section, name, config, match.corners
-            ):
-                changes.append(Change(section, name, value, note=note))
-                continue
-            changes += [
-                Change("corner", key, value, corner, note)
-                for corner in match.corners
-            ]
+                notes[key] = f"{origin}, sd {100.0 * sd:.2g} %"
+        changes += value_changes(settings, notes, config, match.corners)
     changes += _accuracy(matches, origin)
     return changes
 
 
+def learned(match: Match) -> MatchedConfig:
+    """Return the table of *match*.
+
+    What it did not fit stays as known as it was.
+    """
+    joint = match.joint
+    covariance = joint.misfit * joint.covariance
+    if len(match.accuracy.shifts):
+        shifts = match.accuracy.shifts
+        covariance = covariance + shifts.T @ shifts / len(shifts)
+    beyond = np.sqrt(np.diag(covariance)) / joint.prior
+    scale = 1.0 / np.maximum(beyond, 1.0)
+    others = [key for key in known_keys(match.after) if key not in joint.keys]
+    keys = [*joint.keys, *others]
+    whole = known_covariance(match.after, keys)
+    count = len(joint.keys)
+    whole[:count], whole[:, :count] = 0.0, 0.0
+    whole[:count, :count] = covariance * np.outer(scale, scale)
+    return entry(
+        match.after,
+        keys,
+        whole,
+        MatchedConfig(
+            corners=list(match.corners),
+            names=[],
+            values=[],
+            factor=[],
+            form_k={n: short(a.floor_k) for n, a in match.form.items()},
+            form_share={n: short(a.share) for n, a in match.form.items()},
+            drives=len(match.drives),
+            left_out=match.accuracy.left_out,
+        ),
+    )
+
+
+def value_changes(
+    settings: Mapping[str, Any],
+    notes: Mapping[str, str],
+    config: Config,
+    corners: Sequence[str],
+) -> list[Change]:
+    """Return *settings* of *corners*, each with its note.
+
+    A value goes where the configuration has it: to ``[thermal]`` or
+    ``[cooling]`` where only *corners* read it there, else to the corners
+    themselves.
+    """
+    changes = []
+    for key, value in settings.items():
+        section, name = split_key(key)
+        note = notes[key]
+        if section == EFFECT:
+            changes += _of_effect(name, value, note, config, corners)
+        elif section in {"vehicle", "heat"} or (
+            section in {"thermal", "cooling"}
+            and _shared(section, name, config, corners)
+        ):
+            changes.append(Change(section, name, value, note=note))
+        else:
+            changes += [
+                Change("corner", key, value, corner, note)
+                for corner in corners
+            ]
+    return changes
+
+
 def _of_effect(
-    name: str, value: float, note: str, config: Config, match: Match
+    name: str, value: float, note: str, config: Config, matched: Sequence[str]
 ) -> list[Change]:
     """Return entries of ``[[effect]]``: one for all corners, or each its."""
     effect, parameter = split_key(name)
     every = {corner.name for corner in config.disc_corners()}
-    corners = ("all",) if set(match.corners) == every else match.corners
+    corners = ("all",) if set(matched) == every else matched
     return [
         Change(EFFECT, parameter, value, corner, note, effect)
         for corner in corners

@@ -5,7 +5,7 @@ And what comes of it: changes of the configuration file, curves.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from math import log, nan
 from typing import TYPE_CHECKING, Any, Final
 
@@ -25,11 +25,13 @@ from bstm_daemon.analysis.matching.coarse import (
     search,
 )
 from bstm_daemon.analysis.matching.identifiability import KNOWN
+from bstm_daemon.analysis.matching.learned import settings_of, value_of
 from bstm_daemon.analysis.matching.phases import HARD_MS2, hard_stops
 from bstm_daemon.analysis.matching.problem import FIRST, OTHER
 from bstm_daemon.analysis.matching.refine import (
     ROUNDS,
     Accuracy,
+    NodeAccuracy,
     Refinement,
     errors_of,
     fitted,
@@ -99,8 +101,8 @@ class Match:
     search made of the first; ``table_4_1`` is the refinement of the thesis's
     own parameters alone, from the same start. ``drives`` have the heat as the
     search chose to form it. ``accuracy`` is what the fit leaves over on what
-    it did not see, ``verdict`` why it is not to be trusted, empty where it
-    is.
+    it did not see, ``form`` what it leaves over itself, ``verdict`` why it is
+    not to be trusted, empty where it is.
     """
 
     corners: tuple[str, ...]
@@ -114,21 +116,12 @@ class Match:
     accuracy: Accuracy
     remarks: tuple[str, ...]
     verdict: tuple[str, ...]
+    form: Mapping[str, NodeAccuracy] = field(default_factory=dict)
 
     def settings(self) -> dict[str, Any]:
         """Return the keys of the configuration and their matched values."""
         before, after = self.before, self.after
-        old = before.config.cooling_of(before.corner)
-        new = after.config.cooling_of(after.corner)
-        found: dict[str, Any] = {
-            key: value
-            for key, value in self.joint.values.items()
-            if key not in NODES_MS
-        }
-        if NODES_MS.keys() & self.joint.values.keys():
-            if new.speed_ms != old.speed_ms:
-                found["cooling.speed_ms"] = tuple(new.speed_ms)
-            found["cooling.s_per_s"] = tuple(new.s_per_s)
+        found = settings_of(before, after, self.joint.values)
         for key, of in CHOSEN.items():
             if of(after) != of(before):
                 found[key] = of(after)
@@ -291,7 +284,8 @@ def _match(
     errors = _errors(after, drives)
     accuracy = _left_out(
         *(target, readings, joint, only, errors),
-        lambda share: show(0.8 + 0.2 * share),
+        whole=after,
+        show=lambda share: show(0.8 + 0.2 * share),
     )
     remarks += found.remarks
     if not only:
@@ -309,6 +303,10 @@ def _match(
         accuracy,
         tuple(remark for remark in remarks if remark),
         tuple(_doubts(joint, accuracy, errors)),
+        {
+            node: fitted([(*part, white_k(joint, node)) for part in parts])
+            for node, parts in errors.items()
+        },
     )
 
 
@@ -364,19 +362,21 @@ def _errors(target: Target, drives: Sequence[Drive]) -> Errors:
     return found
 
 
-def _left_out(
+def _left_out(  # noqa: PLR0913
     target: Target,
     readings: Sequence[Reading],
     joint: Refinement,
     only: str,
     fit_errors: Errors,
+    *,
+    whole: Target,
     show: Callable[[float], None],
 ) -> Accuracy:
     """Return what is left on drives, or a part, that a fit has not seen."""
     folds = folds_of(readings[0].drives)
     before: Errors = {}
     after: Errors = {}
-    names, simple_k = [], []
+    names, simple_k, shifts = [], [], []
     for number, (pieces, left) in enumerate(folds):
         found = search(target, [one.of(pieces) for one in readings])
         drives = found.reading.drives
@@ -389,6 +389,13 @@ def _left_out(
         (drive,) = unseen.of([left]).drives
         (plain,) = readings[0].of([left]).drives
         names.append(plain.name)
+        without = found.target.changed(fit.values)
+        shifts.append(
+            [
+                log(value_of(without, k) / value_of(whole, k))
+                for k in joint.keys
+            ]
+        )
         simple = baselines(readings[0].of(pieces).drives)
         simple_k += [
             simple[corner][0].rms_on([plain])
@@ -397,7 +404,7 @@ def _left_out(
         ]
         for errors, one, on in (
             (before, target, plain),
-            (after, found.target.changed(fit.values), drive),
+            (after, without, drive),
         ):
             for node, parts in errors_of(one, on).items():
                 errors.setdefault(node, []).extend(parts)
@@ -417,6 +424,7 @@ def _left_out(
         rms_of(before),
         rms_of(after),
         float(np.sqrt(np.nanmean(np.square(simple_k or [np.nan])))),
+        np.array(shifts),
     )
 
 

@@ -8,7 +8,7 @@ the last only through drives it has not seen.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -53,7 +53,8 @@ class Refinement:
     ``values`` by key; ``covariance`` (p, p) is that of their logarithms,
     priors included, ``information`` (p, p) without them. ``at_bound`` lists
     keys that a bound holds. ``rms_k`` is by node and ``noise`` what
-    residuals showed.
+    residuals showed; ``misfit``, 1 or more, is their mean square over that of
+    this noise.
     """
 
     keys: tuple[str, ...]
@@ -67,6 +68,7 @@ class Refinement:
     rms_k: dict[str, float]
     points: int
     evaluations: int
+    misfit: float = 1.0
 
     def standard_deviation(self, key: str) -> float:
         """Return the standard deviation of the value itself."""
@@ -145,6 +147,7 @@ def refine(  # noqa: PLR0913
         },
         sum(len(term.steps) for term in terms),
         evaluations,
+        max(float(np.mean(found.residuals[: -len(keys)] ** 2)), 1.0),
     )
 
 
@@ -205,7 +208,8 @@ class Accuracy:
     ``drives`` were left out in turn, 0: a part of the only one, named in
     ``left_out``; where that is empty, nothing could be. ``before_k`` and
     ``rms_k`` are the RMS there, as configured and fitted without it, and
-    ``baseline_k`` that of a disc of one node fitted to the same.
+    ``baseline_k`` that of a disc of one node fitted to the same. ``shifts``
+    (k, p) are how far the logarithms of the values lay off without it.
     """
 
     nodes: Mapping[str, NodeAccuracy]
@@ -214,6 +218,7 @@ class Accuracy:
     before_k: Mapping[str, float]
     rms_k: Mapping[str, float]
     baseline_k: float = np.nan
+    shifts: Column = field(default_factory=lambda: np.zeros((0, 0)))
 
 
 LEAST_S: Final = 240.0

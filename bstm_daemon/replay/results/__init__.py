@@ -18,6 +18,7 @@ from bstm_daemon.replay.results.rows import (
     Part,
     Results,
     Sink,
+    is_one_of_few,
 )
 
 __all__ = [
@@ -30,5 +31,6 @@ __all__ = [
     "ResultsBuilder",
     "Sink",
     "csv_file",
+    "is_one_of_few",
     "require_format",
 ]

@@ -110,6 +110,12 @@ class Chosen:
         self._sink.write(replace(rows, columns=columns))
 
 
+def is_one_of_few(name: str) -> bool:
+    """Whether the column *name* is one that a collection of drives needs."""
+    ends = ("_c", "margin_k", "risk", "risk_now", "risk_level", "validity")
+    return name in {"time_s", "speed_ms"} or name.endswith(ends)
+
+
 class ElapsedTime:
     """Time since the first row; a clock set back does not count."""
 

@@ -40,8 +40,10 @@ def made(config: Config) -> Callable[..., Recording]:
         *,
         noise_k: float = 0.5,
         seed: int = 1,
+        of: Config | None = None,
     ) -> Recording:
-        real = with_effects(config, effect_entries(dict(effects or {})))
+        on = effect_entries(dict(effects or {}))
+        real = with_effects(of or config, on)
         drive = driven(
             real, name, PROFILE, every=2, noise_k=noise_k, seed=seed
         )
@@ -49,6 +51,6 @@ def made(config: Config) -> Callable[..., Recording]:
             np.zeros(0, np.int64), np.zeros(0, np.int32), np.zeros(0),
             Counter(),
         )  # fmt: skip
-        return Recording(drive, none, {}, none, drive.inputs)
+        return Recording(drive, {}, none, drive.inputs)
 
     return make

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from bstm_daemon.analysis.identify.writing import adopt
+from bstm_daemon.analysis.identify.writing import Entries, write_changed
 from bstm_daemon.config.reading import load_config
 from bstm_daemon.config.sections import EffectConfig
 
@@ -22,7 +22,7 @@ def effect(strength: float) -> EffectConfig:
 def test_an_effect_is_added_and_comments_stay(tmp_path: Path) -> None:
     new = tmp_path / "new.toml"
 
-    adopt(EXAMPLE, new, [effect(1.234567)])
+    write_changed(EXAMPLE, new, (), "", "", Entries([effect(1.234567)]))
 
     entry = load_config(new).effect[0]
     assert entry.name == "gap_conduction"
@@ -37,8 +37,8 @@ def test_an_effect_is_added_and_comments_stay(tmp_path: Path) -> None:
 def test_a_namesake_is_replaced(tmp_path: Path) -> None:
     first, second = tmp_path / "first.toml", tmp_path / "second.toml"
 
-    adopt(EXAMPLE, first, [effect(1.0)])
-    adopt(first, second, [effect(2.0)])
+    write_changed(EXAMPLE, first, (), "", "", Entries([effect(1.0)]))
+    write_changed(first, second, (), "", "", Entries([effect(2.0)]))
 
     entries = load_config(second).effect
     assert [one.parameters["strength"] for one in entries] == [2.0]

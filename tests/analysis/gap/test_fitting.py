@@ -85,7 +85,9 @@ def test_a_flat_table_is_moved_as_a_whole(
     monkeypatch.setattr(fitting, "is_flat", lambda _: flat)
     keys = ["pad.conductivity_w_mk", *S_SPEEDS_MS, "unknown"]
     prior = np.array([0.15, 0.2, 0.2, 0.2, 0.7])
-    made: Any = SimpleNamespace(keys=keys, target=None, prior=prior)
+    made: Any = SimpleNamespace(
+        keys=keys, target=None, prior=prior, matched=False
+    )
 
     basis = directions(made)
     along = prior_along(made, basis)
@@ -103,6 +105,6 @@ def test_a_flat_table_that_is_not_fitted_ties_nothing(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(fitting, "is_flat", lambda _: True)
-    made: Any = SimpleNamespace(keys=["a", "b"], target=None)
+    made: Any = SimpleNamespace(keys=["a", "b"], target=None, matched=False)
 
     assert directions(made).tolist() == np.eye(2).tolist()

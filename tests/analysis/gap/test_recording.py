@@ -63,10 +63,10 @@ def test_heat_does_not_need_the_temperatures(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     on = with_effects(config, effect_entries({name: 1.0}))
-    alone, _ = inputs_of(on, short.present, short.events)
+    alone, _ = inputs_of(on, short.present, short.thin)
     monkeypatch.setattr(module._Heating, "__init__", Estimator.__init__)
 
-    whole, _ = inputs_of(on, short.present, short.events)
+    whole, _ = inputs_of(on, short.present, short.thin)
 
     assert np.array_equal(alone, whole, equal_nan=True)
     assert not np.array_equal(alone, short.drive.inputs, equal_nan=True)
@@ -123,3 +123,25 @@ def test_temperatures_of_no_brake_begin_anew(config: Config) -> None:
     power_w = rows[..., CHANNELS.index("brake_power_w")]
     assert np.isfinite(power_w).all()
     assert power_w.max() > 5e5
+
+
+def test_pieces_of_a_log_are_one_recording(
+    config: Config, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Few samples are kept of each piece; which ones is all the same."""
+    rng = np.random.default_rng(2)
+    time_us = np.sort(rng.integers(0, 60_000_000, 4000))
+    roles = rng.choice(
+        [ROLE_INDEX["vehicle_speed"], ROLE_INDEX["primary_pressure"]], 4000
+    ).astype(np.int32)
+    events = Events(time_us, roles, rng.random(4000), Counter())
+    present = {int(role): 500_000 for role in np.unique(roles)}
+    whole = recorded("a", events, config, present)
+    monkeypatch.setattr(module, "PIECE", 333)
+
+    cut = recorded("a", events, config, present)
+
+    assert np.array_equal(cut.thin.time_us, whole.thin.time_us)
+    assert np.array_equal(cut.thin.value, whole.thin.value)
+    assert np.array_equal(cut.drive.inputs, whole.drive.inputs, equal_nan=True)
+    assert len(cut.thin) < 0.5 * len(events)

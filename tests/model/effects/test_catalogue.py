@@ -100,7 +100,8 @@ def test_problems_name_entry_and_cure() -> None:
     assert problems_of([entry("wet_disc"), entry("shim_contact", "FL")]) == []
     (text,) = problems_of([entry("wet_disk")])
     assert "did you mean 'wet_disc'?" in text
-    assert "shim_contact" in text
+    (text,) = problems_of([entry("radiance")])
+    assert "docs/effects.md lists them" in text
     (text,) = problems_of([entry("wet_disc", rain=1.0)])
     assert text.startswith("[[effect]] wet_disc parameters.rain: unknown")
     assert "evaporation_w_k" in text

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from bstm_daemon.cli.replay import is_one_of_few
 from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.errors import FileAccessError, LogError, MissingExtraError
 from bstm_daemon.replay.columns import stream_log
@@ -19,6 +18,7 @@ from bstm_daemon.replay.results import (
     Chosen,
     Results,
     csv_file,
+    is_one_of_few,
     require_format,
 )
 from bstm_daemon.replay.results.files import (

@@ -1,0 +1,111 @@
+"""What was found as it is written into a configuration, all of it together.
+
+The values that were fitted with an effect or a change belong to it: a file
+with the one and without the others is a model that nobody has tried.
+"""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from bstm_daemon.analysis.gap.changes import (
+    PREFIX,
+    factor_of,
+    is_change,
+    said,
+)
+from bstm_daemon.analysis.gap.fitting import HEAT_CHANGE, effect_entries
+from bstm_daemon.analysis.identify.writing import Change, Entries
+from bstm_daemon.analysis.matching.changes import value_changes
+from bstm_daemon.analysis.matching.learned import (
+    entry,
+    entry_of,
+    settings_of,
+)
+from bstm_daemon.config.estimates import ChangeConfig
+
+if TYPE_CHECKING:
+    from bstm_daemon.analysis.gap.comparison import Comparison
+    from bstm_daemon.analysis.gap.fitting import Fit
+    from bstm_daemon.analysis.gap.naming import Naming
+
+
+def written(
+    comparison: Comparison, fit: Fit, naming: Naming
+) -> tuple[list[Change], Entries]:
+    """Return what is written of *fit*: values, and what was found.
+
+    Each has its provenance.
+    """
+    target = comparison.target
+    logs = ", ".join(comparison.drive_names)
+    today = time.strftime("%Y-%m-%d")
+    found = np.exp(fit.written_x[:-1])
+    values = dict(zip(comparison.keys[:-1], found.tolist(), strict=True))
+    after = target.changed(values)
+    note = f"fitted with {', '.join(fit.strengths)}, {logs}, {today}"
+    settings = settings_of(target, after, values)
+    changes = value_changes(
+        settings, dict.fromkeys(settings, note), target.config, target.corners
+    )
+    if HEAT_CHANGE in fit.strengths:
+        factor = factor_of(HEAT_CHANGE, fit.strengths[HEAT_CHANGE])
+        changes += [
+            Change(
+                *("corner", "friction_coefficient"),
+                factor * corner.friction_coefficient,
+                corner.name,
+                note,
+            )
+            for corner in target.config.corner
+            if corner.name in target.corners
+        ]
+    effects, moved = [], []
+    for name, strength in fit.strengths.items():
+        said_of = _provenance(comparison, fit, naming, name)
+        if not is_change(name):
+            effects += effect_entries({name: strength}, said_of)
+            continue
+        effects += comparison.trials[name].effects_at(strength)
+        said_of["meaning"] = said(name, strength)
+        every = {corner.name for corner in target.config.disc_corners()}
+        corners = target.corners
+        moved += [
+            ChangeConfig.model_validate(
+                {
+                    "name": name.removeprefix(PREFIX),
+                    "corner": corner,
+                    "factor": factor_of(name, strength),
+                    "provenance": said_of,
+                }
+            )
+            for corner in (("all",) if set(corners) == every else corners)
+        ]
+    known = entry_of(target.config, target.corners[0])
+    matched = []
+    if known is not None:
+        covariance = fit.covariance[:-1, :-1]
+        matched = [entry(after, comparison.keys[:-1], covariance, known)]
+    return changes, Entries(effects, moved, matched)
+
+
+def _provenance(
+    comparison: Comparison, fit: Fit, naming: Naming, name: str
+) -> dict[str, Any]:
+    """Return where *name* and its strength come from, and how sure it is."""
+    evidence = next(
+        one.log_evidence for one in naming.candidates if one.name == name
+    )
+    of = (lambda a: factor_of(name, a)) if is_change(name) else float
+    return {
+        "source": "bstm gap",
+        "data": list(comparison.drive_names),
+        "date": time.strftime("%Y-%m-%d"),
+        "strength_sd": round(fit.deviations[name], 3),
+        "strength_90": [round(of(end), 3) for end in fit.interval(name)],
+        **naming.provenance(name),
+        "log_bayes_factor": round(evidence, 1),
+    }

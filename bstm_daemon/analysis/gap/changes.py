@@ -1,0 +1,173 @@
+"""Values of the car that may have changed since it was matched.
+
+Beside the effects that the model may lack, each of its own values is a
+candidate: one by one, and together where one cause moves several. A strength
+is the logarithm of the factor over :data:`STEP`.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from bstm_daemon.analysis.matching.tunables import EFFECT, split_key
+from bstm_daemon.model.effects.catalogue import effect_class, effects_of
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from bstm_daemon.analysis.statistics.series import Column
+    from bstm_daemon.config.sections import Config, EffectConfig
+
+PREFIX: Final = "change."
+"""Of the names of these candidates."""
+
+HEAT_SCALE: Final = "heat scale"
+"""Key of the tunable that scales all brake power: friction as a whole."""
+
+STEP: Final = 0.4
+"""Logarithm of a value's factor that counts as strength 1, either way."""
+
+HEAT_STEP: Final = 0.2
+"""Of the heat: friction differs by less than conductances do."""
+
+LARGEST: Final = 4.0
+"""Strength of a change beyond which it is none, but something else."""
+
+
+@dataclass(frozen=True, slots=True)
+class Kind:
+    """What can change, and the likely causes of less and of more of it."""
+
+    what: str
+    less: str
+    more: str
+    keys: tuple[str, ...]
+
+
+KINDS: Final[dict[str, Kind]] = {
+    name: Kind(one["what"], one["less"], one["more"], tuple(one["keys"]))
+    for name, one in tomllib.loads(
+        (Path(__file__).parent / "_data" / "changes.toml").read_text("utf-8")
+    ).items()
+}
+"""By name, without :data:`PREFIX`."""
+
+
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """A candidate: ``direction`` (p,) in the logarithms for strength 1.
+
+    Or the ``effect`` on the heat that the model has, and whose strength is
+    another.
+    """
+
+    name: str
+    direction: Column
+    effect: EffectConfig | None = None
+
+    def effects_at(self, strength: float) -> list[EffectConfig]:
+        """Return the effect with a change of *strength*, if it is one."""
+        if self.effect is None:
+            return []
+        value = strength_of(self.effect) * np.exp(STEP * strength)
+        parameters = {**self.effect.parameters, "strength": float(value)}
+        return [self.effect.model_copy(update={"parameters": parameters})]
+
+
+def is_change(name: str) -> bool:
+    """Whether the candidate *name* is a change, not an effect."""
+    return name.startswith(PREFIX)
+
+
+def either_sign(name: str) -> bool:
+    """Whether the candidate *name* can have either sign."""
+    return is_change(name) or effect_class(name).either_sign
+
+
+def twins_of(name: str) -> tuple[str, ...]:
+    """Return the declared twins of the candidate *name*."""
+    return () if is_change(name) else effect_class(name).twins
+
+
+def largest(name: str) -> float:
+    """Return the largest strength that the candidate *name* can have."""
+    if is_change(name):
+        return LARGEST
+    return effect_class(name).parameters()[0].upper
+
+
+def trials(config: Config, keys: Sequence[str]) -> dict[str, Trial]:
+    """Return every change of a model with the tunables *keys*, by name."""
+    groups = {
+        name: tuple(key for key in kind.keys if key in keys)
+        for name, kind in KINDS.items()
+    }
+    grouped = {HEAT_SCALE, *(key for own in groups.values() for key in own)}
+    groups |= {key: (key,) for key in keys if key not in grouped}
+    if config.heat.mode != "ff":
+        # motion heats whatever friction is
+        groups.pop("brake_heat")
+    found: dict[str, Trial] = {}
+    for name, own in groups.items():
+        direction = np.array([step_of(key) * (key in own) for key in keys])
+        if own and not any(
+            np.array_equal(direction, one.direction) for one in found.values()
+        ):
+            found[PREFIX + name] = Trial(PREFIX + name, direction)
+    for effect in effects_of(config):
+        on_heat = effect_class(effect.name).kind == "heat"
+        if on_heat and strength_of(effect) != 0.0:
+            name = f"{PREFIX}{EFFECT}.{effect.name}.strength"
+            found[name] = Trial(name, np.zeros(len(keys)), effect)
+    return found
+
+
+def strength_of(effect: EffectConfig) -> float:
+    """Return the strength of *effect*, 1 where it is not configured."""
+    return effect.parameters.get("strength", 1.0)
+
+
+def step_of(key: str) -> float:
+    """Return the change of the logarithm of *key* at strength 1."""
+    return HEAT_STEP if key == HEAT_SCALE else STEP
+
+
+def factor_of(name: str, strength: float) -> float:
+    """Return the factor that a change of *strength* is."""
+    kind = KINDS.get(name.removeprefix(PREFIX))
+    step = step_of(kind.keys[0]) if kind else STEP
+    return float(np.exp(step * strength))
+
+
+def said_percent(name: str, strength: float) -> str:
+    """Return the change *name* of *strength* in percent."""
+    return f"{100.0 * (factor_of(name, strength) - 1.0):+.0f} %"
+
+
+def name_of(name: str) -> str:
+    """Return what the candidate *name* is called, of a change in words."""
+    if not is_change(name):
+        return name
+    own = name.removeprefix(PREFIX)
+    if own in KINDS:
+        return KINDS[own].what
+    section, rest = split_key(own)
+    if section == EFFECT:
+        effect, parameter = split_key(rest)
+        return f"{parameter} of {effect}"
+    return rest.replace("_", " ")
+
+
+def said(name: str, strength: float, *, cause: bool = True) -> str:
+    """Return the change *name* of *strength* in plain words."""
+    percent = said_percent(name, strength)
+    text = f"{name_of(name)} {percent} since the match"
+    kind = KINDS.get(name.removeprefix(PREFIX))
+    if kind is None or not cause:
+        return text
+    return f"{text}: {kind.less if strength < 0.0 else kind.more}?"

@@ -1,0 +1,100 @@
+"""From what was simulated to an answer, by the noise that suits it.
+
+What a match knows is taken in here: the form of the model is taken off, what
+differs from day to day is integrated out, and large changes are simulated
+again where they are.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from bstm_daemon.analysis.gap.changes import is_change
+from bstm_daemon.analysis.gap.evidence import NEXT_EVIDENCE, NEXT_SHARE
+from bstm_daemon.analysis.gap.fitting import fit, prior_along
+from bstm_daemon.analysis.gap.form import daily, form_k
+from bstm_daemon.analysis.gap.naming import Naming, name_effect
+from bstm_daemon.analysis.gap.noise import Layout, calibrated
+from bstm_daemon.analysis.gap.signatures import Linearised, Sensed, sharpened
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from bstm_daemon.analysis.gap.comparison import Comparison
+    from bstm_daemon.analysis.statistics.series import Column
+
+LEADING: Final = 4
+LARGE: Final = 0.7
+"""Changes at the head of the list that are larger are simulated again."""
+
+
+def search(
+    comparison: Comparison, simulated: Sensed, basis: Column
+) -> tuple[Linearised, Naming]:
+    """Return what is known, whitened, and what it says is missing.
+
+    Args:
+        comparison: gets its noise, and the error of its form.
+        simulated: residuals and sensitivities at its start.
+        basis: directions (p, q) in which the tunables may move.
+    """
+    comparison.form_k = form_k(comparison, simulated)
+    jacobian_k = simulated.jacobian_k @ basis
+    prior = prior_along(comparison, basis)
+    if comparison.matched:
+        columns_k, deviations = daily(simulated)
+        jacobian_k = np.column_stack((jacobian_k, columns_k))
+        prior = np.concatenate((prior, deviations))
+    turned = replace(
+        simulated,
+        base_k=simulated.base_k + comparison.form_k,
+        jacobian_k=jacobian_k,
+    )
+    layout = Layout(
+        comparison.series, comparison.noise, prior, comparison.drive_names
+    )
+    layout.set_noise(calibrated(layout, turned.base_k, turned.columns_k()))
+    comparison.set_noise(layout.noise)
+    known = turned.whitened(layout)
+    naming = name_effect(layout, known)
+    done: dict[str, float] = {}
+    while far := _far(naming, done):
+        turned = sharpened(comparison, turned, far)
+        known = turned.whitened(layout)
+        naming = name_effect(layout, known)
+        done |= far
+    if len(naming.adoptable) > 1 and done:
+        first = naming.candidates[0]
+        alone, together = (
+            fit(comparison, start, basis, known_k=simulated.jacobian_k).cost
+            for start in ({first.name: first.strength}, starts(naming))
+        )
+        least = max(NEXT_EVIDENCE, NEXT_SHARE * first.gain)
+        if alone - together < least:
+            naming = name_effect(layout, known, alone=True)
+    return known, naming
+
+
+def starts(naming: Naming) -> dict[str, float]:
+    """Return what can be adopted, and the strengths that a fit begins at."""
+    return {
+        one.name: one.strength
+        for one in naming.candidates
+        if one.name in naming.adoptable
+    }
+
+
+def _far(naming: Naming, done: Mapping[str, float]) -> dict[str, float]:
+    """Return changes that are large and not simulated as large, by name."""
+    leading = {one.name for one in naming.candidates[:LEADING]}
+    return {
+        one.name: one.strength
+        for one in naming.candidates
+        if is_change(one.name)
+        and one.name in leading.union(naming.names)
+        and abs(one.strength) > LARGE
+        and one.name not in done
+    }

@@ -1,0 +1,134 @@
+"""What a match hands on: values, their covariance, what the form leaves.
+
+A fit's own covariance trusts the form of the model. How far the values move
+when a drive is left out says how far to trust that: both add up, never beyond
+the prior.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from bstm_daemon.analysis.matching.tunables import (
+    LEVEL,
+    MIDDLE,
+    NODES_MS,
+    S_SPEEDS_MS,
+    TUNABLES,
+    refined_keys,
+    usable,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from bstm_daemon.analysis.matching.tunables import Target
+    from bstm_daemon.analysis.statistics.series import Column
+    from bstm_daemon.config.estimates import MatchedConfig
+    from bstm_daemon.config.sections import Config
+
+SAME: Final = 1e-3
+"""Relative difference from which a value was edited since its match."""
+
+DAY_TO_DAY: Final = 0.03
+"""Standard deviation of a value's logarithm from drive to drive, at least:
+weather, and how pads lie."""
+
+
+def value_of(target: Target, key: str) -> float:
+    """Return the value of *key*; of the cooling table its S at the speed."""
+    if key in NODES_MS or key == LEVEL:
+        table = target.config.cooling_of(target.corner)
+        speed_ms = NODES_MS.get(key, S_SPEEDS_MS[MIDDLE])
+        return float(np.interp(speed_ms, table.speed_ms, table.s_per_s))
+    return target.value(TUNABLES[key])
+
+
+def settings_of(
+    before: Target, after: Target, values: Mapping[str, float]
+) -> dict[str, Any]:
+    """Return the keys of the configuration and their values in *after*.
+
+    *values* are the tunables that *after* differs from *before* by.
+    """
+    old = before.config.cooling_of(before.corner)
+    new = after.config.cooling_of(after.corner)
+    found: dict[str, Any] = {
+        key: value for key, value in values.items() if key not in NODES_MS
+    }
+    if NODES_MS.keys() & values.keys():
+        if new.speed_ms != old.speed_ms:
+            found["cooling.speed_ms"] = tuple(new.speed_ms)
+        found["cooling.s_per_s"] = tuple(new.s_per_s)
+    return found
+
+
+def entry(
+    target: Target,
+    keys: Sequence[str],
+    covariance: Column,
+    like: MatchedConfig,
+) -> MatchedConfig:
+    """Return *like* with the values of *target* and their *covariance*."""
+    factor = np.linalg.cholesky(covariance)
+    return like.model_copy(
+        update={
+            "names": list(keys),
+            "values": [short(value_of(target, key)) for key in keys],
+            "factor": [
+                [short(one) for one in row[: i + 1].tolist()]
+                for i, row in enumerate(factor)
+            ],
+        }
+    )
+
+
+def short(value: float) -> float:
+    """Return *value* in the digits that are written."""
+    return float(f"{value:.5g}")
+
+
+def entry_of(config: Config, corner: str) -> MatchedConfig | None:
+    """Return what the match of *corner* learned, None without one."""
+    return next((one for one in config.matched if corner in one.corners), None)
+
+
+def known_keys(target: Target) -> list[str]:
+    """Return what is free in *target*: what its match fitted, if it has one.
+
+    A key that this version does not know is left out.
+    """
+    one = entry_of(target.config, target.corners[0])
+    wanted = refined_keys(target)
+    if one is not None:
+        wanted = tuple(key for key in one.names if key in TUNABLES)
+    return usable(target, wanted)[0]
+
+
+def known_covariance(target: Target, keys: Sequence[str]) -> Column:
+    """Return the covariance of the logarithms of *keys*, (p, p).
+
+    Without a match, and for values that were edited since, that of the
+    priors.
+    """
+    prior = np.array([target.tunable(key).prior for key in keys])
+    found = np.diag(prior**2)
+    one = entry_of(target.config, target.corners[0])
+    if one is None:
+        return found
+    lower = np.zeros((len(one.names), len(one.names)))
+    for i, row in enumerate(one.factor):
+        lower[i, : i + 1] = row
+    whole = lower @ lower.T + DAY_TO_DAY**2 * np.eye(len(lower))
+    of = {name: i for i, name in enumerate(one.names)}
+    kept = [
+        i
+        for i, key in enumerate(keys)
+        if key in of
+        and abs(value_of(target, key) / one.values[of[key]] - 1.0) < SAME
+    ]
+    there = [of[keys[i]] for i in kept]
+    found[np.ix_(kept, kept)] = whole[np.ix_(there, there)]
+    return np.asarray(found)

@@ -1,0 +1,301 @@
+"""``bstm fleet``: the drives of many cars, replayed in chains."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import time
+from contextlib import closing, contextmanager, redirect_stdout
+from io import StringIO
+from itertools import chain
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from bstm_daemon.cli.arguments import (
+    add_every,
+    add_no_forecast,
+    add_out,
+    add_path,
+    check_targets,
+)
+from bstm_daemon.cli.main import main
+from bstm_daemon.cli.progress import Progress
+from bstm_daemon.errors import StateLockedError
+from bstm_daemon.files import make_folder, replacing
+from bstm_daemon.fleet.cluster import connect, require_fleet
+from bstm_daemon.fleet.lake import Lake, Options
+from bstm_daemon.fleet.plan import Plan, add_logs
+from bstm_daemon.fleet.query import ask, shipped
+from bstm_daemon.fleet.run import Run
+from bstm_daemon.fleet.vehicles import Fleet
+from bstm_daemon.report.fleet import FleetFacts, fleet_page
+from bstm_daemon.report.shell import require_page_packages, write_page
+from bstm_daemon.report.text import table, wrapped
+from bstm_daemon.report.timescale import duration
+from bstm_daemon.service.state_file import lock
+
+if TYPE_CHECKING:
+    import argparse
+    from collections.abc import Iterator
+
+    from bstm_daemon.fleet.run import Outcome
+
+FAILURES_SHOWN: Final = 40
+EXIT_FAILED: Final = 1
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the steps and their arguments."""
+    steps = parser.add_subparsers(title="steps", metavar="STEP", required=True)
+    plan = steps.add_parser("plan", help="find the logs of each car")
+    plan.add_argument("logs", nargs="+", type=Path, metavar="LOG")
+    plan.add_argument(
+        "--vehicles",
+        type=Path,
+        required=True,
+        metavar="FLEET.toml",
+        help="which log is of which car, and their configurations",
+    )
+    plan.add_argument(
+        *("-o", "--out"),
+        dest="lake",
+        type=Path,
+        required=True,
+        metavar="LAKE",
+        help="folder of the plan and of all results",
+    )
+    plan.set_defaults(step=_plan)
+    replay = steps.add_parser("replay", help="replay what is new or changed")
+    _add_lake(replay)
+    where = replay.add_mutually_exclusive_group()
+    where.add_argument(
+        "--jobs",
+        type=int,
+        metavar="N",
+        help="processes on this machine (default: one a core)",
+    )
+    where.add_argument(
+        "--scheduler",
+        metavar="tls://HOST:PORT",
+        help="Dask scheduler whose workers replay",
+    )
+    for name in ("ca", "cert", "key"):
+        what = "for tls:// (default: Dask's configuration)"
+        add_path(replay, f"--tls-{name}", "FILE.pem", what)
+    replay.add_argument(
+        "--on-error",
+        choices=("continue", "hold"),
+        default="continue",
+        help="behind a log that cannot be replayed: go on from the last good "
+        "state as after a drive that nobody saw, or wait (default: "
+        "%(default)s)",
+    )
+    add_every(replay)
+    add_no_forecast(replay)
+    replay.set_defaults(step=_replay)
+    status = steps.add_parser("status", help="what is done, waits or failed")
+    _add_lake(status)
+    status.set_defaults(step=_status)
+    report = steps.add_parser("report", help="write the page of the fleet")
+    _add_lake(report)
+    add_out(report, "page (default: LAKE/report.html)", "FILE.html")
+    report.add_argument(
+        "--pages",
+        type=int,
+        default=0,
+        metavar="N",
+        help="replay the N worst drives for pages of their own, which the "
+        "page leads to (default: %(default)s)",
+    )
+    report.set_defaults(step=_report)
+    query = steps.add_parser("query", help="ask the results in SQL")
+    _add_lake(query)
+    query.add_argument(
+        "sql",
+        nargs="?",
+        metavar="SQL",
+        help="a question in SQL, or the name of a shipped one; without it "
+        "those are listed",
+    )
+    add_out(query, "write the answer as CSV", "FILE.csv")
+    query.set_defaults(step=_query)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the step."""
+    code: int = args.step(args)
+    return code
+
+
+def _add_lake(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("lake", type=Path, metavar="LAKE")
+
+
+def _plan(args: argparse.Namespace) -> int:
+    lake, fleet = Lake(args.lake), Fleet(args.vehicles)
+    make_folder(lake.root)
+    with _owning(lake), Progress("plan") as progress:
+        unread = add_logs(
+            lake,
+            fleet,
+            args.logs,
+            lambda number, path: progress.show(0.0, f"{number} {path.name}"),
+        )
+    with closing(Plan(lake)) as plan:
+        print(f"{lake.plan}: {len(plan)} drives of {plan.cars()} cars")
+    _list("begin not readable, placed by its name", [d.log for d in unread])
+    return 0
+
+
+def _replay(args: argparse.Namespace) -> int:
+    require_fleet()
+    lake = Lake(args.lake)
+    options = Options(round(args.every * 1e6), args.forecast)
+    with (
+        closing(Plan(lake)) as plan,
+        _owning(lake),
+        Progress("fleet replay") as progress,
+    ):
+        hold = args.on_error == "hold"
+        replayed = Run(lake, plan, options, hold=hold)
+        total, begun_s = len(plan), time.monotonic()
+
+        def show() -> None:
+            outcome = replayed.outcome
+            spent_s = time.monotonic() - begun_s
+            rate = outcome.made / spent_s
+            left_s = (total - outcome.seen) / rate if rate else 0.0
+            text = f"{3600.0 * rate:.0f} drives/h, {duration(left_s)} left"
+            progress.show(outcome.seen / total, text)
+
+        chains = replayed.chains()
+        first = next(chains, None)
+        if first is not None:
+            tls = args.tls_ca, args.tls_cert, args.tls_key
+            with connect(args.scheduler, args.jobs, tls) as client:
+                replayed.execute(client, chain([first], chains), show)
+    spent_s = time.monotonic() - begun_s
+    outcome = replayed.outcome
+    print(f"{args.lake}: {_counts(outcome)}, in {duration(spent_s)}")
+    _list("not replayed", outcome.failures)
+    return EXIT_FAILED if outcome.failures else 0
+
+
+def _status(args: argparse.Namespace) -> int:
+    lake = Lake(args.lake)
+    with closing(Plan(lake)) as plan:
+        outcome = Run(lake, plan, None).look()
+        print(f"{args.lake}: {plan.cars()} cars, {_counts(outcome)}")
+    _list("not replayed", outcome.failures)
+    return EXIT_FAILED if outcome.failures else 0
+
+
+def _report(args: argparse.Namespace) -> int:
+    require_page_packages()
+    lake = Lake(args.lake)
+    out = args.out or lake.root / "report.html"
+    check_targets([out], ())
+    with closing(Plan(lake)) as plan:
+        outcome = Run(lake, plan, None).look()
+        cars, dates, worst = (
+            ask(lake, name).as_rows() for name in ("cars", "dates", "worst")
+        )
+        found = {}
+        for row in worst[: args.pages]:
+            drive = (row["vehicle"], row["name"])
+            page = _drive_page(lake, plan, *drive)
+            if page is not None:
+                found[drive] = os.path.relpath(page, out.parent)
+    title = f"Brakes of the fleet: {lake.root.resolve().name}"
+    failures, waiting = outcome.failures, outcome.waiting
+    facts = FleetFacts(title, cars, dates, worst, found, failures, waiting)
+    write_page(out, fleet_page(facts))
+    print(out)
+    return 0
+
+
+def _drive_page(
+    lake: Lake, plan: Plan, vehicle: str, name: str
+) -> Path | None:
+    """Replay a drive as it was for a page; None where that is impossible."""
+    before = None
+    for drive in plan.chain(vehicle):
+        receipt = lake.receipt(drive)
+        if drive.name == name and receipt is not None:
+            page = lake.page(drive)
+            make_folder(page.parent)
+            pairs = json.loads(drive.map).items()
+            arguments = [
+                *("replay", drive.log, "-c", drive.config),
+                *("--report", str(page)),
+                *(() if receipt.options.forecast else ("--no-forecast",)),
+                *(f"--map={one}={bus}" for one, bus in pairs),
+            ]
+            if before is not None and lake.state(before).exists():
+                arguments += ["--state", str(lake.state(before))]
+            with redirect_stdout(StringIO()):
+                code = main(arguments)
+            return page if code == 0 else None
+        before = drive
+    return None
+
+
+def _query(args: argparse.Namespace) -> int:
+    if args.sql is None:
+        rows = [[name, one["what"]] for name, one in shipped().items()]
+        print("\n".join(table(["name", "question"], rows)))
+        return 0
+    check_targets([args.out], ())
+    answer = ask(Lake(args.lake), args.sql)
+    if args.out is not None:
+        with (
+            replacing(args.out) as temporary,
+            temporary.open("w", encoding="utf-8", newline="") as file,
+        ):
+            csv.writer(file).writerows([answer.names, *answer.rows])
+        print(f"{args.out}: {len(answer.rows)} rows")
+        return 0
+    print(
+        "\n".join(table(answer.names, [[*map(_cell, r)] for r in answer.rows]))
+    )
+    return 0
+
+
+def _cell(value: object) -> str:
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    return "" if value is None else str(value)
+
+
+@contextmanager
+def _owning(lake: Lake) -> Iterator[None]:
+    """Let no other command write *lake* meanwhile.
+
+    Raises:
+        StateLockedError: one does.
+    """
+    try:
+        own = lock(lake.root / "lake")
+    except StateLockedError as error:
+        msg = f"{lake.root}: another 'bstm fleet' writes it (lake.lock)"
+        raise StateLockedError(msg) from error
+    with closing(own):
+        yield
+
+
+def _counts(outcome: Outcome) -> str:
+    parts = (
+        (outcome.made, "replayed"),
+        (outcome.current, "up to date"),
+        (len(outcome.failures), "failed"),
+        (outcome.waiting, "waiting"),
+    )
+    return ", ".join(f"{n} {what}" for n, what in parts if n) or "no drive"
+
+
+def _list(what: str, found: list[str]) -> None:
+    if found:
+        more = len(found) - FAILURES_SHOWN
+        lines = found[:FAILURES_SHOWN] + [f"and {more} more"] * (more > 0)
+        print("\n".join([f"{what}:", *wrapped(lines)]))

@@ -1,0 +1,1 @@
+"""Drives of many cars, replayed in chains on Dask distributed."""

@@ -1,0 +1,253 @@
+"""The folder of a fleet's results: where each file is, and its receipts.
+
+A receipt is written after all other files of its drive. Its key is the hash of
+all that the results follow from, the key of the drive before among them, so
+that a drive is made anew exactly where something before it has changed.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
+from functools import cache
+from hashlib import blake2b
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from bstm_daemon import __version__
+from bstm_daemon.config.reading import read_toml
+from bstm_daemon.errors import FileAccessError
+from bstm_daemon.files import make_folder, replacing
+from bstm_daemon.native.loader import load_kernel
+from bstm_daemon.service.state_file import safe_name
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+_PACKAGE: Final = Path(__file__).resolve().parents[1]
+_CODE: Final = ("**/*.py", "**/*.c", "**/*.h", "**/*.toml")
+_READ_BYTES: Final = 2**20
+_LIBRARIES: Final = ("cantools", "numpy", "pyarrow", "distributed")
+
+
+@dataclass(frozen=True)
+class Options:
+    """Options of a replay that change its results."""
+
+    every_us: int
+    forecast: bool
+
+
+@dataclass(frozen=True)
+class Drive:
+    """A log in the plan; ``problem`` is why its begin could not be read.
+
+    ``name`` is that of its files in the lake, ``first_us`` its first stamp
+    [us], ``size`` and ``mtime_ns`` those of the file when it was planned.
+    """
+
+    vehicle: str
+    name: str
+    log: str
+    first_us: int
+    problem: str | None
+    size: int
+    mtime_ns: int
+    config: str
+    type: str
+    map: str
+
+
+@dataclass(frozen=True)
+class Receipt:
+    """What became of a drive: done, or failed where there is a ``message``.
+
+    ``key`` is empty where a new attempt may end otherwise, ``last_us`` the
+    last stamp [us].
+    """
+
+    key: str
+    log_hash: str
+    size: int
+    mtime_ns: int
+    message: str | None
+    last_us: int | None
+    options: Options
+    program: dict[str, str]
+
+
+@cache
+def program() -> dict[str, str]:
+    """Return what makes the numbers here: versions, code, kernel form."""
+    code = blake2b(digest_size=16)
+    files = {path for glob in _CODE for path in _PACKAGE.glob(glob)}
+    for path in sorted(files):
+        code.update(path.relative_to(_PACKAGE).as_posix().encode())
+        code.update(path.read_bytes())
+    found = {
+        "bstm": __version__,
+        "code": code.hexdigest(),
+        "kernel": "reference" if load_kernel() is None else "compiled",
+        "python": ".".join(map(str, sys.version_info[:2])),
+    }
+    for name in _LIBRARIES:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            found[name] = "none"
+    return found
+
+
+def hash_of_file(path: Path) -> str:
+    """Return the hash of the content of *path*.
+
+    Raises:
+        FileAccessError: it can not be read.
+    """
+    found = blake2b(digest_size=16)
+    try:
+        with path.open("rb") as file:
+            while data := file.read(_READ_BYTES):
+                found.update(data)
+    except OSError as error:
+        msg = f"{path}: cannot be read: {error.strerror or error}"
+        raise FileAccessError(msg) from error
+    return found.hexdigest()
+
+
+def hash_of_config(path: Path) -> str:
+    """Return the hash of the configuration *path* and its DBC files.
+
+    Raises:
+        FileAccessError: one can not be read.
+        ConfigError: the configuration is no TOML.
+    """
+    buses = read_toml(path).get("bus", [])
+    names = [b.get("dbc") for b in buses] if isinstance(buses, list) else []
+    files = [path, *(path.parent / n for n in names if isinstance(n, str))]
+    return _hash([hash_of_file(file) for file in files])
+
+
+def key_of(
+    previous: str,
+    drive: Drive,
+    log_hash: str,
+    config_hash: str,
+    options: Options,
+) -> str:
+    """Return the key of *drive* behind the drive with the key *previous*."""
+    made = [program()[name] for name in ("bstm", "code", "kernel")]
+    return _hash(
+        [previous, log_hash, config_hash, drive.map, asdict(options), made]
+    )
+
+
+class Lake:
+    """Paths of one lake, and its receipts."""
+
+    def __init__(self, root: Path) -> None:
+        """Take the folder *root*, which may not exist yet."""
+        self.root = root
+
+    @property
+    def plan(self) -> Path:
+        """The plan, an SQLite database."""
+        return self.root / "plan.sqlite"
+
+    def estimates(self, drive: Drive) -> Path:
+        """Return where the rows of *drive* are, by the day of its begin."""
+        day = datetime.fromtimestamp(drive.first_us * 1e-6, UTC).date()
+        folder = self._folder(drive, "estimates", "vehicle=") / f"date={day}"
+        return folder / f"{drive.name}.parquet"
+
+    def row(self, drive: Drive) -> Path:
+        """Return where the one row about *drive* is."""
+        return self._folder(drive, "drives", "vehicle=") / (
+            f"{drive.name}.parquet"
+        )
+
+    def page(self, drive: Drive) -> Path:
+        """Return where the page of *drive* is, if it was asked for."""
+        return self._folder(drive, "pages") / f"{drive.name}.html"
+
+    def state(self, drive: Drive) -> Path:
+        """Return where the state at the end of *drive* is."""
+        return self._folder(drive, "state") / f"{drive.name}.state"
+
+    def receipt_path(self, drive: Drive) -> Path:
+        """Return where the receipt of *drive* is."""
+        return self._folder(drive, "receipts") / f"{drive.name}.json"
+
+    def files(self, drive: Drive) -> tuple[Path, ...]:
+        """Return the files of *drive* once it is done, without receipt."""
+        return self.estimates(drive), self.row(drive), self.state(drive)
+
+    def receipt(self, drive: Drive) -> Receipt | None:
+        """Return the receipt of *drive*; None without or of another form."""
+        try:
+            text = self.receipt_path(drive).read_text(encoding="utf-8")
+            found = json.loads(text)
+            options = Options(**found.pop("options"))
+            return Receipt(**found, options=options)
+        except (OSError, KeyError, TypeError, ValueError):
+            return None
+
+    def write_receipt(self, drive: Drive, receipt: Receipt) -> None:
+        """Write *receipt*, whole or not at all."""
+        path = self.receipt_path(drive)
+        make_folder(path.parent)
+        with replacing(path) as temporary:
+            temporary.write_text(json.dumps(asdict(receipt)), encoding="utf-8")
+
+    def is_made(self, drive: Drive, receipt: Receipt, key: str) -> bool:
+        """Whether what *receipt* says of *drive* was made by *key*."""
+        return receipt.key == key != "" and (
+            receipt.message is not None
+            or all(path.exists() for path in self.files(drive))
+        )
+
+    def current(
+        self,
+        drive: Drive,
+        previous: str,
+        config_hash: str,
+        options: Options | None,
+    ) -> Receipt | None:
+        """Return the receipt of *drive* if nothing is to be done for it.
+
+        The log is not read: it is as it was if size and time are. Without
+        *options* those that it was replayed with are right.
+        """
+        receipt = self.receipt(drive)
+        if receipt is None or (receipt.size, receipt.mtime_ns) != (
+            drive.size,
+            drive.mtime_ns,
+        ):
+            return None
+        log_hash = receipt.log_hash
+        options = options or receipt.options
+        key = key_of(previous, drive, log_hash, config_hash, options)
+        return receipt if self.is_made(drive, receipt, key) else None
+
+    def clear(self, drive: Drive) -> None:
+        """Remove the results of *drive*, and what killed runs left of them."""
+        self.receipt_path(drive).unlink(missing_ok=True)
+        for path in (*self.files(drive), self.receipt_path(drive)):
+            for leftover in path.parent.glob(f".{path.name}.*"):
+                leftover.unlink(missing_ok=True)
+        # of another day if the begin was corrected
+        days = self._folder(drive, "estimates", "vehicle=")
+        estimates = days.glob(f"date=*/{drive.name}.parquet")
+        for path in (*estimates, self.row(drive), self.state(drive)):
+            path.unlink(missing_ok=True)
+
+    def _folder(self, drive: Drive, kind: str, mark: str = "") -> Path:
+        return self.root / kind / f"{mark}{safe_name(drive.vehicle)}"
+
+
+def _hash(parts: Iterable[Any]) -> str:
+    text = json.dumps([*parts], sort_keys=True)
+    return blake2b(text.encode(), digest_size=16).hexdigest()

@@ -1,0 +1,229 @@
+"""Replays the chains of a plan on Dask distributed.
+
+A car's drives are submitted one behind the other, some cars at a time, so
+that client and scheduler hold the drives under way and no others.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import lru_cache
+from hashlib import blake2b
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from bstm_daemon.errors import BstmError, UsageError
+from bstm_daemon.fleet.drive import (
+    FAILED,
+    FOREIGN,
+    Job,
+    fail_drive,
+    replay_drive,
+)
+from bstm_daemon.fleet.lake import hash_of_config, program
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from bstm_daemon.fleet.lake import Drive, Lake, Options, Receipt
+    from bstm_daemon.fleet.plan import Plan
+
+CHAINS_A_THREAD: Final = 3
+"""Cars under way for each thread of the workers: none waits for a task."""
+
+LOST: Final = "each worker that replayed it was lost"
+
+
+@dataclass
+class Outcome:
+    """What became of the drives of a plan.
+
+    ``made`` in this run, ``current`` before it; ``waiting`` were not tried.
+    ``failures`` has a line for each log that could not be replayed, also
+    where a former run had found that.
+    """
+
+    made: int = 0
+    current: int = 0
+    waiting: int = 0
+    failures: list[str] = field(default_factory=list)
+
+    @property
+    def seen(self) -> int:
+        """All drives that were looked at."""
+        lost = len(self.failures)
+        return self.made + self.current + self.waiting + lost
+
+
+@dataclass
+class Chain:
+    """What is left of the drives of a car, and where it stands.
+
+    ``job`` is the next drive; ``before`` the one in front of it and ``key``
+    the key of that one.
+    """
+
+    drives: Iterator[Drive]
+    before: Drive | None = None
+    key: str = ""
+    job: Job | None = None
+
+
+class Run:
+    """One run over a plan."""
+
+    def __init__(
+        self,
+        lake: Lake,
+        plan: Plan,
+        options: Options | None,
+        *,
+        hold: bool = False,
+    ) -> None:
+        """Prepare a run.
+
+        Args:
+            lake: the results.
+            plan: of the lake.
+            options: of the replay; None takes what is there as it is.
+            hold: whether the drives behind one that fails wait.
+        """
+        self._lake, self._plan, self._options = lake, plan, options
+        self._hold = hold
+        self._config_hash = lru_cache(maxsize=4096)(hash_of_config)
+        self.outcome = Outcome()
+
+    def chains(self) -> Iterator[Chain]:
+        """Give each car's chain at the first drive that is to be made."""
+        for vehicle in self._plan.vehicles():
+            chain = Chain(self._plan.chain(vehicle))
+            if self._advance(chain):
+                yield chain
+
+    def look(self) -> Outcome:
+        """Return the state of the lake, without any replay."""
+        for chain in self.chains():
+            self.outcome.waiting += 1 + sum(1 for _ in chain.drives)
+        return self.outcome
+
+    def execute(
+        self,
+        client: Any,
+        chains: Iterator[Chain],
+        progress: Callable[[], None],
+    ) -> Outcome:
+        """Replay what is to be made on the workers of *client*.
+
+        Args:
+            client: a ``distributed.Client``.
+            chains: of :meth:`chains`.
+            progress: called after every drive.
+
+        Raises:
+            UsageError: a worker runs another program than the client.
+            BstmError: the scheduler is gone.
+        """
+        from distributed import as_completed  # noqa: PLC0415  (an extra)
+
+        under_way: dict[str, Chain] = {}
+        completed = as_completed(loop=client.loop)
+        most = CHAINS_A_THREAD * max(sum(client.nthreads().values()), 1)
+
+        def submit(chain: Chain) -> None:
+            future = client.submit(
+                replay_drive, chain.job, key=_name(chain.job), pure=False
+            )
+            under_way[future.key] = chain
+            completed.add(future)
+
+        for chain in chains:
+            submit(chain)
+            while len(under_way) >= most:
+                self._take(next(completed), under_way, submit, progress)
+        while under_way:
+            self._take(next(completed), under_way, submit, progress)
+        return self.outcome
+
+    def _take(
+        self,
+        future: Any,
+        under_way: dict[str, Chain],
+        submit: Callable[[Chain], None],
+        progress: Callable[[], None],
+    ) -> None:
+        """Take the drive that is finished, and go on in its chain."""
+        chain = under_way.pop(future.key)
+        self._finish(chain, future)
+        future.release()
+        progress()
+        if self._advance(chain):
+            submit(chain)
+
+    def _finish(self, chain: Chain, future: Any) -> None:
+        from distributed import KilledWorker  # noqa: PLC0415  (an extra)
+
+        job = chain.job
+        assert job is not None  # noqa: S101  (it was submitted)
+        try:
+            code = future.result()
+        except KilledWorker:
+            fail_drive(job, LOST)
+            code = FAILED
+        except Exception as error:
+            msg = (
+                f"the scheduler is gone, or refuses the work: {error!r}; what "
+                "is finished stays: start it again"
+            )
+            raise BstmError(msg) from error
+        if code == FOREIGN:
+            msg = "a worker has come that runs another program than this one"
+            raise UsageError(msg)
+        receipt = self._lake.receipt(job.drive)
+        self.outcome.made += receipt is not None and receipt.message is None
+        self._pass(chain, job.drive, receipt)
+
+    def _advance(self, chain: Chain) -> bool:
+        """Move on to the first drive that is to be made, if there is one."""
+        for drive in chain.drives:
+            try:
+                config_hash = self._config_hash(Path(drive.config))
+            except BstmError as error:
+                self.outcome.failures.append(f"{drive.vehicle}: {error}")
+                self.outcome.waiting += sum(1 for _ in chain.drives)
+                return False
+            receipt = self._lake.current(
+                drive, chain.key, config_hash, self._options
+            )
+            if receipt is None:
+                if self._options is not None:
+                    chain.job = Job(
+                        str(self._lake.root.resolve()),
+                        drive,
+                        chain.before,
+                        chain.key,
+                        self._options,
+                        config_hash,
+                        program(),
+                    )
+                return True
+            self.outcome.current += receipt.message is None
+            self._pass(chain, drive, receipt)
+        return False
+
+    def _pass(
+        self, chain: Chain, drive: Drive, receipt: Receipt | None
+    ) -> None:
+        """Take *drive*, whose receipt is *receipt*, as the one before."""
+        if receipt is None or receipt.message is not None:
+            message = receipt.message if receipt else "its receipt is gone"
+            line = f"{drive.vehicle} {drive.name}: {message}"
+            self.outcome.failures.append(line)
+            if self._hold:
+                self.outcome.waiting += sum(1 for _ in chain.drives)
+        chain.before = drive
+        chain.key = receipt.key if receipt else ""
+
+
+def _name(job: Job | None) -> str:
+    """Return the name of the task of *job*, another one for another job."""
+    return f"replay-{blake2b(repr(job).encode(), digest_size=12).hexdigest()}"

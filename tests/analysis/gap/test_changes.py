@@ -1,0 +1,205 @@
+"""Values that have changed since the match: candidates, words, answers."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from bstm_daemon.analysis.gap import form, workflow
+from bstm_daemon.analysis.gap.changes import (
+    HEAT_SCALE,
+    KINDS,
+    STEP,
+    factor_of,
+    said,
+    trials,
+)
+from bstm_daemon.analysis.gap.comparison import with_effects
+from bstm_daemon.analysis.gap.fitting import effect_entries
+from bstm_daemon.analysis.gap.form import form_k, with_form
+from bstm_daemon.analysis.gap.signatures import candidates, sensed
+from bstm_daemon.analysis.gap.workflow import compare, find_gap
+from bstm_daemon.analysis.matching.learned import entry
+from bstm_daemon.analysis.matching.tunables import (
+    MASS,
+    S_SPEEDS_MS,
+    TUNABLES,
+    Target,
+    refined_keys,
+    usable,
+)
+from bstm_daemon.config.estimates import MatchedConfig
+from bstm_daemon.report.gap import headline
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from bstm_daemon.analysis.gap.recording import Recording
+    from bstm_daemon.config.sections import Config
+
+AMONG = (
+    "gap_conduction", "hub_conduction", "disc_radiation_driving",
+    "backplate_loss", "bracket_conduction", "caliper_radiation",
+    "shim_contact",
+)  # fmt: skip
+"""Effects on temperatures: these drives have no samples to heat anew."""
+
+EMPTY = MatchedConfig(
+    corners=["FL"],
+    names=[],
+    values=[],
+    factor=[],
+    form_k={"disc": 2.0, "pad_front": 2.0, "pad_back": 1.0, "fluid": 1.0},
+)
+KNOWN_TO = 0.25
+"""Of its prior, how well a match knows a value."""
+
+
+@pytest.fixture(scope="module")
+def matched(config: Config) -> Target:
+    """Return the front left corner with what its match learned."""
+    plain = Target(config, ("FL",))
+    keys, _ = usable(plain, refined_keys(plain))
+    prior = np.array([KNOWN_TO * TUNABLES[key].prior for key in keys])
+    known = entry(plain, keys, np.diag(prior**2), EMPTY)
+    return Target(config.model_copy(update={"matched": [known]}), ("FL",))
+
+
+@pytest.fixture(autouse=True)
+def among(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let these effects be all that there are."""
+    for module in (workflow, form):
+        monkeypatch.setattr(module, "candidates", lambda _: list(AMONG))
+
+
+def ff(config: Config) -> Config:
+    heat = config.heat.model_copy(update={"mode": "ff"})
+    return config.model_copy(update={"heat": heat})
+
+
+def test_each_value_is_a_candidate_and_what_one_cause_moves_is_one(
+    config: Config,
+) -> None:
+    keys = (*S_SPEEDS_MS, MASS, "thermal.pad_static_loss_w_k", HEAT_SCALE)
+
+    found = trials(ff(config), keys)
+
+    assert list(found) == [
+        "change.disc_air",
+        "change.disc_mass",
+        "change.brake_heat",
+        "change.thermal.pad_static_loss_w_k",
+    ]
+    assert found["change.disc_air"].direction.tolist() == [
+        STEP, STEP, STEP, 0.0, 0.0, 0.0,
+    ]  # fmt: skip
+
+
+def test_heat_from_motion_says_nothing_of_friction(config: Config) -> None:
+    heat = config.heat.model_copy(update={"mode": "fb"})
+    moving = config.model_copy(update={"heat": heat})
+
+    assert not trials(moving, (HEAT_SCALE,))
+
+
+def test_an_effect_on_the_heat_that_the_model_has_can_change(
+    config: Config,
+) -> None:
+    fading = with_effects(config, effect_entries({"friction_fade": 0.7}))
+
+    found = trials(fading, ())["change.effect.friction_fade.strength"]
+
+    (there,) = found.effects_at(1.0)
+    assert there.parameters["strength"] == pytest.approx(0.7 * np.exp(STEP))
+    off = with_effects(config, effect_entries({"friction_fade": 0.0}))
+    assert not trials(off, ())
+    assert "friction_fade" in candidates(off)
+    assert "friction_fade" not in candidates(fading)
+
+
+def test_every_kind_is_of_tunables() -> None:
+    for kind in KINDS.values():
+        assert set(kind.keys) <= {*TUNABLES, HEAT_SCALE}
+
+
+def test_a_change_is_said_in_plain_words() -> None:
+    strength = np.log(0.66) / STEP
+
+    assert factor_of("change.disc_air", strength) == pytest.approx(0.66)
+    assert said("change.disc_air", strength) == (
+        "convection from the disc to the wheel well -34 % since the match: "
+        "rim or wheel cover closed, cooling duct blocked?"
+    )
+    assert said("change.effect.disc_hat.strength", -strength) == (
+        "strength of disc_hat +52 % since the match"
+    )
+
+
+@pytest.mark.parametrize(
+    "factor", [0.65, pytest.param(1.5, marks=pytest.mark.slow)]
+)
+def test_a_value_that_has_changed_is_named_and_written(
+    matched: Target, made: Callable[..., Recording], factor: float
+) -> None:
+    """Cooling by the wheel's air, less and more of it."""
+    cooling = matched.config.cooling
+    s = [factor * one for one in cooling.s_per_s]
+    other = matched.config.model_copy(
+        update={"cooling": cooling.model_copy(update={"s_per_s": s})}
+    )
+    drives = [made(of=other), made(name="b", seed=2, of=other)]
+
+    (found,) = find_gap(matched.config, drives[:1], drives[1:], until="adopt")
+
+    assert found.adopted == ("change.disc_air",)
+    assert found.shown is not None
+    assert found.shown.better
+    sign = "-" if factor < 1.0 else "+"
+    said_of = headline(found)
+    assert "changed: convection from the disc to the wheel well" in said_of
+    assert f"well {sign}" in said_of
+    (change,) = found.entries.changes
+    assert change.factor == pytest.approx(factor, rel=0.1)
+    (value,) = (one for one in found.values if one.key == "cooling.s_per_s")
+    assert isinstance(value.value, tuple)
+    assert value.value[2] == pytest.approx(s[2], rel=0.1)
+    (known,) = found.entries.matched
+    assert known.names == matched.config.matched[0].names
+
+
+@pytest.mark.slow
+def test_nothing_has_changed_where_nothing_has(
+    matched: Target, made: Callable[..., Recording]
+) -> None:
+    (found,) = find_gap(matched.config, [made(), made(name="b", seed=2)])
+
+    assert found.naming is not None
+    assert found.naming.answer == "nothing"
+
+
+def test_what_the_form_lacks_is_taken_off_later_drives(
+    matched: Target, made: Callable[..., Recording]
+) -> None:
+    """A pad that conducts more when it is released, as it did at the match."""
+    lacking = {"gap_conduction": 1.0}
+    learning = compare(matched, [made(lacking), made(lacking, "b", seed=2)])
+    known = with_form(matched.config.matched[0], learning)
+    config = matched.config.model_copy(update={"matched": [known]})
+    later = compare(
+        replace(matched, config=config), [made(lacking, "c", seed=3)]
+    )
+    later.trials = {}
+
+    simulated = sensed(later, AMONG)
+    offset_k = form_k(later, simulated)
+
+    before_k = np.sqrt(np.mean(simulated.base_k**2))
+    after_k = np.sqrt(np.mean((simulated.base_k + offset_k) ** 2))
+    assert after_k < 0.2 * before_k
+    assert known.form["gap_conduction"] > 0.1
+    plain = compare(matched, [made(lacking, "c", seed=3)])
+    plain.trials = {}
+    assert not np.any(form_k(plain, simulated))
