@@ -3,7 +3,8 @@
 What C shares with Python is written into a header here, out of the Python
 tables. All modules are optional: where no compiler is, the pure-Python forms
 take over. ``-ffp-contract=off``: the compiled step must round like the Python
-one.
+one. ``-g0``: debugging information has the folder of the build in it, and two
+builds would differ.
 """
 
 import sys
@@ -41,7 +42,6 @@ class BuildExt(build_ext):
 
 setup(
     cmdclass={"build_ext": BuildExt},
-    options={"bdist_wheel": {"py_limited_api": "cp311"}},
     ext_modules=[
         Extension(
             f"bstm_daemon.{module}",
@@ -50,7 +50,7 @@ setup(
                 ("Py_LIMITED_API", "0x030B0000"),
                 ("BSTM_SOURCES", f'"{sources.digest(module)}"'),
             ],
-            extra_compile_args=["-O3", "-ffp-contract=off"],
+            extra_compile_args=["-O3", "-ffp-contract=off", "-g0"],
             libraries=["m"],
             optional=True,
             py_limited_api=True,

@@ -53,6 +53,7 @@ COMMANDS: Final[dict[str, str]] = {
     "verify": "verify the model on drives with measured temperatures",
     "gap": "find, name and add the effect that the model lacks",
     "fleet": "replay the drives of many cars in chains, and question them",
+    "fmu": "export the model as an FMU for other simulation tools",
     "install-service": "write the systemd units of the live service",
     "shell": "print the completion of a shell, or the man page",
 }

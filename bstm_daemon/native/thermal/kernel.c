@@ -7,84 +7,6 @@
 #include "kernel.h"
 #include "march.h"
 
-static int within(const int32_t *values, int n, int low, int high)
-{
-    for (int i = 0; i < n; i++)
-        if (values[i] < low || values[i] >= high) return 0;
-    return 1;
-}
-
-static int rising(const int32_t *values, int n, int last)
-{
-    if (values[0] != 0 || values[n - 1] != last) return 0;
-    for (int i = 1; i < n; i++)
-        if (values[i] < values[i - 1]) return 0;
-    return 1;
-}
-
-/* Parse and check `ints`, so that no array can make the step read outside.
- * Returns NULL or what is wrong. */
-static const char *parse(Structure *s, const int32_t *ints, Py_ssize_t length)
-{
-    if (length < COUNTS) return "ints is shorter than its header";
-    for (int i = 0; i < COUNTS; i++) {
-        s->count[i] = ints[i];
-        if (ints[i] < 0) return "a count is negative";
-        /* sums of a few of them must fit into an int */
-        if (ints[i] > INT32_MAX / 16) return "a count is too large";
-    }
-    if (s->count[COUNT_LAYOUT] != LAYOUT_VERSION)
-        return "ints has another layout version";
-    const int n = s->count[COUNT_NODES], nm = s->count[COUNT_MEMORIES];
-    const int nl = s->count[COUNT_LINKS], ns = s->count[COUNT_SOURCES];
-    const int nf = s->count[COUNT_FACTORS], nt = s->count[COUNT_TABLES];
-    const int ne = s->count[COUNT_ENTRIES], np = s->count[COUNT_PIVOTS];
-    const int no = s->count[COUNT_OPERATIONS], nu = s->count[COUNT_USES];
-    const int parts = n + nl + ns + nm;
-    const int expected[SECTIONS] = {
-        n, n, n, nl, nl, nl, ns, nm, parts + 1, nu, nf, nf, nf, nf, nf,
-        nt, nt, np, np + 1, np + 1, ne, no, no, no};
-    Py_ssize_t position = COUNTS;
-    for (int i = 0; i < SECTIONS; i++) {
-        if (position >= length || ints[position] != expected[i]
-            || length - position - 1 < expected[i])
-            return "a section has the wrong length";
-        s->section[i] = ints + position + 1;
-        position += 1 + expected[i];
-    }
-    const int32_t *const *sec = s->section;
-    const int slots = n + nm + s->count[COUNT_INPUTS];
-    int good = within(sec[NODE_TABLE], n, -1, nt)
-        && within(sec[NODE_INPUT], n, -1, s->count[COUNT_INPUTS])
-        && within(sec[LINK_A], nl, 0, n) && within(sec[LINK_B], nl, 0, n)
-        && within(sec[LINK_ENTRY], nl, -1, ne)
-        && within(sec[SOURCE_NODE], ns, 0, n)
-        && within(sec[MEMORY_KIND], nm, 0, 2)
-        && rising(sec[USE_START], parts + 1, nu)
-        && within(sec[USE_FACTOR], nu, 0, nf)
-        && within(sec[FACTOR_KIND], nf, 0, 4)
-        && within(sec[FACTOR_A], nf, 0, slots)
-        && within(sec[FACTOR_B], nf, 0, slots)
-        && within(sec[FACTOR_TABLE], nf, -1, nt)
-        && within(sec[PIVOT_NODE], np, 0, n)
-        && rising(sec[PIVOT_ENTRY_START], np + 1, ne)
-        && rising(sec[PIVOT_OPERATION_START], np + 1, no)
-        && within(sec[ENTRY_ROW], ne, 0, n)
-        && within(sec[OPERATION_LEFT], no, 0, ne)
-        && within(sec[OPERATION_RIGHT], no, 0, ne)
-        && within(sec[OPERATION_TARGET], no, -n, ne);
-    if (!good) return "an index is out of range";
-    for (int t = 0; t < nt; t++) {
-        const int points = sec[TABLE_POINTS][t], at = sec[TABLE_OFFSET][t];
-        if (points < 2 || at < 0
-            || (int64_t)at + 2 + points > s->count[COUNT_FLOATS])
-            return "a table is out of range";
-    }
-    if ((int64_t)n + nl + ns + 3 * (int64_t)nm > s->count[COUNT_FLOATS])
-        return "floats is too short";
-    return NULL;
-}
-
 /* Whether `have` is rows * width, which may not fit into a Py_ssize_t. */
 static int fits(Py_ssize_t have, Py_ssize_t rows, Py_ssize_t width)
 {
@@ -116,7 +38,7 @@ static PyObject *py_march(PyObject *Py_UNUSED(self), PyObject *args)
     Py_buffer view[7];
     if (bstm_buffers(7, object, writable, wide, view) < 0) return NULL;
     Structure s;
-    const char *wrong = parse(&s, view[0].buf, view[0].len / 4);
+    const char *wrong = bstm_parse(&s, view[0].buf, view[0].len / 4);
     if (wrong == NULL) {
         const Py_ssize_t states =
             s.count[COUNT_NODES] + s.count[COUNT_MEMORIES];
@@ -139,7 +61,7 @@ static PyObject *py_march(PyObject *Py_UNUSED(self), PyObject *args)
                          s.count[COUNT_LINKS] + ns)
                 || (row > 0 && view[6].len / 8 / row < outputs))
                 wrong = "a buffer has the wrong size";
-            else if (!within(view[4].buf, (int)m.members, 0, (int)m.sets))
+            else if (!bstm_within(view[4].buf, (int)m.members, 0, (int)m.sets))
                 wrong = "a member has no input set";
         }
     }

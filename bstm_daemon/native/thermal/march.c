@@ -43,6 +43,82 @@ typedef struct {
     int *fixed;                   /* [nodes]: whether it is in any lane */
 } Work;
 
+int bstm_within(const int32_t *values, int n, int low, int high)
+{
+    for (int i = 0; i < n; i++)
+        if (values[i] < low || values[i] >= high) return 0;
+    return 1;
+}
+
+static int rising(const int32_t *values, int n, int last)
+{
+    if (values[0] != 0 || values[n - 1] != last) return 0;
+    for (int i = 1; i < n; i++)
+        if (values[i] < values[i - 1]) return 0;
+    return 1;
+}
+
+const char *bstm_parse(Structure *s, const int32_t *ints, ptrdiff_t length)
+{
+    if (length < COUNTS) return "ints is shorter than its header";
+    for (int i = 0; i < COUNTS; i++) {
+        s->count[i] = ints[i];
+        if (ints[i] < 0) return "a count is negative";
+        /* sums of a few of them must fit into an int */
+        if (ints[i] > INT32_MAX / 16) return "a count is too large";
+    }
+    if (s->count[COUNT_LAYOUT] != LAYOUT_VERSION)
+        return "ints has another layout version";
+    const int n = s->count[COUNT_NODES], nm = s->count[COUNT_MEMORIES];
+    const int nl = s->count[COUNT_LINKS], ns = s->count[COUNT_SOURCES];
+    const int nf = s->count[COUNT_FACTORS], nt = s->count[COUNT_TABLES];
+    const int ne = s->count[COUNT_ENTRIES], np = s->count[COUNT_PIVOTS];
+    const int no = s->count[COUNT_OPERATIONS], nu = s->count[COUNT_USES];
+    const int parts = n + nl + ns + nm;
+    const int expected[SECTIONS] = {
+        n, n, n, nl, nl, nl, ns, nm, parts + 1, nu, nf, nf, nf, nf, nf,
+        nt, nt, np, np + 1, np + 1, ne, no, no, no};
+    ptrdiff_t position = COUNTS;
+    for (int i = 0; i < SECTIONS; i++) {
+        if (position >= length || ints[position] != expected[i]
+            || length - position - 1 < expected[i])
+            return "a section has the wrong length";
+        s->section[i] = ints + position + 1;
+        position += 1 + expected[i];
+    }
+    const int32_t *const *sec = s->section;
+    const int slots = n + nm + s->count[COUNT_INPUTS];
+    int good = bstm_within(sec[NODE_TABLE], n, -1, nt)
+        && bstm_within(sec[NODE_INPUT], n, -1, s->count[COUNT_INPUTS])
+        && bstm_within(sec[LINK_A], nl, 0, n) && bstm_within(sec[LINK_B], nl, 0, n)
+        && bstm_within(sec[LINK_ENTRY], nl, -1, ne)
+        && bstm_within(sec[SOURCE_NODE], ns, 0, n)
+        && bstm_within(sec[MEMORY_KIND], nm, 0, 2)
+        && rising(sec[USE_START], parts + 1, nu)
+        && bstm_within(sec[USE_FACTOR], nu, 0, nf)
+        && bstm_within(sec[FACTOR_KIND], nf, 0, 4)
+        && bstm_within(sec[FACTOR_A], nf, 0, slots)
+        && bstm_within(sec[FACTOR_B], nf, 0, slots)
+        && bstm_within(sec[FACTOR_TABLE], nf, -1, nt)
+        && bstm_within(sec[PIVOT_NODE], np, 0, n)
+        && rising(sec[PIVOT_ENTRY_START], np + 1, ne)
+        && rising(sec[PIVOT_OPERATION_START], np + 1, no)
+        && bstm_within(sec[ENTRY_ROW], ne, 0, n)
+        && bstm_within(sec[OPERATION_LEFT], no, 0, ne)
+        && bstm_within(sec[OPERATION_RIGHT], no, 0, ne)
+        && bstm_within(sec[OPERATION_TARGET], no, -n, ne);
+    if (!good) return "an index is out of range";
+    for (int t = 0; t < nt; t++) {
+        const int points = sec[TABLE_POINTS][t], at = sec[TABLE_OFFSET][t];
+        if (points < 2 || at < 0
+            || (int64_t)at + 2 + points > s->count[COUNT_FLOATS])
+            return "a table is out of range";
+    }
+    if ((int64_t)n + nl + ns + 3 * (int64_t)nm > s->count[COUNT_FLOATS])
+        return "floats is too short";
+    return NULL;
+}
+
 static size_t work_doubles(const Structure *s)
 {
     const size_t n = s->count[COUNT_NODES], nm = s->count[COUNT_MEMORIES];

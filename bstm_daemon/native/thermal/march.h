@@ -1,5 +1,5 @@
 /* A network's structure and a march over it, as its two sources share them:
- * kernel.c checks what comes from Python, march.c runs it.
+ * kernel.c binds it to Python, march.c checks and runs it.
  * model/thermal/program.py lays out `ints` and `floats`.
  */
 #ifndef BSTM_MARCH_H
@@ -27,6 +27,13 @@ typedef struct {
     double dt;
     int every, phase;
 } March;
+
+/* Whether low <= values[i] < high for all n. */
+int bstm_within(const int32_t *values, int n, int low, int high);
+
+/* Parse and check `ints`, so that no array can make the step read outside.
+ * Returns NULL or what is wrong. */
+const char *bstm_parse(Structure *s, const int32_t *ints, ptrdiff_t length);
 
 /* March all members. Returns -1 where memory is short. */
 int bstm_march(const March *m);

@@ -1,0 +1,1 @@
+"""The model for other tools, as an FMU."""

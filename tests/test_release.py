@@ -1,0 +1,71 @@
+"""Version, changelog, bill of materials and the table of threats."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+import tomllib
+from importlib.metadata import version
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+SECURITY = (ROOT / "docs" / "SECURITY.md").read_text(encoding="utf-8")
+
+
+def test_the_version_has_a_dated_section() -> None:
+    text = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    sections = re.findall(r"^## \[(.+?)\](.*)$", text, re.MULTILINE)
+
+    assert sections[0] == ("Unreleased", "")
+    assert sections[1][0] == PROJECT["project"]["version"]
+    assert re.fullmatch(r" - \d{4}-\d\d-\d\d", sections[1][1])
+
+
+def test_one_wheel_serves_all_versions_of_python() -> None:
+    options = PROJECT["tool"]["distutils"]["bdist_wheel"]
+
+    assert options == {"py-limited-api": "cp311"}
+
+
+def bill(*extras: str) -> str:
+    return subprocess.run(
+        [sys.executable, str(ROOT / ".ci" / "sbom"), *extras],
+        cwd=ROOT,
+        check=True,
+        capture_output=True,
+        text=True,
+    ).stdout
+
+
+def test_the_bill_lists_what_is_installed() -> None:
+    pytest.importorskip("packaging")
+    text = bill("report")
+    found = {one["name"]: one for one in json.loads(text)["components"]}
+
+    for name in ("cantools", "numpy", "pydantic", "python-can", "plotly"):
+        assert found[name]["version"] == version(name)
+    assert {"bstm.dbc", "toyota_new_mc_pt_generated.dbc"} <= found.keys()
+    assert re.fullmatch(r"[0-9.]+", found["plotly.js"]["version"])
+    assert "pyarrow" not in found
+    assert bill("report") == text
+
+
+@pytest.mark.parametrize(
+    "test", re.findall(r"`(tests/[\w/.]+::\w+)`", SECURITY)
+)
+def test_every_answer_to_a_threat_has_its_test(test: str) -> None:
+    path, _, name = test.partition("::")
+
+    assert f"def {name}(" in (ROOT / path).read_text(encoding="utf-8")
+
+
+def test_the_document_names_what_the_program_is_not() -> None:
+    words = " ".join(SECURITY.split())
+
+    assert "not a safety function" in words
+    assert "not qualified to ISO 26262" in words
