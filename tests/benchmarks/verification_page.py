@@ -43,12 +43,6 @@ other half. With the structure `extended` the strengths of its seven thermal
 effects are matched too. The two structures on the other's preset, at the end,
 need not meet the goals: their errors are the gap between model and car that
 `bstm gap` explains. Each section states its commit.
-
-With the structure `extended` and fused heat a drive is read with the
-configuration being verified, as in `bstm verify`. Known and fused heat differ
-by what is due to the heat. The remaining errors are mostly in `ams`: in a stop
-the disc faces are up to 115 K hotter than the lumped disc, whose temperature
-the friction law uses.
 """
 
 TITLE: Final = re.compile(r"^## Structure (.+)$", re.MULTILINE)

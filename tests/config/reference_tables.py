@@ -1,4 +1,4 @@
-"""The tables of keys in docs/reference.md and the schema, from the models.
+"""The tables of docs/reference.md and the schema, from commands and models.
 
     python -m tests.config.reference_tables
 
@@ -9,6 +9,7 @@ import json
 import re
 from pathlib import Path
 
+from bstm_daemon.cli.main import COMMANDS
 from bstm_daemon.config import estimates, sections, service, thermal
 from bstm_daemon.config.schema import config_schema, meanings
 from bstm_daemon.config.section import Section
@@ -57,14 +58,21 @@ SIGNS = (
     (r"(\S+) or more", r"≥ \1"),
     (r"from (?=\S+ to )", ""),
 )
+COMMAND = re.compile(r"^\| `bstm (\S+)` \|[^|]*\| ([^|]*) \|$", re.MULTILINE)
+COMMAND_HEAD = "| command | does | more |\n|---|---|---|\n"
 HEAD = "| key | unit | allowed | default | meaning |\n|---|---|---|---|---|\n"
 
 
 def with_tables(text: str) -> str:
-    """Return the reference *text* with the tables of all sections anew.
+    """Return the reference *text* with its generated tables anew.
 
-    The unit of a key stays as it stands there; of a new one it is a dash.
+    The unit of a key stays as it stands there, of a new one it is a dash; so
+    does the page of a command.
     """
+    begin = text.index(COMMAND_HEAD) + len(COMMAND_HEAD)
+    end = text.index("\n\n", begin) + 1
+    pages = dict(COMMAND.findall(text[begin:end]))
+    text = text[:begin] + command_rows(pages) + text[end:]
     for heading, model in SECTIONS.items():
         place = re.compile(
             rf"(### {re.escape(heading)}\n(?:(?!\n###? ).)*?)"
@@ -77,6 +85,14 @@ def with_tables(text: str) -> str:
         rows = "".join(row(model, key, units) for key in model.model_fields)
         text = text[: found.end(1)] + HEAD + rows + text[found.end() :]
     return text
+
+
+def command_rows(pages: dict[str, str]) -> str:
+    """Return a row for each command, from its line in ``bstm --help``."""
+    return "".join(
+        f"| `bstm {name}` | {summary} | {pages.get(name, '')} |\n"
+        for name, summary in COMMANDS.items()
+    )
 
 
 def row(model: type[Section], key: str, units: dict[str, str]) -> str:
