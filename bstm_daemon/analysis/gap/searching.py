@@ -56,8 +56,13 @@ def search(
     layout = Layout(
         comparison.series, comparison.noise, prior, comparison.drive_names
     )
-    layout.set_noise(calibrated(layout, turned.base_k, turned.columns_k()))
-    comparison.set_noise(layout.noise)
+    if comparison.matched:
+        noise = calibrated(layout, turned.base_k, turned.columns_k())
+    else:
+        # free of each other: what a flat table ties together is no noise
+        noise = calibrated(comparison, simulated.base_k, simulated.columns_k())
+    layout.set_noise(noise)
+    comparison.set_noise(noise)
     known = turned.whitened(layout)
     naming = name_effect(layout, known)
     done: dict[str, float] = {}
