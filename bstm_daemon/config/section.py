@@ -46,8 +46,9 @@ def with_piston_area(given: Any) -> Any:
     Raises:
         ValueError: the area is there too, and another.
     """
-    diameter_mm = given.get("piston_diameter_mm")
-    if not isinstance(diameter_mm, int | float) or not diameter_mm > 0:
+    diameter_mm = isinstance(given, dict) and given.get("piston_diameter_mm")
+    # anything else is refused where the key itself is checked
+    if not isinstance(diameter_mm, int | float) or not 0 < diameter_mm < 1e4:
         return given
     area_m2 = pi / 4.0 * (diameter_mm * 1e-3) ** 2
     require(

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from bstm_daemon.config.reading import (
@@ -416,6 +416,8 @@ def documents(draw: st.DrawFn) -> dict[str, Any]:
 
 @settings(max_examples=50, deadline=None)
 @given(documents())
+@example({"corner": [date(2024, 5, 31)]})
+@example({"corner": [{"piston_diameter_mm": 10**400}]})
 def test_any_document_gets_worded_problems(document: dict[str, Any]) -> None:
     """Whatever the values are, the answer is a list of lines."""
     _, found = draft_of(document)
