@@ -10,6 +10,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 from unittest import mock
@@ -375,6 +376,47 @@ def test_a_broker_that_accepts_and_never_answers_holds_nothing_up(
         wait_for(lambda: running.bridge.given_up == 1000 - 50, "held up")
         running.end()
     feed.end()
+
+
+def pump(source: socket.socket, sink: socket.socket, pause_s: float) -> None:
+    """Pass on what comes, 1 kB at a time."""
+    with suppress(OSError):
+        while data := source.recv(1024):
+            sink.sendall(data)
+            time.sleep(pause_s)
+
+
+def test_a_slow_broker_gets_everything(
+    broker: Mosquitto, feed: Feed, run: Run
+) -> None:
+    """It takes 100 kB/s at most."""
+    with (
+        socket.create_server(("127.0.0.1", 0)) as slow,
+        socket.create_connection(("127.0.0.1", broker.port)) as onward,
+    ):
+        running = run(slow.getsockname()[1])
+        began_s = time.monotonic()
+        for _ in range(60):
+            feed.add()
+        accepted = slow.accept()[0]
+        ways = [
+            threading.Thread(target=pump, args=one, daemon=True)
+            for one in ((accepted, onward, 0.01), (onward, accepted, 0.0))
+        ]
+        for way in ways:
+            way.start()
+        wait_for(lambda: running.bridge.confirmed >= 5 * 60, "not confirmed")
+        took_s = time.monotonic() - began_s
+        running.end()
+        accepted.close()
+    feed.end()
+
+    assert took_s > 0.5  # it was slow
+    assert running.bridge.given_up == 0
+    subscriber = Subscriber(broker.port)
+    wait_for(lambda: subscriber.of(TOPIC), "nothing is retained")
+    assert json.loads(subscriber.of(TOPIC)[-1])["DiscTemperature"] == 359.0
+    subscriber.close()
 
 
 def test_a_broker_that_refuses_is_asked_again_with_right_credentials(

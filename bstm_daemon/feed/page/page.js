@@ -83,8 +83,8 @@ function showAdvice(advice) {
 function show(record) {
   $("vehicle").textContent = record.vehicle;
   document.title = `${record.vehicle}: brakes`;
-  put($("state"), `${words(record.state)}, ${words(record.validity)}`,
-    record.validity);
+  const said = new Set([words(record.state), words(record.validity)]);
+  put($("state"), [...said].join(", "), record.validity);
   $("time").textContent = new Date(record.time_s * 1000).toLocaleString();
   const most = record.history_known ? "" : "at most ";
   for (const name of CORNERS) showCorner(name, record.corners[name], most);
