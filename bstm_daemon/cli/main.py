@@ -54,6 +54,7 @@ COMMANDS: Final[dict[str, str]] = {
     "gap": "find, name and add the effect that the model lacks",
     "fleet": "replay the drives of many cars in chains, and question them",
     "fmu": "export the model as an FMU for other simulation tools",
+    "model": "show the thermal network of a corner as a graph",
     "install-service": "write the systemd units of the live service",
     "shell": "print the completion of a shell, or the man page",
 }

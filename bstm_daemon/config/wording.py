@@ -154,7 +154,7 @@ def _compound_kind(node: Schema, schema: Schema) -> str:
         items = node.get("items") or node["prefixItems"][0]
         entry = _kind(_resolved(items, schema), schema)
         return f"a list, each entry {entry}"
-    keys = ", ".join(node.get("required", ()))
+    keys = ", ".join(node.get("required") or node.get("properties", ()))
     return f"a table with {keys}" if keys else "a table"
 
 
