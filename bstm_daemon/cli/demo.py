@@ -17,6 +17,7 @@ from bstm_daemon.cli.live_demo import run_live
 from bstm_daemon.cli.progress import Progress
 from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.engine import Engine
+from bstm_daemon.errors import UsageError
 from bstm_daemon.files import ensure_writable, make_folder, shipped_file
 from bstm_daemon.replay.results import (
     Collector,
@@ -76,6 +77,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Simulate, listen, publish, display, report."""
     folder = args.out or Path("bstm-demo")
+    if args.view and not args.live:
+        msg = "--view shows the live demo: give --live --view"
+        raise UsageError(msg)
     if args.live:
         return run_live(folder, DRIVE, page=args.view)
     make_folder(folder)
