@@ -49,7 +49,6 @@ TICK_US = 1_000_000
 """What is published does not depend on it: each frame has its own time."""
 
 START = "start cold: the car stood overnight (bstm replay --start cold)"
-SENSORS = "simulated sensor"
 ROW_S = 300
 SHOWN = ("FL", "RL")
 COLUMNS = {
@@ -99,7 +98,7 @@ def run(args: argparse.Namespace) -> int:
     rows, statistics, curves = (
         Collector(),
         DriveStatistics(),
-        DriveCurves(SENSORS),
+        DriveCurves(),
     )
     print(_heading())
     with (
@@ -128,7 +127,6 @@ def run(args: argparse.Namespace) -> int:
         counts=engine.estimator.counts,
         compiled=engine.estimator.compiled,
         warnings=("Simulated data: no car was driven.", START),
-        sensors=SENSORS,
     )
     page = replay_page(statistics.summary(), curves, facts)
     write_page(folder / "report.html", page)
