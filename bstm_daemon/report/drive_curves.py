@@ -203,9 +203,8 @@ class DriveCurves:
 
     parts = Part.ALL
 
-    def __init__(self, sensors: str = "measured") -> None:
-        """Begin without rows; *sensors* says what their temperatures are."""
-        self._sensors = sensors
+    def __init__(self) -> None:
+        """Begin without rows."""
         self._time = ElapsedTime()
         self._starts_s = Buckets(np.minimum)
         self._validity: dict[str, Buckets] = {}
@@ -226,7 +225,7 @@ class DriveCurves:
         """Take *rows*."""
         if not self._corners:
             for name in sorted(rows.corners):
-                self._corners[name] = _corner_curves(name, self._sensors)
+                self._corners[name] = _corner_curves(name)
                 self._pressures[name] = _Curve(
                     "pressure", None, name, f"{name}.pressure_pa", {}
                 )
@@ -395,7 +394,7 @@ def _parked(columns: Mapping[str, Column]) -> npt.NDArray[np.bool_]:
     return parked & bool(validities)
 
 
-def _corner_curves(corner: str, sensors: str) -> list[_Curve]:
+def _corner_curves(corner: str) -> list[_Curve]:
     """Return the curves of a corner in the order in which they are drawn."""
     rows: list[tuple[str, str, str, str, float, dict[str, str]]] = [
         ("margin", "margin", "margin_k", BLUE, 1.8, {}),
@@ -409,7 +408,7 @@ def _corner_curves(corner: str, sensors: str) -> list[_Curve]:
         measured, dots = f"{node}_measured_c", {"dash": "2px,4px"}
         rows += [
             (panel, label, f"{node}_c", colour, 1.8, {}),
-            (panel, f"{label}, {sensors}", measured, colour, 2.4, dots),
+            (panel, f"{label}, sensor", measured, colour, 2.4, dots),
         ]
     steps, dashes = {"shape": "hv"}, {"dash": "8px,4px"}
     rows += [
