@@ -42,17 +42,19 @@ def test_sources_that_agree_need_no_advice() -> None:
         (
             {"ff": 14.0, "fb": 20.0},
             (
-                "it is 0.70 of that by motion: the pad friction, the pressure's "
-                "zero or the piston area is off (bstm identify brakes)."
+                "it is 0.70 of that by motion: the pad friction, the "
+                "pressure's zero or the piston area is off (bstm identify "
+                "brakes)."
             ),
         ),
         (
             {"ff": 20.0, "fb": 20.0, "can": 12.2},
             (
                 "By the bus's brake torque it is 0.61 of that by motion: the "
-                "torque of the bus is not all of the brake torque of this car; "
-                "check its unit and scale in the DBC, and whether it is of one "
-                "wheel, of one axle or of regeneration alone, before using it."
+                "torque of the bus is not all of the brake torque of this "
+                "car; check its unit and scale in the DBC, and whether it is "
+                "of one wheel, of one axle or of regeneration alone, before "
+                "using it."
             ),
         ),
     ],
