@@ -22,7 +22,6 @@ from bstm_daemon.report.gap import (
     CANDIDATE_HEAD,
     CELL_HEAD,
     ERROR_HEAD,
-    advice_headline,
     advice_rows,
     answer_line,
     answer_tile,
@@ -297,11 +296,10 @@ def _advice_section(prefix: str, gap: Gap) -> Section:
     return Section(
         f"{prefix}which drive next",
         Table(ADVICE_HEAD, advice_rows(gap)),
-        lines=(advice_headline(gap),),
         note="Cars are drawn at random from the posterior of these drives; "
         "each drive is simulated with the model itself, with its noise, and "
         "searched. The Bayes factor compares the true effect with its best "
-        f"rival; now it is {gap.advice[0].now:+.1f}.",
+        f"rival; now it is {round(gap.advice[0].now, 1) + 0.0:+.1f}.",
     )
 
 
