@@ -208,7 +208,6 @@ class Lanes:
 
     def chain_capacity(self, state: State) -> Array:
         """Return the heat capacity of every chain node [J/K]."""
-        p = self.p
         capacity = np.empty_like(state.chain_k)
         capacity[0] = self.backplate_j_k
         specific = materials.lining_heat_capacity(

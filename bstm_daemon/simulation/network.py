@@ -328,9 +328,9 @@ def _join_drawn(
         for one in (inputs.speed_ms, inputs.contact)
     )
     for lane, i in np.argwhere(lanes.drawn[:, :, 2]).tolist():
-        start, end, base, power, warmth, onset, width, *rest = (
-            lanes.drawn[lane, i].tolist()
-        )
+        start, end, base, power, warmth, onset, width, *rest = lanes.drawn[
+            lane, i
+        ].tolist()
         band, band_width, contact = rest
         v, held = speeds[lane], contacts[lane]
         base *= (v / 20.0) ** power

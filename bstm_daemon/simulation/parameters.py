@@ -36,7 +36,6 @@ from typing import Final
 
 from bstm_daemon.errors import UsageError, hint
 
-
 DRAWN: Final = 2
 """Heat paths of a corner that a caller may draw."""
 
