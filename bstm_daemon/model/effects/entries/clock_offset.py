@@ -17,10 +17,7 @@ class ClockOffset(Effect):
     number = 44
     kind = "measurement"
     description = "The clock of the thermocouples' logger is off."
-    signature = (
-        "All sensors at once, proportional to their rate of change, either "
-        "way."
-    )
+    signature = "All sensors at once, proportional to their rate of change."
     twins = ("thermocouple_lag",)
     either_sign = True
     own_parameters = (

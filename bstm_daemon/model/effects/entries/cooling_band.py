@@ -24,7 +24,7 @@ class CoolingBand(Effect):
         Parameter("loss", "1", 0.0, 0.9, 0.35, "of the convection"),
         Parameter("middle_ms", "m/s", 5.0, 50.0, 20.0, "of the band"),
         Parameter("half_width_ms", "m/s", 1.0, 15.0, 6.0, "to its ends"),
-        Parameter("flat", "1", 0.0, 1.0, 0.0, "1: all of it within the band"),
+        Parameter("flat", "1", 0.0, 1.0, 0.0, "1: alike within it"),
     )
     forms = ({"middle_ms": 13.0}, {"middle_ms": 28.0, "flat": 1.0})
 

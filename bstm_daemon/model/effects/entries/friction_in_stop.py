@@ -19,10 +19,7 @@ class FrictionInStop(Effect):
     number = 43
     kind = "heat"
     description = "Friction rises or falls within each braking."
-    signature = (
-        "All heat input of a corner in proportion, while braking, with the "
-        "seconds since it began; needs Feed-Forward."
-    )
+    signature = "All heat input, with the seconds since braking began."
     twins = ("hydraulic_lag", "pushout_pressure")
     either_sign = True
     own_parameters = (

@@ -1,39 +1,47 @@
-"""Effect 40: a drum in the hat or a bearing heats the hub."""
+"""Effect 40: a drum in the hat or a bearing heats the disc by its hub."""
 
-from bstm_daemon.model.effects.effect import LAST, Effect
+from bstm_daemon.model.effects.effect import Effect
 from bstm_daemon.model.effects.model import CornerModel, Parameter
-from bstm_daemon.model.effects.tables import over_speed
-from bstm_daemon.model.thermal.network import Link, Network, Node, Source
+from bstm_daemon.model.effects.tables import FASTEST_MS, over_speed
+from bstm_daemon.model.thermal.network import (
+    Memory,
+    Network,
+    Source,
+    difference,
+    value,
+)
 
 
 class HubHeat(Effect):
-    """A torque at the hub, whose heat comes to the disc through the hat.
+    """Heat of a torque at the hub that comes to the disc through the hat.
 
     Shoes of a parking brake that drag take 5 to 30 Nm, a bearing with too
-    much preload a few, more with speed. The force is no pad's.
+    much preload a few, more with speed. About half of the heat goes to the
+    disc, as late as hub and hat follow; the rest to the knuckle.
     """
 
     number = 40
-    description = "A dragging drum or bearing heats the hub, and it the disc."
-    signature = "Disc, driving, with speed and a memory of 20 to 40 minutes."
+    description = "A dragging drum or bearing heats the disc by its hub."
+    signature = "Disc, driving and parked after it, with a memory of minutes."
     twins = ("residual_drag",)
-    stage = LAST
     own_parameters = (
-        Parameter("torque_nm", "Nm", 0.1, 60.0, 10.0, "at 20 m/s"),
+        Parameter("torque_nm", "Nm", 0.1, 60.0, 5.0, "to the disc, 20 m/s"),
         Parameter("exponent", "1", 0.0, 1.0, 0.0, "of the torque, speed"),
-        Parameter("conductance_w_k", "W/K", 0.05, 20.0, 2.0, "hub to disc"),
+        Parameter("time_s", "s", 60.0, 7200.0, 1200.0, "of hub and hat"),
     )
     forms = ({"exponent": 1.0},)
 
     def edit_network(self, model: CornerModel) -> Network:
-        """Heat the node ``hub``, which is made where there is none."""
-        net = model.network
-        if not model.has_node("hub"):
-            net = net.with_node(Node("hub", 2600.0)).with_link(
-                Link("hub_heat", "hub", "disc", self["conductance_w_k"]),
-                Link("hub_heat_loss", "hub", "ambient", 1.8),
-            )
+        """Add a source at the disc that follows the speed late."""
+        late = Memory(
+            "hub_turning",
+            "integral",
+            1.0 / self["time_s"],
+            (difference("speed_ms", "hub_turning"),),
+            upper=FASTEST_MS,
+        )
         power = 1.0 + self["exponent"]
-        turned = over_speed(lambda v: 20.0 * (v / 20.0) ** power)
+        turned = over_speed(lambda v: 20.0 * (v / 20.0) ** power).table
         watts = self.scaled("torque_nm") / model.wheel_radius_m
-        return net.with_source(Source("hub_heat", "hub", watts, (turned,)))
+        heat = Source("hub_heat", "disc", watts, (value(late.name, turned),))
+        return model.network.with_memory(late).with_source(heat)

@@ -22,13 +22,10 @@ class LayerOpening(Effect):
 
     number = 41
     description = "Layers of the shim open when hot and conduct less."
-    signature = (
-        "Edge pad back to fluid, at any time, above a temperature of the "
-        "pad's back or for good after it."
-    )
+    signature = "Edge pad back to fluid, beyond a temperature, or after it."
     twins = ("shim_contact",)
     own_parameters = (
-        Parameter("loss", "1", 0.0, 0.9, 0.4, "fall of the conductance"),
+        Parameter("loss", "1", 0.0, 0.9, 0.4, "of the conductance"),
         Parameter("onset_c", "degC", 60.0, 300.0, 110.0, "begins to open"),
         Parameter("span_k", "K", 5.0, 200.0, 50.0, "until it is open"),
         Parameter("latched", "1", 0.0, 1.0, 0.0, "1: stays open"),
