@@ -9,6 +9,7 @@ import numpy as np
 from bstm_daemon.analysis.gap.changes import (
     factor_of,
     is_change,
+    is_listed,
     largest,
     name_of,
     said,
@@ -22,6 +23,7 @@ from bstm_daemon.analysis.gap.holdout_comparison import (
 )
 from bstm_daemon.analysis.statistics.series import rms
 from bstm_daemon.model.effects.catalogue import effect_class
+from bstm_daemon.model.effects.composed import is_composed, read
 from bstm_daemon.report.text import table
 
 if TYPE_CHECKING:
@@ -152,13 +154,17 @@ def cause(naming: Naming) -> str:
     causes = []
     for name in naming.names:
         text = called(naming, name)
-        if not is_change(name):
+        if is_listed(name):
             text = effect_class(name).description
         causes.append(f"{text[0].lower()}{text[1:]}".rstrip(".?"))
     return {
         "nothing": "no missing effect is visible",
         "name": f"likely cause: {' and '.join(causes)}",
         "class": f"likely cause, not to be told apart: {' or '.join(causes)}",
+        "composed": (
+            "none of the known effects explains it; best description: "
+            f"{' and '.join(causes)}"
+        ),
         "unknown": "none of the known effects explains it",
         "undecided": "the drives do not decide which effect is missing",
     }[naming.answer]
@@ -172,13 +178,18 @@ def as_sentence(parts: Sequence[str]) -> str:
 
 def answer_line(naming: Naming, what: str) -> str:
     """Return the answer of *naming*, found in *what*, in one line."""
-    names = ", ".join(called(naming, name) for name in naming.names)
+    names = "; ".join(called(naming, name) for name in naming.names)
+    if naming.answer != "composed":
+        names = names.replace("; ", ", ")
     share = percent(naming.probability)
     which = "missing" if any_effect(naming) else "changed"
     return {
         "nothing": f"no missing effect visible (nothing missing: {share})",
         "name": f"{which}: {names} (probability {share})",
         "class": f"{which}: one of {names}; {what} cannot distinguish them",
+        "composed": (
+            f"missing: none of the known effects; best description: {names}"
+        ),
         "unknown": "missing: none of the known effects",
         "undecided": f"something is missing, but not named; possible: {names}",
     }[naming.answer]
@@ -191,9 +202,12 @@ def any_effect(naming: Naming) -> bool:
 
 def called(naming: Naming, name: str) -> str:
     """Return what *name* is called in an answer: a change in plain words."""
-    if not is_change(name):
+    if is_listed(name):
         return name
     own = next(one for one in naming.candidates if one.name == name)
+    if is_composed(name):
+        term = read(name_of(name), naming.sizes[name] * own.strength)
+        return f"{term}: {term.said}"
     return said(name, own.strength, cause=len(naming.names) == 1)
 
 
@@ -207,6 +221,7 @@ def answer_tile(naming: Naming) -> tuple[str, str]:
         "unknown": ("not in the catalogue", meaning),
         "undecided": ("not decided", f"{meaning}; possible: {either}"),
         "class": (either, meaning),
+        "composed": (" and ".join(names), f"{meaning}, in no catalogue"),
         "name": (" and ".join(names), meaning),
     }[naming.answer]
 
@@ -255,7 +270,7 @@ def naming_lines(naming: Naming) -> list[str]:
         lines += [
             f"{k}: {effect_class(k).description}"
             for k in naming.names
-            if not is_change(k)
+            if is_listed(k)
         ]
     if naming.names or np.isfinite(naming.best_placebo_z):
         lines.append(

@@ -26,11 +26,14 @@ from bstm_daemon.analysis.matching.learned import (
     settings_of,
 )
 from bstm_daemon.config.estimates import ChangeConfig
+from bstm_daemon.model.effects.composed import NAME as COMPOSED
+from bstm_daemon.model.effects.composed import is_composed
 
 if TYPE_CHECKING:
     from bstm_daemon.analysis.gap.comparison import Comparison
     from bstm_daemon.analysis.gap.fitting import Fit
     from bstm_daemon.analysis.gap.naming import Naming
+    from bstm_daemon.config.sections import EffectConfig
 
 
 def written(
@@ -66,6 +69,8 @@ def written(
     effects, moved = [], []
     for name, strength in fit.strengths.items():
         said_of = _provenance(comparison, fit, naming, name)
+        if is_composed(name):
+            continue
         if not is_change(name):
             effects += effect_entries({name: strength}, said_of)
             continue
@@ -84,12 +89,39 @@ def written(
             )
             for corner in (("all",) if set(corners) == every else corners)
         ]
+    effects += _composed(comparison, fit, naming)
     known = entry_of(target.config, target.corners[0])
     matched = []
     if known is not None:
         covariance = fit.covariance[:-1, :-1]
         matched = [entry(after, comparison.keys[:-1], covariance, known)]
     return changes, Entries(effects, moved, matched)
+
+
+def _composed(
+    comparison: Comparison, fit: Fit, naming: Naming
+) -> list[EffectConfig]:
+    """Return the composed effect of *fit*, with the terms there are."""
+    own = [one for one in fit.entries if one.name == COMPOSED]
+    there = [
+        one
+        for one in comparison.target.config.effect
+        if one.name == COMPOSED and one.corner == "all"
+    ]
+    names = [name for name in fit.strengths if is_composed(name)]
+    return [
+        one.model_copy(
+            update={
+                "parameters": {
+                    text: size
+                    for entry in (*there, one)
+                    for text, size in entry.parameters.items()
+                },
+                "provenance": _provenance(comparison, fit, naming, names[0]),
+            }
+        )
+        for one in own
+    ]
 
 
 def _provenance(

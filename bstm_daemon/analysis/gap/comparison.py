@@ -26,6 +26,8 @@ from bstm_daemon.config.sections import EffectConfig
 from bstm_daemon.errors import LogError
 from bstm_daemon.estimator.corner_model import compiled_model, corner_model
 from bstm_daemon.model.effects.catalogue import edited_inputs, effect_class
+from bstm_daemon.model.effects.composed import NAME as COMPOSED
+from bstm_daemon.model.effects.composed import PREFIX, is_composed, read
 from bstm_daemon.model.effects.corrections import corrections_by_role
 from bstm_daemon.roles import ROLE_INDEX
 
@@ -52,7 +54,8 @@ class Comparison(Layout):
 
     ``keys`` are the tunables, :data:`HEAT_SCALE` last, ``covariance`` (p, p)
     what is known of their logarithms, ``trials`` which changes of a matched
-    target are asked for, ``form_k`` (n,) or 0 what is added to residuals.
+    target are asked for, ``form_k`` (n,) or 0 what is added to residuals,
+    ``sizes`` of composed terms at strength 1.
     """
 
     def __init__(
@@ -82,6 +85,7 @@ class Comparison(Layout):
         self.matched = entry_of(target.config, target.corners[0]) is not None
         self.form_k: Column | float = 0.0
         self.trials = trials(target.config, self.keys) if self.matched else {}
+        self.sizes: dict[str, float] = {}
         super().__init__(
             self._found_series(),
             noise,
@@ -104,13 +108,20 @@ class Comparison(Layout):
     ) -> tuple[Column, list[EffectConfig]]:
         """Return *x* with the changes among *strengths*, and the effects."""
         effects = []
+        terms = {}
         for name, a in strengths.items():
+            if is_composed(name):
+                text = name.removeprefix(PREFIX)
+                terms[text] = read(text, a * self.sizes[name]).within().size
+                continue
             if not is_change(name):
                 parameters = {"strength": a}
                 effects.append(EffectConfig(name=name, parameters=parameters))
                 continue
             x = x + a * self.trials[name].direction
             effects += self.trials[name].effects_at(a)
+        if terms:
+            effects.append(EffectConfig(name=COMPOSED, parameters=terms))
         return np.clip(x, self.lower, self.upper), effects
 
     def residuals_k(
@@ -257,7 +268,7 @@ def heats(effect: EffectConfig, config: Config) -> bool:
 
 def with_effects(config: Config, effects: Sequence[EffectConfig]) -> Config:
     """Return *config* with *effects*, which replace their namesakes."""
-    names = {one.name for one in effects}
+    names = {one.name for one in effects} - {COMPOSED}
     kept = [one for one in config.effect if one.name not in names]
     return config.model_copy(update={"effect": [*kept, *effects]})
 

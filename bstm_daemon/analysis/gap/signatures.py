@@ -235,6 +235,21 @@ def signature_of(
     return _signature(comparison, name, terms)
 
 
+def signature_at(
+    comparison: Comparison,
+    layout: Layout,
+    name: str,
+    base: Column,
+    strengths: tuple[float, ...],
+) -> Signature | None:
+    """Return what *name* changes, simulated at *strengths*; None if nothing.
+
+    *base* (n,) [K] are the residuals without it, whitened by *layout*.
+    """
+    terms = _terms_k(comparison, name, base, strengths)
+    return None if terms is None else _signature(layout, name, terms)
+
+
 def _signature(
     layout: Layout, name: str, terms: Column, near: float = 1.0
 ) -> Signature:

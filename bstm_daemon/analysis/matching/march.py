@@ -69,13 +69,14 @@ def model_of(config: Config, corner: str) -> CornerModel:
     return corner_model(config, own)
 
 
-def march(
+def march(  # noqa: PLR0913, PLR0917  (nearly all of them optional)
     programs: Sequence[Program],
     drive: Drive,
     corner: str,
     initial_k: Mapping[str, float] | None = None,
     forced: Mapping[str, Column] | None = None,
     power_w: Column | None = None,
+    memories: Sequence[str] = (),
 ) -> dict[str, Column]:
     """March variants of *corner* over *drive*.
 
@@ -87,6 +88,7 @@ def march(
         forced: nodes that follow a series, [K] at each step's end, (steps,);
             free where it is NaN.
         power_w: brake power of each variant, (steps, variants); as *drive*.
+        memories: of the network that are returned too.
 
     Returns:
         Temperatures [K] by node, (steps, variants); of a thermocouple whose
@@ -114,13 +116,16 @@ def march(
         for i, name in enumerate(names):
             batch.state[member * batch.width + i] = initial_k[name]
     size = batch.width + batch.sources
-    kept = np.empty((len(inputs), len(programs), len(names)))
+    recalled = [programs[0].state_names.index(one) for one in memories]
+    columns = [*range(len(names)), *recalled]
+    kept = np.empty((len(inputs), len(programs), len(columns)))
     for first in range(0, len(inputs), STRETCH_STEPS):
         part = inputs[first : first + STRETCH_STEPS]
         out = batch.march(flat(part), len(part), GRID_S)
         shaped = np.frombuffer(out).reshape(len(part), len(programs), size)
-        kept[first : first + len(part)] = shaped[:, :, : len(names)]
-    found = {name: kept[:, :, i] for i, name in enumerate(names)}
+        kept[first : first + len(part)] = shaped[:, :, columns]
+    kept_names = (*names, *memories)
+    found = {name: kept[:, :, i] for i, name in enumerate(kept_names)}
     own = drive.channel(corner, "brake_power_w")[:, None]
     power_w = own if power_w is None else power_w
     return found | {
