@@ -40,7 +40,7 @@ from bstm_daemon.model.effects.composed import FORMS, PATHS, PREFIX, Term
 from bstm_daemon.model.thermal.network import Link, value
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from bstm_daemon.analysis.gap.comparison import Comparison
     from bstm_daemon.analysis.gap.evidence import Candidate
@@ -327,9 +327,13 @@ def with_composed(
         terms.append(one)
         chosen.append(signature)
     by_name = {one.name: one for one in known.signatures}
-    named = [by_name[name] for name in naming.adoptable]
+    named = {
+        by_name[one.name]: one.strength
+        for one in naming.candidates
+        if one.name in naming.adoptable
+    }
     listed = _gain(search.project, known, named)
-    gain = _gain(search.project, known, chosen)
+    gain = _gain(search.project, known, dict.fromkeys(chosen, 1.0))
     if not terms or (named and gain - listed < max(CLEAR, CLEARER * listed)):
         return known, naming
     whole = replace(
@@ -363,10 +367,13 @@ def _reason(naming: Naming, gain: float, listed: float) -> str:
 
 
 def _gain(
-    project: Projector, known: Linearised, signatures: Sequence[Signature]
+    project: Projector, known: Linearised, strengths: Mapping[Signature, float]
 ) -> float:
-    """Return what *signatures* together take off half the sum of squares."""
-    if not signatures:
+    """Return what signatures together, near their strengths, explain.
+
+    What they take off half the sum of squares.
+    """
+    if not strengths:
         return 0.0
-    columns = np.column_stack([one.column for one in signatures])
+    columns = np.column_stack([one.at(a) / a for one, a in strengths.items()])
     return fit_terms(project, known.residual, columns, FREE).gain
