@@ -88,6 +88,16 @@ def gap_text(gap: Gap) -> str:
                     f"{ends[1]})"
                 )
                 continue
+            if gap.naming is not None and is_composed(name):
+                ends = [
+                    said_term(gap.naming, name, end).rpartition(": ")[2]
+                    for end in (low, high)
+                ]
+                lines.append(
+                    f"{said_term(gap.naming, name, strength)} (90 % interval "
+                    f"{ends[0]} to {ends[1]})"
+                )
+                continue
             lines.append(
                 f"{name}: strength {strength:.2f} +- "
                 f"{gap.fit.deviations[name]:.2f} with the error of its form, "
@@ -178,9 +188,8 @@ def as_sentence(parts: Sequence[str]) -> str:
 
 def answer_line(naming: Naming, what: str) -> str:
     """Return the answer of *naming*, found in *what*, in one line."""
-    names = "; ".join(called(naming, name) for name in naming.names)
-    if naming.answer != "composed":
-        names = names.replace("; ", ", ")
+    comma = "; " if naming.answer == "composed" else ", "
+    names = comma.join(called(naming, name) for name in naming.names)
     share = percent(naming.probability)
     which = "missing" if any_effect(naming) else "changed"
     return {
@@ -206,9 +215,14 @@ def called(naming: Naming, name: str) -> str:
         return name
     own = next(one for one in naming.candidates if one.name == name)
     if is_composed(name):
-        term = read(name_of(name), naming.sizes[name] * own.strength)
-        return f"{term}: {term.said}"
+        return said_term(naming, name, own.strength)
     return said(name, own.strength, cause=len(naming.names) == 1)
+
+
+def said_term(naming: Naming, name: str, strength: float) -> str:
+    """Return the composed term *name* with its size at *strength*."""
+    term = read(name_of(name), naming.sizes[name] * strength)
+    return f"{term}: {term.said}"
 
 
 def answer_tile(naming: Naming) -> tuple[str, str]:
@@ -237,7 +251,7 @@ def strength_tiles(found: Fit | ForceGap) -> list[tuple[str, str]]:
     return [
         (
             f"{strength:.2f} ± {found.deviations[name]:.2f}",
-            f"strength of {name.replace('_', ' ')}, 1 = typical",
+            f"strength of {name_of(name).replace('_', ' ')}, 1 = typical",
         )
         if not is_change(name)
         else (said_percent(name, strength), name_of(name))
@@ -303,7 +317,7 @@ def candidate_rows(naming: Naming) -> list[tuple[str, ...]]:
 def strength_cells(one: Candidate) -> tuple[str, str, str]:
     """Return name, strength and its deviation; of a change its percents."""
     if not is_change(one.name):
-        return one.name, f"{one.strength:.2f}", f"{one.deviation:.2f}"
+        return name_of(one.name), f"{one.strength:.2f}", f"{one.deviation:.2f}"
     deviation = 100.0 * (factor_of(one.name, min(one.deviation, WIDE)) - 1.0)
     return (
         name_of(one.name),

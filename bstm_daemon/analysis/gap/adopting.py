@@ -49,7 +49,8 @@ def written(
     found = np.exp(fit.written_x[:-1])
     values = dict(zip(comparison.keys[:-1], found.tolist(), strict=True))
     after = target.changed(values)
-    note = f"fitted with {', '.join(fit.strengths)}, {logs}, {today}"
+    names = dict.fromkeys(map(_short, fit.strengths))
+    note = f"fitted with {', '.join(names)}, {logs}, {today}"
     settings = settings_of(target, after, values)
     changes = value_changes(
         settings, dict.fromkeys(settings, note), target.config, target.corners
@@ -98,6 +99,10 @@ def written(
     return changes, Entries(effects, moved, matched)
 
 
+def _short(name: str) -> str:
+    return COMPOSED if is_composed(name) else name
+
+
 def _composed(
     comparison: Comparison, fit: Fit, naming: Naming
 ) -> list[EffectConfig]:
@@ -131,12 +136,13 @@ def _provenance(
     evidence = next(
         one.log_evidence for one in naming.candidates if one.name == name
     )
-    of = (lambda a: factor_of(name, a)) if is_change(name) else float
+    size = comparison.sizes.get(name, 1.0)
+    of = (lambda a: factor_of(name, a)) if is_change(name) else size.__mul__
     return {
         "source": "bstm gap",
         "data": list(comparison.drive_names),
         "date": time.strftime("%Y-%m-%d"),
-        "strength_sd": round(fit.deviations[name], 3),
+        "strength_sd": round(abs(size) * fit.deviations[name], 3),
         "strength_90": [round(of(end), 3) for end in fit.interval(name)],
         **naming.provenance(name),
         "log_bayes_factor": round(evidence, 1),
