@@ -67,7 +67,7 @@ SIMULATED: Final = 6
 """Terms that are simulated with the whole model, each round."""
 
 MOST_TERMS: Final = 3
-WORDS: Final = sum(len(form.grid) for form in FORMS)
+WORDS: Final = sum(len(form.grid) for form in FORMS.values())
 
 
 class Response:
@@ -193,7 +193,7 @@ class Search:
         self.single = [
             one
             for path in PATHS.values()
-            for plain in [Term(path, (), path.typical)]
+            for plain in [Term(path, (), path.size)]
             for one in (plain, *_widened(plain))
             if self.fits(one)
         ]
@@ -286,7 +286,7 @@ def _widened(term: Term) -> list[Term]:
     """Return *term* with each further clause."""
     return [
         replace(term, clauses=(*term.clauses, (form, number)))
-        for form in FORMS
+        for form in FORMS.values()
         for number in form.grid
     ]
 

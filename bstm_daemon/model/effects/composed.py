@@ -1,11 +1,11 @@
 """Composed effects: the grammar of heat paths that no catalogue has.
 
-A term is a path and at most :data:`MOST_CLAUSES` clauses, each a driver and a
-form, in words: ``disc to air, driving, above 300 degC``. It is a parameter of
-``[[effect]] name = "composed"``: the words are its key, the size its value.
-Every form is between 0 and 1, so the size is what the path has at most. A
-term becomes links, sources and memories of the network, which live service
-and replay evaluate like those of any other effect.
+A term is a path and at most :data:`MOST_CLAUSES` clauses, each a form of a
+driver, in the words of ``_data/composed.toml``: ``disc to air, driving, above
+300 degC``. It is a parameter of ``[[effect]] name = "composed"``: the words
+are its key, the size its value. Every form is between 0 and 1, so the size is
+what the path has at most. A term becomes links, sources and memories of the
+network, which live service and replay evaluate like any other effect's.
 
 Signs: a new conductance is never below 0; a share of conductances or of the
 brake heat takes away no more than all; a source has a cause (driving, speed,
@@ -15,13 +15,13 @@ pressure, time), and a sink is where its node is hot.
 from __future__ import annotations
 
 import re
+import tomllib
 from dataclasses import dataclass, replace
+from pathlib import Path as FilePath
 from typing import TYPE_CHECKING, Final, Literal
 
 from bstm_daemon.model.effects.effect import LAST, STRENGTH, Effect
-from bstm_daemon.model.effects.tables import RELEASED, ROOM_K
 from bstm_daemon.model.thermal.network import (
-    Factor,
     Link,
     Memory,
     Node,
@@ -31,14 +31,12 @@ from bstm_daemon.model.thermal.network import (
     with_factors,
 )
 from bstm_daemon.model.thermal.table import Table
-from bstm_daemon.units import KELVIN_OFFSET
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Mapping, Sequence
 
     from bstm_daemon.model.effects.model import CornerModel
-
-    Factors = Callable[[str, float], tuple[Factor, ...]]
+    from bstm_daemon.model.thermal.network import Factor
 
 NAME: Final = "composed"
 PREFIX: Final = f"{NAME}."
@@ -48,7 +46,6 @@ MOST_CLAUSES: Final = 2
 NUMBERS: Final = 3.0
 """A number in words may be so many times beyond those that a search tries."""
 
-Driver = Literal["phase", "temperature", "speed", "pressure", "time", "energy"]
 Kind = Literal["link", "share", "source", "heat", "carried", "mass"]
 
 SIZES: Final[dict[Kind, tuple[str, float, float]]] = {
@@ -61,87 +58,25 @@ SIZES: Final[dict[Kind, tuple[str, float, float]]] = {
 }
 """Unit and bounds of a size, by what kind of path it is of."""
 
-FASTEST_MS: Final = 40.0
-HOT_K: Final = 600.0 + KELVIN_OFFSET
-KMH: Final = 1.0 / 3.6
-
-
-def _radiated(k: float) -> float:
-    """Return the conductance of radiation to a room, 0 there and 1 hot."""
-    room, k, hot = (
-        (t * t + ROOM_K * ROOM_K) * (t + ROOM_K) for t in (ROOM_K, k, HOT_K)
-    )
-    return (k - room) / (hot - room)
-
-
+AIR: Final = "air"
+CAUSES: Final = frozenset({"speed", "pressure", "time"})
 UNIT: Final = Table(0.0, 1.0, (0.0, 1.0))
-MOVING: Final = Table(0.5, 1.0, (0.0, 1.0))
-STANDING: Final = Table(0.5, 1.0, (1.0, 0.0))
-WITH_SPEED: Final = Table(0.0, FASTEST_MS, (0.0, 1.0))
-ROOT_OF_SPEED: Final = Table.from_function(
-    lambda v: (v / FASTEST_MS) ** 0.5, 0.0, FASTEST_MS, 81
-)
-AGAINST_SPEED: Final = Table.from_function(
-    lambda v: 1.0 / (1.0 + v / 8.0), 0.0, 3.0 * FASTEST_MS, 241
-)
-RADIATION: Final = Table.from_function(
-    lambda k: (
-        (_radiated(k) - _radiated(ROOM_K))
-        / (_radiated(HOT_K) - _radiated(ROOM_K))
-    ),
-    ROOM_K,
-    HOT_K,
-    101,
-)
-
-
-def _on(slot: str, table: Table) -> Factors:
-    """Return *table* of *slot*, "" for the temperature of the node."""
-    return lambda node, _: (value(slot or node, table),)
-
-
-def _from(slot: str, width: float, scale: float = 1.0) -> Factors:
-    """Return what rises from 0 at the number to 1 at *width* beyond it."""
-    offset = 0.0 if slot else KELVIN_OFFSET
-
-    def factors(node: str, number: float) -> tuple[Factor, ...]:
-        ramp = Table(number * scale + offset, width, (0.0, 1.0))
-        return (value(slot or node, ramp),)
-
-    return factors
-
-
-def _since_braking(_node: str, seconds: float) -> Memory:
-    name = f"composed_braked_{seconds:g}_s"
-    rate = 1.0 / seconds
-    return Memory(name, "integral", rate, (difference("brake_on", name),))
-
-
-def _braked(_node: str, megajoules: float) -> Memory:
-    name = f"composed_braked_{megajoules:g}_mj"
-    power = (value("brake_power_w"),)
-    return Memory(name, "integral", 1e-6 / megajoules, power)
-
-
-def _once(node: str, celsius: float) -> Memory:
-    name = f"composed_{node}_once_{celsius:g}_c"
-    return Memory(name, "latch", 1.0, _from("", 20.0)(node, celsius))
+WITH_SPEED: Final = Table(0.0, 40.0, (0.0, 1.0))
 
 
 @dataclass(frozen=True, slots=True)
 class Form:
-    """A form of a driver, 0 to 1.
-
-    ``words`` may hold a number; ``grid`` are those that a search tries.
-    ``factors`` are of a node's name and the number, or ``memory`` is, which
-    looks back.
-    """
+    """A form of a driver, as a row of ``_data/composed.toml``."""
 
     words: str
-    driver: Driver
-    factors: Factors | None = None
-    grid: tuple[float, ...] = (0.0,)
-    memory: Callable[[str, float], Memory] | None = None
+    driver: str
+    over: str = ""
+    x: Sequence[float] = (0.0, 1.0)
+    y: Sequence[float] = (0.0, 1.0)
+    scale: float = 0.0
+    grid: Sequence[float] = (0.0,)
+    also: str = ""
+    memory: Literal["", "follows", "adds", "latches"] = ""
 
     def read(self, text: str) -> float | None:
         """Return the number in *text*, 0 if it has none; None if not it."""
@@ -151,108 +86,52 @@ class Form:
             return None
         return float(found[1]) if found.groups() else 0.0
 
+    def factors(self, node: str, number: float) -> tuple[Factor, ...]:
+        """Return it of *node*, and what it is also of."""
+        if self.memory:
+            return (value(self.recalled(node, number)[0].name, UNIT),)
+        also = FORMS[self.also].factors(node, 0.0) if self.also else ()
+        return (*self._own(node, number), *also)
 
-FORMS: Final = (
-    Form("braking", "phase", _on("brake_on", UNIT)),
-    Form(
-        "driving",
-        "phase",
-        lambda *_: (value("speed_ms", MOVING), value("brake_on", RELEASED)),
-    ),
-    Form("parked", "phase", _on("speed_ms", STANDING)),
-    Form("brake off", "phase", _on("brake_on", RELEASED)),
-    Form("wet", "phase", _on("wetness", UNIT)),
-    Form(
-        *("above {} degC", "temperature", _from("", 20.0)),
-        (100.0, 150.0, 200.0, 300.0, 400.0, 500.0, 600.0),
-    ),
-    Form(
-        *("rising from {} degC", "temperature", _from("", 300.0)),
-        (20.0, 100.0, 200.0, 300.0, 400.0),
-    ),
-    Form("like radiation", "temperature", _on("", RADIATION)),
-    Form("rising with speed", "speed", _on("speed_ms", WITH_SPEED)),
-    Form("with the root of speed", "speed", _on("speed_ms", ROOT_OF_SPEED)),
-    Form("falling with speed", "speed", _on("speed_ms", AGAINST_SPEED)),
-    Form(
-        *("above {} km/h", "speed", _from("speed_ms", 2.0, KMH)),
-        (30.0, 60.0, 90.0, 120.0),
-    ),
-    Form(
-        "rising with pressure",
-        "pressure",
-        _on("pressure_pa", Table(0.0, 6e6, (0.0, 1.0))),
-    ),
-    Form(
-        *("above {} bar", "pressure", _from("pressure_pa", 2e5, 1e5)),
-        (5.0, 20.0),
-    ),
-    Form(
-        *("fading within {} s after braking", "time", None, (60.0, 400.0)),
-        _since_braking,
-    ),
-    Form(
-        *("rising until {} MJ of braking", "energy", None, (3.0, 15.0)),
-        _braked,
-    ),
-    Form(*("once above {} degC", "energy", None, (200.0, 350.0)), _once),
-)
+    def recalled(self, node: str, number: float) -> tuple[Memory, ...]:
+        """Return what it looks back by, if it does."""
+        words = self.words.format(f"{number:g}")
+        name = re.sub(r"\W+", "_", f"{NAME} {node} {words}")
+        if self.memory == "follows":
+            apart = (difference(self.over, name),)
+            return (Memory(name, "integral", 1.0 / number, apart),)
+        if self.memory == "adds":
+            rate = 1e-6 / number
+            return (Memory(name, "integral", rate, (value(self.over),)),)
+        if self.memory == "latches":
+            return (Memory(name, "latch", 1.0, self._own(node, number)),)
+        return ()
 
-CAUSES: Final = frozenset({"speed", "pressure", "time"})
-AIR: Final = "air"
+    def _own(self, node: str, number: float) -> tuple[Factor, ...]:
+        x = [one + self.scale * number for one in self.x]
+        return (value(self.over or node, Table.from_points(x, self.y)),)
 
 
 @dataclass(frozen=True, slots=True)
 class Path:
-    """Where a term's heat goes, as ``text`` says.
+    """Where a term's heat goes, as a row of ``_data/composed.toml``.
 
-    ``link``: a further conductance a to b. ``share``: of the conductances
-    there are between them. ``source``: heat into a. ``heat``: share of the
-    brake heat. ``carried``: air that a has warmed brings its excess to b, as
-    far as the car's speed drives it. ``mass``: a has a mass beside it that
-    follows within ``seconds``. ``typical`` is the size that a search begins
-    at.
+    ``size`` is the one that a search begins at.
     """
 
     text: str
     kind: Kind
-    typical: float
+    size: float
     a: str
     b: str = ""
-    seconds: int = 0
+    seconds: float = 0.0
 
 
-PATHS: Final = {
-    path.text: path
-    for path in (
-        Path("disc to air", "link", 5.0, "disc", AIR),
-        Path("pad_front to air", "link", 1.0, "pad_front", AIR),
-        Path("pad_back to air", "link", 0.4, "pad_back", AIR),
-        Path("fluid to air", "link", 0.5, "fluid", AIR),
-        Path("disc to pad_front", "link", 3.0, "disc", "pad_front"),
-        Path("disc to pad_back", "link", 0.3, "disc", "pad_back"),
-        Path("disc to fluid", "link", 0.3, "disc", "fluid"),
-        Path("pad_back to fluid", "link", 0.5, "pad_back", "fluid"),
-        Path("share of disc to air", "share", 0.3, "disc", AIR),
-        Path("share of fluid to air", "share", 0.3, "fluid", AIR),
-        Path("share of disc to pad_front", "share", 0.3, "disc", "pad_front"),
-        Path(
-            "share of backplate to fluid", "share", 0.3, "backplate", "fluid"
-        ),
-        Path("disc by air to pad_back", "carried", 0.2, "disc", "pad_back"),
-        Path("disc by air to fluid", "carried", 0.2, "disc", "fluid"),
-        Path("heat at disc", "source", 300.0, "disc"),
-        Path("heat at pad_front", "source", 100.0, "pad_front"),
-        Path("heat at pad_back", "source", 40.0, "pad_back"),
-        Path("heat at fluid", "source", 30.0, "fluid"),
-        Path("share of the brake heat", "heat", 0.1, "disc"),
-        *(
-            Path(f"{node} to a mass within {s} s", "mass", w_k, node, "", s)
-            for node, w_k in (("disc", 1.0), ("pad_back", 0.3), ("fluid", 0.3))
-            for s in (120, 1500)
-        ),
-    )
-}
+GRAMMAR: Final = tomllib.loads(
+    (FilePath(__file__).parent / "_data" / "composed.toml").read_text("utf-8")
+)
+FORMS: Final = {k: Form(k, **row) for k, row in GRAMMAR["form"].items()}
+PATHS: Final = {k: Path(k, **row) for k, row in GRAMMAR["path"].items()}
 
 
 @dataclass(frozen=True, slots=True)
@@ -311,9 +190,9 @@ class Term:
     def memories(self) -> tuple[Memory, ...]:
         """Return what its forms recall."""
         return tuple(
-            form.memory(self.path.a, number)
+            memory
             for form, number in self.clauses
-            if form.memory is not None
+            for memory in form.recalled(self.path.a, number)
         )
 
     def masses(self) -> tuple[Node, ...]:
@@ -326,10 +205,11 @@ class Term:
     def flows(self, model: CornerModel) -> tuple[Link | Source, ...]:
         """Return its heat flows in *model*; none if it has no such path."""
         path, text, size = self.path, str(self), self.size
-        own = [value(one.name, UNIT) for one in self.memories()]
-        for form, number in self.clauses:
-            if form.factors is not None:
-                own += form.factors(path.a, number)
+        own = [
+            factor
+            for form, number in self.clauses
+            for factor in form.factors(path.a, number)
+        ]
         a, b = path.a, path.b
         if b == AIR:
             a = model.caliper if a == "fluid" else a
@@ -404,11 +284,10 @@ def read(text: str, size: float = 1.0) -> Term:
         raise ValueError(msg)
     clauses = []
     for words in rest:
-        found = [(form, form.read(words)) for form in FORMS]
+        found = [(form, form.read(words)) for form in FORMS.values()]
         clauses += [(form, n) for form, n in found if n is not None]
         if all(number is None for _, number in found):
-            known = ", ".join(form.words for form in FORMS)
-            msg = f"no clause {words!r}; there are: {known}"
+            msg = f"no clause {words!r}; there are: {', '.join(FORMS)}"
             raise ValueError(msg)
     return Term(PATHS[first], tuple(clauses), size)
 

@@ -41,7 +41,10 @@ if TYPE_CHECKING:
 HOT = "disc to air, driving, above 300 degC"
 EVERY = (
     *((path, ()) for path in PATHS.values()),
-    *((PATHS["disc to air"], ((form, form.grid[-1]),)) for form in FORMS),
+    *(
+        (PATHS["disc to air"], ((form, form.grid[-1]),))
+        for form in FORMS.values()
+    ),
 )
 
 
@@ -55,9 +58,9 @@ def tour(corner: Corner) -> Corner:
 
 @pytest.mark.parametrize(("path", "clauses"), EVERY)
 def test_a_term_is_read_as_it_is_written(path: Path, clauses: Clauses) -> None:
-    term = Term(path, clauses, path.typical)
+    term = Term(path, clauses, path.size)
 
-    assert read(str(term), path.typical) == term
+    assert read(str(term), path.size) == term
 
 
 @pytest.mark.parametrize(("path", "clauses"), EVERY)
@@ -65,9 +68,9 @@ def test_every_path_and_form_acts_and_conserves_energy(
     corner: Make, path: Path, clauses: Clauses
 ) -> None:
     """Nothing but a source or the air can add heat."""
-    term = Term(path, clauses, path.typical)
+    term = Term(path, clauses, path.size)
     if path.kind == "source":
-        term = replace(term, clauses=((FORMS[0], 0.0),))
+        term = replace(term, clauses=((FORMS["braking"], 0.0),))
     base = tour(corner(None)).nodes()
 
     there = tour(corner("composed", **{str(term): 3.0 * term.size}))
@@ -93,7 +96,7 @@ def test_every_path_and_form_acts_and_conserves_energy(
 def test_a_term_moves_its_node_the_way_it_says(
     corner: Make, text: str, node: str, sign: float
 ) -> None:
-    size = read(text).path.typical
+    size = read(text).path.size
     base = tour(corner(None)).nodes()
 
     found = tour(corner("composed", **{text: size})).nodes()
@@ -132,12 +135,18 @@ def test_a_latch_stays_and_what_fades_fades(corner: Make) -> None:
     )
 
     made.warm(disc=700.0).drive(1.0).warm(disc=300.0).drive(10.0)
-    assert made["composed_disc_once_350_c"] == 1.0
+    assert made["composed_disc_once_above_350_degC"] == 1.0
     made.drive(600.0, 2500.0)
-    assert made["composed_braked_60_s"] == pytest.approx(1.0, abs=1e-3)
-    assert made["composed_braked_3_mj"] == pytest.approx(0.5)
+    assert made[
+        "composed_fluid_fading_within_60_s_after_braking"
+    ] == pytest.approx(1.0, abs=1e-3)
+    assert made[
+        "composed_pad_back_rising_until_3_MJ_of_braking"
+    ] == pytest.approx(0.5)
     made.drive(60.0)
-    assert made["composed_braked_60_s"] == pytest.approx(0.37, abs=0.01)
+    assert made[
+        "composed_fluid_fading_within_60_s_after_braking"
+    ] == pytest.approx(0.37, abs=0.01)
 
 
 def test_a_share_of_all_leaves_nothing(corner: Make) -> None:
