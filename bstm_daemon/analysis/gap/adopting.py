@@ -33,7 +33,6 @@ if TYPE_CHECKING:
     from bstm_daemon.analysis.gap.comparison import Comparison
     from bstm_daemon.analysis.gap.fitting import Fit
     from bstm_daemon.analysis.gap.naming import Naming
-    from bstm_daemon.config.sections import EffectConfig
 
 
 def written(
@@ -49,8 +48,7 @@ def written(
     found = np.exp(fit.written_x[:-1])
     values = dict(zip(comparison.keys[:-1], found.tolist(), strict=True))
     after = target.changed(values)
-    names = dict.fromkeys(map(_short, fit.strengths))
-    note = f"fitted with {', '.join(names)}, {logs}, {today}"
+    note = f"fitted with {', '.join(fit.strengths)}, {logs}, {today}"
     settings = settings_of(target, after, values)
     changes = value_changes(
         settings, dict.fromkeys(settings, note), target.config, target.corners
@@ -68,9 +66,17 @@ def written(
             if corner.name in target.corners
         ]
     effects, moved = [], []
+    there: set[str] = set()
     for name, strength in fit.strengths.items():
         said_of = _provenance(comparison, fit, naming, name)
         if is_composed(name):
+            # one entry has all its terms, and the first one's provenance
+            effects += [
+                one.model_copy(update={"provenance": said_of})
+                for one in fit.entries
+                if one.name == COMPOSED and one.name not in there
+            ]
+            there = {COMPOSED}
             continue
         if not is_change(name):
             effects += effect_entries({name: strength}, said_of)
@@ -90,43 +96,12 @@ def written(
             )
             for corner in (("all",) if set(corners) == every else corners)
         ]
-    effects += _composed(comparison, fit, naming)
     known = entry_of(target.config, target.corners[0])
     matched = []
     if known is not None:
         covariance = fit.covariance[:-1, :-1]
         matched = [entry(after, comparison.keys[:-1], covariance, known)]
     return changes, Entries(effects, moved, matched)
-
-
-def _short(name: str) -> str:
-    return COMPOSED if is_composed(name) else name
-
-
-def _composed(
-    comparison: Comparison, fit: Fit, naming: Naming
-) -> list[EffectConfig]:
-    """Return the composed effect of *fit*, with the terms there are."""
-    own = [one for one in fit.entries if one.name == COMPOSED]
-    there = [
-        one
-        for one in comparison.target.config.effect
-        if one.name == COMPOSED and one.corner == "all"
-    ]
-    names = [name for name in fit.strengths if is_composed(name)]
-    return [
-        one.model_copy(
-            update={
-                "parameters": {
-                    text: size
-                    for entry in (*there, one)
-                    for text, size in entry.parameters.items()
-                },
-                "provenance": _provenance(comparison, fit, naming, names[0]),
-            }
-        )
-        for one in own
-    ]
 
 
 def _provenance(

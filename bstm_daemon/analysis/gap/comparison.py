@@ -13,7 +13,12 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from bstm_daemon.analysis.gap.changes import HEAT_SCALE, is_change, trials
+from bstm_daemon.analysis.gap.changes import (
+    HEAT_SCALE,
+    is_change,
+    strength_of,
+    trials,
+)
 from bstm_daemon.analysis.gap.noise import Layout
 from bstm_daemon.analysis.matching.learned import (
     entry_of,
@@ -29,6 +34,7 @@ from bstm_daemon.model.effects.catalogue import edited_inputs, effect_class
 from bstm_daemon.model.effects.composed import NAME as COMPOSED
 from bstm_daemon.model.effects.composed import PREFIX, is_composed, read
 from bstm_daemon.model.effects.corrections import corrections_by_role
+from bstm_daemon.model.effects.effect import STRENGTH
 from bstm_daemon.roles import ROLE_INDEX
 
 if TYPE_CHECKING:
@@ -109,6 +115,13 @@ class Comparison(Layout):
         """Return *x* with the changes among *strengths*, and the effects."""
         effects = []
         terms = {}
+        there = {
+            text: size * strength_of(one)
+            for one in self.target.config.effect
+            if one.name == COMPOSED
+            for text, size in one.parameters.items()
+            if text != STRENGTH.name
+        }
         for name, a in strengths.items():
             if is_composed(name):
                 text = name.removeprefix(PREFIX)
@@ -121,7 +134,9 @@ class Comparison(Layout):
             x = x + a * self.trials[name].direction
             effects += self.trials[name].effects_at(a)
         if terms:
-            effects.append(EffectConfig(name=COMPOSED, parameters=terms))
+            effects.append(
+                EffectConfig(name=COMPOSED, parameters=there | terms)
+            )
         return np.clip(x, self.lower, self.upper), effects
 
     def residuals_k(
@@ -268,7 +283,7 @@ def heats(effect: EffectConfig, config: Config) -> bool:
 
 def with_effects(config: Config, effects: Sequence[EffectConfig]) -> Config:
     """Return *config* with *effects*, which replace their namesakes."""
-    names = {one.name for one in effects} - {COMPOSED}
+    names = {one.name for one in effects}
     kept = [one for one in config.effect if one.name not in names]
     return config.model_copy(update={"effect": [*kept, *effects]})
 

@@ -26,7 +26,7 @@ from bstm_daemon.analysis.gap.evidence import (
 )
 from bstm_daemon.analysis.gap.naming import AGAINST
 from bstm_daemon.analysis.gap.residual_heat import measured_nodes
-from bstm_daemon.analysis.gap.signatures import signature_at
+from bstm_daemon.analysis.gap.signatures import signature_of
 from bstm_daemon.analysis.matching.drives import GRID_S
 from bstm_daemon.analysis.matching.march import march, model_of
 from bstm_daemon.analysis.statistics.evidence import (
@@ -51,8 +51,6 @@ if TYPE_CHECKING:
     from bstm_daemon.analysis.statistics.series import Column
     from bstm_daemon.model.effects.model import CornerModel
     from bstm_daemon.model.thermal.network import Factor, Node
-
-FIXED: Final = frozenset({"ambient", "dissolved"})
 
 BLOCK: Final = 10
 """Steps of the grid that responses are marched by: 5 s."""
@@ -80,17 +78,16 @@ class Response:
 
         What the memories and masses of *terms* do is marched too.
         """
-        self.model = model
-        corner = model.spec.name
-        whole = model
-        following = [
-            replace(one, size=FOLLOWS)
+        self.model = whole = model
+        looking_back = {
+            (one.memories(), one.masses()): replace(one, size=FOLLOWS)
             for one in terms
-            if one.memories() or one.path.kind == "mass"
-        ]
-        for one in {(t.memories(), t.masses()): t for t in following}.values():
-            whole = one.edit(whole)
+        }
+        for one in looking_back.values():
+            if one.memories() or one.masses():
+                whole = one.edit(whole)
         net = whole.network
+        corner = model.spec.name
         found = march(
             [compiled_model(whole)],
             drive,
@@ -105,7 +102,11 @@ class Response:
             name: column[: self.count * BLOCK].reshape(-1, BLOCK).mean(axis=1)
             for name, column in columns.items()
         }
-        free = [n for n in model.network.nodes if n.name not in FIXED]
+        free = [
+            one
+            for one in model.network.nodes
+            if one.boundary_input is None or one.capacity_j_k > 0.0
+        ]
         self.place = {node.name: i for i, node in enumerate(free)}
         self._solve(free)
 
@@ -267,8 +268,8 @@ class Search:
         for _, term in ranked[:SIMULATED]:
             name = PREFIX + str(term)
             self.comparison.sizes[name] = term.size
-            signature = signature_at(
-                self.comparison, self.layout, name, self.base_k, (0.5, 1.0)
+            signature = signature_of(
+                self.comparison, name, self.base_k, (0.5, 1.0)
             )
             if signature and name not in {one.name for one in chosen}:
                 one = weigh(project, self.known.residual, signature)

@@ -223,31 +223,20 @@ def sensitivities(
 
 
 def signature_of(
-    comparison: Comparison, name: str, base: Column
+    comparison: Comparison,
+    name: str,
+    base: Column,
+    strengths: tuple[float, ...] = (),
 ) -> Signature | None:
     """Return what *name* changes in the residuals *base* [K], (n,).
 
-    None where it changes nothing or does not fit the structure.
+    Simulated at *strengths*, or the usual ones. None where it changes nothing
+    or does not fit the structure.
     """
-    terms = _terms_k(comparison, name, base)
+    terms = _terms_k(comparison, name, base, strengths)
     if terms is None:
         return None
     return _signature(comparison, name, terms)
-
-
-def signature_at(
-    comparison: Comparison,
-    layout: Layout,
-    name: str,
-    base: Column,
-    strengths: tuple[float, ...],
-) -> Signature | None:
-    """Return what *name* changes, simulated at *strengths*; None if nothing.
-
-    *base* (n,) [K] are the residuals without it, whitened by *layout*.
-    """
-    terms = _terms_k(comparison, name, base, strengths)
-    return None if terms is None else _signature(layout, name, terms)
 
 
 def _signature(

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import re
 import tomllib
+from collections import Counter
 from dataclasses import dataclass, replace
 from pathlib import Path as FilePath
 from typing import TYPE_CHECKING, Final, Literal
@@ -326,13 +327,19 @@ class Composed(Effect):
         """What is wrong with *values*: a line per term."""
         strength = values.get(STRENGTH.name, 1.0)
         found = super().problems({STRENGTH.name: strength})
+        taken: Counter[str] = Counter()
         for text, size in values.items():
             if text == STRENGTH.name:
                 continue
             try:
-                problems = read(text, size * strength).problems()
+                term = read(text, size * strength)
             except ValueError as error:
-                problems = [str(error)]
+                found.append(f"parameters.'{text}': {error}")
+                continue
+            taken[term.path.text] += min(term.size, 0.0)
+            problems = term.problems()
+            if taken[term.path.text] < SIZES[term.path.kind][1]:
+                problems = problems or ["the terms take away more than all"]
             found += [f"parameters.'{text}': {one}" for one in problems]
         return found
 

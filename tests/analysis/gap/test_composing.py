@@ -14,7 +14,7 @@ from bstm_daemon.analysis.gap.holdout_comparison import REFITTED
 from bstm_daemon.analysis.gap.naming import Naming
 from bstm_daemon.analysis.gap.signatures import (
     Linearised,
-    signature_at,
+    signature_of,
 )
 from bstm_daemon.analysis.gap.workflow import compare, find_gap
 from bstm_daemon.analysis.identify.writing import write_changed
@@ -83,9 +83,7 @@ def test_the_response_is_that_of_the_whole_model(
 
     (found,) = search.columns([term]).T
 
-    whole = signature_at(
-        comparison, comparison, name, search.base_k, (0.5, 1.0)
-    )
+    whole = signature_of(comparison, name, search.base_k, (0.5, 1.0))
     assert whole is not None
     column = whole.at(1.0)
     size = np.linalg.norm(column)

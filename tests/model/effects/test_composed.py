@@ -192,6 +192,18 @@ def test_what_physics_forbids_is_refused(
         Composed(entry.parameters)
 
 
+def test_terms_together_take_away_no_more_than_all() -> None:
+    half = {f"share of disc to air, {one}": -0.6 for one in ("wet", "parked")}
+
+    (problem,) = Composed.problems(half)
+
+    assert problem == (
+        "parameters.'share of disc to air, parked': the terms take away more "
+        "than all"
+    )
+    assert not Composed.problems({**half, "strength": 0.8})
+
+
 def test_sizes_have_the_dimension_of_their_path() -> None:
     """W/K on links, W on sources, none on shares of what has its own."""
     units = {kind: unit for kind, (unit, *_) in SIZES.items()}
