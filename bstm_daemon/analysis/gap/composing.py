@@ -304,7 +304,8 @@ def with_composed(
     """Return *known* and *naming* with a composed effect, if one is better.
 
     Where nothing is missing none is looked for. Each term pays for its words,
-    and no drive, predicted by the others, may contradict the first one.
+    and no drive, predicted by the others, may contradict the first one. It
+    must be clearly better than what is named or most likely.
     """
     if not naming.found:
         return known, naming
@@ -328,10 +329,11 @@ def with_composed(
         terms.append(one)
         chosen.append(signature)
     by_name = {one.name: one for one in known.signatures}
+    rivals = naming.adoptable or naming.names[:1]
     named = {
         by_name[one.name]: one.strength
         for one in naming.candidates
-        if one.name in naming.adoptable
+        if one.name in rivals
     }
     listed = _gain(search.project, known, named)
     gain = _gain(search.project, known, dict.fromkeys(chosen, 1.0))
@@ -350,20 +352,15 @@ def with_composed(
         probability=odds[names[0]],
         candidates=(*terms, *naming.candidates),
         odds={**dict.fromkeys(names, odds[names[0]]), **odds},
-        reason=_reason(naming, gain, listed),
+        reason=(
+            f"the best of the catalogue, {', '.join(rivals)}, explains "
+            f"{100.0 * listed / gain:.0f} % of what it does"
+            if rivals
+            else naming.reason
+        ),
         cross_validated=validated,
         explained=explained_share(search.project, known, terms)[0],
         sizes={name: comparison.sizes[name] for name in names},
-    )
-
-
-def _reason(naming: Naming, gain: float, listed: float) -> str:
-    if not naming.adoptable:
-        return naming.reason
-    names = ", ".join(naming.adoptable)
-    return (
-        f"the best of the catalogue, {names}, explains "
-        f"{100.0 * listed / gain:.0f} % of what it does"
     )
 
 
