@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import re
 import tomllib
-from collections import Counter
+from collections import defaultdict
 from dataclasses import dataclass, replace
 from pathlib import Path as FilePath
 from typing import TYPE_CHECKING, Final, Literal
@@ -327,7 +327,7 @@ class Composed(Effect):
         """What is wrong with *values*: a line per term."""
         strength = values.get(STRENGTH.name, 1.0)
         found = super().problems({STRENGTH.name: strength})
-        taken: Counter[str] = Counter()
+        taken: dict[str, float] = defaultdict(float)
         for text, size in values.items():
             if text == STRENGTH.name:
                 continue
