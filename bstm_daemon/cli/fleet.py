@@ -18,6 +18,7 @@ from bstm_daemon.cli.arguments import (
     add_out,
     add_path,
     check_targets,
+    number,
 )
 from bstm_daemon.cli.main import main
 from bstm_daemon.cli.progress import Progress
@@ -71,7 +72,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     where = replay.add_mutually_exclusive_group()
     where.add_argument(
         "--jobs",
-        type=int,
+        type=number(1, kind=int),
         metavar="N",
         help="processes on this machine (default: one a core)",
     )
@@ -102,7 +103,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_out(report, "page (default: LAKE/report.html)", "FILE.html")
     report.add_argument(
         "--pages",
-        type=int,
+        type=number(0, kind=int),
         default=0,
         metavar="N",
         help="replay the N worst drives for pages of their own, which the "
@@ -195,8 +196,8 @@ def _report(args: argparse.Namespace) -> int:
     require_page_packages()
     lake = Lake(args.lake)
     out = args.out or lake.root / "report.html"
-    check_targets([out], ())
     with closing(Plan(lake)) as plan:
+        check_targets([out], ())
         outcome = Run(lake, plan, None).look()
         cars, dates, worst = (
             ask(lake, name).as_rows() for name in ("cars", "dates", "worst")
