@@ -38,7 +38,9 @@ if TYPE_CHECKING:
     from bstm_daemon.analysis.gap.noise import Layout
     from bstm_daemon.analysis.gap.signatures import Linearised, Signature
 
-Answer = Literal["nothing", "name", "class", "unknown", "undecided"]
+Answer = Literal[
+    "nothing", "name", "class", "composed", "unknown", "undecided"
+]
 
 SURE: Final = 0.95
 """Probability from which a name, or a class, is given."""
@@ -84,7 +86,8 @@ class Naming:
     ``unknown_place`` where and when such heat alone explains most.
     ``names`` are the effects found, best first: one, up to three, or the
     members of a class; ``strengths`` are theirs. ``probability`` is that of
-    the answer, ``odds`` of every candidate and of ``""``, nothing.
+    the answer, ``odds`` of every candidate and of ``""``, nothing. ``sizes``
+    are those of composed terms at strength 1.
     """
 
     answer: Answer
@@ -99,6 +102,7 @@ class Naming:
     leftover: Candidate | None = None
     unknown_evidence: float = 0.0
     unknown_place: str = ""
+    sizes: dict[str, float] = field(default_factory=dict)
 
     @property
     def found(self) -> bool:
@@ -136,9 +140,9 @@ class Naming:
     @property
     def adoptable(self) -> tuple[str, ...]:
         """What can be fitted and adopted: all named, the best of a class."""
-        return {"name": self.names, "class": self.names[:1]}.get(
-            self.answer, ()
-        )
+        if self.answer in {"name", "composed"}:
+            return self.names
+        return self.names[:1] if self.answer == "class" else ()
 
     @property
     def gate_z(self) -> float:

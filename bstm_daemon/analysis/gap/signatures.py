@@ -251,13 +251,17 @@ def sensitivities(
 
 
 def signature_of(
-    comparison: Comparison, name: str, base: Column
+    comparison: Comparison,
+    name: str,
+    base: Column,
+    strengths: tuple[float, ...] = (),
 ) -> Signature | None:
     """Return what *name* changes in the residuals *base* [K], (n,).
 
-    None where it changes nothing or does not fit the structure.
+    Simulated at *strengths*, or the usual ones. None where it changes nothing
+    or does not fit the structure.
     """
-    terms = _terms_k(comparison, name, base)
+    terms = _terms_k(comparison, name, base, strengths)
     if terms is None:
         return None
     return whitened_signature(comparison, name, terms)
