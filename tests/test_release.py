@@ -26,6 +26,19 @@ def test_the_version_has_a_dated_section() -> None:
     assert re.fullmatch(r" - \d{4}-\d\d-\d\d", sections[1][1])
 
 
+def test_a_tag_of_a_version_is_that_of_the_project() -> None:
+    """Where git and tags are: neither an archive nor a shallow clone has."""
+    done = subprocess.run(
+        ["git", "tag", "--points-at", "HEAD", "v*"],
+        cwd=ROOT,
+        check=False,
+        capture_output=True,
+        text=True,
+    )
+
+    assert done.stdout.split() in ([], [f"v{PROJECT['project']['version']}"])
+
+
 def test_one_wheel_serves_all_versions_of_python() -> None:
     options = PROJECT["tool"]["distutils"]["bdist_wheel"]
 
