@@ -98,6 +98,21 @@ def test_the_bill_lists_what_is_installed() -> None:
     assert bill("report") == text
 
 
+def test_a_bill_that_lists_less_than_is_installed_is_an_error() -> None:
+    pytest.importorskip("packaging")
+
+    done = subprocess.run(
+        [sys.executable, str(ROOT / ".ci" / "sbom"), "--exact"],
+        cwd=ROOT,
+        check=False,
+        capture_output=True,
+        text=True,
+    )
+
+    assert done.returncode == 1
+    assert re.match(r"not in the bill: .*'pytest'", done.stderr)
+
+
 @pytest.mark.parametrize(
     "test", re.findall(r"`(tests/[\w/.]+::\w+)`", SECURITY)
 )

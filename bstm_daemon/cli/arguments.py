@@ -117,24 +117,18 @@ def finite(text: str) -> float:
 def number(
     low: float, high: float = inf, kind: type[float] = float
 ) -> Callable[[str], float]:
-    """Return what reads an argument from *low* to *high*.
-
-    Args:
-        low: least value.
-        high: largest value.
-        kind: int where only whole numbers are allowed.
-    """
+    """Return what reads an argument from *low* to *high*; int: whole ones."""
 
     def read(text: str) -> float:
         value: float = nan
         with suppress(ValueError):
             value = int(text) if kind is int else finite(text)
         if not low <= value <= high:
-            whole = "whole " * (kind is int)
             limits = f"from {low:g} to {high:.12g}"
             if high == inf:
                 limits = f"of {low:g} or more"
-            msg = f"{text!r} is not a {whole}number {limits}"
+            name = "whole number" if kind is int else "number"
+            msg = f"{text!r} is not a {name} {limits}"
             raise argparse.ArgumentTypeError(msg)
         return value
 

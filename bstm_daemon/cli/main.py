@@ -27,6 +27,9 @@ from bstm_daemon.terminal_text import raw_stream, visible, visible_stream
 if TYPE_CHECKING:
     from collections.abc import Collection, MutableMapping, Sequence
 
+# matrices here are small: for so little, threads cost ten times what they do
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 NOTICE: Final = "estimate and advice, not a safety function"
 
 EXIT_USAGE: Final = 2

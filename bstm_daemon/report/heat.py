@@ -269,12 +269,9 @@ def heat_page(
             if advice in lead:
                 text = text.replace(f": {advice}", "")
         lead += f" {name}: {text}" if len(drives) > 1 else text
+    lead = lead.strip()
     return Page(
-        "Brake heat by source",
-        sections,
-        tiles,
-        lead.strip(),
-        subtitle=subtitle,
+        "Brake heat by source", sections, tiles, lead, subtitle=subtitle
     )
 
 

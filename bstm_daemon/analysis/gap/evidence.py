@@ -93,6 +93,7 @@ def weigh(
     curvature = float(slopes @ gram @ slopes)
     peak = float(gains.max())
     log_evidence = peak + float(np.log(np.sum(weights * np.exp(gains - peak))))
+    log_evidence -= signature.form_cost
     slope = max(gram[1, 1], 1e-12)
     return Candidate(
         signature.name,
