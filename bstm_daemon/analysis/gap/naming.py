@@ -17,12 +17,14 @@ from bstm_daemon.analysis.gap.changes import is_change, twins_of
 from bstm_daemon.analysis.gap.evidence import (
     Candidate,
     JointEffects,
+    NormalEquations,
     best_placebo,
     cross_validated,
     explained_share,
     likeliest,
     missing_evidence,
     missing_probability,
+    normal_equations,
     pair_evidence,
     probabilities,
     search_joint_effects,
@@ -84,7 +86,8 @@ class Naming:
     ``unknown_place`` where and when such heat alone explains most.
     ``names`` are the effects found, best first: one, up to three, or the
     members of a class; ``strengths`` are theirs. ``probability`` is that of
-    the answer, ``odds`` of every candidate and of ``""``, nothing.
+    the answer, ``odds`` of every candidate and of ``""``, nothing;
+    ``equations`` are those of all candidates, without any None.
     """
 
     answer: Answer
@@ -99,6 +102,7 @@ class Naming:
     leftover: Candidate | None = None
     unknown_evidence: float = 0.0
     unknown_place: str = ""
+    equations: NormalEquations | None = None
 
     @property
     def found(self) -> bool:
@@ -170,6 +174,9 @@ def name_effect(
         odds,
         "no effect of the catalogue changes the temperatures of these drives "
         "by more than they are uncertain, the tunables re-fitted",
+        equations=normal_equations(project, linearised, found)
+        if found
+        else None,
     )
     if heats := linearised.unknown:
         place = likeliest(project, linearised.residual, heats)
