@@ -33,6 +33,7 @@ from bstm_daemon.fleet.gap import (
     gap_lines,
     groups_of,
     search_car,
+    write_priors,
 )
 from bstm_daemon.fleet.lake import Lake, Options
 from bstm_daemon.fleet.plan import Plan, add_logs
@@ -113,6 +114,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="name effects though no bstm match is in a configuration",
     )
     add_json(gap)
+    add_out(
+        gap,
+        "write a configuration for a further car of each type, with "
+        "[[priors]] from the matches of its cars",
+        "DIR",
+    )
     gap.set_defaults(step=_gap)
     report = steps.add_parser("report", help="write the page of the fleet")
     _add_lake(report)
@@ -244,6 +251,8 @@ def _gap(args: argparse.Namespace) -> int:
     failures += failures_of(jobs)
     groups = groups_of(jobs)
     print("\n".join(gap_lines(groups)))
+    if args.out is not None:
+        print("\n".join(write_priors(jobs, args.out)))
     if args.json is not None:
         write_json(args.json, {"groups": groups, "failures": failures})
     _list("not searched", failures)

@@ -31,6 +31,7 @@ from bstm_daemon.fleet.lake import (
     program,
 )
 from bstm_daemon.fleet.learning import Finding, Searched, learn, odd_ones
+from bstm_daemon.fleet.priors import write_prior
 from bstm_daemon.model.heat.needs import (
     INPUTS,
     check_heat_inputs,
@@ -222,6 +223,30 @@ def failures_of(cars: Sequence[CarJob]) -> list[str]:
     ]
 
 
+def write_priors(cars: Sequence[CarJob], folder: Path) -> list[str]:
+    """Write a configuration for a further car of each type into *folder*.
+
+    Cars of one configuration count once. Returns a line for each type.
+
+    Raises:
+        ConfigError: of a configuration.
+        FileAccessError: one is unreadable or *folder* unwritable.
+    """
+    by_type: dict[str, dict[str, None]] = {}
+    for job in cars:
+        by_type.setdefault(job.last.type, {})[job.last.config] = None
+    lines = []
+    make_folder(folder)
+    for kind, configs in sorted(by_type.items()):
+        out = folder / f"{safe_name(kind)}.toml"
+        count = write_prior(kind, [*map(Path, configs)], out)
+        why = "not written: it needs two matched configurations"
+        lines.append(
+            f"{out}: priors from {count} cars" if count else f"{out} {why}"
+        )
+    return lines
+
+
 def groups_of(cars: Sequence[CarJob]) -> list[Group]:
     """Return what the results of *cars* show, by type and corners."""
     by_group: dict[tuple[str, str], dict[str, dict[str, Any]]] = {}
@@ -345,7 +370,7 @@ def _row(one: Finding, count: int) -> list[str]:
         who.get(one.scope, _few(one.cars)),
         f"{len(one.carriers)} of {count} cars",
         _few(strengths) if name else "",
-        percent(one.probability),
+        percent(min(one.probability, 0.9999)),
     ]
 
 
