@@ -24,12 +24,11 @@ from bstm_daemon.cli.main import main
 from bstm_daemon.cli.progress import Progress
 from bstm_daemon.errors import StateLockedError
 from bstm_daemon.files import make_folder, replacing
-from bstm_daemon.fleet.cluster import connect, require_fleet, run_tasks
+from bstm_daemon.fleet.cluster import LOST, connect, require_fleet, run_tasks
 from bstm_daemon.fleet.gap import (
-    Car,
+    CarJob,
     cars_of,
     failures_of,
-    finish_car,
     gap_lines,
     groups_of,
     search_car,
@@ -232,27 +231,26 @@ def _gap(args: argparse.Namespace) -> int:
         _owning(lake),
         Progress("fleet gap") as progress,
     ):
-        found = list(cars_of(lake, plan, args.drives, anyway=args.anyway))
-        cars = [one for one in found if isinstance(one, Car)]
-        failures = [one for one in found if isinstance(one, str)]
-        new = [one for one in cars if one.job.result()["key"] != one.job.key]
-        done = len(cars) - len(new)
+        cars, failures = cars_of(lake, plan, args.drives, anyway=args.anyway)
+        new = [one for one in cars if one.result()["key"] != one.key]
+        left = len(new)
 
-        def finish(car: Car, code: int) -> bool:
-            nonlocal done
-            done += 1
-            progress.show(done / len(cars), car.job.last.vehicle)
-            return finish_car(car, code)
+        def finish(car: CarJob, code: int) -> bool:
+            nonlocal left
+            left -= 1
+            progress.show(1.0 - left / len(cars), car.last.vehicle)
+            if code == LOST:
+                car.fail("each worker that searched it was lost")
+            return False
 
         if new:
             with _client(args) as client:
                 run_tasks(client, search_car, new, finish)
-    jobs = [one.job for one in cars]
-    failures += failures_of(jobs)
-    groups = groups_of(jobs)
+    failures += failures_of(cars)
+    groups = groups_of(cars)
     print("\n".join(gap_lines(groups)))
     if args.out is not None:
-        print("\n".join(write_priors(jobs, args.out)))
+        print("\n".join(write_priors(cars, args.out)))
     if args.json is not None:
         write_json(args.json, {"groups": groups, "failures": failures})
     _list("not searched", failures)

@@ -21,7 +21,7 @@ from bstm_daemon.analysis.gap.recording import read_recording
 from bstm_daemon.analysis.gap.workflow import find_gap, is_unmatched
 from bstm_daemon.errors import BstmError, LogError
 from bstm_daemon.files import make_folder
-from bstm_daemon.fleet.cluster import FOREIGN, LOST
+from bstm_daemon.fleet.cluster import FOREIGN
 from bstm_daemon.fleet.drive import FAILED, MADE
 from bstm_daemon.fleet.lake import (
     Drive,
@@ -44,7 +44,7 @@ from bstm_daemon.report.text import percent, table
 from bstm_daemon.service.state_file import safe_name
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Sequence
 
     from bstm_daemon.analysis.gap.naming import Naming
     from bstm_daemon.fleet.plan import Plan
@@ -57,8 +57,6 @@ DAY_TO_DAY: Final = 0.03
 
 FEW: Final = 4
 """Cars that a line names."""
-
-LOST_MESSAGE: Final = "each worker that searched it was lost"
 
 
 @dataclass(frozen=True)
@@ -74,6 +72,11 @@ class CarJob:
     config_hash: str
     anyway: bool
     program: dict[str, str]
+
+    @property
+    def job(self) -> CarJob:
+        """Itself: it has no further one."""
+        return self
 
     @property
     def last(self) -> Drive:
@@ -106,17 +109,10 @@ class CarJob:
         write_json(self.path, {"key": "", "message": message})
 
 
-class Car(NamedTuple):
-    """A car to search."""
-
-    job: CarJob
-
-
 class Group(NamedTuple):
     """Corners of cars of one type, searched alike; none for all by forces.
 
-    ``odd`` has place, value, unit and robust standard deviations by car;
-    ``others`` the own answers of cars that no finding covers.
+    ``odd`` has place, value, unit and standard deviations by car.
     """
 
     type: str
@@ -125,30 +121,29 @@ class Group(NamedTuple):
     unmatched: tuple[str, ...]
     findings: list[Finding]
     odd: dict[str, list[tuple[str, float, str, float]]]
-    others: dict[str, str]
 
 
 def cars_of(
     lake: Lake, plan: Plan, most: int, *, anyway: bool
-) -> Iterator[Car | str]:
-    """Give each car of *plan* with its latest *most* drives.
+) -> tuple[list[CarJob], list[str]]:
+    """Return the search of each car of *plan* in its latest *most* drives.
 
-    Or a message where its configuration can not be read.
+    And a line for each whose configuration or logs can not be read.
     """
     hashed = cache(hash_of_config)
+    root = str(lake.root.resolve())
+    cars, failures = [], []
     for vehicle in plan.vehicles():
         good = [one for one in plan.chain(vehicle) if one.problem is None]
-        if not good:
-            yield f"{vehicle}: no drive that can be read"
-            continue
-        try:
-            config = hashed(Path(good[-1].config))
-        except BstmError as error:
-            yield f"{vehicle}: {error}"
-            continue
-        root = str(lake.root.resolve())
         drives = tuple(good[-most:])
-        yield Car(CarJob(root, drives, config, anyway, program()))
+        try:
+            config = hashed(Path(drives[-1].config))
+            cars.append(CarJob(root, drives, config, anyway, program()))
+        except IndexError:
+            failures.append(f"{vehicle}: no drive that can be read")
+        except BstmError as error:
+            failures.append(f"{vehicle}: {error}")
+    return cars, failures
 
 
 def search_car(job: CarJob) -> int:
@@ -168,13 +163,6 @@ def search_car(job: CarJob) -> int:
     make_folder(job.path.parent)
     write_json(job.path, {"key": job.key, **found}, indent=None)
     return MADE
-
-
-def finish_car(car: Car, code: int) -> bool:
-    """Take the search of *car*, which ended with *code*: no further job."""
-    if code == LOST:
-        car.job.fail(LOST_MESSAGE)
-    return False
 
 
 def _searched(job: CarJob) -> dict[str, Any]:
@@ -271,20 +259,13 @@ def _group(
             tuple(names), np.array(score), np.array(information)
         )
         searched.append(Searched(car, one["naming"]["answer"], equations))
-    findings = learn(searched)
-    covered = {car for one in findings for car in one.cars}
     return Group(
         kind,
         corners,
         tuple(results),
         tuple(car for car, one in results.items() if "naming" not in one),
-        findings,
+        learn(searched),
         _odd(results),
-        {
-            one.car: results[one.car]["headline"]
-            for one in searched
-            if one.answer != "nothing" and one.car not in covered
-        },
     )
 
 
@@ -342,7 +323,6 @@ def gap_lines(groups: Sequence[Group]) -> list[str]:
             lines += [f"  {line}" for line in table(head, rows)]
         elif len(one.unmatched) < count:
             lines.append("  nothing that several cars or one of them show")
-        lines += [f"  {car}: {said}" for car, said in one.others.items()]
         lines += [
             f"  odd one out: {car}: {place} {value:+.3g} {unit} ({z:+.1f} sd "
             "from the other cars)"
@@ -354,7 +334,10 @@ def gap_lines(groups: Sequence[Group]) -> list[str]:
 
 def _row(one: Finding, count: int) -> list[str]:
     name = one.names[0] if one.names else ""
-    who = {"type": "the type", "sensor": f"a sensor of {_few(one.cars)}"}
+    who = {
+        "type": "the type",
+        "sensor": f"a sensor of {_few([*one.strengths])}",
+    }
 
     def said(strength: float, deviation: float) -> str:
         if is_change(name):
@@ -367,7 +350,7 @@ def _row(one: Finding, count: int) -> list[str]:
         strengths = [f"{type_has}, cars differ by {100 * one.spread:.0f} %"]
     return [
         " or ".join(map(name_of, one.names)) or "none of the known effects",
-        who.get(one.scope, _few(one.cars)),
+        who.get(one.scope, _few([*one.strengths])),
         f"{len(one.carriers)} of {count} cars",
         _few(strengths) if name else "",
         percent(min(one.probability, 0.9999)),

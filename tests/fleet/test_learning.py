@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import exp, log, pi, sqrt
+from math import log, pi, sqrt
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,7 +14,6 @@ from bstm_daemon.fleet.learning import (
     Finding,
     Searched,
     learn,
-    membership,
     odd_ones,
     pool,
     type_prior,
@@ -90,19 +89,6 @@ def test_a_pool_is_the_integral_over_strength_and_spread() -> None:
     assert found.strength == pytest.approx(95.0 / 70.0, abs=0.1)
 
 
-def test_who_has_it_by_a_rate_that_nobody_knows() -> None:
-    """Four cars, one with odds of e^6: closed form of a uniform rate."""
-    own = np.array([6.0, -30.0, -30.0, -30.0])
-
-    some, shares = membership(own, np.zeros(4), 50)
-
-    # integral of (1-p)^4 + e^6 p (1-p)^3
-    assert some == pytest.approx(log(1.0 / 5.0 + exp(6.0) / 20.0), abs=0.01)
-    with_rate = exp(6.0) / 20.0 / (0.2 + exp(6.0) / 20.0)
-    assert shares[0] == pytest.approx(with_rate, abs=0.01)
-    assert shares[1:] == pytest.approx(0.0, abs=1e-3)
-
-
 def test_what_all_cars_have_is_the_types() -> None:
     strengths = (1.0, 1.1, 0.9, 1.0)
     cars = [
@@ -113,7 +99,6 @@ def test_what_all_cars_have_is_the_types() -> None:
 
     assert (found.names, found.scope) == (("gap_conduction",), "type")
     assert found.carriers == ("car0", "car1", "car2", "car3")
-    assert found.against == ()
     assert found.probability > 0.99
     assert found.strength == pytest.approx(1.0, abs=0.05)
     assert found.spread == pytest.approx(0.1, abs=0.05)
@@ -147,7 +132,6 @@ def test_cars_that_could_not_show_it_do_not_speak_against_it() -> None:
 
     assert found.scope == "type"
     assert found.carriers == ("car0", "car1")
-    assert found.against == ()
 
 
 @pytest.mark.parametrize("count", [4, 40])
@@ -158,8 +142,7 @@ def test_what_one_car_has_is_its_own(count: int) -> None:
     found = only(learn(cars))
 
     assert (found.names, found.scope) == (("change.disc_capacity",), "car")
-    assert found.cars == found.carriers == ("car2",)
-    assert len(found.against) == count - 1
+    assert found.carriers == tuple(found.strengths) == ("car2",)
     assert found.probability > 0.95
     assert found.strengths["car2"] == pytest.approx((-0.9, 0.1))
 
@@ -171,7 +154,7 @@ def test_a_sensor_of_one_car_is_named_as_one() -> None:
     found = only(learn(cars))
 
     assert (found.names, found.scope) == (("thermocouple_offset",), "sensor")
-    assert found.cars == ("car1",)
+    assert tuple(found.strengths) == ("car1",)
 
 
 def test_some_cars_have_it() -> None:
@@ -184,8 +167,7 @@ def test_some_cars_have_it() -> None:
     found = only(learn(cars))
 
     assert (found.names, found.scope) == (("local_air",), "car")
-    assert found.cars == ("car0", "car3", "car4")
-    assert found.against == ("car1", "car2", "car5", "car6")
+    assert tuple(found.strengths) == ("car0", "car3", "car4")
 
 
 def test_nothing_is_found_in_noise() -> None:
@@ -225,7 +207,7 @@ def test_the_types_effect_and_one_cars_own() -> None:
 
     assert (first.names, first.scope) == (("gap_conduction",), "type")
     assert (second.names, second.scope) == (("hub_conduction",), "car")
-    assert second.cars == ("car1",)
+    assert tuple(second.strengths) == ("car1",)
 
 
 def test_twins_are_a_class_that_other_cars_can_resolve() -> None:
@@ -238,6 +220,17 @@ def test_twins_are_a_class_that_other_cars_can_resolve() -> None:
 
     cars.append(car("car3", hidden))
     assert only(learn(cars)).names == ("gap_conduction",)
+
+
+def test_twins_in_one_car_are_a_class() -> None:
+    twins = {("local_air", "pad_wear"): 0.999}
+    cars = [car(f"car{i}") for i in range(4)]
+    cars[3] = car("car3", {"local_air": 1.0}, alike=twins)
+
+    found = only(learn(cars))
+
+    assert set(found.names) == {"local_air", "pad_wear"}
+    assert (found.scope, tuple(found.strengths)) == ("car", ("car3",))
 
 
 def test_what_no_effect_explains_in_most_cars_gets_no_name() -> None:
