@@ -6,7 +6,7 @@ import json
 from dataclasses import asdict, dataclass
 from functools import cache, cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -109,7 +109,8 @@ class CarJob:
         write_json(self.path, {"key": "", "message": message})
 
 
-class Group(NamedTuple):
+@dataclass(frozen=True)
+class Group:
     """Corners of cars of one type, searched alike; none for all by forces.
 
     ``odd`` has place, value, unit and standard deviations by car.
