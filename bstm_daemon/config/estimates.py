@@ -123,11 +123,11 @@ class PriorsConfig(Section):
     corners: list[Text]
     """corners that were matched together"""
     names: list[Text]
-    """values, as dotted keys"""
+    """dotted keys"""
     values: list[Positive]
-    """those of the type; of the cooling table its S at that speed"""
+    """those of the type, as in `[[matched]]`"""
     deviations: list[Positive]
-    """standard deviations of their logarithms in a further car"""
+    """standard deviations of their logarithms from car to car"""
     cars: Annotated[int, Field(ge=2)]
     """number of matched cars"""
 

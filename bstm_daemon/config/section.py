@@ -71,3 +71,13 @@ def check_curve(
         all(a < b for a, b in itertools.pairwise(x)),
         f"{x_name!r} must rise from point to point",
     )
+
+
+class Curve(Section):
+    """A material property over temperature, linear between the points."""
+
+    temperature_c: list[float]
+    value: list[Positive]
+
+    def _check(self) -> None:
+        check_curve(self.temperature_c, self.value, "temperature_c", "value")

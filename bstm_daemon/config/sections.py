@@ -25,12 +25,12 @@ from bstm_daemon.config.estimates import (
 )
 from bstm_daemon.config.heat import HeatConfig, automatic_mode
 from bstm_daemon.config.section import (
+    Curve,
     Fraction,
     NotNegative,
     Positive,
     Section,
     Text,
-    check_curve,
     require,
     with_piston_area,
 )
@@ -54,16 +54,6 @@ DiscMass = Annotated[float, Field(gt=0, le=100)]
 PadArea = Annotated[float, Field(gt=0, le=0.05)]
 PadThickness = Annotated[float, Field(gt=0, le=0.05)]
 CornerName = Literal["FL", "FR", "RL", "RR"]
-
-
-class Curve(Section):
-    """A material property over temperature, linear between the points."""
-
-    temperature_c: list[float]
-    value: list[Positive]
-
-    def _check(self) -> None:
-        check_curve(self.temperature_c, self.value, "temperature_c", "value")
 
 
 def _form_of_property(value: object) -> str:
