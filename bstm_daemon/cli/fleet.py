@@ -8,7 +8,7 @@ import os
 import time
 from contextlib import closing, contextmanager, redirect_stdout
 from io import StringIO
-from itertools import chain
+from itertools import chain, count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -24,18 +24,17 @@ from bstm_daemon.cli.main import main
 from bstm_daemon.cli.progress import Progress
 from bstm_daemon.errors import StateLockedError
 from bstm_daemon.files import make_folder, replacing
-from bstm_daemon.fleet.cluster import LOST, connect, require_fleet, run_tasks
+from bstm_daemon.fleet.cluster import connect, require_fleet
 from bstm_daemon.fleet.gap import (
-    CarJob,
     cars_of,
     failures_of,
     gap_lines,
     groups_of,
-    search_car,
-    write_priors,
+    search,
 )
 from bstm_daemon.fleet.lake import Lake, Options
 from bstm_daemon.fleet.plan import Plan, add_logs
+from bstm_daemon.fleet.priors import write_prior
 from bstm_daemon.fleet.query import ask, shipped
 from bstm_daemon.fleet.run import Run
 from bstm_daemon.fleet.vehicles import Fleet
@@ -44,7 +43,7 @@ from bstm_daemon.report.json_file import write_json
 from bstm_daemon.report.shell import require_page_packages, write_page
 from bstm_daemon.report.text import table, wrapped
 from bstm_daemon.report.timescale import duration
-from bstm_daemon.service.state_file import lock
+from bstm_daemon.service.state_file import lock, safe_name
 
 if TYPE_CHECKING:
     import argparse
@@ -233,24 +232,27 @@ def _gap(args: argparse.Namespace) -> int:
     ):
         cars, failures = cars_of(lake, plan, args.drives, anyway=args.anyway)
         new = [one for one in cars if one.result()["key"] != one.key]
-        left = len(new)
-
-        def finish(car: CarJob, code: int) -> bool:
-            nonlocal left
-            left -= 1
-            progress.show(1.0 - left / len(cars), car.last.vehicle)
-            if code == LOST:
-                car.fail("each worker that searched it was lost")
-            return False
-
+        done = count(len(cars) - len(new) + 1)
         if new:
             with _client(args) as client:
-                run_tasks(client, search_car, new, finish)
+                search(
+                    *(client, new),
+                    lambda name: progress.show(next(done) / len(cars), name),
+                )
     failures += failures_of(cars)
     groups = groups_of(cars)
     print("\n".join(gap_lines(groups)))
     if args.out is not None:
-        print("\n".join(write_priors(cars, args.out)))
+        make_folder(args.out)
+        for kind in sorted({one.last.type for one in cars}):
+            own = {one.last.config for one in cars if one.last.type == kind}
+            out = args.out / f"{safe_name(kind)}.toml"
+            matched = write_prior(kind, sorted(map(Path, own)), out)
+            print(
+                f"{out}: priors from {matched} cars"
+                if matched
+                else f"{out} not written: it needs two matched configurations"
+            )
     if args.json is not None:
         write_json(args.json, {"groups": groups, "failures": failures})
     _list("not searched", failures)

@@ -4,38 +4,19 @@ from __future__ import annotations
 
 import logging
 from contextlib import contextmanager
-from hashlib import blake2b
 from ipaddress import ip_address
-from typing import TYPE_CHECKING, Any, Final, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Final
 from urllib.parse import urlsplit
 
 from bstm_daemon.errors import BstmError, UsageError, require_packages
 from bstm_daemon.fleet.lake import program
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
+    from collections.abc import Iterator
     from pathlib import Path
 
 WAIT_S: Final = 30.0
 """How long scheduler and first worker are waited for."""
-
-ITEMS_A_THREAD: Final = 3
-"""Cars under way for each thread of the workers: none waits for a task."""
-
-FOREIGN: Final = 3
-LOST: Final = 4
-"""Of a task: its worker runs another program, or each worker was lost."""
-
-
-class Item(Protocol):
-    """What has one job after the other, such as a car."""
-
-    @property
-    def job(self) -> object:
-        """The job that is next, or under way."""
-
-
-ItemT = TypeVar("ItemT", bound=Item)
 
 
 @contextmanager
@@ -98,77 +79,6 @@ def connect(
             raise BstmError(msg) from error
         check_workers(client.run(program))
         yield client
-
-
-def run_tasks(
-    client: Any,
-    function: Callable[[Any], int],
-    items: Iterable[ItemT],
-    finish: Callable[[ItemT, int], bool],
-) -> None:
-    """Run *function* on the job of each of *items*, some at a time.
-
-    Args:
-        client: a ``distributed.Client``.
-        function: makes of a job a number.
-        items: each with its ``job``.
-        finish: called with the item and the number, or :data:`LOST`;
-            returns whether the item has a further job.
-
-    Raises:
-        UsageError: a worker runs another program than the client.
-        BstmError: the scheduler is gone.
-    """
-    from distributed import as_completed  # noqa: PLC0415  (an extra)
-
-    under_way: dict[str, ItemT] = {}
-    completed = as_completed(loop=client.loop)
-    most = ITEMS_A_THREAD * max(sum(client.nthreads().values()), 1)
-
-    def submit(item: ItemT) -> None:
-        key = _name(function.__name__, item.job)
-        future = client.submit(function, item.job, key=key, pure=False)
-        under_way[key] = item
-        completed.add(future)
-
-    def take() -> None:
-        future = next(completed)
-        item = under_way.pop(future.key)
-        code = _result(future)
-        future.release()
-        if finish(item, code):
-            submit(item)
-
-    for item in items:
-        submit(item)
-        while len(under_way) >= most:
-            take()
-    while under_way:
-        take()
-
-
-def _result(future: Any) -> int:
-    from distributed import KilledWorker  # noqa: PLC0415  (an extra)
-
-    try:
-        code: int = future.result()
-    except KilledWorker:
-        return LOST
-    except Exception as error:
-        msg = (
-            f"the scheduler is gone, or refuses the work: {error!r}; what "
-            "is finished stays: start it again"
-        )
-        raise BstmError(msg) from error
-    if code == FOREIGN:
-        msg = "a worker has come that runs another program than this one"
-        raise UsageError(msg)
-    return code
-
-
-def _name(what: str, job: object) -> str:
-    """Return the name of the task of *job*, another one for another job."""
-    return f"{what}-{blake2b(repr(job).encode(), digest_size=12).hexdigest()}"
 
 
 def require_fleet() -> None:

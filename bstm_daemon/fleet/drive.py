@@ -16,7 +16,6 @@ from bstm_daemon.estimate import Reason
 from bstm_daemon.estimator.memory import after_unseen_drive
 from bstm_daemon.estimator.start import PUBLISHED_NODES
 from bstm_daemon.files import make_folder, replacing
-from bstm_daemon.fleet.cluster import FOREIGN
 from bstm_daemon.fleet.lake import (
     Drive,
     Lake,
@@ -55,8 +54,9 @@ if TYPE_CHECKING:
 MADE: Final = 0
 SKIPPED: Final = 1
 FAILED: Final = 2
+FOREIGN: Final = 3
 """What a task returns: a number, so that a worker that is lost takes no result
-with it."""
+with it. FOREIGN: the worker runs another program."""
 
 RISKS: Final = ("risk", "risk_start_known")
 """The highest of a drive, and of the time in which its start has no effect."""

@@ -21,8 +21,7 @@ from bstm_daemon.analysis.gap.recording import read_recording
 from bstm_daemon.analysis.gap.workflow import find_gap, is_unmatched
 from bstm_daemon.errors import BstmError, LogError
 from bstm_daemon.files import make_folder
-from bstm_daemon.fleet.cluster import FOREIGN
-from bstm_daemon.fleet.drive import FAILED, MADE
+from bstm_daemon.fleet.drive import FAILED, FOREIGN, MADE
 from bstm_daemon.fleet.lake import (
     Drive,
     Lake,
@@ -31,7 +30,6 @@ from bstm_daemon.fleet.lake import (
     program,
 )
 from bstm_daemon.fleet.learning import Finding, Searched, learn, odd_ones
-from bstm_daemon.fleet.priors import write_prior
 from bstm_daemon.model.heat.needs import (
     INPUTS,
     check_heat_inputs,
@@ -44,7 +42,7 @@ from bstm_daemon.report.text import percent, table
 from bstm_daemon.service.state_file import safe_name
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from bstm_daemon.analysis.gap.naming import Naming
     from bstm_daemon.fleet.plan import Plan
@@ -72,11 +70,6 @@ class CarJob:
     config_hash: str
     anyway: bool
     program: dict[str, str]
-
-    @property
-    def job(self) -> CarJob:
-        """Itself: it has no further one."""
-        return self
 
     @property
     def last(self) -> Drive:
@@ -147,6 +140,34 @@ def cars_of(
     return cars, failures
 
 
+def search(
+    client: Any, cars: Sequence[CarJob], progress: Callable[[str], None]
+) -> None:
+    """Search *cars* on the workers of *client*, a ``distributed.Client``.
+
+    A car whose workers are lost fails alone. *progress* is called with the
+    name of each.
+
+    Raises:
+        BstmError: the scheduler is gone.
+    """
+    from distributed import as_completed  # noqa: PLC0415  (an extra)
+
+    futures = client.map(search_car, cars, pure=False)
+    under_way = dict(zip(futures, cars, strict=True))
+    for future in as_completed(futures, loop=client.loop):
+        car = under_way[future]
+        if future.cancelled():
+            msg = "the scheduler is gone; what is finished stays"
+            raise BstmError(msg)
+        error = future.exception()
+        if error is not None:
+            car.fail(f"{type(error).__name__}: {error}")
+        elif future.result() == FOREIGN:
+            car.fail("its worker runs another program than this one")
+        progress(car.last.vehicle)
+
+
 def search_car(job: CarJob) -> int:
     """Search the drives of *job* for a gap and write what is found.
 
@@ -210,30 +231,6 @@ def failures_of(cars: Sequence[CarJob]) -> list[str]:
         for job in cars
         if (message := job.result()["message"])
     ]
-
-
-def write_priors(cars: Sequence[CarJob], folder: Path) -> list[str]:
-    """Write a configuration for a further car of each type into *folder*.
-
-    Cars of one configuration count once. Returns a line for each type.
-
-    Raises:
-        ConfigError: of a configuration.
-        FileAccessError: one is unreadable or *folder* unwritable.
-    """
-    by_type: dict[str, dict[str, None]] = {}
-    for job in cars:
-        by_type.setdefault(job.last.type, {})[job.last.config] = None
-    lines = []
-    make_folder(folder)
-    for kind, configs in sorted(by_type.items()):
-        out = folder / f"{safe_name(kind)}.toml"
-        count = write_prior(kind, [*map(Path, configs)], out)
-        why = "not written: it needs two matched configurations"
-        lines.append(
-            f"{out}: priors from {count} cars" if count else f"{out} {why}"
-        )
-    return lines
 
 
 def groups_of(cars: Sequence[CarJob]) -> list[Group]:
@@ -308,19 +305,11 @@ def gap_lines(groups: Sequence[Group]) -> list[str]:
         count = len(one.cars)
         where = one.corners or "by forces"
         lines.append(f"{one.type}, {where}: {count} cars searched")
-        if one.unmatched:
-            lines.append(
-                f"  not matched, no names (--anyway): {_few(one.unmatched)}"
-            )
+        if bare := one.unmatched:
+            lines.append(f"  not matched, no names (--anyway): {_few(bare)}")
         rows = [_row(finding, count) for finding in one.findings]
         if rows:
-            head = [
-                "what",
-                "who has it",
-                "evidence",
-                "strength",
-                "probability",
-            ]
+            head = "what", "who has it", "evidence", "strength", "probability"
             lines += [f"  {line}" for line in table(head, rows)]
         elif len(one.unmatched) < count:
             lines.append("  nothing that several cars or one of them show")
@@ -335,10 +324,8 @@ def gap_lines(groups: Sequence[Group]) -> list[str]:
 
 def _row(one: Finding, count: int) -> list[str]:
     name = one.names[0] if one.names else ""
-    who = {
-        "type": "the type",
-        "sensor": f"a sensor of {_few([*one.strengths])}",
-    }
+    cars = _few([*one.strengths])
+    who = {"type": "the type", "car": cars, "sensor": f"a sensor of {cars}"}
 
     def said(strength: float, deviation: float) -> str:
         if is_change(name):
@@ -351,7 +338,7 @@ def _row(one: Finding, count: int) -> list[str]:
         strengths = [f"{type_has}, cars differ by {100 * one.spread:.0f} %"]
     return [
         " or ".join(map(name_of, one.names)) or "none of the known effects",
-        who.get(one.scope, _few([*one.strengths])),
+        who[one.scope],
         f"{len(one.carriers)} of {count} cars",
         _few(strengths) if name else "",
         percent(min(one.probability, 0.9999)),

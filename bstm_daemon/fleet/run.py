@@ -8,12 +8,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import lru_cache
+from hashlib import blake2b
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from bstm_daemon.errors import BstmError
-from bstm_daemon.fleet.cluster import LOST, run_tasks
-from bstm_daemon.fleet.drive import Job, fail_drive, replay_drive
+from bstm_daemon.errors import BstmError, UsageError
+from bstm_daemon.fleet.drive import (
+    FAILED,
+    FOREIGN,
+    Job,
+    fail_drive,
+    replay_drive,
+)
 from bstm_daemon.fleet.lake import hash_of_config, program
 
 if TYPE_CHECKING:
@@ -22,7 +28,10 @@ if TYPE_CHECKING:
     from bstm_daemon.fleet.lake import Drive, Lake, Options, Receipt
     from bstm_daemon.fleet.plan import Plan
 
-LOST_MESSAGE: Final = "each worker that replayed it was lost"
+CHAINS_A_THREAD: Final = 3
+"""Cars under way for each thread of the workers: none waits for a task."""
+
+LOST: Final = "each worker that replayed it was lost"
 
 
 @dataclass
@@ -114,21 +123,61 @@ class Run:
             UsageError: a worker runs another program than the client.
             BstmError: the scheduler is gone.
         """
+        from distributed import as_completed  # noqa: PLC0415  (an extra)
 
-        def finish(chain: Chain, code: int) -> bool:
-            self._finish(chain, code)
-            progress()
-            return self._advance(chain)
+        under_way: dict[str, Chain] = {}
+        completed = as_completed(loop=client.loop)
+        most = CHAINS_A_THREAD * max(sum(client.nthreads().values()), 1)
 
-        run_tasks(client, replay_drive, chains, finish)
+        def submit(chain: Chain) -> None:
+            future = client.submit(
+                replay_drive, chain.job, key=_name(chain.job), pure=False
+            )
+            under_way[future.key] = chain
+            completed.add(future)
+
+        for chain in chains:
+            submit(chain)
+            while len(under_way) >= most:
+                self._take(next(completed), under_way, submit, progress)
+        while under_way:
+            self._take(next(completed), under_way, submit, progress)
         return self.outcome
 
-    def _finish(self, chain: Chain, code: int) -> None:
-        """Take the drive that is finished."""
+    def _take(
+        self,
+        future: Any,
+        under_way: dict[str, Chain],
+        submit: Callable[[Chain], None],
+        progress: Callable[[], None],
+    ) -> None:
+        """Take the drive that is finished, and go on in its chain."""
+        chain = under_way.pop(future.key)
+        self._finish(chain, future)
+        future.release()
+        progress()
+        if self._advance(chain):
+            submit(chain)
+
+    def _finish(self, chain: Chain, future: Any) -> None:
+        from distributed import KilledWorker  # noqa: PLC0415  (an extra)
+
         job = chain.job
         assert job is not None  # noqa: S101  (it was submitted)
-        if code == LOST:
-            fail_drive(job, LOST_MESSAGE)
+        try:
+            code = future.result()
+        except KilledWorker:
+            fail_drive(job, LOST)
+            code = FAILED
+        except Exception as error:
+            msg = (
+                f"the scheduler is gone, or refuses the work: {error!r}; what "
+                "is finished stays: start it again"
+            )
+            raise BstmError(msg) from error
+        if code == FOREIGN:
+            msg = "a worker has come that runs another program than this one"
+            raise UsageError(msg)
         receipt = self._lake.receipt(job.drive)
         self.outcome.made += receipt is not None and receipt.message is None
         self._pass(chain, job.drive, receipt)
@@ -173,3 +222,8 @@ class Run:
                 self.outcome.waiting += sum(1 for _ in chain.drives)
         chain.before = drive
         chain.key = receipt.key if receipt else ""
+
+
+def _name(job: Job | None) -> str:
+    """Return the name of the task of *job*, another one for another job."""
+    return f"replay-{blake2b(repr(job).encode(), digest_size=12).hexdigest()}"

@@ -11,8 +11,12 @@ import pytest
 
 from bstm_daemon.cli.main import main
 from bstm_daemon.estimate import Reason
-from bstm_daemon.fleet.cluster import FOREIGN
-from bstm_daemon.fleet.drive import FAILED, MADE, SKIPPED
+from bstm_daemon.fleet.drive import (
+    FAILED,
+    FOREIGN,
+    MADE,
+    SKIPPED,
+)
 from bstm_daemon.service import state_file
 
 if TYPE_CHECKING:

@@ -13,7 +13,7 @@ from bstm_daemon.cli import fleet as cli
 from bstm_daemon.cli.main import main
 from bstm_daemon.errors import LogError
 from bstm_daemon.fleet import gap as gap_module
-from bstm_daemon.fleet.cluster import FOREIGN, LOST
+from bstm_daemon.fleet.drive import FAILED, FOREIGN
 from bstm_daemon.fleet.gap import (
     CarJob,
     cars_of,
@@ -72,6 +72,37 @@ def result_of(
     }
 
 
+class Future:
+    """A search that ends in this process."""
+
+    def __init__(self, job: CarJob, lost: str = "", state: str = "") -> None:
+        self.job, self.lost, self.state = job, lost, state
+
+    def cancelled(self) -> bool:
+        return self.state == "cancelled"
+
+    def exception(self) -> Exception | None:
+        return RuntimeError(self.lost) if self.lost else None
+
+    def result(self) -> int:
+        return FOREIGN if self.state == "foreign" else search_car(self.job)
+
+
+class Client:
+    """Searches in this process."""
+
+    loop = None
+
+    def __init__(self, **ends: str) -> None:
+        self.ends = ends
+
+    def map(
+        self, _: Any, jobs: Sequence[CarJob], *, pure: bool
+    ) -> list[Future]:
+        assert not pure
+        return [Future(job, **self.ends) for job in jobs]
+
+
 @pytest.fixture
 def searched(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """Search in this process, with results as they were made up.
@@ -93,13 +124,11 @@ def searched(monkeypatch: pytest.MonkeyPatch) -> list[str]:
         group = result_of(name, strengths, heat_w)
         return {"message": None, "left_out": [], "groups": [group]}
 
-    def run_here(_: Any, function: Any, items: Any, finish: Any) -> None:
-        for item in items:
-            assert not finish(item, function(item.job))
-
     monkeypatch.setattr(gap_module, "_searched", search)
-    monkeypatch.setattr(cli, "connect", lambda *_: nullcontext())
-    monkeypatch.setattr(cli, "run_tasks", run_here)
+    monkeypatch.setattr(cli, "connect", lambda *_: nullcontext(Client()))
+    monkeypatch.setattr(
+        "distributed.as_completed", lambda futures, **_: futures
+    )
     return names
 
 
@@ -147,7 +176,7 @@ def test_a_car_that_fails_costs_itself(
     fleet.plan()
     (job,) = jobs_of(fleet.lake.root)
 
-    assert search_car(job) == gap_module.FAILED
+    assert search_car(job) == FAILED
 
     (line,) = failures_of([job])
     assert line.startswith("car0: drive0.log")
@@ -176,16 +205,20 @@ def test_a_lost_worker_a_broken_log_and_a_missing_configuration(
     fleet = make_fleet(2, [0])
     fleet.log("car1", 0).write_text("no log", "utf-8")
     fleet.plan()
-    monkeypatch.setattr(
-        cli, "run_tasks", lambda *a: [a[3](item, LOST) for item in a[2]]
-    )
+    lost = nullcontext(Client(lost="killed"))
+    monkeypatch.setattr(cli, "connect", lambda *_: lost)
 
     assert main(["fleet", "gap", str(fleet.lake.root)]) == 1
 
     out = capsys.readouterr().out
-    assert "- car0: each worker that searched it was lost" in out
+    assert "- car0: RuntimeError: killed" in out
     assert "- car1: no drive that can be read" in out
     assert searched == []
+    for state, said in (("foreign", "another program"), ("cancelled", "gone")):
+        ends = nullcontext(Client(state=state))
+        monkeypatch.setattr(cli, "connect", lambda *_, own=ends: own)
+        assert main(["fleet", "gap", str(fleet.lake.root)]) != 0
+        assert said in "".join(capsys.readouterr())
     (fleet.folder / "car.toml").unlink()
     assert main(["fleet", "gap", str(fleet.lake.root)]) == 1
     assert "car.toml: " in capsys.readouterr().out

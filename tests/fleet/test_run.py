@@ -11,7 +11,6 @@ from distributed import Client
 
 from bstm_daemon.errors import BstmError, UsageError
 from bstm_daemon.fleet import run as run_module
-from bstm_daemon.fleet.cluster import ITEMS_A_THREAD
 from bstm_daemon.fleet.lake import Options
 from bstm_daemon.fleet.plan import Plan
 from bstm_daemon.fleet.run import Outcome, Run
@@ -214,7 +213,7 @@ def test_some_cars_are_under_way_and_no_more(
         outcome = execute(fleet, Cluster())
 
     assert counts(outcome) == (24, 0, 0, 0)
-    assert most == ITEMS_A_THREAD
+    assert most == run_module.CHAINS_A_THREAD
 
 
 def test_a_worker_of_another_program_ends_the_run(
@@ -253,7 +252,7 @@ def test_a_drive_that_takes_its_workers_down_costs_itself(
     outcome = execute(fleet, client)
 
     assert counts(outcome) == (1, 0, 1, 0)
-    assert run_module.LOST_MESSAGE in outcome.failures[0]
+    assert run_module.LOST in outcome.failures[0]
     monkeypatch.undo()
     # tried again, and then what follows it
     assert counts(execute(fleet, client)) == (2, 0, 0, 0)
