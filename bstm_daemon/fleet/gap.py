@@ -38,7 +38,7 @@ from bstm_daemon.model.heat.needs import (
 from bstm_daemon.replay.vehicle import load_vehicle
 from bstm_daemon.report.gap_json import force_json, gap_json
 from bstm_daemon.report.json_file import write_json
-from bstm_daemon.report.text import percent, table
+from bstm_daemon.report.text import percent, table, wrapped
 from bstm_daemon.service.state_file import safe_name
 
 if TYPE_CHECKING:
@@ -311,6 +311,14 @@ def gap_lines(groups: Sequence[Group]) -> list[str]:
         if rows:
             head = "what", "who has it", "evidence", "strength", "probability"
             lines += [f"  {line}" for line in table(head, rows)]
+            lines += wrapped(
+                [
+                    "not separated: " + ", ".join(map(name_of, each.names))
+                    for each in one.findings
+                    if len(each.names) > 1
+                ],
+                *("  ", "    "),
+            )
         elif len(one.unmatched) < count:
             lines.append("  nothing that several cars or one of them show")
         lines += [
@@ -337,7 +345,9 @@ def _row(one: Finding, count: int) -> list[str]:
         type_has = said(one.strength, one.deviation)
         strengths = [f"{type_has}, cars differ by {100 * one.spread:.0f} %"]
     return [
-        " or ".join(map(name_of, one.names)) or "none of the known effects",
+        name_of(name) + " or others" * (len(one.names) > 1)
+        if name
+        else "none of the known effects",
         who[one.scope],
         f"{len(one.carriers)} of {count} cars",
         _few(strengths) if name else "",

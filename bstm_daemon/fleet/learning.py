@@ -171,10 +171,11 @@ def _best(
     count = np.log(2.0 * len(names))
     # of each car, as likely before data: nothing, or any one effect
     of_any = np.logaddexp.reduce(own, axis=1)
-    background = np.logaddexp(-np.log(2.0), of_any - count)
-    common = together - background.sum()
+    background = np.logaddexp(0.0, of_any - np.log(len(names)))
+    # so is of the type: nothing, or any one
+    common = together - np.log(len(names)) - background.sum()
     is_common = (
-        (common > 0.0)
+        (common > np.log(SURE / (1.0 - SURE)))
         & (together - count > -np.log(GATE_NOTHING))
         & (_pooled_z(score, g) >= GATE_Z)
         & (gains.sum(axis=0) >= NEXT_SHARE * first.sum())
@@ -216,6 +217,7 @@ def _best(
                 float(g[i, k] ** -0.5),
             )
             for i in members
+            if g[i, k] > TINY
         },
     )
     return finding, k, members
@@ -234,7 +236,7 @@ def _pooled_z(score: Matrix, information: Matrix) -> Column:
 
 def _scoped(one: Finding, count: int) -> Finding:
     """Return *one*: the type's where all its cars have it; or a sensor's."""
-    if len(one.strengths) == count:
+    if one.scope == "type" or len(one.strengths) == count:
         return replace(one, scope="type")
     name = next(iter(one.names), "")
     sensor = name in SENSORS or (

@@ -255,14 +255,14 @@ def test_cars_that_were_not_matched_get_no_names(
 def lake(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the searched lake of a simulated type.
 
-    a0 to a2 have a conducting gap, b0 to b2 nothing, c0 a thermocouple in a
-    wrong place. One configuration is matched to a further drive of none.
+    a0 to a2 have a conducting gap, b0 to b2 nothing, c0 slow thermocouples.
+    One configuration is matched to a further drive of none.
     """
     folder = tmp_path_factory.mktemp("type")
     hidden = {
         **{f"a{i}": {"gap_conduction": 1.8 + 0.2 * i} for i in range(3)},
         **{f"b{i}": {} for i in range(3)},
-        "c0": {"thermocouple_offset": 1.5},
+        "c0": {"thermocouple_lag": 2.0},
         "match": {},
     }
     for seed, (name, effects) in enumerate(hidden.items()):
@@ -304,12 +304,12 @@ def lake(tmp_path_factory: pytest.TempPathFactory) -> Path:
         ("a0 a1 b0 b1", {"gap_conduction": ("car", "a0 a1")}),
         ("b0 b1 a2 b2", {"gap_conduction": ("car", "a2")}),
         ("b0 b1 b2", {}),
-        ("b0 c0 b1 b2", {"thermocouple_offset": ("sensor", "c0")}),
+        ("b0 c0 b1 b2", {"thermocouple_lag": ("sensor", "c0")}),
         (
             "a0 b0 c0 a1 a2",
             {
                 "gap_conduction": ("car", "a0 a1 a2"),
-                "thermocouple_offset": ("sensor", "c0"),
+                "thermocouple_lag": ("sensor", "c0"),
             },
         ),
     ],

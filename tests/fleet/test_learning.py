@@ -25,6 +25,10 @@ if TYPE_CHECKING:
 NAMES = (
     *("gap_conduction", "hub_conduction", "thermocouple_offset"),
     *("change.disc_capacity", "local_air", "pad_wear", "shim_contact"),
+    *("disc_hat", "wet_disc", "pad_capacity", "pad_conductivity"),
+    *("backplate_loss", "caliper_bypass", "caliper_radiation", "disc_wear"),
+    *("fluid_exchange", "friction_fade", "hydraulic_lag", "mass_error"),
+    *("residual_drag", "brake_share", "bracket_conduction"),
 )
 
 
@@ -134,6 +138,16 @@ def test_cars_that_could_not_show_it_do_not_speak_against_it() -> None:
     assert found.carriers == ("car0", "car1")
 
 
+def test_one_car_that_shows_it_does_not_speak_for_many_that_can_not() -> None:
+    others = [n for n in NAMES if n != "gap_conduction"]
+    cars = [car("car0", {"gap_conduction": 1.0})]
+    cars += [car(f"car{i}", names=others) for i in range(1, 20)]
+
+    found = only(learn(cars))
+
+    assert (found.scope, tuple(found.strengths)) == ("car", ("car0",))
+
+
 @pytest.mark.parametrize("count", [4, 40])
 def test_what_one_car_has_is_its_own(count: int) -> None:
     cars = [car(f"car{i}") for i in range(count)]
@@ -176,7 +190,9 @@ def test_nothing_is_found_in_noise() -> None:
         cars = [
             car(
                 f"car{i}",
-                noise=dict(zip(NAMES, rng.normal(size=7), strict=True)),
+                noise=dict(
+                    zip(NAMES, rng.normal(size=len(NAMES)), strict=True)
+                ),
                 deviation=float(rng.uniform(0.05, 1.0)),
                 answer="nothing",
             )
