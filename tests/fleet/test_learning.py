@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from bstm_daemon.analysis.gap.evidence import NormalEquations, strength_prior
+from bstm_daemon.analysis.gap.heat_only import find_force_gap
 from bstm_daemon.fleet.learning import (
     SPREADS,
     Finding,
@@ -18,6 +19,8 @@ from bstm_daemon.fleet.learning import (
     pool,
     type_prior,
 )
+
+from ..analysis.gap import test_heat_only  # noqa: TID252  (no package)
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -257,6 +260,29 @@ def test_what_no_effect_explains_in_most_cars_gets_no_name() -> None:
     found = only(learn(cars))
 
     assert (found.names, found.scope) == ((), "type")
+
+
+@pytest.mark.slow
+def test_by_forces_where_no_car_has_a_thermocouple() -> None:
+    found = []
+    for strength in (2.0, 0.0):
+        effects = {"friction_pressure": strength}
+        drive = test_heat_only.driven("rich", effects, sensors="none")
+        naming = find_force_gap(test_heat_only.car()[0], [drive]).naming
+        assert naming.equations is not None
+        found.append((naming.answer, naming.equations))
+    has, plain = found
+
+    def fleet(*cars: tuple[str, NormalEquations]) -> list[Finding]:
+        return learn([Searched(f"car{i}", *one) for i, one in enumerate(cars)])
+
+    all_have = only(fleet(has, has, has))
+    assert (all_have.names, all_have.scope) == (("friction_pressure",), "type")
+    assert all_have.strength == pytest.approx(2.0, rel=0.2)
+    one_has = only(fleet(plain, has, plain, plain))
+    assert one_has.names == ("friction_pressure",)
+    assert (one_has.scope, one_has.carriers) == ("car", ("car1",))
+    assert fleet(plain, plain, plain) == []
 
 
 def test_one_car_alone_teaches_nothing_about_its_type() -> None:
