@@ -45,14 +45,35 @@ def bill(*extras: str) -> str:
 def test_the_bill_lists_what_is_installed() -> None:
     pytest.importorskip("packaging")
     text = bill("report")
-    found = {one["name"]: one for one in json.loads(text)["components"]}
+    components = json.loads(text)["components"]
+    found = {one["name"]: one for one in components}
 
     for name in ("cantools", "numpy", "pydantic", "python-can", "plotly"):
         assert found[name]["version"] == version(name)
     assert {"bstm.dbc", "toyota_new_mc_pt_generated.dbc"} <= found.keys()
     assert re.fullmatch(r"[0-9.]+", found["plotly.js"]["version"])
+    assert found["uPlot"]["version"] == "1.6.32"
+    assert found["uPlot"]["licenses"] == [{"license": {"id": "MIT"}}]
     assert "pyarrow" not in found
+    assert len({one["bom-ref"] for one in components}) == len(components)
+    assert all(one["licenses"] for one in components)
+    assert '"unknown"' not in text
     assert bill("report") == text
+
+
+def test_a_bill_that_lists_less_than_is_installed_is_an_error() -> None:
+    pytest.importorskip("packaging")
+
+    done = subprocess.run(
+        [sys.executable, str(ROOT / ".ci" / "sbom"), "--exact"],
+        cwd=ROOT,
+        check=False,
+        capture_output=True,
+        text=True,
+    )
+
+    assert done.returncode == 1
+    assert re.match(r"not in the bill: .*'pytest'", done.stderr)
 
 
 @pytest.mark.parametrize(

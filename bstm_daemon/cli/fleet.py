@@ -19,6 +19,7 @@ from bstm_daemon.cli.arguments import (
     add_out,
     add_path,
     check_targets,
+    number,
 )
 from bstm_daemon.cli.main import main
 from bstm_daemon.cli.progress import Progress
@@ -101,7 +102,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     _add_workers(gap)
     gap.add_argument(
         "--drives",
-        type=int,
+        type=number(1, kind=int),
         default=8,
         metavar="N",
         help="search the last N drives of each car (default: %(default)s)",
@@ -124,7 +125,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_out(report, "page (default: LAKE/report.html)", "FILE.html")
     report.add_argument(
         "--pages",
-        type=int,
+        type=number(0, kind=int),
         default=0,
         metavar="N",
         help="replay the N worst drives for pages of their own, which the "
@@ -158,7 +159,7 @@ def _add_workers(parser: argparse.ArgumentParser) -> None:
     where = parser.add_mutually_exclusive_group()
     where.add_argument(
         "--jobs",
-        type=int,
+        type=number(1, kind=int),
         metavar="N",
         help="processes on this machine (default: one a core)",
     )
@@ -277,8 +278,8 @@ def _report(args: argparse.Namespace) -> int:
     require_page_packages()
     lake = Lake(args.lake)
     out = args.out or lake.root / "report.html"
-    check_targets([out], ())
     with closing(Plan(lake)) as plan:
+        check_targets([out], ())
         outcome = Run(lake, plan, None).look()
         cars, dates, worst = (
             ask(lake, name).as_rows() for name in ("cars", "dates", "worst")

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Final, TypeVar, get_args, get_origin
 
 from pydantic import ValidationError
 
+from bstm_daemon.config.csv_tables import put_csv_tables
 from bstm_daemon.config.limits import (
     TOML_BYTES,
     TOML_DEPTH,
@@ -43,7 +44,7 @@ _POSITION: Final = re.compile(r"(.*) \(at (.*)\)$", re.DOTALL)
 def load_config(path: Path) -> Config:
     """Read and validate the configuration file *path*.
 
-    Paths inside it (``dbc``) are relative to its folder, ``path.parent``.
+    Paths inside it (``dbc``, ``csv``) are relative to its folder.
 
     Raises:
         FileAccessError: The file is missing or unreadable.
@@ -53,7 +54,8 @@ def load_config(path: Path) -> Config:
     """
     with naming_file(path):
         document = with_ignored_buses(read_toml(path))
-        _, problems = draft_of(document)
+        problems = put_csv_tables(document, path.parent)
+        problems += draft_of(document)[1]
         if problems:
             raise ConfigError(problems)
     written = {name: value for name, value in document.items() if value}
@@ -83,7 +85,10 @@ def read_draft(path: Path) -> tuple[Draft, list[str]]:
         ConfigError: It is not TOML, or beyond a limit.
 
     """
-    return draft_of(with_ignored_buses(read_toml(path)))
+    document = with_ignored_buses(read_toml(path))
+    problems = put_csv_tables(document, path.parent)
+    draft, more = draft_of(document)
+    return draft, problems + more
 
 
 def draft_of(document: dict[str, Any]) -> tuple[Draft, list[str]]:

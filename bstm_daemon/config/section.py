@@ -74,10 +74,15 @@ def check_curve(
 
 
 class Curve(Section):
-    """A material property over temperature, linear between the points."""
+    """A material property over temperature, linear between the points.
 
-    temperature_c: list[float]
-    value: list[Positive]
+    Of a file, ``csv`` stands there alone.
+    """
+
+    temperature_c: list[float] = []
+    value: list[Positive] = []
+    csv: Text | None = None
 
     def _check(self) -> None:
+        require(self.csv is None, "'csv' is read with a configuration file")
         check_curve(self.temperature_c, self.value, "temperature_c", "value")

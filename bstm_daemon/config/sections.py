@@ -266,7 +266,7 @@ class DiscConfig(Section):
     peak near 750 °C, or `own`"""
     heat_capacity_j_kgk: Curve | None = None
     """curve for `material = "own"`: `{temperature_c = [...], value =
-    [...]}`"""
+    [...]}` or `{csv = "FILE"}`"""
     heat_capacity_exponent: Annotated[float, Field(ge=0, le=2)] = 1.0
     """how much of that curve's rise over its value at 20 °C the disc has: 1
     all, 0 a constant capacity"""

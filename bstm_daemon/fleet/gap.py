@@ -252,10 +252,8 @@ def _group(
     for car, one in results.items():
         if one["equations"] is None:
             continue
-        names, score, information = one["equations"].values()
-        equations = NormalEquations(
-            tuple(names), np.array(score), np.array(information)
-        )
+        names, *rest = one["equations"].values()
+        equations = NormalEquations(tuple(names), *map(np.array, rest))
         searched.append(Searched(car, one["naming"]["answer"], equations))
     return Group(
         kind,

@@ -124,15 +124,17 @@ def learn(cars: Sequence[Searched]) -> list[Finding]:
     names = sorted({n for one in cars for n in one.equations.names})
     score = np.zeros((len(cars), len(names)))
     information = np.zeros((len(cars), len(names), len(names)))
+    costs = np.zeros_like(score)
     for i, one in enumerate(cars):
         # what a car's drives do not excite stays 0
         at = [names.index(name) for name in one.equations.names]
         score[i, at] = one.equations.score
         information[i][np.ix_(at, at)] = one.equations.information
+        costs[i, at] = one.equations.form_cost
     first = np.zeros(len(cars))
     found: dict[str, Finding] = {}
     while len(cars) > 1 and names:
-        best = _best(cars, names, score, information, first)
+        best = _best(cars, names, (score, information, costs), first)
         if best is None:
             break
         finding, which, members = best
@@ -158,16 +160,16 @@ def learn(cars: Sequence[Searched]) -> list[Finding]:
 def _best(
     cars: Sequence[Searched],
     names: Sequence[str],
-    score: Matrix,
-    information: Matrix,
+    equations: tuple[Matrix, Matrix, Matrix],
     first: Column,
 ) -> tuple[Finding, int, list[int]] | None:
     """Return the plainest finding, its effect and the cars that have it."""
+    score, information, costs = equations
     g = np.maximum(np.diagonal(information, axis1=1, axis2=2), TINY)
     gains = 0.5 * score**2 / g
     pooled = [pool(n, score[:, k], g[:, k]) for k, n in enumerate(names)]
-    own = np.array([one.own for one in pooled]).T
-    together = np.array([one.common for one in pooled])
+    own = np.array([one.own for one in pooled]).T - costs
+    together = np.array([one.common for one in pooled]) - costs.sum(axis=0)
     count = np.log(2.0 * len(names))
     # of each car, as likely before data: nothing, or any one effect
     of_any = np.logaddexp.reduce(own, axis=1)

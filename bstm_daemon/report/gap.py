@@ -420,8 +420,8 @@ def advice_headline(gap: Gap) -> str:
     if len(gap.members) > 1:
         names = f"the right one of {names}"
     return (
-        f"next drive, most right names a minute: {best.drive}, "
-        f"{best.description}; with it {names} would be named in "
+        f"next drive: {best.drive}, {best.description} (most right names a "
+        f"minute); with it {names} would be named in "
         f"{100.0 * best.named:.0f} % of cases"
     )
 
@@ -444,7 +444,7 @@ def advice_rows(gap: Gap) -> list[tuple[str, ...]]:
             f"{100.0 * one.named:.0f} %",
             f"{100.0 * one.named_per_min:.1f} %",
             f"{100.0 * one.wrong:.0f} %",
-            f"{one.log_bayes_factor:+.1f}",
+            f"{round(one.log_bayes_factor, 1) + 0.0:+.1f}",
             one.description,
         )
         for one in gap.advice

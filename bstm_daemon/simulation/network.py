@@ -151,6 +151,7 @@ def paths(lanes: Lanes, state: State, inputs: Inputs) -> Paths:
         p.face_emissivity * p.face_air_area_m2 * radiates,
     )
     lump_out = _ambient_links(lanes, state, inputs, radiates)
+    _join_drawn(lanes, state, inputs, matrix, lump_out)
     to_ambient = lanes.joined(chain_out, lump_out)
     # what a node gives to all others
     own = np.arange(lanes.nodes)
@@ -195,9 +196,7 @@ def _chain_links(lanes: Lanes, state: State, inputs: Inputs) -> Array:
     gap_m = state.pad_m / (lanes.mesh.pad_nodes - 1)
     pad_k = state.chain_k[lanes.pad]
     conductivity = materials.lining_conductivity(
-        (pad_k[1:] + pad_k[:-1]) / 2,
-        p.pad_conductivity_w_mk,
-        p.pad_conductivity,
+        (pad_k[1:] + pad_k[:-1]) / 2, *lanes.lining_k
     )
     link[1 : lanes.surface - 1] = conductivity * (p.pad_area_m2 / gap_m)
     cheek_k = state.chain_k[lanes.cheek]
@@ -318,6 +317,47 @@ def _shield(lanes: Lanes, state: State, v: Array, matrix: Array) -> None:
     _join(matrix, body, air, share * _LUG_W_K * away)
 
 
+def _join_drawn(
+    lanes: Lanes, state: State, inputs: Inputs, matrix: Array, out: Array
+) -> None:
+    """Add the paths of ``CornerParameters.drawn_paths``."""
+    ports = (0, lanes.surface, lanes.chain_nodes - 1)
+    nodes_k = lanes.joined(state.chain_k, state.lump_k)
+    speeds, contacts = (
+        np.broadcast_to(one, lanes.count)
+        for one in (inputs.speed_ms, inputs.contact)
+    )
+    for lane, i in np.argwhere(lanes.drawn[:, :, 2]).tolist():
+        start, end, base, power, warmth, onset, width, *rest = lanes.drawn[
+            lane, i
+        ].tolist()
+        band, band_width, contact = rest
+        v, held = speeds[lane], contacts[lane]
+        base *= (v / 20.0) ** power
+        if band:
+            base *= np.exp(-(((v - band) / band_width) ** 2))
+        if contact:
+            base *= held if contact > 0.0 else 1.0 - held
+        first = int(start) - len(ports)
+        sides = (0,) if first >= 0 else (0, lanes.chain_nodes)
+        for side in sides:
+            own = (
+                lanes.first_lump + first
+                if first >= 0
+                else side + ports[int(start)]
+            )
+            t = nodes_k[lane, own]
+            across = base * (t / 500.0) ** warmth / len(sides)
+            if onset:
+                across *= 0.5 * (1.0 + np.tanh((t - onset) / (2.0 * width)))
+            if int(end) == len(LUMPS):
+                out[first, lane] += across
+            else:
+                other = lanes.first_lump + int(end)
+                matrix[lane, own, other] -= across
+                matrix[lane, other, own] -= across
+
+
 def _duct_loss(lanes: Lanes, centre_k: Array, v: Array) -> Array:
     """Conductance of the vanes to the outer air.
 
@@ -377,18 +417,14 @@ def _sources(
     front = lanes.surface - 1
     t_front, t_surface = state.chain_k[front], state.chain_k[front + 1]
     pad = p.pad_area_m2 * np.sqrt(
-        materials.lining_conductivity(
-            t_front, p.pad_conductivity_w_mk, p.pad_conductivity
-        )
+        materials.lining_conductivity(t_front, *lanes.lining_k)
         * p.pad_density_kg_m3
-        * materials.lining_heat_capacity(
-            t_front, p.pad_heat_capacity_j_kgk, p.pad_capacity
-        )
+        * materials.lining_heat_capacity(t_front, *lanes.lining)
     )
     ring = p.face_area_m2 * np.sqrt(
         materials.iron_conductivity(t_surface)
         * p.iron_density_kg_m3
-        * materials.iron_heat_capacity(t_surface, lanes.bump)
+        * materials.iron_heat_capacity(t_surface, *lanes.iron)
     )
     released = (1.0 - inputs.contact) * p.residual_drag
     # a hot seal and expanded pads draw the piston back less

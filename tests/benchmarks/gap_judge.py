@@ -76,6 +76,11 @@ PLACES: Final[dict[str, tuple[str, str]]] = {
     "ambient_heat_soak": ("DPBF", "P"),
     "speed_dependent_convection": ("D", "BV"),
     "brake_without_pressure": ("Q", "B"),
+    "hub_heat": ("D", "VP"),
+    "layer_opening": ("BF", "BVP"),
+    "cooling_band": ("D", "V"),
+    "friction_in_stop": ("Q", "B"),
+    "clock_offset": ("DPBF", "BV"),
     # in no catalogue
     "dust_shield": ("DF", "BVP"),
     "brake_duct": ("D", "BV"),

@@ -59,7 +59,9 @@ def car(
     drawn = np.array([(noise or {}).get(one, 0.0) for one in names])
     score = information @ true + drawn / deviation
     return Searched(
-        name, answer, NormalEquations(tuple(names), score, information)
+        name,
+        answer,
+        NormalEquations(tuple(names), score, information, 0.0 * score),
     )
 
 

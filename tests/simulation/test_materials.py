@@ -8,31 +8,35 @@ from bstm_daemon.simulation import materials
 T_K = np.linspace(260.0, 1150.0, 179)
 
 
-@pytest.mark.parametrize("bump", [0.0, 1.0, 2.0])
-def test_iron_enthalpy_is_the_integral_of_heat_capacity(bump: float) -> None:
+@pytest.mark.parametrize(
+    ("bump", "tilt"), [(0.0, 0.0), (1.0, 0.3), (2.0, -0.1)]
+)
+def test_iron_enthalpy_is_the_integral_of_heat_capacity(
+    bump: float, tilt: float
+) -> None:
     slope = (
-        materials.iron_enthalpy(T_K + 0.05, bump)
-        - materials.iron_enthalpy(T_K - 0.05, bump)
+        materials.iron_enthalpy(T_K + 0.05, bump, tilt)
+        - materials.iron_enthalpy(T_K - 0.05, bump, tilt)
     ) / 0.1
 
     np.testing.assert_allclose(
-        slope, materials.iron_heat_capacity(T_K, bump), rtol=1e-6
+        slope, materials.iron_heat_capacity(T_K, bump, tilt), rtol=1e-6
     )
     assert abs(float(materials.iron_enthalpy(np.array(293.15), bump))) < 1e-9
 
 
-@pytest.mark.parametrize("strength", [0.0, 1.0])
+@pytest.mark.parametrize(("strength", "tilt"), [(0.0, 0.0), (1.0, 0.8)])
 def test_lining_enthalpy_is_the_integral_of_heat_capacity(
-    strength: float,
+    strength: float, tilt: float
 ) -> None:
     cold, s = np.array(1050.0), np.array(strength)
     slope = (
-        materials.lining_enthalpy(T_K + 0.05, cold, s)
-        - materials.lining_enthalpy(T_K - 0.05, cold, s)
+        materials.lining_enthalpy(T_K + 0.05, cold, s, tilt)
+        - materials.lining_enthalpy(T_K - 0.05, cold, s, tilt)
     ) / 0.1
 
     np.testing.assert_allclose(
-        slope, materials.lining_heat_capacity(T_K, cold, s), rtol=1e-6
+        slope, materials.lining_heat_capacity(T_K, cold, s, tilt), rtol=1e-6
     )
 
 

@@ -67,7 +67,8 @@ def written(
     for name, strength in fit.strengths.items():
         said_of = _provenance(comparison, fit, naming, name)
         if not is_change(name):
-            effects += effect_entries({name: strength}, said_of)
+            form = comparison.forms.get(name)
+            effects += effect_entries({name: strength}, said_of, form)
             continue
         effects += comparison.trials[name].effects_at(strength)
         said_of["meaning"] = said(name, strength)

@@ -97,6 +97,7 @@ def weigh(
     curvature = float(slopes @ gram @ slopes)
     peak = float(gains.max())
     log_evidence = peak + float(np.log(np.sum(weights * np.exp(gains - peak))))
+    log_evidence -= signature.form_cost
     slope = max(gram[1, 1], 1e-12)
     return Candidate(
         signature.name,
@@ -415,14 +416,14 @@ def pair_evidence(
 class NormalEquations:
     """What data say of strengths a (k,) of effects acting together.
 
-    The log-likelihood against none is ``score @ a - a @ information @ a / 2``
-    with the tunables integrated out; each effect is linear up to the strength
-    that fits alone.
+    The log-likelihood is ``score @ a - a @ information @ a / 2``, the tunables
+    integrated out; ``form_cost`` (k,) is what the choice of a form costs.
     """
 
     names: tuple[str, ...]
     score: Column
     information: Matrix
+    form_cost: Column
 
 
 def normal_equations(
@@ -439,6 +440,7 @@ def normal_equations(
         tuple(one.name for one in signatures),
         -(projected.T @ linearised.residual),
         slopes.T @ projected,
+        np.array([one.form_cost for one in signatures]),
     )
 
 

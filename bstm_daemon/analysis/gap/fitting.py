@@ -122,12 +122,13 @@ class Fit:
 def effect_entries(
     strengths: Mapping[str, float],
     provenance: Mapping[str, object] | None = None,
+    form: Mapping[str, float] | None = None,
 ) -> list[EffectConfig]:
-    """Return ``[[effect]]`` entries of *strengths* by name."""
+    """Return ``[[effect]]`` entries of *strengths* by name, in *form*."""
     return [
         EffectConfig(
             name=name,
-            parameters={"strength": strength},
+            parameters={"strength": strength, **(form or {})},
             provenance=dict(provenance or {}),
         )
         for name, strength in strengths.items()

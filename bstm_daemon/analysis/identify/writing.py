@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from bstm_daemon.config.csv_tables import csv_names, put_csv_tables
 from bstm_daemon.config.estimates import ChangeConfig
 from bstm_daemon.errors import FileAccessError, require_packages
 from bstm_daemon.files import replacing
@@ -386,7 +387,8 @@ def _put(entries: Any, one: EffectConfig | ChangeConfig) -> None:
 def changed_copy(source: Path, target: Path) -> Iterator[Any]:
     """Give *source* as a tomlkit document to change; it becomes *target*.
 
-    Whole or not at all. Paths are made relative to the new file's folder.
+    Whole or not at all. Paths are made relative to the new file's folder,
+    tables of CSV files are written out.
 
     Raises:
         MissingExtraError: tomlkit is not installed.
@@ -399,7 +401,12 @@ def changed_copy(source: Path, target: Path) -> Iterator[Any]:
         msg = f"{source}: cannot be read: {error.strerror or error}"
         raise FileAccessError(msg) from error
     document = parse(text)
+    # what was matched stays what it was, whatever becomes of the file
+    names = csv_names(document)
+    put_csv_tables(document, source.parent)
     yield document
+    if names:
+        document.add(_tomlkit().comment(f"tables of {', '.join(names)}"))
     _move_paths(document, source.resolve().parent, target.resolve().parent)
     with replacing(target) as file:
         file.write_text(dumps(document), encoding="utf-8")

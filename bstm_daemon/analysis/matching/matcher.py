@@ -420,7 +420,7 @@ def _left_out(  # noqa: PLR0913
         " and ".join(names),
         rms_of(before),
         rms_of(after),
-        float(np.sqrt(np.nanmean(np.square(simple_k or [np.nan])))),
+        rms(np.array(simple_k)) if simple_k else nan,
         np.array(shifts),
     )
 

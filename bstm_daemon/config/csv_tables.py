@@ -1,0 +1,272 @@
+"""Tables of CFD and test benches: CSV files that a configuration names.
+
+``csv = "cfd.csv"`` stands where a table would, in ``[cooling]``, in a corner's
+``cooling`` or in a property over temperature. Reading a configuration puts the
+points of the file there, so nothing else knows of the file.
+"""
+
+from __future__ import annotations
+
+import re
+import unicodedata
+from bisect import bisect
+from math import isfinite, nan
+from typing import TYPE_CHECKING, Any, Final
+
+from bstm_daemon.config.limits import CSV_BYTES, CSV_ROWS, read_limited
+from bstm_daemon.units import KELVIN_OFFSET, UNITS
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+Table = dict[str, Any]
+
+COLUMNS: Final = {
+    "speed": ("speed_m_s", "speed_km_h", "speed_mph"),
+    "cooling": ("s_per_s", "coefficient_w_m2k", "conductance_w_k"),
+    "temperature": ("temperature_c", "temperature_k"),
+    "heat_capacity_j_kgk": ("heat_capacity_j_kgk", "heat_capacity_kj_kgk"),
+    "conductivity_w_mk": ("conductivity_w_mk",),
+}
+"""Heads of columns by what they are. Blanks and marks do not count, so that
+``speed [km/h]`` is one of them."""
+
+MAPS: Final = {
+    "speed_km_h": (UNITS["km/h"].factor, 0.0),
+    "speed_mph": (UNITS["mph"].factor, 0.0),
+    "temperature_k": (1.0, -KELVIN_OFFSET),
+    "heat_capacity_kj_kgk": (1e3, 0.0),
+}
+"""Factor and offset to the unit of the configuration, where it is another."""
+
+PROPERTIES: Final = (
+    ("disc", "heat_capacity_j_kgk", 1000.0),
+    ("pad", "heat_capacity_j_kgk", 1000.0),
+    ("pad", "conductivity_w_mk", 1.0),
+)
+"""Properties over temperature, and what stands in for an unusable file."""
+
+CAPACITY_20C_J_KGK: Final = {
+    "grey-iron": 460.0,
+    "grey-iron-smooth": 460.0,
+    "pure-iron": 449.0,
+}
+"""Of the built-in materials of a disc."""
+
+
+def put_csv_tables(document: Table, folder: Path) -> list[str]:
+    """Put the points of all named CSV files into *document*, in place.
+
+    Args:
+        document: a parsed configuration, valid or not.
+        folder: what the names are relative to.
+
+    Returns:
+        A problem for each file that can not be used.
+    """
+    problems: list[str] = []
+    for where, table, key, stand_in in _properties(document):
+        x, y = [0.0, 1.0], [stand_in, stand_in]
+        try:
+            x, y, _ = _points(folder, table, "temperature", key)
+        except ValueError as error:
+            problems.append(f"{where}: {error}")
+        table.clear()
+        table |= {"temperature_c": x, "value": y}
+    for where, table, corners in _coolings(document):
+        try:
+            _put_cooling(document, folder, table, corners)
+        except ValueError as error:
+            problems.append(f"{where}: {error}")
+            for key in {"speed_ms", "s_per_s"} & table.keys():
+                del table[key]
+        del table["csv"]
+    return problems
+
+
+def csv_names(document: Table) -> list[str]:
+    """Return the names of the CSV files of *document*."""
+    tables = [one[1] for one in _properties(document)]
+    tables += [one[1] for one in _coolings(document)]
+    return [str(table["csv"]) for table in tables]
+
+
+def _corners(document: Table) -> list[Table]:
+    """Return the corners of *document* that have a disc."""
+    listed = document.get("corner")
+    corners = listed if isinstance(listed, list) else []
+    return [one for one in corners if isinstance(one, dict) and "disc" in one]
+
+
+def _properties(document: Table) -> Iterator[tuple[str, Table, str, float]]:
+    """Yield where a property has a file, its table, key and stand-in."""
+    for corner in _corners(document):
+        for part, key, stand_in in PROPERTIES:
+            table = _part(_part(corner, part), key)
+            if "csv" in table:
+                where = f"[[corner]] {corner.get('name')} {part}.{key}.csv"
+                yield where, table, key, stand_in
+
+
+def _coolings(document: Table) -> Iterator[tuple[str, Table, list[Table]]]:
+    """Yield where ``cooling`` has a file, its table and its corners."""
+    corners = _corners(document)
+    own = {"csv", "s_per_s"}
+    shared = [c for c in corners if not own & _part(c, "cooling").keys()]
+    if "csv" in _part(document, "cooling"):
+        yield "[cooling] csv", document["cooling"], shared
+    for one in corners:
+        if "csv" in _part(one, "cooling"):
+            where = f"[[corner]] {one.get('name')} cooling.csv"
+            yield where, one["cooling"], [one]
+
+
+def _part(table: Table, key: str) -> Table:
+    """Return the table *key* of *table*, an empty one where it is none."""
+    part = table.get(key)
+    return part if isinstance(part, dict) else {}
+
+
+def _put_cooling(
+    document: Table, folder: Path, table: Table, corners: list[Table]
+) -> None:
+    """Put S over speed into *table*, or what it is for each of *corners*.
+
+    A conductance h A is ``S m cp(20 degC)``, of each disc another S.
+
+    Raises:
+        ValueError: the file can not be used, or not in this form.
+    """
+    speed_ms, values, column = _points(folder, table, "speed", "cooling")
+    end_ms = (_part(document, "cooling") | table).get("blend_end_ms", 5.0)
+    if isinstance(end_ms, float) and speed_ms[0] > end_ms:
+        msg = (
+            f"{table['csv']}: begins at {speed_ms[0]:.3g} m/s, needs a row at "
+            f"or below blend_end_ms = {end_ms:g}"
+        )
+        raise ValueError(msg)
+    if column == "s_per_s":
+        table |= {"speed_ms": speed_ms, "s_per_s": values}
+        return
+    for corner in corners:
+        disc = corner["disc"]
+        cooling, thermal = (
+            _part(document, name) | _part(corner, name)
+            for name in ("cooling", "thermal")
+        )
+        if cooling.get("form") != "conductance":
+            msg = (
+                f'{column} needs form = "conductance": it does not rise with '
+                "the heat capacity of the disc, as a rate does"
+            )
+            raise ValueError(msg)
+        try:
+            cp = CAPACITY_20C_J_KGK.get(disc.get("material", "grey-iron"))
+            if cp is None:
+                cp = _at_20c(**disc["heat_capacity_j_kgk"])
+            mass = disc["mass_kg"] * thermal.get(
+                "disc_mass_correction_factor", 1.0
+            )
+            area = disc["total_area_m2"] if column[-3:] == "m2k" else 1.0
+            s_per_s = [area / (mass * cp) * one for one in values]
+        except (LookupError, TypeError, ArithmeticError):
+            # the disc has a problem of its own, which is reported
+            continue
+        if "cooling" not in corner:
+            corner["cooling"] = {}
+        corner["cooling"] |= {"speed_ms": speed_ms, "s_per_s": s_per_s}
+
+
+def _at_20c(temperature_c: list[float], value: list[float]) -> float:
+    """Return what a curve has at 20 degC; beyond its ends it is constant."""
+    at = min(max(20.0, temperature_c[0]), temperature_c[-1])
+    i = min(bisect(temperature_c, at), len(value) - 1)
+    share = (at - temperature_c[i - 1]) / (
+        temperature_c[i] - temperature_c[i - 1]
+    )
+    return value[i - 1] + share * (value[i] - value[i - 1])
+
+
+def _points(
+    folder: Path, table: Table, x: str, y: str
+) -> tuple[list[float], list[float], str]:
+    """Return x, y and the column of y of the file that *table* names.
+
+    Raises:
+        ValueError: it can not be used; the message has line and column.
+    """
+    name = table["csv"]
+    inline = table.keys() & {"temperature_c", "value", "speed_ms", "s_per_s"}
+    if not isinstance(name, str) or inline:
+        msg = "must be the name of a file, and the only table there"
+        raise ValueError(msg)
+    try:
+        text = read_limited(folder / name, CSV_BYTES).decode("utf-8-sig")
+    except (OSError, ValueError) as error:
+        msg = f"{name}: {getattr(error, 'strerror', None) or error}"
+        raise ValueError(msg) from error
+    lines = {
+        number: line
+        for number, line in enumerate(text.splitlines(), start=1)
+        if line.strip() and not line.startswith("#")
+    }
+    if not 3 <= len(lines) <= CSV_ROWS + 1:
+        msg = f"{name}: needs a head and 2 to {CSV_ROWS} rows of numbers"
+        raise ValueError(msg)
+    first, *numbers = lines
+    delimiter = next((one for one in ";\t" if one in lines[first]), ",")
+    head, *rows = (line.split(delimiter) for line in lines.values())
+    found: list[list[float]] = []
+    for quantity in (x, y):
+        column, place = _column(head, quantity, f"{name} line {first}")
+        factor, offset = MAPS.get(column, (1.0, 0.0))
+        values: list[float] = []
+        for number, row in zip(numbers, rows, strict=True):
+            cell = row[place].strip(' "') if place < len(row) else ""
+            where = f"{name} line {number} column {column}: {cell!r}"
+            value = _number(cell, delimiter) * factor + offset
+            reason = ""
+            if not isfinite(value):
+                reason = "is no number"
+            elif quantity == x and values and value <= values[-1]:
+                reason = "must be above the row before"
+            elif quantity != "temperature" and value < 0.0:
+                reason = "must not be negative"
+            if reason:
+                msg = f"{where} {reason}"
+                raise ValueError(msg)
+            values.append(value)
+        found.append(values)
+    return found[0], found[1], column
+
+
+def _column(head: list[str], quantity: str, where: str) -> tuple[str, int]:
+    """Return the column of *quantity*, one of its heads, and its place."""
+    allowed = {_letters(one): one for one in COLUMNS[quantity]}
+    found = [
+        (allowed[_letters(one)], place)
+        for place, one in enumerate(head)
+        if _letters(one) in allowed
+    ]
+    if len(found) != 1:
+        msg = (
+            f"{where}: needs one column of {', '.join(allowed.values())}, "
+            f"has {', '.join(head)}"
+        )
+        raise ValueError(msg)
+    return found[0]
+
+
+def _letters(text: str) -> str:
+    plain = unicodedata.normalize("NFKC", text).lower()
+    return re.sub(r"[^a-z0-9]", "", plain)
+
+
+def _number(cell: str, delimiter: str) -> float:
+    """Return the number in *cell*, nan where it is none."""
+    text = cell if delimiter == "," else cell.replace(",", ".")
+    try:
+        return float(text) if "_" not in text else nan
+    except ValueError:
+        return nan
