@@ -17,12 +17,14 @@ from bstm_daemon.analysis.gap.changes import is_change, twins_of
 from bstm_daemon.analysis.gap.evidence import (
     Candidate,
     JointEffects,
+    NormalEquations,
     best_placebo,
     cross_validated,
     explained_share,
     likeliest,
     missing_evidence,
     missing_probability,
+    normal_equations,
     pair_evidence,
     probabilities,
     search_joint_effects,
@@ -87,7 +89,8 @@ class Naming:
     ``names`` are the effects found, best first: one, up to three, or the
     members of a class; ``strengths`` are theirs. ``probability`` is that of
     the answer, ``odds`` of every candidate and of ``""``, nothing. ``sizes``
-    are those of composed terms at strength 1.
+    are those of composed terms at strength 1; ``equations`` those of all
+    candidates, without any None.
     """
 
     answer: Answer
@@ -103,6 +106,7 @@ class Naming:
     unknown_evidence: float = 0.0
     unknown_place: str = ""
     sizes: dict[str, float] = field(default_factory=dict)
+    equations: NormalEquations | None = None
 
     @property
     def found(self) -> bool:
@@ -174,6 +178,9 @@ def name_effect(
         odds,
         "no effect of the catalogue changes the temperatures of these drives "
         "by more than they are uncertain, the tunables re-fitted",
+        equations=normal_equations(project, linearised, found)
+        if found
+        else None,
     )
     if heats := linearised.unknown:
         place = likeliest(project, linearised.residual, heats)
