@@ -261,7 +261,12 @@ class Search:
         """Return the term that explains most beside *chosen*."""
         project = self.project.beside([one.column for one in chosen])
         ranked = self.ranked(self.single, project)
-        wider = [two for _, one in ranked[:WIDENED] for two in _widened(one)]
+        wider = [
+            two
+            for _, one in ranked[:WIDENED]
+            for two in _widened(one)
+            if one.clauses
+        ]
         ranked += self.ranked([t for t in wider if self.fits(t)], project)
         ranked.sort(key=lambda one: -one[0])
         found = []

@@ -228,11 +228,12 @@ def sharpened(
 
     A parabola through small changes says little of large ones.
     """
-    plain_k = simulated.base_k - comparison.form_k
     found = {
         name: terms
         for name, a in at.items()
-        if (terms := _terms_k(comparison, name, plain_k, (0.5 * a, a)))
+        if (
+            terms := _terms_k(comparison, name, simulated.base_k, (0.5 * a, a))
+        )
         is not None
     }
     return replace(

@@ -220,7 +220,8 @@ def _advised(
     naming = gap.naming
     if naming is None:
         return gap
-    if not question.among and naming.answer in {"name", "unknown"}:
+    settled = naming.answer in {"name", "composed", "unknown"}
+    if settled and not question.among:
         return gap
     members = question.among or members_of(naming, known.silent)
     target = comparison.target

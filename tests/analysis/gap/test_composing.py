@@ -8,23 +8,29 @@ import numpy as np
 import pytest
 
 from bstm_daemon.analysis.gap import composing, workflow
+from bstm_daemon.analysis.gap.advising import samples_of
 from bstm_daemon.analysis.gap.comparison import with_effects
 from bstm_daemon.analysis.gap.composing import Search, cost, with_composed
 from bstm_daemon.analysis.gap.holdout_comparison import REFITTED
 from bstm_daemon.analysis.gap.naming import Naming
+from bstm_daemon.analysis.gap.recording import recorded
 from bstm_daemon.analysis.gap.signatures import (
     Linearised,
     signature_of,
 )
 from bstm_daemon.analysis.gap.workflow import compare, find_gap
 from bstm_daemon.analysis.identify.writing import write_changed
+from bstm_daemon.analysis.matching.tunables import TUNABLES, Target
 from bstm_daemon.config.reading import load_config
 from bstm_daemon.config.sections import EffectConfig
 from bstm_daemon.estimator.corner_model import compile_corner
 from bstm_daemon.model.effects.composed import PATHS, PREFIX, read
 from bstm_daemon.report.gap import headline
+from bstm_daemon.simulation import load_drive, simulate
+from bstm_daemon.simulation.parameters import Effects
 
 from ...made_drives import EXAMPLE  # noqa: TID252  (tests are no package)
+from .test_advising import MATCHED, present
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -32,7 +38,6 @@ if TYPE_CHECKING:
 
     from bstm_daemon.analysis.gap.comparison import Comparison
     from bstm_daemon.analysis.gap.recording import Recording
-    from bstm_daemon.analysis.matching.tunables import Target
     from bstm_daemon.config.sections import Config
 
 AMONG: Final = (
@@ -181,3 +186,46 @@ def test_a_listed_name_stays_where_composing_is_not_clearly_better(
 
     assert found.naming is not None
     assert found.naming.names == ("gap_conduction",)
+
+
+@pytest.mark.slow  # two simulated drives and a search of the whole grammar
+def test_an_effect_that_is_not_listed_is_described_where_and_when_it_acts(
+    config: Config, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The gap of released pads conducts, in the simulated reality.
+
+    Its physics is other code and another form than any term.
+    """
+    unlisted = [one for one in AMONG if one != "gap_conduction"]
+    monkeypatch.setattr(workflow, "candidates", lambda _: unlisted)
+    monkeypatch.setattr(composing, "PATHS", PATHS)
+    changes = {
+        "heat": config.heat.model_copy(update={"mode": "ff"}),
+        "cooling": config.cooling.model_copy(update={"form": "conductance"}),
+    }
+    plain = Target(config.model_copy(update=changes), ("FL", "FR"))
+    target = plain.changed(
+        {
+            key: factor * plain.value(TUNABLES[key])
+            for key, factor in MATCHED.items()
+        }
+    )
+    drives = []
+    for seed, name in enumerate(("simalp", "rich")):
+        simulated = simulate(
+            load_drive(name),
+            preset=Effects(gap_conduction=1.5),
+            sensors="n2",
+            seed=11 + seed,
+        )
+        samples = samples_of(simulated, present(), temperatures=True)
+        drives.append(recorded(name, samples, target.config, present()))
+
+    (found,) = find_gap(target.config, drives, until="name")
+
+    assert found.naming is not None
+    assert found.naming.answer == "composed"
+    first = read(found.naming.names[0].removeprefix(PREFIX))
+    assert (first.path.a, first.path.b) == ("disc", "pad_front")
+    assert [form.words for form, _ in first.clauses] == ["brake off"]
+    assert found.naming.candidates[0].z > 20.0
