@@ -43,7 +43,7 @@ typedef struct {
     double start, end, conductance, speed_exponent, heat_exponent, onset_k,
         width_k, band_ms, band_width_ms, contact;
 } DrawnPath;
-#define DRAWN 2
+#define DRAWN 3
 
 #define MEMBER(name) double name;
 typedef struct { PARAMETERS(MEMBER) DrawnPath drawn[DRAWN]; } Parameters;

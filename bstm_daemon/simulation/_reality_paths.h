@@ -218,8 +218,6 @@ static void unheard_paths(const Corner *c, const State *s, double v,
         h->coupling[1][AIR] += share * near * away;
         join(h->between, BODY, AIR, share * lug * away);
     }
-    double opened = 0.5 * (1.0 + tanh((s->lump_t[CENTRE] - 623.15) / 20.0));
-    h->lump_out[CENTRE] += p->brake_duct * 0.18 * v * opened;
     h->body_gain = p->damper_heat * 1.5 * v;
 }
 

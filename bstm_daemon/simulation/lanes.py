@@ -12,7 +12,7 @@ two *chains*, one a side of the disc, and nine *lumps* that both share::
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -74,6 +74,19 @@ _WORN_OUT_M: Final = 0.002
 BOILING_K: Final = 410.15
 BOILING_WIDTH_K: Final = 7.0
 BOILING_J: Final = 8.0e3
+
+DUCT: Final = DrawnPath(
+    start=3 + CENTRE,
+    end=len(LUMPS),
+    conductance_w_k=3.6,
+    speed_exponent=1.0,
+    onset_k=623.15,
+    width_k=10.0,
+)
+"""A flap that opens where the disc is hot, as of active cooling ducts.
+
+10 cm2 of ram air to the vanes, a seventh of its heat capacity used.
+"""
 
 
 class Rows:
@@ -183,9 +196,12 @@ class Lanes:
         # C has as many of each lane
         self.drawn = np.zeros((self.count, DRAWN, len(PATH_NAMES)))
         for lane, corner in enumerate(corners):
-            for place, path in zip(
-                self.drawn[lane], corner.drawn_paths, strict=False
-            ):
+            duct = DUCT.conductance_w_k * effects[lane].brake_duct
+            every = (
+                replace(DUCT, conductance_w_k=duct),
+                *corner.drawn_paths,
+            )
+            for place, path in zip(self.drawn[lane], every, strict=False):
                 place[:] = [getattr(path, name) for name in PATH_NAMES]
         self.iron = p.disc_capacity_hot, p.iron_slope_j_kgk2
         self.boils = bool(np.any(p.fluid_latent_heat))
@@ -211,7 +227,7 @@ class Lanes:
         capacity = np.empty_like(state.chain_k)
         capacity[0] = self.backplate_j_k
         specific = materials.lining_heat_capacity(
-            state.chain_k[self.pad], *self.lining
+            state.chain_k[self.pad], self.lining
         )
         capacity[self.pad] = self.pad_kg(state) * specific
         capacity[self.cheek] = self.cheek_kg * materials.iron_heat_capacity(
@@ -245,9 +261,7 @@ class Lanes:
                 materials.REFERENCE_K
                 + enthalpy_j_kg / p.pad_heat_capacity_j_kgk
             )
-        return materials.lining_temperature(
-            enthalpy_j_kg, near_k, *self.lining
-        )
+        return materials.lining_temperature(enthalpy_j_kg, near_k, self.lining)
 
     def fluid_temperature(self, energy_j: Array, near_k: Array) -> Array:
         """Return the temperature [K] of boiling fluid of this energy."""
@@ -269,7 +283,7 @@ class Lanes:
             state.chain_k[0] - materials.REFERENCE_K
         )
         specific = materials.lining_enthalpy(
-            state.chain_k[self.pad], *self.lining
+            state.chain_k[self.pad], self.lining
         )
         chain[self.pad] = self.pad_kg(state) * specific
         chain[self.cheek] = self.cheek_kg * materials.iron_enthalpy(

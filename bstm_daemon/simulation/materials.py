@@ -18,6 +18,8 @@ import numpy.typing as npt
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.intp]
+Law = tuple[Array, Array, Array]
+"""Of a lining's cp or k: cold, strength of its rise (0: none), and slope."""
 
 REFERENCE_K: Final = 293.15
 """Temperature at which specific enthalpies are 0."""
@@ -84,41 +86,29 @@ def iron_conductivity(temperature_k: Array) -> Array:
     return k0 + c * (k1 + c * (k2 + c * k3))
 
 
-def lining_conductivity(
-    temperature_k: Array,
-    cold_w_mk: Array,
-    strength: Array,
-    slope: Array | float = 0.0,
-) -> Array:
-    """Return k of the lining [W/(m K)]; *strength* 0 keeps it constant.
+def lining_conductivity(temperature_k: Array, law: Law) -> Array:
+    """Return k of the lining [W/(m K)] by its *law*.
 
     The resin's glass transition and char raise it by a quarter around
     230 degC, as an S.
     """
+    cold_w_mk, strength, slope = law
     s_shape = np.tanh((temperature_k - 500.0) / 150.0)
     tilt = slope * (temperature_k - REFERENCE_K)
     return cold_w_mk * (1.0 + 0.25 * strength * s_shape + tilt)
 
 
-def lining_heat_capacity(
-    temperature_k: Array,
-    cold_j_kgk: Array,
-    strength: Array,
-    slope: Array | float = 0.0,
-) -> Array:
-    """Return cp of the lining [J/(kg K)]; *strength* 0 keeps it constant."""
+def lining_heat_capacity(temperature_k: Array, law: Law) -> Array:
+    """Return cp of the lining [J/(kg K)] by its *law*."""
+    cold_j_kgk, strength, slope = law
     dt = temperature_k - REFERENCE_K
     risen = -np.expm1(-dt / LINING_CP_SCALE_K)
     return cold_j_kgk + strength * LINING_CP_RISE_J_KGK * risen + slope * dt
 
 
-def lining_enthalpy(
-    temperature_k: Array,
-    cold_j_kgk: Array,
-    strength: Array,
-    slope: Array | float = 0.0,
-) -> Array:
+def lining_enthalpy(temperature_k: Array, law: Law) -> Array:
     """Return the specific enthalpy of the lining [J/kg], 0 at 20 degC."""
+    cold_j_kgk, strength, slope = law
     dt = temperature_k - REFERENCE_K
     relaxed = dt + LINING_CP_SCALE_K * np.expm1(-dt / LINING_CP_SCALE_K)
     risen: Array = strength * LINING_CP_RISE_J_KGK * relaxed
@@ -142,20 +132,12 @@ def iron_temperature(
     return t
 
 
-def lining_temperature(
-    enthalpy_j_kg: Array,
-    near_k: Array,
-    cold_j_kgk: Array,
-    strength: Array,
-    slope: Array | float = 0.0,
-) -> Array:
+def lining_temperature(enthalpy_j_kg: Array, near_k: Array, law: Law) -> Array:
     """Return the temperature [K] of a lining with this specific enthalpy."""
     t = near_k
     for _ in range(NEWTON_STEPS):
-        missing = enthalpy_j_kg - lining_enthalpy(
-            t, cold_j_kgk, strength, slope
-        )
-        t = t + missing / lining_heat_capacity(t, cold_j_kgk, strength, slope)
+        missing = enthalpy_j_kg - lining_enthalpy(t, law)
+        t = t + missing / lining_heat_capacity(t, law)
     return t
 
 

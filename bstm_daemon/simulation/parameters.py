@@ -36,8 +36,8 @@ from typing import Final
 
 from bstm_daemon.errors import UsageError, hint
 
-DRAWN: Final = 2
-"""Heat paths of a corner that a caller may draw."""
+DRAWN: Final = 3
+"""Heat paths of a corner that may be drawn, the duct's included."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -29,26 +29,26 @@ def test_iron_enthalpy_is_the_integral_of_heat_capacity(
 def test_lining_enthalpy_is_the_integral_of_heat_capacity(
     strength: float, tilt: float
 ) -> None:
-    cold, s = np.array(1050.0), np.array(strength)
+    law = (np.array(1050.0), np.array(strength), np.array(tilt))
     slope = (
-        materials.lining_enthalpy(T_K + 0.05, cold, s, tilt)
-        - materials.lining_enthalpy(T_K - 0.05, cold, s, tilt)
+        materials.lining_enthalpy(T_K + 0.05, law)
+        - materials.lining_enthalpy(T_K - 0.05, law)
     ) / 0.1
 
     np.testing.assert_allclose(
-        slope, materials.lining_heat_capacity(T_K, cold, s, tilt), rtol=1e-6
+        slope, materials.lining_heat_capacity(T_K, law), rtol=1e-6
     )
 
 
 def test_temperature_is_found_from_one_step_away() -> None:
     near = T_K + 3.0
-    cold, s = np.array(1050.0), np.array(1.0)
+    law = (np.array(1050.0), np.array(1.0), np.array(0.0))
 
     iron = materials.iron_temperature(
         materials.iron_enthalpy(T_K, 1.0), near, 1.0
     )
     lining = materials.lining_temperature(
-        materials.lining_enthalpy(T_K, cold, s), near, cold, s
+        materials.lining_enthalpy(T_K, law), near, law
     )
 
     np.testing.assert_allclose(iron, T_K, atol=1e-3)
