@@ -160,6 +160,14 @@ def test_what_the_type_has_a_sensor_and_the_odd_one_out(
     assert (first["names"], first["scope"]) == (["gap_conduction"], "type")
     assert second["strengths"]["car1"] == pytest.approx([1.2, 0.1])
 
+    # of one configuration, which nobody matched
+    types = fleet.folder / "types"
+    main([*asked, "-o", str(types)])
+    assert "it needs two matched cars" in capsys.readouterr().out
+    (types / "car.toml").write_text("mine", "utf-8")
+    assert main([*asked, "-o", str(types)]) == 2
+    assert "give --force" in capsys.readouterr().err
+
     # only what failed or has changed is searched again
     searched.clear()
     fleet.log("car2", 0).touch()
