@@ -26,6 +26,43 @@ def test_the_version_has_a_dated_section() -> None:
     assert re.fullmatch(r" - \d{4}-\d\d-\d\d", sections[1][1])
 
 
+def test_a_tag_of_a_version_is_that_of_the_project() -> None:
+    """Where git and tags are: neither an archive nor a shallow clone has."""
+    done = subprocess.run(
+        ["git", "tag", "--points-at", "HEAD", "v*"],
+        cwd=ROOT,
+        check=False,
+        capture_output=True,
+        text=True,
+    )
+
+    assert done.stdout.split() in ([], [f"v{PROJECT['project']['version']}"])
+
+
+def test_the_container_runs_the_service_and_not_as_root() -> None:
+    """.ci/container builds it; here is what can be read of it."""
+    text = (ROOT / "systemd" / "Containerfile").read_text(encoding="utf-8")
+    lines = [one for one in text.splitlines() if not one.startswith("#")]
+    steps = [
+        one.split(maxsplit=1)
+        for one in "\n".join(lines).replace("\\\n", " ").splitlines()
+        if one
+    ]
+    names = [name for name, _ in steps]
+    last = dict(steps)
+
+    assert set(names) == {
+        *("ARG", "FROM", "COPY", "RUN", "ENV", "USER", "VOLUME"),
+        *("ENTRYPOINT", "CMD"),
+    }
+    assert names[:2] == ["ARG", "FROM"]
+    assert last["USER"] == "bstm"
+    assert names.index("RUN") < names.index("USER") < names.index("ENTRYPOINT")
+    command = [*json.loads(last["ENTRYPOINT"]), *json.loads(last["CMD"])]
+    unit = (ROOT / "systemd" / "bstm.service").read_text(encoding="utf-8")
+    assert f"ExecStart={' '.join(command)} $BSTM_OPTIONS" in unit
+
+
 def test_one_wheel_serves_all_versions_of_python() -> None:
     options = PROJECT["tool"]["distutils"]["bdist_wheel"]
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from bstm_daemon.cli.arguments import add_config, add_out, check_targets
 from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.errors import UsageError
-from bstm_daemon.estimator.corner_model import compile_corner
+from bstm_daemon.exchange.fmu_model import corner_program
 from bstm_daemon.files import replacing
 from bstm_daemon.report.json_file import write_json
 from bstm_daemon.report.network import graph_text, network_graph
@@ -28,8 +28,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="show: nodes, links and sources of a corner with their values",
     )
     add_config(parser)
-    what = "the corner (default: the first with a disc)"
-    parser.add_argument("--corner", choices=CORNERS, help=what)
+    first = CORNERS[0]
+    what = f"the corner (default: {first})"
+    parser.add_argument("--corner", choices=CORNERS, default=first, help=what)
     add_out(parser, "a picture, or the graph", "FILE.svg|FILE.json")
 
 
@@ -45,14 +46,9 @@ def run(args: argparse.Namespace) -> int:
         msg = f"{args.out}: must end in .svg or .json"
         raise UsageError(msg)
     config, _ = load_vehicle(args.config)
-    corners = {corner.name: corner for corner in config.disc_corners()}
-    name = args.corner or next(iter(corners))
-    if name not in corners:
-        msg = f"--corner {name}: corners with a disc are {', '.join(corners)}"
-        raise UsageError(msg)
     graph = network_graph(
-        compile_corner(config, corners[name]).network,
-        f"{config.vehicle.id}, corner {name}",
+        corner_program(config, args.corner).network,
+        f"{config.vehicle.id}, corner {args.corner}",
         config.vehicle.ambient_c + KELVIN_OFFSET,
     )
     if args.out is None:

@@ -8,16 +8,15 @@ points of the file there, so nothing else knows of the file.
 from __future__ import annotations
 
 import re
-import unicodedata
 from bisect import bisect
 from math import isfinite, nan
 from typing import TYPE_CHECKING, Any, Final
 
 from bstm_daemon.config.limits import CSV_BYTES, CSV_ROWS, read_limited
+from bstm_daemon.errors import ConfigError
 from bstm_daemon.units import KELVIN_OFFSET, UNITS
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
     from pathlib import Path
 
 Table = dict[str, Any]
@@ -41,11 +40,11 @@ MAPS: Final = {
 """Factor and offset to the unit of the configuration, where it is another."""
 
 PROPERTIES: Final = (
-    ("disc", "heat_capacity_j_kgk", 1000.0),
-    ("pad", "heat_capacity_j_kgk", 1000.0),
-    ("pad", "conductivity_w_mk", 1.0),
+    ("disc", "heat_capacity_j_kgk"),
+    ("pad", "heat_capacity_j_kgk"),
+    ("pad", "conductivity_w_mk"),
 )
-"""Properties over temperature, and what stands in for an unusable file."""
+"""Properties over temperature."""
 
 CAPACITY_20C_J_KGK: Final = {
     "grey-iron": 460.0,
@@ -55,71 +54,64 @@ CAPACITY_20C_J_KGK: Final = {
 """Of the built-in materials of a disc."""
 
 
-def put_csv_tables(document: Table, folder: Path) -> list[str]:
+def put_csv_tables(document: Table, folder: Path) -> None:
     """Put the points of all named CSV files into *document*, in place.
 
     Args:
         document: a parsed configuration, valid or not.
         folder: what the names are relative to.
 
-    Returns:
-        A problem for each file that can not be used.
+    Raises:
+        ConfigError: with a problem for each file that can not be used.
     """
-    problems: list[str] = []
-    for where, table, key, stand_in in _properties(document):
-        x, y = [0.0, 1.0], [stand_in, stand_in]
+    problems = []
+    for where, table, key, corners in _places(document):
         try:
-            x, y, _ = _points(folder, table, "temperature", key)
+            if key == "cooling":
+                _put_cooling(document, folder, table, corners)
+            else:
+                x, y, _ = _points(folder, table, "temperature", key)
+                table |= {"temperature_c": x, "value": y}
         except ValueError as error:
             problems.append(f"{where}: {error}")
-        table.clear()
-        table |= {"temperature_c": x, "value": y}
-    for where, table, corners in _coolings(document):
-        try:
-            _put_cooling(document, folder, table, corners)
-        except ValueError as error:
-            problems.append(f"{where}: {error}")
-            for key in {"speed_ms", "s_per_s"} & table.keys():
-                del table[key]
         del table["csv"]
-    return problems
+    if problems:
+        raise ConfigError(problems)
 
 
 def csv_names(document: Table) -> list[str]:
     """Return the names of the CSV files of *document*."""
-    tables = [one[1] for one in _properties(document)]
-    tables += [one[1] for one in _coolings(document)]
-    return [str(table["csv"]) for table in tables]
+    return [str(table["csv"]) for _, table, *_ in _places(document)]
 
 
-def _corners(document: Table) -> list[Table]:
-    """Return the corners of *document* that have a disc."""
+def _places(document: Table) -> list[tuple[str, Table, str, list[Table]]]:
+    """List where a file is named: words, table, key, corners it is for.
+
+    Properties are before the cooling, which depends on them.
+    """
     listed = document.get("corner")
-    corners = listed if isinstance(listed, list) else []
-    return [one for one in corners if isinstance(one, dict) and "disc" in one]
-
-
-def _properties(document: Table) -> Iterator[tuple[str, Table, str, float]]:
-    """Yield where a property has a file, its table, key and stand-in."""
-    for corner in _corners(document):
-        for part, key, stand_in in PROPERTIES:
-            table = _part(_part(corner, part), key)
-            if "csv" in table:
-                where = f"[[corner]] {corner.get('name')} {part}.{key}.csv"
-                yield where, table, key, stand_in
-
-
-def _coolings(document: Table) -> Iterator[tuple[str, Table, list[Table]]]:
-    """Yield where ``cooling`` has a file, its table and its corners."""
-    corners = _corners(document)
+    corners = [
+        one
+        for one in (listed if isinstance(listed, list) else [])
+        if isinstance(one, dict) and _part(one, "disc")
+    ]
     own = {"csv", "s_per_s"}
     shared = [c for c in corners if not own & _part(c, "cooling").keys()]
-    if "csv" in _part(document, "cooling"):
-        yield "[cooling] csv", document["cooling"], shared
-    for one in corners:
-        if "csv" in _part(one, "cooling"):
-            where = f"[[corner]] {one.get('name')} cooling.csv"
-            yield where, one["cooling"], [one]
+    places = [
+        (f"[[corner]] {one.get('name')} {part}.{key}.csv", table, key, [one])
+        for one in corners
+        for part, key in PROPERTIES
+        for table in [_part(_part(one, part), key)]
+    ]
+    places += [
+        ("[cooling] csv", _part(document, "cooling"), "cooling", shared)
+    ]
+    places += [
+        (f"[[corner]] {one.get('name')} cooling.csv", table, "cooling", [one])
+        for one in corners
+        for table in [_part(one, "cooling")]
+    ]
+    return [place for place in places if "csv" in place[1]]
 
 
 def _part(table: Table, key: str) -> Table:
@@ -140,7 +132,7 @@ def _put_cooling(
     """
     speed_ms, values, column = _points(folder, table, "speed", "cooling")
     end_ms = (_part(document, "cooling") | table).get("blend_end_ms", 5.0)
-    if isinstance(end_ms, float) and speed_ms[0] > end_ms:
+    if isinstance(end_ms, int | float) and speed_ms[0] > end_ms:
         msg = (
             f"{table['csv']}: begins at {speed_ms[0]:.3g} m/s, needs a row at "
             f"or below blend_end_ms = {end_ms:g}"
@@ -152,7 +144,7 @@ def _put_cooling(
     for corner in corners:
         disc = corner["disc"]
         cooling, thermal = (
-            _part(document, name) | _part(corner, name)
+            {**_part(document, name), **_part(corner, name)}
             for name in ("cooling", "thermal")
         )
         if cooling.get("form") != "conductance":
@@ -171,7 +163,7 @@ def _put_cooling(
             area = disc["total_area_m2"] if column[-3:] == "m2k" else 1.0
             s_per_s = [area / (mass * cp) * one for one in values]
         except (LookupError, TypeError, ArithmeticError):
-            # the disc has a problem of its own, which is reported
+            # the disc has a problem of its own, which is reported later
             continue
         if "cooling" not in corner:
             corner["cooling"] = {}
@@ -182,10 +174,8 @@ def _at_20c(temperature_c: list[float], value: list[float]) -> float:
     """Return what a curve has at 20 degC; beyond its ends it is constant."""
     at = min(max(20.0, temperature_c[0]), temperature_c[-1])
     i = min(bisect(temperature_c, at), len(value) - 1)
-    share = (at - temperature_c[i - 1]) / (
-        temperature_c[i] - temperature_c[i - 1]
-    )
-    return value[i - 1] + share * (value[i] - value[i - 1])
+    x0, x1 = temperature_c[i - 1 : i + 1]
+    return value[i - 1] + (at - x0) / (x1 - x0) * (value[i] - value[i - 1])
 
 
 def _points(
@@ -259,8 +249,7 @@ def _column(head: list[str], quantity: str, where: str) -> tuple[str, int]:
 
 
 def _letters(text: str) -> str:
-    plain = unicodedata.normalize("NFKC", text).lower()
-    return re.sub(r"[^a-z0-9]", "", plain)
+    return re.sub(r"[^a-z0-9]", "", text.lower().replace("²", "2"))
 
 
 def _number(cell: str, delimiter: str) -> float:

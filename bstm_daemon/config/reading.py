@@ -54,8 +54,8 @@ def load_config(path: Path) -> Config:
     """
     with naming_file(path):
         document = with_ignored_buses(read_toml(path))
-        problems = put_csv_tables(document, path.parent)
-        problems += draft_of(document)[1]
+        put_csv_tables(document, path.parent)
+        _, problems = draft_of(document)
         if problems:
             raise ConfigError(problems)
     written = {name: value for name, value in document.items() if value}
@@ -82,13 +82,13 @@ def read_draft(path: Path) -> tuple[Draft, list[str]]:
 
     Raises:
         FileAccessError: The file is missing or unreadable.
-        ConfigError: It is not TOML, or beyond a limit.
+        ConfigError: It is not TOML, beyond a limit, or names a CSV file that
+            can not be used.
 
     """
     document = with_ignored_buses(read_toml(path))
-    problems = put_csv_tables(document, path.parent)
-    draft, more = draft_of(document)
-    return draft, problems + more
+    put_csv_tables(document, path.parent)
+    return draft_of(document)
 
 
 def draft_of(document: dict[str, Any]) -> tuple[Draft, list[str]]:

@@ -20,6 +20,7 @@ from bstm_daemon.config.estimates import (
     FluidConfig,
     ForecastConfig,
     MatchedConfig,
+    PriorsConfig,
     WearConfig,
 )
 from bstm_daemon.config.heat import HeatConfig, automatic_mode
@@ -455,6 +456,7 @@ class Config(Section):
     cooling: CoolingConfig = CoolingConfig()
     accuracy: AccuracyConfig = AccuracyConfig()
     matched: list[MatchedConfig] = []
+    priors: list[PriorsConfig] = []
     heat: HeatConfig = HeatConfig()
     fluid: FluidConfig = FluidConfig()
     wear: WearConfig = WearConfig()

@@ -131,7 +131,7 @@ def hash_of_config(path: Path) -> str:
     names = [b.get("dbc") for b in buses] if isinstance(buses, list) else []
     names += csv_names(document)
     files = [path, *(path.parent / n for n in names if isinstance(n, str))]
-    return _hash([hash_of_file(file) for file in files])
+    return hash_of([hash_of_file(file) for file in files])
 
 
 def key_of(
@@ -143,7 +143,7 @@ def key_of(
 ) -> str:
     """Return the key of *drive* behind the drive with the key *previous*."""
     made = [program()[name] for name in ("bstm", "code", "kernel")]
-    return _hash(
+    return hash_of(
         [previous, log_hash, config_hash, drive.map, asdict(options), made]
     )
 
@@ -251,6 +251,7 @@ class Lake:
         return self.root / kind / f"{mark}{safe_name(drive.vehicle)}"
 
 
-def _hash(parts: Iterable[Any]) -> str:
+def hash_of(parts: Iterable[Any]) -> str:
+    """Return the hash of *parts*, plain data."""
     text = json.dumps([*parts], sort_keys=True)
     return blake2b(text.encode(), digest_size=16).hexdigest()

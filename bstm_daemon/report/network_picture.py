@@ -72,18 +72,9 @@ def picture(graph: Graph) -> str:
     for box in boxes:
         box.y, y = y, y + box.next_y - box.y
     require_packages("jinja2", extra="report", purpose="-o FILE.svg")
-    return (
-        template_environment()
-        .get_template("network.svg")
-        .render(
-            graph=graph,
-            boxes=boxes,
-            bars=bars,
-            arcs=arcs,
-            of_bars=of_bars,
-            y=y,
-        )
-    )
+    template = template_environment().get_template("network.svg")
+    parts = {"boxes": boxes, "bars": bars, "arcs": arcs, "of_bars": of_bars}
+    return template.render(parts, graph=graph, y=y)
 
 
 def _bars(
@@ -92,13 +83,8 @@ def _bars(
     """Return where boundaries stand, after air that has no capacity."""
     empty = {one.name: one for one in nodes if one.capacity_j_k == 0.0}
     fixed = {one.name for one in empty.values() if one.boundary_input}
-    beside = {
-        end
-        for one in links
-        if fixed & {one.a, one.b}
-        for end in (one.a, one.b)
-    }
-    names = [name for name in empty if name in beside | fixed]
+    linked = [{one.a, one.b} for one in links if fixed & {one.a, one.b}]
+    names = [name for name in empty if name in fixed.union(*linked)]
     names.sort(key=fixed.__contains__)
     return {name: BAR_X + BAR_STEP * i for i, name in enumerate(names)}
 

@@ -1,7 +1,10 @@
 """Figures of ``bstm fleet``: equality, second run, speed-up, size, scale.
 
 ``python tests/benchmarks/fleet.py [FOLDER] [--cars N] [--drives N]`` makes the
-logs in FOLDER (default: a temporary one) and prints a table.
+logs in FOLDER (default: a temporary one) and prints what it finds. In a FOLDER
+that is there it goes on where it was ended; remove a figure from its
+``figures.json`` to have it measured again. Kills are in
+``tests/fleet/test_kills.py``.
 """
 
 from __future__ import annotations
@@ -45,6 +48,8 @@ FIRST_S = 1_700_000_000.0
 HOUR_S = 3600.0
 PLANNED = 100_000
 SYNTHETIC = 2_000
+QUICK = "--no-forecast"
+"""Of all short drives: it changes nothing of what is compared."""
 
 DRIVE = """
 [drive]
@@ -63,15 +68,19 @@ duration_s = 2.0
 """
 
 
-def bstm(*arguments: object) -> float:
-    """Run ``bstm`` in a process of its own; return how long it took [s]."""
+def bstm(*arguments: object, code: int = 0) -> float:
+    """Run ``bstm`` in a process of its own; return how long it took [s].
+
+    *code* is the exit code that it must have.
+    """
     begun_s = time.perf_counter()
-    subprocess.run(
+    done = subprocess.run(
         [sys.executable, "-m", "bstm_daemon.cli.main", *map(str, arguments)],
-        check=True,
+        check=False,
         capture_output=True,
         cwd=ROOT,
     )
+    assert done.returncode == code, done.stderr
     return time.perf_counter() - begun_s
 
 
@@ -105,28 +114,88 @@ def same_by_hand(folder: Path, lake: Lake) -> int:
             for drive in planned.chain(car):
                 state = hand / car / f"{drive.name}.state"
                 state.parent.mkdir(parents=True, exist_ok=True)
-                words = ("replay", drive.log, "-c", CONFIG, *start)
-                with contextlib.redirect_stdout(io.StringIO()):
-                    main([*map(str, (*words, "--state-out", state))])
+                if not state.exists():
+                    words = ("replay", drive.log, "-c", CONFIG, *start, QUICK)
+                    with contextlib.redirect_stdout(io.StringIO()):
+                        main([*map(str, (*words, "--state-out", state))])
                 same += state.read_bytes() == lake.state(drive).read_bytes()
                 start = "--state", state
     return same
 
 
-def bytes_an_hour(folder: Path) -> float:
-    """Return the size of the estimates of an hour of ``long-run`` [bytes]."""
+def made_anew(folder: Path, lake: Lake, source: str, target: str) -> list[str]:
+    """Let the log *target* come or change; return what is made anew.
+
+    *target* gets the content of *source*, an hour later for each drive that
+    its number is higher, or is corrupt where there is no *source*.
+    """
+    before = {path: path.stat().st_mtime_ns for path in receipts(lake)}
+    log = folder / "logs" / f"{target}.log"
+    if source:
+        write_shifted(folder / "logs" / f"{source}.log", log)
+    else:
+        log.write_bytes(b"no log\n")
+    plan(folder, lake.root)
+    code = 0 if source else 1
+    bstm("fleet", "replay", lake.root, "--jobs", 2, QUICK, code=code)
+    return sorted(
+        f"{path.parent.name}/{path.stem}"
+        for path in receipts(lake)
+        if before.get(path) != path.stat().st_mtime_ns
+    )
+
+
+def receipts(lake: Lake) -> list[Path]:
+    return [*(lake.root / "receipts").rglob("[!.]*.json")]
+
+
+def write_shifted(source: Path, target: Path) -> None:
+    """Write *source* half an hour later."""
+    lines = []
+    for line in source.read_text("utf-8").splitlines():
+        whole, rest = line[1:].split(".", 1)
+        lines.append(f"({int(whole) + int(HOUR_S / 2)}.{rest}\n")
+    target.write_text("".join(lines), "utf-8")
+
+
+def cost(folder: Path) -> dict[str, float]:
+    """Return what an hour of ``long-run`` and a drive cost.
+
+    CPU time [s] with and without forecast, of the estimates [bytes an hour],
+    and of row, state and receipt [bytes a drive].
+    """
     driven = simulate(load_drive("long-run"))
     log = folder / "long" / "logs" / "car" / "long.log"
-    log.parent.mkdir(parents=True)
+    log.parent.mkdir(parents=True, exist_ok=True)
     write_candump(log, driven, Encoder(DBC))
-    (folder / "long" / "fleet.toml").write_bytes(
-        (folder / "fleet.toml").read_bytes()
-    )
-    lake = Lake(folder / "long" / "lake")
-    plan(folder / "long", lake.root)
-    bstm("fleet", "replay", lake.root, "--jobs", 1)
+    vehicles = folder / "long" / "fleet.toml"
+    vehicles.write_bytes((folder / "fleet.toml").read_bytes())
+    hours = driven.time_s[-1] / HOUR_S
+    found = {}
+    for name, options in (
+        ("CPU an hour of log, --no-forecast [s]", [QUICK]),
+        ("CPU an hour of log [s]", []),
+    ):
+        lake = Lake(folder / "long" / f"lake{len(options)}")
+        plan(folder / "long", lake.root)
+        before = resource.getrusage(resource.RUSAGE_CHILDREN)
+        bstm("fleet", "replay", lake.root, "--jobs", 1, *options)
+        after = resource.getrusage(resource.RUSAGE_CHILDREN)
+        spent_s = after.ru_utime - before.ru_utime
+        spent_s += after.ru_stime - before.ru_stime
+        found[name] = round(spent_s / hours, 2)
     (estimates,) = (lake.root / "estimates").glob("*/*/*.parquet")
-    return estimates.stat().st_size / (driven.time_s[-1] / HOUR_S)
+    size = estimates.stat().st_size
+    found["estimates an hour at 10 Hz [MB]"] = round(size / hours / 1e6, 3)
+    rest = [
+        path
+        for name in ("drives", "state", "receipts")
+        for path in (lake.root / name).rglob("*.*")
+        if path.is_file()
+    ]
+    size = sum(path.stat().st_size for path in rest)
+    found["row, state and receipt [kB]"] = round(size / 1e3, 1)
+    return found
 
 
 class NoCluster:
@@ -215,35 +284,57 @@ def synthetic_answer(folder: Path, lake: Lake) -> float:
     return time.perf_counter() - begun_s
 
 
-def run(folder: Path, cars: int, drives: int) -> dict[str, object]:
-    make_logs(folder, cars, drives)
-    count = cars * drives
-    seconds = {}
-    lakes = {jobs: Lake(folder / f"lake{jobs}") for jobs in (1, 2)}
-    for jobs, lake in lakes.items():
-        plan(folder, lake.root)
-        seconds[jobs] = bstm("fleet", "replay", lake.root, "--jobs", jobs)
-    with closing(Plan(lakes[2])) as planned:
+def replayed(folder: Path, jobs: int) -> tuple[Lake, float]:
+    """Return the lake made by *jobs* workers and how long it took [s]."""
+    lake = Lake(folder / f"lake{jobs}")
+    plan(folder, lake.root)
+    spent_s = bstm("fleet", "replay", lake.root, "--jobs", jobs, QUICK)
+    return lake, round(spent_s, 1)
+
+
+def second_run_s(lake: Lake, count: int) -> float:
+    """Return how long 1000 drives take a run with nothing to do [s]."""
+    with closing(Plan(lake)) as planned:
         begun_s = time.perf_counter()
-        again = Run(lakes[2], planned, Options(100_000, forecast=True)).look()
+        again = Run(lake, planned, Options(100_000, forecast=False)).look()
         second_s = time.perf_counter() - begun_s
     assert again.current == count
-    spent_s, memory_mib = planned_memory(folder)
-    return {
-        "drives": count,
-        "same as by hand": same_by_hand(folder, lakes[2]),
-        "one worker [s]": round(seconds[1], 1),
-        "two workers [s]": round(seconds[2], 1),
-        "second run [s a 1000 drives]": round(second_s * 1000 / count, 2),
-        "estimates [MB an hour at 10 Hz]": round(
-            bytes_an_hour(folder) / 1e6, 2
+    return round(second_s * 1000 / count, 2)
+
+
+def run(folder: Path, cars: int, drives: int) -> dict[str, object]:
+    """Return all figures; those found before are kept in *folder*."""
+    kept = folder / "figures.json"
+    found: dict[str, object] = {}
+    if kept.exists():
+        found = json.loads(kept.read_text("utf-8"))
+    else:
+        make_logs(folder, cars, drives)
+    count, last = cars * drives, f"car{cars - 1:02}"
+    lake = Lake(folder / "lake2")
+    for name, figure in {
+        "two workers [s]": lambda: replayed(folder, 2)[1],
+        "same as by hand": lambda: same_by_hand(folder, lake),
+        "second run [s a 1000 drives]": lambda: second_run_s(lake, count),
+        "cost": lambda: cost(folder),
+        f"client's part of {PLANNED} drives [s], memory [MiB]": lambda: (
+            planned_memory(folder)
         ),
-        f"client's part of {PLANNED} drives [s]": round(spent_s, 1),
-        "memory it grows by [MiB]": round(memory_mib, 1),
-        f"worst of 300 cars, {SYNTHETIC} drives [s]": round(
-            synthetic_answer(folder, lakes[2]), 2
+        f"worst of 300 cars, {SYNTHETIC} drives [s]": lambda: round(
+            synthetic_answer(folder, lake), 2
         ),
-    }
+        "made anew by a late drive": lambda: made_anew(
+            folder, lake, f"car00/{drives - 4}", "car00/late"
+        ),
+        "made anew where a log became corrupt": lambda: made_anew(
+            folder, lake, "", f"{last}/{drives - 4}"
+        ),
+        "one worker [s]": lambda: replayed(folder, 1)[1],
+    }.items():
+        if name not in found:
+            found[name] = figure()
+            kept.write_text(json.dumps(found, indent=2), "utf-8")
+    return {"drives": count} | found
 
 
 if __name__ == "__main__":

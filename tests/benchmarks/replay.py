@@ -6,9 +6,10 @@ import tempfile
 from functools import partial
 from pathlib import Path
 from time import process_time
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 from log_decode import with_cantools
+from recordings import SENSORS, encoder
 from side_by_side import Goal, Outcome, Table, three_digits
 from traffic import FRAMES_PER_S, RATES_HZ, write_traffic
 
@@ -17,13 +18,15 @@ from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.estimator.estimator import Estimator
 from bstm_daemon.files import shipped_file
 from bstm_daemon.native.loader import load_kernel
-from bstm_daemon.replay.columns import present_roles
+from bstm_daemon.replay.columns import present_roles, stream_log
 from bstm_daemon.replay.results import (
     WRITERS,
     Collector,
     ResultsBuilder,
 )
 from bstm_daemon.report.drive_statistics import DriveStatistics
+from bstm_daemon.simulation import load_drive, parse_drive, simulate
+from bstm_daemon.simulation.recorder import write_candump
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -39,6 +42,32 @@ STAGES = (
     *("columns", "summary", "write CSV", "write Parquet"),
 )
 """``publications`` is what the estimator does around pass and march."""
+
+WITH_RISK: Final = {
+    "city": 1000.0,
+    "rich": 1000.0,
+    "long-run": 1000.0,
+    "parked": 1000.0,
+    "simalp": 400.0,
+    "grossglockner": 400.0,
+}
+"""Real-time factor of a replay with risk that is asked of each drive."""
+
+PARKED: Final = """
+[drive]
+name = "parked"
+description = "three hours at rest after a short drive"
+[[segment]]
+speed_kmh = 50
+rate_ms2 = 1.5
+duration_s = 60
+[[segment]]
+speed_kmh = 0
+rate_ms2 = 3.0
+[[segment]]
+parked = true
+duration_s = 10800
+"""
 
 T = TypeVar("T")
 
@@ -111,7 +140,29 @@ def run(*, full: bool) -> Outcome:
             tolerance=0.5,
         ),
     ]
+    drives = {
+        (name, start): with_risk(config, signal_map, name, start)
+        for name in (WITH_RISK if full else ("city", "parked"))
+        for start in ("unknown", "cold")
+    }
+    outcome.goals += [
+        Goal(
+            f"{name} with risk, start {start}, against {WITH_RISK[name]:.0f}",
+            found[0] / WITH_RISK[name],
+            at_least=1.0,
+            tolerance=0.5,
+        )
+        for (name, start), found in drives.items()
+    ]
     outcome.tables = [
+        Table(
+            "Real-time factor with risk, forecast and advice, to Parquet",
+            ("drive", "start", "factor", "with --no-forecast"),
+            tuple(
+                (name, start, f"{risk:.0f}x", f"{plain:.0f}x")
+                for (name, start), (risk, plain) in drives.items()
+            ),
+        ),
         Table(
             "CPU time of the stages",
             ("stage", "ms per hour of log", "share to Parquet"),
@@ -144,6 +195,30 @@ def run(*, full: bool) -> Outcome:
         ),
     ]
     return outcome
+
+
+def with_risk(
+    config: Config, signal_map: SignalMap, name: str, start: str
+) -> tuple[float, float]:
+    """Return the real-time factors of a drive with and without a forecast."""
+    known = parse_drive(PARKED, name) if name == "parked" else load_drive(name)
+    drive = simulate(known, sensors=SENSORS)
+    spent_s = []
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "drive.log"
+        write_candump(path, drive, encoder())
+        for forecast in (True, False):
+            before = process_time()
+            written = path.with_suffix(".parquet")
+            with WRITERS["parquet"](written) as table:
+                stream_log(
+                    *(config, signal_map, path, [table]),
+                    state="cold" if start == "cold" else None,
+                    forecast=forecast,
+                )
+            spent_s.append(process_time() - before)
+    seconds = float(drive.time_s[-1])
+    return seconds / spent_s[0], seconds / spent_s[1]
 
 
 def replay_stages(

@@ -36,6 +36,7 @@ MISTAKES = [
     ("bridge", USAGE, "{mqtt}"),
     ("fleet pln", USAGE, "STEP: no 'pln': did you mean 'plan'"),
     ("fmu exprt -c car.toml", USAGE, "did you mean 'export'"),
+    ("model shw -c car.toml", USAGE, "did you mean 'show'"),
     ("gap rnu drive.log -c car.toml", USAGE, "did you mean 'run'"),
     ("gap drive.log -c car.toml", USAGE, "'drive.log': known are adopt"),
     ("identify drive.log -c car.toml", USAGE, "known are brakes, coastdown"),
@@ -84,6 +85,7 @@ MISTAKES = [
     ("match drive.log -c car.toml -o car.toml", USAGE, "exists.*--force"),
     ("init --dbc car.dbc -o car.toml", USAGE, "car.toml: exists.*--force"),
     ("simulate rich -o x.blf", USAGE, "x.blf: .*ending .log"),
+    ("model show -c car.toml -o x.png", USAGE, "must end in .svg or .json"),
     ("install-service -o /proc/x", FILE, "/proc/x.*No such file"),
     # names of effects, drives, interfaces ...
     ("simulate grosglockner -o x.log", USAGE, "did you mean 'grossglockner'"),

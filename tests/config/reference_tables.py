@@ -31,6 +31,7 @@ SECTIONS: dict[str, type[Section]] = {
     "`[cooling]`": thermal.CoolingConfig,
     "`[accuracy]`": sections.AccuracyConfig,
     "`[[matched]]`": estimates.MatchedConfig,
+    "`[[priors]]`": estimates.PriorsConfig,
     "`[heat]`": sections.HeatConfig,
     "`[fluid]`": estimates.FluidConfig,
     "`[forecast]`": estimates.ForecastConfig,

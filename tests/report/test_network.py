@@ -208,7 +208,7 @@ def test_a_picture_is_xml_whatever_the_name_of_the_car(tmp_path: Path) -> None:
     ("more", "reason"),
     [
         (["-o", "net.png"], "net.png: must end in .svg or .json"),
-        (["--corner", "RL"], "--corner RL: corners with a disc are FL, FR"),
+        (["--corner", "RL"], "--corner RL: no disc brake; there are FL, FR"),
     ],
 )
 def test_what_can_not_be_shown_is_refused(

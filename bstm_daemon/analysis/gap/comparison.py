@@ -13,7 +13,12 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from bstm_daemon.analysis.gap.changes import HEAT_SCALE, is_change, trials
+from bstm_daemon.analysis.gap.changes import (
+    HEAT_SCALE,
+    is_change,
+    strength_of,
+    trials,
+)
 from bstm_daemon.analysis.gap.noise import Layout
 from bstm_daemon.analysis.matching.drives import GRID_S
 from bstm_daemon.analysis.matching.learned import (
@@ -27,7 +32,10 @@ from bstm_daemon.config.sections import EffectConfig
 from bstm_daemon.errors import LogError
 from bstm_daemon.estimator.corner_model import compiled_model, corner_model
 from bstm_daemon.model.effects.catalogue import edited_inputs, effect_class
+from bstm_daemon.model.effects.composed import NAME as COMPOSED
+from bstm_daemon.model.effects.composed import PREFIX, is_composed, read
 from bstm_daemon.model.effects.corrections import corrections_by_role
+from bstm_daemon.model.effects.effect import STRENGTH
 from bstm_daemon.roles import ROLE_INDEX
 
 if TYPE_CHECKING:
@@ -55,7 +63,8 @@ class Comparison(Layout):
     ``keys`` are the tunables, :data:`HEAT_SCALE` last, ``covariance`` (p, p)
     what is known of their logarithms, ``trials`` which changes of a matched
     target are asked for, ``form_k`` (n,) or 0 what is added to residuals,
-    ``forms`` the values of effects whose form is not the typical one.
+    ``forms`` the values of effects whose form is not the typical one,
+    ``sizes`` those of composed terms at strength 1.
     """
 
     def __init__(
@@ -86,6 +95,7 @@ class Comparison(Layout):
         self.form_k: Column | float = 0.0
         self.forms: dict[str, Mapping[str, float]] = {}
         self.trials = trials(target.config, self.keys) if self.matched else {}
+        self.sizes: dict[str, float] = {}
         super().__init__(
             self._found_series(),
             noise,
@@ -108,13 +118,29 @@ class Comparison(Layout):
     ) -> tuple[Column, list[EffectConfig]]:
         """Return *x* with the changes among *strengths*, and the effects."""
         effects = []
+        terms = {}
+        there = {
+            text: size * strength_of(one)
+            for one in self.target.config.effect
+            if one.name == COMPOSED
+            for text, size in one.parameters.items()
+            if text != STRENGTH.name
+        }
         for name, a in strengths.items():
+            if is_composed(name):
+                text = name.removeprefix(PREFIX)
+                terms[text] = read(text, a * self.sizes[name]).within().size
+                continue
             if not is_change(name):
                 parameters = {**self.forms.get(name, {}), "strength": a}
                 effects.append(EffectConfig(name=name, parameters=parameters))
                 continue
             x = x + a * self.trials[name].direction
             effects += self.trials[name].effects_at(a)
+        if terms:
+            effects.append(
+                EffectConfig(name=COMPOSED, parameters=there | terms)
+            )
         return np.clip(x, self.lower, self.upper), effects
 
     def residuals_k(

@@ -17,6 +17,7 @@ from bstm_daemon.analysis.gap.changes import (
     HEAT_SCALE,
     LARGEST,
     is_change,
+    is_listed,
     largest,
     step_of,
 )
@@ -315,9 +316,9 @@ def _strength_bounds(
     lower, upper = [], []
     for name, a in zip(names, start, strict=True):
         least = (
-            -LARGEST
-            if is_change(name)
-            else effect_class(name).parameters()[0].lower
+            effect_class(name).parameters()[0].lower
+            if is_listed(name)
+            else -LARGEST
         )
         lower.append(SMALLEST if a >= 0.0 else least)
         upper.append(largest(name) if a >= 0.0 else -SMALLEST)

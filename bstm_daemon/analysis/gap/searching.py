@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from bstm_daemon.analysis.gap.changes import is_change
+from bstm_daemon.analysis.gap.composing import with_composed
 from bstm_daemon.analysis.gap.evidence import (
     NEXT_EVIDENCE,
     NEXT_SHARE,
@@ -95,7 +96,7 @@ def search(
         least = max(NEXT_EVIDENCE, NEXT_SHARE * first.gain)
         if alone - together < least:
             naming = name_effect(layout, known, alone=True)
-    return known, naming
+    return with_composed(comparison, layout, known, naming)
 
 
 def _in_best_forms(

@@ -228,11 +228,12 @@ def sharpened(
 
     A parabola through small changes says little of large ones.
     """
-    plain_k = simulated.base_k - comparison.form_k
     found = {
         name: terms
         for name, a in at.items()
-        if (terms := _terms_k(comparison, name, plain_k, (0.5 * a, a)))
+        if (
+            terms := _terms_k(comparison, name, simulated.base_k, (0.5 * a, a))
+        )
         is not None
     }
     return replace(
@@ -251,13 +252,17 @@ def sensitivities(
 
 
 def signature_of(
-    comparison: Comparison, name: str, base: Column
+    comparison: Comparison,
+    name: str,
+    base: Column,
+    strengths: tuple[float, ...] = (),
 ) -> Signature | None:
     """Return what *name* changes in the residuals *base* [K], (n,).
 
-    None where it changes nothing or does not fit the structure.
+    Simulated at *strengths*, or the usual ones. None where it changes nothing
+    or does not fit the structure.
     """
-    terms = _terms_k(comparison, name, base)
+    terms = _terms_k(comparison, name, base, strengths)
     if terms is None:
         return None
     return whitened_signature(comparison, name, terms)

@@ -79,6 +79,7 @@ def march(  # noqa: PLR0913
     power_w: Column | None = None,
     *,
     nodes: Collection[str] = (),
+    memories: Sequence[str] = (),
 ) -> dict[str, Column]:
     """March variants of *corner* over *drive*.
 
@@ -92,6 +93,7 @@ def march(  # noqa: PLR0913
         power_w: brake power of each variant, (steps, variants); as *drive*.
         nodes: those that are wanted, where no thermocouple has its place
             between them; all.
+        memories: of the network that are returned too.
 
     Returns:
         Temperatures [K] by node, (steps, variants); of a thermocouple whose
@@ -120,15 +122,17 @@ def march(  # noqa: PLR0913
             batch.state[member * batch.width + i] = initial_k[name]
     size = batch.width + batch.sources
     whole = placed or not nodes
-    own = [i for i, name in enumerate(names) if whole or name in nodes]
-    kept = np.empty((len(own), len(inputs), len(programs)))
+    wanted = [name for name in names if whole or name in nodes]
+    columns = [names.index(name) for name in wanted]
+    columns += [programs[0].state_names.index(name) for name in memories]
+    kept = np.empty((len(columns), len(inputs), len(programs)))
     for first in range(0, len(inputs), STRETCH_STEPS):
         part = inputs[first : first + STRETCH_STEPS]
         out = batch.march(flat(part), len(part), GRID_S)
         shaped = np.frombuffer(out).reshape(len(part), len(programs), size)
-        for one, i in zip(kept, own, strict=True):
+        for one, i in zip(kept, columns, strict=True):
             one[first : first + len(part)] = shaped[:, :, i]
-    found = {names[i]: one for one, i in zip(kept, own, strict=True)}
+    found = dict(zip((*wanted, *memories), kept, strict=True))
     if power_w is None:
         power_w = drive.channel(corner, "brake_power_w")[:, None]
     return found | _at_their_places(found, placed, power_w)

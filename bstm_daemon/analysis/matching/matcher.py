@@ -25,7 +25,7 @@ from bstm_daemon.analysis.matching.coarse import (
     search,
 )
 from bstm_daemon.analysis.matching.identifiability import KNOWN
-from bstm_daemon.analysis.matching.learned import settings_of, value_of
+from bstm_daemon.analysis.matching.learned import settings_of
 from bstm_daemon.analysis.matching.phases import HARD_MS2, hard_stops
 from bstm_daemon.analysis.matching.problem import FIRST, OTHER
 from bstm_daemon.analysis.matching.refine import (
@@ -391,10 +391,7 @@ def _left_out(  # noqa: PLR0913
         names.append(plain.name)
         without = found.target.changed(fit.values)
         shifts.append(
-            [
-                log(value_of(without, k) / value_of(whole, k))
-                for k in joint.keys
-            ]
+            [log(without.setting(k) / whole.setting(k)) for k in joint.keys]
         )
         simple = baselines(readings[0].of(pieces).drives)
         simple_k += [
