@@ -343,7 +343,7 @@ class Car:
             front=_with(car.front, share, slopes),
             rear=_with(car.rear, 2.0 - share, slopes),
         )
-        self.structure = ("thesis", "extended")[seed % 2]
+        self.structure = str(draw.choice(["thesis", "extended"]))
         on = {
             name: draw.uniform(0.3, 1.3)
             for name in STRUCTURES["extended"]
