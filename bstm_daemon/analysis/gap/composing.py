@@ -238,6 +238,8 @@ class Search:
         self, terms: Sequence[Term], project: Projector
     ) -> list[tuple[float, Term]]:
         """Return log evidence and term at its best size, best first."""
+        if not terms:
+            return []
         columns = self.columns(terms)
         projected = project(columns)
         precision = np.sum(columns * projected, axis=0) + FREE**-2
