@@ -114,13 +114,11 @@ def test_shades_mark_doubtful_inputs(descent: Results) -> None:
 def test_a_parked_car_whose_bus_sleeps_lacks_nothing(
     descent: Results,
 ) -> None:
-    """Unless the estimates are no longer valid for it."""
-    flags = np.zeros(len(descent))
+    """Where the bus does not sleep, the speed is missing."""
+    flags = np.zeros(len(descent), np.int64)
     flags[18_000:24_000] = FLAGS["speed_missing"]
-    columns = {**descent.columns, "flags": flags}
-    validity = columns["FL.validity"].copy()
-    validity[21_000:24_000] = 1.0
-    columns["FL.validity"] = validity
+    flags[18_000:21_000] |= FLAGS["asleep"]
+    columns = {**descent.columns, "flags": flags.astype(float)}
     results = Results(columns, descent.corners, descent.modelled)
 
     assert _shaded(results, "speed [km/h]") == [

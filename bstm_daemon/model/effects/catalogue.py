@@ -64,13 +64,6 @@ def effect_class(name: str) -> type[Effect]:
     raise KeyError(name)
 
 
-def effect_numbers() -> dict[int, str]:
-    """Number to name of all effects, rising."""
-    return dict(
-        sorted((effect_class(name).number, name) for name in effect_names())
-    )
-
-
 def problems_of(effects: Sequence[EffectConfig]) -> list[str]:
     """What is wrong with the ``[[effect]]`` entries, a line each."""
     found = []

@@ -7,10 +7,17 @@ from pathlib import Path
 from bstm_daemon.model.effects.catalogue import (
     STRUCTURES,
     effect_class,
-    effect_numbers,
+    effect_names,
 )
 
 DOCUMENT = Path(__file__).resolve().parents[3] / "docs" / "effects.md"
+
+
+def effect_numbers() -> dict[int, str]:
+    """Number to name of all effects, rising."""
+    return dict(
+        sorted((effect_class(name).number, name) for name in effect_names())
+    )
 
 
 def twins_of(name: str) -> tuple[str, ...]:
