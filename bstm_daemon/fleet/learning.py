@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from bstm_daemon.analysis.gap.changes import either_sign, is_change
+from bstm_daemon.analysis.gap.changes import either_sign, is_change, is_listed
 from bstm_daemon.analysis.gap.evidence import (
     NEXT_SHARE,
     NEXT_Z,
@@ -46,6 +46,9 @@ ODD: Final = 3.5
 """Standard deviations of the other cars from which one is the odd one out."""
 
 LEAST_CARS: Final = 4
+UNEXPLAINED: Final = frozenset({"unknown", "composed"})
+"""Answers that no effect of the catalogue explains what a car shows."""
+
 TINY: Final = 1e-12
 
 SENSORS: Final = frozenset({"accelerometer_bias", "powertrain_torque_error"})
@@ -203,7 +206,7 @@ def _best(
     probability = float(shares[alike].sum())
     if is_common[k]:
         probability /= 1.0 + float(np.exp(-common[k]))
-    unexplained = sum(cars[i].answer == "unknown" for i in carriers)
+    unexplained = sum(cars[i].answer in UNEXPLAINED for i in carriers)
     one = pooled[k]
     finding = Finding(
         ()
@@ -243,7 +246,7 @@ def _scoped(one: Finding, count: int) -> Finding:
     name = next(iter(one.names), "")
     sensor = name in SENSORS or (
         name != ""
-        and not is_change(name)
+        and is_listed(name)
         and effect_class(name).kind == "measurement"
     )
     return replace(one, scope="sensor") if sensor else one

@@ -254,9 +254,12 @@ def test_twins_in_one_car_are_a_class() -> None:
     assert (found.scope, tuple(found.strengths)) == ("car", ("car3",))
 
 
-def test_what_no_effect_explains_in_most_cars_gets_no_name() -> None:
+@pytest.mark.parametrize("answer", ["unknown", "composed"])
+def test_what_no_effect_explains_in_most_cars_gets_no_name(
+    answer: str,
+) -> None:
     cars = [
-        car(f"car{i}", {"local_air": 1.0}, answer="unknown") for i in range(4)
+        car(f"car{i}", {"local_air": 1.0}, answer=answer) for i in range(4)
     ]
 
     found = only(learn(cars))
