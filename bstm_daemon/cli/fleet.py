@@ -14,16 +14,18 @@ from typing import TYPE_CHECKING, Any, Final
 
 from bstm_daemon.cli.arguments import (
     add_every,
+    add_force,
     add_json,
     add_no_forecast,
     add_out,
     add_path,
+    check_new,
     check_targets,
     number,
 )
 from bstm_daemon.cli.main import main
 from bstm_daemon.cli.progress import Progress
-from bstm_daemon.errors import StateLockedError
+from bstm_daemon.errors import StateLockedError, require_packages
 from bstm_daemon.files import make_folder, replacing
 from bstm_daemon.fleet.cluster import connect, require_fleet
 from bstm_daemon.fleet.gap import (
@@ -119,6 +121,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "[[priors]] from the matches of its cars",
         "DIR",
     )
+    add_force(gap, "a configuration in DIR")
     gap.set_defaults(step=_gap)
     report = steps.add_parser("report", help="write the page of the fleet")
     _add_lake(report)
@@ -223,7 +226,7 @@ def _replay(args: argparse.Namespace) -> int:
 
 
 def _gap(args: argparse.Namespace) -> int:
-    require_fleet()
+    require_packages("distributed", extra="fleet", purpose="bstm fleet gap")
     lake = Lake(args.lake)
     check_targets([args.json], ())
     with (
@@ -232,6 +235,15 @@ def _gap(args: argparse.Namespace) -> int:
         Progress("fleet gap") as progress,
     ):
         cars, failures = cars_of(lake, plan, args.drives, anyway=args.anyway)
+        types: dict[str, set[Path]] = {}
+        for one in cars:
+            types.setdefault(one.last.type, set()).add(Path(one.last.config))
+        outs = {
+            kind: args.out / f"{safe_name(kind)}.toml"
+            for kind in (sorted(types) if args.out else ())
+        }
+        for out in outs.values():
+            check_new(out, force=args.force)
         new = [one for one in cars if one.result()["key"] != one.key]
         done = count(len(cars) - len(new) + 1)
         if new:
@@ -243,19 +255,16 @@ def _gap(args: argparse.Namespace) -> int:
     failures += failures_of(cars)
     groups = groups_of(cars)
     print("\n".join(gap_lines(groups)))
-    if args.out is not None:
-        make_folder(args.out)
-        for kind in sorted({one.last.type for one in cars}):
-            own = {one.last.config for one in cars if one.last.type == kind}
-            out = args.out / f"{safe_name(kind)}.toml"
-            matched = write_prior(kind, sorted(map(Path, own)), out)
-            print(
-                f"{out}: priors from {matched} cars"
-                if matched
-                else f"{out} not written: it needs two matched configurations"
-            )
     if args.json is not None:
         write_json(args.json, {"groups": groups, "failures": failures})
+    good = {Path(o.last.config) for o in cars if not o.result()["message"]}
+    for kind, out in outs.items():
+        make_folder(args.out)
+        matched = write_prior(kind, sorted(types[kind] & good), out)
+        why = "not written: it needs two matched cars"
+        print(
+            f"{out}: priors of {matched} cars" if matched else f"{out} {why}"
+        )
     _list("not searched", failures)
     return EXIT_FAILED if failures else 0
 

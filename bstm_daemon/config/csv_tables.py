@@ -93,7 +93,9 @@ def _places(document: Table) -> list[tuple[str, Table, str, list[Table]]]:
     corners = [
         one
         for one in (listed if isinstance(listed, list) else [])
-        if isinstance(one, dict) and _part(one, "disc")
+        if isinstance(one, dict)
+        and _part(one, "disc")
+        and isinstance(one.get("cooling", {}), dict)
     ]
     own = {"csv", "s_per_s"}
     shared = [c for c in corners if not own & _part(c, "cooling").keys()]

@@ -18,7 +18,10 @@ from bstm_daemon.analysis.gap.changes import (
 from bstm_daemon.analysis.gap.evidence import NormalEquations
 from bstm_daemon.analysis.gap.heat_only import find_force_gap
 from bstm_daemon.analysis.gap.recording import read_recording
+from bstm_daemon.analysis.gap.residual_heat import WINDOW_STEPS
 from bstm_daemon.analysis.gap.workflow import find_gap, is_unmatched
+from bstm_daemon.analysis.matching.drives import GRID_S
+from bstm_daemon.analysis.matching.learned import DAY_TO_DAY
 from bstm_daemon.errors import BstmError, LogError
 from bstm_daemon.files import make_folder
 from bstm_daemon.fleet.drive import FAILED, FOREIGN, MADE
@@ -46,12 +49,6 @@ if TYPE_CHECKING:
 
     from bstm_daemon.analysis.gap.naming import Naming
     from bstm_daemon.fleet.plan import Plan
-
-WINDOW_S: Final = 30.0
-"""Duration of a window of residual heat."""
-
-DAY_TO_DAY: Final = 0.03
-"""Standard deviation of the work of pressure over that of motion."""
 
 FEW: Final = 4
 """Cars that a line names."""
@@ -283,7 +280,7 @@ def _odd(
             )
             total[0] += cell["energy_j"]
             total[1] += cell["deviation_j"] ** 2
-            total[2] += cell["windows"] * WINDOW_S
+            total[2] += cell["windows"] * WINDOW_STEPS * GRID_S
         for where, (energy_j, variance, duration_s) in sums.items():
             by_place.setdefault((where, "W"), {})[car] = (
                 energy_j / duration_s,
@@ -317,6 +314,8 @@ def gap_lines(groups: Sequence[Group]) -> list[str]:
                 ],
                 *("  ", "    "),
             )
+        elif count == 1:
+            lines.append("  one car says nothing of its type")
         elif len(one.unmatched) < count:
             lines.append("  nothing that several cars or one of them show")
         lines += [

@@ -4,12 +4,18 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
 from bstm_daemon.analysis.identify.writing import Change, write_changed
-from bstm_daemon.config.csv_tables import CAPACITY_20C_J_KGK
+from bstm_daemon.config.csv_tables import (
+    CAPACITY_20C_J_KGK,
+    csv_names,
+    put_csv_tables,
+)
 from bstm_daemon.config.limits import CSV_BYTES
 from bstm_daemon.config.reading import load_config, read_draft
 from bstm_daemon.config.sections import DiscConfig
@@ -262,13 +268,10 @@ def test_parts_that_are_no_tables_are_problems_of_their_own(
     tmp_path: Path, part: str
 ) -> None:
     (tmp_path / "cfd.csv").write_text(CFD, "utf-8")
-    text = re.sub(
-        r"\[corner.disc\].*?(?=\n\[)",
-        part,
-        car(tmp_path, 'csv = "cfd.csv"').read_text("utf-8"),
-        count=1,
-        flags=re.DOTALL,
-    )
+    text = car(tmp_path, 'csv = "cfd.csv"').read_text("utf-8")
+    if part.startswith("disc"):
+        text = re.sub(r"\[corner.disc\](.*\n)*?(?=\[)", "", text, count=1)
+    text = text.replace('name = "FL"\n', f'name = "FL"\n{part}\n', 1)
     (tmp_path / "car.toml").write_text(text, "utf-8")
 
     with pytest.raises(ConfigError, match="FL"):
@@ -288,6 +291,50 @@ def test_a_coefficient_hides_no_problem_of_the_disc(tmp_path: Path) -> None:
     path.write_text(text, "utf-8")
 
     assert "[[corner]] FL disc.mass_kg: missing" in problem_of(path)
+
+
+VALUES = st.one_of(
+    st.sampled_from(["cfd.csv", "cp.csv", "own", "conductance", "\0", ".", 0]),
+    st.floats(),
+    st.lists(st.floats(), max_size=2),
+)
+TABLES = st.dictionaries(
+    st.sampled_from(["csv", "form", "material", "mass_kg", "blend_end_ms"]),
+    VALUES | st.dictionaries(st.just("csv"), VALUES),
+)
+CORNERS = st.dictionaries(
+    st.sampled_from(["name", "disc", "pad", "cooling", "thermal"]),
+    VALUES
+    | TABLES
+    | st.dictionaries(
+        st.sampled_from(["heat_capacity_j_kgk", "conductivity_w_mk"]), TABLES
+    ),
+)
+
+
+@settings(
+    max_examples=200,
+    deadline=None,
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
+)
+@given(
+    st.dictionaries(
+        st.sampled_from(["cooling", "thermal", "corner"]),
+        VALUES | TABLES | st.lists(CORNERS | VALUES, max_size=2),
+    )
+)
+def test_whatever_stands_there_is_taken_or_worded(
+    tmp_path: Path, document: dict[str, Any]
+) -> None:
+    (tmp_path / "cfd.csv").write_text(CFD, "utf-8")
+    (tmp_path / "cp.csv").write_text(BENCH, "utf-8")
+    problems: list[str] = []
+    try:
+        put_csv_tables(document, tmp_path)
+    except ConfigError as error:
+        problems = error.problems
+    assert all("csv" in problem for problem in problems)
+    assert csv_names(document) == []
 
 
 def test_a_section_by_itself_reads_no_file() -> None:

@@ -160,6 +160,14 @@ def test_what_the_type_has_a_sensor_and_the_odd_one_out(
     assert (first["names"], first["scope"]) == (["gap_conduction"], "type")
     assert second["strengths"]["car1"] == pytest.approx([1.2, 0.1])
 
+    # of one configuration, which nobody matched
+    types = fleet.folder / "types"
+    main([*asked, "-o", str(types)])
+    assert "it needs two matched cars" in capsys.readouterr().out
+    (types / "car.toml").write_text("mine", "utf-8")
+    assert main([*asked, "-o", str(types)]) == 2
+    assert "give --force" in capsys.readouterr().err
+
     # only what failed or has changed is searched again
     searched.clear()
     fleet.log("car2", 0).touch()
@@ -249,6 +257,40 @@ def test_cars_that_were_not_matched_get_no_names(
         "  not matched, no names (--anyway): car0, car1",
     ]
     assert searched == []
+
+
+def test_by_forces_the_odd_one_out_brakes_otherwise_than_its_type(
+    make_fleet: Callable[..., Any],
+    searched: list[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    fleet = make_fleet(8, [0])
+    fleet.plan()
+
+    def search(job: CarJob) -> dict[str, Any]:
+        name = job.last.vehicle
+        ratio = 1.5 if name == "car6" else 1.0 + 0.01 * int(name[-1])
+        work = {"pressure": 1e6 * ratio, "motion": 1e6}
+        group = result_of(name, None, 1.0) | {"braking_work_j": work}
+        group |= {"corners": [], "cells": []}
+        return {"message": None, "left_out": [], "groups": [group]}
+
+    monkeypatch.setattr(gap_module, "_searched", search)
+    jobs = jobs_of(fleet.lake.root)
+    for job in jobs:
+        search_car(job)
+
+    (group,) = groups_of(jobs)
+
+    ((place, value, unit, z),) = group.odd.pop("car6")
+    assert (group.odd, searched) == ({}, [])
+    assert (place, unit) == ("work of pressure over that of motion", "%")
+    assert value == pytest.approx(50.0)
+    assert z > 10.0
+    head, nothing, odd = gap_lines(groups_of(jobs))
+    assert head == "car, by forces: 8 cars searched"
+    assert nothing.strip().startswith("nothing")
+    assert "car6: work of pressure over that of motion +50 %" in odd
 
 
 @pytest.fixture(scope="module")
