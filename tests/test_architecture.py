@@ -83,7 +83,7 @@ physics with the estimator; physics, estimate and what follows from it know
 no CAN."""
 
 MOST_ENTRIES = 26
-MOST_ARROWS = 151
+MOST_ARROWS = 152
 
 
 def modules() -> dict[str, Path]:

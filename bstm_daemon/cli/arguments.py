@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import argparse
 from contextlib import suppress
-from math import isclose, isfinite, nan
+from math import inf, isclose, isfinite, nan
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -16,7 +16,7 @@ from bstm_daemon.errors import UsageError, require_packages
 from bstm_daemon.files import ensure_writable, make_folder
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Callable, Iterable
 
 LOG_ENDINGS: Final = frozenset(
     {
@@ -25,6 +25,8 @@ LOG_ENDINGS: Final = frozenset(
     }
 )
 
+
+LAST_PORT: Final = 2**16 - 1
 
 PUBLICATION_S = 0.1
 
@@ -110,6 +112,27 @@ def finite(text: str) -> float:
         number = float(text)
         return number if isfinite(number) else nan
     return nan
+
+
+def number(
+    low: float, high: float = inf, kind: type[float] = float
+) -> Callable[[str], float]:
+    """Return what reads an argument from *low* to *high*; int: whole ones."""
+
+    def read(text: str) -> float:
+        value: float = nan
+        with suppress(ValueError):
+            value = int(text) if kind is int else finite(text)
+        if not low <= value <= high:
+            limits = f"from {low:g} to {high:.12g}"
+            if high == inf:
+                limits = f"of {low:g} or more"
+            name = "whole number" if kind is int else "number"
+            msg = f"{text!r} is not a {name} {limits}"
+            raise argparse.ArgumentTypeError(msg)
+        return value
+
+    return read
 
 
 def add_bus_map(parser: argparse.ArgumentParser) -> None:

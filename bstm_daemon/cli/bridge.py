@@ -7,7 +7,7 @@ from pathlib import Path
 from threading import Event
 from typing import TYPE_CHECKING
 
-from bstm_daemon.cli.arguments import add_path
+from bstm_daemon.cli.arguments import add_path, number
 from bstm_daemon.config.reading import load_section
 from bstm_daemon.errors import UsageError, require_packages
 from bstm_daemon.feed.reader import DEFAULT_SOCKET, records
@@ -28,7 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_path(parser, "--feed", "SOCKET", what)
     what = "seconds between two publications (default: 1; 0 is all)"
     parser.add_argument(
-        "--every", type=float, default=1.0, metavar="S", help=what
+        "--every", type=number(0.0), default=1.0, metavar="S", help=what
     )
     what = "announce the values to Home Assistant (default: homeassistant)"
     parser.add_argument(
@@ -51,8 +51,8 @@ def run(args: argparse.Namespace) -> int:
         msg = "bridge mqtt: needs --broker, or 'broker' in --credentials FILE"
         raise UsageError(msg)
     stop = Event()
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, lambda *_: stop.set())
+    for one in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(one, lambda *_: stop.set())
     feed = records(args.feed or Path(DEFAULT_SOCKET), stop)
     run_bridge(feed, url, credentials, args.every, args.discovery)
     return 0

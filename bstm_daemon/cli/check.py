@@ -25,7 +25,8 @@ from bstm_daemon.cli.progress import Progress
 from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.config.reading import load_config, naming_file, read_draft
 from bstm_daemon.config.rules import usable_e2e, usable_signals
-from bstm_daemon.errors import ConfigError, UsageError
+from bstm_daemon.config.wording import toml_text
+from bstm_daemon.errors import ConfigError, UsageError, hint
 from bstm_daemon.estimator.corner_model import compile_corner
 from bstm_daemon.estimator.verified import verification_table
 from bstm_daemon.model.effects.catalogue import STRUCTURES
@@ -185,11 +186,19 @@ def _dbc_problems(draft: Draft, folder: Path) -> list[str]:
 
 
 def dbc_warnings(config: Config, folder: Path) -> list[str]:
-    """List what is overlooked in the DBC files of *config*, a line each.
+    """List what is overlooked in the buses of *config*, a line each.
 
-    DBC paths are relative to *folder*.
+    DBC paths are relative to *folder*. The driver of an interface may be on
+    another computer than the one that checks.
     """
+    from can import VALID_INTERFACES as KNOWN  # noqa: PLC0415  (slow)
+
     return [
+        f"[[bus]] {bus.name} interface = {toml_text(bus.interface)}: not "
+        f"known here, {hint(bus.interface, KNOWN, 'see python-can')}"
+        for bus in config.bus
+        if bus.interface not in KNOWN
+    ] + [
         f"[[bus]] {bus.name} {bus.dbc}: {defect}"
         for bus in config.bus
         for defect in read_dbc(

@@ -17,6 +17,7 @@ from bstm_daemon.cli.live_demo import run_live
 from bstm_daemon.cli.progress import Progress
 from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.engine import Engine
+from bstm_daemon.errors import UsageError
 from bstm_daemon.files import ensure_writable, make_folder, shipped_file
 from bstm_daemon.replay.results import (
     Collector,
@@ -48,7 +49,6 @@ TICK_US = 1_000_000
 """What is published does not depend on it: each frame has its own time."""
 
 START = "start cold: the car stood overnight (bstm replay --start cold)"
-SENSORS = "simulated sensor"
 ROW_S = 300
 SHOWN = ("FL", "RL")
 COLUMNS = {
@@ -76,6 +76,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Simulate, listen, publish, display, report."""
     folder = args.out or Path("bstm-demo")
+    if args.view and not args.live:
+        msg = "--view shows the live demo: give --live --view"
+        raise UsageError(msg)
     if args.live:
         return run_live(folder, DRIVE, page=args.view)
     make_folder(folder)
@@ -95,7 +98,7 @@ def run(args: argparse.Namespace) -> int:
     rows, statistics, curves = (
         Collector(),
         DriveStatistics(),
-        DriveCurves(SENSORS),
+        DriveCurves(),
     )
     print(_heading())
     with (
@@ -124,7 +127,6 @@ def run(args: argparse.Namespace) -> int:
         counts=engine.estimator.counts,
         compiled=engine.estimator.compiled,
         warnings=("Simulated data: no car was driven.", START),
-        sensors=SENSORS,
     )
     page = replay_page(statistics.summary(), curves, facts)
     write_page(folder / "report.html", page)

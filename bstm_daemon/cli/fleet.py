@@ -8,36 +8,50 @@ import os
 import time
 from contextlib import closing, contextmanager, redirect_stdout
 from io import StringIO
-from itertools import chain
+from itertools import chain, count
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from bstm_daemon.cli.arguments import (
     add_every,
+    add_force,
+    add_json,
     add_no_forecast,
     add_out,
     add_path,
+    check_new,
     check_targets,
+    number,
 )
 from bstm_daemon.cli.main import main
 from bstm_daemon.cli.progress import Progress
-from bstm_daemon.errors import StateLockedError
+from bstm_daemon.errors import StateLockedError, require_packages
 from bstm_daemon.files import make_folder, replacing
 from bstm_daemon.fleet.cluster import connect, require_fleet
+from bstm_daemon.fleet.gap import (
+    cars_of,
+    failures_of,
+    gap_lines,
+    groups_of,
+    search,
+)
 from bstm_daemon.fleet.lake import Lake, Options
 from bstm_daemon.fleet.plan import Plan, add_logs
+from bstm_daemon.fleet.priors import write_prior
 from bstm_daemon.fleet.query import ask, shipped
 from bstm_daemon.fleet.run import Run
 from bstm_daemon.fleet.vehicles import Fleet
 from bstm_daemon.report.fleet import FleetFacts, fleet_page
+from bstm_daemon.report.json_file import write_json
 from bstm_daemon.report.shell import require_page_packages, write_page
 from bstm_daemon.report.text import table, wrapped
 from bstm_daemon.report.timescale import duration
-from bstm_daemon.service.state_file import lock
+from bstm_daemon.service.state_file import lock, safe_name
 
 if TYPE_CHECKING:
     import argparse
     from collections.abc import Iterator
+    from contextlib import AbstractContextManager
 
     from bstm_daemon.fleet.run import Outcome
 
@@ -68,21 +82,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     plan.set_defaults(step=_plan)
     replay = steps.add_parser("replay", help="replay what is new or changed")
     _add_lake(replay)
-    where = replay.add_mutually_exclusive_group()
-    where.add_argument(
-        "--jobs",
-        type=int,
-        metavar="N",
-        help="processes on this machine (default: one a core)",
-    )
-    where.add_argument(
-        "--scheduler",
-        metavar="tls://HOST:PORT",
-        help="Dask scheduler whose workers replay",
-    )
-    for name in ("ca", "cert", "key"):
-        what = "for tls:// (default: Dask's configuration)"
-        add_path(replay, f"--tls-{name}", "FILE.pem", what)
+    _add_workers(replay)
     replay.add_argument(
         "--on-error",
         choices=("continue", "hold"),
@@ -97,12 +97,38 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     status = steps.add_parser("status", help="what is done, waits or failed")
     _add_lake(status)
     status.set_defaults(step=_status)
+    gap = steps.add_parser(
+        "gap", help="what cars of a type lack or have changed, and the odd one"
+    )
+    _add_lake(gap)
+    _add_workers(gap)
+    gap.add_argument(
+        "--drives",
+        type=number(1, kind=int),
+        default=8,
+        metavar="N",
+        help="search the last N drives of each car (default: %(default)s)",
+    )
+    gap.add_argument(
+        "--anyway",
+        action="store_true",
+        help="name effects though no bstm match is in a configuration",
+    )
+    add_json(gap)
+    add_out(
+        gap,
+        "write a configuration for a further car of each type, with "
+        "[[priors]] from the matches of its cars",
+        "DIR",
+    )
+    add_force(gap, "a configuration in DIR")
+    gap.set_defaults(step=_gap)
     report = steps.add_parser("report", help="write the page of the fleet")
     _add_lake(report)
     add_out(report, "page (default: LAKE/report.html)", "FILE.html")
     report.add_argument(
         "--pages",
-        type=int,
+        type=number(0, kind=int),
         default=0,
         metavar="N",
         help="replay the N worst drives for pages of their own, which the "
@@ -130,6 +156,24 @@ def run(args: argparse.Namespace) -> int:
 
 def _add_lake(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("lake", type=Path, metavar="LAKE")
+
+
+def _add_workers(parser: argparse.ArgumentParser) -> None:
+    where = parser.add_mutually_exclusive_group()
+    where.add_argument(
+        "--jobs",
+        type=number(1, kind=int),
+        metavar="N",
+        help="processes on this machine (default: one a core)",
+    )
+    where.add_argument(
+        "--scheduler",
+        metavar="tls://HOST:PORT",
+        help="Dask scheduler whose workers do the work",
+    )
+    for name in ("ca", "cert", "key"):
+        what = "for tls:// (default: Dask's configuration)"
+        add_path(parser, f"--tls-{name}", "FILE.pem", what)
 
 
 def _plan(args: argparse.Namespace) -> int:
@@ -172,14 +216,62 @@ def _replay(args: argparse.Namespace) -> int:
         chains = replayed.chains()
         first = next(chains, None)
         if first is not None:
-            tls = args.tls_ca, args.tls_cert, args.tls_key
-            with connect(args.scheduler, args.jobs, tls) as client:
+            with _client(args) as client:
                 replayed.execute(client, chain([first], chains), show)
     spent_s = time.monotonic() - begun_s
     outcome = replayed.outcome
     print(f"{args.lake}: {_counts(outcome)}, in {duration(spent_s)}")
     _list("not replayed", outcome.failures)
     return EXIT_FAILED if outcome.failures else 0
+
+
+def _gap(args: argparse.Namespace) -> int:
+    require_packages("distributed", extra="fleet", purpose="bstm fleet gap")
+    lake = Lake(args.lake)
+    check_targets([args.json], ())
+    with (
+        closing(Plan(lake)) as plan,
+        _owning(lake),
+        Progress("fleet gap") as progress,
+    ):
+        cars, failures = cars_of(lake, plan, args.drives, anyway=args.anyway)
+        types: dict[str, set[Path]] = {}
+        for one in cars:
+            types.setdefault(one.last.type, set()).add(Path(one.last.config))
+        outs = {
+            kind: args.out / f"{safe_name(kind)}.toml"
+            for kind in (sorted(types) if args.out else ())
+        }
+        for out in outs.values():
+            check_new(out, force=args.force)
+        new = [one for one in cars if one.result()["key"] != one.key]
+        done = count(len(cars) - len(new) + 1)
+        if new:
+            with _client(args) as client:
+                search(
+                    *(client, new),
+                    lambda name: progress.show(next(done) / len(cars), name),
+                )
+    failures += failures_of(cars)
+    groups = groups_of(cars)
+    print("\n".join(gap_lines(groups)))
+    if args.json is not None:
+        write_json(args.json, {"groups": groups, "failures": failures})
+    good = {Path(o.last.config) for o in cars if not o.result()["message"]}
+    for kind, out in outs.items():
+        make_folder(args.out)
+        matched = write_prior(kind, sorted(types[kind] & good), out)
+        why = "not written: it needs two matched cars"
+        print(
+            f"{out}: priors of {matched} cars" if matched else f"{out} {why}"
+        )
+    _list("not searched", failures)
+    return EXIT_FAILED if failures else 0
+
+
+def _client(args: argparse.Namespace) -> AbstractContextManager[Any]:
+    tls = args.tls_ca, args.tls_cert, args.tls_key
+    return connect(args.scheduler, args.jobs, tls)
 
 
 def _status(args: argparse.Namespace) -> int:
@@ -195,8 +287,8 @@ def _report(args: argparse.Namespace) -> int:
     require_page_packages()
     lake = Lake(args.lake)
     out = args.out or lake.root / "report.html"
-    check_targets([out], ())
     with closing(Plan(lake)) as plan:
+        check_targets([out], ())
         outcome = Run(lake, plan, None).look()
         cars, dates, worst = (
             ask(lake, name).as_rows() for name in ("cars", "dates", "worst")

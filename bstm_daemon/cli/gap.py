@@ -13,9 +13,9 @@ from bstm_daemon.analysis.gap.workflow import (
     Question,
     advise_before,
     find_gap,
+    is_unmatched,
 )
 from bstm_daemon.analysis.identify.writing import Entries, write_changed
-from bstm_daemon.analysis.matching.learned import entry_of
 from bstm_daemon.cli.log_command import (
     add_log_arguments,
     heading,
@@ -173,7 +173,7 @@ def _by_temperatures(
     unmatched = (
         until != "locate"
         and not args.anyway
-        and _unmatched(config, recordings)
+        and is_unmatched(config, recordings)
     )
     if unmatched:
         until = "locate"
@@ -204,16 +204,6 @@ def _by_temperatures(
     )
     failed = unmatched or any(gap.worse for gap in gaps)
     return lines, FAILED if failed else 0
-
-
-def _unmatched(config: Config, recordings: Sequence[Recording]) -> bool:
-    """Whether any corner with a thermocouple was not matched."""
-    measured = {one for each in recordings for one in each.drive.measured}
-    return any(
-        entry_of(config, corner.name) is None
-        for corner in config.disc_corners()
-        if corner.name in measured
-    )
 
 
 def _by_forces(

@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bstm_daemon.cli.arguments import add_config
+from bstm_daemon.cli.arguments import LAST_PORT, add_config, number
 from bstm_daemon.errors import UsageError
 from bstm_daemon.files import shipped_file
 from bstm_daemon.service.unit_files import (
@@ -51,7 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--metrics-port",
-        type=int,
+        type=number(0, LAST_PORT, int),
         metavar="PORT",
         help="add the drop-in that serves metrics on 127.0.0.1:PORT",
     )

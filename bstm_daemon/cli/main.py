@@ -27,6 +27,9 @@ from bstm_daemon.terminal_text import raw_stream, visible, visible_stream
 if TYPE_CHECKING:
     from collections.abc import Collection, MutableMapping, Sequence
 
+# matrices here are small: for so little, threads cost ten times what they do
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 NOTICE: Final = "estimate and advice, not a safety function"
 
 EXIT_USAGE: Final = 2
@@ -54,6 +57,7 @@ COMMANDS: Final[dict[str, str]] = {
     "gap": "find, name and add the effect that the model lacks",
     "fleet": "replay the drives of many cars in chains, and question them",
     "fmu": "export the model as an FMU for other simulation tools",
+    "model": "show the thermal network of a corner as a graph",
     "install-service": "write the systemd units of the live service",
     "shell": "print the completion of a shell, or the man page",
 }
@@ -72,9 +76,19 @@ class Parser(argparse.ArgumentParser):
         # argparse calls this method again, for options and for files
         self._is_mixing = True
         try:
-            return self.parse_known_intermixed_args(args, namespace)
+            parsed, rest = self.parse_known_intermixed_args(args, namespace)
         finally:
             self._is_mixing = False
+        if rest:
+            self.error(f"unrecognized arguments: {' '.join(rest)}")
+        return parsed, rest
+
+    def add_argument(self, *names: Any, **options: Any) -> argparse.Action:
+        """Add an argument; one of several words is called by these."""
+        if "choices" in options and not names[0].startswith("-"):
+            words = ",".join(map(str, options["choices"]))
+            options.setdefault("metavar", f"{{{words}}}")
+        return super().add_argument(*names, **options)
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:
         """Say which of the choices was probably meant."""
@@ -142,7 +156,7 @@ def _run(argv: list[str]) -> int:
 def _worded(error: BstmError | OSError) -> str:
     if isinstance(error, ConfigError):
         count = len(error.problems)
-        return f"{error}\n{count} problem{'s' * (count != 1)}"
+        return f"{error}\n{count} problems" if count > 1 else str(error)
     if isinstance(error, BstmError):
         return f"bstm: {error}"
     place = f"{error.filename}: " if error.filename else ""

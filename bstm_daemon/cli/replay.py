@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from argparse import ArgumentTypeError
 from contextlib import ExitStack
 from functools import partial
 from math import isinf
@@ -12,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from bstm_daemon.bus.signals.reject_reason import RejectReason
+from bstm_daemon.bus.logs.reader import UNWANTED
 from bstm_daemon.bus.tables.table_plan import TableMap
 from bstm_daemon.cli.arguments import (
     add_bus_map,
@@ -23,7 +22,7 @@ from bstm_daemon.cli.arguments import (
     add_path,
     add_report,
     check_targets,
-    finite,
+    number,
     refuse_overwriting,
 )
 from bstm_daemon.cli.log_command import write_pages
@@ -113,11 +112,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--speed",
-        type=_speed,
-        default=DEFAULT_SPEED,
+        type=number(0.0),
         metavar="N",
         help="with --watch: seconds of the log per second, 0 for as fast as "
-        "it goes (default: %(default)g)",
+        f"it goes (default: {DEFAULT_SPEED:g})",
     )
     add_no_forecast(parser)
     add_report(parser)
@@ -150,7 +148,8 @@ def run(args: argparse.Namespace) -> int:
         if view is not None:
             corners = [corner.name for corner in config.corner]
             board = Board(config.publish.id_base, corners)
-            watch_log(published(), board, path.name, view, args.speed)
+            speed = DEFAULT_SPEED if args.speed is None else args.speed
+            watch_log(published(), board, path.name, view, speed)
         targets = {
             args.out / f"{stem}.estimates.{form}": form for form in formats
         }
@@ -251,6 +250,9 @@ def _vehicle(args: argparse.Namespace) -> tuple[Config, SignalMap]:
 
 def _check_targets(args: argparse.Namespace, stems: list[str]) -> None:
     """Refuse targets that would overwrite each other or what is read."""
+    if args.speed is not None and not args.watch:
+        msg = "--speed is the pace of --watch, which is not given"
+        raise UsageError(msg)
     written = args.publish, args.report, args.state_out
     of_one = *written, args.figures, args.watch, args.state
     if len(args.logs) > 1 and any(of_one):
@@ -260,7 +262,8 @@ def _check_targets(args: argparse.Namespace, stems: list[str]) -> None:
         )
         raise UsageError(msg)
     if args.out is not None and len(set(stems)) < len(stems):
-        msg = f"two logs would write the same files in {args.out}: {stems}"
+        names = ", ".join(map(str, args.logs))
+        msg = f"two logs would write the same files in {args.out}: {names}"
         raise UsageError(msg)
     tables = [
         args.out / f"{stem}.estimates.{form}"
@@ -306,7 +309,7 @@ def _remarks(
     listed = ", ".join(
         f"{count} {reason.replace('_', ' ')}"
         for reason, count in log_run.refused.most_common()
-        if reason != RejectReason.UNKNOWN_ID
+        if reason not in UNWANTED
     )
     if listed:
         remarks.append(f"refused: {listed}")
@@ -382,11 +385,3 @@ def _formats(asked: str | None) -> tuple[str, ...]:
 
 def _stem(path: Path) -> str:
     return Path(path.name.removesuffix(".gz")).stem
-
-
-def _speed(text: str) -> float:
-    speed = finite(text)
-    if not speed >= 0.0:
-        msg = f"{text!r} is not a factor of 0 or more"
-        raise ArgumentTypeError(msg)
-    return speed

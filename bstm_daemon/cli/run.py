@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
-import argparse
 import os
+from typing import TYPE_CHECKING
 
-from bstm_daemon.cli.arguments import add_config, add_no_forecast, add_path
+from bstm_daemon.cli.arguments import (
+    LAST_PORT,
+    add_config,
+    add_no_forecast,
+    add_path,
+    number,
+)
 from bstm_daemon.service.assembly import BusOverride
 from bstm_daemon.service.events import ServiceLog
 from bstm_daemon.service.notify import Notifier
 from bstm_daemon.service.service import Options, Service
 from bstm_daemon.service.wake import SignalWaiter
 
-PORTS = range(2**16)
+if TYPE_CHECKING:
+    import argparse
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -27,7 +34,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--channel", help="channel of the first [[bus]], such as can0"
     )
     parser.add_argument(
-        "-b", "--bitrate", type=int, help="bitrate of the first [[bus]]"
+        *("-b", "--bitrate"),
+        type=number(1, kind=int),
+        help="bitrate of the first [[bus]]",
     )
     parser.add_argument(
         "--fd",
@@ -39,12 +48,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_path(parser, "--state", "FILE", what)
     parser.add_argument(
         "--metrics-port",
-        type=_port,
+        type=number(0, LAST_PORT, int),
         metavar="PORT",
         help="serve /metrics and /healthz on 127.0.0.1:PORT",
     )
     parser.add_argument(
-        "--duration", type=float, metavar="S", help="stop after S seconds"
+        "--duration",
+        type=number(0.0),
+        metavar="S",
+        help="stop after S seconds",
     )
     add_no_forecast(parser)
     # a service logs what it does; -q logs warnings only, -qq errors
@@ -67,11 +79,3 @@ def run(args: argparse.Namespace) -> int:
     with SignalWaiter() as waiter:
         Service(options, notifier, ServiceLog()).run(waiter)
     return 0
-
-
-def _port(text: str) -> int:
-    port = int(text)
-    if port not in PORTS:
-        msg = f"{port}: must be from 0 to {PORTS[-1]}"
-        raise argparse.ArgumentTypeError(msg)
-    return port

@@ -5,7 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bstm_daemon.cli.arguments import add_out, add_path, check_targets
+from bstm_daemon.cli.arguments import (
+    LOG_ENDINGS,
+    add_out,
+    add_path,
+    check_targets,
+    number,
+)
 from bstm_daemon.cli.progress import Progress
 from bstm_daemon.errors import UsageError
 from bstm_daemon.files import shipped_file
@@ -73,7 +79,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_path(parser, "--truth", "FILE.csv", what)
     parser.add_argument(
         "--seed",
-        type=int,
+        type=number(0, kind=int),
         default=0,
         help="of the sensors' noise (default: 0)",
     )
@@ -96,6 +102,10 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError(msg)
     targets = (args.out, args.samples, args.truth)
     check_targets(targets, (Path(args.drive),))
+    others = LOG_ENDINGS - {".log"}
+    if args.out is not None and args.out.suffix in others:
+        msg = f"{args.out}: a candump log is written, give it the ending .log"
+        raise UsageError(msg)
     with Progress("simulate") as progress:
         driven = simulate(
             _drive(args.drive),

@@ -10,7 +10,7 @@ import webbrowser
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bstm_daemon.cli.arguments import add_bus_map, add_config, add_path
+from bstm_daemon.cli.arguments import add_bus_map, add_config, add_path, number
 from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.config.reading import load_config
 from bstm_daemon.errors import BstmError, UsageError, require_packages
@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     import argparse
     from collections.abc import Iterator
 
+    from bstm_daemon.bus.signals.signal_map import SignalMap
+    from bstm_daemon.config.sections import Config
     from bstm_daemon.engine import Engine
     from bstm_daemon.feed.reader import Record
 
@@ -40,7 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_config(parser, what, required=False)
     add_path(parser, "--log", "LOG", "replay a recorded log instead")
     what = "with --log: seconds of the log per second (default: 1)"
-    parser.add_argument("--speed", type=float, default=1.0, help=what)
+    parser.add_argument("--speed", type=number(0.0), default=1.0, help=what)
     what = "with --log: the brakes at its beginning (default: unknown)"
     parser.add_argument("--start", choices=("cold", "unknown"), help=what)
     what = f"ADDRESS:PORT where the page is served (default: {ADDRESS})"
@@ -60,14 +62,14 @@ def run(args: argparse.Namespace) -> int:
     guard = Guard.of(args.listen, args.token and _token(args.token))
     stop = threading.Event()
     place = args.log or _socket(args)
-    source = _replayed(args, stop) if args.log else records(place, stop)
+    source = _source(args, place, stop)
     live = Live(str(place))
     failed: list[BstmError] = []
 
     async def main() -> None:
         loop, end = asyncio.get_running_loop(), asyncio.Event()
-        for number in (signal.SIGTERM, signal.SIGINT):
-            loop.add_signal_handler(number, end.set)
+        for one in (signal.SIGTERM, signal.SIGINT):
+            loop.add_signal_handler(one, end.set)
 
         def read() -> None:
             try:
@@ -113,14 +115,26 @@ def _socket(args: argparse.Namespace) -> Path:
     return Path(args.config.parent / name)
 
 
-def _replayed(
-    args: argparse.Namespace, stop: threading.Event
-) -> Iterator[Record]:
-    """Yield the records of a log, at the pace that was asked for."""
+def _source(
+    args: argparse.Namespace, place: Path, stop: threading.Event
+) -> Iterator[Record | None]:
+    """Return the records of the log or socket *place*, before any page."""
+    if args.log is None:
+        return records(place, stop)
     if args.config is None:
         msg = "view: --log needs the configuration of its car, -c FILE"
         raise UsageError(msg)
-    config, signal_map = load_vehicle(args.config)
+    place.open("rb").close()
+    return _replayed(args, load_vehicle(args.config), stop)
+
+
+def _replayed(
+    args: argparse.Namespace,
+    vehicle: tuple[Config, SignalMap],
+    stop: threading.Event,
+) -> Iterator[Record]:
+    """Yield the records of a log, at the pace that was asked for."""
+    config, signal_map = vehicle
     writer = RecordWriter(config)
     pace = Pace(args.speed, stop.wait)
     engines: list[Engine] = []

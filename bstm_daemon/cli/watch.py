@@ -8,7 +8,7 @@ from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Final
 
 from bstm_daemon.bus.output.layout import BLOCK_IDS, MAX_STANDARD_ID
-from bstm_daemon.cli.arguments import add_config
+from bstm_daemon.cli.arguments import add_config, number
 from bstm_daemon.config.reading import load_config
 from bstm_daemon.config.sections import BusConfig
 from bstm_daemon.config.service import PublishConfig
@@ -49,7 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "-b",
         "--bitrate",
-        type=_bitrate,
+        type=number(1, kind=int),
         metavar="BIT/S",
         help="bitrate, for interfaces that need it",
     )
@@ -103,7 +103,9 @@ def _bus(args: argparse.Namespace, config: Config | None) -> BusConfig:
 
 
 def _id_base(text: str) -> int:
-    id_base = int(text, 0)
+    id_base = -1
+    with suppress(ValueError):
+        id_base = int(text, 0)
     if not 0 <= id_base <= LAST_BASE:
         msg = (
             f"{text}: the block of {BLOCK_IDS} ids begins at 0x0 to "
@@ -111,14 +113,6 @@ def _id_base(text: str) -> int:
         )
         raise ArgumentTypeError(msg)
     return id_base
-
-
-def _bitrate(text: str) -> int:
-    bitrate = int(text)
-    if bitrate <= 0:
-        msg = f"{text} is not above 0"
-        raise ArgumentTypeError(msg)
-    return bitrate
 
 
 def _name(text: str) -> str:

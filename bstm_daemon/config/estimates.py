@@ -113,6 +113,31 @@ class MatchedConfig(Section):
         )
 
 
+class PriorsConfig(Section):
+    """``[[priors]]``: what matched cars of the type say of a further one.
+
+    `bstm match` takes it in the place of its own priors, for each value that
+    is still the type's. Written by `bstm fleet gap -o`.
+    """
+
+    corners: list[Text]
+    """corners that were matched together"""
+    names: list[Text]
+    """dotted keys"""
+    values: list[Positive]
+    """those of the type, as in `[[matched]]`"""
+    deviations: list[Positive]
+    """standard deviations of their logarithms from car to car"""
+    cars: Annotated[int, Field(ge=2)]
+    """number of matched cars"""
+
+    def _check(self) -> None:
+        require(
+            len(self.names) == len(self.values) == len(self.deviations),
+            "'names', 'values' and 'deviations' need the same length",
+        )
+
+
 class ChangeConfig(Section):
     """``[[change]]``: a value of this car that changed since its match.
 

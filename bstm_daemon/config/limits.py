@@ -14,6 +14,9 @@ if TYPE_CHECKING:
 
 DBC_BYTES: Final = 64 << 20
 TOML_BYTES: Final = 4 << 20
+CSV_BYTES: Final = 1 << 20
+CSV_ROWS: Final = 1000
+"""Points of a table, which is interpolated on a grid of as many."""
 TOML_DEPTH: Final = 16
 """Deepest nesting of tables and lists."""
 TOML_INTEGER_BITS: Final = 63

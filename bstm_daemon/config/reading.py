@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Final, TypeVar, get_args, get_origin
 
 from pydantic import ValidationError
 
+from bstm_daemon.config.csv_tables import put_csv_tables
 from bstm_daemon.config.limits import (
     TOML_BYTES,
     TOML_DEPTH,
@@ -43,7 +44,7 @@ _POSITION: Final = re.compile(r"(.*) \(at (.*)\)$", re.DOTALL)
 def load_config(path: Path) -> Config:
     """Read and validate the configuration file *path*.
 
-    Paths inside it (``dbc``) are relative to its folder, ``path.parent``.
+    Paths inside it (``dbc``, ``csv``) are relative to its folder.
 
     Raises:
         FileAccessError: The file is missing or unreadable.
@@ -53,6 +54,7 @@ def load_config(path: Path) -> Config:
     """
     with naming_file(path):
         document = with_ignored_buses(read_toml(path))
+        put_csv_tables(document, path.parent)
         _, problems = draft_of(document)
         if problems:
             raise ConfigError(problems)
@@ -80,10 +82,13 @@ def read_draft(path: Path) -> tuple[Draft, list[str]]:
 
     Raises:
         FileAccessError: The file is missing or unreadable.
-        ConfigError: It is not TOML, or beyond a limit.
+        ConfigError: It is not TOML, beyond a limit, or names a CSV file that
+            can not be used.
 
     """
-    return draft_of(with_ignored_buses(read_toml(path)))
+    document = with_ignored_buses(read_toml(path))
+    put_csv_tables(document, path.parent)
+    return draft_of(document)
 
 
 def draft_of(document: dict[str, Any]) -> tuple[Draft, list[str]]:

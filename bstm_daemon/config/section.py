@@ -71,3 +71,18 @@ def check_curve(
         all(a < b for a, b in itertools.pairwise(x)),
         f"{x_name!r} must rise from point to point",
     )
+
+
+class Curve(Section):
+    """A material property over temperature, linear between the points.
+
+    Of a file, ``csv`` stands there alone.
+    """
+
+    temperature_c: list[float] = []
+    value: list[Positive] = []
+    csv: Text | None = None
+
+    def _check(self) -> None:
+        require(self.csv is None, "'csv' is read with a configuration file")
+        check_curve(self.temperature_c, self.value, "temperature_c", "value")

@@ -20,16 +20,17 @@ from bstm_daemon.config.estimates import (
     FluidConfig,
     ForecastConfig,
     MatchedConfig,
+    PriorsConfig,
     WearConfig,
 )
 from bstm_daemon.config.heat import HeatConfig, automatic_mode
 from bstm_daemon.config.section import (
+    Curve,
     Fraction,
     NotNegative,
     Positive,
     Section,
     Text,
-    check_curve,
     require,
     with_piston_area,
 )
@@ -53,16 +54,6 @@ DiscMass = Annotated[float, Field(gt=0, le=100)]
 PadArea = Annotated[float, Field(gt=0, le=0.05)]
 PadThickness = Annotated[float, Field(gt=0, le=0.05)]
 CornerName = Literal["FL", "FR", "RL", "RR"]
-
-
-class Curve(Section):
-    """A material property over temperature, linear between the points."""
-
-    temperature_c: list[float]
-    value: list[Positive]
-
-    def _check(self) -> None:
-        check_curve(self.temperature_c, self.value, "temperature_c", "value")
 
 
 def _form_of_property(value: object) -> str:
@@ -275,7 +266,7 @@ class DiscConfig(Section):
     peak near 750 °C, or `own`"""
     heat_capacity_j_kgk: Curve | None = None
     """curve for `material = "own"`: `{temperature_c = [...], value =
-    [...]}`"""
+    [...]}` or `{csv = "FILE"}`"""
     heat_capacity_exponent: Annotated[float, Field(ge=0, le=2)] = 1.0
     """how much of that curve's rise over its value at 20 °C the disc has: 1
     all, 0 a constant capacity"""
@@ -465,6 +456,7 @@ class Config(Section):
     cooling: CoolingConfig = CoolingConfig()
     accuracy: AccuracyConfig = AccuracyConfig()
     matched: list[MatchedConfig] = []
+    priors: list[PriorsConfig] = []
     heat: HeatConfig = HeatConfig()
     fluid: FluidConfig = FluidConfig()
     wear: WearConfig = WearConfig()

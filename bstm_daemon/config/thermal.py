@@ -11,7 +11,9 @@ from bstm_daemon.config.section import (
     NotNegative,
     Positive,
     Section,
+    Text,
     check_curve,
+    require,
 )
 
 Emissivity = Annotated[float, Field(gt=0, le=1)]
@@ -73,6 +75,9 @@ class ThermalConfig(Section):
 class CoolingConfig(Section):
     """``[cooling]``: the S-function of Eq 4.12 and the standstill blend."""
 
+    csv: Text | None = None
+    """CSV file in the place of `speed_ms` and `s_per_s`
+    ([exchange.md](exchange.md#tables-from-cfd-and-benches))"""
     speed_ms: list[NotNegative] = [0.0, 5.0, 10.0, 13.89, 19.44, 25.0, 41.67]
     """speeds of the S-function, rising"""
     s_per_s: list[NotNegative] = [
@@ -87,4 +92,5 @@ class CoolingConfig(Section):
     """S as a rate, or as a conductance that heat capacity divides"""
 
     def _check(self) -> None:
+        require(self.csv is None, "'csv' is read with a configuration file")
         check_curve(self.speed_ms, self.s_per_s, "speed_ms", "s_per_s")

@@ -11,7 +11,7 @@ import json
 from math import isfinite
 from typing import TYPE_CHECKING, Any, Final
 
-from bstm_daemon.errors import hint
+from bstm_daemon.errors import hint, nearest
 
 if TYPE_CHECKING:
     from pydantic import BaseModel, ValidationError
@@ -34,7 +34,21 @@ def problems_of_section(
     the section was validated with.
     """
     schema = model.model_json_schema()
-    return [_word(detail, schema, where) for detail in error.errors()]
+    details = error.errors()
+    unknown = [d["loc"] for d in details if d["type"] == "extra_forbidden"]
+
+    def is_misspelt(*table: int | str) -> bool:
+        beside = [
+            str(key) for *other, key in unknown if other == [*table[:-1]]
+        ]
+        return nearest(str(table[-1]), beside) is not None
+
+    # a key that is misspelt is one problem, not a missing one as well
+    return [
+        _word(detail, schema, where)
+        for detail in details
+        if not (detail["type"] == "missing" and is_misspelt(*detail["loc"]))
+    ]
 
 
 def allowed(model: type[BaseModel], key: str) -> str:
@@ -154,7 +168,7 @@ def _compound_kind(node: Schema, schema: Schema) -> str:
         items = node.get("items") or node["prefixItems"][0]
         entry = _kind(_resolved(items, schema), schema)
         return f"a list, each entry {entry}"
-    keys = ", ".join(node.get("required", ()))
+    keys = ", ".join(node.get("required") or node.get("properties", ()))
     return f"a table with {keys}" if keys else "a table"
 
 

@@ -135,8 +135,8 @@ class FmuModel:
     plan: SamplePlan | None = None
 
 
-def corner_fmu(config: Config, corner: str) -> FmuModel:
-    """Return the model of one corner, from brake power to temperatures.
+def corner_program(config: Config, corner: str) -> Program:
+    """Return the network of the corner of that name, compiled.
 
     Raises:
         UsageError: there is no such disc corner.
@@ -146,7 +146,17 @@ def corner_fmu(config: Config, corner: str) -> FmuModel:
     if corner not in known:
         msg = f"--corner {corner}: no disc brake; there are {', '.join(known)}"
         raise UsageError(msg)
-    program = compile_corner(config, known[corner])
+    return compile_corner(config, known[corner])
+
+
+def corner_fmu(config: Config, corner: str) -> FmuModel:
+    """Return the model of one corner, from brake power to temperatures.
+
+    Raises:
+        UsageError: there is no such disc corner.
+        ConfigError: the corner can not be built.
+    """
+    program = corner_program(config, corner)
     initial_k = config.vehicle.ambient_c + KELVIN_OFFSET
     rest = channels_at_rest(initial_k)
     inputs: list[Input] = []

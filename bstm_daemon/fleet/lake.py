@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from bstm_daemon import __version__
+from bstm_daemon.config.csv_tables import csv_names
 from bstm_daemon.config.reading import read_toml
 from bstm_daemon.errors import FileAccessError
 from bstm_daemon.files import make_folder, replacing
@@ -119,16 +120,18 @@ def hash_of_file(path: Path) -> str:
 
 
 def hash_of_config(path: Path) -> str:
-    """Return the hash of the configuration *path* and its DBC files.
+    """Return the hash of the configuration *path* and the files it names.
 
     Raises:
         FileAccessError: one can not be read.
         ConfigError: the configuration is no TOML.
     """
-    buses = read_toml(path).get("bus", [])
+    document = read_toml(path)
+    buses = document.get("bus", [])
     names = [b.get("dbc") for b in buses] if isinstance(buses, list) else []
+    names += csv_names(document)
     files = [path, *(path.parent / n for n in names if isinstance(n, str))]
-    return _hash([hash_of_file(file) for file in files])
+    return hash_of([hash_of_file(file) for file in files])
 
 
 def key_of(
@@ -140,7 +143,7 @@ def key_of(
 ) -> str:
     """Return the key of *drive* behind the drive with the key *previous*."""
     made = [program()[name] for name in ("bstm", "code", "kernel")]
-    return _hash(
+    return hash_of(
         [previous, log_hash, config_hash, drive.map, asdict(options), made]
     )
 
@@ -248,6 +251,7 @@ class Lake:
         return self.root / kind / f"{mark}{safe_name(drive.vehicle)}"
 
 
-def _hash(parts: Iterable[Any]) -> str:
+def hash_of(parts: Iterable[Any]) -> str:
+    """Return the hash of *parts*, plain data."""
     text = json.dumps([*parts], sort_keys=True)
     return blake2b(text.encode(), digest_size=16).hexdigest()

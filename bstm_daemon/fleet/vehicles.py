@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Final, NamedTuple
 
 from pydantic import Field
 
-from bstm_daemon.config.reading import load_section
+from bstm_daemon.config.reading import load_section, naming_file, read_toml
 from bstm_daemon.config.section import Section, Text, require
+from bstm_daemon.errors import ConfigError
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -88,6 +89,10 @@ class Fleet:
             ConfigError: with every problem in it.
         """
         self._folder = path.resolve().parent
+        with naming_file(path):
+            if "corner" in read_toml(path):
+                msg = "this is the configuration of one car, no FLEET.toml"
+                raise ConfigError([f"{msg}, which lists [[vehicle]]"])
         self._vehicles = load_section(path, FleetFile).vehicle
 
     def assign(self, log: Path) -> Assignment | None:

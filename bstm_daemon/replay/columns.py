@@ -1,7 +1,7 @@
 """Replay of a recorded log at full speed: the estimator over columns.
 
 :func:`stream_log` decodes whole chunks with NumPy and hands rows of results
-to sinks, :func:`replay_log` keeps them in memory.
+to sinks.
 :mod:`bstm_daemon.replay.frames` runs frame by frame, as the daemon does.
 """
 
@@ -33,9 +33,7 @@ from bstm_daemon.estimator.validity import HIGHEST_K, LOWEST_K
 from bstm_daemon.forecast.monitor import RiskMonitor
 from bstm_daemon.model.risk.boiling import wet_boiling_point_k
 from bstm_daemon.replay.results import (
-    Collector,
     Part,
-    Results,
     ResultsBuilder,
     Sink,
 )
@@ -80,40 +78,6 @@ class Run:
     start_known_s: float
     rows: int
     state: dict[str, Any]
-
-
-@dataclass(frozen=True)
-class Replay(Run):
-    """A run with its results."""
-
-    results: Results
-
-
-def replay_log(
-    config: Config,
-    signal_map: SignalMap,
-    path: Path,
-    overrides: Mapping[str, str] | None = None,
-    every_us: int = PUBLISH_US,
-    *,
-    forecast: bool = True,
-) -> Replay:
-    """Return the run over the log *path* with all its rows in memory.
-
-    Args and errors are those of :func:`stream_log`, which needs no more
-    memory for a longer log.
-    """
-    rows = Collector()
-    run = stream_log(
-        config,
-        signal_map,
-        path,
-        [rows],
-        overrides=overrides,
-        every_us=every_us,
-        forecast=forecast,
-    )
-    return Replay(**vars(run), results=rows.results())
 
 
 def stream_log(  # noqa: PLR0913

@@ -32,7 +32,6 @@ from bstm_daemon.report.plots import (
     PURPLE,
     VERMILION,
 )
-from bstm_daemon.report.stretches import STANDING_MS
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -203,9 +202,8 @@ class DriveCurves:
 
     parts = Part.ALL
 
-    def __init__(self, sensors: str = "measured") -> None:
-        """Begin without rows; *sensors* says what their temperatures are."""
-        self._sensors = sensors
+    def __init__(self) -> None:
+        """Begin without rows."""
         self._time = ElapsedTime()
         self._starts_s = Buckets(np.minimum)
         self._validity: dict[str, Buckets] = {}
@@ -226,7 +224,7 @@ class DriveCurves:
         """Take *rows*."""
         if not self._corners:
             for name in sorted(rows.corners):
-                self._corners[name] = _corner_curves(name, self._sensors)
+                self._corners[name] = _corner_curves(name)
                 self._pressures[name] = _Curve(
                     "pressure", None, name, f"{name}.pressure_pa", {}
                 )
@@ -254,9 +252,9 @@ class DriveCurves:
         """Return the stretches in which what *panel* shows is uncertain.
 
         *panel* is ``speed``, ``pressure`` or ``power``; others have none.
-        Code 1: it is missing while the vehicle stands and its estimates are
-        valid, as parked with the bus asleep; 2: an input is suspect, or heat
-        is from the other source; 3: it is missing, the heat unknown. See
+        Code 1: it is missing while the bus of the parked car sleeps; 2: an
+        input is suspect, or heat is from the other source; 3: it is missing,
+        the heat unknown. See
         :func:`~bstm_daemon.report.decimation.validity_spans`.
         """
         inputs = self._inputs.get(panel)
@@ -284,11 +282,11 @@ class DriveCurves:
             self._add_validity(name, columns)
         if "flags" in columns:
             bits = columns["flags"].astype(np.int64)
-            parked = _parked(columns)
+            asleep = (bits & FLAGS["asleep"]) != 0
             for panel, (suspect, missing) in _PANEL_INPUTS.items():
                 codes = np.where(bits & suspect, 2.0, 0.0)
                 absent = (bits & missing) != 0
-                codes[absent] = np.where(parked, 1.0, 3.0)[absent]
+                codes[absent] = np.where(asleep, 1.0, 3.0)[absent]
                 self._inputs[panel].add(codes)
         self._compare_pressures(columns)
 
@@ -385,17 +383,7 @@ class DriveCurves:
         return validity_spans(self._starts_s.values, codes)
 
 
-def _parked(columns: Mapping[str, Column]) -> npt.NDArray[np.bool_]:
-    """Return the rows in which the car stands and every estimate is valid."""
-    still = columns.get("speed_ms", np.full(len(columns["time_s"]), np.nan))
-    parked = still <= STANDING_MS
-    validities = [v for k, v in columns.items() if k.endswith(".validity")]
-    for validity in validities:
-        parked &= ~(validity > 0.0)
-    return parked & bool(validities)
-
-
-def _corner_curves(corner: str, sensors: str) -> list[_Curve]:
+def _corner_curves(corner: str) -> list[_Curve]:
     """Return the curves of a corner in the order in which they are drawn."""
     rows: list[tuple[str, str, str, str, float, dict[str, str]]] = [
         ("margin", "margin", "margin_k", BLUE, 1.8, {}),
@@ -409,7 +397,7 @@ def _corner_curves(corner: str, sensors: str) -> list[_Curve]:
         measured, dots = f"{node}_measured_c", {"dash": "2px,4px"}
         rows += [
             (panel, label, f"{node}_c", colour, 1.8, {}),
-            (panel, f"{label}, {sensors}", measured, colour, 2.4, dots),
+            (panel, f"{label}, sensor", measured, colour, 2.4, dots),
         ]
     steps, dashes = {"shape": "hv"}, {"dash": "8px,4px"}
     rows += [

@@ -135,7 +135,10 @@ class DriveStatistics:
             self._add(stretch.columns)
 
     def gaps(self, heat_mode: str) -> dict[str, Stretches]:
-        """Return when inputs that *heat_mode* needs were missing, by name."""
+        """Return when inputs that *heat_mode* needs were missing, by name.
+
+        While the bus of a parked car sleeps, none is.
+        """
         found = {n: self._gaps[n].stretches() for n in INPUTS[heat_mode]}
         return {name: gap for name, gap in found.items() if gap is not None}
 
@@ -171,8 +174,10 @@ class DriveStatistics:
         steps_s = np.diff(elapsed_s, prepend=before_s)
         if "flags" in columns:
             bits = columns["flags"].astype(np.int64)
+            asleep = (bits & FLAGS["asleep"]) != 0
             for name, gap in self._gaps.items():
-                gap.add(elapsed_s, (bits & FLAGS[f"{name}_missing"]) != 0)
+                missing = (bits & FLAGS[f"{name}_missing"]) != 0
+                gap.add(elapsed_s, missing & ~asleep)
             self._findings.add(elapsed_s, bits)
         reasons = {
             name: columns[f"{name}.reasons"]

@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 
 CARS_SHOWN: Final = 40
 FAILURES_SHOWN: Final = 40
+FEW: Final = 10
+DAY_MS: Final = 86_400_000
 
 
 @dataclass(frozen=True)
@@ -89,7 +91,20 @@ def fleet_page(facts: FleetFacts) -> Page:
     if facts.waiting:
         line = f"{facts.waiting} drives wait for 'bstm fleet replay'"
         sections.insert(0, Section("Waiting", lines=[line], kind="warnings"))
-    return Page(facts.title, sections, _tiles(facts))
+    return Page(facts.title, sections, _tiles(facts), sentence(facts))
+
+
+def sentence(facts: FleetFacts) -> str:
+    """Return for a person which car came nearest to boiling."""
+    known = [row for row in facts.worst if row["margin_k"] is not None]
+    if not known:
+        return "No drive has a margin to boiling."
+    worst = known[0]
+    return (
+        f"Nearest to boiling came {worst['vehicle']}, {worst['corner']}, on "
+        f"{worst['date']} ({worst['name']}): {worst['margin_k']:.0f} K were "
+        "left with wet fluid."
+    )
 
 
 def _tiles(facts: FleetFacts) -> list[tuple[str, str]]:
@@ -151,28 +166,36 @@ def _whole(value: float | None) -> str:
 def _of_cars(cars: Sequence[Row], key: str) -> Plot:
     known = [row for row in cars if row[key] is not None]
     known.sort(key=lambda row: (row[key], row["vehicle"]))
-    points = {
-        "type": "scatter",
-        "mode": "markers",
-        "x": [*range(1, len(known) + 1)],
-        "y": numbers(np.array([row[key] for row in known])),
-        "text": [row["vehicle"] for row in known],
-        "marker": {"size": 5, "color": VERMILION if key == "disc_c" else BLUE},
-    }
-    return plot([points], "car, by its value", _AXES[key])
+    look = {"mode": "markers", "text": [row["vehicle"] for row in known]}
+    places = [*range(1, len(known) + 1)]
+    return _points(known, key, places, look, "car, by its value", 1)
 
 
 def _of_days(days: Sequence[Row], key: str) -> Plot:
     known = [row for row in days if row[key] is not None]
+    look = {"mode": "lines+markers", "line": {"width": 1}}
+    dates = [f"{row['date']}" for row in known]
+    return _points(known, key, dates, look, "", DAY_MS)
+
+
+def _points(
+    rows: Sequence[Row],
+    key: str,
+    x: Sequence[object],
+    look: Mapping[str, Any],
+    title: str,
+    step: int,
+) -> Plot:
+    """Return a point for each of *rows*; few have a tick each *step*."""
     points = {
         "type": "scatter",
-        "mode": "lines+markers",
-        "x": [f"{row['date']}" for row in known],
-        "y": numbers(np.array([row[key] for row in known])),
-        "marker": {"size": 4, "color": VERMILION if key == "disc_c" else BLUE},
-        "line": {"width": 1},
+        "x": x,
+        "y": numbers(np.array([row[key] for row in rows])),
+        "marker": {"size": 5, "color": VERMILION if key == "disc_c" else BLUE},
+        **look,
     }
-    return plot([points], "", _AXES[key])
+    ticks = {"dtick": step} if len(rows) <= FEW else {}
+    return plot([points], title, _AXES[key], xaxis=ticks)
 
 
 _AXES: Final = {"disc_c": "disc [°C]", "margin_k": "margin [K]"}

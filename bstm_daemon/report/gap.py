@@ -9,6 +9,7 @@ import numpy as np
 from bstm_daemon.analysis.gap.changes import (
     factor_of,
     is_change,
+    is_listed,
     largest,
     name_of,
     said,
@@ -22,6 +23,7 @@ from bstm_daemon.analysis.gap.holdout_comparison import (
 )
 from bstm_daemon.analysis.statistics.series import rms
 from bstm_daemon.model.effects.catalogue import effect_class
+from bstm_daemon.model.effects.composed import is_composed, read
 from bstm_daemon.report.text import table
 
 if TYPE_CHECKING:
@@ -84,6 +86,16 @@ def gap_text(gap: Gap) -> str:
                 lines.append(
                     f"{said(name, strength)} (90 % interval {ends[0]} to "
                     f"{ends[1]})"
+                )
+                continue
+            if gap.naming is not None and is_composed(name):
+                ends = [
+                    said_term(gap.naming, name, end).rpartition(": ")[2]
+                    for end in (low, high)
+                ]
+                lines.append(
+                    f"{said_term(gap.naming, name, strength)} (90 % interval "
+                    f"{ends[0]} to {ends[1]})"
                 )
                 continue
             lines.append(
@@ -152,13 +164,17 @@ def cause(naming: Naming) -> str:
     causes = []
     for name in naming.names:
         text = called(naming, name)
-        if not is_change(name):
+        if is_listed(name):
             text = effect_class(name).description
         causes.append(f"{text[0].lower()}{text[1:]}".rstrip(".?"))
     return {
         "nothing": "no missing effect is visible",
         "name": f"likely cause: {' and '.join(causes)}",
         "class": f"likely cause, not to be told apart: {' or '.join(causes)}",
+        "composed": (
+            "none of the known effects explains it; best description: "
+            f"{' and '.join(causes)}"
+        ),
         "unknown": "none of the known effects explains it",
         "undecided": "the drives do not decide which effect is missing",
     }[naming.answer]
@@ -172,13 +188,17 @@ def as_sentence(parts: Sequence[str]) -> str:
 
 def answer_line(naming: Naming, what: str) -> str:
     """Return the answer of *naming*, found in *what*, in one line."""
-    names = ", ".join(called(naming, name) for name in naming.names)
+    comma = "; " if naming.answer == "composed" else ", "
+    names = comma.join(called(naming, name) for name in naming.names)
     share = percent(naming.probability)
     which = "missing" if any_effect(naming) else "changed"
     return {
         "nothing": f"no missing effect visible (nothing missing: {share})",
         "name": f"{which}: {names} (probability {share})",
         "class": f"{which}: one of {names}; {what} cannot distinguish them",
+        "composed": (
+            f"missing: none of the known effects; best description: {names}"
+        ),
         "unknown": "missing: none of the known effects",
         "undecided": f"something is missing, but not named; possible: {names}",
     }[naming.answer]
@@ -191,10 +211,18 @@ def any_effect(naming: Naming) -> bool:
 
 def called(naming: Naming, name: str) -> str:
     """Return what *name* is called in an answer: a change in plain words."""
-    if not is_change(name):
+    if is_listed(name):
         return name
     own = next(one for one in naming.candidates if one.name == name)
+    if is_composed(name):
+        return said_term(naming, name, own.strength)
     return said(name, own.strength, cause=len(naming.names) == 1)
+
+
+def said_term(naming: Naming, name: str, strength: float) -> str:
+    """Return the composed term *name* with its size at *strength*."""
+    term = read(name_of(name), naming.sizes[name] * strength)
+    return f"{term}: {term.said}"
 
 
 def answer_tile(naming: Naming) -> tuple[str, str]:
@@ -207,6 +235,7 @@ def answer_tile(naming: Naming) -> tuple[str, str]:
         "unknown": ("not in the catalogue", meaning),
         "undecided": ("not decided", f"{meaning}; possible: {either}"),
         "class": (either, meaning),
+        "composed": (" and ".join(names), f"{meaning}, in no catalogue"),
         "name": (" and ".join(names), meaning),
     }[naming.answer]
 
@@ -222,7 +251,7 @@ def strength_tiles(found: Fit | ForceGap) -> list[tuple[str, str]]:
     return [
         (
             f"{strength:.2f} ± {found.deviations[name]:.2f}",
-            f"strength of {name.replace('_', ' ')}, 1 = typical",
+            f"strength of {name_of(name).replace('_', ' ')}, 1 = typical",
         )
         if not is_change(name)
         else (said_percent(name, strength), name_of(name))
@@ -255,7 +284,7 @@ def naming_lines(naming: Naming) -> list[str]:
         lines += [
             f"{k}: {effect_class(k).description}"
             for k in naming.names
-            if not is_change(k)
+            if is_listed(k)
         ]
     if naming.names or np.isfinite(naming.best_placebo_z):
         lines.append(
@@ -288,7 +317,7 @@ def candidate_rows(naming: Naming) -> list[tuple[str, ...]]:
 def strength_cells(one: Candidate) -> tuple[str, str, str]:
     """Return name, strength and its deviation; of a change its percents."""
     if not is_change(one.name):
-        return one.name, f"{one.strength:.2f}", f"{one.deviation:.2f}"
+        return name_of(one.name), f"{one.strength:.2f}", f"{one.deviation:.2f}"
     deviation = 100.0 * (factor_of(one.name, min(one.deviation, WIDE)) - 1.0)
     return (
         name_of(one.name),
@@ -420,8 +449,8 @@ def advice_headline(gap: Gap) -> str:
     if len(gap.members) > 1:
         names = f"the right one of {names}"
     return (
-        f"next drive, most right names a minute: {best.drive}, "
-        f"{best.description}; with it {names} would be named in "
+        f"next drive: {best.drive}, {best.description} (most right names a "
+        f"minute); with it {names} would be named in "
         f"{100.0 * best.named:.0f} % of cases"
     )
 
@@ -444,7 +473,7 @@ def advice_rows(gap: Gap) -> list[tuple[str, ...]]:
             f"{100.0 * one.named:.0f} %",
             f"{100.0 * one.named_per_min:.1f} %",
             f"{100.0 * one.wrong:.0f} %",
-            f"{one.log_bayes_factor:+.1f}",
+            f"{round(one.log_bayes_factor, 1) + 0.0:+.1f}",
             one.description,
         )
         for one in gap.advice

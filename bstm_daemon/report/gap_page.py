@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from html import escape
+from textwrap import wrap
 from typing import TYPE_CHECKING, Any, Final
 
 from bstm_daemon.analysis.gap.changes import name_of
@@ -21,7 +22,6 @@ from bstm_daemon.report.gap import (
     CANDIDATE_HEAD,
     CELL_HEAD,
     ERROR_HEAD,
-    advice_headline,
     advice_rows,
     answer_line,
     answer_tile,
@@ -86,6 +86,10 @@ _NAMES_AXIS: Final = {
 }
 MOST_CELLS: Final = 12
 BARS: Final = 10
+
+LABEL_CHARACTERS: Final = 26
+"""In a line of a bar's name, which may have several."""
+
 WEAK_EVIDENCE: Final = 5.0
 """Least end of the bars' axis, so that weak evidence looks weak."""
 
@@ -292,11 +296,10 @@ def _advice_section(prefix: str, gap: Gap) -> Section:
     return Section(
         f"{prefix}which drive next",
         Table(ADVICE_HEAD, advice_rows(gap)),
-        lines=(advice_headline(gap),),
         note="Cars are drawn at random from the posterior of these drives; "
         "each drive is simulated with the model itself, with its noise, and "
         "searched. The Bayes factor compares the true effect with its best "
-        f"rival; now it is {gap.advice[0].now:+.1f}.",
+        f"rival; now it is {round(gap.advice[0].now, 1) + 0.0:+.1f}.",
     )
 
 
@@ -311,11 +314,15 @@ def evidence_bars(naming: Naming) -> Plot:
     colours = [
         VERMILION if one.name in naming.names else "#9aa5b1" for one in best
     ]
+    labels = [
+        wrap(escape(name_of(one.name).replace("_", " ")), LABEL_CHARACTERS)
+        for one in best
+    ]
     data = {
         "type": "bar",
         "orientation": "h",
         "x": [float(f"{one.log_evidence:.4g}") for one in best],
-        "y": [escape(name_of(one.name).replace("_", " ")) for one in best],
+        "y": ["<br>".join(lines) for lines in labels],
         "marker": {"color": colours},
         "showlegend": False,
     }
@@ -325,7 +332,7 @@ def evidence_bars(naming: Naming) -> Plot:
         [data],
         "logarithm of the Bayes factor",
         "",
-        height=110 + 26 * len(best),
+        height=110 + max(26, 17 * max(map(len, labels))) * len(best),
         xaxis={"range": [1.05 * least, max(1.05 * most, WEAK_EVIDENCE)]},
         margin={"l": 190},
         yaxis=_NAMES_AXIS,

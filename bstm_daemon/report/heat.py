@@ -262,7 +262,14 @@ def heat_page(
             for key, name in SOURCES.items()
             if key in heat.power_w
         ]
-    lead = " ".join(sentence(heat) for _, heat, _ in drives)
+    lead = ""
+    for name, heat, _ in drives:
+        text = sentence(heat)
+        for advice in ADVICE.values():
+            if advice in lead:
+                text = text.replace(f": {advice}", "")
+        lead += f" {name}: {text}" if len(drives) > 1 else text
+    lead = lead.strip()
     return Page(
         "Brake heat by source", sections, tiles, lead, subtitle=subtitle
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import fields
 from operator import attrgetter, methodcaller
 from typing import TYPE_CHECKING, Any
@@ -37,16 +38,20 @@ def picked(result: object, *names: str, **renamed: str) -> dict[str, Any]:
 def write_json(path: Path, result: object, indent: int | None = 2) -> None:
     """Write *result* to *path* as JSON, whole or not at all.
 
-    It may hold dataclasses and arrays; NaN and infinity become null.
+    It may hold dataclasses and arrays; NaN and infinity become null, other
+    numbers have ten digits: no rounding error of a float is shown.
 
     Raises:
         FileAccessError: *path* can not be written.
     """
     text = to_json(
         result,
-        indent=indent,
         inf_nan_mode="null",
         fallback=methodcaller("tolist"),
     )
+    short = json.loads(text, parse_float=lambda x: float(f"{float(x):.10g}"))
     with replacing(path) as temporary:
-        temporary.write_bytes(text + b"\n")
+        temporary.write_text(
+            json.dumps(short, indent=indent, ensure_ascii=False) + "\n",
+            encoding="utf-8",
+        )

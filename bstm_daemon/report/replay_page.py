@@ -36,7 +36,7 @@ DASH: Final = "\N{EN DASH}"
 PLOT_NOTE: Final = (
     "Drag to zoom: all time axes follow. Double-click for the whole drive. "
     "Click a name to hide its curve. Solid: estimate; dotted in the same "
-    "colour: "
+    "colour: sensor."
 )
 
 NEAR_K: Final = 30.0
@@ -66,7 +66,6 @@ class ReplayFacts:
     warnings: Sequence[str] = ()
     lines: int = 0
     frames: int = 0
-    sensors: str = "measured"
 
 
 def replay_page(
@@ -75,7 +74,7 @@ def replay_page(
     """Return the page of a replay."""
     warnings = (*facts.warnings, *(one.text for one in summary.findings))
     bare = [one.corner for one in summary.corners if not one.modelled]
-    note = f"{PLOT_NOTE}{facts.sensors}."
+    note = PLOT_NOTE
     if bare:
         note += f" {', '.join(bare)}: not modelled, no temperatures."
     sections = [

@@ -23,6 +23,8 @@ from bstm_daemon.report.plots import EPOCH, node_plots
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from jinja2 import Environment
+
     from bstm_daemon.report.plots import NodeCurve, Plot
 
 TEMPLATES: Final = Path(__file__).parent / "templates"
@@ -160,6 +162,23 @@ def require_page_packages() -> None:
     )
 
 
+def template_environment() -> Environment:
+    """Return what loads a template; it escapes all texts."""
+    from jinja2 import (  # noqa: PLC0415  (an extra)
+        Environment,
+        FileSystemLoader,
+        StrictUndefined,
+    )
+
+    return Environment(
+        loader=FileSystemLoader(TEMPLATES),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+
+
 def render(page: Page) -> str:
     """Return *page* as HTML.
 
@@ -168,11 +187,6 @@ def render(page: Page) -> str:
         ValueError: a plot holds NaN or infinity.
     """
     require_page_packages()
-    from jinja2 import (  # noqa: PLC0415  (an extra)
-        Environment,
-        FileSystemLoader,
-        StrictUndefined,
-    )
     from plotly.offline import get_plotlyjs  # noqa: PLC0415  (an extra)
 
     # a parser ends the element at this mark even inside a string
@@ -181,13 +195,7 @@ def render(page: Page) -> str:
         (TEMPLATES / name).read_text(encoding="utf-8")
         for name in ("page.css", "page.js")
     )
-    environment = Environment(
-        loader=FileSystemLoader(TEMPLATES),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
+    environment = template_environment()
     environment.policies["json.dumps_kwargs"] = {
         "allow_nan": False,
         "separators": (",", ":"),

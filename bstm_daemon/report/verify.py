@@ -257,7 +257,11 @@ def sentence(
         f"off ({worst.drive}, {worst.corner}); the {required} limits are "
     )
     if not failed:
-        return f"{text}met."
+        missed = {one.limits: one for one in verdicts if not one.passed}
+        others = [name for name in LIMIT_WORDS if name in missed]
+        return f"{text}met" + (
+            f", those of {' and '.join(others)} are not." if others else "."
+        )
     what = "; ".join(dict.fromkeys(one.what for one in failed))
     return f"{text}not met: {what}."
 

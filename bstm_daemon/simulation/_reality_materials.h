@@ -21,7 +21,9 @@
     X(piston_capacity_j_k) X(fluid_capacity_j_k) X(body_capacity_j_k) \
     X(finger_capacity_j_k) X(bracket_capacity_j_k) X(hat_capacity_j_k) \
     X(hub_capacity_j_k) X(air_capacity_j_k) X(caliper_natural_w_k) \
-    X(caliper_forced_w_k) X(wheel_radius_m) \
+    X(caliper_forced_w_k) \
+    X(iron_slope_j_kgk2) X(pad_capacity_slope_j_kgk2) \
+    X(pad_conductivity_slope_1_k) X(wheel_radius_m) \
     X(friction_fade) X(friction_speed) X(friction_pressure) \
     X(friction_history) X(pushout_pressure) X(hydraulic_lag) \
     X(residual_drag) X(contact_conductance) X(gap_conduction) \
@@ -36,8 +38,15 @@
     X(ambient_heat_soak) \
     X(dust_shield) X(brake_duct) X(damper_heat)
 
+/* parameters.DrawnPath */
+typedef struct {
+    double start, end, conductance, speed_exponent, heat_exponent, onset_k,
+        width_k, band_ms, band_width_ms, contact;
+} DrawnPath;
+#define DRAWN 3
+
 #define MEMBER(name) double name;
-typedef struct { PARAMETERS(MEMBER) } Parameters;
+typedef struct { PARAMETERS(MEMBER) DrawnPath drawn[DRAWN]; } Parameters;
 
 static const double ZERO_K = 293.15;
 
@@ -49,15 +58,15 @@ static const double CURIE_K = 1030.0, CURIE_WIDTH_K = 42.0,
                     CURIE_PEAK = 480.0;
 static const double RISE = 420.0, SCALE_K = 250.0;
 
-static double iron_cp(double k, double bump)
+static double iron_cp(const Parameters *p, double k)
 {
-    double t = k * 1e-3;
+    double t = k * 1e-3, bump = p->disc_capacity_hot;
     double cp = A + t * (B + t * (C + t * D)) + E / (t * t);
     if (bump != 0.0) {
         double x = tanh((k - CURIE_K) / CURIE_WIDTH_K);
         cp += bump * CURIE_PEAK * (1.0 - x * x);
     }
-    return cp;
+    return cp + p->iron_slope_j_kgk2 * (k - ZERO_K);
 }
 
 static double shomate(double k)
@@ -66,20 +75,20 @@ static double shomate(double k)
     return 1e3 * (t * (A + t * (B / 2 + t * (C / 3 + t * (D / 4)))) - E / t);
 }
 
-static double iron_h(double k, double bump)
+static double iron_h(const Parameters *p, double k)
 {
-    double h = shomate(k) - shomate(ZERO_K);
+    double h = shomate(k) - shomate(ZERO_K), bump = p->disc_capacity_hot;
     if (bump != 0.0)
         h += bump * (CURIE_PEAK * CURIE_WIDTH_K)
              * (tanh((k - CURIE_K) / CURIE_WIDTH_K)
                 - tanh((ZERO_K - CURIE_K) / CURIE_WIDTH_K));
-    return h;
+    return h + 0.5 * p->iron_slope_j_kgk2 * (k - ZERO_K) * (k - ZERO_K);
 }
 
-static double iron_t(double h, double t, double bump)
+static double iron_t(const Parameters *p, double h, double t)
 {
     for (int i = 0; i < 2; i++)
-        t += (h - iron_h(t, bump)) / iron_cp(t, bump);
+        t += (h - iron_h(p, t)) / iron_cp(p, t);
     return t;
 }
 
@@ -91,29 +100,31 @@ static double iron_k(double k)
 
 static double lining_k(const Parameters *p, double k)
 {
-    if (p->pad_conductivity == 0.0)
-        return p->pad_conductivity_w_mk;
-    return p->pad_conductivity_w_mk
-           * (1.0 + 0.25 * p->pad_conductivity * tanh((k - 500.0) / 150.0));
+    double tilt = p->pad_conductivity_slope_1_k * (k - ZERO_K), risen = 0.0;
+    if (p->pad_conductivity != 0.0)
+        risen = 0.25 * p->pad_conductivity * tanh((k - 500.0) / 150.0);
+    return p->pad_conductivity_w_mk * (1.0 + risen + tilt);
 }
 
 static double lining_cp(const Parameters *p, double k)
 {
-    if (p->pad_capacity == 0.0)
-        return p->pad_heat_capacity_j_kgk;
-    return p->pad_heat_capacity_j_kgk
-           - p->pad_capacity * RISE * expm1(-(k - ZERO_K) / SCALE_K);
+    double dt = k - ZERO_K, risen = 0.0;
+    if (p->pad_capacity != 0.0)
+        risen = p->pad_capacity * RISE * -expm1(-dt / SCALE_K);
+    return p->pad_heat_capacity_j_kgk + risen
+           + p->pad_capacity_slope_j_kgk2 * dt;
 }
 
 static double lining_t(const Parameters *p, double h, double t)
 {
-    if (p->pad_capacity == 0.0)
+    if (p->pad_capacity == 0.0 && p->pad_capacity_slope_j_kgk2 == 0.0)
         return ZERO_K + h / p->pad_heat_capacity_j_kgk;
     for (int i = 0; i < 2; i++) {
         double dt = t - ZERO_K;
         double now = p->pad_heat_capacity_j_kgk * dt
                      + p->pad_capacity * RISE
-                           * (dt + SCALE_K * expm1(-dt / SCALE_K));
+                           * (dt + SCALE_K * expm1(-dt / SCALE_K))
+                     + 0.5 * p->pad_capacity_slope_j_kgk2 * dt * dt;
         t += (h - now) / lining_cp(p, t);
     }
     return t;

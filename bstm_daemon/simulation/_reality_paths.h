@@ -68,11 +68,11 @@ static void capacities(const Corner *c, const State *s, Paths *h)
         for (int i = 0; i < c->cheeks; i++)
             h->capacity[side][c->surface + i] =
                 c->cheek_kg[i]
-                * iron_cp(s->t[side][c->surface + i], p->disc_capacity_hot);
+                * iron_cp(p, s->t[side][c->surface + i]);
     }
     memcpy(h->lump_capacity, c->lump_j_k, sizeof h->lump_capacity);
     h->lump_capacity[CENTRE] =
-        c->centre_kg * iron_cp(s->lump_t[CENTRE], p->disc_capacity_hot);
+        c->centre_kg * iron_cp(p, s->lump_t[CENTRE]);
     if (p->fluid_latent_heat != 0.0) {
         double x = tanh((s->lump_t[FLUID] - BOILING_K) / BOILING_WIDTH_K);
         h->lump_capacity[FLUID] += p->fluid_latent_heat
@@ -93,14 +93,14 @@ static void settle(const Corner *c, State *s)
                                 t[1 + i]);
         for (int i = 0; i < c->cheeks; i++)
             t[c->surface + i] =
-                iron_t(e[c->surface + i] / c->cheek_kg[i], t[c->surface + i],
-                       p->disc_capacity_hot);
+                iron_t(p, e[c->surface + i] / c->cheek_kg[i],
+                       t[c->surface + i]);
     }
     double fluid = s->lump_t[FLUID];
     for (int i = HAT; i < LUMPS; i++)
         s->lump_t[i] = ZERO_K + s->lump_e[i] / c->lump_j_k[i];
-    s->lump_t[CENTRE] = iron_t(s->lump_e[CENTRE] / c->centre_kg,
-                               s->lump_t[CENTRE], p->disc_capacity_hot);
+    s->lump_t[CENTRE] = iron_t(p, s->lump_e[CENTRE] / c->centre_kg,
+                               s->lump_t[CENTRE]);
     if (p->fluid_latent_heat != 0.0) {
         double latent = p->fluid_latent_heat * (BOILING_J / 2);
         double sensible = c->lump_j_k[FLUID];
@@ -188,7 +188,7 @@ static void sources(const Corner *c, const State *s, const double *in,
                             * lining_cp(p, tf));
         double ring = p->face_area_m2
                       * sqrt(iron_k(ts) * p->iron_density_kg_m3
-                             * iron_cp(ts, p->disc_capacity_hot));
+                             * iron_cp(p, ts));
         double to_pad = pad / (pad + ring);
         double heat = h->heat_in * (side ? 1.0 - p->piston_side_share
                                          : p->piston_side_share);
@@ -218,9 +218,36 @@ static void unheard_paths(const Corner *c, const State *s, double v,
         h->coupling[1][AIR] += share * near * away;
         join(h->between, BODY, AIR, share * lug * away);
     }
-    double opened = 0.5 * (1.0 + tanh((s->lump_t[CENTRE] - 623.15) / 20.0));
-    h->lump_out[CENTRE] += p->brake_duct * 0.18 * v * opened;
     h->body_gain = p->damper_heat * 1.5 * v;
+}
+
+static void drawn_path(const Corner *c, const State *s, const double *in,
+                       const DrawnPath *d, Paths *h)
+{
+    const int ports[PORTS] = {0, c->surface, c->nodes - 1};
+    int start = (int)d->start, end = (int)d->end;
+    int sides = start < PORTS ? SIDES : 1;
+    double base = d->conductance * pow(in[SPEED] / 20.0, d->speed_exponent);
+    if (d->band_ms != 0.0) {
+        double x = (in[SPEED] - d->band_ms) / d->band_width_ms;
+        base *= exp(-x * x);
+    }
+    if (d->contact != 0.0)
+        base *= d->contact > 0.0 ? in[CONTACT] : 1.0 - in[CONTACT];
+    for (int side = 0; side < sides; side++) {
+        double t = start < PORTS ? s->t[side][ports[start]]
+                                 : s->lump_t[start - PORTS];
+        double across = base * pow(t / 500.0, d->heat_exponent) / sides;
+        if (d->onset_k != 0.0)
+            across *= 0.5 * (1.0 + tanh((t - d->onset_k)
+                                        / (2.0 * d->width_k)));
+        if (start < PORTS)
+            h->coupling[PORTS * side + start][end] += across;
+        else if (end < LUMPS)
+            join(h->between, start - PORTS, end, across);
+        else
+            h->lump_out[start - PORTS] += across;
+    }
 }
 
 static void find_paths(const Corner *c, const State *s, const double *in,
@@ -311,6 +338,9 @@ static void find_paths(const Corner *c, const State *s, const double *in,
     out[FLUID] = p->fluid_exchange
                  * (0.05 + 1.5 * in[PUMPING] / (in[PUMPING] + 3.0e6));
     unheard_paths(c, s, v, v08, h);
+    for (int i = 0; i < DRAWN; i++)
+        if (p->drawn[i].conductance != 0.0)
+            drawn_path(c, s, in, &p->drawn[i], h);
 }
 
 #endif

@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING, Final, cast
 import numpy as np
 
 from bstm_daemon.native.loader import VARIABLE, load_module
-from bstm_daemon.simulation.lanes import LUMPS, PARAMETER_NAMES
+from bstm_daemon.simulation.lanes import LUMPS, PARAMETER_NAMES, PATH_NAMES
 from bstm_daemon.simulation.march import INPUT_NAMES, March, empty_march
+from bstm_daemon.simulation.parameters import DRAWN
 
 if TYPE_CHECKING:
     from types import ModuleType
@@ -28,6 +29,7 @@ MAX_NODES: Final = 128
 CORNER: Final = np.dtype(
     [
         ("table", np.float64, len(PARAMETER_NAMES)),
+        ("drawn", np.float64, (DRAWN, len(PATH_NAMES))),
         ("cheek_kg", np.float64, MAX_NODES),
         ("gap_m", np.float64, MAX_NODES),
         ("centre_kg", np.float64),
@@ -118,6 +120,7 @@ def _corners(lanes: Lanes) -> np.ndarray[tuple[int], np.dtype[np.void]]:
     found = np.zeros(lanes.count, CORNER)
     cheeks = len(lanes.mesh.cheek_depths)
     found["table"] = lanes.table.T
+    found["drawn"] = lanes.drawn
     found["cheek_kg"][:, :cheeks] = lanes.cheek_kg[:, 0].T
     found["gap_m"][:, :cheeks] = lanes.cheek_gap_m[:, 0].T
     found["centre_kg"] = lanes.centre_kg

@@ -12,16 +12,18 @@ two *chains*, one a side of the disc, and nine *lumps* that both share::
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from bstm_daemon.simulation import materials
 from bstm_daemon.simulation.parameters import (
+    DRAWN,
     EFFECT_NAMES,
     UNHEARD_NAMES,
     CornerParameters,
+    DrawnPath,
     Effects,
     Mesh,
 )
@@ -46,7 +48,10 @@ LUMPS: Final = (
 
 CENTRE, HAT, HUB, PISTON, FLUID, BODY, FINGER, BRACKET, AIR = range(len(LUMPS))
 
-CORNER_NAMES: Final = tuple(f.name for f in fields(CornerParameters))
+PATH_NAMES: Final = tuple(f.name for f in fields(DrawnPath))
+CORNER_NAMES: Final = tuple(
+    f.name for f in fields(CornerParameters) if f.name != "drawn_paths"
+)
 ACTING_NAMES: Final = (*EFFECT_NAMES, *UNHEARD_NAMES)
 PARAMETER_NAMES: Final = (*CORNER_NAMES, *ACTING_NAMES)
 """Rows of the parameter table, in order."""
@@ -69,6 +74,19 @@ _WORN_OUT_M: Final = 0.002
 BOILING_K: Final = 410.15
 BOILING_WIDTH_K: Final = 7.0
 BOILING_J: Final = 8.0e3
+
+DUCT: Final = DrawnPath(
+    start=3 + CENTRE,
+    end=len(LUMPS),
+    conductance_w_k=3.6,
+    speed_exponent=1.0,
+    onset_k=623.15,
+    width_k=10.0,
+)
+"""A flap that opens where the disc is hot, as of active cooling ducts.
+
+10 cm2 of ram air to the vanes, a seventh of its heat capacity used.
+"""
 
 
 class Rows:
@@ -156,7 +174,17 @@ class Lanes:
         self.lump_j_k = np.zeros((len(LUMPS), self.count))
         for lump, name in enumerate(LUMPS[HAT:], start=HAT):
             self.lump_j_k[lump] = getattr(p, f"{name}_capacity_j_k")
-        self.variable_pad = bool(np.any(p.pad_capacity))
+        self.lining = (
+            *(p.pad_heat_capacity_j_kgk, p.pad_capacity),
+            p.pad_capacity_slope_j_kgk2,
+        )
+        self.lining_k = (
+            *(p.pad_conductivity_w_mk, p.pad_conductivity),
+            p.pad_conductivity_slope_1_k,
+        )
+        self.variable_pad = bool(
+            np.any(p.pad_capacity) or np.any(p.pad_capacity_slope_j_kgk2)
+        )
         self.wears = bool(np.any(p.pad_wear))
         self.chars = bool(np.any(p.pad_pyrolysis))
         self.friction_varies = any(
@@ -165,7 +193,17 @@ class Lanes:
         self.gaps = bool(np.any(p.gap_conduction))
         self.wets = bool(np.any(p.wet_disc))
         self.shields = bool(np.any(p.dust_shield))
-        self.bump = p.disc_capacity_hot
+        # C has as many of each lane
+        self.drawn = np.zeros((self.count, DRAWN, len(PATH_NAMES)))
+        for lane, corner in enumerate(corners):
+            duct = DUCT.conductance_w_k * effects[lane].brake_duct
+            every = (
+                replace(DUCT, conductance_w_k=duct),
+                *corner.drawn_paths,
+            )
+            for place, path in zip(self.drawn[lane], every, strict=False):
+                place[:] = [getattr(path, name) for name in PATH_NAMES]
+        self.iron = p.disc_capacity_hot, p.iron_slope_j_kgk2
         self.boils = bool(np.any(p.fluid_latent_heat))
 
     def joined(self, chain: Array, lumps: Array) -> Array:
@@ -186,15 +224,14 @@ class Lanes:
 
     def chain_capacity(self, state: State) -> Array:
         """Return the heat capacity of every chain node [J/K]."""
-        p = self.p
         capacity = np.empty_like(state.chain_k)
         capacity[0] = self.backplate_j_k
         specific = materials.lining_heat_capacity(
-            state.chain_k[self.pad], p.pad_heat_capacity_j_kgk, p.pad_capacity
+            state.chain_k[self.pad], self.lining
         )
         capacity[self.pad] = self.pad_kg(state) * specific
         capacity[self.cheek] = self.cheek_kg * materials.iron_heat_capacity(
-            state.chain_k[self.cheek], self.bump
+            state.chain_k[self.cheek], *self.iron
         )
         return capacity
 
@@ -202,7 +239,7 @@ class Lanes:
         """Return the heat capacity of every lump [J/K], (lumps, lanes)."""
         capacity = self.lump_j_k.copy()
         capacity[CENTRE] = self.centre_kg * materials.iron_heat_capacity(
-            state.lump_k[CENTRE], self.bump
+            state.lump_k[CENTRE], *self.iron
         )
         if self.boils:
             x = (state.lump_k[FLUID] - BOILING_K) / BOILING_WIDTH_K
@@ -224,9 +261,7 @@ class Lanes:
                 materials.REFERENCE_K
                 + enthalpy_j_kg / p.pad_heat_capacity_j_kgk
             )
-        return materials.lining_temperature(
-            enthalpy_j_kg, near_k, p.pad_heat_capacity_j_kgk, p.pad_capacity
-        )
+        return materials.lining_temperature(enthalpy_j_kg, near_k, self.lining)
 
     def fluid_temperature(self, energy_j: Array, near_k: Array) -> Array:
         """Return the temperature [K] of boiling fluid of this energy."""
@@ -248,15 +283,15 @@ class Lanes:
             state.chain_k[0] - materials.REFERENCE_K
         )
         specific = materials.lining_enthalpy(
-            state.chain_k[self.pad], p.pad_heat_capacity_j_kgk, p.pad_capacity
+            state.chain_k[self.pad], self.lining
         )
         chain[self.pad] = self.pad_kg(state) * specific
         chain[self.cheek] = self.cheek_kg * materials.iron_enthalpy(
-            state.chain_k[self.cheek], self.bump
+            state.chain_k[self.cheek], *self.iron
         )
         lumps = self.lump_j_k * (state.lump_k - materials.REFERENCE_K)
         lumps[CENTRE] = self.centre_kg * materials.iron_enthalpy(
-            state.lump_k[CENTRE], self.bump
+            state.lump_k[CENTRE], *self.iron
         )
         if self.boils:
             x = (state.lump_k[FLUID] - BOILING_K) / BOILING_WIDTH_K

@@ -18,6 +18,8 @@ import numpy.typing as npt
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.intp]
+Law = tuple[Array, Array, Array]
+"""Of a lining's cp or k: cold, strength of its rise (0: none), and slope."""
 
 REFERENCE_K: Final = 293.15
 """Temperature at which specific enthalpies are 0."""
@@ -38,28 +40,34 @@ LINING_CP_RISE_J_KGK: Final = 420.0
 LINING_CP_SCALE_K: Final = 250.0
 
 
-def iron_heat_capacity(temperature_k: Array, bump: Array | float) -> Array:
+def iron_heat_capacity(
+    temperature_k: Array, bump: Array | float, slope: Array | float = 0.0
+) -> Array:
     """Return cp of grey iron [J/(kg K)], any shape.
 
     *bump* scales the peak of the magnetic and eutectoid transitions near
-    757 degC; 0 leaves the smooth curve.
+    757 degC; 0 leaves the smooth curve. *slope* [J/(kg K^2)] tilts it about
+    20 degC, as that of linings below.
     """
     t = temperature_k * 1e-3
     smooth = _A + t * (_B + t * (_C + t * _D)) + _E / (t * t)
     x = (temperature_k - _CURIE_K) / _CURIE_WIDTH_K
     # sech^2, written so that a cold disc does not overflow cosh
     peak: Array = 1.0 - np.tanh(x) ** 2
-    return smooth + bump * _CURIE_PEAK_J_KGK * peak
+    tilt = slope * (temperature_k - REFERENCE_K)
+    return smooth + bump * _CURIE_PEAK_J_KGK * peak + tilt
 
 
-def iron_enthalpy(temperature_k: Array, bump: Array | float) -> Array:
+def iron_enthalpy(
+    temperature_k: Array, bump: Array | float, slope: Array | float = 0.0
+) -> Array:
     """Return the specific enthalpy of grey iron [J/kg], 0 at 20 degC."""
     smooth = _shomate_integral(temperature_k) - _IRON_H0
     height: Array | float = bump * (_CURIE_PEAK_J_KGK * _CURIE_WIDTH_K)
     x = (temperature_k - _CURIE_K) / _CURIE_WIDTH_K
     x0 = (REFERENCE_K - _CURIE_K) / _CURIE_WIDTH_K
     peak: Array = height * (np.tanh(x) - np.tanh(x0))
-    return smooth + peak
+    return smooth + peak + 0.5 * slope * (temperature_k - REFERENCE_K) ** 2
 
 
 def _shomate_integral(temperature_k: Array) -> Array:
@@ -78,37 +86,40 @@ def iron_conductivity(temperature_k: Array) -> Array:
     return k0 + c * (k1 + c * (k2 + c * k3))
 
 
-def lining_conductivity(
-    temperature_k: Array, cold_w_mk: Array, strength: Array
-) -> Array:
-    """Return k of the lining [W/(m K)]; *strength* 0 keeps it constant.
+def lining_conductivity(temperature_k: Array, law: Law) -> Array:
+    """Return k of the lining [W/(m K)] by its *law*.
 
     The resin's glass transition and char raise it by a quarter around
     230 degC, as an S.
     """
+    cold_w_mk, strength, slope = law
     s_shape = np.tanh((temperature_k - 500.0) / 150.0)
-    return cold_w_mk * (1.0 + 0.25 * strength * s_shape)
+    tilt = slope * (temperature_k - REFERENCE_K)
+    return cold_w_mk * (1.0 + 0.25 * strength * s_shape + tilt)
 
 
-def lining_heat_capacity(
-    temperature_k: Array, cold_j_kgk: Array, strength: Array
-) -> Array:
-    """Return cp of the lining [J/(kg K)]; *strength* 0 keeps it constant."""
-    x = (temperature_k - REFERENCE_K) / LINING_CP_SCALE_K
-    return cold_j_kgk - strength * LINING_CP_RISE_J_KGK * np.expm1(-x)
+def lining_heat_capacity(temperature_k: Array, law: Law) -> Array:
+    """Return cp of the lining [J/(kg K)] by its *law*."""
+    cold_j_kgk, strength, slope = law
+    dt = temperature_k - REFERENCE_K
+    risen = -np.expm1(-dt / LINING_CP_SCALE_K)
+    return cold_j_kgk + strength * LINING_CP_RISE_J_KGK * risen + slope * dt
 
 
-def lining_enthalpy(
-    temperature_k: Array, cold_j_kgk: Array, strength: Array
-) -> Array:
+def lining_enthalpy(temperature_k: Array, law: Law) -> Array:
     """Return the specific enthalpy of the lining [J/kg], 0 at 20 degC."""
+    cold_j_kgk, strength, slope = law
     dt = temperature_k - REFERENCE_K
     relaxed = dt + LINING_CP_SCALE_K * np.expm1(-dt / LINING_CP_SCALE_K)
-    return cold_j_kgk * dt + strength * LINING_CP_RISE_J_KGK * relaxed
+    risen: Array = strength * LINING_CP_RISE_J_KGK * relaxed
+    return cold_j_kgk * dt + risen + 0.5 * slope * dt * dt
 
 
 def iron_temperature(
-    enthalpy_j_kg: Array, near_k: Array, bump: Array | float
+    enthalpy_j_kg: Array,
+    near_k: Array,
+    bump: Array | float,
+    slope: Array | float = 0.0,
 ) -> Array:
     """Return the temperature [K] of iron with this specific enthalpy.
 
@@ -116,19 +127,17 @@ def iron_temperature(
     """
     t = near_k
     for _ in range(NEWTON_STEPS):
-        missing = enthalpy_j_kg - iron_enthalpy(t, bump)
-        t = t + missing / iron_heat_capacity(t, bump)
+        missing = enthalpy_j_kg - iron_enthalpy(t, bump, slope)
+        t = t + missing / iron_heat_capacity(t, bump, slope)
     return t
 
 
-def lining_temperature(
-    enthalpy_j_kg: Array, near_k: Array, cold_j_kgk: Array, strength: Array
-) -> Array:
+def lining_temperature(enthalpy_j_kg: Array, near_k: Array, law: Law) -> Array:
     """Return the temperature [K] of a lining with this specific enthalpy."""
     t = near_k
     for _ in range(NEWTON_STEPS):
-        missing = enthalpy_j_kg - lining_enthalpy(t, cold_j_kgk, strength)
-        t = t + missing / lining_heat_capacity(t, cold_j_kgk, strength)
+        missing = enthalpy_j_kg - lining_enthalpy(t, law)
+        t = t + missing / lining_heat_capacity(t, law)
     return t
 
 

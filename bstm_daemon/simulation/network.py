@@ -26,10 +26,12 @@ from bstm_daemon.simulation.lanes import (
     HAT,
     HUB,
     LUMPS,
+    PATH_NAMES,
     PISTON,
     Lanes,
     State,
 )
+from bstm_daemon.simulation.parameters import DrawnPath
 from bstm_daemon.units import STEFAN_BOLTZMANN_W_M2K4
 
 if TYPE_CHECKING:
@@ -68,8 +70,8 @@ _DRAG_HOT_NM = 3.5
 _DRAG_K = 80.0
 
 
-# Heat paths that are in no catalogue of effects: see _shield, _duct_loss and
-# _damper_power
+# Heat paths that are in no catalogue of effects: see _shield, _damper_power
+# and lanes.DUCT
 
 # 0.03 m2 of the face, iron of 0.7 before zinc of 0.3, 10 mm of air
 _FACING_M2 = 0.03
@@ -82,11 +84,6 @@ _LUG_W_K = 0.32
 _SHEET_M2 = 0.06
 _SHEET_W_M2K = 5.0
 _SHEET_BLOWN_W_M2K = 3.0
-
-# 10 cm2 of ram air, a seventh of its heat capacity used
-_DUCT_WS_MK = 0.18
-_OPENS_K = 623.15
-_WIDTH_K = 10.0
 
 # a tenth of 15 W s/m a corner: average road, 3.7; one ISO 8608 class rougher,
 # four times that
@@ -151,6 +148,7 @@ def paths(lanes: Lanes, state: State, inputs: Inputs) -> Paths:
         p.face_emissivity * p.face_air_area_m2 * radiates,
     )
     lump_out = _ambient_links(lanes, state, inputs, radiates)
+    _join_drawn(lanes, state, inputs, matrix, lump_out)
     to_ambient = lanes.joined(chain_out, lump_out)
     # what a node gives to all others
     own = np.arange(lanes.nodes)
@@ -195,9 +193,7 @@ def _chain_links(lanes: Lanes, state: State, inputs: Inputs) -> Array:
     gap_m = state.pad_m / (lanes.mesh.pad_nodes - 1)
     pad_k = state.chain_k[lanes.pad]
     conductivity = materials.lining_conductivity(
-        (pad_k[1:] + pad_k[:-1]) / 2,
-        p.pad_conductivity_w_mk,
-        p.pad_conductivity,
+        (pad_k[1:] + pad_k[:-1]) / 2, lanes.lining_k
     )
     link[1 : lanes.surface - 1] = conductivity * (p.pad_area_m2 / gap_m)
     cheek_k = state.chain_k[lanes.cheek]
@@ -318,15 +314,43 @@ def _shield(lanes: Lanes, state: State, v: Array, matrix: Array) -> None:
     _join(matrix, body, air, share * _LUG_W_K * away)
 
 
-def _duct_loss(lanes: Lanes, centre_k: Array, v: Array) -> Array:
-    """Conductance of the vanes to the outer air.
-
-    A flap opens where the disc is hot and lets ram air to them, as active
-    cooling ducts do.
-    """
-    opened = 0.5 * (1.0 + np.tanh((centre_k - _OPENS_K) / (2.0 * _WIDTH_K)))
-    loss: Array = lanes.p.brake_duct * _DUCT_WS_MK * v * opened
-    return loss
+def _join_drawn(
+    lanes: Lanes, state: State, inputs: Inputs, matrix: Array, out: Array
+) -> None:
+    """Add the paths of ``CornerParameters.drawn_paths``."""
+    ports = (0, lanes.surface, lanes.chain_nodes - 1)
+    nodes_k = lanes.joined(state.chain_k, state.lump_k)
+    speeds, contacts = (
+        np.broadcast_to(one, lanes.count)
+        for one in (inputs.speed_ms, inputs.contact)
+    )
+    for lane, i in np.argwhere(lanes.drawn[:, :, 2]).tolist():
+        values = lanes.drawn[lane, i].tolist()
+        path = DrawnPath(**dict(zip(PATH_NAMES, values, strict=True)))
+        v, held = speeds[lane], contacts[lane]
+        base = path.conductance_w_k * (v / 20.0) ** path.speed_exponent
+        if path.band_ms:
+            off = (v - path.band_ms) / path.band_width_ms
+            base *= np.exp(-off * off)
+        if path.contact:
+            base *= held if path.contact > 0.0 else 1.0 - held
+        lump = lanes.first_lump + int(path.start) - len(ports)
+        starts = [lump]
+        if lump < lanes.first_lump:
+            port = ports[int(path.start)]
+            starts = [port, lanes.chain_nodes + port]
+        for own in starts:
+            t = nodes_k[lane, own]
+            across = base * (t / 500.0) ** path.heat_exponent / len(starts)
+            if path.onset_k:
+                above = (t - path.onset_k) / (2.0 * path.width_k)
+                across *= 0.5 * (1.0 + np.tanh(above))
+            if path.end == len(LUMPS):
+                out[own - lanes.first_lump, lane] += across
+            else:
+                other = lanes.first_lump + int(path.end)
+                matrix[lane, own, other] -= across
+                matrix[lane, other, own] -= across
 
 
 def _damper_power(lanes: Lanes, v: Array) -> Array:
@@ -352,7 +376,6 @@ def _ambient_links(
         ambient,
         p.vent_emissivity * p.vent_opening_area_m2 * radiates,
     )
-    out[CENTRE] += _duct_loss(lanes, state.lump_k[CENTRE], v)
     out[AIR] = 1.0 / (1.0 / _OPEN_AIR_W_K + p.local_air / (12.0 + 25.0 * v))
     out[HUB] = 1.2 + 0.1 * v**0.8
     out[BRACKET] = 1.0 + 0.12 * v**0.8
@@ -377,18 +400,14 @@ def _sources(
     front = lanes.surface - 1
     t_front, t_surface = state.chain_k[front], state.chain_k[front + 1]
     pad = p.pad_area_m2 * np.sqrt(
-        materials.lining_conductivity(
-            t_front, p.pad_conductivity_w_mk, p.pad_conductivity
-        )
+        materials.lining_conductivity(t_front, lanes.lining_k)
         * p.pad_density_kg_m3
-        * materials.lining_heat_capacity(
-            t_front, p.pad_heat_capacity_j_kgk, p.pad_capacity
-        )
+        * materials.lining_heat_capacity(t_front, lanes.lining)
     )
     ring = p.face_area_m2 * np.sqrt(
         materials.iron_conductivity(t_surface)
         * p.iron_density_kg_m3
-        * materials.iron_heat_capacity(t_surface, lanes.bump)
+        * materials.iron_heat_capacity(t_surface, *lanes.iron)
     )
     released = (1.0 - inputs.contact) * p.residual_drag
     # a hot seal and expanded pads draw the piston back less

@@ -36,6 +36,34 @@ from typing import Final
 
 from bstm_daemon.errors import UsageError, hint
 
+DRAWN: Final = 3
+"""Heat paths of a corner that may be drawn, the duct's included."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DrawnPath:
+    """A conductance from one part of the corner to another, of any form.
+
+    ``conductance_w_k`` times (v / 20 m/s)^``speed_exponent``, times
+    (T / 500 K)^``heat_exponent`` of the first part, times an S around
+    ``onset_k`` (0: none) of width ``width_k``, times a bell around
+    ``band_ms`` (0: none) of width ``band_width_ms``, both sides of the disc
+    together. ``contact``: 1 with the brake held, -1 released, 0 always.
+    ``start`` counts backplate, surface and inner cheek, then the lumps;
+    ``end`` counts lumps, the last of them the ambient air.
+    """
+
+    start: int
+    end: int
+    conductance_w_k: float
+    speed_exponent: float = 0.0
+    heat_exponent: float = 0.0
+    onset_k: float = 0.0
+    width_k: float = 30.0
+    band_ms: float = 0.0
+    band_width_ms: float = 5.0
+    contact: float = 0.0
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CornerParameters:
@@ -91,8 +119,13 @@ class CornerParameters:
     air_capacity_j_k: float = 60.0
     caliper_natural_w_k: float = 1.0
     caliper_forced_w_k: float = 0.25
+    # how materials differ from the curves of materials.py
+    iron_slope_j_kgk2: float = 0.0
+    pad_capacity_slope_j_kgk2: float = 0.0
+    pad_conductivity_slope_1_k: float = 0.0
     # the car gives every corner its own
     wheel_radius_m: float = 0.3418
+    drawn_paths: tuple[DrawnPath, ...] = ()
 
 
 FRONT: Final = CornerParameters()

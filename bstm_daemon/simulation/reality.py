@@ -178,12 +178,12 @@ def _settle(lanes: Lanes, near: State, chain_j: Array, lump_j: Array) -> State:
     chain_k[lanes.cheek] = materials.iron_temperature(
         chain_j[lanes.cheek] / lanes.cheek_kg,
         near.chain_k[lanes.cheek],
-        lanes.bump,
+        *lanes.iron,
     )
     lump_k = near.lump_k.copy()
     lump_k[HAT:] = materials.REFERENCE_K + lump_j[HAT:] / lanes.lump_j_k[HAT:]
     lump_k[CENTRE] = materials.iron_temperature(
-        lump_j[CENTRE] / lanes.centre_kg, near.lump_k[CENTRE], lanes.bump
+        lump_j[CENTRE] / lanes.centre_kg, near.lump_k[CENTRE], *lanes.iron
     )
     if lanes.boils:
         lump_k[FLUID] = lanes.fluid_temperature(

@@ -182,7 +182,9 @@ def _scaled(corner: CornerParameters, factor: float) -> CornerParameters:
 Axle = Literal["front", "rear"]
 
 _CAR_KEYS = {f.name for f in fields(CarParameters)} - {"front", "rear"}
-_CORNER_KEYS = {f.name for f in fields(CornerParameters)} - {"wheel_radius_m"}
+_CORNER_KEYS = {f.name for f in fields(CornerParameters)} - {
+    *("wheel_radius_m", "drawn_paths"),
+}
 
 
 def packaged(kind: str) -> dict[str, Traversable]:

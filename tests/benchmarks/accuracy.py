@@ -17,7 +17,8 @@ from side_by_side import Outcome, Table
 
 from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.files import shipped_file
-from bstm_daemon.replay.columns import replay_log
+from bstm_daemon.replay.columns import stream_log
+from bstm_daemon.replay.results import Collector
 from bstm_daemon.simulation import load_drive, simulate
 from bstm_daemon.simulation.frames import START_STAMP_S, Encoder
 from bstm_daemon.simulation.recorder import write_candump
@@ -101,7 +102,9 @@ def estimates(driven: SimulatedDrive) -> dict[str, np.ndarray]:
         path = Path(folder) / "drive.log"
         encoder = Encoder(shipped_file("dbc/example_vehicle.dbc"))
         write_candump(path, driven, encoder)
-        columns = replay_log(config, signal_map, path).results.columns
+        rows = Collector()
+        stream_log(config, signal_map, path, [rows])
+    columns = rows.results().columns
     at_s = columns["time_s"] - START_STAMP_S
     return {
         f"{corner}.{node}_c": np.interp(

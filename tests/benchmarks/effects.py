@@ -15,7 +15,7 @@ from side_by_side import Outcome, Table
 from structures import example_car, known_heat
 
 from bstm_daemon.config.sections import EffectConfig
-from bstm_daemon.model.effects.catalogue import effect_class, effect_numbers
+from bstm_daemon.model.effects.catalogue import effect_class, effect_names
 from bstm_daemon.simulation import Effects, load_drive, simulate
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ def run(*, full: bool) -> Outcome:
     """Switch each effect on in both and compare the shifts."""
     plain: dict[str, tuple[Nodes, Nodes]] = {}
     rows = []
-    for name in effect_numbers().values():
+    for name in effect_names():
         if not _of_the_corner(name) or not (full or name in QUICK):
             continue
         drive = DRIVES.get(name, "rich")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cache
 from math import nan
 from typing import TYPE_CHECKING, Any, Final
 
@@ -12,6 +13,7 @@ from gap_cases import (
     TWIN_NUMBERS,
     Case,
     Evidence,
+    comparison_of,
     evidence,
     permuted,
     shuffled,
@@ -19,17 +21,21 @@ from gap_cases import (
 )
 from gap_rivals import RIVALS
 
+from bstm_daemon.analysis.gap.composing import with_composed
 from bstm_daemon.analysis.gap.naming import ALIKE, cosine, name_effect
 from bstm_daemon.analysis.gap.noise import calibrated, noise_of
 from bstm_daemon.analysis.statistics.evidence import Projector
+from bstm_daemon.model.effects.composed import PREFIX, is_composed, read
 from bstm_daemon.roles import MEASURED_NODES
 from bstm_daemon.simulation.parameters import UNHEARD_NAMES
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from pathlib import Path
 
     import numpy as np
 
+    from bstm_daemon.analysis.gap.comparison import Comparison
     from bstm_daemon.analysis.gap.noise import Layout
     from bstm_daemon.analysis.gap.signatures import Linearised
 
@@ -76,6 +82,11 @@ PLACES: Final[dict[str, tuple[str, str]]] = {
     "ambient_heat_soak": ("DPBF", "P"),
     "speed_dependent_convection": ("D", "BV"),
     "brake_without_pressure": ("Q", "B"),
+    "hub_heat": ("D", "VP"),
+    "layer_opening": ("BF", "BVP"),
+    "cooling_band": ("D", "V"),
+    "friction_in_stop": ("Q", "B"),
+    "clock_offset": ("DPBF", "BV"),
     # in no catalogue
     "dust_shield": ("DF", "BVP"),
     "brake_duct": ("D", "BV"),
@@ -139,7 +150,10 @@ class Result:
 
         Without a name: where heat without a name was seen.
         """
-        said = [PLACES[name] for name in self.names]
+        said = [
+            composed_place(name) if is_composed(name) else PLACES[name]
+            for name in self.names
+        ]
         if self.answer == "unknown":
             node, regime = self.place.split(", ")
             said = [(_NODES.get(node, "?"), regime[0].upper())]
@@ -157,6 +171,31 @@ class Result:
         )
 
 
+_PHASES: Final = {
+    "braking": "B",
+    "driving": "V",
+    "parked": "P",
+    "brake off": "VP",
+}
+
+
+def composed_place(name: str) -> tuple[str, str]:
+    """Return nodes and phases that the composed term *name* acts on."""
+    term = read(name.removeprefix(PREFIX))
+    ends = {"Q"} if term.path.kind == "heat" else {term.path.a, term.path.b}
+    phases = [
+        _PHASES[form.words]
+        for form, _ in term.clauses
+        if form.words in _PHASES
+    ]
+    nodes = "".join(_NODES.get(end, end[:1]) for end in sorted(ends))
+    return nodes.replace("a", ""), "".join(phases) or "BVP"
+
+
+COMPOSING: Final = frozenset({"S0", "S1", "SO", "SU"})
+"""Groups that are judged with composed effects."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Judged:
     """A case whitened: what the answers of all its groups share."""
@@ -169,12 +208,17 @@ class Judged:
     twins: tuple[str, ...]
     jacobian_k: np.ndarray
     change: np.ndarray
+    compared: Callable[[], Comparison]
 
     def answer(self, group: str, known: Linearised | None = None) -> Result:
         """Return what the search answers, told *known* instead."""
         case = self.case
         known = known or self.known
         found = name_effect(self.layout, known)
+        if found.found and group in COMPOSING:
+            comparison = self.compared()
+            comparison.set_noise(self.layout.noise)
+            _, found = with_composed(comparison, self.layout, known, found)
         return Result(
             group,
             list(case.effects),
@@ -234,6 +278,7 @@ def judged(case: Case, garage: Garage, kept: Evidence) -> Judged:
         tuple(twins),
         kept.sensed.jacobian_k,
         change,
+        cache(lambda: comparison_of(case, garage)),
     )
 
 

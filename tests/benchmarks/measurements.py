@@ -1,7 +1,8 @@
 """Write the figures of ``run.py --json`` files as a Markdown document.
 
 ``measurements.py OUT.md FILE.json ...``: one section a benchmark, in the
-order of the files, each with its date, commit and machine.
+order of the files, each with its date and commit; the machine where they
+differ, else above.
 """
 
 from __future__ import annotations
@@ -15,14 +16,14 @@ from typing import Any
 
 HEAD = (
     "# Measurements\n\n"
-    "Written by `.ci/full`; do not edit. Each section tells its date, its "
-    "commit (with + where sources had changes that were not committed) and "
-    "its machine. Times are CPU time of one process, medians of rounds in "
+    "Written by `.ci/full`; do not edit. Each section tells its date and its "
+    "commit (with + where sources had changes that were not committed). "
+    "Times are CPU time of one process, medians of rounds in "
     "which everything that is compared takes its turn (`tests/benchmarks/`). "
     "Absolute times move by up to a factor of two with the load of a machine; "
     "the ratios hold, and goals are set on ratios. A goal's tolerance is the "
     "part that may be missing before `.ci/run` fails. A section shows its "
-    "first table; `python tests/benchmarks/run.py NAME --full` prints all.\n"
+    "first table; `python tests/benchmarks/run.py NAME --full` prints all."
 )
 
 
@@ -37,9 +38,11 @@ def main(arguments: list[str] | None = None) -> int:
         for path in args.files
         for outcome in json.loads(path.read_text("utf-8")).values()
     ]
-    text = "\n".join(
-        [f"{wrapped(HEAD)}\n", *(section(outcome) for outcome in found)]
-    )
+    machines = {outcome["conditions"]["machine"] for outcome in found}
+    is_one = len(machines) == 1
+    head = f"{HEAD} All on {machines.pop()}." if is_one else HEAD
+    sections = [section(outcome, with_machine=not is_one) for outcome in found]
+    text = "\n".join([f"{wrapped(head)}\n", *sections])
     args.out.write_text(text, "utf-8")
     return 0
 
@@ -60,17 +63,16 @@ def verdict(goal: dict[str, Any]) -> str:
     return "within tolerance" if goal["ratio"] >= least else "no"
 
 
-def section(outcome: dict[str, Any]) -> str:
+def section(outcome: dict[str, Any], *, with_machine: bool) -> str:
     """Return one benchmark as Markdown."""
     taken = outcome["conditions"]
+    machine = f"; {taken['machine']}" if with_machine else ""
     lines = [
         f"## {outcome['title']}",
         "",
         wrapped(outcome["about"]),
         "",
-        wrapped(
-            f"{taken['date']}, commit {taken['commit']}; {taken['machine']}."
-        ),
+        wrapped(f"{taken['date']}, commit {taken['commit']}{machine}."),
         "",
     ]
     for table in outcome["tables"][:1]:

@@ -20,7 +20,8 @@ from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.estimator.estimator import Estimator
 from bstm_daemon.files import shipped_file
 from bstm_daemon.forecast.monitor import RiskMonitor
-from bstm_daemon.replay.columns import present_roles, replay_log
+from bstm_daemon.replay.columns import present_roles, stream_log
+from bstm_daemon.replay.results import Collector
 from bstm_daemon.simulation import load_drive, simulate
 from bstm_daemon.simulation.recorder import write_candump
 
@@ -50,9 +51,9 @@ def run(*, full: bool) -> Outcome:
             config, signal_map, path, np.inf if full else 500.0
         )
         before = process_time()
-        replay_log(config, signal_map, path)
+        stream_log(config, signal_map, path, [Collector()])
         between = process_time()
-        replay_log(config, signal_map, path, forecast=False)
+        stream_log(config, signal_map, path, [Collector()], forecast=False)
         after = process_time()
         with redirect_stdout(StringIO()):
             main(["heat", str(path), "-c", str(car)])

@@ -57,6 +57,12 @@ RE_MATCHED: Final = re.compile(
     re.MULTILINE | re.DOTALL,
 )
 INTERVAL: Final = "90 % interval"
+CONDITIONS: Final = re.compile(r"^(\d{4}-\S+ commit \w+\+?);.*", re.MULTILINE)
+LIMITS: Final = re.compile(
+    r"^(\|[^|\n]+\|[^|\n]+\|[^|\n]+\|)([^|\n]+)\|([^|\n]+)\|$", re.MULTILINE
+)
+"""A row of a population's first table: figure, two values, goal and floor,
+which are the same in each section and stand in the summary."""
 
 
 class Sections:
@@ -67,10 +73,13 @@ class Sections:
         self.names = tuple(names)
         self.path = path
         self.body: dict[str, str] = {}
+        self.limits: dict[str, tuple[str, ...]] = {}
         if path is not None and path.exists():
-            _, *rest = TITLE.split(path.read_text("utf-8"))
+            head, *rest = TITLE.split(path.read_text("utf-8"))
             found = dict(zip(rest[::2], rest[1::2], strict=True))
             self.body = {k: v.strip() for k, v in found.items()}
+            goals = _rows(head, "| 95th percentile").items()
+            self.limits = {figure: cells[:2] for figure, cells in goals}
 
     def take(self, name: str, lines: Sequence[str]) -> None:
         """Put *lines* as the section *name*, and write the document."""
@@ -80,6 +89,14 @@ class Sections:
         if name not in SHOWN_WHOLE:
             # of what a second car moves one table is enough
             body = RE_MATCHED.sub("", body)
+        before, mark, table = body.partition("| figure")
+        table, gap, behind = f"{mark}{table}".partition("\n\n")
+        self.limits.update(
+            (figure, cells[2:]) for figure, cells in _rows(table).items()
+        )
+        before = CONDITIONS.sub(r"\1.", before)
+        table = LIMITS.sub(r"\1", table)
+        body = f"{before}{table}{gap}{behind}"
         self.body[name] = body.strip()
         if self.path is not None:
             self.path.write_text(self.text(), "utf-8")
@@ -105,27 +122,25 @@ class Sections:
 
     def _summary(self, names: Sequence[str]) -> dict[str, object]:
         """Return the 95th percentiles of *names* beside the goals."""
-        found = {name: _population(self.body[name]) for name in names}
+        found = {name: _rows(self.body[name]) for name in names}
         rows = []
-        for figure, (_, _, goal, _) in found[names[0]].items():
-            if goal != "-":
-                cells = [
-                    _verdict(found[name].get(figure, ("-",) * 4))
-                    for name in names
-                ]
-                rows.append((figure, goal, *cells))
+        for figure, limits in self.limits.items():
+            if limits[0] != "-":
+                values = [found[name].get(figure, "-")[0] for name in names]
+                cells = [_verdict(value, *limits) for value in values]
+                rows.append((figure, *limits, *cells))
         return {
-            "header": ("95th percentile, K", "goal", *names),
+            "header": ("95th percentile, K", "goal", "floor", *names),
             "rows": rows,
         }
 
 
-def _population(body: str) -> dict[str, tuple[str, ...]]:
-    """Return the first table of a section: figure to its cells."""
+def _rows(body: str, head: str = "| figure") -> dict[str, tuple[str, ...]]:
+    """Return the table of *body* below *head*: figure to its cells."""
     lines = iter(body.splitlines())
     found = {}
     for line in lines:
-        if line.startswith("| figure"):
+        if line.startswith(head):
             break
     for line in lines:
         if not line.startswith("|"):
@@ -137,9 +152,8 @@ def _population(body: str) -> dict[str, tuple[str, ...]]:
     return found
 
 
-def _verdict(cells: Sequence[str]) -> str:
+def _verdict(value: str, goal: str, floor: str) -> str:
     """Return a figure in words: met, within its floor or missed."""
-    value, _, goal, floor = cells
     if value == "-":
         return value
     if "to" in goal:

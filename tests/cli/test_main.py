@@ -145,7 +145,7 @@ def test_usage_error(
         (LogError("a.log: empty"), 65, "bstm: a.log: empty\n"),
         (FileAccessError("a.log: gone"), 74, "bstm: a.log: gone\n"),
         (StateLockedError("busy"), 75, "bstm: busy\n"),
-        (ConfigError(["a: b"]), 78, "a: b\n1 problem\n"),
+        (ConfigError(["a: b"]), 78, "a: b\n"),
         (ConfigError(["a: b", "a: c"]), 78, "a: b\na: c\n2 problems\n"),
         (
             PermissionError(13, "Permission denied", "a.log"),

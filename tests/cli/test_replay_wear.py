@@ -12,8 +12,8 @@ import pytest
 from bstm_daemon.cli.main import main
 from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.config.estimates import WearConfig
-from bstm_daemon.replay.columns import replay_log
 from bstm_daemon.report.timescale import clock
+from tests.replayed import replay_log
 
 if TYPE_CHECKING:
     from bstm_daemon.replay.results import Results

@@ -31,6 +31,7 @@ SECTIONS: dict[str, type[Section]] = {
     "`[cooling]`": thermal.CoolingConfig,
     "`[accuracy]`": sections.AccuracyConfig,
     "`[[matched]]`": estimates.MatchedConfig,
+    "`[[priors]]`": estimates.PriorsConfig,
     "`[heat]`": sections.HeatConfig,
     "`[fluid]`": estimates.FluidConfig,
     "`[forecast]`": estimates.ForecastConfig,
@@ -55,6 +56,7 @@ SIGNS = (
     (r"a number (?=greater|from|\S+ or more)", ""),
     (r"greater than (\S+) and at most", r"> \1 to"),
     ("greater than", ">"),
+    ("true or false", "boolean"),
     (r"(\S+) or more", r"≥ \1"),
     (r"from (?=\S+ to )", ""),
 )
@@ -101,7 +103,7 @@ def row(model: type[Section], key: str, units: dict[str, str]) -> str:
     default = "required"
     if not field.is_required():
         value = field.get_default(call_default_factory=True)
-        default = "none" if value is None else f"`{json.dumps(value)}`"
+        default = "" if value is None else f"`{json.dumps(value)}`"
     cells = units.get(key, "-"), short(allowed(model, key)), default
     text = meanings(model)[key].replace("|", r"\|")
     return f"| `{key}` | {' | '.join(cells)} | {text} |\n"

@@ -46,7 +46,7 @@ def documented(heading: str) -> dict[str, tuple[str, str]]:
     text = REFERENCE.read_text(encoding="utf-8")
     body = text.partition(f"### {heading}\n")[2].partition("\n## ")[0]
     rows = re.findall(
-        r"^\| `(\w+)` \| [^|]+ \| ([^|]+) \| ([^|]+) \| [^|]+ \|$",
+        r"^\| `(\w+)` \| [^|]+ \| ([^|]+) \| ([^|]*) \| [^|]+ \|$",
         body.partition("\n### ")[0],
         re.MULTILINE,
     )
@@ -55,8 +55,8 @@ def documented(heading: str) -> dict[str, tuple[str, str]]:
 
 def written(default: object) -> object:
     """Return a documented default as a value."""
-    text = str(default).strip("`")
-    return None if text == "none" else json.loads(text)
+    text = str(default).strip("` ")
+    return json.loads(text) if text else None
 
 
 def test_reference_has_every_section() -> None:

@@ -18,8 +18,8 @@ import pytest
 from bstm_daemon.bus.opening import EventLog
 from bstm_daemon.channels import FLAGS
 from bstm_daemon.cli.vehicle import load_vehicle
-from bstm_daemon.replay.columns import replay_log
 from bstm_daemon.roles import CORNERS, ROLE_INDEX
+from tests.replayed import replay_log
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -22,7 +22,7 @@ from bstm_daemon.analysis.quality.recording import read_recording
 from bstm_daemon.channels import FLAGS, WHEEL_SUSPECT
 from bstm_daemon.cli.main import main
 from bstm_daemon.cli.vehicle import load_vehicle
-from bstm_daemon.replay.columns import Replay, replay_log
+from tests.replayed import Replay, replay_log
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -10,13 +10,13 @@ import pytest
 from cantools.database import load_file
 
 from bstm_daemon.cli.vehicle import load_vehicle
-from bstm_daemon.replay.columns import replay_log
 from bstm_daemon.replay.frames import publications
 from bstm_daemon.replay.results.records import ADVICE_COLUMNS
 from bstm_daemon.simulation import simulate
 from bstm_daemon.simulation.drives import parse_drive
 from bstm_daemon.simulation.frames import Encoder
 from bstm_daemon.simulation.recorder import write_candump
+from tests.replayed import replay_log
 
 if TYPE_CHECKING:
     from bstm_daemon.bus.signals.signal_map import SignalMap

@@ -21,13 +21,7 @@ from bstm_daemon.estimate import Reason
 from bstm_daemon.estimator.estimator import Estimator
 from bstm_daemon.forecast.monitor import RiskMonitor
 from bstm_daemon.native.loader import load_kernel
-from bstm_daemon.replay.columns import (
-    AdviceSeries,
-    Replay,
-    present_roles,
-    replay_log,
-    stream_log,
-)
+from bstm_daemon.replay.columns import AdviceSeries, present_roles, stream_log
 from bstm_daemon.replay.frames import (
     publications,
     publish_channel,
@@ -43,6 +37,7 @@ from bstm_daemon.roles import CORNERS
 from bstm_daemon.simulation import parse_drive, simulate
 from bstm_daemon.simulation.frames import Encoder
 from bstm_daemon.simulation.recorder import write_candump
+from tests.replayed import Replay, replay_log
 
 if TYPE_CHECKING:
     from collections.abc import Callable

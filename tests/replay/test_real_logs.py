@@ -21,9 +21,9 @@ from bstm_daemon.bus.opening import EventLog, open_log
 from bstm_daemon.cli.main import main
 from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.config.reading import load_config
-from bstm_daemon.replay.columns import Replay, replay_log
 from bstm_daemon.roles import CORNERS, ROLE_INDEX, ROLES
 from bstm_daemon.units import UNITS
+from tests.replayed import Replay, replay_log
 
 if TYPE_CHECKING:
     import numpy.typing as npt

@@ -60,8 +60,8 @@ def test_measured_lies_over_estimated_in_the_same_colour(
 
     for node in ("disc", "pad front", "pad back", "fluid"):
         estimate = _find(traces, "temperature", "FL", node)
-        measured = _find(traces, "temperature", "FL", f"{node}, measured")
-        assert names.index(node) < names.index(f"{node}, measured")
+        measured = _find(traces, "temperature", "FL", f"{node}, sensor")
+        assert names.index(node) < names.index(f"{node}, sensor")
         assert measured.look["line"]["color"] == estimate.look["line"]["color"]
         assert "dash" in measured.look["line"]
         # one sample in ten rows is joined, not broken
@@ -174,12 +174,12 @@ def test_panel_stands_under_the_pressure(descent: Results) -> None:
 
 
 def test_sensors_are_called_what_they_are(descent: Results) -> None:
-    """Those of a simulated car measured nothing."""
-    curves = DriveCurves("simulated sensor")
+    """Those of a simulated car measured nothing, and a log does not say."""
+    curves = DriveCurves()
     curves.write(descent)
     labels = {trace.label for trace in curves.traces()}
 
-    assert "disc, simulated sensor" in labels
+    assert "disc, sensor" in labels
     assert not any("measured" in label for label in labels)
 
 

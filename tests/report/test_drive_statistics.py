@@ -259,6 +259,14 @@ def test_only_what_the_heat_mode_needs() -> None:
     assert input_gaps(results, "fb") == {}
 
 
+def test_nothing_is_missing_while_the_bus_sleeps() -> None:
+    flags = [0] + [SPEED] * 20 + [SPEED | FLAGS["asleep"]] * 100
+
+    gap = input_gaps(results_of(flags), "ff")["speed"]
+
+    assert gap.total_s == pytest.approx(2.0)
+
+
 def test_a_clock_set_back_is_no_negative_gap() -> None:
     """Only time that passed counts."""
     times = np.array([10.0, 11.0, 12.0, 2.0, 3.0, 4.0])

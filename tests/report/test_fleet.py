@@ -51,6 +51,28 @@ def page_of(**changes: Any) -> Page:
     return fleet_page(FleetFacts(**facts | changes))
 
 
+def test_it_begins_with_the_drive_nearest_to_boiling() -> None:
+    assert page_of().lead == (
+        "Nearest to boiling came car0, FL, on 2024-05-01 (d1): 20 K were left "
+        "with wet fluid."
+    )
+    assert page_of(worst=[WORST | {"margin_k": None}]).lead == (
+        "No drive has a margin to boiling."
+    )
+
+
+def test_few_points_have_a_tick_each() -> None:
+    """Not between them, where no car and no day is."""
+    few = {one.heading: one for one in page_of(cars=[car(0)]).sections}
+    many = {one.heading: one for one in page_of().sections}
+
+    (_, cars), _ = few["Cars"].plots
+    (_, days), _ = few["Days"].plots
+    assert cars.layout["xaxis"]["dtick"] == 1
+    assert days.layout["xaxis"]["dtick"] == 86_400_000
+    assert "dtick" not in many["Cars"].plots[0][1].layout["xaxis"]
+
+
 def test_a_thousand_cars_are_points_and_the_worst_of_them_rows() -> None:
     page = page_of()
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -245,3 +246,32 @@ def test_a_matched_car_is_not_sent_back_to_the_match() -> None:
     gap = Gap(("FL",), (), 1, hot, found, matched=True)
 
     assert MATCH_FIRST not in unnamed_lines(gap)
+
+
+def test_a_composed_effect_is_said_in_its_own_words() -> None:
+    """Each term with its size at the strength that was found."""
+    names = (
+        "composed.disc to air, driving, above 300 degC",
+        "composed.share of fluid to air, parked",
+    )
+    found = replace(
+        naming("composed", *map(candidate, names)),
+        sizes=dict(zip(names, (4.2, -0.45), strict=True)),
+    )
+    words = (
+        "disc to air, driving, above 300 degC: 4.2 W/K",
+        "share of fluid to air, parked: 45 % less",
+    )
+
+    assert answer_line(found, "this data") == (
+        "missing: none of the known effects; best description: "
+        + "; ".join(words)
+    )
+    assert answer_tile(found) == (
+        " and ".join(words),
+        "missing effect, in no catalogue",
+    )
+    assert words[0] in sentence(Gap(("FL",), ("a",), 1, naming=found))
+    rows = candidate_rows(found)
+    assert rows[0][0] == "disc to air, driving, above 300 degC"
+    assert found.adoptable == names

@@ -53,6 +53,18 @@ def test_dataclasses_and_arrays_are_plain_and_unknown_is_null(
     }
 
 
+def test_no_rounding_error_of_a_float_is_shown(tmp_path: Path) -> None:
+    path = tmp_path / "result.json"
+    values = [11.299999999999997, 0.1 + 0.2, 1e-7 / 3.0, 56156.112344490946]
+
+    write_json(path, {"1.1234567890123": values, "n": 2**53 + 1}, None)
+
+    assert path.read_text(encoding="utf-8") == (
+        '{"1.1234567890123": [11.3, 0.3, 3.333333333e-08, 56156.11234], '
+        '"n": 9007199254740993}\n'
+    )
+
+
 def test_fields_are_picked_by_name_by_another_and_deeper() -> None:
     assert own_fields(RESULT, "part") == {"name": "fit"}
     assert picked(RESULT, "name", rows="part.rows") == {

@@ -66,7 +66,7 @@ def test_the_page_has_a_sentence_and_a_tile_for_each_set_of_limits() -> None:
     ]
     assert thesis.lead == Cell(
         "On 1 drive the estimate of the fluid was at most 0.0 K off (drive, "
-        "FL); the thesis limits are met.",
+        "FL); the thesis limits are met, those of goal are not.",
         tone="good",
     )
     assert isinstance(goal.lead, Cell)

@@ -8,43 +8,47 @@ from bstm_daemon.simulation import materials
 T_K = np.linspace(260.0, 1150.0, 179)
 
 
-@pytest.mark.parametrize("bump", [0.0, 1.0, 2.0])
-def test_iron_enthalpy_is_the_integral_of_heat_capacity(bump: float) -> None:
+@pytest.mark.parametrize(
+    ("bump", "tilt"), [(0.0, 0.0), (1.0, 0.3), (2.0, -0.1)]
+)
+def test_iron_enthalpy_is_the_integral_of_heat_capacity(
+    bump: float, tilt: float
+) -> None:
     slope = (
-        materials.iron_enthalpy(T_K + 0.05, bump)
-        - materials.iron_enthalpy(T_K - 0.05, bump)
+        materials.iron_enthalpy(T_K + 0.05, bump, tilt)
+        - materials.iron_enthalpy(T_K - 0.05, bump, tilt)
     ) / 0.1
 
     np.testing.assert_allclose(
-        slope, materials.iron_heat_capacity(T_K, bump), rtol=1e-6
+        slope, materials.iron_heat_capacity(T_K, bump, tilt), rtol=1e-6
     )
     assert abs(float(materials.iron_enthalpy(np.array(293.15), bump))) < 1e-9
 
 
-@pytest.mark.parametrize("strength", [0.0, 1.0])
+@pytest.mark.parametrize(("strength", "tilt"), [(0.0, 0.0), (1.0, 0.8)])
 def test_lining_enthalpy_is_the_integral_of_heat_capacity(
-    strength: float,
+    strength: float, tilt: float
 ) -> None:
-    cold, s = np.array(1050.0), np.array(strength)
+    law = (np.array(1050.0), np.array(strength), np.array(tilt))
     slope = (
-        materials.lining_enthalpy(T_K + 0.05, cold, s)
-        - materials.lining_enthalpy(T_K - 0.05, cold, s)
+        materials.lining_enthalpy(T_K + 0.05, law)
+        - materials.lining_enthalpy(T_K - 0.05, law)
     ) / 0.1
 
     np.testing.assert_allclose(
-        slope, materials.lining_heat_capacity(T_K, cold, s), rtol=1e-6
+        slope, materials.lining_heat_capacity(T_K, law), rtol=1e-6
     )
 
 
 def test_temperature_is_found_from_one_step_away() -> None:
     near = T_K + 3.0
-    cold, s = np.array(1050.0), np.array(1.0)
+    law = (np.array(1050.0), np.array(1.0), np.array(0.0))
 
     iron = materials.iron_temperature(
         materials.iron_enthalpy(T_K, 1.0), near, 1.0
     )
     lining = materials.lining_temperature(
-        materials.lining_enthalpy(T_K, cold, s), near, cold, s
+        materials.lining_enthalpy(T_K, law), near, law
     )
 
     np.testing.assert_allclose(iron, T_K, atol=1e-3)

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,9 +16,9 @@ from bstm_daemon.simulation import (
     compiled,
     march_lanes,
 )
-from bstm_daemon.simulation.lanes import BOILING_K, Lanes, start_state
+from bstm_daemon.simulation.lanes import BOILING_K, LUMPS, Lanes, start_state
 from bstm_daemon.simulation.march import lane_result, total_energy
-from bstm_daemon.simulation.parameters import FRONT, UNHEARD_NAMES
+from bstm_daemon.simulation.parameters import FRONT, UNHEARD_NAMES, DrawnPath
 from bstm_daemon.simulation.reality import march_numpy
 from bstm_daemon.simulation.vehicle import NOMINAL
 
@@ -38,6 +39,26 @@ IN_THE_CAR = {
 
 ALL_NAMES = (*EFFECT_NAMES, *UNHEARD_NAMES)
 ALL_ON = Effects(**dict.fromkeys(ALL_NAMES, 1.0))
+
+
+WILD: dict[str, Any] = {
+    "iron_slope_j_kgk2": 0.3,
+    "pad_capacity_slope_j_kgk2": 0.9,
+    "pad_conductivity_slope_1_k": -4e-4,
+    "drawn_paths": (
+        DrawnPath(
+            start=1,
+            end=len(LUMPS) - 1,
+            conductance_w_k=-2.0,
+            speed_exponent=0.6,
+            heat_exponent=1.4,
+            band_ms=15.0,
+            contact=-1.0,
+        ),
+        DrawnPath(start=8, end=len(LUMPS), conductance_w_k=3.0, onset_k=340.0),
+    ),
+}
+"""All that sets a car of the preset wild apart."""
 
 
 def rich_inputs(make: Inputs, lanes: int) -> LaneInputs:
@@ -69,7 +90,8 @@ def each_effect() -> list[Effects]:
 def test_energy_balance_closes_for_every_effect(lane_inputs: Inputs) -> None:
     effects = each_effect()
     inputs = rich_inputs(lane_inputs, len(effects))
-    lanes = Lanes([FRONT] * len(effects), effects, Mesh())
+    corners = [FRONT] * (len(effects) - 1) + [replace(FRONT, **WILD)]
+    lanes = Lanes(corners, effects, Mesh())
     state = start_state(lanes, np.full(len(effects), 320.0))
     before = total_energy(state)
 
@@ -88,7 +110,7 @@ def test_compiled_march_is_the_same(lane_inputs: Inputs) -> None:
         pytest.skip("the compiled reality is not installed")
     effects = each_effect()
     inputs = rich_inputs(lane_inputs, len(effects))
-    uneven = replace(FRONT, piston_side_share=0.55)
+    uneven = replace(FRONT, piston_side_share=0.55, **WILD)
     corners = [FRONT] * (len(effects) - 1) + [uneven]
     lanes = Lanes(corners, effects, Mesh())
     start = np.full(len(effects), 320.0)

@@ -26,6 +26,8 @@ from bstm_daemon.analysis.matching.learned import (
     settings_of,
 )
 from bstm_daemon.config.estimates import ChangeConfig
+from bstm_daemon.model.effects.composed import NAME as COMPOSED
+from bstm_daemon.model.effects.composed import is_composed
 
 if TYPE_CHECKING:
     from bstm_daemon.analysis.gap.comparison import Comparison
@@ -64,10 +66,21 @@ def written(
             if corner.name in target.corners
         ]
     effects, moved = [], []
+    there: set[str] = set()
     for name, strength in fit.strengths.items():
         said_of = _provenance(comparison, fit, naming, name)
+        if is_composed(name):
+            # one entry has all its terms, and the first one's provenance
+            effects += [
+                one.model_copy(update={"provenance": said_of})
+                for one in fit.entries
+                if one.name == COMPOSED and one.name not in there
+            ]
+            there = {COMPOSED}
+            continue
         if not is_change(name):
-            effects += effect_entries({name: strength}, said_of)
+            form = comparison.forms.get(name)
+            effects += effect_entries({name: strength}, said_of, form)
             continue
         effects += comparison.trials[name].effects_at(strength)
         said_of["meaning"] = said(name, strength)
@@ -99,12 +112,13 @@ def _provenance(
     evidence = next(
         one.log_evidence for one in naming.candidates if one.name == name
     )
-    of = (lambda a: factor_of(name, a)) if is_change(name) else float
+    size = comparison.sizes.get(name, 1.0)
+    of = (lambda a: factor_of(name, a)) if is_change(name) else size.__mul__
     return {
         "source": "bstm gap",
         "data": list(comparison.drive_names),
         "date": time.strftime("%Y-%m-%d"),
-        "strength_sd": round(fit.deviations[name], 3),
+        "strength_sd": round(abs(size) * fit.deviations[name], 3),
         "strength_90": [round(of(end), 3) for end in fit.interval(name)],
         **naming.provenance(name),
         "log_bayes_factor": round(evidence, 1),

@@ -16,6 +16,8 @@ import numpy as np
 
 from bstm_daemon.analysis.matching.tunables import EFFECT, split_key
 from bstm_daemon.model.effects.catalogue import effect_class, effects_of
+from bstm_daemon.model.effects.composed import PREFIX as COMPOSED
+from bstm_daemon.model.effects.composed import is_composed
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -84,21 +86,31 @@ def is_change(name: str) -> bool:
     return name.startswith(PREFIX)
 
 
+def is_listed(name: str) -> bool:
+    """Whether the candidate *name* is an effect of the catalogue."""
+    return not is_change(name) and not is_composed(name)
+
+
 def either_sign(name: str) -> bool:
-    """Whether the candidate *name* can have either sign."""
-    return is_change(name) or effect_class(name).either_sign
+    """Whether the candidate *name* can have either sign.
+
+    That of a composed term is in its size.
+    """
+    return is_change(name) or (
+        is_listed(name) and effect_class(name).either_sign
+    )
 
 
 def twins_of(name: str) -> tuple[str, ...]:
     """Return the declared twins of the candidate *name*."""
-    return () if is_change(name) else effect_class(name).twins
+    return effect_class(name).twins if is_listed(name) else ()
 
 
 def largest(name: str) -> float:
     """Return the largest strength that the candidate *name* can have."""
-    if is_change(name):
-        return LARGEST
-    return effect_class(name).parameters()[0].upper
+    if is_listed(name):
+        return effect_class(name).parameters()[0].upper
+    return LARGEST
 
 
 def trials(config: Config, keys: Sequence[str]) -> dict[str, Trial]:
@@ -152,7 +164,7 @@ def said_percent(name: str, strength: float) -> str:
 def name_of(name: str) -> str:
     """Return what the candidate *name* is called, of a change in words."""
     if not is_change(name):
-        return name
+        return name.removeprefix(COMPOSED)
     own = name.removeprefix(PREFIX)
     if own in KINDS:
         return KINDS[own].what

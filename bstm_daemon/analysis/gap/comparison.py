@@ -13,8 +13,14 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from bstm_daemon.analysis.gap.changes import HEAT_SCALE, is_change, trials
+from bstm_daemon.analysis.gap.changes import (
+    HEAT_SCALE,
+    is_change,
+    strength_of,
+    trials,
+)
 from bstm_daemon.analysis.gap.noise import Layout
+from bstm_daemon.analysis.matching.drives import GRID_S
 from bstm_daemon.analysis.matching.learned import (
     entry_of,
     known_covariance,
@@ -26,7 +32,10 @@ from bstm_daemon.config.sections import EffectConfig
 from bstm_daemon.errors import LogError
 from bstm_daemon.estimator.corner_model import compiled_model, corner_model
 from bstm_daemon.model.effects.catalogue import edited_inputs, effect_class
+from bstm_daemon.model.effects.composed import NAME as COMPOSED
+from bstm_daemon.model.effects.composed import PREFIX, is_composed, read
 from bstm_daemon.model.effects.corrections import corrections_by_role
+from bstm_daemon.model.effects.effect import STRENGTH
 from bstm_daemon.roles import ROLE_INDEX
 
 if TYPE_CHECKING:
@@ -37,6 +46,7 @@ if TYPE_CHECKING:
     from bstm_daemon.analysis.statistics.series import Column
     from bstm_daemon.analysis.statistics.whitening import SensorNoise
     from bstm_daemon.config.sections import Config
+    from bstm_daemon.model.effects.model import CornerModel
 
 POINT_S: Final = 10.0
 MOST_POINTS: Final = 300
@@ -52,7 +62,9 @@ class Comparison(Layout):
 
     ``keys`` are the tunables, :data:`HEAT_SCALE` last, ``covariance`` (p, p)
     what is known of their logarithms, ``trials`` which changes of a matched
-    target are asked for, ``form_k`` (n,) or 0 what is added to residuals.
+    target are asked for, ``form_k`` (n,) or 0 what is added to residuals,
+    ``forms`` the values of effects whose form is not the typical one,
+    ``sizes`` those of composed terms at strength 1.
     """
 
     def __init__(
@@ -81,7 +93,9 @@ class Comparison(Layout):
         self.precision = np.linalg.inv(self.covariance)
         self.matched = entry_of(target.config, target.corners[0]) is not None
         self.form_k: Column | float = 0.0
+        self.forms: dict[str, Mapping[str, float]] = {}
         self.trials = trials(target.config, self.keys) if self.matched else {}
+        self.sizes: dict[str, float] = {}
         super().__init__(
             self._found_series(),
             noise,
@@ -104,13 +118,29 @@ class Comparison(Layout):
     ) -> tuple[Column, list[EffectConfig]]:
         """Return *x* with the changes among *strengths*, and the effects."""
         effects = []
+        terms = {}
+        there = {
+            text: size * strength_of(one)
+            for one in self.target.config.effect
+            if one.name == COMPOSED
+            for text, size in one.parameters.items()
+            if text != STRENGTH.name
+        }
         for name, a in strengths.items():
+            if is_composed(name):
+                text = name.removeprefix(PREFIX)
+                terms[text] = read(text, a * self.sizes[name]).within().size
+                continue
             if not is_change(name):
-                parameters = {"strength": a}
+                parameters = {**self.forms.get(name, {}), "strength": a}
                 effects.append(EffectConfig(name=name, parameters=parameters))
                 continue
             x = x + a * self.trials[name].direction
             effects += self.trials[name].effects_at(a)
+        if terms:
+            effects.append(
+                EffectConfig(name=COMPOSED, parameters=there | terms)
+            )
         return np.clip(x, self.lower, self.upper), effects
 
     def residuals_k(
@@ -126,7 +156,7 @@ class Comparison(Layout):
         with ThreadPoolExecutor(os.cpu_count()) as pool:
             jobs = {
                 pair: pool.submit(
-                    self._shown, drives[pair[0]], pair[1], configs, scales
+                    self._shown, drives[pair[0]], pair, configs, scales
                 )
                 for pair in self.pairs
             }
@@ -147,7 +177,7 @@ class Comparison(Layout):
     ) -> Column:
         """Return the residuals [K] (n, k) of what models show.
 
-        *found* is [K] by pair and node, (steps, k); *config* says how its
+        *found* is :meth:`sampled` by pair; *config* says how its
         thermocouples read.
         """
         gains = {
@@ -157,8 +187,7 @@ class Comparison(Layout):
         for one in self.series:
             corners = {corner for corner, _ in one.couples}
             model = np.mean(
-                [found[one.drive, c][one.node][one.steps] for c in corners],
-                axis=0,
+                [found[one.drive, c][one.node] for c in corners], axis=0
             )
             gain, offset = np.mean(
                 [gains[c].get(name, (1.0, 0.0)) for c, name in one.couples],
@@ -184,23 +213,51 @@ class Comparison(Layout):
     def _shown(
         self,
         drive: Drive,
-        corner: str,
+        pair: tuple[int, str],
         configs: Sequence[Config],
         scales: Column,
     ) -> dict[str, Column]:
-        """March *corner* over *drive*: what thermocouples show, (steps, k)."""
+        """March the corner of *pair* over *drive*, see :meth:`sampled`."""
+        corner = pair[1]
         models = [model_of(config, corner) for config in configs]
         programs = [compiled_model(model) for model in models]
-        nodes = {one.node for one in self.series}
-        found = {node: np.empty((len(drive), len(configs))) for node in nodes}
+        found: dict[str, Column] = {}
         # lanes share their inputs, so each scale is a march of its own
         for scale in dict.fromkeys(scales.tolist()):
             lanes = np.flatnonzero(scales == scale)
             own = drive.with_power_times(scale)
-            result = march([programs[i] for i in lanes], own, corner)
-            for node in nodes:
-                found[node][:, lanes] = result[models[lanes[0]].shown(node)]
+            model = models[lanes[0]]
+            result = march(
+                *([programs[i] for i in lanes], own, corner),
+                nodes=[model.shown(one.node) for one in self.series],
+            )
+            sampled = self.sampled(configs[0], pair[0], model, result)
+            for node, values in sampled.items():
+                whole = (len(values), len(configs))
+                found.setdefault(node, np.empty(whole))[:, lanes] = values
         return found
+
+    def sampled(
+        self,
+        config: Config,
+        number: int,
+        model: CornerModel,
+        result: Mapping[str, Column],
+    ) -> dict[str, Column]:
+        """Return what thermocouples show of a march, by node, (n, k).
+
+        At the points of the series of drive *number*; *result* is (steps, k)
+        [K] by state of *model*.
+        """
+        late_s, late_share = edited_inputs(config).clock_late
+        return {
+            one.node: at_steps(
+                result[model.shown(one.node)],
+                one.steps - (late_s + late_share * one.time_s) / GRID_S,
+            )
+            for one in self.series
+            if one.drive == number
+        }
 
     def _found_series(self) -> tuple[Series, ...]:
         corner = self.target.corner
@@ -234,6 +291,16 @@ class Comparison(Layout):
             )
             raise LogError(msg)
         return tuple(found)
+
+
+def at_steps(values: Column, steps: Column) -> Column:
+    """Return *values* (m, k) at fractional *steps* (n,), (n, k)."""
+    steps = np.clip(steps, 0.0, len(values) - 1.0)
+    first = np.minimum(steps.astype(np.intp), len(values) - 2)
+    share = (steps - first)[:, None]
+    return np.asarray(
+        (1.0 - share) * values[first] + share * values[first + 1]
+    )
 
 
 def heats(effect: EffectConfig, config: Config) -> bool:

@@ -36,7 +36,11 @@ if TYPE_CHECKING:
         Signature,
         UnnamedHeat,
     )
-    from bstm_daemon.analysis.statistics.series import Column, Indices
+    from bstm_daemon.analysis.statistics.series import (
+        Column,
+        Indices,
+        Matrix,
+    )
 
 NOTHING: Final = 0.5
 """Probability that nothing is missing, before data."""
@@ -93,6 +97,7 @@ def weigh(
     curvature = float(slopes @ gram @ slopes)
     peak = float(gains.max())
     log_evidence = peak + float(np.log(np.sum(weights * np.exp(gains - peak))))
+    log_evidence -= signature.form_cost
     slope = max(gram[1, 1], 1e-12)
     return Candidate(
         signature.name,
@@ -407,18 +412,44 @@ def pair_evidence(
     return mean_evidence(_pairs(project, linearised, found).logs)
 
 
-def _pairs(
+@dataclass(frozen=True, slots=True, eq=False)
+class NormalEquations:
+    """What data say of strengths a (k,) of effects acting together.
+
+    The log-likelihood is ``score @ a - a @ information @ a / 2``, the tunables
+    integrated out; ``form_cost`` (k,) is what the choice of a form costs.
+    """
+
+    names: tuple[str, ...]
+    score: Column
+    information: Matrix
+    form_cost: Column
+
+
+def normal_equations(
     project: Projector, linearised: Linearised, found: Sequence[Candidate]
-) -> _Pairs:
+) -> NormalEquations:
+    """Return those of all signatures, whose best strengths *found* has."""
     strengths = {one.name: one.strength for one in found}
     signatures = linearised.signatures
-    # the change per strength up to the one that fits alone
     slopes = np.column_stack(
         [s.linear + strengths.get(s.name, 1.0) * s.curved for s in signatures]
     )
     projected = project(slopes)
-    gram = slopes.T @ projected
-    score = -(projected.T @ linearised.residual)
+    return NormalEquations(
+        tuple(one.name for one in signatures),
+        -(projected.T @ linearised.residual),
+        slopes.T @ projected,
+        np.array([one.form_cost for one in signatures]),
+    )
+
+
+def _pairs(
+    project: Projector, linearised: Linearised, found: Sequence[Candidate]
+) -> _Pairs:
+    signatures = linearised.signatures
+    equations = normal_equations(project, linearised, found)
+    gram, score = equations.information, equations.score
     i, j = np.triu_indices(len(signatures), 1)
     own_i = gram[i, i] + FREE**-2
     own_j = gram[j, j] + FREE**-2

@@ -17,6 +17,7 @@ from bstm_daemon.analysis.gap.changes import (
     HEAT_SCALE,
     LARGEST,
     is_change,
+    is_listed,
     largest,
     step_of,
 )
@@ -122,12 +123,13 @@ class Fit:
 def effect_entries(
     strengths: Mapping[str, float],
     provenance: Mapping[str, object] | None = None,
+    form: Mapping[str, float] | None = None,
 ) -> list[EffectConfig]:
-    """Return ``[[effect]]`` entries of *strengths* by name."""
+    """Return ``[[effect]]`` entries of *strengths* by name, in *form*."""
     return [
         EffectConfig(
             name=name,
-            parameters={"strength": strength},
+            parameters={"strength": strength, **(form or {})},
             provenance=dict(provenance or {}),
         )
         for name, strength in strengths.items()
@@ -314,9 +316,9 @@ def _strength_bounds(
     lower, upper = [], []
     for name, a in zip(names, start, strict=True):
         least = (
-            -LARGEST
-            if is_change(name)
-            else effect_class(name).parameters()[0].lower
+            effect_class(name).parameters()[0].lower
+            if is_listed(name)
+            else -LARGEST
         )
         lower.append(SMALLEST if a >= 0.0 else least)
         upper.append(largest(name) if a >= 0.0 else -SMALLEST)

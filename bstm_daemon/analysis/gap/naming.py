@@ -17,12 +17,14 @@ from bstm_daemon.analysis.gap.changes import is_change, twins_of
 from bstm_daemon.analysis.gap.evidence import (
     Candidate,
     JointEffects,
+    NormalEquations,
     best_placebo,
     cross_validated,
     explained_share,
     likeliest,
     missing_evidence,
     missing_probability,
+    normal_equations,
     pair_evidence,
     probabilities,
     search_joint_effects,
@@ -38,7 +40,9 @@ if TYPE_CHECKING:
     from bstm_daemon.analysis.gap.noise import Layout
     from bstm_daemon.analysis.gap.signatures import Linearised, Signature
 
-Answer = Literal["nothing", "name", "class", "unknown", "undecided"]
+Answer = Literal[
+    "nothing", "name", "class", "composed", "unknown", "undecided"
+]
 
 SURE: Final = 0.95
 """Probability from which a name, or a class, is given."""
@@ -84,7 +88,9 @@ class Naming:
     ``unknown_place`` where and when such heat alone explains most.
     ``names`` are the effects found, best first: one, up to three, or the
     members of a class; ``strengths`` are theirs. ``probability`` is that of
-    the answer, ``odds`` of every candidate and of ``""``, nothing.
+    the answer, ``odds`` of every candidate and of ``""``, nothing. ``sizes``
+    are those of composed terms at strength 1; ``equations`` those of all
+    candidates, without any None.
     """
 
     answer: Answer
@@ -99,6 +105,8 @@ class Naming:
     leftover: Candidate | None = None
     unknown_evidence: float = 0.0
     unknown_place: str = ""
+    sizes: dict[str, float] = field(default_factory=dict)
+    equations: NormalEquations | None = None
 
     @property
     def found(self) -> bool:
@@ -136,9 +144,9 @@ class Naming:
     @property
     def adoptable(self) -> tuple[str, ...]:
         """What can be fitted and adopted: all named, the best of a class."""
-        return {"name": self.names, "class": self.names[:1]}.get(
-            self.answer, ()
-        )
+        if self.answer in {"name", "composed"}:
+            return self.names
+        return self.names[:1] if self.answer == "class" else ()
 
     @property
     def gate_z(self) -> float:
@@ -170,6 +178,9 @@ def name_effect(
         odds,
         "no effect of the catalogue changes the temperatures of these drives "
         "by more than they are uncertain, the tunables re-fitted",
+        equations=normal_equations(project, linearised, found)
+        if found
+        else None,
     )
     if heats := linearised.unknown:
         place = likeliest(project, linearised.residual, heats)

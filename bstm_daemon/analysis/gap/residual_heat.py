@@ -142,7 +142,7 @@ def residual_heat(
 ) -> list[NodeHeat]:
     """Return the residual heat of every measured node of *corner*."""
     program = compiled_model(model_of(config, corner))
-    measured = _measured(drive, corner, program)
+    measured = measured_nodes(drive, corner, program)
     count = len(drive) // WINDOW_STEPS
     if count < 1 or not measured:
         return []
@@ -157,7 +157,7 @@ def residual_heat(
     return [one for one in heats if one is not None]
 
 
-def _measured(
+def measured_nodes(
     drive: Drive, corner: str, program: Program
 ) -> dict[str, Column]:
     """Return smoothed temperatures [K] by node, (steps,); NaN in gaps."""

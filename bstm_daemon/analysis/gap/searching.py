@@ -13,12 +13,27 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from bstm_daemon.analysis.gap.changes import is_change
-from bstm_daemon.analysis.gap.evidence import NEXT_EVIDENCE, NEXT_SHARE
+from bstm_daemon.analysis.gap.composing import with_composed
+from bstm_daemon.analysis.gap.evidence import (
+    NEXT_EVIDENCE,
+    NEXT_SHARE,
+    weigh,
+)
 from bstm_daemon.analysis.gap.fitting import fit, prior_along
 from bstm_daemon.analysis.gap.form import daily, form_k
 from bstm_daemon.analysis.gap.naming import Naming, name_effect
 from bstm_daemon.analysis.gap.noise import Layout, calibrated
-from bstm_daemon.analysis.gap.signatures import Linearised, Sensed, sharpened
+from bstm_daemon.analysis.gap.signatures import (
+    Linearised,
+    Sensed,
+    forms_of,
+    sharpened,
+    whitened_signature,
+)
+from bstm_daemon.analysis.statistics.evidence import (
+    Projector,
+    mean_evidence,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -63,6 +78,7 @@ def search(
         noise = calibrated(comparison, simulated.base_k, simulated.columns_k())
     layout.set_noise(noise)
     comparison.set_noise(noise)
+    turned = _in_best_forms(comparison, layout, turned)
     known = turned.whitened(layout)
     naming = name_effect(layout, known)
     done: dict[str, float] = {}
@@ -80,7 +96,37 @@ def search(
         least = max(NEXT_EVIDENCE, NEXT_SHARE * first.gain)
         if alone - together < least:
             naming = name_effect(layout, known, alone=True)
-    return known, naming
+    return with_composed(comparison, layout, known, naming)
+
+
+def _in_best_forms(
+    comparison: Comparison, layout: Layout, simulated: Sensed
+) -> Sensed:
+    """Return *simulated* with each effect in the form that fits best.
+
+    *comparison* has the values of these forms from then on. The evidence of
+    an effect is the mean over its forms, so the choice costs the difference.
+    """
+    project = Projector(layout.whiten(simulated.jacobian_k), layout.prior)
+    residual = layout.whiten(simulated.base_k)
+    chosen, costs = {}, {}
+    for name, others in simulated.forms_k.items():
+        every = (simulated.terms_k[name], *others)
+        logs = [
+            weigh(project, residual, signature).log_evidence
+            for terms in every
+            for signature in [whitened_signature(layout, name, terms)]
+        ]
+        best = int(np.argmax(logs))
+        chosen[name] = every[best]
+        costs[name] = logs[best] - mean_evidence(logs)
+        if best:
+            comparison.forms[name] = forms_of(name)[best - 1]
+    return replace(
+        simulated,
+        terms_k={**simulated.terms_k, **chosen},
+        form_costs=costs,
+    )
 
 
 def starts(naming: Naming) -> dict[str, float]:

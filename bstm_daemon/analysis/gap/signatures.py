@@ -30,6 +30,7 @@ from bstm_daemon.analysis.matching.march import (
 )
 from bstm_daemon.analysis.matching.phases import BRAKING_W, STANDING_MS
 from bstm_daemon.analysis.statistics.levenberg_marquardt import STEP
+from bstm_daemon.config.sections import EffectConfig
 from bstm_daemon.errors import ConfigError
 from bstm_daemon.estimator.corner_model import compiled_model
 from bstm_daemon.model.effects.catalogue import (
@@ -47,7 +48,7 @@ if TYPE_CHECKING:
     from bstm_daemon.analysis.matching.drives import Drive
     from bstm_daemon.analysis.matching.problem import Series
     from bstm_daemon.analysis.statistics.series import Column
-    from bstm_daemon.config.sections import Config, EffectConfig
+    from bstm_daemon.config.sections import Config
 
 NETWORK_STRENGTHS: Final[tuple[float, ...]] = (0.5, 1.5)
 HEAT_STRENGTHS: Final[tuple[float, ...]] = (1.0,)
@@ -77,7 +78,9 @@ class Signature:
 
     ``linear`` and ``curved`` (n,) are whitened; ``kelvin`` (n,) is the change
     at strength 1. Of a change since the match no sign is the typical one:
-    ``even``. ``near`` is the strength that it is simulated about.
+    ``even``. ``near`` is the strength that it is simulated about,
+    ``form_cost`` what choosing among the forms of the effect takes off the
+    logarithm of its evidence.
     """
 
     name: str
@@ -87,6 +90,7 @@ class Signature:
     either_sign: bool
     even: bool = False
     near: float = 1.0
+    form_cost: float = 0.0
 
     @property
     def column(self) -> Column:
@@ -129,6 +133,8 @@ class Sensed:
     ``base_k`` (n,) and ``jacobian_k`` (n, p); ``terms_k`` by effect the
     linear and the curved one, (2, n); heats without a name in kelvin;
     ``near`` what strengths are simulated about, where that is not 1.
+    ``forms_k`` are the terms of the other forms of effects, in their order,
+    ``form_costs`` what choosing one has cost.
     """
 
     base_k: Column
@@ -137,6 +143,8 @@ class Sensed:
     silent: tuple[str, ...]
     unknown_k: tuple[UnnamedHeat, ...]
     near: Mapping[str, float] = field(default_factory=dict)
+    forms_k: Mapping[str, tuple[Column, ...]] = field(default_factory=dict)
+    form_costs: Mapping[str, float] = field(default_factory=dict)
 
     def columns_k(self) -> Column:
         """Return all that could explain the residuals, (n, p + k)."""
@@ -154,7 +162,12 @@ class Sensed:
             layout.whiten(self.base_k),
             layout.whiten(self.jacobian_k),
             tuple(
-                _signature(layout, name, terms, self.near.get(name, 1.0))
+                replace(
+                    whitened_signature(
+                        layout, name, terms, self.near.get(name, 1.0)
+                    ),
+                    form_cost=self.form_costs.get(name, 0.0),
+                )
                 for name, terms in self.terms_k.items()
             ),
             self.silent,
@@ -178,7 +191,7 @@ def sensed(
 ) -> Sensed:
     """Return residuals and sensitivities in kelvin at its start."""
     base, jacobian = _sensitivities_k(comparison, comparison.start)
-    found, silent = {}, []
+    found, silent, forms = {}, [], {}
     names = [*names, *comparison.trials]
     for number, name in enumerate(names):
         terms = _terms_k(comparison, name, base)
@@ -186,11 +199,26 @@ def sensed(
             silent.append(name)
         else:
             found[name] = terms
+            forms[name] = tuple(
+                np.zeros_like(terms) if other is None else other
+                for form in forms_of(name)
+                for other in [_terms_k(comparison, name, base, form=form)]
+            )
         if progress is not None:
             progress((number + 1) / len(names))
     return Sensed(
-        base, jacobian, found, tuple(silent), unnamed_heats(comparison, base)
+        base,
+        jacobian,
+        found,
+        tuple(silent),
+        unnamed_heats(comparison, base),
+        forms_k={name: terms for name, terms in forms.items() if terms},
     )
+
+
+def forms_of(name: str) -> tuple[Mapping[str, float], ...]:
+    """Return the other forms of the candidate *name*."""
+    return () if is_change(name) else effect_class(name).forms
 
 
 def sharpened(
@@ -200,11 +228,12 @@ def sharpened(
 
     A parabola through small changes says little of large ones.
     """
-    plain_k = simulated.base_k - comparison.form_k
     found = {
         name: terms
         for name, a in at.items()
-        if (terms := _terms_k(comparison, name, plain_k, (0.5 * a, a)))
+        if (
+            terms := _terms_k(comparison, name, simulated.base_k, (0.5 * a, a))
+        )
         is not None
     }
     return replace(
@@ -223,21 +252,26 @@ def sensitivities(
 
 
 def signature_of(
-    comparison: Comparison, name: str, base: Column
+    comparison: Comparison,
+    name: str,
+    base: Column,
+    strengths: tuple[float, ...] = (),
 ) -> Signature | None:
     """Return what *name* changes in the residuals *base* [K], (n,).
 
-    None where it changes nothing or does not fit the structure.
+    Simulated at *strengths*, or the usual ones. None where it changes nothing
+    or does not fit the structure.
     """
-    terms = _terms_k(comparison, name, base)
+    terms = _terms_k(comparison, name, base, strengths)
     if terms is None:
         return None
-    return _signature(comparison, name, terms)
+    return whitened_signature(comparison, name, terms)
 
 
-def _signature(
+def whitened_signature(
     layout: Layout, name: str, terms: Column, near: float = 1.0
 ) -> Signature:
+    """Return the signature of *name* by its *terms* [K], (2, n)."""
     return Signature(
         name,
         layout.whiten(terms[0]),
@@ -263,11 +297,15 @@ def _terms_k(
     name: str,
     base: Column,
     strengths: tuple[float, ...] = (),
+    form: Mapping[str, float] | None = None,
 ) -> Column | None:
     strengths = strengths or _strengths(name)
     changes = []
     for strength in strengths:
         x, effects = comparison.placed(comparison.start, {name: strength})
+        if form:
+            parameters = {**form, "strength": strength}
+            effects = [EffectConfig(name=name, parameters=parameters)]
         try:
             apart = comparison.residuals_k(x[None], effects)
         except ConfigError:
@@ -320,9 +358,7 @@ def _apart(comparison: Comparison, node: str, regime: str) -> Column:
             heat[:] = _heat_w(drive, name, own[number], regime)[:, None]
         initial = initial_temperatures(compiled_model(model), drive, name)
         result = march([program], drive.with_extra_heat(heat), name, initial)
-        shown[number, name] = {
-            s.node: result[model.shown(s.node)] for s in comparison.series
-        }
+        shown[number, name] = comparison.sampled(config, number, model, result)
     return comparison.less_measured(config, shown)[:, 0]
 
 

@@ -146,6 +146,16 @@ def find_gap(
     )
 
 
+def is_unmatched(config: Config, recordings: Sequence[Recording]) -> bool:
+    """Whether any corner with a thermocouple was not matched."""
+    measured = {one for each in recordings for one in each.drive.measured}
+    return any(
+        entry_of(config, corner.name) is None
+        for corner in config.disc_corners()
+        if corner.name in measured
+    )
+
+
 def compare(target: Target, recordings: Sequence[Recording]) -> Comparison:
     """Return *target* against *recordings* with the noise of its nodes."""
     form = entry_of(target.config, target.corners[0])
@@ -210,7 +220,8 @@ def _advised(
     naming = gap.naming
     if naming is None:
         return gap
-    if not question.among and naming.answer in {"name", "unknown"}:
+    settled = naming.answer in {"name", "composed", "unknown"}
+    if settled and not question.among:
         return gap
     members = question.among or members_of(naming, known.silent)
     target = comparison.target

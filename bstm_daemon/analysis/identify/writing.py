@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from bstm_daemon.config.csv_tables import csv_names, put_csv_tables
 from bstm_daemon.config.estimates import ChangeConfig
 from bstm_daemon.errors import FileAccessError, require_packages
 from bstm_daemon.files import replacing
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
     from bstm_daemon.analysis.identify.coastdown import CoastDown
     from bstm_daemon.analysis.identify.cooling import AxleCooling
     from bstm_daemon.analysis.identify.cooling_while_braking import BrakedAxle
-    from bstm_daemon.config.estimates import MatchedConfig
+    from bstm_daemon.config.estimates import MatchedConfig, PriorsConfig
     from bstm_daemon.config.sections import Config, EffectConfig
 
 KNOWN: Final = 0.2
@@ -69,12 +70,14 @@ class Change:
 class Entries:
     """Entries of ``[[effect]]``, ``[[change]]`` and ``[[matched]]``.
 
-    Each takes the place of what is there for the same.
+    Each takes the place of what is there for the same. ``priors`` make a
+    file of a type: what one car was matched to, and its changes, go.
     """
 
     effects: Sequence[EffectConfig] = ()
     changes: Sequence[ChangeConfig] = ()
     matched: Sequence[MatchedConfig] = ()
+    priors: Sequence[PriorsConfig] = ()
 
 
 NO_ENTRIES: Final = Entries()
@@ -238,6 +241,10 @@ def write_changed(
             _put(_entries(document, "change"), one)
         if entries.matched:
             _replace_matched(document, entries.matched)
+        if entries.priors:
+            for section in ("matched", "change", "priors"):
+                document.pop(section, None)
+            _add_tables(_entries(document, "priors"), entries.priors)
         if verdict:
             document.add(_tomlkit().comment(f"{origin}: {verdict}"))
 
@@ -338,7 +345,16 @@ def _replace_matched(document: Any, matched: Sequence[MatchedConfig]) -> None:
     written = tomlkit.aot()
     for one in entries:
         written.append(one)
-    for one in matched:
+    _add_tables(written, matched)
+    document["matched"] = written
+
+
+def _add_tables(
+    written: Any, tables: Sequence[MatchedConfig | PriorsConfig]
+) -> None:
+    """Add *tables* to the list *written*, long lists with an item a line."""
+    tomlkit = _tomlkit()
+    for one in tables:
         table = tomlkit.table()
         for key, value in one.model_dump().items():
             many = isinstance(value, list) and key != "corners"
@@ -346,7 +362,6 @@ def _replace_matched(document: Any, matched: Sequence[MatchedConfig]) -> None:
             if many:
                 table[key].multiline(multiline=True)
         written.append(table)
-    document["matched"] = written
 
 
 def _put(entries: Any, one: EffectConfig | ChangeConfig) -> None:
@@ -372,7 +387,8 @@ def _put(entries: Any, one: EffectConfig | ChangeConfig) -> None:
 def changed_copy(source: Path, target: Path) -> Iterator[Any]:
     """Give *source* as a tomlkit document to change; it becomes *target*.
 
-    Whole or not at all. Paths are made relative to the new file's folder.
+    Whole or not at all. Paths are made relative to the new file's folder,
+    tables of CSV files are written out.
 
     Raises:
         MissingExtraError: tomlkit is not installed.
@@ -385,7 +401,12 @@ def changed_copy(source: Path, target: Path) -> Iterator[Any]:
         msg = f"{source}: cannot be read: {error.strerror or error}"
         raise FileAccessError(msg) from error
     document = parse(text)
+    # what was matched stays what it was, whatever becomes of the file
+    names = csv_names(document)
+    put_csv_tables(document, source.parent)
     yield document
+    if names:
+        document.add(_tomlkit().comment(f"tables of {', '.join(names)}"))
     _move_paths(document, source.resolve().parent, target.resolve().parent)
     with replacing(target) as file:
         file.write_text(dumps(document), encoding="utf-8")

@@ -27,24 +27,28 @@ class Curves:
 
 def curves_of(match: Match, drive: Drive, corner: str) -> list[Curves]:
     """Return each thermocouple of *corner*, and the model as it was and is."""
+    # one by one: a match may have added an effect, and with it an edge
     programs = [
-        compile_corner(one.config, one.corner)
+        (one.config, compile_corner(one.config, one.corner))
         for one in (match.before, match.after)
     ]
     couples = drive.couples(
-        corner, {node.name for node in programs[0].network.nodes}
+        corner, {node.name for node in programs[0][1].network.nodes}
     )
     if not couples:
         return []
-    configs = [match.before.config, match.after.config]
-    result = march(
-        programs, drive, corner, power_w=drive.power_w(corner, configs)
+    before, after = (
+        march(
+            [program], drive, corner, power_w=drive.power_w(corner, [config])
+        )
+        for config, program in programs
     )
     return [
         Curves(
             name,
             drive.measured[corner][name].at(drive.time_s) - KELVIN_OFFSET,
-            *(result[node] - KELVIN_OFFSET).T,
+            before[node][:, 0] - KELVIN_OFFSET,
+            after[node][:, 0] - KELVIN_OFFSET,
         )
         for name, node in couples
     ]

@@ -12,10 +12,8 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from bstm_daemon.analysis.matching.tunables import (
-    LEVEL,
-    MIDDLE,
     NODES_MS,
-    S_SPEEDS_MS,
+    SAME,
     TUNABLES,
     refined_keys,
     usable,
@@ -29,21 +27,9 @@ if TYPE_CHECKING:
     from bstm_daemon.config.estimates import MatchedConfig
     from bstm_daemon.config.sections import Config
 
-SAME: Final = 1e-3
-"""Relative difference from which a value was edited since its match."""
-
 DAY_TO_DAY: Final = 0.03
 """Standard deviation of a value's logarithm from drive to drive, at least:
 weather, and how pads lie."""
-
-
-def value_of(target: Target, key: str) -> float:
-    """Return the value of *key*; of the cooling table its S at the speed."""
-    if key in NODES_MS or key == LEVEL:
-        table = target.config.cooling_of(target.corner)
-        speed_ms = NODES_MS.get(key, S_SPEEDS_MS[MIDDLE])
-        return float(np.interp(speed_ms, table.speed_ms, table.s_per_s))
-    return target.value(TUNABLES[key])
 
 
 def settings_of(
@@ -76,7 +62,7 @@ def entry(
     return like.model_copy(
         update={
             "names": list(keys),
-            "values": [short(value_of(target, key)) for key in keys],
+            "values": [short(target.setting(key)) for key in keys],
             "factor": [
                 [short(one) for one in row[: i + 1].tolist()]
                 for i, row in enumerate(factor)
@@ -127,7 +113,7 @@ def known_covariance(target: Target, keys: Sequence[str]) -> Column:
         i
         for i, key in enumerate(keys)
         if key in of
-        and abs(value_of(target, key) / one.values[of[key]] - 1.0) < SAME
+        and abs(target.setting(key) / one.values[of[key]] - 1.0) < SAME
     ]
     there = [of[keys[i]] for i in kept]
     found[np.ix_(kept, kept)] = whole[np.ix_(there, there)]

@@ -24,9 +24,10 @@ from bstm_daemon.model.thermal.program import compile_network
 from bstm_daemon.native.loader import load_kernel
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Collection, Mapping, Sequence
 
     from bstm_daemon.analysis.matching.drives import Drive
+    from bstm_daemon.analysis.matching.thermocouples import Placement
     from bstm_daemon.analysis.statistics.series import Column
     from bstm_daemon.config.sections import Config
     from bstm_daemon.model.effects.model import CornerModel
@@ -35,7 +36,7 @@ if TYPE_CHECKING:
 STEADY_K: Final = 10.0
 """First temperatures that spread less are joined to their mean."""
 
-STRETCH_STEPS: Final = 4096
+STRETCH_STEPS: Final = 1024
 """Steps given to the kernel at a time."""
 
 
@@ -69,13 +70,16 @@ def model_of(config: Config, corner: str) -> CornerModel:
     return corner_model(config, own)
 
 
-def march(
+def march(  # noqa: PLR0913
     programs: Sequence[Program],
     drive: Drive,
     corner: str,
     initial_k: Mapping[str, float] | None = None,
     forced: Mapping[str, Column] | None = None,
     power_w: Column | None = None,
+    *,
+    nodes: Collection[str] = (),
+    memories: Sequence[str] = (),
 ) -> dict[str, Column]:
     """March variants of *corner* over *drive*.
 
@@ -87,6 +91,9 @@ def march(
         forced: nodes that follow a series, [K] at each step's end, (steps,);
             free where it is NaN.
         power_w: brake power of each variant, (steps, variants); as *drive*.
+        nodes: those that are wanted, where no thermocouple has its place
+            between them; all.
+        memories: of the network that are returned too.
 
     Returns:
         Temperatures [K] by node, (steps, variants); of a thermocouple whose
@@ -114,16 +121,30 @@ def march(
         for i, name in enumerate(names):
             batch.state[member * batch.width + i] = initial_k[name]
     size = batch.width + batch.sources
-    kept = np.empty((len(inputs), len(programs), len(names)))
+    whole = placed or not nodes
+    wanted = [name for name in names if whole or name in nodes]
+    columns = [names.index(name) for name in wanted]
+    columns += [programs[0].state_names.index(name) for name in memories]
+    kept = np.empty((len(columns), len(inputs), len(programs)))
     for first in range(0, len(inputs), STRETCH_STEPS):
         part = inputs[first : first + STRETCH_STEPS]
         out = batch.march(flat(part), len(part), GRID_S)
         shaped = np.frombuffer(out).reshape(len(part), len(programs), size)
-        kept[first : first + len(part)] = shaped[:, :, : len(names)]
-    found = {name: kept[:, :, i] for i, name in enumerate(names)}
-    own = drive.channel(corner, "brake_power_w")[:, None]
-    power_w = own if power_w is None else power_w
-    return found | {
+        for one, i in zip(kept, columns, strict=True):
+            one[first : first + len(part)] = shaped[:, :, i]
+    found = dict(zip((*wanted, *memories), kept, strict=True))
+    if power_w is None:
+        power_w = drive.channel(corner, "brake_power_w")[:, None]
+    return found | _at_their_places(found, placed, power_w)
+
+
+def _at_their_places(
+    found: Mapping[str, Column],
+    placed: Mapping[str, Placement],
+    power_w: Column,
+) -> dict[str, Column]:
+    """Return what thermocouples of known depth show of the nodes *found*."""
+    return {
         couple: place.reading(found)
         if isinstance(place, InPad)
         else found[couple]

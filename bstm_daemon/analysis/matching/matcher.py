@@ -25,7 +25,7 @@ from bstm_daemon.analysis.matching.coarse import (
     search,
 )
 from bstm_daemon.analysis.matching.identifiability import KNOWN
-from bstm_daemon.analysis.matching.learned import settings_of, value_of
+from bstm_daemon.analysis.matching.learned import settings_of
 from bstm_daemon.analysis.matching.phases import HARD_MS2, hard_stops
 from bstm_daemon.analysis.matching.problem import FIRST, OTHER
 from bstm_daemon.analysis.matching.refine import (
@@ -391,10 +391,7 @@ def _left_out(  # noqa: PLR0913
         names.append(plain.name)
         without = found.target.changed(fit.values)
         shifts.append(
-            [
-                log(value_of(without, k) / value_of(whole, k))
-                for k in joint.keys
-            ]
+            [log(without.setting(k) / whole.setting(k)) for k in joint.keys]
         )
         simple = baselines(readings[0].of(pieces).drives)
         simple_k += [
@@ -423,7 +420,7 @@ def _left_out(  # noqa: PLR0913
         " and ".join(names),
         rms_of(before),
         rms_of(after),
-        float(np.sqrt(np.nanmean(np.square(simple_k or [np.nan])))),
+        rms(np.array(simple_k)) if simple_k else nan,
         np.array(shifts),
     )
 

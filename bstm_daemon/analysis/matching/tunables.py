@@ -185,6 +185,10 @@ REFINED: Final = (
 combination shows between disc and pad, and the disc's shows elsewhere too."""
 
 
+SAME: Final = 1e-3
+"""Relative difference from which a value is another one than was written."""
+
+
 @dataclass(frozen=True, slots=True)
 class Target:
     """Corners that are matched together: alike in everything but the side.
@@ -224,13 +228,26 @@ class Target:
         # a curve over temperature is not one number
         return float(value) if isinstance(value, int | float) else 0.0
 
+    def setting(self, key: str) -> float:
+        """Return the value of *key*; of a table its S at the speed."""
+        if key in NODES_MS or key == LEVEL:
+            table = self.config.cooling_of(self.corner)
+            speed_ms = NODES_MS.get(key, S_SPEEDS_MS[MIDDLE])
+            return float(np.interp(speed_ms, table.speed_ms, table.s_per_s))
+        return self.value(TUNABLES[key])
+
     def tunable(self, key: str) -> Tunable:
         """Return the tunable *key* with the bounds and prior it has here."""
         one = TUNABLES[key]
-        if key not in self.guessed or key not in GUESSED:
-            return one
-        lower, upper, prior = GUESSED[key]
-        return replace(one, lower=lower, upper=upper, prior=prior)
+        if key in self.guessed and key in GUESSED:
+            lower, upper, prior = GUESSED[key]
+            return replace(one, lower=lower, upper=upper, prior=prior)
+        for known in self.config.priors:
+            if self.corners[0] in known.corners and key in known.names:
+                i = known.names.index(key)
+                if abs(self.setting(key) / known.values[i] - 1.0) < SAME:
+                    return replace(one, prior=known.deviations[i])
+        return one
 
     def with_cooling_form(self, form: str) -> Target:
         """Return the target with another ``cooling.form``."""

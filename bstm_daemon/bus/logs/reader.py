@@ -41,7 +41,7 @@ None for an interface that is not to be read at all.
 LINES_KEPT: Final = 5
 """First line numbers kept of each reason."""
 
-_UNWANTED: Final = (RejectReason.UNKNOWN_ID, RejectReason.UNKNOWN_INTERFACE)
+UNWANTED: Final = (RejectReason.UNKNOWN_ID, RejectReason.UNKNOWN_INTERFACE)
 
 _EXTENDED: Final = 1 << 29
 _CHANNEL: Final = 1 << 30
@@ -156,7 +156,7 @@ class FrameReader(ABC):
     def refuse(self, reason: RejectReason, line: int) -> None:
         """Count the *line* as refused for *reason*."""
         self.refused[reason] += 1
-        if reason in _UNWANTED:
+        if reason in UNWANTED:
             return
         first = self.first_refused.setdefault(reason, [])
         if len(first) < LINES_KEPT:

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Final
 from bstm_daemon.config.sections import EffectConfig
 from bstm_daemon.errors import hint
 from bstm_daemon.model.effects import entries
+from bstm_daemon.model.effects.composed import NAME as COMPOSED
+from bstm_daemon.model.effects.composed import Composed
 from bstm_daemon.model.effects.effect import Effect
 from bstm_daemon.model.effects.model import CornerModel, InputModel
 
@@ -42,9 +44,13 @@ def effect_names() -> tuple[str, ...]:
 def effect_class(name: str) -> type[Effect]:
     """Return the class of the effect *name*; its file bears its name.
 
+    Beside the catalogue's there is ``composed``.
+
     Raises:
         KeyError: no such effect.
     """
+    if name == COMPOSED:
+        return Composed
     if name not in effect_names():
         raise KeyError(name)
     module = import_module(f"{entries.__name__}.{name}")
@@ -56,13 +62,6 @@ def effect_class(name: str) -> type[Effect]:
         ):
             return candidate
     raise KeyError(name)
-
-
-def effect_numbers() -> dict[int, str]:
-    """Number to name of all effects, rising."""
-    return dict(
-        sorted((effect_class(name).number, name) for name in effect_names())
-    )
 
 
 def problems_of(effects: Sequence[EffectConfig]) -> list[str]:

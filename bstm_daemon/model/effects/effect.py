@@ -52,6 +52,9 @@ class Effect:
     twins: ClassVar[tuple[str, ...]] = ()
     own_parameters: ClassVar[tuple[Parameter, ...]] = ()
 
+    forms: ClassVar[tuple[Mapping[str, float], ...]] = ()
+    """Other forms that it may have: values beside the typical ones."""
+
     either_sign: ClassVar[bool] = False
     """Whether physics allows a strength below 0."""
 

@@ -123,12 +123,14 @@ class InputModel:
     ``config`` is the configuration for the pass over samples (the file's own,
     edited), ``corrections`` apply to the samples in order,
     ``unpressed_share`` is the share of the braking without pressure that is
-    counted as heat.
+    counted as heat, ``clock_late`` by how much the clock of the thermocouples
+    is late: at the start [s], and each second more [1].
     """
 
     config: Config
     corrections: tuple[Correction, ...] = ()
     unpressed_share: float = 0.0
+    clock_late: tuple[float, float] = (0.0, 0.0)
 
     def with_config(self, **sections: object) -> InputModel:
         """Return the same with *sections* of the configuration replaced."""

@@ -42,10 +42,10 @@ from bstm_daemon.units import KELVIN_OFFSET, STEFAN_BOLTZMANN_W_M2K4
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
+    from bstm_daemon.config.section import Curve
     from bstm_daemon.config.sections import (
         Config,
         CornerConfig,
-        Curve,
         DiscConfig,
         PadConfig,
     )

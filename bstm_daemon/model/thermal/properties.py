@@ -10,7 +10,8 @@ from bstm_daemon.units import KELVIN_OFFSET
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from bstm_daemon.config.sections import Curve, DiscConfig
+    from bstm_daemon.config.section import Curve
+    from bstm_daemon.config.sections import DiscConfig
 
 
 REFERENCE_K: Final = 293.15

@@ -20,7 +20,7 @@ uncertainty are known best; it is the same line.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from math import hypot, inf
+from math import inf, sqrt
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -54,8 +54,10 @@ class WearLaw:
 
     def std_at_m(self, dose_j: float) -> float:
         """Return the standard deviation [m] of the thickness at *dose_j*."""
-        worn = self.rate_m_j * (dose_j - self.dose_j)
-        return hypot(self.thickness_std_m, self.rate_spread * worn)
+        known_m = self.thickness_std_m
+        spread_m = self.rate_spread * (self.rate_m_j * (dose_j - self.dose_j))
+        # hypot is rounded differently from library to library
+        return sqrt(known_m * known_m + spread_m * spread_m)
 
     def disc_loss_at_m(self, dose_j: float) -> float:
         """Return the thickness [m] that the disc has lost at *dose_j*."""

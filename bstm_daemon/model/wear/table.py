@@ -43,7 +43,7 @@ def _fill(law: WearLaw, dose_j: Column, found: Column) -> None:
     found[:, 0] = np.maximum(
         np.maximum(np.minimum(line, law.highest_m), law.lowest_m), 0.0
     )
-    found[:, 1] = np.hypot(
-        law.thickness_std_m, law.rate_spread * (law.rate_m_j * since_j)
-    )
+    known_m = law.thickness_std_m
+    spread_m = law.rate_spread * (law.rate_m_j * since_j)
+    found[:, 1] = np.sqrt(known_m * known_m + spread_m * spread_m)
     found[:, 2] = law.disc_loss_m + law.disc_rate_m_j * since_j

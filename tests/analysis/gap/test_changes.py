@@ -20,7 +20,11 @@ from bstm_daemon.analysis.gap.changes import (
 from bstm_daemon.analysis.gap.comparison import with_effects
 from bstm_daemon.analysis.gap.fitting import effect_entries
 from bstm_daemon.analysis.gap.form import form_k, with_form
-from bstm_daemon.analysis.gap.signatures import candidates, sensed
+from bstm_daemon.analysis.gap.signatures import (
+    candidates,
+    sensed,
+    sharpened,
+)
 from bstm_daemon.analysis.gap.workflow import compare, find_gap
 from bstm_daemon.analysis.matching.learned import entry
 from bstm_daemon.analysis.matching.tunables import (
@@ -178,6 +182,25 @@ def test_nothing_has_changed_where_nothing_has(
 
     assert found.naming is not None
     assert found.naming.answer == "nothing"
+
+
+def test_a_large_change_is_simulated_again_without_the_form(
+    matched: Target, made: Callable[..., Recording]
+) -> None:
+    """What the form lacks is in the residuals with and without the change."""
+    at = {"change.disc_air": -0.6}
+    comparison = compare(matched, [made()])
+    before = sensed(comparison, ())
+    plain = sharpened(comparison, before, at)
+
+    comparison.form_k = np.full(len(before.base_k), 3.0)
+    turned = replace(before, base_k=before.base_k + comparison.form_k)
+    found = sharpened(comparison, turned, at)
+
+    assert found.near == at
+    assert found.terms_k["change.disc_air"] == pytest.approx(
+        plain.terms_k["change.disc_air"], abs=1e-9
+    )
 
 
 def test_what_the_form_lacks_is_taken_off_later_drives(

@@ -17,7 +17,7 @@ from bstm_daemon.analysis.identify.stop_friction import (
     stop_friction,
 )
 from bstm_daemon.config.heat import HeatConfig
-from bstm_daemon.replay.columns import replay_log
+from tests.replayed import replay_log
 
 if TYPE_CHECKING:
     from collections.abc import Callable

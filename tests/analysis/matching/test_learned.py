@@ -17,7 +17,6 @@ from bstm_daemon.analysis.matching.learned import (
     entry_of,
     known_covariance,
     known_keys,
-    value_of,
 )
 from bstm_daemon.analysis.matching.refine import NodeAccuracy
 from bstm_daemon.analysis.matching.tunables import MASS, SLOW, TUNABLES, Target
@@ -72,7 +71,7 @@ def test_values_and_covariance_go_through_the_file(
     assert one is not None
     assert one.form_k == {"disc": 3.0}
     assert one.drives == 2
-    assert one.values[2] == pytest.approx(value_of(target, SLOW), rel=1e-4)
+    assert one.values[2] == pytest.approx(target.setting(SLOW), rel=1e-4)
     again = tmp_path / "again.toml"
     write_changed(new, again, (), "", "", Entries(matched=[one]))
     assert load_config(again).matched == [one]
@@ -80,7 +79,7 @@ def test_values_and_covariance_go_through_the_file(
 
 def test_an_edited_value_counts_as_never_matched(target: Target) -> None:
     there = with_table(target, table(target))
-    edited = there.changed({MASS: 1.02 * value_of(target, MASS)})
+    edited = there.changed({MASS: 1.02 * target.setting(MASS)})
 
     found = known_covariance(edited, KEYS)
 

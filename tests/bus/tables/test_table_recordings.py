@@ -12,8 +12,8 @@ from bstm_daemon.bus.tables.table_log import TableReader
 from bstm_daemon.bus.tables.table_plan import TableMap, compile_sources
 from bstm_daemon.config.reading import load_config
 from bstm_daemon.config.sections import Config
-from bstm_daemon.replay.columns import replay_log
 from bstm_daemon.roles import ROLE_INDEX
+from tests.replayed import replay_log
 
 REAL_DATA = os.environ.get("BSTM_REAL_DATA")
 

@@ -68,6 +68,16 @@ MOVES: list[tuple[str, Phase, Phase, dict[str, int]]] = [
     ("residual_drag", {}, FAST, {"disc": 1, "pad_front": 1}),
     ("residual_drag", HOT_DISC, PARKED, {"disc": 0}),
     ("residual_drag", {}, BRAKED, {"disc": 0}),
+    ("hub_heat", {}, FAST | {"seconds": 600.0}, {"disc": 1}),
+    ("hub_heat", {}, PARKED, {"disc": 0}),
+    ("friction_in_stop", {}, PARKED, {"disc": 0}),
+    ("layer_opening", HOT_PADS | {"pad_back": 520.0, "backplate": 520.0},
+     PARKED | {"seconds": 60.0}, {"fluid": -1, "pad_back": 1}),
+    ("layer_opening", {"backplate": 340.0}, PARKED, {"fluid": 0}),
+    ("cooling_band", HOT_DISC, FAST | {"speed_ms": 20.0}, {"disc": 1}),
+    ("cooling_band", HOT_DISC, FAST | {"speed_ms": 45.0}, {"disc": 0}),
+    ("friction_in_stop", {}, BRAKED, {"disc": 1}),
+    ("friction_in_stop", HOT_DISC, FAST, {"disc": 0}),
 ]  # fmt: skip
 
 
@@ -301,3 +311,69 @@ def test_drag_is_torque_times_turns(corner: Make) -> None:
         ) / 0.25
         assert found == pytest.approx(share * 5.0 * speed / 0.33, rel=2e-2)
         assert sources["residual_drag_pads"] < sources["residual_drag_disc"]
+
+
+def test_hub_heat_follows_the_turns_late(corner: Make) -> None:
+    """5 Nm times the turns, 63 % of it after 20 min; parked it goes on."""
+    for exponent, share in ((0.0, 0.5), (1.0, 0.25)):
+        there = corner("hub_heat", exponent=exponent)
+        watts = []
+        for seconds, speed in ((1200.0, 10.0), (20000.0, 10.0), (600.0, 0.0)):
+            there.drive(seconds, speed_ms=speed)
+            before = there.ledger().sources["hub_heat"]
+            there.drive(0.25, speed_ms=speed)
+            watts.append((there.ledger().sources["hub_heat"] - before) / 0.25)
+        whole = share * 5.0 * 20.0 / 0.33
+        late = [1.0 - 0.3679, 1.0, 0.6065]
+        expected = [whole * x ** (1.0 + exponent) for x in late]
+        assert watts == pytest.approx(expected, rel=2e-3)
+
+
+def test_layers_open_and_stay_open_where_latched(corner: Make) -> None:
+    """40 % less shim above 160 degC; cold again, less or whole."""
+    for latched, again in ((0.0, 1.0), (1.0, 0.6)):
+        left = []
+        for kelvin in (360.0, 520.0, 360.0):
+            if not left:
+                there = corner("layer_opening", latched=latched)
+                base = corner(None)
+            shims = []
+            for one in (there, base):
+                one.warm(**dict.fromkeys(one.nodes(), kelvin))
+                # fluid behind, so that heat flows
+                one.warm(fluid=kelvin - 50.0)
+                one.drive(0.25)
+                flow = flow_w(one, "shim")
+                shims.append(flow / (one["backplate"] - one["fluid"]))
+            left.append(shims[0] / shims[1])
+        assert left == pytest.approx([1.0, 0.6, again], abs=0.02)
+
+
+def test_cooling_is_lost_around_one_speed(corner: Make) -> None:
+    """35 % at 20 m/s, 1/e of it six further; flat within the band alone."""
+    for flat, shares in (
+        (0.0, (0.65, 1.0 - 0.35 / 2.718, 1.0)),
+        (1.0, (0.65, 0.65, 1.0)),
+    ):
+        for speed, left in zip((20.0, 25.9, 45.0), shares, strict=True):
+            flows = [
+                flow_w(one.warm(disc=600.0), "disc_convection", speed_ms=speed)
+                for one in (corner("cooling_band", flat=flat), corner(None))
+            ]
+            assert flows[0] / flows[1] == pytest.approx(left, abs=0.01)
+
+
+def test_friction_rises_with_the_seconds_of_a_stop(corner: Make) -> None:
+    """15 % (1 - exp(-t / 3 s)), anew in each stop, either sign."""
+    for strength in (1.0, -1.0):
+        there = corner("friction_in_stop", strength=strength)
+        for _ in range(2):
+            before = there.ledger().generated
+            there.drive(9.0, 10e3)
+            taken = there.ledger().generated - before
+            risen = 9.0 - 3.0 * (1.0 - 2.71828**-3.0)
+            expected = 10e3 * (9.0 + strength * 0.15 * risen)
+            assert taken == pytest.approx(expected, rel=5e-3)
+            there.drive(20.0)
+    measured = corner("friction_in_stop", from_pressure=False).drive(9.0, 1e4)
+    assert measured.nodes() == corner(None).drive(9.0, 1e4).nodes()

@@ -40,9 +40,13 @@ PROPORTIONAL = {
     "disc_wear": ("lost_share",),
     "fluid_exchange": ("line_w_k", "pumping_w_k"),
     "fluid_latent_heat": ("heat_j",),
+    "cooling_band": ("loss",),
     "friction_history": ("drop",),
+    "friction_in_stop": ("rise",),
     "gap_conduction": ("conductance_w_m2k",),
     "hub_conduction": ("conductance_w_k",),
+    "hub_heat": ("torque_nm",),
+    "layer_opening": ("loss",),
     "pad_capacity": ("rise_per_k",),
     "pad_conductivity": ("rise",),
     "pad_pyrolysis": ("heat_j",),
@@ -76,6 +80,7 @@ OF_INPUTS = {
     "powertrain_torque_error": ("share", "offset_nm"),
     "pushout_pressure": ("pressure_pa",),
     "thermocouple_offset": ("offset_k", "gain"),
+    "clock_offset": ("offset_s", "drift_s_h"),
 }
 
 WITHOUT = {"brake_without_pressure"}
@@ -171,7 +176,7 @@ def test_strength_is_a_factor_on_the_inputs(
 ) -> None:
     """Configuration and corrections, as of a typical effect so much off."""
 
-    def edited(**parameters: float) -> tuple[dict[str, Any], Any]:
+    def edited(**parameters: float) -> tuple[dict[str, Any], Any, Any]:
         config = make_car(
             *(make_corner(n) for n in ("FL", "FR")),
             *(make_corner(n, circuit="secondary") for n in ("RL", "RR")),
@@ -183,6 +188,7 @@ def test_strength_is_a_factor_on_the_inputs(
         return (
             found.config.model_dump(exclude={"effect"}),
             found.corrections,
+            found.clock_late,
         )
 
     half = edited(strength=0.5)

@@ -13,10 +13,10 @@ from bstm_daemon.channels import FLAGS, WHEEL_SUSPECT
 from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.estimator.estimator import Estimator
 from bstm_daemon.model.heat.plausibility import reasons
-from bstm_daemon.replay.columns import replay_log
 from bstm_daemon.roles import CORNERS, ROLE_INDEX, ROLES
 from bstm_daemon.simulation.drives import load_drive
 from bstm_daemon.simulation.simulate import simulate
+from tests.replayed import replay_log
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 import pytest
 
 from bstm_daemon.cli.vehicle import load_vehicle
-from bstm_daemon.replay.columns import replay_log
 from bstm_daemon.simulation import parse_drive, simulate
 from bstm_daemon.simulation.frames import Encoder
 from bstm_daemon.simulation.recorder import write_candump
+from tests.replayed import replay_log
 
 if TYPE_CHECKING:
     from bstm_daemon.replay.results import Results

@@ -13,7 +13,7 @@ import pytest
 from bstm_daemon.bus.opening import EventLog
 from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.estimator.estimator import Estimator
-from bstm_daemon.replay.columns import present_roles, replay_log
+from bstm_daemon.replay.columns import present_roles
 from bstm_daemon.replay.results import Collector, Results, ResultsBuilder
 from bstm_daemon.replay.results.builder import LEARNED
 from bstm_daemon.replay.results.records import (
@@ -23,6 +23,7 @@ from bstm_daemon.replay.results.records import (
 )
 from bstm_daemon.replay.results.rows import STRETCH_ROWS
 from bstm_daemon.roles import CORNERS
+from tests.replayed import replay_log
 
 if TYPE_CHECKING:
     from bstm_daemon.estimator.blocks import Block

@@ -19,7 +19,7 @@ class FrictionFade(Effect):
     kind = "heat"
     description = "Hot brakes fade: friction falls above about 350 degC."
     signature = (
-        "All heat input of a corner in proportion, while braking only, beyond "
+        "All heat input, while braking only, beyond "
         "a temperature of the interface; needs Feed-Forward."
     )
     twins = ("disc_radiation_driving",)

@@ -24,7 +24,7 @@ class FrictionHistory(Effect):
         "Friction of new pads falls with the heat they absorb at first."
     )
     signature = (
-        "All heat input of a corner in proportion, while braking only; early "
+        "All heat input, while braking only; early "
         "drives differ from late ones; gone on a repeated run."
     )
     own_parameters = (

@@ -18,7 +18,7 @@ class FrictionPressure(Effect):
     kind = "heat"
     description = "Friction falls with pressure."
     signature = (
-        "All heat input of a corner in proportion, while braking only, with "
+        "All heat input, while braking only, with "
         "pressure; needs Feed-Forward."
     )
     twins = ("friction_speed", "pushout_pressure")

@@ -18,8 +18,7 @@ class FrictionSpeed(Effect):
     kind = "heat"
     description = "Friction falls with sliding speed."
     signature = (
-        "All heat input of a corner in proportion, while braking only, with "
-        "speed; needs Feed-Forward."
+        "All heat input, while braking only, with speed; needs Feed-Forward."
     )
     twins = ("friction_pressure",)
     either_sign = True

@@ -21,7 +21,7 @@ class PushoutPressure(Effect):
     kind = "heat"
     description = "Part of the pressure only overcomes seals and guides."
     signature = (
-        "All heat input of a corner, while braking at low pressure, a "
+        "All heat input, while braking at low pressure, a "
         "constant loss of pressure; needs Feed-Forward."
     )
     twins = ("friction_pressure", "friction_history")

@@ -1,0 +1,382 @@
+"""Beyond the catalogue: a heat path composed of the grammar's words.
+
+Every term of :mod:`~bstm_daemon.model.effects.composed` is a heat at measured
+temperatures. What it would change in the residuals follows from the model's
+own response to heat at a node, linear about these temperatures, so that
+thousands of terms cost one march. The few that explain most are simulated
+with the whole model and weighed like the effects of the catalogue: all
+tunables free, each term paying for the choice among all of them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import log
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from bstm_daemon.analysis.gap.evidence import (
+    NEXT_EVIDENCE,
+    NEXT_SHARE,
+    cross_validated,
+    explained_share,
+    probabilities,
+    weigh,
+)
+from bstm_daemon.analysis.gap.naming import AGAINST
+from bstm_daemon.analysis.gap.residual_heat import measured_nodes
+from bstm_daemon.analysis.gap.signatures import signature_of
+from bstm_daemon.analysis.matching.drives import GRID_S
+from bstm_daemon.analysis.matching.march import march, model_of
+from bstm_daemon.analysis.statistics.evidence import (
+    FREE,
+    Projector,
+    fit_terms,
+)
+from bstm_daemon.errors import ConfigError
+from bstm_daemon.estimator.corner_model import compiled_model
+from bstm_daemon.model.effects.composed import FORMS, PATHS, PREFIX, Term
+from bstm_daemon.model.thermal.network import Link, value
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from bstm_daemon.analysis.gap.comparison import Comparison
+    from bstm_daemon.analysis.gap.evidence import Candidate
+    from bstm_daemon.analysis.gap.naming import Naming
+    from bstm_daemon.analysis.gap.noise import Layout
+    from bstm_daemon.analysis.gap.signatures import Linearised, Signature
+    from bstm_daemon.analysis.matching.drives import Drive
+    from bstm_daemon.analysis.statistics.series import Column
+    from bstm_daemon.model.effects.model import CornerModel
+    from bstm_daemon.model.thermal.network import Factor, Node
+
+BLOCK: Final = 10
+"""Steps of the grid that responses are marched by: 5 s."""
+
+FOLLOWS: Final = 1e-9
+"""Size of a mass that takes no heat."""
+
+WIDENED: Final = 16
+"""Terms of one clause that get a second one."""
+
+SIMULATED: Final = 6
+"""Terms that are simulated with the whole model, each round."""
+
+MOST_TERMS: Final = 3
+WORDS: Final = sum(len(form.grid) for form in FORMS.values())
+
+
+class Response:
+    """What heats change at the thermocouples of one corner over one drive."""
+
+    def __init__(
+        self, model: CornerModel, drive: Drive, terms: Sequence[Term]
+    ) -> None:
+        """March *model* over *drive* once, measured nodes as measured.
+
+        What the memories and masses of *terms* do is marched too.
+        """
+        self.model = whole = model
+        looking_back = {
+            (one.memories(), one.masses()): replace(one, size=FOLLOWS)
+            for one in terms
+        }
+        for one in looking_back.values():
+            if one.memories() or one.masses():
+                whole = one.edit(whole)
+        net = whole.network
+        corner = model.spec.name
+        found = march(
+            [compiled_model(whole)],
+            drive,
+            corner,
+            forced=measured_nodes(drive, corner, compiled_model(model)),
+            memories=[one.name for one in net.memories],
+        )
+        self.count = len(drive) // BLOCK
+        columns = {name: column[:, 0] for name, column in found.items()}
+        columns |= {one: drive.channel(corner, one) for one in net.inputs}
+        self.slots = {
+            name: column[: self.count * BLOCK].reshape(-1, BLOCK).mean(axis=1)
+            for name, column in columns.items()
+        }
+        free = [
+            one
+            for one in model.network.nodes
+            if one.boundary_input is None or one.capacity_j_k > 0.0
+        ]
+        self.place = {node.name: i for i, node in enumerate(free)}
+        self._solve(free)
+
+    def _solve(self, free: Sequence[Node]) -> None:
+        """Invert the implicit step of each block."""
+        size = len(free)
+        self.capacity = np.zeros((self.count, size))
+        for i, node in enumerate(free):
+            own = value(node.name, node.capacity_table)
+            factors = () if node.capacity_table is None else (own,)
+            shape = self._product((*node.factors, *factors))
+            self.capacity[:, i] = node.capacity_j_k * shape / (BLOCK * GRID_S)
+        matrix = self.capacity[:, :, None] * np.eye(size)
+        for link in self.model.network.links:
+            g = link.conductance_w_k * self._product(link.factors)
+            ends = [self.place[n] for n in (link.a, link.b) if n in self.place]
+            for i in ends:
+                matrix[:, i, i] += g
+            if len(ends) == 2:
+                matrix[:, ends[0], ends[1]] -= g
+                matrix[:, ends[1], ends[0]] -= g
+        self.inverse = np.linalg.inv(matrix)
+
+    def _product(self, factors: Sequence[Factor]) -> Column:
+        found = np.ones(self.count)
+        for one in factors:
+            a = self.slots[one.a]
+            b = self.slots[one.b or one.a]
+            driver = {
+                "value": a,
+                "difference": a - b,
+                "mean": 0.5 * (a + b),
+                "radiation": (a * a + b * b) * (a + b),
+            }[one.kind]
+            if one.table is not None:
+                values = one.table.values
+                x = one.table.x0 + one.table.dx * np.arange(len(values))
+                driver = np.interp(driver, x, values)
+            found *= driver
+        return found
+
+    def of(
+        self, terms: Sequence[Term], nodes: Sequence[str]
+    ) -> dict[str, Column]:
+        """Return the change [K] of *nodes* by each term, (blocks, terms)."""
+        heats, into, term_of = [], [], []
+        for number, term in enumerate(terms):
+            for flow in term.flows(self.model):
+                if isinstance(flow, Link):
+                    apart = self.slots[flow.a] - self.slots[flow.b]
+                    heat = flow.conductance_w_k * apart
+                    ends = [(flow.a, -1.0), (flow.b, 1.0)]
+                else:
+                    heat, ends = flow.gain, [(flow.node, 1.0)]
+                heat = heat * self._product(flow.factors)
+                own = [end for end in ends if end[0] in self.place]
+                heats += [sign * heat for _, sign in own]
+                into += [self.place[node] for node, _ in own]
+                term_of += [number] * len(own)
+        heat_w = np.array(heats).T
+        state = np.zeros((len(self.place), len(terms)))
+        shown = [self.place[self.model.shown(node)] for node in nodes]
+        found = np.empty((len(nodes), self.count, len(terms)))
+        for block in range(self.count):
+            right = self.capacity[block][:, None] * state
+            np.add.at(right, (into, term_of), heat_w[block])
+            state = self.inverse[block] @ right
+            found[:, block] = state[shown]
+        return dict(zip(nodes, found, strict=True))
+
+
+class Search:
+    """Terms against what a comparison leaves, with all that is *known*."""
+
+    def __init__(
+        self, comparison: Comparison, layout: Layout, known: Linearised
+    ) -> None:
+        """Find the response to heat of every corner over every drive."""
+        self.comparison = comparison
+        self.layout = layout
+        self.known = known
+        self.project = Projector(known.jacobian, layout.prior)
+        config = comparison.config(comparison.start)
+        self.model = model_of(config, comparison.target.corners[0])
+        self.single = [
+            one
+            for path in PATHS.values()
+            for plain in [Term(path, (), path.size)]
+            for one in (plain, *_widened(plain))
+            if self.fits(one)
+        ]
+        self.responses = {
+            (number, corner): Response(
+                model_of(config, corner),
+                comparison.recordings[number].drive,
+                self.single,
+            )
+            for number, corner in comparison.pairs
+        }
+        self.base_k = comparison.residuals_k(comparison.start[None])[:, 0]
+
+    def fits(self, term: Term) -> bool:
+        """Whether *term*, with either sign, is possible in this structure."""
+        signs = [term, replace(term, size=-term.size)]
+        if all(one.problems() for one in signs):
+            return False
+        try:
+            compiled_model(term.edit(self.model))
+        except (ValueError, ConfigError):
+            return False
+        return True
+
+    def columns(self, terms: Sequence[Term]) -> Column:
+        """Return the whitened change of the residuals by *terms*, (n, k)."""
+        nodes = list(dict.fromkeys(s.node for s in self.comparison.series))
+        shown = {
+            pair: one.of(terms, nodes) for pair, one in self.responses.items()
+        }
+        parts = []
+        for s in self.comparison.series:
+            at = s.steps // BLOCK
+            corners = sorted({corner for corner, _ in s.couples})
+            own = [shown[s.drive, corner][s.node] for corner in corners]
+            last = len(own[0]) - 1
+            parts.append(np.mean([k[np.minimum(at, last)] for k in own], 0))
+        return self.layout.whiten(np.concatenate(parts))
+
+    def ranked(
+        self, terms: Sequence[Term], project: Projector
+    ) -> list[tuple[float, Term]]:
+        """Return log evidence and term at its best size, best first."""
+        columns = self.columns(terms)
+        projected = project(columns)
+        precision = np.sum(columns * projected, axis=0) + FREE**-2
+        strength = -(projected.T @ self.known.residual) / precision
+        evidence = 0.5 * strength**2 * precision
+        evidence -= 0.5 * np.log(precision * FREE**2)
+        sized = [
+            replace(term, size=float(a) * term.size)
+            for a, term in zip(strength, terms, strict=True)
+        ]
+        found = [
+            (float(one) - cost(term), term)
+            for one, term in zip(evidence, sized, strict=True)
+            if not term.problems()
+        ]
+        return sorted(found, key=lambda one: -one[0])
+
+    def best(
+        self, chosen: Sequence[Signature]
+    ) -> tuple[Candidate, Signature] | None:
+        """Return the term that explains most beside *chosen*."""
+        project = self.project.beside([one.column for one in chosen])
+        ranked = self.ranked(self.single, project)
+        wider = [
+            two
+            for _, one in ranked[:WIDENED]
+            for two in _widened(one)
+            if one.clauses
+        ]
+        ranked += self.ranked([t for t in wider if self.fits(t)], project)
+        ranked.sort(key=lambda one: -one[0])
+        found = []
+        for _, term in ranked[:SIMULATED]:
+            name = PREFIX + str(term)
+            self.comparison.sizes[name] = term.size
+            signature = signature_of(
+                self.comparison, name, self.base_k, (0.5, 1.0)
+            )
+            if signature and name not in {one.name for one in chosen}:
+                one = weigh(project, self.known.residual, signature)
+                paid = one.log_evidence - cost(term)
+                found.append((replace(one, log_evidence=paid), signature))
+        return max(found, key=lambda one: one[0].log_evidence, default=None)
+
+
+def cost(term: Term) -> float:
+    """Return what the choice of *term*'s words costs, as log probability."""
+    return log(len(PATHS)) + len(term.clauses) * log(WORDS)
+
+
+def _widened(term: Term) -> list[Term]:
+    """Return *term* with each further clause."""
+    return [
+        replace(term, clauses=(*term.clauses, (form, number)))
+        for form in FORMS.values()
+        for number in form.grid
+    ]
+
+
+CLEAR: Final = 15.0
+CLEARER: Final = 0.5
+"""By so much of the log-likelihood, and this share of the catalogue's own
+gain, a composition must explain more for a name to be withheld."""
+
+
+def with_composed(
+    comparison: Comparison, layout: Layout, known: Linearised, naming: Naming
+) -> tuple[Linearised, Naming]:
+    """Return *known* and *naming* with a composed effect, if one is better.
+
+    Where nothing is missing none is looked for. Each term pays for its words,
+    and no drive, predicted by the others, may contradict the first one. It
+    must be clearly better than what is named or most likely.
+    """
+    if not naming.found:
+        return known, naming
+    search = Search(comparison, layout, known)
+    terms: list[Candidate] = []
+    chosen: list[Signature] = []
+    validated: dict[str, float] = {}
+    while len(terms) < MOST_TERMS:
+        found = search.best(chosen)
+        if found is None:
+            break
+        one, signature = found
+        if one.log_evidence < NEXT_EVIDENCE or (
+            terms and one.gain < NEXT_SHARE * terms[0].gain
+        ):
+            break
+        if not terms:
+            validated = cross_validated(layout, known, signature)
+            if min(validated.values(), default=0.0) < -AGAINST:
+                break
+        terms.append(one)
+        chosen.append(signature)
+    by_name = {one.name: one for one in known.signatures}
+    rivals = naming.adoptable or naming.names[:1]
+    named = {
+        by_name[one.name]: one.strength
+        for one in naming.candidates
+        if one.name in rivals
+    }
+    listed = _gain(search.project, known, named)
+    gain = _gain(search.project, known, dict.fromkeys(chosen, 1.0))
+    if not terms or (named and gain - listed < max(CLEAR, CLEARER * listed)):
+        return known, naming
+    whole = replace(
+        terms[0], log_evidence=sum(one.log_evidence for one in terms)
+    )
+    odds = probabilities([whole, *naming.candidates])
+    names = tuple(one.name for one in terms)
+    known = replace(known, signatures=(*known.signatures, *chosen))
+    return known, replace(
+        naming,
+        answer="composed",
+        names=names,
+        probability=odds[names[0]],
+        candidates=(*terms, *naming.candidates),
+        odds={**dict.fromkeys(names, odds[names[0]]), **odds},
+        reason=(
+            f"the best of the catalogue, {', '.join(rivals)}, explains "
+            f"{100.0 * listed / gain:.0f} % of what it does"
+            if rivals
+            else naming.reason
+        ),
+        cross_validated=validated,
+        explained=explained_share(search.project, known, terms)[0],
+        sizes={name: comparison.sizes[name] for name in names},
+    )
+
+
+def _gain(
+    project: Projector, known: Linearised, strengths: Mapping[Signature, float]
+) -> float:
+    """Return what signatures together, near their strengths, explain.
+
+    What they take off half the sum of squares.
+    """
+    if not strengths:
+        return 0.0
+    columns = np.column_stack([one.at(a) / a for one, a in strengths.items()])
+    return fit_terms(project, known.residual, columns, FREE).gain

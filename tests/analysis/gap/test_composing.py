@@ -1,0 +1,231 @@
+"""Composed effects: found, sized and written where no catalogue has them."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+import pytest
+
+from bstm_daemon.analysis.gap import composing, workflow
+from bstm_daemon.analysis.gap.advising import samples_of
+from bstm_daemon.analysis.gap.comparison import with_effects
+from bstm_daemon.analysis.gap.composing import Search, cost, with_composed
+from bstm_daemon.analysis.gap.holdout_comparison import REFITTED
+from bstm_daemon.analysis.gap.naming import Naming
+from bstm_daemon.analysis.gap.recording import recorded
+from bstm_daemon.analysis.gap.signatures import (
+    Linearised,
+    signature_of,
+)
+from bstm_daemon.analysis.gap.workflow import compare, find_gap
+from bstm_daemon.analysis.identify.writing import write_changed
+from bstm_daemon.analysis.matching.tunables import TUNABLES, Target
+from bstm_daemon.config.reading import load_config
+from bstm_daemon.config.sections import EffectConfig
+from bstm_daemon.estimator.corner_model import compile_corner
+from bstm_daemon.model.effects.composed import PATHS, PREFIX, read
+from bstm_daemon.report.gap import headline
+from bstm_daemon.simulation import load_drive, simulate
+from bstm_daemon.simulation.parameters import Effects
+
+from ...made_drives import EXAMPLE  # noqa: TID252  (tests are no package)
+from .test_advising import MATCHED, present
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from bstm_daemon.analysis.gap.comparison import Comparison
+    from bstm_daemon.analysis.gap.recording import Recording
+    from bstm_daemon.config.sections import Config
+
+AMONG: Final = (
+    *("gap_conduction", "hub_conduction", "disc_radiation_driving"),
+    *("backplate_loss", "caliper_radiation", "shim_contact"),
+)
+FEW: Final = ("disc to air", "fluid to air", "heat at fluid")
+"""Paths that are enough for what is tested, and quickly searched."""
+
+
+@pytest.fixture(autouse=True)
+def among(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let these effects and paths be all that there are."""
+    monkeypatch.setattr(workflow, "candidates", lambda _: list(AMONG))
+    few = {text: PATHS[text] for text in FEW}
+    monkeypatch.setattr(composing, "PATHS", few)
+
+
+def hiding(config: Config, **terms: float) -> Config:
+    return with_effects(
+        config, [EffectConfig(name="composed", parameters=terms)]
+    )
+
+
+def unexplained(comparison: Comparison) -> Linearised:
+    base_k = comparison.residuals_k(comparison.start[None])[:, 0]
+    none = np.zeros((len(base_k), len(comparison.prior)))
+    return Linearised(comparison.whiten(base_k), none, (), (), ())
+
+
+@pytest.mark.parametrize(
+    ("text", "alike"),
+    [
+        ("disc to air, driving, above 300 degC", 0.95),
+        ("fluid to air, rising with speed", 0.98),
+        ("heat at fluid, fading within 400 s after braking", 0.98),
+    ],
+)
+def test_the_response_is_that_of_the_whole_model(
+    target: Target, made: Callable[..., Recording], text: str, alike: float
+) -> None:
+    """Linear about the measured temperatures, against a march with it."""
+    comparison = compare(target, [made()])
+    search = Search(comparison, comparison, unexplained(comparison))
+    term = read(text, 0.3 * read(text).path.size)
+    name = PREFIX + text
+    comparison.sizes[name] = term.size
+
+    (found,) = search.columns([term]).T
+
+    whole = signature_of(comparison, name, search.base_k, (0.5, 1.0))
+    assert whole is not None
+    column = whole.at(1.0)
+    size = np.linalg.norm(column)
+    assert found @ column > alike * np.linalg.norm(found) * size
+    assert np.linalg.norm(found) == pytest.approx(size, rel=0.12)
+
+
+def test_the_hidden_term_is_first_and_of_its_size(
+    target: Target, config: Config, made: Callable[..., Recording]
+) -> None:
+    text = "fluid to air, rising with speed"
+    hidden = hiding(config, **{text: 1.5})
+    comparison = compare(target, [made(of=hidden)])
+    search = Search(comparison, comparison, unexplained(comparison))
+
+    found = search.best([])
+
+    assert found is not None
+    assert found[0].name == PREFIX + text
+    size = comparison.sizes[found[0].name] * found[0].strength
+    assert size == pytest.approx(1.5, rel=0.1)
+
+
+def test_each_clause_costs(target: Target) -> None:
+    """More words must explain more."""
+    costs = [
+        cost(read(text))
+        for text in (
+            "disc to air",
+            "disc to air, wet",
+            "disc to air, wet, above 30 km/h",
+        )
+    ]
+
+    assert costs[1] - costs[0] == pytest.approx(costs[2] - costs[1])
+    assert costs[1] - costs[0] > 3.0
+
+
+def test_nothing_is_composed_where_nothing_is_missing(
+    target: Target, made: Callable[..., Recording]
+) -> None:
+    comparison = compare(target, [made()])
+    known = unexplained(comparison)
+    nothing = Naming("nothing", (), 0.9, (), {"": 0.9}, "")
+
+    same, naming = with_composed(comparison, comparison, known, nothing)
+
+    assert same is known
+    assert naming is nothing
+    assert not comparison.sizes
+
+
+@pytest.mark.slow  # two searches and a fit
+def test_it_is_named_adopted_and_shrinks_a_held_out_drive(
+    config: Config, made: Callable[..., Recording], tmp_path: Path
+) -> None:
+    text = "disc to air, driving, above 100 degC"
+    real = hiding(config, **{text: 8.0})
+    drives = [made(of=real), made(name="b", seed=2, of=real)]
+    held_out = made(name="c", seed=3, of=real)
+
+    (found,) = find_gap(config, drives, [held_out])
+
+    assert found.naming is not None
+    assert found.naming.answer == "composed"
+    assert "none of the known effects; best description: disc to air" in (
+        headline(found)
+    )
+    assert found.shown is not None
+    assert found.shown.shrinks[REFITTED].factor > 1.5
+    new = tmp_path / "new.toml"
+    write_changed(EXAMPLE, new, found.values, "", "", found.entries)
+    written = load_config(new)
+    (entry,) = written.effect
+    assert entry.name == "composed"
+    (size,) = entry.parameters.values()
+    assert size == pytest.approx(8.0, rel=0.35)
+    assert entry.provenance["data"] == ["made", "b"]
+    program = compile_corner(written, written.corner[0])
+    assert set(entry.parameters) <= set(program.ledger_names)
+    (again,) = find_gap(written, drives, until="name")
+    assert again.naming is not None
+    assert again.naming.answer == "nothing"
+
+
+@pytest.mark.slow  # a search of the whole grammar
+def test_a_listed_name_stays_where_composing_is_not_clearly_better(
+    target: Target, made: Callable[..., Recording]
+) -> None:
+    recordings = [
+        made({"gap_conduction": 1.3}),
+        made({"gap_conduction": 1.3}, "other", seed=2),
+    ]
+    (found,) = find_gap(target.config, recordings, until="name")
+
+    assert found.naming is not None
+    assert found.naming.names == ("gap_conduction",)
+
+
+@pytest.mark.slow  # two simulated drives and a search of the whole grammar
+def test_an_effect_that_is_not_listed_is_described_where_and_when_it_acts(
+    config: Config, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The gap of released pads conducts, in the simulated reality.
+
+    Its physics is other code and another form than any term.
+    """
+    unlisted = [one for one in AMONG if one != "gap_conduction"]
+    monkeypatch.setattr(workflow, "candidates", lambda _: unlisted)
+    monkeypatch.setattr(composing, "PATHS", PATHS)
+    changes = {
+        "heat": config.heat.model_copy(update={"mode": "ff"}),
+        "cooling": config.cooling.model_copy(update={"form": "conductance"}),
+    }
+    plain = Target(config.model_copy(update=changes), ("FL", "FR"))
+    target = plain.changed(
+        {
+            key: factor * plain.value(TUNABLES[key])
+            for key, factor in MATCHED.items()
+        }
+    )
+    drives = []
+    for seed, name in enumerate(("simalp", "rich")):
+        simulated = simulate(
+            load_drive(name),
+            preset=Effects(gap_conduction=1.5),
+            sensors="n2",
+            seed=11 + seed,
+        )
+        samples = samples_of(simulated, present(), temperatures=True)
+        drives.append(recorded(name, samples, target.config, present()))
+
+    (found,) = find_gap(target.config, drives, until="name")
+
+    assert found.naming is not None
+    assert found.naming.answer == "composed"
+    first = read(found.naming.names[0].removeprefix(PREFIX))
+    assert (first.path.a, first.path.b) == ("disc", "pad_front")
+    assert [form.words for form, _ in first.clauses] == ["brake off"]
+    assert found.naming.candidates[0].z > 20.0

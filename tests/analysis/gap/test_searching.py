@@ -1,0 +1,82 @@
+"""Forms of an effect: the best is taken, and the choice costs."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from bstm_daemon.analysis.gap.comparison import at_steps
+from bstm_daemon.analysis.gap.fitting import directions
+from bstm_daemon.analysis.gap.searching import search
+from bstm_daemon.analysis.gap.signatures import forms_of, sensed
+from bstm_daemon.analysis.gap.workflow import compare
+from bstm_daemon.analysis.matching.tunables import targets_of
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from bstm_daemon.analysis.gap.recording import Recording
+    from bstm_daemon.config.sections import Config
+
+
+@pytest.mark.slow
+def test_the_form_that_is_there_is_taken(
+    config: Config, made: Callable[..., Recording]
+) -> None:
+    comparison = compare(targets_of(config, ["FL"])[0], [made({})])
+    simulated = sensed(comparison, ["clock_offset", "disc_hat"])
+    basis = directions(comparison)
+    (drifting,) = forms_of("clock_offset")
+    for terms, form in (
+        (simulated.terms_k["clock_offset"], None),
+        (simulated.forms_k["clock_offset"][0], drifting),
+    ):
+        comparison.forms.clear()
+        missing_k = 2.0 * terms[0] + 4.0 * terms[1]
+        of_form = replace(simulated, base_k=simulated.base_k - missing_k)
+
+        known, naming = search(comparison, of_form, basis)
+
+        assert comparison.forms.get("clock_offset") == form
+        found = {one.name: one for one in naming.candidates}["clock_offset"]
+        assert found.strength == pytest.approx(2.0, rel=0.1)
+        costs = {one.name: one.form_cost for one in known.signatures}
+        assert 0.0 < costs["clock_offset"] <= np.log(2.0) + 1e-9
+        assert costs["disc_hat"] == 0.0
+    _, effects = comparison.placed(comparison.start, {"clock_offset": 2.0})
+    assert effects[0].parameters == {"strength": 2.0, **drifting}
+
+
+@pytest.mark.slow
+def test_a_late_clock_is_found(
+    config: Config, made: Callable[..., Recording]
+) -> None:
+    """12 s late; the model's own temperatures stay what they are."""
+    recording = made({})
+    drive = recording.drive
+    measured = {
+        corner: {
+            node: replace(one, time_s=one.time_s + 12.0)
+            for node, one in couples.items()
+        }
+        for corner, couples in drive.measured.items()
+    }
+    late = replace(recording, drive=replace(drive, measured=measured))
+    comparison = compare(targets_of(config, ["FL"])[0], [late])
+    simulated = sensed(comparison, ["clock_offset", "thermocouple_lag"])
+
+    _, naming = search(comparison, simulated, directions(comparison))
+
+    assert naming.names[0] == "clock_offset"
+    assert naming.candidates[0].strength == pytest.approx(2.0, rel=0.3)
+    assert comparison.forms == {}
+
+
+def test_between_steps_is_a_straight_line() -> None:
+    values = np.array([[0.0, 10.0], [2.0, 20.0], [4.0, 0.0]])
+    found = at_steps(values, np.array([-1.0, 0.5, 1.0, 2.0, 7.0]))
+    expected = [[0, 10], [1, 15], [2, 20], [4, 0], [4, 0]]
+    assert found.tolist() == expected

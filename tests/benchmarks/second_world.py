@@ -1,0 +1,306 @@
+"""The whole workflow in a car simulator that shares nothing with this project.
+
+``second_world.py FOLDER [--release] [--first SEED] [--cars N] [--effects N]
+[--controls N] [--out FILE.md]``. ``BSTM_SECOND_WORLD`` names the simulator:
+the folder of ``make_case.py``, which writes drives with and without a hidden
+effect, and of ``sheet_to_config.py``, which writes a configuration from the
+car's sheet; ``BSTM_SECOND_WORLD_PYTHON`` is the interpreter that has what
+they need. Each car is matched once with ``bstm match`` on drives without the
+effect; then ``bstm gap run`` answers on drives with it. FOLDER keeps what was
+made: a second run does what is missing.
+
+Seeds below 500 are for development. ``--release`` takes those that a hash of
+the released version draws from 500 to 999: for figures that are reported, and
+looked at once.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import os
+import random
+import shutil
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from measurements import markdown
+
+import bstm_daemon
+from bstm_daemon.api import load_config, replay
+
+CALIBRATION: Final = ("simalp", "rich", "coastdown")
+WITH_EFFECT: Final = ("simalp", "rich")
+HELD_OUT: Final = ("ams", "longrun")
+CONTROLS: Final = (
+    WITH_EFFECT,
+    ("rich", "grossglockner"),
+    ("simalp", "city"),
+    ("grossglockner", "city"),
+    ("rich", "ams"),
+    ("longrun", "rich"),
+)
+"""Drives of the controls, car by car; the first are those of the effects."""
+
+RELEASE_SEEDS: Final = range(500, 1000)
+
+RIGHT: Final[dict[str, set[str]]] = {
+    "mu_fade": {"friction_fade"},
+    "mu_progressive": {"friction_history"},
+    "pad_half_worn": {
+        *("pad_wear", "change.heat_into_pads", "change.lining_capacity"),
+        "change.lining_conductivity",
+    },
+    "disc_worn": {"disc_wear", "change.disc_mass"},
+    "closed_rim": {"change.wheel_air", "change.disc_air"},
+    "dragging_caliper": {"residual_drag"},
+    "extra_mass": {"mass_error"},
+    "accel_offset": {"accelerometer_bias"},
+    "shim_degraded": {"shim_contact", "change.shim_resistance"},
+    "hammerhead_strong": {
+        *("bracket_conduction", "change.effect.bracket_conduction.strength"),
+    },
+    "pad_k_rise": {"pad_conductivity", "change.lining_conductivity"},
+    "engine_heat": {"local_air", "change.effect.local_air.strength"},
+    "tc_debonded": {"thermocouple_lag", "thermocouple_offset"},
+    "hub_drum_heat": set(),
+}
+"""Hidden effect to right names; an empty set is an effect that nothing in the
+catalogue describes: its right answer is that something is missing."""
+
+NODES: Final = {
+    "fluid": "fluid_c",
+    "disc": "disc_c",
+    "pad_front": "pad_front_c",
+    "pad_back": "pad_back_c",
+}
+"""Nodes of the simulator that a thermocouple measures, and our columns."""
+
+DETECTABLE: Final = 3.0
+"""An effect is detectable where it moves a measured node by so many times what
+the matched control is off there, both as RMS against the truth."""
+
+
+HEADER: Final = (
+    *("car", "hidden", "detectable", "answer", "worth"),
+    *("shrink, as configured", "heat and cooling re-fitted"),
+)
+
+
+@dataclass(frozen=True)
+class Case:
+    """One car, one thing hidden in it or none, and the drives."""
+
+    seed: int
+    effect: str
+    drives: tuple[str, ...]
+
+    @property
+    def name(self) -> str:
+        """Of its folder."""
+        if self.effect == "none":
+            return f"{self.seed}-none-{'-'.join(self.drives)}"
+        return f"{self.seed}-{self.effect}"
+
+
+class World:
+    """The simulator, and what was made with it under *folder*."""
+
+    def __init__(self, folder: Path) -> None:
+        """Find the simulator by the environment.
+
+        Raises:
+            SystemExit: ``BSTM_SECOND_WORLD`` is not set.
+        """
+        where = os.environ.get("BSTM_SECOND_WORLD")
+        if not where:
+            sys.exit("BSTM_SECOND_WORLD: set it to the simulator's folder")
+        self.where, self.folder = Path(where), folder
+        self.python = os.environ.get("BSTM_SECOND_WORLD_PYTHON", "python3")
+
+    def run(self, script: str, *arguments: str) -> None:
+        """Run one of its scripts."""
+        subprocess.run(
+            [self.python, str(self.where / script), *arguments],
+            check=True,
+            stdout=subprocess.DEVNULL,
+            env=os.environ | {"PYTHONDONTWRITEBYTECODE": "1"},
+        )
+
+    def made(self, case: Case) -> Path:
+        """Return the folder of *case*, made if it is not there.
+
+        The first control of a car also has the drives to match it on.
+        """
+        target = self.folder / case.name
+        if not (target / "runs.json").exists():
+            shutil.rmtree(target, ignore_errors=True)
+            first = case == Case(case.seed, "none", WITH_EFFECT)
+            self.run(
+                *("make_case.py", "--effect", case.effect),
+                *("--seed", str(case.seed), "--out", str(target)),
+                *("--calibration", *(CALIBRATION if first else ())),
+                *("--manoeuvres", *case.drives),
+                *("--heldout", *HELD_OUT, "--heldout-tc"),
+            )
+        return target
+
+    def matched(self, seed: int) -> Path:
+        """Return the configuration of car *seed* as matched."""
+        folder = self.made(Case(seed, "none", WITH_EFFECT))
+        sheet, matched = folder / "car.toml", folder / "matched.toml"
+        if not matched.exists():
+            self.run("sheet_to_config.py", str(folder), str(sheet))
+            logs = sorted(map(str, folder.glob("cal*.log")))
+            bstm("match", *logs, "-c", str(sheet), "-o", str(matched))
+        return matched
+
+    def answered(self, case: Case) -> dict[str, Any]:
+        """Return what ``bstm gap run`` says of *case*."""
+        matched, folder = self.matched(case.seed), self.made(case)
+        answer = folder / "answer.json"
+        if not answer.exists():
+            logs = sorted(map(str, folder.glob("test*.log")))
+            held = sorted(map(str, folder.glob("heldout*.log")))
+            bstm(
+                *("gap", "run", *logs, "--holdout", *held),
+                *("-c", str(matched), "-o", str(folder / "adopted.toml")),
+                *("--force", "--json", str(answer)),
+            )
+        found: dict[str, Any]
+        found, *_ = json.loads(answer.read_text("utf-8"))["corners"]
+        return found
+
+    def detectable(self, case: Case) -> bool:
+        """Return whether the effect stands out of the match's own error."""
+        matched = self.matched(case.seed)
+        control = self.made(Case(case.seed, "none", WITH_EFFECT))
+        vehicle = load_config(matched)
+        worst = 0.0
+        for log in sorted(control.glob("test*.log")):
+            run = replay(log, vehicle, start="cold", every_s=1.0).columns
+            truth, changed = (
+                np.load(folder / "truth" / f"{log.stem}.npz")
+                for folder in (control, self.made(case))
+            )
+            for node, column in NODES.items():
+                ours = np.interp(
+                    truth["t"], run["time_s"], run[f"FL.{column}"]
+                )
+                off_k = rms(ours - truth[node])
+                own = np.interp(truth["t"], changed["t"], changed[node])
+                worst = max(worst, rms(own - truth[node]) / off_k)
+        return worst >= DETECTABLE
+
+
+def bstm(*arguments: str) -> None:
+    """Run ``bstm``; exit codes above 1 are errors."""
+    done = subprocess.run(
+        [sys.executable, "-m", "bstm_daemon.cli.main", "-q", *arguments],
+        check=False,
+        stdout=subprocess.DEVNULL,
+    )
+    if done.returncode > 1:
+        sys.exit(f"bstm {' '.join(arguments)}: exit code {done.returncode}")
+
+
+def rms(values: np.ndarray) -> float:
+    """Return the root mean square."""
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def verdict(effect: str, naming: dict[str, Any]) -> str:
+    """Return what *naming* is worth where *effect* is hidden.
+
+    ``right``; ``right among`` several; ``missing``, where it says that
+    something is and names nothing; ``silent``; or ``wrong``.
+    """
+    names = set(naming["names"])
+    if effect == "none":
+        return (
+            "wrong"
+            if names
+            else ("silent" if naming["answer"] == "nothing" else "missing")
+        )
+    if not names:
+        if naming["answer"] == "nothing":
+            return "silent"
+        return "missing" if RIGHT[effect] else "right"
+    if not names & RIGHT[effect]:
+        return "wrong"
+    return "right" if names <= RIGHT[effect] else "right among"
+
+
+def release_seeds(cars: int) -> list[int]:
+    """Return the seeds of this version, the same on every computer."""
+    digest = hashlib.sha256(bstm_daemon.__version__.encode()).digest()
+    return random.Random(digest).sample(RELEASE_SEEDS, cars)  # noqa: S311
+
+
+def cases(seed: int, effects: int, controls: int) -> list[Case]:
+    """Return the controls of car *seed*, then its effects, drawn by it."""
+    hidden = random.Random(seed).sample(sorted(RIGHT), effects)  # noqa: S311
+    return [
+        *(Case(seed, "none", drives) for drives in CONTROLS[:controls]),
+        *(Case(seed, effect, WITH_EFFECT) for effect in hidden),
+    ]
+
+
+def row(world: World, case: Case) -> list[str]:
+    """Return a line of the table: hidden, answered, worth, shrink."""
+    found = world.answered(case)
+    naming, shown = found["naming"], found.get("shown") or {}
+    hidden = case.effect != "none"
+    written = (world.made(case) / "adopted.toml").exists()
+    shrink = shown.get("shrink", {}) if written else {}
+    return [
+        str(case.seed),
+        case.effect if hidden else f"none ({', '.join(case.drives)})",
+        ("yes" if world.detectable(case) else "no") if hidden else "-",
+        ", ".join(naming["names"]) or naming["answer"],
+        verdict(case.effect, naming),
+        *(
+            f"{shrink[of][0]:.1f}" if of in shrink else "-"
+            for of in ("as configured", "heat and cooling re-fitted")
+        ),
+    ]
+
+
+def main() -> None:
+    """Run the cases and write their table as Markdown."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--release", action="store_true")
+    parser.add_argument("--first", type=int, default=101)
+    parser.add_argument("--cars", type=int, default=10)
+    parser.add_argument("--effects", type=int, default=6)
+    parser.add_argument("--controls", type=int, default=6)
+    parser.add_argument("--out", type=Path, metavar="FILE.md")
+    args = parser.parse_args()
+    world = World(args.folder.resolve())
+    world.folder.mkdir(parents=True, exist_ok=True)
+    seeds = (
+        release_seeds(args.cars)
+        if args.release
+        else range(args.first, args.first + args.cars)
+    )
+    rows = []
+    for seed in seeds:
+        for case in cases(seed, args.effects, args.controls):
+            rows.append(row(world, case))
+            print(*rows[-1], sep="  ", flush=True)  # noqa: T201
+    table = {"header": HEADER, "rows": rows}
+    text = "\n".join(markdown(table)) + "\n"
+    if args.out:
+        args.out.write_text(text, "utf-8")
+    else:
+        sys.stdout.write(text)
+
+
+if __name__ == "__main__":
+    main()
