@@ -114,13 +114,12 @@ def test_shades_mark_doubtful_inputs(descent: Results) -> None:
 def test_a_parked_car_whose_bus_sleeps_lacks_nothing(
     descent: Results,
 ) -> None:
-    """Unless the estimates are no longer valid for it."""
+    """Whatever else degrades a corner; a bus that is silent else does."""
     flags = np.zeros(len(descent))
-    flags[18_000:24_000] = FLAGS["speed_missing"]
+    flags[18_000:21_000] = FLAGS["speed_missing"] | FLAGS["asleep"]
+    flags[21_000:24_000] = FLAGS["speed_missing"]
     columns = {**descent.columns, "flags": flags}
-    validity = columns["FL.validity"].copy()
-    validity[21_000:24_000] = 1.0
-    columns["FL.validity"] = validity
+    columns["FL.validity"] = np.ones(len(descent))
     results = Results(columns, descent.corners, descent.modelled)
 
     assert _shaded(results, "speed [km/h]") == [
