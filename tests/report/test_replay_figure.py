@@ -114,12 +114,11 @@ def test_shades_mark_doubtful_inputs(descent: Results) -> None:
 def test_a_parked_car_whose_bus_sleeps_lacks_nothing(
     descent: Results,
 ) -> None:
-    """Whatever else degrades a corner; a bus that is silent else does."""
-    flags = np.zeros(len(descent))
-    flags[18_000:21_000] = FLAGS["speed_missing"] | FLAGS["asleep"]
-    flags[21_000:24_000] = FLAGS["speed_missing"]
-    columns = {**descent.columns, "flags": flags}
-    columns["FL.validity"] = np.ones(len(descent))
+    """Where the bus does not sleep, the speed is missing."""
+    flags = np.zeros(len(descent), np.int64)
+    flags[18_000:24_000] = FLAGS["speed_missing"]
+    flags[18_000:21_000] |= FLAGS["asleep"]
+    columns = {**descent.columns, "flags": flags.astype(float)}
     results = Results(columns, descent.corners, descent.modelled)
 
     assert _shaded(results, "speed [km/h]") == [
