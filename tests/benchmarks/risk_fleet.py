@@ -173,6 +173,7 @@ def _drawn(
         f.name: rng.uniform(1.0 - SPREAD, 1.0 + SPREAD)
         for f in fields(corner)
         if f.name not in {*KNOWN_TO_THE_OWNER, "ring_mass_kg"}
+        and isinstance(getattr(corner, f.name), float)
     }
     for group, span in WIDE.items():
         factor = ring if group == "ring" else rng.uniform(*span)

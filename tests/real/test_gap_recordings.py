@@ -8,7 +8,6 @@ from pathlib import Path
 import pytest
 
 from bstm_daemon.analysis.gap.heat_only import find_force_gap
-from bstm_daemon.analysis.gap.holdout_comparison import BASELINES
 from bstm_daemon.analysis.gap.recording import read_recording
 from bstm_daemon.analysis.gap.workflow import find_gap
 from bstm_daemon.cli.vehicle import load_vehicle
@@ -59,7 +58,7 @@ def test_toyota_brakes_without_pressure() -> None:
 
 
 def test_f1_discs_are_cooled_by_the_wind(tmp_path: Path) -> None:
-    """A constant coefficient, named on one track, shrunk on the other."""
+    """With a constant coefficient both tracks ask for the same two effects."""
     text = (ROOT / "tests" / "real" / "f1.toml").read_text("utf-8")
     text = text.replace("disc.mass_kg = 1.5", "disc.mass_kg = 1.36")
     car = tmp_path / "f1.toml"
@@ -70,18 +69,13 @@ def test_f1_discs_are_cooled_by_the_wind(tmp_path: Path) -> None:
         for name in ("Spain", "Hungary")
     )
 
-    (found,) = find_gap(config, [spain], [hungary])
-    (other,) = find_gap(config, [hungary], until="name")
+    for recording in (spain, hungary):
+        (found,) = find_gap(config, [recording], until="name")
+        naming = found.naming
 
-    assert other.naming is not None
-    assert other.naming.answer == "undecided"
-    assert other.naming.names == ("speed_dependent_convection",)
-    assert found.naming is not None
-    assert found.shown is not None
-    assert found.naming.answer == "name"
-    assert found.naming.names == ("speed_dependent_convection",)
-    assert found.naming.probability > 0.95
-    evidence = [one.log_evidence for one in found.naming.candidates[:2]]
-    assert evidence[0] > evidence[1] + 5.0
-    assert found.shown.held_out
-    assert found.shown.shrinks[BASELINES[1]].lower > 1.0
+        assert naming is not None
+        assert naming.answer == "undecided"
+        assert naming.names == ("speed_dependent_convection", "cooling_band")
+        evidence = [one.log_evidence for one in naming.candidates[:3]]
+        assert evidence[0] > evidence[1] + 1.0
+        assert evidence[1] > evidence[2] + 1.0

@@ -577,7 +577,7 @@ def test_a_start_that_fails_in_any_way_ends_with_78(
     lines = capsys.readouterr().err.splitlines()
     assert code == ConfigError.exit_code
     assert lines[0].startswith(f"{config}: cannot be used: ")
-    assert lines[1:] == ["1 problem"]
+    assert len(lines) == 1
 
 
 def test_the_collector_passes_over_no_vehicle_and_a_reload_leaves_none(

@@ -89,6 +89,8 @@ def weigh(
     grid, weights = strength_prior(
         either_sign=signature.either_sign, even=signature.even
     )
+    possible = np.abs(grid) <= signature.most
+    grid, weights = grid[possible], weights[possible] / weights[possible].sum()
     gains = _gains(gram, grid)
     top = int(np.argmax(gains))
     best = _refined(gram, grid, top)

@@ -60,6 +60,10 @@ ALIKE: Final = 0.95
 """Cosine of two signatures, tunables projected out, from which data can not
 tell them apart."""
 
+CLEARLY: Final = 1.0
+"""Log evidence by which two effects at once, or heat that no effect has, must
+be better before it is said that no single one explains what is missing."""
+
 SOMETHING: Final = 0.88
 """Probability from which something is missing though nothing can be named:
 one effect, two that stand in for one, or heat without a name, as likely each
@@ -209,7 +213,7 @@ def _unnamed(
     missing = missing_probability(ways)
     if missing < SOMETHING:
         return nothing
-    if of_one < max(ways):
+    if of_one < max(ways) - CLEARLY:
         reason = "no effect of the catalogue alone explains it"
         return nothing.answered("unknown", (), missing, reason)
     members: list[str] = []

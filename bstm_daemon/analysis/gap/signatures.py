@@ -20,6 +20,7 @@ import numpy as np
 from bstm_daemon.analysis.gap.changes import (
     either_sign,
     is_change,
+    largest,
     strength_of,
 )
 from bstm_daemon.analysis.gap.residual_heat import REGIMES
@@ -78,9 +79,9 @@ class Signature:
 
     ``linear`` and ``curved`` (n,) are whitened; ``kelvin`` (n,) is the change
     at strength 1. Of a change since the match no sign is the typical one:
-    ``even``. ``near`` is the strength that it is simulated about,
-    ``form_cost`` what choosing among the forms of the effect takes off the
-    logarithm of its evidence.
+    ``even``. ``near`` is the strength that it is simulated about, ``most`` the
+    largest that it can have, ``form_cost`` what choosing among the forms of
+    the effect takes off the logarithm of its evidence.
     """
 
     name: str
@@ -90,6 +91,7 @@ class Signature:
     either_sign: bool
     even: bool = False
     near: float = 1.0
+    most: float = np.inf
     form_cost: float = 0.0
 
     @property
@@ -280,6 +282,7 @@ def whitened_signature(
         either_sign(name),
         is_change(name),
         near,
+        most=largest(name),
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, ClassVar, Literal
 
 from bstm_daemon.model.effects.model import (
@@ -55,6 +56,9 @@ class Effect:
     forms: ClassVar[tuple[Mapping[str, float], ...]] = ()
     """Other forms that it may have: values beside the typical ones."""
 
+    most_strength: ClassVar[float] = STRENGTH.upper
+    """What physics allows, where that is less."""
+
     either_sign: ClassVar[bool] = False
     """Whether physics allows a strength below 0."""
 
@@ -88,6 +92,7 @@ class Effect:
     def parameters(cls) -> tuple[Parameter, ...]:
         """All parameters, strength first."""
         strength = SIGNED_STRENGTH if cls.either_sign else STRENGTH
+        strength = replace(strength, upper=cls.most_strength)
         return (strength, *cls.own_parameters)
 
     @classmethod

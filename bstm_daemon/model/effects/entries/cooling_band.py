@@ -20,6 +20,7 @@ class CoolingBand(Effect):
     description = "Around one speed the wheel well sheds less of its air."
     signature = "Disc, driving in a band of speed, with its excess over air."
     twins = ("convection_exponent",)
+    most_strength = 2.5  # at the typical loss, which is below 1
     own_parameters = (
         Parameter("loss", "1", 0.0, 0.9, 0.35, "of the convection"),
         Parameter("middle_ms", "m/s", 5.0, 50.0, 20.0, "of the band"),
