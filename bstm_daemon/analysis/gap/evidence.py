@@ -87,10 +87,8 @@ def weigh(
     columns = np.column_stack((residual, signature.linear, signature.curved))
     gram = columns.T @ project(columns)
     grid, weights = strength_prior(
-        either_sign=signature.either_sign, even=signature.even
+        signature.most, either_sign=signature.either_sign, even=signature.even
     )
-    possible = np.abs(grid) <= signature.most
-    grid, weights = grid[possible], weights[possible] / weights[possible].sum()
     gains = _gains(gram, grid)
     top = int(np.argmax(gains))
     best = _refined(gram, grid, top)
@@ -112,15 +110,15 @@ def weigh(
 
 
 def strength_prior(
-    *, either_sign: bool, even: bool = False
+    most: float = np.inf, *, either_sign: bool, even: bool = False
 ) -> tuple[Column, Column]:
-    """Return strengths and their weights, log-normal, summing to 1.
+    """Return strengths to *most* and their weights, log-normal, summing to 1.
 
     Both signs are as likely where that is *even*.
     """
-    grid = STRENGTHS
+    grid = STRENGTHS[most >= STRENGTHS]
     if either_sign:
-        grid = np.concatenate((-STRENGTHS[::-1], STRENGTHS))
+        grid = np.concatenate((-grid[::-1], grid))
     logs = (np.log(np.abs(grid)) - LOG_CENTRE) / LOG_WIDTH
     weights = np.exp(-0.5 * logs**2)
     if either_sign and not even:

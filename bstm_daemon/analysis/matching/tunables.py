@@ -70,7 +70,7 @@ STRENGTHS: Final = {
 typical parameters, from a drawing and handbooks, leave open of a path."""
 
 ANY: Final = (0.05, 5.0, 0.5)
-"""Of any other effect's strength; the upper bound is the catalogue's."""
+"""Of any other effect's strength."""
 
 
 CONTACT: Final = "contact_conductance"
@@ -147,8 +147,15 @@ TUNABLES: Final[dict[str, Tunable]] = {
         Tunable("pad.conductivity_w_mk", 0.5, 5.0, 0.15, "W/(m K)"),
         Tunable("pad.heat_capacity_j_kgk", 800.0, 1300.0, 0.08, "J/(kg K)"),
         *(
-            Tunable(strength_key(name), *STRENGTHS.get(name, ANY), "x typical")
+            Tunable(
+                strength_key(name),
+                least,
+                min(most, effect_class(name).most_strength),
+                deviation,
+                "x typical",
+            )
             for name in effect_names()
+            for least, most, deviation in [STRENGTHS.get(name, ANY)]
             if effect_class(name).kind == "thermal" and name != CONTACT
         ),
         # rough faces: 1e3 to 1e4 W/m2K are known, and a tenth of it

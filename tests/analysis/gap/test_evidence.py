@@ -68,6 +68,23 @@ def drive(number: int) -> Series:
     )
 
 
+def test_a_strength_stays_within_what_physics_allows() -> None:
+    """Data that ask for 3 get no more than 2.5, and less evidence."""
+    change = np.ones(POINTS)
+    most = Signature("cooling_band", change, 0.0 * change, change, False)
+    project = Projector(np.zeros((POINTS, 2)), PRIOR)
+
+    free = weigh(project, -3.0 * change, most)
+    held = weigh(project, -3.0 * change, replace(most, most=2.5))
+
+    assert free.strength == pytest.approx(3.0, abs=0.02)
+    assert 2.3 < held.strength <= 2.5
+    assert held.log_evidence < free.log_evidence
+    grid, weights = strength_prior(2.5, either_sign=True)
+    assert abs(grid).max() <= 2.5
+    assert weights.sum() == pytest.approx(1.0)
+
+
 @pytest.fixture
 def layout() -> Layout:
     series = [drive(number) for number in range(DRIVES)]
