@@ -2,10 +2,20 @@
 
 from __future__ import annotations
 
+from itertools import groupby
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from bstm_daemon.bus.output.layout import own_ids
+from bstm_daemon.replay.frames import publications
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from typing import Any
+
+    from bstm_daemon.bus.signals.signal_map import SignalMap
+    from bstm_daemon.config.sections import Config
+    from bstm_daemon.engine import Engine
 
 ROOT: Final = Path(__file__).parents[2]
 OWN: Final = {
@@ -43,3 +53,57 @@ def write_lines(path: Path, lines: list[Line], channel: str) -> Path:
         encoding="ascii",
     )
     return path
+
+
+def cycles_of(lines: list[Line]) -> dict[int, list[str]]:
+    """Return what the service sent in *lines* by the grid line [us].
+
+    Up to the last frame of others: what says goodbye belongs to no line.
+    Its first frame is that of ``BSTM_Status``, of the lowest id. Frames go
+    out after their line and before the next; of two cycles within one line
+    the first is that of the line before, which was late.
+    """
+    found: list[tuple[int, list[str]]] = []
+    end = max(i for i, line in enumerate(lines) if not is_own(line))
+    for us, frame in filter(is_own, lines[:end]):
+        if frame.startswith("5B0#"):
+            line = us // GRID_US * GRID_US
+            if found and found[-1][0] == line:
+                found[-1] = line - GRID_US, found[-1][1]
+            found.append((line, []))
+        found[-1][1].append(frame)
+    cycles = dict(found)
+    assert len(cycles) == len(found)
+    return cycles
+
+
+def replayed_cycles(
+    config: Config,
+    signal_map: SignalMap,
+    log: Path,
+    state: Mapping[str, Any],
+    sent: set[int],
+) -> dict[int, list[str]]:
+    """Return the frames of a replay of *log* by the grid line [us].
+
+    A busy machine makes a service leave out a line: its frames go out with
+    those of the next, only the newest of each name, counted as sent. So are
+    these, for a service that sent at the lines *sent* only.
+    """
+    engines: list[Engine] = []
+    ticks = publications(
+        config, signal_map, log, state=state, built=engines.append
+    )
+    found, newest = {}, {}
+    for tick in ticks:
+        publication = engines[0].publication
+        publication.take_back(item.frame.name for item in tick)
+        for line, cycle in groupby(tick, lambda item: item.time_us):
+            newest |= {item.frame.name: item.frame for item in cycle}
+            if line in sent:
+                found[line] = [
+                    f"{frame.can_id:03X}#{frame.data.hex().upper()}"
+                    for frame in map(publication.numbered, newest.values())
+                ]
+                newest = {}
+    return found
