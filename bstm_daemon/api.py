@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Literal
 
 from bstm_daemon import simulation
 from bstm_daemon.analysis.gap import workflow as gap_workflow
+from bstm_daemon.analysis.gap.calibration import Calibration
 from bstm_daemon.analysis.gap.recording import read_recording
 from bstm_daemon.analysis.matching.coarse import guesses_of
-from bstm_daemon.analysis.matching.workflow import match_logs
 from bstm_daemon.files import shipped_file
 from bstm_daemon.replay.columns import stream_log
 from bstm_daemon.replay.results import Collector
@@ -135,12 +135,15 @@ def simulate(
     return driven
 
 
-def match(logs: Iterable[File], vehicle: Vehicle) -> list[Match]:
+def match(
+    logs: Iterable[File], vehicle: Vehicle, *, plain: bool = False
+) -> list[Match]:
     """Match the model to drives with thermocouples, as ``bstm match`` does.
 
     Args:
         logs: drives with measured temperatures, in the order driven.
         vehicle: of :func:`load_config`.
+        plain: match once, and search for nothing that may be missing.
 
     Returns:
         A match for each set of corners that are alike: ``joint.values``,
@@ -151,9 +154,10 @@ def match(logs: Iterable[File], vehicle: Vehicle) -> list[Match]:
     """
     paths = [Path(log) for log in logs]
     guessed = guesses_of(vehicle.path)
-    return match_logs(
-        paths, vehicle.config, vehicle.signal_map, guessed
-    ).matches
+    calibration = Calibration(paths, vehicle.signal_map)
+    return calibration.run(
+        vehicle.config, guessed, plain=plain
+    ).matched.matches
 
 
 def find_gap(

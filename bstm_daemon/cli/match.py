@@ -6,13 +6,10 @@ import time
 from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
-from bstm_daemon.analysis.gap.form import with_form
-from bstm_daemon.analysis.gap.recording import read_recording
-from bstm_daemon.analysis.gap.workflow import compare
+from bstm_daemon.analysis.gap.calibration import Calibration
 from bstm_daemon.analysis.identify.writing import Entries, write_changed
-from bstm_daemon.analysis.matching.changes import changes_of, learned
+from bstm_daemon.analysis.matching.changes import changes_of
 from bstm_daemon.analysis.matching.coarse import guesses_of
-from bstm_daemon.analysis.matching.workflow import match_logs
 from bstm_daemon.cli.log_command import (
     add_log_arguments,
     heading,
@@ -26,14 +23,12 @@ from bstm_daemon.report.match import (
     match_json,
     match_page,
     match_text,
+    step_json,
+    step_lines,
 )
 
 if TYPE_CHECKING:
     import argparse
-
-    from bstm_daemon.analysis.matching.matcher import Match
-    from bstm_daemon.bus.signals.signal_map import SignalMap
-    from bstm_daemon.config.estimates import MatchedConfig
 
 
 PART_MISSING: Final = 1
@@ -47,12 +42,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         choices=("cooling",),
         default="",
         help="cooling: match only what another rim changes, the air at disc "
-        "and caliper",
+        "and caliper; implies --plain",
     )
     parser.add_argument(
         "--each",
         action="store_true",
         help="match left and right separately, even if configured alike",
+    )
+    parser.add_argument(
+        "--plain",
+        action="store_true",
+        help="match once; otherwise bstm gap searches the same drives, and "
+        "what it names is added where the error on what was left out falls",
     )
 
 
@@ -64,16 +65,16 @@ def run(args: argparse.Namespace) -> int:
     config, signal_map = open_vehicle(args, args.logs)
     guessed = guesses_of(args.config)
     with Progress("match") as progress:
-        config, matches, by_forces, why_not = match_logs(
-            args.logs,
-            config,
-            signal_map,
-            guessed,
-            overrides=dict(args.map),
-            only=args.only,
-            each=args.each,
-            progress=progress.show,
+        calibration = Calibration(
+            args.logs, signal_map, dict(args.map), progress.show
         )
+        found = calibration.run(
+            config, guessed, only=args.only, each=args.each, plain=args.plain
+        )
+        config, matches, by_forces, why_not = found.matched
+        learned = [
+            calibration.handed_on(match) for match in matches if args.out
+        ]
     names = names_of(args.logs)
     verdict = "; ".join(headline(match) for match in matches)
     print(verdict)
@@ -82,10 +83,15 @@ def run(args: argparse.Namespace) -> int:
         print(f"  by forces, before the match: {change}")
     for reason in why_not:
         print(f"  by forces: {reason}")
+    for line in step_lines(found.steps):
+        print(f"  {line}")
     for match in matches:
         print(match_text(match))
     origin = f"matched, {names}, {time.strftime('%Y-%m-%d')}"
     changes = changes_of(matches, config, origin)
+    added = {one.name for one in found.effects}
+    changes = [one for one in changes if one.effect not in added]
+    changes += found.changes
     places = {(one.section, one.key, one.corner) for one in changes}
     changes += [
         replace(one, note=f"by forces, {names}")
@@ -95,37 +101,25 @@ def run(args: argparse.Namespace) -> int:
     if args.out is not None:
         write_changed(
             *(args.config, args.out, changes, origin, verdict),
-            Entries(matched=_learned(args, matches, signal_map)),
+            Entries(found.effects, matched=learned),
         )
-        print(f"{args.out}: {len(changes)} values")
+        print(f"{args.out}: {len(changes) + len(found.effects)} values")
     for line in write_results(
         args,
         (names, config.vehicle.id),
-        lambda: {
-            "files": [str(log) for log in args.logs],
-            "corners": [match_json(match) for match in matches],
-            "changes": [str(change) for change in changes],
-        },
-        lambda subtitle: match_page(matches, subtitle),
+        lambda: (
+            {
+                "files": [str(log) for log in args.logs],
+                "corners": [match_json(match) for match in matches],
+                "changes": [str(change) for change in changes],
+            }
+            | (
+                {}
+                if args.plain
+                else {"steps": list(map(step_json, found.steps))}
+            )
+        ),
+        lambda subtitle: match_page(matches, subtitle, found.steps),
     ):
         print(line)
     return PART_MISSING if any(match.verdict for match in matches) else 0
-
-
-def _learned(
-    args: argparse.Namespace, matches: list[Match], signal_map: SignalMap
-) -> list[MatchedConfig]:
-    """Return what *matches* hand on, with what their form lacks."""
-    found = []
-    for match in matches:
-        known = learned(match)
-        config = match.after.config.model_copy(update={"matched": [known]})
-        target = replace(match.after, config=config)
-        with Progress("form") as progress:
-            recordings = [
-                read_recording(log, config, signal_map, dict(args.map))
-                for log in args.logs
-            ]
-            comparison = compare(target, recordings)
-            found.append(with_form(known, comparison, progress.show))
-    return found

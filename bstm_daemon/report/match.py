@@ -17,6 +17,7 @@ from bstm_daemon.analysis.matching.identifiability import (
     verdicts,
 )
 from bstm_daemon.analysis.matching.tunables import TUNABLES
+from bstm_daemon.report.gap import answer_line
 from bstm_daemon.report.json_file import picked
 from bstm_daemon.report.plots import NODE_COLOURS, NodeCurve
 from bstm_daemon.report.shell import Page, Section, Table, node_section
@@ -25,6 +26,7 @@ from bstm_daemon.report.text import table
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from bstm_daemon.analysis.gap.calibration import Step
     from bstm_daemon.analysis.matching.matcher import Match
     from bstm_daemon.analysis.matching.refine import Refinement
 
@@ -87,6 +89,13 @@ def _by_node(rms_k: Mapping[str, float]) -> str:
     return ", ".join(f"{node} {k:.1f}" for node, k in rms_k.items())
 
 
+def _moved(before_k: Mapping[str, float], after_k: Mapping[str, float]) -> str:
+    return ", ".join(
+        f"{node} {before_k[node]:.1f} to {after:.1f} K"
+        for node, after in after_k.items()
+    )
+
+
 def notes(match: Match) -> list[str]:
     """Return remarks: ratios, correlated pairs, held-out drives."""
     fit, accuracy = match.joint, match.accuracy
@@ -116,10 +125,7 @@ def headline(match: Match) -> str:
         f"{what}: nothing left out, {_by_node(match.joint.rms_k)} K in the fit"
     )
     if accuracy.left_out:
-        change = ", ".join(
-            f"{node} {accuracy.before_k[node]:.1f} to {after:.1f} K"
-            for node, after in accuracy.rms_k.items()
-        )
+        change = _moved(accuracy.before_k, accuracy.rms_k)
         text = f"{what}: RMS on {accuracy.left_out}, left out: {change}"
         if accuracy.baseline_k > 0.0:
             text += f" (a disc of one node: {accuracy.baseline_k:.1f} K)"
@@ -140,6 +146,39 @@ def match_text(match: Match) -> str:
         lines += ["", f"{what}: {fit_line(fit)}"]
         lines += table(VALUE_HEAD, value_rows(fit))
     return "\n".join([*lines, "", *notes(match)])
+
+
+def step_lines(steps: Sequence[Step]) -> list[str]:
+    """Return a line for each step from the first match to the last."""
+    lines = []
+    for number, step in enumerate(steps, 1):
+        text = (
+            f"step {number}, {', '.join(step.corners)}: "
+            f"{answer_line(step.naming, 'this data')}"
+        )
+        if step.after_k:
+            text += (
+                "; on what was left out, with it: "
+                f"{_moved(step.before_k, step.after_k)}: "
+                f"{'kept' if step.kept else f'dropped, {step.why}'}"
+            )
+        elif step.naming.found:
+            text += ": not added"
+        lines.append(text)
+    return lines
+
+
+def step_json(step: Step) -> dict[str, Any]:
+    """Return *step* for machines."""
+    return picked(
+        step,
+        *("corners", "kept", "why"),
+        answer="naming.answer",
+        names="naming.names",
+        probability="naming.probability",
+        held_out_before_k="before_k",
+        held_out_after_k="after_k",
+    )
 
 
 def match_json(match: Match) -> dict[str, Any]:
@@ -198,9 +237,13 @@ def _fit_json(fit: Refinement) -> dict[str, Any]:
     }
 
 
-def match_page(matches: Sequence[Match], subtitle: str) -> Page:
-    """Return the page of what *matches* found."""
+def match_page(
+    matches: Sequence[Match], subtitle: str, steps: Sequence[Step] = ()
+) -> Page:
+    """Return the page of what *matches* found, in which *steps*."""
     sections = []
+    if steps:
+        sections.append(Section("Steps", lines=step_lines(steps)))
     for match in matches:
         prefix = f"{', '.join(match.corners)}: "
         sections += [

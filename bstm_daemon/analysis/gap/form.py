@@ -8,10 +8,12 @@ residuals of later drives. What is new since the match is left.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from bstm_daemon.analysis.gap.changes import is_change
 from bstm_daemon.analysis.gap.comparison import HEAT_SCALE_PRIOR
 from bstm_daemon.analysis.gap.fitting import askable
 from bstm_daemon.analysis.gap.noise import FREEDOM, Layout, calibrated
@@ -41,6 +43,7 @@ def with_form(
     known: MatchedConfig,
     comparison: Comparison,
     progress: Callable[[float], None] | None = None,
+    simulated: Sensed | None = None,
 ) -> MatchedConfig:
     """Return *known* with what the form lacks on *comparison*.
 
@@ -48,11 +51,19 @@ def with_form(
         known: what the match learned.
         comparison: the matched target on the drives that it was matched to.
         progress: called with the share that is done.
+        simulated: *comparison* as simulated already.
     """
-    comparison.trials = {}
     target = comparison.target
-    names = askable(target, candidates(target.config))
-    simulated = sensed(comparison, names, progress)
+    if simulated is None:
+        comparison.trials = {}
+        names = askable(target, candidates(target.config))
+        simulated = sensed(comparison, names, progress)
+    effects = {
+        name: terms
+        for name, terms in simulated.terms_k.items()
+        if not is_change(name)
+    }
+    simulated = replace(simulated, terms_k=effects)
     # by its priors: the match's own covariance comes of the same drives
     prior = [target.tunable(key).prior for key in comparison.keys[:-1]]
     layout = Layout(

@@ -376,7 +376,7 @@ def _left_out(  # noqa: PLR0913
     folds = folds_of(readings[0].drives)
     before: Errors = {}
     after: Errors = {}
-    names, simple_k, shifts = [], [], []
+    names, simple_k, shifts, each_k = [], [], [], []
     for number, (pieces, left) in enumerate(folds):
         found = search(target, [one.of(pieces) for one in readings])
         drives = found.reading.drives
@@ -399,11 +399,13 @@ def _left_out(  # noqa: PLR0913
             for corner in target.corners
             if corner in simple
         ]
-        for errors, one, on in (
-            (before, target, plain),
-            (after, without, drive),
+        own = _errors(without, [drive])
+        each_k.append(rms_of(own))
+        for errors, of_drive in (
+            (before, _errors(target, [plain])),
+            (after, own),
         ):
-            for node, parts in errors_of(one, on).items():
+            for node, parts in of_drive.items():
                 errors.setdefault(node, []).extend(parts)
         show((number + 1) / len(folds))
     seen = {node: list(parts) for node, parts in after.items()}
@@ -422,6 +424,7 @@ def _left_out(  # noqa: PLR0913
         rms_of(after),
         rms(np.array(simple_k)) if simple_k else nan,
         np.array(shifts),
+        tuple(each_k),
     )
 
 
@@ -454,6 +457,12 @@ def _doubts(
                 f"lump explain {most_k:.1f} K"
             )
         left_k = accuracy.rms_k.get(node, 0.0)
+        before_k = accuracy.before_k.get(node, left_k)
+        if left_k > before_k + usual_k:
+            yield (
+                f"{node} {left_k:.1f} K on what was left out, {before_k:.1f} "
+                "K as configured"
+            )
         if left_k > FAR_ABOVE * fit_k[node] + max(
             ABOVE_K, ABOVE_SHARE * rise_k
         ):

@@ -208,8 +208,9 @@ class Accuracy:
     ``drives`` were left out in turn, 0: a part of the only one, named in
     ``left_out``; where that is empty, nothing could be. ``before_k`` and
     ``rms_k`` are the RMS there, as configured and fitted without it, and
-    ``baseline_k`` that of a disc of one node fitted to the same. ``shifts``
-    (k, p) are how far the logarithms of the values lay off without it.
+    ``baseline_k`` that of a disc of one node fitted to the same; ``each_k``
+    is ``rms_k`` of each thing left out. ``shifts`` (k, p) are how far the
+    logarithms of the values lay off without it.
     """
 
     nodes: Mapping[str, NodeAccuracy]
@@ -219,6 +220,7 @@ class Accuracy:
     rms_k: Mapping[str, float]
     baseline_k: float = np.nan
     shifts: Column = field(default_factory=lambda: np.zeros((0, 0)))
+    each_k: tuple[Mapping[str, float], ...] = ()
 
 
 LEAST_S: Final = 240.0

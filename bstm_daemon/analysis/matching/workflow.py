@@ -47,6 +47,7 @@ def match_logs(  # noqa: PLR0913
     overrides: Mapping[str, str] | None = None,
     only: str = "",
     each: bool = False,
+    beside: bool = True,
     progress: Callable[[float], None] | None = None,
 ) -> Matched:
     """Match *config* to *logs*, what is guessed of the forces first.
@@ -59,6 +60,7 @@ def match_logs(  # noqa: PLR0913
         overrides: interface of a log to the name of its bus.
         only: ``cooling`` for what another rim changes, else everything.
         each: match corners by themselves that are configured alike.
+        beside: fit Table 4.1 alone, for comparison.
         progress: called with the share of a stage that is done.
 
     Raises:
@@ -84,28 +86,28 @@ def match_logs(  # noqa: PLR0913
             near_m2,
         )
 
-    def matches(readings: list[Reading], *, beside: bool) -> list[Match]:
+    def matches(readings: list[Reading], *, last: bool) -> list[Match]:
         return match_drives(
             config,
             readings,
             guessed=guessed,
             only=only,
             each=each,
-            beside=beside,
+            beside=beside and last,
             progress=progress,
         )
 
     again = _follows_temperature(config)
-    found = matches(readings(config, guessed), beside=not again)
+    found = matches(readings(config, guessed), last=not again)
     near_m2 = [
         one.joint.values[DRAG] for one in found if DRAG in one.joint.values
     ]
     if near_m2:
-        found = matches(readings(config, guessed, near_m2), beside=True)
+        found = matches(readings(config, guessed, near_m2), last=True)
     if again:
         # friction is that at the temperatures of the matched model
         as_matched = readings(_with_values(config, found), frozenset())
-        found = matches(as_matched, beside=True)
+        found = matches(as_matched, last=True)
     return Matched(config, found, by_forces, why_not)
 
 
