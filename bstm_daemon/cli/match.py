@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from bstm_daemon.analysis.gap.calibration import Calibration
 from bstm_daemon.analysis.identify.writing import Entries, write_changed
@@ -104,21 +104,19 @@ def run(args: argparse.Namespace) -> int:
             Entries(found.effects, matched=learned),
         )
         print(f"{args.out}: {len(changes) + len(found.effects)} values")
+    searched: dict[str, Any] = {}
+    if not args.plain:
+        searched["steps"] = [step_json(step) for step in found.steps]
+        searched["effects"] = found.effects
     for line in write_results(
         args,
         (names, config.vehicle.id),
-        lambda: (
-            {
-                "files": [str(log) for log in args.logs],
-                "corners": [match_json(match) for match in matches],
-                "changes": [str(change) for change in changes],
-            }
-            | (
-                {}
-                if args.plain
-                else {"steps": list(map(step_json, found.steps))}
-            )
-        ),
+        lambda: {
+            "files": [str(log) for log in args.logs],
+            "corners": [match_json(match) for match in matches],
+            "changes": [str(change) for change in changes],
+            **searched,
+        },
         lambda subtitle: match_page(matches, subtitle, found.steps),
     ):
         print(line)
