@@ -17,7 +17,7 @@ from bstm_daemon.analysis.matching.identifiability import (
     verdicts,
 )
 from bstm_daemon.analysis.matching.tunables import TUNABLES
-from bstm_daemon.report.gap import answer_line
+from bstm_daemon.report.gap import answer_line, called
 from bstm_daemon.report.json_file import picked
 from bstm_daemon.report.plots import NODE_COLOURS, NodeCurve
 from bstm_daemon.report.shell import Page, Section, Table, node_section
@@ -156,9 +156,10 @@ def step_lines(steps: Sequence[Step]) -> list[str]:
             f"step {number}, {', '.join(step.corners)}: "
             f"{answer_line(step.naming, 'this data')}"
         )
-        if step.after_k:
+        if step.added:
+            what = called(step.naming, step.added)
             text += (
-                "; on what was left out, with it: "
+                f"; on what was left out, with {what}: "
                 f"{_moved(step.before_k, step.after_k)}: "
                 f"{'kept' if step.kept else f'dropped, {step.why}'}"
             )
@@ -172,7 +173,7 @@ def step_json(step: Step) -> dict[str, Any]:
     """Return *step* for machines."""
     return picked(
         step,
-        *("corners", "kept", "why"),
+        *("corners", "added", "kept", "why"),
         answer="naming.answer",
         names="naming.names",
         probability="naming.probability",

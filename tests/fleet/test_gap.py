@@ -322,7 +322,7 @@ def lake(tmp_path_factory: pytest.TempPathFactory) -> Path:
     main(
         [
             *("match", str(folder / "match.log"), "-c", str(EXAMPLE)),
-            *("-o", str(matched)),
+            *("-o", str(matched), "--plain"),
         ]
     )
     (folder / "fleet.toml").write_text(

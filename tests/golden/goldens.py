@@ -101,7 +101,10 @@ RECORDINGS: Final = {
 
 RESULTS: Final[dict[str, tuple[list[str], float]]] = {
     "match": (
-        ["match", str(LOGS / "drag.log.gz"), "-c", str(HERE / "matched.toml")],
+        [
+            *("match", str(LOGS / "drag.log.gz"), "--plain"),
+            *("-c", str(HERE / "matched.toml")),
+        ],
         FITTED,
     ),
     "gap": (

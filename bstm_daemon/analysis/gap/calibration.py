@@ -50,20 +50,22 @@ class Step:
     """A search of the drives that corners were matched to.
 
     ``before_k`` is the RMS by node on what was left out, ``after_k`` that of
-    the match with what ``naming`` names, empty where nothing was tried.
-    ``why`` says why it was dropped, empty where it was kept.
+    the match with what was ``added``, the first of the names, both empty
+    where nothing was tried. ``why`` says why it was dropped, empty where it
+    was kept.
     """
 
     corners: tuple[str, ...]
     naming: Naming
     before_k: Mapping[str, float]
+    added: str = ""
     after_k: Mapping[str, float] = field(default_factory=dict)
     why: str = ""
 
     @property
     def kept(self) -> bool:
         """Whether the model has what was named."""
-        return bool(self.after_k) and not self.why
+        return bool(self.added) and not self.why
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -97,11 +99,13 @@ class _Addition:
             update={"effect": [*kept, *self.effects], "corner": corners}
         )
 
-    def matched(self, match: Match) -> _Addition:
-        """Return it as *match* fitted it."""
+    def and_then(self, other: _Addition, match: Match) -> _Addition:
+        """Return both, with the strengths that *match* fitted."""
+        effects = [*self.effects, *other.effects]
         return _Addition(
-            [_as_matched(one, match) for one in self.effects],
-            changes=self.changes,
+            [_as_matched(one, match) for one in effects],
+            {**self.moved, **other.moved},
+            [*self.changes, *other.changes],
         )
 
 
@@ -152,7 +156,9 @@ class Calibration:
             LogError: a log can not be used, or no corner has a thermocouple.
         """
 
-        def matched(config: Config, stage: str) -> Matched:
+        def matched(
+            config: Config, guessed: frozenset[str], stage: str = ""
+        ) -> Matched:
             return match_logs(
                 self._logs,
                 config,
@@ -165,8 +171,9 @@ class Calibration:
                 progress=lambda share: self._progress(share, stage),
             )
 
-        first = matched(config, "")
-        guessed -= {f"{one.section}.{one.key}" for one in first.by_forces}
+        first = matched(config, guessed)
+        by_forces = first.by_forces
+        guessed -= {f"{one.section}.{one.key}" for one in by_forces}
         matches = {one.corners: one for one in first.matches}
         kept: dict[tuple[str, ...], _Addition] = {}
         steps: list[Step] = []
@@ -185,7 +192,8 @@ class Calibration:
             left = {}
             if not tried:
                 break
-            again = matched(trial, "with what was named")
+            keys = {strength_key(step.added) for step, _ in tried.values()}
+            again = matched(trial, guessed | keys, "with what was named")
             for match in again.matches:
                 if match.corners not in tried:
                     continue
@@ -197,11 +205,8 @@ class Calibration:
                 if why:
                     continue
                 old = kept.get(match.corners, _Addition([]))
-                kept[match.corners] = _Addition(
-                    [*old.effects, *addition.effects],
-                    changes=[*old.changes, *addition.changes],
-                ).matched(match)
-                base = kept[match.corners].within(addition.within(base))
+                kept[match.corners] = old.and_then(addition, match)
+                base = kept[match.corners].within(base)
                 left[match.corners] = matches[match.corners] = replace(
                     match,
                     before=before.before,
@@ -210,8 +215,12 @@ class Calibration:
                         match.accuracy, before_k=before.accuracy.before_k
                     ),
                 )
+            if left:
+                by_forces = [*by_forces, *again.by_forces]
         return Calibrated(
-            first._replace(matches=list(matches.values())),
+            first._replace(
+                matches=list(matches.values()), by_forces=by_forces
+            ),
             tuple(steps),
             tuple(one for own in kept.values() for one in own.effects),
             tuple(one for own in kept.values() for one in own.changes),
@@ -255,12 +264,10 @@ class Calibration:
         step = Step(match.corners, naming, match.accuracy.rms_k)
         if naming.answer != "name":
             return step, None
-        found = fit(
-            comparison,
-            starts(naming),
-            basis,
-            known_k=simulated.jacobian_k,
-        )
+        # the first alone: the next search says what is missing beside it
+        name = naming.names[0]
+        start = {name: starts(naming)[name]}
+        found = fit(comparison, start, basis, known_k=simulated.jacobian_k)
         changes, entries = written(comparison, found, naming)
         addition = _Addition(
             [
@@ -269,7 +276,7 @@ class Calibration:
                 for corner in corners
             ]
         )
-        if any(map(is_change, found.strengths)):
+        if is_change(name):
             friction = [
                 one for one in changes if one.key == "friction_coefficient"
             ]
@@ -280,7 +287,7 @@ class Calibration:
                 if one.name in match.corners
             }
             addition = replace(addition, moved=own, changes=friction)
-        return step, addition
+        return replace(step, added=name), addition
 
 
 def _as_matched(effect: EffectConfig, match: Match) -> EffectConfig:

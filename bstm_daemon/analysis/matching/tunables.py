@@ -167,10 +167,16 @@ TUNABLES: Final[dict[str, Tunable]] = {
 GUESSED: Final = {
     MASS: (0.02, 20.0, 1.0),
     **dict.fromkeys(NODES_MS, (0.1, 10.0, 0.3)),
+    **{
+        key: (one.lower, one.upper, 1.2)
+        for key, one in TUNABLES.items()
+        if key.startswith(f"{EFFECT}.")
+    },
 }
 """Bounds and prior of what nobody has measured: the disc of a race car weighs
 a quarter of the typical one, and what is wrong of mass, share, friction and
-capacity comes out as this mass."""
+capacity comes out as this mass. An effect that a search named begins at the
+strength beside values that had hidden it."""
 
 TABLE_4_1: Final = tuple(k for k, one in TUNABLES.items() if one.table_4_1)
 """The thesis's own."""

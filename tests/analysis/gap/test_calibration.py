@@ -1,0 +1,186 @@
+"""Match, search, add, match again: what is added, dropped, left alone."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any, Final, cast
+
+import pytest
+
+from bstm_daemon.analysis.gap import calibration
+from bstm_daemon.analysis.gap.calibration import Calibration, _against
+from bstm_daemon.analysis.gap.searching import search
+from bstm_daemon.analysis.matching import matcher
+from bstm_daemon.analysis.matching.coarse import Reading
+from bstm_daemon.analysis.matching.matcher import match_drives
+from bstm_daemon.analysis.matching.refine import Accuracy
+from bstm_daemon.analysis.matching.workflow import Matched
+from bstm_daemon.cli.vehicle import load_vehicle
+from bstm_daemon.report.match import step_json, step_lines
+
+from ...made_drives import EXAMPLE  # noqa: TID252  (tests are no package)
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from bstm_daemon.analysis.gap.calibration import Calibrated
+    from bstm_daemon.analysis.gap.naming import Naming
+    from bstm_daemon.analysis.gap.recording import Recording
+    from bstm_daemon.analysis.gap.signatures import Linearised
+    from bstm_daemon.analysis.matching.matcher import Match
+    from bstm_daemon.config.sections import Config
+
+HIDDEN: Final = {"gap_conduction": 1.0}
+
+AMONG: Final = (
+    "gap_conduction", "hub_conduction", "disc_radiation_driving",
+    "backplate_loss", "bracket_conduction", "caliper_radiation",
+    "shim_contact",
+)  # fmt: skip
+"""Effects on temperatures: these drives have no samples to heat anew."""
+
+
+@pytest.fixture
+def calibrated(
+    config: Config, monkeypatch: pytest.MonkeyPatch
+) -> Callable[..., Calibrated]:
+    """Return what matches recordings, and searches them."""
+    _, signal_map = load_vehicle(EXAMPLE)
+
+    def run(recordings: Sequence[Recording]) -> Calibrated:
+        named = {one.name: one for one in recordings}
+
+        def matched(
+            logs: Sequence[Path],
+            config: Config,
+            _: object,
+            guessed: frozenset[str],
+            **__: object,
+        ) -> Matched:
+            drives = [named[log.name].drive for log in logs]
+            found = match_drives(
+                config,
+                [Reading(None, drives)],
+                guessed=guessed,
+                beside=False,
+            )
+            return Matched(config, found, [], [])
+
+        def read(log: Path, *_: object) -> Recording:
+            return named[log.name]
+
+        # heat through the contact has its own test
+        monkeypatch.setattr(matcher, "with_contact", lambda *_: None)
+        monkeypatch.setattr(calibration, "match_logs", matched)
+        monkeypatch.setattr(calibration, "read_recording", read)
+        monkeypatch.setattr(calibration, "candidates", lambda _: list(AMONG))
+        logs = [Path(name) for name in named]
+        return Calibration(logs, signal_map).run(config)
+
+    return run
+
+
+def left_out(
+    rms_k: float, *each_k: float, names: tuple[str, ...] = ("one", "two")
+) -> Match:
+    """Return a match of that RMS of its fluid on what was left out."""
+    accuracy = Accuracy(
+        {},
+        len(each_k),
+        " and ".join(names),
+        {},
+        {"fluid": rms_k},
+        each_k=tuple({"fluid": one} for one in each_k),
+    )
+    drives = [SimpleNamespace(name=name) for name in names]
+    found = SimpleNamespace(accuracy=accuracy, drives=drives)
+    return cast("Match", found)
+
+
+@pytest.mark.parametrize(
+    ("after", "why"),
+    [
+        (left_out(8.0, 9.0, 7.0), ""),
+        (left_out(9.5, 9.5, 9.5), "leaves 0.95 times the error"),
+        (left_out(8.0, 4.0, 10.4), ""),
+        (left_out(8.0, 4.0, 10.6), "1.06 times the error on two"),
+    ],
+)
+def test_an_addition_must_gain_and_harm_no_drive(
+    after: Match, why: str
+) -> None:
+    assert _against(left_out(10.0, 10.0, 10.0), after) == why
+
+
+@pytest.mark.slow
+def test_what_is_hidden_in_all_drives_is_added(
+    calibrated: Callable[..., Calibrated], made: Callable[..., Recording]
+) -> None:
+    """The match alone hides it in other values."""
+    found = calibrated([made(HIDDEN, "one"), made(HIDDEN, "two", seed=2)])
+
+    first, last = found.steps
+    assert (first.added, first.kept) == ("gap_conduction", True)
+    assert first.before_k["pad_front"] > 20.0
+    assert first.after_k["pad_front"] < 3.0
+    assert first.before_k["fluid"] > 1.4
+    assert first.after_k["fluid"] < 0.7
+    assert last.naming.answer == "nothing"
+    (effect,) = found.effects
+    assert (effect.name, effect.corner) == ("gap_conduction", "all")
+    assert effect.parameters["strength"] == pytest.approx(1.0, rel=0.05)
+    low, high = effect.provenance["strength_90"]
+    assert low < effect.parameters["strength"] < high
+    (match,) = found.matched.matches
+    assert match.verdict == ()
+    assert match.before.config.effect == []
+    # as configured, it errs by the effect
+    assert match.accuracy.before_k["pad_front"] > 50.0
+    lines = step_lines(found.steps)
+    assert "with gap_conduction: disc " in lines[0]
+    assert lines[0].endswith(": kept")
+    assert lines[1].startswith("step 2, FL: no missing effect visible")
+
+
+@pytest.mark.slow
+def test_nothing_is_added_where_nothing_is_hidden(
+    calibrated: Callable[..., Calibrated], made: Callable[..., Recording]
+) -> None:
+    found = calibrated([made(name="one"), made(name="two", seed=2)])
+
+    (step,) = found.steps
+    assert (step.naming.answer, step.added, step.kept) == (
+        "nothing",
+        "",
+        False,
+    )
+    assert found.effects == ()
+
+
+@pytest.mark.slow
+def test_what_the_other_drive_contradicts_is_dropped(
+    calibrated: Callable[..., Calibrated],
+    made: Callable[..., Recording],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """One drive has it, the other has not, and the search names it."""
+
+    def named(*args: Any) -> tuple[Linearised, Naming]:
+        known, naming = search(*args)
+        names = ["gap_conduction"]
+        return known, naming.answered("name", names, 0.99, "made")
+
+    monkeypatch.setattr(calibration, "search", named)
+
+    found = calibrated([made(HIDDEN, "one"), made(name="two", seed=2)])
+
+    (step,) = found.steps
+    assert (step.added, step.kept) == ("gap_conduction", False)
+    assert step.why.startswith(("leaves ", "1."))
+    assert found.effects == ()
+    (match,) = found.matched.matches
+    assert match.after.config.effect == []
+    assert match.verdict
+    assert f": dropped, {step.why}" in step_lines(found.steps)[0]
+    assert step_json(step)["held_out_after_k"] == step.after_k
