@@ -15,7 +15,7 @@ from bstm_daemon.cli.main import main
 from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.config.reading import load_config
 from bstm_daemon.native.loader import load_kernel
-from bstm_daemon.simulation import simulate
+from bstm_daemon.simulation import Effects, simulate
 from bstm_daemon.simulation.drives import parse_drive
 from bstm_daemon.simulation.frames import Encoder
 from bstm_daemon.simulation.recorder import write_candump
@@ -77,7 +77,7 @@ def matched(log: Path) -> Path:
     folder = log.parent
     code = main(
         [
-            *("match", str(log), "-c", str(EXAMPLE)),
+            *("match", str(log), "-c", str(EXAMPLE), "--plain"),
             *("-o", str(folder / "new.toml")),
             *("--json", str(folder / "match.json")),
             *("--report", str(folder / "match.html")),
@@ -135,6 +135,7 @@ def test_json_has_what_the_screen_says(matched: Path) -> None:
         one for one in front["stages"] if one["title"] == "heat partition"
     )
     assert partition["left_out"] is None
+    assert "steps" not in data
 
 
 def test_the_page_has_figure_5_2(matched: Path) -> None:
@@ -218,6 +219,60 @@ def test_only_cooling_writes_only_cooling(log: Path, tmp_path: Path) -> None:
         "fluid_dynamic_convection_ws_mk",
     }
     assert after.cooling.s_per_s != before.cooling.s_per_s
+
+
+@pytest.mark.slow  # two matches and two searches
+def test_what_the_drives_hide_is_found_and_written(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A pad that stays near the disc, in both drives of the match."""
+    logs = []
+    slower = DRIVE.replace("40.0", "55.0").replace(
+        "duration_s = 90", "duration_s = 400"
+    )
+    for seed, text in enumerate((DRIVE, slower)):
+        logs.append(tmp_path / f"{seed}.log")
+        driven = simulate(
+            parse_drive(text, "own.toml"),
+            preset=Effects(gap_conduction=1.0),
+            sensors="n1",
+            seed=seed,
+        )
+        encoder = Encoder(ROOT / "dbc" / "example_vehicle.dbc")
+        write_candump(logs[-1], driven, encoder)
+    (tmp_path / "config").mkdir()
+    shutil.copytree(ROOT / "dbc", tmp_path / "dbc")
+    target = tmp_path / "config" / "new.toml"
+
+    code = main(
+        [
+            *("match", *map(str, logs), "-c", str(EXAMPLE)),
+            *("-o", str(target), "--json", str(tmp_path / "match.json")),
+            *("--report", str(tmp_path / "match.html")),
+        ]
+    )
+
+    out = capsys.readouterr().out
+    data = json.loads((tmp_path / "match.json").read_text("utf-8"))
+    first, *_, last = data["steps"]
+    assert (first["added"], first["kept"]) == ("gap_conduction", True)
+    for node in ("fluid", "pad_front", "pad_back"):
+        before_k = first["held_out_before_k"][node]
+        assert first["held_out_after_k"][node] < 0.5 * before_k
+    assert last["answer"] == "nothing"
+    assert code == 0
+    assert data["corners"][0]["verdict"] == []
+    (effect,) = load_config(target).effect
+    assert effect.name == "gap_conduction"
+    assert effect.parameters["strength"] == pytest.approx(1.0, abs=0.15)
+    assert effect.provenance["source"] == "bstm match"
+    (known,) = load_config(target).matched
+    assert "effect.gap_conduction.strength" in known.names
+    lines = [one for one in out.splitlines() if one.startswith("  step ")]
+    page = (tmp_path / "match.html").read_text("utf-8")
+    assert len(lines) == len(data["steps"])
+    assert ": kept" in lines[0]
+    assert all(one.strip() in page for one in lines)
 
 
 FADE = """

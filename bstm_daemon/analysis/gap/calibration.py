@@ -11,6 +11,8 @@ from dataclasses import dataclass, field, replace
 from math import exp
 from typing import TYPE_CHECKING, Final
 
+import numpy as np
+
 from bstm_daemon.analysis.gap.adopting import written
 from bstm_daemon.analysis.gap.changes import is_change
 from bstm_daemon.analysis.gap.fitting import NINETY, askable, directions, fit
@@ -21,6 +23,7 @@ from bstm_daemon.analysis.gap.signatures import candidates, sensed
 from bstm_daemon.analysis.gap.workflow import compare
 from bstm_daemon.analysis.identify.guessed import with_changes
 from bstm_daemon.analysis.matching.changes import learned
+from bstm_daemon.analysis.matching.learned import entry
 from bstm_daemon.analysis.matching.structure import KEPT, share_left
 from bstm_daemon.analysis.matching.tunables import strength_key
 from bstm_daemon.analysis.matching.workflow import Matched, match_logs
@@ -228,17 +231,16 @@ class Calibration:
 
     def handed_on(self, match: Match) -> MatchedConfig:
         """Return what *match* learned, with what its form lacks."""
+        known = learned(match)
         return with_form(
-            learned(match),
-            self._comparison(match),
+            known,
+            self._comparison(match, known),
             lambda share: self._progress(share, "form"),
             self._sensed.get(match),
         )
 
-    def _comparison(self, match: Match) -> Comparison:
-        config = match.after.config.model_copy(
-            update={"matched": [learned(match)]}
-        )
+    def _comparison(self, match: Match, known: MatchedConfig) -> Comparison:
+        config = match.after.config.model_copy(update={"matched": [known]})
         return compare(
             replace(match.after, config=config),
             [
@@ -251,7 +253,7 @@ class Calibration:
         self, match: Match, corners: Sequence[str]
     ) -> tuple[Step, _Addition | None]:
         """Return what the drives of *match* lack, and that for *corners*."""
-        comparison = self._comparison(match)
+        comparison = self._comparison(match, _known_before(match))
         target = comparison.target
         simulated = sensed(
             comparison,
@@ -288,6 +290,19 @@ class Calibration:
             }
             addition = replace(addition, moved=own, changes=friction)
         return replace(step, added=name), addition
+
+
+def _known_before(match: Match) -> MatchedConfig:
+    """Return what *match* says of its own drives.
+
+    How well they know the values would count them twice: the priors hold
+    again. Where a part may be missing, what the fit leaves is not its form's.
+    """
+    known = learned(match)
+    if match.verdict:
+        known = known.model_copy(update={"form_k": {}, "form_share": {}})
+    prior = np.array([match.after.tunable(one).prior for one in known.names])
+    return entry(match.after, known.names, np.diag(prior**2), known)
 
 
 def _as_matched(effect: EffectConfig, match: Match) -> EffectConfig:
