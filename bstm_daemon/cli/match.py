@@ -91,7 +91,6 @@ def run(args: argparse.Namespace) -> int:
     changes = changes_of(matches, config, origin)
     added = {one.name for one in found.effects}
     changes = [one for one in changes if one.effect not in added]
-    changes += found.changes
     places = {(one.section, one.key, one.corner) for one in changes}
     changes += [
         replace(one, note=f"by forces, {names}")

@@ -15,17 +15,18 @@ import numpy as np
 
 from bstm_daemon.analysis.gap.adopting import written
 from bstm_daemon.analysis.gap.changes import is_change
+from bstm_daemon.analysis.gap.comparison import with_effects
 from bstm_daemon.analysis.gap.fitting import NINETY, askable, directions, fit
 from bstm_daemon.analysis.gap.form import with_form
 from bstm_daemon.analysis.gap.recording import read_recording
 from bstm_daemon.analysis.gap.searching import search, starts
 from bstm_daemon.analysis.gap.signatures import candidates, sensed
 from bstm_daemon.analysis.gap.workflow import compare
-from bstm_daemon.analysis.identify.guessed import with_changes
+from bstm_daemon.analysis.identify.guessed import BY_FORCES
 from bstm_daemon.analysis.matching.changes import learned
 from bstm_daemon.analysis.matching.learned import entry
 from bstm_daemon.analysis.matching.structure import KEPT, share_left
-from bstm_daemon.analysis.matching.tunables import strength_key
+from bstm_daemon.analysis.matching.tunables import DRAG, strength_key
 from bstm_daemon.analysis.matching.workflow import Matched, match_logs
 
 if TYPE_CHECKING:
@@ -35,11 +36,10 @@ if TYPE_CHECKING:
     from bstm_daemon.analysis.gap.comparison import Comparison
     from bstm_daemon.analysis.gap.naming import Naming
     from bstm_daemon.analysis.gap.signatures import Sensed
-    from bstm_daemon.analysis.identify.writing import Change
     from bstm_daemon.analysis.matching.matcher import Match
     from bstm_daemon.bus.signals.signal_map import SignalMap
     from bstm_daemon.config.estimates import MatchedConfig
-    from bstm_daemon.config.sections import Config, CornerConfig, EffectConfig
+    from bstm_daemon.config.sections import Config, EffectConfig
 
 MOST_ROUNDS: Final = 3
 """Additions that are tried, one after the other."""
@@ -75,67 +75,28 @@ class Step:
 class Calibrated:
     """The last matches, the steps to them, and what was added on the way.
 
-    ``effects`` are at their matched strengths, ``changes`` values that no
-    match fits.
+    ``effects`` are at their matched strengths.
     """
 
     matched: Matched
     steps: tuple[Step, ...]
     effects: tuple[EffectConfig, ...]
-    changes: tuple[Change, ...]
 
 
 @dataclass(frozen=True, slots=True)
-class _Addition:
-    """Effects, or corners whose values moved, with what no match fits."""
-
-    effects: list[EffectConfig]
-    moved: dict[str, CornerConfig] = field(default_factory=dict)
-    changes: list[Change] = field(default_factory=list)
-
-    def within(self, config: Config) -> Config:
-        """Return *config* with it."""
-        new = {(one.name, one.corner) for one in self.effects}
-        kept = [o for o in config.effect if (o.name, o.corner) not in new]
-        corners = [self.moved.get(one.name, one) for one in config.corner]
-        return config.model_copy(
-            update={"effect": [*kept, *self.effects], "corner": corners}
-        )
-
-    def and_then(self, other: _Addition, match: Match) -> _Addition:
-        """Return both, with the strengths that *match* fitted."""
-        effects = [*self.effects, *other.effects]
-        return _Addition(
-            [_as_matched(one, match) for one in effects],
-            {**self.moved, **other.moved},
-            [*self.changes, *other.changes],
-        )
-
-
 class Calibration:
-    """Matches of logs, and searches in them."""
+    """Matches of ``logs``, and searches in them.
 
-    def __init__(
-        self,
-        logs: Sequence[Path],
-        signal_map: SignalMap,
-        overrides: Mapping[str, str] | None = None,
-        progress: Callable[[float, str], None] | None = None,
-    ) -> None:
-        """Take what is matched.
+    ``overrides`` maps the interface of a log to the name of its bus,
+    ``progress`` is called with the share of a stage that is done, and what
+    stage it is.
+    """
 
-        Args:
-            logs: drives with measured temperatures, in the order driven.
-            signal_map: the vehicle's extraction plan.
-            overrides: interface of a log to the name of its bus.
-            progress: called with the share of a stage that is done, and what
-                stage it is.
-        """
-        self._logs = logs
-        self._signal_map = signal_map
-        self._overrides = dict(overrides or {})
-        self._progress = progress or (lambda *_: None)
-        self._sensed: dict[Match, Sensed] = {}
+    logs: Sequence[Path]
+    signal_map: SignalMap
+    overrides: Mapping[str, str] = field(default_factory=dict)
+    progress: Callable[[float, str], None] = lambda *_: None
+    _sensed: dict[Match, Sensed] = field(default_factory=dict)
 
     def run(
         self,
@@ -163,133 +124,112 @@ class Calibration:
             config: Config, guessed: frozenset[str], stage: str = ""
         ) -> Matched:
             return match_logs(
-                self._logs,
-                config,
-                self._signal_map,
-                guessed,
-                overrides=self._overrides,
+                *(self.logs, config, self.signal_map, guessed),
+                overrides=self.overrides,
                 only=only,
                 each=each,
                 beside=not stage,
-                progress=lambda share: self._progress(share, stage),
+                progress=lambda share: self.progress(share, stage),
             )
 
         first = matched(config, guessed)
-        by_forces = first.by_forces
-        guessed -= {f"{one.section}.{one.key}" for one in by_forces}
+        settled = {f"{one.section}.{one.key}" for one in first.by_forces}
+        # what forces did not settle at first, they do not settle later
+        guessed -= settled | (BY_FORCES - {DRAG})
         matches = {one.corners: one for one in first.matches}
-        kept: dict[tuple[str, ...], _Addition] = {}
+        kept: dict[tuple[str, str], EffectConfig] = {}
         steps: list[Step] = []
-        base = first.config
         left = {} if plain or only else dict(matches)
         for _ in range(MOST_ROUNDS):
-            trial, tried = base, {}
-            for corners, match in left.items():
-                alone = ("all",) if len(matches) == 1 else corners
-                step, addition = self._searched(match, alone)
-                if addition is None:
-                    steps.append(step)
-                else:
-                    tried[corners] = step, addition
-                    trial = addition.within(trial)
+            found = {
+                corners: self._searched(match, alone=len(matches) == 1)
+                for corners, match in left.items()
+            }
             left = {}
-            if not tried:
+            steps += [step for step, effects in found.values() if not effects]
+            new = [one for _, effects in found.values() for one in effects]
+            if not new:
                 break
-            keys = {strength_key(step.added) for step, _ in tried.values()}
-            again = matched(trial, guessed | keys, "with what was named")
+            trial = kept | {(one.name, one.corner): one for one in new}
+            again = matched(
+                with_effects(first.config, list(trial.values())),
+                guessed | {strength_key(one.name) for one in new},
+                "with what was named",
+            )
             for match in again.matches:
-                if match.corners not in tried:
+                step, effects = found.get(match.corners, (None, []))
+                if step is None or not effects:
                     continue
-                step, addition = tried[match.corners]
                 before = matches[match.corners]
-                why = _against(before, match)
                 after_k = match.accuracy.rms_k
-                steps.append(replace(step, after_k=after_k, why=why))
-                if why:
-                    continue
-                old = kept.get(match.corners, _Addition([]))
-                kept[match.corners] = old.and_then(addition, match)
-                base = kept[match.corners].within(base)
-                left[match.corners] = matches[match.corners] = replace(
-                    match,
-                    before=before.before,
-                    table_4_1=before.table_4_1,
-                    accuracy=replace(
-                        match.accuracy, before_k=before.accuracy.before_k
-                    ),
-                )
-            if left:
-                by_forces = [*by_forces, *again.by_forces]
-        return Calibrated(
-            first._replace(
-                matches=list(matches.values()), by_forces=by_forces
-            ),
-            tuple(steps),
-            tuple(one for own in kept.values() for one in own.effects),
-            tuple(one for own in kept.values() for one in own.changes),
-        )
+                why = _against(before, match)
+                step = replace(step, after_k=after_k, why=why)
+                steps.append(step)
+                if step.kept:
+                    for one in [*kept.values(), *effects]:
+                        if one.corner in {"all", *match.corners}:
+                            kept[one.name, one.corner] = _as_matched(
+                                one, match
+                            )
+                    after = match.in_place_of(before)
+                    left[match.corners] = matches[match.corners] = after
+        last = first._replace(matches=list(matches.values()))
+        return Calibrated(last, tuple(steps), tuple(kept.values()))
 
     def handed_on(self, match: Match) -> MatchedConfig:
         """Return what *match* learned, with what its form lacks."""
         known = learned(match)
-        return with_form(
-            known,
-            self._comparison(match, known),
-            lambda share: self._progress(share, "form"),
-            self._sensed.get(match),
-        )
+        comparison = self._comparison(match, known)
+        return with_form(known, comparison, self._simulated(match, comparison))
 
     def _comparison(self, match: Match, known: MatchedConfig) -> Comparison:
         config = match.after.config.model_copy(update={"matched": [known]})
         return compare(
             replace(match.after, config=config),
             [
-                read_recording(log, config, self._signal_map, self._overrides)
-                for log in self._logs
+                read_recording(log, config, self.signal_map, self.overrides)
+                for log in self.logs
             ],
         )
 
+    def _simulated(self, match: Match, comparison: Comparison) -> Sensed:
+        """Return *comparison* of *match* as simulated, which takes long."""
+        if match not in self._sensed:
+            target = comparison.target
+            self._sensed[match] = sensed(
+                comparison,
+                askable(target, candidates(target.config)),
+                lambda share: self.progress(share, "search"),
+            )
+        return self._sensed[match]
+
     def _searched(
-        self, match: Match, corners: Sequence[str]
-    ) -> tuple[Step, _Addition | None]:
-        """Return what the drives of *match* lack, and that for *corners*."""
+        self, match: Match, *, alone: bool
+    ) -> tuple[Step, list[EffectConfig]]:
+        """Return what the drives of *match* lack, and that as effects.
+
+        They are of all corners where no others are matched.
+        """
+        corners = ("all",) if alone else match.corners
         comparison = self._comparison(match, _known_before(match))
-        target = comparison.target
-        simulated = sensed(
-            comparison,
-            askable(target, candidates(target.config)),
-            lambda share: self._progress(share, "search"),
-        )
-        self._sensed[match] = simulated
+        simulated = self._simulated(match, comparison)
         basis = directions(comparison)
         _, naming = search(comparison, simulated, basis)
         step = Step(match.corners, naming, match.accuracy.rms_k)
         if naming.answer != "name":
-            return step, None
+            return step, []
         # the first alone: the next search says what is missing beside it
         name = naming.names[0]
         start = {name: starts(naming)[name]}
         found = fit(comparison, start, basis, known_k=simulated.jacobian_k)
-        changes, entries = written(comparison, found, naming)
-        addition = _Addition(
-            [
-                one.model_copy(update={"corner": corner})
-                for one in entries.effects
-                for corner in corners
-            ]
-        )
-        if is_change(name):
-            friction = [
-                one for one in changes if one.key == "friction_coefficient"
-            ]
-            moved = with_changes(comparison.config(found.written_x), friction)
-            own: dict[str, CornerConfig] = {
-                one.name: one
-                for one in moved.corner
-                if one.name in match.corners
-            }
-            addition = replace(addition, moved=own, changes=friction)
-        return replace(step, added=name), addition
+        _, entries = written(comparison, found, naming)
+        # a value that changed is the match's own to fit, and has no effect
+        effects = [
+            one.model_copy(update={"corner": corner})
+            for one in entries.effects
+            for corner in ((one.corner,) if is_change(name) else corners)
+        ]
+        return replace(step, added=name if effects else ""), effects
 
 
 def _known_before(match: Match) -> MatchedConfig:
@@ -308,23 +248,20 @@ def _known_before(match: Match) -> MatchedConfig:
 def _as_matched(effect: EffectConfig, match: Match) -> EffectConfig:
     """Return *effect* at the strength that *match* fitted, if it did."""
     key = strength_key(effect.name)
-    if key not in match.joint.values:
+    value = match.joint.values.get(key)
+    if value is None:
         return effect
-    value = match.joint.values[key]
     sd = match.joint.standard_deviation(key)
-    factor = exp(NINETY * sd / value)
+    ends = [value * exp(sign * NINETY * sd / value) for sign in (-1.0, 1.0)]
+    own = {
+        "source": "bstm match",
+        "strength_sd": round(sd, 3),
+        "strength_90": [round(end, 3) for end in ends],
+    }
     return effect.model_copy(
         update={
             "parameters": {**effect.parameters, "strength": value},
-            "provenance": {
-                **effect.provenance,
-                "source": "bstm match",
-                "strength_sd": round(sd, 3),
-                "strength_90": [
-                    round(value / factor, 3),
-                    round(value * factor, 3),
-                ],
-            },
+            "provenance": {**effect.provenance, **own},
         }
     )
 

@@ -15,14 +15,10 @@ import numpy as np
 
 from bstm_daemon.analysis.gap.changes import is_change
 from bstm_daemon.analysis.gap.comparison import HEAT_SCALE_PRIOR
-from bstm_daemon.analysis.gap.fitting import askable
 from bstm_daemon.analysis.gap.noise import FREEDOM, Layout, calibrated
-from bstm_daemon.analysis.gap.signatures import candidates, sensed
 from bstm_daemon.analysis.matching.learned import entry_of, short
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from bstm_daemon.analysis.gap.comparison import Comparison
     from bstm_daemon.analysis.gap.signatures import Sensed
     from bstm_daemon.analysis.statistics.series import Column
@@ -40,24 +36,16 @@ that is neither missing nor a change since the match."""
 
 
 def with_form(
-    known: MatchedConfig,
-    comparison: Comparison,
-    progress: Callable[[float], None] | None = None,
-    simulated: Sensed | None = None,
+    known: MatchedConfig, comparison: Comparison, simulated: Sensed
 ) -> MatchedConfig:
     """Return *known* with what the form lacks on *comparison*.
 
     Args:
         known: what the match learned.
         comparison: the matched target on the drives that it was matched to.
-        progress: called with the share that is done.
-        simulated: *comparison* as simulated already.
+        simulated: the same as simulated; changes in it do not count.
     """
     target = comparison.target
-    if simulated is None:
-        comparison.trials = {}
-        names = askable(target, candidates(target.config))
-        simulated = sensed(comparison, names, progress)
     effects = {
         name: terms
         for name, terms in simulated.terms_k.items()

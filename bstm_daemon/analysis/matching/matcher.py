@@ -143,6 +143,16 @@ class Match:
             return nan
         return self.joint.standard_deviation(key)
 
+    def in_place_of(self, other: Match) -> Match:
+        """Return it as a match of what *other* began with."""
+        before_k = other.accuracy.before_k
+        return replace(
+            self,
+            before=other.before,
+            table_4_1=other.table_4_1,
+            accuracy=replace(self.accuracy, before_k=before_k),
+        )
+
 
 def match_drives(  # noqa: PLR0913
     config: Config,
@@ -244,13 +254,8 @@ def _with_additions(
     if left > KEPT:
         note = f"{what}: not added"
         return replace(plain, remarks=(*plain.remarks, note))
-    return replace(
-        more,
-        before=target,
-        table_4_1=plain.table_4_1,
-        accuracy=replace(more.accuracy, before_k=plain.accuracy.before_k),
-        remarks=(*more.remarks, f"{what}: added"),
-    )
+    found = more.in_place_of(plain)
+    return replace(found, remarks=(*more.remarks, f"{what}: added"))
 
 
 def _match(

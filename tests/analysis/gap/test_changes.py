@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from bstm_daemon.analysis.gap import form, workflow
+from bstm_daemon.analysis.gap import workflow
 from bstm_daemon.analysis.gap.changes import (
     HEAT_SCALE,
     KINDS,
@@ -75,8 +75,7 @@ def matched(config: Config) -> Target:
 @pytest.fixture(autouse=True)
 def among(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let these effects be all that there are."""
-    for module in (workflow, form):
-        monkeypatch.setattr(module, "candidates", lambda _: list(AMONG))
+    monkeypatch.setattr(workflow, "candidates", lambda _: list(AMONG))
 
 
 def ff(config: Config) -> Config:
@@ -209,7 +208,9 @@ def test_what_the_form_lacks_is_taken_off_later_drives(
     """A pad that conducts more when it is released, as it did at the match."""
     lacking = {"gap_conduction": 1.0}
     learning = compare(matched, [made(lacking), made(lacking, "b", seed=2)])
-    known = with_form(matched.config.matched[0], learning)
+    known = with_form(
+        matched.config.matched[0], learning, sensed(learning, AMONG)
+    )
     config = matched.config.model_copy(update={"matched": [known]})
     later = compare(
         replace(matched, config=config), [made(lacking, "c", seed=3)]
