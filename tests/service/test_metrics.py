@@ -225,7 +225,7 @@ def test_value(name: str, labels: dict[str, str], expected: float) -> None:
 
 def test_the_docs_list_every_metric_with_its_labels() -> None:
     rows = re.findall(
-        r"^\| `(bstm_\w+)(?:\{(.+?)\})?` \|",
+        r"^- `(bstm_\w+)(?:\{(.+?)\})?`:",
         DOCS.read_text("utf-8"),
         re.MULTILINE,
     )
