@@ -316,20 +316,17 @@ def _about(cars: int, found: list[Descent]) -> str:
     boiled = np.array([np.isfinite(d.boiled_s) for d in found])
     margins = np.array([d.margin_k for d in found])
     return (
-        f"{len(found)} descents of {cars} cars, half of them on road, with "
-        f"random loads, roads and fluids, {boiled.sum()} of which boil "
+        f"{len(found)} descents of {cars} cars, {boiled.sum()} of which boil "
         f"({boiled.mean():.0%}), {(np.abs(margins) <= WITHIN_K).mean():.0%} "
-        "end within 10 K of their boiling point; judged when the car stops "
-        "to park."
+        "end within 10 K of their boiling point."
     )
 
 
 def _drawn(same: Descents, day: Descents) -> str:
     drawn, kept = same.drawn + day.drawn, len(same.found + day.found)
     return (
-        f"Of {drawn} that were drawn for these and for another day "
-        f"{drawn - kept} were left out because they end too far below "
-        "boiling, none for being hot."
+        f"Of {drawn} drawn for these and for another day {drawn - kept} were "
+        "left out because they end too far below boiling, none for being hot."
     )
 
 
