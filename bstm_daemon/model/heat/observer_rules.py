@@ -1,6 +1,6 @@
 """Constants of the vehicle observer: priors, noise, bounds, thresholds.
 
-``docs/heat-input.md`` lists them in tables.
+``docs/heat-input.md`` lists them.
 """
 
 from __future__ import annotations
