@@ -1,6 +1,6 @@
 """Constants of the vehicle observer: priors, noise, bounds, thresholds.
 
-``docs/heat-input.md`` lists them.
+``docs/heat-input.md`` lists them in tables.
 """
 
 from __future__ import annotations
