@@ -37,37 +37,39 @@ def effect_row(name: str) -> str:
     """Return the row of one effect as it has to stand in the document."""
     cls = effect_class(name)
     shipped = " E" if name in STRUCTURES["extended"] else ""
-    sign = "either" if cls.either_sign else "+"
-    where = "car" if cls.whole_car else "corner"
+    sign = " ±" if cls.either_sign else ""
+    where = ", car" if cls.whole_car else ""
     twins = ", ".join(f"`{twin}`" for twin in twins_of(name)) or "-"
     return (
-        f"| `{name}`{shipped} | {cls.kind} | {where} | {sign} | "
+        f"| `{name}`{shipped}{sign} | {cls.kind}{where} | "
         f"{cls.description} | {cls.signature} | {twins} |"
     )
 
 
 def parameter_rows(name: str) -> list[str]:
-    """Return the rows of one effect's own parameters."""
+    """Return the rows of one effect's own parameters, its name in the first.
+
+    Units are not among the columns: a parameter's name ends with its unit.
+    """
+    own = effect_class(name).own_parameters
     return [
-        f"| `{name}` | `{p.name}` | {p.unit} | {p.lower:g}..{p.upper:g} | "
-        f"{p.typical:g} | {p.meaning} |"
-        for p in effect_class(name).own_parameters
+        f"| {'' if i else f'`{name}`'} | `{p.name}` | "
+        f"{p.typical:g} ({p.lower:g}..{p.upper:g}) | {p.meaning} |"
+        for i, p in enumerate(own)
     ]
 
 
 def test_the_document_is_the_catalogue() -> None:
     """All rows, in the order of their numbers, and no others."""
-    expected = [effect_row(name) for name in effect_numbers().values()]
-    for name in effect_numbers().values():
-        expected += parameter_rows(name)
-    text = DOCUMENT.read_text("utf-8").partition("\n## Beside ")[0]
-    lines = text.splitlines()
     names = tuple(effect_numbers().values())
+    expected = [effect_row(name) for name in names]
+    for name in names:
+        expected += parameter_rows(name)
+    text = DOCUMENT.read_text("utf-8").partition("\n## The catalogue")[2]
     found = [
         line
-        for line in lines
-        if line.startswith("| ")
-        and any(line.startswith(f"| `{name}`") for name in names)
+        for line in text.splitlines()
+        if line.startswith(("| `", "|  | `"))
     ]
 
     assert found == expected
