@@ -16,7 +16,7 @@ class AccelerometerBias(Effect):
     kind = "heat"
     description = "The accelerometer has an offset, like a wrong grade."
     signature = (
-        "All heat input, while braking, with speed, the same on the flat and "
+        "All heat input, braking, with speed, the same on the flat and "
         "downhill; needs Feed-Back."
     )
     twins = ("mass_error", "powertrain_torque_error", "brake_share")

@@ -18,8 +18,7 @@ class FrictionPressure(Effect):
     kind = "heat"
     description = "Friction falls with pressure."
     signature = (
-        "All heat input, while braking only, with "
-        "pressure; needs Feed-Forward."
+        "All heat input, braking only, with pressure; needs Feed-Forward."
     )
     twins = ("friction_speed", "pushout_pressure")
     either_sign = True
