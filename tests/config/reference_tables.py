@@ -54,13 +54,13 @@ SIGNS = (
     (" such as 2024-05-31", ""),
     ("a list, each entry ", "list of "),
     ("a text, not empty|a text", "text"),
-    ("a whole number", "whole,"),
+    ("a whole number", "whole"),
     (r"a number (?=greater|from|\S+ or more)", ""),
-    (r"greater than (\S+) and at most", r"> \1 to"),
+    (r"greater than (\S+) and at most (\S+)", r"> \1..\2"),
     ("greater than", ">"),
     ("a (?=number|date|curve)", ""),
     (r"(\S+) or more", r"≥ \1"),
-    (r"from (?=\S+ to )", ""),
+    (r"from (\S+) to (\S+)", r"\1..\2"),
 )
 COMMAND = re.compile(r"^\| `(\S+)` \|[^|]*\| ([^|]*) \|$", re.MULTILINE)
 COMMAND_HEAD = "| command | does | more |\n|---|---|---|\n"
@@ -123,7 +123,7 @@ def value_of(model: type[Section], key: str) -> str:
 
 
 def short(text: str) -> str:
-    """Return what a key may be as signs: ``> 0 to 2`` for a number."""
+    """Return what a key may be as signs: ``> 0..2`` for a number."""
     for pattern, sign in SIGNS:
         text = re.sub(pattern, sign, text)
     return text
