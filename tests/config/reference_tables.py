@@ -48,6 +48,9 @@ SECTIONS: dict[str, type[Section]] = {
     "`[feed]`": service.FeedConfig,
 }
 
+WRITTEN = ("`[[matched]]`", "`[[priors]]`", "`[[change]]`")
+"""Sections that commands write: their keys are described in the schema."""
+
 SIGNS = (
     ("a table with temperature_c, value, csv", "a curve"),
     ("a table.*", "table"),
@@ -77,6 +80,10 @@ def with_tables(text: str) -> str:
     pages = dict(COMMAND.findall(text[begin:end]))
     text = text[:begin] + command_rows(pages) + text[end:]
     for heading, model in SECTIONS.items():
+        if heading in WRITTEN:
+            assert f"\n### {heading}\n" in text
+            assert all(f"`{key}`" in text for key in model.model_fields)
+            continue
         place = re.compile(
             rf"(### {re.escape(heading)}\n(?:(?!\n###? ).)*?)"
             rf"{re.escape(HEAD)}(?:\|[^\n]*\n)+",
