@@ -18,7 +18,7 @@ from bstm_daemon.units import UNITS
 PACKAGE = Path(__file__).parents[1] / "bstm_daemon"
 REFERENCE = Path(__file__).parents[1] / "docs" / "reference.md"
 ROLE_ROW = re.compile(
-    r"^\| `(\w[\w<>]*)` \| ([a-z ]+)(?:, (\d+) s)? \| [^|]+ \|$", re.MULTILINE
+    r"^\| `(\w[\w<>]*)` \| ([a-z ]+)(?:, (\d+) s)? \|[^|]*\|$", re.MULTILINE
 )
 USUAL_TIMEOUT_S = 0.5
 UNIT_ROW = re.compile(r"^- ([a-z ]+): (`.*)$", re.MULTILINE)

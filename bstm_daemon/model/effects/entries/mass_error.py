@@ -18,7 +18,7 @@ class MassError(Effect):
     kind = "heat"
     description = "The car is heavier than configured."
     signature = (
-        "All heat input, braking, most in stops from speed; needs Feed- Back."
+        "All heat, braking, most in stops from speed; needs Feed- Back."
     )
     twins = ("accelerometer_bias", "powertrain_torque_error", "brake_share")
     either_sign = True
