@@ -93,7 +93,7 @@ def write(folder: Path, file: Path, split: str, search: str) -> None:
         (
             f"Of {time.strftime('%Y-%m-%d')}, commit {commit}, split {split}: "
             f"{sum(count.values())} simulated cases.\n"
-            "Shares with 95 % intervals of Wilson."
+            "Shares with 95 % intervals of Wilson, of the number of cases."
         ),
     ]
     aside = {w: own for w, own in by_world.items() if is_aside(w)}
@@ -243,7 +243,7 @@ def shares(
                 continue
             goal = one.row()[3].removesuffix(" %")
             value = (
-                str(one.share).replace(" %", "")
+                str(one.share).replace(" %", "").replace(" to ", "..")
                 if interval
                 else f"{100 * one.share.value:.1f}"
             )

@@ -29,9 +29,9 @@ HEAD: Final = """# Verification
 
 Written by `tests/benchmarks/verification.py --full --out`; do not edit. How
 to match and verify a car: [matching.md](matching.md). Everything here is
-simulated: the reality shares no physics code with the estimator
-([reality.md](reality.md)), but no figure below was measured on a car. On a
-real car the 20 K between two thermocouples of a disc limit the verification.
+simulated, in a [reality](reality.md) that shares no physics code with the
+estimator. On a real car the 20 K between two thermocouples of a disc limit
+the verification.
 
 Goals and floors are those of the project; the thesis asks for fluid within
 30 K and its peak within 5 min (section 1.3). A population is ten cars, every
