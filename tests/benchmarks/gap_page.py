@@ -38,6 +38,8 @@ PRINTED: Final = (
 
 MINOR: Final = (
     "S1, twins in these data: true class, no false name",
+    "S1, something is missing",
+    "S2, at least one of both named",
     "localisation, right where anything is reported",
     "SO, none of the known",
     "SU, none of the known",

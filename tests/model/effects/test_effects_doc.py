@@ -38,10 +38,10 @@ def effect_row(name: str) -> str:
     cls = effect_class(name)
     shipped = " E" if name in STRUCTURES["extended"] else ""
     sign = " ±" if cls.either_sign else ""
-    where = ", car" if cls.whole_car else ""
+    where = " car" if cls.whole_car else ""
     twins = ", ".join(f"`{twin}`" for twin in twins_of(name)) or "-"
     return (
-        f"| `{name}`{shipped}{sign} | {cls.kind}{where} | "
+        f"| `{name}`{shipped}{sign}{where} | "
         f"{cls.description} | {cls.signature} | {twins} |"
     )
 
@@ -59,16 +59,25 @@ def parameter_row(name: str) -> str:
 
 
 def test_the_document_is_the_catalogue() -> None:
-    """All rows, in the order of their numbers, and no others."""
+    """All rows, by kind in the order of their numbers, and no others."""
     names = tuple(effect_numbers().values())
-    expected = [effect_row(name) for name in names]
+    expected = []
+    for kind in ("heat", "thermal", "measurement"):
+        expected.append(f"### {kind.capitalize()}")
+        expected += [
+            effect_row(name)
+            for name in names
+            if effect_class(name).kind == kind
+        ]
     expected += [
         parameter_row(name)
         for name in names
         if effect_class(name).own_parameters
     ]
     text = DOCUMENT.read_text("utf-8").partition("\n## The catalogue")[2]
-    found = [line for line in text.splitlines() if line.startswith("| `")]
+    found = [
+        line for line in text.splitlines() if line.startswith(("| `", "### "))
+    ]
 
     assert found == expected
 
