@@ -163,12 +163,12 @@ class SignalConfig(Section):
     timeout_s: Positive | None = None
     """how long a value counts as present; without it the role's own"""
     depth_m: Annotated[float, Field(ge=0, le=0.05)] | None = None
-    """of a temperature of a disc or of a pad's front: depth of the
-    thermocouple below the friction face, for `bstm match` and `bstm gap`"""
+    """of a thermocouple in a disc or a pad's front: depth below the friction
+    face, for `bstm match` and `bstm gap`"""
     min: float | None = None
     """below it, in `unit`, a value is no sample"""
     max: float | None = None
-    """above it, in `unit`, a value is no sample; greater than `min`"""
+    """likewise above it"""
 
     def _check(self) -> None:
         if self.column is not None:

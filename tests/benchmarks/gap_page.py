@@ -122,7 +122,7 @@ def write(folder: Path, file: Path, split: str, search: str) -> None:
     sys.stdout.write("\n\n".join(rest) + "\n")
     if aside:
         columns = {label(w): figures(own) for w, own in aside.items()}
-        parts += ["### Other sensors, %", shares(columns, CHIEF)]
+        parts += ["### Other sensors, hits/cases", shares(columns, CHIEF)]
     parts.append(END)
     text = file.read_text("utf-8")
     before, _, old = text.partition(BEGIN)
@@ -224,7 +224,7 @@ def shares(
         by_label: Figures of each column.
         chief: Names of the figures to take; all but the minor ones
             if empty.
-        interval: Whether the shares have their intervals.
+        interval: Whether to write shares with their intervals, or hits.
     """
     of = {
         column: {one.name: one for one in found}
@@ -244,12 +244,13 @@ def shares(
                 cells.append("-")
                 continue
             goal = one.row()[3].removesuffix(" %")
-            value = (
-                str(one.share).replace(" %", "").replace(" to ", "..")
+            count = one.share.count
+            value = str(one.share).replace(" %", "").replace(" to ", "..")
+            cells.append(
+                f"{value} of {count}"
                 if interval
-                else f"{100 * one.share.value:.1f}"
+                else f"{one.share.hits:.3g}/{count}"
             )
-            cells.append(f"{value} of {one.share.count}")
         if any(cell != "-" for cell in cells):
             rows.append((name, goal, *cells))
     return markdown(Table("", ("figure", "goal, %", *of), tuple(rows)))

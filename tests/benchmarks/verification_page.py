@@ -17,11 +17,9 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 ABOUT: Final = (
-    "Car 1 (nominal) matched on simalp and rich; sensors "
-    "n2, through CAN frames. Corner FL, errors in K against the "
-    "truth, the disc below 650 degC. Heat known: the true brake power, "
-    "as a push rod and wheel torque sensors would give it; fused: from "
-    "pressure and motion."
+    "Sensors n2, through CAN frames; corner FL, errors against the truth, the "
+    "disc below 650 degC. Heat known: the true brake power, as a push rod and "
+    "wheel torque sensors would give it; fused: from pressure and motion."
 )
 """What is measured."""
 

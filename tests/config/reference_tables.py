@@ -65,8 +65,8 @@ SIGNS = (
     (r"(\S+) or more", r"≥ \1"),
     (r"from (\S+) to (\S+)", r"\1..\2"),
 )
-COMMAND = re.compile(r"^\| `(\S+)` \|[^|]*\| ([^|]*) \|$", re.MULTILINE)
-COMMAND_HEAD = "| command | does | more |\n|---|---|---|\n"
+COMMAND = re.compile(r"^\| \[`(\S+)`\]\((\S+)\) \|", re.MULTILINE)
+COMMAND_HEAD = "| command | does |\n|---|---|\n"
 HEAD = "| key | value | meaning |\n|---|---|---|\n"
 
 
@@ -98,10 +98,11 @@ def with_tables(text: str) -> str:
 
 def command_rows(pages: dict[str, str]) -> str:
     """Return a row for each command, from its line in ``bstm --help``."""
-    return "".join(
-        f"| `{name}` | {summary} | {pages.get(name, '')} |\n"
-        for name, summary in COMMANDS.items()
-    )
+    rows = []
+    for name, summary in COMMANDS.items():
+        shown = f"[`{name}`]({pages[name]})" if name in pages else f"`{name}`"
+        rows.append(f"| {shown} | {summary} |\n")
+    return "".join(rows)
 
 
 def row(model: type[Section], key: str) -> str:
