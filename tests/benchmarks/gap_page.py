@@ -95,7 +95,7 @@ def write(folder: Path, file: Path, split: str, search: str) -> None:
         (
             f"Of {time.strftime('%Y-%m-%d')}, commit {commit}, split {split}: "
             f"{sum(count.values())} simulated cases.\n"
-            "Shares with 95 % intervals of Wilson, of the number of cases."
+            "Shares with 95 % intervals of Wilson, and the number of cases."
         ),
     ]
     aside = {w: own for w, own in by_world.items() if is_aside(w)}
