@@ -43,21 +43,21 @@ class AccuracyConfig(Section):
     """
 
     disc_k: Positive | None = None
-    """the disc's floor; without it no interval"""
+    """floor of the disc; without it no interval"""
     disc_share: NotNegative = 0.0
-    """the disc's share"""
+    """share of the disc"""
     pad_front_k: Positive | None = None
-    """likewise of the pad's face"""
+    """floor of the pad's face"""
     pad_front_share: NotNegative = 0.0
-    """likewise"""
+    """share of the pad's face"""
     pad_back_k: Positive | None = None
-    """likewise of the pad's back"""
+    """floor of the pad's back"""
     pad_back_share: NotNegative = 0.0
-    """likewise"""
+    """share of the pad's back"""
     fluid_k: Positive | None = None
-    """likewise of the fluid"""
+    """floor of the fluid"""
     fluid_share: NotNegative = 0.0
-    """likewise"""
+    """share of the fluid"""
     thermocouple_offset_k: NotNegative = 0.0
     """constant error of a thermocouple, from its data sheet (type K of class
     2, IEC 60584-1: at most 2.5 K, so 1.4); needed by `bstm gap` and the live
@@ -235,7 +235,7 @@ class AdviceConfig(Section):
     descent_power_w: Positive = 5000.0
     """brake power by the slope from which braking is excessive"""
     descent_window_s: Annotated[float, Field(ge=5, le=600)] = 40.0
-    """time constant of that power"""
+    """time constant of that brake power"""
     shift_below_rpm: Positive = 3500.0
     """no lower gear at a higher engine speed"""
     pedal_feel_from_k: Margin = 60.0
@@ -247,7 +247,7 @@ class AdviceConfig(Section):
     isolation_hysteresis_k: Margin = 10.0
     """further margin until the request ends"""
     isolation_speed_ms: Speed = 14.0
-    """none above"""
+    """no isolation is requested above it"""
     brake_split: Literal["front-rear", "diagonal"] = "diagonal"
     """which brakes share a circuit (A6)"""
     park_brake_speed_ms: Speed = 6.0
@@ -259,7 +259,7 @@ class AdviceConfig(Section):
     detector_score: Annotated[float, Field(ge=0.1, le=1)] = 0.6
     """score from which the brakes count as not responding"""
     detector_hold_s: Annotated[float, Field(ge=0.1, le=5)] = 0.5
-    """for so long"""
+    """time for which the score has to last"""
 
 
 class WearConfig(Section):

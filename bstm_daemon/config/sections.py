@@ -168,7 +168,7 @@ class SignalConfig(Section):
     min: float | None = None
     """below it, in `unit`, a value is no sample"""
     max: float | None = None
-    """likewise above it"""
+    """above it, in `unit`, a value is no sample"""
 
     def _check(self) -> None:
         if self.column is not None:

@@ -61,7 +61,7 @@ class ThermalConfig(Section):
     """pad's face above which part of the heat into it does not warm it
     ("dissolves")"""
     hot_pad_factor: Fraction = 0.6
-    """share of that heat that warms it"""
+    """share of the heat that warms the pad above it"""
     hot_pad_width_k: Positive = 20.0
     """width of the transition at the threshold"""
     direct_air_fraction: Fraction = 0.0

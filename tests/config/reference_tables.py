@@ -65,8 +65,8 @@ SIGNS = (
     (r"(\S+) or more", r"≥ \1"),
     (r"from (\S+) to (\S+)", r"\1..\2"),
 )
-COMMAND = re.compile(r"^\| \[`(\S+)`\]\((\S+)\) \|", re.MULTILINE)
-COMMAND_HEAD = "| command | does |\n|---|---|\n"
+COMMAND = re.compile(r"^- \[`(\S+)`\]\((\S+)\): ", re.MULTILINE)
+COMMAND_HEAD = "prints the arguments of a command.\n\n"
 HEAD = "| key | value | meaning |\n|---|---|---|\n"
 
 
@@ -101,7 +101,7 @@ def command_rows(pages: dict[str, str]) -> str:
     rows = []
     for name, summary in COMMANDS.items():
         shown = f"[`{name}`]({pages[name]})" if name in pages else f"`{name}`"
-        rows.append(f"| {shown} | {summary} |\n")
+        rows.append(f"- {shown}: {summary}\n")
     return "".join(rows)
 
 
