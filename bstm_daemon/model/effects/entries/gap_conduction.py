@@ -25,8 +25,8 @@ class GapConduction(Effect):
     number = 9
     description = "The narrow gap of a released brake still conducts heat."
     signature = (
-        "Edge disc to pad front, brake off, with their temperature "
-        "difference, not that of T^4; strongest parked."
+        "Edge disc to pad front, brake off, proportional to the difference "
+        "of their temperatures and not to that of T^4; strongest parked."
     )
     twins = ("contact_conductance",)
     own_parameters = (
