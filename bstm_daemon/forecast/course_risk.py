@@ -5,11 +5,16 @@ happens on the grid of data time, so a recording gives the same risk as the
 bus it was recorded on, to the last byte, however the stream is cut: once a
 second the present risk, every :data:`GRID_US` and when the car stops a
 forecast, computed in portions of half a corner a publication.
+
+An ensemble is marched only where it may come to boiling: where no ceiling
+proves that it does not. Else the estimate alone is, in as many publications;
+new ceilings are computed between the forecasts.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import partial
 from math import isnan, nan
 from typing import TYPE_CHECKING, Final
 
@@ -20,11 +25,13 @@ from bstm_daemon.estimate import (
     RiskLevel,
     Validity,
 )
+from bstm_daemon.forecast.ceiling import Ceiling
 from bstm_daemon.forecast.march import (
     DUTY_STEPS,
     HORIZON_S,
     PARKED_STEPS,
     Conditions,
+    Course,
     Duty,
     Job,
     parked_course,
@@ -46,7 +53,6 @@ if TYPE_CHECKING:
     from bstm_daemon.estimator.estimator import Estimator
     from bstm_daemon.estimator.memory import SavedState
     from bstm_daemon.forecast.fluid import FluidKnowledge
-    from bstm_daemon.forecast.march import Course
     from bstm_daemon.model.risk.vaporisation import Boiling
 
 SECOND_US: Final = 1_000_000
@@ -61,6 +67,11 @@ COMPILED_STEPS: Final = 50
 """Steps of an ensemble marched a publication: half a corner with the
 compiled kernel; without it one, so that no publication waits."""
 
+DUTY_FACTOR: Final = 1.0
+"""A member on duty rises less than 1 plus this, times the factor of its
+spread, times what the estimate does; checked by tests, not proven. No level
+follows from a duty."""
+
 DROVE_MS: Final = 2.0
 STOPPED_MS: Final = 0.3
 """Below this speed a car that has driven faster has stopped."""
@@ -74,7 +85,7 @@ class _Corner:
     """A corner's memory and its forecast."""
 
     name: str
-    ensemble: Ensemble
+    ceiling: Ceiling
     duty: Duty
     level: LevelMemory = field(default_factory=LevelMemory)
     fade: LevelMemory = field(default_factory=LevelMemory)
@@ -83,6 +94,11 @@ class _Corner:
     ahead: float = nan
     now_k: list[float] = field(default_factory=list)
 
+    @property
+    def ensemble(self) -> Ensemble:
+        """The members."""
+        return self.ceiling.ensemble
+
 
 @dataclass(slots=True)
 class _Forecast:
@@ -90,7 +106,8 @@ class _Forecast:
 
     ``states`` and the like are one a corner; ``at_stop``: the car had just
     stopped. ``index`` counts corners that are done, first all of them parked,
-    which is ``published`` then, then all with the duty.
+    which is ``published`` then, then all with the duty. ``whole``: the
+    present job is of the ensemble, not of the estimate alone.
     """
 
     time_us: int
@@ -102,6 +119,7 @@ class _Forecast:
     index: int = 0
     published: bool = False
     job: Job | None = None
+    whole: bool = False
     parked: list[Course] = field(default_factory=list)
 
 
@@ -131,18 +149,23 @@ class CourseRisk:
             [c + KELVIN_OFFSET for c in config.forecast.pad_limits_c],
         ]
         self._ambient_k = config.vehicle.ambient_c + KELVIN_OFFSET
-        spread = Spread().scaled(config.forecast.uncertainty)
+        self._uncertainty = config.forecast.uncertainty
+        spread = Spread().scaled(self._uncertainty)
         self._programs = estimator.programs
         drawn = {} if beside is None else beside.ensembles()
         self._corners = [
             _Corner(
                 name,
-                drawn.get(name) or Ensemble(program, self.members, spread),
+                Ceiling(
+                    drawn.get(name) or Ensemble(program, self.members, spread),
+                    self._kernel,
+                ),
                 Duty(program),
             )
             for name in estimator.layout.corners
             if (program := estimator.programs.get(name)) is not None
         ]
+        self._raised: list[tuple[Ceiling, Job]] = []
         self._level = LevelMemory()
         self._forecast: _Forecast | None = None
         self._forecast_us: int | None = None
@@ -205,6 +228,12 @@ class CourseRisk:
             self._begin(instant, at_stop=at_stop)
         if self._forecast is not None:
             self._work(self._forecast, share, duty=duty)
+        elif self._raised:
+            ceiling, job = self._raised[0]
+            job.advance(max(self._steps // share, 1))
+            if job.finished:
+                ceiling.accept(job)
+                del self._raised[0]
         return self._published(instant)
 
     def _begin_anew(self) -> None:
@@ -228,11 +257,15 @@ class CourseRisk:
                 instant.channel(name, "ambient_k"),
                 self._factor(instant, name),
             )
-            corner.now_k = [
-                state["fluid"] + deviation_k * draw
-                for draw in corner.ensemble.now_draws
-            ]
-            now = boiling.mean_probability(corner.now_k)
+            top_k = state["fluid"] + deviation_k * corner.ensemble.top_draw
+            if boiling.probability(top_k) == 0.0:
+                corner.now_k, now = [top_k] * self.members, 0.0
+            else:
+                corner.now_k = [
+                    state["fluid"] + deviation_k * draw
+                    for draw in corner.ensemble.now_draws
+                ]
+                now = boiling.mean_probability(corner.now_k)
             probability = (
                 now if isnan(corner.ahead) else max(now, corner.ahead)
             )
@@ -307,25 +340,23 @@ class CourseRisk:
             program = self._programs[corner.name]
             if corner.ensemble.program is not program:
                 # as much work as a portion of forecast: in its own publication
-                corner.ensemble = corner.ensemble.of(program)
+                corner.ceiling = Ceiling(
+                    corner.ensemble.of(program), self._kernel
+                )
                 return
-            conditions = forecast.conditions[place]
-            if parked:
-                conditions = Conditions(conditions.ambient_k)
-            forecast.job = Job(
-                corner.ensemble,
-                self._kernel,
-                forecast.states[place],
-                conditions,
-                PARKED_STEPS if parked else DUTY_STEPS,
-                factor=forecast.factors[place],
-            )
+            forecast.job = self._begun(forecast, corner, place, parked=parked)
         forecast.job.advance(max(self._steps // share, 1))
         if not forecast.job.finished:
             return
         course = forecast.job.course()
         forecast.job = None
+        if not parked and self._needs_members(forecast, place, course):
+            forecast.whole = True
+            return
         forecast.index += 1
+        if parked and forecast.whole:
+            self._raise(forecast, corner, place, course)
+        forecast.whole = False
         if parked:
             forecast.parked.append(course)
         else:
@@ -333,13 +364,72 @@ class CourseRisk:
         if forecast.index == 2 * count:
             self._forecast = None
 
+    def _begun(
+        self, forecast: _Forecast, corner: _Corner, place: int, *, parked: bool
+    ) -> Job:
+        """Return the march of *corner*, of its members where they matter."""
+        state, factor = forecast.states[place], forecast.factors[place]
+        conditions = forecast.conditions[place]
+        if parked:
+            conditions = Conditions(conditions.ambient_k)
+            peak_k = corner.ceiling.peak_k(state, conditions.ambient_k, factor)
+            forecast.whole = forecast.boiling.probability(peak_k) != 0.0
+        return Job(
+            corner.ensemble if forecast.whole else corner.ensemble.alone,
+            self._kernel,
+            state,
+            conditions,
+            PARKED_STEPS if parked else DUTY_STEPS,
+            factor=factor,
+            is_enough=partial(
+                Course.is_safe,
+                boiling=forecast.boiling,
+                limit=PROBABILITIES[0],
+            ),
+        )
+
+    def _raise(
+        self, forecast: _Forecast, corner: _Corner, place: int, course: Course
+    ) -> None:
+        """Have a ceiling computed for the forecasts after this one."""
+        if any(ceiling is corner.ceiling for ceiling, _ in self._raised):
+            return
+        job = corner.ceiling.higher(
+            forecast.states[place],
+            forecast.conditions[place].ambient_k,
+            forecast.factors[place],
+            peak_k=max(course.peaks_k(HORIZON_S)),
+            limit_k=forecast.boiling.lowest_k,
+        )
+        if job is not None:
+            self._raised.append((corner.ceiling, job))
+
+    def _needs_members(
+        self, forecast: _Forecast, place: int, course: Course
+    ) -> bool:
+        """Whether members on duty may boil at another time than *course*."""
+        boiling, ambient_k = (
+            forecast.boiling,
+            forecast.conditions[place].ambient_k,
+        )
+        if forecast.whole or _boils_now(forecast, place):
+            return False
+        factor = (
+            1.0 + DUTY_FACTOR * forecast.factors[place] * self._uncertainty
+        )
+        rise_k = course.peak(HORIZON_S)[0] - ambient_k
+        return boiling.probability(ambient_k + factor * rise_k) != 0.0
+
     def _commit(self, forecast: _Forecast) -> None:
         """Publish the forecast if the car parks."""
         forecast.published = True
         boiling = forecast.boiling
         self._forecast_us = forecast.time_us
         for corner, course in zip(self._corners, forecast.parked, strict=True):
-            corner.peaks_k = course.peaks_k(HORIZON_S)
+            peaks_k = course.peaks_k(HORIZON_S)
+            # the estimate alone stands for each of its members
+            alone = len(peaks_k) == 1
+            corner.peaks_k = peaks_k * (self.members if alone else 1)
             corner.ahead = boiling.mean_probability(corner.peaks_k)
             peak_k, peak_in_s = course.peak(HORIZON_S)
             corner.record = replace(
@@ -364,7 +454,9 @@ class CourseRisk:
         corner.record = replace(
             corner.record,
             duty_peak_k=course.peak(HORIZON_S)[0],
-            duty_in_s=course.reached_in_s(forecast.boiling, PROBABILITIES[1]),
+            duty_in_s=0.0
+            if _boils_now(forecast, self._corners.index(corner))
+            else course.reached_in_s(forecast.boiling, PROBABILITIES[1]),
         )
         corners = {c.name: c.record for c in self._corners}
         self._car = replace(self._car, corners=corners)
@@ -420,7 +512,10 @@ class CourseRisk:
             if not values.keys() >= set(program.state_names):
                 continue
             state = [values[key] for key in program.state_names]
-            corner.ensemble = corner.ensemble.of(program)
+            if program is not corner.ensemble.program:
+                corner.ceiling = Ceiling(
+                    corner.ensemble.of(program), self._kernel
+                )
             course = parked_course(
                 corner.ensemble, self._kernel, state, ambient_k, factor=1.0
             )
@@ -439,6 +534,12 @@ class CourseRisk:
             found[f"{corner.name}.fluid"] = corner.level
             found[f"{corner.name}.fade"] = corner.fade
         return found
+
+
+def _boils_now(forecast: _Forecast, place: int) -> bool:
+    """Whether the members of a corner have reached the limit of a duty."""
+    now = forecast.parked[place].probability(0, forecast.boiling)
+    return now >= PROBABILITIES[1]
 
 
 def _hottest(series: Sequence[Sequence[float]]) -> list[float]:

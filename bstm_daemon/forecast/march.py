@@ -12,10 +12,9 @@ from math import exp, inf, isnan, nan
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from bstm_daemon.estimator.blocks import channels_at_rest, friction_energies
-from bstm_daemon.model.thermal.kernel import Batch
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from bstm_daemon.estimator.blocks import Instant
     from bstm_daemon.forecast.members import Ensemble
@@ -108,7 +107,7 @@ class Course(NamedTuple):
     """
 
     times_s: tuple[float, ...]
-    fluid_k: list[array[float]]
+    fluid_k: list[tuple[float, ...]]
 
     def peaks_k(self, until_s: float) -> list[float]:
         """Return each member's highest temperature [K] up to *until_s*."""
@@ -130,6 +129,14 @@ class Course(NamedTuple):
     def probability(self, place: int, boiling: Boiling) -> float:
         """Return the probability of vapour at the point number *place*."""
         return boiling.mean_probability([s[place] for s in self.fluid_k])
+
+    def is_safe(self, boiling: Boiling, limit: float) -> bool:
+        """Whether vapour is less likely than *limit* from the end on."""
+        before, last = (sum(s[i] for s in self.fluid_k) for i in (-2, -1))
+        return (
+            last <= before
+            and self.probability(len(self.times_s) - 1, boiling) < limit
+        )
 
     def safe_in_s(self, boiling: Boiling, limit: float) -> float:
         """Return when the probability of vapour stays below *limit* [s].
@@ -173,7 +180,7 @@ class Course(NamedTuple):
 class Job:
     """March of one corner's ensemble, in progress."""
 
-    def __init__(
+    def __init__(  # noqa: PLR0913  (what a march is made of)
         self,
         ensemble: Ensemble,
         kernel: Kernel | None,
@@ -182,6 +189,7 @@ class Job:
         steps: Sequence[float],
         *,
         factor: float,
+        is_enough: Callable[[Course], bool] = lambda _: False,
     ) -> None:
         """Start the march of *ensemble*.
 
@@ -192,22 +200,19 @@ class Job:
             conditions: what acts on it from now on.
             steps: of the march [s].
             factor: widens the spread.
+            is_enough: whether the course up to the horizon needs no more;
+                the steps behind it are then passed over.
         """
         self._steps = steps
+        self._horizon = sum(s <= HORIZON_S for s in accumulate(steps))
+        self._is_enough = is_enough
+        self._is_over = False
         self._done = 0
         self._ensemble = ensemble
-        self._batch = Batch(
-            ensemble.programs, conditions.ambient_k, None, kernel
-        )
-        self._batch.state = ensemble.states(
-            state, conditions.ambient_k, factor
-        )
+        self._batch = ensemble.batch(kernel)
+        self._state = ensemble.states(state, conditions.ambient_k, factor)
         self._inputs = _inputs(ensemble, conditions, factor)
-        width, first = self._batch.width, ensemble.fluid
-        self._fluid = [
-            array("d", [self._batch.state[m * width + first]])
-            for m in range(ensemble.count)
-        ]
+        self._fluid = [self._state[ensemble.fluid :: self._batch.width]]
 
     @property
     def finished(self) -> bool:
@@ -217,9 +222,16 @@ class Job:
     def advance(self, limit: int) -> None:
         """March at most *limit* steps."""
         end = min(self._done + limit, len(self._steps))
-        row = self._ensemble.count * (self._batch.width + self._batch.sources)
         size = self._batch.width + self._batch.sources
+        row = self._ensemble.count * size
+        # of all jobs of the ensemble
+        self._batch.state = self._state
         while self._done < end:
+            if self._done == self._horizon:
+                self._is_over = self._is_enough(self.course())
+            if self._is_over:
+                self._done = end
+                return
             step_s = self._steps[self._done]
             count = 1
             while (
@@ -228,14 +240,16 @@ class Job:
             ):
                 count += 1
             out = self._batch.march(self._inputs * count, count, step_s)
-            for member, series in enumerate(self._fluid):
-                series.extend(out[member * size + self._ensemble.fluid :: row])
+            self._fluid += [
+                out[first + self._ensemble.fluid : first + row : size]
+                for first in range(0, count * row, row)
+            ]
             self._done += count
 
     def course(self) -> Course:
         """Return the course of the members' fluid so far."""
-        times = accumulate(self._steps[: self._done], initial=0.0)
-        return Course(tuple(times), self._fluid)
+        times = accumulate(self._steps[: len(self._fluid) - 1], initial=0.0)
+        return Course(tuple(times), [*zip(*self._fluid, strict=True)])
 
 
 def parked_course(
@@ -258,19 +272,16 @@ def _inputs(
     ensemble: Ensemble, conditions: Conditions, factor: float
 ) -> array[float]:
     """Return one step's rows, a row a member."""
-    rows = array("d")
-    for ambient_k, heat in zip(
-        ensemble.ambients_k(conditions.ambient_k, factor),
-        ensemble.heats(factor),
-        strict=True,
-    ):
-        values = channels_at_rest(ambient_k) | {
-            "speed_ms": conditions.speed_ms,
-            "pressure_pa": conditions.pressure_pa,
-            "brake_on": conditions.brake_on,
-            "brake_power_w": heat * conditions.power_w,
-        }
-        rows.extend(values.values())
+    one = channels_at_rest(0.0) | {
+        "speed_ms": conditions.speed_ms,
+        "pressure_pa": conditions.pressure_pa,
+        "brake_on": conditions.brake_on,
+    }
+    rows = array("d", one.values()) * ensemble.count
+    powers = (conditions.power_w * heat for heat in ensemble.heats(factor))
+    air_k = ensemble.ambients_k(conditions.ambient_k, factor)
+    for channel, values in (("ambient_k", air_k), ("brake_power_w", powers)):
+        rows[[*one].index(channel) :: len(one)] = array("d", values)
     return rows
 
 
@@ -284,7 +295,7 @@ def median(values: list[float]) -> float:
 
 
 def _top(
-    times_s: Sequence[float], series: array[float]
+    times_s: Sequence[float], series: Sequence[float]
 ) -> tuple[float, float]:
     """Return the highest temperature of *series* and its time.
 
