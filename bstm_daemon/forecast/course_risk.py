@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import partial
-from math import isnan, nan
+from math import inf, isnan, nan
 from typing import TYPE_CHECKING, Final
 
 from bstm_daemon.estimate import (
@@ -107,7 +107,8 @@ class _Forecast:
     ``states`` and the like are one a corner; ``at_stop``: the car had just
     stopped. ``index`` counts corners that are done, first all of them parked,
     which is ``published`` then, then all with the duty. ``whole``: the
-    present job is of the ensemble, not of the estimate alone.
+    present job is of the ensemble, not of the estimate alone. ``passed``:
+    steps of it that are due.
     """
 
     time_us: int
@@ -120,6 +121,7 @@ class _Forecast:
     published: bool = False
     job: Job | None = None
     whole: bool = False
+    passed: int = 0
     parked: list[Course] = field(default_factory=list)
 
 
@@ -345,18 +347,18 @@ class CourseRisk:
                 )
                 return
             forecast.job = self._begun(forecast, corner, place, parked=parked)
-        forecast.job.advance(max(self._steps // share, 1))
-        if not forecast.job.finished:
+            forecast.passed = 0
+        steps = max(self._steps // share, 1)
+        forecast.job.advance(steps)
+        # the estimate alone takes as long, so that nothing is earlier or later
+        forecast.passed += steps
+        if forecast.passed < len(forecast.job.steps):
             return
         course = forecast.job.course()
         forecast.job = None
-        if not parked and self._needs_members(forecast, place, course):
-            forecast.whole = True
-            return
         forecast.index += 1
         if parked and forecast.whole:
             self._raise(forecast, corner, place, course)
-        forecast.whole = False
         if parked:
             forecast.parked.append(course)
         else:
@@ -372,14 +374,12 @@ class CourseRisk:
         conditions = forecast.conditions[place]
         if parked:
             conditions = Conditions(conditions.ambient_k)
-            peak_k = corner.ceiling.peak_k(state, conditions.ambient_k, factor)
-            forecast.whole = forecast.boiling.probability(peak_k) != 0.0
-        return Job(
-            corner.ensemble if forecast.whole else corner.ensemble.alone,
-            self._kernel,
-            state,
-            conditions,
-            PARKED_STEPS if parked else DUTY_STEPS,
+        begin = partial(
+            Job,
+            kernel=self._kernel,
+            state=state,
+            conditions=conditions,
+            steps=PARKED_STEPS if parked else DUTY_STEPS,
             factor=factor,
             is_enough=partial(
                 Course.is_safe,
@@ -387,6 +387,22 @@ class CourseRisk:
                 limit=PROBABILITIES[0],
             ),
         )
+        alone = begin(corner.ensemble.alone)
+        air_k = conditions.ambient_k
+        if parked:
+            peak_k = corner.ceiling.peak_k(state, air_k, factor)
+        elif _boils_now(forecast, place):
+            return alone
+        elif self._kernel is None:
+            # no publication has the time to look ahead
+            peak_k = inf
+        else:
+            alone.advance(len(DUTY_STEPS))
+            wider = 1.0 + DUTY_FACTOR * factor * self._uncertainty
+            rise_k = alone.course().peak(HORIZON_S)[0] - air_k
+            peak_k = air_k + wider * rise_k
+        forecast.whole = forecast.boiling.probability(peak_k) != 0.0
+        return begin(corner.ensemble) if forecast.whole else alone
 
     def _raise(
         self, forecast: _Forecast, corner: _Corner, place: int, course: Course
@@ -403,22 +419,6 @@ class CourseRisk:
         )
         if job is not None:
             self._raised.append((corner.ceiling, job))
-
-    def _needs_members(
-        self, forecast: _Forecast, place: int, course: Course
-    ) -> bool:
-        """Whether members on duty may boil at another time than *course*."""
-        boiling, ambient_k = (
-            forecast.boiling,
-            forecast.conditions[place].ambient_k,
-        )
-        if forecast.whole or _boils_now(forecast, place):
-            return False
-        factor = (
-            1.0 + DUTY_FACTOR * forecast.factors[place] * self._uncertainty
-        )
-        rise_k = course.peak(HORIZON_S)[0] - ambient_k
-        return boiling.probability(ambient_k + factor * rise_k) != 0.0
 
     def _commit(self, forecast: _Forecast) -> None:
         """Publish the forecast if the car parks."""

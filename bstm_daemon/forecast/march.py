@@ -203,7 +203,7 @@ class Job:
             is_enough: whether the course up to the horizon needs no more;
                 the steps behind it are then passed over.
         """
-        self._steps = steps
+        self.steps = steps
         self._horizon = sum(s <= HORIZON_S for s in accumulate(steps))
         self._is_enough = is_enough
         self._is_over = False
@@ -217,11 +217,11 @@ class Job:
     @property
     def finished(self) -> bool:
         """Whether the course is complete."""
-        return self._done == len(self._steps)
+        return self._done == len(self.steps)
 
     def advance(self, limit: int) -> None:
         """March at most *limit* steps."""
-        end = min(self._done + limit, len(self._steps))
+        end = min(self._done + limit, len(self.steps))
         size = self._batch.width + self._batch.sources
         row = self._ensemble.count * size
         # of all jobs of the ensemble
@@ -232,11 +232,11 @@ class Job:
             if self._is_over:
                 self._done = end
                 return
-            step_s = self._steps[self._done]
+            step_s = self.steps[self._done]
             count = 1
             while (
                 self._done + count < end
-                and self._steps[self._done + count] == step_s
+                and self.steps[self._done + count] == step_s
             ):
                 count += 1
             out = self._batch.march(self._inputs * count, count, step_s)
@@ -248,7 +248,7 @@ class Job:
 
     def course(self) -> Course:
         """Return the course of the members' fluid so far."""
-        times = accumulate(self._steps[: len(self._fluid) - 1], initial=0.0)
+        times = accumulate(self.steps[: len(self._fluid) - 1], initial=0.0)
         return Course(tuple(times), [*zip(*self._fluid, strict=True)])
 
 
