@@ -106,9 +106,7 @@ class _Forecast:
 
     ``states`` and the like are one a corner; ``at_stop``: the car had just
     stopped. ``index`` counts corners that are done, first all of them parked,
-    which is ``published`` then, then all with the duty. ``whole``: the
-    present job is of the ensemble, not of the estimate alone. ``passed``:
-    steps of it that are due.
+    which is ``published`` then, then all with the duty.
     """
 
     time_us: int
@@ -120,8 +118,6 @@ class _Forecast:
     index: int = 0
     published: bool = False
     job: Job | None = None
-    whole: bool = False
-    passed: int = 0
     parked: list[Course] = field(default_factory=list)
 
 
@@ -347,19 +343,14 @@ class CourseRisk:
                 )
                 return
             forecast.job = self._begun(forecast, corner, place, parked=parked)
-            forecast.passed = 0
-        steps = max(self._steps // share, 1)
-        forecast.job.advance(steps)
-        # the estimate alone takes as long, so that nothing is earlier or later
-        forecast.passed += steps
-        if forecast.passed < len(forecast.job.steps):
+        forecast.job.advance(max(self._steps // share, 1))
+        if not forecast.job.finished:
             return
         course = forecast.job.course()
         forecast.job = None
         forecast.index += 1
-        if parked and forecast.whole:
-            self._raise(forecast, corner, place, course)
         if parked:
+            self._raise(forecast, corner, place, course)
             forecast.parked.append(course)
         else:
             self._commit_duty(forecast, corner, course)
@@ -391,8 +382,6 @@ class CourseRisk:
         air_k = conditions.ambient_k
         if parked:
             peak_k = corner.ceiling.peak_k(state, air_k, factor)
-        elif _boils_now(forecast, place):
-            return alone
         elif self._kernel is None:
             # no publication has the time to look ahead
             peak_k = inf
@@ -401,14 +390,16 @@ class CourseRisk:
             wider = 1.0 + DUTY_FACTOR * factor * self._uncertainty
             rise_k = alone.course().peak(HORIZON_S)[0] - air_k
             peak_k = air_k + wider * rise_k
-        forecast.whole = forecast.boiling.probability(peak_k) != 0.0
-        return begin(corner.ensemble) if forecast.whole else alone
+        if forecast.boiling.probability(peak_k) == 0.0:
+            return alone
+        return begin(corner.ensemble)
 
     def _raise(
         self, forecast: _Forecast, corner: _Corner, place: int, course: Course
     ) -> None:
         """Have a ceiling computed for the forecasts after this one."""
-        if any(ceiling is corner.ceiling for ceiling, _ in self._raised):
+        is_alone = len(course.fluid_k) == 1
+        if is_alone or any(of is corner.ceiling for of, _ in self._raised):
             return
         job = corner.ceiling.higher(
             forecast.states[place],
@@ -454,9 +445,7 @@ class CourseRisk:
         corner.record = replace(
             corner.record,
             duty_peak_k=course.peak(HORIZON_S)[0],
-            duty_in_s=0.0
-            if _boils_now(forecast, self._corners.index(corner))
-            else course.reached_in_s(forecast.boiling, PROBABILITIES[1]),
+            duty_in_s=course.reached_in_s(forecast.boiling, PROBABILITIES[1]),
         )
         corners = {c.name: c.record for c in self._corners}
         self._car = replace(self._car, corners=corners)
@@ -534,12 +523,6 @@ class CourseRisk:
             found[f"{corner.name}.fluid"] = corner.level
             found[f"{corner.name}.fade"] = corner.fade
         return found
-
-
-def _boils_now(forecast: _Forecast, place: int) -> bool:
-    """Whether the members of a corner have reached the limit of a duty."""
-    now = forecast.parked[place].probability(0, forecast.boiling)
-    return now >= PROBABILITIES[1]
 
 
 def _hottest(series: Sequence[Sequence[float]]) -> list[float]:
