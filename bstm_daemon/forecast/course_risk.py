@@ -5,17 +5,12 @@ happens on the grid of data time, so a recording gives the same risk as the
 bus it was recorded on, to the last byte, however the stream is cut: once a
 second the present risk, every :data:`GRID_US` and when the car stops a
 forecast, computed in portions of half a corner a publication.
-
-An ensemble is marched only where it may come to boiling: where no ceiling
-proves that it does not. Else the estimate alone is, in as many publications;
-new ceilings are computed between the forecasts.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from functools import partial
-from math import inf, isnan, nan
+from math import isnan, nan
 from typing import TYPE_CHECKING, Final
 
 from bstm_daemon.estimate import (
@@ -25,17 +20,8 @@ from bstm_daemon.estimate import (
     RiskLevel,
     Validity,
 )
-from bstm_daemon.forecast.ceiling import Ceiling
-from bstm_daemon.forecast.march import (
-    DUTY_STEPS,
-    HORIZON_S,
-    PARKED_STEPS,
-    Conditions,
-    Course,
-    Duty,
-    Job,
-    parked_course,
-)
+from bstm_daemon.forecast.corner_march import CornerMarch, Start
+from bstm_daemon.forecast.march import HORIZON_S, Duty, parked_course
 from bstm_daemon.forecast.members import DEGRADED_FACTOR, Ensemble, Spread
 from bstm_daemon.model.risk.levels import (
     PROBABILITIES,
@@ -53,6 +39,7 @@ if TYPE_CHECKING:
     from bstm_daemon.estimator.estimator import Estimator
     from bstm_daemon.estimator.memory import SavedState
     from bstm_daemon.forecast.fluid import FluidKnowledge
+    from bstm_daemon.forecast.march import Course, Job
     from bstm_daemon.model.risk.vaporisation import Boiling
 
 SECOND_US: Final = 1_000_000
@@ -67,11 +54,6 @@ COMPILED_STEPS: Final = 50
 """Steps of an ensemble marched a publication: half a corner with the
 compiled kernel; without it one, so that no publication waits."""
 
-DUTY_FACTOR: Final = 1.0
-"""A member on duty rises less than 1 plus this, times the factor of its
-spread, times what the estimate does; checked by tests, not proven. No level
-follows from a duty."""
-
 DROVE_MS: Final = 2.0
 STOPPED_MS: Final = 0.3
 """Below this speed a car that has driven faster has stopped."""
@@ -85,7 +67,7 @@ class _Corner:
     """A corner's memory and its forecast."""
 
     name: str
-    ceiling: Ceiling
+    march: CornerMarch
     duty: Duty
     level: LevelMemory = field(default_factory=LevelMemory)
     fade: LevelMemory = field(default_factory=LevelMemory)
@@ -97,22 +79,20 @@ class _Corner:
     @property
     def ensemble(self) -> Ensemble:
         """The members."""
-        return self.ceiling.ensemble
+        return self.march.ensemble
 
 
 @dataclass(slots=True)
 class _Forecast:
     """A forecast in progress, spread over several publications.
 
-    ``states`` and the like are one a corner; ``at_stop``: the car had just
-    stopped. ``index`` counts corners that are done, first all of them parked,
-    which is ``published`` then, then all with the duty.
+    ``starts`` are one a corner; ``at_stop``: the car had just stopped.
+    ``index`` counts corners that are done, first all of them parked, which
+    is ``published`` then, then all with the duty.
     """
 
     time_us: int
-    states: list[Sequence[float]]
-    conditions: list[Conditions]
-    factors: list[float]
+    starts: list[Start]
     boiling: Boiling
     at_stop: bool
     index: int = 0
@@ -147,14 +127,13 @@ class CourseRisk:
             [c + KELVIN_OFFSET for c in config.forecast.pad_limits_c],
         ]
         self._ambient_k = config.vehicle.ambient_c + KELVIN_OFFSET
-        self._uncertainty = config.forecast.uncertainty
-        spread = Spread().scaled(self._uncertainty)
+        spread = Spread().scaled(config.forecast.uncertainty)
         self._programs = estimator.programs
         drawn = {} if beside is None else beside.ensembles()
         self._corners = [
             _Corner(
                 name,
-                Ceiling(
+                CornerMarch(
                     drawn.get(name) or Ensemble(program, self.members, spread),
                     self._kernel,
                 ),
@@ -163,7 +142,6 @@ class CourseRisk:
             for name in estimator.layout.corners
             if (program := estimator.programs.get(name)) is not None
         ]
-        self._raised: list[tuple[Ceiling, Job]] = []
         self._level = LevelMemory()
         self._forecast: _Forecast | None = None
         self._forecast_us: int | None = None
@@ -224,14 +202,11 @@ class CourseRisk:
         at_stop = self._stopped and not waits
         if at_stop or due or first:
             self._begin(instant, at_stop=at_stop)
+        steps = max(self._steps // share, 1)
         if self._forecast is not None:
-            self._work(self._forecast, share, duty=duty)
-        elif self._raised:
-            ceiling, job = self._raised[0]
-            job.advance(max(self._steps // share, 1))
-            if job.finished:
-                ceiling.accept(job)
-                del self._raised[0]
+            self._work(self._forecast, steps, duty=duty)
+        else:
+            any(corner.march.work_ahead(steps) for corner in self._corners)
         return self._published(instant)
 
     def _begin_anew(self) -> None:
@@ -307,23 +282,19 @@ class CourseRisk:
 
     def _begin(self, instant: Instant, *, at_stop: bool) -> None:
         self._stopped = self._stopped and not at_stop
-        names = [corner.name for corner in self._corners]
-        self._forecast = _Forecast(
-            instant.time_us,
-            [
-                list(instant.state(name, hottest=self._is_bound).values())
-                for name in names
-            ],
-            [
-                c.duty.conditions(instant.channel(c.name, "ambient_k"))
-                for c in self._corners
-            ],
-            [self._factor(instant, name) for name in names],
-            self._fluid.boiling(instant.time_us),
-            at_stop,
-        )
+        boiling = self._fluid.boiling(instant.time_us)
+        starts = [
+            Start(
+                [*instant.state(c.name, hottest=self._is_bound).values()],
+                c.duty.conditions(instant.channel(c.name, "ambient_k")),
+                self._factor(instant, c.name),
+                boiling,
+            )
+            for c in self._corners
+        ]
+        self._forecast = _Forecast(instant.time_us, starts, boiling, at_stop)
 
-    def _work(self, forecast: _Forecast, share: int, *, duty: bool) -> None:
+    def _work(self, forecast: _Forecast, steps: int, *, duty: bool) -> None:
         """Compute one publication's portion of *forecast*."""
         count = len(self._corners)
         if forecast.index == count and not forecast.published:
@@ -334,82 +305,27 @@ class CourseRisk:
         place = forecast.index % count
         corner = self._corners[place]
         parked = forecast.index < count
+        start = forecast.starts[place]
         if forecast.job is None:
-            program = self._programs[corner.name]
-            if corner.ensemble.program is not program:
+            march = corner.march.of(self._programs[corner.name])
+            if march is not corner.march:
                 # as much work as a portion of forecast: in its own publication
-                corner.ceiling = Ceiling(
-                    corner.ensemble.of(program), self._kernel
-                )
+                corner.march = march
                 return
-            forecast.job = self._begun(forecast, corner, place, parked=parked)
-        forecast.job.advance(max(self._steps // share, 1))
+            forecast.job = march.begin(start, parked=parked)
+        forecast.job.advance(steps)
         if not forecast.job.finished:
             return
         course = forecast.job.course()
         forecast.job = None
         forecast.index += 1
         if parked:
-            self._raise(forecast, corner, place, course)
+            corner.march.raise_ceiling(start, course)
             forecast.parked.append(course)
         else:
             self._commit_duty(forecast, corner, course)
         if forecast.index == 2 * count:
             self._forecast = None
-
-    def _begun(
-        self, forecast: _Forecast, corner: _Corner, place: int, *, parked: bool
-    ) -> Job:
-        """Return the march of *corner*, of its members where they matter."""
-        state, factor = forecast.states[place], forecast.factors[place]
-        conditions = forecast.conditions[place]
-        if parked:
-            conditions = Conditions(conditions.ambient_k)
-        begin = partial(
-            Job,
-            kernel=self._kernel,
-            state=state,
-            conditions=conditions,
-            steps=PARKED_STEPS if parked else DUTY_STEPS,
-            factor=factor,
-            is_enough=partial(
-                Course.is_safe,
-                boiling=forecast.boiling,
-                limit=PROBABILITIES[0],
-            ),
-        )
-        alone = begin(corner.ensemble.alone)
-        air_k = conditions.ambient_k
-        if parked:
-            peak_k = corner.ceiling.peak_k(state, air_k, factor)
-        elif self._kernel is None:
-            # no publication has the time to look ahead
-            peak_k = inf
-        else:
-            alone.advance(len(DUTY_STEPS))
-            wider = 1.0 + DUTY_FACTOR * factor * self._uncertainty
-            rise_k = alone.course().peak(HORIZON_S)[0] - air_k
-            peak_k = air_k + wider * rise_k
-        if forecast.boiling.probability(peak_k) == 0.0:
-            return alone
-        return begin(corner.ensemble)
-
-    def _raise(
-        self, forecast: _Forecast, corner: _Corner, place: int, course: Course
-    ) -> None:
-        """Have a ceiling computed for the forecasts after this one."""
-        is_alone = len(course.fluid_k) == 1
-        if is_alone or any(of is corner.ceiling for of, _ in self._raised):
-            return
-        job = corner.ceiling.higher(
-            forecast.states[place],
-            forecast.conditions[place].ambient_k,
-            forecast.factors[place],
-            peak_k=max(course.peaks_k(HORIZON_S)),
-            limit_k=forecast.boiling.lowest_k,
-        )
-        if job is not None:
-            self._raised.append((corner.ceiling, job))
 
     def _commit(self, forecast: _Forecast) -> None:
         """Publish the forecast if the car parks."""
@@ -501,10 +417,7 @@ class CourseRisk:
             if not values.keys() >= set(program.state_names):
                 continue
             state = [values[key] for key in program.state_names]
-            if program is not corner.ensemble.program:
-                corner.ceiling = Ceiling(
-                    corner.ensemble.of(program), self._kernel
-                )
+            corner.march = corner.march.of(program)
             course = parked_course(
                 corner.ensemble, self._kernel, state, ambient_k, factor=1.0
             )

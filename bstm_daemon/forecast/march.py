@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 from bstm_daemon.estimator.blocks import channels_at_rest, friction_energies
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
 
     from bstm_daemon.estimator.blocks import Instant
     from bstm_daemon.forecast.members import Ensemble
@@ -130,14 +130,6 @@ class Course(NamedTuple):
         """Return the probability of vapour at the point number *place*."""
         return boiling.mean_probability([s[place] for s in self.fluid_k])
 
-    def is_safe(self, boiling: Boiling, limit: float) -> bool:
-        """Whether vapour is less likely than *limit* from the end on."""
-        before, last = (sum(s[i] for s in self.fluid_k) for i in (-2, -1))
-        return (
-            last <= before
-            and self.probability(len(self.times_s) - 1, boiling) < limit
-        )
-
     def safe_in_s(self, boiling: Boiling, limit: float) -> float:
         """Return when the probability of vapour stays below *limit* [s].
 
@@ -180,7 +172,7 @@ class Course(NamedTuple):
 class Job:
     """March of one corner's ensemble, in progress."""
 
-    def __init__(  # noqa: PLR0913  (what a march is made of)
+    def __init__(
         self,
         ensemble: Ensemble,
         kernel: Kernel | None,
@@ -189,7 +181,6 @@ class Job:
         steps: Sequence[float],
         *,
         factor: float,
-        is_enough: Callable[[Course], bool] = lambda _: False,
     ) -> None:
         """Start the march of *ensemble*.
 
@@ -200,13 +191,8 @@ class Job:
             conditions: what acts on it from now on.
             steps: of the march [s].
             factor: widens the spread.
-            is_enough: whether the course up to the horizon needs no more;
-                the steps behind it are then passed over.
         """
-        self.steps = steps
-        self._horizon = sum(s <= HORIZON_S for s in accumulate(steps))
-        self._is_enough = is_enough
-        self._is_over = False
+        self._steps = steps
         self._done = 0
         self._ensemble = ensemble
         self._batch = ensemble.batch(kernel)
@@ -217,26 +203,21 @@ class Job:
     @property
     def finished(self) -> bool:
         """Whether the course is complete."""
-        return self._done == len(self.steps)
+        return self._done == len(self._steps)
 
     def advance(self, limit: int) -> None:
         """March at most *limit* steps."""
-        end = min(self._done + limit, len(self.steps))
+        end = min(self._done + limit, len(self._steps))
         size = self._batch.width + self._batch.sources
         row = self._ensemble.count * size
         # of all jobs of the ensemble
         self._batch.state = self._state
         while self._done < end:
-            if self._done == self._horizon:
-                self._is_over = self._is_enough(self.course())
-            if self._is_over:
-                self._done = end
-                return
-            step_s = self.steps[self._done]
+            step_s = self._steps[self._done]
             count = 1
             while (
                 self._done + count < end
-                and self.steps[self._done + count] == step_s
+                and self._steps[self._done + count] == step_s
             ):
                 count += 1
             out = self._batch.march(self._inputs * count, count, step_s)
@@ -248,7 +229,7 @@ class Job:
 
     def course(self) -> Course:
         """Return the course of the members' fluid so far."""
-        times = accumulate(self.steps[: len(self._fluid) - 1], initial=0.0)
+        times = accumulate(self._steps[: len(self._fluid) - 1], initial=0.0)
         return Course(tuple(times), [*zip(*self._fluid, strict=True)])
 
 

@@ -17,7 +17,7 @@ from bstm_daemon.errors import ConfigError
 from bstm_daemon.estimator.corner_model import compile_corner
 from bstm_daemon.files import shipped_file
 from bstm_daemon.forecast.ceiling import Ceiling, is_ordered
-from bstm_daemon.forecast.course_risk import DUTY_FACTOR
+from bstm_daemon.forecast.corner_march import DUTY_SPREADS
 from bstm_daemon.forecast.march import (
     DUTY_STEPS,
     HORIZON_S,
@@ -46,7 +46,13 @@ BOILING_K = 420.0
 KERNEL = load_kernel()
 needs_kernel = pytest.mark.skipif(KERNEL is None, reason="slow in Python")
 
-UNORDERED = {"ambient_heat_soak", "fluid_exchange", "pad_pyrolysis"}
+UNORDERED = {
+    "ambient_heat_soak",
+    "fluid_exchange",
+    "hub_heat",
+    "layer_opening",
+    "pad_pyrolysis",
+}
 """Effects with a part that depends on more than temperatures beside it."""
 
 
@@ -263,6 +269,7 @@ def test_members_on_duty_rise_less_than_is_assumed(
         job.advance(1000)
         peaks_k.append(max(job.course().peaks_k(HORIZON_S)))
 
-    most_k = AIR_K + (1.0 + DUTY_FACTOR * factor) * (peaks_k[1] - AIR_K)
+    wider = DUTY_SPREADS * factor * Spread().duty_heat
+    most_k = AIR_K + (1.0 + wider) * (peaks_k[1] - AIR_K)
     # the least that any fluid boils at
     assert peaks_k[0] < 367.0 or most_k >= 367.0
