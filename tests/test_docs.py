@@ -72,8 +72,9 @@ def anchors_of(page: Path) -> set[str]:
 
 
 def test_all_of_it_can_be_read() -> None:
+    """Words as ``cat docs/*.md | wc -w`` counts them."""
     counts = {
-        page.name: len(words_of(page.read_text("utf-8"))) for page in PAGES
+        page.name: len(page.read_text("utf-8").split()) for page in PAGES
     }
 
     assert sum(counts.values()) <= MOST_WORDS, counts

@@ -18,9 +18,10 @@ from bstm_daemon.units import UNITS
 PACKAGE = Path(__file__).parents[1] / "bstm_daemon"
 REFERENCE = Path(__file__).parents[1] / "docs" / "reference.md"
 ROLE_ROW = re.compile(
-    r"^\| `(\w[\w<>]*)` \| ([a-z ]+) \| ([\d.]+) \|", re.MULTILINE
+    r"^\| `(\w[\w<>]*)` \| ([a-z ]+)(?:, (\d+) s)? \|[^|]*\|$", re.MULTILINE
 )
-UNIT_ROW = re.compile(r"^\| ([a-z ]+) \| (`.*) \|$", re.MULTILINE)
+USUAL_TIMEOUT_S = 0.5
+UNIT_ROW = re.compile(r"^- ([a-z ]+): (`.*)$", re.MULTILINE)
 
 
 def expand(name: str) -> list[str]:
@@ -59,9 +60,9 @@ def test_quantities_have_units(role: Role) -> None:
 def test_reference_lists_every_role() -> None:
     """Name, quantities and timeout in the reference are those of the code."""
     documented = {
-        role: (kinds, float(timeout_s))
+        role: (kinds, float(timeout_s or USUAL_TIMEOUT_S))
         for name, kinds, timeout_s in ROLE_ROW.findall(
-            REFERENCE.read_text(encoding="utf-8")
+            REFERENCE.read_text(encoding="utf-8").partition("## Roles")[2]
         )
         for role in expand(name)
     }

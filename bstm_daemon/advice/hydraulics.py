@@ -72,11 +72,11 @@ class FrontIsolation(Machine):
         limit_k = self._config.isolation_margin_k
         if self._requested:
             limit_k += self._config.isolation_hysteresis_k
-        front_k, rear_k = now.margin_k("F"), now.margin_k("R")
+        front_k = now.margin_k("F")
         self._requested = (
             front_k <= limit_k
             and now.is_known("R")
-            and rear_k >= front_k + REAR_SPARE_K
+            and now.margin_k("R") >= front_k + REAR_SPARE_K
             and isfinite(now.speed_ms)
             and now.speed_ms <= self._config.isolation_speed_ms
             and not now.flag("abs_active")

@@ -90,11 +90,14 @@ def run_live(folder: Path, drive: str, *, page: bool = False) -> int:
             ended = service.poll()
         finally:
             signal.signal(signal.SIGINT, signal.SIG_IGN)
+            is_alive = service.poll() is None
+            # first: who ends this does not always wait
+            service.terminate()
             # the display gives the terminal back before it ends
             with suppress(subprocess.TimeoutExpired):
-                display.wait(PATIENCE_S if service.poll() is None else 0.0)
+                display.wait(PATIENCE_S if is_alive else 0.0)
+            display.terminate()
             for process in (display, service):
-                process.terminate()
                 process.wait()
     if ended:
         *_, last = ["", *log.read_text("utf-8", "replace").splitlines()]

@@ -45,26 +45,26 @@ class AccuracyConfig(Section):
     disc_k: Positive | None = None
     """floor of the disc; without it no interval"""
     disc_share: NotNegative = 0.0
-    """share of the disc's rise"""
+    """share of the disc"""
     pad_front_k: Positive | None = None
-    """as of the disc, at the pad's face"""
+    """floor of the pad's face"""
     pad_front_share: NotNegative = 0.0
-    """as of the disc"""
+    """share of the pad's face"""
     pad_back_k: Positive | None = None
-    """as of the disc, at the pad's back"""
+    """floor of the pad's back"""
     pad_back_share: NotNegative = 0.0
-    """as of the disc"""
+    """share of the pad's back"""
     fluid_k: Positive | None = None
-    """as of the disc, in the fluid"""
+    """floor of the fluid"""
     fluid_share: NotNegative = 0.0
-    """as of the disc"""
+    """share of the fluid"""
     thermocouple_offset_k: NotNegative = 0.0
-    """what a junction reads too much, always the same; from its data sheet
-    (type K of class 2, IEC 60584-1: at most 2.5 K, so 1.4). Where it is more
-    than some K, `bstm gap` and the live comparison have to know it"""
+    """constant error of a thermocouple, from its data sheet (type K of class
+    2, IEC 60584-1: at most 2.5 K, so 1.4); needed by `bstm gap` and the live
+    comparison where above some K"""
     thermocouple_drift_k: NotNegative = 0.0
-    """what its reading drifts over minutes, likewise; `bstm gap` and the live
-    comparison expect 1 K of it anyway"""
+    """its drift over minutes; `bstm gap` and the live comparison expect 1 K
+    anyway"""
 
     def drift_beyond_usual_k(self) -> float:
         """Return the drift beyond that of a usual thermocouple, sd [K]."""
@@ -79,25 +79,24 @@ class MatchedConfig(Section):
     """
 
     corners: list[Text]
-    """corners that were matched together"""
+    """corners matched together"""
     names: list[Text]
     """the fitted values, as dotted keys"""
     values: list[Positive]
-    """what they were then; of the cooling table its S at that speed"""
+    """their values then; of the cooling table S at that speed"""
     factor: list[list[float]]
-    """lower Cholesky factor of the covariance of their logarithms, row by
-    row, each as long as its number"""
+    """lower Cholesky factor of the covariance of their logarithms; row n has n
+    numbers"""
     form_k: dict[str, NotNegative] = {}
-    """error that the fit itself left, by node: the form of the model"""
+    """error that the fit left, by node: the form of the model"""
     form_share: dict[str, NotNegative] = {}
-    """likewise, share of the rise above the air, in quadrature"""
+    """likewise, share of the rise above the air"""
     form: dict[str, float] = {}
-    """the same in terms of the catalogue: how far values and strengths of
-    effects and heats would lie off, were the form theirs"""
+    """the same as errors of values and of strengths of effects and heats"""
     drives: Annotated[int, Field(ge=1)] = 1
-    """number of drives that were fitted"""
+    """fitted drives"""
     left_out: str = ""
-    """drives that were left out in turn, to judge the fit"""
+    """drives left out in turn, to judge the fit"""
 
     def _check(self) -> None:
         count = len(self.names)
@@ -121,7 +120,7 @@ class PriorsConfig(Section):
     """
 
     corners: list[Text]
-    """corners that were matched together"""
+    """corners matched together"""
     names: list[Text]
     """dotted keys"""
     values: list[Positive]
@@ -129,7 +128,7 @@ class PriorsConfig(Section):
     deviations: list[Positive]
     """standard deviations of their logarithms from car to car"""
     cars: Annotated[int, Field(ge=2)]
-    """number of matched cars"""
+    """matched cars"""
 
     def _check(self) -> None:
         require(
@@ -152,7 +151,7 @@ class ChangeConfig(Section):
     factor: Positive
     """the value over that of the match"""
     provenance: dict[str, Any] = {}
-    """where it comes from; kept, not used"""
+    """source; kept, not used"""
 
 
 class FluidConfig(Section):
@@ -161,19 +160,18 @@ class FluidConfig(Section):
     grade: Literal["DOT3", "DOT4", "DOT5.1", "CLASS6"] = "DOT4"
     """decides the boiling point"""
     changed: date | None = None
-    """day of the last change; the role `fluid_changed` tells a later one"""
+    """last change; the role `fluid_changed` tells a later one"""
     climate: Literal["dry", "temperate", "humid"] = "temperate"
     """how fast the fluid takes up water"""
     water_percent: Annotated[float, Field(ge=0, le=10)] | None = None
-    """measured water content; the role `fluid_water_percent` tells a later
-    one"""
+    """measured water; the role `fluid_water_percent` tells a later one"""
     water_measured: date | None = None
-    """day of that measurement; what the fluid took up since is added"""
+    """day of that measurement; the uptake since is added"""
     water_accuracy: Annotated[float, Field(gt=0, le=1)] = 0.1
     """standard deviation of a measurement over its value"""
     dry_boiling_point_c: BoilingPoint | None = None
-    """of the fluid at hand, from its data sheet; without it the grade's
-    minimum and what fluids usually have above it"""
+    """from the fluid's data sheet; without it the grade's minimum and what
+    fluids usually have above it"""
     wet_boiling_point_c: BoilingPoint | None = None
     """likewise, at 3.7 % water; below the dry one"""
 
@@ -200,12 +198,12 @@ class ForecastConfig(Section):
     members: Annotated[int, Field(ge=8, le=256)] = 64
     """members of the ensemble; 8 without the compiled kernel"""
     uncertainty: Positive = 1.0
-    """factor on what the ensemble takes as unknown of a matched model; more
-    for one that is not"""
+    """factor on what is unknown of a matched model; more for an unmatched
+    one"""
     disc_limits_c: list[Limit] = [500.0, 600.0, 700.0]
-    """elevated, high and critical begin, rising"""
+    """where elevated, high and critical begin"""
     pad_limits_c: list[Limit] = [400.0, 500.0, 600.0]
-    """the same, friction face of the pads"""
+    """likewise, friction face of the pads"""
 
     def _check(self) -> None:
         for name in ("disc_limits_c", "pad_limits_c"):
@@ -227,18 +225,17 @@ class AdviceConfig(Section):
     """
 
     while_driving: bool = False
-    """a message while driving too, when the level is critical"""
+    """also a message while driving, at level critical"""
     sound: bool = True
-    """a chime when the message before departure appears"""
+    """a chime with the message before departure"""
     parked_after_s: Annotated[float, Field(ge=1, le=3600)] = 60.0
-    """a car that stands longer is parked; the ignition off parks it at once"""
+    """a car that stands longer is parked; ignition off parks it at once"""
     gearbox: Literal["none", "manual", "automatic"] = "none"
-    """who is asked for a lower gear: nobody, the driver (P3), the gearbox
-    (A4)"""
+    """who is asked for a lower gear: nobody, driver (P3), gearbox (A4)"""
     descent_power_w: Positive = 5000.0
-    """brake power from the slope above which braking is excessive"""
+    """brake power by the slope from which braking is excessive"""
     descent_window_s: Annotated[float, Field(ge=5, le=600)] = 40.0
-    """time constant of that power"""
+    """time constant of that brake power"""
     shift_below_rpm: Positive = 3500.0
     """no lower gear at a higher engine speed"""
     pedal_feel_from_k: Margin = 60.0
@@ -246,23 +243,23 @@ class AdviceConfig(Section):
     pedal_feel_least: Fraction = 0.5
     """factor at the boiling point"""
     isolation_margin_k: Margin = 10.0
-    """margin of a front brake below which its isolation is asked for (A5)"""
+    """margin of a front brake below which its isolation is requested (A5)"""
     isolation_hysteresis_k: Margin = 10.0
     """further margin until the request ends"""
     isolation_speed_ms: Speed = 14.0
-    """no such request above"""
+    """no isolation is requested above it"""
     brake_split: Literal["front-rear", "diagonal"] = "diagonal"
     """which brakes share a circuit (A6)"""
     park_brake_speed_ms: Speed = 6.0
-    """the parking brake is asked for below only"""
+    """the parking brake is requested below only"""
     detector_pressure_pa: Positive = 2.0e6
-    """pressure that is large without a doubt"""
+    """certainly large pressure"""
     detector_pedal_rate_1_s: Positive = 1.0
-    """pedal speed that is fast without a doubt, whole travels a second"""
+    """certainly fast pedal, travels a second"""
     detector_score: Annotated[float, Field(ge=0.1, le=1)] = 0.6
-    """score at which the brakes count as not answering"""
+    """score from which the brakes count as not responding"""
     detector_hold_s: Annotated[float, Field(ge=0.1, le=5)] = 0.5
-    """and for how long"""
+    """time for which the score has to last"""
 
 
 class WearConfig(Section):
@@ -279,10 +276,10 @@ class WearConfig(Section):
     """
 
     law: Literal["energy", "archard"] = "energy"
-    """the friction heat of the estimate (Eq 4.20, 4.21), or contact pressure
+    """by the estimate's friction heat (Eq 4.20, 4.21), or contact pressure
     times sliding speed (Eq 2.13)"""
     pad_wear_m3_j: Annotated[float, Field(gt=0, le=WEAR_LIMIT_M3_J)] = 3.0e-13
-    """expected lining volume worn per joule, both pads"""
+    """expected lining wear per joule, both pads"""
     disc_wear_m3_j: Annotated[float, Field(ge=0, le=WEAR_LIMIT_M3_J)] = 1.0e-13
     """the disc's, both faces"""
     rate_spread: Spread = 0.5
@@ -294,10 +291,9 @@ class WearConfig(Section):
     hot_doubling_k: Annotated[float, Field(ge=10, le=1000)] = 90.0
     """rise of temperature that doubles the wear"""
     hot_limit: Annotated[float, Field(ge=1, le=10)] = 8.0
-    """most that a joule counts, held above the temperature where it is
-    reached"""
+    """most that a joule counts"""
     indicators: Literal["front", "rear", "all"] = "front"
-    """axle whose pads `pads_new`, `pad_worn_1mm` and `pad_2mm_left` tell of"""
+    """axle of `pads_new`, `pad_worn_1mm` and `pad_2mm_left`"""
     first_indicator_worn_m: Depth = 0.001
     """worn when `pad_worn_1mm` comes"""
     second_indicator_left_m: Depth = 0.002
@@ -309,5 +305,5 @@ class WearConfig(Section):
     limit_m: Depth = 0.002
     """thickness at which pads are worn"""
     model_follows: bool = False
-    """whether slabs and disc mass of the thermal model follow, in every
-    command that replays or runs; else they stay as configured"""
+    """slabs and disc mass of the thermal model follow, in every command that
+    replays or runs"""

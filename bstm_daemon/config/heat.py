@@ -43,8 +43,8 @@ class HeatConfig(Section):
 
     mode: Literal["auto", "ff", "fb", "fused", "measured"] = "auto"
     """Feed-Forward (pressure), Feed-Back (motion), both with the vehicle
-    learned, or given temperatures; `auto` is the first of `fused`, `ff` and
-    `fb` that has what it needs, `bstm check` says which"""
+    learned, or measured temperatures; `auto`: the first of `fused`, `ff`, `fb`
+    that has what it needs, as `bstm check` shows"""
     brake_on_pressure_pa: NotNegative = 1.0e5
     """pressure above which the brake counts as on"""
     brake_on_force_n: NotNegative = 300.0
@@ -56,8 +56,7 @@ class HeatConfig(Section):
     derivative_filter_s: Positive = 0.3
     """time constant of the speed's derivative"""
     slope: Literal["accelerometer", "flat"] = "accelerometer"
-    """road grade from the accelerometer, or none; flat while no accelerometer
-    is there"""
+    """road grade from the accelerometer if it is there, else none"""
     assume_powertrain_torque_nm: float | None = None
     """torque at the wheels while `powertrain_torque` is absent: a declared
     assumption, 0.0 = coasting"""

@@ -87,8 +87,7 @@ class VehicleConfig(Section):
     mass_kg: Annotated[float, Field(ge=100, le=60_000)]
     """mass as driven, load included"""
     wheel_radius_m: Annotated[float, Field(ge=0.1, le=1)]
-    """rolling radius; torque at the wheels to force, angular wheel speed to
-    speed"""
+    """rolling radius"""
     wheel_inertia_kg_m2: NotNegative = 3.0
     """inertia of all wheels and brake discs together (Eq 4.6)"""
     drag_area_m2: NotNegative = 0.7
@@ -100,8 +99,8 @@ class VehicleConfig(Section):
     front_share: Fraction = 0.7
     """share of the brake force at the front axle; Feed-Back splits by it"""
     ambient_c: Annotated[float, Field(ge=-60, le=70)] = 20.0
-    """air temperature until the role `ambient_temperature` has a value; of a
-    bus that fell silent the last one is kept"""
+    """air temperature until the role `ambient_temperature` has a value; a
+    silent bus keeps its last"""
 
 
 class BusConfig(Section):
@@ -116,16 +115,16 @@ class BusConfig(Section):
     channel: Text = "can0"
     """channel of the interface; also the interface name in logs"""
     ignored_interfaces: list[Text] = []
-    """interfaces of logs that are left out, as no DBC is for them; an entry
-    `[[bus]]` with `name` and `ignore = true` adds its name here"""
+    """interfaces of logs without a DBC; a `[[bus]]` with `name` and `ignore =
+    true` adds its name"""
     bitrate: Annotated[int, Field(gt=0)] | None = None
-    """bit rate; SocketCAN links are set up outside"""
+    """bit/s; SocketCAN links are set up outside"""
     fd: bool = False
     """open the channel for CAN FD"""
     strict: bool = True
     """refuse a DBC with defects, see below"""
     encoding: str = "cp1252"
-    """text encoding of the DBC; a byte order mark goes before it"""
+    """text encoding of the DBC, unless a byte order mark tells"""
 
     def _check(self) -> None:
         try:
@@ -150,12 +149,11 @@ class SignalConfig(Section):
     expression: str | None = None
     """`+ - * / ( )`, numbers, `abs min max` and signals of `message`"""
     column: Text | None = None
-    """column of a signal table, or the name in its column `name`; then no
-    `message`, `signal`, `expression`, `bus`"""
+    """column of a signal table, or the name in its column `name`"""
     bus: str | None = None
-    """name of a `[[bus]]`; without it the first one"""
+    """a `[[bus]]`; without it the first"""
     unit: str
-    """unit of the scaled value, see Units; overrides the DBC's unit text"""
+    """unit of the scaled value (see Units), whatever the DBC says"""
     sign: Literal[1, -1] = 1
     """-1 turns the direction"""
     scale: float = 1.0
@@ -165,12 +163,12 @@ class SignalConfig(Section):
     timeout_s: Positive | None = None
     """how long a value counts as present; without it the role's own"""
     depth_m: Annotated[float, Field(ge=0, le=0.05)] | None = None
-    """of a temperature of a disc or of a pad's front: depth of the
-    thermocouple below the friction face, for `bstm match` and `bstm gap`"""
+    """of a thermocouple in a disc or a pad's front: depth below the friction
+    face, for `bstm match` and `bstm gap`"""
     min: float | None = None
     """below it, in `unit`, a value is no sample"""
     max: float | None = None
-    """above it, in `unit`, a value is no sample; greater than `min`"""
+    """above it, in `unit`, a value is no sample"""
 
     def _check(self) -> None:
         if self.column is not None:
@@ -205,15 +203,14 @@ class TableConfig(Section):
     time: Text | None = None
     """column with the time"""
     time_unit: Literal["s", "ms", "us", "iso8601", "hhmmss"] | None = None
-    """unit of the time, `hhmmss` a time of day; without it found from the
-    stated unit, the column's name and its values, and logged"""
+    """`hhmmss`: a time of day; without it found from the column, and logged"""
     rate_hz: Positive | None = None
     """rows a second, for a table without a time column"""
     delimiter: Text | None = None
-    """one character between the cells of a CSV table; without it comma,
-    semicolon, tab or vertical bar, as the header has it"""
+    """one character between the cells of a CSV table; without it found from
+    the header"""
     name: Text | None = None
-    """long format, one value a row: column with the name of the signal"""
+    """long format: column with the name of the signal"""
     value: Text | None = None
     """long format: column with the value"""
 
@@ -257,26 +254,24 @@ class DiscConfig(Section):
     swept_area_m2: DiscArea
     """swept ring, both faces together; at least the two pads' area"""
     total_area_m2: DiscArea
-    """area that radiates, the part under the pads included; at least the swept
-    ring"""
+    """area that radiates, also under the pads; at least the swept ring"""
     material: Literal["grey-iron", "grey-iron-smooth", "pure-iron", "own"] = (
         "grey-iron"
     )
-    """heat capacity over temperature: a built-in curve, with or without the
-    peak near 750 °C, or `own`"""
+    """heat capacity over temperature: built-in curves, with the peak near 750
+    °C or smooth, or `own`"""
     heat_capacity_j_kgk: Curve | None = None
-    """curve for `material = "own"`: `{temperature_c = [...], value =
-    [...]}` or `{csv = "FILE"}`"""
+    """for `material = "own"`: `{temperature_c = [...], value = [...]}` or
+    `{csv = "FILE"}`"""
     heat_capacity_exponent: Annotated[float, Field(ge=0, le=2)] = 1.0
-    """how much of that curve's rise over its value at 20 °C the disc has: 1
-    all, 0 a constant capacity"""
+    """share of that curve's rise above 20 °C; 0: constant capacity"""
     conductivity_w_mk: Positive = 50.0
     """for the heat partition (Eq 2.3)"""
     density_kg_m3: Positive = 7200.0
     """for the heat partition (Eq 2.3) and the mass of what is worn"""
     worn_m: Annotated[float, Field(ge=0, le=0.01)] = 0.0
-    """thickness lost, both faces, when `mass_kg` was what it says; a changed
-    number is a new measurement ([wear.md](wear.md))"""
+    """thickness lost, both faces, when `mass_kg` was weighed; a changed number
+    is a new measurement ([wear.md](wear.md))"""
     effusivity_heat_capacity_j_kgk: Positive = 460.0
     """for the heat partition (Eq 2.3)"""
 
@@ -304,20 +299,20 @@ class PadConfig(Section):
     """remaining lining; a changed number is a new measurement
     ([wear.md](wear.md))"""
     new_thickness_m: PadThickness | None = None
-    """lining of new pads, at least `thickness_m`; without it `thickness_m`"""
+    """lining of new pads; without it `thickness_m`"""
     measured: date | None = None
-    """day on which `thickness_m` was measured; another day makes the same
-    number a new measurement"""
+    """day on which `thickness_m` was measured; a changed day is a new
+    measurement"""
     slabs: Annotated[int, Field(ge=1, le=60)] = 10
     """layers through the lining (Eq 4.15 to 4.17)"""
     surface_cells: Literal["half", "full"] = "half"
-    """half cells at the surfaces, or full cells as the thesis has"""
+    """cells at the surfaces; the thesis has full ones"""
     density_kg_m3: Positive = 2300.0
     """lining"""
     heat_capacity_j_kgk: LiningHeatCapacity = 1000.0
-    """lining; one number or a curve over temperature within the same bounds"""
+    """lining; a curve over temperature stays within the same bounds"""
     conductivity_w_mk: LiningConductivity = 1.2
-    """lining; one number or a curve over temperature within the same bounds"""
+    """lining; a curve over temperature stays within the same bounds"""
 
     def _check(self) -> None:
         for name, unit, (low, high) in (
@@ -357,19 +352,17 @@ class CornerConfig(Section):
     side: Literal["left", "right"] | None = None
     """may repeat what `name` says"""
     circuit: Literal["primary", "secondary"] = "primary"
-    """hydraulic circuit; `secondary` uses `secondary_pressure` if it is
-    there"""
+    """hydraulic circuit; `secondary` uses `secondary_pressure` where mapped"""
     caliper: Literal["floating", "fixed"] = "floating"
-    """for people; the piston count decides"""
+    """information only; `piston_count` decides"""
     piston_area_m2: PistonArea
-    """area of one piston (mean if they differ); or its diameter"""
+    """one piston (mean if they differ); or its diameter"""
     piston_diameter_mm: PistonDiameter | None = None
-    """diameter of one piston, as cast on the caliper, instead of its area"""
+    """one piston, as cast on the caliper, instead of its area"""
     piston_count: Annotated[int, Field(ge=1, le=6)] = 1
     """pistons on one side of the disc"""
     effective_radius_m: Radius | None = None
-    """radius at which friction acts; needed unless the swept radii are
-    given"""
+    """radius at which friction acts, unless the swept radii are given"""
     swept_inner_radius_m: Radius | None = None
     """inner radius of the swept ring"""
     swept_outer_radius_m: Radius | None = None
@@ -377,7 +370,7 @@ class CornerConfig(Section):
     pressure_distribution: Literal["uniform-wear", "uniform-pressure"] = (
         "uniform-wear"
     )
-    """how the effective radius follows from the swept radii"""
+    """gives the effective radius from the swept radii"""
     friction_coefficient: Positive = 0.38
     """pad on disc (Eq 4.1)"""
     drum_brake_factor: Positive = 2.0
@@ -387,14 +380,13 @@ class CornerConfig(Section):
     pushout_pressure_pa: NotNegative = 0.0
     """pressure at which the pads begin to press"""
     disc: DiscConfig | None = None
-    """table, see below; disc corners only"""
+    """see below; disc corners only"""
     pad: PadConfig | None = None
-    """table, see below; disc corners only"""
+    """see below; disc corners only"""
     thermal: dict[str, Any] = {}
-    """single keys of `[thermal]` for this corner, `thermal.disc_emissivity =
-    0.6`"""
+    """keys of `[thermal]` for this corner, `thermal.disc_emissivity = 0.6`"""
     cooling: dict[str, Any] = {}
-    """single keys of `[cooling]` for this corner"""
+    """keys of `[cooling]` for this corner"""
 
     _area = model_validator(mode="before")(with_piston_area)
 
@@ -435,13 +427,13 @@ class EffectConfig(Section):
     """``[[effect]]``: one effect of the catalogue, for one corner or all."""
 
     name: Text
-    """name of the effect in the catalogue"""
+    """effect in the catalogue"""
     corner: Literal["FL", "FR", "RL", "RR", "all"] = "all"
     """one corner, or all"""
     parameters: dict[str, float] = {}
-    """numbers the effect takes, `strength` among them (1 = typical)"""
+    """numbers of the effect, `strength` among them (1 = typical)"""
     provenance: dict[str, Any] = {}
-    """where the values come from; kept, not used"""
+    """source of the values; kept, not used"""
 
 
 class Config(Section):

@@ -20,9 +20,9 @@ class PublishConfig(Section):
     enabled: bool = False
     """send frames; without it the daemon only listens"""
     bus: str | None = None
-    """name of a `[[bus]]`; without it the first one"""
+    """a `[[bus]]`; without it the first"""
     id_base: Annotated[int, Field(ge=0, le=0x800 - PUBLISHED_IDS)] = 0x5B0
-    """first of the 20 standard ids that belong to the daemon; default 0x5B0"""
+    """first of the daemon's 20 standard ids; default 0x5B0"""
     requests: bool = False
     """also send advice and requests to other controllers"""
 
@@ -41,14 +41,14 @@ class E2eConfig(Section):
     profile: Literal[2, 5]
     """profile of AUTOSAR E2E"""
     data_ids: list[DataId]
-    """profile 2: 16 of 0 to 255, the DataIDList; profile 5: one, the DataID"""
+    """profile 2: DataIDList, 16 of 0 to 255; profile 5: one DataID"""
     bus: str | None = None
-    """name of a `[[bus]]`; without it the first one"""
+    """a `[[bus]]`; without it the first"""
     offset_bytes: Annotated[int, Field(ge=0, le=61)] = 0
     """profile 5: where the CRC begins"""
     max_delta: Annotated[int, Field(ge=1, le=14)] = 3
-    """how far the counter may move on from frame to frame, MaxDeltaCounter; 1
-    = no frame may be lost"""
+    """MaxDeltaCounter, largest step of the counter; 1 = no frame may be
+    lost"""
 
     def _check(self) -> None:
         needed = 16 if self.profile == 2 else 1
@@ -79,17 +79,15 @@ class StateConfig(Section):
     """
 
     file: Text | None = None
-    """path, relative to the configuration's folder; without it `<vehicle
-    id>.state` in `$STATE_DIRECTORY`, else in `$XDG_STATE_HOME/bstm`
-    (`~/.local/state/bstm`)"""
+    """path; without it `<vehicle id>.state` in `$STATE_DIRECTORY`, else in
+    `$XDG_STATE_HOME/bstm` (`~/.local/state/bstm`)"""
     interval_s: Annotated[float, Field(ge=0.1, le=3600)] = 10.0
-    """saved this often while a node moves by more than 1 K/min"""
+    """saved so often while a node moves by more than 1 K/min"""
     idle_interval_s: Annotated[float, Field(ge=0.1, le=86400)] = 300.0
-    """saved this often otherwise"""
+    """saved so often otherwise"""
     trust_wall_clock: bool = False
-    """over a power cut the brakes cool by the wall clock where the kernel
-    calls it synchronised (NTP, PTP); `true`: it is always right, kept by a
-    battery"""
+    """over a power cut the brakes cool by the wall clock if it is synchronised
+    (NTP, PTP); `true`: always, as a battery keeps it"""
 
 
 class DaemonConfig(Section):
@@ -100,12 +98,12 @@ class DaemonConfig(Section):
     """
 
     drain_s: Annotated[float, Field(ge=0.001, le=0.1)] = 0.1
-    """the buses are read this often"""
+    """the buses are read so often"""
     reopen_s: Annotated[float, Field(ge=0.05, le=60)] = 1.0
-    """a missing interface is looked for this often"""
+    """a missing interface is looked for so often"""
     receive_buffer_bytes: Annotated[int, Field(ge=4096, le=10**8)] = 2**22
-    """what the kernel is asked to hold for each bus; it gives at most
-    `net.core.rmem_max`, the value it gave is logged"""
+    """kernel buffer for each bus; at most `net.core.rmem_max`, the result is
+    logged"""
 
 
 class RecordConfig(Section):
@@ -120,18 +118,17 @@ class RecordConfig(Section):
     enabled: bool = False
     """record"""
     folder: Text | None = None
-    """path, relative to the configuration's folder; without it `record` beside
-    the state file"""
+    """path; without it `record` beside the state file"""
     segment_s: Annotated[float, Field(ge=1, le=3600)] = 60.0
     """time in one file"""
     ring_bytes: Annotated[int, Field(ge=2**16)] = 64 * 2**20
-    """all files of the ring together"""
+    """size of the ring"""
     kept_bytes: Annotated[int, Field(ge=2**16)] = 256 * 2**20
-    """all that is kept aside together"""
+    """size of all that is kept aside"""
     before_s: Positive = 600.0
-    """what is kept aside reaches back this far"""
+    """what is kept aside reaches back so far"""
     after_s: Positive = 600.0
-    """and goes on this long"""
+    """and goes on so long"""
 
 
 class FeedConfig(Section):
@@ -141,8 +138,7 @@ class FeedConfig(Section):
     """
 
     socket: Text | None = None
-    """path of the socket, such as `/run/bstm/feed.sock`, relative to the
-    configuration's folder; without it there is no feed"""
+    """path of the socket, such as `/run/bstm/feed.sock`; without it no feed"""
 
 
 class MetricsConfig(Section):
@@ -155,7 +151,6 @@ class MetricsConfig(Section):
     enabled: bool = False
     """write it"""
     file: Text | None = None
-    """path, relative to the configuration's folder; without it `bstm.prom` in
-    `$RUNTIME_DIRECTORY`, and without that variable no file"""
+    """path; without it `bstm.prom` in `$RUNTIME_DIRECTORY`, if that is set"""
     interval_s: Annotated[float, Field(ge=0.5, le=3600)] = 10.0
-    """written this often"""
+    """written so often"""

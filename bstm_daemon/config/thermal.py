@@ -26,8 +26,8 @@ class ThermalConfig(Section):
     """
 
     structure: Literal["thesis", "extended"] = "thesis"
-    """which effects are in the base model: none, or the ten of
-    [model.md](model.md#structures) and the mass of the backplates"""
+    """effects of the base model: none, or the ten of
+    [model.md](model.md#structures) and the backplates' mass"""
     disc_mass_correction_factor: Positive = 1.0
     """on the disc's mass (Table 4.1)"""
     heat_partition_correction_factor: NotNegative = 1.0
@@ -58,10 +58,10 @@ class ThermalConfig(Section):
     fluid_dynamic_convection_ws_mk: NotNegative = 0.15
     """the same, times speed (Table 4.1)"""
     hot_pad_threshold_c: Positive = 400.0
-    """temperature of the pad's face above which part of the heat into it
-    does not warm it ("dissolves")"""
+    """pad's face above which part of the heat into it does not warm it
+    ("dissolves")"""
     hot_pad_factor: Fraction = 0.6
-    """share of the heat into the pads that stays above the threshold"""
+    """share of the heat that warms the pad above it"""
     hot_pad_width_k: Positive = 20.0
     """width of the transition at the threshold"""
     direct_air_fraction: Fraction = 0.0
@@ -69,14 +69,14 @@ class ThermalConfig(Section):
     gap_conductance_w_m2k: NotNegative = 0.0
     """disc to pad while the brake is off; 0 in the thesis"""
     disc_pad_radiation: Literal["grey-plates", "product"] = "grey-plates"
-    """exchange of grey plates, or the product of Eq 2.10"""
+    """grey plates, or the product of Eq 2.10"""
 
 
 class CoolingConfig(Section):
     """``[cooling]``: the S-function of Eq 4.12 and the standstill blend."""
 
     csv: Text | None = None
-    """CSV file in the place of `speed_ms` and `s_per_s`
+    """CSV file instead of `speed_ms` and `s_per_s`
     ([exchange.md](exchange.md#tables-from-cfd-and-benches))"""
     speed_ms: list[NotNegative] = [0.0, 5.0, 10.0, 13.89, 19.44, 25.0, 41.67]
     """speeds of the S-function, rising"""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from math import nan
 from typing import TYPE_CHECKING, Final
 
@@ -18,6 +18,13 @@ if TYPE_CHECKING:
 
 _CHANNEL: Final = {name: i for i, name in enumerate(CHANNELS)}
 _VEHICLE: Final = {name: i for i, name in enumerate(VEHICLE_CHANNELS)}
+
+SHOWN: Final = ("disc", "pad_front", "pad_back", "fluid")
+"""Nodes that every model has, and whose temperatures are shown."""
+
+# calls of an enumeration are slow, and each publication needs many
+_validity: Final = cache(Validity)
+_reason: Final = cache(Reason)
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,6 +54,15 @@ class BlockLayout:
         return {
             name: place * len(CHANNELS)
             for place, name in enumerate(self.corners)
+        }
+
+    @cached_property
+    def shown(self) -> dict[str, tuple[int, ...]]:
+        """Places of :data:`SHOWN` in the state of each modelled corner."""
+        return {
+            name: tuple(map(group.state_names.index, SHOWN))
+            for group in self.groups
+            for name in group.corners
         }
 
     @cached_property
@@ -169,13 +185,18 @@ class Instant:
             zip(names, self.output(corner, hottest=hottest), strict=False)
         )
 
+    def shown_k(self, corner: str) -> list[float]:
+        """Return the temperatures [K] of :data:`SHOWN` of *corner*."""
+        output = self.output(corner)
+        return [output[i] for i in self.block.layout.shown[corner]]
+
     def validity(self, corner: str) -> Validity:
         """Return how far the estimate of *corner* may be relied on."""
-        return Validity(self.block.validity[corner][self.i])
+        return _validity(self.block.validity[corner][self.i])
 
     def reasons(self, corner: str) -> Reason:
         """Return why the estimate of *corner* is not valid."""
-        return Reason(self.block.reasons[corner][self.i])
+        return _reason(self.block.reasons[corner][self.i])
 
     def _row(self, corner: str) -> int:
         layout = self.block.layout

@@ -14,8 +14,6 @@ from bstm_daemon.model.risk.levels import (
 from bstm_daemon.model.wear.dose import DISTANCE, DOSE
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from bstm_daemon.estimate import CarRisk
     from bstm_daemon.estimator.blocks import Instant
     from bstm_daemon.model.wear.car import CarWear
@@ -38,7 +36,7 @@ def corner_estimates(
     age_s = nan if risk is None else risk.age_s(instant.time_us)
     found = {}
     for name in instant.block.layout.modelled:
-        state = instant.state(name)
+        disc_k, front_k, back_k, fluid_k = instant.shown_k(name)
         validity = instant.validity(name)
         corner_risk = None if risk is None else risk.corners[name]
         if corner_risk is not None:
@@ -47,16 +45,16 @@ def corner_estimates(
             least, level = (
                 published_level(level_of_margin(boiling_k - kelvin), validity)
                 for kelvin in (
-                    state["fluid"],
+                    fluid_k,
                     instant.state(name, hottest=True)["fluid"],
                 )
             )
             sure = sure_level(least, level)
         found[name] = CornerEstimate(
-            disc_k=state["disc"],
-            pad_front_k=state["pad_front"],
-            pad_back_k=state["pad_back"],
-            fluid_k=state["fluid"],
+            disc_k=disc_k,
+            pad_front_k=front_k,
+            pad_back_k=back_k,
+            fluid_k=fluid_k,
             boiling_k=boiling_k,
             validity=validity,
             reasons=instant.reasons(name),
@@ -64,16 +62,12 @@ def corner_estimates(
             sure_level=sure,
             risk=corner_risk,
             forecast_age_s=age_s,
-            wear=NO_WEAR
-            if wear is None
-            else _wear(wear, instant, name, state),
+            wear=NO_WEAR if wear is None else _wear(wear, instant, name),
         )
     return found
 
 
-def _wear(
-    wear: CarWear, instant: Instant, name: str, state: Mapping[str, float]
-) -> WearEstimate:
-    laws = instant.block.wear[name]
+def _wear(wear: CarWear, instant: Instant, name: str) -> WearEstimate:
+    laws, state = instant.block.wear[name], instant.state(name)
     law = next(law for begin, law in reversed(laws) if begin <= instant.i)
     return wear.estimate(name, law, state[DOSE], state[DISTANCE])

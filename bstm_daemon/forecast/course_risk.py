@@ -20,15 +20,8 @@ from bstm_daemon.estimate import (
     RiskLevel,
     Validity,
 )
-from bstm_daemon.forecast.march import (
-    DUTY_STEPS,
-    HORIZON_S,
-    PARKED_STEPS,
-    Conditions,
-    Duty,
-    Job,
-    parked_course,
-)
+from bstm_daemon.forecast.corner_march import CornerMarch, Start
+from bstm_daemon.forecast.march import HORIZON_S, Duty, parked_course
 from bstm_daemon.forecast.members import DEGRADED_FACTOR, Ensemble, Spread
 from bstm_daemon.model.risk.levels import (
     PROBABILITIES,
@@ -46,7 +39,7 @@ if TYPE_CHECKING:
     from bstm_daemon.estimator.estimator import Estimator
     from bstm_daemon.estimator.memory import SavedState
     from bstm_daemon.forecast.fluid import FluidKnowledge
-    from bstm_daemon.forecast.march import Course
+    from bstm_daemon.forecast.march import Course, Job
     from bstm_daemon.model.risk.vaporisation import Boiling
 
 SECOND_US: Final = 1_000_000
@@ -74,7 +67,7 @@ class _Corner:
     """A corner's memory and its forecast."""
 
     name: str
-    ensemble: Ensemble
+    march: CornerMarch
     duty: Duty
     level: LevelMemory = field(default_factory=LevelMemory)
     fade: LevelMemory = field(default_factory=LevelMemory)
@@ -83,20 +76,23 @@ class _Corner:
     ahead: float = nan
     now_k: list[float] = field(default_factory=list)
 
+    @property
+    def ensemble(self) -> Ensemble:
+        """The members."""
+        return self.march.ensemble
+
 
 @dataclass(slots=True)
 class _Forecast:
     """A forecast in progress, spread over several publications.
 
-    ``states`` and the like are one a corner; ``at_stop``: the car had just
-    stopped. ``index`` counts corners that are done, first all of them parked,
-    which is ``published`` then, then all with the duty.
+    ``starts`` are one a corner; ``at_stop``: the car had just stopped.
+    ``index`` counts corners that are done, first all of them parked, which
+    is ``published`` then, then all with the duty.
     """
 
     time_us: int
-    states: list[Sequence[float]]
-    conditions: list[Conditions]
-    factors: list[float]
+    starts: list[Start]
     boiling: Boiling
     at_stop: bool
     index: int = 0
@@ -137,7 +133,10 @@ class CourseRisk:
         self._corners = [
             _Corner(
                 name,
-                drawn.get(name) or Ensemble(program, self.members, spread),
+                CornerMarch(
+                    drawn.get(name) or Ensemble(program, self.members, spread),
+                    self._kernel,
+                ),
                 Duty(program),
             )
             for name in estimator.layout.corners
@@ -203,8 +202,11 @@ class CourseRisk:
         at_stop = self._stopped and not waits
         if at_stop or due or first:
             self._begin(instant, at_stop=at_stop)
+        steps = max(self._steps // share, 1)
         if self._forecast is not None:
-            self._work(self._forecast, share, duty=duty)
+            self._work(self._forecast, steps, duty=duty)
+        else:
+            any(corner.march.work_ahead(steps) for corner in self._corners)
         return self._published(instant)
 
     def _begin_anew(self) -> None:
@@ -228,11 +230,15 @@ class CourseRisk:
                 instant.channel(name, "ambient_k"),
                 self._factor(instant, name),
             )
-            corner.now_k = [
-                state["fluid"] + deviation_k * draw
-                for draw in corner.ensemble.now_draws
-            ]
-            now = boiling.mean_probability(corner.now_k)
+            top_k = state["fluid"] + deviation_k * corner.ensemble.top_draw
+            if boiling.probability(top_k) == 0.0:
+                corner.now_k, now = [top_k] * self.members, 0.0
+            else:
+                corner.now_k = [
+                    state["fluid"] + deviation_k * draw
+                    for draw in corner.ensemble.now_draws
+                ]
+                now = boiling.mean_probability(corner.now_k)
             probability = (
                 now if isnan(corner.ahead) else max(now, corner.ahead)
             )
@@ -276,23 +282,19 @@ class CourseRisk:
 
     def _begin(self, instant: Instant, *, at_stop: bool) -> None:
         self._stopped = self._stopped and not at_stop
-        names = [corner.name for corner in self._corners]
-        self._forecast = _Forecast(
-            instant.time_us,
-            [
-                list(instant.state(name, hottest=self._is_bound).values())
-                for name in names
-            ],
-            [
-                c.duty.conditions(instant.channel(c.name, "ambient_k"))
-                for c in self._corners
-            ],
-            [self._factor(instant, name) for name in names],
-            self._fluid.boiling(instant.time_us),
-            at_stop,
-        )
+        boiling = self._fluid.boiling(instant.time_us)
+        starts = [
+            Start(
+                [*instant.state(c.name, hottest=self._is_bound).values()],
+                c.duty.conditions(instant.channel(c.name, "ambient_k")),
+                self._factor(instant, c.name),
+                boiling,
+            )
+            for c in self._corners
+        ]
+        self._forecast = _Forecast(instant.time_us, starts, boiling, at_stop)
 
-    def _work(self, forecast: _Forecast, share: int, *, duty: bool) -> None:
+    def _work(self, forecast: _Forecast, steps: int, *, duty: bool) -> None:
         """Compute one publication's portion of *forecast*."""
         count = len(self._corners)
         if forecast.index == count and not forecast.published:
@@ -303,30 +305,22 @@ class CourseRisk:
         place = forecast.index % count
         corner = self._corners[place]
         parked = forecast.index < count
+        start = forecast.starts[place]
         if forecast.job is None:
-            program = self._programs[corner.name]
-            if corner.ensemble.program is not program:
+            march = corner.march.of(self._programs[corner.name])
+            if march is not corner.march:
                 # as much work as a portion of forecast: in its own publication
-                corner.ensemble = corner.ensemble.of(program)
+                corner.march = march
                 return
-            conditions = forecast.conditions[place]
-            if parked:
-                conditions = Conditions(conditions.ambient_k)
-            forecast.job = Job(
-                corner.ensemble,
-                self._kernel,
-                forecast.states[place],
-                conditions,
-                PARKED_STEPS if parked else DUTY_STEPS,
-                factor=forecast.factors[place],
-            )
-        forecast.job.advance(max(self._steps // share, 1))
+            forecast.job = march.begin(start, parked=parked)
+        forecast.job.advance(steps)
         if not forecast.job.finished:
             return
         course = forecast.job.course()
         forecast.job = None
         forecast.index += 1
         if parked:
+            corner.march.raise_ceiling(start, course)
             forecast.parked.append(course)
         else:
             self._commit_duty(forecast, corner, course)
@@ -339,7 +333,10 @@ class CourseRisk:
         boiling = forecast.boiling
         self._forecast_us = forecast.time_us
         for corner, course in zip(self._corners, forecast.parked, strict=True):
-            corner.peaks_k = course.peaks_k(HORIZON_S)
+            peaks_k = course.peaks_k(HORIZON_S)
+            # the estimate alone stands for each of its members
+            alone = len(peaks_k) == 1
+            corner.peaks_k = peaks_k * (self.members if alone else 1)
             corner.ahead = boiling.mean_probability(corner.peaks_k)
             peak_k, peak_in_s = course.peak(HORIZON_S)
             corner.record = replace(
@@ -420,7 +417,7 @@ class CourseRisk:
             if not values.keys() >= set(program.state_names):
                 continue
             state = [values[key] for key in program.state_names]
-            corner.ensemble = corner.ensemble.of(program)
+            corner.march = corner.march.of(program)
             course = parked_course(
                 corner.ensemble, self._kernel, state, ambient_k, factor=1.0
             )

@@ -12,7 +12,6 @@ from math import exp, inf, isnan, nan
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from bstm_daemon.estimator.blocks import channels_at_rest, friction_energies
-from bstm_daemon.model.thermal.kernel import Batch
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -108,7 +107,7 @@ class Course(NamedTuple):
     """
 
     times_s: tuple[float, ...]
-    fluid_k: list[array[float]]
+    fluid_k: list[tuple[float, ...]]
 
     def peaks_k(self, until_s: float) -> list[float]:
         """Return each member's highest temperature [K] up to *until_s*."""
@@ -196,18 +195,10 @@ class Job:
         self._steps = steps
         self._done = 0
         self._ensemble = ensemble
-        self._batch = Batch(
-            ensemble.programs, conditions.ambient_k, None, kernel
-        )
-        self._batch.state = ensemble.states(
-            state, conditions.ambient_k, factor
-        )
+        self._batch = ensemble.batch(kernel)
+        self._state = ensemble.states(state, conditions.ambient_k, factor)
         self._inputs = _inputs(ensemble, conditions, factor)
-        width, first = self._batch.width, ensemble.fluid
-        self._fluid = [
-            array("d", [self._batch.state[m * width + first]])
-            for m in range(ensemble.count)
-        ]
+        self._fluid = [self._state[ensemble.fluid :: self._batch.width]]
 
     @property
     def finished(self) -> bool:
@@ -217,8 +208,10 @@ class Job:
     def advance(self, limit: int) -> None:
         """March at most *limit* steps."""
         end = min(self._done + limit, len(self._steps))
-        row = self._ensemble.count * (self._batch.width + self._batch.sources)
         size = self._batch.width + self._batch.sources
+        row = self._ensemble.count * size
+        # of all jobs of the ensemble
+        self._batch.state = self._state
         while self._done < end:
             step_s = self._steps[self._done]
             count = 1
@@ -228,14 +221,16 @@ class Job:
             ):
                 count += 1
             out = self._batch.march(self._inputs * count, count, step_s)
-            for member, series in enumerate(self._fluid):
-                series.extend(out[member * size + self._ensemble.fluid :: row])
+            self._fluid += [
+                out[first + self._ensemble.fluid : first + row : size]
+                for first in range(0, count * row, row)
+            ]
             self._done += count
 
     def course(self) -> Course:
         """Return the course of the members' fluid so far."""
-        times = accumulate(self._steps[: self._done], initial=0.0)
-        return Course(tuple(times), self._fluid)
+        times = accumulate(self._steps[: len(self._fluid) - 1], initial=0.0)
+        return Course(tuple(times), [*zip(*self._fluid, strict=True)])
 
 
 def parked_course(
@@ -258,19 +253,16 @@ def _inputs(
     ensemble: Ensemble, conditions: Conditions, factor: float
 ) -> array[float]:
     """Return one step's rows, a row a member."""
-    rows = array("d")
-    for ambient_k, heat in zip(
-        ensemble.ambients_k(conditions.ambient_k, factor),
-        ensemble.heats(factor),
-        strict=True,
-    ):
-        values = channels_at_rest(ambient_k) | {
-            "speed_ms": conditions.speed_ms,
-            "pressure_pa": conditions.pressure_pa,
-            "brake_on": conditions.brake_on,
-            "brake_power_w": heat * conditions.power_w,
-        }
-        rows.extend(values.values())
+    one = channels_at_rest(0.0) | {
+        "speed_ms": conditions.speed_ms,
+        "pressure_pa": conditions.pressure_pa,
+        "brake_on": conditions.brake_on,
+    }
+    rows = array("d", one.values()) * ensemble.count
+    powers = (conditions.power_w * heat for heat in ensemble.heats(factor))
+    air_k = ensemble.ambients_k(conditions.ambient_k, factor)
+    for channel, values in (("ambient_k", air_k), ("brake_power_w", powers)):
+        rows[[*one].index(channel) :: len(one)] = array("d", values)
     return rows
 
 
@@ -284,7 +276,7 @@ def median(values: list[float]) -> float:
 
 
 def _top(
-    times_s: Sequence[float], series: array[float]
+    times_s: Sequence[float], series: Sequence[float]
 ) -> tuple[float, float]:
     """Return the highest temperature of *series* and its time.
 

@@ -9,16 +9,19 @@ from __future__ import annotations
 
 from array import array
 from dataclasses import replace
+from functools import cached_property
 from math import hypot
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from bstm_daemon.model.risk.sequence import normal_draws
+from bstm_daemon.model.thermal.kernel import Batch
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from bstm_daemon.model.thermal.network import Link, Network
     from bstm_daemon.model.thermal.program import Program
+    from bstm_daemon.native.loader import Kernel
 
 
 class Spread(NamedTuple):
@@ -69,7 +72,11 @@ class Ensemble:
             dict(zip(AXES, point, strict=True))
             for point in normal_draws(count, len(AXES))
         ]
+        self._farthest = {
+            axis: max(abs(draw[axis]) for draw in self.draws) for axis in AXES
+        }
         self.now_draws = [point[0] for point in normal_draws(count, 1)]
+        self.top_draw = max(self.now_draws)
         net = program.network
         self._nodes = len(net.nodes)
         self.fluid = program.state_names.index("fluid")
@@ -78,6 +85,7 @@ class Ensemble:
             for i, node in enumerate(net.nodes)
             if node.name in {"fluid", "backplate", "caliper"}
         ]
+        self._batch: Batch | None = None
         places = _places(program)
         self.programs = [
             replace(program, floats=_changed(program, places, draw, spread))
@@ -93,6 +101,17 @@ class Ensemble:
             return self
         return Ensemble(program, self.count, self.spread)
 
+    def batch(self, kernel: Kernel | None) -> Batch:
+        """Return the members as a batch of *kernel*, made once."""
+        if self._batch is None or self._batch.kernel is not kernel:
+            self._batch = Batch(self.programs, 0.0, None, kernel)
+        return self._batch
+
+    @cached_property
+    def alone(self) -> Ensemble:
+        """The estimate as an ensemble of one."""
+        return Ensemble(self.program, 1, self.spread)
+
     def states(
         self, state: Sequence[float], ambient_k: float, factor: float
     ) -> array[float]:
@@ -104,20 +123,38 @@ class Ensemble:
         spread = self.spread
         found = array("d")
         fluid_k = state[self.fluid]
+        rises = [(one, one - ambient_k) for one in state[: self._nodes]]
         floor = spread.fluid_floor_k / max(abs(fluid_k - ambient_k), 1.0)
         alone = hypot(spread.fluid, floor)
         for draw in self.draws:
             common = factor * spread.heat * draw["heat"]
             own = factor * alone * draw["fluid"]
-            member = [
-                value + common * (value - ambient_k)
-                for value in state[: self._nodes]
-            ]
+            member = [value + common * rise_k for value, rise_k in rises]
             for node in self._behind:
-                member[node] += own * (state[node] - ambient_k)
+                member[node] += own * rises[node][1]
             found.extend(member)
             found.extend(state[self._nodes :])
         return found
+
+    def highest(
+        self, state: Sequence[float], ambient_k: float, factor: float
+    ) -> tuple[list[float], float]:
+        """Return what no member exceeds: each node of *state*, its air [K].
+
+        They are those of :meth:`states` and :meth:`ambients_k`.
+        """
+        spread, fluid_k = self.spread, state[self.fluid]
+        floor = spread.fluid_floor_k / max(abs(fluid_k - ambient_k), 1.0)
+        common = factor * spread.heat * self._farthest["heat"]
+        own = factor * hypot(spread.fluid, floor) * self._farthest["fluid"]
+        nodes_k = [
+            kelvin + common * abs(kelvin - ambient_k)
+            for kelvin in state[: self._nodes]
+        ]
+        for node in self._behind:
+            nodes_k[node] += own * abs(state[node] - ambient_k)
+        width_k = factor * spread.ambient_k * self._farthest["ambient_k"]
+        return nodes_k, ambient_k + width_k
 
     def fluid_deviation_k(
         self, fluid_k: float, ambient_k: float, factor: float

@@ -194,7 +194,4 @@ def _rms(one: Result, model: str, node: str) -> float:
 def _spread(factors: Sequence[float]) -> str:
     low, high = np.quantile(factors, (0.25, 0.75))
     worse = 100 * np.mean(np.array(factors) < NEVER_WORSE)
-    return (
-        f"median {np.median(factors):.2f}, quartiles {low:.2f} to "
-        f"{high:.2f}, below {NEVER_WORSE} in {worse:.0f} %"
-    )
+    return f"{np.median(factors):.2f} ({low:.2f}..{high:.2f}), {worse:.0f} %"

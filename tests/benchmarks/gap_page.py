@@ -38,6 +38,8 @@ PRINTED: Final = (
 
 MINOR: Final = (
     "S1, twins in these data: true class, no false name",
+    "S1, something is missing",
+    "S2, at least one of both named",
     "localisation, right where anything is reported",
     "SO, none of the known",
     "SU, none of the known",
@@ -93,7 +95,7 @@ def write(folder: Path, file: Path, split: str, search: str) -> None:
         (
             f"Of {time.strftime('%Y-%m-%d')}, commit {commit}, split {split}: "
             f"{sum(count.values())} simulated cases.\n"
-            "Shares with 95 % intervals of Wilson."
+            "Shares with 95 % intervals of Wilson, and the number of cases."
         ),
     ]
     aside = {w: own for w, own in by_world.items() if is_aside(w)}
@@ -120,7 +122,7 @@ def write(folder: Path, file: Path, split: str, search: str) -> None:
     sys.stdout.write("\n\n".join(rest) + "\n")
     if aside:
         columns = {label(w): figures(own) for w, own in aside.items()}
-        parts += ["### Other sensors", shares(columns, CHIEF)]
+        parts += ["### Other sensors, hits/cases", shares(columns, CHIEF)]
     parts.append(END)
     text = file.read_text("utf-8")
     before, _, old = text.partition(BEGIN)
@@ -139,12 +141,21 @@ def together(by_world: Mapping[World, Sequence[Result]]) -> list[str]:
     """Return the tables of all main worlds together."""
     own = {f"`{w.preset}`, `{w.structure}`": r for w, r in by_world.items()}
     results = [one for r in own.values() for one in r]
-    columns = ("figure", "cases", "found", "goal")
+    held_out = worth(results)
+    usual = held_out[0][1] if held_out else "0"
+    rows = tuple(
+        (figure if cases == usual else f"{figure} ({cases})", found, goal)
+        for figure, cases, found, goal in held_out
+    )
     return [
         "### Figures",
-        shares({"found": pooled(own)}, interval=True),
+        shares({"found, %": pooled(own)}, interval=True),
         "### Held-out drives, right names",
-        markdown(Table("", columns, worth(results))),
+        (
+            f"{usual} cases, where no other number stands. Shrink: median "
+            "(quartiles),\nshare below 0.95."
+        ),
+        markdown(Table("", ("figure", "found", "goal"), rows)),
     ]
 
 
@@ -213,7 +224,7 @@ def shares(
         by_label: Figures of each column.
         chief: Names of the figures to take; all but the minor ones
             if empty.
-        interval: Whether the shares have their intervals.
+        interval: Whether to write shares with their intervals, or hits.
     """
     of = {
         column: {one.name: one for one in found}
@@ -232,16 +243,17 @@ def shares(
             if one is None or not one.share.count:
                 cells.append("-")
                 continue
-            goal = one.row()[3]
-            value = (
-                str(one.share)
+            goal = one.row()[3].removesuffix(" %")
+            count = one.share.count
+            value = str(one.share).replace(" %", "").replace(" to ", "..")
+            cells.append(
+                f"{value} of {count}"
                 if interval
-                else f"{100 * one.share.value:.1f} %"
+                else f"{one.share.hits:.3g}/{count}"
             )
-            cells.append(f"{value} of {one.share.count}")
         if any(cell != "-" for cell in cells):
             rows.append((name, goal, *cells))
-    return markdown(Table("", ("figure", "goal", *of), tuple(rows)))
+    return markdown(Table("", ("figure", "goal, %", *of), tuple(rows)))
 
 
 def costs(seconds: Sequence[Sequence[float | None]]) -> str:

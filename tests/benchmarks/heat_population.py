@@ -152,10 +152,43 @@ def write(document: Path, outcome: dict[str, Any]) -> None:
     for table in outcome["tables"]:
         if table["title"].startswith(PRINTED):
             continue
-        title = textwrap.fill(f"{table['title']}:", WIDTH)
-        lines += [title, "", *markdown(table), ""]
+        shown = paired(table) if table["title"] == "Goals" else table
+        title = textwrap.fill(f"{shown['title']}:", WIDTH)
+        lines += [title, "", *markdown(shown), ""]
     body = "\n".join(lines)
     document.write_text(f"{head}{BEGIN}\n\n{body}\n{END}{tail_}", "utf-8")
+
+
+def paired(goals: dict[str, Any]) -> dict[str, Any]:
+    """Return the table of *goals* with median and percentile in one row.
+
+    A figure says so where it is missed.
+    """
+    values: dict[str, list[str]] = {}
+    limits: dict[str, list[str]] = {}
+    for name, value, limit, reached in goals["rows"]:
+        figure = name.removesuffix(", median")
+        figure = figure.removesuffix(", 95th percentile")
+        missed = "" if reached == "yes" else " missed"
+        values.setdefault(figure, []).append(value + missed)
+        limits.setdefault(figure, []).append(limit)
+    return {
+        "title": "Goals, median / 95th percentile",
+        "header": ("figure", "found", "goal"),
+        "rows": [
+            (figure, joined(found), joined(limits[figure]))
+            for figure, found in values.items()
+        ],
+    }
+
+
+def joined(values: list[str]) -> str:
+    """Return *values* in one cell, a unit that they share once."""
+    *others, last = values
+    unit = last.partition(" ")[2]
+    return " / ".join(
+        [*(one.removesuffix(f" {unit}") for one in others), last]
+    )
 
 
 def main(arguments: list[str] | None = None) -> int:

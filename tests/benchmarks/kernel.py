@@ -82,13 +82,12 @@ def run(*, full: bool) -> Outcome:
     outcome.tables = [
         Table(
             "CPU time per step and member",
-            ("form", "members", "us", "against pure Python"),
+            ("form", "members", "us"),
             tuple(
                 (
                     form,
                     members,
                     three_digits(timings.median(key) * 1e6),
-                    f"{timings.ratio('reference', key):.0f}x",
                 )
                 for form, members, key in rows
             ),

@@ -408,21 +408,18 @@ def outcome(
     """Return the figures beside their goals."""
     found = Outcome(
         "Live service",
-        f"{FRAMES_PER_S} frames a second, each sent at its time, "
-        f"{sum(RATES_HZ.values())} of them of the example car, as `can_frame` "
-        "over a socket pair with kernel stamps, read by the code for "
-        "SocketCAN. Receive path: from the socket to decoded samples in the "
-        "engine, drained as often as by default, no step marched. Beside it "
-        "at the same time python-can's Notifier on its SocketCAN reader, with "
-        "a listener that decodes the wanted ids by cantools. With filters "
-        "only the wanted frames arrive, as through the kernel's filters; "
-        "python-can's figure stays that without. Daemon: `bstm run` with 4 "
-        "corners, compiled, publishing, with state file, metrics file and "
-        "watchdog, only the wanted frames arriving; latency from the grid "
-        "line that ends a step to the published frame in the receiver's "
-        "socket, with the 2 ms that late frames are waited for. Extras are "
-        "hidden from the daemon as if not installed. Pure-Python step: pass "
-        "over the samples and march of 4 corners.",
+        f"{FRAMES_PER_S} frames a second, {sum(RATES_HZ.values())} of them of "
+        "the example car, over a socket pair with kernel stamps, read by the "
+        "code for SocketCAN. Receive path: from the socket to decoded "
+        "samples, no step marched; beside it at the same time python-can's "
+        "Notifier, with a listener that decodes the wanted ids by cantools. "
+        "With filters only the wanted frames arrive; python-can's figure "
+        "stays that without. Daemon: `bstm run` with 4 corners, compiled, "
+        "publishing, with state file, metrics file and watchdog, filtered, "
+        "extras hidden. Latency: from the grid line that ends a step to the "
+        "published frame in the receiver's socket, with the 2 ms that late "
+        "frames are waited for. Pure-Python step: pass over the samples and "
+        "march of 4 corners.",
     )
     found.goals = [
         Goal(

@@ -16,14 +16,13 @@ from typing import Any
 
 HEAD = (
     "# Measurements\n\n"
-    "Written by `.ci/full`; do not edit. Each section tells its date and its "
-    "commit (with + where sources had changes that were not committed). "
-    "Times are CPU time of one process, medians of rounds in "
-    "which everything that is compared takes its turn (`tests/benchmarks/`). "
-    "Absolute times move by up to a factor of two with the load of a machine; "
-    "the ratios hold, and goals are set on ratios. A goal's tolerance is the "
-    "part that may be missing before `.ci/run` fails. A section shows its "
-    "first table; `python tests/benchmarks/run.py NAME --full` prints all."
+    "Written by `.ci/full`; do not edit. A commit has a + where sources had "
+    "changes that were not committed. Times are CPU time of one process, "
+    "medians of rounds in which everything that is compared takes its turn. "
+    "They move by up to a factor of two with the load of a machine; the "
+    "ratios hold, and goals are set on ratios: the least ratio, less the part "
+    "that may be missing before `.ci/run` fails. A section shows its first "
+    "table; `python tests/benchmarks/run.py NAME --full` prints all."
 )
 
 
@@ -56,11 +55,13 @@ def wrapped(text: str) -> str:
 
 
 def verdict(goal: dict[str, Any]) -> str:
-    """Return whether *goal* is reached, within its tolerance or missed."""
-    if goal["ratio"] >= goal["at_least"]:
-        return "yes"
+    """Return the ratio of *goal*, and how it is missed where it is."""
+    ratio = goal["ratio"]
+    text = f"{ratio:.3g}" if ratio < 1e3 else f"{ratio:.0f}"
+    if ratio >= goal["at_least"]:
+        return text
     least = goal["at_least"] * (1.0 - goal["tolerance"])
-    return "within tolerance" if goal["ratio"] >= least else "no"
+    return f"{text}, {'within tolerance' if ratio >= least else 'missed'}"
 
 
 def section(outcome: dict[str, Any], *, with_machine: bool) -> str:
@@ -78,19 +79,13 @@ def section(outcome: dict[str, Any], *, with_machine: bool) -> str:
     for table in outcome["tables"][:1]:
         lines += [wrapped(f"{table['title']}:"), "", *markdown(table), ""]
     if outcome["goals"]:
-        goals = [
-            (
-                goal["name"],
-                f"{goal['ratio']:.3g}"
-                if goal["ratio"] < 1e3
-                else f"{goal['ratio']:.0f}",
-                f"{goal['at_least']:g} less {goal['tolerance']:.0%}",
-                verdict(goal),
-            )
-            for goal in outcome["goals"]
-        ]
-        header = ("ratio", "measured", "goal", "reached")
-        lines += [*markdown({"header": header, "rows": goals}), ""]
+        lines += ["Ratios:", ""]
+        for goal in outcome["goals"]:
+            least = f"{goal['at_least']:g}"
+            if goal["tolerance"]:
+                least += f" less {goal['tolerance']:.0%}"
+            lines.append(f"- {verdict(goal)} (goal {least}): {goal['name']}")
+        lines.append("")
     return "\n".join(lines)
 
 

@@ -56,8 +56,7 @@ def run(*, full: bool) -> Outcome:
         "Numerical accuracy",
         "Largest difference in K to the same model at a finer resolution, "
         "at any time. Order: binary logarithm of the quotient of two errors, "
-        "per halving of the step or cell; a second-order error shows as 2.1 "
-        "or 2.3 where the finer one is only three or two halvings away.",
+        "per halving of the step or cell.",
     )
     _kernel(outcome, full=full)
     _reality(outcome, full=full)

@@ -29,7 +29,7 @@ from risk_fluids import (
 )
 from risk_judge import Judgement, boiled_at_s, judged
 from risk_limit import causes_table, limit_table
-from risk_mixed import Judged, Trip, mixed, mixed_table
+from risk_mixed import Judged, Trip, mixed, mixed_tables
 from risk_published import measured_table, median_k
 from side_by_side import Goal, Outcome, Table
 
@@ -79,7 +79,8 @@ DOCUMENT: Final = Path(__file__).parents[2] / "docs" / "risk.md"
 BEGIN: Final = "<!-- figures -->"
 END: Final = "<!-- end of figures -->"
 PRINTED: Final = (
-    *("Cars", "Hot discs", "Passes alone"),
+    *("Cars", "Hot discs", "Passes alone", "Passes alone: the trips"),
+    "Boils within 30 min, another day",
     "Levels at the stop, another day",
     "Fluid of the hottest corner, another day",
     "Published fluids that boil below the daemon's points",
@@ -286,9 +287,9 @@ def outcome_of(
     ]
     if other:
         outcome.tables += _tables(other, ", another day")
-    outcome.tables.append(mixed_table("Mixed driving", trips))
+    outcome.tables += mixed_tables("Mixed driving", trips)
     if passes:
-        outcome.tables.append(mixed_table("Passes alone", passes))
+        outcome.tables += mixed_tables("Passes alone", passes)
     least = 0.02 if other else 0.06
     outcome.goals = [
         Goal(
@@ -315,20 +316,17 @@ def _about(cars: int, found: list[Descent]) -> str:
     boiled = np.array([np.isfinite(d.boiled_s) for d in found])
     margins = np.array([d.margin_k for d in found])
     return (
-        f"{len(found)} descents of {cars} cars, half of them on road, with "
-        f"random loads, roads and fluids, {boiled.sum()} of which boil "
+        f"{len(found)} descents of {cars} cars, {boiled.sum()} of which boil "
         f"({boiled.mean():.0%}), {(np.abs(margins) <= WITHIN_K).mean():.0%} "
-        "end within 10 K of their boiling point; judged when the car stops "
-        "to park."
+        "end within 10 K of their boiling point."
     )
 
 
 def _drawn(same: Descents, day: Descents) -> str:
     drawn, kept = same.drawn + day.drawn, len(same.found + day.found)
     return (
-        f"Of {drawn} that were drawn for these and for another day "
-        f"{drawn - kept} were left out because they end too far below "
-        "boiling, none for being hot."
+        f"Of {drawn} drawn for these and for another day {drawn - kept} were "
+        "left out because they end too far below boiling, none for being hot."
     )
 
 

@@ -108,13 +108,13 @@ def rate(trips: Sequence[Trip], counts: Iterable[int]) -> float:
     return sum(counts) / FLUIDS / _km(trips) * 1e4
 
 
-def mixed_table(title: str, trips: Sequence[Trip]) -> Table:
-    """Return what came of *trips*."""
+def mixed_tables(title: str, trips: Sequence[Trip]) -> list[Table]:
+    """Return the warnings of *trips*, and the trips themselves."""
     unknown = [trip.unknown for trip in trips]
     given = [trip.given for trip in trips]
     mountain = [trip for trip in trips if trip.mountain]
     boiled = f"{rate(trips, (trip.boiled for trip in trips)):.2f}"
-    both = [
+    driven_rows = [
         ("km driven, trips left out", f"{_km(trips):.0f}, none"),
         ("trips, over a pass", f"{len(trips)}, {len(mountain)}"),
         ("boiled in 10 000 km", boiled),
@@ -143,11 +143,10 @@ def mixed_table(title: str, trips: Sequence[Trip]) -> Table:
             ("boiled and warned of", "found"),
         )
     ]
-    return Table(
-        title,
-        ("", "water unknown", "water given"),
-        (*rows, *((name, value, value) for name, value in both)),
-    )
+    return [
+        Table(title, ("", "water unknown", "water given"), tuple(rows)),
+        Table(f"{title}: the trips", ("", ""), tuple(driven_rows)),
+    ]
 
 
 def _km(trips: Sequence[Trip]) -> float:

@@ -48,69 +48,90 @@ SECTIONS: dict[str, type[Section]] = {
     "`[feed]`": service.FeedConfig,
 }
 
-ROW = re.compile(r"^\| `(\w+)` \| ([^|]+) \|.*\|$", re.MULTILINE)
+WRITTEN = ("`[[matched]]`", "`[[priors]]`", "`[[change]]`")
+"""Sections that commands write: their keys are described in the schema."""
+
 SIGNS = (
+    ("a table with temperature_c, value, csv", "a curve"),
+    ("a table.*", "table"),
+    (" such as 2024-05-31", ""),
     ("a list, each entry ", "list of "),
     ("a text, not empty|a text", "text"),
-    ("a whole number", "whole,"),
+    ("a whole number", "whole"),
     (r"a number (?=greater|from|\S+ or more)", ""),
-    (r"greater than (\S+) and at most", r"> \1 to"),
+    (r"greater than (\S+) and at most (\S+)", r"> \1..\2"),
     ("greater than", ">"),
-    ("true or false", "boolean"),
+    ("a (?=number|date|curve)", ""),
     (r"(\S+) or more", r"≥ \1"),
-    (r"from (?=\S+ to )", ""),
+    (r"from (\S+) to (\S+)", r"\1..\2"),
 )
-COMMAND = re.compile(r"^\| `bstm (\S+)` \|[^|]*\| ([^|]*) \|$", re.MULTILINE)
-COMMAND_HEAD = "| command | does | more |\n|---|---|---|\n"
-HEAD = "| key | unit | allowed | default | meaning |\n|---|---|---|---|---|\n"
+COMMAND = re.compile(r"^- \[`(\S+)`\]\((\S+)\): ", re.MULTILINE)
+COMMAND_HEAD = "prints the arguments of a command.\n\n"
+HEAD = "| key | value | meaning |\n|---|---|---|\n"
 
 
 def with_tables(text: str) -> str:
     """Return the reference *text* with its generated tables anew.
 
-    The unit of a key stays as it stands there, of a new one it is a dash; so
-    does the page of a command.
+    The page of a command stays as it stands there.
     """
     begin = text.index(COMMAND_HEAD) + len(COMMAND_HEAD)
     end = text.index("\n\n", begin) + 1
     pages = dict(COMMAND.findall(text[begin:end]))
     text = text[:begin] + command_rows(pages) + text[end:]
     for heading, model in SECTIONS.items():
+        if heading in WRITTEN:
+            assert f"\n### {heading}\n" in text
+            assert all(f"`{key}`" in text for key in model.model_fields)
+            continue
         place = re.compile(
             rf"(### {re.escape(heading)}\n(?:(?!\n###? ).)*?)"
-            rf"{re.escape(HEAD)}((?:\|[^\n]*\n)+)",
+            rf"{re.escape(HEAD)}(?:\|[^\n]*\n)+",
             re.DOTALL,
         )
         found = place.search(text)
         assert found is not None, heading
-        units = dict(ROW.findall(found[2]))
-        rows = "".join(row(model, key, units) for key in model.model_fields)
+        rows = "".join(row(model, key) for key in model.model_fields)
         text = text[: found.end(1)] + HEAD + rows + text[found.end() :]
     return text
 
 
 def command_rows(pages: dict[str, str]) -> str:
     """Return a row for each command, from its line in ``bstm --help``."""
-    return "".join(
-        f"| `bstm {name}` | {summary} | {pages.get(name, '')} |\n"
-        for name, summary in COMMANDS.items()
-    )
+    rows = []
+    for name, summary in COMMANDS.items():
+        shown = f"[`{name}`]({pages[name]})" if name in pages else f"`{name}`"
+        rows.append(f"- {shown}: {summary}\n")
+    return "".join(rows)
 
 
-def row(model: type[Section], key: str, units: dict[str, str]) -> str:
+def row(model: type[Section], key: str) -> str:
     """Return the row of *key*."""
-    field = model.model_fields[key]
-    default = "required"
-    if not field.is_required():
-        value = field.get_default(call_default_factory=True)
-        default = "" if value is None else f"`{json.dumps(value)}`"
-    cells = units.get(key, "-"), short(allowed(model, key)), default
     text = meanings(model)[key].replace("|", r"\|")
-    return f"| `{key}` | {' | '.join(cells)} | {text} |\n"
+    return f"| `{key}` | {value_of(model, key)} | {text} |\n"
+
+
+def value_of(model: type[Section], key: str) -> str:
+    """Return what *key* may be; its default is what stands as code."""
+    field = model.model_fields[key]
+    kind = short(allowed(model, key))
+    if field.is_required():
+        return f"{kind}, required"
+    value = field.get_default(call_default_factory=True)
+    if value in (None, "", [], {}):
+        return kind
+    default = json.dumps(value)
+    if isinstance(value, bool):
+        return f"`{default}`"
+    if default in re.split(", | or ", kind):
+        return re.sub(
+            rf"(?<!\S){re.escape(default)}(?![^\s,])", f"`{default}`", kind
+        )
+    return f"{kind}, `{default}`"
 
 
 def short(text: str) -> str:
-    """Return what a key may be as signs: ``> 0 to 2`` for a number."""
+    """Return what a key may be as signs: ``> 0..2`` for a number."""
     for pattern, sign in SIGNS:
         text = re.sub(pattern, sign, text)
     return text

@@ -13,7 +13,7 @@ from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.estimate import RiskLevel, Validity
 from bstm_daemon.estimator.estimator import Estimator
 from bstm_daemon.files import shipped_file
-from bstm_daemon.forecast import course_risk
+from bstm_daemon.forecast import course_risk, march
 from bstm_daemon.forecast.march import (
     HORIZON_S,
     Conditions,
@@ -264,7 +264,7 @@ def test_a_fluid_that_goes_on_to_warm_is_told_up_to_the_horizon(
     rising = Course(
         times, [array("d", [410.0 + i + m for i in range(91)]) for m in (0, 2)]
     )
-    monkeypatch.setattr(course_risk.Job, "course", lambda _: rising)
+    monkeypatch.setattr(march.Job, "course", lambda _: rising)
     watched = Watched("FL")
     found = watched.monitor.add(watched.at_rest(3))[-1].corners["FL"]
 

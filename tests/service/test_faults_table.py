@@ -1,4 +1,4 @@
-"""Every fault of the table in ``docs/live.md`` has a test."""
+"""Every fault in the list of ``docs/live.md`` has a test."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ SECTION: Final = (
     .partition("\n## Faults\n")[2]
     .partition("\n## ")[0]
 )
-ROWS: Final = [
-    [cell.strip() for cell in line.strip("|").split(" | ")]
-    for line in SECTION.splitlines()
-    if line.startswith("| ") and not line.endswith("** | |")
-][1:]
+ROWS: Final[list[tuple[str, str]]] = re.findall(
+    r"^- \*\*(.+?)\*\*: (.+?)\.$", SECTION, re.DOTALL | re.MULTILINE
+)
+"""Each fault with its behaviour."""
+
 NAMED: Final[dict[str, list[str]]] = tomllib.loads(
     (ROOT / "tests/service/faults.toml").read_text(encoding="utf-8")
 )
@@ -45,20 +45,20 @@ def exists(name: str) -> bool:
     return any(re.fullmatch(pattern, test) for test in TESTS)
 
 
-def test_the_faults_are_those_of_the_table() -> None:
-    assert [row[0].strip("*") for row in ROWS] == list(NAMED)
+def test_the_faults_are_those_of_the_list() -> None:
+    assert [fault for fault, _ in ROWS] == list(NAMED)
 
 
 @pytest.mark.parametrize("row", ROWS, ids=lambda row: row[0])
-def test_a_fault_has_its_test(row: list[str]) -> None:
+def test_a_fault_has_its_test(row: tuple[str, str]) -> None:
     fault, behaviour = row
     assert behaviour
-    names = NAMED[fault.strip("*")]
+    names = NAMED[fault]
     assert names
     assert [name for name in names if not exists(name)] == []
 
 
-def test_the_table_is_read() -> None:
+def test_the_list_is_read() -> None:
     assert len(ROWS) > 30
     assert not exists("test_that_nobody_wrote")
     assert exists("…is_78")

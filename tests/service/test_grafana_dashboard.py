@@ -19,13 +19,13 @@ GIVEN_BY_PROMETHEUS = {"instance"}
 
 
 def documented() -> dict[str, set[str]]:
-    """Return the labels of each metric, as another test holds its table."""
+    """Return the labels of each metric, as another test holds its list."""
     rows = re.findall(
-        r"^\| `(bstm_\w+)` \|([^|]*)\|",
+        r"^- `(bstm_\w+)(?:\{(.+?)\})?`:",
         (ROOT / "docs" / "observing.md").read_text(encoding="utf-8"),
         re.MULTILINE,
     )
-    return {name: set(re.findall(r"`(\w+)`", text)) for name, text in rows}
+    return {name: set(re.findall(r"\w+", labels)) for name, labels in rows}
 
 
 def targets() -> list[dict[str, Any]]:

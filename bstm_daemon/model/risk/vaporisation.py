@@ -94,6 +94,11 @@ class Boiling:
             for i in range(size)
         ]
 
+    @property
+    def lowest_k(self) -> float:
+        """Temperature [K] up to which the probability is 0."""
+        return self._low
+
     def probability(self, temperature_k: float) -> float:
         """Return the probability that vapour forms at *temperature_k*.
 
@@ -112,6 +117,9 @@ class Boiling:
         """Return the mean probability over *temperatures_k*; NaN of none."""
         if not temperatures_k:
             return nan
+        # most fluids are far from boiling; a sum keeps a NaN, max may not
+        if max(temperatures_k) <= self._low and not isnan(sum(temperatures_k)):
+            return 0.0
         found = sum(map(self.probability, temperatures_k))
         return found / len(temperatures_k)
 

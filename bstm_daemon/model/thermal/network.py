@@ -34,6 +34,16 @@ class Factor:
     b: str | None = None
     table: Table | None = None
 
+    def __call__(self, a: float, b: float) -> float:
+        """Return the factor where its slots are *a* and *b*."""
+        driver = {
+            "value": a,
+            "difference": a - b,
+            "mean": 0.5 * (a + b),
+            "radiation": (a * a + b * b) * (a + b),
+        }[self.kind]
+        return driver if self.table is None else self.table(driver)
+
 
 def value(slot: str, table: Table | None = None) -> Factor:
     """Return the factor *table* of one slot, or the slot itself."""

@@ -37,37 +37,46 @@ def effect_row(name: str) -> str:
     """Return the row of one effect as it has to stand in the document."""
     cls = effect_class(name)
     shipped = " E" if name in STRUCTURES["extended"] else ""
-    sign = "either" if cls.either_sign else "+"
-    where = "car" if cls.whole_car else "corner"
+    sign = " ±" if cls.either_sign else ""
+    where = " car" if cls.whole_car else ""
     twins = ", ".join(f"`{twin}`" for twin in twins_of(name)) or "-"
     return (
-        f"| `{name}`{shipped} | {cls.kind} | {where} | {sign} | "
+        f"| `{name}`{shipped}{sign}{where} | "
         f"{cls.description} | {cls.signature} | {twins} |"
     )
 
 
-def parameter_rows(name: str) -> list[str]:
-    """Return the rows of one effect's own parameters."""
-    return [
-        f"| `{name}` | `{p.name}` | {p.unit} | {p.lower:g}..{p.upper:g} | "
-        f"{p.typical:g} | {p.meaning} |"
+def parameter_row(name: str) -> str:
+    """Return the row of one effect's own parameters.
+
+    Units are not stated: a parameter's name ends with its unit.
+    """
+    own = "; ".join(
+        f"`{p.name}` {p.typical:g} ({p.lower:g}..{p.upper:g}): {p.meaning}"
         for p in effect_class(name).own_parameters
-    ]
+    )
+    return f"| `{name}` | {own} |"
 
 
 def test_the_document_is_the_catalogue() -> None:
-    """All rows, in the order of their numbers, and no others."""
-    expected = [effect_row(name) for name in effect_numbers().values()]
-    for name in effect_numbers().values():
-        expected += parameter_rows(name)
-    text = DOCUMENT.read_text("utf-8").partition("\n## Beside ")[0]
-    lines = text.splitlines()
+    """All rows, by kind in the order of their numbers, and no others."""
     names = tuple(effect_numbers().values())
+    expected = []
+    for kind in ("heat", "thermal", "measurement"):
+        expected.append(f"### {kind.capitalize()}")
+        expected += [
+            effect_row(name)
+            for name in names
+            if effect_class(name).kind == kind
+        ]
+    expected += [
+        parameter_row(name)
+        for name in names
+        if effect_class(name).own_parameters
+    ]
+    text = DOCUMENT.read_text("utf-8").partition("\n## The catalogue")[2]
     found = [
-        line
-        for line in lines
-        if line.startswith("| ")
-        and any(line.startswith(f"| `{name}`") for name in names)
+        line for line in text.splitlines() if line.startswith(("| `", "### "))
     ]
 
     assert found == expected

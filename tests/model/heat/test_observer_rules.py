@@ -38,6 +38,17 @@ def cells(first: str) -> list[str]:
     return [cell.strip() for cell in row[1].split("|")]
 
 
+def item(first: str) -> str:
+    """Return the item of a list that begins with *first*, in one line."""
+    found = re.search(
+        rf"^- {re.escape(first)}: (.*?)\.(?=\n- |\n\n)",
+        TEXT,
+        re.MULTILINE | re.DOTALL,
+    )
+    assert found is not None
+    return " ".join(found[1].split())
+
+
 @pytest.mark.parametrize("state", PLACES)
 def test_priors_walks_and_bounds_of_each_state(state: str) -> None:
     _, before, walk, bounds = cells(state)
@@ -73,25 +84,25 @@ def test_noise_of_a_window() -> None:
 
 
 def test_gates_of_the_filters() -> None:
-    assert numbers(cells("mass, drag")[0])[0] == rules.RELEASED_S
-    assert numbers(cells("friction")[0])[:2] == [
+    assert numbers(item("**mass, drag**"))[0] == rules.RELEASED_S
+    assert numbers(item("**friction**"))[:2] == [
         rules.PRESSED_S,
         rules.LEAST_BRAKE_N,
     ]
-    assert numbers(cells("all")[0].replace("m/s²", ""))[:3] == [
+    assert numbers(item("**all**").replace("m/s²", ""))[:3] == [
         rules.CALM_S,
         rules.LEAST_SPEED_MS,
         rules.MOST_LATERAL_MS2,
     ]
-    assert numbers(cells("scale and pitch")[0].replace("m/s²", "")) == [
+    assert numbers(item("**scale and pitch**").replace("m/s²", "")) == [
         rules.ROUGHNESS_MS2,
         rules.RESTART_S,
     ]
-    assert numbers(cells("outliers")[0]) == [rules.OUTLIER]
+    assert numbers(item("**outliers**")) == [rules.OUTLIER]
 
 
 def test_thresholds_of_what_the_observer_finds() -> None:
-    when, then, *_ = cells("`external_force_suspected`")
+    when, _, then = item("`external_force_suspected`").partition("**Then**")
     assert numbers(when.replace("m/s²", "")) == [
         rules.EXTERNAL_S,
         rules.IDLE_OUTLIER,
@@ -100,11 +111,15 @@ def test_thresholds_of_what_the_observer_finds() -> None:
         rules.EXTERNAL_SHARE,
     ]
     assert numbers(then) == [rules.EXTERNAL_HOLD_S]
-    assert numbers(cells("`acceleration_scale`")[0]) == pytest.approx(
-        [100.0 * rules.GAIN_LOW, 100.0 * rules.GAIN_HIGH]
-    )
-    assert numbers(cells("`wheel_radius`")[0]) == [100.0 * rules.RADIUS_LIMIT]
-    assert numbers(cells("`pressure_dead`")[0].replace("m/s²", "")) == [
+    assert numbers(
+        item("`acceleration_scale`").partition("**Then**")[0]
+    ) == pytest.approx([100.0 * rules.GAIN_LOW, 100.0 * rules.GAIN_HIGH])
+    assert numbers(item("`wheel_radius`").partition("**Then**")[0]) == [
+        100.0 * rules.RADIUS_LIMIT
+    ]
+    assert numbers(
+        item("`pressure_dead`").partition("**Then**")[0].replace("m/s²", "")
+    ) == [
         rules.DEAD_S,
         rules.DEAD_MS2,
     ]

@@ -179,7 +179,7 @@ def test_the_table_goes_between_its_marks(
     assert once.startswith("head\n")
     assert once.endswith("tail\n")
     assert "old" not in once
-    assert "| heat of city, median | 1.0 % | 4 % | yes |" in once
+    assert "| heat of city | 1.0 / 1.0 % | 4 / 8 % |" in once
     page.write_text("no marks\n", "utf-8")
     with pytest.raises(ValueError, match="no <!-- population -->"):
         population.write(page, outcome)

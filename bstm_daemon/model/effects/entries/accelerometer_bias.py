@@ -16,8 +16,7 @@ class AccelerometerBias(Effect):
     kind = "heat"
     description = "The accelerometer has an offset, like a wrong grade."
     signature = (
-        "All heat input, while braking, with speed, the same on the flat and "
-        "downhill; needs Feed-Back."
+        "All heat, braking, with speed, the same on the flat and downhill."
     )
     twins = ("mass_error", "powertrain_torque_error", "brake_share")
     either_sign = True

@@ -25,8 +25,8 @@ class BrakeShare(Effect):
     kind = "heat"
     description = "The front brakes do more of the work than assumed."
     signature = (
-        "All heat input, front and rear in opposite ways, while braking; the "
-        "force of the whole car agrees."
+        "All heat, front and rear in opposite ways, braking; the force of "
+        "the whole car agrees."
     )
     twins = ("mass_error", "accelerometer_bias", "powertrain_torque_error")
     either_sign = True

@@ -25,8 +25,8 @@ class BrakeWithoutPressure(Effect):
     kind = "heat"
     description = "Something other than the pedal applies the brakes."
     signature = (
-        "All heat input, while the car is braked by more than its resistance "
-        "and no pressure is there; by the motion only."
+        "All heat, braked by more than its resistance without pressure; by "
+        "the motion only."
     )
     twins = ("residual_drag", "powertrain_torque_error", "mass_error")
 

@@ -16,7 +16,7 @@ class CaliperBypass(Effect):
     description = "Heat passes the piston on its way into the caliper."
     signature = (
         "Edge pad back to fluid (to the caliper where that is apart), with "
-        "the difference of their temperatures."
+        "their temperature difference."
     )
     twins = ("shim_contact", "backplate_loss")
     own_parameters = (

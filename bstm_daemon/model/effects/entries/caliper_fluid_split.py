@@ -20,7 +20,7 @@ class CaliperFluidSplit(Effect):
     description = "The fluid behind the piston is not as warm as the caliper."
     signature = (
         "Fluid, while brakings begin and end and at the start of a soak, "
-        "minutes; proportional to the difference of fluid and caliper."
+        "minutes; with the difference of fluid and caliper."
     )
     twins = ("fluid_exchange",)
     stage = FIRST

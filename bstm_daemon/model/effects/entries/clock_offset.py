@@ -17,7 +17,7 @@ class ClockOffset(Effect):
     number = 44
     kind = "measurement"
     description = "The clock of the thermocouples' logger is off."
-    signature = "All sensors at once, proportional to their rate of change."
+    signature = "All sensors at once, with their rate of change."
     twins = ("thermocouple_lag",)
     either_sign = True
     own_parameters = (

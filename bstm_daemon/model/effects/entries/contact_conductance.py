@@ -18,8 +18,8 @@ class ContactConductance(Effect):
     number = 8
     description = "Disc and pads exchange heat through their contact."
     signature = (
-        "Edge disc to pad front, braking only, proportional to the "
-        "difference of their temperatures."
+        "Edge disc to pad front, braking only, with their temperature "
+        "difference."
     )
     own_parameters = (
         Parameter("conductance_w_m2k", "W/m2K", 10.0, 2e4, 160.0, "at 1 MPa"),

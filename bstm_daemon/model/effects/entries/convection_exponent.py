@@ -19,8 +19,8 @@ class ConvectionExponent(Effect):
     number = 12
     description = "Cooling of the disc rises more steeply with speed."
     signature = (
-        "Disc, driving: too hot above and too cold below one speed, "
-        "proportional to the excess over the air."
+        "Disc, driving: too hot above and too cold below one speed, with "
+        "the excess over the air."
     )
     twins = ("disc_radiation_driving", "residual_drag")
     either_sign = True

@@ -27,8 +27,8 @@ class DiscCapacityHot(Effect):
     number = 10
     description = "Near 750 degC iron absorbs heat without getting hotter."
     signature = (
-        "Disc, proportional to its change of temperature, above 650 degC, "
-        "heating and cooling alike."
+        "Disc, with its change of temperature, above 650 degC, heating and "
+        "cooling alike."
     )
     twins = ("friction_fade", "disc_radiation_driving")
     either_sign = True

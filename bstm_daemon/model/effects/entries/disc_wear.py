@@ -20,8 +20,8 @@ class DiscWear(Effect):
     number = 16
     description = "A worn disc has less iron to heat."
     signature = (
-        "Disc, proportional to its change of temperature, at any temperature; "
-        "does not change within a drive."
+        "Disc, with its change of temperature, at any temperature; does not "
+        "change within a drive."
     )
     own_parameters = (
         Parameter("lost_share", "1", 0.0, 0.3, 0.08, "of the ring's mass"),

@@ -19,8 +19,7 @@ class FrictionFade(Effect):
     kind = "heat"
     description = "Hot brakes fade: friction falls above about 350 degC."
     signature = (
-        "All heat input, while braking only, beyond "
-        "a temperature of the interface; needs Feed-Forward."
+        "All heat, braking only, beyond a temperature of the interface."
     )
     twins = ("disc_radiation_driving",)
     own_parameters = (

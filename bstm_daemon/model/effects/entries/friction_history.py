@@ -24,8 +24,8 @@ class FrictionHistory(Effect):
         "Friction of new pads falls with the heat they absorb at first."
     )
     signature = (
-        "All heat input, while braking only; early "
-        "drives differ from late ones; gone on a repeated run."
+        "All heat, braking only; early drives differ from late ones; gone "
+        "on a repeated run."
     )
     own_parameters = (
         Parameter("drop", "1", 0.0, 0.6, 0.33, "fall of mu when worn in"),

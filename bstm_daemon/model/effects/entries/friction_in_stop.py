@@ -19,7 +19,7 @@ class FrictionInStop(Effect):
     number = 43
     kind = "heat"
     description = "Friction rises or falls within each braking."
-    signature = "All heat input, with the seconds since braking began."
+    signature = "All heat, with the seconds since braking began."
     twins = ("hydraulic_lag", "pushout_pressure")
     either_sign = True
     own_parameters = (

@@ -17,10 +17,7 @@ class FrictionPressure(Effect):
     number = 3
     kind = "heat"
     description = "Friction falls with pressure."
-    signature = (
-        "All heat input, while braking only, with "
-        "pressure; needs Feed-Forward."
-    )
+    signature = "All heat, braking only, with pressure."
     twins = ("friction_speed", "pushout_pressure")
     either_sign = True
     own_parameters = (

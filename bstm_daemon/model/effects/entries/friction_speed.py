@@ -17,9 +17,7 @@ class FrictionSpeed(Effect):
     number = 2
     kind = "heat"
     description = "Friction falls with sliding speed."
-    signature = (
-        "All heat input, while braking only, with speed; needs Feed-Forward."
-    )
+    signature = "All heat, braking only, with speed."
     twins = ("friction_pressure",)
     either_sign = True
     own_parameters = (

@@ -17,8 +17,7 @@ class HydraulicLag(Effect):
     kind = "heat"
     description = "The wheel brakes follow the pedal with a delay."
     signature = (
-        "All heat input, at the edges of brakings, with the rate of the "
-        "pressure; needs Feed-Forward."
+        "All heat, at the edges of brakings, with the rate of the pressure."
     )
     twins = ("powertrain_torque_error",)
     own_parameters = (

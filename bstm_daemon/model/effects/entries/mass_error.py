@@ -17,10 +17,7 @@ class MassError(Effect):
     number = 34
     kind = "heat"
     description = "The car is heavier than configured."
-    signature = (
-        "All heat input, while braking, most in stops from "
-        "speed; needs Feed-Back."
-    )
+    signature = "All heat, braking, most in stops from speed."
     twins = ("accelerometer_bias", "powertrain_torque_error", "brake_share")
     either_sign = True
     own_parameters = (

@@ -28,8 +28,8 @@ class PadCapacity(Effect):
     number = 19
     description = "The heat capacity of linings rises with temperature."
     signature = (
-        "Pad front and pad back, proportional to their change of temperature, "
-        "with the lining's temperature."
+        "Pad front and pad back, with their change of temperature, with the "
+        "lining's temperature."
     )
     twins = ("pad_conductivity", "pad_pyrolysis")
     either_sign = True

@@ -17,8 +17,8 @@ class PowertrainTorqueError(Effect):
     kind = "heat"
     description = "Engine drag is less or more than the torque signal."
     signature = (
-        "All heat input, while braking with the clutch closed, with the "
-        "engine's drag and speed; needs Feed-Back."
+        "All heat, braking with the clutch closed, with the engine's drag "
+        "and speed."
     )
     twins = ("accelerometer_bias", "mass_error", "brake_share")
     either_sign = True

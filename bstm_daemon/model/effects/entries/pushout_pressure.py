@@ -21,8 +21,7 @@ class PushoutPressure(Effect):
     kind = "heat"
     description = "Part of the pressure only overcomes seals and guides."
     signature = (
-        "All heat input, while braking at low pressure, a "
-        "constant loss of pressure; needs Feed-Forward."
+        "All heat, braking at low pressure, a constant loss of pressure."
     )
     twins = ("friction_pressure", "friction_history")
     own_parameters = (Parameter("pressure_pa", "Pa", 0.0, 5e5, 1e5, "lost"),)

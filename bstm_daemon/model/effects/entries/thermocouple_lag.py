@@ -20,7 +20,7 @@ class ThermocoupleLag(Effect):
     number = 32
     kind = "measurement"
     description = "Thermocouples show what the part had seconds ago."
-    signature = "One sensor, proportional to its rate of change."
+    signature = "One sensor, with its rate of change."
     twins = ("thermocouple_offset", "disc_hat")
     own_parameters = (
         Parameter("time_s", "s", 0.1, 120.0, 15.0, "time constant"),
