@@ -295,11 +295,7 @@ def sentence(match: Match) -> str:
     accuracy = match.accuracy
     what = ", ".join(match.corners)
     if accuracy.left_out:
-        change = ", ".join(
-            f"{node.replace('_', ' ')} from {accuracy.before_k[node]:.1f} "
-            f"to {after:.1f} K"
-            for node, after in accuracy.rms_k.items()
-        )
+        change = _moved(accuracy.before_k, accuracy.rms_k).replace("_", " ")
         text = (
             f"{what}: on what the fit did not use ({accuracy.left_out}) the "
             f"RMS error changed: {change}"
