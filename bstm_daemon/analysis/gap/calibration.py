@@ -180,6 +180,8 @@ class Calibration:
         """Return what *match* learned, with what its form lacks."""
         known = learned(match)
         comparison = self._comparison(match, known)
+        # of effects alone, where nothing was simulated for a search
+        comparison.trials = {}
         return with_form(known, comparison, self._simulated(match, comparison))
 
     def _comparison(self, match: Match, known: MatchedConfig) -> Comparison:
