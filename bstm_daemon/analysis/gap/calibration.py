@@ -139,7 +139,11 @@ class Calibration:
         matches = {one.corners: one for one in first.matches}
         kept: dict[tuple[str, str], EffectConfig] = {}
         steps: list[Step] = []
-        left = {} if plain or only else dict(matches)
+        left = {
+            corners: match
+            for corners, match in matches.items()
+            if match.accuracy.left_out and not (plain or only)
+        }
         for _ in range(MOST_ROUNDS):
             found = {
                 corners: self._searched(match, alone=len(matches) == 1)
