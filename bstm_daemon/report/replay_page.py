@@ -123,12 +123,14 @@ def _lead(summary: DriveSummary) -> str | Cell:
         f"{peak.temperature_c:.0f} °C, {when}"
     )
     if peak.validity:
-        text += " estimate"
+        text += " estimate that may be too low"
     margins = [c.margin_k for c in known if c.margin_k is not None]
     tone = ""
     if margins:
         least_k = min(margins)
-        tone = "bad" if least_k < NEAR_K else "good"
+        tone = "" if peak.validity else "good"
+        if least_k < NEAR_K:
+            tone = "bad"
         if least_k < 0.0:
             text += f": {-least_k:.0f} K above the boiling point of wet fluid"
         else:
@@ -138,7 +140,9 @@ def _lead(summary: DriveSummary) -> str | Cell:
     if doubtful > DOUBTFUL:
         text += f". Not valid for {percent(doubtful)} of the drive"
         if summary.reasons:
-            text += f", mostly because of: {summary.reasons[0].words}"
+            most = summary.reasons[0].share
+            words = [r.words for r in summary.reasons if r.share > most / 2]
+            text += f", mostly because of: {', '.join(words)}"
     return Cell(f"{text}.", tone=tone)
 
 
