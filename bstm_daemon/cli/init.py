@@ -60,16 +60,20 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError(msg)
     out: Path = args.out
     check_new(out, force=args.force)
+    kind = "table" if args.dbc is None else "DBC"
     made = _from_table(args.log) if args.dbc is None else _from_dbc(args)
     proposal, text, notes = made
     with replacing(out) as file:
         file.write_text(text, "utf-8")
     for note in notes:
         print(note)
+    by = "" if args.log else ", by name and unit only"
     print(
-        f"{out}: {len(proposal.sure)} roles, {len(proposal.unsure)} unsure "
-        f"ones as comments{'' if args.log else ', by name and unit only'}"
+        f"{out}: roles: {len(proposal.sure)}, unsure, as comments: "
+        f"{len(proposal.unsure)}{by}"
     )
+    if args.log and not proposal.sure:
+        print(f"{out}: no role is sure: check that this is the car's {kind}")
     for one in proposal.sure:
         print(f"  {one.role:26} {_worded(one)}")
     for one in proposal.unsure:

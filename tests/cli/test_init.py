@@ -5,6 +5,7 @@ import re
 from pathlib import Path
 
 import pytest
+from cantools.database import load_file
 
 from bstm_daemon.cli.main import main
 from bstm_daemon.config.reading import load_config
@@ -269,6 +270,25 @@ def test_a_log_of_another_car(tmp_path: Path, capsys: Capture) -> None:
     assert code == 65
     assert "no frame has an id of the DBC" in capsys.readouterr().err
     assert not out.exists()
+
+
+def test_a_log_of_which_no_role_is_sure(
+    tmp_path: Path, capsys: Capture
+) -> None:
+    """One id of the DBC is in the log by chance."""
+    database = load_file(EXAMPLE_DBC)
+    number = database.messages[0].frame_id
+    log = tmp_path / "other.log"
+    log.write_text(f"(1.0) can0 {number:03X}#00\n(2.0) can0 7AB#00\n")
+    out = tmp_path / "car.toml"
+
+    code = main(
+        ["init", "--dbc", str(EXAMPLE_DBC), "--log", str(log), "-o", str(out)]
+    )
+
+    assert code == 0
+    said = capsys.readouterr().out
+    assert f"{out}: no role is sure: check that this is the car's DBC" in said
 
 
 def test_a_dbc_without_a_speed(tmp_path: Path, capsys: Capture) -> None:

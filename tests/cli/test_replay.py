@@ -652,7 +652,7 @@ def test_without_pyarrow(
         capture_output=True,
         text=True,
         check=False,
-        timeout=60,
+        timeout=300,
     )
 
     assert result.returncode == code
