@@ -21,6 +21,7 @@ from bstm_daemon.errors import (
     ConfigError,
     FileAccessError,
     hint,
+    nearest,
 )
 from bstm_daemon.terminal_text import raw_stream, visible, visible_stream
 
@@ -80,7 +81,9 @@ class Parser(argparse.ArgumentParser):
         finally:
             self._is_mixing = False
         if rest:
-            self.error(f"unrecognized arguments: {' '.join(rest)}")
+            meant = nearest(rest[0], self._option_string_actions)
+            tail = f": did you mean '{meant}'?" if meant else ""
+            self.error(f"unrecognized arguments: {' '.join(rest)}{tail}")
         return parsed, rest
 
     def add_argument(self, *names: Any, **options: Any) -> argparse.Action:

@@ -55,6 +55,11 @@ MISTAKES = [
     ("init --dbc car.dbc", USAGE, "-o CAR.toml"),
     ("init --log drive.log -o new.toml", USAGE, "needs --dbc CAR.dbc"),
     ("simulate", USAGE, "DRIVE and -o LOG"),
+    (
+        "replay drive.log -c car.toml --repot x",
+        USAGE,
+        "did you mean '--report'",
+    ),
     ("view --log drive.log", USAGE, "--log needs .* -c FILE"),
     ("demo --view", USAGE, "--live --view"),
     ("replay drive.log -c car.toml --speed 2", USAGE, "--speed .* --watch"),
