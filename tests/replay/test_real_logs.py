@@ -115,9 +115,18 @@ def test_subaru_brakes_only_while_creeping(subaru: Replay) -> None:
 def test_subaru_by_motion_brakes_no_more_than_by_pressure(
     subaru: Replay,
 ) -> None:
-    """Feed-Back, with the pressure to tell when, adds no heat at speed."""
+    """Feed-Back, with the pressure to tell when, adds no heat at speed.
+
+    It is unknown unless the torque is, or is declared.
+    """
     speed_ms = subaru.results.columns["speed_ms"]
-    power = power_w(subaru, "brake_power_fb_w")
+    assert np.isnan(power_w(subaru, "brake_power_fb_w")).all()
+    config, signal_map = load_vehicle(SUBARU)
+    declared = {"assume_powertrain_torque_nm": 0.0}
+    heat = config.heat.model_copy(update=declared)
+    config = config.model_copy(update={"heat": heat})
+    coasting = replay_log(config, signal_map, SUBARU_LOG)
+    power = power_w(coasting, "brake_power_fb_w")
 
     assert power[speed_ms > 2.0].sum() * 0.1 < 1.0
     assert power.sum() * 0.1 < 0.5 * 1640 * 2.5**2

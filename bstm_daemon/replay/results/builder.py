@@ -81,6 +81,11 @@ class ResultsBuilder:
         self._modelled = tuple(
             name for group in estimator.groups for name in group.corners
         )
+        config = estimator.config
+        self._has_torque = (
+            "powertrain_torque" in config.signals
+            or config.heat.assume_powertrain_torque_nm is not None
+        )
         self._begun = False
         # in front of the first part the publication before it, if there is
         # one: its time and its energies begin the mean powers
@@ -250,6 +255,8 @@ class ResultsBuilder:
         config = self._estimator.config
         forward = _rate(row[:, _FORWARD], interval_s)
         back = _rate(row[:, _BACK], interval_s)
+        if not self._has_torque:
+            back = np.full_like(back, np.nan)
         power = {"fb": back, "fused": row[:, _POWER]}
         part = {"brake_power_w": power.get(config.heat.mode, forward)}
         if config.heat.mode == "fused":
