@@ -172,12 +172,14 @@ class DriveStatistics:
         before_s = self._time.total_s
         elapsed_s = self._time.extend(time_s)
         steps_s = np.diff(elapsed_s, prepend=before_s)
+        unseen = np.zeros(len(time_s), bool)
         if "flags" in columns:
             bits = columns["flags"].astype(np.int64)
             asleep = (bits & FLAGS["asleep"]) != 0
             for name, gap in self._gaps.items():
                 missing = (bits & FLAGS[f"{name}_missing"]) != 0
                 gap.add(elapsed_s, missing & ~asleep)
+            unseen = ((bits & FLAGS["speed_missing"]) != 0) & ~asleep
             self._findings.add(elapsed_s, bits)
         reasons = {
             name: columns[f"{name}.reasons"]
@@ -186,7 +188,10 @@ class DriveStatistics:
         }
         self._reasons.add(elapsed_s, reasons)
         if "speed_ms" in columns:
-            self._add_speed(elapsed_s, steps_s, columns["speed_ms"])
+            speed_ms = columns["speed_ms"]
+            self._add_speed(elapsed_s, steps_s, speed_ms)
+            standing = (speed_ms <= STANDING_MS) & ~unseen
+            self._standing_s.add(steps_s, standing.astype(np.float64))
         if "distance_m" in columns:
             counter_m = columns["distance_m"]
             known = counter_m[np.isfinite(counter_m)]
@@ -201,8 +206,6 @@ class DriveStatistics:
         self, elapsed_s: Column, steps_s: Column, speed_ms: Column
     ) -> None:
         self._stops.add(elapsed_s, speed_ms)
-        standing = (speed_ms <= STANDING_MS).astype(np.float64)
-        self._standing_s.add(steps_s, standing)
         self._travelled_m.add(steps_s, speed_ms)
         self._top_speed_ms.add(speed_ms, self.rows, elapsed_s)
 

@@ -139,6 +139,19 @@ def test_descent_in_figures(descent: Results) -> None:
     assert left.wet_boiling_point_c == pytest.approx(155.0)
 
 
+def test_what_nobody_saw_is_not_standing(descent: Results) -> None:
+    """Unless the bus sleeps, as that of a parked car does."""
+    flags = np.zeros(len(descent))
+    flags[20_000:26_000] = SPEED
+    flags[30_000:36_000] = SPEED | FLAGS["asleep"]
+    columns = descent.columns | {"flags": flags}
+    seen = Results(columns, descent.corners, descent.modelled)
+
+    summary = summarize(seen)
+
+    assert summary.standing_s == pytest.approx(3000.0, abs=0.2)
+
+
 def test_energy_is_the_time_integral_of_the_power(descent: Results) -> None:
     """A row is the mean since the row before, so steps weigh by length."""
     left = summarize(descent).corners[0]
