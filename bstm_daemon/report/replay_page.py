@@ -192,14 +192,14 @@ def _corners(summary: DriveSummary) -> Table:
     with_hours = summary.duration_s >= HOUR_S
     return Table(
         (
-            *("corner", "margin", "disc", "pad front", "pad back", "fluid"),
-            *("after stop", "used", "FF", "FB"),
+            *("corner", "margin", "fluid", "after stop"),
+            *("disc", "pad front", "pad back", "used", "FF", "FB"),
             "degraded / invalid",
         ),
         [_corner_row(corner, with_hours) for corner in summary.corners],
         (
-            *(("", 1), ("least", 1), ("peak [°C] and when", 4)),
-            *(("fluid peak", 1), ("brake energy [MJ]", 3)),
+            *(("", 1), ("least", 1), ("fluid peak [°C]", 2)),
+            *(("peak [°C] and when", 3), ("brake energy [MJ]", 3)),
             ("rows valid /", 1),
         ),
     )
@@ -211,8 +211,13 @@ def _corner_row(corner: CornerSummary, with_hours: bool) -> list[str | Cell]:  #
     return [
         corner.corner,
         DASH if corner.margin_k is None else f"{corner.margin_k:.0f} K",
-        *(_peak(corner.peaks.get(node), with_hours) for node in SUMMARY_NODES),
+        _peak(corner.peaks.get("fluid"), with_hours),
         DASH if after_s is None else clock(after_s),
+        *(
+            _peak(corner.peaks.get(node), with_hours)
+            for node in SUMMARY_NODES
+            if node != "fluid"
+        ),
         *(DASH if e is None else f"{e / 1e6:.2f}" for e in corner.energies_j),
         DASH if shares is None else " / ".join(map(percent, shares)),
     ]
