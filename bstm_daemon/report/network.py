@@ -161,18 +161,10 @@ def _law(factors: Iterable[Factor]) -> str:
 
 
 def _product(factors: Iterable[Factor], slots: Mapping[str, float]) -> float:
-    return prod(_value(factor, slots) for factor in factors)
-
-
-def _value(factor: Factor, slots: Mapping[str, float]) -> float:
-    a, b = slots[factor.a], slots[factor.b or factor.a]
-    driver = {
-        "value": a,
-        "difference": a - b,
-        "mean": 0.5 * (a + b),
-        "radiation": (a * a + b * b) * (a + b),
-    }[factor.kind]
-    return driver if factor.table is None else factor.table(driver)
+    return prod(
+        factor(slots[factor.a], slots[factor.b or factor.a])
+        for factor in factors
+    )
 
 
 def _short(number: float) -> str:

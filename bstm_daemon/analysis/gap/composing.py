@@ -133,14 +133,7 @@ class Response:
     def _product(self, factors: Sequence[Factor]) -> Column:
         found = np.ones(self.count)
         for one in factors:
-            a = self.slots[one.a]
-            b = self.slots[one.b or one.a]
-            driver = {
-                "value": a,
-                "difference": a - b,
-                "mean": 0.5 * (a + b),
-                "radiation": (a * a + b * b) * (a + b),
-            }[one.kind]
+            driver = one.driver(self.slots[one.a], self.slots[one.b or one.a])
             if one.table is not None:
                 values = one.table.values
                 x = one.table.x0 + one.table.dx * np.arange(len(values))

@@ -15,9 +15,13 @@ from typing import TYPE_CHECKING, Any, Literal, TypeVar
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    import numpy as np
+    import numpy.typing as npt
+
     from bstm_daemon.model.thermal.table import Table
 
 DriverKind = Literal["value", "difference", "mean", "radiation"]
+Number = TypeVar("Number", float, "npt.NDArray[np.float64]")
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,14 +38,19 @@ class Factor:
     b: str | None = None
     table: Table | None = None
 
-    def __call__(self, a: float, b: float) -> float:
-        """Return the factor where its slots are *a* and *b*."""
-        driver = {
+    def driver(self, a: Number, b: Number) -> Number:
+        """Return what the table is looked up at where its slots are so."""
+        found: dict[DriverKind, Number] = {
             "value": a,
             "difference": a - b,
             "mean": 0.5 * (a + b),
             "radiation": (a * a + b * b) * (a + b),
-        }[self.kind]
+        }
+        return found[self.kind]
+
+    def __call__(self, a: float, b: float) -> float:
+        """Return the factor where its slots are *a* and *b*."""
+        driver = self.driver(a, b)
         return driver if self.table is None else self.table(driver)
 
 
