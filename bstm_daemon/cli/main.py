@@ -12,7 +12,7 @@ import importlib
 import logging
 import os
 import sys
-from contextlib import redirect_stderr, redirect_stdout
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from typing import TYPE_CHECKING, Any, Final, NoReturn
 
 from bstm_daemon import __version__
@@ -26,7 +26,12 @@ from bstm_daemon.errors import (
 from bstm_daemon.terminal_text import raw_stream, visible, visible_stream
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, MutableMapping, Sequence
+    from collections.abc import (
+        Collection,
+        Iterator,
+        MutableMapping,
+        Sequence,
+    )
 
 # matrices here are small: for so little, threads cost ten times what they do
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -170,6 +175,23 @@ def _parse(argv: list[str], called: str) -> argparse.Namespace:
     return parser_of({called}).parse_args(argv)
 
 
+@contextmanager
+def _not_loading(package: str) -> Iterator[None]:
+    """Hide *package*, which is then loaded where its features are used.
+
+    python-can loads asammdf and with it pandas for a format that is read
+    otherwise here: 80 MB and a second for every command.
+    """
+    hidden = package not in sys.modules
+    if hidden:
+        sys.modules[package] = None  # type: ignore[assignment]
+    try:
+        yield
+    finally:
+        if hidden:
+            del sys.modules[package]
+
+
 def parser_of(called: Collection[str]) -> Parser:
     """Return the parser; only modules of *called* commands are imported."""
     parser = Parser(
@@ -188,9 +210,10 @@ def parser_of(called: Collection[str]) -> Parser:
             name, help=summary, description=f"{summary}."
         )
         if name in called:
-            module = importlib.import_module(
-                f"bstm_daemon.cli.{name.replace('-', '_')}"
-            )
+            with _not_loading("asammdf"):
+                module = importlib.import_module(
+                    f"bstm_daemon.cli.{name.replace('-', '_')}"
+                )
             module.add_arguments(subparser)
             subparser.set_defaults(run=module.run)
             # keep the options that stood before the command

@@ -57,6 +57,8 @@ class Coupling:
             coupled: whether a friction law needs the temperatures.
         """
         self.plan, self.coupled = plan, coupled
+        self.coupling_us = COUPLING_US
+        """Where a friction law gets its temperature anew."""
         self._kernel = kernel
         self._room = room
         publish_us, self._line_us = lines_us
@@ -98,7 +100,7 @@ class Coupling:
         samples = times_us, roles, values
         if self.coupled:
             self.heat_interfaces(state, batches, anew=False)
-        each_us = COUPLING_US if self.coupled else self._line_us
+        each_us = self.coupling_us if self.coupled else self._line_us
         outputs = tuple(array("d") for _ in batches)
         done, code = 0, FULL
         while code == FULL and done < self._room:
@@ -114,7 +116,7 @@ class Coupling:
             if not steps:
                 break
             last_us = self.times[done - 1]
-            if self.coupled and last_us % COUPLING_US == 0:
+            if self.coupled and last_us % self.coupling_us == 0:
                 self.heat_interfaces(state, batches)
             if last_us % self._line_us == 0:
                 break
@@ -133,8 +135,7 @@ class Coupling:
         """
         order = self.plan.corners
         for batch, names in batches:
-            nodes = batch.programs[0].state_names
-            disc, pad = nodes.index("disc"), nodes.index("pad_front")
+            disc, pad = map(batch.names.index, ("disc", "pad_front"))
             for member, name in enumerate(names):
                 corner = order.index(name)
                 if not anew and state.interface_k(corner) > 0.0:

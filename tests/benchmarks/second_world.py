@@ -51,7 +51,7 @@ RELEASE_SEEDS: Final = range(500, 1000)
 
 RIGHT: Final[dict[str, set[str]]] = {
     "mu_fade": {"friction_fade"},
-    "mu_progressive": {"friction_history"},
+    "mu_progressive": {"friction_history", "friction_in_stop"},
     "pad_half_worn": {
         *("pad_wear", "change.heat_into_pads", "change.lining_capacity"),
         "change.lining_conductivity",
@@ -68,10 +68,9 @@ RIGHT: Final[dict[str, set[str]]] = {
     "pad_k_rise": {"pad_conductivity", "change.lining_conductivity"},
     "engine_heat": {"local_air", "change.effect.local_air.strength"},
     "tc_debonded": {"thermocouple_lag", "thermocouple_offset"},
-    "hub_drum_heat": set(),
+    "hub_drum_heat": {"hub_heat"},
 }
-"""Hidden effect to right names; an empty set is an effect that nothing in the
-catalogue describes: its right answer is that something is missing."""
+"""Hidden effect to right names."""
 
 NODES: Final = {
     "fluid": "fluid_c",
@@ -232,7 +231,7 @@ def verdict(effect: str, naming: dict[str, Any]) -> str:
     if not names:
         if naming["answer"] == "nothing":
             return "silent"
-        return "missing" if RIGHT[effect] else "right"
+        return "missing"
     if not names & RIGHT[effect]:
         return "wrong"
     return "right" if names <= RIGHT[effect] else "right among"

@@ -327,3 +327,24 @@ def test_options_stand_anywhere_among_the_logs(argv: list[str]) -> None:
 
     assert args.logs == [Path("a.log"), Path("b.log")]
     assert args.config == Path("a.toml")
+
+
+def test_a_format_read_otherwise_costs_no_command_pandas() -> None:
+    code = (
+        "import sys\n"
+        "from bstm_daemon.cli.main import parser_of\n"
+        "parser_of({'gap'})\n"
+        "print('cantools' in sys.modules, 'pandas' in sys.modules)\n"
+        "import can.io.mf4, asammdf\n"
+        "print(asammdf.MDF.__name__)\n"
+    )
+    pytest.importorskip("asammdf")
+
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        capture_output=True,
+        check=True,
+        text=True,
+    )
+
+    assert done.stdout == "True False\nMDF\n"

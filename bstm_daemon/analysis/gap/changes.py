@@ -73,10 +73,15 @@ class Trial:
     effect: EffectConfig | None = None
 
     def effects_at(self, strength: float) -> list[EffectConfig]:
-        """Return the effect with a change of *strength*, if it is one."""
+        """Return the effect with a change of *strength*, if it is one.
+
+        At its bound where that is beyond what physics allows.
+        """
         if self.effect is None:
             return []
+        bounds = effect_class(self.effect.name).parameters()[0]
         value = strength_of(self.effect) * np.exp(STEP * strength)
+        value = np.clip(value, bounds.lower, bounds.upper)
         parameters = {**self.effect.parameters, "strength": float(value)}
         return [self.effect.model_copy(update={"parameters": parameters})]
 

@@ -22,6 +22,7 @@ from bstm_daemon.bus.signals.columns import Events
 from bstm_daemon.channels import CHANNELS
 from bstm_daemon.estimator.corner_model import corner_model
 from bstm_daemon.estimator.estimator import Estimator
+from bstm_daemon.model.wear.car import CarWear
 from bstm_daemon.replay.columns import present_roles
 
 if TYPE_CHECKING:
@@ -38,6 +39,10 @@ PIECE: Final = 1 << 20
 
 THIN_S: Final = 0.1
 """Time between samples of one role, where effects are tried."""
+
+THIN_COUPLING_US: Final = 500_000
+"""Where friction gets its temperature anew in a trial: what a trial takes is
+the difference of two passes, and a pass goes back to Python each time."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -158,6 +163,7 @@ def inputs_of(
     (steps, corners, channels), as ``Drive.inputs`` has them.
     """
     estimator = _Heating(config, present)
+    estimator.trial()
     inputs, _ = grid_inputs(estimator, _pieces(events))
     return inputs, estimator.plan.corners
 
@@ -183,6 +189,11 @@ class _Heating(Estimator):
         ):
             self.batches = []
             self._coupling.coupled = False
+
+    def trial(self) -> None:
+        """Take samples that are thin, the pads as they are configured."""
+        self._coupling.coupling_us = THIN_COUPLING_US
+        self.wear = CarWear(self.config, ())
 
     def _block(self, steps: int, outputs: Outputs) -> None:
         """Keep the rows; judging each estimate would take most of the time.

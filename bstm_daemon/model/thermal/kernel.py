@@ -62,7 +62,8 @@ class Batch:
             self.state.extend(program.initial_state(initial_k))
         first = programs[0]
         self.ints = first.ints
-        self.width = len(first.state_names)
+        self.names = first.state_names
+        self.width = len(self.names)
         self.ledger_width = len(first.ledger_names)
         self.sources = len(first.network.sources)
         self.channels = len(first.network.inputs)
@@ -75,8 +76,8 @@ class Batch:
 
     def named_state(self, member: int) -> dict[str, float]:
         """Return nodes [K] and memories of *member* by name."""
-        names = self.programs[member].state_names
-        return dict(zip(names, self.state[self.part(member)], strict=True))
+        own = self.state[self.part(member)]
+        return dict(zip(self.names, own, strict=True))
 
     def replace(self, member: int, program: Program) -> None:
         """Let *member* go on with the numbers of *program*; its state stays.

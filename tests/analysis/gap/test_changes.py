@@ -117,6 +117,9 @@ def test_an_effect_on_the_heat_that_the_model_has_can_change(
 
     (there,) = found.effects_at(1.0)
     assert there.parameters["strength"] == pytest.approx(0.7 * np.exp(STEP))
+    # no further than physics allows
+    (bound,) = found.effects_at(4.0)
+    assert bound.parameters["strength"] == 5.0
     off = with_effects(config, effect_entries({"friction_fade": 0.0}))
     assert not trials(off, ())
     assert "friction_fade" in candidates(off)

@@ -15,6 +15,7 @@ from bstm_daemon.analysis.gap.recording import Recording, inputs_of, recorded
 from bstm_daemon.bus.signals.columns import Events
 from bstm_daemon.channels import CHANNELS
 from bstm_daemon.cli.vehicle import load_vehicle
+from bstm_daemon.estimator.coupling import COUPLING_US
 from bstm_daemon.estimator.estimator import Estimator
 from bstm_daemon.files import shipped_file
 from bstm_daemon.replay.columns import present_roles
@@ -145,3 +146,26 @@ def test_pieces_of_a_log_are_one_recording(
     assert np.array_equal(cut.thin.value, whole.thin.value)
     assert np.array_equal(cut.drive.inputs, whole.drive.inputs, equal_nan=True)
     assert len(cut.thin) < 0.5 * len(events)
+
+
+def test_a_trial_of_a_law_takes_its_temperature_less_often(
+    config: Config, short: Recording, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    heat = config.heat.model_copy(update={"mode": "ff"})
+    config = config.model_copy(update={"heat": heat})
+    early = {"onset_c": 100.0, "span_k": 100.0}
+    on = with_effects(
+        config, effect_entries({"friction_fade": 1.0}, form=early)
+    )
+    plain, _ = inputs_of(config, short.present, short.thin)
+    seldom, _ = inputs_of(on, short.present, short.thin)
+    monkeypatch.setattr(module, "THIN_COUPLING_US", COUPLING_US)
+
+    often, _ = inputs_of(on, short.present, short.thin)
+
+    power = CHANNELS.index("brake_power_w")
+    off = (seldom - often)[:, :, power]
+    change = (often - plain)[:, :, power]
+    # of the heat so far, which is what temperatures show
+    worst = np.abs(np.cumsum(off, axis=0)).max()
+    assert 0.0 < worst < 0.1 * np.abs(np.cumsum(change, axis=0)).max()
