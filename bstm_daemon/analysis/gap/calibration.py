@@ -47,6 +47,11 @@ MOST_ROUNDS: Final = 3
 WORSE: Final = 1.05
 """Times the error on any one drive that was left out, at most."""
 
+PEAK: Final = 1.25
+PEAK_K: Final = 2.0
+"""Nor may the largest error of any node there grow by more than both: a mean
+over nodes hides one that pays for the others."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Step:
@@ -284,4 +289,14 @@ def _against(before: Match, after: Match) -> str:
         worse = share_left(old_k, new_k)
         if worse > WORSE:
             return f"{worse:.2f} times the error on {drive.name}"
+    for drive, old_k, new_k in zip(
+        after.drives, old.peaks_k, new.peaks_k, strict=True
+    ):
+        for node, most_k in new_k.items():
+            was_k = old_k[node]
+            if most_k > max(PEAK * was_k, was_k + PEAK_K):
+                return (
+                    f"{node} up to {most_k:.0f} K off on {drive.name}, "
+                    f"{was_k:.0f} K before"
+                )
     return ""

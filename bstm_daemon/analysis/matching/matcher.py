@@ -36,6 +36,7 @@ from bstm_daemon.analysis.matching.refine import (
     errors_of,
     fitted,
     folds_of,
+    peaks_of,
     refine,
     rms_of,
     white_k,
@@ -381,7 +382,7 @@ def _left_out(  # noqa: PLR0913
     folds = folds_of(readings[0].drives)
     before: Errors = {}
     after: Errors = {}
-    names, simple_k, shifts, each_k = [], [], [], []
+    names, simple_k, shifts, each_k, peaks_k = [], [], [], [], []
     for number, (pieces, left) in enumerate(folds):
         found = search(target, [one.of(pieces) for one in readings])
         drives = found.reading.drives
@@ -406,6 +407,7 @@ def _left_out(  # noqa: PLR0913
         ]
         own = _errors(without, [drive])
         each_k.append(rms_of(own))
+        peaks_k.append(peaks_of(own))
         for errors, of_drive in (
             (before, _errors(target, [plain])),
             (after, own),
@@ -430,6 +432,7 @@ def _left_out(  # noqa: PLR0913
         rms(np.array(simple_k)) if simple_k else nan,
         np.array(shifts),
         tuple(each_k),
+        tuple(peaks_k),
     )
 
 

@@ -209,7 +209,8 @@ class Accuracy:
     ``left_out``; where that is empty, nothing could be. ``before_k`` and
     ``rms_k`` are the RMS there, as configured and fitted without it, and
     ``baseline_k`` that of a disc of one node fitted to the same; ``each_k``
-    is ``rms_k`` of each thing left out. ``shifts`` (k, p) are how far the
+    is ``rms_k`` of each thing left out, ``peaks_k`` the largest error there
+    in either direction. ``shifts`` (k, p) are how far the
     logarithms of the values lay off without it.
     """
 
@@ -221,6 +222,7 @@ class Accuracy:
     baseline_k: float = np.nan
     shifts: Column = field(default_factory=lambda: np.zeros((0, 0)))
     each_k: tuple[Mapping[str, float], ...] = ()
+    peaks_k: tuple[Mapping[str, float], ...] = ()
 
 
 LEAST_S: Final = 240.0
@@ -276,6 +278,14 @@ def rms_of(errors: Errors) -> dict[str, float]:
     return {
         node: rms(np.concatenate([error for error, *_ in parts]))
         for node, parts in sorted(errors.items())
+    }
+
+
+def peaks_of(errors: Errors) -> dict[str, float]:
+    """Return the largest of errors as of :func:`errors_of`, by node."""
+    return {
+        node: max(float(np.abs(error).max()) for error, _ in parts)
+        for node, parts in errors.items()
     }
 
 

@@ -82,9 +82,15 @@ def calibrated(
 
 
 def left_out(
-    rms_k: float, *each_k: float, names: tuple[str, ...] = ("one", "two")
+    rms_k: float,
+    *each_k: float,
+    peak_k: float = 30.0,
+    names: tuple[str, ...] = ("one", "two"),
 ) -> Match:
-    """Return a match of that RMS of its fluid on what was left out."""
+    """Return a match of that RMS of its fluid on what was left out.
+
+    *peak_k* is the largest error of its disc on the last.
+    """
     accuracy = Accuracy(
         {},
         len(each_k),
@@ -92,6 +98,7 @@ def left_out(
         {},
         {"fluid": rms_k},
         each_k=tuple({"fluid": one} for one in each_k),
+        peaks_k=({"disc": 30.0}, {"disc": peak_k}),
     )
     drives = [SimpleNamespace(name=name) for name in names]
     found = SimpleNamespace(accuracy=accuracy, drives=drives)
@@ -105,6 +112,11 @@ def left_out(
         (left_out(9.5, 9.5, 9.5), "leaves 0.95 times the error"),
         (left_out(8.0, 4.0, 10.4), ""),
         (left_out(8.0, 4.0, 10.6), "1.06 times the error on two"),
+        (left_out(8.0, 9.0, 7.0, peak_k=37.0), ""),
+        (
+            left_out(8.0, 9.0, 7.0, peak_k=42.0),
+            "disc up to 42 K off on two, 30 K before",
+        ),
     ],
 )
 def test_an_addition_must_gain_and_harm_no_drive(
@@ -135,6 +147,7 @@ def test_what_is_hidden_in_all_drives_is_added(
     (match,) = found.matched.matches
     assert match.verdict == ()
     assert match.before.config.effect == []
+    assert max(one["pad_front"] for one in match.accuracy.peaks_k) < 12.0
     # as configured, it errs by the effect
     assert match.accuracy.before_k["pad_front"] > 50.0
     lines = step_lines(found.steps)
