@@ -185,14 +185,14 @@ class World:
         worst = 0.0
         for log in sorted(control.glob("test*.log")):
             run = replay(log, vehicle, start="cold", every_s=1.0).columns
+            # the truth counts from the start of the log
+            time_s = run["time_s"] - run["time_s"][0]
             truth, changed = (
                 np.load(folder / "truth" / f"{log.stem}.npz")
                 for folder in (control, self.made(case))
             )
             for node, column in NODES.items():
-                ours = np.interp(
-                    truth["t"], run["time_s"], run[f"FL.{column}"]
-                )
+                ours = np.interp(truth["t"], time_s, run[f"FL.{column}"])
                 off_k = rms(ours - truth[node])
                 own = np.interp(truth["t"], changed["t"], changed[node])
                 worst = max(worst, rms(own - truth[node]) / off_k)
