@@ -17,10 +17,7 @@ if TYPE_CHECKING:
 PACKAGE = Path(__file__).resolve().parents[1] / "bstm_daemon"
 
 FLOORS = (
-    (
-        *("channels", "errors", "estimate", "files", "roles"),
-        *("terminal_text", "units"),
-    ),
+    (*("channels", "errors", "estimate", "files", "roles", "units"),),
     ("config", "native"),
     ("bus",),
     ("model", "simulation"),
@@ -83,7 +80,7 @@ physics with the estimator; physics, estimate and what follows from it know
 no CAN."""
 
 MOST_ENTRIES = 26
-MOST_ARROWS = 152
+MOST_ARROWS = 148
 
 
 def modules() -> dict[str, Path]:

@@ -23,7 +23,7 @@ from bstm_daemon.errors import (
     hint,
     nearest,
 )
-from bstm_daemon.terminal_text import raw_stream, visible, visible_stream
+from bstm_daemon.watch.terminal_text import raw_stream, visible, visible_stream
 
 if TYPE_CHECKING:
     from collections.abc import (

@@ -13,8 +13,7 @@ from bstm_daemon.report.json_file import write_json
 from bstm_daemon.report.network import graph_text, network_graph
 from bstm_daemon.report.network_picture import picture
 from bstm_daemon.roles import CORNERS
-from bstm_daemon.terminal_text import visible
-from bstm_daemon.units import KELVIN_OFFSET
+from bstm_daemon.watch.terminal_text import visible
 
 if TYPE_CHECKING:
     import argparse
@@ -49,7 +48,7 @@ def run(args: argparse.Namespace) -> int:
     graph = network_graph(
         corner_program(config, args.corner).network,
         f"{config.vehicle.id}, corner {args.corner}",
-        config.vehicle.ambient_c + KELVIN_OFFSET,
+        config.vehicle.ambient_k,
     )
     if args.out is None:
         print(graph_text(graph))

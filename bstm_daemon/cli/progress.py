@@ -6,7 +6,7 @@ import sys
 import time
 from typing import TYPE_CHECKING, Final, Self, TextIO
 
-from bstm_daemon.terminal_text import raw_stream
+from bstm_daemon.watch.terminal_text import raw_stream
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -44,6 +44,7 @@ from bstm_daemon.config.service import (
     StateConfig,
 )
 from bstm_daemon.config.thermal import CoolingConfig, ThermalConfig
+from bstm_daemon.units import KELVIN_OFFSET
 
 # upper bounds beyond any road vehicle: they find mm, cm2 and mm2 in an SI key
 Radius = Annotated[float, Field(gt=0, le=0.5)]
@@ -101,6 +102,11 @@ class VehicleConfig(Section):
     ambient_c: Annotated[float, Field(ge=-60, le=70)] = 20.0
     """air temperature until the role `ambient_temperature` has a value; a
     silent bus keeps its last"""
+
+    @property
+    def ambient_k(self) -> float:
+        """``ambient_c`` [K]."""
+        return self.ambient_c + KELVIN_OFFSET
 
 
 class BusConfig(Section):

@@ -58,7 +58,6 @@ from bstm_daemon.model.wear.dose import DISTANCE, DOSE
 from bstm_daemon.model.wear.follow import exchange, keep_totals
 from bstm_daemon.native.loader import load_kernel
 from bstm_daemon.roles import ROLE_INDEX
-from bstm_daemon.units import KELVIN_OFFSET
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -117,7 +116,7 @@ class Estimator:
         """
         self.config = config
         self._kernel = load_kernel()
-        start_k = initial_k or config.vehicle.ambient_c + KELVIN_OFFSET
+        start_k = initial_k or config.vehicle.ambient_k
         models = {
             corner.name: corner_model(config, corner)
             for corner in config.disc_corners()
@@ -365,7 +364,7 @@ class Estimator:
             nodes = state[: len(program.network.nodes)]
             if isfinite(sum(nodes)) and max(nodes) < HIGHEST_K:
                 continue
-            air_k = self.config.vehicle.ambient_c + KELVIN_OFFSET
+            air_k = self.config.vehicle.ambient_k
             fresh = program.initial_state(air_k)
             keep_totals(fresh, program.state_names, state)
             batch.state[batch.part(member)] = fresh
@@ -406,7 +405,7 @@ class Estimator:
 
     def _settling_time_s(self) -> float:
         """Return how long a hot start affects the slowest brake [s]."""
-        air_k = self.config.vehicle.ambient_c + KELVIN_OFFSET
+        air_k = self.config.vehicle.ambient_k
         row = array("d", channels_at_rest(air_k).values())
         return settling_time_s(
             self.programs.values(), row, air_k, self._kernel
@@ -417,7 +416,7 @@ class Estimator:
         known = self.samples.last_value(ROLE_INDEX["ambient_temperature"])
         if known is not None and LOWEST_K < known < HIGHEST_K:
             return known
-        return self.config.vehicle.ambient_c + KELVIN_OFFSET
+        return self.config.vehicle.ambient_k
 
     def last_seen(self) -> tuple[int, float]:
         """Return the time of the last sample [us] and the speed then."""

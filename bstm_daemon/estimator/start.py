@@ -70,7 +70,7 @@ class StartBound:
         """
         self._estimate = batches
         self._kernel = kernel
-        self._air_k = config.vehicle.ambient_c + KELVIN_OFFSET
+        self._air_k = config.vehicle.ambient_k
         limit_k = config.forecast.disc_limits_c[-1] + KELVIN_OFFSET
         self._disc_k = max(limit_k, HOTTEST_DISC_K)
         self.unknown: set[str] = set()

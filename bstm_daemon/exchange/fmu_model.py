@@ -16,7 +16,6 @@ from bstm_daemon.exchange.responses import Response, responses
 from bstm_daemon.model.effects.catalogue import edited_inputs
 from bstm_daemon.model.effects.corrections import corrections_by_role
 from bstm_daemon.roles import ROLES
-from bstm_daemon.units import KELVIN_OFFSET
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -157,7 +156,7 @@ def corner_fmu(config: Config, corner: str) -> FmuModel:
         ConfigError: the corner can not be built.
     """
     program = corner_program(config, corner)
-    initial_k = config.vehicle.ambient_c + KELVIN_OFFSET
+    initial_k = config.vehicle.ambient_k
     rest = channels_at_rest(initial_k)
     inputs: list[Input] = []
     variables: list[Variable] = []
@@ -195,7 +194,7 @@ def car_fmu(config: Config, present: Mapping[int, int]) -> FmuModel:
     """
     estimator = Estimator(config, present, history_known=True)
     plan = estimator.plan
-    initial_k = config.vehicle.ambient_c + KELVIN_OFFSET
+    initial_k = config.vehicle.ambient_k
     corrections = corrections_by_role(edited_inputs(config).corrections)
     inputs: list[Input] = []
     variables: list[Variable] = []

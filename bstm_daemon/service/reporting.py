@@ -15,9 +15,8 @@ from typing import TYPE_CHECKING, Final
 
 from bstm_daemon.bus.live.link import LinkEvent, LinkState
 from bstm_daemon.bus.signals.reject_reason import RejectReason
-from bstm_daemon.channels import FLAGS
 from bstm_daemon.estimate import RiskLevel
-from bstm_daemon.model.heat.plausibility import reasons
+from bstm_daemon.model.heat.plausibility import CONTRADICTIONS, reasons
 from bstm_daemon.service import events
 from bstm_daemon.service.metrics_output import MetricsOutput
 from bstm_daemon.service.recorder import Recorder
@@ -35,15 +34,6 @@ if TYPE_CHECKING:
     from bstm_daemon.service.recorder import RecordOutcome
     from bstm_daemon.service.sender import Sender
     from bstm_daemon.service.status import ServiceStatus, StateFileStatus
-
-DISAGREEMENT: Final = (
-    FLAGS["switch_contradicts"]
-    | FLAGS["wheels_contradict"]
-    | FLAGS["acceleration_contradicts"]
-    | FLAGS["pressure_zero"]
-    | FLAGS["forces_contradict"]
-)
-"""Flags that keep the record when they rise."""
 
 KEPT_LEVELS: Final = (RiskLevel.HIGH, RiskLevel.CRITICAL)
 
@@ -242,7 +232,7 @@ class ServiceReporter:
         for fault in sorted(self._faults - faults):
             self._log.emit(events.INPUT_FAULT_OVER, fault=fault)
         self._faults = faults
-        if self._flags & ~self._reported_flags & DISAGREEMENT:
+        if self._flags & ~self._reported_flags & CONTRADICTIONS:
             self.keep("disagreement", now_us)
         self._reported_flags, self._flags = self._flags, 0
 

@@ -7,9 +7,9 @@ from contextlib import AbstractContextManager
 from math import isfinite, isnan
 from typing import TYPE_CHECKING, Final, TextIO
 
-from bstm_daemon.terminal_text import visible
 from bstm_daemon.watch.board import NODES, STATUS
 from bstm_daemon.watch.history import SECOND_US
+from bstm_daemon.watch.terminal_text import visible
 
 if TYPE_CHECKING:
     from bstm_daemon.watch.board import Board

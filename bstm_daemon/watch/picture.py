@@ -15,10 +15,10 @@ from rich.text import Text
 
 from bstm_daemon.bus.output.layout import LAYOUT_VERSION
 from bstm_daemon.estimate import RiskLevel, State, Validity
-from bstm_daemon.terminal_text import visible
 from bstm_daemon.watch.board import NODES, STATUS
 from bstm_daemon.watch.history import BARS, HISTORY_S, sparkline
 from bstm_daemon.watch.lines import LABELS, number
+from bstm_daemon.watch.terminal_text import visible
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -14,7 +14,6 @@ import numpy as np
 from bstm_daemon.analysis.quality.limits import GRID_S, MOVING_MS
 from bstm_daemon.analysis.statistics.series import block_means, runs
 from bstm_daemon.roles import CORNERS
-from bstm_daemon.units import KELVIN_OFFSET
 
 if TYPE_CHECKING:
     from bstm_daemon.analysis.identify.driving import Driving
@@ -112,7 +111,7 @@ def slow_of(driving: Driving) -> Slow:
     ambient = np.full(len(driving.time_s), np.nan)
     if channels.alive(["ambient_temperature"]):
         ambient = _held(driving.value("ambient_temperature"))
-    configured = channels.config.vehicle.ambient_c + KELVIN_OFFSET
+    configured = channels.config.vehicle.ambient_k
     ambient = np.where(np.isfinite(ambient), ambient, configured)
     return Slow(
         driving,

@@ -46,8 +46,7 @@ def check_temperatures(channels: Channels, notes: Notes) -> None:
 def _ambient_k(channels: Channels) -> tuple[float, str]:
     series = channels.series.get("ambient_temperature")
     if series is None:
-        ambient_c = channels.config.vehicle.ambient_c
-        return ambient_c + KELVIN_OFFSET, "ambient_c of [vehicle]"
+        return channels.config.vehicle.ambient_k, "ambient_c of [vehicle]"
     return float(np.median(series.value)), "the ambient temperature"
 
 

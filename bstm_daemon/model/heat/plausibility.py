@@ -31,15 +31,16 @@ FAULTS: Final = {
 }
 """Bits of each fault of the inputs or the heat, of any corner."""
 
-CAUSES: Final = (
-    FLAGS["samples_refused"]
-    | FLAGS["stuck"]
-    | FLAGS["switch_contradicts"]
+CONTRADICTIONS: Final = (
+    FLAGS["switch_contradicts"]
     | FLAGS["wheels_contradict"]
     | FLAGS["acceleration_contradicts"]
     | FLAGS["pressure_zero"]
     | FLAGS["forces_contradict"]
 )
+"""Inputs do not agree with each other."""
+
+CAUSES: Final = FLAGS["samples_refused"] | FLAGS["stuck"] | CONTRADICTIONS
 """Faults that make an input suspect. They are the only bits of a vehicle speed
 that is left out while a wheel speed is sound."""
 

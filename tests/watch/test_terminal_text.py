@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bstm_daemon.cli.main import main
-from bstm_daemon.terminal_text import (
+from bstm_daemon.watch.terminal_text import (
     raw_stream,
     visible,
     visible_stream,
@@ -21,7 +21,7 @@ from bstm_daemon.terminal_text import (
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-CAR = Path(__file__).parents[1] / "config" / "example_vehicle.toml"
+CAR = Path(__file__).parents[2] / "config" / "example_vehicle.toml"
 TITLE = "\x1b]0;owned\x07"
 HOSTILE = f"\x1b[2J{TITLE}\x9b31m\u202egnp\u2066"
 SHOWN = r"\x1b[2J\x1b]0;owned\x07\x9b31m\u202egnp\u2066"
