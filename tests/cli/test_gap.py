@@ -72,6 +72,7 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_the_hidden_effect_is_named_adopted_and_used(
     log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -146,6 +146,7 @@ def test_the_page_has_figure_5_2(matched: Path) -> None:
     assert "matched minus measured" in page
 
 
+@pytest.mark.slow
 def test_the_matched_car_is_verified(
     matched: Path, log: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -198,6 +199,7 @@ def test_a_wrong_car_fails(
     assert "NOT MET" in _lines(capsys.readouterr().out, "thesis")
 
 
+@pytest.mark.slow  # a second match
 def test_only_cooling_writes_only_cooling(log: Path, tmp_path: Path) -> None:
     target = tmp_path / "rim.toml"
 

@@ -414,7 +414,7 @@ def documents(draw: st.DrawFn) -> dict[str, Any]:
     return document
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=25, deadline=None)
 @given(documents())
 @example({"corner": [date(2024, 5, 31)]})
 @example({"corner": [{"piston_diameter_mm": 10**400}]})

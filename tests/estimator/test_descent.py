@@ -8,6 +8,7 @@ another profile, a real grade and the engine's drag, and is not fitted.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -24,6 +25,8 @@ from bstm_daemon.units import KELVIN_OFFSET
 from tests.replayed import Replay, replay_log
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     import numpy.typing as npt
 
 ROOT = Path(__file__).parents[2]
@@ -60,17 +63,19 @@ class Descent:
 
 
 @pytest.fixture(scope="module")
-def logs(
+def logged(
     tmp_path_factory: pytest.TempPathFactory,
-) -> dict[str, tuple[SimulatedDrive, Path]]:
-    """Return both drives and their logs."""
+) -> Callable[[str], tuple[SimulatedDrive, Path]]:
+    """Return what gives a drive and its log, each made once."""
     folder = tmp_path_factory.mktemp("descent")
     encoder = Encoder(ROOT / "dbc" / "example_vehicle.dbc")
-    made = {}
-    for name in ("simalp", "alpine-descent"):
+
+    @cache
+    def made(name: str) -> tuple[SimulatedDrive, Path]:
         driven = simulate(load_drive(name))
         write_candump(folder / f"{name}.log", driven, encoder)
-        made[name] = driven, folder / f"{name}.log"
+        return driven, folder / f"{name}.log"
+
     return made
 
 
@@ -80,14 +85,14 @@ def logs(
         ("simalp", "ff"),
         pytest.param(("alpine-descent", "ff"), marks=pytest.mark.slow),
         pytest.param(("simalp", "fb"), marks=pytest.mark.slow),
-        ("alpine-descent", "fb"),
+        pytest.param(("alpine-descent", "fb"), marks=pytest.mark.slow),
     ],
     ids="-".join,
 )
-def descent(request: pytest.FixtureRequest, logs: Any) -> Descent:
+def descent(request: pytest.FixtureRequest, logged: Any) -> Descent:
     """Return each drive, estimated by Feed-Forward and by Feed-Back."""
     name, mode = request.param
-    driven, log = logs[name]
+    driven, log = logged(name)
     config, signal_map = load_vehicle(ROOT / "config" / "example_vehicle.toml")
     heat = config.heat.model_copy(update={"mode": mode})
     config = config.model_copy(update={"heat": heat})

@@ -119,7 +119,7 @@ def test_forms_agree(
     assert found[0] == found[1]
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=10, deadline=None)
 @given(cuts=st.lists(st.integers(0, 400), max_size=8))
 def test_chunks_never_change_a_number(car: Any, cuts: list[int]) -> None:
     """Cut anywhere: braking, silence, a late stamp, a clock set back."""
@@ -158,6 +158,7 @@ def test_more_steps_than_one_march_holds(fast: Kernel, car: Any) -> None:
     assert found[0] == list(range(100_000, 600 * SECOND + 1, 100_000))
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("all_verified")
 def test_history_is_known_from_its_moment_on(fast: Kernel, car: Any) -> None:
     """Validity does not depend on how the stream is cut either."""

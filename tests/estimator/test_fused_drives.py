@@ -206,9 +206,11 @@ def test_a_pushed_car_with_the_role_is_weighed() -> None:
 @pytest.mark.parametrize(
     "fault",
     [
-        *("stuck", "half", "in-g"),
-        pytest.param("swapped", marks=pytest.mark.slow),
-        pytest.param("reversed", marks=pytest.mark.slow),
+        "stuck",
+        *(
+            pytest.param(fault, marks=pytest.mark.slow)
+            for fault in ("half", "in-g", "swapped", "reversed")
+        ),
     ],
 )
 def test_a_wrong_accelerometer_is_named_and_not_learned_away(

@@ -83,7 +83,7 @@ def cars(make_car: Any, make_corner: Any) -> list[Any]:
     ]
 
 
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=6, deadline=None)
 @given(
     which=st.integers(0, 2),
     shares=st.lists(st.floats(0.0, 1.0), min_size=40, max_size=40),

@@ -108,7 +108,7 @@ def states(estimator: Estimator, blocks: list[Any]) -> list[float]:
     ]
 
 
-@settings(max_examples=20)
+@settings(max_examples=10)
 @given(cut=st.integers(min_value=1, max_value=499))
 def test_a_restart_at_any_sample_changes_no_bit(
     config: Config, cut: int

@@ -245,6 +245,7 @@ def test_the_hottest_minutes_count(config: Config) -> None:
     assert disc_k[1] == pytest.approx(disc_k[0], abs=3.0)
 
 
+@pytest.mark.slow
 def test_a_long_hole_ends_with_the_hottest_stretch(config: Config) -> None:
     """Before that it has the mean: the disc has forgotten which was first."""
     drives = [Drive(config).descend(600.0).go(900.0) for _ in range(2)]
@@ -417,7 +418,9 @@ def test_long_holes_come_to_the_balance_of_the_load(config: Config) -> None:
         assert unseen.nodes_k()[node] == pytest.approx(kelvin, abs=25.0)
 
 
-@pytest.mark.parametrize("proven_s", [None, 100.0])
+@pytest.mark.parametrize(
+    "proven_s", [100.0, pytest.param(None, marks=pytest.mark.slow)]
+)
 def test_a_parked_time_that_is_not_proven_is_no_start(
     config: Config, proven_s: float | None
 ) -> None:

@@ -8,11 +8,16 @@ from bstm_daemon.report.drive_curves import POINTS_A_TRACE, DriveCurves, Trace
 from bstm_daemon.report.drive_statistics import DriveStatistics
 from bstm_daemon.report.replay_figure import drive_plots
 
+_THINNED: dict[int, tuple[Results, list[Trace]]] = {}
+"""Traces by the identity of the results, which are kept with them."""
+
 
 def _traces(results: Results) -> list[Trace]:
-    curves = DriveCurves()
-    curves.write(results)
-    return curves.traces()
+    if id(results) not in _THINNED:
+        curves = DriveCurves()
+        curves.write(results)
+        _THINNED[id(results)] = results, curves.traces()
+    return _THINNED[id(results)][1]
 
 
 def _find(

@@ -17,12 +17,18 @@ from bstm_daemon.report.replay_figure import (
     drive_plots,
 )
 
+_DRAWN: dict[int, tuple[Results, list[tuple[str, Plot]]]] = {}
+"""Plots by the identity of the results, which are kept with them."""
+
 
 def _plots(results: Results) -> list[tuple[str, Plot]]:
-    curves, statistics = DriveCurves(), DriveStatistics()
-    curves.write(results)
-    statistics.write(results)
-    return drive_plots(curves, statistics.summary())
+    if id(results) not in _DRAWN:
+        curves, statistics = DriveCurves(), DriveStatistics()
+        curves.write(results)
+        statistics.write(results)
+        plots = drive_plots(curves, statistics.summary())
+        _DRAWN[id(results)] = results, plots
+    return _DRAWN[id(results)][1]
 
 
 def _plot(results: Results, title: str) -> Plot:

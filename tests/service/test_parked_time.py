@@ -318,7 +318,7 @@ def play(computer: Computer, events: list[Any]) -> Run:
 
 @pytest.mark.parametrize(
     "count",
-    [500, pytest.param(20_000, marks=[pytest.mark.slow, pytest.mark.full])],
+    [200, pytest.param(20_000, marks=[pytest.mark.slow, pytest.mark.full])],
 )
 def test_the_brakes_never_cool_for_longer_than_they_stood(
     computer: Callable[[], Computer], count: int

@@ -87,6 +87,7 @@ def each_effect() -> list[Effects]:
     return [Effects(), *alone, ALL_ON]
 
 
+@pytest.mark.slow
 def test_energy_balance_closes_for_every_effect(lane_inputs: Inputs) -> None:
     effects = each_effect()
     inputs = rich_inputs(lane_inputs, len(effects))

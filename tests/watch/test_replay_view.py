@@ -196,7 +196,10 @@ def test_what_took_too_long_is_not_made_up_for(clock: Clock) -> None:
     assert view.pauses_s == pytest.approx([0.0, 0.0, 0.1])
 
 
-@pytest.mark.parametrize("width", [60, 80, 120])
+@pytest.mark.parametrize(
+    "width",
+    [60, *(pytest.param(w, marks=pytest.mark.slow) for w in (80, 120))],
+)
 def test_on_a_terminal(
     log: Path, terminal: Callable[..., Terminal], width: int
 ) -> None:

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.stats import multivariate_normal
 
 from bstm_daemon.analysis.gap.evidence import (
     Candidate,
@@ -190,6 +189,9 @@ def test_a_pair_weighs_what_its_normal_strengths_do(
     layout: Layout, quiet: Linearised
 ) -> None:
     """Against the densities of both models, of free signs."""
+    # a second to import, which every collection would wait for
+    from scipy.stats import multivariate_normal  # noqa: PLC0415
+
     pair = tuple(replace(s, either_sign=True) for s in quiet.signatures[:2])
     known = moved(layout, replace(quiet, signatures=pair), {NAMES[0]: 5.0})
     project = Projector(known.jacobian, layout.prior)

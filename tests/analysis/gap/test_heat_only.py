@@ -84,6 +84,7 @@ def test_friction_is_named_by_force_alone(name: str, strength: float) -> None:
     assert found.effects()[0].provenance["data"] == ["rich"]
 
 
+@pytest.mark.slow
 def test_twins_of_the_motion_are_a_class() -> None:
     found = find_force_gap(
         car()[0], [driven("rich", {"mass_error": 1.5}, sensors="none")]

@@ -69,9 +69,8 @@ def test_friction_scale(
     assert found.lean_pressure is None
 
 
-@pytest.mark.parametrize(
-    "sensors", ["n1", pytest.param("n2", marks=pytest.mark.slow)]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("sensors", ["n1", "n2"])
 def test_push_out(identified: Callable[..., Brakes], sensors: str) -> None:
     """1 bar, read by a sensor whose zero is off by 0.02 or 0.05 bar."""
     none = identified(sensors=sensors)
@@ -274,6 +273,7 @@ def test_what_is_missing_around_the_stops_is_said(
         identify_brakes([motion], config)
 
 
+@pytest.mark.slow
 def test_accelerometer_bias_is_no_friction(
     identified: Callable[..., Brakes],
 ) -> None:
@@ -283,6 +283,7 @@ def test_accelerometer_bias_is_no_friction(
     assert found.scale.value == pytest.approx(1.0, abs=0.02)
 
 
+@pytest.mark.slow
 def test_second_car(
     identified: Callable[..., Brakes], example: Example
 ) -> None:

@@ -96,7 +96,10 @@ def test_values_of_another_car(
     )
 
 
-@pytest.mark.parametrize("sensors", ["n1", "n2", "n3"])
+@pytest.mark.parametrize(
+    "sensors",
+    ["n1", *(pytest.param(n, marks=pytest.mark.slow) for n in ("n2", "n3"))],
+)
 def test_even_grade_leaves_the_accelerometer_out(
     logged: Logged, driving: Reader, example: Example, sensors: str
 ) -> None:

@@ -274,6 +274,7 @@ def test_radiation_is_taken_off_at_standstill(example: Example) -> None:
     assert whole.residual_k > 20 * found.residual_k
 
 
+@pytest.mark.slow
 def test_parked_fraction_and_table(axle_of: AxleOf) -> None:
     """At rest S is the whole loss, of which the fraction is convection."""
     axle = axle_of("cooling", "n1", "rate")
@@ -358,6 +359,7 @@ def test_only_released_even_and_hot(logged: Logged, driving: Reader) -> None:
         assert down.disc_k[0] > down.ambient_k[0] + 40.0
 
 
+@pytest.mark.slow
 def test_parked_with_ignition_off_is_standstill(
     example: Example,
     simulated: Callable[..., SimulatedDrive],

@@ -130,6 +130,7 @@ def test_nothing_is_searched_where_nothing_is_guessed(
     assert not found.noise
 
 
+@pytest.mark.slow
 def test_a_value_at_its_bound_is_no_success(
     target: Target, made: Callable[..., Drive]
 ) -> None:

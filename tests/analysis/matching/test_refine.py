@@ -121,6 +121,7 @@ def test_a_ratio_that_is_known_better_than_its_parts_is_named(
     assert "only together with" in verdicts(fit)[1].reason
 
 
+@pytest.mark.slow
 def test_what_was_left_out_shows_what_a_fit_does_not(
     target: Target, made: Callable[..., Drive]
 ) -> None:

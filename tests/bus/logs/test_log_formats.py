@@ -268,7 +268,8 @@ def test_a_damaged_log_is_never_a_traceback(
     ).read_bytes()
     damaged = tmp_path / f"b{form.ending}"
     rng = np.random.default_rng(2)
-    for damages in range(1, 25):
+    # MF4 is read fifty times as slowly as any other
+    for damages in range(1, 25, 6 if form.ending == ".mf4" else 1):
         junk = bytearray(content)
         for place in rng.integers(0, len(junk), damages).tolist():
             junk[place] = int(rng.integers(0, 256))

@@ -183,7 +183,7 @@ def expected_samples(
                     yield number, ROLE_INDEX[role], bits(value + 0.0)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=80, deadline=None)
 @given(text=databases(), payloads=st.lists(PAYLOADS, min_size=1, max_size=6))
 def test_both_executors_equal_cantools(
     tmp_path_factory: pytest.TempPathFactory, text: str, payloads: list[bytes]

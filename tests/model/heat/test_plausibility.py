@@ -28,6 +28,7 @@ from bstm_daemon.model.heat.plausibility import (
     fault_names,
     reasons,
 )
+from bstm_daemon.native.loader import load_module
 from bstm_daemon.roles import ROLE_INDEX
 
 if TYPE_CHECKING:
@@ -36,6 +37,25 @@ if TYPE_CHECKING:
     from bstm_daemon.native.loader import Kernel
 
     from .conftest import Run
+
+COMPILED = load_module("native._kernel") is not None
+
+
+@pytest.fixture(
+    scope="module",
+    params=[
+        # slow beside the compiled form, to whose bits a test here holds it
+        pytest.param("reference", marks=[pytest.mark.slow] * COMPILED),
+        "compiled",
+    ],
+)
+def kernel(request: pytest.FixtureRequest) -> Kernel | None:
+    """Return None for the pure-Python form, then the compiled kernel."""
+    if request.param == "reference":
+        return None
+    found: Kernel = request.getfixturevalue("compiled")
+    return found
+
 
 Samples = list[tuple[int, str | int, float]]
 CORNERS = ("fl", "fr", "rl", "rr")

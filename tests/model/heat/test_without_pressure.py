@@ -184,7 +184,7 @@ def stuck(share: float) -> Spoil:
         ("launches", torque(1.1, 300.0), 0),
         ("launches", torque(0.8, 0.0), 0),
         ("launches", drive_torque(1.25), 1),
-        ("city", None, 1),
+        pytest.param("city", None, 1, marks=pytest.mark.slow),
         ("city", torque(1.1, 300.0), 0),
         ("assist", None, 1),
     ],
@@ -205,7 +205,9 @@ def test_no_heat_while_the_pedal_is_released(
 
 
 @pytest.mark.parametrize("role", PEDAL)
-@pytest.mark.parametrize("name", ["launches", "city"])
+@pytest.mark.parametrize(
+    "name", ["launches", pytest.param("city", marks=pytest.mark.slow)]
+)
 def test_each_signal_of_the_pedal_is_enough(
     heat: Callable[..., Heat], name: str, role: str
 ) -> None:

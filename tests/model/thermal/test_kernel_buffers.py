@@ -77,7 +77,7 @@ def test_good_call(compiled: Kernel) -> None:
     assert call[2][1] > 300.0
 
 
-@settings(max_examples=1500, deadline=None)
+@settings(max_examples=500, deadline=None)
 @given(
     changes=st.lists(
         st.tuples(
