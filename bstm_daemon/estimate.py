@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from enum import IntEnum, IntFlag
 from math import isfinite, nan
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -288,8 +288,7 @@ NO_WEAR: Final = WearEstimate()
 NO_RISK: Final = CornerRisk()
 
 
-@dataclass(frozen=True, slots=True)
-class CornerEstimate:
+class CornerEstimate(NamedTuple):
     """One corner with a thermal model.
 
     ``boiling_k`` is the boiling point of a wet fluid of the grade. ``level``
@@ -374,8 +373,7 @@ class Status:
     unverified: Input = NO_INPUT
 
 
-@dataclass(frozen=True, slots=True)
-class Advice:
+class Advice(NamedTuple):
     """Advice and requests to others; never an actuation.
 
     ``pedal_feel`` 1 is the usual feel of the pedal and less is softer;

@@ -97,9 +97,13 @@ class HeldRoles:
         }
 
 
-@dataclass(frozen=True, slots=True)
+POSSIBLE: Final = 0.01
+"""Probability of vaporisation above which it counts as possible."""
+
+
+@dataclass(slots=True)
 class Conditions:
-    """Inputs of the advice at one publication.
+    """Inputs of the advice at one publication, and what follows from them.
 
     ``corners`` are those with a thermal model, ``pressures_pa`` those of all
     corners, NaN if unknown; ``brake_power_w`` is that of all brakes;
@@ -112,31 +116,39 @@ class Conditions:
     brake_power_w: float = nan
     pressures_pa: Mapping[str, float] = field(default_factory=dict)
     driver: Mapping[str, float] = field(default_factory=dict)
+    level: RiskLevel = field(default=RiskLevel.UNKNOWN, init=False)
+    """The worst level of a usable corner; unknown if there is none."""
+    is_unsure: bool = field(default=False, init=False)
+    """Whether the level of any corner is unknown."""
+    may_boil: bool = field(default=False, init=False)
+    """Whether vapour is possible at a corner of a level that is sure."""
+    validity: Validity = field(default=Validity.VALID, init=False)
+    """The worst validity of the corners."""
+    margins_k: dict[str, float] = field(default_factory=dict, init=False)
+    """Boiling point less fluid and its deviation of each corner; NaN where
+    that is not usable."""
 
-    @property
-    def level(self) -> RiskLevel:
-        """The worst level of a usable corner; unknown if there is none."""
-        usable = [
-            c.sure_level for c in self.corners.values() if c.validity.is_usable
-        ]
-        return max(
-            usable, key=lambda one: one.severity, default=RiskLevel.UNKNOWN
-        )
-
-    @property
-    def is_unsure(self) -> bool:
-        """Whether the level of any corner is unknown."""
-        return any(
-            corner.sure_level is RiskLevel.UNKNOWN
-            or not corner.validity.is_usable
-            for corner in self.corners.values()
-        )
-
-    @property
-    def validity(self) -> Validity:
-        """The worst validity of the corners."""
-        found = [corner.validity for corner in self.corners.values()]
-        return max(found, default=Validity.NOT_AVAILABLE)
+    def __post_init__(self) -> None:
+        """Look at each corner once: every machine asks for the same."""
+        if not self.corners:
+            self.validity = Validity.NOT_AVAILABLE
+        for name, corner in self.corners.items():
+            validity, level = corner.validity, corner.sure_level
+            self.validity = max(self.validity, validity)
+            is_usable = validity <= Validity.DEGRADED
+            self.margins_k[name] = (
+                corner.cautious_margin_k if is_usable else nan
+            )
+            # where only the bound of an unknown start is raised, a car that
+            # is cold is no less likely
+            if not is_usable or level is RiskLevel.UNKNOWN:
+                self.is_unsure = True
+                continue
+            if self.level is RiskLevel.UNKNOWN or level > self.level:
+                self.level = level
+            self.may_boil |= level >= RiskLevel.ELEVATED or (
+                corner.risk is not None and corner.risk.probability >= POSSIBLE
+            )
 
     @property
     def waiting_s(self) -> float:
@@ -164,7 +176,7 @@ class Conditions:
 
         One without a thermal model is not known.
         """
-        margins = self._margins_k(axle)
+        margins = self._of_axle(axle)
         return bool(margins) and all(map(isfinite, margins))
 
     def margin_k(self, axle: str = "") -> float:
@@ -173,12 +185,12 @@ class Conditions:
         Infinite if there is none: a brake without a thermal model causes no
         request.
         """
-        return min(filter(isfinite, self._margins_k(axle)), default=inf)
+        return min(filter(isfinite, self._of_axle(axle)), default=inf)
 
-    def _margins_k(self, axle: str) -> list[float]:
+    def _of_axle(self, axle: str) -> list[float]:
         return [
-            corner.cautious_margin_k if corner.validity.is_usable else nan
-            for name, corner in self.corners.items()
+            margin_k
+            for name, margin_k in self.margins_k.items()
             if name.startswith(axle)
         ]
 
@@ -200,19 +212,19 @@ def conditions_at(
         corners: the corners with a thermal model then.
         driver: fresh values of the driver's roles.
     """
-    names = instant.block.layout.corners
-    missing = instant.flags & FLAGS["speed_missing"]
+    flags = instant.flags
+    pressures = zip(
+        instant.block.layout.corners, instant.each("pressure_pa"), strict=True
+    )
     return Conditions(
         instant.time_us,
         corners,
-        nan if missing else instant.vehicle("speed_ms"),
-        sum(instant.channel(name, "brake_power_w") for name in names),
+        nan if flags & FLAGS["speed_missing"] else instant.vehicle("speed_ms"),
+        sum(instant.each("brake_power_w")),
         {
             # the model takes a missing one as 0; advice must not
-            name: nan
-            if instant.flags & CORNER_PRESSURE << place
-            else instant.channel(name, "pressure_pa")
-            for place, name in enumerate(names)
+            name: nan if flags & CORNER_PRESSURE << place else pressure_pa
+            for place, (name, pressure_pa) in enumerate(pressures)
         },
         driver,
     )

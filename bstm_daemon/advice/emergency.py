@@ -20,7 +20,7 @@ from __future__ import annotations
 from math import exp, isfinite, sin
 from typing import TYPE_CHECKING, ClassVar, Final
 
-from bstm_daemon.estimate import NO_RISK, Assist, Intervention, RiskLevel
+from bstm_daemon.estimate import Assist, Intervention, RiskLevel
 from bstm_daemon.estimator.memory import AnyNumber, Int64, Machine, Number
 from bstm_daemon.model.heat.feed_forward import PressureTorque
 from bstm_daemon.units import GRAVITY_MS2
@@ -48,9 +48,6 @@ UNSURE: Final = 0.7
 
 ANXIOUS: Final = 0.25
 """Share that a fast pedal adds to a rule that holds."""
-
-POSSIBLE: Final = 0.01
-"""Probability of vaporisation above which it counts as possible."""
 
 RELEASED_PA: Final = 2.0e5
 """Below this pressure the driver does not brake any more."""
@@ -87,17 +84,7 @@ class EmergencyAssist(Machine):
     def update(self, now: Conditions) -> tuple[Assist, Intervention, float]:
         """Return state, request and score."""
         sure = self._observe(now)
-        if not any(
-            corner.is_at_least(RiskLevel.ELEVATED)
-            or (
-                corner.validity.is_usable
-                # where only the bound of an unknown start is raised, a car
-                # that is cold is no less likely
-                and corner.sure_level is not RiskLevel.UNKNOWN
-                and (corner.risk or NO_RISK).probability >= POSSIBLE
-            )
-            for corner in now.corners.values()
-        ):
+        if not now.may_boil:
             self.state, self.score, self._since_us = Assist.OFF, 0.0, None
             return self.state, Intervention.NONE, 0.0
         if self.state is Assist.OFF:

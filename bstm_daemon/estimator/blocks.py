@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cache, cached_property
 from math import nan
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 from bstm_daemon.channels import CHANNELS, VEHICLE_CHANNELS
 from bstm_daemon.estimate import Reason, Validity
@@ -120,8 +120,7 @@ class Block:
         return Instant(self, i)
 
 
-@dataclass(frozen=True, slots=True)
-class Instant:
+class Instant(NamedTuple):
     """One publication of a block: a view that copies on access."""
 
     block: Block
@@ -159,6 +158,14 @@ class Instant:
     def channel(self, corner: str, channel: str) -> float:
         """Return *channel* of CHANNELS of *corner*, modelled or not."""
         return self.block.rows[self._row(corner) + _CHANNEL[channel]]
+
+    def each(self, channel: str) -> array[float]:
+        """Return *channel* of CHANNELS of every corner, modelled or not."""
+        stride = len(self.block.layout.corners) * len(CHANNELS)
+        first = self.i * stride
+        return self.block.rows[
+            first + _CHANNEL[channel] : first + stride : len(CHANNELS)
+        ]
 
     def row(self, corner: str) -> array[float]:
         """Return all channels of *corner*, modelled or not."""

@@ -25,7 +25,7 @@ from bstm_daemon.estimator.verified import unverified_inputs
 from bstm_daemon.roles import ROLE_INDEX, ROLES
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     from bstm_daemon.config.sections import Config
     from bstm_daemon.estimator.blocks import Block, Instant
@@ -123,9 +123,10 @@ def judge(
         output = block.outputs[number]
         need = needs[name]
         validity, reasons = array("b"), array("B")
+        # a column of each node: one look at each instead of one a publication
+        columns = [output[place + k :: stride] for k in range(group.nodes)]
+        all_possible = bool(block.flags) and all(map(_is_possible, columns))
         for i, flags in enumerate(block.flags):
-            first = i * stride + place
-            nodes = output[first : first + group.nodes]
             held = trust.holds(
                 name,
                 step_s,
@@ -142,11 +143,8 @@ def judge(
                 why |= Reason.HEAT_UNKNOWN.value
             if model_check.holds(name, step_s, found=name in strong[i]):
                 why |= Reason.MODEL_DISAGREES.value
-            # nan fails every comparison, but min and max may pass it over
-            if not (
-                isfinite(sum(nodes))
-                and min(nodes) > LOWEST_K
-                and max(nodes) < HIGHEST_K
+            if not all_possible and not _is_possible(
+                [column[i] for column in columns]
             ):
                 why |= Reason.IMPOSSIBLE.value
             reasons.append(why)
@@ -155,6 +153,16 @@ def judge(
             else:
                 validity.append(Validity.DEGRADED if why else Validity.VALID)
         block.validity[name], block.reasons[name] = validity, reasons
+
+
+def _is_possible(kelvins: Sequence[float]) -> bool:
+    """Whether all *kelvins* are temperatures that a brake has."""
+    # nan fails every comparison, but min and max may pass it over
+    return (
+        isfinite(sum(kelvins))
+        and min(kelvins) > LOWEST_K
+        and max(kelvins) < HIGHEST_K
+    )
 
 
 def _missing_input(now: Instant, corner: str, need: Needs) -> int:

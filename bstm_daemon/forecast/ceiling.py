@@ -18,7 +18,8 @@ from __future__ import annotations
 from functools import lru_cache
 from itertools import pairwise, product
 from math import inf, isfinite, isnan
-from typing import TYPE_CHECKING, Final
+from operator import le
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 from bstm_daemon.estimator.blocks import channels_at_rest
 from bstm_daemon.forecast.march import PARKED_STEPS, Conditions, Job
@@ -33,10 +34,18 @@ if TYPE_CHECKING:
 MARGIN_K: Final = 1.0
 """Covers the error of the marches in coarse steps."""
 
-FACTORS: Final = 1.1, 1.5
-OFFSET_K: Final = 5.0
+FACTORS: Final = 1.05, 2.0
+OFFSET_K: Final = 3.0
 """A new ceiling is above the rises of now by an offset and a factor in this
 range, so that it lasts."""
+
+EASING: Final = 0.98
+MOST_EXCESS: Final = 1.2
+"""A ceiling that got hotter than expected makes the next one lower, by no more
+than this; less so where that leaves no room for one."""
+
+KEPT: Final = 32
+"""Number of ceilings that are kept, those used last."""
 
 GRID_K: Final = tuple(float(kelvin) for kelvin in range(220, 921, 20))
 """Temperatures between which the order of heat flows is checked."""
@@ -48,16 +57,30 @@ _REST: Final = {
 }
 
 
-class Ceiling:
-    """The ceiling of one corner's ensemble."""
+class Ceiling(NamedTuple):
+    """Nodes [K], air [K] and the peak [K] that no member below exceeds."""
+
+    nodes_k: Sequence[float]
+    air_k: float
+    peak_k: float
+
+    def covers(self, nodes_k: Sequence[float], air_k: float) -> bool:
+        """Return whether nothing of *nodes_k* and *air_k* is above it."""
+        # written so that a nan is covered by nothing
+        return air_k <= self.air_k and all(map(le, nodes_k, self.nodes_k))
+
+
+class Ceilings:
+    """The ceilings of one corner's ensemble."""
 
     def __init__(self, ensemble: Ensemble, kernel: Kernel | None) -> None:
         """Have none yet for *ensemble*; *kernel* None runs the reference."""
         self.ensemble, self._kernel = ensemble, kernel
         self._is_ordered = is_ordered(ensemble.program.network)
-        self._nodes_k: list[float] = []
-        self._air_k = -inf
-        self._peak_k = inf
+        self._kept: list[Ceiling] = []
+        # how many times hotter than expected a ceiling gets: all its members
+        # begin at the highest of each node
+        self._excess = 1.1
 
     def peak_k(
         self, state: Sequence[float], ambient_k: float, factor: float
@@ -69,12 +92,14 @@ class Ceiling:
             ambient_k: the air from now on [K].
             factor: widens the spread.
         """
-        highest, air_k = self.ensemble.highest(state, ambient_k, factor)
-        is_below = air_k <= self._air_k and all(
-            one <= limit
-            for one, limit in zip(highest, self._nodes_k, strict=False)
-        )
-        return self._peak_k if is_below else inf
+        highest = self.ensemble.highest(state, ambient_k, factor)
+        covering = [one for one in self._kept if one.covers(*highest)]
+        if not covering:
+            return inf
+        lowest = min(covering, key=lambda one: one.peak_k)
+        self._kept.remove(lowest)
+        self._kept.append(lowest)
+        return lowest.peak_k
 
     def higher(
         self,
@@ -84,8 +109,8 @@ class Ceiling:
         *,
         peak_k: float,
         limit_k: float,
-    ) -> Job | None:
-        """Return the march of a ceiling above *state*, if it may be of use.
+    ) -> tuple[Ceiling, Job] | None:
+        """Return a ceiling above *state* and its march, if it may be of use.
 
         Args:
             state: nodes [K] and memories of the corner now.
@@ -96,31 +121,41 @@ class Ceiling:
         """
         highest, air_k = self.ensemble.highest(state, ambient_k, factor)
         room_k = limit_k - MARGIN_K - OFFSET_K - air_k
-        widest = room_k / max(peak_k - air_k, 1.0)
+        rise_k = max(peak_k - air_k, 1.0)
+        widest = room_k / (rise_k * self._excess)
         if not self._is_ordered or not widest > FACTORS[0]:
+            self._excess = max(EASING * self._excess, 1.0)
             return None
         wider = min(widest, FACTORS[1]) - 1.0
         nodes_k = [
             kelvin + OFFSET_K + wider * max(kelvin - air_k, 0.0)
             for kelvin in highest
         ]
-        if self._peak_k < limit_k:
-            nodes_k = [*map(max, nodes_k, self._nodes_k)]
         if not GRID_K[0] < min(nodes_k) <= max(nodes_k) < GRID_K[-1]:
             return None
-        self._nodes_k, self._peak_k = nodes_k, inf
-        self._air_k = air_k + OFFSET_K
+        # until its march has ended the peak is the one that is expected
+        expected_k = air_k + OFFSET_K + (1.0 + wider) * rise_k
+        above = Ceiling(nodes_k, air_k + OFFSET_K, expected_k)
         start = [*nodes_k, *state[len(nodes_k) :]]
-        return Job(
-            *(self.ensemble, self._kernel, start, Conditions(self._air_k)),
+        return above, Job(
+            *(self.ensemble, self._kernel, start, Conditions(above.air_k)),
             PARKED_STEPS,
             factor=0.0,
         )
 
-    def accept(self, job: Job) -> None:
-        """Take the result of the march that :meth:`higher` returned last."""
+    def accept(self, ceiling: Ceiling, job: Job) -> None:
+        """Keep *ceiling*, whose march *job* has ended."""
         peaks_k = job.course().peaks_k(sum(PARKED_STEPS))
-        self._peak_k = max(peaks_k) + MARGIN_K
+        found = ceiling._replace(peak_k=max(peaks_k) + MARGIN_K)
+        more = (found.peak_k - found.air_k) / (ceiling.peak_k - found.air_k)
+        self._excess = min(max(more, 1.0) / EASING, MOST_EXCESS)
+        self._kept = [
+            one
+            for one in self._kept
+            if one.peak_k < found.peak_k
+            or not found.covers(one.nodes_k, one.air_k)
+        ][1 - KEPT :]
+        self._kept.append(found)
 
 
 def is_ordered(net: Network) -> bool:

@@ -10,7 +10,7 @@ forecast, computed in portions of half a corner a publication.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from math import isnan, nan
+from math import inf, isnan, nan
 from typing import TYPE_CHECKING, Final
 
 from bstm_daemon.estimate import (
@@ -20,7 +20,7 @@ from bstm_daemon.estimate import (
     RiskLevel,
     Validity,
 )
-from bstm_daemon.forecast.corner_march import CornerMarch, Start
+from bstm_daemon.forecast.corner_march import UNLIKELY, CornerMarch, Start
 from bstm_daemon.forecast.march import HORIZON_S, Duty, parked_course
 from bstm_daemon.forecast.members import DEGRADED_FACTOR, Ensemble, Spread
 from bstm_daemon.model.risk.levels import (
@@ -87,18 +87,39 @@ class _Forecast:
     """A forecast in progress, spread over several publications.
 
     ``starts`` are one a corner; ``at_stop``: the car had just stopped.
+    ``bounds_k`` are, one a corner, what no member's fluid exceeds parked.
     ``index`` counts corners that are done, first all of them parked, which
     is ``published`` then, then all with the duty.
     """
 
     time_us: int
     starts: list[Start]
+    bounds_k: list[float]
     boiling: Boiling
     at_stop: bool
     index: int = 0
     published: bool = False
     job: Job | None = None
     parked: list[Course] = field(default_factory=list)
+
+    @property
+    def is_unlikely(self) -> bool:
+        """Whether vapour is unlikely at all corners, if the car parks."""
+        highest_k = max(self.bounds_k, default=inf)
+        return self.boiling.probability(highest_k) < UNLIKELY
+
+    def does_alone(self, place: int) -> bool:
+        """Whether no level follows from the members of corner *place*.
+
+        Its own does not where vapour is unlikely, the car's not where that
+        is so of all or each member is hotter at a corner before.
+        """
+        bound_k = self.bounds_k[place]
+        likely = self.boiling.probability(bound_k)
+        if likely == 0.0 or not likely < UNLIKELY or self.is_unlikely:
+            return likely < UNLIKELY
+        marched = [c.peaks_k(HORIZON_S) for c in self.parked if c.fluid_k[1:]]
+        return bound_k <= min(_hottest(marched), default=-inf)
 
 
 class CourseRisk:
@@ -292,7 +313,13 @@ class CourseRisk:
             )
             for c in self._corners
         ]
-        self._forecast = _Forecast(instant.time_us, starts, boiling, at_stop)
+        bounds_k = [
+            c.march.bound_k(start, self._programs[c.name])
+            for c, start in zip(self._corners, starts, strict=True)
+        ]
+        self._forecast = _Forecast(
+            instant.time_us, starts, bounds_k, boiling, at_stop
+        )
 
     def _work(self, forecast: _Forecast, steps: int, *, duty: bool) -> None:
         """Compute one publication's portion of *forecast*."""
@@ -312,7 +339,11 @@ class CourseRisk:
                 # as much work as a portion of forecast: in its own publication
                 corner.march = march
                 return
-            forecast.job = march.begin(start, parked=parked)
+            if parked:
+                alone = forecast.does_alone(place)
+                forecast.job = march.begin_parked(start, alone=alone)
+            else:
+                forecast.job = march.begin_duty(start)
         forecast.job.advance(steps)
         if not forecast.job.finished:
             return
@@ -332,12 +363,17 @@ class CourseRisk:
         forecast.published = True
         boiling = forecast.boiling
         self._forecast_us = forecast.time_us
-        for corner, course in zip(self._corners, forecast.parked, strict=True):
+        for corner, course, bound_k in zip(
+            self._corners, forecast.parked, forecast.bounds_k, strict=True
+        ):
             peaks_k = course.peaks_k(HORIZON_S)
-            # the estimate alone stands for each of its members
-            alone = len(peaks_k) == 1
-            corner.peaks_k = peaks_k * (self.members if alone else 1)
-            corner.ahead = boiling.mean_probability(corner.peaks_k)
+            if len(peaks_k) == 1:
+                # the estimate alone stands for each of its members
+                corner.peaks_k = peaks_k * self.members
+                corner.ahead = boiling.probability(bound_k)
+            else:
+                corner.peaks_k = peaks_k
+                corner.ahead = boiling.mean_probability(peaks_k)
             peak_k, peak_in_s = course.peak(HORIZON_S)
             corner.record = replace(
                 corner.record,
@@ -349,8 +385,12 @@ class CourseRisk:
             corner.level.by_probability(
                 corner.record.probability, forecast.time_us
             )
-        self._ahead = boiling.mean_probability(
-            _hottest([c.peaks_k for c in self._corners])
+        self._ahead = (
+            boiling.probability(max(forecast.bounds_k))
+            if forecast.is_unlikely
+            else boiling.mean_probability(
+                _hottest([c.peaks_k for c in self._corners])
+            )
         )
         self._update_car(boiling, forecast.time_us)
 

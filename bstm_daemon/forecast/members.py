@@ -10,7 +10,7 @@ from __future__ import annotations
 from array import array
 from dataclasses import replace
 from functools import cached_property
-from math import hypot
+from math import hypot, prod
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from bstm_daemon.model.risk.sequence import normal_draws
@@ -86,6 +86,7 @@ class Ensemble:
             if node.name in {"fluid", "backplate", "caliper"}
         ]
         self._batch: Batch | None = None
+        self._widest: dict[float, float] = {}
         places = _places(program)
         self.programs = [
             replace(program, floats=_changed(program, places, draw, spread))
@@ -155,6 +156,28 @@ class Ensemble:
             nodes_k[node] += own * abs(state[node] - ambient_k)
         width_k = factor * spread.ambient_k * self._farthest["ambient_k"]
         return nodes_k, ambient_k + width_k
+
+    def widest_rise(self, factor: float) -> float:
+        """Return how many times the estimate's rise a member's may be on duty.
+
+        A rule, no proof: every uncertainty of a member adds to it. *factor*
+        widens the spread.
+        """
+        if factor in self._widest:
+            return self._widest[factor]
+        scaled = {"heat", "fluid", "duty_heat"}
+        shares: dict[str, float] = self.spread._asdict()
+        del shares["fluid_floor_k"], shares["ambient_k"]
+        widest = max(
+            prod(
+                1.0
+                + share * abs(draw[axis]) * (factor if axis in scaled else 1.0)
+                for axis, share in shares.items()
+            )
+            for draw in self.draws
+        )
+        self._widest[factor] = widest
+        return widest
 
     def fluid_deviation_k(
         self, fluid_k: float, ambient_k: float, factor: float

@@ -279,7 +279,9 @@ class AdviceSeries:
 
     def ingest(self, times_us: Any, roles: Any, values: Any) -> None:
         """Take arrays [n]: stamps [us], role numbers, values."""
-        kept = np.isin(roles, sorted(self.advisor.roles.names))
+        kept = np.flatnonzero(np.isin(roles, sorted(self.advisor.roles.names)))
+        if kept.size and np.all(np.diff(times_us[kept]) >= 0):
+            kept = _last_before_publications(kept, times_us, roles)
         arrays = (times_us[kept], roles[kept], values[kept])
         self._samples += zip(*(one.tolist() for one in arrays), strict=True)
         stamps = [stamp_us for stamp_us, _, _ in reversed(self._samples)]
@@ -300,6 +302,20 @@ class AdviceSeries:
             found.append(self.advisor.update(instant, corners))
         del self._samples[:first], self._earliest_us[:first]
         return found
+
+
+def _last_before_publications(kept: Any, times_us: Any, roles: Any) -> Any:
+    """Return those of the places *kept*, in order of time, that may count.
+
+    Of a role's samples between two publications only the last one does.
+    """
+    intervals = -(times_us[kept] // -PUBLISH_US)
+    order = np.lexsort((kept, roles[kept]))
+    role, interval = roles[kept][order], intervals[order]
+    is_last = np.append(
+        (np.diff(role) != 0) | (np.diff(interval) != 0), values=True
+    )
+    return np.sort(kept[order[is_last]])
 
 
 @contextmanager

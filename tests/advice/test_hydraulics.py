@@ -101,7 +101,7 @@ def test_no_isolation_where_it_would_not_be_safe(
 def test_no_isolation_while_a_rear_brake_is_not_known() -> None:
     """Nor with none at all: it may be as hot as the front ones."""
     known = at(0.0, 5.0)
-    one = replace(known.corners["RL"], validity=Validity.INVALID)
+    one = known.corners["RL"]._replace(validity=Validity.INVALID)
     for rear in ({"RL": known.corners["RL"], "RR": one}, {}):
         now = replace(known, corners={"FL": known.corners["FL"], **rear})
 

@@ -16,8 +16,7 @@ from bstm_daemon.config.sections import EffectConfig
 from bstm_daemon.errors import ConfigError
 from bstm_daemon.estimator.corner_model import compile_corner
 from bstm_daemon.files import shipped_file
-from bstm_daemon.forecast.ceiling import Ceiling, is_ordered
-from bstm_daemon.forecast.corner_march import DUTY_SPREADS
+from bstm_daemon.forecast.ceiling import KEPT, Ceilings, is_ordered
 from bstm_daemon.forecast.march import (
     DUTY_STEPS,
     HORIZON_S,
@@ -122,14 +121,14 @@ def test_no_member_exceeds_it(
     )
     highest_k, _ = ensemble.highest(state_of(program, top), air_k, factor)
     # a ceiling of them would be above the temperatures that are checked
-    assume(max(highest_k) < 600.0)
-    ceiling = Ceiling(ensemble, KERNEL)
-    job = ceiling.higher(
+    assume(max(highest_k) < 550.0)
+    ceiling = Ceilings(ensemble, KERNEL)
+    raised = ceiling.higher(
         *(state_of(program, top), air_k, factor), peak_k=air_k, limit_k=inf
     )
-    assert job is not None
-    job.advance(1000)
-    ceiling.accept(job)
+    assert raised is not None
+    raised[1].advance(1000)
+    ceiling.accept(*raised)
     below = [
         air_k - 5.0 + share * (kelvin - air_k + 5.0)
         for share, kelvin in zip(shares, top, strict=True)
@@ -148,40 +147,49 @@ def test_no_member_exceeds_it(
 @needs_kernel
 def test_it_lasts_while_nothing_is_hotter() -> None:
     ensemble = members("thesis", 0, ())
-    ceiling = Ceiling(ensemble, KERNEL)
+    ceiling = Ceilings(ensemble, KERNEL)
     state = state_of(ensemble.program, [330.0] * len(thesis().nodes))
     assert ceiling.peak_k(state, AIR_K, 1.0) == inf
 
-    job = ceiling.higher(state, AIR_K, 1.0, peak_k=330.0, limit_k=BOILING_K)
-    assert job is not None
+    raised = ceiling.higher(state, AIR_K, 1.0, peak_k=330.0, limit_k=BOILING_K)
+    assert raised is not None
     assert ceiling.peak_k(state, AIR_K, 1.0) == inf
-    job.advance(1000)
-    ceiling.accept(job)
+    raised[1].advance(1000)
+    ceiling.accept(*raised)
 
     bound_k = ceiling.peak_k(state, AIR_K, 1.0)
     course = parked_course(ensemble, KERNEL, state, AIR_K, 1.0)
-    assert max(course.peaks_k(HORIZON_S)) < bound_k < 375.0
+    assert max(course.peaks_k(HORIZON_S)) < bound_k < 385.0
     warmer = [kelvin + 20.0 for kelvin in state]
     assert ceiling.peak_k(warmer, AIR_K, 1.0) == bound_k
     disc = ensemble.program.state_names.index("disc")
-    hot = [*state[:disc], 360.0, *state[disc + 1 :]]
+    hot = [*state[:disc], 400.0, *state[disc + 1 :]]
     assert ceiling.peak_k(hot, AIR_K, 1.0) == inf
     assert ceiling.peak_k(state, AIR_K + 6.0, 1.0) == inf
     unknown = [*state[:disc], nan, *state[disc + 1 :]]
     assert ceiling.peak_k(unknown, AIR_K, 1.0) == inf
 
-    # the next one is nowhere lower
-    job = ceiling.higher(hot, AIR_K, 1.0, peak_k=330.0, limit_k=BOILING_K)
-    assert job is not None
-    job.advance(1000)
-    ceiling.accept(job)
-    assert bound_k <= ceiling.peak_k(warmer, AIR_K, 1.0) < BOILING_K
-    assert ceiling.peak_k(hot, AIR_K, 1.0) < BOILING_K
+    # the next one is kept beside it
+    raised = ceiling.higher(hot, AIR_K, 1.0, peak_k=330.0, limit_k=BOILING_K)
+    assert raised is not None
+    raised[1].advance(1000)
+    ceiling.accept(*raised)
+    assert ceiling.peak_k(warmer, AIR_K, 1.0) == bound_k
+    assert bound_k <= ceiling.peak_k(hot, AIR_K, 1.0) < BOILING_K
+
+    # those used last are kept
+    above, job = raised
+    for i in range(2 * KEPT):
+        assert ceiling.peak_k(state, AIR_K, 1.0) == bound_k
+        nodes_k = [AIR_K - 1.0 - i, *above.nodes_k[1:]]
+        nodes_k[1] += 1.0 + i
+        ceiling.accept(above._replace(nodes_k=nodes_k), job)
+    assert len(ceiling._kept) == KEPT
 
 
 def test_there_is_none_where_it_would_be_of_no_use() -> None:
     ensemble = members("thesis", 0, ())
-    ceiling = Ceiling(ensemble, KERNEL)
+    ceiling = Ceilings(ensemble, KERNEL)
     cool = state_of(ensemble.program, [330.0] * len(thesis().nodes))
     hot = state_of(ensemble.program, [800.0] * len(thesis().nodes))
 
@@ -272,7 +280,6 @@ def test_members_on_duty_rise_less_than_is_assumed(
         job.advance(1000)
         peaks_k.append(max(job.course().peaks_k(HORIZON_S)))
 
-    wider = DUTY_SPREADS * factor * Spread().duty_heat
-    most_k = AIR_K + (1.0 + wider) * (peaks_k[1] - AIR_K)
+    most_k = AIR_K + ensemble.widest_rise(factor) * (peaks_k[1] - AIR_K)
     # the least that any fluid boils at
     assert peaks_k[0] < 367.0 or most_k >= 367.0

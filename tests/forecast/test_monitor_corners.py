@@ -14,6 +14,7 @@ from bstm_daemon.estimate import RiskLevel, Validity
 from bstm_daemon.estimator.estimator import Estimator
 from bstm_daemon.files import shipped_file
 from bstm_daemon.forecast import course_risk, march
+from bstm_daemon.forecast.fluid import FluidKnowledge
 from bstm_daemon.forecast.march import (
     HORIZON_S,
     Conditions,
@@ -39,6 +40,9 @@ PRESSURE = ROLE_INDEX["primary_pressure"]
 MAPPED = dict.fromkeys((SPEED, PRESSURE), 500_000)
 BOILING_K = 162.04 + KELVIN_OFFSET
 """Median of what the fluid of these cars boils at, +- 5 K."""
+
+WARM_K = 430.0
+"""Temperature at which one in 500 of these fluids boils."""
 
 HOT_PADS_K = dict.fromkeys(
     ("pad_back", "backplate", *(f"pad_{i}" for i in range(1, 11))), 760.0
@@ -496,3 +500,29 @@ def test_a_record_is_the_same_object_until_something_changes() -> None:
     changed = [i for i in range(20, 30) if found[i] is not found[i - 1]]
     whole = [i for i in range(20, 30) if block.times_us[i] % 1_000_000 == 0]
     assert changed == sorted({25, 26, *whole})
+
+
+@pytest.mark.parametrize(
+    ("bounds_k", "alone"),
+    [
+        ([300.0, 310.0], [True, True]),
+        ([WARM_K, 300.0], [True, True]),
+        ([inf, 300.0], [False, True]),
+        # it may be the hotter one of a member, so the car's level needs it
+        ([inf, WARM_K], [False, False]),
+    ],
+)
+def test_members_that_decide_no_level_are_not_marched(
+    bounds_k: list[float], alone: list[bool]
+) -> None:
+    boiling = FluidKnowledge(car("FL").fluid).boiling(START_US)
+    cool = Course((0.0, 10.0), [(290.0, WARM_K - 5.0), (290.0, WARM_K + 5.0)])
+    forecast = course_risk._Forecast(
+        START_US, [], bounds_k, boiling, at_stop=False, parked=[cool]
+    )
+    assert 0.0 < boiling.probability(WARM_K) < course_risk.UNLIKELY
+
+    assert [forecast.does_alone(i) for i in (0, 1)] == alone
+    hotter = Course((0.0,), [(WARM_K + 1.0,), (WARM_K + 5.0,)])
+    forecast.parked = [hotter]
+    assert forecast.does_alone(1)
