@@ -28,6 +28,9 @@ if TYPE_CHECKING:
     from bstm_daemon.analysis.matching.drives import Drive
     from bstm_daemon.analysis.statistics.series import Column
 
+MARGIN_K: Final = 1.0
+"""A model loses from so much on: less is the noise of a thermocouple."""
+
 BRAKING_MS2: Final = 2.0
 K_STARTS: Final = {
     "pressure": (3e-8, 1e-7, 3e-7, 1e-6),
@@ -72,6 +75,11 @@ class Baseline:
         runs = _runs(drives, self.corner, self.heat)
         errors = [run.errors_k(sets) for run in runs]
         return rms(np.concatenate(errors)) if errors else np.nan
+
+
+def bearable_k(baseline_k: float) -> float:
+    """Return the largest error that does not lose to *baseline_k* [K]."""
+    return baseline_k + MARGIN_K
 
 
 def baselines(drives: Sequence[Drive]) -> dict[str, list[Baseline]]:

@@ -332,7 +332,7 @@ class _Discs:
         self.problem = Problem(target, drives, keys, runs, self.terms, None)
 
     def __call__(self, points: Column) -> Column:
-        apart = np.concatenate(self.problem.residuals_k(points)).T / WHITE_K
+        apart = np.concatenate(self.problem.counted_k(points)).T / WHITE_K
         prior = (points - self.problem.start) / self.problem.prior
         return np.concatenate((apart, prior), axis=1)
 
@@ -345,13 +345,13 @@ class _Discs:
         x = starts[np.argmin(costs)]
         for _ in range(2):
             x = minimise(self, x, problem.lower, problem.upper).x
-        left = np.concatenate(problem.residuals_k(x[None]))
+        left = np.concatenate(problem.counted_k(x[None]))
         return rms(left[:, 0]), problem.values(x)
 
     def noise(self, values: Mapping[str, float]) -> dict[str, SensorNoise]:
         """Return white noise of what is left, for points of one second."""
         x = np.log([[values[key] for key in self.problem.keys]])
-        left_k = rms(np.concatenate(self.problem.residuals_k(x))[:, 0])
+        left_k = rms(np.concatenate(self.problem.counted_k(x))[:, 0])
         return {
             "disc": SensorNoise(COHERENT * left_k, 0.0, 0.0, 0.0, 0.0, 0.0)
         }

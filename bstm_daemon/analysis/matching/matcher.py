@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from bstm_daemon.analysis.matching.baseline import baselines
+from bstm_daemon.analysis.matching.baseline import baselines, bearable_k
 from bstm_daemon.analysis.matching.coarse import (
     CAPACITY,
     FILTER,
@@ -83,9 +83,6 @@ of the rise, that is another drive's own."""
 
 RISE_SHARE: Final = 0.05
 """Of its rise above the air, an error in the fit that a lump may have."""
-
-ABOVE_BASELINE_K: Final = 1.0
-"""A disc of one node is better from so much on."""
 
 CHOSEN: Final[dict[str, Callable[[Target], float]]] = {
     CAPACITY: exponent_of,
@@ -479,7 +476,7 @@ def _doubts(
                 f"{fit_k[node]:.1f} K in the fit"
             )
     disc_k = accuracy.rms_k.get("disc", 0.0)
-    if disc_k > accuracy.baseline_k + ABOVE_BASELINE_K:
+    if disc_k > bearable_k(accuracy.baseline_k):
         yield (
             f"disc {disc_k:.1f} K on what was left out, a disc of one node "
             f"{accuracy.baseline_k:.1f} K"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import ceil
 from typing import TYPE_CHECKING, Final
 
@@ -42,13 +42,16 @@ disc reaches 20 K (thesis section 3.2)."""
 OTHER: Final = SensorNoise(1.0, 5.0, 0.0, 3.0, quick_s=3.0)
 """Of any other node."""
 
+ALIKE_K: Final = 20.0
+"""What thermocouples in alike discs may read apart (thesis section 3.2)."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Series:
     """One node over one drive, (n,) each; ``couples`` are (corner, name).
 
     ``steps`` are the indices of the drive's steps that count, ``rise_k`` is
-    above the air.
+    above the air, ``weight`` how much each counts.
     """
 
     drive: int
@@ -59,6 +62,7 @@ class Series:
     measured_k: Column
     slope_k_s: Column
     rise_k: Column
+    weight: Column | float = 1.0
 
     @property
     def corner(self) -> str:
@@ -122,6 +126,7 @@ class Problem:
         }
         self._whiteners = [
             self.noise[term.node].whitener(term.time_s, term.slope_k_s)
+            * term.weight
             for term in self.terms
         ]
 
@@ -139,6 +144,15 @@ class Problem:
         ]
         white.append((points - self.start) / self.prior)
         return np.concatenate(white, axis=1)
+
+    def counted_k(self, points: Column) -> list[Column]:
+        """Return :meth:`residuals_k` as much as each counts."""
+        return [
+            (apart.T * term.weight).T
+            for term, apart in zip(
+                self.terms, self.residuals_k(points), strict=True
+            )
+        ]
 
     def residuals_k(self, points: Column) -> list[Column]:
         """Return model less measurement [K] by term, (n, k) each."""
@@ -178,7 +192,7 @@ def whole_drives(
     for index, drive in enumerate(drives):
         for corner in target.corners:
             own = [
-                one
+                replace(one, weight=_weight(target, drive, couple, one))
                 for couple, node in drive.couples(corner, nodes)
                 if (
                     one := series_of(
@@ -193,6 +207,25 @@ def whole_drives(
                 runs.append(Run(index, corner, initial))
                 terms += own
     return runs, terms
+
+
+def _weight(
+    target: Target, drive: Drive, couple: str, series: Series
+) -> Column:
+    """Return how much points of *couple* count, (n,).
+
+    Corners that are alike measure twice what one set of values is to explain.
+    Where they are further apart than thermocouples are, no values can: one
+    brake bites later than the other, as cold carbon does. Such points would
+    bend what all the others say, so they count the less the further apart.
+    """
+    read = [
+        drive.measured[corner][couple].at(series.time_s)
+        for corner in target.corners
+        if couple in drive.measured.get(corner, {})
+    ]
+    apart_k = np.nan_to_num(np.ptp(read, axis=0))
+    return np.asarray(ALIKE_K / np.maximum(apart_k, ALIKE_K))
 
 
 def series_of(  # noqa: PLR0913

@@ -119,14 +119,15 @@ def refine(  # noqa: PLR0913
         found = minimise(problem, x, problem.lower, problem.upper, show)
         x = found.x
         evaluations += found.evaluations
-        apart = [one[:, 0] for one in problem.residuals_k(x[None])]
         if number < rounds - 1:
+            counted = [one[:, 0] for one in problem.counted_k(x[None])]
             problem.set_noise(
                 {
                     node: learned(_first(problem.noise[node], node), own)
-                    for node, own in _by_node(problem, apart).items()
+                    for node, own in _by_node(problem, counted).items()
                 }
             )
+    apart = [one[:, 0] for one in problem.residuals_k(x[None])]
     data = found.jacobian[: -len(keys)]
     information = data.T @ data
     precision = information + np.diag(problem.prior**-2.0)

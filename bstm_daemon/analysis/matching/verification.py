@@ -10,7 +10,11 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from bstm_daemon.analysis.matching import phases
-from bstm_daemon.analysis.matching.baseline import baselines
+from bstm_daemon.analysis.matching.baseline import (
+    MARGIN_K,
+    baselines,
+    bearable_k,
+)
 from bstm_daemon.analysis.matching.drives import GRID_S, Drive
 from bstm_daemon.analysis.matching.refine import NodeAccuracy
 from bstm_daemon.analysis.statistics.series import (
@@ -353,7 +357,9 @@ def held_against(
             found += [
                 Verdict(
                     *(BASELINE, drive.name, one.corner),
-                    *(f"disc, RMS [K], {name}", rms(one.error_k), limit_k),
+                    f"disc, RMS [K], {name} + {MARGIN_K:g} K",
+                    rms(one.error_k),
+                    bearable_k(limit_k),
                 )
                 for name, limit_k in rivals
                 if not isnan(limit_k)

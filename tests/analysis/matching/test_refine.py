@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,7 +12,7 @@ from bstm_daemon.analysis.matching import refine as refine_module
 from bstm_daemon.analysis.matching.coarse import Reading
 from bstm_daemon.analysis.matching.identifiability import ratios, verdicts
 from bstm_daemon.analysis.matching.matcher import match_drives
-from bstm_daemon.analysis.matching.problem import FIRST
+from bstm_daemon.analysis.matching.problem import FIRST, whole_drives
 from bstm_daemon.analysis.matching.refine import (
     Refinement,
     errors_of,
@@ -61,6 +62,39 @@ def test_right_values_are_found(
         )
     assert not fit.at_bound
     assert max(fit.rms_k.values()) < 2.0
+
+
+def test_where_alike_discs_differ_neither_bends_the_values(
+    target: Target, made: Callable[..., Drive]
+) -> None:
+    """The right brake bites late: its disc misses half of the first heat."""
+    whole = made({MASS: 1.2}, nodes=("disc",), noise_k=0.5)
+    both = replace(target, corners=("FL", "FR"))
+    steps = np.arange(len(whole)) < 1000
+    couple = whole.measured["FL"]["disc"]
+    early = steps[np.searchsorted(whole.time_s, couple.time_s - 0.01)]
+    air_k = whole.channel("FL", "ambient_k")[0]
+    rise_k = couple.temperature_k - air_k
+    late = replace(
+        couple,
+        temperature_k=air_k + np.where(early, 0.5, 1.0) * rise_k,
+    )
+    drive = replace(
+        whole,
+        corners=("FL", "FR"),
+        inputs=np.repeat(whole.inputs, 2, axis=1),
+        measured={"FL": {"disc": couple}, "FR": {"disc": late}},
+    )
+
+    fit = refine(both, [drive], (MASS,))
+    left, right = whole_drives(both, [drive])[1]
+
+    assert fit.values[MASS] == pytest.approx(1.2, rel=0.02)
+    apart_k = left.measured_k - right.measured_k
+    assert apart_k.max() > 60.0
+    assert left.weight == pytest.approx(
+        np.minimum(20.0 / np.maximum(apart_k, 1.0), 1.0)
+    )
 
 
 def test_a_wrong_form_ends_at_a_bound_and_says_so(

@@ -157,23 +157,25 @@ def rivals(
     }
 
 
-ONE = "disc of one node fitted to others"
-TWO = "disc and hat fitted to others"
-OWN = "3 x disc of one node fitted to it"
+ONE = "disc of one node fitted to others + 1 K"
+TWO = "disc and hat fitted to others + 1 K"
+OWN = "3 x disc of one node fitted to it + 1 K"
 
 
 def test_a_model_is_held_against_what_other_drives_give() -> None:
-    """One node misses the hat, so that 1 K of the model is better."""
+    """One node misses the hat, so that 2 K of the model are better."""
     drives = [lumped(HAT, name="a"), lumped(HAT, seed=2, name="b")]
 
-    found = rivals([(drive, [disc_errors(drive, 1.0)]) for drive in drives])
+    found = rivals([(drive, [disc_errors(drive, 2.0)]) for drive in drives])
 
     assert list(found) == [
         (name, what) for name in "ab" for what in (ONE, TWO, OWN)
     ]
-    assert [one.value for one in found.values()] == pytest.approx([1.0] * 6)
+    assert [one.value for one in found.values()] == pytest.approx([2.0] * 6)
     fit, _ = baselines([drives[1]])["FL"]
-    assert found["a", ONE].limit == pytest.approx(fit.rms_on([drives[0]]))
+    assert found["a", ONE].limit == pytest.approx(
+        fit.rms_on([drives[0]]) + 1.0
+    )
     assert found["a", ONE].limit > 3.0
     assert found["a", ONE].passed
     assert not found["a", TWO].passed
@@ -184,11 +186,11 @@ def test_one_drive_alone_is_its_own_rival_three_times() -> None:
     drive = lumped(HAT)
     fit, _ = baselines([drive])["FL"]
 
-    for factor, met in ((2.9, True), (3.1, False)):
-        errors = disc_errors(drive, factor * fit.rms_k)
+    for off_k, met in ((0.9, True), (1.1, False)):
+        errors = disc_errors(drive, 3.0 * fit.rms_k + off_k)
         (found,) = rivals([(drive, [errors])]).values()
         assert found.what.endswith(OWN)
-        assert found.limit == pytest.approx(3.0 * fit.rms_k)
+        assert found.limit == pytest.approx(3.0 * fit.rms_k + 1.0)
         assert found.passed is met
 
 
@@ -198,7 +200,7 @@ def test_the_drives_of_the_match_are_the_others() -> None:
 
     found = rivals([(drive, [disc_errors(drive, 1.0)])], of_match)
 
-    assert found["made", ONE].limit == pytest.approx(fit.rms_on([drive]))
+    assert found["made", ONE].limit == pytest.approx(fit.rms_on([drive]) + 1.0)
 
 
 def test_only_a_measured_disc_has_a_baseline() -> None:
