@@ -56,7 +56,7 @@ ROOMS_BELOW = {
     "analysis": {
         "statistics": set(),
         "quality": {"statistics"},
-        "setup": {"statistics"},
+        "setup": {"quality", "statistics"},
         "identify": {"quality", "statistics"},
         "matching": {"identify", "statistics"},
         "gap": {"identify", "matching", "statistics"},

@@ -20,7 +20,7 @@ from bstm_daemon.analysis.identify.driving import (
 )
 from bstm_daemon.analysis.quality.braking import brake_force_n
 from bstm_daemon.analysis.quality.grid import HALF, window_mean
-from bstm_daemon.analysis.quality.limits import GRID_S, RELEASED_PA
+from bstm_daemon.analysis.quality.limits import GRID_S
 from bstm_daemon.analysis.quality.pressures import released_reading
 from bstm_daemon.analysis.statistics.series import (
     Column,
@@ -178,11 +178,10 @@ def brake_samples(
         if corner.name in pressures
     }
     top = driving.highest_pressure_pa()
-    rest, spread = released_reading(top, driving.speed_ms, driving.rate_ms2)
+    rest, quiet_pa = released_reading(top, driving.speed_ms, driving.rate_ms2)
     pressed = top - rest > config.heat.brake_on_pressure_pa
     spans = applications(driving.time_s, driving.speed_ms, pressed)
     force = force_n(driving)
-    quiet_pa = max(0.5 * RELEASED_PA, spread)
     released = _released(driving, top - rest < quiet_pa)
     zeros = [_zero(force, released, span) for span in spans]
     known = [zero for zero in zeros if zero is not None]

@@ -28,7 +28,8 @@ from bstm_daemon.analysis.identify.disc_loss import (
     share_of_work,
 )
 from bstm_daemon.analysis.quality.braking import resistance_n
-from bstm_daemon.analysis.quality.limits import GRID_S, RELEASED_PA
+from bstm_daemon.analysis.quality.limits import GRID_S
+from bstm_daemon.analysis.quality.pressures import released_reading
 from bstm_daemon.analysis.statistics.levenberg_marquardt import (
     Solution,
     minimise,
@@ -260,7 +261,9 @@ def windows_of(driving: Driving) -> list[Window]:
     resisted = per_step(resistance_n(car, speed) * speed) * STEP_S
     pressed = np.ones(len(speed))
     if driving.pressures:
-        pressed[driving.highest_pressure_pa() < RELEASED_PA] = 0.0
+        top = driving.highest_pressure_pa()
+        rest, above = released_reading(top, speed, driving.rate_ms2)
+        pressed[top - rest < above] = 0.0
     on, mean_speed = per_step(pressed), per_step(speed)
     ambient = np.interp(driving.time_s[ends[:-1]], slow.time_s, slow.ambient_k)
     columns = ambient, mean_speed, lost, resisted, on

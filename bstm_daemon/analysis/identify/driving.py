@@ -23,7 +23,6 @@ from bstm_daemon.analysis.quality.grid import window_mean
 from bstm_daemon.analysis.quality.limits import (
     GRID_S,
     MOVING_MS,
-    RELEASED_PA,
 )
 from bstm_daemon.analysis.quality.pressures import released_reading
 from bstm_daemon.analysis.quality.recording import read_recording
@@ -125,8 +124,10 @@ class Driving:
         """
         released = np.full(len(self.time_s), self.brake_known)
         for pressure in self.pressures.values():
-            rest, _ = released_reading(pressure, self.speed_ms, self.rate_ms2)
-            released &= pressure - rest < RELEASED_PA
+            rest, above = released_reading(
+                pressure, self.speed_ms, self.rate_ms2
+            )
+            released &= pressure - rest < above
         if self.channels.alive(["brake_switch"]):
             released &= self.value("brake_switch") < 0.5
         return released

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from bstm_daemon.analysis.quality import limits
+from bstm_daemon.analysis.quality.bends import fit_in_bends
 from bstm_daemon.analysis.quality.channels import Channels, unit_ratio
 from bstm_daemon.analysis.quality.comparison import Fit, fit_channels
 from bstm_daemon.analysis.quality.grid import HALF
@@ -178,13 +179,14 @@ def _lateral(channels: Channels, notes: Notes) -> None:
     yaw = channels.value("yaw_rate")
     centripetal = yaw * channels.speed
     turning = np.abs(yaw) > limits.YAW_SPREAD_RAD_S
-    turning &= channels.speed > limits.MOVING_MS
+    turning &= channels.speed > limits.BEND_MS
     why = ""
     if np.count_nonzero(turning) * limits.GRID_S < limits.ENOUGH_S:
         why = "hardly a bend in this log"
     role = "acceleration_lateral"
-    fit = fit_channels(
-        centripetal, channels.value(role), limits.ACCELERATION_FLOOR_MS2
+    fit = fit_in_bends(
+        *(centripetal, channels.speed, channels.value(role)),
+        limits.ACCELERATION_FLOOR_MS2,
     )
     tolerance = Tolerance(1.5, limits.ACCELERATION_OFFSET_MS2, unit=0.3)
     naming = name_faults(channels, role, fit, tolerance, why)

@@ -1,4 +1,4 @@
-"""Check for swapped sides: in a bend the outer wheel is the faster one."""
+"""Bends: their rule, and that the outer wheel is the faster one in them."""
 
 from __future__ import annotations
 
@@ -7,16 +7,56 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from bstm_daemon.analysis.quality import limits
-from bstm_daemon.analysis.quality.comparison import fit_channels
+from bstm_daemon.analysis.quality.comparison import Fit, fit_channels
+from bstm_daemon.analysis.statistics.series import running_mean
 
 if TYPE_CHECKING:
     from bstm_daemon.analysis.quality.channels import Channels
     from bstm_daemon.analysis.quality.finding import Notes
+    from bstm_daemon.analysis.statistics.series import Column
 
 _AXLES: Final = (
     ("front", "wheel_speed_fl", "wheel_speed_fr"),
     ("rear", "wheel_speed_rl", "wheel_speed_rr"),
 )
+
+
+def fit_in_bends(
+    yaw_rad_s: Column,
+    speed_ms: Column,
+    channel: Column,
+    floor: float,
+    step_s: float = limits.GRID_S,
+) -> Fit | None:
+    """Fit *channel* to *yaw_rad_s*, or to what is made of it, in bends.
+
+    The one rule by which ``init`` chooses and ``check`` judges wheels, yaw
+    rate and lateral acceleration by each other.
+
+    Args:
+        yaw_rad_s: the reference, (n,), NaN where absent.
+        speed_ms: of the car, (n,).
+        channel: what is to follow it, (n,).
+        floor: of :func:`fit_channels`.
+        step_s: of all three; a lag is sought on the usual grid only.
+
+    Returns:
+        The fit where the car goes forward; None where that is too little.
+    """
+    half = round(0.5 * limits.BEND_SMOOTH_S / step_s)
+    forward = speed_ms > limits.BEND_MS
+    x, y = (
+        running_mean(np.where(forward, one, np.nan), half)[0]
+        for one in (yaw_rad_s, channel)
+    )
+    return fit_channels(
+        *(x, y, floor, forward), lagged=step_s == limits.GRID_S
+    )
+
+
+def follows_bends(fit: Fit | None) -> bool:
+    """Whether *fit* shows one motion."""
+    return fit is not None and abs(fit.correlation) >= limits.SIDE_CORRELATION
 
 
 def compare_sides(channels: Channels, notes: Notes) -> None:
@@ -40,7 +80,7 @@ def compare_sides(channels: Channels, notes: Notes) -> None:
         return
     yaw = channels.value("yaw_rate")
     turning = np.abs(yaw) > limits.YAW_SPREAD_RAD_S
-    turning &= channels.speed > limits.MOVING_MS
+    turning &= channels.speed > limits.BEND_MS
     if np.count_nonzero(turning) * limits.GRID_S < limits.ENOUGH_S:
         notes.skip(
             "left and right wheels: hardly a bend in this log, swapping is "
@@ -50,16 +90,12 @@ def compare_sides(channels: Channels, notes: Notes) -> None:
     signs: dict[str, tuple[float, tuple[str, str]]] = {}
     for name, left, right in pairs:
         difference = channels.value(right) - channels.value(left)
-        # in reverse the speeds have no sign, and the inner wheel is the faster
-        fit = fit_channels(
-            yaw,
-            difference,
-            limits.SPEED_FLOOR_MS,
-            channels.speed > limits.MOVING_MS,
+        fit = fit_in_bends(
+            yaw, channels.speed, difference, limits.SPEED_FLOOR_MS
         )
         clear = (
             fit is not None
-            and abs(fit.correlation) >= limits.SIDE_CORRELATION
+            and follows_bends(fit)
             and abs(fit.scale_low) < limits.WIDEST_TRACK_M
         )
         verdict = "not judged: the difference does not follow the yaw rate"

@@ -243,8 +243,10 @@ def compare_switch(channels: Channels, notes: Notes) -> None:
     pressure, switch = channels.value(roles[0]), channels.value(_SWITCH)
     known = np.isfinite(switch)
     pressed = (pressure > limits.PRESSED_PA) & known
-    rest, _ = released_reading(pressure, channels.speed, channels.speed_rate())
-    released = (pressure - rest < limits.RELEASED_PA) & known
+    rest, above = released_reading(
+        pressure, channels.speed, channels.speed_rate()
+    )
+    released = (pressure - rest < above) & known
     counts = [
         np.count_nonzero(mask) * limits.GRID_S for mask in (pressed, released)
     ]

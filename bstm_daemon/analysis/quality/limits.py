@@ -81,7 +81,11 @@ PRESSED_PA: Final = 3e5
 """Pads are on at this pressure (push-out is 0.5 to 1 bar)."""
 
 RELEASED_PA: Final = 0.5e5
-"""Below this pressure, above its released reading, the brake is released."""
+RELEASED_SPREADS: Final = 3.0
+"""Below half of this pressure above its released reading the brake is
+released, or below so many times what that varies by, if that is more: five
+standard deviations of noise, so that none breaks a stretch. The whole where
+only the lowest reading is known, which lies below the noise's middle."""
 
 RESIDUAL_PA: Final = 2e5
 """Largest reading of a released brake: valves hold 0.4 to 1 bar in the line,
@@ -156,6 +160,14 @@ at most."""
 DISC_WORK_MS2S: Final = 100.0
 """Brake work over mass [m2/s2] that must heat a disc: a stop from 50 km/h, 10
 K or more at the front of any car."""
+
+BEND_MS: Final = 3.0
+"""Slower the car may reverse: its speed has no sign then, and in bends the
+inner wheel is the faster one."""
+
+BEND_SMOOTH_S: Final = 0.5
+"""Readings in bends are means over so long: in a slight one the wheels differ
+by less than a tooth or a bump makes."""
 
 YAW_SPREAD_RAD_S: Final = 0.05
 """A bend at 10 m/s of 200 m radius: left and right differ by 0.08 m/s."""

@@ -148,18 +148,23 @@ def released_reading(
         rate_ms2: its change, (n,).
 
     Returns:
-        The reading and how far it varies upwards [Pa]; 0 where there is none
-        or one that can not be that of a released brake.
+        The reading, and how far above it the brake is still released [Pa];
+        the reading is 0 where there is none or one that can not be that of a
+        released brake.
     """
+    above_pa = limits.RELEASED_PA
     rolling = (speed_ms > limits.MOVING_MS) & np.isfinite(pressure)
     gaining = rolling & (rate_ms2 > limits.DRIVING_MS2)
     chosen = pressure[gaining if gaining.any() else rolling]
     if not len(chosen):
-        return 0.0, 0.0
+        return 0.0, above_pa
     rest = float(np.median(chosen) if gaining.any() else np.min(chosen))
     if abs(rest) > limits.RESIDUAL_PA:
-        return 0.0, 0.0
-    return rest, float(np.percentile(chosen, 95) - rest) * gaining.any()
+        return 0.0, above_pa
+    if gaining.any():
+        spread = float(np.percentile(chosen, 95)) - rest
+        above_pa = max(0.5 * above_pa, limits.RELEASED_SPREADS * spread)
+    return rest, above_pa
 
 
 def check_resting(channels: Channels, notes: Notes) -> None:

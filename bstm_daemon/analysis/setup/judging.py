@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from bstm_daemon.analysis.quality import limits
+from bstm_daemon.analysis.quality.bends import fit_in_bends, follows_bends
 from bstm_daemon.analysis.setup.behaviour import Verdict, to_ms, to_si
 from bstm_daemon.roles import CORNERS, GROUND_LAG_S
 
@@ -20,6 +22,7 @@ if TYPE_CHECKING:
 
     import numpy.typing as npt
 
+    from bstm_daemon.analysis.quality.comparison import Fit
     from bstm_daemon.analysis.setup.behaviour import Motion
     from bstm_daemon.analysis.setup.recording import Samples, Series
 
@@ -60,7 +63,6 @@ _RANGES: Final = {
 
 _ENOUGH_S: Final = 1.0
 _BENDS_S: Final = 5.0
-_TURNING_RAD_S: Final = 0.05
 _FOLLOWS: Final = 0.6
 _ALONG: Final = 0.8
 _TRACK_M: Final = (0.8, 2.5)
@@ -166,6 +168,20 @@ class Judge:
             return None
         r = float(np.corrcoef(x, y)[0, 1])
         return r, float(np.std(y) / np.std(x))
+
+    def turning_s(self, yaw_rad_s: Series) -> float:
+        """Return how long the car is in a bend."""
+        fast = self.motion.speed_ms > limits.BEND_MS
+        turning = np.abs(yaw_rad_s) > limits.YAW_SPREAD_RAD_S
+        return self.seconds(fast & turning)
+
+    def in_bends(
+        self, yaw_rad_s: Series, other: Series, floor: float
+    ) -> Fit | None:
+        """Return :func:`fit_in_bends` of *other*, where the car is seen."""
+        motion = self.motion
+        speed_ms = np.where(motion.seen, motion.speed_ms, 0.0)
+        return fit_in_bends(yaw_rad_s, speed_ms, other, floor, motion.step_s)
 
     def braking(self) -> tuple[str, Mask, Mask]:
         """Return what shows braking, where it is released and where not."""
@@ -274,23 +290,22 @@ def _wheel_torque(judge: Judge, value: Series) -> Verdict:
 
 def _yaw_rate(judge: Judge, value: Series) -> Verdict:
     """To the left, the right wheels are the faster ones by yaw times track."""
-    known, moving = judge.known, judge.motion.moving
+    known = judge.known
     pairs = [
         known[f"wheel_speed_{axle}r"] - known[f"wheel_speed_{axle}l"]
         for axle in "fr"
         if {f"wheel_speed_{axle}r", f"wheel_speed_{axle}l"} <= known.keys()
     ]
-    turning = judge.seconds(moving & (np.abs(value) > _TURNING_RAD_S))
-    found = (
-        judge.follows(value, np.sum(pairs, axis=0), moving) if pairs else None
-    )
-    if found is None or turning < _BENDS_S or abs(found[0]) < _FOLLOWS:
+    if not pairs or judge.turning_s(value) < limits.ENOUGH_S:
         return Verdict(fits=True, reason="the wheels show no bends")
-    sign, track_m = (1 if found[0] > 0 else -1), found[1] / len(pairs)
+    fit = judge.in_bends(value, np.sum(pairs, axis=0), limits.SPEED_FLOOR_MS)
+    if fit is None or not follows_bends(fit):
+        return Verdict(fits=True, reason="the wheels do not follow it")
+    track_m = fit.scale / len(pairs)
     return Verdict(
-        fits=_TRACK_M[0] < track_m < _TRACK_M[1],
-        reason=f"right minus left wheels is {sign * track_m:.2f} m x value",
-        sign=sign,
+        fits=_TRACK_M[0] < abs(track_m) < _TRACK_M[1],
+        reason=f"right minus left wheels is {track_m:.2f} m x value",
+        sign=1 if track_m > 0.0 else -1,
     )
 
 
@@ -302,14 +317,15 @@ def _lateral(judge: Judge, value: Series) -> Verdict:
         words = f"along the car: dv/dt follows it with r = {along[0]:.2f}"
         return Verdict(fits=False, reason=words)
     yaw = judge.known.get("yaw_rate", np.zeros_like(value))
-    found = judge.follows(value, yaw * motion.speed_ms, motion.moving)
-    turning = judge.seconds(motion.moving & (np.abs(yaw) > _TURNING_RAD_S))
-    if found is None or turning < _BENDS_S:
+    fit = judge.in_bends(
+        yaw * motion.speed_ms, value, limits.ACCELERATION_FLOOR_MS2
+    )
+    if fit is None or judge.turning_s(yaw) < limits.ENOUGH_S:
         return Verdict(fits=True, reason="no bends to compare it in")
     return Verdict(
-        fits=True,
-        reason=f"v x yaw rate follows it with r = {found[0]:.2f}",
-        sign=-1 if found[0] < -_FOLLOWS else 1,
+        fits=abs(fit.correlation) >= limits.UNRELATED,
+        reason=f"it follows v x yaw rate with r = {fit.correlation:.2f}",
+        sign=-1 if fit.scale < 0.0 and follows_bends(fit) else 1,
     )
 
 

@@ -11,6 +11,7 @@ import pytest
 
 from bstm_daemon.analysis.identify.coastdown import identify_coast_down
 from bstm_daemon.analysis.identify.coasting import coasting, theory
+from bstm_daemon.analysis.quality.limits import GRID_S
 from bstm_daemon.errors import LogError
 from bstm_daemon.simulation import NOMINAL
 
@@ -262,3 +263,24 @@ def test_braking_and_pulling_are_no_coasting(
         pressure = read.value("primary_pressure")[stretch.points]
         assert (gear == 0).all()
         assert pressure.max() < 0.5e5
+
+
+def test_the_released_level_is_that_of_the_log(
+    logged: Logged, driving: Reader
+) -> None:
+    """A noisy residual pressure, 11 % of it above 1.05 bar."""
+    read = driving(logged("coastdown"))
+    random = np.random.default_rng(1)
+    held = {
+        name: value + 0.55e5 + 0.4e5 * random.standard_normal(len(value))
+        for name, value in read.pressures.items()
+    }
+    noisy = replace(read, pressures=held)
+
+    found, _ = coasting(noisy)
+
+    clean, _ = coasting(read)
+    assert len(clean) == 4
+    for one, other in zip(clean, found, strict=True):
+        assert abs(one.first - other.first) * GRID_S < 1.0
+        assert abs(one.last - other.last) * GRID_S < 1.0

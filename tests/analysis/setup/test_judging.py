@@ -199,6 +199,20 @@ def test_an_acceleration_along_the_car_is_not_lateral(
     assert not verdict("acceleration_lateral", CHANGE_MS2, "m/s2").fits
 
 
+def test_what_does_not_follow_the_yaw_rate_is_not_lateral(
+    verdict: Judged, judge: Judge
+) -> None:
+    """As check says of it: not of one quantity."""
+    judge.known["yaw_rate"] = judge.motion.on_grid(Samples(TIME_S, YAW))
+    noise = np.random.default_rng(1).normal(0.0, 1.0, len(TIME_S) // 50 + 1)
+    other = np.repeat(noise, 50)[: len(TIME_S)]
+
+    found = verdict("acceleration_lateral", YAW * SPEED_MS + 3.0 * other, "g")
+
+    assert not verdict("acceleration_lateral", other, "m/s2").fits
+    assert not found.fits
+
+
 def test_what_others_are_judged_by_comes_first() -> None:
     roles = ("primary_pressure", "wheel_speed_fl", "gear", "clutch_open")
 
