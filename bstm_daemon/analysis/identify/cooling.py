@@ -23,7 +23,11 @@ from bstm_daemon.analysis.identify.cooling_fit import (
     fit_cooling,
     rms_k,
 )
-from bstm_daemon.analysis.identify.disc_loss import DiscLoss, disc_loss
+from bstm_daemon.analysis.identify.disc_loss import (
+    DiscLoss,
+    beyond_words,
+    disc_loss,
+)
 from bstm_daemon.analysis.identify.value import Value
 from bstm_daemon.errors import LogError
 
@@ -280,7 +284,13 @@ def _remarks(
     downs: Sequence[CoolDown],
 ) -> tuple[str, ...]:
     remarks = [f"{d.name}: {text}" for d in drivings for text in d.remarks]
+    speed_ms = np.concatenate([driving.speed_ms for driving in drivings])
+    speed_ms = speed_ms[np.isfinite(speed_ms)]
     for one in axles:
+        end_ms = one.table[-1][0] if one.table else one.disc.speeds_ms[-1]
+        share = float(np.mean(speed_ms > end_ms + NEAR_MS))
+        if share > 0.0:
+            remarks.append(beyond_words(one.axle, share, end_ms))
         best = one.fit.residual_k
         if one.other_residual_k * WRONG_FORM < best:
             other = "conductance" if one.disc.form == "rate" else "rate"

@@ -24,6 +24,7 @@ from bstm_daemon.analysis.identify.disc_loss import (
     LOWEST_K,
     DiscLoss,
     HeatCapacities,
+    beyond_words,
     disc_loss,
     share_of_work,
 )
@@ -228,8 +229,7 @@ def identify_while_braking(
             "the resistances counts as braking"
         )
     remarks += [
-        f"{axle.axle}: {100.0 * axle.beyond:.0f} % of the time is faster than "
-        f"the table, which ends at {3.6 * axle.disc.speeds_ms[-1]:.0f} km/h"
+        beyond_words(axle.axle, axle.beyond, axle.disc.speeds_ms[-1])
         for axle in axles
         if axle.beyond > 0.0
     ]

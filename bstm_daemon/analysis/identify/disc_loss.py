@@ -94,6 +94,14 @@ class DiscLoss:
         return self.mass_kg * np.interp(disc_k, grid, table.values)
 
 
+def beyond_words(axle: str, share: float, end_ms: float) -> str:
+    """Say which *share* of the time is faster than a table that ends there."""
+    return (
+        f"{axle}: {100.0 * share:.0f} % of the time is faster than the table, "
+        f"which ends at {3.6 * end_ms:.0f} km/h: beyond it a power law"
+    )
+
+
 def disc_loss(config: Config, corner_name: str) -> DiscLoss | None:
     """Return the disc of the corner of that name, None without one."""
     corner = next((c for c in config.corner if c.name == corner_name), None)

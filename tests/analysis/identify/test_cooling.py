@@ -61,6 +61,10 @@ duration_s = 180.0
 """
 
 
+FAST = CRUISE.replace("110.0", "240.0").replace("60.0", "200.0")
+"""The configured table ends at 150 km/h."""
+
+
 def with_form(config: Config, form: str) -> Config:
     cooling = config.cooling.model_copy(update={"form": form})
     return config.model_copy(update={"cooling": cooling})
@@ -384,6 +388,36 @@ def test_parked_with_ignition_off_is_standstill(
     parked = [down for down in found if down.standing]
     assert len(parked) == 4
     assert min(down.time_s[-1] for down in parked) > 1800.0
+
+
+def test_the_table_reaches_as_far_as_the_car_cools(
+    example: Example, sample_of: Sampled
+) -> None:
+    """What is faster is told; without a cool-down there, a power law."""
+    sample = sample_of(FAST, "n1", [*DISCS, "gear", "powertrain_torque"])
+    reading = driving_of("fast.log", sample, *example)
+
+    found = identify_cooling([reading], example[0])
+
+    (axle,) = found.axles
+    *_, (before_ms, _, scaled), (end_ms, s_per_s, measured) = axle.table
+    assert (before_ms, scaled) == (41.67, False)
+    assert end_ms == pytest.approx(200.0 / 3.6, abs=0.3)
+    assert measured
+    assert s_per_s == axle.points[-1].value
+    share = np.mean(reading.speed_ms > end_ms + 1.0)
+    assert share > 0.02
+    assert (
+        f"front: {100 * share:.0f} % of the time is faster than the table, "
+        "which ends at 200 km/h: beyond it a power law"
+    ) in found.remarks
+    disc = replace(
+        axle.disc,
+        speeds_ms=tuple(speed for speed, *_ in axle.table),
+        s_per_s=tuple(s for _, s, _ in axle.table),
+    )
+    beyond = float(disc.configured(1.2 * end_ms))
+    assert beyond > 1.05 * s_per_s
 
 
 @pytest.mark.parametrize(
