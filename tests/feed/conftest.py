@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -73,13 +72,11 @@ def made_estimate(number: int = 0) -> Estimate:
         START_US + 100_000 * number,
         {
             "FL": valid,
-            "FR": replace(
-                valid,
+            "FR": valid._replace(
                 validity=Validity.DEGRADED,
                 reasons=Reason.INPUT_MISSING | Reason.UNVERIFIED,
             ),
-            "RL": replace(
-                valid,
+            "RL": valid._replace(
                 validity=Validity.INVALID,
                 reasons=Reason.HEAT_UNKNOWN,
                 level=RiskLevel.UNKNOWN,

@@ -97,8 +97,7 @@ def test_equal_codes_of_two_enumerations_keep_their_own_words(
 ) -> None:
     """VALID, NORMAL and OK are all 0."""
     made = estimate(0)
-    corner = replace(
-        made.corners["FL"],
+    corner = made.corners["FL"]._replace(
         validity=Validity.VALID,
         level=RiskLevel.NORMAL,
         reasons=Reason(0),

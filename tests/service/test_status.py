@@ -31,7 +31,7 @@ NORMAL = CornerEstimate(
 )
 FRONT = CornerStatus({"disc": 685.15, "fluid": 365.15}, NORMAL)
 REAR = CornerStatus(
-    {"disc": 500.0, "fluid": 370.0}, replace(NORMAL, fluid_k=369.95)
+    {"disc": 500.0, "fluid": 370.0}, NORMAL._replace(fluid_k=369.95)
 )
 RUNNING = ServiceStatus(
     "1.2.3",
@@ -111,7 +111,7 @@ def test_the_worst_level_is_shown(
     levels: tuple[RiskLevel, RiskLevel], shown: str
 ) -> None:
     corners = {
-        name: CornerStatus(FRONT.nodes_k, replace(NORMAL, level=level))
+        name: CornerStatus(FRONT.nodes_k, NORMAL._replace(level=level))
         for name, level in zip(("FL", "FR"), levels, strict=True)
     }
 
@@ -123,7 +123,7 @@ def test_one_line() -> None:
 
 
 def test_the_risk_of_an_unknown_start_is_at_most_as_shown() -> None:
-    critical = replace(NORMAL, level=RiskLevel.CRITICAL)
+    critical = NORMAL._replace(level=RiskLevel.CRITICAL)
     front = CornerStatus(FRONT.nodes_k, critical)
     status = replace(
         RUNNING,

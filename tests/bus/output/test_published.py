@@ -34,7 +34,7 @@ DATABASE.add_dbc_file(Path(__file__).parents[3] / "dbc" / "bstm.dbc")
 
 any_float = st.floats(allow_nan=True, allow_infinity=True)
 corners = st.builds(
-    CornerEstimate,
+    CornerEstimate()._replace,
     disc_k=any_float,
     pad_front_k=any_float,
     pad_back_k=any_float,
