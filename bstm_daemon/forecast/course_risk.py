@@ -338,6 +338,7 @@ class CourseRisk:
             if march is not corner.march:
                 # as much work as a portion of forecast: in its own publication
                 corner.march = march
+                forecast.bounds_k[place] = inf
                 return
             if parked:
                 alone = forecast.does_alone(place)
@@ -385,12 +386,13 @@ class CourseRisk:
             corner.level.by_probability(
                 corner.record.probability, forecast.time_us
             )
-        self._ahead = (
-            boiling.probability(max(forecast.bounds_k))
-            if forecast.is_unlikely
-            else boiling.mean_probability(
-                _hottest([c.peaks_k for c in self._corners])
-            )
+        hottest_k = _hottest([c.peaks_k for c in self._corners])
+        # a bound may be above what the estimate alone says; a nan stays
+        self._ahead = max(
+            [
+                boiling.mean_probability(hottest_k),
+                *(c.ahead for c in self._corners),
+            ]
         )
         self._update_car(boiling, forecast.time_us)
 
