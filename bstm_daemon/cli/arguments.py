@@ -10,7 +10,7 @@ import argparse
 from contextlib import suppress
 from math import inf, isclose, isfinite, nan
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from bstm_daemon.errors import UsageError, require_packages
 from bstm_daemon.files import ensure_writable, make_folder
@@ -26,40 +26,63 @@ LOG_ENDINGS: Final = frozenset(
 )
 
 
-LAST_PORT: Final = 2**16 - 1
-
 PUBLICATION_S = 0.1
 
 
-def add_path(
-    parser: argparse.ArgumentParser, flag: str, metavar: str, what: str
+def option(
+    parser: argparse._ActionsContainer,
+    usage: str,
+    what: str,
+    kind: Callable[[str], Any] | None = None,
+    **more: Any,
 ) -> None:
-    """Add *flag*, the path of *what*; None where it is not given."""
-    parser.add_argument(flag, type=Path, metavar=metavar, help=what)
+    """Add what *usage* shows: ``-c --config FILE``, ``--only``, ``logs LOG``.
+
+    Args:
+        parser: of a command, or a group of it.
+        usage: flags, or the name of what stands without one, then what is
+            given: ``LOG`` for one, ``LOG...`` for several; a flag alone is
+            true where it is given.
+        what: its help.
+        kind: makes the value out of its text.
+        more: what argparse takes besides.
+    """
+    names = usage.split()
+    given = "" if names[-1].startswith("-") else names.pop()
+    if not names:
+        names, given = [given], ""
+    if given:
+        more["metavar"] = given.removesuffix("...")
+    elif not (kind or more):
+        more["action"] = "store_true"
+    if given.endswith("..."):
+        more.setdefault("nargs", "+")
+        more.setdefault("default", [])
+    if kind is not None:
+        more["type"] = kind
+    parser.add_argument(*names, help=what, **more)
 
 
-def add_config(
-    parser: argparse.ArgumentParser,
-    what: str = "configuration of the vehicle (TOML)",
-    *,
-    required: bool = True,
-) -> None:
-    """Add ``-c/--config FILE``; ``args.config`` is a path, or None."""
-    flags = "-c", "--config"
-    parser.add_argument(
-        *flags, type=Path, metavar="FILE", required=required, help=what
-    )
+def shared(parser: argparse.ArgumentParser, *names: str) -> None:
+    """Add those of :data:`SHARED` with these names."""
+    for name in names:
+        usage, what, more = SHARED[name]
+        option(parser, usage, what, **more)
 
 
-def add_out(parser: argparse.ArgumentParser, what: str, metavar: str) -> None:
-    """Add ``-o/--out`` for *what* is written; ``args.out`` may be None."""
-    parser.add_argument("-o", "--out", type=Path, metavar=metavar, help=what)
+def add_out(parser: argparse.ArgumentParser, what: str, given: str) -> None:
+    """Add ``-o --out``, where *what* goes to; ``args.out`` may be None."""
+    option(parser, f"-o --out {given}", what, Path)
 
 
-def add_force(parser: argparse.ArgumentParser, metavar: str) -> None:
+def add_config(parser: argparse.ArgumentParser, what: str) -> None:
+    """Add ``-c --config FILE``, which may be missing, for *what*."""
+    option(parser, "-c --config FILE", what, Path)
+
+
+def add_force(parser: argparse.ArgumentParser, what: str) -> None:
     """Add ``--force``, which :func:`check_new` asks for."""
-    what = f"replace {metavar} if it exists"
-    parser.add_argument("--force", action="store_true", help=what)
+    option(parser, "--force", f"replace {what} if it exists")
 
 
 def add_new_config(parser: argparse.ArgumentParser) -> None:
@@ -68,42 +91,6 @@ def add_new_config(parser: argparse.ArgumentParser) -> None:
     add_out(parser, what, "NEW.toml")
     parser.set_defaults(out_is_config=True)
     add_force(parser, "NEW.toml")
-
-
-def add_json(parser: argparse.ArgumentParser) -> None:
-    """Add ``--json FILE``; ``args.json`` may be None."""
-    what = "write the result as JSON to FILE as well"
-    add_path(parser, "--json", "FILE", what)
-
-
-def add_report(parser: argparse.ArgumentParser) -> None:
-    """Add ``--report FILE.html`` and ``--figures DIR``; both may be None."""
-    what = "write an HTML report that needs no network"
-    add_path(parser, "--report", "FILE.html", what)
-    what = "write each plot of the report as PNG and SVG into DIR"
-    add_path(parser, "--figures", "DIR", what)
-
-
-def add_no_forecast(parser: argparse.ArgumentParser) -> None:
-    """Add ``--no-forecast``; ``args.forecast`` is true without it."""
-    parser.add_argument(
-        "--no-forecast",
-        dest="forecast",
-        action="store_false",
-        help="leave out risk and forecast",
-    )
-
-
-def add_every(parser: argparse.ArgumentParser) -> None:
-    """Add ``--every S``, a whole number of publications."""
-    parser.add_argument(
-        "--every",
-        type=_every_s,
-        default=PUBLICATION_S,
-        metavar="S",
-        help="seconds from row to row of the files, a multiple of 0.1 "
-        "(default: 0.1)",
-    )
 
 
 def finite(text: str) -> float:
@@ -133,19 +120,6 @@ def number(
         return value
 
     return read
-
-
-def add_bus_map(parser: argparse.ArgumentParser) -> None:
-    """Add ``--map IFACE=BUS``; ``args.map`` is a list of name pairs."""
-    parser.add_argument(
-        "--map",
-        type=_interface_and_bus,
-        action="append",
-        default=[],
-        metavar="IFACE=BUS",
-        help="assign frames of the log's interface IFACE to [[bus]] BUS, or "
-        "ignore them with an empty BUS; may be repeated",
-    )
 
 
 def require_extras(args: argparse.Namespace) -> None:
@@ -248,6 +222,9 @@ def check_new(target: Path | None, *, force: bool) -> None:
         raise UsageError(msg)
 
 
+PORT: Final = number(0, 2**16 - 1, int)
+
+
 def _every_s(text: str) -> float:
     seconds = finite(text)
     tenths = seconds / PUBLICATION_S
@@ -266,3 +243,49 @@ def _interface_and_bus(text: str) -> tuple[str, str]:
         )
         raise argparse.ArgumentTypeError(msg)
     return interface, bus
+
+
+SHARED: Final[dict[str, tuple[str, str, dict[str, Any]]]] = {
+    "config": (
+        "-c --config FILE",
+        "configuration of the vehicle (TOML)",
+        {"kind": Path, "required": True},
+    ),
+    "json": (
+        "--json FILE",
+        "write the result as JSON to FILE as well",
+        {"kind": Path},
+    ),
+    "report": (
+        "--report FILE.html",
+        "write an HTML report that needs no network",
+        {"kind": Path},
+    ),
+    "figures": (
+        "--figures DIR",
+        "write each plot of the report as PNG and SVG into DIR",
+        {"kind": Path},
+    ),
+    "map": (
+        "--map IFACE=BUS",
+        (
+            "assign frames of the log's interface IFACE to [[bus]] BUS, or "
+            "ignore them with an empty BUS; may be repeated"
+        ),
+        {"kind": _interface_and_bus, "action": "append", "default": []},
+    ),
+    "every": (
+        "--every S",
+        (
+            "seconds from row to row of the files, a multiple of 0.1 "
+            "(default: 0.1)"
+        ),
+        {"kind": _every_s, "default": PUBLICATION_S},
+    ),
+    "no-forecast": (
+        "--no-forecast",
+        "leave out risk and forecast",
+        {"dest": "forecast", "action": "store_false"},
+    ),
+}
+"""Arguments of several commands by name: usage, help, what else."""

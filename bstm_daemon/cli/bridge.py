@@ -7,7 +7,7 @@ from pathlib import Path
 from threading import Event
 from typing import TYPE_CHECKING
 
-from bstm_daemon.cli.arguments import add_path, number
+from bstm_daemon.cli.arguments import number, option
 from bstm_daemon.config.reading import load_section
 from bstm_daemon.errors import UsageError, require_packages
 from bstm_daemon.feed.reader import DEFAULT_SOCKET, records
@@ -19,21 +19,17 @@ if TYPE_CHECKING:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the kind of bridge, the feed and the broker."""
-    parser.add_argument("kind", choices=["mqtt"], help="kind of broker")
+    option(parser, "kind", "kind of broker", choices=["mqtt"])
     what = "mqtts://HOST[:PORT], or mqtt:// without TLS; default: of FILE"
-    parser.add_argument("--broker", metavar="URL", help=what)
+    option(parser, "--broker URL", what)
     what = "TOML with broker, username, password, ca_file, cert_file, key_file"
-    add_path(parser, "--credentials", "FILE", what)
+    option(parser, "--credentials FILE", what, Path)
     what = f"socket of the live service (default: {DEFAULT_SOCKET})"
-    add_path(parser, "--feed", "SOCKET", what)
+    option(parser, "--feed SOCKET", what, Path)
     what = "seconds between two publications (default: 1; 0 is all)"
-    parser.add_argument(
-        "--every", type=number(0.0), default=1.0, metavar="S", help=what
-    )
+    option(parser, "--every S", what, number(0.0), default=1.0)
     what = "announce the values to Home Assistant (default: homeassistant)"
-    parser.add_argument(
-        "--discovery", nargs="?", const="homeassistant", help=what
-    )
+    option(parser, "--discovery", what, nargs="?", const="homeassistant")
     parser.set_defaults(verbosity_offset=1)
 
 

@@ -13,13 +13,7 @@ from bstm_daemon.analysis.quality.judge import judge
 from bstm_daemon.analysis.quality.recording import read_recording
 from bstm_daemon.bus.signals.dbc import read_dbc
 from bstm_daemon.bus.signals.signal_map import compile_signal_map
-from bstm_daemon.cli.arguments import (
-    add_bus_map,
-    add_config,
-    add_json,
-    add_report,
-    check_targets,
-)
+from bstm_daemon.cli.arguments import add_config, check_targets, option, shared
 from bstm_daemon.cli.log_command import names_of, write_pages
 from bstm_daemon.cli.progress import Progress
 from bstm_daemon.cli.vehicle import load_vehicle
@@ -54,26 +48,15 @@ result."""
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare ``CONFIG``, the logs and where results go."""
-    parser.add_argument(
-        "configuration",
-        nargs="?",
-        type=Path,
-        metavar="CONFIG",
-        help="configuration to check (TOML)",
+    what = "configuration to check (TOML)"
+    option(parser, "configuration CONFIG", what, Path, nargs="?")
+    add_config(parser, "the same as CONFIG")
+    what = (
+        "check the signals of this log as well; may be repeated for the parts "
+        "of one recording"
     )
-    add_config(parser, "the same as CONFIG", required=False)
-    parser.add_argument(
-        "--log",
-        type=Path,
-        action="append",
-        default=[],
-        metavar="LOG",
-        help="check the signals of this log as well; may be repeated for the "
-        "parts of one recording",
-    )
-    add_bus_map(parser)
-    add_json(parser)
-    add_report(parser)
+    option(parser, "--log LOG", what, Path, action="append", default=[])
+    shared(parser, "map", "json", "report", "figures")
 
 
 def run(args: argparse.Namespace) -> int:

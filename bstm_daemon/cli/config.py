@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from typing import TYPE_CHECKING
 
+from bstm_daemon.cli.arguments import option
 from bstm_daemon.config.schema import config_schema
 
 if TYPE_CHECKING:
@@ -13,11 +14,12 @@ if TYPE_CHECKING:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare what is asked for."""
-    parser.add_argument(
+    option(
+        parser,
         "what",
-        choices=("schema",),
-        help="schema: print the JSON schema, by which an editor completes and "
+        "schema: print the JSON schema, by which an editor completes and "
         "checks a file whose first line is #:schema FILE",
+        choices=("schema",),
     )
 
 

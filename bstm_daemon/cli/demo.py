@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import can
 
-from bstm_daemon.cli.arguments import add_out
+from bstm_daemon.cli.arguments import add_out, option
 from bstm_daemon.cli.live_demo import run_live
 from bstm_daemon.cli.progress import Progress
 from bstm_daemon.cli.vehicle import load_vehicle
@@ -63,14 +63,15 @@ COLUMNS = {
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``bstm demo``."""
     add_out(parser, "folder for report and table (default: bstm-demo)", "DIR")
-    parser.add_argument(
+    option(
+        parser,
         "--live",
-        action="store_true",
-        help="at the car's own pace instead: simulated car, service and "
-        "display as three processes on a virtual bus, until Ctrl-C or q",
+        "at the car's own pace instead: simulated car, service and display as "
+        "three processes on a virtual bus, until Ctrl-C or q",
     )
-    what = "with --live: the display is a page in the browser"
-    parser.add_argument("--view", action="store_true", help=what)
+    option(
+        parser, "--view", "with --live: the display is a page in the browser"
+    )
 
 
 def run(args: argparse.Namespace) -> int:

@@ -13,15 +13,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from bstm_daemon.cli.arguments import (
-    add_every,
     add_force,
-    add_json,
-    add_no_forecast,
     add_out,
-    add_path,
     check_new,
     check_targets,
     number,
+    option,
+    shared,
 )
 from bstm_daemon.cli.main import main
 from bstm_daemon.cli.progress import Progress
@@ -50,7 +48,7 @@ from bstm_daemon.service.state_file import lock, safe_name
 
 if TYPE_CHECKING:
     import argparse
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
     from contextlib import AbstractContextManager
 
     from bstm_daemon.fleet.run import Outcome
@@ -62,59 +60,46 @@ EXIT_FAILED: Final = 1
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the steps and their arguments."""
     steps = parser.add_subparsers(title="steps", metavar="STEP", required=True)
-    plan = steps.add_parser("plan", help="find the logs of each car")
-    plan.add_argument("logs", nargs="+", type=Path, metavar="LOG")
-    plan.add_argument(
-        "--vehicles",
-        type=Path,
-        required=True,
-        metavar="FLEET.toml",
-        help="which log is of which car, and their configurations",
-    )
-    plan.add_argument(
-        *("-o", "--out"),
-        dest="lake",
-        type=Path,
-        required=True,
-        metavar="LAKE",
-        help="folder of the plan and of all results",
-    )
-    plan.set_defaults(step=_plan)
-    replay = steps.add_parser("replay", help="replay what is new or changed")
-    _add_lake(replay)
+
+    def step(
+        does: Callable[[argparse.Namespace], int], what: str
+    ) -> argparse.ArgumentParser:
+        one = steps.add_parser(does.__name__[1:], help=what)
+        one.set_defaults(step=does)
+        if does is not _plan:
+            option(one, "lake LAKE", "", Path)
+        return one
+
+    plan = step(_plan, "find the logs of each car")
+    option(plan, "logs LOG...", "", Path)
+    what = "which log is of which car, and their configurations"
+    option(plan, "--vehicles FLEET.toml", what, Path, required=True)
+    what = "folder of the plan and of all results"
+    option(plan, "-o --out LAKE", what, Path, dest="lake", required=True)
+    replay = step(_replay, "replay what is new or changed")
     _add_workers(replay)
-    replay.add_argument(
+    option(
+        replay,
         "--on-error",
+        "behind a log that cannot be replayed: go on from the last good state "
+        "as after a drive that nobody saw, or wait (default: %(default)s)",
         choices=("continue", "hold"),
         default="continue",
-        help="behind a log that cannot be replayed: go on from the last good "
-        "state as after a drive that nobody saw, or wait (default: "
-        "%(default)s)",
     )
-    add_every(replay)
-    add_no_forecast(replay)
-    replay.set_defaults(step=_replay)
-    status = steps.add_parser("status", help="what is done, waits or failed")
-    _add_lake(status)
-    status.set_defaults(step=_status)
-    gap = steps.add_parser(
-        "gap", help="what cars of a type lack or have changed, and the odd one"
+    shared(replay, "every", "no-forecast")
+    step(_status, "what is done, waits or failed")
+    gap = step(
+        _gap, "what cars of a type lack or have changed, and the odd one"
     )
-    _add_lake(gap)
     _add_workers(gap)
-    gap.add_argument(
-        "--drives",
-        type=number(1, kind=int),
-        default=8,
-        metavar="N",
-        help="search the last N drives of each car (default: %(default)s)",
-    )
-    gap.add_argument(
+    what = "search the last N drives of each car (default: %(default)s)"
+    option(gap, "--drives N", what, number(1, kind=int), default=8)
+    option(
+        gap,
         "--anyway",
-        action="store_true",
-        help="name effects though no bstm match is in a configuration",
+        "name effects though no bstm match is in a configuration",
     )
-    add_json(gap)
+    shared(gap, "json")
     add_out(
         gap,
         "write a configuration for a further car of each type, with "
@@ -122,30 +107,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "DIR",
     )
     add_force(gap, "a configuration in DIR")
-    gap.set_defaults(step=_gap)
-    report = steps.add_parser("report", help="write the page of the fleet")
-    _add_lake(report)
+    report = step(_report, "write the page of the fleet")
     add_out(report, "page (default: LAKE/report.html)", "FILE.html")
-    report.add_argument(
-        "--pages",
-        type=number(0, kind=int),
-        default=0,
-        metavar="N",
-        help="replay the N worst drives for pages of their own, which the "
-        "page leads to (default: %(default)s)",
+    what = (
+        "replay the N worst drives for pages of their own, which the page "
+        "leads to (default: %(default)s)"
     )
-    report.set_defaults(step=_report)
-    query = steps.add_parser("query", help="ask the results in SQL")
-    _add_lake(query)
-    query.add_argument(
-        "sql",
-        nargs="?",
-        metavar="SQL",
-        help="a question in SQL, or the name of a shipped one; without it "
-        "those are listed",
+    option(report, "--pages N", what, number(0, kind=int), default=0)
+    query = step(_query, "ask the results in SQL")
+    what = (
+        "a question in SQL, or the name of a shipped one; without it those "
+        "are listed"
     )
+    option(query, "sql SQL", what, nargs="?")
     add_out(query, "write the answer as CSV", "FILE.csv")
-    query.set_defaults(step=_query)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -154,26 +129,15 @@ def run(args: argparse.Namespace) -> int:
     return code
 
 
-def _add_lake(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("lake", type=Path, metavar="LAKE")
-
-
 def _add_workers(parser: argparse.ArgumentParser) -> None:
     where = parser.add_mutually_exclusive_group()
-    where.add_argument(
-        "--jobs",
-        type=number(1, kind=int),
-        metavar="N",
-        help="processes on this machine (default: one a core)",
-    )
-    where.add_argument(
-        "--scheduler",
-        metavar="tls://HOST:PORT",
-        help="Dask scheduler whose workers do the work",
-    )
+    what = "processes on this machine (default: one a core)"
+    option(where, "--jobs N", what, number(1, kind=int))
+    what = "Dask scheduler whose workers do the work"
+    option(where, "--scheduler tls://HOST:PORT", what)
     for name in ("ca", "cert", "key"):
         what = "for tls:// (default: Dask's configuration)"
-        add_path(parser, f"--tls-{name}", "FILE.pem", what)
+        option(parser, f"--tls-{name} FILE.pem", what, Path)
 
 
 def _plan(args: argparse.Namespace) -> int:

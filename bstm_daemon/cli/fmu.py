@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from bstm_daemon.cli.arguments import add_config, add_out, check_targets
+from bstm_daemon.cli.arguments import add_out, check_targets, option, shared
 from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.errors import UsageError
 from bstm_daemon.exchange.fmu import PLATFORMS, this_platform, write_fmu
@@ -18,34 +18,22 @@ if TYPE_CHECKING:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare what is exported, how, and where to."""
-    parser.add_argument(
-        "what",
-        choices=("export",),
-        help="export: write an FMU for co-simulation, C without Python",
-    )
-    add_config(parser)
+    what = "export: write an FMU for co-simulation, C without Python"
+    option(parser, "what", what, choices=("export",))
+    shared(parser, "config")
     part = parser.add_mutually_exclusive_group()
-    part.add_argument(
-        "--corner",
-        choices=CORNERS,
-        default=CORNERS[0],
-        help="one corner, from brake power to temperatures (default: FL)",
-    )
-    part.add_argument(
-        "--car",
-        action="store_true",
-        help="all corners, from the mapped signals of the car",
-    )
+    what = "one corner, from brake power to temperatures (default: FL)"
+    option(part, "--corner", what, choices=CORNERS, default=CORNERS[0])
+    option(part, "--car", "all corners, from the mapped signals of the car")
     add_out(parser, "the FMU", "FILE.fmu")
-    parser.add_argument(
-        "--fmi", type=int, choices=(2, 3), default=2, help="version of FMI"
-    )
-    parser.add_argument(
+    option(parser, "--fmi", "version of FMI", int, choices=(2, 3), default=2)
+    option(
+        parser,
         "--platform",
+        f"of {', '.join(PLATFORMS)}; each needs its C compiler; an empty one "
+        "writes the sources only (default: this machine's)",
         default=this_platform(),
         metavar="NAME,...",
-        help=f"of {', '.join(PLATFORMS)}; each needs its C compiler; an empty "
-        "one writes the sources only (default: this machine's)",
     )
 
 

@@ -8,7 +8,7 @@ from math import isinf
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bstm_daemon.cli.arguments import add_config, add_json, check_targets
+from bstm_daemon.cli.arguments import check_targets, option, shared
 from bstm_daemon.cli.vehicle import read_state
 from bstm_daemon.config.reading import load_config
 from bstm_daemon.errors import UsageError
@@ -34,16 +34,15 @@ NOTICE = "Estimate and advice, not a safety function."
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``bstm forecast``."""
-    add_config(parser)
-    parser.add_argument(
-        "--now",
-        type=Path,
-        metavar="STATE",
+    shared(parser, "config")
+    option(
+        parser,
+        "--now STATE",
+        "state file of the daemon; the car parks at its save. It is only read",
+        Path,
         required=True,
-        help="state file of the daemon; the car parks at its save. It is "
-        "only read",
     )
-    add_json(parser)
+    shared(parser, "json")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -16,6 +16,7 @@ from bstm_daemon.analysis.gap.workflow import (
     is_unmatched,
 )
 from bstm_daemon.analysis.identify.writing import Entries, write_changed
+from bstm_daemon.cli.arguments import option
 from bstm_daemon.cli.log_command import (
     add_log_arguments,
     heading,
@@ -70,56 +71,40 @@ SHOWERS = ("show", "run")
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the step, the logs and where results go."""
-    parser.add_argument(
-        "step",
-        choices=("run", *STEPS),
-        help="run: all steps; locate: where model and measurement disagree; "
-        "gate: whether anything is missing; name: which effect; adopt: fit it "
-        "and write it into NEW.toml; show: before and after; advise: which "
-        "drive of a menu would separate the remaining candidates",
-    )
-    add_log_arguments(
+    option(
         parser,
-        "drives; a folder is a record that the service has kept",
-        nargs="*",
-        new_config=True,
+        "step",
+        "run: all steps; locate: where model and measurement disagree; gate: "
+        "whether anything is missing; name: which effect; adopt: fit it and "
+        "write it into NEW.toml; show: before and after; advise: which drive "
+        "of a menu would separate the remaining candidates",
+        choices=("run", *STEPS),
     )
-    parser.add_argument(
-        "--holdout",
-        nargs="+",
-        type=Path,
-        default=[],
-        metavar="LOG",
-        help="drives not used for fitting, for before and after",
-    )
-    parser.add_argument(
-        "--anyway",
-        action="store_true",
-        help="name effects though no bstm match is in the configuration",
-    )
-    parser.add_argument(
+    what = "drives; a folder is a record that the service has kept"
+    add_log_arguments(parser, what, nargs="*", new_config=True)
+    what = "drives not used for fitting, for before and after"
+    option(parser, "--holdout LOG...", what, Path)
+    what = "name effects though no bstm match is in the configuration"
+    option(parser, "--anyway", what)
+    option(
+        parser,
         "--form",
-        action="store_true",
-        help="also name what the model lacked already when it was matched, "
-        "not only what is new since",
+        "also name what the model lacked already when it was matched, not "
+        "only what is new since",
     )
-    parser.add_argument(
-        "--menu",
-        nargs="+",
+    option(
+        parser,
+        "--menu DRIVE...",
+        "drives that advise compares, from bstm simulate --list (m01 to m15)",
         default=list(MENU),
         choices=drive_names(),
-        metavar="DRIVE",
-        help="drives that advise compares, from bstm simulate --list "
-        "(m01 to m15)",
     )
-    parser.add_argument(
-        "--among",
-        nargs="+",
-        default=[],
+    option(
+        parser,
+        "--among EFFECT...",
+        "effects that advise should separate; also without logs, before any "
+        "drive",
         choices=effect_names(),
-        metavar="EFFECT",
-        help="effects that advise should separate; also without logs, before "
-        "any drive",
     )
 
 

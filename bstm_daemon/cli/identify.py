@@ -18,6 +18,7 @@ from bstm_daemon.analysis.identify.writing import (
     cooling_changes,
     write_changed,
 )
+from bstm_daemon.cli.arguments import option
 from bstm_daemon.cli.log_command import (
     add_log_arguments,
     names_of,
@@ -87,37 +88,36 @@ KINDS: Final = {
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare what is identified, the logs and where results go."""
-    parser.add_argument(
+    option(
+        parser,
         "what",
-        choices=("coastdown", "brakes", "cooling"),
-        help="coastdown: rolling resistance, C_fric and drag from stretches "
-        "in neutral; brakes: friction scale, push-out and axle shares from "
+        "coastdown: rolling resistance, C_fric and drag from stretches in "
+        "neutral; brakes: friction scale, push-out and axle shares from "
         "stops; cooling: S over speed from measured discs that cool",
+        choices=("coastdown", "brakes", "cooling"),
     )
     add_log_arguments(parser, new_config=True)
-    parser.add_argument(
+    option(
+        parser,
         "--hold",
+        "coastdown: keep this value as configured; may be repeated",
         action="append",
         choices=tuple(HOLDABLE),
         default=[],
-        help="coastdown: keep this value as configured; may be repeated",
     )
-    parser.add_argument(
-        "--one-way",
-        action="store_true",
-        help="coastdown: the runs do not return on their road",
-    )
-    parser.add_argument(
+    what = "coastdown: the runs do not return on their road"
+    option(parser, "--one-way", what)
+    option(
+        parser,
         "--even-grade",
-        action="store_true",
-        help="coastdown: the grade is constant along each run; the noisy "
+        "coastdown: the grade is constant along each run; the noisy "
         "accelerometer is not used",
     )
-    parser.add_argument(
+    option(
+        parser,
         "--while-braking",
-        action="store_true",
-        help="cooling: S as a line over speed from whole drives, with heat "
-        "from the car's motion",
+        "cooling: S as a line over speed from whole drives, with heat from "
+        "the car's motion",
     )
 
 

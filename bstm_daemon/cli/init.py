@@ -22,7 +22,7 @@ from bstm_daemon.analysis.setup.writing import (
 from bstm_daemon.bus.opening import is_table
 from bstm_daemon.bus.signals.dbc import read_dbc
 from bstm_daemon.bus.signals.dbc_text import guess_encoding
-from bstm_daemon.cli.arguments import add_force, add_out, check_new
+from bstm_daemon.cli.arguments import add_force, add_out, check_new, option
 from bstm_daemon.errors import FileAccessError, UsageError
 from bstm_daemon.files import replacing
 
@@ -34,21 +34,13 @@ if TYPE_CHECKING:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare ``--dbc``, ``--log``, ``-o`` and ``--force``."""
-    parser.add_argument(
-        "--dbc",
-        type=Path,
-        metavar="CAR.dbc",
-        help="DBC of the car's frames; a signal table needs none",
+    what = "DBC of the car's frames; a signal table needs none"
+    option(parser, "--dbc CAR.dbc", what, Path)
+    what = (
+        "recorded drive with some braking, to check the choice by names; may "
+        "be repeated"
     )
-    parser.add_argument(
-        "--log",
-        type=Path,
-        action="append",
-        default=[],
-        metavar="LOG",
-        help="recorded drive with some braking, to check the choice by names; "
-        "may be repeated",
-    )
+    option(parser, "--log LOG", what, Path, action="append", default=[])
     add_out(parser, "configuration to write", "CAR.toml")
     add_force(parser, "CAR.toml")
 

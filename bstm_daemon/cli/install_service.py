@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bstm_daemon.cli.arguments import LAST_PORT, add_config, number
+from bstm_daemon.cli.arguments import PORT, add_config, option
 from bstm_daemon.errors import UsageError
 from bstm_daemon.files import shipped_file
 from bstm_daemon.service.unit_files import (
@@ -34,46 +34,28 @@ if TYPE_CHECKING:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare what is installed, where, and ``--dry-run``."""
     what = f"configuration of the vehicle; default {DEFAULT_CONFIG}"
-    add_config(parser, what, required=False)
-    parser.add_argument(
-        "--instance",
-        metavar="NAME",
-        help="install bstm@.service, of which bstm@NAME reads "
+    add_config(parser, what)
+    option(
+        parser,
+        "--instance NAME",
+        "install bstm@.service, of which bstm@NAME reads "
         f"{CONFIG_FOLDER}/NAME.toml: for several cars or buses",
     )
-    parser.add_argument(
-        "-o",
-        "--out",
-        type=Path,
-        metavar="DIR",
-        default=UNIT_FOLDER,
-        help=f"folder of the units; default {UNIT_FOLDER}",
-    )
-    parser.add_argument(
-        "--metrics-port",
-        type=number(0, LAST_PORT, int),
-        metavar="PORT",
-        help="add the drop-in that serves metrics on 127.0.0.1:PORT",
-    )
-    parser.add_argument(
+    what = f"folder of the units; default {UNIT_FOLDER}"
+    option(parser, "-o --out DIR", what, Path, default=UNIT_FOLDER)
+    what = "add the drop-in that serves metrics on 127.0.0.1:PORT"
+    option(parser, "--metrics-port PORT", what, PORT)
+    option(
+        parser,
         "--with",
+        "add the unit of the live page or of the MQTT bridge; may be repeated",
         dest="companions",
         action="append",
         choices=COMPANIONS,
         default=[],
-        help="add the unit of the live page or of the MQTT bridge; may be "
-        "repeated",
     )
-    parser.add_argument(
-        "--force",
-        action="store_true",
-        help="replace existing units that differ",
-    )
-    parser.add_argument(
-        "--dry-run",
-        action="store_true",
-        help="print the files instead of writing them",
-    )
+    option(parser, "--force", "replace existing units that differ")
+    option(parser, "--dry-run", "print the files instead of writing them")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -6,13 +6,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bstm_daemon.cli.arguments import (
-    add_bus_map,
-    add_config,
-    add_json,
     add_new_config,
-    add_report,
     check_new,
     check_targets,
+    option,
+    shared,
 )
 from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.report.figures import write_figures
@@ -39,15 +37,11 @@ def add_log_arguments(
 
     With *new_config* also ``-o NEW.toml`` and ``--force``.
     """
-    parser.add_argument(
-        "logs", nargs=nargs, type=Path, metavar="LOG", help=what
-    )
-    add_config(parser)
+    option(parser, "logs LOG...", what, Path, nargs=nargs)
+    shared(parser, "config")
     if new_config:
         add_new_config(parser)
-    add_json(parser)
-    add_report(parser)
-    add_bus_map(parser)
+    shared(parser, "json", "report", "figures", "map")
 
 
 def open_vehicle(

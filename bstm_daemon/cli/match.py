@@ -10,6 +10,7 @@ from bstm_daemon.analysis.gap.calibration import Calibration
 from bstm_daemon.analysis.identify.writing import Entries, write_changed
 from bstm_daemon.analysis.matching.changes import changes_of
 from bstm_daemon.analysis.matching.coarse import guesses_of
+from bstm_daemon.cli.arguments import option
 from bstm_daemon.cli.log_command import (
     add_log_arguments,
     heading,
@@ -37,23 +38,21 @@ PART_MISSING: Final = 1
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare logs, what is matched and where results go."""
     add_log_arguments(parser, new_config=True)
-    parser.add_argument(
+    option(
+        parser,
         "--only",
+        "cooling: match only what another rim changes, the air at disc and "
+        "caliper; implies --plain",
         choices=("cooling",),
         default="",
-        help="cooling: match only what another rim changes, the air at disc "
-        "and caliper; implies --plain",
     )
-    parser.add_argument(
-        "--each",
-        action="store_true",
-        help="match left and right separately, even if configured alike",
-    )
-    parser.add_argument(
+    what = "match left and right separately, even if configured alike"
+    option(parser, "--each", what)
+    option(
+        parser,
         "--plain",
-        action="store_true",
-        help="match once; otherwise bstm gap searches the same drives, and "
-        "what it names is added where the error on what was left out falls",
+        "match once; otherwise bstm gap searches the same drives, and what it "
+        "names is added where the error on what was left out falls",
     )
 
 

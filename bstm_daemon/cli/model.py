@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from bstm_daemon.cli.arguments import add_config, add_out, check_targets
+from bstm_daemon.cli.arguments import add_out, check_targets, option, shared
 from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.errors import UsageError
 from bstm_daemon.exchange.fmu_model import corner_program
@@ -21,15 +21,11 @@ if TYPE_CHECKING:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare what is shown, and where to."""
-    parser.add_argument(
-        "what",
-        choices=("show",),
-        help="show: nodes, links and sources of a corner with their values",
-    )
-    add_config(parser)
-    first = CORNERS[0]
-    what = f"the corner (default: {first})"
-    parser.add_argument("--corner", choices=CORNERS, default=first, help=what)
+    what = "show: nodes, links and sources of a corner with their values"
+    option(parser, "what", what, choices=("show",))
+    shared(parser, "config")
+    what = f"the corner (default: {CORNERS[0]})"
+    option(parser, "--corner", what, choices=CORNERS, default=CORNERS[0])
     add_out(parser, "a picture, or the graph", "FILE.svg|FILE.json")
 
 

@@ -14,16 +14,12 @@ import numpy as np
 from bstm_daemon.bus.logs.reader import UNWANTED
 from bstm_daemon.bus.tables.table_plan import TableMap
 from bstm_daemon.cli.arguments import (
-    add_bus_map,
-    add_config,
-    add_every,
-    add_no_forecast,
     add_out,
-    add_path,
-    add_report,
     check_targets,
     number,
+    option,
     refuse_overwriting,
+    shared,
 )
 from bstm_daemon.cli.log_command import write_pages
 from bstm_daemon.cli.progress import Progress
@@ -73,53 +69,49 @@ WEAR_MOVED_K = 5.0
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``bstm replay``."""
-    parser.add_argument("logs", nargs="+", type=Path, metavar="LOG")
-    add_config(parser)
+    option(parser, "logs LOG...", "", Path)
+    shared(parser, "config")
     add_out(parser, "folder for the estimates (default: none written)", "DIR")
-    parser.add_argument(
+    option(
+        parser,
         "--format",
-        choices=(*WRITERS, "both"),
-        help="files in DIR (default: both CSV and Parquet, CSV alone without "
+        "files in DIR (default: both CSV and Parquet, CSV alone without "
         "pyarrow); mf4 is on the log's own time",
+        choices=(*WRITERS, "both"),
     )
-    parser.add_argument(
+    option(
+        parser,
         "--columns",
+        "columns of these files: all, or speed, temperatures, margin, risk "
+        "and validity (default: %(default)s)",
         choices=("all", "few"),
         default="all",
-        help="columns of these files: all, or speed, temperatures, margin, "
-        "risk and validity (default: %(default)s)",
     )
-    add_every(parser)
+    shared(parser, "every")
     what = "write the frames that the daemon would send as a candump log"
-    add_path(parser, "--publish", "OUT.log", what)
+    option(parser, "--publish OUT.log", what, Path)
     start = parser.add_mutually_exclusive_group()
-    start.add_argument(
+    option(
+        start,
         "--start",
+        "how warm the brakes are where the log begins: as cold as the air, or "
+        "unknown, and degraded until that has no effect any more (default: "
+        "%(default)s)",
         choices=("unknown", "cold"),
         default="unknown",
-        help="how warm the brakes are where the log begins: as cold as the "
-        "air, or unknown, and degraded until that has no effect any more "
-        "(default: %(default)s)",
     )
     what = "state file of the daemon to start from; it is only read"
-    start.add_argument("--state", type=Path, metavar="FILE", help=what)
+    option(start, "--state FILE", what, Path)
     what = "write the state at the end of the log, for the drive after it"
-    add_path(parser, "--state-out", "FILE", what)
-    parser.add_argument(
-        "--watch",
-        action="store_true",
-        help="show the published temperatures as they come; q leaves",
+    option(parser, "--state-out FILE", what, Path)
+    what = "show the published temperatures as they come; q leaves"
+    option(parser, "--watch", what)
+    what = (
+        "with --watch: seconds of the log per second, 0 for as fast as it "
+        f"goes (default: {DEFAULT_SPEED:g})"
     )
-    parser.add_argument(
-        "--speed",
-        type=number(0.0),
-        metavar="N",
-        help="with --watch: seconds of the log per second, 0 for as fast as "
-        f"it goes (default: {DEFAULT_SPEED:g})",
-    )
-    add_no_forecast(parser)
-    add_report(parser)
-    add_bus_map(parser)
+    option(parser, "--speed N", what, number(0.0))
+    shared(parser, "no-forecast", "report", "figures", "map")
 
 
 def run(args: argparse.Namespace) -> int:

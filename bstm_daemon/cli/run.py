@@ -3,15 +3,10 @@
 from __future__ import annotations
 
 import os
+from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bstm_daemon.cli.arguments import (
-    LAST_PORT,
-    add_config,
-    add_no_forecast,
-    add_path,
-    number,
-)
+from bstm_daemon.cli.arguments import PORT, number, option, shared
 from bstm_daemon.service.assembly import BusOverride
 from bstm_daemon.service.events import ServiceLog
 from bstm_daemon.service.notify import Notifier
@@ -24,41 +19,21 @@ if TYPE_CHECKING:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments; those of the bus are python-can's."""
-    add_config(parser)
-    parser.add_argument(
-        "-i",
-        "--interface",
-        help="python-can interface of the first [[bus]], such as socketcan",
-    )
-    parser.add_argument(
-        "--channel", help="channel of the first [[bus]], such as can0"
-    )
-    parser.add_argument(
-        *("-b", "--bitrate"),
-        type=number(1, kind=int),
-        help="bitrate of the first [[bus]]",
-    )
-    parser.add_argument(
-        "--fd",
-        action="store_true",
-        default=None,
-        help="receive CAN FD frames on the first [[bus]]",
-    )
+    shared(parser, "config")
+    what = "python-can interface of the first [[bus]], such as socketcan"
+    option(parser, "-i --interface", what, str)
+    what = "channel of the first [[bus]], such as can0"
+    option(parser, "--channel", what, str)
+    what = "bitrate of the first [[bus]]"
+    option(parser, "-b --bitrate", what, number(1, kind=int))
+    what = "receive CAN FD frames on the first [[bus]]"
+    option(parser, "--fd", what, action="store_true", default=None)
     what = "state file, instead of the configured or default one"
-    add_path(parser, "--state", "FILE", what)
-    parser.add_argument(
-        "--metrics-port",
-        type=number(0, LAST_PORT, int),
-        metavar="PORT",
-        help="serve /metrics and /healthz on 127.0.0.1:PORT",
-    )
-    parser.add_argument(
-        "--duration",
-        type=number(0.0),
-        metavar="S",
-        help="stop after S seconds",
-    )
-    add_no_forecast(parser)
+    option(parser, "--state FILE", what, Path)
+    what = "serve /metrics and /healthz on 127.0.0.1:PORT"
+    option(parser, "--metrics-port PORT", what, PORT)
+    option(parser, "--duration S", "stop after S seconds", number(0.0))
+    shared(parser, "no-forecast")
     # a service logs what it does; -q logs warnings only, -qq errors
     parser.set_defaults(verbosity_offset=1)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Final
 
+from bstm_daemon.cli.arguments import option
 from bstm_daemon.cli.main import COMMANDS, parser_of
 from bstm_daemon.errors import require_packages
 
@@ -16,12 +17,11 @@ SHELLS: Final = ("bash", "zsh", "tcsh")
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare what is printed."""
-    parser.add_argument(
-        "what",
-        choices=(*SHELLS, "man"),
-        help="bash, zsh, tcsh: its completion of commands and options; man: "
-        "the page bstm(1)",
+    what = (
+        "bash, zsh, tcsh: its completion of commands and options; man: the "
+        "page bstm(1)"
     )
+    option(parser, "what", what, choices=(*SHELLS, "man"))
 
 
 def run(args: argparse.Namespace) -> int:

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 from bstm_daemon.cli.arguments import (
     LOG_ENDINGS,
     add_out,
-    add_path,
     check_targets,
     number,
+    option,
 )
 from bstm_daemon.cli.progress import Progress
 from bstm_daemon.errors import UsageError
@@ -40,52 +40,40 @@ if TYPE_CHECKING:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``bstm simulate``."""
-    parser.add_argument(
-        "drive",
-        nargs="?",
-        metavar="DRIVE",
-        help="a drive of --list, or a TOML file that describes one",
-    )
+    what = "a drive of --list, or a TOML file that describes one"
+    option(parser, "drive DRIVE", what, nargs="?")
     add_out(parser, "candump log to write", "LOG")
-    parser.add_argument(
+    option(
+        parser,
         "--preset",
+        "effects of the simulated car's brakes: plain or road (default: "
+        "plain)",
         default="plain",
-        help="effects of the simulated car's brakes: plain or road "
-        "(default: plain)",
     )
-    parser.add_argument(
-        "--effect",
+    option(
+        parser,
+        "--effect NAME=STRENGTH",
+        "switch one effect in addition to the preset's; 0 is off, 1 typical; "
+        "may be repeated",
         action="append",
         default=[],
-        metavar="NAME=STRENGTH",
-        help="switch one effect in addition to the preset's; 0 is off, 1 "
-        "typical; "
-        "may be repeated",
     )
-    parser.add_argument(
+    option(
+        parser,
         "--sensors",
+        "errors of the sensors, n1 good to n4 poor (default: none)",
         default="none",
         choices=tuple(SENSOR_PRESETS),
-        help="errors of the sensors, n1 good to n4 poor (default: none)",
     )
-    parser.add_argument(
-        "--vehicle",
-        choices=tuple(vehicle_names()),
-        help="the car that drives (default: the drive's own, mostly nominal)",
-    )
+    what = "the car that drives (default: the drive's own, mostly nominal)"
+    option(parser, "--vehicle", what, choices=tuple(vehicle_names()))
     what = "write the sensors' samples at 100 Hz, without frames"
-    add_path(parser, "--samples", "FILE.npz", what)
+    option(parser, "--samples FILE.npz", what, Path)
     what = "write the true temperatures, a row a second, to FILE.csv"
-    add_path(parser, "--truth", "FILE.csv", what)
-    parser.add_argument(
-        "--seed",
-        type=number(0, kind=int),
-        default=0,
-        help="of the sensors' noise (default: 0)",
-    )
-    parser.add_argument(
-        "--list", action="store_true", help="list the drives and stop"
-    )
+    option(parser, "--truth FILE.csv", what, Path)
+    what = "of the sensors' noise (default: 0)"
+    option(parser, "--seed", what, number(0, kind=int), default=0)
+    option(parser, "--list", "list the drives and stop")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -14,6 +14,7 @@ from bstm_daemon.analysis.matching.verification import (
     held_against,
     judged,
 )
+from bstm_daemon.cli.arguments import option
 from bstm_daemon.cli.log_command import (
     add_log_arguments,
     heading,
@@ -37,22 +38,21 @@ FAILED: Final = 1
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare logs, limits and where results go."""
     add_log_arguments(parser)
-    parser.add_argument(
+    option(
+        parser,
         "--require",
-        choices=tuple(LIMITS),
-        default="thesis",
-        help="which limits decide the exit code (default %(default)s): fluid "
+        "which limits decide the exit code (default %(default)s): fluid "
         "within 30 K and its peak within 5 min; floor and goal are narrower "
         "and include disc, pad and drift",
+        choices=tuple(LIMITS),
+        default="thesis",
     )
-    parser.add_argument(
-        "--matched-on",
-        nargs="+",
-        type=Path,
-        default=[],
-        metavar="LOG",
-        help="drives of the match: the baseline, a disc of one node, is "
-        "fitted to them and not to the other LOGs",
+    option(
+        parser,
+        "--matched-on LOG...",
+        "drives of the match: the baseline, a disc of one node, is fitted to "
+        "them and not to the other LOGs",
+        Path,
     )
 
 

@@ -10,7 +10,7 @@ import webbrowser
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bstm_daemon.cli.arguments import add_bus_map, add_config, add_path, number
+from bstm_daemon.cli.arguments import add_config, number, option, shared
 from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.config.reading import load_config
 from bstm_daemon.errors import BstmError, UsageError, require_packages
@@ -37,21 +37,21 @@ SHORTEST_TOKEN = 16
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare what is shown and where."""
     what = f"socket of the live service (default: {DEFAULT_SOCKET})"
-    add_path(parser, "--feed", "SOCKET", what)
-    what = "configuration of the vehicle, for its [feed] or for --log"
-    add_config(parser, what, required=False)
-    add_path(parser, "--log", "LOG", "replay a recorded log instead")
+    option(parser, "--feed SOCKET", what, Path)
+    add_config(
+        parser, "configuration of the vehicle, for its [feed] or for --log"
+    )
+    option(parser, "--log LOG", "replay a recorded log instead", Path)
     what = "with --log: seconds of the log per second (default: 1)"
-    parser.add_argument("--speed", type=number(0.0), default=1.0, help=what)
+    option(parser, "--speed", what, number(0.0), default=1.0)
     what = "with --log: the brakes at its beginning (default: unknown)"
-    parser.add_argument("--start", choices=("cold", "unknown"), help=what)
+    option(parser, "--start", what, choices=("cold", "unknown"))
     what = f"ADDRESS:PORT where the page is served (default: {ADDRESS})"
-    parser.add_argument("--listen", default=ADDRESS, help=what)
-    what = "open the page in this computer's browser"
-    parser.add_argument("--open", action="store_true", help=what)
+    option(parser, "--listen", what, default=ADDRESS)
+    option(parser, "--open", "open the page in this computer's browser")
     what = "file with the token that a page beyond this computer must give"
-    add_path(parser, "--token", "FILE", what)
-    add_bus_map(parser)
+    option(parser, "--token FILE", what, Path)
+    shared(parser, "map")
 
 
 def run(args: argparse.Namespace) -> int:

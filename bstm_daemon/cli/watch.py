@@ -8,7 +8,7 @@ from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Final
 
 from bstm_daemon.bus.output.layout import BLOCK_IDS, MAX_STANDARD_ID
-from bstm_daemon.cli.arguments import add_config, number
+from bstm_daemon.cli.arguments import add_config, number, option
 from bstm_daemon.config.reading import load_config
 from bstm_daemon.config.sections import BusConfig
 from bstm_daemon.config.service import PublishConfig
@@ -30,35 +30,23 @@ LAST_BASE: Final = MAX_STANDARD_ID - BLOCK_IDS + 1
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``bstm watch``."""
-    what = "configuration of the vehicle, for bus and ids (TOML)"
-    add_config(parser, what, required=False)
-    parser.add_argument(
-        "-i",
-        "--interface",
-        type=_name,
-        metavar="IFACE",
-        help="python-can interface (default: from CONFIG, python-can's own "
+    add_config(parser, "configuration of the vehicle, for bus and ids (TOML)")
+    option(
+        parser,
+        "-i --interface IFACE",
+        "python-can interface (default: from CONFIG, python-can's own "
         "configuration, or socketcan)",
+        _name,
     )
-    parser.add_argument(
-        "--channel",
-        type=_name,
-        metavar="CH",
-        help="channel of the interface (default: likewise, or can0)",
-    )
-    parser.add_argument(
-        "-b",
-        "--bitrate",
-        type=number(1, kind=int),
-        metavar="BIT/S",
-        help="bitrate, for interfaces that need it",
-    )
-    parser.add_argument(
-        "--id-base",
-        type=_id_base,
-        metavar="ID",
-        help="id of BSTM_Status (default: [publish] id_base of CONFIG, "
-        "or 0x5B0)",
+    what = "channel of the interface (default: likewise, or can0)"
+    option(parser, "--channel CH", what, _name)
+    what = "bitrate, for interfaces that need it"
+    option(parser, "-b --bitrate BIT/S", what, number(1, kind=int))
+    option(
+        parser,
+        "--id-base ID",
+        "id of BSTM_Status (default: [publish] id_base of CONFIG, or 0x5B0)",
+        _id_base,
     )
 
 

@@ -12,10 +12,8 @@ from bstm_daemon.errors import FileAccessError, UsageError
 def test_paths() -> None:
     """Files arrive as paths under the contract's names."""
     parser = ArgumentParser()
-    arguments.add_config(parser)
     arguments.add_out(parser, "folder of results", "DIR")
-    arguments.add_json(parser)
-    arguments.add_report(parser)
+    arguments.shared(parser, "config", "json", "report")
 
     short = parser.parse_args(["-c", "a.toml", "-o", "out"])
     long = parser.parse_args(
@@ -27,10 +25,30 @@ def test_paths() -> None:
     assert (long.json, long.report) == (Path("r.json"), Path("r.html"))
 
 
+def test_a_usage_is_an_argument() -> None:
+    parser = ArgumentParser()
+    arguments.option(parser, "logs LOG...", "drives", Path)
+    arguments.option(parser, "-n --count N", "how often", int, default=3)
+    arguments.option(parser, "--also LOG...", "more drives")
+    arguments.option(parser, "--deep", "dig")
+
+    plain = parser.parse_args(["a", "b"])
+    full = parser.parse_args(["a", "-n", "2", "--also", "x", "y", "--deep"])
+
+    assert vars(plain) == {
+        "logs": [Path("a"), Path("b")],
+        "count": 3,
+        "also": [],
+        "deep": False,
+    }
+    assert (full.count, full.also, full.deep) == (2, ["x", "y"], True)
+    assert "[--also LOG [LOG ...]]" in parser.format_usage()
+
+
 def test_config_is_required() -> None:
     """A command without a configuration ends with the usage."""
     parser = ArgumentParser()
-    arguments.add_config(parser)
+    arguments.shared(parser, "config")
 
     with pytest.raises(SystemExit):
         parser.parse_args([])
@@ -39,7 +57,7 @@ def test_config_is_required() -> None:
 def test_bus_map() -> None:
     """Each --map is one pair, in order."""
     parser = ArgumentParser()
-    arguments.add_bus_map(parser)
+    arguments.shared(parser, "map")
 
     args = parser.parse_args(["--map", "can0=chassis", "--map", "vcan1=body"])
 
@@ -52,7 +70,7 @@ def test_bus_map() -> None:
 def test_bad_bus_map(text: str, capsys: pytest.CaptureFixture[str]) -> None:
     """A pair that is none is shown with an example."""
     parser = ArgumentParser()
-    arguments.add_bus_map(parser)
+    arguments.shared(parser, "map")
 
     with pytest.raises(SystemExit):
         parser.parse_args(["--map", text])
