@@ -38,7 +38,7 @@ from bstm_daemon.estimator.validity import (
     needs_of_corners,
 )
 from bstm_daemon.model.effects.catalogue import edited_inputs
-from bstm_daemon.model.effects.corrections import (
+from bstm_daemon.model.effects.model import (
     corrected,
     corrections_by_role,
 )

@@ -14,7 +14,7 @@ from bstm_daemon.estimator.corner_model import compile_corner
 from bstm_daemon.estimator.estimator import STEP_US, Estimator
 from bstm_daemon.exchange.responses import Response, responses
 from bstm_daemon.model.effects.catalogue import edited_inputs
-from bstm_daemon.model.effects.corrections import corrections_by_role
+from bstm_daemon.model.effects.model import corrections_by_role
 from bstm_daemon.roles import ROLES
 
 if TYPE_CHECKING:

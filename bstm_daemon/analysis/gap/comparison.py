@@ -34,8 +34,8 @@ from bstm_daemon.estimator.corner_model import compiled_model, corner_model
 from bstm_daemon.model.effects.catalogue import edited_inputs, effect_class
 from bstm_daemon.model.effects.composed import NAME as COMPOSED
 from bstm_daemon.model.effects.composed import PREFIX, is_composed, read
-from bstm_daemon.model.effects.corrections import corrections_by_role
 from bstm_daemon.model.effects.effect import STRENGTH
+from bstm_daemon.model.effects.model import corrections_by_role
 from bstm_daemon.roles import ROLE_INDEX
 
 if TYPE_CHECKING:

@@ -25,7 +25,7 @@ from bstm_daemon.channels import CHANNELS
 from bstm_daemon.errors import LogError
 from bstm_daemon.estimator.corner_model import compile_corner
 from bstm_daemon.model.effects.catalogue import edited_inputs, effect_class
-from bstm_daemon.model.effects.corrections import corrections_by_role
+from bstm_daemon.model.effects.model import corrections_by_role
 from bstm_daemon.model.heat.feed_back import Vehicle
 from bstm_daemon.roles import CORNERS, ROLE_INDEX
 from bstm_daemon.units import GRAVITY_MS2, KELVIN_OFFSET

@@ -18,11 +18,11 @@ from bstm_daemon.model.effects.catalogue import (
     effect_names,
     problems_of,
 )
-from bstm_daemon.model.effects.corrections import (
+from bstm_daemon.model.effects.model import (
+    Correction,
     corrected,
     corrections_by_role,
 )
-from bstm_daemon.model.effects.model import Correction
 from bstm_daemon.native.loader import VARIABLE
 from bstm_daemon.roles import ROLE_INDEX
 

@@ -4,7 +4,6 @@ from dataclasses import replace
 from math import ceil
 
 from bstm_daemon.model.effects.effect import Effect
-from bstm_daemon.model.effects.linings import with_effusivity
 from bstm_daemon.model.effects.model import CornerModel, Parameter
 from bstm_daemon.model.effects.tables import (
     FASTEST_MS,
@@ -12,6 +11,7 @@ from bstm_daemon.model.effects.tables import (
     ROOM_K,
     over_speed,
     rising_with_speed,
+    with_effusivity,
 )
 from bstm_daemon.model.thermal.network import (
     Link,

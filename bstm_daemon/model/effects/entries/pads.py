@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import pairwise
 
 from bstm_daemon.model.effects.effect import Effect
-from bstm_daemon.model.effects.linings import pad_nodes, with_effusivity
 from bstm_daemon.model.effects.model import CornerModel, Parameter
-from bstm_daemon.model.effects.tables import ROOM_K, rising_with_speed
+from bstm_daemon.model.effects.tables import (
+    ROOM_K,
+    edit_lining,
+    rising_with_speed,
+    with_effusivity,
+)
 from bstm_daemon.model.thermal.network import (
     Link,
     Memory,
@@ -59,15 +62,10 @@ class PadConductivity(Effect):
                 max(1.0 + rise, LEAST_CONDUCTIVITY),
             ),
         )
-        chain = set(pairwise(pad_nodes(model.network)))
-
-        def edited(link: Link) -> Link:
-            if (link.a, link.b) not in chain:
-                return link
-            return with_factors(link, mean(link.a, link.b, ramp))
-
-        net = with_effusivity(model.network, ramp, self.name)
-        return replace(net, links=tuple(map(edited, net.links)))
+        return edit_lining(
+            with_effusivity(model.network, ramp, self.name),
+            link=lambda one: with_factors(one, mean(one.a, one.b, ramp)),
+        )
 
 
 LEAST_CAPACITY = 0.3
@@ -98,17 +96,14 @@ class PadCapacity(Effect):
         span = self["until_c"] + KELVIN_OFFSET - ROOM_K
         hot = max(1.0 + self.scaled("rise_per_k") * span, LEAST_CAPACITY)
         ramp = Table(ROOM_K, span, (1.0, hot))
-        slabs = set(pad_nodes(model.network))
 
-        def edited(node: Node) -> Node:
-            if node.name not in slabs:
-                return node
-            old = node.capacity_table
+        def warmed(slab: Node) -> Node:
+            old = slab.capacity_table
             table = ramp if old is None else old.times(ramp)
-            return replace(node, capacity_table=table)
+            return replace(slab, capacity_table=table)
 
         net = with_effusivity(model.network, ramp, self.name)
-        return replace(net, nodes=tuple(map(edited, net.nodes)))
+        return edit_lining(net, warmed)
 
 
 ONSET_WIDTH_K = 60.0
@@ -177,24 +172,12 @@ class PadWear(Effect):
         whole = model.spec.pad.thickness_m
         least = min(THINNEST_M, whole)
         left = max(whole - self.scaled("worn_m"), least) / whole
-        names = pad_nodes(model.network)
-        chain = set(pairwise(names))
-
-        def thinner(node: Node) -> Node:
-            if node.name not in names:
-                return node
-            return replace(node, capacity_j_k=left * node.capacity_j_k)
-
-        def shorter(link: Link) -> Link:
-            if (link.a, link.b) not in chain:
-                return link
-            return replace(link, conductance_w_k=link.conductance_w_k / left)
-
-        net = model.network
-        return replace(
-            net,
-            nodes=tuple(map(thinner, net.nodes)),
-            links=tuple(map(shorter, net.links)),
+        return edit_lining(
+            model.network,
+            lambda one: replace(one, capacity_j_k=left * one.capacity_j_k),
+            lambda one: replace(
+                one, conductance_w_k=one.conductance_w_k / left
+            ),
         )
 
 
