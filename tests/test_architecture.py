@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 import subprocess
 import sys
 from functools import cache
@@ -12,7 +13,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
 PACKAGE = Path(__file__).resolve().parents[1] / "bstm_daemon"
 
@@ -78,6 +79,16 @@ FORBIDDEN = {
 """What its floor alone would allow. The reality that makes data shares no
 physics with the estimator; physics, estimate and what follows from it know
 no CAN."""
+
+C_ROOMS_BELOW = {
+    "bus": set(),
+    "heat": set(),
+    "thermal": set(),
+    "fmu": {"heat", "thermal"},
+    "python": {"heat", "thermal"},
+    "simulation": set(),
+}
+"""The same for folders with C."""
 
 MOST_ENTRIES = 26
 MOST_ARROWS = 148
@@ -211,11 +222,7 @@ def test_arrows_between_entries_are_few() -> None:
     assert len(between) <= MOST_ARROWS
 
 
-def test_there_is_no_circle() -> None:
-    graph: dict[str, set[str]] = {name: set() for name in MODULES}
-    for name, target in arrows():
-        if target != name:
-            graph[name].add(target)
+def assert_no_circle(graph: Mapping[str, set[str]]) -> None:
     finished: set[str] = set()
 
     def visit(name: str, trail: tuple[str, ...]) -> None:
@@ -227,6 +234,60 @@ def test_there_is_no_circle() -> None:
 
     for name in graph:
         visit(name, ())
+
+
+def test_there_is_no_circle() -> None:
+    graph: dict[str, set[str]] = {name: set() for name in MODULES}
+    for name, target in arrows():
+        if target != name:
+            graph[name].add(target)
+
+    assert_no_circle(graph)
+
+
+NO_CALL = re.compile(
+    r"/\*.*?\*/|^\w[\w *]*\([^;{}]*\);", re.DOTALL | re.MULTILINE
+)
+"""Comments and declarations."""
+C_FUNCTION = re.compile(
+    r"^(?!static|INLINE)\w[\w *]*?(\w+)\([^;{}]*\)\s*\{", re.MULTILINE
+)
+
+
+def c_arrows() -> dict[str, set[str]]:
+    """Each C file, with its header, and those that it includes or calls.
+
+    A header of a name of its own is a file too; those that are generated are
+    none.
+    """
+    text: dict[str, str] = {}
+    for path in sorted(PACKAGE.rglob("*.[ch]")):
+        name = f"{path.parent.name}/{path.stem}"
+        source = NO_CALL.sub("", path.read_text(encoding="utf-8"))
+        text[name] = text.get(name, "") + source
+    home = {f"{name.partition('/')[2]}.h": name for name in text}
+    for name, source in text.items():
+        home |= dict.fromkeys(C_FUNCTION.findall(source), name)
+    return {
+        name: {
+            home[word]
+            for word in re.findall(r"\w+(?:\.h)?", source)
+            if word in home
+        }
+        - {name}
+        for name, source in text.items()
+    }
+
+
+def test_c_files_run_downwards_and_in_no_circle() -> None:
+    graph = c_arrows()
+    assert_no_circle(graph)
+    assert graph["heat/sample_pass"] >= {"heat/checks", "heat/friction_law"}
+    for name, targets in graph.items():
+        room = name.partition("/")[0]
+        allowed = {room, *C_ROOMS_BELOW[room]}
+        for target in targets:
+            assert target.partition("/")[0] in allowed, f"{name} -> {target}"
 
 
 def test_the_check_itself_sees_imports_for_types_apart() -> None:

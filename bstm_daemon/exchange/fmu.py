@@ -107,6 +107,7 @@ def write_fmu(
     compilers = {name: compiler_of(name) for name in platforms}
     header, token = network_header(model)
     native = PACKAGE / "native"
+    other = "fmi3.c" if fmi == 2 else "fmi2.c"
     folders = [native / "fmu", native / "thermal"]
     if model.plan is not None:
         folders.append(native / "heat")
@@ -114,7 +115,7 @@ def write_fmu(
         file.name: file.read_bytes()
         for folder in folders
         for file in sorted(folder.glob("*.[ch]"))
-        if file.name not in _left_out(fmi)
+        if file.name != other
     }
     compiled = sorted(name for name in files if name.endswith(".c"))
     files["generated.h"] = generated_header().encode()
@@ -139,12 +140,6 @@ def write_fmu(
             entry.compress_type = ZIP_DEFLATED
             entry.external_attr = 0o644 << 16
             archive.writestr(entry, content)
-
-
-def _left_out(fmi: int) -> set[str]:
-    """Return files that know Python, or the other version of FMI."""
-    other = "fmi3.c" if fmi == 2 else "fmi2.c"
-    return {"kernel.c", "kernel.h", "sample_bind.c", other}
 
 
 def _compile(

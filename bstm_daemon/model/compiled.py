@@ -13,6 +13,7 @@ from bstm_daemon.model.heat import (
     observer,
     observer_faults,
     observer_rules,
+    readings,
     sample_pass,
     sample_plan,
 )
@@ -48,6 +49,7 @@ def generated_header() -> str:
     header.layout(sample_plan.PlanNumbers)
     header.layout(memory.SampleMemory)
     header.record(observer_faults.Step)
+    header.record(readings.Readings)
     header.constants(program, reference)
     header.names("count_", program.COUNTS, "COUNTS")
     header.names("", program.SECTIONS, "SECTIONS")

@@ -83,7 +83,7 @@ class Header:
         if self._new(kind.__name__, kind):
             self.lines.append("typedef struct {")
             for part in fields_of(kind):
-                of = "int" if part.kind is bool else "double"
+                of = {bool: "int", int: "int64_t", float: "double"}[part.kind]
                 self.lines.append(f"    {of} {part.name}{_brackets(part)};")
             self.lines.append(f"}} {kind.__name__};")
 

@@ -26,6 +26,7 @@ TABLES: Final = (
     "model.heat.observer",
     "model.heat.observer_faults",
     "model.heat.observer_rules",
+    "model.heat.readings",
     "model.heat.sample_pass",
     "model.heat.sample_plan",
     "model.thermal.program",
@@ -44,9 +45,8 @@ SOURCES: Final = {
         "native/heat/motion_checks.c",
         "native/heat/observer.c",
         "native/heat/observer_faults.c",
-        "native/heat/sample_bind.c",
         "native/heat/sample_pass.c",
-        "native/thermal/kernel.c",
+        "native/python/kernel.c",
         "native/thermal/march.c",
     ),
     "native._bus": (

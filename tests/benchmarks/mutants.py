@@ -87,7 +87,8 @@ ROOMS: Final = {
     ),
     "native/heat": Room(("native/heat/*.[ch]",), ("model/heat", "golden")),
     "native/thermal": Room(
-        ("native/thermal/*.[ch]",), ("model/thermal", "golden")
+        ("native/thermal/*.[ch]", "native/python/*.c"),
+        ("model/thermal", "golden"),
     ),
     "native/bus": Room(
         ("native/bus/*.[ch]",), ("bus/signals", "bus/logs", "bus/live")

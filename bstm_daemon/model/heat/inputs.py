@@ -363,7 +363,7 @@ class Inputs:
         return flags
 
     def readings(
-        self, dt_s: float, sources: Sequence[int], at_risk: Sequence[bool]
+        self, dt_s: float, sources: Sequence[int], at_risk: list[bool]
     ) -> Readings:
         """Return what the checks need of the step that ends now."""
         brake_switch = self.vehicle("brake_switch", nan)

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import Annotated
 
-if TYPE_CHECKING:
-    from collections.abc import Sequence
+from bstm_daemon.model.heat.memory import PER_CORNER, Pressures, Speeds
 
 
 @dataclass(slots=True)
@@ -33,8 +32,8 @@ class Readings:
     secured: float
     acceleration: float
     ambient_k: float
-    speeds: Sequence[float]
-    pressures: Sequence[float]
-    pressure_of: Sequence[int]
-    heat_known: Sequence[bool]
-    at_risk: Sequence[bool]
+    speeds: Speeds
+    pressures: Pressures
+    pressure_of: Annotated[list[int], PER_CORNER]
+    heat_known: Annotated[list[bool], PER_CORNER]
+    at_risk: Annotated[list[bool], PER_CORNER]

@@ -1,5 +1,6 @@
 #include "checks.h"
 
+#include "check_rules.h"
 #include "motion_checks.h"
 
 #define NO_MOTION (FLAG_SPEED_SUSPECT | FLAG_ACCELERATION_SUSPECT)
@@ -77,7 +78,7 @@ static void compare_pair(Checks *c, const Readings *now, double middle,
     int outcome = OPEN;
     if (high - low > DEVIATION_MS + share * high) outcome = FAILED;
     else if (middle > MOVING_MS) outcome = PASSED;
-    c->m->pair_fault_s = checks_advance(DEVIATION, c->m->pair_fault_s, outcome, now->dt_s);
+    c->m->pair_fault_s = check_rules_advance(DEVIATION, c->m->pair_fault_s, outcome, now->dt_s);
 }
 
 static void compare_scales(Checks *c, const Readings *now, double middle,
@@ -117,7 +118,7 @@ static void compare_speeds(Checks *c, const Readings *now, double middle,
                 outcome = agreeing >= 2 ? FAILED : OPEN;
             else if (middle > MOVING_MS) outcome = PASSED;
         }
-        c->m->deviation_fault_s[v] = checks_advance(DEVIATION, c->m->deviation_fault_s[v], outcome, now->dt_s);
+        c->m->deviation_fault_s[v] = check_rules_advance(DEVIATION, c->m->deviation_fault_s[v], outcome, now->dt_s);
     }
     if (count == 2) compare_pair(c, now, middle, share);
 }
@@ -140,7 +141,7 @@ static void hold_speeds(Checks *c, const Readings *now, double middle,
                      && fabs(other - c->m->speed_mark[v]) > FROZEN_SPEED_MS)
                 outcome = FAILED;
         }
-        c->m->speed_stuck_s[v] = checks_advance(STUCK, c->m->speed_stuck_s[v], outcome, now->dt_s);
+        c->m->speed_stuck_s[v] = check_rules_advance(STUCK, c->m->speed_stuck_s[v], outcome, now->dt_s);
         c->m->left_out[v] = c->m->deviation_fault_s[v] >= DEVIATION.comes_s
             || c->m->speed_stuck_s[v] >= STUCK.comes_s ? 1.0 : 0.0;
     }
@@ -166,7 +167,7 @@ static void hold_pressures(Checks *c, const Readings *now, int64_t refused)
                      && fabs(now->speed - c->m->pressure_mark[i]) > FROZEN_PRESSURE_MS)
                 outcome = FAILED;
         }
-        c->m->pressure_stuck_s[i] = checks_advance(STUCK, c->m->pressure_stuck_s[i], outcome, now->dt_s);
+        c->m->pressure_stuck_s[i] = check_rules_advance(STUCK, c->m->pressure_stuck_s[i], outcome, now->dt_s);
     }
 }
 
@@ -179,7 +180,7 @@ static void compare_switch(Checks *c, const Readings *now)
         && !isnan(now->brake_switch) && now->esc_active == 0.0)
         outcome = primary > SWITCH_PRESSURE_PA && now->brake_switch == 0.0
             ? FAILED : PASSED;
-    c->m->switch_fault_s = checks_advance(SWITCH, c->m->switch_fault_s, outcome, now->dt_s);
+    c->m->switch_fault_s = check_rules_advance(SWITCH, c->m->switch_fault_s, outcome, now->dt_s);
 }
 
 static void compare_zero(Checks *c, const Readings *now)
@@ -189,7 +190,7 @@ static void compare_zero(Checks *c, const Readings *now)
         int outcome = OPEN;
         if (!isnan(pressure)) outcome = pressure < ZERO_PA ? FAILED : PASSED;
         c->m->zero_fault_s[i] =
-            checks_advance(ZERO, c->m->zero_fault_s[i], outcome, now->dt_s);
+            check_rules_advance(ZERO, c->m->zero_fault_s[i], outcome, now->dt_s);
     }
 }
 
@@ -201,7 +202,7 @@ static void compare_ambient(Checks *c, const Readings *now)
         outcome = fabs(above_k) < LOWEST_CODE_WITHIN_K ? FAILED : PASSED;
     }
     c->m->lowest_code_s =
-        checks_advance(LOWEST_CODE, c->m->lowest_code_s, outcome, now->dt_s);
+        check_rules_advance(LOWEST_CODE, c->m->lowest_code_s, outcome, now->dt_s);
 }
 
 static int64_t pressure_flags(const Checks *c, const Readings *now, int which)

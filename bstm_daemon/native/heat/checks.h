@@ -17,34 +17,6 @@ typedef struct {
     int acceleration_role, torque_role, temperature_role[MAX_TEMPERATURES];
 } Checks;
 
-/* Inputs at the end of a step; nan for those that are missing. */
-typedef struct {
-    int64_t now;
-    double dt_s, speed, brake_switch, esc_active, secured, acceleration;
-    double ambient_k;
-    int speed_known, braking, intervenes;
-    double speeds[MAX_SPEEDS], pressures[MAX_PRESSURES];
-    int pressure_of[MAX_CORNERS], heat_known[MAX_CORNERS];
-    int at_risk[MAX_CORNERS];
-} Readings;
-
-enum { PASSED, FAILED, OPEN };
-
-/* The count of a check a step later; OPEN: it could not be made. */
-static inline double checks_advance(Hysteresis h, double fault_s, int outcome,
-                                    double dt_s)
-{
-    if (outcome == OPEN) return fault_s;
-    const int latched = fault_s >= h.comes_s;
-    if (outcome == FAILED) {
-        fault_s = fault_s + dt_s;
-        if (latched || fault_s >= h.comes_s) return h.comes_s + h.goes_s;
-        return fault_s;
-    }
-    fault_s = fault_s - dt_s;
-    return fault_s <= (latched ? h.comes_s : 0.0) ? 0.0 : fault_s;
-}
-
 static inline int checks_jumped(int role, double change, int64_t time_us)
 {
     const Limits *l = LIMITS + role;

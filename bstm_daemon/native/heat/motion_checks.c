@@ -1,5 +1,7 @@
 #include "motion_checks.h"
 
+#include "check_rules.h"
+
 static void compare_direction(CheckMemoryFloats *m, double dt_s, double gained)
 {
     const double faded = dt_s / REVERSED_MEMORY_S;
@@ -15,7 +17,7 @@ static void compare_direction(CheckMemoryFloats *m, double dt_s, double gained)
         else if (m->agreement > REVERSED_SHARE * m->motion) outcome = PASSED;
     }
     m->reversed_fault_s =
-        checks_advance(REVERSED, m->reversed_fault_s, outcome, dt_s);
+        check_rules_advance(REVERSED, m->reversed_fault_s, outcome, dt_s);
 }
 
 static void compare_inertia(CheckMemoryFloats *m, const Readings *now)
@@ -30,7 +32,7 @@ static void compare_inertia(CheckMemoryFloats *m, const Readings *now)
         share * (now->acceleration - m->slow_acceleration);
     const double gained = (now->speed - m->slow_speed) / INERTIA_FILTER_S;
     const int failed = fabs(m->slow_acceleration - gained) > INERTIA_MS2;
-    m->inertia_fault_s = checks_advance(INERTIA, m->inertia_fault_s,
+    m->inertia_fault_s = check_rules_advance(INERTIA, m->inertia_fault_s,
                                         failed ? FAILED : PASSED, now->dt_s);
     compare_direction(m, now->dt_s, gained);
 }
@@ -82,7 +84,7 @@ static void compare_frozen(CheckMemoryFloats *m, const Readings *now,
         outcome = FAILED;
     else if (held_s < MOVES_S) outcome = PASSED;
     m->unmoved_fault_s =
-        checks_advance(STUCK, m->unmoved_fault_s, outcome, now->dt_s);
+        check_rules_advance(STUCK, m->unmoved_fault_s, outcome, now->dt_s);
 }
 
 void motion_checks_compare_motion(CheckMemoryFloats *m, const Readings *now,

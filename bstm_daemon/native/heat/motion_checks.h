@@ -5,7 +5,7 @@
 #ifndef BSTM_MOTION_CHECKS_H
 #define BSTM_MOTION_CHECKS_H
 
-#include "checks.h"
+#include "generated.h"
 
 /* Follow speed and accelerometer through a step; noise: not to use. */
 void motion_checks_compare_motion(CheckMemoryFloats *m, const Readings *now,

@@ -1,5 +1,5 @@
 /* The pass over samples, described in model/heat/sample_pass.py; both
- * forms do the same operations in the same order. sample_bind.c checks what
+ * forms do the same operations in the same order. python/kernel.c checks what
  * comes from Python.
  */
 #ifndef BSTM_SAMPLE_PASS_H

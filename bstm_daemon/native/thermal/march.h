@@ -1,5 +1,5 @@
 /* A network's structure and a march over it, as its two sources share them:
- * kernel.c binds it to Python, march.c checks and runs it.
+ * python/kernel.c binds it to Python, march.c checks and runs it.
  * model/thermal/program.py lays out `ints` and `floats`.
  */
 #ifndef BSTM_MARCH_H
