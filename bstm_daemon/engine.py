@@ -15,7 +15,6 @@ from bstm_daemon.bus.live.frame_records import RecordDecoder
 from bstm_daemon.bus.output.publication import OutputFrame, Publication
 from bstm_daemon.bus.signals.decoder import Decoder
 from bstm_daemon.bus.signals.e2e_guard import E2eGuard
-from bstm_daemon.channels import FLAGS
 from bstm_daemon.estimate import (
     CornerEstimate,
     Estimate,
@@ -33,48 +32,31 @@ from bstm_daemon.estimator.state import (
     park,
     resume_state,
 )
-from bstm_daemon.estimator.verified import unverified_of_car
+from bstm_daemon.estimator.verified import (
+    stale_flags_of_car,
+    unverified_of_car,
+)
 from bstm_daemon.forecast.monitor import RiskMonitor
 from bstm_daemon.model.heat.plausibility import SUBSTITUTED, SUSPECT
 from bstm_daemon.model.heat.sample_pass import TICK
 from bstm_daemon.model.risk.boiling import wet_boiling_point_k
-from bstm_daemon.roles import CORNERS, ROLE_INDEX
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator, Mapping
+    from collections.abc import Iterator, Mapping
     from typing import Any
 
     from bstm_daemon.bus.live.frame_records import FrameRecords
     from bstm_daemon.bus.signals.signal_map import SignalMap
     from bstm_daemon.config.sections import Config
-    from bstm_daemon.estimate import CarRisk
+    from bstm_daemon.estimate import Advice, CarRisk
     from bstm_daemon.estimator.blocks import Block, Instant
     from bstm_daemon.estimator.state import Restored
+    from bstm_daemon.model.wear.car import CarWear
 
 _STRAY_US: Final = 1_000_000
 """A rejected frame stamped further ahead than this is counted at once."""
 
 FOREVER_US: Final = 2**63
-
-_USED: Final = {
-    "ff": ("speed", "pressure", "ambient"),
-    "fb": ("speed", "pressure", "acceleration", "torque", "ambient"),
-    "fused": ("speed", "pressure", "acceleration", "torque", "ambient"),
-    "measured": ("speed", "ambient"),
-}
-"""Inputs by heat mode: only these are reported stale."""
-
-_ROLES: Final = {
-    "pressure": (
-        "primary_pressure",
-        "secondary_pressure",
-        *(f"wheel_pressure_{name.lower()}" for name in CORNERS),
-    ),
-    "acceleration": ("acceleration_longitudinal",),
-    "torque": ("powertrain_torque",),
-    "ambient": ("ambient_temperature",),
-}
-"""Optional inputs: one without a mapped role is not stale."""
 
 
 class SavedCounters(Saved):
@@ -88,6 +70,74 @@ class Published(NamedTuple):
 
     time_us: int
     frame: OutputFrame
+
+
+class Following:
+    """Risk and advice that follow from the estimates of one car.
+
+    The engine and a replay along columns share it.
+    """
+
+    def __init__(
+        self,
+        config: Config,
+        estimator: Estimator,
+        present: Mapping[int, int],
+        *,
+        forecast: bool = True,
+    ) -> None:
+        """Begin parked.
+
+        Args:
+            config: the vehicle.
+            estimator: its estimator.
+            present: role number to time-out [us] of each mapped role.
+            forecast: whether risk and forecast are made.
+        """
+        self.risk = RiskMonitor(config, estimator) if forecast else None
+        self.advisor = Advisor(config, present)
+        self._boiling_k = wet_boiling_point_k(config.fluid.grade)
+
+    def advise(
+        self, instant: Instant, risk: CarRisk | None, wear: CarWear | None
+    ) -> tuple[dict[str, CornerEstimate], Advice]:
+        """Return corners and advice; to be called for every publication.
+
+        Args:
+            instant: the publication.
+            risk: the car's then; None without a forecast.
+            wear: that of the pads, if the corners are to have it.
+        """
+        corners = corner_estimates(instant, self._boiling_k, risk, wear)
+        return corners, self.advisor.update(instant, corners)
+
+    def export(self) -> dict[str, Any]:
+        """Return the memory as plain values, for the state file."""
+        advice = {"advice": self.advisor.export()}
+        if self.risk is None:
+            return advice
+        return advice | {"risk": self.risk.export()}
+
+    def resume(
+        self,
+        document: Mapping[str, Any],
+        parked_us: int | None,
+        now_us: int,
+        *,
+        same_drive: bool,
+    ) -> None:
+        """Continue from *document*, a state that the estimator has restored.
+
+        Args:
+            document: the state.
+            parked_us: time since the save [us], None where not known.
+            now_us: time now on the axis of the stamps [us].
+            same_drive: whether the drive goes on, and the advice with it.
+        """
+        if same_drive:
+            self.advisor = self.advisor.resumed(document.get("advice"))
+        if self.risk is not None:
+            self.risk.resume(document, parked_us, now_us)
 
 
 class Engine:
@@ -125,18 +175,19 @@ class Engine:
         self.estimator = Estimator(
             config, present, history_known=history_known, initial_k=initial_k
         )
-        self.risk = RiskMonitor(config, self.estimator) if forecast else None
+        self._following = Following(
+            config, self.estimator, present, forecast=forecast
+        )
+        self.risk = self._following.risk
         self.publication = Publication(
             [corner.name for corner in config.corner],
             config.publish.id_base,
             requests=config.publish.requests,
         )
-        self._advisor = Advisor(config, present)
         self._record_decoder = RecordDecoder(
-            signal_map, self._advisor.roles.names
+            signal_map, self._following.advisor.roles.names
         )
         self.config = config
-        self._boiling_k = wet_boiling_point_k(config.fluid.grade)
         self.heat_mode = HeatMode[config.heat.mode.upper()]
         self.estimate: Estimate | None = None
         """What was published last."""
@@ -152,7 +203,7 @@ class Engine:
         self._rejected_at: list[int] = []
         self.dropped_frames = 0
         """Frames lost before they came here, as the shell counts them."""
-        self._stale = _stale_flags(config.heat.mode, roles)
+        self._stale = stale_flags_of_car(config, roles)
         self.unverified = unverified_of_car(config, roles)
         """Inputs that no mapped role can check."""
 
@@ -177,7 +228,7 @@ class Engine:
                 return
         before = decoder.rejected
         times, roles, values = self._times, self._roles, self._values
-        driver = self._advisor.roles
+        driver = self._following.advisor.roles
         for role, value in decoder.decode(
             bus,
             can_id,
@@ -201,7 +252,8 @@ class Engine:
             The first one that was not taken: give it to :meth:`frame`.
         """
         decoder = self._record_decoder
-        counts, held = self.decoder.counts, self._advisor.roles.waiting
+        counts = self.decoder.counts
+        held = self._following.advisor.roles.waiting
         while True:
             position = decoder.decode(records, first, counts, held)
             if position == first:
@@ -286,10 +338,9 @@ class Engine:
         """Return the memory as plain values, for the state file."""
         return {
             "counters": self.publication.counters,
-            "advice": self._advisor.export(),
             "model_check": self.estimator.model_check.export(),
             **export_state(self.estimator),
-            **({} if self.risk is None else {"risk": self.risk.export()}),
+            **self._following.export(),
         }
 
     def resume(
@@ -317,14 +368,13 @@ class Engine:
             self.estimator, document, parked_us, now_us, proven=proven
         )
         self.publication.continue_from(counters)
-        if restored.resumed and "advice" in document:
-            self._advisor = self._advisor.resumed(document["advice"])
         self.estimator.model_check.resume(
             document,
             None if restored.resumed else max(parked_us or 0, 0) * 1e-6,
         )
-        if self.risk is not None:
-            self.risk.resume(document, parked_us, now_us)
+        self._following.resume(
+            document, parked_us, now_us, same_drive=restored.resumed
+        )
         return restored
 
     def correct_parked(
@@ -339,7 +389,6 @@ class Engine:
         if self.risk is not None:
             now_us = self.estimator.samples.times[0]
             self.risk.look_back(document, parked_us, now_us)
-        self.estimator.open_flags |= FLAGS["clock_jump"]
 
     def park(self, parked_us: int) -> None:
         """Let the brakes stand for *parked_us*: the computer slept.
@@ -383,10 +432,9 @@ class Engine:
         instant = block.at(i)
         self._count_rejected(instant.time_us, FOREVER_US)
         risk = None if self.risks is None else self.risks[0][i]
-        corners = corner_estimates(
-            instant, self._boiling_k, risk, self.estimator.wear
+        corners, advice = self._following.advise(
+            instant, risk, self.estimator.wear
         )
-        advice = self._advisor.update(instant, corners)
         self.estimate = Estimate(
             instant.time_us, corners, self._status(instant), advice, risk
         )
@@ -397,7 +445,7 @@ class Engine:
         worst = max(
             map(instant.validity, self.estimator.programs), default=None
         )
-        if flags & (FLAGS["silent"] | FLAGS["asleep"]):
+        if instant.is_silent:
             state = State.NO_INPUT
         else:
             is_well = worst is Validity.VALID
@@ -410,7 +458,7 @@ class Engine:
             oldest_input_age_s=instant.vehicle("input_age_s"),
             rejected_frames=self._rejected,
             dropped_frames=self.dropped_frames,
-            clock_jump=bool(flags & FLAGS["clock_jump"]),
+            clock_jump=instant.clock_jumped,
             input_suspect=bool(flags & SUSPECT),
             heat_substituted=bool(flags & SUBSTITUTED),
             model_disagrees=instant.model_disagrees,
@@ -420,13 +468,3 @@ class Engine:
                 for name, bit in self._stale.items()
             },
         )
-
-
-def _stale_flags(mode: str, roles: Collection[int]) -> dict[str, int]:
-    """Bit of each input that counts as stale when it is missing."""
-    return {
-        name: FLAGS[f"{name}_missing"]
-        for name in _USED[mode]
-        if name not in _ROLES
-        or any(ROLE_INDEX[role] in roles for role in _ROLES[name])
-    }

@@ -7,7 +7,7 @@ from functools import cache, cached_property
 from math import nan
 from typing import TYPE_CHECKING, Final, NamedTuple
 
-from bstm_daemon.channels import CHANNELS, VEHICLE_CHANNELS
+from bstm_daemon.channels import CHANNELS, FLAGS, VEHICLE_CHANNELS
 from bstm_daemon.estimate import Reason, Validity
 
 if TYPE_CHECKING:
@@ -135,6 +135,16 @@ class Instant(NamedTuple):
     def flags(self) -> int:
         """Bits of all steps since the publication before."""
         return self.block.flags[self.i]
+
+    @property
+    def is_silent(self) -> bool:
+        """Whether no sample came, as from a bus that is down or asleep."""
+        return bool(self.flags & (FLAGS["silent"] | FLAGS["asleep"]))
+
+    @property
+    def clock_jumped(self) -> bool:
+        """Whether the clock of the samples jumped."""
+        return bool(self.flags & FLAGS["clock_jump"])
 
     @property
     def history_known(self) -> bool:

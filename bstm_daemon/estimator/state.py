@@ -298,6 +298,7 @@ def correct_parked(
     estimator.start.compare()
     since = sum(steps for steps, _ in rows)
     estimator.samples, estimator.open_flags = running
+    estimator.open_flags |= FLAGS["clock_jump"]
     estimator.wear = wear
     _rebuild(estimator)
     estimator.trust.park(parked_s + since * STEP_US * 1e-6)

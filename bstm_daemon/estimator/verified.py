@@ -14,6 +14,7 @@ from functools import reduce
 from operator import or_
 from typing import TYPE_CHECKING, Final, NamedTuple
 
+from bstm_daemon.channels import FLAGS
 from bstm_daemon.estimate import NO_INPUT, Input
 from bstm_daemon.roles import CORNERS, GROUND_LAG_S, MEASURED_NODES, ROLES
 
@@ -34,6 +35,22 @@ _ACCELERATION: Final = "acceleration_longitudinal"
 _TORQUE: Final = "powertrain_torque"
 _COMPARED: Final = tuple(node for node in MEASURED_NODES if node != "caliper")
 """Thermocouples whose node every thermal structure has."""
+
+_USED: Final = {
+    "ff": ("speed", "pressure", "ambient"),
+    "fb": ("speed", "pressure", "acceleration", "torque", "ambient"),
+    "fused": ("speed", "pressure", "acceleration", "torque", "ambient"),
+    "measured": ("speed", "ambient"),
+}
+"""Inputs by heat mode: only these are reported stale."""
+
+_OPTIONAL: Final = {
+    "pressure": _PRESSURES,
+    "acceleration": (_ACCELERATION,),
+    "torque": (_TORQUE,),
+    "ambient": ("ambient_temperature",),
+}
+"""One without a mapped role is not stale."""
 
 
 class Check(NamedTuple):
@@ -193,3 +210,20 @@ def verification_table(
             alike.items(), key=lambda item: item[0][0]
         )
     ]
+
+
+def stale_flags_of_car(
+    config: Config, present: Collection[int]
+) -> dict[str, int]:
+    """Return the bit of each input that is stale when it is missing.
+
+    Args:
+        config: the vehicle.
+        present: numbers of the mapped roles.
+    """
+    roles = {ROLES[number].name for number in present}
+    return {
+        name: FLAGS[f"{name}_missing"]
+        for name in _USED[config.heat.mode]
+        if name not in _OPTIONAL or not roles.isdisjoint(_OPTIONAL[name])
+    }

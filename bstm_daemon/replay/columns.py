@@ -18,10 +18,9 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from bstm_daemon.advice.advisor import Advisor
 from bstm_daemon.bus.opening import EventLog
+from bstm_daemon.engine import Following
 from bstm_daemon.errors import LogError, UsageError
-from bstm_daemon.estimator.corner_estimates import corner_estimates
 from bstm_daemon.estimator.estimator import PUBLISH_US, Estimator
 from bstm_daemon.estimator.memory import StateError
 from bstm_daemon.estimator.state import (
@@ -30,8 +29,6 @@ from bstm_daemon.estimator.state import (
     resume_state,
 )
 from bstm_daemon.estimator.validity import HIGHEST_K, LOWEST_K
-from bstm_daemon.forecast.monitor import RiskMonitor
-from bstm_daemon.model.risk.boiling import wet_boiling_point_k
 from bstm_daemon.replay.results import (
     Part,
     ResultsBuilder,
@@ -128,14 +125,14 @@ def stream_log(  # noqa: PLR0913
         judged=bool(parts),
     )
     forecast &= Part.FORECAST in parts
-    monitor = RiskMonitor(config, estimator) if forecast else None
-    advice = AdviceSeries(config, present)
+    following = Following(config, estimator, present, forecast=forecast)
+    monitor, advice = following.risk, AdviceSeries(following)
     builders = _builders(estimator, sinks, every_us, summaries)
     start = _Start()
     for events in log.events():
         if isinstance(state, Mapping) and len(events.time_us):
             first_us = int(events.time_us[0])
-            _resume(state, first_us, estimator, monitor, advice)
+            _resume(state, first_us, estimator, following)
             state = None
         samples = events.time_us, events.role, events.value
         if monitor is not None:
@@ -167,15 +164,12 @@ def stream_log(  # noqa: PLR0913
         log.reader.truncated,
         start.known_s,
         builders[0].rows,
-        _state_after(begin, estimator, monitor, advice),
+        _state_after(begin, estimator, following),
     )
 
 
 def _state_after(
-    begin: StartState,
-    estimator: Estimator,
-    monitor: RiskMonitor | None,
-    advice: AdviceSeries,
+    begin: StartState, estimator: Estimator, following: Following
 ) -> dict[str, Any]:
     """Return what the daemon would save, its clock being that of the log.
 
@@ -189,9 +183,8 @@ def _state_after(
     }
     clocks = {"boot_id": None, "boot_us": 0, "wall_error_us": 0}
     document |= clocks | {"wall_us": document["time_us"]}
-    if monitor is not None:
-        document["advice"] = advice.advisor.export()
-        document["risk"] = monitor.export()
+    if following.risk is not None:
+        document |= following.export()
     elif isinstance(begin, Mapping) and isinstance(begin.get("risk"), dict):
         document["risk"] = begin["risk"] | {"levels": {}}
     return document
@@ -201,8 +194,7 @@ def _resume(
     state: Mapping[str, Any],
     first_us: int,
     estimator: Estimator,
-    monitor: RiskMonitor | None,
-    advice: AdviceSeries,
+    following: Following,
 ) -> None:
     """Put *state* into all that a log is run through, from *first_us* on."""
     parked_us = parked_before_us(state, first_us)
@@ -211,10 +203,9 @@ def _resume(
         estimator.model_check.resume(
             state, None if resumed.resumed else (parked_us or 0) * 1e-6
         )
-        if monitor is not None:
-            monitor.resume(state, parked_us, first_us)
-    if resumed.resumed:
-        advice.advisor = advice.advisor.resumed(state.get("advice"))
+        following.resume(
+            state, parked_us, first_us, same_drive=resumed.resumed
+        )
 
 
 def _builders(
@@ -267,19 +258,19 @@ def first_air_k(
 
 
 class AdviceSeries:
-    """The engine's :class:`Advisor` along columns and blocks."""
+    """The advice of :class:`Following` along columns and blocks."""
 
-    def __init__(self, config: Config, present: Mapping[int, int]) -> None:
-        """Begin parked; *present* is role number to time-out [us]."""
-        self.advisor = Advisor(config, present)
-        self._boiling_k = wet_boiling_point_k(config.fluid.grade)
+    def __init__(self, following: Following) -> None:
+        """Begin where *following* is."""
+        self._following = following
         self._samples: list[tuple[int, int, float]] = []
         # no sample from a place on is earlier than this [us]
         self._earliest_us: list[int] = []
 
     def ingest(self, times_us: Any, roles: Any, values: Any) -> None:
         """Take arrays [n]: stamps [us], role numbers, values."""
-        kept = np.flatnonzero(np.isin(roles, sorted(self.advisor.roles.names)))
+        wanted = sorted(self._following.advisor.roles.names)
+        kept = np.flatnonzero(np.isin(roles, wanted))
         if kept.size and np.all(np.diff(times_us[kept]) >= 0):
             kept = _last_before_publications(kept, times_us, roles)
         arrays = (times_us[kept], roles[kept], values[kept])
@@ -296,10 +287,9 @@ class AdviceSeries:
             # in the order of their arrival, as the live engine notes them
             end = bisect_right(self._earliest_us, instant.time_us)
             for sample in self._samples[first:end]:
-                self.advisor.roles.note(*sample)
+                self._following.advisor.roles.note(*sample)
             first = max(first, end)
-            corners = corner_estimates(instant, self._boiling_k, risk)
-            found.append(self.advisor.update(instant, corners))
+            found.append(self._following.advise(instant, risk, None)[1])
         del self._samples[:first], self._earliest_us[:first]
         return found
 

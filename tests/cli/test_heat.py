@@ -12,6 +12,7 @@ import pytest
 from bstm_daemon.cli.main import main
 from bstm_daemon.cli.progress import Progress
 from bstm_daemon.estimator import estimator
+from bstm_daemon.forecast import monitor
 from bstm_daemon.replay import columns
 
 if TYPE_CHECKING:
@@ -36,7 +37,7 @@ def calls(monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
         return call
 
     for place, name in (
-        (columns.RiskMonitor, "add"),
+        (monitor.RiskMonitor, "add"),
         (columns.AdviceSeries, "add"),
         (estimator, "judge"),
     ):

@@ -16,10 +16,10 @@ from bstm_daemon.bus.logs.candump import CandumpReader
 from bstm_daemon.bus.opening import EventLog
 from bstm_daemon.bus.output.layout import ADVICE_OFFSET, own_ids
 from bstm_daemon.cli.vehicle import load_vehicle
+from bstm_daemon.engine import Following
 from bstm_daemon.errors import ConfigError, FileAccessError, LogError
 from bstm_daemon.estimate import Reason
 from bstm_daemon.estimator.estimator import Estimator
-from bstm_daemon.forecast.monitor import RiskMonitor
 from bstm_daemon.native.loader import load_kernel
 from bstm_daemon.replay.columns import AdviceSeries, present_roles, stream_log
 from bstm_daemon.replay.frames import (
@@ -380,8 +380,9 @@ def test_chunks_of_the_reader_do_not_matter(
     estimator = Estimator(config, present)
     rows = Collector()
     builder = ResultsBuilder(estimator, [rows])
-    monitor = RiskMonitor(config, estimator)
-    advice = AdviceSeries(config, present)
+    following = Following(config, estimator, present)
+    monitor, advice = following.risk, AdviceSeries(following)
+    assert monitor is not None
     for part in events.events():
         samples = part.time_us, part.role, part.value
         monitor.ingest(*samples)
