@@ -1,8 +1,8 @@
 """Compile an exported model and pack it as an FMU (FMI 2.0 or 3.0).
 
-The sources are those of the compiled kernel, with the wrapper of
-``native/fmu`` and a generated header of the car's numbers; none of them knows
-Python. They are packed besides the binaries.
+The sources are those of the compiled kernel, with ``exchange/wrapper`` and a
+generated header of the car's numbers; none of them knows Python. They are
+packed besides the binaries.
 """
 
 from __future__ import annotations
@@ -21,8 +21,7 @@ from bstm_daemon.errors import UsageError
 from bstm_daemon.exchange.fmu_description import build_description, description
 from bstm_daemon.exchange.fmu_network import network_header
 from bstm_daemon.files import replacing
-from bstm_daemon.model.compiled import generated_header
-from bstm_daemon.native.sources import PACKAGE
+from bstm_daemon.model.compiled import c_sources
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -106,19 +105,13 @@ def write_fmu(
     """
     compilers = {name: compiler_of(name) for name in platforms}
     header, token = network_header(model)
-    native = PACKAGE / "native"
     other = "fmi3.c" if fmi == 2 else "fmi2.c"
-    folders = [native / "fmu", native / "thermal"]
-    if model.plan is not None:
-        folders.append(native / "heat")
-    files = {
+    files = c_sources(heat=model.plan is not None) | {
         file.name: file.read_bytes()
-        for folder in folders
-        for file in sorted(folder.glob("*.[ch]"))
+        for file in Path(__file__).with_name("wrapper").glob("*.[ch]")
         if file.name != other
     }
     compiled = sorted(name for name in files if name.endswith(".c"))
-    files["generated.h"] = generated_header().encode()
     files["network.h"] = header.encode()
     packed = {"modelDescription.xml": description(model, token, fmi, compiled)}
     if fmi == 3:

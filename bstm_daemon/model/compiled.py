@@ -19,6 +19,7 @@ from bstm_daemon.model.heat import (
 )
 from bstm_daemon.model.thermal import program, reference
 from bstm_daemon.native.header import Header
+from bstm_daemon.native.sources import PACKAGE
 
 
 def generated_header() -> str:
@@ -56,3 +57,13 @@ def generated_header() -> str:
     header.values_of("driver_", program.DRIVER_KINDS)
     header.values_of("memory_", program.MEMORY_KINDS)
     return header.text()
+
+
+def c_sources(*, heat: bool) -> dict[str, bytes]:
+    """Return C files and headers by name, of temperatures and of *heat*."""
+    rooms = ("thermal", "heat") if heat else ("thermal",)
+    return {"generated.h": generated_header().encode()} | {
+        file.name: file.read_bytes()
+        for room in rooms
+        for file in (PACKAGE / "native" / room).glob("*.[ch]")
+    }
