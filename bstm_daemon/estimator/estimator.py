@@ -115,7 +115,8 @@ class Estimator:
             UsageError: ``BSTM_KERNEL`` asks for a kernel that is not there.
         """
         self.config = config
-        self._kernel = load_kernel()
+        self.kernel = load_kernel()
+        """The compiled kernel; None: the pure-Python form runs."""
         start_k = initial_k or config.vehicle.ambient_k
         models = {
             corner.name: corner_model(config, corner)
@@ -155,7 +156,7 @@ class Estimator:
                 for batch, names in self.batches
             ),
         )
-        self.start = StartBound(self.batches, config, self._kernel)
+        self.start = StartBound(self.batches, config, self.kernel)
         if not history_known:
             self.start.begin(self.programs)
         self._needs = needs_of_corners(config, present)
@@ -176,7 +177,7 @@ class Estimator:
         )
         self._coupling = Coupling(
             self.plan,
-            self._kernel,
+            self.kernel,
             ROWS,
             (PUBLISH_US, REFIT_US),
             coupled=bool(laws),
@@ -191,7 +192,7 @@ class Estimator:
     @property
     def compiled(self) -> bool:
         """Whether the compiled kernel runs."""
-        return self._kernel is not None
+        return self.kernel is not None
 
     @property
     def history_known(self) -> bool:
@@ -264,7 +265,7 @@ class Estimator:
         if self._corrections:
             values = corrected(self._corrections, roles, values)
         self.wear.note(times_us, roles, values)
-        if self._kernel is None:
+        if self.kernel is None:
             times_us, roles = _plain(times_us), _plain(roles)
             values = _plain(values)
         while index < count:
@@ -308,7 +309,7 @@ class Estimator:
                 [self.programs[name] for name in names],
                 start_k,
                 [order.index(name) for name in names],
-                self._kernel,
+                self.kernel,
                 len(order),
             )
             groups.append((batch, names))
@@ -407,9 +408,7 @@ class Estimator:
         """Return how long a hot start affects the slowest brake [s]."""
         air_k = self.config.vehicle.ambient_k
         row = array("d", channels_at_rest(air_k).values())
-        return settling_time_s(
-            self.programs.values(), row, air_k, self._kernel
-        )
+        return settling_time_s(self.programs.values(), row, air_k, self.kernel)
 
     def air_k(self) -> float:
         """Return the last known temperature of the air [K]."""

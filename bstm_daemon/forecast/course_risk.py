@@ -28,7 +28,6 @@ from bstm_daemon.model.risk.levels import (
     LevelMemory,
     published_level,
 )
-from bstm_daemon.native.loader import load_kernel
 from bstm_daemon.units import KELVIN_OFFSET
 
 if TYPE_CHECKING:
@@ -139,7 +138,7 @@ class CourseRisk:
         """
         self._fluid = fluid
         self._is_bound = beside is not None
-        self._kernel = load_kernel()
+        self._kernel = estimator.kernel
         compiled = self._kernel is not None
         self.members = config.forecast.members if compiled else PYTHON_MEMBERS
         self._steps = COMPILED_STEPS if compiled else PYTHON_STEPS

@@ -33,7 +33,7 @@ def run(*, full: bool) -> Outcome:
 
     pairs = 40_960 if full else 16_384
     plain_steps = 1000 if full else 300
-    plain = Batch([program], config.vehicle.ambient_c + 273.15)
+    plain = Batch([program], config.vehicle.ambient_c + 273.15, kernel=None)
     works = {
         "reference": Work(
             partial(_march, plain, stop_and_go(plain_steps)), plain_steps

@@ -23,7 +23,6 @@ from bstm_daemon.exchange.fmu import compiler_of, write_fmu
 from bstm_daemon.exchange.responses import responses
 from bstm_daemon.model.heat.sample_pass import TICK
 from bstm_daemon.model.thermal.kernel import Batch
-from bstm_daemon.native.loader import load_kernel
 from bstm_daemon.replay.columns import present_roles
 from bstm_daemon.roles import ROLE_INDEX
 
@@ -45,7 +44,7 @@ def marched(config: Config, rows: np.ndarray) -> np.ndarray:
     """Return the temperatures of NODES after each row, by the Python model."""
     program = compile_corner(config, config.corner[0])
     start_k = config.vehicle.ambient_c + 273.15
-    batch = Batch([program], start_k, kernel=load_kernel())
+    batch = Batch([program], start_k)
     flat = batch.march(array("d", rows.ravel()), len(rows), STEP_US * 1e-6)
     names = program.state_names
     wide = len(names) + batch.sources

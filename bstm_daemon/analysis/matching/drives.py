@@ -31,7 +31,6 @@ from bstm_daemon.model.heat.memory import SampleState
 from bstm_daemon.model.heat.needs import check_heat_inputs
 from bstm_daemon.model.thermal.kernel import Batch
 from bstm_daemon.model.thermal.program import Program, compile_network
-from bstm_daemon.native.loader import load_kernel
 from bstm_daemon.replay.columns import present_roles
 from bstm_daemon.replay.results import Collector, Results, ResultsBuilder
 from bstm_daemon.roles import MEASURED_NODES, ROLE_INDEX
@@ -431,9 +430,7 @@ def settled(
     rows = np.zeros((SETTLING_STEPS, len(CHANNELS) + len(held)))
     rows[:, CHANNELS.index("ambient_k")] = ambient_k
     rows[:, len(CHANNELS) :] = list(held.values())
-    batch = Batch(
-        [compile_network(network)], ambient_k, kernel=load_kernel(), sets=1
-    )
+    batch = Batch([compile_network(network)], ambient_k, sets=1)
     batch.march(flat(rows), SETTLING_STEPS, SETTLING_STEP_S)
     return dict(zip(nodes, batch.state, strict=False))
 

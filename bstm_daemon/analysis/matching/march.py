@@ -21,7 +21,6 @@ from bstm_daemon.channels import CHANNELS
 from bstm_daemon.estimator.corner_model import corner_model
 from bstm_daemon.model.thermal.kernel import Batch
 from bstm_daemon.model.thermal.program import compile_network
-from bstm_daemon.native.loader import load_kernel
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping, Sequence
@@ -116,7 +115,7 @@ def march(  # noqa: PLR0913
         sets = list(range(len(programs)))
         inputs = np.repeat(inputs[:, None], len(programs), axis=1)
         inputs[:, :, CHANNELS.index("brake_power_w")] = power_w
-    batch = Batch(programs, 0.0, sets, kernel=load_kernel())
+    batch = Batch(programs, 0.0, sets)
     for member in range(len(programs)):
         for i, name in enumerate(names):
             batch.state[member * batch.width + i] = initial_k[name]

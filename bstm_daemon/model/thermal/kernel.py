@@ -12,9 +12,11 @@ from typing import TYPE_CHECKING
 from bstm_daemon.model.thermal import reference
 from bstm_daemon.model.thermal.network import NetworkError
 from bstm_daemon.model.thermal.program import Program, same_structure
+from bstm_daemon.native.loader import load_kernel
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+    from typing import Literal
 
     from bstm_daemon.native.loader import Kernel
 
@@ -32,7 +34,7 @@ class Batch:
         programs: Sequence[Program],
         initial_k: float,
         input_set: Sequence[int] | None = None,
-        kernel: Kernel | None = None,
+        kernel: Kernel | Literal["installed"] | None = "installed",
         sets: int | None = None,
     ) -> None:
         """Put every node of every member at *initial_k*.
@@ -42,17 +44,19 @@ class Batch:
             initial_k: starting temperature [K].
             input_set: per member the row of an input block it reads;
                 default: member i reads row i.
-            kernel: the compiled kernel; None runs the reference step.
+            kernel: the compiled kernel, by default the installed one; None
+                runs the reference step.
             sets: rows of an input block; default: as many as are read.
 
         Raises:
             NetworkError: the programs differ in structure.
+            UsageError: ``BSTM_KERNEL`` asks for a kernel that is not there.
         """
         if not same_structure(programs):
             msg = "members of a batch need networks of one structure"
             raise NetworkError(msg)
         self.programs = tuple(programs)
-        self.kernel = kernel
+        self.kernel = load_kernel() if kernel == "installed" else kernel
         self.input_set = array("i", input_set or range(len(programs)))
         self.sets = sets or max(self.input_set) + 1
         self.floats = array("d")
@@ -68,7 +72,9 @@ class Batch:
         self.sources = len(first.network.sources)
         self.channels = len(first.network.inputs)
         self.ledger = array("d", bytes(8 * self.ledger_width * len(programs)))
-        self._structure = None if kernel else reference.Structure(first.ints)
+        self._structure = (
+            None if self.kernel else reference.Structure(first.ints)
+        )
 
     def part(self, member: int) -> slice:
         """Return which entries of ``state`` are those of *member*."""
