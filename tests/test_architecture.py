@@ -84,14 +84,14 @@ C_ROOMS_BELOW = {
     "bus": set(),
     "heat": set(),
     "thermal": set(),
-    "fmu": {"heat", "thermal"},
     "python": {"heat", "thermal"},
     "simulation": set(),
+    "wrapper": {"heat", "thermal"},
 }
 """The same for folders with C."""
 
 MOST_ENTRIES = 26
-MOST_ARROWS = 148
+MOST_ARROWS = 140
 
 
 def modules() -> dict[str, Path]:

@@ -13,7 +13,6 @@ from bstm_daemon.forecast.march import HORIZON_S, parked_course
 from bstm_daemon.forecast.members import DEGRADED_FACTOR, Ensemble, Spread
 from bstm_daemon.forecast.monitor import SavedRisk
 from bstm_daemon.model.risk.levels import PROBABILITIES, level_of
-from bstm_daemon.native.loader import load_kernel
 from bstm_daemon.units import KELVIN_OFFSET
 
 if TYPE_CHECKING:
@@ -43,7 +42,7 @@ class Outlook:
     """Forecast of all corners from a saved state.
 
     ``saved_us`` is its wall time [us since 1970], None where it has none;
-    ``boiling_k`` are the quantiles :data:`SHARES`. The levels are those that
+    ``boiling_k`` are quantiles, by their share. The levels are those that
     the probabilities give, without memory.
     """
 
@@ -51,7 +50,7 @@ class Outlook:
     history_known: bool
     ambient_k: float
     water_percent: float
-    boiling_k: tuple[float, ...]
+    boiling_k: dict[float, float]
     members: int
     corners: tuple[CornerOutlook, ...]
 
@@ -73,7 +72,7 @@ def outlook(
     air_k = saved.ambient_k
     if air_k is None:
         air_k = config.vehicle.ambient_c + KELVIN_OFFSET
-    kernel = load_kernel()
+    kernel = estimator.kernel
     members = config.forecast.members if kernel else PYTHON_MEMBERS
     spread = Spread().scaled(config.forecast.uncertainty)
     factor = 1.0 if known else DEGRADED_FACTOR
@@ -104,7 +103,7 @@ def outlook(
         known,
         air_k,
         fluid.water.median_percent,
-        tuple(boiling.quantile(share) for share in SHARES),
+        {share: boiling.quantile(share) for share in SHARES},
         members,
         tuple(corners),
     )

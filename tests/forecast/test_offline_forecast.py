@@ -71,7 +71,9 @@ def test_an_outlook_has_the_fluid_that_was_saved() -> None:
 
     assert (found.saved_us, found.ambient_k) == (SAVED_US, 283.15)
     assert found.water_percent == pytest.approx(5.0)
-    assert found.boiling_k == tuple(map(boiling.quantile, (0.01, 0.5, 0.99)))
+    assert found.boiling_k == {
+        share: boiling.quantile(share) for share in (0.01, 0.5, 0.99)
+    }
     assert found.members == 8
 
     # as warm as the air of the configuration, in the air that was saved
