@@ -19,8 +19,7 @@ from bstm_daemon.files import shipped_file
 from bstm_daemon.replay.columns import stream_log
 from bstm_daemon.replay.results import Collector
 from bstm_daemon.replay.vehicle import load_vehicle
-from bstm_daemon.simulation.frames import Encoder
-from bstm_daemon.simulation.recorder import write_candump
+from bstm_daemon.simulation.recorder import Encoder, write_candump
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping

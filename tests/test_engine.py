@@ -21,8 +21,7 @@ from bstm_daemon.estimator.estimator import (
 )
 from bstm_daemon.replay.columns import present_roles
 from bstm_daemon.simulation import parse_drive, simulate
-from bstm_daemon.simulation.frames import Encoder
-from bstm_daemon.simulation.recorder import write_candump
+from bstm_daemon.simulation.recorder import Encoder, write_candump
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -15,8 +15,7 @@ from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.engine import Engine
 from bstm_daemon.native.loader import live_extension
 from bstm_daemon.simulation.drives import parse_drive
-from bstm_daemon.simulation.frames import Encoder
-from bstm_daemon.simulation.recorder import write_candump
+from bstm_daemon.simulation.recorder import Encoder, write_candump
 from bstm_daemon.simulation.simulate import simulate
 
 if TYPE_CHECKING:

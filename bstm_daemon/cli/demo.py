@@ -31,7 +31,7 @@ from bstm_daemon.report.replay_page import ReplayFacts, replay_page
 from bstm_daemon.report.screen import summary_table
 from bstm_daemon.report.shell import require_page_packages, write_page
 from bstm_daemon.simulation import SimulatedDrive, load_drive, simulate
-from bstm_daemon.simulation.frames import START_STAMP_S, Encoder, frames
+from bstm_daemon.simulation.recorder import START_STAMP_S, Encoder, frames
 from bstm_daemon.watch.board import Board
 
 if TYPE_CHECKING:

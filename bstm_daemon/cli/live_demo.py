@@ -27,7 +27,7 @@ from bstm_daemon.errors import BstmError, require_packages
 from bstm_daemon.files import make_folder, shipped_file
 from bstm_daemon.service.state_file import encode, save
 from bstm_daemon.simulation import load_drive, simulate
-from bstm_daemon.simulation.frames import Encoder, frames
+from bstm_daemon.simulation.recorder import Encoder, frames
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

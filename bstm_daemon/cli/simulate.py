@@ -27,8 +27,8 @@ from bstm_daemon.simulation import (
     simulate,
     vehicle_names,
 )
-from bstm_daemon.simulation.frames import Encoder
 from bstm_daemon.simulation.recorder import (
+    Encoder,
     write_candump,
     write_samples,
     write_truth,

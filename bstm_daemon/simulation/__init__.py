@@ -12,7 +12,6 @@ from bstm_daemon.simulation.drives import (
     parse_drive,
     read_drive,
 )
-from bstm_daemon.simulation.march import LaneInputs, LaneResult
 from bstm_daemon.simulation.parameters import (
     EFFECT_NAMES,
     CornerParameters,
@@ -20,7 +19,7 @@ from bstm_daemon.simulation.parameters import (
     Mesh,
     preset_effects,
 )
-from bstm_daemon.simulation.reality import march_lanes
+from bstm_daemon.simulation.reality import LaneInputs, LaneResult, march_lanes
 from bstm_daemon.simulation.sensors import SENSOR_PRESETS
 from bstm_daemon.simulation.simulate import SimulatedDrive, simulate
 from bstm_daemon.simulation.vehicle import (

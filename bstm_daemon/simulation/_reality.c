@@ -9,9 +9,254 @@
 #include <Python.h>
 #include <stdlib.h>
 
-#include "_reality_step.h"
+#include "_reality_paths.h"
 
 #define STEPS_A_SLICE 512
+
+/* -- one implicit step -------------------------------------------------- */
+
+/* columns: right-hand side and the responses to unit flows at the ports */
+static void solve_chain(int n, const double *link, double *diagonal,
+                        double x[MAX_NODES][1 + PORTS])
+{
+    for (int i = 1; i < n; i++) {
+        double w = link[i - 1] / diagonal[i - 1];
+        diagonal[i] -= w * link[i - 1];
+        for (int k = 0; k < 1 + PORTS; k++)
+            x[i][k] += w * x[i - 1][k];
+    }
+    double inverse = 1.0 / diagonal[n - 1];
+    for (int k = 0; k < 1 + PORTS; k++)
+        x[n - 1][k] *= inverse;
+    for (int i = n - 2; i >= 0; i--) {
+        inverse = 1.0 / diagonal[i];
+        for (int k = 0; k < 1 + PORTS; k++)
+            x[i][k] = (x[i][k] + link[i] * x[i + 1][k]) * inverse;
+    }
+}
+
+/* symmetric positive definite: no pivoting needed */
+static void solve_lumps(double m[LUMPS][LUMPS], double *x)
+{
+    for (int i = 0; i < LUMPS; i++)
+        for (int j = i + 1; j < LUMPS; j++) {
+            double w = m[j][i] / m[i][i];
+            if (w == 0.0)
+                continue;
+            for (int k = i + 1; k < LUMPS; k++)
+                m[j][k] -= w * m[i][k];
+            x[j] -= w * x[i];
+        }
+    for (int i = LUMPS - 1; i >= 0; i--) {
+        for (int k = i + 1; k < LUMPS; k++)
+            x[i] -= m[i][k] * x[k];
+        x[i] /= m[i][i];
+    }
+}
+
+static double euler(const Corner *c, const State *s, const Paths *h,
+                    const double *in, double dt, State *out)
+{
+    const int n = c->nodes, surface = c->surface;
+    const int ports[PORTS] = {0, surface, n - 1};
+    const double ambient = in[AMBIENT];
+    double x[SIDES][MAX_NODES][1 + PORTS];
+    double matrix[LUMPS][LUMPS], lump_x[LUMPS];
+
+    for (int i = 0; i < LUMPS; i++) {
+        double gain = -h->lump_out[i] * (s->lump_t[i] - ambient);
+        if (i == BODY)
+            gain += h->body_gain;
+        for (int k = 0; k < LUMPS; k++) {
+            gain -= h->between[i][k] * s->lump_t[k];
+            matrix[i][k] = dt * h->between[i][k];
+        }
+        matrix[i][i] += h->lump_capacity[i] + dt * h->lump_out[i];
+        lump_x[i] = dt * gain;
+    }
+    for (int side = 0; side < SIDES; side++) {
+        const double *t = s->t[side];
+        double scaled[MAX_NODES], diagonal[MAX_NODES];
+        memset(x[side], 0, sizeof(double) * (1 + PORTS) * (size_t)n);
+        for (int i = 0; i < n; i++) {
+            diagonal[i] = h->capacity[side][i];
+            x[side][i][0] = dt * h->source[side][i];
+        }
+        for (int i = 0; i + 1 < n; i++) {
+            double flow = dt * h->link[side][i] * (t[i + 1] - t[i]);
+            scaled[i] = dt * h->link[side][i];
+            diagonal[i] += scaled[i];
+            diagonal[i + 1] += scaled[i];
+            x[side][i][0] += flow;
+            x[side][i + 1][0] -= flow;
+        }
+        diagonal[surface] += dt * h->surface_out[side];
+        x[side][surface][0] -=
+            dt * h->surface_out[side] * (t[surface] - ambient);
+        for (int q = 0; q < PORTS; q++) {
+            const double *k = h->coupling[PORTS * side + q];
+            int at = ports[q];
+            x[side][at][1 + q] = 1.0;
+            for (int i = 0; i < LUMPS; i++) {
+                if (k[i] == 0.0)
+                    continue;
+                double flow = dt * k[i] * (s->lump_t[i] - t[at]);
+                diagonal[at] += dt * k[i];
+                matrix[i][i] += dt * k[i];
+                x[side][at][0] += flow;
+                lump_x[i] -= flow;
+            }
+        }
+        solve_chain(n, scaled, diagonal, x[side]);
+        /* Schur complement of this chain in the lumps */
+        for (int q = 0; q < PORTS; q++) {
+            const double *kq = h->coupling[PORTS * side + q];
+            for (int i = 0; i < LUMPS; i++) {
+                if (kq[i] == 0.0)
+                    continue;
+                double a = dt * kq[i];
+                lump_x[i] += a * x[side][ports[q]][0];
+                for (int r = 0; r < PORTS; r++) {
+                    const double *kr = h->coupling[PORTS * side + r];
+                    double b = a * dt * x[side][ports[q]][1 + r];
+                    for (int j = 0; j < LUMPS; j++)
+                        matrix[i][j] -= b * kr[j];
+                }
+            }
+        }
+    }
+    solve_lumps(matrix, lump_x);
+
+    double lost = h->heat_in - h->body_gain;
+    for (int side = 0; side < SIDES; side++) {
+        double flow[PORTS];
+        for (int q = 0; q < PORTS; q++) {
+            flow[q] = 0.0;
+            for (int i = 0; i < LUMPS; i++)
+                flow[q] += dt * h->coupling[PORTS * side + q][i] * lump_x[i];
+        }
+        for (int i = 0; i < n; i++) {
+            double rise = x[side][i][0];
+            for (int q = 0; q < PORTS; q++)
+                rise += x[side][i][1 + q] * flow[q];
+            out->t[side][i] = s->t[side][i] + rise;
+            out->e[side][i] = s->e[side][i] + h->capacity[side][i] * rise;
+            lost -= h->source[side][i];
+        }
+        lost += h->surface_out[side] * (out->t[side][surface] - ambient);
+        out->pad_m[side] = s->pad_m[side];
+    }
+    for (int i = 0; i < LUMPS; i++) {
+        out->lump_t[i] = s->lump_t[i] + lump_x[i];
+        out->lump_e[i] = s->lump_e[i] + h->lump_capacity[i] * lump_x[i];
+        lost += h->lump_out[i] * (out->lump_t[i] - ambient);
+    }
+    settle(c, out);
+    return dt * lost;
+}
+
+/* -- linings change one way --------------------------------------------- */
+
+static double pyrolyse(const Corner *c, State *s, double dt)
+{
+    double total = 0.0;
+    for (int side = 0; side < SIDES; side++)
+        for (int i = 0; i < c->pads; i++) {
+            double *done = &s->charred[side][i];
+            double *t = &s->t[side][1 + i];
+            double rate = 2.0e5 * exp(-1.15e4 / *t);
+            double reacted = -(1.0 - *done) * expm1(-rate * dt);
+            double kg = pad_kg(c, s, side, i);
+            double taken = c->p.pad_pyrolysis * 2.0e5 * kg * reacted;
+            *done += reacted;
+            s->e[side][1 + i] -= taken;
+            *t -= taken / (kg * lining_cp(&c->p, *t));
+            total += taken;
+        }
+    return total;
+}
+
+static double wear(const Corner *c, State *s, double friction_j)
+{
+    const Parameters *p = &c->p;
+    double total = 0.0;
+    for (int side = 0; side < SIDES; side++) {
+        double *e = s->e[side] + 1;
+        double above = fmax(s->t[side][c->surface - 1] - 593.15, 0.0);
+        double loss_m = p->pad_wear * (1e-3 / 6.0e7) * friction_j
+                        * exp(fmin(above, 400.0) / 120.0);
+        loss_m = fmin(loss_m, fmax(s->pad_m[side] - 1.0e-3, 0.0));
+        double kg = p->pad_density_kg_m3 * p->pad_area_m2 * loss_m;
+        double brought = 0.0;
+        double old[MAX_NODES];
+        for (int i = 0; i < c->pads; i++)
+            old[i] = e[i] / pad_kg(c, s, side, i);
+        for (int i = 0; i < c->pads; i++) {
+            double face = i + 1 < c->pads ? i + 0.5 : c->pads - 1;
+            double carried = face / (c->pads - 1) * kg * old[i];
+            e[i] += brought - carried;
+            brought = carried;
+        }
+        total += brought;
+        s->pad_m[side] -= loss_m;
+        for (int i = 0; i < c->pads; i++)
+            s->t[side][1 + i] = lining_t(p, e[i] / pad_kg(c, s, side, i),
+                                         s->t[side][1 + i]);
+    }
+    return total;
+}
+
+static double friction_factor(const Corner *c, const State *s, double v,
+                              double pressure)
+{
+    const Parameters *p = &c->p;
+    int j = c->surface;
+    double t = (s->t[0][j - 1] + s->t[0][j] + s->t[1][j - 1] + s->t[1][j])
+               / 4;
+    double fade = 1.0
+                  - 0.30 * p->friction_fade
+                        / (1.0 + exp((703.15 - t) / 45.0));
+    double speed = (v - 10.0) / (v + 10.0);
+    double press = (pressure - 1.0e6) / (pressure + 2.0e6);
+    double bedded = s->friction_j / (s->friction_j + 4.0e6);
+    return fmax(fade * (1.0 - 0.18 * p->friction_speed * speed)
+                    * (1.0 - 0.15 * p->friction_pressure * press)
+                    * (1.0 - 0.25 * p->friction_history * bedded),
+                0.05);
+}
+
+static void step(const Corner *c, State *s, const double *in, double dt,
+                 double *gained, double *lost)
+{
+    Paths paths;
+    State whole, half, fine;
+    find_paths(c, s, in, &paths);
+    double out_whole = euler(c, s, &paths, in, dt, &whole);
+    double out_first = euler(c, s, &paths, in, dt / 2, &half);
+    find_paths(c, &half, in, &paths);
+    double out_second = euler(c, &half, &paths, in, dt / 2, &fine);
+    for (int side = 0; side < SIDES; side++)
+        for (int i = 0; i < c->nodes; i++) {
+            s->t[side][i] = fine.t[side][i];
+            s->e[side][i] = 2 * fine.e[side][i] - whole.e[side][i];
+        }
+    for (int i = 0; i < LUMPS; i++) {
+        s->lump_t[i] = fine.lump_t[i];
+        s->lump_e[i] = 2 * fine.lump_e[i] - whole.lump_e[i];
+    }
+    settle(c, s);
+    double in_j = dt * paths.heat_in;
+    double out_j = 2 * (out_first + out_second) - out_whole;
+    s->friction_j += in_j;
+    if (c->p.pad_pyrolysis != 0.0)
+        out_j += pyrolyse(c, s, dt);
+    if (c->p.pad_wear != 0.0)
+        out_j += wear(c, s, in_j);
+    *gained += in_j;
+    *lost += out_j;
+}
+
+/* -- a batch ------------------------------------------------------------ */
 
 #define NAME(name) #name " "
 static const char parameter_names[] = PARAMETERS(NAME);

@@ -102,6 +102,27 @@ class Rows:
             """Return the row *name*."""
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Inputs:
+    """Inputs of the corners during one step, each (lanes,) or (1,).
+
+    ``power_w`` is friction power, ``contact`` the fraction of the step with
+    pressed pads, ``pumping_pa_s`` the mean of the absolute pressure rate.
+    """
+
+    speed_ms: Array
+    power_w: Array
+    pressure_pa: Array
+    contact: Array
+    ambient_k: Array
+    wetness: Array
+    pumping_pa_s: Array
+
+
+INPUT_NAMES: Final = tuple(field.name for field in fields(Inputs))
+"""Rows of the inputs of a step, in the order of the compiled form."""
+
+
 class Lanes:
     """Constant data of a batch of corners."""
 

@@ -28,6 +28,7 @@ from bstm_daemon.simulation.lanes import (
     LUMPS,
     PATH_NAMES,
     PISTON,
+    Inputs,
     Lanes,
     State,
 )
@@ -35,7 +36,6 @@ from bstm_daemon.simulation.parameters import DrawnPath
 from bstm_daemon.units import STEFAN_BOLTZMANN_W_M2K4
 
 if TYPE_CHECKING:
-    from bstm_daemon.simulation.march import Inputs
     from bstm_daemon.simulation.materials import Array, Indices
 
 _STEEL_CONDUCTIVITY_W_MK = 48.0

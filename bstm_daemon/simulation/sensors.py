@@ -22,17 +22,15 @@ import numpy as np
 
 from bstm_daemon.errors import UsageError
 from bstm_daemon.roles import CORNERS, MEASURED_NODES
-from bstm_daemon.simulation.hydraulics import SECONDARY
-from bstm_daemon.simulation.profile import SAMPLE_S
+from bstm_daemon.simulation.car import SECONDARY, Motion
+from bstm_daemon.simulation.profile import SAMPLE_S, Course
 from bstm_daemon.units import GRAVITY_MS2, KELVIN_OFFSET
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from bstm_daemon.simulation.car import Motion
     from bstm_daemon.simulation.materials import Array
     from bstm_daemon.simulation.parameters import Effects
-    from bstm_daemon.simulation.profile import Course
 
 INSTRUMENTED: Final = ("FL", "FR")
 """Corners with thermocouples."""

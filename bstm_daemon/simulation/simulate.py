@@ -8,9 +8,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from bstm_daemon.roles import CORNERS
-from bstm_daemon.simulation.car import Motion, move
-from bstm_daemon.simulation.hydraulics import line_pressure
-from bstm_daemon.simulation.march import LaneInputs
+from bstm_daemon.simulation.car import Motion, line_pressure, move
 from bstm_daemon.simulation.parameters import (
     DEFAULT_MESH,
     Effects,
@@ -18,7 +16,7 @@ from bstm_daemon.simulation.parameters import (
     preset_effects,
 )
 from bstm_daemon.simulation.profile import SAMPLE_S, Course, plan_course
-from bstm_daemon.simulation.reality import march_lanes
+from bstm_daemon.simulation.reality import LaneInputs, LaneResult, march_lanes
 from bstm_daemon.simulation.sensors import (
     measured_roles,
     measured_temperatures,
@@ -36,7 +34,6 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from bstm_daemon.simulation.drives import Drive
-    from bstm_daemon.simulation.march import LaneResult
     from bstm_daemon.simulation.materials import Array
 
 TRUTH_S: Final = 1.0

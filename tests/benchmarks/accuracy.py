@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import tempfile
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from physics import DRIVES, NODES, stop_s
@@ -19,13 +18,13 @@ from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.files import shipped_file
 from bstm_daemon.replay.columns import stream_log
 from bstm_daemon.replay.results import Collector
-from bstm_daemon.simulation import load_drive, simulate
-from bstm_daemon.simulation.frames import START_STAMP_S, Encoder
-from bstm_daemon.simulation.recorder import write_candump
+from bstm_daemon.simulation import SimulatedDrive, load_drive, simulate
+from bstm_daemon.simulation.recorder import (
+    START_STAMP_S,
+    Encoder,
+    write_candump,
+)
 from bstm_daemon.units import KELVIN_OFFSET
-
-if TYPE_CHECKING:
-    from bstm_daemon.simulation import SimulatedDrive
 
 CORNERS = ("FL", "RL")
 

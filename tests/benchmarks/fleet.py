@@ -37,8 +37,7 @@ from bstm_daemon.fleet.plan import Plan
 from bstm_daemon.fleet.query import ask
 from bstm_daemon.fleet.run import Run
 from bstm_daemon.simulation import load_drive, parse_drive, simulate
-from bstm_daemon.simulation.frames import Encoder
-from bstm_daemon.simulation.recorder import write_candump
+from bstm_daemon.simulation.recorder import Encoder, write_candump
 
 if TYPE_CHECKING:
     from collections.abc import Callable

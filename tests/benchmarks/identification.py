@@ -9,7 +9,7 @@ from __future__ import annotations
 import tempfile
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from side_by_side import Outcome, Table
@@ -20,7 +20,7 @@ from bstm_daemon.analysis.identify.cooling import (
     CoolingPoint,
     identify_cooling,
 )
-from bstm_daemon.analysis.identify.driving import driving_of
+from bstm_daemon.analysis.identify.driving import Driving, driving_of
 from bstm_daemon.analysis.quality.recording import read_recording
 from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.files import shipped_file
@@ -30,12 +30,8 @@ from bstm_daemon.simulation import (
     preset_effects,
     simulate,
 )
-from bstm_daemon.simulation.frames import Encoder
 from bstm_daemon.simulation.parameters import FRONT
-from bstm_daemon.simulation.recorder import write_candump
-
-if TYPE_CHECKING:
-    from bstm_daemon.analysis.identify.driving import Driving
+from bstm_daemon.simulation.recorder import Encoder, write_candump
 
 SENSORS = ("n1", "n2", "n3")
 THERMOCOUPLES = ("n1", "n2", "n3", "n4")

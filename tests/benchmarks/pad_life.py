@@ -21,11 +21,10 @@ from bstm_daemon.estimator.estimator import Estimator
 from bstm_daemon.files import shipped_file
 from bstm_daemon.model.wear.dose import DOSE
 from bstm_daemon.roles import ROLE_INDEX
-from bstm_daemon.simulation import compiled
 from bstm_daemon.simulation.drives import parse_drive
 from bstm_daemon.simulation.lanes import Lanes, start_state
 from bstm_daemon.simulation.parameters import DEFAULT_MESH, preset_effects
-from bstm_daemon.simulation.reality import march_numpy
+from bstm_daemon.simulation.reality import LaneInputs, march
 from bstm_daemon.simulation.simulate import prepare, simulate
 from bstm_daemon.units import KELVIN_OFFSET
 
@@ -35,7 +34,6 @@ if TYPE_CHECKING:
     import numpy.typing as npt
 
     from bstm_daemon.config.sections import Config
-    from bstm_daemon.simulation.march import LaneInputs
 
     Column = npt.NDArray[np.float64]
 
@@ -280,20 +278,15 @@ def wear_out(driver: Driver, pace: float = 1.0) -> _Truth:
     ]
     lanes = Lanes(corners, [effects] * len(corners), DEFAULT_MESH)
     state = start_state(lanes, np.full(len(corners), plain.start_k))
-    extension = compiled.extension()
     pieces = list(_pieces(plain.inputs))
     at_s = [0.0]
     thickness = [state.pad_m[:, 0].copy()]
     hottest_k = 0.0
     while thickness[-1].min() > LEFT_M:
         for piece in pieces:
-            march = (
-                march_numpy(lanes, state, piece)
-                if extension is None
-                else compiled.march_compiled(extension, lanes, state, piece)
-            )
-            state = march.state
-            surface_k = march.chain_k[:, lanes.surface - 1, :, 0]
+            done = march(lanes, state, piece)
+            state = done.state
+            surface_k = done.chain_k[:, lanes.surface - 1, :, 0]
             hottest_k = max(hottest_k, float(surface_k.max(initial=0.0)))
             at_s.append(at_s[-1] + float(piece.step_s.sum()))
             thickness.append(state.pad_m[:, 0].copy())

@@ -19,7 +19,11 @@ from recordings import kept, recorded
 
 from bstm_daemon.analysis.matching.drives import GRID_S, Drive, read_drive
 from bstm_daemon.analysis.matching.march import initial_temperatures, march
-from bstm_daemon.analysis.matching.refine import Refinement, refine
+from bstm_daemon.analysis.matching.refine import (
+    NodeAccuracy,
+    Refinement,
+    refine,
+)
 from bstm_daemon.analysis.matching.tunables import (
     Target,
     refined_keys,
@@ -37,13 +41,12 @@ from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.estimator.corner_model import compile_corner
 from bstm_daemon.files import shipped_file
 from bstm_daemon.simulation import NOMINAL
-from bstm_daemon.simulation.frames import START_STAMP_S
+from bstm_daemon.simulation.recorder import START_STAMP_S
 from bstm_daemon.units import KELVIN_OFFSET
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from bstm_daemon.analysis.matching.refine import NodeAccuracy
     from bstm_daemon.config.sections import Config
     from bstm_daemon.simulation.vehicle import CarParameters
 

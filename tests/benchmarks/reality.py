@@ -7,10 +7,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 from side_by_side import Goal, Outcome, Table, Work, take_turns
 
-from bstm_daemon.simulation import Effects, LaneInputs, Mesh, compiled
+from bstm_daemon.simulation import Effects, LaneInputs, Mesh
 from bstm_daemon.simulation.lanes import Lanes, State, start_state
 from bstm_daemon.simulation.parameters import FRONT
-from bstm_daemon.simulation.reality import march_numpy
+from bstm_daemon.simulation.reality import (
+    extension,
+    march_compiled,
+    march_numpy,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -22,8 +26,8 @@ LANES = (4, 64)
 
 def run(*, full: bool) -> Outcome:
     """Measure the real-time factor per core and corner."""
-    extension = compiled.extension()
-    if extension is None:
+    compiled = extension()
+    if compiled is None:
         msg = "the compiled reality is not installed"
         raise RuntimeError(msg)
     works: dict[str, Work] = {}
@@ -31,12 +35,12 @@ def run(*, full: bool) -> Outcome:
         lanes = Lanes([FRONT] * count, [Effects()] * count, Mesh())
         slow = descent(120 if full else 40, count)
         fast = descent(2400 if full else 800, count)
-        _check_equal(extension, lanes, slow)
+        _check_equal(compiled, lanes, slow)
         works[f"NumPy {count}"] = Work(
             _numpy(lanes, slow), count * float(slow.step_s.sum())
         )
         works[f"C {count}"] = Work(
-            _compiled(extension, lanes, fast), count * float(fast.step_s.sum())
+            _compiled(compiled, lanes, fast), count * float(fast.step_s.sum())
         )
     timings = take_turns(works, 9 if full else 5)
 
@@ -97,11 +101,9 @@ def _numpy(lanes: Lanes, inputs: LaneInputs) -> Callable[[], object]:
 
 
 def _compiled(
-    extension: ModuleType, lanes: Lanes, inputs: LaneInputs
+    compiled: ModuleType, lanes: Lanes, inputs: LaneInputs
 ) -> Callable[[], object]:
-    return lambda: compiled.march_compiled(
-        extension, lanes, _start(lanes), inputs
-    )
+    return lambda: march_compiled(compiled, lanes, _start(lanes), inputs)
 
 
 def _start(lanes: Lanes) -> State:
@@ -109,11 +111,9 @@ def _start(lanes: Lanes) -> State:
 
 
 def _check_equal(
-    extension: ModuleType, lanes: Lanes, inputs: LaneInputs
+    compiled: ModuleType, lanes: Lanes, inputs: LaneInputs
 ) -> None:
     one = march_numpy(lanes, _start(lanes), inputs).state
-    two = compiled.march_compiled(
-        extension, lanes, _start(lanes), inputs
-    ).state
+    two = march_compiled(compiled, lanes, _start(lanes), inputs).state
     np.testing.assert_allclose(one.chain_k, two.chain_k, rtol=0, atol=1e-7)
     np.testing.assert_allclose(one.lump_k, two.lump_k, rtol=0, atol=1e-7)

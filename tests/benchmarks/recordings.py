@@ -21,8 +21,7 @@ import numpy as np
 from bstm_daemon.analysis.matching.verification import NODES
 from bstm_daemon.files import shipped_file
 from bstm_daemon.simulation import load_drive, simulate
-from bstm_daemon.simulation.frames import Encoder
-from bstm_daemon.simulation.recorder import write_candump
+from bstm_daemon.simulation.recorder import Encoder, write_candump
 from bstm_daemon.units import KELVIN_OFFSET
 
 if TYPE_CHECKING:

@@ -18,18 +18,14 @@ import numpy as np
 from risk_fleet import GROUPS, JUDGED, FleetCar, scaled
 
 from bstm_daemon.roles import CORNERS as ALL_CORNERS
-from bstm_daemon.simulation.march import LaneInputs
-from bstm_daemon.simulation.parameters import preset_effects
-from bstm_daemon.simulation.reality import march_lanes
+from bstm_daemon.simulation.parameters import CornerParameters, preset_effects
+from bstm_daemon.simulation.reality import LaneInputs, LaneResult, march_lanes
 from bstm_daemon.units import KELVIN_OFFSET
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     import numpy.typing as npt
-
-    from bstm_daemon.simulation.march import LaneResult
-    from bstm_daemon.simulation.parameters import CornerParameters
 
     Column = npt.NDArray[np.float64]
 

@@ -11,8 +11,7 @@ from bstm_daemon.bus.output.publication import Publication
 from bstm_daemon.cli.main import main
 from bstm_daemon.estimate import Estimate
 from bstm_daemon.simulation import parse_drive, simulate
-from bstm_daemon.simulation.frames import Encoder
-from bstm_daemon.simulation.recorder import write_candump
+from bstm_daemon.simulation.recorder import Encoder, write_candump
 
 ROOT = Path(__file__).parents[2]
 EXAMPLE = ROOT / "config" / "example_vehicle.toml"

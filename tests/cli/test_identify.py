@@ -12,8 +12,7 @@ import pytest
 from bstm_daemon.cli.main import main
 from bstm_daemon.config.reading import load_config
 from bstm_daemon.simulation import load_drive, parse_drive, simulate
-from bstm_daemon.simulation.frames import Encoder
-from bstm_daemon.simulation.recorder import write_candump
+from bstm_daemon.simulation.recorder import Encoder, write_candump
 
 ROOT = Path(__file__).parents[2]
 EXAMPLE = ROOT / "config" / "example_vehicle.toml"

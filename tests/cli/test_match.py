@@ -18,8 +18,7 @@ from bstm_daemon.config.reading import load_config
 from bstm_daemon.native.loader import load_kernel
 from bstm_daemon.simulation import Effects, simulate
 from bstm_daemon.simulation.drives import parse_drive
-from bstm_daemon.simulation.frames import Encoder
-from bstm_daemon.simulation.recorder import write_candump
+from bstm_daemon.simulation.recorder import Encoder, write_candump
 
 ROOT = Path(__file__).parents[2]
 EXAMPLE = ROOT / "config" / "example_vehicle.toml"

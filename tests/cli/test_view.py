@@ -18,8 +18,7 @@ import pytest
 from bstm_daemon.cli.main import main
 from bstm_daemon.files import shipped_file
 from bstm_daemon.simulation import parse_drive, simulate
-from bstm_daemon.simulation.frames import Encoder
-from bstm_daemon.simulation.recorder import write_candump
+from bstm_daemon.simulation.recorder import Encoder, write_candump
 
 CAR = shipped_file("config/example_vehicle.toml")
 DBC = shipped_file("dbc/example_vehicle.dbc")

@@ -19,8 +19,11 @@ from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.native.loader import load_kernel
 from bstm_daemon.roles import CORNERS
 from bstm_daemon.simulation import SimulatedDrive, load_drive, simulate
-from bstm_daemon.simulation.frames import START_STAMP_S, Encoder
-from bstm_daemon.simulation.recorder import write_candump
+from bstm_daemon.simulation.recorder import (
+    START_STAMP_S,
+    Encoder,
+    write_candump,
+)
 from bstm_daemon.units import KELVIN_OFFSET
 from tests.replayed import Replay, replay_log
 

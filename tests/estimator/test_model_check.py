@@ -29,9 +29,8 @@ from bstm_daemon.service.reporting import ServiceReporter
 from bstm_daemon.service.sender import Sender
 from bstm_daemon.service.status import StateFileStatus, collected, status_line
 from bstm_daemon.simulation import parse_drive, simulate
-from bstm_daemon.simulation.frames import Encoder
 from bstm_daemon.simulation.parameters import Effects
-from bstm_daemon.simulation.recorder import write_candump
+from bstm_daemon.simulation.recorder import Encoder, write_candump
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -20,8 +20,7 @@ from bstm_daemon.fleet.lake import (
 from bstm_daemon.fleet.plan import Plan, add_logs
 from bstm_daemon.fleet.vehicles import Fleet
 from bstm_daemon.simulation import parse_drive, simulate
-from bstm_daemon.simulation.frames import Encoder
-from bstm_daemon.simulation.recorder import write_candump
+from bstm_daemon.simulation.recorder import Encoder, write_candump
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable

@@ -26,9 +26,8 @@ from bstm_daemon.fleet.lake import Lake
 from bstm_daemon.fleet.plan import Plan
 from bstm_daemon.simulation import simulate
 from bstm_daemon.simulation.drives import parse_drive
-from bstm_daemon.simulation.frames import Encoder
 from bstm_daemon.simulation.parameters import Effects
-from bstm_daemon.simulation.recorder import write_candump
+from bstm_daemon.simulation.recorder import Encoder, write_candump
 
 from ..cli.test_gap import DRIVE, EXAMPLE  # noqa: TID252  (no package)
 from .conftest import DBC

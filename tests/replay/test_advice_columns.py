@@ -14,8 +14,7 @@ from bstm_daemon.replay.frames import publications
 from bstm_daemon.replay.results.records import ADVICE_COLUMNS
 from bstm_daemon.simulation import simulate
 from bstm_daemon.simulation.drives import parse_drive
-from bstm_daemon.simulation.frames import Encoder
-from bstm_daemon.simulation.recorder import write_candump
+from bstm_daemon.simulation.recorder import Encoder, write_candump
 from tests.replayed import replay_log
 
 if TYPE_CHECKING:

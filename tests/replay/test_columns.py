@@ -35,8 +35,7 @@ from bstm_daemon.replay.results.records import (
 )
 from bstm_daemon.roles import CORNERS
 from bstm_daemon.simulation import parse_drive, simulate
-from bstm_daemon.simulation.frames import Encoder
-from bstm_daemon.simulation.recorder import write_candump
+from bstm_daemon.simulation.recorder import Encoder, write_candump
 from tests.replayed import Replay, replay_log
 
 if TYPE_CHECKING:

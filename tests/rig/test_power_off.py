@@ -21,8 +21,7 @@ import pytest
 
 from bstm_daemon.service.state_file import load
 from bstm_daemon.simulation import parse_drive, simulate
-from bstm_daemon.simulation.frames import Encoder
-from bstm_daemon.simulation.recorder import write_candump
+from bstm_daemon.simulation.recorder import Encoder, write_candump
 
 pytestmark = pytest.mark.slow
 

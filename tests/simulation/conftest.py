@@ -14,7 +14,7 @@ from bstm_daemon.simulation import (
     parse_drive,
     simulate,
 )
-from bstm_daemon.simulation.frames import Encoder
+from bstm_daemon.simulation.recorder import Encoder
 
 DATABASE = Path(__file__).parents[2] / "dbc" / "example_vehicle.dbc"
 

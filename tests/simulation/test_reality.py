@@ -13,13 +13,17 @@ from bstm_daemon.simulation import (
     Effects,
     LaneInputs,
     Mesh,
-    compiled,
     march_lanes,
 )
 from bstm_daemon.simulation.lanes import BOILING_K, LUMPS, Lanes, start_state
-from bstm_daemon.simulation.march import lane_result, total_energy
 from bstm_daemon.simulation.parameters import FRONT, UNHEARD_NAMES, DrawnPath
-from bstm_daemon.simulation.reality import march_numpy
+from bstm_daemon.simulation.reality import (
+    extension,
+    lane_result,
+    march_compiled,
+    march_numpy,
+    total_energy,
+)
 from bstm_daemon.simulation.vehicle import NOMINAL
 
 Inputs = Callable[..., LaneInputs]
@@ -106,7 +110,7 @@ def test_energy_balance_closes_for_every_effect(lane_inputs: Inputs) -> None:
 
 @pytest.mark.slow
 def test_compiled_march_is_the_same(lane_inputs: Inputs) -> None:
-    reality = compiled.extension()
+    reality = extension()
     if reality is None:
         pytest.skip("the compiled reality is not installed")
     effects = each_effect()
@@ -117,9 +121,7 @@ def test_compiled_march_is_the_same(lane_inputs: Inputs) -> None:
     start = np.full(len(effects), 320.0)
 
     slow = march_numpy(lanes, start_state(lanes, start), inputs)
-    fast = compiled.march_compiled(
-        reality, lanes, start_state(lanes, start), inputs
-    )
+    fast = march_compiled(reality, lanes, start_state(lanes, start), inputs)
 
     np.testing.assert_allclose(fast.chain_k, slow.chain_k, atol=1e-7)
     np.testing.assert_allclose(fast.lump_k, slow.lump_k, atol=1e-7)
@@ -137,14 +139,14 @@ def test_compiled_march_is_the_same(lane_inputs: Inputs) -> None:
 def test_compiled_march_refuses_a_mesh_beyond_its_limit(
     lane_inputs: Inputs,
 ) -> None:
-    reality = compiled.extension()
+    reality = extension()
     if reality is None:
         pytest.skip("the compiled reality is not installed")
     lanes = Lanes([FRONT], [Effects()], Mesh(pad_nodes=200))
     state = start_state(lanes, np.array([300.0]))
 
     with pytest.raises(ValueError, match="128 nodes"):
-        compiled.march_compiled(reality, lanes, state, lane_inputs(2, 1.0))
+        march_compiled(reality, lanes, state, lane_inputs(2, 1.0))
 
 
 @pytest.mark.parametrize("name", sorted(set(ALL_NAMES) - IN_THE_CAR))

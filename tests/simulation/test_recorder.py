@@ -1,17 +1,170 @@
 """Files: whole or not at all, the same every time."""
 
 import csv
+from collections import defaultdict
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
+from typing import cast
 
+import cantools
 import numpy as np
 import pytest
+from cantools.database.can import Database
 
-from bstm_daemon.errors import FileAccessError
+from bstm_daemon.errors import ConfigError, FileAccessError
 from bstm_daemon.simulation import SimulatedDrive
 from bstm_daemon.simulation import recorder as recorder_module
-from bstm_daemon.simulation.frames import Encoder, Stream, frames, in_order
-from bstm_daemon.simulation.recorder import write_candump, write_truth
+from bstm_daemon.simulation.recorder import (
+    LOGGER_SIGNALS,
+    VEHICLE_SIGNALS,
+    Encoder,
+    Stream,
+    frames,
+    in_order,
+    write_candump,
+    write_truth,
+)
+from bstm_daemon.units import UNITS
+
+DATABASE = Path(__file__).parents[2] / "dbc" / "example_vehicle.dbc"
+
+
+def example_database() -> Database:
+    """Return the example car's DBC as cantools loads it."""
+    database = cantools.database.load_file(DATABASE, strict=True)
+    assert isinstance(database, Database)
+    return database
+
+
+def test_cantools_reads_the_roles_back(
+    short: SimulatedDrive, encoder: Encoder
+) -> None:
+    database = example_database()
+    read = defaultdict(list)
+    for stamp_s, frame_id, data in frames(short, encoder, 0.0):
+        message = database.get_message_by_frame_id(frame_id)
+        assert len(data) == message.length
+        decoded = cast(
+            "dict[str, float]", message.decode(data, decode_choices=False)
+        )
+        for name, value in decoded.items():
+            read[message.name, name].append((stamp_s, value))
+
+    for table, sources, step_s in (
+        (VEHICLE_SIGNALS, short.roles, 0.01),
+        (LOGGER_SIGNALS, short.temperatures, 1.0),
+    ):
+        for message_name, signals in table.items():
+            message = database.get_message_by_name(message_name)
+            for name, role in signals.items():
+                signal = message.get_signal_by_name(name)
+                unit = UNITS[signal.unit or "1"]
+                times, values = np.array(read[message_name, name]).T
+                si = values * unit.factor + unit.offset
+                # the sample in force at the stamp: 1 Hz rows start at 1 s
+                first = 0.0 if step_s < 1 else step_s
+                row = np.floor((times - first) / step_s + 1e-6).astype(int)
+                truth = sources[role][np.maximum(row, 0)]
+                tolerance = 0.5001 * signal.scale * unit.factor
+                np.testing.assert_allclose(si, truth, atol=tolerance)
+
+
+def test_frames_come_in_order_at_their_cycle_times(
+    short: SimulatedDrive, encoder: Encoder
+) -> None:
+    database = example_database()
+    stamps = defaultdict(list)
+    last = 0.0
+    for stamp_s, frame_id, _ in frames(short, encoder, 0.0):
+        assert stamp_s >= last
+        last = stamp_s
+        stamps[frame_id].append(stamp_s)
+
+    assert set(stamps) == {m.frame_id for m in database.messages}
+    for frame_id, sent in stamps.items():
+        message = database.get_message_by_frame_id(frame_id)
+        np.testing.assert_allclose(
+            np.diff(sent), (message.cycle_time or 0) / 1000, atol=1e-9
+        )
+    # staggered: no two messages at the same instant
+    first = sorted(sent[0] for sent in stamps.values())
+    assert min(np.diff(first)) > 1e-3
+
+
+def test_car_falls_silent_with_its_ignition(
+    short: SimulatedDrive, encoder: Encoder
+) -> None:
+    off_s = short.time_s[np.flatnonzero(~short.bus_on)[0]]
+    last = {
+        frame_id: stamp_s
+        for stamp_s, frame_id, _ in frames(short, encoder, 0.0)
+    }
+
+    assert 0 < off_s < short.time_s[-1] - 5
+    for frame_id, stamp_s in last.items():
+        if frame_id < 0x6A0:
+            assert stamp_s < off_s
+        else:
+            assert stamp_s > short.time_s[-1] - 1.1
+
+
+def test_value_beyond_its_range_is_sent_at_the_limit(
+    short: SimulatedDrive, encoder: Encoder
+) -> None:
+    hot = {
+        role: np.full_like(values, 3000.0)
+        for role, values in short.temperatures.items()
+    }
+    message = example_database().get_message_by_name("ThermocouplesA_FL")
+    hot_drive = replace(short, temperatures=hot)
+    sent = [
+        cast("dict[str, float]", message.decode(data))
+        for _, frame_id, data in frames(hot_drive, encoder)
+        if frame_id == message.frame_id
+    ]
+
+    assert len(sent) > 20
+    assert {value for frame in sent for value in frame.values()} == {1500.0}
+
+
+def edited(tmp_path: Path, old: str, new: str) -> Path:
+    """Return the example DBC with *old* replaced by *new*."""
+    text = DATABASE.read_text(encoding="cp1252")
+    assert old in text
+    path = tmp_path / "other.dbc"
+    path.write_text(text.replace(old, new), encoding="cp1252")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "problem"),
+    [
+        ("416 WheelSpeeds", "416 Speeds", "no message 'WheelSpeeds'"),
+        ("SG_ YawRate", "SG_ Yaw", "'Inertial': no signal 'YawRate'"),
+        ("0|16@1- (0.05", "7|16@0- (0.05", "is not Intel byte order"),
+        (
+            'BA_ "GenMsgCycleTime" BO_ 416 20;\n',
+            "",
+            "'WheelSpeeds': no GenMsgCycleTime",
+        ),
+        ('VERSION "1.0"', "VERSION", "other.dbc"),
+    ],
+)
+def test_unfit_dbc_is_named(
+    tmp_path: Path, old: str, new: str, problem: str
+) -> None:
+    path = edited(tmp_path, old, new)
+    if "SG_ Yaw" in new:
+        path.write_text(
+            path.read_text(encoding="cp1252").replace(
+                "CM_ SG_ 432 YawRate", "CM_ SG_ 432 Yaw"
+            ),
+            encoding="cp1252",
+        )
+
+    with pytest.raises(ConfigError, match=problem):
+        Encoder(path)
 
 
 def test_log_holds_every_frame(

@@ -9,7 +9,6 @@ from bstm_daemon.simulation import (
     Effects,
     Mesh,
     SimulatedDrive,
-    compiled,
     load_drive,
     load_vehicle,
     parse_drive,
@@ -18,6 +17,7 @@ from bstm_daemon.simulation import (
 )
 from bstm_daemon.simulation.parameters import STRONGEST
 from bstm_daemon.simulation.profile import SAMPLE_S
+from bstm_daemon.simulation.reality import extension
 from bstm_daemon.simulation.simulate import Resolution
 
 from ..finer_mesh import with_half_cells  # noqa: TID252  (no package)
@@ -202,7 +202,7 @@ def test_strength_beyond_its_range_is_refused(strength: float) -> None:
 def test_car_is_the_same_compiled_and_not(
     short: SimulatedDrive, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    if compiled.extension() is None:
+    if extension() is None:
         pytest.skip("the compiled reality is not installed")
     everything = Effects(**dict.fromkeys(EFFECT_NAMES, 1.0))
     second = load_vehicle("second")

@@ -16,7 +16,7 @@ import pytest
 
 from bstm_daemon.service.clock import boot_clock_ns
 from bstm_daemon.simulation import parse_drive, simulate
-from bstm_daemon.simulation.frames import Encoder
+from bstm_daemon.simulation.recorder import Encoder
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping

@@ -64,8 +64,10 @@ def prepare(path: Path) -> None:
     """Write the thinned frames of the drive to *path*, candump text."""
     # of the whole project only this part needs NumPy
     from bstm_daemon.simulation import load_drive, simulate  # noqa: PLC0415
-    from bstm_daemon.simulation.frames import Encoder  # noqa: PLC0415
-    from bstm_daemon.simulation.recorder import write_candump  # noqa: PLC0415
+    from bstm_daemon.simulation.recorder import (  # noqa: PLC0415
+        Encoder,
+        write_candump,
+    )
 
     whole = path.with_suffix(".whole")
     encoder = Encoder(shipped_file("dbc/example_vehicle.dbc"))

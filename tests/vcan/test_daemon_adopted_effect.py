@@ -12,8 +12,7 @@ from bstm_daemon.cli.main import main
 from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.service.state_file import encode, read, save
 from bstm_daemon.simulation import Effects, parse_drive, simulate
-from bstm_daemon.simulation.frames import Encoder
-from bstm_daemon.simulation.recorder import write_candump
+from bstm_daemon.simulation.recorder import Encoder, write_candump
 
 from .bus_log import (
     GRID_US,

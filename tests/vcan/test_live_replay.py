@@ -23,8 +23,7 @@ from bstm_daemon.replay.frames import (
 )
 from bstm_daemon.service.state_file import read
 from bstm_daemon.simulation import parse_drive, simulate
-from bstm_daemon.simulation.frames import Encoder
-from bstm_daemon.simulation.recorder import write_candump
+from bstm_daemon.simulation.recorder import Encoder, write_candump
 
 from .bus_log import (
     GRID_US,

@@ -16,8 +16,7 @@ from bstm_daemon.replay.frames import (
     write_frames,
 )
 from bstm_daemon.simulation import parse_drive, simulate
-from bstm_daemon.simulation.frames import Encoder
-from bstm_daemon.simulation.recorder import write_candump
+from bstm_daemon.simulation.recorder import Encoder, write_candump
 from bstm_daemon.watch import replay_view
 from bstm_daemon.watch.board import Board
 from bstm_daemon.watch.lines import LineView, text_line

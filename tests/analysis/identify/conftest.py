@@ -23,8 +23,7 @@ from bstm_daemon.simulation import (
     preset_effects,
     simulate,
 )
-from bstm_daemon.simulation.frames import Encoder
-from bstm_daemon.simulation.recorder import write_candump
+from bstm_daemon.simulation.recorder import Encoder, write_candump
 
 ROOT = Path(__file__).parents[3]
 EXAMPLE = ROOT / "config" / "example_vehicle.toml"

@@ -24,8 +24,11 @@ from bstm_daemon.errors import LogError, UsageError
 from bstm_daemon.estimator.corner_model import compile_corner
 from bstm_daemon.simulation import SimulatedDrive, simulate
 from bstm_daemon.simulation.drives import parse_drive
-from bstm_daemon.simulation.frames import START_STAMP_S, Encoder
-from bstm_daemon.simulation.recorder import write_candump
+from bstm_daemon.simulation.recorder import (
+    START_STAMP_S,
+    Encoder,
+    write_candump,
+)
 from bstm_daemon.units import KELVIN_OFFSET
 
 if TYPE_CHECKING:

@@ -14,8 +14,7 @@ import pytest
 
 from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.files import shipped_file
-from bstm_daemon.simulation.frames import Encoder
-from bstm_daemon.simulation.recorder import write_candump
+from bstm_daemon.simulation.recorder import Encoder, write_candump
 from tests.replayed import replay_log
 
 BENCHMARKS = str(Path(__file__).parents[2] / "benchmarks")

@@ -9,8 +9,7 @@ import pytest
 
 from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.simulation import parse_drive, simulate
-from bstm_daemon.simulation.frames import Encoder
-from bstm_daemon.simulation.recorder import write_candump
+from bstm_daemon.simulation.recorder import Encoder, write_candump
 from tests.replayed import replay_log
 
 if TYPE_CHECKING:

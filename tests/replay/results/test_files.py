@@ -28,8 +28,7 @@ from bstm_daemon.replay.results.files import (
     parquet_file,
 )
 from bstm_daemon.simulation import load_drive, simulate
-from bstm_daemon.simulation.frames import Encoder
-from bstm_daemon.simulation.recorder import write_candump
+from bstm_daemon.simulation.recorder import Encoder, write_candump
 
 if TYPE_CHECKING:
     from pathlib import Path
