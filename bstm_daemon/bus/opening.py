@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final
 
 from bstm_daemon.bus.logs.candump import CandumpReader
 from bstm_daemon.bus.logs.text_formats import TextLogReader, is_frame_csv
-from bstm_daemon.bus.signals.columns import ChunkDecoder
+from bstm_daemon.bus.signals.columns import ChunkDecoder, Events
 from bstm_daemon.bus.tables.table_plan import TableMap
 from bstm_daemon.errors import FileAccessError, LogError, UsageError
 
@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from bstm_daemon.bus.logs.reader import FrameReader, Wanted
-    from bstm_daemon.bus.signals.columns import Events
     from bstm_daemon.bus.signals.reject_reason import RejectReason
     from bstm_daemon.bus.signals.signal_map import SignalMap
     from bstm_daemon.bus.tables.table_log import TableReader

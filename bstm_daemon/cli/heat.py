@@ -5,8 +5,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 from bstm_daemon.analysis.identify.driving import driving_of
-from bstm_daemon.analysis.identify.heat_comparison import compare_heat
-from bstm_daemon.analysis.identify.stop_friction import stop_friction
+from bstm_daemon.analysis.identify.heat_comparison import (
+    compare_heat,
+    stop_friction,
+)
 from bstm_daemon.analysis.quality.recording import read_recording
 from bstm_daemon.cli.log_command import (
     add_log_arguments,
@@ -26,8 +28,10 @@ if TYPE_CHECKING:
     import argparse
     from pathlib import Path
 
-    from bstm_daemon.analysis.identify.heat_comparison import HeatComparison
-    from bstm_daemon.analysis.identify.stop_friction import StopFriction
+    from bstm_daemon.analysis.identify.heat_comparison import (
+        HeatComparison,
+        StopFriction,
+    )
     from bstm_daemon.bus.signals.signal_map import SignalMap
     from bstm_daemon.config.sections import Config
     from bstm_daemon.replay.results import Results

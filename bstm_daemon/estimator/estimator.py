@@ -53,9 +53,8 @@ from bstm_daemon.model.heat.sample_pass import (
 from bstm_daemon.model.heat.sample_plan import plan_samples
 from bstm_daemon.model.thermal.kernel import Batch
 from bstm_daemon.model.thermal.settling import settling_time_s
-from bstm_daemon.model.wear.car import REFIT_US, CarWear
+from bstm_daemon.model.wear.car import REFIT_US, CarWear, exchange, keep_totals
 from bstm_daemon.model.wear.dose import DISTANCE, DOSE
-from bstm_daemon.model.wear.follow import exchange, keep_totals
 from bstm_daemon.native.loader import load_kernel
 from bstm_daemon.roles import ROLE_INDEX
 

@@ -19,7 +19,7 @@ from bstm_daemon.estimator.blocks import channels_at_rest
 from bstm_daemon.model.thermal.kernel import Batch
 from bstm_daemon.model.thermal.program import compile_network
 from bstm_daemon.model.thermal.settling import SETTLED_K
-from bstm_daemon.model.wear.follow import exchange
+from bstm_daemon.model.wear.car import exchange
 from bstm_daemon.units import KELVIN_OFFSET
 
 if TYPE_CHECKING:

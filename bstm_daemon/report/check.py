@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from bstm_daemon.analysis.quality.grid import shifted
+from bstm_daemon.analysis.quality.channels import shifted
 from bstm_daemon.analysis.quality.limits import GRID_S
 from bstm_daemon.report.json_file import own_fields, picked
 from bstm_daemon.report.plots import (
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
         Quality,
         RoleQuality,
     )
-    from bstm_daemon.analysis.quality.statistics import ChannelStatistics
+    from bstm_daemon.analysis.quality.recording import ChannelStatistics
     from bstm_daemon.analysis.statistics.series import Column
 
 MODE_NAMES: Final = {

@@ -33,8 +33,10 @@ from bstm_daemon.report.timescale import clock
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from bstm_daemon.analysis.identify.heat_comparison import HeatComparison
-    from bstm_daemon.analysis.identify.stop_friction import StopFriction
+    from bstm_daemon.analysis.identify.heat_comparison import (
+        HeatComparison,
+        StopFriction,
+    )
     from bstm_daemon.analysis.statistics.series import Column
 
 STOPS_DRAWN: Final = 8

@@ -29,8 +29,8 @@ if TYPE_CHECKING:
     from bstm_daemon.analysis.identify.heat_comparison import (
         HeatComparison,
         HeatStop,
+        StopFriction,
     )
-    from bstm_daemon.analysis.identify.stop_friction import StopFriction
     from bstm_daemon.analysis.statistics.series import Column
     from bstm_daemon.report.plots import Plot
 

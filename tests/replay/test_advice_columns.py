@@ -11,7 +11,7 @@ from cantools.database import load_file
 
 from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.replay.frames import publications
-from bstm_daemon.replay.results.records import ADVICE_COLUMNS
+from bstm_daemon.replay.results.rows import ADVICE_COLUMNS
 from bstm_daemon.simulation import simulate
 from bstm_daemon.simulation.drives import parse_drive
 from bstm_daemon.simulation.recorder import Encoder, write_candump

@@ -28,7 +28,7 @@ from bstm_daemon.replay.frames import (
     write_frames,
 )
 from bstm_daemon.replay.results import Collector, Part, Results, ResultsBuilder
-from bstm_daemon.replay.results.records import (
+from bstm_daemon.replay.results.rows import (
     ADVICE_COLUMNS,
     CAR_COLUMNS,
     CORNER_COLUMNS,

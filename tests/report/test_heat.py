@@ -3,8 +3,10 @@
 import numpy as np
 import pytest
 
-from bstm_daemon.analysis.identify.heat_comparison import HeatComparison
-from bstm_daemon.analysis.identify.stop_friction import StopFriction
+from bstm_daemon.analysis.identify.heat_comparison import (
+    HeatComparison,
+    StopFriction,
+)
 from bstm_daemon.report.heat import SOURCES, heat_page, sentence
 
 NO_FRICTION = StopFriction((), (), "no stop")

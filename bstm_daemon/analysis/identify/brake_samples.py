@@ -15,13 +15,16 @@ import numpy as np
 
 from bstm_daemon.analysis.identify.driving import (
     CONTROL,
+    Driving,
     Span,
     flagged,
 )
-from bstm_daemon.analysis.quality.braking import brake_force_n
-from bstm_daemon.analysis.quality.grid import HALF, window_mean
+from bstm_daemon.analysis.quality.braking import (
+    brake_force_n,
+    released_reading,
+)
+from bstm_daemon.analysis.quality.channels import HALF, window_mean
 from bstm_daemon.analysis.quality.limits import GRID_S
-from bstm_daemon.analysis.quality.pressures import released_reading
 from bstm_daemon.analysis.statistics.series import (
     Column,
     Indices,
@@ -33,7 +36,6 @@ from bstm_daemon.roles import CORNERS
 from bstm_daemon.units import KELVIN_OFFSET
 
 if TYPE_CHECKING:
-    from bstm_daemon.analysis.identify.driving import Driving
     from bstm_daemon.config.sections import Config
 
 JOINED_S: Final = 2.0

@@ -20,7 +20,11 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from bstm_daemon.analysis.identify.brake_samples import Samples, brake_samples
+from bstm_daemon.analysis.identify.brake_samples import (
+    BrakeStop,
+    Samples,
+    brake_samples,
+)
 from bstm_daemon.analysis.identify.value import Value
 from bstm_daemon.analysis.statistics.gls import fit_linear
 from bstm_daemon.analysis.statistics.resampling import jackknife, leave_one_out
@@ -29,7 +33,6 @@ from bstm_daemon.errors import LogError
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from bstm_daemon.analysis.identify.brake_samples import BrakeStop
     from bstm_daemon.analysis.identify.driving import Driving
     from bstm_daemon.analysis.statistics.series import Column, Indices, Mask
     from bstm_daemon.config.sections import Config

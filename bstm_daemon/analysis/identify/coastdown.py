@@ -25,7 +25,7 @@ from bstm_daemon.analysis.identify.coasting import (
     run_of,
 )
 from bstm_daemon.analysis.identify.value import Value
-from bstm_daemon.analysis.quality.grid import window_mean
+from bstm_daemon.analysis.quality.channels import window_mean
 from bstm_daemon.analysis.quality.limits import GRID_S
 from bstm_daemon.analysis.statistics.gls import fit_linear
 from bstm_daemon.errors import LogError

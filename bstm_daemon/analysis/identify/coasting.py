@@ -13,6 +13,7 @@ import numpy as np
 from bstm_daemon.analysis.identify.driving import (
     CONTROL,
     Balance,
+    Driving,
     Span,
     balance_of,
     flagged,
@@ -22,7 +23,6 @@ from bstm_daemon.analysis.statistics.series import Column, Mask, runs
 from bstm_daemon.units import GRAVITY_MS2
 
 if TYPE_CHECKING:
-    from bstm_daemon.analysis.identify.driving import Driving
     from bstm_daemon.model.heat.feed_back import Vehicle
 
 LOWEST_MS: Final = 2.5

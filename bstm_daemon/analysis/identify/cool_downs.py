@@ -12,12 +12,16 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from bstm_daemon.analysis.quality.limits import GRID_S, MOVING_MS
-from bstm_daemon.analysis.statistics.series import block_means, runs
+from bstm_daemon.analysis.statistics.series import (
+    Column,
+    Mask,
+    block_means,
+    runs,
+)
 from bstm_daemon.roles import CORNERS
 
 if TYPE_CHECKING:
     from bstm_daemon.analysis.identify.driving import Driving
-    from bstm_daemon.analysis.statistics.series import Column, Mask
 
 STEP_S: Final = 1.0
 BIN: Final = 5

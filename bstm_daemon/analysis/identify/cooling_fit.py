@@ -10,14 +10,16 @@ import numpy as np
 from bstm_daemon.analysis.identify.cool_downs import BIN, STEP_S, CoolDown
 from bstm_daemon.analysis.identify.disc_loss import DiscLoss, HeatCapacities
 from bstm_daemon.analysis.statistics.gls import solution_operator
-from bstm_daemon.analysis.statistics.whitening import likeliest_drift
+from bstm_daemon.analysis.statistics.whitening import (
+    DriftNoise,
+    likeliest_drift,
+)
 from bstm_daemon.model.thermal.properties import REFERENCE_K
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from bstm_daemon.analysis.statistics.series import Column, Matrix
-    from bstm_daemon.analysis.statistics.whitening import DriftNoise
 
 OFFSET_K: Final = 3.0
 """Spread of a thermocouple against the ambient sensor: type K class 2 is

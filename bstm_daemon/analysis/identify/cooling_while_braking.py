@@ -28,9 +28,8 @@ from bstm_daemon.analysis.identify.disc_loss import (
     disc_loss,
     share_of_work,
 )
-from bstm_daemon.analysis.quality.braking import resistance_n
+from bstm_daemon.analysis.quality.braking import released_reading, resistance_n
 from bstm_daemon.analysis.quality.limits import GRID_S
-from bstm_daemon.analysis.quality.pressures import released_reading
 from bstm_daemon.analysis.statistics.levenberg_marquardt import (
     Solution,
     minimise,

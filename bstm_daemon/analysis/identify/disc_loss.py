@@ -14,6 +14,7 @@ import numpy as np
 
 from bstm_daemon.model.thermal.brake_corner import (
     PADS,
+    CornerSpec,
     cooling_beyond,
     corner_spec,
 )
@@ -29,7 +30,6 @@ if TYPE_CHECKING:
 
     from bstm_daemon.analysis.statistics.series import Column, Indices
     from bstm_daemon.config.sections import Config, CornerConfig
-    from bstm_daemon.model.thermal.brake_corner import CornerSpec
     from bstm_daemon.model.thermal.table import Table
 
 LOWEST_K: Final = 200.0

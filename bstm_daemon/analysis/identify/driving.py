@@ -15,17 +15,19 @@ from bstm_daemon.analysis.quality.accelerations import (
     LONGITUDINAL,
     compare_accelerations,
 )
-from bstm_daemon.analysis.quality.braking import resistance_n
-from bstm_daemon.analysis.quality.channels import PRESSURES, Channels
+from bstm_daemon.analysis.quality.braking import released_reading, resistance_n
+from bstm_daemon.analysis.quality.channels import (
+    PRESSURES,
+    Channels,
+    window_mean,
+)
 from bstm_daemon.analysis.quality.finding import Notes
 from bstm_daemon.analysis.quality.frozen import find_frozen_speeds
-from bstm_daemon.analysis.quality.grid import window_mean
 from bstm_daemon.analysis.quality.limits import (
     GRID_S,
     MOVING_MS,
 )
-from bstm_daemon.analysis.quality.pressures import released_reading
-from bstm_daemon.analysis.quality.recording import read_recording
+from bstm_daemon.analysis.quality.recording import Recording, read_recording
 from bstm_daemon.analysis.quality.speeds import compare_speeds
 from bstm_daemon.analysis.statistics.series import Column, Mask, running_mean
 from bstm_daemon.errors import LogError
@@ -35,7 +37,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
     from pathlib import Path
 
-    from bstm_daemon.analysis.quality.recording import Recording
     from bstm_daemon.bus.signals.signal_map import SignalMap
     from bstm_daemon.config.sections import Config
 

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 from bstm_daemon.analysis.identify.brakes import identify_brakes
 from bstm_daemon.analysis.identify.coastdown import NAMES, identify_coast_down
 from bstm_daemon.analysis.identify.writing import (
+    Change,
     brake_changes,
     coast_down_changes,
 )
@@ -21,7 +22,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from bstm_daemon.analysis.identify.driving import Driving
-    from bstm_daemon.analysis.identify.writing import Change
     from bstm_daemon.config.sections import Config
 
 BY_COASTING: Final = frozenset(f"vehicle.{name}" for name in NAMES)

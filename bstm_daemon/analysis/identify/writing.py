@@ -10,7 +10,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from bstm_daemon.config.csv_tables import csv_names, put_csv_tables
-from bstm_daemon.config.estimates import ChangeConfig
+from bstm_daemon.config.estimates import (
+    ChangeConfig,
+    MatchedConfig,
+    PriorsConfig,
+)
 from bstm_daemon.errors import FileAccessError, require_packages
 from bstm_daemon.files import replacing
 
@@ -21,7 +25,6 @@ if TYPE_CHECKING:
     from bstm_daemon.analysis.identify.coastdown import CoastDown
     from bstm_daemon.analysis.identify.cooling import AxleCooling
     from bstm_daemon.analysis.identify.cooling_while_braking import BrakedAxle
-    from bstm_daemon.config.estimates import MatchedConfig, PriorsConfig
     from bstm_daemon.config.sections import Config, EffectConfig
 
 KNOWN: Final = 0.2

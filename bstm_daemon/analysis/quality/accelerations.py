@@ -8,9 +8,8 @@ import numpy as np
 
 from bstm_daemon.analysis.quality import limits
 from bstm_daemon.analysis.quality.bends import fit_in_bends
-from bstm_daemon.analysis.quality.channels import Channels, unit_ratio
+from bstm_daemon.analysis.quality.channels import HALF, Channels, unit_ratio
 from bstm_daemon.analysis.quality.comparison import Fit, fit_channels
-from bstm_daemon.analysis.quality.grid import HALF
 from bstm_daemon.analysis.quality.naming import (
     Naming,
     Tolerance,

@@ -8,12 +8,11 @@ import numpy as np
 
 from bstm_daemon.analysis.quality import limits
 from bstm_daemon.analysis.quality.comparison import Fit, fit_channels
-from bstm_daemon.analysis.statistics.series import running_mean
+from bstm_daemon.analysis.statistics.series import Column, running_mean
 
 if TYPE_CHECKING:
     from bstm_daemon.analysis.quality.channels import Channels
     from bstm_daemon.analysis.quality.finding import Notes
-    from bstm_daemon.analysis.statistics.series import Column
 
 _AXLES: Final = (
     ("front", "wheel_speed_fl", "wheel_speed_fr"),

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from bstm_daemon.analysis.quality.grid import HALF, shifted
+from bstm_daemon.analysis.quality.channels import HALF, shifted
 from bstm_daemon.analysis.quality.limits import (
     GRID_S,
     LAG_CORRELATION,

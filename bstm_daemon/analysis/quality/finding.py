@@ -9,7 +9,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from bstm_daemon.analysis.quality.comparison import Fit
-    from bstm_daemon.analysis.quality.statistics import ChannelStatistics
+    from bstm_daemon.analysis.quality.recording import ChannelStatistics
     from bstm_daemon.analysis.statistics.series import Column
 
 Fault = Literal[

@@ -7,11 +7,16 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from bstm_daemon.analysis.quality import limits
-from bstm_daemon.analysis.quality.channels import PRESSURES, WHEELS, Channels
+from bstm_daemon.analysis.quality.channels import (
+    PRESSURES,
+    WHEELS,
+    Channels,
+    difference_quotient,
+    median_of,
+)
 from bstm_daemon.analysis.quality.comparison import spread
-from bstm_daemon.analysis.quality.grid import difference_quotient, median_of
+from bstm_daemon.analysis.quality.recording import Run, constant_runs
 from bstm_daemon.analysis.quality.speeds import SPEEDS
-from bstm_daemon.analysis.quality.statistics import Run, constant_runs
 
 if TYPE_CHECKING:
     from collections.abc import Callable

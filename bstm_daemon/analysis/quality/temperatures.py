@@ -12,7 +12,7 @@ from bstm_daemon.analysis.quality.braking import feed_forward_n
 from bstm_daemon.analysis.quality.channels import PRESSURES, Channels
 from bstm_daemon.analysis.quality.comparison import Fit, fit_channels
 from bstm_daemon.analysis.quality.finding import Comparison, Notes
-from bstm_daemon.analysis.quality.statistics import constant_runs
+from bstm_daemon.analysis.quality.recording import constant_runs
 from bstm_daemon.units import KELVIN_OFFSET
 
 if TYPE_CHECKING:

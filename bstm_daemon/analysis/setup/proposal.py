@@ -17,6 +17,7 @@ from bstm_daemon.analysis.setup.judging import SPEEDS, Judge, stage_of
 from bstm_daemon.analysis.setup.name_rules import (
     REQUEST,
     UNNAMED,
+    NameMatch,
     name_matches,
     unit_matches,
 )
@@ -29,7 +30,6 @@ if TYPE_CHECKING:
 
     from cantools.database.can import Database
 
-    from bstm_daemon.analysis.setup.name_rules import NameMatch
     from bstm_daemon.analysis.setup.recording import Recording, Samples
 
 TYPICAL_RADIUS_M: Final = 0.32

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from bstm_daemon.bus.opening import NOT_READ, id_text, open_log
-from bstm_daemon.bus.signals.columns import ChunkDecoder
+from bstm_daemon.bus.signals.columns import ChunkDecoder, Events
 from bstm_daemon.bus.signals.extraction import (
     FD_LENGTHS,
     Output,
@@ -32,7 +32,6 @@ if TYPE_CHECKING:
     from cantools.database.can import Database, Message
 
     from bstm_daemon.analysis.setup.name_rules import NameMatch
-    from bstm_daemon.bus.signals.columns import Events
 
 Series = npt.NDArray[np.float64]
 FrameId = tuple[int, bool]

@@ -19,11 +19,15 @@ from cantools.database.can import Database, Message, Signal
 
 from bstm_daemon.analysis.setup.behaviour import Motion
 from bstm_daemon.analysis.setup.judging import SPEEDS
-from bstm_daemon.analysis.setup.name_rules import name_matches
-from bstm_daemon.analysis.setup.proposal import Proposal, propose
-from bstm_daemon.analysis.setup.recording import LARGEST, Recording, collect
-from bstm_daemon.analysis.setup.words import words_of
-from bstm_daemon.bus.tables.source import split_unit
+from bstm_daemon.analysis.setup.name_rules import name_matches, words_of
+from bstm_daemon.analysis.setup.proposal import Candidate, Proposal, propose
+from bstm_daemon.analysis.setup.recording import (
+    LARGEST,
+    Recording,
+    Samples,
+    collect,
+)
+from bstm_daemon.bus.tables.source import TableSource, split_unit
 from bstm_daemon.bus.tables.table_log import TableReader, open_source
 from bstm_daemon.bus.tables.table_plan import ColumnOutput, TableMap
 from bstm_daemon.bus.tables.time_axis import TimeAxis
@@ -36,9 +40,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
     from pathlib import Path
 
-    from bstm_daemon.analysis.setup.proposal import Candidate
-    from bstm_daemon.analysis.setup.recording import Samples
-    from bstm_daemon.bus.tables.source import TableSource
 
 _MESSAGE: Final = "table"
 _TIMES: Final = {

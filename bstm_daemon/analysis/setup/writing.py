@@ -9,7 +9,11 @@ from pathlib import Path
 from string import Template
 from typing import TYPE_CHECKING, Final
 
-from bstm_daemon.analysis.setup.proposal import TYPICAL_RADIUS_M
+from bstm_daemon.analysis.setup.proposal import (
+    TYPICAL_RADIUS_M,
+    Candidate,
+    Proposal,
+)
 from bstm_daemon.errors import ConfigError
 from bstm_daemon.roles import ROLE_INDEX, ROLES
 from bstm_daemon.units import UNITS
@@ -17,7 +21,6 @@ from bstm_daemon.units import UNITS
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
-    from bstm_daemon.analysis.setup.proposal import Candidate, Proposal
     from bstm_daemon.analysis.setup.recording import Recording
 
 _TEMPLATE: Final = Path(__file__).parent / "_data" / "typical.toml"

@@ -16,7 +16,7 @@ import zlib
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Final, NoReturn
 
-from bstm_daemon.bus.logs.reader import FrameReader
+from bstm_daemon.bus.logs.reader import FrameReader, FrameRow
 from bstm_daemon.bus.signals.extraction import EXTENDED_MAX, FD_LENGTHS
 from bstm_daemon.bus.signals.reject_reason import RejectReason
 from bstm_daemon.errors import LogError
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from collections.abc import Generator, Iterator
     from io import BufferedReader
 
-    from bstm_daemon.bus.logs.reader import FrameRow
     from bstm_daemon.bus.signals.frame_chunk import FrameChunk
 
 _SIGNATURE: Final = b"LOBJ"

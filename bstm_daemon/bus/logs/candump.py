@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from bstm_daemon.bus.logs.candump_line import LINE_LIMIT, parse_line
-from bstm_daemon.bus.logs.reader import FrameReader, chunk_of
+from bstm_daemon.bus.logs.reader import FrameReader, FrameRow, Wanted, chunk_of
 from bstm_daemon.bus.signals.extraction import EXTENDED_MAX
 from bstm_daemon.bus.signals.frame_chunk import (
     FrameChunk,
@@ -26,15 +26,13 @@ from bstm_daemon.bus.signals.frame_chunk import (
     rows_of,
 )
 from bstm_daemon.bus.signals.reject_reason import RejectReason
-from bstm_daemon.native.loader import extension
+from bstm_daemon.native.loader import BusExtension, extension
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
     from io import BufferedReader
     from pathlib import Path
 
-    from bstm_daemon.bus.logs.reader import FrameRow, Wanted
-    from bstm_daemon.native.loader import BusExtension
 
 _CHUNK_BYTES: Final = 2 << 20
 _NAMES_LIMIT: Final = 64

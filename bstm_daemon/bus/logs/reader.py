@@ -11,7 +11,7 @@ import io
 import zlib
 from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import contextmanager
 from itertools import islice
 from typing import TYPE_CHECKING, Any, Final
@@ -28,7 +28,6 @@ from bstm_daemon.bus.signals.reject_reason import RejectReason
 from bstm_daemon.errors import FileAccessError, LogError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
     from pathlib import Path
     from typing import BinaryIO
 

@@ -18,7 +18,7 @@ from datetime import UTC, datetime, timedelta
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from bstm_daemon.bus.logs.candump_line import LINE_LIMIT
-from bstm_daemon.bus.logs.reader import FrameReader
+from bstm_daemon.bus.logs.reader import FrameReader, FrameRow, Wanted
 from bstm_daemon.bus.signals.extraction import (
     EXTENDED_MAX,
     FD_LENGTHS,
@@ -32,7 +32,6 @@ if TYPE_CHECKING:
     from io import BufferedReader
     from pathlib import Path
 
-    from bstm_daemon.bus.logs.reader import FrameRow, Wanted
     from bstm_daemon.bus.signals.frame_chunk import FrameChunk
 
 

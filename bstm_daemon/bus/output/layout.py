@@ -27,6 +27,7 @@ from bstm_daemon.estimate import (
     CarRisk,
     CornerEstimate,
     Downshift,
+    Estimate,
     HeatMode,
     Input,
     Intervention,
@@ -45,7 +46,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
     from enum import IntEnum
 
-    from bstm_daemon.estimate import Estimate
 
 LAYOUT_VERSION: Final = 3
 """Raised whenever a signal of an existing frame moves or changes meaning."""

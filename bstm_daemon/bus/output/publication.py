@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from bstm_daemon.bus.output.e2e import COUNTER_COUNT, protect
 from bstm_daemon.bus.output.layout import (
     ADVICE_SIGNALS,
+    Frame,
     own_ids,
     published_frames,
 )
@@ -19,7 +20,6 @@ from bstm_daemon.bus.output.layout import (
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
-    from bstm_daemon.bus.output.layout import Frame
     from bstm_daemon.estimate import Estimate
 
 

@@ -15,6 +15,8 @@ from bstm_daemon.bus.output.e2e import CheckStatus, Profile2Checker
 from bstm_daemon.bus.output.layout import (
     CORNERS,
     FRAME_BYTES,
+    Frame,
+    Signal,
     own_ids,
     published_frames,
 )
@@ -22,7 +24,6 @@ from bstm_daemon.bus.output.layout import (
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
-    from bstm_daemon.bus.output.layout import Frame, Signal
 
 MAX_COUNTER_DELTA: Final = 3
 """Two frames of a name may be lost in a row (``docs/frames.md``)."""

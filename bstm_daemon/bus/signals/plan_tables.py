@@ -12,15 +12,15 @@ from array import array
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any, Final
 
-from bstm_daemon.bus.signals.extraction import INT64_REACH
+from bstm_daemon.bus.signals.extraction import (
+    INT64_REACH,
+    MessagePlan,
+    Output,
+    RawSignal,
+)
 from bstm_daemon.bus.signals.reject_reason import RejectReason
 
 if TYPE_CHECKING:
-    from bstm_daemon.bus.signals.extraction import (
-        MessagePlan,
-        Output,
-        RawSignal,
-    )
     from bstm_daemon.bus.signals.signal_map import SignalMap
 
 STANDARD_IDS: Final = 1 << 11

@@ -24,9 +24,14 @@ from bstm_daemon.bus.tables.binary import (
     Hdf5Source,
     ParquetSource,
 )
-from bstm_daemon.bus.tables.cells import numbers, texts
 from bstm_daemon.bus.tables.channels import Mf4Source, XrkSource
 from bstm_daemon.bus.tables.csv_table import CsvSource
+from bstm_daemon.bus.tables.source import (
+    TableChunk,
+    TableSource,
+    numbers,
+    texts,
+)
 from bstm_daemon.bus.tables.time_axis import TimeAxis
 from bstm_daemon.bus.tables.vbo import VboSource
 from bstm_daemon.errors import LogError
@@ -38,7 +43,6 @@ if TYPE_CHECKING:
 
     import numpy.typing as npt
 
-    from bstm_daemon.bus.tables.source import TableChunk, TableSource
     from bstm_daemon.bus.tables.table_plan import ColumnOutput, TableMap
 
 _BINARY: Final[dict[str, type[BinarySource]]] = {

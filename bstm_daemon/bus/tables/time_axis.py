@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from bstm_daemon.bus.tables.cells import numbers, texts
+from bstm_daemon.bus.tables.source import numbers, texts
 
 if TYPE_CHECKING:
     import numpy.typing as npt

@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING, Final
 
 import structlog
 
-from bstm_daemon.bus.tables.csv_head import Head
-from bstm_daemon.bus.tables.csv_table import CsvSource
+from bstm_daemon.bus.tables.csv_table import CsvSource, Head
 from bstm_daemon.bus.tables.source import units_in_names
 from bstm_daemon.errors import LogError
 

@@ -12,13 +12,11 @@ from typing import TYPE_CHECKING
 from bstm_daemon.model.thermal import reference
 from bstm_daemon.model.thermal.network import NetworkError
 from bstm_daemon.model.thermal.program import Program, same_structure
-from bstm_daemon.native.loader import load_kernel
+from bstm_daemon.native.loader import Kernel, load_kernel
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from typing import Literal
-
-    from bstm_daemon.native.loader import Kernel
 
 
 class Batch:

@@ -8,17 +8,19 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from bstm_daemon.channels import CHANNELS, VEHICLE_CHANNELS
-from bstm_daemon.estimator.blocks import friction_energies
-from bstm_daemon.estimator.estimator import PUBLISH_US
+from bstm_daemon.estimator.blocks import Block, Group, friction_energies
+from bstm_daemon.estimator.estimator import PUBLISH_US, Estimator
 from bstm_daemon.model.risk.boiling import wet_boiling_point_k
 from bstm_daemon.model.wear.dose import DISTANCE, DOSE
 from bstm_daemon.model.wear.table import WEAR_COLUMNS, wear_table
-from bstm_daemon.replay.results.records import (
+from bstm_daemon.replay.results.rows import (
     ADVICE_COLUMNS,
+    STRETCH_ROWS,
+    Results,
+    Sink,
     record_columns,
     risk_columns,
 )
-from bstm_daemon.replay.results.rows import STRETCH_ROWS, Results
 from bstm_daemon.roles import MEASURED_NODES
 from bstm_daemon.units import KELVIN_OFFSET
 
@@ -28,9 +30,6 @@ if TYPE_CHECKING:
     import numpy.typing as npt
 
     from bstm_daemon.estimate import Advice, CarRisk
-    from bstm_daemon.estimator.blocks import Block, Group
-    from bstm_daemon.estimator.estimator import Estimator
-    from bstm_daemon.replay.results.rows import Sink
 
     Column = npt.NDArray[np.float64]
     Arrays = dict[str, npt.NDArray[Any]]

@@ -5,7 +5,7 @@ A file stands under its name when all rows are in it, and not before.
 
 from __future__ import annotations
 
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
@@ -14,18 +14,15 @@ import numpy as np
 from bstm_daemon import __version__
 from bstm_daemon.errors import FileAccessError, require_packages
 from bstm_daemon.files import replacing
-from bstm_daemon.replay.results.records import ADVICE_CODES
-from bstm_daemon.replay.results.rows import Part
+from bstm_daemon.replay.results.rows import ADVICE_CODES, Part, Results, Sink
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
-    from contextlib import AbstractContextManager
     from pathlib import Path
     from typing import TextIO
 
     import numpy.typing as npt
 
-    from bstm_daemon.replay.results.rows import Results, Sink
 
 GROUP_ROWS: Final = 4096
 """Rows of a Parquet row group: some 3 MB that are held until it is full."""

@@ -10,10 +10,8 @@ import pytest
 from bstm_daemon.analysis.identify.brake_samples import applications
 from bstm_daemon.analysis.identify.heat_comparison import (
     HeatComparison,
-    compare_heat,
-)
-from bstm_daemon.analysis.identify.stop_friction import (
     StopFriction,
+    compare_heat,
     stop_friction,
 )
 from bstm_daemon.config.heat import HeatConfig

@@ -5,13 +5,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bstm_daemon.analysis.quality.comparison import find_lag, fit_channels
-from bstm_daemon.analysis.quality.grid import (
+from bstm_daemon.analysis.quality.channels import (
     at_times,
     common_times,
     difference_quotient,
     window_mean,
 )
+from bstm_daemon.analysis.quality.comparison import find_lag, fit_channels
 from bstm_daemon.analysis.quality.recording import Series
 
 TIME_S = np.arange(0.0, 120.0, 0.05)

@@ -19,8 +19,8 @@ from bstm_daemon.estimator.memory import StateError
 from bstm_daemon.estimator.state import export_state, restore_state
 from bstm_daemon.model.heat.sample_pass import TICK
 from bstm_daemon.model.thermal.regrid import heat_above_j
+from bstm_daemon.model.wear.car import exchange
 from bstm_daemon.model.wear.dose import DOSE
-from bstm_daemon.model.wear.follow import exchange
 from bstm_daemon.model.wear.pads import Change
 from bstm_daemon.model.wear.table import WEAR_COLUMNS, wear_table
 from bstm_daemon.roles import ROLE_INDEX

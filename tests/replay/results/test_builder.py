@@ -16,12 +16,12 @@ from bstm_daemon.estimator.estimator import Estimator
 from bstm_daemon.replay.columns import present_roles
 from bstm_daemon.replay.results import Collector, Results, ResultsBuilder
 from bstm_daemon.replay.results.builder import LEARNED
-from bstm_daemon.replay.results.records import (
+from bstm_daemon.replay.results.rows import (
     ADVICE_COLUMNS,
     CAR_COLUMNS,
     CORNER_COLUMNS,
+    STRETCH_ROWS,
 )
-from bstm_daemon.replay.results.rows import STRETCH_ROWS
 from bstm_daemon.roles import CORNERS
 from tests.replayed import replay_log
 

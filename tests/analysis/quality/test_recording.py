@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bstm_daemon.analysis.quality.recording import Series
-from bstm_daemon.analysis.quality.statistics import (
+from bstm_daemon.analysis.quality.recording import (
+    Series,
     bus_pauses,
     channel_statistics,
     constant_runs,

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from bstm_daemon.bus.tables.csv_head import read_head
+from bstm_daemon.bus.tables.csv_table import read_head
 from bstm_daemon.bus.tables.source import units_in_names
 
 Reader = Callable[..., Any]
