@@ -32,15 +32,7 @@ from bstm_daemon.model.heat.needs import (
     check_inputs,
 )
 from bstm_daemon.replay.columns import present_roles
-from bstm_daemon.report.gap import (
-    adopted_text,
-    advice_lines,
-    gap_text,
-    no_advice_line,
-    remarks_on,
-)
-from bstm_daemon.report.gap_forces import force_text
-from bstm_daemon.report.gap_json import advice_json, force_json, gap_json
+from bstm_daemon.report import gap as words
 from bstm_daemon.report.gap_page import force_page, gap_page
 from bstm_daemon.simulation import drive_names
 
@@ -172,18 +164,18 @@ def _by_temperatures(
             progress=progress.show,
         )
     names = ", ".join(one.name for one in recordings)
-    remarks = remarks_on(config)
+    remarks = words.remarks_on(config)
     lines += [heading(args, config, names), *remarks]
     if unmatched:
         lines.append(NOT_MATCHED)
     for gap in gaps:
-        lines.append(gap_text(gap))
+        lines.append(words.gap_text(gap))
         if args.step == "advise" and not gap.advice:
-            lines.append(f"  {no_advice_line(gap)}")
+            lines.append(f"  {words.no_advice_line(gap)}")
     lines += _written(
         args,
         (names, config.vehicle.id),
-        [gap_json(gap) for gap in gaps],
+        [words.gap_json(gap) for gap in gaps],
         gaps,
         lambda subtitle: gap_page(gaps, subtitle, remarks),
     )
@@ -216,11 +208,11 @@ def _by_forces(
     names = ", ".join(one.name for one in recordings)
     lines = [
         heading(args, config, names),
-        force_text(gap),
+        words.force_text(gap),
         *_written(
             args,
             (names, config.vehicle.id),
-            [force_json(gap)],
+            [words.force_json(gap)],
             [gap],
             lambda subtitle: force_page(gap, subtitle),
         ),
@@ -239,11 +231,11 @@ def _before_any_drive(
     return [
         heading(args, config, subject),
         f"{', '.join(gap.corners)}:",
-        *(f"  {line}" for line in advice_lines(gap)),
+        *(f"  {line}" for line in words.advice_lines(gap)),
         *_written(
             args,
             (subject, config.vehicle.id),
-            [{"advice": advice_json(gap)}],
+            [{"advice": words.advice_json(gap)}],
             [],
             lambda subtitle: gap_page([gap], subtitle),
         ),
@@ -343,4 +335,4 @@ def _written(
     )
     values = [one for gap in gaps for one in gap.values]
     write_changed(args.config, args.out, values, "bstm gap", "", entries)
-    return [f"{args.out}: {adopted_text(gaps)}", *lines]
+    return [f"{args.out}: {words.adopted_text(gaps)}", *lines]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from html import escape
 from textwrap import wrap
 from typing import TYPE_CHECKING, Any, Final
@@ -17,33 +18,7 @@ from bstm_daemon.analysis.gap.residual_heat import (
     TEMPERATURES_C,
     labels,
 )
-from bstm_daemon.report.gap import (
-    ADVICE_HEAD,
-    CANDIDATE_HEAD,
-    CELL_HEAD,
-    ERROR_HEAD,
-    advice_rows,
-    answer_line,
-    answer_tile,
-    candidate_rows,
-    cell_rows,
-    change,
-    error_rows,
-    headline,
-    naming_lines,
-    place_lines,
-    probability_tile,
-    sentence,
-    shown_lines,
-    shown_where,
-    strength_tiles,
-    unnamed_lines,
-)
-from bstm_daemon.report.gap_forces import (
-    force_lines,
-    force_sentence,
-    sight_lines,
-)
+from bstm_daemon.report import gap as words
 from bstm_daemon.report.plots import (
     BLACK,
     BLUE,
@@ -103,23 +78,34 @@ def gap_page(
     """
     sections = []
     for gap in gaps:
-        prefix = f"{', '.join(gap.corners)}: "
+        found = []
         if gap.shown is not None:
-            sections += _curve_sections(prefix, gap.shown)
+            found += _curve_sections(gap.shown)
         if gap.located is not None:
-            sections.append(_map_section(prefix, gap.located))
+            found.append(_map_section(gap.located))
         if gap.before is not None and gap.after is not None:
-            sections.append(_maps_section(prefix, gap.before, gap.after))
+            found.append(_maps_section(gap.before, gap.after))
         if gap.naming is not None:
-            sections += _naming_sections(prefix, gap, remarks)
+            found += _naming_sections(gap.naming, gap, remarks)
         if gap.advice:
-            sections.append(_advice_section(prefix, gap))
+            found.append(_advice_section(gap))
         if gap.shown is not None:
-            sections.append(_errors_section(prefix, gap.shown))
+            found.append(
+                Section(
+                    f"errors on {words.shown_where(gap.shown)}, by model",
+                    Table(words.ERROR_HEAD, words.error_rows(gap.shown)),
+                    lines=words.shown_lines(gap.shown),
+                    folded=True,
+                )
+            )
         if gap.located is not None:
-            sections.append(_tables_section(prefix, gap.located))
+            found.append(_tables_section(gap.located))
+        sections += [
+            replace(one, heading=f"{', '.join(gap.corners)}: {one.heading}")
+            for one in found
+        ]
     first = _first(gaps)
-    lead = f"{', '.join(first.corners)}: {sentence(first)}"
+    lead = f"{', '.join(first.corners)}: {words.sentence(first)}"
     tiles = head_tiles(gaps)
     return Page("Gap", sections, tiles, lead, subtitle=subtitle)
 
@@ -138,21 +124,24 @@ def head_tiles(gaps: Sequence[Gap]) -> list[tuple[str, str]]:
     of = f", {', '.join(gap.corners)}" if len(gaps) > 1 else ""
     tiles = []
     if gap.naming is not None:
-        answer, meaning = answer_tile(gap.naming)
-        tiles += [(answer, f"{meaning}{of}"), probability_tile(gap.naming)]
+        answer, meaning = words.answer_tile(gap.naming)
+        tiles += [
+            (answer, f"{meaning}{of}"),
+            words.probability_tile(gap.naming),
+        ]
     if gap.fit is not None:
-        tiles += strength_tiles(gap.fit)
+        tiles += words.strength_tiles(gap.fit)
     if gap.shown is not None:
-        word, one = change(gap.shown.shrinks[CONFIGURED])
+        word, one = words.change(gap.shown.shrinks[CONFIGURED])
         tiles.append((f"{one.factor:.1f} x", f"{word} gap, as written"))
     return tiles
 
 
-def _map_section(prefix: str, located: Located) -> Section:
+def _map_section(located: Located) -> Section:
     return Section(
-        f"{prefix}where the heat is missing",
+        "where the heat is missing",
         plots=(("missing heat [kJ]", heat_map(located.cells)),),
-        lines=place_lines(located),
+        lines=words.place_lines(located),
         note="Heat that the model lacks at a part, with its measured "
         "neighbours held at their thermocouples. Red: the real part gets more "
         "heat than in the model; blue: less. A dot: within "
@@ -161,10 +150,10 @@ def _map_section(prefix: str, located: Located) -> Section:
     )
 
 
-def _maps_section(prefix: str, before: Located, after: Located) -> Section:
+def _maps_section(before: Located, after: Located) -> Section:
     cells = (*before.cells, *after.cells)
     return Section(
-        f"{prefix}the map of the same drives, before and after",
+        "the map of the same drives, before and after",
         plots=(
             ("as configured [kJ]", heat_map(before.cells, cells)),
             ("as written [kJ]", heat_map(after.cells, cells)),
@@ -247,18 +236,18 @@ def _tip(cell: Cell | None) -> str:
 
 
 def _naming_sections(
-    prefix: str, gap: Gap, remarks: Sequence[str]
+    naming: Naming, gap: Gap, remarks: Sequence[str]
 ) -> list[Section]:
-    naming = gap.naming
-    if naming is None:
-        return []
-    lines = [*remarks, *naming_lines(naming), *unnamed_lines(gap)]
+    lines = [
+        *remarks,
+        *words.naming_lines(naming),
+        *words.unnamed_lines(gap),
+    ]
     if gap.silent:
         silent = ", ".join(map(name_of, gap.silent))
         lines.append(f"not excited by these drives: {silent}")
     return _candidates(
-        prefix,
-        headline(gap),
+        words.headline(gap),
         naming,
         lines,
         "Every effect is simulated on these drives and fitted together "
@@ -268,23 +257,15 @@ def _naming_sections(
 
 
 def _candidates(
-    prefix: str,
-    heading: str,
-    naming: Naming,
-    lines: Sequence[str],
-    note: str = "",
+    heading: str, naming: Naming, lines: Sequence[str], note: str = ""
 ) -> list[Section]:
     """Return the candidates as bars, and folded the statistics of each."""
     title = "evidence of each effect against 'nothing'"
     return [
+        Section(heading, plots=((title, evidence_bars(naming)),), across=1),
         Section(
-            f"{prefix}{heading}",
-            plots=((title, evidence_bars(naming)),),
-            across=1,
-        ),
-        Section(
-            f"{prefix}statistics of the candidates",
-            Table(CANDIDATE_HEAD, candidate_rows(naming)),
+            "statistics of the candidates",
+            Table(words.CANDIDATE_HEAD, words.candidate_rows(naming)),
             lines=lines,
             note=note,
             folded=True,
@@ -292,10 +273,10 @@ def _candidates(
     ]
 
 
-def _advice_section(prefix: str, gap: Gap) -> Section:
+def _advice_section(gap: Gap) -> Section:
     return Section(
-        f"{prefix}which drive next",
-        Table(ADVICE_HEAD, advice_rows(gap)),
+        "which drive next",
+        Table(words.ADVICE_HEAD, words.advice_rows(gap)),
         note="Cars are drawn at random from the posterior of these drives; "
         "each drive is simulated with the model itself, with its noise, and "
         "searched. The Bayes factor compares the true effect with its best "
@@ -339,20 +320,11 @@ def evidence_bars(naming: Naming) -> Plot:
     )
 
 
-def _errors_section(prefix: str, shown: Shown) -> Section:
-    return Section(
-        f"{prefix}errors on {shown_where(shown)}, by model",
-        Table(ERROR_HEAD, error_rows(shown)),
-        lines=shown_lines(shown),
-        folded=True,
-    )
-
-
-def _curve_sections(prefix: str, shown: Shown) -> list[Section]:
+def _curve_sections(shown: Shown) -> list[Section]:
     drives = dict.fromkeys(one.drive for one in shown.errors)
     return [
         Section(
-            f"{prefix}before and after on {drive}",
+            f"before and after on {drive}",
             plots=tuple(
                 (_before_and_after(one), _curves(one))
                 for one in shown.errors
@@ -389,11 +361,11 @@ def _curves(one: NodeErrors) -> Plot:
     return time_plot(data, "temperature [°C]", span, height=320)
 
 
-def _tables_section(prefix: str, located: Located) -> Section:
+def _tables_section(located: Located) -> Section:
     cells = [*located.by_speed, *located.by_pressure, *located.by_time]
     return Section(
-        f"{prefix}residual heat by speed, pressure and time",
-        Table(CELL_HEAD, cell_rows(cells)[:MOST_CELLS]),
+        "residual heat by speed, pressure and time",
+        Table(words.CELL_HEAD, words.cell_rows(cells)[:MOST_CELLS]),
         note="The plainest; all are in the JSON file.",
         folded=True,
     )
@@ -405,21 +377,25 @@ def force_page(gap: ForceGap, subtitle: str) -> Page:
     sections = [
         *(_force_section(one) for one in gap.curves),
         *_candidates(
-            "", answer_line(naming, "forces"), naming, force_lines(gap)
+            words.answer_line(naming, "forces"),
+            naming,
+            words.force_lines(gap),
         ),
-        Section("visible in forces", lines=sight_lines(gap), folded=True),
+        Section(
+            "visible in forces", lines=words.sight_lines(gap), folded=True
+        ),
     ]
     moved_mj = 1e-6 * gap.motion_j
     tiles = (
-        answer_tile(naming),
-        probability_tile(naming),
-        *strength_tiles(gap),
+        words.answer_tile(naming),
+        words.probability_tile(naming),
+        *words.strength_tiles(gap),
         (
             f"{1e-6 * gap.pressed_j:.1f} MJ",
             f"braking work by pressure; {moved_mj:.1f} MJ by motion",
         ),
     )
-    lead = force_sentence(gap)
+    lead = words.force_sentence(gap)
     return Page("Gap", sections, tiles, lead, subtitle=subtitle)
 
 
