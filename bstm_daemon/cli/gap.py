@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from bstm_daemon.analysis.gap.advising import MENU
 from bstm_daemon.analysis.gap.heat_only import find_force_gap
@@ -17,12 +17,7 @@ from bstm_daemon.analysis.gap.workflow import (
 )
 from bstm_daemon.analysis.identify.writing import Entries, write_changed
 from bstm_daemon.cli.arguments import option
-from bstm_daemon.cli.log_command import (
-    add_log_arguments,
-    heading,
-    open_vehicle,
-    write_results,
-)
+from bstm_daemon.cli.log_command import LogCommand, add_log_arguments
 from bstm_daemon.cli.progress import Progress
 from bstm_daemon.errors import LogError, UsageError
 from bstm_daemon.model.effects.catalogue import effect_names
@@ -43,8 +38,6 @@ if TYPE_CHECKING:
     from bstm_daemon.analysis.gap.heat_only import ForceGap
     from bstm_daemon.analysis.gap.recording import Recording
     from bstm_daemon.analysis.gap.workflow import Gap
-    from bstm_daemon.bus.signals.signal_map import SignalMap
-    from bstm_daemon.config.sections import Config
     from bstm_daemon.report.shell import Page
 
 WRITERS = ("adopt", "show", "run")
@@ -100,34 +93,48 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
+class Found(NamedTuple):
+    """What was searched, in every form; ``before`` stands above its head."""
+
+    subject: str
+    lines: list[str]
+    corners: list[dict[str, Any]]
+    gaps: Sequence[Gap | ForceGap]
+    page: Callable[[str], Page]
+    before: Sequence[str] = ()
+    failed: bool = False
+
+
 def run(args: argparse.Namespace) -> int:
     """Search, print, and write what was asked for.
 
     All files are written before a line is printed: the reader may stop early.
     """
-    logs = _check(args)
-    config, signal_map = open_vehicle(args, logs)
-    code = 0
+    _check(args)
+    command = LogCommand.opened(args, *args.holdout)
     if args.logs:
-        recordings = _read(args, args.logs, config, signal_map)
-        held_out = _read(args, args.holdout, config, signal_map)
+        recordings = _read(command, args.logs)
+        held_out = _read(command, args.holdout)
         by_forces = not any(one.drive.measured for one in recordings)
         search = _by_forces if by_forces else _by_temperatures
-        lines, code = search(args, config, recordings, held_out)
+        found = search(command, recordings, held_out)
     else:
-        lines = _before_any_drive(args, config, signal_map)
-    print("\n".join(lines))
-    return code
+        found = _before_any_drive(command)
+    head = command.heading(found.subject)
+    written = _written(command, found)
+    print("\n".join([*found.before, head, *found.lines, *written]))
+    failed = found.failed or any(gap.worse for gap in found.gaps)
+    return FAILED if failed else 0
 
 
 def _by_temperatures(
-    args: argparse.Namespace,
-    config: Config,
+    command: LogCommand,
     recordings: list[Recording],
     held_out: list[Recording],
-) -> tuple[list[str], int]:
-    """Search by thermocouples; return the lines to print and the result."""
-    lines = [
+) -> Found:
+    """Search by thermocouples."""
+    args, config = command.args, command.config
+    bare = [
         f"{one.name}: no measured temperature, left out"
         for one in (*recordings, *held_out)
         if not one.drive.measured
@@ -145,101 +152,88 @@ def _by_temperatures(
         check_heat_inputs(one.name, one.drive.roles, one.present, mode)
     until = "show" if args.step == "run" else args.step
     if args.form:
-        bare = [one.model_copy(update={"form": {}}) for one in config.matched]
-        config = config.model_copy(update={"matched": bare})
+        matched = [m.model_copy(update={"form": {}}) for m in config.matched]
+        config = config.model_copy(update={"matched": matched})
     unmatched = (
         until != "locate"
         and not args.anyway
         and is_unmatched(config, recordings)
     )
-    if unmatched:
-        until = "locate"
     with Progress("gap") as progress:
         gaps = find_gap(
             config,
             recordings,
             held_out,
-            until=until,
+            until="locate" if unmatched else until,
             question=_question(args),
             progress=progress.show,
         )
-    names = ", ".join(one.name for one in recordings)
     remarks = words.remarks_on(config)
-    lines += [heading(args, config, names), *remarks]
-    if unmatched:
-        lines.append(NOT_MATCHED)
+    lines = [*remarks, *[NOT_MATCHED] * unmatched]
     for gap in gaps:
         lines.append(words.gap_text(gap))
         if args.step == "advise" and not gap.advice:
             lines.append(f"  {words.no_advice_line(gap)}")
-    lines += _written(
-        args,
-        (names, config.vehicle.id),
+    return Found(
+        ", ".join(one.name for one in recordings),
+        lines,
         [words.gap_json(gap) for gap in gaps],
         gaps,
         lambda subtitle: gap_page(gaps, subtitle, remarks),
+        bare,
+        unmatched,
     )
-    failed = unmatched or any(gap.worse for gap in gaps)
-    return lines, FAILED if failed else 0
 
 
 def _by_forces(
-    args: argparse.Namespace,
-    config: Config,
+    command: LogCommand,
     recordings: list[Recording],
     held_out: list[Recording],
-) -> tuple[list[str], int]:
-    """Search by pressure against motion; return lines and the result."""
-    if args.step in {"locate", "advise"}:
+) -> Found:
+    """Search by pressure against motion."""
+    step = command.args.step
+    if step in {"locate", "advise"}:
         msg = (
-            f"gap {args.step}: no measured temperature in these logs (roles "
+            f"gap {step}: no measured temperature in these logs (roles "
             "temp_<corner>_<node>); without one only gate, name, adopt, show "
             "and run work, from forces"
         )
         raise UsageError(msg)
+    what = "pressure against motion"
     for one in (*recordings, *held_out):
-        what = "pressure against motion"
-        check_inputs(
-            one.name, one.drive.roles, one.present, INPUTS["ff"], what
-        )
+        have = one.drive.roles, one.present
+        check_inputs(one.name, *have, INPUTS["ff"], what)
     with Progress("gap") as progress:
         progress.show(0.1)
-        gap = find_force_gap(config, recordings, held_out)
-    names = ", ".join(one.name for one in recordings)
-    lines = [
-        heading(args, config, names),
-        words.force_text(gap),
-        *_written(
-            args,
-            (names, config.vehicle.id),
-            [words.force_json(gap)],
-            [gap],
-            lambda subtitle: force_page(gap, subtitle),
-        ),
-    ]
-    return lines, FAILED if gap.worse else 0
+        gap = find_force_gap(command.config, recordings, held_out)
+    return Found(
+        ", ".join(one.name for one in recordings),
+        [words.force_text(gap)],
+        [words.force_json(gap)],
+        [gap],
+        lambda subtitle: force_page(gap, subtitle),
+    )
 
 
-def _before_any_drive(
-    args: argparse.Namespace, config: Config, signal_map: SignalMap
-) -> list[str]:
-    """Advise by the model alone; return the lines to print."""
+def _before_any_drive(command: LogCommand) -> Found:
+    """Advise by the model alone."""
     with Progress("gap") as progress:
-        present = present_roles(signal_map)
-        gap = advise_before(config, present, _question(args), progress.show)
-    subject = "before any drive"
-    return [
-        heading(args, config, subject),
-        f"{', '.join(gap.corners)}:",
-        *(f"  {line}" for line in words.advice_lines(gap)),
-        *_written(
-            args,
-            (subject, config.vehicle.id),
-            [{"advice": words.advice_json(gap)}],
-            [],
-            lambda subtitle: gap_page([gap], subtitle),
-        ),
-    ]
+        gap = advise_before(
+            command.config,
+            present_roles(command.signal_map),
+            _question(command.args),
+            progress.show,
+        )
+    return Found(
+        "before any drive",
+        [
+            f"{', '.join(gap.corners)}:",
+            *(f"  {line}" for line in words.advice_lines(gap)),
+        ],
+        [{"advice": words.advice_json(gap)}],
+        [],
+        lambda subtitle: gap_page([gap], subtitle),
+    )
 
 
 def _question(args: argparse.Namespace) -> Question:
@@ -249,8 +243,8 @@ def _question(args: argparse.Namespace) -> Question:
     )
 
 
-def _check(args: argparse.Namespace) -> set[Path]:
-    """Refuse arguments that do not go together; return all logs."""
+def _check(args: argparse.Namespace) -> None:
+    """Refuse arguments that do not go together."""
     if not args.logs and args.holdout:
         msg = (
             "gap: --holdout took every LOG that follows it: the drives to fit "
@@ -266,14 +260,13 @@ def _check(args: argparse.Namespace) -> set[Path]:
     if args.step == "adopt" and args.out is None:
         msg = "gap adopt: give -o NEW.toml"
         raise UsageError(msg)
-    if args.out is not None and args.step not in WRITERS:
-        msg = f"gap {args.step}: -o is an option of {', '.join(WRITERS)}"
-        raise UsageError(msg)
-    if args.holdout and args.step not in SHOWERS:
-        msg = (
-            f"gap {args.step}: --holdout is an option of {', '.join(SHOWERS)}"
-        )
-        raise UsageError(msg)
+    for given, flag, steps in (
+        (args.out, "-o", WRITERS),
+        (args.holdout, "--holdout", SHOWERS),
+    ):
+        if given and args.step not in steps:
+            msg = f"gap {args.step}: {flag} is an option of {', '.join(steps)}"
+            raise UsageError(msg)
     seen: set[Path] = set()
     for log in (*args.logs, *args.holdout):
         if log.resolve() in seen:
@@ -283,44 +276,27 @@ def _check(args: argparse.Namespace) -> set[Path]:
             )
             raise UsageError(msg)
         seen.add(log.resolve())
-    return seen
 
 
-def _read(
-    args: argparse.Namespace,
-    logs: list[Path],
-    config: Config,
-    signal_map: SignalMap,
-) -> list[Recording]:
+def _read(command: LogCommand, logs: list[Path]) -> list[Recording]:
     found = []
     for log in logs:
         with Progress(f"read {log.name}") as progress:
             found.append(
-                read_recording(
-                    log,
-                    config,
-                    signal_map,
-                    dict(args.map),
-                    progress=progress.show,
-                )
+                command.read(read_recording, log, progress=progress.show)
             )
     return found
 
 
-def _written(
-    args: argparse.Namespace,
-    subtitle: tuple[str, ...],
-    corners: list[dict[str, Any]],
-    gaps: Sequence[Gap | ForceGap],
-    page: Callable[[str], Page],
-) -> list[str]:
+def _written(command: LogCommand, found: Found) -> list[str]:
     """Write NEW.toml, JSON and page; return a line for each."""
+    args, gaps = command.args, found.gaps
     result = {
-        "files": [str(log) for log in args.logs],
+        "files": command.files,
         "held_out": [str(log) for log in args.holdout],
-        "corners": corners,
+        "corners": found.corners,
     }
-    lines = write_results(args, subtitle, lambda: result, page)
+    lines = command.written(lambda: result, found.page, found.subject)
     if args.out is None:
         return lines
     if not any(gap.adopted for gap in gaps):
@@ -329,9 +305,10 @@ def _written(
         why = "it does not make the gap smaller (--force writes it)"
         return [f"{args.out} not written: {why}", *lines]
     entries = Entries(
-        [one for gap in gaps for one in gap.entries.effects],
-        [one for gap in gaps for one in gap.entries.changes],
-        [one for gap in gaps for one in gap.entries.matched],
+        *(
+            [one for gap in gaps for one in getattr(gap.entries, kind)]
+            for kind in ("effects", "changes", "matched")
+        )
     )
     values = [one for gap in gaps for one in gap.values]
     write_changed(args.config, args.out, values, "bstm gap", "", entries)

@@ -10,13 +10,7 @@ from bstm_daemon.analysis.identify.heat_comparison import (
     stop_friction,
 )
 from bstm_daemon.analysis.quality.recording import read_recording
-from bstm_daemon.cli.log_command import (
-    add_log_arguments,
-    heading,
-    names_of,
-    open_vehicle,
-    write_results,
-)
+from bstm_daemon.cli.log_command import LogCommand, add_log_arguments
 from bstm_daemon.cli.progress import Progress
 from bstm_daemon.config.heat import heat_mode_problems
 from bstm_daemon.errors import LogError
@@ -32,7 +26,6 @@ if TYPE_CHECKING:
         HeatComparison,
         StopFriction,
     )
-    from bstm_daemon.bus.signals.signal_map import SignalMap
     from bstm_daemon.config.sections import Config
     from bstm_daemon.replay.results import Results
 
@@ -49,16 +42,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Compare the sources in every log, print and write the result."""
-    config, signal_map = open_vehicle(args, args.logs)
+    command = LogCommand.opened(args)
     drives = []
     for log in args.logs:
-        heat, friction = _compared(args, log, config, signal_map)
-        print(heading(args, config, log))
+        heat, friction = _compared(command, log)
+        print(command.heading(log))
         print(heat_text(heat, friction))
         drives.append((log.name, heat, friction))
-    for line in write_results(
-        args,
-        (names_of(args.logs), config.vehicle.id),
+    for line in command.written(
         lambda: {
             "logs": [
                 {"file": str(log), **heat_json(heat, friction)}
@@ -75,9 +66,10 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _compared(
-    args: argparse.Namespace, log: Path, config: Config, signal_map: SignalMap
+    command: LogCommand, log: Path
 ) -> tuple[HeatComparison, StopFriction]:
-    overrides = dict(args.map)
+    config, signal_map = command.config, command.signal_map
+    overrides = dict(command.args.map)
     fused = _fused(config)
     cars = [config]
     if fused is not None and fused is not config:

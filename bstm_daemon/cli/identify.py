@@ -19,12 +19,7 @@ from bstm_daemon.analysis.identify.writing import (
     write_changed,
 )
 from bstm_daemon.cli.arguments import option
-from bstm_daemon.cli.log_command import (
-    add_log_arguments,
-    names_of,
-    open_vehicle,
-    write_results,
-)
+from bstm_daemon.cli.log_command import LogCommand, add_log_arguments
 from bstm_daemon.cli.progress import Progress
 from bstm_daemon.errors import UsageError
 from bstm_daemon.report import brakes, coastdown, cooling
@@ -127,13 +122,12 @@ def run(args: argparse.Namespace) -> int:
     The result is 1 if no value is identified.
     """
     _check(args)
-    config, signal_map = open_vehicle(args, args.logs)
+    command = LogCommand.opened(args)
+    config = command.config
     with Progress("identify") as progress:
-        drivings = read_drivings(
-            args.logs, config, signal_map, dict(args.map), progress.show
+        drivings = command.read(
+            read_drivings, args.logs, progress=progress.show
         )
-    names = names_of(args.logs)
-    subject = names, config.vehicle.id
     kind = KINDS[WHILE_BRAKING if args.while_braking else args.what]
     options: dict[str, Any] = {}
     if args.what == "coastdown":
@@ -141,13 +135,11 @@ def run(args: argparse.Namespace) -> int:
         options |= {"one_way": args.one_way, "even_grade": args.even_grade}
     with Progress(f"identify {args.what}"):
         result = kind.identify(drivings, config, **options)
-    print(" · ".join((*subject, args.config.name)))
+    names = command.names
+    print(f"{names} · {config.vehicle.id} · {args.config.name}")
     print(kind.text(result))
-    files = [str(log) for log in args.logs]
-    for line in write_results(
-        args,
-        subject,
-        lambda: {"files": files, **kind.data(result)},
+    for line in command.written(
+        lambda: {"files": command.files, **kind.data(result)},
         lambda subtitle: kind.page(result, subtitle),
     ):
         print(line)

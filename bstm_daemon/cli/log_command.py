@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from bstm_daemon.cli.arguments import (
     add_new_config,
@@ -26,6 +27,9 @@ if TYPE_CHECKING:
     from bstm_daemon.report.shell import Page
 
 
+T = TypeVar("T")
+
+
 def add_log_arguments(
     parser: argparse.ArgumentParser,
     what: str = "recorded drive",
@@ -44,60 +48,86 @@ def add_log_arguments(
     shared(parser, "json", "report", "figures", "map")
 
 
-def open_vehicle(
-    args: argparse.Namespace, logs: Iterable[Path]
-) -> tuple[Config, SignalMap]:
-    """Refuse targets before the work that fills them, load the vehicle.
+@dataclass(frozen=True, slots=True)
+class LogCommand:
+    """A command at work on recorded drives: its arguments and their car."""
 
-    Raises:
-        UsageError: a target would overwrite what is read or written.
-        FileAccessError: a target can not be written, a file not be read.
-        ConfigError: of the configuration.
-    """
-    out = getattr(args, "out", None)
-    if out is not None:
-        check_new(out, force=args.force)
-    check_targets((out, args.json, args.report), (args.config, *logs))
-    return load_vehicle(args.config)
+    args: argparse.Namespace
+    config: Config
+    signal_map: SignalMap
+
+    @classmethod
+    def opened(cls, args: argparse.Namespace, *further: Path) -> LogCommand:
+        """Refuse targets before the work that fills them, load the vehicle.
+
+        Args:
+            args: of :func:`add_log_arguments`.
+            further: logs that are read besides ``args.logs``.
+
+        Raises:
+            UsageError: a target would overwrite what is read or written.
+            FileAccessError: a target can not be written, a file not be read.
+            ConfigError: of the configuration.
+        """
+        out = getattr(args, "out", None)
+        if out is not None:
+            check_new(out, force=args.force)
+        sources = (args.config, *args.logs, *further)
+        check_targets((out, args.json, args.report), sources)
+        return cls(args, *load_vehicle(args.config))
+
+    @property
+    def names(self) -> str:
+        """The names of the logs in one line."""
+        return names_of(self.args.logs)
+
+    @property
+    def files(self) -> list[str]:
+        """The logs as they were given."""
+        return [str(log) for log in self.args.logs]
+
+    def read(self, reader: Callable[..., T], log: Any, **more: Any) -> T:
+        """Return what *reader* makes of *log*, a log or several."""
+        return reader(
+            *(log, self.config, self.signal_map, dict(self.args.map)), **more
+        )
+
+    def heading(self, subject: object) -> str:
+        """Return the line above a result: *subject*, vehicle, file."""
+        return f"{subject}  ({self.config.vehicle.id}, {self.args.config})"
+
+    def written(
+        self,
+        result: Callable[[], dict[str, Any]],
+        page: Callable[[str], Page],
+        subject: str = "",
+        indent: int | None = 2,
+    ) -> list[str]:
+        """Write the JSON file, the page and the figures that were asked for.
+
+        Args:
+            result: makes what goes into the JSON file.
+            page: makes the page under a subtitle.
+            subject: what the subtitle begins with, by default the logs.
+            indent: spaces a level of the JSON file, None for one line.
+
+        Returns:
+            A line for the page and one for the figures.
+
+        Raises:
+            FileAccessError: a file can not be written.
+            MissingExtraError: a package for the page is not installed.
+        """
+        args = self.args
+        if args.json:
+            write_json(args.json, result(), indent)
+        parts = subject or self.names, self.config.vehicle.id, args.config.name
+        return write_pages(args, lambda: page(" · ".join(parts)))
 
 
 def names_of(logs: Iterable[Path]) -> str:
     """Return the names of *logs* in one line."""
     return ", ".join(log.name for log in logs)
-
-
-def heading(args: argparse.Namespace, config: Config, subject: object) -> str:
-    """Return the line above a result: *subject*, vehicle, configuration."""
-    return f"{subject}  ({config.vehicle.id}, {args.config})"
-
-
-def write_results(
-    args: argparse.Namespace,
-    subtitle: tuple[str, ...],
-    result: Callable[[], dict[str, Any]],
-    page: Callable[[str], Page],
-    indent: int | None = 2,
-) -> list[str]:
-    """Write the JSON file, the page and the figures that were asked for.
-
-    Args:
-        args: parsed arguments with ``json``, ``report`` and ``config``.
-        subtitle: parts of the page's subtitle, before the configuration.
-        result: makes what goes into the JSON file.
-        page: makes the page under a subtitle.
-        indent: spaces a level of the JSON file, None for one line.
-
-    Returns:
-        A line for the page and one for the figures.
-
-    Raises:
-        FileAccessError: a file can not be written.
-        MissingExtraError: a package for the page is not installed.
-    """
-    if args.json:
-        write_json(args.json, result(), indent)
-    under = " · ".join((*subtitle, args.config.name))
-    return write_pages(args, lambda: page(under))
 
 
 def write_pages(

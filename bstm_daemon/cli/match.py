@@ -11,13 +11,7 @@ from bstm_daemon.analysis.identify.writing import Entries, write_changed
 from bstm_daemon.analysis.matching.changes import changes_of
 from bstm_daemon.analysis.matching.coarse import guesses_of
 from bstm_daemon.cli.arguments import option
-from bstm_daemon.cli.log_command import (
-    add_log_arguments,
-    heading,
-    names_of,
-    open_vehicle,
-    write_results,
-)
+from bstm_daemon.cli.log_command import LogCommand, add_log_arguments
 from bstm_daemon.cli.progress import Progress
 from bstm_daemon.report.match import (
     headline,
@@ -61,11 +55,12 @@ def run(args: argparse.Namespace) -> int:
 
     The result is 1 if a part of the model may be missing.
     """
-    config, signal_map = open_vehicle(args, args.logs)
+    command = LogCommand.opened(args)
+    config = command.config
     guessed = guesses_of(args.config)
     with Progress("match") as progress:
         calibration = Calibration(
-            args.logs, signal_map, dict(args.map), progress.show
+            args.logs, command.signal_map, dict(args.map), progress.show
         )
         found = calibration.run(
             config, guessed, only=args.only, each=args.each, plain=args.plain
@@ -74,10 +69,10 @@ def run(args: argparse.Namespace) -> int:
         learned = [
             calibration.handed_on(match) for match in matches if args.out
         ]
-    names = names_of(args.logs)
     verdict = "; ".join(headline(match) for match in matches)
     print(verdict)
-    print(heading(args, config, names))
+    names = command.names
+    print(command.heading(names))
     for change in by_forces:
         print(f"  by forces, before the match: {change}")
     for reason in why_not:
@@ -106,11 +101,9 @@ def run(args: argparse.Namespace) -> int:
     if not args.plain:
         searched["steps"] = [step_json(step) for step in found.steps]
         searched["effects"] = found.effects
-    for line in write_results(
-        args,
-        (names, config.vehicle.id),
+    for line in command.written(
         lambda: {
-            "files": [str(log) for log in args.logs],
+            "files": command.files,
             "corners": [match_json(match) for match in matches],
             "changes": [str(change) for change in changes],
             **searched,

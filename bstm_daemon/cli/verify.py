@@ -15,13 +15,7 @@ from bstm_daemon.analysis.matching.verification import (
     judged,
 )
 from bstm_daemon.cli.arguments import option
-from bstm_daemon.cli.log_command import (
-    add_log_arguments,
-    heading,
-    names_of,
-    open_vehicle,
-    write_results,
-)
+from bstm_daemon.cli.log_command import LogCommand, add_log_arguments
 from bstm_daemon.cli.progress import Progress
 from bstm_daemon.errors import LogError
 from bstm_daemon.report.verify import verify_json, verify_page, verify_text
@@ -58,16 +52,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Judge, print and write; 1 where a limit is not met."""
-    config, signal_map = open_vehicle(args, [*args.logs, *args.matched_on])
+    command = LogCommand.opened(args, *args.matched_on)
+    config = command.config
     verified: list[tuple[Drive, list[NodeErrors]]] = []
     learned = None
     for log in args.logs:
         with Progress(f"verify {log.name}") as progress:
-            drive = read_drive(
+            drive = command.read(
+                read_drive,
                 log,
-                config,
-                signal_map,
-                dict(args.map),
                 progress=progress.show,
                 estimates=True,
                 learned=learned,
@@ -82,19 +75,14 @@ def run(args: argparse.Namespace) -> int:
             raise LogError(msg)
         verified.append((replace(drive, estimates=None), found))
     errors = [one for _, found in verified for one in found]
-    matched_on = read_drives(
-        args.matched_on, config, signal_map, dict(args.map)
-    )
+    matched_on = command.read(read_drives, args.matched_on)
     verdicts = judged(errors) + held_against(verified, matched_on)
-    names = names_of(args.logs)
-    print(heading(args, config, names))
+    print(command.heading(command.names))
     print(verify_text(errors, verdicts))
     passed = all(one.passed for one in decisive(verdicts, args.require))
-    for line in write_results(
-        args,
-        (names, config.vehicle.id),
+    for line in command.written(
         lambda: {
-            "files": [str(log) for log in args.logs],
+            "files": command.files,
             "required": args.require,
             "passed": passed,
             **verify_json(errors, verdicts),

@@ -6,13 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from bstm_daemon.cli.log_command import (
-    add_log_arguments,
-    heading,
-    names_of,
-    open_vehicle,
-    write_results,
-)
+from bstm_daemon.cli.log_command import LogCommand, add_log_arguments
 from bstm_daemon.errors import UsageError
 from bstm_daemon.report.shell import Page
 
@@ -30,23 +24,23 @@ def test_a_target_that_would_overwrite_a_log(tmp_path: Path) -> None:
     args = parsed(str(log), "--json", str(log))
 
     with pytest.raises(UsageError, match="would overwrite"):
-        open_vehicle(args, args.logs)
+        LogCommand.opened(args)
 
 
 def test_a_configuration_that_exists_wants_force(tmp_path: Path) -> None:
     new = tmp_path / "new.toml"
     new.write_text("", "utf-8")
-    args = parsed("drive.log", "-o", str(new), new_config=True)
+    args = parsed("a/b.log", "c.log", "-o", str(new), new_config=True)
 
     with pytest.raises(UsageError, match="--force"):
-        open_vehicle(args, args.logs)
+        LogCommand.opened(args)
     args.force = True
-    config, signal_map = open_vehicle(args, args.logs)
+    command = LogCommand.opened(args)
 
-    assert heading(
-        args, config, names_of([Path("a/b.log"), Path("c.log")])
-    ) == (f"b.log, c.log  ({config.vehicle.id}, {CAR})")
-    assert signal_map.buses
+    assert command.heading(command.names) == (
+        f"b.log, c.log  ({command.config.vehicle.id}, {CAR})"
+    )
+    assert command.signal_map.buses
 
 
 def test_only_what_was_asked_for_is_made_and_written(tmp_path: Path) -> None:
@@ -58,11 +52,13 @@ def test_only_what_was_asked_for_is_made_and_written(tmp_path: Path) -> None:
         return Page("Title", [], subtitle=subtitle)
 
     args = parsed("drive.log", "--json", str(out))
-    assert write_results(args, ("drive",), lambda: {"a": 1}, pages) == []
+    command = LogCommand.opened(args)
+    assert command.written(lambda: {"a": 1}, pages) == []
     assert json.loads(out.read_text("utf-8")) == {"a": 1}
     assert asked == []
 
     args = parsed("drive.log", "--report", str(page))
-    assert write_results(args, ("drive", "car"), dict, pages) == [str(page)]
-    assert asked == ["drive · car · example_vehicle.toml"]
-    assert "drive · car · example_vehicle.toml" in page.read_text("utf-8")
+    assert LogCommand.opened(args).written(dict, pages) == [str(page)]
+    subtitle = f"drive.log · {command.config.vehicle.id} · {CAR.name}"
+    assert asked == [subtitle]
+    assert subtitle in page.read_text("utf-8")
