@@ -28,7 +28,8 @@ from bstm_daemon.model.heat.needs import (
 )
 from bstm_daemon.replay.columns import present_roles
 from bstm_daemon.report import gap as words
-from bstm_daemon.report.gap_page import force_page, gap_page
+from bstm_daemon.report.gap_forces import force_json, force_page, force_text
+from bstm_daemon.report.gap_page import advice_json, gap_json, gap_page
 from bstm_daemon.simulation import drive_names
 
 if TYPE_CHECKING:
@@ -177,7 +178,7 @@ def _by_temperatures(
     return Found(
         ", ".join(one.name for one in recordings),
         lines,
-        [words.gap_json(gap) for gap in gaps],
+        [gap_json(gap) for gap in gaps],
         gaps,
         lambda subtitle: gap_page(gaps, subtitle, remarks),
         bare,
@@ -208,8 +209,8 @@ def _by_forces(
         gap = find_force_gap(command.config, recordings, held_out)
     return Found(
         ", ".join(one.name for one in recordings),
-        [words.force_text(gap)],
-        [words.force_json(gap)],
+        [force_text(gap)],
+        [force_json(gap)],
         [gap],
         lambda subtitle: force_page(gap, subtitle),
     )
@@ -230,7 +231,7 @@ def _before_any_drive(command: LogCommand) -> Found:
             f"{', '.join(gap.corners)}:",
             *(f"  {line}" for line in words.advice_lines(gap)),
         ],
-        [{"advice": words.advice_json(gap)}],
+        [{"advice": advice_json(gap)}],
         [],
         lambda subtitle: gap_page([gap], subtitle),
     )

@@ -39,7 +39,8 @@ from bstm_daemon.model.heat.needs import (
     check_inputs,
 )
 from bstm_daemon.replay.vehicle import load_vehicle
-from bstm_daemon.report.gap import force_json, gap_json
+from bstm_daemon.report.gap_forces import force_json
+from bstm_daemon.report.gap_page import gap_json
 from bstm_daemon.report.json_file import write_json
 from bstm_daemon.report.text import percent, table, wrapped
 from bstm_daemon.service.state_file import safe_name

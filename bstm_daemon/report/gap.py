@@ -1,8 +1,8 @@
-"""``bstm gap``: what temperatures or forces show, in words and as JSON."""
+"""``bstm gap``: what temperatures or forces show, in words."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -24,11 +24,10 @@ from bstm_daemon.analysis.gap.holdout_comparison import (
 from bstm_daemon.analysis.statistics.series import rms
 from bstm_daemon.model.effects.catalogue import effect_class
 from bstm_daemon.model.effects.composed import is_composed, read
-from bstm_daemon.report.json_file import picked
 from bstm_daemon.report.text import table
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
 
     from bstm_daemon.analysis.gap.evidence import Candidate
     from bstm_daemon.analysis.gap.fitting import Fit
@@ -479,185 +478,3 @@ def advice_rows(gap: Gap) -> list[tuple[str, ...]]:
         )
         for one in gap.advice
     ]
-
-
-def force_sentence(gap: ForceGap) -> str:
-    """Return what the forces show for a person."""
-    ratio = gap.pressed_j / gap.motion_j if gap.motion_j else np.nan
-    work = f"pressure shows {ratio:.2f} of the braking work by motion"
-    parts = [work, cause(gap.naming)]
-    if gap.strengths:
-        where = "held-out drives" if gap.held_out else "the same drives"
-        parts.append(
-            f"with it the error of the acceleration on {where} goes from "
-            f"{acceleration(gap.before_ms2)} to {acceleration(gap.after_ms2)}"
-        )
-    return as_sentence(parts)
-
-
-def force_text(gap: ForceGap) -> str:
-    """Return what was found as lines for a terminal."""
-    return "\n  ".join(
-        [
-            f"forces of the whole car: {answer_line(gap.naming, 'forces')}",
-            *force_lines(gap),
-            *table(CANDIDATE_HEAD, candidate_rows(gap.naming)),
-            *sight_lines(gap),
-        ]
-    )
-
-
-def force_lines(gap: ForceGap) -> list[str]:
-    """Return the answer of the forces, and errors before and after."""
-    pressed_kj, motion_kj = 1e-3 * gap.pressed_j, 1e-3 * gap.motion_j
-    sources = "pressure (Feed-Forward) against motion (Feed-Back)"
-    work = f"{pressed_kj:.0f} kJ by pressure, {motion_kj:.0f} kJ by motion"
-    lines = [
-        f"no thermocouple: {sources}, {gap.windows} windows",
-        f"braking work: {work}",
-        *naming_lines(gap.naming),
-    ]
-    for name, strength in gap.strengths.items():
-        lines.append(
-            f"{name}: strength {strength:.2f} +- {gap.deviations[name]:.2f}"
-        )
-    if gap.strengths:
-        kind = "held-out drives" if gap.held_out else "the same drives"
-        lines.append(
-            f"error of the car's acceleration on {kind}, without noise: "
-            f"{acceleration(gap.before_ms2)} before, "
-            f"{acceleration(gap.after_ms2)} after"
-        )
-    return lines
-
-
-def acceleration(error_ms2: float) -> str:
-    """Return an error that is left; the search gives 0 within the noise."""
-    return f"{error_ms2:.3f} m/s2" if error_ms2 > 0.0 else "none"
-
-
-def sight_lines(gap: ForceGap) -> list[str]:
-    """Return which effects these forces can show, and which not."""
-    seen = ", ".join(f"{name} {reach:.2f}" for name, reach in gap.seen.items())
-    by_reason: dict[str, list[str]] = {}
-    for name, why in gap.unseen.items():
-        by_reason.setdefault(why.partition(":")[0], []).append(name)
-    return [
-        f"detectable, from a strength of: {seen or 'none'}",
-        *(
-            f"not detectable ({why}): {', '.join(names)}"
-            for why, names in by_reason.items()
-        ),
-    ]
-
-
-def gap_json(gap: Gap) -> dict[str, Any]:
-    """Return everything that was found as plain data."""
-    found = picked(gap, "corners", "recordings", "points")
-    found["headline"] = headline(gap)
-    if gap.located is not None:
-        found["places"] = [
-            picked(one, "node", "regime", "energy_j", standard_deviations="z")
-            | {"other": one.other or None}
-            for one in gap.located.places
-        ]
-        for name in ("cells", "by_speed", "by_pressure", "by_time"):
-            found[name] = getattr(gap.located, name)
-    if gap.naming is not None:
-        found["naming"] = naming_json(gap.naming)
-        found["not_excited"] = gap.silent
-    if gap.advice:
-        found["advice"] = advice_json(gap)
-    if gap.fit is not None:
-        found["strengths"] = gap.fit.strengths
-        found["strength_deviations"] = gap.fit.deviations
-        found["strength_noise_deviations"] = gap.fit.noise_deviations
-        found["strength_intervals"] = {
-            name: gap.fit.interval(name) for name in gap.fit.strengths
-        }
-    if gap.shown is not None:
-        found["shown"] = _shown_json(gap.shown)
-    return found
-
-
-def naming_json(naming: Naming) -> dict[str, Any]:
-    """Return the answer as plain data."""
-    return picked(
-        naming,
-        *("answer", "names", "probability", "reason", "explained"),
-        *("unknown_place", "best_placebo_z", "cross_validated"),
-        unknown_log_bayes_factor="unknown_evidence",
-    ) | {
-        "candidates": [
-            picked(
-                one,
-                *("name", "strength", "deviation", "z"),
-                log_bayes_factor="log_evidence",
-                detectable_strength="reach",
-            )
-            | {"probability": naming.odds[one.name]}
-            for one in naming.candidates
-        ]
-    }
-
-
-def _shown_json(shown: Shown) -> dict[str, Any]:
-    def factors(shrinks: Mapping[str, Shrink]) -> dict[str, list[float]]:
-        return {
-            name: [one.factor, one.lower, one.upper]
-            for name, one in shrinks.items()
-        }
-
-    return picked(shown, "held_out", "bends") | {
-        "errors": [
-            picked(
-                one, *("drive", "node", "rms_k", "peak_error_k", "peak_late_s")
-            )
-            for one in shown.errors
-        ],
-        "shrink": factors(shown.shrinks),
-        "fluid_shrink": factors(shown.fluid_shrinks),
-        "moved": {
-            name: dict(zip(shown.keys, moved, strict=True))
-            for name, moved in shown.moved.items()
-        },
-    }
-
-
-def advice_json(gap: Gap) -> dict[str, Any]:
-    """Return the advice as plain data."""
-    return {
-        "members": gap.members,
-        "log_bayes_factor_now": gap.advice[0].now,
-        "drives": [
-            picked(
-                one,
-                *("drive", "description", "duration_s", "log_bayes_factor"),
-                named_right="named",
-                named_wrong="wrong",
-            )
-            for one in gap.advice
-        ],
-    }
-
-
-def force_json(gap: ForceGap) -> dict[str, Any]:
-    """Return everything that was found, for a file."""
-    return {
-        "corners": [],
-        "path": "forces",
-        "recordings": gap.recordings,
-        "windows": gap.windows,
-        "headline": answer_line(gap.naming, "forces"),
-        "naming": naming_json(gap.naming),
-        "strengths": gap.strengths,
-        "strength_deviations": gap.deviations,
-        "can_be_seen_from": gap.seen,
-        "can_not_be_seen": gap.unseen,
-        "shown": {
-            "held_out": gap.held_out,
-            "drives": gap.shown_on,
-            "acceleration_error_ms2": [gap.before_ms2, gap.after_ms2],
-        },
-        "braking_work_j": {"pressure": gap.pressed_j, "motion": gap.motion_j},
-    }

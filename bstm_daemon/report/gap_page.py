@@ -1,4 +1,4 @@
-"""The page of ``bstm gap``: the map, the candidates, before and after."""
+"""``bstm gap`` as page and as JSON: map, candidates, before and after."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ from bstm_daemon.analysis.gap.residual_heat import (
     labels,
 )
 from bstm_daemon.report import gap as words
+from bstm_daemon.report.json_file import picked
 from bstm_daemon.report.plots import (
     BLACK,
     BLUE,
@@ -26,7 +27,6 @@ from bstm_daemon.report.plots import (
     ORANGE,
     VERMILION,
     Plot,
-    cloud,
     curve,
     plot,
     time_plot,
@@ -34,11 +34,13 @@ from bstm_daemon.report.plots import (
 from bstm_daemon.report.shell import Page, Section, Table
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
-    from bstm_daemon.analysis.gap.force_balance import Forces
-    from bstm_daemon.analysis.gap.heat_only import ForceGap
-    from bstm_daemon.analysis.gap.holdout_comparison import NodeErrors, Shown
+    from bstm_daemon.analysis.gap.holdout_comparison import (
+        NodeErrors,
+        Shown,
+        Shrink,
+    )
     from bstm_daemon.analysis.gap.naming import Naming
     from bstm_daemon.analysis.gap.residual_heat import Cell, Located
     from bstm_daemon.analysis.gap.workflow import Gap
@@ -246,7 +248,7 @@ def _naming_sections(
     if gap.silent:
         silent = ", ".join(map(name_of, gap.silent))
         lines.append(f"not excited by these drives: {silent}")
-    return _candidates(
+    return candidate_sections(
         words.headline(gap),
         naming,
         lines,
@@ -256,7 +258,7 @@ def _naming_sections(
     )
 
 
-def _candidates(
+def candidate_sections(
     heading: str, naming: Naming, lines: Sequence[str], note: str = ""
 ) -> list[Section]:
     """Return the candidates as bars, and folded the statistics of each."""
@@ -371,61 +373,91 @@ def _tables_section(located: Located) -> Section:
     )
 
 
-def force_page(gap: ForceGap, subtitle: str) -> Page:
-    """Return the page of what the forces show."""
-    naming = gap.naming
-    sections = [
-        *(_force_section(one) for one in gap.curves),
-        *_candidates(
-            words.answer_line(naming, "forces"),
-            naming,
-            words.force_lines(gap),
-        ),
-        Section(
-            "visible in forces", lines=words.sight_lines(gap), folded=True
-        ),
-    ]
-    moved_mj = 1e-6 * gap.motion_j
-    tiles = (
-        words.answer_tile(naming),
-        words.probability_tile(naming),
-        *words.strength_tiles(gap),
-        (
-            f"{1e-6 * gap.pressed_j:.1f} MJ",
-            f"braking work by pressure; {moved_mj:.1f} MJ by motion",
-        ),
-    )
-    lead = words.force_sentence(gap)
-    return Page("Gap", sections, tiles, lead, subtitle=subtitle)
+def gap_json(gap: Gap) -> dict[str, Any]:
+    """Return everything that was found as plain data."""
+    found = picked(gap, "corners", "recordings", "points")
+    found["headline"] = words.headline(gap)
+    if gap.located is not None:
+        found["places"] = [
+            picked(one, "node", "regime", "energy_j", standard_deviations="z")
+            | {"other": one.other or None}
+            for one in gap.located.places
+        ]
+        for name in ("cells", "by_speed", "by_pressure", "by_time"):
+            found[name] = getattr(gap.located, name)
+    if gap.naming is not None:
+        found["naming"] = naming_json(gap.naming)
+        found["not_excited"] = gap.silent
+    if gap.advice:
+        found["advice"] = advice_json(gap)
+    if gap.fit is not None:
+        found["strengths"] = gap.fit.strengths
+        found["strength_deviations"] = gap.fit.deviations
+        found["strength_noise_deviations"] = gap.fit.noise_deviations
+        found["strength_intervals"] = {
+            name: gap.fit.interval(name) for name in gap.fit.strengths
+        }
+    if gap.shown is not None:
+        found["shown"] = _shown_json(gap.shown)
+    return found
 
 
-def _force_section(one: Forces) -> Section:
-    """Return both forces over time, and their difference over the force."""
-    span = (0.0, max(float(one.time_s[-1]), 1.0))
-    motion_kn, pressed_kn = 1e-3 * one.motion_n, 1e-3 * one.whole_n
-    over_time = [
-        curve(one.time_s, motion_kn, "by motion", BLUE),
-        curve(one.time_s, pressed_kn, "by pressure", VERMILION),
-    ]
-    difference = [cloud(motion_kn, pressed_kn - motion_kn, "", VERMILION)]
-    return Section(
-        f"brake force of the car on {one.drive}",
-        plots=(
-            (
-                "over time",
-                time_plot(over_time, "force [kN]", span, height=340),
-            ),
-            (
-                "how much more by pressure than by motion",
-                plot(
-                    difference,
-                    "force by motion [kN]",
-                    "difference [kN]",
-                    height=340,
-                    yaxis={"zerolinecolor": GREY},
-                ),
-            ),
-        ),
-        note="A point is a window of 1 s or more. With nothing missing the "
-        "difference is zero at every force.",
-    )
+def naming_json(naming: Naming) -> dict[str, Any]:
+    """Return the answer as plain data."""
+    return picked(
+        naming,
+        *("answer", "names", "probability", "reason", "explained"),
+        *("unknown_place", "best_placebo_z", "cross_validated"),
+        unknown_log_bayes_factor="unknown_evidence",
+    ) | {
+        "candidates": [
+            picked(
+                one,
+                *("name", "strength", "deviation", "z"),
+                log_bayes_factor="log_evidence",
+                detectable_strength="reach",
+            )
+            | {"probability": naming.odds[one.name]}
+            for one in naming.candidates
+        ]
+    }
+
+
+def _shown_json(shown: Shown) -> dict[str, Any]:
+    def factors(shrinks: Mapping[str, Shrink]) -> dict[str, list[float]]:
+        return {
+            name: [one.factor, one.lower, one.upper]
+            for name, one in shrinks.items()
+        }
+
+    return picked(shown, "held_out", "bends") | {
+        "errors": [
+            picked(
+                one, *("drive", "node", "rms_k", "peak_error_k", "peak_late_s")
+            )
+            for one in shown.errors
+        ],
+        "shrink": factors(shown.shrinks),
+        "fluid_shrink": factors(shown.fluid_shrinks),
+        "moved": {
+            name: dict(zip(shown.keys, moved, strict=True))
+            for name, moved in shown.moved.items()
+        },
+    }
+
+
+def advice_json(gap: Gap) -> dict[str, Any]:
+    """Return the advice as plain data."""
+    return {
+        "members": gap.members,
+        "log_bayes_factor_now": gap.advice[0].now,
+        "drives": [
+            picked(
+                one,
+                *("drive", "description", "duration_s", "log_bayes_factor"),
+                named_right="named",
+                named_wrong="wrong",
+            )
+            for one in gap.advice
+        ],
+    }

@@ -20,7 +20,6 @@ from bstm_daemon.analysis.gap.workflow import Gap
 from bstm_daemon.model.effects.effect import SIGNED_STRENGTH
 from bstm_daemon.report.gap import (
     MATCH_FIRST,
-    acceleration,
     adopted_text,
     answer_line,
     answer_tile,
@@ -31,6 +30,7 @@ from bstm_daemon.report.gap import (
     times,
     unnamed_lines,
 )
+from bstm_daemon.report.gap_forces import acceleration
 from bstm_daemon.report.gap_page import (
     WEAK_EVIDENCE,
     evidence_bars,
