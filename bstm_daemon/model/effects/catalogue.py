@@ -7,7 +7,7 @@ from importlib import import_module
 from pkgutil import iter_modules
 from typing import TYPE_CHECKING, Final
 
-from bstm_daemon.config.sections import Config, EffectConfig
+from bstm_daemon.config.sections import EffectConfig
 from bstm_daemon.errors import hint
 from bstm_daemon.model.effects import entries
 from bstm_daemon.model.effects.composed import NAME as COMPOSED
@@ -18,6 +18,7 @@ from bstm_daemon.model.effects.model import CornerModel, InputModel
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from bstm_daemon.config.sections import Config
 
 STRUCTURES: Final[dict[str, tuple[str, ...]]] = {
     "thesis": (),
@@ -32,33 +33,35 @@ STRUCTURES: Final[dict[str, tuple[str, ...]]] = {
 
 
 @cache
-def effect_classes() -> dict[str, type[Effect]]:
-    """Return all effects of the catalogue by name, in alphabetical order."""
-    found: dict[str, type[Effect]] = {}
-    for info in iter_modules(entries.__path__):
-        module = import_module(f"{entries.__name__}.{info.name}")
-        found |= {
-            one.name: one
-            for one in vars(module).values()
-            if isinstance(one, type)
-            and issubclass(one, Effect)
-            and one.__module__ == module.__name__
-        }
-    return dict(sorted(found.items()))
-
-
 def effect_names() -> tuple[str, ...]:
-    """Return the names of all effects, in alphabetical order."""
-    return tuple(effect_classes())
+    """Names of all effects, in alphabetical order."""
+    return tuple(
+        sorted(module.name for module in iter_modules(entries.__path__))
+    )
 
 
+@cache
 def effect_class(name: str) -> type[Effect]:
-    """Return the class of the effect *name*, one of them ``composed``.
+    """Return the class of the effect *name*; its file bears its name.
+
+    Beside the catalogue's there is ``composed``.
 
     Raises:
         KeyError: no such effect.
     """
-    return Composed if name == COMPOSED else effect_classes()[name]
+    if name == COMPOSED:
+        return Composed
+    if name not in effect_names():
+        raise KeyError(name)
+    module = import_module(f"{entries.__name__}.{name}")
+    for candidate in vars(module).values():
+        if (
+            isinstance(candidate, type)
+            and issubclass(candidate, Effect)
+            and candidate.__module__ == module.__name__
+        ):
+            return candidate
+    raise KeyError(name)
 
 
 def problems_of(effects: Sequence[EffectConfig]) -> list[str]:

@@ -23,7 +23,6 @@ from typing import TYPE_CHECKING, Final, Literal
 
 from bstm_daemon.model.effects.effect import LAST, STRENGTH, Effect
 from bstm_daemon.model.thermal.network import (
-    Factor,
     Link,
     Memory,
     Node,
@@ -38,6 +37,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from bstm_daemon.model.effects.model import CornerModel
+    from bstm_daemon.model.thermal.network import Factor
 
 NAME: Final = "composed"
 PREFIX: Final = f"{NAME}."

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import replace
 from typing import TYPE_CHECKING, ClassVar, Literal
 
@@ -38,7 +37,7 @@ class Effect:
     show it, the names of the effects it is a twin of, their own parameters in
     ``own_parameters``, and at least one of :meth:`edit_network`,
     :meth:`edit`, :meth:`edit_inputs` and :meth:`edit_corner_inputs`. At
-    strength 0 none is called. The ``name`` is that of their class.
+    strength 0 none is called. The ``name`` is that of their file.
 
     Three kinds. ``thermal``: the network of a corner. ``heat``: the power
     that heats it, by its sources, by the configuration that the pass over
@@ -70,8 +69,8 @@ class Effect:
     stage: ClassVar[int] = USUAL
 
     def __init_subclass__(cls) -> None:
-        """Name the effect after its class, ``HubHeat`` is ``hub_heat``."""
-        cls.name = re.sub(r"(?<=.)(?=[A-Z])", "_", cls.__name__).lower()
+        """Name the effect after its file."""
+        cls.name = cls.__module__.rpartition(".")[2]
         cls.whole_car = cls.edit_inputs is not Effect.edit_inputs
 
     def __init__(self, values: Mapping[str, float]) -> None:

@@ -17,7 +17,6 @@ from bstm_daemon.estimator.corner_model import corner_model
 from bstm_daemon.model.effects import entries
 from bstm_daemon.model.effects.catalogue import (
     effect_class,
-    effect_classes,
     effect_names,
     problems_of,
 )
@@ -28,6 +27,11 @@ if TYPE_CHECKING:
 ROOT = Path(__file__).parents[3]
 PAGE = ROOT / "docs" / "new-effect.md"
 EXAMPLE = ROOT / "config" / "example_vehicle.toml"
+
+
+def forget() -> None:
+    effect_names.cache_clear()
+    effect_class.cache_clear()
 
 
 @pytest.fixture
@@ -43,10 +47,10 @@ def rim_fan(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
     folders = [*entries.__path__, str(tmp_path)]
     monkeypatch.setattr(entries, "__path__", folders)
     # files are looked for once in a process
-    effect_classes.cache_clear()
+    forget()
     yield "rim_fan"
     monkeypatch.undo()
-    effect_classes.cache_clear()
+    forget()
     sys.modules.pop(f"{entries.__name__}.rim_fan", None)
 
 

@@ -11,7 +11,7 @@ from bstm_daemon.model.effects.catalogue import (
     effect_class,
     effect_names,
 )
-from bstm_daemon.model.effects.entries.air import WetDisc
+from bstm_daemon.model.effects.entries.wet_disc import WetDisc
 from bstm_daemon.model.effects.model import CornerModel
 from bstm_daemon.model.heat.friction_law import friction_factor
 from bstm_daemon.model.thermal.brake_corner import CornerSpec, build_corner

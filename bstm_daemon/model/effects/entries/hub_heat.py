@@ -1,0 +1,47 @@
+"""Effect 40: a drum in the hat or a bearing heats the disc by its hub."""
+
+from bstm_daemon.model.effects.effect import Effect
+from bstm_daemon.model.effects.model import CornerModel, Parameter
+from bstm_daemon.model.effects.tables import FASTEST_MS, over_speed
+from bstm_daemon.model.thermal.network import (
+    Memory,
+    Network,
+    Source,
+    difference,
+    value,
+)
+
+
+class HubHeat(Effect):
+    """Heat of a torque at the hub that comes to the disc through the hat.
+
+    Shoes of a parking brake that drag take 5 to 30 Nm, a bearing with too
+    much preload a few, more with speed. About half of the heat goes to the
+    disc, as late as hub and hat follow; the rest to the knuckle.
+    """
+
+    number = 40
+    description = "A dragging drum or bearing heats the disc by its hub."
+    signature = "Disc, driving and parked after it, with a memory of minutes."
+    twins = ("residual_drag",)
+    own_parameters = (
+        Parameter("torque_nm", "Nm", 0.1, 60.0, 5.0, "to the disc, 20 m/s"),
+        Parameter("exponent", "1", 0.0, 1.0, 0.0, "of the torque, speed"),
+        Parameter("time_s", "s", 60.0, 7200.0, 1200.0, "of hub and hat"),
+    )
+    forms = ({"exponent": 1.0},)
+
+    def edit_network(self, model: CornerModel) -> Network:
+        """Add a source at the disc that follows the speed late."""
+        late = Memory(
+            "hub_turning",
+            "integral",
+            1.0 / self["time_s"],
+            (difference("speed_ms", "hub_turning"),),
+            upper=FASTEST_MS,
+        )
+        power = 1.0 + self["exponent"]
+        turned = over_speed(lambda v: 20.0 * (v / 20.0) ** power).table
+        watts = self.scaled("torque_nm") / model.wheel_radius_m
+        heat = Source("hub_heat", "disc", watts, (value(late.name, turned),))
+        return model.network.with_memory(late).with_source(heat)

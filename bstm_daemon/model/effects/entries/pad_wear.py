@@ -1,0 +1,48 @@
+"""Effect 21: worn linings are thinner."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from bstm_daemon.model.effects.effect import Effect
+from bstm_daemon.model.effects.linings import edit_lining
+from bstm_daemon.model.effects.model import CornerModel, Parameter
+
+if TYPE_CHECKING:
+    from bstm_daemon.model.thermal.network import Network
+
+THINNEST_M = 1e-3
+"""Less lining than this is not left: the plate would touch the disc."""
+
+
+class PadWear(Effect):
+    """Every slab is thinner by the same share: less mass, a shorter way.
+
+    What is lost is lost before the drive; a drive of 60 MJ a corner takes
+    about 1 mm more.
+    """
+
+    number = 21
+    description = "Worn linings conduct heat to the fluid faster."
+    signature = (
+        "Pad back and fluid, sooner and hotter; pad front less; grows over "
+        "many drives with their heat."
+    )
+    twins = ("shim_contact", "pad_conductivity")
+    own_parameters = (
+        Parameter("worn_m", "m", 0.0, 0.02, 4.5e-3, "lost of the lining"),
+    )
+
+    def edit_network(self, model: CornerModel) -> Network:
+        """Scale capacities and conductances of the lining."""
+        whole = model.spec.pad.thickness_m
+        least = min(THINNEST_M, whole)
+        left = max(whole - self.scaled("worn_m"), least) / whole
+        return edit_lining(
+            model.network,
+            lambda one: replace(one, capacity_j_k=left * one.capacity_j_k),
+            lambda one: replace(
+                one, conductance_w_k=one.conductance_w_k / left
+            ),
+        )

@@ -1,0 +1,49 @@
+"""Effect 31: thermocouples read too much for where they sit."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from bstm_daemon.model.effects.effect import Effect
+from bstm_daemon.model.effects.model import Correction, InputModel, Parameter
+from bstm_daemon.model.effects.tables import ROOM_K
+from bstm_daemon.roles import MEASURED_NODES
+
+if TYPE_CHECKING:
+    from bstm_daemon.config.sections import CornerConfig
+
+
+class ThermocoupleOffset(Effect):
+    """The reading is the node's temperature, an offset and a gain.
+
+    The gain acts on the excess over 20 degC. The thesis saw up to 20 K
+    between two thermocouples of one disc.
+    """
+
+    number = 31
+    kind = "measurement"
+    description = "A thermocouple sits where it is hotter than the node."
+    signature = "One sensor, at any time, constant and with its temperature."
+    twins = ("thermocouple_lag",)
+    either_sign = True
+    own_parameters = (
+        Parameter("offset_k", "K", 0.0, 60.0, 9.0, "reads too high"),
+        Parameter("gain", "1", 0.0, 0.15, 0.02, "of the excess over 20 degC"),
+    )
+
+    def edit_corner_inputs(
+        self, inputs: InputModel, corner: CornerConfig
+    ) -> InputModel:
+        """Undo offset and gain of the thermocouples of *corner*."""
+        gain = 1.0 + self.scaled("gain")
+        zero = ROOM_K + self.scaled("offset_k")
+        return inputs.with_correction(
+            *(
+                Correction(
+                    f"temp_{corner.name.lower()}_{node}",
+                    1.0 / gain,
+                    ROOM_K - zero / gain,
+                )
+                for node in MEASURED_NODES
+            )
+        )
