@@ -111,8 +111,8 @@ class ServiceLog:
     ) -> None:
         """Log to *logger*, by default structlog as it is configured."""
         self._logger = structlog.get_logger() if logger is None else logger
-        self._interval_s = interval_s
-        self._logged: dict[tuple[str, Hashable], tuple[float, int]] = {}
+        self._interval_us = round(interval_s * 1e6)
+        self._logged: dict[tuple[str, Hashable], tuple[int, int]] = {}
         """When a line was last logged, and how many were held back since."""
 
     def emit(self, event: Event, **fields: Any) -> None:
@@ -126,26 +126,26 @@ class ServiceLog:
                 f"given: {', '.join(fields)}"
             )
             raise TypeError(msg)
-        with suppress(
-            OSError
-        ):  # a log that nobody reads must not end the service
+        # a log that nobody reads must not end the service
+        with suppress(OSError):
             getattr(self._logger, event.level)(event.name, **fields)
 
     def repeat(
-        self, event: Event, key: Hashable, now_s: float, **fields: Any
+        self, event: Event, key: Hashable, now_us: int, **fields: Any
     ) -> None:
         """Log *event* unless it was logged for *key* within the interval.
 
-        *now_s* is on any axis that runs forward; a time before the last one
+        *now_us* is on any axis that runs forward; a time before the last one
         begins a new interval. The next line after held-back ones has
         ``suppressed``, their number. Raises :class:`TypeError` unless
         *fields* are those of the event.
         """
-        last_s, held = self._logged.get((event.name, key), (None, 0))
-        if last_s is not None and 0.0 <= now_s - last_s < self._interval_s:
-            self._logged[event.name, key] = (last_s, held + 1)
+        place = event.name, key
+        last_us, held = self._logged.get(place, (None, 0))
+        if last_us is not None and 0 <= now_us - last_us < self._interval_us:
+            self._logged[place] = last_us, held + 1
             return
-        self._logged[event.name, key] = (now_s, 0)
+        self._logged[place] = now_us, 0
         more = {"suppressed": held} if held else {}
         self.emit(
             Event(event.name, event.level, (*event.fields, *more)),

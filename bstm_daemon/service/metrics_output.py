@@ -74,12 +74,9 @@ class MetricsOutput:
             try:
                 way(self._metrics)
             except (FileAccessError, UsageError) as error:
-                self._log.repeat(
-                    events.METRICS_FAILED,
-                    way.__name__,
-                    now_us * 1e-6,
-                    error=str(error),
-                )
+                failed = events.METRICS_FAILED
+                text = str(error)
+                self._log.repeat(failed, way.__name__, now_us, error=text)
 
     def close(self) -> None:
         """End the page; remove the metrics of a service that has ended."""

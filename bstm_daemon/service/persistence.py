@@ -234,7 +234,7 @@ class Persistence:
             self._log.repeat(
                 events.STATE_SAVE_FAILED,
                 "save",
-                self._axis.boot_of(self._axis.read()) * 1e-6,
+                self._axis.boot_of(self._axis.read()),
                 file=str(self._file),
                 error=outcome.last_error or "",
             )

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
+    from bstm_daemon.bus.live.link import Frame
     from bstm_daemon.config.service import RecordConfig
 
 _MICRO: Final = 1_000_000
@@ -108,17 +109,7 @@ class Recorder:
         )
         self._thread.start()
 
-    def frame(  # noqa: PLR0913
-        self,
-        bus: int,
-        can_id: int,
-        extended: bool,  # noqa: FBT001  (the third part of a frame's key)
-        data: bytes | bytearray | memoryview,
-        stamp_us: int,
-        *,
-        is_error: bool = False,
-        is_remote: bool = False,
-    ) -> None:
+    def frame(self, bus: int, frame: Frame, stamp_us: int) -> None:
         """Record one frame of bus number *bus*, stamped *stamp_us* [us].
 
         The stamp is wall time, 0 or more. More than 8 bytes are CAN FD; bit
@@ -134,11 +125,11 @@ class Recorder:
                 self._hand_over()
         if not self._buffered:
             self._start_us = stamp_us
-        digits = f"{can_id:08X}" if extended else f"{can_id:03X}"
-        if is_error:
-            digits = f"{can_id & EXTENDED_MAX | ERROR_FLAG:08X}"
-        text = "R" if is_remote else data.hex().upper()
-        if len(data) > _CLASSIC_BYTES and not is_remote:
+        digits = f"{frame.can_id:0{8 if frame.extended else 3}X}"
+        if frame.is_error:
+            digits = f"{frame.can_id & EXTENDED_MAX | ERROR_FLAG:08X}"
+        text = "R" if frame.is_remote else frame.data.hex().upper()
+        if len(frame.data) > _CLASSIC_BYTES and not frame.is_remote:
             text = f"#0{text}"
         seconds, micros = divmod(stamp_us, _MICRO)
         place = f"({seconds}.{micros:06d}) {self._names[bus]}"

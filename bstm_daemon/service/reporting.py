@@ -31,7 +31,6 @@ if TYPE_CHECKING:
     from bstm_daemon.service.clock import SteadyAxis
     from bstm_daemon.service.events import Event, ServiceLog
     from bstm_daemon.service.intake import Intake
-    from bstm_daemon.service.recorder import RecordOutcome
     from bstm_daemon.service.sender import Sender
     from bstm_daemon.service.status import ServiceStatus, StateFileStatus
 
@@ -110,22 +109,14 @@ class ServiceReporter:
     def record(self, time_us: int, bus: int, frame: Frame) -> None:
         """Add a frame to the record."""
         if self._recorder is not None:
-            self._recorder.frame(
-                bus,
-                frame.can_id,
-                frame.extended,
-                frame.data,
-                time_us,
-                is_error=frame.is_error,
-                is_remote=frame.is_remote,
-            )
+            self._recorder.frame(bus, frame, time_us)
 
     def keep(self, reason: str, time_us: int) -> None:
         """Keep the part of the record around *time_us*."""
         if self._recorder is not None:
             self._recorder.keep(reason, time_us)
             self._log.repeat(
-                events.RECORD_KEPT, reason, time_us * 1e-6, reason=reason
+                events.RECORD_KEPT, reason, time_us, reason=reason
             )
 
     def note_flags(self) -> None:
@@ -154,12 +145,8 @@ class ServiceReporter:
         self._report_corners(status, now_us)
         self._report_losses(now_us)
         if self._longest_us > events.LATE_US:
-            self._log.repeat(
-                events.LOOP_LATE,
-                "loop",
-                now_us * 1e-6,
-                lag_s=self._longest_us * 1e-6,
-            )
+            lag_s = self._longest_us * 1e-6
+            self._log.repeat(events.LOOP_LATE, "loop", now_us, lag_s=lag_s)
         self._longest_us = 0
         self.line = status_line(status)
         if not self._sender.is_sending and self._sender.foreign_id >= 0:
@@ -169,7 +156,13 @@ class ServiceReporter:
             )
         if self._recorder is not None:
             self._recorder.tick(now_us)
-            self._report_record(self._recorder.outcome(), now_us)
+            outcome = self._recorder.outcome()
+            if outcome.failures > self._record_failures:
+                self._record_failures = outcome.failures
+                error = outcome.last_error or ""
+                self._log.repeat(
+                    events.RECORD_FAILED, "record", now_us, error=error
+                )
         self._metrics.update(status, now_us)
 
     def close(self) -> None:
@@ -192,14 +185,11 @@ class ServiceReporter:
                 (LinkEvent.RESTARTED, events.BUS_RESTARTED),
             ):
                 if link.counts[kind] > counts[kind]:
-                    self._log.repeat(event, bus.name, now_us * 1e-6, **place)
+                    self._log.repeat(event, bus.name, now_us, **place)
             if link.dropped > dropped:
+                lost = {"bus": bus.name, "count": link.dropped - dropped}
                 self._log.repeat(
-                    events.FRAMES_DROPPED,
-                    bus.name,
-                    now_us * 1e-6,
-                    bus=bus.name,
-                    count=link.dropped - dropped,
+                    events.FRAMES_DROPPED, bus.name, now_us, **lost
                 )
             self._links[bus.name] = (
                 link.state,
@@ -227,22 +217,30 @@ class ServiceReporter:
         """Log input faults that came and went; keep disagreement."""
         names = [corner.name for corner in self._monitor.config.corner]
         faults = set(reasons(self._flags, names))
-        for fault in sorted(faults - self._faults):
-            self._log.emit(events.INPUT_FAULT, fault=fault)
-        for fault in sorted(self._faults - faults):
-            self._log.emit(events.INPUT_FAULT_OVER, fault=fault)
+        both = events.INPUT_FAULT, events.INPUT_FAULT_OVER
+        self._report_changes("fault", self._faults, faults, both)
         self._faults = faults
         if self._flags & ~self._reported_flags & CONTRADICTIONS:
             self.keep("disagreement", now_us)
         self._reported_flags, self._flags = self._flags, 0
 
+    def _report_changes(
+        self,
+        field: str,
+        old: set[str],
+        now: set[str],
+        both: tuple[Event, Event],
+    ) -> None:
+        """Log what has come since *old*, and what has gone."""
+        for event, names in zip(both, (now - old, old - now), strict=True):
+            for name in sorted(names):
+                self._log.emit(event, **{field: name})
+
     def _report_model(self, status: ServiceStatus, now_us: int) -> None:
         """Log where the model began or ceased to disagree; keep the record."""
         now = set(status.disagreements)
-        for what in sorted(now - self._disagreements):
-            self._log.emit(events.MODEL_DISAGREES, what=what)
-        for what in sorted(self._disagreements - now):
-            self._log.emit(events.MODEL_AGREES, what=what)
+        both = events.MODEL_DISAGREES, events.MODEL_AGREES
+        self._report_changes("what", self._disagreements, now, both)
         if now - self._disagreements:
             self.keep("model", now_us)
         self._disagreements = now
@@ -289,38 +287,18 @@ class ServiceReporter:
         # without a filter in the kernel every other frame is one of these
         news.pop(str(RejectReason.UNKNOWN_ID), None)
         for reason, count in news.items():
-            self._log.repeat(
-                events.FRAMES_REFUSED,
-                reason,
-                now_us * 1e-6,
-                reason=reason,
-                count=count,
-            )
+            found = {"reason": reason, "count": count}
+            self._log.repeat(events.FRAMES_REFUSED, reason, now_us, **found)
         self._refused = refused
         if self._sender.lost > self._send_lost:
-            self._log.repeat(
-                events.SEND_FAILED,
-                "send",
-                now_us * 1e-6,
-                bus=self._monitor.config.bus[
-                    self._monitor.publish_bus or 0
-                ].name,
-                error=f"{self._sender.lost - self._send_lost} frames lost",
-            )
+            bus = self._monitor.config.bus[self._monitor.publish_bus or 0]
+            error = f"{self._sender.lost - self._send_lost} frames lost"
+            failed = {"bus": bus.name, "error": error}
+            self._log.repeat(events.SEND_FAILED, "send", now_us, **failed)
             self._send_lost = self._sender.lost
         if engine.estimator.resets > self._resets:
             self._resets = engine.estimator.resets
             self._log.emit(events.ESTIMATE_RESET, count=self._resets)
-
-    def _report_record(self, outcome: RecordOutcome, now_us: int) -> None:
-        if outcome.failures > self._record_failures:
-            self._record_failures = outcome.failures
-            self._log.repeat(
-                events.RECORD_FAILED,
-                "record",
-                now_us * 1e-6,
-                error=outcome.last_error or "",
-            )
 
     def _close_recorder(self) -> None:
         if self._recorder is not None:

@@ -221,14 +221,10 @@ class Service:
         try:
             link.poll()
         except ConfigError as error:
-            self._log.repeat(
-                events.BUS_MISSING,
-                link.channel,
-                self._last_us * 1e-6,
-                bus="",
-                channel=link.channel,
-                error=str(error),
-            )
+            channel = link.channel
+            fields = {"bus": "", "channel": channel, "error": str(error)}
+            now_us = self._last_us
+            self._log.repeat(events.BUS_MISSING, channel, now_us, **fields)
 
     def _finish(self, begin_us: int, deadline_us: int) -> int:
         """Feed the watchdog after a full cycle; return the next deadline.
@@ -249,7 +245,7 @@ class Service:
 
     def _note_feed(self, error: str) -> None:
         self._log.repeat(
-            events.FEED_FAILED, "feed", self._last_us * 1e-6, error=error
+            events.FEED_FAILED, "feed", self._last_us, error=error
         )
 
     def _note_foreign(self, bus: int, can_id: int) -> None:

@@ -14,6 +14,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from bstm_daemon.bus.live import link
 from bstm_daemon.bus.logs.candump_line import ERROR_FLAG
 from bstm_daemon.bus.opening import open_log
 from bstm_daemon.bus.signals.extraction import FD_LENGTHS
@@ -85,11 +86,28 @@ def frames_of(paths: list[Path]) -> list[Frame]:
     return found
 
 
+def record(
+    recorder: Recorder,
+    bus: int,
+    can_id: int,
+    extended: bool,  # noqa: FBT001
+    data: bytes | memoryview,
+    stamp_us: int,
+    *,
+    is_error: bool = False,
+    is_remote: bool = False,
+) -> None:
+    """Record a frame of *bus*."""
+    kind = is_error, is_remote
+    frame = link.Frame(0, can_id, extended, bytes(data), *kind)
+    recorder.frame(bus, frame, stamp_us)
+
+
 def record_seconds(recorder: Recorder, first: int, last: int) -> None:
     """Record a frame a second, from NOON + *first* s to before *last*."""
     for second in range(first, last):
         data = second.to_bytes(8, "big")
-        recorder.frame(0, 0x123, False, data, NOON_US + second * SECOND_US)
+        record(recorder, 0, 0x123, False, data, NOON_US + second * SECOND_US)
         assert recorder.wait(WAIT_S)
 
 
@@ -131,7 +149,7 @@ def test_what_is_recorded_is_read_back(
     for bus, (can_id, extended), data, later_us in drawn:
         stamp_us += later_us
         frames.append((bus, can_id, extended, data, stamp_us))
-        recorder.frame(*frames[-1])
+        record(recorder, *frames[-1])
         assert recorder.wait(WAIT_S)
 
     outcome = recorder.close()
@@ -149,12 +167,12 @@ def test_what_is_recorded_is_read_back(
 def test_the_text_is_that_of_candump(make: Make, tmp_path: Path) -> None:
     """What canutils' canplayer takes."""
     recorder = make()
-    recorder.frame(0, 0x12, False, b"\xab\x01", NOON_US + 5)
-    recorder.frame(1, 0x12, True, memoryview(b""), NOON_US + 6)
-    recorder.frame(1, 0x7FF, False, bytes(12), NOON_US + 7)
-    recorder.frame(0, 0x100, False, b"", NOON_US + 9, is_remote=True)
-    recorder.frame(0, 0x4, False, bytes(8), NOON_US + 10, is_error=True)
-    recorder.frame(0, 0x4, False, b"\2", NOON_US + 11)
+    record(recorder, 0, 0x12, False, b"\xab\x01", NOON_US + 5)
+    record(recorder, 1, 0x12, True, memoryview(b""), NOON_US + 6)
+    record(recorder, 1, 0x7FF, False, bytes(12), NOON_US + 7)
+    record(recorder, 0, 0x100, False, b"", NOON_US + 9, is_remote=True)
+    record(recorder, 0, 0x4, False, bytes(8), NOON_US + 10, is_error=True)
+    record(recorder, 0, 0x4, False, b"\2", NOON_US + 11)
     recorder.close()
 
     (path,) = segments(tmp_path / "record")
@@ -174,10 +192,10 @@ def test_error_and_remote_frames_are_told_by_the_reader(
 ) -> None:
     """A replay refuses them as the live service does."""
     recorder = make()
-    recorder.frame(0, 1, False, bytes(8), NOON_US, is_error=True)
-    recorder.frame(0, ERROR_FLAG | 1, True, bytes(8), NOON_US, is_error=True)
-    recorder.frame(0, 0x100, True, b"", NOON_US, is_remote=True)
-    recorder.frame(0, 0x100, True, b"", NOON_US)
+    record(recorder, 0, 1, False, bytes(8), NOON_US, is_error=True)
+    record(recorder, 0, ERROR_FLAG | 1, True, bytes(8), NOON_US, is_error=True)
+    record(recorder, 0, 0x100, True, b"", NOON_US, is_remote=True)
+    record(recorder, 0, 0x100, True, b"", NOON_US)
     recorder.close()
 
     reader = open_log(segments(tmp_path / "record")[0])
@@ -193,7 +211,7 @@ def test_a_channel_that_no_log_can_hold_gets_another_name(
     names = ["can0", "my bus", "can0", ""]
     recorder = Recorder(RecordConfig(), tmp_path, names)
     for bus in range(4):
-        recorder.frame(bus, 1, False, b"", NOON_US)
+        record(recorder, bus, 1, False, b"", NOON_US)
     recorder.close()
 
     reader = open_log(segments(tmp_path)[0])
@@ -219,7 +237,7 @@ def test_a_small_step_back_makes_no_segment(
     """Buses are drained one after the other; a set clock is another thing."""
     recorder = make(segment_s=10)
     for offset_us in (0, 9_000, 4_000, -1_000, -3600 * SECOND_US, 0):
-        recorder.frame(0, 1, False, b"", NOON_US + offset_us)
+        record(recorder, 0, 1, False, b"", NOON_US + offset_us)
     recorder.close()
 
     paths = segments(tmp_path / "record")
@@ -243,7 +261,7 @@ def noise(recorder: Recorder, first: int, count: int) -> None:
     """Record *count* frames, 10 ms apart, that hardly shrink."""
     for number in range(first, first + count):
         data = os.urandom(8)
-        recorder.frame(0, 0x123, False, data, NOON_US + number * 10_000)
+        record(recorder, 0, 0x123, False, data, NOON_US + number * 10_000)
         if number % 100 == 0:
             assert recorder.wait(WAIT_S)
 
@@ -441,7 +459,7 @@ def test_a_restart_takes_the_ring_over(make: Make, tmp_path: Path) -> None:
     (folder / "notes.txt").write_text("mine")
 
     again = make(ring_bytes=2**16)
-    again.frame(0, 1, False, b"", 1_000_000)
+    record(again, 0, 1, False, b"", 1_000_000)
     again.close()
 
     after = segments(folder)
@@ -553,13 +571,13 @@ def test_too_many_segments_for_a_slow_disk_cost_the_oldest(
     os.mkfifo(pipe)
     for _ in range(2_000):  # more than a pipe holds
         data = os.urandom(64)
-        recorder.frame(0, 1, False, data, NOON_US + 10 * SECOND_US)
+        record(recorder, 0, 1, False, data, NOON_US + 10 * SECOND_US)
     recorder.tick(NOON_US + 20 * SECOND_US)
     with pipe.open("rb") as file:  # opens with the writer
         for second in range(20, 205):
             data = second.to_bytes(8, "big")
             stamp_us = NOON_US + second * SECOND_US
-            recorder.frame(0, 0x123, False, data, stamp_us)
+            record(recorder, 0, 0x123, False, data, stamp_us)
         held = recorder.outcome()
         assert gzip.decompress(file.read())
     outcome = recorder.close()
