@@ -187,7 +187,8 @@ class ModelCheck(Machine):
         self._trust = Trust(
             layout.corners, settling_s, compares=False, has_switch=False
         )
-        self._remembers = False
+        self.remembers = False
+        """Whether a strong disagreement was found."""
         self._all = frozenset(layout.corners)
         self._strong = _NOWHERE
         self._disagrees = False
@@ -221,7 +222,7 @@ class ModelCheck(Machine):
 
     def _restore_trust(self, saved: Any) -> None:
         self._trust.restore(saved)
-        self._remembers = True
+        self.remembers = True
 
     def resume(
         self, document: Mapping[str, Any], parked_s: float | None
@@ -303,9 +304,9 @@ class ModelCheck(Machine):
 
         As :meth:`~bstm_daemon.estimator.trust.Trust.holds`.
         """
-        if not (found or self._remembers):
+        if not (found or self.remembers):
             return False
-        self._remembers = True
+        self.remembers = True
         return self._trust.holds(corner, step_s, found=found)
 
     def _take_work(

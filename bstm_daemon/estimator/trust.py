@@ -122,9 +122,9 @@ class Trust(Machine):
         size = len(block.layout.corners) * len(CHANNELS)
         found = []
         for i, flags in enumerate(block.flags):
-            row = range(i * size, (i + 1) * size, len(CHANNELS))
             if self._compares:
-                self._add_work(block, row, flags, step_s)
+                row = block.rows[i * size : (i + 1) * size]
+                self._add_work(row, flags, step_s)
             found.append(self._works_differ())
         return found
 
@@ -142,15 +142,15 @@ class Trust(Machine):
                 self._held_s[name] = max(held_s, MEMORY * found_s)
 
     def _add_work(
-        self, block: Block, row: range, flags: int, step_s: float
+        self, row: Sequence[float], flags: int, step_s: float
     ) -> None:
         before_j = self._pressed_j
-        self._pressed_j = sum(block.rows[first + _PRESSED] for first in row)
+        self._pressed_j = sum(row[_PRESSED :: len(CHANNELS)])
         # the sum begins anew where the pass over samples does
         began = not 0.0 <= before_j <= self._pressed_j
         if began or flags & self._excused:
             return
-        heat_j = step_s * sum(block.rows[first + _POWER] for first in row)
+        heat_j = step_s * sum(row[_POWER :: len(CHANNELS)])
         pressed_j = self._pressed_j - before_j
         if not (heat_j > 0.0 or pressed_j > 0.0):
             return
@@ -164,6 +164,10 @@ class Trust(Machine):
         if max(pressed_j, heat_j) < LEAST_J:
             return False
         return not LEAST_RATIO * heat_j <= pressed_j <= MOST_RATIO * heat_j
+
+    def remembers(self, corner: str) -> bool:
+        """Return whether anything was found against the heat of *corner*."""
+        return self._found_s[corner] > 0.0 or self._held_s[corner] > 0.0
 
     def holds(self, corner: str, step_s: float, *, found: bool) -> bool:
         """Return whether *corner* is degraded by what was found, now or once.

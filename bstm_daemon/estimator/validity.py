@@ -9,7 +9,9 @@ reasons in a table.
 from __future__ import annotations
 
 from array import array
+from functools import partial, reduce
 from math import isfinite, isnan
+from operator import or_
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from bstm_daemon.channels import (
@@ -74,6 +76,11 @@ class Needs(NamedTuple):
     measured: bool
     unverified: bool
 
+    @property
+    def any_flag(self) -> int:
+        """All the bits."""
+        return self.missing | self.suspect | self.uncertain | self.lost
+
 
 def needs_of_corners(
     config: Config, present: Mapping[int, int]
@@ -101,6 +108,17 @@ def needs_of_corners(
     return found
 
 
+# the value of a flag is looked up slowly
+_UNVERIFIED: Final = Reason.UNVERIFIED.value
+_START_UNKNOWN: Final = Reason.START_UNKNOWN.value
+_INPUT_MISSING: Final = Reason.INPUT_MISSING.value
+_INPUT_SUSPECT: Final = Reason.INPUT_SUSPECT.value
+_AMBIENT: Final = Reason.AMBIENT.value
+_HEAT_UNKNOWN: Final = Reason.HEAT_UNKNOWN.value
+_MODEL_DISAGREES: Final = Reason.MODEL_DISAGREES.value
+_IMPOSSIBLE: Final = Reason.IMPOSSIBLE.value
+
+
 def judge(
     block: Block,
     needs: Mapping[str, Needs],
@@ -119,40 +137,52 @@ def judge(
     trust, model_check = checks
     of_car = trust.findings(block, step_s)
     strong = model_check.findings(block)
+    anything = any(of_car) or any(strong) or model_check.remembers
+    all_flags = reduce(or_, block.flags, 0)
     for name, (number, place, stride, group) in block.layout.modelled.items():
         output = block.outputs[number]
         need = needs[name]
-        validity, reasons = array("b"), array("B")
+        heeded = need.any_flag
         # a column of each node: one look at each instead of one a publication
         columns = [output[place + k :: stride] for k in range(group.nodes)]
         all_possible = bool(block.flags) and all(map(_is_possible, columns))
-        for i, flags in enumerate(block.flags):
-            held = trust.holds(
-                name,
-                step_s,
-                found=of_car[i] or bool(flags & need.remembered),
-            )
-            why = Reason.UNVERIFIED.value if need.unverified else 0
-            if i < block.known_from[name]:
-                why |= Reason.START_UNKNOWN.value
-            if flags & need.missing or need.measured:
-                why |= _missing_input(block.at(i), name, need)
-            if held or flags & need.suspect:
-                why |= Reason.INPUT_SUSPECT.value
-            if flags & (need.uncertain | need.lost):
-                why |= Reason.HEAT_UNKNOWN.value
-            if model_check.holds(name, step_s, found=name in strong[i]):
-                why |= Reason.MODEL_DISAGREES.value
-            if not all_possible and not _is_possible(
-                [column[i] for column in columns]
-            ):
-                why |= Reason.IMPOSSIBLE.value
-            reasons.append(why)
-            if why & Reason.IMPOSSIBLE.value or flags & need.lost:
-                validity.append(Validity.INVALID)
-            else:
-                validity.append(Validity.DEGRADED if why else Validity.VALID)
-        block.validity[name], block.reasons[name] = validity, reasons
+        unknown = min(block.known_from[name], len(block.flags))
+        always = _UNVERIFIED if need.unverified else 0
+        reasons = array("B", [always | _START_UNKNOWN] * unknown)
+        reasons.extend([always] * (len(block.flags) - unknown))
+        if (
+            anything
+            or not all_possible
+            or all_flags & heeded
+            or need.measured
+            or trust.remembers(name)
+        ):
+            for i, flags in enumerate(block.flags):
+                if trust.holds(
+                    name,
+                    step_s,
+                    found=of_car[i] or flags & need.remembered != 0,
+                ):
+                    reasons[i] |= _INPUT_SUSPECT
+                if model_check.holds(name, step_s, found=name in strong[i]):
+                    reasons[i] |= _MODEL_DISAGREES
+                if not all_possible and not _is_possible(
+                    [column[i] for column in columns]
+                ):
+                    reasons[i] |= _IMPOSSIBLE
+                if flags & heeded or need.measured:
+                    reasons[i] |= _of_inputs(block.at(i), name, need)
+        block.reasons[name] = reasons
+        block.validity[name] = array(
+            "b", map(partial(_validity, need.lost), reasons, block.flags)
+        )
+
+
+def _validity(lost: int, why: int, flags: int) -> Validity:
+    """Return the validity by reasons and a step's flags."""
+    if why & _IMPOSSIBLE or flags & lost:
+        return Validity.INVALID
+    return Validity.DEGRADED if why else Validity.VALID
 
 
 def _is_possible(kelvins: Sequence[float]) -> bool:
@@ -165,15 +195,21 @@ def _is_possible(kelvins: Sequence[float]) -> bool:
     )
 
 
-def _missing_input(now: Instant, corner: str, need: Needs) -> int:
-    """Return the reason of an input that is missing, if it counts."""
-    sleeps = now.flags & FLAGS["asleep"]
-    if (now.flags & need.missing and not sleeps) or (
+def _of_inputs(now: Instant, corner: str, need: Needs) -> int:
+    """Return the reasons of inputs that are missing or suspect now."""
+    flags = now.flags
+    why = _INPUT_SUSPECT if flags & need.suspect else 0
+    if flags & (need.uncertain | need.lost):
+        why |= _HEAT_UNKNOWN
+    sleeps = flags & FLAGS["asleep"]
+    if (flags & need.missing and not sleeps) or (
         need.measured and isnan(now.channel(corner, "measured_disc_k"))
     ):
-        return Reason.INPUT_MISSING.value
-    is_old = sleeps and now.vehicle("input_age_s") > AMBIENT_S
-    return Reason.AMBIENT.value if is_old else 0
+        return why | _INPUT_MISSING
+    if flags & need.missing or need.measured:
+        is_old = sleeps and now.vehicle("input_age_s") > AMBIENT_S
+        return why | _AMBIENT if is_old else why
+    return why
 
 
 def _missing(config: Config, present: Mapping[int, int], place: int) -> int:

@@ -84,7 +84,7 @@ class Drive:
         seconds: float,
         speed_ms: float = 20.0,
         pressure_pa: float = 0.0,
-        every_us: int = 50_000,
+        every_us: int = 100_000,
     ) -> Drive:
         """Go on; samples come every *every_us* [us]."""
         until_us = self.now_us + round(seconds * 1e6)
@@ -394,7 +394,7 @@ def test_a_clock_set_back_within_a_hole(config: Config) -> None:
     drive.hole(120.0)
     drive.feed([(drive.now_us, TICK, 0.0)])
     drive.now_us = -500 * SECOND
-    drive.descend(0.1)
+    drive.descend(0.2)
     for node, kelvin in drive.nodes_k().items():
         assert kelvin > before[node] - 0.5
     drive.descend(60.0)
