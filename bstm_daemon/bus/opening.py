@@ -10,6 +10,8 @@ from __future__ import annotations
 import gzip
 import zlib
 from collections import Counter
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from bstm_daemon.bus.logs.candump import CandumpReader
@@ -19,15 +21,6 @@ from bstm_daemon.bus.tables.table_plan import TableMap
 from bstm_daemon.errors import FileAccessError, LogError, UsageError
 
 if TYPE_CHECKING:
-    from collections.abc import (
-        Callable,
-        Collection,
-        Iterator,
-        Mapping,
-        Sequence,
-    )
-    from pathlib import Path
-
     from bstm_daemon.bus.logs.reader import FrameReader, Wanted
     from bstm_daemon.bus.signals.reject_reason import RejectReason
     from bstm_daemon.bus.signals.signal_map import SignalMap

@@ -10,14 +10,12 @@ from __future__ import annotations
 import re
 from bisect import bisect
 from math import isfinite, nan
-from typing import TYPE_CHECKING, Any, Final
+from pathlib import Path
+from typing import Any, Final
 
 from bstm_daemon.config.limits import CSV_BYTES, CSV_ROWS, read_limited
 from bstm_daemon.errors import ConfigError
 from bstm_daemon.units import KELVIN_OFFSET, UNITS
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 Table = dict[str, Any]
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final, Literal, Protocol
+from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Set as AbstractSet
+from typing import Final, Literal, Protocol
 
 from bstm_daemon.config.section import (
     NotNegative,
@@ -11,10 +13,6 @@ from bstm_daemon.config.section import (
     check_curve,
 )
 from bstm_daemon.roles import CORNERS
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
-    from collections.abc import Set as AbstractSet
 
 AUTOMATIC: Final = ("fused", "ff", "fb")
 """What "auto" tries, in this order: pressure and motion check each other; the

@@ -7,10 +7,8 @@ computer that reads it.
 from __future__ import annotations
 
 import stat
-from typing import TYPE_CHECKING, Final
-
-if TYPE_CHECKING:
-    from pathlib import Path
+from pathlib import Path
+from typing import Final
 
 DBC_BYTES: Final = 64 << 20
 TOML_BYTES: Final = 4 << 20

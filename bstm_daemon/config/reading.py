@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import re
 import tomllib
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import fields
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeVar, get_args, get_origin
 
 from pydantic import ValidationError
@@ -27,9 +29,6 @@ from bstm_daemon.config.wording import problems_of_section, toml_text
 from bstm_daemon.errors import ConfigError, FileAccessError, hint
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
-
     from bstm_daemon.config.section import Section
 
 S = TypeVar("S", bound="Section")

@@ -6,6 +6,7 @@ still counts, so that one mistake gives one message and hides no other.
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -22,8 +23,6 @@ from bstm_daemon.roles import ROLE_INDEX, ROLES
 from bstm_daemon.units import UNITS
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
-
     from bstm_daemon.config.sections import (
         BusConfig,
         CornerConfig,

@@ -12,14 +12,12 @@ import inspect
 import itertools
 import re
 import textwrap
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterator
+from typing import Any
 
 from bstm_daemon.config.section import Section
 from bstm_daemon.config.sections import Config
 from bstm_daemon.roles import ROLES
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
 
 _LINK = re.compile(r" ?\(\[[^]]*\]\([^)]*\)\)|\[([^]]*)\]\([^)]*\)")
 """A link of the reference: nothing, or its text within a sentence."""

@@ -6,15 +6,13 @@ Constants, names and layouts are written in Python alone; the build
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields, is_dataclass
 from math import isinf
-from typing import TYPE_CHECKING, Any, Final
+from types import ModuleType
+from typing import Any, Final
 
 from bstm_daemon.native.layout import Field, Length, fields_of, size
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
-    from types import ModuleType
 
 SMALL: Final = 1 << 16
 """Integers below are enumerators, so that ``int`` counts up to them; larger

@@ -9,15 +9,13 @@ built from other sources than those beside it is refused.
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from functools import cache
 from importlib import import_module
-from typing import TYPE_CHECKING, Any, Final, Protocol, cast
+from typing import Any, Final, Protocol, cast
 
 from bstm_daemon.errors import UsageError
 from bstm_daemon.native.sources import digest
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 VARIABLE: Final = "BSTM_KERNEL"
 REBUILD: Final = "pip install -e ."

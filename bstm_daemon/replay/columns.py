@@ -14,7 +14,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import accumulate
 from math import inf, isinf, nan
-from typing import TYPE_CHECKING, Final
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, Literal, TypeAlias
 
 import numpy as np
 
@@ -37,9 +38,6 @@ from bstm_daemon.replay.results import (
 from bstm_daemon.roles import ROLE_INDEX
 
 if TYPE_CHECKING:
-    from pathlib import Path
-    from typing import Any, Literal, TypeAlias
-
     from bstm_daemon.bus.signals.signal_map import SignalMap
     from bstm_daemon.config.sections import Config
     from bstm_daemon.estimate import Advice, CarRisk

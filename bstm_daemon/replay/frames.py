@@ -6,8 +6,9 @@ have sent: with the daemon's start state the same, byte for byte.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from itertools import chain
+from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from bstm_daemon.bus.opening import NOT_READ, open_log, resolve_interfaces
@@ -18,9 +19,6 @@ from bstm_daemon.files import replacing
 from bstm_daemon.replay.columns import first_air_k, naming_state
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
-    from pathlib import Path
-
     from bstm_daemon.bus.signals.signal_map import SignalMap
     from bstm_daemon.config.sections import Config
     from bstm_daemon.engine import Published

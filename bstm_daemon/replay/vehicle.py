@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from bstm_daemon.bus.output.layout import BLOCK_IDS
@@ -12,8 +13,6 @@ from bstm_daemon.errors import ConfigError
 from bstm_daemon.model.effects.catalogue import problems_of
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from bstm_daemon.config.sections import Config
 
 

@@ -16,7 +16,9 @@ segment holds for that segment only. ``docs/reality.md`` lists the keys.
 from __future__ import annotations
 
 import tomllib
-from typing import TYPE_CHECKING, Annotated, Literal, Self
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated, Literal, Self
 
 from pydantic import (
     BaseModel,
@@ -28,10 +30,6 @@ from pydantic import (
 
 from bstm_daemon.errors import ConfigError, FileAccessError
 from bstm_daemon.simulation.vehicle import packaged, packaged_text
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]

@@ -12,6 +12,7 @@ two *chains*, one a side of the disc, and nine *lumps* that both share::
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Final
 
@@ -29,8 +30,6 @@ from bstm_daemon.simulation.parameters import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from bstm_daemon.simulation.materials import Array
 
 LUMPS: Final = (

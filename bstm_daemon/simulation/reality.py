@@ -11,7 +11,9 @@ to rounding and is some 70 times as fast for the corners of one car.
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
+from types import ModuleType
 from typing import TYPE_CHECKING, Final, cast
 
 import numpy as np
@@ -43,9 +45,6 @@ from bstm_daemon.simulation.parameters import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-    from types import ModuleType
-
     from bstm_daemon.simulation.materials import Array
 
 

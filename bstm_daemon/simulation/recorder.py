@@ -7,6 +7,8 @@ messages stop with the ignition, thermocouple messages when their logger does.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
@@ -20,9 +22,6 @@ from bstm_daemon.simulation.sensors import INSTRUMENTED
 from bstm_daemon.units import KELVIN_OFFSET, UNITS
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-    from pathlib import Path
-
     import numpy.typing as npt
     from cantools.database.can import Message, Signal
 

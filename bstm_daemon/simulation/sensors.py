@@ -15,6 +15,7 @@ sees no teeth; noise of the torque signal.
 from __future__ import annotations
 
 import zlib
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
@@ -27,8 +28,6 @@ from bstm_daemon.simulation.profile import SAMPLE_S, Course
 from bstm_daemon.units import GRAVITY_MS2, KELVIN_OFFSET
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from bstm_daemon.simulation.materials import Array
     from bstm_daemon.simulation.parameters import Effects
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
@@ -31,8 +32,6 @@ from bstm_daemon.simulation.vehicle import (
 from bstm_daemon.units import KELVIN_OFFSET
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from bstm_daemon.simulation.drives import Drive
     from bstm_daemon.simulation.materials import Array
 

@@ -7,6 +7,7 @@ The defaults are the thesis's vehicle 1; brake torque of a corner is
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from importlib import resources
 from typing import TYPE_CHECKING, Any, Final, Literal
@@ -23,7 +24,6 @@ from bstm_daemon.simulation.parameters import (
 from bstm_daemon.units import AIR_DENSITY_KG_M3, GRAVITY_MS2
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
     from importlib.resources.abc import Traversable
 
     import numpy.typing as npt

@@ -14,6 +14,7 @@ linear in both scales and in one constant.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import nan
 from typing import TYPE_CHECKING, Any, Final
@@ -31,8 +32,6 @@ from bstm_daemon.analysis.statistics.resampling import jackknife, leave_one_out
 from bstm_daemon.errors import LogError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from bstm_daemon.analysis.identify.driving import Driving
     from bstm_daemon.analysis.statistics.series import Column, Indices, Mask
     from bstm_daemon.config.sections import Config

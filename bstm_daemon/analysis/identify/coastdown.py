@@ -12,6 +12,7 @@ one constant with f_r; runs in both directions of one road separate them.
 
 from __future__ import annotations
 
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from math import nan, sqrt
 from typing import TYPE_CHECKING, Final, Literal
@@ -32,8 +33,6 @@ from bstm_daemon.errors import LogError
 from bstm_daemon.units import AIR_DENSITY_KG_M3, GRAVITY_MS2
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Sequence
-
     from bstm_daemon.analysis.identify.driving import Driving
     from bstm_daemon.analysis.statistics.series import Column, Matrix
     from bstm_daemon.config.sections import Config, VehicleConfig

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from math import nan
@@ -32,8 +33,6 @@ from bstm_daemon.analysis.identify.value import Value
 from bstm_daemon.errors import LogError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from bstm_daemon.analysis.identify.driving import Driving
     from bstm_daemon.config.sections import Config
 

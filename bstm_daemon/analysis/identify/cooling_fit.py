@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
@@ -17,8 +18,6 @@ from bstm_daemon.analysis.statistics.whitening import (
 from bstm_daemon.model.thermal.properties import REFERENCE_K
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
     from bstm_daemon.analysis.statistics.series import Column, Matrix
 
 OFFSET_K: Final = 3.0

@@ -13,6 +13,7 @@ account for (Eq 4.5).
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
@@ -44,8 +45,6 @@ from bstm_daemon.analysis.statistics.series import (
 from bstm_daemon.errors import LogError
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
     from bstm_daemon.analysis.identify.driving import Driving
     from bstm_daemon.config.sections import Config
 

@@ -7,6 +7,7 @@ uses: radiation at standstill is subtracted, not fitted a second time.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
@@ -26,8 +27,6 @@ from bstm_daemon.model.thermal.properties import (
 from bstm_daemon.units import STEFAN_BOLTZMANN_W_M2K4
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from bstm_daemon.analysis.statistics.series import Column, Indices
     from bstm_daemon.config.sections import Config, CornerConfig
     from bstm_daemon.model.thermal.table import Table

@@ -6,7 +6,9 @@ a channel that contradicts the others is left out and reported, not fitted.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -34,9 +36,6 @@ from bstm_daemon.errors import LogError
 from bstm_daemon.model.heat.feed_back import Vehicle
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
-    from pathlib import Path
-
     from bstm_daemon.bus.signals.signal_map import SignalMap
     from bstm_daemon.config.sections import Config
 

@@ -7,6 +7,7 @@ guesses are replaced; a value that somebody measured stays.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, Final
 
 from bstm_daemon.analysis.identify.brakes import identify_brakes
@@ -19,8 +20,6 @@ from bstm_daemon.analysis.identify.writing import (
 from bstm_daemon.errors import LogError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
     from bstm_daemon.analysis.identify.driving import Driving
     from bstm_daemon.config.sections import Config
 

@@ -12,6 +12,7 @@ without thermocouples gets the rest of the energy balance.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from math import nan
 from typing import TYPE_CHECKING, Final
@@ -34,8 +35,6 @@ from bstm_daemon.model.thermal.brake_corner import corner_spec
 from bstm_daemon.model.thermal.properties import disc_heat_capacity
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from bstm_daemon.analysis.statistics.series import Column, Mask, Matrix
     from bstm_daemon.config.sections import Config, CornerConfig
     from bstm_daemon.replay.results import Results

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from copy import deepcopy
 from dataclasses import dataclass
@@ -19,8 +20,6 @@ from bstm_daemon.errors import FileAccessError, require_packages
 from bstm_daemon.files import replacing
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
     from bstm_daemon.analysis.identify.brakes import Brakes
     from bstm_daemon.analysis.identify.coastdown import CoastDown
     from bstm_daemon.analysis.identify.cooling import AxleCooling

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -24,8 +25,6 @@ from bstm_daemon.model.heat.feed_back import Vehicle
 from bstm_daemon.model.heat.feed_forward import PressureTorque
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from bstm_daemon.analysis.quality.finding import Fault, Notes
     from bstm_daemon.analysis.statistics.series import Column, Mask
 

@@ -7,6 +7,7 @@ would delay a 10 Hz signal by 50 ms against a 100 Hz one.
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -16,8 +17,6 @@ from bstm_daemon.roles import CORNERS, ROLE_INDEX
 from bstm_daemon.units import UNITS
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
-
     from bstm_daemon.analysis.quality.recording import (
         Recording,
         Series,

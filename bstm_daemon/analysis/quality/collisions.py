@@ -7,6 +7,8 @@ Those carry its end-to-end protection, a foreign frame does not.
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Collection, Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from bstm_daemon.bus.opening import id_text, open_log, resolve_interfaces
@@ -18,9 +20,6 @@ from bstm_daemon.bus.output.layout import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Mapping, Sequence
-    from pathlib import Path
-
     from bstm_daemon.analysis.quality.finding import Notes
     from bstm_daemon.analysis.quality.recording import Recording
     from bstm_daemon.bus.signals.signal_map import SignalMap

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final, Literal
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from bstm_daemon.analysis.quality.comparison import Fit
     from bstm_daemon.analysis.quality.recording import ChannelStatistics
     from bstm_daemon.analysis.statistics.series import Column

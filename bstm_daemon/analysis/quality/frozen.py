@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -19,8 +20,6 @@ from bstm_daemon.analysis.quality.recording import Run, constant_runs
 from bstm_daemon.analysis.quality.speeds import SPEEDS
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from bstm_daemon.analysis.quality.finding import Notes
     from bstm_daemon.analysis.statistics.series import Column
 

@@ -5,6 +5,7 @@ What they find decides which heat modes the log allows.
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -42,8 +43,6 @@ from bstm_daemon.bus.opening import id_text
 from bstm_daemon.roles import ROLE_INDEX
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
     from bstm_daemon.bus.signals.extraction import FrameKey, MessagePlan
     from bstm_daemon.bus.signals.signal_map import SignalMap
     from bstm_daemon.config.sections import Config, CornerConfig

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from typing import TYPE_CHECKING
@@ -11,8 +12,6 @@ from bstm_daemon.analysis.quality.channels import Channels, unit_ratio
 from bstm_daemon.units import UNITS
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
     from bstm_daemon.analysis.quality.comparison import Fit
     from bstm_daemon.analysis.quality.finding import Fault, Notes
 

@@ -8,8 +8,10 @@ range, gaps, constant runs.
 from __future__ import annotations
 
 from collections import Counter, defaultdict
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -20,9 +22,6 @@ from bstm_daemon.errors import LogError
 from bstm_daemon.roles import ROLES
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
-    from pathlib import Path
-
     from bstm_daemon.analysis.statistics.series import Column, Indices
     from bstm_daemon.bus.signals.signal_map import SignalMap
 

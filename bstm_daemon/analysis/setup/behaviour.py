@@ -8,6 +8,7 @@ comments of the proposed configuration.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
@@ -17,8 +18,6 @@ import numpy.typing as npt
 from bstm_daemon.units import UNITS
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from bstm_daemon.analysis.setup.recording import Samples, Series
 
 _STEP_S: Final = 0.05

@@ -7,6 +7,7 @@ does not matter whether a signal is of a DBC or a column of a table.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
@@ -18,8 +19,6 @@ from bstm_daemon.analysis.setup.behaviour import Motion, Verdict, to_ms, to_si
 from bstm_daemon.roles import CORNERS, GROUND_LAG_S
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     import numpy.typing as npt
 
     from bstm_daemon.analysis.quality.comparison import Fit

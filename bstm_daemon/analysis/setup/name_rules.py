@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import re
 import tomllib
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -24,8 +25,6 @@ from bstm_daemon.roles import CORNERS, ROLE_INDEX, ROLES
 from bstm_daemon.units import UNITS, unit_named
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
-
     from cantools.database.can import Database, Message, Signal
 
 NAMES: Final[dict[str, Any]] = tomllib.loads(

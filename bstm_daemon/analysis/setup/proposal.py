@@ -7,6 +7,7 @@ unsure, with the reason.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Final
 
@@ -26,8 +27,6 @@ from bstm_daemon.roles import ROLE_INDEX
 from bstm_daemon.units import UNITS
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-
     from cantools.database.can import Database
 
     from bstm_daemon.analysis.setup.recording import Recording, Samples

@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import sys
 from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -26,9 +28,6 @@ from bstm_daemon.config.sections import BusConfig
 from bstm_daemon.errors import LogError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
-    from pathlib import Path
-
     from cantools.database.can import Database, Message
 
     from bstm_daemon.analysis.setup.name_rules import NameMatch

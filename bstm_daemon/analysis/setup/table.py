@@ -9,10 +9,12 @@ from __future__ import annotations
 
 import re
 from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import chain, product
 from math import log
-from typing import TYPE_CHECKING, Final
+from pathlib import Path
+from typing import Final
 
 import numpy as np
 from cantools.database.can import Database, Message, Signal
@@ -35,11 +37,6 @@ from bstm_daemon.config.sections import TableConfig
 from bstm_daemon.errors import LogError
 from bstm_daemon.roles import GROUND_LAG_S
 from bstm_daemon.units import UNITS, unit_named
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
-    from pathlib import Path
-
 
 _MESSAGE: Final = "table"
 _TIMES: Final = {

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import textwrap
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from string import Template
 from typing import TYPE_CHECKING, Final
@@ -19,8 +20,6 @@ from bstm_daemon.roles import ROLE_INDEX, ROLES
 from bstm_daemon.units import UNITS
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
-
     from bstm_daemon.analysis.setup.recording import Recording
 
 _TEMPLATE: Final = Path(__file__).parent / "_data" / "typical.toml"

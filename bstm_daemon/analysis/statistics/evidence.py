@@ -6,14 +6,13 @@ and the strengths a have normal priors, so that both integrate in closed form.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from bstm_daemon.analysis.statistics.series import Column, Matrix
 
 FREE: Final = 1.5

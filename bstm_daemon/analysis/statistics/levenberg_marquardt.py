@@ -6,14 +6,13 @@ one, so sensitivities and trial steps are asked for together.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
     from bstm_daemon.analysis.statistics.series import Column, Mask
 
 STEP: Final = 0.01

@@ -6,13 +6,12 @@ have to be long enough to be independent.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from bstm_daemon.analysis.statistics.series import Column, Indices, Matrix
 
 

@@ -7,6 +7,7 @@ load, as does what the model leaves out (drift).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
@@ -15,8 +16,6 @@ import numpy as np
 from bstm_daemon.analysis.statistics.gls import SINGULAR, column_size
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from bstm_daemon.analysis.statistics.series import Column, Matrix
 
 DRIFT_S: Final = 300.0

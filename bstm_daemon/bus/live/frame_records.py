@@ -9,6 +9,7 @@ from __future__ import annotations
 import mmap
 import struct
 from array import array
+from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Final
 
 from bstm_daemon.bus.live.link import DRAIN_LIMIT, Frame
@@ -17,7 +18,6 @@ from bstm_daemon.roles import ROLES
 
 if TYPE_CHECKING:
     from collections import Counter
-    from collections.abc import Iterator, Mapping
 
     from bstm_daemon.bus.signals.reject_reason import RejectReason
     from bstm_daemon.bus.signals.signal_map import SignalMap

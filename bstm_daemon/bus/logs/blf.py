@@ -13,7 +13,9 @@ from __future__ import annotations
 
 import struct
 import zlib
+from collections.abc import Generator, Iterator
 from datetime import UTC, datetime
+from io import BufferedReader
 from typing import TYPE_CHECKING, Final, NoReturn
 
 from bstm_daemon.bus.logs.reader import FrameReader, FrameRow
@@ -22,9 +24,6 @@ from bstm_daemon.bus.signals.reject_reason import RejectReason
 from bstm_daemon.errors import LogError
 
 if TYPE_CHECKING:
-    from collections.abc import Generator, Iterator
-    from io import BufferedReader
-
     from bstm_daemon.bus.signals.frame_chunk import FrameChunk
 
 _SIGNATURE: Final = b"LOBJ"

@@ -10,8 +10,11 @@ payloads. Time per line and memory do not depend on the length of the log.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
-from typing import TYPE_CHECKING, Final, NamedTuple
+from io import BufferedReader
+from pathlib import Path
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -27,12 +30,6 @@ from bstm_daemon.bus.signals.frame_chunk import (
 )
 from bstm_daemon.bus.signals.reject_reason import RejectReason
 from bstm_daemon.native.loader import BusExtension, extension
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
-    from io import BufferedReader
-    from pathlib import Path
-
 
 _CHUNK_BYTES: Final = 2 << 20
 _NAMES_LIMIT: Final = 64

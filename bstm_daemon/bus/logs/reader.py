@@ -14,7 +14,8 @@ from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import contextmanager
 from itertools import islice
-from typing import TYPE_CHECKING, Any, Final
+from pathlib import Path
+from typing import Any, BinaryIO, Final
 
 import numpy as np
 
@@ -26,10 +27,6 @@ from bstm_daemon.bus.signals.extraction import (
 from bstm_daemon.bus.signals.frame_chunk import FrameChunk, rows_of
 from bstm_daemon.bus.signals.reject_reason import RejectReason
 from bstm_daemon.errors import FileAccessError, LogError
-
-if TYPE_CHECKING:
-    from pathlib import Path
-    from typing import BinaryIO
 
 Wanted = Callable[[str], Collection[tuple[int, bool]] | None]
 """Gives the (id, extended) to read from an interface, by its name.

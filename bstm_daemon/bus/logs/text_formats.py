@@ -14,7 +14,10 @@ from __future__ import annotations
 
 import re
 from binascii import a2b_base64
+from collections.abc import Iterator, Sequence
 from datetime import UTC, datetime, timedelta
+from io import BufferedReader
+from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from bstm_daemon.bus.logs.candump_line import LINE_LIMIT
@@ -28,10 +31,6 @@ from bstm_daemon.bus.signals.reject_reason import RejectReason
 from bstm_daemon.errors import LogError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-    from io import BufferedReader
-    from pathlib import Path
-
     from bstm_daemon.bus.signals.frame_chunk import FrameChunk
 
 

@@ -21,11 +21,9 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from binascii import crc_hqx
+from collections.abc import Sequence
 from enum import Enum
-from typing import TYPE_CHECKING, Final
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
+from typing import Final
 
 COUNTER_COUNT: Final = 16
 """Counter values of Profile 2, and the length of a data-id list."""

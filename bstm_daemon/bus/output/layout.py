@@ -12,6 +12,7 @@ error of the value itself.
 from __future__ import annotations
 
 import re
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cache
 from math import isinf, isnan
@@ -43,7 +44,6 @@ from bstm_daemon.estimate import (
 from bstm_daemon.units import to_celsius
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping
     from enum import IntEnum
 
 

@@ -7,6 +7,7 @@ are the counters of the end-to-end protection, which a restart takes over.
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, NamedTuple
 
 from bstm_daemon.bus.output.e2e import COUNTER_COUNT, protect
@@ -18,8 +19,6 @@ from bstm_daemon.bus.output.layout import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
-
     from bstm_daemon.estimate import Estimate
 
 

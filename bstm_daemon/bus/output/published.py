@@ -7,9 +7,10 @@ A frame that is added to the table is decoded without a change here.
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from math import inf, nan
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from bstm_daemon.bus.output.e2e import CheckStatus, Profile2Checker
 from bstm_daemon.bus.output.layout import (
@@ -20,10 +21,6 @@ from bstm_daemon.bus.output.layout import (
     own_ids,
     published_frames,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
-
 
 MAX_COUNTER_DELTA: Final = 3
 """Two frames of a name may be lost in a row (``docs/frames.md``)."""

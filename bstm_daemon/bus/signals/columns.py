@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from array import array
 from collections import Counter
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
@@ -27,8 +28,6 @@ from bstm_daemon.bus.signals.reject_reason import RejectReason
 from bstm_daemon.native.loader import BusExtension, extension
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
     import numpy.typing as npt
 
     from bstm_daemon.bus.signals.signal_map import SignalMap

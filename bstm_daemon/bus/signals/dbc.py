@@ -17,7 +17,8 @@ import logging
 import math
 import re
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from pathlib import Path
+from typing import Final
 
 import cantools.database
 from cantools.database.can import Database, Message, Signal
@@ -33,9 +34,6 @@ from bstm_daemon.bus.signals.dbc_text import (
 from bstm_daemon.bus.signals.extraction import RawSignal
 from bstm_daemon.config.limits import DBC_BYTES, read_limited
 from bstm_daemon.errors import ConfigError
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 _WORD: Final = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|[^\W_a-zA-Z]+")
 _ALONE: Final = frozenset(

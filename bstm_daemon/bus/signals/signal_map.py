@@ -9,8 +9,10 @@ the name of the configuration file in front.
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from difflib import get_close_matches
+from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import structlog
@@ -44,9 +46,6 @@ from bstm_daemon.roles import ROLE_INDEX, ROLES
 from bstm_daemon.units import UNITS, Unit
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
-    from pathlib import Path
-
     from cantools.database.can import Database, Message
 
     from bstm_daemon.bus.signals.dbc_text import DbcDefect

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections import Counter
+from collections.abc import Collection, Iterator
 from contextlib import redirect_stdout
 from importlib import import_module
 from io import StringIO
@@ -23,8 +24,6 @@ from bstm_daemon.bus.tables.source import TableChunk, units_in_names
 from bstm_daemon.errors import LogError
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator
-
     import numpy.typing as npt
 
     Floats = npt.NDArray[np.float64]

@@ -12,10 +12,12 @@ import gzip
 import re
 import zlib
 from codecs import BOM_UTF8
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import chain, islice, pairwise
-from typing import TYPE_CHECKING, Any, Final, cast
+from pathlib import Path
+from typing import Any, BinaryIO, Final, cast
 
 import numpy as np
 
@@ -28,11 +30,6 @@ from bstm_daemon.bus.tables.source import (
 )
 from bstm_daemon.errors import FileAccessError, LogError
 from bstm_daemon.units import unit_named
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterator, Sequence
-    from pathlib import Path
-    from typing import BinaryIO
 
 HEAD_LINES: Final = 100
 """Lines in which the first values are looked for."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from bisect import insort
 from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
 from difflib import get_close_matches
 from itertools import chain
 from pathlib import Path
@@ -39,8 +40,6 @@ from bstm_daemon.roles import ROLES
 from bstm_daemon.units import UNITS, unit_named
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
-
     import numpy.typing as npt
 
     from bstm_daemon.bus.tables.table_plan import ColumnOutput, TableMap

@@ -6,7 +6,9 @@ no frames: :func:`compile_sources` gives the one or the other.
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from bstm_daemon.bus.signals.signal_map import (
@@ -18,9 +20,6 @@ from bstm_daemon.bus.signals.signal_map import (
 from bstm_daemon.roles import ROLE_INDEX
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-    from pathlib import Path
-
     from bstm_daemon.config.sections import (
         BusConfig,
         SignalConfig,

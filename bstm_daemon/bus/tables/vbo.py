@@ -8,17 +8,15 @@ the last channels, which come from a CAN bus or an input module.
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from itertools import islice
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import structlog
 
 from bstm_daemon.bus.tables.csv_table import CsvSource, Head
 from bstm_daemon.bus.tables.source import units_in_names
 from bstm_daemon.errors import LogError
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
 
 _ROWS: Final = "[data]"
 _HEAD_LINES: Final = 10_000

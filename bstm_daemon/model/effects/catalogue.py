@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cache
 from importlib import import_module
 from pkgutil import iter_modules
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
-from bstm_daemon.config.sections import EffectConfig
+from bstm_daemon.config.sections import Config, EffectConfig
 from bstm_daemon.errors import hint
 from bstm_daemon.model.effects import entries
 from bstm_daemon.model.effects.composed import NAME as COMPOSED
 from bstm_daemon.model.effects.composed import Composed
 from bstm_daemon.model.effects.effect import Effect
 from bstm_daemon.model.effects.model import CornerModel, InputModel
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from bstm_daemon.config.sections import Config
 
 STRUCTURES: Final[dict[str, tuple[str, ...]]] = {
     "thesis": (),

@@ -17,12 +17,14 @@ from __future__ import annotations
 import re
 import tomllib
 from collections import defaultdict
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path as FilePath
 from typing import TYPE_CHECKING, Final, Literal
 
 from bstm_daemon.model.effects.effect import LAST, STRENGTH, Effect
 from bstm_daemon.model.thermal.network import (
+    Factor,
     Link,
     Memory,
     Node,
@@ -34,10 +36,7 @@ from bstm_daemon.model.thermal.network import (
 from bstm_daemon.model.thermal.table import Table
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
     from bstm_daemon.model.effects.model import CornerModel
-    from bstm_daemon.model.thermal.network import Factor
 
 NAME: Final = "composed"
 PREFIX: Final = f"{NAME}."

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, ClassVar, Literal
 
@@ -12,8 +13,6 @@ from bstm_daemon.model.effects.model import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from bstm_daemon.config.sections import CornerConfig
     from bstm_daemon.model.thermal.network import Network
 

@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise
 from math import sqrt
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 from bstm_daemon.model.thermal.network import (
+    Link,
     Network,
+    Node,
     Source,
     value,
 )
 from bstm_daemon.model.thermal.table import Table
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from bstm_daemon.model.thermal.network import Link, Node
 
 COLDEST_K = 200.0
 HOTTEST_K = 1300.0

@@ -2,16 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Callable
 
-from bstm_daemon.model.thermal.network import value
+from bstm_daemon.model.thermal.network import Factor, value
 from bstm_daemon.model.thermal.table import Table
 from bstm_daemon.units import KELVIN_OFFSET
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from bstm_daemon.model.thermal.network import Factor
 
 ROOM_K = 20.0 + KELVIN_OFFSET
 FASTEST_MS = 120.0

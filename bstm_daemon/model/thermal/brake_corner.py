@@ -8,6 +8,7 @@ brake power is split once, in :func:`_heat_sources`, and nothing is lost.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from importlib import import_module
@@ -40,8 +41,6 @@ from bstm_daemon.model.thermal.table import Table
 from bstm_daemon.units import KELVIN_OFFSET, STEFAN_BOLTZMANN_W_M2K4
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-
     from bstm_daemon.config.section import Curve
     from bstm_daemon.config.sections import (
         Config,

@@ -7,16 +7,13 @@ one batch, each with its own numbers and state.
 from __future__ import annotations
 
 from array import array
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
+from typing import Literal
 
 from bstm_daemon.model.thermal import reference
 from bstm_daemon.model.thermal.network import NetworkError
 from bstm_daemon.model.thermal.program import Program, same_structure
 from bstm_daemon.native.loader import Kernel, load_kernel
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from typing import Literal
 
 
 class Batch:

@@ -12,6 +12,7 @@ the order of :data:`SECTIONS`.
 from __future__ import annotations
 
 from array import array
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import isfinite
 from typing import TYPE_CHECKING, Final
@@ -27,8 +28,6 @@ from bstm_daemon.model.thermal.network import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from bstm_daemon.model.thermal.table import Table
 
 LAYOUT_VERSION: Final = 1

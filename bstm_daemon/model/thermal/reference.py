@@ -17,14 +17,12 @@ The order of operations is that of ``native/thermal/march.c``, line by line.
 
 from __future__ import annotations
 
+from collections.abc import MutableSequence, Sequence
 from itertools import pairwise
 from math import isnan, sqrt
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from bstm_daemon.model.thermal.program import COUNTS, SECTIONS
-
-if TYPE_CHECKING:
-    from collections.abc import MutableSequence, Sequence
 
 GAMMA: Final = 1.0 - 1.0 / sqrt(2.0)
 

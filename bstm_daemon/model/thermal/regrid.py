@@ -8,11 +8,10 @@ the friction face with its heat, and the rest keeps every joule.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from bstm_daemon.model.thermal.network import Network, Node
     from bstm_daemon.model.thermal.table import Table
 

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
+from array import array
+from collections.abc import Iterable
 from typing import TYPE_CHECKING, Final
 
 from bstm_daemon.model.thermal.kernel import Batch
 
 if TYPE_CHECKING:
-    from array import array
-    from collections.abc import Iterable
-
     from bstm_daemon.model.thermal.program import Program
     from bstm_daemon.native.loader import Kernel
 

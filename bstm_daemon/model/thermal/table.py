@@ -7,14 +7,11 @@ a table keeps its end value.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import pairwise
 from math import ceil, isfinite
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
 
 GRID_LIMIT = 1025
 """Most points that :meth:`Table.from_points` spends on hitting each point."""

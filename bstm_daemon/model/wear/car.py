@@ -9,6 +9,7 @@ how it is cut.
 from __future__ import annotations
 
 from array import array
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from math import isfinite, nan
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
@@ -19,8 +20,6 @@ from bstm_daemon.model.wear.pads import ROLES, Change, PadWear
 from bstm_daemon.roles import ROLE_INDEX
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
-
     from bstm_daemon.config.sections import Config, CornerConfig
     from bstm_daemon.model.thermal.kernel import Batch
     from bstm_daemon.model.thermal.program import Program

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from enum import Enum, auto
 from math import inf, isfinite
@@ -16,8 +17,6 @@ from bstm_daemon.model.wear.law import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from bstm_daemon.config.sections import Config, CornerConfig
 
 ROLES: Final = ("pads_new", "pad_worn_1mm", "pad_2mm_left")

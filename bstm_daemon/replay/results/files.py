@@ -5,9 +5,11 @@ A file stands under its name when all rows are in it, and not before.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from datetime import UTC, datetime
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, TextIO
 
 import numpy as np
 
@@ -17,10 +19,6 @@ from bstm_daemon.files import replacing
 from bstm_daemon.replay.results.rows import ADVICE_CODES, Part, Results, Sink
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-    from pathlib import Path
-    from typing import TextIO
-
     import numpy.typing as npt
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Flag, auto
 from operator import attrgetter
@@ -12,12 +13,9 @@ import numpy as np
 from bstm_daemon.units import KELVIN_OFFSET
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
     import numpy.typing as npt
 
     Column = npt.NDArray[np.float64]
-    from collections.abc import Mapping, Sequence
 
     from bstm_daemon.estimate import CarRisk
 
