@@ -1,7 +1,7 @@
-"""``bstm demo``: a descent and a hot soak on embedded buses, time-warped.
+"""``bstm demo``: a descent and a hot soak in CAN frames, time-warped.
 
-The simulated car sends its frames on one virtual bus, the monitor listens
-there and publishes on another, where a display reads what was published.
+The simulated car sends its frames to the monitor, whose published frames a
+display reads.
 """
 
 from __future__ import annotations
@@ -9,8 +9,6 @@ from __future__ import annotations
 from math import isnan
 from pathlib import Path
 from typing import TYPE_CHECKING
-
-import can
 
 from bstm_daemon.cli.arguments import add_out, option
 from bstm_daemon.cli.live_demo import run_live
@@ -36,11 +34,6 @@ from bstm_daemon.watch.board import Board
 
 if TYPE_CHECKING:
     import argparse
-    from collections.abc import Iterator
-
-CAR, DISPLAY = "bstm-demo-car", "bstm-demo-display"
-"""The buses. On one alone, the display would receive the car's frames too."""
-
 DRIVE = "alpine-descent"
 END_S = 40 * 60
 """The fluid's peak is behind; the rest of the hour of parking only cools."""
@@ -96,24 +89,13 @@ def run(args: argparse.Namespace) -> int:
     display = Board(config.publish.id_base)
     print(START)
     engine = Engine(config, signal_map, history_known=True)
-    rows, statistics, curves = (
-        Collector(),
-        DriveStatistics(),
-        DriveCurves(),
-    )
+    rows, statistics, curves = Collector(), DriveStatistics(), DriveCurves()
     print(_heading())
-    with (
-        csv_file(folder / "estimates.csv") as table,
-        _bus(CAR) as car,
-        _bus(CAR) as monitor,
-        _bus(DISPLAY) as publisher,
-        _bus(DISPLAY) as screen,
-    ):
+    with csv_file(folder / "estimates.csv") as table:
         builder = ResultsBuilder(
             engine.estimator, [rows, statistics, curves, table]
         )
-        buses = car, monitor, publisher, screen
-        _drive(driven, engine, builder, display, buses)
+        _drive(driven, engine, builder, display)
         builder.finish()
     print()
     print(summary_table(statistics.summary()))
@@ -141,10 +123,8 @@ def _drive(
     engine: Engine,
     builder: ResultsBuilder,
     display: Board,
-    buses: tuple[can.BusABC, can.BusABC, can.BusABC, can.BusABC],
 ) -> None:
     """Run the three parties through the drive, as fast as they go."""
-    car, monitor, publisher, screen = buses
     encoder = Encoder(shipped_file("dbc/example_vehicle.dbc"))
     start_us = round(START_STAMP_S * 1e6)
     end_us = start_us + END_S * 1_000_000
@@ -154,38 +134,12 @@ def _drive(
     with Progress("demo") as progress:
         for now_us in range(start_us, end_us + TICK_US, TICK_US):
             while frame is not None and frame.stamp_s * 1e6 < now_us:
-                car.send(
-                    can.Message(
-                        timestamp=frame.stamp_s,
-                        arbitration_id=frame.frame_id,
-                        is_extended_id=False,
-                        data=frame.data,
-                    )
-                )
+                stamp_us = round(frame.stamp_s * 1e6)
+                engine.frame(0, frame.frame_id, False, frame.data, stamp_us)
                 frame = next(pending, None)
-            for message in _drained(monitor):
-                engine.frame(
-                    0,
-                    message.arbitration_id,
-                    message.is_extended_id,
-                    message.data,
-                    round(message.timestamp * 1e6),
-                    is_error=message.is_error_frame,
-                    is_remote=message.is_remote_frame,
-                )
-            for published in engine.tick(now_us):
-                out = published.frame
-                publisher.send(
-                    can.Message(
-                        timestamp=published.time_us * 1e-6,
-                        arbitration_id=out.can_id,
-                        is_extended_id=out.extended,
-                        data=out.data,
-                    )
-                )
+            for _, out in engine.tick(now_us):
+                display.frame(out.can_id, out.data, now_us)
             builder.add(engine.blocks, engine.risks)
-            for message in _drained(screen):
-                display.frame(message.arbitration_id, message.data, now_us)
             values = _shown(display)
             if now_us >= next_row_us and not any(map(isnan, values)):
                 moving = driven.course.speed_ms[
@@ -232,14 +186,3 @@ def _shown(display: Board) -> list[float]:
         for corner in SHOWN
         for frame, signal in COLUMNS.values()
     ]
-
-
-def _bus(channel: str) -> can.BusABC:
-    return can.Bus(
-        interface="virtual", channel=channel, preserve_timestamps=True
-    )
-
-
-def _drained(bus: can.BusABC) -> Iterator[can.Message]:
-    while (message := bus.recv(timeout=0)) is not None:
-        yield message
