@@ -16,7 +16,6 @@ from bstm_daemon.estimate import (
     Intervention,
     Isolation,
     Message,
-    Reason,
 )
 from bstm_daemon.model.heat.plausibility import FAULTS
 from bstm_daemon.replay.results import ElapsedTime, Part
@@ -30,17 +29,19 @@ from bstm_daemon.report.plots import (
     NODE_COLOURS,
     ORANGE,
     PURPLE,
+    SKY_BLUE,
     VERMILION,
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterable, Mapping
 
     import numpy.typing as npt
 
     from bstm_daemon.replay.results import Results
 
     Column = npt.NDArray[np.float64]
+    _Look = tuple[str, str]
 
 POINTS_A_TRACE: Final = 4000
 """Points of a curve: twice the columns of a large screen."""
@@ -94,7 +95,7 @@ _ADVICE: Final[dict[str, dict[int, tuple[str, str]]]] = {
     },
     "advice_shift": {Downshift.SHIFT_DOWN: ("driver: lower gear", BLUE)},
     "advice_gearbox": {
-        Downshift.SHIFT_DOWN: ("gearbox: lower gear", "#56b4e9")
+        Downshift.SHIFT_DOWN: ("gearbox: lower gear", SKY_BLUE)
     },
     _PEDAL_FEEL: {1: ("softer pedal", ORANGE)},
     "advice_isolation": {
@@ -114,15 +115,22 @@ _ADVICE: Final[dict[str, dict[int, tuple[str, str]]]] = {
 the top, those to the driver first."""
 
 
-_REASON_COLOURS: Final = {
-    Reason.START_UNKNOWN: GREY,
-    Reason.INPUT_MISSING: BLACK,
-    Reason.INPUT_SUSPECT: ORANGE,
-    Reason.HEAT_UNKNOWN: PURPLE,
-    Reason.UNVERIFIED: BLUE,
-    Reason.MODEL_DISAGREES: VERMILION,
-    Reason.IMPOSSIBLE: GREEN,
-}
+_ADVICE_LOOKS: Final = [
+    look for codes in _ADVICE.values() for look in codes.values()
+]
+
+_REASON_COLOURS: Final = (
+    *(GREY, BLACK, ORANGE, PURPLE),
+    *(BLUE, VERMILION, GREEN, SKY_BLUE),
+)
+_REASON_LOOKS: Final = dict(
+    zip(
+        REASON_WORDS,
+        zip(REASON_WORDS.values(), _REASON_COLOURS, strict=True),
+        strict=True,
+    )
+)
+"""Label and colour of each reason."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -208,17 +216,15 @@ class DriveCurves:
         self._starts_s = Buckets(np.minimum)
         self._validity: dict[str, Buckets] = {}
         self._inputs = {name: Buckets(np.maximum) for name in _PANEL_INPUTS}
-        self._advice = {
-            (column, code): Buckets(np.maximum)
-            for column, codes in _ADVICE.items()
-            for code in codes
+        self._bars: dict[tuple[str, str | None], dict[_Look, Buckets]] = {
+            ("advice", None): _bars(_ADVICE_LOOKS)
         }
+        """By panel and corner a bar for each label and colour."""
         line = {"color": BLACK, "width": 1.5}
         self._speed = _Curve("speed", None, "speed", "speed_ms", line)
         self._pressures: dict[str, _Curve] = {}
         self._differing: set[tuple[str, str]] = set()
         self._corners: dict[str, list[_Curve]] = {}
-        self._reasons: dict[str, dict[Reason, Buckets]] = {}
 
     def write(self, rows: Results) -> None:
         """Take *rows*."""
@@ -234,10 +240,10 @@ class DriveCurves:
     def traces(self) -> list[Trace]:
         """Return every curve that there are numbers for."""
         traces = [self._speed.trace(), *self._pressure_traces()]
-        traces += self._advice_traces()
-        for name, curves in self._corners.items():
+        for curves in self._corners.values():
             traces += [curve.trace() for curve in curves]
-            traces += self._reason_traces(name)
+        for (panel, corner), bars in self._bars.items():
+            traces += self._bar_traces(panel, corner, bars)
         return [trace for trace in traces if trace is not None]
 
     def spans(self, corner: str) -> list[tuple[int, float, float]]:
@@ -264,13 +270,13 @@ class DriveCurves:
         elapsed_s = self._time.extend(columns["time_s"])
         self._starts_s.add(elapsed_s)
         self._speed.add(elapsed_s, columns)
-        for (column, code), active in self._advice.items():
-            if column in columns:
-                values = columns[column]
-                holds = values == code
+        given = self._bars["advice", None]
+        for column, looks in _ADVICE.items():
+            for code, look in looks.items() if column in columns else ():
+                holds = columns[column] == code
                 if column == _PEDAL_FEEL:
-                    holds = values < SOFTER_PEDAL
-                active.add(holds.astype(float))
+                    holds = columns[column] < SOFTER_PEDAL
+                given[look].add(holds.astype(float))
         for name, curves in self._corners.items():
             fluid_c = columns.get(f"{name}.fluid_c")
             margin_k = columns.get(f"{name}.margin_k")
@@ -301,11 +307,11 @@ class DriveCurves:
         reasons = columns.get(f"{corner}.reasons")
         if reasons is not None and len(reasons):
             bits = np.nan_to_num(reasons).astype(np.int64)
-            tracks = self._reasons.setdefault(
-                corner, {one: Buckets(np.maximum) for one in REASON_WORDS}
+            bars = self._bars.setdefault(
+                ("reasons", corner), _bars(_REASON_LOOKS.values())
             )
-            for one, active in tracks.items():
-                active.add((bits & one != 0).astype(float))
+            for one, look in _REASON_LOOKS.items():
+                bars[look].add((bits & one != 0).astype(float))
 
     def _compare_pressures(self, columns: Mapping[str, Column]) -> None:
         """Note which corners do not share a circuit."""
@@ -341,37 +347,20 @@ class DriveCurves:
             )
         ]
 
-    def _advice_traces(self) -> list[Trace]:
-        """Return a bar a kind of advice, one line above the other."""
-        given = [
-            (_ADVICE[column][code], active.values)
-            for (column, code), active in self._advice.items()
-            if active.values.any()
-        ]
-        return self._bars("advice", None, given)
-
-    def _reason_traces(self, corner: str) -> list[Trace]:
-        """Return a bar a reason why *corner* is not valid."""
-        given = [
-            ((REASON_WORDS[one], _REASON_COLOURS[one]), active.values)
-            for one, active in self._reasons.get(corner, {}).items()
-            if active.values.any()
-        ]
-        return self._bars("reasons", corner, given)
-
-    def _bars(
-        self,
-        panel: str,
-        corner: str | None,
-        given: list[tuple[tuple[str, str], Column]],
+    def _bar_traces(
+        self, panel: str, corner: str | None, bars: dict[_Look, Buckets]
     ) -> list[Trace]:
-        """Return a bar for each label and colour, where its values hold."""
+        """Return a bar for each of *bars* that holds at any time.
+
+        One line above the other.
+        """
         traces = []
-        for i, ((label, colour), values) in enumerate(given):
+        given = [look for look, held in bars.items() if held.values.any()]
+        for i, (label, colour) in enumerate(given):
             line = float(len(given) - i)
             x: list[float] = []
             y: list[float | None] = []
-            for _, start_s, end_s in self._spans(values):
+            for _, start_s, end_s in self._spans(bars[label, colour].values):
                 x += [round(start_s, 2), round(end_s, 2), round(end_s, 2)]
                 y += [line, line, None]
             bar = {"color": colour, "width": 7}
@@ -381,6 +370,10 @@ class DriveCurves:
 
     def _spans(self, codes: Column) -> list[tuple[int, float, float]]:
         return validity_spans(self._starts_s.values, codes)
+
+
+def _bars(looks: Iterable[_Look]) -> dict[_Look, Buckets]:
+    return {look: Buckets(np.maximum) for look in looks}
 
 
 def _corner_curves(corner: str) -> list[_Curve]:

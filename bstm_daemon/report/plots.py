@@ -26,6 +26,7 @@ EPOCH: Final = datetime(2000, 1, 1)  # noqa: DTZ001
 ORANGE: Final = "#e69f00"
 GREEN: Final = "#009e73"
 BLUE: Final = "#0072b2"
+SKY_BLUE: Final = "#56b4e9"
 VERMILION: Final = "#d55e00"
 PURPLE: Final = "#cc79a7"
 BLACK: Final = "#1f2328"

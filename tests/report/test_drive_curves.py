@@ -1,8 +1,11 @@
 """The curves of the plots."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from bstm_daemon.estimate import REASON_WORDS
 from bstm_daemon.replay.results import Results
 from bstm_daemon.report.drive_curves import POINTS_A_TRACE, DriveCurves, Trace
 from bstm_daemon.report.drive_statistics import DriveStatistics
@@ -198,3 +201,20 @@ def test_no_advice_takes_no_room(descent: Results) -> None:
         curves = DriveCurves()
         curves.write(rows)
         assert not [t for t in curves.traces() if t.panel == "advice"]
+
+
+def test_every_reason_has_a_bar_of_its_own(descent: Results) -> None:
+    bits = np.full(len(descent.columns["time_s"]), float(sum(REASON_WORDS)))
+    columns = {**descent.columns, "FL.reasons": bits}
+    curves = DriveCurves()
+
+    curves.write(replace(descent, columns=columns))
+
+    bars = [
+        one
+        for one in curves.traces()
+        if (one.panel, one.corner) == ("reasons", "FL")
+    ]
+    assert [one.label for one in bars] == list(REASON_WORDS.values())
+    colours = {one.look["line"]["color"] for one in bars}
+    assert len(colours) == len(bars)
