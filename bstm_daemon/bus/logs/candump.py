@@ -10,11 +10,11 @@ payloads. Time per line and memory do not depend on the length of the log.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from io import BufferedReader
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 
@@ -43,9 +43,6 @@ _POSITION, _LINE, _FRAMES, _PENDING, _A, _B, _NAMES_FULL, _KEYS_FULL = range(8)
 _DONE, _NEW_NAME, _NEW_KEY, _NO_ROOM, _NEED_WIDE = range(5)
 _KEY, _VERDICT, _COUNT = range(3)
 
-Key = tuple[int, int, bool]
-"""Channel, id, extended."""
-
 
 class CandumpReader(FrameReader):
     """Reads a candump log, packed with gzip where it ends in ``.gz``.
@@ -70,14 +67,15 @@ class CandumpReader(FrameReader):
         super().__init__(path, wanted)
         self._chunk_bytes = chunk_bytes
         self._channel_of: dict[bytes, int] = {}
-        compiled = extension()
-        self._scan = (
-            None
-            if compiled is None
-            else CandumpScan(
-                compiled, self._number, self.why_unwanted, chunk_bytes
-            )
-        )
+        self._compiled = extension()
+        if self._compiled is not None:
+            room = chunk_bytes // _BYTES_PER_LINE + 1
+            self._names = b""
+            self._keys = np.zeros((_KEY_SLOTS, 3), np.int64)
+            self._key_of_slot: dict[int, tuple[int, int, bool]] = {}
+            self._state = np.zeros(8, np.int64)
+            self._pending = np.empty((room, 3), np.int64)
+            self._columns = columns_for(room)
 
     def chunks(self) -> Iterator[FrameChunk]:
         """Yield the wanted data frames in file order; a chunk may be empty.
@@ -118,28 +116,80 @@ class CandumpReader(FrameReader):
             yield store, kept + 1
 
     def _parse(self, store: bytearray, end: int) -> FrameChunk:
-        first = self.lines + 1
-        if self._scan is None:
+        if self._compiled is None:
             lines = bytes(memoryview(store)[:end]).split(b"\n")[:-1]
+            first = self.lines + 1
             self.lines += len(lines)
             chunk = chunk_of(self._rows(enumerate(lines, first)))
         else:
-            found = self._scan.read(store, end, first)
-            self.lines += found.lines
-            for key, reason, count in found.counts:
-                self.seen[key] += count
-                if reason is not None:
-                    self.refused[reason] += count
+            found, pending = self._scanned(self._compiled, store, end)
             left = chunk_of(
                 self._rows(
                     (line, bytes(store[start:stop]))
-                    for start, stop, line in found.pending
+                    for start, stop, line in pending
                 )
             )
-            parts = [part for part in (*found.parts, left) if len(part)]
+            parts = [part for part in (*found, left) if len(part)]
             chunk = join_in_file_order(parts or [left])
         self.frames += len(chunk)
         return chunk
+
+    def _scanned(
+        self, compiled: BusExtension, store: bytearray, end: int
+    ) -> tuple[list[FrameChunk], list[tuple[int, ...]]]:
+        """Scan the whole lines in *store* up to *end*, and count them.
+
+        Returns the frames, and the lines left: start, end, line number.
+        """
+        state = self._state
+        state[_POSITION] = 0
+        state[_LINE] = self.lines + 1
+        parts: list[FrameChunk] = []
+        pending: list[tuple[int, ...]] = []
+        stop = -1
+        while stop != _DONE:
+            stop = compiled.scan(
+                *(store, end, self._names, self._keys, state),
+                *(*columns_of(self._columns), self._pending),
+            )
+            if stop == _NEW_NAME:
+                start = int(state[_A])
+                name = bytes(store[start : start + int(state[_B])])
+                full = self._number(name) + 1 >= _NAMES_LIMIT
+                self._names += name + b"\n"
+                state[_NAMES_FULL] = full
+            elif stop == _NEW_KEY:
+                self._decide(int(state[_A]))
+            else:
+                parts.append(self._copied(int(state[_FRAMES])))
+                left = int(state[_PENDING])
+                pending += map(tuple, self._pending[:left].tolist())
+                state[_FRAMES] = state[_PENDING] = 0
+                if stop == _NEED_WIDE:
+                    self._columns = columns_for(len(self._pending), 64)
+        self.lines = int(state[_LINE]) - 1
+        counts = self._keys[:, _COUNT]
+        for slot in np.flatnonzero(counts).tolist():
+            key, count = self._key_of_slot[slot], int(counts[slot])
+            self.seen[key] += count
+            reason = self.why_unwanted(*key)
+            if reason is not None:
+                self.refused[reason] += count
+        counts[:] = 0
+        return parts, pending
+
+    def _decide(self, slot: int) -> None:
+        packed = int(self._keys[slot, _KEY])
+        key = (packed >> 32) - 1, packed & EXTENDED_MAX, bool(packed >> 31 & 1)
+        self._key_of_slot[slot] = key
+        self._keys[slot, _VERDICT] = self.why_unwanted(*key) is None
+        self._state[_KEYS_FULL] = len(self._key_of_slot) >= _KEYS_LIMIT
+
+    def _copied(self, count: int) -> FrameChunk:
+        found = rows_of(self._columns, slice(count))
+        width = 8 if found.length.max(initial=0) <= 8 else 64
+        found = replace(found, data=found.data[:, :width])
+        return FrameChunk(*(column.copy() for column in columns_of(found)))
 
     def _rows(
         self, numbered: Iterable[tuple[int, bytes]]
@@ -181,104 +231,3 @@ def _fill(stream: BufferedReader, room: memoryview) -> int:
     while filled < len(room) and (count := stream.readinto1(room[filled:])):
         filled += count
     return filled
-
-
-class Scanned(NamedTuple):
-    """Result of the scan of a text of ``lines`` lines.
-
-    ``counts`` has the lines of each key that were read, and why they are not
-    wanted, if so. ``pending`` are the lines left: start, end, line number.
-    """
-
-    lines: int
-    parts: list[FrameChunk]
-    counts: list[tuple[Key, RejectReason | None, int]]
-    pending: list[tuple[int, int, int]]
-
-
-class CandumpScan:
-    """The compiled scan with its tables of interfaces and ids."""
-
-    def __init__(
-        self,
-        extension: BusExtension,
-        number_of: Callable[[bytes], int],
-        why_unwanted: Callable[[int, int, bool], RejectReason | None],
-        chunk_bytes: int,
-    ) -> None:
-        """Prepare columns for *chunk_bytes* of text.
-
-        Args:
-            extension: The compiled module.
-            number_of: Gives the number of an interface; new ones get the
-                next.
-            why_unwanted: Why frames of (channel, id, extended) are not read.
-            chunk_bytes: The longest text to be read [byte].
-        """
-        room = chunk_bytes // _BYTES_PER_LINE + 1
-        self._scan = extension.scan
-        self._number_of = number_of
-        self._why_unwanted = why_unwanted
-        self._names = b""
-        self._keys = np.zeros((_KEY_SLOTS, 3), np.int64)
-        self._key_of_slot: dict[int, tuple[Key, RejectReason | None]] = {}
-        self._state = np.zeros(8, np.int64)
-        self._pending = np.empty((room, 3), np.int64)
-        self._frames = columns_for(room)
-
-    def read(self, store: bytearray, end: int, first_line: int) -> Scanned:
-        """Read the whole lines in *store* up to *end*."""
-        state = self._state
-        state[_POSITION] = 0
-        state[_LINE] = first_line
-        parts: list[FrameChunk] = []
-        pending: list[tuple[int, int, int]] = []
-        stop = -1
-        while stop != _DONE:
-            stop = self._scan(
-                *(store, end, self._names, self._keys, state),
-                *(*columns_of(self._frames), self._pending),
-            )
-            if stop == _NEW_NAME:
-                start = int(state[_A])
-                self._add_name(bytes(store[start : start + int(state[_B])]))
-            elif stop == _NEW_KEY:
-                self._decide(int(state[_A]))
-            else:
-                parts.append(self._copied(int(state[_FRAMES])))
-                left = int(state[_PENDING])
-                pending += map(tuple, self._pending[:left].tolist())
-                state[_FRAMES] = state[_PENDING] = 0
-                if stop == _NEED_WIDE:
-                    self._frames = columns_for(len(self._pending), 64)
-        return Scanned(
-            int(state[_LINE]) - first_line, parts, self._counted(), pending
-        )
-
-    def _copied(self, count: int) -> FrameChunk:
-        found = rows_of(self._frames, slice(count))
-        width = 8 if found.length.max(initial=0) <= 8 else 64
-        found = replace(found, data=found.data[:, :width])
-        return FrameChunk(*(column.copy() for column in columns_of(found)))
-
-    def _add_name(self, interface: bytes) -> None:
-        number = self._number_of(interface)
-        self._names += interface + b"\n"
-        self._state[_NAMES_FULL] = number + 1 >= _NAMES_LIMIT
-
-    def _decide(self, slot: int) -> None:
-        packed = int(self._keys[slot, _KEY])
-        key = (packed >> 32) - 1, packed & EXTENDED_MAX, bool(packed >> 31 & 1)
-        reason = self._why_unwanted(*key)
-        self._key_of_slot[slot] = key, reason
-        self._keys[slot, _VERDICT] = reason is None
-        self._state[_KEYS_FULL] = len(self._key_of_slot) >= _KEYS_LIMIT
-
-    def _counted(self) -> list[tuple[Key, RejectReason | None, int]]:
-        counts = self._keys[:, _COUNT]
-        counted = [
-            (*self._key_of_slot[slot], int(counts[slot]))
-            for slot in np.flatnonzero(counts).tolist()
-        ]
-        counts[:] = 0
-        return counted
