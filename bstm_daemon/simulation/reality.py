@@ -11,8 +11,9 @@ to rounding and is some 70 times as fast for the corners of one car.
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
+from functools import cached_property
 from types import ModuleType
 from typing import TYPE_CHECKING, Final, cast
 
@@ -73,24 +74,34 @@ class LaneInputs(Inputs):
         return Inputs(**{n: getattr(self, n)[step] for n in INPUT_NAMES})
 
 
-@dataclass(frozen=True, slots=True, eq=False)
 class LaneResult:
-    """Outcome of a march.
+    """Outcome of a march, filled by either implementation.
 
-    ``time_s`` (m,) are the ends of the kept steps; ``nodes`` name to
-    temperature [K] (m, lanes); ``power_w`` and ``friction`` (n, lanes) the
-    friction power and mu over nominal of every step. ``stored_j``,
-    ``heat_in_j``, ``heat_out_j`` (lanes,) over the whole march.
+    ``time_s`` (m,) are the ends of the kept steps, ``chain_k`` (m, chain
+    nodes, 2, lanes) and ``lump_k`` (m, lumps, lanes) temperatures [K] then;
+    ``power_w`` and ``friction`` (n, lanes) the friction power and mu over
+    nominal of every step. ``heat_in_j`` and ``heat_out_j`` (lanes,) over the
+    whole march, ``state`` is that at its end.
     """
 
-    time_s: Array
-    nodes: Mapping[str, Array]
-    power_w: Array
-    friction: Array
-    stored_j: Array
-    heat_in_j: Array
-    heat_out_j: Array
-    state: State
+    def __init__(self, lanes: Lanes, state: State, inputs: LaneInputs) -> None:
+        """Make room for marching *lanes* from *state* under *inputs*."""
+        self.time_s: Array = np.cumsum(inputs.step_s)[inputs.keep]
+        steps, kept = len(inputs.step_s), len(self.time_s)
+        self.chain_k = np.empty((kept, lanes.chain_nodes, 2, lanes.count))
+        self.lump_k = np.empty((kept, len(LUMPS), lanes.count))
+        self.power_w = np.empty((steps, lanes.count))
+        self.friction = np.empty((steps, lanes.count))
+        self.heat_in_j = np.zeros(lanes.count)
+        self.heat_out_j = np.zeros(lanes.count)
+        self.state = state
+        self._lanes = lanes
+        self._before_j = total_energy(state)
+
+    @property
+    def stored_j(self) -> Array:
+        """Energy that stayed in each lane, (lanes,)."""
+        return total_energy(self.state) - self._before_j
 
     @property
     def balance_residual(self) -> Array:
@@ -99,85 +110,39 @@ class LaneResult:
         scale = np.maximum(np.abs(self.heat_in_j), np.abs(self.stored_j))
         return missing / np.maximum(scale, 1.0)
 
-
-@dataclass(slots=True, eq=False)
-class March:
-    """Raw outcome of a march, filled by either implementation.
-
-    ``chain_k`` (m, chain nodes, 2, lanes) and ``lump_k`` (m, lumps, lanes)
-    hold the kept steps, ``power_w`` and ``friction`` (n, lanes) every step.
-    """
-
-    chain_k: Array
-    lump_k: Array
-    power_w: Array
-    friction: Array
-    heat_in_j: Array
-    heat_out_j: Array
-    state: State
-
-
-def empty_march(lanes: Lanes, state: State, inputs: LaneInputs) -> March:
-    """Return room for the outcome of marching *lanes* under *inputs*."""
-    steps, kept = len(inputs.step_s), int(inputs.keep.sum())
-    return March(
-        chain_k=np.empty((kept, lanes.chain_nodes, 2, lanes.count)),
-        lump_k=np.empty((kept, len(LUMPS), lanes.count)),
-        power_w=np.empty((steps, lanes.count)),
-        friction=np.empty((steps, lanes.count)),
-        heat_in_j=np.zeros(lanes.count),
-        heat_out_j=np.zeros(lanes.count),
-        state=state,
-    )
-
-
-def lane_result(
-    lanes: Lanes, march: March, inputs: LaneInputs, before_j: Array
-) -> LaneResult:
-    """Return *march* with its nodes by name; *before_j* the energy before."""
-    return LaneResult(
-        np.cumsum(inputs.step_s)[inputs.keep],
-        _named_nodes(lanes, march),
-        march.power_w,
-        march.friction,
-        total_energy(march.state) - before_j,
-        march.heat_in_j,
-        march.heat_out_j,
-        march.state,
-    )
+    @cached_property
+    def nodes(self) -> dict[str, Array]:
+        """Temperatures [K] by name, (m, lanes)."""
+        lanes, chain, lumps = self._lanes, self.chain_k, self.lump_k
+        cheek = chain[:, lanes.cheek]
+        ring_kg = lanes.cheek_kg.sum(axis=0) * 2 + lanes.centre_kg
+        mean = (cheek * lanes.cheek_kg).sum(axis=(1, 2))
+        mean += lumps[:, CENTRE] * lanes.centre_kg
+        depths = np.array(lanes.mesh.cheek_depths)
+        layer = int(np.argmin(np.abs(depths - _MEASURED_DEPTH)))
+        nodes = {
+            "disc": cheek[:, layer, 1],
+            "disc_2": cheek[:, layer, 0],
+            "disc_mean": mean / ring_kg,
+            "disc_surface": cheek[:, 0, 1],
+            "pad_front": chain[:, lanes.surface - 1, 0],
+            "pad_back": chain[:, 1, 0],
+            "pad_front_outer": chain[:, lanes.surface - 1, 1],
+            "pad_back_outer": chain[:, 1, 1],
+            "backplate": chain[:, 0, 0],
+            "fluid": lumps[:, FLUID],
+            "caliper": lumps[:, BODY],
+        }
+        for index, name in enumerate(LUMPS):
+            if index not in (FLUID, BODY):
+                nodes[name] = lumps[:, index]
+        return nodes
 
 
 def total_energy(state: State) -> Array:
     """Return the energy in each lane [J], 0 at 20 degC, (lanes,)."""
     total: Array = state.chain_j.sum(axis=(0, 1)) + state.lump_j.sum(axis=0)
     return total
-
-
-def _named_nodes(lanes: Lanes, march: March) -> dict[str, Array]:
-    chain, lumps = march.chain_k, march.lump_k
-    cheek = chain[:, lanes.cheek]
-    ring_kg = lanes.cheek_kg.sum(axis=0) * 2 + lanes.centre_kg
-    mean = (cheek * lanes.cheek_kg).sum(axis=(1, 2))
-    mean += lumps[:, CENTRE] * lanes.centre_kg
-    depths = np.array(lanes.mesh.cheek_depths)
-    layer = int(np.argmin(np.abs(depths - _MEASURED_DEPTH)))
-    nodes = {
-        "disc": cheek[:, layer, 1],
-        "disc_2": cheek[:, layer, 0],
-        "disc_mean": mean / ring_kg,
-        "disc_surface": cheek[:, 0, 1],
-        "pad_front": chain[:, lanes.surface - 1, 0],
-        "pad_back": chain[:, 1, 0],
-        "pad_front_outer": chain[:, lanes.surface - 1, 1],
-        "pad_back_outer": chain[:, 1, 1],
-        "backplate": chain[:, 0, 0],
-        "fluid": lumps[:, FLUID],
-        "caliper": lumps[:, BODY],
-    }
-    for index, name in enumerate(LUMPS):
-        if index not in (FLUID, BODY):
-            nodes[name] = lumps[:, index]
-    return nodes
 
 
 MAX_NODES: Final = 128
@@ -228,7 +193,7 @@ def extension() -> ModuleType | None:
 
 def march_compiled(
     reality: ModuleType, lanes: Lanes, state: State, inputs: LaneInputs
-) -> March:
+) -> LaneResult:
     """March *lanes* from *state* under *inputs* with the extension *reality*.
 
     Raises :class:`ValueError` for a mesh beyond the compiled limit.
@@ -236,7 +201,7 @@ def march_compiled(
     if lanes.chain_nodes > MAX_NODES:
         msg = f"a mesh has at most {MAX_NODES} nodes a side"
         raise ValueError(msg)
-    march = empty_march(lanes, state, inputs)
+    done = LaneResult(lanes, state, inputs)
     steps, count = len(inputs.step_s), lanes.count
     rows = np.empty((steps, len(INPUT_NAMES), count))
     for index, name in enumerate(INPUT_NAMES):
@@ -249,7 +214,7 @@ def march_compiled(
     ]
     for place, member in zip(places, members, strict=True):
         place[...] = member.T
-    record = np.empty((len(march.chain_k), count, lanes.nodes))
+    record = np.empty((len(done.chain_k), count, lanes.nodes))
     ledger = np.zeros((2, count))
     reality.march(
         _corners(lanes).view(np.uint8),
@@ -258,18 +223,18 @@ def march_compiled(
         rows,
         packed.view(np.uint8),
         record,
-        march.power_w,
-        march.friction,
+        done.power_w,
+        done.friction,
         ledger,
         lanes.friction_varies,
         inputs.corners_per_car,
     )
     chain = record[:, :, : lanes.first_lump].reshape(len(record), count, 2, -1)
-    march.chain_k = chain.transpose(0, 3, 2, 1)
-    march.lump_k = record[:, :, lanes.first_lump :].transpose(0, 2, 1)
-    march.heat_in_j, march.heat_out_j = ledger
-    march.state = type(state)(*(place.T.copy() for place in places))
-    return march
+    done.chain_k = chain.transpose(0, 3, 2, 1)
+    done.lump_k = record[:, :, lanes.first_lump :].transpose(0, 2, 1)
+    done.heat_in_j, done.heat_out_j = ledger
+    done.state = type(state)(*(place.T.copy() for place in places))
+    return done
 
 
 def _corners(lanes: Lanes) -> np.ndarray[tuple[int], np.dtype[np.void]]:
@@ -301,12 +266,10 @@ def march_lanes(
     See :func:`march`.
     """
     lanes = Lanes(corners, effects, mesh)
-    state = start_state(lanes, start_k)
-    before_j = total_energy(state)
-    return lane_result(lanes, march(lanes, state, inputs), inputs, before_j)
+    return march(lanes, start_state(lanes, start_k), inputs)
 
 
-def march(lanes: Lanes, state: State, inputs: LaneInputs) -> March:
+def march(lanes: Lanes, state: State, inputs: LaneInputs) -> LaneResult:
     """March *lanes* from *state*: compiled if it is built, else by NumPy."""
     compiled = extension()
     if compiled is None:
@@ -314,9 +277,9 @@ def march(lanes: Lanes, state: State, inputs: LaneInputs) -> March:
     return march_compiled(compiled, lanes, state, inputs)
 
 
-def march_numpy(lanes: Lanes, state: State, inputs: LaneInputs) -> March:
+def march_numpy(lanes: Lanes, state: State, inputs: LaneInputs) -> LaneResult:
     """March *lanes* from *state* under *inputs* with whole-array steps."""
-    march = empty_march(lanes, state, inputs)
+    done = LaneResult(lanes, state, inputs)
     varies = lanes.friction_varies
     row_kept = 0
     for i, dt in enumerate(inputs.step_s.tolist()):
@@ -327,17 +290,17 @@ def march_numpy(lanes: Lanes, state: State, inputs: LaneInputs) -> March:
                 lanes, state, row.speed_ms, row.pressure_pa
             )
             row = _with_friction(row, factor, inputs.corners_per_car)
-        march.friction[i] = factor
-        march.power_w[i] = row.power_w
+        done.friction[i] = factor
+        done.power_w[i] = row.power_w
         state, gained, lost = _step(lanes, state, row, dt)
-        march.heat_in_j += gained
-        march.heat_out_j += lost
+        done.heat_in_j += gained
+        done.heat_out_j += lost
         if inputs.keep[i]:
-            march.chain_k[row_kept] = state.chain_k
-            march.lump_k[row_kept] = state.lump_k
+            done.chain_k[row_kept] = state.chain_k
+            done.lump_k[row_kept] = state.lump_k
             row_kept += 1
-    march.state = state
-    return march
+    done.state = state
+    return done
 
 
 def _with_friction(row: Inputs, factor: Array, per_car: int) -> Inputs:

@@ -19,10 +19,8 @@ from bstm_daemon.simulation.lanes import BOILING_K, LUMPS, Lanes, start_state
 from bstm_daemon.simulation.parameters import FRONT, UNHEARD_NAMES, DrawnPath
 from bstm_daemon.simulation.reality import (
     extension,
-    lane_result,
     march_compiled,
     march_numpy,
-    total_energy,
 )
 from bstm_daemon.simulation.vehicle import NOMINAL
 
@@ -98,11 +96,8 @@ def test_energy_balance_closes_for_every_effect(lane_inputs: Inputs) -> None:
     corners = [FRONT] * (len(effects) - 1) + [replace(FRONT, **WILD)]
     lanes = Lanes(corners, effects, Mesh())
     state = start_state(lanes, np.full(len(effects), 320.0))
-    before = total_energy(state)
 
-    result = lane_result(
-        lanes, march_numpy(lanes, state, inputs), inputs, before
-    )
+    result = march_numpy(lanes, state, inputs)
 
     assert result.heat_in_j.min() > 1e6
     assert np.abs(result.balance_residual).max() < 1e-11
