@@ -96,20 +96,23 @@ def _car_stood(channels: Channels, turning: Column) -> bool:
     """Whether the accelerometer shows no motion while wheels turn."""
     if not channels.alive(["acceleration_longitudinal"]):
         return False
-    rate = difference_quotient(turning)
-    accel_measured = channels.acceleration()
-    both = np.isfinite(rate) & np.isfinite(accel_measured)
-    rate, accel_measured = rate[both], accel_measured[both]
+    return feels_nothing(difference_quotient(turning), channels.acceleration())
+
+
+def feels_nothing(rate_ms2: Column, accel_ms2: Column) -> bool:
+    """Whether an accelerometer shows none of the changes of speed.
+
+    Args:
+        rate_ms2: dv/dt of wheels that turn, (n,).
+        accel_ms2: what is measured along the car then, (n,).
+    """
+    both = np.isfinite(rate_ms2) & np.isfinite(accel_ms2)
+    rate, accel = rate_ms2[both], accel_ms2[both]
     if len(rate) < 2 or rate.std() < 0.5:
         return False
-    rate, accel_measured = (
-        rate - rate.mean(),
-        accel_measured - accel_measured.mean(),
-    )
-    return bool(
-        abs(float(rate @ accel_measured) / float(rate @ rate))
-        < limits.STAND_RESPONSE
-    )
+    rate, accel = rate - rate.mean(), accel - accel.mean()
+    response = abs(float(rate @ accel) / float(rate @ rate))
+    return response < limits.STAND_RESPONSE
 
 
 class _SpeedContradiction:

@@ -35,6 +35,8 @@ _DISTINCT: Final = 3
 _TRUSTED_SCALE: Final = (0.8, 1.25)
 _ENOUGH_S: Final = 10.0
 
+ON_STAND: Final = "a stand or roller, as the accelerometer shows no motion"
+
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
@@ -61,7 +63,8 @@ class Motion:
     """Speed of the car and its change on one grid, from several signals.
 
     It is the median of the signals; one that stays at zero while others move
-    does not count. ``seen`` marks where the grid is in no gap of them.
+    does not count. ``seen`` marks where the grid is in no gap of them,
+    ``on_stand`` is to be set where the wheels turn and the car stands.
     """
 
     def __init__(self, speeds: Mapping[str, Samples]) -> None:
@@ -82,6 +85,7 @@ class Motion:
         for one in speeds.values():
             self.seen |= _is_between(self.grid_s, one.time_s)
         self.moving = self.seen & (self.speed_ms > _MOVING_MS)
+        self.on_stand = False
         self.change_ms2: Series = (
             np.gradient(self.smooth(self.speed_ms), step)
             if self.known
@@ -111,8 +115,10 @@ class Motion:
         column = self.on_grid(speed)
         if column.max(initial=0.0) <= _MOVED_MS:
             there = "while other speeds move" if self.known else "throughout"
+            if self.on_stand:
+                there += f": {ON_STAND}"
             return Verdict(
-                fits=not self.known,
+                fits=self.on_stand or not self.known,
                 reason=f"at most {column.max(initial=0.0):.2g} m/s {there}",
             )
         if not self.moving.any():
@@ -128,6 +134,9 @@ class Motion:
 
         Least squares ``dv/dt = scale * a + offset`` while the car moves.
         """
+        if self.on_stand:
+            words = f"nothing to check it with on {ON_STAND}"
+            return Verdict(fits=True, reason=words)
         if self.moving_s < _ENOUGH_S:
             return Verdict(
                 fits=True, reason="the car moves too little to check it"

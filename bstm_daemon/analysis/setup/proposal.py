@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from bstm_daemon.analysis.quality.frozen import feels_nothing
 from bstm_daemon.analysis.setup.behaviour import Motion, to_ms
 from bstm_daemon.analysis.setup.judging import SPEEDS, Judge, stage_of
 from bstm_daemon.analysis.setup.name_rules import (
@@ -103,6 +104,7 @@ def propose(database: Database, recording: Recording | None) -> Proposal:
             if (_name(one), one.role) not in named
         ]
         motion, radius_m = _motion(matches, recording)
+        motion.on_stand = _on_stand(matches, recording, motion)
         judged = _by_log(
             matches, recording, Judge(motion, radius_m or TYPICAL_RADIUS_M)
         )
@@ -199,6 +201,41 @@ def _motion(
     low, high = _RADIUS_M
     radii = [ratio for ratio in ratios if low < ratio < high]
     return motion, round(float(np.median(radii)), 4) if radii else None
+
+
+def _on_stand(
+    matches: Iterable[NameMatch], recording: Recording, motion: Motion
+) -> bool:
+    """Whether an axle stands while the others turn and the car stays.
+
+    Its wheels would be taken for dead sensors, and its brakes heated. Only a
+    named accelerometer shows it.
+    """
+    values: dict[str, list[Samples]] = {}
+    for one in matches:
+        found = recording.samples.get(_name(one))
+        if found is not None and one.unit and not one.caveat:
+            values.setdefault(one.role, []).append(found)
+
+    def rests(role: str) -> bool:
+        own = values.get(role, [])
+        return bool(own) and all(np.ptp(one.value) == 0.0 for one in own)
+
+    felt = values.get("acceleration_longitudinal", [])
+    return (
+        motion.known
+        and any(
+            rests(f"wheel_speed_{axle}l") and rests(f"wheel_speed_{axle}r")
+            for axle in "fr"
+        )
+        and any(np.ptp(one.value) > 0.0 for one in felt)
+        and all(
+            feels_nothing(
+                motion.change_ms2, motion.smooth(motion.on_grid(one))
+            )
+            for one in felt
+        )
+    )
 
 
 def _by_name(match: NameMatch) -> Candidate:

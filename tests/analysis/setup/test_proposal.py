@@ -107,3 +107,40 @@ def test_a_frame_of_another_length_is_not_ready(make_database: Maker) -> None:
 
     assert "wheel_speed_fl" in proposal.roles()
     assert not proposal.ready("wheel_speed_fl")
+
+
+@pytest.mark.parametrize(
+    ("felt", "stands"),
+    [
+        (0.03 * np.sin(7.0 * TIME_S), True),  # it shakes
+        (1.5 * np.cos(0.3 * TIME_S), False),  # dv/dt: the sensors are dead
+        (np.zeros_like(TIME_S), False),  # a dead accelerometer shows nothing
+    ],
+)
+def test_an_axle_at_rest_on_a_stand_is_no_dead_sensor(
+    make_database: Maker, felt: Series, *, stands: bool
+) -> None:
+    database = make_database(WHEELS, ["LONG_ACCEL m/s2"])
+    values = {("M0", name.split()[0]): SPEED for name in WHEELS}
+    values["M0", "WS_FL"] = values["M0", "WS_FR"] = np.zeros_like(SPEED)
+    values["M1", "LONG_ACCEL"] = felt
+
+    proposal = propose(database, recorded(values))
+
+    assert ("wheel_speed_fl" in proposal.roles()) == stands
+    assert "wheel_speed_rl" in proposal.roles()
+    if stands:
+        by_name = {one.role: one for one in proposal.sure}
+        assert "stand or roller" in by_name["wheel_speed_fr"].reason
+        assert by_name["acceleration_longitudinal"].sign == 1
+
+
+def test_one_wheel_at_rest_is_a_dead_sensor(make_database: Maker) -> None:
+    database = make_database(WHEELS, ["LONG_ACCEL m/s2"])
+    values = {("M0", name.split()[0]): SPEED for name in WHEELS}
+    values["M0", "WS_FL"] = np.zeros_like(SPEED)
+    values["M1", "LONG_ACCEL"] = 0.03 * np.sin(7.0 * TIME_S)
+
+    proposal = propose(database, recorded(values))
+
+    assert "wheel_speed_fl" not in proposal.roles()
