@@ -10,8 +10,7 @@ from bstm_daemon.errors import UsageError
 from bstm_daemon.exchange.fmu_model import corner_program
 from bstm_daemon.files import replacing
 from bstm_daemon.report.json_file import write_json
-from bstm_daemon.report.network import graph_text, network_graph
-from bstm_daemon.report.network_picture import picture
+from bstm_daemon.report.network import graph_text, network_graph, picture
 from bstm_daemon.roles import CORNERS
 from bstm_daemon.watch.terminal_text import visible
 

@@ -18,8 +18,12 @@ from bstm_daemon.config.sections import EffectConfig
 from bstm_daemon.estimator.corner_model import compile_corner
 from bstm_daemon.model.effects.catalogue import effect_class, effect_names
 from bstm_daemon.model.thermal.network import Link, Network, Node, Source
-from bstm_daemon.report.network import Graph, graph_text, network_graph
-from bstm_daemon.report.network_picture import picture
+from bstm_daemon.report.network import (
+    Graph,
+    graph_text,
+    network_graph,
+    picture,
+)
 
 EXAMPLE = Path(__file__).parents[2] / "config" / "example_vehicle.toml"
 SVG = "{http://www.w3.org/2000/svg}"
