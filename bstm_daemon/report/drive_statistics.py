@@ -14,9 +14,10 @@ import numpy as np
 from bstm_daemon.channels import FLAGS
 from bstm_daemon.model.heat.needs import INPUTS
 from bstm_daemon.replay.results import ElapsedTime, Part, Results
-from bstm_daemon.report.findings import FindingCollector, ReasonCollector
-from bstm_daemon.report.stretches import (
+from bstm_daemon.report.findings import (
     STANDING_MS,
+    FindingCollector,
+    ReasonCollector,
     StopFinder,
     Stretches,
     StretchFinder,

@@ -12,7 +12,7 @@ from bstm_daemon.report.drive_statistics import (
     DriveStatistics,
     DriveSummary,
 )
-from bstm_daemon.report.stretches import Stretches
+from bstm_daemon.report.findings import Stretches
 
 SPEED, PRESSURE = FLAGS["speed_missing"], FLAGS["pressure_missing"]
 
