@@ -9,8 +9,7 @@ from math import isfinite, isnan
 from typing import TYPE_CHECKING, Final, TextIO
 
 from bstm_daemon.errors import require_packages
-from bstm_daemon.watch.board import NODES, STATUS
-from bstm_daemon.watch.history import SECOND_US
+from bstm_daemon.watch.board import NODES, SECOND_US, STATUS
 from bstm_daemon.watch.terminal_text import visible
 
 if TYPE_CHECKING:

@@ -15,8 +15,7 @@ from rich.text import Text
 
 from bstm_daemon.bus.output.layout import LAYOUT_VERSION
 from bstm_daemon.estimate import RiskLevel, State, Validity
-from bstm_daemon.watch.board import NODES, STATUS
-from bstm_daemon.watch.history import BARS, HISTORY_S, sparkline
+from bstm_daemon.watch.board import BARS, HISTORY_S, NODES, STATUS, sparkline
 from bstm_daemon.watch.lines import LABELS, number
 from bstm_daemon.watch.terminal_text import visible
 
@@ -30,8 +29,7 @@ if TYPE_CHECKING:
         RenderResult,
     )
 
-    from bstm_daemon.watch.board import Board
-    from bstm_daemon.watch.history import History
+    from bstm_daemon.watch.board import Board, History
 
 _RISK_STYLES: Final = {
     RiskLevel.NORMAL: "green",

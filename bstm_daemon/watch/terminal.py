@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, Final, Self, TextIO
 from rich.console import Console, ConsoleDimensions
 from rich.live import Live
 
-from bstm_daemon.watch.history import ASCII_BARS, BARS
+from bstm_daemon.watch.board import ASCII_BARS, BARS
 from bstm_daemon.watch.lines import LineView
 from bstm_daemon.watch.picture import picture
 

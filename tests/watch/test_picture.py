@@ -14,8 +14,7 @@ from rich.screen import Screen
 from bstm_daemon.bus.output.e2e import protect
 from bstm_daemon.bus.output.layout import data_id_list
 from bstm_daemon.estimate import Input, Reason, State, Validity
-from bstm_daemon.watch.board import Board
-from bstm_daemon.watch.history import ASCII_BARS
+from bstm_daemon.watch.board import ASCII_BARS, Board
 from bstm_daemon.watch.picture import picture
 
 if TYPE_CHECKING:
