@@ -1,6 +1,6 @@
 """Loads, saves and corrects the state of the running service.
 
-:mod:`~bstm_daemon.service.parked_time` computes the parked time from the
+:mod:`~bstm_daemon.service.clock` computes the parked time from the
 clocks. Where the wall clock is synchronised only after the start, the
 parked time is corrected then, once.
 """
@@ -15,8 +15,7 @@ from typing import TYPE_CHECKING, Any, Final
 from bstm_daemon.estimator.memory import StateError
 from bstm_daemon.estimator.state import keep_input_history
 from bstm_daemon.service import events
-from bstm_daemon.service.clock import boot_id
-from bstm_daemon.service.parked_time import Moment, parked_time
+from bstm_daemon.service.clock import Moment, boot_id, parked_time
 from bstm_daemon.service.state_file import load, lock, set_aside, state_path
 from bstm_daemon.service.state_writer import StateWriter
 from bstm_daemon.service.status import StateFileStatus
