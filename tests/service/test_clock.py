@@ -24,9 +24,8 @@ from bstm_daemon.service.clock import (
     wall_clock_ns,
 )
 from bstm_daemon.service.events import ServiceLog
-from bstm_daemon.service.persistence import Persistence
+from bstm_daemon.service.persistence import Outcome, Persistence
 from bstm_daemon.service.state_file import Loaded, StateLock
-from bstm_daemon.service.state_writer import Outcome
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping

@@ -24,8 +24,8 @@ from typing import Any
 
 import pytest
 
+from bstm_daemon.service.persistence import StateWriter
 from bstm_daemon.service.state_file import encode, load, lock, save
-from bstm_daemon.service.state_writer import StateWriter
 
 KILLS = int(os.environ.get("BSTM_SIGKILLS", "8"))
 INTERVAL_S = 0.02
