@@ -34,8 +34,8 @@ from bstm_daemon.fleet.gap import (
     search,
 )
 from bstm_daemon.fleet.lake import Lake, Options
+from bstm_daemon.fleet.learning import write_prior
 from bstm_daemon.fleet.plan import Plan, add_logs
-from bstm_daemon.fleet.priors import write_prior
 from bstm_daemon.fleet.query import ask, shipped
 from bstm_daemon.fleet.run import Run
 from bstm_daemon.fleet.vehicles import Fleet

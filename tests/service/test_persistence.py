@@ -28,7 +28,6 @@ from bstm_daemon.service.state_file import Document, encode, load, read, save
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
-    from pathlib import Path
 
 LONG_S = 60.0
 
