@@ -35,10 +35,9 @@ from bstm_daemon.fleet.gap import (
 )
 from bstm_daemon.fleet.lake import Lake, Options
 from bstm_daemon.fleet.learning import write_prior
-from bstm_daemon.fleet.plan import Plan, add_logs
+from bstm_daemon.fleet.plan import Fleet, Plan, add_logs
 from bstm_daemon.fleet.query import ask, shipped
 from bstm_daemon.fleet.run import Run
-from bstm_daemon.fleet.vehicles import Fleet
 from bstm_daemon.report.fleet import FleetFacts, fleet_page
 from bstm_daemon.report.json_file import write_json
 from bstm_daemon.report.shell import require_page_packages, write_page

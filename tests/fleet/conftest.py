@@ -17,8 +17,7 @@ from bstm_daemon.fleet.lake import (
     hash_of_config,
     program,
 )
-from bstm_daemon.fleet.plan import Plan, add_logs
-from bstm_daemon.fleet.vehicles import Fleet
+from bstm_daemon.fleet.plan import Fleet, Plan, add_logs
 from bstm_daemon.simulation import parse_drive, simulate
 from bstm_daemon.simulation.recorder import Encoder, write_candump
 
