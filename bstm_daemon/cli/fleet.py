@@ -25,7 +25,6 @@ from bstm_daemon.cli.main import main
 from bstm_daemon.cli.progress import Progress
 from bstm_daemon.errors import StateLockedError, require_packages
 from bstm_daemon.files import make_folder, replacing
-from bstm_daemon.fleet.cluster import connect, require_fleet
 from bstm_daemon.fleet.gap import (
     cars_of,
     failures_of,
@@ -37,7 +36,7 @@ from bstm_daemon.fleet.lake import Lake, Options
 from bstm_daemon.fleet.learning import write_prior
 from bstm_daemon.fleet.plan import Fleet, Plan, add_logs
 from bstm_daemon.fleet.query import ask, shipped
-from bstm_daemon.fleet.run import Run
+from bstm_daemon.fleet.run import Run, connect, require_fleet
 from bstm_daemon.report.fleet import FleetFacts, fleet_page
 from bstm_daemon.report.json_file import write_json
 from bstm_daemon.report.shell import require_page_packages, write_page
