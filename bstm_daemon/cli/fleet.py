@@ -32,10 +32,9 @@ from bstm_daemon.fleet.gap import (
     groups_of,
     search,
 )
-from bstm_daemon.fleet.lake import Lake, Options
+from bstm_daemon.fleet.lake import Lake, Options, ask, shipped
 from bstm_daemon.fleet.learning import write_prior
 from bstm_daemon.fleet.plan import Fleet, Plan, add_logs
-from bstm_daemon.fleet.query import ask, shipped
 from bstm_daemon.fleet.run import Run, connect, require_fleet
 from bstm_daemon.report.fleet import FleetFacts, fleet_page
 from bstm_daemon.report.json_file import write_json

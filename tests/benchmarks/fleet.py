@@ -32,9 +32,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from bstm_daemon.cli.main import main
-from bstm_daemon.fleet.lake import Lake, Options, Receipt
+from bstm_daemon.fleet.lake import Lake, Options, Receipt, ask
 from bstm_daemon.fleet.plan import Plan
-from bstm_daemon.fleet.query import ask
 from bstm_daemon.fleet.run import Run
 from bstm_daemon.simulation import load_drive, parse_drive, simulate
 from bstm_daemon.simulation.recorder import Encoder, write_candump

@@ -9,7 +9,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from bstm_daemon.errors import FileAccessError, UsageError
-from bstm_daemon.fleet.query import ask, shipped
+from bstm_daemon.fleet.lake import ask, shipped
 
 if TYPE_CHECKING:
     from collections.abc import Callable
