@@ -37,7 +37,6 @@ from bstm_daemon.service.state_file import safe_name
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
-    from pathlib import Path
 
     from bstm_daemon.bus.signals.signal_map import SignalMap
     from bstm_daemon.fleet.lake import Lake

@@ -28,7 +28,6 @@ from bstm_daemon.fleet.lake import hash_of_config, program
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
-    from pathlib import Path
 
     from bstm_daemon.fleet.lake import Drive, Lake, Options, Receipt
     from bstm_daemon.fleet.plan import Plan
