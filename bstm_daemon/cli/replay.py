@@ -50,9 +50,9 @@ from bstm_daemon.report.screen import summary_table
 from bstm_daemon.report.timescale import clock
 from bstm_daemon.service.state_file import encode, save
 from bstm_daemon.watch.board import Board
-from bstm_daemon.watch.lines import open_view
 from bstm_daemon.watch.replay_view import DEFAULT_SPEED, watch_log
 from bstm_daemon.watch.terminal_text import raw_stream
+from bstm_daemon.watch.view import open_view
 
 if TYPE_CHECKING:
     import argparse

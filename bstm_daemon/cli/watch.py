@@ -14,9 +14,9 @@ from bstm_daemon.config.sections import BusConfig
 from bstm_daemon.config.service import PublishConfig
 from bstm_daemon.errors import ConfigError
 from bstm_daemon.watch.board import Board
-from bstm_daemon.watch.lines import open_view
 from bstm_daemon.watch.live import link_of, watch_link
 from bstm_daemon.watch.terminal_text import raw_stream
+from bstm_daemon.watch.view import open_view
 
 if TYPE_CHECKING:
     import argparse

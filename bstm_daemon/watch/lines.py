@@ -1,20 +1,16 @@
-"""The board as lines of text, or on a screen where there is one."""
+"""The board as lines of text."""
 
 from __future__ import annotations
 
-import os
 import time
 from contextlib import AbstractContextManager
 from math import isfinite, isnan
 from typing import TYPE_CHECKING, Final, TextIO
 
-from bstm_daemon.errors import require_packages
 from bstm_daemon.watch.board import NODES, SECOND_US, STATUS
 from bstm_daemon.watch.terminal_text import visible
 
 if TYPE_CHECKING:
-    from typing import TextIO
-
     from bstm_daemon.watch.board import Board
 
 LABELS: Final = dict(
@@ -107,26 +103,3 @@ def _of_corner(board: Board, now_us: int, name: str) -> list[tuple[str, str]]:
         (f"{name}.validity", "silent" if silent else validity),
         (f"{name}.reasons", ",".join(board.reasons(name).words) or "-"),
     ]
-
-
-_NO_SCREEN: Final = ("dumb", "unknown")
-"""Values of ``TERM`` for terminals that cannot move the cursor."""
-
-
-def open_view(stream: TextIO) -> LineView:
-    """Return a screen where *stream* is a terminal, lines elsewhere.
-
-    ``NO_COLOR`` in the environment means a screen without colours.
-
-    Raises:
-        MissingExtraError: a screen needs rich, which is not installed.
-    """
-    if not stream.isatty() or os.environ.get("TERM") in _NO_SCREEN:
-        return LineView(stream)
-    purpose = "the view on a terminal (| cat gives lines without it)"
-    require_packages("rich", extra="terminal", purpose=purpose)
-    from bstm_daemon.watch.terminal import (  # noqa: PLC0415  (POSIX, rich)
-        TerminalView,
-    )
-
-    return TerminalView(stream, use_color=not os.environ.get("NO_COLOR"))

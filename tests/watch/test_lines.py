@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import io
-import os
-import sys
 from typing import TYPE_CHECKING
 
 import pytest
 
-from bstm_daemon.errors import MissingExtraError
 from bstm_daemon.estimate import Input, Reason, Validity
-from bstm_daemon.watch.lines import LineView, number, open_view, text_line
+from bstm_daemon.watch.lines import LineView, number, text_line
 
 if TYPE_CHECKING:
     from bstm_daemon.watch.board import Board
@@ -83,31 +80,3 @@ def test_nothing_yet_and_silence(board: Board, sender: Sender) -> None:
 )
 def test_number(value: float, text: str) -> None:
     assert number(value) == text
-
-
-def test_what_is_no_terminal_gets_lines() -> None:
-    assert isinstance(open_view(io.StringIO()), LineView)
-
-
-def test_a_terminal_that_cannot_move_its_cursor_gets_lines(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    master, slave = os.openpty()
-    monkeypatch.setenv("TERM", "dumb")
-
-    with os.fdopen(slave, "w") as stream:
-        assert type(open_view(stream)) is LineView
-    os.close(master)
-
-
-def test_a_screen_needs_rich(monkeypatch: pytest.MonkeyPatch) -> None:
-    master, slave = os.openpty()
-    monkeypatch.setenv("TERM", "xterm")
-    monkeypatch.setitem(sys.modules, "rich", None)
-
-    with (
-        os.fdopen(slave, "w") as stream,
-        pytest.raises(MissingExtraError, match=r"bstm-daemon\[terminal\]"),
-    ):
-        open_view(stream)
-    os.close(master)

@@ -55,7 +55,7 @@ from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.replay.frames import publications
 from bstm_daemon.watch.board import Board
 from bstm_daemon.watch.replay_view import watch_log
-from bstm_daemon.watch.lines import open_view
+from bstm_daemon.watch.view import open_view
 config, signal_map = load_vehicle(Path(sys.argv[1]))
 ticks = publications(config, signal_map, Path(sys.argv[2]))
 board = Board(config.publish.id_base)
