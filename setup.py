@@ -17,24 +17,29 @@ from setuptools.command.build_ext import build_ext
 
 ROOT = Path(__file__).resolve().parent
 
-# the package as it lies here, without what it looks up once installed
+# the packages as they lie here, without what they look up once installed
 sys.path.insert(0, str(ROOT))
-package = ModuleType("bstm_daemon")
-package.__path__ = [str(ROOT / "bstm_daemon")]
-sys.modules["bstm_daemon"] = package
+for name in ("bstm_daemon", "bstm_daemon.simulation"):
+    package = ModuleType(name)
+    package.__path__ = [str(ROOT / name.replace(".", "/"))]
+    sys.modules[name] = package
 sources = import_module("bstm_daemon.native.sources")
+HEADERS = {
+    "generated.h": "bstm_daemon.model.compiled",
+    "reality.h": "bstm_daemon.simulation.header",
+}
 
 
 class BuildExt(build_ext):
-    """Writes the header first, and compiles always: C depends on Python."""
+    """Writes the headers first, and compiles always: C depends on Python."""
 
     def run(self) -> None:
         """Build all modules."""
-        compiled = import_module("bstm_daemon.model.compiled")
         folder = Path(self.build_temp)
         folder.mkdir(parents=True, exist_ok=True)
-        header = folder / "generated.h"
-        header.write_text(compiled.generated_header(), encoding="utf-8")
+        for name, module in HEADERS.items():
+            text = import_module(module).generated_header()
+            (folder / name).write_text(text, encoding="utf-8")
         self.include_dirs.append(str(folder))
         self.force = True
         super().run()

@@ -13,28 +13,38 @@ from typing import Final
 
 PACKAGE: Final = Path(__file__).resolve().parents[1]
 
-TABLES: Final = (
-    "channels",
-    "roles",
-    "units",
-    "model.heat.check_rules",
-    "model.heat.friction_law",
-    "model.heat.fusion",
-    "model.heat.inputs",
-    "model.heat.learned",
-    "model.heat.memory",
-    "model.heat.observer",
-    "model.heat.observer_faults",
-    "model.heat.observer_rules",
-    "model.heat.readings",
-    "model.heat.sample_pass",
-    "model.heat.sample_plan",
-    "model.thermal.program",
-    "model.thermal.reference",
-    "native.header",
-    "native.layout",
-)
-"""Python modules that the generated header is written from."""
+TABLES: Final = {
+    "native._kernel": (
+        "channels",
+        "roles",
+        "units",
+        "model.heat.check_rules",
+        "model.heat.friction_law",
+        "model.heat.fusion",
+        "model.heat.inputs",
+        "model.heat.learned",
+        "model.heat.memory",
+        "model.heat.observer",
+        "model.heat.observer_faults",
+        "model.heat.observer_rules",
+        "model.heat.readings",
+        "model.heat.sample_pass",
+        "model.heat.sample_plan",
+        "model.thermal.program",
+        "model.thermal.reference",
+        "native.header",
+        "native.layout",
+    ),
+    "simulation._reality": (
+        "native.header",
+        "native.layout",
+        "simulation.header",
+        "simulation.parameters",
+        "simulation.sizes",
+        "units",
+    ),
+}
+"""Python modules that a generated header is written from, by module."""
 
 SOURCES: Final = {
     "native._kernel": (
@@ -70,8 +80,8 @@ def digest(module: str) -> str:
     paths = [PACKAGE / source for source in SOURCES[module]]
     folders = {path.parent for path in paths}
     paths += [path for folder in folders for path in folder.glob("*.h")]
-    if module == "native._kernel":
-        paths += [PACKAGE / f"{t.replace('.', '/')}.py" for t in TABLES]
+    tables = TABLES.get(module, ())
+    paths += [PACKAGE / f"{t.replace('.', '/')}.py" for t in tables]
     found = sha256()
     for path in sorted(paths):
         found.update(path.read_bytes())

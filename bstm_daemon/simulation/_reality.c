@@ -59,7 +59,7 @@ static double euler(const Corner *c, const State *s, const Paths *h,
 {
     const int n = c->nodes, surface = c->surface;
     const int ports[PORTS] = {0, surface, n - 1};
-    const double ambient = in[AMBIENT];
+    const double ambient = in[IN_AMBIENT_K];
     double x[SIDES][MAX_NODES][1 + PORTS];
     double matrix[LUMPS][LUMPS], lump_x[LUMPS];
 
@@ -164,10 +164,10 @@ static double pyrolyse(const Corner *c, State *s, double dt)
         for (int i = 0; i < c->pads; i++) {
             double *done = &s->charred[side][i];
             double *t = &s->t[side][1 + i];
-            double rate = 2.0e5 * exp(-1.15e4 / *t);
+            double rate = PYROLYSIS_RATE_S * exp(-PYROLYSIS_ACTIVATION_K / *t);
             double reacted = -(1.0 - *done) * expm1(-rate * dt);
             double kg = pad_kg(c, s, side, i);
-            double taken = c->p.pad_pyrolysis * 2.0e5 * kg * reacted;
+            double taken = c->p.pad_pyrolysis * PYROLYSIS_J_KG * kg * reacted;
             *done += reacted;
             s->e[side][1 + i] -= taken;
             *t -= taken / (kg * lining_cp(&c->p, *t));
@@ -182,10 +182,11 @@ static double wear(const Corner *c, State *s, double friction_j)
     double total = 0.0;
     for (int side = 0; side < SIDES; side++) {
         double *e = s->e[side] + 1;
-        double above = fmax(s->t[side][c->surface - 1] - 593.15, 0.0);
-        double loss_m = p->pad_wear * (1e-3 / 6.0e7) * friction_j
-                        * exp(fmin(above, 400.0) / 120.0);
-        loss_m = fmin(loss_m, fmax(s->pad_m[side] - 1.0e-3, 0.0));
+        double front = s->t[side][c->surface - 1];
+        double above = fmax(front - WEAR_RISE_FROM_K, 0.0);
+        double loss_m = p->pad_wear * WEAR_M_PER_J * friction_j
+                        * exp(fmin(above, WEAR_RISE_MOST_K) / WEAR_RISE_K);
+        loss_m = fmin(loss_m, fmax(s->pad_m[side] - LAST_M, 0.0));
         double kg = p->pad_density_kg_m3 * p->pad_area_m2 * loss_m;
         double brought = 0.0;
         double old[MAX_NODES];
@@ -214,15 +215,16 @@ static double friction_factor(const Corner *c, const State *s, double v,
     double t = (s->t[0][j - 1] + s->t[0][j] + s->t[1][j - 1] + s->t[1][j])
                / 4;
     double fade = 1.0
-                  - 0.30 * p->friction_fade
-                        / (1.0 + exp((703.15 - t) / 45.0));
-    double speed = (v - 10.0) / (v + 10.0);
-    double press = (pressure - 1.0e6) / (pressure + 2.0e6);
-    double bedded = s->friction_j / (s->friction_j + 4.0e6);
-    return fmax(fade * (1.0 - 0.18 * p->friction_speed * speed)
-                    * (1.0 - 0.15 * p->friction_pressure * press)
-                    * (1.0 - 0.25 * p->friction_history * bedded),
-                0.05);
+                  - FADE_DEPTH * p->friction_fade
+                        / (1.0 + exp((FADE_CENTRE_K - t) / FADE_WIDTH_K));
+    double speed = (v - REFERENCE_SPEED_MS) / (v + REFERENCE_SPEED_MS);
+    double press = (pressure - REFERENCE_PRESSURE_PA)
+                   / (pressure + 2 * REFERENCE_PRESSURE_PA);
+    double bedded = s->friction_j / (s->friction_j + BEDDING_J);
+    return fmax(fade * (1.0 - SPEED_FALL * p->friction_speed * speed)
+                    * (1.0 - PRESSURE_FALL * p->friction_pressure * press)
+                    * (1.0 - BEDDING_FALL * p->friction_history * bedded),
+                LEAST_FACTOR);
 }
 
 static void step(const Corner *c, State *s, const double *in, double dt,
@@ -258,9 +260,6 @@ static void step(const Corner *c, State *s, const double *in, double dt,
 
 /* -- a batch ------------------------------------------------------------ */
 
-#define NAME(name) #name " "
-static const char parameter_names[] = PARAMETERS(NAME);
-
 typedef struct {
     Py_ssize_t lanes, steps, per_car;
     int varies;
@@ -277,13 +276,13 @@ static void share_demand(Batch *b, const double *factors)
     for (Py_ssize_t car = 0; car + b->per_car <= b->lanes; car += b->per_car) {
         double demanded = 0.0, reached = 0.0;
         for (Py_ssize_t i = car; i < car + b->per_car; i++) {
-            demanded += b->now[i * INPUTS + POWER] / factors[i];
-            reached += b->now[i * INPUTS + POWER];
+            demanded += b->now[i * INPUTS + IN_POWER_W] / factors[i];
+            reached += b->now[i * INPUTS + IN_POWER_W];
         }
         double scale = reached > 0.0 ? demanded / reached : 1.0;
         for (Py_ssize_t i = car; i < car + b->per_car; i++) {
-            b->now[i * INPUTS + POWER] *= scale;
-            b->now[i * INPUTS + PRESSURE] *= scale;
+            b->now[i * INPUTS + IN_POWER_W] *= scale;
+            b->now[i * INPUTS + IN_PRESSURE_PA] *= scale;
         }
     }
 }
@@ -298,9 +297,9 @@ static void advance(Batch *b, Py_ssize_t i)
         factors[lane] = 1.0;
         if (b->varies) {
             factors[lane] = friction_factor(&b->corners[lane],
-                                            &b->states[lane], in[SPEED],
-                                            in[PRESSURE]);
-            in[POWER] *= factors[lane];
+                                            &b->states[lane], in[IN_SPEED_MS],
+                                            in[IN_PRESSURE_PA]);
+            in[IN_POWER_W] *= factors[lane];
         }
     }
     if (b->varies && b->per_car)
@@ -308,7 +307,7 @@ static void advance(Batch *b, Py_ssize_t i)
     for (Py_ssize_t lane = 0; lane < b->lanes; lane++) {
         const double *in = b->now + lane * INPUTS;
         b->friction[i * b->lanes + lane] = factors[lane];
-        b->power[i * b->lanes + lane] = in[POWER];
+        b->power[i * b->lanes + lane] = in[IN_POWER_W];
         step(&b->corners[lane], &b->states[lane], in, b->step_s[i],
              &b->ledger[lane], &b->ledger[b->lanes + lane]);
     }
@@ -430,9 +429,7 @@ PyMODINIT_FUNC PyInit__reality(void)
 {
     PyObject *made = PyModule_Create(&module);
     if (made != NULL
-        && (PyModule_AddStringConstant(made, "SOURCES", BSTM_SOURCES) < 0
-            || PyModule_AddStringConstant(made, "PARAMETERS",
-                                          parameter_names) < 0))
+        && PyModule_AddStringConstant(made, "SOURCES", BSTM_SOURCES) < 0)
         Py_CLEAR(made);
     return made;
 }

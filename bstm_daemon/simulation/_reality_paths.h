@@ -6,85 +6,39 @@
 #include <stdint.h>
 #include <string.h>
 
-/* rows of the parameter table: must be lanes.PARAMETER_NAMES */
-#define PARAMETERS(X) \
-    X(piston_area_m2) X(piston_count) X(efficiency) \
-    X(friction_coefficient) X(effective_radius_m) X(piston_side_share) \
-    X(ring_mass_kg) \
-    X(face_area_m2) X(cheek_thickness_m) X(iron_density_kg_m3) \
-    X(face_air_area_m2) X(vent_area_m2) X(vent_bridge_area_m2) \
-    X(face_emissivity) X(vent_emissivity) X(vent_opening_area_m2) \
-    X(natural_convection_w_m2k) X(parked_vent_fraction) \
-    X(forced_face_w_m2k) X(forced_vent_w_m2k) X(forced_exponent) \
-    X(pad_area_m2) X(pad_thickness_m) X(pad_density_kg_m3) \
-    X(pad_heat_capacity_j_kgk) X(pad_conductivity_w_mk) \
-    X(pad_emissivity) X(backplate_area_m2) X(backplate_thickness_m) \
-    X(shim_resistance_m2k_w) X(hammerhead_forced_w_k) \
-    X(piston_capacity_j_k) X(fluid_capacity_j_k) X(body_capacity_j_k) \
-    X(finger_capacity_j_k) X(bracket_capacity_j_k) X(hat_capacity_j_k) \
-    X(hub_capacity_j_k) X(air_capacity_j_k) X(caliper_natural_w_k) \
-    X(caliper_forced_w_k) \
-    X(iron_slope_j_kgk2) X(pad_capacity_slope_j_kgk2) \
-    X(pad_conductivity_slope_1_k) X(wheel_radius_m) \
-    X(friction_fade) X(friction_speed) X(friction_pressure) \
-    X(friction_history) X(pushout_pressure) X(hydraulic_lag) \
-    X(residual_drag) X(contact_conductance) X(gap_conduction) \
-    X(disc_capacity_hot) X(disc_radiation_driving) X(convection_exponent) \
-    X(local_air) X(hub_conduction) X(wet_disc) X(disc_wear) X(disc_hat) \
-    X(pad_conductivity) X(pad_capacity) X(pad_pyrolysis) X(pad_wear) \
-    X(backplate_loss) X(bracket_conduction) X(caliper_bypass) \
-    X(shim_contact) X(disc_caliper_radiation) X(caliper_fluid_split) \
-    X(caliper_radiation) X(fluid_exchange) X(fluid_latent_heat) \
-    X(thermocouple_offset) X(thermocouple_lag) X(accelerometer_bias) \
-    X(mass_error) X(brake_share) X(powertrain_torque_error) \
-    X(ambient_heat_soak) \
-    X(dust_shield) X(brake_duct) X(damper_heat)
-
-/* parameters.DrawnPath */
-typedef struct {
-    double start, end, conductance, speed_exponent, heat_exponent, onset_k,
-        width_k, band_ms, band_width_ms, contact;
-} DrawnPath;
-#define DRAWN 3
-
-#define MEMBER(name) double name;
-typedef struct { PARAMETERS(MEMBER) DrawnPath drawn[DRAWN]; } Parameters;
-
-static const double ZERO_K = 293.15;
+#include "reality.h"
 
 /* -- materials ---------------------------------------------------------- */
-
-static const double A = 354.96, B = 535.518, C = -592.287, D = 511.852,
-                    E = -1.20346;
-static const double CURIE_K = 1030.0, CURIE_WIDTH_K = 42.0,
-                    CURIE_PEAK = 480.0;
-static const double RISE = 420.0, SCALE_K = 250.0;
 
 static double iron_cp(const Parameters *p, double k)
 {
     double t = k * 1e-3, bump = p->disc_capacity_hot;
-    double cp = A + t * (B + t * (C + t * D)) + E / (t * t);
+    const double *const a = SHOMATE;
+    double cp = a[0] + t * (a[1] + t * (a[2] + t * a[3])) + a[4] / (t * t);
     if (bump != 0.0) {
         double x = tanh((k - CURIE_K) / CURIE_WIDTH_K);
-        cp += bump * CURIE_PEAK * (1.0 - x * x);
+        cp += bump * CURIE_PEAK_J_KGK * (1.0 - x * x);
     }
-    return cp + p->iron_slope_j_kgk2 * (k - ZERO_K);
+    return cp + p->iron_slope_j_kgk2 * (k - REFERENCE_K);
 }
 
 static double shomate(double k)
 {
+    const double *const a = SHOMATE;
     double t = k * 1e-3;
-    return 1e3 * (t * (A + t * (B / 2 + t * (C / 3 + t * (D / 4)))) - E / t);
+    return 1e3 * (t * (a[0] + t * (a[1] / 2 + t * (a[2] / 3 + t * (a[3] / 4))))
+                  - a[4] / t);
 }
 
 static double iron_h(const Parameters *p, double k)
 {
-    double h = shomate(k) - shomate(ZERO_K), bump = p->disc_capacity_hot;
+    double h = shomate(k) - shomate(REFERENCE_K), bump = p->disc_capacity_hot;
     if (bump != 0.0)
-        h += bump * (CURIE_PEAK * CURIE_WIDTH_K)
+        h += bump * (CURIE_PEAK_J_KGK * CURIE_WIDTH_K)
              * (tanh((k - CURIE_K) / CURIE_WIDTH_K)
-                - tanh((ZERO_K - CURIE_K) / CURIE_WIDTH_K));
-    return h + 0.5 * p->iron_slope_j_kgk2 * (k - ZERO_K) * (k - ZERO_K);
+                - tanh((REFERENCE_K - CURIE_K) / CURIE_WIDTH_K));
+    return h + 0.5 * p->iron_slope_j_kgk2 * (k - REFERENCE_K)
+               * (k - REFERENCE_K);
 }
 
 static double iron_t(const Parameters *p, double h, double t)
@@ -97,22 +51,26 @@ static double iron_t(const Parameters *p, double h, double t)
 static double iron_k(double k)
 {
     double c = fmin(fmax(k - 273.15, 0.0), 700.0);
-    return 53.2454 + c * (-1.16611e-2 + c * (-6.89066e-5 + c * 6.74969e-8));
+    const double *const a = IRON_W_MK;
+    return a[0] + c * (a[1] + c * (a[2] + c * a[3]));
 }
 
 static double lining_k(const Parameters *p, double k)
 {
-    double tilt = p->pad_conductivity_slope_1_k * (k - ZERO_K), risen = 0.0;
+    double tilt = p->pad_conductivity_slope_1_k * (k - REFERENCE_K);
+    double risen = 0.0;
     if (p->pad_conductivity != 0.0)
-        risen = 0.25 * p->pad_conductivity * tanh((k - 500.0) / 150.0);
+        risen = LINING_K_RISE * p->pad_conductivity
+                * tanh((k - LINING_K_CENTRE_K) / LINING_K_WIDTH_K);
     return p->pad_conductivity_w_mk * (1.0 + risen + tilt);
 }
 
 static double lining_cp(const Parameters *p, double k)
 {
-    double dt = k - ZERO_K, risen = 0.0;
+    double dt = k - REFERENCE_K, risen = 0.0;
     if (p->pad_capacity != 0.0)
-        risen = p->pad_capacity * RISE * -expm1(-dt / SCALE_K);
+        risen = p->pad_capacity * LINING_CP_RISE_J_KGK
+                * -expm1(-dt / LINING_CP_SCALE_K);
     return p->pad_heat_capacity_j_kgk + risen
            + p->pad_capacity_slope_j_kgk2 * dt;
 }
@@ -120,12 +78,13 @@ static double lining_cp(const Parameters *p, double k)
 static double lining_t(const Parameters *p, double h, double t)
 {
     if (p->pad_capacity == 0.0 && p->pad_capacity_slope_j_kgk2 == 0.0)
-        return ZERO_K + h / p->pad_heat_capacity_j_kgk;
+        return REFERENCE_K + h / p->pad_heat_capacity_j_kgk;
     for (int i = 0; i < 2; i++) {
-        double dt = t - ZERO_K;
+        double dt = t - REFERENCE_K;
         double now = p->pad_heat_capacity_j_kgk * dt
-                     + p->pad_capacity * RISE
-                           * (dt + SCALE_K * expm1(-dt / SCALE_K))
+                     + p->pad_capacity * LINING_CP_RISE_J_KGK
+                           * (dt + LINING_CP_SCALE_K
+                                       * expm1(-dt / LINING_CP_SCALE_K))
                      + 0.5 * p->pad_capacity_slope_j_kgk2 * dt * dt;
         t += (h - now) / lining_cp(p, t);
     }
@@ -134,20 +93,15 @@ static double lining_t(const Parameters *p, double h, double t)
 
 static double air_k(double k)
 {
-    return 2.64638e-3 * pow(k, 1.5) / (k + 245.4 * pow(10.0, -12.0 / k));
+    const double *const a = SUTHERLAND;
+    return a[0] * pow(k, 1.5) / (k + a[1] * pow(10.0, a[2] / k));
 }
 
 #define MAX_NODES 128
 #define SIDES 2
 #define PORTS 3
 
-enum { CENTRE, HAT, HUB, PISTON, FLUID, BODY, FINGER, BRACKET, AIR, LUMPS };
-/* inputs of a step, the order of the rows */
-enum { SPEED, POWER, PRESSURE, CONTACT, AMBIENT, WETNESS, PUMPING, INPUTS };
-
-static const double SIGMA = 5.670374419e-8;
-
-/* compiled.py has the same layout of both */
+/* reality.py has the same layout of both */
 typedef struct {
     Parameters p;
     double cheek_kg[MAX_NODES], gap_m[MAX_NODES];
@@ -171,9 +125,6 @@ typedef struct {
 } Paths;
 
 /* -- a corner ----------------------------------------------------------- */
-
-static const double BOILING_K = 410.15, BOILING_WIDTH_K = 7.0,
-                    BOILING_J = 8.0e3;
 
 static double pad_weight(const Corner *c, int i)
 {
@@ -217,7 +168,7 @@ static void settle(const Corner *c, State *s)
     const Parameters *p = &c->p;
     for (int side = 0; side < SIDES; side++) {
         double *t = s->t[side], *e = s->e[side];
-        t[0] = ZERO_K + e[0] / c->backplate_j_k;
+        t[0] = REFERENCE_K + e[0] / c->backplate_j_k;
         for (int i = 0; i < c->pads; i++)
             t[1 + i] = lining_t(p, e[1 + i] / pad_kg(c, s, side, i),
                                 t[1 + i]);
@@ -228,7 +179,7 @@ static void settle(const Corner *c, State *s)
     }
     double fluid = s->lump_t[FLUID];
     for (int i = HAT; i < LUMPS; i++)
-        s->lump_t[i] = ZERO_K + s->lump_e[i] / c->lump_j_k[i];
+        s->lump_t[i] = REFERENCE_K + s->lump_e[i] / c->lump_j_k[i];
     s->lump_t[CENTRE] = iron_t(p, s->lump_e[CENTRE] / c->centre_kg,
                                s->lump_t[CENTRE]);
     if (p->fluid_latent_heat != 0.0) {
@@ -236,7 +187,8 @@ static void settle(const Corner *c, State *s)
         double sensible = c->lump_j_k[FLUID];
         for (int i = 0; i < 4; i++) {
             double x = tanh((fluid - BOILING_K) / BOILING_WIDTH_K);
-            double stored = sensible * (fluid - ZERO_K) + latent * (1 + x);
+            double stored = sensible * (fluid - REFERENCE_K)
+                            + latent * (1 + x);
             double slope = sensible + latent / BOILING_WIDTH_K * (1 - x * x);
             fluid += (s->lump_e[FLUID] - stored) / slope;
         }
@@ -272,14 +224,15 @@ static void chain_links(const Corner *c, const State *s, const double *in,
                          - 1.0);
     double contact = 0.0;
     if (p->contact_conductance != 0.0)
-        contact = p->contact_conductance * in[CONTACT] * p->pad_area_m2
-                  * 360.0 * in[PRESSURE] / (in[PRESSURE] + 2.0e6);
+        contact = p->contact_conductance * in[IN_CONTACT] * p->pad_area_m2
+                  * CONTACT_W_M2K * in[IN_PRESSURE_PA]
+                  / (in[IN_PRESSURE_PA] + CONTACT_PA);
     for (int side = 0; side < SIDES; side++) {
         const double *t = s->t[side];
         double *link = h->link[side];
         double column = p->pad_area_m2 / (s->pad_m[side] / (c->pads - 1));
         link[0] = p->backplate_area_m2
-                  / (p->backplate_thickness_m / (2 * 48.0));
+                  / (p->backplate_thickness_m / (2 * STEEL_CONDUCTIVITY_W_MK));
         for (int i = 1; i < c->pads; i++)
             link[i] = lining_k(p, (t[i] + t[i + 1]) / 2) * column;
         for (int i = 0; i + 1 < c->cheeks; i++) {
@@ -290,15 +243,12 @@ static void chain_links(const Corner *c, const State *s, const double *in,
         double front = t[c->surface - 1], surface = t[c->surface];
         double across = radiation(front, surface, grey * p->pad_area_m2);
         if (p->gap_conduction != 0.0)
-            across += p->gap_conduction * (1.0 - in[CONTACT])
+            across += p->gap_conduction * (1.0 - in[IN_CONTACT])
                       * p->pad_area_m2 * air_k((front + surface) / 2)
-                      / 3.0e-4;
+                      / GAP_M;
         link[c->surface - 1] = across + contact;
     }
 }
-
-/* torque of a pad that drags, of a cold caliper and of a hot one */
-static const double DRAG_COLD_NM = 1.5, DRAG_HOT_NM = 3.5, DRAG_K = 80.0;
 
 static void sources(const Corner *c, const State *s, const double *in,
                     Paths *h)
@@ -306,11 +256,11 @@ static void sources(const Corner *c, const State *s, const double *in,
     const Parameters *p = &c->p;
     int surface = c->surface, front = surface - 1;
     memset(h->source, 0, sizeof h->source);
-    double warm = fmax((s->t[0][0] + s->t[1][0]) / 2 - ZERO_K, 0.0);
+    double warm = fmax((s->t[0][0] + s->t[1][0]) / 2 - REFERENCE_K, 0.0);
     double drag_nm = DRAG_COLD_NM - DRAG_HOT_NM * expm1(-warm / DRAG_K);
-    h->heat_in = in[POWER]
-                 + (1.0 - in[CONTACT]) * p->residual_drag * drag_nm
-                       * in[SPEED] / p->wheel_radius_m;
+    h->heat_in = in[IN_POWER_W]
+                 + (1.0 - in[IN_CONTACT]) * p->residual_drag * drag_nm
+                       * in[IN_SPEED_MS] / p->wheel_radius_m;
     for (int side = 0; side < SIDES; side++) {
         double tf = s->t[side][front], ts = s->t[side][surface];
         double pad = p->pad_area_m2
@@ -324,11 +274,13 @@ static void sources(const Corner *c, const State *s, const double *in,
                                          : p->piston_side_share);
         h->source[side][front] = to_pad * heat;
         h->source[side][surface] = (1.0 - to_pad) * heat;
-        if (p->wet_disc != 0.0 && in[WETNESS] != 0.0) {
-            double spray = 5.0e-5 + 1.2e-5 * in[SPEED];
-            double above = fmax(ts - in[AMBIENT], 0.0);
-            h->source[side][surface] -= p->wet_disc * in[WETNESS] * spray
-                                        * 2.4e6 * -expm1(-above / 70.0) / 2;
+        if (p->wet_disc != 0.0 && in[IN_WETNESS] != 0.0) {
+            double spray = SPRAY_STILL_KG_S
+                           + SPRAY_KG_S_PER_MS * in[IN_SPEED_MS];
+            double above = fmax(ts - in[IN_AMBIENT_K], 0.0);
+            h->source[side][surface] -= p->wet_disc * in[IN_WETNESS] * spray
+                                        * EVAPORATION_J_KG
+                                        * -expm1(-above / SPRAY_K) / 2;
         }
     }
 }
@@ -340,15 +292,16 @@ static void unheard_paths(const Corner *c, const State *s, double v,
     const Parameters *p = &c->p;
     if (p->dust_shield != 0.0) {
         double face = s->t[0][c->surface], body = s->lump_t[BODY];
-        double near = radiation(face, body, 0.27 * 0.03)
-                      + 0.03 * (4.0 + 2.0 * v08);
-        double away = 0.06 * (5.0 + 3.0 * v08), lug = 0.32;
+        double near = radiation(face, body, GREY * FACING_M2)
+                      + FACING_M2 * (FILM_W_M2K + STIRRED_W_M2K * v08);
+        double away = SHEET_M2 * (SHEET_W_M2K + SHEET_BLOWN_W_M2K * v08);
+        double lug = LUG_W_K;
         double share = p->dust_shield / (near + lug + away);
         h->coupling[1][BODY] += share * near * lug;
         h->coupling[1][AIR] += share * near * away;
         join(h->between, BODY, AIR, share * lug * away);
     }
-    h->body_gain = p->damper_heat * 1.5 * v;
+    h->body_gain = p->damper_heat * DAMPER_WS_M * v;
 }
 
 static void drawn_path(const Corner *c, const State *s, const double *in,
@@ -357,13 +310,14 @@ static void drawn_path(const Corner *c, const State *s, const double *in,
     const int ports[PORTS] = {0, c->surface, c->nodes - 1};
     int start = (int)d->start, end = (int)d->end;
     int sides = start < PORTS ? SIDES : 1;
-    double base = d->conductance * pow(in[SPEED] / 20.0, d->speed_exponent);
+    double base = d->conductance_w_k
+                  * pow(in[IN_SPEED_MS] / 20.0, d->speed_exponent);
     if (d->band_ms != 0.0) {
-        double x = (in[SPEED] - d->band_ms) / d->band_width_ms;
+        double x = (in[IN_SPEED_MS] - d->band_ms) / d->band_width_ms;
         base *= exp(-x * x);
     }
     if (d->contact != 0.0)
-        base *= d->contact > 0.0 ? in[CONTACT] : 1.0 - in[CONTACT];
+        base *= d->contact > 0.0 ? in[IN_CONTACT] : 1.0 - in[IN_CONTACT];
     for (int side = 0; side < sides; side++) {
         double t = start < PORTS ? s->t[side][ports[start]]
                                  : s->lump_t[start - PORTS];
@@ -384,20 +338,21 @@ static void find_paths(const Corner *c, const State *s, const double *in,
                        Paths *h)
 {
     const Parameters *p = &c->p;
-    double v = in[SPEED], ambient = in[AMBIENT];
+    double v = in[IN_SPEED_MS], ambient = in[IN_AMBIENT_K];
     double v08 = pow(v, 0.8);
     int surface = c->surface, last = c->nodes - 1;
     chain_links(c, s, in, h);
     sources(c, s, in, h);
     capacities(c, s, h);
 
-    double steeper = 0.45 * p->convection_exponent * (v - 10.0) / (v + 20.0);
+    double steeper = EXPONENT_RISE * p->convection_exponent * (v - 10.0)
+                     / (v + 20.0);
     double forced = pow(v, p->forced_exponent) * fmax(1.0 + steeper, 0.2);
     double natural[SIDES], faces[SIDES];
     for (int side = 0; side < SIDES; side++) {
         double excess = fabs(s->t[side][surface] - s->lump_t[AIR]);
         natural[side] = p->natural_convection_w_m2k
-                        * sqrt(sqrt(fmax(excess, 1.0) / 200.0));
+                        * sqrt(sqrt(fmax(excess, 1.0) / BUOYANCY_K));
         faces[side] = p->face_air_area_m2
                       * mixed(natural[side], p->forced_face_w_m2k * forced);
     }
@@ -407,11 +362,12 @@ static void find_paths(const Corner *c, const State *s, const double *in,
                           p->forced_vent_w_m2k * forced);
 
     memset(h->coupling, 0, sizeof h->coupling);
-    double loose = 0.35 * p->shim_contact * exp(-in[PRESSURE] / 2.0e5);
+    double loose = SHIM_LOOSE * p->shim_contact
+                   * exp(-in[IN_PRESSURE_PA] / SHIM_PA);
     double shim = p->pad_area_m2 / p->shim_resistance_m2k_w
                   * fmax(1.0 - loose, 0.05);
     double to_vanes = c->gap_m[c->cheeks - 1] / p->face_area_m2
-                      + 0.004 / p->vent_bridge_area_m2;
+                      + VENT_HALF_GAP_M / p->vent_bridge_area_m2;
     for (int side = 0; side < SIDES; side++) {
         int behind = side ? FINGER : PISTON, bypass = side ? FINGER : BODY;
         double *back = h->coupling[PORTS * side];
@@ -419,14 +375,16 @@ static void find_paths(const Corner *c, const State *s, const double *in,
         double t_back = s->t[side][0];
         double above = fmax(fabs(t_back - s->lump_t[AIR]), 1.0);
         back[behind] = shim;
-        back[bypass] += 0.25 * p->caliper_bypass * t_back / 400.0;
-        back[BRACKET] = p->bracket_conduction * (0.18 + 0.14 * in[CONTACT]);
+        back[bypass] += BYPASS_W_K * p->caliper_bypass * t_back / BYPASS_K;
+        back[BRACKET] = p->bracket_conduction
+                        * (BRACKET_W_K + BRACKET_BRAKING_W_K * in[IN_CONTACT]);
         back[AIR] = p->hammerhead_forced_w_k * v08
-                    + 0.12 * p->backplate_loss * sqrt(sqrt(above / 100.0));
+                    + BACKPLATE_LOSS_W_K * p->backplate_loss
+                          * sqrt(sqrt(above / BACKPLATE_LOSS_K));
         face[AIR] = faces[side];
         face[bypass] = radiation(
             s->t[side][surface], s->lump_t[bypass],
-            p->face_emissivity * 0.0015 * p->disc_caliper_radiation);
+            p->face_emissivity * VIEW_OF_DISC_M2 * p->disc_caliper_radiation);
         h->coupling[PORTS * side + 2][CENTRE] =
             iron_k(s->t[side][last]) / to_vanes;
     }
@@ -436,16 +394,19 @@ static void find_paths(const Corner *c, const State *s, const double *in,
                            p->caliper_forced_w_k * pow(v, 0.7));
     memset(h->between, 0, sizeof h->between);
     join(h->between, CENTRE, AIR, vent);
-    join(h->between, CENTRE, HAT, 5.0 * p->disc_hat);
-    join(h->between, CENTRE, HUB, 1.0 * p->hub_conduction);
-    join(h->between, HAT, AIR, 0.05 * vent / p->vent_area_m2);
-    join(h->between, PISTON, FLUID, 1.0 / (1.0 / 80.0 + split / 6.0));
-    join(h->between, FLUID, BODY, 1.0 / (1.0 / 80.0 + split / 20.0));
-    join(h->between, BODY, FINGER, 1.0 / (1.0 / 80.0 + split / 2.5));
-    join(h->between, BODY, AIR, 0.6 * caliper);
-    join(h->between, FINGER, AIR, 0.4 * caliper);
+    join(h->between, CENTRE, HAT, HAT_W_K * p->disc_hat);
+    join(h->between, CENTRE, HUB, HUB_W_K * p->hub_conduction);
+    join(h->between, HAT, AIR, HAT_AIR_M2 * vent / p->vent_area_m2);
+    join(h->between, PISTON, FLUID,
+         1.0 / (1.0 / TIGHT_W_K + split / SPLIT_PISTON_W_K));
+    join(h->between, FLUID, BODY,
+         1.0 / (1.0 / TIGHT_W_K + split / SPLIT_BODY_W_K));
+    join(h->between, BODY, FINGER,
+         1.0 / (1.0 / TIGHT_W_K + split / SPLIT_FINGER_W_K));
+    join(h->between, BODY, AIR, BODY_SHARE * caliper);
+    join(h->between, FINGER, AIR, FINGER_SHARE * caliper);
 
-    double slow = v / 2.2;
+    double slow = v / WALKING_MS;
     double rest = 1.0 / (1.0 + slow * slow * slow * slow);
     double radiates = rest
                       + (1.0 - rest) * fmin(p->disc_radiation_driving, 1.0);
@@ -458,18 +419,23 @@ static void find_paths(const Corner *c, const State *s, const double *in,
     out[CENTRE] = radiation(
         s->lump_t[CENTRE], ambient,
         p->vent_emissivity * p->vent_opening_area_m2 * radiates);
-    out[AIR] = 1.0 / (1.0 / 1e5 + p->local_air / (12.0 + 25.0 * v));
-    out[HUB] = 1.2 + 0.1 * v08;
-    out[BRACKET] = 1.0 + 0.12 * v08;
+    out[AIR] = 1.0 / (1.0 / OPEN_AIR_W_K
+                      + p->local_air / (AIR_STILL_W_K + AIR_BLOWN_W_K * v));
+    out[HUB] = HUB_STILL_W_K + HUB_BLOWN_W_K * v08;
+    out[BRACKET] = BRACKET_STILL_W_K + BRACKET_BLOWN_W_K * v08;
     out[BODY] = radiation(s->lump_t[BODY], ambient,
-                          0.9 * 0.030 * p->caliper_radiation);
+                          CALIPER_EMISSIVITY * BODY_AREA_M2
+                              * p->caliper_radiation);
     out[FINGER] = radiation(s->lump_t[FINGER], ambient,
-                            0.9 * 0.020 * p->caliper_radiation);
+                            CALIPER_EMISSIVITY * FINGER_AREA_M2
+                                * p->caliper_radiation);
     out[FLUID] = p->fluid_exchange
-                 * (0.05 + 1.5 * in[PUMPING] / (in[PUMPING] + 3.0e6));
+                 * (LINE_W_K
+                    + PUMPING_W_K * in[IN_PUMPING_PA_S]
+                          / (in[IN_PUMPING_PA_S] + PUMPING_PA_S));
     unheard_paths(c, s, v, v08, h);
     for (int i = 0; i < DRAWN; i++)
-        if (p->drawn[i].conductance != 0.0)
+        if (p->drawn[i].conductance_w_k != 0.0)
             drawn_path(c, s, in, &p->drawn[i], h);
 }
 

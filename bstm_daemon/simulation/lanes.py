@@ -13,16 +13,20 @@ two *chains*, one a side of the disc, and nine *lumps* that both share::
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from bstm_daemon.simulation import materials
+from bstm_daemon.simulation import materials, sizes
 from bstm_daemon.simulation.parameters import (
+    ACTING_NAMES,
+    CORNER_NAMES,
     DRAWN,
     EFFECT_NAMES,
-    UNHEARD_NAMES,
+    LUMPS,
+    PARAMETER_NAMES,
+    PATH_NAMES,
     CornerParameters,
     DrawnPath,
     Effects,
@@ -32,28 +36,7 @@ from bstm_daemon.simulation.parameters import (
 if TYPE_CHECKING:
     from bstm_daemon.simulation.materials import Array
 
-LUMPS: Final = (
-    "centre",
-    "hat",
-    "hub",
-    "piston",
-    "fluid",
-    "body",
-    "finger",
-    "bracket",
-    "air",
-)
-"""Lumps of a corner: vent region of the disc, hat, hub, caliper, air."""
-
 CENTRE, HAT, HUB, PISTON, FLUID, BODY, FINGER, BRACKET, AIR = range(len(LUMPS))
-
-PATH_NAMES: Final = tuple(f.name for f in fields(DrawnPath))
-CORNER_NAMES: Final = tuple(
-    f.name for f in fields(CornerParameters) if f.name != "drawn_paths"
-)
-ACTING_NAMES: Final = (*EFFECT_NAMES, *UNHEARD_NAMES)
-PARAMETER_NAMES: Final = (*CORNER_NAMES, *ACTING_NAMES)
-"""Rows of the parameter table, in order."""
 
 FRICTION_EFFECTS: Final = tuple(
     name for name in EFFECT_NAMES if name.startswith("friction_")
@@ -67,12 +50,6 @@ STEEL_HEAT_CAPACITY_J_KGK: Final = 480.0
 _DISC_WEAR_FRACTION: Final = 0.08
 _PAD_WEAR_M: Final = 0.0045
 _WORN_OUT_M: Final = 0.002
-
-# boiling as a smeared latent heat: a few ml of vapour in a 30 ml gallery; the
-# film on the piston is some 15 K hotter than the bulk and boils at 150 degC
-BOILING_K: Final = 410.15
-BOILING_WIDTH_K: Final = 7.0
-BOILING_J: Final = 8.0e3
 
 DUCT: Final = DrawnPath(
     start=3 + CENTRE,
@@ -99,27 +76,6 @@ class Rows:
 
         def __getattr__(self, name: str) -> Array:
             """Return the row *name*."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Inputs:
-    """Inputs of the corners during one step, each (lanes,) or (1,).
-
-    ``power_w`` is friction power, ``contact`` the fraction of the step with
-    pressed pads, ``pumping_pa_s`` the mean of the absolute pressure rate.
-    """
-
-    speed_ms: Array
-    power_w: Array
-    pressure_pa: Array
-    contact: Array
-    ambient_k: Array
-    wetness: Array
-    pumping_pa_s: Array
-
-
-INPUT_NAMES: Final = tuple(field.name for field in fields(Inputs))
-"""Rows of the inputs of a step, in the order of the compiled form."""
 
 
 class Lanes:
@@ -262,10 +218,10 @@ class Lanes:
             state.lump_k[CENTRE], *self.iron
         )
         if self.boils:
-            x = (state.lump_k[FLUID] - BOILING_K) / BOILING_WIDTH_K
+            x = (state.lump_k[FLUID] - sizes.BOILING_K) / sizes.BOILING_WIDTH_K
             capacity[FLUID] += (
                 self.p.fluid_latent_heat
-                * (BOILING_J / (2 * BOILING_WIDTH_K))
+                * (sizes.BOILING_J / (2 * sizes.BOILING_WIDTH_K))
                 * (1.0 - np.tanh(x) ** 2)
             )
         return capacity
@@ -278,20 +234,19 @@ class Lanes:
         p = self.p
         if not self.variable_pad:
             return (
-                materials.REFERENCE_K
-                + enthalpy_j_kg / p.pad_heat_capacity_j_kgk
+                sizes.REFERENCE_K + enthalpy_j_kg / p.pad_heat_capacity_j_kgk
             )
         return materials.lining_temperature(enthalpy_j_kg, near_k, self.lining)
 
     def fluid_temperature(self, energy_j: Array, near_k: Array) -> Array:
         """Return the temperature [K] of boiling fluid of this energy."""
-        latent = self.p.fluid_latent_heat * (BOILING_J / 2)
+        latent = self.p.fluid_latent_heat * (sizes.BOILING_J / 2)
         sensible = self.lump_j_k[FLUID]
         t = near_k
         for _ in range(2 * materials.NEWTON_STEPS):
-            x = np.tanh((t - BOILING_K) / BOILING_WIDTH_K)
-            stored = sensible * (t - materials.REFERENCE_K) + latent * (1 + x)
-            slope = sensible + latent / BOILING_WIDTH_K * (1 - x * x)
+            x = np.tanh((t - sizes.BOILING_K) / sizes.BOILING_WIDTH_K)
+            stored = sensible * (t - sizes.REFERENCE_K) + latent * (1 + x)
+            slope = sensible + latent / sizes.BOILING_WIDTH_K * (1 - x * x)
             t = t + (energy_j - stored) / slope
         return t
 
@@ -299,9 +254,7 @@ class Lanes:
         """Return the energy of chain and lump nodes [J], 0 at 20 degC."""
         p = self.p
         chain = np.empty_like(state.chain_k)
-        chain[0] = self.backplate_j_k * (
-            state.chain_k[0] - materials.REFERENCE_K
-        )
+        chain[0] = self.backplate_j_k * (state.chain_k[0] - sizes.REFERENCE_K)
         specific = materials.lining_enthalpy(
             state.chain_k[self.pad], self.lining
         )
@@ -309,14 +262,16 @@ class Lanes:
         chain[self.cheek] = self.cheek_kg * materials.iron_enthalpy(
             state.chain_k[self.cheek], *self.iron
         )
-        lumps = self.lump_j_k * (state.lump_k - materials.REFERENCE_K)
+        lumps = self.lump_j_k * (state.lump_k - sizes.REFERENCE_K)
         lumps[CENTRE] = self.centre_kg * materials.iron_enthalpy(
             state.lump_k[CENTRE], *self.iron
         )
         if self.boils:
-            x = (state.lump_k[FLUID] - BOILING_K) / BOILING_WIDTH_K
+            x = (state.lump_k[FLUID] - sizes.BOILING_K) / sizes.BOILING_WIDTH_K
             lumps[FLUID] += (
-                p.fluid_latent_heat * (BOILING_J / 2) * (1.0 + np.tanh(x))
+                p.fluid_latent_heat
+                * (sizes.BOILING_J / 2)
+                * (1.0 + np.tanh(x))
             )
         return chain, lumps
 

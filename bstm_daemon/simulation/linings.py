@@ -12,30 +12,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from bstm_daemon.simulation import sizes
+
 if TYPE_CHECKING:
     from bstm_daemon.simulation.lanes import Lanes, State
     from bstm_daemon.simulation.materials import Array
-
-_FADE_DEPTH = 0.30
-_FADE_CENTRE_K = 703.15
-_FADE_WIDTH_K = 45.0
-_SPEED_FALL = 0.18
-_PRESSURE_FALL = 0.15
-_REFERENCE_SPEED_MS = 10.0
-_REFERENCE_PRESSURE_PA = 1.0e6
-_BEDDING_FALL = 0.25
-_BEDDING_J = 4.0e6
-_LEAST_FACTOR = 0.05
-
-_PYROLYSIS_J_KG = 2.0e5
-_PYROLYSIS_RATE_S = 2.0e5
-_PYROLYSIS_ACTIVATION_K = 1.15e4
-
-# what the rivets and the warning plate leave
-_LAST_M = 1.0e-3
-_WEAR_M_PER_J = 1e-3 / 6.0e7
-_WEAR_RISE_K = 120.0
-_WEAR_RISE_FROM_K = 593.15
 
 
 def friction_factor(
@@ -45,21 +26,23 @@ def friction_factor(
     p = lanes.p
     surfaces = state.chain_k[lanes.surface - 1 : lanes.surface + 1]
     t = surfaces.mean(axis=(0, 1))
-    fade = 1.0 - _FADE_DEPTH * p.friction_fade / (
-        1.0 + np.exp((_FADE_CENTRE_K - t) / _FADE_WIDTH_K)
+    fade = 1.0 - sizes.FADE_DEPTH * p.friction_fade / (
+        1.0 + np.exp((sizes.FADE_CENTRE_K - t) / sizes.FADE_WIDTH_K)
     )
-    v = (speed_ms - _REFERENCE_SPEED_MS) / (speed_ms + _REFERENCE_SPEED_MS)
-    pressure = (pressure_pa - _REFERENCE_PRESSURE_PA) / (
-        pressure_pa + 2 * _REFERENCE_PRESSURE_PA
+    v = (speed_ms - sizes.REFERENCE_SPEED_MS) / (
+        speed_ms + sizes.REFERENCE_SPEED_MS
     )
-    bedded = state.friction_j / (state.friction_j + _BEDDING_J)
+    pressure = (pressure_pa - sizes.REFERENCE_PRESSURE_PA) / (
+        pressure_pa + 2 * sizes.REFERENCE_PRESSURE_PA
+    )
+    bedded = state.friction_j / (state.friction_j + sizes.BEDDING_J)
     factor = (
         fade
-        * (1.0 - _SPEED_FALL * p.friction_speed * v)
-        * (1.0 - _PRESSURE_FALL * p.friction_pressure * pressure)
-        * (1.0 - _BEDDING_FALL * p.friction_history * bedded)
+        * (1.0 - sizes.SPEED_FALL * p.friction_speed * v)
+        * (1.0 - sizes.PRESSURE_FALL * p.friction_pressure * pressure)
+        * (1.0 - sizes.BEDDING_FALL * p.friction_history * bedded)
     )
-    least: Array = np.maximum(factor, _LEAST_FACTOR)
+    least: Array = np.maximum(factor, sizes.LEAST_FACTOR)
     return least
 
 
@@ -69,13 +52,16 @@ def pyrolyse(lanes: Lanes, state: State, dt: float) -> Array:
     First-order Arrhenius reaction of the binder, in place.
     """
     pad = lanes.pad
-    rate = _PYROLYSIS_RATE_S * np.exp(
-        -_PYROLYSIS_ACTIVATION_K / state.chain_k[pad]
+    rate = sizes.PYROLYSIS_RATE_S * np.exp(
+        -sizes.PYROLYSIS_ACTIVATION_K / state.chain_k[pad]
     )
     reacted = -(1.0 - state.char) * np.expm1(-rate * dt)
     reacted = np.where(lanes.p.pad_pyrolysis > 0, reacted, 0.0)
     taken = (
-        lanes.p.pad_pyrolysis * _PYROLYSIS_J_KG * lanes.pad_kg(state) * reacted
+        lanes.p.pad_pyrolysis
+        * sizes.PYROLYSIS_J_KG
+        * lanes.pad_kg(state)
+        * reacted
     )
     state.char = state.char + reacted
     state.chain_j[pad] -= taken
@@ -95,12 +81,15 @@ def wear_pads(lanes: Lanes, state: State, friction_j: Array) -> Array:
     pad = lanes.pad
     front_k = state.chain_k[lanes.surface - 1]
     hot = np.exp(
-        np.minimum(np.maximum(front_k - _WEAR_RISE_FROM_K, 0.0), 400.0)
-        / _WEAR_RISE_K
+        np.minimum(
+            np.maximum(front_k - sizes.WEAR_RISE_FROM_K, 0.0),
+            sizes.WEAR_RISE_MOST_K,
+        )
+        / sizes.WEAR_RISE_K
     )
     loss_m = np.minimum(
-        p.pad_wear * _WEAR_M_PER_J * friction_j * hot,
-        np.maximum(state.pad_m - _LAST_M, 0.0),
+        p.pad_wear * sizes.WEAR_M_PER_J * friction_j * hot,
+        np.maximum(state.pad_m - sizes.LAST_M, 0.0),
     )
     kg_per_m = p.pad_density_kg_m3 * p.pad_area_m2
     faces = np.arange(lanes.mesh.pad_nodes) + 0.5

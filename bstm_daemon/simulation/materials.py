@@ -16,28 +16,17 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from bstm_daemon.simulation import sizes
+
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.intp]
 Law = tuple[Array, Array, Array]
 """Of a lining's cp or k: cold, strength of its rise (0: none), and slope."""
 
-REFERENCE_K: Final = 293.15
-"""Temperature at which specific enthalpies are 0."""
-
 NEWTON_STEPS: Final = 2
 """Enough from one step's distance: the error squares each time."""
 
-# Shomate coefficients, t = T / 1000 K: J/(kg K)
-_A, _B, _C, _D, _E = 354.96, 535.518, -592.287, 511.852, -1.20346
-
-_CURIE_K: Final = 1030.0
-_CURIE_WIDTH_K: Final = 42.0
-_CURIE_PEAK_J_KGK: Final = 480.0
-
-_IRON_K: Final = (53.2454, -1.16611e-2, -6.89066e-5, 6.74969e-8)
-
-LINING_CP_RISE_J_KGK: Final = 420.0
-LINING_CP_SCALE_K: Final = 250.0
+_A, _B, _C, _D, _E = sizes.SHOMATE
 
 
 def iron_heat_capacity(
@@ -51,11 +40,11 @@ def iron_heat_capacity(
     """
     t = temperature_k * 1e-3
     smooth = _A + t * (_B + t * (_C + t * _D)) + _E / (t * t)
-    x = (temperature_k - _CURIE_K) / _CURIE_WIDTH_K
+    x = (temperature_k - sizes.CURIE_K) / sizes.CURIE_WIDTH_K
     # sech^2, written so that a cold disc does not overflow cosh
     peak: Array = 1.0 - np.tanh(x) ** 2
-    tilt = slope * (temperature_k - REFERENCE_K)
-    return smooth + bump * _CURIE_PEAK_J_KGK * peak + tilt
+    tilt = slope * (temperature_k - sizes.REFERENCE_K)
+    return smooth + bump * sizes.CURIE_PEAK_J_KGK * peak + tilt
 
 
 def iron_enthalpy(
@@ -63,11 +52,15 @@ def iron_enthalpy(
 ) -> Array:
     """Return the specific enthalpy of grey iron [J/kg], 0 at 20 degC."""
     smooth = _shomate_integral(temperature_k) - _IRON_H0
-    height: Array | float = bump * (_CURIE_PEAK_J_KGK * _CURIE_WIDTH_K)
-    x = (temperature_k - _CURIE_K) / _CURIE_WIDTH_K
-    x0 = (REFERENCE_K - _CURIE_K) / _CURIE_WIDTH_K
+    height: Array | float = bump * (
+        sizes.CURIE_PEAK_J_KGK * sizes.CURIE_WIDTH_K
+    )
+    x = (temperature_k - sizes.CURIE_K) / sizes.CURIE_WIDTH_K
+    x0 = (sizes.REFERENCE_K - sizes.CURIE_K) / sizes.CURIE_WIDTH_K
     peak: Array = height * (np.tanh(x) - np.tanh(x0))
-    return smooth + peak + 0.5 * slope * (temperature_k - REFERENCE_K) ** 2
+    return (
+        smooth + peak + 0.5 * slope * (temperature_k - sizes.REFERENCE_K) ** 2
+    )
 
 
 def _shomate_integral(temperature_k: Array) -> Array:
@@ -76,13 +69,13 @@ def _shomate_integral(temperature_k: Array) -> Array:
     return 1e3 * (powers - _E / t)
 
 
-_IRON_H0: Final = float(_shomate_integral(np.array(REFERENCE_K)))
+_IRON_H0: Final = float(_shomate_integral(np.array(sizes.REFERENCE_K)))
 
 
 def iron_conductivity(temperature_k: Array) -> Array:
     """Return k of grey iron [W/(m K)], any shape."""
     c = np.clip(temperature_k - 273.15, 0.0, 700.0)
-    k0, k1, k2, k3 = _IRON_K
+    k0, k1, k2, k3 = sizes.IRON_W_MK
     return k0 + c * (k1 + c * (k2 + c * k3))
 
 
@@ -93,25 +86,31 @@ def lining_conductivity(temperature_k: Array, law: Law) -> Array:
     230 degC, as an S.
     """
     cold_w_mk, strength, slope = law
-    s_shape = np.tanh((temperature_k - 500.0) / 150.0)
-    tilt = slope * (temperature_k - REFERENCE_K)
-    return cold_w_mk * (1.0 + 0.25 * strength * s_shape + tilt)
+    s_shape = np.tanh(
+        (temperature_k - sizes.LINING_K_CENTRE_K) / sizes.LINING_K_WIDTH_K
+    )
+    tilt = slope * (temperature_k - sizes.REFERENCE_K)
+    return cold_w_mk * (1.0 + sizes.LINING_K_RISE * strength * s_shape + tilt)
 
 
 def lining_heat_capacity(temperature_k: Array, law: Law) -> Array:
     """Return cp of the lining [J/(kg K)] by its *law*."""
     cold_j_kgk, strength, slope = law
-    dt = temperature_k - REFERENCE_K
-    risen = -np.expm1(-dt / LINING_CP_SCALE_K)
-    return cold_j_kgk + strength * LINING_CP_RISE_J_KGK * risen + slope * dt
+    dt = temperature_k - sizes.REFERENCE_K
+    risen = -np.expm1(-dt / sizes.LINING_CP_SCALE_K)
+    return (
+        cold_j_kgk + strength * sizes.LINING_CP_RISE_J_KGK * risen + slope * dt
+    )
 
 
 def lining_enthalpy(temperature_k: Array, law: Law) -> Array:
     """Return the specific enthalpy of the lining [J/kg], 0 at 20 degC."""
     cold_j_kgk, strength, slope = law
-    dt = temperature_k - REFERENCE_K
-    relaxed = dt + LINING_CP_SCALE_K * np.expm1(-dt / LINING_CP_SCALE_K)
-    risen: Array = strength * LINING_CP_RISE_J_KGK * relaxed
+    dt = temperature_k - sizes.REFERENCE_K
+    relaxed = dt + sizes.LINING_CP_SCALE_K * np.expm1(
+        -dt / sizes.LINING_CP_SCALE_K
+    )
+    risen: Array = strength * sizes.LINING_CP_RISE_J_KGK * relaxed
     return cold_j_kgk * dt + risen + 0.5 * slope * dt * dt
 
 
@@ -143,8 +142,9 @@ def lining_temperature(enthalpy_j_kg: Array, near_k: Array, law: Law) -> Array:
 
 def air_conductivity(temperature_k: Array) -> Array:
     """Return k of dry air [W/(m K)], Sutherland form, 1 % to 1000 K."""
+    a, b, c = sizes.SUTHERLAND
     return (
-        2.64638e-3
+        a
         * temperature_k**1.5
-        / (temperature_k + 245.4 * 10 ** (-12.0 / temperature_k))
+        / (temperature_k + b * 10 ** (c / temperature_k))
     )

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from bstm_daemon.simulation import materials
+from bstm_daemon.simulation import materials, sizes
 from bstm_daemon.simulation.lanes import (
     AIR,
     BODY,
@@ -25,69 +25,19 @@ from bstm_daemon.simulation.lanes import (
     FLUID,
     HAT,
     HUB,
-    LUMPS,
-    PATH_NAMES,
     PISTON,
-    Inputs,
     Lanes,
     State,
 )
-from bstm_daemon.simulation.parameters import DrawnPath
-from bstm_daemon.units import STEFAN_BOLTZMANN_W_M2K4
+from bstm_daemon.simulation.parameters import (
+    LUMPS,
+    PATH_NAMES,
+    DrawnPath,
+    Inputs,
+)
 
 if TYPE_CHECKING:
     from bstm_daemon.simulation.materials import Array, Indices
-
-_STEEL_CONDUCTIVITY_W_MK = 48.0
-_VENT_HALF_GAP_M = 0.004
-_TIGHT_W_K = 80.0
-_OPEN_AIR_W_K = 1e5
-
-# typical strength of the paths that effects switch on
-_CONTACT_W_M2K = 360.0
-_CONTACT_PA = 2.0e6
-_GAP_M = 3.0e-4
-_HAT_W_K = 5.0
-_HUB_W_K = 1.0
-_HAT_AIR_M2 = 0.05
-_EXPONENT_RISE = 0.45
-_BACKPLATE_LOSS_W_K = 0.12
-_BRACKET_W_K = 0.18
-_BRACKET_BRAKING_W_K = 0.14
-_BYPASS_W_K = 0.25
-_SHIM_LOOSE = 0.35
-_SHIM_PA = 2.0e5
-_VIEW_OF_DISC_M2 = 0.0015
-_CALIPER_AREA_M2 = np.array([[0.030], [0.020]])
-_LINE_W_K = 0.05
-_PUMPING_W_K = 1.5
-_PUMPING_PA_S = 3.0e6
-_SPRAY_KG_S_PER_MS = 1.2e-5
-_SPRAY_STILL_KG_S = 5.0e-5
-_EVAPORATION_J_KG = 2.4e6
-_DRAG_COLD_NM = 1.5
-_DRAG_HOT_NM = 3.5
-_DRAG_K = 80.0
-
-
-# Heat paths that are in no catalogue of effects: see _shield, _damper_power
-# and lanes.DUCT
-
-# 0.03 m2 of the face, iron of 0.7 before zinc of 0.3, 10 mm of air
-_FACING_M2 = 0.03
-_GREY = 0.27
-_FILM_W_M2K = 4.0
-_STIRRED_W_M2K = 2.0
-# lug of 0.8 mm sheet, 0.25 m wide, 0.03 m long
-_LUG_W_K = 0.32
-# both sides of the sheet in the wheel house
-_SHEET_M2 = 0.06
-_SHEET_W_M2K = 5.0
-_SHEET_BLOWN_W_M2K = 3.0
-
-# a tenth of 15 W s/m a corner: average road, 3.7; one ISO 8608 class rougher,
-# four times that
-_DAMPER_WS_M = 1.5
 
 
 @dataclass(slots=True)
@@ -108,8 +58,7 @@ class Paths:
 
 
 def _radiation(a_k: Array, b_k: Array, exchange_m2: Array | float) -> Array:
-    sigma = STEFAN_BOLTZMANN_W_M2K4
-    return sigma * exchange_m2 * (a_k * a_k + b_k * b_k) * (a_k + b_k)
+    return sizes.SIGMA * exchange_m2 * (a_k * a_k + b_k * b_k) * (a_k + b_k)
 
 
 def mixed(natural: Array | float, forced: Array) -> Array:
@@ -123,7 +72,7 @@ def radiating_share(speed_ms: Array, driving: Array) -> Array:
 
     1 at rest, fading around walking pace to *driving* (0: none).
     """
-    rest = 1.0 / (1.0 + (speed_ms / 2.2) ** 4)
+    rest = 1.0 / (1.0 + (speed_ms / sizes.WALKING_MS) ** 4)
     return rest + (1.0 - rest) * np.minimum(driving, 1.0)
 
 
@@ -167,11 +116,13 @@ def _cooling(lanes: Lanes, state: State, v: Array) -> tuple[Array, Array]:
     """Convection of the cheeks' faces (2, lanes) and the vent (lanes,)."""
     p = lanes.p
     # a steeper rise with speed leaves 36 km/h, where the levels are given
-    steeper = _EXPONENT_RISE * p.convection_exponent * (v - 10.0) / (v + 20.0)
+    steeper = (
+        sizes.EXPONENT_RISE * p.convection_exponent * (v - 10.0) / (v + 20.0)
+    )
     forced = v**p.forced_exponent * np.maximum(1.0 + steeper, 0.2)
     t_surface = state.chain_k[lanes.surface]
     excess = np.abs(t_surface - state.lump_k[AIR])
-    buoyancy = np.sqrt(np.sqrt(np.maximum(excess, 1.0) / 200.0))
+    buoyancy = np.sqrt(np.sqrt(np.maximum(excess, 1.0) / sizes.BUOYANCY_K))
     natural = p.natural_convection_w_m2k * buoyancy
     # per unit of v^n: forced_*_w_m2k is the coefficient at 1 m/s
     faces = p.face_air_area_m2 * mixed(natural, p.forced_face_w_m2k * forced)
@@ -188,7 +139,7 @@ def _chain_links(lanes: Lanes, state: State, inputs: Inputs) -> Array:
     t_front, t_surface = state.chain_k[lanes.surface - 1 : lanes.surface + 1]
     link = np.empty((lanes.chain_nodes - 1, 2, lanes.count))
     link[0] = p.backplate_area_m2 / (
-        p.backplate_thickness_m / (2 * _STEEL_CONDUCTIVITY_W_MK)
+        p.backplate_thickness_m / (2 * sizes.STEEL_CONDUCTIVITY_W_MK)
     )
     gap_m = state.pad_m / (lanes.mesh.pad_nodes - 1)
     pad_k = state.chain_k[lanes.pad]
@@ -205,14 +156,14 @@ def _chain_links(lanes: Lanes, state: State, inputs: Inputs) -> Array:
     if lanes.gaps:
         air = materials.air_conductivity((t_front + t_surface) / 2)
         released = p.gap_conduction * (1.0 - inputs.contact)
-        interface += released * p.pad_area_m2 * air / _GAP_M
+        interface += released * p.pad_area_m2 * air / sizes.GAP_M
     pressed = p.contact_conductance * inputs.contact
     interface += (
         pressed
         * p.pad_area_m2
-        * _CONTACT_W_M2K
+        * sizes.CONTACT_W_M2K
         * inputs.pressure_pa
-        / (inputs.pressure_pa + _CONTACT_PA)
+        / (inputs.pressure_pa + sizes.CONTACT_PA)
     )
     link[lanes.surface - 1] = interface
     return link.transpose(1, 2, 0)
@@ -224,33 +175,39 @@ def _join_chains_to_lumps(
     p = lanes.p
     shim = p.pad_area_m2 / p.shim_resistance_m2k_w
     loose = (
-        _SHIM_LOOSE * p.shim_contact * np.exp(-inputs.pressure_pa / _SHIM_PA)
+        sizes.SHIM_LOOSE
+        * p.shim_contact
+        * np.exp(-inputs.pressure_pa / sizes.SHIM_PA)
     )
     shim = shim * np.maximum(1.0 - loose, 0.05)
     t_back = state.chain_k[0]
     excess = np.maximum(np.abs(t_back - state.lump_k[AIR]), 1.0)
     loss = (
         p.hammerhead_forced_w_k * inputs.speed_ms** 0.8
-        + _BACKPLATE_LOSS_W_K
+        + sizes.BACKPLATE_LOSS_W_K
         * p.backplate_loss
-        * np.sqrt(np.sqrt(excess / 100.0))
+        * np.sqrt(np.sqrt(excess / sizes.BACKPLATE_LOSS_K))
     )
     # friction presses the hammerheads against the bracket
     bracket = p.bracket_conduction * (
-        _BRACKET_W_K + _BRACKET_BRAKING_W_K * inputs.contact
+        sizes.BRACKET_W_K + sizes.BRACKET_BRAKING_W_K * inputs.contact
     )
-    across = _BYPASS_W_K * p.caliper_bypass * t_back / 400.0
+    across = sizes.BYPASS_W_K * p.caliper_bypass * t_back / sizes.BYPASS_K
     cheek_k = state.chain_k[-1]
     to_vanes_per_m = (
         lanes.cheek_gap_m[-1] / p.face_area_m2
-        + _VENT_HALF_GAP_M / p.vent_bridge_area_m2
+        + sizes.VENT_HALF_GAP_M / p.vent_bridge_area_m2
     )
     bridge = materials.iron_conductivity(cheek_k) / to_vanes_per_m
     t_surface = state.chain_k[lanes.surface]
     for side, behind, bypass in ((0, PISTON, BODY), (1, FINGER, FINGER)):
         back = lanes.chain_nodes * side
         surface, last = back + lanes.surface, back + lanes.chain_nodes - 1
-        view = p.face_emissivity * _VIEW_OF_DISC_M2 * p.disc_caliper_radiation
+        view = (
+            p.face_emissivity
+            * sizes.VIEW_OF_DISC_M2
+            * p.disc_caliper_radiation
+        )
         bypass_k = state.lump_k[bypass]
         for node, lump, conductance in (
             (back, behind, shim),
@@ -270,14 +227,26 @@ def _join_lumps(lanes: Lanes, v: Array, vent: Array, matrix: Array) -> None:
     caliper = mixed(p.caliper_natural_w_k, p.caliper_forced_w_k * v**0.7)
     pairs = (
         (CENTRE, AIR, vent),
-        (CENTRE, HAT, _HAT_W_K * p.disc_hat),
-        (CENTRE, HUB, _HUB_W_K * p.hub_conduction),
-        (HAT, AIR, _HAT_AIR_M2 * vent / p.vent_area_m2),
-        (PISTON, FLUID, 1.0 / (1.0 / _TIGHT_W_K + split / 6.0)),
-        (FLUID, BODY, 1.0 / (1.0 / _TIGHT_W_K + split / 20.0)),
-        (BODY, FINGER, 1.0 / (1.0 / _TIGHT_W_K + split / 2.5)),
-        (BODY, AIR, 0.6 * caliper),
-        (FINGER, AIR, 0.4 * caliper),
+        (CENTRE, HAT, sizes.HAT_W_K * p.disc_hat),
+        (CENTRE, HUB, sizes.HUB_W_K * p.hub_conduction),
+        (HAT, AIR, sizes.HAT_AIR_M2 * vent / p.vent_area_m2),
+        (
+            PISTON,
+            FLUID,
+            1.0 / (1.0 / sizes.TIGHT_W_K + split / sizes.SPLIT_PISTON_W_K),
+        ),
+        (
+            FLUID,
+            BODY,
+            1.0 / (1.0 / sizes.TIGHT_W_K + split / sizes.SPLIT_BODY_W_K),
+        ),
+        (
+            BODY,
+            FINGER,
+            1.0 / (1.0 / sizes.TIGHT_W_K + split / sizes.SPLIT_FINGER_W_K),
+        ),
+        (BODY, AIR, sizes.BODY_SHARE * caliper),
+        (FINGER, AIR, sizes.FINGER_SHARE * caliper),
     )
     for a, b, conductance in pairs:
         _join(matrix, first + a, first + b, conductance)
@@ -301,17 +270,19 @@ def _shield(lanes: Lanes, state: State, v: Array, matrix: Array) -> None:
     face_k, body_k = state.chain_k[lanes.surface, 0], state.lump_k[BODY]
     blown = v**0.8
     squares = face_k * face_k + body_k * body_k
-    near = _FACING_M2 * (
-        _GREY * STEFAN_BOLTZMANN_W_M2K4 * squares * (face_k + body_k)
-        + _FILM_W_M2K
-        + _STIRRED_W_M2K * blown
+    near = sizes.FACING_M2 * (
+        sizes.GREY * sizes.SIGMA * squares * (face_k + body_k)
+        + sizes.FILM_W_M2K
+        + sizes.STIRRED_W_M2K * blown
     )
-    away = _SHEET_M2 * (_SHEET_W_M2K + _SHEET_BLOWN_W_M2K * blown)
-    share = lanes.p.dust_shield / (near + _LUG_W_K + away)
+    away = sizes.SHEET_M2 * (
+        sizes.SHEET_W_M2K + sizes.SHEET_BLOWN_W_M2K * blown
+    )
+    share = lanes.p.dust_shield / (near + sizes.LUG_W_K + away)
     body, air = lanes.first_lump + BODY, lanes.first_lump + AIR
-    _join(matrix, lanes.surface, body, share * near * _LUG_W_K)
+    _join(matrix, lanes.surface, body, share * near * sizes.LUG_W_K)
     _join(matrix, lanes.surface, air, share * near * away)
-    _join(matrix, body, air, share * _LUG_W_K * away)
+    _join(matrix, body, air, share * sizes.LUG_W_K * away)
 
 
 def _join_drawn(
@@ -360,7 +331,7 @@ def _damper_power(lanes: Lanes, v: Array) -> Array:
     give up to 400 W a car at 97 km/h on an average road.
     """
     gains = np.zeros((len(LUMPS), lanes.count))
-    gains[BODY] = lanes.p.damper_heat * _DAMPER_WS_M * v
+    gains[BODY] = lanes.p.damper_heat * sizes.DAMPER_WS_M * v
     return gains
 
 
@@ -376,18 +347,24 @@ def _ambient_links(
         ambient,
         p.vent_emissivity * p.vent_opening_area_m2 * radiates,
     )
-    out[AIR] = 1.0 / (1.0 / _OPEN_AIR_W_K + p.local_air / (12.0 + 25.0 * v))
-    out[HUB] = 1.2 + 0.1 * v**0.8
-    out[BRACKET] = 1.0 + 0.12 * v**0.8
+    out[AIR] = 1.0 / (
+        1.0 / sizes.OPEN_AIR_W_K
+        + p.local_air / (sizes.AIR_STILL_W_K + sizes.AIR_BLOWN_W_K * v)
+    )
+    out[HUB] = sizes.HUB_STILL_W_K + sizes.HUB_BLOWN_W_K * v**0.8
+    out[BRACKET] = sizes.BRACKET_STILL_W_K + sizes.BRACKET_BLOWN_W_K * v**0.8
     calipers = state.lump_k[BODY : FINGER + 1]
+    areas_m2 = np.array([[sizes.BODY_AREA_M2], [sizes.FINGER_AREA_M2]])
     out[BODY : FINGER + 1] = _radiation(
-        calipers, ambient, 0.9 * _CALIPER_AREA_M2 * p.caliper_radiation
+        calipers,
+        ambient,
+        sizes.CALIPER_EMISSIVITY * areas_m2 * p.caliper_radiation,
     )
     out[FLUID] = p.fluid_exchange * (
-        _LINE_W_K
-        + _PUMPING_W_K
+        sizes.LINE_W_K
+        + sizes.PUMPING_W_K
         * inputs.pumping_pa_s
-        / (inputs.pumping_pa_s + _PUMPING_PA_S)
+        / (inputs.pumping_pa_s + sizes.PUMPING_PA_S)
     )
     return out
 
@@ -411,8 +388,10 @@ def _sources(
     )
     released = (1.0 - inputs.contact) * p.residual_drag
     # a hot seal and expanded pads draw the piston back less
-    warm = np.maximum(state.chain_k[0].mean(axis=0) - 293.15, 0.0)
-    drag_nm = _DRAG_COLD_NM - _DRAG_HOT_NM * np.expm1(-warm / _DRAG_K)
+    warm = np.maximum(state.chain_k[0].mean(axis=0) - sizes.REFERENCE_K, 0.0)
+    drag_nm = sizes.DRAG_COLD_NM - sizes.DRAG_HOT_NM * np.expm1(
+        -warm / sizes.DRAG_K
+    )
     heat_in = inputs.power_w + (
         released * drag_nm * inputs.speed_ms / p.wheel_radius_m
     )
@@ -423,14 +402,16 @@ def _sources(
     source[front] = to_pad * heat
     source[lanes.surface] = (1.0 - to_pad) * heat
     if lanes.wets and inputs.wetness.any():
-        spray = _SPRAY_STILL_KG_S + _SPRAY_KG_S_PER_MS * inputs.speed_ms
+        spray = (
+            sizes.SPRAY_STILL_KG_S + sizes.SPRAY_KG_S_PER_MS * inputs.speed_ms
+        )
         above = np.maximum(t_surface - inputs.ambient_k, 0.0)
         source[lanes.surface] -= (
             p.wet_disc
             * inputs.wetness
             * spray
-            * _EVAPORATION_J_KG
-            * -np.expm1(-above / 70.0)
+            * sizes.EVAPORATION_J_KG
+            * -np.expm1(-above / sizes.SPRAY_K)
             / 2
         )
     return source, heat_in

@@ -32,9 +32,25 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
 from math import pi
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from bstm_daemon.errors import UsageError, hint
+
+if TYPE_CHECKING:
+    from bstm_daemon.simulation.materials import Array
+
+LUMPS: Final = (
+    "centre",
+    "hat",
+    "hub",
+    "piston",
+    "fluid",
+    "body",
+    "finger",
+    "bracket",
+    "air",
+)
+"""Lumps of a corner: vent region of the disc, hat, hub, caliper, air."""
 
 DRAWN: Final = 3
 """Heat paths of a corner that may be drawn, the duct's included."""
@@ -240,6 +256,36 @@ EFFECT_NAMES: Final = tuple(
     field.name for field in fields(Effects) if field.name not in UNHEARD_NAMES
 )
 """The effects in the order of their numbers, 1 to 37."""
+
+PATH_NAMES: Final = tuple(f.name for f in fields(DrawnPath))
+CORNER_NAMES: Final = tuple(
+    f.name for f in fields(CornerParameters) if f.name != "drawn_paths"
+)
+ACTING_NAMES: Final = (*EFFECT_NAMES, *UNHEARD_NAMES)
+PARAMETER_NAMES: Final = (*CORNER_NAMES, *ACTING_NAMES)
+"""Rows of the parameter table, in order."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Inputs:
+    """Inputs of the corners during one step, each (lanes,) or (1,).
+
+    ``power_w`` is friction power, ``contact`` the fraction of the step with
+    pressed pads, ``pumping_pa_s`` the mean of the absolute pressure rate.
+    """
+
+    speed_ms: Array
+    power_w: Array
+    pressure_pa: Array
+    contact: Array
+    ambient_k: Array
+    wetness: Array
+    pumping_pa_s: Array
+
+
+INPUT_NAMES: Final = tuple(field.name for field in fields(Inputs))
+"""Rows of the inputs of a step, in the order of the compiled form."""
+
 
 ROAD_EFFECTS: Final = (
     "friction_fade",

@@ -20,17 +20,12 @@ from typing import TYPE_CHECKING, Final, cast
 import numpy as np
 
 from bstm_daemon.native.loader import VARIABLE, load_module
-from bstm_daemon.simulation import materials
+from bstm_daemon.simulation import materials, sizes
 from bstm_daemon.simulation.lanes import (
     BODY,
     CENTRE,
     FLUID,
     HAT,
-    INPUT_NAMES,
-    LUMPS,
-    PARAMETER_NAMES,
-    PATH_NAMES,
-    Inputs,
     Lanes,
     State,
     start_state,
@@ -40,8 +35,13 @@ from bstm_daemon.simulation.network import Paths, paths
 from bstm_daemon.simulation.parameters import (
     DEFAULT_MESH,
     DRAWN,
+    INPUT_NAMES,
+    LUMPS,
+    PARAMETER_NAMES,
+    PATH_NAMES,
     CornerParameters,
     Effects,
+    Inputs,
     Mesh,
 )
 
@@ -184,11 +184,7 @@ def extension() -> ModuleType | None:
     """
     if os.environ.get(VARIABLE) == "reference":
         return None
-    found = cast("ModuleType | None", load_module("simulation._reality"))
-    # the table's rows are named on both sides
-    if found is not None and found.PARAMETERS.split() != [*PARAMETER_NAMES]:
-        return None
-    return found
+    return cast("ModuleType | None", load_module("simulation._reality"))
 
 
 def march_compiled(
@@ -377,7 +373,7 @@ def _settle(lanes: Lanes, near: State, chain_j: Array, lump_j: Array) -> State:
     Two Newton steps: the start is already within a step's curvature, and
     the energies stay the truth.
     """
-    chain_k = materials.REFERENCE_K + chain_j / lanes.backplate_j_k
+    chain_k = sizes.REFERENCE_K + chain_j / lanes.backplate_j_k
     pad_j_kg = chain_j[lanes.pad] / lanes.pad_kg(near)
     chain_k[lanes.pad] = lanes.lining_temperature(
         pad_j_kg, near.chain_k[lanes.pad]
@@ -388,7 +384,7 @@ def _settle(lanes: Lanes, near: State, chain_j: Array, lump_j: Array) -> State:
         *lanes.iron,
     )
     lump_k = near.lump_k.copy()
-    lump_k[HAT:] = materials.REFERENCE_K + lump_j[HAT:] / lanes.lump_j_k[HAT:]
+    lump_k[HAT:] = sizes.REFERENCE_K + lump_j[HAT:] / lanes.lump_j_k[HAT:]
     lump_k[CENTRE] = materials.iron_temperature(
         lump_j[CENTRE] / lanes.centre_kg, near.lump_k[CENTRE], *lanes.iron
     )

@@ -48,4 +48,6 @@ def test_c_sources_include_only_their_own() -> None:
     for path in FOLDER.glob("*.[ch]"):
         for line in path.read_text(encoding="utf-8").splitlines():
             if line.startswith('#include "'):
-                assert (FOLDER / line.split('"')[1]).exists()
+                name = line.split('"')[1]
+                # the one that is generated, from the room's own tables
+                assert name == "reality.h" or (FOLDER / name).exists()

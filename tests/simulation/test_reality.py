@@ -15,13 +15,19 @@ from bstm_daemon.simulation import (
     Mesh,
     march_lanes,
 )
-from bstm_daemon.simulation.lanes import BOILING_K, LUMPS, Lanes, start_state
-from bstm_daemon.simulation.parameters import FRONT, UNHEARD_NAMES, DrawnPath
+from bstm_daemon.simulation.lanes import Lanes, start_state
+from bstm_daemon.simulation.parameters import (
+    FRONT,
+    LUMPS,
+    UNHEARD_NAMES,
+    DrawnPath,
+)
 from bstm_daemon.simulation.reality import (
     extension,
     march_compiled,
     march_numpy,
 )
+from bstm_daemon.simulation.sizes import BOILING_K
 from bstm_daemon.simulation.vehicle import NOMINAL
 
 Inputs = Callable[..., LaneInputs]
