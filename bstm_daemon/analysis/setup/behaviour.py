@@ -34,6 +34,9 @@ _DISTINCT: Final = 3
 # a scale in here may be the road's grade, the noise, or the wheel's radius
 _TRUSTED_SCALE: Final = (0.8, 1.25)
 _ENOUGH_S: Final = 10.0
+_SLOWED_MS2: Final = 2.0
+_SELDOM: Final = 0.4
+"""Only a brake is seldom applied and slows the car so much more."""
 
 ON_STAND: Final = "a stand or roller, as the accelerometer shows no motion"
 
@@ -216,7 +219,13 @@ class Motion:
             f"; dv/dt is {while_on:.2f} m/s2 while it is applied, "
             f"{while_off:.2f} else"
         )
-        return Verdict(fits=while_on < while_off + 0.3, reason=reason)
+        return Verdict(
+            fits=while_on < while_off + 0.3,
+            reason=reason,
+            proven=while_on < while_off - _SLOWED_MS2
+            and braking_s > _ENOUGH_S
+            and share < _SELDOM,
+        )
 
 
 def _is_between(grid_s: Series, time_s: Series) -> npt.NDArray[np.bool_]:

@@ -106,7 +106,10 @@ class Judge:
         """Judge *samples* in *unit* ("" where it is not known) for *role*."""
         motion = self.motion
         if role.startswith(_BRAKING):
-            return motion.pressure_verdict(samples)
+            found = motion.pressure_verdict(samples)
+            # that of one axle or wheel needs corners that use it
+            shown = found.proven and role == "primary_pressure"
+            return replace(found, proven=shown)
         if unit and role.startswith((*SPEEDS, *GROUND_LAG_S)):
             return motion.speed_verdict(self.si(role, unit, samples))
         if unit and role == "acceleration_longitudinal":
@@ -206,9 +209,11 @@ def _brake_switch(judge: Judge, value: Series) -> Verdict:
 
 def _gear(judge: Judge, value: Series) -> Verdict:
     """In a higher gear the engine turns fewer times a metre."""
-    engine = judge.known.get("engine_speed", np.zeros_like(value))
     motion = judge.motion
-    turns = engine / np.maximum(motion.speed_ms, 1.0)
+    if "engine_speed" not in judge.known:
+        words = "no engine speed to compare it with"
+        return Verdict(fits=True, reason=words)
+    turns = judge.known["engine_speed"] / np.maximum(motion.speed_ms, 1.0)
     found = {
         gear: float(np.median(turns[here]))
         for gear in range(1, 11)

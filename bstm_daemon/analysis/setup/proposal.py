@@ -24,7 +24,7 @@ from bstm_daemon.analysis.setup.name_rules import (
     unit_matches,
 )
 from bstm_daemon.analysis.setup.pressure_unit import assumed_unit
-from bstm_daemon.roles import ROLE_INDEX
+from bstm_daemon.roles import GROUND_LAG_S, ROLE_INDEX
 from bstm_daemon.units import UNITS
 
 if TYPE_CHECKING:
@@ -165,25 +165,33 @@ def _motion(
 ) -> tuple[Motion, float | None]:
     """Return the car's motion from all wheel and vehicle speeds.
 
+    Without one from those over ground, which lag.
+
     The radius that makes angular speeds agree with the others comes with it,
     None where there are not both; a typical one is taken where all are
     angular.
     """
     speeds: dict[str, Samples] = {}
     angular: dict[str, Samples] = {}
+    over_ground: dict[str, Samples] = {}
     for match in matches:
         found = recording.samples.get(_name(match))
         if (
             found is None
             or not match.unit
-            or not match.role.startswith(SPEEDS)
+            or not match.role.startswith((*SPEEDS, *GROUND_LAG_S))
             or match.level == REQUEST
         ):
+            continue
+        if match.role in GROUND_LAG_S:
+            over_ground[".".join(_name(match))] = to_ms(found, match.unit, 1.0)
             continue
         is_angular = UNITS[match.unit].quantity == "angular_speed"
         target = angular if is_angular else speeds
         target[".".join(_name(match))] = to_ms(found, match.unit, 1.0)
     motion = Motion(speeds)
+    if not speeds and not angular:
+        return Motion(over_ground), None
     if not motion.moving.any():
         radius_m = TYPICAL_RADIUS_M
         turning = {

@@ -46,7 +46,7 @@ _TIMES: Final = {
 _SHORT_TIME: Final = re.compile(r"t(?![a-zA-Z])")
 _OTHER_TIMES: Final = {"lap", "best", "last", "split", "sector", "shift"}
 _READABLE: Final = 0.9
-_COUNTS: Final = ("#", "-", "gear", "count", "(null)")
+_COUNTS: Final = ("#", "-", "no", "gear", "count", "(null)")
 """Texts in place of a unit, of a plain number."""
 
 _UNITS_OF: Final = {
@@ -144,7 +144,7 @@ def propose_for(table: Table) -> Proposal:
             sure.remove(one)
             match = replace(one.match, role="vehicle_speed")
             reason = f"of a receiver, so it lags; {one.reason}"
-            unsure.append(replace(one, match=match, reason=reason, sure=False))
+            sure.insert(0, replace(one, match=match, reason=reason))
     return replace(found, sure=tuple(sure), unsure=tuple(unsure))
 
 

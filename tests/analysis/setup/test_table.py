@@ -130,9 +130,61 @@ def test_the_speed_of_a_receiver_is_better_than_none(tmp_path: Path) -> None:
 
     sure, unsure = proposed(path)
 
-    assert not sure
-    assert unsure["vehicle_speed"].match.signal.name == "GPS Speed"
-    assert "of a receiver, so it lags" in unsure["vehicle_speed"].reason
+    assert not unsure
+    assert sure["vehicle_speed"].match.signal.name == "GPS Speed"
+    assert "of a receiver, so it lags; up to 8.3 m/s" in (
+        sure["vehicle_speed"].reason
+    )
+
+
+HARD_BAR = np.where(ACCEL_MS2 < -1.5, -10.0 * ACCEL_MS2, 0.6)
+DISC_C = 200.0 + np.cumsum(np.where(HARD_BAR > 1.0, 6.0, -2.0))
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        "Ground Speed|Brake Pres Front|Brake Temp FL|Brake Temp FR",
+        "Corr Speed|Brake Pressure|Disc Temp Front Left|Disc Temp Front Right",
+        "GPS Speed|BRAKE_FRONT|Brk Temp FL|Brk Temp FR",
+        "speed|pbrake_f|tbrake_fl|tbrake_fr",
+        "Geschwindigkeit|Bremsdruck VA|T_Bremsscheibe_VL|T_Bremsscheibe_VR",
+    ],
+)
+def test_names_of_track_loggers(tmp_path: Path, names: str) -> None:
+    speed, pressure, left, right = names.split("|")
+    path = write(
+        tmp_path / "a.csv",
+        **{
+            "Time [s]": TIME_S,
+            f"{speed} [km/h]": 3.6 * SPEED_MS,
+            f"{pressure} [bar]": HARD_BAR,
+            f"{left} [C]": DISC_C,
+            f"{right} [C]": DISC_C + 1.0,
+        },
+    )
+
+    sure, _ = proposed(path)
+
+    assert {role: one.match.signal.name for role, one in sure.items()} == {
+        "vehicle_speed": speed,
+        "primary_pressure": pressure,
+        "temp_fl_disc": left,
+        "temp_fr_disc": right,
+    }
+
+
+def test_a_pressure_without_a_name_must_slow_the_car(tmp_path: Path) -> None:
+    """Fuel, oil and boost rise when the car is driven, not when it slows."""
+    driven = np.where(ACCEL_MS2 > 1.5, 4.0 * ACCEL_MS2, 0.6)
+    path = write(
+        tmp_path / "a.csv",
+        Time=TIME_S,
+        speed_kmh=SPEED_MS * 3.6,
+        P1_bar=driven,
+    )
+
+    assert "primary_pressure" not in proposed(path)[0]
 
 
 def test_gaps_of_the_speed_prove_nothing(tmp_path: Path) -> None:
