@@ -6,6 +6,7 @@ Paths may be texts. Every function raises what its command reports: a
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -22,8 +23,6 @@ from bstm_daemon.replay.vehicle import load_vehicle
 from bstm_daemon.simulation.recorder import Encoder, write_candump
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
-
     from bstm_daemon.analysis.gap.workflow import Gap
     from bstm_daemon.analysis.matching.matcher import Match
     from bstm_daemon.bus.signals.signal_map import SignalMap

@@ -8,7 +8,8 @@ service, replay and tests are thin shells around these two.
 from __future__ import annotations
 
 from array import array
-from typing import TYPE_CHECKING, Final, NamedTuple
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from bstm_daemon.advice.advisor import Advisor
 from bstm_daemon.bus.live.frame_records import RecordDecoder
@@ -42,9 +43,6 @@ from bstm_daemon.model.heat.sample_pass import TICK
 from bstm_daemon.model.risk.boiling import wet_boiling_point_k
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
-    from typing import Any
-
     from bstm_daemon.bus.live.frame_records import FrameRecords
     from bstm_daemon.bus.signals.signal_map import SignalMap
     from bstm_daemon.config.sections import Config

@@ -7,16 +7,14 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from math import inf, isclose, isfinite, nan
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from bstm_daemon.errors import UsageError, require_packages
 from bstm_daemon.files import ensure_writable, make_folder
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
 
 LOG_ENDINGS: Final = frozenset(
     {

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
+import argparse
 import signal
 from pathlib import Path
 from threading import Event
-from typing import TYPE_CHECKING
 
 from bstm_daemon.cli.arguments import number, option
 from bstm_daemon.config.reading import load_section
 from bstm_daemon.errors import UsageError, require_packages
 from bstm_daemon.feed.reader import DEFAULT_SOCKET, records
 from bstm_daemon.files import read_secret
-
-if TYPE_CHECKING:
-    import argparse
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -5,6 +5,7 @@ With ``--log`` the signals of a recording are judged as well.
 
 from __future__ import annotations
 
+import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -33,8 +34,6 @@ from bstm_daemon.report.text import table
 from bstm_daemon.roles import ROLE_INDEX, ROLES
 
 if TYPE_CHECKING:
-    import argparse
-
     from bstm_daemon.analysis.quality.finding import Quality
     from bstm_daemon.config.rules import Draft
     from bstm_daemon.config.sections import Config, CornerConfig, SignalConfig

@@ -6,9 +6,9 @@ display reads.
 
 from __future__ import annotations
 
+import argparse
 from math import isnan
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from bstm_daemon.cli.arguments import add_out, option
 from bstm_daemon.cli.live_demo import run_live
@@ -32,8 +32,6 @@ from bstm_daemon.simulation import SimulatedDrive, load_drive, simulate
 from bstm_daemon.simulation.recorder import START_STAMP_S, Encoder, frames
 from bstm_daemon.watch.board import Board
 
-if TYPE_CHECKING:
-    import argparse
 DRIVE = "alpine-descent"
 END_S = 40 * 60
 """The fluid's peak is behind; the rest of the hour of parking only cools."""

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import argparse
 import csv
 import json
 import os
 import time
+from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager, redirect_stdout
 from io import StringIO
 from itertools import chain, count
@@ -44,8 +46,6 @@ from bstm_daemon.report.timescale import duration
 from bstm_daemon.service.state_file import lock, safe_name
 
 if TYPE_CHECKING:
-    import argparse
-    from collections.abc import Callable, Iterator
     from contextlib import AbstractContextManager
 
     from bstm_daemon.fleet.run import Outcome

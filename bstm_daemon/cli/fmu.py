@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import argparse
 
 from bstm_daemon.cli.arguments import add_out, check_targets, option, shared
 from bstm_daemon.cli.vehicle import load_vehicle
@@ -11,9 +11,6 @@ from bstm_daemon.exchange.fmu import PLATFORMS, this_platform, write_fmu
 from bstm_daemon.exchange.fmu_model import car_fmu, corner_fmu
 from bstm_daemon.replay.columns import present_roles
 from bstm_daemon.roles import CORNERS
-
-if TYPE_CHECKING:
-    import argparse
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

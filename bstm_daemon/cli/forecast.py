@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from bstm_daemon.cli.arguments import check_targets, option, shared
 from bstm_daemon.cli.vehicle import read_state
@@ -15,9 +15,6 @@ from bstm_daemon.estimator.state import restore_state
 from bstm_daemon.forecast.offline_forecast import outlook
 from bstm_daemon.report.forecast import forecast_json, forecast_text
 from bstm_daemon.report.json_file import write_json
-
-if TYPE_CHECKING:
-    import argparse
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

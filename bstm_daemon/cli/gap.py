@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import argparse
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
@@ -33,9 +35,6 @@ from bstm_daemon.report.gap_page import advice_json, gap_json, gap_page
 from bstm_daemon.simulation import drive_names
 
 if TYPE_CHECKING:
-    import argparse
-    from collections.abc import Callable, Sequence
-
     from bstm_daemon.analysis.gap.heat_only import ForceGap
     from bstm_daemon.analysis.gap.recording import Recording
     from bstm_daemon.analysis.gap.workflow import Gap

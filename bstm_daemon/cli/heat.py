@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import argparse
+from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from bstm_daemon.analysis.identify.driving import driving_of
@@ -19,9 +21,6 @@ from bstm_daemon.replay.results import Collector, Part
 from bstm_daemon.report.heat import heat_json, heat_page, heat_text
 
 if TYPE_CHECKING:
-    import argparse
-    from pathlib import Path
-
     from bstm_daemon.analysis.identify.heat_comparison import (
         HeatComparison,
         StopFriction,

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import argparse
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from bstm_daemon.analysis.identify.brakes import identify_brakes
@@ -25,9 +27,6 @@ from bstm_daemon.errors import UsageError
 from bstm_daemon.report import brakes, coastdown, cooling
 
 if TYPE_CHECKING:
-    import argparse
-    from collections.abc import Callable
-
     from bstm_daemon.analysis.identify.writing import Change
     from bstm_daemon.config.sections import Config
     from bstm_daemon.report.shell import Page

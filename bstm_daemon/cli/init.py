@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -27,8 +28,6 @@ from bstm_daemon.errors import FileAccessError, UsageError
 from bstm_daemon.files import replacing
 
 if TYPE_CHECKING:
-    import argparse
-
     from bstm_daemon.analysis.setup.proposal import Candidate, Proposal
 
 

@@ -5,6 +5,7 @@ Writes files only: starting a service on a car is for its owner to do.
 
 from __future__ import annotations
 
+import argparse
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -26,8 +27,6 @@ from bstm_daemon.service.unit_files import (
 )
 
 if TYPE_CHECKING:
-    import argparse
-
     from bstm_daemon.service.unit_files import UnitFile
 
 

@@ -14,6 +14,7 @@ import socket
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -30,8 +31,6 @@ from bstm_daemon.simulation import load_drive, simulate
 from bstm_daemon.simulation.recorder import Encoder, frames
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from bstm_daemon.simulation import SimulatedDrive
 
 INTERFACE: Final = "udp_multicast"

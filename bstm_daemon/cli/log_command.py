@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import argparse
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -19,9 +21,6 @@ from bstm_daemon.report.json_file import write_json
 from bstm_daemon.report.shell import write_page
 
 if TYPE_CHECKING:
-    import argparse
-    from collections.abc import Callable, Iterable
-
     from bstm_daemon.bus.signals.signal_map import SignalMap
     from bstm_daemon.config.sections import Config
     from bstm_daemon.report.shell import Page

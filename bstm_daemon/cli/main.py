@@ -12,8 +12,14 @@ import importlib
 import logging
 import os
 import sys
+from collections.abc import (
+    Collection,
+    Iterator,
+    MutableMapping,
+    Sequence,
+)
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
-from typing import TYPE_CHECKING, Any, Final, NoReturn
+from typing import Any, Final, NoReturn
 
 from bstm_daemon import __version__
 from bstm_daemon.errors import (
@@ -24,14 +30,6 @@ from bstm_daemon.errors import (
     nearest,
 )
 from bstm_daemon.watch.terminal_text import raw_stream, visible, visible_stream
-
-if TYPE_CHECKING:
-    from collections.abc import (
-        Collection,
-        Iterator,
-        MutableMapping,
-        Sequence,
-    )
 
 # matrices here are small: for so little, threads cost ten times what they do
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import argparse
 import time
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from bstm_daemon.analysis.gap.calibration import Calibration
 from bstm_daemon.analysis.identify.writing import Entries, write_changed
@@ -21,10 +22,6 @@ from bstm_daemon.report.match import (
     step_json,
     step_lines,
 )
-
-if TYPE_CHECKING:
-    import argparse
-
 
 PART_MISSING: Final = 1
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import argparse
 
 from bstm_daemon.cli.arguments import add_out, check_targets, option, shared
 from bstm_daemon.cli.vehicle import load_vehicle
@@ -13,9 +13,6 @@ from bstm_daemon.report.json_file import write_json
 from bstm_daemon.report.network import graph_text, network_graph, picture
 from bstm_daemon.roles import CORNERS
 from bstm_daemon.watch.terminal_text import visible
-
-if TYPE_CHECKING:
-    import argparse
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

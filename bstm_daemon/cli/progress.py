@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import sys
 import time
-from typing import TYPE_CHECKING, Final, Self, TextIO
+from collections.abc import Callable
+from types import TracebackType
+from typing import Final, Self, TextIO
 
 from bstm_daemon.watch.terminal_text import raw_stream
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from types import TracebackType
 
 _REDRAW_S: Final = 0.1
 _ERASE_LINE: Final = "\r\x1b[K"

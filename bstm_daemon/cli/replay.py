@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import argparse
 import sys
+from collections.abc import Callable
 from contextlib import ExitStack
 from functools import partial
 from math import isinf
@@ -55,9 +57,6 @@ from bstm_daemon.watch.terminal_text import raw_stream
 from bstm_daemon.watch.view import open_view
 
 if TYPE_CHECKING:
-    import argparse
-    from collections.abc import Callable
-
     from bstm_daemon.bus.signals.signal_map import SignalMap
     from bstm_daemon.config.sections import Config
     from bstm_daemon.replay.columns import StartState

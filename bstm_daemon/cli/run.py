@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import argparse
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from bstm_daemon.cli.arguments import PORT, number, option, shared
 from bstm_daemon.service.assembly import BusOverride
@@ -12,9 +12,6 @@ from bstm_daemon.service.events import ServiceLog
 from bstm_daemon.service.notify import Notifier
 from bstm_daemon.service.service import Options, Service
 from bstm_daemon.service.wake import SignalWaiter
-
-if TYPE_CHECKING:
-    import argparse
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

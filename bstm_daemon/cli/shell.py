@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
+import argparse
 from importlib import import_module
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from bstm_daemon.cli.arguments import option
 from bstm_daemon.cli.main import COMMANDS, parser_of
 from bstm_daemon.errors import require_packages
-
-if TYPE_CHECKING:
-    import argparse
 
 SHELLS: Final = ("bash", "zsh", "tcsh")
 

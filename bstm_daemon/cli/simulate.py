@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from bstm_daemon.cli.arguments import (
     LOG_ENDINGS,
@@ -33,9 +33,6 @@ from bstm_daemon.simulation.recorder import (
     write_samples,
     write_truth,
 )
-
-if TYPE_CHECKING:
-    import argparse
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

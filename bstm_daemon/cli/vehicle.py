@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 from bstm_daemon.errors import FileAccessError
 from bstm_daemon.replay.vehicle import load_vehicle
 from bstm_daemon.service.state_file import read
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 __all__ = ["load_vehicle", "read_state"]
 

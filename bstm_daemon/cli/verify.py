@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -21,8 +22,6 @@ from bstm_daemon.errors import LogError
 from bstm_daemon.report.verify import verify_json, verify_page, verify_text
 
 if TYPE_CHECKING:
-    import argparse
-
     from bstm_daemon.analysis.matching.drives import Drive
     from bstm_daemon.analysis.matching.verification import NodeErrors
 

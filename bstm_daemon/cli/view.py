@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import argparse
 import asyncio
 import json
 import signal
 import threading
 import webbrowser
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -22,9 +24,6 @@ from bstm_daemon.replay.frames import publications
 from bstm_daemon.watch.replay_view import Pace
 
 if TYPE_CHECKING:
-    import argparse
-    from collections.abc import Iterator
-
     from bstm_daemon.bus.signals.signal_map import SignalMap
     from bstm_daemon.config.sections import Config
     from bstm_daemon.engine import Engine

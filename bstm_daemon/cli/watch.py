@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import sys
 from argparse import ArgumentTypeError
 from contextlib import suppress
@@ -19,8 +20,6 @@ from bstm_daemon.watch.terminal_text import raw_stream
 from bstm_daemon.watch.view import open_view
 
 if TYPE_CHECKING:
-    import argparse
-
     from bstm_daemon.config.sections import Config
 
 

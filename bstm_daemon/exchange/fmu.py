@@ -10,6 +10,7 @@ from __future__ import annotations
 import shutil
 import subprocess
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from platform import machine
@@ -24,8 +25,6 @@ from bstm_daemon.files import replacing
 from bstm_daemon.model.compiled import c_sources
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from bstm_daemon.exchange.fmu_model import FmuModel
 
 FLAGS: Final = ("-std=gnu99", "-O3", "-ffp-contract=off", "-shared")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import isnan
 from typing import TYPE_CHECKING, Final
 from xml.etree.ElementTree import (
@@ -15,8 +16,6 @@ from bstm_daemon import __version__
 from bstm_daemon.estimator.estimator import STEP_US
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from bstm_daemon.exchange.fmu_model import FmuModel, Variable
 
 BASE_UNITS: Final = {

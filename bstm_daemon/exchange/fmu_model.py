@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import chain
 from math import isnan
@@ -18,8 +19,6 @@ from bstm_daemon.model.effects.model import corrections_by_role
 from bstm_daemon.roles import ROLES
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
-
     from bstm_daemon.config.sections import Config
     from bstm_daemon.model.heat.sample_plan import SamplePlan
     from bstm_daemon.model.thermal.program import Program

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from hashlib import sha256
 from math import isinf, isnan
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from uuid import UUID
 
 from bstm_daemon.channels import CHANNELS
@@ -13,9 +14,6 @@ from bstm_daemon.estimator.coupling import COUPLING_US
 from bstm_daemon.estimator.estimator import STEP_US
 from bstm_daemon.exchange.fmu_model import KINDS, FmuModel
 from bstm_daemon.model.heat.memory import SampleState
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
 TYPES = """
 typedef struct { int ints, length, floats, state, ledger; int32_t set;

@@ -10,6 +10,7 @@ that acts otherwise is left out.
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
@@ -32,8 +33,6 @@ from bstm_daemon.estimator.corner_model import compile_corner
 from bstm_daemon.model.effects.catalogue import effect_class
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
     import numpy.typing as npt
 
     from bstm_daemon.config.section import Section

@@ -10,6 +10,7 @@ import json
 import socket
 import ssl
 import time
+from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any, Final
 from urllib.parse import urlsplit
 
@@ -22,8 +23,6 @@ from bstm_daemon.errors import FileAccessError, UsageError
 from bstm_daemon.feed.vss import UNITS, WHEELS, branches
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-
     from bstm_daemon.feed.reader import Record
 
 PORTS: Final = {"mqtt": 1883, "mqtts": 8883}

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import json
 import socket
+from collections.abc import Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from bstm_daemon.errors import UsageError
 from bstm_daemon.feed.record import SCHEMA, VERSION
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
     from threading import Event
 
 DEFAULT_SOCKET: Final = "/run/bstm/feed.sock"

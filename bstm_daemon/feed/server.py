@@ -8,15 +8,14 @@ rest of a line that was begun is sent first.
 from __future__ import annotations
 
 import socket
+from collections.abc import Callable
 from contextlib import suppress
+from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from bstm_daemon.feed.record import RecordWriter
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
-
     from bstm_daemon.config.sections import Config
     from bstm_daemon.estimate import Estimate
 

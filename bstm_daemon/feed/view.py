@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 import hmac
 import socket
+from collections.abc import Callable
 from ipaddress import ip_address
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
@@ -21,8 +22,6 @@ from tornado.web import Application, HTTPError, RequestHandler
 from bstm_daemon.errors import UsageError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from bstm_daemon.feed.live import Live
 
 FOLDER: Final = Path(__file__).parent / "page"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from functools import cache, cached_property
 from pathlib import Path
@@ -46,8 +47,6 @@ from bstm_daemon.report.text import percent, table, wrapped
 from bstm_daemon.service.state_file import safe_name
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
     from bstm_daemon.analysis.gap.naming import Naming
     from bstm_daemon.fleet.plan import Plan
 

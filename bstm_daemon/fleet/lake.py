@@ -11,13 +11,14 @@ import json
 import re
 import sys
 import tomllib
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from functools import cache
 from hashlib import blake2b
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from bstm_daemon import __version__
 from bstm_daemon.config.csv_tables import csv_names
@@ -26,9 +27,6 @@ from bstm_daemon.errors import FileAccessError, UsageError, require_packages
 from bstm_daemon.files import make_folder, replacing
 from bstm_daemon.native.loader import load_kernel
 from bstm_daemon.service.state_file import safe_name
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
 
 _PACKAGE: Final = Path(__file__).resolve().parents[1]
 _CODE: Final = ("**/*.py", "**/*.c", "**/*.h", "**/*.toml")

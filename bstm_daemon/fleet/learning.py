@@ -10,7 +10,9 @@ cars say of a further one is written as a configuration.
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
@@ -41,9 +43,6 @@ from bstm_daemon.config.reading import load_config
 from bstm_daemon.model.effects.catalogue import effect_class
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-    from pathlib import Path
-
     from bstm_daemon.analysis.gap.evidence import NormalEquations
     from bstm_daemon.analysis.identify.writing import Change
     from bstm_daemon.analysis.statistics.series import Column, Matrix

@@ -11,6 +11,7 @@ import json
 import os
 import re
 import sqlite3
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import closing
 from dataclasses import astuple, fields
 from functools import cached_property, lru_cache
@@ -36,8 +37,6 @@ from bstm_daemon.replay.vehicle import load_vehicle
 from bstm_daemon.service.state_file import safe_name
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
-
     from bstm_daemon.bus.signals.signal_map import SignalMap
     from bstm_daemon.fleet.lake import Lake
 

@@ -7,6 +7,7 @@ that client and scheduler hold the drives under way and no others.
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -27,8 +28,6 @@ from bstm_daemon.fleet.drive import (
 from bstm_daemon.fleet.lake import hash_of_config, program
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
     from bstm_daemon.fleet.lake import Drive, Lake, Options, Receipt
     from bstm_daemon.fleet.plan import Plan
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -28,8 +29,6 @@ from bstm_daemon.report.timescale import duration
 from bstm_daemon.units import UNITS
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from bstm_daemon.analysis.quality.finding import (
         Comparison,
         ModeVerdict,

@@ -5,6 +5,7 @@ Those of cool-downs, and those of whole drives (``--while-braking``).
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
 
@@ -28,8 +29,6 @@ from bstm_daemon.report.text import columns, number, wrapped
 from bstm_daemon.units import KELVIN_OFFSET
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-
     from bstm_daemon.analysis.identify.cooling import (
         AxleCooling,
         Cooling,

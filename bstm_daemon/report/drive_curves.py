@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import combinations, cycle
 from typing import TYPE_CHECKING, Any, Final
@@ -34,8 +35,6 @@ from bstm_daemon.report.plots import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
-
     import numpy.typing as npt
 
     from bstm_daemon.replay.results import Results

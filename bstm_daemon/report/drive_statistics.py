@@ -6,6 +6,7 @@ from here. Times are seconds since the first row.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
@@ -24,8 +25,6 @@ from bstm_daemon.report.findings import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     import numpy.typing as npt
 
     from bstm_daemon.report.findings import Finding, ReasonTime

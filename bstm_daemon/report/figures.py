@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from bstm_daemon.errors import UsageError, require_packages
@@ -10,8 +11,6 @@ from bstm_daemon.files import make_folder
 from bstm_daemon.report.plots import PAPER, stamp
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from bstm_daemon.report.plots import Plot
     from bstm_daemon.report.shell import Page
 

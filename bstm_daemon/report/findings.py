@@ -7,6 +7,7 @@ stretches in which a condition holds, and the stops, are found as rows come.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
@@ -26,8 +27,6 @@ from bstm_daemon.report.text import percent
 from bstm_daemon.report.timescale import clock, duration
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     import numpy.typing as npt
 
     Bits = npt.NDArray[np.int64]

@@ -5,14 +5,13 @@ from __future__ import annotations
 import time
 from datetime import UTC, datetime
 from math import isinf
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bstm_daemon.report.text import percent, table
 from bstm_daemon.units import to_celsius
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from bstm_daemon.forecast.offline_forecast import CornerOutlook, Outlook
 
 HEADING = (

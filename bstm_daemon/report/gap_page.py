@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from html import escape
 from textwrap import wrap
@@ -34,8 +35,6 @@ from bstm_daemon.report.plots import (
 from bstm_daemon.report.shell import Page, Section, Table
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
     from bstm_daemon.analysis.gap.holdout_comparison import (
         NodeErrors,
         Shown,

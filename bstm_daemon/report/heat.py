@@ -5,6 +5,7 @@ The page has figures 4.5 to 4.10 and 6.1 to 6.3 of the thesis.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import isfinite, nan
 from typing import TYPE_CHECKING, Any, Final
 
@@ -31,8 +32,6 @@ from bstm_daemon.report.text import columns, wrapped
 from bstm_daemon.report.timescale import clock
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from bstm_daemon.analysis.identify.heat_comparison import (
         HeatComparison,
         StopFriction,

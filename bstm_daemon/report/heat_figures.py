@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -24,8 +24,6 @@ from bstm_daemon.report.plots import (
 from bstm_daemon.report.timescale import clock
 
 if TYPE_CHECKING:
-    from typing import Any
-
     from bstm_daemon.analysis.identify.heat_comparison import (
         HeatComparison,
         HeatStop,

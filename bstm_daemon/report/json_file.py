@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import fields
 from operator import attrgetter, methodcaller
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pydantic_core import to_json
@@ -12,8 +13,6 @@ from pydantic_core import to_json
 from bstm_daemon.files import replacing
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from _typeshed import DataclassInstance
 
 

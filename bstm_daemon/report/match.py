@@ -5,6 +5,7 @@ The page has figure 5.2 of the thesis.
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -24,8 +25,6 @@ from bstm_daemon.report.shell import Page, Section, Table, node_section
 from bstm_daemon.report.text import table
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
     from bstm_daemon.analysis.gap.calibration import Step
     from bstm_daemon.analysis.matching.matcher import Match
     from bstm_daemon.analysis.matching.refine import Refinement

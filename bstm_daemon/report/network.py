@@ -8,6 +8,7 @@ is narrow, so that it can be read on a phone and on paper.
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import prod
 from typing import TYPE_CHECKING, Final
@@ -20,8 +21,6 @@ from bstm_daemon.report.text import table
 from bstm_daemon.units import KELVIN_OFFSET, to_celsius
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
-
     from bstm_daemon.model.thermal.network import Factor, Memory, Network
     from bstm_daemon.model.thermal.table import Table
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from html import escape
@@ -13,8 +14,6 @@ from bstm_daemon.report.decimation import ThinCurve
 from bstm_daemon.report.timescale import time_axis
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     import numpy.typing as npt
 
     Column = npt.NDArray[np.float64]

@@ -8,6 +8,7 @@ another and move together, so that a stop can be followed down.
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from html import escape
 from itertools import cycle
@@ -23,8 +24,6 @@ from bstm_daemon.report.plots import (
 from bstm_daemon.report.timescale import clock
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-
     from bstm_daemon.report.drive_curves import DriveCurves, Trace
     from bstm_daemon.report.drive_statistics import CornerSummary, DriveSummary
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
@@ -19,8 +20,6 @@ from bstm_daemon.report.text import percent
 from bstm_daemon.report.timescale import HOUR_S, clock, duration, start_text
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
     from bstm_daemon.report.drive_curves import DriveCurves
 
 SAMPLE_COUNTS: Final = {

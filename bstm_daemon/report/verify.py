@@ -5,6 +5,7 @@ The page has figures 5.2 and 6.4 to 6.8 of the thesis.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import isnan
 from typing import TYPE_CHECKING, Any
 
@@ -21,8 +22,6 @@ from bstm_daemon.report.shell import Cell, Page, Section, Table, node_section
 from bstm_daemon.report.text import table
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from bstm_daemon.analysis.matching.verification import NodeErrors, Verdict
 
 ERROR_HEAD = (

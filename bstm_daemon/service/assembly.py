@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from bstm_daemon.bus.live.socketcan import SocketcanLink
@@ -19,9 +21,6 @@ from bstm_daemon.engine import Engine
 from bstm_daemon.errors import BstmError, ConfigError, require_packages
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-    from pathlib import Path
-
     from bstm_daemon.bus.live.link import Link, Wanted
     from bstm_daemon.config.sections import BusConfig, Config
 

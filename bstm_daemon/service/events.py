@@ -7,6 +7,7 @@ limit on repeated events.
 
 from __future__ import annotations
 
+from collections.abc import Hashable
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final, Literal
@@ -14,8 +15,6 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 import structlog
 
 if TYPE_CHECKING:
-    from collections.abc import Hashable
-
     from structlog.typing import FilteringBoundLogger
 
 Level = Literal["debug", "info", "warning", "error"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from operator import itemgetter
 from typing import TYPE_CHECKING, Final
 
@@ -10,8 +11,6 @@ from bstm_daemon.bus.live.socketcan import SocketcanLink
 from bstm_daemon.native.loader import live_extension
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from bstm_daemon.bus.live.link import Frame, Link
     from bstm_daemon.service.clock import SteadyAxis
 

@@ -9,7 +9,7 @@ An unknown value is NaN.
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
 from operator import attrgetter
 from typing import TYPE_CHECKING, Any, Final
 
@@ -29,7 +29,6 @@ from bstm_daemon.model.heat.plausibility import FAULTS
 from bstm_daemon.units import to_celsius
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
     from enum import IntEnum
 
     from prometheus_client.metrics_core import Metric

@@ -7,6 +7,7 @@ service otherwise forbids.
 from __future__ import annotations
 
 import threading
+from collections.abc import Iterable
 from contextlib import suppress
 from http import HTTPStatus
 from socket import SHUT_RDWR
@@ -19,7 +20,6 @@ from prometheus_client import make_wsgi_app
 from bstm_daemon.errors import UsageError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
     from socket import socket
     from wsgiref.types import StartResponse, WSGIApplication, WSGIEnvironment
 

@@ -10,10 +10,8 @@ from __future__ import annotations
 import os
 import re
 import socket
-from typing import TYPE_CHECKING, Final, Self
-
-if TYPE_CHECKING:
-    from collections.abc import MutableMapping
+from collections.abc import MutableMapping
+from typing import Final, Self
 
 PATIENCE_S: Final = 1.0
 """How long a change of the unit's state waits for a busy service manager."""

@@ -11,6 +11,7 @@ import os
 import threading
 from dataclasses import asdict, dataclass, replace
 from math import nan
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from bstm_daemon.estimator.memory import StateError
@@ -29,8 +30,6 @@ from bstm_daemon.service.state_file import (
 from bstm_daemon.service.status import StateFileStatus
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from bstm_daemon.config.sections import Config
     from bstm_daemon.engine import Engine
     from bstm_daemon.service.clock import SteadyAxis

@@ -17,13 +17,12 @@ import re
 import time
 from calendar import timegm
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import structlog
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from bstm_daemon.config.service import RecordConfig
 
 _LOG = structlog.get_logger()

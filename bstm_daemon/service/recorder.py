@@ -11,7 +11,9 @@ import re
 import threading
 import time
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from bstm_daemon.bus.logs.candump_line import ERROR_FLAG
@@ -19,9 +21,6 @@ from bstm_daemon.bus.signals.extraction import EXTENDED_MAX
 from bstm_daemon.service.record_store import RecordStore
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from pathlib import Path
-
     from bstm_daemon.bus.live.link import Frame
     from bstm_daemon.config.service import RecordConfig
 

@@ -11,6 +11,7 @@ from dataclasses import replace
 from functools import reduce
 from math import isfinite
 from operator import or_
+from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from bstm_daemon.bus.live.link import LinkEvent, LinkState
@@ -23,8 +24,6 @@ from bstm_daemon.service.recorder import Recorder
 from bstm_daemon.service.status import collected, loop_status, status_line
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from bstm_daemon.bus.live.link import Frame, Link
     from bstm_daemon.estimate import Reason, Validity
     from bstm_daemon.service.assembly import Monitor

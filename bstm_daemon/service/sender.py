@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Final
 
 from bstm_daemon.bus.live.link import SendResult
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-
     from bstm_daemon.bus.live.link import Link
     from bstm_daemon.bus.output.publication import OutputFrame, Publication
     from bstm_daemon.engine import Published

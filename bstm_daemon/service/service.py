@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import gc
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from bstm_daemon import __version__
@@ -32,8 +33,6 @@ from bstm_daemon.service.reporting import ServiceReporter
 from bstm_daemon.service.sender import Sender
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from bstm_daemon.bus.live.link import Frame, Link
     from bstm_daemon.service.events import ServiceLog
     from bstm_daemon.service.intake import Arrivals

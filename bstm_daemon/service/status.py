@@ -7,6 +7,7 @@ the line that ``systemctl status`` shows are written from it.
 from __future__ import annotations
 
 import resource
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from math import isfinite, nan
 from pathlib import Path
@@ -25,8 +26,6 @@ from bstm_daemon.model.heat.plausibility import WORDS, fault_names
 from bstm_daemon.units import to_celsius
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
     from bstm_daemon.bus.live.link import LinkEvent, LinkState
     from bstm_daemon.engine import Engine
     from bstm_daemon.estimate import CarRisk

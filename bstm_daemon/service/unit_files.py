@@ -13,15 +13,13 @@ import os
 import re
 import stat
 import sys
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from bstm_daemon.errors import UsageError
 from bstm_daemon.files import make_folder, replacing, shipped_file
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
 
 UNIT_FOLDER: Final = Path("/etc/systemd/system")
 CONFIG_FOLDER: Final = Path("/etc/bstm")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Collection, Mapping, Sequence
 from math import isfinite, isnan, nan
 from typing import TYPE_CHECKING, Final, NamedTuple, TypeVar
 
@@ -25,7 +26,6 @@ from bstm_daemon.estimate import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Mapping, Sequence
     from enum import IntEnum
 
     from bstm_daemon.bus.output.layout import Frame

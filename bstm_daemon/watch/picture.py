@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from math import isfinite
@@ -20,8 +21,6 @@ from bstm_daemon.watch.lines import LABELS, number
 from bstm_daemon.watch.terminal_text import visible
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from rich.console import (
         Console,
         ConsoleOptions,

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from itertools import chain
 from math import inf
 from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
     from bstm_daemon.engine import Published
     from bstm_daemon.watch.board import Board
     from bstm_daemon.watch.lines import LineView

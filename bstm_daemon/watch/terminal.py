@@ -15,6 +15,7 @@ import termios
 import time
 import tty
 from contextlib import suppress
+from types import FrameType
 from typing import TYPE_CHECKING, Any, Final, Self, TextIO
 
 from rich.console import Console, ConsoleDimensions
@@ -25,8 +26,6 @@ from bstm_daemon.watch.lines import LineView
 from bstm_daemon.watch.picture import picture
 
 if TYPE_CHECKING:
-    from types import FrameType
-
     from bstm_daemon.watch.board import Board
 
 REDRAW_S: Final = 0.2

@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import os
-from typing import TYPE_CHECKING, Final
+from typing import Final, TextIO
 
 from bstm_daemon.errors import require_packages
 from bstm_daemon.watch.lines import LineView
-
-if TYPE_CHECKING:
-    from typing import TextIO
 
 _NO_SCREEN: Final = ("dumb", "unknown")
 """Values of ``TERM`` for terminals that cannot move the cursor."""
