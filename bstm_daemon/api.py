@@ -18,7 +18,7 @@ from bstm_daemon.analysis.gap.recording import read_recording
 from bstm_daemon.analysis.matching.coarse import guesses_of
 from bstm_daemon.files import shipped_file
 from bstm_daemon.replay.columns import stream_log
-from bstm_daemon.replay.results import Collector
+from bstm_daemon.replay.results import Collector, Results
 from bstm_daemon.replay.vehicle import load_vehicle
 from bstm_daemon.simulation.recorder import Encoder, write_candump
 
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from bstm_daemon.analysis.matching.matcher import Match
     from bstm_daemon.bus.signals.signal_map import SignalMap
     from bstm_daemon.config.sections import Config
-    from bstm_daemon.replay.results import Results
 
 File = str | Path
 

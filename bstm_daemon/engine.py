@@ -12,11 +12,13 @@ from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from bstm_daemon.advice.advisor import Advisor
-from bstm_daemon.bus.live.frame_records import RecordDecoder
+from bstm_daemon.bus.live.frame_records import FrameRecords, RecordDecoder
 from bstm_daemon.bus.output.publication import OutputFrame, Publication
 from bstm_daemon.bus.signals.decoder import Decoder
 from bstm_daemon.bus.signals.e2e_guard import E2eGuard
 from bstm_daemon.estimate import (
+    Advice,
+    CarRisk,
     CornerEstimate,
     Estimate,
     HeatMode,
@@ -28,6 +30,7 @@ from bstm_daemon.estimator.corner_estimates import corner_estimates
 from bstm_daemon.estimator.estimator import STEP_US, Estimator
 from bstm_daemon.estimator.memory import Int64, Saved, checked
 from bstm_daemon.estimator.state import (
+    Restored,
     correct_parked,
     export_state,
     park,
@@ -43,12 +46,9 @@ from bstm_daemon.model.heat.sample_pass import TICK
 from bstm_daemon.model.risk.boiling import wet_boiling_point_k
 
 if TYPE_CHECKING:
-    from bstm_daemon.bus.live.frame_records import FrameRecords
     from bstm_daemon.bus.signals.signal_map import SignalMap
     from bstm_daemon.config.sections import Config
-    from bstm_daemon.estimate import Advice, CarRisk
     from bstm_daemon.estimator.blocks import Block, Instant
-    from bstm_daemon.estimator.state import Restored
     from bstm_daemon.model.wear.car import CarWear
 
 _STRAY_US: Final = 1_000_000

@@ -19,7 +19,7 @@ from bstm_daemon.cli.log_command import names_of, write_pages
 from bstm_daemon.cli.progress import Progress
 from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.config.reading import load_config, naming_file, read_draft
-from bstm_daemon.config.rules import usable_e2e, usable_signals
+from bstm_daemon.config.rules import Draft, usable_e2e, usable_signals
 from bstm_daemon.config.wording import toml_text
 from bstm_daemon.errors import ConfigError, UsageError, hint
 from bstm_daemon.estimator.corner_model import compile_corner
@@ -35,7 +35,6 @@ from bstm_daemon.roles import ROLE_INDEX, ROLES
 
 if TYPE_CHECKING:
     from bstm_daemon.analysis.quality.finding import Quality
-    from bstm_daemon.config.rules import Draft
     from bstm_daemon.config.sections import Config, CornerConfig, SignalConfig
 
 VERIFIED_HEAD: Final = ("input", "corners", "verified by")

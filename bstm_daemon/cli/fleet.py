@@ -8,11 +8,16 @@ import json
 import os
 import time
 from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager, redirect_stdout
+from contextlib import (
+    AbstractContextManager,
+    closing,
+    contextmanager,
+    redirect_stdout,
+)
 from io import StringIO
 from itertools import chain, count
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from bstm_daemon.cli.arguments import (
     add_force,
@@ -37,18 +42,13 @@ from bstm_daemon.fleet.gap import (
 from bstm_daemon.fleet.lake import Lake, Options, ask, shipped
 from bstm_daemon.fleet.learning import write_prior
 from bstm_daemon.fleet.plan import Fleet, Plan, add_logs
-from bstm_daemon.fleet.run import Run, connect, require_fleet
+from bstm_daemon.fleet.run import Outcome, Run, connect, require_fleet
 from bstm_daemon.report.fleet import FleetFacts, fleet_page
 from bstm_daemon.report.json_file import write_json
 from bstm_daemon.report.shell import require_page_packages, write_page
 from bstm_daemon.report.text import table, wrapped
 from bstm_daemon.report.timescale import duration
 from bstm_daemon.service.state_file import lock, safe_name
-
-if TYPE_CHECKING:
-    from contextlib import AbstractContextManager
-
-    from bstm_daemon.fleet.run import Outcome
 
 FAILURES_SHOWN: Final = 40
 EXIT_FAILED: Final = 1

@@ -8,10 +8,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from bstm_daemon.analysis.gap.advising import MENU
-from bstm_daemon.analysis.gap.heat_only import find_force_gap
-from bstm_daemon.analysis.gap.recording import read_recording
+from bstm_daemon.analysis.gap.heat_only import ForceGap, find_force_gap
+from bstm_daemon.analysis.gap.recording import Recording, read_recording
 from bstm_daemon.analysis.gap.workflow import (
     STEPS,
+    Gap,
     Question,
     advise_before,
     find_gap,
@@ -35,9 +36,6 @@ from bstm_daemon.report.gap_page import advice_json, gap_json, gap_page
 from bstm_daemon.simulation import drive_names
 
 if TYPE_CHECKING:
-    from bstm_daemon.analysis.gap.heat_only import ForceGap
-    from bstm_daemon.analysis.gap.recording import Recording
-    from bstm_daemon.analysis.gap.workflow import Gap
     from bstm_daemon.report.shell import Page
 
 WRITERS = ("adopt", "show", "run")

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Final
 
 from bstm_daemon.analysis.identify.driving import driving_of
 from bstm_daemon.analysis.identify.heat_comparison import (
+    HeatComparison,
+    StopFriction,
     compare_heat,
     stop_friction,
 )
@@ -17,16 +19,11 @@ from bstm_daemon.cli.progress import Progress
 from bstm_daemon.config.heat import heat_mode_problems
 from bstm_daemon.errors import LogError
 from bstm_daemon.replay.columns import stream_log
-from bstm_daemon.replay.results import Collector, Part
+from bstm_daemon.replay.results import Collector, Part, Results
 from bstm_daemon.report.heat import heat_json, heat_page, heat_text
 
 if TYPE_CHECKING:
-    from bstm_daemon.analysis.identify.heat_comparison import (
-        HeatComparison,
-        StopFriction,
-    )
     from bstm_daemon.config.sections import Config
-    from bstm_daemon.replay.results import Results
 
 FUSED: Final = "fused"
 

@@ -14,6 +14,7 @@ from bstm_daemon.analysis.identify.cooling_while_braking import (
 )
 from bstm_daemon.analysis.identify.driving import read_drivings
 from bstm_daemon.analysis.identify.writing import (
+    Change,
     brake_changes,
     braked_changes,
     coast_down_changes,
@@ -27,7 +28,6 @@ from bstm_daemon.errors import UsageError
 from bstm_daemon.report import brakes, coastdown, cooling
 
 if TYPE_CHECKING:
-    from bstm_daemon.analysis.identify.writing import Change
     from bstm_daemon.config.sections import Config
     from bstm_daemon.report.shell import Page
 

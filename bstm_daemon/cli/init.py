@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from bstm_daemon.analysis.setup.name_rules import name_matches, unit_matches
-from bstm_daemon.analysis.setup.proposal import propose
+from bstm_daemon.analysis.setup.proposal import Candidate, Proposal, propose
 from bstm_daemon.analysis.setup.recording import read_recording
 from bstm_daemon.analysis.setup.table import (
     propose_for,
@@ -26,9 +25,6 @@ from bstm_daemon.bus.signals.dbc_text import guess_encoding
 from bstm_daemon.cli.arguments import add_force, add_out, check_new, option
 from bstm_daemon.errors import FileAccessError, UsageError
 from bstm_daemon.files import replacing
-
-if TYPE_CHECKING:
-    from bstm_daemon.analysis.setup.proposal import Candidate, Proposal
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

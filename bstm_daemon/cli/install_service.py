@@ -8,7 +8,6 @@ from __future__ import annotations
 import argparse
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from bstm_daemon.cli.arguments import PORT, add_config, option
 from bstm_daemon.errors import UsageError
@@ -19,15 +18,13 @@ from bstm_daemon.service.unit_files import (
     DEFAULT_CONFIG,
     UNIT_FOLDER,
     ServiceUnit,
+    UnitFile,
     obstacles,
     program_command,
     program_places,
     refuse_hidden,
     require_plain,
 )
-
-if TYPE_CHECKING:
-    from bstm_daemon.service.unit_files import UnitFile
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -18,7 +18,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import can
 
@@ -27,11 +27,8 @@ from bstm_daemon.engine import Engine
 from bstm_daemon.errors import BstmError, require_packages
 from bstm_daemon.files import make_folder, shipped_file
 from bstm_daemon.service.state_file import encode, save
-from bstm_daemon.simulation import load_drive, simulate
+from bstm_daemon.simulation import SimulatedDrive, load_drive, simulate
 from bstm_daemon.simulation.recorder import Encoder, frames
-
-if TYPE_CHECKING:
-    from bstm_daemon.simulation import SimulatedDrive
 
 INTERFACE: Final = "udp_multicast"
 GROUP: Final = "239.74.163.2"

@@ -18,12 +18,11 @@ from bstm_daemon.cli.arguments import (
 from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.report.figures import write_figures
 from bstm_daemon.report.json_file import write_json
-from bstm_daemon.report.shell import write_page
+from bstm_daemon.report.shell import Page, write_page
 
 if TYPE_CHECKING:
     from bstm_daemon.bus.signals.signal_map import SignalMap
     from bstm_daemon.config.sections import Config
-    from bstm_daemon.report.shell import Page
 
 
 T = TypeVar("T")

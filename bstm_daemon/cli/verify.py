@@ -5,11 +5,12 @@ from __future__ import annotations
 import argparse
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
-from bstm_daemon.analysis.matching.drives import read_drive, read_drives
+from bstm_daemon.analysis.matching.drives import Drive, read_drive, read_drives
 from bstm_daemon.analysis.matching.verification import (
     LIMITS,
+    NodeErrors,
     decisive,
     errors_of,
     held_against,
@@ -20,10 +21,6 @@ from bstm_daemon.cli.log_command import LogCommand, add_log_arguments
 from bstm_daemon.cli.progress import Progress
 from bstm_daemon.errors import LogError
 from bstm_daemon.report.verify import verify_json, verify_page, verify_text
-
-if TYPE_CHECKING:
-    from bstm_daemon.analysis.matching.drives import Drive
-    from bstm_daemon.analysis.matching.verification import NodeErrors
 
 FAILED: Final = 1
 

@@ -6,22 +6,18 @@ import argparse
 import sys
 from argparse import ArgumentTypeError
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from bstm_daemon.bus.output.layout import BLOCK_IDS, MAX_STANDARD_ID
 from bstm_daemon.cli.arguments import add_config, number, option
 from bstm_daemon.config.reading import load_config
-from bstm_daemon.config.sections import BusConfig
+from bstm_daemon.config.sections import BusConfig, Config
 from bstm_daemon.config.service import PublishConfig
 from bstm_daemon.errors import ConfigError
 from bstm_daemon.watch.board import Board
 from bstm_daemon.watch.live import link_of, watch_link
 from bstm_daemon.watch.terminal_text import raw_stream
 from bstm_daemon.watch.view import open_view
-
-if TYPE_CHECKING:
-    from bstm_daemon.config.sections import Config
-
 
 LAST_BASE: Final = MAX_STANDARD_ID - BLOCK_IDS + 1
 """The last id at which the whole block is of 11 bits."""

@@ -12,14 +12,19 @@ from functools import cache, lru_cache
 from math import isfinite, nan
 from typing import TYPE_CHECKING, Final
 
-from bstm_daemon.estimate import NO_RISK, CarRisk
+from bstm_daemon.estimate import (
+    NO_RISK,
+    CarRisk,
+    CornerEstimate,
+    Estimate,
+    Reason,
+)
 from bstm_daemon.units import to_celsius
 
 if TYPE_CHECKING:
     from enum import IntEnum
 
     from bstm_daemon.config.sections import Config
-    from bstm_daemon.estimate import CornerEstimate, Estimate, Reason
 
 SCHEMA: Final = "bstm.feed"
 VERSION: Final = 1

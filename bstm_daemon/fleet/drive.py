@@ -27,7 +27,7 @@ from bstm_daemon.fleet.lake import (
     program,
 )
 from bstm_daemon.model.wear.table import WEAR_COLUMNS
-from bstm_daemon.replay.columns import stream_log
+from bstm_daemon.replay.columns import Run, stream_log
 from bstm_daemon.replay.results import (
     WRITERS,
     Chosen,
@@ -39,6 +39,7 @@ from bstm_daemon.replay.vehicle import load_vehicle
 from bstm_daemon.report.drive_statistics import (
     SUMMARY_NODES,
     VALIDITY_NAMES,
+    CornerSummary,
     DriveStatistics,
 )
 from bstm_daemon.service import state_file
@@ -48,8 +49,6 @@ if TYPE_CHECKING:
 
     from bstm_daemon.bus.signals.signal_map import SignalMap
     from bstm_daemon.config.sections import Config
-    from bstm_daemon.replay.columns import Run
-    from bstm_daemon.report.drive_statistics import CornerSummary
 
 MADE: Final = 0
 SKIPPED: Final = 1

@@ -21,10 +21,15 @@ from bstm_daemon.analysis.gap.changes import either_sign, is_change, is_listed
 from bstm_daemon.analysis.gap.evidence import (
     NEXT_SHARE,
     NEXT_Z,
+    NormalEquations,
     strength_prior,
 )
 from bstm_daemon.analysis.gap.naming import GATE_NOTHING, GATE_Z, SURE
-from bstm_daemon.analysis.identify.writing import Entries, write_changed
+from bstm_daemon.analysis.identify.writing import (
+    Change,
+    Entries,
+    write_changed,
+)
 from bstm_daemon.analysis.matching.changes import value_changes
 from bstm_daemon.analysis.matching.learned import (
     entry_of,
@@ -38,15 +43,12 @@ from bstm_daemon.analysis.matching.tunables import (
     targets_of,
 )
 from bstm_daemon.analysis.statistics.evidence import FREE
-from bstm_daemon.config.estimates import PriorsConfig
+from bstm_daemon.config.estimates import MatchedConfig, PriorsConfig
 from bstm_daemon.config.reading import load_config
 from bstm_daemon.model.effects.catalogue import effect_class
 
 if TYPE_CHECKING:
-    from bstm_daemon.analysis.gap.evidence import NormalEquations
-    from bstm_daemon.analysis.identify.writing import Change
     from bstm_daemon.analysis.statistics.series import Column, Matrix
-    from bstm_daemon.config.estimates import MatchedConfig
 
 SPREADS: Final = np.array([0.03, 0.1, 0.3])
 """Standard deviation of the cars' strengths over that of the type. More would

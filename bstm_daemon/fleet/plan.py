@@ -32,13 +32,12 @@ from bstm_daemon.errors import (
     UsageError,
 )
 from bstm_daemon.files import make_folder
-from bstm_daemon.fleet.lake import Drive
+from bstm_daemon.fleet.lake import Drive, Lake
 from bstm_daemon.replay.vehicle import load_vehicle
 from bstm_daemon.service.state_file import safe_name
 
 if TYPE_CHECKING:
     from bstm_daemon.bus.signals.signal_map import SignalMap
-    from bstm_daemon.fleet.lake import Lake
 
 PLACEHOLDER: Final = "{vehicle}"
 

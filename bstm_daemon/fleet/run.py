@@ -25,10 +25,16 @@ from bstm_daemon.fleet.drive import (
     fail_drive,
     replay_drive,
 )
-from bstm_daemon.fleet.lake import hash_of_config, program
+from bstm_daemon.fleet.lake import (
+    Drive,
+    Lake,
+    Options,
+    Receipt,
+    hash_of_config,
+    program,
+)
 
 if TYPE_CHECKING:
-    from bstm_daemon.fleet.lake import Drive, Lake, Options, Receipt
     from bstm_daemon.fleet.plan import Plan
 
 WAIT_S: Final = 30.0

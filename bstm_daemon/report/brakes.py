@@ -13,6 +13,7 @@ from bstm_daemon.report.plots import (
     COLOURS,
     GREY,
     VERMILION,
+    Plot,
     cloud,
     curve,
     plot,
@@ -24,7 +25,6 @@ from bstm_daemon.report.timescale import clock
 
 if TYPE_CHECKING:
     from bstm_daemon.analysis.identify.brakes import Brakes
-    from bstm_daemon.report.plots import Plot
 
 STOP_HEAD: Final = (
     *("stop", "from", "km/h", "bar", "samples", "friction ratio"),

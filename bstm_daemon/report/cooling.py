@@ -11,7 +11,11 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from bstm_daemon.analysis.identify.cooling_while_braking import WINDOW_S
+from bstm_daemon.analysis.identify.cooling_while_braking import (
+    WINDOW_S,
+    BrakedAxle,
+    BrakedCooling,
+)
 from bstm_daemon.report.json_file import picked
 from bstm_daemon.report.plots import (
     BLACK,
@@ -19,6 +23,7 @@ from bstm_daemon.report.plots import (
     COLOURS,
     GREY,
     VERMILION,
+    Plot,
     cloud,
     curve,
     plot,
@@ -34,12 +39,7 @@ if TYPE_CHECKING:
         Cooling,
         CoolingPoint,
     )
-    from bstm_daemon.analysis.identify.cooling_while_braking import (
-        BrakedAxle,
-        BrakedCooling,
-    )
     from bstm_daemon.analysis.statistics.series import Column
-    from bstm_daemon.report.plots import Plot
 
 HEAD: Final = (
     *("speed", "S", "+-", "ten pairs", "+-", "configured"),

@@ -19,7 +19,7 @@ from bstm_daemon.estimate import (
     Message,
 )
 from bstm_daemon.model.heat.plausibility import FAULTS
-from bstm_daemon.replay.results import ElapsedTime, Part
+from bstm_daemon.replay.results import ElapsedTime, Part, Results
 from bstm_daemon.report.decimation import Buckets, ThinCurve, validity_spans
 from bstm_daemon.report.drive_statistics import SUMMARY_NODES
 from bstm_daemon.report.plots import (
@@ -36,8 +36,6 @@ from bstm_daemon.report.plots import (
 
 if TYPE_CHECKING:
     import numpy.typing as npt
-
-    from bstm_daemon.replay.results import Results
 
     Column = npt.NDArray[np.float64]
     _Look = tuple[str, str]

@@ -17,8 +17,10 @@ from bstm_daemon.model.heat.needs import INPUTS
 from bstm_daemon.replay.results import ElapsedTime, Part, Results
 from bstm_daemon.report.findings import (
     STANDING_MS,
+    Finding,
     FindingCollector,
     ReasonCollector,
+    ReasonTime,
     StopFinder,
     Stretches,
     StretchFinder,
@@ -26,8 +28,6 @@ from bstm_daemon.report.findings import (
 
 if TYPE_CHECKING:
     import numpy.typing as npt
-
-    from bstm_daemon.report.findings import Finding, ReasonTime
 
     Column = npt.NDArray[np.float64]
 

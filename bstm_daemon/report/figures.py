@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING, Any, Final
 
 from bstm_daemon.errors import UsageError, require_packages
 from bstm_daemon.files import make_folder
-from bstm_daemon.report.plots import PAPER, stamp
+from bstm_daemon.report.plots import PAPER, Plot, stamp
 
 if TYPE_CHECKING:
-    from bstm_daemon.report.plots import Plot
     from bstm_daemon.report.shell import Page
 
 FORMATS: Final = ("png", "svg")

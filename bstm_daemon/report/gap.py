@@ -20,6 +20,7 @@ from bstm_daemon.analysis.gap.holdout_comparison import (
     BASELINES,
     CONFIGURED,
     EXTENDED,
+    Shown,
     Shrink,
 )
 from bstm_daemon.analysis.statistics.series import rms
@@ -31,7 +32,6 @@ if TYPE_CHECKING:
     from bstm_daemon.analysis.gap.evidence import Candidate
     from bstm_daemon.analysis.gap.fitting import Fit
     from bstm_daemon.analysis.gap.heat_only import ForceGap
-    from bstm_daemon.analysis.gap.holdout_comparison import Shown
     from bstm_daemon.analysis.gap.naming import Naming
     from bstm_daemon.analysis.gap.residual_heat import Cell, Located
     from bstm_daemon.analysis.gap.workflow import Gap

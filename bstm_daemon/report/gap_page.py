@@ -13,10 +13,15 @@ from bstm_daemon.analysis.gap.holdout_comparison import (
     BASELINES,
     CONFIGURED,
     EXTENDED,
+    NodeErrors,
+    Shown,
+    Shrink,
 )
 from bstm_daemon.analysis.gap.residual_heat import (
     REGIMES,
     TEMPERATURES_C,
+    Cell,
+    Located,
     labels,
 )
 from bstm_daemon.report import gap as words
@@ -35,13 +40,7 @@ from bstm_daemon.report.plots import (
 from bstm_daemon.report.shell import Page, Section, Table
 
 if TYPE_CHECKING:
-    from bstm_daemon.analysis.gap.holdout_comparison import (
-        NodeErrors,
-        Shown,
-        Shrink,
-    )
     from bstm_daemon.analysis.gap.naming import Naming
-    from bstm_daemon.analysis.gap.residual_heat import Cell, Located
     from bstm_daemon.analysis.gap.workflow import Gap
 
 ORDER: Final = ("disc", "pad_front", "pad_back", "fluid", "caliper")

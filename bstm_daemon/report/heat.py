@@ -14,6 +14,8 @@ import numpy as np
 from bstm_daemon.analysis.identify.heat_comparison import (
     LEAST_ENERGY_J,
     SOURCES,
+    HeatComparison,
+    StopFriction,
 )
 from bstm_daemon.report.heat_figures import (
     energy_plot,
@@ -32,10 +34,6 @@ from bstm_daemon.report.text import columns, wrapped
 from bstm_daemon.report.timescale import clock
 
 if TYPE_CHECKING:
-    from bstm_daemon.analysis.identify.heat_comparison import (
-        HeatComparison,
-        StopFriction,
-    )
     from bstm_daemon.analysis.statistics.series import Column
 
 STOPS_DRAWN: Final = 8

@@ -6,7 +6,12 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from bstm_daemon.analysis.identify.heat_comparison import SOURCES
+from bstm_daemon.analysis.identify.heat_comparison import (
+    SOURCES,
+    HeatComparison,
+    HeatStop,
+    StopFriction,
+)
 from bstm_daemon.report.plots import (
     BLACK,
     BLUE,
@@ -14,6 +19,7 @@ from bstm_daemon.report.plots import (
     GREY,
     PURPLE,
     VERMILION,
+    Plot,
     cloud,
     curve,
     plot,
@@ -24,13 +30,7 @@ from bstm_daemon.report.plots import (
 from bstm_daemon.report.timescale import clock
 
 if TYPE_CHECKING:
-    from bstm_daemon.analysis.identify.heat_comparison import (
-        HeatComparison,
-        HeatStop,
-        StopFriction,
-    )
     from bstm_daemon.analysis.statistics.series import Column
-    from bstm_daemon.report.plots import Plot
 
 SOURCE_COLOURS: Final = {
     "ff": BLUE,

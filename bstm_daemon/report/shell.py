@@ -19,12 +19,11 @@ from bstm_daemon import __version__
 from bstm_daemon.errors import require_packages
 from bstm_daemon.files import replacing
 from bstm_daemon.report.json_file import own_fields
-from bstm_daemon.report.plots import EPOCH, node_plots
+from bstm_daemon.report.plots import EPOCH, NodeCurve, Plot, node_plots
 
 if TYPE_CHECKING:
     from jinja2 import Environment
 
-    from bstm_daemon.report.plots import NodeCurve, Plot
 
 TEMPLATES: Final = Path(__file__).parent / "templates"
 

@@ -7,12 +7,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from math import isnan
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from bstm_daemon.analysis.matching.verification import (
     BASELINE,
     LIMITS,
     LONG_S,
+    NodeErrors,
+    Verdict,
     coverage,
     decisive,
 )
@@ -20,9 +22,6 @@ from bstm_daemon.report.json_file import picked
 from bstm_daemon.report.plots import NodeCurve
 from bstm_daemon.report.shell import Cell, Page, Section, Table, node_section
 from bstm_daemon.report.text import table
-
-if TYPE_CHECKING:
-    from bstm_daemon.analysis.matching.verification import NodeErrors, Verdict
 
 ERROR_HEAD = (
     *("drive", "corner", "node", "RMS", "largest", "braking", "driving"),

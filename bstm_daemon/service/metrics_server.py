@@ -10,7 +10,7 @@ import threading
 from collections.abc import Iterable
 from contextlib import suppress
 from http import HTTPStatus
-from socket import SHUT_RDWR
+from socket import SHUT_RDWR, socket
 from socketserver import TCPServer, ThreadingMixIn
 from typing import TYPE_CHECKING, Any, Final
 from wsgiref.simple_server import WSGIRequestHandler, WSGIServer
@@ -20,7 +20,6 @@ from prometheus_client import make_wsgi_app
 from bstm_daemon.errors import UsageError
 
 if TYPE_CHECKING:
-    from socket import socket
     from wsgiref.types import StartResponse, WSGIApplication, WSGIEnvironment
 
     from bstm_daemon.service.metrics import StatusMetrics

@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Final
 
-from bstm_daemon.bus.live.link import SendResult
+from bstm_daemon.bus.live.link import Link, SendResult
 
 if TYPE_CHECKING:
-    from bstm_daemon.bus.live.link import Link
     from bstm_daemon.bus.output.publication import OutputFrame, Publication
     from bstm_daemon.engine import Published
 

@@ -27,7 +27,7 @@ from bstm_daemon.service.assembly import (
     refusing,
 )
 from bstm_daemon.service.clock import SteadyAxis
-from bstm_daemon.service.intake import GUARD_US, Intake
+from bstm_daemon.service.intake import GUARD_US, Arrivals, Intake
 from bstm_daemon.service.persistence import Persistence, state_file
 from bstm_daemon.service.reporting import ServiceReporter
 from bstm_daemon.service.sender import Sender
@@ -35,7 +35,6 @@ from bstm_daemon.service.sender import Sender
 if TYPE_CHECKING:
     from bstm_daemon.bus.live.link import Frame, Link
     from bstm_daemon.service.events import ServiceLog
-    from bstm_daemon.service.intake import Arrivals
     from bstm_daemon.service.notify import Notifier
     from bstm_daemon.service.wake import SignalWaiter
 

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Final
 from bstm_daemon import __version__
 from bstm_daemon.estimate import (
     NO_INPUT,
+    CarRisk,
     CornerEstimate,
     HeatMode,
     Input,
@@ -28,7 +29,6 @@ from bstm_daemon.units import to_celsius
 if TYPE_CHECKING:
     from bstm_daemon.bus.live.link import LinkEvent, LinkState
     from bstm_daemon.engine import Engine
-    from bstm_daemon.estimate import CarRisk
     from bstm_daemon.service.assembly import Monitor
     from bstm_daemon.service.intake import Intake
     from bstm_daemon.service.sender import Sender

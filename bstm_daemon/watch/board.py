@@ -12,6 +12,7 @@ from bstm_daemon.bus.output.layout import (
     CORNERS,
     LAYOUT_VERSION,
     UNKNOWN_REASONS,
+    Frame,
 )
 from bstm_daemon.bus.output.published import PublishedDecoder
 from bstm_daemon.estimate import (
@@ -28,7 +29,6 @@ from bstm_daemon.estimate import (
 if TYPE_CHECKING:
     from enum import IntEnum
 
-    from bstm_daemon.bus.output.layout import Frame
 
 HISTORY_S: Final = 300
 """Five minutes, about the time constant of a cooling disc."""

@@ -5,13 +5,10 @@ from __future__ import annotations
 import time
 from contextlib import AbstractContextManager
 from math import isfinite, isnan
-from typing import TYPE_CHECKING, Final, TextIO
+from typing import Final, TextIO
 
-from bstm_daemon.watch.board import NODES, SECOND_US, STATUS
+from bstm_daemon.watch.board import NODES, SECOND_US, STATUS, Board
 from bstm_daemon.watch.terminal_text import visible
-
-if TYPE_CHECKING:
-    from bstm_daemon.watch.board import Board
 
 LABELS: Final = dict(
     zip(NODES, ("disc", "pad front", "pad back", "fluid"), strict=True)

@@ -6,9 +6,15 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from math import isfinite
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
-from rich.console import Group
+from rich.console import (
+    Console,
+    ConsoleOptions,
+    Group,
+    RenderableType,
+    RenderResult,
+)
 from rich.layout import Layout
 from rich.measure import Measurement
 from rich.table import Table
@@ -16,19 +22,17 @@ from rich.text import Text
 
 from bstm_daemon.bus.output.layout import LAYOUT_VERSION
 from bstm_daemon.estimate import RiskLevel, State, Validity
-from bstm_daemon.watch.board import BARS, HISTORY_S, NODES, STATUS, sparkline
+from bstm_daemon.watch.board import (
+    BARS,
+    HISTORY_S,
+    NODES,
+    STATUS,
+    Board,
+    History,
+    sparkline,
+)
 from bstm_daemon.watch.lines import LABELS, number
 from bstm_daemon.watch.terminal_text import visible
-
-if TYPE_CHECKING:
-    from rich.console import (
-        Console,
-        ConsoleOptions,
-        RenderableType,
-        RenderResult,
-    )
-
-    from bstm_daemon.watch.board import Board, History
 
 _RISK_STYLES: Final = {
     RiskLevel.NORMAL: "green",

@@ -16,17 +16,14 @@ import time
 import tty
 from contextlib import suppress
 from types import FrameType
-from typing import TYPE_CHECKING, Any, Final, Self, TextIO
+from typing import Any, Final, Self, TextIO
 
 from rich.console import Console, ConsoleDimensions
 from rich.live import Live
 
-from bstm_daemon.watch.board import ASCII_BARS, BARS
+from bstm_daemon.watch.board import ASCII_BARS, BARS, Board
 from bstm_daemon.watch.lines import LineView
 from bstm_daemon.watch.picture import picture
-
-if TYPE_CHECKING:
-    from bstm_daemon.watch.board import Board
 
 REDRAW_S: Final = 0.2
 
