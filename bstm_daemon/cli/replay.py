@@ -30,7 +30,7 @@ from bstm_daemon.errors import MissingExtraError, UsageError
 from bstm_daemon.estimator.start import PUBLISHED_NODES
 from bstm_daemon.estimator.verified import unverified_of_car
 from bstm_daemon.files import make_folder
-from bstm_daemon.replay.columns import Run, StartState, stream_log
+from bstm_daemon.replay.columns import Run, stream_log
 from bstm_daemon.replay.frames import (
     publications,
     publish_channel,
@@ -59,6 +59,7 @@ from bstm_daemon.watch.view import open_view
 if TYPE_CHECKING:
     from bstm_daemon.bus.signals.signal_map import SignalMap
     from bstm_daemon.config.sections import Config
+    from bstm_daemon.replay.columns import StartState
 
 
 WEAR_MOVED_K = 5.0

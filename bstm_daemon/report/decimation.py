@@ -17,7 +17,8 @@ import numpy as np
 if TYPE_CHECKING:
     import numpy.typing as npt
 
-    Column = npt.NDArray[np.float64]
+    from bstm_daemon.analysis.statistics.series import Column
+
     Rows = npt.NDArray[np.intp]
 
 SPARE: Final = 2

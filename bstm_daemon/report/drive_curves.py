@@ -35,9 +35,8 @@ from bstm_daemon.report.plots import (
 )
 
 if TYPE_CHECKING:
-    import numpy.typing as npt
+    from bstm_daemon.analysis.statistics.series import Column
 
-    Column = npt.NDArray[np.float64]
     _Look = tuple[str, str]
 
 POINTS_A_TRACE: Final = 4000

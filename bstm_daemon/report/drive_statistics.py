@@ -29,7 +29,8 @@ from bstm_daemon.report.findings import (
 if TYPE_CHECKING:
     import numpy.typing as npt
 
-    Column = npt.NDArray[np.float64]
+    from bstm_daemon.analysis.statistics.series import Column
+
 
 SHORTEST_GAP_S: Final = 1.0
 """Shortest gap of an input; a shorter one is a late frame."""

@@ -29,8 +29,9 @@ from bstm_daemon.report.timescale import clock, duration
 if TYPE_CHECKING:
     import numpy.typing as npt
 
+    from bstm_daemon.analysis.statistics.series import Column
+
     Bits = npt.NDArray[np.int64]
-    Column = npt.NDArray[np.float64]
 
 STANDING_MS: Final = 0.5
 """At or below this a vehicle stands, as wheel-speed sensors stop there."""

@@ -14,9 +14,8 @@ from bstm_daemon.report.decimation import ThinCurve
 from bstm_daemon.report.timescale import time_axis
 
 if TYPE_CHECKING:
-    import numpy.typing as npt
+    from bstm_daemon.analysis.statistics.series import Column
 
-    Column = npt.NDArray[np.float64]
 
 EPOCH: Final = datetime(2000, 1, 1)  # noqa: DTZ001
 """Elapsed time 0 on the date axes, which alone have 1-5-10-15-30 ticks."""
