@@ -44,26 +44,51 @@ def watching(terminal: Start) -> Terminal:
     return started
 
 
-def test_q_leaves(watching: Terminal) -> None:
+def test_it_follows_the_size_is_stopped_and_left(watching: Terminal) -> None:
+    """One start of the program: it takes most of the time."""
     assert watching.raw.startswith(ENTER)
+    assert b"\x1b[1m" in watching.raw
     assert "bstm" in watching.lines[0]
     assert watching.lines[0].endswith("terminal")
+
+    size = struct.pack("HHHH", 10, 60, 0, 0)
+    watching.screen.resize(10, 60)
+    watching.screen.reset()
+    fcntl.ioctl(watching._slave, termios.TIOCSWINSZ, size)
+    watching.until_raw(b"q leaves", len(watching.raw) + 1)
+    watching.until("q leaves")
+    assert watching.lines[-1].endswith("q leaves")
+    assert len(watching.lines[-1]) == 60
+
+    # no shell holds this job, so the kernel lets it go on at once
+    watching.process.send_signal(signal.SIGTSTP)
+    left = watching.until_raw(LEAVE)
+    watching.until_raw(ENTER, left)
+    watching.until("q leaves")
+
     watching.press(b"x")
     watching.press(b"q")
-
     assert watching.ended() == 0
     assert watching.raw.endswith(LEAVE)
 
 
-def test_control_c_leaves(watching: Terminal) -> None:
-    watching.press(b"\x03")
+def test_control_c_leaves_and_nothing_is_coloured(terminal: Start) -> None:
+    watching = terminal(80, 24, *WATCH, NO_COLOR="1")
+    watching.until("q leaves")
+    assert b"\x1b[1m" not in watching.raw
 
+    watching.press(b"\x03")
     assert watching.ended() == 0
     assert watching.raw.endswith(LEAVE)
 
 
 @pytest.mark.parametrize(
-    "number", [signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT]
+    "number",
+    [
+        signal.SIGTERM,
+        pytest.param(signal.SIGHUP, marks=pytest.mark.slow),
+        pytest.param(signal.SIGQUIT, marks=pytest.mark.slow),
+    ],
 )
 def test_a_signal_that_ends_leaves_the_terminal_as_it_was(
     watching: Terminal, number: signal.Signals
@@ -72,17 +97,6 @@ def test_a_signal_that_ends_leaves_the_terminal_as_it_was(
 
     assert watching.ended() == 128 + number
     assert watching.raw.endswith(LEAVE)
-
-
-def test_being_stopped_gives_the_terminal_back(watching: Terminal) -> None:
-    # no shell holds this job, so the kernel lets it go on at once
-    watching.process.send_signal(signal.SIGTSTP)
-    left = watching.until_raw(LEAVE)
-    watching.until_raw(ENTER, left)
-    watching.until("q leaves")
-    watching.press(b"q")
-
-    assert watching.ended() == 0
 
 
 def test_an_error_leaves_the_terminal_as_it_was(terminal: Start) -> None:
@@ -119,26 +133,6 @@ def test_a_signal_while_it_draws_waits_for_the_end_of_it(
     assert started.ended() == 128 + signal.SIGTERM
     assert b"no frame yet" in started.raw
     assert started.raw.endswith(LEAVE)
-
-
-def test_the_picture_follows_the_size(watching: Terminal) -> None:
-    size = struct.pack("HHHH", 10, 60, 0, 0)
-    watching.screen.resize(10, 60)
-    watching.screen.reset()
-    fcntl.ioctl(watching._slave, termios.TIOCSWINSZ, size)
-    watching.until_raw(b"q leaves", len(watching.raw) + 1)
-    watching.until("q leaves")
-
-    assert watching.lines[-1].endswith("q leaves")
-    assert len(watching.lines[-1]) == 60
-
-
-@pytest.mark.parametrize(("no_color", "colored"), [("1", False), ("", True)])
-def test_no_color(terminal: Start, no_color: str, *, colored: bool) -> None:
-    started = terminal(80, 24, *WATCH, NO_COLOR=no_color)
-    started.until("q leaves")
-
-    assert (b"\x1b[1m" in started.raw) == colored
 
 
 def _until_left(master: int) -> bytes:
