@@ -2,8 +2,14 @@
 
 import functools
 import os
+import sys
 from collections.abc import Callable, Iterator
 from typing import Any, cast
+
+# before anything imports numpy: a worker of pytest has one core, and BLAS
+# threads that wait for each other would take the other worker's
+assert "numpy" not in sys.modules
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import pytest
 from hypothesis import Phase, settings
@@ -29,10 +35,6 @@ settings.register_profile(
     phases=(Phase.explicit, Phase.generate),
 )
 settings.load_profile("ci" if os.environ.get("CI") else "local")
-
-# numpy is not imported yet: a worker of pytest has one core, and BLAS threads
-# that wait for each other would take the other worker's
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 
 @pytest.fixture(scope="session", autouse=True)

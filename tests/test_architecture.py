@@ -123,6 +123,9 @@ def statements(
             yield from statements(inner, typing_too=typing_too)
 
 
+parsed = cache(ast.parse)
+
+
 def imports_of(source: str, *, typing_too: bool = True) -> set[str]:
     """Modules of the package that *source* imports.
 
@@ -133,7 +136,7 @@ def imports_of(source: str, *, typing_too: bool = True) -> set[str]:
     """
     known = set(MODULES)
     found = set()
-    for node in statements(ast.parse(source).body, typing_too=typing_too):
+    for node in statements(parsed(source).body, typing_too=typing_too):
         if isinstance(node, ast.Import):
             pairs = [("", alias.name) for alias in node.names]
         elif isinstance(node, ast.ImportFrom) and node.module:

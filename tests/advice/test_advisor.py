@@ -209,7 +209,14 @@ def test_wear_is_published_every_ten_seconds() -> None:
     assert found[0]["RemainingDistance"] == "not_available"
 
 
-@pytest.mark.parametrize("cut_s", [2.0, 33.35, 50.0])
+@pytest.mark.parametrize(
+    "cut_s",
+    [
+        pytest.param(2.0, marks=pytest.mark.slow),
+        33.35,
+        pytest.param(50.0, marks=pytest.mark.slow),
+    ],
+)
 def test_a_restart_goes_on_with_the_same_bytes(cut_s: float) -> None:
     """Advice and wear in the state file; a forecast begins anew."""
     frames = [*drive(0.0, 45.0, 36.0, 10.0), *drive(45.0, 60.0, 0.0, 5.0)]

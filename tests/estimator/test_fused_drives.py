@@ -159,6 +159,12 @@ def estimate(
     )
 
 
+@cache
+def taught_nothing(mass_kg: float = 0.0) -> Drive:
+    """Return a drive in the city after a first start."""
+    return estimate("city", mass_kg=mass_kg)
+
+
 @pytest.fixture(scope="module")
 def rich() -> Drive:
     """Return the drive that teaches most."""
@@ -285,7 +291,7 @@ def test_single_wheels_that_are_braked_have_a_wide_interval() -> None:
 def test_what_is_learned_goes_on_in_the_next_drive(rich: Drive) -> None:
     document = export_state(rich.estimator)
     begun = estimate("city", document=document)
-    afresh = estimate("city")
+    afresh = taught_nothing()
     column = VEHICLE_CHANNELS.index("mass_std_kg")
 
     assert begun.vehicle[0, column] < 0.3 * afresh.vehicle[0, column]
@@ -333,7 +339,7 @@ def test_what_does_not_hold_is_not_taken_over(rich: Drive, fault: str) -> None:
     else:
         del numbers[LEARNED_NAMES[-1]]
     begun = estimate("city", document=document, mass_kg=mass_kg)
-    afresh = estimate("city", mass_kg=mass_kg)
+    afresh = taught_nothing(mass_kg)
 
     column = VEHICLE_CHANNELS.index("mass_std_kg")
     assert begun.vehicle[0, column] == afresh.vehicle[0, column]

@@ -68,7 +68,17 @@ def test_a_small_part_passes(tmp_path: Path, thousands: int) -> None:
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("defect", DEFECTS)
+@pytest.mark.parametrize(
+    "defect",
+    [
+        "an exception escapes",
+        *(
+            pytest.param(one, marks=pytest.mark.slow)
+            for one in DEFECTS
+            if one != "an exception escapes"
+        ),
+    ],
+)
 def test_a_defect_is_found_and_its_input_kept(
     tmp_path: Path, defect: str
 ) -> None:

@@ -169,10 +169,15 @@ def test_only_the_parts_that_a_sink_uses(
 
 
 def publish(
-    config: Config, signal_map: SignalMap, log: Path, out: Path
+    config: Config,
+    signal_map: SignalMap,
+    log: Path,
+    out: Path,
+    *,
+    forecast: bool = True,
 ) -> int:
     """Write what a daemon would have sent beside *log*."""
-    ticks = publications(config, signal_map, log)
+    ticks = publications(config, signal_map, log, forecast=forecast)
     return write_frames(ticks, publish_channel(config), out)
 
 
@@ -476,7 +481,7 @@ def test_odd_time_stamps(
     config, signal_map = load_vehicle(CAR)
 
     odd = replay_log(config, signal_map, path, forecast=False)
-    publish(config, signal_map, path, tmp_path / "out.log")
+    publish(config, signal_map, path, tmp_path / "out.log", forecast=False)
 
     assert odd.counts["jumps"] == counts.get("jumps", 0)
     for name in ("late", "dropped"):
@@ -551,7 +556,7 @@ def test_values_out_of_range_are_no_samples(
     ]
     path = write(tmp_path / "broken.log", broken)
 
-    odd = replayed(path)
+    odd = replayed(path, forecast=False)
 
     bad = sum(a != b for a, b in zip(lines, broken, strict=True))
     assert bad > 1000
@@ -589,7 +594,7 @@ def test_a_value_that_is_no_number_is_no_sample(
         for n, line in enumerate(lines)
     ]
 
-    result = replayed(write(tmp_path / "float.log", odd), car)
+    result = replayed(write(tmp_path / "float.log", odd), car, forecast=False)
 
     total = sum(" 1A4#" in line for line in lines)
     refused = result.refused
@@ -707,7 +712,9 @@ def test_wet_disc_does_nothing_in_the_dry(tmp_path: Path) -> None:
     write_candump(log, simulate(parse_drive(drive, "dry")), ENCODER)
     car = car_with(tmp_path, '[[effect]]\nname = "wet_disc"\n')
 
-    wet, dry = (replayed(log, path).results for path in (car, CAR))
+    wet, dry = (
+        replayed(log, path, forecast=False).results for path in (car, CAR)
+    )
 
     for name, column in dry.columns.items():
         assert np.allclose(
@@ -725,7 +732,7 @@ def test_an_effect_with_a_memory_gets_a_column(
         "parameters = {onset_c = 250.0, rate_per_s = 0.1, heat_j = 2e4}\n",
     )
 
-    result = replayed(log, car).results.columns
+    result = replayed(log, car, forecast=False).results.columns
 
     assert result["FL.pyrolysis"][-1] > 0.01
     assert np.all(np.diff(result["FL.pyrolysis"]) >= 0.0)
@@ -770,7 +777,7 @@ def test_a_part_of_ones_own(
         ('model = "lumped"', 'model = "own_brakes_for_test:two_node_disc"'),
     )
 
-    own = replayed(log, car).results.columns
+    own = replayed(log, car, forecast=False).results.columns
     dry = plain.results.columns
 
     assert own["FL.disc_c"].max() < dry["FL.disc_c"].max() - 5.0

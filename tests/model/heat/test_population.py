@@ -68,7 +68,9 @@ def test_another_seed_draws_other_cars(cases: Any) -> None:
 
 
 @pytest.mark.usefixtures("compiled_chosen")
-@pytest.mark.parametrize("number", [0, 3])
+@pytest.mark.parametrize(
+    "number", [0, pytest.param(3, marks=pytest.mark.slow)]
+)
 def test_columns_give_what_frames_give(
     cases: Any, tmp_path: Path, number: int
 ) -> None:
