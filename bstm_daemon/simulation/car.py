@@ -11,24 +11,20 @@ the primary piston, FR and RL on the secondary one, which the primary pushes
 and which therefore lags.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
+from bstm_daemon.simulation.materials import Array
+from bstm_daemon.simulation.parameters import Effects
 from bstm_daemon.simulation.profile import (
     SAMPLE_S,
     Course,
     prescribed_force,
     rounded,
 )
-
-if TYPE_CHECKING:
-    from bstm_daemon.simulation.materials import Array
-    from bstm_daemon.simulation.parameters import Effects
-    from bstm_daemon.simulation.vehicle import CarParameters
+from bstm_daemon.simulation.vehicle import CarParameters
 
 SECONDARY: Final = np.array([False, True, True, False])
 """Corners on the secondary circuit: FR and RL."""

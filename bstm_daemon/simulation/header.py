@@ -1,7 +1,5 @@
 """What the compiled reality takes from Python: sizes, names, parameters."""
 
-from __future__ import annotations
-
 from bstm_daemon.native.header import Header
 from bstm_daemon.simulation import parameters, sizes
 

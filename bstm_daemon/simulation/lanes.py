@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from bstm_daemon.simulation import materials, sizes
+from bstm_daemon.simulation.materials import Array
 from bstm_daemon.simulation.parameters import (
     ACTING_NAMES,
     CORNER_NAMES,
@@ -32,9 +33,6 @@ from bstm_daemon.simulation.parameters import (
     Effects,
     Mesh,
 )
-
-if TYPE_CHECKING:
-    from bstm_daemon.simulation.materials import Array
 
 CENTRE, HAT, HUB, PISTON, FLUID, BODY, FINGER, BRACKET, AIR = range(len(LUMPS))
 

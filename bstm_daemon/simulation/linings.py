@@ -6,17 +6,11 @@ the friction energy. Pyrolysis and wear are one-way: both run once a step,
 explicitly, and return the heat that left the corner.
 """
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from bstm_daemon.simulation import sizes
-
-if TYPE_CHECKING:
-    from bstm_daemon.simulation.lanes import Lanes, State
-    from bstm_daemon.simulation.materials import Array
+from bstm_daemon.simulation.lanes import Lanes, State
+from bstm_daemon.simulation.materials import Array
 
 
 def friction_factor(

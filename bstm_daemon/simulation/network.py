@@ -8,10 +8,7 @@ temperatures, pad area against swept ring; contact under pressure adds
 conduction across the interface.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -29,15 +26,13 @@ from bstm_daemon.simulation.lanes import (
     Lanes,
     State,
 )
+from bstm_daemon.simulation.materials import Array, Indices
 from bstm_daemon.simulation.parameters import (
     LUMPS,
     PATH_NAMES,
     DrawnPath,
     Inputs,
 )
-
-if TYPE_CHECKING:
-    from bstm_daemon.simulation.materials import Array, Indices
 
 
 @dataclass(slots=True)

@@ -5,19 +5,15 @@ integrated with the car's forces. Corners of the speed are rounded over half a
 second, as a driver and the chassis do, so that acceleration is finite.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
 from bstm_daemon.errors import ConfigError
-
-if TYPE_CHECKING:
-    from bstm_daemon.simulation.drives import Drive, Segment
-    from bstm_daemon.simulation.materials import Array
-    from bstm_daemon.simulation.vehicle import CarParameters
+from bstm_daemon.simulation.drives import Drive, Segment
+from bstm_daemon.simulation.materials import Array
+from bstm_daemon.simulation.vehicle import CarParameters
 
 SAMPLE_S: Final = 0.01
 """Time between samples of a course."""

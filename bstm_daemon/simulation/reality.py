@@ -8,14 +8,12 @@ closes to rounding whatever the step. The form in C agrees with that in NumPy
 to rounding and is some 70 times as fast for the corners of one car.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from types import ModuleType
-from typing import TYPE_CHECKING, Final, cast
+from typing import Final, cast
 
 import numpy as np
 
@@ -31,6 +29,7 @@ from bstm_daemon.simulation.lanes import (
     start_state,
 )
 from bstm_daemon.simulation.linings import friction_factor, pyrolyse, wear_pads
+from bstm_daemon.simulation.materials import Array
 from bstm_daemon.simulation.network import Paths, paths
 from bstm_daemon.simulation.parameters import (
     DEFAULT_MESH,
@@ -44,10 +43,6 @@ from bstm_daemon.simulation.parameters import (
     Inputs,
     Mesh,
 )
-
-if TYPE_CHECKING:
-    from bstm_daemon.simulation.materials import Array
-
 
 # thermocouples of a disc sit 1.5 mm under the friction surface
 _MEASURED_DEPTH: Final = 0.15

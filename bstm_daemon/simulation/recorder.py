@@ -17,16 +17,16 @@ from bstm_daemon.bus.signals.dbc import load_dbc
 from bstm_daemon.errors import ConfigError
 from bstm_daemon.files import replacing
 from bstm_daemon.roles import CORNERS
+from bstm_daemon.simulation.materials import Array
 from bstm_daemon.simulation.profile import SAMPLE_S
 from bstm_daemon.simulation.sensors import INSTRUMENTED
+from bstm_daemon.simulation.simulate import SimulatedDrive
 from bstm_daemon.units import KELVIN_OFFSET, UNITS
 
 if TYPE_CHECKING:
     import numpy.typing as npt
     from cantools.database.can import Message, Signal
 
-    from bstm_daemon.simulation.materials import Array
-    from bstm_daemon.simulation.simulate import SimulatedDrive
 
 START_STAMP_S: Final = 1_700_000_000.0
 """Stamp of a log's first sample: fixed, so that logs are reproducible."""

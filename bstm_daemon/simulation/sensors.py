@@ -12,24 +12,20 @@ lag and quantum; wheel-speed quantum and the speed below which a wheel sensor
 sees no teeth; noise of the torque signal.
 """
 
-from __future__ import annotations
-
 import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
 from bstm_daemon.errors import UsageError
 from bstm_daemon.roles import CORNERS, MEASURED_NODES
 from bstm_daemon.simulation.car import SECONDARY, Motion
+from bstm_daemon.simulation.materials import Array
+from bstm_daemon.simulation.parameters import Effects
 from bstm_daemon.simulation.profile import SAMPLE_S, Course
 from bstm_daemon.units import GRAVITY_MS2, KELVIN_OFFSET
-
-if TYPE_CHECKING:
-    from bstm_daemon.simulation.materials import Array
-    from bstm_daemon.simulation.parameters import Effects
 
 INSTRUMENTED: Final = ("FL", "FR")
 """Corners with thermocouples."""

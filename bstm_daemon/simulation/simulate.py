@@ -1,15 +1,15 @@
 """A simulated drive: car, four brakes and sensors together."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
 from bstm_daemon.roles import CORNERS
 from bstm_daemon.simulation.car import Motion, line_pressure, move
+from bstm_daemon.simulation.drives import Drive
+from bstm_daemon.simulation.materials import Array
 from bstm_daemon.simulation.parameters import (
     DEFAULT_MESH,
     Effects,
@@ -30,10 +30,6 @@ from bstm_daemon.simulation.vehicle import (
     scaled_car,
 )
 from bstm_daemon.units import KELVIN_OFFSET
-
-if TYPE_CHECKING:
-    from bstm_daemon.simulation.drives import Drive
-    from bstm_daemon.simulation.materials import Array
 
 TRUTH_S: Final = 1.0
 """Time between rows of the truth and of the thermocouples."""

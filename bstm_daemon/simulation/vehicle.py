@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 import numpy as np
 
 from bstm_daemon.errors import ConfigError, UsageError, hint
+from bstm_daemon.simulation.materials import Array
 from bstm_daemon.simulation.parameters import (
     FRONT,
     REAR,
@@ -27,8 +28,6 @@ if TYPE_CHECKING:
     from importlib.resources.abc import Traversable
 
     import numpy.typing as npt
-
-    from bstm_daemon.simulation.materials import Array
 
     Gears = npt.NDArray[np.intp]
 

@@ -6,10 +6,8 @@ value with the brake released just before and after: accelerometer bias and
 errors of the resistances cancel.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
@@ -31,12 +29,10 @@ from bstm_daemon.analysis.statistics.series import (
     Mask,
     runs,
 )
+from bstm_daemon.config.sections import Config
 from bstm_daemon.model.heat.feed_forward import PressureTorque
 from bstm_daemon.roles import CORNERS
 from bstm_daemon.units import KELVIN_OFFSET
-
-if TYPE_CHECKING:
-    from bstm_daemon.config.sections import Config
 
 JOINED_S: Final = 2.0
 """Presses closer than this belong to one application."""

@@ -17,7 +17,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import nan
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -26,15 +26,13 @@ from bstm_daemon.analysis.identify.brake_samples import (
     Samples,
     brake_samples,
 )
+from bstm_daemon.analysis.identify.driving import Driving
 from bstm_daemon.analysis.identify.value import Value
 from bstm_daemon.analysis.statistics.gls import fit_linear
 from bstm_daemon.analysis.statistics.resampling import jackknife, leave_one_out
+from bstm_daemon.analysis.statistics.series import Column, Indices, Mask
+from bstm_daemon.config.sections import Config
 from bstm_daemon.errors import LogError
-
-if TYPE_CHECKING:
-    from bstm_daemon.analysis.identify.driving import Driving
-    from bstm_daemon.analysis.statistics.series import Column, Indices, Mask
-    from bstm_daemon.config.sections import Config
 
 LEAST_SAMPLES: Final = 12
 PRESSURE_SPREAD_PA: Final = 3e5

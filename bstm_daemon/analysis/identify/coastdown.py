@@ -15,7 +15,7 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from math import nan, sqrt
-from typing import TYPE_CHECKING, Final, Literal
+from typing import Final, Literal
 
 import numpy as np
 
@@ -25,17 +25,15 @@ from bstm_daemon.analysis.identify.coasting import (
     coasting,
     run_of,
 )
+from bstm_daemon.analysis.identify.driving import Driving
 from bstm_daemon.analysis.identify.value import Value
 from bstm_daemon.analysis.quality.channels import window_mean
 from bstm_daemon.analysis.quality.limits import GRID_S
 from bstm_daemon.analysis.statistics.gls import fit_linear
+from bstm_daemon.analysis.statistics.series import Column, Matrix
+from bstm_daemon.config.sections import Config, VehicleConfig
 from bstm_daemon.errors import LogError
 from bstm_daemon.units import AIR_DENSITY_KG_M3, GRAVITY_MS2
-
-if TYPE_CHECKING:
-    from bstm_daemon.analysis.identify.driving import Driving
-    from bstm_daemon.analysis.statistics.series import Column, Matrix
-    from bstm_daemon.config.sections import Config, VehicleConfig
 
 NAMES: Final = ("drag_area_m2", "friction_ns_m", "rolling_resistance")
 """Keys of ``[vehicle]``, in the order of the fit's columns."""

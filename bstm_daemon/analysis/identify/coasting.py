@@ -3,10 +3,8 @@
 Each is compared with theory: v(t) of Fig 4.4, energies of Eq 4.5.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
@@ -20,10 +18,8 @@ from bstm_daemon.analysis.identify.driving import (
 )
 from bstm_daemon.analysis.quality.limits import GRID_S
 from bstm_daemon.analysis.statistics.series import Column, Mask, runs
+from bstm_daemon.model.heat.feed_back import Vehicle
 from bstm_daemon.units import GRAVITY_MS2
-
-if TYPE_CHECKING:
-    from bstm_daemon.model.heat.feed_back import Vehicle
 
 LOWEST_MS: Final = 2.5
 """Lowest speed: below it wheel sensors with few teeth are not reliable."""

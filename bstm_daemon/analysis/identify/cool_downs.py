@@ -4,13 +4,12 @@ All series have steps of a second: discs are slow, and a thermocouple measures
 about the mean over a second.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
+from bstm_daemon.analysis.identify.driving import Driving
 from bstm_daemon.analysis.quality.limits import GRID_S, MOVING_MS
 from bstm_daemon.analysis.statistics.series import (
     Column,
@@ -19,9 +18,6 @@ from bstm_daemon.analysis.statistics.series import (
     runs,
 )
 from bstm_daemon.roles import CORNERS
-
-if TYPE_CHECKING:
-    from bstm_daemon.analysis.identify.driving import Driving
 
 STEP_S: Final = 1.0
 BIN: Final = 5

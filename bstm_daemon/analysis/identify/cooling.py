@@ -1,12 +1,10 @@
 """The S-function of the discs from cool-downs, thesis section 4.4."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from math import nan
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
@@ -29,12 +27,10 @@ from bstm_daemon.analysis.identify.disc_loss import (
     beyond_words,
     disc_loss,
 )
+from bstm_daemon.analysis.identify.driving import Driving
 from bstm_daemon.analysis.identify.value import Value
+from bstm_daemon.config.sections import Config
 from bstm_daemon.errors import LogError
-
-if TYPE_CHECKING:
-    from bstm_daemon.analysis.identify.driving import Driving
-    from bstm_daemon.config.sections import Config
 
 POINTS: Final = 5
 """Measurements the thesis takes from a cool-down; ten pairs."""

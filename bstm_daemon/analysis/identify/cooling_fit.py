@@ -1,24 +1,20 @@
 """One regression over all cool-downs (Eq 4.12), with robust errors."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
 from bstm_daemon.analysis.identify.cool_downs import BIN, STEP_S, CoolDown
 from bstm_daemon.analysis.identify.disc_loss import DiscLoss, HeatCapacities
 from bstm_daemon.analysis.statistics.gls import solution_operator
+from bstm_daemon.analysis.statistics.series import Column, Matrix
 from bstm_daemon.analysis.statistics.whitening import (
     DriftNoise,
     likeliest_drift,
 )
 from bstm_daemon.model.thermal.properties import REFERENCE_K
-
-if TYPE_CHECKING:
-    from bstm_daemon.analysis.statistics.series import Column, Matrix
 
 OFFSET_K: Final = 3.0
 """Spread of a thermocouple against the ambient sensor: type K class 2 is

@@ -11,11 +11,9 @@ the loss of kinetic energy that resistances, climb and drive line do not
 account for (Eq 4.5).
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
@@ -29,6 +27,7 @@ from bstm_daemon.analysis.identify.disc_loss import (
     disc_loss,
     share_of_work,
 )
+from bstm_daemon.analysis.identify.driving import Driving
 from bstm_daemon.analysis.quality.braking import released_reading, resistance_n
 from bstm_daemon.analysis.quality.limits import GRID_S
 from bstm_daemon.analysis.statistics.levenberg_marquardt import (
@@ -42,11 +41,8 @@ from bstm_daemon.analysis.statistics.series import (
     Matrix,
     block_means,
 )
+from bstm_daemon.config.sections import Config
 from bstm_daemon.errors import LogError
-
-if TYPE_CHECKING:
-    from bstm_daemon.analysis.identify.driving import Driving
-    from bstm_daemon.config.sections import Config
 
 STEP_S: Final = 0.25
 WINDOW_S: Final = 90.0

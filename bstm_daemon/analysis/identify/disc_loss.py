@@ -5,14 +5,14 @@ emissivity, standstill blend), so that the S found is the S the estimator
 uses: radiation at standstill is subtracted, not fitted a second time.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
+from bstm_daemon.analysis.statistics.series import Column, Indices
+from bstm_daemon.config.sections import Config, CornerConfig
 from bstm_daemon.model.thermal.brake_corner import (
     PADS,
     CornerSpec,
@@ -24,12 +24,8 @@ from bstm_daemon.model.thermal.properties import (
     REFERENCE_K,
     disc_heat_capacity,
 )
+from bstm_daemon.model.thermal.table import Table
 from bstm_daemon.units import STEFAN_BOLTZMANN_W_M2K4
-
-if TYPE_CHECKING:
-    from bstm_daemon.analysis.statistics.series import Column, Indices
-    from bstm_daemon.config.sections import Config, CornerConfig
-    from bstm_daemon.model.thermal.table import Table
 
 LOWEST_K: Final = 200.0
 HIGHEST_K: Final = 2000.0

@@ -4,12 +4,10 @@ Speeds and accelerometer go through the checks of ``bstm check --log`` first:
 a channel that contradicts the others is left out and reported, not fitted.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
@@ -32,12 +30,10 @@ from bstm_daemon.analysis.quality.limits import (
 from bstm_daemon.analysis.quality.recording import Recording, read_recording
 from bstm_daemon.analysis.quality.speeds import compare_speeds
 from bstm_daemon.analysis.statistics.series import Column, Mask, running_mean
+from bstm_daemon.bus.signals.signal_map import SignalMap
+from bstm_daemon.config.sections import Config
 from bstm_daemon.errors import LogError
 from bstm_daemon.model.heat.feed_back import Vehicle
-
-if TYPE_CHECKING:
-    from bstm_daemon.bus.signals.signal_map import SignalMap
-    from bstm_daemon.config.sections import Config
 
 CONTROL: Final = ("abs_active", "esc_active", "tc_active")
 """Flags that indicate wheel slip."""

@@ -5,23 +5,19 @@ needs a thermocouple, and what they settle the match need not guess. Only
 guesses are replaced; a value that somebody measured stays.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from bstm_daemon.analysis.identify.brakes import identify_brakes
 from bstm_daemon.analysis.identify.coastdown import NAMES, identify_coast_down
+from bstm_daemon.analysis.identify.driving import Driving
 from bstm_daemon.analysis.identify.writing import (
     Change,
     brake_changes,
     coast_down_changes,
 )
+from bstm_daemon.config.sections import Config
 from bstm_daemon.errors import LogError
-
-if TYPE_CHECKING:
-    from bstm_daemon.analysis.identify.driving import Driving
-    from bstm_daemon.config.sections import Config
 
 BY_COASTING: Final = frozenset(f"vehicle.{name}" for name in NAMES)
 BY_STOPS: Final = frozenset(

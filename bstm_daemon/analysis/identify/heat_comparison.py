@@ -10,12 +10,10 @@ of c_p over the measured rise, over the disc's share of the heat. The axle
 without thermocouples gets the rest of the energy balance.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from math import nan
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
@@ -30,14 +28,12 @@ from bstm_daemon.analysis.identify.driving import (
     Span,
     balance_of,
 )
+from bstm_daemon.analysis.statistics.series import Column, Mask, Matrix
+from bstm_daemon.config.sections import Config, CornerConfig
 from bstm_daemon.model.heat.feed_forward import PressureTorque
 from bstm_daemon.model.thermal.brake_corner import corner_spec
 from bstm_daemon.model.thermal.properties import disc_heat_capacity
-
-if TYPE_CHECKING:
-    from bstm_daemon.analysis.statistics.series import Column, Mask, Matrix
-    from bstm_daemon.config.sections import Config, CornerConfig
-    from bstm_daemon.replay.results import Results
+from bstm_daemon.replay.results import Results
 
 SOURCES: Final = {
     "ff": "Feed-Forward",

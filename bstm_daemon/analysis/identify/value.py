@@ -1,7 +1,5 @@
 """An identified value, its standard error, and why it is missing."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from math import nan
 

@@ -1,30 +1,26 @@
 """Writes identified values into a commented copy of the configuration."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from copy import deepcopy
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
+from bstm_daemon.analysis.identify.brakes import Brakes
+from bstm_daemon.analysis.identify.coastdown import CoastDown
+from bstm_daemon.analysis.identify.cooling import AxleCooling
+from bstm_daemon.analysis.identify.cooling_while_braking import BrakedAxle
 from bstm_daemon.config.csv_tables import csv_names, put_csv_tables
 from bstm_daemon.config.estimates import (
     ChangeConfig,
     MatchedConfig,
     PriorsConfig,
 )
+from bstm_daemon.config.sections import Config, EffectConfig
 from bstm_daemon.errors import FileAccessError, require_packages
 from bstm_daemon.files import replacing
-
-if TYPE_CHECKING:
-    from bstm_daemon.analysis.identify.brakes import Brakes
-    from bstm_daemon.analysis.identify.coastdown import CoastDown
-    from bstm_daemon.analysis.identify.cooling import AxleCooling
-    from bstm_daemon.analysis.identify.cooling_while_braking import BrakedAxle
-    from bstm_daemon.config.sections import Config, EffectConfig
 
 KNOWN: Final = 0.2
 """Largest relative standard error of a factor that is handed on."""

@@ -1,8 +1,6 @@
 """Checks of the accelerometers against the wheels (thesis figure 4.3)."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
@@ -10,17 +8,15 @@ from bstm_daemon.analysis.quality import limits
 from bstm_daemon.analysis.quality.bends import fit_in_bends
 from bstm_daemon.analysis.quality.channels import HALF, Channels, unit_ratio
 from bstm_daemon.analysis.quality.comparison import Fit, fit_channels
+from bstm_daemon.analysis.quality.finding import Notes
 from bstm_daemon.analysis.quality.naming import (
     Naming,
     Tolerance,
     name_faults,
     write_faults,
 )
+from bstm_daemon.analysis.statistics.series import Mask
 from bstm_daemon.units import GRAVITY_MS2
-
-if TYPE_CHECKING:
-    from bstm_daemon.analysis.quality.finding import Notes
-    from bstm_daemon.analysis.statistics.series import Mask
 
 LONGITUDINAL: Final = "acceleration_longitudinal"
 _AROUND: Final = 4 * HALF

@@ -1,18 +1,14 @@
 """Bends: their rule, and that the outer wheel is the faster one in them."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
 from bstm_daemon.analysis.quality import limits
+from bstm_daemon.analysis.quality.channels import Channels
 from bstm_daemon.analysis.quality.comparison import Fit, fit_channels
+from bstm_daemon.analysis.quality.finding import Notes
 from bstm_daemon.analysis.statistics.series import Column, running_mean
-
-if TYPE_CHECKING:
-    from bstm_daemon.analysis.quality.channels import Channels
-    from bstm_daemon.analysis.quality.finding import Notes
 
 _AXLES: Final = (
     ("front", "wheel_speed_fl", "wheel_speed_fr"),

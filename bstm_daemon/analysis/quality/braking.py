@@ -1,9 +1,7 @@
 """Checks of pressures by each other, the car's motion, switch and torque."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
@@ -14,6 +12,7 @@ from bstm_daemon.analysis.quality.channels import (
     window_mean,
 )
 from bstm_daemon.analysis.quality.comparison import Fit, fit_channels
+from bstm_daemon.analysis.quality.finding import Fault, Notes
 from bstm_daemon.analysis.quality.naming import (
     Naming,
     Tolerance,
@@ -21,12 +20,9 @@ from bstm_daemon.analysis.quality.naming import (
     name_faults,
     write_faults,
 )
+from bstm_daemon.analysis.statistics.series import Column, Mask
 from bstm_daemon.model.heat.feed_back import Vehicle
 from bstm_daemon.model.heat.feed_forward import PressureTorque
-
-if TYPE_CHECKING:
-    from bstm_daemon.analysis.quality.finding import Fault, Notes
-    from bstm_daemon.analysis.statistics.series import Column, Mask
 
 _REAR: Final = ("secondary_pressure", "wheel_pressure_rl", "wheel_pressure_rr")
 

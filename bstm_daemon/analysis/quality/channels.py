@@ -5,24 +5,17 @@ the role's timeout, and absent (NaN) elsewhere: holding the last one instead
 would delay a 10 Hz signal by 50 ms against a 100 Hz one.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
 from bstm_daemon.analysis.quality.limits import GRID_S, LONGEST_LAG_S, WINDOW_S
+from bstm_daemon.analysis.quality.recording import Recording, Series
+from bstm_daemon.analysis.statistics.series import Column
+from bstm_daemon.config.sections import Config
 from bstm_daemon.roles import CORNERS, ROLE_INDEX
 from bstm_daemon.units import UNITS
-
-if TYPE_CHECKING:
-    from bstm_daemon.analysis.quality.recording import (
-        Recording,
-        Series,
-    )
-    from bstm_daemon.analysis.statistics.series import Column
-    from bstm_daemon.config.sections import Config
 
 HALF: Final = round(WINDOW_S / GRID_S / 2)
 """Grid points on each side of a difference quotient."""

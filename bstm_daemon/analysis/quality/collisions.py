@@ -4,13 +4,12 @@ A log may hold the frames of a daemon that was running beside the recorder.
 Those carry its end-to-end protection, a foreign frame does not.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+from bstm_daemon.analysis.quality.finding import Notes
+from bstm_daemon.analysis.quality.recording import Recording
 from bstm_daemon.bus.opening import id_text, open_log, resolve_interfaces
 from bstm_daemon.bus.output.e2e import profile2_crc
 from bstm_daemon.bus.output.layout import (
@@ -18,12 +17,8 @@ from bstm_daemon.bus.output.layout import (
     FRAME_BYTES,
     data_id_list,
 )
-
-if TYPE_CHECKING:
-    from bstm_daemon.analysis.quality.finding import Notes
-    from bstm_daemon.analysis.quality.recording import Recording
-    from bstm_daemon.bus.signals.signal_map import SignalMap
-    from bstm_daemon.config.sections import Config
+from bstm_daemon.bus.signals.signal_map import SignalMap
+from bstm_daemon.config.sections import Config
 
 
 def count_own_frames(

@@ -9,10 +9,8 @@ leans on a minority (wheels that spin in every launch) decides nothing: the
 medians must show the same scale and offset.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
@@ -22,9 +20,7 @@ from bstm_daemon.analysis.quality.limits import (
     LAG_CORRELATION,
     LONGEST_LAG_S,
 )
-
-if TYPE_CHECKING:
-    from bstm_daemon.analysis.statistics.series import Column, Mask
+from bstm_daemon.analysis.statistics.series import Column, Mask
 
 _OUTLIER: Final = 5.0
 _MAD_TO_SD: Final = 1.4826

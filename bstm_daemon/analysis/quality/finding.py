@@ -1,15 +1,12 @@
 """Findings of the checks of a log, as data."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Final, Literal
+from typing import Any, Final, Literal
 
-if TYPE_CHECKING:
-    from bstm_daemon.analysis.quality.comparison import Fit
-    from bstm_daemon.analysis.quality.recording import ChannelStatistics
-    from bstm_daemon.analysis.statistics.series import Column
+from bstm_daemon.analysis.quality.comparison import Fit
+from bstm_daemon.analysis.quality.recording import ChannelStatistics
+from bstm_daemon.analysis.statistics.series import Column
 
 Fault = Literal[
     "missing",

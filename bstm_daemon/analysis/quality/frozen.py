@@ -1,9 +1,7 @@
 """Detection of channels that are frozen while the measured quantity moves."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
@@ -16,12 +14,10 @@ from bstm_daemon.analysis.quality.channels import (
     median_of,
 )
 from bstm_daemon.analysis.quality.comparison import spread
+from bstm_daemon.analysis.quality.finding import Notes
 from bstm_daemon.analysis.quality.recording import Run, constant_runs
 from bstm_daemon.analysis.quality.speeds import SPEEDS
-
-if TYPE_CHECKING:
-    from bstm_daemon.analysis.quality.finding import Notes
-    from bstm_daemon.analysis.statistics.series import Column
+from bstm_daemon.analysis.statistics.series import Column
 
 _END_S: Final = 1.0
 _ACCELEROMETER: Final = "acceleration_longitudinal"

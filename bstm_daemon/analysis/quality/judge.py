@@ -3,10 +3,8 @@
 What they find decides which heat modes the log allows.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
@@ -40,12 +38,10 @@ from bstm_daemon.analysis.quality.recording import (
 from bstm_daemon.analysis.quality.speeds import compare_speeds, note_unjudged
 from bstm_daemon.analysis.quality.temperatures import check_temperatures
 from bstm_daemon.bus.opening import id_text
+from bstm_daemon.bus.signals.extraction import FrameKey, MessagePlan
+from bstm_daemon.bus.signals.signal_map import SignalMap
+from bstm_daemon.config.sections import Config, CornerConfig
 from bstm_daemon.roles import ROLE_INDEX
-
-if TYPE_CHECKING:
-    from bstm_daemon.bus.signals.extraction import FrameKey, MessagePlan
-    from bstm_daemon.bus.signals.signal_map import SignalMap
-    from bstm_daemon.config.sections import Config, CornerConfig
 
 _ACCELEROMETER: Final = "acceleration_longitudinal"
 

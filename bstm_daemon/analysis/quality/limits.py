@@ -4,8 +4,6 @@ They are wide on purpose: a channel is named only where a heat estimate would
 be visibly wrong, and docs/signal-quality.md explains them to the user.
 """
 
-from __future__ import annotations
-
 from typing import Final
 
 GRID_S: Final = 0.05

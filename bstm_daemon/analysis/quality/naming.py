@@ -1,19 +1,14 @@
 """Verdict on a fit: a named fault, or agreement."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import combinations
-from typing import TYPE_CHECKING
 
 from bstm_daemon.analysis.quality import limits
 from bstm_daemon.analysis.quality.channels import Channels, unit_ratio
+from bstm_daemon.analysis.quality.comparison import Fit
+from bstm_daemon.analysis.quality.finding import Fault, Notes
 from bstm_daemon.units import UNITS
-
-if TYPE_CHECKING:
-    from bstm_daemon.analysis.quality.comparison import Fit
-    from bstm_daemon.analysis.quality.finding import Fault, Notes
 
 
 @dataclass(frozen=True, slots=True)

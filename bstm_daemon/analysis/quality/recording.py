@@ -5,25 +5,21 @@ into files, or a file a bus, is judged as a whole. A channel in figures: rate,
 range, gaps, constant runs.
 """
 
-from __future__ import annotations
-
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
+from bstm_daemon.analysis.statistics.series import Column, Indices
 from bstm_daemon.bus.opening import EventLog, resolve_interfaces
+from bstm_daemon.bus.signals.signal_map import SignalMap
 from bstm_daemon.errors import LogError
 from bstm_daemon.roles import ROLES
-
-if TYPE_CHECKING:
-    from bstm_daemon.analysis.statistics.series import Column, Indices
-    from bstm_daemon.bus.signals.signal_map import SignalMap
 
 _MICRO = 1e-6
 

@@ -1,8 +1,6 @@
 """Wheel speeds, vehicle speed and speeds over ground compared."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
@@ -10,6 +8,7 @@ from bstm_daemon.analysis.quality import limits
 from bstm_daemon.analysis.quality.accelerations import fit_acceleration
 from bstm_daemon.analysis.quality.channels import WHEELS, Channels
 from bstm_daemon.analysis.quality.comparison import Fit, fit_channels, spread
+from bstm_daemon.analysis.quality.finding import Notes
 from bstm_daemon.analysis.quality.naming import (
     Naming,
     Tolerance,
@@ -17,11 +16,8 @@ from bstm_daemon.analysis.quality.naming import (
     name_faults,
     write_faults,
 )
+from bstm_daemon.analysis.statistics.series import Column
 from bstm_daemon.roles import GROUND_LAG_S
-
-if TYPE_CHECKING:
-    from bstm_daemon.analysis.quality.finding import Notes
-    from bstm_daemon.analysis.statistics.series import Column
 
 SPEEDS: Final = ("vehicle_speed", *WHEELS, *GROUND_LAG_S)
 _PAIRS: Final = (

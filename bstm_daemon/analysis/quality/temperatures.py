@@ -1,9 +1,7 @@
 """Checks of measured brake temperatures for what is possible in a brake."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
@@ -13,10 +11,8 @@ from bstm_daemon.analysis.quality.channels import PRESSURES, Channels
 from bstm_daemon.analysis.quality.comparison import Fit, fit_channels
 from bstm_daemon.analysis.quality.finding import Comparison, Notes
 from bstm_daemon.analysis.quality.recording import constant_runs
+from bstm_daemon.analysis.statistics.series import Column
 from bstm_daemon.units import KELVIN_OFFSET
-
-if TYPE_CHECKING:
-    from bstm_daemon.analysis.statistics.series import Column
 
 _START_S: Final = 10.0
 _RATE_STEPS: Final = round(1.0 / limits.GRID_S)

@@ -6,19 +6,15 @@ and the car slows down while it is not. All figures are kept as text, for the
 comments of the proposed configuration.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
+from bstm_daemon.analysis.setup.recording import Samples, Series
 from bstm_daemon.units import UNITS
-
-if TYPE_CHECKING:
-    from bstm_daemon.analysis.setup.recording import Samples, Series
 
 _STEP_S: Final = 0.05
 _SMOOTH_S: Final = 0.5

@@ -15,14 +15,13 @@ import numpy as np
 
 from bstm_daemon.analysis.quality import limits
 from bstm_daemon.analysis.quality.bends import fit_in_bends, follows_bends
+from bstm_daemon.analysis.quality.comparison import Fit
 from bstm_daemon.analysis.setup.behaviour import Motion, Verdict, to_ms, to_si
+from bstm_daemon.analysis.setup.recording import Samples, Series
 from bstm_daemon.roles import CORNERS, GROUND_LAG_S
 
 if TYPE_CHECKING:
     import numpy.typing as npt
-
-    from bstm_daemon.analysis.quality.comparison import Fit
-    from bstm_daemon.analysis.setup.recording import Samples, Series
 
     Mask = npt.NDArray[np.bool_]
 

@@ -6,18 +6,14 @@ brakes scale with the mass), so units that differ by a factor of ten or more
 can be distinguished. The travel of a pedal in % would look alike.
 """
 
-from __future__ import annotations
-
 from math import log10
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
+from bstm_daemon.analysis.setup.behaviour import Motion
+from bstm_daemon.analysis.setup.recording import Samples
 from bstm_daemon.units import UNITS
-
-if TYPE_CHECKING:
-    from bstm_daemon.analysis.setup.behaviour import Motion
-    from bstm_daemon.analysis.setup.recording import Samples
 
 _UNITS: Final = ("bar", "MPa", "kPa", "Pa")
 _USUAL_PA: Final = 10e5

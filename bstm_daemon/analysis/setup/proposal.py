@@ -24,13 +24,13 @@ from bstm_daemon.analysis.setup.name_rules import (
     unit_matches,
 )
 from bstm_daemon.analysis.setup.pressure_unit import assumed_unit
+from bstm_daemon.analysis.setup.recording import Recording, Samples
 from bstm_daemon.roles import GROUND_LAG_S, ROLE_INDEX
 from bstm_daemon.units import UNITS
 
 if TYPE_CHECKING:
     from cantools.database.can import Database
 
-    from bstm_daemon.analysis.setup.recording import Recording, Samples
 
 TYPICAL_RADIUS_M: Final = 0.32
 """Rolling radius of a passenger car's wheel; enters comparisons only."""

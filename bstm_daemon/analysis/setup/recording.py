@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 import numpy.typing as npt
 
+from bstm_daemon.analysis.setup.name_rules import NameMatch
 from bstm_daemon.bus.opening import NOT_READ, id_text, open_log
 from bstm_daemon.bus.signals.columns import ChunkDecoder, Events
 from bstm_daemon.bus.signals.extraction import (
@@ -30,7 +31,6 @@ from bstm_daemon.errors import LogError
 if TYPE_CHECKING:
     from cantools.database.can import Database, Message
 
-    from bstm_daemon.analysis.setup.name_rules import NameMatch
 
 Series = npt.NDArray[np.float64]
 FrameId = tuple[int, bool]

@@ -5,8 +5,6 @@ judged as those of a CAN log. Where a table states no unit of the speed, the
 accelerometer decides.
 """
 
-from __future__ import annotations
-
 import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence

@@ -1,26 +1,22 @@
 """A proposal as the text of a complete configuration file."""
 
-from __future__ import annotations
-
 import json
 import os
 import textwrap
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from string import Template
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from bstm_daemon.analysis.setup.proposal import (
     TYPICAL_RADIUS_M,
     Candidate,
     Proposal,
 )
+from bstm_daemon.analysis.setup.recording import Recording
 from bstm_daemon.errors import ConfigError
 from bstm_daemon.roles import ROLE_INDEX, ROLES
 from bstm_daemon.units import UNITS
-
-if TYPE_CHECKING:
-    from bstm_daemon.analysis.setup.recording import Recording
 
 _TEMPLATE: Final = Path(__file__).parent / "_data" / "typical.toml"
 _WIDTH: Final = 79

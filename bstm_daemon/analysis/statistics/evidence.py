@@ -8,12 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from bstm_daemon.analysis.statistics.series import Column, Matrix
+from bstm_daemon.analysis.statistics.series import Column, Matrix
 
 FREE: Final = 1.5
 """Standard deviation of strengths that are fitted beside others."""

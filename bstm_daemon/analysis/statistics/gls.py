@@ -4,15 +4,12 @@ The columns of a design may be of very different size (S in 1/s beside
 kelvins), so every solution is found on columns of unit length.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from bstm_daemon.analysis.statistics.series import Column, Matrix
+from bstm_daemon.analysis.statistics.series import Column, Matrix
 
 SINGULAR: Final = 1e-12
 """Singular values below this share of the largest count as 0."""

@@ -4,16 +4,13 @@ A function that evaluates k points costs hardly more than one that evaluates
 one, so sensitivities and trial steps are asked for together.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from bstm_daemon.analysis.statistics.series import Column, Mask
+from bstm_daemon.analysis.statistics.series import Column, Mask
 
 STEP: Final = 0.01
 """Step of a parameter's logarithm for finite differences."""

@@ -4,15 +4,11 @@ Neighbouring samples err alike, so the groups (stops, windows, blocks of time)
 have to be long enough to be independent.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from bstm_daemon.analysis.statistics.series import Column, Indices, Matrix
+from bstm_daemon.analysis.statistics.series import Column, Indices, Matrix
 
 
 def leave_one_out(

@@ -1,7 +1,5 @@
 """One series of evenly spaced values: runs, means, white noise."""
 
-from __future__ import annotations
-
 from math import comb, sqrt
 
 import numpy as np

@@ -9,14 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
 from bstm_daemon.analysis.statistics.gls import SINGULAR, column_size
-
-if TYPE_CHECKING:
-    from bstm_daemon.analysis.statistics.series import Column, Matrix
+from bstm_daemon.analysis.statistics.series import Column, Matrix
 
 DRIFT_S: Final = 300.0
 """Correlation time of drift and of what the model leaves out."""

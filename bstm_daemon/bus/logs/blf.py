@@ -9,22 +9,18 @@ python-can does, whose reader runs for ever on an object of size zero and ends
 with a traceback where the file is cut.
 """
 
-from __future__ import annotations
-
 import struct
 import zlib
 from collections.abc import Generator, Iterator
 from datetime import UTC, datetime
 from io import BufferedReader
-from typing import TYPE_CHECKING, Final, NoReturn
+from typing import Final, NoReturn
 
 from bstm_daemon.bus.logs.reader import FrameReader, FrameRow
 from bstm_daemon.bus.signals.extraction import EXTENDED_MAX, FD_LENGTHS
+from bstm_daemon.bus.signals.frame_chunk import FrameChunk
 from bstm_daemon.bus.signals.reject_reason import RejectReason
 from bstm_daemon.errors import LogError
-
-if TYPE_CHECKING:
-    from bstm_daemon.bus.signals.frame_chunk import FrameChunk
 
 _SIGNATURE: Final = b"LOBJ"
 _FILE_HEADER: Final = struct.Struct("<4sL")

@@ -8,8 +8,6 @@ known whether it is wanted, and at the first CAN FD frame, which needs wider
 payloads. Time per line and memory do not depend on the length of the log.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from io import BufferedReader

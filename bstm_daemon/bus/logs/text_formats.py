@@ -10,15 +10,13 @@ a word or end with a traceback. Here every line is either one sound data frame
 or has a named reason. Stamps are computed as python-can does.
 """
 
-from __future__ import annotations
-
 import re
 from binascii import a2b_base64
 from collections.abc import Iterator, Sequence
 from datetime import UTC, datetime, timedelta
 from io import BufferedReader
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
 from bstm_daemon.bus.logs.candump_line import LINE_LIMIT
 from bstm_daemon.bus.logs.reader import FrameReader, FrameRow, Wanted
@@ -27,11 +25,9 @@ from bstm_daemon.bus.signals.extraction import (
     FD_LENGTHS,
     STANDARD_MAX,
 )
+from bstm_daemon.bus.signals.frame_chunk import FrameChunk
 from bstm_daemon.bus.signals.reject_reason import RejectReason
 from bstm_daemon.errors import LogError
-
-if TYPE_CHECKING:
-    from bstm_daemon.bus.signals.frame_chunk import FrameChunk
 
 
 class TextFrame(NamedTuple):

@@ -5,8 +5,6 @@ before the values. Which row is which follows from the values: the names are
 the texts above the first rows of numbers that have as many cells.
 """
 
-from __future__ import annotations
-
 import csv
 import gzip
 import re

@@ -33,6 +33,7 @@ from bstm_daemon.bus.tables.source import (
     numbers,
     texts,
 )
+from bstm_daemon.bus.tables.table_plan import ColumnOutput, TableMap
 from bstm_daemon.bus.tables.time_axis import TimeAxis
 from bstm_daemon.bus.tables.vbo import VboSource
 from bstm_daemon.errors import LogError
@@ -42,7 +43,6 @@ from bstm_daemon.units import UNITS, unit_named
 if TYPE_CHECKING:
     import numpy.typing as npt
 
-    from bstm_daemon.bus.tables.table_plan import ColumnOutput, TableMap
 
 _BINARY: Final[dict[str, type[BinarySource]]] = {
     ".h5": Hdf5Source,

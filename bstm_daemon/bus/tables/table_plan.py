@@ -4,12 +4,10 @@ The counterpart of :mod:`~bstm_daemon.bus.signals.signal_map` where there are
 no frames: :func:`compile_sources` gives the one or the other.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from bstm_daemon.bus.signals.signal_map import (
     SignalMap,
@@ -17,15 +15,9 @@ from bstm_daemon.bus.signals.signal_map import (
     conversion_of,
     timeouts_us,
 )
+from bstm_daemon.config.sections import BusConfig, SignalConfig, TableConfig
+from bstm_daemon.config.service import E2eConfig
 from bstm_daemon.roles import ROLE_INDEX
-
-if TYPE_CHECKING:
-    from bstm_daemon.config.sections import (
-        BusConfig,
-        SignalConfig,
-        TableConfig,
-    )
-    from bstm_daemon.config.service import E2eConfig
 
 _UNMEASURED: Final = ("bool", "count")
 

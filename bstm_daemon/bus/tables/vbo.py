@@ -6,8 +6,6 @@ its unit in the long name (``velocity kmh``); ``[channel units]`` has those of
 the last channels, which come from a CAN bus or an input module.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from itertools import islice
 from typing import Final
