@@ -24,9 +24,8 @@ from bstm_daemon.replay.results import (
     csv_file,
 )
 from bstm_daemon.report.drive_curves import DriveCurves
-from bstm_daemon.report.drive_statistics import DriveStatistics
+from bstm_daemon.report.drive_statistics import DriveStatistics, summary_table
 from bstm_daemon.report.replay_page import ReplayFacts, replay_page
-from bstm_daemon.report.screen import summary_table
 from bstm_daemon.report.shell import require_page_packages, write_page
 from bstm_daemon.simulation import SimulatedDrive, load_drive, simulate
 from bstm_daemon.simulation.recorder import START_STAMP_S, Encoder, frames

@@ -46,9 +46,8 @@ from bstm_daemon.replay.results import (
     require_format,
 )
 from bstm_daemon.report.drive_curves import DriveCurves
-from bstm_daemon.report.drive_statistics import DriveStatistics
+from bstm_daemon.report.drive_statistics import DriveStatistics, summary_table
 from bstm_daemon.report.replay_page import ReplayFacts, replay_page
-from bstm_daemon.report.screen import summary_table
 from bstm_daemon.report.timescale import clock
 from bstm_daemon.service.state_file import encode, save
 from bstm_daemon.watch.board import Board

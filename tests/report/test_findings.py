@@ -15,7 +15,7 @@ from bstm_daemon.channels import (
 )
 from bstm_daemon.model.heat.plausibility import CAUSES, FAULTS, SUSPECT
 from bstm_daemon.replay.results import Results
-from bstm_daemon.report.drive_statistics import DriveStatistics
+from bstm_daemon.report.drive_statistics import DriveStatistics, summary_table
 from bstm_daemon.report.findings import (
     Finding,
     FindingCollector,
@@ -24,7 +24,6 @@ from bstm_daemon.report.findings import (
     Stretches,
     StretchFinder,
 )
-from bstm_daemon.report.screen import summary_table
 from bstm_daemon.report.text import WIDTH
 
 if TYPE_CHECKING:
