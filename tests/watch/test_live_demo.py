@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from bstm_daemon.cli import live_demo
+from bstm_daemon.cli import demo
 from bstm_daemon.cli.main import main
 from bstm_daemon.service.state_file import lock
 
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 MAIN = """
 import sys
+from bstm_daemon.cli import demo
 from bstm_daemon.cli.main import main
 sys.exit(main(sys.argv[1:]))
 """
@@ -39,7 +40,7 @@ def multicast() -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_TTL, 0)
         try:
-            probe.sendto(b"", (live_demo.GROUP, 9))
+            probe.sendto(b"", (demo.GROUP, 9))
         except OSError as error:
             if error.errno != errno.ENETUNREACH:
                 raise
@@ -138,7 +139,7 @@ def test_a_service_that_ends_is_reported(
 ) -> None:
     state = tmp_path / "state"
     held = lock(state)
-    monkeypatch.setattr(live_demo, "_parked_overnight", lambda _: state)
+    monkeypatch.setattr(demo, "_parked_overnight", lambda _: state)
 
     assert main(["demo", "--live", "-o", str(tmp_path)]) == 1
     held.close()
@@ -168,7 +169,7 @@ def test_a_machine_without_multicast_is_told_what_helps(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     """An address of no group can not be joined."""
-    monkeypatch.setattr(live_demo, "GROUP", "127.0.0.1")
+    monkeypatch.setattr(demo, "GROUP", "127.0.0.1")
 
     assert main(["demo", "--live", "-o", str(tmp_path)]) == 1
     assert "ip route add 239.0.0.0/8 dev lo" in capsys.readouterr().err
