@@ -23,6 +23,7 @@ from bstm_daemon.bus.opening import is_table
 from bstm_daemon.bus.signals.dbc import read_dbc
 from bstm_daemon.bus.signals.dbc_text import guess_encoding
 from bstm_daemon.cli.arguments import add_force, add_out, check_new, option
+from bstm_daemon.cli.progress import Progress
 from bstm_daemon.errors import FileAccessError, UsageError
 from bstm_daemon.files import replacing
 
@@ -80,9 +81,12 @@ def _from_dbc(args: argparse.Namespace) -> tuple[Proposal, str, list[str]]:
     loaded = read_dbc(args.dbc, strict=False, encoding=encoding)
     database = loaded.database
     matches = [*name_matches(database), *unit_matches(database)]
-    recording = (
-        read_recording(args.log, database, matches) if args.log else None
-    )
+    recording = None
+    if args.log:
+        with Progress("init") as progress:
+            recording = read_recording(
+                args.log, database, matches, progress.show
+            )
     proposal = propose(database, recording)
     notes = notes_of(recording) if recording else []
     dbc = args.dbc.resolve()
@@ -109,7 +113,8 @@ def _from_table(logs: list[Path]) -> tuple[Proposal, str, list[str]]:
         if not is_table(log):
             msg = f"{log}: a log of CAN frames needs --dbc CAR.dbc"
             raise UsageError(msg)
-    table = read_table(logs)
+    with Progress("init") as progress:
+        table = read_table(logs, progress.show)
     proposal = propose_for(table)
     notes = table_notes(table, proposal)
     text = configuration_text(

@@ -1,10 +1,14 @@
 """The progress line: on a terminal only, and gone at the end."""
 
 import io
+from pathlib import Path
 
 import pytest
 
+from bstm_daemon.cli.main import main
 from bstm_daemon.cli.progress import Progress
+
+from .. import ford_like  # noqa: TID252  (tests are no package)
 
 
 class Terminal(io.StringIO):
@@ -70,3 +74,28 @@ def test_line_is_erased_after_a_failure() -> None:
         fail()
 
     assert stream.getvalue().endswith("\r\x1b[K")
+
+
+@pytest.mark.parametrize("by_frames", [True, False])
+def test_init_tells_how_far_it_is(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *, by_frames: bool
+) -> None:
+    """Frames are read twice, a table once."""
+    shares: list[float] = []
+    monkeypatch.setattr(
+        Progress, "show", lambda _, share, *__: shares.append(share)
+    )
+    words = ["--log", str(tmp_path / "drive.csv")]
+    if by_frames:
+        dbc = ford_like.write_dbc(tmp_path / "car.dbc")
+        log = ford_like.write_log(tmp_path / "drive.log")
+        words = ["--dbc", str(dbc), "--log", str(log)]
+    else:
+        rows = "".join(f"{0.1 * i:.1f},{i % 90}\n" for i in range(500))
+        (tmp_path / "drive.csv").write_text(f"Time [s],Speed [km/h]\n{rows}")
+
+    assert main(["init", *words, "-o", str(tmp_path / "car.toml")]) == 0
+
+    assert shares == sorted(shares)
+    assert shares[-1] == pytest.approx(1.0)
+    assert any(0.3 < share < 0.7 for share in shares) == by_frames

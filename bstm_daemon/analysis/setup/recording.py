@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import sys
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
+from itertools import starmap
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, Protocol, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -35,8 +36,18 @@ if TYPE_CHECKING:
 Series = npt.NDArray[np.float64]
 FrameId = tuple[int, bool]
 
+Part = TypeVar("Part")
+
 LARGEST: Final = sys.float_info.max
 _LOG_GAP_S: Final = 10.0
+
+
+class HasShare(Protocol):
+    """A reader that says how much it has read, from 0 to 1."""
+
+    @property
+    def share(self) -> float:
+        """The share."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,19 +85,23 @@ class Recording:
 
 
 def read_recording(
-    logs: Sequence[Path], database: Database, matches: Iterable[NameMatch]
+    logs: Sequence[Path],
+    database: Database,
+    matches: Iterable[NameMatch],
+    show: Callable[[float], None] = lambda _: None,
 ) -> Recording:
     """Read the signals of *matches* from *logs*, joined one after the other.
 
-    Raises :class:`LogError` where no interface has a frame of the DBC, and
-    what opening a log raises.
+    They are read twice; *show* gets the share that is done. Raises
+    :class:`LogError` where no interface has a frame of the DBC, and what
+    opening a log raises.
     """
     known = {
         (message.frame_id, message.is_extended_frame): message
         for message in database.messages
         if message.length <= FD_LENGTHS[-1]
     }
-    seen = _seen(logs)
+    seen = _seen(logs, show)
     fitting = {
         interface: sum(
             lengths.total() for key, lengths in ids.items() if key in known
@@ -126,16 +141,33 @@ def read_recording(
         if length > declared:
             recording.lengths[known[key].name] = length
     plan = _plan(signals, known, lengths)
-    _read_samples(logs, plan, signals, recording)
+    _read_samples(logs, plan, signals, recording, show)
     return recording
 
 
-def _seen(logs: Sequence[Path]) -> dict[str, dict[FrameId, Counter[int]]]:
+def told(
+    parts: Iterable[Part],
+    reader: HasShare,
+    done: float,
+    each: float,
+    show: Callable[[float], None],
+) -> Iterator[Part]:
+    """Yield *parts* of *reader*; *show* gets *done* and its part of *each*."""
+    for part in parts:
+        yield part
+        show(done + each * reader.share)
+
+
+def _seen(
+    logs: Sequence[Path], show: Callable[[float], None]
+) -> dict[str, dict[FrameId, Counter[int]]]:
     """Count the frames of each interface and id by their length."""
     seen: dict[str, dict[FrameId, Counter[int]]] = {}
-    for log in logs:
+    each = 0.5 / len(logs)
+    for number, log in enumerate(logs):
         reader = open_log(log)
-        for chunk in reader.chunks():
+        chunks = reader.chunks()
+        for chunk in told(chunks, reader, number * each, each, show):
             columns = (chunk.channel, chunk.can_id, chunk.extended)
             rows = np.array([*columns, chunk.length], np.int64)
             kinds, counts = np.unique(rows, axis=1, return_counts=True)
@@ -182,22 +214,25 @@ def _read_samples(
     plan: SignalMap,
     signals: list[tuple[str, str]],
     recording: Recording,
+    show: Callable[[float], None],
 ) -> None:
+    each = 0.5 / len(logs)
     decoder = ChunkDecoder(plan)
     ids = frozenset((key.can_id, key.extended) for key in plan.messages)
 
-    def events_of(log: Path) -> Iterator[Events]:
+    def events_of(number: int, log: Path) -> Iterator[Events]:
         reader = open_log(
             log, lambda name: ids if name == recording.interface else None
         )
-        for chunk in reader.chunks():
+        done = 0.5 + number * each
+        for chunk in told(reader.chunks(), reader, done, each, show):
             buses = [
                 0 if name == recording.interface else NOT_READ
                 for name in reader.interfaces
             ]
             yield decoder.decode(chunk, buses)
 
-    collect(map(events_of, logs), signals, recording)
+    collect(starmap(events_of, enumerate(logs)), signals, recording)
 
 
 def collect(

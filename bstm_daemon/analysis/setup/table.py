@@ -7,7 +7,7 @@ accelerometer decides.
 
 import re
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import chain, product
 from math import log
@@ -26,6 +26,7 @@ from bstm_daemon.analysis.setup.recording import (
     Recording,
     Samples,
     collect,
+    told,
 )
 from bstm_daemon.bus.tables.source import TableSource, split_unit
 from bstm_daemon.bus.tables.table_log import TableReader, open_source
@@ -81,8 +82,12 @@ class Table:
     recording: Recording = field(default_factory=Recording)
 
 
-def read_table(logs: Sequence[Path]) -> Table:
+def read_table(
+    logs: Sequence[Path], show: Callable[[float], None] = lambda _: None
+) -> Table:
     """Read all columns of *logs*, joined one after the other.
+
+    *show* gets the share that is done.
 
     Raises:
         FileAccessError: a table cannot be read.
@@ -111,7 +116,12 @@ def read_table(logs: Sequence[Path]) -> Table:
             for n, column in enumerate(columns.values())
         ),
     )
-    events = (TableReader(log, plan).events() for log in logs)
+    each = 1.0 / len(logs)
+    readers = [TableReader(log, plan) for log in logs]
+    events = (
+        told(reader.events(), reader, number * each, each, show)
+        for number, reader in enumerate(readers)
+    )
     collect(events, signals, table.recording)
     units = {
         name: "" if stated.get(column) in _COUNTS else stated.get(column, "")
