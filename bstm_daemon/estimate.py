@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from enum import IntEnum, IntFlag
 from math import isfinite, nan
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 if TYPE_CHECKING:
@@ -225,8 +226,7 @@ class WearEstimate:
         return Validity.VALID
 
 
-@dataclass(frozen=True, slots=True)
-class CornerRisk:
+class CornerRisk(NamedTuple):
     """Risk and forecast of one corner.
 
     ``probability`` is that of vapour now or within the horizon if the car
@@ -257,8 +257,7 @@ class CornerRisk:
     duty_in_s: float = nan
 
 
-@dataclass(frozen=True, slots=True)
-class CarRisk:
+class CarRisk(NamedTuple):
     """Risk of the car: the worst that can happen at any of its corners.
 
     ``boiling_low_k`` is the point that 1 % of such fluids boil below,
@@ -275,7 +274,7 @@ class CarRisk:
     water_percent: float = nan
     forecast_us: int | None = None
     members: int = 0
-    corners: Mapping[str, CornerRisk] = field(default_factory=dict)
+    corners: Mapping[str, CornerRisk] = MappingProxyType({})
 
     def age_s(self, time_us: int) -> float:
         """Return the age [s] of the forecast at *time_us* [us]."""
@@ -320,10 +319,10 @@ class CornerEstimate(NamedTuple):
     @property
     def cautious_margin_k(self) -> float:
         """The margin less the fluid's deviation [K], where that is known."""
-        std_k = (self.risk or NO_RISK).fluid_deviation_k
-        return self.boiling_k - (
-            self.fluid_k + (std_k if isfinite(std_k) else 0.0)
-        )
+        risk, kelvin = self.risk, self.fluid_k
+        if risk is not None and isfinite(risk.fluid_deviation_k):
+            kelvin += risk.fluid_deviation_k
+        return self.boiling_k - kelvin
 
     @property
     def waiting_s(self) -> float:
@@ -332,7 +331,11 @@ class CornerEstimate(NamedTuple):
         NaN where the forecast does not know.
         """
         # max keeps a nan that comes first
-        return max((self.risk or NO_RISK).safe_in_s - self.forecast_age_s, 0.0)
+        return max(
+            (NO_RISK if self.risk is None else self.risk).safe_in_s
+            - self.forecast_age_s,
+            0.0,
+        )
 
     def is_at_least(self, level: RiskLevel) -> bool:
         """Return whether the level is known to be *level* or worse."""

@@ -6,8 +6,8 @@ is unknown.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from math import inf, isfinite, nan
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Final
 
 from bstm_daemon.channels import CORNER_PRESSURE, FLAGS
@@ -97,58 +97,82 @@ class HeldRoles:
         }
 
 
+NONE_KNOWN: Final[Mapping[str, float]] = MappingProxyType({})
+
 POSSIBLE: Final = 0.01
 """Probability of vaporisation above which it counts as possible."""
 
 
-@dataclass(slots=True)
+_DEGRADED: Final = Validity.DEGRADED
+_UNKNOWN, _ELEVATED = RiskLevel.UNKNOWN, RiskLevel.ELEVATED
+# members of an enumeration are slow to look up, and each publication does
+
+
 class Conditions:
-    """Inputs of the advice at one publication, and what follows from them.
+    """Inputs of the advice at one publication, and what follows from them."""
 
-    ``corners`` are those with a thermal model, ``pressures_pa`` those of all
-    corners, NaN if unknown; ``brake_power_w`` is that of all brakes;
-    ``driver`` holds the fresh values of the roles of :data:`DRIVER_ROLES`.
-    """
+    __slots__ = (
+        *("time_us", "corners", "speed_ms", "brake_power_w", "pressures_pa"),
+        *("driver", "level", "is_unsure", "may_boil", "validity"),
+        "margins_k",
+    )
 
-    time_us: int
-    corners: Mapping[str, CornerEstimate]
-    speed_ms: float = nan
-    brake_power_w: float = nan
-    pressures_pa: Mapping[str, float] = field(default_factory=dict)
-    driver: Mapping[str, float] = field(default_factory=dict)
-    level: RiskLevel = field(default=RiskLevel.UNKNOWN, init=False)
-    """The worst level of a usable corner; unknown if there is none."""
-    is_unsure: bool = field(default=False, init=False)
-    """Whether the level of any corner is unknown."""
-    may_boil: bool = field(default=False, init=False)
-    """Whether vapour is possible at a corner of a level that is sure."""
-    validity: Validity = field(default=Validity.VALID, init=False)
-    """The worst validity of the corners."""
-    margins_k: dict[str, float] = field(default_factory=dict, init=False)
-    """Boiling point less fluid and its deviation of each corner; NaN where
-    that is not usable."""
+    def __init__(
+        self,
+        time_us: int,
+        corners: Mapping[str, CornerEstimate],
+        speed_ms: float = nan,
+        brake_power_w: float = nan,
+        pressures_pa: Mapping[str, float] = NONE_KNOWN,
+        driver: Mapping[str, float] = NONE_KNOWN,
+    ) -> None:
+        """Look at each corner once: every machine asks for the same.
 
-    def __post_init__(self) -> None:
-        """Look at each corner once: every machine asks for the same."""
-        if not self.corners:
-            self.validity = Validity.NOT_AVAILABLE
-        for name, corner in self.corners.items():
+        Args:
+            time_us: of the publication [us].
+            corners: those with a thermal model.
+            speed_ms: of the car.
+            brake_power_w: of all brakes.
+            pressures_pa: those of all corners, NaN if unknown.
+            driver: fresh values of the roles of :data:`DRIVER_ROLES`.
+        """
+        self.time_us, self.corners = time_us, corners
+        self.speed_ms, self.brake_power_w = speed_ms, brake_power_w
+        self.pressures_pa, self.driver = pressures_pa, driver
+        self.margins_k: dict[str, float] = {}
+        """Boiling point less fluid and its deviation of each corner; NaN
+        where that is not usable."""
+        worst = Validity.VALID if corners else Validity.NOT_AVAILABLE
+        highest, is_unsure, may_boil = _UNKNOWN, False, False
+        for name, corner in corners.items():
             validity, level = corner.validity, corner.sure_level
-            self.validity = max(self.validity, validity)
-            is_usable = validity <= Validity.DEGRADED
+            worst = max(worst, validity)
+            is_usable = validity <= _DEGRADED
             self.margins_k[name] = (
                 corner.cautious_margin_k if is_usable else nan
             )
             # where only the bound of an unknown start is raised, a car that
             # is cold is no less likely
-            if not is_usable or level is RiskLevel.UNKNOWN:
-                self.is_unsure = True
+            if not is_usable or level is _UNKNOWN:
+                is_unsure = True
                 continue
-            if self.level is RiskLevel.UNKNOWN or level > self.level:
-                self.level = level
-            self.may_boil |= level >= RiskLevel.ELEVATED or (
-                corner.risk is not None and corner.risk.probability >= POSSIBLE
+            if highest is _UNKNOWN or level > highest:
+                highest = level
+            may_boil = may_boil or (
+                level >= _ELEVATED
+                or (
+                    corner.risk is not None
+                    and corner.risk.probability >= POSSIBLE
+                )
             )
+        self.level = highest
+        """The worst level of a usable corner; unknown if there is none."""
+        self.is_unsure = is_unsure
+        """Whether the level of any corner is unknown."""
+        self.may_boil = may_boil
+        """Whether vapour is possible at a corner of a level that is sure."""
+        self.validity = worst
+        """The worst validity of the corners."""
 
     @property
     def waiting_s(self) -> float:
@@ -200,6 +224,9 @@ class Conditions:
         return None if value is None else value > 0.5
 
 
+_SPEED_MISSING: Final = FLAGS["speed_missing"]
+
+
 def conditions_at(
     instant: Instant,
     corners: Mapping[str, CornerEstimate],
@@ -213,18 +240,23 @@ def conditions_at(
         driver: fresh values of the driver's roles.
     """
     flags = instant.flags
-    pressures = zip(
-        instant.block.layout.corners, instant.each("pressure_pa"), strict=True
+    # the model takes a missing one as 0; advice must not
+    pressures = dict(
+        zip(
+            instant.block.layout.corners,
+            instant.each("pressure_pa"),
+            strict=True,
+        )
     )
+    if flags & ((CORNER_PRESSURE << len(pressures)) - CORNER_PRESSURE):
+        for place, name in enumerate(pressures):
+            if flags & CORNER_PRESSURE << place:
+                pressures[name] = nan
     return Conditions(
         instant.time_us,
         corners,
-        nan if flags & FLAGS["speed_missing"] else instant.vehicle("speed_ms"),
+        nan if flags & _SPEED_MISSING else instant.vehicle("speed_ms"),
         sum(instant.each("brake_power_w")),
-        {
-            # the model takes a missing one as 0; advice must not
-            name: nan if flags & CORNER_PRESSURE << place else pressure_pa
-            for place, (name, pressure_pa) in enumerate(pressures)
-        },
+        pressures,
         driver,
     )

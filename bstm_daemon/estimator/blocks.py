@@ -23,8 +23,9 @@ SHOWN: Final = ("disc", "pad_front", "pad_back", "fluid")
 """Nodes that every model has, and whose temperatures are shown."""
 
 # calls of an enumeration are slow, and each publication needs many
-_validity: Final = cache(Validity)
-_reason: Final = cache(Reason)
+_CODES: Final[dict[int, Validity]] = {int(code): code for code in Validity}
+validity_of: Final = _CODES.__getitem__
+reasons_of: Final = cache(Reason)
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,6 +64,21 @@ class BlockLayout:
             name: tuple(map(group.state_names.index, SHOWN))
             for group in self.groups
             for name in group.corners
+        }
+
+    @cached_property
+    def looked_up(self) -> dict[str, tuple[int, int, tuple[int, ...]]]:
+        """Where :data:`SHOWN` of each modelled corner are in the outputs.
+
+        Number of the group, numbers of the group at a publication, places.
+        """
+        return {
+            name: (
+                number,
+                stride,
+                tuple(first + place for place in self.shown[name]),
+            )
+            for name, (number, first, stride, _) in self.modelled.items()
         }
 
     @cached_property
@@ -149,7 +165,7 @@ class Instant(NamedTuple):
     @property
     def history_known(self) -> bool:
         """Whether the start of no corner has an effect any more."""
-        return all(map(self.start_known, self.block.layout.modelled))
+        return self.i >= max(self.block.known_from.values(), default=0)
 
     def start_known(self, corner: str) -> bool:
         """Whether the start of *corner* has no effect any more."""
@@ -202,18 +218,25 @@ class Instant(NamedTuple):
             zip(names, self.output(corner, hottest=hottest), strict=False)
         )
 
-    def shown_k(self, corner: str) -> list[float]:
-        """Return the temperatures [K] of :data:`SHOWN` of *corner*."""
-        output = self.output(corner)
-        return [output[i] for i in self.block.layout.shown[corner]]
+    def shown_k(self, corner: str, *, hottest: bool = False) -> list[float]:
+        """Return the temperatures [K] of :data:`SHOWN`.
+
+        Args as of :meth:`output`.
+        """
+        block, i = self
+        number, stride, places = block.layout.looked_up[corner]
+        bounded = hottest and not self.start_known(corner)
+        output = (block.bounds if bounded else block.outputs)[number]
+        first = i * stride
+        return [output[first + place] for place in places]
 
     def validity(self, corner: str) -> Validity:
         """Return how far the estimate of *corner* may be relied on."""
-        return _validity(self.block.validity[corner][self.i])
+        return validity_of(self.block.validity[corner][self.i])
 
     def reasons(self, corner: str) -> Reason:
         """Return why the estimate of *corner* is not valid."""
-        return _reason(self.block.reasons[corner][self.i])
+        return reasons_of(self.block.reasons[corner][self.i])
 
     def _row(self, corner: str) -> int:
         layout = self.block.layout

@@ -6,6 +6,7 @@ from math import nan
 from typing import TYPE_CHECKING
 
 from bstm_daemon.estimate import NO_WEAR, CornerEstimate, WearEstimate
+from bstm_daemon.estimator.blocks import reasons_of, validity_of
 from bstm_daemon.model.risk.levels import (
     level_of_margin,
     published_level,
@@ -35,9 +36,13 @@ def corner_estimates(
     """
     age_s = nan if risk is None else risk.age_s(instant.time_us)
     found = {}
-    for name in instant.block.layout.modelled:
-        disc_k, front_k, back_k, fluid_k = instant.shown_k(name)
-        validity = instant.validity(name)
+    block, i = instant
+    # the indices of blocks.Instant: a replay makes 144 000 an hour
+    for name, (number, stride, places) in block.layout.looked_up.items():
+        output, first = block.outputs[number], i * stride
+        disc, front, back, fluid = places
+        fluid_k = output[first + fluid]
+        validity = validity_of(block.validity[name][i])
         corner_risk = None if risk is None else risk.corners[name]
         if corner_risk is not None:
             level, sure = corner_risk.level, corner_risk.sure_level
@@ -51,18 +56,18 @@ def corner_estimates(
             )
             sure = sure_level(least, level)
         found[name] = CornerEstimate(
-            disc_k=disc_k,
-            pad_front_k=front_k,
-            pad_back_k=back_k,
-            fluid_k=fluid_k,
-            boiling_k=boiling_k,
-            validity=validity,
-            reasons=instant.reasons(name),
-            level=level,
-            sure_level=sure,
-            risk=corner_risk,
-            forecast_age_s=age_s,
-            wear=NO_WEAR if wear is None else _wear(wear, instant, name),
+            output[first + disc],
+            output[first + front],
+            output[first + back],
+            fluid_k,
+            boiling_k,
+            validity,
+            reasons_of(block.reasons[name][i]),
+            level,
+            sure,
+            corner_risk,
+            age_s,
+            NO_WEAR if wear is None else _wear(wear, instant, name),
         )
     return found
 

@@ -1,8 +1,8 @@
-"""A proven upper bound of the fluid's peak after parking.
+"""Proven upper bounds of the fluid's peak after parking.
 
-A *ceiling* is a temperature of each node and of the air. While no member of an
-ensemble is above it, no member's fluid gets hotter than the members would
-that start at the ceiling itself; these are marched once for many forecasts.
+A *ceiling* is a march of all members from a state of the corner. While no
+member starts hotter, at any node or with warmer air, none of them gets hotter
+than it did in that march: one serves many forecasts.
 
 Proof. Parked, without sources, C_i(T_i) dT_i/dt = sum_j q_ij(T_j, T_i), and
 each q_ij rises with T_j and falls with T_i (:func:`is_ordered`). Let T and U
@@ -10,44 +10,34 @@ be two courses of one member with T <= U at first. When they first meet at a
 node i, T_i = U_i, so the capacities agree, T_j <= U_j of all others, hence
 dT_i/dt <= dU_i/dt: T never passes U (Kamke's theorem). Warmer air is a node
 that is warmer. Every member's own numbers are used, and nothing in it is of
-a brake, so that effects which add nodes are covered.
+a brake, so that effects which add nodes are covered. With all of U as hot as
+the hottest node of T, nothing flows: no member gets hotter than that either.
 """
 
 from __future__ import annotations
 
 from functools import lru_cache
 from itertools import pairwise, product
-from math import inf, isfinite, isnan
-from operator import le
+from math import isfinite, isnan
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from bstm_daemon.estimator.blocks import channels_at_rest
-from bstm_daemon.forecast.march import PARKED_STEPS, Conditions, Job
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from bstm_daemon.forecast.members import Ensemble
+    from bstm_daemon.forecast.members import Ensemble, Heat
     from bstm_daemon.model.thermal.network import Factor, Link, Network
-    from bstm_daemon.native.loader import Kernel
 
 MARGIN_K: Final = 1.0
 """Covers the error of the marches in coarse steps."""
 
-FACTORS: Final = 1.05, 2.0
-OFFSET_K: Final = 3.0
-"""A new ceiling is above the rises of now by an offset and a factor in this
-range, so that it lasts."""
-
-EASING: Final = 0.98
-MOST_EXCESS: Final = 1.2
-"""A ceiling that got hotter than expected makes the next one lower, by no more
-than this; less so where that leaves no room for one."""
-
 KEPT: Final = 32
 """Number of ceilings that are kept, those used last."""
 
-GRID_K: Final = tuple(float(kelvin) for kelvin in range(220, 921, 20))
+GRID_K: Final = tuple(
+    float(kelvin) for kelvin in (*range(220, 921, 20), *range(960, 1301, 40))
+)
 """Temperatures between which the order of heat flows is checked."""
 
 _REST: Final = {
@@ -58,102 +48,60 @@ _REST: Final = {
 
 
 class Ceiling(NamedTuple):
-    """Nodes [K], air [K] and the peak [K] that no member below exceeds."""
+    """A march of all members from ``heat``.
 
-    nodes_k: Sequence[float]
-    air_k: float
-    peak_k: float
+    ``peaks_k`` are those of the members; ``safe_in_s`` is when vapour was
+    unlikely and stayed so.
+    """
 
-    def covers(self, nodes_k: Sequence[float], air_k: float) -> bool:
-        """Return whether nothing of *nodes_k* and *air_k* is above it."""
-        # written so that a nan is covered by nothing
-        return air_k <= self.air_k and all(map(le, nodes_k, self.nodes_k))
+    heat: Heat
+    peaks_k: list[float]
+    safe_in_s: float
 
 
 class Ceilings:
     """The ceilings of one corner's ensemble."""
 
-    def __init__(self, ensemble: Ensemble, kernel: Kernel | None) -> None:
-        """Have none yet for *ensemble*; *kernel* None runs the reference."""
-        self.ensemble, self._kernel = ensemble, kernel
-        self._is_ordered = is_ordered(ensemble.program.network)
+    def __init__(self, ensemble: Ensemble) -> None:
+        """Have none yet for *ensemble*."""
+        self._ensemble = ensemble
+        self.is_ordered = is_ordered(ensemble.program.network)
+        """Whether there may be any."""
         self._kept: list[Ceiling] = []
-        # how many times hotter than expected a ceiling gets: all its members
-        # begin at the highest of each node
-        self._excess = 1.1
 
-    def peak_k(
-        self, state: Sequence[float], ambient_k: float, factor: float
-    ) -> float:
-        """Return what no member's fluid exceeds [K]; infinite if unknown.
+    def clear(self) -> None:
+        """Forget all."""
+        self._kept = []
 
-        Args:
-            state: nodes [K] and memories of the corner now.
-            ambient_k: the air from now on [K].
-            factor: widens the spread.
-        """
-        highest = self.ensemble.highest(state, ambient_k, factor)
-        covering = [one for one in self._kept if one.covers(*highest)]
+    def lowest(self, heat: Heat) -> Ceiling | None:
+        """Return the lowest one above members that start from *heat*."""
+        highest = self._ensemble.highest(heat)
+        covering = [
+            one
+            for one in self._kept
+            if self._ensemble.is_below(
+                heat if one.heat.factor else highest, one.heat
+            )
+        ]
         if not covering:
-            return inf
-        lowest = min(covering, key=lambda one: one.peak_k)
+            return None
+        lowest = min(covering, key=lambda one: max(one.peaks_k))
         self._kept.remove(lowest)
         self._kept.append(lowest)
-        return lowest.peak_k
+        return lowest
 
-    def higher(
-        self,
-        state: Sequence[float],
-        ambient_k: float,
-        factor: float,
-        *,
-        peak_k: float,
-        limit_k: float,
-    ) -> tuple[Ceiling, Job] | None:
-        """Return a ceiling above *state* and its march, if it may be of use.
-
-        Args:
-            state: nodes [K] and memories of the corner now.
-            ambient_k: the air from now on [K].
-            factor: widens the spread.
-            peak_k: of the hottest member from *state* [K].
-            limit_k: a ceiling whose peak is above it is of no use [K].
-        """
-        highest, air_k = self.ensemble.highest(state, ambient_k, factor)
-        room_k = limit_k - MARGIN_K - OFFSET_K - air_k
-        rise_k = max(peak_k - air_k, 1.0)
-        widest = room_k / (rise_k * self._excess)
-        if not self._is_ordered or not widest > FACTORS[0]:
-            self._excess = max(EASING * self._excess, 1.0)
-            return None
-        wider = min(widest, FACTORS[1]) - 1.0
-        nodes_k = [
-            kelvin + OFFSET_K + wider * max(kelvin - air_k, 0.0)
-            for kelvin in highest
-        ]
-        if not GRID_K[0] < min(nodes_k) <= max(nodes_k) < GRID_K[-1]:
-            return None
-        # until its march has ended the peak is the one that is expected
-        expected_k = air_k + OFFSET_K + (1.0 + wider) * rise_k
-        above = Ceiling(nodes_k, air_k + OFFSET_K, expected_k)
-        start = [*nodes_k, *state[len(nodes_k) :]]
-        return above, Job(
-            *(self.ensemble, self._kernel, start, Conditions(above.air_k)),
-            PARKED_STEPS,
-            factor=0.0,
-        )
-
-    def accept(self, ceiling: Ceiling, job: Job) -> None:
-        """Keep *ceiling*, whose march *job* has ended."""
-        peaks_k = job.course().peaks_k(sum(PARKED_STEPS))
-        found = ceiling._replace(peak_k=max(peaks_k) + MARGIN_K)
-        more = (found.peak_k - found.air_k) / (ceiling.peak_k - found.air_k)
-        self._excess = min(max(more, 1.0) / EASING, MOST_EXCESS)
+    def keep(
+        self, heat: Heat, peaks_k: Sequence[float], safe_in_s: float
+    ) -> None:
+        """Keep the march from *heat* that found *peaks_k* [K]."""
+        if not self.is_ordered or not isfinite(sum(peaks_k)):
+            return
+        found = Ceiling(heat, [one + MARGIN_K for one in peaks_k], safe_in_s)
         self._kept = [
             one
             for one in self._kept
-            if one.peak_k < found.peak_k
-            or not found.covers(one.nodes_k, one.air_k)
+            if max(one.peaks_k) < max(found.peaks_k)
+            or not self._ensemble.is_below(one.heat, heat)
         ][1 - KEPT :]
         self._kept.append(found)
 

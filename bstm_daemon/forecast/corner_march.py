@@ -1,38 +1,40 @@
-"""Marches of one corner's forecast: of its members only where it matters.
+"""What is known of one corner's peaks if it parks, with or without a march.
 
-Where no ceiling proves that vapour is unlikely the members are marched, else
-the estimate alone is, in as many portions. A new ceiling is computed between
-the forecasts.
+The members are marched only where no level would be sure without; each march
+bounds later ones, and between the forecasts higher ones are made for that.
 """
 
 from __future__ import annotations
 
-from functools import partial
 from math import inf
 from typing import TYPE_CHECKING, Final, NamedTuple
 
-from bstm_daemon.forecast.ceiling import Ceilings
+from bstm_daemon.forecast.ceiling import MARGIN_K, Ceilings
 from bstm_daemon.forecast.march import (
-    DUTY_STEPS,
-    HORIZON_S,
     PARKED_STEPS,
     Conditions,
     Job,
 )
-from bstm_daemon.model.risk.levels import PROBABILITIES, RELEASE
+from bstm_daemon.model.risk.levels import PROBABILITIES
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
-    from bstm_daemon.forecast.ceiling import Ceiling
     from bstm_daemon.forecast.march import Course
-    from bstm_daemon.forecast.members import Ensemble
+    from bstm_daemon.forecast.members import Ensemble, Heat
     from bstm_daemon.model.risk.vaporisation import Boiling
     from bstm_daemon.model.thermal.program import Program
     from bstm_daemon.native.loader import Kernel
 
-UNLIKELY: Final = RELEASE * PROBABILITIES[0]
-"""Probability of vapour below which no level is raised nor stays raised."""
+FACTORS: Final = 3.0, 2.0, 1.5, 1.2, 1.05
+OFFSET_K: Final = 2.0
+AIR_OFFSET_K: Final = 1.0
+"""A ceiling for later forecasts is above the rises of now by the largest of
+the factors that is of use and by an offset, so that it lasts."""
+
+
+UNSPREAD: Final = 1.3
+"""What the highest of all members is above them, about."""
 
 
 class Start(NamedTuple):
@@ -48,14 +50,26 @@ class Start(NamedTuple):
     boiling: Boiling
 
 
+class Range(NamedTuple):
+    """Peaks of a corner that parks, each member's lowest and highest [K].
+
+    ``safe_in_s`` is at most as given, infinite where nothing is known.
+    """
+
+    least_k: list[float]
+    most_k: list[float]
+    safe_in_s: float = inf
+
+
 class CornerMarch:
-    """Makes the marches of one corner's forecasts."""
+    """Makes the marches of one corner's forecasts if it parks."""
 
     def __init__(self, ensemble: Ensemble, kernel: Kernel | None) -> None:
         """Make those of *ensemble*; *kernel* None runs the reference."""
         self.ensemble, self._kernel = ensemble, kernel
-        self._ceilings = Ceilings(ensemble, kernel)
-        self._raising: tuple[Ceiling, Job] | None = None
+        self._ceilings = Ceilings(ensemble)
+        self._boiling: Boiling | None = None
+        self._raising: tuple[Heat, Boiling, Job] | None = None
 
     def of(self, program: Program) -> CornerMarch:
         """Return that of the same members for *program*; itself if it is."""
@@ -63,80 +77,110 @@ class CornerMarch:
             return self
         return CornerMarch(self.ensemble.of(program), self._kernel)
 
-    def bound_k(self, start: Start, program: Program) -> float:
-        """Return what no member's fluid exceeds parked [K]; else infinite.
+    def range_k(self, start: Start, program: Program) -> Range:
+        """Return what is known of the peaks from *start* without a march.
 
-        So it is if *program* is not that of the members any more.
+        Nothing if *program* is not that of the members any more.
         """
-        if program is not self.ensemble.program:
-            return inf
-        return self._ceilings.peak_k(
-            start.state, start.duty.ambient_k, start.factor
-        )
+        ensemble, ceilings = self.ensemble, self._ceilings
+        heat = self._heat(start)
+        least_k, most_k = ensemble.range_k(heat)
+        if program is not ensemble.program or not ceilings.is_ordered:
+            return Range(least_k, [inf] * ensemble.count)
+        if start.boiling is not self._boiling:
+            # it was safe by another fluid
+            ceilings.clear()
+            self._boiling = start.boiling
+        found = ceilings.lowest(heat)
+        if found is None:
+            return Range(least_k, most_k)
+        # a nan of the first stays
+        most_k = [*map(min, most_k, found.peaks_k)]
+        return Range(least_k, most_k, found.safe_in_s)
 
-    def begin_parked(self, start: Start, *, alone: bool) -> Job:
-        """Return a march from *start*, parked, of the estimate *alone*."""
-        return self._begun(
-            start, Conditions(start.duty.ambient_k), PARKED_STEPS, alone=alone
-        )
+    def begin(self, start: Start) -> Job:
+        """Return a march of the members from *start*, parked."""
+        return self._begin(start.state, start.duty.ambient_k, start.factor)
 
-    def begin_duty(self, start: Start) -> Job:
-        """Return a march on duty from *start*.
+    def keep(self, start: Start, course: Course, safe_in_s: float) -> None:
+        """Let the *course* from *start* bound later ones.
 
-        It is of the estimate alone where vapour is not likely; no level
-        follows from it.
+        *safe_in_s* is its time until vapour is unlikely.
         """
-        begun = partial(self._begun, start, start.duty, DUTY_STEPS)
-        if self._kernel is None:
-            # no publication has the time to look ahead
-            return begun(alone=False)
-        alone, air_k = begun(alone=True), start.duty.ambient_k
-        alone.advance(len(DUTY_STEPS))
-        rise_k = alone.course().peak(HORIZON_S)[0] - air_k
-        peak_k = air_k + self.ensemble.widest_rise(start.factor) * rise_k
-        unlikely = start.boiling.probability(peak_k) < PROBABILITIES[1]
-        return alone if unlikely else begun(alone=False)
+        self._ceilings.keep(self._heat(start), _peaks_k(course), safe_in_s)
 
-    def _begun(
+    def raise_ceiling(
         self,
         start: Start,
-        conditions: Conditions,
-        steps: Sequence[float],
-        *,
-        alone: bool,
-    ) -> Job:
-        return Job(
-            self.ensemble.alone if alone else self.ensemble,
-            self._kernel,
-            start.state,
-            conditions,
-            steps,
-            factor=start.factor,
-        )
-
-    def raise_ceiling(self, start: Start, parked: Course) -> None:
-        """Begin a ceiling for later forecasts, if members were marched.
+        peaks_k: Sequence[float],
+        is_of_use: Callable[[float], bool] | None,
+    ) -> bool:
+        """Begin a ceiling for later forecasts; return whether it has begun.
 
         Args:
             start: of the march.
-            parked: its course.
+            peaks_k: that it found, or their bounds.
+            is_of_use: tells of a probability of vapour; None for the lowest
+                ceiling that lasts a while, of whatever probability.
         """
-        if self._raising is None and len(parked.fluid_k) > 1:
-            self._raising = self._ceilings.higher(
-                start.state,
-                start.duty.ambient_k,
-                start.factor,
-                peak_k=max(parked.peaks_k(HORIZON_S)),
-                limit_k=start.boiling.quantile(UNLIKELY),
-            )
+        if self._raising is not None or not self._ceilings.is_ordered:
+            return False
+        ensemble, boiling = self.ensemble, start.boiling
+        air_k = start.duty.ambient_k
+        above_k = AIR_OFFSET_K + OFFSET_K + MARGIN_K + air_k
+        for factor in FACTORS:
+            expected_k = [above_k + factor * (one - air_k) for one in peaks_k]
+            probability = boiling.mean_probability(expected_k)
+            if is_of_use is not None and is_of_use(probability):
+                break
+        else:
+            if is_of_use is not None:
+                return False
+        heat = self._heat(start)
+        if probability == 0.0:
+            # there is room: no spread is left that might not be covered
+            heat = ensemble.highest(heat)
+            factor = max(factor / UNSPREAD, FACTORS[-1])
+        higher_k = heat.ambient_k + AIR_OFFSET_K
+        state = [
+            higher_k + OFFSET_K + factor * max(one, 0.0)
+            for one in heat.rises_k
+        ] + [*start.state[ensemble.nodes :]]
+        self._raising = (
+            ensemble.heat(state, higher_k, heat.factor),
+            boiling,
+            self._begin(state, higher_k, heat.factor),
+        )
+        return True
 
     def work_ahead(self, steps: int) -> bool:
         """March at most *steps* of a ceiling; return whether there was one."""
         if self._raising is None:
             return False
-        ceiling, job = self._raising
+        heat, boiling, job = self._raising
         job.advance(steps)
         if job.finished:
-            self._ceilings.accept(ceiling, job)
+            if boiling is self._boiling:
+                course = job.course()
+                safe_in_s = course.safe_in_s(boiling, PROBABILITIES[0])
+                self._ceilings.keep(heat, _peaks_k(course), safe_in_s)
             self._raising = None
         return True
+
+    def _begin(
+        self, state: Sequence[float], air_k: float, factor: float
+    ) -> Job:
+        return Job.of_members(
+            *(self.ensemble, self._kernel, state),
+            *(Conditions(air_k), PARKED_STEPS),
+            factor=factor,
+        )
+
+    def _heat(self, start: Start) -> Heat:
+        return self.ensemble.heat(
+            start.state, start.duty.ambient_k, start.factor
+        )
+
+
+def _peaks_k(course: Course) -> list[float]:
+    return course.peaks_k(sum(PARKED_STEPS))

@@ -9,19 +9,31 @@ forecast, computed in portions of half a corner a publication.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
-from math import inf, isnan, nan
+from math import isnan, nan
 from typing import TYPE_CHECKING, Final
 
 from bstm_daemon.estimate import (
     CarRisk,
-    CornerRisk,
     Reason,
     RiskLevel,
     Validity,
 )
-from bstm_daemon.forecast.corner_march import UNLIKELY, CornerMarch, Start
-from bstm_daemon.forecast.march import HORIZON_S, Duty, parked_course
+from bstm_daemon.estimator.blocks import validity_of
+from bstm_daemon.forecast.car_forecast import (
+    Car,
+    CarForecast,
+    Corner,
+    hottest,
+)
+from bstm_daemon.forecast.corner_march import CornerMarch, Start
+from bstm_daemon.forecast.march import (
+    DUTY_STEPS,
+    HORIZON_S,
+    PARKED_STEPS,
+    Duty,
+    DutyCourse,
+    parked_course,
+)
 from bstm_daemon.forecast.members import DEGRADED_FACTOR, Ensemble, Spread
 from bstm_daemon.model.risk.levels import (
     PROBABILITIES,
@@ -38,7 +50,6 @@ if TYPE_CHECKING:
     from bstm_daemon.estimator.estimator import Estimator
     from bstm_daemon.estimator.memory import SavedState
     from bstm_daemon.forecast.fluid import FluidKnowledge
-    from bstm_daemon.forecast.march import Course, Job
     from bstm_daemon.model.risk.vaporisation import Boiling
 
 SECOND_US: Final = 1_000_000
@@ -51,7 +62,12 @@ PYTHON_MEMBERS: Final = 8
 PYTHON_STEPS: Final = 1
 COMPILED_STEPS: Final = 50
 """Steps of an ensemble marched a publication: half a corner with the
-compiled kernel; without it one, so that no publication waits."""
+compiled kernel; without it one, so that no publication waits. Corners as
+they are estimated take as much time."""
+
+REFRESH_US: Final = 60 * SECOND_US
+"""Interval at which the members of a hot bound are marched, as long as vapour
+is likely, where no level needs it: to know when it is safe."""
 
 DROVE_MS: Final = 2.0
 STOPPED_MS: Final = 0.3
@@ -59,66 +75,6 @@ STOPPED_MS: Final = 0.3
 
 GAP_US: Final = 2 * SECOND_US
 """After a longer gap of publications the monitor starts again."""
-
-
-@dataclass(slots=True)
-class _Corner:
-    """A corner's memory and its forecast."""
-
-    name: str
-    march: CornerMarch
-    duty: Duty
-    level: LevelMemory = field(default_factory=LevelMemory)
-    fade: LevelMemory = field(default_factory=LevelMemory)
-    record: CornerRisk = field(default_factory=CornerRisk)
-    peaks_k: list[float] = field(default_factory=list)
-    ahead: float = nan
-    now_k: list[float] = field(default_factory=list)
-
-    @property
-    def ensemble(self) -> Ensemble:
-        """The members."""
-        return self.march.ensemble
-
-
-@dataclass(slots=True)
-class _Forecast:
-    """A forecast in progress, spread over several publications.
-
-    ``starts`` are one a corner; ``at_stop``: the car had just stopped.
-    ``bounds_k`` are, one a corner, what no member's fluid exceeds parked.
-    ``index`` counts corners that are done, first all of them parked, which
-    is ``published`` then, then all with the duty.
-    """
-
-    time_us: int
-    starts: list[Start]
-    bounds_k: list[float]
-    boiling: Boiling
-    at_stop: bool
-    index: int = 0
-    published: bool = False
-    job: Job | None = None
-    parked: list[Course] = field(default_factory=list)
-
-    @property
-    def is_unlikely(self) -> bool:
-        """Whether vapour is unlikely at all corners, if the car parks."""
-        highest_k = max(self.bounds_k, default=inf)
-        return self.boiling.probability(highest_k) < UNLIKELY
-
-    def does_alone(self, place: int) -> bool:
-        """Whether no level follows from the members of corner *place*.
-
-        Its own does not where vapour is unlikely, the car's not where that
-        is so of all or each member is hotter at a corner before.
-        """
-        bound_k = self.bounds_k[place]
-        likely = self.boiling.probability(bound_k)
-        if likely == 0.0 or not likely < UNLIKELY or self.is_unlikely:
-            return likely < UNLIKELY
-        marched = [c.peaks_k(HORIZON_S) for c in self.parked if c.fluid_k[1:]]
-        return bound_k <= min(_hottest(marched), default=-inf)
 
 
 class CourseRisk:
@@ -151,7 +107,7 @@ class CourseRisk:
         self._programs = estimator.programs
         drawn = {} if beside is None else beside.ensembles()
         self._corners = [
-            _Corner(
+            Corner(
                 name,
                 CornerMarch(
                     drawn.get(name) or Ensemble(program, self.members, spread),
@@ -163,7 +119,13 @@ class CourseRisk:
             if (program := estimator.programs.get(name)) is not None
         ]
         self._level = LevelMemory()
-        self._forecast: _Forecast | None = None
+        self._marched = Car(
+            self._corners,
+            # corners of one structure are marched together
+            [group.corners for group in estimator.layout.groups],
+            *(self._programs, self._kernel, self._level),
+        )
+        self._forecast: CarForecast | None = None
         self._forecast_us: int | None = None
         self._last_us: int | None = None
         self._drove = False
@@ -172,9 +134,9 @@ class CourseRisk:
         self._ahead = nan
         self.away = nan
         """Probability that vapour formed while the computer was off."""
-        self._last_published: (
-            tuple[tuple[CarRisk, tuple[Validity, ...]], CarRisk] | None
-        ) = None
+        self._codes: list[int] = []
+        self._published: CarRisk | None = None
+        self._raising: list[CornerMarch] = []
 
     def peaks_k(self) -> dict[str, tuple[float, ...]]:
         """Return each corner's peaks [K] if the car parks, one a member.
@@ -198,7 +160,8 @@ class CourseRisk:
             share: divides the part of a forecast that is computed.
             duty: whether it goes on to what comes if the duty continues.
         """
-        time_us = instant.time_us
+        block, i = instant
+        time_us = block.times_us[i]
         if self._last_us is None or not (
             0 < time_us - self._last_us <= GAP_US
         ):
@@ -207,9 +170,8 @@ class CourseRisk:
         speed_ms = instant.vehicle("speed_ms")
         stopped = self._drove and speed_ms < STOPPED_MS
         self._drove = (self._drove and not stopped) or speed_ms > DROVE_MS
-        whole = time_us % SECOND_US == 0
         first = self._forecast is None and self._forecast_us is None
-        if whole or first:
+        if time_us % SECOND_US == 0 or first:
             self._update_now(instant)
         due = self._forecast is None and time_us % GRID_US == 0
         self._stopped = self._stopped or stopped
@@ -220,23 +182,26 @@ class CourseRisk:
             running.at_stop and not running.published
         )
         at_stop = self._stopped and not waits
-        if at_stop or due or first:
-            self._begin(instant, at_stop=at_stop)
         steps = max(self._steps // share, 1)
+        if at_stop or due or first:
+            self._begin(instant, steps, at_stop=at_stop)
         if self._forecast is not None:
             self._work(self._forecast, steps, duty=duty)
-        else:
-            any(corner.march.work_ahead(steps) for corner in self._corners)
-        return self._published(instant)
+        elif self._raising and not self._raising[0].work_ahead(steps):
+            del self._raising[0]
+        codes = [block.validity[corner.name][i] for corner in self._corners]
+        if self._published is None or codes != self._codes:
+            self._codes = codes
+            self._published = self._record([*map(validity_of, codes)])
+        return self._published
 
     def _begin_anew(self) -> None:
         """Drop the forecast after a gap; levels fall as usual."""
         self._forecast, self._forecast_us = None, None
         self._ahead, self._stopped = nan, False
+        self._published = None
         for corner in self._corners:
-            corner.duty.restart()
-            corner.peaks_k, corner.ahead = [], nan
-            corner.record = CornerRisk()
+            corner.forget()
 
     def _update_now(self, instant: Instant) -> None:
         """Update the present risk."""
@@ -244,52 +209,47 @@ class CourseRisk:
         for corner in self._corners:
             name, time_us = corner.name, instant.time_us
             corner.duty.add(instant, name)
-            state = instant.state(name, hottest=self._is_bound)
+            disc_k, front_k, _, fluid_k = instant.shown_k(
+                name, hottest=self._is_bound
+            )
             deviation_k = corner.ensemble.fluid_deviation_k(
-                state["fluid"],
+                fluid_k,
                 instant.channel(name, "ambient_k"),
                 self._factor(instant, name),
             )
-            top_k = state["fluid"] + deviation_k * corner.ensemble.top_draw
+            top_k = fluid_k + deviation_k * corner.ensemble.top_draw
             if boiling.probability(top_k) == 0.0:
                 corner.now_k, now = [top_k] * self.members, 0.0
             else:
                 corner.now_k = [
-                    state["fluid"] + deviation_k * draw
+                    fluid_k + deviation_k * draw
                     for draw in corner.ensemble.now_draws
                 ]
                 now = boiling.mean_probability(corner.now_k)
-            probability = (
-                now if isnan(corner.ahead) else max(now, corner.ahead)
-            )
-            corner.level.by_probability(probability, time_us)
+            corner.now, corner.deviation_k = now, deviation_k
+            corner.level.by_probability(corner.probability, time_us)
             corner.fade.by_temperatures(
-                (state["disc"], state["pad_front"]), self._limits, time_us
-            )
-            corner.record = replace(
-                corner.record,
-                fluid_deviation_k=deviation_k,
-                probability_now=now,
-                probability=probability,
+                (disc_k, front_k), self._limits, time_us
             )
         self._update_car(boiling, instant.time_us)
 
     def _update_car(self, boiling: Boiling, time_us: int) -> None:
         now = boiling.mean_probability(
-            _hottest([c.now_k for c in self._corners])
+            hottest([c.now_k for c in self._corners])
         )
         probability = now if isnan(self._ahead) else max(now, self._ahead)
         self._level.by_probability(probability, time_us)
         self._car = CarRisk(
-            probability=probability,
-            probability_now=now,
-            boiling_k=boiling.quantile(0.5),
-            boiling_low_k=boiling.quantile(0.01),
-            water_percent=self._fluid.water.median_percent,
-            forecast_us=self._forecast_us,
-            members=self.members,
-            corners={c.name: c.record for c in self._corners},
+            probability,
+            now,
+            RiskLevel.UNKNOWN,
+            boiling.quantile(0.5),
+            boiling.quantile(0.01),
+            self._fluid.water.median_percent,
+            self._forecast_us,
+            self.members,
         )
+        self._published = None
 
     def _factor(self, instant: Instant, corner: str) -> float:
         """Return how much less certain *corner* is than a valid estimate."""
@@ -300,132 +260,155 @@ class CourseRisk:
         is_valid = instant.validity(corner) is Validity.VALID
         return 1.0 if is_valid or is_bounded else DEGRADED_FACTOR
 
-    def _begin(self, instant: Instant, *, at_stop: bool) -> None:
+    def _begin(self, instant: Instant, steps: int, *, at_stop: bool) -> None:
         self._stopped = self._stopped and not at_stop
         boiling = self._fluid.boiling(instant.time_us)
-        starts = [
-            Start(
-                [*instant.state(c.name, hottest=self._is_bound).values()],
-                c.duty.conditions(instant.channel(c.name, "ambient_k")),
-                self._factor(instant, c.name),
-                boiling,
-            )
-            for c in self._corners
+        starts = []
+        for corner in self._corners:
+            name = corner.name
+            width = len(corner.ensemble.program.state_names)
+            output = instant.output(name, hottest=self._is_bound)
+            air_k = instant.channel(name, "ambient_k")
+            duty = corner.duty.conditions(air_k)
+            factor = self._factor(instant, name)
+            starts.append(Start(output[:width], duty, factor, boiling))
+        ranges = [
+            corner.march.range_k(start, self._programs[corner.name])
+            for corner, start in zip(self._corners, starts, strict=True)
         ]
-        bounds_k = [
-            c.march.bound_k(start, self._programs[c.name])
-            for c, start in zip(self._corners, starts, strict=True)
-        ]
-        self._forecast = _Forecast(
-            instant.time_us, starts, bounds_k, boiling, at_stop
+        if not self._is_bound:
+            # what the estimate says is marched, or is no vapour
+            ranges = [
+                one._replace(least_k=[0.0] * self.members) for one in ranges
+            ]
+        self._forecast = CarForecast(
+            *(self._marched, instant.time_us, starts, ranges, boiling),
+            at_stop=at_stop,
+            wait=self._portions(PARKED_STEPS, steps),
         )
+        self._forecast.begin_estimates()
 
-    def _work(self, forecast: _Forecast, steps: int, *, duty: bool) -> None:
+    def _work(self, forecast: CarForecast, steps: int, *, duty: bool) -> None:
         """Compute one publication's portion of *forecast*."""
-        count = len(self._corners)
-        if forecast.index == count and not forecast.published:
-            self._commit(forecast)
-            if not duty:
+        forecast.wait -= 1
+        for job in forecast.estimates:
+            job.advance(max(steps * self.members // job.lanes, 1))
+        if not forecast.published:
+            forecast.march_members(steps)
+            if (
+                forecast.wait < 0
+                and forecast.place == len(self._corners)
+                and all(job.finished for job in forecast.estimates)
+            ):
+                self._commit(forecast)
+                forecast.wait = self._portions(DUTY_STEPS, steps)
+                forecast.begin_estimates(duty=True)
+                if not duty:
+                    self._forecast = None
+            return
+        if all(job.finished for job in forecast.estimates):
+            if forecast.estimates:
+                self._commit_duty(forecast)
+                forecast.estimates = []
+            if forecast.wait <= 0:
                 self._forecast = None
-            return
-        place = forecast.index % count
-        corner = self._corners[place]
-        parked = forecast.index < count
-        start = forecast.starts[place]
-        if forecast.job is None:
-            march = corner.march.of(self._programs[corner.name])
-            if march is not corner.march:
-                # as much work as a portion of forecast: in its own publication
-                corner.march = march
-                forecast.bounds_k[place] = inf
-                return
-            if parked:
-                alone = forecast.does_alone(place)
-                forecast.job = march.begin_parked(start, alone=alone)
-            else:
-                forecast.job = march.begin_duty(start)
-        forecast.job.advance(steps)
-        if not forecast.job.finished:
-            return
-        course = forecast.job.course()
-        forecast.job = None
-        forecast.index += 1
-        if parked:
-            corner.march.raise_ceiling(start, course)
-            forecast.parked.append(course)
-        else:
-            self._commit_duty(forecast, corner, course)
-        if forecast.index == 2 * count:
-            self._forecast = None
 
-    def _commit(self, forecast: _Forecast) -> None:
+    def _portions(self, march: Sequence[float], steps: int) -> int:
+        """Return how many publications the members of all corners take."""
+        return len(self._corners) * -(-len(march) // steps)
+
+    def _commit(self, forecast: CarForecast) -> None:
         """Publish the forecast if the car parks."""
         forecast.published = True
         boiling = forecast.boiling
         self._forecast_us = forecast.time_us
-        for corner, course, bound_k in zip(
-            self._corners, forecast.parked, forecast.bounds_k, strict=True
-        ):
-            peaks_k = course.peaks_k(HORIZON_S)
-            if len(peaks_k) == 1:
+        estimates = forecast.courses()
+        for place, corner in enumerate(self._corners):
+            course = forecast.marched.get(place)
+            known = forecast.ranges[place]
+            corner.ahead = boiling.mean_probability(known.most_k)
+            corner.most_k = known.most_k
+            if course is None:
                 # the estimate alone stands for each of its members
-                corner.peaks_k = peaks_k * self.members
-                corner.ahead = boiling.probability(bound_k)
+                (course,) = estimates[corner.name]
+                corner.peaks_k = course.peaks_k(HORIZON_S) * self.members
             else:
-                corner.peaks_k = peaks_k
-                corner.ahead = boiling.mean_probability(peaks_k)
-            peak_k, peak_in_s = course.peak(HORIZON_S)
-            corner.record = replace(
-                corner.record,
-                probability=max(corner.ahead, corner.record.probability_now),
-                peak_k=peak_k,
-                peak_in_s=peak_in_s,
-                safe_in_s=course.safe_in_s(boiling, PROBABILITIES[0]),
+                corner.peaks_k = known.most_k
+            unlikely = corner.ahead < PROBABILITIES[0]
+            corner.parked = (
+                *course.peak(HORIZON_S),
+                0.0 if unlikely else known.safe_in_s,
             )
-            corner.level.by_probability(
-                corner.record.probability, forecast.time_us
-            )
-        hottest_k = _hottest([c.peaks_k for c in self._corners])
+            corner.level.by_probability(corner.probability, forecast.time_us)
+            if self._is_bound or place in forecast.marched:
+                self._raise_ceiling(forecast, place)
         # a bound may be above what the estimate alone says; a nan stays
-        self._ahead = max(
-            [
-                boiling.mean_probability(hottest_k),
-                *(c.ahead for c in self._corners),
-            ]
+        self._ahead = boiling.mean_probability(
+            hottest([c.most_k for c in self._corners])
         )
         self._update_car(boiling, forecast.time_us)
 
-    def _commit_duty(
-        self, forecast: _Forecast, corner: _Corner, course: Course
-    ) -> None:
-        """Publish the forecast of *corner* if its duty continues."""
-        corner.record = replace(
-            corner.record,
-            duty_peak_k=course.peak(HORIZON_S)[0],
-            duty_in_s=course.reached_in_s(forecast.boiling, PROBABILITIES[1]),
-        )
-        corners = {c.name: c.record for c in self._corners}
-        self._car = replace(self._car, corners=corners)
+    def _raise_ceiling(self, forecast: CarForecast, place: int) -> None:
+        """Let later forecasts do without a march of corner *place*.
 
-    def _published(self, instant: Instant) -> CarRisk:
-        """Return the record with levels as the estimate allows them.
-
-        The same object as long as nothing changes.
+        As long as it may be, or at times to know when it will be safe.
         """
-        codes = tuple(instant.validity(c.name) for c in self._corners)
-        if self._last_published is not None:
-            (car, of), published = self._last_published
-            if car is self._car and of == codes:
-                return published
-        corners = {}
-        for corner, code in zip(self._corners, codes, strict=True):
-            level = published_level(corner.level.level, code)
-            corners[corner.name] = replace(
-                corner.record,
-                level=level,
-                sure_level=level,
-                fade=published_level(corner.fade.level, code),
+        corner, time_us = self._corners[place], forecast.time_us
+
+        def is_of_use(probability: float) -> bool:
+            return all(
+                level.is_sure(0.0, probability)
+                for level in (corner.level, self._level)
             )
+
+        if self._is_bound:
+            raised_us = corner.raised_us
+            if corner.ahead < PROBABILITIES[0] or (
+                raised_us is not None and time_us - raised_us < REFRESH_US
+            ):
+                return
+        if corner.march.raise_ceiling(
+            forecast.starts[place],
+            forecast.ranges[place].most_k,
+            None if self._is_bound else is_of_use,
+        ):
+            corner.raised_us = time_us
+            self._raising.append(corner.march)
+
+    def _commit_duty(self, forecast: CarForecast) -> None:
+        """Publish the forecast if the duty continues."""
+        lanes = forecast.courses()
+        for corner, start in zip(self._corners, forecast.starts, strict=True):
+            braked, free = lanes[corner.name]
+            air_k = start.duty.ambient_k
+            course = DutyCourse(
+                braked.times_s,
+                braked.fluid_k[0],
+                [
+                    corner.ensemble.duty_deviation_k(
+                        without_k - air_k, with_k - without_k, start.factor
+                    )
+                    for with_k, without_k in zip(
+                        braked.fluid_k[0], free.fluid_k[0], strict=True
+                    )
+                ],
+            )
+            corner.on_duty = (
+                braked.peak(HORIZON_S)[0],
+                course.reached_in_s(
+                    forecast.boiling,
+                    corner.ensemble.now_draws,
+                    PROBABILITIES[1],
+                ),
+            )
+        self._published = None
+
+    def _record(self, codes: list[Validity]) -> CarRisk:
+        """Return the record with levels as the estimate allows them."""
+        corners = {
+            corner.name: corner.record(code)
+            for corner, code in zip(self._corners, codes, strict=True)
+        }
         worst = max(codes, default=Validity.INVALID)
         level = published_level(self._level.level, worst)
         if level is RiskLevel.UNKNOWN:
@@ -436,9 +419,7 @@ class CourseRisk:
                 if c.level not in {RiskLevel.NORMAL, RiskLevel.UNKNOWN}
             ]
             level = max(raised, default=RiskLevel.UNKNOWN)
-        published = replace(self._car, level=level, corners=corners)
-        self._last_published = (self._car, codes), published
-        return published
+        return self._car._replace(level=level, corners=corners)
 
     def look_back(
         self, saved: SavedState, parked_s: float, now_us: int
@@ -467,7 +448,7 @@ class CourseRisk:
                 boiling.mean_probability(peaks), now_us
             )
             series.append(peaks)
-        self.away = boiling.mean_probability(_hottest(series))
+        self.away = boiling.mean_probability(hottest(series))
         self._level.by_probability(self.away, now_us)
 
     def memories(self) -> dict[str, LevelMemory]:
@@ -477,8 +458,3 @@ class CourseRisk:
             found[f"{corner.name}.fluid"] = corner.level
             found[f"{corner.name}.fade"] = corner.fade
         return found
-
-
-def _hottest(series: Sequence[Sequence[float]]) -> list[float]:
-    """Return the hottest corner of each member; *series* one a corner."""
-    return [max(values) for values in zip(*series, strict=True)]

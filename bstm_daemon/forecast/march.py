@@ -7,11 +7,13 @@ grow with the time ahead; the tests compare them with a march of 0.05 s.
 from __future__ import annotations
 
 from array import array
-from itertools import accumulate
+from bisect import bisect_left
+from itertools import accumulate, chain
 from math import exp, inf, isnan, nan
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from bstm_daemon.estimator.blocks import channels_at_rest, friction_energies
+from bstm_daemon.model.thermal.kernel import Batch
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -34,6 +36,9 @@ PARKED_STEPS: Final = (
 )
 """Steps ahead [s]: 30 min to the horizon, then 1 h to see it safe again."""
 
+NEAR_STEPS: Final = PARKED_STEPS[:67]
+"""Those up to the horizon."""
+
 DUTY_STEPS: Final = (*((5.0,) * 6), *((10.0,) * 9), *((30.0,) * 56))
 """Steps of a continued duty [s], up to the horizon."""
 
@@ -53,6 +58,12 @@ class Conditions(NamedTuple):
 
 DUTY_MEMORY_S: Final = 120.0
 """Time constant of the duty's means: a few bends of a descent."""
+
+_CHANNELS: Final = tuple(channels_at_rest(0.0))
+_CONDITION_CHANNELS: Final = tuple(
+    _CHANNELS.index("brake_power_w" if name == "power_w" else name)
+    for name in Conditions._fields
+)
 
 _DUTY_CHANNELS: Final = ("speed_ms", "pressure_pa", "brake_on")
 
@@ -151,29 +162,71 @@ class Course(NamedTuple):
                 high = middle
         return self.times_s[high]
 
-    def reached_in_s(self, boiling: Boiling, limit: float) -> float:
-        """Return when the probability of vapour first reaches *limit* [s]."""
-        mean = [sum(values) for values in zip(*self.fluid_k, strict=True)]
-        low, high = -1, mean.index(max(mean))
-        if self.probability(high, boiling) < limit:
-            return inf
-        while high - low > 1:
-            middle = (low + high) // 2
-            if self.probability(middle, boiling) >= limit:
-                high = middle
-            else:
-                low = middle
-        return self.times_s[high]
-
     def _end(self, until_s: float) -> int:
         return sum(seconds <= until_s for seconds in self.times_s)
 
 
+class DutyCourse(NamedTuple):
+    """Course of a fluid on duty, and its standard deviation [K]."""
+
+    times_s: tuple[float, ...]
+    fluid_k: tuple[float, ...]
+    std_k: list[float]
+
+    def reached_in_s(
+        self, boiling: Boiling, draws: Sequence[float], limit: float
+    ) -> float:
+        """Return when the probability of vapour first reaches *limit* [s].
+
+        *draws* are of the standard normal distribution; infinite where it
+        does not, NaN where the fluid is none.
+        """
+
+        def is_reached(place: int) -> bool:
+            kelvin, std_k = self.fluid_k[place], self.std_k[place]
+            most_k = kelvin + std_k * max(draws)
+            return boiling.probability(most_k) >= limit and (
+                boiling.mean_probability([kelvin + std_k * d for d in draws])
+                >= limit
+            )
+
+        top_k = max(self.fluid_k)
+        if isnan(top_k):
+            return nan
+        places = range(self.fluid_k.index(top_k) + 1)
+        if not is_reached(places[-1]):
+            return inf
+        return self.times_s[bisect_left(places, x=True, key=is_reached)]
+
+
 class Job:
-    """March of one corner's ensemble, in progress."""
+    """March of a batch, in progress."""
 
     def __init__(
         self,
+        batch: Batch,
+        fluid: int,
+        state: array[float],
+        inputs: array[float],
+        steps: Sequence[float],
+    ) -> None:
+        """Start the march of *batch*.
+
+        Args:
+            batch: corners or members.
+            fluid: number of the fluid in a state.
+            state: nodes [K] and memories of each, flat.
+            inputs: of one step, a row each, flat.
+            steps: of the march [s].
+        """
+        self._batch, self._fluid_at = batch, fluid
+        self._state, self._inputs, self._steps = state, inputs, steps
+        self._done = 0
+        self._fluid = [state[fluid :: batch.width]]
+
+    @classmethod
+    def of_members(
+        cls,
         ensemble: Ensemble,
         kernel: Kernel | None,
         state: Sequence[float],
@@ -181,24 +234,56 @@ class Job:
         steps: Sequence[float],
         *,
         factor: float,
-    ) -> None:
-        """Start the march of *ensemble*.
+    ) -> Job:
+        """Return the march of an *ensemble* of one corner.
 
         Args:
-            ensemble: of one corner.
+            ensemble: the members.
             kernel: the compiled one; None runs the reference.
             state: nodes [K] and memories of the corner now.
             conditions: what acts on it from now on.
             steps: of the march [s].
             factor: widens the spread.
         """
-        self._steps = steps
-        self._done = 0
-        self._ensemble = ensemble
-        self._batch = ensemble.batch(kernel)
-        self._state = ensemble.states(state, conditions.ambient_k, factor)
-        self._inputs = _inputs(ensemble, conditions, factor)
-        self._fluid = [self._state[ensemble.fluid :: self._batch.width]]
+        air_k = ensemble.ambients_k(conditions.ambient_k, factor)
+        return cls(
+            ensemble.batch(kernel),
+            ensemble.fluid,
+            ensemble.states(state, conditions.ambient_k, factor),
+            _inputs([conditions._replace(ambient_k=one) for one in air_k]),
+            steps,
+        )
+
+    @classmethod
+    def of_corners(
+        cls,
+        programs: Sequence[Program],
+        kernel: Kernel | None,
+        states: Sequence[Sequence[float]],
+        conditions: Sequence[Conditions],
+        steps: Sequence[float],
+    ) -> Job:
+        """Return the march of corners of one structure as they are estimated.
+
+        Args:
+            programs: one a corner.
+            kernel: the compiled one; None runs the reference.
+            states: nodes [K] and memories of each now.
+            conditions: what acts on each from now on.
+            steps: of the march [s].
+        """
+        return cls(
+            Batch(programs, 0.0, None, kernel),
+            programs[0].state_names.index("fluid"),
+            array("d", chain.from_iterable(states)),
+            _inputs(conditions),
+            steps,
+        )
+
+    @property
+    def lanes(self) -> int:
+        """Number of corners or members."""
+        return len(self._batch.programs)
 
     @property
     def finished(self) -> bool:
@@ -209,8 +294,8 @@ class Job:
         """March at most *limit* steps."""
         end = min(self._done + limit, len(self._steps))
         size = self._batch.width + self._batch.sources
-        row = self._ensemble.count * size
-        # of all jobs of the ensemble
+        row = self.lanes * size
+        # of all jobs of the batch
         self._batch.state = self._state
         while self._done < end:
             step_s = self._steps[self._done]
@@ -222,7 +307,7 @@ class Job:
                 count += 1
             out = self._batch.march(self._inputs * count, count, step_s)
             self._fluid += [
-                out[first + self._ensemble.fluid : first + row : size]
+                out[first + self._fluid_at : first + row : size]
                 for first in range(0, count * row, row)
             ]
             self._done += count
@@ -241,7 +326,7 @@ def parked_course(
     factor: float,
 ) -> Course:
     """Return the whole course of a corner that parks; Args as of a Job."""
-    job = Job(
+    job = Job.of_members(
         *(ensemble, kernel, state, Conditions(ambient_k), PARKED_STEPS),
         factor=factor,
     )
@@ -249,20 +334,13 @@ def parked_course(
     return job.course()
 
 
-def _inputs(
-    ensemble: Ensemble, conditions: Conditions, factor: float
-) -> array[float]:
-    """Return one step's rows, a row a member."""
-    one = channels_at_rest(0.0) | {
-        "speed_ms": conditions.speed_ms,
-        "pressure_pa": conditions.pressure_pa,
-        "brake_on": conditions.brake_on,
-    }
-    rows = array("d", one.values()) * ensemble.count
-    powers = (conditions.power_w * heat for heat in ensemble.heats(factor))
-    air_k = ensemble.ambients_k(conditions.ambient_k, factor)
-    for channel, values in (("ambient_k", air_k), ("brake_power_w", powers)):
-        rows[[*one].index(channel) :: len(one)] = array("d", values)
+def _inputs(conditions: Sequence[Conditions]) -> array[float]:
+    """Return one step's rows, a row for each of *conditions*."""
+    rows = array("d", channels_at_rest(0.0).values()) * len(conditions)
+    for channel, values in zip(
+        _CONDITION_CHANNELS, zip(*conditions, strict=True), strict=True
+    ):
+        rows[channel :: len(_CHANNELS)] = array("d", values)
     return rows
 
 

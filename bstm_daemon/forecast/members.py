@@ -9,8 +9,8 @@ from __future__ import annotations
 
 from array import array
 from dataclasses import replace
-from functools import cached_property
-from math import hypot, prod
+from math import hypot, isnan, nan
+from operator import le
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from bstm_daemon.model.risk.sequence import normal_draws
@@ -60,6 +60,19 @@ DEGRADED_FACTOR: Final = 2.0
 """Factor on the spread of a degraded estimate."""
 
 
+class Heat(NamedTuple):
+    """What the members of an ensemble start from.
+
+    ``factor`` widens the spread; ``rises_k`` are those of the nodes above the
+    air, ``own_k`` the deviations of the nodes that share the fluid's.
+    """
+
+    factor: float
+    ambient_k: float
+    rises_k: list[float]
+    own_k: list[float]
+
+
 class Ensemble:
     """Members of one corner, for any state of it."""
 
@@ -78,15 +91,15 @@ class Ensemble:
         self.now_draws = [point[0] for point in normal_draws(count, 1)]
         self.top_draw = max(self.now_draws)
         net = program.network
-        self._nodes = len(net.nodes)
+        self.nodes = len(net.nodes)
         self.fluid = program.state_names.index("fluid")
         self._behind = [
             i
             for i, node in enumerate(net.nodes)
             if node.name in {"fluid", "backplate", "caliper"}
         ]
+        self._before = [i for i in range(self.nodes) if i not in self._behind]
         self._batch: Batch | None = None
-        self._widest: dict[float, float] = {}
         places = _places(program)
         self.programs = [
             replace(program, floats=_changed(program, places, draw, spread))
@@ -108,11 +121,6 @@ class Ensemble:
             self._batch = Batch(self.programs, 0.0, None, kernel)
         return self._batch
 
-    @cached_property
-    def alone(self) -> Ensemble:
-        """The estimate as an ensemble of one."""
-        return Ensemble(self.program, 1, self.spread)
-
     def states(
         self, state: Sequence[float], ambient_k: float, factor: float
     ) -> array[float]:
@@ -124,9 +132,8 @@ class Ensemble:
         spread = self.spread
         found = array("d")
         fluid_k = state[self.fluid]
-        rises = [(one, one - ambient_k) for one in state[: self._nodes]]
-        floor = spread.fluid_floor_k / max(abs(fluid_k - ambient_k), 1.0)
-        alone = hypot(spread.fluid, floor)
+        rises = [(one, one - ambient_k) for one in state[: self.nodes]]
+        alone = self._own(fluid_k - ambient_k)
         for draw in self.draws:
             common = factor * spread.heat * draw["heat"]
             own = factor * alone * draw["fluid"]
@@ -134,50 +141,114 @@ class Ensemble:
             for node in self._behind:
                 member[node] += own * rises[node][1]
             found.extend(member)
-            found.extend(state[self._nodes :])
+            found.extend(state[self.nodes :])
         return found
 
-    def highest(
+    def heat(
         self, state: Sequence[float], ambient_k: float, factor: float
-    ) -> tuple[list[float], float]:
-        """Return what no member exceeds: each node of *state*, its air [K].
-
-        They are those of :meth:`states` and :meth:`ambients_k`.
-        """
-        spread, fluid_k = self.spread, state[self.fluid]
-        floor = spread.fluid_floor_k / max(abs(fluid_k - ambient_k), 1.0)
-        common = factor * spread.heat * self._farthest["heat"]
-        own = factor * hypot(spread.fluid, floor) * self._farthest["fluid"]
-        nodes_k = [
-            kelvin + common * abs(kelvin - ambient_k)
-            for kelvin in state[: self._nodes]
-        ]
-        for node in self._behind:
-            nodes_k[node] += own * abs(state[node] - ambient_k)
-        width_k = factor * spread.ambient_k * self._farthest["ambient_k"]
-        return nodes_k, ambient_k + width_k
-
-    def widest_rise(self, factor: float) -> float:
-        """Return how many times the estimate's rise a member's may be on duty.
-
-        A rule, no proof: every uncertainty of a member adds to it. *factor*
-        widens the spread.
-        """
-        if factor in self._widest:
-            return self._widest[factor]
-        scaled = {"heat", "fluid", "duty_heat"}
-        shares: dict[str, float] = self.spread._asdict()
-        del shares["fluid_floor_k"], shares["ambient_k"]
-        widest = max(
-            prod(
-                1.0
-                + share * abs(draw[axis]) * (factor if axis in scaled else 1.0)
-                for axis, share in shares.items()
-            )
-            for draw in self.draws
+    ) -> Heat:
+        """Return what :meth:`states` starts from; Args as there."""
+        rises_k = [one - ambient_k for one in state[: self.nodes]]
+        own = self._own(rises_k[self.fluid])
+        return Heat(
+            factor,
+            ambient_k,
+            rises_k,
+            [own * rises_k[i] for i in self._behind],
         )
-        self._widest[factor] = widest
-        return widest
+
+    def highest(self, heat: Heat) -> Heat:
+        """Return what no member exceeds, at any node, if it had no spread."""
+        spread, far = self.spread, self._farthest
+        common = heat.factor * spread.heat * far["heat"]
+        width_k = heat.factor * spread.ambient_k * far["ambient_k"]
+        rises_k = [one + common * abs(one) - width_k for one in heat.rises_k]
+        for i, own_k in zip(self._behind, heat.own_k, strict=True):
+            rises_k[i] += heat.factor * far["fluid"] * abs(own_k)
+        return Heat(
+            0.0, heat.ambient_k + width_k, rises_k, [0.0] * len(heat.own_k)
+        )
+
+    def is_below(self, heat: Heat, other: Heat) -> bool:
+        """Whether no member starts hotter from *heat* than from *other*.
+
+        A member's node is at a + (1 + c) r + d e, with its own c of the heat
+        so far and d of the fluid alone, where e is not 0. False of a NaN.
+        """
+        if heat.factor != other.factor or not (
+            heat.ambient_k <= other.ambient_k
+            and all(map(le, heat.rises_k, other.rises_k))
+        ):
+            return False
+        width = heat.factor * self._farthest["fluid"]
+        least = 1.0 - heat.factor * self.spread.heat * self._farthest["heat"]
+        return least >= 0.0 and all(
+            width * abs(far - near)
+            <= least * (other.rises_k[i] - heat.rises_k[i])
+            for i, near, far in zip(
+                self._behind, heat.own_k, other.own_k, strict=True
+            )
+        )
+
+    def range_k(self, heat: Heat) -> tuple[list[float], list[float]]:
+        """Return each member's fluid and its hottest node, or air [K].
+
+        Both are NaN where a node is.
+        """
+        spread, ambient_k = self.spread, heat.ambient_k
+        rises_k = heat.rises_k
+        if isnan(sum(rises_k)):
+            return [nan] * self.count, [nan] * self.count
+        fluid_k = rises_k[self.fluid]
+        own = heat.factor * self._own(fluid_k)
+        common = heat.factor * spread.heat
+        width_k = heat.factor * spread.ambient_k
+        inner = [rises_k[i] for i in self._behind]
+        outer = [rises_k[i] for i in self._before]
+        ends = max(outer), min(outer)
+        inner_ends = max(inner), min(inner)
+        least, most = [], []
+        for draw in self.draws:
+            share = 1.0 + common * draw["heat"]
+            alone = share + own * draw["fluid"]
+            least.append(ambient_k + alone * fluid_k)
+            most.append(
+                ambient_k
+                + max(
+                    width_k * draw["ambient_k"],
+                    *(share * rise_k for rise_k in ends),
+                    *(alone * rise_k for rise_k in inner_ends),
+                )
+            )
+        return least, most
+
+    def _own(self, fluid_rise_k: float) -> float:
+        """Return the relative deviation of the fluid alone."""
+        floor = self.spread.fluid_floor_k / max(abs(fluid_rise_k), 1.0)
+        return hypot(self.spread.fluid, floor)
+
+    def duty_deviation_k(
+        self, start_k: float, duty_k: float, factor: float
+    ) -> float:
+        """Return the deviation [K] of a fluid's rise on duty.
+
+        To first order: what it has from the start, *start_k*, is as uncertain
+        as the heat so far and the fluid; what the duty adds, *duty_k*, as the
+        power of the duty and all that the model does with it.
+        """
+        spread = self.spread
+        model = hypot(
+            spread.resistance,
+            spread.fluid_loss,
+            spread.disc_loss,
+            spread.lining,
+            spread.exchange,
+            spread.fluid_capacity,
+        )
+        return hypot(
+            self.fluid_deviation_k(start_k, 0.0, factor),
+            hypot(factor * spread.duty_heat, model) * duty_k,
+        )
 
     def fluid_deviation_k(
         self, fluid_k: float, ambient_k: float, factor: float
@@ -193,13 +264,6 @@ class Ensemble:
         """Return each member's air temperature [K]."""
         width = factor * self.spread.ambient_k
         return [ambient_k + width * draw["ambient_k"] for draw in self.draws]
-
-    def heats(self, factor: float) -> list[float]:
-        """Return each member's factor on a duty's brake power."""
-        width = factor * self.spread.duty_heat
-        return [
-            max(1.0 + width * draw["duty_heat"], 0.0) for draw in self.draws
-        ]
 
 
 def _places(program: Program) -> list[tuple[int, str]]:

@@ -8,7 +8,6 @@ given.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
 
 from pydantic import Field, ValidationError
@@ -116,15 +115,14 @@ class RiskMonitor:
         corners = {
             name: risk
             if instant.start_known(name)
-            else replace(
-                most.corners[name],
+            else most.corners[name]._replace(
                 sure_level=sure_level(risk.level, most.corners[name].level),
                 # of the temperature that is published, the estimate's
                 fluid_deviation_k=risk.fluid_deviation_k,
             )
             for name, risk in least.corners.items()
         }
-        published = replace(most, corners=corners)
+        published = most._replace(corners=corners)
         self._last = least, most, published
         return published
 

@@ -260,18 +260,26 @@ class AdviceSeries:
     def __init__(self, following: Following) -> None:
         """Begin where *following* is."""
         self._following = following
-        self._samples: list[tuple[int, int, float]] = []
+        self._samples: list[tuple[int, str, float]] = []
         # no sample from a place on is earlier than this [us]
         self._earliest_us: list[int] = []
 
     def ingest(self, times_us: Any, roles: Any, values: Any) -> None:
         """Take arrays [n]: stamps [us], role numbers, values."""
-        wanted = sorted(self._following.advisor.roles.names)
-        kept = np.flatnonzero(np.isin(roles, wanted))
-        if kept.size and np.all(np.diff(times_us[kept]) >= 0):
-            kept = _last_before_publications(kept, times_us, roles)
-        arrays = (times_us[kept], roles[kept], values[kept])
-        self._samples += zip(*(one.tolist() for one in arrays), strict=True)
+        names = self._following.advisor.roles.names
+        is_kept = np.isin(roles, sorted(names))
+        if np.all(np.diff(times_us[is_kept]) >= 0):
+            intervals = -(times_us // -PUBLISH_US)
+            for role in names:
+                # of those between two publications only the last one counts
+                places = np.flatnonzero(roles == role)
+                is_kept[places[:-1]] = np.diff(intervals[places]) != 0
+        self._samples += zip(
+            times_us[is_kept].tolist(),
+            map(names.__getitem__, roles[is_kept].tolist()),
+            values[is_kept].tolist(),
+            strict=True,
+        )
         stamps = [stamp_us for stamp_us, _, _ in reversed(self._samples)]
         self._earliest_us = [*accumulate(stamps, min)][::-1]
 
@@ -283,26 +291,11 @@ class AdviceSeries:
             instant = block.at(i)
             # in the order of their arrival, as the live engine notes them
             end = bisect_right(self._earliest_us, instant.time_us)
-            for sample in self._samples[first:end]:
-                self._following.advisor.roles.note(*sample)
+            self._following.advisor.roles.waiting += self._samples[first:end]
             first = max(first, end)
             found.append(self._following.advise(instant, risk, None)[1])
         del self._samples[:first], self._earliest_us[:first]
         return found
-
-
-def _last_before_publications(kept: Any, times_us: Any, roles: Any) -> Any:
-    """Return those of the places *kept*, in order of time, that may count.
-
-    Of a role's samples between two publications only the last one does.
-    """
-    intervals = -(times_us[kept] // -PUBLISH_US)
-    order = np.lexsort((kept, roles[kept]))
-    role, interval = roles[kept][order], intervals[order]
-    is_last = np.append(
-        (np.diff(role) != 0) | (np.diff(interval) != 0), values=True
-    )
-    return np.sort(kept[order[is_last]])
 
 
 @contextmanager

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from math import isnan
 
 import pytest
@@ -103,7 +102,8 @@ def test_no_isolation_while_a_rear_brake_is_not_known() -> None:
     known = at(0.0, 5.0)
     one = known.corners["RL"]._replace(validity=Validity.INVALID)
     for rear in ({"RL": known.corners["RL"], "RR": one}, {}):
-        now = replace(known, corners={"FL": known.corners["FL"], **rear})
+        corners = {"FL": known.corners["FL"], **rear}
+        now = Conditions(known.time_us, corners, known.speed_ms)
 
         assert FrontIsolation(AdviceConfig()).update(now) is Isolation.NONE
 

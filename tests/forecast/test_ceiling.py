@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import cache
 from math import inf, nan
+from operator import le
 from typing import TYPE_CHECKING
 
 import pytest
@@ -16,16 +17,17 @@ from bstm_daemon.config.sections import EffectConfig
 from bstm_daemon.errors import ConfigError
 from bstm_daemon.estimator.corner_model import compile_corner
 from bstm_daemon.files import shipped_file
-from bstm_daemon.forecast.ceiling import KEPT, Ceilings, is_ordered
-from bstm_daemon.forecast.march import (
-    DUTY_STEPS,
-    HORIZON_S,
-    Conditions,
-    Job,
-    parked_course,
+from bstm_daemon.forecast.ceiling import (
+    KEPT,
+    MARGIN_K,
+    Ceilings,
+    is_ordered,
 )
+from bstm_daemon.forecast.corner_march import CornerMarch, Start
+from bstm_daemon.forecast.march import HORIZON_S, Conditions, parked_course
 from bstm_daemon.forecast.members import Ensemble, Spread
 from bstm_daemon.model.effects.catalogue import effect_names
+from bstm_daemon.model.risk.vaporisation import Boiling
 from bstm_daemon.model.thermal.network import (
     Link,
     Source,
@@ -37,6 +39,7 @@ from bstm_daemon.model.thermal.table import Table
 from bstm_daemon.native.loader import load_kernel
 
 if TYPE_CHECKING:
+    from bstm_daemon.forecast.members import Heat
     from bstm_daemon.model.thermal.network import Network
     from bstm_daemon.model.thermal.program import Program
 
@@ -119,85 +122,133 @@ def test_no_member_exceeds_it(
     shares = data.draw(
         st.lists(st.floats(0.0, 1.0), min_size=count, max_size=count)
     )
-    highest_k, _ = ensemble.highest(state_of(program, top), air_k, factor)
-    # a ceiling of them would be above the temperatures that are checked
-    assume(max(highest_k) < 550.0)
-    ceiling = Ceilings(ensemble, KERNEL)
-    raised = ceiling.higher(
-        *(state_of(program, top), air_k, factor), peak_k=air_k, limit_k=inf
-    )
-    assert raised is not None
-    raised[1].advance(1000)
-    ceiling.accept(*raised)
     below = [
         air_k - 5.0 + share * (kelvin - air_k + 5.0)
         for share, kelvin in zip(shares, top, strict=True)
     ]
+    colder_k = air_k - data.draw(st.floats(0.0, 3.0))
+    above = ensemble.heat(state_of(program, top), air_k, factor)
+    # with the spread of the members, and without any above them all
+    ceilings = [Ceilings(ensemble), Ceilings(ensemble)]
+    for ceiling, heat in zip(
+        ceilings, (above, ensemble.highest(above)), strict=True
+    ):
+        state = [heat.ambient_k + rise_k for rise_k in heat.rises_k]
+        course = parked_course(
+            *(ensemble, KERNEL, state_of(program, state)),
+            *(heat.ambient_k, heat.factor),
+        )
+        ceiling.keep(heat, course.peaks_k(HORIZON_S), 0.0)
 
-    for nodes_k in (top, below):
+    for nodes_k, now_k in ((top, air_k), (below, air_k), (below, colder_k)):
         state = state_of(program, nodes_k)
-        course = parked_course(ensemble, KERNEL, state, air_k, factor)
-        peak_k = max(course.peaks_k(HORIZON_S))
-        bound_k = ceiling.peak_k(state, air_k, factor)
-        # an error of the fluid that is large for its rise is the plates' too
-        assert peak_k <= bound_k
-        assert bound_k < inf or nodes_k is below
+        course = parked_course(ensemble, KERNEL, state, now_k, factor)
+        peaks_k = course.peaks_k(HORIZON_S)
+        heat = ensemble.heat(state, now_k, factor)
+        for ceiling in ceilings:
+            found = ceiling.lowest(heat)
+            # an error of the fluid that is large for its rise is the plates'
+            assert found is not None or nodes_k is below
+            if found is not None:
+                assert all(map(le, peaks_k, found.peaks_k))
+        # the hottest node, without a march
+        _, most_k = ensemble.range_k(heat)
+        assert all(map(le, peaks_k, [one + MARGIN_K for one in most_k]))
+
+
+def at(ensemble: Ensemble, kelvin: float, air_k: float = AIR_K) -> Heat:
+    """Return all nodes at *kelvin*."""
+    nodes = len(ensemble.program.network.nodes)
+    return ensemble.heat([kelvin] * nodes, air_k, 1.0)
+
+
+def test_it_lasts_while_nothing_is_hotter() -> None:
+    ensemble = members("thesis", 0, ())
+    ceiling = Ceilings(ensemble)
+    heat = at(ensemble, 330.0)
+    assert ceiling.lowest(heat) is None
+
+    ceiling.keep(heat, [340.0, 350.0], 60.0)
+    found = ceiling.lowest(heat)
+    assert found == (heat, [340.0 + MARGIN_K, 350.0 + MARGIN_K], 60.0)
+    assert ceiling.lowest(at(ensemble, 320.0)) is found
+    assert ceiling.lowest(at(ensemble, 320.0, AIR_K - 1.0)) is found
+    assert ceiling.lowest(at(ensemble, 331.0)) is None
+    assert ceiling.lowest(at(ensemble, 330.0, AIR_K + 1.0)) is None
+    assert ceiling.lowest(heat._replace(factor=2.0)) is None
+    assert ceiling.lowest(at(ensemble, nan)) is None
+
+    # the lowest one, of those used last
+    higher = at(ensemble, 400.0)
+    ceiling.keep(higher, [400.0], 90.0)
+    assert ceiling.lowest(heat) is found
+    assert ceiling.lowest(at(ensemble, 380.0)) is not found
+    for i in range(2 * KEPT):
+        assert ceiling.lowest(heat) is found
+        ceiling.keep(at(ensemble, 401.0 + i), [401.0 + i], 0.0)
+    assert ceiling.lowest(at(ensemble, 380.0)) is not None
+    assert len(ceiling._kept) == KEPT
+    # what another one makes useless goes
+    ceiling.keep(at(ensemble, 900.0), [300.0], 0.0)
+    assert len(ceiling._kept) == 1
+    ceiling.keep(heat, [nan], 0.0)
+    assert len(ceiling._kept) == 1
+    ceiling.clear()
+    assert ceiling.lowest(heat) is None
 
 
 @needs_kernel
-def test_it_lasts_while_nothing_is_hotter() -> None:
+def test_a_march_bounds_later_ones_and_one_is_made_for_it() -> None:
+    """From a hotter state by the largest factor that is of use."""
     ensemble = members("thesis", 0, ())
-    ceiling = Ceilings(ensemble, KERNEL)
-    state = state_of(ensemble.program, [330.0] * len(thesis().nodes))
-    assert ceiling.peak_k(state, AIR_K, 1.0) == inf
+    march = CornerMarch(ensemble, KERNEL)
+    program = ensemble.program
+    boiling = Boiling([BOILING_K - 1.0, BOILING_K, BOILING_K + 1.0])
+    nodes = len(program.network.nodes)
 
-    raised = ceiling.higher(state, AIR_K, 1.0, peak_k=330.0, limit_k=BOILING_K)
-    assert raised is not None
-    assert ceiling.peak_k(state, AIR_K, 1.0) == inf
-    raised[1].advance(1000)
-    ceiling.accept(*raised)
+    def start(kelvin: float) -> Start:
+        state = state_of(program, [kelvin] * nodes)
+        return Start(state, Conditions(AIR_K), 1.0, boiling)
 
-    bound_k = ceiling.peak_k(state, AIR_K, 1.0)
-    course = parked_course(ensemble, KERNEL, state, AIR_K, 1.0)
-    assert max(course.peaks_k(HORIZON_S)) < bound_k < 385.0
-    warmer = [kelvin + 20.0 for kelvin in state]
-    assert ceiling.peak_k(warmer, AIR_K, 1.0) == bound_k
-    disc = ensemble.program.state_names.index("disc")
-    hot = [*state[:disc], 400.0, *state[disc + 1 :]]
-    assert ceiling.peak_k(hot, AIR_K, 1.0) == inf
-    assert ceiling.peak_k(state, AIR_K + 6.0, 1.0) == inf
-    unknown = [*state[:disc], nan, *state[disc + 1 :]]
-    assert ceiling.peak_k(unknown, AIR_K, 1.0) == inf
+    def most_k(kelvin: float) -> float:
+        return max(march.range_k(start(kelvin), program).most_k)
 
-    # the next one is kept beside it
-    raised = ceiling.higher(hot, AIR_K, 1.0, peak_k=330.0, limit_k=BOILING_K)
-    assert raised is not None
-    raised[1].advance(1000)
-    ceiling.accept(*raised)
-    assert ceiling.peak_k(warmer, AIR_K, 1.0) == bound_k
-    assert bound_k <= ceiling.peak_k(hot, AIR_K, 1.0) < BOILING_K
+    # the hottest node at first
+    assert 330.0 < most_k(330.0) < 345.0
+    hot_disc = start(330.0)
+    hot_disc.state[0] = 500.0
+    uncovered = march.range_k(hot_disc, program)
+    assert max(uncovered.most_k) > 500.0
+    assert uncovered.safe_in_s == inf
+    job = march.begin(hot_disc)
+    job.advance(1000)
+    march.keep(hot_disc, job.course(), 7.0)
+    covered = march.range_k(hot_disc, program)
+    assert covered.safe_in_s == 7.0
+    peaks_k = job.course().peaks_k(HORIZON_S)
+    assert covered.most_k == pytest.approx([p + MARGIN_K for p in peaks_k])
 
-    # those used last are kept
-    above, job = raised
-    for i in range(2 * KEPT):
-        assert ceiling.peak_k(state, AIR_K, 1.0) == bound_k
-        nodes_k = [AIR_K - 1.0 - i, *above.nodes_k[1:]]
-        nodes_k[1] += 1.0 + i
-        ceiling.accept(above._replace(nodes_k=nodes_k), job)
-    assert len(ceiling._kept) == KEPT
-
-
-def test_there_is_none_where_it_would_be_of_no_use() -> None:
-    ensemble = members("thesis", 0, ())
-    ceiling = Ceilings(ensemble, KERNEL)
-    cool = state_of(ensemble.program, [330.0] * len(thesis().nodes))
-    hot = state_of(ensemble.program, [800.0] * len(thesis().nodes))
-
-    for state, peak_k in ((cool, 410.0), (cool, nan), (hot, 330.0)):
-        assert (
-            ceiling.higher(state, AIR_K, 1.0, peak_k=peak_k, limit_k=BOILING_K)
-            is None
-        )
+    hotter = hot_disc._replace(state=[k + 9.0 for k in hot_disc.state])
+    assert march.range_k(hotter, program).safe_in_s == inf
+    assert not march.raise_ceiling(hot_disc, peaks_k, lambda _: False)
+    asked: list[float] = []
+    assert march.raise_ceiling(
+        hot_disc, peaks_k, lambda p: asked.append(p) or p < 0.01
+    )
+    assert asked == sorted(asked, reverse=True)
+    assert march.work_ahead(50)
+    assert march.range_k(hotter, program).safe_in_s == inf
+    while march.work_ahead(50):
+        pass
+    found = march.range_k(hotter, program)
+    assert found.safe_in_s == 0.0
+    assert max(peaks_k) < max(found.most_k) < BOILING_K
+    # another fluid, another time until it is safe
+    other = hotter._replace(boiling=Boiling([300.0, 301.0, 302.0]))
+    assert march.range_k(other, program).safe_in_s == inf
+    # another network
+    worn = replace(program)
+    assert set(march.range_k(start(330.0), worn).most_k) == {inf}
 
 
 @pytest.mark.parametrize("effect", sorted(effect_names()))
@@ -237,49 +288,3 @@ def test_what_keeps_no_order() -> None:
         "fluid", lambda n: replace(n, factors=(value("brake_on"),))
     )
     assert not is_ordered(filled)
-
-
-@needs_kernel
-@settings(max_examples=100, deadline=None)
-@given(
-    place=st.integers(0, 3),
-    factor=st.sampled_from([1.0, 2.0]),
-    warm_k=st.lists(st.floats(0.0, 1.0), min_size=3, max_size=3),
-    speed_ms=st.floats(0.0, 40.0),
-    power_w=st.floats(0.0, 8000.0),
-)
-def test_members_on_duty_rise_less_than_is_assumed(
-    place: int,
-    factor: float,
-    warm_k: list[float],
-    speed_ms: float,
-    power_w: float,
-) -> None:
-    """Else the time of vapour on duty would be that of the estimate alone."""
-    ensemble = Ensemble(corner("thesis", place, ()), 64, Spread())
-    disc, pad, fluid = warm_k
-    pad_k = 250.0 * disc * pad
-    rises = {"disc": 250.0 * disc, "fluid": pad_k * fluid}
-    nodes_k = [
-        AIR_K
-        + rises.get(
-            node.name,
-            0.0
-            if node.boundary_input
-            else pad_k
-            if node.name.startswith("pad_")
-            else pad_k * fluid,
-        )
-        for node in ensemble.program.network.nodes
-    ]
-    state = state_of(ensemble.program, nodes_k)
-    duty = Conditions(AIR_K, speed_ms, 2e6 * (power_w > 0.0), 0.3, power_w)
-    peaks_k = []
-    for one in (ensemble, ensemble.alone):
-        job = Job(one, KERNEL, state, duty, DUTY_STEPS, factor=factor)
-        job.advance(1000)
-        peaks_k.append(max(job.course().peaks_k(HORIZON_S)))
-
-    most_k = AIR_K + ensemble.widest_rise(factor) * (peaks_k[1] - AIR_K)
-    # the least that any fluid boils at
-    assert peaks_k[0] < 367.0 or most_k >= 367.0

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from array import array
-from math import inf, nan
+from math import inf, isnan, nan
+from statistics import fmean, stdev
 from typing import TYPE_CHECKING
 
 import pytest
@@ -15,13 +16,16 @@ from bstm_daemon.files import shipped_file
 from bstm_daemon.forecast.march import (
     DUTY_STEPS,
     HORIZON_S,
+    NEAR_STEPS,
     PARKED_STEPS,
     Conditions,
     Course,
+    DutyCourse,
     Job,
     median,
 )
 from bstm_daemon.forecast.members import Ensemble, Spread
+from bstm_daemon.model.risk.sequence import normal_draws
 from bstm_daemon.model.risk.vaporisation import Boiling
 from bstm_daemon.model.thermal.kernel import Batch
 from bstm_daemon.native.loader import load_kernel
@@ -33,6 +37,7 @@ if TYPE_CHECKING:
 AIR_K = 283.15
 KERNEL = load_kernel()
 EXACT = Spread().scaled(0.0)
+PARKED = Conditions(AIR_K)
 needs_kernel = pytest.mark.skipif(KERNEL is None, reason="slow in Python")
 
 
@@ -72,7 +77,7 @@ def job(
     spread: Spread = EXACT,
     count: int = 8,
 ) -> Job:
-    return Job(
+    return Job.of_members(
         Ensemble(of, count, spread),
         KERNEL,
         hot(of),
@@ -111,7 +116,7 @@ def test_coarse_steps_agree_with_the_estimator_s_own(
         worst = max(worst, abs(found - batch.state[fluid]))
 
     assert worst < 0.2
-    assert course.times_s[-1] >= HORIZON_S
+    assert course.times_s[-1] >= HORIZON_S == sum(NEAR_STEPS)
 
 
 @needs_kernel
@@ -202,6 +207,95 @@ def test_when_it_is_safe_and_when_it_is_reached() -> None:
     assert found.safe_in_s(sharp(125.0), 0.01) == 300.0
     assert found.safe_in_s(sharp(200.0), 0.01) == 0.0
     assert found.safe_in_s(sharp(100.0), 0.01) == inf
-    assert found.reached_in_s(sharp(125.0), 0.1) == 120.0
-    assert found.reached_in_s(sharp(200.0), 0.1) == inf
-    assert found.reached_in_s(sharp(90.0), 0.1) == 0.0
+
+
+def test_when_vapour_is_likely_on_duty() -> None:
+    """By the deviation too: a tenth are 1.28 deviations above."""
+    fluid_k = tuple(c + KELVIN_OFFSET for c in (100.0, 120.0, 150.0, 145.0))
+    draws = [one for (one,) in normal_draws(64, 1)]
+
+    def reached_s(celsius: float, std_k: float) -> float:
+        course = DutyCourse((0.0, 60.0, 120.0, 180.0), fluid_k, [std_k] * 4)
+        return course.reached_in_s(sharp(celsius), draws, 0.1)
+
+    assert reached_s(125.0, 0.1) == 120.0
+    assert reached_s(200.0, 0.1) == inf
+    assert reached_s(90.0, 0.1) == 0.0
+    assert reached_s(125.0, 5.0) == 60.0
+    assert reached_s(160.0, 5.0) == inf
+    assert reached_s(160.0, 10.0) == 120.0
+    fluid_k = (nan,) * 4
+    assert isnan(reached_s(125.0, 5.0))
+
+
+@needs_kernel
+def test_corners_march_as_the_member_without_spread() -> None:
+    """Each with its own state and conditions, bit by bit."""
+    corner = program()
+    cold = list(corner.initial_state(AIR_K))
+    duty = Conditions(AIR_K, 10.0, 8e5, 1.0, 5600.0)
+    lanes = [(hot(corner), duty), (cold, duty), (hot(corner), PARKED)]
+    job_ = Job.of_corners(
+        [corner] * 3,
+        KERNEL,
+        [state for state, _ in lanes],
+        [conditions for _, conditions in lanes],
+        DUTY_STEPS,
+    )
+    job_.advance(1000)
+    for series, (state, conditions) in zip(
+        job_.course().fluid_k, lanes, strict=True
+    ):
+        alone = Job.of_members(
+            *(Ensemble(corner, 1, EXACT), KERNEL, state),
+            *(conditions, DUTY_STEPS),
+            factor=1.0,
+        )
+        alone.advance(1000)
+        assert alone.course().fluid_k == [series]
+
+
+@needs_kernel
+@pytest.mark.parametrize("factor", [1.0, 2.0])
+@pytest.mark.parametrize("speed_ms", [12.0, 25.0])
+def test_the_deviation_on_duty_is_about_the_members(
+    factor: float, speed_ms: float
+) -> None:
+    """To first order: within a quarter of what 64 members find."""
+    corner = program()
+    state = list(corner.initial_state(AIR_K))
+    for i, node in enumerate(corner.network.nodes):
+        if not node.boundary_input:
+            state[i] += 150.0 if node.name == "disc" else 60.0
+    duty = Conditions(AIR_K, speed_ms, 1e6, 0.3, 5000.0)
+    ensemble = Ensemble(corner, 64, Spread())
+    air_k = ensemble.ambients_k(AIR_K, factor)
+    width = factor * ensemble.spread.duty_heat
+    members = array("d")
+    for one_k, draw in zip(air_k, ensemble.draws, strict=True):
+        power_w = duty.power_w * (1.0 + width * draw["duty_heat"])
+        members += rows(duty._replace(ambient_k=one_k, power_w=power_w))
+    many = Job(
+        ensemble.batch(KERNEL),
+        ensemble.fluid,
+        ensemble.states(state, AIR_K, factor),
+        members,
+        DUTY_STEPS,
+    )
+    pair = Job.of_corners(
+        [corner] * 2,
+        KERNEL,
+        [state] * 2,
+        [duty, duty._replace(power_w=0.0)],
+        DUTY_STEPS,
+    )
+    for one in (many, pair):
+        one.advance(1000)
+    with_k, without_k = pair.course().fluid_k
+    for place in (15, 30, 50, 71):
+        found = [series[place] for series in many.course().fluid_k]
+        told_k = ensemble.duty_deviation_k(
+            without_k[place] - AIR_K, with_k[place] - without_k[place], factor
+        )
+        assert told_k == pytest.approx(stdev(found), rel=0.25)
+        assert with_k[place] == pytest.approx(fmean(found), abs=2.0)

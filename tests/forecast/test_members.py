@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from array import array
 from dataclasses import replace
+from itertools import chain
+from math import isnan, nan
 from statistics import fmean, stdev
 
 import pytest
@@ -97,18 +99,14 @@ def test_members_follow_another_network_of_the_corner(corner: Program) -> None:
         assert new.floats.tolist() == [2.0 * x for x in old.floats]
 
 
-def test_air_and_duty_have_their_spreads(corner: Program) -> None:
-    """1.5 K and 15 % of the brake power, twice as much where degraded."""
+def test_air_has_its_spread(corner: Program) -> None:
+    """1.5 K, twice as much where degraded."""
     ensemble = Ensemble(corner, 64, Spread())
 
     for factor in (1.0, 2.0):
         air_k = ensemble.ambients_k(290.0, factor)
-        heats = ensemble.heats(factor)
         assert fmean(air_k) == pytest.approx(290.0)
         assert stdev(air_k) == pytest.approx(1.5 * factor, rel=0.1)
-        assert fmean(heats) == pytest.approx(1.0)
-        assert stdev(heats) == pytest.approx(0.15 * factor, rel=0.1)
-    assert min(ensemble.heats(20.0)) == 0.0
 
 
 def test_the_spread_that_is_shipped(corner: Program) -> None:
@@ -122,3 +120,48 @@ def test_the_spread_that_is_shipped(corner: Program) -> None:
     assert deviation_k(290.0, 1.0) == pytest.approx(1.0)
     assert deviation_k(390.0, 1.0) == pytest.approx(14.0**0.5)
     assert deviation_k(390.0, 2.0) == pytest.approx(2.0 * 14.0**0.5)
+
+
+def test_a_duty_is_as_uncertain_as_start_power_and_model(
+    corner: Program,
+) -> None:
+    """15 % of the power, twice as much where degraded, 14 % of the model."""
+    ensemble = Ensemble(corner, 8, Spread())
+
+    for factor in (1.0, 2.0):
+        start_k = ensemble.fluid_deviation_k(60.0, 0.0, factor)
+        assert ensemble.duty_deviation_k(60.0, 0.0, factor) == start_k
+        both_k = ensemble.duty_deviation_k(60.0, 100.0, factor)
+        power_k = 15.0 * factor
+        model_k = (
+            100.0 * (0.04**2 * 2 + 0.05**2 * 2 + 0.1**2 + 0.015**2) ** 0.5
+        )
+        assert both_k**2 == pytest.approx(start_k**2 + power_k**2 + model_k**2)
+
+
+def test_no_member_starts_outside_its_range(corner: Program) -> None:
+    """The fluid as it is; no node hotter, with spread and without."""
+    ensemble = Ensemble(corner, 64, Spread())
+    wide, count = len(corner.state_names), len(corner.network.nodes)
+    fluid = ensemble.fluid
+    for hottest in (0, fluid, count - 2):
+        state = [300.0 + 3.0 * i for i in range(wide)]
+        state[hottest] = 420.0
+        for factor in (1.0, 2.0):
+            heat = ensemble.heat(state, 295.0, factor)
+            least_k, most_k = ensemble.range_k(heat)
+            states = ensemble.states(state, 295.0, factor)
+            starts = [states[i : i + count] for i in range(0, 64 * wide, wide)]
+            assert least_k == pytest.approx([one[fluid] for one in starts])
+            assert most_k == pytest.approx([max(one) for one in starts])
+            top = ensemble.highest(heat)
+            for place, rise_k in enumerate(top.rises_k):
+                top_k = top.ambient_k + rise_k + 1e-9
+                assert max(one[place] for one in starts) <= top_k
+            assert top.ambient_k == pytest.approx(
+                max(ensemble.ambients_k(295.0, factor))
+            )
+
+    unknown = ensemble.heat([nan] * wide, 295.0, 1.0)
+    assert all(map(isnan, chain(*ensemble.range_k(unknown))))
+    assert not ensemble.is_below(unknown, heat)

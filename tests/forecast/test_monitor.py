@@ -201,7 +201,12 @@ def test_an_unknown_start_is_told_by_the_hot_bound() -> None:
         assert corner.probability_now == hottest.probability_now
         assert corner.fluid_deviation_k < hottest.fluid_deviation_k
         assert corner.sure_level is RiskLevel.UNKNOWN
-    assert found[-1].corners["FL"].peak_k == expected[-1].corners["FL"].peak_k
+        assert corner.level is hottest.level
+    one, two = found[-1].corners["FL"], expected[-1].corners["FL"]
+    assert one.peak_k == pytest.approx(two.peak_k, abs=0.5)
+    # what no level needs is an upper bound
+    assert two.probability <= one.probability < two.probability + 0.05
+    assert two.safe_in_s <= one.safe_in_s < 1.2 * two.safe_in_s
     assert found[-1].level is expected[-1].level is RiskLevel.CRITICAL
     *_, known = run(config, samples)
     assert known[-1].corners["FL"].sure_level is RiskLevel.NORMAL

@@ -13,7 +13,9 @@ from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.estimate import RiskLevel, Validity
 from bstm_daemon.estimator.estimator import Estimator
 from bstm_daemon.files import shipped_file
-from bstm_daemon.forecast import course_risk, march
+from bstm_daemon.forecast import corner_march, course_risk, march
+from bstm_daemon.forecast.car_forecast import CarForecast
+from bstm_daemon.forecast.corner_march import Range
 from bstm_daemon.forecast.fluid import FluidKnowledge
 from bstm_daemon.forecast.march import (
     HORIZON_S,
@@ -263,22 +265,26 @@ def test_a_forecast_speaks_of_half_an_hour() -> None:
 def test_a_fluid_that_goes_on_to_warm_is_told_up_to_the_horizon(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """A course of 90 min that rises by 1 K a minute, of two members."""
+    """A course of 90 min that rises by 1 K a minute, whoever marches."""
     times = tuple(60.0 * i for i in range(91))
-    rising = Course(
-        times, [array("d", [410.0 + i + m for i in range(91)]) for m in (0, 2)]
+    rising = tuple(410.0 + i for i in range(91))
+    monkeypatch.setattr(
+        march.Job, "course", lambda job: Course(times, [rising] * job.lanes)
     )
-    monkeypatch.setattr(march.Job, "course", lambda _: rising)
+    monkeypatch.setattr(
+        corner_march.CornerMarch,
+        "range_k",
+        lambda *_: Range([0.0] * 64, [inf] * 64),
+    )
     watched = Watched("FL")
     found = watched.monitor.add(watched.at_rest(3))[-1].corners["FL"]
 
-    assert watched.monitor.peaks_k() == {"FL": (440.0, 442.0)}
-    assert (found.peak_k, found.peak_in_s) == (441.0, 1800.0)
-    assert found.duty_peak_k == 441.0
+    assert watched.monitor.peaks_k() == {"FL": (440.0,) * 64}
+    assert (found.peak_k, found.peak_in_s) == (440.0, 1800.0)
+    assert found.duty_peak_k == 440.0
     assert found.safe_in_s == inf
-    boiling = watched.monitor.fluid.boiling(START_US)
-    assert found.duty_in_s == rising.reached_in_s(boiling, 0.1)
-    assert rising.reached_in_s(boiling, 0.01) < found.duty_in_s < 1800.0
+    # a tenth of the fluids and deviations boil before the median does
+    assert 900.0 < found.duty_in_s < 60.0 * (BOILING_K - 410.0)
 
 
 def levels(**corners: RiskLevel) -> dict[str, Any]:
@@ -502,27 +508,47 @@ def test_a_record_is_the_same_object_until_something_changes() -> None:
     assert changed == sorted({25, 26, *whole})
 
 
+LIKELY_K = 431.0
+"""Temperature at which vapour is elevated, but not high."""
+
+
 @pytest.mark.parametrize(
-    ("bounds_k", "alone"),
+    ("level", "peaks_k", "sure"),
     [
-        ([300.0, 310.0], [True, True]),
-        ([WARM_K, 300.0], [True, True]),
-        ([inf, 300.0], [False, True]),
+        (RiskLevel.NORMAL, [(0.0, 300.0), (0.0, 310.0)], [True, True]),
+        (RiskLevel.NORMAL, [(0.0, WARM_K), (0.0, 300.0)], [True, True]),
+        (RiskLevel.NORMAL, [(0.0, inf), (0.0, 300.0)], [False, True]),
         # it may be the hotter one of a member, so the car's level needs it
-        ([inf, WARM_K], [False, False]),
+        (RiskLevel.NORMAL, [(0.0, inf), (0.0, WARM_K)], [False, False]),
+        # unless another one is
+        (RiskLevel.NORMAL, [(600.0, 600.0), (0.0, WARM_K)], [True, True]),
+        # whatever it is, a level that is raised stays, or falls
+        (RiskLevel.CRITICAL, [(600.0, inf), (600.0, inf)], [True, True]),
+        (RiskLevel.CRITICAL, [(0.0, 600.0), (0.0, 300.0)], [False, True]),
+        (RiskLevel.ELEVATED, [(0.0, LIKELY_K), (0.0, 300.0)], [False, True]),
+        (
+            RiskLevel.ELEVATED,
+            [(LIKELY_K, LIKELY_K), (0.0, WARM_K)],
+            [True, True],
+        ),
     ],
 )
 def test_members_that_decide_no_level_are_not_marched(
-    bounds_k: list[float], alone: list[bool]
+    level: RiskLevel, peaks_k: list[tuple[float, float]], sure: list[bool]
 ) -> None:
+    course = Watched("FL", "FR").monitor.course
+    for memory in course.memories().values():
+        memory.level = level
     boiling = FluidKnowledge(car("FL").fluid).boiling(START_US)
-    cool = Course((0.0, 10.0), [(290.0, WARM_K - 5.0), (290.0, WARM_K + 5.0)])
-    forecast = course_risk._Forecast(
-        START_US, [], bounds_k, boiling, at_stop=False, parked=[cool]
+    assert 0.0 < boiling.probability(WARM_K) < 0.005
+    assert 0.01 < boiling.probability(LIKELY_K) < 0.1
+    for corner in course._corners:
+        corner.raised_us = START_US
+    ranges = [Range([least] * 8, [most] * 8) for least, most in peaks_k]
+    forecast = CarForecast(
+        *(course._marched, START_US, [], ranges, boiling),
+        at_stop=False,
+        wait=0,
     )
-    assert 0.0 < boiling.probability(WARM_K) < course_risk.UNLIKELY
 
-    assert [forecast.does_alone(i) for i in (0, 1)] == alone
-    hotter = Course((0.0,), [(WARM_K + 1.0,), (WARM_K + 5.0,)])
-    forecast.parked = [hotter]
-    assert forecast.does_alone(1)
+    assert [forecast.is_sure(i) for i in (0, 1)] == sure

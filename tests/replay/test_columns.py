@@ -701,7 +701,8 @@ def test_wet_disc_cools_the_corner_it_is_given_for(
     assert np.all(wet["FL.disc_c"] <= dry["FL.disc_c"] + 1e-9)
     assert wet.keys() == dry.keys()
     for name, column in dry.items():
-        if not name.startswith("FL."):
+        # the car's risk is one of all corners
+        if not name.startswith("FL.") and name != "risk":
             assert np.array_equal(wet[name], column, equal_nan=True), name
 
 

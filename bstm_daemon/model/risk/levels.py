@@ -57,10 +57,18 @@ class LevelMemory:
 
     def by_probability(self, probability: float, time_us: int) -> RiskLevel:
         """Take the *probability* at *time_us* and return the level."""
-        reached = level_of(probability)
-        # nan is not below: an unknown value lowers no level
-        stays = not probability < RELEASE * PROBABILITIES[self.level - 1]
-        return self._move(reached, time_us, stays=stays)
+        aim = _aim(self.level, probability)
+        return self._move(RiskLevel(aim), time_us, stays=aim >= self.level)
+
+    def is_sure(self, least: float, most: float) -> bool:
+        """Whether all probabilities from *least* to *most* do the same.
+
+        Also where the level falls by one meanwhile.
+        """
+        aim = _aim(self.level, least)
+        return aim == _aim(self.level, most) and (
+            aim >= self.level or _aim(aim, least) == _aim(aim, most)
+        )
 
     def by_temperatures(
         self,
@@ -95,6 +103,16 @@ class LevelMemory:
             self.level = RiskLevel(self.level - 1)
             self.below_since_us = time_us
         return self.level
+
+
+def _aim(level: int, probability: float) -> int:
+    """Return the level that *probability* moves *level* to, sooner or later.
+
+    By one at a time down; nan is not below: an unknown value lowers none.
+    """
+    reached = level_of(probability)
+    stays = not probability < RELEASE * PROBABILITIES[level - 1]
+    return max(reached, level if stays or not level else level - 1)
 
 
 def level_of_margin(margin_k: float) -> RiskLevel:

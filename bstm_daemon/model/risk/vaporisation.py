@@ -118,9 +118,21 @@ class Boiling:
         if not temperatures_k:
             return nan
         # most fluids are far from boiling; a sum keeps a NaN, max may not
-        if max(temperatures_k) <= self._low and not isnan(sum(temperatures_k)):
+        if isnan(sum(temperatures_k)):
+            return nan
+        low, table = self._low, self._table
+        if max(temperatures_k) <= low:
             return 0.0
-        found = sum(map(self.probability, temperatures_k))
+        found, last = 0.0, len(table) - 1
+        # as probability(), without a call for each
+        for kelvin in temperatures_k:
+            position = (kelvin - low) / TABLE_STEP_K
+            if position >= last:
+                found += 1.0
+            elif position > 0.0:
+                index = int(position)
+                left = table[index]
+                found += left + (position - index) * (table[index + 1] - left)
         return found / len(temperatures_k)
 
     def quantile(self, share: float) -> float:

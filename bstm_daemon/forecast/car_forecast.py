@@ -1,0 +1,226 @@
+"""The forecast of all corners of a car, in progress.
+
+The corners are marched as they are estimated, and the members of an ensemble
+of each where a level is not sure without.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from math import isnan, nan
+from typing import TYPE_CHECKING, NamedTuple
+
+from bstm_daemon.estimate import CornerRisk
+from bstm_daemon.forecast.corner_march import Range
+from bstm_daemon.forecast.march import (
+    DUTY_STEPS,
+    HORIZON_S,
+    NEAR_STEPS,
+    Conditions,
+    Course,
+    Job,
+)
+from bstm_daemon.model.risk.levels import (
+    PROBABILITIES,
+    LevelMemory,
+    published_level,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from bstm_daemon.estimate import Validity
+    from bstm_daemon.forecast.corner_march import CornerMarch, Start
+    from bstm_daemon.forecast.march import Duty
+    from bstm_daemon.forecast.members import Ensemble
+    from bstm_daemon.model.risk.vaporisation import Boiling
+    from bstm_daemon.model.thermal.program import Program
+    from bstm_daemon.native.loader import Kernel
+
+
+@dataclass(slots=True)
+class Corner:
+    """A corner's memory and what is published of it.
+
+    ``peaks_k`` are those of the members, or the estimate's for each;
+    ``most_k`` is what theirs do not exceed.
+    """
+
+    name: str
+    march: CornerMarch
+    duty: Duty
+    level: LevelMemory = field(default_factory=LevelMemory)
+    fade: LevelMemory = field(default_factory=LevelMemory)
+    now_k: list[float] = field(default_factory=list)
+    peaks_k: list[float] = field(default_factory=list)
+    most_k: list[float] = field(default_factory=list)
+    raised_us: int | None = None
+    now: float = nan
+    deviation_k: float = nan
+    ahead: float = nan
+    parked: tuple[float, float, float] = (nan, nan, nan)
+    on_duty: tuple[float, float] = (nan, nan)
+
+    @property
+    def ensemble(self) -> Ensemble:
+        """The members."""
+        return self.march.ensemble
+
+    @property
+    def probability(self) -> float:
+        """That of vapour, now or ahead."""
+        return self.now if isnan(self.ahead) else max(self.now, self.ahead)
+
+    def forget(self) -> None:
+        """Forget what was found after a gap; levels fall as usual."""
+        self.duty.restart()
+        self.peaks_k, self.most_k = [], []
+        self.now = self.deviation_k = self.ahead = nan
+        self.parked, self.on_duty = (nan, nan, nan), (nan, nan)
+
+    def record(self, validity: Validity) -> CornerRisk:
+        """Return what is published with an estimate of *validity*."""
+        level = published_level(self.level.level, validity)
+        fade = published_level(self.fade.level, validity)
+        return CornerRisk(
+            *(self.probability, self.now, level, level, fade),
+            *(self.deviation_k, *self.parked, *self.on_duty),
+        )
+
+
+class Car(NamedTuple):
+    """What is marched: corners, those of one structure in a group.
+
+    ``programs`` by corner; ``level`` is that of the car.
+    """
+
+    corners: list[Corner]
+    groups: list[tuple[str, ...]]
+    programs: Mapping[str, Program]
+    kernel: Kernel | None
+    level: LevelMemory
+
+
+@dataclass(slots=True)
+class CarForecast:
+    """A forecast of *car* in progress, spread over several publications.
+
+    ``starts`` and ``ranges`` are one a corner; ``at_stop``: the car had just
+    stopped; ``wait`` counts the publications until it is published, as many
+    as if all members were marched. ``estimates`` are the marches of all
+    corners as they are estimated, parked and then on duty; ``marched`` are the
+    courses of the members, by place.
+    """
+
+    car: Car
+    time_us: int
+    starts: list[Start]
+    ranges: list[Range]
+    boiling: Boiling
+    at_stop: bool
+    wait: int
+    estimates: list[Job] = field(default_factory=list)
+    place: int = 0
+    published: bool = False
+    job: Job | None = None
+    marched: dict[int, Course] = field(default_factory=dict)
+
+    def begin_estimates(self, *, duty: bool = False) -> None:
+        """Begin the marches of the estimates, parked or on *duty*.
+
+        On duty each corner is marched with its power and without.
+        """
+        of = {
+            corner.name: start
+            for corner, start in zip(
+                self.car.corners, self.starts, strict=True
+            )
+        }
+        self.estimates = []
+        for group in self.car.groups:
+            lanes = [
+                (name, conditions)
+                for name in group
+                for conditions in (
+                    (of[name].duty, of[name].duty._replace(power_w=0.0))
+                    if duty
+                    else (Conditions(of[name].duty.ambient_k),)
+                )
+            ]
+            self.estimates.append(
+                Job.of_corners(
+                    [self.car.programs[name] for name, _ in lanes],
+                    self.car.kernel,
+                    [of[name].state for name, _ in lanes],
+                    [conditions for _, conditions in lanes],
+                    DUTY_STEPS if duty else NEAR_STEPS,
+                )
+            )
+
+    def march_members(self, steps: int) -> None:
+        """March those of the next corner that needs it."""
+        while self.place < len(self.car.corners):
+            place = self.place
+            corner, start = self.car.corners[place], self.starts[place]
+            if self.job is None:
+                march = corner.march.of(self.car.programs[corner.name])
+                if march is not corner.march:
+                    # as much work as a portion: in its own publication
+                    corner.march = march
+                    self.wait += 1
+                    return
+                if self.is_sure(place):
+                    self.place += 1
+                    continue
+                self.job = march.begin(start)
+            self.job.advance(steps)
+            if self.job.finished:
+                self.marched[place] = course = self.job.course()
+                self.job = None
+                peaks_k = course.peaks_k(HORIZON_S)
+                safe_in_s = course.safe_in_s(self.boiling, PROBABILITIES[0])
+                self.ranges[place] = Range(peaks_k, peaks_k, safe_in_s)
+                corner.march.keep(start, course, safe_in_s)
+                self.place += 1
+            return
+
+    def is_sure(self, place: int) -> bool:
+        """Whether nothing follows from the members of corner *place*.
+
+        Neither for its level nor for the car's, as far as others are known.
+        """
+        corner, boiling = self.car.corners[place], self.boiling
+        own = self.ranges[place]
+        most = boiling.mean_probability(own.most_k)
+        if most == 0.0:
+            return True
+        least = boiling.mean_probability(own.least_k)
+        if not corner.level.is_sure(least, most) or not self.car.level.is_sure(
+            *(
+                boiling.mean_probability(hottest(one))
+                for one in (
+                    [r.least_k for r in self.ranges],
+                    [r.most_k for r in self.ranges],
+                )
+            )
+        ):
+            return False
+        # for the time until it is safe, before there is a bound of it
+        return most < PROBABILITIES[0] or corner.raised_us is not None
+
+    def courses(self) -> dict[str, list[Course]]:
+        """Return the courses of each corner, as they are estimated."""
+        found: dict[str, list[Course]] = {}
+        for group, job in zip(self.car.groups, self.estimates, strict=True):
+            course = job.course()
+            share = len(course.fluid_k) // len(group)
+            for place, series in enumerate(course.fluid_k):
+                found.setdefault(group[place // share], []).append(
+                    Course(course.times_s, [series])
+                )
+        return found
+
+
+def hottest(series: Sequence[Sequence[float]]) -> list[float]:
+    """Return the hottest corner of each member; *series* one a corner."""
+    return [max(values) for values in zip(*series, strict=True)]
