@@ -4,7 +4,9 @@ A first configuration has typical values: the mass of the disc, the drag area
 and the cooling of another car may be off by factors. Local refinement does
 not cross such a distance, and its priors would pull back. So a coarse search
 comes first, over the discs alone, with wide priors and plain residuals; the
-refinement goes on from what it found.
+refinement goes on from what it found. Where pads or fluid are measured too,
+that is the size of each guess only: what pads and hub take would else come
+out as the shape of the cooling table, and be believed.
 
 A value is a guess where its line in the file has the word ``typical`` in its
 comment, as ``bstm init`` writes it, or where it is a default that belongs to
@@ -160,14 +162,8 @@ def driven_keys(
     fluid do can not be known. With speeds beyond the table S gets further
     points; the share of the time that is faster still is said.
     """
-    there = {
-        couple
-        for drive in drives
-        for corner in target.corners
-        for couple in drive.measured.get(corner, {})
-    }
     found, why = tuple(keys), []
-    if there <= {"disc", "disc_2"}:
+    if _discs_only(target, drives):
         found = tuple(key for key in keys if key in OF_DISC)
         out = [key for key in keys if key not in OF_DISC]
         if out:
@@ -199,6 +195,17 @@ def driven_keys(
     if any(one.by_drag for one in drives):
         more.append(DRAG)
     return (*found, *more), why
+
+
+def _discs_only(target: Target, drives: Sequence[Drive]) -> bool:
+    """Whether discs alone have thermocouples."""
+    there = {
+        couple
+        for drive in drives
+        for corner in target.corners
+        for couple in drive.measured.get(corner, {})
+    }
+    return there <= {"disc", "disc_2"}
 
 
 def read_as_guessed(
@@ -249,8 +256,8 @@ def read_as_guessed(
 class Found:
     """The result of the search: where to refine, on which drives.
 
-    ``noise`` is what the search left, by node, for the refinement to start
-    with; ``remarks`` say what was chosen.
+    ``noise`` is what the search left of discs alone, by node, for the
+    refinement to start with; ``remarks`` say what was chosen.
     """
 
     target: Target
@@ -278,13 +285,16 @@ def search(target: Target, readings: Sequence[Reading]) -> Found:
     exponents = [exponent_of(target)]
     if CAPACITY in target.guessed:
         exponents.append(0.0)
+    alone = _discs_only(target, first.drives)
     tried = []
     for exponent, reading in product(exponents, readings):
         start = _with_form(target, exponent, reading)
         fit = _Discs(start, reading.drives, keys)
         left_k, values = fit.solved()
-        found = start.changed(values)
-        tried.append((left_k, Found(found, reading, fit.noise(values))))
+        noise = fit.noise(values) if alone else {}
+        if not alone:
+            values = {k: v for k, v in values.items() if k in STARTS}
+        tried.append((left_k, Found(start.changed(values), reading, noise)))
     best = min(tried, key=lambda one: one[0])
     # as configured, where another form is hardly better
     return best[1] if best[0] < MUCH_LESS * tried[0][0] else tried[0][1]

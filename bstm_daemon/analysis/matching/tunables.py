@@ -20,7 +20,10 @@ from bstm_daemon.model.effects.catalogue import (
     effect_names,
     effects_of,
 )
-from bstm_daemon.model.thermal.brake_corner import cooling_beyond
+from bstm_daemon.model.thermal.brake_corner import (
+    cooling_beyond,
+    corner_spec,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Mapping, Sequence
@@ -49,6 +52,7 @@ LEVEL: Final = "cooling.s_per_s"
 
 DRAG: Final = "vehicle.drag_area_m2"
 MASS: Final = "thermal.disc_mass_correction_factor"
+PARTITION: Final = "thermal.heat_partition_correction_factor"
 STILL: Final = "cooling.standstill_convection_fraction"
 
 EFFECT: Final = "effect"
@@ -77,6 +81,13 @@ CONTACT: Final = "contact_conductance"
 CONDUCTANCE: Final = f"{EFFECT}.{CONTACT}.conductance_w_m2k"
 """The effect whose conductance is matched instead of its strength: what cars
 have differs tenfold."""
+
+MADE_IN_PADS: Final = (0.5, 0.8)
+"""Largest share of the friction heat that the pads' side of the contact makes,
+and the prior of the factor that sets it, where the contact conducts: Eq 2.3
+holds for faces of equal temperature. Faces apart divide the heat by where it
+is made, up to evenly, and the contact conducts the rest back (Barber, The
+conduction of heat from sliding solids, 1970)."""
 
 
 def strength_key(effect: str) -> str:
@@ -109,9 +120,7 @@ TUNABLES: Final[dict[str, Tunable]] = {
     one.key: one
     for one in (
         Tunable(MASS, 0.7, 1.5, 0.08, "-", True),
-        Tunable(
-            "thermal.heat_partition_correction_factor", 0.3, 3, 0.15, "-", True
-        ),
+        Tunable(PARTITION, 0.3, 3, 0.15, "-", True),
         Tunable("thermal.disc_emissivity", 0.15, 1.0, 0.2, "-", True),
         Tunable("thermal.pad_emissivity", 0.5, 1.0, 0.15, "-", True),
         Tunable(
@@ -252,6 +261,11 @@ class Target:
     def tunable(self, key: str) -> Tunable:
         """Return the tunable *key* with the bounds and prior it has here."""
         one = TUNABLES[key]
+        if key == PARTITION and self.value(TUNABLES[CONDUCTANCE]) > 0.0:
+            most, prior = MADE_IN_PADS
+            alike = 1.0 - corner_spec(self.config, self.corner).disc_share
+            upper = max(one.upper, most / alike)
+            one = replace(one, upper=upper, prior=prior)
         if key in self.guessed and key in GUESSED:
             lower, upper, prior = GUESSED[key]
             return replace(one, lower=lower, upper=upper, prior=prior)

@@ -14,6 +14,7 @@ from bstm_daemon.analysis.matching.drives import read_drives
 from bstm_daemon.analysis.matching.matcher import match_drives
 from bstm_daemon.analysis.matching.tunables import DRAG, Target
 from bstm_daemon.estimator.corner_model import corner_model
+from bstm_daemon.model.effects.catalogue import effects_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -122,7 +123,24 @@ def _follows_temperature(config: Config) -> bool:
 
 
 def _with_values(config: Config, matches: list[Match]) -> Config:
+    """Return *config* with what *matches* found and added."""
     for match in matches:
-        target = Target(config, match.corners)
-        config = target.changed(match.joint.values).config
+        after = match.after.config
+        there = {one.name for one in effects_of(config)}
+        added = [
+            one
+            for one in after.effect
+            if one.corner in match.corners and one.name not in there
+        ]
+        config = config.model_copy(update={"effect": [*config.effect, *added]})
+        config = (
+            Target(config, match.corners).changed(match.joint.values).config
+        )
+        # its factors on the cooling are of the table that a search found
+        own = {one.name: one for one in after.corner}
+        corners = [
+            own[one.name] if one.name in match.corners else one
+            for one in config.corner
+        ]
+        config = config.model_copy(update={"corner": corners})
     return config

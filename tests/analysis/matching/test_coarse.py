@@ -163,3 +163,25 @@ def test_guesses_stand_in_comments_and_missing_lines(tmp_path: Path) -> None:
     )
 
     assert guesses_of(path) == {MASS, CAPACITY}
+
+
+def test_beside_pads_and_fluid_the_search_says_the_level_alone(
+    target: Target, made: Callable[..., Drive]
+) -> None:
+    """What those take must not come out as the shape of the table."""
+    drive = made({LEVEL: 2.5}, profile=PROFILE, noise_k=0.5)
+    guessing = replace(target, guessed=frozenset({LEVEL, *NODES_MS}))
+
+    found = search(guessing, [Reading(None, [drive])])
+
+    before, after = (
+        one.config.cooling_of(one.corner) for one in (target, found.target)
+    )
+    factors = np.divide(after.s_per_s, before.s_per_s)
+    assert factors == pytest.approx(2.5, rel=0.25)
+    assert np.ptp(factors) < 1e-6
+    assert (
+        after.standstill_convection_fraction
+        == before.standstill_convection_fraction
+    )
+    assert not found.noise

@@ -10,8 +10,13 @@ import pytest
 from bstm_daemon.analysis.matching.changes import changes_of
 from bstm_daemon.analysis.matching.coarse import Reading
 from bstm_daemon.analysis.matching.matcher import match_drives
-from bstm_daemon.analysis.matching.tunables import CONDUCTANCE, CONTACT
+from bstm_daemon.analysis.matching.tunables import (
+    CONDUCTANCE,
+    CONTACT,
+    PARTITION,
+)
 from bstm_daemon.config.sections import EffectConfig
+from bstm_daemon.model.thermal.brake_corner import corner_spec
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -69,3 +74,15 @@ def test_nothing_is_added_where_the_model_is_enough(
 
     assert CONDUCTANCE not in match.joint.values
     assert not match.verdict
+
+
+def test_where_the_contact_conducts_the_share_of_the_pads_is_open(
+    target: Target,
+) -> None:
+    """Eq 2.3 is of faces of one temperature; a half is the most there is."""
+    tunable = with_contact(target, RIGHT_W_M2K).tunable(PARTITION)
+
+    alike = 1.0 - corner_spec(target.config, target.corner).disc_share
+    assert tunable.upper == pytest.approx(0.5 / alike)
+    assert tunable.prior > 5.0 * target.tunable(PARTITION).prior
+    assert target.tunable(PARTITION).upper == 3.0
