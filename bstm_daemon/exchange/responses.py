@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from bstm_daemon.analysis.matching.effect_values import split_key
 from bstm_daemon.analysis.matching.tunables import (
     BEYOND_MS,
     DRAG,
@@ -23,7 +24,6 @@ from bstm_daemon.analysis.matching.tunables import (
     S_SPEEDS_MS,
     TUNABLES,
     Target,
-    split_key,
     usable,
 )
 from bstm_daemon.config.schema import meanings

@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from bstm_daemon.analysis.matching.tunables import EFFECT, split_key
+from bstm_daemon.analysis.matching.effect_values import split_key
+from bstm_daemon.analysis.matching.tunables import EFFECT
 from bstm_daemon.model.effects.catalogue import effect_class, effects_of
 from bstm_daemon.model.effects.composed import PREFIX as COMPOSED
 from bstm_daemon.model.effects.composed import is_composed

@@ -8,13 +8,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bstm_daemon.analysis.identify.writing import Change
+from bstm_daemon.analysis.matching.effect_values import split_key
 from bstm_daemon.analysis.matching.learned import (
     entry,
     known_covariance,
     known_keys,
     short,
 )
-from bstm_daemon.analysis.matching.tunables import EFFECT, split_key
+from bstm_daemon.analysis.matching.tunables import EFFECT
 from bstm_daemon.config.estimates import MatchedConfig
 
 if TYPE_CHECKING:

@@ -10,6 +10,7 @@ import pytest
 from bstm_daemon.analysis.identify.writing import Change, write_changed
 from bstm_daemon.analysis.matching.changes import changes_of
 from bstm_daemon.analysis.matching.coarse import Reading
+from bstm_daemon.analysis.matching.effect_values import effect_value
 from bstm_daemon.analysis.matching.identifiability import verdicts
 from bstm_daemon.analysis.matching.matcher import match_drives
 from bstm_daemon.analysis.matching.tunables import (
@@ -17,7 +18,6 @@ from bstm_daemon.analysis.matching.tunables import (
     STRENGTHS,
     TUNABLES,
     Target,
-    effect_value,
     refined_keys,
     strength_key,
     targets_of,
