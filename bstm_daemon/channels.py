@@ -87,6 +87,8 @@ FLAGS: Final = {
     "ambient_suspect": 1 << 48,
     "driven_unseen": 1 << 49,
     "asleep": 1 << 50,
+    "speed_unproven": 1 << 51,
+    "forces_unproven": 1 << 52,
 }
 """Bits of a step's ``flags``; those of pressure and heat are for any corner.
 ``docs/validity.md`` says when each is set."""

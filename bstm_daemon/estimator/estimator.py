@@ -165,6 +165,12 @@ class Estimator:
             compares=config.heat.mode == "fused",
             has_switch=ROLE_INDEX["brake_switch"] in present,
         )
+        self.unproven = Trust(
+            self.layout.corners,
+            self.settling_s,
+            compares=False,
+            has_switch=False,
+        )
         self._judged = judged
         self.model_check = ModelCheck(
             config, self.layout, present, self.settling_s
@@ -348,7 +354,7 @@ class Estimator:
         block.wear.update(self.wear.laws(times, partial(_totals, block)))
         self.unseen.add(block)
         if self._judged:
-            checks = self.trust, self.model_check
+            checks = self.trust, self.unproven, self.model_check
             judge(block, self._needs, checks, PUBLISH_US * 1e-6)
         self._reset_impossible()
         return block
@@ -453,6 +459,7 @@ class Estimator:
             if not hole.driven and hole.after_ms <= DROVE_MS:
                 # what it did since is forgotten as in a parked car
                 self.trust.park(hole.seconds)
+                self.unproven.park(hole.seconds)
         if hole.driven:
             self._coupling.heat_interfaces(self.samples, self.batches)
             self.start.begin(self.start.unknown)
@@ -465,6 +472,7 @@ class Estimator:
         self._coupling.heat_interfaces(self.samples, self.batches)
         self.start.end()
         self.trust.park(SETTLED_US * 1e-6)
+        self.unproven.park(SETTLED_US * 1e-6)
         self.model_check.park(SETTLED_US * 1e-6)
 
 

@@ -65,6 +65,7 @@ class SavedState(Saved):
     learned: Any = None
     wear: Document | None = None
     trust: Document | None = None
+    unproven: Document | None = None
     unseen: Document | None = None
     speed_ms: Number = 0.0
 

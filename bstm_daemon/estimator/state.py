@@ -101,6 +101,7 @@ def export_state(estimator: Estimator) -> Document:
         },
         "learned": _exported(estimator),
         "trust": estimator.trust.export(),
+        "unproven": estimator.unproven.export(),
         "unseen": estimator.unseen.export(),
     }
 
@@ -255,6 +256,7 @@ def park(
     estimator.unseen.move(estimator.unseen.since_us, proven=True)
     _stand(estimator, parked_s, air_k)
     estimator.trust.park(parked_s)
+    estimator.unproven.park(parked_s)
     estimator.start.compare()
     learned = estimator.samples.learned()
     estimator.samples = SampleState.new(learned)
@@ -301,7 +303,9 @@ def correct_parked(
     estimator.open_flags |= FLAGS["clock_jump"]
     estimator.wear = wear
     _rebuild(estimator)
-    estimator.trust.park(parked_s + since * STEP_US * 1e-6)
+    stood_s = parked_s + since * STEP_US * 1e-6
+    estimator.trust.park(stood_s)
+    estimator.unproven.park(stood_s)
     gone = round(parked_s * 1e6) // STEP_US + since
     estimator.unseen.restore(unseen)
     if estimator.unseen.is_parked and rows:
@@ -340,6 +344,7 @@ def _restore_machines(estimator: Estimator, saved: SavedState) -> None:
     """Take over the state machines, all or none of them."""
     machines: tuple[tuple[str, Machine, Document | None], ...] = (
         ("trust", estimator.trust, saved.trust),
+        ("unproven", estimator.unproven, saved.unproven),
         ("unseen", estimator.unseen, saved.unseen),
     )
     before = [(machine, machine.export()) for _, machine, _ in machines]

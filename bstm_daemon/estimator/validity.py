@@ -23,7 +23,7 @@ from bstm_daemon.channels import (
     WHEEL_SUSPECT,
 )
 from bstm_daemon.estimate import Reason, Validity
-from bstm_daemon.estimator.verified import unverified_inputs
+from bstm_daemon.estimator.verified import is_compared, unverified_inputs
 from bstm_daemon.roles import ROLE_INDEX, ROLES
 
 if TYPE_CHECKING:
@@ -58,14 +58,18 @@ _SURE: Final = FLAGS["pressure_zero"] | FLAGS["ambient_suspect"]
 temperatures are above the ambient's."""
 
 
+_UNPROVEN: Final = FLAGS["speed_unproven"] | FLAGS["forces_unproven"]
+"""Checks of the motion that had no occasion yet."""
+
+
 class Needs(NamedTuple):
     """What a corner needs.
 
     Bits of a step's flags: those of an input that is missing, those that
     speak against one now, and those among them that speak against the heat,
     which the brake remembers; whether its heat was unknown, and for too
-    long. Whether its disc must be measured, and whether an input that it
-    goes by is unverified.
+    long; whether nothing proved it. Whether its disc must be measured, and
+    whether an input that it goes by is unverified.
     """
 
     missing: int
@@ -73,6 +77,7 @@ class Needs(NamedTuple):
     remembered: int
     uncertain: int
     lost: int
+    unproven: int
     measured: bool
     unverified: bool
 
@@ -102,6 +107,7 @@ def needs_of_corners(
             remembered=remembered,
             uncertain=HEAT_UNCERTAIN << place | FLAGS["driven_unseen"],
             lost=HEAT_LOST << place,
+            unproven=_unproven(config, present, corner.name),
             measured=config.heat.mode == "measured",
             unverified=bool(unverified[corner.name]),
         )
@@ -122,7 +128,7 @@ _IMPOSSIBLE: Final = Reason.IMPOSSIBLE.value
 def judge(
     block: Block,
     needs: Mapping[str, Needs],
-    checks: tuple[Trust, ModelCheck],
+    checks: tuple[Trust, Trust, ModelCheck],
     step_s: float,
 ) -> None:
     """Fill in validity and reasons of *block*.
@@ -130,11 +136,11 @@ def judge(
     Args:
         block: of the next publications.
         needs: what each corner needs, by its name.
-        checks: what remembers findings against the heat, and against the
-            estimates.
+        checks: what remembers findings against the heat, heat that nothing
+            proved, and findings against the estimates.
         step_s: time between two publications [s].
     """
-    trust, model_check = checks
+    trust, unproven, model_check = checks
     of_car = trust.findings(block, step_s)
     strong = model_check.findings(block)
     anything = any(of_car) or any(strong) or model_check.remembers
@@ -153,9 +159,10 @@ def judge(
         if (
             anything
             or not all_possible
-            or all_flags & heeded
+            or all_flags & (heeded | need.unproven)
             or need.measured
             or trust.remembers(name)
+            or unproven.remembers(name)
         ):
             for i, flags in enumerate(block.flags):
                 if trust.holds(
@@ -164,6 +171,10 @@ def judge(
                     found=of_car[i] or flags & need.remembered != 0,
                 ):
                     reasons[i] |= _INPUT_SUSPECT
+                if unproven.holds(
+                    name, step_s, found=flags & need.unproven != 0
+                ):
+                    reasons[i] |= _UNVERIFIED
                 if model_check.holds(name, step_s, found=name in strong[i]):
                     reasons[i] |= _MODEL_DISAGREES
                 if not all_possible and not _is_possible(
@@ -220,6 +231,14 @@ def _missing(config: Config, present: Mapping[int, int], place: int) -> int:
         if ROLE_INDEX[role] in present:
             flags |= FLAGS[f"{name}_missing"]
     return flags
+
+
+def _unproven(config: Config, present: Mapping[int, int], corner: str) -> int:
+    """Return the bits of what nothing proved, where the motion proves it."""
+    mode, roles = config.heat.mode, {ROLES[n].name for n in present}
+    if mode != "fused" or is_compared(mode, roles, corner):
+        return 0
+    return _UNPROVEN
 
 
 def _pressure(config: Config, place: int) -> int:

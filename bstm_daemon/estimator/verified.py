@@ -138,11 +138,7 @@ def verified_by(
     mode = config.heat.mode
     # without the slope, fusion forms nothing from the motion
     blind = mode == "fused" and config.heat.slope != "accelerometer"
-    couples = [f"temp_{corner.lower()}_{node}" for node in _COMPARED]
-    if mode == "measured":
-        # the model is held at the first
-        couples.remove(f"temp_{corner.lower()}_disc")
-    measured = any(role in roles for role in couples)
+    measured = is_compared(mode, roles, corner)
     return {
         one: tuple(
             check.words
@@ -158,6 +154,21 @@ def verified_by(
         + ((THERMOCOUPLES,) if measured else ())
         for one in inputs_of(config, roles)
     }
+
+
+def is_compared(mode: str, roles: Collection[str], corner: str) -> bool:
+    """Return whether a thermocouple of *corner* is compared with its model.
+
+    Args:
+        mode: of the heat.
+        roles: names of the mapped roles.
+        corner: its name.
+    """
+    couples = [f"temp_{corner.lower()}_{node}" for node in _COMPARED]
+    if mode == "measured":
+        # the model is held at the first
+        couples.remove(f"temp_{corner.lower()}_disc")
+    return any(role in roles for role in couples)
 
 
 def unverified_inputs(

@@ -88,9 +88,10 @@ FORMED: Final = ("ff", "fb", "fused")
 """Heat modes; measured discs are another matter."""
 
 ONSETS: Final = (0.0, 0.35)
-"""From the begin, or after this share of the drive."""
+"""From the begin, or after this share of the driving, which no parking is."""
 
 
+MOVING_MS: Final = 0.5
 EARLIEST: Final = 0.1
 """Onset of holes and steps of the clock, at the earliest."""
 
@@ -212,7 +213,8 @@ def judge(case: Case) -> Finding:
     record = before.copy()
     # what has not begun to come cannot stop
     least = EARLIEST if case.fault in _INTERRUPTIONS else 0.0
-    first = round(max(case.onset, least) * len(record.stamp_us))
+    moving = np.flatnonzero(record.signals[WHEELS[0]] > MOVING_MS)
+    first = round(max(case.onset, least) * moving[-1])
     if case.fault is not None:
         stream = np.random.default_rng(
             [case.seed, zlib.crc32(case.fault.encode())]

@@ -259,6 +259,41 @@ def test_a_pedal_that_shows_no_braking_is_suspect_without_a_pressure(
     assert why[-1] == last.value
 
 
+@pytest.mark.parametrize(
+    ("mode", "more", "unproven"),
+    [
+        ("fused", {}, {"FL", "FR"}),
+        # its thermocouple contradicts whatever heats a brake wrongly
+        ("fused", {"temp_fl_disc": 300.0}, {"FR"}),
+        ("ff", {}, set()),
+    ],
+)
+def test_what_nothing_proved_is_unverified_and_remembered(
+    front: Callable[..., Config],
+    mode: str,
+    more: dict[str, float],
+    unproven: set[str],
+) -> None:
+    """Pushed against the brakes for 10 s, then nobody knows for 5 min."""
+    pushed = {
+        **dict.fromkeys(("wheel_speed_fl", "wheel_speed_fr"), 10.0),
+        "primary_pressure": 3e6,
+        "acceleration_longitudinal": 0.0,
+        "powertrain_torque": 0.0,
+        **more,
+    }
+    slowing = {"acceleration_longitudinal": -9.0}
+    spans: Spans = [(10.0, pushed), (20.0, pushed | slowing)]
+
+    found = over_spans(front(heat={"mode": mode}), spans, history_known=True)
+
+    for name in ("FL", "FR"):
+        why = [Reason(code) for code in found[f"{name} why"]]
+        assert (Reason.UNVERIFIED in why[95]) is (name in unproven)
+        assert (Reason.UNVERIFIED in why[-1]) is (name in unproven)
+        assert Reason.UNVERIFIED not in why[5]
+
+
 def test_reasons_are_worded_in_the_order_of_their_bits() -> None:
     """Each has words of its own."""
     why = Reason.MODEL_DISAGREES | Reason.START_UNKNOWN

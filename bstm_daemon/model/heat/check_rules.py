@@ -185,6 +185,17 @@ both sums of squares [m2/s3]: 1.6 are three changes by 1 m/s2. Before there are
 as many, the sum of the products beyond the limit, and the square of the
 correlation."""
 
+PROOF_MS2: Final = 1.0
+PROOF_J: Final = 4e5
+"""Braking work up to which speeds and accelerometer need no proof: a disc is
+60 K warmer then. They are proven from this geometric mean of both sums on
+[m2/s3]: one brisk start."""
+
+LEAP_MS: Final = 3.0
+LEAP_S: Final = 2.0
+"""The speeds leap: their median by more than the first within a step. Where
+the accelerometer makes less of it in the second, what proved them is void."""
+
 UNMOVED_SQUARE: Final = 1.0
 UNMOVED_S: Final = 30.0
 """Sum of squares of the accelerometer in its band while all speeds are

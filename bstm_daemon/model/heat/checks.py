@@ -58,6 +58,8 @@ from bstm_daemon.model.heat.motion_checks import (
     all_frozen,
     compare_motion,
     contradicted,
+    leaps,
+    watch_leap,
     wrong_scale,
 )
 from bstm_daemon.roles import MEASURED_NODES, ROLE_INDEX
@@ -168,6 +170,7 @@ class Checks:
         self._hold_pressures(now, refused)
         self._compare_switch(now)
         self._compare_zero(now)
+        watch_leap(self.m, now, median, count)
         compare_motion(self.m, now, noise=bool(refused & _NO_MOTION))
         self._compare_ambient(now)
         flags = self._contradictions(now, count) | refused
@@ -210,13 +213,19 @@ class Checks:
             self.m.deviation_fault_s[v] = DEVIATION.advance(
                 self.m.deviation_fault_s[v], now.dt_s, failed=failed
             )
-        if count == 2:
+        if count == 2 or (count > 2 and agreeing < 2):
             self._compare_pair(now, median, share)
+        elif count > 2:
+            self.m.pair_fault_s = DEVIATION.advance(
+                self.m.pair_fault_s,
+                now.dt_s,
+                failed=False if median > MOVING_MS else None,
+            )
 
     def _compare_pair(
         self, now: Readings, median: float, share: float
     ) -> None:
-        # the median of two is their mean
+        # the median of two is their mean; of more, two contradict two
         high, low = max([median, *now.speeds]), min([median, *now.speeds])
         failed = None
         if high - low > DEVIATION_MS + share * high:
@@ -229,6 +238,8 @@ class Checks:
 
     def _hold_speeds(self, now: Readings, median: float, count: int) -> None:
         m = self.m
+        # where some leap, the median changes for those that drive on
+        unsure = count > 2 and leaps(m, median)
         for v, speed in enumerate(now.speeds):
             # of two, the other; of three or more the median is constant
             # only where most of them do
@@ -239,6 +250,8 @@ class Checks:
                 m.speed_mark[v] = 0.0 if isnan(other) else other
             else:
                 m.speed_held_s[v] += now.dt_s
+            if unsure:
+                m.speed_mark[v] = 0.0 if isnan(other) else other
             failed = None
             if count >= 2 and not isnan(speed):
                 if m.speed_held_s[v] < MOVES_S:
@@ -356,7 +369,11 @@ class Checks:
     def _speed_contradictions(self, now: Readings, count: int) -> int:
         flags = 0
         corners = len(now.speeds) - 1
-        pair = count == 2 and self.m.pair_fault_s >= DEVIATION.comes_s
+        apart = self.m.pair_fault_s >= DEVIATION.comes_s
+        pair = count == 2 and apart
+        # two against two, and none of them is stuck
+        if count > 2 and apart and not any(self.m.left_out):
+            flags |= FLAGS["wheels_contradict"] | FLAGS["speed_suspect"]
         for v, speed in enumerate(now.speeds):
             if isnan(speed):
                 continue

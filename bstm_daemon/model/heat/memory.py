@@ -101,7 +101,8 @@ class CheckMemory:
     derivative and the accelerometer; ``rate_square``, ``accel_square`` and
     ``accel_rate`` are sums of their squares and product in the band,
     ``unmoved_square`` that of the accelerometer while no speed changes
-    [m2/s3]; ``standing_accel`` is what it measured first while all speeds are
+    [m2/s3]; ``median_speed`` is that of all speeds a step before;
+    ``standing_accel`` is what it measured first while all speeds are
     0, ``tilted_s`` for how long it has measured something else, UNKNOWN
     without such a first. ``accel_held_s``: how long the accelerometer has
     read ``accel_held``. ``parked_s``: for how long the car was parked when
@@ -134,6 +135,7 @@ class CheckMemory:
     rate_square: float
     accel_square: float
     accel_rate: float
+    median_speed: float
     unmoved_square: float
     unmoved_fault_s: float
     standing_accel: float
@@ -170,9 +172,10 @@ class ObserverMemory:
     of half a second of one kind, ``sum_*`` and ``brake_sum`` (the force by
     pressure [N s]) those of the open step. ``gain_product`` and
     ``gain_square`` are sums of (measured less rate) times rate, and of the
-    rate's square, as rates change. ``balance_*`` count and sum braking by
-    pressure x and by motion y, their squares and product [m2/s4], over half
-    seconds.
+    rate's square, as rates change. ``proof_s`` is the braking that must
+    still prove the pressure after an external force. ``balance_*`` count and
+    sum braking by pressure x and by motion y, their squares and product
+    [m2/s4], over half seconds.
     """
 
     known: Learned
@@ -196,6 +199,7 @@ class ObserverMemory:
     last_clutch: float
     external_s: float
     external_held_s: float
+    proof_s: float
     gain_product: float
     gain_square: float
     radius_ratio: Annotated[list[float], PER_GROUND_SPEED]
@@ -258,6 +262,7 @@ def _new_memory(learned: Sequence[float] | None) -> SampleMemory:
     checks.jump_stamp = [NEVER] * len(ROLES)
     checks.until = [NEVER] * len(ROLES)
     checks.slow_speed = checks.band_speed = UNKNOWN
+    checks.median_speed = UNKNOWN
     if learned is not None:
         observer.known = observer.first = Learned.of(learned)
         observer.recent = observer.earlier = Learned.of(learned)

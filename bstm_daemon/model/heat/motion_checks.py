@@ -22,7 +22,11 @@ from bstm_daemon.model.heat.check_rules import (
     INERTIA,
     INERTIA_FILTER_S,
     INERTIA_MS2,
+    LEAP_MS,
+    LEAP_S,
     MOVES_S,
+    PROOF_J,
+    PROOF_MS2,
     REVERSED,
     REVERSED_MEMORY_S,
     REVERSED_MOTION,
@@ -183,6 +187,32 @@ def wrong_scale(m: CheckMemory) -> bool:
         beyond > (0.0 if enough else SHARE_BEYOND)
         and m.accel_rate * m.accel_rate > SHARE_CORRELATION * square
     )
+
+
+def leaps(m: CheckMemory, median: float) -> bool:
+    """Whether the *median* of all speeds is far from that a step before."""
+    return m.median_speed >= 0.0 and abs(median - m.median_speed) > LEAP_MS
+
+
+def watch_leap(
+    m: CheckMemory, now: Readings, median: float, count: int
+) -> None:
+    """Forget what proved the speeds where all of them leap."""
+    change = abs(median - m.median_speed)
+    if (
+        count > 0
+        and leaps(m, median)
+        and abs(now.acceleration) * LEAP_S < change
+        and not wrong_scale(m)
+    ):
+        m.rate_square = m.accel_square = m.accel_rate = 0.0
+    m.median_speed = median if count > 0 else UNKNOWN
+
+
+def unproven(m: CheckMemory, braked_j: float) -> bool:
+    """Whether brakes took *braked_j* and no change of speed was compared."""
+    square = m.rate_square * m.accel_square
+    return braked_j > PROOF_J and square < PROOF_MS2 * PROOF_MS2
 
 
 def all_frozen(m: CheckMemory) -> bool:

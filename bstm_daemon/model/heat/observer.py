@@ -77,6 +77,7 @@ from bstm_daemon.model.heat.observer_rules import (
     OUTLIER,
     P0_STD,
     PRESSED_S,
+    PROOF_S,
     RATE_S,
     RELEASED_S,
     RESTART_S,
@@ -199,6 +200,7 @@ class Observer:
             self._roll_back()
         m.external_held_s = EXTERNAL_HOLD_S
         m.external_s = EXTERNAL_S
+        m.proof_s = PROOF_S
 
     def _release_external(self, seconds: float) -> None:
         m = self.m
@@ -250,10 +252,13 @@ class Observer:
             + braking_std * braking_std
             + assumed * assumed
         )
-        if braking + 2.5 * std < EXTERNAL_SHARE * (ff_decel * exp(level)):
+        least = EXTERNAL_SHARE * (ff_decel * exp(level))
+        if braking + 2.5 * std < least:
             self._suspect_external(WINDOW_S)
             return
         self._release_external(WINDOW_S)
+        if braking - 2.5 * std > least:
+            m.proof_s = max(m.proof_s - WINDOW_S, 0.0)
         # an assumed torque is no measurement
         if not s.torque_known:
             return

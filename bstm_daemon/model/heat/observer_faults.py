@@ -67,6 +67,8 @@ def findings(m: ObserverMemory, s: Step) -> int:
         found |= rules.PRESSURE_DEAD
     if unbalanced(m) or implausible_mass(m):
         found |= rules.FORCES_CONTRADICT
+    if m.proof_s > 0.0:
+        found |= rules.FORCES_UNPROVEN
     return found
 
 

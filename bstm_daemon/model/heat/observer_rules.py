@@ -102,10 +102,12 @@ suspicion rolls back, which makes them one to two intervals old."""
 
 EXTERNAL_S: Final = 2.0
 EXTERNAL_HOLD_S: Final = 30.0
+PROOF_S: Final = 5.0
 EXTERNAL_SHARE: Final = 0.4
 """Time of contradiction that sets the suspicion of an external force, and of
 agreement that clears it; the braking contradicts if it is significantly below
-this share of Feed-Forward's."""
+this share of Feed-Forward's. After an external force the pressure is proven
+by PROOF_S of braking that is significantly above that share."""
 
 GRADE_S: Final = 0.3
 HEIGHT_PATH_M: Final = 1000.0
@@ -153,4 +155,5 @@ GAIN_SUSPECT: Final = 4
 RADIUS_SUSPECT: Final = 8
 PRESSURE_DEAD: Final = 16
 FORCES_CONTRADICT: Final = 128
+FORCES_UNPROVEN: Final = 4096
 """Bits of what the observer finds in a step."""

@@ -92,6 +92,8 @@ WORDS: Final = {
     "ambient_suspect": "ambient temperature suspect",
     "driven_unseen": "driven while nothing was received",
     "asleep": "bus asleep, car parked",
+    "speed_unproven": "no change of speed compared yet",
+    "forces_unproven": "pressure unproven after an external force",
     "wheel_speed_suspect": "wheel speed suspect",
     "heat_lost": "heat unknown for too long",
     "heat_doubt": "unknown heat still has an effect",

@@ -120,12 +120,18 @@ static void compare_speeds(Checks *c, const Readings *now, double middle,
         }
         c->m->deviation_fault_s[v] = check_rules_advance(DEVIATION, c->m->deviation_fault_s[v], outcome, now->dt_s);
     }
-    if (count == 2) compare_pair(c, now, middle, share);
+    if (count == 2 || (count > 2 && agreeing < 2))
+        compare_pair(c, now, middle, share);
+    else if (count > 2)
+        c->m->pair_fault_s = checks_advance(DEVIATION, c->m->pair_fault_s,
+            middle > MOVING_MS ? PASSED : OPEN, now->dt_s);
 }
 
 static void hold_speeds(Checks *c, const Readings *now, double middle,
                         int count)
 {
+    /* where some leap, the median changes for those that drive on */
+    const int unsure = count > 2 && motion_checks_leaps(c->m, middle);
     for (int v = 0; v <= c->corners; v++) {
         const double speed = now->speeds[v];
         const double other = count == 2 ? 2.0 * middle - speed : middle;
@@ -134,6 +140,7 @@ static void hold_speeds(Checks *c, const Readings *now, double middle,
             c->m->speed_held_s[v] = 0.0;
             c->m->speed_mark[v] = isnan(other) ? 0.0 : other;
         } else c->m->speed_held_s[v] += now->dt_s;
+        if (unsure) c->m->speed_mark[v] = isnan(other) ? 0.0 : other;
         int outcome = OPEN;
         if (count >= 2 && !isnan(speed)) {
             if (c->m->speed_held_s[v] < MOVES_S) outcome = PASSED;
@@ -231,8 +238,11 @@ static int64_t motion_flags(const Checks *c, const Readings *now)
 static int64_t contradictions(const Checks *c, const Readings *now, int count)
 {
     int64_t flags = 0;
-    const int pair = count == 2 && c->m->pair_fault_s >= DEVIATION.comes_s;
+    const int apart = c->m->pair_fault_s >= DEVIATION.comes_s;
+    const int pair = count == 2 && apart;
+    int left_out = 0;
     for (int v = 0; v <= c->corners; v++) {
+        if (c->m->left_out[v] != 0.0) left_out = 1;
         if (isnan(now->speeds[v])) continue;
         if ((pair || c->m->left_out[v] != 0.0) && v < c->corners)
             flags |= WHEEL_SUSPECT << v;
@@ -240,6 +250,9 @@ static int64_t contradictions(const Checks *c, const Readings *now, int count)
             flags |= FLAG_WHEELS_CONTRADICT;
         if (c->m->speed_stuck_s[v] >= STUCK.comes_s) flags |= FLAG_STUCK;
     }
+    /* two against two, and none of them is stuck */
+    if (count > 2 && apart && !left_out)
+        flags |= FLAG_WHEELS_CONTRADICT | FLAG_SPEED_SUSPECT;
     /* of the wheels and the vehicle's speed nobody knows which is right */
     const int vehicle = !isnan(now->speeds[c->corners])
         && fabs(c->m->scale_error[c->corners]) > SCALE_LIMIT;
@@ -365,6 +378,7 @@ int64_t checks_close(Checks *c, const Readings *now)
     hold_pressures(c, now, refused);
     compare_switch(c, now);
     compare_zero(c, now);
+    motion_checks_watch_leap(c->m, now, middle, count);
     motion_checks_compare_motion(c->m, now, c->corners + 1,
                                  (refused & NO_MOTION) != 0);
     compare_ambient(c, now);

@@ -144,6 +144,28 @@ int motion_checks_wrong_scale(const CheckMemoryFloats *m)
         && m->accel_rate * m->accel_rate > SHARE_CORRELATION * square;
 }
 
+int motion_checks_leaps(const CheckMemoryFloats *m, double median)
+{
+    return m->median_speed >= 0.0 && fabs(median - m->median_speed) > LEAP_MS;
+}
+
+void motion_checks_watch_leap(CheckMemoryFloats *m, const Readings *now,
+                              double median, int count)
+{
+    const double change = fabs(median - m->median_speed);
+    if (count > 0 && motion_checks_leaps(m, median)
+        && fabs(now->acceleration) * LEAP_S < change
+        && !motion_checks_wrong_scale(m))
+        m->rate_square = m->accel_square = m->accel_rate = 0.0;
+    m->median_speed = count > 0 ? median : UNKNOWN;
+}
+
+int motion_checks_unproven(const CheckMemoryFloats *m, double braked_j)
+{
+    const double square = m->rate_square * m->accel_square;
+    return braked_j > PROOF_J && square < PROOF_MS2 * PROOF_MS2;
+}
+
 int motion_checks_all_frozen(const CheckMemoryFloats *m)
 {
     return m->unmoved_fault_s >= STUCK.comes_s;

@@ -13,6 +13,11 @@ void motion_checks_compare_motion(CheckMemoryFloats *m, const Readings *now,
 int motion_checks_stand_shown(const CheckMemoryFloats *m);
 int motion_checks_contradicted(const CheckMemoryFloats *m);
 int motion_checks_wrong_scale(const CheckMemoryFloats *m);
+int motion_checks_leaps(const CheckMemoryFloats *m, double median);
+/* Forget what proved the speeds where all of them leap. */
+void motion_checks_watch_leap(CheckMemoryFloats *m, const Readings *now,
+                              double median, int count);
+int motion_checks_unproven(const CheckMemoryFloats *m, double braked_j);
 int motion_checks_all_frozen(const CheckMemoryFloats *m);
 
 #endif

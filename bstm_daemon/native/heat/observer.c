@@ -55,6 +55,7 @@ static void suspect_external(ObserverMemory *m, double seconds)
     if (m->external_held_s <= 0.0) roll_back(m);
     m->external_held_s = EXTERNAL_HOLD_S;
     m->external_s = EXTERNAL_S;
+    m->proof_s = PROOF_S;
 }
 
 static void release_external(ObserverMemory *m, double seconds)
@@ -102,11 +103,16 @@ static void learn_friction(Observer *o, double accel, double drive,
     const double assumed = s->torque_known ? 0.0 : ASSUMED_TORQUE_STD;
     const double std = sqrt(ACCEL_NOISE * ACCEL_NOISE
                             + braking_std * braking_std + assumed * assumed);
-    if (braking + 2.5 * std < EXTERNAL_SHARE * (ff_decel * exp(level))) {
+    const double least = EXTERNAL_SHARE * (ff_decel * exp(level));
+    if (braking + 2.5 * std < least) {
         suspect_external(m, WINDOW_S);
         return;
     }
     release_external(m, WINDOW_S);
+    if (braking - 2.5 * std > least) {
+        m->proof_s -= WINDOW_S;
+        if (m->proof_s < 0.0) m->proof_s = 0.0;
+    }
     /* an assumed torque is no measurement */
     if (!s->torque_known) return;
     observer_faults_compare_forces(m, ff_decel, braking);

@@ -50,6 +50,7 @@ int observer_faults_findings(const ObserverMemory *m, const Step *s)
     if (observer_faults_implausible_radius(m)) found |= RADIUS_SUSPECT;
     if (m->unpressed_s > DEAD_S) found |= PRESSURE_DEAD;
     if (unbalanced(m) || implausible_mass(m)) found |= FORCES_CONTRADICT;
+    if (m->proof_s > 0.0) found |= FORCES_UNPROVEN;
     return found;
 }
 

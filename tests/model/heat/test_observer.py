@@ -272,10 +272,35 @@ def test_a_pushed_car_teaches_nothing(
     run = fused(kernel).feed(samples)
 
     assert run.flag("external_force_suspected")[-1]
+    assert run.flag("forces_unproven") == run.flag("external_force_suspected")
     assert untaught(run)
     assert run.column("brake_power_w")[-1] == pytest.approx(
         PER_PA * 8e5 * driver.speed
     )
+
+
+@pytest.mark.parametrize("pressed", [True, False])
+def test_braking_proves_the_pressure_after_an_external_force(
+    kernel: Kernel | None,
+    fused: Callable[..., Run],
+    pressed: bool,  # noqa: FBT001
+) -> None:
+    """Half seconds of calm braking, 5 s of them; without a pressure none."""
+    driver = Driver(Truth(push=0.9, dead_torque=True, bias=0.0), speed=0.5)
+    samples = list(driver.drive(12.0, 0.7, gear=0))
+    driver.car = Truth(bias=0.0, pressed=pressed)
+    samples += driver.town(4)
+    run = fused(kernel).feed(samples)
+
+    unproven = run.flag("forces_unproven")
+    first = unproven.index(True)
+    assert run.flag("external_force_suspected")[first]
+    assert unproven[-1] is not pressed
+    proof = zip(
+        unproven[first:], run.column("pressure_pa")[first:], strict=True
+    )
+    braked_s = 0.05 * sum(is_open and p > 1e5 for is_open, p in proof)
+    assert (braked_s >= 5.0) is pressed
 
 
 def test_wheels_on_a_stand_teach_nothing(

@@ -328,6 +328,73 @@ def test_a_wheel_apart_comes_goes_and_is_left_out(
     assert speed[60] == pytest.approx(20.0)
 
 
+def test_wheels_that_drive_on_are_not_stuck_where_two_die(
+    kernel: Kernel | None, start: Callable[..., Run], four: Callable[..., Any]
+) -> None:
+    """Constant to the bit, while the median falls from 10 to 5 m/s."""
+    drive = Drive().hold(10.0, **wheels(10.0))
+    drive.hold(10.0, **wheels(10.0, fl=0.0, fr=0.0))
+    run = start(four(), kernel, *WHEELS).feed(drive.samples)
+
+    assert not any(bits(run, FLAGS["stuck"]))
+    marks = bits(run, FLAGS["wheels_contradict"])
+    assert first_s(marks) == pytest.approx(12.0, abs=0.1)
+    assert marks[-1]
+    assert bits(run, FLAGS["speed_suspect"])[-1]
+
+
+CONSTANT = [(40.0, 15.0, 15.0, 0.0)]
+BRISK = [(10.0, 5.0, 5.0, 0.0), (5.0, 5.0, 20.0, 3.0), (40.0, 20.0, 20.0, 0.0)]
+"""Seconds, first and last speed [m/s], acceleration [m/s2]."""
+
+
+@pytest.mark.parametrize(
+    ("spans", "more", "from_s"),
+    [
+        # 0.4 MJ of braking, and no change of speed
+        (CONSTANT, (), "at 0.4 MJ"),
+        # a satellite knows the scale
+        (CONSTANT, ("gnss_speed",), None),
+        # one brisk start has shown it
+        (BRISK, (), None),
+        # all speeds leap, the car does not
+        ([*BRISK, (9.0, 10.0, 10.0, 0.0)], (), 55.0),
+        # a slow signal of a car that brakes leaps as well
+        ([*BRISK, (9.0, 10.0, 10.0, -6.0)], (), None),
+    ],
+)
+def test_speeds_are_unproven_until_they_have_changed(
+    kernel: Kernel | None,
+    start: Callable[..., Run],
+    four: Callable[..., Any],
+    spans: list[tuple[float, float, float, float]],
+    more: tuple[str, ...],
+    from_s: float | str | None,
+) -> None:
+    """Half of a constant speed looks like the whole of it."""
+    drive, roles = Drive(), (*WHEELS, *more)
+    for seconds, first, last, accel in spans:
+        drive.ramp(
+            seconds,
+            **dict.fromkeys(roles, (first, last)),
+            acceleration_longitudinal=(accel, accel),
+            primary_pressure=(2e6, 2e6),
+        )
+    others = ("primary_pressure", "acceleration_longitudinal")
+    run = start(four(), kernel, *roles, *others).feed(drive.samples)
+
+    marks = bits(run, FLAGS["speed_unproven"])
+    assert any(marks) is (from_s is not None)
+    if isinstance(from_s, float):
+        assert first_s(marks) == pytest.approx(from_s, abs=0.06)
+        assert marks[-1]
+    elif from_s:
+        heats = [run.column("brake_energy_ff_j", c) for c in range(4)]
+        braked = [False, *(sum(j) > 4e5 for j in zip(*heats, strict=True))]
+        assert marks == braked[:-1]
+        assert 0.0 < first_s(marks) < 30.0
+
+
 def test_a_dead_wheel_has_the_speed_of_the_others(
     kernel: Kernel | None, start: Callable[..., Run], four: Callable[..., Any]
 ) -> None:
@@ -1132,7 +1199,7 @@ def test_faults_name_every_bit_once() -> None:
     clock = FLAGS["clock_jump"] | FLAGS["settled"]
     also = 0b1111 * (CORNER_PRESSURE | CORNER_PRESSURE_SUSPECT)
 
-    assert sum(FAULTS.values()) == ((1 << 51) - 1) & ~clock & ~also
+    assert sum(FAULTS.values()) == ((1 << 53) - 1) & ~clock & ~also
     assert FAULTS.keys() <= WORDS.keys()
     assert fault_names(clock) == ()
     assert fault_names(FLAGS["stuck"] | HEAT_LOST << 3) == (
