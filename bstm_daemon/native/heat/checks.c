@@ -123,7 +123,7 @@ static void compare_speeds(Checks *c, const Readings *now, double middle,
     if (count == 2 || (count > 2 && agreeing < 2))
         compare_pair(c, now, middle, share);
     else if (count > 2)
-        c->m->pair_fault_s = checks_advance(DEVIATION, c->m->pair_fault_s,
+        c->m->pair_fault_s = check_rules_advance(DEVIATION, c->m->pair_fault_s,
             middle > MOVING_MS ? PASSED : OPEN, now->dt_s);
 }
 
