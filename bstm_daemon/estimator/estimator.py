@@ -458,12 +458,16 @@ class Estimator:
             self.trust.count(hole.seconds)
             if not hole.driven and hole.after_ms <= DROVE_MS:
                 # what it did since is forgotten as in a parked car
-                self.trust.park(hole.seconds)
-                self.unproven.park(hole.seconds)
+                self.park_doubts(hole.seconds)
         if hole.driven:
             self._coupling.heat_interfaces(self.samples, self.batches)
             self.start.begin(self.start.unknown)
             self.open_flags |= FLAGS["driven_unseen"]
+
+    def park_doubts(self, seconds: float) -> None:
+        """Let what was found against the heat have stood for *seconds*."""
+        self.trust.park(seconds)
+        self.unproven.park(seconds)
 
     def _settle(self) -> None:
         air_k = self.air_k()
@@ -471,8 +475,7 @@ class Estimator:
             batch.settle(air_k, member)
         self._coupling.heat_interfaces(self.samples, self.batches)
         self.start.end()
-        self.trust.park(SETTLED_US * 1e-6)
-        self.unproven.park(SETTLED_US * 1e-6)
+        self.park_doubts(SETTLED_US * 1e-6)
         self.model_check.park(SETTLED_US * 1e-6)
 
 

@@ -255,8 +255,7 @@ def park(
     estimator.begin_unseen(*estimator.last_seen())
     estimator.unseen.move(estimator.unseen.since_us, proven=True)
     _stand(estimator, parked_s, air_k)
-    estimator.trust.park(parked_s)
-    estimator.unproven.park(parked_s)
+    estimator.park_doubts(parked_s)
     estimator.start.compare()
     learned = estimator.samples.learned()
     estimator.samples = SampleState.new(learned)
@@ -303,9 +302,7 @@ def correct_parked(
     estimator.open_flags |= FLAGS["clock_jump"]
     estimator.wear = wear
     _rebuild(estimator)
-    stood_s = parked_s + since * STEP_US * 1e-6
-    estimator.trust.park(stood_s)
-    estimator.unproven.park(stood_s)
+    estimator.park_doubts(parked_s + since * STEP_US * 1e-6)
     gone = round(parked_s * 1e6) // STEP_US + since
     estimator.unseen.restore(unseen)
     if estimator.unseen.is_parked and rows:

@@ -13,10 +13,10 @@ from bstm_daemon.channels import CORNER_PRESSURE, FLAGS, MODES, SLOPES
 from bstm_daemon.model.heat import check_rules as rules
 from bstm_daemon.model.heat.checks import Checks, Watched
 from bstm_daemon.model.heat.memory import NEVER, UNKNOWN
-from bstm_daemon.model.heat.motion_checks import stand_shown
+from bstm_daemon.model.heat.motion_checks import stand_shown, unproven
 from bstm_daemon.model.heat.observer import Observer
 from bstm_daemon.model.heat.readings import Readings
-from bstm_daemon.roles import MEASURED_NODES, ROLE_INDEX
+from bstm_daemon.roles import GROUND_SPEED_ROLES, MEASURED_NODES, ROLE_INDEX
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -360,7 +360,18 @@ class Inputs:
             (_AMBIENT, "ambient_missing"),
         ):
             flags |= 0 if self.valid(role) else FLAGS[name]
-        return flags
+        return flags | FLAGS["speed_unproven"] * self._unproven()
+
+    def _unproven(self) -> bool:
+        """Whether nothing has shown yet that the speeds' scale is right."""
+        if not self.mapped(_ACCELERATION) or any(
+            self.valid(role) for role in GROUND_SPEED_ROLES
+        ):
+            return False
+        pressed_j = 0.0
+        for c in range(self.corners):
+            pressed_j += self.m.total_ff[c]
+        return unproven(self.checks.m, max(self.m.total_fb, pressed_j))
 
     def readings(
         self, dt_s: float, sources: Sequence[int], at_risk: list[bool]

@@ -127,8 +127,7 @@ class Observer:
         m = zeros(ObserverMemory)
         m.resets, m.brake_sum = self.m.resets, self.m.brake_sum
         m.known.begin(self.rolling)
-        m.recent, m.earlier = m.known.copy(), m.known.copy()
-        m.first = m.known.copy()
+        m.recent, m.earlier, m.first = (m.known.copy() for _ in range(3))
         m.started = 1.0
         m.radius_ratio = [1.0] * len(m.radius_ratio)
         m.last_speed = UNKNOWN
@@ -182,8 +181,7 @@ class Observer:
     def _roll_back(self) -> None:
         """Forget what was learned within the last minutes."""
         m = self.m
-        m.known = m.earlier.copy()
-        m.recent = m.earlier.copy()
+        m.known, m.recent = m.earlier.copy(), m.earlier.copy()
         m.copy_age_s = 0.0
 
     def _forget_drive(self) -> None:

@@ -45,8 +45,7 @@ from bstm_daemon.model.heat.memory import (
     SampleMemory,
     SampleState,
 )
-from bstm_daemon.model.heat.motion_checks import unproven
-from bstm_daemon.roles import GROUND_SPEED_ROLES, ROLE_INDEX
+from bstm_daemon.roles import ROLE_INDEX
 
 if TYPE_CHECKING:
     from collections.abc import MutableSequence, Sequence
@@ -420,14 +419,13 @@ class _Pass(Inputs):
         energy = max(m.energy_fb, 0.0) + unpressed
         power_fb = energy / dt_s
         speed = m.speed_sum / dt_s
-        m.total_fb += energy
         sources, at_risk = self.heat_sources()
         flags = self.flags | self.input_flags()
+        m.total_fb += energy
         now = self.readings(dt_s, sources, at_risk)
         flags |= self.checks.close(now)
         if flags & FLAGS["ambient_suspect"]:
             ambient_k = max(ambient_k, plan.ambient_k)
-        flags |= self._unproven_flag()
         fused = None
         if plan.mode == MODE_FUSED:
             fused = fuse(self, now, flags)
@@ -490,18 +488,6 @@ class _Pass(Inputs):
             return False
         m.unseen = 1.0
         return True
-
-    def _unproven_flag(self) -> int:
-        """Return the bit of speeds whose scale nothing has shown yet."""
-        if not self.mapped(_ACCELERATION) or any(
-            self.valid(role) for role in GROUND_SPEED_ROLES
-        ):
-            return 0
-        pressed_j = 0.0
-        for c in range(self.corners):
-            pressed_j += self.m.total_ff[c]
-        braked_j = max(self.m.total_fb, pressed_j)
-        return FLAGS["speed_unproven"] * unproven(self.checks.m, braked_j)
 
     def _clear(self) -> None:
         """Reset the sums of a step."""

@@ -255,6 +255,19 @@ void inputs_heat_sources(const Inputs *p, int *source, int *at_risk)
     }
 }
 
+/* Whether nothing has shown yet that the speeds' scale is right. */
+static int unproven(const Inputs *p)
+{
+    if (!inputs_mapped(p, ROLE_ACCELERATION_LONGITUDINAL)) return 0;
+    for (int i = 0; i < GROUND_SPEEDS; i++)
+        if (inputs_valid(p, GROUND_SPEED_ROLES[i])) return 0;
+    double pressed_j = 0.0;
+    for (int c = 0; c < p->corners; c++) pressed_j += p->m->total_ff[c];
+    const double braked_j = p->m->total_fb;
+    return motion_checks_unproven(
+        p->checks.m, pressed_j > braked_j ? pressed_j : braked_j);
+}
+
 int64_t inputs_input_flags(const Inputs *p)
 {
     int64_t flags = 0;
@@ -274,6 +287,7 @@ int64_t inputs_input_flags(const Inputs *p)
     if (!inputs_valid(p, ROLE_POWERTRAIN_TORQUE)) flags |= FLAG_TORQUE_MISSING;
     if (!inputs_valid(p, ROLE_AMBIENT_TEMPERATURE))
         flags |= FLAG_AMBIENT_MISSING;
+    if (unproven(p)) flags |= FLAG_SPEED_UNPROVEN;
     return flags;
 }
 

@@ -176,19 +176,6 @@ static void clear(Inputs *p)
     o->sum_time = o->sum_accel = o->sum_drive = o->sum_drag = 0.0;
 }
 
-/* Whether nothing has shown yet that the speeds' scale is right. */
-static int unproven(const Inputs *p)
-{
-    if (!inputs_mapped(p, ROLE_ACCELERATION_LONGITUDINAL)) return 0;
-    for (int i = 0; i < GROUND_SPEEDS; i++)
-        if (inputs_valid(p, GROUND_SPEED_ROLES[i])) return 0;
-    double pressed_j = 0.0;
-    for (int c = 0; c < p->corners; c++) pressed_j += p->m->total_ff[c];
-    const double braked_j = p->m->total_fb;
-    return motion_checks_unproven(
-        p->checks.m, pressed_j > braked_j ? pressed_j : braked_j);
-}
-
 /* Write the row of the step that ends now and start the next; whether the bus
  * fell silent in it. */
 static int close_step(Pass *pass)
@@ -216,7 +203,6 @@ static int close_step(Pass *pass)
         (m->energy_fb > 0.0 ? m->energy_fb : 0.0) + unpressed;
     const double power_fb = energy / dt_s, speed = m->speed_sum / dt_s;
     m->total_fb += energy;
-    if (unproven(p)) flags |= FLAG_SPEED_UNPROVEN;
     double *whole = pass->vehicle_rows + pass->steps * VEHICLE_CHANNELS;
     const int fuses = p->options->mode == MODE_FUSED;
     Fused fused;

@@ -386,7 +386,7 @@ def test_speeds_are_unproven_until_they_have_changed(
     marks = bits(run, FLAGS["speed_unproven"])
     assert any(marks) is (from_s is not None)
     if isinstance(from_s, float):
-        assert first_s(marks) == pytest.approx(from_s, abs=0.06)
+        assert first_s(marks) == pytest.approx(from_s, abs=0.11)
         assert marks[-1]
     elif from_s:
         heats = [run.column("brake_energy_ff_j", c) for c in range(4)]
