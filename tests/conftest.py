@@ -37,6 +37,25 @@ settings.register_profile(
 settings.load_profile("ci" if os.environ.get("CI") else "local")
 
 
+def pytest_collection_modifyitems(
+    config: pytest.Config, items: list[pytest.Item]
+) -> None:
+    """With pure Python chosen, leave out what names the compiled kernel.
+
+    Those tests run the pure-Python form beside it in every run.
+    """
+    if os.environ.get(VARIABLE) != "reference":
+        return
+    both = {"compiled", "compiled_chosen", "kernel"}
+    left_out = {
+        item
+        for item in items
+        if not both.isdisjoint(getattr(item, "fixturenames", ()))
+    }
+    config.hook.pytest_deselected(items=list(left_out))
+    items[:] = [item for item in items if item not in left_out]
+
+
 @pytest.fixture(scope="session", autouse=True)
 def parsed_once() -> Iterator[None]:
     """Let cantools, which is slow, parse each text of a DBC once.

@@ -45,7 +45,9 @@ COMPILED = load_module("native._kernel") is not None
     scope="module",
     params=[
         # slow beside the compiled form, to whose bits a test here holds it
-        pytest.param("reference", marks=[pytest.mark.slow] * COMPILED),
+        pytest.param(
+            "reference", marks=[pytest.mark.slow, pytest.mark.full] * COMPILED
+        ),
         "compiled",
     ],
 )
