@@ -12,20 +12,18 @@ import zlib
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from bstm_daemon.bus.logs.candump import CandumpReader
+from bstm_daemon.bus.logs.reader import FrameReader, Wanted
 from bstm_daemon.bus.logs.text_formats import TextLogReader, is_frame_csv
 from bstm_daemon.bus.signals.columns import ChunkDecoder, Events
+from bstm_daemon.bus.signals.reject_reason import RejectReason
+from bstm_daemon.bus.signals.signal_map import SignalMap
+from bstm_daemon.bus.tables.table_log import TableReader
 from bstm_daemon.bus.tables.table_plan import TableMap
+from bstm_daemon.config.sections import BusConfig
 from bstm_daemon.errors import FileAccessError, LogError, UsageError
-
-if TYPE_CHECKING:
-    from bstm_daemon.bus.logs.reader import FrameReader, Wanted
-    from bstm_daemon.bus.signals.reject_reason import RejectReason
-    from bstm_daemon.bus.signals.signal_map import SignalMap
-    from bstm_daemon.bus.tables.table_log import TableReader
-    from bstm_daemon.config.sections import BusConfig
 
 NOT_READ: Final = -1
 """Bus number of an interface that ``--map IFACE=`` leaves out."""

@@ -5,8 +5,6 @@
 points of the file there, so nothing else knows of the file.
 """
 
-from __future__ import annotations
-
 import re
 from bisect import bisect
 from math import isfinite, nan

@@ -1,9 +1,7 @@
 """Sections on top of temperatures: accuracy, fluid, forecast, advice, wear."""
 
-from __future__ import annotations
-
 import itertools
-from datetime import date  # noqa: TC003  (pydantic resolves it at run time)
+from datetime import date
 from math import sqrt
 from typing import Annotated, Any, Final, Literal
 

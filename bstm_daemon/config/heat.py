@@ -1,7 +1,5 @@
 """``[heat]``, which heat modes the roles allow, and which "auto" is."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Sequence
 from collections.abc import Set as AbstractSet
 from typing import Final, Literal, Protocol

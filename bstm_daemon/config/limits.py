@@ -4,8 +4,6 @@ A configuration or a DBC beyond them is damaged, or made to exhaust the
 computer that reads it.
 """
 
-from __future__ import annotations
-
 import stat
 from pathlib import Path
 from typing import Final

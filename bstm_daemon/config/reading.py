@@ -4,15 +4,13 @@ Each section is validated by itself, so that a bad ``[vehicle]`` hides no bad
 signal; then the rules between sections run over the sections that are valid.
 """
 
-from __future__ import annotations
-
 import re
 import tomllib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, TypeVar, get_args, get_origin
+from typing import Any, Final, TypeVar, get_args, get_origin
 
 from pydantic import ValidationError
 
@@ -24,12 +22,10 @@ from bstm_daemon.config.limits import (
     read_limited,
 )
 from bstm_daemon.config.rules import Draft, problems_between
+from bstm_daemon.config.section import Section
 from bstm_daemon.config.sections import Config
 from bstm_daemon.config.wording import problems_of_section, toml_text
 from bstm_daemon.errors import ConfigError, FileAccessError, hint
-
-if TYPE_CHECKING:
-    from bstm_daemon.config.section import Section
 
 S = TypeVar("S", bound="Section")
 

@@ -4,15 +4,21 @@ A section with a problem of its own is absent from the draft. What it mentions
 still counts, so that one mistake gives one message and hides no other.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from pydantic import ValidationError
 
 from bstm_daemon.config.heat import HeatConfig, heat_mode_problems
+from bstm_daemon.config.sections import (
+    BusConfig,
+    CornerConfig,
+    EffectConfig,
+    SignalConfig,
+    VehicleConfig,
+)
+from bstm_daemon.config.service import E2eConfig, PublishConfig
 from bstm_daemon.config.thermal import CoolingConfig, ThermalConfig
 from bstm_daemon.config.wording import (
     problems_of_section,
@@ -21,16 +27,6 @@ from bstm_daemon.config.wording import (
 from bstm_daemon.errors import hint, nearest
 from bstm_daemon.roles import ROLE_INDEX, ROLES
 from bstm_daemon.units import UNITS
-
-if TYPE_CHECKING:
-    from bstm_daemon.config.sections import (
-        BusConfig,
-        CornerConfig,
-        EffectConfig,
-        SignalConfig,
-        VehicleConfig,
-    )
-    from bstm_daemon.config.service import E2eConfig, PublishConfig
 
 Table = dict[str, Any]
 

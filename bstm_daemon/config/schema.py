@@ -5,8 +5,6 @@ read at every start of the service; here it is read when the schema is asked
 for.
 """
 
-from __future__ import annotations
-
 import ast
 import inspect
 import itertools

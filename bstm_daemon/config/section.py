@@ -1,7 +1,5 @@
 """Base class of the sections of the configuration."""
 
-from __future__ import annotations
-
 import itertools
 from math import pi
 from typing import Annotated, Any, Self

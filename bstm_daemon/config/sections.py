@@ -5,10 +5,8 @@ key ends in ``_c``. :mod:`bstm_daemon.config.reading` reads a file into these
 models and words the problems. ``docs/reference.md`` lists every key.
 """
 
-from __future__ import annotations
-
 import codecs
-from datetime import date  # noqa: TC003  (pydantic resolves it at run time)
+from datetime import date
 from typing import Annotated, Any, Final, Literal
 
 from pydantic import Discriminator, Field, Tag, model_validator

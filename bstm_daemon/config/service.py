@@ -1,7 +1,5 @@
 """The sections that only the live service reads, and protected inputs."""
 
-from __future__ import annotations
-
 from typing import Annotated, Final, Literal
 
 from pydantic import Field

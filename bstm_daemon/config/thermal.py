@@ -1,7 +1,5 @@
 """The sections of the thermal model and of the cooling by air."""
 
-from __future__ import annotations
-
 from typing import Annotated, Literal
 
 from pydantic import Field

@@ -17,8 +17,6 @@ value 0xFFFF, nothing reflected, no final xor) over the frame without the two
 bytes of the CRC and then the data id, low byte first.
 """
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from binascii import crc_hqx
 from collections.abc import Sequence

@@ -5,10 +5,8 @@ turns an :class:`~bstm_daemon.estimate.Estimate` into bytes. Its only state
 are the counters of the end-to-end protection, which a restart takes over.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 from bstm_daemon.bus.output.e2e import COUNTER_COUNT, protect
 from bstm_daemon.bus.output.layout import (
@@ -17,9 +15,7 @@ from bstm_daemon.bus.output.layout import (
     own_ids,
     published_frames,
 )
-
-if TYPE_CHECKING:
-    from bstm_daemon.estimate import Estimate
+from bstm_daemon.estimate import Estimate
 
 
 class OutputFrame(NamedTuple):

@@ -5,8 +5,6 @@ The inverse of :mod:`bstm_daemon.bus.output.publication` over the same table
 A frame that is added to the table is decoded without a change here.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from math import inf, nan

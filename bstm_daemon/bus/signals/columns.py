@@ -25,12 +25,12 @@ from bstm_daemon.bus.signals.e2e_guard import E2eGuard
 from bstm_daemon.bus.signals.frame_chunk import FrameChunk, rows_of
 from bstm_daemon.bus.signals.plan_tables import SAMPLE_REASONS, plan_tables
 from bstm_daemon.bus.signals.reject_reason import RejectReason
+from bstm_daemon.bus.signals.signal_map import SignalMap
 from bstm_daemon.native.loader import BusExtension, extension
 
 if TYPE_CHECKING:
     import numpy.typing as npt
 
-    from bstm_daemon.bus.signals.signal_map import SignalMap
 
 _FRAME_REASONS: Final = (
     RejectReason.UNKNOWN_INTERFACE,

@@ -10,8 +10,6 @@ ones, and the ``VAL_`` line names it: ``254 "Error" 255 "SNA"``. Taken for a
 measurement it would be the highest speed or pressure there is.
 """
 
-from __future__ import annotations
-
 import itertools
 import logging
 import math

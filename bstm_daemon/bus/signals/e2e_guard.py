@@ -4,9 +4,7 @@ Live frames and the frames of a log pass the same guard, in the same order,
 so that both refuse the same ones. A refused frame is refused whole.
 """
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from bstm_daemon.bus.output.e2e import (
     Checker,
@@ -14,13 +12,11 @@ from bstm_daemon.bus.output.e2e import (
     Profile2Checker,
     Profile5Checker,
 )
+from bstm_daemon.bus.signals.decoder import Payload
+from bstm_daemon.bus.signals.extraction import FrameKey
 from bstm_daemon.bus.signals.reject_reason import RejectReason
-
-if TYPE_CHECKING:
-    from bstm_daemon.bus.signals.decoder import Payload
-    from bstm_daemon.bus.signals.extraction import FrameKey
-    from bstm_daemon.bus.signals.signal_map import SignalMap
-    from bstm_daemon.config.service import E2eConfig
+from bstm_daemon.bus.signals.signal_map import SignalMap
+from bstm_daemon.config.service import E2eConfig
 
 _REFUSALS: Final = {
     CheckStatus.WRONG_CRC: RejectReason.WRONG_CRC,

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from array import array
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from bstm_daemon.bus.signals.extraction import (
     INT64_REACH,
@@ -19,9 +19,7 @@ from bstm_daemon.bus.signals.extraction import (
     RawSignal,
 )
 from bstm_daemon.bus.signals.reject_reason import RejectReason
-
-if TYPE_CHECKING:
-    from bstm_daemon.bus.signals.signal_map import SignalMap
+from bstm_daemon.bus.signals.signal_map import SignalMap
 
 STANDARD_IDS: Final = 1 << 11
 

@@ -24,6 +24,7 @@ from bstm_daemon.bus.signals.dbc import (
     raw_signal,
     read_dbc,
 )
+from bstm_daemon.bus.signals.dbc_text import DbcDefect
 from bstm_daemon.bus.signals.expression import (
     Expression,
     ExpressionError,
@@ -40,6 +41,8 @@ from bstm_daemon.bus.signals.extraction import (
     RawSignal,
     frame_length,
 )
+from bstm_daemon.config.sections import BusConfig, SignalConfig
+from bstm_daemon.config.service import E2eConfig
 from bstm_daemon.config.wording import shortened
 from bstm_daemon.errors import ConfigError
 from bstm_daemon.roles import ROLE_INDEX, ROLES
@@ -48,9 +51,6 @@ from bstm_daemon.units import UNITS, Unit
 if TYPE_CHECKING:
     from cantools.database.can import Database, Message
 
-    from bstm_daemon.bus.signals.dbc_text import DbcDefect
-    from bstm_daemon.config.sections import BusConfig, SignalConfig
-    from bstm_daemon.config.service import E2eConfig
 
 _log = structlog.get_logger(__name__)
 

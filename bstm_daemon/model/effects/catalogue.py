@@ -1,7 +1,5 @@
 """The catalogue of effects: found by name, checked, applied."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import cache
 from importlib import import_module

@@ -20,9 +20,10 @@ from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path as FilePath
-from typing import TYPE_CHECKING, Final, Literal
+from typing import Final, Literal
 
 from bstm_daemon.model.effects.effect import LAST, STRENGTH, Effect
+from bstm_daemon.model.effects.model import CornerModel
 from bstm_daemon.model.thermal.network import (
     Factor,
     Link,
@@ -34,9 +35,6 @@ from bstm_daemon.model.thermal.network import (
     with_factors,
 )
 from bstm_daemon.model.thermal.table import Table
-
-if TYPE_CHECKING:
-    from bstm_daemon.model.effects.model import CornerModel
 
 NAME: Final = "composed"
 PREFIX: Final = f"{NAME}."

@@ -1,20 +1,16 @@
 """Base class of effects: a name, parameters with bounds, a model edit."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING, ClassVar, Literal
+from typing import ClassVar, Literal
 
+from bstm_daemon.config.sections import CornerConfig
 from bstm_daemon.model.effects.model import (
     CornerModel,
     InputModel,
     Parameter,
 )
-
-if TYPE_CHECKING:
-    from bstm_daemon.config.sections import CornerConfig
-    from bstm_daemon.model.thermal.network import Network
+from bstm_daemon.model.thermal.network import Network
 
 Kind = Literal["thermal", "heat", "measurement"]
 

@@ -1,7 +1,5 @@
 """The lining in a network: its nodes, and its share of the friction heat."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise

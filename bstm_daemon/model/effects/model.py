@@ -5,9 +5,11 @@ from __future__ import annotations
 from array import array
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from bstm_daemon.config.sections import Config, CornerConfig
 from bstm_daemon.model.heat.friction_law import FrictionLaw
+from bstm_daemon.model.thermal.brake_corner import CornerSpec
 from bstm_daemon.model.thermal.network import (
     Factor,
     Network,
@@ -15,10 +17,6 @@ from bstm_daemon.model.thermal.network import (
     with_factors,
 )
 from bstm_daemon.roles import ROLE_INDEX
-
-if TYPE_CHECKING:
-    from bstm_daemon.config.sections import Config, CornerConfig
-    from bstm_daemon.model.thermal.brake_corner import CornerSpec
 
 AIR = "air"
 """Node of the air inside the wheel house, where an effect has made one."""

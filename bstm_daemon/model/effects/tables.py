@@ -1,7 +1,5 @@
 """Tables and limits that several effects share."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 from bstm_daemon.model.thermal.network import Factor, value

@@ -6,16 +6,22 @@ they are heated alike, and what they give off adds up. Energy per joule of
 brake power is split once, in :func:`_heat_sources`, and nothing is lost.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from importlib import import_module
 from itertools import pairwise
 from math import log
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
+from bstm_daemon.config.section import Curve
+from bstm_daemon.config.sections import (
+    Config,
+    CornerConfig,
+    DiscConfig,
+    PadConfig,
+)
+from bstm_daemon.config.thermal import CoolingConfig, ThermalConfig
 from bstm_daemon.errors import ConfigError
 from bstm_daemon.model.thermal.network import (
     Factor,
@@ -39,16 +45,6 @@ from bstm_daemon.model.thermal.properties import (
 )
 from bstm_daemon.model.thermal.table import Table
 from bstm_daemon.units import KELVIN_OFFSET, STEFAN_BOLTZMANN_W_M2K4
-
-if TYPE_CHECKING:
-    from bstm_daemon.config.section import Curve
-    from bstm_daemon.config.sections import (
-        Config,
-        CornerConfig,
-        DiscConfig,
-        PadConfig,
-    )
-    from bstm_daemon.config.thermal import CoolingConfig, ThermalConfig
 
 PADS: Final = 2
 """Pads of a corner."""

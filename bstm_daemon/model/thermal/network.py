@@ -13,11 +13,12 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
+from bstm_daemon.model.thermal.table import Table
+
 if TYPE_CHECKING:
     import numpy as np
     import numpy.typing as npt
 
-    from bstm_daemon.model.thermal.table import Table
 
 DriverKind = Literal["value", "difference", "mean", "radiation"]
 Number = TypeVar("Number", float, "npt.NDArray[np.float64]")

@@ -1,7 +1,5 @@
 """Heat partition at the interface and the flux into the pad."""
 
-from __future__ import annotations
-
 from math import sqrt
 
 

@@ -1,17 +1,12 @@
 """Material properties over temperature, as tables in kelvin."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
+from bstm_daemon.config.section import Curve
+from bstm_daemon.config.sections import DiscConfig
 from bstm_daemon.model.thermal.table import Table
 from bstm_daemon.units import KELVIN_OFFSET
-
-if TYPE_CHECKING:
-    from bstm_daemon.config.section import Curve
-    from bstm_daemon.config.sections import DiscConfig
-
 
 REFERENCE_K: Final = 293.15
 """Temperature at which a cooling form with constant h A takes cp, and that a

@@ -6,14 +6,11 @@ thickness, the temperatures must follow the material: what is worn leaves from
 the friction face with its heat, and the rest keeps every joule.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
-if TYPE_CHECKING:
-    from bstm_daemon.model.thermal.network import Network, Node
-    from bstm_daemon.model.thermal.table import Table
+from bstm_daemon.model.thermal.network import Network, Node
+from bstm_daemon.model.thermal.table import Table
 
 FRONT: Final = "pad_front"
 BACK: Final = "pad_back"

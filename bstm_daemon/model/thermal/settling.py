@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from array import array
 from collections.abc import Iterable
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from bstm_daemon.model.thermal.kernel import Batch
-
-if TYPE_CHECKING:
-    from bstm_daemon.model.thermal.program import Program
-    from bstm_daemon.native.loader import Kernel
+from bstm_daemon.model.thermal.program import Program
+from bstm_daemon.native.loader import Kernel
 
 HOT_START_K: Final = 150.0
 SETTLED_K: Final = 5.0

@@ -11,19 +11,17 @@ from __future__ import annotations
 from array import array
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from math import isfinite, nan
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
+from bstm_daemon.config.sections import Config, CornerConfig
 from bstm_daemon.estimate import WearEstimate, WearLevel
+from bstm_daemon.model.thermal.kernel import Batch
+from bstm_daemon.model.thermal.program import Program
 from bstm_daemon.model.thermal.regrid import follow_wear, heat_above_j
 from bstm_daemon.model.wear.dose import DISTANCE, DOSE
+from bstm_daemon.model.wear.law import WearLaw
 from bstm_daemon.model.wear.pads import ROLES, Change, PadWear
 from bstm_daemon.roles import ROLE_INDEX
-
-if TYPE_CHECKING:
-    from bstm_daemon.config.sections import Config, CornerConfig
-    from bstm_daemon.model.thermal.kernel import Batch
-    from bstm_daemon.model.thermal.program import Program
-    from bstm_daemon.model.wear.law import WearLaw
 
 REFIT_US: Final = 60_000_000
 """Interval at which worn networks are rebuilt."""

@@ -8,19 +8,15 @@ speed; as ``mu p v A`` is a power, that dose has the same unit, and both differ
 only where the heat is not from the pressure or mu is not the configured one.
 """
 
-from __future__ import annotations
-
 from math import ceil, log2
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
+from bstm_daemon.config.estimates import WearConfig
+from bstm_daemon.config.sections import Config, CornerConfig
 from bstm_daemon.model.heat.feed_forward import PressureTorque
 from bstm_daemon.model.thermal.network import Factor, Memory, Network, value
 from bstm_daemon.model.thermal.table import Table
 from bstm_daemon.units import KELVIN_OFFSET
-
-if TYPE_CHECKING:
-    from bstm_daemon.config.estimates import WearConfig
-    from bstm_daemon.config.sections import Config, CornerConfig
 
 DOSE: Final = "wear_dose_j"
 DISTANCE: Final = "wear_distance_m"

@@ -21,10 +21,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from math import inf, sqrt
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from bstm_daemon.estimate import WearSource
+from bstm_daemon.estimate import WearSource
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,8 +6,9 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from enum import Enum, auto
 from math import inf, isfinite
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
+from bstm_daemon.config.sections import Config, CornerConfig
 from bstm_daemon.estimate import WearSource
 from bstm_daemon.model.wear.dose import disc_rate_m_j, pad_rate_m_j
 from bstm_daemon.model.wear.law import (
@@ -15,9 +16,6 @@ from bstm_daemon.model.wear.law import (
     between_indicators_rate_m_j,
     first_millimetre_rate_m_j,
 )
-
-if TYPE_CHECKING:
-    from bstm_daemon.config.sections import Config, CornerConfig
 
 ROLES: Final = ("pads_new", "pad_worn_1mm", "pad_2mm_left")
 """The switches of section 4.6, by role."""

@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from bstm_daemon.model.wear.car import Laws
+from bstm_daemon.model.wear.law import WearLaw
+
 if TYPE_CHECKING:
     import numpy.typing as npt
-
-    from bstm_daemon.model.wear.car import Laws
-    from bstm_daemon.model.wear.law import WearLaw
 
     Column = npt.NDArray[np.float64]
 

@@ -1,7 +1,5 @@
 """Effect 33: the accelerometer reads too much."""
 
-from __future__ import annotations
-
 from bstm_daemon.model.effects.effect import Effect
 from bstm_daemon.model.effects.model import Correction, InputModel, Parameter
 

@@ -1,14 +1,8 @@
 """Effect 35: the axles share the braking otherwise than configured."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
+from bstm_daemon.config.sections import CornerConfig
 from bstm_daemon.model.effects.effect import Effect
 from bstm_daemon.model.effects.model import InputModel, Parameter
-
-if TYPE_CHECKING:
-    from bstm_daemon.config.sections import CornerConfig
 
 LEAST, MOST = 0.02, 0.98
 

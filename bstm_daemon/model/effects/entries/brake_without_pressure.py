@@ -1,14 +1,9 @@
 """Effect 39: the brakes act without primary pressure."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 from bstm_daemon.model.effects.effect import Effect
-
-if TYPE_CHECKING:
-    from bstm_daemon.model.effects.model import InputModel
+from bstm_daemon.model.effects.model import InputModel
 
 
 class BrakeWithoutPressure(Effect):

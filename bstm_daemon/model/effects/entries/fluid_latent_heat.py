@@ -1,17 +1,12 @@
 """Effect 30: fluid that boils at the piston holds the temperature."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 from bstm_daemon.model.effects.effect import Effect
 from bstm_daemon.model.effects.model import CornerModel, Parameter
+from bstm_daemon.model.thermal.network import Network, Node
 from bstm_daemon.model.thermal.table import Table
 from bstm_daemon.units import KELVIN_OFFSET
-
-if TYPE_CHECKING:
-    from bstm_daemon.model.thermal.network import Network, Node
 
 COLDEST_K = 200.0
 HOTTEST_K = 700.0

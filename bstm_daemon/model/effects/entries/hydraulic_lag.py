@@ -1,7 +1,5 @@
 """Effect 6: the pressure at the wheel comes later than the signal."""
 
-from __future__ import annotations
-
 from bstm_daemon.model.effects.effect import Effect
 from bstm_daemon.model.effects.model import InputModel, Parameter
 

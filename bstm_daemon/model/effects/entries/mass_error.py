@@ -1,7 +1,5 @@
 """Effect 34: the car is heavier than configured."""
 
-from __future__ import annotations
-
 from bstm_daemon.model.effects.effect import Effect
 from bstm_daemon.model.effects.model import InputModel, Parameter
 

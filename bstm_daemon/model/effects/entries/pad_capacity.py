@@ -1,19 +1,14 @@
 """Effect 19: the lining's heat capacity rises with its temperature."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 from bstm_daemon.model.effects.effect import Effect
 from bstm_daemon.model.effects.linings import edit_lining, with_effusivity
 from bstm_daemon.model.effects.model import CornerModel, Parameter
 from bstm_daemon.model.effects.tables import ROOM_K
+from bstm_daemon.model.thermal.network import Network, Node
 from bstm_daemon.model.thermal.table import Table
 from bstm_daemon.units import KELVIN_OFFSET
-
-if TYPE_CHECKING:
-    from bstm_daemon.model.thermal.network import Network, Node
 
 LEAST = 0.3
 

@@ -1,16 +1,11 @@
 """Effect 21: worn linings are thinner."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 from bstm_daemon.model.effects.effect import Effect
 from bstm_daemon.model.effects.linings import edit_lining
 from bstm_daemon.model.effects.model import CornerModel, Parameter
-
-if TYPE_CHECKING:
-    from bstm_daemon.model.thermal.network import Network
+from bstm_daemon.model.thermal.network import Network
 
 THINNEST_M = 1e-3
 """Less lining than this is not left: the plate would touch the disc."""

@@ -1,7 +1,5 @@
 """Effect 36: the powertrain's torque is not what the signal says."""
 
-from __future__ import annotations
-
 from bstm_daemon.model.effects.effect import Effect
 from bstm_daemon.model.effects.model import Correction, InputModel, Parameter
 

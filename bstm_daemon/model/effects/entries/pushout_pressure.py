@@ -1,14 +1,8 @@
 """Effect 5: the first bit of pressure only moves the pistons."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
+from bstm_daemon.config.sections import CornerConfig
 from bstm_daemon.model.effects.effect import Effect
 from bstm_daemon.model.effects.model import InputModel, Parameter
-
-if TYPE_CHECKING:
-    from bstm_daemon.config.sections import CornerConfig
 
 
 class PushoutPressure(Effect):

@@ -1,16 +1,10 @@
 """Effect 31: thermocouples read too much for where they sit."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
+from bstm_daemon.config.sections import CornerConfig
 from bstm_daemon.model.effects.effect import Effect
 from bstm_daemon.model.effects.model import Correction, InputModel, Parameter
 from bstm_daemon.model.effects.tables import ROOM_K
 from bstm_daemon.roles import MEASURED_NODES
-
-if TYPE_CHECKING:
-    from bstm_daemon.config.sections import CornerConfig
 
 
 class ThermocoupleOffset(Effect):
