@@ -5,12 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from math import isnan
 from typing import TYPE_CHECKING, Final
-from xml.etree.ElementTree import (
-    Element,
-    SubElement,
-    indent,
-    tostring,
-)
+from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 from bstm_daemon import __version__
 from bstm_daemon.estimator.estimator import STEP_US
@@ -89,15 +84,9 @@ def description(
     SubElement(root, "DefaultExperiment", stepSize=_number(STEP_US * 1e-6))
     variables = SubElement(root, "ModelVariables")
     if fmi == 3:
-        SubElement(
-            variables,
-            "Float64",
-            name="time",
-            valueReference="0",
-            causality="independent",
-            variability="continuous",
-            unit="s",
-        )
+        time = {"name": "time", "valueReference": "0"}
+        time |= {"causality": "independent", "variability": "continuous"}
+        SubElement(variables, "Float64", time | {"unit": "s"})
     for reference, one in enumerate(model.variables, start=1):
         _variable(variables, reference, one, fmi)
     _structure(root, model, fmi)
@@ -127,22 +116,14 @@ def _structure(root: Element, model: FmuModel, fmi: int) -> None:
     ]
     unknown = [r for r in outputs if model.variables[r - 1].start is None]
     structure = SubElement(root, "ModelStructure")
-    if fmi == 3:
-        for tag, references in (
-            ("Output", outputs),
-            ("InitialUnknown", unknown),
-        ):
-            for reference in references:
-                SubElement(structure, tag, valueReference=str(reference))
-    else:
-        for tag, references in (
-            ("Outputs", outputs),
-            ("InitialUnknowns", unknown),
-        ):
-            part = SubElement(structure, tag)
-            for reference in references:
+    for tag, found in (("Output", outputs), ("InitialUnknown", unknown)):
+        part = structure if fmi == 3 else SubElement(structure, f"{tag}s")
+        for reference in map(str, found):
+            if fmi == 3:
+                SubElement(part, tag, valueReference=reference)
+            else:
                 # FMI 2 counts variables from 1 in the order of the file
-                SubElement(part, "Unknown", index=str(reference))
+                SubElement(part, "Unknown", index=reference)
 
 
 def _variable(
@@ -152,11 +133,11 @@ def _variable(
         "name": one.name,
         "valueReference": str(reference),
         "causality": one.causality,
-        "variability": "tunable"
-        if one.causality == "parameter"
-        else "continuous",
+        "variability": "continuous",
         "description": one.description,
     }
+    if one.causality == "parameter":
+        of["variability"] = "tunable"
     if one.causality != "input":
         of["initial"] = "calculated" if one.start is None else "exact"
     number = {"unit": one.unit}
