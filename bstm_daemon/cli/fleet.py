@@ -276,7 +276,7 @@ def _drive_page(
     for drive in plan.chain(vehicle):
         receipt = lake.receipt(drive)
         if drive.name == name and receipt is not None:
-            page = lake.page(drive)
+            page = lake.path(drive, "page")
             make_folder(page.parent)
             pairs = json.loads(drive.map).items()
             arguments = [
@@ -285,8 +285,8 @@ def _drive_page(
                 *(() if receipt.options.forecast else ("--no-forecast",)),
                 *(f"--map={one}={bus}" for one, bus in pairs),
             ]
-            if before is not None and lake.state(before).exists():
-                arguments += ["--state", str(lake.state(before))]
+            if before is not None and lake.path(before, "state").exists():
+                arguments += ["--state", str(lake.path(before, "state"))]
             with redirect_stdout(StringIO()):
                 code = main(arguments)
             return page if code == 0 else None

@@ -138,7 +138,7 @@ def fail_drive(
         document = None
     if document is not None:
         marked = after_unseen_drive(document)
-        state_file.save(lake.state(drive), state_file.encode(marked))
+        state_file.save(lake.path(drive, "state"), state_file.encode(marked))
     before = lake.receipt(job.previous) if job.previous else None
     last_us = before.last_us if before else None
     _write_receipt(lake, job, (key, log_hash), last_us, message)
@@ -190,7 +190,7 @@ def _state_before(lake: Lake, previous: Drive | None) -> dict[str, Any] | None:
     """
     if previous is None:
         return None
-    loaded = state_file.read(lake.state(previous))
+    loaded = state_file.read(lake.path(previous, "state"))
     if loaded.problem:
         raise FileAccessError(loaded.problem)
     return loaded.document

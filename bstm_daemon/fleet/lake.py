@@ -148,6 +148,20 @@ def key_of(
     )
 
 
+FILES: Final = {
+    "estimates": "estimates/vehicle={car}/date={day}/{name}.parquet",
+    "row": "drives/vehicle={car}/{name}.parquet",
+    "state": "state/{car}/{name}.state",
+    "page": "pages/{car}/{name}.html",
+    "receipt": "receipts/{car}/{name}.json",
+}
+"""Files of a drive: its rows by the day of its begin, the one row about it,
+the state at its end, its page if it was asked for, its receipt."""
+
+RESULTS: Final = ("estimates", "row", "state")
+"""Those of a drive that is done, beside the receipt."""
+
+
 class Lake:
     """Paths of one lake, and its receipts."""
 
@@ -160,39 +174,22 @@ class Lake:
         """The plan, an SQLite database."""
         return self.root / "plan.sqlite"
 
-    def estimates(self, drive: Drive) -> Path:
-        """Return where the rows of *drive* are, by the day of its begin."""
-        day = datetime.fromtimestamp(drive.first_us * 1e-6, UTC).date()
-        folder = self._folder(drive, "estimates", "vehicle=") / f"date={day}"
-        return folder / f"{drive.name}.parquet"
-
-    def row(self, drive: Drive) -> Path:
-        """Return where the one row about *drive* is."""
-        return self._folder(drive, "drives", "vehicle=") / (
-            f"{drive.name}.parquet"
-        )
-
-    def page(self, drive: Drive) -> Path:
-        """Return where the page of *drive* is, if it was asked for."""
-        return self._folder(drive, "pages") / f"{drive.name}.html"
-
-    def state(self, drive: Drive) -> Path:
-        """Return where the state at the end of *drive* is."""
-        return self._folder(drive, "state") / f"{drive.name}.state"
-
-    def receipt_path(self, drive: Drive) -> Path:
-        """Return where the receipt of *drive* is."""
-        return self._folder(drive, "receipts") / f"{drive.name}.json"
+    def path(self, drive: Drive, kind: str, day: str = "") -> Path:
+        """Return where the file *kind* of *drive* is, see :data:`FILES`."""
+        begin = datetime.fromtimestamp(drive.first_us * 1e-6, UTC)
+        car, day = safe_name(drive.vehicle), day or f"{begin:%Y-%m-%d}"
+        place = FILES[kind].format(car=car, day=day, name=drive.name)
+        return self.root / place
 
     def files(self, drive: Drive) -> tuple[Path, ...]:
         """Return the files of *drive* once it is done, without receipt."""
-        return self.estimates(drive), self.row(drive), self.state(drive)
+        return tuple(self.path(drive, kind) for kind in RESULTS)
 
     def receipt(self, drive: Drive) -> Receipt | None:
         """Return the receipt of *drive*; None without or of another form."""
         try:
-            text = self.receipt_path(drive).read_text(encoding="utf-8")
-            found = json.loads(text)
+            path = self.path(drive, "receipt")
+            found = json.loads(path.read_text(encoding="utf-8"))
             options = Options(**found.pop("options"))
             return Receipt(**found, options=options)
         except (OSError, KeyError, TypeError, ValueError):
@@ -200,7 +197,7 @@ class Lake:
 
     def write_receipt(self, drive: Drive, receipt: Receipt) -> None:
         """Write *receipt*, whole or not at all."""
-        path = self.receipt_path(drive)
+        path = self.path(drive, "receipt")
         make_folder(path.parent)
         with replacing(path) as temporary:
             temporary.write_text(json.dumps(asdict(receipt)), encoding="utf-8")
@@ -237,18 +234,15 @@ class Lake:
 
     def clear(self, drive: Drive) -> None:
         """Remove the results of *drive*, and what killed runs left of them."""
-        self.receipt_path(drive).unlink(missing_ok=True)
-        for path in (*self.files(drive), self.receipt_path(drive)):
+        receipt, results = self.path(drive, "receipt"), self.files(drive)
+        receipt.unlink(missing_ok=True)
+        for path in (*results, receipt):
             for leftover in path.parent.glob(f".{path.name}.*"):
                 leftover.unlink(missing_ok=True)
         # of another day if the begin was corrected
-        days = self._folder(drive, "estimates", "vehicle=")
-        estimates = days.glob(f"date=*/{drive.name}.parquet")
-        for path in (*estimates, self.row(drive), self.state(drive)):
+        days = self.path(drive, "estimates", "*").relative_to(self.root)
+        for path in (*self.root.glob(str(days)), *results):
             path.unlink(missing_ok=True)
-
-    def _folder(self, drive: Drive, kind: str, mark: str = "") -> Path:
-        return self.root / kind / f"{mark}{safe_name(drive.vehicle)}"
 
 
 def hash_of(parts: Iterable[Any]) -> str:

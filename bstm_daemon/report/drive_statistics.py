@@ -191,7 +191,9 @@ class DriveStatistics:
         self._reasons.add(elapsed_s, reasons)
         if "speed_ms" in columns:
             speed_ms = columns["speed_ms"]
-            self._add_speed(elapsed_s, steps_s, speed_ms)
+            self._stops.add(elapsed_s, speed_ms)
+            self._travelled_m.add(steps_s, speed_ms)
+            self._top_speed_ms.add(speed_ms, self.rows, elapsed_s)
             standing = (speed_ms <= STANDING_MS) & ~unseen
             self._standing_s.add(steps_s, standing.astype(np.float64))
         if "distance_m" in columns:
@@ -203,13 +205,6 @@ class DriveStatistics:
         for corner in self._corners.values():
             corner.add(columns, self.rows, elapsed_s, steps_s)
         self.rows += len(time_s)
-
-    def _add_speed(
-        self, elapsed_s: Column, steps_s: Column, speed_ms: Column
-    ) -> None:
-        self._stops.add(elapsed_s, speed_ms)
-        self._travelled_m.add(steps_s, speed_ms)
-        self._top_speed_ms.add(speed_ms, self.rows, elapsed_s)
 
 
 class _Integral:

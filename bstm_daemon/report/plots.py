@@ -292,23 +292,18 @@ def _merged(layout: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
     return layout
 
 
-def _base_layout(height_px: int, font_px: float) -> dict[str, Any]:
+def _layout(y_title: str) -> dict[str, Any]:
     """Return the looks that every plot has."""
     return {
-        "height": height_px,
+        "height": HEIGHT_PX,
         "font": {
             "family": "system-ui, 'Segoe UI', Roboto, Arial, sans-serif",
-            "size": font_px,
+            "size": 11.5,
             "color": BLACK,
         },
         "paper_bgcolor": "rgba(0,0,0,0)",
         "plot_bgcolor": "rgba(0,0,0,0)",
         "hoverlabel": {"bgcolor": PAPER},
-    }
-
-
-def _layout(y_title: str) -> dict[str, Any]:
-    return _base_layout(HEIGHT_PX, 11.5) | {
         "margin": {"l": 62, "r": 24, "t": 30, "b": 44},
         "hovermode": "closest",
         "legend": {"orientation": "h", "x": 0, "y": 1.02, "yanchor": "bottom"},

@@ -10,8 +10,9 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Mapping
+from functools import partial
 from operator import attrgetter
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, cast
 
 from prometheus_client import CollectorRegistry, generate_latest
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily
@@ -304,18 +305,21 @@ def _of_buses(status: ServiceStatus) -> Iterator[Metric]:
         yield _counter(name, text, counts, *labels)
 
 
-def _gauge(name: str, text: str, series: Series, *labels: str) -> Metric:
-    family = GaugeMetricFamily(f"bstm_{name}", text, labels=labels)
+def _family(
+    kind: Callable[..., Any],
+    name: str,
+    text: str,
+    series: Series,
+    *labels: str,
+) -> Metric:
+    family = kind(f"bstm_{name}", text, labels=labels)
     for label_values, value in series.items():
         family.add_metric(label_values, value)
-    return family
+    return cast("Metric", family)
 
 
-def _counter(name: str, text: str, series: Series, *labels: str) -> Metric:
-    family = CounterMetricFamily(f"bstm_{name}", text, labels=labels)
-    for label_values, value in series.items():
-        family.add_metric(label_values, value)
-    return family
+_gauge = partial(_family, GaugeMetricFamily)
+_counter = partial(_family, CounterMetricFamily)
 
 
 def _states(

@@ -120,7 +120,10 @@ def same_by_hand(folder: Path, lake: Lake) -> int:
                     words = ("replay", drive.log, "-c", CONFIG, *start, QUICK)
                     with contextlib.redirect_stdout(io.StringIO()):
                         main([*map(str, (*words, "--state-out", state))])
-                same += state.read_bytes() == lake.state(drive).read_bytes()
+                same += (
+                    state.read_bytes()
+                    == lake.path(drive, "state").read_bytes()
+                )
                 start = "--state", state
     return same
 

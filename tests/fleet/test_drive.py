@@ -107,20 +107,20 @@ def test_a_corrupt_log_costs_itself_and_the_chain_goes_on(
     first, bad, last = fleet.chain("car0")
     receipt = fleet.lake.receipt(bad)
     assert "drive1.log" in receipt.message
-    assert not fleet.lake.estimates(bad).exists()
-    good = state_file.read(fleet.lake.state(first)).document
-    marked = state_file.read(fleet.lake.state(bad)).document
+    assert not fleet.lake.path(bad, "estimates").exists()
+    good = state_file.read(fleet.lake.path(first, "state")).document
+    marked = state_file.read(fleet.lake.path(bad, "state")).document
     assert marked["corners"] == good["corners"]
     assert marked["drove_unseen"] is True
-    (row,) = pq.ParquetFile(fleet.lake.row(last)).read().to_pylist()
+    (row,) = pq.ParquetFile(fleet.lake.path(last, "row")).read().to_pylist()
     assert row["after_hole"]
-    rows = columns_of(fleet.lake.estimates(last))
+    rows = columns_of(fleet.lake.path(last, "estimates"))
     reasons = rows["FL.reasons"].astype(int)
     for reason in (Reason.START_UNKNOWN, Reason.INPUT_SUSPECT):
         assert (reasons & reason != 0).all()
     assert (rows["FL.validity"] == 1).all()
     # the wear goes on
-    after = state_file.read(fleet.lake.state(last)).document
+    after = state_file.read(fleet.lake.path(last, "state")).document
     before_j = good["corners"]["FL"]["wear_dose_j"]
     assert after["corners"]["FL"]["wear_dose_j"] > before_j
 
@@ -157,7 +157,7 @@ def test_a_log_that_changed_since_the_plan_is_not_replayed(
 
     fleet.plan()
     assert fleet.replay("car0") == [MADE, MADE]
-    row = pq.ParquetFile(fleet.lake.row(fleet.chain("car0")[1])).read()
+    row = pq.ParquetFile(fleet.lake.path(fleet.chain("car0")[1], "row")).read()
     assert row["after_hole"].to_pylist() == [False]
 
 
@@ -167,7 +167,7 @@ def test_a_touched_log_is_read_but_not_replayed(
     fleet = make_fleet(1, [0])
     fleet.plan()
     fleet.replay("car0")
-    estimates = fleet.lake.estimates(fleet.chain("car0")[0])
+    estimates = fleet.lake.path(fleet.chain("car0")[0], "estimates")
     before = estimates.stat()
     os.utime(fleet.log("car0", 0))
     fleet.plan()
@@ -184,7 +184,7 @@ def test_a_deleted_result_is_made_anew(
     fleet.plan()
     fleet.replay("car0")
     before = fleet.files()
-    fleet.lake.estimates(fleet.chain("car0")[0]).unlink()
+    fleet.lake.path(fleet.chain("car0")[0], "estimates").unlink()
 
     assert fleet.replay("car0") == [MADE]
 
@@ -194,7 +194,7 @@ def test_a_deleted_result_is_made_anew(
 def test_what_killed_runs_left_goes(make_fleet: Callable[..., Any]) -> None:
     fleet = make_fleet(1, [0])
     fleet.plan()
-    estimates = fleet.lake.estimates(fleet.chain("car0")[0])
+    estimates = fleet.lake.path(fleet.chain("car0")[0], "estimates")
     estimates.parent.mkdir(parents=True)
     leftover = estimates.with_name(f".{estimates.name}.abc123")
     leftover.write_bytes(b"half a table")

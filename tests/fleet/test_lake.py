@@ -27,7 +27,7 @@ def fleet(make_fleet: Callable[..., Any]) -> Any:
 
 def rows_of(fleet: Any, car: str) -> list[dict[str, Any]]:
     return [
-        pq.ParquetFile(fleet.lake.row(drive)).read().to_pylist()[0]
+        pq.ParquetFile(fleet.lake.path(drive, "row")).read().to_pylist()[0]
         for drive in fleet.chain(car)
     ]
 
