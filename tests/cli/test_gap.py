@@ -20,6 +20,8 @@ from bstm_daemon.simulation.drives import parse_drive
 from bstm_daemon.simulation.parameters import Effects
 from bstm_daemon.simulation.recorder import Encoder, write_candump
 
+from .. import ford_like  # noqa: TID252  (tests are no package)
+
 ROOT = Path(__file__).parents[2]
 EXAMPLE = ROOT / "config" / "example_vehicle.toml"
 
@@ -269,6 +271,32 @@ def test_held_out_drives_need_thermocouples(
 
     assert gap("show", log, "--holdout", bare) == 65
     assert "no measured temperature" in capsys.readouterr().err
+
+
+def test_forces_name_nothing_where_the_mass_is_a_guess(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A car of 2194 kg taken for 1600 kg had a torque error, > 99.9 %."""
+    dbc = ford_like.write_dbc(tmp_path / "car.dbc")
+    log = ford_like.write_log(tmp_path / "drive.log")
+    car = tmp_path / "car.toml"
+    words = ["--dbc", str(dbc), "--log", str(log), "-o", str(car)]
+    assert main(["init", *words]) == 0
+    search = ["gap", "name", str(log), "-c", str(car)]
+    capsys.readouterr()
+
+    assert main(search) == 2
+
+    told = capsys.readouterr()
+    assert told.out == ""
+    assert "vehicle.mass_kg is a typical value" in told.err
+    assert main([*search, "--anyway"]) == 0
+    assert "powertrain_torque_error" in capsys.readouterr().out
+    text = car.read_text("utf-8")
+    guess = next(line for line in text.splitlines() if "mass_kg = 16" in line)
+    car.write_text(text.replace(guess, "mass_kg = 2194.0  # weighed"), "utf-8")
+    assert main(search) == 0
+    assert "missing: none of the known effects" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

@@ -54,6 +54,7 @@ if TYPE_CHECKING:
 
 FILTER: Final = "heat.derivative_filter_s"
 CAPACITY: Final = "disc.heat_capacity_exponent"
+CAR_MASS: Final = "vehicle.mass_kg"
 
 DRAG_FACTORS: Final = (0.5, 1.0, 1.5, 2.2, 3.3, 5.0, 7.5, 11.0, 16.0)
 """Drag areas that the drives are read with, as a share of the configured."""
@@ -134,7 +135,7 @@ def guesses_of(path: Path) -> frozenset[str]:
         own = (one.get(name, {}) for one in (document, *corners))
         return any(key in one for one in own)
 
-    found = said & BY_FORCES
+    found = said & (BY_FORCES | {CAR_MASS})
     if "corner.disc.mass_kg" in said and not given(*MASS.split(".")):
         found.add(MASS)
         if not given(*CAPACITY.split(".")):

@@ -10,6 +10,7 @@ import pytest
 
 from bstm_daemon.analysis.matching.coarse import (
     CAPACITY,
+    CAR_MASS,
     FILTER,
     Reading,
     driven_keys,
@@ -148,12 +149,13 @@ def test_guesses_stand_in_comments_and_missing_lines(tmp_path: Path) -> None:
     path = tmp_path / "car.toml"
     path.write_text(
         "[vehicle]\n"
+        "mass_kg = 1600.0  # kg, as driven; typical, replace\n"
         "drag_area_m2 = 0.7  # m2; typical, replace\n"
         "[[corner]]\n"
         "disc.mass_kg = 6.0  # kg, weighed\n"
     )
 
-    assert guesses_of(path) == {DRAG, LEVEL, FILTER, *NODES_MS}
+    assert guesses_of(path) == {CAR_MASS, DRAG, LEVEL, FILTER, *NODES_MS}
 
     path.write_text(
         "[[corner]]\n"
