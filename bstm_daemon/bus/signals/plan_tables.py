@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from array import array
 from dataclasses import dataclass, fields
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from bstm_daemon.bus.signals.extraction import (
     INT64_REACH,
@@ -19,7 +19,10 @@ from bstm_daemon.bus.signals.extraction import (
     RawSignal,
 )
 from bstm_daemon.bus.signals.reject_reason import RejectReason
-from bstm_daemon.bus.signals.signal_map import SignalMap
+
+if TYPE_CHECKING:
+    # it reads DBC files, which a link alone does not need
+    from bstm_daemon.bus.signals.signal_map import SignalMap
 
 STANDARD_IDS: Final = 1 << 11
 
