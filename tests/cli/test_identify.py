@@ -19,8 +19,6 @@ EXAMPLE = ROOT / "config" / "example_vehicle.toml"
 DBC = ROOT / "dbc" / "example_vehicle.dbc"
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 
-SLOW = pytest.mark.slow
-
 CITY = """
 [drive]
 name = "short"
@@ -212,22 +210,17 @@ def test_heat(
         (["identify", "coastdown"], ["coastdown"], 8, 0),
         (["identify", "brakes"], ["idiada-step", "idiada-ramp"], 5, 0),
         pytest.param(
-            *(["identify", "cooling"], ["cooldown"], 1 + 2, 0), marks=SLOW
+            *(["identify", "cooling"], ["cooldown"], 1 + 2, 0),
+            marks=pytest.mark.full,
         ),
         # Nine windows of one cool-down do not tell heat from cooling: the
         # page shows that too, and the exit code says so.
+        (["identify", "cooling", "--while-braking"], ["cooldown"], 1 + 4, 1),
         pytest.param(
-            ["identify", "cooling", "--while-braking"],
-            *(["cooldown"], 1 + 4, 1),
-            marks=SLOW,
+            *(["heat"], ["idiada-step"], 2 + 2 + 1 + 12 + 3, 0),
+            marks=pytest.mark.full,
         ),
-        pytest.param(
-            *(["heat"], ["idiada-step"], 2 + 2 + 1 + 12 + 3, 0), marks=SLOW
-        ),
-        pytest.param(
-            *(["heat"], ["idiada-step", "idiada-ramp"], 1 + 20 + 17, 0),
-            marks=SLOW,
-        ),
+        (["heat"], ["idiada-step", "idiada-ramp"], 1 + 20 + 17, 0),
     ],
 )
 def test_page_draws_every_figure(

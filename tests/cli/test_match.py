@@ -288,7 +288,8 @@ parameters = { onset_c = 150.0 }
 """
 
 
-@pytest.mark.slow  # four matches
+@pytest.mark.full  # four matches
+@pytest.mark.slow
 def test_heat_is_formed_anew_with_the_matched_temperatures(
     log: Path, tmp_path: Path
 ) -> None:

@@ -199,7 +199,8 @@ def real(name: str, config: Config, seed: int) -> Recording:
     return recorded(name, samples, config, present())
 
 
-@pytest.mark.slow  # six searches
+@pytest.mark.full  # six searches
+@pytest.mark.slow
 def test_the_advised_drive_resolves_what_a_poor_one_does_not(
     target: Target,
 ) -> None:

@@ -189,7 +189,8 @@ def test_a_listed_name_stays_where_composing_is_not_clearly_better(
     assert found.naming.names == ("gap_conduction",)
 
 
-@pytest.mark.slow  # two simulated drives and a search of the whole grammar
+@pytest.mark.full  # two simulated drives and a search of the whole grammar
+@pytest.mark.slow
 def test_an_effect_that_is_not_listed_is_described_where_and_when_it_acts(
     config: Config, monkeypatch: pytest.MonkeyPatch
 ) -> None:
