@@ -130,19 +130,15 @@ def require_extras(args: argparse.Namespace) -> None:
         UsageError: there is no Chromium for figures.
         FileAccessError: their folder can not be made.
     """
-    if getattr(args, "report", None):
-        from bstm_daemon.report.shell import (  # noqa: PLC0415  (heavy)
-            require_page_packages,
-        )
+    page, figures = (getattr(args, n, None) for n in ("report", "figures"))
+    if page or figures:
+        from bstm_daemon.report import shell  # noqa: PLC0415  (heavy)
 
-        require_page_packages()
-    if getattr(args, "figures", None):
-        from bstm_daemon.report.figures import (  # noqa: PLC0415  (heavy)
-            require_figure_packages,
-        )
-
-        require_figure_packages()
-        make_folder(args.figures)
+        if page:
+            shell.require_page_packages()
+        if figures:
+            shell.require_figure_packages()
+            make_folder(figures)
     if getattr(args, "out_is_config", False) and args.out:
         require_packages("tomlkit", extra="identify", purpose="-o NEW.toml")
 

@@ -16,9 +16,8 @@ from bstm_daemon.cli.arguments import (
     shared,
 )
 from bstm_daemon.cli.vehicle import load_vehicle
-from bstm_daemon.report.figures import write_figures
 from bstm_daemon.report.json_file import write_json
-from bstm_daemon.report.shell import Page, write_page
+from bstm_daemon.report.shell import Page, write_figures, write_page
 
 if TYPE_CHECKING:
     from bstm_daemon.bus.signals.signal_map import SignalMap
