@@ -36,10 +36,13 @@ COMPILE: Final = (
 )
 SHARED: Final = """
 import json
-from bstm_daemon.model.compiled import generated_header
+from bstm_daemon.model import compiled
 from bstm_daemon.native.sources import SOURCES, digest
+from bstm_daemon.simulation import header
 hashes = {module: digest(module) for module in SOURCES}
-print(json.dumps([generated_header(), SOURCES, hashes]))
+headers = {"generated.h": compiled, "reality.h": header}
+texts = {name: made.generated_header() for name, made in headers.items()}
+print(json.dumps([texts, SOURCES, hashes]))
 """
 PYTEST: Final = (
     *("-m", "pytest", "-q", "-p", "no:cacheprovider"),
@@ -116,10 +119,12 @@ class Tree:
         code, text = self.python("-c", SHARED)
         if code:
             raise BuildError(text)
-        header, modules, hashes = json.loads(text)
-        (self._objects / "generated.h").write_text(header, "utf-8")
+        headers, modules, hashes = json.loads(text)
         package = self.path / PACKAGE
-        shared = sha256(header.encode())
+        shared = sha256()
+        for name, header in headers.items():
+            (self._objects / name).write_text(header, "utf-8")
+            shared.update(header.encode())
         for path in sorted(package.rglob("*.h")):
             shared.update(path.read_bytes())
         found = []
