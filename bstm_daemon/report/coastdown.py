@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 from bstm_daemon.report.json_file import own_fields, picked
 from bstm_daemon.report.plots import BLUE, GREY, ORANGE, Plot, curve, plot
 from bstm_daemon.report.shell import Page, Section, Table
-from bstm_daemon.report.text import columns, number, wrapped
+from bstm_daemon.report.text import Columns, columns, number, wrapped
 from bstm_daemon.report.timescale import clock
 
 if TYPE_CHECKING:
@@ -24,10 +24,6 @@ WORDS: Final = {
     "friction_ns_m": "the friction that grows with speed",
     "rolling_resistance": "the rolling resistance",
 }
-RUN_HEAD: Final = (
-    *("run", "from", "km/h", "direction", "grade", "kinetic", "resistance"),
-    *("climb", "left over", "v rms"),
-)
 VALUE_HEAD: Final = ("value", "found", "+-", "configured", "verdict")
 BALANCE: Final = ("from_ms", "to_ms", "kinetic_j", "climb_j", "drive_j")
 _DIRECTIONS: Final = {1: "up", -1: "down", 0: "-"}
@@ -47,29 +43,28 @@ def value_rows(result: CoastDown) -> list[tuple[str, ...]]:
     ]
 
 
-def run_rows(result: CoastDown) -> list[tuple[str, ...]]:
-    """Return a row a run, of :data:`RUN_HEAD`."""
-    return [
-        (
-            str(i + 1),
-            clock(run.stretch.start_s),
-            f"{3.6 * run.speed_ms[0]:.0f} to {3.6 * run.speed_ms[-1]:.0f}",
-            _DIRECTIONS[run.direction],
-            f"{100 * run.grade:+.2f} %",
-            f"{run.balance.kinetic_j / 1e3:.1f} kJ",
-            f"{run.balance.drag_j / 1e3:.1f} kJ",
-            f"{run.balance.climb_j / 1e3:.1f} kJ",
-            f"{100 * run.miss:+.2f} %",
-            f"{3.6 * run.residual_rms_ms:.2f} km/h",
-        )
-        for i, run in enumerate(result.runs)
-    ]
+def _speeds(run: Run) -> str:
+    return f"{3.6 * run.speed_ms[0]:.0f} to {3.6 * run.speed_ms[-1]:.0f}"
+
+
+RUNS: Final[Columns[Run]] = Columns(
+    ("run", None),
+    ("from", lambda run: clock(run.stretch.start_s)),
+    ("km/h", _speeds),
+    ("direction", lambda run: _DIRECTIONS[run.direction]),
+    ("grade", lambda run: f"{100 * run.grade:+.2f} %"),
+    ("kinetic", lambda run: f"{run.balance.kinetic_j / 1e3:.1f} kJ"),
+    ("resistance", lambda run: f"{run.balance.drag_j / 1e3:.1f} kJ"),
+    ("climb", lambda run: f"{run.balance.climb_j / 1e3:.1f} kJ"),
+    ("left over", lambda run: f"{100 * run.miss:+.2f} %"),
+    ("v rms", lambda run: f"{3.6 * run.residual_rms_ms:.2f} km/h"),
+)
 
 
 def coast_down_text(result: CoastDown) -> str:
     """Return the result as text for the screen."""
     lines = columns([VALUE_HEAD, *value_rows(result)])
-    lines += ["", *columns([RUN_HEAD, *run_rows(result)]), ""]
+    lines += ["", *RUNS.lines(result.runs), ""]
     lines.append(
         f"{result.windows} windows, residual {result.residual_ms2:.4f} m/s2; "
         f"correlation drag/C_fric {number(result.correlation[0, 1], 2)}, "
@@ -144,7 +139,7 @@ def coast_down_page(result: CoastDown, subtitle: str) -> Page:
         ),
         Section(
             "Energy (Eq 4.5 and 4.6)",
-            Table(RUN_HEAD, run_rows(result)),
+            Table.of(RUNS, result.runs),
             note="The lost kinetic energy, 1/2 m v2 + 1/2 J w2, is the work "
             "of the resistances and of the climb minus that of the drive "
             "line; left over is the remainder as a share of the kinetic "

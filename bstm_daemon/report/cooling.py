@@ -30,7 +30,7 @@ from bstm_daemon.report.plots import (
     time_plot,
 )
 from bstm_daemon.report.shell import Page, Section, Table
-from bstm_daemon.report.text import columns, number, wrapped
+from bstm_daemon.report.text import Columns, columns, number, wrapped
 from bstm_daemon.units import KELVIN_OFFSET
 
 if TYPE_CHECKING:
@@ -41,11 +41,6 @@ if TYPE_CHECKING:
     )
     from bstm_daemon.analysis.statistics.series import Column
 
-HEAD: Final = (
-    *("speed", "S", "+-", "ten pairs", "+-", "configured"),
-    *("cool-downs", "disc", "rms", "verdict"),
-)
-TABLE_HEAD: Final = ("speed", "S", "from")
 LINE_HEAD: Final = ("speed", "S", "+-", "configured", "driven")
 
 
@@ -70,41 +65,33 @@ def axle_title(axle: AxleCooling | BrakedAxle) -> str:
     return f'{axle.axle} discs, S in 1e-3 1/s, [cooling] form = "{form}"'
 
 
-def point_rows(axle: AxleCooling) -> list[tuple[str, ...]]:
-    """Return a row a speed, of :data:`HEAD`; S in 1e-3 1/s."""
-    return [
-        (
-            speed_text(point.speed_ms),
-            s_text(point.value),
-            s_text(point.standard_error),
-            s_text(point.ten_pairs),
-            s_text(point.ten_pairs_spread),
-            s_text(point.configured),
-            str(len(point.series)),
-            _range(point),
-            f"{point.residual_k:.1f} K",
-            "identified" if point.identified else "not",
-        )
-        for point in axle.points
-    ]
-
-
 def _range(point: CoolingPoint) -> str:
     hottest = max(float(one.measured_k[0]) for one in point.series)
     coolest = min(float(one.measured_k[-1]) for one in point.series)
     return f"{hottest - KELVIN_OFFSET:.0f} to {coolest - KELVIN_OFFSET:.0f} °C"
 
 
-def table_rows(axle: AxleCooling) -> list[tuple[str, ...]]:
-    """Return a row a point of the table to configure, S in 1e-3 1/s."""
-    return [
-        (
-            f"{speed:.2f} m/s",
-            s_text(s),
-            "measured" if measured else "configured, scaled by neighbours",
-        )
-        for speed, s, measured in axle.table
-    ]
+POINTS: Final[Columns[CoolingPoint]] = Columns(
+    ("speed", lambda one: speed_text(one.speed_ms)),
+    ("S", lambda one: s_text(one.value)),
+    ("+-", lambda one: s_text(one.standard_error)),
+    ("ten pairs", lambda one: s_text(one.ten_pairs)),
+    ("+-", lambda one: s_text(one.ten_pairs_spread)),
+    ("configured", lambda one: s_text(one.configured)),
+    ("cool-downs", lambda one: str(len(one.series))),
+    ("disc", _range),
+    ("rms", lambda one: f"{one.residual_k:.1f} K"),
+    ("verdict", lambda one: "identified" if one.identified else "not"),
+)
+"""What was found at each speed, S in 1e-3 1/s."""
+
+_FROM: Final = ("configured, scaled by neighbours", "measured")
+TABLE: Final[Columns[tuple[float, float, bool]]] = Columns(
+    ("speed", lambda row: f"{row[0]:.2f} m/s"),
+    ("S", lambda row: s_text(row[1])),
+    ("from", lambda row: _FROM[row[2]]),
+)
+"""The table to configure, S in 1e-3 1/s."""
 
 
 def axle_lines(axle: AxleCooling) -> list[str]:
@@ -141,10 +128,10 @@ def cooling_text(result: Cooling) -> str:
     """Return the result as text for the screen; S in 1e-3 1/s."""
     lines = []
     for axle in result.axles:
-        lines += [axle_title(axle), *columns([HEAD, *point_rows(axle)])]
+        lines += [axle_title(axle), *POINTS.lines(axle.points)]
         lines += wrapped(axle_lines(axle))
         if axle.table:
-            lines += ["", *columns([TABLE_HEAD, *table_rows(axle)])]
+            lines += ["", *TABLE.lines(axle.table)]
         lines.append("")
     return "\n".join([*lines, *wrapped((*result.searched, *result.remarks))])
 
@@ -238,7 +225,7 @@ def _sections(axle: AxleCooling) -> list[Section]:
     name = f"{axle.axle.capitalize()} discs"
     found = Section(
         f"{name}: S over speed (Eq 4.12), 1e-3 1/s",
-        Table(HEAD, point_rows(axle)),
+        Table.of(POINTS, axle.points),
         plots=(("S over speed", _table_plot(axle)),),
         lines=axle_lines(axle),
         note="Bars: two standard errors. Ten pairs: the thesis's average "
@@ -247,7 +234,7 @@ def _sections(axle: AxleCooling) -> list[Section]:
     )
     configure = Section(
         f"{name}: the table to configure, 1e-3 1/s",
-        Table(TABLE_HEAD, table_rows(axle)),
+        Table.of(TABLE, axle.table),
     )
     curves = Section(
         f"{name}: cool-downs (thesis figures 4.11 and 4.12)",

@@ -26,9 +26,10 @@ from bstm_daemon.analysis.gap.holdout_comparison import (
 from bstm_daemon.analysis.statistics.series import rms
 from bstm_daemon.model.effects.catalogue import effect_class
 from bstm_daemon.model.effects.composed import is_composed, read
-from bstm_daemon.report.text import table
+from bstm_daemon.report.text import Columns, table
 
 if TYPE_CHECKING:
+    from bstm_daemon.analysis.gap.advising import Advice
     from bstm_daemon.analysis.gap.evidence import Candidate
     from bstm_daemon.analysis.gap.fitting import Fit
     from bstm_daemon.analysis.gap.heat_only import ForceGap
@@ -37,14 +38,9 @@ if TYPE_CHECKING:
     from bstm_daemon.analysis.gap.workflow import Gap
     from bstm_daemon.config.sections import Config
 
-CELL_HEAD: Final = ("node", "regime", "bin", "missing heat", "in sd")
 CANDIDATE_HEAD: Final = (
     *("effect", "strength", "sd", "score in sd"),
     *("ln Bayes factor", "probability"),
-)
-ADVICE_HEAD: Final = (
-    *("drive", "min", "right name", "a minute", "wrong name"),
-    *("ln Bayes factor", "description"),
 )
 MODELS: Final = (*BASELINES, EXTENDED)
 ERROR_HEAD: Final = ("drive", "node", *MODELS)
@@ -359,18 +355,13 @@ def reach_lines(naming: Naming) -> list[str]:
     return lines
 
 
-def cell_rows(cells: Sequence[Cell]) -> list[tuple[str, ...]]:
-    """Return a row for each cell, the plainest first."""
-    return [
-        (
-            one.node,
-            one.regime,
-            one.bin,
-            f"{1e-3 * one.energy_j:+.1f} kJ",
-            f"{one.z:+.1f}",
-        )
-        for one in sorted(cells, key=lambda one: -abs(one.z))
-    ]
+CELLS: Final[Columns[Cell]] = Columns(
+    ("node", lambda one: one.node),
+    ("regime", lambda one: one.regime),
+    ("bin", lambda one: one.bin),
+    ("missing heat", lambda one: f"{1e-3 * one.energy_j:+.1f} kJ"),
+    ("in sd", lambda one: f"{one.z:+.1f}"),
+)
 
 
 def shown_lines(shown: Shown) -> list[str]:
@@ -436,7 +427,7 @@ def error_rows(shown: Shown) -> list[tuple[str, ...]]:
 
 def advice_lines(gap: Gap) -> list[str]:
     """Return which drive would distinguish the members, as lines."""
-    return [advice_headline(gap), *table(ADVICE_HEAD, advice_rows(gap))]
+    return [advice_headline(gap), *ADVICE.lines(gap.advice, None)]
 
 
 def advice_headline(gap: Gap) -> str:
@@ -463,17 +454,18 @@ def no_advice_line(gap: Gap) -> str:
     return f"no next drive: {why}; ask with --among EFFECT..."
 
 
-def advice_rows(gap: Gap) -> list[tuple[str, ...]]:
-    """Return a row for each drive of the menu, the best first."""
-    return [
-        (
-            one.drive,
-            f"{one.duration_s / 60.0:.0f}",
-            f"{100.0 * one.named:.0f} %",
-            f"{100.0 * one.named_per_min:.1f} %",
-            f"{100.0 * one.wrong:.0f} %",
-            f"{round(one.log_bayes_factor, 1) + 0.0:+.1f}",
-            one.description,
-        )
-        for one in gap.advice
-    ]
+ADVICE: Final[Columns[Advice]] = Columns(
+    ("drive", lambda one: one.drive),
+    ("min", lambda one: f"{one.duration_s / 60.0:.0f}"),
+    ("right name", lambda one: f"{100.0 * one.named:.0f} %"),
+    ("a minute", lambda one: f"{100.0 * one.named_per_min:.1f} %"),
+    ("wrong name", lambda one: f"{100.0 * one.wrong:.0f} %"),
+    ("ln Bayes factor", lambda one: signed(one.log_bayes_factor)),
+    ("description", lambda one: one.description),
+)
+"""The drives of the menu, the best first."""
+
+
+def signed(log_bayes_factor: float) -> str:
+    """Return a logarithm with its sign; adding 0.0 turns -0.0 into 0.0."""
+    return f"{round(log_bayes_factor, 1) + 0.0:+.1f}"

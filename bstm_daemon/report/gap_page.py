@@ -276,11 +276,11 @@ def candidate_sections(
 def _advice_section(gap: Gap) -> Section:
     return Section(
         "which drive next",
-        Table(words.ADVICE_HEAD, words.advice_rows(gap)),
+        Table.of(words.ADVICE, gap.advice),
         note="Cars are drawn at random from the posterior of these drives; "
         "each drive is simulated with the model itself, with its noise, and "
         "searched. The Bayes factor compares the true effect with its best "
-        f"rival; now it is {round(gap.advice[0].now, 1) + 0.0:+.1f}.",
+        f"rival; now it is {words.signed(gap.advice[0].now)}.",
     )
 
 
@@ -363,9 +363,10 @@ def _curves(one: NodeErrors) -> Plot:
 
 def _tables_section(located: Located) -> Section:
     cells = [*located.by_speed, *located.by_pressure, *located.by_time]
+    cells.sort(key=lambda one: -abs(one.z))
     return Section(
         "residual heat by speed, pressure and time",
-        Table(words.CELL_HEAD, words.cell_rows(cells)[:MOST_CELLS]),
+        Table.of(words.CELLS, cells[:MOST_CELLS]),
         note="The plainest; all are in the JSON file.",
         folded=True,
     )

@@ -11,7 +11,7 @@ from __future__ import annotations
 import base64
 import hashlib
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -31,6 +31,8 @@ from bstm_daemon.report.plots import (
 
 if TYPE_CHECKING:
     from jinja2 import Environment
+
+    from bstm_daemon.report.text import Columns, T
 
 TEMPLATES: Final = Path(__file__).parent / "templates"
 
@@ -63,6 +65,11 @@ class Table:
     head: Sequence[str]
     rows: Sequence[Sequence[str | Cell]]
     groups: Sequence[tuple[str, int]] = ()
+
+    @classmethod
+    def of(cls, columns: Columns[T], items: Iterable[T]) -> Table:
+        """Return the table with a row for each of *items*."""
+        return cls(columns.head, columns.rows(items))
 
     def kinds(self) -> list[str]:
         """Return ``words`` for columns of reasons, ``number`` for figures.

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from math import isfinite
 from textwrap import wrap
-from typing import Final
+from typing import Final, Generic, TypeVar
+
+T = TypeVar("T")
 
 WIDTH: Final = 100
 """Columns that a result takes at most, on a terminal and in a pipe."""
@@ -30,6 +32,33 @@ def columns(rows: Sequence[Sequence[str]], left: int | None = 1) -> list[str]:
         ).rstrip()
         for row in rows
     ]
+
+
+class Columns(Generic[T]):
+    """A table as data: of each column its heading, and its text of an item.
+
+    A column without a text counts the items.
+    """
+
+    def __init__(
+        self, *columns: tuple[str, Callable[[T], str] | None]
+    ) -> None:
+        """Take the columns from the left."""
+        self.head = tuple(head for head, _ in columns)
+        self._texts = [text for _, text in columns]
+
+    def rows(self, items: Iterable[T]) -> list[tuple[str, ...]]:
+        """Return a row for each of *items*."""
+        return [
+            tuple(
+                f"{i}" if text is None else text(one) for text in self._texts
+            )
+            for i, one in enumerate(items, 1)
+        ]
+
+    def lines(self, items: Iterable[T], left: int | None = 1) -> list[str]:
+        """Return the table as lines, aligned as by :func:`columns`."""
+        return columns([self.head, *self.rows(items)], left)
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from math import isnan
-from typing import Any
+from typing import Any, Final
 
 from bstm_daemon.analysis.matching.verification import (
     BASELINE,
@@ -21,16 +21,8 @@ from bstm_daemon.analysis.matching.verification import (
 from bstm_daemon.report.json_file import picked
 from bstm_daemon.report.plots import NodeCurve
 from bstm_daemon.report.shell import Cell, Page, Section, Table, node_section
-from bstm_daemon.report.text import table
+from bstm_daemon.report.text import Columns
 
-ERROR_HEAD = (
-    *("drive", "corner", "node", "RMS", "largest", "braking", "driving"),
-    *("soak", "last 20 min"),
-)
-PEAK_HEAD = (
-    *("drive", "corner", "node", "measured [degC]", "estimated [degC]"),
-    *("error [K]", "at [min]", "error [min]"),
-)
 LIMIT_WORDS = {
     "thesis": "fluid within 30 K, peak within 5 min",
     "floor": "this project's least: fluid within 10 K, 2 min",
@@ -47,61 +39,54 @@ MEANINGS = {
 }
 """What a requirement asks, by a part of its name."""
 
-VERDICT_HEAD = ("limits", "drive", "corner", "requirement", "value", "verdict")
+
+def _place(one: NodeErrors) -> str:
+    return one.node.replace("_", " ")
 
 
-def error_rows(errors: Sequence[NodeErrors]) -> list[tuple[str, ...]]:
-    """Return RMS and largest error of each node, RMS by phase [K]."""
-    return [
-        (
-            *_place(one),
-            f"{one.rms_k:.1f}",
-            f"{one.largest_k:.1f}",
-            *(
-                f"{one.phase_rms_k[name]:.1f} / {one.phase_max_k[name]:.1f}"
-                if name in one.phase_rms_k
-                else "-"
-                for name in ("braking", "driving", "soak")
-            ),
-            f"{one.last_k:+.1f}",
-        )
-        for one in errors
-    ]
-
-
-def peak_rows(errors: Sequence[NodeErrors]) -> list[tuple[str, ...]]:
-    """Return height and time of each node's peak."""
-    return [
-        (
-            *_place(one),
-            f"{one.peak.measured_c:.1f}",
-            f"{one.peak.estimated_c:.1f}",
-            f"{one.peak.apart_k:+.1f}",
-            _minutes(one.peak.measured_s, ".1f"),
-            _minutes(one.peak.apart_s, "+.1f"),
-        )
-        for one in errors
-    ]
-
-
-def _place(one: NodeErrors) -> tuple[str, str, str]:
-    return one.drive, one.corner, one.node.replace("_", " ")
+def _phase(one: NodeErrors, name: str) -> str:
+    if name not in one.phase_rms_k:
+        return "-"
+    return f"{one.phase_rms_k[name]:.1f} / {one.phase_max_k[name]:.1f}"
 
 
 def _minutes(seconds: float, form: str) -> str:
     return "-" if isnan(seconds) else format(seconds / 60.0, form)
 
 
-def verdict_rows(verdicts: Sequence[Verdict]) -> list[tuple[str, ...]]:
-    """Return a row for each requirement."""
-    return [
-        (
-            *(one.limits, one.drive, one.corner, one.what),
-            f"{one.value:.1f} of {one.limit:.3g}",
-            "met" if one.passed else "NOT MET",
-        )
-        for one in verdicts
-    ]
+ERRORS: Final[Columns[NodeErrors]] = Columns(
+    ("drive", lambda one: one.drive),
+    ("corner", lambda one: one.corner),
+    ("node", _place),
+    ("RMS", lambda one: f"{one.rms_k:.1f}"),
+    ("largest", lambda one: f"{one.largest_k:.1f}"),
+    ("braking", lambda one: _phase(one, "braking")),
+    ("driving", lambda one: _phase(one, "driving")),
+    ("soak", lambda one: _phase(one, "soak")),
+    ("last 20 min", lambda one: f"{one.last_k:+.1f}"),
+)
+"""RMS and largest error of each node, RMS by phase [K]."""
+
+PEAKS: Final[Columns[NodeErrors]] = Columns(
+    ("drive", lambda one: one.drive),
+    ("corner", lambda one: one.corner),
+    ("node", _place),
+    ("measured [degC]", lambda one: f"{one.peak.measured_c:.1f}"),
+    ("estimated [degC]", lambda one: f"{one.peak.estimated_c:.1f}"),
+    ("error [K]", lambda one: f"{one.peak.apart_k:+.1f}"),
+    ("at [min]", lambda one: _minutes(one.peak.measured_s, ".1f")),
+    ("error [min]", lambda one: _minutes(one.peak.apart_s, "+.1f")),
+)
+"""Height and time of each node's peak."""
+
+VERDICTS: Final[Columns[Verdict]] = Columns(
+    ("limits", lambda one: one.limits),
+    ("drive", lambda one: one.drive),
+    ("corner", lambda one: one.corner),
+    ("requirement", lambda one: one.what),
+    ("value", lambda one: f"{one.value:.1f} of {one.limit:.3g}"),
+    ("verdict", lambda one: "met" if one.passed else "NOT MET"),
+)
 
 
 def summary_line(
@@ -137,11 +122,11 @@ def verify_text(
     return "\n".join(
         [
             "error, estimated minus measured [K]; by phase RMS / largest",
-            *table(ERROR_HEAD, error_rows(errors)),
+            *ERRORS.lines(errors, None),
             "\nhighest temperatures",
-            *table(PEAK_HEAD, peak_rows(errors)),
+            *PEAKS.lines(errors, None),
             "",
-            *table(VERDICT_HEAD, verdict_rows(verdicts)),
+            *VERDICTS.lines(verdicts, None),
             f"\n{summary_line(errors, verdicts)}",
         ]
     )
@@ -206,14 +191,14 @@ def verify_page(
             )
         )
     rows = [
-        (*row, _meaning(one.what))
-        for one, row in zip(verdicts, verdict_rows(verdicts), strict=True)
+        (*VERDICTS.rows([one])[0], _meaning(one.what))
+        for one in verdicts
         if one.limits == BASELINE or not one.passed
     ]
     sections += [
         Section(
             "Requirements that are not met, and the baseline",
-            Table((*VERDICT_HEAD, "what it means"), rows) if rows else None,
+            Table((*VERDICTS.head, "what it means"), rows) if rows else None,
             lines=(summary_line(errors, verdicts),),
             note="thesis: section 1.3; floor and goal: the project's own, "
             "narrower limits; baseline: a fit to the measured disc, without "
@@ -222,14 +207,14 @@ def verify_page(
         ),
         Section(
             "Error, estimated minus measured [K]",
-            Table(ERROR_HEAD, error_rows(errors)),
+            Table.of(ERRORS, errors),
             note="By phase RMS / largest. Pad back and fluid are compared as "
             "means over 30 s, the disc below 650 degC.",
             folded=True,
         ),
         Section(
             "Highest temperatures",
-            Table(PEAK_HEAD, peak_rows(errors)),
+            Table.of(PEAKS, errors),
             folded=True,
         ),
     ]

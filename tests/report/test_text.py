@@ -6,6 +6,7 @@ import pytest
 
 from bstm_daemon.report.text import (
     WIDTH,
+    Columns,
     columns,
     number,
     percent,
@@ -59,3 +60,12 @@ def test_number(value: float, text: str) -> None:
 )
 def test_percent_hides_no_rest(share: float, text: str) -> None:
     assert percent(share) == text
+
+
+def test_a_table_is_data() -> None:
+    """Heading and text of a column stand together; one counts."""
+    named: Columns[str] = Columns(("no", None), ("name", str.upper))
+
+    assert named.head == ("no", "name")
+    assert named.rows(["a", "bc"]) == [("1", "A"), ("2", "BC")]
+    assert named.lines(["a", "bc"]) == ["no  name", "1      A", "2     BC"]

@@ -11,8 +11,8 @@ from bstm_daemon.analysis.matching.verification import (
 )
 from bstm_daemon.report.shell import Cell, Page
 from bstm_daemon.report.verify import (
+    VERDICTS,
     summary_line,
-    verdict_rows,
     verify_page,
 )
 
@@ -41,7 +41,7 @@ def test_the_baseline_is_counted_and_a_missing_one_named() -> None:
     assert "floor: 0 of 0 met" in line
     assert "baseline: 1 of 2 met" in line
     assert "no baseline at FR: its disc is not measured" in line
-    assert [row[-2:] for row in verdict_rows(verdicts)] == [
+    assert [row[-2:] for row in VERDICTS.rows(verdicts)] == [
         ("3.0 of 30", "met"),
         ("9.0 of 26.8", "met"),
         ("9.0 of 8", "NOT MET"),
