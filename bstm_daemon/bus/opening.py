@@ -5,8 +5,6 @@ formats of :data:`FORMATS`, or a signal table. Either way :class:`EventLog`
 gives its samples.
 """
 
-from __future__ import annotations
-
 import gzip
 import zlib
 from collections import Counter

@@ -5,13 +5,13 @@ message is sent at its cycle time from the DBC, staggered within it; car
 messages stop with the ignition, thermocouple messages when their logger does.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
+from cantools.database.can import Message, Signal
 
 from bstm_daemon.bus.signals.dbc import load_dbc
 from bstm_daemon.errors import ConfigError
@@ -22,11 +22,6 @@ from bstm_daemon.simulation.profile import SAMPLE_S
 from bstm_daemon.simulation.sensors import INSTRUMENTED
 from bstm_daemon.simulation.simulate import SimulatedDrive
 from bstm_daemon.units import KELVIN_OFFSET, UNITS
-
-if TYPE_CHECKING:
-    import numpy.typing as npt
-    from cantools.database.can import Message, Signal
-
 
 START_STAMP_S: Final = 1_700_000_000.0
 """Stamp of a log's first sample: fixed, so that logs are reproducible."""

@@ -5,13 +5,12 @@ a pressure to the brake switch and the engine's speed to gear and clutch. It
 does not matter whether a signal is of a DBC or a column of a table.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
+import numpy.typing as npt
 
 from bstm_daemon.analysis.quality import limits
 from bstm_daemon.analysis.quality.bends import fit_in_bends, follows_bends
@@ -20,10 +19,7 @@ from bstm_daemon.analysis.setup.behaviour import Motion, Verdict, to_ms, to_si
 from bstm_daemon.analysis.setup.recording import Samples, Series
 from bstm_daemon.roles import CORNERS, GROUND_LAG_S
 
-if TYPE_CHECKING:
-    import numpy.typing as npt
-
-    Mask = npt.NDArray[np.bool_]
+Mask = npt.NDArray[np.bool_]
 
 SPEEDS: Final = ("wheel_speed_", "vehicle_speed")
 _BRAKING: Final = (

@@ -6,14 +6,14 @@ Names are split into words and compared with the rules of ``_data/names.toml``:
 proposal; a log decides (:mod:`bstm_daemon.analysis.setup.judging`).
 """
 
-from __future__ import annotations
-
 import re
 import tomllib
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
+
+from cantools.database.can import Database, Message, Signal
 
 from bstm_daemon.bus.signals.dbc import (
     UnusableSignalError,
@@ -23,9 +23,6 @@ from bstm_daemon.bus.signals.dbc import (
 from bstm_daemon.bus.signals.extraction import FD_LENGTHS
 from bstm_daemon.roles import CORNERS, ROLE_INDEX, ROLES
 from bstm_daemon.units import UNITS, unit_named
-
-if TYPE_CHECKING:
-    from cantools.database.can import Database, Message, Signal
 
 NAMES: Final[dict[str, Any]] = tomllib.loads(
     (Path(__file__).parent / "_data" / "names.toml").read_text("utf-8")

@@ -5,13 +5,12 @@ recording, if any, does not contradict them. All other matches are kept as
 unsure, with the reason.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
+from cantools.database.can import Database
 
 from bstm_daemon.analysis.quality.frozen import feels_nothing
 from bstm_daemon.analysis.setup.behaviour import Motion, to_ms
@@ -27,10 +26,6 @@ from bstm_daemon.analysis.setup.pressure_unit import assumed_unit
 from bstm_daemon.analysis.setup.recording import Recording, Samples
 from bstm_daemon.roles import GROUND_LAG_S, ROLE_INDEX
 from bstm_daemon.units import UNITS
-
-if TYPE_CHECKING:
-    from cantools.database.can import Database
-
 
 TYPICAL_RADIUS_M: Final = 0.32
 """Rolling radius of a passenger car's wheel; enters comparisons only."""

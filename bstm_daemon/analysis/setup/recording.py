@@ -4,18 +4,17 @@ A log may hold several buses. The interface whose frames fit the DBC best, by
 id and length, is taken for the DBC's bus; the others are named and left out.
 """
 
-from __future__ import annotations
-
 import sys
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import starmap
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, Protocol, TypeVar
+from typing import Final, Protocol, TypeVar
 
 import numpy as np
 import numpy.typing as npt
+from cantools.database.can import Database, Message
 
 from bstm_daemon.analysis.setup.name_rules import NameMatch
 from bstm_daemon.bus.opening import NOT_READ, id_text, open_log
@@ -28,10 +27,6 @@ from bstm_daemon.bus.signals.extraction import (
 from bstm_daemon.bus.signals.signal_map import MessageDraft, SignalMap
 from bstm_daemon.config.sections import BusConfig
 from bstm_daemon.errors import LogError
-
-if TYPE_CHECKING:
-    from cantools.database.can import Database, Message
-
 
 Series = npt.NDArray[np.float64]
 FrameId = tuple[int, bool]

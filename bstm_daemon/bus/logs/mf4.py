@@ -13,9 +13,10 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
+import numpy.typing as npt
 
 from bstm_daemon.bus.logs.reader import FrameReader
 from bstm_daemon.bus.signals.extraction import EXTENDED_MAX, STANDARD_MAX
@@ -28,9 +29,6 @@ from bstm_daemon.bus.signals.frame_chunk import (
 )
 from bstm_daemon.bus.signals.reject_reason import RejectReason
 from bstm_daemon.errors import FileAccessError, LogError, MissingExtraError
-
-if TYPE_CHECKING:
-    import numpy.typing as npt
 
 _FRAME: Final = "CAN_DataFrame"
 _NEEDED: Final = ("ID", "DataLength", "DataBytes")

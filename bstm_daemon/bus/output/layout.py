@@ -9,15 +9,14 @@ the raw values 0..2^n - 3; all ones means not available, all ones minus one an
 error of the value itself.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
+from enum import IntEnum
 from functools import cache
 from math import isinf, isnan
 from operator import attrgetter
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from bstm_daemon.bus.output.e2e import COUNTER_COUNT
 from bstm_daemon.errors import ConfigError
@@ -42,10 +41,6 @@ from bstm_daemon.estimate import (
     WearSource,
 )
 from bstm_daemon.units import to_celsius
-
-if TYPE_CHECKING:
-    from enum import IntEnum
-
 
 LAYOUT_VERSION: Final = 3
 """Raised whenever a signal of an existing frame moves or changes meaning."""

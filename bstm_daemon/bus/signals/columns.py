@@ -10,15 +10,14 @@ frame by frame, and the compiled pass (``extract.c``) over the tables of
 messages that the tables cannot hold.
 """
 
-from __future__ import annotations
-
 from array import array
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
+import numpy.typing as npt
 
 from bstm_daemon.bus.signals.decoder import Decoder
 from bstm_daemon.bus.signals.e2e_guard import E2eGuard
@@ -27,10 +26,6 @@ from bstm_daemon.bus.signals.plan_tables import SAMPLE_REASONS, plan_tables
 from bstm_daemon.bus.signals.reject_reason import RejectReason
 from bstm_daemon.bus.signals.signal_map import SignalMap
 from bstm_daemon.native.loader import BusExtension, extension
-
-if TYPE_CHECKING:
-    import numpy.typing as npt
-
 
 _FRAME_REASONS: Final = (
     RejectReason.UNKNOWN_INTERFACE,

@@ -4,10 +4,9 @@ cantools reads a file as a whole or not at all, and some defects it does not
 see. A survey finds both kinds and what to leave out.
 """
 
-from __future__ import annotations
-
+import re
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from bstm_daemon.bus.signals.dbc_text import (
     FORMS,
@@ -22,9 +21,6 @@ from bstm_daemon.config.limits import (
     MESSAGE_BYTES,
     SIGNAL_BITS,
 )
-
-if TYPE_CHECKING:
-    import re
 
 _FORM_SHOWN: Final = {
     "BO_": "BO_ id name: bytes sender",

@@ -13,9 +13,10 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from difflib import get_close_matches
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import structlog
+from cantools.database.can import Database, Message
 
 from bstm_daemon.bus.output.e2e import PROFILE2_BYTES, PROFILE5_BYTES
 from bstm_daemon.bus.signals.dbc import (
@@ -47,10 +48,6 @@ from bstm_daemon.config.wording import shortened
 from bstm_daemon.errors import ConfigError
 from bstm_daemon.roles import ROLE_INDEX, ROLES
 from bstm_daemon.units import UNITS, Unit
-
-if TYPE_CHECKING:
-    from cantools.database.can import Database, Message
-
 
 _log = structlog.get_logger(__name__)
 

@@ -8,9 +8,10 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from bstm_daemon.bus.logs.mf4 import worded_damage
 from bstm_daemon.bus.tables.source import TableChunk, TableSource
@@ -20,9 +21,6 @@ from bstm_daemon.errors import (
     LogError,
     MissingExtraError,
 )
-
-if TYPE_CHECKING:
-    import numpy.typing as npt
 
 
 class BinarySource(TableSource):

@@ -5,17 +5,16 @@ others have none there. Nothing is interpolated. The wanted channels are held
 in memory.
 """
 
-from __future__ import annotations
-
 from abc import abstractmethod
 from collections import Counter
 from collections.abc import Collection, Iterator
 from contextlib import redirect_stdout
 from importlib import import_module
 from io import StringIO
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
+import numpy.typing as npt
 import structlog
 
 from bstm_daemon.bus.logs.mf4 import quiet_asammdf
@@ -23,10 +22,7 @@ from bstm_daemon.bus.tables.binary import BinarySource, naming_damage
 from bstm_daemon.bus.tables.source import TableChunk, units_in_names
 from bstm_daemon.errors import LogError
 
-if TYPE_CHECKING:
-    import numpy.typing as npt
-
-    Floats = npt.NDArray[np.float64]
+Floats = npt.NDArray[np.float64]
 
 _MASTERS: Final = (2, 3)
 """Channel types of MDF 4 that are the time base of a group."""

@@ -1,24 +1,20 @@
 """Interface of a signal table, independent of its file format; its cells."""
 
-from __future__ import annotations
-
 import re
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from math import nan
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
+import numpy.typing as npt
 
 from bstm_daemon.units import unit_named
 
-if TYPE_CHECKING:
-    import numpy.typing as npt
-
-    Booleans = npt.NDArray[np.bool_]
-    Floats = npt.NDArray[np.float64]
+Booleans = npt.NDArray[np.bool_]
+Floats = npt.NDArray[np.float64]
 
 _NUMBER: Final = re.compile(
     r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|[+-]?inf(inity)?",

@@ -4,17 +4,16 @@ A row gives a sample for each role whose cell has a number, at the time of
 the row, in the order of the configuration.
 """
 
-from __future__ import annotations
-
 from bisect import insort
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from difflib import get_close_matches
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
+import numpy.typing as npt
 import structlog
 
 from bstm_daemon.bus.logs.reader import LINES_KEPT
@@ -39,10 +38,6 @@ from bstm_daemon.bus.tables.vbo import VboSource
 from bstm_daemon.errors import LogError
 from bstm_daemon.roles import ROLES
 from bstm_daemon.units import UNITS, unit_named
-
-if TYPE_CHECKING:
-    import numpy.typing as npt
-
 
 _BINARY: Final[dict[str, type[BinarySource]]] = {
     ".h5": Hdf5Source,

@@ -1,21 +1,17 @@
 """The time of a signal table: unit, dates, clocks, laps that begin at zero."""
 
-from __future__ import annotations
-
 import re
 from datetime import UTC, datetime, timedelta
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
+import numpy.typing as npt
 
 from bstm_daemon.bus.tables.source import numbers, texts
 
-if TYPE_CHECKING:
-    import numpy.typing as npt
-
-    Booleans = npt.NDArray[np.bool_]
-    Floats = npt.NDArray[np.float64]
-    Integers = npt.NDArray[np.int64]
+Booleans = npt.NDArray[np.bool_]
+Floats = npt.NDArray[np.float64]
+Integers = npt.NDArray[np.int64]
 
 NEAR_ZERO_US: Final = 1_000_000
 """A lap begins at most this late; it ends more than this later."""

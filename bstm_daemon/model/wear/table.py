@@ -1,19 +1,15 @@
 """Wear over the rows of a replay: whole columns at a time."""
 
-from __future__ import annotations
-
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
+import numpy.typing as npt
 
 from bstm_daemon.model.wear.car import Laws
 from bstm_daemon.model.wear.law import WearLaw
 
-if TYPE_CHECKING:
-    import numpy.typing as npt
-
-    Column = npt.NDArray[np.float64]
+Column = npt.NDArray[np.float64]
 
 WEAR_COLUMNS: Final = (
     "pad_thickness_m",

@@ -7,6 +7,7 @@ from itertools import repeat
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+import numpy.typing as npt
 
 from bstm_daemon.channels import CHANNELS, VEHICLE_CHANNELS
 from bstm_daemon.estimator.blocks import Block, Group, friction_energies
@@ -26,15 +27,14 @@ from bstm_daemon.roles import MEASURED_NODES
 from bstm_daemon.units import KELVIN_OFFSET
 
 if TYPE_CHECKING:
-    import numpy.typing as npt
-
     from bstm_daemon.estimate import Advice, CarRisk
 
-    Column = npt.NDArray[np.float64]
-    Arrays = dict[str, npt.NDArray[Any]]
-    """What blocks hold of some publications, each array [n, ...]: times_us,
-    rows, vehicle, flags; output, validity, reasons and wear of each corner;
-    risk and advice."""
+
+Column = npt.NDArray[np.float64]
+Arrays = dict[str, npt.NDArray[Any]]
+"""What blocks hold of some publications, each array [n, ...]: times_us,
+rows, vehicle, flags; output, validity, reasons and wear of each corner;
+risk and advice."""
 
 BOUNDARIES: Final = ("ambient", "dissolved", DISTANCE)
 """Numbers of every state that are not worth a column of their own."""

@@ -3,24 +3,19 @@
 A file stands under its name when all rows are in it, and not before.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, TextIO
+from typing import Any, Final, NamedTuple, TextIO
 
 import numpy as np
+import numpy.typing as npt
 
 from bstm_daemon import __version__
 from bstm_daemon.errors import FileAccessError, require_packages
 from bstm_daemon.files import replacing
 from bstm_daemon.replay.results.rows import ADVICE_CODES, Part, Results, Sink
-
-if TYPE_CHECKING:
-    import numpy.typing as npt
-
 
 GROUP_ROWS: Final = 4096
 """Rows of a Parquet row group: some 3 MB that are held until it is full."""

@@ -9,15 +9,15 @@ from operator import attrgetter
 from typing import TYPE_CHECKING, Final, Protocol
 
 import numpy as np
+import numpy.typing as npt
 
 from bstm_daemon.units import KELVIN_OFFSET
 
 if TYPE_CHECKING:
-    import numpy.typing as npt
-
-    Column = npt.NDArray[np.float64]
-
     from bstm_daemon.estimate import CarRisk
+
+
+Column = npt.NDArray[np.float64]
 
 STRETCH_ROWS: Final = 512
 """Rows handed on at a time: some 2 MB of numbers, and enough of them that
