@@ -50,12 +50,13 @@ _REST: Final = {
 class Ceiling(NamedTuple):
     """A march of all members from ``heat``.
 
-    ``peaks_k`` are those of the members; ``safe_in_s`` is when vapour was
-    unlikely and stayed so.
+    ``peaks_k`` are those of the members, ``top_k`` the highest; ``safe_in_s``
+    is when vapour was unlikely and stayed so.
     """
 
     heat: Heat
     peaks_k: list[float]
+    top_k: float
     safe_in_s: float
 
 
@@ -73,21 +74,26 @@ class Ceilings:
         """Forget all."""
         self._kept = []
 
-    def lowest(self, heat: Heat) -> Ceiling | None:
-        """Return the lowest one above members that start from *heat*."""
+    def lowest(self, heat: Heat, enough_k: float) -> Ceiling | None:
+        """Return the lowest one above members that start from *heat*.
+
+        Any whose peaks are at most *enough_k* [K] is low enough.
+        """
         highest = self._ensemble.highest(heat)
-        covering = [
-            one
-            for one in self._kept
-            if self._ensemble.is_below(
+        lowest = None
+        # most likely it is one that was used last
+        for one in reversed(self._kept):
+            if (
+                lowest is None or one.top_k < lowest.top_k
+            ) and self._ensemble.is_below(
                 heat if one.heat.factor else highest, one.heat
-            )
-        ]
-        if not covering:
-            return None
-        lowest = min(covering, key=lambda one: max(one.peaks_k))
-        self._kept.remove(lowest)
-        self._kept.append(lowest)
+            ):
+                lowest = one
+                if one.top_k <= enough_k:
+                    break
+        if lowest is not None:
+            self._kept.remove(lowest)
+            self._kept.append(lowest)
         return lowest
 
     def keep(
@@ -96,11 +102,12 @@ class Ceilings:
         """Keep the march from *heat* that found *peaks_k* [K]."""
         if not self.is_ordered or not isfinite(sum(peaks_k)):
             return
-        found = Ceiling(heat, [one + MARGIN_K for one in peaks_k], safe_in_s)
+        higher_k = [one + MARGIN_K for one in peaks_k]
+        found = Ceiling(heat, higher_k, max(higher_k), safe_in_s)
         self._kept = [
             one
             for one in self._kept
-            if max(one.peaks_k) < max(found.peaks_k)
+            if one.top_k < found.top_k
             or not self._ensemble.is_below(one.heat, heat)
         ][1 - KEPT :]
         self._kept.append(found)

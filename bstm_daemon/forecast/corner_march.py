@@ -61,6 +61,10 @@ class Range(NamedTuple):
     safe_in_s: float = inf
 
 
+NOTHING_K: Final = [0.0]
+"""A temperature that says nothing."""
+
+
 class CornerMarch:
     """Makes the marches of one corner's forecasts if it parks."""
 
@@ -83,15 +87,18 @@ class CornerMarch:
         Nothing if *program* is not that of the members any more.
         """
         ensemble, ceilings = self.ensemble, self._ceilings
-        heat = self._heat(start)
-        least_k, most_k = ensemble.range_k(heat)
+        heat, boiling = self._heat(start), start.boiling
         if program is not ensemble.program or not ceilings.is_ordered:
+            least_k, _ = ensemble.range_k(heat)
             return Range(least_k, [inf] * ensemble.count)
-        if start.boiling is not self._boiling:
+        if boiling is not self._boiling:
             # it was safe by another fluid
             ceilings.clear()
-            self._boiling = start.boiling
-        found = ceilings.lowest(heat)
+            self._boiling = boiling
+        found = ceilings.lowest(heat, boiling.lowest_k)
+        if found is not None and found.top_k <= boiling.lowest_k:
+            return Range(NOTHING_K * ensemble.count, found.peaks_k, 0.0)
+        least_k, most_k = ensemble.range_k(heat)
         if found is None:
             return Range(least_k, most_k)
         # a nan of the first stays

@@ -25,7 +25,11 @@ from bstm_daemon.forecast.car_forecast import (
     Corner,
     hottest,
 )
-from bstm_daemon.forecast.corner_march import CornerMarch, Start
+from bstm_daemon.forecast.corner_march import (
+    NOTHING_K,
+    CornerMarch,
+    Start,
+)
 from bstm_daemon.forecast.march import (
     DUTY_STEPS,
     HORIZON_S,
@@ -277,9 +281,12 @@ class CourseRisk:
             for corner, start in zip(self._corners, starts, strict=True)
         ]
         if not self._is_bound:
-            # what the estimate says is marched, or is no vapour
+            # of what is published itself the members count, or is no vapour
             ranges = [
-                one._replace(least_k=[0.0] * self.members) for one in ranges
+                one._replace(least_k=NOTHING_K * self.members)
+                if instant.start_known(corner.name)
+                else one
+                for corner, one in zip(self._corners, ranges, strict=True)
             ]
         self._forecast = CarForecast(
             *(self._marched, instant.time_us, starts, ranges, boiling),
@@ -340,8 +347,7 @@ class CourseRisk:
                 0.0 if unlikely else known.safe_in_s,
             )
             corner.level.by_probability(corner.probability, forecast.time_us)
-            if self._is_bound or place in forecast.marched:
-                self._raise_ceiling(forecast, place)
+            self._raise_ceiling(forecast, place)
         # a bound may be above what the estimate alone says; a nan stays
         self._ahead = boiling.mean_probability(
             hottest([c.most_k for c in self._corners])
@@ -361,16 +367,16 @@ class CourseRisk:
                 for level in (corner.level, self._level)
             )
 
-        if self._is_bound:
-            raised_us = corner.raised_us
-            if corner.ahead < PROBABILITIES[0] or (
-                raised_us is not None and time_us - raised_us < REFRESH_US
-            ):
-                return
-        if corner.march.raise_ceiling(
-            forecast.starts[place],
-            forecast.ranges[place].most_k,
-            None if self._is_bound else is_of_use,
+        of = forecast.starts[place], forecast.ranges[place].most_k
+        raised_us = corner.raised_us
+        if (
+            place in forecast.marched
+            and corner.march.raise_ceiling(*of, is_of_use)
+        ) or (
+            self._is_bound
+            and not corner.ahead < PROBABILITIES[0]
+            and (raised_us is None or time_us - raised_us >= REFRESH_US)
+            and corner.march.raise_ceiling(*of, None)
         ):
             corner.raised_us = time_us
             self._raising.append(corner.march)

@@ -88,6 +88,10 @@ class Ensemble:
         self._farthest = {
             axis: max(abs(draw[axis]) for draw in self.draws) for axis in AXES
         }
+        self._starts = [
+            (draw["heat"], draw["fluid"], draw["ambient_k"])
+            for draw in self.draws
+        ]
         self.now_draws = [point[0] for point in normal_draws(count, 1)]
         self.top_draw = max(self.now_draws)
         net = program.network
@@ -205,19 +209,21 @@ class Ensemble:
         width_k = heat.factor * spread.ambient_k
         inner = [rises_k[i] for i in self._behind]
         outer = [rises_k[i] for i in self._before]
-        ends = max(outer), min(outer)
-        inner_ends = max(inner), min(inner)
+        high, low, inner_high, inner_low = (
+            *(max(outer), min(outer)),
+            *(max(inner), min(inner)),
+        )
         least, most = [], []
-        for draw in self.draws:
-            share = 1.0 + common * draw["heat"]
-            alone = share + own * draw["fluid"]
+        for of_heat, of_fluid, of_air in self._starts:
+            share = 1.0 + common * of_heat
+            alone = share + own * of_fluid
             least.append(ambient_k + alone * fluid_k)
             most.append(
                 ambient_k
                 + max(
-                    width_k * draw["ambient_k"],
-                    *(share * rise_k for rise_k in ends),
-                    *(alone * rise_k for rise_k in inner_ends),
+                    width_k * of_air,
+                    share * (high if share > 0.0 else low),
+                    alone * (inner_high if alone > 0.0 else inner_low),
                 )
             )
         return least, most

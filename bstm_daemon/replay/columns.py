@@ -267,17 +267,21 @@ class AdviceSeries:
     def ingest(self, times_us: Any, roles: Any, values: Any) -> None:
         """Take arrays [n]: stamps [us], role numbers, values."""
         names = self._following.advisor.roles.names
-        is_kept = np.isin(roles, sorted(names))
-        if np.all(np.diff(times_us[is_kept]) >= 0):
+        kept = np.flatnonzero(np.isin(roles, sorted(names)))
+        times_us, roles, values = times_us[kept], roles[kept], values[kept]
+        if np.all(np.diff(times_us) >= 0):
+            # of those between two publications only the last one counts
             intervals = -(times_us // -PUBLISH_US)
+            counts = np.ones(len(roles), bool)
             for role in names:
-                # of those between two publications only the last one counts
                 places = np.flatnonzero(roles == role)
-                is_kept[places[:-1]] = np.diff(intervals[places]) != 0
+                counts[places[:-1]] = np.diff(intervals[places]) != 0
+            times_us, roles = times_us[counts], roles[counts]
+            values = values[counts]
         self._samples += zip(
-            times_us[is_kept].tolist(),
-            map(names.__getitem__, roles[is_kept].tolist()),
-            values[is_kept].tolist(),
+            times_us.tolist(),
+            map(names.__getitem__, roles.tolist()),
+            values.tolist(),
             strict=True,
         )
         stamps = [stamp_us for stamp_us, _, _ in reversed(self._samples)]
