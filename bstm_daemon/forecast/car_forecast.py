@@ -73,7 +73,6 @@ class Corner:
 
     def forget(self) -> None:
         """Forget what was found after a gap; levels fall as usual."""
-        self.duty.restart()
         self.peaks_k, self.most_k = [], []
         self.now = self.deviation_k = self.ahead = nan
         self.parked, self.on_duty = (nan, nan, nan), (nan, nan)

@@ -69,7 +69,7 @@ COMPILED_STEPS: Final = 50
 compiled kernel; without it one, so that no publication waits. Corners as
 they are estimated take as much time."""
 
-REFRESH_US: Final = 60 * SECOND_US
+REFRESH_US: Final = 120 * SECOND_US
 """Interval at which the members of a hot bound are marched, as long as vapour
 is likely, where no level needs it: to know when it is safe."""
 
@@ -93,8 +93,8 @@ class CourseRisk:
     ) -> None:
         """Follow *estimator* of the car *config*, which has the *fluid*.
 
-        *beside* is that of the estimate, if this one is of the hot bound: the
-        ensembles are the same.
+        *beside* is that of the estimate, if this one is of the hot bound:
+        ensembles and duty are the same. It is to be advanced before.
         """
         self._fluid = fluid
         self._is_bound = beside is not None
@@ -109,19 +109,21 @@ class CourseRisk:
         self._ambient_k = config.vehicle.ambient_c + KELVIN_OFFSET
         spread = Spread().scaled(config.forecast.uncertainty)
         self._programs = estimator.programs
-        drawn = {} if beside is None else beside.ensembles()
-        self._corners = [
-            Corner(
-                name,
-                CornerMarch(
-                    drawn.get(name) or Ensemble(program, self.members, spread),
-                    self._kernel,
-                ),
-                Duty(program),
-            )
-            for name in estimator.layout.corners
-            if (program := estimator.programs.get(name)) is not None
-        ]
+        of_estimate = {} if beside is None else beside.corners()
+        self._corners: list[Corner] = []
+        for name in estimator.layout.corners:
+            if (program := estimator.programs.get(name)) is not None:
+                other = of_estimate.get(name)
+                ensemble, duty = (
+                    (other.ensemble, other.duty)
+                    if other is not None
+                    else (
+                        Ensemble(program, self.members, spread),
+                        Duty(program),
+                    )
+                )
+                march = CornerMarch(ensemble, self._kernel)
+                self._corners.append(Corner(name, march, duty))
         self._level = LevelMemory()
         self._marched = Car(
             self._corners,
@@ -150,9 +152,9 @@ class CourseRisk:
         """
         return {c.name: tuple(c.peaks_k) for c in self._corners}
 
-    def ensembles(self) -> dict[str, Ensemble]:
-        """Return the ensemble of each corner."""
-        return {c.name: c.ensemble for c in self._corners}
+    def corners(self) -> dict[str, Corner]:
+        """Return the memory of each corner."""
+        return {corner.name: corner for corner in self._corners}
 
     def advance(
         self, instant: Instant, share: int = 1, *, duty: bool = True
@@ -206,13 +208,16 @@ class CourseRisk:
         self._published = None
         for corner in self._corners:
             corner.forget()
+            if not self._is_bound:
+                corner.duty.restart()
 
     def _update_now(self, instant: Instant) -> None:
         """Update the present risk."""
         boiling = self._fluid.boiling(instant.time_us)
         for corner in self._corners:
             name, time_us = corner.name, instant.time_us
-            corner.duty.add(instant, name)
+            if not self._is_bound:
+                corner.duty.add(instant, name)
             disc_k, front_k, _, fluid_k = instant.shown_k(
                 name, hottest=self._is_bound
             )

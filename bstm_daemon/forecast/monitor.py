@@ -104,10 +104,10 @@ class RiskMonitor:
             return self.course.advance(instant)
         if self._bound is None:
             self._bound = self._of_bound()
-        # half as fast, so that no publication has more to do
-        most = self._bound.advance(instant, share=2)
-        # only its level of a car that parks is wanted
+        # half as fast, so that no publication has more to do, and only its
+        # level of a car that parks is wanted
         least = self.course.advance(instant, share=2, duty=False)
+        most = self._bound.advance(instant, share=2)
         if self._last is not None:
             *of, published = self._last
             if of[0] is least and of[1] is most:

@@ -80,6 +80,11 @@ class LevelMemory:
 
         The worst one counts, to rise and to stay.
         """
+        if not self.level and not any(
+            kelvin >= limits[0]
+            for kelvin, limits in zip(kelvins, limits_k, strict=True)
+        ):
+            return self._move(self.level, time_us, stays=True)
         reached = max(
             sum(kelvin >= limit for limit in limits)
             for kelvin, limits in zip(kelvins, limits_k, strict=True)
