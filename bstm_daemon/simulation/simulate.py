@@ -1,7 +1,7 @@
 """A simulated drive: car, four brakes and sensors together."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -114,7 +114,7 @@ def prepare(
         car = load_vehicle(head.vehicle)
     car = scaled_car(car, head.scale, drive.name)
     if head.mass_kg is not None:
-        car = car.with_mass(head.mass_kg)
+        car = replace(car, mass_kg=head.mass_kg)
     actual = real_car(car, effects)
     course = plan_course(drive, actual)
     motion = move(course, actual, effects, pushed=head.propulsion == "push")

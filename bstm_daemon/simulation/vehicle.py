@@ -106,10 +106,6 @@ class CarParameters:
             ]
         )
 
-    def with_mass(self, mass_kg: float) -> CarParameters:
-        """Return the car at another mass."""
-        return replace(self, mass_kg=mass_kg)
-
     def brake_force(self, pressure_pa: float) -> float:
         """Return the brake force of all wheels [N] at nominal mu."""
         return float(self.gains.sum()) * pressure_pa

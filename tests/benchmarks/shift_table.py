@@ -148,7 +148,7 @@ def claimed_power(driven: SimulatedDrive, *, back: bool) -> Array:
     sine = (roles["acceleration_longitudinal"] - dv_dt) / GRAVITY_MS2
     torque = roles["powertrain_torque"] + roles["motor_torque"]
     mass = driven.drive.drive.mass_kg
-    car = NOMINAL if mass is None else NOMINAL.with_mass(mass)
+    car = NOMINAL if mass is None else replace(NOMINAL, mass_kg=mass)
     force = (
         torque / car.wheel_radius_m
         + roles["external_force"]

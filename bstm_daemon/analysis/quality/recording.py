@@ -256,25 +256,24 @@ def constant_runs(series: Series, shortest_s: float) -> list[Run]:
     constant but absent.
     """
     starts, ends = _bounds(series)
-    time_s, value = series.time_s, series.value
-    long = time_s[ends] - time_s[starts] >= shortest_s
+    long = series.time_s[ends] - series.time_s[starts] >= shortest_s
     return [
-        Run(float(time_s[first]), float(time_s[last]), float(value[first]))
+        _run(series, first, last)
         for first, last in zip(
             starts[long].tolist(), ends[long].tolist(), strict=True
         )
     ]
 
 
+def _run(series: Series, first: int, last: int) -> Run:
+    time_s, value = series.time_s, series.value
+    return Run(float(time_s[first]), float(time_s[last]), float(value[first]))
+
+
 def _longest_run(series: Series) -> Run:
     starts, ends = _bounds(series)
     longest = int(np.argmax(series.time_s[ends] - series.time_s[starts]))
-    first, last = int(starts[longest]), int(ends[longest])
-    return Run(
-        float(series.time_s[first]),
-        float(series.time_s[last]),
-        float(series.value[first]),
-    )
+    return _run(series, int(starts[longest]), int(ends[longest]))
 
 
 def _bounds(

@@ -19,6 +19,7 @@ from typing import Any, BinaryIO, Final, cast
 
 import numpy as np
 
+from bstm_daemon.bus.signals.dbc_text import guess_encoding
 from bstm_daemon.bus.signals.reject_reason import RejectReason
 from bstm_daemon.bus.tables.source import (
     TableChunk,
@@ -209,7 +210,7 @@ class CsvSource(TableSource):
                 raw = self._lines(file)
                 first = self._first(raw)
                 first[:1] = [one.removeprefix(BOM_UTF8) for one in first[:1]]
-                encoding = _encoding(b"".join(first))
+                encoding = guess_encoding(b"".join(first))
                 lines = (
                     one.decode(encoding, "replace")
                     for one in chain(first, raw)
@@ -289,14 +290,6 @@ class CsvSource(TableSource):
             else:
                 kept.append(row)
                 lines.append(line)
-
-
-def _encoding(header: bytes) -> str:
-    try:
-        header.decode("utf-8")
-    except UnicodeDecodeError:
-        return "cp1252"
-    return "utf-8"
 
 
 def _with_points(cells: list[str]) -> list[str]:
