@@ -2,7 +2,7 @@
 
 A child process, which is this file run as a program, saves documents in a
 tight interval and reports each number it submitted and the number whose save
-it knows completed. ``BSTM_SIGKILLS`` sets how many times it is killed.
+it knows completed. ``BSTM_SIGKILLS`` sets how often the slow test kills it.
 
 SIGKILL takes the process, not the page cache: that the bytes are on the
 medium in time is the order of the syncs, which ``test_state_file.py`` holds.
@@ -27,7 +27,7 @@ import pytest
 from bstm_daemon.service.persistence import StateWriter
 from bstm_daemon.service.state_file import encode, load, lock, save
 
-KILLS = int(os.environ.get("BSTM_SIGKILLS", "8"))
+KILLS = int(os.environ.get("BSTM_SIGKILLS", "50"))
 INTERVAL_S = 0.02
 LEFTOVER = re.compile(r"\.golf\.state\.tmp-[a-z0-9_]{8}")
 
@@ -49,13 +49,16 @@ def start(path: Path, task: str) -> subprocess.Popen[str]:
     )
 
 
+@pytest.mark.parametrize(
+    "kills", [8, pytest.param(KILLS, marks=pytest.mark.slow)]
+)
 def test_the_file_survives_sigkill_at_random_instants(
-    tmp_path: Path,
+    tmp_path: Path, kills: int
 ) -> None:
     """Whole each time, and never older than what was reported as saved."""
     path = tmp_path / "golf.state"
     chance = random.Random(20240229)  # noqa: S311
-    for _ in range(KILLS):
+    for _ in range(kills):
         with start(path, "save") as child:
             assert child.stdout is not None
             first = child.stdout.readline()
