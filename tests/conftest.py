@@ -38,6 +38,19 @@ settings.register_profile(
 settings.load_profile("ci" if os.environ.get("CI") else "local")
 
 
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
+    """Give each worker files in a row: what they share is made once.
+
+    The rig's box has no xdist.
+    """
+    from xdist.scheduler import WorkStealingScheduling  # noqa: PLC0415
+
+    if config.getoption("dist") != "load":
+        return None
+    return WorkStealingScheduling(config, log)
+
+
 def pytest_collection_finish() -> None:
     """Keep what was collected, which stays, out of garbage collection."""
     gc.collect()
