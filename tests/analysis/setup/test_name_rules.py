@@ -44,6 +44,16 @@ Maker = Callable[..., Database]
         ("EBRAKE:1", "park_brake", "bool"),
         ("WheelTorque Nm", "powertrain_torque", "Nm"),
         ("VCFRONT_tempAmbient C", "ambient_temperature", "degC"),
+        # of loggers
+        ("v km/h", "vehicle_speed", "km/h"),
+        ("vGPS km/h", "gnss_speed", "km/h"),
+        ("v_Rad_VL km/h", "wheel_speed_fl", "km/h"),
+        ("p_Brems_V bar", "primary_pressure", "bar"),
+        ("pBrakeFL bar", "wheel_pressure_fl", "bar"),
+        ("Tamb C", "ambient_temperature", "degC"),
+        ("Tdisc_FL C", "temp_fl_disc", "degC"),
+        ("ROTOR_T_RL C", "temp_rl_disc", "degC"),
+        ("IR_Disc_FR C", "temp_fr_disc", "degC"),
     ],
 )
 def test_a_plain_signal_has_one_role(
@@ -52,6 +62,30 @@ def test_a_plain_signal_has_one_role(
     (match,) = name_matches(make_database([signal]))
 
     assert (match.role, match.unit, match.caveat) == (role, unit, "")
+
+
+@pytest.mark.parametrize(
+    "signal", ["pBrakeR bar", "Bremsdruck_HA bar", "BRAKE_PRESS_R bar"]
+)
+def test_a_pressure_of_the_rear_is_not_the_primary_one(
+    make_database: Maker, signal: str
+) -> None:
+    (match,) = name_matches(make_database([signal]))
+
+    assert match.role == "secondary_pressure"
+    assert "of the rear" in match.caveat
+
+
+@pytest.mark.parametrize(
+    "signal", ["BrkTempFL C", "tbrake_fl C", "Bremse_T_VL C"]
+)
+def test_a_brake_s_temperature_may_be_its_disc_s(
+    make_database: Maker, signal: str
+) -> None:
+    (match,) = name_matches(make_database([signal]))
+
+    assert match.role == "temp_fl_disc"
+    assert "the disc is assumed" in match.caveat
 
 
 @pytest.mark.parametrize(
