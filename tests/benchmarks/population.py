@@ -74,7 +74,7 @@ KNOWN_TO_THE_OWNER: Final = frozenset(
         *("piston_area_m2", "piston_count", "piston_side_share"),
         *("effective_radius_m", "pad_area_m2", "pad_thickness_m"),
         *("face_area_m2", "iron_density_kg_m3", "forced_exponent"),
-        "efficiency",
+        *("efficiency", "wheel_radius_m"),
     }
 )
 """Parameters of the brake that are not drawn: they are on its drawing, as in
@@ -148,6 +148,7 @@ def drawn_car(number: int) -> CarParameters:
         f.name: 1.0 + SPREAD * (2.0 * rng.random() - 1.0)
         for f in fields(NOMINAL.front)
         if f.name not in KNOWN_TO_THE_OWNER
+        and isinstance(getattr(NOMINAL.front, f.name), float)
     }
 
     def scaled(corner: Any) -> Any:
