@@ -6,18 +6,14 @@ import time
 from datetime import UTC, datetime
 from math import isinf
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
-from bstm_daemon.report.text import percent, table
+from bstm_daemon.report.text import Columns, percent
 from bstm_daemon.units import to_celsius
 
 if TYPE_CHECKING:
     from bstm_daemon.forecast.offline_forecast import CornerOutlook, Outlook
 
-HEADING = (
-    *("corner", "fluid [degC]", "vapour now", "hottest [degC]", "after"),
-    *("vapour in 30 min", "safe after", "level"),
-)
 NOTICE = "Estimate and advice, not a safety function."
 
 
@@ -41,25 +37,11 @@ def forecast_text(vehicle_id: str, path: Path, found: Outlook) -> str:
         surroundings,
         water,
         "",
-        *table(HEADING, [_row(corner) for corner in found.corners]),
+        *CORNERS.lines(found.corners, None),
         "",
         NOTICE,
     ]
     return "\n".join(lines)
-
-
-def _row(corner: CornerOutlook) -> tuple[str, ...]:
-    risk = corner.risk
-    return (
-        corner.corner,
-        f"{to_celsius(corner.fluid_k):.0f} +- {risk.fluid_deviation_k:.0f}",
-        percent(risk.probability_now),
-        f"{to_celsius(risk.peak_k):.0f}",
-        _minutes(risk.peak_in_s),
-        percent(risk.probability),
-        _minutes(risk.safe_in_s),
-        risk.level.name.lower(),
-    )
 
 
 def _when(found: Outlook) -> str:
@@ -79,6 +61,22 @@ def _minutes(seconds: float) -> str:
         return f"{minutes:.0f} min"
     hours = minutes / 60.0
     return f"{hours:.0f} h" if hours < 48.0 else f"{hours / 24.0:.0f} days"
+
+
+def _fluid(one: CornerOutlook) -> str:
+    return f"{to_celsius(one.fluid_k):.0f} +- {one.risk.fluid_deviation_k:.0f}"
+
+
+CORNERS: Final[Columns[CornerOutlook]] = Columns(
+    ("corner", lambda one: one.corner),
+    ("fluid [degC]", _fluid),
+    ("vapour now", lambda one: percent(one.risk.probability_now)),
+    ("hottest [degC]", lambda one: f"{to_celsius(one.risk.peak_k):.0f}"),
+    ("after", lambda one: _minutes(one.risk.peak_in_s)),
+    ("vapour in 30 min", lambda one: percent(one.risk.probability)),
+    ("safe after", lambda one: _minutes(one.risk.safe_in_s)),
+    ("level", lambda one: one.risk.level.name.lower()),
+)
 
 
 def forecast_json(vehicle_id: str, found: Outlook) -> dict[str, Any]:

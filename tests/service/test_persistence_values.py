@@ -104,7 +104,7 @@ def test_a_wall_clock_before_2025_is_not_set(
 def test_each_further_failure_is_logged_once(
     box: Box, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """At the seconds since the computer started, with the last reason."""
+    """At the time since the computer started, with the last reason."""
     outcome = SimpleNamespace(failures=0, last_error=None)
     writer = SimpleNamespace(
         outcome=lambda: outcome, close=box.persistence._writer.close
@@ -119,9 +119,14 @@ def test_each_further_failure_is_logged_once(
     assert said == [0, 1, 1, 2]
     file = str(box.persistence._file)
     assert box.lines.said == [
-        (events.STATE_SAVE_FAILED, "save", 100.0, {"file": file, "error": ""}),
         (
-            *(events.STATE_SAVE_FAILED, "save", 100.0),
+            events.STATE_SAVE_FAILED,
+            "save",
+            100_000_000,
+            {"file": file, "error": ""},
+        ),
+        (
+            *(events.STATE_SAVE_FAILED, "save", 100_000_000),
             {"file": file, "error": "full"},
         ),
     ]
