@@ -200,7 +200,11 @@ class Conditions:
 
         One without a thermal model is not known.
         """
-        margins = self._of_axle(axle)
+        margins = [
+            margin_k
+            for name, margin_k in self.margins_k.items()
+            if name.startswith(axle)
+        ]
         return bool(margins) and all(map(isfinite, margins))
 
     def margin_k(self, axle: str = "") -> float:
@@ -209,14 +213,12 @@ class Conditions:
         Infinite if there is none: a brake without a thermal model causes no
         request.
         """
-        return min(filter(isfinite, self._of_axle(axle)), default=inf)
-
-    def _of_axle(self, axle: str) -> list[float]:
-        return [
-            margin_k
-            for name, margin_k in self.margins_k.items()
-            if name.startswith(axle)
-        ]
+        least = inf
+        for name, margin_k in self.margins_k.items():
+            # one that is not known is below nothing
+            if margin_k < least and name.startswith(axle):
+                least = margin_k
+        return least
 
     def flag(self, role: str) -> bool | None:
         """Return a switch, None where it is not known."""
