@@ -24,15 +24,19 @@ import random
 import shutil
 import subprocess
 import sys
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from measurements import markdown
 
 import bstm_daemon
 from bstm_daemon.api import load_config, replay
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
 
 CALIBRATION: Final = ("simalp", "rich", "coastdown")
 WITH_EFFECT: Final = ("simalp", "rich")
@@ -71,6 +75,9 @@ RIGHT: Final[dict[str, set[str]]] = {
     "hub_drum_heat": {"hub_heat"},
 }
 """Hidden effect to right names."""
+
+NAMED: Final = frozenset({"name", "class"})
+"""Answers that give a name."""
 
 NODES: Final = {
     "fluid": "fluid_c",
@@ -219,22 +226,32 @@ def verdict(effect: str, naming: dict[str, Any]) -> str:
     """Return what *naming* is worth where *effect* is hidden.
 
     ``right``; ``right among`` several; ``missing``, where it says that
-    something is and names nothing; ``silent``; or ``wrong``.
+    something is and gives no name; ``silent``; or ``wrong``: a name, which
+    candidates that it does not decide between are not.
     """
-    names = set(naming["names"])
-    if effect == "none":
-        return (
-            "wrong"
-            if names
-            else ("silent" if naming["answer"] == "nothing" else "missing")
-        )
-    if not names:
-        if naming["answer"] == "nothing":
-            return "silent"
-        return "missing"
-    if not names & RIGHT[effect]:
-        return "wrong"
-    return "right" if names <= RIGHT[effect] else "right among"
+    names, answer = set(naming["names"]), naming["answer"]
+    if answer == "nothing":
+        return "silent"
+    named = answer in NAMED
+    right = RIGHT.get(effect, set())
+    if answer in {"unknown", "composed"} or not names & right:
+        return "wrong" if named else "missing"
+    return "right" if named and names <= right else "right among"
+
+
+def figures(rows: Sequence[Sequence[str]]) -> str:
+    """Return how often each verdict was given, in words."""
+    controls = [row[4] for row in rows if row[2] == "-"]
+    named = controls.count("wrong")
+    told = len(controls) - controls.count("silent")
+    text = f"Controls: {len(controls)}; a name in {named}, told something in "
+    text += f"{told}."
+    for which, kept in (("all", {"yes", "no"}), ("detectable", {"yes"})):
+        found = Counter(row[4] for row in rows if row[2] in kept)
+        text += f" Hidden, {which}: {found.total()}; "
+        text += ", ".join(f"{one} {n}" for one, n in found.most_common())
+        text += "."
+    return text
 
 
 def release_seeds(cars: int) -> list[int]:
@@ -296,7 +313,7 @@ def main() -> None:
             rows.append(row(world, case))
             print(*rows[-1], sep="  ", flush=True)  # noqa: T201
     table = {"header": HEADER, "rows": rows}
-    text = "\n".join(markdown(table)) + "\n"
+    text = "\n".join([*markdown(table), "", figures(rows)]) + "\n"
     if args.out:
         args.out.write_text(text, "utf-8")
     else:

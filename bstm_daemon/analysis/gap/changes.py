@@ -38,6 +38,11 @@ STEP: Final = 0.7
 HEAT_STEP: Final = 0.2
 """Of the heat: friction differs by less than conductances do."""
 
+BUILT: Final = frozenset(
+    f"{EFFECT}.{name}.strength" for name in ("caliper_fluid_split", "disc_hat")
+)
+"""How caliper and disc are built: nothing that happens to a car changes it."""
+
 LARGEST: Final = 4.0
 """Strength of a change beyond which it is none, but something else."""
 
@@ -126,7 +131,7 @@ def trials(config: Config, keys: Sequence[str]) -> dict[str, Trial]:
         for name, kind in KINDS.items()
     }
     grouped = {HEAT_SCALE, *(key for own in groups.values() for key in own)}
-    groups |= {key: (key,) for key in keys if key not in grouped}
+    groups |= {key: (key,) for key in keys if key not in grouped | BUILT}
     if config.heat.mode != "ff":
         # motion heats whatever friction is
         groups.pop("brake_heat")

@@ -33,6 +33,7 @@ from bstm_daemon.analysis.matching.tunables import (
     TUNABLES,
     Target,
     refined_keys,
+    strength_key,
     usable,
 )
 from bstm_daemon.config.estimates import MatchedConfig
@@ -87,8 +88,10 @@ def test_each_value_is_a_candidate_and_what_one_cause_moves_is_one(
     config: Config,
 ) -> None:
     keys = (*S_SPEEDS_MS, MASS, "thermal.pad_static_loss_w_k", HEAT_SCALE)
+    # nothing that happens to a car changes how its caliper is built
+    built = strength_key("caliper_fluid_split")
 
-    found = trials(ff(config), keys)
+    found = trials(ff(config), (*keys, built))
 
     assert list(found) == [
         "change.disc_air",
@@ -97,7 +100,7 @@ def test_each_value_is_a_candidate_and_what_one_cause_moves_is_one(
         "change.thermal.pad_static_loss_w_k",
     ]
     assert found["change.disc_air"].direction.tolist() == [
-        STEP, STEP, STEP, 0.0, 0.0, 0.0,
+        STEP, STEP, STEP, 0.0, 0.0, 0.0, 0.0,
     ]  # fmt: skip
 
 
