@@ -175,7 +175,7 @@ class ObserverMemory:
     rate's square, as rates change. ``proof_s`` is the braking that must
     still prove the pressure after an external force. ``balance_*`` count and
     sum braking by pressure x and by motion y, their squares and product
-    [m2/s4], over half seconds.
+    [m2/s4], over half seconds; ``outlier_s`` is how long they were apart.
     """
 
     known: Learned
@@ -210,6 +210,7 @@ class ObserverMemory:
     balance_xx: float
     balance_xy: float
     balance_yy: float
+    outlier_s: float
     stood_s: float
     window_kind: float
     window_s: float

@@ -44,6 +44,7 @@ from bstm_daemon.model.heat.observer_faults import (
     findings,
     implausible_gain,
     implausible_radius,
+    is_outlier,
     motion_unmeasured,
 )
 from bstm_daemon.model.heat.observer_rules import (
@@ -174,8 +175,7 @@ class Observer:
         m.copy_age_s += dt_s
         if m.copy_age_s < COPY_S:
             return
-        m.earlier = m.recent
-        m.recent = m.known.copy()
+        m.earlier, m.recent = m.recent, m.known.copy()
         m.copy_age_s = 0.0
 
     def _roll_back(self) -> None:
@@ -282,7 +282,7 @@ class Observer:
             + wind * wind
             + MODEL_NOISE * MODEL_NOISE
         )
-        if abs(innovation) > OUTLIER * sqrt(innovation_var):
+        if is_outlier(m, innovation, sqrt(innovation_var)):
             return
         self.m.known.update(FIRST_FRICTION, h, innovation, noise)
 

@@ -65,7 +65,7 @@ def findings(m: ObserverMemory, s: Step) -> int:
         found |= rules.RADIUS_SUSPECT
     if m.unpressed_s > rules.DEAD_S:
         found |= rules.PRESSURE_DEAD
-    if unbalanced(m) or implausible_mass(m):
+    if unbalanced(m) or implausible_mass(m) or m.outlier_s > rules.OUTLIER_S:
         found |= rules.FORCES_CONTRADICT
     if m.proof_s > 0.0:
         found |= rules.FORCES_UNPROVEN
@@ -105,6 +105,17 @@ def compare_forces(m: ObserverMemory, x: float, y: float) -> None:
     m.balance_xx = keep * m.balance_xx + x * x
     m.balance_xy = keep * m.balance_xy + x * y
     m.balance_yy = keep * m.balance_yy + y * y
+
+
+def is_outlier(m: ObserverMemory, innovation: float, std: float) -> bool:
+    """Whether ln friction is not to be learned; count what contradicts."""
+    if abs(innovation) <= rules.OUTLIER * std:
+        m.outlier_s = max(m.outlier_s - rules.WINDOW_S, 0.0)
+        return False
+    if innovation > rules.OUTLIER_MORE or innovation < -rules.OUTLIER_LESS:
+        longer_s = m.outlier_s + rules.WINDOW_S
+        m.outlier_s = min(longer_s, rules.OUTLIER_MOST_S)
+    return True
 
 
 def unbalanced(m: ObserverMemory) -> bool:

@@ -129,7 +129,7 @@ static void learn_friction(Observer *o, double accel, double drive,
     const double innovation = log(braking / ff_decel) - level;
     const double innovation_var = learned_quadratic(m->known.cov, h)
         + white * white + wind * wind + MODEL_NOISE * MODEL_NOISE;
-    if (fabs(innovation) > OUTLIER * sqrt(innovation_var)) return;
+    if (observer_faults_is_outlier(m, innovation, sqrt(innovation_var))) return;
     learned_update(&m->known, FIRST_FRICTION, h, innovation, noise);
 }
 

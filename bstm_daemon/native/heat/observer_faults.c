@@ -11,6 +11,21 @@ void observer_faults_compare_forces(ObserverMemory *m, double x, double y)
     m->balance_yy = keep * m->balance_yy + y * y;
 }
 
+int observer_faults_is_outlier(ObserverMemory *m, double innovation,
+                               double std)
+{
+    if (fabs(innovation) <= OUTLIER * std) {
+        m->outlier_s -= WINDOW_S;
+        if (m->outlier_s < 0.0) m->outlier_s = 0.0;
+        return 0;
+    }
+    if (innovation > OUTLIER_MORE || innovation < -OUTLIER_LESS) {
+        m->outlier_s += WINDOW_S;
+        if (m->outlier_s > OUTLIER_MOST_S) m->outlier_s = OUTLIER_MOST_S;
+    }
+    return 1;
+}
+
 /* Whether braking by motion and by pressure differ by a constant. */
 static int unbalanced(const ObserverMemory *m)
 {
@@ -49,7 +64,8 @@ int observer_faults_findings(const ObserverMemory *m, const Step *s)
     if (observer_faults_implausible_gain(m) || s->wrong_scale) found |= GAIN_SUSPECT;
     if (observer_faults_implausible_radius(m)) found |= RADIUS_SUSPECT;
     if (m->unpressed_s > DEAD_S) found |= PRESSURE_DEAD;
-    if (unbalanced(m) || implausible_mass(m)) found |= FORCES_CONTRADICT;
+    if (unbalanced(m) || implausible_mass(m) || m->outlier_s > OUTLIER_S)
+        found |= FORCES_CONTRADICT;
     if (m->proof_s > 0.0) found |= FORCES_UNPROVEN;
     return found;
 }

@@ -11,6 +11,9 @@ int observer_faults_findings(const ObserverMemory *m, const Step *s);
 int observer_faults_implausible_gain(const ObserverMemory *m);
 int observer_faults_motion_unmeasured(const ObserverMemory *m);
 int observer_faults_implausible_radius(const ObserverMemory *m);
+/* Whether ln friction is not to be learned; count what contradicts. */
+int observer_faults_is_outlier(ObserverMemory *m, double innovation,
+                               double std);
 void observer_faults_compare_forces(ObserverMemory *m, double x, double y);
 void observer_faults_compare_radius(ObserverMemory *m, const Step *s);
 

@@ -303,6 +303,33 @@ def test_braking_proves_the_pressure_after_an_external_force(
     assert (braked_s >= 5.0) is pressed
 
 
+@pytest.mark.parametrize(
+    ("share", "contradicts"), [(0.5, True), (0.8, False), (2.0, True)]
+)
+def test_a_pressure_that_changes_its_scale_contradicts(
+    kernel: Kernel | None,
+    fused: Callable[..., Run],
+    share: float,
+    contradicts: bool,  # noqa: FBT001
+) -> None:
+    """After 5 s of braking; linings change by less, and not at once."""
+    driver = Driver(Truth(friction=1.0))
+    samples = driver.town(8)
+    from_s = driver.now * 1e-6
+    driver.car = replace(driver.car, friction=1.0 / share)
+    samples += driver.town(4)
+    run = fused(kernel).feed(samples)
+
+    marks = run.flag("forces_contradict")
+    assert any(marks) is contradicts
+    if contradicts:
+        first = marks.index(True)
+        begun = round(from_s / 0.05)
+        braked = [p > 1e5 for p in run.column("pressure_pa")[begun:first]]
+        assert 5.0 < 0.05 * sum(braked) < 15.0
+        assert run.flag("acceleration_suspect")[first]
+
+
 def test_wheels_on_a_stand_teach_nothing(
     kernel: Kernel | None,
     start: Callable[..., Run],
