@@ -243,9 +243,7 @@ class CourseRisk:
         self._update_car(boiling, instant.time_us)
 
     def _update_car(self, boiling: Boiling, time_us: int) -> None:
-        now = boiling.mean_probability(
-            hottest([c.now_k for c in self._corners])
-        )
+        now = self._now(boiling)
         probability = now if isnan(self._ahead) else max(now, self._ahead)
         self._level.by_probability(probability, time_us)
         self._car = CarRisk(
@@ -259,6 +257,25 @@ class CourseRisk:
             self.members,
         )
         self._published = None
+
+    def _now(self, boiling: Boiling) -> float:
+        """Return the mean over the draws with the hottest corner of each.
+
+        A corner is linear in the draw: one that is the hottest at both ends
+        is so for all of them.
+        """
+        draws = self._corners[0].ensemble.now_draws if self._corners else []
+        ends = [draws.index(end(draws)) for end in (max, min) if draws]
+        for one in self._corners:
+            if all(
+                one.now_k[end] >= other.now_k[end]
+                for other in self._corners
+                for end in ends
+            ):
+                return one.now
+        return boiling.mean_probability(
+            hottest([corner.now_k for corner in self._corners])
+        )
 
     def _factor(self, instant: Instant, corner: str) -> float:
         """Return how much less certain *corner* is than a valid estimate."""

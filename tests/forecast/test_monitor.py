@@ -14,6 +14,7 @@ from bstm_daemon.estimate import RiskLevel, Validity
 from bstm_daemon.estimator.estimator import Estimator
 from bstm_daemon.estimator.state import export_state, restore_state
 from bstm_daemon.files import shipped_file
+from bstm_daemon.forecast import course_risk
 from bstm_daemon.forecast.course_risk import PYTHON_MEMBERS
 from bstm_daemon.forecast.fluid import CHANGED_ROLE, WATER_ROLE
 from bstm_daemon.forecast.monitor import RiskMonitor
@@ -423,3 +424,29 @@ def test_a_damaged_memory_is_left(damaged: object) -> None:
 
     assert monitor.export() == before
     assert monitor.fluid.boiling(0).quantile(0.5) > 0.0
+
+
+def test_the_forecast_in_pure_python_has_the_same_bits(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """With as many members and portions; parked from a hot start, and duty."""
+    monkeypatch.setattr(course_risk, "PYTHON_STEPS", 50)
+    config = car()
+    forecast = config.forecast.model_copy(update={"members": PYTHON_MEMBERS})
+    config = config.model_copy(update={"forecast": forecast})
+    samples = drive(2, 3)
+
+    def records(*, is_compiled: bool) -> list[str]:
+        estimator = Estimator(config, MAPPED)
+        assert (estimator.kernel is not None) is is_compiled
+        monitor = RiskMonitor(config, estimator)
+        return [
+            told(record)
+            for block in estimator.advance(*samples)
+            for record in monitor.add(block)
+        ]
+
+    compiled = records(is_compiled=True)
+    monkeypatch.setenv("BSTM_KERNEL", "reference")
+    assert records(is_compiled=False) == compiled
+    assert "duty_peak_k=nan" not in compiled[-1]
