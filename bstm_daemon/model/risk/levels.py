@@ -65,10 +65,12 @@ class LevelMemory:
 
         Also where the level falls by one meanwhile.
         """
-        aim = _aim(self.level, least)
-        return aim == _aim(self.level, most) and (
-            aim >= self.level or _aim(aim, least) == _aim(aim, most)
-        )
+        level = self.level
+        aim = _aim(level, least)
+        if aim != _aim(level, most):
+            return False
+        falls = level and (aim < level or self.below_since_us is not None)
+        return not falls or _aim(level - 1, least) == _aim(level - 1, most)
 
     def by_temperatures(
         self,

@@ -190,3 +190,42 @@ def test_a_level_of_probability_is_left_after_a_minute_and_not_before() -> (
     assert memory.by_probability(0.0, late - 1) is RiskLevel.CRITICAL
     assert memory.by_probability(0.0, late) is RiskLevel.HIGH
     assert memory.below_since_us == late
+
+
+@pytest.mark.parametrize(
+    ("level", "least", "most", "sure"),
+    [
+        (0, 0.0, 0.0099, True),
+        (0, 0.0, 0.01, False),
+        (0, 0.01, 0.099, True),
+        (1, 0.005, 0.099, True),
+        (1, 0.0049, 0.0051, False),
+        (1, 0.0, 0.0049, True),
+        (2, 0.05, 0.49, True),
+        (2, 0.05, 0.5, False),
+        (3, 0.25, 1.0, True),
+        # it falls, and may fall on, or stay
+        (3, 0.06, 0.24, True),
+        (3, 0.04, 0.24, False),
+        (2, 0.0, 0.04, False),
+        (2, 0.006, 0.04, True),
+        (0, nan, nan, True),
+        (0, 0.0, nan, True),
+        (1, 0.0, nan, False),
+    ],
+)
+def test_what_all_probabilities_between_do_is_sure(
+    level: int, least: float, most: float, *, sure: bool
+) -> None:
+    memory = LevelMemory(RiskLevel(level))
+
+    assert memory.is_sure(least, most) is sure
+
+
+def test_a_fall_that_is_due_counts_as_well() -> None:
+    """What keeps a level may raise it again once it has fallen."""
+    falling = LevelMemory(RiskLevel.CRITICAL, below_since_us=1)
+
+    assert LevelMemory(RiskLevel.CRITICAL).is_sure(0.3, 0.6)
+    assert not falling.is_sure(0.3, 0.6)
+    assert falling.is_sure(0.3, 0.45)
