@@ -36,7 +36,7 @@ FORECAST_MS: Final = 50.0
 PUBLICATION_MS: Final = 5.0
 CORE: Final = 0.01
 REAL_TIME: Final = 120.0
-HEAT: Final = 10.0
+HEAT: Final = 5.0
 
 
 def run(*, full: bool) -> Outcome:
