@@ -72,7 +72,8 @@ STRENGTHS: Final = {
     "disc_hat": (0.05, 5.0, 0.3),
     # contact of steel clips
     "bracket_conduction": (0.05, 5.0, 0.4),
-    "disc_caliper_radiation": (0.05, 5.0, 0.4),
+    # the bridge alone, or all of the inside of a large caliper
+    "disc_caliper_radiation": (0.05, 10.0, 0.6),
     "caliper_fluid_split": (0.05, 5.0, 0.3),
 }
 """Bounds and prior of the strengths of the structure ``extended``: what its

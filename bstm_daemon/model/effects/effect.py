@@ -52,7 +52,7 @@ class Effect:
     """Other forms that it may have: values beside the typical ones."""
 
     most_strength: ClassVar[float] = STRENGTH.upper
-    """What physics allows, where that is less."""
+    """What physics allows, where that is another."""
 
     either_sign: ClassVar[bool] = False
     """Whether physics allows a strength below 0."""

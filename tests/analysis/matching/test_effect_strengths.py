@@ -24,7 +24,11 @@ from bstm_daemon.analysis.matching.tunables import (
 )
 from bstm_daemon.config.reading import load_config
 from bstm_daemon.config.sections import EffectConfig
-from bstm_daemon.model.effects.catalogue import effects_of, problems_of
+from bstm_daemon.model.effects.catalogue import (
+    effect_class,
+    effects_of,
+    problems_of,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -227,8 +231,9 @@ def test_an_effect_of_the_structure_gets_an_entry(tmp_path: Path) -> None:
     assert "# matched, sd 0.1; was typical" in text
 
 
-@pytest.mark.parametrize("key", sorted(map(strength_key, STRENGTHS)))
-def test_bounds_are_within_the_catalogue(key: str) -> None:
-    one = TUNABLES[key]
+@pytest.mark.parametrize("name", sorted(STRENGTHS))
+def test_bounds_are_within_the_catalogue(name: str) -> None:
+    one = TUNABLES[strength_key(name)]
 
-    assert 0.0 < one.lower < 1.0 < one.upper <= 5.0
+    most = effect_class(name).most_strength
+    assert 0.0 < one.lower < 1.0 < one.upper <= most
