@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from bstm_daemon.analysis.gap.adopting import written
-from bstm_daemon.analysis.gap.changes import is_change
+from bstm_daemon.analysis.gap.changes import is_change, is_listed
 from bstm_daemon.analysis.gap.comparison import with_effects
 from bstm_daemon.analysis.gap.fitting import NINETY, askable, directions, fit
 from bstm_daemon.analysis.gap.form import with_form
@@ -28,6 +28,7 @@ from bstm_daemon.analysis.matching.learned import entry
 from bstm_daemon.analysis.matching.structure import KEPT, share_left
 from bstm_daemon.analysis.matching.tunables import DRAG, strength_key
 from bstm_daemon.analysis.matching.workflow import Matched, match_logs
+from bstm_daemon.model.effects.catalogue import effect_class
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -231,6 +232,8 @@ class Calibration:
             return step, []
         # the first alone: the next search says what is missing beside it
         name = naming.names[0]
+        if of_sensor(name):
+            return step, []
         start = {name: starts(naming)[name]}
         found = fit(comparison, start, basis, known_k=simulated.jacobian_k)
         _, entries = written(comparison, found, naming)
@@ -241,6 +244,11 @@ class Calibration:
             for corner in ((one.corner,) if is_change(name) else corners)
         ]
         return replace(step, added=name if effects else ""), effects
+
+
+def of_sensor(name: str) -> bool:
+    """Whether *name* is of what a sensor reads, which no match fits."""
+    return is_listed(name) and effect_class(name).kind == "measurement"
 
 
 def _known_before(match: Match) -> MatchedConfig:

@@ -101,6 +101,10 @@ def strength_key(effect: str) -> str:
     return f"{EFFECT}.{effect}.strength"
 
 
+INSIDE: Final = 1e-12
+"""What an exponential of a logarithm may be off by."""
+
+
 @dataclass(frozen=True, slots=True)
 class Tunable:
     """A value of one corner's configuration.
@@ -118,8 +122,10 @@ class Tunable:
     table_4_1: bool = False
 
     def bounds(self) -> tuple[float, float]:
-        """Return the bounds of the logarithm."""
-        return log(self.lower), log(self.upper)
+        """Return the bounds of the logarithm; its exponential is inside."""
+        return log(self.lower * (1.0 + INSIDE)), log(
+            self.upper * (1.0 - INSIDE)
+        )
 
 
 TUNABLES: Final[dict[str, Tunable]] = {

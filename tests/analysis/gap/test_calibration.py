@@ -9,7 +9,11 @@ from typing import TYPE_CHECKING, Any, Final, cast
 import pytest
 
 from bstm_daemon.analysis.gap import calibration
-from bstm_daemon.analysis.gap.calibration import Calibration, _against
+from bstm_daemon.analysis.gap.calibration import (
+    Calibration,
+    _against,
+    of_sensor,
+)
 from bstm_daemon.analysis.gap.searching import search
 from bstm_daemon.analysis.matching import matcher
 from bstm_daemon.analysis.matching.coarse import Reading
@@ -123,6 +127,12 @@ def test_an_addition_must_gain_and_harm_no_drive(
     after: Match, why: str
 ) -> None:
     assert _against(left_out(10.0, 10.0, 10.0), after) == why
+
+
+def test_an_effect_on_what_a_sensor_reads_is_told_not_fitted() -> None:
+    assert of_sensor("clock_offset")
+    assert not of_sensor("gap_conduction")
+    assert not of_sensor("change.disc_mass")
 
 
 @pytest.mark.slow

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import exp
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -237,3 +238,6 @@ def test_bounds_are_within_the_catalogue(name: str) -> None:
 
     most = effect_class(name).most_strength
     assert 0.0 < one.lower < 1.0 < one.upper <= most
+    # a value at its bound is still one that the effect takes
+    assert one.lower <= exp(one.bounds()[0])
+    assert exp(one.bounds()[1]) <= one.upper
