@@ -330,6 +330,30 @@ def test_a_wheel_apart_comes_goes_and_is_left_out(
     assert speed[60] == pytest.approx(20.0)
 
 
+def test_an_axle_that_spins_does_not_heat_the_brakes(
+    compiled: Kernel, start: Callable[..., Run], four: Callable[..., Any]
+) -> None:
+    """In both forms the speed over ground is that of the slower axle."""
+    roles = (*WHEELS, "powertrain_torque", "acceleration_longitudinal")
+    found = []
+    for front in (10.0, 12.0):
+        drive = Drive().hold(
+            5.0,
+            **wheels(10.0, fl=front, fr=front),
+            powertrain_torque=200.0,
+            acceleration_longitudinal=-3.0,
+        )
+        runs = [
+            start(four(heat={"mode": "fb"}), form, *roles).feed(drive.samples)
+            for form in (None, compiled)
+        ]
+        assert runs[0].bits() == runs[1].bits()
+        found.append(runs[0].column("brake_energy_fb_j")[-1])
+
+    assert found[0] > 1e5
+    assert found[1] == pytest.approx(found[0], rel=1e-9)
+
+
 def test_wheels_that_drive_on_are_not_stuck_where_two_die(
     kernel: Kernel | None, start: Callable[..., Run], four: Callable[..., Any]
 ) -> None:
