@@ -187,6 +187,7 @@ def answer_line(naming: Naming, what: str) -> str:
     names = comma.join(called(naming, name) for name in naming.names)
     share = percent(naming.probability)
     which = "missing" if any_effect(naming) else "changed"
+    but = f", but {naming.against} contradicts that" if naming.against else ""
     return {
         "nothing": f"no missing effect visible (nothing missing: {share})",
         "name": f"{which}: {names} (probability {share})",
@@ -195,7 +196,8 @@ def answer_line(naming: Naming, what: str) -> str:
             f"missing: none of the known effects; best description: {names}"
         ),
         "unknown": "missing: none of the known effects",
-        "undecided": f"something is missing, but not named; possible: {names}",
+        "undecided": f"something is missing, but not named; possible: {names}"
+        f"{but}",
     }[naming.answer]
 
 

@@ -25,7 +25,11 @@ from bstm_daemon.analysis.gap.workflow import compare
 from bstm_daemon.analysis.identify.guessed import BY_FORCES
 from bstm_daemon.analysis.matching.changes import learned
 from bstm_daemon.analysis.matching.learned import entry
-from bstm_daemon.analysis.matching.structure import KEPT, share_left
+from bstm_daemon.analysis.matching.structure import (
+    KEPT,
+    has_grown,
+    share_left,
+)
 from bstm_daemon.analysis.matching.tunables import DRAG, strength_key
 from bstm_daemon.analysis.matching.workflow import Matched, match_logs
 from bstm_daemon.model.effects.catalogue import effect_class
@@ -47,11 +51,6 @@ MOST_ROUNDS: Final = 3
 
 WORSE: Final = 1.05
 """Times the error on any one drive that was left out, at most."""
-
-PEAK: Final = 1.25
-PEAK_K: Final = 2.0
-"""Nor may the largest error of any node there grow by more than both: a mean
-over nodes hides one that pays for the others."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -302,7 +301,7 @@ def _against(before: Match, after: Match) -> str:
     ):
         for node, most_k in new_k.items():
             was_k = old_k[node]
-            if most_k > max(PEAK * was_k, was_k + PEAK_K):
+            if has_grown(was_k, most_k):
                 return (
                     f"{node} up to {most_k:.0f} K off on {drive.name}, "
                     f"{was_k:.0f} K before"

@@ -14,8 +14,10 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from bstm_daemon.analysis.gap.changes import name_of
 from bstm_daemon.analysis.gap.comparison import Comparison
 from bstm_daemon.analysis.gap.fitting import Fit, fit, scale_basis
+from bstm_daemon.analysis.matching.structure import has_grown
 from bstm_daemon.analysis.statistics.resampling import bootstrap
 from bstm_daemon.analysis.statistics.series import Column, rms, white_noise
 from bstm_daemon.units import KELVIN_OFFSET
@@ -23,7 +25,9 @@ from bstm_daemon.units import KELVIN_OFFSET
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from bstm_daemon.analysis.gap.naming import Naming
     from bstm_daemon.analysis.gap.recording import Recording
+    from bstm_daemon.analysis.statistics.whitening import SensorNoise
 
 CONFIGURED, SCALED, REFITTED, EXTENDED = (
     "as configured",
@@ -89,6 +93,28 @@ class Shown:
         """Whether what is written errs less than what is configured."""
         return self.shrinks[CONFIGURED].factor > 1.0
 
+    def against(self, noise: Mapping[str, SensorNoise]) -> NodeErrors | None:
+        """Return what contradicts what is written most, if anything does.
+
+        Where it is held out and errs clearly more than with heat and cooling
+        re-fitted: by more than the drift that *noise* has by node, too.
+        """
+        found = [
+            one
+            for one in self.errors
+            if self.held_out
+            and has_grown(
+                one.rms_k[SCALED],
+                one.rms_k[EXTENDED],
+                noise[one.node].drift_k,
+            )
+        ]
+        return max(
+            found,
+            key=lambda one: one.rms_k[EXTENDED] / one.rms_k[SCALED],
+            default=None,
+        )
+
 
 def baseline_fits(
     comparison: Comparison, known_k: Column | None = None
@@ -149,6 +175,18 @@ def show(
         {name: one.bend(comparison) for name, one in fits.items()},
         comparison.keys,
     )
+
+
+def contradicted(naming: Naming, by: NodeErrors) -> Naming:
+    """Return *naming* undecided: held-out errors, *by*, speak against it."""
+    names = ", ".join(map(name_of, naming.names))
+    reason = (
+        f"{by.drive}, held out: {by.node} is {by.rms_k[EXTENDED]:.1f} K off "
+        f"with {names}, {by.rms_k[SCALED]:.1f} K with {SCALED} instead"
+    )
+    missing = 1.0 - naming.odds[""]
+    answer = naming.answered("undecided", naming.names, missing, reason)
+    return replace(answer, against=f"{by.node} on {by.drive}")
 
 
 def _shrink(

@@ -94,7 +94,8 @@ class Naming:
     members of a class; ``strengths`` are theirs. ``probability`` is that of
     the answer, ``odds`` of every candidate and of ``""``, nothing. ``sizes``
     are those of composed terms at strength 1; ``equations`` those of all
-    candidates, without any None.
+    candidates, without any None. ``against`` is which node on which held-out
+    drive contradicts ``names``.
     """
 
     answer: Answer
@@ -111,6 +112,7 @@ class Naming:
     unknown_place: str = ""
     sizes: dict[str, float] = field(default_factory=dict)
     equations: NormalEquations | None = None
+    against: str = ""
 
     @property
     def found(self) -> bool:

@@ -23,7 +23,11 @@ from bstm_daemon.analysis.gap.fitting import (
     fit,
     prior_along,
 )
-from bstm_daemon.analysis.gap.holdout_comparison import Shown, show
+from bstm_daemon.analysis.gap.holdout_comparison import (
+    Shown,
+    contradicted,
+    show,
+)
 from bstm_daemon.analysis.gap.noise import noise_of
 from bstm_daemon.analysis.gap.residual_heat import Located, locate
 from bstm_daemon.analysis.gap.searching import search, starts
@@ -177,6 +181,7 @@ def _gap(
     report_share(0.1)
     names = tuple(one.name for one in recordings)
     comparison = compare(target, recordings)
+    handed_on = comparison.noise
     points = int(comparison.edges[-1])
     if until == "locate":
         return Gap(target.corners, names, points, located)
@@ -199,9 +204,12 @@ def _gap(
     start = starts(naming)
     extended = fit(comparison, start, basis, known_k=simulated.jacobian_k)
     report_share(0.85)
+    shown = show(comparison, extended, held_out, known_k=simulated.jacobian_k)
+    against = shown.against(handed_on)
+    if against is not None and naming.answer in {"name", "class"}:
+        return replace(plain, naming=contradicted(naming, against))
     values, entries = written(comparison, extended, naming)
     plain = replace(plain, fit=extended, values=tuple(values), entries=entries)
-    shown = show(comparison, extended, held_out, known_k=simulated.jacobian_k)
     plain = replace(plain, shown=shown)
     if until != "show":
         return plain

@@ -32,6 +32,11 @@ LINING: Final = ("pad.conductivity_w_mk", "pad.heat_capacity_j_kgk")
 KEPT: Final = 0.9
 """An addition stays where it leaves so much less of the error."""
 
+GROWN: Final = 1.25
+GROWN_K: Final = 2.0
+"""Nor may what a node is off by on a drive that was left out grow by more than
+both: a mean over nodes hides one that pays for the others."""
+
 
 def with_contact(target: Target, drives: Sequence[Drive]) -> Target | None:
     """Return *target* with heat between disc and pads through their contact.
@@ -54,6 +59,12 @@ def with_contact(target: Target, drives: Sequence[Drive]) -> Target | None:
         update={"effect": [*target.config.effect, effect]}
     )
     return replace(target, config=config, free=LINING)
+
+
+def has_grown(before_k: float, after_k: float, noise_k: float = 0.0) -> bool:
+    """Whether an error has grown, by more than *noise_k* too."""
+    least_k = before_k + max(GROWN_K, noise_k)
+    return after_k > max(GROWN * before_k, least_k)
 
 
 def share_left(

@@ -3,16 +3,91 @@
 from __future__ import annotations
 
 from types import SimpleNamespace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 
+from bstm_daemon.analysis.gap import workflow
 from bstm_daemon.analysis.gap.holdout_comparison import (
     CONFIGURED,
     EXTENDED,
+    SCALED,
+    Shown,
     _errors,
 )
+from bstm_daemon.analysis.gap.workflow import find_gap
+from bstm_daemon.report.gap import gap_text
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from bstm_daemon.analysis.gap.recording import Recording
+    from bstm_daemon.config.sections import Config
+
+
+@pytest.mark.parametrize(
+    ("before_k", "after_k", "drift_k", "against"),
+    [
+        (3.0, 5.1, 1.0, True),
+        # by less than 2 K, than a quarter, than what the match left there
+        (3.0, 4.9, 1.0, False),
+        (10.0, 12.4, 1.0, False),
+        (3.0, 5.1, 2.2, False),
+    ],
+)
+def test_what_contradicts_is_beyond_all_three(
+    before_k: float, after_k: float, drift_k: float, *, against: bool
+) -> None:
+    errors: Any = tuple(
+        SimpleNamespace(node=node, rms_k={SCALED: 3.0, EXTENDED: rms_k})
+        for node, rms_k in (("disc", 1.0), ("fluid", after_k))
+    )
+    errors[1].rms_k[SCALED] = before_k
+    noise: Any = dict.fromkeys(
+        ("disc", "fluid"), SimpleNamespace(drift_k=drift_k)
+    )
+
+    for held_out in (True, False):
+        shown = Shown(held_out, {}, {}, errors, {}, {}, ())
+
+        found = shown.against(noise)
+
+        assert found is (errors[1] if against and held_out else None)
+
+
+@pytest.mark.parametrize("held_out_has_it", [True, False])
+def test_a_name_that_a_held_out_drive_contradicts_is_not_given(
+    config: Config,
+    made: Callable[..., Recording],
+    monkeypatch: pytest.MonkeyPatch,
+    *,
+    held_out_has_it: bool,
+) -> None:
+    """What is hidden in the searched drive is in the other one, or is not."""
+    monkeypatch.setattr(
+        workflow, "candidates", lambda _: ["gap_conduction", "hub_conduction"]
+    )
+    hidden = {"gap_conduction": 1.3}
+    drive = made(hidden)
+    other = made(hidden if held_out_has_it else {}, "other", seed=3)
+
+    (found,) = find_gap(config, [drive], [other], until="adopt")
+
+    assert found.naming is not None
+    assert found.naming.names == ("gap_conduction",)
+    if held_out_has_it:
+        assert found.naming.answer == "name"
+        assert found.adopted == ("gap_conduction",)
+        return
+    assert found.naming.answer == "undecided"
+    assert (found.adopted, found.values, found.worse) == ((), (), False)
+    head, *lines = gap_text(found).splitlines()
+    assert head.endswith(
+        ": something is missing, but not named; possible: gap_conduction, "
+        "but pad_front on other contradicts that"
+    )
+    assert any("other, held out: pad_front is" in line for line in lines)
 
 
 def test_errors_of_a_node_are_those_of_its_own_part() -> None:
