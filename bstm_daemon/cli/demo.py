@@ -208,7 +208,7 @@ GROUP: Final = "239.74.163.2"
 CYCLE_S: Final = 0.005
 _PAGE: Final = ("view", "--open", "--listen", "127.0.0.1:0")
 
-PATIENCE_S: Final = 3.0
+PATIENCE_S: Final = 10.0
 """A process that was asked to end by the terminal itself needs less."""
 
 
@@ -251,18 +251,19 @@ def run_live(folder: Path, drive: str, *, page: bool = False) -> int:
         display = subprocess.Popen(  # noqa: S603
             [*command, *(_PAGE if page else ["watch"]), "-c", car], env=env
         )
+        ended = None
         try:
-            with suppress(KeyboardInterrupt):
-                _send(driven, bus, (service, display))
+            _send(driven, bus, (service, display))
             ended = service.poll()
+        except KeyboardInterrupt:
+            pass  # the terminal's: service and display had it too
         finally:
             signal.signal(signal.SIGINT, signal.SIG_IGN)
-            is_alive = service.poll() is None
             # first: who ends this does not always wait
             service.terminate()
             # the display gives the terminal back before it ends
             with suppress(subprocess.TimeoutExpired):
-                display.wait(PATIENCE_S if is_alive else 0.0)
+                display.wait(PATIENCE_S if ended is None else 0.0)
             display.terminate()
             for process in (display, service):
                 process.wait()
