@@ -76,13 +76,17 @@ NO_REASON: Final = Reason(0)
 
 
 class Input(IntFlag):
-    """Kinds of inputs that a heat mode goes by; the bits are the frames'."""
+    """What an estimate goes by; the bits are the frames'.
+
+    Inputs of a heat mode, and the fluid's part of a model that was matched.
+    """
 
     SPEED = 1
     PRESSURE = 2
     ACCELERATION = 4
     TORQUE = 8
     TEMPERATURE = 16
+    FLUID = 32
 
     @property
     def words(self) -> tuple[str, ...]:

@@ -483,6 +483,12 @@ class Config(Section):
         """Merge ``[cooling]`` with the overrides of *corner*."""
         return CoolingConfig(**{**self.cooling.model_dump(), **corner.cooling})
 
+    def matched_of(self, corner: str) -> MatchedConfig | None:
+        """Return what the match of *corner* learned, None without one."""
+        return next(
+            (one for one in self.matched if corner in one.corners), None
+        )
+
     def disc_corners(self) -> list[CornerConfig]:
         """List the corners that have a thermal model."""
         return [corner for corner in self.corner if corner.type == "disc"]

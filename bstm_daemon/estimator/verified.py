@@ -5,7 +5,8 @@ frozen: :mod:`bstm_daemon.model.heat.checks` and the observer compare it with
 other inputs, :class:`~bstm_daemon.estimator.trust.Trust` and
 :class:`~bstm_daemon.estimator.model_check.ModelCheck` the heat and the
 temperatures that follow. What no mapped role can contradict is *unverified*,
-and with it every corner that goes by it.
+and with it every corner that goes by it. So is the fluid of a corner that was
+matched without its temperature: what leads to it has typical values still.
 """
 
 from __future__ import annotations
@@ -103,6 +104,10 @@ NOTHING: Final = "nothing: unverified, its corners are degraded"
 THERMOCOUPLES: Final = "measured temperatures"
 """A thermocouple of a corner contradicts whatever heats it wrongly."""
 
+MATCH: Final = "its match"
+_AT_FLUID: Final = frozenset({"fluid", "caliper"})
+"""A match that compared one of these nodes knows the way of the heat there."""
+
 
 def inputs_of(config: Config, roles: Collection[str]) -> tuple[Input, ...]:
     """Return the inputs that the heat mode of *config* goes by.
@@ -130,6 +135,8 @@ def verified_by(
 ) -> dict[Input, tuple[str, ...]]:
     """Return what verifies each input of the heat mode at *corner*, in words.
 
+    And what verifies its fluid, if it was matched.
+
     Args:
         config: the vehicle.
         roles: names of the mapped roles.
@@ -139,7 +146,7 @@ def verified_by(
     # without the slope, fusion forms nothing from the motion
     blind = mode == "fused" and config.heat.slope != "accelerometer"
     measured = is_compared(mode, roles, corner)
-    return {
+    found = {
         one: tuple(
             check.words
             for check in CHECKS
@@ -154,6 +161,12 @@ def verified_by(
         + ((THERMOCOUPLES,) if measured else ())
         for one in inputs_of(config, roles)
     }
+    matched = config.matched_of(corner)
+    if matched is not None:
+        seen = f"temp_{corner.lower()}_fluid" in roles
+        known = not _AT_FLUID.isdisjoint(matched.form_k)
+        found[Input.FLUID] = (MATCH,) * known + (THERMOCOUPLES,) * seen
+    return found
 
 
 def is_compared(mode: str, roles: Collection[str], corner: str) -> bool:

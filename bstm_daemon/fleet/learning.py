@@ -32,7 +32,6 @@ from bstm_daemon.analysis.identify.writing import (
 )
 from bstm_daemon.analysis.matching.changes import value_changes
 from bstm_daemon.analysis.matching.learned import (
-    entry_of,
     settings_of,
     short,
 )
@@ -353,7 +352,7 @@ def write_prior(kind: str, configs: Sequence[Path], out: Path) -> int:
     priors = []
     corners = [name for one in first.matched for name in one.corners]
     for target in targets_of(first, corners):
-        entries = [entry_of(each, target.corners[0]) for _, each in cars]
+        entries = [each.matched_of(target.corners[0]) for _, each in cars]
         found = _values(target, [one for one in entries if one is not None])
         if not found:
             continue

@@ -12,8 +12,10 @@ from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.estimate import NO_INPUT, Input, Reason, Validity
 from bstm_daemon.estimator.estimator import Estimator
 from bstm_daemon.estimator.verified import (
+    MATCH,
     THERMOCOUPLES,
     unverified_inputs,
+    unverified_of_car,
     verified_by,
 )
 from bstm_daemon.roles import ROLE_INDEX
@@ -36,9 +38,11 @@ def car(
 ) -> Callable[..., Config]:
     """Return the maker of a car with front corners and a heat mode."""
 
-    def make(mode: str, **heat: object) -> Config:
+    def make(mode: str, *matched: object, **heat: object) -> Config:
         corners = [make_corner(name) for name in ("FL", "FR")]
-        return make_car(*corners, heat={"mode": mode, **heat})
+        return make_car(
+            *corners, heat={"mode": mode, **heat}, matched=[*matched]
+        )
 
     return make
 
@@ -161,14 +165,67 @@ def test_a_thermocouple_verifies_its_own_corner(
     }
 
 
-@pytest.mark.parametrize("mode", ["ff", "fused"])
-def test_an_unverified_input_degrades_from_the_start(
-    car: Callable[..., Config], mode: str
+def matched(*nodes: str, corner: str = "FL") -> dict[str, object]:
+    """Return ``[[matched]]`` of *corner*, its *nodes* compared."""
+    return {
+        "corners": [corner],
+        "names": ["thermal.disc_mass_correction_factor"],
+        "values": [1.0],
+        "factor": [[0.1]],
+        "form_k": dict.fromkeys(nodes, 1.0),
+    }
+
+
+@pytest.mark.parametrize(
+    ("nodes", "more", "expected"),
+    [
+        (("disc",), (), ()),
+        (("disc", "pad_back"), (), ()),
+        ((), (), ()),
+        (("disc", "fluid"), (), (MATCH,)),
+        (("disc", "caliper"), (), (MATCH,)),
+        (("disc",), ("temp_fl_fluid",), (THERMOCOUPLES,)),
+        # of the other side
+        (("disc",), ("temp_fr_fluid",), ()),
+    ],
+)
+def test_a_match_without_the_fluid_leaves_it_unverified(
+    car: Callable[..., Config],
+    nodes: tuple[str, ...],
+    more: tuple[str, ...],
+    expected: tuple[str, ...],
+) -> None:
+    """What leads from the disc to the fluid is as typical as before."""
+    config, roles = car("fused", matched(*nodes)), (*THESIS, *more)
+
+    assert verified_by(config, roles, "FL")[Input.FLUID] == expected
+    # nobody has matched this one, and nobody says so
+    assert Input.FLUID not in verified_by(config, roles, "FR")
+    found = unverified_of_car(config, [ROLE_INDEX[role] for role in roles])
+    assert found == (NO_INPUT if expected else Input.FLUID)
+
+
+@pytest.mark.parametrize(
+    ("mode", "nodes", "sound"),
+    [
+        ("ff", ("disc", "fluid"), False),
+        ("fused", ("disc", "fluid"), True),
+        ("fused", ("disc",), False),
+    ],
+)
+def test_what_is_unverified_degrades_from_the_start(
+    car: Callable[..., Config],
+    mode: str,
+    nodes: tuple[str, ...],
+    *,
+    sound: bool,
 ) -> None:
     """Nothing else is wrong: it is the only reason, and it stays."""
     roles = [ROLE_INDEX[role] for role in THESIS]
     estimator = Estimator(
-        car(mode), dict.fromkeys(roles, 500_000), history_known=True
+        car(mode, matched(*nodes)),
+        dict.fromkeys(roles, 500_000),
+        history_known=True,
     )
     times = array("q")
     for at_us in range(0, 3_000_000, 20_000):
@@ -179,7 +236,6 @@ def test_an_unverified_input_degrades_from_the_start(
         times, columns, array("d", [0.0] * len(times))
     )
 
-    sound = mode == "fused"
     expected = Validity.VALID if sound else Validity.DEGRADED
     assert set(block.validity["FL"][1:]) == {expected}
     why = {Reason(code) for code in block.reasons["FL"][1:]}

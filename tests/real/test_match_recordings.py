@@ -88,6 +88,11 @@ def test_no_worse_than_a_disc_of_one_node(
         assert main(["gap", "run", f"{log}", "-c", f"{matched}"]) == 0
         assert "no missing effect visible" in capsys.readouterr().out
 
+    assert main(["replay", f"{unseen}", "-c", f"{matched}"]) == 0
+    told = capsys.readouterr().out
+    assert "unverified: nothing checks the fluid" in told
+    assert "valid 0 %" in told
+
     config, signal_map = load_vehicle(matched)
     drives = [read_drive(log, config, signal_map) for log in (seen, unseen)]
     simple, both = baselines(drives[:1]), []

@@ -22,7 +22,6 @@ from bstm_daemon.analysis.identify.writing import Change, Entries
 from bstm_daemon.analysis.matching.changes import value_changes
 from bstm_daemon.analysis.matching.learned import (
     entry,
-    entry_of,
     settings_of,
 )
 from bstm_daemon.config.estimates import ChangeConfig
@@ -97,7 +96,7 @@ def written(
             )
             for corner in (("all",) if set(corners) == every else corners)
         ]
-    known = entry_of(target.config, target.corners[0])
+    known = target.config.matched_of(target.corners[0])
     matched = []
     if known is not None:
         covariance = fit.covariance[:-1, :-1]

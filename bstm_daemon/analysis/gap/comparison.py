@@ -22,7 +22,6 @@ from bstm_daemon.analysis.gap.changes import (
 from bstm_daemon.analysis.gap.noise import Layout
 from bstm_daemon.analysis.matching.drives import GRID_S
 from bstm_daemon.analysis.matching.learned import (
-    entry_of,
     known_covariance,
 )
 from bstm_daemon.analysis.matching.march import march, model_of
@@ -91,7 +90,7 @@ class Comparison(Layout):
         self.covariance[:-1, :-1] = known_covariance(target, keys)
         self.covariance[-1, -1] = HEAT_SCALE_PRIOR**2
         self.precision = np.linalg.inv(self.covariance)
-        self.matched = entry_of(target.config, target.corners[0]) is not None
+        self.matched = target.config.matched_of(target.corners[0]) is not None
         self.form_k: Column | float = 0.0
         self.forms: dict[str, Mapping[str, float]] = {}
         self.trials = trials(target.config, self.keys) if self.matched else {}

@@ -16,7 +16,7 @@ import numpy as np
 from bstm_daemon.analysis.gap.changes import is_change
 from bstm_daemon.analysis.gap.comparison import HEAT_SCALE_PRIOR
 from bstm_daemon.analysis.gap.noise import FREEDOM, Layout, calibrated
-from bstm_daemon.analysis.matching.learned import entry_of, short
+from bstm_daemon.analysis.matching.learned import short
 
 if TYPE_CHECKING:
     from bstm_daemon.analysis.gap.comparison import Comparison
@@ -85,7 +85,7 @@ def form_k(comparison: Comparison, simulated: Sensed) -> Column:
     (n,), to be added to residuals; 0 where the match does not know.
     """
     target = comparison.target
-    known = entry_of(target.config, target.corners[0])
+    known = target.config.matched_of(target.corners[0])
     form = {} if known is None else known.form
     parts = dict(zip(comparison.keys, simulated.jacobian_k.T, strict=True))
     parts |= _terms_k(simulated)

@@ -37,7 +37,7 @@ from bstm_daemon.analysis.gap.signatures import (
     sensed,
 )
 from bstm_daemon.analysis.identify.writing import NO_ENTRIES
-from bstm_daemon.analysis.matching.learned import entry_of, known_keys
+from bstm_daemon.analysis.matching.learned import known_keys
 from bstm_daemon.analysis.matching.tunables import (
     measured_targets,
     over_targets,
@@ -154,7 +154,7 @@ def is_unmatched(config: Config, recordings: Sequence[Recording]) -> bool:
     """Whether any corner with a thermocouple was not matched."""
     measured = {one for each in recordings for one in each.drive.measured}
     return any(
-        entry_of(config, corner.name) is None
+        config.matched_of(corner.name) is None
         for corner in config.disc_corners()
         if corner.name in measured
     )
@@ -162,7 +162,7 @@ def is_unmatched(config: Config, recordings: Sequence[Recording]) -> bool:
 
 def compare(target: Target, recordings: Sequence[Recording]) -> Comparison:
     """Return *target* against *recordings* with the noise of its nodes."""
-    form = entry_of(target.config, target.corners[0])
+    form = target.config.matched_of(target.corners[0])
     noise = {
         node: noise_of(target.config, node, form) for node in MEASURED_NODES
     }

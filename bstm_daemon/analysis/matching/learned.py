@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from bstm_daemon.analysis.matching.tunables import Target
     from bstm_daemon.analysis.statistics.series import Column
     from bstm_daemon.config.estimates import MatchedConfig
-    from bstm_daemon.config.sections import Config
 
 DAY_TO_DAY: Final = 0.03
 """Standard deviation of a value's logarithm from drive to drive, at least:
@@ -76,17 +75,12 @@ def short(value: float) -> float:
     return float(f"{value:.5g}")
 
 
-def entry_of(config: Config, corner: str) -> MatchedConfig | None:
-    """Return what the match of *corner* learned, None without one."""
-    return next((one for one in config.matched if corner in one.corners), None)
-
-
 def known_keys(target: Target) -> list[str]:
     """Return what is free in *target*: what its match fitted, if it has one.
 
     A key that this version does not know is left out.
     """
-    one = entry_of(target.config, target.corners[0])
+    one = target.config.matched_of(target.corners[0])
     wanted = refined_keys(target)
     if one is not None:
         wanted = tuple(key for key in one.names if key in TUNABLES)
@@ -101,7 +95,7 @@ def known_covariance(target: Target, keys: Sequence[str]) -> Column:
     """
     prior = np.array([target.tunable(key).prior for key in keys])
     found = np.diag(prior**2)
-    one = entry_of(target.config, target.corners[0])
+    one = target.config.matched_of(target.corners[0])
     if one is None:
         return found
     lower = np.zeros((len(one.names), len(one.names)))

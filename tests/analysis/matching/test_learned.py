@@ -14,7 +14,6 @@ from bstm_daemon.analysis.identify.writing import Entries, write_changed
 from bstm_daemon.analysis.matching.changes import learned
 from bstm_daemon.analysis.matching.learned import (
     DAY_TO_DAY,
-    entry_of,
     known_covariance,
     known_keys,
 )
@@ -67,7 +66,7 @@ def test_values_and_covariance_go_through_the_file(
     assert known_keys(there)[:3] == list(KEYS)
     found = known_covariance(there, KEYS) - DAY_TO_DAY**2 * np.eye(3)
     assert found == pytest.approx(COVARIANCE, rel=1e-3, abs=1e-7)
-    one = entry_of(read, "FL")
+    one = read.matched_of("FL")
     assert one is not None
     assert one.form_k == {"disc": 3.0}
     assert one.drives == 2
