@@ -18,11 +18,9 @@ in the package turns an exception into an exit code.
 from __future__ import annotations
 
 import difflib
+from collections.abc import Iterable
 from importlib.util import find_spec
-from typing import TYPE_CHECKING, Final
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
+from typing import Final
 
 LISTED_NAMES: Final = 12
 """Longer lists of names are left to the documentation."""

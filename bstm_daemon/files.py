@@ -7,14 +7,11 @@ import os
 import stat
 import sys
 import tempfile
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from bstm_daemon.errors import FileAccessError, UsageError
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
 
 
 def shipped_file(name: str) -> Path:

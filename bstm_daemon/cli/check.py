@@ -7,9 +7,10 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from bstm_daemon.analysis.quality.collisions import count_own_frames
+from bstm_daemon.analysis.quality.finding import Quality
 from bstm_daemon.analysis.quality.judge import judge
 from bstm_daemon.analysis.quality.recording import read_recording
 from bstm_daemon.bus.signals.dbc import read_dbc
@@ -20,6 +21,7 @@ from bstm_daemon.cli.progress import Progress
 from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.config.reading import load_config, naming_file, read_draft
 from bstm_daemon.config.rules import Draft, usable_e2e, usable_signals
+from bstm_daemon.config.sections import Config, CornerConfig, SignalConfig
 from bstm_daemon.config.wording import toml_text
 from bstm_daemon.errors import ConfigError, UsageError, hint
 from bstm_daemon.estimator.corner_model import compile_corner
@@ -32,10 +34,6 @@ from bstm_daemon.report.check import quality_json, quality_page, quality_text
 from bstm_daemon.report.json_file import write_json
 from bstm_daemon.report.text import table
 from bstm_daemon.roles import ROLE_INDEX, ROLES
-
-if TYPE_CHECKING:
-    from bstm_daemon.analysis.quality.finding import Quality
-    from bstm_daemon.config.sections import Config, CornerConfig, SignalConfig
 
 VERIFIED_HEAD: Final = ("input", "corners", "verified by")
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from bstm_daemon.analysis.gap.advising import MENU
 from bstm_daemon.analysis.gap.heat_only import ForceGap, find_force_gap
@@ -34,10 +34,8 @@ from bstm_daemon.replay.columns import present_roles
 from bstm_daemon.report import gap as words
 from bstm_daemon.report.gap_forces import force_json, force_page, force_text
 from bstm_daemon.report.gap_page import advice_json, gap_json, gap_page
+from bstm_daemon.report.shell import Page
 from bstm_daemon.simulation import drive_names
-
-if TYPE_CHECKING:
-    from bstm_daemon.report.shell import Page
 
 WRITERS = ("adopt", "show", "run")
 """Steps that fit what they name, so that it can be written."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from bstm_daemon.analysis.identify.driving import driving_of
 from bstm_daemon.analysis.identify.heat_comparison import (
@@ -17,13 +17,11 @@ from bstm_daemon.analysis.quality.recording import read_recording
 from bstm_daemon.cli.log_command import LogCommand, add_log_arguments
 from bstm_daemon.cli.progress import Progress
 from bstm_daemon.config.heat import heat_mode_problems
+from bstm_daemon.config.sections import Config
 from bstm_daemon.errors import LogError
 from bstm_daemon.replay.columns import stream_log
 from bstm_daemon.replay.results import Collector, Part, Results
 from bstm_daemon.report.heat import heat_json, heat_page, heat_text
-
-if TYPE_CHECKING:
-    from bstm_daemon.config.sections import Config
 
 FUSED: Final = "fused"
 

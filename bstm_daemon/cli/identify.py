@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from bstm_daemon.analysis.identify.brakes import identify_brakes
 from bstm_daemon.analysis.identify.coastdown import NAMES, identify_coast_down
@@ -24,12 +24,10 @@ from bstm_daemon.analysis.identify.writing import (
 from bstm_daemon.cli.arguments import option
 from bstm_daemon.cli.log_command import LogCommand, add_log_arguments
 from bstm_daemon.cli.progress import Progress
+from bstm_daemon.config.sections import Config
 from bstm_daemon.errors import UsageError
 from bstm_daemon.report import brakes, coastdown, cooling
-
-if TYPE_CHECKING:
-    from bstm_daemon.config.sections import Config
-    from bstm_daemon.report.shell import Page
+from bstm_daemon.report.shell import Page
 
 HOLDABLE: Final = dict(
     zip(("drag", "friction", "rolling"), NAMES, strict=True)

@@ -6,8 +6,9 @@ import argparse
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
+from bstm_daemon.bus.signals.signal_map import SignalMap
 from bstm_daemon.cli.arguments import (
     add_new_config,
     check_new,
@@ -16,13 +17,9 @@ from bstm_daemon.cli.arguments import (
     shared,
 )
 from bstm_daemon.cli.vehicle import load_vehicle
+from bstm_daemon.config.sections import Config
 from bstm_daemon.report.json_file import write_json
 from bstm_daemon.report.shell import Page, write_figures, write_page
-
-if TYPE_CHECKING:
-    from bstm_daemon.bus.signals.signal_map import SignalMap
-    from bstm_daemon.config.sections import Config
-
 
 T = TypeVar("T")
 

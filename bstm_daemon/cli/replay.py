@@ -9,11 +9,11 @@ from contextlib import ExitStack
 from functools import partial
 from math import isinf
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from bstm_daemon.bus.logs.reader import UNWANTED
+from bstm_daemon.bus.signals.signal_map import SignalMap
 from bstm_daemon.bus.tables.table_plan import TableMap
 from bstm_daemon.cli.arguments import (
     add_out,
@@ -26,11 +26,12 @@ from bstm_daemon.cli.arguments import (
 from bstm_daemon.cli.log_command import write_pages
 from bstm_daemon.cli.progress import Progress
 from bstm_daemon.cli.vehicle import load_vehicle, read_state
+from bstm_daemon.config.sections import Config
 from bstm_daemon.errors import MissingExtraError, UsageError
 from bstm_daemon.estimator.start import PUBLISHED_NODES
 from bstm_daemon.estimator.verified import unverified_of_car
 from bstm_daemon.files import make_folder
-from bstm_daemon.replay.columns import Run, stream_log
+from bstm_daemon.replay.columns import Run, StartState, stream_log
 from bstm_daemon.replay.frames import (
     publications,
     publish_channel,
@@ -54,12 +55,6 @@ from bstm_daemon.watch.board import Board
 from bstm_daemon.watch.replay_view import DEFAULT_SPEED, watch_log
 from bstm_daemon.watch.terminal_text import raw_stream
 from bstm_daemon.watch.view import open_view
-
-if TYPE_CHECKING:
-    from bstm_daemon.bus.signals.signal_map import SignalMap
-    from bstm_daemon.config.sections import Config
-    from bstm_daemon.replay.columns import StartState
-
 
 WEAR_MOVED_K = 5.0
 """Wear that moves the estimate by more is worth a line."""

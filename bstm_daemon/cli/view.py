@@ -10,11 +10,13 @@ import threading
 import webbrowser
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+from bstm_daemon.bus.signals.signal_map import SignalMap
 from bstm_daemon.cli.arguments import add_config, number, option, shared
 from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.config.reading import load_config
+from bstm_daemon.config.sections import Config
+from bstm_daemon.engine import Engine
 from bstm_daemon.errors import BstmError, UsageError, require_packages
 from bstm_daemon.feed.live import Live
 from bstm_daemon.feed.reader import DEFAULT_SOCKET, Record, records
@@ -22,11 +24,6 @@ from bstm_daemon.feed.record import RecordWriter
 from bstm_daemon.files import read_secret
 from bstm_daemon.replay.frames import publications
 from bstm_daemon.watch.replay_view import Pace
-
-if TYPE_CHECKING:
-    from bstm_daemon.bus.signals.signal_map import SignalMap
-    from bstm_daemon.config.sections import Config
-    from bstm_daemon.engine import Engine
 
 ADDRESS = "127.0.0.1:8080"
 SHORTEST_TOKEN = 16

@@ -15,17 +15,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from platform import machine
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Final
+from typing import Final
 from zipfile import ZIP_DEFLATED, ZipFile, ZipInfo
 
 from bstm_daemon.errors import UsageError
 from bstm_daemon.exchange.fmu_description import build_description, description
+from bstm_daemon.exchange.fmu_model import FmuModel
 from bstm_daemon.exchange.fmu_network import network_header
 from bstm_daemon.files import replacing
 from bstm_daemon.model.compiled import c_sources
-
-if TYPE_CHECKING:
-    from bstm_daemon.exchange.fmu_model import FmuModel
 
 FLAGS: Final = ("-std=gnu99", "-O3", "-ffp-contract=off", "-shared")
 """``-ffp-contract=off``: every platform rounds like the Python form."""

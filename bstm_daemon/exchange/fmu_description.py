@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from math import isnan
-from typing import TYPE_CHECKING, Final
+from typing import Final
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 from bstm_daemon import __version__
 from bstm_daemon.estimator.estimator import STEP_US
-
-if TYPE_CHECKING:
-    from bstm_daemon.exchange.fmu_model import FmuModel, Variable
+from bstm_daemon.exchange.fmu_model import FmuModel, Variable
 
 BASE_UNITS: Final = {
     "K": {"K": 1},

@@ -6,9 +6,10 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import chain
 from math import isnan
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from bstm_daemon.channels import CHANNELS, VEHICLE_CHANNELS
+from bstm_daemon.config.sections import Config
 from bstm_daemon.errors import UsageError
 from bstm_daemon.estimator.blocks import channels_at_rest
 from bstm_daemon.estimator.corner_model import compile_corner
@@ -16,12 +17,9 @@ from bstm_daemon.estimator.estimator import STEP_US, Estimator
 from bstm_daemon.exchange.responses import Response, responses
 from bstm_daemon.model.effects.catalogue import edited_inputs
 from bstm_daemon.model.effects.model import corrections_by_role
+from bstm_daemon.model.heat.sample_plan import SamplePlan
+from bstm_daemon.model.thermal.program import Program
 from bstm_daemon.roles import ROLES
-
-if TYPE_CHECKING:
-    from bstm_daemon.config.sections import Config
-    from bstm_daemon.model.heat.sample_plan import SamplePlan
-    from bstm_daemon.model.thermal.program import Program
 
 KINDS: Final = (
     *("input", "tunable", "state", "row", "vehicle", "grid", "time"),

@@ -12,9 +12,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
+import numpy.typing as npt
 
 from bstm_daemon.analysis.matching.effect_values import split_key
 from bstm_daemon.analysis.matching.tunables import (
@@ -27,16 +28,12 @@ from bstm_daemon.analysis.matching.tunables import (
     usable,
 )
 from bstm_daemon.config.schema import meanings
+from bstm_daemon.config.section import Section
+from bstm_daemon.config.sections import Config
 from bstm_daemon.config.thermal import CoolingConfig, ThermalConfig
 from bstm_daemon.errors import BstmError
 from bstm_daemon.estimator.corner_model import compile_corner
 from bstm_daemon.model.effects.catalogue import effect_class
-
-if TYPE_CHECKING:
-    import numpy.typing as npt
-
-    from bstm_daemon.config.section import Section
-    from bstm_daemon.config.sections import Config
 
 TOLERANCE: Final = 1e-9
 """Largest error of a response, relative, alone and with others."""

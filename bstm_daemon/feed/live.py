@@ -7,13 +7,11 @@ import threading
 import time
 from collections import deque
 from math import inf
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
+from bstm_daemon.feed.reader import Record
 from bstm_daemon.feed.vss import USABLE
 from bstm_daemon.roles import CORNERS
-
-if TYPE_CHECKING:
-    from bstm_daemon.feed.reader import Record
 
 BIN_S: Final = 2
 """Width of a point of the curves; an hour of them is a screen's width."""

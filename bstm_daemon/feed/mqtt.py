@@ -11,7 +11,7 @@ import socket
 import ssl
 import time
 from collections.abc import Iterable
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 from urllib.parse import urlsplit
 
 import structlog
@@ -20,10 +20,8 @@ from paho.mqtt.enums import CallbackAPIVersion, MQTTErrorCode
 
 from bstm_daemon.config.section import Section, Text
 from bstm_daemon.errors import FileAccessError, UsageError
+from bstm_daemon.feed.reader import Record
 from bstm_daemon.feed.vss import UNITS, WHEELS, branches
-
-if TYPE_CHECKING:
-    from bstm_daemon.feed.reader import Record
 
 PORTS: Final = {"mqtt": 1883, "mqtts": 8883}
 BACK_OFF_S: Final = (0.25, 60.0)

@@ -6,13 +6,11 @@ import json
 import socket
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from threading import Event
+from typing import Any, Final
 
 from bstm_daemon.errors import UsageError
 from bstm_daemon.feed.record import SCHEMA, VERSION
-
-if TYPE_CHECKING:
-    from threading import Event
 
 DEFAULT_SOCKET: Final = "/run/bstm/feed.sock"
 SILENT_S: Final = 1.5

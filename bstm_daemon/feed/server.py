@@ -11,13 +11,11 @@ import socket
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
+from bstm_daemon.config.sections import Config
+from bstm_daemon.estimate import Estimate
 from bstm_daemon.feed.record import RecordWriter
-
-if TYPE_CHECKING:
-    from bstm_daemon.config.sections import Config
-    from bstm_daemon.estimate import Estimate
 
 SOCKET_MODE: Final = 0o660
 """Owner and group connect; nobody else learns how the car is driven."""

@@ -12,7 +12,7 @@ import socket
 from collections.abc import Callable
 from ipaddress import ip_address
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple
 from urllib.parse import urlsplit
 
 from tornado.httpserver import HTTPServer
@@ -20,9 +20,7 @@ from tornado.iostream import StreamClosedError
 from tornado.web import Application, HTTPError, RequestHandler
 
 from bstm_daemon.errors import UsageError
-
-if TYPE_CHECKING:
-    from bstm_daemon.feed.live import Live
+from bstm_daemon.feed.live import Live
 
 FOLDER: Final = Path(__file__).parent / "page"
 FILES: Final = {

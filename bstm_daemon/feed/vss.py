@@ -7,10 +7,9 @@ validity forbids to use it.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
-if TYPE_CHECKING:
-    from bstm_daemon.feed.reader import Record
+from bstm_daemon.feed.reader import Record
 
 WHEELS: Final = {
     f"{row}{side[0]}": f"Vehicle.Chassis.Axle.{axle}.Wheel.{side}.Brake"

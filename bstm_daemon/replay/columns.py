@@ -20,8 +20,11 @@ from typing import TYPE_CHECKING, Any, Final, Literal, TypeAlias
 import numpy as np
 
 from bstm_daemon.bus.opening import EventLog
+from bstm_daemon.bus.signals.signal_map import SignalMap
+from bstm_daemon.config.sections import Config
 from bstm_daemon.engine import Following
 from bstm_daemon.errors import LogError, UsageError
+from bstm_daemon.estimator.blocks import Block
 from bstm_daemon.estimator.estimator import PUBLISH_US, Estimator
 from bstm_daemon.estimator.memory import StateError
 from bstm_daemon.estimator.state import (
@@ -38,12 +41,9 @@ from bstm_daemon.replay.results import (
 from bstm_daemon.roles import ROLE_INDEX
 
 if TYPE_CHECKING:
-    from bstm_daemon.bus.signals.signal_map import SignalMap
-    from bstm_daemon.config.sections import Config
     from bstm_daemon.estimate import Advice, CarRisk
-    from bstm_daemon.estimator.blocks import Block
 
-    StartState: TypeAlias = Mapping[str, Any] | Literal["cold"] | None
+StartState: TypeAlias = Mapping[str, Any] | Literal["cold"] | None
 
 
 AIR_SAMPLES: Final = 10

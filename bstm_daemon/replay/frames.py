@@ -9,20 +9,16 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from bstm_daemon.bus.opening import NOT_READ, open_log, resolve_interfaces
-from bstm_daemon.engine import Engine
+from bstm_daemon.bus.signals.signal_map import SignalMap
+from bstm_daemon.config.sections import Config
+from bstm_daemon.engine import Engine, Published
 from bstm_daemon.errors import ConfigError, LogError
 from bstm_daemon.estimator.state import parked_before_us
 from bstm_daemon.files import replacing
-from bstm_daemon.replay.columns import first_air_k, naming_state
-
-if TYPE_CHECKING:
-    from bstm_daemon.bus.signals.signal_map import SignalMap
-    from bstm_daemon.config.sections import Config
-    from bstm_daemon.engine import Published
-    from bstm_daemon.replay.columns import StartState
+from bstm_daemon.replay.columns import StartState, first_air_k, naming_state
 
 TICK_US: Final = 50_000
 """Tick of the live service by default; it does not change results."""

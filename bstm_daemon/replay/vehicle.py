@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from bstm_daemon.bus.output.layout import BLOCK_IDS
 from bstm_daemon.bus.signals.signal_map import SignalMap, log_defects
 from bstm_daemon.bus.tables.table_plan import compile_sources
 from bstm_daemon.config.reading import load_config, naming_file
+from bstm_daemon.config.sections import Config
 from bstm_daemon.errors import ConfigError
 from bstm_daemon.model.effects.catalogue import problems_of
-
-if TYPE_CHECKING:
-    from bstm_daemon.config.sections import Config
 
 
 def load_vehicle(

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from math import isfinite
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 
+from bstm_daemon.analysis.identify.brakes import Brakes
 from bstm_daemon.report.json_file import picked
 from bstm_daemon.report.plots import (
     BLUE,
@@ -22,9 +23,6 @@ from bstm_daemon.report.plots import (
 from bstm_daemon.report.shell import Page, Section, Table
 from bstm_daemon.report.text import columns, number, wrapped
 from bstm_daemon.report.timescale import clock
-
-if TYPE_CHECKING:
-    from bstm_daemon.analysis.identify.brakes import Brakes
 
 STOP_HEAD: Final = (
     *("stop", "from", "km/h", "bar", "samples", "friction ratio"),

@@ -3,12 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 
 from bstm_daemon.analysis.quality.channels import shifted
+from bstm_daemon.analysis.quality.finding import (
+    Comparison,
+    ModeVerdict,
+    Quality,
+    RoleQuality,
+)
 from bstm_daemon.analysis.quality.limits import GRID_S
+from bstm_daemon.analysis.quality.recording import ChannelStatistics
+from bstm_daemon.analysis.statistics.series import Column
 from bstm_daemon.report.json_file import own_fields, picked
 from bstm_daemon.report.plots import (
     BLUE,
@@ -27,16 +35,6 @@ from bstm_daemon.report.shell import Cell, Page, Section, Table
 from bstm_daemon.report.text import columns, percent, wrapped
 from bstm_daemon.report.timescale import duration
 from bstm_daemon.units import UNITS
-
-if TYPE_CHECKING:
-    from bstm_daemon.analysis.quality.finding import (
-        Comparison,
-        ModeVerdict,
-        Quality,
-        RoleQuality,
-    )
-    from bstm_daemon.analysis.quality.recording import ChannelStatistics
-    from bstm_daemon.analysis.statistics.series import Column
 
 MODE_NAMES: Final = {
     "ff": "ff, Feed-Forward from pressure",

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
+from bstm_daemon.analysis.identify.coastdown import CoastDown
+from bstm_daemon.analysis.identify.coasting import Run
 from bstm_daemon.report.json_file import own_fields, picked
 from bstm_daemon.report.plots import BLUE, GREY, ORANGE, Plot, curve, plot
 from bstm_daemon.report.shell import Page, Section, Table
 from bstm_daemon.report.text import Columns, columns, number, wrapped
 from bstm_daemon.report.timescale import clock
-
-if TYPE_CHECKING:
-    from bstm_daemon.analysis.identify.coastdown import CoastDown
-    from bstm_daemon.analysis.identify.coasting import Run
 
 UNITS: Final = {
     "drag_area_m2": "m2",

@@ -7,15 +7,21 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 
+from bstm_daemon.analysis.identify.cooling import (
+    AxleCooling,
+    Cooling,
+    CoolingPoint,
+)
 from bstm_daemon.analysis.identify.cooling_while_braking import (
     WINDOW_S,
     BrakedAxle,
     BrakedCooling,
 )
+from bstm_daemon.analysis.statistics.series import Column
 from bstm_daemon.report.json_file import picked
 from bstm_daemon.report.plots import (
     BLACK,
@@ -32,14 +38,6 @@ from bstm_daemon.report.plots import (
 from bstm_daemon.report.shell import Page, Section, Table
 from bstm_daemon.report.text import Columns, columns, number, wrapped
 from bstm_daemon.units import KELVIN_OFFSET
-
-if TYPE_CHECKING:
-    from bstm_daemon.analysis.identify.cooling import (
-        AxleCooling,
-        Cooling,
-        CoolingPoint,
-    )
-    from bstm_daemon.analysis.statistics.series import Column
 
 LINE_HEAD: Final = ("speed", "S", "+-", "configured", "driven")
 

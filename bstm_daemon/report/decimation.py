@@ -10,16 +10,15 @@ of its parts, so what was left out before is never missed.
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
+import numpy.typing as npt
 
-if TYPE_CHECKING:
-    import numpy.typing as npt
+from bstm_daemon.analysis.statistics.series import Column
 
-    from bstm_daemon.analysis.statistics.series import Column
+Rows = npt.NDArray[np.intp]
 
-    Rows = npt.NDArray[np.intp]
 
 SPARE: Final = 2
 """Points held while the series grows, in multiples of those at the end."""

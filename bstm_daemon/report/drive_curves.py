@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import combinations, cycle
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 
+from bstm_daemon.analysis.statistics.series import Column
 from bstm_daemon.channels import FLAGS
 from bstm_daemon.estimate import (
     REASON_WORDS,
@@ -34,10 +35,8 @@ from bstm_daemon.report.plots import (
     VERMILION,
 )
 
-if TYPE_CHECKING:
-    from bstm_daemon.analysis.statistics.series import Column
+_Look = tuple[str, str]
 
-    _Look = tuple[str, str]
 
 POINTS_A_TRACE: Final = 4000
 """Points of a curve: twice the columns of a large screen."""

@@ -8,10 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
+import numpy.typing as npt
 
+from bstm_daemon.analysis.statistics.series import Column
 from bstm_daemon.channels import FLAGS
 from bstm_daemon.model.heat.needs import INPUTS
 from bstm_daemon.replay.results import ElapsedTime, Part, Results
@@ -27,11 +29,6 @@ from bstm_daemon.report.findings import (
 )
 from bstm_daemon.report.text import columns, percent, wrapped
 from bstm_daemon.report.timescale import HOUR_S, clock, duration
-
-if TYPE_CHECKING:
-    import numpy.typing as npt
-
-    from bstm_daemon.analysis.statistics.series import Column
 
 SHORTEST_GAP_S: Final = 1.0
 """Shortest gap of an input; a shorter one is a late frame."""

@@ -9,10 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
+import numpy.typing as npt
 
+from bstm_daemon.analysis.statistics.series import Column
 from bstm_daemon.channels import (
     CORNER_PRESSURE_SUSPECT,
     FLAGS,
@@ -26,12 +28,8 @@ from bstm_daemon.model.heat.plausibility import reasons as words_of
 from bstm_daemon.report.text import percent
 from bstm_daemon.report.timescale import clock, duration
 
-if TYPE_CHECKING:
-    import numpy.typing as npt
+Bits = npt.NDArray[np.int64]
 
-    from bstm_daemon.analysis.statistics.series import Column
-
-    Bits = npt.NDArray[np.int64]
 
 STANDING_MS: Final = 0.5
 """At or below this a vehicle stands, as wheel-speed sensors stop there."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -20,8 +20,8 @@ from bstm_daemon.report.replay_page import DASH
 from bstm_daemon.report.shell import Cell, Page, Section, Table
 from bstm_daemon.report.text import percent
 
-if TYPE_CHECKING:
-    Row = Mapping[str, Any]
+Row = Mapping[str, Any]
+
 
 CARS_SHOWN: Final = 40
 FAILURES_SHOWN: Final = 40

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from math import isfinite, nan
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from bstm_daemon.analysis.identify.heat_comparison import (
     HeatComparison,
     StopFriction,
 )
+from bstm_daemon.analysis.statistics.series import Column
 from bstm_daemon.report.heat_figures import (
     energy_plot,
     friction_plots,
@@ -32,9 +33,6 @@ from bstm_daemon.report.plots import COLOURS, curve, numbers, time_plot
 from bstm_daemon.report.shell import Page, Section, Table
 from bstm_daemon.report.text import columns, wrapped
 from bstm_daemon.report.timescale import clock
-
-if TYPE_CHECKING:
-    from bstm_daemon.analysis.statistics.series import Column
 
 STOPS_DRAWN: Final = 8
 """Stops with figures of their own: those with the most energy."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from bstm_daemon.analysis.identify.heat_comparison import (
     HeatStop,
     StopFriction,
 )
+from bstm_daemon.analysis.statistics.series import Column
 from bstm_daemon.report.plots import (
     BLACK,
     BLUE,
@@ -28,9 +29,6 @@ from bstm_daemon.report.plots import (
     wide_range,
 )
 from bstm_daemon.report.timescale import clock
-
-if TYPE_CHECKING:
-    from bstm_daemon.analysis.statistics.series import Column
 
 SOURCE_COLOURS: Final = {
     "ff": BLUE,

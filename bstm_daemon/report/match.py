@@ -6,10 +6,11 @@ The page has figure 5.2 of the thesis.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from bstm_daemon.analysis.gap.calibration import Step
 from bstm_daemon.analysis.matching.curves import curves_of
 from bstm_daemon.analysis.matching.identifiability import (
     correlations,
@@ -17,17 +18,14 @@ from bstm_daemon.analysis.matching.identifiability import (
     strong_pairs,
     verdicts,
 )
+from bstm_daemon.analysis.matching.matcher import Match
+from bstm_daemon.analysis.matching.refine import Refinement
 from bstm_daemon.analysis.matching.tunables import TUNABLES
 from bstm_daemon.report.gap import answer_line, called
 from bstm_daemon.report.json_file import picked
 from bstm_daemon.report.plots import NODE_COLOURS, NodeCurve
 from bstm_daemon.report.shell import Page, Section, Table, node_section
 from bstm_daemon.report.text import table
-
-if TYPE_CHECKING:
-    from bstm_daemon.analysis.gap.calibration import Step
-    from bstm_daemon.analysis.matching.matcher import Match
-    from bstm_daemon.analysis.matching.refine import Refinement
 
 STAGE_HEAD = ("stage", "section", "value", "before", "matched", "RMS [K]")
 VALUE_HEAD = ("value", "configured", "matched", "sd", "of prior", "verdict")

@@ -11,18 +11,16 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import prod
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
 from bstm_daemon.errors import require_packages
+from bstm_daemon.model.thermal.network import Factor, Memory, Network
+from bstm_daemon.model.thermal.table import Table
 from bstm_daemon.report.shell import template_environment
 from bstm_daemon.report.text import table
 from bstm_daemon.units import KELVIN_OFFSET, to_celsius
-
-if TYPE_CHECKING:
-    from bstm_daemon.model.thermal.network import Factor, Memory, Network
-    from bstm_daemon.model.thermal.table import Table
 
 TEMPERATURE_K: Final = 300.0 + KELVIN_OFFSET
 SPEED_MS: Final = 100.0 / 3.6

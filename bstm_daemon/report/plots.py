@@ -6,16 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from html import escape
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
+from bstm_daemon.analysis.statistics.series import Column
 from bstm_daemon.report.decimation import ThinCurve
 from bstm_daemon.report.timescale import time_axis
-
-if TYPE_CHECKING:
-    from bstm_daemon.analysis.statistics.series import Column
-
 
 EPOCH: Final = datetime(2000, 1, 1)  # noqa: DTZ001
 """Elapsed time 0 on the date axes, which alone have 1-5-10-15-30 ticks."""

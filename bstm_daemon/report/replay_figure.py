@@ -12,8 +12,10 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from html import escape
 from itertools import cycle
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
+from bstm_daemon.report.drive_curves import DriveCurves, Trace
+from bstm_daemon.report.drive_statistics import CornerSummary, DriveSummary
 from bstm_daemon.report.plots import (
     COLOURS,
     GREY,
@@ -22,10 +24,6 @@ from bstm_daemon.report.plots import (
     time_plot,
 )
 from bstm_daemon.report.timescale import clock
-
-if TYPE_CHECKING:
-    from bstm_daemon.report.drive_curves import DriveCurves, Trace
-    from bstm_daemon.report.drive_statistics import CornerSummary, DriveSummary
 
 Titled = tuple[str, Plot]
 

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from bstm_daemon import __version__
+from bstm_daemon.report.drive_curves import DriveCurves
 from bstm_daemon.report.drive_statistics import (
     SUMMARY_NODES,
     VALIDITY_NAMES,
@@ -18,9 +19,6 @@ from bstm_daemon.report.replay_figure import KEYS, drive_plots
 from bstm_daemon.report.shell import Cell, Page, Section, Table
 from bstm_daemon.report.text import percent
 from bstm_daemon.report.timescale import HOUR_S, clock, duration, start_text
-
-if TYPE_CHECKING:
-    from bstm_daemon.report.drive_curves import DriveCurves
 
 SAMPLE_COUNTS: Final = {
     "late": "late samples",

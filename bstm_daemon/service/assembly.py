@@ -7,8 +7,9 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
+from bstm_daemon.bus.live.link import Link, Wanted
 from bstm_daemon.bus.live.socketcan import SocketcanLink
 from bstm_daemon.bus.output.layout import own_ids
 from bstm_daemon.bus.signals.signal_map import (
@@ -17,12 +18,9 @@ from bstm_daemon.bus.signals.signal_map import (
     log_defects,
 )
 from bstm_daemon.config.reading import load_config, naming_file
+from bstm_daemon.config.sections import BusConfig, Config
 from bstm_daemon.engine import Engine
 from bstm_daemon.errors import BstmError, ConfigError, require_packages
-
-if TYPE_CHECKING:
-    from bstm_daemon.bus.live.link import Link, Wanted
-    from bstm_daemon.config.sections import BusConfig, Config
 
 SOCKETCAN: Final = "socketcan"
 

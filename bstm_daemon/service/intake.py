@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from operator import itemgetter
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from bstm_daemon.bus.live.frame_records import FrameRecords
+from bstm_daemon.bus.live.link import Frame, Link
 from bstm_daemon.bus.live.socketcan import SocketcanLink
 from bstm_daemon.native.loader import live_extension
-
-if TYPE_CHECKING:
-    from bstm_daemon.bus.live.link import Frame, Link
-    from bstm_daemon.service.clock import SteadyAxis
+from bstm_daemon.service.clock import SteadyAxis
 
 GUARD_US: Final = 2_000
 """Longest delay from a frame's stamp to the socket. Frames stamped less than

@@ -10,12 +10,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Mapping
+from enum import IntEnum
 from functools import partial
 from operator import attrgetter
-from typing import TYPE_CHECKING, Any, Final, cast
+from typing import Any, Final, cast
 
 from prometheus_client import CollectorRegistry, generate_latest
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily
+from prometheus_client.metrics_core import Metric
 from prometheus_client.registry import Collector
 
 from bstm_daemon.bus.live.link import LinkEvent, LinkState
@@ -27,14 +29,8 @@ from bstm_daemon.estimate import (
     Validity,
 )
 from bstm_daemon.model.heat.plausibility import FAULTS
+from bstm_daemon.service.status import ServiceStatus
 from bstm_daemon.units import to_celsius
-
-if TYPE_CHECKING:
-    from enum import IntEnum
-
-    from prometheus_client.metrics_core import Metric
-
-    from bstm_daemon.service.status import ServiceStatus
 
 Series = Mapping[Any, float]
 """Values by the tuple of their labels' values."""

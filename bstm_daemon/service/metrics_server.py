@@ -12,17 +12,14 @@ from contextlib import suppress
 from http import HTTPStatus
 from socket import SHUT_RDWR, socket
 from socketserver import TCPServer, ThreadingMixIn
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 from wsgiref.simple_server import WSGIRequestHandler, WSGIServer
+from wsgiref.types import StartResponse, WSGIApplication, WSGIEnvironment
 
 from prometheus_client import make_wsgi_app
 
 from bstm_daemon.errors import UsageError
-
-if TYPE_CHECKING:
-    from wsgiref.types import StartResponse, WSGIApplication, WSGIEnvironment
-
-    from bstm_daemon.service.metrics import StatusMetrics
+from bstm_daemon.service.metrics import StatusMetrics
 
 HOST: Final = "127.0.0.1"
 """Loopback only: the page has neither password nor TLS."""

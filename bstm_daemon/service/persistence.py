@@ -12,12 +12,15 @@ import threading
 from dataclasses import asdict, dataclass, replace
 from math import nan
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
+from bstm_daemon.config.sections import Config
+from bstm_daemon.engine import Engine
 from bstm_daemon.estimator.memory import StateError
 from bstm_daemon.estimator.state import keep_input_history
 from bstm_daemon.service import events
 from bstm_daemon.service.clock import Moment, SteadyAxis, boot_id, parked_time
+from bstm_daemon.service.events import ServiceLog
 from bstm_daemon.service.state_file import (
     Document,
     encode,
@@ -28,11 +31,6 @@ from bstm_daemon.service.state_file import (
     state_path,
 )
 from bstm_daemon.service.status import StateFileStatus
-
-if TYPE_CHECKING:
-    from bstm_daemon.config.sections import Config
-    from bstm_daemon.engine import Engine
-    from bstm_daemon.service.events import ServiceLog
 
 
 @dataclass(frozen=True)

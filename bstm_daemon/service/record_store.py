@@ -18,12 +18,11 @@ import time
 from calendar import timegm
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import structlog
 
-if TYPE_CHECKING:
-    from bstm_daemon.config.service import RecordConfig
+from bstm_daemon.config.service import RecordConfig
 
 _LOG = structlog.get_logger()
 

@@ -14,15 +14,13 @@ from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
+from bstm_daemon.bus.live.link import Frame
 from bstm_daemon.bus.logs.candump_line import ERROR_FLAG
 from bstm_daemon.bus.signals.extraction import EXTENDED_MAX
+from bstm_daemon.config.service import RecordConfig
 from bstm_daemon.service.record_store import RecordStore
-
-if TYPE_CHECKING:
-    from bstm_daemon.bus.live.link import Frame
-    from bstm_daemon.config.service import RecordConfig
 
 _MICRO: Final = 1_000_000
 _CLASSIC_BYTES: Final = 8

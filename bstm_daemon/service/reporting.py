@@ -12,15 +12,20 @@ from functools import reduce
 from math import isfinite
 from operator import or_
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from bstm_daemon.bus.live.link import Frame, Link, LinkEvent, LinkState
 from bstm_daemon.bus.signals.reject_reason import RejectReason
 from bstm_daemon.estimate import Reason, RiskLevel, Validity
 from bstm_daemon.model.heat.plausibility import CONTRADICTIONS, reasons
 from bstm_daemon.service import events
+from bstm_daemon.service.assembly import Monitor
+from bstm_daemon.service.clock import SteadyAxis
+from bstm_daemon.service.events import Event, ServiceLog
+from bstm_daemon.service.intake import Intake
 from bstm_daemon.service.metrics_output import MetricsOutput
 from bstm_daemon.service.recorder import Recorder
+from bstm_daemon.service.sender import Sender
 from bstm_daemon.service.status import (
     ServiceStatus,
     StateFileStatus,
@@ -28,13 +33,6 @@ from bstm_daemon.service.status import (
     loop_status,
     status_line,
 )
-
-if TYPE_CHECKING:
-    from bstm_daemon.service.assembly import Monitor
-    from bstm_daemon.service.clock import SteadyAxis
-    from bstm_daemon.service.events import Event, ServiceLog
-    from bstm_daemon.service.intake import Intake
-    from bstm_daemon.service.sender import Sender
 
 KEPT_LEVELS: Final = (RiskLevel.HIGH, RiskLevel.CRITICAL)
 

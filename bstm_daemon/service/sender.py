@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from bstm_daemon.bus.live.link import Link, SendResult
-
-if TYPE_CHECKING:
-    from bstm_daemon.bus.output.publication import OutputFrame, Publication
-    from bstm_daemon.engine import Published
+from bstm_daemon.bus.output.publication import OutputFrame, Publication
+from bstm_daemon.engine import Published
 
 NO_ID: Final = -1
 

@@ -11,10 +11,11 @@ from __future__ import annotations
 import gc
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from bstm_daemon import __version__
 from bstm_daemon.bus.live.frame_records import FrameRecords
+from bstm_daemon.bus.live.link import Frame, Link
 from bstm_daemon.errors import BstmError, ConfigError
 from bstm_daemon.estimator.state import RESUMABLE_US
 from bstm_daemon.feed.server import FeedServer
@@ -27,16 +28,13 @@ from bstm_daemon.service.assembly import (
     refusing,
 )
 from bstm_daemon.service.clock import SteadyAxis
+from bstm_daemon.service.events import ServiceLog
 from bstm_daemon.service.intake import GUARD_US, Arrivals, Intake
+from bstm_daemon.service.notify import Notifier
 from bstm_daemon.service.persistence import Persistence, state_file
 from bstm_daemon.service.reporting import ServiceReporter
 from bstm_daemon.service.sender import Sender
-
-if TYPE_CHECKING:
-    from bstm_daemon.bus.live.link import Frame, Link
-    from bstm_daemon.service.events import ServiceLog
-    from bstm_daemon.service.notify import Notifier
-    from bstm_daemon.service.wake import SignalWaiter
+from bstm_daemon.service.wake import SignalWaiter
 
 REPORT_US: Final = 1_000_000
 """Interval of the reports: faults, validity, status line."""

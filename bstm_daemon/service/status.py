@@ -11,9 +11,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from math import isfinite, nan
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from bstm_daemon import __version__
+from bstm_daemon.bus.live.link import LinkEvent, LinkState
+from bstm_daemon.engine import Engine
 from bstm_daemon.estimate import (
     NO_INPUT,
     CarRisk,
@@ -24,14 +26,10 @@ from bstm_daemon.estimate import (
     State,
 )
 from bstm_daemon.model.heat.plausibility import WORDS, fault_names
+from bstm_daemon.service.assembly import Monitor
+from bstm_daemon.service.intake import Intake
+from bstm_daemon.service.sender import Sender
 from bstm_daemon.units import to_celsius
-
-if TYPE_CHECKING:
-    from bstm_daemon.bus.live.link import LinkEvent, LinkState
-    from bstm_daemon.engine import Engine
-    from bstm_daemon.service.assembly import Monitor
-    from bstm_daemon.service.intake import Intake
-    from bstm_daemon.service.sender import Sender
 
 _IN_LINE: Final = (
     "speed_suspect",

@@ -10,9 +10,11 @@ import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from importlib import resources
-from typing import TYPE_CHECKING, Any, Final, Literal
+from importlib.resources.abc import Traversable
+from typing import Any, Final, Literal
 
 import numpy as np
+import numpy.typing as npt
 
 from bstm_daemon.errors import ConfigError, UsageError, hint
 from bstm_daemon.simulation.materials import Array
@@ -24,12 +26,8 @@ from bstm_daemon.simulation.parameters import (
 )
 from bstm_daemon.units import AIR_DENSITY_KG_M3, GRAVITY_MS2
 
-if TYPE_CHECKING:
-    from importlib.resources.abc import Traversable
+Gears = npt.NDArray[np.intp]
 
-    import numpy.typing as npt
-
-    Gears = npt.NDArray[np.intp]
 
 # engine speed over wheel speed, neutral first: gearbox times final drive
 _TOTAL_RATIO = np.array([0.0, 13.0, 7.6, 5.0, 3.8, 3.0, 2.5])

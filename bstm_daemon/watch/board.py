@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Collection, Mapping, Sequence
+from enum import IntEnum
 from math import isfinite, isnan, nan
-from typing import TYPE_CHECKING, Final, NamedTuple, TypeVar
+from typing import Final, NamedTuple, TypeVar
 
 from bstm_daemon.bus.output.e2e import CheckStatus
 from bstm_daemon.bus.output.layout import (
@@ -25,10 +26,6 @@ from bstm_daemon.estimate import (
     State,
     Validity,
 )
-
-if TYPE_CHECKING:
-    from enum import IntEnum
-
 
 HISTORY_S: Final = 300
 """Five minutes, about the time constant of a cooling disc."""

@@ -9,14 +9,12 @@ is parked, not under brake pressure.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
 from bstm_daemon.errors import ConfigError
 from bstm_daemon.units import KELVIN_OFFSET
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
 
 FMVSS_116: Final = "49 CFR 571.116 (FMVSS 116), S5.1.1 dry, S5.1.2 wet"
 ISO_4925: Final = "ISO 4925, class 6: ERBP and wet ERBP"

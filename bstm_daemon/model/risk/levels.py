@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import isfinite
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
-from bstm_daemon.estimate import RiskLevel
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from bstm_daemon.estimate import Validity
+from bstm_daemon.estimate import RiskLevel, Validity
 
 PROBABILITIES: Final = (0.01, 0.1, 0.5)
 """Thresholds of the probability of vapour: elevated, high, critical."""

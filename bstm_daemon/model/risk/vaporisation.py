@@ -17,18 +17,15 @@ speak of.
 from __future__ import annotations
 
 from bisect import bisect_right
+from collections.abc import Sequence
 from functools import lru_cache
 from math import exp, expm1, isnan, nan
 from statistics import NormalDist
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
 from bstm_daemon.model.risk.boiling import BOILING_POINTS
 from bstm_daemon.model.risk.sequence import unit_draws
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from bstm_daemon.model.risk.water import Water
+from bstm_daemon.model.risk.water import Water
 
 WET_WATER_PERCENT: Final = 3.7
 """Water of a fluid humidified as FMVSS 116 S6.2 asks."""

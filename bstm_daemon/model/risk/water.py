@@ -12,12 +12,10 @@ car; a measured value replaces them.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from itertools import pairwise
 from math import exp, hypot, log
-from typing import TYPE_CHECKING, Final, NamedTuple
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
+from typing import Final, NamedTuple
 
 UPTAKE: Final = (
     (0.0, 0.2),
