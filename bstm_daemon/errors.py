@@ -15,8 +15,6 @@ The command line prints it to stderr and ends with ``exit_code``; nothing else
 in the package turns an exception into an exit code.
 """
 
-from __future__ import annotations
-
 import difflib
 from collections.abc import Iterable
 from importlib.util import find_spec

@@ -5,8 +5,6 @@ metrics and screens show them. All SI, temperatures in kelvin,
 probabilities 0 to 1; NaN is unknown.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum, IntFlag

@@ -1,7 +1,5 @@
 """Result files, whole or absent, and the files that come with the program."""
 
-from __future__ import annotations
-
 import errno
 import os
 import stat

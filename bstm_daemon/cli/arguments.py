@@ -4,8 +4,6 @@
 ``--channel`` only.
 """
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Callable, Iterable
 from contextlib import suppress

@@ -1,7 +1,5 @@
 """``bstm bridge mqtt``: the feed, published to an MQTT broker."""
 
-from __future__ import annotations
-
 import argparse
 import signal
 from pathlib import Path

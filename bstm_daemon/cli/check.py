@@ -3,8 +3,6 @@
 With ``--log`` the signals of a recording are judged as well.
 """
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 from typing import Any, Final

@@ -1,7 +1,5 @@
 """``bstm config``: what editors need to know of the configuration."""
 
-from __future__ import annotations
-
 import argparse
 import json
 

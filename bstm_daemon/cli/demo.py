@@ -6,8 +6,6 @@ its own: they share one virtual bus, CAN over UDP multicast, and one terminal,
 which the display takes. A hop limit of 0 keeps every frame on this machine.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import os

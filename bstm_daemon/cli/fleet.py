@@ -1,7 +1,5 @@
 """``bstm fleet``: the drives of many cars, replayed in chains."""
 
-from __future__ import annotations
-
 import argparse
 import csv
 import json

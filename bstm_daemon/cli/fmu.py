@@ -1,7 +1,5 @@
 """``bstm fmu``: the model as an FMU for other simulation tools."""
 
-from __future__ import annotations
-
 import argparse
 
 from bstm_daemon.cli.arguments import add_out, check_targets, option, shared

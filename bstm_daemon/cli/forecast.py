@@ -1,7 +1,5 @@
 """``bstm forecast``: what the brake fluid will do, from a saved state."""
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 

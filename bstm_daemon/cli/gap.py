@@ -1,7 +1,5 @@
 """``bstm gap``: find, name, add and show an effect that the model lacks."""
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Callable, Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """``bstm heat``: the brake heat of recorded drives by every source."""
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 from typing import Final

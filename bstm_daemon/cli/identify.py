@@ -1,7 +1,5 @@
 """``bstm identify``: values of the car from recorded drives."""
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Callable
 from typing import Any, Final, NamedTuple

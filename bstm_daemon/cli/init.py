@@ -1,7 +1,5 @@
 """``bstm init``: a first configuration from a DBC and logs, or a table."""
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 

@@ -3,8 +3,6 @@
 Writes files only: starting a service on a car is for its owner to do.
 """
 
-from __future__ import annotations
-
 import argparse
 import sys
 from pathlib import Path

@@ -5,8 +5,6 @@ A command is a module of this package with ``add_arguments(parser)`` and
 package disables one command and not the program.
 """
 
-from __future__ import annotations
-
 import argparse
 import importlib
 import logging

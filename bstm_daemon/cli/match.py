@@ -1,7 +1,5 @@
 """``bstm match``: the model's values from drives with thermocouples."""
 
-from __future__ import annotations
-
 import argparse
 import time
 from dataclasses import replace

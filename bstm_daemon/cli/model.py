@@ -1,7 +1,5 @@
 """``bstm model``: the thermal network of a corner as a readable graph."""
 
-from __future__ import annotations
-
 import argparse
 
 from bstm_daemon.cli.arguments import add_out, check_targets, option, shared

@@ -1,7 +1,5 @@
 """A progress line on a terminal, and nothing anywhere else."""
 
-from __future__ import annotations
-
 import sys
 import time
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """``bstm replay``: brake temperatures from recorded logs."""
 
-from __future__ import annotations
-
 import argparse
 import sys
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """``bstm run``: the live service, in the foreground as systemd wants it."""
 
-from __future__ import annotations
-
 import argparse
 import os
 from pathlib import Path

@@ -1,7 +1,5 @@
 """``bstm shell``: completion scripts and the man page, from the arguments."""
 
-from __future__ import annotations
-
 import argparse
 from importlib import import_module
 from typing import Final

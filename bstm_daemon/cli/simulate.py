@@ -1,7 +1,5 @@
 """``bstm simulate``: the CAN log of the simulated car on a drive."""
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 

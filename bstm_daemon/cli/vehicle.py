@@ -1,7 +1,5 @@
 """The vehicle and its state, from the files that arguments name."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """``bstm verify``: verification on drives with thermocouples."""
 
-from __future__ import annotations
-
 import argparse
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """``bstm view``: the estimates live, as a page in a browser."""
 
-from __future__ import annotations
-
 import argparse
 import asyncio
 import json

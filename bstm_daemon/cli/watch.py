@@ -1,7 +1,5 @@
 """``bstm watch``: the brakes of a car, live, from the published frames."""
 
-from __future__ import annotations
-
 import argparse
 import sys
 from argparse import ArgumentTypeError

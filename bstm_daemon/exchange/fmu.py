@@ -5,8 +5,6 @@ generated header of the car's numbers; none of them knows Python. They are
 packed besides the binaries.
 """
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """The ``modelDescription.xml`` of an exported model, FMI 2.0 and 3.0."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from math import isnan
 from typing import Final

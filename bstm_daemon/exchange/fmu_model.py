@@ -1,7 +1,5 @@
 """What an exported model holds: its corners, variables and numbers."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import chain

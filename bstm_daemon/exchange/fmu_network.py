@@ -1,7 +1,5 @@
 """The numbers of an exported model as the C header ``network.h``."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from hashlib import sha256
 from math import isinf, isnan

@@ -8,8 +8,6 @@ the tunable or to its inverse, and the exchange of two grey plates. A tunable
 that acts otherwise is left out.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final

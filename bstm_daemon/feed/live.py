@@ -1,7 +1,5 @@
 """What the page shows: the newest record and the last hour, bounded."""
 
-from __future__ import annotations
-
 import json
 import threading
 import time

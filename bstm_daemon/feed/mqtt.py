@@ -4,8 +4,6 @@ paho keeps a message until the broker has confirmed it, and tries again with
 longer and longer pauses. Topics and fields are in ``docs/connected.md``.
 """
 
-from __future__ import annotations
-
 import json
 import socket
 import ssl

@@ -1,7 +1,5 @@
 """Reads a feed, and connects again whenever it ends."""
 
-from __future__ import annotations
-
 import json
 import socket
 from collections.abc import Iterator

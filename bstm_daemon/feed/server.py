@@ -5,8 +5,6 @@ waits: what a reader does not take is lost for this reader, except that the
 rest of a line that was begun is sent first.
 """
 
-from __future__ import annotations
-
 import socket
 from collections.abc import Callable
 from contextlib import suppress

@@ -5,8 +5,6 @@ the fields of one message. A leaf is null where the value is unknown or its
 validity forbids to use it.
 """
 
-from __future__ import annotations
-
 from typing import Any, Final
 
 from bstm_daemon.feed.reader import Record

@@ -1,7 +1,5 @@
 """What the compiled forms of heat and temperatures take from Python."""
 
-from __future__ import annotations
-
 from bstm_daemon import channels, roles, units
 from bstm_daemon.model.heat import (
     check_rules,

@@ -6,8 +6,6 @@ ones are taken if there. Results are the same, bit for bit. A module that was
 built from other sources than those beside it is refused.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable
 from functools import cache

@@ -5,8 +5,6 @@ loader compares it with that of the sources beside it. It needs nothing but
 the standard library.
 """
 
-from __future__ import annotations
-
 from hashlib import sha256
 from pathlib import Path
 from typing import Final

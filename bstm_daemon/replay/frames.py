@@ -4,8 +4,6 @@ The frames that come out are those that a daemon on the recorded bus would
 have sent: with the daemon's start state the same, byte for byte.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from itertools import chain
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Reads a configuration file into the inputs of the estimator."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from bstm_daemon.bus.output.layout import BLOCK_IDS

@@ -1,7 +1,5 @@
 """``bstm identify brakes``: its result in words, as page and as JSON."""
 
-from __future__ import annotations
-
 from math import isfinite
 from typing import Any, Final
 

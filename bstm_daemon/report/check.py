@@ -1,7 +1,5 @@
 """``bstm check --log``: the judgement as text, page and JSON."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any, Final
 

@@ -1,7 +1,5 @@
 """``bstm identify coastdown``: its result in words, as page and as JSON."""
 
-from __future__ import annotations
-
 from typing import Any, Final
 
 from bstm_daemon.analysis.identify.coastdown import CoastDown

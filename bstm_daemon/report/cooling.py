@@ -3,8 +3,6 @@
 Those of cool-downs, and those of whole drives (``--while-braking``).
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import Any, Final

@@ -7,8 +7,6 @@ double when they get too many. The extremes of a wider bucket are among those
 of its parts, so what was left out before is never missed.
 """
 
-from __future__ import annotations
-
 from itertools import pairwise
 from typing import Final
 

@@ -1,7 +1,5 @@
 """The curves of a replay, thinned and rounded for a plot as rows come."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import combinations, cycle

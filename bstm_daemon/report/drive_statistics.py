@@ -4,8 +4,6 @@ The table on the screen and the HTML page say the same because both take it
 from here. Times are seconds since the first row.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final

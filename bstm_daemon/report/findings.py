@@ -5,8 +5,6 @@ heat that was not that of the heat mode; see ``docs/validity.md``. The
 stretches in which a condition holds, and the stops, are found as rows come.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Final

@@ -1,7 +1,5 @@
 """The page of ``bstm fleet report``: cars, days, the worst drives."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final

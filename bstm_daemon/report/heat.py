@@ -3,8 +3,6 @@
 The page has figures 4.5 to 4.10 and 6.1 to 6.3 of the thesis.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from math import isfinite, nan
 from typing import Any, Final

@@ -1,7 +1,5 @@
 """The figures of ``bstm heat``, one function a figure of the thesis."""
 
-from __future__ import annotations
-
 from typing import Any, Final
 
 import numpy as np

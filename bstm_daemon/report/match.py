@@ -3,8 +3,6 @@
 The page has figure 5.2 of the thesis.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

@@ -5,8 +5,6 @@ other in an order that keeps linked ones together; equal slabs are one box. It
 is narrow, so that it can be read on a phone and on paper.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field

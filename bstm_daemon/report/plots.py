@@ -1,7 +1,5 @@
 """Plots of one panel each: curves and clouds over time or a quantity."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta

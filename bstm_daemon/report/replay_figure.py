@@ -6,8 +6,6 @@ quantity, or everything about one corner. All time axes are as wide as one
 another and move together, so that a stop can be followed down.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from html import escape

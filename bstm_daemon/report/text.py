@@ -1,7 +1,5 @@
 """Aligned columns, wrapped lines and numbers for a terminal."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Sequence
 from math import isfinite
 from textwrap import wrap

@@ -1,7 +1,5 @@
 """Times as a reader of a drive wants them: 1:30, 25:04, 1:25:00."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Final

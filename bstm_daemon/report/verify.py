@@ -3,8 +3,6 @@
 The page has figures 5.2 and 6.4 to 6.8 of the thesis.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from math import isnan
 from typing import Any, Final

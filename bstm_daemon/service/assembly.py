@@ -1,7 +1,5 @@
 """Builds the parts of the service from a configuration: car, buses, engine."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager

@@ -5,8 +5,6 @@ lines elsewhere. Here are the names that log searches may rely on, and the
 limit on repeated events.
 """
 
-from __future__ import annotations
-
 from collections.abc import Hashable
 from contextlib import suppress
 from dataclasses import dataclass

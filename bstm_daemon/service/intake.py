@@ -1,7 +1,5 @@
 """Intake of frames: merges those of all links in time order."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from operator import itemgetter
 from typing import Final

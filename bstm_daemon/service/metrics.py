@@ -6,8 +6,6 @@ A value with several states has one series per state, 1 for the present one.
 An unknown value is NaN.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterator, Mapping
 from enum import IntEnum

@@ -4,8 +4,6 @@ Imported only on request: a page needs a socket family that the sandbox of the
 service otherwise forbids.
 """
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Iterable
 from contextlib import suppress

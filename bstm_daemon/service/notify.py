@@ -5,8 +5,6 @@ library is needed. Without the variable every call does nothing, and a call
 that fails never disturbs the daemon: it only sets ``problem``.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import socket

@@ -5,8 +5,6 @@ clock is synchronised only after the start, the parked time is corrected then,
 once.
 """
 
-from __future__ import annotations
-
 import os
 import threading
 from dataclasses import asdict, dataclass, replace

@@ -9,8 +9,6 @@ name, synced and renamed, so that every file of this name is whole.
 Everything here blocks on the disk and belongs on a thread of its own.
 """
 
-from __future__ import annotations
-
 import gzip
 import os
 import re

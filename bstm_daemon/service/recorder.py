@@ -5,8 +5,6 @@ and writes it (:mod:`~bstm_daemon.service.record_store`), so neither a slow
 medium nor a full one holds up the frames.
 """
 
-from __future__ import annotations
-
 import re
 import threading
 import time

@@ -4,8 +4,6 @@ Once a second it compares the status with the one before and logs what has
 changed. Nothing here influences the estimate.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from dataclasses import replace
 from functools import reduce

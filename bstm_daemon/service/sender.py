@@ -1,7 +1,5 @@
 """Sends frames at once or not at all, and never beside another sender."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from typing import Final
 

@@ -6,8 +6,6 @@ guard time before the reading, in order; ticks; sends what became due. The
 same frames in a log give the same output.
 """
 
-from __future__ import annotations
-
 import gc
 from dataclasses import dataclass, field
 from pathlib import Path

@@ -13,8 +13,6 @@ aside, never repaired: a wrong history is worse than none.
 One process at a time owns the file, by :func:`lock`.
 """
 
-from __future__ import annotations
-
 import errno
 import fcntl
 import hashlib

@@ -4,8 +4,6 @@ The loop fills one :class:`ServiceStatus` every few seconds; the metrics and
 the line that ``systemctl status`` shows are written from it.
 """
 
-from __future__ import annotations
-
 import resource
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field

@@ -6,8 +6,6 @@ interpreter that the sandbox of the unit would hide from the service is
 refused here, and not after the next start of the car.
 """
 
-from __future__ import annotations
-
 import importlib.util
 import os
 import re

@@ -1,7 +1,5 @@
 """Waits for time to pass or for a signal."""
 
-from __future__ import annotations
-
 import select
 import signal
 import socket

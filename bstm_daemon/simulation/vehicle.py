@@ -4,8 +4,6 @@ The defaults are the thesis's vehicle 1; brake torque of a corner is
 ``2 (p - p0) A n eta mu r_eff``.
 """
 
-from __future__ import annotations
-
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace

@@ -1,7 +1,5 @@
 """The latest published values of a car, and the last minutes of each."""
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Collection, Mapping, Sequence
 from enum import IntEnum

@@ -1,7 +1,5 @@
 """The board as lines of text."""
 
-from __future__ import annotations
-
 import time
 from contextlib import AbstractContextManager
 from math import isfinite, isnan

@@ -1,7 +1,5 @@
 """The board as a picture that rich draws."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial

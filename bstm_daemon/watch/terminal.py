@@ -5,8 +5,6 @@ and undone on every way out: ``q``, Ctrl-C, an error, the signals that end a
 process, and while it is stopped by Ctrl-Z.
 """
 
-from __future__ import annotations
-
 import os
 import select
 import signal

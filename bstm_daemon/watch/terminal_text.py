@@ -6,8 +6,6 @@ of the whole line (bidi). They are shown as Python writes them in a string:
 ``\x1b``, ``\u202e``.
 """
 
-from __future__ import annotations
-
 import re
 from typing import Any, Final, TextIO, cast
 

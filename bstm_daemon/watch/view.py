@@ -1,7 +1,5 @@
 """The choice between a screen and lines of text."""
 
-from __future__ import annotations
-
 import os
 from typing import Final, TextIO
 

@@ -7,8 +7,6 @@ the right condition here: vapour forms when the pedal is released or the car
 is parked, not under brake pressure.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Final, NamedTuple

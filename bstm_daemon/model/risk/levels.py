@@ -1,7 +1,5 @@
 """Risk levels from a probability or a temperature, with hysteresis."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import isfinite

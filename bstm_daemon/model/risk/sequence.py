@@ -6,8 +6,6 @@ golden ratio (Roberts 2018) fills the unit cube evenly from the first point
 on and needs neither table nor generator.
 """
 
-from __future__ import annotations
-
 from statistics import NormalDist
 from typing import Final
 

@@ -14,8 +14,6 @@ begins some kelvin below the equilibrium reflux boiling point that standards
 speak of.
 """
 
-from __future__ import annotations
-
 from bisect import bisect_right
 from collections.abc import Sequence
 from functools import lru_cache

@@ -10,8 +10,6 @@ four, with a spread of 0.45. These are assumptions, not measurements of this
 car; a measured value replaces them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from itertools import pairwise
 from math import exp, hypot, log
