@@ -77,6 +77,7 @@ class Motion:
         columns = [self.on_grid(one) for one in speeds.values()]
         moved = [one for one in columns if one.max(initial=0.0) > _MOVED_MS]
         self.known = bool(moved) and len(self.grid_s) > _SMOOTH_S / step
+        self._compared = len(moved) > 1
         self.speed_ms: Series = (
             np.median(moved, axis=0) if moved else np.zeros_like(self.grid_s)
         )
@@ -125,7 +126,11 @@ class Motion:
         error = np.abs(column - self.speed_ms)[self.moving]
         off = float(np.median(error / self.speed_ms[self.moving]))
         top = float(column.max())
-        reason = f"up to {top:.1f} m/s, {100 * off:.1f} % off the other speeds"
+        reason = f"up to {top:.1f} m/s, " + (
+            f"{100 * off:.1f} % off the other speeds"
+            if self._compared
+            else "the only speed"
+        )
         return Verdict(fits=off <= _SPEED_AGREEMENT, reason=reason)
 
     def acceleration_verdict(self, acceleration: Samples) -> Verdict:

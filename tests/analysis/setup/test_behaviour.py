@@ -69,6 +69,16 @@ def test_a_speed_agrees_or_not(motion: Motion, series: Maker) -> None:
     assert not motion.speed_verdict(series(0.0 * SPEED_MS)).fits
 
 
+def test_a_speed_is_compared_with_others_only(
+    motion: Motion, series: Maker
+) -> None:
+    speed = series(SPEED_MS)
+    alone = Motion({"vehicle": speed, "standing": series(0.0 * SPEED_MS)})
+
+    assert alone.speed_verdict(speed).reason == "up to 23.0 m/s, the only speed"
+    assert "0.0 % off the other" in motion.speed_verdict(speed).reason
+
+
 def test_a_wheel_that_stands_has_no_say(series: Maker) -> None:
     names = {"fl": 0.0, "fr": 0.0, "rl": 1.0, "rr": 1.0}
     motion = Motion({k: series(v * SPEED_MS) for k, v in names.items()})
