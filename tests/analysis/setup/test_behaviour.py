@@ -75,7 +75,9 @@ def test_a_speed_is_compared_with_others_only(
     speed = series(SPEED_MS)
     alone = Motion({"vehicle": speed, "standing": series(0.0 * SPEED_MS)})
 
-    assert alone.speed_verdict(speed).reason == "up to 23.0 m/s, the only speed"
+    assert (
+        alone.speed_verdict(speed).reason == "up to 23.0 m/s, the only speed"
+    )
     assert "0.0 % off the other" in motion.speed_verdict(speed).reason
 
 
