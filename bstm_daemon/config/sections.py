@@ -468,6 +468,12 @@ class Config(Section):
     metrics: MetricsConfig = MetricsConfig()
     feed: FeedConfig = FeedConfig()
 
+    @property
+    def publishing_bus(self) -> int:
+        """The number of the bus that frames are sent on, where they are."""
+        name = self.publish.bus
+        return 0 if name is None else [b.name for b in self.bus].index(name)
+
     def _check(self) -> None:
         if self.heat.mode == "auto":
             mode = automatic_mode(self.heat, self.corner, self.signals.keys())

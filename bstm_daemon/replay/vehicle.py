@@ -2,7 +2,6 @@
 
 from pathlib import Path
 
-from bstm_daemon.bus.output.layout import BLOCK_IDS
 from bstm_daemon.bus.signals.signal_map import SignalMap, log_defects
 from bstm_daemon.bus.tables.table_plan import compile_sources
 from bstm_daemon.config.reading import load_config, naming_file
@@ -35,29 +34,10 @@ def load_vehicle(
             config.vehicle.wheel_radius_m,
             e2e=config.e2e,
         )
-        collisions = _own_ids_on_the_bus(config, signal_map)
-        if collisions:
-            raise ConfigError(collisions)
+        if config.publish.enabled:
+            id_base = config.publish.id_base
+            if taken := signal_map.taken_ids(config.publishing_bus, id_base):
+                raise ConfigError(taken)
     if not quiet:
         log_defects(signal_map)
     return config, signal_map
-
-
-def _own_ids_on_the_bus(config: Config, signal_map: SignalMap) -> list[str]:
-    """Return a problem for each id that is both published and read."""
-    if not config.publish.enabled:
-        return []
-    names = [bus.name for bus in config.bus]
-    bus = names.index(config.publish.bus or names[0])
-    base = config.publish.id_base
-    own = range(base, base + BLOCK_IDS)
-    taken = sorted(
-        can_id
-        for can_id, extended in signal_map.wanted(bus)
-        if can_id in own and not extended
-    )
-    return [
-        f"[publish] id_base = 0x{base:X}: the id "
-        f"0x{can_id:X} would be ours, but this configuration reads it"
-        for can_id in taken
-    ]

@@ -190,36 +190,16 @@ def _build_monitor(
             e2e=config.e2e,
         )
         log_defects(signal_map)
-        number = _publish_number(config)
+        number: int | None = None
         ids: frozenset[int] = frozenset()
-        if number is not None:
+        if config.publish.enabled:
+            number, id_base = config.publishing_bus, config.publish.id_base
             names = [corner.name for corner in config.corner]
-            ids = frozenset(own_ids(config.publish.id_base, names))
-            _check_collisions(config, signal_map, number, ids)
+            ids = frozenset(own_ids(id_base, names))
+            if taken := signal_map.taken_ids(number, id_base):
+                raise ConfigError(taken)
         engine = Engine(config, signal_map, forecast=forecast)
     return Monitor(path, config, signal_map, engine, number, ids)
-
-
-def _publish_number(config: Config) -> int | None:
-    if not config.publish.enabled:
-        return None
-    names = [bus.name for bus in config.bus]
-    name = config.publish.bus
-    return 0 if name is None else names.index(name)
-
-
-def _check_collisions(
-    config: Config, signal_map: SignalMap, bus: int, ids: frozenset[int]
-) -> None:
-    problems = [
-        f"[publish] id_base = 0x{config.publish.id_base:X}: message "
-        f"{plan.name!r} of a role has id 0x{key.can_id:X}, which would be "
-        "sent: choose another id_base"
-        for key, plan in signal_map.messages.items()
-        if key.bus == bus and not key.extended and key.can_id in ids
-    ]
-    if problems:
-        raise ConfigError(problems)
 
 
 def _link(bus: BusConfig, wanted: Wanted, buffer_bytes: int) -> Link:

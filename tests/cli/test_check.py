@@ -283,7 +283,7 @@ def test_own_ids_must_not_be_those_that_are_read(edited: Edited) -> None:
     )
 
     assert any(
-        "0xD1 would be ours" in problem for problem in problems_of(path)
+        "the id 0xD1 of message" in problem for problem in problems_of(path)
     )
 
 

@@ -39,8 +39,7 @@ def count_own_frames(
     taken = frozenset((can_id, False) for can_id in _taken(recording, config))
     if not taken:
         return {}
-    bus = _publishing_bus(config)
-    base = config.publish.id_base
+    bus, base = config.publishing_bus, config.publish.id_base
 
     def wanted(interface: str) -> Collection[tuple[int, bool]] | None:
         (number,) = resolve_interfaces(
@@ -84,7 +83,7 @@ def note_collisions(
     foreign = {
         can_id: count for can_id, count in frames.items() if can_id not in own
     }
-    bus = config.bus[_publishing_bus(config)].name
+    bus = config.bus[config.publishing_bus].name
     block = f"[publish] id_base = 0x{config.publish.id_base:X}"
     if foreign:
         notes.fault(
@@ -107,18 +106,12 @@ def note_collisions(
 
 def _taken(recording: Recording, config: Config) -> dict[int, int]:
     """Return frames by id, of the block on the publishing bus."""
-    bus, base = _publishing_bus(config), config.publish.id_base
+    bus, base = config.publishing_bus, config.publish.id_base
     return {
         can_id: count
         for can_id in range(base, base + BLOCK_IDS)
         if (count := recording.seen.get((bus, can_id, False)))
     }
-
-
-def _publishing_bus(config: Config) -> int:
-    names = [bus.name for bus in config.bus]
-    bus = config.publish.bus
-    return 0 if bus is None else names.index(bus)
 
 
 def _is_own(data: bytes, id_offset: int) -> bool:

@@ -19,6 +19,7 @@ import structlog
 from cantools.database.can import Database, Message
 
 from bstm_daemon.bus.output.e2e import PROFILE2_BYTES, PROFILE5_BYTES
+from bstm_daemon.bus.output.layout import BLOCK_IDS
 from bstm_daemon.bus.signals.dbc import (
     UnusableSignalError,
     multiplexers,
@@ -77,6 +78,18 @@ class SignalMap:
             for key in self.messages
             if key.bus == bus
         )
+
+    def taken_ids(self, bus: int, id_base: int) -> list[str]:
+        """Return a problem for each id read on *bus* that would be ours."""
+        return [
+            f"[publish] id_base = 0x{id_base:X}: the id 0x{key.can_id:X} of "
+            f"message {plan.name!r} would be ours, but this configuration "
+            "reads it: choose another id_base"
+            for key, plan in self.messages.items()
+            if key.bus == bus
+            and not key.extended
+            and id_base <= key.can_id < id_base + BLOCK_IDS
+        ]
 
     def roles(self) -> frozenset[int]:
         """Return the numbers of the roles that have a source."""
