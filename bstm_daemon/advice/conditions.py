@@ -4,21 +4,14 @@ Plain values, so that the estimator behind them can be exchanged. All SI; NaN
 is unknown.
 """
 
-from __future__ import annotations
-
+from collections.abc import Mapping, Sequence
 from math import inf, isfinite, nan
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from bstm_daemon.channels import CORNER_PRESSURE, FLAGS
-from bstm_daemon.estimate import RiskLevel, Validity
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from bstm_daemon.estimate import CornerEstimate
-    from bstm_daemon.estimator.blocks import Instant
-
+from bstm_daemon.estimate import CornerEstimate, RiskLevel, Validity
+from bstm_daemon.estimator.blocks import Instant
 
 DRIVER_ROLES: Final = (
     "ignition",

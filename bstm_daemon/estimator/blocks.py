@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
+from array import array
 from dataclasses import dataclass
 from functools import cache, cached_property
 from math import nan
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
 from bstm_daemon.channels import CHANNELS, FLAGS, VEHICLE_CHANNELS
 from bstm_daemon.estimate import Reason, Validity
-
-if TYPE_CHECKING:
-    from array import array
-
-    from bstm_daemon.model.thermal.program import Program
-    from bstm_daemon.model.wear.car import Laws
+from bstm_daemon.model.thermal.program import Program
+from bstm_daemon.model.wear.car import Laws
 
 _CHANNEL: Final = {name: i for i, name in enumerate(CHANNELS)}
 _VEHICLE: Final = {name: i for i, name in enumerate(VEHICLE_CHANNELS)}

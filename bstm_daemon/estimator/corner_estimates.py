@@ -1,23 +1,16 @@
 """Estimates of the corners at one publication of a block."""
 
-from __future__ import annotations
-
 from math import nan
-from typing import TYPE_CHECKING
 
-from bstm_daemon.estimate import NO_WEAR, CornerEstimate, WearEstimate
-from bstm_daemon.estimator.blocks import reasons_of, validity_of
+from bstm_daemon.estimate import NO_WEAR, CarRisk, CornerEstimate, WearEstimate
+from bstm_daemon.estimator.blocks import Instant, reasons_of, validity_of
 from bstm_daemon.model.risk.levels import (
     level_of_margin,
     published_level,
     sure_level,
 )
+from bstm_daemon.model.wear.car import CarWear
 from bstm_daemon.model.wear.dose import DISTANCE, DOSE
-
-if TYPE_CHECKING:
-    from bstm_daemon.estimate import CarRisk
-    from bstm_daemon.estimator.blocks import Instant
-    from bstm_daemon.model.wear.car import CarWear
 
 
 def corner_estimates(

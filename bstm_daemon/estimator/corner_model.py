@@ -1,19 +1,13 @@
 """From the configuration of a corner to its network, with effects and wear."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 from bstm_daemon.channels import CHANNELS
+from bstm_daemon.config.sections import Config, CornerConfig
 from bstm_daemon.errors import ConfigError
 from bstm_daemon.model.effects.catalogue import apply_effects, effects_of
 from bstm_daemon.model.effects.model import CornerModel
 from bstm_daemon.model.thermal.brake_corner import build_corner, corner_spec
 from bstm_daemon.model.thermal.program import Program, compile_network
 from bstm_daemon.model.wear.dose import with_wear_memories
-
-if TYPE_CHECKING:
-    from bstm_daemon.config.sections import Config, CornerConfig
 
 
 def compile_corner(config: Config, corner: CornerConfig) -> Program:

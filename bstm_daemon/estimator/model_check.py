@@ -8,14 +8,15 @@ its cause in the record. Far beyond it the estimate is not valid, and stays so
 while the brake remembers.
 """
 
-from __future__ import annotations
-
+from collections.abc import Collection, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from math import exp, hypot, isfinite, nan
-from typing import TYPE_CHECKING, Any, ClassVar, Final, NamedTuple
+from typing import Any, ClassVar, Final, NamedTuple
 
 from bstm_daemon.channels import CHANNELS, FLAGS, VEHICLE_CHANNELS
+from bstm_daemon.config.sections import Config
+from bstm_daemon.estimator.blocks import Block, BlockLayout
 from bstm_daemon.estimator.memory import (
     AnyNumber,
     Flag,
@@ -25,12 +26,6 @@ from bstm_daemon.estimator.memory import (
 )
 from bstm_daemon.estimator.trust import Trust
 from bstm_daemon.roles import MEASURED_NODES, ROLE_INDEX
-
-if TYPE_CHECKING:
-    from collections.abc import Collection, Mapping
-
-    from bstm_daemon.config.sections import Config
-    from bstm_daemon.estimator.blocks import Block, BlockLayout
 
 FORGET_J: Final = 1e6
 LEAST_J: Final = 3e5

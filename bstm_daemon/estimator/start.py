@@ -11,25 +11,20 @@ published.
 from __future__ import annotations
 
 from array import array
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from math import isfinite
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
-from bstm_daemon.estimator.blocks import channels_at_rest
+from bstm_daemon.config.sections import Config
+from bstm_daemon.estimator.blocks import BlockLayout, channels_at_rest
 from bstm_daemon.model.thermal.kernel import Batch
-from bstm_daemon.model.thermal.program import compile_network
+from bstm_daemon.model.thermal.program import Program, compile_network
 from bstm_daemon.model.thermal.settling import SETTLED_K
 from bstm_daemon.model.wear.car import exchange
+from bstm_daemon.model.wear.pads import Change
+from bstm_daemon.native.loader import Kernel
 from bstm_daemon.units import KELVIN_OFFSET
-
-if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator, Mapping, Sequence
-
-    from bstm_daemon.config.sections import Config
-    from bstm_daemon.estimator.blocks import BlockLayout
-    from bstm_daemon.model.thermal.program import Program
-    from bstm_daemon.model.wear.pads import Change
-    from bstm_daemon.native.loader import Kernel
 
 AGREE_K: Final = SETTLED_K
 """Largest difference of the two bounds that has no effect any more."""

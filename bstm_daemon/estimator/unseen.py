@@ -21,24 +21,20 @@ from __future__ import annotations
 
 import operator
 from array import array
+from collections.abc import Iterator, Mapping, Sequence
 from functools import reduce
 from itertools import groupby
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, NamedTuple
+from typing import Annotated, Any, ClassVar, Final, NamedTuple
 
 from pydantic import Field
 
 from bstm_daemon.channels import CHANNELS, FLAGS
-from bstm_daemon.estimator.blocks import channels_at_rest
+from bstm_daemon.estimator.blocks import Block, channels_at_rest
 from bstm_daemon.estimator.memory import Flag, Int64, Machine, Number
 from bstm_daemon.model.heat.sample_pass import AHEAD_US
+from bstm_daemon.model.thermal.kernel import Batch
 from bstm_daemon.model.thermal.settling import LONGEST_SETTLING_S
 from bstm_daemon.units import GRAVITY_MS2
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-
-    from bstm_daemon.estimator.blocks import Block
-    from bstm_daemon.model.thermal.kernel import Batch
 
 DROVE_MS: Final = 5.0
 """A car above this speed is not about to park, or has not just parked."""

@@ -6,13 +6,12 @@ no temperature of a brake; else *degraded*. ``docs/validity.md`` has the
 reasons in a table.
 """
 
-from __future__ import annotations
-
 from array import array
+from collections.abc import Mapping, Sequence
 from functools import partial, reduce
 from math import isfinite, isnan
 from operator import or_
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
 from bstm_daemon.channels import (
     CORNER_PRESSURE,
@@ -22,18 +21,13 @@ from bstm_daemon.channels import (
     HEAT_UNCERTAIN,
     WHEEL_SUSPECT,
 )
+from bstm_daemon.config.sections import Config
 from bstm_daemon.estimate import Reason, Validity
+from bstm_daemon.estimator.blocks import Block, Instant
+from bstm_daemon.estimator.model_check import ModelCheck
+from bstm_daemon.estimator.trust import Trust
 from bstm_daemon.estimator.verified import is_compared, unverified_inputs
 from bstm_daemon.roles import ROLE_INDEX, ROLES
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from bstm_daemon.config.sections import Config
-    from bstm_daemon.estimator.blocks import Block, Instant
-    from bstm_daemon.estimator.model_check import ModelCheck
-    from bstm_daemon.estimator.trust import Trust
-
 
 LOWEST_K: Final = 200.0
 HIGHEST_K: Final = 1800.0

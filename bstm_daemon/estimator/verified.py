@@ -9,20 +9,15 @@ and with it every corner that goes by it. So is the fluid of a corner that was
 matched without its temperature: what leads to it has typical values still.
 """
 
-from __future__ import annotations
-
+from collections.abc import Collection
 from functools import reduce
 from operator import or_
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
 from bstm_daemon.channels import FLAGS
+from bstm_daemon.config.sections import Config
 from bstm_daemon.estimate import NO_INPUT, Input
 from bstm_daemon.roles import CORNERS, GROUND_LAG_S, MEASURED_NODES, ROLES
-
-if TYPE_CHECKING:
-    from collections.abc import Collection
-
-    from bstm_daemon.config.sections import Config
 
 _SPEEDS: Final = (
     "vehicle_speed",

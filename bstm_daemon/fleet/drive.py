@@ -1,16 +1,17 @@
 """One drive of a lake: the task that a worker runs."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
+import numpy.typing as npt
 
+from bstm_daemon.bus.signals.signal_map import SignalMap
+from bstm_daemon.config.sections import Config
 from bstm_daemon.errors import FileAccessError, LogError, UsageError
 from bstm_daemon.estimate import Reason
 from bstm_daemon.estimator.memory import after_unseen_drive
@@ -43,12 +44,6 @@ from bstm_daemon.report.drive_statistics import (
     DriveStatistics,
 )
 from bstm_daemon.service import state_file
-
-if TYPE_CHECKING:
-    import numpy.typing as npt
-
-    from bstm_daemon.bus.signals.signal_map import SignalMap
-    from bstm_daemon.config.sections import Config
 
 MADE: Final = 0
 SKIPPED: Final = 1

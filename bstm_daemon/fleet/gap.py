@@ -1,13 +1,11 @@
 """``bstm fleet gap``: the gap of each car, and what cars of a type share."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from functools import cache, cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -18,6 +16,7 @@ from bstm_daemon.analysis.gap.changes import (
 )
 from bstm_daemon.analysis.gap.evidence import NormalEquations
 from bstm_daemon.analysis.gap.heat_only import find_force_gap
+from bstm_daemon.analysis.gap.naming import Naming
 from bstm_daemon.analysis.gap.recording import read_recording
 from bstm_daemon.analysis.gap.residual_heat import WINDOW_STEPS
 from bstm_daemon.analysis.gap.workflow import find_gap, is_unmatched
@@ -34,6 +33,7 @@ from bstm_daemon.fleet.lake import (
     program,
 )
 from bstm_daemon.fleet.learning import Finding, Searched, learn, odd_ones
+from bstm_daemon.fleet.plan import Plan
 from bstm_daemon.model.heat.needs import (
     INPUTS,
     check_heat_inputs,
@@ -45,10 +45,6 @@ from bstm_daemon.report.gap_page import gap_json
 from bstm_daemon.report.json_file import write_json
 from bstm_daemon.report.text import percent, table, wrapped
 from bstm_daemon.service.state_file import safe_name
-
-if TYPE_CHECKING:
-    from bstm_daemon.analysis.gap.naming import Naming
-    from bstm_daemon.fleet.plan import Plan
 
 FEW: Final = 4
 """Cars that a line names."""

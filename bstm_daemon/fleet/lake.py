@@ -5,8 +5,6 @@ all that the results follow from, the key of the drive before among them, so
 that a drive is made anew exactly where something before it has changed.
 """
 
-from __future__ import annotations
-
 import json
 import re
 import sys

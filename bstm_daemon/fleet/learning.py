@@ -8,12 +8,10 @@ stands that each car has nothing, or any one effect of its own. What matched
 cars say of a further one is written as a configuration.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -42,12 +40,10 @@ from bstm_daemon.analysis.matching.tunables import (
     targets_of,
 )
 from bstm_daemon.analysis.statistics.evidence import FREE
+from bstm_daemon.analysis.statistics.series import Column, Matrix
 from bstm_daemon.config.estimates import MatchedConfig, PriorsConfig
 from bstm_daemon.config.reading import load_config
 from bstm_daemon.model.effects.catalogue import effect_class
-
-if TYPE_CHECKING:
-    from bstm_daemon.analysis.statistics.series import Column, Matrix
 
 SPREADS: Final = np.array([0.03, 0.1, 0.3])
 """Standard deviation of the cars' strengths over that of the type. More would

@@ -5,8 +5,6 @@ The plan is an SQLite database, so that one of 100 000 drives is sorted and
 read without holding it in memory.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import re
@@ -17,11 +15,12 @@ from dataclasses import astuple, fields
 from functools import cached_property, lru_cache
 from hashlib import blake2b
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final, NamedTuple
+from typing import Annotated, Final, NamedTuple
 
 from pydantic import Field
 
 from bstm_daemon.bus.opening import EventLog
+from bstm_daemon.bus.signals.signal_map import SignalMap
 from bstm_daemon.config.reading import load_section, naming_file, read_toml
 from bstm_daemon.config.section import Section, Text, require
 from bstm_daemon.errors import (
@@ -35,9 +34,6 @@ from bstm_daemon.files import make_folder
 from bstm_daemon.fleet.lake import Drive, Lake
 from bstm_daemon.replay.vehicle import load_vehicle
 from bstm_daemon.service.state_file import safe_name
-
-if TYPE_CHECKING:
-    from bstm_daemon.bus.signals.signal_map import SignalMap
 
 PLACEHOLDER: Final = "{vehicle}"
 

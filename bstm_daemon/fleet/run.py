@@ -4,8 +4,6 @@ A car's drives are submitted one behind the other, some cars at a time, so
 that client and scheduler hold the drives under way and no others.
 """
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -14,7 +12,7 @@ from functools import lru_cache
 from hashlib import blake2b
 from ipaddress import ip_address
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 from urllib.parse import urlsplit
 
 from bstm_daemon.errors import BstmError, UsageError, require_packages
@@ -33,9 +31,7 @@ from bstm_daemon.fleet.lake import (
     hash_of_config,
     program,
 )
-
-if TYPE_CHECKING:
-    from bstm_daemon.fleet.plan import Plan
+from bstm_daemon.fleet.plan import Plan
 
 WAIT_S: Final = 30.0
 """How long scheduler and first worker are waited for."""

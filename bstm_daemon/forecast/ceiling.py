@@ -14,20 +14,15 @@ a brake, so that effects which add nodes are covered. With all of U as hot as
 the hottest node of T, nothing flows: no member gets hotter than that either.
 """
 
-from __future__ import annotations
-
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from itertools import pairwise, product
 from math import isfinite, isnan
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
 from bstm_daemon.estimator.blocks import channels_at_rest
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from bstm_daemon.forecast.members import Ensemble, Heat
-    from bstm_daemon.model.thermal.network import Factor, Link, Network
+from bstm_daemon.forecast.members import Ensemble, Heat
+from bstm_daemon.model.thermal.network import Factor, Link, Network
 
 MARGIN_K: Final = 1.0
 """Covers the error of the marches in coarse steps."""

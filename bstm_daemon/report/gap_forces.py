@@ -1,11 +1,11 @@
 """``bstm gap`` without a thermocouple: what forces show, in every form."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from bstm_daemon.analysis.gap.force_balance import Forces
+from bstm_daemon.analysis.gap.heat_only import ForceGap
 from bstm_daemon.report import gap as words
 from bstm_daemon.report.gap_page import candidate_sections, naming_json
 from bstm_daemon.report.plots import (
@@ -19,10 +19,6 @@ from bstm_daemon.report.plots import (
 )
 from bstm_daemon.report.shell import Page, Section
 from bstm_daemon.report.text import table
-
-if TYPE_CHECKING:
-    from bstm_daemon.analysis.gap.force_balance import Forces
-    from bstm_daemon.analysis.gap.heat_only import ForceGap
 
 
 def force_sentence(gap: ForceGap) -> str:

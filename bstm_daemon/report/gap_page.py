@@ -1,12 +1,10 @@
 """``bstm gap`` as page and as JSON: map, candidates, before and after."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from html import escape
 from textwrap import wrap
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from bstm_daemon.analysis.gap.changes import name_of
 from bstm_daemon.analysis.gap.holdout_comparison import (
@@ -17,6 +15,7 @@ from bstm_daemon.analysis.gap.holdout_comparison import (
     Shown,
     Shrink,
 )
+from bstm_daemon.analysis.gap.naming import Naming
 from bstm_daemon.analysis.gap.residual_heat import (
     REGIMES,
     TEMPERATURES_C,
@@ -24,6 +23,7 @@ from bstm_daemon.analysis.gap.residual_heat import (
     Located,
     labels,
 )
+from bstm_daemon.analysis.gap.workflow import Gap
 from bstm_daemon.report import gap as words
 from bstm_daemon.report.json_file import picked
 from bstm_daemon.report.plots import (
@@ -38,10 +38,6 @@ from bstm_daemon.report.plots import (
     time_plot,
 )
 from bstm_daemon.report.shell import Page, Section, Table
-
-if TYPE_CHECKING:
-    from bstm_daemon.analysis.gap.naming import Naming
-    from bstm_daemon.analysis.gap.workflow import Gap
 
 ORDER: Final = ("disc", "pad_front", "pad_back", "fluid", "caliper")
 CLEAR: Final = 3.0

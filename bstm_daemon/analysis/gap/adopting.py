@@ -4,10 +4,8 @@ The values that were fitted with an effect or a change belong to it: a file
 with the one and without the others is a model that nobody has tried.
 """
 
-from __future__ import annotations
-
 import time
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -17,7 +15,9 @@ from bstm_daemon.analysis.gap.changes import (
     is_change,
     said,
 )
-from bstm_daemon.analysis.gap.fitting import HEAT_CHANGE, effect_entries
+from bstm_daemon.analysis.gap.comparison import Comparison
+from bstm_daemon.analysis.gap.fitting import HEAT_CHANGE, Fit, effect_entries
+from bstm_daemon.analysis.gap.naming import Naming
 from bstm_daemon.analysis.identify.writing import Change, Entries
 from bstm_daemon.analysis.matching.changes import value_changes
 from bstm_daemon.analysis.matching.learned import (
@@ -27,11 +27,6 @@ from bstm_daemon.analysis.matching.learned import (
 from bstm_daemon.config.estimates import ChangeConfig
 from bstm_daemon.model.effects.composed import NAME as COMPOSED
 from bstm_daemon.model.effects.composed import is_composed
-
-if TYPE_CHECKING:
-    from bstm_daemon.analysis.gap.comparison import Comparison
-    from bstm_daemon.analysis.gap.fitting import Fit
-    from bstm_daemon.analysis.gap.naming import Naming
 
 
 def written(

@@ -11,38 +11,37 @@ pressure and torque of every sample. What thermocouples would then show is
 the model's own prediction, never the simulated brake's.
 """
 
-from __future__ import annotations
-
 from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import log
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
 from bstm_daemon.analysis.gap.changes import either_sign, is_change
+from bstm_daemon.analysis.gap.comparison import Comparison
 from bstm_daemon.analysis.gap.evidence import NOTHING, strength_prior
 from bstm_daemon.analysis.gap.naming import SURE, Naming
 from bstm_daemon.analysis.gap.recording import Recording, inputs_of, thinned
-from bstm_daemon.analysis.gap.signatures import sensitivities, signature_of
+from bstm_daemon.analysis.gap.signatures import (
+    Linearised,
+    Signature,
+    sensitivities,
+    signature_of,
+)
 from bstm_daemon.analysis.matching.drives import GRID_S, Drive
 from bstm_daemon.analysis.matching.march import march, model_of
 from bstm_daemon.analysis.matching.thermocouples import Thermocouple
 from bstm_daemon.analysis.statistics.evidence import Projector
+from bstm_daemon.analysis.statistics.series import Column
 from bstm_daemon.bus.signals.columns import Events
+from bstm_daemon.config.sections import Config
 from bstm_daemon.estimator.corner_model import compiled_model
 from bstm_daemon.model.heat.sample_pass import TICK
 from bstm_daemon.roles import ROLE_INDEX
 from bstm_daemon.simulation import load_drive, simulate
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from bstm_daemon.analysis.gap.comparison import Comparison
-    from bstm_daemon.analysis.gap.signatures import Linearised, Signature
-    from bstm_daemon.analysis.statistics.series import Column
-    from bstm_daemon.config.sections import Config
-    from bstm_daemon.simulation.simulate import SimulatedDrive
+from bstm_daemon.simulation.simulate import SimulatedDrive
 
 WORLDS: Final = 400
 """Worlds drawn for each drive: odds are good to 2 %."""

@@ -5,26 +5,28 @@ values, so the decision is made on what was left out of the fit; the strength
 of an addition is fitted without that too.
 """
 
-from __future__ import annotations
-
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import exp
-from typing import TYPE_CHECKING, Final
+from pathlib import Path
+from typing import Final
 
 import numpy as np
 
 from bstm_daemon.analysis.gap.adopting import written
 from bstm_daemon.analysis.gap.changes import is_change, is_listed
-from bstm_daemon.analysis.gap.comparison import with_effects
+from bstm_daemon.analysis.gap.comparison import Comparison, with_effects
 from bstm_daemon.analysis.gap.fitting import NINETY, askable, directions, fit
 from bstm_daemon.analysis.gap.form import with_form
+from bstm_daemon.analysis.gap.naming import Naming
 from bstm_daemon.analysis.gap.recording import read_recording
 from bstm_daemon.analysis.gap.searching import search, starts
-from bstm_daemon.analysis.gap.signatures import candidates, sensed
+from bstm_daemon.analysis.gap.signatures import Sensed, candidates, sensed
 from bstm_daemon.analysis.gap.workflow import compare
 from bstm_daemon.analysis.identify.guessed import BY_FORCES
 from bstm_daemon.analysis.matching.changes import learned
 from bstm_daemon.analysis.matching.learned import entry
+from bstm_daemon.analysis.matching.matcher import Match
 from bstm_daemon.analysis.matching.structure import (
     KEPT,
     has_grown,
@@ -32,19 +34,10 @@ from bstm_daemon.analysis.matching.structure import (
 )
 from bstm_daemon.analysis.matching.tunables import DRAG, strength_key
 from bstm_daemon.analysis.matching.workflow import Matched, match_logs
+from bstm_daemon.bus.signals.signal_map import SignalMap
+from bstm_daemon.config.estimates import MatchedConfig
+from bstm_daemon.config.sections import Config, EffectConfig
 from bstm_daemon.model.effects.catalogue import effect_class
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-    from pathlib import Path
-
-    from bstm_daemon.analysis.gap.comparison import Comparison
-    from bstm_daemon.analysis.gap.naming import Naming
-    from bstm_daemon.analysis.gap.signatures import Sensed
-    from bstm_daemon.analysis.matching.matcher import Match
-    from bstm_daemon.bus.signals.signal_map import SignalMap
-    from bstm_daemon.config.estimates import MatchedConfig
-    from bstm_daemon.config.sections import Config, EffectConfig
 
 MOST_ROUNDS: Final = 3
 """Additions that are tried, one after the other."""

@@ -5,26 +5,21 @@ candidate: one by one, and together where one cause moves several. A strength
 is the logarithm of the factor over :data:`STEP`.
 """
 
-from __future__ import annotations
-
 import tomllib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
 from bstm_daemon.analysis.matching.effect_values import split_key
 from bstm_daemon.analysis.matching.tunables import EFFECT
+from bstm_daemon.analysis.statistics.series import Column
+from bstm_daemon.config.sections import Config, EffectConfig
 from bstm_daemon.model.effects.catalogue import effect_class, effects_of
 from bstm_daemon.model.effects.composed import PREFIX as COMPOSED
 from bstm_daemon.model.effects.composed import is_composed
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from bstm_daemon.analysis.statistics.series import Column
-    from bstm_daemon.config.sections import Config, EffectConfig
 
 PREFIX: Final = "change."
 """Of the names of these candidates."""

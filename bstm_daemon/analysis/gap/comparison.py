@@ -5,11 +5,10 @@ series: their models err alike, so that counting them apart would count one
 error several times.
 """
 
-from __future__ import annotations
-
 import os
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
@@ -20,32 +19,25 @@ from bstm_daemon.analysis.gap.changes import (
     trials,
 )
 from bstm_daemon.analysis.gap.noise import Layout
-from bstm_daemon.analysis.matching.drives import GRID_S
+from bstm_daemon.analysis.gap.recording import Recording
+from bstm_daemon.analysis.matching.drives import GRID_S, Drive
 from bstm_daemon.analysis.matching.learned import (
     known_covariance,
 )
 from bstm_daemon.analysis.matching.march import march, model_of
 from bstm_daemon.analysis.matching.problem import Series, series_of
 from bstm_daemon.analysis.matching.tunables import TUNABLES, Target
-from bstm_daemon.config.sections import EffectConfig
+from bstm_daemon.analysis.statistics.series import Column
+from bstm_daemon.analysis.statistics.whitening import SensorNoise
+from bstm_daemon.config.sections import Config, EffectConfig
 from bstm_daemon.errors import LogError
 from bstm_daemon.estimator.corner_model import compiled_model, corner_model
 from bstm_daemon.model.effects.catalogue import edited_inputs, effect_class
 from bstm_daemon.model.effects.composed import NAME as COMPOSED
 from bstm_daemon.model.effects.composed import PREFIX, is_composed, read
 from bstm_daemon.model.effects.effect import STRENGTH
-from bstm_daemon.model.effects.model import corrections_by_role
+from bstm_daemon.model.effects.model import CornerModel, corrections_by_role
 from bstm_daemon.roles import ROLE_INDEX
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from bstm_daemon.analysis.gap.recording import Recording
-    from bstm_daemon.analysis.matching.drives import Drive
-    from bstm_daemon.analysis.statistics.series import Column
-    from bstm_daemon.analysis.statistics.whitening import SensorNoise
-    from bstm_daemon.config.sections import Config
-    from bstm_daemon.model.effects.model import CornerModel
 
 POINT_S: Final = 10.0
 MOST_POINTS: Final = 300

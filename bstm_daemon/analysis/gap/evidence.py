@@ -12,35 +12,30 @@ leaves residuals that another can take up: a further one must explain a share
 of what the first does.
 """
 
-from __future__ import annotations
-
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import sqrt
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
+from bstm_daemon.analysis.gap.noise import Layout
+from bstm_daemon.analysis.gap.signatures import (
+    Linearised,
+    Signature,
+    UnnamedHeat,
+)
 from bstm_daemon.analysis.statistics.evidence import (
     FREE,
     Projector,
     fit_terms,
     mean_evidence,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from bstm_daemon.analysis.gap.noise import Layout
-    from bstm_daemon.analysis.gap.signatures import (
-        Linearised,
-        Signature,
-        UnnamedHeat,
-    )
-    from bstm_daemon.analysis.statistics.series import (
-        Column,
-        Indices,
-        Matrix,
-    )
+from bstm_daemon.analysis.statistics.series import (
+    Column,
+    Indices,
+    Matrix,
+)
 
 NOTHING: Final = 0.5
 """Probability that nothing is missing, before data."""

@@ -6,10 +6,9 @@ the last step may take sensitivities of the tunables that are known already.
 A strength has the log-normal prior that names are weighed with.
 """
 
-from __future__ import annotations
-
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
@@ -21,18 +20,17 @@ from bstm_daemon.analysis.gap.changes import (
     largest,
     step_of,
 )
+from bstm_daemon.analysis.gap.comparison import Comparison
 from bstm_daemon.analysis.gap.evidence import LOG_CENTRE, LOG_WIDTH
 from bstm_daemon.analysis.gap.signatures import sensitivities
-from bstm_daemon.analysis.matching.tunables import S_SPEEDS_MS, TUNABLES
+from bstm_daemon.analysis.matching.tunables import (
+    S_SPEEDS_MS,
+    TUNABLES,
+    Target,
+)
+from bstm_daemon.analysis.statistics.series import Column
 from bstm_daemon.config.sections import EffectConfig
 from bstm_daemon.model.effects.catalogue import effect_class
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from bstm_daemon.analysis.gap.comparison import Comparison
-    from bstm_daemon.analysis.matching.tunables import Target
-    from bstm_daemon.analysis.statistics.series import Column
 
 ITERATIONS: Final = 3
 STRENGTH_STEP: Final = 0.15

@@ -7,36 +7,30 @@ is what parts an error of the motion from one of the friction. Friction as a
 whole, the resistances and the body's pitch are the tunables of the residual.
 """
 
-from __future__ import annotations
-
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
 from bstm_daemon.analysis.gap.comparison import with_effects
 from bstm_daemon.analysis.gap.noise import Layout
+from bstm_daemon.analysis.gap.recording import Recording
 from bstm_daemon.analysis.matching.drives import GRID_S
 from bstm_daemon.analysis.matching.march import march
 from bstm_daemon.analysis.matching.problem import Series
-from bstm_daemon.analysis.statistics.series import Column, runs
+from bstm_daemon.analysis.statistics.series import Column, Indices, runs
 from bstm_daemon.analysis.statistics.whitening import SensorNoise
 from bstm_daemon.channels import CHANNELS
+from bstm_daemon.config.sections import Config, EffectConfig
 from bstm_daemon.errors import LogError
 from bstm_daemon.estimator.corner_model import compile_corner
 from bstm_daemon.model.effects.catalogue import edited_inputs, effect_class
+from bstm_daemon.model.effects.effect import Effect
 from bstm_daemon.model.effects.model import corrections_by_role
 from bstm_daemon.model.heat.feed_back import Vehicle
 from bstm_daemon.roles import CORNERS, ROLE_INDEX
 from bstm_daemon.units import GRAVITY_MS2, KELVIN_OFFSET
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from bstm_daemon.analysis.gap.recording import Recording
-    from bstm_daemon.analysis.statistics.series import Column, Indices
-    from bstm_daemon.config.sections import Config, EffectConfig
-    from bstm_daemon.model.effects.effect import Effect
 
 WINDOW_S: Final = 1.0
 MOST_WINDOWS: Final = 1500

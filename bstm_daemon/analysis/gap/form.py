@@ -6,24 +6,18 @@ the terms of the catalogue and of heat without a name, and taken off the
 residuals of later drives. What is new since the match is left.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
 from bstm_daemon.analysis.gap.changes import is_change
-from bstm_daemon.analysis.gap.comparison import HEAT_SCALE_PRIOR
+from bstm_daemon.analysis.gap.comparison import HEAT_SCALE_PRIOR, Comparison
 from bstm_daemon.analysis.gap.noise import FREEDOM, Layout, calibrated
+from bstm_daemon.analysis.gap.signatures import Sensed
 from bstm_daemon.analysis.matching.learned import short
-
-if TYPE_CHECKING:
-    from bstm_daemon.analysis.gap.comparison import Comparison
-    from bstm_daemon.analysis.gap.signatures import Sensed
-    from bstm_daemon.analysis.statistics.series import Column
-    from bstm_daemon.config.estimates import MatchedConfig
-
+from bstm_daemon.analysis.statistics.series import Column
+from bstm_daemon.config.estimates import MatchedConfig
 
 DAILY: Final = {
     "accelerometer_bias": 1.2,

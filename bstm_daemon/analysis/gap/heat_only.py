@@ -7,17 +7,17 @@ integrated out as tunables are, and the rest is the naming of
 :mod:`bstm_daemon.analysis.gap.naming`.
 """
 
-from __future__ import annotations
-
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
 from bstm_daemon.analysis.gap.fitting import FORM_ERROR, effect_entries
-from bstm_daemon.analysis.gap.force_balance import ForceComparison
+from bstm_daemon.analysis.gap.force_balance import ForceComparison, Forces
 from bstm_daemon.analysis.gap.naming import Naming, name_effect
+from bstm_daemon.analysis.gap.recording import Recording
 from bstm_daemon.analysis.gap.signatures import (
     Linearised,
     Signature,
@@ -27,12 +27,6 @@ from bstm_daemon.analysis.identify.writing import Change, Entries
 from bstm_daemon.analysis.statistics.evidence import FREE, Projector, fit_terms
 from bstm_daemon.config.sections import Config, EffectConfig
 from bstm_daemon.model.effects.catalogue import effect_class
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from bstm_daemon.analysis.gap.force_balance import Forces
-    from bstm_daemon.analysis.gap.recording import Recording
 
 NOTHING_SEEN: Final = (
     "no effect on the heat input changes the forces of these drives by more "

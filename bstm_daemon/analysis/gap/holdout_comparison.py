@@ -7,27 +7,22 @@ first three over that of the fourth, the noise of the thermocouples taken off
 both.
 """
 
-from __future__ import annotations
-
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
 from bstm_daemon.analysis.gap.changes import name_of
 from bstm_daemon.analysis.gap.comparison import Comparison
 from bstm_daemon.analysis.gap.fitting import Fit, fit, scale_basis
+from bstm_daemon.analysis.gap.naming import Naming
+from bstm_daemon.analysis.gap.recording import Recording
 from bstm_daemon.analysis.matching.structure import has_grown
 from bstm_daemon.analysis.statistics.resampling import bootstrap
 from bstm_daemon.analysis.statistics.series import Column, rms, white_noise
+from bstm_daemon.analysis.statistics.whitening import SensorNoise
 from bstm_daemon.units import KELVIN_OFFSET
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from bstm_daemon.analysis.gap.naming import Naming
-    from bstm_daemon.analysis.gap.recording import Recording
-    from bstm_daemon.analysis.statistics.whitening import SensorNoise
 
 CONFIGURED, SCALED, REFITTED, EXTENDED = (
     "as configured",

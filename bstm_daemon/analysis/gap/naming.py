@@ -7,9 +7,10 @@ effects' where something is plainly missing that no effect explains.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from math import sqrt
-from typing import TYPE_CHECKING, Any, Final, Literal
+from typing import Any, Final, Literal
 
 import numpy as np
 
@@ -31,14 +32,10 @@ from bstm_daemon.analysis.gap.evidence import (
     unnamed_beside,
     weigh,
 )
+from bstm_daemon.analysis.gap.noise import Layout
+from bstm_daemon.analysis.gap.signatures import Linearised, Signature
 from bstm_daemon.analysis.statistics.evidence import Projector, mean_evidence
 from bstm_daemon.model.effects.catalogue import effect_class
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from bstm_daemon.analysis.gap.noise import Layout
-    from bstm_daemon.analysis.gap.signatures import Linearised, Signature
 
 Answer = Literal[
     "nothing", "name", "class", "composed", "unknown", "undecided"

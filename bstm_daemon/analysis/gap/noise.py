@@ -10,25 +10,20 @@ the tunables, all effects of the catalogue and heat without a name. So what is
 missing does not count as noise, and what is noise need not be missing.
 """
 
-from __future__ import annotations
-
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from math import hypot
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
+from bstm_daemon.analysis.matching.problem import Series
 from bstm_daemon.analysis.matching.verification import accuracy_of
+from bstm_daemon.analysis.statistics.series import Column, Matrix
 from bstm_daemon.analysis.statistics.whitening import SensorNoise
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from bstm_daemon.analysis.matching.problem import Series
-    from bstm_daemon.analysis.statistics.series import Column, Matrix
-    from bstm_daemon.config.estimates import MatchedConfig
-    from bstm_daemon.config.sections import Config
+from bstm_daemon.config.estimates import MatchedConfig
+from bstm_daemon.config.sections import Config
 
 
 class Layout:

@@ -12,15 +12,15 @@ pressure and time stand beside. Two nodes whose residual heats are opposite
 lack a link between them.
 """
 
-from __future__ import annotations
-
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations, pairwise
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
 from bstm_daemon.analysis.gap.noise import noise_of
+from bstm_daemon.analysis.gap.recording import Recording
 from bstm_daemon.analysis.matching.drives import GRID_S, Drive
 from bstm_daemon.analysis.matching.march import (
     initial_temperatures,
@@ -28,17 +28,11 @@ from bstm_daemon.analysis.matching.march import (
     model_of,
 )
 from bstm_daemon.analysis.matching.phases import BRAKING_W, STANDING_MS
-from bstm_daemon.analysis.statistics.series import Column, block_means
+from bstm_daemon.analysis.statistics.series import Column, Indices, block_means
+from bstm_daemon.config.sections import Config
 from bstm_daemon.estimator.corner_model import compiled_model
 from bstm_daemon.model.thermal.program import Program, compile_network
 from bstm_daemon.units import KELVIN_OFFSET
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-
-    from bstm_daemon.analysis.gap.recording import Recording
-    from bstm_daemon.analysis.statistics.series import Indices
-    from bstm_daemon.config.sections import Config
 
 WINDOW_STEPS: Final = 60
 """Half a minute: longer than a thermocouple's lag, shorter than a descent."""

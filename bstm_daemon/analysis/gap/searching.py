@@ -5,14 +5,14 @@ differs from day to day is integrated out, and large changes are simulated
 again where they are.
 """
 
-from __future__ import annotations
-
+from collections.abc import Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
 from bstm_daemon.analysis.gap.changes import is_change
+from bstm_daemon.analysis.gap.comparison import Comparison
 from bstm_daemon.analysis.gap.composing import with_composed
 from bstm_daemon.analysis.gap.evidence import (
     NEXT_EVIDENCE,
@@ -34,12 +34,7 @@ from bstm_daemon.analysis.statistics.evidence import (
     Projector,
     mean_evidence,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from bstm_daemon.analysis.gap.comparison import Comparison
-    from bstm_daemon.analysis.statistics.series import Column
+from bstm_daemon.analysis.statistics.series import Column
 
 LEADING: Final = 4
 LARGE: Final = 0.7

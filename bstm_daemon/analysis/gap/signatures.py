@@ -10,10 +10,9 @@ missing there, without a name. They decide whether anything is missing that no
 named effect explains.
 """
 
-from __future__ import annotations
-
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
@@ -23,15 +22,20 @@ from bstm_daemon.analysis.gap.changes import (
     largest,
     strength_of,
 )
+from bstm_daemon.analysis.gap.comparison import Comparison
+from bstm_daemon.analysis.gap.noise import Layout
 from bstm_daemon.analysis.gap.residual_heat import REGIMES
+from bstm_daemon.analysis.matching.drives import Drive
 from bstm_daemon.analysis.matching.march import (
     initial_temperatures,
     march,
     model_of,
 )
 from bstm_daemon.analysis.matching.phases import BRAKING_W, STANDING_MS
+from bstm_daemon.analysis.matching.problem import Series
 from bstm_daemon.analysis.statistics.levenberg_marquardt import STEP
-from bstm_daemon.config.sections import EffectConfig
+from bstm_daemon.analysis.statistics.series import Column
+from bstm_daemon.config.sections import Config, EffectConfig
 from bstm_daemon.errors import ConfigError
 from bstm_daemon.estimator.corner_model import compiled_model
 from bstm_daemon.model.effects.catalogue import (
@@ -40,16 +44,6 @@ from bstm_daemon.model.effects.catalogue import (
     effects_of,
 )
 from bstm_daemon.model.thermal.program import compile_network
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-
-    from bstm_daemon.analysis.gap.comparison import Comparison
-    from bstm_daemon.analysis.gap.noise import Layout
-    from bstm_daemon.analysis.matching.drives import Drive
-    from bstm_daemon.analysis.matching.problem import Series
-    from bstm_daemon.analysis.statistics.series import Column
-    from bstm_daemon.config.sections import Config
 
 NETWORK_STRENGTHS: Final[tuple[float, ...]] = (0.5, 1.5)
 HEAT_STRENGTHS: Final[tuple[float, ...]] = (1.0,)

@@ -1,15 +1,15 @@
 """``bstm gap run``: locate, gate, name, fit, show, corner by corner."""
 
-from __future__ import annotations
-
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from bstm_daemon.analysis.gap.adopting import written
 from bstm_daemon.analysis.gap.advising import (
     MENU,
+    Advice,
+    Prospect,
     advise,
     candidate_drive,
     members_of,
@@ -28,7 +28,9 @@ from bstm_daemon.analysis.gap.holdout_comparison import (
     contradicted,
     show,
 )
+from bstm_daemon.analysis.gap.naming import Naming
 from bstm_daemon.analysis.gap.noise import noise_of
+from bstm_daemon.analysis.gap.recording import Recording
 from bstm_daemon.analysis.gap.residual_heat import Located, locate
 from bstm_daemon.analysis.gap.searching import search, starts
 from bstm_daemon.analysis.gap.signatures import (
@@ -36,27 +38,19 @@ from bstm_daemon.analysis.gap.signatures import (
     candidates,
     sensed,
 )
-from bstm_daemon.analysis.identify.writing import NO_ENTRIES
+from bstm_daemon.analysis.identify.writing import NO_ENTRIES, Change, Entries
 from bstm_daemon.analysis.matching.learned import known_keys
 from bstm_daemon.analysis.matching.tunables import (
+    Target,
     measured_targets,
     over_targets,
     targets_of,
 )
+from bstm_daemon.analysis.statistics.series import Column
+from bstm_daemon.analysis.statistics.whitening import SensorNoise
+from bstm_daemon.config.sections import Config, EffectConfig
 from bstm_daemon.errors import LogError
 from bstm_daemon.roles import MEASURED_NODES, ROLE_INDEX
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-
-    from bstm_daemon.analysis.gap.advising import Advice, Prospect
-    from bstm_daemon.analysis.gap.naming import Naming
-    from bstm_daemon.analysis.gap.recording import Recording
-    from bstm_daemon.analysis.identify.writing import Change, Entries
-    from bstm_daemon.analysis.matching.tunables import Target
-    from bstm_daemon.analysis.statistics.series import Column
-    from bstm_daemon.analysis.statistics.whitening import SensorNoise
-    from bstm_daemon.config.sections import Config, EffectConfig
 
 
 @dataclass(frozen=True, slots=True)

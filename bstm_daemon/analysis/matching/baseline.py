@@ -12,21 +12,16 @@ used: a model that errs more explains nothing.
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
-from bstm_daemon.analysis.matching.drives import GRID_S
+from bstm_daemon.analysis.matching.drives import GRID_S, Drive
 from bstm_daemon.analysis.statistics.levenberg_marquardt import minimise
-from bstm_daemon.analysis.statistics.series import rms
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from bstm_daemon.analysis.matching.drives import Drive
-    from bstm_daemon.analysis.statistics.series import Column
+from bstm_daemon.analysis.statistics.series import Column, rms
 
 MARGIN_K: Final = 1.0
 """A model loses from so much on: less is the noise of a thermocouple."""

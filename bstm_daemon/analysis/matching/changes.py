@@ -1,9 +1,8 @@
 """What a match changes in the configuration, each value saying its origin."""
 
-from __future__ import annotations
-
+from collections.abc import Mapping, Sequence
 from math import isnan
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -15,14 +14,10 @@ from bstm_daemon.analysis.matching.learned import (
     known_keys,
     short,
 )
+from bstm_daemon.analysis.matching.matcher import Match
 from bstm_daemon.analysis.matching.tunables import EFFECT
 from bstm_daemon.config.estimates import MatchedConfig
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from bstm_daemon.analysis.matching.matcher import Match
-    from bstm_daemon.config.sections import Config
+from bstm_daemon.config.sections import Config
 
 
 def changes_of(

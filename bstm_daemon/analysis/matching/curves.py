@@ -1,18 +1,13 @@
 """Measured and modelled temperatures of a match over a drive."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
+from bstm_daemon.analysis.matching.drives import Drive
 from bstm_daemon.analysis.matching.march import march
+from bstm_daemon.analysis.matching.matcher import Match
+from bstm_daemon.analysis.statistics.series import Column
 from bstm_daemon.estimator.corner_model import compile_corner
 from bstm_daemon.units import KELVIN_OFFSET
-
-if TYPE_CHECKING:
-    from bstm_daemon.analysis.matching.drives import Drive
-    from bstm_daemon.analysis.matching.matcher import Match
-    from bstm_daemon.analysis.statistics.series import Column
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -9,22 +9,38 @@ from __future__ import annotations
 
 from array import array
 from collections import defaultdict
+from collections.abc import (
+    Callable,
+    Collection,
+    Iterable,
+    Iterator,
+    Mapping,
+    Sequence,
+)
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Final
+from pathlib import Path
+from typing import Final
 
 import numpy as np
 
+from bstm_daemon.analysis.matching.power_by_drag import PowerByDrag
 from bstm_daemon.analysis.matching.thermocouples import (
     NODE_OF,
     THERMOCOUPLES,
+    Placement,
     Thermocouple,
     node_at,
     placements,
     thermocouples_of,
 )
+from bstm_daemon.analysis.statistics.series import Column
 from bstm_daemon.bus.opening import EventLog
+from bstm_daemon.bus.signals.columns import Events
+from bstm_daemon.bus.signals.signal_map import SignalMap
 from bstm_daemon.channels import CHANNELS
+from bstm_daemon.config.sections import Config
 from bstm_daemon.errors import LogError, UsageError
+from bstm_daemon.estimator.blocks import Block
 from bstm_daemon.estimator.estimator import STEP_US, Estimator
 from bstm_daemon.estimator.input_history import InputHistory
 from bstm_daemon.model.heat.memory import SampleState
@@ -35,25 +51,6 @@ from bstm_daemon.replay.columns import present_roles
 from bstm_daemon.replay.results import Collector, Results, ResultsBuilder
 from bstm_daemon.roles import MEASURED_NODES, ROLE_INDEX
 from bstm_daemon.units import KELVIN_OFFSET
-
-if TYPE_CHECKING:
-    from collections.abc import (
-        Callable,
-        Collection,
-        Iterable,
-        Iterator,
-        Mapping,
-        Sequence,
-    )
-    from pathlib import Path
-
-    from bstm_daemon.analysis.matching.power_by_drag import PowerByDrag
-    from bstm_daemon.analysis.matching.thermocouples import Placement
-    from bstm_daemon.analysis.statistics.series import Column
-    from bstm_daemon.bus.signals.columns import Events
-    from bstm_daemon.bus.signals.signal_map import SignalMap
-    from bstm_daemon.config.sections import Config
-    from bstm_daemon.estimator.blocks import Block
 
 GRID_S: Final = 0.5
 """Step of matching. Energies are exact at any step, as inputs are means."""

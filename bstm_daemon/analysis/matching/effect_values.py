@@ -1,14 +1,9 @@
 """Values of effects in a configuration, by ``<effect>.<parameter>``."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
+from collections.abc import Collection, Mapping
 
 from bstm_daemon.config.sections import Config, EffectConfig
 from bstm_daemon.model.effects.catalogue import effect_class, effects_of
-
-if TYPE_CHECKING:
-    from collections.abc import Collection, Mapping
 
 
 def split_key(name: str) -> tuple[str, str]:

@@ -5,20 +5,15 @@ both; the scale comes from the brake power. So a value by itself may be
 unknown although a ratio with another is well known.
 """
 
-from __future__ import annotations
-
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
+from bstm_daemon.analysis.matching.refine import Refinement
 from bstm_daemon.analysis.matching.tunables import TUNABLES
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from bstm_daemon.analysis.matching.refine import Refinement
 
 KNOWN: Final = 0.5
 """The drives settle a value where they halve its prior's deviation."""

@@ -5,9 +5,8 @@ when a drive is left out says how far to trust that: both add up, never beyond
 the prior.
 """
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING, Any, Final
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
 
 import numpy as np
 
@@ -15,16 +14,12 @@ from bstm_daemon.analysis.matching.tunables import (
     NODES_MS,
     SAME,
     TUNABLES,
+    Target,
     refined_keys,
     usable,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from bstm_daemon.analysis.matching.tunables import Target
-    from bstm_daemon.analysis.statistics.series import Column
-    from bstm_daemon.config.estimates import MatchedConfig
+from bstm_daemon.analysis.statistics.series import Column
+from bstm_daemon.config.estimates import MatchedConfig
 
 DAY_TO_DAY: Final = 0.03
 """Standard deviation of a value's logarithm from drive to drive, at least:

@@ -4,33 +4,30 @@ Variants are lanes of one march of the kernel, which leaves the interpreter
 to others meanwhile: drives and corners run in threads.
 """
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING, Final
+from collections.abc import Collection, Mapping, Sequence
+from typing import Final
 
 import numpy as np
 
 from bstm_daemon.analysis.matching.drives import (
     BEGIN_S,
     GRID_S,
+    Drive,
     flat,
     settled,
 )
-from bstm_daemon.analysis.matching.thermocouples import InPad, node_at
+from bstm_daemon.analysis.matching.thermocouples import (
+    InPad,
+    Placement,
+    node_at,
+)
+from bstm_daemon.analysis.statistics.series import Column
 from bstm_daemon.channels import CHANNELS
+from bstm_daemon.config.sections import Config
 from bstm_daemon.estimator.corner_model import corner_model
+from bstm_daemon.model.effects.model import CornerModel
 from bstm_daemon.model.thermal.kernel import Batch
-from bstm_daemon.model.thermal.program import compile_network
-
-if TYPE_CHECKING:
-    from collections.abc import Collection, Mapping, Sequence
-
-    from bstm_daemon.analysis.matching.drives import Drive
-    from bstm_daemon.analysis.matching.thermocouples import Placement
-    from bstm_daemon.analysis.statistics.series import Column
-    from bstm_daemon.config.sections import Config
-    from bstm_daemon.model.effects.model import CornerModel
-    from bstm_daemon.model.thermal.program import Program
+from bstm_daemon.model.thermal.program import Program, compile_network
 
 STEADY_K: Final = 10.0
 """First temperatures that spread less are joined to their mean."""

@@ -3,18 +3,12 @@
 Each is a list of stretches of steps, first to last, both included.
 """
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
-from bstm_daemon.analysis.matching.drives import GRID_S
-from bstm_daemon.analysis.statistics.series import runs
-
-if TYPE_CHECKING:
-    from bstm_daemon.analysis.matching.drives import Drive
-    from bstm_daemon.analysis.statistics.series import Column, Mask
+from bstm_daemon.analysis.matching.drives import GRID_S, Drive
+from bstm_daemon.analysis.statistics.series import Column, Mask, runs
 
 STANDING_MS: Final = 0.5
 SOAK_S: Final = 300.0

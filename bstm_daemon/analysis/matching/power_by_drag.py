@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from bstm_daemon.analysis.statistics.series import Column
 from bstm_daemon.channels import CHANNELS
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from bstm_daemon.analysis.statistics.series import Column
 
 
 @dataclass(frozen=True, slots=True, eq=False)

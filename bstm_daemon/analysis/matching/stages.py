@@ -6,10 +6,9 @@ stretch begins at what was measured. A stage needs its thermocouples: without
 one of them it is left out and said so, the others stay.
 """
 
-from __future__ import annotations
-
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, Literal
+from typing import Final, Literal
 
 import numpy as np
 
@@ -32,10 +31,6 @@ from bstm_daemon.analysis.statistics.levenberg_marquardt import minimise
 from bstm_daemon.analysis.statistics.series import Mask, runs
 from bstm_daemon.estimator.corner_model import compile_corner
 from bstm_daemon.units import KELVIN_OFFSET
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Sequence
-
 
 Phase = Literal["soak", "drive", "cooling", "normal braking", "hot braking"]
 

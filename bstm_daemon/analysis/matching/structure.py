@@ -7,21 +7,15 @@ values that no lining has. Whether a car's drives ask for it is decided by
 what was left out of the fit, not by its name in a file.
 """
 
-from __future__ import annotations
-
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from math import exp, log
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
-from bstm_daemon.analysis.matching.tunables import CONTACT
+from bstm_daemon.analysis.matching.drives import Drive
+from bstm_daemon.analysis.matching.tunables import CONTACT, Target
 from bstm_daemon.config.sections import EffectConfig
 from bstm_daemon.model.effects.catalogue import effects_of
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from bstm_daemon.analysis.matching.drives import Drive
-    from bstm_daemon.analysis.matching.tunables import Target
 
 FIRST_W_M2K: Final = 500.0
 """Conductance that the fit begins from, at 1 MPa."""

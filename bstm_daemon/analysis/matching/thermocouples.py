@@ -9,23 +9,17 @@ Heat in Solids, 3.8), and builds up with the time constant
 ``d^2 / (pi^2 a)`` of its slowest part.
 """
 
-from __future__ import annotations
-
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from math import pi
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
-from bstm_daemon.model.thermal.brake_corner import corner_spec
+from bstm_daemon.analysis.statistics.series import Column
+from bstm_daemon.config.sections import Config
+from bstm_daemon.model.thermal.brake_corner import CornerSpec, corner_spec
 from bstm_daemon.roles import MEASURED_NODES, ROLE_INDEX, ROLES
-
-if TYPE_CHECKING:
-    from collections.abc import Collection, Mapping
-
-    from bstm_daemon.analysis.statistics.series import Column
-    from bstm_daemon.config.sections import Config
-    from bstm_daemon.model.thermal.brake_corner import CornerSpec
 
 LONGEST_GAP_S: Final = 5.0
 """Between two samples of a thermocouple that are joined by a line."""

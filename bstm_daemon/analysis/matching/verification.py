@@ -1,11 +1,10 @@
 """Estimates held against measured temperatures: errors, peaks, verdicts."""
 
-from __future__ import annotations
-
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 from math import isnan, nan
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
@@ -18,17 +17,14 @@ from bstm_daemon.analysis.matching.baseline import (
 from bstm_daemon.analysis.matching.drives import GRID_S, Drive
 from bstm_daemon.analysis.matching.refine import NodeAccuracy
 from bstm_daemon.analysis.statistics.series import (
+    Column,
+    Mask,
     rms,
     running_mean,
     white_noise,
 )
+from bstm_daemon.config.sections import Config
 from bstm_daemon.units import KELVIN_OFFSET
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from bstm_daemon.analysis.statistics.series import Column, Mask
-    from bstm_daemon.config.sections import Config
 
 NODES: Final = ("disc", "pad_front", "pad_back", "fluid")
 """Nodes that are judged, in the order of tables."""

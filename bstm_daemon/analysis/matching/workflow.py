@@ -1,30 +1,23 @@
 """A match of recorded drives from first guess to last fit."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING, NamedTuple
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple
 
 from bstm_daemon.analysis.identify.driving import read_drivings
 from bstm_daemon.analysis.identify.guessed import (
     identified_guesses,
     with_changes,
 )
-from bstm_daemon.analysis.matching.coarse import read_as_guessed
+from bstm_daemon.analysis.identify.writing import Change
+from bstm_daemon.analysis.matching.coarse import Reading, read_as_guessed
 from bstm_daemon.analysis.matching.drives import read_drives
-from bstm_daemon.analysis.matching.matcher import match_drives
+from bstm_daemon.analysis.matching.matcher import Match, match_drives
 from bstm_daemon.analysis.matching.tunables import DRAG, Target
+from bstm_daemon.bus.signals.signal_map import SignalMap
+from bstm_daemon.config.sections import Config
 from bstm_daemon.estimator.corner_model import corner_model
 from bstm_daemon.model.effects.catalogue import effects_of
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-    from pathlib import Path
-
-    from bstm_daemon.analysis.identify.writing import Change
-    from bstm_daemon.analysis.matching.coarse import Reading
-    from bstm_daemon.analysis.matching.matcher import Match
-    from bstm_daemon.bus.signals.signal_map import SignalMap
-    from bstm_daemon.config.sections import Config
 
 
 class Matched(NamedTuple):

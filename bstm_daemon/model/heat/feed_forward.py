@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from bstm_daemon.config.sections import CornerConfig
+from bstm_daemon.config.sections import CornerConfig
 
 
 @dataclass(frozen=True, slots=True)

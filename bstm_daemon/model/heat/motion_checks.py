@@ -6,10 +6,7 @@ scale, agree with each other. The accelerometer measures the slope as well, but
 a slope changes slowly: in a band of frequencies both measure the same.
 """
 
-from __future__ import annotations
-
 from math import exp, isnan
-from typing import TYPE_CHECKING
 
 from bstm_daemon.model.heat.check_rules import (
     BAND_LEAST_MS2,
@@ -46,11 +43,8 @@ from bstm_daemon.model.heat.check_rules import (
     UNMOVED_S,
     UNMOVED_SQUARE,
 )
-from bstm_daemon.model.heat.memory import UNKNOWN
-
-if TYPE_CHECKING:
-    from bstm_daemon.model.heat.memory import CheckMemory
-    from bstm_daemon.model.heat.readings import Readings
+from bstm_daemon.model.heat.memory import UNKNOWN, CheckMemory
+from bstm_daemon.model.heat.readings import Readings
 
 
 def compare_motion(m: CheckMemory, now: Readings, *, noise: bool) -> None:

@@ -5,15 +5,11 @@ marks the result as degraded. A comparison with measurements would attribute
 the difference to something else, so it refuses such a drive.
 """
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING, Final
+from collections.abc import Container, Iterable
+from typing import Final
 
 from bstm_daemon.errors import LogError
 from bstm_daemon.roles import ROLES
-
-if TYPE_CHECKING:
-    from collections.abc import Container, Iterable
 
 INPUTS: Final = {
     "ff": ("speed", "pressure"),

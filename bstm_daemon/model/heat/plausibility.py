@@ -1,8 +1,7 @@
 """Flags of input faults in groups, and their texts for the user."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING, Final
+from collections.abc import Sequence
+from typing import Final
 
 from bstm_daemon.channels import (
     CORNER_PRESSURE,
@@ -13,9 +12,6 @@ from bstm_daemon.channels import (
     WHEEL_SUSPECT,
 )
 from bstm_daemon.roles import CORNERS
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
 _ANY_CORNER: Final = 0b1111
 
