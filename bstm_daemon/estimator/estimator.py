@@ -81,6 +81,9 @@ PUBLISH_US: Final = 100_000
 
 MINUTE_US: Final = 60_000_000
 
+WARMEST_AIR_K: Final = 323.15
+"""No air is warmer: brakes that are were not parked."""
+
 ROWS: Final = 4096
 """Steps marched at a time; it limits memory and does not change results."""
 
@@ -142,6 +145,8 @@ class Estimator:
             inputs.unpressed_share,
         )
         self.samples = SampleState.new()
+        if history_known and initial_k and initial_k < WARMEST_AIR_K:
+            self.samples.know_air(initial_k)
         self.batches = self._batches(start_k)
         self.layout = BlockLayout(
             tuple(self.plan.corners),
@@ -417,7 +422,7 @@ class Estimator:
 
     def air_k(self) -> float:
         """Return the last known temperature of the air [K]."""
-        known = self.samples.last_value(ROLE_INDEX["ambient_temperature"])
+        known = self.samples.last_air_k
         if known is not None and LOWEST_K < known < HIGHEST_K:
             return known
         return self.config.vehicle.ambient_k

@@ -60,6 +60,8 @@ class SavedState(Saved):
     drove_unseen: Flag = False
     """Whether the car was driven after it, nobody knows how."""
     ambient_k: Number | None = None
+    air_k: Number = 0.0
+    """The air by its own history; 0 before any."""
     corners: dict[str, dict[str, Number]]
     samples: Document
     learned: Any = None

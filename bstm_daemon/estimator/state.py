@@ -28,6 +28,7 @@ from bstm_daemon.estimator.memory import (
 )
 from bstm_daemon.estimator.unseen import COARSE_STEPS, coarse_steps
 from bstm_daemon.estimator.validity import HIGHEST_K, LOWEST_K
+from bstm_daemon.model.heat.check_rules import AIR_NIGHT_K_S
 from bstm_daemon.model.heat.feed_back import Vehicle
 from bstm_daemon.model.heat.learned import LEARNED_NAMES, learned_fault
 from bstm_daemon.model.heat.memory import NEVER, SampleState
@@ -84,6 +85,7 @@ def export_state(estimator: Estimator) -> Document:
         "vehicle_id": estimator.config.vehicle.id,
         "time_us": None if now == NEVER else now,
         "ambient_k": estimator.air_k(),
+        "air_k": samples.air_k,
         "speed_ms": samples.last_speed_ms,
         "corners": {
             name: estimator.state(name) for name in estimator.programs
@@ -217,14 +219,13 @@ def resume_state(
     estimator.unseen.move(
         now_us - stood_us - before_us, proven=is_known and is_dated
     )
-    if not is_known:
+    if is_known:
+        fallen_k = AIR_NIGHT_K_S * stood_us * 1e-6
+        estimator.samples.know_air(saved.air_k - fallen_k)
+    else:
         row = array("d", channels_at_rest(air_k).values())
-        estimator.trust.hold(
-            max(
-                (cooling_time_s(b, row, air_k) for b, _ in estimator.batches),
-                default=0.0,
-            )
-        )
+        cold_s = (cooling_time_s(b, row, air_k) for b, _ in estimator.batches)
+        estimator.trust.hold(max(cold_s, default=0.0))
     return restored
 
 

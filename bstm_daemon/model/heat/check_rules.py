@@ -156,6 +156,15 @@ LOWEST_CODE: Final = Hysteresis(60.0, 10.0)
 """-40 degC is the code 0 of the usual air temperature: a sensor that is not
 there, or the coldest winter."""
 
+AIR_FALL_K_S: Final = 0.25
+AIR_NIGHT_K_S: Final = 3.0 / 3600.0
+AIR_FELL_K: Final = 10.0
+AIR_FELL: Final = Hysteresis(10.0, 10.0)
+"""The air's history falls to a lower reading by the first, faster than a
+sensor that sat above a hot engine or in a garage; by the second while nothing
+is read, as on a clear evening. A reading that is lower by AIR_FELL_K is the
+sensor's error."""
+
 SWITCH_PRESSURE_PA: Final = 5e5
 SWITCH_MS: Final = 1.0
 

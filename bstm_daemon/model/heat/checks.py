@@ -20,6 +20,7 @@ from bstm_daemon.channels import (
     HEAT_UNCERTAIN,
     WHEEL_SUSPECT,
 )
+from bstm_daemon.model.heat.air_checks import air_suspect, compare_air
 from bstm_daemon.model.heat.check_rules import (
     DEVIATION,
     DEVIATION_BRAKING,
@@ -32,9 +33,6 @@ from bstm_daemon.model.heat.check_rules import (
     FROZEN_SPEED_S,
     HOLD_US,
     LIMITS,
-    LOWEST_CODE,
-    LOWEST_CODE_K,
-    LOWEST_CODE_WITHIN_K,
     MOVES_S,
     MOVING_MS,
     OUTAGE_MEMORY,
@@ -153,7 +151,8 @@ class Checks:
             self.m.suspect_until += ahead_us
 
     def settle(self) -> None:
-        """Forget outages: everything is at ambient temperature."""
+        """Forget outages and the air: everything is at ambient temperature."""
+        self.m.air_k = self.m.air_fault_s = 0.0
         for c in range(self.plan.corners):
             self.m.outage_s[c] = self.m.aftermath_s[c] = 0.0
 
@@ -172,7 +171,7 @@ class Checks:
         self._compare_zero(now)
         watch_leap(self.m, now, median, count)
         compare_motion(self.m, now, noise=bool(refused & _NO_MOTION))
-        self._compare_ambient(now)
+        compare_air(self.m, now)
         flags = self._contradictions(now, count) | refused
         flags |= self._speed_flags(now, flags)
         return flags | self._outages(now) | self._sleeps(now)
@@ -319,15 +318,6 @@ class Checks:
                 self.m.zero_fault_s[i], now.dt_s, failed=failed
             )
 
-    def _compare_ambient(self, now: Readings) -> None:
-        failed = None
-        if not isnan(now.ambient_k):
-            above_k = now.ambient_k - LOWEST_CODE_K
-            failed = abs(above_k) < LOWEST_CODE_WITHIN_K
-        self.m.lowest_code_s = LOWEST_CODE.advance(
-            self.m.lowest_code_s, now.dt_s, failed=failed
-        )
-
     def _contradictions(self, now: Readings, count: int) -> int:
         """Bits of the checks of whole steps; absent inputs have none."""
         flags = self._speed_contradictions(now, count)
@@ -348,7 +338,7 @@ class Checks:
                 flags |= FLAGS["pressure_zero"]
             if stuck or alone or off:
                 flags |= self._pressure_flags(now, i)
-        if self.m.lowest_code_s >= LOWEST_CODE.comes_s:
+        if air_suspect(self.m):
             flags |= FLAGS["ambient_suspect"]
         return flags | self._motion_flags(now)
 

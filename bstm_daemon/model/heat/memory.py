@@ -11,11 +11,17 @@ from array import array
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Annotated, Final, TypeAlias
 
+from bstm_daemon.model.heat.check_rules import AIR_FELL
 from bstm_daemon.model.heat.learned import Learned
 from bstm_daemon.model.heat.observer_rules import STOOD_S
 from bstm_daemon.native import layout
 from bstm_daemon.native.layout import Length
-from bstm_daemon.roles import CORNERS, GROUND_SPEED_ROLES, ROLES
+from bstm_daemon.roles import (
+    CORNERS,
+    GROUND_SPEED_ROLES,
+    ROLE_INDEX,
+    ROLES,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -105,7 +111,8 @@ class CheckMemory:
     ``standing_accel`` is what it measured first while all speeds are
     0, ``tilted_s`` for how long it has measured something else, UNKNOWN
     without such a first. ``accel_held_s``: how long the accelerometer has
-    read ``accel_held``. ``parked_s``: for how long the car was parked when
+    read ``accel_held``. ``air_k`` is the air by its own history, 0 before
+    any. ``parked_s``: for how long the car was parked when
     that was last known, ``unproven_s``: for how long its bus has been awake
     since.
     """
@@ -143,6 +150,8 @@ class CheckMemory:
     accel_held: float
     accel_held_s: float
     lowest_code_s: float
+    air_k: float
+    air_fault_s: float
     parked_s: float
     unproven_s: float
     jump_value: Values
@@ -175,7 +184,8 @@ class ObserverMemory:
     rate's square, as rates change. ``proof_s`` is the braking that must
     still prove the pressure after an external force. ``balance_*`` count and
     sum braking by pressure x and by motion y, their squares and product
-    [m2/s4], over half seconds; ``outlier_s`` is how long they were apart.
+    [m2/s4], over half seconds; ``outlier_s`` is how long they were apart,
+    ``held_back_s`` how long a drive moved the car too little.
     """
 
     known: Learned
@@ -211,6 +221,7 @@ class ObserverMemory:
     balance_xy: float
     balance_yy: float
     outlier_s: float
+    held_back_s: float
     stood_s: float
     window_kind: float
     window_s: float
@@ -284,6 +295,8 @@ _VALUE: Final = layout.first(SampleMemory, "samples.value")
 _UNSEEN: Final = layout.first(SampleMemory, "samples.unseen")
 _SPEED_AFTER: Final = layout.first(SampleMemory, "samples.speed_after")
 _LAST_SPEED: Final = layout.first(SampleMemory, "checks.last_speed")
+_AIR: Final = layout.first(SampleMemory, "checks.air_k")
+_AIR_FAULT: Final = layout.first(SampleMemory, "checks.air_fault_s")
 _LAST_SAMPLE: Final = layout.first(SampleMemory, "checks.last_sample")
 
 
@@ -374,6 +387,15 @@ class SampleState:
         if not self.numbers[_INTERFACE + corner] > 0.0:
             self.numbers[_INTERFACE + corner] = interface_k
 
+    def know_air(self, air_k: float) -> None:
+        """Set the history of the air [K] before the first sample."""
+        self.numbers[_AIR] = air_k
+
+    @property
+    def air_k(self) -> float:
+        """The air [K] by its own history, 0 or less before any."""
+        return self.numbers[_AIR]
+
     def await_speed(self) -> None:
         """Let the pass return ``BACK`` at the next speed."""
         self.numbers[_UNSEEN] = 1.0
@@ -396,6 +418,14 @@ class SampleState:
     def interface_k(self, corner: int) -> float:
         """Return the last value of :meth:`heat_interface`, 0 before any."""
         return self.numbers[_NEXT + corner]
+
+    @property
+    def last_air_k(self) -> float | None:
+        """The newest air [K], or its history, if higher, where it fell."""
+        known = self.last_value(ROLE_INDEX["ambient_temperature"])
+        if known is None or self.numbers[_AIR_FAULT] < AIR_FELL.comes_s:
+            return known
+        return max(known, self.air_k)
 
     def last_value(self, role: int) -> float | None:
         """Return the newest value of *role*, however old; None before it."""

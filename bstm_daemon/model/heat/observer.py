@@ -41,6 +41,7 @@ from bstm_daemon.model.heat.memory import UNKNOWN, ObserverMemory
 from bstm_daemon.model.heat.observer_faults import (
     compare_forces,
     compare_radius,
+    count_drive,
     findings,
     implausible_gain,
     implausible_radius,
@@ -215,19 +216,17 @@ class Observer:
             ACCEL_NOISE * ACCEL_NOISE + torque * torque
         )
         innovation = accel - product(self.m.known.x, h)
-        innovation_var = (
+        std = sqrt(
             quadratic(self.m.known.cov, h)
             + ACCEL_NOISE * ACCEL_NOISE
             + torque * torque
         )
         most = IDLE_OUTLIER if drive < IDLE_DRIVE_MS2 else OUTLIER
-        pushed = (
-            innovation > most * sqrt(innovation_var)
-            and innovation > EXTERNAL_MS2
-        )
+        pushed = innovation > max(most * std, EXTERNAL_MS2)
         if pushed:
             self._suspect_external(WINDOW_S)
-        if pushed or abs(innovation) > OUTLIER * sqrt(innovation_var):
+        count_drive(self.m, innovation, std, self.m.known.x[MASS] * drive)
+        if pushed or abs(innovation) > OUTLIER * std:
             return
         self._release_external(WINDOW_S)
         if self.m.external_held_s > 0.0:

@@ -65,7 +65,8 @@ def findings(m: ObserverMemory, s: Step) -> int:
         found |= rules.RADIUS_SUSPECT
     if m.unpressed_s > rules.DEAD_S:
         found |= rules.PRESSURE_DEAD
-    if unbalanced(m) or implausible_mass(m) or m.outlier_s > rules.OUTLIER_S:
+    longest_s = max(m.outlier_s, m.held_back_s)
+    if unbalanced(m) or implausible_mass(m) or longest_s > rules.OUTLIER_S:
         found |= rules.FORCES_CONTRADICT
     if m.proof_s > 0.0:
         found |= rules.FORCES_UNPROVEN
@@ -116,6 +117,19 @@ def is_outlier(m: ObserverMemory, innovation: float, std: float) -> bool:
         longer_s = m.outlier_s + rules.WINDOW_S
         m.outlier_s = min(longer_s, rules.OUTLIER_MOST_S)
     return True
+
+
+def count_drive(
+    m: ObserverMemory, innovation: float, std: float, drive: float
+) -> None:
+    """Count windows in which *drive* [m/s2] moves the car too little."""
+    if drive < rules.IDLE_DRIVE_MS2:
+        return
+    if abs(innovation) <= rules.OUTLIER * std:
+        m.held_back_s = max(m.held_back_s - rules.WINDOW_S, 0.0)
+    elif innovation < -rules.HELD_BACK * drive:
+        longer_s = m.held_back_s + rules.WINDOW_S
+        m.held_back_s = min(longer_s, rules.OUTLIER_MOST_S)
 
 
 def unbalanced(m: ObserverMemory) -> bool:

@@ -62,12 +62,14 @@ OUTLIER_S: Final = 5.0
 OUTLIER_MOST_S: Final = 10.0
 IDLE_OUTLIER: Final = 2.5
 IDLE_DRIVE_MS2: Final = 0.15
+HELD_BACK: Final = 0.3
 EXTERNAL_MS2: Final = 0.35
 """Innovations beyond OUTLIER standard deviations are not learned from. With
 less drive than IDLE_DRIVE_MS2 no slope makes the accelerometer measure a gain
 of speed: there IDLE_OUTLIER are enough for an external force. Those of ln
 friction by OUTLIER_MORE (1.5 times) or down by OUTLIER_LESS (1.75 times, as
-linings fade) contradict from OUTLIER_S of braking on."""
+linings fade) contradict from OUTLIER_S of braking on; and so do those of a
+car that its drive moves by HELD_BACK of it less, from OUTLIER_S of drive."""
 
 WINDOW_S: Final = 0.5
 LEAST_SPEED_MS: Final = 4.0

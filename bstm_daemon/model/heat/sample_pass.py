@@ -425,7 +425,7 @@ class _Pass(Inputs):
         now = self.readings(dt_s, sources, at_risk)
         flags |= self.checks.close(now)
         if flags & FLAGS["ambient_suspect"]:
-            ambient_k = max(ambient_k, plan.ambient_k)
+            ambient_k = max(ambient_k, plan.ambient_k, self.checks.m.air_k)
         fused = None
         if plan.mode == MODE_FUSED:
             fused = fuse(self, now, flags)

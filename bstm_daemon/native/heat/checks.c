@@ -47,6 +47,7 @@ void checks_settle(Checks *c)
 {
     for (int i = 0; i < c->corners; i++)
         c->m->outage_s[i] = c->m->aftermath_s[i] = 0.0;
+    c->m->air_k = c->m->air_fault_s = 0.0;
 }
 
 static double median(const double *value, int n, int *count)
@@ -201,15 +202,26 @@ static void compare_zero(Checks *c, const Readings *now)
     }
 }
 
-static void compare_ambient(Checks *c, const Readings *now)
+static void compare_air(Checks *c, const Readings *now)
 {
+    CheckMemoryFloats *m = c->m;
     int outcome = OPEN;
     if (!isnan(now->ambient_k)) {
         const double above_k = now->ambient_k - LOWEST_CODE_K;
         outcome = fabs(above_k) < LOWEST_CODE_WITHIN_K ? FAILED : PASSED;
     }
-    c->m->lowest_code_s =
-        check_rules_advance(LOWEST_CODE, c->m->lowest_code_s, outcome, now->dt_s);
+    m->lowest_code_s =
+        check_rules_advance(LOWEST_CODE, m->lowest_code_s, outcome, now->dt_s);
+    outcome = OPEN;
+    if (isnan(now->ambient_k)) m->air_k -= AIR_NIGHT_K_S * now->dt_s;
+    else {
+        if (m->air_fault_s < AIR_FELL.comes_s)
+            m->air_k -= AIR_FALL_K_S * now->dt_s;
+        if (m->air_k < now->ambient_k) m->air_k = now->ambient_k;
+        outcome = now->ambient_k < m->air_k - AIR_FELL_K ? FAILED : PASSED;
+    }
+    m->air_fault_s =
+        check_rules_advance(AIR_FELL, m->air_fault_s, outcome, now->dt_s);
 }
 
 static int64_t pressure_flags(const Checks *c, const Readings *now, int which)
@@ -269,7 +281,8 @@ static int64_t contradictions(const Checks *c, const Readings *now, int count)
         if (alone) flags |= FLAG_SWITCH_CONTRADICTS;
         if (stuck || alone || off) flags |= pressure_flags(c, now, i);
     }
-    if (c->m->lowest_code_s >= LOWEST_CODE.comes_s)
+    if (c->m->lowest_code_s >= LOWEST_CODE.comes_s
+        || c->m->air_fault_s >= AIR_FELL.comes_s)
         flags |= FLAG_AMBIENT_SUSPECT;
     return flags | motion_flags(c, now);
 }
@@ -381,7 +394,7 @@ int64_t checks_close(Checks *c, const Readings *now)
     motion_checks_watch_leap(c->m, now, middle, count);
     motion_checks_compare_motion(c->m, now, c->corners + 1,
                                  (refused & NO_MOTION) != 0);
-    compare_ambient(c, now);
+    compare_air(c, now);
     int64_t flags = contradictions(c, now, count) | refused;
     flags |= speed_flags(c, now, flags);
     return flags | outages(c, now) | sleeps(c, now);

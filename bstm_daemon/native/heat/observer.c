@@ -76,13 +76,14 @@ static void learn_motion(Observer *o, double accel, double drive, double drag,
     const double noise =
         CORRELATED_WINDOWS * (ACCEL_NOISE * ACCEL_NOISE + torque * torque);
     const double innovation = accel - learned_product(m->known.x, h);
-    const double innovation_var = learned_quadratic(m->known.cov, h)
-        + ACCEL_NOISE * ACCEL_NOISE + torque * torque;
+    const double std = sqrt(learned_quadratic(m->known.cov, h)
+                            + ACCEL_NOISE * ACCEL_NOISE + torque * torque);
     const double most = drive < IDLE_DRIVE_MS2 ? IDLE_OUTLIER : OUTLIER;
     const int pushed =
-        innovation > most * sqrt(innovation_var) && innovation > EXTERNAL_MS2;
+        innovation > most * std && innovation > EXTERNAL_MS2;
     if (pushed) suspect_external(m, WINDOW_S);
-    if (pushed || fabs(innovation) > OUTLIER * sqrt(innovation_var)) return;
+    observer_faults_count_drive(m, innovation, std, m->known.x[MASS] * drive);
+    if (pushed || fabs(innovation) > OUTLIER * std) return;
     release_external(m, WINDOW_S);
     if (m->external_held_s > 0.0) return;
     learned_add_process_noise(&m->known, 0, FIRST_FRICTION, WINDOW_S);

@@ -26,6 +26,19 @@ int observer_faults_is_outlier(ObserverMemory *m, double innovation,
     return 1;
 }
 
+void observer_faults_count_drive(ObserverMemory *m, double innovation,
+                                 double std, double drive)
+{
+    if (drive < IDLE_DRIVE_MS2) return;
+    if (fabs(innovation) <= OUTLIER * std) {
+        m->held_back_s -= WINDOW_S;
+        if (m->held_back_s < 0.0) m->held_back_s = 0.0;
+    } else if (innovation < -HELD_BACK * drive) {
+        m->held_back_s += WINDOW_S;
+        if (m->held_back_s > OUTLIER_MOST_S) m->held_back_s = OUTLIER_MOST_S;
+    }
+}
+
 /* Whether braking by motion and by pressure differ by a constant. */
 static int unbalanced(const ObserverMemory *m)
 {
@@ -64,7 +77,8 @@ int observer_faults_findings(const ObserverMemory *m, const Step *s)
     if (observer_faults_implausible_gain(m) || s->wrong_scale) found |= GAIN_SUSPECT;
     if (observer_faults_implausible_radius(m)) found |= RADIUS_SUSPECT;
     if (m->unpressed_s > DEAD_S) found |= PRESSURE_DEAD;
-    if (unbalanced(m) || implausible_mass(m) || m->outlier_s > OUTLIER_S)
+    if (unbalanced(m) || implausible_mass(m) || m->outlier_s > OUTLIER_S
+        || m->held_back_s > OUTLIER_S)
         found |= FORCES_CONTRADICT;
     if (m->proof_s > 0.0) found |= FORCES_UNPROVEN;
     return found;

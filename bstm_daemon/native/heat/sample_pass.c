@@ -193,8 +193,11 @@ static int close_step(Pass *pass)
     /* on a silent bus the last air temperature is better than the default */
     double ambient_k = inputs_mapped(p, air) && p->t->stamp[air] != NEVER
         ? m->value[air] : p->plan->ambient_k;
-    if (flags & FLAG_AMBIENT_SUSPECT && ambient_k < p->plan->ambient_k)
-        ambient_k = p->plan->ambient_k;
+    if (flags & FLAG_AMBIENT_SUSPECT) {
+        const double history_k = p->checks.m->air_k;
+        if (ambient_k < p->plan->ambient_k) ambient_k = p->plan->ambient_k;
+        if (ambient_k < history_k) ambient_k = history_k;
+    }
     double wetness = inputs_vehicle(p, ROLE_RAIN, 0.0);
     if (wetness < 0.0) wetness = 0.0;
     if (wetness > 1.0) wetness = 1.0;

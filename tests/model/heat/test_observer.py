@@ -13,6 +13,7 @@ from bstm_daemon.model.heat.learned import LEARNED_NAMES, learned_fault
 from bstm_daemon.model.heat.memory import ObserverMemory, SampleState
 from bstm_daemon.model.heat.observer_faults import (
     compare_forces,
+    count_drive,
     unbalanced,
 )
 from bstm_daemon.model.heat.observer_rules import P0_STD
@@ -433,6 +434,60 @@ def test_less_mass_than_the_car_has_is_named(
         late = len(pressed) * 2 // 3
         heat = sum(run.column("brake_power_w")[late:]) * 0.05
         assert heat >= 0.99 * (pressed[-1] - pressed[late])
+
+
+@pytest.mark.parametrize(
+    ("gain", "comes"), [(2.0, True), (1.2, False), (0.7, False)]
+)
+def test_a_torque_that_begins_to_read_too_much_is_named(
+    kernel: Kernel | None,
+    fused: Callable[..., Run],
+    gain: float,
+    comes: bool,  # noqa: FBT001
+) -> None:
+    """The learned car gains too little speed by it: after 5 s of drive."""
+    driver = Driver(Truth(bias=0.0))
+    samples = driver.town(8)
+    from_us = driver.now
+    samples += driver.town(2)
+    run = fused(kernel).feed(
+        [
+            (
+                at,
+                role,
+                gain * value
+                if role == "powertrain_torque" and at > from_us
+                else value,
+            )
+            for at, role, value in samples
+        ]
+    )
+
+    marks = run.flag("forces_contradict")
+    assert any(marks) is comes
+    if comes:
+        after_s = 0.05 * marks.index(True) - from_us * 1e-6
+        assert 5.0 < after_s < 10.0
+        assert run.flag("torque_suspect")[marks.index(True)]
+
+
+@pytest.mark.parametrize(
+    ("innovation", "drive", "found_s"),
+    [
+        (-0.4, 1.0, 4.5),  # less than 0.7 of it
+        (-0.29, 1.0, 4.0),  # beyond 4 deviations, but little of the drive
+        (-0.2, 1.0, 3.5),  # within 4 deviations: it moves as it should
+        (-0.4, 0.14, 4.0),  # idling
+        (0.4, 1.0, 4.0),  # pushed
+    ],
+)
+def test_windows_in_which_a_drive_moves_the_car_too_little(
+    innovation: float, drive: float, found_s: float
+) -> None:
+    m = zeros(ObserverMemory)
+    m.held_back_s = 4.0
+    count_drive(m, innovation, 0.06, drive)
+    assert m.held_back_s == found_s
 
 
 def line(n: int, *, offset: float, slope: float = 0.9) -> ObserverMemory:

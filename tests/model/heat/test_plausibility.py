@@ -708,6 +708,62 @@ def test_air_at_the_lowest_code(
     assert found == pytest.approx(293.15 if comes else air_k)
 
 
+@pytest.mark.parametrize(
+    ("below_k", "over_s", "comes_s"),
+    [
+        (20.0, 0.0, 10.0),
+        (12.0, 0.0, None),  # too little: the history follows within 8 s
+        (30.0, 120.0, None),  # out of a garage
+    ],
+)
+def test_air_that_falls_faster_than_weather(
+    kernel: Kernel | None,
+    start: Callable[..., Run],
+    make_car: Any,
+    below_k: float,
+    over_s: float,
+    comes_s: float | None,
+) -> None:
+    """The history, 0.25 K/s lower by then, stands in until the air is back."""
+    drive = Drive().hold(20.0, ambient_temperature=300.0)
+    for second in range(round(over_s)):
+        part = second / over_s
+        drive.hold(1.0, ambient_temperature=300.0 - part * below_k)
+    drive.hold(60.0, ambient_temperature=300.0 - below_k)
+    drive.hold(15.0, ambient_temperature=297.0)
+    car = make_car(vehicle={"ambient_c": 0.0})
+    run = start(car, kernel, "ambient_temperature").feed(drive.samples)
+
+    marks = bits(run, FLAGS["ambient_suspect"])
+    assert any(marks) is (comes_s is not None)
+    assert not marks[-1]
+    if comes_s is not None:
+        assert first_s(marks) == pytest.approx(20.0 + comes_s, abs=0.1)
+        late = round(75.0 * STEPS_PER_S)
+        assert marks[late]
+        assert run.column("ambient_k")[late] == pytest.approx(
+            300.0 - 0.25 * comes_s, abs=0.1
+        )
+        assert run.state.last_air_k == 297.0
+
+
+def test_air_without_a_reading_falls_as_in_a_clear_night(
+    kernel: Kernel | None, start: Callable[..., Run], make_car: Any
+) -> None:
+    """3 K/h; what is known before the first sample counts."""
+    run = start(make_car(), kernel, "ambient_temperature")
+    run.state.know_air(300.0)
+    run.feed(Drive().hold(120.0, vehicle_speed=5.0).samples)
+    assert run.state.air_k == pytest.approx(299.9, abs=1e-3)
+
+    cold = Drive()
+    cold.at_us = 120_000_000
+    run.feed(cold.hold(20.0, ambient_temperature=280.0).samples)
+    marks = bits(run, FLAGS["ambient_suspect"])
+    assert first_s(marks) == pytest.approx(130.0, abs=0.2)
+    assert run.state.last_air_k == pytest.approx(297.4, abs=0.1)
+
+
 # Accelerometer
 
 
