@@ -37,9 +37,12 @@ LEAST_J: Final = 3e5
 LEAST_RATIO: Final = 0.6
 MOST_RATIO: Final = 1.75
 """Work by pressure over the work that heats, of a sound car: linings have
-0.7 to 1.3 of their nominal friction, 0.6 when they fade."""
+0.7 to 1.3 of their nominal friction, 0.6 when they fade. A deviation less of
+heat that is too high does not hide heat, one more of heat that is too low
+would."""
 
 _POWER: Final = CHANNELS.index("brake_power_w")
+_DEVIATION: Final = CHANNELS.index("brake_power_std_w")
 _PRESSED: Final = CHANNELS.index("brake_energy_ff_j")
 _ASSUMED: Final = (
     FLAGS["pressure_missing"] | FLAGS["clock_jump"] | FLAGS["settled"]
@@ -54,6 +57,7 @@ class Trust(Machine):
         "_found_s": dict[str, Number],
         "_held_s": dict[str, Number],
         "_work": tuple[Number, Number],
+        "_doubt_j": Number,
         "_pressed_j": Number,
     }
 
@@ -83,6 +87,7 @@ class Trust(Machine):
         self._found_s = dict.fromkeys(corners, 0.0)
         self._held_s = dict.fromkeys(corners, 0.0)
         self._work = 0.0, 0.0
+        self._doubt_j = 0.0
         self._pressed_j = -1.0
 
     def restore(self, saved: Any) -> None:
@@ -92,7 +97,8 @@ class Trust(Machine):
             KeyError, TypeError, ValueError: it is nothing of that kind.
         """
         corners = [*self._held_s]
-        super().restore(saved)
+        # a file of an earlier version has no doubt
+        super().restore({"_doubt_j": 0.0, **saved})
         found_s, held_s = self._found_s, self._held_s
         self._found_s = {name: found_s.get(name, 0.0) for name in corners}
         self._held_s = {name: held_s.get(name, 0.0) for name in corners}
@@ -151,19 +157,22 @@ class Trust(Machine):
         if began or flags & self._excused:
             return
         heat_j = step_s * sum(row[_POWER :: len(CHANNELS)])
+        doubt_j = step_s * sum(row[_DEVIATION :: len(CHANNELS)])
         pressed_j = self._pressed_j - before_j
         if not (heat_j > 0.0 or pressed_j > 0.0):
             return
-        if isfinite(heat_j + pressed_j):
+        if isfinite(heat_j + pressed_j + doubt_j):
             keep = exp(-max(heat_j, pressed_j) / FORGET_J)
             pressed, heat = self._work
             self._work = keep * pressed + pressed_j, keep * heat + heat_j
+            self._doubt_j = keep * self._doubt_j + doubt_j
 
     def _works_differ(self) -> bool:
         pressed_j, heat_j = self._work
         if max(pressed_j, heat_j) < LEAST_J:
             return False
-        return not LEAST_RATIO * heat_j <= pressed_j <= MOST_RATIO * heat_j
+        least_j = LEAST_RATIO * (heat_j - self._doubt_j)
+        return not least_j <= pressed_j <= MOST_RATIO * heat_j
 
     def remembers(self, corner: str) -> bool:
         """Return whether anything was found against the heat of *corner*."""

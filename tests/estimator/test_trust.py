@@ -47,6 +47,7 @@ class Course:
         *,
         pressed_w: float = 0.0,
         heat_w: float = 0.0,
+        std_w: float = 0.0,
     ) -> Course:
         """Go on; the powers are those of each corner."""
         for _ in range(round(seconds / STEP_S)):
@@ -58,6 +59,7 @@ class Course:
             row = dict.fromkeys(CHANNELS, 0.0)
             row |= {
                 "brake_power_w": heat_w,
+                "brake_power_std_w": std_w,
                 "brake_energy_ff_j": self._pressed_j,
             }
             for _ in range(2):
@@ -206,6 +208,33 @@ def test_an_assistant_brakes_without_the_pedal() -> None:
     course = Course().go(50.0, flags=unpressed, heat_w=20e3)
     assert not any(course.found(trust_of(has_switch=True)))
     assert course.found(trust_of())[-1]
+
+
+@pytest.mark.parametrize(
+    ("pressed_w", "std_w", "differs"),
+    [
+        (11e3, 0.0, True),
+        (11e3, 2e3, False),  # 0.55 is not below 0.6 of 18 kW
+        (10.7e3, 2e3, True),
+        (36e3, 0.0, True),
+        (36e3, 9e3, True),  # what is too little is not excused
+    ],
+)
+def test_heat_within_its_deviation_is_no_contradiction(
+    pressed_w: float,
+    std_w: float,
+    differs: bool,  # noqa: FBT001
+) -> None:
+    course = Course().go(50.0, pressed_w=pressed_w, heat_w=20e3, std_w=std_w)
+    trust = trust_of()
+    assert course.found(trust)[-1] is differs
+
+    again = trust_of()
+    again.restore(trust.export())
+    assert again.export() == trust.export()
+    old = {k: v for k, v in trust.export().items() if k != "_doubt_j"}
+    again.restore(old)
+    assert again.export()["_doubt_j"] == 0.0
 
 
 def test_limits_are_those_of_linings() -> None:

@@ -15,7 +15,7 @@ from math import exp, isnan, nan, sqrt
 from typing import TYPE_CHECKING, Final
 
 from bstm_daemon.channels import FLAGS
-from bstm_daemon.model.heat.check_rules import SLIP_FORWARD
+from bstm_daemon.model.heat.check_rules import PEDAL_REST, SLIP_FORWARD
 from bstm_daemon.model.heat.inputs import SLOPE_ACCELEROMETER
 from bstm_daemon.model.heat.learned import (
     BIAS,
@@ -29,6 +29,7 @@ from bstm_daemon.model.heat.observer_faults import Step
 from bstm_daemon.model.heat.observer_rules import (
     ASSUMED_TORQUE_STD,
     DRAG_TORQUE_NOISE,
+    LEAST_BRAKE_N,
     P0_STD,
     REFERENCE_PRESSURE_PA,
     REFERENCE_SPEED_MS,
@@ -88,6 +89,7 @@ FLAG_SHIFT: Final = 40
 
 _ACCELERATION: Final = ROLE_INDEX["acceleration_longitudinal"]
 _TORQUE: Final = ROLE_INDEX["powertrain_torque"]
+_TRAVEL: Final = ROLE_INDEX["brake_pedal_travel"]
 _MOTOR: Final = ROLE_INDEX["motor_torque"]
 _TARED: Final = (
     (ROLE_INDEX["primary_pressure"], "tare_primary"),
@@ -231,8 +233,11 @@ def _describe(run: Inputs, now: Readings, flags: int) -> Step:
         highest = max(highest, run.m.pressure_sum[c] / dt_s)
     braked = [time_s > 0.0 for time_s in run.m.on_time[: run.corners]]
     wheel_pressures = all(run.valid(role) for role in run.pressure_role)
-    pressed = now.brake_switch > 0.0 or any(braked)
-    partial = any(braked) and not all(braked) and not wheel_pressures
+    # a foot that only rests on the pedal
+    travel_m = run.reading(_TRAVEL)
+    rests = travel_m <= PEDAL_REST and brake_n < LEAST_BRAKE_N
+    pressed = not rests and (now.brake_switch > 0.0 or any(braked))
+    partial = pressed and not all(braked) and any(braked)
     return Step(
         dt_s=dt_s,
         speed=run.m.speed_sum / dt_s,
@@ -251,7 +256,7 @@ def _describe(run: Inputs, now: Readings, flags: int) -> Step:
         steady=not now.intervenes
         and _rolls(run)
         and flags & SUSPECTS == 0
-        and not partial,
+        and (wheel_pressures or not partial),
         forward=run.heading > 0.0,
         pressed=pressed,
         pressure_known=all(run.corner_known(c) for c in range(run.corners)),

@@ -386,7 +386,8 @@ class Observer:
         accel, drive = m.window_accel / t, m.window_drive / t
         drag = m.window_drag / t
         if m.window_kind == WINDOW_DRIVEN:
-            self._learn_motion(accel, drive, drag, rate)
+            light = m.window_brake / t / self.mass_kg * m.known.x[MASS]
+            self._learn_motion(accel + light, drive, drag, rate)
         else:
             self._learn_friction(accel, drive, drag, rate, s)
         m.window_kind = WINDOW_NONE

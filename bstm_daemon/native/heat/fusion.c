@@ -86,7 +86,6 @@ static void describe(const Inputs *p, const Readings *now, int64_t flags,
     s->forward = p->heading > 0.0;
     s->brake_n = s->pressure_pa = 0.0;
     s->brake_switch = now->brake_switch;
-    s->pressed = now->brake_switch > 0.0;
     s->pressure_known = s->wheel_pressures = 1;
     int some = 0, none = 0;
     for (int c = 0; c < p->corners; c++) {
@@ -98,12 +97,15 @@ static void describe(const Inputs *p, const Readings *now, int64_t flags,
         if (!inputs_corner_known(p, c)) s->pressure_known = 0;
         if (!inputs_valid(p, p->pressure_role[c])) s->wheel_pressures = 0;
     }
-    if (some) s->pressed = 1;
+    /* a foot that only rests on the pedal */
+    const double travel_m = inputs_reading(p, ROLE_BRAKE_PEDAL_TRAVEL);
+    const int rests = travel_m <= PEDAL_REST && s->brake_n < LEAST_BRAKE_N;
+    s->pressed = !rests && (now->brake_switch > 0.0 || some);
     s->torque_known = inputs_valid(p, ROLE_POWERTRAIN_TORQUE);
     s->on_stand = !s->pressed && p->apart;
     s->wrong_scale = motion_checks_wrong_scale(p->checks.m);
     s->steady = !now->intervenes && rolls(p) && (flags & SUSPECTS) == 0
-        && !(some && none && !s->wheel_pressures);
+        && (s->wheel_pressures || !(s->pressed && some && none));
 }
 
 /* Whether no corner lacks pressure, but all of them have too little. */

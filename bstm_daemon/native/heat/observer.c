@@ -269,7 +269,8 @@ static void learn_window(Observer *o, const Step *s)
     const double accel = m->window_accel / t, drive = m->window_drive / t;
     const double drag = m->window_drag / t;
     if (m->window_kind == WINDOW_DRIVEN)
-        learn_motion(o, accel, drive, drag, rate);
+        learn_motion(o, accel + m->window_brake / t / o->mass_kg
+                         * m->known.x[MASS], drive, drag, rate);
     else
         learn_friction(o, accel, drive, drag, rate, s);
     m->window_kind = WINDOW_NONE;

@@ -186,6 +186,61 @@ def test_it_finds_mass_bias_and_friction(
     assert spread[-1] < 0.3 * spread[0]
 
 
+@pytest.mark.parametrize("travel_m", [0.002, 0.005, 0.006])
+def test_a_foot_that_rests_on_the_pedal_hides_no_motion(
+    kernel: Kernel | None, fused: Callable[..., Run], travel_m: float
+) -> None:
+    """The switch is on throughout; up to 5 mm the pads do not brake."""
+    driver = Driver(Truth())
+    samples = []
+    for at, role, value in driver.town(24):
+        now = 1.0 if role == "brake_switch" else value
+        samples.append((at, role, now))
+        if role == "brake_switch":
+            pressed_m = 0.02 if value > 0.0 else travel_m
+            samples.append((at, "brake_pedal_travel", pressed_m))
+    run = fused(kernel, "brake_pedal_travel").feed(samples)
+
+    if travel_m > 0.005:
+        assert learned(run, "mass_ratio") == 1.0
+        return
+    assert run.of_car("mass_kg")[-1] == pytest.approx(2500.0, rel=0.03)
+    assert run.of_car("friction_scale")[-1] == pytest.approx(0.8, rel=0.04)
+
+
+@pytest.mark.parametrize(
+    ("resting_n", "bias"), [(100.0, 0.2), (140.0, 0.2), (160.0, None)]
+)
+def test_what_the_resting_foot_brakes_is_no_bias(
+    kernel: Kernel | None,
+    fused: Callable[..., Run],
+    resting_n: float,
+    bias: float | None,
+) -> None:
+    """Pads that drag by less than 150 N, measured, are taken off."""
+    driver = Driver(Truth(friction=1.0))
+    pressure = resting_n / (4.0 * PER_PA)
+    samples = []
+    for at, role, value in driver.town(24):
+        now = value
+        if role == "primary_pressure":
+            now = max(value, pressure)
+        elif role == "brake_switch":
+            now = 1.0
+            pressed_m = 0.02 if value > 0.0 else 0.003
+            samples.append((at, "brake_pedal_travel", pressed_m))
+        elif role == "acceleration_longitudinal":
+            now = value - (resting_n / 2500.0 if value > -1.0 else 0.0)
+        samples.append((at, role, now))
+    run = fused(kernel, "brake_pedal_travel").feed(samples)
+
+    if bias is None:
+        assert learned(run, "mass_ratio") == 1.0
+        return
+    found = run.of_car("accel_bias_ms2")[-1]
+    assert found == pytest.approx(bias, abs=0.012)
+
+
 def test_heat_is_right_once_learned(
     kernel: Kernel | None, fused: Callable[..., Run]
 ) -> None:
