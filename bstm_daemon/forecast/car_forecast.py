@@ -11,7 +11,7 @@ from math import isnan, nan
 from typing import TYPE_CHECKING, NamedTuple
 
 from bstm_daemon.estimate import CornerRisk
-from bstm_daemon.forecast.corner_march import Range
+from bstm_daemon.forecast.corner_march import CornerMarch, Range, marched
 from bstm_daemon.forecast.march import (
     DUTY_STEPS,
     HORIZON_S,
@@ -20,6 +20,7 @@ from bstm_daemon.forecast.march import (
     Course,
     Job,
 )
+from bstm_daemon.forecast.members import Ensemble
 from bstm_daemon.model.risk.levels import (
     PROBABILITIES,
     LevelMemory,
@@ -30,9 +31,9 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from bstm_daemon.estimate import Validity
-    from bstm_daemon.forecast.corner_march import CornerMarch, Start
+    from bstm_daemon.forecast.corner_march import Start
     from bstm_daemon.forecast.march import Duty
-    from bstm_daemon.forecast.members import Ensemble
+    from bstm_daemon.forecast.members import Spread
     from bstm_daemon.model.risk.vaporisation import Boiling
     from bstm_daemon.model.thermal.program import Program
     from bstm_daemon.native.loader import Kernel
@@ -42,11 +43,13 @@ if TYPE_CHECKING:
 class Corner:
     """A corner's memory and what is published of it.
 
+    ``march`` is of its network ``program``, the same one for corners alike.
     ``peaks_k`` are those of the members, or the estimate's for each;
     ``most_k`` is what theirs do not exceed.
     """
 
     name: str
+    program: Program
     march: CornerMarch
     duty: Duty
     level: LevelMemory = field(default_factory=LevelMemory)
@@ -54,7 +57,6 @@ class Corner:
     now_k: list[float] = field(default_factory=list)
     peaks_k: list[float] = field(default_factory=list)
     most_k: list[float] = field(default_factory=list)
-    raised_us: int | None = None
     now: float = nan
     deviation_k: float = nan
     ahead: float = nan
@@ -90,14 +92,39 @@ class Corner:
 class Car(NamedTuple):
     """What is marched: corners, those of one structure in a group.
 
-    ``programs`` by corner; ``level`` is that of the car.
+    ``beside`` are the corners of another course of the same car; ``programs``
+    by corner; ``level`` is that of the car.
     """
 
     corners: list[Corner]
+    beside: Sequence[Corner]
     groups: list[tuple[str, ...]]
     programs: Mapping[str, Program]
     kernel: Kernel | None
     level: LevelMemory
+    members: int
+    spread: Spread
+
+    def is_present(self, corner: Corner) -> bool:
+        """Whether the march of *corner* is that of its network now."""
+        return corner.program is self.programs[corner.name]
+
+    def march_of(self, program: Program) -> CornerMarch:
+        """Return that of *program*, which corners and courses share."""
+        for corner in self.corners:
+            if corner.march.ensemble.program == program:
+                return corner.march
+        for corner in self.beside:
+            if corner.march.ensemble.program == program:
+                return CornerMarch(corner.march.ensemble, self.kernel)
+        ensemble = Ensemble(program, self.members, self.spread)
+        return CornerMarch(ensemble, self.kernel)
+
+    def refit(self, corner: Corner) -> None:
+        """Let *corner* have the march of its network now."""
+        if not self.is_present(corner):
+            corner.program = self.programs[corner.name]
+            corner.march = self.march_of(corner.program)
 
 
 @dataclass(slots=True)
@@ -162,19 +189,24 @@ class CarForecast:
             place = self.place
             corner, start = self.car.corners[place], self.starts[place]
             if self.job is None:
-                march = corner.march.of(self.car.programs[corner.name])
-                if march is not corner.march:
+                if not self.car.is_present(corner):
                     # as much work as a portion: in its own publication
-                    corner.march = march
+                    self.car.refit(corner)
                     self.wait += 1
                     return
                 if self.is_sure(place):
                     self.place += 1
                     continue
-                self.job = march.begin(start)
-            self.job.advance(steps)
-            if self.job.finished:
-                self.marched[place] = course = self.job.course()
+                twin = self._twin(place)
+                if twin is not None:
+                    self.marched[place] = self.marched[twin]
+                    self.ranges[place] = self.ranges[twin]
+                    self.place += 1
+                    continue
+                self.job = corner.march.begin(start)
+            course = marched(self.job, steps, self.boiling)
+            if course is not None:
+                self.marched[place] = course
                 self.job = None
                 peaks_k = course.peaks_k(HORIZON_S)
                 safe_in_s = course.safe_in_s(self.boiling, PROBABILITIES[0])
@@ -182,6 +214,16 @@ class CarForecast:
                 corner.march.keep(start, course, safe_in_s)
                 self.place += 1
             return
+
+    def _twin(self, place: int) -> int | None:
+        """Return a corner whose members were marched as those of *place*."""
+        march, start = self.car.corners[place].march, self.starts[place]
+        for twin in self.marched:
+            if self.car.corners[twin].march is march and self.starts[
+                twin
+            ].parks_as(start):
+                return twin
+        return None
 
     def is_sure(self, place: int) -> bool:
         """Whether nothing follows from the members of corner *place*.
@@ -205,7 +247,7 @@ class CarForecast:
         ):
             return False
         # for the time until it is safe, before there is a bound of it
-        return most < PROBABILITIES[0] or corner.raised_us is not None
+        return most < PROBABILITIES[0] or corner.march.raised_us is not None
 
     def courses(self) -> dict[str, list[Course]]:
         """Return the courses of each corner, as they are estimated."""

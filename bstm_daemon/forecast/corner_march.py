@@ -11,7 +11,9 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 from bstm_daemon.forecast.ceiling import MARGIN_K, Ceilings
 from bstm_daemon.forecast.march import (
-    PARKED_STEPS,
+    HORIZON_S,
+    LATER_STEPS,
+    NEAR_STEPS,
     Conditions,
     Job,
 )
@@ -23,7 +25,6 @@ if TYPE_CHECKING:
     from bstm_daemon.forecast.march import Course
     from bstm_daemon.forecast.members import Ensemble, Heat
     from bstm_daemon.model.risk.vaporisation import Boiling
-    from bstm_daemon.model.thermal.program import Program
     from bstm_daemon.native.loader import Kernel
 
 FACTORS: Final = 3.0, 2.0, 1.5, 1.2, 1.05
@@ -48,6 +49,14 @@ class Start(NamedTuple):
     duty: Conditions
     factor: float
     boiling: Boiling
+
+    def parks_as(self, other: Start) -> bool:
+        """Whether a parked corner goes on as from *other*."""
+        return (
+            self.factor == other.factor
+            and self.duty.ambient_k == other.duty.ambient_k
+            and self.state == other.state
+        )
 
 
 class Range(NamedTuple):
@@ -74,21 +83,17 @@ class CornerMarch:
         self._ceilings = Ceilings(ensemble)
         self._boiling: Boiling | None = None
         self._raising: tuple[Heat, Boiling, Job] | None = None
+        self.raised_us: int | None = None
+        """When the last ceiling above a march was begun."""
 
-    def of(self, program: Program) -> CornerMarch:
-        """Return that of the same members for *program*; itself if it is."""
-        if program is self.ensemble.program:
-            return self
-        return CornerMarch(self.ensemble.of(program), self._kernel)
-
-    def range_k(self, start: Start, program: Program) -> Range:
+    def range_k(self, start: Start, *, is_present: bool) -> Range:
         """Return what is known of the peaks from *start* without a march.
 
-        Nothing if *program* is not that of the members any more.
+        Nothing if the corner's network is no longer that of the members.
         """
         ensemble, ceilings = self.ensemble, self._ceilings
         heat, boiling = self._heat(start), start.boiling
-        if program is not ensemble.program or not ceilings.is_ordered:
+        if not (is_present and ceilings.is_ordered):
             least_k, _ = ensemble.range_k(heat)
             return Range(least_k, [inf] * ensemble.count)
         if boiling is not self._boiling:
@@ -114,7 +119,9 @@ class CornerMarch:
 
         *safe_in_s* is its time until vapour is unlikely.
         """
-        self._ceilings.keep(self._heat(start), _peaks_k(course), safe_in_s)
+        self._ceilings.keep(
+            self._heat(start), course.peaks_k(HORIZON_S), safe_in_s
+        )
 
     def raise_ceiling(
         self,
@@ -165,12 +172,11 @@ class CornerMarch:
         if self._raising is None:
             return False
         heat, boiling, job = self._raising
-        job.advance(steps)
-        if job.finished:
+        course = marched(job, steps, boiling)
+        if course is not None:
             if boiling is self._boiling:
-                course = job.course()
                 safe_in_s = course.safe_in_s(boiling, PROBABILITIES[0])
-                self._ceilings.keep(heat, _peaks_k(course), safe_in_s)
+                self._ceilings.keep(heat, course.peaks_k(HORIZON_S), safe_in_s)
             self._raising = None
         return True
 
@@ -179,7 +185,7 @@ class CornerMarch:
     ) -> Job:
         return Job.of_members(
             *(self.ensemble, self._kernel, state),
-            *(Conditions(air_k), PARKED_STEPS),
+            *(Conditions(air_k), NEAR_STEPS),
             factor=factor,
         )
 
@@ -189,5 +195,18 @@ class CornerMarch:
         )
 
 
-def _peaks_k(course: Course) -> list[float]:
-    return course.peaks_k(sum(PARKED_STEPS))
+def marched(job: Job, steps: int, boiling: Boiling) -> Course | None:
+    """March at most *steps* of *job*; return its course once complete.
+
+    It ends at the horizon if vapour is unlikely by then.
+    """
+    left = job.advance(steps)
+    if not job.finished:
+        return None
+    course = job.course()
+    if len(course.times_s) > len(NEAR_STEPS) + 1 or course.is_over(
+        boiling, PROBABILITIES[0]
+    ):
+        return course
+    job.extend(LATER_STEPS)
+    return marched(job, left, boiling)

@@ -25,11 +25,7 @@ from bstm_daemon.forecast.car_forecast import (
     Corner,
     hottest,
 )
-from bstm_daemon.forecast.corner_march import (
-    NOTHING_K,
-    CornerMarch,
-    Start,
-)
+from bstm_daemon.forecast.corner_march import NOTHING_K, Start
 from bstm_daemon.forecast.march import (
     DUTY_STEPS,
     HORIZON_S,
@@ -38,7 +34,7 @@ from bstm_daemon.forecast.march import (
     DutyCourse,
     parked_course,
 )
-from bstm_daemon.forecast.members import DEGRADED_FACTOR, Ensemble, Spread
+from bstm_daemon.forecast.members import DEGRADED_FACTOR, Spread
 from bstm_daemon.model.risk.levels import (
     PROBABILITIES,
     LevelMemory,
@@ -53,7 +49,9 @@ if TYPE_CHECKING:
     from bstm_daemon.estimator.blocks import Instant
     from bstm_daemon.estimator.estimator import Estimator
     from bstm_daemon.estimator.memory import SavedState
+    from bstm_daemon.forecast.corner_march import CornerMarch
     from bstm_daemon.forecast.fluid import FluidKnowledge
+    from bstm_daemon.forecast.march import Course
     from bstm_daemon.model.risk.vaporisation import Boiling
 
 SECOND_US: Final = 1_000_000
@@ -111,26 +109,23 @@ class CourseRisk:
         self._programs = estimator.programs
         of_estimate = {} if beside is None else beside.corners()
         self._corners: list[Corner] = []
+        self._level = LevelMemory()
+        self._marched = Car(
+            *(self._corners, [*of_estimate.values()]),
+            # corners of one structure are marched together
+            [group.corners for group in estimator.layout.groups],
+            self._programs,
+            self._kernel,
+            self._level,
+            self.members,
+            spread,
+        )
         for name in estimator.layout.corners:
             if (program := estimator.programs.get(name)) is not None:
                 other = of_estimate.get(name)
-                ensemble, duty = (
-                    (other.ensemble, other.duty)
-                    if other is not None
-                    else (
-                        Ensemble(program, self.members, spread),
-                        Duty(program),
-                    )
-                )
-                march = CornerMarch(ensemble, self._kernel)
-                self._corners.append(Corner(name, march, duty))
-        self._level = LevelMemory()
-        self._marched = Car(
-            self._corners,
-            # corners of one structure are marched together
-            [group.corners for group in estimator.layout.groups],
-            *(self._programs, self._kernel, self._level),
-        )
+                duty = Duty(program) if other is None else other.duty
+                march = self._marched.march_of(program)
+                self._corners.append(Corner(name, program, march, duty))
         self._forecast: CarForecast | None = None
         self._forecast_us: int | None = None
         self._last_us: int | None = None
@@ -214,6 +209,8 @@ class CourseRisk:
     def _update_now(self, instant: Instant) -> None:
         """Update the present risk."""
         boiling = self._fluid.boiling(instant.time_us)
+        # corners of an axle are mostly alike
+        found: dict[tuple[float, float], tuple[list[float], float]] = {}
         for corner in self._corners:
             name, time_us = corner.name, instant.time_us
             if not self._is_bound:
@@ -226,16 +223,12 @@ class CourseRisk:
                 instant.channel(name, "ambient_k"),
                 self._factor(instant, name),
             )
-            top_k = fluid_k + deviation_k * corner.ensemble.top_draw
-            if boiling.probability(top_k) == 0.0:
-                corner.now_k, now = [top_k] * self.members, 0.0
-            else:
-                corner.now_k = [
-                    fluid_k + deviation_k * draw
-                    for draw in corner.ensemble.now_draws
-                ]
-                now = boiling.mean_probability(corner.now_k)
-            corner.now, corner.deviation_k = now, deviation_k
+            if (fluid_k, deviation_k) not in found:
+                found[fluid_k, deviation_k] = corner.ensemble.now(
+                    fluid_k, deviation_k, boiling
+                )
+            corner.now_k, corner.now = found[fluid_k, deviation_k]
+            corner.deviation_k = deviation_k
             corner.level.by_probability(corner.probability, time_us)
             corner.fade.by_temperatures(
                 (disc_k, front_k), self._limits, time_us
@@ -299,7 +292,9 @@ class CourseRisk:
             factor = self._factor(instant, name)
             starts.append(Start(output[:width], duty, factor, boiling))
         ranges = [
-            corner.march.range_k(start, self._programs[corner.name])
+            corner.march.range_k(
+                start, is_present=self._marched.is_present(corner)
+            )
             for corner, start in zip(self._corners, starts, strict=True)
         ]
         if not self._is_bound:
@@ -390,7 +385,7 @@ class CourseRisk:
             )
 
         of = forecast.starts[place], forecast.ranges[place].most_k
-        raised_us = corner.raised_us
+        raised_us = corner.march.raised_us
         if (
             place in forecast.marched
             and corner.march.raise_ceiling(*of, is_of_use)
@@ -400,35 +395,14 @@ class CourseRisk:
             and (raised_us is None or time_us - raised_us >= REFRESH_US)
             and corner.march.raise_ceiling(*of, None)
         ):
-            corner.raised_us = time_us
+            corner.march.raised_us = time_us
             self._raising.append(corner.march)
 
     def _commit_duty(self, forecast: CarForecast) -> None:
         """Publish the forecast if the duty continues."""
         lanes = forecast.courses()
         for corner, start in zip(self._corners, forecast.starts, strict=True):
-            braked, free = lanes[corner.name]
-            air_k = start.duty.ambient_k
-            course = DutyCourse(
-                braked.times_s,
-                braked.fluid_k[0],
-                [
-                    corner.ensemble.duty_deviation_k(
-                        without_k - air_k, with_k - without_k, start.factor
-                    )
-                    for with_k, without_k in zip(
-                        braked.fluid_k[0], free.fluid_k[0], strict=True
-                    )
-                ],
-            )
-            corner.on_duty = (
-                braked.peak(HORIZON_S)[0],
-                course.reached_in_s(
-                    forecast.boiling,
-                    corner.ensemble.now_draws,
-                    PROBABILITIES[1],
-                ),
-            )
+            corner.on_duty = _on_duty(corner, start, *lanes[corner.name])
         self._published = None
 
     def _record(self, codes: list[Validity]) -> CarRisk:
@@ -467,7 +441,7 @@ class CourseRisk:
             if not values.keys() >= set(program.state_names):
                 continue
             state = [values[key] for key in program.state_names]
-            corner.march = corner.march.of(program)
+            self._marched.refit(corner)
             course = parked_course(
                 corner.ensemble, self._kernel, state, ambient_k, factor=1.0
             )
@@ -486,3 +460,28 @@ class CourseRisk:
             found[f"{corner.name}.fluid"] = corner.level
             found[f"{corner.name}.fade"] = corner.fade
         return found
+
+
+def _on_duty(
+    corner: Corner, start: Start, braked: Course, free: Course
+) -> tuple[float, float]:
+    """Return peak [K] and time to vapour [s] of a duty from *start*.
+
+    *braked* is the estimate's course and *free* that without its power.
+    """
+    with_k, without_k = braked.fluid_k[0], free.fluid_k[0]
+
+    def std_k(place: int) -> float:
+        return corner.ensemble.duty_deviation_k(
+            without_k[place] - start.duty.ambient_k,
+            with_k[place] - without_k[place],
+            start.factor,
+        )
+
+    course = DutyCourse(braked.times_s, with_k, std_k)
+    return (
+        braked.peak(HORIZON_S)[0],
+        course.reached_in_s(
+            start.boiling, corner.ensemble.now_draws, PROBABILITIES[1]
+        ),
+    )

@@ -16,7 +16,7 @@ from bstm_daemon.estimator.blocks import channels_at_rest, friction_energies
 from bstm_daemon.model.thermal.kernel import Batch
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from bstm_daemon.estimator.blocks import Instant
     from bstm_daemon.forecast.members import Ensemble
@@ -37,7 +37,8 @@ PARKED_STEPS: Final = (
 """Steps ahead [s]: 30 min to the horizon, then 1 h to see it safe again."""
 
 NEAR_STEPS: Final = PARKED_STEPS[:67]
-"""Those up to the horizon."""
+LATER_STEPS: Final = PARKED_STEPS[67:]
+"""Those up to the horizon and behind it."""
 
 DUTY_STEPS: Final = (*((5.0,) * 6), *((10.0,) * 9), *((30.0,) * 56))
 """Steps of a continued duty [s], up to the horizon."""
@@ -162,16 +163,21 @@ class Course(NamedTuple):
                 high = middle
         return self.times_s[high]
 
+    def is_over(self, boiling: Boiling, limit: float) -> bool:
+        """Whether the fluid cools at the end, its risk below *limit*."""
+        before_k, last_k = (sum(s[i] for s in self.fluid_k) for i in (-2, -1))
+        return last_k < before_k and self.probability(-1, boiling) < limit
+
     def _end(self, until_s: float) -> int:
         return sum(seconds <= until_s for seconds in self.times_s)
 
 
 class DutyCourse(NamedTuple):
-    """Course of a fluid on duty, and its standard deviation [K]."""
+    """Course of a fluid on duty, and its standard deviation [K] at a point."""
 
     times_s: tuple[float, ...]
     fluid_k: tuple[float, ...]
-    std_k: list[float]
+    std_k: Callable[[int], float]
 
     def reached_in_s(
         self, boiling: Boiling, draws: Sequence[float], limit: float
@@ -183,7 +189,7 @@ class DutyCourse(NamedTuple):
         """
 
         def is_reached(place: int) -> bool:
-            kelvin, std_k = self.fluid_k[place], self.std_k[place]
+            kelvin, std_k = self.fluid_k[place], self.std_k(place)
             most_k = kelvin + std_k * max(draws)
             return boiling.probability(most_k) >= limit and (
                 boiling.mean_probability([kelvin + std_k * d for d in draws])
@@ -290,9 +296,14 @@ class Job:
         """Whether the course is complete."""
         return self._done == len(self._steps)
 
-    def advance(self, limit: int) -> None:
-        """March at most *limit* steps."""
-        end = min(self._done + limit, len(self._steps))
+    def extend(self, steps: Sequence[float]) -> None:
+        """Let *steps* [s] follow those of the march."""
+        self._steps = (*self._steps, *steps)
+
+    def advance(self, limit: int) -> int:
+        """March at most *limit* steps; return how many of them are left."""
+        limit += self._done
+        end = min(limit, len(self._steps))
         size = self._batch.width + self._batch.sources
         row = self.lanes * size
         # of all jobs of the batch
@@ -311,6 +322,7 @@ class Job:
                 for first in range(0, count * row, row)
             ]
             self._done += count
+        return limit - end
 
     def course(self) -> Course:
         """Return the course of the members' fluid so far."""

@@ -19,6 +19,7 @@ from bstm_daemon.model.thermal.kernel import Batch
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from bstm_daemon.model.risk.vaporisation import Boiling
     from bstm_daemon.model.thermal.network import Link, Network
     from bstm_daemon.model.thermal.program import Program
     from bstm_daemon.native.loader import Kernel
@@ -93,7 +94,7 @@ class Ensemble:
             for draw in self.draws
         ]
         self.now_draws = [point[0] for point in normal_draws(count, 1)]
-        self.top_draw = max(self.now_draws)
+        self._top_draw = max(self.now_draws)
         net = program.network
         self.nodes = len(net.nodes)
         self.fluid = program.state_names.index("fluid")
@@ -109,15 +110,6 @@ class Ensemble:
             replace(program, floats=_changed(program, places, draw, spread))
             for draw in self.draws
         ]
-
-    def of(self, program: Program) -> Ensemble:
-        """Return the same members for *program*; itself if that is unchanged.
-
-        The networks of worn linings replace the previous ones.
-        """
-        if program is self.program:
-            return self
-        return Ensemble(program, self.count, self.spread)
 
     def batch(self, kernel: Kernel | None) -> Batch:
         """Return the members as a batch of *kernel*, made once."""
@@ -265,6 +257,19 @@ class Ensemble:
         return factor * hypot(
             share * (fluid_k - ambient_k), spread.fluid_floor_k
         )
+
+    def now(
+        self, fluid_k: float, deviation_k: float, boiling: Boiling
+    ) -> tuple[list[float], float]:
+        """Return the present fluid of each draw [K] and its mean risk.
+
+        Where nothing boils, the hottest one stands for all.
+        """
+        top_k = fluid_k + deviation_k * self._top_draw
+        if boiling.probability(top_k) == 0.0:
+            return [top_k] * self.count, 0.0
+        now_k = [fluid_k + deviation_k * draw for draw in self.now_draws]
+        return now_k, boiling.mean_probability(now_k)
 
     def ambients_k(self, ambient_k: float, factor: float) -> list[float]:
         """Return each member's air temperature [K]."""

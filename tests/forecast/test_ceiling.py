@@ -23,7 +23,7 @@ from bstm_daemon.forecast.ceiling import (
     Ceilings,
     is_ordered,
 )
-from bstm_daemon.forecast.corner_march import CornerMarch, Start
+from bstm_daemon.forecast.corner_march import CornerMarch, Range, Start
 from bstm_daemon.forecast.march import HORIZON_S, Conditions, parked_course
 from bstm_daemon.forecast.members import Ensemble, Spread
 from bstm_daemon.model.effects.catalogue import effect_names
@@ -215,26 +215,29 @@ def test_a_march_bounds_later_ones_and_one_is_made_for_it() -> None:
         state = state_of(program, [kelvin] * nodes)
         return Start(state, Conditions(AIR_K), 1.0, boiling)
 
+    def range_k(start: Start) -> Range:
+        return march.range_k(start, is_present=True)
+
     def most_k(kelvin: float) -> float:
-        return max(march.range_k(start(kelvin), program).most_k)
+        return max(range_k(start(kelvin)).most_k)
 
     # the hottest node at first
     assert 330.0 < most_k(330.0) < 345.0
     hot_disc = start(330.0)
     hot_disc.state[0] = 500.0
-    uncovered = march.range_k(hot_disc, program)
+    uncovered = range_k(hot_disc)
     assert max(uncovered.most_k) > 500.0
     assert uncovered.safe_in_s == inf
     job = march.begin(hot_disc)
     job.advance(1000)
     march.keep(hot_disc, job.course(), 7.0)
-    covered = march.range_k(hot_disc, program)
+    covered = range_k(hot_disc)
     assert covered.safe_in_s == 7.0
     peaks_k = job.course().peaks_k(HORIZON_S)
     assert covered.most_k == pytest.approx([p + MARGIN_K for p in peaks_k])
 
     hotter = hot_disc._replace(state=[k + 9.0 for k in hot_disc.state])
-    assert march.range_k(hotter, program).safe_in_s == inf
+    assert range_k(hotter).safe_in_s == inf
     assert not march.raise_ceiling(hot_disc, peaks_k, lambda _: False)
     asked: list[float] = []
     assert march.raise_ceiling(
@@ -242,18 +245,18 @@ def test_a_march_bounds_later_ones_and_one_is_made_for_it() -> None:
     )
     assert asked == sorted(asked, reverse=True)
     assert march.work_ahead(50)
-    assert march.range_k(hotter, program).safe_in_s == inf
+    assert range_k(hotter).safe_in_s == inf
     while march.work_ahead(50):
         pass
-    found = march.range_k(hotter, program)
+    found = range_k(hotter)
     assert found.safe_in_s == 0.0
     assert max(peaks_k) < max(found.most_k) < BOILING_K + 10.0
     # another fluid, another time until it is safe
     other = hotter._replace(boiling=Boiling([300.0, 301.0, 302.0]))
-    assert march.range_k(other, program).safe_in_s == inf
+    assert range_k(other).safe_in_s == inf
     # another network
-    worn = replace(program)
-    assert set(march.range_k(start(330.0), worn).most_k) == {inf}
+    unknown = march.range_k(start(330.0), is_present=False)
+    assert set(unknown.most_k) == {inf}
 
 
 @pytest.mark.parametrize("effect", sorted(effect_names()))

@@ -13,6 +13,7 @@ from bstm_daemon.channels import CHANNELS
 from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.estimator.corner_model import compile_corner
 from bstm_daemon.files import shipped_file
+from bstm_daemon.forecast.corner_march import marched
 from bstm_daemon.forecast.march import (
     DUTY_STEPS,
     HORIZON_S,
@@ -133,6 +134,30 @@ def test_how_a_march_is_cut_changes_no_bit() -> None:
 
 
 @needs_kernel
+@pytest.mark.parametrize(("safe_c", "points"), [(128.0, 68), (115.0, 98)])
+def test_a_march_ends_at_the_horizon_where_it_is_safe(
+    safe_c: float, points: int
+) -> None:
+    """In no more portions, and with what the whole march finds."""
+    corner, boiling = program(), sharp(safe_c)
+    conditions = Conditions(AIR_K)
+    job_ = job(corner, conditions, NEAR_STEPS, spread=Spread())
+    portions = [marched(job_, 25, boiling) for _ in range(-(-points // 25))]
+    found = portions.pop()
+    assert found is not None
+    assert portions == [None] * (2 if points == 68 else 3)
+    whole = job(corner, conditions, PARKED_STEPS, spread=Spread())
+    whole.advance(1000)
+    course = whole.course()
+
+    assert found.fluid_k == [s[:points] for s in course.fluid_k]
+    assert found.peak(HORIZON_S) == course.peak(HORIZON_S)
+    safe_in_s = found.safe_in_s(boiling, 0.01)
+    assert safe_in_s == course.safe_in_s(boiling, 0.01)
+    assert safe_in_s > 0.0
+
+
+@needs_kernel
 def test_spread_is_about_what_a_larger_ensemble_finds() -> None:
     """64 even draws are not far from 512."""
 
@@ -215,7 +240,8 @@ def test_when_vapour_is_likely_on_duty() -> None:
     draws = [one for (one,) in normal_draws(64, 1)]
 
     def reached_s(celsius: float, std_k: float) -> float:
-        course = DutyCourse((0.0, 60.0, 120.0, 180.0), fluid_k, [std_k] * 4)
+        times_s = 0.0, 60.0, 120.0, 180.0
+        course = DutyCourse(times_s, fluid_k, lambda _: std_k)
         return course.reached_in_s(sharp(celsius), draws, 0.1)
 
     assert reached_s(125.0, 0.1) == 120.0

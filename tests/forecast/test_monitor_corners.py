@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from bstm_daemon.config.sections import Config
-    from bstm_daemon.estimate import CarRisk
+    from bstm_daemon.estimate import CarRisk, CornerRisk
     from bstm_daemon.estimator.blocks import Block
 
 START_US = 1_700_000_000_000_000
@@ -171,6 +171,33 @@ def test_each_fluid_may_be_the_hottest() -> None:
     assert len(peaks["FL"]) == found.members
 
 
+@pytest.mark.parametrize(("other_k", "ensembles"), [(400.0, 1), (401.0, 2)])
+def test_corners_that_are_the_same_are_marched_once(
+    other_k: float, ensembles: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """And give what each would alone; a kelvin makes them two."""
+    begun: list[march.Job] = []
+    of_members = march.Job.of_members
+
+    def counted(*args: Any, **kwargs: Any) -> march.Job:
+        begun.append(of_members(*args, **kwargs))
+        return begun[-1]
+
+    def risks(*names: str) -> Mapping[str, CornerRisk]:
+        watched = Watched(*names)
+        block = watched.at_rest(2)
+        for name, fluid_k in {"FL": 400.0, "FR": other_k}.items():
+            if name in names:
+                watched.put(block, name, fluid=fluid_k, **HOT_PADS_K)
+        return watched.monitor.add(block)[-1].corners
+
+    alone = risks("FL") | risks("FR")
+    monkeypatch.setattr(march.Job, "of_members", counted)
+
+    assert risks("FL", "FR") == alone
+    assert len(begun) == ensembles
+
+
 def test_vapour_ahead_counts_though_the_fluid_is_cold_now() -> None:
     """A hot backplate behind a cold fluid."""
     watched = Watched("FL", "FR")
@@ -274,7 +301,7 @@ def test_a_fluid_that_goes_on_to_warm_is_told_up_to_the_horizon(
     monkeypatch.setattr(
         corner_march.CornerMarch,
         "range_k",
-        lambda *_: Range([0.0] * 64, [inf] * 64),
+        lambda *_, is_present: Range([0.0] * 64, [inf] * 64),  # noqa: ARG005
     )
     watched = Watched("FL")
     found = watched.monitor.add(watched.at_rest(3))[-1].corners["FL"]
@@ -543,7 +570,7 @@ def test_members_that_decide_no_level_are_not_marched(
     assert 0.0 < boiling.probability(WARM_K) < 0.005
     assert 0.01 < boiling.probability(LIKELY_K) < 0.1
     for corner in course._corners:
-        corner.raised_us = START_US
+        corner.march.raised_us = START_US
     ranges = [Range([least] * 8, [most] * 8) for least, most in peaks_k]
     forecast = CarForecast(
         *(course._marched, START_US, [], ranges, boiling),

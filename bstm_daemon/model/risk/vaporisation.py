@@ -17,6 +17,7 @@ speak of.
 from bisect import bisect_right
 from collections.abc import Sequence
 from functools import lru_cache
+from itertools import pairwise
 from math import exp, expm1, isnan, nan
 from statistics import NormalDist
 from typing import Final, NamedTuple
@@ -84,10 +85,12 @@ class Boiling:
         self._low = self._points[0]
         count = len(self._points)
         size = int((self._points[-1] - self._low) / TABLE_STEP_K) + 2
-        self._table = [
+        table = [
             bisect_right(self._points, self._low + i * TABLE_STEP_K) / count
             for i in range(size)
         ]
+        # the share of the fluids at each of its points, and the rise from it
+        self._table = [(a, b - a) for a, b in pairwise(table)]
 
     @property
     def lowest_k(self) -> float:
@@ -102,11 +105,11 @@ class Boiling:
         position = (temperature_k - self._low) / TABLE_STEP_K
         if not position > 0.0:
             return nan if isnan(position) else 0.0
-        if position >= len(self._table) - 1:
+        if position >= len(self._table):
             return 1.0
         index = int(position)
-        left = self._table[index]
-        return left + (position - index) * (self._table[index + 1] - left)
+        left, rise = self._table[index]
+        return left + (position - index) * rise
 
     def mean_probability(self, temperatures_k: Sequence[float]) -> float:
         """Return the mean probability over *temperatures_k*; NaN of none."""
@@ -118,16 +121,17 @@ class Boiling:
         low, table = self._low, self._table
         if max(temperatures_k) <= low:
             return 0.0
-        found, last = 0.0, len(table) - 1
+        found, last = 0.0, len(table)
         # as probability(), without a call for each
         for kelvin in temperatures_k:
-            position = (kelvin - low) / TABLE_STEP_K
-            if position >= last:
-                found += 1.0
-            elif position > 0.0:
+            if kelvin > low:
+                position = (kelvin - low) / TABLE_STEP_K
+                if position >= last:
+                    found += 1.0
+                    continue
                 index = int(position)
-                left = table[index]
-                found += left + (position - index) * (table[index + 1] - left)
+                left, rise = table[index]
+                found += left + (position - index) * rise
         return found / len(temperatures_k)
 
     def quantile(self, share: float) -> float:
