@@ -282,8 +282,8 @@ def _publish(config: Config) -> str:
     publish = config.publish
     if not publish.enabled:
         return "listen only, nothing is sent"
-    bus = publish.bus or config.bus[0].name
-    return f"on {bus} from id 0x{publish.id_base:X}"
+    bus = config.bus[config.publishing_bus]
+    return f"on {bus.name} from id 0x{publish.id_base:X}"
 
 
 def _signal(

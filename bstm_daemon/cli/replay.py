@@ -32,7 +32,6 @@ from bstm_daemon.files import make_folder
 from bstm_daemon.replay.columns import Run, StartState, stream_log
 from bstm_daemon.replay.frames import (
     publications,
-    publish_channel,
     write_frames,
 )
 from bstm_daemon.replay.results import (
@@ -138,7 +137,7 @@ def run(args: argparse.Namespace) -> int:
         }
         _replay(args, path, (config, signal_map), state, targets)
         if args.publish is not None:
-            channel = publish_channel(config)
+            channel = config.bus[config.publishing_bus].channel
             with Progress(f"publish {path.name}") as progress:
                 ticks = published(progress=progress.show)
                 count = write_frames(ticks, channel, args.publish)

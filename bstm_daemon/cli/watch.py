@@ -68,9 +68,7 @@ def _bus(args: argparse.Namespace, config: Config | None) -> BusConfig:
         if not config.bus:
             msg = f"{args.config}: has no [[bus]] to watch"
             raise ConfigError([msg])
-        name = config.publish.bus or config.bus[0].name
-        bus = next(bus for bus in config.bus if bus.name == name)
-        return bus.model_copy(update=asked)
+        return config.bus[config.publishing_bus].model_copy(update=asked)
     from can.util import (  # noqa: PLC0415  (slow, and not needed with -c)
         load_environment_config,
         load_file_config,

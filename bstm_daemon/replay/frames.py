@@ -13,7 +13,7 @@ from bstm_daemon.bus.opening import NOT_READ, open_log, resolve_interfaces
 from bstm_daemon.bus.signals.signal_map import SignalMap
 from bstm_daemon.config.sections import Config
 from bstm_daemon.engine import Engine, Published
-from bstm_daemon.errors import ConfigError, LogError
+from bstm_daemon.errors import LogError
 from bstm_daemon.estimator.state import parked_before_us
 from bstm_daemon.files import replacing
 from bstm_daemon.replay.columns import StartState, first_air_k, naming_state
@@ -103,19 +103,6 @@ def write_frames(
             file.writelines(_line(channel, frame) for frame in published)
             written += len(published)
     return written
-
-
-def publish_channel(config: Config) -> str:
-    """Return the channel of the bus that frames are sent on.
-
-    Raises:
-        ConfigError: ``[publish] bus`` names none.
-    """
-    for bus in config.bus:
-        if config.publish.bus in {None, bus.name}:
-            return bus.channel
-    msg = f"[publish] bus = {config.publish.bus!r}: no such [[bus]]"
-    raise ConfigError([msg])
 
 
 def _frames(

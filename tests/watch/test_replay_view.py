@@ -12,7 +12,6 @@ from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.errors import FileAccessError, LogError
 from bstm_daemon.replay.frames import (
     publications,
-    publish_channel,
     write_frames,
 )
 from bstm_daemon.simulation import parse_drive, simulate
@@ -134,7 +133,8 @@ def test_it_shows_what_would_have_been_published(
     board = Board(CONFIG.publish.id_base)
     out = tmp_path / "out.log"
     ticks = publications(CONFIG, SIGNAL_MAP, log)
-    write_frames(ticks, publish_channel(CONFIG), out)
+    channel = CONFIG.bus[CONFIG.publishing_bus].channel
+    write_frames(ticks, channel, out)
     for line in out.read_text().splitlines():
         stamp, _, frame = line.split()
         now_us = round(float(stamp.strip("()")) * 1e6)
