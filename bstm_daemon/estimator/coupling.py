@@ -135,13 +135,15 @@ class Coupling:
         """
         order = self.plan.corners
         for batch, names in batches:
+            own, width = batch.state, batch.width
             disc, pad = map(batch.names.index, ("disc", "pad_front"))
             for member, name in enumerate(names):
                 corner = order.index(name)
                 if not anew and state.interface_k(corner) > 0.0:
                     continue
-                own = batch.state[batch.part(member)]
-                state.heat_interface(corner, 0.5 * (own[disc] + own[pad]))
+                first = member * width
+                mean_k = 0.5 * (own[first + disc] + own[first + pad])
+                state.heat_interface(corner, mean_k)
 
     def _until(self, line_us: int, state: SampleState) -> int:
         """Return the rows up to the next multiple of *line_us*, inclusive."""

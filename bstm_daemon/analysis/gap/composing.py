@@ -64,6 +64,9 @@ WIDENED: Final = 16
 SIMULATED: Final = 6
 """Terms that are simulated with the whole model, each round."""
 
+AT_ONCE: Final = 128
+"""Terms that are marched at a time: more take memory, not less time."""
+
 MOST_TERMS: Final = 3
 WORDS: Final = sum(len(form.grid) for form in FORMS.values())
 
@@ -161,11 +164,13 @@ class Response:
                 term_of += [number] * len(own)
         heat_w = np.array(heats).T
         state = np.zeros((len(self.place), len(terms)))
+        flat = np.array(into) * len(terms) + np.array(term_of)
         shown = [self.place[self.model.shown(node)] for node in nodes]
         found = np.empty((len(nodes), self.count, len(terms)))
         for block in range(self.count):
-            right = self.capacity[block][:, None] * state
-            np.add.at(right, (into, term_of), heat_w[block])
+            right = np.bincount(flat, heat_w[block], state.size)
+            right = right.reshape(state.shape)
+            right += self.capacity[block][:, None] * state
             state = self.inverse[block] @ right
             found[:, block] = state[shown]
         return dict(zip(nodes, found, strict=True))
@@ -199,6 +204,7 @@ class Search:
             )
             for number, corner in comparison.pairs
         }
+        self.columns_of_single = self.columns(self.single)
         self.base_k = comparison.residuals_k(comparison.start[None])[:, 0]
 
     def fits(self, term: Term) -> bool:
@@ -214,6 +220,14 @@ class Search:
 
     def columns(self, terms: Sequence[Term]) -> Column:
         """Return the whitened change of the residuals by *terms*, (n, k)."""
+        return np.column_stack(
+            [
+                self._columns(terms[first : first + AT_ONCE])
+                for first in range(0, len(terms), AT_ONCE)
+            ]
+        )
+
+    def _columns(self, terms: Sequence[Term]) -> Column:
         nodes = list(dict.fromkeys(s.node for s in self.comparison.series))
         shown = {
             pair: one.of(terms, nodes) for pair, one in self.responses.items()
@@ -228,12 +242,9 @@ class Search:
         return self.layout.whiten(np.concatenate(parts))
 
     def ranked(
-        self, terms: Sequence[Term], project: Projector
+        self, terms: Sequence[Term], columns: Column, project: Projector
     ) -> list[tuple[float, Term]]:
         """Return log evidence and term at its best size, best first."""
-        if not terms:
-            return []
-        columns = self.columns(terms)
         projected = project(columns)
         precision = np.sum(columns * projected, axis=0) + FREE**-2
         strength = -(projected.T @ self.known.residual) / precision
@@ -255,15 +266,16 @@ class Search:
     ) -> tuple[Candidate, Signature] | None:
         """Return the term that explains most beside *chosen*."""
         project = self.project.beside([one.column for one in chosen])
-        ranked = self.ranked(self.single, project)
+        ranked = self.ranked(self.single, self.columns_of_single, project)
         wider = [
             two
             for _, one in ranked[:WIDENED]
             for two in _widened(one)
-            if one.clauses
+            if one.clauses and self.fits(two)
         ]
-        ranked += self.ranked([t for t in wider if self.fits(t)], project)
-        ranked.sort(key=lambda one: -one[0])
+        if wider:
+            ranked += self.ranked(wider, self.columns(wider), project)
+            ranked.sort(key=lambda one: -one[0])
         found = []
         for _, term in ranked[:SIMULATED]:
             name = PREFIX + str(term)

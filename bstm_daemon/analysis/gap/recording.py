@@ -22,10 +22,12 @@ from bstm_daemon.bus.signals.columns import Events
 from bstm_daemon.channels import CHANNELS
 from bstm_daemon.estimator.corner_model import corner_model
 from bstm_daemon.estimator.estimator import Estimator
+from bstm_daemon.model.thermal.kernel import Batch
 from bstm_daemon.model.wear.car import CarWear
 from bstm_daemon.replay.columns import present_roles
 
 if TYPE_CHECKING:
+    from array import array
     from collections.abc import Callable, Iterable, Iterator, Mapping
     from pathlib import Path
 
@@ -162,8 +164,7 @@ def inputs_of(
 
     (steps, corners, channels), as ``Drive.inputs`` has them.
     """
-    estimator = _Heating(config, present)
-    estimator.trial()
+    estimator = _Trial(config, present)
     inputs, _ = grid_inputs(estimator, _pieces(events))
     return inputs, estimator.plan.corners
 
@@ -190,11 +191,6 @@ class _Heating(Estimator):
             self.batches = []
             self._coupling.coupled = False
 
-    def trial(self) -> None:
-        """Take samples that are thin, the pads as they are configured."""
-        self._coupling.coupling_us = THIN_COUPLING_US
-        self.wear = CarWear(self.config, ())
-
     def _block(self, steps: int, outputs: Outputs) -> None:
         """Keep the rows; judging each estimate would take most of the time.
 
@@ -208,6 +204,44 @@ class _Heating(Estimator):
             self.input_history.add(rows, steps)
         self._reset_impossible()
         self.start.end()
+
+
+class _Trial(_Heating):
+    """Takes samples that are thin, the pads as they are configured."""
+
+    def __init__(self, config: Config, present: Mapping[int, int]) -> None:
+        super().__init__(config, present)
+        self._coupling.coupling_us = THIN_COUPLING_US
+        self.wear = CarWear(self.config, ())
+
+    def _batches(self, start_k: float) -> list[tuple[Batch, list[str]]]:
+        return [
+            (_Coarse(one, start_k), names)
+            for one, names in super()._batches(start_k)
+        ]
+
+
+class _Coarse(Batch):
+    """Marches in one step of the mean inputs: for friction laws only."""
+
+    def __init__(self, batch: Batch, start_k: float) -> None:
+        super().__init__(
+            *(batch.programs, start_k, batch.input_set, batch.kernel),
+            sets=batch.sets,
+        )
+
+    def march(
+        self,
+        inputs: array[float] | memoryview,
+        steps: int,
+        dt_s: float,
+        output_every: int = 1,
+        output_phase: int = 1,
+    ) -> array[float]:
+        del output_every, output_phase
+        rows = np.frombuffer(inputs).reshape(steps, -1)
+        mean = memoryview(np.add.reduce(rows) / steps)
+        return super().march(mean, 1, steps * dt_s)
 
 
 def _pieces(events: Events) -> Iterator[Events]:

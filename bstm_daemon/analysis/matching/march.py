@@ -20,6 +20,7 @@ from bstm_daemon.analysis.matching.thermocouples import (
     InPad,
     Placement,
     node_at,
+    pad_nodes,
 )
 from bstm_daemon.analysis.statistics.series import Column
 from bstm_daemon.channels import CHANNELS
@@ -87,8 +88,7 @@ def march(  # noqa: PLR0913
         forced: nodes that follow a series, [K] at each step's end, (steps,);
             free where it is NaN.
         power_w: brake power of each variant, (steps, variants); as *drive*.
-        nodes: those that are wanted, where no thermocouple has its place
-            between them; all.
+        nodes: those that are wanted; all.
         memories: of the network that are returned too.
 
     Returns:
@@ -117,8 +117,8 @@ def march(  # noqa: PLR0913
         for i, name in enumerate(names):
             batch.state[member * batch.width + i] = initial_k[name]
     size = batch.width + batch.sources
-    whole = placed or not nodes
-    wanted = [name for name in names if whole or name in nodes]
+    between = {*placed, *pad_nodes(names)} if placed else set()
+    wanted = [n for n in names if not nodes or n in {*nodes, *between}]
     columns = [names.index(name) for name in wanted]
     columns += [programs[0].state_names.index(name) for name in memories]
     kept = np.empty((len(columns), len(inputs), len(programs)))
