@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import ast
 import re
+import subprocess
+import sys
 from array import array
 from dataclasses import dataclass
 from typing import Annotated
@@ -103,6 +105,32 @@ def test_the_header_has_numbers_tables_and_structs() -> None:
     assert (
         "    double ground_speeds[GROUND_SPEEDS];\n    int steady;\n" in text
     )
+
+
+def test_the_headers_need_the_standard_library_alone() -> None:
+    """An isolated build, as of pip, has no other package."""
+    code = (
+        "import sys\nfrom importlib import import_module\n"
+        "from types import ModuleType\n"
+        f"root = {str(PACKAGE.parent)!r}\nsys.path.insert(0, root)\n"
+        "for name in ('bstm_daemon', 'bstm_daemon.simulation'):\n"
+        "    sys.modules[name] = ModuleType(name)\n"
+        "    path = f'{root}/' + name.replace('.', '/')\n"
+        "    sys.modules[name].__path__ = [path]\n"
+        "for name in ('model.compiled', 'simulation.header'):\n"
+        "    module = import_module(f'bstm_daemon.{name}')\n"
+        "    print(len(module.generated_header()))\n"
+    )
+
+    done = subprocess.run(
+        [sys.executable, "-I", "-S", "-c", code],
+        capture_output=True,
+        check=False,
+        text=True,
+    )
+
+    assert done.stderr == ""
+    assert [int(size) > 1000 for size in done.stdout.split()] == [True, True]
 
 
 def test_a_name_with_two_values_is_refused() -> None:

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-from bstm_daemon.config.sections import VehicleConfig
 from bstm_daemon.units import AIR_DENSITY_KG_M3, GRAVITY_MS2
+
+if TYPE_CHECKING:  # the build of C needs the standard library alone
+    from bstm_daemon.config.sections import VehicleConfig
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-from bstm_daemon.config.sections import CornerConfig
+if TYPE_CHECKING:  # the build of C needs the standard library alone
+    from bstm_daemon.config.sections import CornerConfig
 
 
 @dataclass(frozen=True, slots=True)
