@@ -1,8 +1,8 @@
 """Values of the car that may have changed since it was matched.
 
-Beside the effects that the model may lack, each of its own values is a
-candidate: one by one, and together where one cause moves several. A strength
-is the logarithm of the factor over :data:`STEP`.
+Beside the effects that the model may lack, its own values are candidates, as
+``_data/changes.toml`` has them: one by one, and together where one cause moves
+several. A strength is the logarithm of the factor over :data:`STEP`.
 """
 
 import tomllib
@@ -13,7 +13,6 @@ from typing import Final
 
 import numpy as np
 
-from bstm_daemon.analysis.matching.effect_values import split_key
 from bstm_daemon.analysis.matching.tunables import EFFECT
 from bstm_daemon.analysis.statistics.series import Column
 from bstm_daemon.config.sections import Config, EffectConfig
@@ -33,11 +32,6 @@ STEP: Final = 0.7
 HEAT_STEP: Final = 0.2
 """Of the heat: friction differs by less than conductances do."""
 
-BUILT: Final = frozenset(
-    f"{EFFECT}.{name}.strength" for name in ("caliper_fluid_split", "disc_hat")
-)
-"""How caliper and disc are built: nothing that happens to a car changes it."""
-
 LARGEST: Final = 4.0
 """Strength of a change beyond which it is none, but something else."""
 
@@ -53,7 +47,10 @@ class Kind:
 
 
 KINDS: Final[dict[str, Kind]] = {
-    name: Kind(one["what"], one["less"], one["more"], tuple(one["keys"]))
+    name: Kind(
+        *(one["what"], one["less"], one["more"]),
+        tuple(one.get("keys", (name,))),
+    )
     for name, one in tomllib.loads(
         (Path(__file__).parent / "_data" / "changes.toml").read_text("utf-8")
     ).items()
@@ -125,8 +122,6 @@ def trials(config: Config, keys: Sequence[str]) -> dict[str, Trial]:
         name: tuple(key for key in kind.keys if key in keys)
         for name, kind in KINDS.items()
     }
-    grouped = {HEAT_SCALE, *(key for own in groups.values() for key in own)}
-    groups |= {key: (key,) for key in keys if key not in grouped | BUILT}
     if config.heat.mode != "ff":
         # motion heats whatever friction is
         groups.pop("brake_heat")
@@ -157,9 +152,8 @@ def step_of(key: str) -> float:
 
 def factor_of(name: str, strength: float) -> float:
     """Return the factor that a change of *strength* is."""
-    kind = KINDS.get(name.removeprefix(PREFIX))
-    step = step_of(kind.keys[0]) if kind else STEP
-    return float(np.exp(step * strength))
+    kind = KINDS[name.removeprefix(PREFIX)]
+    return float(np.exp(step_of(kind.keys[0]) * strength))
 
 
 def said_percent(name: str, strength: float) -> str:
@@ -171,21 +165,14 @@ def name_of(name: str) -> str:
     """Return what the candidate *name* is called, of a change in words."""
     if not is_change(name):
         return name.removeprefix(COMPOSED)
-    own = name.removeprefix(PREFIX)
-    if own in KINDS:
-        return KINDS[own].what
-    section, rest = split_key(own)
-    if section == EFFECT:
-        effect, parameter = split_key(rest)
-        return f"{parameter} of {effect}"
-    return rest.replace("_", " ")
+    return KINDS[name.removeprefix(PREFIX)].what
 
 
 def said(name: str, strength: float, *, cause: bool = True) -> str:
     """Return the change *name* of *strength* in plain words."""
     percent = said_percent(name, strength)
     text = f"{name_of(name)} {percent} since the match"
-    kind = KINDS.get(name.removeprefix(PREFIX))
-    if kind is None or not cause:
+    if not cause:
         return text
+    kind = KINDS[name.removeprefix(PREFIX)]
     return f"{text}: {kind.less if strength < 0.0 else kind.more}?"

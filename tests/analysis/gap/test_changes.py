@@ -37,6 +37,7 @@ from bstm_daemon.analysis.matching.tunables import (
     usable,
 )
 from bstm_daemon.config.estimates import MatchedConfig
+from bstm_daemon.model.effects.catalogue import effect_class, effect_names
 from bstm_daemon.report.gap import headline
 
 if TYPE_CHECKING:
@@ -129,9 +130,16 @@ def test_an_effect_on_the_heat_that_the_model_has_can_change(
     assert "friction_fade" not in candidates(fading)
 
 
-def test_every_kind_is_of_tunables() -> None:
+def test_every_value_that_can_change_has_its_words() -> None:
+    on_heat = [n for n in effect_names() if effect_class(n).kind == "heat"]
+    # nothing that happens to a car changes how these are built
+    built = map(strength_key, ("caliper_fluid_split", "disc_hat"))
+    can = {*TUNABLES, HEAT_SCALE, *map(strength_key, on_heat)} - {*built}
+
+    assert {key for kind in KINDS.values() for key in kind.keys} == can
     for kind in KINDS.values():
-        assert set(kind.keys) <= {*TUNABLES, HEAT_SCALE}
+        words = (kind.what, kind.less, kind.more)
+        assert all(0 < len(one) < 70 and "_" not in one for one in words)
 
 
 def test_a_change_is_said_in_plain_words() -> None:
@@ -142,8 +150,9 @@ def test_a_change_is_said_in_plain_words() -> None:
         "convection from the disc to the wheel well -34 % since the match: "
         "rim or wheel cover closed, cooling duct blocked?"
     )
-    assert said("change.effect.disc_hat.strength", -strength) == (
-        "strength of disc_hat +52 % since the match"
+    assert said("change.effect.bracket_conduction.strength", -strength) == (
+        "conduction from the backplates to the bracket +52 % since the "
+        "match: new clips, pads that jam in the slides?"
     )
 
 
